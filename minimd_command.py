@@ -47,7 +47,11 @@ def _end(code: int, words: str = "") -> None:
         try:
             if stream is not None:
                 stream.flush()
-        except (OSError, RuntimeError, ValueError) as reason:  # the reader is gone, a print is not finished, or the stream is closed
+        except (
+            OSError,
+            RuntimeError,
+            ValueError,
+        ) as reason:  # the reader is gone, a print is not finished, or the stream is closed
             if code == 0:  # else the reason has already been printed
                 code, words = WRONG_OUTPUT, f"minimd: error: the output is not complete: {reason}\n"
     try:

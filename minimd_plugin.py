@@ -7,7 +7,9 @@ from typing import Any
 
 from ase.utils.plugins import ExternalIOFormat
 
-h5md = ExternalIOFormat("trajectory of minimd, H5MD", "+S", module="minimd.ase.h5md_format", ext="h5md")  # entry point of group ase.ioformats
+h5md = ExternalIOFormat(
+    "trajectory of minimd, H5MD", "+S", module="minimd.ase.h5md_format", ext="h5md"
+)  # entry point of group ase.ioformats
 
 
 def __getattr__(name: str) -> Any:
@@ -19,4 +21,6 @@ def __getattr__(name: str) -> Any:
     import minimd
 
     citation = "minimd, a molecular-dynamics mini-engine"
-    return {CalculatorPlugin("minimd", citation=citation, module=minimd, implementation="minimd.ase.calculator.Calculator")}
+    return {
+        CalculatorPlugin("minimd", citation=citation, module=minimd, implementation="minimd.ase.calculator.Calculator")
+    }

@@ -68,7 +68,9 @@ methods = [explicit_euler, symplectic_euler, velocity_verlet]
 figure, panels = plt.subplots(1, 3, figsize=(11.0, 3.8), layout="constrained", sharey=True)
 grid_q, grid_v = np.meshgrid(np.linspace(-4.0, 4.0, 200), np.linspace(-3.0, 3.0, 200))
 for panel, step in zip(panels, methods, strict=True):
-    panel.contour(grid_q, grid_v, energy(grid_q, grid_v), levels=np.linspace(-0.9, 2.0, 8), colors="0.8", linewidths=1.0)
+    panel.contour(
+        grid_q, grid_v, energy(grid_q, grid_v), levels=np.linspace(-0.9, 2.0, 8), colors="0.8", linewidths=1.0
+    )
     q, v = run(step, 1.5, 0.0, 60)
     panel.plot(q, v, ".-", markersize=4, linewidth=0.6)
     panel.set(title=step.__name__.replace("_", " "), xlabel="q", xlim=(-4.0, 4.0), ylim=(-3.0, 3.0))
@@ -85,7 +87,9 @@ for step in methods[1:]:
     q, v = run(step, 1.5, 0.0, n_steps)
     change = energy(q, v) - energy(q[0], v[0])
     panel.plot(timestep * np.arange(len(q)), change, linewidth=0.6, label=step.__name__.replace("_", " "))
-    print(f"{step.__name__:17} energy off by at most {np.abs(change).max():.3f}, in the last tenth by {np.abs(change[-n_steps // 10 :]).max():.3f}")
+    print(
+        f"{step.__name__:17} energy off by at most {np.abs(change).max():.3f}, in the last tenth by {np.abs(change[-n_steps // 10 :]).max():.3f}"
+    )
 panel.set(xlabel="time", ylabel="H − H(0)")
 panel.legend(frameon=False)
 plt.show()

@@ -54,11 +54,16 @@ bins = np.arange(2.5, 14.0, 0.1)
 radii = 0.5 * (bins[1:] + bins[:-1])
 looked_at = paths[:: max(1, len(paths) // 20)]
 counts = sum(
-    np.histogram(md.neighbor_list("d", md.System(frame.astype(float), cell=simulation.system.cell), bins[-1]), bins)[0] for frame in looked_at
+    np.histogram(md.neighbor_list("d", md.System(frame.astype(float), cell=simulation.system.cell), bins[-1]), bins)[0]
+    for frame in looked_at
 )
 shells = 4.0 / 3.0 * np.pi * (bins[1:] ** 3 - bins[:-1] ** 3)
 g = counts / len(looked_at) / (len(argon) ** 2 / simulation.system.volume * shells)
-peaks = [r for r, left, here, right in zip(radii[1:], g, g[1:], g[2:], strict=False) if here > max(left, right) and here > 1.05]
+peaks = [
+    r
+    for r, left, here, right in zip(radii[1:], g, g[1:], g[2:], strict=False)
+    if here > max(left, right) and here > 1.05
+]
 print(f"first peak of g(r) {radii[g.argmax()]:.2f} Å, height {g.max():.2f}   (Rahman: 3.7 Å)")
 
 figure, panel = plt.subplots(figsize=(7.0, 3.8), layout="constrained")
@@ -75,7 +80,9 @@ plt.show()
 # can be read off.
 
 lags = np.arange(1, len(paths) // 4)
-squares = np.array([np.mean(np.sum((paths[lag:] - paths[:-lag]) ** 2, axis=2)) for lag in lags[:: max(1, len(lags) // 60)]])
+squares = np.array(
+    [np.mean(np.sum((paths[lag:] - paths[:-lag]) ** 2, axis=2)) for lag in lags[:: max(1, len(lags) // 60)]]
+)
 lag_time = time[lags[:: max(1, len(lags) // 60)]]
 late = lag_time > lag_time[-1] / 5.0
 diffusion = np.polyfit(lag_time[late], squares[late], 1)[0] / 6.0  # Å²/ps

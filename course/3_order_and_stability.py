@@ -43,7 +43,9 @@ plt.show()
 figure, panel = plt.subplots(figsize=(6.5, 4.5), layout="constrained")
 for method in methods[1:]:
     runs = [run_steps(planet, method(time / n), start, int(n)) for n in counts]
-    panel.loglog([run.nfev for run in runs], [np.linalg.norm(run.q[-1] - exact) for run in runs], "o-", label=method.name)
+    panel.loglog(
+        [run.nfev for run in runs], [np.linalg.norm(run.q[-1] - exact) for run in runs], "o-", label=method.name
+    )
 panel.set(xlabel="evaluations of the force", ylabel="error")
 panel.legend(frameon=False)
 plt.show()
@@ -57,7 +59,9 @@ plt.show()
 for exponent in (1.0 / 3.0, -1.0 / 3.0):
     w = 1.0 / (2.0 - 2.0**exponent)
     jump = compose(*3 * [md.VelocityVerlet], weights=[w, 1.0 - 2.0 * w, w])
-    print(f"w = 1/(2 − 2^({exponent:+.2f})) = {w:.5f}   order {jump.order}   (4, and 2 with the slip of sign that stands in several programs)")
+    print(
+        f"w = 1/(2 − 2^({exponent:+.2f})) = {w:.5f}   order {jump.order}   (4, and 2 with the slip of sign that stands in several programs)"
+    )
 
 # %%
 # Stability
@@ -73,7 +77,9 @@ for phase in (0.5, 1.5, 1.95, 2.01):
     kept = path.v**2 + path.q**2 * (1.0 - phase**2 / 4.0)
     panel.semilogy(np.abs(path.q), ".", markersize=3, label=f"ωΔt = {phase}")
     if phase < 2.0:
-        print(f"ωΔt = {phase:4}   largest |q| {np.abs(path.q).max():.3f}, shadow energy constant to {np.ptp(kept) / kept[0, 0]:.0e}   (rounding)")
+        print(
+            f"ωΔt = {phase:4}   largest |q| {np.abs(path.q).max():.3f}, shadow energy constant to {np.ptp(kept) / kept[0, 0]:.0e}   (rounding)"
+        )
 panel.set(xlabel="steps", ylabel="|q|", ylim=(1e-3, 1e4))
 panel.legend(frameon=False)
 plt.show()

@@ -41,10 +41,14 @@ for name, method in methods.items():
     record = simulation.run(n_steps, every=every, progress=False)
     kinetic[name], total[name], potential[name] = record.kinetic_energy, record.total_energy, record.potential_energy
     warm = record.temperature
-    print(f"{name:10} T = {warm.mean():6.1f} ± {warm.std():4.1f} K, energy ± {record.total_energy.std() / kelvin:8.2f} K")
+    print(
+        f"{name:10} T = {warm.mean():6.1f} ± {warm.std():4.1f} K, energy ± {record.total_energy.std() / kelvin:8.2f} K"
+    )
 
 n_dof = simulation.n_dof
-print(f"expected in a bath: T ± {temperature * np.sqrt(2.0 / n_dof):.1f} K   (√(2/n) T, n = {n_dof} degrees of freedom)")
+print(
+    f"expected in a bath: T ± {temperature * np.sqrt(2.0 / n_dof):.1f} K   (√(2/n) T, n = {n_dof} degrees of freedom)"
+)
 
 # %%
 # The distribution of the kinetic energy

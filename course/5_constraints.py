@@ -85,7 +85,9 @@ centers, edges = md.lattice.crystal("fcc", [3, 3, 3], 5.65)
 arms = 0.5 * bond * np.random.default_rng(1).choice([-1.0, 1.0], centers.shape) / np.sqrt(3.0)
 atoms = np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3)
 pairs = np.arange(len(atoms)).reshape(-1, 2)
-nitrogen = md.System(atoms, masses=14.007, cell=edges, bonds=pairs, units=ASE, constraints=[md.DistanceConstraints(pairs)])
+nitrogen = md.System(
+    atoms, masses=14.007, cell=edges, bonds=pairs, units=ASE, constraints=[md.DistanceConstraints(pairs)]
+)
 law = md.LennardJones(37.3 * ASE.k_B, 3.31, cutoff=8.0, truncation="smooth", bonded_scale=(0, 1, 1))
 liquid = md.Simulation(nitrogen, law, md.VelocityVerlet(4.0 * fs))
 liquid.set_temperature(77.0, seed=1)
@@ -95,7 +97,9 @@ for length in timesteps:
     simulation = md.Simulation(liquid.system, law, md.VelocityVerlet(length * fs))
     record = simulation.run(int(duration // length), every=1, progress=False)
     energies.append(record.total_energy.std() / len(pairs) / ASE.k_B)
-    print(f"Δt = {length:2} fs   energy ± {energies[-1]:.3f} K per molecule, bonds off by {record.constraint_violation.max():.0e}")
+    print(
+        f"Δt = {length:2} fs   energy ± {energies[-1]:.3f} K per molecule, bonds off by {record.constraint_violation.max():.0e}"
+    )
 slope = np.polyfit(np.log(timesteps), np.log(energies), 1)[0]
 print(f"the energy fluctuates as Δt to the power {slope:.2f}   (velocity Verlet: 2)")
 

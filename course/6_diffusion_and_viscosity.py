@@ -111,7 +111,9 @@ plt.show()
 # I.-C. Yeh, G. Hummer, J. Phys. Chem. B 108, 15873 (2004)).
 
 correction = 2.837297 * t / (6.0 * np.pi * viscosity * volume ** (1.0 / 3.0))
-print(f"D of an endless liquid: {diffusion + correction:.4f}   (0.033 to 0.034 for the law without a cutoff, more with one)")
+print(
+    f"D of an endless liquid: {diffusion + correction:.4f}   (0.033 to 0.034 for the law without a cutoff, more with one)"
+)
 
 # %%
 # Tasks

@@ -88,16 +88,35 @@ def explain(panel, found):
     edge, far = found.domains.column[1] * THICKNESS, WIDTH + 0.8
     for text, words_at, points_at in (
         ("an atom, its cutoff,\nand cutoff + skin", (far, HEIGHT + 1.6), (edge + 0.55, HEIGHT + 0.1)),
-        ("ringed: the atoms in its row;\nthose behind have it in theirs", (far, HEIGHT - 2.2), (edge + 1.95, HEIGHT - 2.2)),
+        (
+            "ringed: the atoms in its row;\nthose behind have it in theirs",
+            (far, HEIGHT - 2.2),
+            (edge + 1.95, HEIGHT - 2.2),
+        ),
         ("pale: ghosts of clusters of\nthe next domain", (far, 6.4), (edge + THICKNESS + 0.1, 6.0)),
         ("dots: what this domain\ndoes not see", (far, 3.0), (WIDTH - 1.0, 2.6)),
         ("pale: ghosts of clusters at\nthe other end of the cell", (far, -2.4), (edge + THICKNESS + 0.1, -2.0)),
     ):
-        panel.annotate(text, points_at, words_at, va="center", fontsize=9, color=INK, arrowprops={"arrowstyle": "-", "lw": 0.8, "color": QUIET})
-    for x, text in ((0.5 * edge, "this domain: clusters of eight in columns"), (0.5 * (edge + WIDTH), "the next domain")):
+        panel.annotate(
+            text,
+            points_at,
+            words_at,
+            va="center",
+            fontsize=9,
+            color=INK,
+            arrowprops={"arrowstyle": "-", "lw": 0.8, "color": QUIET},
+        )
+    for x, text in (
+        (0.5 * edge, "this domain: clusters of eight in columns"),
+        (0.5 * (edge + WIDTH), "the next domain"),
+    ):
         panel.text(x, -6.3, text, ha="center", fontsize=9, color=INK)
-    panel.annotate("", (0, -5.8), (edge, -5.8), arrowprops={"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "lw": 1.0, "color": INK})
-    panel.annotate("", (edge, -5.8), (WIDTH, -5.8), arrowprops={"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "lw": 1.0, "color": INK})
+    panel.annotate(
+        "", (0, -5.8), (edge, -5.8), arrowprops={"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "lw": 1.0, "color": INK}
+    )
+    panel.annotate(
+        "", (edge, -5.8), (WIDTH, -5.8), arrowprops={"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "lw": 1.0, "color": INK}
+    )
     panel.set(xlim=(-0.6, WIDTH + 8.0), ylim=(-6.8, HEIGHT + 3.8), aspect="equal")
     panel.set_axis_off()
 

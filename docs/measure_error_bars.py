@@ -19,7 +19,9 @@ from minimd.structure.statistics import mean_and_error
 N_RUNS, LENGTHS = 40, (100, 400)  # τ
 EDGE, DENSITY, TEMPERATURE, TIMESTEP = 3, 0.8, 0.85, 0.005  # 108 atoms
 BATHS = {
-    "rescaling, 10 τ": lambda seed: md.StochasticVelocityRescaling.with_relaxation_time(TIMESTEP, TEMPERATURE, 10.0, seed=seed),
+    "rescaling, 10 τ": lambda seed: md.StochasticVelocityRescaling.with_relaxation_time(
+        TIMESTEP, TEMPERATURE, 10.0, seed=seed
+    ),
     "Langevin, 0.5/τ": lambda seed: md.LangevinBAOAB(TIMESTEP, TEMPERATURE, 0.5, seed=seed),
 }
 ROWS = {
@@ -41,7 +43,11 @@ ROWS = {
     "fluctuations: temperature": "temperature of `Fluctuations`",
     "fluctuations: heat_capacity_v": "heat capacity",
 }
-PAGE, BEGIN, END = Path(__file__).parent / "accuracy.md", "<!-- measure_error_bars.py: begin -->", "<!-- measure_error_bars.py: end -->"
+PAGE, BEGIN, END = (
+    Path(__file__).parent / "accuracy.md",
+    "<!-- measure_error_bars.py: begin -->",
+    "<!-- measure_error_bars.py: end -->",
+)
 MELTING, SETTLING, PER_TAU = 4000, 16_000, round(1.0 / TIMESTEP)  # steps
 OBSERVERS = {
     "displacement": partial(md.observers.MeanSquareDisplacement, every=20),
@@ -56,7 +62,9 @@ OBSERVERS = {
 def liquid(bath, seed):
     """108 atoms in equilibrium."""
     positions, edges = md.lattice.crystal("fcc", [EDGE] * 3, md.lattice.constant_from_density("fcc", DENSITY))
-    made = md.Simulation(md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5), BATHS["rescaling, 10 τ"](seed), threads=1)
+    made = md.Simulation(
+        md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5), BATHS["rescaling, 10 τ"](seed), threads=1
+    )
     made.set_temperature(2.0 * TEMPERATURE, seed=seed)
     made.equilibrate(MELTING, TEMPERATURE)
     made.run(SETTLING, every=SETTLING, progress=False)
@@ -69,10 +77,19 @@ def make(file, bath, seed):
     """Write the sums of a run at each length, and its record."""
     simulation, looking, kept, done = liquid(bath, seed), {name: one() for name, one in OBSERVERS.items()}, {}, 0
     for length in LENGTHS:
-        record = simulation.run((length - done) * PER_TAU, every=PER_TAU // 4, observers=list(looking.values()), progress=False)
+        record = simulation.run(
+            (length - done) * PER_TAU, every=PER_TAU // 4, observers=list(looking.values()), progress=False
+        )
         done, series = length, record.columns()
-        kept |= {f"{length}/{name}/{key}": np.array(value) for name, one in looking.items() for key, value in one.state().items()}
-        kept |= {f"record/{name}": np.concatenate([kept.get(f"record/{name}", one[:1]), one[1:]]) for name, one in series.items()}
+        kept |= {
+            f"{length}/{name}/{key}": np.array(value)
+            for name, one in looking.items()
+            for key, value in one.state().items()
+        }
+        kept |= {
+            f"record/{name}": np.concatenate([kept.get(f"record/{name}", one[:1]), one[1:]])
+            for name, one in series.items()
+        }
     np.savez(file, **kept)
 
 
@@ -111,11 +128,16 @@ def claimed_and_seen(runs, name):
 def table(folder):
     """Lines of a table in Markdown."""
     columns = {(bath, length): files_of(folder, bath) for bath in BATHS for length in LENGTHS}
-    columns = {(bath, length): [of_run(file, length) for file in files] for (bath, length), files in columns.items() if files}
+    columns = {
+        (bath, length): [of_run(file, length) for file in files] for (bath, length), files in columns.items() if files
+    }
     yield f"| error bar of | {' | '.join(f'{bath}; {length} τ' for bath, length in columns)} |"
     yield f"|{' --- |' * (1 + len(columns))}"
     for name, words in ROWS.items():
-        cells = [f"{ratio:.2f}, {100.0 * share:.0f} %" for ratio, share, _ in (claimed_and_seen(runs, name) for runs in columns.values())]
+        cells = [
+            f"{ratio:.2f}, {100.0 * share:.0f} %"
+            for ratio, share, _ in (claimed_and_seen(runs, name) for runs in columns.values())
+        ]
         yield f"| {words} | {' | '.join(cells)} |"
 
 

@@ -33,7 +33,9 @@ def melt(cells: int):
     import minimd as md
 
     positions, edges = md.lattice.crystal("fcc", [cells] * 3, (4.0 / 0.8442) ** (1 / 3))
-    simulation = md.Simulation(md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.005), threads=1)
+    simulation = md.Simulation(
+        md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.005), threads=1
+    )
     simulation.set_temperature(1.44, seed=1)
     return simulation
 
@@ -80,7 +82,11 @@ def memory_of(process: int) -> int:
 def started(process: int) -> Iterator[int]:
     """LAMMPS' processes among those that a process has started, and that they have started."""
     try:
-        children = [int(one) for task in Path(f"/proc/{process}/task").iterdir() for one in (task / "children").read_text().split()]
+        children = [
+            int(one)
+            for task in Path(f"/proc/{process}/task").iterdir()
+            for one in (task / "children").read_text().split()
+        ]
         yield from (child for child in children if Path(f"/proc/{child}/comm").read_text().strip() == "lmp")
     except OSError:
         return
@@ -110,8 +116,18 @@ def one_hand_over(cells: int, processes: int) -> None:
         job.phase = timed
         with job.in_folder(False), Sampler(folder, lambda: names[min(len(job.seconds), len(names) - 1)]) as sampler:
             done = job.run(job.prepare(), False)
-        loop = next(float(line.split()[3]) for line in (folder / "run.log").read_text().splitlines() if line.startswith("Loop time of"))
-        told = {"n": len(simulation.system), "frames": len(done.record), "loop": loop, "minimd": minimd, "lammps": lammps}
+        loop = next(
+            float(line.split()[3])
+            for line in (folder / "run.log").read_text().splitlines()
+            if line.startswith("Loop time of")
+        )
+        told = {
+            "n": len(simulation.system),
+            "frames": len(done.record),
+            "loop": loop,
+            "minimd": minimd,
+            "lammps": lammps,
+        }
         print(json.dumps(told | {"own": sampler.own, "others": sampler.others, "sizes": sampler.sizes}))
 
 
@@ -171,7 +187,10 @@ def files() -> Iterator[str]:
         "last.bin": "the last state, and each frame in `frames.bin`, until they are read back",
         "run.h5md": "minimd's file: 48 for each of three frames, and two restarts",
     }
-    return table_of(["file", "bytes per atom", ""], [[f"`{name}`", f"{file_bytes(name):.0f}", told] for name, told in meanings.items()])
+    return table_of(
+        ["file", "bytes per atom", ""],
+        [[f"`{name}`", f"{file_bytes(name):.0f}", told] for name, told in meanings.items()],
+    )
 
 
 def large_model() -> Iterator[str]:
@@ -189,7 +208,12 @@ def large_model() -> Iterator[str]:
         row("`atoms.data`", file_bytes("atoms.data") / 1e9, "GB", rounded),
         row("a frame of `run.h5md`", BYTES_OF_A_FRAME / 1e9, "GB", rounded),
         row("writing, one core", growth("minimd", "writing") / 60, "min", rounded),
-        row("comparing step 0, both programs, one core", (growth("minimd", "verifying") + growth("lammps", "verifying")) / 60, "min", rounded),
+        row(
+            "comparing step 0, both programs, one core",
+            (growth("minimd", "verifying") + growth("lammps", "verifying")) / 60,
+            "min",
+            rounded,
+        ),
         row("reading back, three frames, one core", growth("minimd", "reading back") / 60, "min", rounded),
         row("10⁶ steps on a thousand cores", 1e6 * running / 1000 / 3600, "h", rounded),
     ]

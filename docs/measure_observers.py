@@ -26,7 +26,9 @@ TURNS = {
 def melt():
     """4000 atoms at T* = 1.44, ρ* = 0.8442, on one thread."""
     positions, edges = md.lattice.crystal("fcc", [EDGE] * 3, md.lattice.constant_from_density("fcc", 0.8442))
-    made = md.Simulation(md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.002), threads=1)
+    made = md.Simulation(
+        md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.002), threads=1
+    )
     made.set_temperature(1.44, seed=1)
     made.run(500, every=500, progress=False)
     return made
@@ -61,7 +63,9 @@ def main(n_rounds):
         print(f"{name:<42} {np.median(taken) * 1e6:9.1f}    {100.0 * extra / plain:+6.1f} %")
     for name, law in (("squared differences", SquaredDifference()), ("products", Product())):
         look = np.median([correlator_alone(law) for _ in range(n_rounds)])
-        print(f"correlator alone, {name:<20} {look * 1e6:7.1f} µs a look, {100.0 * look / 10 / plain:.1f} % of a step with a look every 10 steps")
+        print(
+            f"correlator alone, {name:<20} {look * 1e6:7.1f} µs a look, {100.0 * look / 10 / plain:.1f} % of a step with a look every 10 steps"
+        )
 
 
 if __name__ == "__main__":

@@ -42,7 +42,11 @@ def liquid(member):
 def measured() -> Iterator[Numbers]:
     """Wall time, and processor time of this process and of its children that have ended, of what happens inside [s]."""
     told: Numbers = {}
-    started, own, others = time.perf_counter(), resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
+    started, own, others = (
+        time.perf_counter(),
+        resource.getrusage(resource.RUSAGE_SELF),
+        resource.getrusage(resource.RUSAGE_CHILDREN),
+    )
     yield told
     told["wall"] = time.perf_counter() - started
     for name, before, who in (("own", own, resource.RUSAGE_SELF), ("children", others, resource.RUSAGE_CHILDREN)):
@@ -73,7 +77,13 @@ def ensembles() -> Iterator[str]:
         busy = np.median([turn[k]["members"] / ((k + 1) * turn[k]["wall"]) for turn in turns])
         processor = np.median([(turn[k]["own"] + turn[k]["children"]) / MEMBERS for turn in turns])
         rows.append([k + 1, f"{wall:.1f}", f"{3600 * MEMBERS / wall:.0f}", f"{100 * busy:.0f} %", f"{processor:.2f}"])
-    titles = ["workers", f"seconds for {MEMBERS} members", "members per hour", "of the workers' time in members", "processor seconds per member"]
+    titles = [
+        "workers",
+        f"seconds for {MEMBERS} members",
+        "members per hour",
+        "of the workers' time in members",
+        "processor seconds per member",
+    ]
     yield from table_of(titles, rows)
     ratios = np.array([one["wall"] / two["wall"] for one, two in turns])
     work = np.array([two["children"] / one["children"] for one, two in turns])
@@ -91,7 +101,11 @@ def members() -> Iterator[str]:
     yield from table_of(
         ["", "processor time", "wall time"],
         [
-            ["a member of one step: scene, kernels, file, averages, line", f"{1e3 * each['own']:.0f} ms", f"{1e3 * each['wall']:.0f} ms"],
+            [
+                "a member of one step: scene, kernels, file, averages, line",
+                f"{1e3 * each['own']:.0f} ms",
+                f"{1e3 * each['wall']:.0f} ms",
+            ],
             [
                 "a worker: start of Python, imports, kernels loaded",
                 f"{spawned['children'] + spawned['own'] - each['own']:.1f} s",
@@ -120,12 +134,22 @@ def one_table(n: int) -> None:
         told[name] = time.process_time() - started
 
     averages = {f"observable_{k}": 1.2345678901234567 / (k + 1) for k in range(OBSERVABLES)}
-    row = {"status": "done", "n_steps": 10, "n_atoms": 256, "units": "LJ", "means": averages, "errors": averages, "seconds": 1.0}
+    row = {
+        "status": "done",
+        "n_steps": 10,
+        "n_atoms": 256,
+        "units": "LJ",
+        "means": averages,
+        "errors": averages,
+        "seconds": 1.0,
+    }
     with tempfile.TemporaryDirectory() as base:
         folder = Path(base, "scan")
         with EnsembleFolder(folder, writes=True) as opened:
             with timed("begin"):
-                asked = Asked(0, 10, 5, checked_parameters([{"temperature": k // 4 / n} for k in range(n)]), "b", "", "")
+                asked = Asked(
+                    0, 10, 5, checked_parameters([{"temperature": k // 4 / n} for k in range(n)]), "b", "", ""
+                )
                 asked = opened.begin(asked, True)
             with timed("lines"):
                 for k in range(n):

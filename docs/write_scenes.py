@@ -32,7 +32,15 @@ REDUCED = {
     "angular stiffness": "ε/rad²", "angle": "°", "inverse length": "1/σ", "velocity": "σ/τ", "acceleration": "σ/τ²",
     "pressure": "ε/σ³", "compressibility": "σ³/ε",
 }  # fmt: skip
-CHOICES = {"lattice": BASES, "mixing": MIXING, "truncation": TRUNCATIONS, "method": METHODS, "coupling": COUPLINGS, "kind": KINDS, "axis": "abc"}
+CHOICES = {
+    "lattice": BASES,
+    "mixing": MIXING,
+    "truncation": TRUNCATIONS,
+    "method": METHODS,
+    "coupling": COUPLINGS,
+    "kind": KINDS,
+    "axis": "abc",
+}
 MEANINGS = {
     "": {
         "title": "a line for reports and files",
@@ -72,7 +80,12 @@ MEANINGS = {
         "tail_correction": "add the energy and pressure of the pairs beyond the cutoff",
     },
     "potential.species.X": {"epsilon": "depth of the well", "sigma": "distance where u = 0"},
-    "potential.pairs": {"epsilon": "depth of the well", "sigma": "distance where u = 0", "species": "the two", "file": "their table"},
+    "potential.pairs": {
+        "epsilon": "depth of the well",
+        "sigma": "distance where u = 0",
+        "species": "the two",
+        "file": "their table",
+    },
     "tables": {"r": "distances", "u": "energies, as many"},
     "potential, tabulated": {
         "type": "of the potential",
@@ -136,8 +149,16 @@ MEANINGS = {
         "angle": "at rest, with its sign",
         "quadruples": "of atoms; the impropers of the structure file if not given",
     },
-    "potential, constant-force": {"type": "of the potential", "force": "on each atom", "atoms": "on which it acts; all if not given"},
-    "potential, gravity": {"type": "of the potential", "acceleration": "of free fall", "atoms": "on which it acts; all if not given"},
+    "potential, constant-force": {
+        "type": "of the potential",
+        "force": "on each atom",
+        "atoms": "on which it acts; all if not given",
+    },
+    "potential, gravity": {
+        "type": "of the potential",
+        "acceleration": "of free fall",
+        "atoms": "on which it acts; all if not given",
+    },
     "potential, restraint": {
         "type": "of the potential",
         "k": "u = k (r − point)²/2",
@@ -294,7 +315,9 @@ def sections() -> Iterator[tuple[str, type[Section]]]:
     yield "", SceneSections
     for name, info in SceneSections.model_fields.items():
         for section in dict.fromkeys(classes_in(info.annotation)):
-            kind = typing.get_args(section.model_fields["type"].annotation)[0] if "type" in section.model_fields else None
+            kind = (
+                typing.get_args(section.model_fields["type"].annotation)[0] if "type" in section.model_fields else None
+            )
             yield f"{name}, {kind}" if kind else name, section
             for inner, deeper in section.model_fields.items():
                 for one in dict.fromkeys(classes_in(deeper.annotation)):
@@ -315,7 +338,11 @@ def what(name: str, kind: object, limits: list[object]) -> str:
         return " or ".join(f'`"{one}"`' for one in CHOICES[name])
     arguments, origin = typing.get_args(kind), typing.get_origin(kind)
     if origin is typing.Annotated:
-        return what("", arguments[0], [*limits, *arguments[1:], *(one for mark in arguments[1:] for one in getattr(mark, "metadata", ()))])
+        return what(
+            "",
+            arguments[0],
+            [*limits, *arguments[1:], *(one for mark in arguments[1:] for one in getattr(mark, "metadata", ()))],
+        )
     if origin is typing.Literal:
         return " or ".join(f'`"{one}"`' for one in arguments)
     if origin in (typing.Union, types.UnionType):
@@ -354,7 +381,14 @@ def rows(name: str, section: type[Section]) -> Iterator[str]:
         kind = what(field, info.annotation, list(info.metadata))
         if field not in MEANINGS[name]:
             raise KeyError(f"docs/write_scenes.py has no meaning for the key {field!r} of [{name}]; give it one there")
-        cells = [" or ".join(f"`{key}`" for key in keys), MEANINGS[name][field], kind, units, reduced, default(info, section)]
+        cells = [
+            " or ".join(f"`{key}`" for key in keys),
+            MEANINGS[name][field],
+            kind,
+            units,
+            reduced,
+            default(info, section),
+        ]
         yield f"| {' | '.join(cells)} |"
 
 

@@ -31,8 +31,12 @@ def melt(liquid, member):
 
 
 if __name__ == "__main__":  # worker processes import this file
-    table = md.ensemble(build, {"temperature": temperatures}, n_steps, prepare=melt, every=every, folder="equation_of_state")
+    table = md.ensemble(
+        build, {"temperature": temperatures}, n_steps, prepare=melt, every=every, folder="equation_of_state"
+    )
     for row in table.array:
         known = "   (NIST: {:.4f}, {:.4f})".format(*nist[row["temperature"]]) if row["temperature"] in nist else ""
         energy, error = row["potential_energy_mean"] / row["n_atoms"], row["potential_energy_error"] / row["n_atoms"]
-        print(f"T* {row['temperature']:.2f}: U* {energy:.4f} ± {error:.4f}, p* {row['pressure_mean']:.3f} ± {row['pressure_error']:.3f}{known}")
+        print(
+            f"T* {row['temperature']:.2f}: U* {energy:.4f} ± {error:.4f}, p* {row['pressure_mean']:.3f} ± {row['pressure_error']:.3f}{known}"
+        )

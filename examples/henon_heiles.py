@@ -36,14 +36,24 @@ def points(path, k):
 
 galaxy = SecondOrder(force)
 figure, (regular, chaotic, accuracy) = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
-for axes, level, heights in ((regular, 1 / 12, np.linspace(-0.34, 0.44, 14)), (chaotic, 1 / 6.05, np.linspace(-0.41, 0.9, 14))):
-    start = [0 * heights, heights], [np.sqrt(2 * (level - potential(0, heights))), 0 * heights]  # all orbits at once, q of shape (2, 14)
+for axes, level, heights in (
+    (regular, 1 / 12, np.linspace(-0.34, 0.44, 14)),
+    (chaotic, 1 / 6.05, np.linspace(-0.41, 0.9, 14)),
+):
+    start = (
+        [0 * heights, heights],
+        [np.sqrt(2 * (level - potential(0, heights))), 0 * heights],
+    )  # all orbits at once, q of shape (2, 14)
     path = run_until(galaxy, BlanesMoan4(0.2), start, 2000.0)
     for k in range(heights.size):
         axes.plot(*points(path, k), ".", ms=2.5, mew=0)
-    axes.set(xlabel="y", ylabel="vy", title=f"energy 1/{1 / level:.3g}: {'regular' if level < 0.1 else 'mostly chaotic'}")
+    axes.set(
+        xlabel="y", ylabel="vy", title=f"energy 1/{1 / level:.3g}: {'regular' if level < 0.1 else 'mostly chaotic'}"
+    )
     error = np.abs(energy(path) / level - 1).max()
-    print(f"energy 1/{1 / level:.3g}: off by at most {error:.0e} of itself in {path.t.size - 1} steps   (expected: below 1e-6)")
+    print(
+        f"energy 1/{1 / level:.3g}: off by at most {error:.0e} of itself in {path.t.size - 1} steps   (expected: below 1e-6)"
+    )
 
 for method in (md.VelocityVerlet, Suzuki4, BlanesMoan4, KahanLi6):
     timesteps = 0.4 / 2.0 ** np.arange(4)

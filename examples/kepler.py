@@ -46,15 +46,34 @@ def rk45_adaptive(n):
 
 angle = np.linspace(0, 2 * np.pi, 500)
 figure, panels = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
-runs = {"Störmer-Verlet": (verlet, ".-b"), "RK45, as many forces": (rk45_fixed, ".-r"), "RK45, as many adaptive steps": (rk45_adaptive, ".g")}
+runs = {
+    "Störmer-Verlet": (verlet, ".-b"),
+    "RK45, as many forces": (rk45_fixed, ".-r"),
+    "RK45, as many adaptive steps": (rk45_adaptive, ".g"),
+}
 for panel, n in zip(panels, (100, 200), strict=True):
-    panel.plot(np.cos(angle) - eccentricity, np.sqrt(1 - eccentricity**2) * np.sin(angle), color="lightgray", lw=5, label="the ellipse")
+    panel.plot(
+        np.cos(angle) - eccentricity,
+        np.sqrt(1 - eccentricity**2) * np.sin(angle),
+        color="lightgray",
+        lw=5,
+        label="the ellipse",
+    )
     for name, (run, style) in runs.items():
         q, nfev = run(n)
         both = np.linalg.norm(q, axis=1) + np.linalg.norm(q - focus, axis=1)
         panel.plot(*q.T, style, lw=0.8, ms=3, label=f"{name} ({nfev} forces)")
-        print(f"{n} steps, {name:28s} {nfev:4d} forces: distances from the foci add up to {both.min():.2f} … {both.max():.2f}   (on the ellipse: 2)")
+        print(
+            f"{n} steps, {name:28s} {nfev:4d} forces: distances from the foci add up to {both.min():.2f} … {both.max():.2f}   (on the ellipse: 2)"
+        )
     panel.plot(0, 0, "*", color="gold", ms=12, mec="black")
-    panel.set(title=f"{n} steps", xlabel="x / semi-axis", ylabel="y / semi-axis", aspect="equal", xlim=(-1.8, 0.8), ylim=(-1.0, 1.5))
+    panel.set(
+        title=f"{n} steps",
+        xlabel="x / semi-axis",
+        ylabel="y / semi-axis",
+        aspect="equal",
+        xlim=(-1.8, 0.8),
+        ylim=(-1.0, 1.5),
+    )
     panel.legend(loc="upper left", fontsize="small")
 figure.savefig("kepler.png", dpi=150)

@@ -22,12 +22,21 @@ def attraction(q):
 
 
 def verlet(q, v):
-    path = md.integrators.run_steps(md.integrators.SecondOrder(attraction), md.VelocityVerlet(timestep), (q, v), n_turns)
+    path = md.integrators.run_steps(
+        md.integrators.SecondOrder(attraction), md.VelocityVerlet(timestep), (q, v), n_turns
+    )
     return path.t, path.q, path.v
 
 
 def rk45(q, v, tolerance):
-    path = solve_ivp(lambda t, y: np.concatenate([y[2:], attraction(y[:2])]), (0, end), [*q, *v], rtol=tolerance, atol=tolerance, max_step=end)
+    path = solve_ivp(
+        lambda t, y: np.concatenate([y[2:], attraction(y[:2])]),
+        (0, end),
+        [*q, *v],
+        rtol=tolerance,
+        atol=tolerance,
+        max_step=end,
+    )
     return path.t, path.y[:2].T, path.y[2:].T
 
 
@@ -47,7 +56,12 @@ for panel, (name, (run, expected)) in zip(panels, runs.items(), strict=True):
     panel.plot(*back[-1], "x", color="black", label="the end of the way back")
     panel.plot(0, 0, "*", color="gold", ms=12, mec="black")
     panel.set(
-        title=f"{name}: misses by {missed:.0e}", xlabel="x / semi-axis", ylabel="y / semi-axis", aspect="equal", xlim=(-1.8, 0.8), ylim=(-1.0, 1.9)
+        title=f"{name}: misses by {missed:.0e}",
+        xlabel="x / semi-axis",
+        ylabel="y / semi-axis",
+        aspect="equal",
+        xlim=(-1.8, 0.8),
+        ylim=(-1.0, 1.9),
     )
     panel.legend(loc="upper left", fontsize="small")
     print(f"{name:21s} comes back to the start within {missed:.1e}   (expected: {expected})")

@@ -18,7 +18,12 @@ pull = np.array([-1.0, 0.5, 1.5])  # N, along x
 
 def constraints(q):
     (x1, y1), (x2, y2), (x3, y3) = q.reshape(3, 2)
-    return [y1 - l, y3 + l, ((x1 - x2) ** 2 + (y1 - y2) ** 2 - r1**2) / 2, ((x3 - x2) ** 2 + (y3 - y2) ** 2 - r2**2) / 2]
+    return [
+        y1 - l,
+        y3 + l,
+        ((x1 - x2) ** 2 + (y1 - y2) ** 2 - r1**2) / 2,
+        ((x3 - x2) ** 2 + (y3 - y2) ** 2 - r2**2) / 2,
+    ]
 
 
 def reduced(t, state):
@@ -41,7 +46,14 @@ other = solve_ivp(reduced, (0.0, end), [0.0, y0, 0.0, 0.0], method="DOP853", rto
 
 figure, (motion, forces) = plt.subplots(2, 1, figsize=(9, 4.5), layout="constrained")
 for t, (x1, y1, x2, y2, x3, y3) in zip(path.t[::20], q[::20], strict=True):
-    motion.plot([x1, x2, x3], [y1, y2, y3], "-o", color=plt.cm.viridis(0.9 * t / end), ms=4, label=f"{t:.0f} s" if t % 4 < timestep else None)
+    motion.plot(
+        [x1, x2, x3],
+        [y1, y2, y3],
+        "-o",
+        color=plt.cm.viridis(0.9 * t / end),
+        ms=4,
+        label=f"{t:.0f} s" if t % 4 < timestep else None,
+    )
 motion.plot(q[:, 2], q[:, 3], color="tab:red", lw=1, label="middle point")
 motion.hlines([l, -l], *motion.get_xlim(), color="0.8", zorder=0)
 motion.set(xlabel="x / m", ylabel="y / m", title="the mechanism, once a second", aspect="equal")

@@ -12,13 +12,18 @@ import minimd as md
 from minimd.integrators import SE1, KahanLi8, SecondOrder, Suzuki4, run_until
 
 G, days, planets = 2.95912208286e-4, 20_000.0, ["Jupiter", "Saturn", "Uranus", "Neptune", "Pluto"]
-masses = np.array([1.00000597682, 0.000954786104043, 0.000285583733151, 0.0000437273164546, 0.0000517759138449, 1 / 1.3e8])
+masses = np.array(
+    [1.00000597682, 0.000954786104043, 0.000285583733151, 0.0000437273164546, 0.0000517759138449, 1 / 1.3e8]
+)
 positions = """0 0 0  -3.5023653 -3.8169847 -1.5507963  9.0755314 -3.0458353 -1.6483708  8.310142 -16.2901086 -7.2521278
     11.4707666 -25.7294829 -10.8169456  -15.5387357 -25.2225594 -3.1902382"""
 velocities = """0 0 0  0.00565429 -0.0041249 -0.00190589  0.00168318 0.00483525 0.00192462  0.00354178 0.00137102 0.00055029
     0.0028893 0.00114527 0.00039677  0.00276725 -0.00170702 -0.00136504"""
 start = [np.array(text.split(), dtype=float).reshape(6, 3) for text in (positions, velocities)]
-jupiter, pluto = [-0.771778371878181, 4.610553890044759, 1.994233730131661], [37.285949448705704, -10.728138680006204, -14.554583801118436]
+jupiter, pluto = (
+    [-0.771778371878181, 4.610553890044759, 1.994233730131661],
+    [37.285949448705704, -10.728138680006204, -14.554583801118436],
+)
 
 
 def gravity(q):
@@ -28,11 +33,19 @@ def gravity(q):
 
 def energy(q, v):
     i, j = np.triu_indices(6, 1)
-    return 0.5 * (v**2).sum(axis=2) @ masses - G * (masses[i] * masses[j] / np.linalg.norm(q[:, i] - q[:, j], axis=2)).sum(axis=1)
+    return 0.5 * (v**2).sum(axis=2) @ masses - G * (
+        masses[i] * masses[j] / np.linalg.norm(q[:, i] - q[:, j], axis=2)
+    ).sum(axis=1)
 
 
 def rk45(rtol):
-    path = solve_ivp(lambda t, y: np.r_[y[18:], gravity(y[:18].reshape(6, 3)).ravel()], (0, days), np.ravel(start), rtol=rtol, atol=rtol / 1e3)
+    path = solve_ivp(
+        lambda t, y: np.r_[y[18:], gravity(y[:18].reshape(6, 3)).ravel()],
+        (0, days),
+        np.ravel(start),
+        rtol=rtol,
+        atol=rtol / 1e3,
+    )
     return path.nfev, path.t, *path.y.T.reshape(-1, 2, 6, 3).swapaxes(0, 1)
 
 
@@ -42,19 +55,35 @@ def run(method, timestep):
 
 
 figure, (orbits, energies, prices) = plt.subplots(1, 3, figsize=(14, 4.5), layout="constrained")
-methods = {SE1: [100, 40, 10, 5], md.VelocityVerlet: [200, 50, 20, 5], Suzuki4: [400, 200, 100, 25], KahanLi8: [1600, 800, 400, 100]}
+methods = {
+    SE1: [100, 40, 10, 5],
+    md.VelocityVerlet: [200, 50, 20, 5],
+    Suzuki4: [400, 200, 100, 25],
+    KahanLi8: [1600, 800, 400, 100],
+}
 for method, choices in {rk45: [1e-4, 1e-5, 1e-7, 1e-9], **methods}.items():
     paths = [rk45(choice) if method is rk45 else run(method, choice) for choice in choices]
     name = "RK45 of SciPy" if method is rk45 else f"{method.name}, order {method.order}"
     errors = [max(np.abs(q[-1, 1] - jupiter).max(), np.abs(q[-1, 5] - pluto).max()) for _, _, q, _ in paths]
     prices.loglog([path[0] for path in paths], errors, "o-", ms=4)
     nfev, t, q, v = paths[1]
-    energies.semilogy(t[1:] / 365.25, np.abs(energy(q, v) / energy(q[:1], v[:1]) - 1)[1:], lw=0.8, label=f"{name}: {nfev} forces")
-    print(f"{name:27s} Jupiter and Pluto end within {errors[-1]:.0e} AU after {paths[-1][0]:4d} forces   (known to 6e-15)")
+    energies.semilogy(
+        t[1:] / 365.25, np.abs(energy(q, v) / energy(q[:1], v[:1]) - 1)[1:], lw=0.8, label=f"{name}: {nfev} forces"
+    )
+    print(
+        f"{name:27s} Jupiter and Pluto end within {errors[-1]:.0e} AU after {paths[-1][0]:4d} forces   (known to 6e-15)"
+    )
 orbits.plot(*paths[-1][2][:, 1:, :2].transpose(2, 0, 1), label=planets, lw=1)
 orbits.set(xlabel="x / AU", ylabel="y / AU", aspect="equal", title="20 000 days")
-energies.set(xlabel="years", ylabel="|energy error| / |energy|", ylim=(1e-8, 10), title="energy, of the second points at the right")
-prices.set(xlabel="evaluations of the forces", ylabel="error of Jupiter and Pluto at the end / AU", title="error and price")
+energies.set(
+    xlabel="years",
+    ylabel="|energy error| / |energy|",
+    ylim=(1e-8, 10),
+    title="energy, of the second points at the right",
+)
+prices.set(
+    xlabel="evaluations of the forces", ylabel="error of Jupiter and Pluto at the end / AU", title="error and price"
+)
 orbits.legend(fontsize=8)
 energies.legend(fontsize=8, loc="upper left")
 figure.savefig("outer_solar_system.png", dpi=150)

@@ -52,9 +52,15 @@ class Spring(Term):
 
 sites = 1.2 * (np.indices((5, 5, 4)).reshape(3, -1).T + np.array([0.5, 0.5, 1.5]))
 system = md.System(sites, cell=[6.0, 6.0, 20.0], pbc=(True, True, False))
-simulation = md.Simulation(system, [md.LennardJones(1.0, 1.0, 2.5, "switched"), Field(), Spring()], md.VelocityVerlet(0.002))
+simulation = md.Simulation(
+    system, [md.LennardJones(1.0, 1.0, 2.5, "switched"), Field(), Spring()], md.VelocityVerlet(0.002)
+)
 simulation.set_temperature(0.5, seed=1)
 record = simulation.run(2000, every=20, progress=False)
 variation = np.ptp(record.total_energy) / np.ptp(record.potential_energy)
-print(f"potential energy  {record.potential_energy[0]:.1f} -> {record.potential_energy[-1]:.1f} ε: the atoms fall onto the floor")
-print(f"total energy      varies by {variation:.1e} of the range of the potential energy   (expected: below 1e-3, ∝ Δt²)")
+print(
+    f"potential energy  {record.potential_energy[0]:.1f} -> {record.potential_energy[-1]:.1f} ε: the atoms fall onto the floor"
+)
+print(
+    f"total energy      varies by {variation:.1e} of the range of the potential energy   (expected: below 1e-3, ∝ Δt²)"
+)

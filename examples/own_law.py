@@ -45,6 +45,7 @@ laws = [md.LennardJones(1.0, 1.0, 2.5), md.PairPotential(yukawa, (strength, scre
 cluster = md.System(grid, cell=[6.0, 6.0, 5.9])
 force = md.evaluate(cluster, laws).forces[0, 0]
 energies = [
-    md.evaluate(md.System(grid + step * np.eye(1, 300).reshape(100, 3), cell=[6.0, 6.0, 5.9]), laws).potential_energy for step in (1e-5, -1e-5)
+    md.evaluate(md.System(grid + step * np.eye(1, 300).reshape(100, 3), cell=[6.0, 6.0, 5.9]), laws).potential_energy
+    for step in (1e-5, -1e-5)
 ]
 print(f"force          {force:.6f} ε/σ   (central difference: {(energies[1] - energies[0]) / 2e-5:.6f} ε/σ)")

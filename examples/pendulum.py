@@ -13,7 +13,9 @@ import minimd as md
 
 angle, end = 1.0, 3.0  # rad, released at rest; time √(rod/g)
 
-pendulum = md.integrators.Mechanical(mass=1.0, force=lambda q: np.array([0.0, -1.0]), g=lambda q: (q @ q - 1) / 2, gradient=lambda q: q)
+pendulum = md.integrators.Mechanical(
+    mass=1.0, force=lambda q: np.array([0.0, -1.0]), g=lambda q: (q @ q - 1) / 2, gradient=lambda q: q
+)
 start = (np.sin(angle), -np.cos(angle)), (0.0, 0.0)  # the tension follows
 
 
@@ -32,7 +34,9 @@ timesteps = end / np.array([10, 20, 40, 80, 160])
 worst = []
 for timestep in timesteps:
     path = md.integrators.run_until(pendulum, md.integrators.RadauIIA3(timestep), start, end)
-    worst.append([np.abs(part - exact).max() for part, exact in zip(pendulum.parts(path.y), closed_form(path.t), strict=True)])
+    worst.append(
+        [np.abs(part - exact).max() for part, exact in zip(pendulum.parts(path.y), closed_form(path.t), strict=True)]
+    )
 q, v, tension = pendulum.parts(path.y)
 fine = np.linspace(0.0, end, 200)
 for label, color, k in (("x", "tab:blue", 0), ("z", "tab:green", 1)):
@@ -41,11 +45,20 @@ for label, color, k in (("x", "tab:blue", 0), ("z", "tab:green", 1)):
 motion.plot(path.t[::8], tension[::8], "o", ms=4, color="tab:red", label="tension λ")
 motion.plot(fine, closed_form(fine)[2], color="tab:red", lw=1)
 for label, marker, color, error, order in zip(
-    ("position", "velocity", "tension"), "so^", ("tab:blue", "tab:orange", "tab:red"), np.transpose(worst), (5, 3, 2), strict=True
+    ("position", "velocity", "tension"),
+    "so^",
+    ("tab:blue", "tab:orange", "tab:red"),
+    np.transpose(worst),
+    (5, 3, 2),
+    strict=True,
 ):
     errors.loglog(timesteps, error, marker, color=color, label=f"{label}, slope {order}")
     errors.loglog(timesteps, error[-1] * (timesteps / timesteps[-1]) ** order, color=color, lw=1)
-motion.set(xlabel="time / √(rod / g)", ylabel="coordinates / rod,  λ / (m g / rod)", title="Radau IIA (dots) and closed form (lines)")
+motion.set(
+    xlabel="time / √(rod / g)",
+    ylabel="coordinates / rod,  λ / (m g / rod)",
+    title="Radau IIA (dots) and closed form (lines)",
+)
 errors.set(xlabel="time step / √(rod / g)", ylabel="largest error", title="errors fall with the orders of index 3")
 errors.set_xticks(timesteps, [f"{timestep:.3g}" for timestep in timesteps])
 errors.minorticks_off()

@@ -43,7 +43,9 @@ course.axhline(expected, color="0.3", ls="--", label="$(n-1)\\,b^2$")
 course.set(xlabel="time / τ", ylabel="$\\langle R^2 \\rangle$ / σ²", title="rods coil up")
 spread.hist(settled.ravel(), bins=40, density=True, color="0.8", label="settled chains")
 r = np.linspace(0.0, (n_beads - 1) * length, 200)
-spread.plot(r, 4 * np.pi * r**2 * (1.5 / np.pi / expected) ** 1.5 * np.exp(-1.5 * r**2 / expected), "C3", label="Gaussian chain")
+spread.plot(
+    r, 4 * np.pi * r**2 * (1.5 / np.pi / expected) ** 1.5 * np.exp(-1.5 * r**2 / expected), "C3", label="Gaussian chain"
+)
 spread.set(xlabel="R / σ", ylabel="probability density", title="end-to-end distance")
 course.legend()
 spread.legend()

@@ -40,10 +40,17 @@ slope = np.polyfit(np.log(timesteps), np.log(energies), 1)[0]
 figure, panel = plt.subplots(figsize=(6.5, 4.5), layout="constrained")
 panel.loglog(timesteps, energies, "o-", label="total energy, rms fluctuation / K per molecule")
 panel.loglog(timesteps, bonds, "s-", label="bonds, largest $|r^2-d^2|/d^2$")
-panel.set(xlabel="time step / fs", xticks=timesteps, xticklabels=timesteps, title=f"{len(pairs)} rigid nitrogen molecules, {duration} fs")
+panel.set(
+    xlabel="time step / fs",
+    xticks=timesteps,
+    xticklabels=timesteps,
+    title=f"{len(pairs)} rigid nitrogen molecules, {duration} fs",
+)
 panel.minorticks_off()
 panel.legend()
 figure.savefig("rigid_nitrogen.png", dpi=150)
 print(f"energy fluctuates as the time step to the power {slope:.2f}   (velocity Verlet: 2)")
 print(f"bonds are off by at most {max(bonds):.0e} of their square   (rounding: 1e-14)")
-print(f"share of the rotation in the kinetic energy {np.mean(shares):.2f}   (equipartition: 2 of 5 degrees of freedom, 0.40)")
+print(
+    f"share of the rotation in the kinetic energy {np.mean(shares):.2f}   (equipartition: 2 of 5 degrees of freedom, 0.40)"
+)

@@ -35,13 +35,17 @@ squeezed = positions * [-0.008, 0.008, 0.0]
 rigid = md.DistanceConstraints(pairs)
 for velocities in (along, squeezed):
     ConstraintSolver(rigid, positions, np.ones(n_beads)).project_velocities(velocities, positions)
-for panel, (name, velocities) in zip(panels, {"runs along itself": along, "is squeezed": squeezed}.items(), strict=True):
+for panel, (name, velocities) in zip(
+    panels, {"runs along itself": along, "is squeezed": squeezed}.items(), strict=True
+):
     system = md.System(positions, velocities=velocities, constraints=[rigid])
     ring = md.Simulation(system, [], md.VelocityVerlet(timestep))
     panel.plot(*curve, color="0.8", lw=6, solid_capstyle="round")
     for quarter in range(4):
         record = ring.run(n_steps // 4)
-        panel.plot(*np.vstack([ring.positions, ring.positions[:1]])[:, :2].T, lw=1, label=f"{(quarter + 1) / 4:.2f} rounds")
+        panel.plot(
+            *np.vstack([ring.positions, ring.positions[:1]])[:, :2].T, lw=1, label=f"{(quarter + 1) / 4:.2f} rounds"
+        )
     panel.plot(*ring.positions[0, :2], "o", color="black", ms=5)
     panel.set(title=name, xlabel="x / b", aspect="equal")
     expected = "a fraction of b" if velocities is along else "many b"

@@ -39,7 +39,9 @@ for color, (method, steps) in zip(("C0", "C1", "C2", "C3"), timesteps.items(), s
     for truncation, style in (("switched", "o--"), ("smooth", "o-")):
         errors = [energy_error(method, timestep, truncation) for timestep in steps]
         slope = np.log2(errors[-2] / errors[-1])
-        print(f"{method.name:18s} {truncation:9s} error {errors[0]:.1e} to {errors[-1]:.1e} ε, last slope {slope:4.1f}   (order {method.order})")
+        print(
+            f"{method.name:18s} {truncation:9s} error {errors[0]:.1e} to {errors[-1]:.1e} ε, last slope {slope:4.1f}   (order {method.order})"
+        )
         axes.loglog(cost, errors, style, color=color, ms=4, label=method.name if truncation == "smooth" else None)
 axes.set(xlabel="force evaluations per τ", ylabel="largest change of the total energy  [ε]")
 axes.set_title("108 atoms, cutoff 2.5 σ: two continuous derivatives (dashed) and seven (solid)", fontsize=10)

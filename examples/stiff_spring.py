@@ -21,7 +21,13 @@ def swing(softness):
     def equations(y, slope):
         x, z, vx, vz, tension = y
         length = np.hypot(x, z)
-        return [slope[0] - vx, slope[1] - vz, slope[2] + tension * x / length, slope[3] + tension * z / length + 1, length - 1 - softness * tension]
+        return [
+            slope[0] - vx,
+            slope[1] - vz,
+            slope[2] + tension * x / length,
+            slope[3] + tension * z / length + 1,
+            length - 1 - softness * tension,
+        ]
 
     problem = md.integrators.Implicit(equations)
     length = 1 + softness * np.cos(angle)  # the spring bears the weight from the start
@@ -43,7 +49,9 @@ paths.plot(rod.y[:, 0], rod.y[:, 1], "--", color="tab:red", lw=1, label="rod, in
 distances.loglog(stiffness, farthest, "o", color="tab:blue", label="measured")
 distances.loglog(stiffness, farthest[-1] * stiffness[-1] / stiffness, color="tab:blue", lw=1, label="1/k")
 paths.set(xlabel="x / length", ylabel="z / length", title="paths of the mass", aspect="equal")
-distances.set(xlabel="k / (weight / length)", ylabel="largest distance / length", title="distance from the path with a rod")
+distances.set(
+    xlabel="k / (weight / length)", ylabel="largest distance / length", title="distance from the path with a rod"
+)
 paths.legend(loc="upper center")
 distances.legend()
 figure.savefig("stiff_spring.png", dpi=150)

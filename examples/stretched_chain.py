@@ -36,12 +36,19 @@ def works(duration, seed):
     return np.trapezoid(power, record.time, axis=0), record
 
 
-print(f"exact ΔF = {exact:.3f} ε   (expected: ⟨W⟩ above it, the others equal to it where W varies by little more than k_B T)")
+print(
+    f"exact ΔF = {exact:.3f} ε   (expected: ⟨W⟩ above it, the others equal to it where W varies by little more than k_B T)"
+)
 for duration in (2.0, 10.0, 50.0):
     done, record = works(duration, seed=1)
     average, spread = done.mean(), done.std(ddof=1) / n_chains**0.5
     jarzynski = -temperature * np.log(np.mean(np.exp(-done / temperature)))
     cumulant = average - done.var(ddof=1) / (2.0 * temperature)
     drift = np.ptp(record.conserved_energy) / n_chains
-    print(f"τ = {duration:4.0f}: ⟨W⟩ = {average:.3f} ± {spread:.3f}, Jarzynski {jarzynski:.3f}, Gaussian {cumulant:.3f}; ", end="")
-    print(f"recorded work is their sum to {abs(record.work[-1] / done.sum() - 1.0):.0e}; E − Q − W varies by {drift:.3f} ε a chain")
+    print(
+        f"τ = {duration:4.0f}: ⟨W⟩ = {average:.3f} ± {spread:.3f}, Jarzynski {jarzynski:.3f}, Gaussian {cumulant:.3f}; ",
+        end="",
+    )
+    print(
+        f"recorded work is their sum to {abs(record.work[-1] / done.sum() - 1.0):.0e}; E − Q − W varies by {drift:.3f} ε a chain"
+    )

@@ -30,7 +30,9 @@ for panel, method in zip(panels, methods, strict=True):
     simulation.run(n_equilibration, every=n_equilibration)
     kinetic = simulation.run(n_steps, every=every).kinetic_energy / (kelvin * temperature)
     expected = stats.gamma(simulation.n_dof / 2)
-    print(f"{method.name:30s} K / k_B T = {kinetic.mean():6.2f} ± {kinetic.std():5.2f}   ({expected.mean():.2f} ± {expected.std():.2f})")
+    print(
+        f"{method.name:30s} K / k_B T = {kinetic.mean():6.2f} ± {kinetic.std():5.2f}   ({expected.mean():.2f} ± {expected.std():.2f})"
+    )
     grid = np.linspace(*expected.ppf([1e-4, 1 - 1e-4]), 200)
     panel.hist(kinetic, bins=40, density=True, color="0.8", label=f"{len(kinetic)} frames")
     panel.plot(grid, expected.pdf(grid), color="C3", label=f"gamma, {simulation.n_dof} degrees of freedom")
@@ -55,5 +57,7 @@ for _ in range(100):
     method.advance(state, springs, 5, surroundings=around)
     squares.append([(state.positions**2).mean(), (state.velocities**2).mean()])
 q2, v2 = np.mean(squares[20:], axis=0)
-print(f"oscillator at ωΔt = {omega}: ω²⟨q²⟩/k_B T = {omega**2 * q2:.3f}   (1, exactly), ⟨v²⟩/k_B T = {v2:.3f}   ({1 - omega**2 / 4:.3f})")
+print(
+    f"oscillator at ωΔt = {omega}: ω²⟨q²⟩/k_B T = {omega**2 * q2:.3f}   (1, exactly), ⟨v²⟩/k_B T = {v2:.3f}   ({1 - omega**2 / 4:.3f})"
+)
 print("drawn thermostats.png")

@@ -17,11 +17,16 @@ temperature, length, mass = 77.0, 1.098, 14.007  # K, Å, u
 omega = 2.0 * np.pi * 2.99792458e-5 * 2359.0 / fs  # c = 2.998e-5 cm/fs
 stiffness = 0.5 * mass * omega**2  # eV/Å²: reduced mass · ω²
 n_equilibration, duration, n_cells = 4000, 1000.0, 4  # steps of 0.5 fs; fs; 256 molecules
-timesteps = np.array([0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 3.4, 4.0, 4.4, 4.7, 5.6, 8.0, 11.0, 16.0, 22.0, 32.0, 44.0, 60.0])  # fs
+timesteps = np.array(
+    [0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 3.4, 4.0, 4.4, 4.7, 5.6, 8.0, 11.0, 16.0, 22.0, 32.0, 44.0, 60.0]
+)  # fs
 
 centers, edges = md.lattice.crystal("fcc", [n_cells] * 3, 6.13)  # 0.807 g/cm³
 arms = 0.5 * length / np.sqrt(3.0) * np.random.default_rng(1).choice([-1.0, 1.0], centers.shape)
-positions, pairs = np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3), np.arange(2 * len(centers)).reshape(-1, 2)
+positions, pairs = (
+    np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3),
+    np.arange(2 * len(centers)).reshape(-1, 2),
+)
 start = md.System(positions, cell=edges, masses=mass, species=["N"] * len(positions), bonds=pairs, units=ASE)
 nitrogen = md.LennardJones(37.3 * ASE.k_B, 3.31, cutoff=10.0, truncation="smooth", bonded_scale=(0.0, 1.0, 1.0))
 rigid, spring = md.DistanceConstraints(pairs, length), md.HarmonicBond(stiffness, length)
@@ -44,7 +49,10 @@ for name, potentials, constraints in (("springs", [nitrogen, spring], ()), ("rig
     liquid.equilibrate(n_equilibration, temperature)
     curves[name] = np.array([oscillation(liquid.system, potentials, constraints, timestep) for timestep in timesteps])
     stable = timesteps[np.isfinite(curves[name])].max()
-    print(f"{name:12s} largest stable of these time steps {stable:g} fs" + f"   (2/ω = {2.0 / omega / fs:.2f} fs)" * (name == "springs"))
+    print(
+        f"{name:12s} largest stable of these time steps {stable:g} fs"
+        + f"   (2/ω = {2.0 / omega / fs:.2f} fs)" * (name == "springs")
+    )
 
 plt.figure(figsize=(7, 4), layout="constrained")
 for name, curve in curves.items():

@@ -40,10 +40,17 @@ def there_and_back(precision):
 results = {precision: there_and_back(precision) for precision in colors}
 for precision, (start, turn, end, change) in results.items():
     n_same = int((end == start).all(axis=1).sum())
-    print(f"{precision}: a drop {np.ptp(start):.1f} σ wide became a gas of {np.ptp(turn):.0f} σ and came back {np.ptp(end):.1f} σ wide;", end=" ")
-    print(f"{n_same} atoms returned to the last bit ({n_atoms if precision == 'fixed-point' else 0}); momentum changed by {change.max():.1e} m σ/τ")
+    print(
+        f"{precision}: a drop {np.ptp(start):.1f} σ wide became a gas of {np.ptp(turn):.0f} σ and came back {np.ptp(end):.1f} σ wide;",
+        end=" ",
+    )
+    print(
+        f"{n_same} atoms returned to the last bit ({n_atoms if precision == 'fixed-point' else 0}); momentum changed by {change.max():.1e} m σ/τ"
+    )
 
-figure, axes = plt.subplot_mosaic([["start", "back, fixed-point", "back, double"], ["momentum"] * 3], figsize=(9.0, 6.2), height_ratios=(3, 2))
+figure, axes = plt.subplot_mosaic(
+    [["start", "back, fixed-point", "back, double"], ["momentum"] * 3], figsize=(9.0, 6.2), height_ratios=(3, 2)
+)
 shown = (results["fixed-point"][0], results["fixed-point"][2], results["double"][2])
 for (title, axis), positions, color in zip(list(axes.items())[:3], shown, ("tab:gray", *colors.values()), strict=True):
     axis.scatter(positions[:, 0], positions[:, 1], s=30, color=color, edgecolor="white", linewidth=0.5)
@@ -51,8 +58,12 @@ for (title, axis), positions, color in zip(list(axes.items())[:3], shown, ("tab:
 for precision, color in colors.items():
     change = results[precision][3] * 1e15
     axes["momentum"].plot(np.arange(len(change)) * every / 1000, change, color=color)
-    axes["momentum"].text(len(change) * every / 1000, change[-1], precision if change.any() else f"{precision}: exactly 0", va="center")
-axes["momentum"].set(xlabel="steps / 1000, there and back", ylabel="|P(t) − P(0)| / 10⁻¹⁵ m σ/τ", xlim=(0, 2.5 * n_steps / 1000))
+    axes["momentum"].text(
+        len(change) * every / 1000, change[-1], precision if change.any() else f"{precision}: exactly 0", va="center"
+    )
+axes["momentum"].set(
+    xlabel="steps / 1000, there and back", ylabel="|P(t) − P(0)| / 10⁻¹⁵ m σ/τ", xlim=(0, 2.5 * n_steps / 1000)
+)
 axes["momentum"].spines[["top", "right"]].set_visible(False)
 figure.tight_layout()
 figure.savefig("to_the_last_bit.png", dpi=130)

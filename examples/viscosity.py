@@ -9,7 +9,10 @@ viscosity 3.24 ± 0.04: M. Ferrario, G. Ciccotti, B. L. Holian, J. P. Ryckaert, 
 import minimd as md
 
 density, temperature, cutoff = 0.8442, 0.722, 3.0  # σ⁻³, ε/k_B, σ
-timestep, relaxation_time = 0.004, 10.0  # τ; the bath acts on all atoms alike, and so slowly that they move as without it
+timestep, relaxation_time = (
+    0.004,
+    10.0,
+)  # τ; the bath acts on all atoms alike, and so slowly that they move as without it
 n_equilibration, n_steps = 10_000, 200_000
 
 edge = md.lattice.constant_from_density("fcc", density)

@@ -15,7 +15,11 @@ from minimd.integrators import BlanesMoan4, CandyRozmus4, KahanLi8
 eccentricity = 0.6
 n_periods = 100
 costs = [100, 200, 400, 800, 1600]  # forces per period
-q0, v0, end = np.array([1 - eccentricity, 0.0]), np.array([0.0, np.sqrt((1 + eccentricity) / (1 - eccentricity))]), 2 * np.pi * n_periods
+q0, v0, end = (
+    np.array([1 - eccentricity, 0.0]),
+    np.array([0.0, np.sqrt((1 + eccentricity) / (1 - eccentricity))]),
+    2 * np.pi * n_periods,
+)
 
 
 @numba.njit
@@ -30,11 +34,24 @@ def symplectic(method, cost):
 
 
 def scipy(method, tolerance):
-    path = solve_ivp(lambda t, y: np.concatenate([y[2:], attraction(y[:2])]), (0, end), [*q0, *v0], method, [end], rtol=tolerance, atol=tolerance)
+    path = solve_ivp(
+        lambda t, y: np.concatenate([y[2:], attraction(y[:2])]),
+        (0, end),
+        [*q0, *v0],
+        method,
+        [end],
+        rtol=tolerance,
+        atol=tolerance,
+    )
     return path.nfev / n_periods, np.linalg.norm(path.y[:2, -1] - q0)
 
 
-methods = {"velocity Verlet, 2": md.VelocityVerlet, "Candy-Rozmus, 4": CandyRozmus4, "Blanes-Moan, 4": BlanesMoan4, "Kahan-Li, 8": KahanLi8}
+methods = {
+    "velocity Verlet, 2": md.VelocityVerlet,
+    "Candy-Rozmus, 4": CandyRozmus4,
+    "Blanes-Moan, 4": BlanesMoan4,
+    "Kahan-Li, 8": KahanLi8,
+}
 results = {name: np.array([symplectic(method, cost) for cost in costs]) for name, method in methods.items()}
 for name, order in (("RK45", 5), ("DOP853", 8)):
     results[f"{name}, {order}"] = np.array([scipy(name, tolerance) for tolerance in 10.0 ** np.arange(-5, -12, -2)])
@@ -44,8 +61,15 @@ for k, (name, points) in enumerate(results.items()):
     panel.loglog(*points.T, "o-" if name in methods else "s--", color=f"C{k}", ms=5)
     beside = (-30, -16) if name.startswith("Kahan") else (8, -4)
     panel.annotate(name, points[-1], beside, textcoords="offset points", color=f"C{k}", annotation_clip=False)
-panel.set(xlabel="evaluations of the force per period", ylabel="error at the end / semi-axis", ylim=(5e-7, 5), title="methods and their orders")
+panel.set(
+    xlabel="evaluations of the force per period",
+    ylabel="error at the end / semi-axis",
+    ylim=(5e-7, 5),
+    title="methods and their orders",
+)
 panel.spines[["top", "right"]].set_visible(False)
 figure.savefig("work_precision.png", dpi=150)
 candy, best = (results[name][-1, 1] for name in ("Candy-Rozmus, 4", "Blanes-Moan, 4"))
-print(f"1600 forces per period: Candy-Rozmus misses by {candy:.1e}, Blanes-Moan by {best:.1e}: {candy / best:.0f} times less   (expected: over 10)")
+print(
+    f"1600 forces per period: Candy-Rozmus misses by {candy:.1e}, Blanes-Moan by {best:.1e}: {candy / best:.0f} times less   (expected: over 10)"
+)

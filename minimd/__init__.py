@@ -15,7 +15,14 @@ from minimd.ensemble import EnsembleTable, Member, ensemble
 from minimd.forces.evaluation import Evaluation, evaluate
 from minimd.forces.forces import Forces
 from minimd.grade import Grade, grade
-from minimd.integrators import LangevinBAOAB, Leapfrog, PositionVerlet, StochasticCellRescaling, StochasticVelocityRescaling, VelocityVerlet
+from minimd.integrators import (
+    LangevinBAOAB,
+    Leapfrog,
+    PositionVerlet,
+    StochasticCellRescaling,
+    StochasticVelocityRescaling,
+    VelocityVerlet,
+)
 from minimd.minimization.minimization import Minimization, minimize
 from minimd.neighbors import neighbor_list
 from minimd.potentials import (
@@ -126,7 +133,9 @@ __all__ = [
     "units",
     "view",
 ]
-name_keywords(one for one in [*map(globals().get, __all__), *vars(observers).values()] if one not in (Forces, Term))  # which a step calls
+name_keywords(
+    one for one in [*map(globals().get, __all__), *vars(observers).values()] if one not in (Forces, Term)
+)  # which a step calls
 
 
 def __getattr__(name: str) -> ModuleType:

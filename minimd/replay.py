@@ -49,7 +49,14 @@ class ReplayedStep(NamedTuple):
         """The present step; forces and energy are those of the last observation."""
         record, pair = simulation.record, closest_pair(simulation.system) or (-1, -1, np.nan)
         energy = float(record.total_energy[-1]) if record is not None and len(record) else np.nan
-        return cls(simulation.step, simulation.time, energy, *pair, *longest(simulation.forces), *longest(simulation.velocities))
+        return cls(
+            simulation.step,
+            simulation.time,
+            energy,
+            *pair,
+            *longest(simulation.forces),
+            *longest(simulation.velocities),
+        )
 
     def row(self, units: UnitSystem) -> str:
         """A row of the table: time in ps or τ, speed with the same unit of time, and all else in the units of the system."""
@@ -106,9 +113,14 @@ def replay(
         outputs exist or cannot be written.
     """
     past = read_crash_report(file)
-    frames, drawing = _output(trajectory, Path(file), ".replay.h5md", overwrite), _output(picture, Path(file), ".replay.png", overwrite)
+    frames, drawing = (
+        _output(trajectory, Path(file), ".replay.h5md", overwrite),
+        _output(picture, Path(file), ".replay.png", overwrite),
+    )
     acting = potentials_of_scene(past.scene, past.potentials, Path(file)) if potentials is None else potentials
-    simulation = Simulation(past.system, acting, past.method, precision=past.precision, skin=past.skin, barostat=past.barostat)
+    simulation = Simulation(
+        past.system, acting, past.method, precision=past.precision, skin=past.skin, barostat=past.barostat
+    )
     simulation.restore(past.start)
     simulation.engine.noise_shift = past.noise_shift
     simulation.guard.judge_by(*past.judgment)
@@ -127,15 +139,23 @@ def replay(
     rows = rows or [ReplayedStep.of(simulation)]
     if drawing is not None:
         _draw(rows, past.findings, simulation.system.units, drawing)
-    return Replay(rows, ending, failed_at, past.findings, frames if frames is not None and frames.exists() else None, drawing)
+    return Replay(
+        rows, ending, failed_at, past.findings, frames if frames is not None and frames.exists() else None, drawing
+    )
 
 
 def _output(wanted: str | Path | bool, file: Path, suffix: str, overwrite: bool) -> Path | None:
     if wanted is False:
         return None
-    path = file.with_name(file.name.removesuffix(SUFFIX).removesuffix(file.suffix) + suffix) if wanted is True else Path(wanted)
+    path = (
+        file.with_name(file.name.removesuffix(SUFFIX).removesuffix(file.suffix) + suffix)
+        if wanted is True
+        else Path(wanted)
+    )
     if path.exists() and not overwrite:
-        raise FileExistsError(f"output {str(path)!r} exists; choose another name, or replace it with overwrite=True, or --overwrite of the command")
+        raise FileExistsError(
+            f"output {str(path)!r} exists; choose another name, or replace it with overwrite=True, or --overwrite of the command"
+        )
     return path
 
 
@@ -143,7 +163,9 @@ def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Po
     """The potentials of the text of a scene.  words : the potentials of the run, for the message.  Raises ValueError if there is no scene."""
     if not scene:
         pass_them = "pass those of the script, as in minimd.replay(file, [...]), or give the command a scene that has them with --scene"
-        raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; {pass_them}")
+        raise ValueError(
+            f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; {pass_them}"
+        )
     from minimd.scene.document import stored_scene
 
     return stored_scene(scene, file).potentials()

@@ -14,7 +14,9 @@ m1, m2, m3, m4, m5, m6, m7 = (float(NUMBERS[f"m{k}"]) for k in range(1, 8))
 i1, i2, i3, i4, i5, i6, i7 = (float(NUMBERS[f"I{k}"]) for k in range(1, 8))
 xa, ya, xb, yb, xc, yc = (float(NUMBERS[name]) for name in ("xa", "ya", "xb", "yb", "xc", "yc"))
 c0, l0, mom = (float(NUMBERS[name]) for name in ("c0", "l0", "mom"))
-d, da, e, ea, rr, ra, ss, sa, sb, sc, sd = (float(NUMBERS[name]) for name in ["d", "da", "e", "ea", "rr", "ra", "ss", "sa", "sb", "sc", "sd"])
+d, da, e, ea, rr, ra, ss, sa, sb, sc, sd = (
+    float(NUMBERS[name]) for name in ["d", "da", "e", "ea", "rr", "ra", "ss", "sa", "sb", "sc", "sd"]
+)
 ta, tb, u, ua, ub, zf, zt, fa = (float(NUMBERS[name]) for name in ["ta", "tb", "u", "ua", "ub", "zf", "zt", "fa"])
 START = np.array(DATA["q0"], dtype=float), np.zeros(7)
 

@@ -6,7 +6,15 @@ from pathlib import Path
 
 import minimd as md
 
-SENTENCES = (ValueError, TypeError, md.NonFiniteError, md.ConstraintError, FileNotFoundError, FileExistsError, PermissionError)
+SENTENCES = (
+    ValueError,
+    TypeError,
+    md.NonFiniteError,
+    md.ConstraintError,
+    FileNotFoundError,
+    FileExistsError,
+    PermissionError,
+)
 FAILED_RUNS = (md.NonFiniteError, md.ConstraintError)  # of which the cause is told, and in a second line what was seen
 
 

@@ -49,6 +49,13 @@ if os.environ.get("MINIMD_CALCULATOR"):
 
 def pytest_terminal_summary(terminalreporter):
     """Show that the classes were exchanged in every module that was tested."""
-    tested = [module for name, module in sys.modules.items() if name.startswith("ase.test.") and hasattr(module, "__file__")]
-    left = [f"{m.__name__}.{name}" for m in tested for name in PLACES if hasattr(m, name) and getattr(m, name) is not getattr(minimd.ase, name)]
+    tested = [
+        module for name, module in sys.modules.items() if name.startswith("ase.test.") and hasattr(module, "__file__")
+    ]
+    left = [
+        f"{m.__name__}.{name}"
+        for m in tested
+        for name in PLACES
+        if hasattr(m, name) and getattr(m, name) is not getattr(minimd.ase, name)
+    ]
     terminalreporter.write_line(f"not minimd's: {', '.join(left) or 'none'}")

@@ -23,7 +23,10 @@ SMOOTH = {
     "one species": [md.LennardJones(1.0, 1.0, CUTOFF, "force-shifted")],
     "three species": [md.LennardJones(KINDS, cutoff=CUTOFF, truncation="switched")],
     "exclusions": [md.LennardJones(KINDS, cutoff=CUTOFF, truncation="force-shifted", bonded_scale=(0.0, 0.3, 0.8))],
-    "two known laws": [md.LennardJones(1.0, 1.0, 1.6, "force-shifted"), md.LennardJones(KINDS, cutoff=CUTOFF, truncation="switched")],
+    "two known laws": [
+        md.LennardJones(1.0, 1.0, 1.6, "force-shifted"),
+        md.LennardJones(KINDS, cutoff=CUTOFF, truncation="switched"),
+    ],
 }
 
 

@@ -12,5 +12,7 @@ from hypothesis import settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before anybody imports numpy
 settings.register_profile("minimd", deadline=None, derandomize=True, max_examples=100)
 settings.load_profile("minimd")
-signal.signal(signal.SIGINT, signal.default_int_handler)  # minimd leaves signals alone that are ignored, and tests raise them
+signal.signal(
+    signal.SIGINT, signal.default_int_handler
+)  # minimd leaves signals alone that are ignored, and tests raise them
 signal.signal(signal.SIGHUP, signal.SIG_DFL)

@@ -5,15 +5,22 @@ from numpy import cos, exp, sin
 
 from minimd.integrators import Hessenberg1, Hessenberg2, Hessenberg3, Mechanical, run_steps
 
-GRAVITY = 13.750371636040745654980191559621  # of a pendulum of length 1 released from the horizontal, whose period is then 2
+GRAVITY = (
+    13.750371636040745654980191559621  # of a pendulum of length 1 released from the horizontal, whose period is then 2
+)
 
 INDEX1 = (
-    Hessenberg1(lambda t, y, z: cos(t) + y * y - sin(t) ** 2 + z * z - exp(-2 * t), lambda t, y, z: z * exp(y) - exp(sin(t) - t)),
+    Hessenberg1(
+        lambda t, y, z: cos(t) + y * y - sin(t) ** 2 + z * z - exp(-2 * t), lambda t, y, z: z * exp(y) - exp(sin(t) - t)
+    ),
     lambda t: ([sin(t)], [exp(-t)]),
 )
 # E. Hairer, C. Lubich, M. Roche (1989): test problems of index 2 and 3
 INDEX2 = (
-    Hessenberg2(lambda y, z: [y[0] * y[1] ** 2 * z[0] ** 2, y[0] ** 2 * y[1] ** 2 - 3 * y[1] ** 2 * z[0]], lambda y: y[0] ** 2 * y[1] - 1),
+    Hessenberg2(
+        lambda y, z: [y[0] * y[1] ** 2 * z[0] ** 2, y[0] ** 2 * y[1] ** 2 - 3 * y[1] ** 2 * z[0]],
+        lambda y: y[0] ** 2 * y[1] - 1,
+    ),
     lambda t: ([exp(t), exp(-2 * t)], [exp(2 * t)]),
 )
 INDEX3 = (
@@ -42,7 +49,9 @@ HORIZONTAL = (1.0, 0.0), (0.0, 0.0)
 def errors(problem, solution, method, n_steps, span=0.5):
     """Largest error of each part of the state at the end of the span."""
     path = run_steps(problem, method(span / n_steps), solution(0.0), n_steps)
-    return np.array([np.abs(part - exact).max() for part, exact in zip(problem.parts(path.y[-1]), solution(span), strict=True)])
+    return np.array(
+        [np.abs(part - exact).max() for part, exact in zip(problem.parts(path.y[-1]), solution(span), strict=True)]
+    )
 
 
 def measured_orders(problem, solution, method, n_steps=(16, 32), span=0.5):

@@ -16,10 +16,19 @@ RIGID = 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[constraint
 SCENES = {
     "plain": melt_scene(2, 60, "seed = 3\n[output]\nevery = 5\n").replace("cutoff = 2.5", "cutoff = 1.6"),
     "rigid": melt_scene(2, 60, RIGID + "[output]\nevery = 5\n").replace("cutoff = 2.5", "cutoff = 1.6"),
-    "forces": melt_scene(2, 60, "seed = 3\n[output]\nevery = 5\nforces = true\n").replace("cutoff = 2.5", "cutoff = 1.6"),
-    "crash": melt_scene(2, 4000, "seed = 3\n").replace("timestep = 0.004", "timestep = 0.05").replace("cutoff = 2.5", "cutoff = 1.6"),
+    "forces": melt_scene(2, 60, "seed = 3\n[output]\nevery = 5\nforces = true\n").replace(
+        "cutoff = 2.5", "cutoff = 1.6"
+    ),
+    "crash": melt_scene(2, 4000, "seed = 3\n")
+    .replace("timestep = 0.004", "timestep = 0.05")
+    .replace("cutoff = 2.5", "cutoff = 1.6"),
 }
-COMMANDS = {"check": ["check"], "plot": ["plot", "--out", "a.png"], "resume": ["resume"], "replay": ["replay", "--overwrite"]}
+COMMANDS = {
+    "check": ["check"],
+    "plot": ["plot", "--out", "a.png"],
+    "resume": ["resume"],
+    "replay": ["replay", "--overwrite"],
+}
 GROUPS = ("h5md", "particles", "observables", "connectivity", "minimd")
 SENTENCE, PASSED, FAILED, TRACEBACK, CRASH = "a sentence", "passed", "failed", "a traceback", "a crash"
 
@@ -89,10 +98,16 @@ def numbers(file, leave_out=()):
         if item is None:
             found[name] = {}
             return
-        found[name] = {key: repr(np.asarray(item.attrs[key]).tolist()) for key in item.attrs if key != "particles_group"}
+        found[name] = {
+            key: repr(np.asarray(item.attrs[key]).tolist()) for key in item.attrs if key != "particles_group"
+        }
         if isinstance(item, h5py.Dataset):
             content = item[()]
-            found[name][""] = (item.dtype.str, item.shape, repr(np.asarray(content).tolist()) if item.dtype.kind == "O" else content.tobytes())
+            found[name][""] = (
+                item.dtype.str,
+                item.shape,
+                repr(np.asarray(content).tolist()) if item.dtype.kind == "O" else content.tobytes(),
+            )
         elif isinstance(item, h5py.Group):
             for key in item:
                 look(f"{name}/{key}", opened(item, key), depth + 1)

@@ -23,7 +23,9 @@ def simulation(cell="cubic", units=md.units.LJ):
     vectors, pbc = CELLS[cell]
     sites = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(-1, 3)
     positions = 1.2 * sites + np.random.default_rng(3).normal(0.0, 0.03, (27, 3))
-    sigma, epsilon, mass, timestep, temperature = (1.0, 1.0, 1.0, 0.004, 0.7) if units is md.units.LJ else (3.4, 0.0104, 39.9, 0.4, 90.0)
+    sigma, epsilon, mass, timestep, temperature = (
+        (1.0, 1.0, 1.0, 0.004, 0.7) if units is md.units.LJ else (3.4, 0.0104, 39.9, 0.4, 90.0)
+    )
     system = md.System(
         positions * sigma,
         masses=np.where(np.arange(27) % 2, mass, 2.1 * mass),
@@ -33,7 +35,9 @@ def simulation(cell="cubic", units=md.units.LJ):
         bonds=[[0, 1], [1, 2]],
         units=units,
     )
-    made = md.Simulation(system, md.LennardJones(epsilon, sigma, 1.6 * sigma, truncation="shifted"), md.VelocityVerlet(timestep))
+    made = md.Simulation(
+        system, md.LennardJones(epsilon, sigma, 1.6 * sigma, truncation="shifted"), md.VelocityVerlet(timestep)
+    )
     made.set_temperature(temperature, seed=5)
     return made
 

@@ -74,7 +74,9 @@ def own_law():
 
 
 def own_law_of_species():
-    potential = md.PairPotential(morse, {"A": (1.0, 5.0, 1.1), "B": (0.7, 4.0, 1.0)}, CUTOFF, pairs={("A", "B"): (1.2, 5.0, 1.0)})
+    potential = md.PairPotential(
+        morse, {"A": (1.0, 5.0, 1.1), "B": (0.7, 4.0, 1.0)}, CUTOFF, pairs={("A", "B"): (1.2, 5.0, 1.0)}
+    )
     return md.Simulation(fluid(species=mixture()), potential, md.VelocityVerlet(TIMESTEP))
 
 
@@ -91,7 +93,11 @@ def groups(size):
 def chain_system():
     chains = groups(4)
     bonds = np.concatenate([chains[:, k : k + 2] for k in range(3)])
-    return fluid(bonds=bonds, angles=np.concatenate([chains[:, k : k + 3] for k in range(2)]), masses=np.where(np.arange(108) % 4 == 0, 2.0, 1.0))
+    return fluid(
+        bonds=bonds,
+        angles=np.concatenate([chains[:, k : k + 3] for k in range(2)]),
+        masses=np.where(np.arange(108) % 4 == 0, 2.0, 1.0),
+    )
 
 
 def chains():
@@ -137,9 +143,17 @@ def molecules(atoms, pairs, lengths, masses=None, species=None, scale=(0.0, 0.0,
     pairs = np.asarray(pairs)
     all_pairs = np.concatenate([pairs + size * k for k in range(27)])
     bonds = all_pairs if bonds is None else np.concatenate([np.asarray(bonds) + size * k for k in range(27)])
-    system = md.System(np.concatenate(positions), cell=6.9, bonds=bonds, masses=np.tile(masses or [1.0] * size, 27), species=species and species * 27)
+    system = md.System(
+        np.concatenate(positions),
+        cell=6.9,
+        bonds=bonds,
+        masses=np.tile(masses or [1.0] * size, 27),
+        species=species and species * 27,
+    )
     laws = md.LennardJones({"X": (1.0, 1.0), "H": (0.0, 1.0)}, cutoff=CUTOFF, bonded_scale=scale)
-    simulation = md.Simulation(system, laws, md.VelocityVerlet(TIMESTEP), md.DistanceConstraints(all_pairs, np.tile(lengths, 27)))
+    simulation = md.Simulation(
+        system, laws, md.VelocityVerlet(TIMESTEP), md.DistanceConstraints(all_pairs, np.tile(lengths, 27))
+    )
     simulation.set_temperature(1.0, seed=2)
     return simulation
 
@@ -160,7 +174,9 @@ def water():
     atoms = 0.32 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [np.cos(angle), np.sin(angle), 0.0]])
     across = float(np.linalg.norm(atoms[2] - atoms[1]))
     pairs = [[0, 1], [0, 2], [1, 2]]
-    return molecules(atoms, pairs, [0.32, 0.32, across], masses=[16.0, 1.0, 1.0], species=["X", "H", "H"], scale=(1.0, 1.0, 1.0))
+    return molecules(
+        atoms, pairs, [0.32, 0.32, across], masses=[16.0, 1.0, 1.0], species=["X", "H", "H"], scale=(1.0, 1.0, 1.0)
+    )
 
 
 def water_with_bonds():
@@ -168,7 +184,9 @@ def water_with_bonds():
     angle = np.radians(109.47)
     atoms = 0.6 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [np.cos(angle), np.sin(angle), 0.0]])
     across = float(np.linalg.norm(atoms[2] - atoms[1]))
-    return molecules(atoms, [[0, 1], [0, 2], [1, 2]], [0.6, 0.6, across], masses=[16.0, 1.0, 1.0], bonds=[[0, 1], [0, 2]])
+    return molecules(
+        atoms, [[0, 1], [0, 2], [1, 2]], [0.6, 0.6, across], masses=[16.0, 1.0, 1.0], bonds=[[0, 1], [0, 2]]
+    )
 
 
 def in_cell(system):
@@ -223,7 +241,9 @@ def only_bonds():
 
 def springs_at_rest():
     """All forces are rounding."""
-    system = md.System([[0.1, 0.2, 0.3], [0.7, 0.8, 1.0], [2.0, 2.0, 2.0], [3.0, 3.0, 3.5]], cell=SKEWED * 9.0, bonds=[[0, 1], [2, 3]])
+    system = md.System(
+        [[0.1, 0.2, 0.3], [0.7, 0.8, 1.0], [2.0, 2.0, 2.0], [3.0, 3.0, 3.5]], cell=SKEWED * 9.0, bonds=[[0, 1], [2, 3]]
+    )
     lengths = [np.sqrt(0.36 + 0.36 + 0.49), 1.5]
     return md.Simulation(system, md.HarmonicBond(300.0, lengths), md.VelocityVerlet(TIMESTEP))
 
@@ -247,7 +267,11 @@ def chains_at_rest():
     first = 4 * np.arange(8)[:, None]
     bonds = np.concatenate([first + pair for pair in ([0, 1], [1, 2], [2, 3])])
     angles = np.concatenate([first + three for three in ([0, 1, 2], [1, 2, 3])])
-    laws = [md.HarmonicBond(300.0, 1.2), md.HarmonicAngle(20.0, np.pi / 2), md.LennardJones(1.0, 1.0, 2.0 ** (1.0 / 6.0))]
+    laws = [
+        md.HarmonicBond(300.0, 1.2),
+        md.HarmonicAngle(20.0, np.pi / 2),
+        md.LennardJones(1.0, 1.0, 2.0 ** (1.0 / 6.0)),
+    ]
     return at_rest(positions, laws, cell=8.0, bonds=bonds, angles=angles)
 
 
@@ -303,7 +327,9 @@ SCENES = {
     "skewed slab": lambda: droplet([True, False, True], SKEWED @ rotation()),
     "wire": lambda: droplet([False, True, False]),
     "droplet": lambda: droplet(False),
-    "small cell": lambda: in_cell(md.System(liquid(2, jitter=0.03).positions, velocities=liquid(2).velocities, cell=liquid(2).cell.vectors)),
+    "small cell": lambda: in_cell(
+        md.System(liquid(2, jitter=0.03).positions, velocities=liquid(2).velocities, cell=liquid(2).cell.vectors)
+    ),
     "without cutoff": without_cutoff,
     "fixed atoms": with_fixed_atoms,
     "argon": argon,

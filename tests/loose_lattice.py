@@ -25,4 +25,6 @@ def system(cell=(9.0, 10.0, 11.0), pbc=None, units=md.units.ASE, n_atoms=24):
 
 
 def simulation(of=None):
-    return md.Simulation(of or system(), md.LennardJones(0.0104, 3.4, 4.4, truncation="shifted"), md.VelocityVerlet(0.4))
+    return md.Simulation(
+        of or system(), md.LennardJones(0.0104, 3.4, 4.4, truncation="shifted"), md.VelocityVerlet(0.4)
+    )

@@ -26,7 +26,9 @@ def gaussian(r2, height, width2):
 def liquid(member, law=None, timestep=0.004, **options):
     """32 atoms in a bath."""
     method = md.LangevinBAOAB(timestep, member["temperature"], 1.0, seed=member.seed)
-    simulation = md.Simulation(md.System(POSITIONS, cell=EDGES), law or md.LennardJones(1.0, 1.0, 1.8), method, **options)
+    simulation = md.Simulation(
+        md.System(POSITIONS, cell=EDGES), law or md.LennardJones(1.0, 1.0, 1.8), method, **options
+    )
     simulation.set_temperature(member["temperature"], member.seed)
     return simulation
 

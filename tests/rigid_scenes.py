@@ -24,7 +24,10 @@ def ring(n_atoms):
 
 def sheet(side):
     index = np.arange(side * side).reshape(side, side)
-    pairs = [*zip(index[:-1].flat, index[1:].flat, strict=True), *zip(index[:, :-1].flat, index[:, 1:].flat, strict=True)]
+    pairs = [
+        *zip(index[:-1].flat, index[1:].flat, strict=True),
+        *zip(index[:, :-1].flat, index[:, 1:].flat, strict=True),
+    ]
     x, y = np.divmod(np.arange(side * side), side)
     return np.column_stack([x, y, 0.05 * np.sin(x * y)]).astype(float), np.array(pairs)
 
@@ -39,14 +42,18 @@ def cube():
 def water(n_molecules, spread=3.0):
     molecule = np.array([[0.0, 0.0, 0.0], [0.8, 0.6, 0.0], [-0.8, 0.6, 0.0]])
     centers = spread * np.random.default_rng(3).normal(size=(n_molecules, 1, 3))
-    return (centers + molecule).reshape(-1, 3), np.concatenate([np.array([[0, 1], [0, 2], [1, 2]]) + 3 * m for m in range(n_molecules)])
+    return (centers + molecule).reshape(-1, 3), np.concatenate(
+        [np.array([[0, 1], [0, 2], [1, 2]]) + 3 * m for m in range(n_molecules)]
+    )
 
 
 def diatomics(n_molecules, spread=3.0):
     rng = np.random.default_rng(4)
     arms = rng.normal(size=(n_molecules, 3))
     ends = np.stack([np.zeros_like(arms), arms / np.linalg.norm(arms, axis=1)[:, None]], axis=1)
-    return (spread * rng.normal(size=(n_molecules, 1, 3)) + ends).reshape(-1, 3), np.arange(2 * n_molecules).reshape(-1, 2)
+    return (spread * rng.normal(size=(n_molecules, 1, 3)) + ends).reshape(-1, 3), np.arange(2 * n_molecules).reshape(
+        -1, 2
+    )
 
 
 def rod():
@@ -71,6 +78,8 @@ def described(constraints):
     """Constraints as plain values, to be compared."""
     fixed = [one.atoms.tolist() for one in constraints if isinstance(one, md.FixedAtoms)]
     lengths = [
-        (one.pairs.tolist(), one.lengths.tolist(), one.tolerance, one.solver) for one in constraints if isinstance(one, md.DistanceConstraints)
+        (one.pairs.tolist(), one.lengths.tolist(), one.tolerance, one.solver)
+        for one in constraints
+        if isinstance(one, md.DistanceConstraints)
     ]
     return fixed, lengths

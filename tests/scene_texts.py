@@ -8,7 +8,9 @@ from minimd.scene import parse_scene
 
 ARGON = Path(__file__).parent.parent / "examples" / "argon.toml"
 REDUCED = melt_scene(4, 20, "seed = 3\n[output]\nevery = 5\n")
-SMOOTH = melt_scene(4, 40, "[output]\nevery = 10\n").replace("cutoff = 2.5", 'cutoff = 2.5\ntruncation = "force-shifted"')
+SMOOTH = melt_scene(4, 40, "[output]\nevery = 10\n").replace(
+    "cutoff = 2.5", 'cutoff = 2.5\ntruncation = "force-shifted"'
+)
 
 
 def scene_of(text, path="scene.toml"):

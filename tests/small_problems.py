@@ -7,7 +7,9 @@ from scipy.integrate import solve_ivp
 from minimd.integrators import METHODS, Partitioned, SecondOrder
 
 DETERMINISTIC = [method for method in METHODS.values() if not getattr(method, "is_thermostat", False)]
-ONE_STEP = [method for method in DETERMINISTIC if getattr(method, "n_past", 1) == 1]  # a BDF looks back at several states
+ONE_STEP = [
+    method for method in DETERMINISTIC if getattr(method, "n_past", 1) == 1
+]  # a BDF looks back at several states
 SYMMETRIC = [method for method in ONE_STEP if method.is_symmetric]
 NOT_SYMMETRIC = [method for method in ONE_STEP if not method.is_symmetric]
 SYMPLECTIC = [method for method in ONE_STEP if method.is_symplectic]
@@ -97,7 +99,10 @@ def jacobian(problem, method, start, h, t0=0.0, n_steps=1):
         return y
 
     weights = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
-    columns = [sum(w * (flow(y0 + k * delta * unit) - flow(y0 - k * delta * unit)) for k, w in weights.items()) / delta for unit in np.eye(y0.size)]
+    columns = [
+        sum(w * (flow(y0 + k * delta * unit) - flow(y0 - k * delta * unit)) for k, w in weights.items()) / delta
+        for unit in np.eye(y0.size)
+    ]
     return np.column_stack(columns)
 
 

@@ -7,12 +7,19 @@ import numpy as np
 import minimd as md
 from minimd.structure.lattice import crystal
 
-AMPLITUDE, GROWTH = 1e-7, 1e4  # of the first displacement [length]; how much larger it must become to be called unstable
+AMPLITUDE, GROWTH = (
+    1e-7,
+    1e4,
+)  # of the first displacement [length]; how much larger it must become to be called unstable
 N_STEPS, LOOK = 3000, 100
 
 
 def diatomic():
-    return md.System([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], masses=[1.0, 4.0], bonds=[[0, 1]]), md.HarmonicBond(100.0, 1.0), ()
+    return (
+        md.System([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], masses=[1.0, 4.0], bonds=[[0, 1]]),
+        md.HarmonicBond(100.0, 1.0),
+        (),
+    )
 
 
 def chain():
@@ -35,7 +42,11 @@ def dimer():
 
 def fcc(lattice_constant=1.55, masses=1.0, stretch=(1.0, 1.0, 1.0)):
     positions, edges = crystal("fcc", [3, 3, 3], lattice_constant)
-    return md.System(positions * stretch, cell=edges * stretch, masses=masses), md.LennardJones(1.0, 1.0, cutoff=2.2, truncation="switched"), ()
+    return (
+        md.System(positions * stretch, cell=edges * stretch, masses=masses),
+        md.LennardJones(1.0, 1.0, cutoff=2.2, truncation="switched"),
+        (),
+    )
 
 
 def fcc_of_two_masses():
@@ -45,7 +56,9 @@ def fcc_of_two_masses():
 def mixture():
     rng = np.random.default_rng(2)
     species = np.array(["A"] * 160 + ["B"] * 40)
-    system = md.System(rng.uniform(0.0, 5.5, (200, 3)), cell=5.5, species=species.tolist(), masses=np.where(species == "A", 1.0, 0.3))
+    system = md.System(
+        rng.uniform(0.0, 5.5, (200, 3)), cell=5.5, species=species.tolist(), masses=np.where(species == "A", 1.0, 0.3)
+    )
     pairs = {("A", "B"): (1.5, 0.8)}
     laws = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=2.2, truncation="switched", pairs=pairs)
     return system, laws, ()
@@ -54,10 +67,21 @@ def mixture():
 def bead_melt():
     k = np.arange(10)
     walk = np.column_stack([0.9 * k, 0.4 * (k % 2), 0.4 * (k // 2 % 2)])
-    corners = np.stack(np.meshgrid([0.0], np.arange(5) * 1.8, np.arange(5) * 1.8, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    corners = np.stack(np.meshgrid([0.0], np.arange(5) * 1.8, np.arange(5) * 1.8, indexing="ij"), axis=-1).reshape(
+        -1, 1, 3
+    )
     pairs = np.column_stack([k[:-1], k[1:]])
-    system = md.System((corners + walk).reshape(-1, 3), cell=[9.0, 9.0, 9.0], bonds=np.concatenate([pairs + 10 * c for c in range(25)]))
-    return system, [md.HarmonicBond(400.0, 0.97), md.LennardJones(1.0, 1.0, cutoff=2.2, truncation="switched", bonded_scale=(0, 1, 1))], ()
+    system = md.System(
+        (corners + walk).reshape(-1, 3), cell=[9.0, 9.0, 9.0], bonds=np.concatenate([pairs + 10 * c for c in range(25)])
+    )
+    return (
+        system,
+        [
+            md.HarmonicBond(400.0, 0.97),
+            md.LennardJones(1.0, 1.0, cutoff=2.2, truncation="switched", bonded_scale=(0, 1, 1)),
+        ],
+        (),
+    )
 
 
 def rigid_dumbbells():
@@ -65,7 +89,12 @@ def rigid_dumbbells():
     arms = np.random.default_rng(1).standard_normal((32, 3))
     arms *= 0.25 / np.linalg.norm(arms, axis=1)[:, None]
     pairs = np.arange(64).reshape(-1, 2)
-    system = md.System(np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3), cell=edges, masses=[1.0, 3.0] * 32, bonds=pairs)
+    system = md.System(
+        np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3),
+        cell=edges,
+        masses=[1.0, 3.0] * 32,
+        bonds=pairs,
+    )
     laws = md.LennardJones(1.0, 1.0, cutoff=2.05, truncation="switched", bonded_scale=(0, 1, 1))
     return system, laws, md.DistanceConstraints(pairs)
 
@@ -118,7 +147,9 @@ def is_stable(system, potentials, constraints, method, n_steps=N_STEPS):
 def longest_stable_step(system, potentials, constraints, method, around, n_bisections=6):
     """Between 0.8 and 1.2 times the expected one; NaN if it is not in between."""
     low, high = 0.8 * around, 1.2 * around
-    if not is_stable(system, potentials, constraints, method(low)) or is_stable(system, potentials, constraints, method(high)):
+    if not is_stable(system, potentials, constraints, method(low)) or is_stable(
+        system, potentials, constraints, method(high)
+    ):
         return float("nan")
     for _ in range(n_bisections):
         middle = 0.5 * (low + high)

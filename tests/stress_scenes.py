@@ -32,9 +32,22 @@ def forces_of(system, potentials, **options):
     return forces
 
 
-def ran(system, potentials, timestep, n_steps, *, temperature=None, every=100, constraints=None, method=md.VelocityVerlet, **options):
+def ran(
+    system,
+    potentials,
+    timestep,
+    n_steps,
+    *,
+    temperature=None,
+    every=100,
+    constraints=None,
+    method=md.VelocityVerlet,
+    **options,
+):
     """A simulation that has run."""
-    simulation = md.Simulation(system, potentials, method(timestep) if isinstance(method, type) else method, constraints, **options)
+    simulation = md.Simulation(
+        system, potentials, method(timestep) if isinstance(method, type) else method, constraints, **options
+    )
     if temperature is not None:
         simulation.set_temperature(temperature, seed=1)
     simulation.run(n_steps, every=every)
@@ -61,5 +74,12 @@ def assert_stops(words, run, error=md.NonFiniteError):
 def is_finite(simulation):
     """Whether every number of the state and of the record is one."""
     record = simulation.record
-    series = [record.total_energy, record.temperature, record.momentum, record.angular_momentum, simulation.positions, simulation.velocities]
+    series = [
+        record.total_energy,
+        record.temperature,
+        record.momentum,
+        record.angular_momentum,
+        simulation.positions,
+        simulation.velocities,
+    ]
     return all(np.isfinite(values).all() for values in series)

@@ -27,11 +27,15 @@ def test_the_longest_stable_step_is_the_one_advised(name):
     assert measured == pytest.approx(advice.limit, rel=0.01)  # truncation: six bisections of ±20 %
 
 
-@pytest.mark.parametrize("method", [md.integrators.PEFRL, md.integrators.Ruth3, md.integrators.KahanLi6, md.PositionVerlet])
+@pytest.mark.parametrize(
+    "method", [md.integrators.PEFRL, md.integrators.Ruth3, md.integrators.KahanLi6, md.PositionVerlet]
+)
 def test_the_limit_holds_for_other_methods(method):
     state = at_minimum(fcc)
     advice = md.advise_timestep(*state, method=method)
-    assert longest_stable_step(*state, method, advice.limit) == pytest.approx(advice.limit, rel=0.01)  # truncation, as above
+    assert longest_stable_step(*state, method, advice.limit) == pytest.approx(
+        advice.limit, rel=0.01
+    )  # truncation, as above
 
 
 @pytest.mark.parametrize("method", EXPLICIT, ids=lambda method: method.name)
@@ -39,13 +43,17 @@ def test_an_oscillator_stays_bounded_below_the_limit_and_not_above(method):
     limit = stability_limit(method.sequence())
     for h in np.linspace(0.05, 0.999, 20) * limit:
         assert np.abs(oscillator_path(method, h, 1000).q).max() < 100.0
-    assert not np.abs(oscillator_path(method, 1.001 * limit, 4000).q).max() < 1000.0  # slowly for blanes-moan-rkn-4, e^0.002 in a step
+    assert (
+        not np.abs(oscillator_path(method, 1.001 * limit, 4000).q).max() < 1000.0
+    )  # slowly for blanes-moan-rkn-4, e^0.002 in a step
 
 
 def test_limits_that_are_known():
     assert stability_limit(md.VelocityVerlet.sequence()) == pytest.approx(2.0, abs=1e-14)  # rounding
     for method in THERMOSTATS.values():
-        assert stability_limit(method.sequence()) == pytest.approx(2.0, abs=1e-14)  # rounding; contacts with the bath left out
+        assert stability_limit(method.sequence()) == pytest.approx(
+            2.0, abs=1e-14
+        )  # rounding; contacts with the bath left out
     twice = repeated(md.VelocityVerlet.sequence(), (0.5, 0.5))  # tr M touches −2 at h = 2√2, where nothing happens
     assert stability_limit(twice) == pytest.approx(4.0, rel=1e-6)
 
@@ -56,7 +64,9 @@ def test_the_energy_of_an_oscillator_swings_as_told(method):
     path = oscillator_path(method, h, 20_000)
     energies = 0.5 * (path.q**2 + path.v**2)
     swing = (energies.max() - energies.min()) / (energies.max() + energies.min())
-    assert energy_oscillation(method.sequence(), h) == pytest.approx(swing, rel=2e-3)  # the path does not meet the axes exactly
+    assert energy_oscillation(method.sequence(), h) == pytest.approx(
+        swing, rel=2e-3
+    )  # the path does not meet the axes exactly
 
 
 def test_verlet_makes_twenty_steps_a_period_and_the_energy_swings_by_an_80th():
@@ -73,13 +83,17 @@ def test_frequency_of_a_chain_is_the_closed_form():
     k = np.arange(40)
     system = md.System(np.column_stack([k, 0 * k, 0 * k]), masses=2.0, bonds=np.column_stack([k[:-1], k[1:]]))
     advice = md.advise_timestep(system, md.HarmonicBond(50.0, 1.0))
-    assert advice.frequency == pytest.approx(2.0 * np.sqrt(50.0 / 2.0) * np.cos(np.pi / 80.0), rel=1e-4)  # ACCURACY of iterations
+    assert advice.frequency == pytest.approx(
+        2.0 * np.sqrt(50.0 / 2.0) * np.cos(np.pi / 80.0), rel=1e-4
+    )  # ACCURACY of iterations
 
 
 def test_frequency_of_a_dimer_at_its_minimum():
     u2 = 4.0 * (12 * 13 * 2 ** (-14 / 6) - 6 * 7 * 2 ** (-8 / 6))  # u″ at r = 2^(1/6)
     system = md.System([[0.0, 0.0, 0.0], [2 ** (1 / 6), 0.0, 0.0]], masses=[1.0, 3.0])
-    assert md.advise_timestep(system, md.LennardJones(1.0, 1.0)).frequency == pytest.approx(np.sqrt(u2 * 4.0 / 3.0), rel=1e-7)
+    assert md.advise_timestep(system, md.LennardJones(1.0, 1.0)).frequency == pytest.approx(
+        np.sqrt(u2 * 4.0 / 3.0), rel=1e-7
+    )
 
 
 def test_tension_of_a_rigid_bond_stiffens_its_swinging():
@@ -110,7 +124,9 @@ def reduced_frequency(system, law, quadratic, linear):
         curvatures.append(b.T @ b)
     gradients = np.array([*(g @ x for g in curvatures), *linear])
     root = 1.0 / np.sqrt(np.repeat(system.masses, 3))
-    multipliers = np.linalg.lstsq((gradients * root).T, -forces(x) * root, rcond=None)[0]  # at rest: M⁻¹(F + λ ∇g) keeps g
+    multipliers = np.linalg.lstsq((gradients * root).T, -forces(x) * root, rcond=None)[
+        0
+    ]  # at rest: M⁻¹(F + λ ∇g) keeps g
     lagrangian = hessian - np.einsum("k,kab->ab", multipliers[: len(curvatures)], np.array(curvatures))
     allowed = scipy.linalg.null_space(gradients * root)
     return np.sqrt(np.linalg.eigvalsh(allowed.T @ (root[:, None] * lagrangian * root) @ allowed)[-1])
@@ -132,13 +148,17 @@ def test_frequencies_with_constraints_are_those_of_the_reduced_problem(shape):
                 row[3 * np.array([start, start + 1, start + 2]) + c] = 1.16 / 2.5 - 1.0, 1.0, -1.16 / 2.5
                 linear.append(row)
     advice = md.advise_timestep(system, law, md.DistanceConstraints(pairs))
-    assert advice.frequency == pytest.approx(reduced_frequency(system, law, quadratic, linear), rel=1e-4)  # ACCURACY of iterations
+    assert advice.frequency == pytest.approx(
+        reduced_frequency(system, law, quadratic, linear), rel=1e-4
+    )  # ACCURACY of iterations
 
 
 def test_rigid_bonds_do_not_oscillate():
     system, law, rigid = rigid_dumbbells()
     stiff = md.HarmonicBond(1e6, 0.5)
-    assert md.advise_timestep(system, [law, stiff], rigid).frequency == pytest.approx(md.advise_timestep(system, law, rigid).frequency, rel=1e-3)
+    assert md.advise_timestep(system, [law, stiff], rigid).frequency == pytest.approx(
+        md.advise_timestep(system, law, rigid).frequency, rel=1e-3
+    )
     assert md.advise_timestep(system, [law, stiff]).frequency > 1000.0
 
 
@@ -184,7 +204,9 @@ def test_what_cannot_be_advised_is_refused():
 def test_a_run_warns_of_a_step_too_long_for_a_bond():
     system, bond, _ = diatomic()  # 2/ω = 0.1789
     simulation = md.Simulation(system, bond, md.VelocityVerlet(0.18))
-    with pytest.warns(UserWarning, match=r"timestep 0\.18 τ is longer than the bond of atoms 0 and 1 allows: .* up to 0\.1789 τ") as caught:
+    with pytest.warns(
+        UserWarning, match=r"timestep 0\.18 τ is longer than the bond of atoms 0 and 1 allows: .* up to 0\.1789 τ"
+    ) as caught:
         simulation.run(1)
     assert caught[0].filename == __file__
     with warnings.catch_warnings():
@@ -213,7 +235,11 @@ def test_a_crystal_that_will_melt_is_given_the_step_of_collisions():
 
 
 def test_a_hydrogen_inside_its_oxygen_does_not_collide():
-    system = md.System([[0.0, 0, 0], [1.0, 0, 0], [4.0, 0, 0], [5.0, 0, 0]], masses=[16.0, 1.0, 16.0, 1.0], species=["O", "H", "O", "H"])
+    system = md.System(
+        [[0.0, 0, 0], [1.0, 0, 0], [4.0, 0, 0], [5.0, 0, 0]],
+        masses=[16.0, 1.0, 16.0, 1.0],
+        species=["O", "H", "O", "H"],
+    )
     law = md.LennardJones({"O": (1.0, 3.0), "H": (0.3, 0.4)})
     held = md.DistanceConstraints([[0, 1], [2, 3]])
     alone = md.advise_timestep(system, md.LennardJones({"O": (1.0, 3.0), "H": (0.0, 0.4)}), held)

@@ -34,7 +34,9 @@ def test_units_are_those_of_ase():
 
 def test_atoms_survive_the_round_trip():
     rng = np.random.default_rng(3)
-    atoms = Atoms("ArKrXeH2", rng.uniform(-50, 50, (5, 3)), cell=rng.standard_normal((3, 3)) * 9, pbc=(True, False, True))
+    atoms = Atoms(
+        "ArKrXeH2", rng.uniform(-50, 50, (5, 3)), cell=rng.standard_normal((3, 3)) * 9, pbc=(True, False, True)
+    )
     atoms.set_masses([39.9, 83.8, 131.3, 1.0, 2.0])
     atoms.set_momenta(rng.standard_normal((5, 3)))
     system = md.System.from_ase(atoms)
@@ -50,11 +52,17 @@ def test_atoms_survive_the_round_trip():
 
 
 def test_labels_that_are_no_elements_come_back():
-    system = md.System([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]], species=["A", "Ar", "bead"], velocities=np.eye(3), masses=[1.0, 2.0, 3.0])
+    system = md.System(
+        [[0.0, 0, 0], [1, 0, 0], [2, 0, 0]], species=["A", "Ar", "bead"], velocities=np.eye(3), masses=[1.0, 2.0, 3.0]
+    )
     atoms = atoms_from_system(system)
     assert atoms.get_chemical_symbols() == ["X", "Ar", "X"]
     assert system_from_atoms(atoms).species.tolist() == ["A", "Ar", "bead"]
-    assert system_from_atoms(atoms_from_system(md.System(system.positions, species=[7, 8, 7]))).species.tolist() == [7, 8, 7]
+    assert system_from_atoms(atoms_from_system(md.System(system.positions, species=[7, 8, 7]))).species.tolist() == [
+        7,
+        8,
+        7,
+    ]
     assert np.array_equal(atoms.positions, system.positions)  # reduced units: the numbers are kept
     assert same(atoms.get_momenta(), np.diag([1.0, 2.0, 3.0]), 0.0)
 
@@ -96,7 +104,10 @@ def test_what_is_no_atoms_is_refused():
 def test_calculator_is_evaluate_and_ases_lennard_jones(smooth):
     truncation, start = ("charmm", 0.66 * CUTOFF) if smooth else ("shifted", None)
     potential = md.LennardJones(EPSILON, SIGMA, CUTOFF, truncation, switch_start=start)
-    atoms, reference = with_calculator(argon(), Calculator(potential)), with_calculator(argon(), ase_lennard_jones(smooth=smooth))
+    atoms, reference = (
+        with_calculator(argon(), Calculator(potential)),
+        with_calculator(argon(), ase_lennard_jones(smooth=smooth)),
+    )
     result = md.evaluate(system_from_atoms(atoms), potential)
     assert same(atoms.get_potential_energy(), result.potential_energy, 1e-14)
     for method in ("get_potential_energy", "get_potential_energies", "get_forces", "get_stress", "get_stresses"):
@@ -170,7 +181,9 @@ def smaller_than_the_cutoff(atoms):
 
 CHANGES = {
     "positions": lambda atoms: atoms.rattle(0.05, seed=9),
-    "one position, far": lambda atoms: atoms.positions.__setitem__(3, atoms.positions[3] + atoms.cell[0] - 4 * atoms.cell[1]),
+    "one position, far": lambda atoms: atoms.positions.__setitem__(
+        3, atoms.positions[3] + atoms.cell[0] - 4 * atoms.cell[1]
+    ),
     "cell": pressed,
     "cell, atoms left behind": lambda atoms: atoms.set_cell(atoms.cell.array * 0.97),
     "pbc": lambda atoms: atoms.set_pbc((True, False, True)),
@@ -266,9 +279,13 @@ def test_relaxed_argon_has_the_lattice_constant_of_the_lattice_sums():
     atoms.rattle(0.05, seed=2)
     atoms.set_cell(atoms.cell.array @ [[1.01, 0.02, 0], [0, 0.99, 0], [0.01, 0, 1.01]], scale_atoms=True)
     atoms.calc = Calculator(lennard_jones(cutoff=cutoff * SIGMA))
-    assert BFGS(FrechetCellFilter(atoms), logfile=None, alpha=5.0).run(fmax=1e-7, steps=100)  # alpha: argon is softer than ASE's guess
+    assert BFGS(FrechetCellFilter(atoms), logfile=None, alpha=5.0).run(
+        fmax=1e-7, steps=100
+    )  # alpha: argon is softer than ASE's guess
     lengths = atoms.cell.lengths() / SIGMA
-    assert lengths == pytest.approx(lattice_constant(cutoff), rel=1e-7)  # truncation: fmax over the stiffness of the crystal
+    assert lengths == pytest.approx(
+        lattice_constant(cutoff), rel=1e-7
+    )  # truncation: fmax over the stiffness of the crystal
     assert lattice_constant(7.0) == pytest.approx(
         np.sqrt(2.0) * (2.0 * 12.13188 / 14.45392) ** (1 / 6), rel=1e-3
     )  # Kittel, table 3.3: cutoff infinite

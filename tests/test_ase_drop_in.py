@@ -40,7 +40,15 @@ ARGUMENTS = {
     "Andersen": {"temperature_K": KELVIN, "andersen_prob": 0.01, "fixcm": False, "rng": 1},
     "NVTBerendsen": {"temperature_K": KELVIN, "taut": TAU},
 }
-MODULES = (ase.md.verlet, ase.md.langevin, ase.md.langevinbaoab, ase.md.bussi, ase.md.nose_hoover_chain, ase.md.andersen, ase.md.nvtberendsen)
+MODULES = (
+    ase.md.verlet,
+    ase.md.langevin,
+    ase.md.langevinbaoab,
+    ase.md.bussi,
+    ase.md.nose_hoover_chain,
+    ase.md.andersen,
+    ase.md.nvtberendsen,
+)
 THEIRS = {name: getattr(module, name) for name, module in zip(ARGUMENTS, MODULES, strict=True)}
 DETERMINISTIC = ("VelocityVerlet", "NoseHooverChainNVT", "NVTBerendsen")
 
@@ -113,7 +121,9 @@ def test_files_hold_what_those_of_ase_hold_with_stress(name, tmp_path):
     for who in ("ours", "ASE's"):
         file = tmp_path / f"{who}.traj"
         for append in (False, True):
-            with made(name, liquid(), by_ase=who != "ours", trajectory=str(file), loginterval=5, append_trajectory=append) as dynamics:
+            with made(
+                name, liquid(), by_ase=who != "ours", trajectory=str(file), loginterval=5, append_trajectory=append
+            ) as dynamics:
                 dynamics.run(10)
         frames[who] = ase.io.read(file, ":")
         keys[who] = [sorted(frame.calc.results) for frame in frames[who]]
@@ -156,7 +166,13 @@ def test_a_tutorial_of_ase_runs_with_another_import(tmp_path):
     for who, cls in (("ours", ours.VelocityVerlet), ("theirs", ase.md.verlet.VelocityVerlet)):
         folder = tmp_path / who
         folder.mkdir()
-        names = {"np": np, "units": ase.units, "VelocityVerlet": cls, "folder": folder, "calculator": Calculator(lennard_jones())}
+        names = {
+            "np": np,
+            "units": ase.units,
+            "VelocityVerlet": cls,
+            "folder": folder,
+            "calculator": Calculator(lennard_jones()),
+        }
         with redirect_stdout(io.StringIO()) as output:
             exec(TUTORIAL, names)
         printed[who] = output.getvalue(), (folder / "md.log").read_text(), (folder / "stress.log").read_text()
@@ -182,7 +198,11 @@ def test_a_step_or_a_log_of_somebody_else_is_called_at_every_step():
         def log(self):
             self.logs += 1
 
-    counting, logging, plain = Counting(liquid(), TIMESTEP), Logging(liquid(), TIMESTEP), ours.VelocityVerlet(liquid(), TIMESTEP)
+    counting, logging, plain = (
+        Counting(liquid(), TIMESTEP),
+        Logging(liquid(), TIMESTEP),
+        ours.VelocityVerlet(liquid(), TIMESTEP),
+    )
     assert all(dynamics.run(7) is True for dynamics in (counting, logging, plain))
     assert (counting.steps, counting.nsteps, logging.logs) == (7, 7, 8)
     assert same(counting.atoms.positions, plain.atoms.positions)
@@ -251,7 +271,10 @@ def test_a_simulation_takes_a_calculator_of_ase_for_a_potential():
     with warnings.catch_warnings(action="ignore"):
         both = md.evaluate(copper(), [EMT(), ForcesFromCalculator(EMT())])
     assert same(both.forces, 2.0 * copper().get_forces())
-    assert md.Simulation(liquid(), Calculator(lennard_jones()), md.VelocityVerlet(TIMESTEP)).potentials[0].cutoff == lennard_jones().cutoff
+    assert (
+        md.Simulation(liquid(), Calculator(lennard_jones()), md.VelocityVerlet(TIMESTEP)).potentials[0].cutoff
+        == lennard_jones().cutoff
+    )
     with pytest.raises(TypeError, match="potentials must be potentials of minimd"):
         md.Simulation(copper(), "EMT", md.VelocityVerlet(TIMESTEP))
 
@@ -327,7 +350,9 @@ PAGE = Path(__file__).parents[1] / "docs" / "ase.md"
 
 
 @pytest.mark.filterwarnings("ignore:the calculator is")
-@pytest.mark.parametrize("script", re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S), ids=["dynamics", "simulation"])
+@pytest.mark.parametrize(
+    "script", re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S), ids=["dynamics", "simulation"]
+)
 def test_the_scripts_of_the_page_run(script, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     exec(compile(script.replace("repeat(4)", "repeat(2)"), str(PAGE), "exec"), {})
@@ -335,7 +360,10 @@ def test_the_scripts_of_the_page_run(script, tmp_path, monkeypatch, capsys):
 
 
 def test_a_barostat_is_refused_by_name():
-    with pytest.raises(NotImplementedError, match=r"externalstress.*needs a constant cell"), warnings.catch_warnings(action="ignore"):
+    with (
+        pytest.raises(NotImplementedError, match=r"externalstress.*needs a constant cell"),
+        warnings.catch_warnings(action="ignore"),
+    ):
         ours.LangevinBAOAB(liquid(), TIMESTEP, temperature_K=80.0, externalstress=-0.01, rng=1)
 
 

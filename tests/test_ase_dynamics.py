@@ -25,17 +25,30 @@ def assert_same_motion(atoms, reference, n_steps):
 
 @pytest.mark.parametrize("calculator", [ase_lennard_jones(), Calculator(lennard_jones())], ids=["ASE's", "ours"])
 def test_velocity_verlet_is_that_of_ase(calculator):
-    assert_same_motion(with_calculator(argon(), Calculator(lennard_jones())), with_calculator(argon(), calculator), 1000)
+    assert_same_motion(
+        with_calculator(argon(), Calculator(lennard_jones())), with_calculator(argon(), calculator), 1000
+    )
 
 
 def observed(dynamics_class, folder, drive):
     """Everything an observer can see of a driven run."""
     seen = []
     atoms = with_calculator(argon(2), Calculator(lennard_jones()))
-    dynamics = dynamics_class(atoms, TIMESTEP, trajectory=str(folder / "a.traj"), logfile=str(folder / "a.log"), loginterval=10)
+    dynamics = dynamics_class(
+        atoms, TIMESTEP, trajectory=str(folder / "a.traj"), logfile=str(folder / "a.log"), loginterval=10
+    )
 
     def look(name):
-        seen.append((name, dynamics.nsteps, dynamics.get_time(), atoms.get_potential_energy(), atoms.get_kinetic_energy(), *atoms.positions[0]))
+        seen.append(
+            (
+                name,
+                dynamics.nsteps,
+                dynamics.get_time(),
+                atoms.get_potential_energy(),
+                atoms.get_kinetic_energy(),
+                *atoms.positions[0],
+            )
+        )
 
     for name, interval in (("seven", 7), ("fifth", -5), ("twelve", 12)):
         dynamics.attach(look, interval, name)
@@ -50,7 +63,11 @@ DRIVES = {
     "several runs": lambda dynamics: [dynamics.run(n) for n in (13, 0, 1, 26)],
     "step by step": lambda dynamics: list(dynamics.irun(25)),
     "mixed": lambda dynamics: [*dynamics.irun(3), dynamics.run(20), *dynamics.irun(3)],
-    "stopped from inside": lambda dynamics: (dynamics.attach(lambda: setattr(dynamics, "max_steps", 0), -17), dynamics.run(40), dynamics.nsteps)[1:],
+    "stopped from inside": lambda dynamics: (
+        dynamics.attach(lambda: setattr(dynamics, "max_steps", 0), -17),
+        dynamics.run(40),
+        dynamics.nsteps,
+    )[1:],
 }
 
 
@@ -59,7 +76,9 @@ def test_observers_files_and_answers_are_those_of_ase(drive, tmp_path):
     (tmp_path / "ours").mkdir()
     (tmp_path / "theirs").mkdir()
     seen, frames, log, answers = observed(VelocityVerlet, tmp_path / "ours", DRIVES[drive])
-    expected_seen, expected_frames, expected_log, expected_answers = observed(ASEVelocityVerlet, tmp_path / "theirs", DRIVES[drive])
+    expected_seen, expected_frames, expected_log, expected_answers = observed(
+        ASEVelocityVerlet, tmp_path / "theirs", DRIVES[drive]
+    )
     assert [row[:3] for row in seen] == [row[:3] for row in expected_seen]
     assert same([row[3:] for row in seen], [row[3:] for row in expected_seen])
     assert same(frames, expected_frames)
@@ -117,7 +136,9 @@ def test_another_timestep_takes_effect():
 
 def test_steps_are_made_in_blocks_with_one_force_evaluation_each(monkeypatch):
     calls, compute = [], md.Forces.compute
-    monkeypatch.setattr(md.Forces, "compute", lambda forces, detail, *unit: calls.append(detail) or compute(forces, detail, *unit))
+    monkeypatch.setattr(
+        md.Forces, "compute", lambda forces, detail, *unit: calls.append(detail) or compute(forces, detail, *unit)
+    )
     monkeypatch.setattr(md.Forces, "march", lambda *_arguments: 0)  # all steps made one by one, so that each is counted
     atoms = with_calculator(argon(), Calculator(lennard_jones(), skin=1.0))
     dynamics = VelocityVerlet(atoms, TIMESTEP)

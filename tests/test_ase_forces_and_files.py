@@ -91,12 +91,16 @@ def test_ase_reads_the_trajectory_that_was_written(name, decimals, store_forces,
     simulation = md.Simulation(argon(2), lennard_jones(), md.VelocityVerlet(TIMESTEP))
     kept = []
     simulation_state = lambda s: kept.append((s.step, s.time, s.positions.copy(), s.velocities.copy(), s.forces.copy()))  # noqa: E731
-    record = simulation.run(25, every=10, trajectory=tmp_path / name, store_forces=store_forces, observers=[simulation_state])
+    record = simulation.run(
+        25, every=10, trajectory=tmp_path / name, store_forces=store_forces, observers=[simulation_state]
+    )
     frames = ase.io.read(tmp_path / name, ":", format="traj" if decimals is None else "extxyz")
     assert len(frames) == len(kept) == 3
     tolerance = 1e-14 if decimals is None else 0.51 * 10.0**-decimals
     masses = simulation.system.masses[:, None]
-    for frame, energy, (step, time, positions, velocities, forces) in zip(frames, record.potential_energy, kept, strict=True):
+    for frame, energy, (step, time, positions, velocities, forces) in zip(
+        frames, record.potential_energy, kept, strict=True
+    ):
         assert (frame.info["step"], frame.info["time"]) == (step, time)
         assert frame.get_potential_energy() == energy
         assert np.array_equal(frame.cell, simulation.system.cell.vectors)

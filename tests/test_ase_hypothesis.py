@@ -52,7 +52,10 @@ def scenes(draw):
     scale = SIGMA * draw(st.floats(0.9, 1.2)) / distance if np.isfinite(distance) else SIGMA
     atoms.set_cell(cell * scale, scale_atoms=False)
     cells_away = draw(st.sampled_from([0, 1, 30]))
-    away = rng.integers(-cells_away, cells_away + 1, (len(places), 3)) * pbc + rng.uniform(-cells_away, cells_away, 3) * ~pbc
+    away = (
+        rng.integers(-cells_away, cells_away + 1, (len(places), 3)) * pbc
+        + rng.uniform(-cells_away, cells_away, 3) * ~pbc
+    )
     atoms.positions = positions * scale + away @ (cell * scale)
     return atoms
 
@@ -66,13 +69,18 @@ def scales(atoms, cutoff):
     virials = np.bincount(i, 24.0 * EPSILON * (s6 + 2.0 * s6**2), len(atoms))
     volume = atoms.get_volume() if atoms.cell.rank == 3 else np.inf
     stress = virials.sum() / volume
-    return dict(zip(PROPERTIES, (energies.sum(), energies.sum(), energies.max(), forces.max(), stress, stress), strict=True))
+    return dict(
+        zip(PROPERTIES, (energies.sum(), energies.sum(), energies.max(), forces.max(), stress, stress), strict=True)
+    )
 
 
 FORMS = {"shifted": {}, "charmm": {"smooth": True}}
 
 
-LAWS = pytest.mark.parametrize("truncation", FORMS), given(atoms=scenes(), cutoff=st.floats(1.31, 3.0), start=st.floats(0.4, 0.95))
+LAWS = (
+    pytest.mark.parametrize("truncation", FORMS),
+    given(atoms=scenes(), cutoff=st.floats(1.31, 3.0), start=st.floats(0.4, 0.95)),
+)
 LISTS = given(atoms=scenes(), cutoff=st.floats(1.31, 3.0))
 
 
@@ -121,7 +129,8 @@ def assert_list_of_ase(atoms, cutoff):
     i, j, d, vectors, shifts = md.neighbor_list("ijdDS", system_from_atoms(atoms), cutoff * SIGMA)
     expected = ase.neighborlist.neighbor_list("ijdDS", atoms, cutoff * SIGMA)
     pairs, expected_pairs = (
-        sorted(zip(a.tolist(), b.tolist(), map(tuple, s.tolist()), strict=True)) for a, b, s in ((i, j, shifts), (*expected[:2], expected[4]))
+        sorted(zip(a.tolist(), b.tolist(), map(tuple, s.tolist()), strict=True))
+        for a, b, s in ((i, j, shifts), (*expected[:2], expected[4]))
     )
     assert pairs == expected_pairs
     order, expected_order = np.lexsort((*shifts.T, j, i)), np.lexsort((*expected[4].T, expected[1], expected[0]))

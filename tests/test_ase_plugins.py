@@ -29,7 +29,10 @@ def installed(tmp_path, monkeypatch):
     """A folder in which minimd is installed as far as entry points go."""
     place = tmp_path / "site" / "minimd-0.dist-info"
     place.mkdir(parents=True)
-    lines = [f"[{group}]\n" + "".join(f"{name} = {target}\n" for name, target in points.items()) for group, points in entry_points().items()]
+    lines = [
+        f"[{group}]\n" + "".join(f"{name} = {target}\n" for name, target in points.items())
+        for group, points in entry_points().items()
+    ]
     (place / "entry_points.txt").write_text("\n".join(lines))
     (place / "METADATA").write_text("Metadata-Version: 2.1\nName: minimd\nVersion: 0\nSummary: installed\n")
     monkeypatch.setenv("PYTHONPATH", str(place.parent), prepend=":")
@@ -38,7 +41,9 @@ def installed(tmp_path, monkeypatch):
 
 
 def answer(code):
-    made = subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True, check=False)
+    made = subprocess.run(
+        [sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True, check=False
+    )
     assert made.returncode == 0, made.stderr
     return made.stdout
 
@@ -46,7 +51,9 @@ def answer(code):
 def define():
     """Make the format known in this process, whether or not minimd is installed with its entry points."""
     if "minimd-h5md" not in ioformats:
-        define_external_io_format(EntryPoint("minimd-h5md", entry_points()["ase.ioformats"]["minimd-h5md"], "ase.ioformats"))
+        define_external_io_format(
+            EntryPoint("minimd-h5md", entry_points()["ase.ioformats"]["minimd-h5md"], "ase.ioformats")
+        )
 
 
 known = pytest.fixture(define, name="known")
@@ -60,7 +67,9 @@ def test_ase_reads_the_frames_of_a_run(tmp_path, known, units):
     record = sim.run(20, every=5, trajectory=tmp_path / "a.h5md", store_forces=True, observers=look)
     frames = ase.io.read(tmp_path / "a.h5md", index=":")
     assert len(frames) == len(seen) == 5
-    for atoms, energy, (step, time, positions, velocities, forces) in zip(frames, record.potential_energy, seen, strict=True):
+    for atoms, energy, (step, time, positions, velocities, forces) in zip(
+        frames, record.potential_energy, seen, strict=True
+    ):
         np.testing.assert_array_equal(atoms.positions, positions)
         np.testing.assert_allclose(atoms.get_velocities(), velocities, rtol=1e-14)
         np.testing.assert_allclose(atoms.get_forces(), forces, rtol=1e-14)
@@ -85,7 +94,13 @@ def test_frames_without_forces_have_none(tmp_path, known):
 
 
 def test_angles_of_a_run_come_back_through_ase(tmp_path, known):
-    system = md.System(2.0 * np.eye(4, 3), masses=1.0, bonds=[[0, 1], [1, 2], [3, 1]], angles=[[0, 1, 2], [2, 1, 3]], units=md.units.ASE)
+    system = md.System(
+        2.0 * np.eye(4, 3),
+        masses=1.0,
+        bonds=[[0, 1], [1, 2], [3, 1]],
+        angles=[[0, 1, 2], [2, 1, 3]],
+        units=md.units.ASE,
+    )
     md.Simulation(system, md.HarmonicBond(1.0, 2.0), md.VelocityVerlet(0.1)).run(0, trajectory=tmp_path / "a.h5md")
     read = md.System.from_ase(ase.io.read(tmp_path / "a.h5md"))
     assert read.bonds.tolist() == system.bonds.tolist()

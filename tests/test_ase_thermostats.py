@@ -30,7 +30,13 @@ NOISY = {
 def gas(n=N):
     """Atoms of two masses, with momenta that add up to a motion of the whole."""
     rng = np.random.default_rng(5)
-    atoms = Atoms("Ar" * (n // 2) + "He" * (n - n // 2), rng.uniform(0.0, 50.0, (n, 3)), cell=[50.0] * 3, pbc=True, calculator=IdealGas())
+    atoms = Atoms(
+        "Ar" * (n // 2) + "He" * (n - n // 2),
+        rng.uniform(0.0, 50.0, (n, 3)),
+        cell=[50.0] * 3,
+        pbc=True,
+        calculator=IdealGas(),
+    )
     atoms.set_momenta(rng.normal(0.5, 1.0, (n, 3)))
     return atoms
 
@@ -76,10 +82,14 @@ def test_the_center_of_mass_that_is_fixed_rests_and_all_else_is_canonical(name):
 def test_fixcm_leaves_the_center_alone_and_gives_ases_thermometer_the_temperature():
     atoms = gas(4)
     momentum = atoms.get_momenta().sum(axis=0)
-    of_center = momentum @ momentum / (2.0 * atoms.get_masses().sum()) / (6.0 * ase.units.kB)  # its share of the thermometer [K]
+    of_center = (
+        momentum @ momentum / (2.0 * atoms.get_masses().sum()) / (6.0 * ase.units.kB)
+    )  # its share of the thermometer [K]
     sample = temperatures(made("Langevin", atoms, fixcm=True), atoms, 800) - of_center
     assert same(atoms.get_momenta().sum(axis=0), momentum, 1e-10)
-    assert sample.mean() == pytest.approx(KELVIN, abs=4.0 * 1.3 * KELVIN * np.sqrt(2.0 / 9.0 / len(sample)))  # 9 degrees, 12 on the thermometer
+    assert sample.mean() == pytest.approx(
+        KELVIN, abs=4.0 * 1.3 * KELVIN * np.sqrt(2.0 / 9.0 / len(sample))
+    )  # 9 degrees, 12 on the thermometer
 
 
 def test_rare_collisions_beside_a_center_at_rest_are_canonical_for_a_few_atoms():

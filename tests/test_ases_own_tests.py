@@ -21,8 +21,22 @@ from pathlib import Path
 import pytest
 
 MODULES = [
-    *(f"md.test_{name}" for name in ("irun_force_call_order", "md", "md_logger", "md_logger_interval", "md_stepwise", "bussi", "langevin_com")),
-    *(f"md.test_{name}" for name in ("langevinbaoab", "idealgas", "position_distribution", "nose_hoover_chain", "fixrotation")),
+    *(
+        f"md.test_{name}"
+        for name in (
+            "irun_force_call_order",
+            "md",
+            "md_logger",
+            "md_logger_interval",
+            "md_stepwise",
+            "bussi",
+            "langevin_com",
+        )
+    ),
+    *(
+        f"md.test_{name}"
+        for name in ("langevinbaoab", "idealgas", "position_distribution", "nose_hoover_chain", "fixrotation")
+    ),
     "forcefields.test_rattle",
     "forcefields.test_rattle_linear",
 ]
@@ -33,8 +47,21 @@ KEPT = f"not ({NOT_OURS}) or NVT or nvt or default"
 
 def run_ases_tests(modules, calculator, folder):
     """The output of pytest on modules of ase.test."""
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "ases_tests_with_minimd", "-W", "ignore:the calculator is"]
-    paths = os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "ases_tests_with_minimd",
+        "-W",
+        "ignore:the calculator is",
+    ]
+    paths = os.pathsep.join(
+        [str(Path(__file__).parent), str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+    )
     environment = os.environ | {"PYTHONPATH": paths, "MINIMD_CALCULATOR": calculator, "OMP_NUM_THREADS": "1"}
     command += ["-k", KEPT, "--pyargs", *(f"ase.test.{module}" for module in modules)]
     return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder, env=environment).stdout

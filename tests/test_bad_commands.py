@@ -12,7 +12,9 @@ from minimd.commands import main as cli
 from minimd.files.h5md_reader import read_file
 
 SCENE = melt_scene(3, 20, "[output]\nevery = 5\n")
-SCENE_OF_A_FILE = SCENE.replace('lattice = "fcc"\nrepeat = [3, 3, 3]\ndensity = 0.8442', 'file = "atoms.xyz"\npbc = true\ncell = [9, 9, 9]')
+SCENE_OF_A_FILE = SCENE.replace(
+    'lattice = "fcc"\nrepeat = [3, 3, 3]\ndensity = 0.8442', 'file = "atoms.xyz"\npbc = true\ncell = [9, 9, 9]'
+)
 
 
 @pytest.fixture
@@ -29,11 +31,36 @@ WRONG_COMMANDS = {
     "missing scene": (None, ["run", "none.toml"], 2, ["scene file 'none.toml' does not exist"]),
     "folder in place of a scene": (None, ["run", "."], 2, ["scene file '.' cannot be read"]),
     "broken TOML": ("a = [", ["run"], 2, ["bad.toml: this is not valid TOML"]),
-    "empty structure file": (SCENE_OF_A_FILE.replace("atoms.xyz", "empty.xyz"), ["run"], 2, ["structure: file 'empty.xyz' cannot be read"]),
-    "structure file that is none": (SCENE_OF_A_FILE.replace("atoms.xyz", "good.toml"), ["run"], 2, ["structure: file 'good.toml' cannot be read"]),
-    "missing structure file": (SCENE_OF_A_FILE.replace("atoms.xyz", "b.xyz"), ["run"], 2, ["structure: file 'b.xyz' does not exist"]),
-    "pbc without cell": (SCENE_OF_A_FILE.replace("cell = [9, 9, 9]", ""), ["run"], 2, ["structure: pbc[0] is True but cell[0] is zero"]),
-    "structure of overlapping atoms": (SCENE_OF_A_FILE.replace("atoms.xyz", "same.xyz"), ["run"], 3, ["atoms 0 and 1, 0 σ apart"]),
+    "empty structure file": (
+        SCENE_OF_A_FILE.replace("atoms.xyz", "empty.xyz"),
+        ["run"],
+        2,
+        ["structure: file 'empty.xyz' cannot be read"],
+    ),
+    "structure file that is none": (
+        SCENE_OF_A_FILE.replace("atoms.xyz", "good.toml"),
+        ["run"],
+        2,
+        ["structure: file 'good.toml' cannot be read"],
+    ),
+    "missing structure file": (
+        SCENE_OF_A_FILE.replace("atoms.xyz", "b.xyz"),
+        ["run"],
+        2,
+        ["structure: file 'b.xyz' does not exist"],
+    ),
+    "pbc without cell": (
+        SCENE_OF_A_FILE.replace("cell = [9, 9, 9]", ""),
+        ["run"],
+        2,
+        ["structure: pbc[0] is True but cell[0] is zero"],
+    ),
+    "structure of overlapping atoms": (
+        SCENE_OF_A_FILE.replace("atoms.xyz", "same.xyz"),
+        ["run"],
+        3,
+        ["atoms 0 and 1, 0 σ apart"],
+    ),
     "unknown element": (
         SCENE.replace('units = "LJ"', "")
         .replace('"fcc"', '"fcc"\nelement = "Ag2"')
@@ -47,10 +74,30 @@ WRONG_COMMANDS = {
         2,
         ["structure: element must be a chemical symbol", "'Ag2'"],
     ),
-    "unknown key": (SCENE.replace("steps", "step"), ["run"], 2, ["dynamics has no key 'step'", "did you mean 'steps'?"]),
-    "wrong unit in a key": (SCENE.replace("timestep", "timestep_ps"), ["run"], 2, ["no key 'timestep_ps'", "did you mean 'timestep'?"]),
-    "unknown unit system": (SCENE.replace('"LJ"', '"lj"').replace("[structure]", "[structure]"), ["run"], 2, ["units must be 'ASE' or 'LJ'", '"lj"']),
-    "negative steps": (SCENE.replace("steps = 20", "steps = -20"), ["run"], 2, ["dynamics.steps must be greater than or equal to 0", "-20"]),
+    "unknown key": (
+        SCENE.replace("steps", "step"),
+        ["run"],
+        2,
+        ["dynamics has no key 'step'", "did you mean 'steps'?"],
+    ),
+    "wrong unit in a key": (
+        SCENE.replace("timestep", "timestep_ps"),
+        ["run"],
+        2,
+        ["no key 'timestep_ps'", "did you mean 'timestep'?"],
+    ),
+    "unknown unit system": (
+        SCENE.replace('"LJ"', '"lj"').replace("[structure]", "[structure]"),
+        ["run"],
+        2,
+        ["units must be 'ASE' or 'LJ'", '"lj"'],
+    ),
+    "negative steps": (
+        SCENE.replace("steps = 20", "steps = -20"),
+        ["run"],
+        2,
+        ["dynamics.steps must be greater than or equal to 0", "-20"],
+    ),
     "cell too hot": (SCENE.replace("1.44", "1e8"), ["run"], 3, ["moves", "timestep 0.004 τ too large"]),
     "unknown suffix": (SCENE, ["run", "--out", "a.pdf"], 2, ["suffix of a trajectory", "'a.pdf'"]),
     "missing output folder": (SCENE, ["run", "--out", "no/a.h5md"], 2, ["no' does not exist"]),
@@ -95,7 +142,9 @@ def test_unwritable_folder_is_told_before_anything_is_computed(folder, capsys, m
 def test_refused_output_leaves_no_empty_files_of_the_others(folder, capsys):
     (folder / "two.toml").write_text(SCENE + 'trajectory = ["new.h5md", "atoms.xyz"]\n')
     assert cli.main(["run", "two.toml"]) == 2
-    assert only_error(capsys) == "output 'atoms.xyz' exists; replace it with --overwrite, write elsewhere with --out FILE"
+    assert (
+        only_error(capsys) == "output 'atoms.xyz' exists; replace it with --overwrite, write elsewhere with --out FILE"
+    )
     assert not (folder / "new.h5md").exists()
 
 

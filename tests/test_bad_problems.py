@@ -37,7 +37,9 @@ ARGUMENTS = {
 
 @pytest.mark.parametrize("name", ARGUMENTS)
 def test_functions_whose_arguments_would_be_mistaken_are_refused(name):
-    with pytest.raises(TypeError, match=r"f must take some of t, q, v, in this order and under these names; it takes \("):
+    with pytest.raises(
+        TypeError, match=r"f must take some of t, q, v, in this order and under these names; it takes \("
+    ):
         SecondOrder(ARGUMENTS[name])
 
 
@@ -50,7 +52,9 @@ def test_functions_of_first_order_problems_take_t_before_y():
         FirstOrder(lambda y: -y, jacobian=lambda y, t: np.eye(1))
 
 
-@pytest.mark.parametrize("kind", [SecondOrder, FirstOrder, lambda f: Partitioned(f, lambda q: q), lambda f: Partitioned(lambda v: v, f)])
+@pytest.mark.parametrize(
+    "kind", [SecondOrder, FirstOrder, lambda f: Partitioned(f, lambda q: q), lambda f: Partitioned(lambda v: v, f)]
+)
 def test_only_functions_are_functions(kind):
     with pytest.raises(TypeError, match=r"must be a function; got 1\.0"):
         kind(1.0)
@@ -62,7 +66,12 @@ def test_only_functions_are_functions(kind):
     [
         (lambda q: q.T, GRID, ValueError, r"f must answer with an array of shape \(2, 3\); got shape \(3, 2\)"),
         (lambda q: 0.0, THREE, ValueError, r"shape \(3,\); got shape \(\)"),
-        (lambda q: -q if q[0] > 0.95 else 0.0, THREE, ValueError, r"shape \(3,\); got shape \(\)"),  # in the middle of a run
+        (
+            lambda q: -q if q[0] > 0.95 else 0.0,
+            THREE,
+            ValueError,
+            r"shape \(3,\); got shape \(\)",
+        ),  # in the middle of a run
         (lambda q: -q[:2], THREE, ValueError, r"shape \(3,\); got shape \(2,\)"),
         (lambda q: None, ONE, TypeError, "f must answer with real numbers; got None"),
         (lambda q: 1j * q, ONE, TypeError, "real numbers"),

@@ -47,9 +47,21 @@ def fakes(monkeypatch):
     monkeypatch.setattr(turns, "perf_counter", lambda: FakeEngine.clock)
     monkeypatch.setattr(peers, "available_cores", lambda: 2)
     monkeypatch.setattr(engines.Peer, "is_installed", True)
-    monkeypatch.setattr(peers, "Minimd", lambda scene, threads, precision: FakeEngine("minimd", threads, precision, OWN_SECONDS[threads, precision]))
-    fast = engines.Peer("fast", lambda scene, threads, timestep: FakeEngine("fast", threads, "single", PEER_SECONDS / threads), threads="each")
-    slow = engines.Peer("slow", lambda scene, threads, timestep: FakeEngine("slow (serial)", 1, "double", ASE_SECONDS), most_atoms=N_ATOMS)
+    monkeypatch.setattr(
+        peers,
+        "Minimd",
+        lambda scene, threads, precision: FakeEngine("minimd", threads, precision, OWN_SECONDS[threads, precision]),
+    )
+    fast = engines.Peer(
+        "fast",
+        lambda scene, threads, timestep: FakeEngine("fast", threads, "single", PEER_SECONDS / threads),
+        threads="each",
+    )
+    slow = engines.Peer(
+        "slow",
+        lambda scene, threads, timestep: FakeEngine("slow (serial)", 1, "double", ASE_SECONDS),
+        most_atoms=N_ATOMS,
+    )
     monkeypatch.setattr(peers, "PEERS", {"fast": fast, "slow": slow})
 
 
@@ -69,7 +81,9 @@ def cells_of(table):
 
 def test_ratios_of_the_table(fakes):
     """Speeds are 256 atoms / seconds of a step; peers are beside double on as many threads, minimd beside double on one."""
-    table = cells_of(markdown(run_peers(PeersOptions(cells=(4,), threads=(1, 2), precisions=("double", "mixed"), repeats=2))))
+    table = cells_of(
+        markdown(run_peers(PeersOptions(cells=(4,), threads=(1, 2), precisions=("double", "mixed"), repeats=2)))
+    )
     assert table == [
         ["minimd", "1", "double", "0.0853 (0.0853 to 0.0853)", "", "1"],
         ["minimd", "1", "mixed", "0.128 (0.128 to 0.128)", "", "1.50 (1.50 to 1.50)"],
@@ -100,7 +114,10 @@ def test_spread_is_over_turns():
     peer = peers.EngineSpeed("peer", 1, "double", "melt", 10, np.array([2e6, 2e6, 1e6]))
     table = cells_of(markdown(peers.Peers("melt", "text", 3, (), [[ours, peer]])))
     assert table[0][3] == "5.00 (4.00 to 6.00)"
-    assert table[1][3:5] == ["2.00 (1.00 to 2.00)", "3.00 (2.00 to 5.00)"]  # the median of ratios, not the ratio of medians
+    assert table[1][3:5] == [
+        "2.00 (1.00 to 2.00)",
+        "3.00 (2.00 to 5.00)",
+    ]  # the median of ratios, not the ratio of medians
 
 
 def test_costs_stand_beside_the_melt_by_atoms_and_by_pairs():
@@ -117,7 +134,10 @@ def test_json_holds_every_turn_and_where_it_was_measured(fakes):
     assert content["machine"]["cores"] >= 1
     assert set(content["versions"]) == {"minimd", "numba", "numpy", "fast", "slow"}
     assert [size["n_atoms"] for size in content["sizes"]] == [256, 500]
-    assert [row["engine"] for row in content["sizes"][1]["rows"]] == ["minimd", "fast"]  # the slow one only if asked for
+    assert [row["engine"] for row in content["sizes"][1]["rows"]] == [
+        "minimd",
+        "fast",
+    ]  # the slow one only if asked for
     own, fast, _ = content["sizes"][0]["rows"]
     assert own["atom_steps_per_second"]["turns"] == pytest.approx([256 / 0.003] * 3)
     assert own["minimd_is_faster_by"] is None
@@ -157,7 +177,10 @@ def test_engines_take_turns(fakes):
     assert speeds == pytest.approx(np.array([[100.0] * 3, [50.0] * 3]))
 
 
-@pytest.mark.parametrize(("energies", "message"), [((-1700.1, -1200.0), "potential energy at step 0"), ((-1700.0, -1199.0), "total energy per atom")])
+@pytest.mark.parametrize(
+    ("energies", "message"),
+    [((-1700.1, -1200.0), "potential energy at step 0"), ((-1700.0, -1199.0), "total energy per atom")],
+)
 def test_peer_with_another_energy_is_refused(fakes, monkeypatch, capsys, energies, message):
     other = engines.Peer("other", lambda scene, threads, timestep: FakeEngine("other", 1, "double", 0.01, energies))
     monkeypatch.setattr(peers, "PEERS", {"other": other})
@@ -173,7 +196,9 @@ def test_an_engine_that_blows_up_is_no_disagreement(fakes, monkeypatch, capsys):
         def run(self, n_steps):
             raise md.NonFiniteError("2 positions are not finite after step 412")
 
-    monkeypatch.setattr(peers, "PEERS", {"other": engines.Peer("other", lambda *_: Exploding("other", 1, "double", 0.01))})
+    monkeypatch.setattr(
+        peers, "PEERS", {"other": engines.Peer("other", lambda *_: Exploding("other", 1, "double", 0.01))}
+    )
     assert cli.main(["bench", "peers", "--cells", "4", "--threads", "1"]) == cli.BLOWN_UP
     assert capsys.readouterr().err.splitlines()[-1] == "minimd: error: 2 positions are not finite after step 412"
 
@@ -194,7 +219,10 @@ def test_names_of_curves_do_not_overlap():
 
     panel = new_figure(4.0).subplots()
     panel.plot([0.0, 1.0], [0.0, 1.0])
-    name_curves(panel, {"a": End(1.0, 0.5, "C0"), "b": End(0.4, 0.5, "C1"), "c": End(1.0, 0.51, "C2"), "d": End(1.0, 0.95, "C3")})
+    name_curves(
+        panel,
+        {"a": End(1.0, 0.5, "C0"), "b": End(0.4, 0.5, "C1"), "c": End(1.0, 0.51, "C2"), "d": End(1.0, 0.95, "C3")},
+    )
     heights = {name.get_text(): name.xyann[1] for name in panel.texts}
     assert list(heights) == ["a", "c", "b", "d"]
     assert min(b - a for a, b in zip(heights.values(), list(heights.values())[1:], strict=False)) > 0.05
@@ -209,12 +237,16 @@ def test_peer_with_another_time_step_is_refused(monkeypatch):
         turns.check_agreement([right, wrong], N_ATOMS)
 
 
-@pytest.mark.parametrize(("name", "scene"), [(name, scene) for name, peer in engines.PEERS.items() for scene in peer.scenes])
+@pytest.mark.parametrize(
+    ("name", "scene"), [(name, scene) for name, peer in engines.PEERS.items() for scene in peer.scenes]
+)
 def test_peers_have_the_same_energies(name, scene):
     if not engines.PEERS[name].is_installed:
         pytest.skip(f"{name} is not installed")
     loaded = scenes.melt(4) if scene == "melt" else scenes.equilibrated(scenes.SCENES[scene](4))
-    turns.check_agreement([engines.Minimd(loaded), engines.PEERS[name].load(loaded, 1, scenes.TIMESTEP)], len(loaded.system))
+    turns.check_agreement(
+        [engines.Minimd(loaded), engines.PEERS[name].load(loaded, 1, scenes.TIMESTEP)], len(loaded.system)
+    )
 
 
 def test_the_names_of_peers_that_the_command_tells_are_those_there_are():
@@ -230,7 +262,20 @@ def test_minimd_is_asked_for_threads_and_precision(monkeypatch):
 
 def test_command_prints_and_writes_the_table(short, capsys, tmp_path):
     folder = tmp_path / "new" / "results"
-    arguments = ["bench", "peers", "--cells", "3,4", "--threads", "1", "--repeats", "1", "--peers", "none", "--out", str(folder)]
+    arguments = [
+        "bench",
+        "peers",
+        "--cells",
+        "3,4",
+        "--threads",
+        "1",
+        "--repeats",
+        "1",
+        "--peers",
+        "none",
+        "--out",
+        str(folder),
+    ]
     assert cli.main(arguments) == 0
     table = (folder / "bench_peers.md").read_text(encoding="utf-8")
     assert capsys.readouterr().out == table
@@ -280,7 +325,10 @@ def test_scaling_runs(short, monkeypatch, tmp_path):
             f"--peers must be one of {command.PEER_NAMES}; it is 'none'",
         ),
         (["--threads", "1,100000"], "--threads 100000 is more than the "),
-        (["--cells", "10,2"], "--cells 2 makes a cell narrower than twice the cutoff in the scene 'melt'; give a larger number"),
+        (
+            ["--cells", "10,2"],
+            "--cells 2 makes a cell narrower than twice the cutoff in the scene 'melt'; give a larger number",
+        ),
         (["--scene", "chains", "--peers", "ase"], "--peers ase cannot run the scene 'chains'; it runs melt"),
     ],
 )
@@ -312,7 +360,8 @@ def test_peer_that_does_not_start_is_named(fakes, monkeypatch):
 
     monkeypatch.setattr(peers, "PEERS", {"broken": engines.Peer("broken", load)})
     with pytest.raises(
-        ValueError, match=r"broken is installed but does not start: libmpi\.so: not found; to leave it out, name the others with --peers"
+        ValueError,
+        match=r"broken is installed but does not start: libmpi\.so: not found; to leave it out, name the others with --peers",
     ):
         run_peers(PeersOptions(cells=(4,), threads=(1,)))
 

@@ -13,7 +13,12 @@ def test_the_front_of_work_precision_is_what_nothing_beats():
     def point(who, seconds, oscillation):
         return work_precision.Point(who, "verlet", 2, 0.01, 100.0, seconds, oscillation, 0.0, np.nan)
 
-    ours = [point("minimd", 1.0, 1e-2), point("minimd", 2.0, 1e-3), point("minimd", 3.0, 2e-3), point("minimd", 0.5, np.inf)]
+    ours = [
+        point("minimd", 1.0, 1e-2),
+        point("minimd", 2.0, 1e-3),
+        point("minimd", 3.0, 2e-3),
+        point("minimd", 0.5, np.inf),
+    ]
     case = work_precision.Case("case", "text", "τ", [*ours, point("peer", 6.0, 1e-3), point("peer", 3.0, 2e-2)])
     assert case.front("oscillation") == ours[:2]
     assert case.advice("oscillation")[1:] == [

@@ -18,7 +18,10 @@ def test_mixture_is_that_of_kob_and_andersen():
     scene = scenes.kob_andersen(5)
     assert len(scene.system) / scene.system.volume == pytest.approx(1.2, rel=1e-12)
     assert (scene.system.species == "B").sum() == 100
-    sizes = {pair: scene.potentials[0].pair_energy([cutoff / 2.5, 2.0 ** (1 / 6) * cutoff / 2.5], *pair) for pair, cutoff in scene.cutoffs.items()}
+    sizes = {
+        pair: scene.potentials[0].pair_energy([cutoff / 2.5, 2.0 ** (1 / 6) * cutoff / 2.5], *pair)
+        for pair, cutoff in scene.cutoffs.items()
+    }
     for pair, (epsilon, sigma) in {("A", "A"): (1.0, 1.0), ("A", "B"): (1.5, 0.8), ("B", "B"): (0.5, 0.88)}.items():
         assert scene.cutoffs[pair] == pytest.approx(2.5 * sigma)
         shift = 4.0 * epsilon * (2.5**-12 - 2.5**-6)

@@ -25,7 +25,17 @@ def read(outer):
     number, inner, (flags, two), whole = outer
     flat, matrix = inner
     row = outer.inner.matrix[1]
-    return number + two + whole + flat[flat.size - 1] + matrix[0, 2] + row[1] + 10.0 * row.size + 100.0 * flags[1] + 1000.0 * outer[1].flat[0]
+    return (
+        number
+        + two
+        + whole
+        + flat[flat.size - 1]
+        + matrix[0, 2]
+        + row[1]
+        + 10.0 * row.size
+        + 100.0 * flags[1]
+        + 1000.0 * outer[1].flat[0]
+    )
 
 
 def outer():
@@ -37,7 +47,9 @@ def test_a_kernel_reads_what_python_reads():
     assert read(outer()) == read.py_func(outer()) == 0.5 + 2.0 + 4 + 0.125 + 2 + 4 + 30.0 + 100.0 + 1000.0
 
 
-@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one)), lambda one: one._replace(whole=7)])
+@pytest.mark.parametrize(
+    "copied", [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one)), lambda one: one._replace(whole=7)]
+)
 def test_a_copy_has_its_own_address(copied):
     first = outer()
     before = read(first)

@@ -28,7 +28,9 @@ def test_reduced_lattice_is_the_same_lattice_with_shorter_vectors(cell):
     steps = cell.reduction[np.ix_(pbc, pbc)]
     assert abs(round(np.linalg.det(steps))) == 1 if pbc.any() else True
     assert np.allclose(cell.reduction[pbc] @ cell.vectors, cell.lattice[pbc])
-    assert np.linalg.norm(cell.lattice[pbc], axis=1).sum() <= np.linalg.norm(cell.vectors[pbc], axis=1).sum() * (1 + 1e-12)
+    assert np.linalg.norm(cell.lattice[pbc], axis=1).sum() <= np.linalg.norm(cell.vectors[pbc], axis=1).sum() * (
+        1 + 1e-12
+    )
     open_rows = cell.lattice[~pbc]
     assert np.allclose(open_rows @ open_rows.T, np.eye(len(open_rows)))
     assert np.allclose(open_rows @ cell.lattice[pbc].T, 0.0)
@@ -38,7 +40,9 @@ def test_reduced_lattice_is_the_same_lattice_with_shorter_vectors(cell):
 def test_minimum_image_is_the_shortest_of_all(cell, seed):
     vector = np.random.default_rng(seed).normal(size=3) * 3.0
     positions, translations = np.array([np.zeros(3), vector]), np.zeros((1, 3))
-    minimum_image_translations(positions, np.array([0]), np.array([1]), cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2, translations)
+    minimum_image_translations(
+        positions, np.array([0]), np.array([1]), cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2, translations
+    )
     found = np.linalg.norm(vector + translations[0])
     around = np.rint(-vector @ cell.inverse) * cell.pbc
     steps = np.array(list(itertools.product(range(-4, 5), repeat=3))) * cell.pbc

@@ -17,8 +17,17 @@ def simulation(units=md.units.LJ, pbc=(True, True, True)):
     sites = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), -1).reshape(-1, 3)
     sigma, epsilon, timestep, temperature = (1.0, 1.0, 0.002, 0.6) if units is md.units.LJ else (3.4, 0.0104, 0.2, 70.0)
     cell = 4.4 * sigma if any(pbc) else None
-    system = md.System(1.1 * sigma * sites, masses=1.0 if units is md.units.LJ else 39.948, cell=cell, pbc=pbc, species=["Ar"] * 64, units=units)
-    made = md.Simulation(system, md.LennardJones(epsilon, sigma, 2.0 * sigma, truncation="force-shifted"), md.VelocityVerlet(timestep))
+    system = md.System(
+        1.1 * sigma * sites,
+        masses=1.0 if units is md.units.LJ else 39.948,
+        cell=cell,
+        pbc=pbc,
+        species=["Ar"] * 64,
+        units=units,
+    )
+    made = md.Simulation(
+        system, md.LennardJones(epsilon, sigma, 2.0 * sigma, truncation="force-shifted"), md.VelocityVerlet(timestep)
+    )
     made.set_temperature(temperature, seed=8)
     return made
 
@@ -39,13 +48,22 @@ def spoiled(run_file, tmp_path):
 
 
 @pytest.mark.parametrize("units", [md.units.LJ, md.units.ASE], ids=lambda units: units.name)
-@pytest.mark.parametrize("pbc", [(True, True, True), (True, True, False), (False, False, False)], ids=["bulk", "slab", "cluster"])
+@pytest.mark.parametrize(
+    "pbc", [(True, True, True), (True, True, False), (False, False, False)], ids=["bulk", "slab", "cluster"]
+)
 def test_good_run_passes_with_figures_and_tolerances(tmp_path, units, pbc):
     simulation(units, pbc).run(200, every=5, trajectory=tmp_path / "a.h5md")
     found = check_file(tmp_path / "a.h5md")
     assert found.passed, str(found)
     text = str(found)
-    figures = "41 frames", "steps 0 to 200", "MDAnalysis", "tolerance 6e-08", "tolerance 1e-06", "restarts are those that were written"
+    figures = (
+        "41 frames",
+        "steps 0 to 200",
+        "MDAnalysis",
+        "tolerance 6e-08",
+        "tolerance 1e-06",
+        "restarts are those that were written",
+    )
     for words in (*figures, "verdict", "check          passed"):
         assert words in text
     assert ("ang. momentum" in text) == (not any(pbc))
@@ -99,7 +117,9 @@ def test_drifting_energy_fails(spoiled):
         drift = np.linspace(0.0, 20.0, 81)
         for name in ("potential_energy", "total_energy"):
             h5[f"observables/{name}/value"][...] += drift
-        h5["observables/total_energy/value"][...] = h5["observables/potential_energy/value"][...] + h5["observables/kinetic_energy/value"][...]
+        h5["observables/total_energy/value"][...] = (
+            h5["observables/potential_energy/value"][...] + h5["observables/kinetic_energy/value"][...]
+        )
     found = check_file(spoiled)
     assert all(one.passed for one in found.comparisons if one.name != "checksums")
     assert not found.passed
@@ -179,6 +199,8 @@ def test_a_file_is_read_once(run_file, tmp_path, monkeypatch, look):
     path.write_bytes(run_file.read_bytes())
     for place, name in ((h5md_reader, "opened"), (H5MDReader, "__init__")):
         original = getattr(place, name)
-        monkeypatch.setattr(place, name, lambda *a, name=name, original=original, **k: calls.append(name) or original(*a, **k))
+        monkeypatch.setattr(
+            place, name, lambda *a, name=name, original=original, **k: calls.append(name) or original(*a, **k)
+        )
     look(path)
     assert calls == ["opened", "__init__"]  # the look at the checksums is a child's

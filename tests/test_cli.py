@@ -39,7 +39,9 @@ def folder(tmp_path, monkeypatch):
 def command(*arguments, **keywords):
     """The command in a process of its own."""
     environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
-    return subprocess.Popen([sys.executable, "-m", "minimd.commands.main", *arguments], env=environment, text=True, **keywords)
+    return subprocess.Popen(
+        [sys.executable, "-m", "minimd.commands.main", *arguments], env=environment, text=True, **keywords
+    )
 
 
 def answer(*arguments, **keywords):
@@ -60,18 +62,29 @@ def wait_for_frames(process, file):
     pytest.fail(f"{file} has no frames after 100 s; the process ended with {process.poll()}")
 
 
-@pytest.mark.parametrize(("option", "told"), [("--version", f"minimd {md.__version__}\n"), ("--help", "usage: minimd [-h] [--version] command ...")])
+@pytest.mark.parametrize(
+    ("option", "told"),
+    [("--version", f"minimd {md.__version__}\n"), ("--help", "usage: minimd [-h] [--version] command ...")],
+)
 def test_version_and_help_are_told_quickly_and_without_loading_anything(option, told):
     code = (
         f"import sys; from minimd.commands.main import main\ntry: main(['{option}'])\n"
         "except SystemExit as end: assert end.code == 0\n"
         "heavy = {'ase', 'MDAnalysis', 'matplotlib', 'h5py', 'pydantic', 'tqdm'} & set(sys.modules); assert not heavy, heavy"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": str(REPOSITORY)})
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+    )
     assert (done.returncode, done.stdout.startswith(told), done.stderr) == (0, True, "")
 
 
-@pytest.mark.parametrize("name", ["run", "scan", "resume", "check", "plot", "view", "frames", "archive", "bench", "doctor"])
+@pytest.mark.parametrize(
+    "name", ["run", "scan", "resume", "check", "plot", "view", "frames", "archive", "bench", "doctor"]
+)
 def test_each_command_describes_itself_in_a_sentence(name, capsys):
     with pytest.raises(SystemExit):
         cli.main([name, "--help"])
@@ -89,7 +102,15 @@ def test_without_a_command_there_is_help(capsys):
 def test_run_tells_what_it_does_and_what_to_do_next(folder, capsys):
     assert cli.main(["run", "melt.toml"]) == 0
     out, err = capsys.readouterr()
-    for words in ("A small melt", "256 atoms", "force-shifted", "40 steps = 0.16 τ", "verdict", "written        melt.h5md", "minimd check melt.h5md"):
+    for words in (
+        "A small melt",
+        "256 atoms",
+        "force-shifted",
+        "40 steps = 0.16 τ",
+        "verdict",
+        "written        melt.h5md",
+        "minimd check melt.h5md",
+    ):
         assert words in out
     assert err.count("running: step") == 4  # no terminal, so lines: one at each of the four observations
 
@@ -168,7 +189,9 @@ def test_resumed_run_is_the_uninterrupted_one(folder):
     assert parts.step == whole.step == 60
     assert parts.record.step.tolist() == whole.record.step.tolist()
     assert parts.time == pytest.approx(0.24)
-    assert parts.record.total_energy == pytest.approx(whole.record.total_energy, rel=1e-13)  # rounding: other list, other sums
+    assert parts.record.total_energy == pytest.approx(
+        whole.record.total_energy, rel=1e-13
+    )  # rounding: other list, other sums
     assert np.abs(parts.system.positions - whole.system.positions).max() < 1e-12  # rounding, grown over 30 steps
     assert np.abs(parts.system.positions - load_scene("melt.toml").system().positions).max() > 1e-3  # atoms moved
 
@@ -230,7 +253,13 @@ def test_resume_without_a_stored_scene_asks_for_one(folder, capsys):
     assert read_file("bare.h5md").step == 20
 
 
-STRANGE = {"escape": "\x1b[31mred", "return": "a\rb", "bell": "\a", "title of a window": "\x9d0;x\x9c", "reordered": "\u202egnp"}
+STRANGE = {
+    "escape": "\x1b[31mred",
+    "return": "a\rb",
+    "bell": "\a",
+    "title of a window": "\x9d0;x\x9c",
+    "reordered": "\u202egnp",
+}
 
 
 @pytest.mark.parametrize("kind", STRANGE)
@@ -283,7 +312,11 @@ def test_plot_writes_a_picture_and_says_so(folder, capsys):
 
 
 def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsys):
-    Path("melt.toml").write_text(SCENE.replace("timestep = 0.004", "timestep = 0.025").replace("1.44", "50.0").replace("steps = 40", "steps = 4000"))
+    Path("melt.toml").write_text(
+        SCENE.replace("timestep = 0.004", "timestep = 0.025")
+        .replace("1.44", "50.0")
+        .replace("steps = 40", "steps = 4000")
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         assert cli.main(["run", "melt.toml"]) == 3

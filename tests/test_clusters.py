@@ -2,7 +2,20 @@
 
 import numpy as np
 import pytest
-from cluster_scenes import CUTOFF, KINDS, SKIN, SMOOTH, agree, atoms_per_domain, evaluated, n_domains, pair_laws, rod, scenes, summed
+from cluster_scenes import (
+    CUTOFF,
+    KINDS,
+    SKIN,
+    SMOOTH,
+    agree,
+    atoms_per_domain,
+    evaluated,
+    n_domains,
+    pair_laws,
+    rod,
+    scenes,
+    summed,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from references import brute_force_pairs, liquid, melt
@@ -35,7 +48,12 @@ POTENTIALS = SMOOTH | {
     "shifted, exclusions": [md.LennardJones(KINDS, cutoff=CUTOFF, bonded_scale=(0.0, 0.3, 0.8))],
     "two laws": [md.LennardJones(1.0, 1.0, 1.6), md.PairPotential(soft, (3.0,), CUTOFF)],
 }
-ALIKE = ("cutoffs by pair", "shifted", "shifted, exclusions", "two laws")  # to the kernel these are combinations of the others
+ALIKE = (
+    "cutoffs by pair",
+    "shifted",
+    "shifted, exclusions",
+    "two laws",
+)  # to the kernel these are combinations of the others
 
 
 def both_lists(system, potentials, options=SKINNED):
@@ -43,7 +61,9 @@ def both_lists(system, potentials, options=SKINNED):
     return ClusterTerm(system, laws, options), PairListTerm(system, laws, BARE)
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name in ALIKE else ()) for name in POTENTIALS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in ALIKE else ()) for name in POTENTIALS]
+)
 @given(system=scenes(), seed=st.integers(0, 2**32 - 1), atoms=st.sampled_from([5, 40, 800]))
 @settings(max_examples=40)
 def test_clusters_and_pairs_are_the_same_physics(name, system, seed, atoms):
@@ -78,7 +98,9 @@ def test_layers_of_rows_follow_the_motion_and_change_no_bit():
         rows = clustered.list.arrays.rows
         n_slots = clustered.list.n_clusters * clustered.list.lanes.size
         n_entries.append(int((rows.stops[rows.layers[0] - 1] - rows.start)[:n_slots].sum()))
-    assert n_entries[0] == n_entries[1] < n_entries[2] == n_entries[3] == n_entries[4]  # once taken into use, a layer is kept
+    assert (
+        n_entries[0] == n_entries[1] < n_entries[2] == n_entries[3] == n_entries[4]
+    )  # once taken into use, a layer is kept
     assert (clustered.list.n_builds, whole.list.n_builds) == (1, 1)
 
 
@@ -124,7 +146,11 @@ def test_memory_follows_the_number_of_clusters(pbc):
         assert a[0] == pytest.approx(b[0], rel=1e-11, abs=1e-11)
         memory, needed, block = clustered.list.memory, len(clustered.list.ghosts.owner), clustered.list.lanes.size * 3
         n_ghosts, n_blocks = clustered.list.n_ghosts, int(clustered.list.domains.numbers[BLOCKS])
-        assert (len(memory.coordinates), n_ghosts <= needed, n_blocks * block <= len(memory.forces)) == (needed * block, True, True)
+        assert (len(memory.coordinates), n_ghosts <= needed, n_blocks * block <= len(memory.forces)) == (
+            needed * block,
+            True,
+            True,
+        )
         numbers.add(needed)
     assert len(numbers) > 1
 
@@ -139,11 +165,15 @@ def test_excluded_pairs_may_sit_on_each_other_in_clusters_too():
 
 def test_rule_which_list_a_scene_gets():
     def kind(system, potential, **options):
-        return type(md.Simulation(system, potential, md.VelocityVerlet(0.001), **options).engine.interactions.terms[0]).__name__
+        return type(
+            md.Simulation(system, potential, md.VelocityVerlet(0.001), **options).engine.interactions.terms[0]
+        ).__name__
 
     assert kind(liquid(5), md.LennardJones(1.0, 1.0, 2.5)) == "ClusterTerm"
     assert kind(liquid(2), md.LennardJones(1.0, 1.0, 1.2)) == "ClusterTerm"
-    assert kind(md.System(liquid(2).positions[:-1], cell=liquid(2).cell), md.LennardJones(1.0, 1.0, 1.2)) == "PairListTerm"  # few atoms
+    assert (
+        kind(md.System(liquid(2).positions[:-1], cell=liquid(2).cell), md.LennardJones(1.0, 1.0, 1.2)) == "PairListTerm"
+    )  # few atoms
     assert kind(liquid(5), md.LennardJones(1.0, 1.0, 8.4)) == "PairListTerm"  # cell too small
     assert kind(liquid(5), md.PairPotential(soft, (1.0,), 2.5)) == "ClusterTerm"
     assert kind(liquid(5), md.PairPotential(branching, (1.0,), 2.5)) == "PairListTerm"  # cannot run on vectors
@@ -183,7 +213,9 @@ def test_melt_per_atom_energies_come_from_the_pair_list():
 @pytest.mark.parametrize("pbc", [True, (True, False, False), (False, True, True), False])
 def test_chunks_change_nothing_but_rounding(atoms, pbc):
     system = rod()
-    system = md.System(system.positions, cell=md.Cell.of(system.cell.vectors, pbc), species=system.species, bonds=system.bonds)
+    system = md.System(
+        system.positions, cell=md.Cell.of(system.cell.vectors, pbc), species=system.species, bonds=system.bonds
+    )
     with atoms_per_domain(atoms):
         clustered, listed = both_lists(system, POTENTIALS["exclusions"])
         agree(clustered, listed, system, EQUAL)
@@ -194,7 +226,10 @@ def test_one_thread_keeps_the_forces_of_few_domains_and_sums_the_same():
     """Forces of a domain take the place of those that are needed no more; two threads keep all of them."""
     system = rod()
     with atoms_per_domain(40):
-        alone, together = (ClusterTerm(system, pair_laws(system, POTENTIALS["exclusions"]), Options(skin=SKIN, threads=n)) for n in (1, 2))
+        alone, together = (
+            ClusterTerm(system, pair_laws(system, POTENTIALS["exclusions"]), Options(skin=SKIN, threads=n))
+            for n in (1, 2)
+        )
         for detail in (TOTALS, PER_ATOM):
             for a, b in zip(summed(alone, system, detail), summed(together, system, detail), strict=True):
                 assert np.array_equal(a, b)
@@ -205,7 +240,9 @@ def test_one_thread_keeps_the_forces_of_few_domains_and_sums_the_same():
 
 def lennard_jones_by_hand(system, cutoff):
     """Forces, energies and virials of all atoms, shifted Lennard-Jones, each pair from both sides."""
-    pairs = np.array(sorted(brute_force_pairs(system.positions, system.cell.vectors, system.cell.pbc, cutoff)), dtype=int).reshape(-1, 5)
+    pairs = np.array(
+        sorted(brute_force_pairs(system.positions, system.cell.vectors, system.cell.pbc, cutoff)), dtype=int
+    ).reshape(-1, 5)
     first, second, shifts = pairs[:, 0], pairs[:, 1], pairs[:, 2:]
     r = system.positions[second] - system.positions[first] + shifts @ system.cell.vectors
     s6 = (r**2).sum(axis=1) ** -3.0
@@ -227,9 +264,14 @@ def test_padding_has_no_weight(n, precision):
         potential = md.LennardJones(1.0, 1.0, CUTOFF)
         clustered = ClusterTerm(system, pair_laws(system, [potential]), Options(1, precision, skin=SKIN))
         got, expected = evaluated(clustered, system, PER_ATOM), lennard_jones_by_hand(system, CUTOFF)
-        assert (clustered.list.clusters.filled[: clustered.list.n_clusters].sum(), len(clustered.list.clusters.column_start)) == (n, 2)
+        assert (
+            clustered.list.clusters.filled[: clustered.list.n_clusters].sum(),
+            len(clustered.list.clusters.column_start),
+        ) == (n, 2)
         for a, b in zip(got, expected, strict=True):
-            assert a == pytest.approx(b, abs=(EQUAL if precision == "double" else 1e-5) * max(1.0, np.abs(b).max()), rel=0)
+            assert a == pytest.approx(
+                b, abs=(EQUAL if precision == "double" else 1e-5) * max(1.0, np.abs(b).max()), rel=0
+            )
 
 
 def towards_a_partner(system):

@@ -24,7 +24,9 @@ print(sum(loop.stats.cache_hits.values()), sum(loop.stats.cache_misses.values())
 def run(environment, code=RUN):
     clean = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME")}
     clean["PYTHONPATH"] = str(Path(minimd.__file__).parents[1])
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env={**clean, **environment})
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env={**clean, **environment}
+    )
 
 
 def test_second_process_compiles_nothing(tmp_path):
@@ -41,7 +43,10 @@ def test_a_home_that_cannot_be_written_is_no_obstacle(tmp_path):
 
 def test_two_processes_that_start_on_an_empty_cache_compile_once(tmp_path):
     clean = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(minimd.__file__).parents[1])}
-    both = [subprocess.Popen([sys.executable, "-c", RUN], env=clean, stdout=subprocess.PIPE, stderr=subprocess.PIPE) for _ in range(2)]
+    both = [
+        subprocess.Popen([sys.executable, "-c", RUN], env=clean, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        for _ in range(2)
+    ]
     misses = 0
     for process in both:
         out, errors = process.communicate(timeout=200)
@@ -67,7 +72,8 @@ except numba.TypingError:
 """
     (tmp_path / "script.py").write_text(code)
     answer = run(
-        {"NUMBA_CACHE_DIR": str(tmp_path)}, f"exec(compile(open({str(tmp_path / 'script.py')!r}).read(), {str(tmp_path / 'script.py')!r}, 'exec'))"
+        {"NUMBA_CACHE_DIR": str(tmp_path)},
+        f"exec(compile(open({str(tmp_path / 'script.py')!r}).read(), {str(tmp_path / 'script.py')!r}, 'exec'))",
     )
     assert answer.stdout == "free\n", answer.stderr
 
@@ -182,12 +188,16 @@ def folder_of_cache(base, monkeypatch):
 @POSIX
 @pytest.mark.parametrize("mode", [0o777, 0o775, 0o722])
 @pytest.mark.parametrize("opened", ["a", "a/b", "a/b/c"])
-def test_a_cache_that_others_can_change_is_refused_whichever_folder_on_the_way_is_open(opened, mode, tmp_path, monkeypatch):
+def test_a_cache_that_others_can_change_is_refused_whichever_folder_on_the_way_is_open(
+    opened, mode, tmp_path, monkeypatch
+):
     place = tmp_path / "a" / "b" / "c"
     place.mkdir(parents=True)
     assert folder_of_cache(place, monkeypatch).parent == place
     (tmp_path / opened).chmod(mode)
-    with pytest.warns(UserWarning, match=f"compiled code is not kept in {place}, because other users can change {tmp_path / opened}; "):
+    with pytest.warns(
+        UserWarning, match=f"compiled code is not kept in {place}, because other users can change {tmp_path / opened}; "
+    ):
         assert folder_of_cache(place, monkeypatch) is None
 
 
@@ -258,7 +268,9 @@ def test_without_a_cache_kernels_are_compiled_all_the_same(tmp_path):
 
 
 @pytest.mark.parametrize("n_replaced", [0, 1, 2])
-def test_a_process_killed_between_two_files_of_the_cache_leaves_no_code_of_another_signature(n_replaced, tmp_path, monkeypatch):
+def test_a_process_killed_between_two_files_of_the_cache_leaves_no_code_of_another_signature(
+    n_replaced, tmp_path, monkeypatch
+):
     """Code lies there from an earlier state of the source, which the index does not name any more."""
     CodeFiles(str(tmp_path), "twice", "earlier").save("integers", "code for integers")
     replace, files = os.replace, CodeFiles(str(tmp_path), "twice", "now")

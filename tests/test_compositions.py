@@ -11,8 +11,28 @@ import pytest
 from references import liquid
 
 import minimd as md
-from minimd.integrators import PEFRL, SE1, SE2, SPLITTINGS, Drift, Kick, Leapfrog, PositionVerlet, Splitting, State, VelocityVerlet, compose
-from minimd.integrators.splitting.compositions import BlanesMoan4, CandyRozmus4, KahanLi8, McLachlanAtela4, Suzuki4, Yoshida6
+from minimd.integrators import (
+    PEFRL,
+    SE1,
+    SE2,
+    SPLITTINGS,
+    Drift,
+    Kick,
+    Leapfrog,
+    PositionVerlet,
+    Splitting,
+    State,
+    VelocityVerlet,
+    compose,
+)
+from minimd.integrators.splitting.compositions import (
+    BlanesMoan4,
+    CandyRozmus4,
+    KahanLi8,
+    McLachlanAtela4,
+    Suzuki4,
+    Yoshida6,
+)
 from minimd.integrators.splitting.order_conditions import (
     lyndon_words,
     nystrom_order,
@@ -142,7 +162,9 @@ def exact_residuals(row, order):
 @pytest.mark.parametrize("method", [method for method in HIGHER if method.order < 6])
 def test_order_conditions_in_rational_numbers_are_those_in_floating_point(method):
     for order in range(1, 6):
-        assert separable_residuals(method.sequence(), order) == pytest.approx(exact_residuals(method.sequence(), order), abs=4e-16)
+        assert separable_residuals(method.sequence(), order) == pytest.approx(
+            exact_residuals(method.sequence(), order), abs=4e-16
+        )
 
 
 def test_fourteen_digits_of_the_pefrl_constants_are_proved():
@@ -229,12 +251,18 @@ def test_slope_on_a_kepler_orbit_around_the_pericentre(method):
     orbit = REFERENCE["kepler"]
     exact = np.array([*orbit["q"], *orbit["p"]], dtype=float)
     steps = {2: 4000, 4: 1000, 6: 600, 8: 100}[ORDERS[method.name]]
-    errors = [np.linalg.norm(end(method, kepler, (0.4, 0.0), (0.0, 2.0), 7.5, n) - exact) for n in (steps, 3 * steps // 2)]
+    errors = [
+        np.linalg.norm(end(method, kepler, (0.4, 0.0), (0.0, 2.0), 7.5, n) - exact) for n in (steps, 3 * steps // 2)
+    ]
     assert np.log(errors[0] / errors[1]) / np.log(1.5) == pytest.approx(ORDERS[method.name], abs=0.1)  # truncation
 
 
 def test_blanes_moan_has_the_smallest_error_per_force_evaluation_of_order_four():
-    costs = {method: henon_heiles_error(method, 120) * method.stages**4 for method in SPLITTINGS.values() if method.order == 4}
+    costs = {
+        method: henon_heiles_error(method, 120) * method.stages**4
+        for method in SPLITTINGS.values()
+        if method.order == 4
+    }
     assert min(costs, key=costs.__getitem__) is BlanesMoan4
     assert 100 * costs[BlanesMoan4] < 10 * costs[Suzuki4] < costs[CandyRozmus4] * 2
 
@@ -245,13 +273,17 @@ def test_energy_error_of_a_droplet_falls_with_the_order_of_the_method(method):
     dt = {1: 0.001, 2: 0.004, 3: 0.004, 4: 0.008, 6: 0.008, 8: 0.02}[ORDERS[method.name]]
 
     def largest_error(dt):
-        simulation = md.Simulation(md.System(liquid(2, jitter=0.02).positions), md.LennardJones(1.0, 1.0, 100.0), method(dt))
+        simulation = md.Simulation(
+            md.System(liquid(2, jitter=0.02).positions), md.LennardJones(1.0, 1.0, 100.0), method(dt)
+        )
         simulation.set_temperature(0.3, seed=5)
         n_steps = round(1.0 / dt)
         energy = simulation.run(n_steps, every=n_steps // 25).total_energy
         return np.abs(energy - energy[0]).max()
 
-    assert np.log2(largest_error(dt) / largest_error(dt / 2)) == pytest.approx(ORDERS[method.name], abs=0.2)  # truncation
+    assert np.log2(largest_error(dt) / largest_error(dt / 2)) == pytest.approx(
+        ORDERS[method.name], abs=0.2
+    )  # truncation
 
 
 @pytest.mark.parametrize("method", SPLITTINGS.values())

@@ -23,7 +23,9 @@ COUPLINGS = ["isotropic", "z", "xy", "triclinic"]
 
 
 def barostat(**changes):
-    return md.StochasticCellRescaling(**{"pressure": 1.0, "compressibility": 0.05, "relaxation_time": 0.5, "seed": 3, "every": 5} | changes)
+    return md.StochasticCellRescaling(
+        **{"pressure": 1.0, "compressibility": 0.05, "relaxation_time": 0.5, "seed": 3, "every": 5} | changes
+    )
 
 
 def wrapped_dumbbells():
@@ -63,7 +65,11 @@ SCENES = {"pair list": lambda: step_scenes.fcc(1.7), "bonds": step_scenes.bead_m
 def at_pressure(scene, method=None, temperature=0.8, **changes):
     system, laws, constraints = SCENES[scene]()
     simulation = md.Simulation(
-        system, laws, method or md.LangevinBAOAB(0.003, temperature, 1.0, 2), constraints, barostat=barostat(**{"temperature": temperature} | changes)
+        system,
+        laws,
+        method or md.LangevinBAOAB(0.003, temperature, 1.0, 2),
+        constraints,
+        barostat=barostat(**{"temperature": temperature} | changes),
     )
     simulation.set_temperature(temperature, 1)
     return simulation
@@ -110,7 +116,9 @@ def test_forces_in_a_strained_cell_are_those_of_new_lists(scene, coupling):
 @pytest.mark.parametrize("scene", SCENES)
 def test_what_the_barostat_gives_is_what_the_energy_gains(scene, coupling):
     """Without noise and far from the pressure, H is kept while E changes: the virial, of molecules too, is the derivative of the energy."""
-    simulation = at_pressure(scene, md.VelocityVerlet(0.0005), 0.5, pressure=30.0, relaxation_time=0.25, coupling=coupling, every=2)
+    simulation = at_pressure(
+        scene, md.VelocityVerlet(0.0005), 0.5, pressure=30.0, relaxation_time=0.25, coupling=coupling, every=2
+    )
     record = simulation.run(60, every=2, progress=False)
     enthalpy = record.total_energy + 30.0 * record.volume
     assert np.ptp(record.volume) > 0.002 * record.volume[0]
@@ -136,7 +144,9 @@ class Clock(md.Term):
 
 def atom_with_clock(**changes):
     clock, bath = Clock(), barostat(**{"temperature": 0.8, "relaxation_time": 50.0} | changes)
-    return md.Simulation(md.System([[0.0, 0.0, 0.0]], cell=[3.0] * 3), clock, md.VelocityVerlet(0.1), barostat=bath), clock
+    return md.Simulation(
+        md.System([[0.0, 0.0, 0.0]], cell=[3.0] * 3), clock, md.VelocityVerlet(0.1), barostat=bath
+    ), clock
 
 
 def test_forces_that_depend_on_time_are_those_of_the_step_of_the_strain():
@@ -156,7 +166,9 @@ def test_heat_capacity_and_expansion_at_the_pressure_of_the_barostat():
 
 
 @pytest.mark.parametrize(
-    "method", [md.LangevinBAOAB(0.003, 0.8, 1.0, 2), md.StochasticVelocityRescaling(0.003, 0.8, 0.1, 2)], ids=lambda one: one.name
+    "method",
+    [md.LangevinBAOAB(0.003, 0.8, 1.0, 2), md.StochasticVelocityRescaling(0.003, 0.8, 0.1, 2)],
+    ids=lambda one: one.name,
 )
 def test_a_file_tells_volume_and_pressure_as_the_report_does_with_the_error_of_a_mean(method, tmp_path):
     simulation = at_pressure("pair list", method)
@@ -165,7 +177,9 @@ def test_a_file_tells_volume_and_pressure_as_the_report_does_with_the_error_of_a
         [str(line) for line in one.lines if line.name in ("volume", "pressure")]
         for one in (simulation.report(), check_file(tmp_path / "a.h5md").report)
     )
-    center = 0.0 if method.name == "langevin-baoab" else 2.0 * record.kinetic_energy / (simulation.n_dof * record.volume)
+    center = (
+        0.0 if method.name == "langevin-baoab" else 2.0 * record.kinetic_energy / (simulation.n_dof * record.volume)
+    )
     assert found == told
     assert f" {with_error(*mean_and_error(record.pressure + center))} " in told[1]
     assert told[1].endswith(("wanted: reached", "NOT REACHED; equilibrate longer"))
@@ -175,14 +189,22 @@ def judged(pressure, volume, energy):
     """The report of a run with a barostat at pressure 1, from its series."""
     n = len(pressure)
     flat, none = np.ones(n), np.zeros((n, 3))
-    series = {"step": np.arange(n), "time": np.arange(float(n)), "pressure": pressure, "volume": volume, "temperature": flat}
+    series = {
+        "step": np.arange(n),
+        "time": np.arange(float(n)),
+        "pressure": pressure,
+        "volume": volume,
+        "temperature": flat,
+    }
     series |= {"potential_energy": flat, "kinetic_energy": flat, "total_energy": 2.0 * flat, "conserved_energy": energy}
     series |= {"momentum": none, "angular_momentum": none, "absolute_momentum": flat, "absolute_angular_momentum": flat}
     record = Record.of(md.units.LJ, 8, series)
     return conservation_report(record, angular=False, lines=tuple(pressure_lines(record, barostat(), False)))
 
 
-@pytest.mark.parametrize(("n_errors", "is_reached"), [(0.0, True), (2.5, True), (-3.43, False), (3.43, False), (6.0, False)])
+@pytest.mark.parametrize(
+    ("n_errors", "is_reached"), [(0.0, True), (2.5, True), (-3.43, False), (3.43, False), (6.0, False)]
+)
 def test_a_pressure_is_reached_within_three_standard_errors(n_errors, is_reached):
     """3.43 : 1.48 ± 0.14, 1 wanted."""
     noise = np.random.default_rng(1).normal(size=200)
@@ -190,14 +212,19 @@ def test_a_pressure_is_reached_within_three_standard_errors(n_errors, is_reached
     report = judged(1.0 + noise - mean + n_errors * error, 100.0 + 0.1 * noise, np.ones(200))
     assert [line.is_good for line in report.lines] == [True, is_reached]
     for name in ("pressure", "P"):  # no name decides
-        assert replace(report, lines=tuple(replace(line, name=name) for line in report.lines)).is_far_from_pressure is not is_reached
+        assert (
+            replace(report, lines=tuple(replace(line, name=name) for line in report.lines)).is_far_from_pressure
+            is not is_reached
+        )
 
 
 @pytest.mark.parametrize("where", ["volume", "pressure", "neither"])
 def test_an_energy_that_drifts_on_the_way_to_a_pressure_is_not_blamed_on_the_step(where):
     """The volume grows by a quarter as exp(−t) does; or the pressure is 3 for 1."""
     rng = np.random.default_rng(1)
-    volume = 100.0 + rng.normal(size=200) + (25.0 * (1.0 - np.exp(-np.arange(200.0) / 40.0)) if where == "volume" else 0.0)
+    volume = (
+        100.0 + rng.normal(size=200) + (25.0 * (1.0 - np.exp(-np.arange(200.0) / 40.0)) if where == "volume" else 0.0)
+    )
     pressure = rng.normal(size=200) + (3.0 if where == "pressure" else 1.0)
     report = judged(pressure, volume, np.arange(200.0) + 0.01 * rng.normal(size=200))
     assert report.energy_is_conserved is False
@@ -208,7 +235,9 @@ def test_an_energy_that_drifts_on_the_way_to_a_pressure_is_not_blamed_on_the_ste
 
 def test_a_file_tells_that_a_liquid_has_evaporated():
     series = {"volume": np.geomspace(1.0, 9.0, 20), "pressure": np.ones(20)}
-    (line,) = pressure_lines(Record.of(md.units.LJ, 8, {"step": np.arange(20), "time": np.arange(20.0)} | series), barostat(), False)
+    (line,) = pressure_lines(
+        Record.of(md.units.LJ, 8, {"step": np.arange(20), "time": np.arange(20.0)} | series), barostat(), False
+    )
     assert "EVAPORATED" in str(line)
 
 
@@ -272,7 +301,9 @@ def test_every_file_has_the_cell_of_every_frame(tmp_path):
     topology = MDAnalysis.Universe.empty(len(simulation.system), trajectory=False)
     for name in ["run.h5md", *names[3:]]:
         universe = (
-            minimd.mdanalysis.universe(tmp_path / name) if name.endswith("h5md") else MDAnalysis.Universe(topology._topology, str(tmp_path / name))
+            minimd.mdanalysis.universe(tmp_path / name)
+            if name.endswith("h5md")
+            else MDAnalysis.Universe(topology._topology, str(tmp_path / name))
         )
         volumes = [float(ts.volume) for ts in universe.trajectory]
         assert volumes == pytest.approx(record.volume, rel=1e-4 if name.endswith("xtc") else 1e-6)  # float32
@@ -283,8 +314,12 @@ def test_a_sheared_crystal_without_heat_finds_the_lattice_constant_of_least_ener
     positions, edges = md.lattice.crystal("fcc", [3, 3, 3], 1.6)
     shear = np.array([[1.0, 0.0, 0.0], [0.05, 1.02, 0.0], [-0.03, 0.02, 0.99]])
     law = md.LennardJones(1.0, 1.0, cutoff=2.2, truncation="switched")
-    slow = barostat(pressure=0.0, temperature=0.0, coupling="triclinic", compressibility=0.02, relaxation_time=0.003, every=1)
-    simulation = md.Simulation(md.System(positions @ shear, cell=np.diag(edges) @ shear), law, md.VelocityVerlet(0.001), barostat=slow)
+    slow = barostat(
+        pressure=0.0, temperature=0.0, coupling="triclinic", compressibility=0.02, relaxation_time=0.003, every=1
+    )
+    simulation = md.Simulation(
+        md.System(positions @ shear, cell=np.diag(edges) @ shear), law, md.VelocityVerlet(0.001), barostat=slow
+    )
     simulation.run(150, every=150, progress=False)
 
     def energy(constant):
@@ -306,7 +341,9 @@ def test_one_axis_alone_changes():
 def test_what_evaporates_at_a_negative_pressure_is_told():
     """A dilute system, which would grow without end: the barostat is the cause, in the message and in the report of the crash."""
     simulation, _ = atom_with_clock(pressure=-1.0, compressibility=1.0, relaxation_time=6.0)
-    with pytest.raises(md.NonFiniteError, match=r"cell has grown from 27 to 2\d\d.* at pressure -1 .* take a pressure above zero") as caught:
+    with pytest.raises(
+        md.NonFiniteError, match=r"cell has grown from 27 to 2\d\d.* at pressure -1 .* take a pressure above zero"
+    ) as caught:
         simulation.run(1000, every=1000, progress=False)
     found = caught.value.crash_report
     assert found.kind == "barostat"
@@ -321,9 +358,26 @@ def test_displacements_of_rigid_molecules_are_those_beside_the_motion_of_their_c
     """A strain alone, which moves centers, is no displacement; of molecules that lie across the boundary, too."""
     for make in (step_scenes.rigid_dumbbells, wrapped_dumbbells):
         system, laws, constraints = make()
-        simulation = md.Simulation(system, laws, md.VelocityVerlet(0.003), constraints, barostat=barostat(temperature=0.8, coupling="triclinic"))
-        engine, looking, volume = simulation.engine, md.observers.MeanSquareDisplacement(every=1), simulation.system.volume
-        rescaling = rescaling_of(engine.barostat, engine.system, engine.interactions, engine.constraint_set, engine.method, holds_center=False)
+        simulation = md.Simulation(
+            system,
+            laws,
+            md.VelocityVerlet(0.003),
+            constraints,
+            barostat=barostat(temperature=0.8, coupling="triclinic"),
+        )
+        engine, looking, volume = (
+            simulation.engine,
+            md.observers.MeanSquareDisplacement(every=1),
+            simulation.system.volume,
+        )
+        rescaling = rescaling_of(
+            engine.barostat,
+            engine.system,
+            engine.interactions,
+            engine.constraint_set,
+            engine.method,
+            holds_center=False,
+        )
 
         def forces_follow(engine=engine):
             engine.moved()
@@ -361,7 +415,9 @@ def test_what_cannot_be_at_constant_pressure_is_refused():
     with pytest.raises(ValueError, match="there is a barostat"):
         md.Simulation(system, law, verlet, barostat=bath).probe_reversibility(10)
     with pytest.warns(UserWarning, match="acts every 5 steps"):
-        md.Simulation(system, law, verlet, barostat=barostat(temperature=1.0, relaxation_time=0.02)).run(5, progress=False)
+        md.Simulation(system, law, verlet, barostat=barostat(temperature=1.0, relaxation_time=0.02)).run(
+            5, progress=False
+        )
 
 
 def test_a_scene_has_a_barostat_in_bar(tmp_path, monkeypatch):

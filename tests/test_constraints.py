@@ -37,7 +37,9 @@ def test_lengths_are_kept_to_rounding(name, solver):
         assert bonds.violation(positions).max() <= rounding(positions, bonds.lengths)
         bonds_now, speeds = bonds.bonds(positions), np.linalg.norm(velocities, axis=1).max()
         turning = velocities[pairs[:, 1]] - velocities[pairs[:, 0]]
-        assert np.abs((bonds_now * turning).sum(axis=1) / bonds.lengths).max() <= speeds * rounding(positions, bonds.lengths)
+        assert np.abs((bonds_now * turning).sum(axis=1) / bonds.lengths).max() <= speeds * rounding(
+            positions, bonds.lengths
+        )
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -100,7 +102,9 @@ def test_rounding_of_lengths_over_a_short_step_is_no_momentum(solver, masses):
     terms = masses[:, None] * np.abs(velocities)
     assert np.abs(masses @ velocities - momentum).max() < 5e-15 * terms.sum()  # rounding
     turning = (terms * np.linalg.norm(positions, axis=1)[:, None]).sum()
-    assert np.abs(masses @ np.cross(positions, velocities) - angular).max() < 2e-14 * turning  # rounding, of positions too
+    assert (
+        np.abs(masses @ np.cross(positions, velocities) - angular).max() < 2e-14 * turning
+    )  # rounding, of positions too
 
 
 @pytest.mark.parametrize("name", ["diatomics", "water", "cube", "ring"])
@@ -193,7 +197,9 @@ def test_a_start_that_violates_lengths_is_projected():
 
 def test_bonds_across_a_boundary_are_given_by_offsets():
     positions = np.array([[0.1, 0.0, 0.0], [9.4, 0.2, 0.0]])
-    bonds = ConstraintSolver(DistanceConstraints([[0, 1]], lengths=0.8), positions, np.ones(2), offsets=np.array([[-10.0, 0.0, 0.0]]))
+    bonds = ConstraintSolver(
+        DistanceConstraints([[0, 1]], lengths=0.8), positions, np.ones(2), offsets=np.array([[-10.0, 0.0, 0.0]])
+    )
     bonds.project_positions(positions)
     assert np.linalg.norm(positions[1] - positions[0] - [10.0, 0.0, 0.0]) == pytest.approx(0.8, rel=1e-14)
 
@@ -204,7 +210,11 @@ def test_bonds_across_a_boundary_are_given_by_offsets():
         (np.empty((0, 2), dtype=int), None, "at least one pair"),
         ([[0.5, 1.0]], None, "atom indices"),
         ([[0, 0]], None, "different atoms"),
-        ([[2, 1], [0, 1], [1, 0], [1, 2], [0, 1]], None, r"pairs\[0\] = \[2, 1\] is given 2 times"),  # the first of them, as it is given
+        (
+            [[2, 1], [0, 1], [1, 0], [1, 2], [0, 1]],
+            None,
+            r"pairs\[0\] = \[2, 1\] is given 2 times",
+        ),  # the first of them, as it is given
         ([[0, 1]], -1.0, "lengths must be positive"),
         ([[0, 99]], None, "atom 99"),
     ],
@@ -265,9 +275,12 @@ def test_random_connected_graphs_are_kept_to_rounding_or_refused(n_atoms, seed):
 
 def test_scenes_are_sorted_by_shape():
     assert [
-        type(group).__name__ for group in ConstraintSolver(DistanceConstraints(water(2)[1]), water(2)[0], np.tile([1.0, 0.5, 0.5], 2)).groups
+        type(group).__name__
+        for group in ConstraintSolver(DistanceConstraints(water(2)[1]), water(2)[0], np.tile([1.0, 0.5, 0.5], 2)).groups
     ] == ["Triangles"]
-    assert [type(group).__name__ for group in ConstraintSolver(DistanceConstraints(rod()[1]), rod()[0], np.ones(3)).groups] == ["LinearTriatomics"]
+    assert [
+        type(group).__name__ for group in ConstraintSolver(DistanceConstraints(rod()[1]), rod()[0], np.ones(3)).groups
+    ] == ["LinearTriatomics"]
     positions = np.concatenate([rod()[0], ring(6)[0] + 9.0, chain(2)[0] - 9.0])
     pairs = np.concatenate([rod()[1], ring(6)[1] + 3, chain(2)[1] + 9])
     bonds = ConstraintSolver(DistanceConstraints(pairs), positions, np.ones(len(positions)))
@@ -285,8 +298,15 @@ def test_threads_change_no_bit(name, solver):
     start = np.tile(positions, (many, 1)) + np.repeat(rng.normal(size=(many, 3)), n, axis=0)
     results = []
     for threads in (1, 3):
-        bonds = ConstraintSolver(DistanceConstraints(all_pairs, solver=solver), start, np.tile(1.0 / masses, many), threads=threads)
-        x, v = start.copy(), np.tile(velocities, (many, 1)) * rng.uniform(0.5, 1.0, n * many)[:, None] if not results else results[0][2].copy()
+        bonds = ConstraintSolver(
+            DistanceConstraints(all_pairs, solver=solver), start, np.tile(1.0 / masses, many), threads=threads
+        )
+        x, v = (
+            start.copy(),
+            np.tile(velocities, (many, 1)) * rng.uniform(0.5, 1.0, n * many)[:, None]
+            if not results
+            else results[0][2].copy(),
+        )
         begin = v.copy()
         for _ in range(5):
             bonds.project_velocities(v, x)

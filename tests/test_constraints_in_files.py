@@ -65,7 +65,11 @@ def test_constraints_read_back_are_those_that_were_kept_to_the_last_bit(solver, 
     assert rest == [1e-11, solver]
 
 
-@pytest.mark.parametrize("constraints", [(), md.FixedAtoms([3]), md.DistanceConstraints(dumbbells()[1])], ids=["nothing", "fixed atoms", "lengths"])
+@pytest.mark.parametrize(
+    "constraints",
+    [(), md.FixedAtoms([3]), md.DistanceConstraints(dumbbells()[1])],
+    ids=["nothing", "fixed atoms", "lengths"],
+)
 def test_a_file_holds_what_there_is_and_no_more(constraints, tmp_path):
     sim = simulation(constraints)
     sim.run(1, trajectory=tmp_path / "a.h5md")
@@ -75,7 +79,9 @@ def test_a_file_holds_what_there_is_and_no_more(constraints, tmp_path):
 
 
 @pytest.mark.parametrize("n_steps", [20, 23])
-@pytest.mark.parametrize("method", [md.VelocityVerlet(0.002), md.LangevinBAOAB(0.002, 1.0, 1.0, seed=4)], ids=["Verlet", "Langevin"])
+@pytest.mark.parametrize(
+    "method", [md.VelocityVerlet(0.002), md.LangevinBAOAB(0.002, 1.0, 1.0, seed=4)], ids=["Verlet", "Langevin"]
+)
 def test_a_resumed_run_is_the_uninterrupted_one(method, n_steps, tmp_path):
     whole = simulation(both_kinds(), method)
     whole.run(n_steps + 20, every=5)
@@ -98,8 +104,14 @@ OTHERS = {
     "an atom less": ([RIGID, md.FixedAtoms([0])], "atom 1 is fixed in the file alone"),
     "an atom more": ([RIGID, md.FixedAtoms([0, 1, 5])], "atom 5 is fixed in the simulation alone"),
     "no lengths": (md.FixedAtoms([0, 1]), "the file alone keeps lengths, 31 of them"),
-    "a pair less": ([md.DistanceConstraints(PAIRS[1:-1]), md.FixedAtoms([0, 1])], "the length of atoms 62-63 is kept in the file alone"),
-    "a pair more": ([md.DistanceConstraints([*PAIRS[1:], (3, 4)]), md.FixedAtoms([0, 1])], "atoms 3-4 is kept in the simulation alone"),
+    "a pair less": (
+        [md.DistanceConstraints(PAIRS[1:-1]), md.FixedAtoms([0, 1])],
+        "the length of atoms 62-63 is kept in the file alone",
+    ),
+    "a pair more": (
+        [md.DistanceConstraints([*PAIRS[1:], (3, 4)]), md.FixedAtoms([0, 1])],
+        "atoms 3-4 is kept in the simulation alone",
+    ),
     "another length": (
         [md.DistanceConstraints(PAIRS[1:], [LENGTH, 0.6, *[LENGTH] * 29]), md.FixedAtoms([0, 1])],
         r"the length of atoms 4-5 is 0\.5\d* in the file and 0\.5999\d* in the simulation",
@@ -160,7 +172,9 @@ def test_constraints_survive_the_way_to_ase_and_back():
     positions, pairs = chain(12)
     lengths = 1.7 * np.linalg.norm(positions[pairs[:, 1]] - positions[pairs[:, 0]], axis=1)
     kept = md.DistanceConstraints(pairs, lengths * (1.0 + 1e-9), tolerance=1e-10)
-    system = md.System(1.7 * positions, masses=12.0, units=md.units.ASE, species=["C"] * 12, constraints=[md.FixedAtoms([2, 0]), kept])
+    system = md.System(
+        1.7 * positions, masses=12.0, units=md.units.ASE, species=["C"] * 12, constraints=[md.FixedAtoms([2, 0]), kept]
+    )
     atoms = system.to_ase()
     assert [type(one) for one in atoms.constraints] == [FixAtoms, FixBondLengths]
     assert described(md.System.from_ase(atoms).constraints) == described(system.constraints)
@@ -169,7 +183,12 @@ def test_constraints_survive_the_way_to_ase_and_back():
 
 def test_lengths_that_are_not_given_go_to_ase_as_they_are_across_the_boundary():
     system = md.System(
-        [[0.1, 1, 1], [8.9, 1, 1]], masses=14.0, cell=9.0, units=md.units.ASE, species=["N", "N"], constraints=[md.DistanceConstraints([[0, 1]])]
+        [[0.1, 1, 1], [8.9, 1, 1]],
+        masses=14.0,
+        cell=9.0,
+        units=md.units.ASE,
+        species=["N", "N"],
+        constraints=[md.DistanceConstraints([[0, 1]])],
     )
     (constraint,) = system.to_ase().constraints
     assert constraint.bondlengths == pytest.approx([0.2], abs=1e-14)
@@ -179,7 +198,9 @@ def test_velocities_on_their_way_to_ase_are_not_touched():
     """The momenta of a state that violates a constraint stay as they are."""
     velocities = np.array([[1.0, 0, 0], [0, 0, 0]])
     rigid = md.DistanceConstraints([[0, 1]])
-    atoms = md.System([[0, 0, 0], [1, 0, 0]], masses=2.0, velocities=velocities, units=md.units.ASE, constraints=[rigid]).to_ase()
+    atoms = md.System(
+        [[0, 0, 0], [1, 0, 0]], masses=2.0, velocities=velocities, units=md.units.ASE, constraints=[rigid]
+    ).to_ase()
     np.testing.assert_array_equal(atoms.get_momenta(), 2.0 * velocities)
 
 
@@ -187,7 +208,12 @@ def test_velocities_on_their_way_to_ase_are_not_touched():
 def test_trajectories_of_ase_hold_frames_as_they_are_with_their_constraints(name, tmp_path):
     sim = simulation(both_kinds())
     looks = []
-    sim.run(20, every=10, trajectory=tmp_path / name, observers=[lambda s: looks.append((s.positions.copy(), s.velocities.copy()))])
+    sim.run(
+        20,
+        every=10,
+        trajectory=tmp_path / name,
+        observers=[lambda s: looks.append((s.positions.copy(), s.velocities.copy()))],
+    )
     for frame, (positions, velocities) in zip(ase.io.read(tmp_path / name, ":"), looks, strict=True):
         assert np.abs(frame.positions - positions).max() < 1e-8  # decimals of the format
         assert np.abs(frame.get_velocities() - velocities).max() < 1e-8
@@ -209,7 +235,9 @@ def test_a_foreign_calculator_is_asked_for_forces_without_constraints():
 
     from minimd.ase import ForcesFromCalculator
 
-    system = md.System([[0.0, 0, 0], [1.0, 0, 0], [0, 1.1, 0]], masses=1.0, units=md.units.ASE, constraints=[md.FixedAtoms([0])])
+    system = md.System(
+        [[0.0, 0, 0], [1.0, 0, 0], [0, 1.1, 0]], masses=1.0, units=md.units.ASE, constraints=[md.FixedAtoms([0])]
+    )
     found = md.evaluate(system, ForcesFromCalculator(LennardJones(sigma=1.0, epsilon=1.0, rc=3.0)))
     assert np.abs(found.forces.sum(axis=0)).max() < 1e-12  # rounding
     assert np.abs(found.forces[0]).max() > 1.0

@@ -63,7 +63,10 @@ def test_a_scene_makes_its_bonds_rigid(tmp_path):
     [
         ("pairs = [[0, 2]]\nlengths_A = 2.0", ([], [([[0, 2]], [2.0], 1e-12, "auto")])),
         ("pairs = [[0, 1], [2, 3]]\nlengths_A = [1.4, 1.5]", ([], [([[0, 1], [2, 3]], [1.4, 1.5], 1e-12, "auto")])),
-        ('pairs = "bonds"\nlengths_A = 1\ntolerance = 1e-9\nsolver = "shake"', ([], [(BONDS, [1.0] * 4, 1e-9, "shake")])),
+        (
+            'pairs = "bonds"\nlengths_A = 1\ntolerance = 1e-9\nsolver = "shake"',
+            ([], [(BONDS, [1.0] * 4, 1e-9, "shake")]),
+        ),
         ("fixed = [3, 1]", ([[1, 3]], [])),
         ("fixed = [3]\npairs = [[0, 1]]\nlengths_A = 1.5", ([[3]], [([[0, 1]], [1.5], 1e-12, "auto")])),
         ("", ([], [])),
@@ -93,10 +96,16 @@ cutoff = 2.5
 timestep = 0.002
 steps = 10
 """
-    assert described(parse_scene(text, Path("a.toml")).simulation().constraints) == ([], [([[0, 1], [2, 3]], [1.3, 1.3], 1e-12, "auto")])
+    assert described(parse_scene(text, Path("a.toml")).simulation().constraints) == (
+        [],
+        [([[0, 1], [2, 3]], [1.3, 1.3], 1e-12, "auto")],
+    )
 
 
-FILES_OWN = ([[1]], [([[0, 2], [2, 3]], [np.sqrt(4.5), 1.5], 1e-10, "auto")])  # what the structure file of the next test holds
+FILES_OWN = (
+    [[1]],
+    [([[0, 2], [2, 3]], [np.sqrt(4.5), 1.5], 1e-10, "auto")],
+)  # what the structure file of the next test holds
 
 
 @pytest.mark.parametrize(
@@ -118,13 +127,20 @@ def test_constraints_of_the_structure_file_hold_unless_the_section_says_otherwis
 def test_solver_and_tolerance_of_a_scene_are_those_of_the_lengths_in_the_structure_file(tmp_path):
     own = FixBondLengths([[0, 2], [2, 3]])
     section = '[constraints]\nsolver = "newton"\ntolerance = 1e-8\n'
-    assert constraints_of_scene(tmp_path, section, own) == ([], [([[0, 2], [2, 3]], [np.sqrt(4.5), 1.5], 1e-8, "newton")])
+    assert constraints_of_scene(tmp_path, section, own) == (
+        [],
+        [([[0, 2], [2, 3]], [np.sqrt(4.5), 1.5], 1e-8, "newton")],
+    )
 
 
 def test_lengths_of_the_structure_file_are_measured_in_the_cell_of_the_scene(tmp_path):
     """Atoms 0 and 3 are 1.5 Å apart, and 0.5 Å in a cell of 2 Å."""
     path = ring_in(tmp_path, FixBondLengths([[0, 3]]))
-    text = RING.replace("ring.xyz", "ring.traj").replace('[constraints]\npairs = "bonds"\n', "").replace("bonds = ", "cell_A = [0, 2, 0]\nbonds = ")
+    text = (
+        RING.replace("ring.xyz", "ring.traj")
+        .replace('[constraints]\npairs = "bonds"\n', "")
+        .replace("bonds = ", "cell_A = [0, 2, 0]\nbonds = ")
+    )
     (constraint,) = parse_scene(text, path).system().constraints
     assert constraint.lengths == pytest.approx([0.5], abs=1e-15)
 
@@ -132,12 +148,18 @@ def test_lengths_of_the_structure_file_are_measured_in_the_cell_of_the_scene(tmp
 @pytest.mark.parametrize(
     ("section", "words"),
     [
-        ("pair = [[0, 1]]", ["constraints has no key 'pair'", "did you mean 'pairs'?", "pairs, lengths_A, fixed, tolerance, solver"]),
+        (
+            "pair = [[0, 1]]",
+            ["constraints has no key 'pair'", "did you mean 'pairs'?", "pairs, lengths_A, fixed, tolerance, solver"],
+        ),
         ("pairs = [[0, 1]]\nlengths = 1.5", ["constraints has no key 'lengths'", "did you mean 'lengths_A'?"]),
         ("pairs = 3", ["constraints.pairs must be a list or 'bonds'", "= 3"]),
         ('pairs = "bond"', ["constraints.pairs must be a list or 'bonds'", '"bond"']),
         ("pairs = [[0, 1, 2]]", ["constraints.pairs[0] must have at most 2 entries", "[0, 1, 2]"]),
-        ("pairs = [[0, 1], [1, 0]]", ["constraints: pairs must name each pair once", "pairs[0] = [0, 1] is given 2 times"]),
+        (
+            "pairs = [[0, 1], [1, 0]]",
+            ["constraints: pairs must name each pair once", "pairs[0] = [0, 1] is given 2 times"],
+        ),
         ("pairs = [[0, 0]]", ["constraints: pairs must name different atoms", "[0, 0]"]),
         ("pairs = [[0, 9]]", ["constraints must name atoms 0 to 3", "atom 9"]),
         (
@@ -146,7 +168,10 @@ def test_lengths_of_the_structure_file_are_measured_in_the_cell_of_the_scene(tmp
         ),
         ('pairs = "bonds"\nlengths_A = [1.5, 1.5]', ["constraints: lengths must be one number or 4", "(2,)"]),
         ("pairs = [[0, 1]]\nlengths_A = 0", ["constraints.lengths_A must be greater than 0", "= 0"]),
-        ("pairs = [[0, 1], [1, 2]]\nlengths_A = [1.5, -1]", ["constraints.lengths_A[1] must be greater than 0", "= -1"]),
+        (
+            "pairs = [[0, 1], [1, 2]]\nlengths_A = [1.5, -1]",
+            ["constraints.lengths_A[1] must be greater than 0", "= -1"],
+        ),
         ("lengths_A = 1.5", ["constraints must have pairs together with lengths_A"]),
         ("fixed = [-1]", ["constraints.fixed[0] must be greater than or equal to 0", "= -1"]),
         ("fixed = [4]", ["fixed atoms must be among 0 to 3", "atom 4"]),
@@ -154,7 +179,10 @@ def test_lengths_of_the_structure_file_are_measured_in_the_cell_of_the_scene(tmp
         ("fixed = [0, 1]\npairs = [[0, 1]]", ["connects two atoms that are held fixed"]),
         ('pairs = [[0, 1]]\nsolver = "lincs"', ["constraints.solver must be 'auto', 'newton' or 'shake'", '"lincs"']),
         ("pairs = [[0, 1]]\ntolerance = 0.0", ["constraints.tolerance must be greater than 0", "= 0.0"]),
-        ('solver = "shake"', ["constraints: tolerance and solver are for lengths, and no lengths are held; give pairs"]),
+        (
+            'solver = "shake"',
+            ["constraints: tolerance and solver are for lengths, and no lengths are held; give pairs"],
+        ),
         ("pairs = [[0, 1], [1, 2], [0, 2]]\nlengths_A = [1, 1, 3]", ["contradict each other"]),
     ],
 )
@@ -167,7 +195,9 @@ def test_wrong_constraints_of_a_scene_are_answered_with_one_sentence(section, wo
 
 
 def test_rigid_bonds_without_bonds_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r'constraints\.pairs = "bonds" needs structure\.bonds; give them there, or list the pairs'):
+    with pytest.raises(
+        ValueError, match=r'constraints\.pairs = "bonds" needs structure\.bonds; give them there, or list the pairs'
+    ):
         parse_scene(RING.replace("bonds = [[0, 1], [1, 2], [2, 3], [3, 0]]\n", ""), ring_in(tmp_path))
 
 

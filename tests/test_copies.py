@@ -50,7 +50,8 @@ def test_units_stay_the_same_object(way):
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize(
-    ("scene", "method"), [("plain", "position-verlet"), ("rigid", "langevin-baoab"), ("springs", "leapfrog"), ("few", "velocity-verlet")]
+    ("scene", "method"),
+    [("plain", "position-verlet"), ("rigid", "langevin-baoab"), ("springs", "leapfrog"), ("few", "velocity-verlet")],
 )
 def test_a_copy_of_a_simulation_makes_the_same_steps(scene, method, way):
     one = SCENES[scene](method_of(method))
@@ -66,7 +67,8 @@ def test_a_copy_of_a_simulation_makes_the_same_steps(scene, method, way):
 
 
 @pytest.mark.parametrize(
-    ("scene", "method"), [("plain", "velocity-verlet"), ("rigid", "velocity-verlet"), ("few", "position-verlet"), ("plain", "leapfrog")]
+    ("scene", "method"),
+    [("plain", "velocity-verlet"), ("rigid", "velocity-verlet"), ("few", "position-verlet"), ("plain", "leapfrog")],
 )
 def test_a_checkpoint_stays_as_it_is_when_the_run_goes_on(scene, method):
     one = SCENES[scene](method_of(method))

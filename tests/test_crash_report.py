@@ -57,9 +57,17 @@ def two_approaching(law):
 
 
 CASES = {
-    "overlap": (lambda: md.Simulation(md.System([[0, 0, 0], [0.55, 0, 0], [3, 3, 3]], cell=10.0), LJ, md.VelocityVerlet(0.005)), (0, 1), 0),
+    "overlap": (
+        lambda: md.Simulation(md.System([[0, 0, 0], [0.55, 0, 0], [3, 3, 3]], cell=10.0), LJ, md.VelocityVerlet(0.005)),
+        (0, 1),
+        0,
+    ),
     "bond": (lambda: chain(0.05), None, None),
-    "pair": (lambda: md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(0.04)), None, None),
+    "pair": (
+        lambda: md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(0.04)),
+        None,
+        None,
+    ),
     "hot": (one_fast_atom, None, None),
     "constraint": (lambda: rigid_liquid(md.VelocityVerlet(0.08)), None, None),
     "law": (lambda: two_approaching(md.PairPotential(hollow, (1.0,), 3.0, "truncated")), (0, 1), None),
@@ -86,19 +94,28 @@ def test_a_step_that_drives_atoms_into_each_other_is_told_by_their_distance_then
     crystal = liquid(5, temperature=3.0, jitter=0.0)
     found = failing(md.Simulation(crystal, md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.06))).crash_report
     assert (found.kind, found.step) == ("pair", 1)
-    moved = md.System(crystal.positions + 0.06 * crystal.velocities, cell=crystal.cell)  # forces of the crystal are zero
+    moved = md.System(
+        crystal.positions + 0.06 * crystal.velocities, cell=crystal.cell
+    )  # forces of the crystal are zero
     (first, second, distance) = closest_pair(moved)
     assert {found.pair.first, found.pair.second} == {first, second}
     assert found.pair.distance == pytest.approx(distance, rel=1e-9)  # rounding
     assert found.pair.frequency * 0.06 > 2.0
-    assert f"step 1 drives atoms {found.pair.first} and {found.pair.second} into each other, {distance:.3g} σ apart" in found.cause
+    assert (
+        f"step 1 drives atoms {found.pair.first} and {found.pair.second} into each other, {distance:.3g} σ apart"
+        in found.cause
+    )
 
 
-@pytest.mark.parametrize("term", [md.HarmonicBond(50.0, 1.0), md.HarmonicAngle(5.0, 2.0, [[0, 1, 2]]), LJ], ids=["bond", "angle", "pair law"])
+@pytest.mark.parametrize(
+    "term", [md.HarmonicBond(50.0, 1.0), md.HarmonicAngle(5.0, 2.0, [[0, 1, 2]]), LJ], ids=["bond", "angle", "pair law"]
+)
 def test_bonded_atoms_at_one_place_are_the_cause(term):
     system = md.System([[0, 0, 0], [1, 0, 0], [1, 0, 0]], bonds=[[1, 2]])
     error = failing(md.Simulation(system, term, md.VelocityVerlet(0.01)))
-    assert error.crash_report.cause == "atoms 1 and 2 are at the same place, where the force between them is not defined"
+    assert (
+        error.crash_report.cause == "atoms 1 and 2 are at the same place, where the force between them is not defined"
+    )
     assert error.crash_report.kind == "overlap"
 
 
@@ -106,7 +123,8 @@ def test_an_examination_sees_the_energy_of_each_atom(monkeypatch):
     """Of clusters too, whose totals are booked on one atom."""
     seen = []
     monkeypatch.setattr(
-        "minimd.diagnosis.run_guard.examine", lambda engine, failure: seen.append(engine.interactions.energies.copy()) or examine(engine, failure)
+        "minimd.diagnosis.run_guard.examine",
+        lambda engine, failure: seen.append(engine.interactions.energies.copy()) or examine(engine, failure),
     )
     simulation = md.Simulation(liquid(6), LJ, md.VelocityVerlet(0.1))
     assert simulation.engine.interactions.pair_search.startswith("cluster list")
@@ -166,7 +184,10 @@ def test_no_file_where_none_was_asked_for(tmp_path, monkeypatch):
 
 
 def test_an_older_crash_report_is_not_lost(tmp_path):
-    files = [failing(chain(0.05), trajectory=tmp_path / f"{k}.xyz", crash_report=tmp_path / "a.crash.h5md").file.name for k in range(3)]
+    files = [
+        failing(chain(0.05), trajectory=tmp_path / f"{k}.xyz", crash_report=tmp_path / "a.crash.h5md").file.name
+        for k in range(3)
+    ]
     assert files == ["a.crash.h5md", "a-2.crash.h5md", "a-3.crash.h5md"]
 
 
@@ -189,7 +210,9 @@ def test_a_term_that_cannot_be_examined_does_not_hide_the_failure(tmp_path):
         def skipped(self):
             return ()
 
-    simulation = md.Simulation(liquid(3), [md.LennardJones(1.0, 1.0, 1.85, "switched"), Reluctant()], md.VelocityVerlet(0.04))
+    simulation = md.Simulation(
+        liquid(3), [md.LennardJones(1.0, 1.0, 1.85, "switched"), Reluctant()], md.VelocityVerlet(0.04)
+    )
     error = failing(simulation, crash_report=tmp_path / "a.h5md")
     assert "The system holds the last good state" in str(error)
     assert error.crash_report is None
@@ -267,8 +290,12 @@ def test_altered_findings_are_refused(change, crash_file, tmp_path):
     "make",
     [
         lambda: md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(BIG_STEP)),
-        lambda: md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.LangevinBAOAB(BIG_STEP, 1.44, 1.0, seed=2)),
-        lambda: rigid_liquid(md.VelocityVerlet(0.05), [md.DistanceConstraints(np.arange(216).reshape(-1, 2)), md.FixedAtoms([0])]),
+        lambda: md.Simulation(
+            liquid(3), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.LangevinBAOAB(BIG_STEP, 1.44, 1.0, seed=2)
+        ),
+        lambda: rigid_liquid(
+            md.VelocityVerlet(0.05), [md.DistanceConstraints(np.arange(216).reshape(-1, 2)), md.FixedAtoms([0])]
+        ),
         lambda: chain(0.05),
     ],
     ids=["verlet", "langevin", "rigid and fixed", "bonds"],
@@ -279,7 +306,9 @@ def test_replay_fails_again_at_the_same_step_on_the_same_path(tmp_path, make):
     seen = md.replay(error.file, simulation.potentials)
     assert seen.failed_at == error.crash_report.step
     assert "failed again" in str(seen)
-    assert [row.step for row in seen.rows] == list(range(error.crash_report.first_step, error.crash_report.last_good_step + 1))
+    assert [row.step for row in seen.rows] == list(
+        range(error.crash_report.first_step, error.crash_report.last_good_step + 1)
+    )
     assert seen.rows[-1].energy == pytest.approx(read_file(error.file).record.total_energy[-1], rel=1e-6)
     assert (seen.trajectory, seen.picture) == (tmp_path / "a.replay.h5md", tmp_path / "a.replay.png")
     assert read_file(seen.trajectory).n_frames == len(seen.rows)
@@ -324,7 +353,11 @@ def test_scene_that_blows_up_is_replayed_from_its_file_alone(tmp_path, monkeypat
 
 def test_equilibration_of_a_scene_that_blows_up_leaves_its_crash_report(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    scene = melt_scene(3, 10, 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[equilibration]\nsteps = 2000\nrescale_every = 10\n')
+    scene = melt_scene(
+        3,
+        10,
+        'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[equilibration]\nsteps = 2000\nrescale_every = 10\n',
+    )
     Path("melt.toml").write_text(scene.replace("timestep = 0.004", "timestep = 0.04"))
     assert cli.main(["run", "melt.toml", "--quiet"]) == 3
     past = read_crash_report("melt.crash.h5md")
@@ -332,4 +365,6 @@ def test_equilibration_of_a_scene_that_blows_up_leaves_its_crash_report(tmp_path
     seen = md.replay("melt.crash.h5md")
     assert seen.failed_at == past.findings.step
     assert len(seen.rows) > 1
-    assert seen.rows[-1].energy == pytest.approx(read_file("melt.crash.h5md").record.total_energy[-1], rel=1e-6)  # with the same noise
+    assert seen.rows[-1].energy == pytest.approx(
+        read_file("melt.crash.h5md").record.total_energy[-1], rel=1e-6
+    )  # with the same noise

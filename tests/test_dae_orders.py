@@ -82,7 +82,9 @@ def test_gauss_is_refused_at_index_3_because_multipliers_do_not_converge(method)
 @pytest.mark.parametrize("method", BDFS)
 def test_bdf_has_order_k_in_every_variable(method, index):
     expected = [method.order] * (3 if index == 3 else 2)
-    assert measured_orders(*PROBLEMS[index], method, n_steps=(30, 60)) == pytest.approx(expected, abs=0.45)  # truncation
+    assert measured_orders(*PROBLEMS[index], method, n_steps=(30, 60)) == pytest.approx(
+        expected, abs=0.45
+    )  # truncation
 
 
 @pytest.mark.parametrize("method", [*BDFS, *RADAU])
@@ -90,7 +92,9 @@ def test_orders_on_an_explicit_problem(method):
     """y′ = −2 t y², y = 1/(1 + t²)."""
     results = []
     for steps in (100, 200):
-        results.append(run_steps(FirstOrder(lambda t, y: -2 * t * y * y), method(1.0 / steps), [1.0], steps).y[-1, 0] - 0.5)
+        results.append(
+            run_steps(FirstOrder(lambda t, y: -2 * t * y * y), method(1.0 / steps), [1.0], steps).y[-1, 0] - 0.5
+        )
     assert np.log2(results[0] / results[1]) == pytest.approx(method.order, abs=0.3)
 
 
@@ -108,7 +112,9 @@ def test_weights_differentiate_polynomials_exactly_whatever_the_nodes():
 @pytest.mark.parametrize("method", BDFS)
 def test_a_shortened_last_step_is_as_accurate_as_the_others(method):
     problem = FirstOrder(lambda t, y: -2 * t * y * y)
-    late, shortened = (run_until(problem, method(0.01), [1.0], end).y[-1, 0] - 1 / (1 + end**2) for end in (1.0, 0.9963))
+    late, shortened = (
+        run_until(problem, method(0.01), [1.0], end).y[-1, 0] - 1 / (1 + end**2) for end in (1.0, 0.9963)
+    )
     assert shortened == pytest.approx(late, rel=0.1)
 
 

@@ -80,7 +80,13 @@ def test_pendulum_of_any_index_returns_after_its_period(problem, start, method, 
 
 
 def test_robertson_to_1e11():
-    path = run_adaptive(robertson(), RadauIIA3, ([1.0, 0.0], [0.0]), ROBERTSON["T"], control=StepControl(rtol=1e-9, atol=[1e-15, 1e-19, 1e-9]))
+    path = run_adaptive(
+        robertson(),
+        RadauIIA3,
+        ([1.0, 0.0], [0.0]),
+        ROBERTSON["T"],
+        control=StepControl(rtol=1e-9, atol=[1e-15, 1e-19, 1e-9]),
+    )
     assert path.success
     assert path.y[-1] == pytest.approx(ROBERTSON["y"], rel=1e-6)  # truncation
     assert len(path.t) < 500
@@ -110,7 +116,10 @@ def test_andrews_mechanism_to_eight_digits():
 
 def test_step_control_meets_its_tolerance_at_index_3():
     """The error of the position falls with rtol, the multiplier being weighted by h²."""
-    ends = [run_adaptive(pendulum(), RadauIIA3, HORIZONTAL, 2.0, control=StepControl(rtol=rtol, atol=rtol)) for rtol in (1e-5, 1e-7, 1e-9)]
+    ends = [
+        run_adaptive(pendulum(), RadauIIA3, HORIZONTAL, 2.0, control=StepControl(rtol=rtol, atol=rtol))
+        for rtol in (1e-5, 1e-7, 1e-9)
+    ]
     errors = [np.abs(path.y[-1, :2] - [1.0, 0.0]).max() for path in ends]
     for rtol, error in zip((1e-5, 1e-7, 1e-9), errors, strict=True):
         assert error < 10 * rtol
@@ -130,7 +139,9 @@ def test_robertson_beside_ida(ida):
 
     solver = ida.IDA(residual, algebraic_idx=[2], rtol=1e-9, atol=[1e-12, 1e-16, 1e-12], max_num_steps=100_000)
     theirs = solver.solve([0.0, 4e5], np.array([1.0, 0.0, 0.0]), np.array([-0.04, 0.04, 0.0]))
-    ours = run_adaptive(robertson(), RadauIIA3, ([1.0, 0.0], [0.0]), 4e5, control=StepControl(rtol=1e-9, atol=[1e-12, 1e-16, 1e-9]))
+    ours = run_adaptive(
+        robertson(), RadauIIA3, ([1.0, 0.0], [0.0]), 4e5, control=StepControl(rtol=1e-9, atol=[1e-12, 1e-16, 1e-9])
+    )
     assert ours.y[-1] == pytest.approx(theirs.y[-1], rel=1e-6)
 
 
@@ -150,5 +161,7 @@ def test_pendulum_of_index_1_beside_ida(ida):
 
 def test_gauss_on_an_ordinary_equation_given_as_a_residual_is_gauss_on_the_equation():
     plain = run_steps(FirstOrder(lambda y: [y[1], -np.sin(y[0])]), GaussLegendre3(0.1), [1.0, 0.0], 30)
-    implicit = run_steps(Implicit(lambda y, slope: [slope[0] - y[1], slope[1] + np.sin(y[0])]), GaussLegendre3(0.1), [1.0, 0.0], 30)
+    implicit = run_steps(
+        Implicit(lambda y, slope: [slope[0] - y[1], slope[1] + np.sin(y[0])]), GaussLegendre3(0.1), [1.0, 0.0], 30
+    )
     assert implicit.y == pytest.approx(plain.y, abs=1e-13)  # rounding

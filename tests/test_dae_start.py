@@ -26,7 +26,13 @@ def implicit_pendulum():
 
     def equations(y, slope):
         x, z, vx, vz, tension = y
-        return [slope[0] - vx, slope[1] - vz, slope[2] + tension * x, slope[3] + tension * z + GRAVITY, (x * x + z * z - 1) / 2]
+        return [
+            slope[0] - vx,
+            slope[1] - vz,
+            slope[2] + tension * x,
+            slope[3] + tension * z + GRAVITY,
+            (x * x + z * z - 1) / 2,
+        ]
 
     return Implicit(equations)
 
@@ -53,9 +59,9 @@ def test_the_tension_of_a_pendulum_is_computed_with_its_centrifugal_part():
     q, v = np.array([0.6, -0.8]), 1.7 * np.array([0.8, 0.6])
     problem = pendulum()
     assert problem.parts(problem.begin((q, v)))[2] == pytest.approx(v @ v + 0.8 * GRAVITY, rel=1e-9)
-    assert Mechanical(3.0, lambda q: 3.0 * np.array([0.0, -GRAVITY]), lambda q: (q @ q - 1) / 2).begin((q, v))[4] == pytest.approx(
-        3.0 * (v @ v + 0.8 * GRAVITY), rel=1e-9
-    )
+    assert Mechanical(3.0, lambda q: 3.0 * np.array([0.0, -GRAVITY]), lambda q: (q @ q - 1) / 2).begin((q, v))[
+        4
+    ] == pytest.approx(3.0 * (v @ v + 0.8 * GRAVITY), rel=1e-9)
 
 
 def test_a_support_that_moves_is_seen_in_the_hidden_constraint():
@@ -71,7 +77,10 @@ def test_a_support_that_moves_is_seen_in_the_hidden_constraint():
 
 def test_x_equal_to_time_cannot_start_at_one():
     """x′ = z, 0 = x − t, x(0) = 1: refused in Hessenberg form, and as F alone."""
-    with pytest.raises(ValueError, match=r"violates the constraint 0 = g: its element 0 is 1\.00e\+00 at t = 0, and y would have to move by 1"):
+    with pytest.raises(
+        ValueError,
+        match=r"violates the constraint 0 = g: its element 0 is 1\.00e\+00 at t = 0, and y would have to move by 1",
+    ):
         run_steps(path_of_x(), RadauIIA3(0.1), ([1.0],), 3)
     implicit = Implicit(lambda t, y, slope: [slope[0] - y[1], y[0] - t])
     with pytest.raises(ValueError, match=r"violates F\(t, y, y′\) = 0: equation 1 stays at 1\.00e\+00 at t = 0"):
@@ -79,7 +88,9 @@ def test_x_equal_to_time_cannot_start_at_one():
 
 
 def test_it_can_start_at_one_at_time_one_or_be_corrected():
-    assert run_steps(path_of_x(), RadauIIA3(0.1), ([1.0],), 3, t0=1.0).y == pytest.approx(np.array([[1, 1], [1.1, 1], [1.2, 1], [1.3, 1]]), abs=1e-10)
+    assert run_steps(path_of_x(), RadauIIA3(0.1), ([1.0],), 3, t0=1.0).y == pytest.approx(
+        np.array([[1, 1], [1.1, 1], [1.2, 1], [1.3, 1]]), abs=1e-10
+    )
     assert path_of_x().corrected(([1.0],)) == pytest.approx([0.0, 1.0], abs=1e-12)
     implicit = Implicit(lambda t, y, slope: [slope[0] - y[1], y[0] - t])
     assert implicit.begin([1.0, 0.0], 1.0) == pytest.approx([1.0, 1.0], abs=1e-9)
@@ -89,8 +100,14 @@ def test_it_can_start_at_one_at_time_one_or_be_corrected():
 @pytest.mark.parametrize(
     ("start", "what"),
     [
-        (((1.0, 0.1), (0.0, 0.0)), r"the constraint 0 = g: its element 0 is 5\.00e-03 at t = 0, and q would have to move by 5"),
-        (((1.0, 0.0), (0.3, 0.0)), r"the hidden constraint 0 = dg/dt = G v \+ g_t: its element 0 is 3\.00e-01 at t = 0, and v would have"),
+        (
+            ((1.0, 0.1), (0.0, 0.0)),
+            r"the constraint 0 = g: its element 0 is 5\.00e-03 at t = 0, and q would have to move by 5",
+        ),
+        (
+            ((1.0, 0.0), (0.3, 0.0)),
+            r"the hidden constraint 0 = dg/dt = G v \+ g_t: its element 0 is 3\.00e-01 at t = 0, and v would have",
+        ),
     ],
 )
 def test_a_violated_constraint_of_a_mechanism_is_named_and_corrected_if_asked(start, what):
@@ -128,7 +145,10 @@ def test_a_fully_implicit_problem_knows_its_slopes_its_index_and_how_rounding_is
 
 def test_a_fully_implicit_path_is_that_of_the_structured_form():
     start = [1.0, 0.0, 0.0, 0.0, 0.0]
-    one, other = run_steps(implicit_pendulum(), RadauIIA3(0.01), start, 100), run_steps(pendulum(), RadauIIA3(0.01), HORIZONTAL, 100)
+    one, other = (
+        run_steps(implicit_pendulum(), RadauIIA3(0.01), start, 100),
+        run_steps(pendulum(), RadauIIA3(0.01), HORIZONTAL, 100),
+    )
     assert one.y[1:] == pytest.approx(other.y[1:], abs=1e-8)  # the tension is rounding/h²
 
 
@@ -136,22 +156,48 @@ def test_a_problem_that_is_nonlinear_in_its_slope_follows_the_branch_of_the_gues
     """y′² + y² = 1, y(0) = 0: sine, up or down."""
     problem = Implicit(lambda y, slope: slope**2 + y**2 - 1)
     for sign in (1.0, -1.0):
-        assert run_steps(problem, RadauIIA3(0.05), ([0.0], [0.8 * sign]), 20).y[-1] == pytest.approx([sign * sin(1.0)], abs=1e-9)
+        assert run_steps(problem, RadauIIA3(0.05), ([0.0], [0.8 * sign]), 20).y[-1] == pytest.approx(
+            [sign * sin(1.0)], abs=1e-9
+        )
 
 
 @pytest.mark.parametrize(
     ("make", "start", "what"),
     [
         (lambda: Hessenberg1(lambda z: z, lambda y, z: y - 1 + 0 * z), ([1.0], [0.0]), "g_z must have full rank"),
-        (lambda: Hessenberg2(lambda y, z: [z[0], -y[0]], lambda y: y[1] - 1), ([0.0, 1.0],), "g_y f_z must have full rank"),
-        (lambda: Hessenberg3(lambda z: z, lambda y, u: 0 * u - y, lambda y: y), ([0.0], [0.0]), "g_y f_z k_u must have full rank"),
-        (lambda: Mechanical(1.0, lambda q: 0 * q, lambda q: [q[0], 2 * q[0]]), ((0.0, 1.0), (0.0, 0.0)), "G M⁻¹ Gᵀ must have full rank"),
-        (lambda: Mechanical(np.ones(3), lambda q: 0 * q, lambda q: q[0]), ((0.0, 1.0), (0.0, 0.0)), "mass must be one number, 2 or 2 × 2"),
-        (lambda: Mechanical([1.0, 0.0], lambda q: 0 * q, lambda q: q[0]), ((0.0, 1.0), (0.0, 0.0)), "mass matrix must be regular"),
+        (
+            lambda: Hessenberg2(lambda y, z: [z[0], -y[0]], lambda y: y[1] - 1),
+            ([0.0, 1.0],),
+            "g_y f_z must have full rank",
+        ),
+        (
+            lambda: Hessenberg3(lambda z: z, lambda y, u: 0 * u - y, lambda y: y),
+            ([0.0], [0.0]),
+            "g_y f_z k_u must have full rank",
+        ),
+        (
+            lambda: Mechanical(1.0, lambda q: 0 * q, lambda q: [q[0], 2 * q[0]]),
+            ((0.0, 1.0), (0.0, 0.0)),
+            "G M⁻¹ Gᵀ must have full rank",
+        ),
+        (
+            lambda: Mechanical(np.ones(3), lambda q: 0 * q, lambda q: q[0]),
+            ((0.0, 1.0), (0.0, 0.0)),
+            "mass must be one number, 2 or 2 × 2",
+        ),
+        (
+            lambda: Mechanical([1.0, 0.0], lambda q: 0 * q, lambda q: q[0]),
+            ((0.0, 1.0), (0.0, 0.0)),
+            "mass matrix must be regular",
+        ),
         (lambda: Implicit(lambda y, slope: [slope[0] - y[1], slope[0] - y[1]]), [0.0, 1.0], "the pencil is singular"),
         (path_of_x, [1.0], "must be a tuple of y, z, of which z may be left out"),
         (path_of_x, ([np.nan],), "y of the start must have at least one element, and finite ones"),
-        (lambda: Implicit(lambda y, slope: slope[:1] - y[:1]), [1.0, 0.0], "as many equations as variables; F has 1, y has 2"),
+        (
+            lambda: Implicit(lambda y, slope: slope[:1] - y[:1]),
+            [1.0, 0.0],
+            "as many equations as variables; F has 1, y has 2",
+        ),
         (lambda: Implicit(lambda y, slope: slope - y), [[1.0]], "one-dimensional"),
         (
             lambda: Hessenberg2(lambda y, z: y[:1] + z, lambda y: y[0] - 1),

@@ -36,7 +36,9 @@ def references(files, folder):
         resumed.write_bytes(file.read_bytes())
         commands = ("replay", "check", "plot") if name == "crash" else ("check", "plot", "resume")
         for command in commands:
-            assert outcome(command, resumed)[0] == (FAILED if (name, command) == ("crash", "check") else PASSED), outcome(command, resumed)
+            assert outcome(command, resumed)[0] == (FAILED if (name, command) == ("crash", "check") else PASSED), (
+                outcome(command, resumed)
+            )
         found[name] = {out: numbers(file, out) for out in (RESTARTS, RESTARTS[1:])}, numbers(resumed, SERIES_ALONE)
     return found
 
@@ -59,7 +61,9 @@ def judged(files, references, folder, seed, commands):
             if command == "resume":
                 result = RIGHT if numbers(target, SERIES_ALONE) == resumed else WRONG
             else:
-                leave_out = RESTARTS[1:] if command == "check" else RESTARTS  # nothing hangs on a restart before the newest that is not there
+                leave_out = (
+                    RESTARTS[1:] if command == "check" else RESTARTS
+                )  # nothing hangs on a restart before the newest that is not there
                 result = RIGHT if numbers(target, leave_out) == known[leave_out] else WRONG
         elif result != CRASH and target.read_bytes() != before and "journal" not in way and "commit" not in way:
             result = DESTROYED
@@ -110,7 +114,10 @@ def spoiled(sound, path, change):
     return path
 
 
-@pytest.mark.parametrize("name", ["observables/pressure/value", "particles/trajectory/velocity/value", "minimd/masses", "minimd/restart/positions"])
+@pytest.mark.parametrize(
+    "name",
+    ["observables/pressure/value", "particles/trajectory/velocity/value", "minimd/masses", "minimd/restart/positions"],
+)
 @pytest.mark.parametrize("kind", [">f8", "<i8"])
 def test_the_same_bytes_of_another_type_are_not_what_was_written(sound, tmp_path, name, kind):
     def retyped(h5):
@@ -129,7 +136,11 @@ def test_the_same_bytes_of_another_type_are_not_what_was_written(sound, tmp_path
 
 def test_every_name_is_signed(sound, tmp_path):
     """Also those of an item that has several."""
-    path = spoiled(sound, tmp_path / "a.h5md", lambda h5: h5.move("observables/angular_momentum/time", "observables/angular_momentum/tine"))
+    path = spoiled(
+        sound,
+        tmp_path / "a.h5md",
+        lambda h5: h5.move("observables/angular_momentum/time", "observables/angular_momentum/tine"),
+    )
     with pytest.raises(OSError, match="description is not the one that was written"):
         verify_frames(path)
 

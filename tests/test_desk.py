@@ -42,7 +42,9 @@ CALLS = {  # that make the object again, in full
     "mixing='geometric', pairs={('A', 'B'): (1.5, 0.8)}, switch_start=1.5, bonded_scale=(0, 0, 0.5), tail_correction=True)": KOB_ANDERSEN,
     "PairPotential(law=soft, parameters=(3,), cutoff=None, truncation='shifted')": md.PairPotential(soft, (3.0,)),
     "BondPotential(law=soft, parameters=(2.0,))": md.BondPotential(soft, (2.0,)),
-    "HarmonicBond(k=3.0, length=[1.0, 1.1], pairs=[[0, 1], [1, 2]])": md.HarmonicBond(3.0, [1.0, 1.1], [(0, 1), (1, 2)]),
+    "HarmonicBond(k=3.0, length=[1.0, 1.1], pairs=[[0, 1], [1, 2]])": md.HarmonicBond(
+        3.0, [1.0, 1.1], [(0, 1), (1, 2)]
+    ),
     "HarmonicAngle(k=2.0, angle=1.0, triples=[[0, 1, 2]])": md.HarmonicAngle(2.0, 1.0, [(0, 1, 2)]),
     "LangevinBAOAB(timestep=0.005, temperature=0.7, friction=2, seed=3)": md.LangevinBAOAB(0.005, 0.7, 2.0, seed=3),
     "VelocityVerlet(timestep=0.09822694788)": md.VelocityVerlet(md.units.fs),
@@ -102,7 +104,10 @@ def test_a_data_frame_has_the_steps_as_index_and_units(record):
 
 def test_without_pandas_a_sentence_says_what_to_do(record, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ModuleNotFoundError, match=r"to_pandas needs pandas, which is not installed: install pandas, or use record.columns\(\)"):
+    with pytest.raises(
+        ModuleNotFoundError,
+        match=r"to_pandas needs pandas, which is not installed: install pandas, or use record.columns\(\)",
+    ):
         record.to_pandas()
 
 
@@ -121,7 +126,12 @@ def test_text_has_every_bit_and_no_file_is_replaced_unasked(record, tmp_path):
 def test_a_record_draws_itself(record, tmp_path):
     figure = record.plot()
     titles = [panel.get_title() for panel in figure.axes]
-    assert [title.split("   ")[0] for title in titles] == ["total energy per atom", "temperature", "total momentum", "pressure"]
+    assert [title.split("   ")[0] for title in titles] == [
+        "total energy per atom",
+        "temperature",
+        "total momentum",
+        "pressure",
+    ]
     assert figure._repr_png_().startswith(b"\x89PNG")
     drawn = figure.axes[1].lines[0].get_ydata()
     assert np.array_equal(drawn, record.temperature)
@@ -176,7 +186,17 @@ def test_dir_has_the_public_names_only():
 
 
 @pytest.mark.parametrize(
-    "name", ["System", "Simulation", "LennardJones", "PairPotential", "HarmonicBond", "Tabulated", "DistanceConstraints", "minimize"]
+    "name",
+    [
+        "System",
+        "Simulation",
+        "LennardJones",
+        "PairPotential",
+        "HarmonicBond",
+        "Tabulated",
+        "DistanceConstraints",
+        "minimize",
+    ],
 )
 def test_help_fits_one_screen_before_the_text_begins(name):
     """24 lines of 80 letters; annotations as they are written, defaults by name."""
@@ -250,7 +270,9 @@ def test_a_script_of_a_user_is_clean_to_mypy_strict_and_mistakes_are_found(tmp_p
     (tmp_path / "script.py").write_text(SCRIPT + "\n".join(MISTAKES))
     command = [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(tmp_path), "script.py"]
     environment = {"PYTHONPATH": str(Path(md.__file__).parents[1]), "PATH": ""}
-    told = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment).stdout.splitlines()
+    told = subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment
+    ).stdout.splitlines()
     assert len(told) == len(MISTAKES) + 1, told
     for k, (line, words) in enumerate(zip(told, MISTAKES.values(), strict=False), n_lines + 1):
         assert line.startswith(f"script.py:{k}: error")

@@ -19,7 +19,11 @@ SMOOTH = {  # a function, a place, its derivative there
     "a length of 10 km beside an angle": (lambda q: q[0] * 1e-4 - np.cos(q[1]), [1e4, 0.1], [1e-4, math.sin(0.1)]),
     "a length of 1 Å in meters": (lambda q: 0.5 * (q @ q - 1e-20), [1e-10, 0.0], [1e-10, 0.0]),
     "steep": (lambda q: np.exp(30.0 * q[0]) + q[1], [0.2, 1.0], [30.0 * math.exp(6.0), 1.0]),
-    "near the end of its domain": (lambda q: [math.sqrt(1.0 - q[0] ** 2) + q[1]], [0.995, 1.0], [-0.995 / math.sqrt(1.0 - 0.995**2), 1.0]),
+    "near the end of its domain": (
+        lambda q: [math.sqrt(1.0 - q[0] ** 2) + q[1]],
+        [0.995, 1.0],
+        [-0.995 / math.sqrt(1.0 - 0.995**2), 1.0],
+    ),
 }
 NOT_ANALYTIC = {
     "abs": (lambda q: abs(q[0]) + q[1], [-0.5, 0.3], [-1.0, 1.0]),
@@ -56,7 +60,9 @@ def test_the_estimate_is_the_error():
 def test_noise_is_not_taken_for_a_derivative():
     """Single precision is flat over narrow spacings: two formulas that agree on zero."""
     for x in np.random.default_rng(1).uniform(0.5, 2.0, (300, 2)):
-        assert derivative(lambda q: np.float64(np.float32(q[0]) * np.float32(q[1])), x)[0] == pytest.approx(x[::-1], rel=2e-3)
+        assert derivative(lambda q: np.float64(np.float32(q[0]) * np.float32(q[1])), x)[0] == pytest.approx(
+            x[::-1], rel=2e-3
+        )
 
 
 def test_there_is_no_derivative_where_a_function_has_no_values():
@@ -76,7 +82,12 @@ def test_time_derivatives_in_any_unit(order, digits, unit):
     ("given", "by_differences", "method", "start"),
     [
         (exact_gradients(), double_pendulum(), md.VelocityVerlet, DOUBLE_START),
-        (pendulum(), Mechanical(1.0, lambda q: np.array([0.0, -1.0]), lambda q: (q @ q - 1) / 2), RadauIIA3, HORIZONTAL),
+        (
+            pendulum(),
+            Mechanical(1.0, lambda q: np.array([0.0, -1.0]), lambda q: (q @ q - 1) / 2),
+            RadauIIA3,
+            HORIZONTAL,
+        ),
     ],
 )
 def test_a_solution_tells_how_its_derivatives_were_found(given, by_differences, method, start):

@@ -18,7 +18,10 @@ def correlated(correlation, n, rng):
     return lfilter([1.0], [1.0, -correlation], rng.normal(size=n + 400))[400:]
 
 
-@pytest.mark.parametrize(("correlation", "n", "most"), [(0.0, 51, 0.01), (0.5, 51, 0.02), (0.8, 51, 0.03), (0.8, 501, 0.02), (0.95, 501, 0.02)])
+@pytest.mark.parametrize(
+    ("correlation", "n", "most"),
+    [(0.0, 51, 0.01), (0.5, 51, 0.02), (0.8, 51, 0.03), (0.8, 501, 0.02), (0.95, 501, 0.02)],
+)
 def test_few_correlated_series_seem_to_drift(correlation, n, most):
     """0.003 expected where the correlation is known; scipy's own line, blind to it, finds every third of 51 with 0.8 drifting."""
     rng, t = np.random.default_rng(3), np.arange(float(n))
@@ -32,7 +35,9 @@ def test_a_series_as_short_as_its_fluctuations_is_not_judged():
     rng, t = np.random.default_rng(3), np.arange(51.0)
     found = [drift(t, correlated(0.98, 51, rng)) for _ in range(N_SERIES)]
     assert np.mean([one.is_too_short for one in found]) > 0.6
-    assert np.mean([one.is_significant for one in found]) < 0.08  # no test can tell such a fluctuation from a drift always
+    assert (
+        np.mean([one.is_significant for one in found]) < 0.08
+    )  # no test can tell such a fluctuation from a drift always
 
 
 def test_a_drift_that_is_there_is_found():
@@ -58,7 +63,9 @@ def record_of(total, n_atoms=10):
     n = len(total)
     flat, vectors = np.ones(n), np.zeros((n, 3))
     series = {"potential_energy": total - 1.0, "kinetic_energy": flat, "total_energy": total, "temperature": 2.0 * flat}
-    series |= dict.fromkeys(("momentum", "angular_momentum"), vectors) | dict.fromkeys(("absolute_momentum", "absolute_angular_momentum"), flat)
+    series |= dict.fromkeys(("momentum", "angular_momentum"), vectors) | dict.fromkeys(
+        ("absolute_momentum", "absolute_angular_momentum"), flat
+    )
     return Record.of(md.units.LJ, n_atoms, {"step": np.arange(n), "time": np.arange(float(n)), **series})
 
 
@@ -67,7 +74,9 @@ def test_the_report_says_that_a_run_is_too_short():
         wave = 1.0 + size * np.sin(np.linspace(0.0, 5.0, 51))
         report = conservation_report(record_of(wave), angular=False)
         assert report.energy_is_conserved is None
-        assert re.search(f"verdict        the total energy {quiet}.*; the run is too short to tell whether it drifts", str(report))
+        assert re.search(
+            f"verdict        the total energy {quiet}.*; the run is too short to tell whether it drifts", str(report)
+        )
         assert report.is_quiet is (size == 0.001)
 
 

@@ -40,7 +40,18 @@ def test_run_steps_keeps_the_first_state_every_so_many_and_the_last():
 
 
 @pytest.mark.parametrize(
-    ("t0", "t_end"), [(0.0, 1.05), (0.0, 1.0), (0.7, 0.8), (3.0, 4.05), (1e6, 1e6 + 1.05), (0.0, 0.03), (2.0, 0.95), (-1.0, -2.05), (0.0, 0.1 * 3)]
+    ("t0", "t_end"),
+    [
+        (0.0, 1.05),
+        (0.0, 1.0),
+        (0.7, 0.8),
+        (3.0, 4.05),
+        (1e6, 1e6 + 1.05),
+        (0.0, 0.03),
+        (2.0, 0.95),
+        (-1.0, -2.05),
+        (0.0, 0.1 * 3),
+    ],
 )
 def test_run_until_ends_exactly_there(t0, t_end):
     """The last step is the shorter one, and there is none that rounding alone would make."""
@@ -66,7 +77,9 @@ def test_run_until_keeps_the_end_whatever_every_says():
 def test_backwards_in_time_and_back(method):
     there = run_until(KEPLER, method(-0.01), KEPLER_START, -0.995)
     back = run_until(KEPLER, method(0.01), (there.q[-1], there.v[-1]), 0.0, t0=-0.995)
-    assert there.y[-1] == pytest.approx(kepler_orbit(0.995) * [1.0, -1.0, -1.0, 1.0], abs=2e-2 if method is VelocityVerlet else 1e-5)
+    assert there.y[-1] == pytest.approx(
+        kepler_orbit(0.995) * [1.0, -1.0, -1.0, 1.0], abs=2e-2 if method is VelocityVerlet else 1e-5
+    )
     assert back.y[-1] == pytest.approx([0.4, 0.0, 0.0, 2.0], abs=1e-3)
 
 
@@ -93,14 +106,18 @@ def test_a_step_is_accepted_if_its_estimated_error_is_allowed(method):
     estimate = np.sqrt(np.mean((one - two) ** 2)) / (2.0**method.order - 1.0)
     assert estimate == pytest.approx(np.sqrt(np.mean((two - kepler_orbit(0.05)) ** 2)), rel=0.3)
     for atol, n_rejected in ((1.001 * estimate, 0), (0.999 * estimate, 1)):
-        run = run_adaptive(KEPLER, method, KEPLER_START, 0.05, control=StepControl(rtol=0.0, atol=atol, first_step=0.05))
+        run = run_adaptive(
+            KEPLER, method, KEPLER_START, 0.05, control=StepControl(rtol=0.0, atol=atol, first_step=0.05)
+        )
         assert run.n_rejected >= n_rejected
         assert (len(run.t) == 2) == (n_rejected == 0)
 
 
 def test_steps_of_adaptive_runs_stay_within_their_bounds_and_shorten_where_the_solution_is_fast():
     free = run_adaptive(KEPLER, BlanesMoan4, KEPLER_START, 6.0, control=StepControl(rtol=1e-6))
-    bound = run_adaptive(KEPLER, BlanesMoan4, KEPLER_START, 6.0, control=StepControl(rtol=1e-6, max_step=0.2, first_step=0.001))
+    bound = run_adaptive(
+        KEPLER, BlanesMoan4, KEPLER_START, 6.0, control=StepControl(rtol=1e-6, max_step=0.2, first_step=0.001)
+    )
     long = run_adaptive(KEPLER, BlanesMoan4, KEPLER_START, 6.0, control=StepControl(rtol=1e-3, atol=1e-3, min_step=0.1))
     assert np.diff(free.t).max() > 3.0 * np.diff(free.t).min()
     assert np.diff(bound.t).max() <= 0.2 + 1e-15
@@ -117,7 +134,9 @@ def test_rejected_steps_are_counted():
 
 
 def test_an_adaptive_run_ends_after_so_many_steps():
-    solution = run_adaptive(SecondOrder(lambda q: -q), VelocityVerlet, ([1.0], [0.0]), 10.0, control=StepControl(1e-12, 1e-12, max_steps=50))
+    solution = run_adaptive(
+        SecondOrder(lambda q: -q), VelocityVerlet, ([1.0], [0.0]), 10.0, control=StepControl(1e-12, 1e-12, max_steps=50)
+    )
     assert not solution.success
     assert "after 50 steps" in solution.message
     assert len(solution.t) + solution.n_rejected == 51
@@ -170,14 +189,22 @@ def test_tolerances_may_differ_from_component_to_component():
 def test_components_that_are_zero_need_no_absolute_tolerance():
     run = run_adaptive(KEPLER, VelocityVerlet, KEPLER_START, 1.0, control=StepControl(rtol=1e-5, atol=0.0))
     assert run.success
-    flat = run_adaptive(SecondOrder(lambda q: -q), VelocityVerlet, ((1.0, 0.0), (0.3, 0.0)), 1.0, control=StepControl(rtol=1e-5, atol=0.0))
+    flat = run_adaptive(
+        SecondOrder(lambda q: -q),
+        VelocityVerlet,
+        ((1.0, 0.0), (0.3, 0.0)),
+        1.0,
+        control=StepControl(rtol=1e-5, atol=0.0),
+    )
     assert flat.success
     assert (flat.q[:, 1] == 0.0).all()
 
 
 def test_a_path_that_is_no_longer_finite_ends_the_run_with_what_was():
     falls = SecondOrder(lambda t, q: -q if t < 0.45 else np.nan * q)
-    with pytest.raises(md.NonFiniteError, match=r"not finite at t = 0.5; the last finite one is at t = 0.4; .*timestep \(0.1\)") as caught:
+    with pytest.raises(
+        md.NonFiniteError, match=r"not finite at t = 0.5; the last finite one is at t = 0.4; .*timestep \(0.1\)"
+    ) as caught:
         run_steps(falls, VelocityVerlet(0.1), ONE, 20)
     assert np.isfinite(caught.value.solution.y).all()
     assert caught.value.solution.t[-1] == pytest.approx(0.4)
@@ -255,5 +282,9 @@ def test_functions_are_not_called_outside_the_time_of_the_run():
     """f(t) = 1/t² is no problem from t = 1 on."""
     path = run_until(SecondOrder(lambda t, q: -2.0 / t**2 * q), GaussLegendre2(0.1), ONE, 2.0, t0=1.0)
     assert path.t[-1] == 2.0
-    assert run_until(FirstOrder(lambda t: [1.0 / t]), GaussLegendre2(0.1), [0.0], 2.0, t0=1.0).y[-1] == pytest.approx([np.log(2.0)], abs=1e-6)
-    assert run_adaptive(FirstOrder(lambda t, y: -y / t), GaussLegendre2, [1.0], 2.0, t0=1.0).y[-1] == pytest.approx([0.5], abs=1e-5)
+    assert run_until(FirstOrder(lambda t: [1.0 / t]), GaussLegendre2(0.1), [0.0], 2.0, t0=1.0).y[-1] == pytest.approx(
+        [np.log(2.0)], abs=1e-6
+    )
+    assert run_adaptive(FirstOrder(lambda t, y: -y / t), GaussLegendre2, [1.0], 2.0, t0=1.0).y[-1] == pytest.approx(
+        [0.5], abs=1e-5
+    )

@@ -14,7 +14,9 @@ pytestmark = pytest.mark.slow
 K_B, FS = md.units.ASE.k_B, md.units.fs
 METHODS = {
     "langevin": lambda temperature, seed: md.LangevinBAOAB(4 * FS, temperature, friction=1 / (500 * FS), seed=seed),
-    "rescaling": lambda temperature, seed: md.StochasticVelocityRescaling(4 * FS, temperature, relaxation_time=200 * FS, seed=seed),
+    "rescaling": lambda temperature, seed: md.StochasticVelocityRescaling(
+        4 * FS, temperature, relaxation_time=200 * FS, seed=seed
+    ),
 }
 TEMPERATURES = (94.4, 100.0)  # K; the potential energies of 108 atoms overlap well
 EVERY, SIGMAS = 25, 3.0
@@ -39,7 +41,14 @@ def runs(request):
 def data_of(record, temperature, n_dof):
     """The same for physical_validation."""
     data = pytest.importorskip("physical_validation").data
-    conversions = {"energy": 96.485, "length": 0.1, "volume": 1e-3, "temperature": 1.0, "pressure": 1.602e6, "time": 1e-3 / FS}
+    conversions = {
+        "energy": 96.485,
+        "length": 0.1,
+        "volume": 1e-3,
+        "temperature": 1.0,
+        "pressure": 1.602e6,
+        "time": 1e-3 / FS,
+    }
     units = data.UnitData(kb=K_B, **{f"{name}_conversion": factor for name, factor in conversions.items()})
     atoms = {"mass": np.full(108, 39.948), "molecule_idx": np.arange(108), "nconstraints_per_molecule": np.zeros(108)}
     system = data.SystemData(natoms=108, nconstraints=0, ndof_reduction_tra=324 - n_dof, ndof_reduction_rot=0, **atoms)
@@ -60,7 +69,9 @@ def test_kinetic_energies_are_those_of_the_canonical_ensemble(runs):
         off = validation.kinetic_energy.distribution(data_of(record, temperature, n_dof), verbosity=0, bootstrap_seed=1)
         print(f"T(mean), T(width) off by {off[0]:.2f}, {off[1]:.2f} standard errors")
         assert np.abs(off).max() < SIGMAS
-        wrong = validation.kinetic_energy.distribution(data_of(record, 1.02 * temperature, n_dof), verbosity=0, bootstrap_seed=1)
+        wrong = validation.kinetic_energy.distribution(
+            data_of(record, 1.02 * temperature, n_dof), verbosity=0, bootstrap_seed=1
+        )
         assert wrong[0] > SIGMAS  # it would see two percent
 
 
@@ -103,7 +114,10 @@ def test_without_a_bath_the_energy_oscillates_by_the_square_of_the_time_step():
             simulation = md.Simulation(melt.system, law, md.VelocityVerlet(femtoseconds * FS), threads=1)
             record = simulation.run(8000 // femtoseconds, every=1)
             data = data_of(record, 94.4, simulation.n_dof)
-            data.dt, data.ensemble = femtoseconds * FS, validation.data.EnsembleData("NVE", natoms=108, volume=1.0, energy=1.0)
+            data.dt, data.ensemble = (
+                femtoseconds * FS,
+                validation.data.EnsembleData("NVE", natoms=108, volume=1.0, energy=1.0),
+            )
             data.observables.constant_of_motion = record.total_energy
             runs.append(data)
         return validation.integrator.convergence(runs, verbose=False)

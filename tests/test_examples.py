@@ -11,7 +11,16 @@ import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
-SHORTER = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 5, "rounds": 2, "every": 10, "duration": 200, "end": 2.0, "t_end": 3.0}
+SHORTER = {
+    "n_equilibration": 50,
+    "n_steps": 1000,
+    "n_periods": 5,
+    "rounds": 2,
+    "every": 10,
+    "duration": 200,
+    "end": 2.0,
+    "t_end": 3.0,
+}
 RUN_BELOW = ("own_law.py", "rigid_ring.py", "equation_of_state.py")  # in full, by tests of their own
 SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 
@@ -32,12 +41,34 @@ def run_shortened(name, folder):
     runpy.run_path(str(folder / name), run_name="__main__")
 
 
-KERNELS_OF_THEIR_OWN = ("precision.py", "to_the_last_bit.py", "viscosity.py", "constant_pressure.py", "stretched_chain.py")
-SMALL_SYSTEMS = ("stiff_spring.py", "henon_heiles.py", "smooth_cutoff.py", "coupled_wells.py", "mechanism.py", "three_body.py", "work_precision.py")
-LONG = ("ensemble_checks.py", "timestep_gain.py", *KERNELS_OF_THEIR_OWN, *SMALL_SYSTEMS)  # the gallery of the site runs them, too
+KERNELS_OF_THEIR_OWN = (
+    "precision.py",
+    "to_the_last_bit.py",
+    "viscosity.py",
+    "constant_pressure.py",
+    "stretched_chain.py",
+)
+SMALL_SYSTEMS = (
+    "stiff_spring.py",
+    "henon_heiles.py",
+    "smooth_cutoff.py",
+    "coupled_wells.py",
+    "mechanism.py",
+    "three_body.py",
+    "work_precision.py",
+)
+LONG = (
+    "ensemble_checks.py",
+    "timestep_gain.py",
+    *KERNELS_OF_THEIR_OWN,
+    *SMALL_SYSTEMS,
+)  # the gallery of the site runs them, too
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in SCRIPTS if name not in RUN_BELOW])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in SCRIPTS if name not in RUN_BELOW],
+)
 def test_example_runs(name, tmp_path, monkeypatch, capsys):
     if name == "ensemble_checks.py":
         pytest.importorskip("physical_validation")
@@ -75,7 +106,11 @@ def test_the_scan_of_an_equation_of_state_runs_in_worker_processes(tmp_path):
 
 @pytest.mark.slow
 def test_the_script_of_the_page_on_ensembles_runs(tmp_path):
-    (text,) = re.findall(r"```python\n(import minimd as md\n.*?)```", (EXAMPLES.parent / "docs" / "ensembles.md").read_text(encoding="utf-8"), re.S)
+    (text,) = re.findall(
+        r"```python\n(import minimd as md\n.*?)```",
+        (EXAMPLES.parent / "docs" / "ensembles.md").read_text(encoding="utf-8"),
+        re.S,
+    )
     (tmp_path / "scan.py").write_text(text.replace("1000", "50").replace("500", "20"))
     told = subprocess.run([sys.executable, "scan.py"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
     assert "4 members in scan: 4 done" in told

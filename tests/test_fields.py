@@ -82,15 +82,27 @@ def test_walls_have_their_laws():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: md.evaluate(atoms_in("open"), md.Wall([0, 0, 0], [0, 0, 1])), r"in front of a Wall; atom \d lies .* behind it"),
+        (
+            lambda: md.evaluate(atoms_in("open"), md.Wall([0, 0, 0], [0, 0, 1])),
+            r"in front of a Wall; atom \d lies .* behind it",
+        ),
         (lambda: md.evaluate(atoms_in("open"), md.SphereWall([0, 0, 0], 0.5)), "in front of a SphereWall"),
-        (lambda: md.evaluate(atoms_in("skewed"), FIELDS["wall 9-3"][0]), "must lie along all periodic directions; it crosses c"),
+        (
+            lambda: md.evaluate(atoms_in("skewed"), FIELDS["wall 9-3"][0]),
+            "must lie along all periodic directions; it crosses c",
+        ),
         (lambda: md.Wall([0, 0, 0], [0, 0, 0]), "normal must not be zero"),
         (lambda: md.SteeredSpring(1.0, [0, 0, 0], [1, 0, 0], end=np.array([1.0, 2.0])), "end must be finite"),
         (lambda: md.Wall([0, 0, 0], [0, 0, 1], law="10-4"), "law must be one of '9-3', '12-6'"),
-        (lambda: md.evaluate(atoms_in("open"), md.ConstantForce([0, 0, 1], [6])), "must be atoms 0 to 5; they name atom 6"),
+        (
+            lambda: md.evaluate(atoms_in("open"), md.ConstantForce([0, 0, 1], [6])),
+            "must be atoms 0 to 5; they name atom 6",
+        ),
         (lambda: md.Restraint(-1.0, [0, 0, 0]), "k must be one number or three, finite and not negative"),
-        (lambda: md.evaluate(atoms_in("open"), md.Restraint(1.0, PLACES[:2])), r"points must be three numbers or \(6, 3\)"),
+        (
+            lambda: md.evaluate(atoms_in("open"), md.Restraint(1.0, PLACES[:2])),
+            r"points must be three numbers or \(6, 3\)",
+        ),
         (lambda: md.SteeredSpring(1.0, [0, 0, 0], [1, 0, 0], start=2.0, end=1.0), "end after start"),
     ],
 )
@@ -153,7 +165,9 @@ def test_methods_keep_their_order_in_time_dependent_fields(name):
     assert np.log2(apart[0] / apart[1]) == pytest.approx(method.order, abs=0.3)
 
 
-@pytest.mark.parametrize("method", [md.VelocityVerlet(0.03), md.PositionVerlet(0.03), md.LangevinBAOAB(0.03, 0.5, 1.0, seed=2)])
+@pytest.mark.parametrize(
+    "method", [md.VelocityVerlet(0.03), md.PositionVerlet(0.03), md.LangevinBAOAB(0.03, 0.5, 1.0, seed=2)]
+)
 def test_work_and_time_survive_pauses_copies_and_files(method, tmp_path):
     def made():
         return pulled(method, start=0.2, end=1.1)
@@ -176,7 +190,10 @@ def test_looking_changes_no_bit_of_the_work_though_it_evaluates_the_forces_again
     """A bath at the end of a step leaves no energy there: it is evaluated at the same time, to the last bit, as the last kick."""
     bath = md.StochasticVelocityRescaling(0.003, temperature=1.0, relaxation_time=0.2, seed=2)
     seen, unseen = (
-        md.Simulation(md.System(np.diag([0.01, 0.02, 0.03])), md.SteeredSpring(10.0, [0, 0, 0], [0.3, 0.2, 0], start=0.02), bath) for _ in "ab"
+        md.Simulation(
+            md.System(np.diag([0.01, 0.02, 0.03])), md.SteeredSpring(10.0, [0, 0, 0], [0.3, 0.2, 0], start=0.02), bath
+        )
+        for _ in "ab"
     )
     for simulation, every in ((seen, 1), (unseen, 60)):
         simulation.set_temperature(1.0, seed=1)
@@ -211,8 +228,15 @@ def test_fields_that_stay_and_dihedrals_are_exact_in_fixed_point():
     from fixed_point_scenes import bits
 
     places = np.column_stack([np.cos(np.arange(6)), np.sin(np.arange(6)), 0.7 * np.arange(6)])
-    system = md.System(places, bonds=[[k, k + 1] for k in range(5)], dihedrals=[[k, k + 1, k + 2, k + 3] for k in range(3)])
-    potentials = [md.HarmonicBond(50.0, 1.0), md.PeriodicDihedral(1.0, 3), md.Gravity(0.5), md.Wall([0, 0, -2.0], [0, 0, 1.0])]
+    system = md.System(
+        places, bonds=[[k, k + 1] for k in range(5)], dihedrals=[[k, k + 1, k + 2, k + 3] for k in range(3)]
+    )
+    potentials = [
+        md.HarmonicBond(50.0, 1.0),
+        md.PeriodicDihedral(1.0, 3),
+        md.Gravity(0.5),
+        md.Wall([0, 0, -2.0], [0, 0, 1.0]),
+    ]
     simulation = md.Simulation(system, potentials, md.VelocityVerlet(0.005), precision="fixed-point")
     simulation.set_temperature(1.0, seed=1)
     simulation.make_steps(0)
@@ -224,4 +248,6 @@ def test_fields_that_stay_and_dihedrals_are_exact_in_fixed_point():
     record = free.run(200, every=50, progress=False)
     assert (record.momentum == record.momentum[0]).all()
     with pytest.raises(ValueError, match="fields that stay the same"):
-        md.Simulation(system, md.SteeredSpring(1.0, [0, 0, 0], [1, 0, 0], [0]), md.VelocityVerlet(0.005), precision="fixed-point")
+        md.Simulation(
+            system, md.SteeredSpring(1.0, [0, 0, 0], [1, 0, 0], [0]), md.VelocityVerlet(0.005), precision="fixed-point"
+        )

@@ -213,7 +213,9 @@ def test_a_refused_crash_report_leaves_that_of_the_other_run(tmp_path):
     claim = Claim(part)
     claim.appear()
     sim = md.Simulation(
-        md.System([[0.0, 0, 0], [0.9, 0, 0]], velocities=[[-5.0, 0, 0], [5.0, 0, 0]]), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.2)
+        md.System([[0.0, 0, 0], [0.9, 0, 0]], velocities=[[-5.0, 0, 0], [5.0, 0, 0]]),
+        md.LennardJones(1.0, 1.0, 2.5),
+        md.VelocityVerlet(0.2),
     )
     with pytest.raises(md.NonFiniteError, match="another run is writing it"):
         sim.run(1000, crash_report=tmp_path / "a.crash.h5md")

@@ -50,7 +50,10 @@ def test_a_skin_that_does_not_fit_is_clamped_and_said():
 
 def test_no_wider_skin_is_advised_than_the_cell_can_hold():
     system, law = bonded_liquid(), md.LennardJones(1.0, 1.0, 1.8, bonded_scale=(0.0, 1.0, 1.0))
-    for skin, words in ((0.5 * system.cell.heights.min() - 1.8 - 1e-8, "the cell has no room for a wider skin"), (0.01, "a wider skin or a shorter")):
+    for skin, words in (
+        (0.5 * system.cell.heights.min() - 1.8 - 1e-8, "the cell has no room for a wider skin"),
+        (0.01, "a wider skin or a shorter"),
+    ):
         sim = md.Simulation(system, law, md.VelocityVerlet(0.004), skin=skin)
         sim.velocities[:, 0] = np.tile([40.0, -40.0], len(system) // 2)
         sim.run(0)
@@ -72,7 +75,9 @@ def test_a_long_time_step_is_pointed_out(timestep, is_long):
     hot = md.System(liquid(3).positions, velocities=liquid(3).velocities, cell=liquid(3).cell)
     expected = f"conserves the energy well up to {md.units.LJ.shown(md.advise_timestep(hot, LAW).collision)}; see advise_timestep"
     assert all(expected in one for one in told)
-    assert md.advise_timestep(md.System(hot.positions, cell=hot.cell), LAW).collision == pytest.approx(0.005879, rel=1e-3)  # at rest
+    assert md.advise_timestep(md.System(hot.positions, cell=hot.cell), LAW).collision == pytest.approx(
+        0.005879, rel=1e-3
+    )  # at rest
     assert hints_of(md.System(liquid(3).positions, cell=liquid(3).cell, masses=4.0), LAW, timestep) == []
 
 
@@ -154,15 +159,22 @@ def test_an_epsilon_in_another_unit_is_named_before_the_time_step(epsilon, sigma
     system = md.System(positions, cell=edges, masses=39.95, units=md.units.ASE)
     law = md.LennardJones(epsilon, sigma, 2.2 * sigma)
     told = hints_of(system, law, 0.5 * md.units.fs)
-    assert (too_long_a_step(Engine(system, law, md.VelocityVerlet(5 * md.units.fs))) or "").startswith("epsilon" if words else "")  # in a report
+    assert (too_long_a_step(Engine(system, law, md.VelocityVerlet(5 * md.units.fs))) or "").startswith(
+        "epsilon" if words else ""
+    )  # in a report
     assert len(told) == (words is not None)
-    assert all(one.startswith(f"epsilon = {epsilon:g} eV is far deeper") and words in one and "timestep" not in one for one in told)
+    assert all(
+        one.startswith(f"epsilon = {epsilon:g} eV is far deeper") and words in one and "timestep" not in one
+        for one in told
+    )
 
 
 def test_a_failure_names_the_epsilon_first():
     positions, edges = crystal("fcc", (4, 4, 4), 5.4)
     sim = md.Simulation(
-        md.System(positions, cell=edges, masses=39.95, units=md.units.ASE), md.LennardJones(120.0, 3.4, 8.5), md.VelocityVerlet(5 * md.units.fs)
+        md.System(positions, cell=edges, masses=39.95, units=md.units.ASE),
+        md.LennardJones(120.0, 3.4, 8.5),
+        md.VelocityVerlet(5 * md.units.fs),
     )
     sim.set_temperature(90.0, seed=1)
     with pytest.warns(UserWarning, match="^epsilon = 120 eV"), pytest.raises(md.NonFiniteError) as caught:
@@ -173,12 +185,17 @@ def test_a_failure_names_the_epsilon_first():
 
 @pytest.mark.parametrize(
     ("timestep", "pressure", "words"),
-    [(5e-15, None, r"check its unit, such as 5 \* md.units.fs"), (0.4, 1.0, r"1 eV/Å³ is 1.6e\+06 bar; if 1 bar is meant, give 1 \* md.units.BAR")],
+    [
+        (5e-15, None, r"check its unit, such as 5 \* md.units.fs"),
+        (0.4, 1.0, r"1 eV/Å³ is 1.6e\+06 bar; if 1 bar is meant, give 1 \* md.units.BAR"),
+    ],
 )
 def test_a_time_step_in_seconds_and_a_pressure_in_bar_are_pointed_out(timestep, pressure, words):
     argon, (positions, edges) = md.LennardJones(0.0103, 3.4, 8.5), md.lattice.crystal("fcc", [4, 4, 4], 5.4)
     system = md.System(positions, cell=edges, masses=39.9, units=md.units.ASE)
-    barostat = None if pressure is None else md.StochasticCellRescaling(pressure, 1.0, 40.0, seed=1, temperature=80.0, every=5)
+    barostat = (
+        None if pressure is None else md.StochasticCellRescaling(pressure, 1.0, 40.0, seed=1, temperature=80.0, every=5)
+    )
     simulation = md.Simulation(system, argon, md.VelocityVerlet(timestep), barostat=barostat)
     with pytest.warns(UserWarning, match=words):
         simulation.run(0)

@@ -91,7 +91,9 @@ def test_renumbered_atoms_have_the_same_bits(reference):
     order = np.random.default_rng(1).permutation(len(system))
     place = np.argsort(order)
     parts = {name: getattr(system, name)[order] for name in ("masses", "velocities", "species")}
-    renumbered = md.System(system.positions[order], cell=system.cell, bonds=place[system.bonds], angles=place[system.angles], **parts)
+    renumbered = md.System(
+        system.positions[order], cell=system.cell, bonds=place[system.bonds], angles=place[system.angles], **parts
+    )
     same_run(simulated(renumbered), reference, order)
 
 
@@ -139,14 +141,21 @@ def test_any_step_is_made_again_from_a_file_and_from_its_archive(tmp_path):
     with pytest.raises(ValueError, match="has the steps 3 to 100; step must be one of them, but step = 101"):
         md.Simulation.resume(small, LAW, step=101)
     with pytest.raises(ValueError, match="give the potentials of the run"):
-        md.archive(file, tmp_path / "other.h5md", 50, md.LennardJones({"A": (1.0, 1.0), "B": (0.6, 0.9)}, cutoff=1.8, mixing="lorentz-berthelot"))
+        md.archive(
+            file,
+            tmp_path / "other.h5md",
+            50,
+            md.LennardJones({"A": (1.0, 1.0), "B": (0.6, 0.9)}, cutoff=1.8, mixing="lorentz-berthelot"),
+        )
     assert not (tmp_path / "other.h5md").exists()
 
 
 def test_any_step_of_a_run_in_units_of_ase_is_made_again(tmp_path):
     """Files have Å/ps; what their rounding changes is less than half a step of the grid."""
     file, law = tmp_path / "run.h5md", md.LennardJones(120.0 * md.units.ASE.k_B, 3.4, 5.0, truncation="force-shifted")
-    run = md.Simulation(bulk("Ar", "fcc", 5.4, cubic=True).repeat(2), law, md.VelocityVerlet(5.0 * md.units.fs), precision="fixed-point")
+    run = md.Simulation(
+        bulk("Ar", "fcc", 5.4, cubic=True).repeat(2), law, md.VelocityVerlet(5.0 * md.units.fs), precision="fixed-point"
+    )
     run.set_temperature(94.4, seed=1)
     other = pickle.loads(pickle.dumps(run))
     run.run(60, every=20, trajectory=file)
@@ -155,7 +164,9 @@ def test_any_step_of_a_run_in_units_of_ase_is_made_again(tmp_path):
     assert md.archive(file, tmp_path / "small.h5md", 40, law).n_frames == (4, 2)
 
 
-@pytest.mark.parametrize("bath", [md.LangevinBAOAB(0.004, 0.9, 1.0, seed=3), md.StochasticVelocityRescaling(0.004, 0.9, 0.5, seed=3)])
+@pytest.mark.parametrize(
+    "bath", [md.LangevinBAOAB(0.004, 0.9, 1.0, seed=3), md.StochasticVelocityRescaling(0.004, 0.9, 0.5, seed=3)]
+)
 def test_baths_keep_to_the_grid(bath):
     """With them, too, a run that is stopped and one on other threads have the same bits; rescaling keeps the momentum to rounding."""
     one, other = simulated(mixture(), bath), simulated(mixture(), bath, threads=2, skin=0.2)
@@ -218,7 +229,9 @@ def test_forces_and_energies_are_those_of_float64_to_the_steps_of_the_grid(syste
     step, errors = GRID.momentum / rounded.engine.interactions.unit, frame.forces - exact.forces
     assert (np.abs(errors) <= 0.5 * step * n_impulses[:, None] + 1e-15 * np.abs(exact.forces).max()).all()
     of_all = step * np.sqrt(n_impulses.mean() / 12.0)
-    assert np.sqrt((errors**2).mean()) == pytest.approx(of_all, rel=0.16)  # statistics: four standard errors of 324 numbers
+    assert np.sqrt((errors**2).mean()) == pytest.approx(
+        of_all, rel=0.16
+    )  # statistics: four standard errors of 324 numbers
     of_energy = GRID.energy * np.sqrt((len(pairs) + len(here.bonds) + len(here.angles)) / 12.0)
     error = abs(frame.observables["potential_energy"] - exact.potential_energy)
     assert error <= 4.0 * of_energy + 1e-15 * abs(exact.potential_energy)  # statistics and rounding
@@ -262,8 +275,14 @@ def test_a_grid_is_chosen_from_the_scene_and_widened_with_it():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda one: one.velocities.__setitem__((7, 1), 1e4), r"the momentum of atom 7 is 1e\+04, beyond the range of fixed-point numbers, 64"),
-        (lambda one: one.positions.__setitem__((7, 1), 1e4), r"atom 7 is 1e\+04 from the origin, beyond the range of fixed-point numbers, 1.02e\+03"),
+        (
+            lambda one: one.velocities.__setitem__((7, 1), 1e4),
+            r"the momentum of atom 7 is 1e\+04, beyond the range of fixed-point numbers, 64",
+        ),
+        (
+            lambda one: one.positions.__setitem__((7, 1), 1e4),
+            r"atom 7 is 1e\+04 from the origin, beyond the range of fixed-point numbers, 1.02e\+03",
+        ),
     ],
 )
 def test_what_is_out_of_range_is_refused(change, message):

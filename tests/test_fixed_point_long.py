@@ -51,7 +51,10 @@ def test_twenty_stops_at_random():
     stops = np.sort(np.random.default_rng(3).choice(np.arange(1, 500), 20, replace=False))
     for n in np.diff([0, *stops, 500]):
         stopped.make_steps(int(n))
-        parts = {name: getattr(stopped.system, name) for name in ("masses", "velocities", "species", "cell", "bonds", "angles")}
+        parts = {
+            name: getattr(stopped.system, name)
+            for name in ("masses", "velocities", "species", "cell", "bonds", "angles")
+        }
         stopped = simulated(md.System(stopped.positions, **parts))  # nothing goes along but the state
     assert bits(stopped) == bits(reference)
 
@@ -102,9 +105,10 @@ def test_hot_fast_and_far_atoms_are_right_or_stopped(speed, distance, far, times
         assert bits(simulation) == start
     except (md.RangeError, md.NonFiniteError, ValueError) as error:
         message = str(error)
-    assert not message or any(word in message for word in ("beyond the range", "past every neighbor", "would move it", "not finite", "shift them")), (
-        message
-    )
+    assert not message or any(
+        word in message
+        for word in ("beyond the range", "past every neighbor", "would move it", "not finite", "shift them")
+    ), message
 
 
 @pytest.mark.parametrize("name", ["nist_lj/config1.json", "nist_lj/config4.json"])
@@ -113,7 +117,9 @@ def test_nists_configurations(name):
     for row in data["rows"]:
         truncation = {"truncated_plus_LRC": "truncated", "linear_force_shift": "force-shifted"}[row["scheme"]]
         law = md.LennardJones(1.0, 1.0, row["rc"], truncation)
-        simulation = md.Simulation(md.System(data["x"], cell=data["box"]), law, md.VelocityVerlet(0.001), precision="fixed-point")
+        simulation = md.Simulation(
+            md.System(data["x"], cell=data["box"]), law, md.VelocityVerlet(0.001), precision="fixed-point"
+        )
         assert simulation.potential_energy == pytest.approx(row["Upair_recomputed"], rel=1e-11)
         assert np.trace(simulation.engine.interactions.virial) == pytest.approx(row["Wpair_recomputed"], rel=1e-11)
 

@@ -40,7 +40,10 @@ FLOORS = [  # highest first; several on one floor do not know each other
     "minimd.structure",
     "minimd.compiled",
 ]
-STRANGERS = {("minimd.integrators", "minimd.potentials"), ("minimd.potentials", "minimd.integrators")}  # never import each other
+STRANGERS = {
+    ("minimd.integrators", "minimd.potentials"),
+    ("minimd.potentials", "minimd.integrators"),
+}  # never import each other
 BRIDGES = {  # modules that may import ase or MDAnalysis when they are imported
     "structure/ase_atoms.py",
     "structure/mdanalysis_atoms.py",
@@ -58,7 +61,9 @@ def name_of(path):
     return "minimd." + path.relative_to(PACKAGE).with_suffix("").as_posix().replace("/", ".")
 
 
-MODULES = {name_of(path).removesuffix(".__init__").replace("minimd.__init__", "minimd"): path for path in PACKAGE.rglob("*.py")}
+MODULES = {
+    name_of(path).removesuffix(".__init__").replace("minimd.__init__", "minimd"): path for path in PACKAGE.rglob("*.py")
+}
 
 
 def imports(path, when_imported=False):
@@ -95,7 +100,10 @@ def test_imports_go_down_the_floors():
 
 
 def test_there_are_no_circles():
-    graph = {module: {other for other in imports(path) if other in MODULES and other != module} for module, path in MODULES.items()}
+    graph = {
+        module: {other for other in imports(path) if other in MODULES and other != module}
+        for module, path in MODULES.items()
+    }
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as circle:
@@ -120,8 +128,14 @@ def test_no_module_reaches_for_the_private_name_of_another():
     for module, path in MODULES.items():
         tree = ast.parse(path.read_text())
         own = {node.name for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
-        own |= {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)}
-        own |= {node.target.id for node in ast.walk(tree) if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)}
+        own |= {
+            node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)
+        }
+        own |= {
+            node.target.id
+            for node in ast.walk(tree)
+            if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
+        }
         for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("minimd"):
                 reached += [f"{module}: {alias.name}" for alias in node.names if re.match(r"_[^_]", alias.name)]

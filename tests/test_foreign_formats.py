@@ -24,7 +24,12 @@ def test_foreign_format_read_back_is_the_trajectory_written(tmp_path, suffix, un
     path, seen = tmp_path / f"a.{suffix}", []
     sim = simulation(system(units=units))
     sim.run(12)
-    sim.run(12, every=4, trajectory=path, observers=[lambda s: seen.append((s.time, s.positions.copy(), s.velocities.copy()))])
+    sim.run(
+        12,
+        every=4,
+        trajectory=path,
+        observers=[lambda s: seen.append((s.time, s.positions.copy(), s.velocities.copy()))],
+    )
     per_ps = PER_PICOSECOND if units is md.units.ASE else 1.0
     made = MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(path))
     assert len(made.trajectory) == 4
@@ -41,12 +46,16 @@ def test_foreign_format_read_back_is_the_trajectory_written(tmp_path, suffix, un
 @pytest.mark.parametrize("cell", [[[9.0, 0, 0], [2.0, 9.0, 0], [-1.0, 3.0, 9.0]], None], ids=["triclinic", "open"])
 def test_foreign_format_keeps_lengths_and_angles(tmp_path, suffix, cell):
     simulation(system(cell)).run(4, every=2, trajectory=tmp_path / f"a.{suffix}")
-    dimensions = MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(tmp_path / f"a.{suffix}")).trajectory.ts.dimensions
+    dimensions = (
+        MDAnalysis.Universe.empty(24, trajectory=False).load_new(str(tmp_path / f"a.{suffix}")).trajectory.ts.dimensions
+    )
     if cell is None:
         assert dimensions is None or not dimensions[:3].any()
     else:
         a, b, c = np.array(cell)
-        angles = [np.degrees(np.arccos(u @ v / np.linalg.norm(u) / np.linalg.norm(v))) for u, v in ((b, c), (a, c), (a, b))]
+        angles = [
+            np.degrees(np.arccos(u @ v / np.linalg.norm(u) / np.linalg.norm(v))) for u, v in ((b, c), (a, c), (a, b))
+        ]
         np.testing.assert_allclose(dimensions, [*np.linalg.norm(cell, axis=1), *angles], rtol=1e-5)
 
 
@@ -90,7 +99,9 @@ def test_a_resumed_run_cuts_other_trajectories_to_its_restart(tmp_path, suffix, 
         file.write(path.read_bytes()[300:1000])
     (tmp_path / "a.h5md").write_bytes((tmp_path / "b.h5md").read_bytes())  # with its inode, as a kill leaves it
     with pytest.warns(UserWarning, match=rf"a\.{suffix}' was cut"):
-        md.Simulation.resume(tmp_path / "a.h5md", sim.potentials).run(4, every=1, trajectory=tmp_path / "a.h5md", append=True)
+        md.Simulation.resume(tmp_path / "a.h5md", sim.potentials).run(
+            4, every=1, trajectory=tmp_path / "a.h5md", append=True
+        )
     np.testing.assert_array_equal(frames_in(path), whole[:2])
 
 
@@ -107,8 +118,14 @@ def test_a_trajectory_of_a_finished_run_is_never_cut(tmp_path, suffix, n_steps):
 
 
 OF_ANOTHER_RUN = {
-    "a copy": lambda path, old: (path.with_suffix(".new").write_bytes(path.read_bytes()), path.with_suffix(".new").replace(path)),
-    "restart in a copy": lambda path, old: (old.with_suffix(".new").write_bytes(old.read_bytes()), old.with_suffix(".new").replace(old)),
+    "a copy": lambda path, old: (
+        path.with_suffix(".new").write_bytes(path.read_bytes()),
+        path.with_suffix(".new").replace(path),
+    ),
+    "restart in a copy": lambda path, old: (
+        old.with_suffix(".new").write_bytes(old.read_bytes()),
+        old.with_suffix(".new").replace(old),
+    ),
     "rewritten": lambda path, old: path.write_bytes(path.read_bytes()[::-1]),
     "a link": lambda path, old: path.symlink_to(path.replace(path.with_name("b.xtc"))),
 }
@@ -127,7 +144,9 @@ def test_a_trajectory_that_is_not_of_the_run_is_left_alone_and_told(tmp_path, ch
     OF_ANOTHER_RUN[change](path, tmp_path / "a.h5md")
     content = path.read_bytes()
     with pytest.warns(UserWarning, match=r"a\.xtc' may hold frames after the restart"):
-        md.Simulation.resume(tmp_path / "a.h5md", sim.potentials).run(4, every=2, trajectory=tmp_path / "a.h5md", append=True)
+        md.Simulation.resume(tmp_path / "a.h5md", sim.potentials).run(
+            4, every=2, trajectory=tmp_path / "a.h5md", append=True
+        )
     assert path.read_bytes() == content
 
 
@@ -157,7 +176,12 @@ def test_a_trajectory_whose_disk_fails_is_named_and_the_h5md_file_is_whole(tmp_p
     bring_to_disk_every(0.0, monkeypatch)
     monkeypatch.setattr("os.fsync", failing)
     with pytest.raises(OSError, match=r"a\.xtc' .*Input/output error"):
-        simulation().run(8, every=2, trajectory=[tmp_path / "a.h5md", tmp_path / "a.xtc"], observers=[lambda sim: seen.append(sim.step)])
+        simulation().run(
+            8,
+            every=2,
+            trajectory=[tmp_path / "a.h5md", tmp_path / "a.xtc"],
+            observers=[lambda sim: seen.append(sim.step)],
+        )
     assert seen == [0, 2]
     held = read_file(tmp_path / "a.h5md")
     assert (held.step, held.n_frames) == (4, 3)

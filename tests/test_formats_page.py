@@ -49,7 +49,11 @@ def test_end_to_end_distances_of_the_page_are_those_of_whole_molecules(folder, c
     script, found = next(one for one in SCRIPTS if "ends = " in one), []
     for shift in (0.0, 0.6):
         system = system_from_file("melt.pdb")
-        system.positions[:] = system.cell.wrapped(system.positions + shift * system.cell.vectors.diagonal()) if shift else system.positions
+        system.positions[:] = (
+            system.cell.wrapped(system.positions + shift * system.cell.vectors.diagonal())
+            if shift
+            else system.positions
+        )
         sim = md.Simulation(system, md.LennardJones(0.01, 0.9, 2.5), md.VelocityVerlet(0.1))
         sim.run(5, every=5, trajectory="run.h5md", overwrite=True)
         exec(compile(script, "formats.md", "exec"), names := {})

@@ -93,12 +93,16 @@ def density(tree):
 
 def stage_weights(tableau, tree):
     """(s,) Π over the branches of Σ_j β_ij …"""
-    return np.prod([tableau.beta @ stage_weights(tableau, branch) for branch in tree] + [np.ones(tableau.nodes.size)], axis=0)
+    return np.prod(
+        [tableau.beta @ stage_weights(tableau, branch) for branch in tree] + [np.ones(tableau.nodes.size)], axis=0
+    )
 
 
 def worst_condition(tableau, order):
     """Largest |Σ_i w_i Φ_i(t) − 1/γ(t)| over the trees of an order."""
-    return max(abs(tableau.weights @ stage_weights(tableau, tree) - 1.0 / density(tree)) for tree in rooted_trees(order))
+    return max(
+        abs(tableau.weights @ stage_weights(tableau, tree) - 1.0 / density(tree)) for tree in rooted_trees(order)
+    )
 
 
 def test_there_are_as_many_rooted_trees_as_cayley_says():
@@ -144,7 +148,10 @@ def test_a_step_of_a_linear_problem_is_the_pade_approximant(method, z):
     k = np.arange(max(numerator, denominator) + 1)
 
     def factor(degree, other, sign):
-        terms = [prod(range(degree - j + 1, degree + 1)) / prod(range(degree + other - j + 1, degree + other + 1)) for j in k[: degree + 1]]
+        terms = [
+            prod(range(degree - j + 1, degree + 1)) / prod(range(degree + other - j + 1, degree + other + 1))
+            for j in k[: degree + 1]
+        ]
         return sum(c * (sign * z) ** j / prod(range(1, j + 1)) for j, c in enumerate(terms))
 
     expected = factor(numerator, denominator, 1.0) / factor(denominator, numerator, -1.0)
@@ -155,18 +162,26 @@ def test_a_step_of_a_linear_problem_is_the_pade_approximant(method, z):
 
 
 @pytest.mark.parametrize("name", PROBLEM_OF)
-@pytest.mark.parametrize(("method", "n_steps"), [(GaussLegendre1, 800), (GaussLegendre2, 200), (GaussLegendre3, 140), (GaussLegendre4, 120)])
+@pytest.mark.parametrize(
+    ("method", "n_steps"), [(GaussLegendre1, 800), (GaussLegendre2, 200), (GaussLegendre3, 140), (GaussLegendre4, 120)]
+)
 def test_measured_order_on_references(method, n_steps, name):
     reference, end = PROBLEMS[name], float(PROBLEMS[name]["T"])
     n_steps //= 4 if name == "henon_heiles_T8" else 1  # a smoother path
     exact, counts = np.array([*reference["q"], *reference["p"]], dtype=float), np.array([n_steps, 3 * n_steps // 2])
-    errors = [np.linalg.norm(run_until(PROBLEM_OF[name], method(end / n), STARTS[name], end).y[-1] - exact) for n in counts]
-    assert -np.diff(np.log(errors))[0] / np.diff(np.log(counts))[0] == pytest.approx(method.order, abs=0.35)  # truncation, with two step sizes
+    errors = [
+        np.linalg.norm(run_until(PROBLEM_OF[name], method(end / n), STARTS[name], end).y[-1] - exact) for n in counts
+    ]
+    assert -np.diff(np.log(errors))[0] / np.diff(np.log(counts))[0] == pytest.approx(
+        method.order, abs=0.35
+    )  # truncation, with two step sizes
 
 
 def test_newton_and_fixed_point_solve_the_same_equations():
     newton = run_steps(KEPLER, GaussLegendre3(0.05), STARTS["kepler_e0.6_T7.5"], 100)
-    fixed = run_steps(SecondOrder(attraction, solver=FixedPoint()), GaussLegendre3(0.05), STARTS["kepler_e0.6_T7.5"], 100)
+    fixed = run_steps(
+        SecondOrder(attraction, solver=FixedPoint()), GaussLegendre3(0.05), STARTS["kepler_e0.6_T7.5"], 100
+    )
     assert np.abs(newton.y - fixed.y).max() < 1e-11  # rounding, growing with the square of time
 
 
@@ -233,7 +248,10 @@ def test_quadratic_invariants_do_not_drift_in_100_000_steps(method):
 
 def coupled(q, p):
     """H = (p₁² (1 + q₂²) + p₂² (2 + sin q₁))/2 + q₁² q₂²/2 + q₁² + q₂², not separable: its slopes ∂H/∂q and ∂H/∂p."""
-    h_q = [0.5 * p[1] ** 2 * np.cos(q[0]) + q[0] * q[1] ** 2 + 2.0 * q[0], p[0] ** 2 * q[1] + q[0] ** 2 * q[1] + 2.0 * q[1]]
+    h_q = [
+        0.5 * p[1] ** 2 * np.cos(q[0]) + q[0] * q[1] ** 2 + 2.0 * q[0],
+        p[0] ** 2 * q[1] + q[0] ** 2 * q[1] + 2.0 * q[1],
+    ]
     return np.array(h_q), np.array([p[0] * (1.0 + q[1] ** 2), p[1] * (2.0 + np.sin(q[0]))])
 
 
@@ -247,7 +265,12 @@ def step_jacobian(problem, method, h, y):
     def end(z):
         return run_steps(problem, method(h), (z[:n], z[n:]), 1).y[-1]
 
-    return np.array([(8.0 * (end(y + d * e) - end(y - d * e)) - (end(y + 2.0 * d * e) - end(y - 2.0 * d * e))) / (12.0 * d) for e in np.eye(2 * n)]).T
+    return np.array(
+        [
+            (8.0 * (end(y + d * e) - end(y - d * e)) - (end(y + 2.0 * d * e) - end(y - 2.0 * d * e))) / (12.0 * d)
+            for e in np.eye(2 * n)
+        ]
+    ).T
 
 
 @pytest.mark.parametrize("problem", [HAMILTONIAN, KEPLER])
@@ -275,8 +298,14 @@ def test_a_step_back_undoes_a_step_of_gauss_methods_only(method, problem):
 @pytest.mark.parametrize("method", GAUSS)
 def test_the_energy_of_a_problem_that_is_not_separable_oscillates_and_does_not_drift(method):
     def hamiltonian(q, p):
-        return 0.5 * (p[0] ** 2 * (1.0 + q[1] ** 2) + p[1] ** 2 * (2.0 + np.sin(q[0])) + q[0] ** 2 * q[1] ** 2) + q[0] ** 2 + q[1] ** 2
+        return (
+            0.5 * (p[0] ** 2 * (1.0 + q[1] ** 2) + p[1] ** 2 * (2.0 + np.sin(q[0])) + q[0] ** 2 * q[1] ** 2)
+            + q[0] ** 2
+            + q[1] ** 2
+        )
 
     path = run_steps(HAMILTONIAN, method(0.1), ((0.9, 0.4), (-0.5, 0.8)), 1200)
-    errors = np.abs([hamiltonian(q, p) - hamiltonian(path.q[0], path.v[0]) for q, p in zip(path.q, path.v, strict=True)])
+    errors = np.abs(
+        [hamiltonian(q, p) - hamiltonian(path.q[0], path.v[0]) for q, p in zip(path.q, path.v, strict=True)]
+    )
     assert errors[600:].max() < 1.5 * errors[:600].max() + ULPS

@@ -5,18 +5,38 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from wrong_functions import RIGHT_FORCES, RIGHT_STEPS, WRONG_FORCES, WRONG_STEPS, explicit_euler, kick_first, runge_kutta_4, velocity_verlet
+from wrong_functions import (
+    RIGHT_FORCES,
+    RIGHT_STEPS,
+    WRONG_FORCES,
+    WRONG_STEPS,
+    explicit_euler,
+    kick_first,
+    runge_kutta_4,
+    velocity_verlet,
+)
 
 import minimd as md
 
-QUICK = ("kick_first", "aliased", "no_mass_in_one_half", "stale", "hidden_noise", "last_atom_forgotten", "atom_after_atom", "own_spring")
+QUICK = (
+    "kick_first",
+    "aliased",
+    "no_mass_in_one_half",
+    "stale",
+    "hidden_noise",
+    "last_atom_forgotten",
+    "atom_after_atom",
+    "own_spring",
+)
 
 
 def slow_unless(is_quick, value, name):
     return pytest.param(value, id=name, marks=() if is_quick else pytest.mark.slow)
 
 
-@pytest.mark.parametrize("step", [slow_unless(k in (0, 4, 6), step, step.__name__) for k, step in enumerate(RIGHT_STEPS)])
+@pytest.mark.parametrize(
+    "step", [slow_unless(k in (0, 4, 6), step, step.__name__) for k, step in enumerate(RIGHT_STEPS)]
+)
 def test_a_right_step_passes_in_every_shape(step):
     grade = md.grade(step)
     assert grade.passed, str(grade)
@@ -289,7 +309,9 @@ def test_parameters_of_a_force_are_what_they_say():
     assert "attractive term" in (fault := md.grade(no_sigma).faults[0])
     assert "σ^6 is missing" in fault
     assert "eps is without effect" in md.grade(no_epsilon).faults[0]
-    assert "without rest length" in md.grade(no_length, positions=np.array([[0.0, 0.0, 0.0], [0.9, 0.5, 0.2]])).faults[0]
+    assert (
+        "without rest length" in md.grade(no_length, positions=np.array([[0.0, 0.0, 0.0], [0.9, 0.5, 0.2]])).faults[0]
+    )
 
 
 def test_a_force_that_falls_as_the_inverse_of_r_is_remarked():

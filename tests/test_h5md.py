@@ -43,7 +43,10 @@ def test_trajectory_read_back_by_mdanalysis_is_the_trajectory_written(tmp_path, 
 def test_cell_of_mdanalysis_has_lengths_and_angles_of_ours(tmp_path, cell):
     sim = simulation(cell)
     sim.run(0, trajectory=tmp_path / "a.h5md")
-    dimensions, cell_read = opened(tmp_path / "a.h5md").trajectory.ts.dimensions, read_file(tmp_path / "a.h5md").system.cell
+    dimensions, cell_read = (
+        opened(tmp_path / "a.h5md").trajectory.ts.dimensions,
+        read_file(tmp_path / "a.h5md").system.cell,
+    )
     assert cell_read.same_as(sim.system.cell)
     if cell.startswith("open") or cell == "slab without height":
         assert dimensions is None
@@ -74,7 +77,10 @@ def test_observables_are_those_of_the_record_to_the_last_bit(tmp_path, cell, uni
 def test_series_share_one_step_and_one_time(tmp_path):
     simulation().run(4, every=2, trajectory=tmp_path / "a.h5md", store_forces=True)
     with h5py.File(tmp_path / "a.h5md") as h5:
-        groups = [h5["observables/momentum"], *(h5[f"particles/trajectory/{name}"] for name in ("velocity", "force", "box/edges"))]
+        groups = [
+            h5["observables/momentum"],
+            *(h5[f"particles/trajectory/{name}"] for name in ("velocity", "force", "box/edges")),
+        ]
         for group in groups:
             assert group["step"] == h5["particles/trajectory/position/step"]
             assert group["time"] == h5["particles/trajectory/position/time"]
@@ -117,13 +123,21 @@ BATHS = {
         md.PositionVerlet(0.002),
         r"velocity-verlet\(timestep=0.002\) before, position-verlet\(timestep=0.002\) now",
     ),
-    "time step": (md.VelocityVerlet(0.002), md.VelocityVerlet(0.001), r"\(timestep=0.002\) before, velocity-verlet\(timestep=0.001\) now"),
+    "time step": (
+        md.VelocityVerlet(0.002),
+        md.VelocityVerlet(0.001),
+        r"\(timestep=0.002\) before, velocity-verlet\(timestep=0.001\) now",
+    ),
     "temperature": (
         md.LangevinBAOAB(0.002, 1.0, 1.0, 3),
         md.LangevinBAOAB(0.002, 2.0, 1.0, 3),
         r"temperature=1, .* before, .* temperature=2, .* now",
     ),
-    "seed": (md.LangevinBAOAB(0.002, 1.0, 1.0, 3), md.LangevinBAOAB(0.002, 1.0, 1.0, 4), r"seed=3\) before, .* seed=4\) now"),
+    "seed": (
+        md.LangevinBAOAB(0.002, 1.0, 1.0, 3),
+        md.LangevinBAOAB(0.002, 1.0, 1.0, 4),
+        r"seed=3\) before, .* seed=4\) now",
+    ),
 }
 
 
@@ -139,7 +153,9 @@ def test_a_run_that_goes_on_with_other_steps_says_so(what, tmp_path):
         resumed(path).run(4, every=2, trajectory=path, append=True)
     again = resumed(path)
     again.method = now
-    with pytest.warns(UserWarning, match=f"goes on with other steps: .*{told}; frames before and after belong to different runs") as caught:
+    with pytest.warns(
+        UserWarning, match=f"goes on with other steps: .*{told}; frames before and after belong to different runs"
+    ) as caught:
         again.run(4, every=2, trajectory=path, append=True)
     assert caught[0].filename == __file__
     assert read_file(path).parameters == now.parameters
@@ -149,14 +165,21 @@ def test_another_barostat_and_a_bath_that_was_not_there_are_refused(tmp_path):
     sim, path = simulation(), tmp_path / "a.h5md"
     sim.run(4, every=2, trajectory=path)
     sim.method = md.LangevinBAOAB(0.002, 1.0, 1.0, 3)
-    with pytest.raises(ValueError, match="was written without a thermostat; it cannot be continued with langevin-baoab: write to a new file"):
+    with pytest.raises(
+        ValueError,
+        match="was written without a thermostat; it cannot be continued with langevin-baoab: write to a new file",
+    ):
         sim.run(4, every=2, trajectory=path, append=True)
     one, other = (md.StochasticCellRescaling(p, 0.1, 1.0, seed=1, temperature=1.0) for p in (1.0, 2.0))
-    at_one, at_other = (md.Simulation(simulation().system, sim.potentials, md.VelocityVerlet(0.002), barostat=bath) for bath in (one, other))
+    at_one, at_other = (
+        md.Simulation(simulation().system, sim.potentials, md.VelocityVerlet(0.002), barostat=bath)
+        for bath in (one, other)
+    )
     at_one.run(4, every=2, trajectory=tmp_path / "b.h5md")
     at_other.restore(at_one.snapshot())
     with pytest.raises(
-        ValueError, match=r"holds a run with \w+\(pressure=1\.0, .*; the simulation has \w+\(pressure=2\.0, .*\): write to a new file"
+        ValueError,
+        match=r"holds a run with \w+\(pressure=1\.0, .*; the simulation has \w+\(pressure=2\.0, .*\): write to a new file",
     ):
         at_other.run(4, every=2, trajectory=tmp_path / "b.h5md", append=True)
 

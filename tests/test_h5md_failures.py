@@ -19,7 +19,13 @@ from minimd.files.h5md_writer import H5MDWriter
 
 @pytest.mark.parametrize(
     ("fault", "words"),
-    [("masses", "masses"), ("cell", "the cell"), ("step", "from step 10"), ("forces", "without forces"), ("units", "units")],
+    [
+        ("masses", "masses"),
+        ("cell", "the cell"),
+        ("step", "from step 10"),
+        ("forces", "without forces"),
+        ("units", "units"),
+    ],
 )
 def test_appending_another_run_is_refused(tmp_path, fault, words):
     path = tmp_path / "a.h5md"
@@ -130,7 +136,10 @@ def test_full_disk_is_told_once_and_spoils_nothing(tmp_path, monkeypatch, way):
             writer.write(sim.frame())
             sim.step += 1
 
-    with limited(1_200_000 if way == "limit" else 2**40), pytest.raises(OSError, match=r"a\.h5md.*frame of step") as failure:
+    with (
+        limited(1_200_000 if way == "limit" else 2**40),
+        pytest.raises(OSError, match=r"a\.h5md.*frame of step") as failure,
+    ):
         write_until_full()
     monkeypatch.undo()
     writer.close()
@@ -192,8 +201,12 @@ def test_refused_or_failed_output_leaves_nothing_of_the_others(tmp_path, monkeyp
     assert [path.name for path in tmp_path.iterdir()] == ["b.xyz"]
 
     closed = []
-    monkeypatch.setattr("minimd.files.mdanalysis_writer.MDAnalysisWriter.close", lambda self: closed.append(self.claim.release()))
-    monkeypatch.setattr("minimd.files.h5md_writer.H5MDWriter.__init__", lambda *_, **__: (_ for _ in ()).throw(OSError("no more files")))
+    monkeypatch.setattr(
+        "minimd.files.mdanalysis_writer.MDAnalysisWriter.close", lambda self: closed.append(self.claim.release())
+    )
+    monkeypatch.setattr(
+        "minimd.files.h5md_writer.H5MDWriter.__init__", lambda *_, **__: (_ for _ in ()).throw(OSError("no more files"))
+    )
     with pytest.raises(OSError, match="no more files"):
         simulation().run(5, trajectory=[tmp_path / "a.h5md", tmp_path / "c.xtc"])
     assert closed == [None]

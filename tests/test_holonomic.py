@@ -25,7 +25,10 @@ def double_pendulum():
     return Holonomic(lambda q: np.tile(GRAVITY, 2), lengths, masses=[1.0, 1.0, 2.0, 2.0])
 
 
-DOUBLE_START = ([np.sin(1.0), -np.cos(1.0), np.sin(1.0) + 0.5 * np.sin(2.0), -np.cos(1.0) - 0.5 * np.cos(2.0)], np.zeros(4))
+DOUBLE_START = (
+    [np.sin(1.0), -np.cos(1.0), np.sin(1.0) + 0.5 * np.sin(2.0), -np.cos(1.0) - 0.5 * np.cos(2.0)],
+    np.zeros(4),
+)
 START = ([np.sin(1.0), -np.cos(1.0)], [0.0, 0.0])
 
 
@@ -56,7 +59,11 @@ def test_the_double_pendulum_against_its_angles():
         a, b, u, w = y
         c, s = np.cos(a - b), np.sin(a - b)
         mass = np.array([[(m1 + m2) * l1, m2 * l2 * c], [l1 * c, l2]])
-        return [u, w, *np.linalg.solve(mass, [-m2 * l2 * w * w * s - (m1 + m2) * np.sin(a), l1 * u * u * s - np.sin(b)])]
+        return [
+            u,
+            w,
+            *np.linalg.solve(mass, [-m2 * l2 * w * w * s - (m1 + m2) * np.sin(a), l1 * u * u * s - np.sin(b)]),
+        ]
 
     exact = solve_ivp(in_angles, (0.0, 2.0), [1.0, 2.0, 0.0, 0.0], method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
     q = run_until(double_pendulum(), SPLITTINGS["kahan-li-6"](0.05), DOUBLE_START, 2.0).q[-1]
@@ -70,7 +77,9 @@ def test_constraints_are_kept_to_rounding():
     assert max(np.abs(problem.violation(q)).max() for q in path.q) < 1e-14
     exact = exact_gradients()
     exact.begin(DOUBLE_START)
-    assert max(np.abs(exact.gradient(q) @ v).max() for q, v in zip(path.q, path.v, strict=True)) < 1e-12  # G by differences
+    assert (
+        max(np.abs(exact.gradient(q) @ v).max() for q, v in zip(path.q, path.v, strict=True)) < 1e-12
+    )  # G by differences
 
 
 @pytest.mark.parametrize("method", [method for method in SPLITTINGS.values() if method.is_symmetric])
@@ -149,7 +158,9 @@ def test_a_start_off_the_manifold_is_projected_and_told():
         path = run_steps(pendulum(), md.VelocityVerlet(0.01), start, 1)
     with pytest.warns(UserWarning, match=r"projected onto the constraints: q by .* v by") as warned_too:
         pendulum().begin(start)
-    assert [warning.filename for warning in (*warned, *warned_too)] == 2 * [__file__]  # the caller's line, however deep in minimd
+    assert [warning.filename for warning in (*warned, *warned_too)] == 2 * [
+        __file__
+    ]  # the caller's line, however deep in minimd
     assert path.q[0] == pytest.approx([1.0, 0.0], abs=1e-15)
     assert path.v[0] == pytest.approx([0.0, 0.2], abs=1e-15)
 

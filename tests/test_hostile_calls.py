@@ -18,14 +18,71 @@ ITSELF: list = []
 ITSELF.append(ITSELF)
 
 SENSELESS = [  # what no argument of any door may mean
-    *(float("nan"), [float("nan")], 1 + 2j, np.array([1j, 2, 3]), 10**400, -(10**30), np.datetime64("2020-01-01"), b"x"),
-    *(np.ma.masked, np.ma.array([1.0, 2.0, 3.0], mask=[0, 1, 0]), object(), [object()] * 3, {1: 2}, ITSELF, [[1, 2], [3]]),
+    *(
+        float("nan"),
+        [float("nan")],
+        1 + 2j,
+        np.array([1j, 2, 3]),
+        10**400,
+        -(10**30),
+        np.datetime64("2020-01-01"),
+        b"x",
+    ),
+    *(
+        np.ma.masked,
+        np.ma.array([1.0, 2.0, 3.0], mask=[0, 1, 0]),
+        object(),
+        [object()] * 3,
+        {1: 2},
+        ITSELF,
+        [[1, 2], [3]],
+    ),
     np.broadcast_to(1.0, (10**12, 3)),  # as large as it says, in eight bytes
 ]
 STRANGE = [
-    *(None, True, False, "False", "", "abc", "1.5", b"", np.bool_(True), np.array("1.5"), print, range(3), [], (), {}, set()),
-    *(float("inf"), -float("inf"), -1.0, -1, 0, 0.0, 5e-324, 1e-300, 1e300, 1e14, 2**63, 10**20, [10**12] * 3, Fraction(3, 2)),
-    *(np.float32(2.5), np.float32(1e-40), np.float16(3), np.int8(-1), np.uint64(2), [True, 2.0, 3.0], np.array([None, 1.0])),
+    *(
+        None,
+        True,
+        False,
+        "False",
+        "",
+        "abc",
+        "1.5",
+        b"",
+        np.bool_(True),
+        np.array("1.5"),
+        print,
+        range(3),
+        [],
+        (),
+        {},
+        set(),
+    ),
+    *(
+        float("inf"),
+        -float("inf"),
+        -1.0,
+        -1,
+        0,
+        0.0,
+        5e-324,
+        1e-300,
+        1e300,
+        1e14,
+        2**63,
+        10**20,
+        [10**12] * 3,
+        Fraction(3, 2),
+    ),
+    *(
+        np.float32(2.5),
+        np.float32(1e-40),
+        np.float16(3),
+        np.int8(-1),
+        np.uint64(2),
+        [True, 2.0, 3.0],
+        np.array([None, 1.0]),
+    ),
     *(np.array([]), np.zeros((0, 3)), np.zeros((2, 2, 2)), np.full((3, 3), np.inf)),
 ]
 CHANGES = {
@@ -53,7 +110,9 @@ def law(r2, a):
 
 
 def system(**changed):
-    return md.System(**({"positions": THREE, "cell": 10.0, "bonds": [[0, 1], [0, 2]], "species": ["A", "B", "A"]} | changed))
+    return md.System(
+        **({"positions": THREE, "cell": 10.0, "bonds": [[0, 1], [0, 2]], "species": ["A", "B", "A"]} | changed)
+    )
 
 
 def energy_of(potential):
@@ -61,7 +120,9 @@ def energy_of(potential):
 
 
 def simulation(method=None, constraints=(), **options):
-    made = md.Simulation(system(), md.LennardJones(1.0, 1.0, 2.5), method or md.VelocityVerlet(0.002), constraints, **options)
+    made = md.Simulation(
+        system(), md.LennardJones(1.0, 1.0, 2.5), method or md.VelocityVerlet(0.002), constraints, **options
+    )
     made.make_steps(1)
     return made
 
@@ -82,7 +143,16 @@ def scene_with(**changed):
 SPECIES = {"A": (1.0, 1.0), "B": (0.5, 0.9)}
 DOORS = {  # a call, and arguments with which it works
     "System": (system, {"positions": THREE, "masses": [1.0, 2.0, 3.0], "velocities": THREE, "cell": [9.0, 9.0, 9.0]}),
-    "System, more": (system, {"pbc": [True, True, False], "species": ["A", "A", "B"], "bonds": [[0, 1]], "units": md.units.LJ, "constraints": ()}),
+    "System, more": (
+        system,
+        {
+            "pbc": [True, True, False],
+            "species": ["A", "A", "B"],
+            "bonds": [[0, 1]],
+            "units": md.units.LJ,
+            "constraints": (),
+        },
+    ),
     "Cell.of": (md.Cell.of, {"vectors": np.eye(3), "pbc": [True, False, True]}),
     "Cell": (md.Cell, {"vectors": np.eye(3), "pbc": np.array([True, True, False])}),
     "LennardJones": (
@@ -92,12 +162,26 @@ DOORS = {  # a call, and arguments with which it works
     ),
     "LennardJones of species": (
         lambda **some: energy_of(md.LennardJones(**some)),
-        {"epsilon": SPECIES, "cutoff": {("A", "A"): 2.0, ("A", "B"): 2.5, ("B", "B"): 2.5}, "mixing": "geometric", "pairs": {("A", "B"): (0.7, 1.0)}},
+        {
+            "epsilon": SPECIES,
+            "cutoff": {("A", "A"): 2.0, ("A", "B"): 2.5, ("B", "B"): 2.5},
+            "mixing": "geometric",
+            "pairs": {("A", "B"): (0.7, 1.0)},
+        },
     ),
-    "PairPotential": (lambda **some: md.PairPotential(**some).pair_energy(1.0), {"law": law, "parameters": (1.0,), "cutoff": 2.5}),
+    "PairPotential": (
+        lambda **some: md.PairPotential(**some).pair_energy(1.0),
+        {"law": law, "parameters": (1.0,), "cutoff": 2.5},
+    ),
     "pair_energy": (lambda r: md.LennardJones(1.0, 1.0, 2.5).pair_energy(r), {"r": [1.0, 2.0, 3.0]}),
-    "HarmonicBond": (lambda **some: energy_of(md.HarmonicBond(**some)), {"k": [3.0, 1.0], "length": [1.0, 0.0], "pairs": [[0, 1], [1, 2]]}),
-    "HarmonicAngle": (lambda **some: energy_of(md.HarmonicAngle(**some)), {"k": [3.0], "angle": [1.0], "triples": [[0, 1, 2]]}),
+    "HarmonicBond": (
+        lambda **some: energy_of(md.HarmonicBond(**some)),
+        {"k": [3.0, 1.0], "length": [1.0, 0.0], "pairs": [[0, 1], [1, 2]]},
+    ),
+    "HarmonicAngle": (
+        lambda **some: energy_of(md.HarmonicAngle(**some)),
+        {"k": [3.0], "angle": [1.0], "triples": [[0, 1, 2]]},
+    ),
     "DistanceConstraints": (
         lambda **some: simulation(constraints=md.DistanceConstraints(**some)),
         {"pairs": [[0, 1]], "lengths": [1.2], "tolerance": 1e-10, "solver": "auto"},
@@ -114,22 +198,44 @@ DOORS = {  # a call, and arguments with which it works
     ),
     "Simulation": (
         lambda **some: md.Simulation(**some).make_steps(1),
-        {"system": system(), "potentials": md.LennardJones(1.0, 1.0, 2.5), "method": md.VelocityVerlet(0.001), "constraints": None},
+        {
+            "system": system(),
+            "potentials": md.LennardJones(1.0, 1.0, 2.5),
+            "method": md.VelocityVerlet(0.001),
+            "constraints": None,
+        },
     ),
     "Simulation, options": (simulation, {"threads": 1, "precision": "double", "skin": 0.3}),
     "run": (
         called("run"),
-        {"n_steps": 2, "every": 2, "trajectory": (), "store_forces": False, "overwrite": False, "observers": (), "progress": False},
+        {
+            "n_steps": 2,
+            "every": 2,
+            "trajectory": (),
+            "store_forces": False,
+            "overwrite": False,
+            "observers": (),
+            "progress": False,
+        },
     ),
     "set_temperature": (called("set_temperature"), {"temperature": 1.0, "seed": 1}),
     "equilibrate": (called("equilibrate"), {"n_steps": 2, "temperature": 1.0, "every": 1, "progress": False}),
     "make_steps": (called("make_steps"), {"n_steps": 2}),
-    "minimize": (called("minimize"), {"force_tolerance": 1e-3, "max_steps": 5, "max_step_length": 0.1, "progress": False}),
+    "minimize": (
+        called("minimize"),
+        {"force_tolerance": 1e-3, "max_steps": 5, "max_step_length": 0.1, "progress": False},
+    ),
     "neighbor_list": (md.neighbor_list, {"quantities": "ijd", "system": system(), "cutoff": 2.5}),
-    "advise_timestep": (md.advise_timestep, {"system": system(), "potentials": md.LennardJones(1.0, 1.0, 2.5), "method": md.VelocityVerlet}),
+    "advise_timestep": (
+        md.advise_timestep,
+        {"system": system(), "potentials": md.LennardJones(1.0, 1.0, 2.5), "method": md.VelocityVerlet},
+    ),
     "crystal": (md.lattice.crystal, {"lattice": "fcc", "repeat": [2, 2, 2], "lattice_constant": 1.5}),
     "constant_from_density": (md.lattice.constant_from_density, {"lattice": "fcc", "density": 0.8, "mass": 1.0}),
-    "scene": (scene_with, {"timestep": 0.004, "steps": 20, "temperature": 1.44, "cutoff": 2.5, "repeat": [4, 4, 4], "density": 0.8}),
+    "scene": (
+        scene_with,
+        {"timestep": 0.004, "steps": 20, "temperature": 1.44, "cutoff": 2.5, "repeat": [4, 4, 4], "density": 0.8},
+    ),
 }
 ENDLESS = {"n_steps", "max_steps", "steps"}  # a large one is no mistake, but takes its time
 NUMBERS = (float, int, list, tuple, np.ndarray)
@@ -142,7 +248,12 @@ def hostile_call(rng):
     arguments, told, is_senseless = dict(good), [], False
     for key in rng.choice(list(good), size=min(len(good), int(rng.integers(1, 3))), replace=False):
         pool = [SENSELESS, STRANGE, CHANGES, CHANGES][int(rng.integers(4))]
-        if pool is CHANGES and isinstance(good[key], NUMBERS) and not isinstance(good[key], bool) and np.size(good[key]):
+        if (
+            pool is CHANGES
+            and isinstance(good[key], NUMBERS)
+            and not isinstance(good[key], bool)
+            and np.size(good[key])
+        ):
             change = str(rng.choice(list(CHANGES)))
             try:
                 arguments[key] = CHANGES[change](good[key])

@@ -4,7 +4,20 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from minimd.integrators import SE1, SE2, SPLITTINGS, Drift, Kick, Leapfrog, PositionVerlet, Splitting, State, VelocityVerlet, adjoint, compose
+from minimd.integrators import (
+    SE1,
+    SE2,
+    SPLITTINGS,
+    Drift,
+    Kick,
+    Leapfrog,
+    PositionVerlet,
+    Splitting,
+    State,
+    VelocityVerlet,
+    adjoint,
+    compose,
+)
 from minimd.integrators.ode.stormer import stormer_summed, stormer_two_step
 from minimd.integrators.splitting.state import Surroundings
 
@@ -58,7 +71,9 @@ def test_measured_order_is_the_answered_order(method):
 @pytest.mark.parametrize("method", SPLITTINGS.values())
 def test_kicks_and_drifts_of_a_step_each_add_up_to_one(method):
     for kind in (Kick, Drift):
-        assert sum(substep.coefficient for substep in method.substeps if isinstance(substep, kind)) == pytest.approx(1.0, abs=1e-15)
+        assert sum(substep.coefficient for substep in method.substeps if isinstance(substep, kind)) == pytest.approx(
+            1.0, abs=1e-15
+        )
 
 
 def returned(method, dt=0.02, n_steps=400):
@@ -216,7 +231,9 @@ def test_a_new_method_is_a_row_of_coefficients():
     assert slope == pytest.approx(3.0, abs=0.1)
 
 
-@pytest.mark.parametrize(("composed", "method"), [(compose(SE2, SE1), VelocityVerlet), (compose(SE1, SE2), PositionVerlet)])
+@pytest.mark.parametrize(
+    ("composed", "method"), [(compose(SE2, SE1), VelocityVerlet), (compose(SE1, SE2), PositionVerlet)]
+)
 def test_verlet_is_the_composition_of_symplectic_euler_with_its_adjoint(composed, method):
     """(A) = SE2 ∘ SE1 and (B) = SE1 ∘ SE2 over half steps: to the last bit as rows, to rounding as two runs."""
     merged, named, apart = (state([0.7, 0, 0], [0, 1.3, 0]) for _ in range(3))
@@ -254,7 +271,9 @@ def test_round_off_of_the_recursion_grows_as_the_square_of_the_steps_and_of_its_
     """On the oscillator the recursion is solved by cos(nφ), 2 sin(φ/2) = Δt: what differs is rounding."""
     dt, n = 2e-4, 50_000
     exact = np.cos(2.0 * np.arcsin(dt / 2.0) * np.arange(n + 1))
-    plain, summed = (np.abs(form(lambda q: -q, 1.0, 0.0, dt, n).q - exact).max() for form in (stormer_two_step, stormer_summed))
+    plain, summed = (
+        np.abs(form(lambda q: -q, 1.0, 0.0, dt, n).q - exact).max() for form in (stormer_two_step, stormer_summed)
+    )
     assert summed < 1e-13
     assert plain > 50 * summed
 

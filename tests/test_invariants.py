@@ -51,7 +51,9 @@ WRAPPERS = [projected, symmetrically_projected, with_multipliers]
 
 
 @pytest.mark.parametrize("wrapper", WRAPPERS)
-@pytest.mark.parametrize(("method", "h"), [(VelocityVerlet, 0.02), (RadauIIA2, 0.03), (GaussLegendre2, 0.06), (CandyRozmus4, 0.05)])
+@pytest.mark.parametrize(
+    ("method", "h"), [(VelocityVerlet, 0.02), (RadauIIA2, 0.03), (GaussLegendre2, 0.06), (CandyRozmus4, 0.05)]
+)
 def test_the_order_is_that_of_the_method(wrapper, method, h):
     on_manifold = wrapper(method, ENERGY)
     assert on_manifold.order == on_manifold.order_on(KEPLER) == method.order
@@ -65,9 +67,12 @@ def test_what_is_corrected_is_the_local_error(wrapper, method):
     y, timesteps = run_until(KEPLER, KahanLi8(0.01), START, 0.7).y[-1], np.array([0.04, 0.02, 0.01])
     start, on_manifold = (y[:2], y[2:]), wrapper(method, ENERGY)
     corrections = [
-        np.linalg.norm(run_steps(KEPLER, on_manifold(h), start, 1).y[-1] - run_steps(KEPLER, method(h), start, 1).y[-1]) for h in timesteps
+        np.linalg.norm(run_steps(KEPLER, on_manifold(h), start, 1).y[-1] - run_steps(KEPLER, method(h), start, 1).y[-1])
+        for h in timesteps
     ]
-    assert np.polyfit(np.log(timesteps), np.log(corrections), 1)[0] == pytest.approx(method.order + 1, abs=0.15)  # truncation
+    assert np.polyfit(np.log(timesteps), np.log(corrections), 1)[0] == pytest.approx(
+        method.order + 1, abs=0.15
+    )  # truncation
 
 
 @pytest.mark.parametrize("wrapper", WRAPPERS)
@@ -82,7 +87,11 @@ def test_the_energy_is_kept_to_rounding(wrapper, method):
 
 @pytest.mark.parametrize(
     ("method", "h"),
-    [(VelocityVerlet, 0.05), pytest.param(ImplicitEuler, 0.01, marks=pytest.mark.slow), pytest.param(RadauIIA2, 0.1, marks=pytest.mark.slow)],
+    [
+        (VelocityVerlet, 0.05),
+        pytest.param(ImplicitEuler, 0.01, marks=pytest.mark.slow),
+        pytest.param(RadauIIA2, 0.1, marks=pytest.mark.slow),
+    ],
 )
 def test_the_energy_does_not_drift_in_10_000_steps(method, h):
     kept = run_steps(KEPLER, projected(method, ENERGY)(h), START, 10_000, every=10)
@@ -132,7 +141,9 @@ def test_seven_invariants_of_the_outer_solar_system():
     path = run_steps(SecondOrder(gravity), projected(RadauIIA2, Invariants(conserved))(100.0), (x, v), 40)
     plain = run_steps(SecondOrder(gravity), RadauIIA2(100.0), (x, v), 40)
     speeds, distances = np.linalg.norm(v, axis=1), np.linalg.norm(x, axis=1)
-    size = np.repeat([0.5 * m @ speeds**2, m @ speeds, m @ (distances * speeds)], [1, 3, 3])  # of the terms, which may cancel
+    size = np.repeat(
+        [0.5 * m @ speeds**2, m @ speeds, m @ (distances * speeds)], [1, 3, 3]
+    )  # of the terms, which may cancel
     error, plain_error = (np.abs(np.array(conserved(s.q[-1], s.v[-1])) - conserved(x, v)) / size for s in (path, plain))
     assert path.q.shape == (41, 6, 3)
     assert error.max() < 1e-14  # rounding
@@ -153,7 +164,9 @@ def test_reversal_returns_to_the_start_if_and_only_if_the_answer_is_symmetric(wr
 def symplecticity_defect(method):
     """Largest element of Φ′ᵀJΦ′ − J, Φ′ by central differences."""
     y, d = np.array([0.5, 0.3, -0.4, 1.3]), 1e-5
-    sides = [[run_steps(KEPLER, method(0.1), (z[:2], z[2:]), 1).y[-1] for z in (y + d * e, y - d * e)] for e in np.eye(4)]
+    sides = [
+        [run_steps(KEPLER, method(0.1), (z[:2], z[2:]), 1).y[-1] for z in (y + d * e, y - d * e)] for e in np.eye(4)
+    ]
     jacobian = np.array([(ahead - behind) / (2.0 * d) for ahead, behind in sides]).T
     form = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.eye(2), np.zeros((2, 2))]])
     return np.abs(jacobian.T @ form @ jacobian - form).max()
@@ -194,7 +207,9 @@ def test_drivers_with_varying_steps_keep_the_invariants_too():
 
 def test_scipy_keeps_no_energy():
     """The yardstick: an error-controlled explicit method, whose energy drifts."""
-    ivp = solve_ivp(lambda t, y: [*y[2:], *attraction(y[:2])], (0.0, 20 * PERIOD), [*START[0], *START[1]], rtol=1e-6, atol=1e-9)
+    ivp = solve_ivp(
+        lambda t, y: [*y[2:], *attraction(y[:2])], (0.0, 20 * PERIOD), [*START[0], *START[1]], rtol=1e-6, atol=1e-9
+    )
     assert abs(energy(ivp.y[:2, -1], ivp.y[2:, -1]) + 0.5) > 1e-5
 
 
@@ -215,10 +230,17 @@ def test_a_state_of_rest_stays_where_it_is():
 def test_dependent_invariants_are_told():
     twice = Invariants(lambda q, v: [energy(q, v), 2.0 * energy(q, v)])
     for wrapper in WRAPPERS:
-        with pytest.raises(md.ConvergenceError, match=r"step 1 from t = 0 .* invariant 1 is not independent.* full rank"):
+        with pytest.raises(
+            md.ConvergenceError, match=r"step 1 from t = 0 .* invariant 1 is not independent.* full rank"
+        ):
             run_steps(KEPLER, wrapper(RadauIIA2, twice)(0.05), START, 5)
     with pytest.raises(md.ConvergenceError, match="invariant 1 is not independent"):
-        run_steps(stabilized(KEPLER, Invariants(lambda q, v: [energy(q, v), 2.0 * energy(q, v)], value=[-0.4, -0.8]), 1.0), RadauIIA2(0.05), START, 5)
+        run_steps(
+            stabilized(KEPLER, Invariants(lambda q, v: [energy(q, v), 2.0 * energy(q, v)], value=[-0.4, -0.8]), 1.0),
+            RadauIIA2(0.05),
+            START,
+            5,
+        )
     with pytest.raises(md.ConvergenceError, match=r"invariant 0 .*vanishes"):
         run_steps(KEPLER, projected(RadauIIA2, Invariants(lambda q, v: q[0] * 0.0, value=1.0))(0.05), START, 5)
 

@@ -80,7 +80,16 @@ def test_signatures_names_and_help_are_those_of_the_functions():
 
 def test_functions_and_methods_can_be_pickled():
     run = simulation().run
-    for one in (md.evaluate, md.ensemble, md.replay, md.Simulation.run, md.Simulation.resume, md.lattice.crystal, LJ, run):
+    for one in (
+        md.evaluate,
+        md.ensemble,
+        md.replay,
+        md.Simulation.run,
+        md.Simulation.resume,
+        md.lattice.crystal,
+        LJ,
+        run,
+    ):
         again = pickle.loads(pickle.dumps(one))
         assert again is one or one in (LJ, run, md.Simulation.resume)
 
@@ -90,7 +99,11 @@ def test_no_step_passes_through_it():
 
     def calls(n_steps):
         seen, made = [], simulation()
-        sys.setprofile(lambda frame, event, _: seen.append(1) if event == "call" and frame.f_code.co_filename == keywords.__file__ else None)
+        sys.setprofile(
+            lambda frame, event, _: (
+                seen.append(1) if event == "call" and frame.f_code.co_filename == keywords.__file__ else None
+            )
+        )
         try:
             made.run(n_steps, every=1000)
         finally:

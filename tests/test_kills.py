@@ -36,7 +36,13 @@ def rigid(method=None, **options):
     system = liquid(3)
     pairs = np.arange(len(system)).reshape(-1, 2)[5:]
     bonded = md.System(system.positions, cell=system.cell, bonds=pairs)
-    return simulation(bonded, md.LennardJones(1.0, 1.0, 1.8, bonded_scale=(0.0, 1.0, 1.0)), method, [md.DistanceConstraints(pairs)], **options)
+    return simulation(
+        bonded,
+        md.LennardJones(1.0, 1.0, 1.8, bonded_scale=(0.0, 1.0, 1.0)),
+        method,
+        [md.DistanceConstraints(pairs)],
+        **options,
+    )
 
 
 def springs(method=None, **options):
@@ -85,17 +91,27 @@ SLOW = pytest.mark.slow  # the other half of the combinations
 
 
 @pytest.mark.parametrize(
-    ("precision", "threads"), [("double", 1), ("mixed", 2), pytest.param("double", 2, marks=SLOW), pytest.param("mixed", 1, marks=SLOW)]
+    ("precision", "threads"),
+    [("double", 1), ("mixed", 2), pytest.param("double", 2, marks=SLOW), pytest.param("mixed", 1, marks=SLOW)],
 )
 @pytest.mark.parametrize("scene", SCENES)
 def test_n_steps_and_m_steps_are_n_plus_m(scene, precision, threads, tmp_path):
     """In one process and through a file, stopped anywhere, for some methods drawn at random."""
     draw = random.Random(f"{scene} {precision} {threads}")
     for k in range(2):
-        name, n, m, every = draw.choice(NAMES), draw.randrange(130), draw.randrange(1, 130), draw.choice([1, 7, 10, 50, 1000])
-        skin = draw.choice([None, 0.05])  # with the latter, lists are built every few steps, some of them where a run stops
+        name, n, m, every = (
+            draw.choice(NAMES),
+            draw.randrange(130),
+            draw.randrange(1, 130),
+            draw.choice([1, 7, 10, 50, 1000]),
+        )
+        skin = draw.choice(
+            [None, 0.05]
+        )  # with the latter, lists are built every few steps, some of them where a run stops
         with atoms_per_domain(50):
-            whole, parts = (SCENES[scene](method_of(name), precision=precision, threads=threads, skin=skin) for _ in range(2))
+            whole, parts = (
+                SCENES[scene](method_of(name), precision=precision, threads=threads, skin=skin) for _ in range(2)
+            )
             whole.run(n + m, every=every, trajectory=tmp_path / f"{k}.h5md")
             path = tmp_path / f"{k} in parts.h5md"
             parts.run(n, every=every, trajectory=path)

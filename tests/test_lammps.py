@@ -99,7 +99,10 @@ def test_a_run_whose_end_is_no_frame_stands_at_its_end(tmp_path):
     assert np.abs(theirs.positions - ours.positions).max() < MOVED
 
 
-@pytest.mark.parametrize("method", [md.LangevinBAOAB(TIMESTEP, 1.44, 2.0, seed=3), md.StochasticVelocityRescaling(TIMESTEP, 1.44, 0.1, seed=3)])
+@pytest.mark.parametrize(
+    "method",
+    [md.LangevinBAOAB(TIMESTEP, 1.44, 2.0, seed=3), md.StochasticVelocityRescaling(TIMESTEP, 1.44, 0.1, seed=3)],
+)
 def test_the_energy_that_a_bath_gives_is_counted(method, tmp_path):
     """Total energy changes by hundreds of ε, total minus reservoir energy by a thousandth of that."""
     simulation = SCENES["fixed atoms"]()
@@ -110,7 +113,10 @@ def test_the_energy_that_a_bath_gives_is_counted(method, tmp_path):
     assert simulation.reservoir_energy == pytest.approx(record.total_energy[-1] - record.conserved_energy[-1])
 
 
-@pytest.mark.parametrize("method", [md.LangevinBAOAB(TIMESTEP, 0.1, 50.0, seed=3), md.StochasticVelocityRescaling(TIMESTEP, 0.1, 0.1, seed=3)])
+@pytest.mark.parametrize(
+    "method",
+    [md.LangevinBAOAB(TIMESTEP, 0.1, 50.0, seed=3), md.StochasticVelocityRescaling(TIMESTEP, 0.1, 0.1, seed=3)],
+)
 def test_parts_of_a_run_have_different_noise(method, tmp_path):
     """In a crystal off the borders of LAMMPS' bins, which does not reorder its atoms; friction forgets the velocities of the part before."""
     start = liquid(3, jitter=0.0)
@@ -119,7 +125,9 @@ def test_parts_of_a_run_have_different_noise(method, tmp_path):
     ends, seeds = [], set()
     for part in range(3):
         done = handed_over(simulation, tmp_path / f"part {part}", 100, every=100)
-        bath = next(line.split() for line in (done.folder / "run.lmp").read_text().splitlines() if line.startswith("fix bath"))
+        bath = next(
+            line.split() for line in (done.folder / "run.lmp").read_text().splitlines() if line.startswith("fix bath")
+        )
         seeds.add(bath[-3] if "langevin" in bath else bath[-1])
         ends.append(simulation.velocities.ravel().copy())
     if isinstance(method, md.LangevinBAOAB):
@@ -133,7 +141,12 @@ def test_the_command_hands_over_and_resume_goes_on(tmp_path, monkeypatch, capsys
     (tmp_path / "melt.toml").write_text(melt_scene(3, 100, "[output]\nevery = 10\n"))
     assert cli.main(["lammps", "melt.toml", "--processes", "2"]) == 0
     told = capsys.readouterr().out
-    for words in ("not carried", "verified       step 0 agrees", "verdict", "next           minimd check melt-lammps/run.h5md"):
+    for words in (
+        "not carried",
+        "verified       step 0 agrees",
+        "verdict",
+        "next           minimd check melt-lammps/run.h5md",
+    ):
         assert words in told
     assert cli.main(["check", "melt-lammps/run.h5md"]) == 0
     assert cli.main(["resume", "melt-lammps/run.h5md", "--steps", "10", "--quiet"]) == 0
@@ -166,7 +179,13 @@ def test_the_expression_of_a_law_is_the_law(truncation, r):
 def evaluated(text, r):
     """A text in Lepton's words, by Python."""
     whole, *named = text.replace("^", "**").split(";")
-    names = vars(np) | {"r": r, "select": lambda a, b, c: b if a else c, "step": lambda x: float(x >= 0.0), "min": min, "max": max}
+    names = vars(np) | {
+        "r": r,
+        "select": lambda a, b, c: b if a else c,
+        "step": lambda x: float(x >= 0.0),
+        "min": min,
+        "max": max,
+    }
     for one in reversed(named):
         name, _, formula = one.partition("=")
         names[name] = eval(formula, {}, names)
@@ -223,7 +242,9 @@ def flying(cell, box=6.0):
     return md.Simulation(system, LJ, md.VelocityVerlet(0.02))
 
 
-@pytest.mark.parametrize(("cell", "every"), [(np.eye(3), 100), (SKEWED, 4000), (np.diag([1.0, 1.0, -1.0]) @ SKEWED, 1000)])
+@pytest.mark.parametrize(
+    ("cell", "every"), [(np.eye(3), 100), (SKEWED, 4000), (np.diag([1.0, 1.0, -1.0]) @ SKEWED, 1000)]
+)
 def test_atoms_that_cross_many_cells_come_back_in_the_right_image(cell, every, tmp_path):
     """LAMMPS counts 512 images in each direction; here atoms cross 1300 cells, between two frames or in a hundred of them."""
     simulation = flying(cell)
@@ -254,4 +275,6 @@ def test_positions_come_back_to_where_they_were():
     box = Box(system)
     assert np.abs(box.positions_back(box.positions, system.positions) - system.positions).max() < 1e-12
     assert box.edges == pytest.approx(system.cell.lattice @ box.turn, abs=1e-12)
-    assert fluid().positions == pytest.approx(Box(fluid()).positions_back(Box(fluid()).positions, fluid().positions), abs=1e-14)
+    assert fluid().positions == pytest.approx(
+        Box(fluid()).positions_back(Box(fluid()).positions, fluid().positions), abs=1e-14
+    )

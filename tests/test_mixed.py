@@ -50,7 +50,9 @@ def test_forces_in_a_melt_are_as_good_as_float32(liquid_melt):
     largest = np.linalg.norm(exact[0], axis=1).max()
     rms = np.sqrt((error**2).mean() / (exact[0] ** 2).sum(axis=1).mean())
     print(f"worst {error.max() / largest:.1e} of the largest force, rms {rms:.1e} of the rms force")
-    assert error.max() < 0.2 * SINGLE * largest  # rounding: r⁻¹⁴ of two close pairs, each distance to half an ulp of float32
+    assert (
+        error.max() < 0.2 * SINGLE * largest
+    )  # rounding: r⁻¹⁴ of two close pairs, each distance to half an ulp of float32
     assert rms < 1e-6
     assert mixed[1].sum() == pytest.approx(exact[1].sum(), rel=1e-6)
     assert mixed[2].sum(axis=0) == pytest.approx(exact[2].sum(axis=0), rel=1e-5, abs=1e-6 * np.abs(exact[2]).sum())
@@ -123,7 +125,10 @@ def test_a_scene_too_wide_for_the_grid_is_refused():
         if fits:
             assert not evaluated(clustered(system, SMOOTH["one species"]), system)[0].any()
             continue
-        with pytest.raises(ValueError, match=r"precision='mixed' resolves .* in a scene .* wide, coarser than .*; take precision='double'"):
+        with pytest.raises(
+            ValueError,
+            match=r"precision='mixed' resolves .* in a scene .* wide, coarser than .*; take precision='double'",
+        ):
             evaluated(clustered(system, SMOOTH["one species"]), system)
         assert evaluated(clustered(system, SMOOTH["one species"], "double"), system)[0] is not None
 
@@ -134,7 +139,9 @@ def test_atoms_thousands_of_cells_away_feel_the_same(precision):
     far = near.copy()
     far.positions += np.random.default_rng(2).integers(-4096, 4097, far.positions.shape) @ near.cell.vectors
     a, b = (evaluated(clustered(system, [MELT], precision), system) for system in (near, far))
-    assert b[0] == pytest.approx(a[0], abs=(1e-9 if precision == "double" else SINGLE) * np.abs(a[0]).max(), rel=0)  # far coordinates are rounded
+    assert b[0] == pytest.approx(
+        a[0], abs=(1e-9 if precision == "double" else SINGLE) * np.abs(a[0]).max(), rel=0
+    )  # far coordinates are rounded
     assert b[1].sum() == pytest.approx(a[1].sum(), rel=1e-6)
 
 

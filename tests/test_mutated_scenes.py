@@ -87,9 +87,41 @@ like = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [9.0, 6.0, 3.0, 1.5, 0.7, 0.0]}
 unlike = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [0, 0, 0, 1, 0, 0]}
 """
 SCENES = [tomllib.loads(text) for text in (MELT, ARGON, DUMBBELLS, TABLE)]
-SENSELESS = [math.nan, "", "no such thing", {}, {"a": 1}, [[[]]], [{"b": []}], -(2**63), "\u0000", "1.0", ["1", "2", "3"]]  # nowhere in a scene
+SENSELESS = [
+    math.nan,
+    "",
+    "no such thing",
+    {},
+    {"a": 1},
+    [[[]]],
+    [{"b": []}],
+    -(2**63),
+    "\u0000",
+    "1.0",
+    ["1", "2", "3"],
+]  # nowhere in a scene
 STRANGE = [
-    *(True, False, 0, 1, -1, 3, 10**4, 2**62, 0.0, -0.0, 0.5, -2.5, 1e-300, 5e-324, 1e-9, 1e9, 1e300, math.inf, -math.inf),
+    *(
+        True,
+        False,
+        0,
+        1,
+        -1,
+        3,
+        10**4,
+        2**62,
+        0.0,
+        -0.0,
+        0.5,
+        -2.5,
+        1e-300,
+        5e-324,
+        1e-9,
+        1e9,
+        1e300,
+        math.inf,
+        -math.inf,
+    ),
     *([], [0, 0, 0], "auto", "Ar", "LJ"),
 ]
 LARGE_IS_NO_MISTAKE = ("steps", "repeat", "max_steps", "rescale_every", "every")
@@ -126,7 +158,14 @@ def mutated(rng):
     scene, told, is_senseless = copy.deepcopy(SCENES[int(rng.integers(len(SCENES)))]), [], False
     for _ in range(int(rng.integers(1, 4))):
         *path, key = (several := list(places(scene)))[int(rng.integers(len(several)))]
-        table, way = scene, str(rng.choice(["misspelt", "gone", "twice", "sense", "value", "value", "value", "scaled", "scaled", "elsewhere"]))
+        table, way = (
+            scene,
+            str(
+                rng.choice(
+                    ["misspelt", "gone", "twice", "sense", "value", "value", "value", "scaled", "scaled", "elsewhere"]
+                )
+            ),
+        )
         for one in path:
             table = table[one]
         old = table[key]
@@ -161,7 +200,11 @@ def mutated(rng):
     text = text_of(scene)
     if rng.random() < 0.2:  # and mistakes of typing
         at, n = int(rng.integers(len(text))), int(rng.integers(1, 5))
-        text = [text[:at] + text[at + n :], text[:at] + text[at : at + n] * 2 + text[at + n :], text[:at] + "\n" + text[at:]][int(rng.integers(3))]
+        text = [
+            text[:at] + text[at + n :],
+            text[:at] + text[at : at + n] * 2 + text[at + n :],
+            text[:at] + "\n" + text[at:],
+        ][int(rng.integers(3))]
         is_senseless = False
     return text, ", ".join(told), is_senseless
 
@@ -188,7 +231,8 @@ def answer_to(text, is_senseless, n_steps):
 
 
 @pytest.mark.parametrize(
-    ("seed", "n_scenes", "n_steps"), [(1, 400, 0), *(pytest.param(seed, 1000, 2, marks=pytest.mark.slow) for seed in range(11, 21))]
+    ("seed", "n_scenes", "n_steps"),
+    [(1, 400, 0), *(pytest.param(seed, 1000, 2, marks=pytest.mark.slow) for seed in range(11, 21))],
 )
 def test_every_scene_with_mistakes_is_answered_with_a_sentence_or_a_right_result(seed, n_scenes, n_steps):
     rng, found, wrong = np.random.default_rng(seed), Counter(), []

@@ -43,7 +43,9 @@ def found_by(pair_list, cell, cutoff, positions):
         vectors = vectors + pairs.translations[pairs.image]
     near = np.linalg.norm(vectors, axis=1) < cutoff
     i, j = order[first[near]], order[pairs.second[near]]
-    return sorted(np.round(np.linalg.norm(vectors[near], axis=1), 9).tolist()), sorted(zip(np.minimum(i, j), np.maximum(i, j), strict=True))
+    return sorted(np.round(np.linalg.norm(vectors[near], axis=1), 9).tolist()), sorted(
+        zip(np.minimum(i, j), np.maximum(i, j), strict=True)
+    )
 
 
 def expected(positions, cell, cutoff):
@@ -157,5 +159,9 @@ def test_closest_pair_is_found_though_others_were_flung_away():
         system.positions[:] = positions
         return closest_pair(system)
 
-    assert closest_of(np.array([[0.0, 0.0, 0.0], [1e200, 0.0, -1e180], [0.0, 3.0, 0.0], [0.0, 5.0, 0.0]])) == (2, 3, 2.0)
+    assert closest_of(np.array([[0.0, 0.0, 0.0], [1e200, 0.0, -1e180], [0.0, 3.0, 0.0], [0.0, 5.0, 0.0]])) == (
+        2,
+        3,
+        2.0,
+    )
     assert closest_of(1e200 * np.eye(3)[:2]) is None

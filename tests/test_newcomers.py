@@ -64,7 +64,14 @@ def test_angles_are_shown(tmp_path):
 def test_a_stress_that_was_asked_for_reaches_ase(tmp_path, suffix):
     """As ASE has it: without the kinetic part, which its include_ideal_gas adds."""
     system = liquid(3)
-    system = md.System(system.positions, velocities=system.velocities, masses=1.0, cell=system.cell, species=["Ar"] * len(system), units=md.units.ASE)
+    system = md.System(
+        system.positions,
+        velocities=system.velocities,
+        masses=1.0,
+        cell=system.cell,
+        species=["Ar"] * len(system),
+        units=md.units.ASE,
+    )
     sim = md.Simulation(system, LJ, md.VelocityVerlet(0.002))
     sim.extra_observables = ("stress",)
     record = sim.run(20, every=10, trajectory=tmp_path / f"a.{suffix}")
@@ -94,13 +101,18 @@ def test_times_and_lengths_of_a_replay_have_units(tmp_path):
     assert re.search(r"atoms 0 and 1, \S+ Å apart", str(caught.value))
     assert "eV/Å on atom" in str(caught.value.crash_report)
     seen = md.replay(tmp_path / "a.crash.h5md", sim.potentials)
-    heads, last = str(seen).splitlines()[1].split(), next(line for line in str(seen).splitlines() if line.startswith(f"{sim.step:>8}"))
+    heads, last = (
+        str(seen).splitlines()[1].split(),
+        next(line for line in str(seen).splitlines() if line.startswith(f"{sim.step:>8}")),
+    )
     assert heads == ["ps", "eV", "Å", "eV/Å", "Å/ps"]
     assert float(last.split()[1]) == pytest.approx(sim.step * sim.method.timestep / fs / 1000.0, rel=1e-4)
     assert "/ ps, period" in str(md.advise_timestep(system, sim.potentials))
     with pytest.raises(FileExistsError, match="--overwrite"):
         md.replay(tmp_path / "a.crash.h5md", sim.potentials)
-    with pytest.raises(ValueError, match=r"minimd.replay\(file, \[...\]\), or give the command a scene that has them with --scene"):
+    with pytest.raises(
+        ValueError, match=r"minimd.replay\(file, \[...\]\), or give the command a scene that has them with --scene"
+    ):
         md.replay(tmp_path / "a.crash.h5md", overwrite=True)
     assert np.isfinite(seen.rows[-1].energy)
 
@@ -119,7 +131,14 @@ def test_no_result_fills_the_screen(tmp_path):
     problem = md.integrators.SecondOrder(lambda q: -q)
     atoms = molecule("N2")
     atoms.calc = Calculator(md.HarmonicBond(100.0, 1.1, pairs=[[0, 1]]))
-    shown = [radial_distribution(frames), diffusion_coefficient(frames), read_file(tmp_path / "a.h5md"), frames, problem, atoms.calc]
+    shown = [
+        radial_distribution(frames),
+        diffusion_coefficient(frames),
+        read_file(tmp_path / "a.h5md"),
+        frames,
+        problem,
+        atoms.calc,
+    ]
     shown += [md.integrators.run_steps(problem, md.VelocityVerlet(0.1), ([1.0], [0.0]), 1000)]
     shown += [Langevin(atoms, 1.0, temperature_K=300.0, friction=0.01), md.integrators.FirstOrder(lambda y: -y)]
     for one in shown:
@@ -147,7 +166,9 @@ def test_python_runs_the_command_as_a_module():
 
 def test_density_of_mass_is_in_grams():
     """Argon at 1.374 g/cm³ has 0.0207 atoms/Å³."""
-    system = md.System([[0.0, 0, 0]], masses=39.948, cell=[1.0, 1.0, 39.948 / (1.374 * 0.6022140858549161)], units=md.units.ASE)
+    system = md.System(
+        [[0.0, 0, 0]], masses=39.948, cell=[1.0, 1.0, 39.948 / (1.374 * 0.6022140858549161)], units=md.units.ASE
+    )
     assert "1.374 g/cm³" in str(system)
 
 

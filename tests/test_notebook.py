@@ -58,7 +58,17 @@ def test_every_result_is_a_table_and_aligned_text(cells):
 
 
 def test_all_parameters_of_a_potential_are_shown(cells):
-    for name in ("epsilon", "sigma", "cutoff", "truncation", "mixing", "pairs", "switch_start", "bonded_scale", "tail_correction"):
+    for name in (
+        "epsilon",
+        "sigma",
+        "cutoff",
+        "truncation",
+        "mixing",
+        "pairs",
+        "switch_start",
+        "bonded_scale",
+        "tail_correction",
+    ):
         assert f">{name}</th>" in shown(cells["lj"])["text/html"]
 
 
@@ -70,7 +80,13 @@ def test_in_a_list_objects_are_in_one_line(cells):
 
 
 def test_a_run_shows_one_progress_bar(cells):
-    bars = [one for line, outputs in cells.items() if line == "record" for one in outputs if one.output_type in ("display_data", "stream")]
+    bars = [
+        one
+        for line, outputs in cells.items()
+        if line == "record"
+        for one in outputs
+        if one.output_type in ("display_data", "stream")
+    ]
     bars = [one.data if "data" in one else {"text/plain": one.text} for one in bars]
     bars = [one for one in bars if "running" in one["text/plain"]]
     assert len(bars) == 1

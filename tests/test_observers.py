@@ -20,7 +20,14 @@ from minimd.observers.correlator import MultipleTau, Product, SquaredDifference,
 from minimd.observers.fluctuations import FEWEST, correlation_times
 from minimd.scene import parse_scene, resume_run, run_scene
 
-EVERY = {"radial-distribution": 10, "mean-square-displacement": 2, "velocity-autocorrelation": 2, "viscosity": 5, "fluctuations": 5, "profile": 10}
+EVERY = {
+    "radial-distribution": 10,
+    "mean-square-displacement": 2,
+    "velocity-autocorrelation": 2,
+    "viscosity": 5,
+    "fluctuations": 5,
+    "profile": 10,
+}
 
 
 def simulation(units=md.units.LJ, **options):
@@ -78,18 +85,28 @@ def direct(series, lag, stride, law):
 def test_displacements_and_velocity_correlations_are_those_of_the_frames(run, kind, attribute, law):
     sim, seen, looking, _ = run
     result, series, species = looking[kind].result(), relative(sim, getattr(seen, attribute)), sim.system.species_index
-    assert result.times == pytest.approx(0.008 * np.array([*range(16), *range(16, 32, 2), *range(32, 52, 4)][: len(result.times)]))
+    assert result.times == pytest.approx(
+        0.008 * np.array([*range(16), *range(16, 32, 2), *range(32, 52, 4)][: len(result.times)])
+    )
     for k, time in enumerate(result.times):
         lag = round(time / 0.008)
         of_atoms = direct(series, lag, 1 if lag < 16 else 2 if lag < 32 else 4, law)
-        expected = [of_atoms.sum(axis=1).mean(), *(of_atoms[species == s].sum(axis=1).mean() for s in (0, 1)), *of_atoms.mean(axis=0)]
+        expected = [
+            of_atoms.sum(axis=1).mean(),
+            *(of_atoms[species == s].sum(axis=1).mean() for s in (0, 1)),
+            *of_atoms.mean(axis=0),
+        ]
         np.testing.assert_allclose(result.means[:, k], expected, rtol=1e-10, atol=1e-13)
 
 
 def in_memory(sim, positions):
     made = MDAnalysis.Universe.empty(len(sim.system), trajectory=True)
     edges = np.diag(sim.system.cell.vectors)
-    made.load_new(np.array(positions, dtype=np.float32), dimensions=np.array([[*edges, 90.0, 90.0, 90.0]] * len(positions)), order="fac")
+    made.load_new(
+        np.array(positions, dtype=np.float32),
+        dimensions=np.array([[*edges, 90.0, 90.0, 90.0]] * len(positions)),
+        order="fac",
+    )
     return made
 
 
@@ -100,7 +117,9 @@ def test_displacements_are_those_of_mdanalysis():
     looking.prepare(sim.engine)
     rng, step = np.random.default_rng(3), 2.0**-12
     for _ in range(30):
-        sim.positions[:] = np.float32(np.round((sim.positions + rng.normal(0.0, 0.1, sim.positions.shape)) / step) * step)
+        sim.positions[:] = np.float32(
+            np.round((sim.positions + rng.normal(0.0, 0.1, sim.positions.shape)) / step) * step
+        )
         sim.engine.count(1)
         looking.observe(sim.engine)
         kept.append(sim.positions.copy())
@@ -118,7 +137,11 @@ def test_radial_distribution_is_that_of_mdanalysis_and_of_all_pairs():
     shells = 4.0 / 3.0 * np.pi * np.diff(np.linspace(0.0, r_max, n_bins + 1) ** 3)
     for k, (a, b) in enumerate((("A", "A"), ("A", "B"), ("B", "B"))):
         one, other = (made.atoms[np.flatnonzero(system.species == label)] for label in (a, b))
-        theirs = InterRDF(one, other, nbins=n_bins, range=(0.0, r_max), exclusion_block=(1, 1) if a == b else None).run().results
+        theirs = (
+            InterRDF(one, other, nbins=n_bins, range=(0.0, r_max), exclusion_block=(1, 1) if a == b else None)
+            .run()
+            .results
+        )
         assert result.pairs[k] == f"{a}-{b}"
         np.testing.assert_allclose(result.r, theirs.bins, rtol=1e-12)
         np.testing.assert_allclose(result.g_of_pairs[k], theirs.rdf, rtol=1e-10)
@@ -144,7 +167,9 @@ def test_radial_distribution_of_a_crystal_and_its_images():
         looking.prepare(sim.engine)
         looking.observe(sim.engine)
         result = looking.result()
-        counts = result.g * (4.0 / 3.0 * np.pi * np.diff(np.linspace(0.0, 5.0, 501) ** 3)) / system.volume  # of one pair of atoms
+        counts = (
+            result.g * (4.0 / 3.0 * np.pi * np.diff(np.linspace(0.0, 5.0, 501) ** 3)) / system.volume
+        )  # of one pair of atoms
         found = {round(float(r), 3): n for r, n in zip(result.r, counts, strict=True) if n > 1e-12}
         exact = np.linalg.norm(list(images(system)), axis=1)
         assert sum(found.values()) == pytest.approx((exact < 5.0).sum())
@@ -169,7 +194,9 @@ def test_viscosity_and_fluctuations_are_those_of_the_frames(run):
         made = sim.system.copy()
         made.positions[:], made.velocities[:] = positions, velocities
         momenta = made.masses[:, None] * velocities
-        pressure = (np.einsum("ia,ib->ab", momenta, velocities) + md.evaluate(made, sim.potentials).virial) / made.volume
+        pressure = (
+            np.einsum("ia,ib->ab", momenta, velocities) + md.evaluate(made, sim.potentials).virial
+        ) / made.volume
         virials.append(0.5 * (pressure + pressure.T) - np.eye(3) * np.trace(pressure) / 3.0)
     series, result = np.array(virials), looking["viscosity"].result()
     expected = [np.mean(np.einsum("tab,tab->t", series[lag:], series[: len(series) - lag])) / 10.0 for lag in range(32)]
@@ -178,12 +205,18 @@ def test_viscosity_and_fluctuations_are_those_of_the_frames(run):
     assert result.integral[31] == pytest.approx(np.trapezoid(expected, dx=0.008) * weight, rel=1e-9)
     n_dof, temperature = 3 * len(sim.system) - 3, record.temperature.mean()
     kinetic = 0.5 * n_dof * record.temperature * grown(looking["fluctuations"])[0]
-    assert looking["fluctuations"].result().heat_capacity_v == pytest.approx(0.5 * n_dof / (1.0 - 2.0 * kinetic.var() / (n_dof * temperature**2)))
+    assert looking["fluctuations"].result().heat_capacity_v == pytest.approx(
+        0.5 * n_dof / (1.0 - 2.0 * kinetic.var() / (n_dof * temperature**2))
+    )
 
 
 def test_lags_beyond_half_of_the_run_have_no_error_bar(run):
     """Few blocks contain them; what these tell of each other is far less than the error."""
-    for name, error in (("viscosity", "autocorrelation_error"), ("viscosity", "integral_error"), ("mean-square-displacement", "msd_error")):
+    for name, error in (
+        ("viscosity", "autocorrelation_error"),
+        ("viscosity", "integral_error"),
+        ("mean-square-displacement", "msd_error"),
+    ):
         looking = run[2][name]
         columns, half = looking.result().columns(), 0.5 * (looking.n_looks - 1) * looking.scene.spacing
         assert np.isnan(columns[error][columns["time"] > half]).all()
@@ -216,8 +249,17 @@ def test_sums_of_another_convention_do_not_go_on(tmp_path, monkeypatch):
     file, sim = tmp_path / "a.h5md", simulation()
     with monkeypatch.context() as older:
         older.setattr(observers.MeanSquareDisplacement, "convention", None, raising=False)
-        older.setattr(json, "dumps", lambda made, dumps=json.dumps, **options: dumps(made, **options).replace(', "convention": null', ""))
-        sim.run(20, every=10, trajectory=file, observers=[observers.MeanSquareDisplacement(every=2), observers.Profile(every=10)])
+        older.setattr(
+            json,
+            "dumps",
+            lambda made, dumps=json.dumps, **options: dumps(made, **options).replace(', "convention": null', ""),
+        )
+        sim.run(
+            20,
+            every=10,
+            trajectory=file,
+            observers=[observers.MeanSquareDisplacement(every=2), observers.Profile(every=10)],
+        )
     found, resumed = md.read_observers(file), md.Simulation.resume(file, sim.potentials)
     assert {name: one.n_looks for name, one in found.items()} == {"mean_square_displacement": 0, "profile": 3}
     assert check_file(file).comparisons
@@ -253,7 +295,9 @@ def test_free_atoms_move_as_their_velocities_say():
     velocities -= velocities.mean(axis=0)
     for growth in (1.0, 1.001):
         sim = md.Simulation(
-            md.System(np.zeros((20, 3)), velocities=velocities, cell=50.0), md.LennardJones(1e-12, 1e-3, 0.1), md.VelocityVerlet(0.01)
+            md.System(np.zeros((20, 3)), velocities=velocities, cell=50.0),
+            md.LennardJones(1e-12, 1e-3, 0.1),
+            md.VelocityVerlet(0.01),
         )
         looking = observers.MeanSquareDisplacement(every=1)
         looking.prepare(sim.engine)
@@ -266,7 +310,9 @@ def test_free_atoms_move_as_their_velocities_say():
             sim.positions[:] += 0.01 * velocities
         result = looking.result()
         assert len(result.times) > 40
-        np.testing.assert_allclose(result.msd, (velocities**2).sum(axis=1).mean() * result.times**2, rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(
+            result.msd, (velocities**2).sum(axis=1).mean() * result.times**2, rtol=1e-9, atol=1e-15
+        )
 
 
 def test_correlations_of_a_known_process():
@@ -286,7 +332,9 @@ def test_correlations_of_a_known_process():
         counts, found = correlator.correlations(sums)
         found = found[:, 0, 0] / chains
         expected = decay**correlator.lags
-        assert np.abs(found - expected)[correlator.lags < 200].max() < 0.03  # statistics: four errors of 50 chains of 20000/40 independent entries
+        assert (
+            np.abs(found - expected)[correlator.lags < 200].max() < 0.03
+        )  # statistics: four errors of 50 chains of 20000/40 independent entries
         assert np.trapezoid(found[correlator.lags < 200], correlator.lags[correlator.lags < 200]) == pytest.approx(
             1.0 / (1.0 - decay) - 0.5, rel=0.05
         )
@@ -339,13 +387,17 @@ def test_a_run_that_was_cut_goes_on_to_the_same_answers(tmp_path):
     with pytest.raises(ValueError, match="with the arguments"):
         again.run(10, trajectory=file, append=True, observers=[observers.Profile(every=7)])
     with pytest.warns(UserWarning, match="'viscosity', which this run does not go on with"):
-        again.run(10, every=50, trajectory=file, append=True, observers=[one for one in resumed if one.kind != "viscosity"])
+        again.run(
+            10, every=50, trajectory=file, append=True, observers=[one for one in resumed if one.kind != "viscosity"]
+        )
     assert plot_file(file).stat().st_size > 10_000
     assert len(universe(file).trajectory) == 5
 
 
 SCENE = melt_scene(
-    3, 40, 'seed = 3\n[[observer]]\nkind = "radial-distribution"\nevery = 5\nr_max = 2.0\n[[observer]]\nkind = "viscosity"\n[output]\nevery = 20\n'
+    3,
+    40,
+    'seed = 3\n[[observer]]\nkind = "radial-distribution"\nevery = 5\nr_max = 2.0\n[[observer]]\nkind = "viscosity"\n[output]\nevery = 20\n',
 )
 
 
@@ -358,7 +410,10 @@ def test_a_scene_has_observers(tmp_path, monkeypatch):
     found = md.read_observers("melt.h5md")
     assert {name: one.n_looks for name, one in found.items()} == {"radial_distribution": 9, "viscosity": 9}
     for text, message in (
-        (SCENE.replace("r_max = 2.0", 'axis = "c"'), r"cannot have axis with kind 'radial-distribution', which takes every, name, r_max, n_bins"),
+        (
+            SCENE.replace("r_max = 2.0", 'axis = "c"'),
+            r"cannot have axis with kind 'radial-distribution', which takes every, name, r_max, n_bins",
+        ),
         (SCENE.replace('"viscosity"', '"viscous"'), "must be one of 'radial-distribution'"),
     ):
         with pytest.raises(ValueError, match=message):

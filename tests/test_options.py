@@ -67,13 +67,19 @@ def test_options_are_values():
 @pytest.mark.parametrize("chosen", ["threads = 2\nprecision = 'mixed'", "threads = 1", "precision = 'double'", ""])
 def test_a_scene_file_passes_its_choices_on(chosen):
     simulation = parse_scene(SCENE + chosen, Path("scene.toml")).simulation()
-    expected = {"threads": 2 if "2" in chosen else 1 if "1" in chosen else None, "precision": "mixed" if "mixed" in chosen else "double"}
+    expected = {
+        "threads": 2 if "2" in chosen else 1 if "1" in chosen else None,
+        "precision": "mixed" if "mixed" in chosen else "double",
+    }
     assert options_of(simulation) == Options(**expected)
     simulation.run(1)
     assert f"{expected['precision']} precision" in str(simulation.report())
 
 
-@pytest.mark.parametrize(("chosen", "named"), [("threads = 0", "threads"), ("precision = 'single'", "precision"), ("threads = 1.5", "threads")])
+@pytest.mark.parametrize(
+    ("chosen", "named"),
+    [("threads = 0", "threads"), ("precision = 'single'", "precision"), ("threads = 1.5", "threads")],
+)
 def test_a_scene_file_with_an_impossible_choice_is_refused(chosen, named):
     with pytest.raises(ValueError, match=f"dynamics.{named}"):
         parse_scene(SCENE + chosen, Path("scene.toml"))
@@ -113,7 +119,11 @@ def test_the_best_skin_is_the_cheapest(cutoff, density, stride, n_atoms, layers)
     def cost(s):
         crowd = density * (cutoff + s) ** 3
         in_use = sum(density * (cutoff + s * layer / layers) ** 3 for layer in range(1, layers + 1)) / layers
-        return STEP_COST[0] + STEP_COST[1] * in_use + (BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms) / max(1.0, s / (2.0 * stride))
+        return (
+            STEP_COST[0]
+            + STEP_COST[1] * in_use
+            + (BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms) / max(1.0, s / (2.0 * stride))
+        )
 
     assert skin in SKINS * cutoff
     assert cost(skin) <= min(cost(s) for s in SKINS * cutoff) * (1.0 + 1e-12)
@@ -138,7 +148,9 @@ def test_faster_atoms_get_a_wider_skin_and_denser_ones_a_thinner():
 
 @given(POSITIVE, st.floats(1e-4, 0.2), st.floats(1e-3, 1e3))
 def test_the_best_skin_does_not_depend_on_the_unit_of_length(density, stride, unit):
-    assert best_skin(2.5 * unit, density / unit**3, stride * unit, 4000) == pytest.approx(unit * best_skin(2.5, density, stride, 4000), rel=0.05)
+    assert best_skin(2.5 * unit, density / unit**3, stride * unit, 4000) == pytest.approx(
+        unit * best_skin(2.5, density, stride, 4000), rel=0.05
+    )
 
 
 def test_skins_follow_the_speed_of_the_atoms_and_of_the_method():
@@ -159,7 +171,9 @@ def test_the_skin_does_not_depend_on_threads_or_precision(threads, precision):
     assert skin_of(after_start(liquid(8), threads=threads, precision=precision)) == skin_of(after_start(liquid(8)))
 
 
-@given(st.floats(1.001, 3.0), st.floats(0.0, 0.3), st.tuples(st.booleans(), st.booleans(), st.booleans()), st.booleans())
+@given(
+    st.floats(1.001, 3.0), st.floats(0.0, 0.3), st.tuples(st.booleans(), st.booleans(), st.booleans()), st.booleans()
+)
 def test_a_skin_is_never_wider_than_the_cell_has_room_for(height, stride, pbc, has_excluded):
     rng = np.random.default_rng(1)
     cell = np.array([height, 1.3 * height, 2.0 * height]) * LJ.cutoff

@@ -39,7 +39,14 @@ SHORTER = {
     '"melt", 1000, processes=2': '"melt", 40, processes=1',
     "probe_reversibility(200)": "probe_reversibility(50)",
 }
-LONG = ("fixed-point.md", "lists.md", "timestep.md", "observers.md", "pressure.md", "forces.md")  # many kernels; the same code in shorter tests
+LONG = (
+    "fixed-point.md",
+    "lists.md",
+    "timestep.md",
+    "observers.md",
+    "pressure.md",
+    "forces.md",
+)  # many kernels; the same code in shorter tests
 WITH_CODE = [path for path in PAGES if "```python\n" in path.read_text(encoding="utf-8") and path.name not in ELSEWHERE]
 
 
@@ -61,7 +68,10 @@ def name_of(path):
     return path.relative_to(DOCS).as_posix()
 
 
-@pytest.mark.parametrize("page", [pytest.param(path, marks=pytest.mark.slow if path.name in LONG else (), id=name_of(path)) for path in WITH_CODE])
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(path, marks=pytest.mark.slow if path.name in LONG else (), id=name_of(path)) for path in WITH_CODE],
+)
 def test_the_code_of_the_page_runs(page, tmp_path, monkeypatch, capsys, observables):
     monkeypatch.chdir(tmp_path)
     if page.name == "lammps.md":
@@ -85,7 +95,10 @@ def test_the_blow_up_on_its_page_lives_for_some_time_and_names_its_cause(tmp_pat
     assert found.pair.frequency * 0.02 > 2.0  # beyond the limit of velocity Verlet
     assert f"for the pair of {found.pair.atoms}" in told
     assert read_file("hot.replay.h5md").n_frames > 20
-    assert md.view("hot.crash.h5md", potentials=names["lj"]).summary == f"{read_file('hot.replay.h5md').n_frames} frames of 500 atoms"
+    assert (
+        md.view("hot.crash.h5md", potentials=names["lj"]).summary
+        == f"{read_file('hot.replay.h5md').n_frames} frames of 500 atoms"
+    )
 
 
 @pytest.mark.parametrize("page", [path for path in PAGES if blocks(path, "toml")], ids=name_of)
@@ -94,12 +107,16 @@ def test_the_tables_of_the_page_are_toml(page):
         assert tomllib.loads(block)
 
 
-@pytest.mark.parametrize("page", [REPOSITORY / "README.md", *PAGES], ids=lambda path: path.relative_to(REPOSITORY).as_posix())
+@pytest.mark.parametrize(
+    "page", [REPOSITORY / "README.md", *PAGES], ids=lambda path: path.relative_to(REPOSITORY).as_posix()
+)
 def test_links_and_files_named_are_there(page):
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.S)
     for link in re.findall(r"\]\(([^):#]+)(?:#[^)]*)?\)", text):
         if "gallery/" in link:
-            assert link == "gallery/index.rst" or (REPOSITORY / "examples" / Path(link).with_suffix(".py").name).exists(), link
+            assert (
+                link == "gallery/index.rst" or (REPOSITORY / "examples" / Path(link).with_suffix(".py").name).exists()
+            ), link
         else:
             assert (page.parent / link).exists(), link
     for file in re.findall(r"`((?:minimd|docs|examples|tests)/[\w/.-]+)`", text):
@@ -120,7 +137,9 @@ def test_every_page_is_in_the_contents():
 def public_names():
     """Pairs of a module of minimd and a name of it that users may use."""
     modules = [md, md.lattice, md.units]
-    modules += [importlib.import_module(info.name) for info in pkgutil.walk_packages(md.__path__, "minimd.") if info.ispkg]
+    modules += [
+        importlib.import_module(info.name) for info in pkgutil.walk_packages(md.__path__, "minimd.") if info.ispkg
+    ]
     for module in modules:
         for name in getattr(module, "__all__", dir(module)):
             if not name.startswith("_") and not isinstance(getattr(module, name), ModuleType):
@@ -131,12 +150,16 @@ def documented():
     """Ids of all objects that the reference shows."""
     module, shown = "minimd", set()
     for page in sorted((DOCS / "reference").glob("*.md")):
-        for directive, argument, members in re.findall(r"^\.\. (\w+):: (\S+)\n((?:   :members:.*\n)?)", page.read_text(encoding="utf-8"), re.M):
+        for directive, argument, members in re.findall(
+            r"^\.\. (\w+):: (\S+)\n((?:   :members:.*\n)?)", page.read_text(encoding="utf-8"), re.M
+        ):
             if directive == "currentmodule":
                 module = argument
             elif directive == "automodule":
                 module, found = argument, importlib.import_module(argument)
-                names = members.partition(":members:")[2].replace(",", " ").split() or (getattr(found, "__all__", ()) if members else ())
+                names = members.partition(":members:")[2].replace(",", " ").split() or (
+                    getattr(found, "__all__", ()) if members else ()
+                )
                 shown |= {id(getattr(found, name)) for name in names if getattr(found, name).__doc__}
             elif directive.startswith("auto"):
                 shown.add(id(getattr(importlib.import_module(module), argument)))
@@ -145,6 +168,10 @@ def documented():
 
 def test_every_public_name_is_in_the_reference():
     shown, text = documented(), "".join(path.read_text(encoding="utf-8") for path in (DOCS / "reference").glob("*.md"))
-    missing = [f"{module.__name__}.{name}" for module, name in public_names() if id(getattr(module, name)) not in shown and f"`{name}`" not in text]
+    missing = [
+        f"{module.__name__}.{name}"
+        for module, name in public_names()
+        if id(getattr(module, name)) not in shown and f"`{name}`" not in text
+    ]
     assert not missing
     assert len(shown) > 120

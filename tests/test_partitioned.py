@@ -54,7 +54,8 @@ def friction(q, v):
 
 @pytest.mark.parametrize("method", EVERY_FEW)
 @pytest.mark.parametrize(
-    "problem", [Partitioned(drift_in_wind, spring_in_time, solver=Unsolvable()), SecondOrder(spring_in_time, solver=Unsolvable())]
+    "problem",
+    [Partitioned(drift_in_wind, spring_in_time, solver=Unsolvable()), SecondOrder(spring_in_time, solver=Unsolvable())],
 )
 def test_nothing_is_solved_where_g_does_not_take_q_and_f_does_not_take_v(problem, method):
     run_steps(problem, method(0.1), ONE, 5)
@@ -99,7 +100,13 @@ def test_evaluations_are_counted_as_the_function_counts_them():
 def test_functions_that_take_more_than_they_need_give_the_same_path(method):
     """The equation of a step that is explicit after all is solved by its first guess."""
     short = run_steps(Partitioned(drift_in_wind, spring_in_time), method(0.1), ONE, 50, t0=0.2)
-    full = run_steps(Partitioned(lambda t, q, v: drift_in_wind(t, v), lambda t, q, v: spring_in_time(t, q)), method(0.1), ONE, 50, t0=0.2)
+    full = run_steps(
+        Partitioned(lambda t, q, v: drift_in_wind(t, v), lambda t, q, v: spring_in_time(t, q)),
+        method(0.1),
+        ONE,
+        50,
+        t0=0.2,
+    )
     assert full.y == pytest.approx(short.y, abs=1e-13)  # rounding
     separable = run_steps(SecondOrder(lambda q: -np.sin(q)), method(0.1), ONE, 50)
     hidden = run_steps(Partitioned(lambda t, q, v: v, lambda t, q, v: -np.sin(q)), method(0.1), ONE, 50)
@@ -108,15 +115,21 @@ def test_functions_that_take_more_than_they_need_give_the_same_path(method):
 
 def twisted_jacobians(q, v):
     """∂g/∂q and ∂f/∂v of TWISTED."""
-    return 2.0 * np.outer(v, q) + np.array([[0.0, 0.0], [0.5, 0.0]]), -2.0 * np.outer(q, v) - np.array([[0.0, 0.5], [0.0, 0.0]])
+    return 2.0 * np.outer(v, q) + np.array([[0.0, 0.0], [0.5, 0.0]]), -2.0 * np.outer(q, v) - np.array(
+        [[0.0, 0.5], [0.0, 0.0]]
+    )
 
 
 @pytest.mark.parametrize("method", EVERY_FEW)
 def test_jacobians_given_or_found_and_fixed_points_lead_to_the_same_path(method):
     solved = [
-        Partitioned(driven_g, driven_f, lambda q, v: twisted_jacobians(q, v)[0], lambda q, v: twisted_jacobians(q, v)[1]),
+        Partitioned(
+            driven_g, driven_f, lambda q, v: twisted_jacobians(q, v)[0], lambda q, v: twisted_jacobians(q, v)[1]
+        ),
         Partitioned(driven_g, driven_f, solver=FixedPoint()),
-        Partitioned(driven_g, driven_f, lambda q, v: np.zeros((2, 2)), lambda q, v: np.zeros((2, 2))),  # wrong, and no harm but more iterations
+        Partitioned(
+            driven_g, driven_f, lambda q, v: np.zeros((2, 2)), lambda q, v: np.zeros((2, 2))
+        ),  # wrong, and no harm but more iterations
     ]
     path = run_steps(DRIVEN, method(0.1), TWISTED_START, 30)
     for problem in solved:
@@ -130,7 +143,9 @@ def test_fixed_points_are_found_to_rounding_however_slowly(damping):
     def force(q, v):
         return -q - damping * v
 
-    newton, fixed = (run_steps(SecondOrder(force, solver=s), VelocityVerlet(0.1), ONE, 30).y for s in (Newton(), FixedPoint(1000)))
+    newton, fixed = (
+        run_steps(SecondOrder(force, solver=s), VelocityVerlet(0.1), ONE, 30).y for s in (Newton(), FixedPoint(1000))
+    )
     assert fixed == pytest.approx(newton, abs=1e-14)
 
 
@@ -140,7 +155,9 @@ def test_units_change_nothing(method, scale):
     """Lengths and velocities in other units: the same path in those units."""
     problem = Partitioned(lambda q, v: v * (1.0 + (q / scale) ** 2), lambda q, v: -q * (1.0 + (v / scale) ** 2))
     path = run_steps(problem, method(0.05), ([0.5 * scale], [0.3 * scale]), 20)
-    unit = run_steps(Partitioned(lambda q, v: v * (1.0 + q**2), lambda q, v: -q * (1.0 + v**2)), method(0.05), ([0.5], [0.3]), 20)
+    unit = run_steps(
+        Partitioned(lambda q, v: v * (1.0 + q**2), lambda q, v: -q * (1.0 + v**2)), method(0.05), ([0.5], [0.3]), 20
+    )
     assert path.y / scale == pytest.approx(unit.y, abs=1e-12)
 
 
@@ -160,7 +177,9 @@ def test_equations_without_a_solution_end_the_run_and_leave_the_path_before(meth
     problem = SecondOrder(lambda q, v: v * v, solver=solver)
     with (
         np.errstate(all="ignore"),
-        pytest.raises(md.ConvergenceError, match=r"step \d+ from t = .* with timestep 0.1: .*residual.*; reduce") as caught,
+        pytest.raises(
+            md.ConvergenceError, match=r"step \d+ from t = .* with timestep 0.1: .*residual.*; reduce"
+        ) as caught,
     ):
         run_steps(problem, method(0.1), ([0.0], [1.0]), 100)
     path = caught.value.solution
@@ -185,7 +204,10 @@ CLOSED_FORMS = {
     "damped oscillator": (
         SecondOrder(lambda q, v: -q - 2.0 * DAMPING * v),
         ((1.0,), (-DAMPING,)),
-        lambda t: [np.exp(-DAMPING * t) * np.cos(W * t), -np.exp(-DAMPING * t) * (DAMPING * np.cos(W * t) + W * np.sin(W * t))],
+        lambda t: [
+            np.exp(-DAMPING * t) * np.cos(W * t),
+            -np.exp(-DAMPING * t) * (DAMPING * np.cos(W * t) + W * np.sin(W * t)),
+        ],
     ),
     "electric and magnetic field": (
         SecondOrder(lambda q, v: np.array([v[1] + 0.2, -v[0]])),
@@ -201,7 +223,9 @@ CLOSED_FORMS = {
 
 
 @pytest.mark.parametrize("name", CLOSED_FORMS)
-@pytest.mark.parametrize("method", [VelocityVerlet, PositionVerlet, SE1, SE2, PEFRL, McLachlanAtela4, BlanesMoan4, GaussLegendre2])
+@pytest.mark.parametrize(
+    "method", [VelocityVerlet, PositionVerlet, SE1, SE2, PEFRL, McLachlanAtela4, BlanesMoan4, GaussLegendre2]
+)
 def test_order_is_that_on_the_problem(method, name):
     """McLachlan and Atela's last condition needs q′ = v and a force without v."""
     problem, start, solution = CLOSED_FORMS[name]
@@ -209,7 +233,9 @@ def test_order_is_that_on_the_problem(method, name):
     order = method.order_on(problem)
     assert order == (3 if method is McLachlanAtela4 and name != "driven oscillator" else method.order)
     counts = np.array([1, 2]) * {1: 400, 2: 100, 3: 60, 4: 30}[order]
-    measured = slope(lambda h: np.linalg.norm(run_steps(problem, method(h), start, round(6.0 / h)).y[-1] - exact), 6.0 / counts)
+    measured = slope(
+        lambda h: np.linalg.norm(run_steps(problem, method(h), start, round(6.0 / h)).y[-1] - exact), 6.0 / counts
+    )
     assert measured == pytest.approx(order, abs=0.25)
 
 

@@ -13,7 +13,9 @@ from minimd.scene import parse_scene
 
 N = 12
 GROUPS = {"bonds": 2, "angles": 3, "dihedrals": 4}
-CHAIN = {name: [[k + c for c in range(size)] for k in range(N - size + 1)] for name, size in GROUPS.items()} | {"impropers": [[4, 3, 5, 6]]}
+CHAIN = {name: [[k + c for c in range(size)] for k in range(N - size + 1)] for name, size in GROUPS.items()} | {
+    "impropers": [[4, 3, 5, 6]]
+}
 
 
 def helix(spacing=0.97):
@@ -30,13 +32,18 @@ def lammps_data(file):
     order = np.random.default_rng(2).permutation(N)
     lines += [f"{k + 1} 1 1 {x:.15g} {y:.15g} {z:.15g}" for k, (x, y, z) in ((k, helix()[k] + 8.0) for k in order)]
     for name, rows in CHAIN.items():
-        lines += ["", name.capitalize(), ""] + [f"{n} 1 {' '.join(str(atom + 1) for atom in row)}" for n, row in enumerate(rows, start=1)]
+        lines += ["", name.capitalize(), ""] + [
+            f"{n} 1 {' '.join(str(atom + 1) for atom in row)}" for n, row in enumerate(rows, start=1)
+        ]
     file.write_text("\n".join([*lines, ""]))
 
 
 def pdb(file):
     """Carbon atoms with CONECT records and no cell."""
-    atoms = [f"HETATM{k + 1:5d}  C   LIG A   1    {x:8.3f}{y:8.3f}{z:8.3f}  1.00  0.00           C" for k, (x, y, z) in enumerate(helix(1.53))]
+    atoms = [
+        f"HETATM{k + 1:5d}  C   LIG A   1    {x:8.3f}{y:8.3f}{z:8.3f}  1.00  0.00           C"
+        for k, (x, y, z) in enumerate(helix(1.53))
+    ]
     file.write_text("\n".join([*atoms, *(f"CONECT{i + 1:5d}{j + 1:5d}" for i, j in CHAIN["bonds"]), "END", ""]))
 
 
@@ -94,7 +101,9 @@ def test_a_polymer_from_lammps_data_runs_and_has_its_bonds_in_mdanalysis(tmp_pat
     lammps_data(tmp_path / "polymer.data")
     scene = parse_scene(SCENE, tmp_path / "scene.toml")
     simulation = scene.simulation()
-    assert {name: len(rows) for name, rows in simulation.system.groups().items()} == {name: len(rows) for name, rows in CHAIN.items()}
+    assert {name: len(rows) for name, rows in simulation.system.groups().items()} == {
+        name: len(rows) for name, rows in CHAIN.items()
+    }
     assert simulation.system.dihedrals.tolist() == CHAIN["dihedrals"]
     assert simulation.system.impropers.tolist() == CHAIN["impropers"]
     simulation.run(200, every=20, trajectory=tmp_path / "polymer.h5md", progress=False)
@@ -102,7 +111,9 @@ def test_a_polymer_from_lammps_data_runs_and_has_its_bonds_in_mdanalysis(tmp_pat
     assert_joined(made)
     made.trajectory[-1]
     positions = simulation.positions
-    assert distance_between_ends(made) == pytest.approx(np.linalg.norm(positions[-1] - positions[0]), rel=1e-6)  # float32
+    assert distance_between_ends(made) == pytest.approx(
+        np.linalg.norm(positions[-1] - positions[0]), rel=1e-6
+    )  # float32
     assert np.linalg.norm(positions[-1] - positions[0]) < 1.5 * (N - 1)
     resumed = md.Simulation.resume(tmp_path / "polymer.h5md")  # with the potentials of the scene
     assert resumed.system.groups().keys() == simulation.system.groups().keys()
@@ -121,7 +132,11 @@ def test_a_polymer_from_pdb_with_conect_likewise(tmp_path):
     read.add_TopologyAttr("dihedrals", guesser.guess_dihedrals(read.angles))
     system = md.System.from_mdanalysis(read)
     assert (len(system.bonds), len(system.angles), len(system.dihedrals)) == (N - 1, N - 2, N - 3)
-    potentials = [md.HarmonicBond(20.0, 1.53), md.HarmonicAngle(3.0, 1.95), md.RyckaertBellemans([0.1, 0.12, -0.14, -0.03, 0.27, -0.3])]
+    potentials = [
+        md.HarmonicBond(20.0, 1.53),
+        md.HarmonicAngle(3.0, 1.95),
+        md.RyckaertBellemans([0.1, 0.12, -0.14, -0.03, 0.27, -0.3]),
+    ]
     simulation = md.Simulation(system, potentials, md.VelocityVerlet(0.5 * md.units.fs))
     simulation.set_temperature(300.0, seed=1)
     simulation.run(100, every=20, trajectory=tmp_path / "chain.h5md", progress=False)
@@ -211,11 +226,15 @@ steps = 2
     assert [type(one) for one in made] == [*kinds, md.MorseBond, md.OPLSDihedral, md.RyckaertBellemans]
     assert repr(made[3]) == "SteeredSpring(k=3.0, points=[1.0, 2.0, 3.0], velocity=[0.1, 0.0, 0.0], atoms=[3], end=5)"
     in_ase = text.replace('units = "LJ"', "").replace("lattice_constant", 'element = "Ar"\nlattice_constant_A')
-    with pytest.raises(ValueError, match=r"potential\[1\] has no key 'acceleration' .* did you mean 'acceleration_A_ps2'"):
+    with pytest.raises(
+        ValueError, match=r"potential\[1\] has no key 'acceleration' .* did you mean 'acceleration_A_ps2'"
+    ):
         parse_scene(in_ase, "scene.toml")
     fall = '[[potential]]\ntype = "gravity"\nacceleration_A_ps2 = [0.0, 0.0, -2.0]\n'
     in_ase = in_ase.replace(FIELDS, fall).replace("timestep", "timestep_fs")
-    assert parse_scene(in_ase, "scene.toml").potentials()[0].acceleration[2] == pytest.approx(-2.0 / md.units.ps**2, rel=1e-14)
+    assert parse_scene(in_ase, "scene.toml").potentials()[0].acceleration[2] == pytest.approx(
+        -2.0 / md.units.ps**2, rel=1e-14
+    )
 
 
 def test_dihedrals_follow_a_strained_cell():

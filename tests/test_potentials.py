@@ -33,7 +33,9 @@ TWO_KINDS = {"A": (1.0, 1.0), "B": (0.5, 0.88)}
 POTENTIALS = {
     **{f"lennard-jones {t}": md.LennardJones(1.0, 1.0, CUTOFF, t) for t in TRUNCATIONS},
     "lennard-jones mixture": md.LennardJones(TWO_KINDS, cutoff=CUTOFF),
-    "kob-andersen": md.LennardJones(TWO_KINDS, cutoff={("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}, pairs={("A", "B"): (1.5, 0.8)}),
+    "kob-andersen": md.LennardJones(
+        TWO_KINDS, cutoff={("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}, pairs={("A", "B"): (1.5, 0.8)}
+    ),
     "scaled neighbors": md.LennardJones(TWO_KINDS, cutoff=CUTOFF, truncation="switched", bonded_scale=(0.0, 0.3, 0.7)),
     "yukawa": md.PairPotential(yukawa, (2.0, 1.1), CUTOFF, "force-shifted"),
     "soft core": md.PairPotential(soft_core, (3.0,), CUTOFF),
@@ -45,7 +47,11 @@ POTENTIALS = {
     "periodic dihedrals": md.PeriodicDihedral(np.linspace(0.5, 2.0, 7), [0, 1, 2, 3, 4, 5, 6], 0.4, CHAINS),
     "ryckaert-bellemans": md.RyckaertBellemans((1.3, 1.4, -1.6, -0.4, 3.1, -3.4), CHAINS),
     "harmonic impropers": md.HarmonicImproper(3.0, np.linspace(-3.1, 3.1, 7), CHAINS),
-    "several": [md.LennardJones(1.0, 1.0, CUTOFF), md.PairPotential(yukawa, (1.0, 2.0), 1.9), md.HarmonicBond(30.0, 1.0)],
+    "several": [
+        md.LennardJones(1.0, 1.0, CUTOFF),
+        md.PairPotential(yukawa, (1.0, 2.0), 1.9),
+        md.HarmonicBond(30.0, 1.0),
+    ],
 }
 
 
@@ -64,7 +70,9 @@ def chain(cell, pbc=None, seed=4):
     rng = np.random.default_rng(seed)
     k = np.arange(10)
     positions = np.column_stack([np.cos(k * 0.9), np.sin(k * 0.9), 0.36 * k]) * 1.15 + 0.05 * rng.normal(size=(10, 3))
-    return md.System(positions, cell=cell, pbc=pbc, species=np.where(k % 3, "A", "B"), bonds=np.column_stack([k[:-1], k[1:]]))
+    return md.System(
+        positions, cell=cell, pbc=pbc, species=np.where(k % 3, "A", "B"), bonds=np.column_stack([k[:-1], k[1:]])
+    )
 
 
 @pytest.fixture(params=SCENES)
@@ -79,7 +87,9 @@ def potential(request):
 
 def test_force_is_minus_the_gradient(system, potential):
     forces = md.evaluate(system, potential).forces
-    assert forces == pytest.approx(numerical_forces(system, potential), rel=1e-6, abs=2e-6)  # truncation h², rounding u/h
+    assert forces == pytest.approx(
+        numerical_forces(system, potential), rel=1e-6, abs=2e-6
+    )  # truncation h², rounding u/h
 
 
 def test_forces_sum_to_zero(system, potential):
@@ -133,7 +143,11 @@ def test_replicated_cell_has_replicated_energy(scene):
     one = chain(**SCENES[scene])
     one = md.System(one.positions, cell=one.cell, species=one.species)
     shifts = np.array(list(itertools.product(range(2), range(3), range(1)))) @ one.cell.vectors
-    many = md.System((one.positions + shifts[:, None, :]).reshape(-1, 3), cell=one.cell.vectors * [[2], [3], [1]], species=np.tile(one.species, 6))
+    many = md.System(
+        (one.positions + shifts[:, None, :]).reshape(-1, 3),
+        cell=one.cell.vectors * [[2], [3], [1]],
+        species=np.tile(one.species, 6),
+    )
     potential = POTENTIALS["lennard-jones mixture"]
     a, b = md.evaluate(one, potential), md.evaluate(many, potential)
     assert b.potential_energy == pytest.approx(6 * a.potential_energy, rel=1e-12)
@@ -151,7 +165,9 @@ def test_pair_energy_equals_the_textbook_sum(scene):
 
 def test_lennard_jones_has_its_minimum_and_zero_where_it_says():
     r_minimum = 2.0 ** (1.0 / 6.0) * 3.4
-    at_minimum = md.evaluate(md.System([[0, 0, 0], [r_minimum, 0, 0]]), md.LennardJones(0.0104, 3.4, truncation="truncated"))
+    at_minimum = md.evaluate(
+        md.System([[0, 0, 0], [r_minimum, 0, 0]]), md.LennardJones(0.0104, 3.4, truncation="truncated")
+    )
     assert at_minimum.potential_energy == pytest.approx(-0.0104, rel=1e-15)
     assert np.abs(at_minimum.forces).max() < 1e-16
     at_zero = md.evaluate(md.System([[0, 0, 0], [3.4, 0, 0]]), md.LennardJones(0.0104, 3.4, truncation="truncated"))
@@ -168,8 +184,12 @@ def test_a_spring_of_length_zero_pulls_with_k_times_the_distance_down_to_none():
             assert found.forces.tolist() == [(3.0 * between).tolist(), (-3.0 * between).tolist()]
             assert found.potential_energy == pytest.approx(1.5 * between @ between, rel=1e-15)  # rounding
     at_rest = md.System([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0]], bonds=[[0, 1]])
-    assert md.advise_timestep(at_rest, springs[0]).frequency == pytest.approx(6.0**0.5, rel=1e-6)  # k/μ, truncation of the difference
-    assert md.Simulation(at_rest, springs[0], md.VelocityVerlet(0.01)).run(10, progress=False).total_energy.tolist() == [0.0]
+    assert md.advise_timestep(at_rest, springs[0]).frequency == pytest.approx(
+        6.0**0.5, rel=1e-6
+    )  # k/μ, truncation of the difference
+    assert md.Simulation(at_rest, springs[0], md.VelocityVerlet(0.01)).run(
+        10, progress=False
+    ).total_energy.tolist() == [0.0]
     with pytest.raises(md.NonFiniteError, match="atoms 0 and 1, 0 σ apart"):
         md.evaluate(at_rest, md.HarmonicBond(3.0, 1.0))
 
@@ -178,23 +198,36 @@ def test_mixing_rules():
     def of_extremes(first, second):
         return min(first[0], second[0]), max(first[1], second[1])
 
-    for mixing, expected in (("lorentz-berthelot", (2.0, 1.5)), ("geometric", (2.0, 2.0**0.5)), (of_extremes, (1.0, 2.0))):
+    for mixing, expected in (
+        ("lorentz-berthelot", (2.0, 1.5)),
+        ("geometric", (2.0, 2.0**0.5)),
+        (of_extremes, (1.0, 2.0)),
+    ):
         mixed = md.LennardJones({"A": (1.0, 1.0), "B": (4.0, 2.0)}, cutoff=5.0, truncation="truncated", mixing=mixing)
         epsilon, sigma = expected
-        assert float(mixed.pair_energy(1.8, "A", "B")) == pytest.approx(4 * epsilon * ((sigma / 1.8) ** 12 - (sigma / 1.8) ** 6), rel=1e-14)
-    explicit = md.LennardJones({"A": (1.0, 1.0), "B": (4.0, 2.0)}, cutoff=5.0, truncation="truncated", pairs={("B", "A"): (3.0, 1.0)})
+        assert float(mixed.pair_energy(1.8, "A", "B")) == pytest.approx(
+            4 * epsilon * ((sigma / 1.8) ** 12 - (sigma / 1.8) ** 6), rel=1e-14
+        )
+    explicit = md.LennardJones(
+        {"A": (1.0, 1.0), "B": (4.0, 2.0)}, cutoff=5.0, truncation="truncated", pairs={("B", "A"): (3.0, 1.0)}
+    )
     assert float(explicit.pair_energy(1.0 * 2 ** (1 / 6), "A", "B")) == pytest.approx(-3.0)
 
 
 def test_bonded_scale_acts_on_the_bond_graph():
-    bent = md.System([[0, 0, 0], [1.1, 0, 0], [1.5, 1.0, 0], [1.4, 1.4, 1.1], [0.4, 1.6, 1.6]], bonds=[[0, 1], [1, 2], [2, 3], [3, 4]])
+    bent = md.System(
+        [[0, 0, 0], [1.1, 0, 0], [1.5, 1.0, 0], [1.4, 1.4, 1.1], [0.4, 1.6, 1.6]],
+        bonds=[[0, 1], [1, 2], [2, 3], [3, 4]],
+    )
     free = md.System(bent.positions)
     scale = (0.1, 0.2, 0.4, 1.0)
     expected = 0.0
     for i, j in itertools.combinations(range(5), 2):
         pair = md.System(free.positions[[i, j]])
         expected += scale[j - i - 1] * md.evaluate(pair, md.LennardJones(1.0, 1.0)).potential_energy
-    assert md.evaluate(bent, md.LennardJones(1.0, 1.0, bonded_scale=scale[:3])).potential_energy == pytest.approx(expected, rel=1e-13)
+    assert md.evaluate(bent, md.LennardJones(1.0, 1.0, bonded_scale=scale[:3])).potential_energy == pytest.approx(
+        expected, rel=1e-13
+    )
     assert md.evaluate(bent, md.LennardJones(1.0, 1.0)).potential_energy == pytest.approx(
         md.evaluate(free, md.LennardJones(1.0, 1.0)).potential_energy
     )
@@ -213,7 +246,9 @@ def exact_angle(positions, k, theta0):
     a2, ab, n2 = (decimal(sum(x * y for x, y in zip(u, v, strict=True))) for u, v in ((a, a), (a, b), (n, n)))
     tangent = n2.sqrt() / abs(ab)
     delta = sum((-1) ** m * tangent ** (2 * m + 1) / (2 * m + 1) for m in range(10))
-    stretch = (delta if ab > 0 else Decimal("3.14159265358979323846264338327950288419716939937510") - delta) - Decimal(theta0)
+    stretch = (delta if ab > 0 else Decimal("3.14159265358979323846264338327950288419716939937510") - delta) - Decimal(
+        theta0
+    )
     across = [decimal(c) for c in np.cross(n, a).tolist()]
     return [float(Decimal(k) * stretch * c / (a2 * n2.sqrt())) for c in across], float(Decimal(k) * stretch**2 / 2)
 
@@ -243,7 +278,9 @@ def test_straight_and_folded_angles_pull_nowhere(angle):
         exactly = md.System([[0, 0, 0], [1, 0, 0], end])
         found = md.evaluate(exactly, md.HarmonicAngle(10.0, angle, [[0, 1, 2]]))
         assert not found.forces.any()
-        assert found.potential_energy == pytest.approx(5.0 * ((np.pi if end[0] > 1.0 else 0.0) - angle) ** 2, rel=1e-14, abs=1e-30)
+        assert found.potential_energy == pytest.approx(
+            5.0 * ((np.pi if end[0] > 1.0 else 0.0) - angle) ** 2, rel=1e-14, abs=1e-30
+        )
 
 
 def test_dihedral_angles_are_those_of_mdanalysis_and_planar_ones_have_forces():
@@ -256,9 +293,13 @@ def test_dihedral_angles_are_those_of_mdanalysis_and_planar_ones_have_forces():
         system = md.System([[-0.6, 1.0, 0.0], [0.0, 0.0, 0.0], [1.2, 0.0, 0.0], end], dihedrals=[[0, 1, 2, 3]])
         found = float(calc_dihedrals(*system.positions))
         energy = md.evaluate(system, md.HarmonicImproper(2.0, 0.7, [[0, 1, 2, 3]])).potential_energy
-        assert energy == pytest.approx(((found - 0.7 + np.pi) % (2.0 * np.pi) - np.pi) ** 2, rel=1e-6)  # MDAnalysis computes in float32
+        assert energy == pytest.approx(
+            ((found - 0.7 + np.pi) % (2.0 * np.pi) - np.pi) ** 2, rel=1e-6
+        )  # MDAnalysis computes in float32
         assert np.isfinite(md.evaluate(system, md.PeriodicDihedral(1.0, 3, 0.4)).forces).all()
-    assert np.abs(md.evaluate(system, md.PeriodicDihedral(1.0, 3)).forces).max() < 1e-14  # trans, at the bottom: rounding
+    assert (
+        np.abs(md.evaluate(system, md.PeriodicDihedral(1.0, 3)).forces).max() < 1e-14
+    )  # trans, at the bottom: rounding
     straight = md.System([[-1.0, 0, 0], [0, 0, 0], [1, 0, 0], [1.5, 1, 0]], dihedrals=[[0, 1, 2, 3]])
     assert np.isfinite(md.evaluate(straight, md.PeriodicDihedral(1.0, 3, 0.4)).forces).all()
 
@@ -305,7 +346,9 @@ def test_scaled_pairs_in_small_cells_equal_the_textbook_sum(cell):
     """All images of all pairs, but the nearest image of a bonded one is scaled."""
     rng = np.random.default_rng(12)
     vectors = md.Cell.of(cell).vectors
-    positions = np.array([[0.1, 0.2, 0.3], [1.2, 0.4, 0.1], [1.4, 1.6, 0.5], [0.2, 1.5, 1.7]]) + 0.05 * rng.normal(size=(4, 3))
+    positions = np.array([[0.1, 0.2, 0.3], [1.2, 0.4, 0.1], [1.4, 1.6, 0.5], [0.2, 1.5, 1.7]]) + 0.05 * rng.normal(
+        size=(4, 3)
+    )
     scale, cutoff, expected = (0.0, 0.3, 0.7), 4.0, 0.0
     for i, j in itertools.product(range(4), repeat=2):
         shifts = np.array(list(itertools.product(range(-4, 5), repeat=3))) @ vectors

@@ -97,13 +97,19 @@ def test_without_a_volume_there_is_no_stress_and_measured_values_cannot_be_set()
     assert sim.potential_energy < 0.0
     for name in ("pressure", "stress"):
         with pytest.raises(
-            ValueError, match=r"pressure and stress need a volume: a cell that is periodic in all three directions; its pbc = \[False"
+            ValueError,
+            match=r"pressure and stress need a volume: a cell that is periodic in all three directions; its pbc = \[False",
         ):
             getattr(sim, name)
     with pytest.raises(ValueError, match="pressure and stress need a volume"):
         sim.extra_observables = ("stress",)
-    with pytest.raises(ValueError, match=r"extra_observables must be a tuple with any of 'stress', 'shadow_energy', or empty; it is \('heat',\)"):
+    with pytest.raises(
+        ValueError,
+        match=r"extra_observables must be a tuple with any of 'stress', 'shadow_energy', or empty; it is \('heat',\)",
+    ):
         sim.extra_observables = ("heat",)
     assert sim.extra_observables == ()
-    with pytest.raises(AttributeError, match="temperature of a Simulation is measured and cannot be set; see set_temperature"):
+    with pytest.raises(
+        AttributeError, match="temperature of a Simulation is measured and cannot be set; see set_temperature"
+    ):
         sim.temperature = 1.0

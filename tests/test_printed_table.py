@@ -21,6 +21,9 @@ def test_it_has_the_lowest_and_the_highest_mean_with_their_errors(tmp_path):
     assert rows["mean pressure"] == f"from {told[0]} to {told[1]} ε/σ³"
     replicas = run(tmp_path / "replicas", parameters={"temperature": [0.5, 0.5]})
     (mean,) = replicas.averaged()
-    assert dict(replicas.display_rows())["mean pressure"] == f"{with_error(mean['pressure_mean'], mean['pressure_error'])} ε/σ³"
+    assert (
+        dict(replicas.display_rows())["mean pressure"]
+        == f"{with_error(mean['pressure_mean'], mean['pressure_error'])} ε/σ³"
+    )
     unknown = run(tmp_path / "user", run=members.pressure_alone)  # of one number there is no error
     assert "±" not in dict(unknown.display_rows())["mean last"]

@@ -30,7 +30,11 @@ def test_readme_scripts_run(script, tmp_path, monkeypatch, capsys):
 
 
 def run_shortened(script):
-    for long, short in {"equilibrate(4000": "equilibrate(100", "run(10_000, every=50": "run(200, every=10", "12_000": "300"}.items():
+    for long, short in {
+        "equilibrate(4000": "equilibrate(100",
+        "run(10_000, every=50": "run(200, every=10",
+        "12_000": "300",
+    }.items():
         script = script.replace(long, short)
     exec(compile(script, str(README), "exec"), {})
 

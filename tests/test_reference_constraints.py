@@ -32,7 +32,9 @@ def constrained_fourmol(pairs, lengths, angle_atoms):
     bond = md.HarmonicBond(2.0 * k, length, pairs=np.array(kept_bonds)[:, 1:] - 1)
     angle = harmonic_angles({"angles": kept_angles}, load("lammps_fourmol/angle-harmonic.json")["angle_coeff"])
     system = fourmol(masses=system.masses / FTM2V)[0]
-    simulation = md.Simulation(system, [lj, bond, angle], md.VelocityVerlet(0.25), md.DistanceConstraints(pairs, lengths))
+    simulation = md.Simulation(
+        system, [lj, bond, angle], md.VelocityVerlet(0.25), md.DistanceConstraints(pairs, lengths)
+    )
     with pytest.warns(UserWarning, match="projected onto the constraints"):
         simulation.run(8, every=8)
     return simulation
@@ -45,7 +47,10 @@ def test_rattle_of_three_waters():
     simulation = constrained_fourmol(pairs, np.tile([1.0, 1.0, 2.0 * np.sin(WATER_ANGLE / 2.0)], 3), oxygens)
     reference = load("lammps_fourmol/fix-timestep-rattle_angle.json")
     assert [group.shape for group in simulation.engine.constraint_set.bonds.groups] == ["triangles"]
-    off = np.abs(simulation.positions - reference["run_pos"]).max(), np.abs(simulation.velocities - reference["run_vel"]).max()
+    off = (
+        np.abs(simulation.positions - reference["run_pos"]).max(),
+        np.abs(simulation.velocities - reference["run_vel"]).max(),
+    )
     print(f"{off[0]:.1e} Å, {off[1]:.1e} Å/fs off")
     assert np.abs(simulation.positions - reference["run_pos"]).max() < 2e-10
     assert np.abs(simulation.velocities - reference["run_vel"]).max() < 2e-10
@@ -60,7 +65,10 @@ def test_shake_of_the_hydrogens_of_the_solute():
     pairs = [(bond[1] - 1, bond[2] - 1) for bond in bonds]
     simulation = constrained_fourmol(pairs, [BOND_LENGTHS[bond[0]] for bond in bonds], [])
     reference = load("lammps_fourmol/fix-timestep-shake_bond.json")
-    off = np.abs(simulation.positions - reference["run_pos"]).max(), np.abs(simulation.velocities - reference["run_vel"]).max()
+    off = (
+        np.abs(simulation.positions - reference["run_pos"]).max(),
+        np.abs(simulation.velocities - reference["run_vel"]).max(),
+    )
     print(f"{off[0]:.1e} Å, {off[1]:.1e} Å/fs off")
     assert np.abs(simulation.positions - reference["run_pos"]).max() < 2e-10
 
@@ -120,7 +128,9 @@ def test_constraints_of_ase_are_kept_as_ase_keeps_them(constraint):
     VelocityVerlet(atoms, units.fs).run(20)
     assert np.abs(simulation.positions - atoms.positions).max() < 1e-10
     assert np.abs(simulation.velocities - atoms.get_velocities()).max() < 1e-10
-    assert simulation.n_dof == 3 * 54 - 3 * (simulation.engine.constraint_set.n_fixed == 0) - sum(c.get_removed_dof(atoms) for c in atoms.constraints)
+    assert simulation.n_dof == 3 * 54 - 3 * (simulation.engine.constraint_set.n_fixed == 0) - sum(
+        c.get_removed_dof(atoms) for c in atoms.constraints
+    )
 
 
 def test_the_center_of_mass_is_held():
@@ -141,7 +151,10 @@ class Push(Term):
 
 def test_atoms_with_fixcom_are_refused_where_their_center_would_move():
     atoms, law, langevin = nitrogen(FixCom()), nitrogen_law(), md.LangevinBAOAB(units.fs, 80.0, 0.1, seed=1)
-    with pytest.raises(ValueError, match=r"FixCom, but langevin-baoab moves the center of mass: take StochasticVelocityRescaling or minimd\.ase"):
+    with pytest.raises(
+        ValueError,
+        match=r"FixCom, but langevin-baoab moves the center of mass: take StochasticVelocityRescaling or minimd\.ase",
+    ):
         md.Simulation(atoms, law, langevin)
     with pytest.raises(ValueError, match="FixCom, but a force from outside or a fixed atom moves the center"):
         md.Simulation(atoms, [law, Push()], md.VelocityVerlet(units.fs))

@@ -50,7 +50,10 @@ def test_lennard_jones_with_scaled_bonded_pairs():
     reference = load("lammps_fourmol/mol-pair-lj_cut.json")
     system, _ = fourmol()
     own, unlike = coefficients(reference["pair_coeff"])
-    for truncation, energy in (("shifted", reference["init_vdwl"]), ("truncated", reference["extra"]["unshifted_init_vdwl"])):
+    for truncation, energy in (
+        ("shifted", reference["init_vdwl"]),
+        ("truncated", reference["extra"]["unshifted_init_vdwl"]),
+    ):
         potential = md.LennardJones(own, cutoff=8.0, truncation=truncation, pairs=unlike, bonded_scale=SCALE)
         assert md.evaluate(system, potential).potential_energy == pytest.approx(energy, rel=1e-12)
     agree(system, md.LennardJones(own, cutoff=8.0, pairs=unlike, bonded_scale=SCALE), reference, reference["init_vdwl"])
@@ -75,7 +78,9 @@ def test_laws_that_a_user_brings_are_as_exact():
     agree(system, potential, reference, reference["init_vdwl"])
     reference = load("lammps_fourmol/mol-pair-lj96_cut.json")
     own, unlike = coefficients(reference["pair_coeff"])
-    mixed = md.PairPotential(lennard_jones_96, own, 8.0, "truncated", pairs=unlike, mixing="lorentz-berthelot", bonded_scale=SCALE)
+    mixed = md.PairPotential(
+        lennard_jones_96, own, 8.0, "truncated", pairs=unlike, mixing="lorentz-berthelot", bonded_scale=SCALE
+    )
     agree(system, mixed, reference, reference["init_vdwl"])
 
 
@@ -101,14 +106,26 @@ def test_dihedrals_and_impropers():
     quadruples = np.stack(atoms, axis=-1) - 1
     reference = load("lammps_fourmol/dihedral-harmonic.json")
     k, d, n = per_term(reference["dihedral_coeff"], kinds)
-    agree(system, md.PeriodicDihedral(k, n, np.where(d > 0.0, 0.0, np.pi), quadruples), reference, reference["init_energy"])
+    agree(
+        system,
+        md.PeriodicDihedral(k, n, np.where(d > 0.0, 0.0, np.pi), quadruples),
+        reference,
+        reference["init_energy"],
+    )
     reference = load("lammps_fourmol/dihedral-opls.json")
-    agree(system, md.OPLSDihedral(*per_term(reference["dihedral_coeff"], kinds), quadruples), reference, reference["init_energy"])
+    agree(
+        system,
+        md.OPLSDihedral(*per_term(reference["dihedral_coeff"], kinds), quadruples),
+        reference,
+        reference["init_energy"],
+    )
     reference = load("lammps_fourmol/improper-harmonic.json")
     kinds, *atoms = np.array(table["impropers"]).T
     k, angle = per_term(reference["improper_coeff"], kinds)  # both angles are negative; LAMMPS' have no sign
     impropers = md.HarmonicImproper(2.0 * k, -np.radians(angle), np.stack(atoms, axis=-1) - 1)
-    agree(system, impropers, reference, reference["init_energy"], of_stress=5e-11)  # as LAMMPS' own test: it divides by sin φ, and φ is near 0
+    agree(
+        system, impropers, reference, reference["init_energy"], of_stress=5e-11
+    )  # as LAMMPS' own test: it divides by sin φ, and φ is near 0
 
 
 def test_walls():
@@ -116,7 +133,10 @@ def test_walls():
     reference, table = load("lammps_fourmol/fix-timestep-wall_lj93_const.json"), fourmol()[1]
     positions = reference["run_pos"][:17]
     ends = {name: table[name][1] for name in ("box_lo", "box_hi")}
-    lower, upper = md.Wall([0, ends["box_lo"], 0], [0, 1, 0], 100.0, 2.0, 5.0), md.Wall([0, ends["box_hi"], 0], [0, -1, 0], 100.0, 2.0, 5.0)
+    lower, upper = (
+        md.Wall([0, ends["box_lo"], 0], [0, 1, 0], 100.0, 2.0, 5.0),
+        md.Wall([0, ends["box_hi"], 0], [0, -1, 0], 100.0, 2.0, 5.0),
+    )
     found = md.evaluate(md.System(positions), [lower, upper])
     assert found.potential_energy == pytest.approx(reference["global_scalar"], rel=RELATIVE)
     assert found.forces.sum(axis=0) == pytest.approx([0.0, -reference["global_vector"][1], 0.0], rel=RELATIVE)
@@ -134,7 +154,9 @@ def test_eight_steps_of_the_solute(method):
     system.velocities[~solute] = 0.0
     coefficients_lj, unlike = coefficients(load("lammps_fourmol/mol-pair-lj_cut.json")["pair_coeff"])
     potentials = [
-        md.LennardJones(coefficients_lj, cutoff=8.0, truncation="truncated", pairs=unlike, mixing="geometric", bonded_scale=SCALE),
+        md.LennardJones(
+            coefficients_lj, cutoff=8.0, truncation="truncated", pairs=unlike, mixing="geometric", bonded_scale=SCALE
+        ),
         harmonic_bonds(table, load("lammps_fourmol/bond-harmonic.json")["bond_coeff"]),
         harmonic_angles(table, load("lammps_fourmol/angle-harmonic.json")["angle_coeff"]),
     ]
@@ -151,6 +173,11 @@ def test_melt_follows_the_exact_list():
     record = simulation.run(150, every=50)
     for k, (step, *row) in enumerate(reference["exact_list"]):
         n = record.n_atoms
-        measured = (record.temperature[k], record.potential_energy[k] / n, record.total_energy[k] / n, record.pressure[k])
+        measured = (
+            record.temperature[k],
+            record.potential_energy[k] / n,
+            record.total_energy[k] / n,
+            record.pressure[k],
+        )
         assert record.step[k] == step
         assert measured == pytest.approx(row, rel=1e-7 if step == 0 else 5e-7)

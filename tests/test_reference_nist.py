@@ -23,13 +23,18 @@ def test_energy_virial_and_tail_are_nists(name, k):
     assert np.trace(plain.virial) == pytest.approx(row["Wpair_recomputed"], rel=RELATIVE)
     if truncation == "truncated":
         with_tail = md.evaluate(system, md.LennardJones(1.0, 1.0, row["rc"], truncation, tail_correction=True))
-        assert with_tail.potential_energy - plain.potential_energy == pytest.approx(row["ULRC_recomputed"], rel=RELATIVE)
+        assert with_tail.potential_energy - plain.potential_energy == pytest.approx(
+            row["ULRC_recomputed"], rel=RELATIVE
+        )
 
 
 def test_tail_pressure_is_the_closed_form():
     density, cutoff, n = 0.8, 3.0, 500
     system = md.System(np.random.default_rng(1).uniform(0, 8, (n, 3)), cell=(n / density) ** (1 / 3))
-    tails = [md.evaluate(system, md.LennardJones(1.0, 1.0, cutoff, "truncated", tail_correction=on)).virial for on in (True, False)]
+    tails = [
+        md.evaluate(system, md.LennardJones(1.0, 1.0, cutoff, "truncated", tail_correction=on)).virial
+        for on in (True, False)
+    ]
     correction = np.trace(tails[0] - tails[1]) / (3.0 * system.volume)
     expected = 16.0 / 3.0 * np.pi * density**2 * (2.0 / 3.0 * cutoff**-9 - cutoff**-3)
     scale = abs(np.trace(tails[1])) / (3.0 * system.volume)
@@ -73,4 +78,7 @@ def test_tail_of_a_law_that_does_not_fall_off_is_refused():
         return strength / r2**0.5, strength / r2**1.5
 
     with pytest.raises(ValueError, match="falls off faster"):
-        md.evaluate(md.System([[0, 0, 0], [1, 0, 0]], cell=9.0), md.PairPotential(coulomb, (1.0,), 3.0, "truncated", tail_correction=True))
+        md.evaluate(
+            md.System([[0, 0, 0], [1, 0, 0]], cell=9.0),
+            md.PairPotential(coulomb, (1.0,), 3.0, "truncated", tail_correction=True),
+        )

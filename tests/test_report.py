@@ -114,7 +114,12 @@ def test_nothing_is_conserved_where_something_is_not_finite(recorded, value, fra
         series = known | {name: known[name].copy()}
         series[name][frames] = value
         report = conservation_report(Record.of(md.units.LJ, 108, series), angular=True)
-        judged = (report.energy_is_conserved, report.shadow_is_conserved, report.momentum_is_conserved, report.angular_momentum_is_conserved)
+        judged = (
+            report.energy_is_conserved,
+            report.shadow_is_conserved,
+            report.momentum_is_conserved,
+            report.angular_momentum_is_conserved,
+        )
         assert judged == (False,) * 4
         assert report.verdict.startswith(f"NOTHING IS CONSERVED: {name.replace('_', ' ')} is not finite at step")
 
@@ -144,7 +149,9 @@ def test_memory_is_the_peak_of_the_process(monkeypatch):
     assert simulation.report().cost.peak_memory >= before + 80e6
     del held
     assert simulation.report().cost.peak_memory >= before + 80e6
-    assert f"\nmemory         {peak_memory() / 1e6:.4g} MB at most so far, of the whole process\n" in str(simulation.report())
+    assert f"\nmemory         {peak_memory() / 1e6:.4g} MB at most so far, of the whole process\n" in str(
+        simulation.report()
+    )
     monkeypatch.setattr(machine, "STATUS", Path("nowhere"))
     monkeypatch.setattr(machine.platform, "system", lambda: "Windows")
     assert simulation.report().cost.peak_memory is None

@@ -5,7 +5,15 @@ import numpy as np
 import pytest
 
 import minimd as md
-from minimd.integrators import DensityControl, Partitioned, SecondOrder, StepControl, run_adaptive, run_reversible, run_steps
+from minimd.integrators import (
+    DensityControl,
+    Partitioned,
+    SecondOrder,
+    StepControl,
+    run_adaptive,
+    run_reversible,
+    run_steps,
+)
 
 ECCENTRICITY = 0.9
 START = (1.0 - ECCENTRICITY, 0.0), (0.0, np.sqrt((1.0 + ECCENTRICITY) / (1.0 - ECCENTRICITY)))
@@ -52,13 +60,19 @@ def test_energy_stays_bounded_over_1000_periods():
     assert np.abs(energy_errors(plain)).max() > 0.09
 
 
-@pytest.mark.parametrize("method", [md.VelocityVerlet, md.PositionVerlet, md.integrators.BlanesMoan4, md.integrators.GaussLegendre2])
+@pytest.mark.parametrize(
+    "method", [md.VelocityVerlet, md.PositionVerlet, md.integrators.BlanesMoan4, md.integrators.GaussLegendre2]
+)
 def test_a_reversed_run_returns_to_the_start(method):
     """Two periods there, from the last whole step back."""
     kepler = SecondOrder(attraction)
     there = run_reversible(kepler, method(0.003), START, 2 * PERIOD, control=DensityControl(falling))
     back = run_reversible(
-        kepler, method(0.003), (there.q[-2], -there.v[-2]), there.t[-2], control=DensityControl(density=there.density[-2], rate=falling)
+        kepler,
+        method(0.003),
+        (there.q[-2], -there.v[-2]),
+        there.t[-2],
+        control=DensityControl(density=there.density[-2], rate=falling),
     )
     assert len(back.t) == len(there.t) - 1
     assert np.abs(back.q[-1] - START[0]).max() < 1e-9  # rounding, amplified by the close encounters
@@ -68,7 +82,9 @@ def test_a_reversed_run_returns_to_the_start(method):
 def test_the_density_that_is_found_is_the_density_in_closed_form():
     """ρ ∝ |f|^¾ = r^(−3/2) for Kepler; the integrated density follows it to the order of the method."""
     found = run_reversible(SecondOrder(attraction), md.VelocityVerlet(0.001), START, PERIOD)
-    known = run_reversible(SecondOrder(attraction), md.VelocityVerlet(0.001), START, PERIOD, control=DensityControl(falling))
+    known = run_reversible(
+        SecondOrder(attraction), md.VelocityVerlet(0.001), START, PERIOD, control=DensityControl(falling)
+    )
     assert np.abs(found.y - known.y).max() < 1e-6  # truncation of the difference quotient
     exact = (np.linalg.norm(found.q, axis=1) / (1.0 - ECCENTRICITY)) ** -1.5
     assert found.density == pytest.approx(exact, rel=0.02)
@@ -77,7 +93,9 @@ def test_the_density_that_is_found_is_the_density_in_closed_form():
 
 def test_order_is_that_of_the_method():
     def error(timestep):
-        end = run_reversible(SecondOrder(attraction), md.VelocityVerlet(timestep), START, PERIOD, control=DensityControl(falling))
+        end = run_reversible(
+            SecondOrder(attraction), md.VelocityVerlet(timestep), START, PERIOD, control=DensityControl(falling)
+        )
         return np.linalg.norm(end.q[-1] - START[0])
 
     timesteps = [0.0008, 0.0004, 0.0002]
@@ -124,8 +142,12 @@ def test_a_reversible_run_ends_after_so_many_steps():
     n_steps = len(whole.t) - 1
     some = run_reversible(kepler, md.VelocityVerlet(0.002), START, 1.0, control=DensityControl(max_steps=50), every=7)
     assert whole.success
-    assert run_reversible(kepler, md.VelocityVerlet(0.002), START, 1.0, control=DensityControl(max_steps=n_steps)).success
-    assert not run_reversible(kepler, md.VelocityVerlet(0.002), START, 1.0, control=DensityControl(max_steps=n_steps - 1)).success
+    assert run_reversible(
+        kepler, md.VelocityVerlet(0.002), START, 1.0, control=DensityControl(max_steps=n_steps)
+    ).success
+    assert not run_reversible(
+        kepler, md.VelocityVerlet(0.002), START, 1.0, control=DensityControl(max_steps=n_steps - 1)
+    ).success
     assert not some.success
     assert some.message.startswith(f"stopped at t = {whole.t[50]:g} after 50 steps")
     assert (some.y[-1] == whole.y[50]).all()
@@ -159,5 +181,7 @@ def test_a_density_that_is_no_longer_positive_ends_the_run_with_the_path_before(
 def test_a_state_that_is_no_longer_finite_ends_the_run_with_the_path_before():
     falls = Partitioned(lambda v: v, lambda t, q: q if t < 0.5 else np.nan * q)
     with pytest.raises(md.NonFiniteError, match=r"step \d+") as caught:
-        run_reversible(falls, md.VelocityVerlet(0.01), ((1.0,), (0.0,)), 1.0, control=DensityControl(lambda t, q, v: 0.0))
+        run_reversible(
+            falls, md.VelocityVerlet(0.01), ((1.0,), (0.0,)), 1.0, control=DensityControl(lambda t, q, v: 0.0)
+        )
     assert caught.value.solution.t[-1] < 0.6

@@ -69,7 +69,11 @@ def test_temperature_counts_what_is_left():
     assert fixed.n_dof == 3 * n_atoms - 6
 
 
-@pytest.mark.parametrize("method", [md.LangevinBAOAB(0.004, 1.0, 2.0, 7), md.StochasticVelocityRescaling(0.004, 1.0, 0.2, 7)], ids=["BAOAB", "Bussi"])
+@pytest.mark.parametrize(
+    "method",
+    [md.LangevinBAOAB(0.004, 1.0, 2.0, 7), md.StochasticVelocityRescaling(0.004, 1.0, 0.2, 7)],
+    ids=["BAOAB", "Bussi"],
+)
 def test_baths_keep_lengths_and_temperature(method):
     """Translation and rotation have their shares: equipartition, within four standard errors of blocks."""
     sim = simulation(method)
@@ -79,7 +83,9 @@ def test_baths_keep_lengths_and_temperature(method):
     def look(run):
         v = run.velocities.reshape(-1, 2, 3)
         centers = v.mean(axis=1)
-        shares.append([2.0 * (centers**2).sum(axis=1).mean() / 3.0, ((v - centers[:, None]) ** 2).sum(axis=(1, 2)).mean() / 2.0])
+        shares.append(
+            [2.0 * (centers**2).sum(axis=1).mean() / 3.0, ((v - centers[:, None]) ** 2).sum(axis=(1, 2)).mean() / 2.0]
+        )
 
     record = sim.run(6000, every=20, observers=[look])
     blocks = np.array(shares[1:]).reshape(15, -1, 2).mean(axis=1)
@@ -101,7 +107,9 @@ def test_pressure_with_constraints_is_the_slope_of_the_free_energy():
         result = md.evaluate(run.system, law())
         v = run.velocities[pairs].mean(axis=1)
         r = run.positions[pairs] - run.positions[pairs].mean(axis=1, keepdims=True)
-        inner = (run.forces[pairs] * r).sum()  # Σ F_i · (r_i − r_cm), what the atomic virial has beyond the molecular one
+        inner = (
+            run.forces[pairs] * r
+        ).sum()  # Σ F_i · (r_i − r_cm), what the atomic virial has beyond the molecular one
         molecular.append((2.0 * (v**2).sum() + np.trace(result.virial) - inner) / (3.0 * volume))
 
     record = sim.run(8000, every=20, observers=[look])
@@ -161,7 +169,9 @@ def test_a_frame_and_a_report_of_wrapped_atoms_know_where_the_bonds_are():
 
 def test_a_bond_across_the_boundary_of_a_new_cell_is_put_right():
     system = md.System([[0.2, 5.0, 5.0], [9.2, 5.0, 5.0]], cell=10.0)
-    sim = md.Simulation(system, md.LennardJones(1.0, 0.5, 1.2), md.VelocityVerlet(0.001), md.DistanceConstraints([[0, 1]]))
+    sim = md.Simulation(
+        system, md.LennardJones(1.0, 0.5, 1.2), md.VelocityVerlet(0.001), md.DistanceConstraints([[0, 1]])
+    )
     sim.run(1)
     sim.system.cell = Cell.of(10.5)
     with pytest.warns(UserWarning, match="relative errors were"):
@@ -180,7 +190,8 @@ def test_a_violated_start_is_projected_with_a_warning():
 def test_a_run_that_breaks_a_bond_keeps_the_last_good_state():
     sim, twin = simulation(md.VelocityVerlet(0.08)), simulation(md.VelocityVerlet(0.08))
     with pytest.raises(
-        md.ConstraintError, match=r"reduce the timestep.*\n.* constraint \d+ \(atoms \d+-\d+\) cannot be kept .* error of r² is"
+        md.ConstraintError,
+        match=r"reduce the timestep.*\n.* constraint \d+ \(atoms \d+-\d+\) cannot be kept .* error of r² is",
     ) as caught:
         sim.run(100)
     assert f"At step {sim.step + 1}:" in str(caught.value)
@@ -293,7 +304,11 @@ def test_lengths_are_kept_to_rounding_over_100_000_steps(name):
         bonds.drift(positions, velocities, timestep)
         bonds.project_velocities(velocities, positions)
         limit = 20.0 * np.finfo(float).eps * np.abs(positions).max() / bonds.lengths.min()
-        worst = max(worst, bonds.violation(positions).max() / limit, bonds.velocity_violation(positions, velocities).max() / limit)
+        worst = max(
+            worst,
+            bonds.violation(positions).max() / limit,
+            bonds.velocity_violation(positions, velocities).max() / limit,
+        )
         if step % 100 == 0:
             energies.append(0.5 * masses @ (velocities**2).sum(axis=1))
     assert worst < 1.0

@@ -69,8 +69,12 @@ def temperature_of_a_liquid_of_triangles(timestep, seed):
 
 def test_the_temperature_of_interacting_molecules_is_off_by_the_square_of_the_timestep():
     """T(Δt) = T − c Δt², as for oscillators, where c is ω²/4: extrapolated from two time steps it is that of the bath."""
-    (long, error_long), (short, error_short) = (temperature_of_a_liquid_of_triangles(timestep, 1) for timestep in (0.02, 0.01))
+    (long, error_long), (short, error_short) = (
+        temperature_of_a_liquid_of_triangles(timestep, 1) for timestep in (0.02, 0.01)
+    )
     print(f"T(0.02) = {long:.4f} ± {error_long:.4f}, T(0.01) = {short:.4f} ± {error_short:.4f}")
     assert 1.0 - long > 6.0 * error_long
-    assert (4.0 * short - long) / 3.0 == pytest.approx(1.0, abs=4.0 * np.hypot(4.0 * error_short, error_long) / 3.0)  # statistics
+    assert (4.0 * short - long) / 3.0 == pytest.approx(
+        1.0, abs=4.0 * np.hypot(4.0 * error_short, error_long) / 3.0
+    )  # statistics
     assert np.hypot(4.0 * error_short, error_long) / 3.0 < 0.004

@@ -14,7 +14,9 @@ PACKAGE = Path(md.__file__).parent  # installed, or in the repository
 
 def steady_steps():
     """Chains of minimd's Python functions, from Simulation.run on, that a few steps without a list build go through."""
-    sim = md.Simulation(liquid(6), md.LennardJones(1.0, 1.0, 2.5, "shifted"), md.VelocityVerlet(0.001), threads=1, skin=0.6)
+    sim = md.Simulation(
+        liquid(6), md.LennardJones(1.0, 1.0, 2.5, "shifted"), md.VelocityVerlet(0.001), threads=1, skin=0.6
+    )
     sim.run(4, every=4, progress=False)  # compiles, which would take long under a profiler
     n_builds = sim.engine.interactions.n_builds
     stack, chains = [], []
@@ -32,7 +34,11 @@ def steady_steps():
     finally:
         sys.setprofile(None)
     assert sim.engine.interactions.n_builds == n_builds
-    return [chain[[name for _, name in chain].index("run") :] for chain in chains if any(name == "advance" for _, name in chain)]
+    return [
+        chain[[name for _, name in chain].index("run") :]
+        for chain in chains
+        if any(name == "advance" for _, name in chain)
+    ]
 
 
 def files_of_the_road():

@@ -64,7 +64,13 @@ def test_states_to_go_back_to_are_as_many_as_there_is_room_for(monkeypatch, room
 @pytest.mark.parametrize("count", [True, 2.0, -1, "3", None])
 def test_what_is_no_count_is_refused(count):
     sim = liquid_run()
-    makers = (sim.run, lambda n: sim.run(until_step=n), sim.make_steps, lambda n: sim.equilibrate(n, 1.0), lambda n: sim.minimize(max_steps=n))
+    makers = (
+        sim.run,
+        lambda n: sim.run(until_step=n),
+        sim.make_steps,
+        lambda n: sim.equilibrate(n, 1.0),
+        lambda n: sim.minimize(max_steps=n),
+    )
     for make in makers[2:] if count is None else makers:
         with pytest.raises(ValueError, match=r"(n_steps|max_steps|until_step) must be a whole number, at least"):
             make(count)
@@ -123,7 +129,9 @@ def test_an_overlap_made_during_a_run_is_told_as_one():
 def test_atoms_flung_beyond_all_numbers_in_use_are_told_of():
     """Their positions are still finite, but no System can hold them."""
     system = md.System([[0.0, 0, 0], [1.0, 0, 0]], velocities=np.full((2, 3), [9e74, 0, 0]), bonds=[[0, 1]])
-    with pytest.raises(md.NonFiniteError, match=r"Likely cause: .*\nAt step 1: positions of 2 atoms are not finite, or beyond 1e\+75"):
+    with pytest.raises(
+        md.NonFiniteError, match=r"Likely cause: .*\nAt step 1: positions of 2 atoms are not finite, or beyond 1e\+75"
+    ):
         md.Simulation(system, md.HarmonicBond(1e-3, 1.0), md.VelocityVerlet(10.0)).run(100)
 
 

@@ -34,7 +34,10 @@ def failure(run, *arguments, **options):
 
 
 @pytest.mark.filterwarnings("ignore:the calculator is EMT", "ignore:timestep")
-@pytest.mark.parametrize("dynamics", [VelocityVerlet, lambda atoms, step: md.ase.Langevin(atoms, step, temperature_K=300, friction=0.01 / units.fs)])
+@pytest.mark.parametrize(
+    "dynamics",
+    [VelocityVerlet, lambda atoms, step: md.ase.Langevin(atoms, step, temperature_K=300, friction=0.01 / units.fs)],
+)
 def test_a_calculator_of_others_fails_at_its_step_for_its_cause(dynamics):
     """ASE alone, step by step, has 11.5 eV after the first step and 2.4e5 eV after the second."""
     atoms = copper()

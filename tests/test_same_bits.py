@@ -11,7 +11,15 @@ from minimd.forces.options import Options
 from minimd.integrators.methods import METHODS
 
 THREADS = [2, 3, 4, 8]
-SERIES = ("potential_energy", "kinetic_energy", "total_energy", "temperature", "pressure", "momentum", "angular_momentum")
+SERIES = (
+    "potential_energy",
+    "kinetic_energy",
+    "total_energy",
+    "temperature",
+    "pressure",
+    "momentum",
+    "angular_momentum",
+)
 
 
 def mixture():
@@ -43,7 +51,9 @@ def assert_same_bits_on_any_number_of_threads(scene, precision, n_steps):
     assert term.list.n_builds > 1
     for threads in THREADS:
         other, same = ran(scene, precision, threads, n_steps)
-        assert next(term for term in other.engine.interactions.terms if term.list is not None)._pool.n_threads == threads
+        assert (
+            next(term for term in other.engine.interactions.terms if term.list is not None)._pool.n_threads == threads
+        )
         assert np.array_equal(other.positions, one.positions)
         assert np.array_equal(other.velocities, one.velocities)
         assert np.array_equal(other.forces, one.forces)
@@ -94,7 +104,8 @@ def marched(method, precision, marches, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "precision"), [("velocity-verlet", "double"), ("velocity-verlet", "mixed"), ("position-verlet", "double"), ("ruth-3", "mixed")]
+    ("name", "precision"),
+    [("velocity-verlet", "double"), ("velocity-verlet", "mixed"), ("position-verlet", "double"), ("ruth-3", "mixed")],
 )
 def test_many_steps_in_one_call_have_the_bits_of_single_ones(name, precision, monkeypatch):
     method = METHODS[name](0.004)

@@ -17,7 +17,9 @@ from minimd.ensemble.scan import changed_text, parsed_setting
 from minimd.files.h5md_reader import read_file
 from minimd.scene import parse_scene
 
-SCENE = "# A comment.\n" + melt_scene(2, 40, 'method = "langevin-baoab"\nrelaxation_time = 1.0\n[output]\nevery = 5\n').replace("2.5", "1.6")
+SCENE = "# A comment.\n" + melt_scene(
+    2, 40, 'method = "langevin-baoab"\nrelaxation_time = 1.0\n[output]\nevery = 5\n'
+).replace("2.5", "1.6")
 
 
 @contextmanager
@@ -68,7 +70,9 @@ def test_settings_that_make_no_sense_are_refused(text):
 
 
 def test_a_changed_scene_differs_in_what_was_set_only():
-    text = changed_text(Path("a.toml"), SCENE, [("dynamics.temperature", 0.9), ("potential[0].cutoff", 1.5), ("dynamics.seed", 2**62)])
+    text = changed_text(
+        Path("a.toml"), SCENE, [("dynamics.temperature", 0.9), ("potential[0].cutoff", 1.5), ("dynamics.seed", 2**62)]
+    )
     assert text.startswith("# A comment.")
     expected = tomllib.loads(SCENE)
     expected["dynamics"] |= {"temperature": 0.9, "seed": 2**62}
@@ -146,7 +150,22 @@ def scanned(tmp_path_factory):
     """The folder of a scan with one member."""
     place = tmp_path_factory.mktemp("scanned")
     (place / "melt.toml").write_text(SCENE)
-    assert cli.main(["scan", str(place / "melt.toml"), "--workers", "0", "--steps", "5", "--quiet", "--out", str(place / "scan")]) == 0
+    assert (
+        cli.main(
+            [
+                "scan",
+                str(place / "melt.toml"),
+                "--workers",
+                "0",
+                "--steps",
+                "5",
+                "--quiet",
+                "--out",
+                str(place / "scan"),
+            ]
+        )
+        == 0
+    )
     return place / "scan"
 
 
@@ -175,7 +194,11 @@ ALTERED = {  # the file, and what becomes of it
     "status": (JOURNAL, altered(status=[])),
     "no row": (JOURNAL, lambda _: "3\n"),
     "deep": (JOURNAL, lambda _: "[" * 200_000 + "\n"),
-    **{f"{what} for {name}": (name, make) for name in (DESCRIPTION, JOURNAL) for what, make in (("a pipe", pipe), ("a folder", None))},
+    **{
+        f"{what} for {name}": (name, make)
+        for name in (DESCRIPTION, JOURNAL)
+        for what, make in (("a pipe", pipe), ("a folder", None))
+    },
 }
 
 
@@ -206,7 +229,9 @@ def test_a_pipe_is_no_scene_of_a_scan(scanned, folder, capsys):
     assert "scan/scene.toml" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", [["melt.toml", "--workers", "0", "--steps", "5"], ["melt.toml", "--overwrite"], ["--status", "scan"]])
+@pytest.mark.parametrize(
+    "command", [["melt.toml", "--workers", "0", "--steps", "5"], ["melt.toml", "--overwrite"], ["--status", "scan"]]
+)
 def test_no_member_is_written_through_a_link(command, scanned, folder, capsys):
     shutil.copytree(scanned, "scan")
     Path("scan/0000-0999").rename("elsewhere")

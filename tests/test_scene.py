@@ -17,7 +17,9 @@ from minimd.structure.lattice import BASES, constant_from_density, crystal
 # SI values, independent of minimd.units (CODATA 2018; minimd has ASE's of 2014, equal to 1e-6)
 ATOMIC_MASS, ELECTRON_VOLT, BOLTZMANN, ANGSTROM = 1.66053906660e-27, 1.602176634e-19, 1.380649e-23, 1e-10
 TIME_UNIT = ANGSTROM * np.sqrt(ATOMIC_MASS / ELECTRON_VOLT)  # s
-CODATA = 1e-6  # relative, always with abs=0: approx would take every number of SI size for zero; what two editions differ by
+CODATA = (
+    1e-6  # relative, always with abs=0: approx would take every number of SI size for zero; what two editions differ by
+)
 MOLECULE = """
 [structure]
 file = "bent.xyz"
@@ -132,7 +134,9 @@ def test_structure_file_is_read_beside_the_scene_with_its_velocities(tmp_path, m
     from ase import Atoms
     from ase.io import write
 
-    atoms = Atoms("ArKr", [[0, 0, 0], [4.0, 0, 0]], cell=[30, 30, 30], pbc=True, momenta=[[1.0, 2.0, 3.0], [0.0, -1.0, 0.5]])
+    atoms = Atoms(
+        "ArKr", [[0, 0, 0], [4.0, 0, 0]], cell=[30, 30, 30], pbc=True, momenta=[[1.0, 2.0, 3.0], [0.0, -1.0, 0.5]]
+    )
     write(tmp_path / "pair.traj", atoms)
     text = (
         '[structure]\nfile = "pair.traj"\n[[potential]]\ntype = "lennard-jones"\nepsilon_K = 120\nsigma_A = 3.4\ncutoff_A = 8.5\n'
@@ -148,7 +152,9 @@ def test_structure_file_is_read_beside_the_scene_with_its_velocities(tmp_path, m
 
 
 def test_cell_and_pbc_of_a_scene_replace_those_of_the_file(tmp_path):
-    text = MOLECULE.replace('file = "bent.xyz"', 'file = "bent.xyz"\ncell_A = [12.0, 13.0, 14.0]\npbc = [true, false, true]')
+    text = MOLECULE.replace(
+        'file = "bent.xyz"', 'file = "bent.xyz"\ncell_A = [12.0, 13.0, 14.0]\npbc = [true, false, true]'
+    )
     system = scene_of(text, bent_molecule(tmp_path)).system()
     assert system.cell.vectors == pytest.approx(np.diag([12.0, 13.0, 14.0]))
     assert system.cell.pbc.tolist() == [True, False, True]
@@ -201,7 +207,10 @@ def test_every_registered_thermostat_is_built_from_its_own_parameters(monkeypatc
 def test_thermostat_that_cannot_be_made_from_a_relaxation_time_is_refused(monkeypatch):
     monkeypatch.setitem(THERMOSTATS, "unusual", Unusual)
     scene = scene_of(REDUCED.replace("seed = 3", 'method = "unusual"\nrelaxation_time = 0.5'))
-    with pytest.raises(ValueError, match=r"^scene\.toml: dynamics: unusual cannot be used in a scene, because it has no with_relaxation_time; run"):
+    with pytest.raises(
+        ValueError,
+        match=r"^scene\.toml: dynamics: unusual cannot be used in a scene, because it has no with_relaxation_time; run",
+    ):
         scene.method()
 
 
@@ -250,7 +259,8 @@ def test_options_of_a_potential_arrive():
 
 
 @pytest.mark.parametrize(
-    ("lattice", "neighbors", "distance"), [("sc", 6, 1), ("bcc", 8, 0.75**0.5), ("fcc", 12, 0.5**0.5), ("diamond", 4, 3**0.5 / 4)]
+    ("lattice", "neighbors", "distance"),
+    [("sc", 6, 1), ("bcc", 8, 0.75**0.5), ("fcc", 12, 0.5**0.5), ("diamond", 4, 3**0.5 / 4)],
 )
 def test_every_lattice_has_its_nearest_neighbors(lattice, neighbors, distance):
     positions, edges = crystal(lattice, (3, 4, 5), 2.0)
@@ -277,7 +287,10 @@ def test_equilibration_reaches_its_temperature_and_does_not_count(tmp_path):
 def test_run_writes_what_the_scene_says_and_tells_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     told = []
-    run_scene(scene_of(REDUCED.replace("every = 5", 'every = 5\nforces = true\ntrajectory = ["a.h5md", "b.extxyz"]')), tell=told.append)
+    run_scene(
+        scene_of(REDUCED.replace("every = 5", 'every = 5\nforces = true\ntrajectory = ["a.h5md", "b.extxyz"]')),
+        tell=told.append,
+    )
     contents = read_file("a.h5md")
     assert contents.record.step.tolist() == [0, 5, 10, 15, 20]
     assert contents.has_forces

@@ -22,7 +22,11 @@ steps = 1
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("timestep = 0.004", "timestep_fs = 4.0", ["dynamics has no key 'timestep_fs' (= 4.0)", "did you mean 'timestep'?", "LJ units"]),
+        (
+            "timestep = 0.004",
+            "timestep_fs = 4.0",
+            ["dynamics has no key 'timestep_fs' (= 4.0)", "did you mean 'timestep'?", "LJ units"],
+        ),
         ("timestep = 0.004", "timestep = -0.004", ["dynamics.timestep must be greater than 0", "= -0.004"]),
         ("timestep = 0.004", "timestep = nan", ["dynamics.timestep must be a finite number"]),
         ("timestep = 0.004", 'timestep = "4 fs"', ["dynamics.timestep must be a number", '"4 fs"']),
@@ -32,12 +36,28 @@ steps = 1
         ("[dynamics]", "[dynamix]", ["a scene has no key 'dynamix'", "did you mean 'dynamics'?"]),
         ("temperature = 1.44", "temperature = true", ["dynamics.temperature must be a number", "true"]),
         ("cutoff = 2.5", "cutoff = -2.5", ["potential[0].cutoff must be greater than 0", "-2.5"]),
-        ("cutoff = 2.5", 'cutoff = 2.5\ntruncation = "shfted"', ["potential[0].truncation must be one of", "'shifted'", '"shfted"']),
-        ("cutoff = 2.5", 'cutoff = 2.5\nmixing = "mean"', ["potential[0].mixing must be one of", "'geometric'", '"mean"']),
-        ("cutoff = 2.5", 'cutoff = 2.5\ntruncation = "switched"\nswitch_start = 3', ["potential[0]: switch_start must lie between 0 and the cutoff"]),
+        (
+            "cutoff = 2.5",
+            'cutoff = 2.5\ntruncation = "shfted"',
+            ["potential[0].truncation must be one of", "'shifted'", '"shfted"'],
+        ),
+        (
+            "cutoff = 2.5",
+            'cutoff = 2.5\nmixing = "mean"',
+            ["potential[0].mixing must be one of", "'geometric'", '"mean"'],
+        ),
+        (
+            "cutoff = 2.5",
+            'cutoff = 2.5\ntruncation = "switched"\nswitch_start = 3',
+            ["potential[0]: switch_start must lie between 0 and the cutoff"],
+        ),
         ("cutoff = 2.5\n", "", ["cutoff must be given in a periodic cell"]),
         ("sigma = 1.0\n", "", ["potential[0] must have either epsilon and sigma"]),
-        ('"lennard-jones"', '"lenard-jones"', ["potential[0].type must be one of", "'harmonic-bond'", '"lenard-jones"']),
+        (
+            '"lennard-jones"',
+            '"lenard-jones"',
+            ["potential[0].type must be one of", "'harmonic-bond'", '"lenard-jones"'],
+        ),
         ('type = "lennard-jones"\n', "", ["potential[0].type is missing"]),
         ('"fcc"', '"hcp"', ["structure.lattice must be one of", "'diamond'", '"hcp"']),
         ("[4, 4, 4]", "[4, 4, 1000000000000]", ["structure: repeat must be", "1000000000000"]),
@@ -47,15 +67,31 @@ steps = 1
         ("[4, 4, 4]", "[4, 4, 0]", ["structure.repeat[2] must be greater than 0", "= 0"]),
         ("density = 0.8442\n", "", ["structure must have either density or lattice_constant"]),
         ("density = 0.8442", 'density = 0.8442\nfile = "a.xyz"', ["structure must have either file or lattice"]),
-        ("density = 0.8442", "density = 0.8442\nbonds = [[0, 256]]", ["structure: bonds must name atoms 0 to 255", "[0, 256]"]),
-        ("density = 0.8442", "density = 0.8442\nbonds = [[0, 1, 2]]", ["structure.bonds[0] must have at most 2 entries", "[0, 1, 2]"]),
+        (
+            "density = 0.8442",
+            "density = 0.8442\nbonds = [[0, 256]]",
+            ["structure: bonds must name atoms 0 to 255", "[0, 256]"],
+        ),
+        (
+            "density = 0.8442",
+            "density = 0.8442\nbonds = [[0, 1, 2]]",
+            ["structure.bonds[0] must have at most 2 entries", "[0, 1, 2]"],
+        ),
         ("density = 0.8442", 'density = 0.8442\nspecies = ["A"]', ["structure: species must be 256 labels"]),
         ("every = 5", "every = 0", ["output.every must be greater than 0", "= 0"]),
         ("every = 5", "plot = 3", ["output.plot must be a boolean or a string", "= 3"]),
         ("every = 5", 'plot = "a.docx"', ["output.plot must be true, false or a name", "a.docx"]),
-        ("every = 5", 'plot = true\ntrajectory = "a.xyz"', ["output.plot needs a trajectory that ends in .h5md", "a.xyz"]),
+        (
+            "every = 5",
+            'plot = true\ntrajectory = "a.xyz"',
+            ["output.plot needs a trajectory that ends in .h5md", "a.xyz"],
+        ),
         ('units = "LJ"', 'units = "SI"', ["units must be 'ASE' or 'LJ'", '"SI"']),
-        ("[output]", "[equilibration]\nsteps = -1\n[output]", ["equilibration.steps must be greater than or equal to 0", "= -1"]),
+        (
+            "[output]",
+            "[equilibration]\nsteps = -1\n[output]",
+            ["equilibration.steps must be greater than or equal to 0", "= -1"],
+        ),
         ("[[potential]]", "[potential]", ["potential must be written [[potential]], with two brackets"]),
         ("seed = 3", 'method = "verlet"', ["dynamics.method must be one of", "'velocity-verlet'", '"verlet"']),
     ],
@@ -71,7 +107,14 @@ def test_wrong_entry_is_answered_with_one_sentence(old, new, words):
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ("cell_A = [20, 20]", ["structure.cell_A must have at least 3 entries", "= [20, 20]: give all three edges, 0 along", "[20, 20, 0] with pbc"]),
+        (
+            "cell_A = [20, 20]",
+            [
+                "structure.cell_A must have at least 3 entries",
+                "= [20, 20]: give all three edges, 0 along",
+                "[20, 20, 0] with pbc",
+            ],
+        ),
         ("cell_A = [20, 20, 20, 20]", ["structure.cell_A must have at most 3 entries", "give all three edges"]),
         (
             "pbc = [true, true]",
@@ -92,10 +135,13 @@ def test_edges_that_are_not_three_are_answered_with_what_to_write(tmp_path, entr
 def test_pairs_of_a_misspelt_species_are_refused():
     species = "[potential.species.A]\nepsilon = 1.0\nsigma = 1.0\n[potential.species.B]\nepsilon = 1.0\nsigma = 1.0\n"
     pairs = '[[potential.pairs]]\nspecies = ["A", "Bb"]\nepsilon = 2.0\nsigma = 1.0\n'
-    text = REDUCED.replace("epsilon = 1.0\nsigma = 1.0\n", "").replace("cutoff = 2.5\n", f"cutoff = 2.5\n{species}{pairs}")
+    text = REDUCED.replace("epsilon = 1.0\nsigma = 1.0\n", "").replace(
+        "cutoff = 2.5\n", f"cutoff = 2.5\n{species}{pairs}"
+    )
     text = text.replace("density = 0.8442\n", f"density = 0.8442\nspecies = {128 * ['A', 'B']}\n")
     with pytest.raises(
-        ValueError, match=r"scene\.toml: pairs of LennardJones must be of known species, 'A', 'B'; they name 'Bb'; did you mean 'B'\?"
+        ValueError,
+        match=r"scene\.toml: pairs of LennardJones must be of known species, 'A', 'B'; they name 'Bb'; did you mean 'B'\?",
     ):
         everything_of(text)
     everything_of(text.replace("Bb", "B"))
@@ -126,7 +172,9 @@ def test_all_problems_of_one_table_are_told_at_once():
 
 
 def test_key_without_its_unit_is_no_quantity():
-    with pytest.raises(ValueError, match=r"structure has no key 'density' \(= 1\.374\); did you mean 'density_g_cm3'\?"):
+    with pytest.raises(
+        ValueError, match=r"structure has no key 'density' \(= 1\.374\); did you mean 'density_g_cm3'\?"
+    ):
         scene_of(ARGON.read_text().replace("density_g_cm3", "density"))
 
 

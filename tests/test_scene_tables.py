@@ -107,14 +107,29 @@ def test_a_file_that_is_no_table_is_told(folder, content, words):
     ("text", "old", "new", "words"),
     [
         (TEXT, 'file = "lj.dat"\n', "", r"potential\[0\] must have either file, the table of all atoms, or pairs"),
-        (TEXT, "cutoff = 2.4", "epsilon = 1.0", r"potential\[0\] has no key 'epsilon'.* Keys in LJ units: type, file, pairs, cutoff, truncation"),
+        (
+            TEXT,
+            "cutoff = 2.4",
+            "epsilon = 1.0",
+            r"potential\[0\] has no key 'epsilon'.* Keys in LJ units: type, file, pairs, cutoff, truncation",
+        ),
         (TEXT, "stress = true", 'stress = "yes"', r"output\.stress must be a boolean; output\.stress = \"yes\""),
-        (TEXT, "density = 0.8442", "density = 0.8442\npbc = [true, true, false]", r"output\.stress: pressure and stress need a volume"),
+        (
+            TEXT,
+            "density = 0.8442",
+            "density = 0.8442\npbc = [true, true, false]",
+            r"output\.stress: pressure and stress need a volume",
+        ),
         (MIXTURE, "[tables.like]", "[tables.Like]", "no tabulated potential uses tables.'Like'"),
         (MIXTURE, "u_eV = [6.0, ", 'u_eV = ["6", ', r"tables\.unlike\.u_eV\[0\] must be a number"),
         (MIXTURE, ", 1.0]", "]", r"tables\.unlike\.u_eV must have at least 6 entries"),
         (MIXTURE, "u_eV = [6.0", "u_eV = [7.0, 6.0", "u of .* must be 6 energies"),
-        (MIXTURE, "7.0]\nu_eV", "7.5]\nu_eV", r"the tables of one potential must have the same r; those of 'unlike' and 'like' differ"),
+        (
+            MIXTURE,
+            "7.0]\nu_eV",
+            "7.5]\nu_eV",
+            r"the tables of one potential must have the same r; those of 'unlike' and 'like' differ",
+        ),
     ],
 )
 def test_sections_that_are_wrong_are_told(folder, text, old, new, words):

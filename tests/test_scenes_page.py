@@ -27,10 +27,16 @@ def test_the_page_is_what_the_sections_say(written):
 
 def test_every_section_and_key_is_on_the_page(written):
     text = written.page()
-    assert {section for _, section in written.sections()} == {one for one in sections_below(Section) if one.__module__.startswith("minimd.")}
+    assert {section for _, section in written.sections()} == {
+        one for one in sections_below(Section) if one.__module__.startswith("minimd.")
+    }
     for name, section in written.sections():
         for key, (field, _) in section.keys("ASE").items():
-            assert f"`{key}`" in text or (name == "" and f"## [{field}]" in text) or (name == "" and f"## [[{field}]]" in text), key
+            assert (
+                f"`{key}`" in text
+                or (name == "" and f"## [{field}]" in text)
+                or (name == "" and f"## [[{field}]]" in text)
+            ), key
 
 
 def test_a_key_without_a_meaning_is_refused(written, monkeypatch):
@@ -46,6 +52,11 @@ def test_the_scene_of_the_page_is_one():
 
 def test_a_table_that_is_none_is_answered_with_its_keys():
     text = (DOCS / "scenes.md").read_text(encoding="utf-8").partition("```toml\n")[2].partition("```")[0]
-    wrong = text.replace("[potential.species.Ar]\nepsilon_K = 119.8\nsigma_A = 3.405", "species = { Ar = [0.0103, 3.405] }")
-    with pytest.raises(ValueError, match=r"species\.Ar must be a table with the keys epsilon_K, epsilon_eV, sigma_A; .* = \[0\.0103, 3\.405\]"):
+    wrong = text.replace(
+        "[potential.species.Ar]\nepsilon_K = 119.8\nsigma_A = 3.405", "species = { Ar = [0.0103, 3.405] }"
+    )
+    with pytest.raises(
+        ValueError,
+        match=r"species\.Ar must be a table with the keys epsilon_K, epsilon_eV, sigma_A; .* = \[0\.0103, 3\.405\]",
+    ):
         parse_scene(wrong, Path("scene.toml"))

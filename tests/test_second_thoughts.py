@@ -17,9 +17,13 @@ def triple(**more):
     return md.System([[0.0, 0, 0], [1.0, 0, 0], [2.2, 0, 0]], **more)
 
 
-@pytest.mark.parametrize("potential", [md.LennardJones(1.0, 1.0, 2.0, bonded_scale=(0, 1, 1)), md.HarmonicBond(1.0, 1.0)])
+@pytest.mark.parametrize(
+    "potential", [md.LennardJones(1.0, 1.0, 2.0, bonded_scale=(0, 1, 1)), md.HarmonicBond(1.0, 1.0)]
+)
 def test_bonds_that_are_missing_are_told(potential):
-    with pytest.warns(UserWarning, match=r"has no effect: the system has no bonds; give them as System\(bonds=") as told:
+    with pytest.warns(
+        UserWarning, match=r"has no effect: the system has no bonds; give them as System\(bonds="
+    ) as told:
         md.Simulation(triple(), [LJ, potential], md.VelocityVerlet(0.001))
     assert told[0].filename == __file__
     with warnings.catch_warnings():
@@ -37,7 +41,10 @@ def test_constraints_of_a_kind_that_is_not_given_again_are_told():
         md.Simulation(system, LJ, md.VelocityVerlet(0.001), ())
 
 
-@pytest.mark.parametrize(("make", "words"), [(lambda: triple(cell=-3.0), "must not be negative"), (lambda: triple(cell=[3, 3, -1]), "negative")])
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [(lambda: triple(cell=-3.0), "must not be negative"), (lambda: triple(cell=[3, 3, -1]), "negative")],
+)
 def test_negative_lengths_of_a_cell_are_refused(make, words):
     with pytest.raises(ValueError, match=words):
         make()
@@ -62,7 +69,9 @@ def test_rigid_pairs_are_no_overlap_at_the_start():
 
 def test_a_start_out_of_equilibrium_is_told_beside_a_drift():
     positions, edges = crystal("fcc", [4, 4, 4], 1.68)
-    run = md.Simulation(md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5, "truncated"), md.VelocityVerlet(0.02))
+    run = md.Simulation(
+        md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5, "truncated"), md.VelocityVerlet(0.02)
+    )
     run.set_temperature(2.0, seed=1)
     run.run(100, every=1)
     report = run.report()
@@ -95,9 +104,14 @@ temperature = 1.0
 def test_scenes_that_differ_in_what_matters_are_told_apart():
     one = parse_scene(SCENE, "a.toml")
     assert differences(one, parse_scene(SCENE + "\n# the same", "b.toml")) == []
-    assert differences(one, parse_scene(SCENE.replace("steps = 10", "steps = 20"), "b.toml")) == ["dynamics.steps: 10 before, 20 now"]
+    assert differences(one, parse_scene(SCENE.replace("steps = 10", "steps = 20"), "b.toml")) == [
+        "dynamics.steps: 10 before, 20 now"
+    ]
     other = parse_scene(SCENE.replace("sigma = 1.0", "sigma = 0.9").replace("0.004", "0.002"), "b.toml")
-    assert differences(one, other) == ["potential[0].sigma: 1.0 before, 0.9 now", "dynamics.timestep: 0.004 before, 0.002 now"]
+    assert differences(one, other) == [
+        "potential[0].sigma: 1.0 before, 0.9 now",
+        "dynamics.timestep: 0.004 before, 0.002 now",
+    ]
 
 
 def test_velocities_of_a_scene_are_drawn_behind_its_minimization(tmp_path, monkeypatch):

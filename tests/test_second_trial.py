@@ -22,7 +22,11 @@ SIDE = [[20.0, 0.0, 0.0], [0.0, 20.0, 0.0], [20.0, 20.0, 0.0]]
 @pytest.mark.parametrize(
     ("cell", "pbc", "cure"),
     [
-        ([20, 20, None], None, r"None\]: in a direction that does not repeat give length 0, .* pbc=\(True, True, False\)"),
+        (
+            [20, 20, None],
+            None,
+            r"None\]: in a direction that does not repeat give length 0, .* pbc=\(True, True, False\)",
+        ),
         ([20, 20], None, r"shape is \(2,\): .* pbc=\(True, True, False\)"),
         ([20, 20, np.inf], None, r"must be finite.* pbc=\(True, True, False\)"),
         (SIDE, None, r"linearly independent.* pbc=\(True, True, False\)"),
@@ -39,7 +43,9 @@ def test_messages_about_cells_name_pbc_where_it_is_the_cure(cell, pbc, cure):
 def test_a_universe_without_a_third_vector_says_that_it_has_no_cell():
     from minimd.mdanalysis import universe
 
-    with pytest.warns(UserWarning, match=r"has no cell, because MDAnalysis needs three vectors.*pbc=\(True, True, False\)"):
+    with pytest.warns(
+        UserWarning, match=r"has no cell, because MDAnalysis needs three vectors.*pbc=\(True, True, False\)"
+    ):
         universe(simulation("slab without height"))
 
 
@@ -75,13 +81,17 @@ def test_a_file_keeps_its_observables(tmp_path, forgetting):
     file, made = tmp_path / "run.h5md", simulation()
     made.run(2, every=1, trajectory=file)
     register(Observable("first_mass", "", lambda look: look.system.masses[0]))
-    with pytest.raises(ValueError, match=r"was begun without 'first_mass', which this run records: .* write to a new file"):
+    with pytest.raises(
+        ValueError, match=r"was begun without 'first_mass', which this run records: .* write to a new file"
+    ):
         made.run(2, every=1, trajectory=file, append=True)
     assert not damage(file)
     assert read_file(file).n_frames == 3
     made.run(2, every=1, trajectory=tmp_path / "new.h5md")
     del OBSERVABLES["first_mass"]
-    with pytest.raises(ValueError, match=r"holds 'first_mass', which this run does not record; register what is missing"):
+    with pytest.raises(
+        ValueError, match=r"holds 'first_mass', which this run does not record; register what is missing"
+    ):
         made.run(2, every=1, trajectory=tmp_path / "new.h5md", append=True)
     assert not damage(tmp_path / "new.h5md")
 
@@ -128,7 +138,11 @@ def test_a_file_of_few_frames_is_small_and_that_of_many_has_large_chunks(tmp_pat
     made.run(1, every=1, trajectory=tmp_path / "short.h5md")
     assert (tmp_path / "short.h5md").stat().st_size < 130_000
     number, numbers, many = np.zeros(()), np.zeros((27, 3)), 10_000
-    assert [chunk_rows(entry, many) for entry in (number, numbers)] == [chunk_rows(entry) for entry in (number, numbers)] == [512, 101]
+    assert (
+        [chunk_rows(entry, many) for entry in (number, numbers)]
+        == [chunk_rows(entry) for entry in (number, numbers)]
+        == [512, 101]
+    )
     assert [chunk_rows(entry, 2) for entry in (number, numbers, np.zeros((10_000, 3)))] == [16, 16, 1]
     made.run(40, every=1, trajectory=tmp_path / "short.h5md", append=True)
     assert read_file(tmp_path / "short.h5md").n_frames == 42

@@ -86,16 +86,22 @@ def test_shadow_energy_of_the_oscillator_is_its_closed_form():
 def test_shadow_energy_of_a_liquid_is_conserved_to_the_fourth_order(name):
     spread = []
     for dt in (0.006, 0.003, 0.0015):
-        simulation = md.Simulation(liquid(3, jitter=0.02), md.LennardJones(1.0, 1.0, 1.85, "smooth"), SPLITTINGS[name](dt))
+        simulation = md.Simulation(
+            liquid(3, jitter=0.02), md.LennardJones(1.0, 1.0, 1.85, "smooth"), SPLITTINGS[name](dt)
+        )
         simulation.run(round(0.6 / dt), every=round(0.6 / dt))
         record = recorded(simulation, round(1.2 / dt), every=round(0.012 / dt))
         spread.append(record.shadow_energy.std())
-    assert np.diff(np.log(spread)) / np.log(0.5) == pytest.approx([4.0, 4.0], abs=0.5)  # truncation, measured on one short path
+    assert np.diff(np.log(spread)) / np.log(0.5) == pytest.approx(
+        [4.0, 4.0], abs=0.5
+    )  # truncation, measured on one short path
 
 
 @pytest.mark.slow
 def test_shadow_energy_changes_nothing_and_shows_a_smaller_error_of_the_drift(tmp_path):
-    made = [md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "smooth"), md.VelocityVerlet(0.003)) for _ in range(2)]
+    made = [
+        md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85, "smooth"), md.VelocityVerlet(0.003)) for _ in range(2)
+    ]
     made[0].extra_observables = ("shadow_energy",)
     for simulation in made:
         simulation.run(400, every=10, trajectory=tmp_path / f"{made.index(simulation)}.h5md")
@@ -142,7 +148,9 @@ def test_scene_records_the_shadow_energy_and_goes_on_with_it(tmp_path, monkeypat
     assert record.step.tolist() == list(range(0, 61, 5))
     assert np.ptp(record.shadow_energy) < 0.2 * np.ptp(record.total_energy)
     Path("bath.toml").write_text(
-        Path("melt.toml").read_text().replace("steps = 40", 'steps = 40\nmethod = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 1')
+        Path("melt.toml")
+        .read_text()
+        .replace("steps = 40", 'steps = 40\nmethod = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 1')
     )
     assert cli.main(["run", "bath.toml", "--quiet"]) == 2
     assert "output.shadow_energy: there is no shadow energy with a thermostat" in capsys.readouterr().err
@@ -187,7 +195,9 @@ def test_probe_restores_the_state_and_what_was_counted():
     assert np.array_equal(simulation.velocities, before.velocities)
     assert (simulation.step, simulation.time) == (before.step, before.time)
     report = simulation.report()
-    assert replace(report.cost, peak_memory=cost.peak_memory) == cost  # memory is that of the process, of all it has done
+    assert (
+        replace(report.cost, peak_memory=cost.peak_memory) == cost
+    )  # memory is that of the process, of all it has done
     assert "reversibility  130 steps and back" in str(report)
 
 
@@ -209,19 +219,25 @@ def test_probe_finds_forces_that_remember():
         def skipped(self):
             return ()
 
-    simulation = md.Simulation(liquid(3), [md.LennardJones(1.0, 1.0, 1.85, "switched"), Tired()], md.VelocityVerlet(0.003))
+    simulation = md.Simulation(
+        liquid(3), [md.LennardJones(1.0, 1.0, 1.85, "switched"), Tired()], md.VelocityVerlet(0.003)
+    )
     assert simulation.probe_reversibility(60).is_reversible is False
 
 
 def test_probe_of_a_long_way_says_that_it_cannot_tell():
-    simulation = md.Simulation(liquid(3, temperature=3.0), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(0.005))
+    simulation = md.Simulation(
+        liquid(3, temperature=3.0), md.LennardJones(1.0, 1.0, 1.85, "switched"), md.VelocityVerlet(0.005)
+    )
     assert simulation.probe_reversibility(3000).is_reversible is None
 
 
 @pytest.mark.parametrize("speed", [0.0, 1.0])
 def test_probe_of_an_atom_on_which_nothing_acts(speed):
     alone = md.System([[0.0, 0.0, 0.0]], velocities=[[speed, 0.0, 0.0]])
-    assert md.Simulation(alone, md.LennardJones(1.0, 1.0), md.VelocityVerlet(0.01)).probe_reversibility(10).is_reversible
+    assert (
+        md.Simulation(alone, md.LennardJones(1.0, 1.0), md.VelocityVerlet(0.01)).probe_reversibility(10).is_reversible
+    )
 
 
 def test_minimization_and_equilibration_are_not_counted_among_the_steps_of_a_run():
@@ -229,9 +245,14 @@ def test_minimization_and_equilibration_are_not_counted_among_the_steps_of_a_run
     simulation.run(50, every=10)
     cost = simulation.report().cost
     simulation.minimize(max_steps=5)
-    assert replace(simulation.report().cost, peak_memory=cost.peak_memory) == cost  # memory is that of the process, of all it has done
+    assert (
+        replace(simulation.report().cost, peak_memory=cost.peak_memory) == cost
+    )  # memory is that of the process, of all it has done
     simulation.equilibrate(30, 1.0)
-    assert (simulation.report().cost.n_steps, simulation.report().cost.n_evaluations) == (cost.n_steps, cost.n_evaluations)
+    assert (simulation.report().cost.n_steps, simulation.report().cost.n_evaluations) == (
+        cost.n_steps,
+        cost.n_evaluations,
+    )
 
 
 def test_probe_of_rigid_bonds_and_refusals():
@@ -241,7 +262,9 @@ def test_probe_of_rigid_bonds_and_refusals():
         bath.probe_reversibility(10)
     for count in (0, 1.5, "ten"):
         with pytest.raises(ValueError, match=f"n_steps must be a whole number, at least 1; n_steps = {count!r}"):
-            md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85), md.VelocityVerlet(0.003)).probe_reversibility(count)
+            md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.85), md.VelocityVerlet(0.003)).probe_reversibility(
+                count
+            )
 
 
 @pytest.mark.parametrize(
@@ -269,7 +292,9 @@ def test_a_wall_at_the_minimum_does_not_jump():
 
 def test_worst_of_all_pairs_of_species_is_told():
     system = md.System([[0, 0, 0], [1.2, 0, 0]], species=["A", "B"])
-    (line,) = cutoff_lines(system, [md.LennardJones({"A": (1.0, 1.0), "B": (5.0, 1.0)}, cutoff=2.5, truncation="truncated")])
+    (line,) = cutoff_lines(
+        system, [md.LennardJones({"A": (1.0, 1.0), "B": (5.0, 1.0)}, cutoff=2.5, truncation="truncated")]
+    )
     assert line.summary.startswith("energy 8.2e-02")
 
 
@@ -304,7 +329,11 @@ def test_report_tells_of_a_list_without_margin_and_of_momenta_that_change():
 
 
 def test_angular_momentum_has_its_verdict():
-    simulation = md.Simulation(md.System(liquid(2, jitter=0.02).positions), md.LennardJones(1.0, 1.0, 2.5, "switched"), md.VelocityVerlet(0.002))
+    simulation = md.Simulation(
+        md.System(liquid(2, jitter=0.02).positions),
+        md.LennardJones(1.0, 1.0, 2.5, "switched"),
+        md.VelocityVerlet(0.002),
+    )
     simulation.set_temperature(0.2, seed=3)
     simulation.run(200, every=20)
     assert simulation.report().angular_momentum_is_conserved

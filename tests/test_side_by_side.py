@@ -33,7 +33,12 @@ def gas(method, precision="double", seed=1, **options):
 def ending(simulation, n_steps=150):
     """Positions, velocities, energy given by a bath, numbers of evaluations and list builds."""
     simulation.run(n_steps, every=50, progress=False)
-    return simulation.positions, simulation.velocities, simulation.reservoir_energy, simulation.engine.interactions.counts
+    return (
+        simulation.positions,
+        simulation.velocities,
+        simulation.reservoir_energy,
+        simulation.engine.interactions.counts,
+    )
 
 
 def assert_same_bits(one, other):
@@ -46,11 +51,17 @@ def test_noise_has_the_bits_of_numpy():
     normal_numbers(np.array([seed % 2**64, seed >> 64], dtype=np.uint64), step, contact, numbers)
     for k, row in enumerate(numbers):
         counter = np.array([0, 0, contact, (step + k) % 2**64], dtype=np.uint64)
-        assert np.array_equal(row, np.random.Generator(np.random.Philox(key=seed, counter=counter)).standard_normal(row.size))
+        assert np.array_equal(
+            row, np.random.Generator(np.random.Philox(key=seed, counter=counter)).standard_normal(row.size)
+        )
     assert np.abs(numbers).max() > 3.66  # in the tail
 
 
-@pytest.mark.parametrize(("method", "precision"), [(FREE, "double"), (BATH, "double"), (FREE, "fixed-point")], ids=["free", "bath", "fixed-point"])
+@pytest.mark.parametrize(
+    ("method", "precision"),
+    [(FREE, "double"), (BATH, "double"), (FREE, "fixed-point")],
+    ids=["free", "bath", "fixed-point"],
+)
 def test_lists_built_in_a_kernel_have_the_bits_of_those_that_python_builds(method, precision, monkeypatch):
     """After the first list the memory becomes so scarce that the next build must be left to Python, too."""
     enlarged, make_room = [], ClusterList._make_room
@@ -71,11 +82,15 @@ def test_lists_of_a_strained_cell_that_a_kernel_builds_have_the_bits_of_those_th
     """Columns move with the cell, in their memory; lists are built for every cell but a few, some in the kernel."""
     bath, before, after = md.StochasticCellRescaling(3.0, 0.1, 0.2, seed=2, every=7, coupling="triclinic"), [], []
     build = ClusterList._build
-    monkeypatch.setattr(ClusterList, "_build", lambda self, positions, cell: before.append(cell) or build(self, positions, cell))
+    monkeypatch.setattr(
+        ClusterList, "_build", lambda self, positions, cell: before.append(cell) or build(self, positions, cell)
+    )
     inside = gas(BATH(), barostat=bath)
     ended = ending(inside)
     monkeypatch.setattr(ClusterList, "can_be_renewed", False)
-    monkeypatch.setattr(ClusterList, "_build", lambda self, positions, cell: after.append(cell) or build(self, positions, cell))
+    monkeypatch.setattr(
+        ClusterList, "_build", lambda self, positions, cell: after.append(cell) or build(self, positions, cell)
+    )
     outside = gas(BATH(), barostat=bath)
     assert_same_bits(ended, ending(outside))
     assert np.array_equal(inside.system.cell.vectors, outside.system.cell.vectors)
@@ -131,4 +146,7 @@ def test_ctrl_c_ends_members_in_threads_after_a_whole_step(tmp_path):
     with ThreadPoolExecutor(2) as pool, pytest.raises(Interrupted) as interrupted:
         md.ensemble(told, members.TEMPERATURES, n_steps, every=1000, executor=pool, folder=tmp_path, progress=False)
     assert set(interrupted.value.result["status"]) == {"begun", "missing"}
-    assert all(0 <= md.Simulation.resume(file, md.LennardJones(1.0, 1.0, 1.8)).step < n_steps for file in interrupted.value.result["file"][:2])
+    assert all(
+        0 <= md.Simulation.resume(file, md.LennardJones(1.0, 1.0, 1.8)).step < n_steps
+        for file in interrupted.value.result["file"][:2]
+    )

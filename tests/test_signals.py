@@ -43,7 +43,9 @@ class Run:
 
 
 def endings(received, words="stopped after the last step"):
-    return {signal.SIGINT: pytest.raises(KeyboardInterrupt, match=words)}.get(received, pytest.raises(Terminated, match=words))
+    return {signal.SIGINT: pytest.raises(KeyboardInterrupt, match=words)}.get(
+        received, pytest.raises(Terminated, match=words)
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -136,10 +138,16 @@ def test_a_script_that_is_terminated_says_at_which_step_and_what_is_kept(number,
 
     with endings(number, "stopped after step"):
         simulation().run(
-            100, every=10, trajectory=tmp_path / "a.h5md", observers=[lambda sim: signal.raise_signal(number) if sim.step == 20 else None]
+            100,
+            every=10,
+            trajectory=tmp_path / "a.h5md",
+            observers=[lambda sim: signal.raise_signal(number) if sim.step == 20 else None],
         )
     told = f"by {signal.Signals(number).name}"
-    assert capsys.readouterr().err == f"minimd: stopped after step 21 {told}; what was written is kept in {tmp_path / 'a.h5md'}\n"
+    assert (
+        capsys.readouterr().err
+        == f"minimd: stopped after step 21 {told}; what was written is kept in {tmp_path / 'a.h5md'}\n"
+    )
     with endings(number, "stopped after step"):
         simulation().run(100, every=10, observers=[inner])  # both runs stop, and one sentence is enough
     assert capsys.readouterr().err == f"minimd: stopped after step 31 {told}\n"
@@ -154,7 +162,9 @@ def test_a_run_inside_a_run_stops_and_so_does_the_other(number):
 
     def nested(sim):
         if sim.step == 20:
-            inner.run(100_000, every=10, observers=[lambda one: signal.raise_signal(number) if one.step == 30 else None])
+            inner.run(
+                100_000, every=10, observers=[lambda one: signal.raise_signal(number) if one.step == 30 else None]
+            )
 
     with endings(number, "stopped after step"):
         outer.run(100_000, every=10, observers=[nested])
@@ -164,7 +174,9 @@ def test_a_run_inside_a_run_stops_and_so_does_the_other(number):
 def test_after_a_stopped_run_steps_can_be_made():
     stopped = simulation()
     with pytest.raises(KeyboardInterrupt):
-        stopped.run(1000, every=10, observers=[lambda sim: signal.raise_signal(signal.SIGINT) if sim.step == 20 else None])
+        stopped.run(
+            1000, every=10, observers=[lambda sim: signal.raise_signal(signal.SIGINT) if sim.step == 20 else None]
+        )
     stopped.make_steps(10)
     assert stopped.step == 31
 
@@ -179,7 +191,11 @@ def folder(tmp_path, monkeypatch):
 
 def command(*arguments, handler=signal.SIG_DFL, **keywords):
     """The command, at its first lines.  handler : of all signals, as it finds them."""
-    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "preexec_fn": lambda: [signal.signal(number, handler) for number in SIGNALS]}
+    streams = {
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.PIPE,
+        "preexec_fn": lambda: [signal.signal(number, handler) for number in SIGNALS],
+    }
     environment = os.environ | {"PYTHONPATH": str(REPOSITORY)} | keywords.pop("env", {})
     process = subprocess.Popen([sys.executable, "-c", READY, *arguments], env=environment, **streams, **keywords)
     assert process.stdout.read(1) == b"!"

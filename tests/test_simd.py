@@ -133,7 +133,9 @@ def test_conversion_rounds_to_the_nearest():
 
 @pytest.mark.parametrize("like", ["number", "vector"])
 @pytest.mark.parametrize("n", LANES)
-@pytest.mark.parametrize(("kind", "to"), [(np.int32, np.float32), (np.int32, np.float64), (np.float64, np.float32), (np.float32, np.float64)])
+@pytest.mark.parametrize(
+    ("kind", "to"), [(np.int32, np.float32), (np.int32, np.float64), (np.float64, np.float32), (np.float32, np.float64)]
+)
 def test_conversion_goes_by_the_type_of_a_number_or_a_vector(kind, to, n, like):
     """Integers beyond 2²⁴ are rounded to the nearest float32, ties to even; in float64 all are exact."""
     number = to(0.0)

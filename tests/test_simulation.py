@@ -66,12 +66,17 @@ def test_wrapping_any_atom_at_any_step_changes_nothing(scene):
     away = (wrapped.positions - plain.positions) @ np.linalg.inv(system.cell.vectors)
     assert np.abs(away - np.rint(away)).max() < 1e-10
     assert np.abs(np.rint(away)).max() >= 1
-    assert wrapped.frame().observables["total_energy"] == pytest.approx(plain.frame().observables["total_energy"], rel=1e-11)
+    assert wrapped.frame().observables["total_energy"] == pytest.approx(
+        plain.frame().observables["total_energy"], rel=1e-11
+    )
 
 
 def test_list_and_fresh_search_give_the_same_path():
     """Forces kept with a skin are those of a list built anew at every step."""
-    ends = [md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.7), md.VelocityVerlet(0.004), skin=skin) for skin in (0.0, 0.2, 0.6)]
+    ends = [
+        md.Simulation(liquid(3), md.LennardJones(1.0, 1.0, 1.7), md.VelocityVerlet(0.004), skin=skin)
+        for skin in (0.0, 0.2, 0.6)
+    ]
     for simulation in ends:
         simulation.run(200, every=200)
     assert ends[0].positions == pytest.approx(ends[1].positions, abs=1e-10)
@@ -114,7 +119,9 @@ def test_what_nobody_asks_for_is_not_recorded_or_paid():
 def test_energy_is_evaluated_only_where_somebody_looks(monkeypatch, every):
     asked = []
     compute = md.Forces.compute
-    monkeypatch.setattr(md.Forces, "compute", lambda self, detail=0, *unit: (asked.append(detail), compute(self, detail, *unit))[1])
+    monkeypatch.setattr(
+        md.Forces, "compute", lambda self, detail=0, *unit: (asked.append(detail), compute(self, detail, *unit))[1]
+    )
     md.Simulation(*chains(), md.VelocityVerlet(0.002)).run(2 * every, every=every)
     assert len(asked) == 2 * every + 1
     assert sum(detail > 0 for detail in asked) == 3
@@ -130,11 +137,15 @@ def test_pressure_is_minus_the_volume_derivative_of_the_free_energy_at_rest():
     system, h = liquid(2, jitter=0.03), 1e-5
     at_rest = md.System(system.positions, cell=system.cell)
     energies = [
-        md.evaluate(md.System(system.positions * s, cell=system.cell.vectors * s), md.LennardJones(1.0, 1.0, 1.3, "switched")).potential_energy
+        md.evaluate(
+            md.System(system.positions * s, cell=system.cell.vectors * s), md.LennardJones(1.0, 1.0, 1.3, "switched")
+        ).potential_energy
         for s in ((1 - h) ** (1 / 3), (1 + h) ** (1 / 3))
     ]
     frame = md.Simulation(at_rest, md.LennardJones(1.0, 1.0, 1.3, "switched"), md.VelocityVerlet(0.001)).frame()
-    assert frame.observables["pressure"] == pytest.approx((energies[0] - energies[1]) / (2 * h * system.volume), rel=1e-6)
+    assert frame.observables["pressure"] == pytest.approx(
+        (energies[0] - energies[1]) / (2 * h * system.volume), rel=1e-6
+    )
 
 
 def test_set_temperature_is_exact_seeded_and_without_momentum():
@@ -209,7 +220,9 @@ def test_blow_up_says_at_which_step_which_atoms_and_keeps_the_last_good_state():
     assert 0 < simulation.step < 20
     assert np.isfinite(simulation.positions).all()
     assert np.abs(simulation.velocities).max() < 1e3
-    assert simulation.frame().observables["potential_energy"] == pytest.approx(md.evaluate(simulation.system, LJ).potential_energy, rel=1e-12)
+    assert simulation.frame().observables["potential_energy"] == pytest.approx(
+        md.evaluate(simulation.system, LJ).potential_energy, rel=1e-12
+    )
     twin = md.Simulation(system, LJ, md.VelocityVerlet(0.05))
     twin.run(simulation.step, every=1)
     assert simulation.positions == pytest.approx(twin.positions, abs=1e-9)
@@ -227,13 +240,17 @@ def test_law_that_returns_nan_is_caught():
 
     system = md.System([[0, 0, 0], [1.5, 0, 0]], velocities=[[1, 0, 0], [0, 0, 0]])
     with pytest.raises(md.NonFiniteError, match=r"At step \d+: the potential energy is not finite"):
-        md.Simulation(system, md.PairPotential(broken, (4.0,), 3.0, "truncated"), md.VelocityVerlet(0.01)).run(200, every=1)
+        md.Simulation(system, md.PairPotential(broken, (4.0,), 3.0, "truncated"), md.VelocityVerlet(0.01)).run(
+            200, every=1
+        )
 
 
 def test_interrupt_stops_at_a_whole_step():
     simulation = md.Simulation(*chains(), md.VelocityVerlet(0.002))
     with pytest.raises(KeyboardInterrupt):
-        simulation.run(100_000, every=10, observers=[lambda sim: os.kill(os.getpid(), signal.SIGINT) if sim.step == 50 else None])
+        simulation.run(
+            100_000, every=10, observers=[lambda sim: os.kill(os.getpid(), signal.SIGINT) if sim.step == 50 else None]
+        )
     twin = md.Simulation(*chains(), md.VelocityVerlet(0.002))
     twin.run(simulation.step, every=10)
     assert 50 <= simulation.step <= 60

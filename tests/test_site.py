@@ -25,7 +25,12 @@ def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
     for name in ("docs", "examples", "course", "CHANGELOG.md"):
         if (source := REPOSITORY / name).is_dir():
-            shutil.copytree(source, folder / name, ignore=shutil.ignore_patterns("_build", "gallery", "__pycache__"), ignore_dangling_symlinks=True)
+            shutil.copytree(
+                source,
+                folder / name,
+                ignore=shutil.ignore_patterns("_build", "gallery", "__pycache__"),
+                ignore_dangling_symlinks=True,
+            )
         elif source.exists():
             shutil.copy(source, folder)
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-D", "plot_gallery=0", "docs", "site"]
@@ -70,7 +75,9 @@ def test_links_inside_lead_somewhere_and_nothing_is_fetched_from_outside(site):
         assert not re.search(r"url\(\s*['\"]?(?:https?:)?//", sheet.read_text(encoding="utf-8")), sheet.name
 
 
-@pytest.mark.parametrize(("words", "page"), [("restart", "files.html"), ("bonds", "bonds.html"), ("own law", "own-laws.html")])
+@pytest.mark.parametrize(
+    ("words", "page"), [("restart", "files.html"), ("bonds", "bonds.html"), ("own law", "own-laws.html")]
+)
 def test_pages_ask_no_host_and_the_search_finds(site, words, page):
     playwright = pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as driver:
@@ -86,7 +93,9 @@ def test_pages_ask_no_host_and_the_search_finds(site, words, page):
         window.press("input[name=q]", "Enter")
         window.wait_for_selector("#search-results ul.search li a")
         window.wait_for_timeout(500)
-        found = window.eval_on_selector_all("#search-results ul.search li a", "all => all.map(one => one.getAttribute('href'))")
+        found = window.eval_on_selector_all(
+            "#search-results ul.search li a", "all => all.map(one => one.getAttribute('href'))"
+        )
         browser.close()
     assert page in [link.partition("?")[0].partition("#")[0] for link in found[:5]], found[:8]
     assert {urlsplit(request).scheme for request in requests} <= {"file", "data", "blob"}

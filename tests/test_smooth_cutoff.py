@@ -11,7 +11,13 @@ from minimd.potentials.law import evaluate_law
 from minimd.potentials.truncation import TRUNCATIONS
 from minimd.potentials.user_laws import user_law
 
-TIMESTEPS = {VelocityVerlet: 0.004, Ruth3: 0.004, BlanesMoan4: 0.008, KahanLi6: 0.01, KahanLi8: 0.02}  # errors above rounding, below 1e-2 ε
+TIMESTEPS = {
+    VelocityVerlet: 0.004,
+    Ruth3: 0.004,
+    BlanesMoan4: 0.008,
+    KahanLi6: 0.01,
+    KahanLi8: 0.02,
+}  # errors above rounding, below 1e-2 ε
 
 
 def one(r2):
@@ -54,7 +60,9 @@ def energy_error(method, timestep, truncation, cutoff, n_cells=3, seed=5):
 
 def slope(method, timestep, truncation, cutoff):
     """Of the energy error against the time step; geometric mean over four droplets of 32 atoms."""
-    errors = [[energy_error(method, dt, truncation, cutoff, 2, seed) for dt in (timestep, timestep / 2)] for seed in range(4)]
+    errors = [
+        [energy_error(method, dt, truncation, cutoff, 2, seed) for dt in (timestep, timestep / 2)] for seed in range(4)
+    ]
     return -np.diff(np.log2(errors)).mean()
 
 
@@ -68,7 +76,9 @@ def test_slopes_of_108_atoms_are_the_orders(method, truncation, cutoff):
 @pytest.mark.parametrize(("method", "timestep"), [(KahanLi6, 0.005), (KahanLi8, 0.01)])
 def test_a_switch_with_two_derivatives_leaves_order_three(method, timestep):
     """Each atom that crosses the kink of u‴ is left with an error of Δt³, whatever the method: too much above order 3."""
-    assert slope(method, timestep, "switched", 2.5) == pytest.approx(3.0, abs=0.6)  # statistics of when a step meets the kink
+    assert slope(method, timestep, "switched", 2.5) == pytest.approx(
+        3.0, abs=0.6
+    )  # statistics of when a step meets the kink
     assert slope(method, timestep, "smooth", 2.5) > method.order - 0.5
 
 

@@ -2,7 +2,21 @@
 
 import numpy as np
 import pytest
-from kept_problems import ENERGY, INERTIA, KEPLER, PERIOD, RIGID_BODY, ROUNDING, START, TURNING, energy, energy_slope, kepler_end, slope, values
+from kept_problems import (
+    ENERGY,
+    INERTIA,
+    KEPLER,
+    PERIOD,
+    RIGID_BODY,
+    ROUNDING,
+    START,
+    TURNING,
+    energy,
+    energy_slope,
+    kepler_end,
+    slope,
+    values,
+)
 
 from minimd.integrators import (
     GaussLegendre2,
@@ -24,7 +38,9 @@ from minimd.integrators import (
 
 @pytest.mark.parametrize(("method", "h"), [(VelocityVerlet, 0.02), (RadauIIA2, 0.04), (GaussLegendre2, 0.06)])
 def test_the_order_of_a_method_on_the_stabilized_problem_is_its_own(method, h):
-    assert slope(method, [h, h / 1.5, h / 2.25], stabilized(KEPLER, ENERGY, 1.0)) == pytest.approx(method.order, abs=0.2)  # truncation
+    assert slope(method, [h, h / 1.5, h / 2.25], stabilized(KEPLER, ENERGY, 1.0)) == pytest.approx(
+        method.order, abs=0.2
+    )  # truncation
 
 
 @pytest.mark.parametrize(("gamma", "method"), [(0.5, GaussLegendre3), (2.0, RadauIIA3)])
@@ -66,10 +82,14 @@ def test_stabilization_bounds_an_energy_that_drifts_otherwise():
 def test_a_problem_on_its_manifold_is_not_changed_by_stabilization():
     exact, problem = run_until(KEPLER, KahanLi8(0.02), START, PERIOD), stabilized(KEPLER, ENERGY, 3.0)
     assert isinstance(problem, Partitioned)
-    assert np.abs(run_until(problem, GaussLegendre4(0.02), START, PERIOD).y - exact.y).max() < 1e-10  # truncation of both
+    assert (
+        np.abs(run_until(problem, GaussLegendre4(0.02), START, PERIOD).y - exact.y).max() < 1e-10
+    )  # truncation of both
 
 
-@pytest.mark.parametrize(("method", "h"), [pytest.param(ImplicitEuler, 0.002, marks=pytest.mark.slow), (RadauIIA2, 0.02), (RadauIIA3, 0.05)])
+@pytest.mark.parametrize(
+    ("method", "h"), [pytest.param(ImplicitEuler, 0.002, marks=pytest.mark.slow), (RadauIIA2, 0.02), (RadauIIA3, 0.05)]
+)
 def test_the_problem_of_index_2_has_the_solutions_of_the_problem_itself(method, h):
     """The energy is a constraint, to rounding; the multiplier vanishes with h, and the error as hᵖ."""
     problem = index_two(KEPLER, ENERGY)

@@ -12,8 +12,12 @@ from minimd.integrators import FirstOrder, ImplicitEuler, Mechanical, RadauIIA3,
 @pytest.mark.parametrize("n_steps", [200, 5000])
 def test_a_pendulum_of_index_3_swings_in_any_unit(length, time, n_steps):
     def path(length, time):
-        problem = Mechanical(1.0, lambda q: np.array([0.0, -GRAVITY * length / time**2]), lambda q: (q @ q - length**2) / 2, lambda q: q)
-        q, v, tension = problem.parts(run_steps(problem, RadauIIA3(2.0 * time / n_steps), ((length, 0.0), (0.0, 0.0)), 100).y[1:])
+        problem = Mechanical(
+            1.0, lambda q: np.array([0.0, -GRAVITY * length / time**2]), lambda q: (q @ q - length**2) / 2, lambda q: q
+        )
+        q, v, tension = problem.parts(
+            run_steps(problem, RadauIIA3(2.0 * time / n_steps), ((length, 0.0), (0.0, 0.0)), 100).y[1:]
+        )
         return np.hstack([q / length, v * time / length, tension * time**2])
 
     assert path(length, time) == pytest.approx(path(1.0, 1.0), abs=1e-6)  # rounding/h² in the tension
@@ -21,7 +25,9 @@ def test_a_pendulum_of_index_3_swings_in_any_unit(length, time, n_steps):
 
 def test_a_variable_that_is_smaller_by_13_powers_of_ten_is_solved_for_as_well():
     """Robertson's y₂ in balance: 0.04 y₁ = 10⁴ y₂ y₃ + 3 10⁷ y₂² after an implicit Euler step that is long beside its relaxation."""
-    y = run_adaptive(robertson(), RadauIIA3, ([1.0, 0.0], [0.0]), 1e9, control=StepControl(rtol=1e-6, atol=[1e-12, 1e-18, 1e-8])).y[-1]
+    y = run_adaptive(
+        robertson(), RadauIIA3, ([1.0, 0.0], [0.0]), 1e9, control=StepControl(rtol=1e-6, atol=[1e-12, 1e-18, 1e-8])
+    ).y[-1]
     y1, y2, y3 = run_steps(robertson(), ImplicitEuler(1e9), (y[:2], y[2:]), 1).y[-1]
     gain, loss = 0.04 * y1, 1e4 * y2 * y3 + 3e7 * y2**2
     assert y2 < 1e-11

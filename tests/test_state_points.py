@@ -38,7 +38,9 @@ def averages(temperature, density, n_steps, seed=1):
 @pytest.mark.slow
 @pytest.mark.parametrize("row", DATA["mc_rows"], ids=lambda row: f"T{row['T']}-rho{row['rho']}")
 def test_energy_and_pressure_are_those_of_nist(row):
-    n_steps = {0.9: 4, 0.003: 2, 0.005: 2, 0.007: 2, 0.009: 2}.get(row["rho"], 1) * N_STEPS  # a gas forgets slowly, a dense liquid still more so
+    n_steps = {0.9: 4, 0.003: 2, 0.005: 2, 0.007: 2, 0.009: 2}.get(
+        row["rho"], 1
+    ) * N_STEPS  # a gas forgets slowly, a dense liquid still more so
     (energy, of_energy), (pressure, of_pressure) = averages(row["T"], row["rho"], n_steps)
     print(
         f"T* {row['T']} ρ* {row['rho']}: U* {energy:.4f} ± {of_energy:.4f} ({row['U']:.4f}), p* {pressure:.4f} ± {of_pressure:.4f} ({row['p']:.4f})"

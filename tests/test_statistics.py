@@ -4,9 +4,19 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from minimd.structure.statistics import mean_and_error, replicas, spread, standard_error, statistical_inefficiency, with_error
+from minimd.structure.statistics import (
+    mean_and_error,
+    replicas,
+    spread,
+    standard_error,
+    statistical_inefficiency,
+    with_error,
+)
 
-LOW, HIGH = 0.85, 1.3  # of an error bar beside what it should be; errors that have to be found in a short run themselves scatter
+LOW, HIGH = (
+    0.85,
+    1.3,
+)  # of an error bar beside what it should be; errors that have to be found in a short run themselves scatter
 
 
 def processes(n_series, length, decay, seed=1):
@@ -38,7 +48,9 @@ def test_few_entries_and_constant_series():
 
 
 @pytest.mark.parametrize("n_blocks", [16, 31])
-@pytest.mark.parametrize(("share", "times"), [(0.0, 1), (0.5, 12), (0.5, 25), (0.5, 100), (0.8, 25), (0.95, 12), (0.95, 25), (0.95, 100)])
+@pytest.mark.parametrize(
+    ("share", "times"), [(0.0, 1), (0.5, 12), (0.5, 25), (0.5, 100), (0.8, 25), (0.95, 12), (0.95, 25), (0.95, 100)]
+)
 def test_an_error_bar_knows_slow_correlations(n_blocks, share, times):
     """Of a ratio of sums, one of which has fast and slow parts, as D follows the temperature of a bath; in runs of so many slow correlation times.
 
@@ -50,7 +62,9 @@ def test_an_error_bar_knows_slow_correlations(n_blocks, share, times):
     slow = lfilter([1.0], [1.0, -decay], noise, axis=0)[-n:]
     series = np.sqrt(share * (1.0 - decay) / (1.0 + decay)) * slow + np.sqrt(1.0 - share) * rng.normal(size=(n, n_runs))
     counted = 1.0 + 0.3 * rng.random((n, n_runs))
-    parts = np.array([counted, counted * (20.0 + series)]).reshape(2, n_blocks, 8, n_runs).sum(axis=2).transpose(1, 0, 2)
+    parts = (
+        np.array([counted, counted * (20.0 + series)]).reshape(2, n_blocks, 8, n_runs).sum(axis=2).transpose(1, 0, 2)
+    )
 
     def logarithm_of_ratio(sums):
         return np.log(sums[1] / sums[0])
@@ -58,7 +72,9 @@ def test_an_error_bar_knows_slow_correlations(n_blocks, share, times):
     total = parts.sum(axis=0)
     values, errors = logarithm_of_ratio(total), spread(replicas(logarithm_of_ratio, total, parts))
     assert LOW < np.sqrt((errors**2).mean()) / values.std() < HIGH
-    assert (np.abs(values - values.mean()) < 2.0 * errors).mean() > 0.82  # 0.95 of long runs; a short run does not know its own error well
+    assert (
+        np.abs(values - values.mean()) < 2.0 * errors
+    ).mean() > 0.82  # 0.95 of long runs; a short run does not know its own error well
 
 
 def test_replicas_of_a_mean_spread_by_its_error():

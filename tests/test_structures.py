@@ -49,10 +49,21 @@ ANGLE = '[[potential]]\ntype = "harmonic-angle"\nk = 5.0\nangle_degree = 150.0\n
 def write_data(path):
     """A melt as LAMMPS writes it, with image flags; atoms and ids in another order than the lines."""
     lines = ["melt", "", "20 atoms", "16 bonds", "12 angles", "2 atom types", "1 bond types", "1 angle types", ""]
-    lines += [f"0 {EDGE} {x}lo {x}hi" for x in "xyz"] + ["", "Masses", "", "1 1.0", "2 2.0", "", "Atoms # molecular", ""]
+    lines += [f"0 {EDGE} {x}lo {x}hi" for x in "xyz"] + [
+        "",
+        "Masses",
+        "",
+        "1 1.0",
+        "2 2.0",
+        "",
+        "Atoms # molecular",
+        "",
+    ]
     for i in reversed(range(20)):
         x, image = (POSITIONS[i, 0] - EDGE, 1) if POSITIONS[i, 0] > 4.0 else (POSITIONS[i, 0], 0)
-        lines.append(f"{i + 1} {i // LENGTH + 1} {1 + (i % LENGTH == 0)} {x} {POSITIONS[i, 1]} {POSITIONS[i, 2]} {image} 0 0")
+        lines.append(
+            f"{i + 1} {i // LENGTH + 1} {1 + (i % LENGTH == 0)} {x} {POSITIONS[i, 1]} {POSITIONS[i, 2]} {image} 0 0"
+        )
     lines += ["", "Velocities", "", *(f"{i + 1} {0.5 * i} 0 0" for i in range(20))]
     lines += ["", "Bonds", "", *(f"{k + 1} 1 {i + 1} {j + 1}" for k, (i, j) in enumerate(BONDS))]
     lines += ["", "Angles", "", *(f"{k + 1} 1 {i + 1} {j + 1} {m + 1}" for k, (i, j, m) in enumerate(ANGLES))]
@@ -63,7 +74,9 @@ def write_pdb(path, with_bonds):
     """Carbon beads; each bond of a CONECT record stands there twice, as in most files."""
     lines = [f"CRYST1{EDGE:9.3f}{EDGE:9.3f}{EDGE:9.3f}  90.00  90.00  90.00 P 1           1"]
     for i, (x, y, z) in enumerate(POSITIONS):
-        lines.append(f"ATOM  {i + 1:5d}  C   BEA A{i // LENGTH + 1:4d}    {x:8.3f}{y:8.3f}{z:8.3f}  1.00  0.00           C  ")
+        lines.append(
+            f"ATOM  {i + 1:5d}  C   BEA A{i // LENGTH + 1:4d}    {x:8.3f}{y:8.3f}{z:8.3f}  1.00  0.00           C  "
+        )
     if with_bonds:
         lines += [f"CONECT{a + 1:5d}{b + 1:5d}" for i, j in BONDS for a, b in ((i, j), (j, i))]
     path.write_text("\n".join([*lines, "END"]) + "\n")
@@ -72,7 +85,10 @@ def write_pdb(path, with_bonds):
 def write_psf(path, charge=0.0):
     """As CHARMM and NAMD have it: eight columns of bonds, nine of angles."""
     lines = ["PSF", "", "       1 !NTITLE", " REMARKS melt", "", f"{20:8d} !NATOM"]
-    lines += [f"{i + 1:8d} MELT {i // LENGTH + 1:<4d} BEA  C    CT   {charge:10.6f}  {12.011:12.4f}           0" for i in range(20)]
+    lines += [
+        f"{i + 1:8d} MELT {i // LENGTH + 1:<4d} BEA  C    CT   {charge:10.6f}  {12.011:12.4f}           0"
+        for i in range(20)
+    ]
     for name, groups, per_line in (("NBOND: bonds", BONDS, 4), ("NTHETA: angles", ANGLES, 3)):
         lines += ["", f"{len(groups):8d} !{name}"]
         rows = [groups[k : k + per_line] for k in range(0, len(groups), per_line)]
@@ -110,7 +126,9 @@ def test_melt_from_a_file_runs_with_its_bonds_and_ends_as_fragments(folder, form
         warnings.simplefilter("error")
         sim = run_scene(scene(folder, form), tell=lambda _: None)
     same_groups(sim.system.bonds, BONDS)
-    np.testing.assert_array_equal(sim.system.masses, np.where(np.arange(20) % LENGTH, 1.0, 2.0) if form == "data" else np.ones(20))
+    np.testing.assert_array_equal(
+        sim.system.masses, np.where(np.arange(20) % LENGTH, 1.0, 2.0) if form == "data" else np.ones(20)
+    )
     made = universe("melt.h5md")
     made.trajectory[-1]
     chains = made.atoms.fragments
@@ -129,7 +147,9 @@ def test_angles_of_a_file_are_used_and_survive_in_the_trajectory(folder, form):
     np.testing.assert_array_equal(read_file("melt.h5md").system.angles, sim.system.angles)
     np.testing.assert_array_equal(universe("melt.h5md").atoms.angles.indices, sim.system.angles)
     by_hand = md.evaluate(sim.system, md.HarmonicAngle(5.0, np.deg2rad(150.0), ANGLES)).potential_energy
-    assert md.evaluate(sim.system, md.HarmonicAngle(5.0, np.deg2rad(150.0))).potential_energy == pytest.approx(by_hand, rel=1e-14)
+    assert md.evaluate(sim.system, md.HarmonicAngle(5.0, np.deg2rad(150.0))).potential_energy == pytest.approx(
+        by_hand, rel=1e-14
+    )
     assert by_hand > 0.0
     resumed = md.Simulation.resume("melt.h5md")
     resumed.run(5, every=5, trajectory="melt.h5md", append=True)
@@ -138,7 +158,9 @@ def test_angles_of_a_file_are_used_and_survive_in_the_trajectory(folder, form):
 
 @pytest.mark.parametrize("form", ["data", "pdb"])
 def test_bonds_that_are_not_used_are_told(folder, form):
-    with pytest.warns(UserWarning, match=rf"melt.{form}' has 16 bonds.*, which are not used; use them with bonds = \"file\""):
+    with pytest.warns(
+        UserWarning, match=rf"melt.{form}' has 16 bonds.*, which are not used; use them with bonds = \"file\""
+    ):
         assert len(scene(folder, form, more="").system().bonds) == 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -149,7 +171,9 @@ def test_bonds_that_are_not_used_are_told(folder, form):
 @pytest.mark.slow
 def test_a_command_tells_it_in_words_of_commands(folder):
     scene(folder, "pdb", more="")
-    code = "import sys, minimd_command; sys.argv = ['minimd', 'run', 'melt.toml', '--steps', '0']; minimd_command.main()"
+    code = (
+        "import sys, minimd_command; sys.argv = ['minimd', 'run', 'melt.toml', '--steps', '0']; minimd_command.main()"
+    )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     told = [line for line in answer.stderr.splitlines() if line.startswith("minimd: warning: ")]
     assert "has 16 bonds, which are not used" in told[0]
@@ -199,7 +223,9 @@ def test_bonds_and_angles_survive_the_way_through_atoms(tmp_path, file):
     assert set(md.System(POSITIONS).to_ase().arrays) == {"numbers", "positions", "masses", "momenta"}
 
 
-@pytest.mark.parametrize("change", [lambda a: a[5:10], lambda a: a * (2, 1, 1), lambda a: a[::-1]], ids=["cut", "repeated", "turned"])
+@pytest.mark.parametrize(
+    "change", [lambda a: a[5:10], lambda a: a * (2, 1, 1), lambda a: a[::-1]], ids=["cut", "repeated", "turned"]
+)
 def test_bonds_of_atoms_that_were_cut_or_repeated_are_not_trusted(folder, change):
     atoms = change(ase.io.read("melt.data", format="lammps-data"))
     with pytest.raises(ValueError, match=r"may have been cut out, repeated or sorted .* bonds=\(\) for none"):

@@ -64,7 +64,13 @@ def test_arrays_of_a_simulation_cannot_be_replaced_and_its_time_step_is_the_meth
 def test_atoms_at_rest_are_no_breach_of_momentum():
     steps, tiny = np.arange(5), np.full(5, 1e-28)
     momentum = 1e-14 * np.arange(15.0).reshape(5, 3)
-    series = {"step": steps, "time": 0.1 * steps, "potential_energy": np.full(5, -6.0), "kinetic_energy": tiny, "total_energy": np.full(5, -6.0)}
+    series = {
+        "step": steps,
+        "time": 0.1 * steps,
+        "potential_energy": np.full(5, -6.0),
+        "kinetic_energy": tiny,
+        "total_energy": np.full(5, -6.0),
+    }
     series |= {"temperature": tiny, "momentum": momentum, "absolute_momentum": np.full(5, 1e-12)}
     report = conservation_report(Record.of(md.units.LJ, 4, series), angular=False)
     assert report.momentum_is_conserved
@@ -105,7 +111,9 @@ def test_files_of_reduced_runs_keep_species_masses_and_velocities(tmp_path, suff
     from minimd.ase import system_from_file
 
     made, file = simulation(), tmp_path / f"run.{suffix}"
-    system = md.System(made.positions, masses=made.system.masses, cell=3.6, species=["1", "Ar", "2"] * 9, velocities=made.velocities)
+    system = md.System(
+        made.positions, masses=made.system.masses, cell=3.6, species=["1", "Ar", "2"] * 9, velocities=made.velocities
+    )
     sim = md.Simulation(system, made.potentials, made.method)
     sim.run(2, every=1, trajectory=file)
     read = system_from_file(file, units=md.units.LJ)
@@ -154,6 +162,9 @@ def test_a_calculator_and_rigid_bonds_describe_themselves():
 
     assert "do not exist" in Calculator.__init__.__doc__
     rigid = md.Simulation(
-        md.System(TWO), md.LennardJones(1.0, 1.0, 1.6, truncation="shifted"), md.VelocityVerlet(0.004), md.DistanceConstraints([[0, 1]], 0.36)
+        md.System(TWO),
+        md.LennardJones(1.0, 1.0, 1.6, truncation="shifted"),
+        md.VelocityVerlet(0.004),
+        md.DistanceConstraints([[0, 1]], 0.36),
     )
     assert repr(rigid.rigid_bonds).startswith("ConstraintSolver(1 lengths: 1 in")

@@ -60,13 +60,17 @@ def test_force_is_the_derivative_of_the_energy_to_rounding(spacing):
             sizes = [abs(before.deriv(d)(0.0)) + abs(piece.deriv(d)(0.0)) + size for d in range(1, 5)]
             assert np.all(np.abs(meeting) < 1e-9 * np.array(sizes) * (knots[k + 1] - knots[k]) ** -np.arange(4.0))
         before = piece
-    assert force_over_distance(potential, knots[-1:]) == pytest.approx(-piece.deriv()(knots[-1] - knots[-2]) / knots[-1], rel=1e-12)
+    assert force_over_distance(potential, knots[-1:]) == pytest.approx(
+        -piece.deriv()(knots[-1] - knots[-2]) / knots[-1], rel=1e-12
+    )
 
 
 def test_the_points_of_the_table_are_on_the_spline():
     potential = table(30)
     shift = lennard_jones(CUTOFF)
-    assert potential.pair_energy(potential.r[:-1]) == pytest.approx(lennard_jones(potential.r[:-1]) - shift, rel=1e-13, abs=1e-13)
+    assert potential.pair_energy(potential.r[:-1]) == pytest.approx(
+        lennard_jones(potential.r[:-1]) - shift, rel=1e-13, abs=1e-13
+    )
 
 
 def test_a_liquid_from_a_table_is_the_liquid_of_the_law():
@@ -118,7 +122,9 @@ def test_a_run_that_comes_closer_than_the_table_ends_and_says_so():
     r = np.linspace(1.0, CUTOFF, 30)
     pair = md.System([[0.0, 0.0, 0.0], [1.02, 0.0, 0.0]], velocities=[[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
     sim = md.Simulation(pair, md.Tabulated(r, 1e-6 * r), md.VelocityVerlet(0.02))
-    with pytest.raises(md.NonFiniteError, match=r"the law of Tabulated gives no finite number for atoms 0 and 1, 0\.98 σ apart"):
+    with pytest.raises(
+        md.NonFiniteError, match=r"the law of Tabulated gives no finite number for atoms 0 and 1, 0\.98 σ apart"
+    ):
         sim.run(3, progress=False, crash_report=False)
 
 

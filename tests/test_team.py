@@ -12,7 +12,18 @@ import pytest
 from cluster_scenes import atoms_per_domain
 
 from minimd.compiled.kernels import shared_kernel
-from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, Worker, barrier, begin, finish_and_take, stop, take, thread_pool, was_stopped
+from minimd.compiled.threads import (
+    MOST_CHUNKS,
+    ThreadPool,
+    Worker,
+    barrier,
+    begin,
+    finish_and_take,
+    stop,
+    take,
+    thread_pool,
+    was_stopped,
+)
 from minimd.neighbors.cluster_list import ClusterList
 from minimd.neighbors.clusters import covered, make_columns
 from minimd.structure.cell import Cell
@@ -191,7 +202,9 @@ def test_two_threads_of_python_take_turns_with_one_team():
 def test_no_more_threads_work_than_the_team_has():
     for n_threads in (1, 3):
         assert len(thread_pool(n_threads)._helpers) == n_threads - 1
-        assert (thread_pool(n_threads) is thread_pool(n_threads)) == (n_threads > 1)  # helpers are shared; one thread waits for nobody
+        assert (thread_pool(n_threads) is thread_pool(n_threads)) == (
+            n_threads > 1
+        )  # helpers are shared; one thread waits for nobody
     assert all(helper.daemon for helper in thread_pool(3)._helpers)
 
 
@@ -202,7 +215,10 @@ def test_chunks_are_never_more_than_a_team_can_share_out(n):
     with atoms_per_domain(1):
         found = ClusterList(n, 1.8, 0.2, np.zeros((0, 2), dtype=np.int64), "double", thread_pool(2))
         found.update(positions, cell)
-    columns, chunks = make_columns(cell, len(positions), 2.0, found.lanes, *covered(cell, positions, 2.0)), found.domains
+    columns, chunks = (
+        make_columns(cell, len(positions), 2.0, found.lanes, *covered(cell, positions, 2.0)),
+        found.domains,
+    )
     assert len(chunks.column) - 1 == min(MOST_CHUNKS, columns.counts[0] // columns.reach[0])
     assert np.all(np.diff(chunks.column) >= columns.reach[0])
     assert (chunks.column[0], chunks.column[-1], chunks.cluster[-1]) == (0, columns.counts[0], found.n_clusters)
@@ -236,5 +252,7 @@ print("parent", same, "child", status)
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_child_runs_its_own_teams_and_those_it_inherits():
     where = os.environ | {"PYTHONPATH": os.pathsep.join([os.path.dirname(__file__), *sys.path])}
-    answer = subprocess.run([sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=300, env=where, check=False)
+    answer = subprocess.run(
+        [sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=300, env=where, check=False
+    )
     assert answer.stdout == "parent True child 0\n", answer.stderr

@@ -37,7 +37,11 @@ def test_a_term_needs_nothing_but_add():
         forces.compute(1)
     assert both.forces[:, 2] == pytest.approx(alone.forces[:, 2] - 1.0, abs=1e-12)
     assert both.potential_energy == pytest.approx(alone.potential_energy + system.positions[:, 2].sum(), rel=1e-12)
-    assert (both.skipped(), both.pair_search, both.largest_cutoff) == (alone.skipped(), alone.pair_search, alone.largest_cutoff)
+    assert (both.skipped(), both.pair_search, both.largest_cutoff) == (
+        alone.skipped(),
+        alone.pair_search,
+        alone.largest_cutoff,
+    )
     assert md.Simulation(system, [LJ, Weight()], md.VelocityVerlet(0.001)).run(2, progress=False).n_atoms == len(system)
 
 
@@ -46,7 +50,9 @@ def test_what_is_no_potential_or_binds_to_no_term_is_refused():
         def bind(self, _system):
             return None
 
-    with pytest.raises(TypeError, match="potentials must be potentials of minimd, such as LennardJones or HarmonicBond; got 3"):
+    with pytest.raises(
+        TypeError, match="potentials must be potentials of minimd, such as LennardJones or HarmonicBond; got 3"
+    ):
         md.Forces(liquid(2), 3)
     with pytest.raises(TypeError, match="bind must return a term, an object with add"):
         md.Forces(liquid(2), Empty())
@@ -99,7 +105,9 @@ def test_a_force_that_is_not_minus_the_gradient_of_its_energy_is_refused(wrong):
         ran(Tether(wrong))
 
 
-@pytest.mark.parametrize("term", [Tether(), Tether(kind=np.float32), Tether(WRONG["twice"], is_checked=False), Tether(WRONG["twice"], u=0.0)])
+@pytest.mark.parametrize(
+    "term", [Tether(), Tether(kind=np.float32), Tether(WRONG["twice"], is_checked=False), Tether(WRONG["twice"], u=0.0)]
+)
 def test_right_forces_rough_energies_and_forces_that_declare_none_run(term):
     """In float32, with 100 ε for each atom, differences are rounding; a force without energy, or said to be no gradient, is the user's."""
     ran(term)
@@ -173,7 +181,9 @@ def test_a_law_of_the_user_is_tried_once(monkeypatch):
     system = liquid(5)
     species = np.array(["A", "B", "C"])[np.arange(len(system)) % 3]
     system = md.System(system.positions, cell=system.cell, species=species)
-    forces = md.Forces(system, md.PairPotential(soft, {"A": (1.0,), "B": (2.0,), "C": (3.0,)}, 2.0, mixing=lambda a, b: (a[0] + b[0],)))
+    forces = md.Forces(
+        system, md.PairPotential(soft, {"A": (1.0,), "B": (2.0,), "C": (3.0,)}, 2.0, mixing=lambda a, b: (a[0] + b[0],))
+    )
     forces.fit_skin(0.01)
     forces.compute()
     system.cell = md.Cell.of(1.01 * system.cell.vectors[0, 0])
@@ -195,7 +205,9 @@ def test_what_was_computed_can_be_set_aside():
             assert forces.has_energy == (detail > 0)
     assert forces.forces is array
     assert forces.has_energy
-    for after, before in zip((forces.forces, forces.potential_energy, forces.virial, forces.energies, forces.virials), kept, strict=True):
+    for after, before in zip(
+        (forces.forces, forces.potential_energy, forces.virial, forces.energies, forces.virials), kept, strict=True
+    ):
         assert np.array_equal(after, before)
 
 

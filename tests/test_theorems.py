@@ -64,15 +64,24 @@ FLIP = np.array([1.0, 1.0, -1.0, -1.0])  # ρ, which turns the velocities around
 
 def measured_order(method, problem, start, time, t0, end, n_steps):
     """Slope between steps of time/n and time/2n."""
-    errors = [np.linalg.norm(run_steps(problem, method(time / n), start, n, t0=t0, every=n).y[-1] - end) for n in (n_steps, 2 * n_steps)]
+    errors = [
+        np.linalg.norm(run_steps(problem, method(time / n), start, n, t0=t0, every=n).y[-1] - end)
+        for n in (n_steps, 2 * n_steps)
+    ]
     return np.log2(errors[0] / errors[1])
 
 
-@pytest.mark.parametrize(("name", "method"), [(name, m) for name in PROBLEMS for m in (ONE_STEP if name == "kepler" else DETERMINISTIC)])
+@pytest.mark.parametrize(
+    ("name", "method"), [(name, m) for name in PROBLEMS for m in (ONE_STEP if name == "kepler" else DETERMINISTIC)]
+)
 def test_measured_order_is_the_answered_order(method, name):
     """Methods made for q″ = f(q) alone answer a lower one elsewhere. Near a pericentre the errors of BDFs change their sign."""
     order = method.order_on(PROBLEMS[name][0])
-    n_steps = STEPS[order] * {"kepler": 8 if method is Ruth3 else 2}.get(name, 1) * (6 if method not in ONE_STEP and order > 3 else 1)
+    n_steps = (
+        STEPS[order]
+        * {"kepler": 8 if method is Ruth3 else 2}.get(name, 1)
+        * (6 if method not in ONE_STEP and order > 3 else 1)
+    )
     assert measured_order(method, *PROBLEMS[name], n_steps) == pytest.approx(order, abs=0.2)  # truncation
     assert order == (3 if method is McLachlanAtela4 and "separable" in name else method.order)
 
@@ -92,13 +101,17 @@ def there_and_back(method, problem, start, h=0.1, t0=0.3):
     return np.abs(method.on(problem)(t0 + h, method.on(problem)(t0, y, h), -h) - y).max()
 
 
-@pytest.mark.parametrize(("problem", "start"), [(KEPLER, ORBIT_START), (TWISTED, TWISTED_START), (DRIVEN, TWISTED_START)])
+@pytest.mark.parametrize(
+    ("problem", "start"), [(KEPLER, ORBIT_START), (TWISTED, TWISTED_START), (DRIVEN, TWISTED_START)]
+)
 @pytest.mark.parametrize("method", SYMMETRIC)
 def test_a_symmetric_method_is_its_own_inverse_with_time_reversed(method, problem, start):
     assert there_and_back(method, problem, start) < 3e-15  # rounding
 
 
-@pytest.mark.parametrize(("problem", "start"), [(KEPLER, ORBIT_START), (TWISTED, TWISTED_START), (DRIVEN, TWISTED_START)])
+@pytest.mark.parametrize(
+    ("problem", "start"), [(KEPLER, ORBIT_START), (TWISTED, TWISTED_START), (DRIVEN, TWISTED_START)]
+)
 @pytest.mark.parametrize("method", NOT_SYMMETRIC)
 def test_a_method_answered_as_not_symmetric_is_not(method, problem, start):
     assert there_and_back(method, problem, start) > 1e-9  # truncation
@@ -121,7 +134,9 @@ def test_reversible_problems_are_reversed_by_symmetric_methods_alone(method, pro
     assert (returned < 3e-15) if method.is_symmetric else (returned > 1e-9)
 
 
-@pytest.mark.parametrize(("problem", "start"), [(KEPLER, ORBIT_START), (TWISTED, TWISTED_START), (DRIVEN, TWISTED_START)])
+@pytest.mark.parametrize(
+    ("problem", "start"), [(KEPLER, ORBIT_START), (TWISTED, TWISTED_START), (DRIVEN, TWISTED_START)]
+)
 @pytest.mark.parametrize("method", SYMPLECTIC)
 def test_a_symplectic_step_keeps_the_symplectic_form_and_the_volume(method, problem, start):
     """Φ′ᵀ J Φ′ = J and det Φ′ = 1, for H(q, v) and H(t, q, v) too."""
@@ -173,8 +188,12 @@ def test_three_stages_of_gauss_do_not_keep_that_volume():
     assert abs(np.linalg.det(m) - 1.0) > 1e-8
 
 
-@pytest.mark.parametrize(("composed", "named"), [(compose(SE2, SE1), VelocityVerlet), (compose(SE1, SE2), PositionVerlet)])
-@pytest.mark.parametrize(("problem", "start"), [(KEPLER, ORBIT_START), (TWISTED, TWISTED_START), (DRIVEN, TWISTED_START)])
+@pytest.mark.parametrize(
+    ("composed", "named"), [(compose(SE2, SE1), VelocityVerlet), (compose(SE1, SE2), PositionVerlet)]
+)
+@pytest.mark.parametrize(
+    ("problem", "start"), [(KEPLER, ORBIT_START), (TWISTED, TWISTED_START), (DRIVEN, TWISTED_START)]
+)
 def test_verlet_is_the_composition_of_symplectic_euler_with_its_adjoint(composed, named, problem, start):
     """SE2 ∘ SE1 is (A) and SE1 ∘ SE2 is (B) over half steps: to the last bit as one method, to rounding as two."""
     one, other = (run_steps(problem, method(0.1), start, 20, t0=0.3).y for method in (composed, named))
@@ -236,5 +255,7 @@ def test_the_table_says_what_the_methods_answer():
     columns = [header.index(word) for word in header.split()] + [None]
     for line, (name, method) in zip(lines, METHODS.items(), strict=True):
         entries = [line[start:end].strip() for start, end in pairwise(columns)]
-        answers = [("no", "yes")[bool(answer)] for answer in (method.is_symmetric, method.is_symplectic, method.is_explicit)]
+        answers = [
+            ("no", "yes")[bool(answer)] for answer in (method.is_symmetric, method.is_symplectic, method.is_explicit)
+        ]
         assert entries == [name, str(method.order), str(method.stages), *answers, method.source]

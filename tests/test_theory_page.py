@@ -15,7 +15,9 @@ TEXT = PAGE.read_text(encoding="utf-8")
 
 
 def functions_of(path):
-    return {node.name for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.FunctionDef)}
+    return {
+        node.name for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.FunctionDef)
+    }
 
 
 def test_every_path_and_link_of_the_chapter_exists():
@@ -32,7 +34,9 @@ def test_every_test_that_the_chapter_names_exists_where_it_says():
     for section in re.split(r"^## ", TEXT, flags=re.M)[1:]:
         files = re.findall(r"`tests/(test_\w+\.py)`", section)
         for name in re.findall(r"`(test_\w+)`", section):
-            assert any(name in known[file] for file in files), f"{name} is in none of {files} of section {section[:30]!r}"
+            assert any(name in known[file] for file in files), (
+                f"{name} is in none of {files} of section {section[:30]!r}"
+            )
 
 
 def test_every_section_of_the_chapter_names_a_test():
@@ -52,14 +56,18 @@ def test_coefficients_of_ruth_in_another_order_have_order_one():
 
 
 def test_an_optimal_method_loses_its_order_if_kicks_and_drifts_change_places():
-    exchanged = tuple((Drift if isinstance(part, Kick) else Kick)(part.coefficient) for part in McLachlanAtela4.substeps)
+    exchanged = tuple(
+        (Drift if isinstance(part, Kick) else Kick)(part.coefficient) for part in McLachlanAtela4.substeps
+    )
     assert (nystrom_order(McLachlanAtela4.substeps), separable_order(McLachlanAtela4.substeps)) == (4, 3)
     assert nystrom_order(exchanged) == 3
 
 
 def test_a_triple_jump_over_symplectic_euler_has_order_one():
     w = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
-    assert separable_order(tuple(part for weight in (w, 1.0 - 2.0 * w, w) for part in (Kick(weight), Drift(weight)))) == 1
+    assert (
+        separable_order(tuple(part for weight in (w, 1.0 - 2.0 * w, w) for part in (Kick(weight), Drift(weight)))) == 1
+    )
     assert separable_order(VelocityVerlet.substeps) == 2
 
 

@@ -74,7 +74,9 @@ def test_contacts_at_both_ends_of_a_step_are_not_made_one_where_nobody_looks():
     whole.run(40, every=40)
     parts.run(20, every=20)
     parts.run(20, every=20)
-    assert whole.positions == pytest.approx(parts.positions, abs=1e-9)  # rounding: energies are summed with the forces or without
+    assert whole.positions == pytest.approx(
+        parts.positions, abs=1e-9
+    )  # rounding: energies are summed with the forces or without
 
 
 @pytest.mark.parametrize("method", THERMOSTATS)
@@ -85,7 +87,9 @@ def test_a_resumed_run_meets_the_noise_of_an_uninterrupted_one(method, tmp_path,
     run_scene(scene, steps=20, trajectory=tmp_path / "parts.h5md", tell=lambda _: None)
     resume_run(tmp_path / "parts.h5md", 20, tell=lambda _: None)
     whole, parts = read_file(tmp_path / "whole.h5md"), read_file(tmp_path / "parts.h5md")
-    assert np.abs(whole.system.velocities - parts.system.velocities).max() < 1e-11  # rounding: the list is built anew, sums have another order
+    assert (
+        np.abs(whole.system.velocities - parts.system.velocities).max() < 1e-11
+    )  # rounding: the list is built anew, sums have another order
     assert np.abs(whole.record.conserved_energy - parts.record.conserved_energy).max() < 1e-10
     assert whole.reservoir_energy == pytest.approx(parts.reservoir_energy, rel=1e-10)
     assert abs(whole.reservoir_energy) > 0.1
@@ -112,7 +116,10 @@ def test_each_equilibration_has_noise_of_its_own_and_the_same_in_each_repetition
         sim, seen = simulation(LANGEVIN), []
         sim.method = md.LangevinBAOAB(0.01, 1.3, 2.0, 5)
         thermalize = sim.method.thermalize
-        sim.method.thermalize = lambda s, duration, around: (seen.append(around.bath.step), thermalize(s, duration, around))
+        sim.method.thermalize = lambda s, duration, around: (
+            seen.append(around.bath.step),
+            thermalize(s, duration, around),
+        )
         sim.equilibrate(5, 1.3)
         sim.equilibrate(3, 1.3)
         sim.run(4)
@@ -147,7 +154,9 @@ def test_a_file_of_a_run_with_a_bath_passes_its_check(method, tmp_path):
     assert checked.report.verdict == sim.report().verdict
 
 
-@pytest.mark.parametrize(("first", "then"), [(LANGEVIN, md.VelocityVerlet(0.01)), (md.VelocityVerlet(0.01), BUSSI)], ids=["without", "with"])
+@pytest.mark.parametrize(
+    ("first", "then"), [(LANGEVIN, md.VelocityVerlet(0.01)), (md.VelocityVerlet(0.01), BUSSI)], ids=["without", "with"]
+)
 def test_a_file_with_a_bath_is_not_continued_without_and_the_other_way_round(first, then, tmp_path):
     simulation(first).run(20, every=10, trajectory=tmp_path / "a.h5md")
     other = simulation(then)
@@ -167,7 +176,10 @@ def test_drift_of_a_walk_has_an_honest_error():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make", [lambda s: md.LangevinBAOAB(0.004, 1.3, 5.0, s), lambda s: md.StochasticVelocityRescaling(0.004, 1.3, 0.1, s)])
+@pytest.mark.parametrize(
+    "make",
+    [lambda s: md.LangevinBAOAB(0.004, 1.3, 5.0, s), lambda s: md.StochasticVelocityRescaling(0.004, 1.3, 0.1, s)],
+)
 def test_long_runs_that_are_fine_are_told_so(make):
     """Energy minus reservoir energy wanders by 1e-3 ε per atom in 25 000 steps; that is no drift."""
     ratios = []
@@ -176,5 +188,7 @@ def test_long_runs_that_are_fine_are_told_so(make):
         sim.run(2000, every=2000)
         sim.run(25_000, every=10)
         ratios.append(sim.report().energy_drift.slope / sim.report().energy_drift.error)
-    assert np.abs(ratios).max() < 4.5  # errors from twenty blocks have long tails: 3.5 is passed once in a hundred such tests
+    assert (
+        np.abs(ratios).max() < 4.5
+    )  # errors from twenty blocks have long tails: 3.5 is passed once in a hundred such tests
     assert np.sqrt(np.mean(np.square(ratios))) < 2.0  # statistics: 1 expected

@@ -40,7 +40,9 @@ def test_rescaling_makes_the_kinetic_energy_relax_as_its_equation_says():
     kinetic, n_dof, duration = 3.0, 5, 0.2
     energies, kept, target = rescaled_energies(kinetic, n_dof, duration), np.exp(-0.2 / 0.5), 0.5 * 5 * 1.3
     variance = 2.0 * ((1.0 - kept) * target) ** 2 / n_dof + 4.0 * kept * (1.0 - kept) * kinetic * target / n_dof
-    assert energies.mean() == pytest.approx(kept * kinetic + (1.0 - kept) * target, abs=4.0 * np.sqrt(variance / energies.size))
+    assert energies.mean() == pytest.approx(
+        kept * kinetic + (1.0 - kept) * target, abs=4.0 * np.sqrt(variance / energies.size)
+    )
     assert energies.var() == pytest.approx(variance, rel=0.05)
 
 
@@ -64,7 +66,9 @@ def test_rescaling_leaves_the_motion_of_the_whole_alone():
     assert moving.velocities - drift == pytest.approx(rest.velocities, abs=1e-13)  # rounding
     assert masses @ moving.velocities == pytest.approx(masses.sum() * drift, rel=1e-14)
     assert given[1] == pytest.approx(given[0], rel=1e-12)
-    assert given[0] == pytest.approx(0.5 * masses @ ((rest.velocities**2).sum(axis=1) - (inner**2).sum(axis=1)), rel=1e-12)
+    assert given[0] == pytest.approx(
+        0.5 * masses @ ((rest.velocities**2).sum(axis=1) - (inner**2).sum(axis=1)), rel=1e-12
+    )
 
 
 def test_rescaling_leaves_atoms_that_move_together_alone():
@@ -118,7 +122,9 @@ def test_two_contacts_in_a_step_have_two_noises():
     """Free atoms from rest: variance k_B T (1 − e^(−2γΔt))/m after one step, as after one contact; with equal noises it would be larger."""
     s = state(np.zeros((20_000, 3)), np.ones(20_000))
     OBABO(1.0, 1.3, 0.5, seed=2).advance(s, lambda s, with_energy: None, 1, surroundings=in_contact())
-    assert s.velocities.var() == pytest.approx(1.3 * (1.0 - np.exp(-1.0)), rel=4.0 * np.sqrt(2.0 / s.velocities.size))  # statistics
+    assert s.velocities.var() == pytest.approx(
+        1.3 * (1.0 - np.exp(-1.0)), rel=4.0 * np.sqrt(2.0 / s.velocities.size)
+    )  # statistics
 
 
 def test_configurations_of_an_oscillator_are_exact_at_large_timesteps():

@@ -16,7 +16,11 @@ from minimd.observers.correlator import MultipleTau, Product
 from minimd.observers.green_kubo import plateau, running_integral
 from minimd.structure.statistics import mean_and_error, replicas
 
-VISCOSITY, DIFFUSION, N_PUBLISHED = 3.258, 0.0325, 1372  # K. Meier, A. Laesecke, S. Kabelac, J. Chem. Phys. 121, 3671 and 9526 (2004)
+VISCOSITY, DIFFUSION, N_PUBLISHED = (
+    3.258,
+    0.0325,
+    1372,
+)  # K. Meier, A. Laesecke, S. Kabelac, J. Chem. Phys. 121, 3671 and 9526 (2004)
 DENSITY, TEMPERATURE = 0.8442, 0.722
 BLOCKS, COMPONENTS = 32, 5
 SLOW = {  # correlations of a known integral: share of C(0), time of the exponential
@@ -32,7 +36,9 @@ def sampled(integral, times, duration, n_samples, rng):
     That is the noise of five Gaussian processes, at times longer than their correlations.
     """
     steps = np.sqrt(np.diff(times, prepend=0.0) * BLOCKS / (COMPONENTS * duration))
-    blocks = integral + 2.0 * integral[-1] * np.cumsum(rng.normal(size=(n_samples, BLOCKS, len(times))) * steps, axis=-1)
+    blocks = integral + 2.0 * integral[-1] * np.cumsum(
+        rng.normal(size=(n_samples, BLOCKS, len(times))) * steps, axis=-1
+    )
     total = blocks.sum(axis=1, keepdims=True)
     return total[:, 0] / BLOCKS, (total - blocks) / (BLOCKS - 1)
 
@@ -65,7 +71,10 @@ def test_plateaus_have_honest_error_bars(kind):
         bias, within = honesty(integrals, without, times, truth)
         assert abs(bias) < 0.5
         assert 0.9 <= within <= 0.99
-        one, other = plateau(times, integrals[0], without[0]), plateau(1e-3 * times, 1e5 * integrals[0], 1e5 * without[0])
+        one, other = (
+            plateau(times, integrals[0], without[0]),
+            plateau(1e-3 * times, 1e5 * integrals[0], 1e5 * without[0]),
+        )
         assert (other.value, other.window[0]) == pytest.approx((1e5 * one.value, 1e-3 * one.window[0]))
 
 
@@ -91,7 +100,9 @@ def test_plateaus_of_gaussian_processes_have_honest_error_bars(kind):
             return running_integral(times[seen], correlator.correlations(total)[1][seen, :, 0].T / COMPONENTS)
 
     without = replicas(integral, sums, np.diff(marks, axis=0, prepend=0.0))
-    bias, within = honesty(integral(sums), without.transpose(1, 0, 2), times[seen], sum(share * tau for share, tau in SLOW[kind]))
+    bias, within = honesty(
+        integral(sums), without.transpose(1, 0, 2), times[seen], sum(share * tau for share, tau in SLOW[kind])
+    )
     print(f"{kind}: bias {bias:+.2f} standard errors, within two of them {100 * within:.0f} %")
     assert abs(bias) < 0.5
     assert 0.87 <= within <= 0.99  # statistics: two errors below the 0.90 of 900 samples of the third kind
@@ -254,7 +265,10 @@ def test_the_error_of_diffusion_is_what_runs_scatter_by():
     """Of 40 runs; 0.71 if blocks that follow the slow temperature of the bath were taken for uncorrelated."""
     found = [one.result() for one in map(diffusing, range(1, 41))]
     values, errors = np.array([(one.diffusion, one.diffusion_error) for one in found]).T
-    ratio, within = np.sqrt((errors**2).mean()) / values.std(ddof=1), (np.abs(values - values.mean()) < 2.0 * errors).mean()
+    ratio, within = (
+        np.sqrt((errors**2).mean()) / values.std(ddof=1),
+        (np.abs(values - values.mean()) < 2.0 * errors).mean(),
+    )
     print(f"claimed over seen {ratio:.2f}, within two errors {100.0 * within:.0f} %")
     assert 0.75 < ratio < 1.45  # 0.85 to 1.3, and what 40 runs can tell: 11 %
     assert within >= 0.85

@@ -14,7 +14,8 @@ def slopes(potential, r, h=1e-4):
 
 
 @pytest.mark.parametrize(
-    ("truncation", "smoothness"), [("truncated", 0), ("shifted", 1), ("force-shifted", 2), ("charmm", 2), ("switched", 3), ("smooth", 3)]
+    ("truncation", "smoothness"),
+    [("truncated", 0), ("shifted", 1), ("force-shifted", 2), ("charmm", 2), ("switched", 3), ("smooth", 3)],
 )
 def test_truncation_is_as_smooth_as_it_promises_and_no_smoother(truncation, smoothness):
     """Continuous derivatives at the cutoff: none, u, u and u′, (u, u′ and u″) for smoothness 0 to 3; of smooth more, see test_smooth_cutoff."""
@@ -32,7 +33,9 @@ def test_switches_leave_the_law_alone_before_they_start():
     r = np.linspace(0.9, 1.99, 40)
     law = md.LennardJones(1.0, 1.0, 2.5, "truncated").pair_energy(r)
     for truncation in SWITCHES:
-        assert md.LennardJones(1.0, 1.0, 2.5, truncation, switch_start=2.0).pair_energy(r) == pytest.approx(law, rel=1e-14)
+        assert md.LennardJones(1.0, 1.0, 2.5, truncation, switch_start=2.0).pair_energy(r) == pytest.approx(
+            law, rel=1e-14
+        )
 
 
 def test_scaled_pairs_end_at_the_cutoff_too():

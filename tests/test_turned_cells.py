@@ -32,7 +32,10 @@ def moving(vectors, pbc=None):
     """16 atoms, some outside the cell, that hardly feel each other."""
     rng = np.random.default_rng(4)
     made = md.System(
-        rng.uniform(-1.0, 2.0, (16, 3)) @ (TRICLINIC if vectors is None else vectors), velocities=rng.normal(0.0, 1.0, (16, 3)), cell=vectors, pbc=pbc
+        rng.uniform(-1.0, 2.0, (16, 3)) @ (TRICLINIC if vectors is None else vectors),
+        velocities=rng.normal(0.0, 1.0, (16, 3)),
+        cell=vectors,
+        pbc=pbc,
     )
     return md.Simulation(made, md.LennardJones(0.01, 0.3, 1.2, truncation="shifted"), md.VelocityVerlet(0.002))
 
@@ -54,7 +57,12 @@ def test_universes_and_files_have_the_distances_of_the_run(tmp_path, kind):
         sim.run(10, every=5, trajectory=names, store_forces=True, observers=[frames])
     expected = nearest_distances(sim.positions, TRICLINIC @ SOMEHOW if kind in ("turned", "all of it") else TRICLINIC)
     stored = universe(names[0])
-    several = [stored, universe(frames), universe(sim), *(MDAnalysis.Universe(stored._topology, str(name)) for name in names[1:])]
+    several = [
+        stored,
+        universe(frames),
+        universe(sim),
+        *(MDAnalysis.Universe(stored._topology, str(name)) for name in names[1:]),
+    ]
     for made in several:
         ts = made.trajectory[-1]
         precision = 2e-3 if made is several[-1] else FLOAT32
@@ -93,7 +101,11 @@ def test_a_turned_universe_is_copied_pickled_transformed_and_checked(tmp_path):
 
 
 def test_the_rotation_is_said_once_with_its_reason(tmp_path):
-    for kind, reason in [("turned", "turns back"), ("left-handed", "left-handed, and is given as -a, -b, -c"), ("skewed", "so skewed")]:
+    for kind, reason in [
+        ("turned", "turns back"),
+        ("left-handed", "left-handed, and is given as -a, -b, -c"),
+        ("skewed", "so skewed"),
+    ]:
         with pytest.warns(UserWarning, match=reason) as told:
             universe(moving(CELLS[kind]))
         assert len(told) == 1

@@ -106,7 +106,9 @@ def test_second_process_compiles_nothing_for_a_law_of_the_user(n):
 
 def test_a_changed_law_is_compiled_again():
     """What changed is the law, its default, a global, an array, a closure cell, or a function called by one that it calls."""
-    unchanged, *changed = answer(f"{EVALUATE}\nprint(energy(LAW), *(energy(LAW.replace(old, new)) for old, new, _ in CHANGES.values()))")
+    unchanged, *changed = answer(
+        f"{EVALUATE}\nprint(energy(LAW), *(energy(LAW.replace(old, new)) for old, new, _ in CHANGES.values()))"
+    )
     assert unchanged == pytest.approx(UNCHANGED, rel=1e-14)  # rounding
     assert changed == pytest.approx([expected for *_, expected in CHANGES.values()], rel=1e-14)
 
@@ -117,7 +119,11 @@ def test_the_digest_tells_what_changes_the_code_and_nothing_else():
     assert digest_of(LAW + "\nunused = 3") == law
     for old, new, _ in list(CHANGES.values())[:-1]:
         assert digest_of(LAW.replace(old, new)) != law, new
-    for old, new in (("@numba.njit", "@numba.njit(fastmath=True)"), ("strength = 2.0", "strength = 2"), ("np.array([", "np.float32([")):
+    for old, new in (
+        ("@numba.njit", "@numba.njit(fastmath=True)"),
+        ("strength = 2.0", "strength = 2"),
+        ("np.array([", "np.float32(["),
+    ):
         assert digest_of(LAW.replace(old, new)) != law, new
     compiled = LAW + "\nlaw = numba.njit(law)"
     assert len({law, digest_of(compiled), digest_of(compiled.replace("njit(law)", "njit(fastmath=True)(law)"))}) == 3
@@ -134,7 +140,10 @@ def test_a_function_that_calls_itself_has_a_digest():
     ("old", "new"),
     [
         ("strength *", "place.x *"),  # an object of a class of the user's
-        ("strength = 2.0", "import numpy.ma as ma, sys; strength = sys"),  # attributes of a module of the user's could change
+        (
+            "strength = 2.0",
+            "import numpy.ma as ma, sys; strength = sys",
+        ),  # attributes of a module of the user's could change
         ("np.array([1.0, 3.0])", "[1.0, 3.0]"),
         ("np.array([1.0, 3.0])", "np.zeros(10**6)"),
         ("np.array([1.0, 3.0])", "np.zeros(8)[::2]"),
@@ -155,15 +164,25 @@ def test_a_law_stays_what_it_was_when_the_potential_was_made():
     names["strength"], names["table"][1] = 4.0, 30.0
     after = md.PairPotential(names["law"], (1.0,))
     for potential, factor in ((before, 1.0), (after, 20.0)):
-        assert potential.pair_energy(1.0) == md.evaluate(pair, potential).potential_energy == pytest.approx(factor * UNCHANGED, rel=1e-14)
+        assert (
+            potential.pair_energy(1.0)
+            == md.evaluate(pair, potential).potential_energy
+            == pytest.approx(factor * UNCHANGED, rel=1e-14)
+        )
 
 
 WITH_GAPS = "np.array([1.0, 0.0, 3.0])[::2]"
 WITHOUT_DIGEST = {  # edits that take the digest from the law but leave its numbers, and a change of what it reads
-    "an object of a class of the user's": ([("place = Place(5.0)", "place = Place(2.0)"), ("strength *", "place.x *")], "place = Place(9.0)"),
+    "an object of a class of the user's": (
+        [("place = Place(5.0)", "place = Place(2.0)"), ("strength *", "place.x *")],
+        "place = Place(9.0)",
+    ),
     "an array with gaps": ([("np.array([1.0, 3.0])", WITH_GAPS)], "table[1] = 9.0"),
     "a name in a module": (
-        [("strength *", "params.strength *"), ("strength = 2.0", 'import types; params = types.ModuleType("params"); params.strength = 2.0')],
+        [
+            ("strength *", "params.strength *"),
+            ("strength = 2.0", 'import types; params = types.ModuleType("params"); params.strength = 2.0'),
+        ],
         "params.strength = 9.0",
     ),
     "an array of a helper": (

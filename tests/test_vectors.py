@@ -51,10 +51,17 @@ def with_lanes(monkeypatch, kind, system, precision="double"):
 def test_vectors_of_any_width_give_the_same_physics(monkeypatch, kind, precision, tolerance):
     """tolerance : rounding, of float64 and of float32."""
     system = liquid(5)
-    agree(with_lanes(monkeypatch, kind, system, precision), PairListTerm(system, laws_of(system), Options(skin=0.0)), system, tolerance)
+    agree(
+        with_lanes(monkeypatch, kind, system, precision),
+        PairListTerm(system, laws_of(system), Options(skin=0.0)),
+        system,
+        tolerance,
+    )
 
 
-@pytest.mark.parametrize(("register", "double", "mixed"), [(512, Lanes8, Lanes8), (256, Lanes4, Lanes8), (128, Lanes4, Lanes4)])
+@pytest.mark.parametrize(
+    ("register", "double", "mixed"), [(512, Lanes8, Lanes8), (256, Lanes4, Lanes8), (128, Lanes4, Lanes4)]
+)
 def test_lanes_fit_the_registers(monkeypatch, register, double, mixed):
     monkeypatch.setattr(lanes, "register_bits", lambda: register)
     choose = lanes.lanes_for.__wrapped__
@@ -64,7 +71,13 @@ def test_lanes_fit_the_registers(monkeypatch, register, double, mixed):
 @pytest.mark.parametrize(("chosen", "most"), [("avx512", 512), ("avx2", 256), ("sse", 128)])
 def test_older_vectors_can_be_chosen(chosen, most):
     code = "from minimd.compiled.simd.lanes import register_bits, lanes_for; print(register_bits(), lanes_for(64).size)"
-    told = subprocess.run([sys.executable, "-c", code], env=os.environ | {"MINIMD_VECTORS": chosen}, capture_output=True, text=True, check=True)
+    told = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"MINIMD_VECTORS": chosen},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     bits, n_lanes = map(int, told.stdout.split())
     assert bits == min(most, lanes.register_bits())
     assert n_lanes == (8 if bits == 512 else 4)
@@ -77,12 +90,18 @@ def test_other_words_for_vectors_are_refused():
 
 def inner_loop(assembly):
     """The lines of the shortest loop with a vector division; and how many divisions it has, one or two for each entry of a row."""
-    lines = [line for line in assembly.splitlines() if line.strip() and not re.match(r"\s*[.#]\w*(?:p2align|cfi|loc)", line)]
+    lines = [
+        line for line in assembly.splitlines() if line.strip() and not re.match(r"\s*[.#]\w*(?:p2align|cfi|loc)", line)
+    ]
     labels = {line.split(":")[0]: k for k, line in enumerate(lines) if re.match(r"\.\w+:", line)}
     loops = []
     for end, line in enumerate(lines):
         jump = re.match(r"\s+(?:j\w+|b\.\w+|cbn?z\s+\w+,|tbn?z.*,)\s*(\.\w+)", line)
-        if jump and (body := lines[labels.get(jump[1], end) : end + 1]) and any(re.search(r"v?fdiv\s+v|vdivp[sd]", one) for one in body):
+        if (
+            jump
+            and (body := lines[labels.get(jump[1], end) : end + 1])
+            and any(re.search(r"v?fdiv\s+v|vdivp[sd]", one) for one in body)
+        ):
             loops.append(body)
     loop = min(loops, key=len)
     return loop, sum(bool(re.search(r"fdiv\s+v|vdivp[sd]", one)) for one in loop)
@@ -132,6 +151,8 @@ def test_the_loop_runs_on_full_vectors_in_registers(code, name):
     assert re.search(division, text)
     assert not re.search(LANE_BY_LANE, text)
     assert not re.search(SCALAR, text)
-    of_stack = re.findall(STACK, text) + ([] if re.search(INTO_FRAME, text, re.MULTILINE) else re.findall(OF_FRAME, text))
+    of_stack = re.findall(STACK, text) + (
+        [] if re.search(INTO_FRAME, text, re.MULTILINE) else re.findall(OF_FRAME, text)
+    )
     assert len(of_stack) <= stack * n_divisions  # %rbp is a register like others where the loop itself changes it
     assert len(loop) / n_divisions < 60

@@ -57,26 +57,41 @@ def stored_positions(path):
 def asks_nobody(page):
     """Whether no element names anything outside the page, and the browser is told to refuse it."""
     parts = Parts(page)
-    linked = [value for _, name, value in parts.attributes if name in ("src", "href", "action", "data", "srcset", "poster", "formaction", "srcdoc")]
-    policy = next(value for tag, name, value in parts.attributes if tag == "meta" and name == "content" and "default-src" in value)
+    linked = [
+        value
+        for _, name, value in parts.attributes
+        if name in ("src", "href", "action", "data", "srcset", "poster", "formaction", "srcdoc")
+    ]
+    policy = next(
+        value for tag, name, value in parts.attributes if tag == "meta" and name == "content" and "default-src" in value
+    )
     own = [text for name, text in parts.texts.items() if "NGL=" not in text[:1000] or name.startswith("style")]
     return (
         all(value.startswith("data:") for value in linked)
         and "default-src 'none'" in policy
         and not URL.search(policy)
-        and not any(re.search(r"\bfetch\(|XMLHttpRequest|WebSocket|sendBeacon|import\(|@import|url\(", text) for text in own)
+        and not any(
+            re.search(r"\bfetch\(|XMLHttpRequest|WebSocket|sendBeacon|import\(|@import|url\(", text) for text in own
+        )
         and "sourceMappingURL" not in page
     )
 
 
 def test_the_page_asks_nobody(made):
     assert asks_nobody(made)
-    for spoiled in ('<img src="https://a.org/b.png">', '<link href="//a.org/c.css">', "<script>fetch('x')</script>", "<style>@import 'x'</style>"):
+    for spoiled in (
+        '<img src="https://a.org/b.png">',
+        '<link href="//a.org/c.css">',
+        "<script>fetch('x')</script>",
+        "<style>@import 'x'</style>",
+    ):
         assert not asks_nobody(made.replace("</main>", f"{spoiled}</main>"))
     assert not asks_nobody(made.replace("default-src 'none'", "default-src *"))
 
 
-@pytest.mark.parametrize("pbc", [(True, True, True), (True, True, False), (False, False, False)], ids=["bulk", "slab", "open"])
+@pytest.mark.parametrize(
+    "pbc", [(True, True, True), (True, True, False), (False, False, False)], ids=["bulk", "slab", "open"]
+)
 def test_the_counts_are_the_positions_of_the_file(tmp_path, pbc):
     """To half a step of the grid along each lattice vector, and to any vector of the lattice."""
     simulation = skewed_chains(pbc=pbc)
@@ -174,7 +189,9 @@ def test_every_control_has_a_name_and_every_name_in_the_program_a_control(made, 
     body = made[made.index("<main>") : made.index("</main>")]
     for control in re.findall(r"<button.*?</button>", body):
         assert re.search(r">[^<]+</button>", control), control
-    assert len(re.findall(r"<(?:input|select)\b", body)) == len(re.findall(r"<label[^>]*>(?:(?!</label>).)*<(?:input|select)\b", body, re.S))
+    assert len(re.findall(r"<(?:input|select)\b", body)) == len(
+        re.findall(r"<label[^>]*>(?:(?!</label>).)*<(?:input|select)\b", body, re.S)
+    )
 
 
 def test_texts_of_a_scene_are_shown_and_not_run(story):
@@ -271,7 +288,9 @@ def test_the_command_writes_a_page_and_names_it(tmp_path, monkeypatch, capsys):
 def test_the_command_shows_a_failed_scene(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("melt.toml").write_text(
-        melt_scene(4, 4000, '[output]\ntrajectory = "melt.h5md"\nevery = 100\n').replace("timestep = 0.004", "timestep = 0.06")
+        melt_scene(4, 4000, '[output]\ntrajectory = "melt.h5md"\nevery = 100\n').replace(
+            "timestep = 0.004", "timestep = 0.06"
+        )
     )
     assert cli.main(["run", "melt.toml", "--quiet"]) == 3
     assert cli.main(["view", "melt.crash.h5md"]) == 0

@@ -96,7 +96,9 @@ def run_page(tmp_path_factory):
 @pytest.fixture(scope="module")
 def failed_page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("failed")
-    scene = melt_scene(4, 4000, f'[output]\ntrajectory = "{folder}/melt.h5md"\nevery = 100\n').replace("timestep = 0.004", "timestep = 0.06")
+    scene = melt_scene(4, 4000, f'[output]\ntrajectory = "{folder}/melt.h5md"\nevery = 100\n').replace(
+        "timestep = 0.004", "timestep = 0.06"
+    )
     (folder / "melt.toml").write_text(scene)
     assert cli.main(["run", str(folder / "melt.toml"), "--quiet"]) == 3
     return md.view(folder / "melt.crash.h5md").save()

@@ -38,7 +38,9 @@ def energy_error(q, v):
 
 def rk45_energy_error(e, n_periods, **options):
     q, v = pericentre(e)
-    path = solve_ivp(lambda t, y: np.concatenate([y[2:], attraction(y[:2])]), (0.0, n_periods * PERIOD), [*q, *v], **options)
+    path = solve_ivp(
+        lambda t, y: np.concatenate([y[2:], attraction(y[:2])]), (0.0, n_periods * PERIOD), [*q, *v], **options
+    )
     assert path.nfev <= 200 * n_periods
     return energy_error(path.y[:2].T, path.y[2:].T)
 
@@ -52,6 +54,8 @@ def test_symplectic_methods_keep_the_energy_better_than_rk45_over_1000_periods(e
     """
     adaptive = rk45_energy_error(e, 1000, rtol=rtol, atol=atol)
     fixed = rk45_energy_error(e, 1000, rtol=1e9, atol=1e9, first_step=PERIOD / 33, max_step=PERIOD / 33)
-    errors = {method: energy_error(path.q, path.v) for method in SPLITTINGS.values() for path in [run(method, e, 200, 1000)]}
+    errors = {
+        method: energy_error(path.q, path.v) for method in SPLITTINGS.values() for path in [run(method, e, 200, 1000)]
+    }
     assert max(errors.values()) < fixed
     assert tuple(method for method in errors if errors[method] >= adaptive) == beaten

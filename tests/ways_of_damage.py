@@ -18,7 +18,19 @@ def _place(content, rng, length=1):
 
 def _table(content, rng):
     """A byte that is no number of a dataset, as far as one can see: it lies beside a signature or a name."""
-    signs = [b"OHDR", b"TREE", b"HEAP", b"SNOD", b"GCOL", b"\x89HDF", b"value", b"restart", b"\x01\x00\x0c\x00", b"\x08\x00\x18\x00", b"\x03\x00"]
+    signs = [
+        b"OHDR",
+        b"TREE",
+        b"HEAP",
+        b"SNOD",
+        b"GCOL",
+        b"\x89HDF",
+        b"value",
+        b"restart",
+        b"\x01\x00\x0c\x00",
+        b"\x08\x00\x18\x00",
+        b"\x03\x00",
+    ]
     places = [k for sign in signs for k in _all(bytes(content), sign)]
     return min(len(content) - 1, int(rng.choice(places)) + int(rng.integers(64)))
 
@@ -104,7 +116,11 @@ def insert(content, rng):
 
 def _datasets(h5):
     found = []
-    h5.visititems(lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) and item.size and item.dtype.kind != "O" else None)
+    h5.visititems(
+        lambda name, item: (
+            found.append(name) if isinstance(item, h5py.Dataset) and item.size and item.dtype.kind != "O" else None
+        )
+    )
     return found
 
 
@@ -120,7 +136,9 @@ def change_number(h5, rng):
     flat = np.atleast_1d(values).reshape(-1)
     k = int(rng.integers(flat.size))
     if flat.dtype.kind == "f":
-        flat[k] = rng.choice([np.nan, np.inf, -flat[k], np.nextafter(flat[k], np.inf), flat[k] * (1 + 1e-9), 0.0, 1e300])
+        flat[k] = rng.choice(
+            [np.nan, np.inf, -flat[k], np.nextafter(flat[k], np.inf), flat[k] * (1 + 1e-9), 0.0, 1e300]
+        )
     else:
         flat[k] += rng.choice([1, -1, 1000])
     series[...] = flat.reshape(values.shape)
@@ -141,7 +159,11 @@ def change_attribute(h5, rng):
         flat = np.atleast_1d(value).reshape(-1).copy()
         if flat.size:
             k = int(rng.integers(flat.size))
-            flat[k] = rng.choice([np.nan, 0.0, -1.0, np.nextafter(flat[k], np.inf)]) if flat.dtype.kind == "f" else flat[k] ^ 1
+            flat[k] = (
+                rng.choice([np.nan, 0.0, -1.0, np.nextafter(flat[k], np.inf)])
+                if flat.dtype.kind == "f"
+                else flat[k] ^ 1
+            )
         at.modify(key, flat.reshape(value.shape))
     else:
         at[key] = "LJ" if rng.random() < 0.5 else "other"
@@ -168,7 +190,12 @@ def retype(h5, rng):
     values, at, grows = h5[name][()], dict(h5[name].attrs), h5[name].maxshape[:1] == (None,)
     values = np.asarray(values)
     bits = {"f": np.int64, "i": np.float64}.get(values.dtype.kind if values.itemsize == 8 else "", values.dtype)
-    others = [values.view(values.dtype.newbyteorder(">")), values.view(bits), values.astype(np.float32), np.array("text", "S4")]
+    others = [
+        values.view(values.dtype.newbyteorder(">")),
+        values.view(bits),
+        values.astype(np.float32),
+        np.array("text", "S4"),
+    ]
     others += [values.reshape(-1), values.T, values[:-1] if values.ndim else values + 1]
     other = others[int(rng.integers(len(others)))]
     del h5[name]
@@ -200,7 +227,12 @@ def add_series(h5, rng):
 def link_elsewhere(h5, rng):
     name = str(rng.choice(_objects(h5)))
     del h5[name]
-    elsewhere = [h5py.SoftLink("/nowhere"), h5py.SoftLink("/minimd/time"), h5py.ExternalLink("b.h5", "/x"), h5py.SoftLink(f"/{name}")]
+    elsewhere = [
+        h5py.SoftLink("/nowhere"),
+        h5py.SoftLink("/minimd/time"),
+        h5py.ExternalLink("b.h5", "/x"),
+        h5py.SoftLink(f"/{name}"),
+    ]
     h5[name] = elsewhere[int(rng.integers(4))]
 
 
@@ -223,7 +255,12 @@ def damage_a_restart(h5, rng):
     group = h5[str(rng.choice([name for name in RESTARTS if name in h5]))]
     key = str(rng.choice(["step", "time", "reservoir_energy", "clock_step", "digest"]))
     value = group.attrs[key]
-    group.attrs.modify(key, np.asarray(np.nan if rng.random() < 0.5 and key in ("time", "reservoir_energy") else value + 1, dtype=value.dtype))
+    group.attrs.modify(
+        key,
+        np.asarray(
+            np.nan if rng.random() < 0.5 and key in ("time", "reservoir_energy") else value + 1, dtype=value.dtype
+        ),
+    )
 
 
 def interrupted_commit(content, rng):
@@ -269,7 +306,9 @@ def _made_anew(name, make):
 def _external(name):
     return _made_anew(
         name,
-        lambda h5, values, folder: h5.create_dataset(name, values.shape, values.dtype, external=[(str(folder / "precious"), 0, values.nbytes)]),
+        lambda h5, values, folder: h5.create_dataset(
+            name, values.shape, values.dtype, external=[(str(folder / "precious"), 0, values.nbytes)]
+        ),
     )
 
 
@@ -312,7 +351,8 @@ HOSTILE = {  # ways in which a file leads elsewhere, or asks for what it does no
     "a virtual dataset": _virtual("minimd/restart/velocities"),
     "an external link": _linked("minimd/masses", lambda folder: h5py.ExternalLink(str(folder / "precious.h5"), "x")),
     "an external link as a group": _put(
-        "observables", lambda h5: (h5.move("observables", "kept"), h5.__setitem__("observables", h5py.ExternalLink("a", "b")))
+        "observables",
+        lambda h5: (h5.move("observables", "kept"), h5.__setitem__("observables", h5py.ExternalLink("a", "b"))),
     ),
     "a link to a link": _linked("minimd/cell", lambda _: h5py.SoftLink("/minimd/restart/../cell")),
     "a link to itself": _put("minimd/loop", lambda h5: h5.__setitem__("minimd/loop", h5py.SoftLink("/minimd/loop"))),
@@ -325,14 +365,24 @@ HOSTILE = {  # ways in which a file leads elsewhere, or asks for what it does no
     "opaque bytes": _typed("minimd/masses", "V8"),
     "no numbers": _put("minimd/nothing", lambda h5: h5.create_dataset("minimd/nothing", data=h5py.Empty("V8"))),
     "a type": _put("minimd/kind", lambda h5: h5.__setitem__("minimd/kind", np.dtype("f8"))),
-    "a filter": _put("minimd/zipped", lambda h5: h5.create_dataset("minimd/zipped", data=np.zeros(10), chunks=(10,), compression="gzip")),
-    "numbers that are not there": _put("minimd/zeros", lambda h5: h5.create_dataset("minimd/zeros", (10**12,), "f8", chunks=(1,))),
-    "a size that overflows": _put("minimd/zeros", lambda h5: h5.create_dataset("minimd/zeros", (2**40, 2**40), "f8", chunks=(1, 1))),
+    "a filter": _put(
+        "minimd/zipped",
+        lambda h5: h5.create_dataset("minimd/zipped", data=np.zeros(10), chunks=(10,), compression="gzip"),
+    ),
+    "numbers that are not there": _put(
+        "minimd/zeros", lambda h5: h5.create_dataset("minimd/zeros", (10**12,), "f8", chunks=(1,))
+    ),
+    "a size that overflows": _put(
+        "minimd/zeros", lambda h5: h5.create_dataset("minimd/zeros", (2**40, 2**40), "f8", chunks=(1, 1))
+    ),
     "many half as large": _put(
-        "minimd/zeros", lambda h5: [h5.create_dataset(f"minimd/zeros{k}", (h5.id.get_filesize() // 16,), "f8") for k in range(3)]
+        "minimd/zeros",
+        lambda h5: [h5.create_dataset(f"minimd/zeros{k}", (h5.id.get_filesize() // 16,), "f8") for k in range(3)],
     ),
     "an attribute of another kind": _put("minimd", lambda h5: _attribute(h5, COMPOUND)),
-    "an attribute of many texts": _put("minimd", lambda h5: h5["minimd"].attrs.create("more", ["a"] * 300, dtype=h5py.string_dtype())),
+    "an attribute of many texts": _put(
+        "minimd", lambda h5: h5["minimd"].attrs.create("more", ["a"] * 300, dtype=h5py.string_dtype())
+    ),
     "many attributes": _put("minimd", lambda h5: [h5["minimd"].attrs.create(f"a{k}", k) for k in range(300)]),
 }
 

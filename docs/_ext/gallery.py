@@ -37,7 +37,10 @@ def prepare(source: Path, target: Path, header: str) -> str:
     header : the text above the scripts, unless the folder has one in README.rst.
     """
     target.mkdir(parents=True, exist_ok=True)
-    texts = {path.name: with_title(path.read_text(encoding="utf-8"), target / path.name) for path in sorted(source.glob("*.py"))}
+    texts = {
+        path.name: with_title(path.read_text(encoding="utf-8"), target / path.name)
+        for path in sorted(source.glob("*.py"))
+    }
     own_header = source / "README.rst"
     texts["GALLERY_HEADER.rst"] = own_header.read_text(encoding="utf-8") if own_header.exists() else header
     for path in target.glob("*.py"):
@@ -55,7 +58,9 @@ def escape_bars(_app: object, name: str, source: list[str]) -> None:
     if name.startswith(("gallery/", "course/")):
         lines = source[0].split("\n")
         prose = (line[:1] not in (" ", ".", "|", "") and "``" not in line and ":math:" not in line for line in lines)
-        source[0] = "\n".join(re.sub(r"(?<!\\)\|", r"\|", line) if is_prose else line for line, is_prose in zip(lines, prose, strict=True))
+        source[0] = "\n".join(
+            re.sub(r"(?<!\\)\|", r"\|", line) if is_prose else line for line, is_prose in zip(lines, prose, strict=True)
+        )
 
 
 def large_fonts(_conf: object, _script: str) -> None:

@@ -7,7 +7,9 @@ SECTION = re.compile(r"^(Parameters|Attributes|Returns|Raises|Yields|Notes)\n-+\
 ENTRY = re.compile(r"^(?P<names>\*{0,2}[A-Za-z_][\w.]*(?:, \*{0,2}[A-Za-z_][\w.]*)*) : ")
 BETWEEN_ENTRIES = re.compile(r"(?<=[.;])  +(?=[A-Za-z_][\w.]*(?:, [A-Za-z_][\w.]*)* : )")
 ALIGNED = re.compile(r"\S {3,}\S")  # columns: a formula and its name
-INITIAL = re.compile(r"^(?:[A-Za-z]\.|\([A-Za-z]\))(?= |$)")  # of a name; reStructuredText would take it for the letter of a list
+INITIAL = re.compile(
+    r"^(?:[A-Za-z]\.|\([A-Za-z]\))(?= |$)"
+)  # of a name; reStructuredText would take it for the letter of a list
 BETWEEN_SECTIONS = re.compile(r"\n\s*\n")
 
 
@@ -16,7 +18,10 @@ def escaped(text: str) -> str:
     parts = text.split("`")
     if len(parts) % 2 == 0:
         return _without_markup(text).replace("`", r"\`")
-    return "".join(f"``{part}``" if k % 2 and part.strip() == part and part else _without_markup(part) for k, part in enumerate(parts))
+    return "".join(
+        f"``{part}``" if k % 2 and part.strip() == part and part else _without_markup(part)
+        for k, part in enumerate(parts)
+    )
 
 
 def _without_markup(text: str) -> str:
@@ -43,7 +48,9 @@ def _block(block: str) -> Iterator[str]:
     lines = block.split("\n")
     if match := SECTION.match(block):
         yield from (f".. rubric:: {match[1]}", "", *entries(lines[2:]))
-    elif all(line.startswith("  ") for line in lines) or (not ENTRY.match(lines[0]) and any(ALIGNED.search(line) for line in lines)):
+    elif all(line.startswith("  ") for line in lines) or (
+        not ENTRY.match(lines[0]) and any(ALIGNED.search(line) for line in lines)
+    ):
         yield from ("::", "", *(f"    {line}" for line in lines), "")
     elif ENTRY.match(lines[0]):
         yield from (*entries(lines), "")

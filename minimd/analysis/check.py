@@ -76,7 +76,15 @@ class FileCheck(Displayed):
         return "passed" if self.passed else "FAILED"
 
     def __str__(self) -> str:
-        return "\n".join([self.heading, *map(str, self.comparisons), *self.structure, str(self.report), f"check          {self.outcome}"])
+        return "\n".join(
+            [
+                self.heading,
+                *map(str, self.comparisons),
+                *self.structure,
+                str(self.report),
+                f"check          {self.outcome}",
+            ]
+        )
 
 
 def check_file(path: str | Path) -> FileCheck:
@@ -91,12 +99,20 @@ def check_file(path: str | Path) -> FileCheck:
 
 def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
     """The check of a file with an open universe.  damaged : its damaged frames or restarts, see minimd.files.h5md_reader.damage."""
-    written = f"{damaged} are not those that were written" if damaged else "frames and restarts are those that were written"
+    written = (
+        f"{damaged} are not those that were written" if damaged else "frames and restarts are those that were written"
+    )
     sums = Comparison("checksums", float(bool(damaged)), EXACT, written)
     contents, moved, system = made.contents, recompute(made), made.system
-    record, is_free = Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored}), contents.conserves_momentum
+    record, is_free = (
+        Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored}),
+        contents.conserves_momentum,
+    )
     lines = tuple(pressure_lines(record, contents.barostat, is_free))
-    angular, n_dof = is_free and not system.cell.is_periodic, ConstraintSet(contents.system, contents.system.constraints).degrees_of_freedom(is_free)
+    angular, n_dof = (
+        is_free and not system.cell.is_periodic,
+        ConstraintSet(contents.system, contents.system.constraints).degrees_of_freedom(is_free),
+    )
     report = conservation_report(record, linear=is_free, angular=angular, lines=lines, n_dof=n_dof)
     report = replace(report, too_long_a_step=contents.too_long_a_step)
     several = "s" * (contents.n_frames > 1)
@@ -160,11 +176,26 @@ def comparisons(moved: Recomputed) -> list[Comparison]:
     parts = stored["potential_energy"] + stored["kinetic_energy"]
     kinetic = _largest(moved.kinetic_energy - stored["kinetic_energy"], stored["kinetic_energy"])
     not_later = int(np.count_nonzero(np.diff(moved.step) <= 0))
-    lengths = Comparison("lengths", float(moved.length_error.max()), LENGTHS, "recomputed − prescribed, relative to the largest coordinate")
+    lengths = Comparison(
+        "lengths",
+        float(moved.length_error.max()),
+        LENGTHS,
+        "recomputed − prescribed, relative to the largest coordinate",
+    )
     return [
         Comparison("kinetic energy", kinetic, KINETIC, "recomputed − stored, relative to the stored value"),
-        Comparison("momentum", _largest(moved.momentum - stored["momentum"], absolute), SINGLE, "recomputed − stored, relative to Σ|mv|"),
-        Comparison("Σ|mv|", _largest(absolute - stored["absolute_momentum"], absolute), SINGLE, "recomputed − stored, relative to the stored value"),
+        Comparison(
+            "momentum",
+            _largest(moved.momentum - stored["momentum"], absolute),
+            SINGLE,
+            "recomputed − stored, relative to Σ|mv|",
+        ),
+        Comparison(
+            "Σ|mv|",
+            _largest(absolute - stored["absolute_momentum"], absolute),
+            SINGLE,
+            "recomputed − stored, relative to the stored value",
+        ),
         Comparison(
             "total energy",
             _largest(parts - stored["total_energy"], stored["total_energy"]),
@@ -182,14 +213,20 @@ def exact_momenta(made: RunUniverse) -> list[Comparison]:
     if grid is None or not contents.conserves_momentum:
         return []
     inverse_masses = 1.0 / made.system.masses
-    totals = [grid.momenta(one, inverse_masses).astype(np.int64).sum(axis=0) for one in velocities_of(made.trajectory.filename, contents.n_frames)]
+    totals = [
+        grid.momenta(one, inverse_masses).astype(np.int64).sum(axis=0)
+        for one in velocities_of(made.trajectory.filename, contents.n_frames)
+    ]
     changed = float(np.abs(np.array(totals) - totals[0]).max())
     return [Comparison("exact momentum", changed, EXACT, "change of Σ p, in whole steps of the grid")]
 
 
 def _largest(differences: NDArray[np.float64], scales: NDArray[np.float64]) -> float:
     """The largest |difference| / |scale| in all frames; 0 for a zero difference, infinite for any other with a zero scale."""
-    sizes, scales = np.abs(differences) if differences.ndim == 1 else np.linalg.norm(differences, axis=1), np.abs(scales)
+    sizes, scales = (
+        np.abs(differences) if differences.ndim == 1 else np.linalg.norm(differences, axis=1),
+        np.abs(scales),
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.where(sizes == 0.0, 0.0, sizes / scales).max())
 
@@ -215,6 +252,8 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
             diffusion = diffusion_coefficient(made)
             moved = float(diffusion.displacements[diffusion.lags <= diffusion.window[1]][-1]) ** 0.5
             if moved > 0.5 * peak * units.to_angstrom:
-                slowed = ", of Langevin dynamics, whose friction slows it" if contents.method == LangevinBAOAB.name else ""
+                slowed = (
+                    ", of Langevin dynamics, whose friction slows it" if contents.method == LangevinBAOAB.name else ""
+                )
                 lines.append(f"diffusion      {diffusion}{slowed}")
     return lines

@@ -47,7 +47,14 @@ def drawn(made: RunUniverse) -> Figure:
 def _energy(panel: Axes, times: Array, record: Record) -> None:
     """Change of the total energy per atom since the start, minus heat Q if there is a bath, with the line of its drift."""
     change = draw_energy(panel, times, record)
-    panel.plot(times, change.mean() + drift(times, change).slope * (times - times.mean()), color=ACCENT, lw=1.0, ls="--", label="drift")
+    panel.plot(
+        times,
+        change.mean() + drift(times, change).slope * (times - times.mean()),
+        color=ACCENT,
+        lw=1.0,
+        ls="--",
+        label="drift",
+    )
     panel.margins(y=0.12)
     panel.legend(frameon=False, fontsize=8, ncols=2, loc="lower right", borderaxespad=0.0)
 
@@ -59,10 +66,28 @@ def _structure(panel: Axes, made: RunUniverse) -> None:
         r, g = radial_distribution(made)
         panel.axhline(1.0, color="0.7", lw=0.8)
         panel.plot(r, g, color=STRUCTURE, **STYLE)
-        panel.set(xlabel=f"r  [{system.units.length}]", ylabel="g(r)", xlim=(0.0, r[-1]), ylim=(0.0, None), title="radial distribution, all atoms")
+        panel.set(
+            xlabel=f"r  [{system.units.length}]",
+            ylabel="g(r)",
+            xlim=(0.0, r[-1]),
+            ylim=(0.0, None),
+            title="radial distribution, all atoms",
+        )
     elif made.contents.n_frames > 1:
         lags, squares = mean_square_displacement(made)
         panel.plot(lags, squares, color=STRUCTURE, **STYLE)
-        panel.set(xlabel=f"lag  [{system.units.shown_time}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{system.units.length}²]", title="mean-square displacement")
+        panel.set(
+            xlabel=f"lag  [{system.units.shown_time}]",
+            ylabel=f"⟨|r(t) − r(0)|²⟩  [{system.units.length}²]",
+            title="mean-square displacement",
+        )
     else:
-        panel.text(0.5, 0.5, "one frame only, no displacement", ha="center", va="center", transform=panel.transAxes, color="0.4")
+        panel.text(
+            0.5,
+            0.5,
+            "one frame only, no displacement",
+            ha="center",
+            va="center",
+            transform=panel.transAxes,
+            color="0.4",
+        )

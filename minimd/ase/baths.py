@@ -97,9 +97,14 @@ class AndersenBath(Thermostat):
     substeps = AFTER
     source = "H. C. Andersen, J. Chem. Phys. 72, 2384 (1980)"
 
-    def __init__(self, timestep: float, temperature: float, probability: float, seed: int, keeps_center: bool = False) -> None:
+    def __init__(
+        self, timestep: float, temperature: float, probability: float, seed: int, keeps_center: bool = False
+    ) -> None:
         super().__init__(timestep, temperature, seed)
-        self.probability, self.keeps_center = checked_number("andersen_prob", probability, "finite and not negative"), keeps_center
+        self.probability, self.keeps_center = (
+            checked_number("andersen_prob", probability, "finite and not negative"),
+            keeps_center,
+        )
         if self.probability > 1.0:
             raise ValueError(f"andersen_prob must be a probability from 0 to 1; andersen_prob = {probability!r}")
 
@@ -133,7 +138,9 @@ class BerendsenBath(Splitting):
     source = "H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984)"
     order, is_symmetric, is_symplectic, is_thermostat = 1, False, False, True
 
-    def __init__(self, timestep: float, temperature: float, relaxation_time: float, n_dof: int, keeps_center: bool = False) -> None:
+    def __init__(
+        self, timestep: float, temperature: float, relaxation_time: float, n_dof: int, keeps_center: bool = False
+    ) -> None:
         super().__init__(timestep)
         self.temperature = checked_number("temperature", temperature, "finite and not negative")
         self.relaxation_time = checked_number("taut", relaxation_time, "finite and not zero")
@@ -147,7 +154,9 @@ class BerendsenBath(Splitting):
         if before == 0.0:
             return
         ratio = 0.5 * self.n_dof * bath.k_B * self.temperature / before
-        velocities *= min(max(sqrt(max(1.0 + (ratio - 1.0) * duration / self.relaxation_time, 0.0)), LEAST_SCALE), MOST_SCALE)
+        velocities *= min(
+            max(sqrt(max(1.0 + (ratio - 1.0) * duration / self.relaxation_time, 0.0)), LEAST_SCALE), MOST_SCALE
+        )
         if self.keeps_center:
             velocities -= momentum(velocities, state.masses) / len(velocities) * state.inverse_masses[:, None]
         bath.energy += kinetic_energy(velocities, state.masses) - before

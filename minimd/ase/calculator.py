@@ -67,7 +67,9 @@ class Calculator(ASECalculator):
     @potentials.setter
     def potentials(self, potentials: Potential | Sequence[Potential]) -> None:
         self._potentials = potentials
-        self.parameters["potentials"] = [repr(one) for one in (potentials if isinstance(potentials, list | tuple) else [potentials])]  # for databases
+        self.parameters["potentials"] = [
+            repr(one) for one in (potentials if isinstance(potentials, list | tuple) else [potentials])
+        ]  # for databases
         self._plan = None
         self.reset()
 
@@ -76,14 +78,21 @@ class Calculator(ASECalculator):
         """How often a pair list was built since the atoms or potentials were last replaced by others."""
         return self._plan[1].n_builds if self._plan else 0
 
-    def calculate(self, atoms: Atoms | None = None, properties: Sequence[str] = ("energy",), system_changes: Sequence[str] = all_changes) -> None:
+    def calculate(
+        self,
+        atoms: Atoms | None = None,
+        properties: Sequence[str] = ("energy",),
+        system_changes: Sequence[str] = all_changes,
+    ) -> None:
         """Fill results. The atoms themselves decide whether the list is kept, because system_changes includes neither masses nor failed calls."""
         super().calculate(atoms, list(properties), list(system_changes))
         per_atom = bool({"energies", "stresses"} & set(properties))
         forces = self._forces_at(self.atoms)
         forces.compute(PER_ATOM if per_atom else TOTALS)
         if not (np.isfinite(forces.potential_energy) and np.isfinite(forces.forces).all()):
-            raise NonFiniteError(f"forces or energies are not finite: {why_not_finite(forces.system, forces.potentials)}")
+            raise NonFiniteError(
+                f"forces or energies are not finite: {why_not_finite(forces.system, forces.potentials)}"
+            )
         self.results, volume = _results(self.atoms, forces), volume_of(self.atoms)
         if per_atom:
             self.results["energies"] = forces.energies

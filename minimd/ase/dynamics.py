@@ -58,7 +58,9 @@ class MinimdSteps(MolecularDynamics):
     def run(self, steps: int = 50) -> bool:
         """Make this many steps. Returns False if an observer lowered max_steps below nsteps, else True."""
         step, log = (getattr(method, "__func__", None) for method in (self.step, self.log))
-        if step is not MinimdSteps.step or log is not MolecularDynamics.log:  # one was replaced, as by a log of every step
+        if (
+            step is not MinimdSteps.step or log is not MolecularDynamics.log
+        ):  # one was replaced, as by a log of every step
             return bool(super().run(steps))
         next(self.irun(steps))  # what ASE does before the first step
         while self.nsteps < self.max_steps:
@@ -113,11 +115,19 @@ class MinimdSteps(MolecularDynamics):
         Also returns whether this continues the run of its last steps, with atoms that were not moved since.
         """
         made_for, is_new_run, self._is_new_run = self._made_for, self._is_new_run, False
-        if made_for is None or not same_scene(made_for, atoms) or not np.array_equal(made_for.cell.array, atoms.cell.array):
+        if (
+            made_for is None
+            or not same_scene(made_for, atoms)
+            or not np.array_equal(made_for.cell.array, atoms.cell.array)
+        ):
             return self._new_guard(atoms), False
         engine, (potentials, constraints) = self._guard.engine, _essence(atoms)
         has_moved = not np.array_equal(atoms.positions, engine.positions)  # rigid bonds are measured again then
-        if potentials is not self._made_with[0] or constraints != self._made_with[1] or (atoms.constraints and has_moved):
+        if (
+            potentials is not self._made_with[0]
+            or constraints != self._made_with[1]
+            or (atoms.constraints and has_moved)
+        ):
             return self._new_guard(atoms), False
         engine.positions[:] = atoms.positions
         if not np.array_equal(atoms.get_momenta(), _momenta(engine)):

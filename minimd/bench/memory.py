@@ -33,7 +33,9 @@ def _in_a_process(call: str) -> float | None:
     code = f"from minimd.bench.memory import lammps_peak, minimd_peak, peak_per_atom; print(); print({call})"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     if answer.returncode:
-        print(f"memory could not be measured: {(answer.stderr.splitlines() or ['no reason given'])[-1]}", file=sys.stderr)
+        print(
+            f"memory could not be measured: {(answer.stderr.splitlines() or ['no reason given'])[-1]}", file=sys.stderr
+        )
         return None
     return float(answer.stdout.splitlines()[-1])
 

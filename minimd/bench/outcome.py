@@ -64,7 +64,9 @@ class Outcome(Protocol):
 def markdown(outcome: Outcome) -> str:
     """The tables, below a description of machine and versions."""
     words = ", ".join(f"{name} {number}" for name, number in versions(outcome.packages).items())
-    return "\n".join([f"# minimd bench {outcome.name}", "", f"{machine()['text']}.  ", f"{words}.", "", *outcome.lines()])
+    return "\n".join(
+        [f"# minimd bench {outcome.name}", "", f"{machine()['text']}.  ", f"{words}.", "", *outcome.lines()]
+    )
 
 
 def as_json(outcome: Outcome) -> str:
@@ -101,7 +103,12 @@ def _version(name: str) -> str:
 
 def machine() -> dict[str, str | int]:
     """The machine: processor, cores that this process may use, platform, Python; and all in one line."""
-    processor, cores, system, python = processor_name(), available_cores(), platform.platform(), platform.python_version()
+    processor, cores, system, python = (
+        processor_name(),
+        available_cores(),
+        platform.platform(),
+        platform.python_version(),
+    )
     text = f"{processor} ({platform.machine()}), {cores} cores for this process; {system}; Python {python}"
     return {"text": text, "processor": processor, "cores": cores, "platform": system, "python": python}
 
@@ -163,8 +170,12 @@ def name_curves(panel: "Axes", ends: Mapping[str, End]) -> None:
     places = {name: to_panel.transform((end.x, end.y)) for name, end in ends.items()}
     height = -1.0
     # If ends have about the same height, the one farthest to the right comes first, so that no line crosses a curve.
-    for name, (_, y) in sorted(places.items(), key=lambda item: (round(item[1][1] / gap), -round(item[1][0], 2), item[1][1])):
+    for name, (_, y) in sorted(
+        places.items(), key=lambda item: (round(item[1][1] / gap), -round(item[1][0], 2), item[1][1])
+    ):
         height, color = max(y, height + gap), ends[name].color
         line = {"arrowstyle": "-", "lw": 0.6, "color": color, "alpha": 0.6}
-        text = panel.annotate(name, ends[name][:2], (1.02, height), textcoords="axes fraction", va="center", color=color, arrowprops=line)
+        text = panel.annotate(
+            name, ends[name][:2], (1.02, height), textcoords="axes fraction", va="center", color=color, arrowprops=line
+        )
         text.set_annotation_clip(False)

@@ -56,7 +56,14 @@ def beside_one_thread(rows: Sequence[EngineSpeed], row: EngineSpeed) -> NDArray[
 
 def _double(rows: Sequence[EngineSpeed], threads: int, scene: str) -> EngineSpeed | None:
     """The row of minimd in double precision on this number of threads."""
-    return next((row for row in rows if row.is_minimd and (row.threads, row.precision, row.scene) == (threads, "double", scene)), None)
+    return next(
+        (
+            row
+            for row in rows
+            if row.is_minimd and (row.threads, row.precision, row.scene) == (threads, "double", scene)
+        ),
+        None,
+    )
 
 
 class PeersOptions(NamedTuple):
@@ -89,7 +96,9 @@ def run_peers(options: PeersOptions) -> "Peers":
     check_options(options)
     peers, text = _peers(options), SCENES[options.scene](min(options.cells)).text
     sizes = [_beside_peers(n, options, peers) for n in options.cells]
-    return Peers(options.scene, text, options.repeats, tuple(dict.fromkeys(PEERS[name].package for name in peers)), sizes)
+    return Peers(
+        options.scene, text, options.repeats, tuple(dict.fromkeys(PEERS[name].package for name in peers)), sizes
+    )
 
 
 @dataclass(frozen=True)
@@ -105,10 +114,13 @@ class Peers:
 
     def lines(self) -> list[str]:
         """See Outcome."""
-        speeds = (
-            f"Speeds in 10⁶ atom-steps per second of whole runs, with lists and without compilation: median of {self.repeats} rounds (least to most)."
-        )
-        head = [f"{self.text}.", "", speeds, "In each round all engines run once, in one process; ratios are computed within a round."]
+        speeds = f"Speeds in 10⁶ atom-steps per second of whole runs, with lists and without compilation: median of {self.repeats} rounds (least to most)."
+        head = [
+            f"{self.text}.",
+            "",
+            speeds,
+            "In each round all engines run once, in one process; ratios are computed within a round.",
+        ]
         return head + [line for rows in self.sizes for line in _table(rows)]
 
     def content(self) -> dict[str, Any]:
@@ -160,13 +172,19 @@ def check_options(options: PeersOptions) -> None:
         if unknown:
             raise ValueError(f"--{name} must be one of {', '.join(allowed)}; it is {unknown[0]!r}")
     if max(options.all_threads()) > available_cores():
-        raise ValueError(f"--threads {max(options.threads)} is more than the {available_cores()} cores that this process may use")
+        raise ValueError(
+            f"--threads {max(options.threads)} is more than the {available_cores()} cores that this process may use"
+        )
     smallest = min(options.cells)
     if SCENES[options.scene](smallest).edges.min() < 2.0 * CUTOFF:
-        raise ValueError(f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {options.scene!r}; give a larger number")
+        raise ValueError(
+            f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {options.scene!r}; give a larger number"
+        )
     for name in options.peers:
         if name not in NO_PEERS and options.scene not in PEERS[name].scenes:
-            raise ValueError(f"--peers {name} cannot run the scene {options.scene!r}; it runs {', '.join(PEERS[name].scenes)}")
+            raise ValueError(
+                f"--peers {name} cannot run the scene {options.scene!r}; it runs {', '.join(PEERS[name].scenes)}"
+            )
         if name not in NO_PEERS and not PEERS[name].is_installed:
             raise ValueError(f"{PEERS[name].package} is not installed; {PEERS[name].installer} installs it")
 
@@ -191,7 +209,9 @@ def _beside_peers(n: int, options: PeersOptions, peers: Sequence[str]) -> list[E
     n_atoms = len(scene.system)
     for name in peers:
         if name in options.peers or n_atoms <= PEERS[name].most_atoms:
-            counts = {"one": (1,), "each": options.all_threads(), "most": (max(options.all_threads()),)}[PEERS[name].threads]
+            counts = {"one": (1,), "each": options.all_threads(), "most": (max(options.all_threads()),)}[
+                PEERS[name].threads
+            ]
             engines.extend(_load(name, scene, threads) for threads in counts)
     check_agreement(engines, n_atoms)
     speeds = n_atoms * take_turns(engines, warm_up(engines, n_atoms), options.repeats, n_atoms)
@@ -209,7 +229,9 @@ def _load(name: str, scene: BenchScene, threads: int) -> TimedEngine:
         return PEERS[name].load(scene, threads, TIMESTEP)
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(f"{name} is installed but does not start: {reason}; to leave it out, name the others with --peers") from error
+        raise ValueError(
+            f"{name} is installed but does not start: {reason}; to leave it out, name the others with --peers"
+        ) from error
 
 
 def _table(rows: Sequence[EngineSpeed]) -> list[str]:
@@ -222,11 +244,23 @@ def _table(rows: Sequence[EngineSpeed]) -> list[str]:
         cells.append([name, str(row.threads), row.precision, spread(row.speeds / 1e6), *ratios])
     if any(row.bytes_per_atom is not None for row in rows):
         titles["bytes per atom"] = float
-        cells = [[*line, "" if row.bytes_per_atom is None else f"{row.bytes_per_atom:.0f}"] for line, row in zip(cells, rows, strict=True)]
+        cells = [
+            [*line, "" if row.bytes_per_atom is None else f"{row.bytes_per_atom:.0f}"]
+            for line, row in zip(cells, rows, strict=True)
+        ]
     return ["", f"## {rows[0].n_atoms} atoms", "", *table(titles, cells)]
 
 
 def _as_mapping(rows: Sequence[EngineSpeed], row: EngineSpeed) -> dict[str, Any]:
-    kind = {"engine": row.engine, "threads": row.threads, "precision": row.precision, "n_atoms": row.n_atoms, "bytes_per_atom": row.bytes_per_atom}
-    ratios = {"minimd_is_faster_by": faster_than_peer(rows, row), "beside_minimd_one_thread": beside_one_thread(rows, row)}
+    kind = {
+        "engine": row.engine,
+        "threads": row.threads,
+        "precision": row.precision,
+        "n_atoms": row.n_atoms,
+        "bytes_per_atom": row.bytes_per_atom,
+    }
+    ratios = {
+        "minimd_is_faster_by": faster_than_peer(rows, row),
+        "beside_minimd_one_thread": beside_one_thread(rows, row),
+    }
     return kind | {name: summary(values) for name, values in {"atom_steps_per_second": row.speeds, **ratios}.items()}

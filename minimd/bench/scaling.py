@@ -43,20 +43,38 @@ class Scaling:
     def lines(self) -> list[str]:
         """See Outcome."""
         threads = list(self.sizes[0].seconds)
-        columns = [f"ns per atom and step, {threads_text(t)}" for t in threads] + [f"speedup with {t} threads" for t in threads if t > 1]
+        columns = [f"ns per atom and step, {threads_text(t)}" for t in threads] + [
+            f"speedup with {t} threads" for t in threads if t > 1
+        ]
         titles = dict.fromkeys(["atoms", *columns], float)
         cells = []
         for size in self.sizes:
             times = [spread(1e9 * size.seconds[t] / size.n_atoms) for t in threads]
-            cells.append([str(size.n_atoms), *times, *(spread(size.seconds[1] / size.seconds[t]) for t in threads if t > 1)])
+            cells.append(
+                [str(size.n_atoms), *times, *(spread(size.seconds[1] / size.seconds[t]) for t in threads if t > 1)]
+            )
         growth = f"Peak memory from 32 000 to {self.memory_atoms} atoms grows by"
         memory = [f"{growth} {number:.0f} bytes per atom in {name}." for name, number in self.memory.items()]
-        return [f"The melt, double precision; median of {self.repeats} rounds (least to most).", "", *table(titles, cells), "", *memory]
+        return [
+            f"The melt, double precision; median of {self.repeats} rounds (least to most).",
+            "",
+            *table(titles, cells),
+            "",
+            *memory,
+        ]
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
-        sizes = [{"n_atoms": s.n_atoms, "seconds_per_step": {str(t): summary(x) for t, x in s.seconds.items()}} for s in self.sizes]
-        return {"repeats": self.repeats, "sizes": sizes, "bytes_per_atom": self.memory, "memory_atoms": self.memory_atoms}
+        sizes = [
+            {"n_atoms": s.n_atoms, "seconds_per_step": {str(t): summary(x) for t, x in s.seconds.items()}}
+            for s in self.sizes
+        ]
+        return {
+            "repeats": self.repeats,
+            "sizes": sizes,
+            "bytes_per_atom": self.memory,
+            "memory_atoms": self.memory_atoms,
+        }
 
     def figure(self) -> "Figure":
         """Time of a step per atom against the number of atoms."""
@@ -69,7 +87,9 @@ class Scaling:
             axes.plot(n, np.median(times, axis=1), "o-", color=f"C{k}")
             ends[threads_text(t)] = End(n[-1], float(np.median(times[-1])), f"C{k}")
             axes.fill_between(n, times.min(axis=1), times.max(axis=1), alpha=0.2, color=f"C{k}")
-        axes.set(xscale="log", ylim=(0.0, None), xlabel="atoms", ylabel="ns per atom and step", title="Lennard-Jones melt")
+        axes.set(
+            xscale="log", ylim=(0.0, None), xlabel="atoms", ylabel="ns per atom and step", title="Lennard-Jones melt"
+        )
         name_curves(axes, ends)
         return figure
 
@@ -77,7 +97,9 @@ class Scaling:
 def run_scaling(threads: Sequence[int], quick: bool, repeats: int) -> Scaling:
     """Measure time and memory of the melt.  Raises ValueError for more threads than cores."""
     if max(threads, default=1) > available_cores():
-        raise ValueError(f"--threads {max(threads)} is more than the {available_cores()} cores that this process may use")
+        raise ValueError(
+            f"--threads {max(threads)} is more than the {available_cores()} cores that this process may use"
+        )
     kinds = tuple(dict.fromkeys((1, *(threads or (available_cores(),)))))
     sizes = []
     for n in CELLS_QUICK if quick else CELLS:

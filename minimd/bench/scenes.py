@@ -70,7 +70,9 @@ def melt(n: int) -> BenchScene:
     positions, edges = crystal("fcc", [n] * 3, constant_from_density("fcc", MELT_DENSITY))
     text = "Lennard-Jones melt: fcc at ρ* 0.8442, T* 1.44, r_c 2.5 σ, truncated, Δt* 0.005, NVE"
     system = _warm(md.System(positions, cell=edges, species=["A"] * len(positions)), MELT_TEMPERATURE)
-    return BenchScene("melt", text, system, (md.LennardJones(1.0, 1.0, CUTOFF, "truncated"),), CUTOFFS, MELT_TEMPERATURE)
+    return BenchScene(
+        "melt", text, system, (md.LennardJones(1.0, 1.0, CUTOFF, "truncated"),), CUTOFFS, MELT_TEMPERATURE
+    )
 
 
 def kob_andersen(n: int) -> BenchScene:
@@ -97,11 +99,15 @@ def chains(n: int) -> BenchScene:
     width = round(cbrt(4 * n**3))  # lattice sites along an edge
     n_beads = width**3 // BEADS * BEADS
     if n_beads == 0:
-        raise ValueError(f"a scene of chains needs at least {BEADS} sites, for one chain of {BEADS} beads; it has {width**3}")
+        raise ValueError(
+            f"a scene of chains needs at least {BEADS} sites, for one chain of {BEADS} beads; it has {width**3}"
+        )
     edge = cbrt(n_beads / CHAIN_DENSITY)
     first = np.arange(n_beads - 1)
     first = first[(first + 1) % BEADS != 0]
-    z, y, x = np.unravel_index(np.arange(width**3), (width,) * 3)  # a winding path: each site is the nearest neighbor of the one before
+    z, y, x = np.unravel_index(
+        np.arange(width**3), (width,) * 3
+    )  # a winding path: each site is the nearest neighbor of the one before
     y, row = np.where(z % 2 == 0, y, width - 1 - y), np.arange(width**3) // width
     path = np.column_stack([np.where(row % 2 == 0, x, width - 1 - x), y, z]).astype(np.float64)
     positions, bonds = path[:n_beads] * (edge / width), np.column_stack([first, first + 1])
@@ -109,7 +115,18 @@ def chains(n: int) -> BenchScene:
     law = md.LennardJones(1.0, 1.0, CUTOFF, bonded_scale=(0.0, 1.0, 1.0))
     text = "Chains of 100 beads: harmonic bonds (k* 400, length 1 σ), bonded neighbors excluded, ρ* 0.85, T* 1.0, r_c 2.5 σ, shifted, Δt* 0.005, NVE"
     potentials = (law, md.HarmonicBond(BOND_CONSTANT, BOND_LENGTH))
-    return BenchScene("chains", text, _warm(system, CHAIN_TEMPERATURE), potentials, CUTOFFS, CHAIN_TEMPERATURE, (), BOND_CONSTANT, BOND_LENGTH, True)
+    return BenchScene(
+        "chains",
+        text,
+        _warm(system, CHAIN_TEMPERATURE),
+        potentials,
+        CUTOFFS,
+        CHAIN_TEMPERATURE,
+        (),
+        BOND_CONSTANT,
+        BOND_LENGTH,
+        True,
+    )
 
 
 def dumbbells(n: int) -> BenchScene:
@@ -124,10 +141,25 @@ def dumbbells(n: int) -> BenchScene:
     law = md.LennardJones(1.0, 1.0, CUTOFF, "truncated", bonded_scale=(0.0, 1.0, 1.0))
     text = "Rigid dumbbells: two atoms 0.6 σ apart, 0.4 molecules per σ³, T* 1.5, r_c 2.5 σ, truncated, Δt* 0.005, NVE"
     rigid = md.DistanceConstraints(bonds, DUMBBELL_LENGTH)
-    return BenchScene("dumbbells", text, _warm(system, DUMBBELL_TEMPERATURE), (law,), CUTOFFS, DUMBBELL_TEMPERATURE, (rigid,), 0.0, DUMBBELL_LENGTH)
+    return BenchScene(
+        "dumbbells",
+        text,
+        _warm(system, DUMBBELL_TEMPERATURE),
+        (law,),
+        CUTOFFS,
+        DUMBBELL_TEMPERATURE,
+        (rigid,),
+        0.0,
+        DUMBBELL_LENGTH,
+    )
 
 
-SCENES: dict[str, Callable[[int], BenchScene]] = {"melt": melt, "kob-andersen": kob_andersen, "chains": chains, "dumbbells": dumbbells}
+SCENES: dict[str, Callable[[int], BenchScene]] = {
+    "melt": melt,
+    "kob-andersen": kob_andersen,
+    "chains": chains,
+    "dumbbells": dumbbells,
+}
 
 
 def equilibrated(scene: BenchScene) -> BenchScene:

@@ -10,11 +10,16 @@ from minimd.bench.engines import TimedEngine
 from minimd.bench.outcome import DisagreementError, tell, threads_text
 
 SAME_START = 5e-5  # allowed relative difference of energies at step 0: rounding of single precision; GROMACS sums 32 000 atoms to 2e-5
-STEPS_COMPARED = 10  # so few that trajectories do not diverge, enough for the potential energy to change by half an ε per atom
+STEPS_COMPARED = (
+    10  # so few that trajectories do not diverge, enough for the potential energy to change by half an ε per atom
+)
 SAME_COURSE = 1e-3  # ε per atom, allowed difference after these steps, in single precision; a time step 1 % longer makes a larger one
 WARM_UP, SECONDS_WARM_UP = 200, 5.0  # steps or seconds, whichever ends first: melts the lattice, fills caches
 SECONDS_A_TURN = 0.5  # much longer than the resolution of the clock, much shorter than the minutes in which machines change their speed
-STEPS_A_TURN, LONGEST_TURN = 40, 5.0  # least number of steps in a turn, so that it has two new lists, unless they take longer than so many seconds
+STEPS_A_TURN, LONGEST_TURN = (
+    40,
+    5.0,
+)  # least number of steps in a turn, so that it has two new lists, unless they take longer than so many seconds
 
 
 def check_agreement(engines: Sequence[TimedEngine], n_atoms: int) -> None:
@@ -45,7 +50,9 @@ def warm_up(engines: Sequence[TimedEngine], n_atoms: int) -> list[int]:
     return n_steps
 
 
-def take_turns(engines: Sequence[TimedEngine], n_steps: Sequence[int], repeats: int, n_atoms: int) -> NDArray[np.float64]:
+def take_turns(
+    engines: Sequence[TimedEngine], n_steps: Sequence[int], repeats: int, n_atoms: int
+) -> NDArray[np.float64]:
     """Steps per second of each engine in each turn, (E, repeats).
 
     The engines take turns because the speed of a machine drifts: so the drift affects all of them.  n_steps : (E,), of a turn.
@@ -69,7 +76,9 @@ def label(engine: TimedEngine) -> str:
     return f"{engine.name}, {engine.precision}, {threads_text(engine.threads)}"
 
 
-def _compare(quantity: str, energies: Sequence[tuple[TimedEngine, float]], relative: float = 0.0, absolute: float = 0.0) -> None:
+def _compare(
+    quantity: str, energies: Sequence[tuple[TimedEngine, float]], relative: float = 0.0, absolute: float = 0.0
+) -> None:
     first, expected = energies[0]
     for engine, energy in energies[1:]:
         if not abs(energy - expected) <= relative * abs(expected) + absolute:

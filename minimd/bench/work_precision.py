@@ -83,7 +83,9 @@ class Case(NamedTuple):
         for target in TARGETS:
             if able := [point for point in self.points if getattr(point, error) <= target]:
                 p = min(able, key=lambda p: p.seconds)
-                lines.append(f"for {error} {target:.0e} use {p.method}, Δt = {p.timestep:.3g} {self.unit}, {p.who}: {p.seconds:.3g} s")
+                lines.append(
+                    f"for {error} {target:.0e} use {p.method}, Δt = {p.timestep:.3g} {self.unit}, {p.who}: {p.seconds:.3g} s"
+                )
         return lines
 
     def beside(self, error: str = "oscillation") -> list[str]:
@@ -96,7 +98,9 @@ class Case(NamedTuple):
                 if able := [p.seconds for p in ours if getattr(p, error) <= getattr(peer, error)]:
                     ratios.append(peer.seconds / min(able))
             if ratios:
-                lines.append(f"{who}: {np.median(ratios):.2f} times the time of minimd at equal {error} ({min(ratios):.2f} to {max(ratios):.2f})")
+                lines.append(
+                    f"{who}: {np.median(ratios):.2f} times the time of minimd at equal {error} ({min(ratios):.2f} to {max(ratios):.2f})"
+                )
         return lines
 
 
@@ -116,7 +120,13 @@ class WorkPrecision:
             for error in ERRORS:
                 lines += [f"- {line}" for line in case.advice(error)] + [""]
             lines += [f"- {line}" for line in case.beside()] + [""]
-            titles = {"engine": str, "method": str, "Δt": float, "forces per time": float, "seconds": float} | dict.fromkeys(ERRORS, float)
+            titles = {
+                "engine": str,
+                "method": str,
+                "Δt": float,
+                "forces per time": float,
+                "seconds": float,
+            } | dict.fromkeys(ERRORS, float)
             cells = []
             for p in case.points:
                 errors = (_number(getattr(p, error)) for error in ERRORS)
@@ -126,7 +136,11 @@ class WorkPrecision:
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
-        return {"cases": [{"name": c.name, "text": c.text, "points": [_finite(p._asdict()) for p in c.points]} for c in self.cases]}
+        return {
+            "cases": [
+                {"name": c.name, "text": c.text, "points": [_finite(p._asdict()) for p in c.points]} for c in self.cases
+            ]
+        }
 
     def figure(self) -> "Figure":
         """For each case, the oscillation of the energy against seconds: velocity Verlet, peers, and the best other methods, six curves at most."""
@@ -142,14 +156,20 @@ def run_work_precision(names: Sequence[str], quick: bool, repeats: int) -> WorkP
     if unknown:
         raise ValueError(f"a scene must be one of {', '.join(CASES)}; it is {unknown[0]!r}")
     chosen = names or (("argon", "chains", "kepler") if quick else CASES)
-    return WorkPrecision([CASES[name](name, quick, repeats) for name in chosen], [p for p in ("lammps", "openmm") if engines.PEERS[p].is_installed])
+    return WorkPrecision(
+        [CASES[name](name, quick, repeats) for name in chosen],
+        [p for p in ("lammps", "openmm") if engines.PEERS[p].is_installed],
+    )
 
 
 def _scene_case(name: str, quick: bool, repeats: int) -> Case:
     """The case of a scene; argon is the melt, with the truncation of the peers or with a smooth potential."""
     scene, words = equilibrated(SCENES[name if name in SCENES else "melt"](CELLS_QUICK if quick else CELLS)), ""
     if name == "argon":
-        scene, words = _with_law(scene, "shifted")._replace(is_shifted=True), "cut at 2.5 σ and shifted, as in the peers"
+        scene, words = (
+            _with_law(scene, "shifted")._replace(is_shifted=True),
+            "cut at 2.5 σ and shifted, as in the peers",
+        )
     elif name == "argon-smooth":
         scene, words = _with_law(scene, "smooth"), "cut at 2.5 σ by a switch with seven derivatives"
     return _dynamics(name, scene, words, quick, repeats)
@@ -179,7 +199,9 @@ def _dynamics(name: str, scene: BenchScene, words: str, quick: bool, repeats: in
                 tell(f"{name}: {method.name}, {precision}, Δt = {DURATION / steps:.3g}")
                 make: MakeEngine = lambda: engines.Minimd(scene, 1, precision, method(DURATION / steps))  # noqa: E731
                 path = _path(scene, method, cost, precision)
-                distance = np.nan if path is None or reference is None else float(np.sqrt(np.mean((path - reference) ** 2)))
+                distance = (
+                    np.nan if path is None or reference is None else float(np.sqrt(np.mean((path - reference) ** 2)))
+                )
                 points.append(_point(f"minimd, {precision}", scene, method, steps, make, repeats, distance))
     peers = () if name == "argon-smooth" else PEER_NAMES  # no peer has this potential
     for peer in (engines.PEERS[name] for name in peers if engines.PEERS[name].is_installed):
@@ -197,7 +219,9 @@ def _steps(method: type[Splitting], cost: float) -> int:
     return OBSERVATIONS * max(1, round(cost * DURATION / method.stages / OBSERVATIONS))
 
 
-def _path(scene: BenchScene, method: type[Splitting], cost: float, precision: engines.Precision = "double") -> NDArray[np.float64] | None:
+def _path(
+    scene: BenchScene, method: type[Splitting], cost: float, precision: engines.Precision = "double"
+) -> NDArray[np.float64] | None:
     """Positions after a short time; None if the run fails."""
     steps = max(1, round(cost * SHORT / method.stages))
     engine = engines.Minimd(scene, 1, precision, method(SHORT / steps))
@@ -208,7 +232,9 @@ def _path(scene: BenchScene, method: type[Splitting], cost: float, precision: en
     return engine.positions
 
 
-def _point(who: str, scene: BenchScene, method: type[Splitting], steps: int, make: MakeEngine, repeats: int, distance: float) -> Point:
+def _point(
+    who: str, scene: BenchScene, method: type[Splitting], steps: int, make: MakeEngine, repeats: int, distance: float
+) -> Point:
     """Measure one run; if it fails, its errors are infinite."""
     seconds, energies = np.inf, np.full(OBSERVATIONS + 1, np.nan)
     for _ in range(repeats):
@@ -219,10 +245,22 @@ def _point(who: str, scene: BenchScene, method: type[Splitting], steps: int, mak
             break
         seconds = min(seconds, taken)
     n_dof = 3 * len(scene.system) - 3 - sum(len(rigid.pairs) for rigid in scene.constraints)
-    oscillation, drift = about_line(np.linspace(0.0, 1.0, OBSERVATIONS + 1), energies / (scene.temperature * np.sqrt(n_dof)))
+    oscillation, drift = about_line(
+        np.linspace(0.0, 1.0, OBSERVATIONS + 1), energies / (scene.temperature * np.sqrt(n_dof))
+    )
     if not np.isfinite(seconds):
         distance = np.inf
-    return Point(who, method.name, method.order, DURATION / steps, steps * method.stages / DURATION, seconds, oscillation, drift, distance)
+    return Point(
+        who,
+        method.name,
+        method.order,
+        DURATION / steps,
+        steps * method.stages / DURATION,
+        seconds,
+        oscillation,
+        drift,
+        distance,
+    )
 
 
 def _course(engine: engines.TimedEngine, steps: int) -> tuple[NDArray[np.float64], float]:
@@ -248,7 +286,9 @@ def _draw(panel: Any, case: Case, error: str = "oscillation") -> None:
     for k, (who, method) in enumerate(_shown(curves, case.front(error))):
         points, ours = curves[who, method], who.startswith("minimd")
         seconds, errors = [p.seconds for p in points], [getattr(p, error) for p in points]
-        panel.loglog(seconds, errors, marker="os^vD<"[k], ms=4, lw=2.5 if ours else 1.5, ls="-" if ours else "--", color=f"C{k}")
+        panel.loglog(
+            seconds, errors, marker="os^vD<"[k], ms=4, lw=2.5 if ours else 1.5, ls="-" if ours else "--", color=f"C{k}"
+        )
         ends[f"{method}{', mixed' if 'mixed' in who else ''}" if ours else who] = End(seconds[-1], errors[-1], f"C{k}")
     panel.set(xlabel="seconds", ylabel=f"{error} of the energy", title=f"{case.name}: time of a run of {case.duration}")
     panel.xaxis.set_minor_formatter("")  # minor labels would overlap
@@ -271,7 +311,9 @@ def _number(value: float) -> str:
 
 def _finite(mapping: dict[str, Any]) -> dict[str, Any]:
     """The same mapping, with None for numbers that JSON does not have."""
-    return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in mapping.items()}
+    return {
+        key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in mapping.items()
+    }
 
 
 def attraction(q):
@@ -287,7 +329,9 @@ def about_line(time: NDArray[np.float64], energies: NDArray[np.float64]) -> tupl
     return float((energies - start - slope * time).std()), float(abs(slope))
 
 
-def kepler_runs(costs: Sequence[int], repeats: int) -> Iterator[tuple[str, int, float, float, float, float, float, float]]:
+def kepler_runs(
+    costs: Sequence[int], repeats: int
+) -> Iterator[tuple[str, int, float, float, float, float, float, float]]:
     """Kepler\'s ellipse, by every explicit splitting and every symmetric implicit method.
 
     For each run: method, order, Δt, forces per unit of time, seconds, oscillation, drift, distance.
@@ -298,16 +342,28 @@ def kepler_runs(costs: Sequence[int], repeats: int) -> Iterator[tuple[str, int, 
     problem = md.integrators.SecondOrder(njit(attraction))
     for method in (*SPLITTINGS.values(), *(method for method in IMPLICIT.values() if method.is_symmetric)):
         for cost in costs:
-            n = PERIODS * max(1, round(cost / method.stages * END / PERIODS / 10))  # a tenth of the forces: orbits are slow
+            n = PERIODS * max(
+                1, round(cost / method.stages * END / PERIODS / 10)
+            )  # a tenth of the forces: orbits are slow
             seconds = np.inf
             try:
                 for _ in range(repeats):
                     started = perf_counter()
-                    path = md.integrators.run_steps(problem, method(END / n), (Q0, V0), n, every=max(1, n // (20 * PERIODS)))
+                    path = md.integrators.run_steps(
+                        problem, method(END / n), (Q0, V0), n, every=max(1, n // (20 * PERIODS))
+                    )
                     seconds = min(seconds, perf_counter() - started)
             except (ConvergenceError, ArithmeticError):
                 yield method.name, method.order, END / n, cost, np.inf, np.inf, np.inf, np.inf
                 continue
             energy = 0.5 * (path.v**2).sum(axis=1) - 1.0 / np.linalg.norm(path.q, axis=1)
             distance = float(np.linalg.norm(path.q[-1] - Q0))
-            yield method.name, method.order, END / n, path.nfev / END, seconds, *about_line(path.t / END, energy), distance
+            yield (
+                method.name,
+                method.order,
+                END / n,
+                path.nfev / END,
+                seconds,
+                *about_line(path.t / END, energy),
+                distance,
+            )

@@ -20,16 +20,40 @@ def add(commands: Any) -> None:
     benchmarks = parser.add_subparsers(metavar="benchmark", title="benchmarks", required=True)
     peers = _add(benchmarks, "peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3")
     peers.description = "Time whole runs of minimd and of other installed engines, in turns, after a check that all compute the same energies."
-    peers.add_argument("--scene", default="melt", help="melt (default), chains (bead-spring), dumbbells (rigid), kob-andersen (minimd only)")
-    peers.add_argument("--cells", type=counts, metavar="N,...", help="sizes: 4 N³ atoms, or about as many (default: 5,10,20,40)")
     peers.add_argument(
-        "--threads", type=counts, default=(), metavar="T,...", help="numbers of threads, for engines that can use several (default: 1 and all cores)"
+        "--scene",
+        default="melt",
+        help="melt (default), chains (bead-spring), dumbbells (rigid), kob-andersen (minimd only)",
     )
-    peers.add_argument("--precision", type=words, default=("double",), metavar="P,...", help="of minimd: double (default), mixed")
-    peers.add_argument("--peers", type=words, default=(), metavar="NAME,...", help=f"{PEER_NAMES}, or none (default: all that are installed)")
+    peers.add_argument(
+        "--cells", type=counts, metavar="N,...", help="sizes: 4 N³ atoms, or about as many (default: 5,10,20,40)"
+    )
+    peers.add_argument(
+        "--threads",
+        type=counts,
+        default=(),
+        metavar="T,...",
+        help="numbers of threads, for engines that can use several (default: 1 and all cores)",
+    )
+    peers.add_argument(
+        "--precision", type=words, default=("double",), metavar="P,...", help="of minimd: double (default), mixed"
+    )
+    peers.add_argument(
+        "--peers",
+        type=words,
+        default=(),
+        metavar="NAME,...",
+        help=f"{PEER_NAMES}, or none (default: all that are installed)",
+    )
     errors = _add(benchmarks, "work-precision", "run time against error: every method, time step and precision")
-    errors.add_argument("scenes", nargs="*", metavar="SCENE", help="argon, argon-smooth, chains, dumbbells, kepler (default: all)")
-    scene = _add(benchmarks, "scene", "the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing")
+    errors.add_argument(
+        "scenes", nargs="*", metavar="SCENE", help="argon, argon-smooth, chains, dumbbells, kepler (default: all)"
+    )
+    scene = _add(
+        benchmarks,
+        "scene",
+        "the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing",
+    )
     scene.add_argument("--cells", type=at_least_one, default=10, metavar="N", help="size: 4 N³ atoms (default: 10)")
     scaling = _add(benchmarks, "scaling", "time and memory against the number of atoms and threads")
     scaling.add_argument("--threads", type=counts, default=(), metavar="T,...", help="default: 1 and all cores")
@@ -37,7 +61,9 @@ def add(commands: Any) -> None:
 
 def _add(benchmarks: Any, name: str, text: str) -> argparse.ArgumentParser:
     """Add one benchmark, with the options that all benchmarks have."""
-    parser = benchmarks.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", epilog="Let no other program run meanwhile.")
+    parser = benchmarks.add_parser(
+        name, help=text, description=text[0].upper() + text[1:] + ".", epilog="Let no other program run meanwhile."
+    )
     parser.add_argument("--quick", action="store_true", help="take only a few minutes: fewer sizes, methods and rounds")
     parser.add_argument(
         "--repeats",
@@ -46,7 +72,9 @@ def _add(benchmarks: Any, name: str, text: str) -> argparse.ArgumentParser:
         help=f"rounds; every engine runs once in each (default: {REPEATS}, quick {REPEATS_QUICK})",
     )
     files = f"bench_{name.replace('-', '_')}.md, .json and .png"
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help=f"write {files} into this folder; older files are replaced")
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help=f"write {files} into this folder; older files are replaced"
+    )
     parser.set_defaults(command=lambda arguments: bench(name, arguments))
     return parser
 

@@ -77,7 +77,10 @@ def cache() -> Finding:
     """Whether compiled kernels can be stored for the next process; removes damaged ones."""
     folder = compiling.cache_folder()
     if folder is None:
-        return False, "each process must compile again; set NUMBA_CACHE_DIR to a folder to which you, and nobody else, can write"
+        return (
+            False,
+            "each process must compile again; set NUMBA_CACHE_DIR to a folder to which you, and nobody else, can write",
+        )
     damaged = [file for file in folder.glob("*/*.nb[ic]") if is_damaged(file)]
     for file in damaged:
         file.unlink(missing_ok=True)
@@ -131,7 +134,10 @@ def same_bits() -> Finding:
     on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
     if different:
         return False, f"positions differ {on}: those on {' and '.join(map(str, different))} from 1"
-    return True, f"positions are equal to the last bit {on}; a task for all threads starts and ends in {_microseconds_of_a_task():.1f} µs"
+    return (
+        True,
+        f"positions are equal to the last bit {on}; a task for all threads starts and ends in {_microseconds_of_a_task():.1f} µs",
+    )
 
 
 def _microseconds_of_a_task() -> float:
@@ -161,7 +167,10 @@ def speed() -> Finding:
         simulations[k].run(STEPS_TIMED, every=STEPS_TIMED, progress=False)
         seconds[turn, k] = perf_counter() - started
     one, all_cores = 1e-6 * STEPS_TIMED * len(simulations[0].system) / seconds.min(axis=0)
-    cost, hint = simulations[1].report().cost, "; is the machine busy?" if all_cores < one and available_cores() > 1 else ""
+    cost, hint = (
+        simulations[1].report().cost,
+        "; is the machine busy?" if all_cores < one and available_cores() > 1 else "",
+    )
     return True, (
         f"{one:.2f} million atom-steps/s on one thread, {all_cores:.2f} on all cores{hint}\n"
         f"{CONTINUED}4000 Lennard-Jones atoms, cutoff 2.5 σ, {cost.pair_search if cost else 'no list'}"
@@ -183,7 +192,9 @@ def lammps() -> Finding:
             return True, "; ".join([*told, f"not needed, but for `minimd lammps`: {missing}"])
         except HandOverError as failed:
             return False, "; ".join([*told, str(failed)])
-        told.append(f"on {processes} process{'es' * (processes > 1)} forces agree within {done.verification.forces:.0e}")
+        told.append(
+            f"on {processes} process{'es' * (processes > 1)} forces agree within {done.verification.forces:.0e}"
+        )
     return True, f"{done.version}: {' and '.join(told)}"
 
 

@@ -27,7 +27,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     0 done, 1 a check failed, 2 wrong input, 3 blown up, 130 interrupted, 143 terminated, 129 terminated because the terminal was closed.
     For an expected error, one sentence for each problem is printed to standard error.
     """
-    parser = argparse.ArgumentParser(prog="minimd", description="Molecular dynamics from scene files.", epilog="Begin with: minimd doctor")
+    parser = argparse.ArgumentParser(
+        prog="minimd", description="Molecular dynamics from scene files.", epilog="Begin with: minimd doctor"
+    )
     parser.add_argument("--version", action="version", version=f"minimd {version('minimd')}")
     commands = parser.add_subparsers(metavar="command", title="commands")
     for module in (runs, bench, doctor):
@@ -38,7 +40,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         return OK
     printed: Any = sys.stdout and Printable(sys.stdout)  # None if the shell has closed it
     try:
-        with endings_are_told(), redirect_stdout(printed), warnings.catch_warnings():  # for the whole process, which is this command
+        with (
+            endings_are_told(),
+            redirect_stdout(printed),
+            warnings.catch_warnings(),
+        ):  # for the whole process, which is this command
             warnings.showwarning = _tell
             passed = arguments.command(arguments)  # None for a command without a judgement
         return OK if passed is None or passed else FAILED

@@ -10,7 +10,15 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import NativeValue, lower_builtin, lower_getattr_generic, models, register_model, typeof_impl, unbox
+from numba.extending import (
+    NativeValue,
+    lower_builtin,
+    lower_getattr_generic,
+    models,
+    register_model,
+    typeof_impl,
+    unbox,
+)
 
 WORD = 8  # bytes of a number, an address or a size
 
@@ -113,7 +121,9 @@ def _read(context, builder, kind, address, place):
         return _array(context, builder, kind, address, place)
     if _is_word_by_word(kind):
         places = accumulate((_n_words(one) for one in kind.types), initial=place)
-        return context.make_tuple(builder, kind, [_read(context, builder, one, address, at) for one, at in zip(kind, places, strict=False)])
+        return context.make_tuple(
+            builder, kind, [_read(context, builder, one, address, at) for one, at in zip(kind, places, strict=False)]
+        )
     return _word(builder, context.get_value_type(kind), address, place)
 
 
@@ -121,7 +131,9 @@ def _array(context, builder, kind, address, place):
     """An array that owns nothing."""
     model, word, element = context.data_model_manager[kind], ir.IntType(8 * WORD), context.get_data_type(kind.dtype)
     itemsize = word(context.get_abi_sizeof(element))
-    shape, strides = ([_word(builder, word, address, place + first + k) for k in range(kind.ndim)] for first in (1, 1 + kind.ndim))
+    shape, strides = (
+        [_word(builder, word, address, place + first + k) for k in range(kind.ndim)] for first in (1, 1 + kind.ndim)
+    )
     if kind.ndim == 1 and kind.layout == "C":
         strides = [itemsize]
     parts = {

@@ -26,4 +26,7 @@ def _call(returned: types.Type):
     return call
 
 
-call_at, run_at = _call(types.int64), _call(types.none)  # of a kernel that returns a whole number, and of one that returns nothing
+call_at, run_at = (
+    _call(types.int64),
+    _call(types.none),
+)  # of a kernel that returns a whole number, and of one that returns nothing

@@ -21,7 +21,9 @@ from minimd.compiled.simd.vector import Vector, convert
 
 MAGIC = 1.5 * 2.0**52
 BIAS = int(np.float64(MAGIC).view(np.int64))
-MOST = 2.0**50  # steps in a momentum or in the impulse of a pair: the rounding of v = p/m and p = m v leads back to the same p
+MOST = (
+    2.0**50
+)  # steps in a momentum or in the impulse of a pair: the rounding of v = p/m and p = m v leads back to the same p
 
 
 @intrinsic

@@ -55,7 +55,9 @@ def cache_folder() -> Path | None:
                 for part in (*reversed(folder.parents), folder):
                     if not part.is_dir():
                         part.mkdir(mode=0o700, exist_ok=True)  # for this user alone
-            if opened := open_to_others(folder):  # perhaps only now: somebody else may have been faster in a common folder
+            if opened := open_to_others(
+                folder
+            ):  # perhaps only now: somebody else may have been faster in a common folder
                 warnings.warn(
                     f"compiled code is not kept in {base}, because other users can change {opened}; "
                     "take that permission from them, or set NUMBA_CACHE_DIR to a folder of your own",

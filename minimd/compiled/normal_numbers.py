@@ -19,7 +19,10 @@ from numba.np.random import _constants as numpys
 from minimd.compiled.kernels import kernel, scalar, shared_kernel
 
 FIRST, SECOND = np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157)  # multipliers of Philox4x64
-GOLDEN, ROOT = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B)  # what its key grows by: fractions of (√5 − 1)/2 and of √3 − 1
+GOLDEN, ROOT = (
+    np.uint64(0x9E3779B97F4A7C15),
+    np.uint64(0xBB67AE8584CAA73B),
+)  # what its key grows by: fractions of (√5 − 1)/2 and of √3 − 1
 ROUNDS = 10
 LAYERS, MANTISSA = np.uint64(255), np.uint64((1 << 52) - 1)
 INSIDE, WIDTHS, HEIGHTS = numpys.ki_double, numpys.wi_double, numpys.fi_double  # of the layers

@@ -23,7 +23,14 @@ from minimd.compiled.kernels import PartOfKernel
 
 NUMBERS = (bool, int, float, complex, str, bytes, type(None))
 NUMBER_KINDS = "biufc"  # of NumPy: truth values, integers, floats, complex numbers
-TRUSTED = {"builtins", "math", "cmath", "numpy", "numba", "minimd"}  # modules known by their versions, minimd by its sources
+TRUSTED = {
+    "builtins",
+    "math",
+    "cmath",
+    "numpy",
+    "numba",
+    "minimd",
+}  # modules known by their versions, minimd by its sources
 LARGEST_ARRAY = 10**6  # bytes: Numba does not cache code that reads a larger one
 CODE_FIELDS = ("co_code", "co_exceptiontable", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_flags")
 COUNTS = ("co_argcount", "co_posonlyargcount", "co_kwonlyargcount")
@@ -51,7 +58,9 @@ class Snapshot:
         self._note(sys.version, numba.__version__, np.__version__)
         self.function: Any
         self.python: FunctionType
-        self.function, self.python = self._plain(function) if isinstance(function, FunctionType) else self._compiled(function)
+        self.function, self.python = (
+            self._plain(function) if isinstance(function, FunctionType) else self._compiled(function)
+        )
         self.digest = self._hash.hexdigest()[:32] if self._is_clear else ""
 
     def _note(self, *words: Any) -> None:

@@ -30,7 +30,12 @@ from numba.extending import intrinsic
 
 from minimd.compiled.kernels import DirectCalls, kernel, scalar, shared_kernel
 
-OPEN, STOPPED, FINISHED, CLAIMS = 0, 4, 8, 16  # shared counters: the open phase, the last phase in which stop was called, the
+OPEN, STOPPED, FINISHED, CLAIMS = (
+    0,
+    4,
+    8,
+    16,
+)  # shared counters: the open phase, the last phase in which stop was called, the
 # finished chunks of the open phase, and for each chunk the last phase it was taken in
 MOST_CHUNKS = 1024
 PHASES = 1 << 20  # a task has fewer
@@ -57,7 +62,10 @@ class ThreadPool:
         self._task: tuple = ()
         self._n_tasks, self._core = 0, -1
         self._wake = [threading.Lock() for _ in range(n_threads - 1)]
-        self._helpers = [threading.Thread(target=self._help, args=(k, wake), daemon=True) for k, wake in enumerate(self._wake, start=1)]
+        self._helpers = [
+            threading.Thread(target=self._help, args=(k, wake), daemon=True)
+            for k, wake in enumerate(self._wake, start=1)
+        ]
         for wake, helper in zip(self._wake, self._helpers, strict=True):
             wake.acquire()
             helper.start()
@@ -83,7 +91,9 @@ class ThreadPool:
                 return kernel(self._worker, first, *arguments)
             finally:
                 self._task = ()
-                self._counters[OPEN] = (self._n_tasks + 1) * PHASES - 1  # nobody waits for this task, even if it has failed
+                self._counters[OPEN] = (
+                    self._n_tasks + 1
+                ) * PHASES - 1  # nobody waits for this task, even if it has failed
 
     def address(self, kernel: Callable, *arguments: object, calls: DirectCalls) -> int:
         """The address of a kernel for these arguments, for call_at."""
@@ -215,13 +225,17 @@ _add, _exchange = _atomic("add"), _atomic("xchg")
 @intrinsic
 def _read(_context, counters, place):
     """The present number of a counter, whichever thread wrote it."""
-    return types.int64(counters, types.intp), _at(counters, lambda builder, address: builder.load_atomic(address, "seq_cst", 8))
+    return types.int64(counters, types.intp), _at(
+        counters, lambda builder, address: builder.load_atomic(address, "seq_cst", 8)
+    )
 
 
 @intrinsic
 def _replace(_context, counters, place, expected, number):
     """Write a number if the counter still has the expected one; returns what it was."""
-    emit = _at(counters, lambda builder, *values: builder.extract_value(builder.cmpxchg(*values, "seq_cst", "seq_cst"), 0))
+    emit = _at(
+        counters, lambda builder, *values: builder.extract_value(builder.cmpxchg(*values, "seq_cst", "seq_cst"), 0)
+    )
     return types.int64(counters, types.intp, types.int64, types.int64), emit
 
 

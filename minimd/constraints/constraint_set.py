@@ -39,7 +39,9 @@ class ConstraintSet:
                 raise TypeError(f"constraints must be DistanceConstraints or FixedAtoms; got {shown(constraint)}")
         distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
         if len(distances) > 1:
-            raise ValueError("all pairs must be given in one DistanceConstraints: those that share atoms are solved together")
+            raise ValueError(
+                "all pairs must be given in one DistanceConstraints: those that share atoms are solved together"
+            )
         self._threads, self._cell = threads, system.cell  # the cell for which the images of bonds were found
         self.n_fixed = int((self.inverse_masses == 0.0).sum())
         self.kept: tuple[Any, ...] = (FixedAtoms(self.inverse_masses == 0.0),) if self.n_fixed else ()
@@ -47,7 +49,9 @@ class ConstraintSet:
         if distances:
             self.bonds = self._solver(system, distances[0])
             self.n_constraints = self.bonds.n_constraints
-            self.kept += (DistanceConstraints(self.bonds.pairs, self.bonds.lengths, distances[0].tolerance, distances[0].solver),)
+            self.kept += (
+                DistanceConstraints(self.bonds.pairs, self.bonds.lengths, distances[0].tolerance, distances[0].solver),
+            )
 
     def _solver(self, system: System, distances: DistanceConstraints) -> ConstraintSolver:
         pairs, lengths, place = distances.pairs, distances.lengths, (system.positions, system.cell)
@@ -87,7 +91,9 @@ class ConstraintSet:
 
     def restore(self, system: System, offsets: NDArray[np.float64], tolerance: float) -> None:
         """Take over the solver of another set with the same constraints: images of its bonds, (K, 3) [length], and its tolerance."""
-        self.bonds = ConstraintSolver(self.kept[-1], system.positions, self.inverse_masses, offsets, self._threads, tolerance)
+        self.bonds = ConstraintSolver(
+            self.kept[-1], system.positions, self.inverse_masses, offsets, self._threads, tolerance
+        )
         self._cell = system.cell
 
     def with_equal_masses(self, system: System) -> "ConstraintSet":

@@ -76,8 +76,12 @@ def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
     from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
     n = len(inverse_masses)
-    bodies = np.where(inverse_masses[pairs] > 0.0, pairs, n + np.arange(pairs.size).reshape(-1, 2))  # a fixed atom does not couple its constraints
-    component = connected_components(coo_array((np.ones(len(pairs)), bodies.T), shape=(n + pairs.size,) * 2), directed=False)[1]
+    bodies = np.where(
+        inverse_masses[pairs] > 0.0, pairs, n + np.arange(pairs.size).reshape(-1, 2)
+    )  # a fixed atom does not couple its constraints
+    component = connected_components(
+        coo_array((np.ones(len(pairs)), bodies.T), shape=(n + pairs.size,) * 2), directed=False
+    )[1]
     k, sides = np.repeat(np.arange(len(pairs)), 2), bodies.reshape(-1)
     incidence = coo_array((np.tile([-1.0, 1.0], len(pairs)), (k, sides)), shape=(len(pairs), n + pairs.size)).tocsr()
     weights = np.concatenate([inverse_masses, np.zeros(pairs.size)])

@@ -15,7 +15,14 @@ from minimd.compiled.kernels import DirectCalls, shared_kernel
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take, thread_pool
 from minimd.constraints.graph import Floats, Graph, Ints, graph_of
 from minimd.constraints.linear_triatomic import DriftLinear, ProjectLinear
-from minimd.constraints.networks import DriftComponents, Memory, ProjectComponents, SweepDrift, SweepVelocities, dependent_constraint
+from minimd.constraints.networks import (
+    DriftComponents,
+    Memory,
+    ProjectComponents,
+    SweepDrift,
+    SweepVelocities,
+    dependent_constraint,
+)
 from minimd.constraints.pairs import DriftPairs, ProjectPairs
 from minimd.constraints.settle import DriftTriangles
 from minimd.constraints.vectors import Atoms, Bonds, Molecules
@@ -29,7 +36,10 @@ class SolverPool:
     """Runs solvers on the components of a group, cut into chunks whose number follows from the constraints alone, on several threads."""
 
     def __init__(self, n_components: int, n_constraints: int, most_threads: int) -> None:
-        self.n_components, n_chunks = n_components, max(1, min(n_components, n_constraints // CONSTRAINTS_IN_A_CHUNK, MOST_CHUNKS))
+        self.n_components, n_chunks = (
+            n_components,
+            max(1, min(n_components, n_constraints // CONSTRAINTS_IN_A_CHUNK, MOST_CHUNKS)),
+        )
         self._threads: ThreadPool = thread_pool(min(most_threads, n_chunks))
         self._answers = np.zeros(n_chunks, dtype=np.int64)
         self._calls: defaultdict[type, DirectCalls] = defaultdict(DirectCalls)
@@ -41,7 +51,9 @@ class SolverPool:
         """
         are_plain = all(array.flags.carray and array.dtype == np.float64 for array in atoms)
         calls = self._calls[type(solver)] if are_plain else None
-        return int(self._threads.run(run_chunks, self._answers, solver, self.n_components, atoms, arguments, calls=calls))
+        return int(
+            self._threads.run(run_chunks, self._answers, solver, self.n_components, atoms, arguments, calls=calls)
+        )
 
 
 @shared_kernel
@@ -51,7 +63,9 @@ def run_chunks(me, task, answers, solver, n, atoms, arguments):
     phase = begin(me, task)
     chunk = take(me, phase, n_chunks)
     while chunk >= 0:
-        answers[chunk] = solve_some(solver, chunk * n // n_chunks, (chunk + 1) * n // n_chunks, Atoms(*atoms), arguments)
+        answers[chunk] = solve_some(
+            solver, chunk * n // n_chunks, (chunk + 1) * n // n_chunks, Atoms(*atoms), arguments
+        )
         chunk = finish_and_take(me, phase, n_chunks)
     barrier(me, phase)
     worst = 0
@@ -105,7 +119,9 @@ class Networks:
         k = dependent_constraint(positions, self.graph.components, self.bonds, self.memory)
         if k >= 0:
             i, j = self.graph.first[k], self.graph.second[k]
-            raise ValueError(f"constraint {self.order[k]} (atoms {i}-{j}) follows from the other constraints or contradicts them; leave it out")
+            raise ValueError(
+                f"constraint {self.order[k]} (atoms {i}-{j}) follows from the other constraints or contradicts them; leave it out"
+            )
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
         """Drift of the atoms of the group. Returns a number of iterations, or −1 − the constraint, within the group, that cannot be kept."""
@@ -114,7 +130,14 @@ class Networks:
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
         """r_ij · x_ij = targets for the vectors x. Returns as drift."""
-        return self.pool.run(ProjectComponents(), (positions, vectors, self.masses), self.graph.components, self.bonds, self.memory, targets)
+        return self.pool.run(
+            ProjectComponents(),
+            (positions, vectors, self.masses),
+            self.graph.components,
+            self.bonds,
+            self.memory,
+            targets,
+        )
 
 
 class Pairs(Networks):
@@ -165,12 +188,16 @@ class LinearTriatomics(Networks):
         super().__init__(every, graph, positions)
         self.n_constraints = 4 * (graph.order.size // 3)
         lengths2, sides = self.bonds.lengths2, graph.components.starts[:-1, None] + np.arange(3)
-        self.ends = np.take_along_axis(sides, np.argmax(lengths2[sides], axis=1)[:, None], axis=1)[:, 0]  # the longest side of each
+        self.ends = np.take_along_axis(sides, np.argmax(lengths2[sides], axis=1)[:, None], axis=1)[
+            :, 0
+        ]  # the longest side of each
         corners, arms, sides = _corners(graph, self.ends, self.bonds.offsets)
         offsets = np.stack([-arms[:, 0], arms[:, 1] - arms[:, 0]], axis=1)
         beta = np.sqrt(lengths2[sides[:, 0]] / lengths2[self.ends])
         shapes = np.column_stack([1.0 - beta, beta, lengths2[self.ends]])
-        self.known = (Molecules(corners[:, [1, 0, 2]], offsets, shapes),)  # the middle atom is the corner opposite the longest side
+        self.known = (
+            Molecules(corners[:, [1, 0, 2]], offsets, shapes),
+        )  # the middle atom is the corner opposite the longest side
 
     def check(self, positions: Floats) -> None:
         """Do nothing: these constraints depend on each other, and their solver takes this into account."""
@@ -178,7 +205,9 @@ class LinearTriatomics(Networks):
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
         """See Networks."""
         multipliers = np.empty(len(self.ends))
-        answer = self.pool.run(ProjectLinear(), (positions, vectors, self.masses), *self.known, targets[self.ends], multipliers)
+        answer = self.pool.run(
+            ProjectLinear(), (positions, vectors, self.masses), *self.known, targets[self.ends], multipliers
+        )
         self.multipliers[:] = 0.0
         self.multipliers[self.ends] = multipliers
         return answer
@@ -195,14 +224,18 @@ def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
     closed = [np.unique(every.pairs[graph.order[start : start + 3]]).size == 3 for start in starts]
     starts = starts[np.array(closed, dtype=bool)]
     lengths2 = every.lengths[graph.order] ** 2
-    for start, kind in zip(starts, _kinds_of_triangles(graph, starts, lengths2, every.inverse_masses, solver), strict=True):
+    for start, kind in zip(
+        starts, _kinds_of_triangles(graph, starts, lengths2, every.inverse_masses, solver), strict=True
+    ):
         kinds[start : start + 3] = kind or kinds[start]
     members = [(kind, graph.order[kinds == kind]) for kind in dict.fromkeys(kinds)]
     graphs = [graph_of(every.pairs[ids], every.inverse_masses, ids) for _, ids in members]
     return [kind(every, part, positions) for (kind, _), part in zip(members, graphs, strict=True)]
 
 
-def _kinds_of_triangles(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats, solver: str) -> list[type[Networks] | None]:
+def _kinds_of_triangles(
+    graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats, solver: str
+) -> list[type[Networks] | None]:
     """LinearTriatomics, Triangles, or None for those without a special solver."""
     lengths = np.sqrt(lengths2[starts[:, None] + np.arange(3)])
     excess = 2.0 * lengths.max(axis=1, initial=0.0) - lengths.sum(axis=1)
@@ -214,9 +247,15 @@ def _kinds_of_triangles(graph: Graph, starts: Ints, lengths2: Floats, inverse_ma
         )
     is_straight = excess >= -STRAIGHT * lengths.sum(axis=1)
     base = _equal_sides(graph, starts, lengths2, inverse_masses)
-    moves = [(inverse_masses[graph.first[s : s + 3]] > 0.0).all() and (inverse_masses[graph.second[s : s + 3]] > 0.0).all() for s in starts]
+    moves = [
+        (inverse_masses[graph.first[s : s + 3]] > 0.0).all() and (inverse_masses[graph.second[s : s + 3]] > 0.0).all()
+        for s in starts
+    ]
     water = (base >= 0) & np.array(moves, dtype=bool) & (solver == "auto")
-    return [LinearTriatomics if straight else Triangles if settles else None for straight, settles in zip(is_straight, water, strict=True)]
+    return [
+        LinearTriatomics if straight else Triangles if settles else None
+        for straight, settles in zip(is_straight, water, strict=True)
+    ]
 
 
 def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats) -> Ints:
@@ -238,6 +277,9 @@ def _corners(graph: Graph, base: Ints, offsets: Floats) -> tuple[Ints, Floats, I
     b, c = graph.first[base], graph.second[base]
     apex = (first.sum(axis=1) + second.sum(axis=1)) // 2 - b - c
     at_apex = (first == apex[:, None]) | (second == apex[:, None])
-    arms = [np.argmax(at_apex & ((first == end[:, None]) | (second == end[:, None])), axis=1) + graph.components.starts[:-1] for end in (b, c)]
+    arms = [
+        np.argmax(at_apex & ((first == end[:, None]) | (second == end[:, None])), axis=1) + graph.components.starts[:-1]
+        for end in (b, c)
+    ]
     shifts = [np.where((graph.first[arm] == apex)[:, None], 1.0, -1.0) * offsets[arm] for arm in arms]
     return np.column_stack([apex, b, c]), np.ascontiguousarray(np.stack(shifts, axis=1)), np.column_stack(arms)

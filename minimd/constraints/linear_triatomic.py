@@ -54,7 +54,10 @@ def drift_linear(first, last, atoms, molecules, duration):
         for i in (a, b, c):
             for x in range(3):
                 positions[i, x] += duration * velocities[i, x]
-        u, p = separation(positions, a, b, molecules.offsets[m, 0]), separation(positions, a, c, molecules.offsets[m, 1])
+        u, p = (
+            separation(positions, a, b, molecules.offsets[m, 0]),
+            separation(positions, a, c, molecules.offsets[m, 1]),
+        )
         e = (u[0] - beta * p[0], u[1] - beta * p[1], u[2] - beta * p[2])
         p = (p[0] - kappa / q * e[0], p[1] - kappa / q * e[1], p[2] - kappa / q * e[2])
         along, square = w * dot(p, s), w * w * dot(s, s)
@@ -63,9 +66,20 @@ def drift_linear(first, last, atoms, molecules, duration):
         if not (discriminant >= 0.0 and along > 0.0):
             return NOTHING - m
         scale = -gap / (along + sqrt(discriminant))
-        mu = (-(e[0] + scale * kappa * s[0]) / q, -(e[1] + scale * kappa * s[1]) / q, -(e[2] + scale * kappa * s[2]) / q)
+        mu = (
+            -(e[0] + scale * kappa * s[0]) / q,
+            -(e[1] + scale * kappa * s[1]) / q,
+            -(e[2] + scale * kappa * s[2]) / q,
+        )
         apply(positions, inverse_masses, molecule, mu, scale, s)
-        apply(velocities, inverse_masses, molecule, (mu[0] / duration, mu[1] / duration, mu[2] / duration), scale / duration, s)
+        apply(
+            velocities,
+            inverse_masses,
+            molecule,
+            (mu[0] / duration, mu[1] / duration, mu[2] / duration),
+            scale / duration,
+            s,
+        )
     return 1
 
 
@@ -88,7 +102,11 @@ def project_linear(first, last, atoms, molecules, targets, multipliers):
         for x in range(3):
             along += r[x] * (vectors[c, x] - vectors[a, x] - kappa / q * e[x])
         scale = (targets[m] - along) / (w * dot(r, r))
-        mu = (-(e[0] + scale * kappa * r[0]) / q, -(e[1] + scale * kappa * r[1]) / q, -(e[2] + scale * kappa * r[2]) / q)
+        mu = (
+            -(e[0] + scale * kappa * r[0]) / q,
+            -(e[1] + scale * kappa * r[1]) / q,
+            -(e[2] + scale * kappa * r[2]) / q,
+        )
         multipliers[m] = scale
         apply(vectors, inverse_masses, molecule, mu, scale, r)
     return 1

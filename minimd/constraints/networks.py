@@ -140,12 +140,19 @@ def drift_with(restore_lengths):
         for c in range(first, last):
             start, end = components.starts[c], components.starts[c + 1]
             find_separations(atoms.positions, bonds, start, end, s)
-            drift_some(atoms.positions, atoms.vectors, components.atoms[components.atom_starts[c] : components.atom_starts[c + 1]], duration)
+            drift_some(
+                atoms.positions,
+                atoms.vectors,
+                components.atoms[components.atom_starts[c] : components.atom_starts[c + 1]],
+                duration,
+            )
             n_iterations = restore_lengths(atoms, components, bonds, c, memory)
             if n_iterations < 0:
                 return n_iterations
             for k in range(start, end):
-                add_opposite(atoms.vectors, atoms.inverse_masses, bonds.first[k], bonds.second[k], total[k] / duration, s[k])
+                add_opposite(
+                    atoms.vectors, atoms.inverse_masses, bonds.first[k], bonds.second[k], total[k] / duration, s[k]
+                )
             most = max(most, n_iterations)
         return most
 
@@ -238,11 +245,17 @@ def sweep_velocities(first, last, atoms, components, bonds):
             for k in range(start, end):
                 i, j = bonds.first[k], bonds.second[k]
                 r = separation(atoms.positions, i, j, bonds.offsets[k])
-                v = (velocities[j, 0] - velocities[i, 0], velocities[j, 1] - velocities[i, 1], velocities[j, 2] - velocities[i, 2])
+                v = (
+                    velocities[j, 0] - velocities[i, 0],
+                    velocities[j, 1] - velocities[i, 1],
+                    velocities[j, 2] - velocities[i, 2],
+                )
                 along, r2, v2 = dot(r, v), dot(r, r), dot(v, v)
                 if along != 0.0 and not abs(along) <= worst * sqrt(r2 * v2):
                     worst, where = abs(along) / sqrt(r2 * v2), k
-                add_opposite(velocities, inverse_masses, i, j, -along / ((inverse_masses[i] + inverse_masses[j]) * r2), r)
+                add_opposite(
+                    velocities, inverse_masses, i, j, -along / ((inverse_masses[i] + inverse_masses[j]) * r2), r
+                )
         most = max(most, sweeps)
     return most
 

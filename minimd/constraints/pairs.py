@@ -21,7 +21,10 @@ def drift_pairs(start, end, atoms, bonds, duration):
     """Drift of bonds start to end − 1: a λ² + 2 b λ + c = 0 with a = w² s², b = w p · s, c = p² − d².  Atoms, Bonds, [time]."""
     positions, velocities, inverse_masses = atoms
     for k in range(start, end):
-        i, j = np.uintp(bonds.first[k]), np.uintp(bonds.second[k])  # unsigned: no check for indices that count from the end
+        i, j = (
+            np.uintp(bonds.first[k]),
+            np.uintp(bonds.second[k]),
+        )  # unsigned: no check for indices that count from the end
         s = separation(positions, i, j, bonds.offsets[k])
         p = moved(s, velocities, i, j, duration)
         w = inverse_masses[i] + inverse_masses[j]
@@ -49,7 +52,11 @@ def project_pairs(start, end, atoms, bonds, targets, multipliers):
     for k in range(start, end):
         i, j = bonds.first[k], bonds.second[k]
         r = separation(positions, i, j, bonds.offsets[k])
-        along = r[0] * (vectors[j, 0] - vectors[i, 0]) + r[1] * (vectors[j, 1] - vectors[i, 1]) + r[2] * (vectors[j, 2] - vectors[i, 2])
+        along = (
+            r[0] * (vectors[j, 0] - vectors[i, 0])
+            + r[1] * (vectors[j, 1] - vectors[i, 1])
+            + r[2] * (vectors[j, 2] - vectors[i, 2])
+        )
         multipliers[k] = (targets[k] - along) / ((inverse_masses[i] + inverse_masses[j]) * dot(r, r))
         add_opposite(vectors, inverse_masses, i, j, multipliers[k], r)
     return 1

@@ -81,7 +81,10 @@ def drift_triangles(first, last, atoms, triangles, duration):
         fraction = 1.0 / (inverse_masses[b] * total)  # of b, and of c, in the mass
         height = sqrt(side * side - half * half)
         r_a = 2.0 * fraction * height
-        b0, c0 = separation(positions, a, b, triangles.offsets[t, 0]), separation(positions, a, c, triangles.offsets[t, 1])
+        b0, c0 = (
+            separation(positions, a, b, triangles.offsets[t, 0]),
+            separation(positions, a, c, triangles.offsets[t, 1]),
+        )
         p, q = moved(b0, velocities, a, b, duration), moved(c0, velocities, a, c, duration)
         a1 = combined(-fraction, p, -fraction, q)
         b1, c1 = combined(1.0, a1, 1.0, p), combined(1.0, a1, 1.0, q)
@@ -91,7 +94,11 @@ def drift_triangles(first, last, atoms, triangles, duration):
         push, recoil = 1.0 / duration, -inverse_masses[a] / inverse_masses[b] / duration
         for x in range(3):
             along = bc * (c0[x] - b0[x])
-            for i, change in ((a, recoil * (ab * b0[x] + ac * c0[x])), (b, push * (ab * b0[x] - along)), (c, push * (ac * c0[x] + along))):
+            for i, change in (
+                (a, recoil * (ab * b0[x] + ac * c0[x])),
+                (b, push * (ab * b0[x] - along)),
+                (c, push * (ac * c0[x] + along)),
+            ):
                 v = velocities[i, x] + change
                 velocities[i, x] = v
                 positions[i, x] += duration * v

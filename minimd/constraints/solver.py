@@ -138,19 +138,25 @@ class ConstraintSolver:
         """|r · (v_j − v_i)|/(d v), (K,), v the speed of the faster end; zero where nothing moves."""
         turning = velocities[self.pairs[:, 1]] - velocities[self.pairs[:, 0]]
         speeds = np.linalg.norm(velocities, axis=1)[self.pairs].max(axis=1)
-        return np.abs(np.einsum("ij,ij->i", self.bonds(positions), turning)) / (self.lengths * np.where(speeds > 0.0, speeds, 1.0))
+        return np.abs(np.einsum("ij,ij->i", self.bonds(positions), turning)) / (
+            self.lengths * np.where(speeds > 0.0, speeds, 1.0)
+        )
 
     def _fail(self, constraint: int, positions: Floats, velocities: Floats, duration: float) -> None:
         """Raise ConstraintError with the larger violation: closed forms fail before they move atoms, iterations afterwards."""
         i, j = self.pairs[constraint]
         off = max(self.violation(positions)[constraint], self.violation(positions + duration * velocities)[constraint])
         what = f"drift of {duration:g}" if duration else "projection of velocities"
-        error = ConstraintError(f"constraint {constraint} (atoms {i}-{j}) cannot be kept in a {what}: the relative error of r² is {off:.1e}")
+        error = ConstraintError(
+            f"constraint {constraint} (atoms {i}-{j}) cannot be kept in a {what}: the relative error of r² is {off:.1e}"
+        )
         error.atoms = int(i), int(j)
         raise error
 
 
-def _checked_lengths(constraints: DistanceConstraints, positions: Floats, inverse_masses: Floats, offsets: Floats) -> Floats:
+def _checked_lengths(
+    constraints: DistanceConstraints, positions: Floats, inverse_masses: Floats, offsets: Floats
+) -> Floats:
     """(K,) [length], as given or as in the positions. Raises ValueError as ConstraintSolver."""
     pairs = constraints.pairs
     if pairs.max(initial=-1) >= len(positions):
@@ -163,5 +169,7 @@ def _checked_lengths(constraints: DistanceConstraints, positions: Floats, invers
     lengths = np.linalg.norm(bonds, axis=1) if constraints.lengths is None else constraints.lengths
     if not (lengths > 0.0).all():
         k = int(np.argmin(lengths > 0.0))
-        raise ValueError(f"constraint {k} has length 0: atoms {pairs[k, 0]} and {pairs[k, 1]} are at the same place; give lengths")
+        raise ValueError(
+            f"constraint {k} has length 0: atoms {pairs[k, 0]} and {pairs[k, 1]} are at the same place; give lengths"
+        )
     return lengths

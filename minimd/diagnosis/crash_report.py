@@ -22,7 +22,9 @@ from minimd.structure.units import LJ, SYSTEMS
 
 OVERLAP = 0.8  # of σ; thermal collisions of a liquid at k_B T = ε end at 0.85 σ
 THROWN = 0.1  # of its distance: a pair that a force moves farther in one step overlaps; for laws without a length of their own
-HOT_STEP = 0.05  # of σ that the atoms move in a step, root mean square; a liquid at its usual step moves a fifth of this
+HOT_STEP = (
+    0.05  # of σ that the atoms move in a step, root mean square; a liquid at its usual step moves a fifth of this
+)
 HOT_SPOT = 6.0  # times the root mean square speed; in 10⁹ atoms of a thermal ensemble none is as fast
 FAST = 0.3  # of ωσ at the minimum of a pair: higher speeds are due to heat, k_B T > 3 ε; at lower ones the step is too long
 NEAR_LIMIT = 0.5  # of the longest stable step: collisions are that much stiffer than the state itself
@@ -87,14 +89,22 @@ class CrashReport:
     def __str__(self) -> str:
         pair, units = self.pair, SYSTEMS.get(self.units, LJ)
         force, length = f"{units.energy}/{units.length}", units.length
-        lines = [f"fault          {self.fault}, at step {self.step}", f"cause          {self.cause}", f"what to do     {self.advice}"]
+        lines = [
+            f"fault          {self.fault}, at step {self.step}",
+            f"cause          {self.cause}",
+            f"what to do     {self.advice}",
+        ]
         if pair is not None:
             what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms} ({pair.law})"
-            lines.append(f"pair           {what}, {pair.apart(length)}, −u′ {pair.force:.3g} {force}{pair.stiffness(self.timestep)}")
+            lines.append(
+                f"pair           {what}, {pair.apart(length)}, −u′ {pair.force:.3g} {force}{pair.stiffness(self.timestep)}"
+            )
         closest = self.closest.told(length) if self.closest else "none"
         largest = f"largest force {self.largest_force:.3g} {force} on atom {self.pushed}"
         lines.append(f"last good      step {self.last_good_step}; closest {closest}")
-        return "\n".join([*lines, f"               {largest}; atom {self.fastest} moves {self.displacement:.3g} {length} in a step"])
+        return "\n".join(
+            [*lines, f"               {largest}; atom {self.fastest} moves {self.displacement:.3g} {length} in a step"]
+        )
 
 
 def examine(engine: Engine, failure: Failure) -> CrashReport:
@@ -102,10 +112,16 @@ def examine(engine: Engine, failure: Failure) -> CrashReport:
     (pushed, force), (fastest, speed) = longest(engine.forces), longest(engine.velocities)
     bad = np.flatnonzero(~(np.isfinite(engine.forces).all(axis=1) & np.isfinite(engine.interactions.energies)))[:2]
     closest = closest_pair(engine.system)
-    evidence = Evidence(engine, failure, [pushed, fastest, *(closest[:2] if closest else ()), *(failure.constraint or ()), *bad.tolist()])
+    evidence = Evidence(
+        engine,
+        failure,
+        [pushed, fastest, *(closest[:2] if closest else ()), *(failure.constraint or ()), *bad.tolist()],
+    )
     verdict = next(verdict for rule in RULES if (verdict := rule(evidence)) is not None)
     if depth := strange_depth(engine.system, engine.interactions.potentials):
-        verdict = verdict._replace(cause=f"{depth} (with it, {verdict.cause})", advice="correct epsilon before anything else")
+        verdict = verdict._replace(
+            cause=f"{depth} (with it, {verdict.cause})", advice="correct epsilon before anything else"
+        )
     judged: tuple[Any, ...] = verdict
     timestep, units = engine.method.timestep, engine.system.units.name
     seen: tuple[Any, ...] = (closest, pushed, force, fastest, speed * abs(timestep), timestep, units)
@@ -148,7 +164,9 @@ class Evidence:
         advice = self.advice
         if advice is None or not advice.frequency:
             return "ask advise_timestep for a shorter one"
-        return f"take {self.system.units.shown(advice.recommended)}, as advise_timestep recommends for the last good state"
+        return (
+            f"take {self.system.units.shown(advice.recommended)}, as advise_timestep recommends for the last good state"
+        )
 
     def contacts(self, system: System, atoms: list[int]) -> list[Contact]:
         """The contacts of some atoms in some state."""
@@ -173,7 +191,10 @@ def overlap_at_start(evidence: Evidence) -> Verdict | None:
     """The closest pair of a state to which no step led, if its atoms are on top of each other."""
     step, start = evidence.failure.start.step, evidence.moved(evidence.failure.start.positions)
     closest = closest_pair(start) if evidence.failure.is_first else None
-    joined = [start.bonds, *(one.pairs for one in start.constraints if isinstance(one, DistanceConstraints))]  # these are close by right
+    joined = [
+        start.bonds,
+        *(one.pairs for one in start.constraints if isinstance(one, DistanceConstraints)),
+    ]  # these are close by right
     if closest is None or among(np.array([closest[:2]]), np.concatenate(joined)).any():
         return None
     found = evidence.contacts(start, list(closest[:2]))
@@ -190,14 +211,21 @@ def one_place(evidence: Evidence) -> Verdict | None:
     closest = closest_pair(evidence.system)
     if closest is None or closest.distance > 0.0 or np.isfinite(evidence.engine.forces[list(closest[:2])]).all():
         return None
-    cause = f"atoms {closest.first} and {closest.second} are at the same place, where the force between them is not defined"
+    cause = (
+        f"atoms {closest.first} and {closest.second} are at the same place, where the force between them is not defined"
+    )
     return Verdict("overlap", None, cause, "minimize moves them apart; or remove one")
 
 
 def barostat(evidence: Evidence) -> Verdict | None:
     """A barostat that cannot go on, or that has made a gas of what was dense."""
     bath, volume, before = evidence.engine.barostat, evidence.system.volume, evidence.failure.first_volume
-    if bath is None or not volume or not before or not (evidence.failure.is_of_barostat or volume > EVAPORATED * before):
+    if (
+        bath is None
+        or not volume
+        or not before
+        or not (evidence.failure.is_of_barostat or volume > EVAPORATED * before)
+    ):
         return None
     units = evidence.system.units
     at = f"at pressure {bath.pressure:.3g} {units.pressure}"
@@ -206,7 +234,10 @@ def barostat(evidence: Evidence) -> Verdict | None:
         return Verdict("barostat", None, cause, "take a higher pressure, or a lower temperature")
     cause = f"the barostat strains a cell of {volume:.4g} {units.volume}, {before:.4g} when the simulation was made, too fast {at}"
     return Verdict(
-        "barostat", None, cause, "equilibrate at constant volume first, take a longer relaxation_time, or look at the unit of the pressure"
+        "barostat",
+        None,
+        cause,
+        "equilibrate at constant volume first, take a longer relaxation_time, or look at the unit of the pressure",
     )
 
 
@@ -216,7 +247,12 @@ def broken_constraint(evidence: Evidence) -> Verdict | None:
         return None
     i, j = evidence.failure.constraint
     cause = f"in one step of {evidence.shown_timestep} atoms {i} and {j} move too far for the constraint between them"
-    return Verdict("constraint", evidence.strongest, cause, "reduce the timestep, or check whether the constraints contradict each other")
+    return Verdict(
+        "constraint",
+        evidence.strongest,
+        cause,
+        "reduce the timestep, or check whether the constraints contradict each other",
+    )
 
 
 def unstable_bond(evidence: Evidence) -> Verdict | None:
@@ -261,14 +297,23 @@ def too_hot(evidence: Evidence) -> Verdict | None:
     else:
         return None
     cause = f"too hot, timestep {evidence.shown_timestep} too large: {passes}"
-    return Verdict("hot", evidence.strongest, cause, "start at a lower temperature, or reduce the timestep in proportion to the speed")
+    return Verdict(
+        "hot",
+        evidence.strongest,
+        cause,
+        "start at a lower temperature, or reduce the timestep in proportion to the speed",
+    )
 
 
 def collision_in_a_step(evidence: Evidence) -> Verdict | None:
     """Two atoms that the step that failed has brought together, where before it no pair was stiff."""
     met, limit = evidence.met, evidence.longest_stable
     before = max((one.frequency or 0.0 for one in evidence.found), default=0.0)
-    if met is None or before * evidence.timestep > NEAR_LIMIT * limit or not (met.frequency or 0.0) * evidence.timestep > limit:
+    if (
+        met is None
+        or before * evidence.timestep > NEAR_LIMIT * limit
+        or not (met.frequency or 0.0) * evidence.timestep > limit
+    ):
         return None
     there = f"{met.apart(evidence.system.units.length)}{met.stiffness(evidence.timestep)}"
     cause = f"timestep {evidence.shown_timestep} too large: step {evidence.failure.step} drives {met.atoms} into each other, {there}"
@@ -289,7 +334,12 @@ def long_step(evidence: Evidence) -> Verdict:
         cause = "atoms fly apart although no pair with a known law pushes them: the forces come from elsewhere"
         return Verdict("law", None, cause, "examine the forces in the last good state")
     what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms}, {pair.apart(evidence.system.units.length)}{pair.stiffness(evidence.timestep)}"
-    return Verdict("pair", pair, f"timestep {evidence.shown_timestep} too large for the {what}", "halve the timestep until the energy is conserved")
+    return Verdict(
+        "pair",
+        pair,
+        f"timestep {evidence.shown_timestep} too large for the {what}",
+        "halve the timestep until the energy is conserved",
+    )
 
 
 RULES: tuple[Callable[[Evidence], Verdict | None], ...] = (

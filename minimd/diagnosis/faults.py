@@ -34,7 +34,9 @@ def fault_of(engine: Engine) -> str | None:
 def fault_at_start(engine: Engine) -> str | None:
     """What would go wrong in the first step: accelerations that are not finite or throw atoms across the scene; None if nothing would."""
     sizes = np.sqrt(np.einsum("ij,ij->i", engine.forces, engine.forces))
-    accelerations = np.einsum("i,i->i", engine.constraint_set.inverse_masses, sizes)  # |F|/m, without a warning of an overflow
+    accelerations = np.einsum(
+        "i,i->i", engine.constraint_set.inverse_masses, sizes
+    )  # |F|/m, without a warning of an overflow
     atom = int(np.argmax(accelerations))
     distance = float(accelerations[atom]) * engine.method.timestep**2
     if not (np.isfinite(distance) and np.isfinite(engine.interactions.potential_energy)):
@@ -44,7 +46,9 @@ def fault_at_start(engine: Engine) -> str | None:
     return fault_of(engine)
 
 
-def runaway(engine: Engine, first: Mapping[str, float], growth: float = RUNAWAY, since: str = "the run began") -> str | None:
+def runaway(
+    engine: Engine, first: Mapping[str, float], growth: float = RUNAWAY, since: str = "the run began"
+) -> str | None:
     """That energies have grown without bound, as they do beyond the stability limit of a method; None if they have not.
 
         K + |U| > growth (K₀ + |U₀| + R)   and   |E − E₀| > (K + |U|) / 2,   R = Σ m (ulp(r)/Δt)²
@@ -54,7 +58,9 @@ def runaway(engine: Engine, first: Mapping[str, float], growth: float = RUNAWAY,
     """
     system, kinetic, potential = engine.system, engine.kinetic_energy, engine.interactions.potential_energy
     with np.errstate(over="ignore"):  # infinite for time steps that nobody needs
-        rounding = system.masses.sum() * np.square(np.spacing(largest_component(system.positions)) / engine.method.timestep)
+        rounding = system.masses.sum() * np.square(
+            np.spacing(largest_component(system.positions)) / engine.method.timestep
+        )
     name = "conserved_energy" if engine.has_bath else "total_energy"
     energy = kinetic + potential - engine.work - (engine.reservoir_energy if engine.has_bath else 0.0)
     start = first[name] - (0.0 if engine.has_bath else first.get("work", 0.0))

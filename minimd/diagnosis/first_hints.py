@@ -36,7 +36,9 @@ def hints(engine: Engine) -> Iterator[str]:
 
 def too_long_a_step(engine: Engine) -> str | None:
     """A clause if the time step is longer than a harmonic bond allows, or far longer than suits Lennard-Jones atoms, else None; of ε if so."""
-    return strange_depth(engine.system, engine.interactions.potentials) or unstable_bond(engine) or _long_timestep(engine)
+    return (
+        strange_depth(engine.system, engine.interactions.potentials) or unstable_bond(engine) or _long_timestep(engine)
+    )
 
 
 def _barostat(engine: Engine) -> Iterator[str]:

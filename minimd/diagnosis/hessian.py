@@ -20,7 +20,9 @@ from minimd.structure.system import System
 
 Array = NDArray[np.float64]
 
-DISPLACEMENT = 1e-6  # of the closest pair: central differences are then right to some 1e-9, and few pairs cross their cutoff
+DISPLACEMENT = (
+    1e-6  # of the closest pair: central differences are then right to some 1e-9, and few pairs cross their cutoff
+)
 ROUNDINGS = 1e-9  # of the largest coordinate: the smallest displacement, with six digits left after rounding
 ROUNDINGS_OF_FORCES = 100.0  # in a sum over some fifty neighbors and its projection
 SMALL = 90  # coordinates; up to this number the whole matrix is as cheap as iterations
@@ -49,7 +51,11 @@ def stiffest_bond(system: System, potentials: Sequence[Any], constraint_set: Con
             pairs = potential.pairs_in(system)
             squares = potential.parameters[0] * constraint_set.inverse_masses[pairs].sum(axis=1)
             squares[among(pairs, constraint_set.bonds.pairs if constraint_set.bonds else pairs[:0])] = 0.0
-            found += [StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b])) for b in np.argsort(-squares)[:TRIED] if squares[b] > 0.0]
+            found += [
+                StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b]))
+                for b in np.argsort(-squares)[:TRIED]
+                if squares[b] > 0.0
+            ]
     if constraint_set.bonds is not None:
         found = [bond._replace(square=bond.square * _free_part(system, bond, constraint_set)) for bond in found]
     return max((bond for bond in found if bond.square > 0.0), key=lambda bond: bond.square, default=None)
@@ -103,7 +109,9 @@ class Curvature:
         self._start = self._system.positions.copy()
         self._first = forces.compute().copy()
         self.is_finite = bool(np.isfinite(self._first).all())
-        self._springs: list[tuple[NDArray[np.int64], Array]] = []  # (pairs, λ) of each group of constraints, for atoms at rest
+        self._springs: list[
+            tuple[NDArray[np.int64], Array]
+        ] = []  # (pairs, λ) of each group of constraints, for atoms at rest
         if (bonds := constraint_set.bonds) is not None:
             accelerations = self._first * constraint_set.inverse_masses[:, None]
             found = bonds.multipliers(self._start, np.zeros_like(self._start), accelerations)
@@ -125,7 +133,9 @@ class Curvature:
         longest = float(np.sqrt(np.einsum("ij,ij->i", steps, steps).max()))
         if longest == 0.0:
             return np.zeros_like(vector)
-        change = self._forces_at(steps, -self.displacement / longest) - self._forces_at(steps, self.displacement / longest)
+        change = self._forces_at(steps, -self.displacement / longest) - self._forces_at(
+            steps, self.displacement / longest
+        )
         product = change * (0.5 * longest / self.displacement) + self._constraint_springs(steps)
         accelerations = self._constraint_set.inverse_masses[:, None] * product
         self._constraint_set.project(accelerations, self._start)

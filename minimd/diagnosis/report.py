@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 
 from minimd.engine.record import SERIES, Record
 from minimd.structure.display import Displayed
-from minimd.structure.statistics import FEW, block_means, independent, mean_and_error, standard_error, wandering, with_error
+from minimd.structure.statistics import (
+    FEW,
+    block_means,
+    independent,
+    mean_and_error,
+    standard_error,
+    wandering,
+    with_error,
+)
 
 BLOCKS = 40  # averages of the total energy between which the drift is fitted
 BLOCKS_OF_WALK = 20  # the same for a series that wanders like a random walk
@@ -20,14 +28,22 @@ INDEPENDENT = 4.0  # entries: with fewer, a series is too short to judge
 LARGEST_RANGE = 0.5  # of the kinetic energy
 RANGE_OF_ROUNDING = 1e-11  # of the potential energy
 NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
-AT_REST = 1e-20  # of the potential energy: a smaller kinetic energy comes from rounding of the forces, and is of its square
+AT_REST = (
+    1e-20  # of the potential energy: a smaller kinetic energy comes from rounding of the forces, and is of its square
+)
 QUIET = 0.01  # of the kinetic energy, by which the energy of a short run may vary
 MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
 ANGULAR_MOMENTUM_KEPT = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
-KEPT_ON_A_GRID = 1e-9  # likewise where momentum is exactly constant: displacements are rounded to some 2⁻⁴⁰ of the scene
-SETTLING = 0.1  # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
+KEPT_ON_A_GRID = (
+    1e-9  # likewise where momentum is exactly constant: displacements are rounded to some 2⁻⁴⁰ of the scene
+)
+SETTLING = (
+    0.1  # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
+)
 SWELLING = 0.05  # of the volume, likewise; of 100 atoms of a liquid it fluctuates by 0.03
-LENGTHS_KEPT = 1e-8  # of |r² − d²|/d²: a rigid length is then off by 5e-9 of itself, far below the thermal motion of any bond
+LENGTHS_KEPT = (
+    1e-8  # of |r² − d²|/d²: a rigid length is then off by 5e-9 of itself, far below the thermal motion of any bond
+)
 
 KEPT = {True: "conserved", False: "NOT CONSERVED"}
 
@@ -88,7 +104,12 @@ class Drift:
         return self.is_unsure and not self.is_significant
 
 
-def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS, beside: NDArray[np.float64] | None = None) -> Drift:
+def drift(
+    time: NDArray[np.float64],
+    series: NDArray[np.float64],
+    blocks: int = BLOCKS,
+    beside: NDArray[np.float64] | None = None,
+) -> Drift:
     """Least-squares slope of a series, with the standard error that follows from its correlated fluctuations.
 
         error² = σ² / ((n − 2) Var t),   n = blocks (1 − ρ)/(1 + ρ)
@@ -112,7 +133,9 @@ def drift(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = 
     own = least = independent(rest)
     if beside is not None:
         least = min(own, independent(_line(t, block_means(beside, blocks))[1]))
-    one, safe = (Drift(slope, float(np.sqrt(rest @ rest / blocks / max(1.0, n - 2.0) / t.var())), n) for n in (own, least))
+    one, safe = (
+        Drift(slope, float(np.sqrt(rest @ rest / blocks / max(1.0, n - 2.0) / t.var())), n) for n in (own, least)
+    )
     return replace(safe, is_unsure=own < INDEPENDENT or one.is_significant)
 
 
@@ -156,7 +179,9 @@ class Cost:
     def lines(self) -> list[str]:
         """Lines of a report."""
         speed = f"{self.n_steps / self.seconds:.4g} steps/s" if self.seconds > 0.0 else "no steps"
-        lines = [f"speed          {speed}; {self.n_evaluations} force evaluations, {self.pair_search}, built {self.list_builds} times"]
+        lines = [
+            f"speed          {speed}; {self.n_evaluations} force evaluations, {self.pair_search}, built {self.list_builds} times"
+        ]
         lines += [f"constraints    {self.constraints}"] if self.constraints else []
         if self.peak_memory is not None:
             lines.append(f"memory         {self.peak_memory / 1e6:.4g} MB at most so far, of the whole process")
@@ -244,12 +269,16 @@ class Report(Displayed):
     @property
     def momentum_is_conserved(self) -> bool:
         """True if rounding, which adds up like a random walk, explains the change, or if momentum need not be constant."""
-        return not self.not_finite and (self.is_at_rest or (self.momentum_change or 0.0) < MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5))
+        return not self.not_finite and (
+            self.is_at_rest or (self.momentum_change or 0.0) < MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        )
 
     @property
     def angular_momentum_is_conserved(self) -> bool:
         """Likewise."""
-        kept = (ANGULAR_MOMENTUM_KEPT if self.momentum_change else KEPT_ON_A_GRID) * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        kept = (ANGULAR_MOMENTUM_KEPT if self.momentum_change else KEPT_ON_A_GRID) * max(
+            1.0, (self.n_steps / 1e4) ** 0.5
+        )
         return not self.not_finite and (self.is_at_rest or (self.angular_momentum_change or 0.0) < kept)
 
     @property
@@ -277,8 +306,16 @@ class Report(Displayed):
             lines.append(f"{name:<14} {words}")
 
         only = self.n_frames == 1
-        drifts = "drift unknown: one frame" if only else f"drift {slope} {per} per {time}{'' if np.isinf(slope.error) else ' (standard error)'}"
-        name = "total energy" if not (self.has_bath or self.has_work) else f"E{' - reservoir' * self.has_bath}{' - work' * self.has_work}"
+        drifts = (
+            "drift unknown: one frame"
+            if only
+            else f"drift {slope} {per} per {time}{'' if np.isinf(slope.error) else ' (standard error)'}"
+        )
+        name = (
+            "total energy"
+            if not (self.has_bath or self.has_work)
+            else f"E{' - reservoir' * self.has_bath}{' - work' * self.has_work}"
+        )
         tell(name, drifts)
         tell("", f"oscillation {self.energy_oscillation:.2e} {per} (standard deviation)")
         if shadow is not None:
@@ -287,14 +324,26 @@ class Report(Displayed):
             tell("", f"oscillation {self.shadow_oscillation:.2e} {per}")
         if self.momentum_change is not None:
             change = f"change {self.momentum_change:.1e} of the sum of |mv|: {KEPT[self.momentum_is_conserved]}"
-            tell("momentum", "rounding alone: the atoms are at rest" if self.is_at_rest else change if self.momentum_change else "exactly constant")
+            tell(
+                "momentum",
+                "rounding alone: the atoms are at rest"
+                if self.is_at_rest
+                else change
+                if self.momentum_change
+                else "exactly constant",
+            )
         if self.angular_momentum_change is not None and not self.is_at_rest:
-            tell("ang. momentum", f"change {self.angular_momentum_change:.1e} of the sum of m|r||v|: {KEPT[self.angular_momentum_is_conserved]}")
+            tell(
+                "ang. momentum",
+                f"change {self.angular_momentum_change:.1e} of the sum of m|r||v|: {KEPT[self.angular_momentum_is_conserved]}",
+            )
         if self.constraint_violation is not None:
             said = "kept" if self.constraint_violation < LENGTHS_KEPT else "NOT KEPT"
             tell("lengths", f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}")
         lines.extend(map(str, self.lines))
-        spread = "of one frame" if only else f"on average, standard deviation {self.temperature_deviation:.2g} {temperature}"
+        spread = (
+            "of one frame" if only else f"on average, standard deviation {self.temperature_deviation:.2g} {temperature}"
+        )
         tell("temperature", f"{with_error(self.mean_temperature, self.temperature_error)} {temperature} {spread}")
         lines.extend(self.cost.lines() if self.cost is not None else ())
         tell("verdict", self.verdict)
@@ -303,21 +352,43 @@ class Report(Displayed):
     @property
     def is_quiet(self) -> bool:
         """Whether the energy stays within a hundredth of the kinetic energy, in a run that is too short to tell a drift from fluctuations."""
-        return self.energy_is_conserved is None and self.n_frames >= FEW and self.energy_range < QUIET * self.kinetic_energy
+        return (
+            self.energy_is_conserved is None
+            and self.n_frames >= FEW
+            and self.energy_range < QUIET * self.kinetic_energy
+        )
 
     @property
     def _energy_verdict(self) -> str:
         (first, last), minus = self.temperatures, ["reservoir energy"] * self.has_bath + ["work"] * self.has_work
         name = " minus ".join(["total energy", *([" and ".join(minus)] if minus else [])])
         if self.energy_is_conserved is None:
-            within = f"stays within {self.energy_range / self.kinetic_energy:.1g} of the kinetic energy" if self.is_quiet else "varies"
-            return f"the {name} {within}; the run is too short to tell whether it drifts: fluctuations last nearly as long"
+            within = (
+                f"stays within {self.energy_range / self.kinetic_energy:.1g} of the kinetic energy"
+                if self.is_quiet
+                else "varies"
+            )
+            return (
+                f"the {name} {within}; the run is too short to tell whether it drifts: fluctuations last nearly as long"
+            )
         if self.energy_is_conserved:
-            return f"the {name} does not drift, BUT {self.too_long_a_step}" if self.too_long_a_step else f"the {name} is conserved"
+            return (
+                f"the {name} does not drift, BUT {self.too_long_a_step}"
+                if self.too_long_a_step
+                else f"the {name} is conserved"
+            )
         settling = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; equilibrate first"
-        swollen = f" (the volume changed by {100.0 * (self.volumes[1] / self.volumes[0] - 1.0):+.2g} %)" if self.swells else ""
+        swollen = (
+            f" (the volume changed by {100.0 * (self.volumes[1] / self.volumes[0] - 1.0):+.2g} %)"
+            if self.swells
+            else ""
+        )
         far = f"the barostat is far from its pressure{swollen}; equilibrate first"
-        causes = [self.too_long_a_step] * bool(self.too_long_a_step) + [settling] * self.is_settling + [far] * self.is_far_from_pressure
+        causes = (
+            [self.too_long_a_step] * bool(self.too_long_a_step)
+            + [settling] * self.is_settling
+            + [far] * self.is_far_from_pressure
+        )
         why = "; ".join(causes) or "reduce the time step or smooth the cutoff"
         return f"THE {name.upper()} DRIFTS: {why}"
 
@@ -340,7 +411,12 @@ class Report(Displayed):
 
 @np.errstate(all="ignore")  # the report says what is not finite
 def conservation_report(
-    record: Record, angular: bool, cost: Cost | None = None, linear: bool = True, lines: Sequence[Line] = (), n_dof: int | None = None
+    record: Record,
+    angular: bool,
+    cost: Cost | None = None,
+    linear: bool = True,
+    lines: Sequence[Line] = (),
+    n_dof: int | None = None,
 ) -> Report:
     """The report of a record.
 
@@ -365,7 +441,9 @@ def conservation_report(
         has_bath=has_bath,
         has_work="work" in record,
         constraint_violation=float(record.constraint_violation.max()) if "constraint_violation" in record else None,
-        angular_momentum_change=_largest_change(record.angular_momentum, record.absolute_angular_momentum) if angular else None,
+        angular_momentum_change=_largest_change(record.angular_momentum, record.absolute_angular_momentum)
+        if angular
+        else None,
         mean_temperature=float(record.temperature.mean()),
         temperature_deviation=float(record.temperature.std()),
         duration=float(np.ptp(time)),
@@ -382,7 +460,9 @@ def conservation_report(
         not_finite=_not_finite(record),
         temperature_error=mean_and_error(record.temperature)[1],
         is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * np.abs(record.potential_energy).max()),
-        energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * np.abs(record.potential_energy / record.n_atoms).max())),
+        energy_range=max(
+            0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * np.abs(record.potential_energy / record.n_atoms).max())
+        ),
     )
 
 

@@ -49,8 +49,14 @@ class Reversibility(Displayed):
 
     def __str__(self) -> str:
         if self.is_exact:
-            return f"{self.n_steps} steps and back, atoms went up to {self.way:.3g} {self.unit}: returned to the last bit"
-        words = {True: "reversible to rounding", None: "too chaotic to tell, take fewer steps", False: "NOT REVERSIBLE"}[self.is_reversible]
+            return (
+                f"{self.n_steps} steps and back, atoms went up to {self.way:.3g} {self.unit}: returned to the last bit"
+            )
+        words = {
+            True: "reversible to rounding",
+            None: "too chaotic to tell, take fewer steps",
+            False: "NOT REVERSIBLE",
+        }[self.is_reversible]
         back = f"{self.n_steps} steps and back: {self.distance:.1e} {self.unit} from the start"
         return f"{back} (rounding grows to {self.rounding:.1e}): {words}"
 
@@ -67,12 +73,18 @@ def make_steps_back(guard: RunGuard, n_steps: int) -> None:
     """
     engine = guard.engine
     if engine.interactions.grid is None:
-        raise ValueError(f"only precision='fixed-point' retraces its steps; precision is {engine.interactions.options.precision!r}")
+        raise ValueError(
+            f"only precision='fixed-point' retraces its steps; precision is {engine.interactions.options.precision!r}"
+        )
     if engine.constraint_set.bonds is not None:
-        raise ValueError("steps with constraints cannot be retraced to the last bit: constraint impulses are rounded after they are computed")
+        raise ValueError(
+            "steps with constraints cannot be retraced to the last bit: constraint impulses are rounded after they are computed"
+        )
     if not engine.method.is_symmetric:
         symmetric = "velocity Verlet, position Verlet, leapfrog and symmetric compositions"
-        raise ValueError(f"steps of {engine.method.name} cannot be retraced, because it is not symmetric: take {symmetric}")
+        raise ValueError(
+            f"steps of {engine.method.name} cannot be retraced, because it is not symmetric: take {symmetric}"
+        )
     with guard.uncounted(), stop_on_signals(engine.surroundings):
         guard.check_start()
         step, time = engine.step, engine.time
@@ -99,7 +111,9 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
         bath = f"{engine.method.name} is a thermostat" if engine.method.is_thermostat else "there is a barostat"
         raise ValueError(f"{bath}: its noise cannot be undone, so no run with it is reversible")
     if engine.interactions.depend_on_time:
-        raise ValueError("a run with forces that depend on time has no way back: time goes on while atoms return; probe the scene without them")
+        raise ValueError(
+            "a run with forces that depend on time has no way back: time goes on while atoms return; probe the scene without them"
+        )
     before = engine.snapshot()
     with guard.uncounted():
         guard.check_start()
@@ -124,11 +138,17 @@ def _probed(guard: RunGuard, n_steps: int) -> Reversibility:
         return Reversibility(n_steps, 0.0, way, 0.0, engine.system.units.length, is_exact=True)
     engine.restore(turning)
     # the turning point is displaced by some roundings of random sign: of coordinates (or the tolerance of a solver), forces and velocities
-    random, shape, moving = np.random.default_rng(1), engine.positions.shape, engine.constraint_set.inverse_masses[:, None]
+    random, shape, moving = (
+        np.random.default_rng(1),
+        engine.positions.shape,
+        engine.constraint_set.inverse_masses[:, None],
+    )
     precision, exact = AMPLIFIED * ROUNDING[engine.interactions.options.precision], AMPLIFIED * ROUNDING["double"]
     kicks = np.abs(forces) * moving * abs(engine.method.timestep)
     swept = 0.0 if engine.constraint_set.bonds is None else engine.constraint_set.bonds.accuracy
-    engine.positions[:] += random.choice([-1.0, 1.0], shape) * (AMPLIFIED * swept + exact * np.abs(engine.positions)) * (moving > 0.0)
+    engine.positions[:] += (
+        random.choice([-1.0, 1.0], shape) * (AMPLIFIED * swept + exact * np.abs(engine.positions)) * (moving > 0.0)
+    )
     engine.velocities[:] += random.choice([-1.0, 1.0], shape) * (precision * kicks + exact * np.abs(engine.velocities))
     guard.make_steps(n_steps)
     growth = longest(engine.positions - returned)[1]

@@ -22,7 +22,10 @@ from minimd.structure.errors import ConstraintError, NonFiniteError, RangeError
 from minimd.structure.observables import Array, longest
 
 BLOCK = 100  # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
-SMALL, LONGEST_BLOCK = 50_000, 500  # atoms times steps of a block of few atoms, and its steps, at most: its checks cost as much as 30 steps
+SMALL, LONGEST_BLOCK = (
+    50_000,
+    500,
+)  # atoms times steps of a block of few atoms, and its steps, at most: its checks cost as much as 30 steps
 RUN_BEGAN, FAILED_AS_BLOCK = "the run began", "a block of steps failed, although its steps succeeded one by one"
 MOST_SNAPSHOTS, ROOM = 16, 10**6  # numbers of snapshots kept, at least one, and of atoms in all of them
 SNAPSHOTS_APART = 40  # steps between two snapshots that are kept, at least
@@ -46,7 +49,9 @@ class RunGuard:
         self._first: Mapping[str, Any] | None = None  # observables at the first look of a run
         self._growth, self._since = RUNAWAY, RUN_BEGAN  # with which energies have run away, and since when
         self._seen: tuple[int, float] = (0, 0.0)  # step of the last look, and the total energy then
-        self._reason: NonFiniteError | ConstraintError | None = None  # why the last block failed, if something was raised
+        self._reason: NonFiniteError | ConstraintError | None = (
+            None  # why the last block failed, if something was raised
+        )
         self._before: Snapshot | None = None  # the start of the last block
         self._snapshots: list[Snapshot] = []  # at least SNAPSHOTS_APART steps apart
         self._first_step = 0  # of the present run
@@ -214,14 +219,24 @@ class RunGuard:
         if kinetic > most and before is not None:
             end = self.engine.snapshot()
             self.engine.restore(before)
-            self._first, self._since, self._seen = observe(self.engine).observables, f"step {before.step}", (before.step, 0.0)
+            self._first, self._since, self._seen = (
+                observe(self.engine).observables,
+                f"step {before.step}",
+                (before.step, 0.0),
+            )
             self.engine.restore(end)
-        self._fail_if(f"the kinetic energy has gone to {kinetic:.3g} {self.engine.system.units.energy}" if kinetic > most else None)
+        self._fail_if(
+            f"the kinetic energy has gone to {kinetic:.3g} {self.engine.system.units.energy}"
+            if kinetic > most
+            else None
+        )
 
     def is_hot(self) -> bool:
         """Whether the kinetic energy alone, which costs nothing, is a reason to check all energies."""
         first = self._first
-        return first is not None and self.engine.kinetic_energy > RUNAWAY * (first["kinetic_energy"] + abs(first["potential_energy"]))
+        return first is not None and self.engine.kinetic_energy > RUNAWAY * (
+            first["kinetic_energy"] + abs(first["potential_energy"])
+        )
 
     def forget(self) -> None:
         """Forget energies and snapshots: the state was changed from outside."""
@@ -260,8 +275,12 @@ class RunGuard:
         engine, reason = self.engine, self._reason
         engine.is_whole = True  # a good state, worth keeping, although runs from it may be rounded differently
         snapshots = self._snapshots or [engine.snapshot()]
-        self.failed_from = start = next((one for one in reversed(snapshots) if engine.step - one.step >= LEAST_REPLAY), snapshots[0])
-        kind, fault = (type(reason), str(reason)) if isinstance(reason, ConstraintError | RangeError) else (NonFiniteError, fault)
+        self.failed_from = start = next(
+            (one for one in reversed(snapshots) if engine.step - one.step >= LEAST_REPLAY), snapshots[0]
+        )
+        kind, fault = (
+            (type(reason), str(reason)) if isinstance(reason, ConstraintError | RangeError) else (NonFiniteError, fault)
+        )
         report, why = None, ""
         try:
             engine.interactions.compute(PER_ATOM)
@@ -269,11 +288,15 @@ class RunGuard:
             why = f"There is no crash report: {type(broken).__name__}: {broken}\n"
         else:
             of_barostat = self._first_volume, engine.barostat is not None and isinstance(reason, RangeError)
-            failure = Failure(fault, step, getattr(reason, "atoms", None), at, start, start.step == self._first_step, *of_barostat)
+            failure = Failure(
+                fault, step, getattr(reason, "atoms", None), at, start, start.step == self._first_step, *of_barostat
+            )
             report = examine(engine, failure)
             why = "" if isinstance(reason, RangeError) else f"Likely cause: {report.cause}; {report.advice}\n"
         pair = closest_pair(engine.system)
         near = f"; the closest pair before it is {pair.told(engine.system.units.length)}" if pair else ""
-        error = kind(f"{why}At step {step}: {fault}{near}. The system holds the last good state, that of step {engine.step}")
+        error = kind(
+            f"{why}At step {step}: {fault}{near}. The system holds the last good state, that of step {engine.step}"
+        )
         error.crash_report = report
         return error

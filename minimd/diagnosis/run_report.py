@@ -82,7 +82,9 @@ def cutoff_lines(system: System, potentials: Sequence[Any]) -> Iterator[Line]:
             continue
         rows = potential.table(system.species_names).reshape(-1, potential.table(system.species_names).shape[-1])
         jumps = [_jumps(potential.law, float(row[0]) ** 0.5, tuple(row[1:].tolist())) for row in rows]
-        (energy, at), (force, there) = (max((jump[k], float(row[0]) ** 0.5) for jump, row in zip(jumps, rows, strict=True)) for k in (0, 1))
+        (energy, at), (force, there) = (
+            max((jump[k], float(row[0]) ** 0.5) for jump, row in zip(jumps, rows, strict=True)) for k in (0, 1)
+        )
         energy_jumps, force_jumps = (any(jump[k] > CONTINUOUS * jump[k + 2] for jump in jumps) for k in (0, 1))
         verdict = "energy and force are continuous"
         if energy_jumps:
@@ -103,19 +105,33 @@ def _jumps(law: tuple, cutoff: float, numbers: tuple[float, ...]) -> tuple[float
     return float(u), float(f) * cutoff, float(size), float(size) / cutoff
 
 
-def pressure_lines(record: Record, barostat: StochasticCellRescaling | None, conserves_momentum: bool) -> Iterator[Line]:
+def pressure_lines(
+    record: Record, barostat: StochasticCellRescaling | None, conserves_momentum: bool
+) -> Iterator[Line]:
     """Lines with the mean volume, and the mean pressure compared with the target of the barostat. No line without a barostat."""
     if barostat is None or len(record) < ENOUGH or not np.isfinite(record.pressure).all():
         return
     first, last, units = float(record.volume[0]), float(record.volume[-1]), record.units
     if last > EVAPORATED * first:
         grown = f"from {first:.4g} to {last:.4g} {units.volume}"
-        yield Line("volume", grown, "EVAPORATED: a gas at this pressure and temperature; raise the pressure if it should be dense", False)
+        yield Line(
+            "volume",
+            grown,
+            "EVAPORATED: a gas at this pressure and temperature; raise the pressure if it should be dense",
+            False,
+        )
         return
-    yield Line("volume", f"{record.volume.mean():.6g} {units.volume} on average", f"standard deviation {record.volume.std():.2g}", True)
+    yield Line(
+        "volume",
+        f"{record.volume.mean():.6g} {units.volume} on average",
+        f"standard deviation {record.volume.std():.2g}",
+        True,
+    )
     if barostat.coupling not in ("isotropic", "triclinic"):
         return
-    missing = units.k_B * record.temperature / record.volume if leaves_out_center(record.n_atoms, conserves_momentum) else 0.0
+    missing = (
+        units.k_B * record.temperature / record.volume if leaves_out_center(record.n_atoms, conserves_momentum) else 0.0
+    )
     mean, error = mean_and_error(record.pressure + missing)
     is_there = abs(mean - barostat.pressure) <= FAR * error
     words = f"{with_error(mean, error)} {units.pressure} on average, {barostat.pressure:.4g} wanted"

@@ -76,13 +76,23 @@ def check_has_shadow(engine: Engine) -> None:
     """Raise ValueError where the shadow energy is not known, as shadow_energy says."""
     method = engine.method
     if method.is_thermostat:
-        raise ValueError(f"there is no shadow energy with a thermostat, which exchanges energy with the system; the method is {method.name}")
+        raise ValueError(
+            f"there is no shadow energy with a thermostat, which exchanges energy with the system; the method is {method.name}"
+        )
     if engine.barostat is not None:
         raise ValueError("there is no shadow energy with a barostat, which exchanges energy with the system")
     if method.sequence() not in COEFFICIENTS:
-        raise ValueError(f"the shadow energy is known only for velocity-verlet, leapfrog and position-verlet; the method is {method.name}")
+        raise ValueError(
+            f"the shadow energy is known only for velocity-verlet, leapfrog and position-verlet; the method is {method.name}"
+        )
     if engine.constraint_set.bonds is not None:
-        raise ValueError("there is no shadow energy for a system with rigid bonds; leave the constraints out, or do not ask for it")
+        raise ValueError(
+            "there is no shadow energy for a system with rigid bonds; leave the constraints out, or do not ask for it"
+        )
 
 
-register(Observable("shadow_energy", "energy", lambda look: look.total_energy + correction(look.engine), demand=check_has_shadow))
+register(
+    Observable(
+        "shadow_energy", "energy", lambda look: look.total_energy + correction(look.engine), demand=check_has_shadow
+    )
+)

@@ -32,15 +32,24 @@ from minimd.structure.observables import center, kinetic_energy, temperature, th
 from minimd.structure.system import AnySystem, System
 from minimd.structure.units import ASE, BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_EV, UnitSystem
 
-OSCILLATION = 1.0 / 80.0  # of the energy of the stiffest mode at the recommended step: 20 velocity Verlet steps a period
+OSCILLATION = (
+    1.0 / 80.0
+)  # of the energy of the stiffest mode at the recommended step: 20 velocity Verlet steps a period
 EVALUATIONS = 200  # of the forces: as many mostly suffice to find the stiffest mode of many atoms
 SHOWN_ATOMS = 4  # of the stiffest mode, at most
 HALF = 0.5  # of a mode: a bond is named if its stretching makes up more
 SHOWN_SHARE = 0.05  # of its kinetic energy, at least
 CROWDED = 5.0  # ω of the stiffest mode of a liquid, divided by that of a pair at rest; the modes: 4.8 at T* 0.7, ρ* 0.85; 5.8 at 1.44, 0.8442
-CROWDED_COLD, CROWDED_HEAT = 15.0, 12.2  # (ω/ω_pair)² = cold + heat T*^(7/6) through these two; u″ ∝ u^(7/6) where a wall r⁻¹² stops an atom
+CROWDED_COLD, CROWDED_HEAT = (
+    15.0,
+    12.2,
+)  # (ω/ω_pair)² = cold + heat T*^(7/6) through these two; u″ ∝ u^(7/6) where a wall r⁻¹² stops an atom
 COLDEST = ((CROWDED**2 - CROWDED_COLD) / CROWDED_HEAT) ** (6.0 / 7.0)  # T* below which the floor of CROWDED counts
-DEEP, DEEPEST, WIDE = 0.5, 2.0, 2.7  # eV, eV, Å: ε of no atom that is wider than WIDE, and of no atom at all; metals: W 1.07 eV, 2.56 Å
+DEEP, DEEPEST, WIDE = (
+    0.5,
+    2.0,
+    2.7,
+)  # eV, eV, Å: ε of no atom that is wider than WIDE, and of no atom at all; metals: W 1.07 eV, 2.56 Å
 SHALLOW, LIKELY = 5e-4, 0.05  # eV: ε of helium is 9e-4, that of xenon 0.02
 READINGS = (  # of an ε in another unit: its name, its size in eV, and the factor in words
     ("K", BOLTZMANN_EV_PER_K, "* md.units.ASE.k_B"),
@@ -87,7 +96,9 @@ class StepAdvice(Displayed):
     def __str__(self) -> str:
         if self.frequency == 0.0 and self.recommended == inf:
             return "stiffest mode  none: nothing oscillates in this state, so it sets no limit to the time step"
-        shares = ", ".join(f"{atom} ({100.0 * share:.0f} %)" for atom, share in zip(self.atoms, self.shares, strict=True))
+        shares = ", ".join(
+            f"{atom} ({100.0 * share:.0f} %)" for atom, share in zip(self.atoms, self.shares, strict=True)
+        )
         motion = f"{f'mostly of atoms {shares}, ' if shares else ''}spread over some {self.n_moving:.3g} atoms"
         if self.bond is not None:
             motion = f"the bond of atoms {self.bond[0]} and {self.bond[1]}: {shares} of the kinetic energy"
@@ -153,7 +164,9 @@ def advise_timestep(
     NonFiniteError : if the forces are not finite.  TypeError, ValueError : as Simulation.
     """
     if not (isinstance(method, Splitting) or (isinstance(method, type) and issubclass(method, Splitting))):
-        raise TypeError(f"method must be a splitting, such as VelocityVerlet or VelocityVerlet(0.005); got {shown(method)}")
+        raise TypeError(
+            f"method must be a splitting, such as VelocityVerlet or VelocityVerlet(0.005); got {shown(method)}"
+        )
     system = system.copy() if isinstance(system, System) else System.from_ase(system)
     constraint_set = ConstraintSet(system, system.constraints if constraints is None else constraints)
     return _advice(Forces(system, potentials), constraint_set, method)
@@ -207,7 +220,9 @@ def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | t
     )
 
 
-def _stiffest_mode(curvature: Curvature, system: System, potentials: Sequence[Potential], held: ConstraintSet) -> tuple[float, NDArray[np.float64]]:
+def _stiffest_mode(
+    curvature: Curvature, system: System, potentials: Sequence[Potential], held: ConstraintSet
+) -> tuple[float, NDArray[np.float64]]:
     """ω² and the mode, (N, 3) mass-weighted.  Raises NonFiniteError if the forces are not finite."""
     if curvature.is_finite:
         square, mode = curvature.stiffest(curvature.guess(stiffest_bond(system, potentials, held)))
@@ -216,16 +231,22 @@ def _stiffest_mode(curvature: Curvature, system: System, potentials: Sequence[Po
     raise NonFiniteError(f"the forces around this state are not finite: {why_not_finite(system, potentials)}")
 
 
-def _stretched(curvature: Curvature, system: System, potentials: Sequence[Potential], mode: NDArray[np.float64]) -> tuple[int, int] | None:
+def _stretched(
+    curvature: Curvature, system: System, potentials: Sequence[Potential], mode: NDArray[np.float64]
+) -> tuple[int, int] | None:
     """The bond whose stretching by itself makes up more than half of the mode, if there is one."""
-    pairs = np.concatenate([system.bonds, *(one.pairs_in(system) for one in potentials if isinstance(one, BondPotential))])
+    pairs = np.concatenate(
+        [system.bonds, *(one.pairs_in(system) for one in potentials if isinstance(one, BondPotential))]
+    )
     at_most = np.argsort(-np.einsum("ij,ij->i", mode, mode))[:SHOWN_ATOMS]
     near = pairs[np.isin(pairs, at_most).all(axis=1)]
     parts = np.einsum("bij,ij->b", curvature.stretching(near), mode) ** 2
     return tuple(near[np.argmax(parts)].tolist()) if parts.max(initial=0.0) > HALF else None
 
 
-def collision_frequency(system: System, potentials: Sequence[Any], held: NDArray[np.int64], at_rest: bool = False) -> float:
+def collision_frequency(
+    system: System, potentials: Sequence[Any], held: NDArray[np.int64], at_rest: bool = False
+) -> float:
     """ω of Lennard-Jones atoms that collide in a liquid [1/time]; 0 if there are none.
 
         ω² = u″(r_min)/μ · max(5², 15 + 12.2 T*^(7/6)),   T* = k_B T/ε of the velocities
@@ -261,7 +282,10 @@ def strange_depth(system: System, potentials: Sequence[Any]) -> str | None:
         strange = epsilon * ((epsilon > DEEPEST) | ((epsilon > DEEP) & (sigma > WIDE)))
         if (worst := float(strange.max())) > 0.0:
             fits = [one for one in READINGS if SHALLOW <= worst * one[1] <= LIKELY]
-            told = [f"in {unit} it would be {worst * size:.3g} eV, epsilon={worst:.6g} {words}" for unit, size, words in fits]
+            told = [
+                f"in {unit} it would be {worst * size:.3g} eV, epsilon={worst:.6g} {words}"
+                for unit, size, words in fits
+            ]
             return (
                 f"epsilon = {worst:.6g} eV is far deeper than the well of any such atom (noble gases 0.001 to 0.02 eV, metals up to 1 eV); "
                 f"{'; '.join(told) or 'check its unit'}"

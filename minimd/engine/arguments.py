@@ -12,7 +12,9 @@ from minimd.structure.constraints import Constraint
 def checked_method(method: Splitting) -> Splitting:
     """The method.  Raises TypeError for anything but a splitting with its time step."""
     if not isinstance(method, Splitting):
-        raise TypeError(f"method must be an integrator with its time step, such as VelocityVerlet(0.005); got {shown(method)}")
+        raise TypeError(
+            f"method must be an integrator with its time step, such as VelocityVerlet(0.005); got {shown(method)}"
+        )
     return method
 
 
@@ -23,4 +25,7 @@ def warn_of_dropped(those_of_system: Sequence[Constraint], given: Constraint | S
     kinds = {type(one) for one in (given if isinstance(given, Sequence) else [given])}
     dropped = [repr(one) for one in those_of_system if type(one) not in kinds]
     if kinds and dropped:
-        warnings.warn(f"the constraints given replace those of the system, and {', '.join(dropped)} is lost", stacklevel=outside_minimd())
+        warnings.warn(
+            f"the constraints given replace those of the system, and {', '.join(dropped)} is lost",
+            stacklevel=outside_minimd(),
+        )

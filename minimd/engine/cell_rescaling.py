@@ -64,7 +64,8 @@ class Molecules:
         n, (first, second) = len(translations), bonds.pairs.T
         number = np.arange(1, len(first) + 1)
         graph = coo_array(
-            (np.concatenate([number, -number]), (np.concatenate([first, second]), np.concatenate([second, first]))), shape=(n, n)
+            (np.concatenate([number, -number]), (np.concatenate([first, second]), np.concatenate([second, first]))),
+            shape=(n, n),
         ).tocsr()
         for body in np.unique(self.bodies.label[bonds.pairs[bonds.offsets.any(axis=1), 0]]):
             order, parent = breadth_first_order(graph, int(self.bodies.last[body]), directed=True)
@@ -81,7 +82,12 @@ class CellRescaling:
     """
 
     def __init__(
-        self, barostat: StochasticCellRescaling, system: System, interactions: Forces, constraints: ConstraintSet, method: Splitting
+        self,
+        barostat: StochasticCellRescaling,
+        system: System,
+        interactions: Forces,
+        constraints: ConstraintSet,
+        method: Splitting,
     ) -> None:
         self.barostat, self._system, self._interactions, self._constraints = barostat, system, interactions, constraints
         check(system, interactions, constraints)
@@ -95,9 +101,13 @@ class CellRescaling:
         if method.timestep < 0.0:
             raise ValueError(f"time cannot run backwards with a barostat; timestep = {method.timestep!r}")
         if own is None and theirs is None:
-            raise ValueError(f"a barostat with {method.name}, which has no temperature, needs temperature=... for its noise")
+            raise ValueError(
+                f"a barostat with {method.name}, which has no temperature, needs temperature=... for its noise"
+            )
         if own is not None and theirs is not None and own != theirs:
-            raise ValueError(f"barostat and thermostat must have the same temperature; they have {own} and {theirs}: leave out that of the barostat")
+            raise ValueError(
+                f"barostat and thermostat must have the same temperature; they have {own} and {theirs}: leave out that of the barostat"
+            )
         found: Any = theirs if own is None else own
         return float(found)
 
@@ -150,7 +160,9 @@ class CellRescaling:
         moving, masses = system.velocities, system.masses
         virial = self._interactions.virial
         if not np.isfinite(virial).all() and np.isfinite(self._interactions.forces).all():
-            raise ValueError("a barostat needs the virial, but a potential gives none: take one that does, such as a calculator with a stress")
+            raise ValueError(
+                "a barostat needs the virial, but a potential gives none: take one that does, such as a calculator with a stress"
+            )
         if self._molecules is not None:
             virial = virial - self._inner_virial()
             moving, masses = self._molecules.centers(moving), self._molecules.masses
@@ -189,7 +201,9 @@ class CellRescaling:
         self._constraints.follow(before, cell)
         return rotation
 
-    def _moved_molecules(self, stretch: Array, velocities: Array, inverse: Array, cell: Cell, rotation: Array | None) -> tuple[Array, Array]:
+    def _moved_molecules(
+        self, stretch: Array, velocities: Array, inverse: Array, cell: Cell, rotation: Array | None
+    ) -> tuple[Array, Array]:
         """Positions and velocities, (N, 3): the centers of molecules are strained, then all is rotated."""
         molecules: Any = self._molecules
         label, translations = molecules.bodies.label, molecules.whole(self._constraints.bonds)
@@ -205,7 +219,12 @@ class CellRescaling:
 
 
 def rescaling_of(
-    barostat: StochasticCellRescaling | None, system: System, interactions: Forces, constraints: ConstraintSet, method: Splitting, holds_center: bool
+    barostat: StochasticCellRescaling | None,
+    system: System,
+    interactions: Forces,
+    constraints: ConstraintSet,
+    method: Splitting,
+    holds_center: bool,
 ) -> CellRescaling | None:
     """A barostat acting on the parts of an engine, or None without one.  Raises TypeError for any other object, and ValueError as CellRescaling."""
     if barostat is None:
@@ -213,7 +232,9 @@ def rescaling_of(
     if not isinstance(barostat, StochasticCellRescaling):
         raise TypeError(f"barostat must be a StochasticCellRescaling; got {shown(barostat)}")
     if holds_center:
-        raise ValueError("atoms.constraints holds FixCom, but a barostat moves the center of mass with the cell: remove FixCom")
+        raise ValueError(
+            "atoms.constraints holds FixCom, but a barostat moves the center of mass with the cell: remove FixCom"
+        )
     return CellRescaling(barostat, system, interactions, constraints, method)
 
 
@@ -221,11 +242,17 @@ def check(system: System, interactions: Forces, constraints: ConstraintSet) -> N
     """Raise ValueError for a scene that cannot be at constant pressure."""
     check_cell(system)
     if constraints.n_fixed:
-        raise ValueError(f"a barostat moves all atoms, but {constraints.n_fixed} are held fixed: hold them with springs instead")
+        raise ValueError(
+            f"a barostat moves all atoms, but {constraints.n_fixed} are held fixed: hold them with springs instead"
+        )
     if interactions.act_from_outside:
-        raise ValueError("a barostat needs the virial of all forces, but external forces, such as fields and walls, have none: remove them")
+        raise ValueError(
+            "a barostat needs the virial of all forces, but external forces, such as fields and walls, have none: remove them"
+        )
     if interactions.options.precision == FIXED_POINT:
-        raise ValueError("precision='fixed-point' needs a constant cell, whose vectors lie on its grid; with a barostat take precision='double'")
+        raise ValueError(
+            "precision='fixed-point' needs a constant cell, whose vectors lie on its grid; with a barostat take precision='double'"
+        )
 
 
 def check_cell(system: System) -> None:

@@ -70,7 +70,9 @@ class Engine:
         self._left: tuple[int, ...] | None = None
         self._describe_bath()
         self.barostat = barostat
-        self._rescaling = rescaling_of(barostat, self.system, self.interactions, self.constraint_set, method, self.holds_center)
+        self._rescaling = rescaling_of(
+            barostat, self.system, self.interactions, self.constraint_set, method, self.holds_center
+        )
 
     def _laid_out(self) -> State:
         """The state; in fixed-point arithmetic on a grid."""
@@ -89,7 +91,9 @@ class Engine:
         if interactions.grid is None or not isinstance(state, GridState):
             return
         if interactions.options.grid is None and not interactions.grid.has_room_for(self.system):
-            interactions.grid = interactions.grid.widened(Grid.of_scene(self.system, self.method.timestep, interactions.depth()))
+            interactions.grid = interactions.grid.widened(
+                Grid.of_scene(self.system, self.method.timestep, interactions.depth())
+            )
         self._lay(interactions.grid)
         state.grid.take(self.system, state.inverse_masses)
 
@@ -115,7 +119,9 @@ class Engine:
             is_due = rescaling is not None and rescaling.is_due(at)
             self._bath.step, self._bath.contact = step + self.noise_shift, 0
             wants_energy, march = is_due or (with_energy and at == end), self.interactions.march
-            step += self.method.advance(self._state, self._compute_forces, at - step, wants_energy, self.surroundings, march)
+            step += self.method.advance(
+                self._state, self._compute_forces, at - step, wants_energy, self.surroundings, march
+            )
             if rescaling is not None and is_due and step == at:
                 self._rescale_cell(rescaling, at)
             if self.surroundings.stop_requested:
@@ -139,7 +145,9 @@ class Engine:
         if self.interactions.depend_on_time:
             step = self._bath.step - self.noise_shift  # the one that is being made
             phase = round(self.surroundings.phase, DIGITS_OF_PHASE)
-            self.interactions.time = self._time_at(step + phase)  # at the end of a step, to the last bit that of evaluate
+            self.interactions.time = self._time_at(
+                step + phase
+            )  # at the end of a step, to the last bit that of evaluate
         self.interactions.compute(TOTALS if with_energy else FORCES, state.unit)
         self.surroundings.power = self.interactions.power
 
@@ -224,13 +232,26 @@ class Engine:
 
     def closed_snapshot(self) -> Snapshot:
         """The same without the open end of the last block, whose velocities would be as many numbers more."""
-        arrays, cell = (self.positions.copy(), self.velocities.copy()), None if self.barostat is None else self.system.cell
+        arrays, cell = (
+            (self.positions.copy(), self.velocities.copy()),
+            None if self.barostat is None else self.system.cell,
+        )
         return Snapshot(self.step, self.time, *arrays, self.reservoir_energy, None, self._clock, self.work, cell)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Restore the state of a snapshot."""
         self.moved()
-        self._step, time, self.positions[:], self.velocities[:], self.reservoir_energy, self.surroundings.open_end, clock, self.work, cell = snapshot
+        (
+            self._step,
+            time,
+            self.positions[:],
+            self.velocities[:],
+            self.reservoir_energy,
+            self.surroundings.open_end,
+            clock,
+            self.work,
+            cell,
+        ) = snapshot
         if cell is not None and cell is not self.system.cell:
             self.constraint_set.follow(self.system.cell, cell)
             self.system.cell = cell
@@ -242,7 +263,14 @@ class Engine:
         """A copy of all that determines the bits of the steps to come, for go_on_from."""
         bonds, interactions = self.constraint_set.bonds, self.interactions
         images = None if bonds is None else (bonds.offsets.copy(), bonds.tolerance)
-        return Checkpoint(self.snapshot(), interactions.displacement, interactions.lists_built(), images, self.equilibrated, interactions.grid)
+        return Checkpoint(
+            self.snapshot(),
+            interactions.displacement,
+            interactions.lists_built(),
+            images,
+            self.equilibrated,
+            interactions.grid,
+        )
 
     def go_on_from(self, checkpoint: Checkpoint) -> None:
         """Go on in place of the engine of a checkpoint: the next steps have the same bits as the next steps of that engine."""
@@ -257,8 +285,20 @@ class Engine:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For pickle and copy: a copy makes the steps that this engine would make, to the last bit."""
-        scene = self.system, self.interactions.potentials, self.method, self.constraints, self.interactions.options, self.barostat
-        more = {"noise_shift": self.noise_shift, "extra_observables": self.extra_observables, "notes": dict(self.notes), "is_whole": self.is_whole}
+        scene = (
+            self.system,
+            self.interactions.potentials,
+            self.method,
+            self.constraints,
+            self.interactions.options,
+            self.barostat,
+        )
+        more = {
+            "noise_shift": self.noise_shift,
+            "extra_observables": self.extra_observables,
+            "notes": dict(self.notes),
+            "is_whole": self.is_whole,
+        }
         more |= {"holds_center": self.holds_center, "counts_center": self.counts_center}
         return _copied, (scene, self.checkpoint(), self.is_as_left, self.interactions.counts, more)
 
@@ -305,7 +345,9 @@ class Engine:
 
     @method.setter
     def method(self, method: Splitting) -> None:
-        self.constraint_set.degrees_of_freedom(checked_method(method).conserves_momentum and not self.interactions.act_from_outside)
+        self.constraint_set.degrees_of_freedom(
+            checked_method(method).conserves_momentum and not self.interactions.act_from_outside
+        )
         check_center(self.holds_center, self._is_still_under(method), method)
         if self._rescaling is not None:
             self._rescaling.temperature(method)
@@ -388,7 +430,9 @@ class Engine:
         return kinetic_energy(self.velocities, self.system.masses)
 
 
-def _copied(scene: tuple[Any, ...], checkpoint: Checkpoint, is_as_left: bool, counts: tuple[int, int], more: dict[str, Any]) -> Engine:
+def _copied(
+    scene: tuple[Any, ...], checkpoint: Checkpoint, is_as_left: bool, counts: tuple[int, int], more: dict[str, Any]
+) -> Engine:
     """The engine that __reduce__ has described. Its warnings have been given."""
     with quiet():
         engine = Engine(*scene)

@@ -16,5 +16,9 @@ def simulation_rows(engine: Engine) -> Rows:
     rows += [("barostat", repr(engine.barostat))] if engine.barostat is not None else []
     rows += [("observed too", ", ".join(engine.extra_observables))] if engine.extra_observables else []
     rows += [("options", ", ".join([described(options.precision), *words]))]
-    rows += [("grid", f"{grid!r}: positions, lattice vectors and momenta are rounded to it")] if (grid := engine.interactions.grid) else []
+    rows += (
+        [("grid", f"{grid!r}: positions, lattice vectors and momenta are rounded to it")]
+        if (grid := engine.interactions.grid)
+        else []
+    )
     return [*rows, ("at", f"step {engine.step}, {units.shown(engine.time)}")]

@@ -60,7 +60,11 @@ class Look:
     def virial(self) -> Any:
         """(3, 3) [energy], of forces and constraint forces."""
         engine, virial = self.engine, self.engine.interactions.virial
-        return virial if self.bonds is None else virial + self.bonds.virial(engine.positions, engine.velocities, engine.forces)
+        return (
+            virial
+            if self.bonds is None
+            else virial + self.bonds.virial(engine.positions, engine.velocities, engine.forces)
+        )
 
     @property
     def stress(self) -> Any:
@@ -99,7 +103,9 @@ def register(observable: Observable) -> None:
     if observable.name in OBSERVABLES:
         raise ValueError(f"an observable must have a name of its own; {observable.name!r} is already in use")
     if observable.unit and observable.unit not in UnitSystem.__dataclass_fields__:
-        raise ValueError(f"the unit of {observable.name} must be empty or an attribute of UnitSystem, such as 'energy'; unit = {observable.unit!r}")
+        raise ValueError(
+            f"the unit of {observable.name} must be empty or an attribute of UnitSystem, such as 'energy'; unit = {observable.unit!r}"
+        )
     OBSERVABLES[observable.name] = observable
     SERIES[observable.name] = observable.unit
 
@@ -108,18 +114,30 @@ def check_has_volume(engine: Engine) -> None:
     """Raise ValueError if the cell has no volume."""
     if engine.system.volume is None:
         pbc = engine.system.cell.pbc.tolist()
-        raise ValueError(f"pressure and stress need a volume: a cell that is periodic in all three directions; its pbc = {pbc}")
+        raise ValueError(
+            f"pressure and stress need a volume: a cell that is periodic in all three directions; its pbc = {pbc}"
+        )
 
 
 for _observable in (
     Observable("potential_energy", "energy", lambda look: look.potential_energy),
     Observable("kinetic_energy", "energy", lambda look: look.kinetic_energy),
     Observable("total_energy", "energy", lambda look: look.total_energy),
-    Observable("temperature", "temperature", lambda look: observables.temperature(look.thermal_energy, look.engine.n_dof, look.system.units.k_B)),
-    Observable("momentum", "momentum", lambda look: observables.momentum(*look.motion, look.grid.momentum if look.grid else 0.0)),
+    Observable(
+        "temperature",
+        "temperature",
+        lambda look: observables.temperature(look.thermal_energy, look.engine.n_dof, look.system.units.k_B),
+    ),
+    Observable(
+        "momentum",
+        "momentum",
+        lambda look: observables.momentum(*look.motion, look.grid.momentum if look.grid else 0.0),
+    ),
     Observable("angular_momentum", "angular_momentum", lambda look: observables.angular_momentum(*look.path)),
     Observable("absolute_momentum", "momentum", lambda look: observables.absolute_momentum(*look.motion)),
-    Observable("absolute_angular_momentum", "angular_momentum", lambda look: observables.absolute_angular_momentum(*look.path)),
+    Observable(
+        "absolute_angular_momentum", "angular_momentum", lambda look: observables.absolute_angular_momentum(*look.path)
+    ),
     Observable(
         "pressure",
         "pressure",
@@ -136,7 +154,12 @@ for _observable in (
     Observable("work", "energy", lambda look: look.engine.work, lambda engine: engine.interactions.depend_on_time),
     Observable("volume", "volume", lambda look: look.volume, lambda engine: engine.barostat is not None),
     Observable("cell", "length", lambda look: look.system.cell.vectors, lambda engine: engine.barostat is not None),
-    Observable("constraint_violation", "", lambda look: float(look.bonds.violation(look.path[0]).max()), lambda one: bool(one.constraint_set.bonds)),
+    Observable(
+        "constraint_violation",
+        "",
+        lambda look: float(look.bonds.violation(look.path[0]).max()),
+        lambda one: bool(one.constraint_set.bonds),
+    ),
 ):
     register(_observable)
 
@@ -151,7 +174,16 @@ def observe(engine: Engine) -> Frame:
     engine.evaluate()
     look = Look(engine)
     values = {name: OBSERVABLES[name].measure(look) for name in recorded(engine)}
-    return Frame(engine.step, engine.time, engine.positions, engine.velocities, engine.forces, values, engine.reservoir_energy, engine.system.cell)
+    return Frame(
+        engine.step,
+        engine.time,
+        engine.positions,
+        engine.velocities,
+        engine.forces,
+        values,
+        engine.reservoir_energy,
+        engine.system.cell,
+    )
 
 
 def measure(engine: Engine, name: str) -> Any:
@@ -164,7 +196,9 @@ def check_extras(engine: Engine) -> None:
     """Raise ValueError unless extra_observables of the engine names only observables that can be recorded besides the usual ones."""
     names, known = engine.extra_observables, [name for name, one in OBSERVABLES.items() if one.demand is not None]
     if isinstance(names, str) or not set(names) <= set(known):
-        raise ValueError(f"extra_observables must be a tuple with any of {listed(known)}, or empty; it is {shown(names)}")
+        raise ValueError(
+            f"extra_observables must be a tuple with any of {listed(known)}, or empty; it is {shown(names)}"
+        )
     for name in names:
         if (demand := OBSERVABLES[name].demand) is not None:
             demand(engine)

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-SERIES: dict[str, str] = {}  # name in record and file: attribute of UnitSystem that names its unit; see observation.register
+SERIES: dict[
+    str, str
+] = {}  # name in record and file: attribute of UnitSystem that names its unit; see observation.register
 
 
 class Frame(NamedTuple):
@@ -148,7 +150,9 @@ class Record(Displayed):
             with place.open("x", encoding="utf-8") as file:
                 file.write("\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""]))
         except FileExistsError:
-            raise FileExistsError(f"output {str(place)!r} exists; choose another name, or pass overwrite=True") from None
+            raise FileExistsError(
+                f"output {str(place)!r} exists; choose another name, or pass overwrite=True"
+            ) from None
         return place.replace(path)
 
     def plot(self) -> Figure:
@@ -165,14 +169,21 @@ class Record(Displayed):
         if not len(self):
             return [("record", "no entries")]
         step, time = self.step, [self.units.shown(one) for one in (self.time[0], self.time[-1])]
-        rows = [("record", f"{len(self)} entries of {self.n_atoms} atoms, step {step[0]} to {step[-1]}, {time[0]} to {time[1]}")]
+        rows = [
+            (
+                "record",
+                f"{len(self)} entries of {self.n_atoms} atoms, step {step[0]} to {step[-1]}, {time[0]} to {time[1]}",
+            )
+        ]
         for name in (one for one in self._series if one not in ("step", "time")):
             series = getattr(self, name)
             if series.ndim > 1:
                 told = f"change at most {np.abs(series - series[0]).max():.2g}"
             else:
                 mean = with_error(*mean_and_error(series)) if series.std() > 0.0 else f"{series.mean():.8g}"
-                told = f"first {series[0]:.8g}, last {series[-1]:.8g}, mean {mean}, standard deviation {series.std():.2g}"
+                told = (
+                    f"first {series[0]:.8g}, last {series[-1]:.8g}, mean {mean}, standard deviation {series.std():.2g}"
+                )
             rows.append((name.replace("_", " "), f"{told} {self.unit(name)}".rstrip()))
         return rows
 

@@ -86,7 +86,9 @@ def draw_energy(panel: Axes, times: Array, record: Series) -> Array:
     change, factor = scaled((energy - energy[0]) / record.n_atoms)
     panel.plot(times, change, color=ENERGY, label=name, **STYLE)
     panel.set_ylabel(f"{formula} / N  [{factor}{record.units.energy}]")
-    panel.set_title(f"{name} per atom   (kinetic energy: {record.kinetic_energy.mean() / record.n_atoms:.3g} {record.units.energy})")
+    panel.set_title(
+        f"{name} per atom   (kinetic energy: {record.kinetic_energy.mean() / record.n_atoms:.3g} {record.units.energy})"
+    )
     return change
 
 
@@ -115,7 +117,10 @@ def draw_pressure(panel: Axes, times: Array, record: Series) -> None:
         name, values, unit = "pressure", record.pressure, record.units.pressure
     panel.plot(times, values, color=STRUCTURE, **STYLE)
     panel.axhline(values.mean(), color=ACCENT, lw=1.0, ls="--")
-    panel.set(ylabel=f"{'P' if name == 'pressure' else 'U / N'}  [{unit}]", title=f"{name}   (mean: {values.mean():.4g} {unit})")
+    panel.set(
+        ylabel=f"{'P' if name == 'pressure' else 'U / N'}  [{unit}]",
+        title=f"{name}   (mean: {values.mean():.4g} {unit})",
+    )
     panel.ticklabel_format(axis="y", useOffset=False)
 
 

@@ -34,7 +34,14 @@ DESCRIPTION, JOURNAL = "ensemble.json", "members.jsonl"
 BYTES_AT_ONCE = 2**20  # of the journal, read in one piece
 ENTROPIES = 2**128  # seeds are below it
 FOLDER = re.compile(r"\d{4,}-\d{4,}")  # of members
-KINDS = {"index": int, "n_steps": int, "n_atoms": int, "means": dict, "errors": dict, "is_blown_up": bool}  # in a row; all others are texts
+KINDS = {
+    "index": int,
+    "n_steps": int,
+    "n_atoms": int,
+    "means": dict,
+    "errors": dict,
+    "is_blown_up": bool,
+}  # in a row; all others are texts
 NEEDED = {DONE: ("n_steps", "means", "errors"), FAILED: ("message", "traceback")}  # in a row with this status
 
 
@@ -64,7 +71,11 @@ class EnsembleFolder:
                 self._lock = locked(path / JOURNAL, create=True)
             except OSError as error:
                 is_running = "another run" in str(error.strerror)
-                advice = ": an ensemble is running there; wait for its end, or choose another folder" if is_running else "; choose another folder"
+                advice = (
+                    ": an ensemble is running there; wait for its end, or choose another folder"
+                    if is_running
+                    else "; choose another folder"
+                )
                 raise OSError(f"folder {str(path)!r} cannot be used: {error.strerror}{advice}") from None
         try:
             self.asked, self.rows = self._read_description(), dict[int, Row]()
@@ -93,7 +104,11 @@ class EnsembleFolder:
                         one.unlink(missing_ok=True)
             self.rows = {}
             os.ftruncate(self._lock, 0)
-        told = asked._asdict() | {"parameters": columns_of(asked.parameters), "members": len(asked.parameters), "minimd": version("minimd")}
+        told = asked._asdict() | {
+            "parameters": columns_of(asked.parameters),
+            "members": len(asked.parameters),
+            "minimd": version("minimd"),
+        }
         write_whole(self.path / DESCRIPTION, json.dumps(told, indent=1))
         self.asked = asked
         return asked
@@ -107,7 +122,9 @@ class EnsembleFolder:
             while text:
                 text = text[os.write(self._lock, text) :]
         except OSError as error:
-            raise OSError(f"{self.path / JOURNAL} cannot store the results of member {row['index']}: {error.strerror}") from None
+            raise OSError(
+                f"{self.path / JOURNAL} cannot store the results of member {row['index']}: {error.strerror}"
+            ) from None
 
     def file(self, index: int) -> Path:
         """The absolute path of the H5MD file of a member: the current folder of a worker may be another one."""
@@ -134,7 +151,9 @@ class EnsembleFolder:
         found = [place for place in os.scandir(self.path) if FOLDER.fullmatch(place.name)]
         for place in found:
             if not place.is_dir(follow_symlinks=False):
-                raise OSError(f"{place.path!r} must be a real folder, for members: it is a link or a file; remove it, or choose another folder")
+                raise OSError(
+                    f"{place.path!r} must be a real folder, for members: it is a link or a file; remove it, or choose another folder"
+                )
         return found
 
     def _read_description(self) -> Asked | None:
@@ -149,7 +168,9 @@ class EnsembleFolder:
                 if not isinstance(told[name], str):
                     raise ValueError(f"{name} must be a text; {name} = {shown(told[name])}")
             seed, steps = checked_count("seed", told["seed"], 0, ENTROPIES), checked_count("steps", told["steps"], 0)
-            return Asked(seed, steps, checked_count("every", told["every"]), rows, told["build"], told["prepare"], told["run"])
+            return Asked(
+                seed, steps, checked_count("every", told["every"]), rows, told["build"], told["prepare"], told["run"]
+            )
         except FileNotFoundError:
             return None
         except (ValueError, KeyError, TypeError, RecursionError) as error:
@@ -164,7 +185,9 @@ class EnsembleFolder:
             while some := lines.readlines(BYTES_AT_ONCE):
                 for row in _rows_in(some):
                     if not _is_sound(row):
-                        raise ValueError(f"{file} is not a journal of members: it has the line {shown(row)}; choose another folder, or remove it")
+                        raise ValueError(
+                            f"{file} is not a journal of members: it has the line {shown(row)}; choose another folder, or remove it"
+                        )
                     yield row
                 whole += sum(map(len, some)) - (0 if some[-1].endswith(b"\n") else len(some[-1]))
         if self._lock >= 0:
@@ -176,7 +199,9 @@ class EnsembleFolder:
             there, here = (value if (value := getattr(one, name)) != "" else None for one in (before, asked))
             self._refuse_unless(there == here, f"{name} = {there} there, {here} here")
         may_grow = not asked.run and asked.steps > before.steps
-        self._refuse_unless(asked.steps == before.steps or may_grow, f"steps = {before.steps} there, {asked.steps} here")
+        self._refuse_unless(
+            asked.steps == before.steps or may_grow, f"steps = {before.steps} there, {asked.steps} here"
+        )
         pairs = zip(before.parameters, asked.parameters, strict=False)
         index = next((k for k, (one, other) in enumerate(pairs) if one != other), None)
         if index is not None:
@@ -209,13 +234,20 @@ def _rows_in(lines: list[bytes]) -> list[Row]:
 
 def _is_sound(row: Any) -> bool:
     """Whether a line of the journal is a row: all that is read of it later is there, and of the right type."""
-    if not isinstance(row, dict) or "index" not in row or row.get("status") not in list(NEEDED) or not row.keys() >= set(NEEDED[row["status"]]):
+    if (
+        not isinstance(row, dict)
+        or "index" not in row
+        or row.get("status") not in list(NEEDED)
+        or not row.keys() >= set(NEEDED[row["status"]])
+    ):
         return False
     others = ("parameters", "seconds")  # not read
     is_of_kind = all(type(value) is KINDS.get(name, str) for name, value in row.items() if name not in others)
     counts = [row[name] for name in ("index", "n_steps", "n_atoms") if name in row]
     numbers = [number for name in ("means", "errors") for number in row.get(name, {}).values()] if is_of_kind else []
-    return is_of_kind and all(0 <= count < COUNTS for count in counts) and all(type(number) is float for number in numbers)
+    return (
+        is_of_kind and all(0 <= count < COUNTS for count in counts) and all(type(number) is float for number in numbers)
+    )
 
 
 def columns_of(parameters: list[dict[str, Value]]) -> dict[str, list[Value]]:

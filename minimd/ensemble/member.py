@@ -81,7 +81,11 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
     """
     if isinstance(parameters, Mapping):
         rows = _from_columns(parameters)
-    elif isinstance(parameters, Sequence) and not isinstance(parameters, str) and all(isinstance(one, Mapping) for one in parameters):
+    elif (
+        isinstance(parameters, Sequence)
+        and not isinstance(parameters, str)
+        and all(isinstance(one, Mapping) for one in parameters)
+    ):
         rows = [dict(one) for one in parameters]
     elif isinstance(parameters, Sequence | np.ndarray) or hasattr(parameters, "columns"):
         raise TypeError(
@@ -94,11 +98,15 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
         raise ValueError("an ensemble must have at least one member; parameters is empty")
     for index, row in enumerate(rows):
         if row.keys() != rows[0].keys():
-            raise ValueError(f"all members must have the same parameters; member 0 has {listed(rows[0])}, member {index} has {listed(row)}")
+            raise ValueError(
+                f"all members must have the same parameters; member 0 has {listed(rows[0])}, member {index} has {listed(row)}"
+            )
     for name in rows[0]:
         if not isinstance(name, str) or not name or name in OWN_COLUMNS or name.endswith(OWN_ENDINGS):
             taken = f"{listed(OWN_COLUMNS)}, and must not end in {' or '.join(OWN_ENDINGS)}"
-            raise ValueError(f"the name of a parameter must be a text, not one of {taken}: these are columns of the table; it is {shown(name)}")
+            raise ValueError(
+                f"the name of a parameter must be a text, not one of {taken}: these are columns of the table; it is {shown(name)}"
+            )
     return [{name: _checked_value(name, index, row[name]) for name in rows[0]} for index, row in enumerate(rows)]
 
 
@@ -120,5 +128,7 @@ def _from_columns(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _checked_value(name: str, index: int, value: Any) -> Value:
     plain = value.item() if isinstance(value, np.generic) else value
     if not isinstance(plain, bool | int | float | str):
-        raise TypeError(f"parameter {name!r} must be a number, a text, True or False; for member {index} it is {shown(value)}")
+        raise TypeError(
+            f"parameter {name!r} must be a number, a text, True or False; for member {index} it is {shown(value)}"
+        )
     return plain

@@ -23,15 +23,27 @@ from minimd.ensemble.work import FAILED, Plan, Row, work
 from minimd.ensemble.workers import SpawnedProcesses, ThisProcess, WorkerNeverBegan
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag, shown
-from minimd.structure.console import Terminated, endings_are_told, outside_minimd, progress_of, raising_on_signals, stop_runs_of_threads, tell_ending
+from minimd.structure.console import (
+    Terminated,
+    endings_are_told,
+    outside_minimd,
+    progress_of,
+    raising_on_signals,
+    stop_runs_of_threads,
+    tell_ending,
+)
 from minimd.structure.errors import Interrupted, sentence
 from minimd.structure.keywords import names_keywords
 
 MOST_WAITING = 4096  # members submitted at a time to an executor that the caller brings
 TOLD = 3  # failures that a warning names
-OUTSIDE = "If the script calls md.ensemble outside of functions, put that call below the line: if __name__ == '__main__':"
+OUTSIDE = (
+    "If the script calls md.ensemble outside of functions, put that call below the line: if __name__ == '__main__':"
+)
 ANOTHER = "Call md.ensemble again to go on, with a new executor or none: some give up when one of their processes dies"
-BETWEEN_REQUESTS = 0.02  # seconds between requests to stop, repeated because a member that is between two runs does not notice one
+BETWEEN_REQUESTS = (
+    0.02  # seconds between requests to stop, repeated because a member that is between two runs does not notice one
+)
 
 
 class EnsembleError(RuntimeError):
@@ -88,14 +100,21 @@ def ensemble(
     """
     _check_functions(build=build, prepare=prepare, run=run)
     rows, place = checked_parameters(parameters), Path(folder)
-    steps, every, resume = checked_count("steps", steps, 0), checked_count("every", every), checked_flag("resume", resume)
+    steps, every, resume = (
+        checked_count("steps", steps, 0),
+        checked_count("every", every),
+        checked_flag("resume", resume),
+    )
     plan = Plan(build, prepare, run, every, uuid4().hex)
     n_workers = _check_executor(executor, workers, plan)
     with EnsembleFolder(place, writes=True) as opened:
         entropy = entropy_of(seed, opened.asked if resume else None)
         asked = opened.begin(Asked(entropy, steps, every, rows, name_of(build), name_of(prepare), name_of(run)), resume)
         todo = [index for index in range(len(rows)) if not is_done(opened.rows.get(index), steps, run is not None)]
-        jobs = ((Member(k, rows[k], entropy, steps, opened.file(k)), opened.rows.get(k, {}).get("is_blown_up", False)) for k in todo)
+        jobs = (
+            (Member(k, rows[k], entropy, steps, opened.file(k)), opened.rows.get(k, {}).get("is_blown_up", False))
+            for k in todo
+        )
         try:
             with (
                 endings_are_told(),
@@ -158,12 +177,19 @@ def _row_of(future: Future, members: dict[Future, Member]) -> Row:
         return row
     except (WorkerNeverBegan, BrokenProcessPool, pickle.PicklingError) as error:
         advice = ANOTHER if isinstance(error, BrokenProcessPool) else OUTSIDE
-        raise EnsembleError(f"{member} could not be run, and neither can the others: {sentence(error)}. {advice}") from None
+        raise EnsembleError(
+            f"{member} could not be run, and neither can the others: {sentence(error)}. {advice}"
+        ) from None
     except (CancelledError, SystemExit):
         raise KeyboardInterrupt from None
     except Exception as error:  # of a worker that died, or any error of an executor
         row = {"index": member.index, "parameters": dict(member.parameters), "status": FAILED}
-        return row | {"message": f"{type(error).__name__}: {sentence(error)}", "traceback": "", "crash_file": "", "seconds": 0.0}
+        return row | {
+            "message": f"{type(error).__name__}: {sentence(error)}",
+            "traceback": "",
+            "crash_file": "",
+            "seconds": 0.0,
+        }
 
 
 @contextmanager
@@ -187,9 +213,13 @@ def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Execu
 def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) -> int:
     """The number of processes to spawn.  Raises TypeError, ValueError, RuntimeError if executor and functions cannot work together."""
     if executor is not None and workers is not None:
-        raise ValueError(f"workers is the number of minimd's own processes; with an executor leave it out; workers = {shown(workers)}")
+        raise ValueError(
+            f"workers is the number of minimd's own processes; with an executor leave it out; workers = {shown(workers)}"
+        )
     if executor is not None and not callable(getattr(executor, "submit", None)):
-        raise TypeError(f"executor must have a method submit, like a concurrent.futures.Executor; executor = {shown(executor)}")
+        raise TypeError(
+            f"executor must have a method submit, like a concurrent.futures.Executor; executor = {shown(executor)}"
+        )
     n_workers = available_cores() if workers is None else checked_count("workers", workers, 0)
     if isinstance(executor, ProcessPoolExecutor) or (executor is None and n_workers):
         _check_can_be_sent(plan)
@@ -205,7 +235,9 @@ def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) 
 def _check_functions(**functions: Any) -> None:
     for name, function in functions.items():
         if not callable(function) and (function is not None or name == "build"):
-            raise TypeError(f"{name} must be a function{' of a member' if name == 'build' else ''}; {name} = {shown(function)}")
+            raise TypeError(
+                f"{name} must be a function{' of a member' if name == 'build' else ''}; {name} = {shown(function)}"
+            )
 
 
 def _check_can_be_sent(plan: Plan) -> None:
@@ -215,7 +247,11 @@ def _check_can_be_sent(plan: Plan) -> None:
         function = getattr(plan, name)
         try:
             pickle.dumps(function)
-            is_of_session = getattr(function, "__module__", None) == "__main__" and main is not None and not hasattr(main, "__file__")
+            is_of_session = (
+                getattr(function, "__module__", None) == "__main__"
+                and main is not None
+                and not hasattr(main, "__file__")
+            )
             reason = "it was defined in a session, which other processes cannot import" if is_of_session else ""
         except Exception as error:  # pickle raises errors of many kinds
             reason = sentence(error)
@@ -243,5 +279,10 @@ def _tell_failures(table: EnsembleTable, rows: dict[int, Row]) -> None:
         failure.add_note(first)
         raise failure
     more = [f"and {len(sentences) - TOLD} more, see the messages in the table"] if len(sentences) > TOLD else []
-    told = [f"{len(sentences)} of {len(table)} members have failed:", *sentences[:TOLD], *more, "The next call tries them again."]
+    told = [
+        f"{len(sentences)} of {len(table)} members have failed:",
+        *sentences[:TOLD],
+        *more,
+        "The next call tries them again.",
+    ]
     warnings.warn("\n".join(told), stacklevel=outside_minimd())

@@ -62,7 +62,9 @@ def parsed_setting(text: str) -> Setting:
     except (InvalidOperation, OverflowError, ValueError):
         raise ValueError(f"--set needs numbers FROM:TO:STEP; it is {text!r}") from None
     if not 1 <= n <= MOST_VALUES:
-        raise ValueError(f"--set needs a STEP that leads from FROM to TO with at most {MOST_VALUES} values; it is {text!r}")
+        raise ValueError(
+            f"--set needs a STEP that leads from FROM to TO with at most {MOST_VALUES} values; it is {text!r}"
+        )
     is_whole = all(one.strip().lstrip("+-").isdecimal() for one in numbers)
     return Setting(key.strip(), [int(start + k * step) if is_whole else float(start + k * step) for k in range(n)])
 
@@ -90,7 +92,9 @@ def changed_text(path: Path, text: str, values: Iterable[tuple[str, Value]]) -> 
             except (KeyError, IndexError, TypeError):
                 raise ValueError(f"{path} has no {key!r}: {part!r} is not in it") from None
         if not isinstance(node, dict):
-            raise ValueError(f"{path} has no {key!r}: {last!r} must be a key in a table; write an entry of a list as in potential[0].cutoff")
+            raise ValueError(
+                f"{path} has no {key!r}: {last!r} must be a key in a table; write an entry of a list as in potential[0].cutoff"
+            )
         node[last] = value
     return tomlkit.dumps(document)
 
@@ -148,7 +152,10 @@ def scan_scene(
     for setting in settings:
         if setting.key in OF_THE_SCAN:
             raise ValueError(f"{setting.key} is the same for all members of a scan; {OF_THE_SCAN[setting.key]}")
-    grid = [dict(zip([one.key for one in settings], values, strict=True)) for values in product(*(one.values for one in settings))]
+    grid = [
+        dict(zip([one.key for one in settings], values, strict=True))
+        for values in product(*(one.values for one in settings))
+    ]
     n_steps = scene.sections.dynamics.steps if steps is None else steps
     for row in grid[:MOST_TRIED]:
         parse_scene(changed_text(Path(path), scene.text, row.items()), Path(path))
@@ -166,8 +173,16 @@ def scan_scene(
         tell("NOTE           the observers of the scene are not used: they need a single run, and a scan has many")
     for setting in settings:
         tell(f"set            {setting}")
-    tell(f"members        {len(grid) * replicas}, {n_steps} steps each; {replicas} for each set of values; files in {place}")
-    options: dict[str, Any] = {"every": scene.sections.output.every, "workers": workers, "seed": seed, "resume": resume, "progress": progress}
+    tell(
+        f"members        {len(grid) * replicas}, {n_steps} steps each; {replicas} for each set of values; files in {place}"
+    )
+    options: dict[str, Any] = {
+        "every": scene.sections.output.every,
+        "workers": workers,
+        "seed": seed,
+        "resume": resume,
+        "progress": progress,
+    }
     parameters: Any = grid * replicas if settings else replicas
     return ensemble(build, parameters, n_steps, prepare=build.prepare, folder=place, **options)
 

@@ -31,7 +31,11 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 SHOWN_FAILURES = 3
-TOLD = ("temperature", "potential_energy", "pressure")  # observables listed as text; if none of them exists, all are listed
+TOLD = (
+    "temperature",
+    "potential_energy",
+    "pressure",
+)  # observables listed as text; if none of them exists, all are listed
 MOST_LINES = 100
 MOST_TOLD = 10  # members that are listed as running, and as begun
 DRAWN = ("pressure", "potential_energy")
@@ -52,7 +56,9 @@ class EnsembleTable(Displayed):
 
     def __init__(self, folder: Path, names: Sequence[str], array: NDArray[Any], units: UnitSystem | None) -> None:
         self.folder, self.parameters, self.array, self.units = folder, tuple(names), array, units
-        self.observables = tuple(name.removesuffix("_mean") for name in array.dtype.names or () if name.endswith("_mean"))
+        self.observables = tuple(
+            name.removesuffix("_mean") for name in array.dtype.names or () if name.endswith("_mean")
+        )
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         names = self.array.dtype.names or ()
@@ -76,14 +82,18 @@ class EnsembleTable(Displayed):
         """
         rows = self.array[self.done]
         groups, first = _groups([rows[name] for name in self.parameters], len(rows))
-        kinds: list[tuple[str, Any]] = [(name, rows.dtype[name]) for name in self.parameters] + [("n_members", np.int64)]
+        kinds: list[tuple[str, Any]] = [(name, rows.dtype[name]) for name in self.parameters] + [
+            ("n_members", np.int64)
+        ]
         kinds += [(name + ending, np.float64) for name in self.observables for ending in ("_mean", "_error")]
         made = np.zeros(len(first), dtype=kinds)
         for name in self.parameters:
             made[name] = rows[name][first]
         made["n_members"] = np.bincount(groups, minlength=len(first))
         for name in self.observables:
-            made[f"{name}_mean"], made[f"{name}_error"] = _joined(rows[f"{name}_mean"], rows[f"{name}_error"], groups, made["n_members"])
+            made[f"{name}_mean"], made[f"{name}_error"] = _joined(
+                rows[f"{name}_mean"], rows[f"{name}_error"], groups, made["n_members"]
+            )
         return made
 
     def unit(self, name: str) -> str:
@@ -98,13 +108,18 @@ class EnsembleTable(Displayed):
         try:
             from pandas import DataFrame
         except ModuleNotFoundError as error:
-            raise ModuleNotFoundError("to_pandas needs pandas, which is not installed: install it, or use table.array or table.csv") from error
+            raise ModuleNotFoundError(
+                "to_pandas needs pandas, which is not installed: install it, or use table.array or table.csv"
+            ) from error
         return DataFrame({name: self.array[name] for name in self.array.dtype.names or ()}).set_index("index")
 
     def write(self) -> None:
         """Write table.csv and table.json into the folder; numbers have all their digits, paths are relative to the folder.  Raises OSError."""
         columns = {name: self.array[name].tolist() for name in self.array.dtype.names or ()}
-        columns["file"] = [file_of(index).as_posix() if file else "" for index, file in zip(columns["index"], columns["file"], strict=True)]
+        columns["file"] = [
+            file_of(index).as_posix() if file else ""
+            for index, file in zip(columns["index"], columns["file"], strict=True)
+        ]
         stream = io.StringIO()
         lines = csv.writer(stream, lineterminator="\n")
         lines.writerow(columns)
@@ -112,7 +127,9 @@ class EnsembleTable(Displayed):
         write_whole(self.folder / "table.csv", stream.getvalue())
         units = {name: unit for name in self.observables if (unit := self.unit(name))}
         whole = {name: [None if number != number else number for number in values] for name, values in columns.items()}
-        write_whole(self.folder / "table.json", json.dumps({"parameters": self.parameters, "units": units, "columns": whole}))
+        write_whole(
+            self.folder / "table.json", json.dumps({"parameters": self.parameters, "units": units, "columns": whole})
+        )
 
     def failures(self) -> Iterator[str]:
         """A sentence for each member that has failed."""
@@ -168,7 +185,9 @@ def _joined(means: Floats, errors: Floats, groups: NDArray[np.int64], n: NDArray
     """Means of the means of the n members of each group, and their errors, (G,); see EnsembleTable.averaged."""
 
     def summed(numbers: Floats) -> Floats:
-        return np.bincount(groups, numbers, minlength=len(n)).astype(np.float64)  # without members, bincount returns integers
+        return np.bincount(groups, numbers, minlength=len(n)).astype(
+            np.float64
+        )  # without members, bincount returns integers
 
     joined, inner = summed(means) / n, np.sqrt(summed(errors**2)) / n
     scatter = np.full(len(n), np.nan)
@@ -190,7 +209,10 @@ def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTa
     columns |= {name: np.array([one[name] for one in asked.parameters[:n_members]]) for name in names}
     there, names_of_files = folder.files(), [file_of(index).as_posix() for index in range(n_members)]
     columns["status"] = np.array(
-        [row["status"] if row else BEGUN if name in there else MISSING for row, name in zip(rows, names_of_files, strict=True)]
+        [
+            row["status"] if row else BEGUN if name in there else MISSING
+            for row, name in zip(rows, names_of_files, strict=True)
+        ]
     )
     for name in ("n_steps", "n_atoms"):
         columns[name] = np.array([(row or {}).get(name, 0) for row in rows], dtype=np.int64)
@@ -230,7 +252,9 @@ def status(folder: Path) -> tuple[EnsembleTable, list[str]]:
     now = {index: told for index in sorted(noted) if (told := read_note(opened.file(index)))}
     lines += _some("running", (f"member {index}: {told}" for index, told in now.items()), len(now))
     stopped = {index: file for index, file in begun.items() if index not in now}
-    lines += _some("begun", (f"member {index}: {_progress(file, steps)}" for index, file in stopped.items()), len(stopped))
+    lines += _some(
+        "begun", (f"member {index}: {_progress(file, steps)}" for index, file in stopped.items()), len(stopped)
+    )
     return table, lines
 
 
@@ -274,7 +298,9 @@ def drawn_quantity(table: EnsembleTable, quantity: str | None) -> str:
     if quantity is None:
         return next((name for name in DRAWN if name in table.observables), table.observables[0])
     if quantity not in table.observables:
-        raise ValueError(f"the quantity must be one of {listed(table.observables)}; it is {quantity!r}{near(quantity, table.observables)}")
+        raise ValueError(
+            f"the quantity must be one of {listed(table.observables)}; it is {quantity!r}{near(quantity, table.observables)}"
+        )
     return quantity
 
 
@@ -297,10 +323,17 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
     for key, members in curves.items():
         curve = rows[members][np.argsort(rows[members][numbers[0]])] if numbers else rows[members]
         x = curve[numbers[0]] if numbers else np.arange(len(curve))
-        label = ", ".join(f"{one.rpartition('.')[2]} = {value}" for one, value in zip(others, key, strict=True) if one in several)
-        axes.errorbar(x, curve[f"{name}_mean"], curve[f"{name}_error"], marker="o", ms=3.5, lw=1.0, capsize=2.5, label=label)
+        label = ", ".join(
+            f"{one.rpartition('.')[2]} = {value}" for one, value in zip(others, key, strict=True) if one in several
+        )
+        axes.errorbar(
+            x, curve[f"{name}_mean"], curve[f"{name}_error"], marker="o", ms=3.5, lw=1.0, capsize=2.5, label=label
+        )
     unit = table.unit(name).replace("k_B", "$k_B$")
-    axes.set(xlabel=numbers[0] if numbers else "set of parameters", ylabel=f"mean {name.replace('_', ' ')}" + (f"  [{unit}]" if unit else ""))
+    axes.set(
+        xlabel=numbers[0] if numbers else "set of parameters",
+        ylabel=f"mean {name.replace('_', ' ')}" + (f"  [{unit}]" if unit else ""),
+    )
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(alpha=0.25, lw=0.6)
     axes.set_title(f"{int(table.done.sum())} members, bars: one standard error", fontsize=10)

@@ -49,8 +49,15 @@ def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
             row |= _made(plan, member, begins_anew, note)
     except Exception as error:  # of build, prepare or run, which are the user's
         file = getattr(error, "file", None)
-        told = {"status": FAILED, "message": f"{type(error).__name__}: {sentence(error)}", "traceback": traceback.format_exc()}
-        row |= told | {"crash_file": "" if file is None else str(file), "is_blown_up": isinstance(error, NonFiniteError | ConstraintError)}
+        told = {
+            "status": FAILED,
+            "message": f"{type(error).__name__}: {sentence(error)}",
+            "traceback": traceback.format_exc(),
+        }
+        row |= told | {
+            "crash_file": "" if file is None else str(file),
+            "is_blown_up": isinstance(error, NonFiniteError | ConstraintError),
+        }
     return row | {"seconds": perf_counter() - started}
 
 
@@ -124,16 +131,24 @@ def averages_of(result: Any) -> dict[str, tuple[float, float]]:
     if result is None:
         return {}
     if isinstance(result, Record):
-        return {name: mean_and_error(column) for name, column in result.columns().items() if name not in ("step", "time")}
+        return {
+            name: mean_and_error(column) for name, column in result.columns().items() if name not in ("step", "time")
+        }
     if not isinstance(result, Mapping):
-        raise TypeError(f"run must return a Record, a dict of numbers, of tuples (mean, error) or of series, or None; it returned {shown(result)}")
+        raise TypeError(
+            f"run must return a Record, a dict of numbers, of tuples (mean, error) or of series, or None; it returned {shown(result)}"
+        )
     averages = {}
     for name, value in result.items():
         if not isinstance(name, str) or not name:
-            raise TypeError(f"the names in the dict that run returns must be texts that are not empty; one is {shown(name)}")
+            raise TypeError(
+                f"the names in the dict that run returns must be texts that are not empty; one is {shown(name)}"
+            )
         array = np.asarray(value)
         if array.dtype.kind not in "biuf" or array.ndim > 1:
-            raise TypeError(f"the values in the dict that run returns must be numbers, tuples (mean, error), or series; {name} = {shown(value)}")
+            raise TypeError(
+                f"the values in the dict that run returns must be numbers, tuples (mean, error), or series; {name} = {shown(value)}"
+            )
         if array.ndim == 0:
             averages[name] = float(array), np.nan
         elif isinstance(value, tuple) and len(value) == 2:

@@ -40,7 +40,9 @@ class ASEWriter:
         forces = frame.forces if self._store_forces else None
         stress = frame.observables.get("stress")
         stress = None if stress is None else calculators_stress(stress, atoms, self._conserves_momentum)
-        atoms.calc = SinglePointCalculator(atoms, energy=frame.observables["potential_energy"], forces=forces, stress=stress)
+        atoms.calc = SinglePointCalculator(
+            atoms, energy=frame.observables["potential_energy"], forces=forces, stress=stress
+        )
         if isinstance(self._output, TrajectoryWriter):
             self._output.write(atoms)
         else:

@@ -18,7 +18,9 @@ except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
 IN_USE = "another run is writing it, or a program has it open; if a universe in this process reads it, close that first: universe.trajectory.close()"
-NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # and no waiting for what is a pipe
+NO_LINK = (
+    getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+)  # and no waiting for what is a pipe
 UNLOCKABLE = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of file systems without locks
 
 
@@ -68,7 +70,9 @@ class Claim:
         try:
             os.fsync(self.descriptor)
         except OSError as error:
-            raise OSError(error.errno, f"trajectory {self.name!r} could not be brought to the disk: {error.strerror}") from None
+            raise OSError(
+                error.errno, f"trajectory {self.name!r} could not be brought to the disk: {error.strerror}"
+            ) from None
 
     @property
     def stream(self) -> Path:

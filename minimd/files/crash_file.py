@@ -63,7 +63,9 @@ def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path |
         return several[0].with_suffix(SUFFIX) if crash_report and several else None
     [place] = named_files("crash_report", [crash_report])
     if place.resolve() in [file.resolve() for file in several]:
-        raise ValueError(f"crash_report must be a file of its own; {str(crash_report)!r} is a trajectory of the run: choose another name")
+        raise ValueError(
+            f"crash_report must be a file of its own; {str(crash_report)!r} is a trajectory of the run: choose another name"
+        )
     return place
 
 
@@ -125,7 +127,11 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
         def add(h5: Any) -> None:
             group = h5.create_group("minimd/crash_report")
             write_group(group.create_group("start"), *flattened(last._replace(state=start)))
-            group["findings"], group["words"], group["simulation"] = json.dumps(asdict(findings)), str(findings), json.dumps(known)
+            group["findings"], group["words"], group["simulation"] = (
+                json.dumps(asdict(findings)),
+                str(findings),
+                json.dumps(known),
+            )
 
         edit(part, add)
         os.replace(part, path)
@@ -154,16 +160,29 @@ def read_crash_report(path: str | Path) -> CrashFile:
             raise ValueError(f"file {str(path)!r} holds no crash report; give the {SUFFIX} file of a run that failed")
         group, system = h5["minimd/crash_report"], contents.system
         with damage_told(path):
-            told, found = (json.loads(group[name].asstr()[()], object_hook=_printable) for name in ("simulation", "findings"))
+            told, found = (
+                json.loads(group[name].asstr()[()], object_hook=_printable) for name in ("simulation", "findings")
+            )
             start = unflattened(*read_group(group["start"])).state
             system.positions, system.velocities = start.positions, start.velocities
-            pair, closest = found["pair"] and Contact(**found["pair"]), found["closest"] and ClosestPair(*found["closest"])
+            pair, closest = (
+                found["pair"] and Contact(**found["pair"]),
+                found["closest"] and ClosestPair(*found["closest"]),
+            )
             findings = CrashReport(**found | {"pair": pair, "closest": closest})
             for part in (findings, pair, closest):
                 _check_types(part, len(system))
-    options: dict[str, Any] = {"precision": contents.precision, "skin": contents.skin, "potentials": contents.potentials, "scene": contents.scene}
+    options: dict[str, Any] = {
+        "precision": contents.precision,
+        "skin": contents.skin,
+        "potentials": contents.potentials,
+        "scene": contents.scene,
+    }
     options["barostat"] = contents.barostat
-    options |= {"noise_shift": told["noise_shift"], "judgment": (told.get("first"), told.get("growth", RUNAWAY))}  # older files have no judgment
+    options |= {
+        "noise_shift": told["noise_shift"],
+        "judgment": (told.get("first"), told.get("growth", RUNAWAY)),
+    }  # older files have no judgment
     return CrashFile(findings, system, start, contents.integrator(), **options)
 
 
@@ -175,6 +194,10 @@ def _check_types(part: Any, n_atoms: int) -> None:
     """Raise ValueError unless all values of a part of the findings are of the types that it declares, and its atoms are among n_atoms."""
     for name, declared in get_type_hints(type(part)).items() if part else ():
         value, kinds = getattr(part, name), get_args(declared) or (declared,)
-        is_in_range = (0 if name in ATOMS else -COUNTS) <= value < (n_atoms if name in ATOMS else COUNTS) if type(value) is int else True
+        is_in_range = (
+            (0 if name in ATOMS else -COUNTS) <= value < (n_atoms if name in ATOMS else COUNTS)
+            if type(value) is int
+            else True
+        )
         if not (type(value) in kinds or (type(value) is int and float in kinds)) or not is_in_range:
             raise ValueError(f"its findings have {name} = {shown(value)}")

@@ -17,7 +17,10 @@ Found = TypeVar("Found")
 
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 SECONDS, BYTES_PER_SECOND = 10, 10_000_000  # of processor time that a look may take; reading needs a hundredth of it
-MEMORY, SIZES = 2**32, 4  # bytes that a look may take, and besides so many times those of the file: texts of a file may claim the same bytes
+MEMORY, SIZES = (
+    2**32,
+    4,
+)  # bytes that a look may take, and besides so many times those of the file: texts of a file may claim the same bytes
 
 
 def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
@@ -74,7 +77,12 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
         try:
             answer = look(), None
         except MemoryError:
-            answer = None, OSError(f"file {str(path)!r} is damaged: to read it takes more memory than {MEMORY / 1e9:.2g} GB; copy it, or run, again")
+            answer = (
+                None,
+                OSError(
+                    f"file {str(path)!r} is damaged: to read it takes more memory than {MEMORY / 1e9:.2g} GB; copy it, or run, again"
+                ),
+            )
         except Exception as error:
             answer = None, error
         with open(pipe, "wb") as told:

@@ -36,7 +36,9 @@ def read_constraints(group: h5py.Group) -> tuple[Constraint, ...]:
     found: list[Constraint] = [FixedAtoms(stored["fixed"][:])] if "fixed" in stored else []
     if "pairs" in stored:
         solver: Any = str(stored.attrs["solver"])
-        found.append(DistanceConstraints(stored["pairs"][:], stored["lengths"][:], float(stored.attrs["tolerance"]), solver))
+        found.append(
+            DistanceConstraints(stored["pairs"][:], stored["lengths"][:], float(stored.attrs["tolerance"]), solver)
+        )
     return tuple(found)
 
 
@@ -45,17 +47,24 @@ def difference(file: Sequence[Constraint], simulation: Sequence[Constraint], pos
 
     positions : (N, 3) [length]; the largest coordinate sets the rounding of lengths that were measured in positions.
     """
-    theirs, ours = ([atom for one in both if isinstance(one, FixedAtoms) for atom in one.atoms.tolist()] for both in (file, simulation))
+    theirs, ours = (
+        [atom for one in both if isinstance(one, FixedAtoms) for atom in one.atoms.tolist()]
+        for both in (file, simulation)
+    )
     if only := set(theirs) ^ set(ours):
         return f"atom {min(only)} is fixed in the {'file' if min(only) in theirs else 'simulation'} alone"
-    before, now = (next((one for one in both if isinstance(one, DistanceConstraints)), None) for both in (file, simulation))
+    before, now = (
+        next((one for one in both if isinstance(one, DistanceConstraints)), None) for both in (file, simulation)
+    )
     if before and now:
         return _difference_of_lengths(before, now, positions)
     alone = before or now
     return f"the {'file' if before else 'simulation'} alone keeps lengths, {len(alone.pairs)} of them" if alone else ""
 
 
-def _difference_of_lengths(file: DistanceConstraints, simulation: DistanceConstraints, positions: NDArray[np.float64]) -> str:
+def _difference_of_lengths(
+    file: DistanceConstraints, simulation: DistanceConstraints, positions: NDArray[np.float64]
+) -> str:
     theirs, ours = _by_pair(file), _by_pair(simulation)
     if only := set(theirs) ^ set(ours):
         i, j = min(only)

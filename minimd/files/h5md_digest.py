@@ -17,15 +17,25 @@ import numpy as np
 from minimd.files.h5md_restart import DIGEST, EARLIER, RESTART, SPARE, digest_of_array
 
 BLOCKS = "minimd/blocks"
-FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")  # groups that, apart from series and restarts, do not change
+FIXED = (
+    "h5md",
+    "particles",
+    "observables",
+    "connectivity",
+    "minimd",
+)  # groups that, apart from series and restarts, do not change
 
 
 def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> None:
     """Append the row of a block: n_frames frames are now in the file; entries : of the frames of the block, by the paths of their series."""
     if BLOCKS not in h5:
-        h5.create_dataset(BLOCKS, (0, 2), np.int64, maxshape=(None, 2), chunks=(64, 2)).attrs["series"] = sorted(entries)
+        h5.create_dataset(BLOCKS, (0, 2), np.int64, maxshape=(None, 2), chunks=(64, 2)).attrs["series"] = sorted(
+            entries
+        )
     blocks = h5[BLOCKS]
-    row = int(np.searchsorted(blocks[:, 0], n_frames)) if len(blocks) else 0  # a block that is written again replaces its row
+    row = (
+        int(np.searchsorted(blocks[:, 0], n_frames)) if len(blocks) else 0
+    )  # a block that is written again replaces its row
     blocks.resize(row + 1, axis=0)
     blocks[row] = n_frames, digest_of_block(entries)
 
@@ -43,7 +53,10 @@ def damaged_frames(h5: h5py.File) -> str:
     series, first = {one: h5[one] for one in h5[BLOCKS].attrs["series"]}, 0
     lengths = {len(one) for one in series.values()}
     for last, digest in h5[BLOCKS][:].tolist():
-        if not first < last <= min(lengths) or digest_of_block({path: one[first:last] for path, one in series.items()}) != digest:
+        if (
+            not first < last <= min(lengths)
+            or digest_of_block({path: one[first:last] for path, one in series.items()}) != digest
+        ):
             return f"frames {first} to {last - 1}"
         first = last
     return "" if lengths == {first} else f"frames from {first} on"

@@ -80,9 +80,13 @@ def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
         if not one.n_looks:
             continue
         result = one.result()
-        group.attrs.update({"n_looks": one.n_looks, "last_step": one.last_step, "units": result.scene.units, **result.numbers()})
+        group.attrs.update(
+            {"n_looks": one.n_looks, "last_step": one.last_step, "units": result.scene.units, **result.numbers()}
+        )
         for name, series in result.columns().items():
-            group[name.replace("/", "_")] = series  # the name of a species may contain a slash, which HDF5 does not allow in names
+            group[name.replace("/", "_")] = (
+                series  # the name of a species may contain a slash, which HDF5 does not allow in names
+            )
 
 
 def lack_results(h5: h5py.File, observers: Mapping[str, Accumulator]) -> bool:

@@ -19,7 +19,10 @@ from minimd.structure.errors import sentence
 
 NUMBERS = (h5t.INTEGER, h5t.FLOAT, h5t.ENUM)  # bools and species are enumerations
 TEXTS = (*NUMBERS, h5t.STRING)
-MAY_BE_TEXTS = ("minimd/species_names", *(f"minimd/crash_report/{name}" for name in ("findings", "words", "simulation")))
+MAY_BE_TEXTS = (
+    "minimd/species_names",
+    *(f"minimd/crash_report/{name}" for name in ("findings", "words", "simulation")),
+)
 REFERENCE = b"particles_group"  # the only attribute that refers to an object
 LAYOUTS = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
 MOST_TEXTS = 256  # attributes of an object, and texts in an attribute; minimd has some 30
@@ -58,7 +61,9 @@ def admitted(h5: h5py.File, path: str | Path) -> h5py.File:
         with damage_told(path):
             problem = _strange_thing(h5)
         if problem:
-            raise OSError(f"file {str(path)!r} is refused: {problem}; minimd writes no such thing, do not use this file")
+            raise OSError(
+                f"file {str(path)!r} is refused: {problem}; minimd writes no such thing, do not use this file"
+            )
     except BaseException:
         h5.close()
         raise
@@ -71,7 +76,9 @@ def _strange_thing(h5: h5py.File) -> str:
     while groups:
         path, group = groups.pop()
         links: list[tuple[bytes, int]] = []
-        group.links.iterate(lambda key, info, links=links: links.append((key, info.type)), info=True)  # h5py uses one info for all
+        group.links.iterate(
+            lambda key, info, links=links: links.append((key, info.type)), info=True
+        )  # h5py uses one info for all
         for key, kind in links:
             name = f"{path}{key.decode(errors='replace')}"
             if kind != h5l.TYPE_HARD:
@@ -87,7 +94,9 @@ def _strange_thing(h5: h5py.File) -> str:
                 words, n_bytes = _strange_in(item, name)
                 room -= n_bytes
                 if words or room < 0:
-                    return f"{name!r} {words or f'with what precedes it would be larger than the file, by {-room} bytes'}"
+                    return (
+                        f"{name!r} {words or f'with what precedes it would be larger than the file, by {-room} bytes'}"
+                    )
     return ""
 
 
@@ -101,7 +110,9 @@ def _strange_in(item: Any, name: str) -> tuple[str, int]:
     for key, one in zip(keys, attributes, strict=True):
         if one.get_type().get_class() not in TEXTS and key != REFERENCE:
             return f"has the attribute {key.decode(errors='replace')!r} that is neither numbers nor texts", 0
-        if prod(one.shape) > MOST_TEXTS and one.get_type().get_class() == h5t.STRING:  # each of them could be as long as the file
+        if (
+            prod(one.shape) > MOST_TEXTS and one.get_type().get_class() == h5t.STRING
+        ):  # each of them could be as long as the file
             return f"has the attribute {key.decode(errors='replace')!r} of {prod(one.shape)} texts", 0
     n_bytes = sum(prod(one.shape) * one.get_type().get_size() for one in attributes)
     if isinstance(item, h5g.GroupID):

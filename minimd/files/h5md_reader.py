@@ -80,13 +80,18 @@ class H5MDContents(Displayed):
         rows += [("system", repr(self.system)), ("method", f"{self.method}, timestep {shown(self.timestep)}")]
         rows += [("potential", one) for one in self.potentials]
         rows += [("frames", f"{self.n_frames}, {'with' if self.has_forces else 'without'} forces")]
-        rows += [("restart", f"step {self.step}, {shown(self.time)}"), ("scene", "stored" if self.scene else "none stored")]
+        rows += [
+            ("restart", f"step {self.step}, {shown(self.time)}"),
+            ("scene", "stored" if self.scene else "none stored"),
+        ]
         return rows + ([("repaired", self.repaired)] if self.repaired else [])
 
     def integrator(self) -> Splitting:
         """The method with its time step.  Raises ValueError if it is not a method of minimd."""
         if self.method not in METHODS:
-            raise ValueError(f"the run was made with the method {self.method!r}, which minimd does not have; pass the method of that run")
+            raise ValueError(
+                f"the run was made with the method {self.method!r}, which minimd does not have; pass the method of that run"
+            )
         made: Any = METHODS[self.method](**self.parameters)
         return made
 
@@ -108,7 +113,11 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
         restart, _, is_earlier = read_restart(h5)
         observers = observers_of(h5)
         system, at = _system(group, restart), group.attrs
-        repaired = f"the newest restart in {path} is damaged; the one before it is used, of step {restart.state.step}" if is_earlier else ""
+        repaired = (
+            f"the newest restart in {path} is damaged; the one before it is used, of step {restart.state.step}"
+            if is_earlier
+            else ""
+        )
         return H5MDContents(
             record=_record(h5, system, n_frames),
             system=system,
@@ -161,7 +170,9 @@ def damage(path: str | Path) -> str:
 def verify_frames(path: str | Path) -> None:
     """Raise OSError unless all frames of a minimd file are as they were written.  Raises as read_file, too."""
     if which := looked_at(path, partial(_damage, path))[0]:
-        raise OSError(f"file {str(path)!r} is damaged: {which} are not those that were written; copy it again, or run again")
+        raise OSError(
+            f"file {str(path)!r} is damaged: {which} are not those that were written; copy it again, or run again"
+        )
 
 
 def _damage(path: str | Path) -> tuple[str, str]:

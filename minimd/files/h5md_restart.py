@@ -30,7 +30,10 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
         arrays |= {"open_positions": state.open_end.positions, "open_velocities": state.open_end.velocities}
     arrays["images"] = None if images is None else images[0]
     arrays |= {f"list_{k}": one.positions for k, one in enumerate(checkpoint.lists)}
-    for name, cell in [("cell", state.cell), *((f"cell_of_list_{k}", one.cell) for k, one in enumerate(checkpoint.lists))]:
+    for name, cell in [
+        ("cell", state.cell),
+        *((f"cell_of_list_{k}", one.cell) for k, one in enumerate(checkpoint.lists)),
+    ]:
         arrays |= {} if cell is None else {name: cell.vectors, f"{name}_reduction": cell.reduction}
     numbers: dict[str, Any] = {
         "step": state.step,
@@ -42,7 +45,10 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
     numbers["drifts_next"] = int(state.open_end is not None and state.open_end.drifts_next)
     numbers |= {"work": state.work, "open_work": 0.0 if state.open_end is None else state.open_end.work}
     numbers |= {"clock_step": clock[0], "clock_time": clock[1], "equilibrated": checkpoint.equilibrated}
-    numbers |= {"skins": np.array([one.skin for one in checkpoint.lists]), "tolerance": 0.0 if images is None else images[1]}
+    numbers |= {
+        "skins": np.array([one.skin for one in checkpoint.lists]),
+        "tolerance": 0.0 if images is None else images[1],
+    }
     if checkpoint.grid is not None:
         numbers["grid"] = np.array([checkpoint.grid.length, checkpoint.grid.momentum, checkpoint.grid.energy])
     return {name: array for name, array in arrays.items() if array is not None}, numbers
@@ -52,10 +58,21 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
     """The checkpoint with these flattened arrays and numbers."""
     end = None
     if "open_velocities" in arrays:
-        end = OpenEnd(arrays["open_velocities"], arrays.get("open_positions"), bool(numbers["drifts_next"]), float(numbers.get("open_work", 0.0)))
+        end = OpenEnd(
+            arrays["open_velocities"],
+            arrays.get("open_positions"),
+            bool(numbers["drifts_next"]),
+            float(numbers.get("open_work", 0.0)),
+        )
     step, time, energy = int(numbers["step"]), float(numbers["time"]), float(numbers["reservoir_energy"])
-    lists = tuple(Built(float(skin), arrays.get(f"list_{k}"), _cell(arrays, f"cell_of_list_{k}")) for k, skin in enumerate(numbers["skins"]))
-    clock, moving = (int(numbers["clock_step"]), float(numbers["clock_time"])), (arrays["positions"], arrays["velocities"])
+    lists = tuple(
+        Built(float(skin), arrays.get(f"list_{k}"), _cell(arrays, f"cell_of_list_{k}"))
+        for k, skin in enumerate(numbers["skins"])
+    )
+    clock, moving = (
+        (int(numbers["clock_step"]), float(numbers["clock_time"])),
+        (arrays["positions"], arrays["velocities"]),
+    )
     return Checkpoint(
         state=Snapshot(step, time, *moving, energy, end, clock, float(numbers.get("work", 0.0)), _cell(arrays, "cell")),
         displacement=float(numbers["displacement"]),
@@ -70,7 +87,9 @@ def _cell(arrays: dict[str, np.ndarray], name: str) -> Cell | None:
     return Cell.of_reduction(arrays[name], arrays[f"{name}_reduction"]) if name in arrays else None
 
 
-def write_restart(h5: h5py.File, checkpoint: Checkpoint, n_frames: int, beside: dict[str, np.ndarray] | None = None) -> None:
+def write_restart(
+    h5: h5py.File, checkpoint: Checkpoint, n_frames: int, beside: dict[str, np.ndarray] | None = None
+) -> None:
     """Write the newest restart; the one before becomes the earlier restart.  beside : arrays that are kept with it."""
     older = EARLIER if EARLIER in h5 else SPARE
     arrays, numbers = flattened(checkpoint)
@@ -161,4 +180,6 @@ def digest_of(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> int:
 
 def digest_of_array(name: str, array: np.ndarray, digest: int = 0) -> int:
     """CRC-32 of the name, type, shape and bytes of an array, continuing a digest."""
-    return zlib.crc32(np.ascontiguousarray(array).data, zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), digest))
+    return zlib.crc32(
+        np.ascontiguousarray(array).data, zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), digest)
+    )

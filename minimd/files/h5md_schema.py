@@ -31,7 +31,10 @@ from minimd.structure.display import as_text
 from minimd.structure.system import System
 
 CHUNK_BYTES = 64 * 1024  # of one series; a larger entry is a chunk of its own
-CHUNK_ROWS, FEW_ROWS = 512, 16  # largest number of rows, and the smallest for a file with few frames, because more may be appended
+CHUNK_ROWS, FEW_ROWS = (
+    512,
+    16,
+)  # largest number of rows, and the smallest for a file with few frames, because more may be appended
 LARGEST_ENUMERATION = 1000  # so many labels fit into the header of a dataset, 64 KiB
 TRAJECTORY = "particles/trajectory"
 STEPS, TIMES = f"{TRAJECTORY}/position/step", f"{TRAJECTORY}/position/time"
@@ -57,11 +60,26 @@ def columns(system: System, observables: list[str], store_forces: bool, spacing:
         Column("minimd/time", units.time, lambda frame: frame.time),
         Column(STEPS, "", lambda frame: frame.step),
         Column(TIMES, "ps", lambda frame: frame.time * units.to_picosecond),
-        *(Column(f"observables/{name}/value", getattr(units, SERIES.get(name) or "", ""), partial(observable, name)) for name in observables),
-        *([Column(f"observables/{SPACING}/value", "ps", lambda _: spacing * units.to_picosecond)] if spacing is not None else []),
-        *([Column(f"{TRAJECTORY}/box/edges/value", "Angstrom", partial(_edges, system))] if has_edges(system.cell) else []),
+        *(
+            Column(f"observables/{name}/value", getattr(units, SERIES.get(name) or "", ""), partial(observable, name))
+            for name in observables
+        ),
+        *(
+            [Column(f"observables/{SPACING}/value", "ps", lambda _: spacing * units.to_picosecond)]
+            if spacing is not None
+            else []
+        ),
+        *(
+            [Column(f"{TRAJECTORY}/box/edges/value", "Angstrom", partial(_edges, system))]
+            if has_edges(system.cell)
+            else []
+        ),
         Column(f"{TRAJECTORY}/velocity/value", "Angstrom ps-1", lambda frame: frame.velocities * per_time),
-        *([Column(f"{TRAJECTORY}/force/value", "kJ mol-1 Angstrom-1", lambda frame: frame.forces * force)] if store_forces else []),
+        *(
+            [Column(f"{TRAJECTORY}/force/value", "kJ mol-1 Angstrom-1", lambda frame: frame.forces * force)]
+            if store_forces
+            else []
+        ),
         Column(f"{TRAJECTORY}/position/value", "Angstrom", lambda frame: frame.positions * units.to_angstrom),
     ]
 
@@ -110,7 +128,13 @@ def describe(h5: h5py.File, engine: Engine) -> None:
     group = h5.create_group("minimd")
     title = engine.notes["title"] or f"{len(system)} atoms of {', '.join(str(name) for name in system.species_names)}"
     group.attrs.update(
-        {"version": version("minimd"), "units": system.units.name, "pbc": system.cell.pbc, "title": title, "scene": engine.notes["scene"]}
+        {
+            "version": version("minimd"),
+            "units": system.units.name,
+            "pbc": system.cell.pbc,
+            "title": title,
+            "scene": engine.notes["scene"],
+        }
     )
     describe_method(group, engine)
     describe_constraints(group, engine.constraints)
@@ -128,7 +152,10 @@ def potentials_in_words(potentials: Sequence[Any]) -> list[str]:
 
 def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
     """How the potentials in a file differ from those with which its run goes on, in words; empty if they are the same."""
-    before, now = (sorted(re.sub(r" at 0x[0-9a-fA-F]+", "", one) for one in several) for several in (stored, potentials_in_words(potentials)))
+    before, now = (
+        sorted(re.sub(r" at 0x[0-9a-fA-F]+", "", one) for one in several)
+        for several in (stored, potentials_in_words(potentials))
+    )
     if before == now:
         return ""
     was, becomes = ([one for one in several if one not in others] for several, others in ((before, now), (now, before)))
@@ -140,7 +167,10 @@ def other_method(name: str, parameters: Mapping[str, Any], precision: str, engin
     ours = engine.method.name, json.loads(json.dumps(engine.method.parameters)), engine.interactions.options.precision
     if ours == (name, parameters, precision):
         return ""
-    before, now = (f"{one}({', '.join(f'{key}={as_text(value)}' for key, value in given.items())})" for one, given in ((name, parameters), ours[:2]))
+    before, now = (
+        f"{one}({', '.join(f'{key}={as_text(value)}' for key, value in given.items())})"
+        for one, given in ((name, parameters), ours[:2])
+    )
     in_precision = ("", "") if ours[2] == precision else (f" in {precision} precision", f" in {ours[2]} precision")
     return f"{before}{in_precision[0]} before, {now}{in_precision[1]} now"
 

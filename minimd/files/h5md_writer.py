@@ -36,7 +36,9 @@ from minimd.structure.checks import listed
 from minimd.structure.console import outside_minimd
 
 SECONDS_BETWEEN_FLUSHES = 1.0
-MOST_OFTEN = 50.0  # shortest time between flushes, in durations of a flush: 2 % of the time; less if the block of frames is full
+MOST_OFTEN = (
+    50.0  # shortest time between flushes, in durations of a flush: 2 % of the time; less if the block of frames is full
+)
 
 BESIDE = "beside."  # in the names of arrays that are kept with a restart
 
@@ -84,7 +86,12 @@ class H5MDWriter:
 
     @classmethod
     def append_to(
-        cls, file: str | Path, engine: Engine, store_forces: bool = False, every: int = 1, observers: Sequence[Accumulator] = ()
+        cls,
+        file: str | Path,
+        engine: Engine,
+        store_forces: bool = False,
+        every: int = 1,
+        observers: Sequence[Accumulator] = (),
     ) -> "H5MDWriter":
         """A writer that continues a file from its restart; frames after the restart are removed.
 
@@ -117,20 +124,29 @@ class H5MDWriter:
         _check_continues(Path(file), contents, self._engine, self._store_forces)
         if other := layout.other_method(contents.method, contents.parameters, contents.precision, self._engine):
             words = "frames before and after belong to different runs"
-            warnings.warn(f"the run in {str(file)!r} goes on with other steps: {other}; {words}", stacklevel=outside_minimd())
+            warnings.warn(
+                f"the run in {str(file)!r} goes on with other steps: {other}; {words}", stacklevel=outside_minimd()
+            )
         restore_observers(self._h5, file, observers)
         self._observers = observers
-        self._store_forces, self._every = contents.has_forces, every if f"observables/{layout.SPACING}" in self._h5 else None
+        self._store_forces, self._every = (
+            contents.has_forces,
+            every if f"observables/{layout.SPACING}" in self._h5 else None,
+        )
         with self._telling("be continued"):
             self._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
             self._last_step = int(contents.record.step[self._n_frames - 1])
-            self.marks = [array.tobytes() for name, array in arrays_of_restart(self._h5).items() if name.startswith(BESIDE)]
+            self.marks = [
+                array.tobytes() for name, array in arrays_of_restart(self._h5).items() if name.startswith(BESIDE)
+            ]
             self._bring_others = lambda claim: []
             set_aside_damaged(self._h5)
             drop_frames(self._h5, self._n_frames)
             describe_observers(self._h5, observers)
             if scene := self._engine.notes["scene"]:  # the scene with which the run goes on
-                self._h5["minimd"].attrs.update({"scene": scene, "title": self._engine.notes["title"] or contents.title})
+                self._h5["minimd"].attrs.update(
+                    {"scene": scene, "title": self._engine.notes["title"] or contents.title}
+                )
             self._describe_method()
 
     def write(self, frame: Frame) -> None:
@@ -166,7 +182,9 @@ class H5MDWriter:
             if self._method is not self._engine.method:
                 self._describe_method()
             if is_restart:
-                beside = states_of(self._observers) | {f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in marks}
+                beside = states_of(self._observers) | {
+                    f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in marks
+                }
                 write_restart(self._h5, self._engine.checkpoint(), n_frames, beside)
             self._commit()
             self._n_frames = n_frames
@@ -180,7 +198,10 @@ class H5MDWriter:
 
         Raises OSError if they cannot be written.
         """
-        others, self._bring_others = self._bring_others, lambda claim: []  # whole files have no marks: nothing is to be cut off
+        others, self._bring_others = (
+            self._bring_others,
+            lambda claim: [],
+        )  # whole files have no marks: nothing is to be cut off
         try:
             if self._h5:
                 others(self.claim)
@@ -234,7 +255,9 @@ class H5MDWriter:
             self._pending = None
             self._give_up()
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-            raise OSError(f"trajectory {self.claim.name!r} could not {what}: {reason}; the {self._n_frames} frames before it are valid") from error
+            raise OSError(
+                f"trajectory {self.claim.name!r} could not {what}: {reason}; the {self._n_frames} frames before it are valid"
+            ) from error
 
     def _give_up(self) -> None:
         self._h5.close()
@@ -305,7 +328,9 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
     }
     for name, is_same in same.items():
         if not is_same:
-            raise ValueError(f"trajectory {str(file)!r} holds another system: {name} of file and simulation differ; write to a new file")
+            raise ValueError(
+                f"trajectory {str(file)!r} holds another system: {name} of file and simulation differ; write to a new file"
+            )
     if held := difference(theirs.constraints, engine.constraints, theirs.positions):
         raise ValueError(
             f"trajectory {str(file)!r} holds a run with other constraints: {held}; use the constraints of the file, or write to a new file"
@@ -316,18 +341,26 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
             "with minimd.Simulation.resume, or write to a new file"
         )
     if engine.barostat != contents.barostat:
-        before, now = (repr(bath) if bath is not None else "no barostat" for bath in (contents.barostat, engine.barostat))
-        raise ValueError(f"trajectory {str(file)!r} holds a run with {before}; the simulation has {now}: write to a new file")
+        before, now = (
+            repr(bath) if bath is not None else "no barostat" for bath in (contents.barostat, engine.barostat)
+        )
+        raise ValueError(
+            f"trajectory {str(file)!r} holds a run with {before}; the simulation has {now}: write to a new file"
+        )
     if engine.has_bath != ("conserved_energy" in contents.record):
         raise ValueError(
             f"trajectory {str(file)!r} was written {'without' if engine.method.is_thermostat else 'with'} a thermostat; it cannot be continued "
             f"with {engine.method.name}: write to a new file"
         )
     if set(wanted := extras_in(contents.record)) != set(engine.extra_observables):
-        raise ValueError(f"trajectory {str(file)!r} was begun with simulation.extra_observables = {wanted}; set the same, or write to a new file")
+        raise ValueError(
+            f"trajectory {str(file)!r} was begun with simulation.extra_observables = {wanted}; set the same, or write to a new file"
+        )
     _check_same_observables(file, contents, recorded(engine))
     if store_forces and not contents.has_forces:
-        raise ValueError(f"trajectory {str(file)!r} was begun without forces; continue it without store_forces, or write to a new file")
+        raise ValueError(
+            f"trajectory {str(file)!r} was begun without forces; continue it without store_forces, or write to a new file"
+        )
 
 
 def _check_same_observables(file: Path, contents: H5MDContents, ours: Sequence[str]) -> None:

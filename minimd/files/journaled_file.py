@@ -38,7 +38,10 @@ class JournaledFile:
         self._claim = claim
         _finish(claim.descriptor)
         self._committed = self.size = os.fstat(claim.descriptor).st_size
-        self._tail, self._n_tail = bytearray(), 0  # bytes beyond the committed end: the first ones in memory that is reused
+        self._tail, self._n_tail = (
+            bytearray(),
+            0,
+        )  # bytes beyond the committed end: the first ones in memory that is reused
         self._pieces: Pieces = []  # replacements of committed bytes, in order
         self._at = 0
 

@@ -88,7 +88,9 @@ class MDAnalysisWriter:
                 with suppress(OSError, RuntimeError):
                     self._shut()
                 reason = getattr(error, "strerror", None) or error
-                raise OSError(f"trajectory {self.claim.name!r} could not take the frame of step {frame.step}: {reason}") from error
+                raise OSError(
+                    f"trajectory {self.claim.name!r} could not take the frame of step {frame.step}: {reason}"
+                ) from error
 
     def _shut(self) -> None:
         writer, self._writer = self._writer, None
@@ -98,8 +100,17 @@ class MDAnalysisWriter:
     def _opened(self, waiting: list[Frame]) -> Any:
         steps = waiting[1].step - waiting[0].step if len(waiting) > 1 else 1  # between frames
         spacing = {"nsavc": steps, "dt": steps * self._timestep, "istart": waiting[0].step}
-        options: dict[str, dict[str, Any]] = {"XTC": {"precision": XTC_DECIMALS}, "NCDF": {"velocities": True}, "DCD": spacing}
-        return MDAnalysis.Writer(str(self.claim.stream), n_atoms=len(self._universe.atoms), format=self._format, **options.get(self._format, {}))
+        options: dict[str, dict[str, Any]] = {
+            "XTC": {"precision": XTC_DECIMALS},
+            "NCDF": {"velocities": True},
+            "DCD": spacing,
+        }
+        return MDAnalysis.Writer(
+            str(self.claim.stream),
+            n_atoms=len(self._universe.atoms),
+            format=self._format,
+            **options.get(self._format, {}),
+        )
 
     def _place(self, frame: Frame) -> None:
         ts = self._universe.trajectory.ts

@@ -22,7 +22,13 @@ from minimd.structure.system import System
 from minimd.structure.units import ASE, LJ, UnitSystem
 
 LAMMPS = "lammps-data"
-SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS, ".mol2": "MOL2", ".gsd": "GSD", ".txyz": "TXYZ"}  # formats that ASE does not find by suffix
+SUFFIXES = {
+    ".data": LAMMPS,
+    ".lmp": LAMMPS,
+    ".mol2": "MOL2",
+    ".gsd": "GSD",
+    ".txyz": "TXYZ",
+}  # formats that ASE does not find by suffix
 XYZ = (".xyz", ".extxyz")
 NAMES_BONDS = ("PDB", "ENT")  # formats whose atoms are read by ASE, and whose bonds by MDAnalysis
 STATE_MASSES = ("DATA", "GSD")  # formats read by MDAnalysis that state masses, in their own units
@@ -66,7 +72,9 @@ def system_from_file(
         source = _source(path, form, units or ASE)
         system = _system(source, units or ASE, form)
     if isinstance(source, System) and units not in (None, source.units):
-        raise ValueError(f"file {str(path)!r} states units = {source.units.name!r}; it cannot be read with units = {units and units.name!r}")
+        raise ValueError(
+            f"file {str(path)!r} states units = {source.units.name!r}; it cannot be read with units = {units and units.name!r}"
+        )
     if cell is not None or pbc is not None:
         placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
         if isinstance(source, Atoms):  # lengths of constraints are measured in the new cell
@@ -81,7 +89,9 @@ def system_from_file(
         with suppress(ValueError):  # bonds were not asked for, so that it does not matter if they cannot be read
             _tell_unused(path, _joined_in(path, form, source, system))
         return changed(system, **NOTHING)
-    found = _joined_in(path, form, source, system) if bonds == "file" else _joined_beside(path.parent / bonds, len(system))
+    found = (
+        _joined_in(path, form, source, system) if bonds == "file" else _joined_beside(path.parent / bonds, len(system))
+    )
     for name, n_types in found.n_types.items():
         groups = {"bonds": "pairs", "angles": "triples"}.get(name, "quadruples")
         one = f"{'an' if name[0] in 'ai' else 'a'} {name[:-1]} potential"
@@ -93,7 +103,9 @@ def system_from_file(
 def changed(system: System, **changes: Any) -> System:
     """A copy of a system with other arguments."""
     names = ("masses", "velocities", "cell", "species", *GROUPS, "units", "constraints")
-    return System(system.positions, **{name: changes[name] if name in changes else getattr(system, name) for name in names})
+    return System(
+        system.positions, **{name: changes[name] if name in changes else getattr(system, name) for name in names}
+    )
 
 
 def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
@@ -110,7 +122,9 @@ def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
     if form == LAMMPS:
         _add_impropers(path, atoms)
     if "id" in atoms.arrays:
-        atoms.arrays["id"] = np.arange(1, len(atoms) + 1)  # these are all atoms of the file in its order, whatever ids they have there
+        atoms.arrays["id"] = np.arange(
+            1, len(atoms) + 1
+        )  # these are all atoms of the file in its order, whatever ids they have there
     return atoms
 
 
@@ -119,7 +133,9 @@ def _add_impropers(path: Path, atoms: Atoms) -> None:
     from MDAnalysis.topology.LAMMPSParser import DATAParser
 
     with quiet(), DATAParser(str(path)) as parser:
-        rows = np.array([line.split()[1:6] for line in parser.grab_datafile()[1].get("Impropers", ())], dtype=np.int64).reshape(-1, 5)
+        rows = np.array(
+            [line.split()[1:6] for line in parser.grab_datafile()[1].get("Impropers", ())], dtype=np.int64
+        ).reshape(-1, 5)
     if len(rows):
         place = {number: k for k, number in enumerate(atoms.arrays["id"].tolist())}
         words: list[list[str]] = [[] for _ in place]
@@ -147,7 +163,9 @@ def _system(source: Any, units: UnitSystem, form: str | None) -> System:
     system = System.from_ase(source) if isinstance(source, Atoms) else System.from_mdanalysis(source, units=units)
     types = [str(kind) for kind in source.arrays["type"].tolist()] if is_lammps else system.species
     if units is LJ:
-        states_masses = is_lammps or str(form).upper() in STATE_MASSES or (isinstance(source, Atoms) and source.has("masses"))
+        states_masses = (
+            is_lammps or str(form).upper() in STATE_MASSES or (isinstance(source, Atoms) and source.has("masses"))
+        )
         own: dict[str, Any] = {} if states_masses else {"masses": None, "velocities": None}
         return changed(system, units=LJ, species=types, **own)
     return changed(system, species=types) if is_lammps and not _are_elements(system, types) else system
@@ -176,7 +194,9 @@ def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joi
         made = _universe(path, name)
         positions, found = np.asarray(made.atoms.positions, dtype=np.float64), _joined_of(made)
     if positions.shape != source.positions.shape or np.abs(positions - source.positions).max() > NEAR:
-        raise ValueError(f"file {str(path)!r} is read in different orders by ASE and by MDAnalysis, which reads its bonds; give the bonds as pairs")
+        raise ValueError(
+            f"file {str(path)!r} is read in different orders by ASE and by MDAnalysis, which reads its bonds; give the bonds as pairs"
+        )
     return found
 
 
@@ -222,7 +242,11 @@ def _read_as(path: Path, what: str, form: str | None) -> Iterator[None]:
     except Exception as error:
         if form is None and isinstance(error, StopIteration | UnknownFileTypeError):
             reason = "its suffix and content do not show its format; give it as format, such as 'lammps-data'"
-        elif isinstance(error, KeyError) and str(path.suffix).lower() in XYZ and (label := error.args[0]) not in atomic_numbers:
+        elif (
+            isinstance(error, KeyError)
+            and str(path.suffix).lower() in XYZ
+            and (label := error.args[0]) not in atomic_numbers
+        ):
             reason = (
                 f"{label!r} is not a chemical symbol, which ASE expects in this format; name the atoms X, and give their species to System or in the "
                 "scene under [structure], or write LAMMPS data, whose types may have any name"

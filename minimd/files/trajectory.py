@@ -36,8 +36,14 @@ class Writer(Protocol):
 
 
 FORMATS = {  # suffix: module and class of its writer, imported when needed, and the options that it takes besides claim and engine
-    ".h5md": ("minimd.files.h5md_writer", "H5MDWriter", ("store_forces", "every", "observers", "n_frames", "bring_others")),
-    **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), ("minimd.files.mdanalysis_writer", "MDAnalysisWriter", ())),
+    ".h5md": (
+        "minimd.files.h5md_writer",
+        "H5MDWriter",
+        ("store_forces", "every", "observers", "n_frames", "bring_others"),
+    ),
+    **dict.fromkeys(
+        (".xtc", ".dcd", ".trr", ".ncdf", ".nc"), ("minimd.files.mdanalysis_writer", "MDAnalysisWriter", ())
+    ),
     **dict.fromkeys((".xyz", ".extxyz", ".traj"), ("minimd.files.ase_writer", "ASEWriter", ("store_forces",))),
 }
 N_FIRST, N_LAST = 128, 256
@@ -74,7 +80,9 @@ def open_trajectories(
     with ExitStack() as closing:
         writers: list[Writer] = []
         options["bring_others"] = partial(_brought_to_disk, writers)
-        for file in sorted(files, key=lambda file: file.suffix.lower() == ".h5md"):  # last: it tells how far the others are
+        for file in sorted(
+            files, key=lambda file: file.suffix.lower() == ".h5md"
+        ):  # last: it tells how far the others are
             writers.append(_continued(file, engine, options) if append else _new(file, engine, options, overwrite))
             closing.callback(writers[-1].close)
             if append:
@@ -93,7 +101,9 @@ def _new(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -
     except OSError as error:
         raise type(error)(f"output {str(file)!r} cannot be written: {error.strerror}") from None
     try:
-        writer: Writer = getattr(import_module(module), name)(claim, engine, **{option: options[option] for option in takes})
+        writer: Writer = getattr(import_module(module), name)(
+            claim, engine, **{option: options[option] for option in takes}
+        )
     except BaseException:
         claim.release()
         raise
@@ -103,7 +113,9 @@ def _new(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -
 def _continued(file: Path, engine: Engine, options: dict[str, Any]) -> Writer:
     from minimd.files.h5md_writer import H5MDWriter
 
-    return H5MDWriter.append_to(file, engine, **{name: options[name] for name in ("store_forces", "every", "observers")})
+    return H5MDWriter.append_to(
+        file, engine, **{name: options[name] for name in ("store_forces", "every", "observers")}
+    )
 
 
 def _cut_others_back(writer: Any) -> None:
@@ -116,7 +128,9 @@ def _cut_others_back(writer: Any) -> None:
         except FileNotFoundError:
             words = ""
         except (OSError, ValueError, struct.error) as error:
-            words = f"may hold frames after the restart and is left as it is: {getattr(error, 'strerror', None) or error}"
+            words = (
+                f"may hold frames after the restart and is left as it is: {getattr(error, 'strerror', None) or error}"
+            )
         told += [f"trajectory {str(path)!r} {words}"] if words else []
     for sentence in told:
         warnings.warn(sentence, stacklevel=outside_minimd())
@@ -156,7 +170,9 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
     with open(locked(path), "r+b") as file:
         found = os.fstat(file.fileno()).st_size
         is_ours = _has_inode(h5md, own) and _has_inode(file.fileno(), inode) and found >= size
-        if not is_ours or any(a not in (0, b) for a, b in zip(last, read_at(file.fileno(), *_last_bytes(size)), strict=False)):
+        if not is_ours or any(
+            a not in (0, b) for a, b in zip(last, read_at(file.fileno(), *_last_bytes(size)), strict=False)
+        ):
             raise ValueError("it, or the file with the restart, is a copy or was changed")
         file.write(first[:size])
         file.truncate(size)
@@ -177,7 +193,9 @@ def _last_bytes(size: int) -> tuple[int, int]:
 
 def _appendable(file: Path) -> Path:
     if file.suffix.lower() != ".h5md":
-        raise ValueError(f"only .h5md files can be appended to, because they hold the state from which a run goes on; the file is {str(file)!r}")
+        raise ValueError(
+            f"only .h5md files can be appended to, because they hold the state from which a run goes on; the file is {str(file)!r}"
+        )
     return file
 
 
@@ -186,13 +204,17 @@ def _check_are_different(paths: Sequence[Path]) -> None:
     seen: dict[str, Path] = {}
     for path in paths:
         if (first := seen.setdefault(os.path.realpath(path), path)) is not path:
-            raise ValueError(f"each trajectory must be a file of its own; {str(first)!r} and {str(path)!r} are the same file: name it once")
+            raise ValueError(
+                f"each trajectory must be a file of its own; {str(first)!r} and {str(path)!r} are the same file: name it once"
+            )
 
 
 def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Path]:
     """The paths of one file or several.  name : of the argument, for messages.  Raises TypeError for anything that is not a path."""
     several = [paths] if isinstance(paths, str | Path) else paths
-    if not isinstance(several, list | tuple) or not all(isinstance(path, str | Path) and Path(path).name for path in several):
+    if not isinstance(several, list | tuple) or not all(
+        isinstance(path, str | Path) and Path(path).name for path in several
+    ):
         raise TypeError(f"{name} must be the path of a file, or a list of paths; {name} = {shown(paths)}")
     return [Path(path) for path in several]
 
@@ -215,7 +237,9 @@ def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] 
     if not file.absolute().parent.is_dir():
         raise FileNotFoundError(f"output folder {str(file.absolute().parent)!r} does not exist; make it first")
     if file.exists() and not file.is_file():
-        raise ValueError(f"output {str(file)!r} must be a regular file, but it is a folder or a device; choose another name")
+        raise ValueError(
+            f"output {str(file)!r} must be a regular file, but it is a folder or a device; choose another name"
+        )
     if not os.access(file if file.exists() else file.absolute().parent, os.W_OK):
         raise PermissionError(f"output {str(file)!r} cannot be written: {os.strerror(errno.EACCES)}")
     return file

@@ -38,7 +38,9 @@ class Turn:
 
     def __init__(self, cell: Cell, to_angstrom: float = 1.0) -> None:
         if not has_edges(cell):
-            raise ValueError(f"only a cell with three independent vectors, periodic in some direction, can be turned; cell = {cell!r}")
+            raise ValueError(
+                f"only a cell with three independent vectors, periodic in some direction, can be turned; cell = {cell!r}"
+            )
         self._vectors, self._to_angstrom = cell.vectors, to_angstrom
         self._is_reduced = finds_all_images(cell)
         basis = np.eye(3, dtype=np.int64) if self._is_reduced else cell.reduction
@@ -47,7 +49,9 @@ class Turn:
     @property
     def is_needed(self) -> bool:
         """False if MDAnalysis takes the cell as it is."""
-        return not np.array_equal(self.combination, np.eye(3)) or bool(np.abs(self.of(self._vectors)[0] - np.eye(3)).max() > SEEN)
+        return not np.array_equal(self.combination, np.eye(3)) or bool(
+            np.abs(self.of(self._vectors)[0] - np.eye(3)).max() > SEEN
+        )
 
     def of(self, vectors: Array) -> tuple[Array, NDArray[np.float32]]:
         """R (3, 3), and the lengths and angles in MDAnalysis [Å, °], for a frame with these lattice vectors [length]."""
@@ -65,7 +69,9 @@ class Turn:
 
     def in_words(self, what: str, way_back: str) -> str:
         """A sentence on what is done to positions and cell.  what : to which they belong.  way_back : where R is found."""
-        rows = np.array2string(self.of(self._vectors)[0], separator=", ", precision=6, suppress_small=True).replace("\n", "")
+        rows = np.array2string(self.of(self._vectors)[0], separator=", ", precision=6, suppress_small=True).replace(
+            "\n", ""
+        )
         reason = ""
         if not self._is_reduced:
             reason = "; the cell is so skewed that MDAnalysis would miss nearest images, and is replaced by its shortest vectors"

@@ -12,7 +12,15 @@ from minimd.compiled.simd import bits_from_mask, lane, load, store, total
 from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import barrier, begin, finish_and_take, stop, take, was_stopped
 from minimd.forces.cluster_loop import lanes_beyond
-from minimd.integrators.splitting.flows import drifted, drifted_on_grid, kicked, kicked_on_grid, mixed, momentum_in_steps, velocity_of
+from minimd.integrators.splitting.flows import (
+    drifted,
+    drifted_on_grid,
+    kicked,
+    kicked_on_grid,
+    mixed,
+    momentum_in_steps,
+    velocity_of,
+)
 from minimd.neighbors.cluster_list import clear, collected, gather, is_mixed, place
 from minimd.neighbors.clusters import DIMENSIONS, gathered, loaded
 from minimd.neighbors.domains import LATE
@@ -36,7 +44,10 @@ class Contacts(ByAddress, namedtuple("Contacts", "kept spread duration noise mas
     """
 
 
-class Atoms(ByAddress, namedtuple("Atoms", "velocities inverse_masses mass_step own_positions own_velocities own_inverse_masses")):
+class Atoms(
+    ByAddress,
+    namedtuple("Atoms", "velocities inverse_masses mass_step own_positions own_velocities own_inverse_masses"),
+):
     """What moves beside the positions.  velocities : (N, 3) [length/time].  inverse_masses : (N,) [1/mass].
 
     mass_step : how far apart those of neighboring slots are in own_inverse_masses: 0 if all are the same, so that a vector of them is enough.
@@ -78,7 +89,9 @@ def evaluate_clusters(worker, task, positions, arrays, loop, forces, motion):
         while chunk >= 0:
             clear(chunk, arrays)
             run_at(loop.add, (chunk, arrays, loop.work, motion.steps, which_kick(motion, n_made)))
-            if chunk >= n_late and not _finish(chunk, arrays, (0.0, 0.0, 0.0), forces, motion, n_made):  # on one thread: while it is in the cache
+            if chunk >= n_late and not _finish(
+                chunk, arrays, (0.0, 0.0, 0.0), forces, motion, n_made
+            ):  # on one thread: while it is in the cache
                 is_valid = False
             chunk = finish_and_take(worker, phase, n)
         phase = barrier(worker, phase)
@@ -189,7 +202,9 @@ def _to_momenta(k, start, n_lanes, motion, steps):
 
     def to_momenta(k, start, n_lanes, motion, steps):
         for at in range(start, start + DIMENSIONS * n_lanes):
-            inverse_mass = motion.atoms.own_inverse_masses[(k * n_lanes + (at - start) % n_lanes) * motion.atoms.mass_step]
+            inverse_mass = motion.atoms.own_inverse_masses[
+                (k * n_lanes + (at - start) % n_lanes) * motion.atoms.mass_step
+            ]
             motion.atoms.own_velocities[at] = momentum_in_steps(motion.atoms.own_velocities[at], inverse_mass, steps)
 
     return to_momenta
@@ -241,17 +256,25 @@ def _move(domain, arrays, excess, motion, n_made):
         inverse_mass = load(motion.atoms.own_inverse_masses, k * n_lanes * motion.atoms.mass_step, lanes)
         for c, force in enumerate(collected(k, arrays)):
             at = start + c * n_lanes
-            velocity, position = load(motion.atoms.own_velocities, at, lanes), load(motion.atoms.own_positions, at, lanes)
+            velocity, position = (
+                load(motion.atoms.own_velocities, at, lanes),
+                load(motion.atoms.own_positions, at, lanes),
+            )
             velocity, position = _moved(velocity, position, force - excess[c], inverse_mass, flows, motion.steps)
             store(motion.atoms.own_velocities, at, velocity)
             store(motion.atoms.own_positions, at, position)
         if has_bath(motion):
             for k_lane in range(clusters.filled[k]):
-                _touch(clusters.atom[k * n_lanes + k_lane], start + k_lane, n_lanes, motion, motion.course[MADE] + n_made)
+                _touch(
+                    clusters.atom[k * n_lanes + k_lane], start + k_lane, n_lanes, motion, motion.course[MADE] + n_made
+                )
         moved2 = size2 = 0.0 * inverse_mass
         for c in range(DIMENSIONS):
             at = start + c * n_lanes
-            velocity, position = load(motion.atoms.own_velocities, at, lanes), load(motion.atoms.own_positions, at, lanes)
+            velocity, position = (
+                load(motion.atoms.own_velocities, at, lanes),
+                load(motion.atoms.own_positions, at, lanes),
+            )
             moved = position - load(clusters.positions, at, lanes)
             moved2 = moved2 + moved * moved
             size2 = size2 + velocity * velocity
@@ -280,7 +303,12 @@ def _touch(i, place, n_lanes, motion, row):
 @scalar
 def of_cycle(motion, k):
     """Durations of kick and drift k of the cycle [time], how many units they have, and the unit of the drift [time]."""
-    kick, drift, kick_unit, unit = motion.durations[k, 0, 0], motion.durations[k, 1, 0], motion.durations[k, 0, 1], motion.durations[k, 1, 1]
+    kick, drift, kick_unit, unit = (
+        motion.durations[k, 0, 0],
+        motion.durations[k, 1, 0],
+        motion.durations[k, 0, 1],
+        motion.durations[k, 1, 1],
+    )
     return kick, drift, np.rint(kick / kick_unit), np.rint(drift / unit), unit
 
 

@@ -42,7 +42,9 @@ def parameters_of_lanes(source, slot, cluster, lanes):
     """Parameters of the pairs of the atom in a slot with the lanes of a cluster: numbers, or vectors if species differ."""
     if source.instance_class is SameForAll:
         return lambda source, slot, cluster, lanes: source.numbers
-    return lambda source, slot, cluster, lanes: _loaded(source.columns, source.species[slot] * source.slots + cluster * count(lanes), lanes)
+    return lambda source, slot, cluster, lanes: _loaded(
+        source.columns, source.species[slot] * source.slots + cluster * count(lanes), lanes
+    )
 
 
 @by_type
@@ -119,9 +121,11 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
     steps : () or, in fixed-point arithmetic, Steps.  which : of its kicks.
     Indices in the inner loop are unsigned: the compiler need not check for those that count from the end.
     """
-    rows, homes, memory, lanes, n_lanes = arrays.rows, arrays.ghosts.home, arrays.memory, arrays.clusters.lanes, count(arrays.clusters.lanes)
+    rows, homes, memory, lanes = arrays.rows, arrays.ghosts.home, arrays.memory, arrays.clusters.lanes
+    n_lanes = count(lanes)
     first, window, block = arrays.domains.first[domain], arrays.domains.window[domain], DIMENSIONS * n_lanes
-    coordinates, forces = memory.coordinates[first * block :], sums.forces[arrays.domains.place[domain] * block :]  # of this window
+    coordinates = memory.coordinates[first * block :]  # of this window, as the forces
+    forces = sums.forces[arrays.domains.place[domain] * block :]
     nothing, like = broadcast(0.0, load(forces, 0, lanes)), load(coordinates, 0, lanes)
     zero = convert(nothing, 0.0)
     own_share, scale = 0.5 if sums.detail == PER_ATOM else 1.0, scale_of(steps, which, like)
@@ -130,7 +134,8 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
     for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
         home, lane = homes[slot // n_lanes] - first, slot % n_lanes
         place = home * DIMENSIONS * n_lanes + lane
-        at = (broadcast(coordinates[place], like), broadcast(coordinates[place + n_lanes], like), broadcast(coordinates[place + 2 * n_lanes], like))
+        x, y, z = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
+        at = broadcast(x, like), broadcast(y, like), broadcast(z, like)
         after = rows.entries[np.uintp(rows.start[slot])]
         ahead = separations(coordinates, memory, after, at, lanes)
         fx, fy, fz, size2 = nothing, nothing, nothing, zero
@@ -155,8 +160,9 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
                 dx, dy, dz = convert(dx, 0.0), convert(dy, 0.0), convert(dz, 0.0)
                 gx, gy, gz, u = f * dx, f * dy, f * dz, in_steps(u, steps)
                 energy = energy + u
-                xx, yy, zz = plus_virial(gx, dx, xx, steps), plus_virial(gy, dy, yy, steps), plus_virial(gz, dz, zz, steps)
-                yz, xz, xy = plus_virial(gy, dz, yz, steps), plus_virial(gx, dz, xz, steps), plus_virial(gx, dy, xy, steps)
+                xx, xy = plus_virial(gx, dx, xx, steps), plus_virial(gx, dy, xy, steps)
+                yy, yz = plus_virial(gy, dy, yy, steps), plus_virial(gy, dz, yz, steps)
+                zz, xz = plus_virial(gz, dz, zz, steps), plus_virial(gx, dz, xz, steps)
                 if sums.detail == PER_ATOM:
                     for c, w in enumerate((u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)):
                         at_c = ((window + np.intp(ghost)) * LANE_SUMS + c) * n_lanes
@@ -199,13 +205,19 @@ def separation(coordinates, place, x, unit, lanes):
     """
     if isinstance(coordinates.dtype, types.Float):
         return lambda coordinates, place, x, unit, lanes: load(coordinates, place, lanes) - x
-    return lambda coordinates, place, x, unit, lanes: convert(load(coordinates, place, lanes) - x, np.float32(0.0)) * unit
+    return lambda coordinates, place, x, unit, lanes: (
+        convert(load(coordinates, place, lanes) - x, np.float32(0.0)) * unit
+    )
 
 
 @by_type
 def scale_of(steps, which, like):
     """What makes impulses of forces, in steps of momentum, in all lanes; () where forces are summed as they are."""
-    return (lambda steps, which, like: broadcast(steps.per_force[which], like)) if is_fixed(steps) else lambda steps, which, like: ()
+    return (
+        (lambda steps, which, like: broadcast(steps.per_force[which], like))
+        if is_fixed(steps)
+        else lambda steps, which, like: ()
+    )
 
 
 @by_type
@@ -305,7 +317,11 @@ def in_steps(u, steps):
 @by_type
 def plus_virial(g, x, to, steps):
     """to + g x, a component of the virial [energy]."""
-    return (lambda g, x, to, steps: to + on_grid(g * x, steps.energy)) if is_fixed(steps) else lambda g, x, to, steps: fma(g, x, to)
+    return (
+        (lambda g, x, to, steps: to + on_grid(g * x, steps.energy))
+        if is_fixed(steps)
+        else lambda g, x, to, steps: fma(g, x, to)
+    )
 
 
 @by_type

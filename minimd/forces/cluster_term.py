@@ -121,14 +121,22 @@ class ClusterTerm(OwnTerm):
         state.forces_are_current, course = False, np.array([0, n_cycles * len(durations)])
         contacts = NO_CONTACTS if contact is None else in_contact(contact, state, n_cycles)
         calls = self._calls[FORCES]
-        on_grid = (state.impulses, self._steps(steps_of(state.grid, durations[:, 0, 1]))) if isinstance(state, GridState) else None
+        on_grid = (
+            (state.impulses, self._steps(steps_of(state.grid, durations[:, 0, 1])))
+            if isinstance(state, GridState)
+            else None
+        )
         forces, steps = on_grid or (state.forces, ())
         while course[MADE] < course[TO_MAKE]:
             self._update(system)
-            evaluation = self._evaluation(system, self._work, forces, Motion(steps, durations, course, contacts, self._atoms_of(state)))
+            evaluation = self._evaluation(
+                system, self._work, forces, Motion(steps, durations, course, contacts, self._atoms_of(state))
+            )
             if self.list.can_be_renewed:
                 n_tasks = TASKS_PER_MOVE * int(course[TO_MAKE] - course[MADE])
-                self.list.renewed(self._pool.run(march_clusters, *self._with_builds(evaluation), calls=calls, n_tasks=n_tasks))
+                self.list.renewed(
+                    self._pool.run(march_clusters, *self._with_builds(evaluation), calls=calls, n_tasks=n_tasks)
+                )
                 self._prepared_for = self.list.n_builds, int(self.list.rows.layers[0])
             else:
                 course[MADE] += self._pool.run(evaluate_clusters, *evaluation, calls=calls)
@@ -159,21 +167,38 @@ class ClusterTerm(OwnTerm):
     def _arrange(self, system: System) -> None:
         """Arrays that go with those of the list."""
         of_lanes = [self._by_lane(k, one.table, system.species_index) for k, one in enumerate(self._pair_laws.members)]
-        self._laws: tuple[Any, ...] = tuple((one.law, parameters) for one, parameters in zip(self._pair_laws.members, of_lanes, strict=True))
+        self._laws: tuple[Any, ...] = tuple(
+            (one.law, parameters) for one, parameters in zip(self._pair_laws.members, of_lanes, strict=True)
+        )
         self._needs_preparation = self._precision == FIXED_POINT or any(isinstance(one, ByLane) for one in of_lanes)
-        self._work = Work(self._laws, ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES))
+        self._work = Work(
+            self._laws, ForceSums(self.list.memory.forces, np.zeros(0), np.zeros((0, 6)), np.zeros(0), FORCES)
+        )
         self._work_of_totals = None
         self._atoms = None  # made where atoms march
         self._arranged_for, self._prepared_for = self.list.n_arranged, (0, 0)
 
     def _atoms_of(self, state: State) -> Atoms:
         """Atoms, with memory for them in the order of the clusters."""
-        if self._atoms is None or self._atoms.velocities is not state.velocities or self._atoms.inverse_masses is not state.inverse_masses:
+        if (
+            self._atoms is None
+            or self._atoms.velocities is not state.velocities
+            or self._atoms.inverse_masses is not state.inverse_masses
+        ):
             are_same = bool((state.inverse_masses == state.inverse_masses[0]).all())
-            masses = self._memory.array("own inverse masses", np.float64, self.list.lanes.size if are_same else len(self.list.clusters.atom))
+            masses = self._memory.array(
+                "own inverse masses", np.float64, self.list.lanes.size if are_same else len(self.list.clusters.atom)
+            )
             masses[:] = state.inverse_masses[0]
             positions = self.list.idle
-            self._atoms = Atoms(state.velocities, state.inverse_masses, 0 if are_same else 1, positions, state.room(positions.size), masses)
+            self._atoms = Atoms(
+                state.velocities,
+                state.inverse_masses,
+                0 if are_same else 1,
+                positions,
+                state.room(positions.size),
+                masses,
+            )
         return self._atoms
 
     def _totals(self) -> Work:
@@ -200,8 +225,13 @@ class ClusterTerm(OwnTerm):
         atom, real = clusters.atom[: n * n_lanes], (np.arange(n_lanes) < clusters.filled[:n, None]).ravel()
         energies[atom[real]] += sums.energies[real]
         virials[atom[real]] += sums.virials[real]
-        of_lanes, (first, window) = sums.lane_sums.reshape(-1, LANE_SUMS, n_lanes), (self.list.domains.first, self.list.domains.window)
-        owner = np.concatenate([self.list.ghosts.owner[a : a + size] for a, size in zip(first, np.diff(window), strict=True)])
+        of_lanes, (first, window) = (
+            sums.lane_sums.reshape(-1, LANE_SUMS, n_lanes),
+            (self.list.domains.first, self.list.domains.window),
+        )
+        owner = np.concatenate(
+            [self.list.ghosts.owner[a : a + size] for a, size in zip(first, np.diff(window), strict=True)]
+        )
         atoms = atom.reshape(-1, n_lanes)[owner]
         np.add.at(energies, atoms, of_lanes[:, 0])
         np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))

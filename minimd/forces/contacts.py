@@ -93,10 +93,14 @@ def why_not_finite(system: System, potentials: Sequence[Any]) -> str:
     return "every potential by itself is finite here"
 
 
-Pair = tuple[int, int, float, float, tuple[float, ...]]  # two atoms, their distance, the factor on the law, and its numbers
+Pair = tuple[
+    int, int, float, float, tuple[float, ...]
+]  # two atoms, their distance, the factor on the law, and its numbers
 
 
-def contacts(system: System, potentials: Sequence[Any], inverse_masses: NDArray[np.float64], atoms: Iterable[int]) -> list[Contact]:
+def contacts(
+    system: System, potentials: Sequence[Any], inverse_masses: NDArray[np.float64], atoms: Iterable[int]
+) -> list[Contact]:
     """The contacts of some atoms with their nearest neighbors, by pair potentials and bonds; other potentials have none.
 
     inverse_masses : (N,) [1/mass], zero for atoms held fixed.  atoms : finite in their positions.
@@ -105,7 +109,11 @@ def contacts(system: System, potentials: Sequence[Any], inverse_masses: NDArray[
     known = sorted(set(atoms))
     for potential in potentials:
         if isinstance(potential, (PairPotential, BondPotential)):
-            pairs = _near_pairs(potential, system, known) if isinstance(potential, PairPotential) else _bonds(potential, system, known)
+            pairs = (
+                _near_pairs(potential, system, known)
+                if isinstance(potential, PairPotential)
+                else _bonds(potential, system, known)
+            )
             found += [_contact(potential, pair, float(inverse_masses[list(pair[:2])].sum())) for pair in pairs]
     return found
 
@@ -113,7 +121,11 @@ def contacts(system: System, potentials: Sequence[Any], inverse_masses: NDArray[
 def bonded_scales(potential: PairPotential, system: System) -> dict[frozenset[int], float]:
     """The factor on the law for each pair of atoms up to three bonds apart."""
     by_bonds = pairs_by_bonds_apart(system.bonds) if len(system.bonds) else ()
-    return {frozenset(pair): factor for pairs, factor in zip(by_bonds, potential.bonded_scale, strict=False) for pair in pairs.tolist()}
+    return {
+        frozenset(pair): factor
+        for pairs, factor in zip(by_bonds, potential.bonded_scale, strict=False)
+        for pair in pairs.tolist()
+    }
 
 
 def _near_pairs(potential: PairPotential, system: System, atoms: list[int]) -> Iterator[Pair]:
@@ -122,7 +134,10 @@ def _near_pairs(potential: PairPotential, system: System, atoms: list[int]) -> I
     scales = bonded_scales(potential, system)
     for atom in atoms:
         others = np.delete(np.arange(len(system)), atom)
-        distances = np.linalg.norm(nearest_vectors(system.positions, system.cell, np.column_stack([np.full_like(others, atom), others])), axis=1)
+        distances = np.linalg.norm(
+            nearest_vectors(system.positions, system.cell, np.column_stack([np.full_like(others, atom), others])),
+            axis=1,
+        )
         for k in np.argsort(distances)[:NEAREST]:
             other, r = int(others[k]), float(distances[k])
             pair = frozenset((atom, other))
@@ -153,7 +168,11 @@ def _contact(potential: PairPotential | BondPotential, pair: Pair, inverse_mass:
         rest = curvature_at_minimum(epsilon, length)
     elif isinstance(potential.law, HarmonicLaw):
         rest, length = numbers
-    kind = type(potential).__name__, isinstance(potential, BondPotential), is_user_law(potential.law) or reads_table(potential.law)
+    kind = (
+        type(potential).__name__,
+        isinstance(potential, BondPotential),
+        is_user_law(potential.law) or reads_table(potential.law),
+    )
     frequency, at_rest = (sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest))
     deeper, pull = law_at(potential.law, 0.5 * r, numbers)
     sinks = scale > 0.0 and f < 0.0 and pull < 0.0 and deeper < u and not kind[1]

@@ -44,7 +44,12 @@ class Evaluation(Displayed):
         virial = [" ".join(f"{x:>14.6g}" for x in row) for row in self.virial]
         energies = f"of single atoms: least {self.energies.min():.6g}, largest {self.energies.max():.6g}"
         energy, largest = f"{self.potential_energy:.10g}", f"{force:.4g}, on atom {atom}"
-        return [("energy", energy), ("", energies), ("largest force", largest), *zip(("virial", "", ""), virial, strict=True)]
+        return [
+            ("energy", energy),
+            ("", energies),
+            ("largest force", largest),
+            *zip(("virial", "", ""), virial, strict=True),
+        ]
 
 
 @names_keywords

@@ -25,7 +25,9 @@ from minimd.structure.errors import RangeError, why_not_compiled
 from minimd.structure.grid import TOO_LARGE, Grid
 from minimd.structure.system import System, check_resolution
 
-CHANGED_SPEED = 2.0  # the skin is chosen anew when atoms have become faster or slower by this factor: its optimum is flat
+CHANGED_SPEED = (
+    2.0  # the skin is chosen anew when atoms have become faster or slower by this factor: its optimum is flat
+)
 KNOWN = nullcontext()
 VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # places of xx yy zz yz xz xy in a (3, 3) tensor
 
@@ -53,7 +55,9 @@ class Forces:
         cutoff, bonded terms that name missing atoms; and as check_resolution.
     """
 
-    def __init__(self, system: System, potentials: Potential | Sequence[Potential], options: Options | None = None) -> None:
+    def __init__(
+        self, system: System, potentials: Potential | Sequence[Potential], options: Options | None = None
+    ) -> None:
         self.system, self.options = system, options or Options()
         self.potentials = as_potentials(potentials)
         self.terms: list[Term] = []
@@ -66,7 +70,10 @@ class Forces:
                 warnings.warn(term.warning, stacklevel=outside_minimd())
         if self.options.skin is not None and self.options.skin > (widest := min(self.widest_skins, default=np.inf)):
             why = "where bonded pairs are left out or scaled, cutoff + skin can be at most half the height of the cell"
-            warnings.warn(f"skin {self.options.skin:g} {system.units.length} does not fit, {widest:.3g} is used: {why}", stacklevel=outside_minimd())
+            warnings.warn(
+                f"skin {self.options.skin:g} {system.units.length} does not fit, {widest:.3g} is used: {why}",
+                stacklevel=outside_minimd(),
+            )
         self.forces = np.zeros_like(system.positions)
         self._energies, self._virials, self._detail = np.zeros(0), np.zeros((0, 6)), FORCES
         self.impulses, self.unit = np.zeros((0, 3), dtype=np.int64), 1.0
@@ -95,7 +102,9 @@ class Forces:
         for term in self.terms:
             if not term.fits_grid:
                 kinds = "laws u(r) of pairs and bonds, angles, dihedrals, and fields that stay the same"
-                raise ValueError(f"precision='fixed-point' is for {kinds}; {type(term).__name__} cannot round its forces: take precision='double'")
+                raise ValueError(
+                    f"precision='fixed-point' is for {kinds}; {type(term).__name__} cannot round its forces: take precision='double'"
+                )
 
     def depth(self) -> float:
         """Depth of the deepest well of all pair laws [energy], see pair_laws.deepest."""
@@ -117,7 +126,10 @@ class Forces:
 
     def fit_skin(self, displacement: float) -> None:
         """Choose the skin anew if the displacement of the fastest atom in a step [length] has changed much, unless the user gave a skin."""
-        if self.options.skin is None and not self.displacement / CHANGED_SPEED <= displacement <= self.displacement * CHANGED_SPEED:
+        if (
+            self.options.skin is None
+            and not self.displacement / CHANGED_SPEED <= displacement <= self.displacement * CHANGED_SPEED
+        ):
             self.displacement = displacement
             self._plan(self._bound)
 
@@ -186,7 +198,9 @@ class Forces:
         """What terms add to: forces, energies and virials; or, on a grid, impulses over a unit of time."""
         if self.grid is None:
             return self.forces, self._energies, self._virials
-        return GridSums(self.impulses, self._energies, self._virials, steps_of(self.grid, (unit,)), np.zeros(1, dtype=np.int64))
+        return GridSums(
+            self.impulses, self._energies, self._virials, steps_of(self.grid, (unit,)), np.zeros(1, dtype=np.int64)
+        )
 
     def _take(self, sums: tuple[Any, ...], unit: float) -> None:
         """The forces of impulses over a unit of time.  Raises RangeError if one is out of range."""
@@ -202,7 +216,9 @@ class Forces:
             with self._compiling(FORCES):
                 steps = () if self.grid is None else steps_of(self.grid, (self.unit,))
                 for term in self.terms:
-                    term.prepare(self.system, self.forces if self.grid is None else self.impulses, steps, len(self.terms) == 1)
+                    term.prepare(
+                        self.system, self.forces if self.grid is None else self.impulses, steps, len(self.terms) == 1
+                    )
 
     def march(self, state: State, cycle: Cycle, n: int) -> int:
         """See March in integrators.splitting; for scenes with one term that can.  Raises as compute."""
@@ -221,7 +237,9 @@ class Forces:
                 yield
         except NumbaError as error:
             laws, reason = ", ".join(map(repr, self.potentials)), why_not_compiled(str(error))
-            raise TypeError(f"a law of {laws} does not compile; laws must be arithmetic on numbers that numba.njit accepts: {reason}") from error
+            raise TypeError(
+                f"a law of {laws} does not compile; laws must be arithmetic on numbers that numba.njit accepts: {reason}"
+            ) from error
         self._compiled.add(detail)
 
     def _clear_accumulators(self, detail: int) -> None:
@@ -265,7 +283,9 @@ class Forces:
     @property
     def virials(self) -> NDArray[np.float64]:
         """Each atom's share of W [energy], (N, 6) as xx yy zz yz xz xy, of the last compute with PER_ATOM."""
-        return self._virials + np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * self._tail_corrections()[1] / 3.0 / len(self.system)
+        return self._virials + np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * self._tail_corrections()[1] / 3.0 / len(
+            self.system
+        )
 
     @property
     def largest_cutoff(self) -> float:

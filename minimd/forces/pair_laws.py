@@ -30,7 +30,9 @@ class PairLaws:
 
     def __init__(self, system: System, members: Sequence[PairLaw]) -> None:
         by_bonds, scale = pairs_by_bonds_apart(system.bonds), members[0].bonded_scale
-        self.special = [(pairs, factor) for pairs, factor in zip(by_bonds, scale, strict=True) if factor != 1.0 and len(pairs)]
+        self.special = [
+            (pairs, factor) for pairs, factor in zip(by_bonds, scale, strict=True) if factor != 1.0 and len(pairs)
+        ]
         self.excluded = np.concatenate([np.zeros((0, 2), dtype=np.int64), *(pairs for pairs, _ in self.special)])
         self.members, self.cutoff = members, max(one.cutoff for one in members)
 
@@ -52,8 +54,14 @@ class PairLaws:
         for one in self.members:
             for cutoff2, *numbers in one.table.reshape(-1, one.table.shape[-1]).tolist():
                 tried = np.abs([law_at(one.law, x * cutoff2**0.5, tuple(numbers)) for x in TRIED_AT])
-                largest = np.where(np.isfinite(tried), tried, 0.0).max(axis=0)  # a law of the user's may end before the cutoff
-                sizes = [size for size in (TRIED_AT[0] ** 2 * cutoff2, cutoff2, *largest.tolist()) if size > 0.0 and isfinite(size)]
+                largest = np.where(np.isfinite(tried), tried, 0.0).max(
+                    axis=0
+                )  # a law of the user's may end before the cutoff
+                sizes = [
+                    size
+                    for size in (TRIED_AT[0] ** 2 * cutoff2, cutoff2, *largest.tolist())
+                    if size > 0.0 and isfinite(size)
+                ]
                 if min(sizes) < SINGLE[0] or max(sizes) > SINGLE[1]:
                     room = f"precision='mixed' has room for squared distances, energies and forces from {SINGLE[0]:g} to {SINGLE[1]:g}"
                     found = f"those of {one.name} go from {min(sizes):.1e} to {max(sizes):.1e}"
@@ -63,7 +71,12 @@ class PairLaws:
 def deepest(one: PairLaw) -> float:
     """The depth of the deepest well of a law, for any pair of species, at some distances below the cutoff [energy]."""
     rows = one.table.reshape(-1, one.table.shape[-1]).tolist()
-    energies = [law_at(one.law, x * cutoff2**0.5, tuple(numbers))[0] for cutoff2, *numbers in rows for x in SOUGHT_AT if cutoff2 < np.inf]
+    energies = [
+        law_at(one.law, x * cutoff2**0.5, tuple(numbers))[0]
+        for cutoff2, *numbers in rows
+        for x in SOUGHT_AT
+        if cutoff2 < np.inf
+    ]
     return max((-u for u in energies if isfinite(u)), default=0.0)
 
 
@@ -82,4 +95,8 @@ def skin_for(system: System, laws: PairLaws, options: Options, displacement: flo
 
 def widest_skin(system: System, laws: PairLaws) -> float:
     """The widest skin with which nearest images of laws.excluded cannot change while the list is in use [length]; infinite without such pairs."""
-    return max(0.0, ROUNDED_DOWN * (float(np.sqrt(system.cell.safe_distance2)) - laws.cutoff)) if len(laws.excluded) else np.inf
+    return (
+        max(0.0, ROUNDED_DOWN * (float(np.sqrt(system.cell.safe_distance2)) - laws.cutoff))
+        if len(laws.excluded)
+        else np.inf
+    )

@@ -36,7 +36,10 @@ class PairListTerm(OwnTerm):
         self._options = replace(options, skin=skin)
         self._laws, self._loops = laws, [pair_loop_for(one.law) for one in laws.members]
         self._parameters_of = 0  # which build of the list
-        self._positions, self._sums = np.empty((n, 3)), (np.empty((n, 3)), np.empty(n), np.empty((n, 6)))  # forces of floats or of whole numbers
+        self._positions, self._sums = (
+            np.empty((n, 3)),
+            (np.empty((n, 3)), np.empty(n), np.empty((n, 6))),
+        )  # forces of floats or of whole numbers
 
     def follow(self, system: System) -> bool:
         """See Term; a cell that now has room for clusters, or no longer has room for the list, needs another list."""
@@ -51,7 +54,10 @@ class PairListTerm(OwnTerm):
         self.list.update(system.positions, system.cell)
         if self._parameters_of != self.list.n_builds:
             species = system.species_index[self.list.order]
-            self._parameters, self._parameters_of = [by_species(one.table, species) for one in self._laws.members], self.list.n_builds
+            self._parameters, self._parameters_of = (
+                [by_species(one.table, species) for one in self._laws.members],
+                self.list.n_builds,
+            )
         if self._in_users_order:
             self._run_loops(system.positions, detail, sums)
             return
@@ -69,7 +75,11 @@ class PairListTerm(OwnTerm):
         """Accumulators in the order of the list, of the kind of sums."""
         if self._sums[0].dtype != sums[0].dtype:
             self._sums = (np.empty(sums[0].shape, sums[0].dtype), *self._sums[1:])
-        return sums._replace(impulses=self._sums[0], energies=self._sums[1], virials=self._sums[2]) if isinstance(sums, GridSums) else self._sums
+        return (
+            sums._replace(impulses=self._sums[0], energies=self._sums[1], virials=self._sums[2])
+            if isinstance(sums, GridSums)
+            else self._sums
+        )
 
     def _run_loops(self, positions: NDArray, detail: int, sums: Any) -> None:
         for one, loop, parameters in zip(self._laws.members, self._loops, self._parameters, strict=True):

@@ -15,7 +15,9 @@ from minimd.potentials.term import Term
 from minimd.structure.system import System
 
 
-def plan(terms_bound: Sequence[Term], system: System, options: Options, displacement: float, skins: Sequence[float] = ()) -> list[Term]:
+def plan(
+    terms_bound: Sequence[Term], system: System, options: Options, displacement: float, skins: Sequence[float] = ()
+) -> list[Term]:
     """The terms to run: those that add their forces themselves, and one term with a list for all pair laws of one bonded_scale.
 
     terms_bound : the terms that the potentials were bound to.  displacement : of the fastest atom in a step [length], 0 if unknown.
@@ -39,5 +41,7 @@ def scaled_terms(system: System, laws: PairLaws) -> Iterator[Term]:
             if factor != 0.0:
                 species = system.species_index[pairs] if len(one.table) > 1 else np.zeros_like(pairs)
                 rows = one.table[species[:, 0], species[:, 1]]
-                rows = np.column_stack([rows[:, 0], np.full(len(rows), factor), rows[:, 1:]])  # the factor is the first parameter of Scaled
+                rows = np.column_stack(
+                    [rows[:, 0], np.full(len(rows), factor), rows[:, 1:]]
+                )  # the factor is the first parameter of Scaled
                 yield FixedPairs(system, pairs, Scaled(one.law), rows)

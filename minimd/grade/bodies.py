@@ -17,7 +17,11 @@ ROUNDING = 1e-9
 PROBE = 1.25  # distance of two atoms across a boundary
 LONGEST = 40.0  # largest distance at which a period is searched
 WHERE = np.array([0.31, 0.47, 0.23])
-ALONG = {1: np.array([1.0]), 2: np.array([0.6, 0.8]), 3: np.array([0.6, 0.48, 0.64])}  # direction of a pair, by the number of dimensions
+ALONG = {
+    1: np.array([1.0]),
+    2: np.array([0.6, 0.8]),
+    3: np.array([0.6, 0.48, 0.64]),
+}  # direction of a pair, by the number of dimensions
 AXES = "xyz"
 
 
@@ -104,12 +108,27 @@ class Bodies:
         forces = self.f(self.x)
         if not np.isfinite(forces).all():
             self.is_broken = True
-            self.faults.append(f"the forces of {len(self.x)} atoms are not finite: an atom meets itself (i = j, r = 0), or two atoms coincide")
-            return [Finding("finite", False, f"{np.count_nonzero(~np.isfinite(forces))} components of forces are not finite")]
+            self.faults.append(
+                f"the forces of {len(self.x)} atoms are not finite: an atom meets itself (i = j, r = 0), or two atoms coincide"
+            )
+            return [
+                Finding(
+                    "finite", False, f"{np.count_nonzero(~np.isfinite(forces))} components of forces are not finite"
+                )
+            ]
         scale = float(np.abs(forces).max()) or 1.0
         if self.is_field:
-            return [Finding("external field", None, "a single atom feels a force"), *self._gradient(forces, scale), self._exchange(forces, scale)]
-        answers = [self._reaction(forces, scale), *self._gradient(forces, scale), self._exchange(forces, scale), self._translation(forces, scale)]
+            return [
+                Finding("external field", None, "a single atom feels a force"),
+                *self._gradient(forces, scale),
+                self._exchange(forces, scale),
+            ]
+        answers = [
+            self._reaction(forces, scale),
+            *self._gradient(forces, scale),
+            self._exchange(forces, scale),
+            self._translation(forces, scale),
+        ]
         answers += [self._rotation(forces, scale)] if self.lengths is None else self._images(forces, scale)
         return answers + ([self._sum(forces, scale)] if self.takes_pairs else [])
 
@@ -125,7 +144,10 @@ class Bodies:
         if self.lengths is not None:
             sides = np.clip((self.lengths / SPACING).astype(int), 1, {1: 6, 2: 4, 3: 3}[self.d])
         lattice = np.array(list(product(*map(range, sides))), dtype=float)
-        trials = [SPACING * lattice + np.random.default_rng(seed).uniform(-JITTER, JITTER, lattice.shape) for seed in range(TRIALS)]
+        trials = [
+            SPACING * lattice + np.random.default_rng(seed).uniform(-JITTER, JITTER, lattice.shape)
+            for seed in range(TRIALS)
+        ]
         x = max(trials, key=self._margin)
         return x + 0.5 if self.lengths is None else np.mod(x - SPACING + 0.3, self.lengths)
 
@@ -161,16 +183,29 @@ class Bodies:
         weights = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
         if not self.force.has_energy:
             some = units[:24]
-            matrix = np.array([np.ravel(sum(c * (self.f(self.x + k * e) - self.f(self.x - k * e)) for k, c in weights)) for e in some]) / DELTA
+            matrix = (
+                np.array(
+                    [
+                        np.ravel(sum(c * (self.f(self.x + k * e) - self.f(self.x - k * e)) for k, c in weights))
+                        for e in some
+                    ]
+                )
+                / DELTA
+            )
             matrix = matrix[:, : len(some)]
             off = float(np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300))
             if off >= 1e-4:
                 self.faults.append(
                     f"the forces are not the gradient of any energy: ∂F_i/∂x_j and ∂F_j/∂x_i differ by {off:.1%}; no energy can be conserved"
                 )
-            return [Finding("a gradient", off < 1e-4, f"∂F_i/∂x_j − ∂F_j/∂x_i is {off:.1e} of the largest element", off)]
+            return [
+                Finding("a gradient", off < 1e-4, f"∂F_i/∂x_j − ∂F_j/∂x_i is {off:.1e} of the largest element", off)
+            ]
         slopes = (
-            -np.array([sum(c * (self.u(self.x + k * e) - self.u(self.x - k * e)) for k, c in weights) for e in units]).reshape(self.x.shape) / DELTA
+            -np.array(
+                [sum(c * (self.u(self.x + k * e) - self.u(self.x - k * e)) for k, c in weights) for e in units]
+            ).reshape(self.x.shape)
+            / DELTA
         )
         off = float(np.abs(forces - slopes).max() / np.abs(slopes).max())
         c = float(np.sum(forces * slopes) / np.sum(slopes * slopes))
@@ -223,19 +258,31 @@ class Bodies:
             if self._wraps_positions(lengths):
                 self.faults.append("positions are wrapped into the cell, but differences are not: two atoms on both sides of a face of the "
                                    "wrapped cell do not interact; use dx − L · round(dx/L) for the differences")  # fmt: skip
-                return [Finding("nearest image", False, "pairs closer than half the cell do not interact across the middle of the cell")]
+                return [
+                    Finding(
+                        "nearest image",
+                        False,
+                        "pairs closer than half the cell do not interact across the middle of the cell",
+                    )
+                ]
             n_bad = len(missing) + len(wrong)
             words = (
-                "pairs across all faces interact as inside" if not n_bad else f"pairs across {n_bad} of {2 * self.d} faces do not interact as inside"
+                "pairs across all faces interact as inside"
+                if not n_bad
+                else f"pairs across {n_bad} of {2 * self.d} faces do not interact as inside"
             )
             answers.append(Finding("nearest image", not n_bad, words, float(n_bad)))
             if n_bad:
                 self._tell_images(missing, wrong)
         random = np.random.default_rng(6).integers(-1, 2, self.x.shape)
         off = float(np.abs(self.f(self.x + random * lengths) - forces).max()) / scale
-        answers.append(Finding("periodic", off < 1e-8, f"forces of atoms moved by whole cells differ by {off:.1e}", off))
+        answers.append(
+            Finding("periodic", off < 1e-8, f"forces of atoms moved by whole cells differ by {off:.1e}", off)
+        )
         if off > 1e-8 and not missing and not wrong:
-            self.faults.append(f"forces on atoms outside the cell differ, by {off:.1%}: subtract L · round(dx/L), which is right for any distance")
+            self.faults.append(
+                f"forces on atoms outside the cell differ, by {off:.1%}: subtract L · round(dx/L), which is right for any distance"
+            )
         return answers
 
     def _wraps_positions(self, lengths: Array) -> bool:
@@ -264,7 +311,9 @@ class Bodies:
         elif len(axes) < self.d and len(bad) == 2 * len(axes):
             self.faults.append(f"minimum image {verb} {where}, but right for the other axes")
         else:
-            self.faults.append(f"minimum image {verb} in one direction {where}: only one of dx > L/2 and dx < −L/2 is treated")
+            self.faults.append(
+                f"minimum image {verb} in one direction {where}: only one of dx > L/2 and dx < −L/2 is treated"
+            )
 
     def _sum(self, forces: Array, scale: float) -> Finding:
         """Compare the forces with the sum, over pairs, of the forces on two atoms alone."""
@@ -277,12 +326,19 @@ class Bodies:
         if off > 1e-8:
             lower = np.array([np.abs(forces[i] - parts[i, :i].sum(axis=0)).max() for i in range(n)]).max() / scale
             upper = np.array([np.abs(forces[i] - parts[i, i + 1 :].sum(axis=0)).max() for i in range(n)]).max() / scale
-            single = np.array([np.abs(forces[i] - parts[i]).max(axis=1)[np.arange(n) != i].min() for i in range(n)]).max() / scale
+            single = (
+                np.array([np.abs(forces[i] - parts[i]).max(axis=1)[np.arange(n) != i].min() for i in range(n)]).max()
+                / scale
+            )
             last = float(np.abs(forces[-1]).max()) / scale
             if single < 1e-8:
-                self.faults.append("each atom feels only one other atom: its force is overwritten (=) in the loop where it should be added (+=)")
+                self.faults.append(
+                    "each atom feels only one other atom: its force is overwritten (=) in the loop where it should be added (+=)"
+                )
             elif min(lower, upper) < 1e-8:
-                self.faults.append("each atom feels only the atoms with a higher number, or only those with a lower number")
+                self.faults.append(
+                    "each atom feels only the atoms with a higher number, or only those with a lower number"
+                )
             elif last < 1e-12 and n > 2:
                 self.faults.append(f"atom {n - 1}, the last, feels no force: check the bounds of the loop")
             else:
@@ -298,4 +354,9 @@ class Bodies:
                                "of atoms or pairs")  # fmt: skip
             return Finding("sum over pairs", False, f"F = {coefficient(c)} × Σ of single pairs", c)
         passed = False if self.faults else None
-        return Finding("sum over pairs", passed, f"F − Σ of single pairs is {off:.1e} of the largest force: many-body forces, or pairs left out", off)
+        return Finding(
+            "sum over pairs",
+            passed,
+            f"F − Σ of single pairs is {off:.1e} of the largest force: many-body forces, or pairs left out",
+            off,
+        )

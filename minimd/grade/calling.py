@@ -101,7 +101,11 @@ def roles_of(function: Callable[..., Any]) -> tuple[list[str], list[str]]:
         raise TypeError(
             "step is a method without its object (its first parameter is self): pass the method of an object, as in md.grade(Simulation().step)"
         )
-    pairs = [(one.name, role_of(one.name), one.default is one.empty) for one in parameters if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)]
+    pairs = [
+        (one.name, role_of(one.name), one.default is one.empty)
+        for one in parameters
+        if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)
+    ]
     if not any(role in FORCES for _, role, _ in pairs):  # a step with its own force keeps its own mass
         pairs = [pair for pair in pairs if pair[1] != "m" or pair[2]]
     pairs = [pair for pair in pairs if pair[1] or pair[2]]
@@ -111,7 +115,11 @@ def roles_of(function: Callable[..., Any]) -> tuple[list[str], list[str]]:
     for k, role in enumerate(roles):
         if not role and left:
             roles[k] = left.pop(0)
-    if "dt" not in roles or not ("state" in roles or ({"v", "p", "half", "old"} & set(roles) and "x" in roles)) or "" in roles:
+    if (
+        "dt" not in roles
+        or not ("state" in roles or ({"v", "p", "half", "old"} & set(roles) and "x" in roles))
+        or "" in roles
+    ):
         told = ", ".join(names)
         unknown = [name for name in names if not role_of(name)]
         nobody = f"; the meaning of {' and '.join(unknown)} cannot be seen from the name" if unknown else ""
@@ -126,17 +134,26 @@ def manners(function: Callable[..., Any]) -> Iterator[Manner]:
     names, roles = roles_of(function)
     forces = [k for k, role in enumerate(roles) if role in FORCES]
     if len(forces) > 1:
-        functions = [k for k in forces if re.search(IS_FUNCTION, names[k].lower())] or [max(forces, key=lambda k: len(names[k]))]
+        functions = [k for k in forces if re.search(IS_FUNCTION, names[k].lower())] or [
+            max(forces, key=lambda k: len(names[k]))
+        ]
         choices = [[k for k in forces if k not in functions[:1]]]
     else:
         choices = [[], forces] if forces else [[]]
     masses = ("(N,)", "(N, 1)", "one number") if "m" in roles else ("one number",)
     for known, shape, mass, answers in product(choices, SHAPES, masses, ANSWERS):
-        if (shape == () and mass != "one number") or (shape == (5,) and mass == "(N, 1)") or (not forces and answers != "F"):
+        if (
+            (shape == () and mass != "one number")
+            or (shape == (5,) and mass == "(N, 1)")
+            or (not forces and answers != "F")
+        ):
             continue
         told = ["known" if k in known else role for k, role in enumerate(roles)]
         before = [k for k in known if len(known) > 1 and re.search(IS_BEFORE, names[k].lower())]
-        told = [f"{'before' if k in before else 'known'} {roles[k]}" if role == "known" else role for k, role in enumerate(told)]
+        told = [
+            f"{'before' if k in before else 'known'} {roles[k]}" if role == "known" else role
+            for k, role in enumerate(told)
+        ]
         yield Manner(tuple(told), tuple(names), shape, mass, answers)
 
 
@@ -178,7 +195,9 @@ class StudentStep:
 
     def problem(self, seed: int, stiffness: float = 0.0) -> Problem:
         """A state in the shape of the step; masses are 1 if the step takes neither masses nor accelerations."""
-        one = problem(self.manner.shape, seed, self.manner.masses == "one number", stiffness=stiffness or self.stiffness)
+        one = problem(
+            self.manner.shape, seed, self.manner.masses == "one number", stiffness=stiffness or self.stiffness
+        )
         scaled = self.has_masses or any("acceleration" in role for role in self.manner.roles)
         return one if scaled else one._replace(m=np.ones_like(one.m))
 
@@ -200,7 +219,9 @@ class StudentStep:
         if answer is None and not self.in_place:
             raise ValueError("the step returns None and does not change x and v; it must return x, v")
         self.is_procedure |= all(changed)
-        if answer is None or (self.is_procedure and not isinstance(answer, (tuple, list, dict))):  # changed in place; the result may be the force
+        if answer is None or (
+            self.is_procedure and not isinstance(answer, (tuple, list, dict))
+        ):  # changed in place; the result may be the force
             answer = (given[of_x], given[of_v], *([] if answer is None else [answer]))
         new = self._parts(answer, x.shape)
         if "old" in roles:
@@ -226,7 +247,11 @@ class StudentStep:
             shapes = {"(N,)": where.m, "(N, 1)": where.m.reshape(-1, 1), "one number": float(np.ravel(where.m)[0])}
             return np.array(shapes[self.manner.masses]) if self.manner.masses != "one number" else shapes["one number"]
         arrays = {"x": x, "v": v, "p": where.mass * v, "half": half, "old": x - h * half}
-        return np.array(arrays[role]) if role in arrays else {"dt": h, "time": 0.0, "box": FAR, "steps": self.n_steps}[role]
+        return (
+            np.array(arrays[role])
+            if role in arrays
+            else {"dt": h, "time": 0.0, "box": FAR, "steps": self.n_steps}[role]
+        )
 
     def _scaled(self, role: str, where: Problem, force: Array) -> Array:
         return {"force": force, "acceleration": force / where.mass, "gradient": -force}[role]
@@ -247,9 +272,14 @@ class StudentStep:
 
     def _parts(self, answer: Any, shape: tuple[int, ...]) -> list[Array]:
         if isinstance(answer, dict):
-            answer = sorted(answer.items(), key=lambda item: ("x", "v").index(role_of(item[0])) if role_of(item[0]) in ("x", "v") else 2)
+            answer = sorted(
+                answer.items(),
+                key=lambda item: ("x", "v").index(role_of(item[0])) if role_of(item[0]) in ("x", "v") else 2,
+            )
             answer = [value for _, value in answer]
-        if not isinstance(answer, (tuple, list, np.ndarray)) or (isinstance(answer, np.ndarray) and answer.shape == shape):
+        if not isinstance(answer, (tuple, list, np.ndarray)) or (
+            isinstance(answer, np.ndarray) and answer.shape == shape
+        ):
             if "old" not in self.manner.roles:
                 raise ValueError(f"the step must return x and v; it returned {type(answer).__name__}")
             answer = (answer,)
@@ -259,7 +289,9 @@ class StudentStep:
             parts = [part[-1] if part.ndim == len(shape) + 1 and part.shape[1:] == shape else part for part in parts]
         for name, part in zip(("x", "v"), parts, strict=False):
             if part.shape != shape:
-                raise ValueError(f"the step must return {name} in the shape {shape} of its argument; it returned shape {part.shape}")
+                raise ValueError(
+                    f"the step must return {name} in the shape {shape} of its argument; it returned shape {part.shape}"
+                )
         if len(parts) < 2 - ("old" in self.manner.roles):
             raise ValueError(f"the step must return x and v; it returned only {len(parts)} of them")
         self.third = parts[2] if len(parts) > 2 and parts[2].shape == shape else None
@@ -289,10 +321,15 @@ def understood(function: Callable[..., Any]) -> StudentStep:
                 x, v = step(where, where.x, where.v, TINY)
         except Exception as error:  # whatever a student's function raises
             if first is None:
-                first, cause = (manner.told(getattr(function, "__name__", "step")), f"{type(error).__name__}: {error}"), error
+                first, cause = (
+                    (manner.told(getattr(function, "__name__", "step")), f"{type(error).__name__}: {error}"),
+                    error,
+                )
             continue
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
-            raise ValueError(f"the step returned numbers that are not finite after one step of {TINY:g}, called as {manner.told('step')}")
+            raise ValueError(
+                f"the step returned numbers that are not finite after one step of {TINY:g}, called as {manner.told('step')}"
+            )
         as_told, swapped = (np.abs(a - where.x).max() + np.abs(b - where.v).max() for a, b in ((x, v), (v, x)))
         step.swapped = bool(swapped < 0.01 * as_told) and not {"old", "p"} & set(manner.roles)
         if not step.is_given_forces:
@@ -300,4 +337,6 @@ def understood(function: Callable[..., Any]) -> StudentStep:
         return step
     if first is None:
         raise TypeError("the step cannot be called")
-    raise ValueError(f"the step failed when it was called as {first[0]}, and in every other manner: {first[1]}") from cause
+    raise ValueError(
+        f"the step failed when it was called as {first[0]}, and in every other manner: {first[1]}"
+    ) from cause

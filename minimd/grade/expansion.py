@@ -24,19 +24,46 @@ UNEXPLAINED = 1e-4  # a term with a larger relative rest is not a combination of
 DIFFERENCE = 1e-3  # of x along v, for the derivative J v
 
 SECOND_ORDER = {  # coefficients of Δt² F/m in x, and of Δt² J v in v, times two
-    (0, 0): "explicit Euler: positions move with the old velocity and velocities with the old force; order 1, the energy grows. Kick first, "
+    (
+        0,
+        0,
+    ): "explicit Euler: positions move with the old velocity and velocities with the old force; order 1, the energy grows. Kick first, "
     "then let the positions move with the new velocity",
-    (2, 0): "symplectic Euler, kick first (v += dt F/m, then x += dt v): order 1. Kick by half a step before the drift and by half a step with "
+    (
+        2,
+        0,
+    ): "symplectic Euler, kick first (v += dt F/m, then x += dt v): order 1. Kick by half a step before the drift and by half a step with "
     "the new force after it; or, if velocities are meant to be at half steps (leapfrog), start the run with half a kick: v(dt/2)",
-    (0, 2): "symplectic Euler, drift first (x += dt v, then v += dt F(new x)/m): order 1. The kick must be split into two halves, one before "
+    (
+        0,
+        2,
+    ): "symplectic Euler, drift first (x += dt v, then v += dt F(new x)/m): order 1. The kick must be split into two halves, one before "
     "and one after the drift",
-    (1, 0): "the second half kick uses the old force F(x(t)): the force must be computed again after the positions have moved; order 1",
-    (1, 2): "your half step uses the new force twice: velocities are kicked by dt F(x(t+dt))/m, without the old force F(x(t)). Keep a copy of the "
+    (
+        1,
+        0,
+    ): "the second half kick uses the old force F(x(t)): the force must be computed again after the positions have moved; order 1",
+    (
+        1,
+        2,
+    ): "your half step uses the new force twice: velocities are kicked by dt F(x(t+dt))/m, without the old force F(x(t)). Keep a copy of the "
     "old force before it is computed again; order 1",
-    (2, 1): "positions move by dt² F/m in place of ½ dt² F/m: the factor ½ is missing, or the first kick is that of a whole step",
-    (0, 1): "positions move with the old velocity, x += dt v(t): the term ½ dt² F/m is missing (the drift must use the velocity at half a step)",
-    (1, 0.5): "the second half kick uses the force at the middle of the drift, F(x + dt/2 v): it must be computed at the new positions; order 1",
-    (2, 2): "the new force and the new velocity are used where their means with the old ones are needed, as in an implicit Euler step: order 1",
+    (
+        2,
+        1,
+    ): "positions move by dt² F/m in place of ½ dt² F/m: the factor ½ is missing, or the first kick is that of a whole step",
+    (
+        0,
+        1,
+    ): "positions move with the old velocity, x += dt v(t): the term ½ dt² F/m is missing (the drift must use the velocity at half a step)",
+    (
+        1,
+        0.5,
+    ): "the second half kick uses the force at the middle of the drift, F(x + dt/2 v): it must be computed at the new positions; order 1",
+    (
+        2,
+        2,
+    ): "the new force and the new velocity are used where their means with the old ones are needed, as in an implicit Euler step: order 1",
 }
 
 
@@ -71,7 +98,16 @@ def terms(where: Problem) -> dict[str, Array]:
     further, back = (where.force(where.x + 2 * side * where.v) for side in (DIFFERENCE, -DIFFERENCE))
     turning = (8.0 * (ahead - behind) - (further - back)) / (12.0 * DIFFERENCE)
     force, m = where.force(where.x), where.mass
-    one = {"v": where.v, "F/m": force / m, "F": force, "F/m²": force / m**2, "mF": force * m, "Jv": turning / m, "mJv": turning, "x": where.x}
+    one = {
+        "v": where.v,
+        "F/m": force / m,
+        "F": force,
+        "F/m²": force / m**2,
+        "mF": force * m,
+        "Jv": turning / m,
+        "mJv": turning,
+        "x": where.x,
+    }
     return {name: np.asarray(value, dtype=float) for name, value in one.items()}
 
 
@@ -90,9 +126,13 @@ def expansion(step: Map, problems: list[Problem], has_masses: bool) -> Expansion
             target = np.concatenate([np.ravel(one[of_velocity][power]) for one in measured])
             matrix = np.array([np.concatenate([np.ravel(one[name]) for one in known]) for name in basis]).T
             found = np.linalg.lstsq(matrix, target, rcond=None)[0]
-            rest = float(np.linalg.norm(target - matrix @ found) / max(np.linalg.norm(target), 0.1 * np.sqrt(target.size)))
+            rest = float(
+                np.linalg.norm(target - matrix @ found) / max(np.linalg.norm(target), 0.1 * np.sqrt(target.size))
+            )
             small = SMALL * max(1.0, float(np.abs(found).max())) ** 3  # the larger the terms, the larger their rounding
-            answers[of_velocity].append({name: float(c) for name, c in zip(basis, found, strict=True) if abs(c) > small})
+            answers[of_velocity].append(
+                {name: float(c) for name, c in zip(basis, found, strict=True) if abs(c) > small}
+            )
             rests[of_velocity].append(rest)
     expected = [("", "v", "F/m"), ("", "F/m", "Jv")]
     places = []
@@ -104,7 +144,10 @@ def expansion(step: Map, problems: list[Problem], has_masses: bool) -> Expansion
         places.append(tuple(told))
     masses = _one_mass(measured[0][1][1], known[0]["F"], problems[0])
     return Expansion(
-        tuple(answers[0]), tuple(answers[1]), (tuple(rests[0]), tuple(rests[1])), (places[0], (places[1][0], masses or places[1][1], places[1][2]))
+        tuple(answers[0]),
+        tuple(answers[1]),
+        (tuple(rests[0]), tuple(rests[1])),
+        (places[0], (places[1][0], masses or places[1][1], places[1][2])),
     )
 
 
@@ -127,7 +170,11 @@ def _one_mass(change: Array, force: Array, where: Problem) -> str:
     ratio = (flat * forces).sum(axis=1) / (forces * forces).sum(axis=1)
     if np.ptp(ratio) > 1e-5 * np.abs(ratio).max():
         return ""
-    means = {"the mean mass": where.m.mean(), "the sum of all masses": where.m.sum(), **{f"the mass of atom {k}": m for k, m in enumerate(where.m)}}
+    means = {
+        "the mean mass": where.m.mean(),
+        "the sum of all masses": where.m.sum(),
+        **{f"the mass of atom {k}": m for k, m in enumerate(where.m)},
+    }
     return next(
         (
             f"; all forces are divided by {name}, instead of each by the mass of its atom"
@@ -145,7 +192,9 @@ def explained(found: Expansion) -> list[str]:
     parts = list(zip(("positions", "velocities"), ("dx/dt = v", "dv/dt = F/m"), found.rests, found.places, strict=True))
     for part, law, rest, place in parts:
         if rest[1] > UNEXPLAINED:
-            return [f"for short steps {part} do not change as {law} says: {rest[1]:.1%} of the change is something else{place[1]}"]
+            return [
+                f"for short steps {part} do not change as {law} says: {rest[1]:.1%} of the change is something else{place[1]}"
+            ]
     if faults := [*_first_power_of_x(found.x[1], found.x[2]), *_first_power_of_v(found.v[1], found.v[2])]:
         return faults
     for part, _, rest, place in parts:
@@ -161,14 +210,20 @@ def _jumps(found: Expansion) -> list[str]:
     x, v = found.x[0], found.v[0]
     for part, rest in zip(("positions", "velocities"), found.rests, strict=True):
         if rest[0] > UNEXPLAINED:
-            return [f"{part} jump in each step, even in the shortest one: they are set, wrapped or rescaled in the step"]
+            return [
+                f"{part} jump in each step, even in the shortest one: they are set, wrapped or rescaled in the step"
+            ]
     if "v" in x:
-        faults.append(f"the drift lacks dt: positions change by {coefficient(x['v'])} v in each step, even in the shortest one")
+        faults.append(
+            f"the drift lacks dt: positions change by {coefficient(x['v'])} v in each step, even in the shortest one"
+        )
     if {"F/m", "F"} & set(x):
         faults.append("positions change by a multiple of the force that does not shrink with dt")
     if "F/m" in v or "F" in v or "F/m²" in v:
         mass = "" if "F/m" in v else " (and 1/m)" if "F" in v else " (and is divided by m twice)"
-        faults.append(f"the kick lacks dt{mass}: velocities change by a multiple of the force in each step, even in the shortest one")
+        faults.append(
+            f"the kick lacks dt{mass}: velocities change by a multiple of the force in each step, even in the shortest one"
+        )
     if "v" in v and is_near(v["v"], 1.0):
         faults.append(
             "velocities are doubled in each step, even in the shortest one: are they (x_new − x_old)/dt where (x_new − x_old)/(2 dt) is needed?"
@@ -185,15 +240,22 @@ def _first_power_of_x(c: dict[str, float], next_c: dict[str, float]) -> list[str
     faults = []
     drift = c.get("v", 0.0)
     if is_near(drift, 0.0):
-        faults.append("positions do not move with the velocity: the drift dt v is missing" + (": it has dt² in place of dt" if "v" in next_c else ""))
+        faults.append(
+            "positions do not move with the velocity: the drift dt v is missing"
+            + (": it has dt² in place of dt" if "v" in next_c else "")
+        )
     elif drift < 0.0:
         faults.append(f"the drift has the wrong sign: positions change by {coefficient(drift)} dt v")
     elif not is_near(drift, 1.0):
-        faults.append(f"the drift is {coefficient(drift)} dt v where it should be dt v: it is multiplied by {_multiple(drift)}")
+        faults.append(
+            f"the drift is {coefficient(drift)} dt v where it should be dt v: it is multiplied by {_multiple(drift)}"
+        )
     for name in ("F/m", "F", "F/m²"):
         if name in c:
             mass = {"F/m": "", "F": ", and 1/m is missing", "F/m²": ", and it is divided by m twice"}[name]
-            faults.append(f"positions change by {coefficient(c[name])} dt {name}: the acceleration term needs dt², ½ dt² F/m{mass}")
+            faults.append(
+                f"positions change by {coefficient(c[name])} dt {name}: the acceleration term needs dt², ½ dt² F/m{mass}"
+            )
     if "x" in c:
         faults.append(f"positions are scaled by 1 + {coefficient(c['x'])} dt in each step")
     return faults
@@ -205,14 +267,24 @@ def _first_power_of_v(c: dict[str, float], next_c: dict[str, float]) -> list[str
     kick, bare, twice, friction, times = (c.get(name, 0.0) for name in ("F/m", "F", "F/m²", "v", "mF"))
     if friction:
         word = "friction" if friction < 0.0 else "a drive"
-        faults.append(f"velocities change by {coefficient(friction)} dt v in addition to the kick: {word}, or a thermostat hidden in the step")
+        faults.append(
+            f"velocities change by {coefficient(friction)} dt v in addition to the kick: {word}, or a thermostat hidden in the step"
+        )
     if bare and twice == 0.0:
-        part = "the kick lacks 1/m" if not kick else f"1/m is missing in a part of the kick: {coefficient(kick)} dt F/m + {coefficient(bare)} dt F"
+        part = (
+            "the kick lacks 1/m"
+            if not kick
+            else f"1/m is missing in a part of the kick: {coefficient(kick)} dt F/m + {coefficient(bare)} dt F"
+        )
         faults.append(part + (f", and is {coefficient(bare)} of it" if not kick and not is_near(bare, 1.0) else ""))
     elif twice:
-        faults.append(f"{'the kick' if not kick else 'a part of the kick'} is divided by m twice: {coefficient(twice)} dt F/m²")
+        faults.append(
+            f"{'the kick' if not kick else 'a part of the kick'} is divided by m twice: {coefficient(twice)} dt F/m²"
+        )
     if times:
-        faults.append(f"the kick is multiplied by m where it should be divided: {coefficient(times)} dt m F (/2*m for /(2*m)?)")
+        faults.append(
+            f"the kick is multiplied by m where it should be divided: {coefficient(times)} dt m F (/2*m for /(2*m)?)"
+        )
     total = kick + bare + twice + times
     if is_near(total, 0.0):
         faults.append(
@@ -220,7 +292,9 @@ def _first_power_of_v(c: dict[str, float], next_c: dict[str, float]) -> list[str
             + (": it has dt² in place of dt" if "F/m" in next_c or "F" in next_c else "")
         )
     elif total < 0.0:
-        faults.append(f"the kick has the wrong sign: velocities change by {coefficient(total)} dt F/m; F = −∇U is a force, not a gradient")
+        faults.append(
+            f"the kick has the wrong sign: velocities change by {coefficient(total)} dt F/m; F = −∇U is a force, not a gradient"
+        )
     elif is_near(total, 0.5) and is_near(next_c.get("F/m", 0.0), 0.5):
         faults.append(
             "one half kick is multiplied by dt twice: ½ dt² F/m is added to the velocities (a dv that already contains dt is multiplied by dt)"
@@ -255,7 +329,9 @@ def _second_power(found: Expansion) -> list[str]:
         faults.append(f"the force term of the positions is multiplied by m where it should be divided: {coefficient(x['mF'])} dt² m F; "
                       "in Python /2*m is not /(2*m)")  # fmt: skip
     if "v" in x or "x" in x:
-        faults.append(f"positions change by {coefficient(x.get('v', x.get('x', 0.0)))} dt² {'v' if 'v' in x else 'x'}, which belongs to no method")
+        faults.append(
+            f"positions change by {coefficient(x.get('v', x.get('x', 0.0)))} dt² {'v' if 'v' in x else 'x'}, which belongs to no method"
+        )
     turning = v.get("Jv", 0.0) + v.get("mJv", 0.0)
     if "mJv" in v:
         faults.append("1/m is missing where the new force enters the velocities")

@@ -60,7 +60,9 @@ class Grade(Displayed):
         for finding in self.findings:
             if finding.name == name:
                 return finding
-        raise KeyError(f"no law {name!r} was tested; those that were: {', '.join(finding.name for finding in self.findings)}")
+        raise KeyError(
+            f"no law {name!r} was tested; those that were: {', '.join(finding.name for finding in self.findings)}"
+        )
 
     @property
     def verdict(self) -> str:

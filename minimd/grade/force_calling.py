@@ -46,29 +46,49 @@ class StudentForce:
     options : values for the parameters other than the positions.  takes_box : whether one of them is the cell.
     """
 
-    def __init__(self, function: Callable[..., Any], options: dict[str, Any], kind: str | None, positions: Array | None) -> None:
+    def __init__(
+        self, function: Callable[..., Any], options: dict[str, Any], kind: str | None, positions: Array | None
+    ) -> None:
         self.function, self.name = function, getattr(function, "__name__", "force")
         try:
             parameters = list(inspect.signature(function).parameters.values())
         except (TypeError, ValueError):
             raise TypeError(f"forces must be a function, such as forces(positions); got {function!r}") from None
-        needed = [one.name for one in parameters if one.default is one.empty and one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
+        needed = [
+            one.name
+            for one in parameters
+            if one.default is one.empty and one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)
+        ]
         optional = [one.name for one in parameters if one.default is not one.empty]
         if not needed:
-            raise TypeError(f"{self.name} has no parameter for the positions; a force function is called as forces(positions)")
+            raise TypeError(
+                f"{self.name} has no parameter for the positions; a force function is called as forces(positions)"
+            )
         if needed[0] == "self":
-            raise TypeError(f"{self.name} is a method without its object: pass the method of an object, as in md.grade(Model().{self.name})")
-        self.names, self.defaults = needed, {one.name: one.default for one in parameters if one.default is not one.empty}
+            raise TypeError(
+                f"{self.name} is a method without its object: pass the method of an object, as in md.grade(Model().{self.name})"
+            )
+        self.names, self.defaults = (
+            needed,
+            {one.name: one.default for one in parameters if one.default is not one.empty},
+        )
         self.is_squared = bool(re.search(SQUARED, needed[0].lower()))
         may_be_pair = len(needed) > 1 and not self.is_squared and kind != "law"
         self.is_of_two = may_be_pair and all(re.search(ONE_OF_TWO, name.lower()) for name in needed[:2])
         self.extra = [option_of(name) for name in needed[1 + self.is_of_two :]]
-        if unknown := [name for name, option in zip(needed[1 + self.is_of_two :], self.extra, strict=True) if option not in options]:
+        if unknown := [
+            name for name, option in zip(needed[1 + self.is_of_two :], self.extra, strict=True) if option not in options
+        ]:
             raise TypeError(f"{self.name} takes ({', '.join(needed)}), and the meaning of {unknown[0]} is not known; pass a function of "
                             f"positions only, "
                             f"such as lambda x: {self.name}(x, …), or pass cell= and cutoff=")  # fmt: skip
-        named = {one: option_of(one) for one in optional if option_of(one) in options and option_of(one) in ("box", "cutoff")}
-        self.options, self.named = options, {name: options[option] for name, option in named.items() if options[f"{option} given"]}
+        named = {
+            one: option_of(one) for one in optional if option_of(one) in options and option_of(one) in ("box", "cutoff")
+        }
+        self.options, self.named = (
+            options,
+            {name: options[option] for name, option in named.items() if options[f"{option} given"]},
+        )
         self.takes_box = "box" in self.extra or "box" in [option_of(name) for name in self.named]
         self.takes_cutoff = "cutoff" in self.extra or "cutoff" in [option_of(name) for name in self.named]
         self.energy_first: bool | None = None
@@ -103,7 +123,9 @@ class StudentForce:
         try:
             if re.search(DISTANCE, name) and self._is_of_each(trial):
                 return "law"
-        except Exception:  # a student's function may raise anything; then it is not a function of positions, or needs a single number
+        except (
+            Exception
+        ):  # a student's function may raise anything; then it is not a function of positions, or needs a single number
             if re.search(DISTANCE, name) and self._works(START):
                 return "law"
         if re.search(SEPARATION, name) and name != "r" and self._works(np.array([START, 0.2, 0.1]), (3,)):
@@ -149,11 +171,17 @@ class StudentForce:
         """Find the place of the energy in the result.  Raises ValueError for results of other shapes."""
         trial: Any = {"law": START**2 if self.is_squared else START, "pair": np.array([START, 0.2, 0.1])}.get(self.kind)
         if trial is None:
-            trial = np.array([[1.0, 1.0, 1.0], [2.1, 1.2, 1.1], [1.1, 2.3, 1.2]])[:, : self.dimensions] if positions is None else np.array(positions)
+            trial = (
+                np.array([[1.0, 1.0, 1.0], [2.1, 1.2, 1.1], [1.1, 2.3, 1.2]])[:, : self.dimensions]
+                if positions is None
+                else np.array(positions)
+            )
         shape = np.shape(trial)
         extra = [len(trial) if option == "n" else self.options[option] for option in self.extra]
         arguments = [np.array(trial), np.zeros(3)] if self.is_of_two else [np.array(trial) if shape else float(trial)]
-        called = f"{self.name}({', '.join(self.names)}) with {self.names[0]} {f'of shape {shape}' if shape else 'a number'}"
+        called = (
+            f"{self.name}({', '.join(self.names)}) with {self.names[0]} {f'of shape {shape}' if shape else 'a number'}"
+        )
         try:
             with np.errstate(all="ignore"):
                 answer = self.function(*arguments, *extra, **self.named)
@@ -170,7 +198,9 @@ class StudentForce:
             elif shape in shapes:
                 self.has_energy, self.energy_first = len(answer) > 1 and () in shapes, shapes[0] != shape
             else:
-                raise ValueError(f"{called} returned parts of shapes {shapes}; forces must have the shape of the positions, {shape}")
+                raise ValueError(
+                    f"{called} returned parts of shapes {shapes}; forces must have the shape of the positions, {shape}"
+                )
         elif np.shape(answer) != shape:
             raise ValueError(f"{called} returned shape {np.shape(answer)}; forces must have the shape of the positions, {shape}. If it is written "
                              "for a fixed number of atoms, give their positions=")  # fmt: skip
@@ -183,7 +213,10 @@ class StudentForce:
 
         def off(first: bool) -> float:
             grid, h = np.linspace(0.95, 1.6, 12), 1e-4
-            at = [[np.array(self((r + e) ** 2 if self.is_squared else r + e)[::-1], dtype=float) for e in (-h, 0.0, h)] for r in grid]
+            at = [
+                [np.array(self((r + e) ** 2 if self.is_squared else r + e)[::-1], dtype=float) for e in (-h, 0.0, h)]
+                for r in grid
+            ]
             here, slopes = np.array([one[1] for one in at]), np.array([one[2] - one[0] for one in at]) / (2.0 * h)
             ratio = here[:, 1] / slopes[:, 0] if first else here[:, 0] / slopes[:, 1]
             logs = np.log(np.abs(ratio[np.isfinite(ratio) & (ratio != 0.0)]))

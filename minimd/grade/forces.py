@@ -58,7 +58,9 @@ def grade_forces(
     )
     told += " and the energy" if force.has_energy else ""
     with np.errstate(all="ignore"):
-        findings, faults, law, remarks = (_of_bodies if force.kind == "forces" else _of_a_law)(force, potential, lengths, cutoff, given)
+        findings, faults, law, remarks = (_of_bodies if force.kind == "forces" else _of_a_law)(
+            force, potential, lengths, cutoff, given
+        )
     if force.changes_input:
         faults.append("the function changes the positions that it is given: work on a copy")
     return Grade(told, tuple(findings), tuple(dict.fromkeys(fault for fault in faults if fault)), law, tuple(remarks))
@@ -67,7 +69,9 @@ def grade_forces(
 Answer = tuple[list[Finding], list[str], str, list[str]]
 
 
-def _of_a_law(force: StudentForce, potential: Any, lengths: Array | None, cutoff: float | None, given: Array | None) -> Answer:
+def _of_a_law(
+    force: StudentForce, potential: Any, lengths: Array | None, cutoff: float | None, given: Array | None
+) -> Answer:
     """Grade a law f(r) or the force F(r_ij) of a pair."""
     findings, faults, remarks = [], [], []
 
@@ -83,10 +87,19 @@ def _of_a_law(force: StudentForce, potential: Any, lengths: Array | None, cutoff
         vector, _ = force(np.array([0.9, 0.5, -0.4]))
         off = float(np.linalg.norm(np.cross(vector, [0.9, 0.5, -0.4])) / np.linalg.norm(vector))
         findings.append(Finding("central", off < 1e-9, f"F × r_ij is {off:.1e} of F r", off))
-        faults += ["the force of the pair does not point along r_ij: the direction must be r_ij/r in all three components"] if off >= 1e-9 else []
+        faults += (
+            ["the force of the pair does not point along r_ij: the direction must be r_ij/r in all three components"]
+            if off >= 1e-9
+            else []
+        )
     farthest = FARTHEST
     more = profile_findings(
-        lambda r: at(r)[0], (lambda r: at(r)[1]) if force.has_energy else None, potential, cutoff, farthest, is_law=force.kind == "law"
+        lambda r: at(r)[0],
+        (lambda r: at(r)[1]) if force.has_energy else None,
+        potential,
+        cutoff,
+        farthest,
+        is_law=force.kind == "law",
     )
     findings += more[0]
     faults += more[1]
@@ -95,20 +108,29 @@ def _of_a_law(force: StudentForce, potential: Any, lengths: Array | None, cutoff
     return findings, _of_parameters(force, trial, lambda r: at(r)[0], cutoff, findings, faults), more[2], remarks
 
 
-def _of_parameters(force: StudentForce, x: Array, pair: Law | None, cutoff: float | None, findings: list[Finding], faults: list[str]) -> list[str]:
+def _of_parameters(
+    force: StudentForce, x: Array, pair: Law | None, cutoff: float | None, findings: list[Finding], faults: list[str]
+) -> list[str]:
     """The faults, those of the function's parameters first, in place of less exact ones; its own ε and σ are not judged as ε = σ = 1."""
     wrong = without_effect(force, x)
     if pair is not None:
-        places = places_of_epsilon_and_sigma(force, pair, np.linspace(NEAREST + 0.05, min(0.9 * (cutoff or 2.5), 2.2), POINTS))
+        places = places_of_epsilon_and_sigma(
+            force, pair, np.linspace(NEAREST + 0.05, min(0.9 * (cutoff or 2.5), 2.2), POINTS)
+        )
         if places is not None:
             faults = [fault for fault in faults if "ε = σ = 1" not in fault]
             wrong += places
         if places == []:
-            findings[:] = [replace(one, passed=True) if one.name == "powers of r" and one.passed is False else one for one in findings]
+            findings[:] = [
+                replace(one, passed=True) if one.name == "powers of r" and one.passed is False else one
+                for one in findings
+            ]
     return wrong + [fault for fault in faults if not (wrong and "minimd's by" in fault)]
 
 
-def profile_findings(f: Law, u: Law | None, potential: Any, cutoff: float | None, farthest: float, is_law: bool = False) -> Answer:
+def profile_findings(
+    f: Law, u: Law | None, potential: Any, cutoff: float | None, farthest: float, is_law: bool = False
+) -> Answer:
     """Grade the force of a pair as a function of the distance.  f : > 0 for repulsion."""
     findings: list[Finding] = []
     faults: list[str] = []
@@ -118,7 +140,8 @@ def profile_findings(f: Law, u: Law | None, potential: Any, cutoff: float | None
     r = np.linspace(NEAREST + 0.05, 0.99 * ended[0] if ended else end, POINTS)
     values = np.array([f(float(x)) for x in r])
     if not np.isfinite(values).all():
-        findings.append(Finding("finite", False, f"the force of a pair is not finite at r = {r[np.argmin(np.isfinite(values))]:.3g}"))
+        where = r[np.argmin(np.isfinite(values))]
+        findings.append(Finding("finite", False, f"the force of a pair is not finite at r = {where:.3g}"))
         return findings, ["the force of a pair is not finite at an ordinary distance"], "", remarks
     if u is not None:
         slopes = -np.array([slope_of(u, float(x)) for x in r])
@@ -127,16 +150,19 @@ def profile_findings(f: Law, u: Law | None, potential: Any, cutoff: float | None
         if is_law and pair is not None and pair[1] == -1.0:
             remarks.append("the law returns f = −u′(r)/r, as minimd's laws do: multiply it by the vector r_ij")
             values, f = values * r, (lambda f: lambda x: f(x) * x)(f)
-        findings.append(Finding("force = −∇U", pair is not None and not fault, words, float("nan") if pair is None else pair[0]))
+        size = float("nan") if pair is None else pair[0]
+        findings.append(Finding("force = −∇U", pair is not None and not fault, words, size))
         faults += [fault] if fault else []
         faults += _apart(values, r, u) if pair is None else []
     law, own = "", powers_of(values, r)
-    if own is not None and own.exponents == (1,) and len(own.coefficients) == 1 and potential is None and u is None and not is_law:
-        remarks.append("the force of a pair decreases as r^−1. If q²/r² is meant, a factor 1/r is missing: q² r_ij/r³, not q² r_ij/r²")
+    alone = potential is None and u is None
+    if own is not None and own.exponents == (1,) and len(own.coefficients) == 1 and alone and not is_law:
+        meant = "If q²/r² is meant, a factor 1/r is missing: q² r_ij/r³, not q² r_ij/r²"
+        remarks.append(f"the force of a pair decreases as r^−1. {meant}")
         findings.append(Finding("powers of r", None, f"F = {own}"))
     elif own is not None:
         law, suspected = lennard_jones_fault(own)
-        findings.append(Finding("powers of r", not suspected if potential is None and u is None else None, f"F = {own}"))
+        findings.append(Finding("powers of r", not suspected if alone else None, f"F = {own}"))
         if potential is None and (u is None or not faults):
             faults += suspected if u is None else []
     if potential is not None:
@@ -148,15 +174,17 @@ def profile_findings(f: Law, u: Law | None, potential: Any, cutoff: float | None
         words, fault = related(pair, "minimd's force")
         off = float(np.abs(values - known).max() / np.abs(known).max())
         ok = off < SAME_FORCE
-        findings.append(Finding("as minimd's", ok, f"largest difference {off:.1e} of the largest force" if pair is None or ok else words, off))
+        said = f"largest difference {off:.1e} of the largest force" if pair is None or ok else words
+        findings.append(Finding("as minimd's", ok, said, off))
         if not ok:
             faults += [fault] if fault else (lennard_jones_fault(own)[1] if own is not None else [])
             faults += [] if faults else [f"the force differs from minimd's by {off:.1%} of the largest"]
     elif len(values) and values[0] < 0.0 and not faults:
         findings.append(Finding("sign", None, f"attractive at r = {r[0]:.2f}: {values[0]:.3g}", float(values[0])))
     more, wrong = cutoff_findings(f, u, cutoff, farthest)
-    if getattr(potential, "truncation", "") == "truncated":  # the energy of minimd's potential jumps, too, as the user has chosen
-        more = [replace(finding, passed=None) if finding.name == "energy continuous" and not finding.passed else finding for finding in more]
+    if getattr(potential, "truncation", "") == "truncated":  # minimd's energy jumps, too, as the user has chosen
+        jumps = [finding.name == "energy continuous" and not finding.passed for finding in more]
+        more = [replace(one, passed=None) if jump else one for one, jump in zip(more, jumps, strict=True)]
         wrong = [fault for fault in wrong if "the energy jumps" not in fault]
     return findings + more, faults + wrong, law, remarks
 
@@ -172,12 +200,16 @@ def _apart(values: Array, r: Array, u: Law) -> list[str]:
     right = {n + 1: n * c for n, c in zip(energy.exponents, energy.coefficients, strict=True)}
     have = dict(zip(force.exponents, force.coefficients, strict=True))
     parts = [
-        f"{have[n]:.6g} r^−{n} where {right[n]:.6g} r^−{n} is needed" for n in have if n in right and not np.isclose(have[n], right[n], rtol=1e-5)
+        f"{have[n]:.6g} r^−{n} where {right[n]:.6g} r^−{n} is needed"
+        for n in have
+        if n in right and not np.isclose(have[n], right[n], rtol=1e-5)
     ]
     parts += [f"r^−{n} does not belong in it" for n in have if n not in right] + [
         f"{c:.6g} r^−{n} is missing" for n, c in right.items() if n not in have
     ]
-    return [f"the force is not minus the slope of the energy, u = {energy}: wrong exponent or coefficient: {', '.join(parts)}"]
+    return [
+        f"the force is not minus the slope of the energy, u = {energy}: wrong exponent or coefficient: {', '.join(parts)}"
+    ]
 
 
 def reference(potential: Any, r: float) -> float:
@@ -200,17 +232,23 @@ def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
     return evaluate(System(x, cell=lengths, bonds=bonds), potential)
 
 
-def _of_bodies(force: StudentForce, potential: Any, lengths: Array | None, cutoff: float | None, given: Array | None) -> Answer:
+def _of_bodies(
+    force: StudentForce, potential: Any, lengths: Array | None, cutoff: float | None, given: Array | None
+) -> Answer:
     """Grade forces on all atoms."""
     bodies = Bodies(force, lengths, cutoff, given)
     remarks = []
     if lengths is None and not bodies.is_field and (edge := bodies.period()) is not None:
-        remarks.append(f"the forces are periodic along x with the period {edge:.6g}, which is taken as the edge of a cubic cell")
+        remarks.append(
+            f"the forces are periodic along x with the period {edge:.6g}, which is taken as the edge of a cubic cell"
+        )
         bodies = Bodies(force, lengths := np.full(3, edge), cutoff, given)
     findings, faults, law = bodies.findings(), list(bodies.faults), ""
     if bodies.takes_pairs and not (bodies.is_broken or bodies.is_field):
         farthest = FARTHEST if lengths is None else min(FARTHEST, 0.5 * float(lengths.min()) * 0.999)
-        more = profile_findings(bodies.of_a_pair, bodies.energy_of_a_pair if force.has_energy else None, potential, cutoff, farthest)
+        more = profile_findings(
+            bodies.of_a_pair, bodies.energy_of_a_pair if force.has_energy else None, potential, cutoff, farthest
+        )
         findings += more[0]
         faults = more[1] + faults
         law = more[2]
@@ -235,7 +273,11 @@ def _of_bodies(force: StudentForce, potential: Any, lengths: Array | None, cutof
 def _at_half_the_cell(bodies: Bodies, edge: float) -> Finding:
     """The force of a pair at half the cell, where the nearest image changes; it should be zero there."""
     rest = abs(bodies.of_a_pair(0.4999 * edge))
-    words = "the force is zero there" if rest == 0.0 else f"the force is still {rest:.2g}, and jumps where the nearest image changes: use a cutoff"
+    words = (
+        "the force is zero there"
+        if rest == 0.0
+        else f"the force is still {rest:.2g}, and jumps where the nearest image changes: use a cutoff"
+    )
     return Finding("at half the cell", True if rest == 0.0 else None, words, rest)
 
 
@@ -248,7 +290,11 @@ def _beside(bodies: Bodies, potential: Any, lengths: Array | None) -> tuple[Find
     c = float(np.sum(own * known) / np.sum(known**2))
     words = f"largest difference of {len(own)} atoms {off:.1e} of the largest force"
     is_multiple = float(np.abs(own - c * known).max()) < 1e-6 * float(np.abs(known).max())
-    fault = [f"the forces of {len(own)} atoms are {coefficient(c)} times minimd's"] if is_multiple and off > SAME_FORCE else []
+    fault = (
+        [f"the forces of {len(own)} atoms are {coefficient(c)} times minimd's"]
+        if is_multiple and off > SAME_FORCE
+        else []
+    )
     if off > SAME_FORCE and not fault:
         fault = [f"the forces of {len(own)} atoms differ from minimd's by {off:.1%} of the largest"]
     energy = float(np.asarray(bodies.u(bodies.x)))

@@ -65,7 +65,9 @@ def grade(
     if kind is not None and kind not in kinds:
         raise ValueError(f"kind must be one of {', '.join(map(repr, kinds))}; got {shown(kind)}")
     if not callable(function):
-        raise TypeError(f"grade takes a function, such as step(x, v, force, m, dt) or forces(positions); got {shown(function)}")
+        raise TypeError(
+            f"grade takes a function, such as step(x, v, force, m, dt) or forces(positions); got {shown(function)}"
+        )
     checked_count("order", order)
     if cutoff is not None:
         checked_number("cutoff", cutoff, "positive and finite")

@@ -57,7 +57,12 @@ def reversal(step: StudentStep, where: Problem, noise: float) -> Finding:
     x, v = _run(step, where._replace(x=x, v=-v), 0.05, BACK)
     off = float(max(np.abs(x - where.x).max(), np.abs(v + where.v).max()))
     ok = off < max(1e-11, 100.0 * noise) * max(1.0, way)
-    return Finding("reversible", ok, f"after {BACK} steps and as many back, the distance from the start is {off:.1e}; the way was {way:.2g}", off)
+    return Finding(
+        "reversible",
+        ok,
+        f"after {BACK} steps and as many back, the distance from the start is {off:.1e}; the way was {way:.2g}",
+        off,
+    )
 
 
 def jacobian(step: StudentStep, where: Problem, h: float) -> Array:
@@ -70,7 +75,9 @@ def jacobian(step: StudentStep, where: Problem, h: float) -> Array:
         return np.concatenate([np.ravel(x), np.ravel(v)])
 
     for unit in np.eye(2 * n):
-        columns.append(sum(c * (end(start + k * DELTA * unit) - end(start - k * DELTA * unit)) for k, c in STENCIL.items()) / DELTA)
+        columns.append(
+            sum(c * (end(start + k * DELTA * unit) - end(start - k * DELTA * unit)) for k, c in STENCIL.items()) / DELTA
+        )
     return np.array(columns).T
 
 
@@ -85,7 +92,12 @@ def symplecticity(step: StudentStep, where: Problem, noise: float) -> list[Findi
     volume = float(np.linalg.det(matrix)) - 1.0
     return [
         Finding("symplectic", off < limit, f"largest element of JᵀΩJ − Ω: {off:.1e} at dt = 0.1", off),
-        Finding("volume", abs(volume) < limit * n, f"det J = 1 {'+' if volume >= 0 else '−'} {abs(volume):.1e} at dt = 0.1", volume),
+        Finding(
+            "volume",
+            abs(volume) < limit * n,
+            f"det J = 1 {'+' if volume >= 0 else '−'} {abs(volume):.1e} at dt = 0.1",
+            volume,
+        ),
     ]
 
 
@@ -100,7 +112,8 @@ def momenta(step: StudentStep, where: Problem, noise: float) -> list[Finding]:
     answers = [Finding("momentum", off < limit, f"changes by {off:.1e} of Σ|mv| in 20 steps", off)]
     if where.x.ndim == 2:
         before, after = (
-            np.cross(np.pad(a, ((0, 0), (0, 3 - a.shape[1]))), np.pad(b, ((0, 0), (0, 3 - b.shape[1])))) for a, b in ((where.x, p0), (x, p1))
+            np.cross(np.pad(a, ((0, 0), (0, 3 - a.shape[1]))), np.pad(b, ((0, 0), (0, 3 - b.shape[1]))))
+            for a, b in ((where.x, p0), (x, p1))
         )
         off = float(np.abs((after - before).sum(axis=0)).max()) / float(np.abs(before).sum())
         answers.append(Finding("angular momentum", off < limit, f"changes by {off:.1e} of Σ|r × mv| in 20 steps", off))
@@ -115,18 +128,34 @@ def energy(step: StudentStep, where: Problem) -> Finding:
         energies.append(where.energy(x, v))
         kinetic.append(energies[-1] - where.potential(x))
         if not np.isfinite(energies[-1]) or abs(energies[-1]) > TOO_LARGE:
-            return Finding("energy", False, f"grows without bound: it is beyond {TOO_LARGE:g} after {len(energies)} steps of {LONG_STEP:g}", np.inf)
+            return Finding(
+                "energy",
+                False,
+                f"grows without bound: it is beyond {TOO_LARGE:g} after {len(energies)} steps of {LONG_STEP:g}",
+                np.inf,
+            )
     series, k = np.array(energies), float(np.mean(kinetic))
     means = series.reshape(BLOCKS, -1).mean(axis=1)
     slope, rest = np.polyfit(np.arange(BLOCKS), means, 1)[0] * BLOCKS / LONG, 0.0
     line = np.polyval(np.polyfit(np.arange(BLOCKS), means, 1), np.arange(BLOCKS))
-    rest = float(np.sqrt(np.sum((means - line) ** 2) / (BLOCKS - 2) / (BLOCKS * (BLOCKS**2 - 1) / 12.0))) * BLOCKS / LONG
+    rest = (
+        float(np.sqrt(np.sum((means - line) ** 2) / (BLOCKS - 2) / (BLOCKS * (BLOCKS**2 - 1) / 12.0))) * BLOCKS / LONG
+    )
     oscillation = float(np.std(series - np.polyval(np.polyfit(np.arange(LONG), series, 1), np.arange(LONG)))) / k
-    drifts = abs(slope) > SIGNIFICANT * rest and abs(slope) * LONG > max(1e-9, oscillation) * k  # slow oscillations look like less
-    verb = ("grows" if slope > 0 else "falls") + f" by {abs(slope) / k:.1e} of the kinetic energy per step" if drifts else "does not drift"
+    drifts = (
+        abs(slope) > SIGNIFICANT * rest and abs(slope) * LONG > max(1e-9, oscillation) * k
+    )  # slow oscillations look like less
+    verb = (
+        ("grows" if slope > 0 else "falls") + f" by {abs(slope) / k:.1e} of the kinetic energy per step"
+        if drifts
+        else "does not drift"
+    )
     if oscillation < EXACTLY:
         return Finding(
-            "energy", False, f"constant to rounding, {oscillation:.1e} of the kinetic energy: no explicit step has this property by itself", 0.0
+            "energy",
+            False,
+            f"constant to rounding, {oscillation:.1e} of the kinetic energy: no explicit step has this property by itself",
+            0.0,
         )
     words = f"{verb}; it oscillates by {oscillation:.1e} (dt = {LONG_STEP:g})"
     return Finding("energy", not drifts, words, float(slope) / k)
@@ -150,14 +179,19 @@ def oscillator(step: StudentStep) -> Finding:
     if not np.isfinite(off) or abs(off) > 1e-7:
         verb = "grows" if off > 0.0 else "falls"
         return Finding(
-            "oscillator", False, f"no quadratic form is conserved: at ω dt = {h:g} the energy {verb} by the factor {1.0 + off:.4g} in each step", off
+            "oscillator",
+            False,
+            f"no quadratic form is conserved: at ω dt = {h:g} the energy {verb} by the factor {1.0 + off:.4g} in each step",
+            off,
         )
     skew = (m[1, 1] - m[0, 0]) / m[0, 1]
     mixed = "" if abs(skew) < 1e-9 else f" {'+' if skew > 0 else '−'} {abs(skew):.4g} ω x v"
     limit = stable_up_to(lambda one: abs(float(np.trace(matrix(one)))) <= 2.0 + 1e-9)
     stiffness = -m[1, 0] / m[0, 1]
     constant = f"v² {'+' if stiffness > 0.0 else '−'} {abs(stiffness):.6g} ω² x²{mixed}"
-    return Finding("oscillator", limit > 0.0, f"at ω dt = {h:g} it conserves {constant}; stable up to ω dt = {limit:.2f}", limit)
+    return Finding(
+        "oscillator", limit > 0.0, f"at ω dt = {h:g} it conserves {constant}; stable up to ω dt = {limit:.2f}", limit
+    )
 
 
 def stable_up_to(is_stable: Callable[[float], bool]) -> float:

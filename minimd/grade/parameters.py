@@ -24,12 +24,18 @@ TERMS = (("repulsive", 13, 48.0, 12), ("attractive", 7, -24.0, 6))  # name, expo
 
 def values_of(force: StudentForce) -> dict[str, float]:
     """The values of the function's physical parameters, such as ε and σ, by name."""
-    told = {name: force.options[option] for name, option in zip(force.names[1 + force.is_of_two :], force.extra, strict=True)}
+    told = {
+        name: force.options[option]
+        for name, option in zip(force.names[1 + force.is_of_two :], force.extra, strict=True)
+    }
     values = {**force.defaults, **told}
     return {
         name: float(value)
         for name, value in values.items()
-        if isinstance(value, (int, float)) and not isinstance(value, bool) and value > 0.0 and _is_physical(name, list(values))
+        if isinstance(value, (int, float))
+        and not isinstance(value, bool)
+        and value > 0.0
+        and _is_physical(name, list(values))
     }
 
 
@@ -69,7 +75,9 @@ def without_effect(force: StudentForce, x: Array) -> list[str]:
             continue
         if np.array_equal(own, other):
             hint = ", a bond without rest length: F = −k (r − r0) r_ij/r" if re.search(REST, name.lower()) else ""
-            faults.append(f"the argument {name} is without effect: with {name} = {value:g} and {FACTOR * value:g} the forces are the same{hint}")
+            faults.append(
+                f"the argument {name} is without effect: with {name} = {value:g} and {FACTOR * value:g} the forces are the same{hint}"
+            )
     return faults
 
 
@@ -82,15 +90,23 @@ def places_of_epsilon_and_sigma(force: StudentForce, f: Law, r: Array) -> list[s
     own = powers_of(np.array([f(float(one)) for one in r]), r)
     if own is None or own.exponents != (13, 7):
         return None
-    ratios = [c / (factor * epsilon * sigma**power) for c, (_, _, factor, power) in zip(own.coefficients, TERMS, strict=True)]
+    ratios = [
+        c / (factor * epsilon * sigma**power) for c, (_, _, factor, power) in zip(own.coefficients, TERMS, strict=True)
+    ]
     if abs(ratios[0] / ratios[1] - 1.0) < DIFFERENT:
         return [] if is_near(ratios[0], 1.0) else None
     faults = []
     for ratio, c, (name, n, factor, power) in zip(ratios, own.coefficients, TERMS, strict=True):
         if abs(ratio - 1.0) < DIFFERENT:
             continue
-        missing = next((f": σ^{k} is missing" for k in range(power, 0, -1) if sigma != 1.0 and is_near(ratio, sigma**-k)), "")
-        missing = missing or (": ε is missing" if epsilon != 1.0 and is_near(ratio, 1.0 / epsilon) else f", {coefficient(ratio)} times as much")
+        missing = next(
+            (f": σ^{k} is missing" for k in range(power, 0, -1) if sigma != 1.0 and is_near(ratio, sigma**-k)), ""
+        )
+        missing = missing or (
+            ": ε is missing"
+            if epsilon != 1.0 and is_near(ratio, 1.0 / epsilon)
+            else f", {coefficient(ratio)} times as much"
+        )
         faults.append(f"the {name} term is {c:.6g} r^−{n} where {factor:g} ε σ^{power} r^−{n} = {factor * epsilon * sigma**power:.6g} r^−{n} is "
                       f"needed (with the function's ε = {epsilon:g}, σ = {sigma:g}){missing}")  # fmt: skip
     return faults

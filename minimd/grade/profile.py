@@ -99,15 +99,21 @@ def related(pair: tuple[float, float] | None, other: str, is_law: bool = False) 
     words = f"F = {other}" if (is_near(c, 1.0) and k == 0.0) else f"F = {coefficient(c)}{power} × ({other})"
     faults = []
     if c < 0.0:
-        faults.append(f"the force has the wrong sign: it is {coefficient(c)} times {other}, so atoms that should repel each other attract each other")
+        faults.append(
+            f"the force has the wrong sign: it is {coefficient(c)} times {other}, so atoms that should repel each other attract each other"
+        )
     if k == 1.0 and is_law:
         faults.append(f"the force has one power of r too many: a factor 1/r is missing in {other}")
     elif k == 1.0:
-        faults.append("the factor 1/r is missing: du/dr is multiplied by the vector r_ij, but du/dr / r (or the unit vector) is needed")
+        faults.append(
+            "the factor 1/r is missing: du/dr is multiplied by the vector r_ij, but du/dr / r (or the unit vector) is needed"
+        )
     elif k == -1.0 and not is_law:
         faults.append("there is a factor 1/r too many: the force is divided by r twice")
     elif k not in (0.0, -1.0):
-        faults.append(f"the force has {coefficient(abs(k))} power{'s' * (abs(k) != 1)} of r too {'many' if k > 0 else 'few'}")
+        faults.append(
+            f"the force has {coefficient(abs(k))} power{'s' * (abs(k) != 1)} of r too {'many' if k > 0 else 'few'}"
+        )
     size = abs(c)
     if is_near(size, 2.0):
         faults.append(f"the force is twice {other}: pairs are counted twice, or a factor ½ is missing")
@@ -155,15 +161,21 @@ def lennard_jones_fault(f: Powers) -> tuple[str, list[str]]:
         name = f"Lennard-Jones with ε = {epsilon:.6g}, σ = {sigma:.6g}"
         faults = []
         if c[0] < 0.0:
-            faults.append(f"the force has the wrong sign: F = {f} attracts at short distances; F = −du/dr = 48ε σ¹²/r¹³ − 24ε σ⁶/r⁷")
+            faults.append(
+                f"the force has the wrong sign: F = {f} attracts at short distances; F = −du/dr = 48ε σ¹²/r¹³ − 24ε σ⁶/r⁷"
+            )
         if is_near(abs(c[0]), 24.0) and is_near(abs(c[1]), 24.0):
-            faults.append("the repulsive term has 24 where 48 = 4 · 12 is needed: 48 r^−13 − 24 r^−7 with ε = σ = 1; a factor 2 is missing")
+            faults.append(
+                "the repulsive term has 24 where 48 = 4 · 12 is needed: 48 r^−13 − 24 r^−7 with ε = σ = 1; a factor 2 is missing"
+            )
         elif is_near(sigma6, 1.0) and not is_near(epsilon, 1.0):
             faults.append(f"with ε = σ = 1 the force is {coefficient(epsilon)} times 48 r^−13 − 24 r^−7, as for ε = {coefficient(epsilon)}: "
                           + ("pairs are counted twice, or a factor ½ is missing" if is_near(epsilon, 2.0) else
                              "a factor 2 is missing" if is_near(epsilon, 0.5) else "a factor is wrong, unless this ε is meant"))  # fmt: skip
         elif sum((is_near(abs(c[0]), 48.0), is_near(abs(c[1]), 24.0))) == 1:
-            which, size, right = ("attractive", abs(c[1]), 24) if is_near(abs(c[0]), 48.0) else ("repulsive", abs(c[0]), 48)
+            which, size, right = (
+                ("attractive", abs(c[1]), 24) if is_near(abs(c[0]), 48.0) else ("repulsive", abs(c[0]), 48)
+            )
             faults.append(f"with ε = σ = 1 the {which} term has {size:.6g} where {right} is needed: 48 r^−13 − 24 r^−7")
         return name, faults
     told = f"F = {f}; −du/dr of Lennard-Jones has r^−13 and r^−7"
@@ -176,7 +188,9 @@ def lennard_jones_fault(f: Powers) -> tuple[str, list[str]]:
                                           f"by the vector r_ij, "
                                           "which brings another r)"]  # fmt: skip
     if 13 in n or 7 in n or (5 <= n[1] <= 9 and 11 <= n[0] <= 15):
-        wrong = [f"r^−{have} where r^−{right} is needed" for have, right in zip(n, (13, 7), strict=True) if have != right]
+        wrong = [
+            f"r^−{have} where r^−{right} is needed" for have, right in zip(n, (13, 7), strict=True) if have != right
+        ]
         return "Lennard-Jones, with other exponents", [f"wrong exponent: {', '.join(wrong)} ({told})"]
     return "", []
 
@@ -191,7 +205,9 @@ def _other_cutoff(seen: list[Jump], cutoff: float | None) -> list[str]:
         why = ": r² is compared with the cutoff, not with its square" if is_near(squared, cutoff) else ""
         return [f"the force ends at r = {end:.6g}, before the cutoff {cutoff:g}{why}"]
     if cutoff is None and is_near(2.0 * squared, round(2.0 * squared)) and not is_near(100.0 * end, round(100.0 * end)):
-        return [f"the force ends at r = {end:.6g}, where r² = {squared:.6g}: is r² compared with a cutoff, not with its square?"]
+        return [
+            f"the force ends at r = {end:.6g}, where r² = {squared:.6g}: is r² compared with a cutoff, not with its square?"
+        ]
     return []
 
 
@@ -207,7 +223,9 @@ def cutoff_findings(f: Law, u: Law | None, cutoff: float | None, farthest: float
         if not kept:
             seen = [one.r for one in steps[0][1] if one.above == 0.0]
             where = f"; the force ends at {seen[0]:.6g} instead" if seen else ""
-            faults.append(f"the cutoff {cutoff:g} is not applied: at r = {1.001 * cutoff:.4g} the force is {f(1.001 * cutoff):.3g}{where}")
+            faults.append(
+                f"the cutoff {cutoff:g} is not applied: at r = {1.001 * cutoff:.4g} the force is {f(1.001 * cutoff):.3g}{where}"
+            )
     faults += _other_cutoff(steps[0][1], cutoff)
     for name, found in steps:
         words = "; ".join(f"jumps by {one.height:+.4g} at r = {one.r:.6g}" for one in found[:3]) or "continuous"

@@ -18,7 +18,12 @@ from minimd.grade.variants import FEW, NOT_SYMPLECTIC, nearest_method, recognize
 HIGH = 2.5  # a step of a higher measured order has the right terms up to dt², and need not be symmetric
 ROUNDING = 1e-9  # smaller relative differences are rounding
 SINGLE = 1e-8  # a step with more noise uses float32
-STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}  # by the shape of x: the number of states needed to distinguish all terms
+STATES = {
+    (5, 3): 4,
+    (5, 2): 5,
+    (5,): 8,
+    (): 24,
+}  # by the shape of x: the number of states needed to distinguish all terms
 SHORT = 1e-7  # a time step so short that nothing should change
 CHANGED = 1e-4
 FASTER = (1.0, 30.0)  # factors by which velocities are multiplied to find a limit
@@ -33,17 +38,34 @@ def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
     with np.errstate(all="ignore"):
         faults = _hidden(step, problems[0])
         if faults:
-            return Grade(called, (Finding("a map of x and v", False, faults[0]),), tuple(faults), remarks=tuple(remarks))
+            return Grade(
+                called, (Finding("a map of x and v", False, faults[0]),), tuple(faults), remarks=tuple(remarks)
+            )
         noise = noise_of(step, problems[0])
-        findings = [order_of(step, problems[0], order), reversal(step, problems[0], noise), *symplecticity(step, problems[0], noise)]
+        findings = [
+            order_of(step, problems[0], order),
+            reversal(step, problems[0], noise),
+            *symplecticity(step, problems[0], noise),
+        ]
         is_high = findings[0].value > HIGH
-        if is_high and findings_of(findings, "symplectic").passed:  # Ruth's method of order 3 is right, and not symmetric
+        if (
+            is_high and findings_of(findings, "symplectic").passed
+        ):  # Ruth's method of order 3 is right, and not symmetric
             findings[1] = replace(findings[1], passed=findings[1].passed or None)
         if any(role.startswith("before") for role in step.manner.roles):
-            remarks.append("a step that takes the force of the previous step is not a map of x and v, and is not judged as one")
+            remarks.append(
+                "a step that takes the force of the previous step is not a map of x and v, and is not judged as one"
+            )
             findings[1:] = [replace(finding, passed=None) for finding in findings[1:]]
-        findings += [*momenta(step, problems[0], noise), energy(step, problems[0]), oscillator(step), cost(step, problems[0])]
-        method, wrong = recognized(step(problems[0], problems[0].x, problems[0].v, 0.1), problems[0], 0.1, max(ROUNDING, 10.0 * noise))
+        findings += [
+            *momenta(step, problems[0], noise),
+            energy(step, problems[0]),
+            oscillator(step),
+            cost(step, problems[0]),
+        ]
+        method, wrong = recognized(
+            step(problems[0], problems[0].x, problems[0].v, 0.1), problems[0], 0.1, max(ROUNDING, 10.0 * noise)
+        )
         if wrong == NOT_SYMPLECTIC and order == int(method[2]) and findings[0].passed:
             return Grade(called, _as_runge_kutta(findings), (), method, (*remarks, wrong))
         faults = [wrong] if wrong else _faults(step, problems, noise, is_high)
@@ -74,7 +96,9 @@ def _hidden(step: StudentStep, where: Problem) -> list[str]:
     step.n_evaluations = 0
     second = step(where, where.x, where.v, 0.1)
     if step.n_evaluations == 0 and any(role in FORCES for role in step.manner.roles):
-        return ["the step does not compute the force: it called the force function in its first call, or never, and keeps using that result"]
+        return [
+            "the step does not compute the force: it called the force function in its first call, or never, and keeps using that result"
+        ]
     off = max(float(np.abs(a - b).max()) for a, b in zip(first, second, strict=True))
     if off == 0.0:
         return []
@@ -85,7 +109,9 @@ def _hidden(step: StudentStep, where: Problem) -> list[str]:
         ends.append(step(where, where.x, where.v, 0.1))
     np.random.set_state(state)
     if all(np.array_equal(a, b) for a, b in zip(*ends, strict=True)):
-        return [f"the step draws random numbers: two steps from the same state differ by {off:.1e}. The step contains a thermostat"]
+        return [
+            f"the step draws random numbers: two steps from the same state differ by {off:.1e}. The step contains a thermostat"
+        ]
     return [f"two steps from the same x and v differ by {off:.1e}: the step draws random numbers, or remembers earlier calls, such as a force "
             "that is kept outside. What a step needs must be among its arguments"]  # fmt: skip
 
@@ -114,8 +140,12 @@ def noise_of(step: StudentStep, where: Problem) -> float:
 def _faults(step: StudentStep, problems: list[Problem], noise: float, is_high: bool) -> list[str]:
     faults = same_rows(step, problems[0])
     if noise > SINGLE:
-        faults.append(f"the step rounds to {noise:.0e} of the coordinates: it uses float32 somewhere; float64 rounds to 1e-16")
-    faults += _left_out(step, problems) or (_wrapped(step, problems[0]) if not faults else []) or _thermostat(step, problems)
+        faults.append(
+            f"the step rounds to {noise:.0e} of the coordinates: it uses float32 somewhere; float64 rounds to 1e-16"
+        )
+    faults += (
+        _left_out(step, problems) or (_wrapped(step, problems[0]) if not faults else []) or _thermostat(step, problems)
+    )
     faults += clipped(step, problems[0]) if not faults else []
     if not faults and not is_high:
         scaled = step.has_masses or any("acceleration" in role for role in step.manner.roles)
@@ -143,10 +173,16 @@ def _left_out(step: StudentStep, problems: list[Problem]) -> list[str]:
         if still.all() or not still.any():
             continue
         for axis, what in ((1, "atom"), (0, "axis")):
-            alone: Any = [] if still.ndim <= axis and what == "axis" else np.flatnonzero(still.all(axis=axis) if still.ndim > 1 else still)
+            alone: Any = (
+                []
+                if still.ndim <= axis and what == "axis"
+                else np.flatnonzero(still.all(axis=axis) if still.ndim > 1 else still)
+            )
             if len(alone) and (what == "atom" or still.ndim > 1):
                 last = ", the last," if what == "atom" and list(alone) == [len(still) - 1] else ""
-                faults.append(f"{what} {', '.join(map(str, alone))}{last} is not {verb}: check the bounds of the loop, such as range(N − 1)")
+                faults.append(
+                    f"{what} {', '.join(map(str, alone))}{last} is not {verb}: check the bounds of the loop, such as range(N − 1)"
+                )
                 break
     return faults
 
@@ -177,8 +213,12 @@ def _thermostat(step: StudentStep, problems: list[Problem]) -> list[str]:
     changes = [step(one, one.x, one.v, h)[1] - one.v for one in problems]
     if np.abs(changes[0]).max() > 1e-4:
         if np.abs(changes[0] - changes[0].mean(axis=0)).max() < 1e-5:
-            return ["the mean motion is removed in each step: all velocities change by the same vector. Do this only once, at the start"]
-        factors = [float(np.sum(change * one.v) / np.sum(one.v**2)) for change, one in zip(changes, problems, strict=True)]
+            return [
+                "the mean motion is removed in each step: all velocities change by the same vector. Do this only once, at the start"
+            ]
+        factors = [
+            float(np.sum(change * one.v) / np.sum(one.v**2)) for change, one in zip(changes, problems, strict=True)
+        ]
         rests = [np.abs(change - c * one.v).max() for change, c, one in zip(changes, factors, problems, strict=True)]
         if max(rests) < 1e-5 and np.ptp(factors) > 1e-4:
             told = ", ".join(f"{1.0 + c:.4g}" for c in factors[:3])
@@ -213,7 +253,9 @@ def _of_substeps(parts: list[tuple[str, float]], findings: list[Finding], order:
     if kicks < FEW or reached > (max(order - 0.5, HIGH) if near else order - 0.5):
         return []
     near = (
-        f": {near}" if near else "; print(md.integrators.METHODS) lists those that have more, and md.integrators.CandyRozmus4.substeps their weights"
+        f": {near}"
+        if near
+        else "; print(md.integrators.METHODS) lists those that have more, and md.integrators.CandyRozmus4.substeps their weights"
     )
     return [
         f"{kicks} kicks in a step, but no more than order {reached:.1f}: the weights of the substeps are not those of a method of higher order{near}"
@@ -227,12 +269,19 @@ def clipped(step: StudentStep, where: Problem) -> list[str]:
     for faster in FASTER:
         v = faster * where.v
         _, new = step(where, where.x, v, SHORT)
-        for what, old, now in (("components of velocities", np.abs(v), np.abs(new)), ("speeds", _speeds(v), _speeds(new))):
+        for what, old, now in (
+            ("components of velocities", np.abs(v), np.abs(new)),
+            ("speeds", _speeds(v), _speeds(new)),
+        ):
             cut = np.abs(now - old) > CHANGED * faster
             if cut.sum() < 2 or (cut.all() and faster == 1.0):
                 continue
             limit = float(now[cut].mean())
-            if np.ptp(now[cut]) < CHANGED and old[cut].min() > limit and (cut.all() or old[~cut].max() < limit + CHANGED * faster):
+            if (
+                np.ptp(now[cut]) < CHANGED
+                and old[cut].min() > limit
+                and (cut.all() or old[~cut].max() < limit + CHANGED * faster)
+            ):
                 return [f"{what} above {limit:.4g} are cut off: the velocities are limited (clipped) in the step"]
     return []
 
@@ -252,7 +301,9 @@ def same_rows(step: StudentStep, where: Problem) -> list[str]:
         step.n_steps = 1
     for part in step.path[:1]:
         if len(part) > 2 and np.array_equal(part[0], part[-1]) and np.array_equal(part[1], part[-1]):
-            return ["all rows of the path are alike: the array is changed in place after it was appended. Append a copy, as in xs.append(x.copy())"]
+            return [
+                "all rows of the path are alike: the array is changed in place after it was appended. Append a copy, as in xs.append(x.copy())"
+            ]
     return []
 
 
@@ -271,9 +322,13 @@ def _structural(findings: list[Finding], step: StudentStep) -> list[str]:
             "the total momentum changes: the forces of a step are not all computed at the same positions, or atoms are moved one after another"
         )
     if "symplectic" in failed and "volume" in failed:
-        faults.append("the step shrinks or stretches phase space (see volume), as Runge-Kutta methods and thermostats do: its energy drifts")
+        faults.append(
+            "the step shrinks or stretches phase space (see volume), as Runge-Kutta methods and thermostats do: its energy drifts"
+        )
     elif "symplectic" in failed:
         faults.append("the step is not symplectic: it is not a product of kicks and drifts")
     elif "reversible" in failed:
-        faults.append("the step is symplectic, but not symmetric: kicks and drifts do not read the same forwards and backwards")
+        faults.append(
+            "the step is symplectic, but not symmetric: kicks and drifts do not read the same forwards and backwards"
+        )
     return faults

@@ -35,7 +35,9 @@ def explicit_euler(x: Array, v: Array, a: Acceleration, h: float) -> tuple[Array
     return x + h * v, v + h * a(x)
 
 
-def runge_kutta(x: Array, v: Array, a: Acceleration, h: float, stages: list[list[float]], weights: list[float]) -> tuple[Array, Array]:
+def runge_kutta(
+    x: Array, v: Array, a: Acceleration, h: float, stages: list[list[float]], weights: list[float]
+) -> tuple[Array, Array]:
     """An explicit Runge-Kutta method of the first-order system."""
     slopes: list[tuple[Array, Array]] = []
     for row in stages:
@@ -84,7 +86,9 @@ def mixed_drift(x: Array, v: Array, a: Acceleration, h: float) -> tuple[Array, A
     return x1, v + 0.5 * h * (a(x) + a(x1))
 
 
-VARIANTS: dict[str, tuple[Row, str]] = {  # name: the step, and what is wrong with it (empty if nothing is, or if the expansion says it)
+VARIANTS: dict[
+    str, tuple[Row, str]
+] = {  # name: the step, and what is wrong with it (empty if nothing is, or if the expansion says it)
     "explicit Euler": (explicit_euler, ""),
     "Taylor's parabola with the old force": (taylor, ""),
     "velocity Verlet with the new force alone": (drift_with_new_force, ""),
@@ -93,8 +97,14 @@ VARIANTS: dict[str, tuple[Row, str]] = {  # name: the step, and what is wrong wi
     "RK2, Heun": (tableau([[], [1.0]], [0.5, 0.5]), NOT_SYMPLECTIC),
     "RK2, Ralston": (tableau([[], [2 / 3]], [0.25, 0.75]), NOT_SYMPLECTIC),
     "RK3, Kutta": (tableau([[], [0.5], [-1.0, 2.0]], [1 / 6, 2 / 3, 1 / 6]), NOT_SYMPLECTIC),
-    "RK4, the classical Runge-Kutta method": (tableau([[], [0.5], [0.0, 0.5], [0.0, 0.0, 1.0]], CLASSICAL), NOT_SYMPLECTIC),
-    "RK4, the 3/8 rule": (tableau([[], [1 / 3], [-1 / 3, 1.0], [1.0, -1.0, 1.0]], [1 / 8, 3 / 8, 3 / 8, 1 / 8]), NOT_SYMPLECTIC),
+    "RK4, the classical Runge-Kutta method": (
+        tableau([[], [0.5], [0.0, 0.5], [0.0, 0.0, 1.0]], CLASSICAL),
+        NOT_SYMPLECTIC,
+    ),
+    "RK4, the 3/8 rule": (
+        tableau([[], [1 / 3], [-1 / 3, 1.0], [1.0, -1.0, 1.0]], [1 / 8, 3 / 8, 3 / 8, 1 / 8]),
+        NOT_SYMPLECTIC,
+    ),
     "nearly RK4: k1 for k2": (
         tableau([[], [0.5], [0.5], [0.0, 0.0, 1.0]], CLASSICAL),
         "looks like RK4 with a wrong third stage: it uses k1 in place of k2, k3 = f(y + dt/2 k2); order 2, not 4",
@@ -237,9 +247,14 @@ def nearest_method(parts: list[tuple[str, float]]) -> str:
         known = [("kick" if isinstance(one, Kick) else "drift", one.coefficient) for one in method.substeps]
         if [kind for kind, _ in known] != [kind for kind, _ in parts]:
             continue
-        wrong = [k for k, ((_, own), (_, right)) in enumerate(zip(parts, known, strict=True)) if abs(own - right) > 1e-7]
+        wrong = [
+            k for k, ((_, own), (_, right)) in enumerate(zip(parts, known, strict=True)) if abs(own - right) > 1e-7
+        ]
         if 0 < len(wrong) <= fewest:
             fewest = len(wrong)
-            places = ", ".join(f"substep {k + 1}, a {parts[k][0]}, is {parts[k][1]:.10g} where {known[k][1]:.10g} is needed" for k in wrong)
+            places = ", ".join(
+                f"substep {k + 1}, a {parts[k][0]}, is {parts[k][1]:.10g} where {known[k][1]:.10g} is needed"
+                for k in wrong
+            )
             best = f"nearly {name}, but {places}"
     return best

@@ -23,14 +23,35 @@ from minimd.potentials.tabulated import reads_table
 
 MOST_DECISIONS = 8  # conditions that a call of a law may evaluate one after the other
 FUNCTIONS = {  # names in math and numpy: in Lepton
-    **{name: name for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "erf", "erfc", "floor", "ceil")},
+    **{
+        name: name
+        for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "erf", "erfc", "floor", "ceil")
+    },
     **dict(zip(("arcsin", "arccos", "arctan", "asin", "acos", "atan"), ("asin", "acos", "atan") * 2, strict=True)),
     **dict.fromkeys(("abs", "fabs", "absolute"), "abs"),
 }
 OPERATORS: dict[str, Callable[[Any, Any], Any]] = {  # of numpy
-    **dict(zip(("add", "subtract", "multiply", "power"), (operator.add, operator.sub, operator.mul, operator.pow), strict=True)),
-    **dict(zip(("divide", "true_divide", "float_power", "pow"), (operator.truediv, operator.truediv, operator.pow, operator.pow), strict=True)),
-    **dict(zip(("less", "greater", "less_equal", "greater_equal"), (operator.lt, operator.gt, operator.le, operator.ge), strict=True)),
+    **dict(
+        zip(
+            ("add", "subtract", "multiply", "power"),
+            (operator.add, operator.sub, operator.mul, operator.pow),
+            strict=True,
+        )
+    ),
+    **dict(
+        zip(
+            ("divide", "true_divide", "float_power", "pow"),
+            (operator.truediv, operator.truediv, operator.pow, operator.pow),
+            strict=True,
+        )
+    ),
+    **dict(
+        zip(
+            ("less", "greater", "less_equal", "greater_equal"),
+            (operator.lt, operator.gt, operator.le, operator.ge),
+            strict=True,
+        )
+    ),
 }
 
 
@@ -284,7 +305,11 @@ def _text(one: Any, uses: Counter[int], texts: dict[int, str], named: list[str])
         if one.operation in ("r", "r2"):
             text = "r" if one.operation == "r" else "(r*r)"
         else:
-            text = f"({one.operation.join(arguments)})" if one.operation in "+-*/^" else f"{one.operation}({','.join(arguments)})"
+            text = (
+                f"({one.operation.join(arguments)})"
+                if one.operation in "+-*/^"
+                else f"{one.operation}({','.join(arguments)})"
+            )
             if uses[id(one)] > 1:
                 named.append(f"t{len(named) + 1}={text}")
                 text = f"t{len(named)}"

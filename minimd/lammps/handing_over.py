@@ -33,7 +33,10 @@ from minimd.structure.errors import HandOverError, sentence
 
 TRAJECTORY = "run.h5md"
 BYTES_PER_ATOM, BYTES_PER_FRAME = 450, 130  # of the input and of step 0; of a frame in the files of LAMMPS and minimd
-DISAGREEMENT = {"double": 1e-8, "mixed": 1e-5}  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
+DISAGREEMENT = {
+    "double": 1e-8,
+    "mixed": 1e-5,
+}  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
 MOST_STEPS = 2**31  # one run of LAMMPS makes fewer
 
 Tell = Callable[[str], object]
@@ -64,7 +67,10 @@ class HandOver(Displayed):
         return [
             ("LAMMPS", f"{self.version}, on {self.processes} process{'es' * (self.processes > 1)}"),
             ("verified", f"{self.verification}"),
-            ("frames", f"{len(self.record)}; potential energies differ by at most {self.energy_difference:.1e} of Σ|e_i| or N k_B T"),
+            (
+                "frames",
+                f"{len(self.record)}; potential energies differ by at most {self.energy_difference:.1e} of Σ|e_i| or N k_B T",
+            ),
             ("time", times),
             ("written", str(self.trajectory)),
         ]
@@ -73,11 +79,17 @@ class HandOver(Displayed):
 def not_carried_over(simulation: Simulation) -> list[str]:
     """The promises of minimd that a run by LAMMPS does not keep, one sentence each."""
     engine, method = simulation.engine, simulation.method
-    told = ["exact restart: bits depend on the number of processes, and on where LAMMPS ended; minimd goes on from positions and velocities only"]
+    told = [
+        "exact restart: bits depend on the number of processes, and on where LAMMPS ended; minimd goes on from positions and velocities only"
+    ]
     if method.is_thermostat:
-        told.append(f"noise: its bath is LAMMPS' {script.BATHS[type(method)]}, with random numbers that depend on the number of processes")
+        told.append(
+            f"noise: its bath is LAMMPS' {script.BATHS[type(method)]}, with random numbers that depend on the number of processes"
+        )
     if isinstance(method, LangevinBAOAB):
-        told.append("order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, and its errors of order Δt² differ")
+        told.append(
+            "order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, and its errors of order Δt² differ"
+        )
     if len(engine.extra_observables):
         told.append(f"{', '.join(engine.extra_observables)}: computed by minimd for each frame, not by LAMMPS")
     if engine.interactions.options.precision != "double":
@@ -127,7 +139,15 @@ def hand_over(
         return job.run(verification, checked_flag("store_forces", store_forces))
 
 
-def check_hand_over(simulation: Simulation, folder: str | Path, steps: int, *, processes: int = 1, every: int = 100, overwrite: bool = False) -> None:
+def check_hand_over(
+    simulation: Simulation,
+    folder: str | Path,
+    steps: int,
+    *,
+    processes: int = 1,
+    every: int = 100,
+    overwrite: bool = False,
+) -> None:
     """Raise the errors that hand_over raises before it starts: for a scene that LAMMPS cannot run, if LAMMPS is not found, for the folder."""
     job = Job(simulation, Path(folder), steps, processes, every)
     job.check_folder(overwrite)
@@ -156,8 +176,15 @@ class Job:
         tell: Tell = lambda line: None,
     ) -> None:
         if simulation.barostat is not None:
-            raise ValueError("a run with a barostat cannot be handed over to LAMMPS, which has other barostats than minimd; run it with minimd")
-        self.simulation, self.engine, self.folder, self.trajectory = simulation, simulation.engine, folder, folder / TRAJECTORY
+            raise ValueError(
+                "a run with a barostat cannot be handed over to LAMMPS, which has other barostats than minimd; run it with minimd"
+            )
+        self.simulation, self.engine, self.folder, self.trajectory = (
+            simulation,
+            simulation.engine,
+            folder,
+            folder / TRAJECTORY,
+        )
         self.steps, self.every = checked_count("steps", steps, limit=MOST_STEPS), checked_count("every", every)
         self.processes = checked_count("processes", processes)
         self.progress, self.tell = progress, tell
@@ -197,7 +224,9 @@ class Job:
         """Raise FileExistsError, FileNotFoundError or OSError if the hand-over cannot be written there."""
         if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
             if not overwrite:
-                raise FileExistsError(f"folder {str(self.folder)!r} exists and is not empty; choose another name, or pass overwrite=True")
+                raise FileExistsError(
+                    f"folder {str(self.folder)!r} exists and is not empty; choose another name, or pass overwrite=True"
+                )
             own = {TRAJECTORY, OUTPUT, *script.FILES}
             if not self.folder.is_dir() or (others := sorted({file.name for file in self.folder.iterdir()} - own)):
                 held = f"holds more than a hand-over, such as {others[0]!r}" if self.folder.is_dir() else "is a file"
@@ -205,10 +234,15 @@ class Job:
         if not self.folder.absolute().parent.is_dir():
             raise FileNotFoundError(f"folder {str(self.folder.absolute().parent)!r} does not exist; make it first")
         n_atoms, n_frames = len(self.simulation.system), 2 + self.steps // self.every
-        needed, free = n_atoms * (BYTES_PER_ATOM + BYTES_PER_FRAME * n_frames), shutil.disk_usage(self.folder.absolute().parent).free
+        needed, free = (
+            n_atoms * (BYTES_PER_ATOM + BYTES_PER_FRAME * n_frames),
+            shutil.disk_usage(self.folder.absolute().parent).free,
+        )
         if needed > free:
             sizes = f"{needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the disk has {free / 1e9:.2g} GB left"
-            raise OSError(f"the hand-over needs {sizes}; free some space, or write frames less often (every = {self.every})")
+            raise OSError(
+                f"the hand-over needs {sizes}; free some space, or write frames less often (every = {self.every})"
+            )
 
     def _remove_raw(self) -> None:
         for name in (*script.RAW, OUTPUT):
@@ -243,9 +277,15 @@ class Job:
                 raise KeyboardInterrupt("stopped before the run of LAMMPS")
             if log.processes != self.processes:
                 why = f"{self.program.lmp} was probably built without MPI, or for another mpiexec than {self.program.mpiexec}"
-                raise HandOverError(f"LAMMPS runs on {log.processes} process instead of {self.processes}; {why}: {INSTALL}")
+                raise HandOverError(
+                    f"LAMMPS runs on {log.processes} process instead of {self.processes}; {why}: {INSTALL}"
+                )
             found = [frames(self.folder / name, len(copy)) for name in script.STEP_0.values()]
-            theirs = (script.per_atom(columns, place) for one, place in zip(found, (self.model.box, box), strict=True) for _, columns in one)
+            theirs = (
+                script.per_atom(columns, place)
+                for one, place in zip(found, (self.model.box, box), strict=True)
+                for _, columns in one
+            )
             verification = compare(ours, theirs)
             verification.check(self.engine)
             self._scale = verification.scale
@@ -268,7 +308,14 @@ class Job:
             brought = self._bring_back(log, store_forces, is_whole=failure is None and not self.stop_requested)
         self._judge(failure, brought, log)
         done = HandOver(
-            self.folder, self.trajectory, brought.record, verification, brought.energy_difference, self.seconds, self.program.version, self.processes
+            self.folder,
+            self.trajectory,
+            brought.record,
+            verification,
+            brought.energy_difference,
+            self.seconds,
+            self.program.version,
+            self.processes,
         )
         for line in str(done).splitlines()[2:]:
             self.tell(line)
@@ -276,7 +323,11 @@ class Job:
 
     def _judge(self, failure: HandOverError | None, brought: Brought, log: Log) -> None:
         """Raise HandOverError if LAMMPS has failed, or frames are missing or wrong; KeyboardInterrupt if the run was stopped."""
-        words, different, allowed = "", brought.energy_difference, DISAGREEMENT[self.engine.interactions.options.precision]
+        words, different, allowed = (
+            "",
+            brought.energy_difference,
+            DISAGREEMENT[self.engine.interactions.options.precision],
+        )
         if failure is not None:
             words = str(failure)
         elif self.stop_requested:
@@ -308,7 +359,14 @@ class Job:
         theirs = {step: row[0] for step, row in zip(log.steps, log.rows, strict=True)}
         baths = {step: start - row[1] for step, row in zip(log.steps, log.rows, strict=True) if len(row) > 1}
         apart = []
-        opened = open_trajectories(self.trajectory, self.engine, every=self.every, n_steps=self.steps, store_forces=store_forces, overwrite=False)
+        opened = open_trajectories(
+            self.trajectory,
+            self.engine,
+            every=self.every,
+            n_steps=self.steps,
+            store_forces=store_forces,
+            overwrite=False,
+        )
         with self._titled(), opened as writers:
             for step, columns in chain([(self.first_step, None)], [first] if first else [], found):
                 if columns is not None:
@@ -317,7 +375,10 @@ class Job:
                 record.append(frame)
                 for writer in writers:
                     writer.write(frame)
-                energy, heat = float(frame.observables["potential_energy"]) - tail, n_atoms * k_b * float(frame.observables["temperature"])
+                energy, heat = (
+                    float(frame.observables["potential_energy"]) - tail,
+                    n_atoms * k_b * float(frame.observables["temperature"]),
+                )
                 apart.append(abs(theirs.get(step, np.nan) - energy) / max(self._scale, abs(energy), heat, LEAST))
             n_missing = self._end(baths.get(self.first_step + self.steps, start), len(record)) if is_whole else 0
         self.simulation.record = record
@@ -347,15 +408,23 @@ class Job:
         """Put the engine in the state of LAMMPS at a step."""
         engine, box, velocities = self.engine, self.model.box, self.model.box.back(columns[:, 3:])
         if not np.isfinite(columns).all():
-            raise HandOverError(f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step ({engine.method.timestep:g})")
+            raise HandOverError(
+                f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step ({engine.method.timestep:g})"
+            )
         half = 0.5 * (step - engine.step) * engine.method.timestep
         if (most := np.abs(box.crossed(half * (velocities - engine.velocities))).max()) > IMAGES / 2:
             why = f"the change of their velocities since step {engine.step} amounts to {most:.3g} cells, and LAMMPS counts {IMAGES // 2}"
-            raise HandOverError(f"the images of atoms at step {step} are unknown: {why}; bring frames back more often (every = {self.every})")
-        engine.positions[:] = box.positions_back(columns[:, :3], engine.positions + half * (velocities + engine.velocities))
+            raise HandOverError(
+                f"the images of atoms at step {step} are unknown: {why}; bring frames back more often (every = {self.every})"
+            )
+        engine.positions[:] = box.positions_back(
+            columns[:, :3], engine.positions + half * (velocities + engine.velocities)
+        )
         engine.velocities[:] = velocities
         engine.count(step - engine.step)
         engine.reservoir_energy = reservoir_energy
         engine.moved()
         engine.fit_images()
-        engine.constraint_set.project(engine.velocities, engine.positions)  # velocities of SHAKE have a component along the bonds
+        engine.constraint_set.project(
+            engine.velocities, engine.positions
+        )  # velocities of SHAKE have a component along the bonds

@@ -26,8 +26,14 @@ from minimd.structure.images import nearest_vectors
 FAR = 100.0  # extents of the scene: the cutoff of a law without one
 SKIN = 0.12  # of the smallest cutoff, or longest bond
 REACH = 2.0  # in longest bonds: the distance up to which LAMMPS finds partners of an atom on other processes
-SPECIAL = 0.5  # a factor, neither 0 nor 1, for which LAMMPS keeps the pairs and marks them, if styles have different factors
-LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smooth/linear"}  # the styles of LAMMPS with the same truncation
+SPECIAL = (
+    0.5  # a factor, neither 0 nor 1, for which LAMMPS keeps the pairs and marks them, if styles have different factors
+)
+LJ_STYLES = {
+    LennardJonesLaw: "lj/cut",
+    Shifted: "lj/cut",
+    ForceShifted: "lj/smooth/linear",
+}  # the styles of LAMMPS with the same truncation
 
 BOND_STYLES = {MorseLaw: "morse", FENELaw: "fene"}  # the styles with the same parameters as minimd's law
 
@@ -100,20 +106,30 @@ class Model:
             self.search = "nsq" if potential.cutoff == np.inf else self.search
         elif isinstance(potential, BondPotential):
             pairs = system.bonds if potential.pairs is None else potential.pairs
-            rows, of_each = np.unique(potential.table(len(pairs)), axis=0, return_inverse=True)  # the first column is an infinite cutoff
+            rows, of_each = np.unique(
+                potential.table(len(pairs)), axis=0, return_inverse=True
+            )  # the first column is an infinite cutoff
             self.bonds.add(pairs, of_each.reshape(-1), [_bond_coefficients(potential.law, row[1:]) for row in rows])
         elif isinstance(potential, HarmonicAngle):
             triples = system.angles if potential.triples is None else potential.triples
             each = np.column_stack([np.broadcast_to(values, len(triples)) for values in (potential.k, potential.angle)])
             rows, of_each = np.unique(each, axis=0, return_inverse=True)
-            self.angles.add(triples, of_each.reshape(-1), [("harmonic", f"{0.5 * k:.17g} {np.degrees(angle):.17g}") for k, angle in rows])
+            self.angles.add(
+                triples,
+                of_each.reshape(-1),
+                [("harmonic", f"{0.5 * k:.17g} {np.degrees(angle):.17g}") for k, angle in rows],
+            )
         elif isinstance(potential, DihedralPotential):
             quadruples = potential.quadruples_in(system)
             rows, of_each = np.unique(np.column_stack(potential.columns(len(quadruples))), axis=0, return_inverse=True)
-            self.dihedrals.add(quadruples, of_each.reshape(-1), [_dihedral_coefficients(potential, row.tolist()) for row in rows])
+            self.dihedrals.add(
+                quadruples, of_each.reshape(-1), [_dihedral_coefficients(potential, row.tolist()) for row in rows]
+            )
         else:
             known = "pair potentials, bonds, harmonic angles and dihedrals"
-            raise ValueError(f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd")
+            raise ValueError(
+                f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd"
+            )
 
     def _pair_style(self, potential: PairPotential, species_names: tuple) -> PairStyle:
         """The style of a pair potential: a Lennard-Jones style of LAMMPS if there is one, else its law as an expression for Lepton."""
@@ -126,18 +142,26 @@ class Model:
             key = tuple(row.tolist())
             if key not in texts:
                 cutoff = self._finite(key[0] ** 0.5)
-                numbers = f"{key[-2]:.17g} {key[-1]:.17g}" if is_own else f'"{energy_expression(potential.law, key[1:])}"'
+                numbers = (
+                    f"{key[-2]:.17g} {key[-1]:.17g}" if is_own else f'"{energy_expression(potential.law, key[1:])}"'
+                )
                 texts[key] = f"{numbers} {cutoff:.17g}"
             coefficients.append((f"{first} {second}", texts[key]))
         cutoff = self._finite(float(np.sqrt(table[:, :, 0].max())))
-        return PairStyle(name, cutoff, is_own and isinstance(potential.law, Shifted), potential.bonded_scale, coefficients)
+        return PairStyle(
+            name, cutoff, is_own and isinstance(potential.law, Shifted), potential.bonded_scale, coefficients
+        )
 
     def _rows(self, table: NDArray[np.float64]) -> list[tuple[str, str, NDArray[np.float64]]]:
         """Pairs of types, and the parameters of their law."""
         if len(table) == 1:
             return [("*", "*", table[0, 0])]
         species = self.types.species
-        return [(str(i + 1), str(j + 1), table[species[i], species[j]]) for i in range(len(species)) for j in range(i, len(species))]
+        return [
+            (str(i + 1), str(j + 1), table[species[i], species[j]])
+            for i in range(len(species))
+            for j in range(i, len(species))
+        ]
 
     def _finite(self, cutoff: float) -> float:
         return cutoff if cutoff < np.inf else FAR * self._extent
@@ -151,9 +175,13 @@ class Model:
             )
         rigid = Rigid.of(constraints, len(is_fixed))
         lengths, of_each = np.unique(rigid.lengths, return_inverse=True)
-        self.rigid_bonds = self.bonds.add(rigid.bonds, of_each, [("harmonic", f"0 {length:.17g}") for length in lengths])
+        self.rigid_bonds = self.bonds.add(
+            rigid.bonds, of_each, [("harmonic", f"0 {length:.17g}") for length in lengths]
+        )
         kinds, of_each = np.unique(rigid.openings, return_inverse=True)
-        self.rigid_angles = self.angles.add(rigid.angles, of_each, [("harmonic", f"0 {np.degrees(angle):.17g}") for angle in kinds])
+        self.rigid_angles = self.angles.add(
+            rigid.angles, of_each, [("harmonic", f"0 {np.degrees(angle):.17g}") for angle in kinds]
+        )
 
     def _complete_graph(self, bonds: NDArray[np.int64]) -> None:
         """Add the bonds without a law: LAMMPS counts bonded_scale along all bonds that it knows.  Raises ValueError if it knows others."""
@@ -185,7 +213,9 @@ class Model:
             lines += [f"pair_coeff {types} {label}{numbers}" for types, numbers in style.coefficients]
             lines += [f"pair_modify {f'pair {label}' if several else ''}shift yes"] if style.shift else []
             if style.scale != self.special_bonds():
-                lines.append(f"pair_modify pair {label}special lj/coul {' '.join(f'{factor:.17g}' for factor in style.scale)}")
+                lines.append(
+                    f"pair_modify pair {label}special lj/coul {' '.join(f'{factor:.17g}' for factor in style.scale)}"
+                )
         return lines
 
 
@@ -206,7 +236,9 @@ def _dihedral_coefficients(potential: DihedralPotential, row: list[float]) -> tu
     if isinstance(potential.law, RyckaertBellemansLaw):  # powers of −cos φ in minimd, of cos φ in LAMMPS
         return "nharmonic", " ".join([str(len(row)), *(f"{-c if n % 2 else c:.17g}" for n, c in enumerate(row))])
     known = "periodic, OPLS and Ryckaert-Bellemans dihedrals"
-    raise ValueError(f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd")
+    raise ValueError(
+        f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd"
+    )
 
 
 def _longest(positions: NDArray[np.float64], cell: Cell, joined: list[Groups]) -> float:

@@ -40,7 +40,9 @@ class Program:
     def command(self, script: str, log: str, processes: int) -> list[str]:
         """The command that runs a script.  Raises FileNotFoundError without mpiexec for several processes."""
         if processes > 1 and self.mpiexec is None:
-            raise FileNotFoundError(f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, or use processes=1")
+            raise FileNotFoundError(
+                f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, or use processes=1"
+            )
         start = [str(self.mpiexec), "-n", str(processes)] if processes > 1 else []
         return [*start, str(self.lmp), "-in", script, "-log", log, "-screen", "none", "-nocite"]
 
@@ -48,7 +50,10 @@ class Program:
 def environment() -> dict[str, str]:
     """The environment of the child: with the libraries of mpich, which are installed with Python, and one thread for each process."""
     before = os.environ.get("LD_LIBRARY_PATH", "")
-    return os.environ | {"LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(Path(sys.prefix, "lib")), before])), "OMP_NUM_THREADS": "1"}
+    return os.environ | {
+        "LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(Path(sys.prefix, "lib")), before])),
+        "OMP_NUM_THREADS": "1",
+    }
 
 
 def find_program() -> Program:
@@ -69,7 +74,9 @@ def find_program() -> Program:
 
 def _version(lmp: Path) -> str:
     try:
-        told = subprocess.run([str(lmp), "-h"], capture_output=True, text=True, env=environment(), timeout=SECONDS_TO_TRY, check=False)
+        told = subprocess.run(
+            [str(lmp), "-h"], capture_output=True, text=True, env=environment(), timeout=SECONDS_TO_TRY, check=False
+        )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise HandOverError(f"LAMMPS does not start ({lmp}): {error}; {INSTALL}") from None
     named = re.search(r"Simulator - (.+)", told.stdout)
@@ -118,7 +125,9 @@ def _end(child: subprocess.Popen, group: int) -> None:
             child.wait(seconds)
 
 
-def run(command: list[str], folder: Path, log: str, stop: Stoppable, tell: Callable[[int], object] = lambda step: None) -> Log:
+def run(
+    command: list[str], folder: Path, log: str, stop: Stoppable, tell: Callable[[int], object] = lambda step: None
+) -> Log:
     """Run LAMMPS to its end, or until a stop is requested; returns its log.  tell : called with the step, as the log grows.
 
     Raises HandOverError, with the first error that LAMMPS printed, if it fails.
@@ -143,7 +152,9 @@ def _failure(code: int, log: Log, output: str) -> str:
     lines = [line for line in (*log.lines_of_errors, *output.splitlines()) if "ERROR" in line]
     where = f" after step {log.steps[-1]}" if log.steps else " before its first step"
     if lines:
-        reason = re.sub(r" \(src.*\)$", "", lines[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process"))
+        reason = re.sub(
+            r" \(src.*\)$", "", lines[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process")
+        )
     elif ended := re.search(r"EXIT STRING: (.+)", output):  # printed by mpich if one of several processes ends
         reason = f"one of its processes ended: {ended[1].strip()}"
     elif code < 0:

@@ -35,7 +35,9 @@ def check_method(engine: Engine) -> None:
     method = engine.method
     if type(method) not in METHODS:
         known = ", ".join(one.name for one in METHODS)
-        raise ValueError(f"LAMMPS can make the steps of {known}; the method is {method.name}: choose another one, or run this scene with minimd")
+        raise ValueError(
+            f"LAMMPS can make the steps of {known}; the method is {method.name}: choose another one, or run this scene with minimd"
+        )
     if method.timestep < 0.0:
         raise ValueError(f"the time step must be positive for LAMMPS; timestep = {method.timestep!r}")
 
@@ -51,7 +53,9 @@ def write_atoms(path: Path, model: Model, box: Box, velocities: NDArray[np.float
         file.write("\n".join(["", *box.lines(), "", "Masses", "", ""]))
         file.writelines(f"{k} {mass:.17g}\n" for k, mass in enumerate(types.masses, start=1))
         file.write(f"\nAtoms # {model.atom_style}\n\n")
-        file.writelines(_rows(f"%d{' 1' if is_bonded else ''} %d %.17g %.17g %.17g\n", types.of_atom + 1, box.positions))
+        file.writelines(
+            _rows(f"%d{' 1' if is_bonded else ''} %d %.17g %.17g %.17g\n", types.of_atom + 1, box.positions)
+        )
         file.write("\nVelocities\n\n")
         file.writelines(_rows("%d %.17g %.17g %.17g\n", box.turned(velocities)))
         for word, groups in model.joined.items():
@@ -64,7 +68,10 @@ def _rows(row: str, *columns: NDArray[Any]) -> Iterator[str]:
     """Lines of a table, in pieces: a number, from 1 on, and the entries of the columns."""
     n = len(columns[0])
     for first in range(0, n, ATOMS_AT_ONCE):
-        part = [one[first : first + ATOMS_AT_ONCE].reshape(-1, one.shape[1] if one.ndim > 1 else 1).T.tolist() for one in columns]
+        part = [
+            one[first : first + ATOMS_AT_ONCE].reshape(-1, one.shape[1] if one.ndim > 1 else 1).T.tolist()
+            for one in columns
+        ]
         numbers = range(first + 1, first + 1 + len(part[0][0]))
         yield "".join([row % line for line in zip(numbers, *(axis for one in part for axis in one), strict=True)])
 
@@ -78,7 +85,11 @@ def forces_script(model: Model) -> str:
         f"atom_style {model.atom_style}",
         f"boundary {model.box.boundary()}",
         "box tilt large",
-        *([f"special_bonds lj/coul {' '.join(f'{factor:.17g}' for factor in model.special_bonds())}"] if is_bonded else []),
+        *(
+            [f"special_bonds lj/coul {' '.join(f'{factor:.17g}' for factor in model.special_bonds())}"]
+            if is_bonded
+            else []
+        ),
         f"comm_modify cutoff {model.reach:.17g}",
         "read_data ${atoms}",
         *model.pair_commands(),
@@ -155,7 +166,11 @@ def _bath(engine: Engine, moving: str) -> list[str]:
         return [f"fix bath {moving} langevin {heat} {heat} {1.0 / method.friction:.17g} {seed} tally yes"]
     style, extra = ("temp/com", 3) if engine.conserves_momentum else ("temp", 0)
     lines = [f"compute heat {moving} {style}", f"compute_modify heat extra/dof {extra}"]
-    return [*lines, f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}", "fix_modify bath temp heat"]
+    return [
+        *lines,
+        f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}",
+        "fix_modify bath temp heat",
+    ]
 
 
 def look_every(n_steps: int, every: int) -> int:

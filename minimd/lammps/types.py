@@ -37,7 +37,9 @@ class AtomTypes(NamedTuple):
             raise ValueError(
                 f"LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs {len(rows)}, allowed are {MOST_TYPES}"
             )
-        return cls(of_atom.reshape(-1), rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0)
+        return cls(
+            of_atom.reshape(-1), rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
+        )
 
     def named(self, numbers: NDArray[np.bool_]) -> str:
         """The types for which numbers is true, as text for LAMMPS' commands."""

@@ -55,7 +55,11 @@ class Verification:
     def __str__(self) -> str:
         if self.scale == 0.0:
             return "nothing was compared: no term has an energy at step 0, nor when all distances are made smaller"
-        figures = (f"{self.energy:.1e} in the energy", f"{self.energies:.1e} in those of atoms", f"{self.forces:.1e} in forces")
+        figures = (
+            f"{self.energy:.1e} in the energy",
+            f"{self.energies:.1e} in those of atoms",
+            f"{self.forces:.1e} in forces",
+        )
         return f"step 0 agrees within {', '.join(figures)}, {self.virials:.1e} in virials"
 
     def check(self, engine: Engine) -> None:
@@ -101,7 +105,10 @@ class Evaluated(NamedTuple):
 
 def evaluated(engine: Engine, system: System) -> Evaluated:
     """What minimd computes for single atoms of a system, in double precision, without tail corrections."""
-    n, forces = len(system), Forces(system, engine.interactions.potentials, Options(skin=0.0, threads=engine.interactions.options.threads))
+    n, forces = (
+        len(system),
+        Forces(system, engine.interactions.potentials, Options(skin=0.0, threads=engine.interactions.options.threads)),
+    )
     length = forces.largest_cutoff if np.isfinite(forces.largest_cutoff) else 1.0
     energies, sums, n_idle = np.zeros(n), (np.zeros((n, 3)), np.zeros(n), np.zeros((n, 6))), 0
     for term in forces.terms:
@@ -122,8 +129,12 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
     """
     system, before = engine.system, evaluated(engine, engine.system)
     if not (np.isfinite(before.energies).all() and np.isfinite(before.forces).all()):
-        raise NonFiniteError(f"forces or energies are not finite: {why_not_finite(system, engine.interactions.potentials)}")
-    positions = system.cell.wrapped(system.positions) + np.random.default_rng(0).uniform(-SHAKEN * skin, SHAKEN * skin, system.positions.shape)
+        raise NonFiniteError(
+            f"forces or energies are not finite: {why_not_finite(system, engine.interactions.potentials)}"
+        )
+    positions = system.cell.wrapped(system.positions) + np.random.default_rng(0).uniform(
+        -SHAKEN * skin, SHAKEN * skin, system.positions.shape
+    )
     here, size, least, fewest, chosen = before, 1.0, 0.0, np.inf, (system, before)
     while size * SMALLER >= least and fewest > 0:
         size *= SMALLER
@@ -151,7 +162,15 @@ def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> V
         virial = max(_largest(here.virials), least[2], energy)
         force = max(_largest(here.forces), least[1], virial / here.length)
         whole = abs(float(there.energies.sum() - here.energies.sum())) / max(float(np.abs(here.energies).sum()), energy)
-        rows.append((whole, *(_largest(b - a) / most for a, b, most in zip(here[:3], there[:3], (energy, force, virial), strict=True))))
+        rows.append(
+            (
+                whole,
+                *(
+                    _largest(b - a) / most
+                    for a, b, most in zip(here[:3], there[:3], (energy, force, virial), strict=True)
+                ),
+            )
+        )
         atoms.append(atom)
     whole, energies, forces, virials = np.max(rows, axis=0).tolist()
     scale = max(float(np.abs(ours[0].energies).sum()), PART * float(np.abs(ours[1].energies).sum()))

@@ -51,12 +51,17 @@ class Frames:
             self.system, self.turn = system.copy(), turn_of(system.cell, system.units.to_angstrom)
             self.conserves_momentum = simulation.conserves_momentum
         if len(system) != len(self.system):
-            raise ValueError(f"Frames keeps frames of one simulation, of {len(self.system)} atoms; this one has {len(system)}")
+            raise ValueError(
+                f"Frames keeps frames of one simulation, of {len(self.system)} atoms; this one has {len(system)}"
+            )
         frame, units = simulation.frame(), system.units
         if self._rows and self._rows[-1]["step"] == frame.step:
             return
         row = {"step": frame.step, "time": frame.time * units.to_picosecond, **frame.observables}
-        positions, velocities = frame.positions * units.to_angstrom, frame.velocities * (units.to_angstrom / units.to_picosecond)
+        positions, velocities = (
+            frame.positions * units.to_angstrom,
+            frame.velocities * (units.to_angstrom / units.to_picosecond),
+        )
         dimensions = cell_dimensions(system.cell, units.to_angstrom)
         if self.turn is not None:
             row[ROTATION], dimensions = self.turn.of(system.cell.vectors)
@@ -72,7 +77,13 @@ class Frames:
     def reader_arguments(self, dt: float) -> dict[str, Any]:
         """Arguments for RecordedReader.  dt : time between frames [ps, or τ]."""
         positions, velocities, dimensions = (np.stack(one) for one in zip(*self._moving, strict=True))
-        return {"coordinate_array": positions, "velocities": velocities, "dimensions": dimensions, "dt": dt, "rows": self._rows}
+        return {
+            "coordinate_array": positions,
+            "velocities": velocities,
+            "dimensions": dimensions,
+            "dt": dt,
+            "rows": self._rows,
+        }
 
 
 class RecordedReader(MemoryReader):

@@ -24,7 +24,13 @@ def bare_universe(kind: type[U], system: System) -> U:
     """
     labels, of_atoms = [str(label) for label in system.species], molecules(system)
     n_molecules = int(of_atoms.max()) + 1
-    made = kind.empty(len(system), n_residues=n_molecules, atom_resindex=of_atoms, residue_segindex=np.zeros(n_molecules, int), trajectory=False)
+    made = kind.empty(
+        len(system),
+        n_residues=n_molecules,
+        atom_resindex=of_atoms,
+        residue_segindex=np.zeros(n_molecules, int),
+        trajectory=False,
+    )
     made.add_TopologyAttr("masses", system.masses)
     made.add_TopologyAttr("types", labels)
     made.add_TopologyAttr("names", labels)
@@ -43,7 +49,9 @@ def molecules(system: System) -> NDArray[np.int64]:
     """(N,) number of the molecule of each atom, from 0; bonds and lengths held fixed connect the atoms of a molecule."""
     held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
     i, j = np.concatenate([system.bonds, *held]).T
-    numbers = connected_components(coo_array((np.ones(len(i), bool), (i, j)), shape=(len(system), len(system))), directed=False)[1]
+    numbers = connected_components(
+        coo_array((np.ones(len(i), bool), (i, j)), shape=(len(system), len(system))), directed=False
+    )[1]
     _, first, inverse = np.unique(numbers, return_index=True, return_inverse=True)
     order = np.empty(len(first), np.int64)
     order[np.argsort(first)] = np.arange(len(first))

@@ -101,12 +101,16 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
     system = contents.system
     turn = turn_of(system.cell, system.units.to_angstrom)
     _tell_cell(f"the universe of {str(run)!r}", system.cell, turn)
-    spacing = _spacing(f"the frames of {str(run)!r}", contents.record.step, contents.record.time * system.units.to_picosecond)
+    spacing = _spacing(
+        f"the frames of {str(run)!r}", contents.record.step, contents.record.time * system.units.to_picosecond
+    )
     with quiet():
         made = bare_universe(RunUniverse, system)
         made.contents, made.system, made.conserves_momentum = contents, system, contents.conserves_momentum
         with damage_told(run):
-            made.trajectory = RunReader(str(run), turn=turn, n_atoms=len(system), **({} if spacing is None else {"dt": spacing}))
+            made.trajectory = RunReader(
+                str(run), turn=turn, n_atoms=len(system), **({} if spacing is None else {"dt": spacing})
+            )
     return made
 
 
@@ -189,7 +193,9 @@ def radial_distribution(run: Run, n_bins: int = 200) -> RadialDistribution:
     with universe_of(run) as made, quiet():
         system = made.system
         if not system.cell.pbc.all() or len(system) < 2:
-            raise ValueError(f"g(r) needs at least two atoms, and a cell that is periodic in all directions; {_name(made)} holds {system!r}")
+            raise ValueError(
+                f"g(r) needs at least two atoms, and a cell that is periodic in all directions; {_name(made)} holds {system!r}"
+            )
         r_max = float(system.cell.heights.min() / 2.0) * system.units.to_angstrom
         stride = ceil(len(made.trajectory) / RDF_FRAMES)
         some = _every(made, RDF_DISTANCES * stride / len(made.trajectory) / len(system))
@@ -274,7 +280,9 @@ def _displacements(run: Run) -> tuple[Array, Array]:
     return np.asarray(result.delta_t_values, dtype=np.float64), np.asarray(result.msds_by_particle)
 
 
-def diffusion_coefficient(run: Run, window: tuple[float, float] | None = None, viscosity: float | None = None) -> Diffusion:
+def diffusion_coefficient(
+    run: Run, window: tuple[float, float] | None = None, viscosity: float | None = None
+) -> Diffusion:
     """D from the mean-square displacement, by a straight line fitted within a window of lags, with its standard error.
 
     The error is that of the mean over atoms, which move almost independently of each other.
@@ -293,11 +301,16 @@ def diffusion_coefficient(run: Run, window: tuple[float, float] | None = None, v
     start, end = window or (FIT_FROM * lags[-1], FIT_TO * lags[-1])
     chosen = (lags >= start) & (lags <= end)
     if chosen.sum() < 3:
-        raise ValueError(f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g}) holds {chosen.sum()} of {len(lags)}")
+        raise ValueError(
+            f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g}) holds {chosen.sum()} of {len(lags)}"
+        )
     coefficient = float(np.polyfit(lags[chosen], squares[chosen], 1)[0]) / 6.0
     each = np.polyfit(lags[chosen], of_atoms[chosen], 1)[0] / 6.0
     error = float(each.std(ddof=1) / np.sqrt(len(each))) if len(each) >= FEW else np.nan
-    infinite, absolute = None if added is None else coefficient + added, coefficient * CM2_PER_S if units is ASE else None
+    infinite, absolute = (
+        None if added is None else coefficient + added,
+        coefficient * CM2_PER_S if units is ASE else None,
+    )
     return Diffusion(coefficient, absolute, (float(start), float(end)), lags, squares, error, infinite)
 
 

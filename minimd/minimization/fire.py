@@ -24,14 +24,28 @@ from minimd.structure.errors import ConstraintError, NonFiniteError, RangeError
 from minimd.structure.images import nearest_vectors
 from minimd.structure.observables import Array, longest
 
-DELAY, FASTER, SLOWER, MIXING, LESS_MIXING = 20, 1.1, 0.5, 0.25, 0.99  # N_delay, f_inc, f_dec, α_start, f_α: Guénolé et al., table 2
-FIRST, LONGEST = 0.3, 1.0  # √κ Δt at the start, and at most; symplectic Euler is unstable above 2, and κ may be underestimated
+DELAY, FASTER, SLOWER, MIXING, LESS_MIXING = (
+    20,
+    1.1,
+    0.5,
+    0.25,
+    0.99,
+)  # N_delay, f_inc, f_dec, α_start, f_α: Guénolé et al., table 2
+FIRST, LONGEST = (
+    0.3,
+    1.0,
+)  # √κ Δt at the start, and at most; symplectic Euler is unstable above 2, and κ may be underestimated
 PROBE = 1e-3  # of the longest step: displacements for measuring the curvature
-PROBES, PROBE_EVERY = 5, 50  # displacements, each along the change of the forces in the one before; steps between two such series
+PROBES, PROBE_EVERY = (
+    5,
+    50,
+)  # displacements, each along the change of the forces in the one before; steps between two such series
 FIRST_SERIES = 4  # number of such series at the start
 SEED = 1  # of the first displacement
 FALLING = 0.9  # the largest force must fall by this factor in a step of steepest descent
-LARGEST = 1e100  # of a force: if one is larger, all are scaled down by the same factor, so that their squares are finite
+LARGEST = (
+    1e100  # of a force: if one is larger, all are scaled down by the same factor, so that their squares are finite
+)
 PUSHES = 100  # largest number of pushes that separate pairs with infinite forces
 REFUSALS = 50  # largest number of successive steps taken back, each shorter than the one before
 
@@ -89,7 +103,11 @@ class FIRE:
         self._engine, self._constraint_set, self._longest = forces, constraint_set, max_step_length
         self._system, self._positions = forces.system, forces.system.positions
         self._forces, self._velocities = np.zeros_like(self._positions), np.zeros_like(self._positions)
-        users = [one for one in forces.potentials if not isinstance(one, OwnPotential) or is_user_law(getattr(one, "law", ()))]
+        users = [
+            one
+            for one in forces.potentials
+            if not isinstance(one, OwnPotential) or is_user_law(getattr(one, "law", ()))
+        ]
         self._detail = TOTALS if users else FORCES  # minimd's own laws have no finite force where they have no energy
         self._curvature, self._probe = 0.0, np.random.default_rng(SEED).standard_normal(self._positions.shape)
         self._tolerance, self._max_steps = 0.0, 0
@@ -151,7 +169,9 @@ class FIRE:
                 timestep, mixing, downhill = timestep * SLOWER, MIXING, 0  # Δt ← ½ Δt, α ← ¼
                 self._velocities[:] = 0.0  # v ← 0
             timestep = min(timestep, LONGEST / np.sqrt(self._curvature))
-            steer(self._velocities, self._forces, timestep, mixing, self._longest)  # v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|
+            steer(
+                self._velocities, self._forces, timestep, mixing, self._longest
+            )  # v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|
             has_moved = self._moved(self._velocities, timestep)  # r ← r + Δt v
             if has_moved and self._evaluate():
                 self._count()
@@ -162,7 +182,9 @@ class FIRE:
             timestep, mixing, downhill, refused = timestep * SLOWER, MIXING, 0, refused + 1
             self._positions[:], self._velocities[:] = before, 0.0
             if refused > REFUSALS:
-                kind, wanted = (NonFiniteError, "has a finite energy") if has_moved else (ConstraintError, "keeps the constraints")
+                kind, wanted = (
+                    (NonFiniteError, "has a finite energy") if has_moved else (ConstraintError, "keeps the constraints")
+                )
                 length = f"{timestep**2 * self.largest_force:.2g} {self._system.units.length}"
                 raise kind(f"the minimization found no step that {wanted}, down to one of {length}")
 
@@ -227,13 +249,17 @@ class FIRE:
         """
         pair = closest_pair(self._system)
         if pair is None or pair.distance > self._longest or n_pushes > PUSHES or not np.isfinite(self._positions).all():
-            raise NonFiniteError(f"energy or forces are not finite: {why_not_finite(self._system, self._engine.potentials)}")
+            raise NonFiniteError(
+                f"energy or forces are not finite: {why_not_finite(self._system, self._engine.potentials)}"
+            )
         arm = nearest_vectors(self._positions, self._system.cell, np.array([pair[:2]]))[0]
         both, velocities = [pair.first, pair.second], np.zeros_like(self._positions)
         if arm.any():
             velocities[both] = np.outer((-1.0, 1.0), arm / np.abs(arm).max())  # squares of tiny numbers may be zero
         else:
-            _, place, n_there = np.unique(self._system.cell.wrapped(self._positions), axis=0, return_inverse=True, return_counts=True)
+            _, place, n_there = np.unique(
+                self._system.cell.wrapped(self._positions), axis=0, return_inverse=True, return_counts=True
+            )
             shared = np.union1d(both, np.flatnonzero(n_there[place.ravel()] > 1))
             velocities[shared] = self._probe[shared]
         velocities /= longest(velocities)[1]

@@ -103,11 +103,19 @@ def minimize(
 
 
 def minimized(
-    forces: Forces, constraint_set: ConstraintSet, force_tolerance: float, max_steps: int, max_step_length: float, progress: bool | None
+    forces: Forces,
+    constraint_set: ConstraintSet,
+    force_tolerance: float,
+    max_steps: int,
+    max_step_length: float,
+    progress: bool | None,
 ) -> Minimization:
     """Minimize the system of some forces in place; see minimize."""
     force_tolerance = checked_number("force_tolerance", force_tolerance, "positive and finite")
-    max_step_length, max_steps = checked_number("max_step_length", max_step_length, "positive and finite"), checked_count("max_steps", max_steps, 0)
+    max_step_length, max_steps = (
+        checked_number("max_step_length", max_step_length, "positive and finite"),
+        checked_count("max_steps", max_steps, 0),
+    )
     system, evaluated, energy_before = forces.system, forces.n_evaluations, _potential_energy(forces)
     constraint_set.fit(system)
     descent = FIRE(forces, constraint_set.with_equal_masses(system), max_step_length)

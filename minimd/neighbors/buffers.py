@@ -62,5 +62,11 @@ def _starts(fields: Fields) -> list[int]:
 
 
 def _cut(piece: NDArray[np.uint8], fields: Fields) -> list[NDArray[Any]]:
-    ends = [start + prod(shape) * np.dtype(dtype).itemsize for start, (dtype, shape) in zip(_starts(fields), fields, strict=False)]
-    return [piece[a:b].view(dtype).reshape(shape) for a, b, (dtype, shape) in zip(_starts(fields), ends, fields, strict=False)]
+    ends = [
+        start + prod(shape) * np.dtype(dtype).itemsize
+        for start, (dtype, shape) in zip(_starts(fields), fields, strict=False)
+    ]
+    return [
+        piece[a:b].view(dtype).reshape(shape)
+        for a, b, (dtype, shape) in zip(_starts(fields), ends, fields, strict=False)
+    ]

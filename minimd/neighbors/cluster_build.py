@@ -54,7 +54,9 @@ def build_clusters(worker, task, positions, building):
     work = make_work(building.layout)
     chunk = take(worker, phase, needed.size)
     while chunk >= 0:
-        needed[chunk] = find_rows(chunk, building.layout, building.rows, (entry_start[chunk], entry_start[chunk + 1]), work)
+        needed[chunk] = find_rows(
+            chunk, building.layout, building.rows, (entry_start[chunk], entry_start[chunk + 1]), work
+        )
         chunk = finish_and_take(worker, phase, needed.size)
     phase = barrier(worker, phase)
     chunk = take(worker, phase, 1)
@@ -78,7 +80,9 @@ def _forget_strain(columns, wrapping, rows):
 @scalar
 def _has_room(domains, ghosts, n_blocks):
     """Whether there is room for all ghosts, and for the forces on them."""
-    is_enough = domains.numbers[GHOSTS] <= ghosts.owner.size and domains.window[domains.window.size - 1] <= ghosts.parts.size
+    is_enough = (
+        domains.numbers[GHOSTS] <= ghosts.owner.size and domains.window[domains.window.size - 1] <= ghosts.parts.size
+    )
     return is_enough and domains.numbers[BLOCKS] <= n_blocks
 
 

@@ -31,7 +31,17 @@ from minimd.neighbors.clusters import (
     moved_columns,
     offsets_of,
 )
-from minimd.neighbors.domains import BLOCKS, IMAGES, SIDES, Domains, GhostClusters, Layout, ghosts_for_search, make_domains, make_ghosts
+from minimd.neighbors.domains import (
+    BLOCKS,
+    IMAGES,
+    SIDES,
+    Domains,
+    GhostClusters,
+    Layout,
+    ghosts_for_search,
+    make_domains,
+    make_ghosts,
+)
 from minimd.neighbors.verlet_list import VerletList, partners
 from minimd.structure.cell import Cell
 from minimd.structure.strain import strained
@@ -86,11 +96,20 @@ class ClusterList(VerletList):
     _exact: NDArray[np.float64]
     idle: NDArray[np.float64]
 
-    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, pool: ThreadPool) -> None:
+    def __init__(
+        self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, pool: ThreadPool
+    ) -> None:
         super().__init__(cutoff, skin)
         self._excluded = partners(excluded, n_atoms) if len(excluded) else None
-        self._widths = self.skin * np.arange(1, LAYERS + 1) / LAYERS  # how much farther than the cutoff the layers reach
-        self._n_atoms, self._pool, self._is_mixed, self._is_fixed = n_atoms, pool, precision == "mixed", precision == "fixed-point"
+        self._widths = (
+            self.skin * np.arange(1, LAYERS + 1) / LAYERS
+        )  # how much farther than the cutoff the layers reach
+        self._n_atoms, self._pool, self._is_mixed, self._is_fixed = (
+            n_atoms,
+            pool,
+            precision == "mixed",
+            precision == "fixed-point",
+        )
         self._columns_of: Cell | None = None
         self._calls = DirectCalls()
         self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
@@ -184,8 +203,13 @@ class ClusterList(VerletList):
         if self._is_mixed:
             self._lay_grid()
         if self._excluded is not None:
-            slot_of, image = self._memory.array("slot of", np.int64, len(positions)), (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
-            self._pool.run(exclude_pairs, self.building.layout, image, self._excluded, slot_of, self.rows, calls=self._calls)
+            slot_of, image = (
+                self._memory.array("slot of", np.int64, len(positions)),
+                (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2),
+            )
+            self._pool.run(
+                exclude_pairs, self.building.layout, image, self._excluded, slot_of, self.rows, calls=self._calls
+            )
         self.rows.layers[0] = 1
 
     def _make_clusters(self) -> None:
@@ -199,9 +223,14 @@ class ClusterList(VerletList):
         """More memory, after a build that has found how much it needs."""
         window = self.domains.window
         needed = self.n_ghosts, int(window[-1]), int(self.domains.numbers[BLOCKS])
-        widest, is_enough = int(np.diff(window).max()), all(n <= room for n, room in zip(needed, self._room, strict=True))
+        widest, is_enough = (
+            int(np.diff(window).max()),
+            all(n <= room for n, room in zip(needed, self._room, strict=True)),
+        )
         if widest > GHOST_BITS:
-            raise ValueError(f"cluster lists hold up to {GHOST_BITS} ghost clusters of a domain, this scene needs {widest}: simulate fewer atoms")
+            raise ValueError(
+                f"cluster lists hold up to {GHOST_BITS} ghost clusters of a domain, this scene needs {widest}: simulate fewer atoms"
+            )
         self._room = tuple(room if n <= room else with_room(n) for n, room in zip(needed, self._room, strict=True))
         if len(self._entry_start) != self.n_domains + 1:
             self._make_entries(np.diff(self.domains.cluster) * self.lanes.size * ENTRIES_GUESSED)
@@ -213,9 +242,17 @@ class ClusterList(VerletList):
         """Room for so many entries of each domain."""
         start, most = np.concatenate([[0], np.cumsum(room)]), np.iinfo(np.int32).max
         if start[-1] > most:
-            raise ValueError(f"cluster lists hold up to {most} entries, this scene needs {start[-1]}: reduce cutoff or skin, or simulate fewer atoms")
+            raise ValueError(
+                f"cluster lists hold up to {most} entries, this scene needs {start[-1]}: reduce cutoff or skin, or simulate fewer atoms"
+            )
         self._entry_start = start
-        del self._entries, self._bins, self.rows, self.arrays, self.building  # they hold the old memory, and _arrange takes the new
+        del (
+            self._entries,
+            self._bins,
+            self.rows,
+            self.arrays,
+            self.building,
+        )  # they hold the old memory, and _arrange takes the new
 
     def _arrange(self) -> None:
         """All arrays, with the room that there is now."""
@@ -224,17 +261,31 @@ class ClusterList(VerletList):
         stops = self._memory.array("row stops", np.int32, LAYERS * len(start), spare=self._spare).reshape(LAYERS, -1)
         reaches2, limits2 = (self.cutoff + self._widths) ** 2, (0.5 * self._widths) ** 2
         self.rows = Rows(start, stops, self._entries, reaches2, np.zeros(LAYERS), limits2, np.zeros(1, dtype=np.int64))
-        number, n_block = np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64, self.lanes.size * DIMENSIONS
+        number, n_block = (
+            np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64,
+            self.lanes.size * DIMENSIONS,
+        )
         forces = self._memory.array("forces", number, self._room[2] * n_block, in_page=HALF_A_PAGE, spare=1.0)
         first_sum = self._memory.array("first sum", np.int64, self._room[1] if self._is_fixed else 0)
-        net, coordinates, shift = np.zeros((self.n_domains if self._is_mixed or self._is_fixed else 0, 3)), self._exact, self._shifts
+        net, coordinates, shift = (
+            np.zeros((self.n_domains if self._is_mixed or self._is_fixed else 0, 3)),
+            self._exact,
+            self._shifts,
+        )
         if self._is_mixed:
-            coordinates, shift = self._memory.array("grid", np.int32, len(self._exact), spare=1.0), np.zeros((IMAGES, 3), dtype=np.int32)
+            coordinates, shift = (
+                self._memory.array("grid", np.int32, len(self._exact), spare=1.0),
+                np.zeros((IMAGES, 3), dtype=np.int32),
+            )
         layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, self._exact, self._shifts)
         goes_along = self._pool.n_threads == 1 and not (self._is_mixed or self._is_fixed)
-        self.building = Building(self._bins, layout, self.rows, self._room[2], int(goes_along), self._entry_start, self._needed)
+        self.building = Building(
+            self._bins, layout, self.rows, self._room[2], int(goes_along), self._entry_start, self._needed
+        )
         self.memory = Memory(coordinates, shift, np.zeros(3), 1.0, forces, first_sum, self._far, net)
-        self.arrays = ClusterArrays(self.clusters, self.domains.cluster, self.domains, self.ghosts, self.rows, self.memory)
+        self.arrays = ClusterArrays(
+            self.clusters, self.domains.cluster, self.domains, self.ghosts, self.rows, self.memory
+        )
         self.n_arranged += 1
 
     @property
@@ -248,23 +299,47 @@ class ClusterList(VerletList):
         Atoms are sorted where the entries are written afterwards.
         """
         memory, spare, (n_ghosts, n_in_windows, _) = self._memory, self._spare, self._room
-        n_clusters, n_coordinates = most_clusters(self._n_atoms, self._columns, self.lanes), n_ghosts * self.lanes.size * DIMENSIONS
-        own, exact = (np.float64, (n_clusters * self.lanes.size * DIMENSIONS,)), (np.float64, (n_coordinates if self._is_mixed else 0,))
+        n_clusters, n_coordinates = (
+            most_clusters(self._n_atoms, self._columns, self.lanes),
+            n_ghosts * self.lanes.size * DIMENSIONS,
+        )
+        own, exact = (
+            (np.float64, (n_clusters * self.lanes.size * DIMENSIONS,)),
+            (np.float64, (n_coordinates if self._is_mixed else 0,)),
+        )
         always, search = clusters_for_build(n_clusters), (*ghosts_for_search(n_ghosts, n_in_windows), exact)
-        (bottom, top, boxes, *for_search, in_mixed), (self.idle,) = memory.overlaid("scratch", (*always, *search), (own,), spare=spare)
+        (bottom, top, boxes, *for_search, in_mixed), (self.idle,) = memory.overlaid(
+            "scratch", (*always, *search), (own,), spare=spare
+        )
         n_entries = max(int(self._entry_start[-1]), n_clusters * self.lanes.size * ENTRIES_GUESSED) + AHEAD
-        bins, (self._entries,) = memory.overlaid("entries", bins_for_sort(self._n_atoms, self._columns), ((np.uint32, (n_entries,)),), spare=1.0)
-        self._bins, self._exact = Binned(*bins), in_mixed if self._is_mixed else memory.array("coordinates", np.float64, n_coordinates, spare=1.0)
+        bins, (self._entries,) = memory.overlaid(
+            "entries", bins_for_sort(self._n_atoms, self._columns), ((np.uint32, (n_entries,)),), spare=1.0
+        )
+        self._bins, self._exact = (
+            Binned(*bins),
+            in_mixed if self._is_mixed else memory.array("coordinates", np.float64, n_coordinates, spare=1.0),
+        )
         self.clusters = make_clusters(n_clusters, self._columns, self.lanes, (bottom, top, boxes), memory, spare)
         self.ghosts = make_ghosts(n_clusters, n_ghosts, n_in_windows, for_search, memory)
 
     def _lay_grid(self) -> None:
         """The grid of mixed precision."""
         origin, in_units = self.memory.origin, self.memory.shift
-        unit = self._calls(lay_grid, self.n_ghosts, self.ghosts.boxes, self._shifts, self.cutoff + self.skin, self.skin, origin, in_units)
+        unit = self._calls(
+            lay_grid,
+            self.n_ghosts,
+            self.ghosts.boxes,
+            self._shifts,
+            self.cutoff + self.skin,
+            self.skin,
+            origin,
+            in_units,
+        )
         if unit > COARSEST * self.cutoff:
             width, limit = unit * GRID, COARSEST * self.cutoff
-            raise ValueError(f"precision='mixed' resolves {unit:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take precision='double'")
+            raise ValueError(
+                f"precision='mixed' resolves {unit:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take precision='double'"
+            )
         self.memory = self.memory._replace(unit=unit)
         self.arrays = self.arrays._replace(memory=self.memory)
 
@@ -301,7 +376,12 @@ def gather(k, clusters, of_atoms, block, start):
 @scalar
 def place(k, arrays, at):
     """Positions of the atoms of cluster k, vectors x, y, z [length], to all its ghosts. Indices are unsigned: none counts from the end."""
-    ghosts, memory, lanes, n_lanes = arrays.ghosts, arrays.memory, arrays.clusters.lanes, np.uintp(count(arrays.clusters.lanes))
+    ghosts, memory, lanes, n_lanes = (
+        arrays.ghosts,
+        arrays.memory,
+        arrays.clusters.lanes,
+        np.uintp(count(arrays.clusters.lanes)),
+    )
     like, block = load(memory.coordinates, 0, lanes), np.uintp(DIMENSIONS) * n_lanes
     x, y, z = offsets_of(np.uintp(k) * block, arrays.clusters)
     x = coordinate(at[0] + x, memory.origin[0], memory.unit, like)
@@ -333,7 +413,12 @@ def coordinate(x, origin, unit, like):
 @scalar
 def clear(domain, arrays):
     """Forces on all ghosts in the window of a domain = 0, or first_sum. Who adds to them does so, and has them in its cache then."""
-    lanes, n_lanes, forces, domains = arrays.clusters.lanes, count(arrays.clusters.lanes), arrays.memory.forces, arrays.domains
+    lanes, n_lanes, forces, domains = (
+        arrays.clusters.lanes,
+        count(arrays.clusters.lanes),
+        arrays.memory.forces,
+        arrays.domains,
+    )
     first = domains.place[domain]
     for block in range(first, first + domains.window[domain + 1] - domains.window[domain]):
         nothing = broadcast(_first_sum(block, arrays.memory.first_sum, forces), load(forces, 0, lanes))

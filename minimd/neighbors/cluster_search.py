@@ -33,7 +33,9 @@ WORD = 64  # candidates, one for each bit of a number
 AT_A_TIME = 4  # entries written without a branch
 SETS = np.arange(1 << BOXES)[:, None] >> np.arange(BOXES) & 1 == 1  # of boxes, row k those whose bits are set in k
 HOW_MANY = SETS.sum(axis=1)
-SET_BITS = np.argsort(~SETS, axis=1, kind="stable").astype(np.int32).ravel()  # their numbers, in ascending order, and then the others
+SET_BITS = (
+    np.argsort(~SETS, axis=1, kind="stable").astype(np.int32).ravel()
+)  # their numbers, in ascending order, and then the others
 ROUNDED_UP = 1.0 + 1e-6  # the squared reach, in units of itself, by the rounding of float32
 
 
@@ -68,7 +70,12 @@ def make_work(layout):
     for k in range(domains.first.size):
         n = max(n, domains.window[k + 1] - domains.window[k])
     ahead, candidates = np.empty((n_runs, 2), dtype=np.int64), np.empty(n + BOXES, dtype=np.int32)
-    return Work(ahead, candidates, np.empty(n + WORD + 1, dtype=np.uint32), np.empty((n // WORD + 1) * LAYERS * n_lanes, dtype=np.int64))
+    return Work(
+        ahead,
+        candidates,
+        np.empty(n + WORD + 1, dtype=np.uint32),
+        np.empty((n // WORD + 1) * LAYERS * n_lanes, dtype=np.int64),
+    )
 
 
 @scalar
@@ -101,7 +108,13 @@ def find_rows(domain, layout, rows, room, work):
 @scalar
 def _candidates(k, n_ahead, layout, work):
     """Ghosts ahead of cluster k whose boxes are within reach; returns how many. The first ghost of each run moves up with k."""
-    ghosts, along, limit2, ahead, candidates = layout.ghosts, layout.columns.along[0], np.float32(ROUNDED_UP), work.ahead, work.candidates
+    ghosts, along, limit2, ahead, candidates = (
+        layout.ghosts,
+        layout.columns.along[0],
+        np.float32(ROUNDED_UP),
+        work.ahead,
+        work.candidates,
+    )
     boxes, bottom, top, i = ghosts.boxes, ghosts.bottom, ghosts.top, ghosts.home[k]
     low, high = bottom[i] - along, top[i] + along
     own, stride = _box(boxes, i), boxes.size // SIDES
@@ -127,9 +140,20 @@ def _candidates(k, n_ahead, layout, work):
 def _box(boxes, i):
     """The six sides of box i, each in all lanes of a vector."""
     like, stride = load(boxes, 0, BOXES), boxes.size // SIDES
-    x_low, y_low, z_low = broadcast(boxes[i], like), broadcast(boxes[i + stride], like), broadcast(boxes[i + 2 * stride], like)
+    x_low, y_low, z_low = (
+        broadcast(boxes[i], like),
+        broadcast(boxes[i + stride], like),
+        broadcast(boxes[i + 2 * stride], like),
+    )
     i += 3 * stride
-    return x_low, y_low, z_low, broadcast(boxes[i], like), broadcast(boxes[i + stride], like), broadcast(boxes[i + 2 * stride], like)
+    return (
+        x_low,
+        y_low,
+        z_low,
+        broadcast(boxes[i], like),
+        broadcast(boxes[i + stride], like),
+        broadcast(boxes[i + 2 * stride], like),
+    )
 
 
 @scalar
@@ -157,7 +181,9 @@ def _prune(k, n, domain, layout, rows, room, work):
         end += np.uintp(lane < filled - 1)
         for layer in range(LAYERS):
             for first in range(0, n if lane < filled else 0, WORD):
-                end = _append(work, first, work.near[(first // WORD * LAYERS + layer) * n_lanes + lane], rows.entries, end)
+                end = _append(
+                    work, first, work.near[(first // WORD * LAYERS + layer) * n_lanes + lane], rows.entries, end
+                )
             rows.stops[layer, k * n_lanes + lane] = end
     return np.int64(end)
 
@@ -178,8 +204,17 @@ def _append(work, first, near, entries, end):
 @scalar
 def _find_near(k, n, domain, layout, reaches2, work):
     """Which of the n candidates stand in which layers of the rows of the atoms of cluster k: work.near; their entries: work.entries."""
-    ghosts, coordinates, lanes, n_lanes = layout.ghosts, layout.coordinates, layout.clusters.lanes, count(layout.clusters.lanes)
-    block, first_seen, window = np.uintp(DIMENSIONS * n_lanes), np.uintp(layout.domains.first[domain]), np.uintp(layout.domains.window[domain])
+    ghosts, coordinates, lanes, n_lanes = (
+        layout.ghosts,
+        layout.coordinates,
+        layout.clusters.lanes,
+        count(layout.clusters.lanes),
+    )
+    block, first_seen, window = (
+        np.uintp(DIMENSIONS * n_lanes),
+        np.uintp(layout.domains.first[domain]),
+        np.uintp(layout.domains.window[domain]),
+    )
     x, y, z = loaded(coordinates, np.uintp(ghosts.home[k]) * block, lanes)
     none = broadcast(0, load(work.near, 0, lanes))
     for first in range(0, n, WORD):
@@ -236,7 +271,9 @@ def _exclude_partners(domain, layout, image, partners, slot_of, rows):
     for k in range(domain_start[domain], domain_start[domain + 1]):
         for slot in range(k * n_lanes, k * n_lanes + clusters.filled[k]):
             i = clusters.atom[slot]
-            for p in range(np.uintp(start[i]), np.uintp(start[i + 1])):  # unsigned: no check for indices that count from the end
+            for p in range(
+                np.uintp(start[i]), np.uintp(start[i + 1])
+            ):  # unsigned: no check for indices that count from the end
                 _exclude(domain, slot, slot_of[np.uintp(values[p])], layout, image, rows)
 
 
@@ -278,7 +315,10 @@ def _find_entry(rows, slot, ghost):
     """Where a ghost stands in the row of a slot; −1 if it does not. Many entries are compared at a time, for most rows end soon."""
     start, stop = np.uintp(rows.start[slot]), np.uintp(rows.stops[LAYERS - 1, slot])
     while start < stop:
-        first, second = load(rows.entries, start, BOXES) & GHOST_BITS, load(rows.entries, start + np.uintp(BOXES), BOXES) & GHOST_BITS
+        first, second = (
+            load(rows.entries, start, BOXES) & GHOST_BITS,
+            load(rows.entries, start + np.uintp(BOXES), BOXES) & GHOST_BITS,
+        )
         bits = bits_from_mask(first == ghost) | bits_from_mask(second == ghost) << BOXES
         place = start + trailing_zeros(np.uint64(bits))
         if bits != 0:

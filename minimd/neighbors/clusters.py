@@ -41,7 +41,9 @@ class Columns(ByAddress, namedtuple("Columns", "counts distance reach pbc along 
     """
 
 
-class Clusters(ByAddress, namedtuple("Clusters", "lanes atom filled positions origins wrapping column_start bottom top boxes")):
+class Clusters(
+    ByAddress, namedtuple("Clusters", "lanes atom filled positions origins wrapping column_start bottom top boxes")
+):
     """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n. Arrays of C elements have room for more.
 
     lanes : Lanes, n as a type.  atom : (n C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
@@ -74,7 +76,9 @@ def offsets_of(start, clusters):
     return x, y, a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
 
 
-def covered(cell: Cell, positions: NDArray[np.float64], reach: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def covered(
+    cell: Cell, positions: NDArray[np.float64], reach: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Where atoms are, as Columns has it: origin and extent."""
     origin, extent = np.zeros(3), np.ones(3)
     for k in np.flatnonzero(~cell.pbc):
@@ -84,19 +88,36 @@ def covered(cell: Cell, positions: NDArray[np.float64], reach: float) -> tuple[N
 
 
 def make_columns(
-    cell: Cell, n_atoms: int, reach: float, lanes: Lanes, origin: NDArray[np.float64] = ZEROS, extent: NDArray[np.float64] = ONES
+    cell: Cell,
+    n_atoms: int,
+    reach: float,
+    lanes: Lanes,
+    origin: NDArray[np.float64] = ZEROS,
+    extent: NDArray[np.float64] = ONES,
 ) -> Columns:
     """Columns so wide that the atoms of a cluster fill about a cube of them.  origin, extent : see covered; the whole cell if left out."""
     widths, n_lanes = cell.heights * extent, lanes.size
     cube = (n_lanes * widths.prod() / n_atoms) ** (1.0 / 3.0)
     across = np.maximum(1.0, np.minimum(widths[:2] / cube, n_atoms))
-    across = np.maximum(1.0, np.rint(across * min(1.0, (n_atoms / (n_lanes * across.prod())) ** 0.5)))  # a flat scene has few
+    across = np.maximum(
+        1.0, np.rint(across * min(1.0, (n_atoms / (n_lanes * across.prod())) ** 0.5))
+    )  # a flat scene has few
     bins = max(1.0, n_atoms / across.prod())
     needed = np.ceil(WIDER * reach * across / widths[:2])
     needed = np.minimum(needed, np.where(cell.pbc[:2], across, across - 1.0))
     counts = np.array([*across, bins]).astype(np.int64)
     along_z = np.array([WIDER * reach / cell.heights[2]])
-    return Columns(counts, reach, needed.astype(np.int64), cell.pbc, along_z, origin.copy(), extent.copy(), cell.lattice.copy(), cell.inverse.copy())
+    return Columns(
+        counts,
+        reach,
+        needed.astype(np.int64),
+        cell.pbc,
+        along_z,
+        origin.copy(),
+        extent.copy(),
+        cell.lattice.copy(),
+        cell.inverse.copy(),
+    )
 
 
 def moved_columns(columns: Columns, to: Columns) -> bool:
@@ -114,7 +135,9 @@ def most_clusters(n_atoms: int, columns: Columns, lanes: Lanes) -> int:
     return (n_atoms + int(columns.counts[0] * columns.counts[1]) * (lanes.size - 1)) // lanes.size
 
 
-def make_clusters(n_clusters: int, columns: Columns, lanes: Lanes, for_build: Sequence[NDArray], memory: Buffers, spare: float) -> Clusters:
+def make_clusters(
+    n_clusters: int, columns: Columns, lanes: Lanes, for_build: Sequence[NDArray], memory: Buffers, spare: float
+) -> Clusters:
     """Arrays with room for so many.  for_build : those of clusters_for_build.  spare : see Buffers.array."""
     n_slots, array = n_clusters * lanes.size, partial(memory.array, spare=spare)
     column_start = array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1)
@@ -204,7 +227,9 @@ def any_moved_from_clusters(positions, clusters, limit2):
         x, y, z = gathered(k, clusters, positions)
         was_x, was_y, was_z = loaded(clusters.positions, np.uintp(k) * np.uintp(DIMENSIONS * count(lanes)), lanes)
         dx, dy, dz = x - was_x, y - was_y, z - was_z
-        if bits_from_mask(dx * dx + dy * dy + dz * dz <= limit2) != (1 << count(lanes)) - 1:  # padding moves with the last atom
+        if (
+            bits_from_mask(dx * dx + dy * dy + dz * dz <= limit2) != (1 << count(lanes)) - 1
+        ):  # padding moves with the last atom
             return True
     return False
 
@@ -216,7 +241,11 @@ def gathered(k, clusters, of_atoms):
     y, z = x, x
     for k_lane in range(n_lanes):
         i = np.uintp(clusters.atom[k * n_lanes + k_lane])
-        x, y, z = with_lane(x, k_lane, of_atoms[i, 0]), with_lane(y, k_lane, of_atoms[i, 1]), with_lane(z, k_lane, of_atoms[i, 2])
+        x, y, z = (
+            with_lane(x, k_lane, of_atoms[i, 0]),
+            with_lane(y, k_lane, of_atoms[i, 1]),
+            with_lane(z, k_lane, of_atoms[i, 2]),
+        )
     return x, y, z
 
 
@@ -224,4 +253,8 @@ def gathered(k, clusters, of_atoms):
 def loaded(blocks, start, lanes):
     """The vectors x, y, z of the block of a cluster, from index start on."""
     n_lanes = np.uintp(count(lanes))
-    return load(blocks, start, lanes), load(blocks, start + n_lanes, lanes), load(blocks, start + n_lanes + n_lanes, lanes)
+    return (
+        load(blocks, start, lanes),
+        load(blocks, start + n_lanes, lanes),
+        load(blocks, start + n_lanes + n_lanes, lanes),
+    )

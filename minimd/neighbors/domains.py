@@ -59,7 +59,9 @@ class Domains(ByAddress, namedtuple("Domains", "column cluster first window plac
     """
 
 
-class GhostClusters(ByAddress, namedtuple("GhostClusters", "owner image bottom top boxes lanes home is_used of start parts part_start")):
+class GhostClusters(
+    ByAddress, namedtuple("GhostClusters", "owner image bottom top boxes lanes home is_used of start parts part_start")
+):
     """M ghosts of C clusters, and W of them in windows. Arrays have room for more.
 
     owner : (M,) int, the cluster.  image : (M,) int, code of its image (a, b, c), which is 9 (a + 1) + 3 (b + 1) + c + 1.
@@ -94,13 +96,25 @@ def make_domains(columns: Columns, n_atoms: int) -> Domains:
 def ghosts_for_search(n_ghosts: int, n_in_windows: int) -> Fields:
     """Those arrays of GhostClusters that are needed for a build only: bottom, top, boxes, lanes, is_used."""
     heights = (np.float64, (n_ghosts,))
-    return heights, heights, (np.float32, (SIDES * (n_ghosts + BOXES),)), (np.uint8, (n_ghosts,)), (np.bool_, (n_in_windows + n_ghosts,))
+    return (
+        heights,
+        heights,
+        (np.float32, (SIDES * (n_ghosts + BOXES),)),
+        (np.uint8, (n_ghosts,)),
+        (np.bool_, (n_in_windows + n_ghosts,)),
+    )
 
 
-def make_ghosts(n_clusters: int, n_ghosts: int, n_in_windows: int, for_search: Sequence[NDArray], memory: Buffers) -> GhostClusters:
+def make_ghosts(
+    n_clusters: int, n_ghosts: int, n_in_windows: int, for_search: Sequence[NDArray], memory: Buffers
+) -> GhostClusters:
     """Arrays with room for so many, to be filled by fill_ghosts and sort_ghosts.  for_search : those of ghosts_for_search."""
     room = functools.partial(memory.array, spare=1.0)
-    owner, of, image = room("owner", np.int32, n_ghosts), room("of", np.int32, n_ghosts), room("image", np.uint8, n_ghosts)
+    owner, of, image = (
+        room("owner", np.int32, n_ghosts),
+        room("of", np.int32, n_ghosts),
+        room("image", np.uint8, n_ghosts),
+    )
     home, start, part_start = (room(name, np.int32, n_clusters + 1) for name in ("home", "start", "part start"))
     parts = room("parts", np.int32, n_in_windows)
     bottom, top, boxes, lanes, is_used = for_search
@@ -117,7 +131,11 @@ def cut_into_domains(clusters, columns, domains, goes_along):
     n_domains, n_clusters = domains.column.size - 1, column_start[counts[0] * counts[1]]
     x = 0
     for d in range(n_domains + 1):
-        while 0 < d and x < counts[0] and (column_start[x * counts[1]] + column_start[(x + 1) * counts[1]]) * n_domains <= 2 * d * n_clusters:
+        while (
+            0 < d
+            and x < counts[0]
+            and (column_start[x * counts[1]] + column_start[(x + 1) * counts[1]]) * n_domains <= 2 * d * n_clusters
+        ):
             x += 1  # to the border nearest to d equal shares
         domains.column[d] = counts[0] if d == n_domains else x
         domains.cluster[d] = column_start[domains.column[d] * counts[1]]
@@ -133,7 +151,9 @@ def cut_into_domains(clusters, columns, domains, goes_along):
             run += 1
     for d in range(n_domains):
         domains.first[d] = domains.ghost[first_run(domains.column[d], columns)]
-        domains.window[d + 1] = domains.window[d] + domains.ghost[first_run(domains.column[d + 1] + reach[0], columns)] - domains.first[d]
+        domains.window[d + 1] = (
+            domains.window[d] + domains.ghost[first_run(domains.column[d + 1] + reach[0], columns)] - domains.first[d]
+        )
     domains.numbers[GHOSTS] = domains.ghost[run]
     _place_windows(columns, domains, goes_along)
 
@@ -152,7 +172,9 @@ def _place_windows(columns, domains, goes_along):
         n_open = max(n_open, min(d, n - 1) + 1 - behind)
     is_less = goes_along > 0 and (n_late + n_open) * widest < domains.window[n]
     for d in range(n):
-        domains.place[d] = widest * (d if d < n_late else n_late + (d - n_late) % n_open) if is_less else domains.window[d]
+        domains.place[d] = (
+            widest * (d if d < n_late else n_late + (d - n_late) % n_open) if is_less else domains.window[d]
+        )
     domains.numbers[LATE] = max(1, n_late) if goes_along else n
     domains.numbers[BLOCKS] = (n_late + n_open) * widest if is_less else domains.window[n]
 

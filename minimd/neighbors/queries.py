@@ -83,7 +83,9 @@ def closest_pair(system: System) -> ClosestPair | None:
     fractional = np.where(cell.pbc, fractional - np.floor(fractional), fractional)
     here = fractional @ cell.lattice
     best = _closest_of(here)
-    reach = BEYOND * min(best.distance, float(np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf)))  # an atom and its own image
+    reach = BEYOND * min(
+        best.distance, float(np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf))
+    )  # an atom and its own image
     from_faces = (np.minimum(fractional, 1.0 - fractional) * cell.heights)[:, cell.pbc]
     near = np.flatnonzero((from_faces <= reach).any(axis=1))
     if near.size and reach > 0.0:

@@ -27,8 +27,20 @@ def bins_of(cell: Cell, grid: Grid, bin_start: NDArray[np.int64]) -> Bins:
     within = _steps(grid.reach)
     forward = within[len(within) // 2 + 1 :].copy()
     crossed = np.where(cell.pbc, -(-grid.reach // grid.counts), 0)
-    translations = _steps(crossed) @ np.where(cell.pbc[:, None], cell.lattice, 0.0) if cell.is_periodic else np.zeros((0, 3))
-    return Bins(bin_start, grid.counts, forward, crossed, translations, cell.pbc, cell.lattice, cell.inverse, cell.safe_distance2)
+    translations = (
+        _steps(crossed) @ np.where(cell.pbc[:, None], cell.lattice, 0.0) if cell.is_periodic else np.zeros((0, 3))
+    )
+    return Bins(
+        bin_start,
+        grid.counts,
+        forward,
+        crossed,
+        translations,
+        cell.pbc,
+        cell.lattice,
+        cell.inverse,
+        cell.safe_distance2,
+    )
 
 
 def _steps(most: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -71,8 +83,20 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
                             dx, dy, dz = positions[j, 0] - x + tx, positions[j, 1] - y + ty, positions[j, 2] - z + tz
                             if dx * dx + dy * dy + dz * dz < reach2:
                                 if has_excluded and _is_partner(order[i], order[j], partners):
-                                    a, b, c = minimum_image(dx - tx, dy - ty, dz - tz, bins.lattice, bins.inverse, bins.pbc, bins.safe_distance2)
-                                    nearest = ((int(a) + crossed[0]) * rows_y + int(b) + crossed[1]) * rows_z + int(c) + crossed[2]
+                                    a, b, c = minimum_image(
+                                        dx - tx,
+                                        dy - ty,
+                                        dz - tz,
+                                        bins.lattice,
+                                        bins.inverse,
+                                        bins.pbc,
+                                        bins.safe_distance2,
+                                    )
+                                    nearest = (
+                                        ((int(a) + crossed[0]) * rows_y + int(b) + crossed[1]) * rows_z
+                                        + int(c)
+                                        + crossed[2]
+                                    )
                                     if nearest == row:
                                         continue
                                 if n_pairs < room:

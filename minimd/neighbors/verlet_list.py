@@ -34,7 +34,9 @@ def best_skin(cutoff: float, density: float, displacement: float, n_atoms: int, 
     crowd = density * (cutoff + skins) ** 3
     in_use = density * np.mean([(cutoff + skins * (layer / layers)) ** 3 for layer in range(1, layers + 1)], axis=0)
     builds = np.minimum(1.0, 2.0 * displacement / skins)  # in each step
-    cost = STEP_COST[0] + STEP_COST[1] * in_use + (BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms) * builds
+    cost = (
+        STEP_COST[0] + STEP_COST[1] * in_use + (BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms) * builds
+    )
     return float(skins[np.argmin(cost)])
 
 
@@ -108,7 +110,11 @@ class VerletList(ABC):
 
     def built(self) -> Built:
         """What build_again needs to make the same list."""
-        return Built(self.skin, None if self._cell is None else self._built_at(), None if self._cell is self._built_in else self._built_in)
+        return Built(
+            self.skin,
+            None if self._cell is None else self._built_at(),
+            None if self._cell is self._built_in else self._built_in,
+        )
 
     def build_again(self, built: Built, cell: Cell) -> None:
         """Build a list again; it must have the same skin."""
@@ -143,7 +149,11 @@ class VerletList(ABC):
 def any_moved(positions, reference, limit2):
     """True if an atom is farther than √limit2 from its reference position, or if its position is NaN."""
     for i in range(positions.shape[0]):
-        dx, dy, dz = positions[i, 0] - reference[i, 0], positions[i, 1] - reference[i, 1], positions[i, 2] - reference[i, 2]
+        dx, dy, dz = (
+            positions[i, 0] - reference[i, 0],
+            positions[i, 1] - reference[i, 1],
+            positions[i, 2] - reference[i, 2],
+        )
         if not dx * dx + dy * dy + dz * dz <= limit2:
             return True
     return False

@@ -9,7 +9,8 @@ from minimd.observers.radial_distribution import RadialDistribution
 from minimd.observers.viscosity import Viscosity
 
 KINDS: dict[str, type[Accumulator]] = {
-    one.kind: one for one in (RadialDistribution, MeanSquareDisplacement, VelocityAutocorrelation, Viscosity, Fluctuations, Profile)
+    one.kind: one
+    for one in (RadialDistribution, MeanSquareDisplacement, VelocityAutocorrelation, Viscosity, Fluctuations, Profile)
 }
 __all__ = [
     "KINDS",

@@ -49,7 +49,15 @@ class ObservedRun:
             temperature, pressure = barostat.temperature if temperature is None else temperature, barostat.pressure
         numbers = np.bincount(system.species_index, minlength=len(system.species_names)).tolist()
         spacing = every * engine.method.timestep
-        return cls(system.units.name, [str(one) for one in system.species_names], numbers, spacing, engine.n_dof, temperature, pressure)
+        return cls(
+            system.units.name,
+            [str(one) for one in system.species_names],
+            numbers,
+            spacing,
+            engine.n_dof,
+            temperature,
+            pressure,
+        )
 
     @property
     def unit_system(self) -> UnitSystem:
@@ -128,7 +136,9 @@ class Accumulator(ABC, Displayed):
     def __init__(self, every: int, name: str) -> None:
         self.every, self.name = checked_count("every", every), name or self._own_name()
         if not (isinstance(name, str) and self.name.isidentifier()):
-            raise ValueError(f"the name of an observer must be made of letters, digits and underscores; name = {shown(name)}")
+            raise ValueError(
+                f"the name of an observer must be made of letters, digits and underscores; name = {shown(name)}"
+            )
         self.scene: ObservedRun | None = None
         self.last_step = -1
 
@@ -160,7 +170,9 @@ class Accumulator(ABC, Displayed):
             self._begin(engine)
             self._set_up(scene)
         elif self.scene != scene:
-            raise ValueError(f"{self!r} has observed another system, or one with another time step or bath; make a new observer for this run")
+            raise ValueError(
+                f"{self!r} has observed another system, or one with another time step or bath; make a new observer for this run"
+            )
 
     def observe(self, engine: Engine) -> None:
         """Look at the present state, unless the last look was at this step."""
@@ -186,7 +198,9 @@ class Accumulator(ABC, Displayed):
     def answered(self) -> ObservedRun:
         """The scene, which a result needs.  Raises ValueError before the first look."""
         if self.scene is None or not self.n_looks:
-            raise ValueError(f"{self!r} has not looked yet; pass it to a run of {self.every} steps or more: sim.run(n_steps, observers=[...])")
+            raise ValueError(
+                f"{self!r} has not looked yet; pass it to a run of {self.every} steps or more: sim.run(n_steps, observers=[...])"
+            )
         return self.scene
 
     def _begin(self, engine: Engine) -> None:
@@ -223,7 +237,14 @@ class Accumulator(ABC, Displayed):
         """Everything on which later results depend, for restore; empty before the first run."""
         if self.scene is None:
             return {}
-        words = json.dumps({"scene": asdict(self.scene), "settled": self._settled(), "last_step": self.last_step, "convention": self.convention})
+        words = json.dumps(
+            {
+                "scene": asdict(self.scene),
+                "settled": self._settled(),
+                "last_step": self.last_step,
+                "convention": self.convention,
+            }
+        )
         return {"words": np.frombuffer(words.encode(), dtype=np.uint8), **self.sums.state(), **self._arrays()}
 
     def can_restore(self, state: dict[str, NDArray[Any]]) -> bool:
@@ -240,7 +261,9 @@ class Accumulator(ABC, Displayed):
         words = json.loads(bytes(state["words"]))
         if not self.can_restore(state):
             was = f"its sums have convention {words.get('convention', 1)} of another version of minimd, not {self.convention}"
-            raise ValueError(f"observer {self.name} cannot go on: {was}; go on without it, or with one of another name, which begins anew")
+            raise ValueError(
+                f"observer {self.name} cannot go on: {was}; go on without it, or with one of another name, which begins anew"
+            )
         for name in self._settled():  # no other attribute, whatever a file says
             setattr(self, name, words["settled"][name])
         self._set_up(ObservedRun(**words["scene"]))

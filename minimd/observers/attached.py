@@ -30,7 +30,9 @@ class Attached:
         self.functions: Sequence[Callable] = [one for one in observers if not isinstance(one, Accumulator)]
         names = [one.name for one in self.accumulators]
         if twice := {name for name in names if names.count(name) > 1}:
-            raise ValueError(f"observers must have different names; {min(twice)!r} is the name of several: pass another name= to one of them")
+            raise ValueError(
+                f"observers must have different names; {min(twice)!r} is the name of several: pass another name= to one of them"
+            )
         self._engine = engine
         if not engine.is_as_left:  # the state was changed since the last run
             for one in self.accumulators:
@@ -65,11 +67,15 @@ class Attached:
             step = self._engine.step
             for one in self.accumulators:
                 if n_later := one.break_off(step):
-                    what = f"{one!r} has looked {n_later} times after step {step}, the last good one of a run that failed"
+                    what = (
+                        f"{one!r} has looked {n_later} times after step {step}, the last good one of a run that failed"
+                    )
                     warnings.warn(f"{what}; its result includes these looks", stacklevel=outside_minimd())
             raise
 
 
 def _is_observer(one: Any) -> bool:
     """Whether an object can observe a run; a class of observers cannot, but its objects can."""
-    return isinstance(one, Accumulator) or (callable(one) and not (isinstance(one, type) and issubclass(one, Accumulator)))
+    return isinstance(one, Accumulator) or (
+        callable(one) and not (isinstance(one, type) and issubclass(one, Accumulator))
+    )

@@ -37,7 +37,10 @@ def squared_difference(a, b):
     return (a - b) * (a - b)
 
 
-Product, SquaredDifference = type_of(product)(namedtuple("Product", ())), type_of(squared_difference)(namedtuple("SquaredDifference", ()))
+Product, SquaredDifference = (
+    type_of(product)(namedtuple("Product", ())),
+    type_of(squared_difference)(namedtuple("SquaredDifference", ())),
+)
 
 
 def of_both(law, a, b):
@@ -82,14 +85,18 @@ class MultipleTau:
     lags : (T,) int, all possible lags in entries, ascending.
     """
 
-    def __init__(self, law: tuple, starts: NDArray[np.int64], n_components: int, points: int, n_levels: int, averages: bool) -> None:
+    def __init__(
+        self, law: tuple, starts: NDArray[np.int64], n_components: int, points: int, n_levels: int, averages: bool
+    ) -> None:
         self._law, self._starts, self._averages = law, starts, averages
         self._points, self._n_levels, self._shape = points, n_levels, (points, n_components, int(starts[-1]))
         self._n_counts, n_groups = n_levels * points, len(starts) - 1
         self._sums_shape = (n_levels, points, n_groups, n_components)
         self.size = self._n_counts * (1 + n_groups * n_components)
         steps = np.arange(points) * RATIO ** np.arange(n_levels)[:, None]
-        self._places = np.flatnonzero(np.arange(points) >= np.where(np.arange(n_levels) > 0, points // RATIO, 0)[:, None])
+        self._places = np.flatnonzero(
+            np.arange(points) >= np.where(np.arange(n_levels) > 0, points // RATIO, 0)[:, None]
+        )
         self.lags = steps.ravel()[self._places]
         self.interrupt()
 

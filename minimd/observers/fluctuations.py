@@ -86,7 +86,9 @@ class Fluctuations(Accumulator):
         ensemble = "constant energy" if scene.bath_temperature is None else "constant temperature"
         if not volume_is_constant:
             ensemble = "constant pressure"
-        return FluctuationResult(scene, ensemble, values, errors, self.n_looks, float(np.fmin.reduce(times[fluctuating])))
+        return FluctuationResult(
+            scene, ensemble, values, errors, self.n_looks, float(np.fmin.reduce(times[fluctuating]))
+        )
 
 
 def correlation_times(sums: BlockedSums) -> Array:
@@ -106,7 +108,9 @@ def correlation_times(sums: BlockedSums) -> Array:
 def _coefficients(sums: Array, reference: Array, scene: ObservedRun, grown: Array) -> Array:
     """T, C_V, C_P, κ_T, α_P; NaN for those that do not follow from the ensemble.  grown : (3,) factors for the variances of K, E and V."""
     means, weights = sums[1 : 1 + N_SERIES] / sums[0], np.array(OF_INTEREST) * np.sqrt(grown)[:, None]
-    covariance = weights @ (sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(means, means)) @ weights.T
+    covariance = (
+        weights @ (sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(means, means)) @ weights.T
+    )
     means, k_B, f = means + reference, scene.unit_system.k_B, scene.n_dof  # noqa: N806 - the symbol of the constant
     mean_temperature = 2.0 * means[KINETIC] / (f * k_B)
     T = mean_temperature if scene.bath_temperature is None else scene.bath_temperature  # noqa: N806
@@ -115,7 +119,15 @@ def _coefficients(sums: Array, reference: Array, scene: ObservedRun, grown: Arra
         enthalpy = energy + (np.nan if scene.bath_pressure is None else scene.bath_pressure) * volume
         c_p = enthalpy @ covariance @ enthalpy / (k_B * T**2)
         compressibility = covariance[VOLUME, VOLUME] / (k_B * T * means[VOLUME])
-        return np.array([mean_temperature, np.nan, c_p, compressibility, enthalpy @ covariance @ volume / (k_B * T**2 * means[VOLUME])])
+        return np.array(
+            [
+                mean_temperature,
+                np.nan,
+                c_p,
+                compressibility,
+                enthalpy @ covariance @ volume / (k_B * T**2 * means[VOLUME]),
+            ]
+        )
     if scene.bath_temperature is None:
         c_v = 0.5 * f * k_B / (1.0 - 2.0 * covariance[KINETIC, KINETIC] / (f * k_B**2 * T**2))
     else:
@@ -139,7 +151,13 @@ class FluctuationResult(Result):
     n_looks: int
     correlation_times: float = np.nan
     title: ClassVar[str] = "fluctuations"
-    names: ClassVar[tuple[str, ...]] = ("temperature", "heat_capacity_v", "heat_capacity_p", "compressibility", "expansion")
+    names: ClassVar[tuple[str, ...]] = (
+        "temperature",
+        "heat_capacity_v",
+        "heat_capacity_p",
+        "compressibility",
+        "expansion",
+    )
 
     def __getattr__(self, name: str) -> float:
         names = type(self).names
@@ -165,9 +183,19 @@ class FluctuationResult(Result):
         rows = [("fluctuations", f"at {self.ensemble}, {self.n_looks} looks, T = {temperature} {units.temperature}")]
         for name, symbol in per_atom.items():
             if np.isfinite(value := getattr(self, name)):
-                rows.append(("", f"{symbol} = {with_error(value / (n * units.k_B), getattr(self, name + '_error') / (n * units.k_B))} k_B per atom"))
+                rows.append(
+                    (
+                        "",
+                        f"{symbol} = {with_error(value / (n * units.k_B), getattr(self, name + '_error') / (n * units.k_B))} k_B per atom",
+                    )
+                )
         if np.isfinite(self.compressibility):
-            rows.append(("", f"κ_T = {with_error(self.compressibility, self.compressibility_error)} {units.length}³/{units.energy}"))
+            rows.append(
+                (
+                    "",
+                    f"κ_T = {with_error(self.compressibility, self.compressibility_error)} {units.length}³/{units.energy}",
+                )
+            )
         if self.correlation_times < ENOUGH:
             slowest = "volume or energy" if np.isfinite(self.compressibility) else "energy"
             long = f"the run is only {max(1.0, self.correlation_times):.0f} correlation times of the {slowest} long"

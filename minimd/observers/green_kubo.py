@@ -52,7 +52,11 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
             break
         late = np.trapezoid(np.abs(integral[i] - integral[: i + 1]), times[: i + 1])
         slowest = SLOWER * late / largest[i] if largest[i] > 0.0 else np.inf
-        is_late = largest[i] * np.exp(-times[i] / slowest) <= errors[i] * slowest / (2.0 * times[i]) if slowest > 0.0 else True
+        is_late = (
+            largest[i] * np.exp(-times[i] / slowest) <= errors[i] * slowest / (2.0 * times[i])
+            if slowest > 0.0
+            else True
+        )
         if inside.sum() >= FEWEST_LAGS and is_late:
             return _mean_of(times, integral, without, inside, is_reached=True)
     return _mean_of(times, integral, without, times >= times[-1] / OCTAVE, is_reached=False)
@@ -62,6 +66,12 @@ def _mean_of(times: Array, integral: Array, without: Array, inside: NDArray[np.b
     start, end = float(times[inside][0]), float(times[inside][-1])
 
     def mean(values: Array) -> Array:
-        return np.asarray(np.trapezoid(values[..., inside], times[inside]) / (end - start) if end > start else values[..., inside].mean(axis=-1))
+        return np.asarray(
+            np.trapezoid(values[..., inside], times[inside]) / (end - start)
+            if end > start
+            else values[..., inside].mean(axis=-1)
+        )
 
-    return Plateau(float(mean(integral)), float(spread(mean(without))) if len(without) else np.nan, (start, end), is_reached)
+    return Plateau(
+        float(mean(integral)), float(spread(mean(without))) if len(without) else np.nan, (start, end), is_reached
+    )

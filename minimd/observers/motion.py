@@ -34,7 +34,10 @@ class _OfAtoms(TimeCorrelation):
 
     def __init__(self, every: int = 10, n_levels: int = 10, most_atoms: int = 4096, name: str = "") -> None:
         super().__init__(every, name)
-        self.n_levels, self.most_atoms = checked_count("n_levels", n_levels, 1, 40), checked_count("most_atoms", most_atoms)
+        self.n_levels, self.most_atoms = (
+            checked_count("n_levels", n_levels, 1, 40),
+            checked_count("most_atoms", most_atoms),
+        )
         self.is_cubic, self.chosen, self.numbers = False, [0], [1]
 
     def _begin(self, engine: Engine) -> None:
@@ -123,7 +126,9 @@ class MeanSquareDisplacement(_OfAtoms):
             return old @ strain - old
         if self._molecules is None:
             self._molecules = Molecules(engine.system, engine.constraint_set)
-        images = self._molecules.whole(bonds)  # translations that join the atoms of a molecule; they change with the cell
+        images = self._molecules.whole(
+            bonds
+        )  # translations that join the atoms of a molecule; they change with the cell
         images_before = images.copy()
         cell.follow(was, images_before)
         whole = old + images_before
@@ -135,13 +140,20 @@ class MeanSquareDisplacement(_OfAtoms):
     def _arrays(self) -> dict[str, NDArray[Any]]:
         arrays = super()._arrays()
         if self._before is not None:
-            arrays |= {"cell": self._before[0].vectors, "pbc": self._before[0].pbc.astype(np.int64), "positions": self._before[1]}
+            arrays |= {
+                "cell": self._before[0].vectors,
+                "pbc": self._before[0].pbc.astype(np.int64),
+                "positions": self._before[1],
+            }
         return arrays if self._carried is None else arrays | {"carried": self._carried}
 
     def _take_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
         super()._take_arrays(arrays)
         if "positions" in arrays:
-            self._before = Cell(np.array(arrays["cell"]), np.array(arrays["pbc"], dtype=bool)), np.array(arrays["positions"])
+            self._before = (
+                Cell(np.array(arrays["cell"]), np.array(arrays["pbc"], dtype=bool)),
+                np.array(arrays["positions"]),
+            )
         self._carried = np.array(arrays["carried"]) if "carried" in arrays else None
 
     def result(self, window: tuple[float, float] | None = None, viscosity: float | None = None) -> DisplacementResult:
@@ -157,7 +169,9 @@ class MeanSquareDisplacement(_OfAtoms):
         seen, times, longest = self._seen()
         means, errors = self._estimate(times, longest, self._means(seen))
         head = self.sums.total[:HEAD] / self.sums.total[COUNT]
-        found = DisplacementResult(scene, times, means, errors, self.is_cubic, float(head[TEMPERATURE]), float(head[VOLUME]), sum(self.numbers))
+        found = DisplacementResult(
+            scene, times, means, errors, self.is_cubic, float(head[TEMPERATURE]), float(head[VOLUME]), sum(self.numbers)
+        )
         return found.fitted(self.sums.replicas(self._means(seen)), window, longest, viscosity)
 
 
@@ -185,4 +199,6 @@ class VelocityAutocorrelation(_OfAtoms):
         seen, times, longest = self._seen()
         law = self._means(seen)
         values, errors, found = self._integral(times, longest, lambda sums: law(sums)[0] / 3.0)
-        return VelocityResult(scene, times, *self._estimate(times, longest, law), values, errors, found, sum(self.numbers))
+        return VelocityResult(
+            scene, times, *self._estimate(times, longest, law), values, errors, found, sum(self.numbers)
+        )

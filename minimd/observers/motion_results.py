@@ -80,7 +80,9 @@ class DisplacementResult(Result):
         """Standard error of infinite; it does not include the error of the viscosity."""
         return self.diffusion_error if np.isfinite(self.infinite) else np.nan
 
-    def fitted(self, without: Array, window: tuple[float, float] | None, longest: float, viscosity: float | None) -> DisplacementResult:
+    def fitted(
+        self, without: Array, window: tuple[float, float] | None, longest: float, viscosity: float | None
+    ) -> DisplacementResult:
         """This result with D.  without : (K, 1 + S + 3, T) replicas of the means.  longest : last lag for a fit [time].  Raises ValueError."""
         start, end = window or self._own_window(longest)
         inside = (self.times >= start) & (self.times <= end) & (self.times > 0.0)
@@ -93,7 +95,12 @@ class DisplacementResult(Result):
         times, n = self.times[inside], 1 + len(self.scene.species)
         coefficients = slope(times, self.means[:n, inside]) / 6.0
         error = float(spread(slope(times, without[:, 0, inside]) / 6.0)) if len(without) else np.nan
-        made = replace(self, diffusion=float(coefficients[0]), diffusion_error=error, diffusion_of_species=tuple(coefficients[1:].tolist()))
+        made = replace(
+            self,
+            diffusion=float(coefficients[0]),
+            diffusion_error=error,
+            diffusion_of_species=tuple(coefficients[1:].tolist()),
+        )
         made = replace(made, window=(float(times[0]), float(times[-1])))
         return made if viscosity is None else replace(made, infinite=made.diffusion + self._correction(viscosity))
 
@@ -107,8 +114,12 @@ class DisplacementResult(Result):
 
     def _correction(self, viscosity: float) -> float:
         if not self.is_cubic:
-            raise ValueError("the correction of Yeh and Hummer needs a cubic cell that is periodic in all directions; leave viscosity out")
-        return finite_size_correction(self.scene.unit_system.k_B * self.temperature, viscosity, self.volume ** (1.0 / 3.0))
+            raise ValueError(
+                "the correction of Yeh and Hummer needs a cubic cell that is periodic in all directions; leave viscosity out"
+            )
+        return finite_size_correction(
+            self.scene.unit_system.k_B * self.temperature, viscosity, self.volume ** (1.0 / 3.0)
+        )
 
     def columns(self) -> dict[str, Array]:
         """See Result."""
@@ -116,18 +127,37 @@ class DisplacementResult(Result):
 
     def numbers(self) -> dict[str, float]:
         """See Result."""
-        return {"diffusion": self.diffusion, "diffusion_error": self.diffusion_error, "diffusion_infinite": self.infinite}
+        return {
+            "diffusion": self.diffusion,
+            "diffusion_error": self.diffusion_error,
+            "diffusion_infinite": self.infinite,
+        }
 
     def display_rows(self) -> Rows:
         """See Displayed."""
         units, (start, end) = self.scene.unit_system, self.window
         if np.isnan(self.diffusion):
-            return [("diffusion", f"unknown: the atoms have not left their places in lags up to {units.shown(self.times[-1])}")]
+            return [
+                (
+                    "diffusion",
+                    f"unknown: the atoms have not left their places in lags up to {units.shown(self.times[-1])}",
+                )
+            ]
         words = diffusion_words(self.diffusion, self.diffusion_error, units)
         rows = [("diffusion", f"D = {words}, from lags of {units.shown(start)} to {units.shown(end)}, in this cell")]
         if np.isfinite(self.infinite):
-            return [*rows, ("", f"D = {diffusion_words(self.infinite, self.infinite_error, units)} in an infinite cell (Yeh and Hummer)")]
-        return [*rows, ("", "in a larger cell D is larger: result(viscosity=...) corrects for this")] if self.is_cubic else rows
+            return [
+                *rows,
+                (
+                    "",
+                    f"D = {diffusion_words(self.infinite, self.infinite_error, units)} in an infinite cell (Yeh and Hummer)",
+                ),
+            ]
+        return (
+            [*rows, ("", "in a larger cell D is larger: result(viscosity=...) corrects for this")]
+            if self.is_cubic
+            else rows
+        )
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
@@ -135,9 +165,15 @@ class DisplacementResult(Result):
         times = self.times[positive] * units.to_picosecond
         panel.loglog(times, self.msd[positive], marker="o", ms=2.5, lw=1.0)
         if np.isfinite(self.diffusion):
-            panel.loglog(times, 6.0 * self.diffusion * self.times[positive], color="0.6", lw=0.8, ls="--", label="6 D t")
+            panel.loglog(
+                times, 6.0 * self.diffusion * self.times[positive], color="0.6", lw=0.8, ls="--", label="6 D t"
+            )
             panel.legend(frameon=False, fontsize=8)
-        panel.set(xlabel=f"t  [{units.shown_time}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{units.length}²]", title="mean-square displacement")
+        panel.set(
+            xlabel=f"t  [{units.shown_time}]",
+            ylabel=f"⟨|r(t) − r(0)|²⟩  [{units.length}²]",
+            title="mean-square displacement",
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -176,7 +212,10 @@ class VelocityResult(Result):
 
     def columns(self) -> dict[str, Array]:
         """See Result."""
-        return _series("vacf", self.scene, self.times, self.means, self.errors) | {"integral": self.integral, "integral_error": self.integral_error}
+        return _series("vacf", self.scene, self.times, self.means, self.errors) | {
+            "integral": self.integral,
+            "integral_error": self.integral_error,
+        }
 
     def numbers(self) -> dict[str, float]:
         """See Result."""
@@ -186,8 +225,14 @@ class VelocityResult(Result):
         """See Displayed."""
         units, (start, end) = self.scene.unit_system, self.plateau.window
         where = f"{units.shown(start)} to {units.shown(end)}"
-        said = f"plateau of its integral, {where}" if self.plateau.is_reached else f"NO PLATEAU of its integral, taken from {where}"
-        return [("velocities", f"D = {diffusion_words(self.diffusion, self.diffusion_error, units)}, in this cell; {said}")]
+        said = (
+            f"plateau of its integral, {where}"
+            if self.plateau.is_reached
+            else f"NO PLATEAU of its integral, taken from {where}"
+        )
+        return [
+            ("velocities", f"D = {diffusion_words(self.diffusion, self.diffusion_error, units)}, in this cell; {said}")
+        ]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
@@ -195,4 +240,9 @@ class VelocityResult(Result):
         panel.axhline(0.0, color="0.7", lw=0.8)
         panel.plot(self.times * units.to_picosecond, self.vacf / self.vacf[0], lw=1.1)
         last = max(self.plateau.window[1], float(self.times[min(15, len(self.times) - 1)])) * units.to_picosecond
-        panel.set(xlabel=f"t  [{units.shown_time}]", ylabel="⟨v(0) · v(t)⟩ / ⟨v²⟩", xlim=(0.0, last or None), title="velocity autocorrelation")
+        panel.set(
+            xlabel=f"t  [{units.shown_time}]",
+            ylabel="⟨v(0) · v(t)⟩ / ⟨v²⟩",
+            xlim=(0.0, last or None),
+            title="velocity autocorrelation",
+        )

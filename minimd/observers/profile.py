@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 AXES = "abc"
-FRAMES, EXTENT, HEAD = 0, 1, 2  # places in the sums, before the densities of each species, and Σ m v² of the atoms in each bin
+FRAMES, EXTENT, HEAD = (
+    0,
+    1,
+    2,
+)  # places in the sums, before the densities of each species, and Σ m v² of the atoms in each bin
 
 
 class Profile(Accumulator):
@@ -44,7 +48,14 @@ class Profile(Accumulator):
     kind = "profile"
     arguments = ("axis", "n_bins", "every", "extent")
 
-    def __init__(self, axis: str = "c", n_bins: int = 100, every: int = 50, extent: tuple[float, float] | None = None, name: str = "") -> None:
+    def __init__(
+        self,
+        axis: str = "c",
+        n_bins: int = 100,
+        every: int = 50,
+        extent: tuple[float, float] | None = None,
+        name: str = "",
+    ) -> None:
         super().__init__(every, name)
         self.axis, self.n_bins = checked_choice("axis", axis, tuple(AXES)), checked_count("n_bins", n_bins)
         if extent is not None and (not isinstance(extent, list | tuple) or len(extent) != 2):
@@ -56,7 +67,9 @@ class Profile(Accumulator):
     def _begin(self, engine: Engine) -> None:
         pbc, k = engine.system.cell.pbc, AXES.index(self.axis)
         if not np.delete(pbc, k).all():
-            raise ValueError(f"layers across axis {self.axis} need a cell that is periodic along the other two axes; its pbc = {pbc.tolist()}")
+            raise ValueError(
+                f"layers across axis {self.axis} need a cell that is periodic along the other two axes; its pbc = {pbc.tolist()}"
+            )
         if pbc[k] != (self.extent is None):
             needed = "is periodic: leave extent out" if pbc[k] else "is open: give extent=(lower, upper)"
             raise ValueError(f"axis {self.axis} of this cell {needed}")
@@ -72,7 +85,10 @@ class Profile(Accumulator):
         heights = np.einsum("ij,j->i", system.positions, normal) / area
         if self.extent is None:
             lower, height = 0.0, abs(float(vectors[k] @ normal)) / area
-            layers = np.floor(heights * np.sign(vectors[k] @ normal) / height % 1.0 * self.n_bins).astype(np.int64) % self.n_bins
+            layers = (
+                np.floor(heights * np.sign(vectors[k] @ normal) / height % 1.0 * self.n_bins).astype(np.int64)
+                % self.n_bins
+            )
         else:
             lower, height = self.extent[0], self.extent[1] - self.extent[0]
             layers = np.floor((heights - lower) / height * self.n_bins).astype(np.int64)
@@ -134,7 +150,12 @@ class ProfileResult(Result):
     def display_rows(self) -> Rows:
         """See Displayed."""
         length, low, high = self.scene.unit_system.length, self.density.min(), self.density.max()
-        return [("profile", f"along {self.axis}, {len(self.z)} layers, {self.n_frames} looks; density from {low:.4g} to {high:.4g} /{length}³")]
+        return [
+            (
+                "profile",
+                f"along {self.axis}, {len(self.z)} layers, {self.n_frames} looks; density from {low:.4g} to {high:.4g} /{length}³",
+            )
+        ]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
@@ -142,6 +163,8 @@ class ProfileResult(Result):
         for name, density in zip(self.scene.species, self.densities, strict=True):
             panel.plot(self.z, density, lw=1.1, label=name)
         title = f"{self.title}, {self.n_frames} looks"
-        panel.set(xlabel=f"along {self.axis}  [{length}]", ylabel=f"density  [1/{length}³]", ylim=(0.0, None), title=title)
+        panel.set(
+            xlabel=f"along {self.axis}  [{length}]", ylabel=f"density  [1/{length}³]", ylim=(0.0, None), title=title
+        )
         if len(self.densities) > 1:
             panel.legend(frameon=False, fontsize=8)

@@ -82,7 +82,9 @@ class RadialDistribution(Accumulator):
     def _begin(self, engine: Engine) -> None:
         system = engine.system
         if system.volume is None or len(system) < 2:
-            raise ValueError(f"g(r) needs at least two atoms, and a cell that is periodic in all directions; this run has {system!r}")
+            raise ValueError(
+                f"g(r) needs at least two atoms, and a cell that is periodic in all directions; this run has {system!r}"
+            )
         self.reach = self.r_max or float(system.cell.heights.min() / 2.0)
 
     def _settled(self) -> dict[str, Any]:
@@ -103,7 +105,9 @@ class RadialDistribution(Accumulator):
         order, offsets, bin_start = sort_into_bins(system.positions, cell.lattice, cell.inverse, cell.pbc, grid)
         local, bins = system.positions[order] + offsets, bins_of(cell, grid, bin_start)
         self._counts[:] = 0
-        count_pairs(local, system.species_index[order], bins, self._kinds, self.reach / self.n_bins, self.reach, self._counts)
+        count_pairs(
+            local, system.species_index[order], bins, self._kinds, self.reach / self.n_bins, self.reach, self._counts
+        )
         self.sums.total[FRAMES] += 1.0
         self.sums.total[HEAD:] += float(system.volume or 0.0) * self._counts.ravel()
 
@@ -112,7 +116,9 @@ class RadialDistribution(Accumulator):
         scene = self.answered()
         edges = np.linspace(0.0, self.reach, self.n_bins + 1)
         shells = 4.0 / 3.0 * np.pi * np.diff(edges**3)
-        numbers = np.array([scene.numbers[a] * (scene.numbers[b] - (a == b)) / (1.0 + (a == b)) for a, b in self._pairs])
+        numbers = np.array(
+            [scene.numbers[a] * (scene.numbers[b] - (a == b)) / (1.0 + (a == b)) for a, b in self._pairs]
+        )
         names = tuple(f"{scene.species[a]}-{scene.species[b]}" for a, b in self._pairs)
 
         def law(sums: Array) -> Array:
@@ -121,7 +127,9 @@ class RadialDistribution(Accumulator):
 
         (total, *g), (total_error, *errors) = self.sums.estimate(law)
         r = 0.5 * (edges[1:] + edges[:-1])
-        return RadialDistributionResult(scene, r, total, total_error, names, np.array(g), np.array(errors), self.n_looks)
+        return RadialDistributionResult(
+            scene, r, total, total_error, names, np.array(g), np.array(errors), self.n_looks
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -162,6 +170,12 @@ class RadialDistributionResult(Result):
         for name, g in zip(self.pairs, self.g_of_pairs, strict=True):
             panel.plot(self.r, g, lw=1.1, label=name)
         length = self.scene.unit_system.length
-        panel.set(xlabel=f"r  [{length}]", ylabel="g(r)", title=f"{self.title}, {self.n_frames} looks", xlim=(0.0, self.r[-1]), ylim=(0.0, None))
+        panel.set(
+            xlabel=f"r  [{length}]",
+            ylabel="g(r)",
+            title=f"{self.title}, {self.n_frames} looks",
+            xlim=(0.0, self.r[-1]),
+            ylim=(0.0, None),
+        )
         if len(self.pairs) > 1:
             panel.legend(frameon=False, fontsize=8)

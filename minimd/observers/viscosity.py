@@ -121,7 +121,11 @@ class ViscosityResult(Result):
 
     def columns(self) -> dict[str, Array]:
         """See Result."""
-        made = {"time": self.times, "autocorrelation": self.autocorrelation, "autocorrelation_error": self.autocorrelation_error}
+        made = {
+            "time": self.times,
+            "autocorrelation": self.autocorrelation,
+            "autocorrelation_error": self.autocorrelation_error,
+        }
         return made | {"integral": self.integral, "integral_error": self.integral_error}
 
     def numbers(self) -> dict[str, float]:
@@ -135,7 +139,11 @@ class ViscosityResult(Result):
         if units.name == "ASE":
             words = f"{with_error(self.viscosity * MPA_S, self.viscosity_error * MPA_S)} mPa s"
         where = f"{units.shown(start)} to {units.shown(end)}"
-        said = f"plateau of its integral, {where}" if self.plateau.is_reached else f"NO PLATEAU of its integral, taken from {where}"
+        said = (
+            f"plateau of its integral, {where}"
+            if self.plateau.is_reached
+            else f"NO PLATEAU of its integral, taken from {where}"
+        )
         return [("viscosity", f"η = {words}; {said}")]
 
     def draw(self, panel: Axes) -> None:
@@ -145,5 +153,12 @@ class ViscosityResult(Result):
         panel.axvspan(start * units.to_picosecond, end * units.to_picosecond, color="0.93")
         panel.axhline(self.viscosity, color="0.6", lw=0.8, ls="--")
         panel.errorbar(times, self.integral, self.integral_error, lw=1.1, elinewidth=0.6)
-        panel.set(xlabel=f"t  [{units.shown_time}]", ylabel=f"η  [{units.pressure} {units.time}]", title="viscosity, running integral")
-        panel.set(xlim=(0.0, 2.0 * end * units.to_picosecond or None), ylim=(0.0, 2.0 * self.viscosity if self.viscosity > 0.0 else None))
+        panel.set(
+            xlabel=f"t  [{units.shown_time}]",
+            ylabel=f"η  [{units.pressure} {units.time}]",
+            title="viscosity, running integral",
+        )
+        panel.set(
+            xlim=(0.0, 2.0 * end * units.to_picosecond or None),
+            ylim=(0.0, 2.0 * self.viscosity if self.viscosity > 0.0 else None),
+        )

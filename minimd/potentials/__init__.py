@@ -2,7 +2,13 @@
 
 from minimd.potentials.angles import HarmonicAngle
 from minimd.potentials.bonded import BondPotential, FENEBond, HarmonicBond, MorseBond
-from minimd.potentials.dihedrals import DihedralPotential, HarmonicImproper, OPLSDihedral, PeriodicDihedral, RyckaertBellemans
+from minimd.potentials.dihedrals import (
+    DihedralPotential,
+    HarmonicImproper,
+    OPLSDihedral,
+    PeriodicDihedral,
+    RyckaertBellemans,
+)
 from minimd.potentials.fields import ConstantForce, Gravity, Restraint, SteeredSpring
 from minimd.potentials.lennard_jones import LennardJones
 from minimd.potentials.pair import PairPotential

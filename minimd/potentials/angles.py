@@ -166,6 +166,8 @@ class AngleTerm(OwnTerm):
         cell, angles = system.cell, self._angles
         if cell.is_periodic:
             lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
-            minimum_image_translations(system.positions, angles.middle, angles.first, *lattice, angles.first_translations)
+            minimum_image_translations(
+                system.positions, angles.middle, angles.first, *lattice, angles.first_translations
+            )
             minimum_image_translations(system.positions, angles.middle, angles.last, *lattice, angles.last_translations)
         add_angle_forces(system.positions, angles, detail, sums)

@@ -30,12 +30,19 @@ class BondPotential(OwnPotential):
     TypeError for a law that is not a function, or parameters that are not a tuple.
     """
 
-    def __init__(self, law: Callable | tuple, parameters: tuple[ArrayLike, ...] = (), pairs: ArrayLike | None = None) -> None:
+    def __init__(
+        self, law: Callable | tuple, parameters: tuple[ArrayLike, ...] = (), pairs: ArrayLike | None = None
+    ) -> None:
         self.law = checked_law(law)
         self.pairs = None if pairs is None else checked_pairs("pairs", pairs)
         if not isinstance(parameters, Sequence):
-            raise TypeError(f"parameters of bonds must be a tuple with one entry for each parameter of the law; parameters = {shown(parameters)}")
-        self.parameters = tuple(checked_numbers("bond parameters", parameter, "one number, or one for each bond") for parameter in parameters)
+            raise TypeError(
+                f"parameters of bonds must be a tuple with one entry for each parameter of the law; parameters = {shown(parameters)}"
+            )
+        self.parameters = tuple(
+            checked_numbers("bond parameters", parameter, "one number, or one for each bond")
+            for parameter in parameters
+        )
         for parameter in self.parameters:
             if not np.isfinite(parameter).all():
                 raise ValueError(f"bond parameters must be finite; they are {parameter.tolist()}")
@@ -74,7 +81,9 @@ class BondPotential(OwnPotential):
         """
         for parameter in self.parameters:
             if parameter.shape not in ((), (n_bonds,)):
-                raise ValueError(f"a bond parameter must be one number or {n_bonds}, one for each bond; its shape is {parameter.shape}")
+                raise ValueError(
+                    f"a bond parameter must be one number or {n_bonds}, one for each bond; its shape is {parameter.shape}"
+                )
         return np.stack([np.broadcast_to(column, n_bonds) for column in (np.array(np.inf), *self.parameters)], axis=-1)
 
 
@@ -156,6 +165,13 @@ class FENEBond(OwnBond):
 
     names = ("k", "longest", "epsilon", "sigma")
 
-    def __init__(self, k: ArrayLike, longest: ArrayLike, epsilon: ArrayLike = 1.0, sigma: ArrayLike = 1.0, pairs: ArrayLike | None = None) -> None:
+    def __init__(
+        self,
+        k: ArrayLike,
+        longest: ArrayLike,
+        epsilon: ArrayLike = 1.0,
+        sigma: ArrayLike = 1.0,
+        pairs: ArrayLike | None = None,
+    ) -> None:
         super().__init__(FENELaw(), (k, longest, epsilon, sigma), pairs)
         self._check("a FENE bond", negative=("k", "epsilon"), not_positive=("longest", "sigma"))

@@ -44,12 +44,18 @@ class DihedralPotential(OwnPotential):
 
     groups: ClassVar[str] = "dihedrals"  # of a System, on which it acts
 
-    def __init__(self, law: Callable | tuple, parameters: Sequence[ArrayLike] = (), quadruples: ArrayLike | None = None) -> None:
+    def __init__(
+        self, law: Callable | tuple, parameters: Sequence[ArrayLike] = (), quadruples: ArrayLike | None = None
+    ) -> None:
         if not isinstance(parameters, Sequence) or isinstance(parameters, str):
-            raise TypeError(f"parameters must be a tuple with one entry for each parameter of the law; parameters = {shown(parameters)}")
+            raise TypeError(
+                f"parameters must be a tuple with one entry for each parameter of the law; parameters = {shown(parameters)}"
+            )
         self._hold(checked_law(law), {f"parameter {k}": values for k, values in enumerate(parameters)}, quadruples)
 
-    def _hold(self, law: tuple, parameters: dict[str, Any], quadruples: ArrayLike | None, not_negative: tuple[str, ...] = ()) -> None:
+    def _hold(
+        self, law: tuple, parameters: dict[str, Any], quadruples: ArrayLike | None, not_negative: tuple[str, ...] = ()
+    ) -> None:
         self.law, self.parameters = law, checked_each(self.groups, parameters, not_negative)
         self.quadruples = None if quadruples is None else checked_groups("quadruples", quadruples, 4)
 
@@ -64,7 +70,9 @@ class DihedralPotential(OwnPotential):
     def quadruples_in(self, system: System) -> NDArray[np.int64]:
         """(D, 4) int, those on which it acts in a system.  Raises ValueError if they name atoms that do not exist."""
         given = self.quadruples
-        found: NDArray[np.int64] = getattr(system, self.groups) if given is None else checked_groups("quadruples", given, 4, len(system))
+        found: NDArray[np.int64] = (
+            getattr(system, self.groups) if given is None else checked_groups("quadruples", given, 4, len(system))
+        )
         return found
 
     def columns(self, n: int) -> tuple[Array, ...]:
@@ -103,7 +111,9 @@ class PeriodicDihedral(DihedralPotential):
     def __init__(self, k: ArrayLike, n: ArrayLike, phase: ArrayLike = 0.0, quadruples: ArrayLike | None = None) -> None:
         self._hold(PeriodicLaw(), {"k": k, "n": n, "phase": phase}, quadruples, not_negative=("n",))
         if (np.rint(self.parameters["n"]) != self.parameters["n"]).any():
-            raise ValueError(f"n, the number of minima in a turn, must be a whole number; n = {shown(self.parameters['n'].tolist())}")
+            raise ValueError(
+                f"n, the number of minima in a turn, must be a whole number; n = {shown(self.parameters['n'].tolist())}"
+            )
 
     def law_arguments(self) -> dict[str, Any]:
         """See DihedralPotential."""
@@ -129,10 +139,16 @@ class RyckaertBellemans(DihedralPotential):
         try:
             given = list(coefficients)
         except TypeError:
-            raise TypeError(f"coefficients must be a list, c0 to c5 at most; coefficients = {shown(coefficients)}") from None
+            raise TypeError(
+                f"coefficients must be a list, c0 to c5 at most; coefficients = {shown(coefficients)}"
+            ) from None
         if len(given) > N_COEFFICIENTS:
             raise ValueError(f"coefficients must be at most {N_COEFFICIENTS}, c0 to c5; there are {len(given)}")
-        self._hold(RyckaertBellemansLaw(), {f"c{k}": given[k] if k < len(given) else 0.0 for k in range(N_COEFFICIENTS)}, quadruples)
+        self._hold(
+            RyckaertBellemansLaw(),
+            {f"c{k}": given[k] if k < len(given) else 0.0 for k in range(N_COEFFICIENTS)},
+            quadruples,
+        )
 
     def law_arguments(self) -> dict[str, Any]:
         """See DihedralPotential."""
@@ -155,11 +171,15 @@ class OPLSDihedral(DihedralPotential):
     ValueError : if a number is not finite, or shapes do not fit.
     """
 
-    def __init__(self, k1: ArrayLike, k2: ArrayLike, k3: ArrayLike, k4: ArrayLike = 0.0, quadruples: ArrayLike | None = None) -> None:
+    def __init__(
+        self, k1: ArrayLike, k2: ArrayLike, k3: ArrayLike, k4: ArrayLike = 0.0, quadruples: ArrayLike | None = None
+    ) -> None:
         self.barriers = checked_each(self.groups, {"k1": k1, "k2": k2, "k3": k3, "k4": k4})
         one, two, three, four = self.barriers.values()
         if len({each.shape for each in self.barriers.values()} - {()}) > 1:
-            raise ValueError(f"k1 to k4 must have the same length; their shapes are {[each.shape for each in self.barriers.values()]}")
+            raise ValueError(
+                f"k1 to k4 must have the same length; their shapes are {[each.shape for each in self.barriers.values()]}"
+            )
         c = (two + 0.5 * (one + three), 0.5 * (3.0 * three - one), 4.0 * four - two, -2.0 * three, -4.0 * four, 0.0)
         self._hold(RyckaertBellemansLaw(), {f"c{k}": each for k, each in enumerate(c)}, quadruples)
 
@@ -189,7 +209,9 @@ class HarmonicImproper(DihedralPotential):
     def __init__(self, k: ArrayLike, angle: ArrayLike = 0.0, quadruples: ArrayLike | None = None) -> None:
         self._hold(HarmonicTorsionLaw(), {"k": k, "angle": angle}, quadruples, not_negative=("k",))
         if (np.abs(self.parameters["angle"]) > pi).any():
-            raise ValueError(f"angle must lie between -pi and pi (radians); angle = {shown(self.parameters['angle'].tolist())}")
+            raise ValueError(
+                f"angle must lie between -pi and pi (radians); angle = {shown(self.parameters['angle'].tolist())}"
+            )
 
     def law_arguments(self) -> dict[str, Any]:
         """See DihedralPotential."""
@@ -229,7 +251,11 @@ def add_dihedral_forces(positions, dihedrals, law, parameters, detail, sums):
         for c in range(3):
             force_i, force_l = slope * length / a2 * a[c], -slope * length / b2 * b[c]
             shared = slope * (fg / (a2 * length) * a[c] - hg / (b2 * length) * b[c])
-            on_i, on_l, between = force_along(force_i, 1.0, sums), force_along(force_l, 1.0, sums), force_along(shared, 1.0, sums)
+            on_i, on_l, between = (
+                force_along(force_i, 1.0, sums),
+                force_along(force_l, 1.0, sums),
+                force_along(shared, 1.0, sums),
+            )
             forces[i, c] += on_i
             forces[j, c] -= on_i + between
             forces[k, c] -= on_l - between
@@ -271,6 +297,10 @@ class DihedralTerm(OwnTerm):
         cell, (i, j, k, l) = system.cell, self._ends
         if cell.is_periodic:
             lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
-            for first, second, translations in ((j, i, self._dihedrals.first), (k, j, self._dihedrals.middle), (k, l, self._dihedrals.last)):
+            for first, second, translations in (
+                (j, i, self._dihedrals.first),
+                (k, j, self._dihedrals.middle),
+                (k, l, self._dihedrals.last),
+            ):
                 minimum_image_translations(system.positions, first, second, *lattice, translations)
         self._loop(system.positions, self._dihedrals, self._law, self._parameters, detail, sums)

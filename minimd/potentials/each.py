@@ -10,7 +10,9 @@ from minimd.structure.checks import checked_numbers, shown
 Array = NDArray[np.float64]
 
 
-def checked_each(things: str, parameters: Mapping[str, ArrayLike], not_negative: tuple[str, ...] = ()) -> dict[str, Array]:
+def checked_each(
+    things: str, parameters: Mapping[str, ArrayLike], not_negative: tuple[str, ...] = ()
+) -> dict[str, Array]:
     """Parameters by name: finite numbers, or (n,) arrays.  things : what there is one for each of, such as "dihedrals".
 
     Raises ValueError for anything else, and for negative numbers of those named in not_negative.
@@ -32,5 +34,7 @@ def columns_of(things: str, parameters: Mapping[str, Array], n: int) -> tuple[Ar
     """The parameters of each of n things, as contiguous (n,) arrays.  Raises ValueError for an array of another length."""
     for name, array in parameters.items():
         if array.shape not in ((), (n,)):
-            raise ValueError(f"{name} must be one number or {n}, one for each of the {things}; its shape is {array.shape}")
+            raise ValueError(
+                f"{name} must be one number or {n}, one for each of the {things}; its shape is {array.shape}"
+            )
     return tuple(np.ascontiguousarray(np.broadcast_to(array, n)) for array in parameters.values())

@@ -75,7 +75,14 @@ class FieldTerm(OwnTerm):
 
     acts_from_outside = True
 
-    def __init__(self, atoms: NDArray[np.int64], law: tuple, columns: tuple[Array, ...], anchors: Array = NOWHERE, warning: str = "") -> None:
+    def __init__(
+        self,
+        atoms: NDArray[np.int64],
+        law: tuple,
+        columns: tuple[Array, ...],
+        anchors: Array = NOWHERE,
+        warning: str = "",
+    ) -> None:
         self._atoms, self._law, self.anchors, self.warning = atoms, law, np.ascontiguousarray(anchors), warning
         self.columns = columns
         self._loop = add_field_forces if is_recognized(law) else without_cache(add_field_forces)
@@ -97,7 +104,9 @@ class OwnField(OwnPotential):
         if self.atoms is None:
             return np.arange(len(system))
         if self.atoms.max(initial=-1) >= len(system):
-            raise ValueError(f"atoms of {type(self).__name__} must be atoms 0 to {len(system) - 1}; they name atom {self.atoms.max()}")
+            raise ValueError(
+                f"atoms of {type(self).__name__} must be atoms 0 to {len(system) - 1}; they name atom {self.atoms.max()}"
+            )
         return self.atoms
 
 
@@ -143,7 +152,9 @@ class Gravity(OwnField):
         self.acceleration = checked_vectors("acceleration", [0.0, 0.0, -float(given)] if given.ndim == 0 else given)
         self.atoms = checked_atoms(atoms)
         if self.acceleration.ndim != 1:
-            raise ValueError(f"acceleration must be one number, downwards, or three; its shape is {self.acceleration.shape}")
+            raise ValueError(
+                f"acceleration must be one number, downwards, or three; its shape is {self.acceleration.shape}"
+            )
 
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
@@ -200,17 +211,33 @@ class SteeredSpring(Restraint):
     """
 
     def __init__(
-        self, k: ArrayLike, points: ArrayLike, velocity: ArrayLike, atoms: ArrayLike | None = None, *, start: float = 0.0, end: float = inf
+        self,
+        k: ArrayLike,
+        points: ArrayLike,
+        velocity: ArrayLike,
+        atoms: ArrayLike | None = None,
+        *,
+        start: float = 0.0,
+        end: float = inf,
     ) -> None:
         super().__init__(k, points, atoms)
         self.velocity, self.start = checked_vectors("velocity", velocity), checked_number("start", start)
         self.end = inf if isinstance(end, float) and end == inf else checked_number("end", end)
         if self.velocity.ndim != 1 or not self.end > self.start:
-            raise ValueError(f"velocity must be three numbers, and end after start; velocity = {shown(velocity)}, start = {start!r}, end = {end!r}")
+            raise ValueError(
+                f"velocity must be three numbers, and end after start; velocity = {shown(velocity)}, start = {start!r}, end = {end!r}"
+            )
 
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
-        return {"k": self.k, "points": self.points, "velocity": self.velocity, "atoms": self.atoms, "start": self.start, "end": self.end}
+        return {
+            "k": self.k,
+            "points": self.points,
+            "velocity": self.velocity,
+            "atoms": self.atoms,
+            "start": self.start,
+            "end": self.end,
+        }
 
     def points_at(self, time: float) -> Array:
         """p(t), of the shape of points [length]."""
@@ -276,5 +303,7 @@ def checked_stiffness(k: ArrayLike) -> Array:
 def vector_columns(name: str, vectors: Array, n: int) -> tuple[Array, ...]:
     """The components of vectors for each of n atoms, (n,) each.  Raises ValueError for another number of vectors."""
     if vectors.shape not in ((3,), (n, 3)):
-        raise ValueError(f"{name} must be three numbers or ({n}, 3), one row for each atom; its shape is {vectors.shape}")
+        raise ValueError(
+            f"{name} must be three numbers or ({n}, 3), one row for each atom; its shape is {vectors.shape}"
+        )
     return tuple(np.ascontiguousarray(np.broadcast_to(vectors[..., c], n)) for c in range(3))

@@ -49,7 +49,9 @@ def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, 
             raise TypeError(f"the law {_name(law)} must return two numbers, u and -u'(r)/r: {error}") from None
         return nan, nan
     except (TypeError, NameError, AttributeError, LookupError) as error:
-        raise TypeError(f"the law {_name(law)} must take r² and {len(parameters)} parameters and return u and -u'(r)/r: {error}") from None
+        raise TypeError(
+            f"the law {_name(law)} must take r² and {len(parameters)} parameters and return u and -u'(r)/r: {error}"
+        ) from None
 
 
 def _name(law: tuple) -> str:

@@ -101,5 +101,9 @@ def scaled(r2, law, parameters):
 
 
 LennardJonesLaw, HarmonicLaw = law_type("LennardJonesLaw", lennard_jones), law_type("HarmonicLaw", harmonic)
-MorseLaw, FENELaw, LennardJones93Law = law_type("MorseLaw", morse), law_type("FENELaw", fene), law_type("LennardJones93Law", lennard_jones_93)
+MorseLaw, FENELaw, LennardJones93Law = (
+    law_type("MorseLaw", morse),
+    law_type("FENELaw", fene),
+    law_type("LennardJones93Law", lennard_jones_93),
+)
 Scaled = law_type("Scaled", scaled)

@@ -48,7 +48,9 @@ class LennardJones(PairPotential):
         tail_correction: bool = False,
     ) -> None:
         if isinstance(epsilon, Mapping) == (sigma is not None):
-            raise ValueError("give LennardJones either epsilon and sigma, or one mapping from species to (epsilon, sigma)")
+            raise ValueError(
+                "give LennardJones either epsilon and sigma, or one mapping from species to (epsilon, sigma)"
+            )
         parameters: Any = epsilon if isinstance(epsilon, Mapping) else (epsilon, sigma)
         super().__init__(
             LennardJonesLaw(),
@@ -64,7 +66,11 @@ class LennardJones(PairPotential):
 
     def law_arguments(self) -> dict[str, Any]:
         """See PairPotential."""
-        return {"epsilon": self.parameters} if isinstance(self.parameters, dict) else dict(zip(("epsilon", "sigma"), self.parameters, strict=True))
+        return (
+            {"epsilon": self.parameters}
+            if isinstance(self.parameters, dict)
+            else dict(zip(("epsilon", "sigma"), self.parameters, strict=True))
+        )
 
     @property
     def shortest_length(self) -> float:

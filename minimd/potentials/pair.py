@@ -19,7 +19,10 @@ from minimd.structure.checks import checked_choice, checked_flag, checked_number
 from minimd.structure.system import System
 
 SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff
-ACCURACY, CONVERGED = 1e-12, 1e-8  # relative errors of tail integrals: the one requested, and the one above which an integral counts as divergent
+ACCURACY, CONVERGED = (
+    1e-12,
+    1e-8,
+)  # relative errors of tail integrals: the one requested, and the one above which an integral counts as divergent
 TRIED_AT = (0.47, 0.71, 0.93)  # of the cutoff: where a user's laws are tried
 UNSCALED = (1.0, 1.0, 1.0)
 MIXED = 1e-9  # relative difference between mixed parameters of a pair and of the reverse pair that rounding can explain
@@ -95,7 +98,10 @@ class PairPotential(OwnPotential):
         self.bonded_scale = _checked_scale(bonded_scale)
         self.tail_correction = checked_flag("tail_correction", tail_correction)
         if tail_correction and (truncation not in ("truncated", *SWITCHES) or self.cutoff == inf):
-            needed, given = f"a cutoff and truncation 'truncated', {listed(SWITCHES)}", f"cutoff = {self.cutoff}, truncation = {truncation!r}"
+            needed, given = (
+                f"a cutoff and truncation 'truncated', {listed(SWITCHES)}",
+                f"cutoff = {self.cutoff}, truncation = {truncation!r}",
+            )
             raise ValueError(f"tail_correction needs {needed}; there is no tail with {given}")
 
     def bind(self, system: System) -> PairTerm:
@@ -142,10 +148,27 @@ class PairPotential(OwnPotential):
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
         mixing = next((name for name, rule in MIXING.items() if rule is self.mixing), self.mixing)
-        cutoff = None if self.cutoff == inf else _one_order(self._cutoffs) if isinstance(self._cutoffs, dict) else self._cutoffs
-        arguments = {"cutoff": cutoff, "truncation": self.truncation, "mixing": mixing, "pairs": _one_order(self.pairs) or None}
-        arguments |= {"switch_start": self.switch_start, "bonded_scale": self.bonded_scale, "tail_correction": self.tail_correction}
-        return self.law_arguments() | {name: value for name, value in arguments.items() if name in signature(type(self)).parameters}
+        cutoff = (
+            None
+            if self.cutoff == inf
+            else _one_order(self._cutoffs)
+            if isinstance(self._cutoffs, dict)
+            else self._cutoffs
+        )
+        arguments = {
+            "cutoff": cutoff,
+            "truncation": self.truncation,
+            "mixing": mixing,
+            "pairs": _one_order(self.pairs) or None,
+        }
+        arguments |= {
+            "switch_start": self.switch_start,
+            "bonded_scale": self.bonded_scale,
+            "tail_correction": self.tail_correction,
+        }
+        return self.law_arguments() | {
+            name: value for name, value in arguments.items() if name in signature(type(self)).parameters
+        }
 
     def pair_energy(self, r: ArrayLike, first: Label | None = None, second: Label | None = None) -> NDArray[np.float64]:
         """u [energy] of two atoms of given species at distances r > 0 [length], truncation included; an array of r's shape.
@@ -156,7 +179,9 @@ class PairPotential(OwnPotential):
         distances = checked_numbers("r", r, "positive distances")
         if not (distances > 0.0).all():
             raise ValueError(f"r must be positive distances; r = {shown(r)}")
-        inside = [law_at(self.law, x, tuple(numbers))[0] if x * x < cutoff2 else 0.0 for x in distances.ravel().tolist()]
+        inside = [
+            law_at(self.law, x, tuple(numbers))[0] if x * x < cutoff2 else 0.0 for x in distances.ravel().tolist()
+        ]
         return np.array(inside).reshape(distances.shape)
 
     def tail(self, counts: NDArray[np.int64], species_names: Sequence[Label], volume: float) -> tuple[float, float]:
@@ -178,14 +203,18 @@ class PairPotential(OwnPotential):
         extra = TRUNCATIONS[self.truncation].numbers(self.plain_law, parameters, cutoff, self._switch_start_for(cutoff))
         if not all(map(isfinite, extra)) and self.truncation not in SWITCHES:
             hint = "a cutoff" if cutoff == inf else f"another cutoff than {cutoff:g}"
-            raise ValueError(f"the law must be finite at the cutoff, where it is {self.truncation}; it is {extra[0]}: give {hint}, or 'truncated'")
+            raise ValueError(
+                f"the law must be finite at the cutoff, where it is {self.truncation}; it is {extra[0]}: give {hint}, or 'truncated'"
+            )
         return (cutoff * cutoff, *extra, *parameters)
 
     def _cutoff_of(self, a: Any, b: Any) -> float:
         if not isinstance(self._cutoffs, dict):
             return self.cutoff
         if (a, b) not in self._cutoffs:
-            raise ValueError(f"cutoff has no entry for the pair of species {a!r}, {b!r}; it has {listed(self._cutoffs)}")
+            raise ValueError(
+                f"cutoff has no entry for the pair of species {a!r}, {b!r}; it has {listed(self._cutoffs)}"
+            )
         return self._cutoffs[a, b]
 
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
@@ -195,33 +224,57 @@ class PairPotential(OwnPotential):
             return self.pairs[a, b]
         for name in (a, b):
             if name not in self.parameters:
-                raise ValueError(f"{type(self).__name__} has no parameters for species {name!r}; it has {listed(self.parameters)}")
+                raise ValueError(
+                    f"{type(self).__name__} has no parameters for species {name!r}; it has {listed(self.parameters)}"
+                )
         if a == b:
             return self.parameters[a]
         if self.mixing is None:
-            raise ValueError(f"{type(self).__name__} has no parameters for the pair {a!r}, {b!r}; give them in pairs, or a mixing rule")
-        mixed, reverse = (self._checked_numbers(self.mixing(self.parameters[x], self.parameters[y]), (x, y)) for x, y in ((a, b), (b, a)))
-        if not len(mixed) == len(reverse) == len(self.parameters[a]) or not all(map(partial(isclose, rel_tol=MIXED), mixed, reverse)):
-            raise ValueError(f"mixing must give all parameters, the same for {a!r}, {b!r} as for {b!r}, {a!r}; it gives {mixed} and {reverse}")
+            raise ValueError(
+                f"{type(self).__name__} has no parameters for the pair {a!r}, {b!r}; give them in pairs, or a mixing rule"
+            )
+        mixed, reverse = (
+            self._checked_numbers(self.mixing(self.parameters[x], self.parameters[y]), (x, y))
+            for x, y in ((a, b), (b, a))
+        )
+        if not len(mixed) == len(reverse) == len(self.parameters[a]) or not all(
+            map(partial(isclose, rel_tol=MIXED), mixed, reverse)
+        ):
+            raise ValueError(
+                f"mixing must give all parameters, the same for {a!r}, {b!r} as for {b!r}, {a!r}; it gives {mixed} and {reverse}"
+            )
         return mixed
 
     def _check_species_of_pairs(self, species_names: Sequence[Label]) -> None:
         """Raise ValueError if pairs name a species that appears nowhere else, unless only pairs have parameters."""
-        known = [*self.parameters, *(name for name in species_names if name not in self.parameters)] if isinstance(self.parameters, dict) else []
+        known = (
+            [*self.parameters, *(name for name in species_names if name not in self.parameters)]
+            if isinstance(self.parameters, dict)
+            else []
+        )
         for name in (name for pair in self.pairs for name in pair):
             if self.parameters and name not in known:
-                raise ValueError(f"pairs of {type(self).__name__} must be of known species, {listed(known)}; they name {name!r}{near(name, known)}")
+                raise ValueError(
+                    f"pairs of {type(self).__name__} must be of known species, {listed(known)}; they name {name!r}{near(name, known)}"
+                )
 
     def _checked_parameters(self, given: Any, pairs: Any) -> tuple[Parameters | dict[Label, Parameters], dict]:
         """Parameters of all atoms or of each species, and those of pairs in both orders."""
         if not isinstance(given, Mapping):
             if pairs is not None and len(pairs):
-                raise ValueError(f"pairs of {type(self).__name__} need parameters that are a mapping from species; parameters = {shown(given)}")
+                raise ValueError(
+                    f"pairs of {type(self).__name__} need parameters that are a mapping from species; parameters = {shown(given)}"
+                )
             return self._checked_numbers(given, None), {}
         by_label = {label: self._checked_numbers(numbers, label) for label, numbers in given.items()}
-        by_pair = {pair: self._checked_numbers(numbers, pair) for pair, numbers in _symmetric("pairs", {} if pairs is None else pairs).items()}
+        by_pair = {
+            pair: self._checked_numbers(numbers, pair)
+            for pair, numbers in _symmetric("pairs", {} if pairs is None else pairs).items()
+        }
         if len({len(numbers) for numbers in (*by_label.values(), *by_pair.values())}) > 1:
-            raise ValueError(f"all species and pairs must have the same number of parameters; they are {shown(by_label | by_pair)}")
+            raise ValueError(
+                f"all species and pairs must have the same number of parameters; they are {shown(by_label | by_pair)}"
+            )
         return by_label, by_pair
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
@@ -242,7 +295,11 @@ class PairPotential(OwnPotential):
             inside = evaluate_law(self.law, r * r, tuple(numbers))[k] if x < 1.0 else 0.0
             return cutoff * (evaluate_law(self.plain_law, r * r, parameters)[k] - inside) * r ** (2 + 2 * k)
 
-        ranges = [(1.0, inf)] if self.truncation == "truncated" else [(self._switch_start_for(cutoff) / cutoff, 1.0), (1.0, inf)]
+        ranges = (
+            [(1.0, inf)]
+            if self.truncation == "truncated"
+            else [(self._switch_start_for(cutoff) / cutoff, 1.0), (1.0, inf)]
+        )
         return np.array([sum(_integral(partial(left_out, k), *limits) for limits in ranges) for k in (0, 1)])
 
     def _switch_start_for(self, cutoff: float) -> float:
@@ -256,7 +313,9 @@ class PairPotential(OwnPotential):
         if self.truncation not in SWITCHES:
             raise ValueError(f"switch_start is for truncation {listed(SWITCHES)}; truncation = {self.truncation!r}")
         if not 0.0 < checked_number("switch_start", start) < self.shortest_length:
-            raise ValueError(f"switch_start must lie between 0 and the cutoff {self.shortest_length}; switch_start = {start}")
+            raise ValueError(
+                f"switch_start must lie between 0 and the cutoff {self.shortest_length}; switch_start = {start}"
+            )
         return float(start)
 
 
@@ -265,7 +324,9 @@ class PairTerm(OwnTerm):
 
     def __init__(self, potential: PairPotential, system: System) -> None:
         table = potential.table(system.species_names)
-        self.pair_law = PairLaw(type(potential).__name__, potential.law, table, potential.cutoff, potential.bonded_scale)
+        self.pair_law = PairLaw(
+            type(potential).__name__, potential.law, table, potential.cutoff, potential.bonded_scale
+        )
         self.cutoff, self.shortest_length, self._potential = potential.cutoff, potential.shortest_length, potential
         self._species = np.bincount(system.species_index, minlength=len(system.species_names)), system.species_names
         if potential.bonded_scale != UNSCALED and not len(system.bonds):
@@ -295,7 +356,9 @@ def _integral(function: Callable[[float], float], low: float, high: float) -> fl
 
     value, error = quad(function, low, high, epsabs=0.0, epsrel=ACCURACY, full_output=1)[:2]
     if not error <= CONVERGED * abs(value):
-        raise ValueError(f"tail_correction needs a law that falls off faster than 1/r³; its integral is {value:.3g} ± {error:.1g}")
+        raise ValueError(
+            f"tail_correction needs a law that falls off faster than 1/r³; its integral is {value:.3g} ± {error:.1g}"
+        )
     return value
 
 
@@ -307,7 +370,10 @@ def _checked_cutoffs(cutoff: Any) -> float | dict[tuple[Label, Label], float]:
         return checked_number("cutoff", cutoff, "positive and finite")
     if not cutoff:
         raise ValueError("cutoff must be a number, or a mapping with an entry for each pair of species; it is empty")
-    return _symmetric("cutoff", {pair: checked_number(f"cutoff of {pair!r}", value, "positive and finite") for pair, value in cutoff.items()})
+    return _symmetric(
+        "cutoff",
+        {pair: checked_number(f"cutoff of {pair!r}", value, "positive and finite") for pair, value in cutoff.items()},
+    )
 
 
 def _checked_scale(bonded_scale: Sequence[float]) -> tuple[float, ...]:
@@ -321,7 +387,9 @@ def _checked_scale(bonded_scale: Sequence[float]) -> tuple[float, ...]:
 def _symmetric(name: str, by_pair: Any) -> dict:
     """The same mapping with each pair of species in both orders."""
     if not isinstance(by_pair, Mapping) or not all(isinstance(pair, tuple) and len(pair) == 2 for pair in by_pair):
-        raise ValueError(f"{name} must be a mapping from pairs of species, such as ('A', 'B'); {name} = {shown(by_pair)}")
+        raise ValueError(
+            f"{name} must be a mapping from pairs of species, such as ('A', 'B'); {name} = {shown(by_pair)}"
+        )
     for (a, b), value in by_pair.items():
         if np.any(by_pair.get((b, a), value) != value):
             raise ValueError(f"the pair {a!r}, {b!r} must be given once; it has {value} and {by_pair[b, a]}")

@@ -87,7 +87,9 @@ def add_pair_forces(positions, pairs, law, parameters, detail, sums):
         x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
         fx = fy = fz = no_force(sums)
         energy = xx = yy = zz = yz = xz = xy = size2 = 0.0
-        for p in range(np.uintp(pairs.start[i]), np.uintp(pairs.start[i + 1])):  # unsigned: no check for indices that count from the end
+        for p in range(
+            np.uintp(pairs.start[i]), np.uintp(pairs.start[i + 1])
+        ):  # unsigned: no check for indices that count from the end
             j = np.uintp(pairs.second[p])
             dx, dy, dz = positions[j, 0] - x, positions[j, 1] - y, positions[j, 2] - z
             if shifted:
@@ -105,7 +107,12 @@ def add_pair_forces(positions, pairs, law, parameters, detail, sums):
                 size2 += f * f * r2
                 if detail != FORCES:
                     hx, hy, hz = f * dx, f * dy, f * dz
-                    u, wxx, wyy, wzz = in_steps(u, sums), in_steps(hx * dx, sums), in_steps(hy * dy, sums), in_steps(hz * dz, sums)
+                    u, wxx, wyy, wzz = (
+                        in_steps(u, sums),
+                        in_steps(hx * dx, sums),
+                        in_steps(hy * dy, sums),
+                        in_steps(hz * dz, sums),
+                    )
                     wyz, wxz, wxy = in_steps(hy * dz, sums), in_steps(hx * dz, sums), in_steps(hx * dy, sums)
                     energy += u
                     xx, yy, zz, yz, xz, xy = xx + wxx, yy + wyy, zz + wzz, yz + wyz, xz + wxz, xy + wxy

@@ -118,7 +118,9 @@ class Tabulated(PairPotential):
         if not self.r[0] < self.shortest_length <= self.cutoff <= self.r[-1]:
             wrong = self.cutoff if self.cutoff > self.r[-1] else self.shortest_length
             ends = f"which goes from r = {self.r[0]:g} to {self.r[-1]:g}"
-            raise ValueError(f"cutoff must lie within the table, {ends}; cutoff = {wrong:g}: give another cutoff, or a longer table")
+            raise ValueError(
+                f"cutoff must lie within the table, {ends}; cutoff = {wrong:g}: give another cutoff, or a longer table"
+            )
 
     def law_arguments(self) -> dict[str, Any]:
         """See PairPotential."""
@@ -133,14 +135,18 @@ class Tabulated(PairPotential):
 def _checked_distances(r: Any) -> NDArray[np.float64]:
     distances = checked_numbers("r", r, "increasing distances")
     if distances.ndim != 1 or len(distances) < FEWEST:
-        raise ValueError(f"r must be at least {FEWEST} distances, for a spline of degree {DEGREE}; its shape is {distances.shape}")
+        raise ValueError(
+            f"r must be at least {FEWEST} distances, for a spline of degree {DEGREE}; its shape is {distances.shape}"
+        )
     wrong = np.flatnonzero(~(np.isfinite(distances) & (distances >= 0.0)))
     if wrong.size:
         raise ValueError(f"r must be finite and not negative; r[{wrong[0]}] = {distances[wrong[0]]:g}")
     wrong = np.flatnonzero(np.diff(distances) <= 0.0)
     if wrong.size:
         k = wrong[0]
-        raise ValueError(f"r must increase; r[{k + 1}] = {distances[k + 1]:g} follows r[{k}] = {distances[k]:g}: sort the table, each r once")
+        raise ValueError(
+            f"r must increase; r[{k + 1}] = {distances[k + 1]:g} follows r[{k}] = {distances[k]:g}: sort the table, each r once"
+        )
     return distances
 
 
@@ -152,7 +158,9 @@ def _checked_energies(u: Any, r: NDArray[np.float64], pair: Any) -> NDArray[np.f
         raise ValueError(f"{name} must be {len(r)} energies, one for each r; its shape is {energies.shape}")
     wrong = np.flatnonzero(~np.isfinite(energies))
     if wrong.size:
-        raise ValueError(f"{name} must be finite; it is {shown(energies[wrong[0]].item())} at r[{wrong[0]}] = {r[wrong[0]]:g}: leave such points out")
+        raise ValueError(
+            f"{name} must be finite; it is {shown(energies[wrong[0]].item())} at r[{wrong[0]}] = {r[wrong[0]]:g}: leave such points out"
+        )
     return energies
 
 
@@ -162,5 +170,8 @@ def _table(r: NDArray[np.float64], u: NDArray[np.float64]) -> Table:
 
     splines = [make_interp_spline(r, row, DEGREE) for row in u]
     powers = range(DEGREE, -1, -1)
-    coefficients = [np.stack([one.derivative(k)(r[:-1]) / factorial(k) if k else one(r[:-1]) for k in powers], axis=-1) for one in splines]
+    coefficients = [
+        np.stack([one.derivative(k)(r[:-1]) / factorial(k) if k else one(r[:-1]) for k in powers], axis=-1)
+        for one in splines
+    ]
     return Table(r, np.array(coefficients), (len(r) - 1) / float(r[-1] - r[0]))

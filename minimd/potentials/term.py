@@ -17,10 +17,16 @@ from minimd.structure.system import System
 
 FORCES, TOTALS, PER_ATOM = 0, 1, 2  # the detail of an evaluation; each includes the ones before
 BOND_LOOP = "bond loop"
-TRIES, SHAKEN, STEP = 3, 1e-2, 1e-4  # comparisons of force and energy; from where, and how far atoms move, see _length_of
+TRIES, SHAKEN, STEP = (
+    3,
+    1e-2,
+    1e-4,
+)  # comparisons of force and energy; from where, and how far atoms move, see _length_of
 ROUGH = 10.0  # of a slope: relative to the difference of two of them
 CLOSE = 1e-2  # the closest distance that counts, relative to the mean spacing of atoms
-INTERPRETERS: list[Callable[[Any], Sequence[Any] | None]] = []  # for objects that are no potentials; minimd/__init__ adds those of the bridges
+INTERPRETERS: list[
+    Callable[[Any], Sequence[Any] | None]
+] = []  # for objects that are no potentials; minimd/__init__ adds those of the bridges
 
 
 class PairLaw(NamedTuple):
@@ -179,14 +185,21 @@ class OwnPotential(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        return [("potential", type(self).__name__), *((name, as_text(value)) for name, value in self.arguments().items())]
+        return [
+            ("potential", type(self).__name__),
+            *((name, as_text(value)) for name, value in self.arguments().items()),
+        ]
 
 
 def as_potentials(given: Any) -> tuple[Any, ...]:
     """One potential or several as a tuple; objects of other kinds are replaced by the potentials that an INTERPRETER has for them."""
     potentials: list[Any] = []
     for one in given if isinstance(given, list | tuple) else (given,):
-        found = None if hasattr(one, "bind") else next((own for interpret in INTERPRETERS if (own := interpret(one)) is not None), None)
+        found = (
+            None
+            if hasattr(one, "bind")
+            else next((own for interpret in INTERPRETERS if (own := interpret(one)) is not None), None)
+        )
         potentials.extend([one] if found is None else found)
     return tuple(potentials)
 
@@ -197,7 +210,9 @@ def bound(potential: Any, system: System) -> Term:
     Raises TypeError for something that is no potential, or binds to something that is no term.
     """
     if not hasattr(potential, "bind"):
-        raise TypeError(f"potentials must be potentials of minimd, such as LennardJones or HarmonicBond; got {shown(potential)}")
+        raise TypeError(
+            f"potentials must be potentials of minimd, such as LennardJones or HarmonicBond; got {shown(potential)}"
+        )
     term = potential.bind(system)
     if isinstance(term, Term):
         return term
@@ -205,7 +220,13 @@ def bound(potential: Any, system: System) -> Term:
         wanted = "an object with add(system, detail, forces, energies, virials)"
         raise TypeError(f"bind must return a term, {wanted}; that of {shown(potential)} is {shown(term)}")
     completed = Term()  # what the object has, and the defaults of a Term
-    completed.__dict__.update({name: getattr(term, name) for name in ("add", "skipped", "acts_from_outside", "is_checked") if hasattr(term, name)})
+    completed.__dict__.update(
+        {
+            name: getattr(term, name)
+            for name in ("add", "skipped", "acts_from_outside", "is_checked")
+            if hasattr(term, name)
+        }
+    )
     return completed
 
 
@@ -222,7 +243,9 @@ def check_force(potential: Any, system: System, time: float) -> None:
         return
     term, rng, length = bound(potential, system), np.random.default_rng(1), _length_of(system)
     term.time, n_compared, wrong = time, 0, []
-    here = system.positions + SHAKEN * length * rng.standard_normal(system.positions.shape)  # where no force is zero by symmetry
+    here = system.positions + SHAKEN * length * rng.standard_normal(
+        system.positions.shape
+    )  # where no force is zero by symmetry
 
     def at(displacement: NDArray | float) -> tuple[NDArray, NDArray]:
         forces, energies, virials = np.zeros_like(here), np.zeros(len(here)), np.zeros((len(here), 6))
@@ -233,13 +256,17 @@ def check_force(potential: Any, system: System, time: float) -> None:
     forces, energies = at(0.0)
     for way in rng.standard_normal((TRIES, *here.shape)) if energies.any() else ():
         force = float((forces * way).sum())
-        slope, other = (float((at(-h * way)[1] - at(h * way)[1]).sum()) / (2.0 * h) for h in (STEP * length, 2.0 * STEP * length))
+        slope, other = (
+            float((at(-h * way)[1] - at(h * way)[1]).sum()) / (2.0 * h) for h in (STEP * length, 2.0 * STEP * length)
+        )
         n_compared += bool(np.isfinite([force, slope, other]).all())
         if not agree(force, slope, np.abs(energies).sum() / length, ROUGH * abs(slope - other)):
             wrong.append(f"for a displacement w of all atoms F·w = {force:.6g}, but -dU/dw = {slope:.6g}")
     if 2 * len(wrong) > n_compared:
         why_not = "a term whose force is no gradient sets is_checked = False"
-        raise ValueError(f"the force of {shown(potential)} must be minus the gradient of its energy; {wrong[0]}; {why_not}")
+        raise ValueError(
+            f"the force of {shown(potential)} must be minus the gradient of its energy; {wrong[0]}; {why_not}"
+        )
 
 
 def _length_of(system: System) -> float:

@@ -83,7 +83,13 @@ def smooth(r2, law, parameters):
     y = max(0.0, min(1.0, (r2 - parameters[0]) * scale))
     z = 1.0 - y
     y3, z3 = y * y * y, z * z * z
-    s = z3 * z3 * z * z * (1.0 + y * (8.0 + y * (36.0 + y * (120.0 + y * (330.0 + y * (792.0 + y * (1716.0 + y * 3432.0)))))))
+    s = (
+        z3
+        * z3
+        * z
+        * z
+        * (1.0 + y * (8.0 + y * (36.0 + y * (120.0 + y * (330.0 + y * (792.0 + y * (1716.0 + y * 3432.0)))))))
+    )
     slope = -51480.0 * y3 * y3 * y * z3 * z3 * z * scale  # dS/d(r²)
     return s * u, s * f - 2.0 * slope * u
 
@@ -100,7 +106,11 @@ def _value_and_slope(law: tuple, parameters: tuple, cutoff: float, _switch_start
     return (u, -f * cutoff, cutoff)
 
 
-Shifted, ForceShifted, Switched = law_type("Shifted", shifted), law_type("ForceShifted", force_shifted), law_type("Switched", switched)
+Shifted, ForceShifted, Switched = (
+    law_type("Shifted", shifted),
+    law_type("ForceShifted", force_shifted),
+    law_type("Switched", switched),
+)
 CharmmSwitched, Smooth = law_type("CharmmSwitched", charmm), law_type("Smooth", smooth)
 
 TRUNCATIONS = {
@@ -108,9 +118,15 @@ TRUNCATIONS = {
     "shifted": Truncation(Shifted, lambda law, parameters, cutoff, switch_start: law_at(law, cutoff, parameters)[:1]),
     "force-shifted": Truncation(ForceShifted, _value_and_slope),
     "switched": Truncation(Switched, lambda law, parameters, cutoff, switch_start: (switch_start, cutoff)),
-    "charmm": Truncation(CharmmSwitched, lambda law, parameters, cutoff, switch_start: (switch_start * switch_start, cutoff * cutoff)),
-    "smooth": Truncation(Smooth, lambda law, parameters, cutoff, switch_start: (switch_start * switch_start, cutoff * cutoff)),
+    "charmm": Truncation(
+        CharmmSwitched, lambda law, parameters, cutoff, switch_start: (switch_start * switch_start, cutoff * cutoff)
+    ),
+    "smooth": Truncation(
+        Smooth, lambda law, parameters, cutoff, switch_start: (switch_start * switch_start, cutoff * cutoff)
+    ),
 }
 
-TruncationName = Literal["truncated", "shifted", "force-shifted", "switched", "charmm", "smooth"]  # the keys of TRUNCATIONS
+TruncationName = Literal[
+    "truncated", "shifted", "force-shifted", "switched", "charmm", "smooth"
+]  # the keys of TRUNCATIONS
 SWITCHES = ("switched", "charmm", "smooth")  # those that start at r_on

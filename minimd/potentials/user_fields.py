@@ -46,7 +46,9 @@ class Field(OwnField):
 
     def __init__(self, law: Callable, parameters: Sequence[ArrayLike] = (), atoms: ArrayLike | None = None) -> None:
         if not isinstance(parameters, Sequence) or isinstance(parameters, str):
-            raise TypeError(f"parameters must be a tuple with one entry for each parameter of the law; parameters = {shown(parameters)}")
+            raise TypeError(
+                f"parameters must be a tuple with one entry for each parameter of the law; parameters = {shown(parameters)}"
+            )
         self.law = checked_law(law)
         self.parameters = checked_each("atoms", {f"parameter {k}": values for k, values in enumerate(parameters)})
         self.atoms = checked_atoms(atoms)
@@ -60,7 +62,9 @@ class Field(OwnField):
         atoms = self.atoms_in(system)
         columns = columns_of("atoms", self.parameters, len(atoms))
         some = np.unique(np.linspace(0, len(atoms) - 1, TRIED).astype(int)) if len(atoms) else ()
-        tried = [_Tried(self.law, system.positions[atoms[k]], tuple(column[k].item() for column in columns)) for k in some]
+        tried = [
+            _Tried(self.law, system.positions[atoms[k]], tuple(column[k].item() for column in columns)) for k in some
+        ]
         faults = [fault for one in tried for time in TIMES for fault in one.wrong(time)]
         for k, sentence in faults:
             if 2 * sum(other == k for other, _ in faults) > len(tried) * len(TIMES):
@@ -108,9 +112,15 @@ class _Tried:
                 at = f"at ({', '.join(f'{c:.4g}' for c in self.place)}), t = {time:g}"
                 what = f"-∂u/∂{'xyz'[k]}" if k < len("xyz") else "∂u/∂t"
                 if k == len(told):
-                    yield k, f"the law must return ∂u/∂t as its fifth number, because u depends on t; {at} it is {slope:.6g}"
+                    yield (
+                        k,
+                        f"the law must return ∂u/∂t as its fifth number, because u depends on t; {at} it is {slope:.6g}",
+                    )
                 else:
-                    yield k, f"the law must return u, -∇u and ∂u/∂t; {at} it returns {said:.6g} where {what} is {slope:.6g}"
+                    yield (
+                        k,
+                        f"the law must return u, -∇u and ∂u/∂t; {at} it returns {said:.6g} where {what} is {slope:.6g}",
+                    )
 
     def repeats(self, system: System) -> str:
         """A warning if the force is another one lattice vector away; empty if not."""

@@ -60,7 +60,9 @@ def user_law(function: Callable) -> UserLaw:
     not a function.
     """
     if not isinstance(function, FunctionType | Dispatcher):
-        raise TypeError(f"a law must be a function law(r2, *parameters) that returns u and -u'(r)/r; it is {shown(function)}")
+        raise TypeError(
+            f"a law must be a function law(r2, *parameters) that returns u and -u'(r)/r; it is {shown(function)}"
+        )
     if function in _unrecognized:  # a copy of a law type asks for it again
         return _unrecognized[function]()
     snapshot = Snapshot(function)
@@ -79,7 +81,11 @@ def is_user_law(law: tuple) -> bool:
 
 def is_recognized(law: tuple) -> bool:
     """False if the law type, or the one inside it, is that of a user's law that the disk cache cannot recognize."""
-    return law.is_recognized if isinstance(law, UserLaw) else all(is_recognized(inner) for inner in law if isinstance(inner, tuple))
+    return (
+        law.is_recognized
+        if isinstance(law, UserLaw)
+        else all(is_recognized(inner) for inner in law if isinstance(inner, tuple))
+    )
 
 
 def _unrecognized_law(snapshot: Snapshot) -> UserLaw:

@@ -33,7 +33,9 @@ class OwnWall(OwnField):
     around: ClassVar[Any]  # Planar or Curved
     names: ClassVar[tuple[str, ...]]  # of the arguments that place it
 
-    def _hold(self, epsilon: ArrayLike, sigma: ArrayLike, cutoff: float | None, law: WallLaw, atoms: ArrayLike | None) -> None:
+    def _hold(
+        self, epsilon: ArrayLike, sigma: ArrayLike, cutoff: float | None, law: WallLaw, atoms: ArrayLike | None
+    ) -> None:
         self.parameters = checked_each("atoms", {"epsilon": epsilon, "sigma": sigma}, not_negative=("epsilon",))
         if (self.parameters["sigma"] <= 0.0).any():
             raise ValueError(f"sigma must be positive; sigma = {shown(self.parameters['sigma'].tolist())}")
@@ -76,7 +78,11 @@ class OwnWall(OwnField):
         at_cutoff = np.array([0.0 if reach == inf else law_at(law, reach, tuple(row.tolist()))[0] for row in rows])
         direction, place = self._place()
         numbers = [*direction.tolist(), place, reach]
-        columns = (*(np.full(len(atoms), one) for one in numbers), np.ascontiguousarray(at_cutoff[of_each.reshape(-1)]), *own)
+        columns = (
+            *(np.full(len(atoms), one) for one in numbers),
+            np.ascontiguousarray(at_cutoff[of_each.reshape(-1)]),
+            *own,
+        )
         return FieldTerm(atoms, self.around(Shifted(law)), columns, self._anchors(len(atoms)))
 
 
@@ -122,7 +128,9 @@ class Wall(OwnWall):
         crossed = np.abs((vectors * self.normal).sum(axis=1)) > ALONG * np.linalg.norm(vectors, axis=1)
         if crossed.any():
             name = "abc"[np.flatnonzero(system.cell.pbc)[np.argmax(crossed)]]
-            raise ValueError(f"a Wall must lie along all periodic directions; it crosses {name}: set pbc to False there, or turn the wall")
+            raise ValueError(
+                f"a Wall must lie along all periodic directions; it crosses {name}: set pbc to False there, or turn the wall"
+            )
         distances: Array = ((positions - self.point) * self.normal).sum(axis=1)
         return distances
 
@@ -222,7 +230,9 @@ def _vector(name: str, values: ArrayLike) -> Array:
 def _unit_vector(name: str, values: ArrayLike) -> Array:
     array = _vector(name, values)
     largest = float(np.abs(array).max())
-    length = largest * float(np.linalg.norm(array / largest)) if largest > 0.0 else 0.0  # no square leaves the range of floats
+    length = (
+        largest * float(np.linalg.norm(array / largest)) if largest > 0.0 else 0.0
+    )  # no square leaves the range of floats
     if not 0.0 < length < inf:
         raise ValueError(f"{name} must not be zero, nor of infinite length; {name} = {array.tolist()}")
     return array / length

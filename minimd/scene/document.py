@@ -55,7 +55,9 @@ class Scene:
         made = []
         for index, section in enumerate(self.sections.potential):
             with _blamed_on(f"{self.path}: potential[{index}]"):
-                made.append(section.potential(self._table) if isinstance(section, TabulatedSection) else section.potential())
+                made.append(
+                    section.potential(self._table) if isinstance(section, TabulatedSection) else section.potential()
+                )
         return made
 
     def tables(self) -> dict[str, Numbers]:
@@ -63,7 +65,9 @@ class Scene:
         found: dict[str, Numbers] = {}
         for index, section in enumerate(self.sections.potential):
             with _blamed_on(f"{self.path}: potential[{index}]"):
-                found |= {name: self._table(name) for name in (section.files if isinstance(section, TabulatedSection) else ())}
+                found |= {
+                    name: self._table(name) for name in (section.files if isinstance(section, TabulatedSection) else ())
+                }
         return found
 
     def whole_text(self) -> str:
@@ -90,7 +94,11 @@ class Scene:
         dynamics, start = self.sections.dynamics, self.system() if system is None else self._constrained(system.copy())
         potentials, method = self.potentials(), self.method()
         with _blamed_on(str(self.path)):
-            options: dict[str, Any] = {"threads": dynamics.threads, "precision": dynamics.precision, "barostat": self.barostat()}
+            options: dict[str, Any] = {
+                "threads": dynamics.threads,
+                "precision": dynamics.precision,
+                "barostat": self.barostat(),
+            }
             simulation = Simulation(start, potentials, method, **options)
         simulation.engine.notes.update(title=self.sections.title or "", scene=self.whole_text())
         for name in self.sections.output.extra_observables:
@@ -104,7 +112,9 @@ class Scene:
         """New observers as described in the scene.  Raises ValueError, with the name of the file, if two have the same name."""
         made = [section.observer() for section in self.sections.observer]
         if len({one.name for one in made}) < len(made):
-            raise ValueError(f"{self.path}: two observers have the same name; give each observer of the same kind another name")
+            raise ValueError(
+                f"{self.path}: two observers have the same name; give each observer of the same kind another name"
+            )
         return made
 
     def trajectories(self, instead: Path | None = None) -> list[Path]:
@@ -128,7 +138,9 @@ class Scene:
         if plot is False or (beside and not drawn):
             return None
         if not drawn:
-            raise ValueError(f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = {list(map(str, trajectories))}")
+            raise ValueError(
+                f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = {list(map(str, trajectories))}"
+            )
         picture = Path(plot) if isinstance(plot, str) else drawn[0].with_suffix(".png")
         return drawn[0].with_suffix(picture.suffix) if beside else picture
 
@@ -146,7 +158,11 @@ class Scene:
         return system
 
     def _from_lattice(self) -> System:
-        structure, lattice, element = self.sections.structure, self.sections.structure.lattice or "", self.sections.structure.element
+        structure, lattice, element = (
+            self.sections.structure,
+            self.sections.structure.lattice or "",
+            self.sections.structure.element,
+        )
         mass = 1.0
         if self.units is units.ASE:
             from minimd.files.structure_file import atomic_mass
@@ -155,7 +171,15 @@ class Scene:
         edge = structure.lattice_constant or constant_from_density(lattice, structure.density or 0.0, mass)
         positions, edges = crystal(lattice, structure.repeat or [], edge)
         species = structure.species or (element and [element] * len(positions))
-        return System(positions, masses=mass, cell=edges, pbc=structure.pbc, species=species, bonds=structure.bonds, units=self.units)
+        return System(
+            positions,
+            masses=mass,
+            cell=edges,
+            pbc=structure.pbc,
+            species=species,
+            bonds=structure.bonds,
+            units=self.units,
+        )
 
     def _from_file(self) -> System:
         from minimd.files.structure_file import changed, system_from_file
@@ -199,7 +223,9 @@ def stored_scene(text: str, file: Path) -> Scene:
     for index, section in enumerate(scene.sections.potential):
         for name in section.files if isinstance(section, TabulatedSection) else ():
             if name not in scene.sections.tables:
-                raise ValueError(f"{file}: potential[{index}] of the stored scene must have its table in the scene; it names {name!r}")
+                raise ValueError(
+                    f"{file}: potential[{index}] of the stored scene must have its table in the scene; it names {name!r}"
+                )
     return scene
 
 

@@ -27,9 +27,13 @@ def hand_over_scene(
     simulation = scene.simulation()
     for line in description(scene, simulation, n_steps):
         tell(line)
-    check_hand_over(simulation, folder, n_steps, processes=processes, every=output.every, overwrite=overwrite)  # before the minimization begins
+    check_hand_over(
+        simulation, folder, n_steps, processes=processes, every=output.every, overwrite=overwrite
+    )  # before the minimization begins
     if scene.sections.observer:
-        tell("NOTE           the observers of the scene are not used: they work in runs of minimd only, and LAMMPS makes this run")
+        tell(
+            "NOTE           the observers of the scene are not used: they work in runs of minimd only, and LAMMPS makes this run"
+        )
     minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell)
     done = hand_over(

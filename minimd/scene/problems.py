@@ -41,7 +41,11 @@ def problems(reading: Reading, error: ValidationError) -> list[str]:
             wrong.setdefault(place, []).append(sentence)
     if "units" in wrong:  # then all other keys seem wrong, too
         wrong = {"units": wrong["units"]}
-    return [_joined(sentences) for place, sentences in wrong.items() if not any(other.startswith(place + "[") for other in wrong)]
+    return [
+        _joined(sentences)
+        for place, sentences in wrong.items()
+        if not any(other.startswith(place + "[") for other in wrong)
+    ]
 
 
 def _told(details: Any, reading: Reading) -> tuple[str, str]:
@@ -55,21 +59,36 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
         path = f"{place}.{keys[0]}".removeprefix(".")
         return path, " or ".join([f"{path} is missing; give it", *keys[1:]])
     if kind == "union_tag_not_found":
-        *kinds, last = (repr(get_args(one.model_fields["type"].annotation)[0]) for one in sections_below(Section) if "type" in one.model_fields)
+        *kinds, last = (
+            repr(get_args(one.model_fields["type"].annotation)[0])
+            for one in sections_below(Section)
+            if "type" in one.model_fields
+        )
         return place, f"{place}.type is missing; give the kind of the potential: {', '.join(kinds)} or {last}"
     if kind == "union_tag_invalid":
-        return place, f"{place}.type must be one of {details['ctx']['expected_tags']}; {place}.type = {_shown(value['type'])}"
+        return (
+            place,
+            f"{place}.type must be one of {details['ctx']['expected_tags']}; {place}.type = {_shown(value['type'])}",
+        )
     if kind == "model_type" and not isinstance(value, dict):
         section = next(one for one in sections_below(Section) if one.__name__ == details["ctx"]["class_name"])
-        return place, f"{place} must be a table with the keys {', '.join(section.keys(reading.units))}; {place} = {_shown(value)}"
+        return (
+            place,
+            f"{place} must be a table with the keys {', '.join(section.keys(reading.units))}; {place} = {_shown(value)}",
+        )
     if place == "potential" and isinstance(value, dict):
-        return place, "potential must be written [[potential]], with two brackets, because a scene can have several; it is [potential]"
+        return (
+            place,
+            "potential must be written [[potential]], with two brackets, because a scene can have several; it is [potential]",
+        )
     words = details["msg"]
     for theirs, ours in PLAIN.items():
         words = words.replace(theirs, ours)
     words = words.partition(" after validation")[0]
     hint = THREE.get(loc[:2], "") if isinstance(value, list) and len(value) != 3 else ""
-    return place, f"{place} {words}".strip() + ("" if isinstance(value, dict) else f"; {place} = {_shown(value)}") + hint
+    return place, f"{place} {words}".strip() + (
+        "" if isinstance(value, dict) else f"; {place} = {_shown(value)}"
+    ) + hint
 
 
 def _about_key(loc: tuple, reading: Reading) -> str:
@@ -109,7 +128,9 @@ def _joined(sentences: list[str]) -> str:
     first, *others = dict.fromkeys(sentences)
     for other in others:
         head, _, tail = first.partition(";")
-        first = f"{head} or {other.partition(' must be ')[2].partition(';')[0]};{tail}" if " must be " in other else first
+        first = (
+            f"{head} or {other.partition(' must be ')[2].partition(';')[0]};{tail}" if " must be " in other else first
+        )
     return first
 
 

@@ -91,7 +91,12 @@ def run_scene(
 
 
 def resume_run(
-    file: str | Path, steps: int | None = None, *, scene: Scene | None = None, progress: bool | None = None, tell: Tell = print
+    file: str | Path,
+    steps: int | None = None,
+    *,
+    scene: Scene | None = None,
+    progress: bool | None = None,
+    tell: Tell = print,
 ) -> Simulation:
     """Go on with the run in an H5MD file from its restart, and append to this file; other trajectories are cut to their frames up to it.
 
@@ -114,7 +119,9 @@ def resume_run(
     given, scene = scene, scene or stored
     if scene is None:
         go_on = f"sim = minimd.Simulation.resume({str(file)!r}, potentials); sim.run(n_steps, trajectory={str(file)!r}, append=True)"
-        raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; go on in the script: {go_on}")
+        raise ValueError(
+            f"file {str(file)!r} holds no scene from which to rebuild its potentials; go on in the script: {go_on}"
+        )
     end = scene.sections.dynamics.steps if steps is None else contents.step + steps
     if steps is None and end <= contents.step and contents.lacks_results:  # killed after its last step
         end = contents.step
@@ -124,7 +131,8 @@ def resume_run(
             f"give the number of further steps with --steps"
         )
     if stored is not None and (other := differences(stored, scene)):
-        tell("NOTE           the scene given replaces that of the run so far; frames before and after differ in what is listed here:")
+        tell("NOTE           the scene given replaces that of the run so far; frames before and after differ")
+        tell("               in what is listed here:")
         for line in other:
             tell(f"               {line}")
     if contents.repaired:
@@ -141,15 +149,25 @@ def resume_run(
         else:
             simulation.engine.moved()
     if given is None and (changed := other_potentials(contents.potentials, simulation.potentials)):
-        tell(f"NOTE           the scene in the file has other potentials than the last steps, and the run goes on with those of the scene: {changed}")
+        tell(
+            f"NOTE           the scene in the file has other potentials than the last steps, and the run goes on with those of the scene: {changed}"
+        )
     for line in description(scene, simulation, end - contents.step):
         tell(line)
-    tell(f"resumed        at step {contents.step}, {scene.units.shown(contents.time)}, after {contents.n_frames} frames")
+    when = f"at step {contents.step}, {scene.units.shown(contents.time)}, after {contents.n_frames} frames"
+    tell(f"resumed        {when}")
     if len(scene.trajectories()) > 1:
         tell(f"               only {file} is continued; the other trajectories keep their frames up to this step")
     observers = scene.observers()
     with kept(scene, [path], end):
-        simulation.run(until_step=end, every=scene.sections.output.every, trajectory=path, append=True, observers=observers, progress=progress)
+        simulation.run(
+            until_step=end,
+            every=scene.sections.output.every,
+            trajectory=path,
+            append=True,
+            observers=observers,
+            progress=progress,
+        )
     tell(str(simulation.report()))
     tell_answers(observers, tell)
     tell(f"written        {file}")
@@ -203,22 +221,30 @@ def minimize(scene: Scene, simulation: Simulation, progress: bool | None, tell: 
     tell(str(found))
 
 
-def equilibrate(scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell, crash_report: Path | None = None) -> None:
+def equilibrate(
+    scene: Scene, simulation: Simulation, progress: bool | None, tell: Tell, crash_report: Path | None = None
+) -> None:
     """Run the equilibration of the scene, if it has one."""
     plan = scene.sections.equilibration
     target = (plan and plan.temperature) or scene.sections.dynamics.temperature
     if plan is None or target is None or plan.steps == 0:  # SceneSections has checked that there is a target
         return
-    tell(f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every {plan.rescale_every}")
+    tell(
+        f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every {plan.rescale_every}"
+    )
     with kept(scene, where=" of the equilibration"):
-        simulation.equilibrate(plan.steps, target, every=plan.rescale_every, progress=progress, crash_report=crash_report)
+        simulation.equilibrate(
+            plan.steps, target, every=plan.rescale_every, progress=progress, crash_report=crash_report
+        )
 
 
 def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]:
     """Lines about what has been built and will be run."""
     units, system = scene.units, simulation.system
     joined = "".join(f"; {len(group)} {name}" for name, group in system.groups().items() if len(group))
-    species = ", ".join(f"{n} {name}" for n, name in zip(np.bincount(system.species_index), system.species_names, strict=True))
+    species = ", ".join(
+        f"{n} {name}" for n, name in zip(np.bincount(system.species_index), system.species_names, strict=True)
+    )
     fixed = [f"atoms fixed: {len(one.atoms)}" for one in simulation.constraints if isinstance(one, FixedAtoms)]
     lengths = [f"lengths kept: {len(one.pairs)}" for one in simulation.constraints if not isinstance(one, FixedAtoms)]
     held = ", ".join(lengths + fixed)
@@ -239,7 +265,11 @@ def _method(scene: Scene, simulation: Simulation) -> str:
     if simulation.method.parameters != scene.method().parameters or simulation.method.name != scene.method().name:
         return repr(simulation.method)  # the method of a script that went on with the run
     relaxation = dynamics.relaxation_time
-    bath = f", bath at {dynamics.temperature:g} {units.temperature}, relaxation time {units.shown(relaxation)}" if relaxation else ""
+    bath = (
+        f", bath at {dynamics.temperature:g} {units.temperature}, relaxation time {units.shown(relaxation)}"
+        if relaxation
+        else ""
+    )
     return f"{dynamics.method}, timestep {units.shown(dynamics.timestep)}{bath}"
 
 
@@ -259,7 +289,11 @@ def _potential(potential: object, units: UnitSystem) -> str:
     name = type(potential).__name__
     if not isinstance(potential, PairPotential):
         return name
-    return f"{name}, " + ("no cutoff" if np.isinf(potential.cutoff) else f"cutoff {potential.cutoff:g} {units.length}, {potential.truncation}")
+    return f"{name}, " + (
+        "no cutoff"
+        if np.isinf(potential.cutoff)
+        else f"cutoff {potential.cutoff:g} {units.length}, {potential.truncation}"
+    )
 
 
 @contextmanager
@@ -277,7 +311,11 @@ def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = ""
         interrupted = isinstance(error, (KeyboardInterrupt, Terminated))
         if not written and not interrupted:
             raise
-        ending = f"; what was written before is kept in {', '.join(map(str, written))}" if written else f"{where}; nothing was written"
+        ending = (
+            f"; what was written before is kept in {', '.join(map(str, written))}"
+            if written
+            else f"{where}; nothing was written"
+        )
         if isinstance(error, Terminated):
             error.words += ending + _how_to_go_on(written, end)
             raise

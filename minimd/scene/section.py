@@ -8,12 +8,23 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, cast
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationInfo, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    NonNegativeInt,
+    ValidationInfo,
+    model_validator,
+)
 
 from minimd.structure.checks import LARGEST
 from minimd.structure.units import BAR, BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3, PICOSECOND
 
-KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension: ending of the key: size of that unit in units of the engine
+KEY_UNITS: dict[
+    str, dict[str, dict[str, float]]
+] = {  # unit system: dimension: ending of the key: size of that unit in units of the engine
     "ASE": {
         "length": {"_A": 1.0},
         "time": {"_fs": FEMTOSECOND},
@@ -32,7 +43,9 @@ KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {  # unit system: dimension:
     },
 }
 KEY_UNITS["LJ"] = {dimension: {"": 1.0} for dimension in KEY_UNITS["ASE"]} | {"angle": {"_degree": DEGREE}}
-Keys = dict[str, tuple[str, float | None]]  # key: its field, and the factor by which its numbers are multiplied, None if it is not a quantity
+Keys = dict[
+    str, tuple[str, float | None]
+]  # key: its field, and the factor by which its numbers are multiplied, None if it is not a quantity
 # types of values that several sections use
 Three = Field(min_length=3, max_length=3)
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]

@@ -54,13 +54,21 @@ class StructureSection(Section):
             if getattr(self, name) is not None:
                 raise ValueError(f"cannot have {name} together with {'lattice' if self.file is None else 'file'}")
         if self.file is None and isinstance(self.bonds, str):
-            raise ValueError("cannot have bonds from a file together with lattice; list the pairs, or give the structure as a file")
+            raise ValueError(
+                "cannot have bonds from a file together with lattice; list the pairs, or give the structure as a file"
+            )
         if self.file is not None:
             return self
         if self.repeat is None or (self.element is None and reading_of(info).units == "ASE"):
-            raise ValueError("must have repeat together with lattice" if self.repeat is None else "must have element together with lattice")
+            raise ValueError(
+                "must have repeat together with lattice"
+                if self.repeat is None
+                else "must have element together with lattice"
+            )
         if (self.density is None) == (self.lattice_constant is None):
-            raise ValueError(f"must have either {self.key('density', info)} or {self.key('lattice_constant', info)} together with lattice")
+            raise ValueError(
+                f"must have either {self.key('density', info)} or {self.key('lattice_constant', info)} together with lattice"
+            )
         return self
 
 
@@ -79,7 +87,9 @@ class ConstraintsSection(Section):
         if self.lengths is not None and not self.pairs:
             raise ValueError(f"must have pairs together with {key}")
         if isinstance(self.lengths, list) and isinstance(self.pairs, list) and len(self.lengths) != len(self.pairs):
-            raise ValueError(f"must have one number as {key}, or one for each of its {len(self.pairs)} pairs; it has {len(self.lengths)}")
+            raise ValueError(
+                f"must have one number as {key}, or one for each of its {len(self.pairs)} pairs; it has {len(self.lengths)}"
+            )
         return self
 
     def constraints(self, bonds: list[list[int]], known: Sequence[Constraint]) -> tuple[Constraint, ...]:
@@ -97,12 +107,17 @@ class ConstraintsSection(Section):
             pairs = held.pairs.tolist()
         if not pairs:
             if self.tolerance is not None or self.solver is not None:
-                raise ValueError("tolerance and solver are for lengths, and no lengths are held; give pairs, or leave tolerance and solver out")
+                raise ValueError(
+                    "tolerance and solver are for lengths, and no lengths are held; give pairs, or leave tolerance and solver out"
+                )
             return tuple(fixed)
         if held is None or held.pairs.tolist() != pairs:
             held = DistanceConstraints(pairs)
         lengths = held.lengths if self.lengths is None else self.lengths
-        return (*fixed, DistanceConstraints(pairs, lengths, self.tolerance or held.tolerance, self.solver or held.solver))
+        return (
+            *fixed,
+            DistanceConstraints(pairs, lengths, self.tolerance or held.tolerance, self.solver or held.solver),
+        )
 
 
 class SpeciesSection(Section):
@@ -141,9 +156,13 @@ class LennardJonesSection(Section):
 
     def potential(self) -> LennardJones:
         """The potential that the section describes."""
-        by_species: dict[Label, tuple[float, float]] = {name: (one.epsilon, one.sigma) for name, one in (self.species or {}).items()}
+        by_species: dict[Label, tuple[float, float]] = {
+            name: (one.epsilon, one.sigma) for name, one in (self.species or {}).items()
+        }
         pairs: ByPairOfLabels = {(one.species[0], one.species[1]): (one.epsilon, one.sigma) for one in self.pairs}
-        others = self.model_dump(include={"sigma", "cutoff", "truncation", "mixing", "switch_start", "bonded_scale", "tail_correction"})
+        others = self.model_dump(
+            include={"sigma", "cutoff", "truncation", "mixing", "switch_start", "bonded_scale", "tail_correction"}
+        )
         return LennardJones(by_species if self.epsilon is None else self.epsilon, pairs=pairs, **others)
 
 
@@ -185,8 +204,12 @@ class TabulatedSection(Section):
         first = self.files[0]
         for name, table in tables.items():
             if table.r != tables[first].r:
-                raise ValueError(f"the tables of one potential must have the same r; those of {name!r} and {first!r} differ")
-        by_pair: dict[tuple[Label, Label], list[float]] = {(one.species[0], one.species[1]): tables[one.file].u for one in self.pairs or ()}
+                raise ValueError(
+                    f"the tables of one potential must have the same r; those of {name!r} and {first!r} differ"
+                )
+        by_pair: dict[tuple[Label, Label], list[float]] = {
+            (one.species[0], one.species[1]): tables[one.file].u for one in self.pairs or ()
+        }
         others = self.model_dump(include={"cutoff", "truncation", "switch_start", "bonded_scale"})
         return Tabulated(tables[first].r, by_pair or tables[first].u, **others)
 
@@ -210,13 +233,17 @@ class DynamicsSection(Section):
             raise ValueError(f"must have {' and '.join(missing)} with method {self.method!r}")
         if self.method not in THERMOSTATS and self.relaxation_time is not None:
             key = self.key("relaxation_time", info)
-            raise ValueError(f"cannot have {key} with method {self.method!r}, which has no relaxation time; {', '.join(THERMOSTATS)} have one")
+            raise ValueError(
+                f"cannot have {key} with method {self.method!r}, which has no relaxation time; {', '.join(THERMOSTATS)} have one"
+            )
         return self
 
     def integrator(self) -> Splitting:
         """The method with its time step; a thermostat with its bath."""
         if self.method in THERMOSTATS:
-            return THERMOSTATS[self.method].with_relaxation_time(self.timestep, self.temperature, self.relaxation_time, self.seed)
+            return THERMOSTATS[self.method].with_relaxation_time(
+                self.timestep, self.temperature, self.relaxation_time, self.seed
+            )
         return SPLITTINGS[self.method](self.timestep)
 
 
@@ -262,7 +289,9 @@ class ObserverSection(Section):
     n_levels: PositiveInt | None = None
     most_atoms: PositiveInt | None = None
     axis: Annotated[str, one_of("abc")] | None = None
-    extent: Annotated[Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)] | None, Dimension("length")] = None
+    extent: Annotated[Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)] | None, Dimension("length")] = (
+        None
+    )
 
     @model_validator(mode="after")
     def _has_what_its_kind_takes(self, info: ValidationInfo) -> Self:
@@ -329,12 +358,18 @@ class SceneSections(Section):
     @model_validator(mode="after")
     def _fits_together(self, info: ValidationInfo) -> Self:
         if self.equilibration is not None and self.dynamics.temperature is None:
-            raise ValueError(f"equilibration needs dynamics.{DynamicsSection.key('temperature', info)}, at which the first velocities are drawn")
+            raise ValueError(
+                f"equilibration needs dynamics.{DynamicsSection.key('temperature', info)}, at which the first velocities are drawn"
+            )
         if self.barostat is not None and self.dynamics.temperature is None:
-            raise ValueError(f"barostat needs dynamics.{DynamicsSection.key('temperature', info)}, the temperature of its noise")
+            raise ValueError(
+                f"barostat needs dynamics.{DynamicsSection.key('temperature', info)}, the temperature of its noise"
+            )
         if self.constraints is not None and self.constraints.pairs == "bonds" and not self.structure.bonds:
             raise ValueError('constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs')
         named = {name for one in self.potential if isinstance(one, TabulatedSection) for name in one.files}
         if unused := [name for name in self.tables if name not in named]:
-            raise ValueError(f"no tabulated potential uses tables.{unused[0]!r}; give it as the file of one, or leave it out")
+            raise ValueError(
+                f"no tabulated potential uses tables.{unused[0]!r}; give it as the file of one, or leave it out"
+            )
         return self

@@ -47,7 +47,9 @@ def read_table(path: Path) -> Numbers:
     except ValueError as error:
         raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u: {error}") from None
     if columns.shape[1:] != (COLUMNS,) or not len(columns):
-        raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} lines of {columns.shape[1]}")
+        raise ValueError(
+            f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} lines of {columns.shape[1]}"
+        )
     return Numbers(*columns.T.tolist())
 
 
@@ -57,5 +59,8 @@ def as_sections(tables: Mapping[str, Numbers], units: str) -> str:
         KEY_UNITS[units]["length"],
         KEY_UNITS[units]["energy"],
     )  # the units of the engine, of size 1: the first of lengths, the last of energies
-    lines = [f"\n[tables.{json.dumps(name, ensure_ascii=False)}]\nr{length} = {one.r}\nu{energy} = {one.u}\n" for name, one in tables.items()]
+    lines = [
+        f"\n[tables.{json.dumps(name, ensure_ascii=False)}]\nr{length} = {one.r}\nu{energy} = {one.u}\n"
+        for name, one in tables.items()
+    ]
     return "".join(lines)

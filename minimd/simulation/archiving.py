@@ -33,7 +33,9 @@ class Archive(Displayed):
 
 
 @names_keywords
-def archive(file: str | Path, out: str | Path, every: int, potentials: Potentials = None, overwrite: bool = False) -> Archive:
+def archive(
+    file: str | Path, out: str | Path, every: int, potentials: Potentials = None, overwrite: bool = False
+) -> Archive:
     """Write a file with few frames of a run in fixed-point arithmetic, from which all others can be made again, to the last bit.
 
     As a test, the forces of each kept frame are evaluated again, and the steps from the first to the second kept frame are made again: energies
@@ -57,7 +59,9 @@ def archive(file: str | Path, out: str | Path, every: int, potentials: Potential
                 f"step {steps[kept[1]]} of {str(file)!r} is not the same, to the last bit, when it is made again: give the potentials of the run"
             )
     n_steps = int(steps[kept[-1]] - steps[kept[0]])
-    with open_trajectories(out, engine, store_forces=False, overwrite=overwrite, every=every, n_steps=n_steps) as (writer,):
+    with open_trajectories(out, engine, store_forces=False, overwrite=overwrite, every=every, n_steps=n_steps) as (
+        writer,
+    ):
         for k in kept:
             go_to(simulation, file, contents, k)
             frame = observe(engine)

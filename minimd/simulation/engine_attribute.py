@@ -8,7 +8,9 @@ from typing import Any, ClassVar, Generic, TypeVar
 from minimd.engine.observation import measure
 
 T = TypeVar("T")
-HINTS = {"timestep": "the time step is that of its method; take another: sim.method = VelocityVerlet(0.001)"}  # for names that are not misspelt
+HINTS = {
+    "timestep": "the time step is that of its method; take another: sim.method = VelocityVerlet(0.001)"
+}  # for names that are not misspelt
 ARRAYS = ("positions", "velocities", "forces")
 
 
@@ -51,7 +53,9 @@ class EngineAttribute(Generic[T]):
         if self._name in ARRAYS:
             if value is getattr(simulation.engine, self._name):
                 return  # sim.positions += shift
-            computed = "they are computed" if self._name == "forces" else f"assign into it, sim.{self._name}[:] = values"
+            computed = (
+                "they are computed" if self._name == "forces" else f"assign into it, sim.{self._name}[:] = values"
+            )
             raise AttributeError(f"{self._name} of a Simulation is an array that cannot be replaced; {computed}")
         before = getattr(simulation.engine, self._name)
         setattr(simulation.engine, self._name, value)
@@ -81,4 +85,6 @@ class Measured(Generic[T]):
         return found
 
     def __set__(self, _simulation: Any, _value: T) -> None:
-        raise AttributeError(f"{self._name} of a Simulation is measured and cannot be set; see set_temperature and system.cell")
+        raise AttributeError(
+            f"{self._name} of a Simulation is measured and cannot be set; see set_temperature and system.cell"
+        )

@@ -30,14 +30,20 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
     contents = read_file(file)
     if potentials is None:
         potentials = kind.potentials_of_scene(contents.scene, contents.potentials, Path(file))
-    options = {"threads": threads, "precision": contents.precision, "skin": contents.skin, "barostat": contents.barostat}
+    options = {
+        "threads": threads,
+        "precision": contents.precision,
+        "skin": contents.skin,
+        "barostat": contents.barostat,
+    }
     simulation = kind(contents.system, potentials, contents.integrator(), **options)
     simulation.extra_observables = extras_in(contents.record)
     simulation.engine.notes.update(title=contents.title, scene=contents.scene)
     simulation.engine.go_on_from(contents.restart)
     if other := other_potentials(contents.potentials, simulation.potentials):
         warnings.warn(
-            f"the potentials are not those of the last steps in {str(file)!r}: {other}; energies jump at this step", stacklevel=outside_minimd()
+            f"the potentials are not those of the last steps in {str(file)!r}: {other}; energies jump at this step",
+            stacklevel=outside_minimd(),
         )
     if contents.repaired:
         warnings.warn(contents.repaired, stacklevel=outside_minimd())
@@ -45,7 +51,9 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
         step, steps = checked_count("step", step, 0), contents.record.step
         check_is_fixed(file, contents)
         if not steps[0] <= step <= contents.step:
-            raise ValueError(f"file {str(file)!r} has the steps {steps[0]} to {contents.step}; step must be one of them, but step = {step}")
+            raise ValueError(
+                f"file {str(file)!r} has the steps {steps[0]} to {contents.step}; step must be one of them, but step = {step}"
+            )
         frame = int(np.searchsorted(steps, step, side="right")) - 1
         go_to(simulation, file, contents, frame)  # the frame before the step
         simulation.make_steps(step - int(steps[frame]))
@@ -56,7 +64,9 @@ def check_is_fixed(file: str | Path, contents: H5MDContents) -> None:
     """Raise ValueError for a run in float64, or with rigid bonds: its steps go on from velocities before they were projected."""
     if contents.restart.grid is None:
         why = f"the run in {str(file)!r} was made with precision={contents.precision!r}"
-        raise ValueError(f"only runs with precision='fixed-point' can be made again to the last bit from any of their frames; {why}")
+        raise ValueError(
+            f"only runs with precision='fixed-point' can be made again to the last bit from any of their frames; {why}"
+        )
     if contents.restart.images is not None:
         raise ValueError(
             f"the run in {str(file)!r} has rigid bonds: its steps cannot be made again to the last bit from a frame, only from its restart"
@@ -68,7 +78,9 @@ def go_to(simulation: Any, file: str | Path, contents: H5MDContents, frame: int)
     from minimd.files.h5md_reader import frame_arrays
 
     record, engine = contents.record, simulation.engine
-    reservoir = float(record.total_energy[frame] - record.conserved_energy[frame]) if "conserved_energy" in record else 0.0
+    reservoir = (
+        float(record.total_energy[frame] - record.conserved_energy[frame]) if "conserved_energy" in record else 0.0
+    )
     (positions, velocities), units = frame_arrays(file, frame), engine.system.units
     moving = positions / units.to_angstrom, velocities / (units.to_angstrom / units.to_picosecond)
     engine.restore(Snapshot(int(record.step[frame]), float(record.time[frame]), *moving, reservoir))
@@ -81,7 +93,9 @@ def go_to(simulation: Any, file: str | Path, contents: H5MDContents, frame: int)
 def last_step(step: int, n_steps: int | None, until_step: int | None) -> int:
     """The step at which a run ends.  Raises ValueError unless exactly one of n_steps and until_step is given."""
     if (n_steps is None) == (until_step is None):
-        raise ValueError(f"a run needs either n_steps or until_step; n_steps = {n_steps!r}, until_step = {until_step!r}")
+        raise ValueError(
+            f"a run needs either n_steps or until_step; n_steps = {n_steps!r}, until_step = {until_step!r}"
+        )
     if n_steps is not None:
         return step + checked_count("n_steps", n_steps, 0)
     return checked_count("until_step", until_step, step)

@@ -69,28 +69,43 @@ class Simulation(Closed, Displayed):
     """
 
     own = ("engine", "guard", "record", "reversibility")
-    potentials_of_scene: ClassVar[Callable[[str, Sequence[str], Path], list[Potential]]]  # set by minimd/__init__: scenes are a floor above
+    potentials_of_scene: ClassVar[
+        Callable[[str, Sequence[str], Path], list[Potential]]
+    ]  # set by minimd/__init__: scenes are a floor above
     system = EngineAttribute[System]("The state; its arrays can be changed, not replaced by those of another system.")
-    method = EngineAttribute[Splitting]("The integrator with its time step; another one takes over with the next step. See Engine.method.")
+    method = EngineAttribute[Splitting](
+        "The integrator with its time step; another one takes over with the next step. See Engine.method."
+    )
     step = EngineAttribute[int]("Steps made so far; set it when a run is resumed.")
     time = EngineAttribute[float]("[time] since the start; set it when a run is resumed.")
-    reservoir_energy = EngineAttribute[float]("Given by a thermostat since the start [energy]; set it when a run is resumed.")
+    reservoir_energy = EngineAttribute[float](
+        "Given by a thermostat since the start [energy]; set it when a run is resumed."
+    )
     work = EngineAttribute[float]("Done since the start by forces that depend on time [energy].")
     extra_observables = EngineAttribute[Sequence[str]](
-        'Names of observables besides the usual ones: "shadow_energy" (see minimd.shadow_energy), "stress".', check=check_extras
+        'Names of observables besides the usual ones: "shadow_energy" (see minimd.shadow_energy), "stress".',
+        check=check_extras,
     )
     positions = EngineAttribute[Array]("(N, 3) [length], never wrapped.")
     velocities = EngineAttribute[Array]("(N, 3) [length/time].")
     forces = EngineAttribute[Array]("(N, 3) [energy/length], of the last evaluation.")
     n_dof = EngineAttribute[int]("Degrees of freedom that share the thermal energy.")
-    drift = EngineAttribute[Array]("Velocity of the center of mass if n_dof leaves it out, else 0 [length/time].", "drift")
+    drift = EngineAttribute[Array](
+        "Velocity of the center of mass if n_dof leaves it out, else 0 [length/time].", "drift"
+    )
     conserves_momentum = EngineAttribute[bool]("Whether the total momentum is a constant; see Engine.")
-    constraints = EngineAttribute[tuple[Constraint, ...]]("What is held fixed, with the lengths that are kept; also those of system.")
-    rigid_bonds = EngineAttribute[ConstraintSolver | None]("Lengths that are held, as they are kept in a run; None without.", "constraint_set.bonds")
+    constraints = EngineAttribute[tuple[Constraint, ...]](
+        "What is held fixed, with the lengths that are kept; also those of system."
+    )
+    rigid_bonds = EngineAttribute[ConstraintSolver | None](
+        "Lengths that are held, as they are kept in a run; None without.", "constraint_set.bonds"
+    )
     potential_energy = Measured[float]("U [energy].")
     temperature = Measured[float]("Kinetic temperature.")
     pressure = Measured[float]("P [energy/length³]; ValueError without a volume.")
-    stress = Measured[Array]("σ [energy/length³], (3, 3), kinetic part included, positive under tension: P = −tr σ / 3; ValueError without a volume.")
+    stress = Measured[Array](
+        "σ [energy/length³], (3, 3), kinetic part included, positive under tension: P = −tr σ / 3; ValueError without a volume."
+    )
     potentials = EngineAttribute[tuple[Potential, ...]]("What acts on the atoms.", "interactions.potentials")
     barostat = EngineAttribute[StochasticCellRescaling | None]("What keeps the pressure, or None.", "barostat")
     options = EngineAttribute[Options]("Threads, precision and skin, as they were asked for.", "interactions.options")
@@ -118,7 +133,14 @@ class Simulation(Closed, Displayed):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For pickle and copy: nothing is shared, and the copy goes on with the same bits."""
-        return _copied, (type(self), self.engine, self.guard.seconds, self.guard.n_steps, self.record, self.reversibility)
+        return _copied, (
+            type(self),
+            self.engine,
+            self.guard.seconds,
+            self.guard.n_steps,
+            self.record,
+            self.reversibility,
+        )
 
     def __repr__(self) -> str:
         return f"Simulation({self.system!r}, {self.method!r}, step {self.step})"
@@ -129,7 +151,12 @@ class Simulation(Closed, Displayed):
 
     @classmethod
     def resume(
-        cls, file: str | Path, potentials: Potential | Sequence[Potential] | None = None, *, threads: int | None = None, step: int | None = None
+        cls,
+        file: str | Path,
+        potentials: Potential | Sequence[Potential] | None = None,
+        *,
+        threads: int | None = None,
+        step: int | None = None,
     ) -> Self:
         """The simulation at the restart of an H5MD file. Its next steps are those that the run would have made, to the last bit.
 
@@ -193,11 +220,16 @@ class Simulation(Closed, Displayed):
         attached = Attached(observers, engine)
         check_extras(engine)
         place, start = crash_file_place(crash_report, trajectory), engine.step
-        with self._running(engine.noise_shift), crash_file_left(place, guard, files["overwrite"]):  # written after all others are closed
+        with (
+            self._running(engine.noise_shift),
+            crash_file_left(place, guard, files["overwrite"]),
+        ):  # written after all others are closed
             guard.check_start()
             with (
                 stop_on_signals(engine.surroundings),
-                open_trajectories(trajectory, engine, every=every, n_steps=end - start, observers=attached.accumulators, **files) as writers,
+                open_trajectories(
+                    trajectory, engine, every=every, n_steps=end - start, observers=attached.accumulators, **files
+                ) as writers,
                 progress_of(end - start, "running", progress) as tell,
                 attached.broken_off(),
             ):
@@ -239,7 +271,9 @@ class Simulation(Closed, Displayed):
                 if not engine.is_as_left:
                     engine.moved()
             if self.record is not None and ("conserved_energy" in self.record) != engine.has_bath:
-                raise ValueError(f"a bath cannot be switched on or off within a run; {engine.method.name} can only take over in a new run")
+                raise ValueError(
+                    f"a bath cannot be switched on or off within a run; {engine.method.name} can only take over in a new run"
+                )
             if not engine.is_as_left:
                 self.guard.forget()
                 engine.begin()
@@ -253,7 +287,12 @@ class Simulation(Closed, Displayed):
         self.guard.make_steps(n_steps)
 
     def equilibrate(
-        self, n_steps: int, temperature: float, every: int = 10, progress: bool | None = None, crash_report: str | Path | None = None
+        self,
+        n_steps: int,
+        temperature: float,
+        every: int = 10,
+        progress: bool | None = None,
+        crash_report: str | Path | None = None,
     ) -> None:
         """Run n_steps and rescale the velocities to a temperature every `every` steps. At the end step and time are set to 0.
 
@@ -305,7 +344,14 @@ class Simulation(Closed, Displayed):
         """
         self.engine.moved()
         with self.guard.uncounted():
-            return minimized(self.engine.interactions, self.engine.constraint_set, force_tolerance, max_steps, max_step_length, progress)
+            return minimized(
+                self.engine.interactions,
+                self.engine.constraint_set,
+                force_tolerance,
+                max_steps,
+                max_step_length,
+                progress,
+            )
 
     def probe_reversibility(self, n_steps: int) -> Reversibility:
         """Make n_steps, reverse all velocities, make n_steps again, and measure the distance from the start. The state is restored.
@@ -333,7 +379,9 @@ class Simulation(Closed, Displayed):
     def _running(self, noise_shift: int) -> Iterator[None]:
         """Context of a run.  noise_shift : of the engine during this run.  Raises RuntimeError for a run inside a run."""
         if self._is_running:
-            raise RuntimeError("this simulation is running: an observer may read and change its state, but not run or equilibrate it")
+            raise RuntimeError(
+                "this simulation is running: an observer may read and change its state, but not run or equilibrate it"
+            )
         before, self._is_running, self.engine.noise_shift = self.engine.noise_shift, True, noise_shift
         try:
             yield
@@ -390,7 +438,12 @@ class Simulation(Closed, Displayed):
 
 
 def _copied(
-    kind: type[Simulation], engine: Engine, seconds: float, n_steps: int, record: Record | None, reversibility: Reversibility | None
+    kind: type[Simulation],
+    engine: Engine,
+    seconds: float,
+    n_steps: int,
+    record: Record | None,
+    reversibility: Reversibility | None,
 ) -> Simulation:
     """The simulation that __reduce__ has described."""
     simulation = kind.__new__(kind)

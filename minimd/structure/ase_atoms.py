@@ -28,7 +28,9 @@ Pairs = tuple[NDArray[np.int64], NDArray[np.float64]]
 UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCom"
 
 
-def system_arguments(atoms: Atoms, bonds: ArrayLike | None = None, constraints: bool = True, **others: ArrayLike | None) -> dict[str, Any]:
+def system_arguments(
+    atoms: Atoms, bonds: ArrayLike | None = None, constraints: bool = True, **others: ArrayLike | None
+) -> dict[str, Any]:
     """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and constraints.
 
     Species are the chemical symbols, or the labels that atoms_from_system or label_by_tags stored in the atoms.
@@ -70,7 +72,9 @@ def atoms_from_system(system: Any) -> Atoms:
     """
     symbols = [label if label in atomic_numbers else "X" for label in system.species.tolist()]
     momenta = system.velocities * system.masses[:, None]
-    atoms = Atoms(symbols, system.positions, momenta=momenta, masses=system.masses, cell=system.cell.vectors, pbc=system.cell.pbc)
+    atoms = Atoms(
+        symbols, system.positions, momenta=momenta, masses=system.masses, cell=system.cell.vectors, pbc=system.cell.pbc
+    )
     if not set(system.species_names) <= set(atomic_numbers):
         atoms.set_array(LABELS, system.species)
     if named := texts(system.groups(), len(atoms)):
@@ -92,7 +96,10 @@ def _labels(atoms: Atoms) -> Any:
     if LABELS in atoms.arrays or names is None:
         return atoms.arrays.get(LABELS, atoms.get_chemical_symbols())
     symbols, tags = atoms.get_chemical_symbols(), atoms.get_tags().tolist()
-    return [names[tag] if symbol == "X" and 0 <= tag < len(names) else symbol for symbol, tag in zip(symbols, tags, strict=True)]
+    return [
+        names[tag] if symbol == "X" and 0 <= tag < len(names) else symbol
+        for symbol, tag in zip(symbols, tags, strict=True)
+    ]
 
 
 def cell_of(atoms: Atoms) -> Cell:
@@ -151,9 +158,13 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
             fixed.extend(np.arange(len(atoms))[constraint.index])
         elif type(constraint) is not FixCom:
             name = type(constraint).__name__
-            raise ValueError(f"atoms.constraints may hold {UNDERSTOOD}; it holds {name}: remove it, or use ASE's dynamics")
+            raise ValueError(
+                f"atoms.constraints may hold {UNDERSTOOD}; it holds {name}: remove it, or use ASE's dynamics"
+            )
     if fixed and fixes_center(atoms):
-        raise ValueError("atoms.constraints holds FixCom and FixAtoms: with fixed atoms the center of mass does not stay by itself; remove one")
+        raise ValueError(
+            "atoms.constraints holds FixCom and FixAtoms: with fixed atoms the center of mass does not stay by itself; remove one"
+        )
     answer: list[Constraint] = [FixedAtoms(np.unique(fixed))] if fixed else []
     if lengths:
         pairs, values = (np.concatenate(part) for part in zip(*lengths, strict=True))
@@ -169,7 +180,9 @@ def ases_constraints_of(system: Any) -> list[FixConstraint]:
             answer.append(FixAtoms(indices=constraint.atoms))
         else:
             lengths = lengths_of(system.positions, system.cell, constraint)
-            answer.append(FixBondLengths(constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths.copy()))
+            answer.append(
+                FixBondLengths(constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths.copy())
+            )
     return answer
 
 

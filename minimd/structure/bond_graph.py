@@ -39,8 +39,12 @@ def checked_pairs(name: str, pairs: ArrayLike, n_atoms: int | None = None) -> ND
     array = checked_groups(name, pairs, 2, n_atoms)
     _, first, counts = np.unique(np.sort(array, axis=1), axis=0, return_index=True, return_counts=True)
     if (counts > 1).any():
-        row, times = min(zip(first[counts > 1].tolist(), counts[counts > 1].tolist(), strict=True))  # the one that is given first, as it is given
-        raise ValueError(f"{name} must name each pair once; {name}[{row}] = {array[row].tolist()} is given {times} times")
+        row, times = min(
+            zip(first[counts > 1].tolist(), counts[counts > 1].tolist(), strict=True)
+        )  # the one that is given first, as it is given
+        raise ValueError(
+            f"{name} must name each pair once; {name}[{row}] = {array[row].tolist()} is given {times} times"
+        )
     return array
 
 
@@ -64,7 +68,12 @@ def checked_groups(name: str, groups: ArrayLike, size: int, n_atoms: int | None 
     ordered = np.sort(array, axis=1)
     missing = (ordered[:, 0] < 0) | (ordered[:, -1] >= (np.inf if n_atoms is None else n_atoms))
     repeated = (np.diff(ordered, axis=1) == 0).any(axis=1)
-    for wrong, demand in ((missing, f"atoms {'from 0 on' if n_atoms is None else f'0 to {n_atoms - 1}'}"), (repeated, "different atoms")):
+    for wrong, demand in (
+        (missing, f"atoms {'from 0 on' if n_atoms is None else f'0 to {n_atoms - 1}'}"),
+        (repeated, "different atoms"),
+    ):
         if wrong.any():
-            raise ValueError(f"{name} must name {demand}; {name}[{np.argmax(wrong)}] = {array[np.argmax(wrong)].tolist()}")
+            raise ValueError(
+                f"{name} must name {demand}; {name}[{np.argmax(wrong)}] = {array[np.argmax(wrong)].tolist()}"
+            )
     return array

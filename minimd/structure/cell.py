@@ -17,7 +17,9 @@ from minimd.structure.strain import follow_lattice
 FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
 OPEN = "in a direction that does not repeat give length 0, or any length and pbc=False there, such as pbc=(True, True, False) of a slab"
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
-COMBINED = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])  # combinations of vectors that could be shorter
+COMBINED = np.array(
+    [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)]
+)  # combinations of vectors that could be shorter
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,7 +51,12 @@ class Cell(Displayed):
 
     def _complete(self, lattice: NDArray[np.float64], reduction: NDArray[np.int64]) -> None:
         inverse = np.linalg.inv(lattice)
-        made = {"lattice": lattice, "reduction": reduction, "inverse": inverse, "heights": 1.0 / np.linalg.norm(inverse, axis=0)}
+        made = {
+            "lattice": lattice,
+            "reduction": reduction,
+            "inverse": inverse,
+            "heights": 1.0 / np.linalg.norm(inverse, axis=0),
+        }
         self.__dict__.update({name: np.ascontiguousarray(array) for name, array in made.items()})
         for array in self.__dict__.values():
             array.setflags(write=False)
@@ -90,7 +97,9 @@ class Cell(Displayed):
         if not (self.is_periodic or self.vectors.any()):
             return [("cell", "none")]
         rows = zip(("cell a", "b", "c"), self.vectors, self.pbc, strict=True)
-        vectors = [(name, f"{as_text(tuple(row.tolist()))}{'' if repeats else ', open'}") for name, row, repeats in rows]
+        vectors = [
+            (name, f"{as_text(tuple(row.tolist()))}{'' if repeats else ', open'}") for name, row, repeats in rows
+        ]
         return vectors + ([] if self.volume is None else [("volume", f"{self.volume:.10g}")])
 
     @property
@@ -188,7 +197,9 @@ def _as_matrix(vectors: ArrayLike | None) -> NDArray[np.float64]:
             raise ValueError(f"lengths of a cell must not be negative; cell = {array.tolist()}")
         array = np.diag(np.broadcast_to(array, 3)).copy()
     if array.shape != (3, 3):
-        raise ValueError(f"cell must be one length, three lengths or a (3, 3) array of rows; its shape is {array.shape}: {OPEN}")
+        raise ValueError(
+            f"cell must be one length, three lengths or a (3, 3) array of rows; its shape is {array.shape}: {OPEN}"
+        )
     if not np.isfinite(array).all():
         raise ValueError(f"cell must be finite; cell = {array.tolist()}: {OPEN}")
     return array
@@ -214,9 +225,13 @@ def _check_independent(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> 
         return
     largest = np.abs(rows).max(axis=1)
     if largest.min() < SMALLEST or largest.max() > LARGEST:
-        raise ValueError(f"lattice vectors must be between {SMALLEST:g} and {LARGEST:g} long; take other units: they are {rows.tolist()}")
+        raise ValueError(
+            f"lattice vectors must be between {SMALLEST:g} and {LARGEST:g} long; take other units: they are {rows.tolist()}"
+        )
     if EPS * largest.max() > largest.min():
-        raise ValueError(f"lengths of lattice vectors must not differ by more than a factor of {1.0 / EPS:.1g}; they are {rows.tolist()}")
+        raise ValueError(
+            f"lengths of lattice vectors must not differ by more than a factor of {1.0 / EPS:.1g}; they are {rows.tolist()}"
+        )
     unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     if np.linalg.svd(unit, compute_uv=False).min() < FLAT:
         raise ValueError(f"the periodic lattice vectors must be linearly independent; they are {rows.tolist()}: {OPEN}")
@@ -249,7 +264,9 @@ def _shorten_once(steps: NDArray[np.int64], rows: NDArray[np.float64]) -> bool:
     return False
 
 
-def _neighbors(i: int, steps: NDArray[np.int64], current: NDArray[np.float64], length2: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+def _neighbors(
+    i: int, steps: NDArray[np.int64], current: NDArray[np.float64], length2: NDArray[np.float64]
+) -> list[NDArray[np.int64]]:
     """Vector i plus multiples of the others: once the rounded projection (Gauss), then all of −1, 0, 1 (Minkowski's conditions)."""
     others = [j for j in range(len(steps)) if j != i]
     gauss = [steps[i] - int(np.rint(current[i] @ current[j] / length2[j])) * steps[j] for j in others]

@@ -78,7 +78,9 @@ def checked_indices(name: str, values: Any, expected: str) -> NDArray[np.int64]:
     """A new contiguous array of indices of atoms, of any shape; they may be negative.  Raises ValueError as checked_array, or if one is too large."""
     array = checked_array(name, values, expected, "i")
     if array.size and not -MOST_ATOMS <= array.min() <= array.max() < MOST_ATOMS:
-        raise ValueError(f"{name} must be {expected}: they go from {array.min()} to {array.max()}, but at most {MOST_ATOMS} atoms are allowed")
+        raise ValueError(
+            f"{name} must be {expected}: they go from {array.min()} to {array.max()}, but at most {MOST_ATOMS} atoms are allowed"
+        )
     return np.array(array, dtype=np.int64, order="C")
 
 

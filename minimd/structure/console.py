@@ -17,12 +17,19 @@ from minimd.structure.checks import checked_flag
 
 NO_ELECTROSTATICS = "minimd has no electrostatics yet"
 TENTHS = 10
-SIGNALS = [number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None]  # Windows has no SIGHUP
-DEFAULT_HANDLERS: list[Any] = [signal.SIG_DFL, signal.default_int_handler]  # handlers that nobody has set; the command `minimd` adds its own
+SIGNALS = [
+    number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None
+]  # Windows has no SIGHUP
+DEFAULT_HANDLERS: list[Any] = [
+    signal.SIG_DFL,
+    signal.default_int_handler,
+]  # handlers that nobody has set; the command `minimd` adds its own
 
 
 @contextmanager
-def progress_of(n_steps: int, label: str, show: bool | None = None, unit: str = "step") -> Iterator[Callable[[int], Any]]:
+def progress_of(
+    n_steps: int, label: str, show: bool | None = None, unit: str = "step"
+) -> Iterator[Callable[[int], Any]]:
     """Show on standard error, or in a notebook, how much of n_steps is done; yields a function to be called with the number of steps made.
 
     unit : what is counted, if not steps.
@@ -94,7 +101,11 @@ def _stopping(requests: "StopRequests") -> Iterator[None]:
         requests.end()
     if requests.received:
         words = "stopped after the last step"
-        raise KeyboardInterrupt(words) if requests.received[0] == signal.SIGINT else Terminated(requests.received[0], words)
+        raise (
+            KeyboardInterrupt(words)
+            if requests.received[0] == signal.SIGINT
+            else Terminated(requests.received[0], words)
+        )
 
 
 def tell_ending(ended: "Terminated") -> None:
@@ -214,7 +225,10 @@ DEFAULT_HANDLERS.append(raise_terminated)
 def outside_minimd() -> int:
     """The stacklevel with which a warning of the calling function points to the first frame outside minimd and contextlib."""
     frame, level = sys._getframe(1), 1
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("minimd", "contextlib"):
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in (
+        "minimd",
+        "contextlib",
+    ):
         frame, level = frame.f_back, level + 1
     return level
 

@@ -8,7 +8,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.structure.bond_graph import checked_pairs
-from minimd.structure.checks import LARGEST, MOST_ATOMS, SMALLEST, checked_array, checked_choice, checked_number, checked_numbers, shown
+from minimd.structure.checks import (
+    LARGEST,
+    MOST_ATOMS,
+    SMALLEST,
+    checked_array,
+    checked_choice,
+    checked_number,
+    checked_numbers,
+    shown,
+)
 
 SolverName = Literal["auto", "newton", "shake"]
 SOLVERS = ("auto", "newton", "shake")
@@ -31,7 +40,13 @@ class DistanceConstraints:
         between 0 and 1; an unknown solver.
     """
 
-    def __init__(self, pairs: ArrayLike, lengths: ArrayLike | None = None, tolerance: float = TOLERANCE, solver: SolverName = "auto") -> None:
+    def __init__(
+        self,
+        pairs: ArrayLike,
+        lengths: ArrayLike | None = None,
+        tolerance: float = TOLERANCE,
+        solver: SolverName = "auto",
+    ) -> None:
         self.pairs = checked_pairs("pairs", pairs)
         if not len(self.pairs):
             raise ValueError("pairs of DistanceConstraints must name at least one pair; there is none")
@@ -39,11 +54,15 @@ class DistanceConstraints:
         if lengths is not None:
             given, n_pairs = checked_numbers("lengths", lengths, "one number, or one for each pair"), len(self.pairs)
             if given.shape not in ((), (1,), (n_pairs,)):
-                raise ValueError(f"lengths must be one number or {n_pairs}, one for each pair; their shape is {given.shape}")
+                raise ValueError(
+                    f"lengths must be one number or {n_pairs}, one for each pair; their shape is {given.shape}"
+                )
             self.lengths = np.broadcast_to(given, (n_pairs,)).copy()
             wrong = np.flatnonzero(~((self.lengths >= SMALLEST) & (self.lengths <= LARGEST)))
             if wrong.size:
-                raise ValueError(f"lengths must be positive and finite; that of constraint {wrong[0]} is {self.lengths[wrong[0]]}")
+                raise ValueError(
+                    f"lengths must be positive and finite; that of constraint {wrong[0]} is {self.lengths[wrong[0]]}"
+                )
         self.tolerance, self.solver = checked_number("tolerance", tolerance), checked_choice("solver", solver, SOLVERS)
         if not 0.0 < self.tolerance < 1.0:
             raise ValueError(f"tolerance, of |r² − d²|/d², must lie between 0 and 1; tolerance = {tolerance!r}")
@@ -78,7 +97,9 @@ class FixedAtoms:
     def check_size(self, n_atoms: int) -> None:
         """Raise ValueError if the indices or the bools do not fit a system of n_atoms atoms."""
         if self._n_bools not in (None, n_atoms):
-            raise ValueError(f"fixed atoms must be given as indices, or as one bool for each of {n_atoms} atoms; got {self._n_bools} bools")
+            raise ValueError(
+                f"fixed atoms must be given as indices, or as one bool for each of {n_atoms} atoms; got {self._n_bools} bools"
+            )
         if self.atoms.max(initial=-1) >= n_atoms:
             raise ValueError(f"fixed atoms must be among 0 to {n_atoms - 1}; they name atom {self.atoms.max()}")
 

@@ -43,14 +43,21 @@ class Displayed:
 
     def _repr_html_(self) -> str:
         """Called by Jupyter."""
-        rows = "".join(f"<tr><th {LEFT}>{escape(name)}</th><td {KEPT_SPACES}>{escape(words)}</td></tr>" for name, words in self.display_rows())
+        rows = "".join(
+            f"<tr><th {LEFT}>{escape(name)}</th><td {KEPT_SPACES}>{escape(words)}</td></tr>"
+            for name, words in self.display_rows()
+        )
         return f"<table><caption {LEFT}>{type(self).__name__}</caption>{rows}</table>"
 
 
 def call_of(one: object, arguments: Mapping[str, Any], always: Iterable[str] = ()) -> str:
     """The call that recreates an object, without arguments that have their default values, except for those named in always."""
     parameters, always = signature(type(one)).parameters, set(always)
-    told = [f"{name}={as_text(value)}" for name, value in arguments.items() if name in always or not _is_default(parameters.get(name), value)]
+    told = [
+        f"{name}={as_text(value)}"
+        for name, value in arguments.items()
+        if name in always or not _is_default(parameters.get(name), value)
+    ]
     return f"{type(one).__name__}({', '.join(told)})"
 
 

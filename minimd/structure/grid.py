@@ -52,7 +52,9 @@ class Grid(Displayed):
     def __post_init__(self) -> None:
         for name, step in vars(self).items():
             if not (isinstance(step, float) and isfinite(step) and step > 0.0 and frexp(step)[0] == 0.5):
-                raise ValueError(f"the step of {name} of a Grid must be a power of two, such as 2.0**-40; {name} = {shown(step)}")
+                raise ValueError(
+                    f"the step of {name} of a Grid must be a power of two, such as 2.0**-40; {name} = {shown(step)}"
+                )
 
     def __repr__(self) -> str:
         return "Grid(" + ", ".join(f"{name}=2.0**{log2(step):.0f}" for name, step in vars(self).items()) + ")"
@@ -69,18 +71,30 @@ class Grid(Displayed):
         """
         cell = system.cell
         lengths = np.linalg.norm(cell.vectors[cell.pbc], axis=1)
-        size = max(largest_component(system.positions), float(np.ptp(system.positions, axis=0).max()), float(lengths.max(initial=0.0)))
+        size = max(
+            largest_component(system.positions),
+            float(np.ptp(system.positions, axis=0).max()),
+            float(lengths.max(initial=0.0)),
+        )
         heaviest, timestep = float(system.masses.max()), abs(timestep)
         fastest = float(np.abs(system.masses[:, None] * system.velocities).max())
         momentum = max(fastest, (2.0 * heaviest * DEEP * depth) ** 0.5) or heaviest * SLOW * (size or 1.0) / timestep
         energy = len(system) * (DEEP * depth + momentum**2 / float(system.masses.min()))
-        length = _power_of_two((size or momentum * timestep / float(system.masses.min())) * (TRAVEL if cell.pbc.all() else FAR_TRAVEL)) / FARTHEST
+        length = (
+            _power_of_two(
+                (size or momentum * timestep / float(system.masses.min())) * (TRAVEL if cell.pbc.all() else FAR_TRAVEL)
+            )
+            / FARTHEST
+        )
         return cls(length, _power_of_two(momentum * FASTER) / MOST, _power_of_two(energy * ENERGY_ROOM) / FARTHEST)
 
     def has_room_for(self, system: System) -> bool:
         """Whether positions and momenta of a system are in the inner half of the range."""
         momenta = system.masses[:, None] * system.velocities
-        return bool(largest_component(system.positions) <= 0.5 * FARTHEST * self.length and largest_component(momenta) <= 0.5 * MOST * self.momentum)
+        return bool(
+            largest_component(system.positions) <= 0.5 * FARTHEST * self.length
+            and largest_component(momenta) <= 0.5 * MOST * self.momentum
+        )
 
     def widened(self, other: Grid) -> Grid:
         """The larger steps of two grids."""
@@ -123,7 +137,9 @@ class Grid(Displayed):
             atom = int(np.argmax(np.abs(momenta).max(axis=1)))
             largest, most = np.abs(momenta).max() * self.momentum, MOST * self.momentum
             hint = f"grid=minimd.Grid(...) with a larger step of momentum than {self.momentum:.3g}"
-            raise RangeError(f"the momentum of atom {atom} is {largest:.3g}, beyond the range of fixed-point numbers, {most:.3g}: give {hint}")
+            raise RangeError(
+                f"the momentum of atom {atom} is {largest:.3g}, beyond the range of fixed-point numbers, {most:.3g}: give {hint}"
+            )
 
     def check_positions(self, positions: Array) -> None:
         """Raise RangeError if a position is beyond the range of the grid."""

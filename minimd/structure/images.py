@@ -16,7 +16,9 @@ def nearest_images(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> Ar
     translations = np.zeros((len(pairs), 3))
     if cell.is_periodic:
         first, second = np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
-        minimum_image_translations(positions, first, second, cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2, translations)
+        minimum_image_translations(
+            positions, first, second, cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2, translations
+        )
     return translations
 
 
@@ -38,7 +40,10 @@ def images_of_length(positions: Array, cell: Cell, pairs: NDArray[np.int64], len
         if n_images > MOST_IMAGES:
             given = f"that of constraint {k} is {lengths[k]:g} and reaches over {n_images:.1e} in a cell {cell.heights[cell.pbc].min():.3g} high"
             raise ValueError(f"lengths must reach over at most {MOST_IMAGES} images of the cell; {given}: reduce it")
-        others = np.stack(np.meshgrid(*(np.arange(-n, n + 1) for n in reach), indexing="ij"), axis=-1).reshape(-1, 3) @ cell.lattice
+        others = (
+            np.stack(np.meshgrid(*(np.arange(-n, n + 1) for n in reach), indexing="ij"), axis=-1).reshape(-1, 3)
+            @ cell.lattice
+        )
         translations[k] += others[np.argmin(np.abs(np.linalg.norm(nearest + others, axis=1) - lengths[k]))]
     return translations
 

@@ -48,7 +48,9 @@ def name_keywords(kinds: Iterable[Any]) -> None:
         if isinstance(kind, type):
             for base in kind.__mro__:
                 _decorate(base, "__init__")
-            for name in [name for name, method in vars(kind).items() if not name.startswith("_") and _has_defaults(method)]:
+            for name in [
+                name for name, method in vars(kind).items() if not name.startswith("_") and _has_defaults(method)
+            ]:
                 _decorate(kind, name)
 
 
@@ -78,7 +80,9 @@ def _keywords(function: Callable[..., Any]) -> list[str]:
 
 def _in_methods(kind: type, unknown: str) -> str:
     """Words about the method of a class that has a keyword, or one similar to it; empty if none has."""
-    methods = {name: one for name, method in vars(kind).items() if not name.startswith("_") and (one := _function(method))}
+    methods = {
+        name: one for name, method in vars(kind).items() if not name.startswith("_") and (one := _function(method))
+    }
     places = {keyword: name for name, one in methods.items() for keyword in _keywords(one)}
     found = get_close_matches(unknown, places, n=1, cutoff=SIMILAR)
     return f"; {found[0]!r} is a keyword of {kind.__name__}.{places[found[0]]}" if found else ""

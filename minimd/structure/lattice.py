@@ -20,7 +20,9 @@ BASES = {  # atoms of the cubic unit cell, in units of its edge
 
 
 @names_keywords
-def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def crystal(
+    lattice: str, repeat: Sequence[int], lattice_constant: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Positions (N, 3) and the three edges of the cell (3,) of a block of cubic unit cells, both [length].
 
     lattice : name in BASES.
@@ -33,9 +35,14 @@ def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tup
     counts = checked_indices("repeat", repeat, "three numbers of unit cells")
     if counts.shape != (3,) or counts.min() < 1:
         raise ValueError(f"repeat must be three numbers of unit cells, each at least 1; repeat = {shown(repeat)}")
-    n_atoms, lattice_constant = len(basis) * prod(counts.tolist()), checked_number("lattice_constant", lattice_constant, "positive and finite")
+    n_atoms, lattice_constant = (
+        len(basis) * prod(counts.tolist()),
+        checked_number("lattice_constant", lattice_constant, "positive and finite"),
+    )
     if n_atoms > MOST_ATOMS:
-        raise ValueError(f"repeat must make at most {MOST_ATOMS} atoms; repeat = {shown(repeat)} makes {n_atoms:.1e} of them")
+        raise ValueError(
+            f"repeat must make at most {MOST_ATOMS} atoms; repeat = {shown(repeat)} makes {n_atoms:.1e} of them"
+        )
     corners = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 1, 3)
     positions = (corners + np.array(basis)).reshape(-1, 3) * lattice_constant
     return positions, counts.astype(np.float64) * lattice_constant
@@ -47,4 +54,8 @@ def constant_from_density(lattice: str, density: float, mass: float = 1.0) -> fl
     Raises ValueError for an unknown lattice, a density or a mass that is not positive.
     """
     n_atoms = len(BASES[checked_choice("lattice", lattice, BASES)])
-    return cbrt(n_atoms * checked_number("mass", mass, "positive and finite") / checked_number("density", density, "positive and finite"))
+    return cbrt(
+        n_atoms
+        * checked_number("mass", mass, "positive and finite")
+        / checked_number("density", density, "positive and finite")
+    )

@@ -32,7 +32,9 @@ def universe_arguments(
     return {
         "positions": atoms.positions.astype(np.float64) / units.to_angstrom,
         "masses": _masses(atoms, units),
-        "velocities": atoms.velocities.astype(np.float64) * (units.to_picosecond / units.to_angstrom) if ts.has_velocities else None,
+        "velocities": atoms.velocities.astype(np.float64) * (units.to_picosecond / units.to_angstrom)
+        if ts.has_velocities
+        else None,
         "cell": triclinic_vectors(ts.dimensions, dtype=np.float64) / units.to_angstrom if is_periodic else None,
         "pbc": pbc,
         "species": _species(atoms),

@@ -148,14 +148,18 @@ def angular_momentum(positions, velocities, masses):
 
 def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array) -> float:
     """Σ m |r − r_cm| |v| [mass length²/time]: the scale with which a change of the angular momentum is compared."""
-    return _absolute_moments(positions, velocities, masses, momentum(positions, masses) / masses.sum())  # r_cm = Σ m r / Σ m: the same sum
+    return _absolute_moments(
+        positions, velocities, masses, momentum(positions, masses) / masses.sum()
+    )  # r_cm = Σ m r / Σ m: the same sum
 
 
 @kernel
 def _absolute_moments(positions, velocities, masses, center):
     total = 0.0
     for i in range(masses.size):
-        arm2 = (positions[i, 0] - center[0]) ** 2 + (positions[i, 1] - center[1]) ** 2 + (positions[i, 2] - center[2]) ** 2
+        arm2 = (
+            (positions[i, 0] - center[0]) ** 2 + (positions[i, 1] - center[1]) ** 2 + (positions[i, 2] - center[2]) ** 2
+        )
         speed2 = velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2
         total += masses[i] * sqrt(arm2 * speed2)
     return total

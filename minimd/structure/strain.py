@@ -8,7 +8,12 @@ from minimd.compiled.kernels import kernel
 NOWHERE = np.zeros(3)
 
 
-def strained(vectors: NDArray[np.float64], matrix: NDArray[np.float64], out: NDArray[np.float64], shift: NDArray[np.float64] = NOWHERE) -> None:
+def strained(
+    vectors: NDArray[np.float64],
+    matrix: NDArray[np.float64],
+    out: NDArray[np.float64],
+    shift: NDArray[np.float64] = NOWHERE,
+) -> None:
     """out = vectors @ matrix + shift; both may be one array.  vectors, out : (n, 3) or (n, 3, m).  matrix : (3, 3).  shift : (3,)."""
     multiply_blocks(as_blocks(vectors), np.ascontiguousarray(matrix), shift, as_blocks(out))
 

@@ -77,14 +77,21 @@ class System(Displayed):
         self.units, self.constraints = units, _constraints(constraints)
         self.positions = _vectors("positions", positions)
         self.masses = _masses(masses, len(self.positions), units)
-        self.velocities = np.zeros_like(self.positions) if velocities is None else _vectors("velocities", velocities, len(self))
+        self.velocities = (
+            np.zeros_like(self.positions) if velocities is None else _vectors("velocities", velocities, len(self))
+        )
         if isinstance(cell, Cell) and pbc is not None:
-            raise ValueError("pbc is part of a Cell: Cell.of(vectors, pbc); give pbc to System only together with lattice vectors")
+            raise ValueError(
+                "pbc is part of a Cell: Cell.of(vectors, pbc); give pbc to System only together with lattice vectors"
+            )
         self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
         self.species_names, self.species_index = _species(species, len(self))
         self.bonds = checked_pairs("bonds", () if bonds is None else bonds, len(self))
         self.angles = _groups("angles", angles, len(self))
-        self.dihedrals, self.impropers = _groups("dihedrals", dihedrals, len(self)), _groups("impropers", impropers, len(self))
+        self.dihedrals, self.impropers = (
+            _groups("dihedrals", dihedrals, len(self)),
+            _groups("impropers", impropers, len(self)),
+        )
         for fixed in (self.masses, self.species_index, *self.groups().values()):
             fixed.setflags(write=False)
 
@@ -98,7 +105,9 @@ class System(Displayed):
         elif name in READ_ONLY and name in self.__dict__:
             raise AttributeError(f"{name} of a System cannot be changed; make a new System")
         elif name == "cell" and not isinstance(value, Cell):
-            raise TypeError(f"the cell of a System can be replaced by a Cell, such as Cell.of(10.0); got {shown(value)}")
+            raise TypeError(
+                f"the cell of a System can be replaced by a Cell, such as Cell.of(10.0); got {shown(value)}"
+            )
         else:
             super().__setattr__(name, value)
 
@@ -126,7 +135,11 @@ class System(Displayed):
         if self.volume is not None:
             density = len(self) / self.volume
             mass = self.masses.sum() / self.volume
-            of_mass = f"{mass / unit_systems.GRAM_PER_CM3:.6g} g/cm³" if units is unit_systems.ASE else f"{mass:.6g} mass/{units.length}³"
+            of_mass = (
+                f"{mass / unit_systems.GRAM_PER_CM3:.6g} g/cm³"
+                if units is unit_systems.ASE
+                else f"{mass:.6g} mass/{units.length}³"
+            )
             rows.append(("density", f"{density:.6g} atoms/{units.length}³, {of_mass}"))
         rows += [(name, str(len(one))) for name, one in self.groups().items() if len(one)]
         rows += [("constraints", ", ".join(map(repr, self.constraints)))] if self.constraints else []
@@ -249,7 +262,10 @@ def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, N
         raise ValueError(f"species must be {n_atoms} labels, one for each atom: {error}") from None
     if labels.shape != (n_atoms,):
         raise ValueError(f"species must be {n_atoms} labels, one for each atom; their shape is {labels.shape}")
-    if not any(all(isinstance(label, kind) and not isinstance(label, bool) for label in labels) for kind in (str, (int, np.integer))):
+    if not any(
+        all(isinstance(label, kind) and not isinstance(label, bool) for label in labels)
+        for kind in (str, (int, np.integer))
+    ):
         raise ValueError(f"species must be all strings or all whole numbers; they are {shown(labels[:3].tolist())} ...")
     names, index = np.unique(labels.tolist(), return_inverse=True)
     if strange := [name for name in names.tolist() if not str(name).isprintable()]:
@@ -266,8 +282,12 @@ def _demand(name: str, what: str, is_good: Any, array: NDArray[np.float64]) -> N
 
 
 def _constraints(constraints: Any) -> tuple[Constraint, ...]:
-    if not isinstance(constraints, list | tuple) or not all(isinstance(one, DistanceConstraints | FixedAtoms) for one in constraints):
-        raise TypeError(f"constraints of a System must be a list of DistanceConstraints and FixedAtoms; got {shown(constraints)}")
+    if not isinstance(constraints, list | tuple) or not all(
+        isinstance(one, DistanceConstraints | FixedAtoms) for one in constraints
+    ):
+        raise TypeError(
+            f"constraints of a System must be a list of DistanceConstraints and FixedAtoms; got {shown(constraints)}"
+        )
     return tuple(constraints)
 
 

@@ -8,7 +8,11 @@ from minimd.compiled.kernels import inlined
 @inlined
 def separation(positions, i, j, offset):
     """r_j − r_i + offset [length]."""
-    return positions[j, 0] - positions[i, 0] + offset[0], positions[j, 1] - positions[i, 1] + offset[1], positions[j, 2] - positions[i, 2] + offset[2]
+    return (
+        positions[j, 0] - positions[i, 0] + offset[0],
+        positions[j, 1] - positions[i, 1] + offset[1],
+        positions[j, 2] - positions[i, 2] + offset[2],
+    )
 
 
 @inlined

@@ -17,7 +17,9 @@ def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int 
     Raises ValueError if the target is negative or not finite, or the seed is not a whole number.
     """
     target = checked_number("temperature", target, "finite and not negative")
-    draw = np.random.default_rng(None if seed is None else checked_count("seed", seed, 0, SEEDS)).standard_normal((len(masses), 3))
+    draw = np.random.default_rng(None if seed is None else checked_count("seed", seed, 0, SEEDS)).standard_normal(
+        (len(masses), 3)
+    )
     velocities = draw * np.sqrt(k_B * target / masses)[:, None]
     velocities -= center(velocities, masses)
     n_dof = degrees_of_freedom(len(masses))
@@ -33,6 +35,8 @@ def rescaled(velocities: Array, masses: Array, target: float, k_B: float, n_dof:
     kinetic = kinetic_energy(velocities, masses)
     thermal = thermal_energy(kinetic, drift, masses)
     if thermal == 0.0:
-        raise ValueError("velocities are all zero or all the same and cannot be rescaled; draw them with set_temperature")
+        raise ValueError(
+            "velocities are all zero or all the same and cannot be rescaled; draw them with set_temperature"
+        )
     factor = np.sqrt(target / temperature(thermal, n_dof, k_B))
     return velocities * factor if thermal == kinetic else drift + (velocities - drift) * factor

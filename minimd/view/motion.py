@@ -115,7 +115,10 @@ def chosen_atoms(n_atoms: int, marked: Sequence[int] = ()) -> NDArray[np.int64]:
 def counted(fractions: Array, pbc: NDArray[np.bool_]) -> tuple[NDArray[np.uint16], Array, Array]:
     """q, low and width, (T, A, 3), (T, 3), (T, 3), of coordinates along the lattice, (T, A, 3)."""
     lowest, extent = fractions.min(axis=1), np.ptp(fractions, axis=1)
-    low, width = np.where(pbc, 0.0, lowest), np.where(pbc, 1.0, np.where(extent > 0.0, extent, 1.0) * LEVELS / (LEVELS - 1))
+    low, width = (
+        np.where(pbc, 0.0, lowest),
+        np.where(pbc, 1.0, np.where(extent > 0.0, extent, 1.0) * LEVELS / (LEVELS - 1)),
+    )
     counts = np.rint((fractions - low[:, None]) / width[:, None] * LEVELS)
     return (counts % LEVELS).astype(np.uint16), low, width
 
@@ -126,5 +129,8 @@ def neighbor_distances(positions: Array, species: NDArray[np.int64], n_species: 
     if len(positions) < 2:
         return np.ones(n_species)
     nearest = cKDTree(positions).query(positions[some], k=2)[0][:, 1]
-    medians = [np.median(nearest[species[some] == k]) if (species[some] == k).any() else np.median(nearest) for k in range(n_species)]
+    medians = [
+        np.median(nearest[species[some] == k]) if (species[some] == k).any() else np.median(nearest)
+        for k in range(n_species)
+    ]
     return np.where(np.array(medians) > 0.0, medians, 1.0)

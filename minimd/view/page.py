@@ -28,7 +28,16 @@ ELEMENTS = {  # the colors of Corey, Pauling and Koltun
     "Cu": "#c77b3f",
     "Ar": "#4fa7b8",
 }
-OTHERS = ("#4a7fc1", "#d98032", "#3f9f6f", "#b0599f", "#c9a227", "#7a6fc9", "#4fa7b8", "#a3504a")  # in turns, for species without a usual color
+OTHERS = (
+    "#4a7fc1",
+    "#d98032",
+    "#3f9f6f",
+    "#b0599f",
+    "#c9a227",
+    "#7a6fc9",
+    "#4fa7b8",
+    "#a3504a",
+)  # in turns, for species without a usual color
 
 
 def page(story: Story) -> str:
@@ -38,7 +47,9 @@ def page(story: Story) -> str:
         "frames": b64(motion.counts, "<u2"),
         "species": b64(system.species_index[motion.atoms], "<u4"),
         "bonds": b64(motion.bonds, "<u4"),
-        "about": json.dumps(about(story), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),  # safe inside a script element
+        "about": json.dumps(about(story), allow_nan=False, separators=(",", ":")).replace(
+            "<", "\\u003c"
+        ),  # safe inside a script element
         "picture": f"data:{story.picture[0]};base64,{b64encode(story.picture[1]).decode()}",
         "library": _text("ngl.js").partition("//# sourceMappingURL")[0],  # which developer tools would request
         "library_licenses": html.escape(_text("ngl-licenses.txt")),
@@ -96,7 +107,9 @@ def legend(motion: Motion, names: Sequence[Any], index: NDArray[np.int64]) -> st
 
 def table(rows: Rows) -> str:
     """Names and words as rows of a table."""
-    return "".join(f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(words)}</td></tr>' for name, words in rows)
+    return "".join(
+        f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(words)}</td></tr>' for name, words in rows
+    )
 
 
 def failure(cause: Sequence[str]) -> str:

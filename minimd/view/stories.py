@@ -65,14 +65,22 @@ def failure_story(path: Path, frames: int, potentials: Potential | Sequence[Pote
     """The last steps of a failed run, made again; or, without potentials, the two states in its file.  Raises as minimd.replay."""
     past = read_crash_report(path)
     found = past.findings
-    marked = (found.pair.first, found.pair.second) if found.pair else (found.closest[:2] if found.closest else (found.fastest,))
+    marked = (
+        (found.pair.first, found.pair.second)
+        if found.pair
+        else (found.closest[:2] if found.closest else (found.fastest,))
+    )
     tell = _steps if potentials is not None or past.scene else _states
-    contents, motion, *shown = tell(path, found, potentials, partial(motion_of, most=frames, marked=marked, latest=True))
+    contents, motion, *shown = tell(
+        path, found, potentials, partial(motion_of, most=frames, marked=marked, latest=True)
+    )
     cause = (found.cause, found.advice, f"{found.fault}, at step {found.step}")
     return Story(f"{contents.title}: failed", _heading(path, contents), contents, motion, marked, cause, *shown)
 
 
-def _steps(path: Path, findings: CrashReport, potentials: Any, moved: Callable[[RunUniverse], Motion]) -> tuple[Any, ...]:
+def _steps(
+    path: Path, findings: CrashReport, potentials: Any, moved: Callable[[RunUniverse], Motion]
+) -> tuple[Any, ...]:
     """Contents, motion, picture and its words, report and notes for the steps that led to the failure, made again."""
     from minimd.replay import replay
 
@@ -82,15 +90,33 @@ def _steps(path: Path, findings: CrashReport, potentials: Any, moved: Callable[[
         with universe_of(seen.trajectory or path) as made:
             motion = moved(made)
         words = "Four pictures against the step: total energy, distance of the closest pair, largest force, largest speed; the report has a table."
-        return read_file(path), motion, ("image/svg+xml", drawing.read_bytes()), words, f"{findings}\n\n{seen}", _left_out(motion)
+        return (
+            read_file(path),
+            motion,
+            ("image/svg+xml", drawing.read_bytes()),
+            words,
+            f"{findings}\n\n{seen}",
+            _left_out(motion),
+        )
 
 
-def _states(path: Path, findings: CrashReport, _potentials: Any, moved: Callable[[RunUniverse], Motion]) -> tuple[Any, ...]:
+def _states(
+    path: Path, findings: CrashReport, _potentials: Any, moved: Callable[[RunUniverse], Motion]
+) -> tuple[Any, ...]:
     """The same for the two states in the file, if there are no potentials."""
-    note = f"The steps between these states need the potentials of the script: minimd.view({path.name!r}, potentials=...)."
+    note = (
+        f"The steps between these states need the potentials of the script: minimd.view({path.name!r}, potentials=...)."
+    )
     with universe_of(path) as made:
         motion = moved(made)
-        return made.contents, motion, _scalable(drawn(made)), "Four pictures of the states in the file.", str(findings), (note, *_left_out(motion))
+        return (
+            made.contents,
+            motion,
+            _scalable(drawn(made)),
+            "Four pictures of the states in the file.",
+            str(findings),
+            (note, *_left_out(motion)),
+        )
 
 
 def _heading(path: Path, contents: H5MDContents) -> str:
@@ -102,7 +128,9 @@ def parameters(contents: H5MDContents) -> Rows:
     """System, method and potentials, in the units of the system; times and rates in ps, or τ."""
     system, units = contents.system, contents.system.units
     mass, picosecond = ("u", f", of which {units.to_picosecond**-1:.5g} make a ps") if units is ASE else ("m", "")
-    words = f"lengths in {units.length}, energies in {units.energy}, masses in {mass}, times in {units.time}{picosecond}"
+    words = (
+        f"lengths in {units.length}, energies in {units.energy}, masses in {mass}, times in {units.time}{picosecond}"
+    )
     rows = [row for row in system.display_rows() if row[0] != "units"]
     rows += [("method", contents.method), ("time step", units.shown(contents.timestep))]
     shown = {
@@ -120,8 +148,14 @@ def parameters(contents: H5MDContents) -> Rows:
 
 def _left_out(motion: Motion, repaired: str = "") -> tuple[str, ...]:
     """Sentences about frames and atoms that are not shown, and about a damaged restart."""
-    frames = f"{len(motion.frames)} of {motion.n_frames} frames are shown." if len(motion.frames) < motion.n_frames else ""
-    atoms = f"{len(motion.atoms)} of {motion.n_atoms} atoms are shown, evenly chosen." if len(motion.atoms) < motion.n_atoms else ""
+    frames = (
+        f"{len(motion.frames)} of {motion.n_frames} frames are shown." if len(motion.frames) < motion.n_frames else ""
+    )
+    atoms = (
+        f"{len(motion.atoms)} of {motion.n_atoms} atoms are shown, evenly chosen."
+        if len(motion.atoms) < motion.n_atoms
+        else ""
+    )
     return tuple(words for words in (frames, atoms, repaired and f"{repaired}.") if words)
 
 

@@ -36,11 +36,15 @@ class View:
         return path
 
     def __repr__(self) -> str:
-        return f"View({str(self.file)!r}: {self.summary}; {len(self.html.encode()) / 1e6:.1f} MB; write it with .save())"
+        return (
+            f"View({str(self.file)!r}: {self.summary}; {len(self.html.encode()) / 1e6:.1f} MB; write it with .save())"
+        )
 
     def _repr_html_(self) -> str:
         style = f"width: 100%; height: {HEIGHT}px; border: 0"
-        return f'<iframe title="{html.escape(str(self.file))}" style="{style}" srcdoc="{html.escape(self.html)}"></iframe>'
+        return (
+            f'<iframe title="{html.escape(str(self.file))}" style="{style}" srcdoc="{html.escape(self.html)}"></iframe>'
+        )
 
 
 @names_keywords
@@ -71,7 +75,9 @@ def view(file: str | Path, *, frames: int = FRAMES, potentials: Potential | Sequ
     if is_crash_file(path):
         story = failure_story(path, frames, potentials)
     elif potentials is not None:
-        raise ValueError(f"potentials are used for a failed run only; {str(path)!r} holds a run that did not fail: leave them out")
+        raise ValueError(
+            f"potentials are used for a failed run only; {str(path)!r} holds a run that did not fail: leave them out"
+        )
     else:
         story = run_story(path, frames)
     return View(page(story), path, story.summary)
@@ -83,5 +89,7 @@ def view_record(record: Record) -> View:
     Raises ValueError if the run wrote no such file.  Others as view.
     """
     if record.trajectory is None:
-        raise ValueError("a page needs the frames of the run, but the run wrote no .h5md file; run with trajectory='run.h5md'")
+        raise ValueError(
+            "a page needs the frames of the run, but the run wrote no .h5md file; run with trajectory='run.h5md'"
+        )
     return view(record.trajectory)

@@ -18,9 +18,14 @@ from typing import NamedTuple
 
 import pytest
 
-HEAD = struct.Struct("<iiiiqqqq")  # what, process, its parent, descriptor, offset, value, bytes of the path, bytes of the data
+HEAD = struct.Struct(
+    "<iiiiqqqq"
+)  # what, process, its parent, descriptor, offset, value, bytes of the path, bytes of the data
 OPEN, WRITE, TRUNCATE, FSYNC, RENAME, LINK, UNLINK, MKDIR, CLOSE, DUP = range(1, 11)
-NAMES = ("ext4", "strict")  # a file system that keeps the order of names, and saves that of a file with its fsync; one that promises what POSIX does
+NAMES = (
+    "ext4",
+    "strict",
+)  # a file system that keeps the order of names, and saves that of a file with its fsync; one that promises what POSIX does
 
 
 class Change(NamedTuple):
@@ -41,7 +46,9 @@ def recorder(folder):
     if not sys.platform.startswith("linux") or compiler is None:
         pytest.skip("the recorder needs Linux and a C compiler")
     made = Path(folder) / "recorder.so"
-    subprocess.run([compiler, "-O1", "-shared", "-fPIC", "-o", made, Path(__file__).with_name("recorder.c"), "-ldl"], check=True)
+    subprocess.run(
+        [compiler, "-O1", "-shared", "-fPIC", "-o", made, Path(__file__).with_name("recorder.c"), "-ldl"], check=True
+    )
     return made
 
 
@@ -51,7 +58,10 @@ def recorded(script, root, work):
     log.unlink(missing_ok=True)
     known = {"LD_PRELOAD": str(recorder(work)), "RECORDED": str(root), "RECORD": str(log), "OPENBLAS_NUM_THREADS": "1"}
     subprocess.run([sys.executable, str(script), str(root)], env=os.environ | known, check=True, cwd=root)
-    known = [(Change("name", n, name=name), Change("write", n, 0, before[name]), Change("sync", n)) for n, name in enumerate(before)]
+    known = [
+        (Change("name", n, name=name), Change("write", n, 0, before[name]), Change("sync", n))
+        for n, name in enumerate(before)
+    ]
     folders = [Change("sync folder", name=name) for name in {os.path.dirname(name) for name in before}]
     start = [change for three in known for change in three] + folders
     disk = Disk(start + _changes(log.read_bytes(), str(root), before), len(start))
@@ -133,9 +143,16 @@ class Disk:
 
     def part(self, folder):
         """The disk of a folder alone."""
-        mine = {change.file for change in self.changes if change.what == "name" and os.path.dirname(change.name) == folder}
-        kept = [change.file in mine or (change.what == "sync folder" and change.name == folder) for change in self.changes]
-        short = [one._replace(name=os.path.basename(one.name) if one.file >= 0 else "", old=os.path.basename(one.old)) for one in self.changes]
+        mine = {
+            change.file for change in self.changes if change.what == "name" and os.path.dirname(change.name) == folder
+        }
+        kept = [
+            change.file in mine or (change.what == "sync folder" and change.name == folder) for change in self.changes
+        ]
+        short = [
+            one._replace(name=os.path.basename(one.name) if one.file >= 0 else "", old=os.path.basename(one.old))
+            for one in self.changes
+        ]
         return Disk([one for one, is_kept in zip(short, kept, strict=True) if is_kept], sum(kept[: self.start]))
 
     def killed(self, k):

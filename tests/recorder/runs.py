@@ -36,10 +36,13 @@ STEPS = 13
 FILE, SCENE, CRASH = "run.h5md", "run.toml", "run.crash.h5md"
 RUN, RESUME = ["run", SCENE, "--quiet"], ["resume", FILE, "--quiet"]
 OBSERVERS = "".join(
-    f'[[observer]]\nkind = "{kind}"\nevery = 2\n' for kind in ("radial-distribution", "mean-square-displacement", "viscosity", "fluctuations")
+    f'[[observer]]\nkind = "{kind}"\nevery = 2\n'
+    for kind in ("radial-distribution", "mean-square-displacement", "viscosity", "fluctuations")
 )
 BATH, EVERY = 'method = "langevin-baoab"\nrelaxation_time = 1.0\n', "[output]\nevery = 3\n"
-PRESSURE = '[barostat]\npressure = 1.0\ncompressibility = 0.1\nrelaxation_time = 0.1\nevery = 3\ncoupling = "triclinic"\n'
+PRESSURE = (
+    '[barostat]\npressure = 1.0\ncompressibility = 0.1\nrelaxation_time = 0.1\nevery = 3\ncoupling = "triclinic"\n'
+)
 KINDS = {  # what is added to a melt of 108 atoms
     "nve": EVERY,
     "triclinic": BATH + PRESSURE + EVERY,
@@ -74,7 +77,11 @@ def make(kind, folder):
     """The work of a user in a folder, with a commit for each frame and between them; two frames fill a chunk."""
     h5md_writer.SECONDS_BETWEEN_FLUSHES = h5md_writer.MOST_OFTEN = simulation.SECONDS_BETWEEN_CHECKPOINTS = 0.0
     h5md_schema.CHUNK_BYTES, RunGuard.block = 6000, 2
-    commands = {"appended": [[*RUN, "--steps", "6"], RESUME], RESUMES[0]: [RESUME], RESUMES[1]: [[*RESUME, "--steps", "6"]]}.get(kind, [RUN])
+    commands = {
+        "appended": [[*RUN, "--steps", "6"], RESUME],
+        RESUMES[0]: [RESUME],
+        RESUMES[1]: [[*RESUME, "--steps", "6"]],
+    }.get(kind, [RUN])
     with contextlib.chdir(folder):
         assert {cli.main(one) for one in commands} <= {3 if kind == "crash" else 0}
 
@@ -203,7 +210,9 @@ def verdict(kind, folder, known, n_least):
 def check_other(file, known, n_frames):
     """It has the frames up to the restart, or all those of a run that was begun again."""
     frames, whole = others_of(file), others_of(known.folder / file.name)
-    assert len(frames) == (len(whole) if n_frames is None else n_frames), f"{file}: {len(frames)} frames, {n_frames} at the restart"
+    assert len(frames) == (len(whole) if n_frames is None else n_frames), (
+        f"{file}: {len(frames)} frames, {n_frames} at the restart"
+    )
     np.testing.assert_array_equal(frames, whole[: len(frames)])
 
 
@@ -216,7 +225,10 @@ class Survey:
     def __init__(self, kind, disk, known, scratch):
         self.kind, self._disk, self._known, self._scratch, self._seen = kind, disk, known, scratch, {}
         self._frames = {}
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):  # children find all loaded
+        with (
+            contextlib.redirect_stdout(io.StringIO()),
+            contextlib.redirect_stderr(io.StringIO()),
+        ):  # children find all loaded
             scratch.mkdir(exist_ok=True)
             shutil.copy(known.folder / FILE, scratch)
             assert cli.main(["check", str(scratch / FILE)]) in (0, 1)
@@ -245,7 +257,10 @@ class Survey:
 
     def _n_committed(self, k):
         """The number of frames that were safe after k changes: those after the last fsync of the file."""
-        last = max((at + 1 for at, one in enumerate(self._disk.changes[:k]) if one.what == "sync" and one.file == self._file), default=0)
+        last = max(
+            (at + 1 for at, one in enumerate(self._disk.changes[:k]) if one.what == "sync" and one.file == self._file),
+            default=0,
+        )
         if last not in self._frames:
             self._frames[last] = int(n_committed(self._disk.killed(last), self._scratch))
         return self._frames[last]

@@ -31,7 +31,10 @@ REFUSED = {
     "negative epsilon": (lambda: md.LennardJones(-1.0, 1.0), "epsilon must be finite and not negative"),
     "NaN epsilon": (lambda: md.LennardJones(NAN, 1.0), "epsilon must be finite"),
     "zero sigma": (lambda: md.LennardJones(1.0, 0.0), "sigma must be positive and finite"),
-    "negative sigma of a mixture": (lambda: md.LennardJones({"A": (1.0, 1.0), "B": (1.0, -1.0)}), "sigma of 'B' must be positive and finite"),
+    "negative sigma of a mixture": (
+        lambda: md.LennardJones({"A": (1.0, 1.0), "B": (1.0, -1.0)}),
+        "sigma of 'B' must be positive and finite",
+    ),
     "infinite cutoff": (lambda: md.LennardJones(1.0, 1.0, INF), "cutoff must be positive and finite"),
     "zero cutoff": (lambda: md.LennardJones(1.0, 1.0, 0.0), "cutoff must be positive and finite"),
     "huge cutoff": (lambda: md.LennardJones(1.0, 1.0, 1e200), "cutoff must be positive and finite"),
@@ -63,7 +66,14 @@ def test_arrays_of_any_kind_are_the_same_scene():
     padded[:, 1:7:2] = whole
     locked = whole.astype(float)
     locked.setflags(write=False)
-    kinds = [whole, whole.tolist(), whole.astype(np.float16), np.asfortranarray(whole, dtype=float), padded[:, 1:7:2], whole[::-1][::-1]]
+    kinds = [
+        whole,
+        whole.tolist(),
+        whole.astype(np.float16),
+        np.asfortranarray(whole, dtype=float),
+        padded[:, 1:7:2],
+        whole[::-1][::-1],
+    ]
     for kind in [*kinds, whole.astype(">f8"), whole.astype(np.uint8), locked, whole.astype(object), np.ma.array(whole)]:
         system = md.System(kind, cell=[12, 12, 12])
         assert np.array_equal(forces_of(system, SMOOTH).forces, expected)
@@ -74,7 +84,9 @@ def test_arrays_of_any_kind_are_the_same_scene():
 
 
 def test_subnormal_and_negative_zero_numbers_are_numbers():
-    system = md.System([[5e-324, -0.0, 0.0], [1.1, 5e-324, -5e-324]], velocities=[[5e-324, 0, 0], [0, -0.0, 0]], masses=[1.0, 1e-70])
+    system = md.System(
+        [[5e-324, -0.0, 0.0], [1.1, 5e-324, -5e-324]], velocities=[[5e-324, 0, 0], [0, -0.0, 0]], masses=[1.0, 1e-70]
+    )
     assert is_finite(ran(md.System(system.positions, velocities=system.velocities), SMOOTH, 0.004, 100))
     assert_stops("force on atom 1 would move it", lambda: ran(system, SMOOTH, 0.004, 100))
 
@@ -83,12 +95,32 @@ CHANGES = {
     "NaN": (lambda sim: sim.positions.__setitem__(3, NAN), md.NonFiniteError, "positions of 1 atoms are not finite"),
     "infinite velocities": (lambda sim: sim.velocities.fill(INF), md.NonFiniteError, "not finite"),
     "a small cell": (lambda sim: setattr(sim.system, "cell", md.Cell.of(2.0)), md.NonFiniteError, "atoms .* apart"),
-    "two atoms on one spot": (lambda sim: sim.positions.__setitem__(0, sim.positions[1]), md.NonFiniteError, "atoms 0 and 1, 0 σ apart"),
-    "hot atoms": (lambda sim: np.multiply(sim.velocities, 1e5, out=sim.velocities), md.NonFiniteError, "moves .* in one step"),
-    "a long step": (lambda sim: setattr(sim, "method", md.VelocityVerlet(0.5)), md.NonFiniteError, "timestep 0.5 τ too large"),
+    "two atoms on one spot": (
+        lambda sim: sim.positions.__setitem__(0, sim.positions[1]),
+        md.NonFiniteError,
+        "atoms 0 and 1, 0 σ apart",
+    ),
+    "hot atoms": (
+        lambda sim: np.multiply(sim.velocities, 1e5, out=sim.velocities),
+        md.NonFiniteError,
+        "moves .* in one step",
+    ),
+    "a long step": (
+        lambda sim: setattr(sim, "method", md.VelocityVerlet(0.5)),
+        md.NonFiniteError,
+        "timestep 0.5 τ too large",
+    ),
     "another system": (lambda sim: setattr(sim, "system", solid(2)), AttributeError, "system"),
-    "fewer atoms": (lambda sim: setattr(sim.system, "positions", np.zeros((10, 3))), ValueError, "one row for each of the 108 atoms"),
-    "other masses": (lambda sim: setattr(sim.system, "masses", np.zeros(108)), AttributeError, "masses of a System cannot be changed"),
+    "fewer atoms": (
+        lambda sim: setattr(sim.system, "positions", np.zeros((10, 3))),
+        ValueError,
+        "one row for each of the 108 atoms",
+    ),
+    "other masses": (
+        lambda sim: setattr(sim.system, "masses", np.zeros(108)),
+        AttributeError,
+        "masses of a System cannot be changed",
+    ),
     "a number for a cell": (lambda sim: setattr(sim.system, "cell", 9.0), TypeError, "can be replaced by a Cell"),
     "a run in a run": (lambda sim: sim.run(10), RuntimeError, "this simulation is running"),
     "an equilibration in a run": (lambda sim: sim.equilibrate(10, 1.0), RuntimeError, "this simulation is running"),
@@ -164,7 +196,8 @@ def test_a_law_with_a_hole_stops_where_an_atom_falls_into_it():
     for many in (False, True):
         system = solid(3) if many else start
         message = assert_stops(
-            r"At step \d+: .*not finite", lambda s=system: ran(s, md.PairPotential(holed, (1.21,), 2.5, "truncated"), 0.004, 400, temperature=1.0)
+            r"At step \d+: .*not finite",
+            lambda s=system: ran(s, md.PairPotential(holed, (1.21,), 2.5, "truncated"), 0.004, 400, temperature=1.0),
         )
         assert "atoms" in message
     assert_stops("not finite", lambda: ran(start, holed_energy, 0.004, 400))
@@ -190,9 +223,13 @@ def test_species_without_interaction_fly_through(precision):
     start = solid(4, species=["A", "B"] * 128)
     simulation = ran(start, ghosts, 0.004, 1000, temperature=1.0, precision=precision)
     straight = start.positions[1] + simulation.time * simulation.velocities[1]
-    assert np.abs(simulation.positions[1] - straight).max() < (1e-10 if precision == "double" else 1e-6)  # the net force of rounding is shared by all
+    assert np.abs(simulation.positions[1] - straight).max() < (
+        1e-10 if precision == "double" else 1e-6
+    )  # the net force of rounding is shared by all
     assert oscillation(simulation) < 1e-2
-    spots = md.System(np.vstack([start.positions, start.positions[1:2] + 1e-3]), species=[*start.species, "B"], cell=start.cell)
+    spots = md.System(
+        np.vstack([start.positions, start.positions[1:2] + 1e-3]), species=[*start.species, "B"], cell=start.cell
+    )
     assert is_finite(ran(spots, ghosts, 0.004, 10, precision=precision))
 
 
@@ -200,4 +237,7 @@ def test_species_without_interaction_fly_through(precision):
 def test_cutoffs_ten_times_apart(precision):
     cutoffs = {("A", "A"): 2.5, ("A", "B"): 1.2, ("B", "B"): 0.25}
     law = md.LennardJones({"A": (1.0, 1.0), "B": (1.0, 0.1)}, cutoff=cutoffs, truncation="force-shifted")
-    assert oscillation(ran(solid(4, species=["A", "B"] * 128), law, 0.002, 1000, temperature=1.0, precision=precision)) < 1e-2
+    assert (
+        oscillation(ran(solid(4, species=["A", "B"] * 128), law, 0.002, 1000, temperature=1.0, precision=precision))
+        < 1e-2
+    )

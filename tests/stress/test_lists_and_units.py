@@ -12,7 +12,15 @@ from minimd.structure.lattice import crystal
 
 pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
 
-POWERS = [(1e-30, 1.0, 1.0), (1e30, 1.0, 1.0), (1.0, 1e-30, 1.0), (1.0, 1e30, 1.0), (1.0, 1.0, 1e-30), (1.0, 1.0, 1e30), (1e-30, 1e30, 1e-30)]
+POWERS = [
+    (1e-30, 1.0, 1.0),
+    (1e30, 1.0, 1.0),
+    (1.0, 1e-30, 1.0),
+    (1.0, 1e30, 1.0),
+    (1.0, 1.0, 1e-30),
+    (1.0, 1.0, 1e30),
+    (1e-30, 1e30, 1e-30),
+]
 SI = (3.4e-10, 1.65e-21, 6.63e-26)  # m, J, kg: argon
 
 
@@ -39,7 +47,15 @@ def test_units_of_si_in_mixed_precision_give_the_same_physics(scales):
 
 
 @pytest.mark.parametrize(
-    "scales", [(1e-30, 1.0, 1.0), (1e30, 1.0, 1.0), (1e-30, 1e30, 1e-30), (1e20, 1e-30, 1.0), (1.0, 1e-40, 1.0), (1.0, 1e40, 1.0)]
+    "scales",
+    [
+        (1e-30, 1.0, 1.0),
+        (1e30, 1.0, 1.0),
+        (1e-30, 1e30, 1e-30),
+        (1e20, 1e-30, 1.0),
+        (1.0, 1e-40, 1.0),
+        (1.0, 1e40, 1.0),
+    ],
 )
 def test_units_beyond_float32_are_refused_in_mixed_precision(scales):
     """They gave forces of zero."""
@@ -58,10 +74,21 @@ def test_bonded_and_rigid_chains_of_any_units_move_alike(scales):
         k = np.arange(8)
         positions = np.column_stack([k, 0.2 * np.sin(k), 0.1 * np.cos(k)]) * length
         pairs, triples = np.column_stack([k[:-1], k[1:]]), np.column_stack([k[:-2], k[1:-1], k[2:]])
-        terms = [md.HarmonicBond(100 * energy / length**2, length), md.HarmonicAngle(energy, 2.0, triples), md.LennardJones(energy, length)]
+        terms = [
+            md.HarmonicBond(100 * energy / length**2, length),
+            md.HarmonicAngle(energy, 2.0, triples),
+            md.LennardJones(energy, length),
+        ]
         timestep = 0.002 * length / sqrt(energy)
         soft = ran(md.System(positions, bonds=pairs), terms, timestep, 200, temperature=0.1 * energy)
-        rigid = ran(md.System(positions), terms[1:], timestep, 200, temperature=0.1 * energy, constraints=md.DistanceConstraints(pairs))
+        rigid = ran(
+            md.System(positions),
+            terms[1:],
+            timestep,
+            200,
+            temperature=0.1 * energy,
+            constraints=md.DistanceConstraints(pairs),
+        )
         return np.concatenate([soft.positions, rigid.positions]) / length
 
     assert np.abs(chain(*scales) - chain(1.0, 1.0, 1.0)).max() < 1e-11
@@ -71,7 +98,10 @@ def test_bonded_and_rigid_chains_of_any_units_move_alike(scales):
 @pytest.mark.parametrize("precision", ["double", "mixed"])
 def test_skins_of_any_width_give_the_same_path(cell, precision):
     tolerance = 1e-12 if precision == "double" else 1e-5
-    paths = [ran(solid(4, cell=cell), SMOOTH, 0.004, 100, temperature=1.0, skin=skin, precision=precision) for skin in (0.3, 0.0, 1e-300, 1.5, 4.2)]
+    paths = [
+        ran(solid(4, cell=cell), SMOOTH, 0.004, 100, temperature=1.0, skin=skin, precision=precision)
+        for skin in (0.3, 0.0, 1e-300, 1.5, 4.2)
+    ]
     for other in paths[1:]:
         assert np.abs(other.positions - paths[0].positions).max() < tolerance
     assert paths[1].engine.interactions.n_builds >= 99
@@ -79,7 +109,11 @@ def test_skins_of_any_width_give_the_same_path(cell, precision):
 
 def test_a_skin_beyond_all_bounds_is_refused_or_right():
     assert_stops("reduce the skin", lambda: ran(solid(4), SMOOTH, 0.004, 10, skin=1e4), ValueError)
-    assert_stops("skin must be finite and not negative, between 1e-75 and 1e", lambda: ran(solid(4), SMOOTH, 0.004, 10, skin=1e300), ValueError)
+    assert_stops(
+        "skin must be finite and not negative, between 1e-75 and 1e",
+        lambda: ran(solid(4), SMOOTH, 0.004, 10, skin=1e300),
+        ValueError,
+    )
     wide, usual = (ran(solid(4, cell=False), SMOOTH, 0.004, 50, temperature=1.0, skin=skin) for skin in (1e6, 0.3))
     assert np.abs(wide.positions - usual.positions).max() < 1e-12
 
@@ -87,11 +121,17 @@ def test_a_skin_beyond_all_bounds_is_refused_or_right():
 @pytest.mark.parametrize("cutoff", [300.0, 1e3, 1e6])
 def test_a_huge_cutoff_in_a_small_cell_is_refused(cutoff):
     for system in (solid(4), md.System([[0, 0, 0]], cell=0.5)):
-        assert_stops("reduce the cutoff", lambda system=system: ran(system, md.LennardJones(1.0, 1.0, cutoff), 0.004, 10), ValueError)
+        assert_stops(
+            "reduce the cutoff",
+            lambda system=system: ran(system, md.LennardJones(1.0, 1.0, cutoff), 0.004, 10),
+            ValueError,
+        )
 
 
 def test_a_huge_cutoff_without_a_cell_is_no_cutoff():
-    near, far = (forces_of(solid(3, cell=False), md.LennardJones(1.0, 1.0, cutoff, "truncated")) for cutoff in (1e3, 1e30))
+    near, far = (
+        forces_of(solid(3, cell=False), md.LennardJones(1.0, 1.0, cutoff, "truncated")) for cutoff in (1e3, 1e30)
+    )
     every = forces_of(solid(3, cell=False), OPEN)
     assert np.abs(near.forces - every.forces).max() < ROUNDING * np.abs(every.forces).max()
     assert np.abs(far.forces - every.forces).max() < ROUNDING * np.abs(every.forces).max()
@@ -105,7 +145,9 @@ def test_a_huge_scene_without_a_cutoff_is_refused():
 @pytest.mark.parametrize("precision", ["double", "mixed"])
 def test_one_to_eight_threads_give_the_same_bits(precision):
     with atoms_per_domain(60):
-        one, *others = (ran(solid(6), SMOOTH, 0.004, 100, temperature=1.5, threads=n, precision=precision) for n in range(1, 9))
+        one, *others = (
+            ran(solid(6), SMOOTH, 0.004, 100, temperature=1.5, threads=n, precision=precision) for n in range(1, 9)
+        )
     assert one.engine.interactions.n_builds > 1
     for other in others:
         assert np.array_equal(other.positions, one.positions)
@@ -114,9 +156,17 @@ def test_one_to_eight_threads_give_the_same_bits(precision):
 
 @pytest.mark.parametrize("precision", ["double", "mixed"])
 def test_the_order_of_atoms_is_no_physics(precision):
-    start = ran(solid(4, species=["A", "B"] * 128), md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.9)}, cutoff=2.5), 0.004, 0, temperature=1.0).system
+    start = ran(
+        solid(4, species=["A", "B"] * 128),
+        md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.9)}, cutoff=2.5),
+        0.004,
+        0,
+        temperature=1.0,
+    ).system
     order = np.random.default_rng(4).permutation(len(start))
-    mixed_up = md.System(start.positions[order], velocities=start.velocities[order], species=start.species[order], cell=start.cell)
+    mixed_up = md.System(
+        start.positions[order], velocities=start.velocities[order], species=start.species[order], cell=start.cell
+    )
     law = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.9)}, cutoff=2.5, truncation="force-shifted")
     one, other = (ran(system, law, 0.004, 100, precision=precision) for system in (start, mixed_up))
     tolerance = 1e-11 if precision == "double" else 1e-4
@@ -130,7 +180,11 @@ def test_a_hundred_thousand_list_builds_conserve_energy(n_atoms):
     """Skin zero: pair lists and cluster lists are built at every step."""
     start = solid(3)
     edges = start.cell.vectors
-    system = md.System(start.positions[:n_atoms], cell=edges * (n_atoms / 108) ** (1 / 3) if n_atoms < 108 else edges, pbc=n_atoms == 108)
+    system = md.System(
+        start.positions[:n_atoms],
+        cell=edges * (n_atoms / 108) ** (1 / 3) if n_atoms < 108 else edges,
+        pbc=n_atoms == 108,
+    )
     simulation = md.Simulation(system, SMOOTH, md.VelocityVerlet(0.002), skin=0.0)
     simulation.set_temperature(0.3, seed=1)
     record = simulation.run(100_000, every=50)

@@ -74,10 +74,15 @@ def test_an_atom_of_many_bonds():
     arms = 6.0 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
     bonds = np.column_stack([np.zeros(500, int), np.arange(1, 501)])
     system = md.System(np.vstack([[0, 0, 0], arms]), bonds=bonds)
-    soft = md.PairPotential(lambda r2: (np.exp(-r2), 2.0 * np.exp(-r2)), (), 2.5, "force-shifted", bonded_scale=(0, 1, 1))
+    soft = md.PairPotential(
+        lambda r2: (np.exp(-r2), 2.0 * np.exp(-r2)), (), 2.5, "force-shifted", bonded_scale=(0, 1, 1)
+    )
     simulation = ran(system, [soft, md.HarmonicBond(10.0, 6.0)], 0.002, 1000, temperature=0.5)
     assert oscillation(simulation) < 1e-2
-    assert np.abs(simulation.record.momentum - simulation.record.momentum[0]).max() < 1e-12 * simulation.record.absolute_momentum[0]
+    assert (
+        np.abs(simulation.record.momentum - simulation.record.momentum[0]).max()
+        < 1e-12 * simulation.record.absolute_momentum[0]
+    )
 
 
 @pytest.mark.parametrize("precision", ["double", "mixed"])
@@ -121,7 +126,9 @@ def test_a_crystal_at_contact_of_hard_cores_is_conserved():
         s = epsilon / (r2 * r2 * r2) ** 8
         return s, 48.0 * s / r2
 
-    simulation = ran(solid(3, jitter=0.02), md.PairPotential(wall, (1.0,), 1.5, "force-shifted"), 0.0002, 5000, temperature=1.0)
+    simulation = ran(
+        solid(3, jitter=0.02), md.PairPotential(wall, (1.0,), 1.5, "force-shifted"), 0.0002, 5000, temperature=1.0
+    )
     assert oscillation(simulation) < 1e-2
 
 
@@ -174,10 +181,15 @@ def test_everything_fixed_is_refused():
         ran(solid(2), SMOOTH, 0.004, 10, constraints=md.FixedAtoms(np.ones(32, dtype=bool)))
 
 
-@pytest.mark.parametrize("method", [md.PositionVerlet, md.Leapfrog, md.integrators.BlanesMoan4, md.integrators.PEFRL, md.integrators.Ruth3])
+@pytest.mark.parametrize(
+    "method", [md.PositionVerlet, md.Leapfrog, md.integrators.BlanesMoan4, md.integrators.PEFRL, md.integrators.Ruth3]
+)
 def test_other_methods_are_stopped_past_their_limits_too(method):
     system = md.System([[0, 0, 0], [1.1, 0, 0]], bonds=[[0, 1]])
-    assert_stops("total energy has gone|not finite", lambda: ran(system, md.HarmonicBond(1.0, 1.0), 4.0, 3000, method=method(12.0 / np.sqrt(2.0))))
+    assert_stops(
+        "total energy has gone|not finite",
+        lambda: ran(system, md.HarmonicBond(1.0, 1.0), 4.0, 3000, method=method(12.0 / np.sqrt(2.0))),
+    )
 
 
 @pytest.mark.parametrize("pbc", [False, True])
@@ -195,8 +207,12 @@ def test_the_closest_pair_is_found_in_a_crowd_with_one_atom_far_away(pbc):
 def test_the_closest_pair_is_the_first_of_all_neighbors(pbc):
     rng = np.random.default_rng(2)
     for n_atoms in (1, 2, 3, 20):
-        system = md.System(rng.uniform(-20, 20, (n_atoms, 3)), cell=[[3.0, 0, 0], [40.0, 5.0, 0], [1, -20.0, 7.0]], pbc=pbc)
+        system = md.System(
+            rng.uniform(-20, 20, (n_atoms, 3)), cell=[[3.0, 0, 0], [40.0, 5.0, 0], [1, -20.0, 7.0]], pbc=pbc
+        )
         pair = closest_pair(system)
         i, j, d = md.neighbor_list("ijd", system, 60.0)
         assert pair.distance == pytest.approx(d.min(), rel=1e-9)
-        assert (pair.first, pair.second) in set(zip(i[d < d.min() * 1.000001].tolist(), j[d < d.min() * 1.000001].tolist(), strict=True))
+        assert (pair.first, pair.second) in set(
+            zip(i[d < d.min() * 1.000001].tolist(), j[d < d.min() * 1.000001].tolist(), strict=True)
+        )

@@ -22,7 +22,9 @@ def exploding():
 
 def colliding():
     """Two fast atoms that meet after some frames, with a step too long."""
-    system = md.System([[1.0, 5, 5], [9.0, 5.05, 5], [5, 9, 9]], velocities=[[10.0, 0, 0], [-10.0, 0, 0], [0, 0, 0]], cell=20.0)
+    system = md.System(
+        [[1.0, 5, 5], [9.0, 5.05, 5], [5, 9, 9]], velocities=[[10.0, 0, 0], [-10.0, 0, 0], [0, 0, 0]], cell=20.0
+    )
     return md.Simulation(system, SMOOTH, md.VelocityVerlet(0.05))
 
 
@@ -50,7 +52,9 @@ def test_files_of_a_run_that_blows_up_hold_the_last_good_frame(scene, every, suf
     steps, edge = simulation.step - simulation.record.step[-1], simulation.system.cell.vectors[0, 0]
     assert steps < every
     farthest = np.abs(simulation.velocities).max() * simulation.method.timestep * steps / edge
-    assert np.abs(moved - np.rint(moved)).max() < 1e-2 + farthest  # a file in float32 may hold what stands some cells away
+    assert (
+        np.abs(moved - np.rint(moved)).max() < 1e-2 + farthest
+    )  # a file in float32 may hold what stands some cells away
     if suffix == ".h5md":
         contents = read_file(file)
         assert contents.step == simulation.step
@@ -59,7 +63,10 @@ def test_files_of_a_run_that_blows_up_hold_the_last_good_frame(scene, every, suf
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_files_stay_valid_after_ctrl_c(suffix, tmp_path):
-    file, simulation = tmp_path / f"a{suffix}", md.Simulation(solid(2), md.LennardJones(1.0, 1.0, 1.6), md.VelocityVerlet(0.002))
+    file, simulation = (
+        tmp_path / f"a{suffix}",
+        md.Simulation(solid(2), md.LennardJones(1.0, 1.0, 1.6), md.VelocityVerlet(0.002)),
+    )
 
     def interrupt(sim):
         if sim.step == 50:

@@ -33,7 +33,9 @@ def test_overlapping_atoms_are_named(scene, distance, precision):
     potential = OPEN if scene == "no cutoff" else SMOOTH
     message = assert_stops(LAST_GOOD, lambda: ran(system, potential, 0.004, 1000, precision=precision))
     assert "atoms 0 and 1 overlap" in message
-    assert f"atoms 0 and 1, {distance:.3g} σ apart" in message or (distance == 1e-30 and "atoms 0 and 1, 0 σ apart" in message)
+    assert f"atoms 0 and 1, {distance:.3g} σ apart" in message or (
+        distance == 1e-30 and "atoms 0 and 1, 0 σ apart" in message
+    )
 
 
 @pytest.mark.parametrize("scene", ["one spot", "modulo the cell", "modulo the cell, thousands of cells away"])
@@ -43,7 +45,10 @@ def test_atoms_on_one_spot_are_named(scene):
         system = md.System(np.ones((100, 3)), cell=9.0)
     else:
         edges = start.cell.vectors[0]
-        system = md.System(np.vstack([start.positions, start.positions[:1] + edges * (1 if scene == "modulo the cell" else 4096)]), cell=start.cell)
+        system = md.System(
+            np.vstack([start.positions, start.positions[:1] + edges * (1 if scene == "modulo the cell" else 4096)]),
+            cell=start.cell,
+        )
     assert "0 σ apart" in assert_stops(LAST_GOOD, lambda: ran(system, SMOOTH, 0.004, 10))
     assert_stops("atoms 0 and", lambda: md.evaluate(system, SMOOTH))
 
@@ -83,7 +88,9 @@ def test_a_whole_scene_far_from_the_origin_is_the_same_scene(offset, precision):
         home.positions -= offset
         here, there = (forces_of(system, SMOOTH, precision=precision) for system in (near, home))
         scale = np.abs(there.forces).max()
-        assert np.abs(here.forces - there.forces).max() < (ROUNDING if precision == "double" else 1e-4) * scale + 1e3 * np.spacing(offset)
+        assert np.abs(here.forces - there.forces).max() < (
+            ROUNDING if precision == "double" else 1e-4
+        ) * scale + 1e3 * np.spacing(offset)
 
 
 @pytest.mark.parametrize("cutoffs", [1.01, 1.5, 2.0, 2.3, 3.0, 10.0, 30.0, 100.0])
@@ -117,7 +124,9 @@ def test_cells_of_any_shape_hold_the_energy_of_all_pairs(shape, pbc):
     rng = np.random.default_rng(5)
     cell = Cell.of(SHAPES[shape], pbc)
     system = md.System(rng.uniform(-1, 1, (80, 3)) @ cell.lattice, cell=cell)
-    expected = brute_force_energy(md.System(system.positions, cell=Cell.of(cell.lattice, pbc)), lambda r: float(GAUSS.pair_energy(r)), 2.5)
+    expected = brute_force_energy(
+        md.System(system.positions, cell=Cell.of(cell.lattice, pbc)), lambda r: float(GAUSS.pair_energy(r)), 2.5
+    )
     assert forces_of(system, GAUSS).potential_energy == pytest.approx(expected, rel=1e-10)
     simulation = ran(system, GAUSS, 0.01, 300, temperature=1.0, every=10)
     assert oscillation(simulation) < 1e-2
@@ -132,11 +141,15 @@ def test_atoms_exactly_on_the_faces_of_cells_belong_to_one_of_them(precision):
     rng = np.random.default_rng(2)
     for _ in range(5):
         moved = np.where(
-            positions == 0.0, rng.choice([0.0, -0.0, edge, -edge, np.nextafter(0, -1), np.nextafter(edge, 9)], positions.shape), positions
+            positions == 0.0,
+            rng.choice([0.0, -0.0, edge, -edge, np.nextafter(0, -1), np.nextafter(edge, 9)], positions.shape),
+            positions,
         )
         found = forces_of(md.System(moved, cell=edges), SMOOTH, precision=precision)
         assert np.abs(found.forces).max() < (1e-11 if precision == "double" else 1e-3)
-        assert found.potential_energy == pytest.approx(expected.potential_energy, rel=1e-12 if precision == "double" else 1e-6)
+        assert found.potential_energy == pytest.approx(
+            expected.potential_energy, rel=1e-12 if precision == "double" else 1e-6
+        )
 
 
 @pytest.mark.parametrize("precision", ["double", "mixed"])
@@ -153,7 +166,9 @@ def test_atoms_on_the_sites_of_a_crystal_stay_there(lattice, precision):
         positions, edges = crystal(lattice, [5, 5, 5] if lattice != "diamond" else [3, 3, 3], spacing)
         system = md.System(positions, cell=edges)
     simulation = ran(system, SMOOTH, 0.004, 50 if lattice in ("sc", "bcc", "diamond") else 1000, precision=precision)
-    assert np.abs(forces_of(system, SMOOTH, precision=precision).forces).max() < (1e-11 if precision == "double" else 1e-3)
+    assert np.abs(forces_of(system, SMOOTH, precision=precision).forces).max() < (
+        1e-11 if precision == "double" else 1e-3
+    )
     assert np.abs(simulation.positions - system.positions).max() < (1e-10 if precision == "double" else 1e-3)
 
 

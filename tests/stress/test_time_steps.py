@@ -20,7 +20,9 @@ def dumbbell():
 
 
 def chain():
-    return md.System(np.column_stack([BEADS, 0.1 * np.sin(BEADS), 0.0 * BEADS]), bonds=np.column_stack([BEADS[:-1], BEADS[1:]]))
+    return md.System(
+        np.column_stack([BEADS, 0.1 * np.sin(BEADS), 0.0 * BEADS]), bonds=np.column_stack([BEADS[:-1], BEADS[1:]])
+    )
 
 
 def dimer():
@@ -43,7 +45,10 @@ def test_an_oscillator_above_its_limit_is_stopped(x, n_steps):
         pytest.skip("the energy has only doubled ten times")
     for every in (100, 10**6):
         simulation = md.Simulation(dumbbell(), SPRING, md.VelocityVerlet(x / FREQUENCY))
-        message = assert_stops("total energy has gone from 0.005 to|not finite", lambda sim=simulation, every=every: sim.run(n_steps, every=every))
+        message = assert_stops(
+            "total energy has gone from 0.005 to|not finite",
+            lambda sim=simulation, every=every: sim.run(n_steps, every=every),
+        )
         assert "too large" in message
         assert np.abs(simulation.positions).max() < 1e4  # the state it was left in is one from before
 
@@ -86,7 +91,9 @@ def test_a_bead_chain_below_its_limit_is_bounded(x):
 
 @pytest.mark.parametrize("x", [2.05, 2.5, 4.0])
 def test_a_bead_chain_above_its_limit_is_stopped(x):
-    message = assert_stops("total energy has gone from", lambda: ran(chain(), md.HarmonicBond(400.0, 1.0), x / 40.0, 5000))
+    message = assert_stops(
+        "total energy has gone from", lambda: ran(chain(), md.HarmonicBond(400.0, 1.0), x / 40.0, 5000)
+    )
     assert "too large" in message
 
 

@@ -18,6 +18,28 @@ there is no instruction, apply the function lane by lane: see `_bind_one`.
 """
 
 from minimd.compiled.simd.arithmetic import fma, select
-from minimd.compiled.simd.vector import bits_from_mask, broadcast, convert, lane, load, store, total, trailing_zeros, with_lane
+from minimd.compiled.simd.vector import (
+    bits_from_mask,
+    broadcast,
+    convert,
+    lane,
+    load,
+    store,
+    total,
+    trailing_zeros,
+    with_lane,
+)
 
-__all__ = ["bits_from_mask", "broadcast", "convert", "fma", "lane", "load", "select", "store", "total", "trailing_zeros", "with_lane"]
+__all__ = [
+    "bits_from_mask",
+    "broadcast",
+    "convert",
+    "fma",
+    "lane",
+    "load",
+    "select",
+    "store",
+    "total",
+    "trailing_zeros",
+    "with_lane",
+]

@@ -9,10 +9,41 @@ from numba.extending import intrinsic, overload
 
 from minimd.compiled.simd.vector import Vector, broadcast, call, lane, with_lane
 
-FLOAT_OPERATORS = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}  # methods of IRBuilder
-INTEGER_OPERATORS = {operator.add: "add", operator.sub: "sub", operator.mul: "mul", operator.and_: "and_", operator.or_: "or_"}
-COMPARISONS = {operator.lt: "<", operator.le: "<=", operator.gt: ">", operator.ge: ">=", operator.eq: "==", operator.ne: "!="}
-LANE_BY_LANE = (math.exp, math.log, math.sin, math.cos, math.tanh, math.erf, math.erfc, np.exp, np.log, np.sin, np.cos, np.tanh)
+FLOAT_OPERATORS = {
+    operator.add: "fadd",
+    operator.sub: "fsub",
+    operator.mul: "fmul",
+    operator.truediv: "fdiv",
+}  # methods of IRBuilder
+INTEGER_OPERATORS = {
+    operator.add: "add",
+    operator.sub: "sub",
+    operator.mul: "mul",
+    operator.and_: "and_",
+    operator.or_: "or_",
+}
+COMPARISONS = {
+    operator.lt: "<",
+    operator.le: "<=",
+    operator.gt: ">",
+    operator.ge: ">=",
+    operator.eq: "==",
+    operator.ne: "!=",
+}
+LANE_BY_LANE = (
+    math.exp,
+    math.log,
+    math.sin,
+    math.cos,
+    math.tanh,
+    math.erf,
+    math.erfc,
+    np.exp,
+    np.log,
+    np.sin,
+    np.cos,
+    np.tanh,
+)
 
 
 def _instruction(of_floats: str, of_integers: str, *sign: str):
@@ -21,7 +52,9 @@ def _instruction(of_floats: str, of_integers: str, *sign: str):
     @intrinsic
     def operation(_context, a, b):
         method = of_floats if a.is_float else of_integers
-        return (a.mask if sign else a)(a, b), lambda context, builder, signature, arguments: getattr(builder, method)(*sign, *arguments)
+        return (a.mask if sign else a)(a, b), lambda context, builder, signature, arguments: getattr(builder, method)(
+            *sign, *arguments
+        )
 
     return operation
 
@@ -31,7 +64,9 @@ def _function(name: str):
 
     @intrinsic
     def one(_context, a):
-        return a(a), lambda context, builder, signature, arguments: call(builder, f"llvm.{name}.{a.suffix}", arguments[0].type, arguments)
+        return a(a), lambda context, builder, signature, arguments: call(
+            builder, f"llvm.{name}.{a.suffix}", arguments[0].type, arguments
+        )
 
     return one
 
@@ -42,7 +77,9 @@ _square_root, _magnitude, _floor = _function("sqrt"), _function("fabs"), _functi
 @intrinsic
 def _multiply_add(_context, a, b, c):
     suffix = a.suffix if isinstance(a, Vector) else f"f{a.bitwidth}"
-    return a(a, b, c), lambda context, builder, signature, arguments: call(builder, f"llvm.fmuladd.{suffix}", arguments[0].type, arguments)
+    return a(a, b, c), lambda context, builder, signature, arguments: call(
+        builder, f"llvm.fmuladd.{suffix}", arguments[0].type, arguments
+    )
 
 
 def fma(a, b, c):
@@ -81,7 +118,11 @@ def _bind(function, operation) -> None:
     def of_vectors(a, b):
         if isinstance(a, Vector) and (a == b or isinstance(b, types.Number)):
             return lambda a, b: operation(a, broadcast(b, a))
-        return (lambda a, b: operation(broadcast(a, b), b)) if isinstance(b, Vector) and isinstance(a, types.Number) else None
+        return (
+            (lambda a, b: operation(broadcast(a, b), b))
+            if isinstance(b, Vector) and isinstance(a, types.Number)
+            else None
+        )
 
 
 def _bind_choice(function, beats) -> None:
@@ -149,6 +190,12 @@ def _bind_one(function, operation=None) -> None:
         return each
 
 
-_FUNCTIONS = {math.sqrt: _square_root, np.sqrt: _square_root, abs: _magnitude, np.floor: _floor, **dict.fromkeys(LANE_BY_LANE)}
+_FUNCTIONS = {
+    math.sqrt: _square_root,
+    np.sqrt: _square_root,
+    abs: _magnitude,
+    np.floor: _floor,
+    **dict.fromkeys(LANE_BY_LANE),
+}
 for _one, _operation in _FUNCTIONS.items():
     _bind_one(_one, _operation)

@@ -32,7 +32,9 @@ class VectorModel(models.PrimitiveModel):
     """A Vector is an LLVM vector; the lanes of a mask are single bits."""
 
     def __init__(self, manager, fe_type):
-        element = ir.IntType(1) if fe_type.element == types.boolean else manager.lookup(fe_type.element).get_value_type()
+        element = (
+            ir.IntType(1) if fe_type.element == types.boolean else manager.lookup(fe_type.element).get_value_type()
+        )
         super().__init__(manager, fe_type, ir.VectorType(element, fe_type.lanes))
 
 
@@ -56,13 +58,17 @@ def broadcast(_context, number, like):
 def bits_from_mask(_context, mask):
     """A mask as an int64 whose bit k is lane k; zero if no lane is set."""
     bits, int64 = ir.IntType(mask.lanes), ir.IntType(64)
-    return types.int64(mask), lambda context, builder, signature, arguments: builder.zext(builder.bitcast(arguments[0], bits), int64)
+    return types.int64(mask), lambda context, builder, signature, arguments: builder.zext(
+        builder.bitcast(arguments[0], bits), int64
+    )
 
 
 @intrinsic
 def trailing_zeros(_context, bits):
     """The number of the lowest bit of an uint64 that is set; 64 if none is."""
-    return types.uint64(types.uint64), lambda context, builder, signature, arguments: builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 0))
+    return types.uint64(types.uint64), lambda context, builder, signature, arguments: builder.cttz(
+        arguments[0], ir.Constant(ir.IntType(1), 0)
+    )
 
 
 @intrinsic
@@ -108,7 +114,9 @@ def with_lane(_context, vector, k, number):
     """The vector with another number in lane k."""
 
     def generate(context, builder, signature, arguments):
-        return builder.insert_element(arguments[0], context.cast(builder, arguments[2], number, vector.element), arguments[1])
+        return builder.insert_element(
+            arguments[0], context.cast(builder, arguments[2], number, vector.element), arguments[1]
+        )
 
     return vector(vector, k, number), generate
 
@@ -131,7 +139,9 @@ def store(_context, array, index, vector):
     """Write a vector to contiguous elements of a one-dimensional array, from index."""
 
     def generate(context, builder, signature, arguments):
-        builder.store(arguments[2], _pointer_to(context, builder, array, arguments, vector)).align = array.dtype.bitwidth // 8
+        builder.store(arguments[2], _pointer_to(context, builder, array, arguments, vector)).align = (
+            array.dtype.bitwidth // 8
+        )
         return context.get_dummy_value()
 
     return types.void(array, types.intp, vector), generate

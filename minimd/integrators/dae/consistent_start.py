@@ -30,7 +30,9 @@ def unit_of_time(y: Array, *derivatives: Array) -> float:
     return 1.0 / max(rates) if max(rates) > RESTING else 1.0
 
 
-def nearest_root(function: Callable[[Array], Array], x: Array, step: float = CENTRAL, dependent: float = DEPENDENT, size: float = 0.0) -> Array:
+def nearest_root(
+    function: Callable[[Array], Array], x: Array, step: float = CENTRAL, dependent: float = DEPENDENT, size: float = 0.0
+) -> Array:
     """A root of the function near the guess, by Gauss-Newton: each correction is the smallest that solves the linearized equations.
 
     step : of central differences, relative to x; wide for functions that are numerical derivatives themselves.

@@ -125,7 +125,9 @@ class Hessenberg(DifferentialAlgebraic):
     def _begun(self, start: Any, t: float) -> list[Array]:
         """The parts of a start, with zeros for algebraic variables that are not given; sizes are remembered."""
         if not isinstance(start, tuple) or len(start) not in (len(self.names) - 1, len(self.names)):
-            raise ValueError(f"the start must be a tuple of {', '.join(self.names)}, of which {self.names[-1]} may be left out; got {shown(start)}")
+            raise ValueError(
+                f"the start must be a tuple of {', '.join(self.names)}, of which {self.names[-1]} may be left out; got {shown(start)}"
+            )
         parts = [np.array(part, dtype=float).reshape(-1) for part in start]
         if len(parts) < len(self.names):
             parts.append(np.zeros(self._n_multipliers(t, *parts)))
@@ -137,7 +139,9 @@ class Hessenberg(DifferentialAlgebraic):
         self.levels = np.repeat(np.maximum(np.arange(len(parts)) + self.index - len(parts), 0), sizes)
         for name, answer, part in zip(self.functions, self._answers(t, *parts), parts, strict=True):
             if answer.size != part.size:
-                raise ValueError(f"{name} must answer with as many numbers as it has variables, {part.size} as in the start; got {answer.size}")
+                raise ValueError(
+                    f"{name} must answer with as many numbers as it has variables, {part.size} as in the start; got {answer.size}"
+                )
         return parts
 
     def _answers(self, t: float, *parts: Array) -> Parts:
@@ -223,7 +227,11 @@ class Hessenberg3(Hessenberg):
 
     def __init__(self, f: Function, k: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
         super().__init__(solver)
-        self.f, self.k, self.g = taking(f, ("t", "y", "z"), "f"), taking(k, ("t", "y", "z", "u"), "k"), taking(g, ("t", "y"), "g")
+        self.f, self.k, self.g = (
+            taking(f, ("t", "y", "z"), "f"),
+            taking(k, ("t", "y", "z", "u"), "k"),
+            taking(g, ("t", "y"), "g"),
+        )
 
     def constraint(self, k: int, t: float, *parts: Array) -> Array:
         """g, dg/dt or d²g/dt²."""
@@ -234,7 +242,9 @@ class Hessenberg3(Hessenberg):
         if k == 1:
             return time_derivative(lambda e: self.g(t + e, y + e * rate), 1, unit_of_time(y, rate))
         second = self._highest_derivative(t, *parts)
-        return time_derivative(lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), 2, unit_of_time(y, rate, second))
+        return time_derivative(
+            lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), 2, unit_of_time(y, rate, second)
+        )
 
     def _answers(self, t: float, *parts: Array) -> Parts:
         return self.f(t, *parts[:2]), self.k(t, *parts), self.g(t, parts[0])
@@ -275,12 +285,26 @@ class Mechanical(Hessenberg3):
     names, functions, regular = ("q", "v", "λ"), ("q′", "force", "g"), "G M⁻¹ Gᵀ"
     chain = ("g", "dg/dt = G v + g_t", "d²g/dt²")
 
-    def __init__(self, mass: ArrayLike | Function, force: Function, g: Function, gradient: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
+    def __init__(
+        self,
+        mass: ArrayLike | Function,
+        force: Function,
+        g: Function,
+        gradient: Function | None = None,
+        solver: Solver = Newton(),
+    ) -> None:  # noqa: B008
         of_time_and_q = taking(g, ("t", "q"), "g")
-        super().__init__(lambda t, y, z: z, lambda t, y, z, u: self._highest_derivative(t, y, z, u), lambda t, y: of_time_and_q(t, y), solver)
+        super().__init__(
+            lambda t, y, z: z,
+            lambda t, y, z, u: self._highest_derivative(t, y, z, u),
+            lambda t, y: of_time_and_q(t, y),
+            solver,
+        )
         self._force = taking(force, ("t", "q", "v"), "force")
         self._gradient = gradient if gradient is None else taking(gradient, ("t", "q"), "gradient")
-        self._mass = taking(mass, ("q",), "mass") if callable(mass) else lambda q: np.array(mass, dtype=float).reshape(-1)
+        self._mass = (
+            taking(mass, ("q",), "mass") if callable(mass) else lambda q: np.array(mass, dtype=float).reshape(-1)
+        )
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """See Hessenberg."""
@@ -293,7 +317,9 @@ class Mechanical(Hessenberg3):
         """q′ − v, M v′ − f + Gᵀ λ and g."""
         q, v, multipliers = self.parts(y)
         q_slope, v_slope, _ = self.parts(slope)
-        return np.concatenate([q_slope - v, np.dot(self.mass(q), v_slope) - self._pull(t, q, v, multipliers), self.g(t, q)])
+        return np.concatenate(
+            [q_slope - v, np.dot(self.mass(q), v_slope) - self._pull(t, q, v, multipliers), self.g(t, q)]
+        )
 
     def field(self, t: float, y: Array) -> Array:
         """v, M⁻¹ (f − Gᵀ λ), and zero for λ."""
@@ -336,12 +362,18 @@ class Mechanical(Hessenberg3):
         """M(q), (n, n)."""
         mass, n = self._mass(q), q.size
         if mass.size not in (1, n, n * n):
-            raise ValueError(f"mass must be one number, {n} or {n} × {n}, as q has {n} elements; got {mass.size} numbers")
+            raise ValueError(
+                f"mass must be one number, {n} or {n} × {n}, as q has {n} elements; got {mass.size} numbers"
+            )
         return mass.reshape(n, n) if mass.size == n * n else np.eye(n) * mass
 
     def gradient(self, t: float, q: Array) -> Array:
         """G(t, q), (m, n)."""
-        return accurate_differences(lambda x: self.g(t, x), q) if self._gradient is None else self._gradient(t, q).reshape(-1, q.size)
+        return (
+            accurate_differences(lambda x: self.g(t, x), q)
+            if self._gradient is None
+            else self._gradient(t, q).reshape(-1, q.size)
+        )
 
     def _answers(self, t: float, *parts: Array) -> tuple[Array, ...]:
         q, v, _ = parts

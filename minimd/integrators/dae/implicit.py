@@ -25,7 +25,10 @@ from minimd.structure.checks import shown
 __all__ = ["Implicit", "pencil_index"]
 
 ABSENT = 1e-12  # relative to the largest ∂F/∂y′: smaller ones count as zero
-RANK, NOISY_RANK = 1e-7, 1e-4  # relative singular values that count as zero, of matrices from differences and from differences of differences
+RANK, NOISY_RANK = (
+    1e-7,
+    1e-4,
+)  # relative singular values that count as zero, of matrices from differences and from differences of differences
 PENCIL_RANK = 1e-10  # singular values of scaled matrices below this are rounding
 LEAST_MOBILITY = 0.1  # mobility of variables whose derivative occurs in F, relative to that of the others
 SOLVED, NEGLIGIBLE = 1e-7, 1e-12  # what may be left of an equation, relative to its terms and to its largest variable
@@ -44,7 +47,9 @@ class Implicit(DifferentialAlgebraic):
     The start is y, or (y, y′) with a guess of y′. Variables whose derivative does not occur in F are taken for a guess as well.
     """
 
-    def __init__(self, F: Function, F_y: Function | None = None, F_slope: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008, N803
+    def __init__(
+        self, F: Function, F_y: Function | None = None, F_slope: Function | None = None, solver: Solver = Newton()
+    ) -> None:  # noqa: B008, N803
         super().__init__(solver)
         names = "t", "y", "slope"
         self._F, self._slope = taking(F, names, "F"), np.zeros(0)
@@ -75,18 +80,35 @@ class Implicit(DifferentialAlgebraic):
 
     def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """∂F/∂y, (n, n)."""
-        return super().state_jacobian(t, y, slope) if self._F_y is None else self._F_y(t, y, slope).reshape(y.size, y.size)
+        return (
+            super().state_jacobian(t, y, slope) if self._F_y is None else self._F_y(t, y, slope).reshape(y.size, y.size)
+        )
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """∂F/∂y′, (n, n)."""
-        return super().slope_jacobian(t, y, slope) if self._F_slope is None else self._F_slope(t, y, slope).reshape(y.size, y.size)
+        return (
+            super().slope_jacobian(t, y, slope)
+            if self._F_slope is None
+            else self._F_slope(t, y, slope).reshape(y.size, y.size)
+        )
 
     def _begun(self, start: Any, t: float) -> tuple[Array, Array]:
         """y and y′ of the start; y′ is zero if it is not given."""
-        y, slope = start if isinstance(start, tuple) and len(start) == 2 and np.ndim(start[0]) == 1 else (start, np.zeros(np.shape(start)))
+        y, slope = (
+            start
+            if isinstance(start, tuple) and len(start) == 2 and np.ndim(start[0]) == 1
+            else (start, np.zeros(np.shape(start)))
+        )
         y, slope = np.array(y, dtype=float), np.array(slope, dtype=float)
-        if y.ndim != 1 or y.size == 0 or y.shape != slope.shape or not (np.isfinite(y).all() and np.isfinite(slope).all()):
-            raise ValueError(f"the start must be y, or (y, y′), one-dimensional arrays of the same length with finite elements; got {shown(start)}")
+        if (
+            y.ndim != 1
+            or y.size == 0
+            or y.shape != slope.shape
+            or not (np.isfinite(y).all() and np.isfinite(slope).all())
+        ):
+            raise ValueError(
+                f"the start must be y, or (y, y′), one-dimensional arrays of the same length with finite elements; got {shown(start)}"
+            )
         n_equations = self.residual(t, y, slope).size
         if n_equations != y.size:
             raise ValueError(f"there must be as many equations as variables; F has {n_equations}, y has {y.size}")
@@ -116,9 +138,13 @@ class Implicit(DifferentialAlgebraic):
 
     def _pencil(self, t: float, y: Array, slope: Array) -> tuple[Array, Array]:
         """F_y′ and F_y, to some eleven digits."""
-        return central_differences(lambda x: self.residual(t, y, x), slope), central_differences(lambda x: self.residual(t, x, slope), y)
+        return central_differences(lambda x: self.residual(t, y, x), slope), central_differences(
+            lambda x: self.residual(t, x, slope), y
+        )
 
-    def _solved(self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float, size: float) -> tuple[Array, Array]:
+    def _solved(
+        self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float, size: float
+    ) -> tuple[Array, Array]:
         """y and y′ with F = 0 and dᵏF/dtᵏ = 0 for k below the number of derivatives in the jet (y′, y″, …).
 
         mobility : (n,) how easily variables move, 0 for fixed ones.  unit : of time.  size : of the largest variable.
@@ -141,7 +167,12 @@ class Implicit(DifferentialAlgebraic):
 
             return np.concatenate([path(0.0), *(unit**k * time_derivative(path, k, unit) for k in range(1, order))])
 
-        guess = np.concatenate([y[is_free] / mobility[is_free], *(scale * derivative for scale, derivative in zip(scales, jet, strict=True))])
+        guess = np.concatenate(
+            [
+                y[is_free] / mobility[is_free],
+                *(scale * derivative for scale, derivative in zip(scales, jet, strict=True)),
+            ]
+        )
         step, dependent = (CENTRAL, RANK) if order == 1 else (WIDE, NOISY_RANK)
         x = nearest_root(array, guess, step, dependent, size)
         self._check_solved(t, array(x), np.abs(central_differences(array, x, step, size)), x, unit, size)
@@ -199,7 +230,10 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
     if not (np.isfinite(m).all() and np.isfinite(a).all()):
         raise ValueError("M and A must be finite")
     n = len(m)
-    m, a = m / (np.abs(m).max() or 1.0), a / (np.abs(a).max() or 1.0)  # in a unit of time of its own, on which the index does not depend
+    m, a = (
+        m / (np.abs(m).max() or 1.0),
+        a / (np.abs(a).max() or 1.0),
+    )  # in a unit of time of its own, on which the index does not depend
     for index in range(n + 1):
         left, sizes, _ = np.linalg.svd(m)
         rank = int((sizes > tolerance * max(sizes[0], np.abs(a).max())).sum())

@@ -52,7 +52,14 @@ class Holonomic(SecondOrder):
     ValueError : if f takes v, or constraints depend on each other at the start.
     """
 
-    def __init__(self, f: Function, g: Function, jacobian: Function | None = None, masses: ArrayLike = 1.0, solver: Solver = Newton()) -> None:  # noqa: B008
+    def __init__(
+        self,
+        f: Function,
+        g: Function,
+        jacobian: Function | None = None,
+        masses: ArrayLike = 1.0,
+        solver: Solver = Newton(),
+    ) -> None:  # noqa: B008
         super().__init__(f, solver=solver)
         if "v" in self.f.takes:
             raise ValueError("a constrained step needs forces that do not depend on v; f takes v")
@@ -98,7 +105,10 @@ class Holonomic(SecondOrder):
     def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
         """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
         q, v = np.asarray(q, dtype=float).reshape(-1), np.asarray(v, dtype=float).reshape(-1)
-        gradient, turning = self.gradient(q), time_derivative(lambda e: self.gradient(q + e * v) @ v, 1, unit_of_time(q, v))
+        gradient, turning = (
+            self.gradient(q),
+            time_derivative(lambda e: self.gradient(q + e * v) @ v, 1, unit_of_time(q, v)),
+        )
         force = self.f(t, q.reshape(self.shape), v.reshape(self.shape))
         return np.asarray(np.linalg.solve(gradient @ self.directions(gradient), gradient @ force + turning))
 
@@ -109,7 +119,9 @@ class Holonomic(SecondOrder):
         sizes = np.linalg.svd(self.gradient(q) / np.sqrt(masses), compute_uv=False)
         if sizes.size > q.size or not sizes[-1] > DEPENDENT * sizes[0]:
             spread = f"from {sizes[0]:.1e} to {sizes[-1]:.1e}"
-            raise ValueError(f"the gradients of g must be independent at the start; singular values of G M^(-1/2) {spread}")
+            raise ValueError(
+                f"the gradients of g must be independent at the start; singular values of G M^(-1/2) {spread}"
+            )
 
 
 class RattleStep(SequenceStep):
@@ -147,13 +159,19 @@ def is_made_of_verlet(substeps: Substeps) -> bool:
     kicks, drifts = substeps[::2], (0.0, *(substep.coefficient for substep in substeps[1::2]), 0.0)
     if not isinstance(substeps[0], Kick) or len(kicks) != len(drifts) - 1:
         return False
-    return all(abs(kick.coefficient - (one + other) / 2.0) < COEFFICIENT_ROUNDING for kick, (one, other) in zip(kicks, pairwise(drifts), strict=True))
+    return all(
+        abs(kick.coefficient - (one + other) / 2.0) < COEFFICIENT_ROUNDING
+        for kick, (one, other) in zip(kicks, pairwise(drifts), strict=True)
+    )
 
 
 def projected(problem: Holonomic, q0: Array, q: Array, iteration: Iteration | None = None) -> Array:
     """The point q + M⁻¹ G(q0)ᵀ λ with g = 0.  Raises ConvergenceError if there is none near q."""
     directions = problem.directions(problem.gradient(q0))
-    residual, jacobian = lambda x: problem.violation(q + directions @ x), lambda x: problem.gradient(q + directions @ x) @ directions
+    residual, jacobian = (
+        lambda x: problem.violation(q + directions @ x),
+        lambda x: problem.gradient(q + directions @ x) @ directions,
+    )
     solve, scale = (iteration or problem.solver.iteration()).solve, np.abs(q).max() / np.abs(directions).max()
     return q + directions @ solve(residual, np.zeros(directions.shape[1]), jacobian, scale=scale)
 
@@ -167,5 +185,7 @@ def tangent(problem: Holonomic, q: Array, v: Array) -> Array:
         for _ in range(2):
             v = v - directions @ np.linalg.solve(matrix, gradient @ v)
     except np.linalg.LinAlgError:
-        raise ConvergenceError("the gradients of the constraints depend on each other here, their forces are not determined") from None
+        raise ConvergenceError(
+            "the gradients of the constraints depend on each other here, their forces are not determined"
+        ) from None
     return np.asarray(v)

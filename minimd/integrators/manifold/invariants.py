@@ -66,11 +66,17 @@ class Manifold:
         self.value = answer if invariants.value is None else invariants.value
         self._invariants, self._shape = invariants, shape
         if answer.size != self.value.size:
-            raise ValueError(f"value must have one number per invariant; g has {answer.size}, value has {self.value.size}")
+            raise ValueError(
+                f"value must have one number per invariant; g has {answer.size}, value has {self.value.size}"
+            )
         if not 0 < answer.size < y.size:
-            raise ValueError(f"there must be fewer invariants than unknowns, and at least one; got {answer.size} of {y.size}")
+            raise ValueError(
+                f"there must be fewer invariants than unknowns, and at least one; got {answer.size} of {y.size}"
+            )
         if not (np.isfinite(answer).all() and np.isfinite(self.value).all()):
-            raise ValueError(f"g and its value must be finite at the start; g = {_shown(answer)}, value = {_shown(self.value)}")
+            raise ValueError(
+                f"g and its value must be finite at the start; g = {_shown(answer)}, value = {_shown(self.value)}"
+            )
         if given is not None and (size := given(y, shape).size) != answer.size * y.size:
             raise ValueError(f"jacobian must have {answer.size} × {y.size} numbers, ∂g/∂y; got {size}")
 
@@ -108,7 +114,9 @@ def check_invariants(invariants: Invariants) -> None:
 Correction = Callable[[Array], Array]  # (n,) a term that is added to y′, of the state
 
 
-def corrected(problem: Problem, correction: Correction, begin: Callable[[Array, Shape], None]) -> CorrectedPartitioned | CorrectedFirstOrder:
+def corrected(
+    problem: Problem, correction: Correction, begin: Callable[[Array, Shape], None]
+) -> CorrectedPartitioned | CorrectedFirstOrder:
     """A problem of the same kind with a term added to y′; one with q and v is then Partitioned, and its steps implicit.
 
     begin : called with the start of each run and the shape of q and v.  Raises TypeError for problems of other kinds.
@@ -117,7 +125,9 @@ def corrected(problem: Problem, correction: Correction, begin: Callable[[Array, 
         return CorrectedPartitioned(problem, correction, begin)
     if isinstance(problem, FirstOrder):
         return CorrectedFirstOrder(problem, correction, begin)
-    raise TypeError(f"y′ can be corrected in SecondOrder, Partitioned and FirstOrder problems; got {type(problem).__name__}")
+    raise TypeError(
+        f"y′ can be corrected in SecondOrder, Partitioned and FirstOrder problems; got {type(problem).__name__}"
+    )
 
 
 class CorrectedPartitioned(Partitioned):
@@ -127,7 +137,10 @@ class CorrectedPartitioned(Partitioned):
         def of(q: Array, v: Array) -> Array:
             return correction(np.concatenate([q.reshape(-1), v.reshape(-1)]))
 
-        g, f = (lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size]), (lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :])
+        g, f = (
+            (lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size]),
+            (lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :]),
+        )
         super().__init__(g, f, solver=problem.solver)
         self._problem, self._correction, self._begin, self.shape = problem, correction, begin, problem.shape
 

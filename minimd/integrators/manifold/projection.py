@@ -71,9 +71,21 @@ def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: type
     check_invariants(invariants)
     name = f"{verb}({method.name})"
     source = f"{verb}, Hairer, Lubich, Wanner (2006), IV.4, V.4: {method.source}"
-    kept = {"order": method.order, "stages": method.stages, "order_on": method.order_on, "is_symmetric": step.is_symmetric and method.is_symmetric}
+    kept = {
+        "order": method.order,
+        "stages": method.stages,
+        "order_on": method.order_on,
+        "is_symmetric": step.is_symmetric and method.is_symmetric,
+    }
     on = staticmethod(lambda problem: step(problem, method, invariants))
-    own = {"__doc__": f"{name}.", "name": name, "source": source, "on": on, "is_symplectic": False, "is_explicit": False}
+    own = {
+        "__doc__": f"{name}.",
+        "name": name,
+        "source": source,
+        "on": on,
+        "is_symplectic": False,
+        "is_explicit": False,
+    }
     return type(f"{verb}({method.__name__})", (Method,), kept | own)
 
 
@@ -156,7 +168,11 @@ class IndexTwo(Hessenberg2):
     """y′ = f(t, y) − G(y)ᵀ z, 0 = g(y) − g₀. A state holds y and z; z is zero on exact solutions."""
 
     def __init__(self, problem: Problem, invariants: Invariants) -> None:
-        super().__init__(lambda t, y, z: problem.field(t, y) - self._manifold.jacobian(y).T @ z, lambda y: self._manifold.defect(y), problem.solver)
+        super().__init__(
+            lambda t, y, z: problem.field(t, y) - self._manifold.jacobian(y).T @ z,
+            lambda y: self._manifold.defect(y),
+            problem.solver,
+        )
         self._problem, self._invariants = problem, invariants
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
@@ -217,7 +233,9 @@ def arrival(manifold: Manifold, arrive: Arrival, slope: Callable[[], Array]) -> 
     if least <= SMALL:
         return best
     k = int(np.argmax(np.abs(defect) / scale))
-    raise ConvergenceError(f"the state could not be brought to the manifold of the invariants: invariant {k} is off by {defect[k]:.1e}")
+    raise ConvergenceError(
+        f"the state could not be brought to the manifold of the invariants: invariant {k} is off by {defect[k]:.1e}"
+    )
 
 
 def _gram(manifold: Manifold, y: Array) -> Array:

@@ -17,7 +17,9 @@ import numpy as np
 from minimd.compiled.machine import EPS
 from minimd.integrators.method import Array
 
-CENTRAL = EPS ** (1.0 / 3.0)  # step of central differences relative to a variable: truncation and rounding are then alike, some 1e-11
+CENTRAL = EPS ** (
+    1.0 / 3.0
+)  # step of central differences relative to a variable: truncation and rounding are then alike, some 1e-11
 FORWARD = EPS**0.5  # the same of forward differences: some 1e-8
 LEAST = 1e-3  # smallest size of a variable for its step, relative to the largest one
 LEAST_WIDE = 0.125  # the same for accurate differences, which narrow a step that is too wide
@@ -29,7 +31,10 @@ WEIGHTS = {  # for the first and second derivative: formulas of order 6 and 4
 NOISE = 10.0 * EPS  # rounding of a function, relative to its change over the widest spacing
 SPACINGS = 0.1 / 3.0 ** np.arange(12)  # in units of the time in which a path changes by its size
 NARROWING = 2.0**-8 / 4.0 ** np.arange(12)  # in units of a variable: powers of two, so that x ± s has no rounding
-GROWN, NEAR = 16.0, 0.03  # an error that has grown by this factor, of a derivative this near the best one, is noise: it grows with each spacing
+GROWN, NEAR = (
+    16.0,
+    0.03,
+)  # an error that has grown by this factor, of a derivative this near the best one, is noise: it grows with each spacing
 ENOUGH = 1e-9  # relative error of the formula of order 4 with which the search ends: that of order 6 is then some 1e-13
 
 
@@ -44,7 +49,9 @@ def forward_differences(function: Callable[[Array], Array], x: Array, at_x: Arra
     return jacobian
 
 
-def central_differences(function: Callable[[Array], Array], x: Array, step: float = CENTRAL, size: float = 0.0) -> Array:
+def central_differences(
+    function: Callable[[Array], Array], x: Array, step: float = CENTRAL, size: float = 0.0
+) -> Array:
     """∂function/∂x, one column per variable.
 
     step : relative to each variable; wide for noisy functions.  size : of the largest variable, where x may be smaller by chance.
@@ -90,7 +97,9 @@ def time_derivative(path: Callable[[float], Array], order: int, unit: float) -> 
     return _derivative(path, path(0.0), order, (unit * SPACINGS).tolist())
 
 
-def _derivative(path: Callable[[float], Array], here: Array, order: int, spacings: list[float], enough: float = 0.0) -> Array:
+def _derivative(
+    path: Callable[[float], Array], here: Array, order: int, spacings: list[float], enough: float = 0.0
+) -> Array:
     """A derivative at 0, each element from the spacing with its least estimated error: |order 6 − order 4| + rounding.
 
     here : path(0).  spacings : widest first.  enough : relative error with which an element is settled.

@@ -117,7 +117,15 @@ def check_ahead(t0: float, t_end: float) -> None:
         raise ValueError(f"t0 and t_end must be finite and differ; t0 = {t0!r}, t_end = {t_end!r}")
 
 
-def _fixed(problem: Problem, method: Method, start: Any, t0: float, steps: Iterator[float], every: int, t_end: float | None = None) -> Solution:
+def _fixed(
+    problem: Problem,
+    method: Method,
+    start: Any,
+    t0: float,
+    steps: Iterator[float],
+    every: int,
+    t_end: float | None = None,
+) -> Solution:
     check_problem(problem)
     checked_count("every", every)
     y = problem.begin(start, t0)
@@ -167,4 +175,6 @@ def check_problem(problem: Problem) -> None:
 def check_method(method: Method) -> None:
     """TypeError for anything but a method with its time step."""
     if not isinstance(method, Method):
-        raise TypeError(f"method must be a method with its time step, such as VelocityVerlet(0.05); got {shown(method)}")
+        raise TypeError(
+            f"method must be a method with its time step, such as VelocityVerlet(0.05); got {shown(method)}"
+        )

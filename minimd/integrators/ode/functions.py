@@ -29,7 +29,11 @@ def argument_names(function: Function, label: str, wanted: str = "a function") -
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):  # written in C, such as numpy.sin
         return None
-    return [f"*{p.name}" if p.kind is p.VAR_POSITIONAL else p.name for p in parameters if p.default is p.empty and p.kind is not p.VAR_KEYWORD]
+    return [
+        f"*{p.name}" if p.kind is p.VAR_POSITIONAL else p.name
+        for p in parameters
+        if p.default is p.empty and p.kind is not p.VAR_KEYWORD
+    ]
 
 
 def checked_values(answer: Any, shape: tuple[int, ...] | None, name: str) -> Array:
@@ -93,9 +97,13 @@ def _arguments(function: Function, usual: str, name: str) -> str:
     if set(names) <= set("tqv") and "".join(names) in _CALLS:
         return "".join(names)
     places = "tqv" if len(names) == 3 else usual
-    if len(names) == len(places) and all(given == place or given not in ("t", "q", "v") for given, place in zip(names, places, strict=True)):
+    if len(names) == len(places) and all(
+        given == place or given not in ("t", "q", "v") for given, place in zip(names, places, strict=True)
+    ):
         return places
-    raise TypeError(f"{name} must take some of t, q, v, in this order and under these names; it takes ({', '.join(names)})")
+    raise TypeError(
+        f"{name} must take some of t, q, v, in this order and under these names; it takes ({', '.join(names)})"
+    )
 
 
 def of_time_and_state(function: Function, name: str) -> Function:
@@ -118,6 +126,8 @@ def taking(function: Function, names: tuple[str, ...], label: str) -> Function:
     if len(takes) == len(names):
         return lambda *values: np.array(function(*values), dtype=float).reshape(-1)
     if takes != [name for name in names if name in takes]:
-        raise TypeError(f"{label} must take some of {', '.join(names)}, in this order and under these names; it takes ({', '.join(takes)})")
+        raise TypeError(
+            f"{label} must take some of {', '.join(names)}, in this order and under these names; it takes ({', '.join(takes)})"
+        )
     chosen = [names.index(name) for name in takes]
     return lambda *values: np.array(function(*(values[k] for k in chosen)), dtype=float).reshape(-1)

@@ -69,7 +69,9 @@ class Newton:
             matrix *= rows[:, None]
         factors, pivots, zero_pivot = scipy.linalg.lapack.dgetrf(matrix)
         if zero_pivot:
-            raise ConvergenceError(f"the equations of the step are singular: unknown {zero_pivot - 1} is not determined")
+            raise ConvergenceError(
+                f"the equations of the step are singular: unknown {zero_pivot - 1} is not determined"
+            )
         return factors, pivots, sizes, rows
 
     def correction(self, factors: Any, r: Array) -> Array:
@@ -114,7 +116,14 @@ class Iteration:
         self._key: Any = None
 
     def solve(
-        self, residual: Residual, x: Array, jacobian: Jacobian = None, key: Any = None, scale: Sizes = 0.0, floor: Sizes | None = None, nothing=0.0
+        self,
+        residual: Residual,
+        x: Array,
+        jacobian: Jacobian = None,
+        key: Any = None,
+        scale: Sizes = 0.0,
+        floor: Sizes | None = None,
+        nothing=0.0,
     ) -> Array:
         """x with residual(x) = 0, to rounding.  Raises ConvergenceError with the largest residual.
 

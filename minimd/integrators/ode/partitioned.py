@@ -53,7 +53,14 @@ class Partitioned:
 
     remark = ""
 
-    def __init__(self, g: Function, f: Function, g_q: Function | None = None, f_v: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
+    def __init__(
+        self,
+        g: Function,
+        f: Function,
+        g_q: Function | None = None,
+        f_v: Function | None = None,
+        solver: Solver = Newton(),
+    ) -> None:  # noqa: B008
         self.g, self.f = Field(g, "v", "g"), Field(f, "q", "f")
         self.g_q = g_q if g_q is None else Field(g_q, "tqv", "g_q")
         self.f_v = f_v if f_v is None else Field(f_v, "tqv", "f_v")
@@ -78,7 +85,9 @@ class Partitioned:
             raise ValueError(f"the start must be a pair, (q, v); got {shown(start)}")
         q, v = (np.array(part, dtype=float) for part in start)
         if q.shape != v.shape or q.size == 0:
-            raise ValueError(f"q and v of the start must have the same shape, and at least one element; got {q.shape} and {v.shape}")
+            raise ValueError(
+                f"q and v of the start must have the same shape, and at least one element; got {q.shape} and {v.shape}"
+            )
         self.shape = self.g.shape = self.f.shape = q.shape
         y = np.concatenate([q.reshape(-1), v.reshape(-1)])
         check_finite(y)
@@ -189,13 +198,28 @@ class EulerStep:
         self.nfev, shape = self.nfev + (field is self._problem.f), self._problem.shape
         return field(t, q.reshape(shape), v.reshape(shape))
 
-    def _solved(self, field: Field, jacobian: Field | None, unknown: str, x0: Array, place: Place, duration: float, iteration: Iteration) -> Array:
+    def _solved(
+        self,
+        field: Field,
+        jacobian: Field | None,
+        unknown: str,
+        x0: Array,
+        place: Place,
+        duration: float,
+        iteration: Iteration,
+    ) -> Array:
         """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one is constant.  place : (t, q, v) with this x."""
         guess = x0 + duration * self._value(field, *place(x0))
         if unknown not in field.takes:
             return guess
-        slope = None if jacobian is None else lambda x: np.eye(x.size) - duration * self._value(jacobian, *place(x)).reshape(x.size, x.size)
-        return iteration.solve(lambda x: x - (x0 + duration * self._value(field, *place(x))), guess, slope, duration, np.abs(x0).max())
+        slope = (
+            None
+            if jacobian is None
+            else lambda x: np.eye(x.size) - duration * self._value(jacobian, *place(x)).reshape(x.size, x.size)
+        )
+        return iteration.solve(
+            lambda x: x - (x0 + duration * self._value(field, *place(x))), guess, slope, duration, np.abs(x0).max()
+        )
 
 
 def euler_factors(substeps: Substeps) -> list[tuple[type[Substep], float]]:

@@ -44,7 +44,9 @@ class FirstOrder:
         """
         y = np.array(start, dtype=float)
         if y.ndim != 1 or y.size == 0:
-            raise ValueError(f"the start must be a one-dimensional array with at least one element; got shape {y.shape}")
+            raise ValueError(
+                f"the start must be a one-dimensional array with at least one element; got shape {y.shape}"
+            )
         check_finite(y)
         return y
 
@@ -75,7 +77,9 @@ class DifferentialAlgebraic(Problem):
 
     def __init__(self, solver: Solver) -> None:
         if not isinstance(solver, Newton) or isinstance(solver, FixedPoint):
-            raise TypeError(f"differential-algebraic equations need Newton's method, they are no fixed-point equations; got solver = {solver!r}")
+            raise TypeError(
+                f"differential-algebraic equations need Newton's method, they are no fixed-point equations; got solver = {solver!r}"
+            )
         self.solver = solver
 
     def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:

@@ -111,9 +111,13 @@ def gauss(n_stages: int) -> Tableau:
     """Gauss-Legendre nodes, the zeros of P_s(2c − 1): order 2s, symplectic and symmetric.  J. C. Butcher, Math. Comput. 18, 50 (1964)."""
     if n_stages == 2:
         r = np.sqrt(3.0) / 6.0
-        return Tableau(np.array([[0.25, 0.25 - r], [0.25 + r, 0.25]]), np.array([0.5, 0.5]), np.array([0.5 - r, 0.5 + r]))
+        return Tableau(
+            np.array([[0.25, 0.25 - r], [0.25 + r, 0.25]]), np.array([0.5, 0.5]), np.array([0.5 - r, 0.5 + r])
+        )
     rounded = collocation((1.0 + np.polynomial.legendre.leggauss(n_stages)[0]) / 2.0)
-    beta = rounded.beta - rounded.symplecticity_defect / (2.0 * rounded.weights[:, None])  # else invariants drift with the rounding of M
+    beta = rounded.beta - rounded.symplecticity_defect / (
+        2.0 * rounded.weights[:, None]
+    )  # else invariants drift with the rounding of M
     return Tableau(beta, rounded.weights, rounded.nodes)
 
 
@@ -130,7 +134,9 @@ def _lagrange_integrals(nodes: Array, end: float) -> Array:
     """∫₀^end ℓ_j for all j, by a Gauss quadrature that is exact for them; ℓ_j is one on node j and zero on the others."""
     x, w = np.polynomial.legendre.leggauss(nodes.size)
     x, w = end * (1.0 + x) / 2.0, end * w / 2.0
-    factors = (x[:, None, None] - nodes) / np.where(np.eye(nodes.size, dtype=bool), 1.0, nodes[:, None] - nodes)  # of ℓ_j at x_k, for [k, j]
+    factors = (x[:, None, None] - nodes) / np.where(
+        np.eye(nodes.size, dtype=bool), 1.0, nodes[:, None] - nodes
+    )  # of ℓ_j at x_k, for [k, j]
     factors[:, np.arange(nodes.size), np.arange(nodes.size)] = 1.0
     return w @ factors.prod(axis=2)
 
@@ -199,7 +205,9 @@ class StageEquations:
                 rows[:, i * n : (i + 1) * n] += of_slope
             return matrix
 
-        return self._iteration.solve(residual, guess.reshape(-1), jacobian, (h, *weights[0]), *self._sizes(base, guess, h)).reshape(guess.shape)
+        return self._iteration.solve(
+            residual, guess.reshape(-1), jacobian, (h, *weights[0]), *self._sizes(base, guess, h)
+        ).reshape(guess.shape)
 
     def _residual(self, t: float, y: Array, slope: Array) -> Array:
         self.nfev += 1
@@ -271,12 +279,20 @@ def _method(title: str, doc: str, name: str, tableau: Tableau, source: str) -> t
 
 def _gauss_legendre(s: int, stages: str) -> type[RungeKutta]:
     doc = f"Gauss-Legendre with {stages}: order {2 * s}, symplectic, symmetric."
-    return _method(f"GaussLegendre{s}", doc, f"gauss-legendre-{s}", gauss(s), "J. C. Butcher, Math. Comput. 18, 50 (1964)")
+    return _method(
+        f"GaussLegendre{s}", doc, f"gauss-legendre-{s}", gauss(s), "J. C. Butcher, Math. Comput. 18, 50 (1964)"
+    )
 
 
 def _radau(s: int, stages: str) -> type[RungeKutta]:
     doc = f"Radau IIA with {stages}: order {2 * s - 1}, stiffly accurate."
-    return _method(f"RadauIIA{s}", doc, f"radau-iia-{s}", radau_iia(s), "B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5")
+    return _method(
+        f"RadauIIA{s}",
+        doc,
+        f"radau-iia-{s}",
+        radau_iia(s),
+        "B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5",
+    )
 
 
 GaussLegendre1 = _gauss_legendre(1, "one stage, the implicit midpoint rule")
@@ -284,6 +300,8 @@ GaussLegendre2 = _gauss_legendre(2, "two stages")
 GaussLegendre3 = _gauss_legendre(3, "three stages")
 GaussLegendre4 = _gauss_legendre(4, "four stages")
 EULER = "Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate."
-ImplicitEuler = _method("ImplicitEuler", EULER, "implicit-euler", radau_iia(1), "E. Hairer, G. Wanner, Solving ODEs II (1996), IV.3")
+ImplicitEuler = _method(
+    "ImplicitEuler", EULER, "implicit-euler", radau_iia(1), "E. Hairer, G. Wanner, Solving ODEs II (1996), IV.3"
+)
 RadauIIA2 = _radau(2, "two stages")
 RadauIIA3 = _radau(3, "three stages")

@@ -28,7 +28,15 @@ from numpy.typing import ArrayLike
 
 from minimd.compiled.machine import EPS
 from minimd.integrators.method import Array, Method, Problem
-from minimd.integrators.ode.drivers import LEFTOVER, Solution, check_ahead, check_method, check_problem, end_message, with_path
+from minimd.integrators.ode.drivers import (
+    LEFTOVER,
+    Solution,
+    check_ahead,
+    check_method,
+    check_problem,
+    end_message,
+    with_path,
+)
 from minimd.integrators.ode.partitioned import Partitioned
 from minimd.integrators.ode.problems import DifferentialAlgebraic
 from minimd.structure.checks import checked_count, checked_number, checked_numbers, shown
@@ -36,11 +44,17 @@ from minimd.structure.errors import ConvergenceError, NonFiniteError
 
 __all__ = ["DensityControl", "StepControl", "run_adaptive", "run_reversible"]
 
-SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0  # factor of the proposed step; bounds of its change from one step to the next: Hairer et al., II.4
+SAFETY, SHRINK, GROW = (
+    0.9,
+    0.2,
+    5.0,
+)  # factor of the proposed step; bounds of its change from one step to the next: Hairer et al., II.4
 Rate = Callable[[float, Array, Array], float]
 Start = tuple[ArrayLike, ArrayLike]
 EXPONENT = 0.75  # ρ ∝ |f|^¾: around a mass ρ ∝ r^(−3/2), so that steps are proportional to the free-fall time
-DIFFERENCE = 1e-5  # of the time in which q changes by its size: truncation and rounding of d ln |f|/dt are then alike, 1e-10
+DIFFERENCE = (
+    1e-5  # of the time in which q changes by its size: truncation and rounding of d ln |f|/dt are then alike, 1e-10
+)
 
 
 @dataclass(frozen=True)
@@ -68,13 +82,19 @@ class StepControl:
 
     def __post_init__(self) -> None:
         atol = checked_numbers("atol", self.atol, "one number, or one for each component")
-        if not (checked_number("rtol", self.rtol) >= 0.0 and np.all(atol >= 0.0) and (self.rtol > 0.0 or np.all(atol > 0.0))):
-            raise ValueError(f"rtol and atol must not be negative, nor both zero; rtol = {self.rtol!r}, atol = {self.atol!r}")
+        if not (
+            checked_number("rtol", self.rtol) >= 0.0 and np.all(atol >= 0.0) and (self.rtol > 0.0 or np.all(atol > 0.0))
+        ):
+            raise ValueError(
+                f"rtol and atol must not be negative, nor both zero; rtol = {self.rtol!r}, atol = {self.atol!r}"
+            )
         if self.first_step is not None:
             checked_number("first_step", self.first_step, "positive and finite")
         longest = self.max_step if self.max_step == np.inf else checked_number("max_step", self.max_step)
         if not 0.0 <= checked_number("min_step", self.min_step) <= longest or longest == 0.0:
-            raise ValueError(f"0 <= min_step <= max_step is needed; min_step = {self.min_step!r}, max_step = {self.max_step!r}")
+            raise ValueError(
+                f"0 <= min_step <= max_step is needed; min_step = {self.min_step!r}, max_step = {self.max_step!r}"
+            )
         checked_count("max_steps", self.max_steps)
 
     def excess(self, error: Array, y: Array, y_new: Array) -> float:
@@ -109,7 +129,14 @@ class StepControl:
         return float(np.linalg.norm(ratio)) / np.sqrt(size.size)
 
 
-def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: float, t0: float = 0.0, control: StepControl = StepControl()) -> Solution:
+def run_adaptive(
+    problem: Problem,
+    method: type[Method],
+    start: Any,
+    t_end: float,
+    t0: float = 0.0,
+    control: StepControl = StepControl(),
+) -> Solution:
     """Adaptive steps to t_end, with errors estimated by step doubling. solution.n_rejected counts the rejected ones.
 
     Parameters
@@ -130,7 +157,9 @@ def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: floa
         raise TypeError(f"control must be StepControl(rtol, atol); got {shown(control)}")
     y = problem.begin(start, t0)
     if (given := np.shape(control.atol)) not in ((), y.shape):
-        raise ValueError(f"atol must be a number, or an array of length {y.size}, one for each component of y; got shape {given}")
+        raise ValueError(
+            f"atol must be a number, or an array of length {y.size}, one for each component of y; got shape {given}"
+        )
     return _AdaptivePath(problem, method, y, t0, control).to(t_end)
 
 
@@ -178,7 +207,14 @@ class _AdaptivePath:
 
     def solution(self) -> Solution:
         nfev, message = self.coarse.nfev + self.fine.nfev, end_message(self.problem)
-        return Solution(np.array(self.times), np.array(self.states), nfev, self.problem.shape, message=message, n_rejected=self.n_rejected)
+        return Solution(
+            np.array(self.times),
+            np.array(self.states),
+            nfev,
+            self.problem.shape,
+            message=message,
+            n_rejected=self.n_rejected,
+        )
 
 
 @dataclass
@@ -212,7 +248,13 @@ class DensityControl:
 
 
 def run_reversible(
-    problem: Partitioned, method: Method, start: Start, t_end: float, t0: float = 0.0, control: DensityControl = DensityControl(), every: int = 1
+    problem: Partitioned,
+    method: Method,
+    start: Start,
+    t_end: float,
+    t0: float = 0.0,
+    control: DensityControl = DensityControl(),
+    every: int = 1,
 ) -> ReversibleSolution:
     """Steps of length timestep/ρ up to t_end, the last one shortened to end there.
 
@@ -265,7 +307,9 @@ class _ReversiblePath:
             error = type(reason)(f"step {n} from t = {self.t:g}: {reason}; reduce the timestep ({self.epsilon:g})")
             raise with_path(error, self.solution()) from None
         if self.t != t_end:
-            return self.solution().ended(f"stopped at t = {self.t:g} after {n} steps, where ρ = {self.rho:.1e}; raise max_steps or the timestep")
+            return self.solution().ended(
+                f"stopped at t = {self.t:g} after {n} steps, where ρ = {self.rho:.1e}; raise max_steps or the timestep"
+            )
         return self.solution()
 
     def _advance(self, t_end: float, change: float) -> float:
@@ -290,7 +334,9 @@ class _ReversiblePath:
     def solution(self) -> ReversibleSolution:
         t, y, rho = zip(*self.kept, strict=True)
         nfev = self.step.nfev + getattr(self.rate, "nfev", 0)
-        return ReversibleSolution(np.array(t), np.array(y), nfev, self.problem.shape, message=end_message(self.problem), density=np.array(rho))
+        return ReversibleSolution(
+            np.array(t), np.array(y), nfev, self.problem.shape, message=end_message(self.problem), density=np.array(rho)
+        )
 
 
 class _Fall:
@@ -306,4 +352,6 @@ class _Fall:
         delta = DIFFERENCE * max(float(np.linalg.norm(q)) / speed, self.timestep)
         ahead, behind = (float(np.linalg.norm(self.problem.f(t, q + side * v, v))) for side in (delta, -delta))
         self.nfev += 2
-        return EXPONENT * log(ahead / behind) / (2.0 * delta) if ahead > 0.0 < behind and isfinite(ahead * behind) else 0.0
+        return (
+            EXPONENT * log(ahead / behind) / (2.0 * delta) if ahead > 0.0 < behind and isfinite(ahead * behind) else 0.0
+        )

@@ -103,7 +103,10 @@ class StochasticCellRescaling(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        return [("barostat", "stochastic cell rescaling"), *((name, as_text(value)) for name, value in self.parameters.items() if value is not None)]
+        return [
+            ("barostat", "stochastic cell rescaling"),
+            *((name, as_text(value)) for name, value in self.parameters.items() if value is not None),
+        ]
 
     @property
     def parameters(self) -> dict[str, float | int | str | None]:
@@ -113,27 +116,39 @@ class StochasticCellRescaling(Displayed):
 
     def strain(self, state: ThermodynamicState, duration: float, number: int) -> Array:
         """ε, (3, 3).  duration : h [time].  number : of the step; it selects the noise."""
-        noise = np.random.Generator(np.random.Philox(key=self.seed, counter=np.array([0, OWN_STREAM, 0, number % STEPS], dtype=np.uint64)))
+        noise = np.random.Generator(
+            np.random.Philox(key=self.seed, counter=np.array([0, OWN_STREAM, 0, number % STEPS], dtype=np.uint64))
+        )
         white = noise.standard_normal((3, 3))
         if self.coupling == "isotropic":
             spread = sqrt(0.5 * state.thermal * self.compressibility * duration / self.relaxation_time)
             larger = 1.0 + (self._drift_of_root(state, duration) + spread * white[0, 0]) / sqrt(state.volume)  # λ′/λ
             return np.diag(np.full(3, 2.0 / 3.0 * log(larger) if larger > 0.0 else -inf))
-        spread = sqrt(2.0 * state.thermal * self.compressibility * duration / (3.0 * state.volume * self.relaxation_time))
+        spread = sqrt(
+            2.0 * state.thermal * self.compressibility * duration / (3.0 * state.volume * self.relaxation_time)
+        )
         return self._drift_of_strain(state, duration) + spread * self.mask * 0.5 * (white + white.T)
 
-    def change_of_conserved(self, before: ThermodynamicState, after: ThermodynamicState, strain: Array, duration: float) -> float:
+    def change_of_conserved(
+        self, before: ThermodynamicState, after: ThermodynamicState, strain: Array, duration: float
+    ) -> float:
         """ΔH [energy] of one strain, as above.
 
         It is k_B T ln of the ratio of two probabilities: of the strain and of its reverse, each times that of the state it starts from.
         """
         work = after.energy - before.energy + self.pressure * (after.volume - before.volume)
-        entropy, rate = before.thermal * log(after.volume / before.volume), self.relaxation_time / (self.compressibility * duration)
+        entropy, rate = (
+            before.thermal * log(after.volume / before.volume),
+            self.relaxation_time / (self.compressibility * duration),
+        )
         if self.coupling == "isotropic":
             change = sqrt(after.volume) - sqrt(before.volume)
             back, there = change + self._drift_of_root(after, duration), change - self._drift_of_root(before, duration)
             return work - 0.5 * entropy + rate * (back**2 - there**2)
-        returned, gone = strain + self._drift_of_strain(after, duration), strain - self._drift_of_strain(before, duration)
+        returned, gone = (
+            strain + self._drift_of_strain(after, duration),
+            strain - self._drift_of_strain(before, duration),
+        )
         n_free = 6 if self.coupling == "triclinic" else len(self.coupling)
         gaussian = after.volume * np.square(returned).sum() - before.volume * np.square(gone).sum()
         return float(work - (1.0 + 0.5 * n_free) * entropy + 0.75 * rate * gaussian)
@@ -145,7 +160,13 @@ class StochasticCellRescaling(Displayed):
 
     def _drift_of_strain(self, state: ThermodynamicState, duration: float) -> Array:
         """m = −(βh/3τ) 𝒫[P₀ 1 − P], (3, 3)."""
-        return self.compressibility * duration / (3.0 * self.relaxation_time) * self.mask * (state.pressure - self.pressure * np.eye(3))
+        return (
+            self.compressibility
+            * duration
+            / (3.0 * self.relaxation_time)
+            * self.mask
+            * (state.pressure - self.pressure * np.eye(3))
+        )
 
 
 def exponential(strain: Array) -> Array:

@@ -17,7 +17,9 @@ from minimd.integrators.splitting.substeps import Kick, Substeps, mechanical
 __all__ = ["accurate_step", "energy_oscillation", "stability_limit"]
 
 ROUNDING = 1e-12  # of tr M: a product of some forty matrices with entries of order one
-REAL = 1e-6  # relative imaginary part that rounding may leave of a double root: about the square root of its own rounding
+REAL = (
+    1e-6  # relative imaginary part that rounding may leave of a double root: about the square root of its own rounding
+)
 SCANNED = 101  # lengths of a step, scanned for the first that is too long
 BISECTIONS = 50  # halvings of an interval, down to rounding
 

@@ -15,7 +15,16 @@ import numpy as np
 from minimd.integrators.method import ClassProperty, Method, Problem, Step
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.splitting.state import Cycle, State, Surroundings
-from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, Thermalize, is_palindrome, mechanical, merged
+from minimd.integrators.splitting.substeps import (
+    Drift,
+    Kick,
+    Substep,
+    Substeps,
+    Thermalize,
+    is_palindrome,
+    mechanical,
+    merged,
+)
 
 __all__ = ["Splitting"]
 
@@ -74,7 +83,9 @@ class Splitting(Method):
     def on(cls, problem: Problem) -> Step:
         """The step on a problem with q and v, see Partitioned.sequence_step.  Raises TypeError for other problems."""
         if not hasattr(problem, "sequence_step"):
-            raise TypeError(f"{cls.name} needs a problem with q and v, SecondOrder or Partitioned; got {type(problem).__name__}")
+            raise TypeError(
+                f"{cls.name} needs a problem with q and v, SecondOrder or Partitioned; got {type(problem).__name__}"
+            )
         return problem.sequence_step(cls.sequence())
 
     @classmethod
@@ -103,17 +114,29 @@ class Splitting(Method):
         around = Surroundings() if surroundings is None else surroundings
         start, cycle, end = self._grouped(may_merge_drifts=around.constraints is None)
         first_kick = next((k for k, substep in enumerate(cycle) if isinstance(substep, Kick)), 0)
-        repeated = None if march is None or around.constraints is not None else self.repeated(cycle[first_kick:] + cycle[:first_kick], around)
+        repeated = (
+            None
+            if march is None or around.constraints is not None
+            else self.repeated(cycle[first_kick:] + cycle[:first_kick], around)
+        )
         units = self.units({*start, *cycle, *end})
         step, goes_on = 0, around.take_up(state)
-        behind = sum(substep.coefficient for substep in end if isinstance(substep, Drift))  # of the drifts in an open end, in time steps
+        behind = sum(
+            substep.coefficient for substep in end if isinstance(substep, Drift)
+        )  # of the drifts in an open end, in time steps
         while step <= n_steps:
             substeps = end if step == n_steps else start if step == 0 and not goes_on else cycle
             if step == n_steps:
                 around.leave_open(state, end, cycle)
             around.phase = -behind if step > 0 or goes_on else 0.0
             for k, substep in enumerate(substeps):
-                if march is not None and repeated is not None and substeps is cycle and k == first_kick and not state.forces_are_current:
+                if (
+                    march is not None
+                    and repeated is not None
+                    and substeps is cycle
+                    and k == first_kick
+                    and not state.forces_are_current
+                ):
                     while not around.stop_requested and (made := march(state, repeated, n_steps - step - (k > 0))) > 0:
                         step += made
                         around.count(made)
@@ -180,4 +203,6 @@ class Splitting(Method):
         if [type(substep) for substep in cycle] != [Kick, Drift] * (len(cycle) // 2):
             return None
         units = self.units(cycle)
-        return Cycle(self.timestep * np.array([(substep.coefficient, units[substep]) for substep in cycle]).reshape(-1, 2, 2))
+        return Cycle(
+            self.timestep * np.array([(substep.coefficient, units[substep]) for substep in cycle]).reshape(-1, 2, 2)
+        )

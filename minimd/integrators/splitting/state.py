@@ -99,12 +99,21 @@ class GridState(State):
 
     def kick(self, duration: float, unit: float) -> None:
         """See State.  Raises RangeError if a momentum leaves its range."""
-        if kick_on_grid(self.velocities, self.impulses, self.inverse_masses, round(duration / unit), steps_of(self.grid, (unit,))):
+        if kick_on_grid(
+            self.velocities, self.impulses, self.inverse_masses, round(duration / unit), steps_of(self.grid, (unit,))
+        ):
             self.grid.check_momenta(self.velocities, self.inverse_masses)
 
     def drift(self, duration: float, unit: float) -> None:
         """See State.  Raises RangeError if a position leaves its range."""
-        drift_on_grid(self.positions, self.velocities, self.inverse_masses, unit, round(duration / unit), steps_of(self.grid, (unit,)))
+        drift_on_grid(
+            self.positions,
+            self.velocities,
+            self.inverse_masses,
+            unit,
+            round(duration / unit),
+            steps_of(self.grid, (unit,)),
+        )
         self.grid.check_positions(self.positions)
 
     @contextmanager
@@ -231,7 +240,9 @@ class Surroundings:
             velocities = state.room(velocities.size).reshape(velocities.shape)
             velocities[:] = state.velocities
         positions = state.positions.copy() if any(isinstance(substep, Drift) for substep in end) else None
-        self.open_end = OpenEnd(velocities, positions, drifts_next=isinstance(mechanical(cycle)[0], Drift), work=self.work)
+        self.open_end = OpenEnd(
+            velocities, positions, drifts_next=isinstance(mechanical(cycle)[0], Drift), work=self.work
+        )
 
     def take_up(self, state: State) -> bool:
         """Go back to the open end of the previous block; False if there is none."""

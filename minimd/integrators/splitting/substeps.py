@@ -80,6 +80,7 @@ def palindrome(half: Sequence[float]) -> tuple[float, ...]:
 def is_palindrome(substeps: Substeps) -> bool:
     """Whether a sequence equals its reverse, to rounding: then Φ* = Φ, and the method is symmetric."""
     return all(
-        type(one) is type(other) and isclose(one.coefficient, other.coefficient, rel_tol=COEFFICIENT_ROUNDING, abs_tol=COEFFICIENT_ROUNDING)
+        type(one) is type(other)
+        and isclose(one.coefficient, other.coefficient, rel_tol=COEFFICIENT_ROUNDING, abs_tol=COEFFICIENT_ROUNDING)
         for one, other in zip(substeps, mirrored(substeps), strict=True)
     )

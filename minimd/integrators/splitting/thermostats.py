@@ -45,12 +45,17 @@ class Thermostat(Splitting):
         super().__init__(timestep)
         if self.timestep < 0.0:
             raise ValueError(f"time cannot run backwards with a thermostat; timestep = {timestep!r}")
-        self.temperature, self.seed = checked_number("temperature", temperature, "finite and not negative"), checked_count("seed", seed, 0, SEEDS)
+        self.temperature, self.seed = (
+            checked_number("temperature", temperature, "finite and not negative"),
+            checked_count("seed", seed, 0, SEEDS),
+        )
 
     @classmethod
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
         """The thermostat with this relaxation time, τ > 0 [time]; scene files know no other parameter.  Other arguments : see Thermostat."""
-        raise NotImplementedError(f"{cls.name} cannot be used in a scene, because it has no with_relaxation_time; run it from a script")
+        raise NotImplementedError(
+            f"{cls.name} cannot be used in a scene, because it has no with_relaxation_time; run it from a script"
+        )
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
@@ -99,7 +104,9 @@ class LangevinBAOAB(Thermostat):
     @classmethod
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
         """See Thermostat; γ = 1/τ."""
-        return cls(timestep, temperature, 1.0 / checked_number("relaxation_time", relaxation_time, "positive and finite"), seed)
+        return cls(
+            timestep, temperature, 1.0 / checked_number("relaxation_time", relaxation_time, "positive and finite"), seed
+        )
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The Ornstein-Uhlenbeck process over a duration."""
@@ -116,17 +123,27 @@ class LangevinBAOAB(Thermostat):
 
     def repeated(self, cycle: Substeps, around: Surroundings) -> Cycle | None:
         """See Splitting: a kick and a drift, the contact, and the other drift."""
-        is_own = getattr(self.thermalize, "__func__", None) is LangevinBAOAB.thermalize  # a derived class may have another process
-        if around.bath is None or not is_own or [type(substep) for substep in cycle] != [Kick, Drift, Thermalize, Drift]:
+        is_own = (
+            getattr(self.thermalize, "__func__", None) is LangevinBAOAB.thermalize
+        )  # a derived class may have another process
+        if (
+            around.bath is None
+            or not is_own
+            or [type(substep) for substep in cycle] != [Kick, Drift, Thermalize, Drift]
+        ):
             return None
         first, bath = super().repeated(cycle[:2], around), around.bath
         kept, spread = self._process(cycle[2].coefficient * self.timestep, bath)
-        contact = Contact(kept, spread, cycle[3].coefficient * self.timestep, bath, lambda n, n_atoms: self._noise(n, n_atoms, bath))
+        contact = Contact(
+            kept, spread, cycle[3].coefficient * self.timestep, bath, lambda n, n_atoms: self._noise(n, n_atoms, bath)
+        )
         return None if first is None else first._replace(contact=contact)
 
     def _process(self, duration: float, bath: Bath) -> tuple[float, float]:
         """e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy]."""
-        return exp(-self.friction * duration), sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
+        return exp(-self.friction * duration), sqrt(
+            bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration)
+        )
 
     def _noise(self, n_steps: int, n_atoms: int, bath: Bath) -> Array:
         """ξ of n_steps steps, (n, N, 3): the same numbers as from Thermostat.noise, drawn in compiled code."""
@@ -189,7 +206,9 @@ class StochasticVelocityRescaling(Thermostat):
 def bath_of(around: Surroundings) -> Bath:
     """The bath that a thermostat needs.  Raises ValueError if there is none."""
     if around.bath is None:
-        raise ValueError("a thermostat needs a bath to count the energy it gives: pass surroundings=Surroundings(bath=Bath(k_B, n_dof))")
+        raise ValueError(
+            "a thermostat needs a bath to count the energy it gives: pass surroundings=Surroundings(bath=Bath(k_B, n_dof))"
+        )
     return around.bath
 
 

@@ -1,18 +1,22 @@
-"""Hypothesis draws the same scenes in every run, without a deadline: the first call compiles. Signals are not ignored, as behind nohup.
+"""The scenes as fixtures; Hypothesis draws the same ones in every run, without a deadline: the first call compiles.
 
-BLAS has one thread, in the workers and in the processes that tests start: matrices here are small, and its threads would spend a third of the
-processor time waiting for each other on the cores that tests share.
+Signals are not ignored, as behind nohup. BLAS has one thread, in the workers and in the processes that tests start:
+matrices here are small, and its threads would spend a third of the time waiting for each other on shared cores.
 """
 
 import os
 import signal
 
-from hypothesis import settings
-
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before anybody imports numpy
+
+import pytest
+from hypothesis import settings
+from scenes import SCENES
+
 settings.register_profile("minimd", deadline=None, derandomize=True, max_examples=100)
 settings.load_profile("minimd")
-signal.signal(
-    signal.SIGINT, signal.default_int_handler
-)  # minimd leaves signals alone that are ignored, and tests raise them
+signal.signal(signal.SIGINT, signal.default_int_handler)  # minimd leaves ignored signals alone, and tests raise them
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+for _name, _scene in SCENES.items():
+    globals()[_name] = pytest.fixture(_scene, name=_name)

@@ -1,0 +1,163 @@
+"""Twelve named scenes in reduced units, each built once; `SCENES[name]()` is a fresh copy, and so is the fixture of that name.
+
+Scenes of one kind share their law and its truncation, so that the suite compiles few kernels.
+"""
+
+from collections.abc import Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from references import DATA, fourmol, liquid
+
+import minimd as md
+from minimd.structure.lattice import crystal
+
+LJ = md.LennardJones(1.0, 1.0, 1.8, "force-shifted")  # one species; cell, open or smaller than the cutoff
+OPEN = md.LennardJones(1.0, 1.0)  # no cutoff
+TWO_KINDS = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=1.8, truncation="switched")
+BONDED = md.LennardJones(1.0, 1.0, 1.8, "force-shifted", bonded_scale=(0.0, 0.0, 1.0))
+
+
+class Scene(NamedTuple):
+    """What a simulation needs, and a time step at which it runs well."""
+
+    system: md.System
+    laws: Sequence
+    constraints: Sequence = ()
+    timestep: float = 0.004
+    temperature: float | None = None
+
+    def simulation(self, method=None, **options):
+        """A Simulation, by velocity Verlet unless a method is given."""
+        return md.Simulation(
+            self.system, self.laws, method or md.VelocityVerlet(self.timestep), self.constraints, **options
+        )
+
+    def forces(self):
+        """(forces, potential energy) of the scene as it stands."""
+        found = md.evaluate(self.system, self.laws)
+        return found.forces, found.potential_energy
+
+
+def warm(system, temperature, constraints=(), seed=1):
+    """The system with thermal velocities, its momentum zero."""
+    law = md.LennardJones(1.0, 1.0, 0.1)
+    simulation = md.Simulation(system, law, md.VelocityVerlet(0.001), constraints, threads=1)
+    simulation.set_temperature(temperature, seed=seed)
+    return simulation.system
+
+
+def argon():
+    """108 atoms of the liquid, out of order: the smallest scene with a cluster list."""
+    return Scene(liquid(3), [LJ], temperature=1.44)
+
+
+def melt():
+    """LAMMPS' 4000-atom melt with its own starting velocities."""
+    start = np.load(DATA / "lammps_lj" / "melt4000_start.npz")
+    return Scene(md.System(start["x"], velocities=start["v"], cell=start["box"]), [LJ], timestep=0.005)
+
+
+def mixture():
+    """200 atoms of two species, sizes and masses in a triclinic cell."""
+    positions, edges = crystal("fcc", [5, 5, 2], 1.7)
+    rng = np.random.default_rng(2)
+    cell = np.diag(edges) + np.array([[0, 0, 0], [1.3, 0, 0], [-0.4, 0.9, 0]])
+    species = rng.permutation(["A"] * 160 + ["B"] * 40)
+    system = md.System(
+        positions @ np.linalg.inv(np.diag(edges)) @ cell + 0.04 * rng.standard_normal(positions.shape),
+        cell=cell,
+        species=species,
+        masses=np.where(species == "A", 1.0, 0.3),
+    )
+    return Scene(warm(system, 0.9), [TWO_KINDS], timestep=0.003)
+
+
+def water():
+    """32 rigid molecules of three sites, without charges."""
+    centers, edges = crystal("fcc", [2, 2, 2], 2.4)
+    shape = np.array([[0.0, 0.0, 0.0], [0.24, 0.18, 0.0], [-0.24, 0.18, 0.0]])
+    turns = np.linalg.qr(np.random.default_rng(3).standard_normal((32, 3, 3)))[0]
+    pairs = np.concatenate([np.array([[0, 1], [0, 2], [1, 2]]) + 3 * m for m in range(32)])
+    system = md.System(
+        (centers[:, None] + shape @ turns).reshape(-1, 3), cell=edges, masses=[16.0, 1.0, 1.0] * 32, bonds=pairs
+    )
+    rigid = [md.DistanceConstraints(pairs)]
+    return Scene(warm(system, 1.0, rigid), [BONDED], rigid, timestep=0.002)
+
+
+def dumbbells():
+    """32 rigid pairs of unequal masses in a cubic cell."""
+    centers, edges = crystal("fcc", [2, 2, 2], 2.07)
+    arms = np.random.default_rng(1).standard_normal((32, 3))
+    arms *= 0.25 / np.linalg.norm(arms, axis=1)[:, None]
+    pairs = np.arange(64).reshape(-1, 2)
+    ends = np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3)
+    system = md.System(ends, cell=edges, masses=[1.0, 3.0] * 32, bonds=pairs)
+    rigid = [md.DistanceConstraints(pairs)]
+    return Scene(warm(system, 1.0, rigid), [BONDED], rigid, timestep=0.002)
+
+
+def chain():
+    """12 atoms of three masses in a row, held by springs, in open space."""
+    k = np.arange(12)
+    bonds = np.column_stack([k[:-1], k[1:]])
+    system = md.System(np.column_stack([k, 0.1 * (k % 2), 0 * k]), masses=1.0 + k % 3, bonds=bonds)
+    return Scene(warm(system, 0.5), [md.HarmonicBond(np.linspace(100.0, 300.0, 11), 1.0)], timestep=0.005)
+
+
+def ring():
+    """Six atoms with springs and angles, in open space."""
+    angle, k = 2.0 * np.pi * np.arange(6) / 6, np.arange(6)
+    pairs = np.column_stack([k, (k + 1) % 6])
+    triples = np.column_stack([k, (k + 1) % 6, (k + 2) % 6])
+    system = md.System(np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle]), bonds=pairs)
+    laws = [md.HarmonicBond(80.0, 1.0), md.HarmonicAngle(60.0, 2.0 * np.pi / 3.0, triples)]
+    return Scene(warm(system, 0.3), laws, timestep=0.005)
+
+
+def droplet():
+    """32 atoms that hold together in open space."""
+    return Scene(warm(md.System(liquid(2, jitter=0.02).positions), 0.2), [LJ])
+
+
+def gas():
+    """256 atoms, thin, in a periodic cell."""
+    return Scene(liquid(4, density=0.25, temperature=2.0), [LJ])
+
+
+def slab():
+    """108 atoms, periodic in x and y, open along z."""
+    dense = liquid(3)
+    system = md.System(dense.positions, velocities=dense.velocities, cell=dense.cell.vectors, pbc=[True, True, False])
+    return Scene(system, [LJ])
+
+
+def two_atoms():
+    """Near the bottom of their well, in open space."""
+    return Scene(
+        md.System([[0, 0, 0], [0, 1.2, 0]], velocities=[[0, 0.1, 0.05], [0, -0.05, -0.025]], masses=[1.0, 2.0]), [OPEN]
+    )
+
+
+def small_molecule():
+    """LAMMPS' 29-atom example `fourmol`, with its bonds, in its cell."""
+    system, _ = fourmol()
+    return Scene(warm(system.copy(), 0.5), [md.HarmonicBond(300.0, 1.2)], timestep=0.002)
+
+
+BUILDERS = [argon, melt, mixture, water, dumbbells, chain, ring, droplet, gas, slab, two_atoms, small_molecule]
+
+
+@cache
+def _built(build):
+    return build()
+
+
+def _copied(build):
+    scene = _built(build)
+    return scene._replace(system=scene.system.copy())
+
+
+SCENES = {build.__name__: (lambda build=build: _copied(build)) for build in BUILDERS}

@@ -147,9 +147,11 @@ def __getattr__(name: str) -> ModuleType:
 
 @names_keywords
 def read_observers(path: str | Path) -> dict[str, observers.Accumulator]:
-    """The observers in an H5MD file by name, in their state at its restart: read_observers("run.h5md")["viscosity"].result().
+    """The observers in an H5MD file by name, in their state at its restart:
+    read_observers("run.h5md")["viscosity"].result().
 
-    Raises FileNotFoundError, OSError, ValueError for a file that does not exist, is damaged, or was not written by minimd.
+    Raises FileNotFoundError, OSError, ValueError for a file that does not exist, is damaged,
+    or was not written by minimd.
     """
     from minimd.files.h5md_reader import read_file  # h5py is slow to load
 

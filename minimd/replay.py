@@ -21,16 +21,19 @@ from minimd.structure.units import LJ, SYSTEMS, UnitSystem
 
 PATIENCE = 20  # steps after the failure, if it does not occur again at its step: rounding differs between processors
 LAST_ROWS, APART = 12, 10  # rows of the table: all of the last ones, every tenth of the others
-HEAD = "    step       time  total energy   closest pair  distance largest force      on  fastest      speed"  # see ReplayedStep.row
+# see ReplayedStep.row
+HEAD = "    step       time  total energy   closest pair  distance largest force      on  fastest      speed"
 SERIES = {"energy": "total energy", "distance": "closest pair", "force": "largest force", "speed": "largest speed"}
 COLORS = ("#1f5fa8", "#1b7f5c", "#c8501e", "#5b3f99")
 WIDE = 50.0  # ratio of the largest to the smallest value above which an axis is logarithmic
 
 
 class ReplayedStep(NamedTuple):
-    """One step.  time : [time].  energy : total [energy].  first, second, distance : the closest pair [length]; −1, −1 and NaN if there is none.
+    """One step.  time : [time].  energy : total [energy].  first, second, distance : the closest pair [length]; −1,
+    −1 and NaN if there is none.
 
-    pushed, force : the atom with the largest force, and this force [energy/length].  fastest, speed : the fastest atom [length/time].
+    pushed, force : the atom with the largest force, and this force [energy/length].  fastest, speed :
+        the fastest atom [length/time].
     """
 
     step: int
@@ -59,7 +62,8 @@ class ReplayedStep(NamedTuple):
         )
 
     def row(self, units: UnitSystem) -> str:
-        """A row of the table: time in ps or τ, speed with the same unit of time, and all else in the units of the system."""
+        """A row of the table: time in ps or τ, speed with the same unit of time,
+        and all else in the units of the system."""
         time, speed = self.time * units.to_picosecond, self.speed / units.to_picosecond
         pair = f"{self.first}-{self.second}" if self.first >= 0 else "none"
         energies = f"{self.step:>8}{time:>11.5g}{self.energy:>14.8g}{pair:>15}{self.distance:>10.4g}"
@@ -70,7 +74,8 @@ class ReplayedStep(NamedTuple):
 class Replay:
     """The result of a replay. str() gives a table.
 
-    rows : a ReplayedStep for each step that succeeded.  ending : why it ended, as text.  failed_at : step, or None if it did not fail again.
+    rows : a ReplayedStep for each step that succeeded.  ending : why it ended, as text.  failed_at : step,
+        or None if it did not fail again.
     findings : CrashReport of the original failure.  trajectory, picture : paths of the files, or None if not written.
     """
 
@@ -104,13 +109,14 @@ def replay(
     ----------
     file : the .crash.h5md file of a run that failed; it holds system, method and constraints.
     potentials : those of the run; if not given, those of the scene that is stored in the file.
-    trajectory, picture : where to write the steps and a picture of them; True for names made from that of the file, False for none.
+    trajectory, picture : where to write the steps and a picture of them; True for names made from that of the file,
+        False for none.
     overwrite : replace files that exist.
 
     Raises
     ------
-    FileNotFoundError, OSError, ValueError : if the file is not a crash file, if it has no scene and no potentials are given, or if
-        outputs exist or cannot be written.
+    FileNotFoundError, OSError, ValueError : if the file is not a crash file, if it has no scene and no potentials are
+        given, or if outputs exist or cannot be written.
     """
     past = read_crash_report(file)
     frames, drawing = (
@@ -154,15 +160,20 @@ def _output(wanted: str | Path | bool, file: Path, suffix: str, overwrite: bool)
     )
     if path.exists() and not overwrite:
         raise FileExistsError(
-            f"output {str(path)!r} exists; choose another name, or replace it with overwrite=True, or --overwrite of the command"
+            f"output {str(path)!r} exists; choose another name, or replace it with overwrite=True, or --overwrite of "
+            "the command"
         )
     return path
 
 
 def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Potential]:
-    """The potentials of the text of a scene.  words : the potentials of the run, for the message.  Raises ValueError if there is no scene."""
+    """The potentials of the text of a scene.  words : the potentials of the run, for the message.
+    Raises ValueError if there is no scene."""
     if not scene:
-        pass_them = "pass those of the script, as in minimd.replay(file, [...]), or give the command a scene that has them with --scene"
+        pass_them = (
+            "pass those of the script, as in minimd.replay(file, [...]), or give the command a scene that has "
+            "them with --scene"
+        )
         raise ValueError(
             f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; {pass_them}"
         )

@@ -1,4 +1,5 @@
-"""The check of a run from its file only: energies and momenta recomputed from velocities read by MDAnalysis, and conservation laws."""
+"""The check of a run from its file only: energies and momenta recomputed from velocities read by MDAnalysis,
+and conservation laws."""
 
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -23,7 +24,8 @@ from minimd.structure.images import images_of_length, lengths_of
 from minimd.structure.observables import absolute_momentum, kinetic_energy, momentum
 from minimd.structure.system import System
 
-SINGLE = 6e-8  # 2⁻²⁴, relative rounding of a velocity to float32, and therefore the largest error of a momentum relative to Σ|mv|
+# 2⁻²⁴, relative rounding of a velocity to float32, and therefore the largest error of a momentum relative to Σ|mv|
+SINGLE = 6e-8
 KINETIC = 1e-6  # K is quadratic in velocities: its error is twice that rounding; the rest is a margin for the sum
 LENGTHS = 2.1e-7  # √12 times that rounding: a length depends on six rounded coordinates
 EXACT = 0.0
@@ -33,7 +35,8 @@ ENOUGH_FRAMES = 20  # for a diffusion coefficient: its fit then has eight lags
 
 @dataclass(frozen=True)
 class Comparison:
-    """One comparison.  figure : the largest difference in all frames, relative to a scale.  tolerance : its limit.  meaning : what is compared."""
+    """One comparison.  figure : the largest difference in all frames, relative to a scale.  tolerance : its limit.
+    meaning : what is compared."""
 
     name: str
     figure: float
@@ -46,7 +49,10 @@ class Comparison:
         return self.figure <= self.tolerance
 
     def __str__(self) -> str:
-        return f"{self.name:<14} {self.meaning}: {self.figure:.2g}, tolerance {self.tolerance:.2g}: {'ok' if self.passed else 'FAILED'}"
+        return (
+            f"{self.name:<14} {self.meaning}: {self.figure:.2g}, tolerance {self.tolerance:.2g}: "
+            f"{'ok' if self.passed else 'FAILED'}"
+        )
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,8 @@ class FileCheck(Displayed):
 
     @property
     def passed(self) -> bool:
-        """True if all comparisons agree, and energy and momentum are conserved; False also if there are too few frames to judge.
+        """True if all comparisons agree, and energy and momentum are conserved;
+        False also if there are too few frames to judge.
 
         A run that is too short to show a drift of the energy passes if the energy varies little: see Report.is_quiet.
         """
@@ -88,9 +95,11 @@ class FileCheck(Displayed):
 
 
 def check_file(path: str | Path) -> FileCheck:
-    """Read a minimd file through MDAnalysis, compare stored observables with recomputed ones, and judge what should be constant.
+    """Read a minimd file through MDAnalysis, compare stored observables with recomputed ones,
+    and judge what should be constant.
 
-    Stored observables are float64. Velocities are read in float32; the tolerances allow for this.  Raises as minimd.mdanalysis.universe.
+    Stored observables are float64. Velocities are read in float32; the tolerances allow for this.
+    Raises as minimd.mdanalysis.universe.
     """
     which = damage(path)
     with damage_told(path) if which else nullcontext(), universe_of(path) as made:
@@ -98,7 +107,8 @@ def check_file(path: str | Path) -> FileCheck:
 
 
 def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
-    """The check of a file with an open universe.  damaged : its damaged frames or restarts, see minimd.files.h5md_reader.damage."""
+    """The check of a file with an open universe.  damaged : its damaged frames or restarts,
+    see minimd.files.h5md_reader.damage."""
     written = (
         f"{damaged} are not those that were written" if damaged else "frames and restarts are those that were written"
     )
@@ -116,8 +126,14 @@ def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
     report = conservation_report(record, linear=is_free, angular=angular, lines=lines, n_dof=n_dof)
     report = replace(report, too_long_a_step=contents.too_long_a_step)
     several = "s" * (contents.n_frames > 1)
-    frames = f"{contents.n_frames} frame{several}, steps {moved.step[0]} to {moved.step[-1]}, {contents.method}, {system.units.name} units"
-    heading = f"file           {Path(made.trajectory.filename)}: {contents.title}\nread           by MDAnalysis {VERSION}: {frames}"
+    frames = (
+        f"{contents.n_frames} frame{several}, steps {moved.step[0]} to {moved.step[-1]}, {contents.method}, "
+        f"{system.units.name} units"
+    )
+    heading = (
+        f"file           {Path(made.trajectory.filename)}: {contents.title}\nread           by MDAnalysis "
+        f"{VERSION}: {frames}"
+    )
     return FileCheck(heading, [*comparisons(moved), *exact_momenta(made), sums], report, liquid(made))
 
 
@@ -159,7 +175,8 @@ def recompute(run: str | Path | RunUniverse) -> Recomputed:
 
 
 def length_error(system: System) -> float:
-    """The largest | |r| − d | of the constrained lengths, relative to the largest coordinate; 0 without such lengths."""
+    """The largest | |r| − d | of the constrained lengths, relative to the largest coordinate;
+    0 without such lengths."""
     scale = float(np.abs(system.positions).max())
     for one in system.constraints:
         if isinstance(one, DistanceConstraints):
@@ -208,7 +225,8 @@ def comparisons(moved: Recomputed) -> list[Comparison]:
 
 
 def exact_momenta(made: RunUniverse) -> list[Comparison]:
-    """For a run in fixed-point arithmetic: Σ p of each frame, an integer in steps of the grid, compared with that of the first frame."""
+    """For a run in fixed-point arithmetic: Σ p of each frame, an integer in steps of the grid,
+    compared with that of the first frame."""
     contents, grid = made.contents, made.contents.restart.grid
     if grid is None or not contents.conserves_momentum:
         return []
@@ -222,7 +240,8 @@ def exact_momenta(made: RunUniverse) -> list[Comparison]:
 
 
 def _largest(differences: NDArray[np.float64], scales: NDArray[np.float64]) -> float:
-    """The largest |difference| / |scale| in all frames; 0 for a zero difference, infinite for any other with a zero scale."""
+    """The largest |difference| / |scale| in all frames; 0 for a zero difference,
+    infinite for any other with a zero scale."""
     sizes, scales = (
         np.abs(differences) if differences.ndim == 1 else np.linalg.norm(differences, axis=1),
         np.abs(scales),
@@ -232,10 +251,11 @@ def _largest(differences: NDArray[np.float64], scales: NDArray[np.float64]) -> f
 
 
 def liquid(run: str | Path | RunUniverse) -> list[str]:
-    """Lines about a periodic liquid: the first peak of g(r), and D if there are enough frames and the atoms have left their places.
+    """Lines about a periodic liquid: the first peak of g(r),
+    and D if there are enough frames and the atoms have left their places.
 
-    They have left their places if they have moved by half the distance of neighbors within the window of the fit. Empty if the cell is not
-    periodic in all directions.
+    They have left their places if they have moved by half the distance of neighbors within the window of the fit. Empty
+    if the cell is not periodic in all directions.
     run : a file, or its universe.  Raises as universe.
     """
     with universe_of(run) as made:

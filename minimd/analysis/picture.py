@@ -12,7 +12,8 @@ __all__ = ["four_panels", "save"]
 
 
 def save(figure: Figure, picture: Path) -> Path:
-    """Write a picture, in place of a file or link of its name, and return this name.  Raises OSError if it cannot be written."""
+    """Write a picture, in place of a file or link of its name, and return this name.
+    Raises OSError if it cannot be written."""
     drawn = BytesIO()
     figure.savefig(drawn, format=picture.suffix[1:] or None)
     write_whole(picture, drawn.getvalue())

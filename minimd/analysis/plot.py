@@ -15,8 +15,9 @@ from minimd.mdanalysis.universes import RunUniverse, mean_square_displacement, r
 def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
     """Draw a minimd file and return the name of the picture.
 
-    Four panels show the change of the total energy per atom, the temperature, the change of the total momentum, and g(r) if the cell is
-    periodic in all directions, else the mean-square displacement. A further panel is drawn for each observer of the run.
+    Four panels show the change of the total energy per atom, the temperature, the change of the total momentum, and
+    g(r) if the cell is periodic in all directions, else the mean-square displacement.
+    A further panel is drawn for each observer of the run.
     out : the picture, in the format of its suffix; the name of the file with .png if not given.
 
     Raises FileNotFoundError, OSError, ValueError as universe, or if the picture cannot be written.
@@ -45,7 +46,8 @@ def drawn(made: RunUniverse) -> Figure:
 
 
 def _energy(panel: Axes, times: Array, record: Record) -> None:
-    """Change of the total energy per atom since the start, minus heat Q if there is a bath, with the line of its drift."""
+    """Change of the total energy per atom since the start, minus heat Q if there is a bath,
+    with the line of its drift."""
     change = draw_energy(panel, times, record)
     panel.plot(
         times,

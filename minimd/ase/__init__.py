@@ -1,4 +1,5 @@
-"""The bridge to ASE: atoms in and out, calculators both ways, ASE's molecular dynamics with compiled steps, ASE's trajectory files.
+"""The bridge to ASE: atoms in and out, calculators both ways, ASE's molecular dynamics with compiled steps,
+ASE's trajectory files.
 
 ASE's units are Å, eV, u and Å √(u/eV); minimd.units.ASE are the same, so nothing is converted here. A scene in reduced
 units crosses with its numbers unchanged. Only this package imports ase.

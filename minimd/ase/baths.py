@@ -1,7 +1,9 @@
-"""The baths of ASE's thermostats as splittings of minimd, with the meaning of ASE's arguments, and at the same place in the step as in ASE.
+"""The baths of ASE's thermostats as splittings of minimd, with the meaning of ASE's arguments,
+and at the same place in the step as in ASE.
 
-They differ from the thermostats of minimd.integrators in what users of ASE expect: parameters for each atom, a center of mass that stays at
-rest (fixcm), degrees of freedom counted as by Atoms.get_number_of_degrees_of_freedom. k_B T is `bath.k_B` times the temperature [K].
+They differ from the thermostats of minimd.integrators in what users of ASE expect: parameters for each atom, a center
+of mass that stays at rest (fixcm), degrees of freedom counted as by Atoms.get_number_of_degrees_of_freedom.
+k_B T is `bath.k_B` times the temperature [K].
 """
 
 from math import exp, sqrt
@@ -27,10 +29,12 @@ KEPT_STEPS = 1000  # steps whose states a chain keeps: many more than in a block
 
 
 class LangevinBath(LangevinBAOAB):
-    """LangevinBAOAB with temperatures and frictions that may differ from atom to atom, and optionally without a bath for the center of mass.
+    """LangevinBAOAB with temperatures and frictions that may differ from atom to atom,
+    and optionally without a bath for the center of mass.
 
     temperature [K], friction [1/time] : ≥ 0, one number, or an array that broadcasts to (N, 3).
-    keeps_center : whether the bath leaves the velocity of the center of mass unchanged; then 3N − 3 degrees of freedom are thermal.
+    keeps_center : whether the bath leaves the velocity of the center of mass unchanged;
+        then 3N − 3 degrees of freedom are thermal.
 
     Raises ValueError for a temperature or a friction below zero or not finite.
     """
@@ -60,7 +64,8 @@ class LangevinBath(LangevinBAOAB):
 
 
 class BussiBath(StochasticVelocityRescaling):
-    """StochasticVelocityRescaling before the step; the caller counts the degrees of freedom n_dof, and the motion of the center is rescaled, too.
+    """StochasticVelocityRescaling before the step; the caller counts the degrees of freedom n_dof,
+    and the motion of the center is rescaled, too.
 
     relaxation_time : τ > 0 [time].  n_dof : degrees of freedom.
 
@@ -83,12 +88,14 @@ class BussiBath(StochasticVelocityRescaling):
 
 
 class AndersenBath(Thermostat):
-    """Collisions between the first kick and the drift: each component of a velocity is drawn again with a given probability.
+    """Collisions between the first kick and the drift:
+    each component of a velocity is drawn again with a given probability.
 
         v ← √(k_B T/m) ξ      with probability p in each step; ξ normal
 
     probability : p in each step, 0 to 1.
-    keeps_center : whether the center of mass stays at rest. It gets a thermal velocity before the collisions, which is removed after them.
+    keeps_center : whether the center of mass stays at rest. It gets a thermal velocity before the collisions,
+        which is removed after them.
 
     H. C. Andersen, J. Chem. Phys. 72, 2384 (1980).  Raises ValueError for a probability out of range.
     """
@@ -124,11 +131,13 @@ class AndersenBath(Thermostat):
 
 
 class BerendsenBath(Splitting):
-    """All velocities are multiplied by one factor before each step, which brings the kinetic temperature T′ closer to T. It samples no ensemble.
+    """All velocities are multiplied by one factor before each step,
+    which brings the kinetic temperature T′ closer to T. It samples no ensemble.
 
         v ← λ v,   λ² = 1 + (T/T′ − 1) Δt/τ,   0.9 ≤ λ ≤ 1.1
 
-    n_dof : degrees of freedom in T′.  keeps_center : whether the total momentum is removed, in equal shares from all atoms.
+    n_dof : degrees of freedom in T′.  keeps_center : whether the total momentum is removed,
+        in equal shares from all atoms.
 
     H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984).  Raises ValueError for τ = 0.
     """
@@ -163,11 +172,14 @@ class BerendsenBath(Splitting):
 
 
 class Chain:
-    """A chain of M thermostats: the first is in contact with the atoms, each other one with the one before it; deterministic and reversible.
+    """A chain of M thermostats: the first is in contact with the atoms, each other one with the one before it;
+    deterministic and reversible.
 
-        η̇_j = p_j/Q_j,   ṗ_1 = 2K − n k_B T − p_1 p_2/Q_2,   ṗ_j = p_{j−1}²/Q_{j−1} − k_B T − p_j p_{j+1}/Q_{j+1},   v̇ = −v p_1/Q_1
+        η̇_j = p_j/Q_j,   ṗ_1 = 2K − n k_B T − p_1 p_2/Q_2,   ṗ_j = p_{j−1}²/Q_{j−1} − k_B T − p_j p_{j+1}/Q_{j+1},
+        v̇ = −v p_1/Q_1
 
-    thermal : k_B T [energy].  n_dof : n.  relaxation_time : τ; Q_1 = n k_B T τ², all others k_B T τ².  length : M.  loops : substeps of a contact.
+    thermal : k_B T [energy].  n_dof : n.  relaxation_time : τ; Q_1 = n k_B T τ², all others k_B T τ².  length : M.
+        loops : substeps of a contact.
     eta, p : (M,) η_j and p_j.  G. J. Martyna, M. L. Klein, M. E. Tuckerman, J. Chem. Phys. 97, 2635 (1992);
     integrator: G. J. Martyna et al., Mol. Phys. 87, 1117 (1996).
     """
@@ -194,7 +206,8 @@ class Chain:
             del self._starts[next(iter(self._starts))]
 
     def advance(self, twice_kinetic: float, duration: float) -> float:
-        """Advance the chain in contact with atoms of kinetic energy K; returns the factor for their velocities.  twice_kinetic : 2K [energy]."""
+        """Advance the chain in contact with atoms of kinetic energy K; returns the factor for their velocities.
+        twice_kinetic : 2K [energy]."""
         factor = 1.0
         for weight in WEIGHTS * self.loops:
             h = weight * duration / self.loops

@@ -24,9 +24,10 @@ from minimd.structure.system import System
 class Calculator(ASECalculator):
     """A calculator for ase.Atoms: energy, forces and stress from potentials of minimd, in Å and eV.
 
-    The stress is −W/V, tension positive, in the order xx yy zz yz xz xy, without the ideal-gas part; it exists for every cell with
-    three lattice vectors. The property "stresses" is the share of each atom. The list of neighbors is kept while atoms move. ASE itself
-    applies the constraints of the atoms. Copies and pickles contain the potentials, but not the list.
+    The stress is −W/V, tension positive, in the order xx yy zz yz xz xy, without the ideal-gas part; it exists for
+    every cell with three lattice vectors. The property "stresses" is the share of each atom. The list of neighbors is
+    kept while atoms move. ASE itself applies the constraints of the atoms. Copies and pickles contain the potentials,
+    but not the list.
 
     Parameters
     ----------
@@ -37,10 +38,11 @@ class Calculator(ASECalculator):
     Raises
     ------
     TypeError, ValueError : in the first calculation, as System and Forces.
-    NonFiniteError : if a force or an energy is not finite, as for two atoms at the same place; it names them and the law.
+    NonFiniteError : if a force or an energy is not finite, as for two atoms at the same place;
+        it names them and the law.
     """
 
-    implemented_properties = ["energy", "free_energy", "energies", "forces", "stress", "stresses"]  # noqa: RUF012 - ASE's form
+    implemented_properties = "energy free_energy energies forces stress stresses".split()  # noqa: SIM905
 
     def __init__(
         self,
@@ -51,7 +53,10 @@ class Calculator(ASECalculator):
         threads: int | None = None,
         precision: Precision = "double",
     ) -> None:
-        """Potentials of minimd for ASE; see the class. ASE's arguments restart, label, directory and atoms do not exist."""
+        """Potentials of minimd for ASE; see the class.
+
+        ASE's arguments restart, label, directory and atoms do not exist.
+        """
         super().__init__()
         self._plan: tuple[Atoms, Forces] | None = None
         self.potentials, self.bonds, self.options = potentials, bonds, Options(threads, precision, skin)
@@ -84,7 +89,11 @@ class Calculator(ASECalculator):
         properties: Sequence[str] = ("energy",),
         system_changes: Sequence[str] = all_changes,
     ) -> None:
-        """Fill results. The atoms themselves decide whether the list is kept, because system_changes includes neither masses nor failed calls."""
+        """Fill results.
+
+        The atoms themselves decide whether the list is kept,
+        because system_changes includes neither masses nor failed calls.
+        """
         super().calculate(atoms, list(properties), list(system_changes))
         per_atom = bool({"energies", "stresses"} & set(properties))
         forces = self._forces_at(self.atoms)
@@ -105,12 +114,14 @@ class Calculator(ASECalculator):
         return changes if self.atoms is None or same_labels(self.atoms, atoms) else [*changes, "numbers"]
 
     def adopt(self, atoms: Atoms, forces: Forces) -> None:
-        """Take over energy, forces and stress of these atoms from Forces with the same potentials, which have just been computed."""
+        """Take over energy, forces and stress of these atoms from Forces with the same potentials,
+        which have just been computed."""
         self.atoms = atoms.copy()
         self.results = _results(atoms, forces)
 
     def _forces_at(self, atoms: Atoms) -> Forces:
-        """The Forces on these atoms: those of the last call, with their pair list, if only positions or cell have changed."""
+        """The Forces on these atoms: those of the last call, with their pair list,
+        if only positions or cell have changed."""
         if self._plan and same_scene(self._plan[0], atoms):
             forces = self._plan[1]
             forces.system.positions[:], forces.system.cell = atoms.positions, cell_of(atoms)

@@ -25,14 +25,16 @@ from minimd.structure.units import ASE
 
 
 class MinimdSteps(MolecularDynamics):
-    """A mixin with which a class of ase.md makes its steps with minimd; it is put before that class in the list of bases.
+    """A mixin with which a class of ase.md makes its steps with minimd;
+    it is put before that class in the list of bases.
 
-    run makes all steps between two observations at once, then updates atoms, momenta and the calculator's results (energy, forces, stress).
-    Changes between two blocks take effect in the next block: positions, momenta, cell, masses, calculator, potentials, constraints, time
-    step, temperature, friction. irun yields after every step, and step makes one step, as in ASE.
+    run makes all steps between two observations at once, then updates atoms, momenta and the calculator's results
+    (energy, forces, stress). Changes between two blocks take effect in the next block: positions, momenta, cell,
+    masses, calculator, potentials, constraints, time step, temperature, friction. irun yields after every step,
+    and step makes one step, as in ASE.
 
-    Forces are those of minimd's potentials if the calculator of the atoms is a minimd.ase.Calculator. The forces of any other calculator can
-    be used, too, at its speed; a warning says so once.
+    Forces are those of minimd's potentials if the calculator of the atoms is a minimd.ase.Calculator. The forces of any
+    other calculator can be used, too, at its speed; a warning says so once.
 
     Raises
     ------
@@ -110,7 +112,8 @@ class MinimdSteps(MolecularDynamics):
         """Take notice of the energy [eV] that the bath has given to the atoms."""
 
     def _guard_at(self, atoms: Atoms) -> tuple[RunGuard, bool]:
-        """The guarded engine, with positions and momenta of the atoms; a new one if anything else was changed from outside.
+        """The guarded engine, with positions and momenta of the atoms;
+        a new one if anything else was changed from outside.
 
         Also returns whether this continues the run of its last steps, with atoms that were not moved since.
         """

@@ -22,9 +22,9 @@ class ForcesFromCalculator(OwnPotential):
     """A potential for systems of minimd: forces, energy and virial from any calculator of ASE.
 
     The energy is the one that is consistent with the forces (free_energy) if the calculator has it. The virial is
-    W = −stress · volume; in a system without periodic directions it is W = Σ r ⊗ F, which needs no stress. If the calculator gives no
-    stress that is needed, virial and pressure are NaN, and a warning says so. The units of the system should be those of the calculator
-    (Å, eV).
+    W = −stress · volume; in a system without periodic directions it is W = Σ r ⊗ F, which needs no stress. If the
+    calculator gives no stress that is needed, virial and pressure are NaN, and a warning says so. The units of the
+    system should be those of the calculator (Å, eV).
 
     calculator : of ase.calculators, such as EMT().  Raises TypeError for anything else.
     """
@@ -49,7 +49,8 @@ class ForcesFromCalculator(OwnPotential):
 
 
 class ForcesOnAtoms:
-    """A potential for one ase.Atoms: forces and energy from its calculator, which is called with these atoms and all their arrays.
+    """A potential for one ase.Atoms: forces and energy from its calculator,
+    which is called with these atoms and all their arrays.
 
     Their positions follow those of the system. The virial is NaN, because the stress is not needed here.
     """
@@ -77,7 +78,8 @@ class CalculatorTerm:
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """Add forces, (N, 3); for TOTALS and PER_ATOM also energies, (N,), and virials, (N, 6).
 
-        Shares are equal; but PER_ATOM takes energies of atoms from a calculator that has them, shifted to the right sum.
+        Shares are equal; but PER_ATOM takes energies of atoms from a calculator that has them,
+        shifted to the right sum.
         """
         self._atoms.positions[:], self._atoms.cell[:] = system.positions, system.cell.vectors
         own = self._atoms.get_forces(apply_constraint=False)
@@ -108,7 +110,10 @@ class CalculatorTerm:
 
 
 class WithoutVirial(CalculatorTerm):
-    """Forces and energy only. If the atoms have FixCom, the force on their center of mass is removed, in proportion to the masses."""
+    """Forces and energy only.
+
+    If the atoms have FixCom, the force on their center of mass is removed, in proportion to the masses.
+    """
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """See CalculatorTerm."""
@@ -123,11 +128,15 @@ class WithoutVirial(CalculatorTerm):
 def calculators_said(calculator: BaseCalculator) -> str:
     """The warning, given once, for steps with a calculator that is not minimd's."""
     name = type(calculator).__name__
-    return f"the calculator is {name}, not minimd.ase.Calculator: minimd makes the steps with its forces, only as fast as {name} computes them"
+    return (
+        f"the calculator is {name}, not minimd.ase.Calculator: minimd makes the steps with its forces, only as fast "
+        f"as {name} computes them"
+    )
 
 
 def potentials_of_calculator(calculator: Any) -> Sequence[Potential] | None:
-    """The potentials of a calculator of ASE: those of a minimd.ase.Calculator without bonds, else ForcesFromCalculator, with a warning.
+    """The potentials of a calculator of ASE: those of a minimd.ase.Calculator without bonds, else ForcesFromCalculator,
+    with a warning.
 
     None for anything that is not a calculator.
     """

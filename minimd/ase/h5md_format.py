@@ -17,11 +17,12 @@ from minimd.structure.ase_atoms import atoms_from_system, calculators_stress
 
 
 def read_minimd_h5md(filename: str, index: int | slice = -1) -> Iterator[Atoms]:
-    """Frames of a minimd file, to the last bit: positions (not wrapped), momenta, masses, cell, constraints, bonds, and energy.
+    """Frames of a minimd file, to the last bit: positions (not wrapped), momenta, masses, cell, constraints, bonds,
+    and energy.
 
-    Forces are included if the run stored them; they are converted from kJ/mol, and right to rounding. The stress is included if the run
-    observed it. Bonds, angles, dihedrals and impropers are arrays with these names, as made by ASE's reader of LAMMPS data; step and time are
-    in info. Numbers in reduced units are not converted to Å and eV.
+    Forces are included if the run stored them; they are converted from kJ/mol, and right to rounding. The stress is
+    included if the run observed it. Bonds, angles, dihedrals and impropers are arrays with these names, as made by
+    ASE's reader of LAMMPS data; step and time are in info. Numbers in reduced units are not converted to Å and eV.
 
     index : of the frames, as for ase.io.read.
 

@@ -1,7 +1,9 @@
-"""ASE's thermostats with the steps made by minimd. Arguments, defaults, attributes and setters are inherited from ASE's classes.
+"""ASE's thermostats with the steps made by minimd.
 
-The noise is minimd's: paths differ from those of ASE's classes, distributions are the same. Each class draws one seed from its rng when the
-first step is made; equal rngs give equal runs.
+Arguments, defaults, attributes and setters are inherited from ASE's classes.
+
+The noise is minimd's: paths differ from those of ASE's classes, distributions are the same. Each class draws one seed
+from its rng when the first step is made; equal rngs give equal runs.
 """
 
 import functools
@@ -29,8 +31,8 @@ from minimd.structure.checks import shown
 class Noisy(MolecularDynamics):
     """The base of classes that use random numbers.
 
-    rng : RandomState, Generator, numpy.random itself, or any object with standard_normal; an int or a SeedSequence becomes a Generator.
-        An rng that is set later is used from the next step on.
+    rng : RandomState, Generator, numpy.random itself, or any object with standard_normal; an int or a SeedSequence
+        becomes a Generator. An rng that is set later is used from the next step on.
 
     Raises TypeError for anything else.
     """
@@ -66,12 +68,14 @@ class Noisy(MolecularDynamics):
 
 
 class Langevin(MinimdSteps, Noisy, ase.md.langevin.Langevin):
-    """ase.md.langevin.Langevin with the steps of BAOAB, see minimd.LangevinBAOAB: the same distribution by another scheme.
+    """ase.md.langevin.Langevin with the steps of BAOAB, see minimd.LangevinBAOAB:
+    the same distribution by another scheme.
 
-    temperature_K and friction may be arrays with one value for each atom, (N, 1). With fixcm the bath does not act on the center of mass, and
-    the temperature of all other motions is raised by n/(n − 3), n = atoms.get_number_of_degrees_of_freedom(), so that the mean of
-    atoms.get_temperature() is temperature_K, as in ASE. A constraint FixCom, which ASE recommends instead, is kept exactly. If atoms are held
-    by FixAtoms, the center of mass is not free, and fixcm has no effect.
+    temperature_K and friction may be arrays with one value for each atom, (N, 1). With fixcm the bath does not act on
+    the center of mass, and the temperature of all other motions is raised by n/(n − 3), n =
+    atoms.get_number_of_degrees_of_freedom(), so that the mean of atoms.get_temperature() is temperature_K, as in ASE. A
+    constraint FixCom, which ASE recommends instead, is kept exactly. If atoms are held by FixAtoms,
+    the center of mass is not free, and fixcm has no effect.
     """
 
     def method(self) -> Splitting:
@@ -81,7 +85,8 @@ class Langevin(MinimdSteps, Noisy, ase.md.langevin.Langevin):
             n_dof = self.atoms.get_number_of_degrees_of_freedom()
             if n_dof <= 3:
                 raise ValueError(
-                    f"fixcm = True needs more than 3 degrees of freedom, {len(self.atoms)} atoms have {n_dof}; use fixcm=False"
+                    f"fixcm = True needs more than 3 degrees of freedom, {len(self.atoms)} atoms have {n_dof}; use "
+                    "fixcm=False"
                 )
             keeps_center, temperature = True, temperature * n_dof / (n_dof - 3)
         return LangevinBath(self.dt, temperature, self.fr, self.noise_seed(), keeps_center)
@@ -98,8 +103,8 @@ class LangevinBAOAB(MinimdSteps, Noisy, ase.md.langevinbaoab.LangevinBAOAB):
         super().__init__(*arguments, **options)
         if self.externalstress is not None:
             raise NotImplementedError(
-                f"externalstress = {shown(self.externalstress)}: this class needs a constant cell; use ase.md.langevinbaoab.LangevinBAOAB, "
-                "or minimd.Simulation with barostat=StochasticCellRescaling(...)"
+                f"externalstress = {shown(self.externalstress)}: this class needs a constant cell; use "
+                "ase.md.langevinbaoab.LangevinBAOAB, or minimd.Simulation with barostat=StochasticCellRescaling(...)"
             )
 
     def method(self) -> Splitting:
@@ -134,11 +139,11 @@ class Bussi(MinimdSteps, Noisy, ase.md.bussi.Bussi):
         self.transferred_energy += energy
 
 
-class NoseHooverChainNVT(MinimdSteps, ase.md.nose_hoover_chain.NoseHooverChainNVT):  # type: ignore[misc] # ASE's step returns nothing
+class NoseHooverChainNVT(MinimdSteps, ase.md.nose_hoover_chain.NoseHooverChainNVT):  # type: ignore[misc]
     """ase.md.nose_hoover_chain.NoseHooverChainNVT: the same motion, to rounding, and the same get_conserved_energy.
 
-    Unlike ASE's class it counts degrees of freedom by atoms.get_number_of_degrees_of_freedom(), which is 3N without constraints; it keeps
-    constraints, and uses changes that others make to the atoms between steps.
+    Unlike ASE's class it counts degrees of freedom by atoms.get_number_of_degrees_of_freedom(), which is 3N without
+    constraints; it keeps constraints, and uses changes that others make to the atoms between steps.
     """
 
     def __init__(
@@ -150,7 +155,7 @@ class NoseHooverChainNVT(MinimdSteps, ase.md.nose_hoover_chain.NoseHooverChainNV
         tchain: int = 3,
         tloop: int = 1,
         **kwargs: Any,
-    ) -> None:  # noqa: N803
+    ) -> None:
         super().__init__(atoms, timestep, temperature_K, tdamp, tchain, tloop, **kwargs)
         self._chain = Chain(
             units.kB * temperature_K, int(atoms.get_number_of_degrees_of_freedom()), tdamp, tchain, tloop
@@ -170,7 +175,10 @@ class NoseHooverChainNVT(MinimdSteps, ase.md.nose_hoover_chain.NoseHooverChainNV
 
 
 class Andersen(MinimdSteps, Noisy, ase.md.andersen.Andersen):
-    """ase.md.andersen.Andersen. With fixcm the center of mass comes to rest and stays there, unless atoms are held by FixAtoms."""
+    """ase.md.andersen.Andersen.
+
+    With fixcm the center of mass comes to rest and stays there, unless atoms are held by FixAtoms.
+    """
 
     def method(self) -> Splitting:
         """Collisions between the first kick and the drift of velocity Verlet."""
@@ -184,7 +192,10 @@ class Andersen(MinimdSteps, Noisy, ase.md.andersen.Andersen):
 
 
 class NVTBerendsen(MinimdSteps, ase.md.nvtberendsen.NVTBerendsen):
-    """ase.md.nvtberendsen.NVTBerendsen: the same motion, to rounding. With fixcm the total momentum is removed, unless atoms are held by FixAtoms."""
+    """ase.md.nvtberendsen.NVTBerendsen: the same motion, to rounding.
+
+    With fixcm the total momentum is removed, unless atoms are held by FixAtoms.
+    """
 
     def method(self) -> Splitting:
         """One factor for all velocities, then velocity Verlet."""

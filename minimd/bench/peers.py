@@ -43,7 +43,8 @@ class EngineSpeed(NamedTuple):
 
 
 def faster_than_peer(rows: Sequence[EngineSpeed], peer: EngineSpeed) -> NDArray[np.float64] | None:
-    """Speed of minimd, double, on as many threads, divided by the speed of the peer, in each turn; None if that did not run."""
+    """Speed of minimd, double, on as many threads, divided by the speed of the peer, in each turn;
+    None if that did not run."""
     ours = None if peer.is_minimd else _double(rows, peer.threads, peer.scene)
     return None if ours is None else ours.speeds / peer.speeds
 
@@ -69,7 +70,8 @@ def _double(rows: Sequence[EngineSpeed], threads: int, scene: str) -> EngineSpee
 class PeersOptions(NamedTuple):
     """Options of run_peers.
 
-    threads : if empty, one thread and all cores.  peers : names in PEERS; if empty, all that are installed; "none" for no peer.
+    threads : if empty, one thread and all cores.  peers : names in PEERS; if empty, all that are installed;
+        "none" for no peer.
     """
 
     scene: str = MELT
@@ -80,7 +82,8 @@ class PeersOptions(NamedTuple):
     repeats: int = 7
 
     def kinds(self) -> list[tuple[int, Precision]]:
-        """Numbers of threads and precisions of minimd: the reference, double on one thread, and those that are asked for."""
+        """Numbers of threads and precisions of minimd: the reference, double on one thread,
+        and those that are asked for."""
         return list(dict.fromkeys([(1, "double"), *((t, p) for t in self.all_threads() for p in self.precisions)]))
 
     def all_threads(self) -> tuple[int, ...]:
@@ -114,7 +117,10 @@ class Peers:
 
     def lines(self) -> list[str]:
         """See Outcome."""
-        speeds = f"Speeds in 10⁶ atom-steps per second of whole runs, with lists and without compilation: median of {self.repeats} rounds (least to most)."
+        speeds = (
+            "Speeds in 10⁶ atom-steps per second of whole runs, with lists and without compilation: median of "
+            f"{self.repeats} rounds (least to most)."
+        )
         head = [
             f"{self.text}.",
             "",
@@ -129,7 +135,8 @@ class Peers:
         return {"scene": self.scene, "text": self.text, "repeats": self.repeats, "sizes": sizes}
 
     def figure(self) -> "Figure":
-        """Speed against the number of atoms, with a panel for each number of threads; at most the six fastest engines are drawn."""
+        """Speed against the number of atoms, with a panel for each number of threads;
+        at most the six fastest engines are drawn."""
         all_threads = sorted({row.threads for rows in self.sizes for row in rows})
         figure = new_figure(3.8 * len(all_threads))
         panels = figure.subplots(len(all_threads), sharex=True, sharey=True, squeeze=False)[:, 0]
@@ -178,7 +185,8 @@ def check_options(options: PeersOptions) -> None:
     smallest = min(options.cells)
     if SCENES[options.scene](smallest).edges.min() < 2.0 * CUTOFF:
         raise ValueError(
-            f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {options.scene!r}; give a larger number"
+            f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {options.scene!r}; give a "
+            "larger number"
         )
     for name in options.peers:
         if name not in NO_PEERS and options.scene not in PEERS[name].scenes:

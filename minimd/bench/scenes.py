@@ -45,7 +45,8 @@ class BenchScene(NamedTuple):
     """A system with its potentials; bonded neighbors have no pair force.
 
     cutoffs : r_c for each pair of species [σ].  text : a description in one line.  constraints : lengths held fixed.
-    bond_constant, bond_length : of its bonds [ε/σ²], [σ].  is_shifted : whether u(r_c) = 0. Peers use these numbers, not the potentials.
+    bond_constant, bond_length : of its bonds [ε/σ²], [σ].  is_shifted : whether u(r_c) = 0. Peers use these numbers,
+        not the potentials.
     """
 
     name: str
@@ -113,7 +114,10 @@ def chains(n: int) -> BenchScene:
     positions, bonds = path[:n_beads] * (edge / width), np.column_stack([first, first + 1])
     system = md.System(positions, cell=edge, species=["A"] * n_beads, bonds=bonds)
     law = md.LennardJones(1.0, 1.0, CUTOFF, bonded_scale=(0.0, 1.0, 1.0))
-    text = "Chains of 100 beads: harmonic bonds (k* 400, length 1 σ), bonded neighbors excluded, ρ* 0.85, T* 1.0, r_c 2.5 σ, shifted, Δt* 0.005, NVE"
+    text = (
+        "Chains of 100 beads: harmonic bonds (k* 400, length 1 σ), bonded neighbors excluded, ρ* 0.85, T* 1.0, r_c "
+        "2.5 σ, shifted, Δt* 0.005, NVE"
+    )
     potentials = (law, md.HarmonicBond(BOND_CONSTANT, BOND_LENGTH))
     return BenchScene(
         "chains",
@@ -170,9 +174,11 @@ def equilibrated(scene: BenchScene) -> BenchScene:
 
 
 def pairs_in_range(scene: BenchScene, positions: NDArray[np.float64]) -> int:
-    """Number of pairs of atoms within their cutoff on which the pair potential acts: without bonded pairs if it excludes them.
+    """Number of pairs of atoms within their cutoff on which the pair potential acts:
+    without bonded pairs if it excludes them.
 
-    positions : (N, 3) [σ], of the atoms of the scene at any time. The cell must be wider than twice the cutoff, or open.
+    positions : (N, 3) [σ], of the atoms of the scene at any time. The cell must be wider than twice the cutoff,
+        or open.
     """
     box = None
     if scene.system.cell.is_periodic:

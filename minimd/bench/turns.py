@@ -9,13 +9,16 @@ from numpy.typing import NDArray
 from minimd.bench.engines import TimedEngine
 from minimd.bench.outcome import DisagreementError, tell, threads_text
 
-SAME_START = 5e-5  # allowed relative difference of energies at step 0: rounding of single precision; GROMACS sums 32 000 atoms to 2e-5
+# allowed relative difference of energies at step 0: rounding of single precision; GROMACS sums 32 000 atoms to 2e-5
+SAME_START = 5e-5
 STEPS_COMPARED = (
     10  # so few that trajectories do not diverge, enough for the potential energy to change by half an ε per atom
 )
-SAME_COURSE = 1e-3  # ε per atom, allowed difference after these steps, in single precision; a time step 1 % longer makes a larger one
+# ε per atom, allowed difference after these steps, in single precision; a time step 1 % longer makes a larger one
+SAME_COURSE = 1e-3
 WARM_UP, SECONDS_WARM_UP = 200, 5.0  # steps or seconds, whichever ends first: melts the lattice, fills caches
-SECONDS_A_TURN = 0.5  # much longer than the resolution of the clock, much shorter than the minutes in which machines change their speed
+# much longer than the resolution of the clock, much shorter than the minutes in which machines change their speed
+SECONDS_A_TURN = 0.5
 STEPS_A_TURN, LONGEST_TURN = (
     40,
     5.0,
@@ -25,8 +28,8 @@ STEPS_A_TURN, LONGEST_TURN = (
 def check_agreement(engines: Sequence[TimedEngine], n_atoms: int) -> None:
     """Check that all engines have loaded the same scene and make the same steps; for this they make some steps.
 
-    The total energy alone does not show a wrong time step, because it is conserved. The potential energy of a melting crystal does.
-    Raises DisagreementError if an engine differs from the first.
+    The total energy alone does not show a wrong time step, because it is conserved. The potential energy of a melting
+    crystal does. Raises DisagreementError if an engine differs from the first.
     """
     _compare("potential energy at step 0", [(e, e.potential_energy()) for e in engines], relative=SAME_START)
     for engine in engines:
@@ -55,7 +58,8 @@ def take_turns(
 ) -> NDArray[np.float64]:
     """Steps per second of each engine in each turn, (E, repeats).
 
-    The engines take turns because the speed of a machine drifts: so the drift affects all of them.  n_steps : (E,), of a turn.
+    The engines take turns because the speed of a machine drifts: so the drift affects all of them.  n_steps : (E,),
+    of a turn.
     """
     speeds = np.empty((len(engines), repeats))
     for turn in range(repeats):
@@ -66,7 +70,8 @@ def take_turns(
 
 
 def steps_in_a_turn(seconds_per_step: float) -> int:
-    """The number of steps of a turn: half a second, at least 40 steps, at most 5 seconds, and never less than one step."""
+    """The number of steps of a turn: half a second, at least 40 steps, at most 5 seconds,
+    and never less than one step."""
     in_time, at_most = SECONDS_A_TURN / seconds_per_step, LONGEST_TURN / seconds_per_step
     return max(1, int(min(max(in_time, STEPS_A_TURN), at_most)))
 

@@ -1,4 +1,5 @@
-"""`minimd bench work-precision`: run time against error, for every method, time step and precision, and for peers that can run the scene.
+"""`minimd bench work-precision`: run time against error, for every method, time step and precision,
+and for peers that can run the scene.
 
 Errors of a run, all relative:
 
@@ -37,7 +38,10 @@ CELLS, CELLS_QUICK = 10, 6  # 4000 atoms; 864
 TARGETS = 10.0 ** np.arange(-1, -9, -1)
 ERRORS = ("oscillation", "drift", "distance")
 ECCENTRICITY, PERIODS = 0.6, 20
-KEPLER = f"Kepler's ellipse, eccentricity {ECCENTRICITY}, {PERIODS} periods; units a (half axis) and v (velocity in a circle)"
+KEPLER = (
+    f"Kepler's ellipse, eccentricity {ECCENTRICITY}, {PERIODS} periods; units a (half axis) and v (velocity in a "
+    "circle)"
+)
 Q0 = np.array([1.0 - ECCENTRICITY, 0.0])
 V0 = np.array([0.0, np.sqrt((1.0 + ECCENTRICITY) / (1.0 - ECCENTRICITY))])
 END = 2.0 * np.pi * PERIODS
@@ -46,7 +50,8 @@ MakeEngine = Callable[[], engines.TimedEngine]
 
 
 class Point(NamedTuple):
-    """One run.  who : engine and precision.  order : of its method.  forces : evaluations per unit of time.  Errors that are unknown are NaN."""
+    """One run.  who : engine and precision.  order : of its method.  forces : evaluations per unit of time.
+    Errors that are unknown are NaN."""
 
     who: str
     method: str
@@ -84,7 +89,8 @@ class Case(NamedTuple):
             if able := [point for point in self.points if getattr(point, error) <= target]:
                 p = min(able, key=lambda p: p.seconds)
                 lines.append(
-                    f"for {error} {target:.0e} use {p.method}, Δt = {p.timestep:.3g} {self.unit}, {p.who}: {p.seconds:.3g} s"
+                    f"for {error} {target:.0e} use {p.method}, Δt = {p.timestep:.3g} {self.unit}, {p.who}: "
+                    f"{p.seconds:.3g} s"
                 )
         return lines
 
@@ -99,7 +105,8 @@ class Case(NamedTuple):
                     ratios.append(peer.seconds / min(able))
             if ratios:
                 lines.append(
-                    f"{who}: {np.median(ratios):.2f} times the time of minimd at equal {error} ({min(ratios):.2f} to {max(ratios):.2f})"
+                    f"{who}: {np.median(ratios):.2f} times the time of minimd at equal {error} ({min(ratios):.2f} to "
+                    f"{max(ratios):.2f})"
                 )
         return lines
 
@@ -143,7 +150,8 @@ class WorkPrecision:
         }
 
     def figure(self) -> "Figure":
-        """For each case, the oscillation of the energy against seconds: velocity Verlet, peers, and the best other methods, six curves at most."""
+        """For each case, the oscillation of the energy against seconds: velocity Verlet, peers,
+        and the best other methods, six curves at most."""
         figure = new_figure(4.0 * len(self.cases))
         for panel, case in zip(figure.subplots(len(self.cases), squeeze=False)[:, 0], self.cases, strict=True):
             _draw(panel, case)
@@ -151,7 +159,8 @@ class WorkPrecision:
 
 
 def run_work_precision(names: Sequence[str], quick: bool, repeats: int) -> WorkPrecision:
-    """Measure some cases, or all; each run is repeated, and the shortest time counts.  Raises ValueError for an unknown name."""
+    """Measure some cases, or all; each run is repeated, and the shortest time counts.
+    Raises ValueError for an unknown name."""
     unknown = [name for name in names if name not in CASES]
     if unknown:
         raise ValueError(f"a scene must be one of {', '.join(CASES)}; it is {unknown[0]!r}")
@@ -322,7 +331,8 @@ def attraction(q):
 
 
 def about_line(time: NDArray[np.float64], energies: NDArray[np.float64]) -> tuple[float, float]:
-    """Oscillation, the standard deviation about the line of regression, and drift, its |slope|; infinite if the run failed.  Both (T,)."""
+    """Oscillation, the standard deviation about the line of regression, and drift, its |slope|;
+    infinite if the run failed.  Both (T,)."""
     if not np.isfinite(energies).all():
         return np.inf, np.inf
     slope, start = np.polyfit(time, energies, 1)

@@ -19,7 +19,10 @@ def add(commands: Any) -> None:
     parser = commands.add_parser("bench", help=text, description=f"{text[0].upper()}{text[1:]}.")
     benchmarks = parser.add_subparsers(metavar="benchmark", title="benchmarks", required=True)
     peers = _add(benchmarks, "peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3")
-    peers.description = "Time whole runs of minimd and of other installed engines, in turns, after a check that all compute the same energies."
+    peers.description = (
+        "Time whole runs of minimd and of other installed engines, in turns, after a check that all "
+        "compute the same energies."
+    )
     peers.add_argument(
         "--scene",
         default="melt",

@@ -60,7 +60,8 @@ def examine(tell: Callable[[str], None] = print) -> bool:
 
 
 def installation() -> Iterator[str]:
-    """Versions of minimd, Python and the packages that minimd needs; processor, vector instructions, threads; engines to compare with."""
+    """Versions of minimd, Python and the packages that minimd needs; processor, vector instructions, threads;
+    engines to compare with."""
     features = llvmlite.binding.get_host_cpu_features()
     vectors = [name for name in VECTOR_FEATURES if features.get(name)]
     found = [f"{name} {version(name)}" for name in PEERS if version(name) != MISSING]
@@ -69,7 +70,10 @@ def installation() -> Iterator[str]:
     yield f"needs          {', '.join(f'{name} {version(name)}' for name in DEPENDENCIES)}"
     yield f"processor      {processor_name()}; {available_cores()} of {os.cpu_count()} cores for this process"
     yield f"vectors        {', '.join(vectors) or 'none known'}; code made for {llvmlite.binding.get_host_cpu_name()}"
-    yield f"threads        {available_cores()} by default, of minimd's own pool (minimd.compiled.threads), not of OpenMP, TBB or Numba's workqueue"
+    yield (
+        f"threads        {available_cores()} by default, of minimd's own pool (minimd.compiled.threads), not of "
+        "OpenMP, TBB or Numba's workqueue"
+    )
     yield f"peers          {', '.join(found) or 'none (not needed)'}"
 
 
@@ -110,7 +114,8 @@ def gradient() -> Finding:
     error = worst / float(np.abs(forces).max())
     return (
         error < GRADIENT_ACCURACY,
-        f"equal to minus the gradient of the energy within {error:.1e} of the largest force (allowed {GRADIENT_ACCURACY:g})",
+        f"equal to minus the gradient of the energy within {error:.1e} of the largest force (allowed "
+        f"{GRADIENT_ACCURACY:g})",
     )
 
 
@@ -122,12 +127,16 @@ def conservation() -> Finding:
     energy = record.total_energy / record.n_atoms
     drift = abs(energy[-20:].mean() - energy[20:40].mean())
     change = float(np.abs(record.momentum - record.momentum[0]).max() / record.absolute_momentum.max())
-    words = f"energy drifts {drift:.1e} ε per atom in 1000 steps (allowed {DRIFT_ALLOWED:g}), momentum {change:.1e} (allowed {MOMENTUM_ALLOWED:g})"
+    words = (
+        f"energy drifts {drift:.1e} ε per atom in 1000 steps (allowed {DRIFT_ALLOWED:g}), momentum {change:.1e} "
+        f"(allowed {MOMENTUM_ALLOWED:g})"
+    )
     return drift < DRIFT_ALLOWED and change < MOMENTUM_ALLOWED, words
 
 
 def same_bits() -> Finding:
-    """Whether a run of the liquid ends in the same positions, to the last bit, on different numbers of threads; and the time of an empty task."""
+    """Whether a run of the liquid ends in the same positions, to the last bit, on different numbers of threads;
+    and the time of an empty task."""
     numbers = sorted({1, 2, available_cores()})
     ends = [_moved(threads).positions for threads in numbers]
     different = [n for n, end in zip(numbers, ends, strict=True) if not np.array_equal(end, ends[0])]
@@ -136,7 +145,8 @@ def same_bits() -> Finding:
         return False, f"positions differ {on}: those on {' and '.join(map(str, different))} from 1"
     return (
         True,
-        f"positions are equal to the last bit {on}; a task for all threads starts and ends in {_microseconds_of_a_task():.1f} µs",
+        f"positions are equal to the last bit {on}; a task for all threads starts and ends in "
+        f"{_microseconds_of_a_task():.1f} µs",
     )
 
 
@@ -160,7 +170,8 @@ def _nothing(me, task, n):
 
 
 def speed() -> Finding:
-    """Atom-steps per second of the liquid on one thread and on all cores, the best of three rounds, without compilation."""
+    """Atom-steps per second of the liquid on one thread and on all cores, the best of three rounds,
+    without compilation."""
     simulations, seconds = [_moved(1), _moved(None)], np.empty((TURNS, 2))
     for turn, k in np.ndindex(TURNS, 2):
         started = perf_counter()

@@ -24,8 +24,8 @@ CODES |= dict.fromkeys((DisagreementError, EnsembleError, HandOverError), FAILED
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
-    0 done, 1 a check failed, 2 wrong input, 3 blown up, 130 interrupted, 143 terminated, 129 terminated because the terminal was closed.
-    For an expected error, one sentence for each problem is printed to standard error.
+    0 done, 1 a check failed, 2 wrong input, 3 blown up, 130 interrupted, 143 terminated, 129 terminated because the
+    terminal was closed. For an expected error, one sentence for each problem is printed to standard error.
     """
     parser = argparse.ArgumentParser(
         prog="minimd", description="Molecular dynamics from scene files.", epilog="Begin with: minimd doctor"

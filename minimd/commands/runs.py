@@ -12,10 +12,10 @@ from typing import Any
 from minimd.view.viewing import FRAMES
 
 SCENE_FILE, RUN_FILE = ("scene", "scene file (TOML)"), ("file", "trajectory (.h5md)")
-OTHER_SCENE = """use this scene, from now on, in place of the one stored in the run: potentials, method, time step, bath,
-output; structure, minimization and equilibration, which concern only the start, are not used"""
-SCAN = """Run a scene with different values of its keys, each run with its own file, and average. The same command goes on where it was stopped;
-with more replicas or steps it adds to the runs that are there. Example:
+OTHER_SCENE = """use this scene, from now on, in place of the one stored in the run: potentials, method, time step,
+bath, output; structure, minimization and equilibration, which concern only the start, are not used"""
+SCAN = """Run a scene with different values of its keys, each run with its own file, and average. The same command goes
+on where it was stopped; with more replicas or steps it adds to the runs that are there. Example:
 minimd scan argon.toml --set dynamics.temperature_K=80:120:5 --replicas 4 --workers 2 --out scan"""
 OPTIONS: dict[str, dict[str, Any]] = {  # options of several commands, as arguments for argparse
     "--overwrite": {"action": "store_true", "help": "replace files that exist"},
@@ -49,7 +49,8 @@ def add_command(
 ) -> argparse.ArgumentParser:
     """Add a command, named after the function that runs it, to the subparsers of `minimd`.
 
-    text : its help.  file : name and help of its required argument.  shared : options from OPTIONS.  more : arguments for argparse.
+    text : its help.  file : name and help of its required argument.  shared : options from OPTIONS.  more :
+        arguments for argparse.
     """
     described = {"description": f"{text[0].upper()}{text[1:]}.", **more}
     parser: argparse.ArgumentParser = commands.add_parser(run.__name__, help=text, **described)
@@ -152,7 +153,10 @@ def _add_readers(commands: Any) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="PNG", help="file of the picture; named after the trajectory if not given"
     )
-    text = "Write a run as one HTML page: its report, its pictures, its atoms in motion. For a failed run it shows the last steps and marks the pair."
+    text = (
+        "Write a run as one HTML page: its report, its pictures, its atoms in motion. For a failed run it shows the "
+        "last steps and marks the pair."
+    )
     file = ("file", "trajectory (.h5md), or file (.crash.h5md) that a failed run left")
     parser = add_command(
         commands, view, "show the atoms of a run in motion, in the browser", file, "--scene", description=text
@@ -172,7 +176,10 @@ def _add_readers(commands: Any) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="FILE", help="file to write; for several steps, the step is added to the name"
     )
-    text = "Keep few frames of a run with precision='fixed-point'. All steps in between can be made again from them, to the last bit."
+    text = (
+        "Keep few frames of a run with precision='fixed-point'. All steps in between can be made again from them, "
+        "to the last bit."
+    )
     parser = add_command(commands, archive, "make a run's file small", RUN_FILE, *shared, description=text)
     parser.add_argument(
         "--every", type=whole_number, required=True, metavar="N", help="keep the frames whose step is a multiple of N"
@@ -368,7 +375,8 @@ def frames(arguments: argparse.Namespace) -> None:
             record = simulation.run(0, trajectory=out, overwrite=arguments.overwrite)
             energy, units = record.total_energy[0], simulation.system.units
             print(
-                f"step {step:<9} t = {units.shown(simulation.time)}, total energy {energy!r} {units.energy}: written to {out}"
+                f"step {step:<9} t = {units.shown(simulation.time)}, total energy {energy!r} {units.energy}: written "
+                f"to {out}"
             )
 
 

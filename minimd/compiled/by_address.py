@@ -1,4 +1,5 @@
-"""Named tuples that kernels get by their address, one number, instead of each array with its sizes: they compile in half the time."""
+"""Named tuples that kernels get by their address, one number, instead of each array with its sizes:
+they compile in half the time."""
 
 import functools
 from hashlib import sha256
@@ -26,13 +27,14 @@ WORD = 8  # bytes of a number, an address or a size
 class ByAddress:
     """Base of a named tuple, to be named before it: class Rows(ByAddress, namedtuple("Rows", "start stops")).
 
-    Its fields are arrays, float, int, tuples of these, and other such named tuples. Kernels read them as those of any named tuple, but do not
-    make one. They take for granted that no field changes; the elements of arrays may.
+    Its fields are arrays, float, int, tuples of these, and other such named tuples. Kernels read them as those of any
+    named tuple, but do not make one. They take for granted that no field changes; the elements of arrays may.
     """
 
     @functools.cached_property
     def words(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """What kernels read, field by field: of an array its address, shape and strides; a number; an address of a ByAddress."""
+        """What kernels read, field by field: of an array its address, shape and strides; a number;
+        an address of a ByAddress."""
         return np.array(_words_of(tuple(self)), dtype=np.int64)  # type: ignore[arg-type, call-overload]
 
     @functools.cached_property

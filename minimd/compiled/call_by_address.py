@@ -6,7 +6,9 @@ from numba.extending import intrinsic
 
 
 def _call(returned: types.Type):
-    """An intrinsic (address, arguments): calls a kernel that returns this. The arguments, a tuple, must be of the types that DirectCalls.address
+    """An intrinsic (address, arguments): calls a kernel that returns this.
+
+    The arguments, a tuple, must be of the types that DirectCalls.address
     was given; for a ByAddress its address will do.
     """
 

@@ -1,4 +1,7 @@
-"""The processor's features that Numba may use. MINIMD_VECTORS in the environment leaves out those of newer vectors, to compare or to test."""
+"""The processor's features that Numba may use.
+
+MINIMD_VECTORS in the environment leaves out those of newer vectors, to compare or to test.
+"""
 
 import llvmlite.binding as llvm
 import numba
@@ -12,7 +15,9 @@ WIDER = {  # beginnings of names of the features that each choice does without
 
 
 def restrict_features(choice: str) -> None:
-    """Let Numba compile for the vectors of an older processor: avx512, avx2 or sse. It has an effect only before anything is compiled.
+    """Let Numba compile for the vectors of an older processor: avx512, avx2 or sse.
+
+    It has an effect only before anything is compiled.
 
     Raises ValueError for another word.
     """
@@ -21,4 +26,5 @@ def restrict_features(choice: str) -> None:
     if WIDER[choice]:
         has = llvm.get_host_cpu_features()
         signs = ("-" if name.startswith(WIDER[choice]) or not has[name] else "+" for name in has)
-        numba.config.CPU_FEATURES = ",".join(sign + name for sign, name in zip(signs, has, strict=True))  # type: ignore[attr-defined]
+        wanted = ",".join(sign + name for sign, name in zip(signs, has, strict=True))
+        numba.config.CPU_FEATURES = wanted  # type: ignore[attr-defined]

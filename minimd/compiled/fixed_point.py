@@ -1,11 +1,12 @@
-"""Arithmetic on grids: numbers that are whole multiples of a step, so that their sums have no rounding error, in any order.
+"""Arithmetic on grids: numbers that are whole multiples of a step, so that their sums have no rounding error,
+in any order.
 
-A step is a power of two. Up to 2⁵³ steps, its multiples are float64 numbers, and adding two of them is exact. Forces of pairs are summed
-as int64: all sums are right modulo 2⁶⁴, so the final one is right if it is in range.
+A step is a power of two. Up to 2⁵³ steps, its multiples are float64 numbers, and adding two of them is exact. Forces of
+pairs are summed as int64: all sums are right modulo 2⁶⁴, so the final one is right if it is in range.
 
-Rounding uses the spacing of float64: from 2⁵² to 2⁵³ they are the whole numbers. Adding 1.5 · 2⁵² to a number between −2⁵¹ and 2⁵¹
-rounds it to a whole number (of two equally near ones, to the even one), which is then in the lowest bits of the sum. −x is rounded to
-the opposite of what x is rounded to: so a force and its reaction stay opposite.
+Rounding uses the spacing of float64: from 2⁵² to 2⁵³ they are the whole numbers. Adding 1.5 · 2⁵² to a number between
+−2⁵¹ and 2⁵¹ rounds it to a whole number (of two equally near ones, to the even one), which is then in the lowest bits
+of the sum. −x is rounded to the opposite of what x is rounded to: so a force and its reaction stay opposite.
 """
 
 from collections import namedtuple
@@ -51,7 +52,10 @@ def _whole_product(a, b):
 
 
 def on_grid(x, step):
-    """x rounded to a multiple of a step, a power of two; for |x| < 2⁵¹ steps. Unchanged if step = 0. For numbers or vectors."""
+    """x rounded to a multiple of a step, a power of two; for |x| < 2⁵¹ steps.
+
+    Unchanged if step = 0. For numbers or vectors.
+    """
     return (x + MAGIC * step) - MAGIC * step
 
 
@@ -69,7 +73,8 @@ def as_float(whole):
 class Steps(namedtuple("Steps", "per_force length momentum energy limit2")):
     """The steps of a grid for a kernel.
 
-    per_force : (P,) impulses of P kicks, in steps of momentum, for a unit of force: duration / momentum [length/energy].
+    per_force : (P,) impulses of P kicks, in steps of momentum, for a unit of force:
+        duration / momentum [length/energy].
     length, momentum, energy : the steps [length], [mass length/time], [energy].
     limit2 : square of what the forces on an atom may be, divided by its distances, in these impulses [1/length²].
     """
@@ -78,7 +83,8 @@ class Steps(namedtuple("Steps", "per_force length momentum energy limit2")):
 class GridSums(namedtuple("GridSums", "impulses energies virials steps faults")):
     """What terms add to, in fixed-point arithmetic.
 
-    impulses : (N, 3) int64, in steps of momentum.  energies : (N,), virials : (N, 6), multiples of the step of energies.
+    impulses : (N, 3) int64, in steps of momentum.  energies : (N,), virials : (N, 6),
+        multiples of the step of energies.
     steps : Steps.  faults : (1,) int64, to be set to 1 by a force too large for its range.
     """
 

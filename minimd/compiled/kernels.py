@@ -1,8 +1,9 @@
 """How minimd compiles: a few decorators, one safe cache folder, one line for the user who waits.
 
 Numba's own cache does not notice that a function of *another* file has changed, and fails when neither the installation
-nor the home folder can be written. Compiled kernels therefore live in a folder named after a hash of all sources that kernels
-depend on: edited sources never meet yesterday's machine code, other edits compile nothing, and any writable place will do.
+nor the home folder can be written. Compiled kernels therefore live in a folder named after a hash of all sources that
+kernels depend on: edited sources never meet yesterday's machine code, other edits compile nothing,
+and any writable place will do.
 """
 
 import functools
@@ -42,10 +43,11 @@ WAIT_BEFORE_TELLING = 1.0  # seconds of compiling before the user is told
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """The folder for compiled code, one per state of the kernels' sources; None if there is none, and each process compiles anew.
+    """The folder for compiled code, one per state of the kernels' sources; None if there is none,
+    and each process compiles anew.
 
-    It lies in the first of $NUMBA_CACHE_DIR, the user's cache folder and the temporary folder that can be written, and that nobody else can
-    change: what is in it will be executed. Warns of one that others can change.
+    It lies in the first of $NUMBA_CACHE_DIR, the user's cache folder and the temporary folder that can be written, and
+    that nobody else can change: what is in it will be executed. Warns of one that others can change.
     """
     name = f"minimd-{_source_hash()}"
     for base in _cache_bases():
@@ -72,10 +74,11 @@ def cache_folder() -> Path | None:
 
 
 def open_to_others(folder: Path) -> Path | None:
-    """The first folder, of this one and its parents from the root down, that users other than this one and root can change; None if there is none.
+    """The first folder, of this one and its parents from the root down,
+    that users other than this one and root can change; None if there is none.
 
-    Whoever can write to a folder can exchange the folders in it, unless it is sticky, as /tmp is: then only their owners can. Folders that do
-    not exist yet belong to nobody. Windows keeps the folders of users apart by other means.
+    Whoever can write to a folder can exchange the folders in it, unless it is sticky, as /tmp is: then only their
+    owners can. Folders that do not exist yet belong to nobody. Windows keeps the folders of users apart by other means.
 
     Raises OSError if the permissions cannot be read.
     """
@@ -145,29 +148,34 @@ def inlined(function):
 def scalar(function):
     """Compile a function that only kernels call; the compiler puts it into the kernel.
 
-    It must not create arrays. It then needs no reference counts for the arrays it is given, which would cost more than a small function.
+    It must not create arrays. It then needs no reference counts for the arrays it is given,
+    which would cost more than a small function.
     """
     return PartOfKernel(function, targetoptions={**NOT_FROM_OUTSIDE, "forceinline": True, "_nrt": False})
 
 
 def called_kernel(function):
-    """Compile a kernel that other kernels call by its address, see call_by_address: each is compiled once, whoever calls it. It makes no arrays."""
+    """Compile a kernel that other kernels call by its address, see call_by_address: each is compiled once,
+    whoever calls it. It makes no arrays."""
     return _cached(CalledKernel(function, targetoptions={**NOT_FROM_OUTSIDE, "_nrt": False}))
 
 
 def by_type(choose: Callable) -> Callable:
-    """Decorator of a function for kernels only: it takes the Numba types of the arguments, and returns the function to compile for them."""
+    """Decorator of a function for kernels only: it takes the Numba types of the arguments,
+    and returns the function to compile for them."""
 
     @functools.wraps(choose)
     def compiled_only(*arguments):
         raise NotImplementedError(f"{choose.__name__} runs in kernels only")
 
-    overload(compiled_only, jit_options={"no_cfunc_wrapper": True, "pipeline_class": PartCompiler})(choose)  # type: ignore[typeddict-unknown-key]
+    options: Any = {"no_cfunc_wrapper": True, "pipeline_class": PartCompiler}
+    overload(compiled_only, jit_options=options)(choose)
     return compiled_only
 
 
 def type_of(formula: Callable, python: Callable | None = None) -> Callable[[type], type]:
-    """Decorator of a NamedTuple class whose instances stand for a compiled function: kernels, and the cache, choose the function by this type.
+    """Decorator of a NamedTuple class whose instances stand for a compiled function: kernels, and the cache,
+    choose the function by this type.
 
     python : the same function for Python; if not given, the one that was compiled.
     """
@@ -183,7 +191,8 @@ def type_of(formula: Callable, python: Callable | None = None) -> Callable[[type
 class DirectCalls:
     """Calls of kernels by a caller that always passes arguments of the same types, and arrays of the same layout.
 
-    Numba examines the types of all arguments in each call, which takes 14 µs for 40 arrays in named tuples. Here this happens once.
+    Numba examines the types of all arguments in each call, which takes 14 µs for 40 arrays in named tuples.
+    Here this happens once.
     """
 
     def __init__(self) -> None:
@@ -216,12 +225,14 @@ class DirectCalls:
 
 @functools.cache
 def without_cache(dispatcher):
-    """The same kernel, shared or not, compiled anew in each process: for a user's laws that the cache cannot recognize."""
+    """The same kernel, shared or not, compiled anew in each process:
+    for a user's laws that the cache cannot recognize."""
     return type(dispatcher)(dispatcher.py_func, targetoptions=dict(dispatcher.targetoptions))
 
 
 class CompileClock(event.Listener, threading.local):
-    """Counts the seconds that each thread spends compiling, which are no part of its steps; announces long compilations if asked to."""
+    """Counts the seconds that each thread spends compiling, which are no part of its steps;
+    announces long compilations if asked to."""
 
     was_told = False
 

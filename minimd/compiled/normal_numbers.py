@@ -1,10 +1,11 @@
 """Normal random numbers in compiled code: those of numpy, to the last bit.
 
-If n is about a hundred, numpy.random.Generator(Philox(key, counter)).standard_normal(n) takes longer to set up than to draw the numbers; here
-there is nothing to set up, and Python's lock is not needed.
+If n is about a hundred, numpy.random.Generator(Philox(key, counter)).standard_normal(n) takes longer to set up than to
+draw the numbers; here there is nothing to set up, and Python's lock is not needed.
 
-Philox4x64-10, four words for each value of a counter: J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, Random numbers: as easy as 1, 2, 3,
-SC11 (2011). The ziggurat, 256 layers of equal area under the curve: G. Marsaglia, W. W. Tsang, J. Stat. Softw. 5, 8 (2000).
+Philox4x64-10, four words for each value of a counter: J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, Random
+numbers: as easy as 1, 2, 3, SC11 (2011). The ziggurat, 256 layers of equal area under the curve: G. Marsaglia, W. W.
+Tsang, J. Stat. Softw. 5, 8 (2000).
 """
 
 from collections import namedtuple
@@ -31,12 +32,14 @@ UNIT = 2.0**-53
 
 
 class Stream(namedtuple("Stream", "key counter words place")):
-    """Random words.  key : (2,), counter : (4,), words : (4,) uint64, those of the counter.  place : (1,) int, how many of them were used."""
+    """Random words.  key : (2,), counter : (4,), words : (4,) uint64, those of the counter.  place : (1,) int,
+    how many of them were used."""
 
 
 @shared_kernel
 def normal_numbers(key, step, contact, numbers):
-    """numbers (n, M) = normal random numbers, row k those of Philox(key, counter=[0, 0, contact, step + k]).  key : (2,) uint64."""
+    """numbers (n, M) = normal random numbers, row k those of Philox(key, counter=[0, 0, contact, step + k]).  key :
+    (2,) uint64."""
     stream = Stream(key, np.zeros(4, dtype=np.uint64), np.zeros(4, dtype=np.uint64), np.zeros(1, dtype=np.int64))
     for k in range(numbers.shape[0]):
         stream.counter[0], stream.counter[2], stream.counter[3], stream.place[0] = 0, contact, np.uint64(step + k), 4

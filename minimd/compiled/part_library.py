@@ -1,4 +1,5 @@
-"""How Numba compiles functions that only kernels call: neither to their end nor to machine code, since the kernel around them is."""
+"""How Numba compiles functions that only kernels call: neither to their end nor to machine code,
+since the kernel around them is."""
 
 from typing import Any
 

@@ -1,8 +1,10 @@
-"""Snapshots of functions: a copy that later changes do not reach, and a digest by which the cache of compiled code recognizes it.
+"""Snapshots of functions: a copy that later changes do not reach,
+and a digest by which the cache of compiled code recognizes it.
 
-What a compiled function does is decided by its bytecode, its constants and defaults, the globals and closure cells it reads, the
-compiled functions it calls, and its compile options. All of this enters the digest; names of files and numbers of lines do not. Where
-the effect of something on the compiled code is not certain, it is copied all the same, but there is no digest.
+What a compiled function does is decided by its bytecode, its constants and defaults, the globals and closure cells it
+reads, the compiled functions it calls, and its compile options. All of this enters the digest; names of files and
+numbers of lines do not. Where the effect of something on the compiled code is not certain, it is copied all the same,
+but there is no digest.
 """
 
 import builtins
@@ -46,10 +48,11 @@ class Snapshot:
     Attributes
     ----------
     function : the copy, of the same kind, with the same compile options.
-    python : the copy as a plain function; the functions that it calls are plain too, but for those with fixed signatures.
-    digest : 32 hexadecimal digits; the same for functions that compile to the same code. Empty for a function that imports modules, or
-        reads anything but numbers, strings, tuples and small arrays of numbers, functions compiled without fixed signatures, and names
-        from math, cmath, numpy, numba and minimd.
+    python : the copy as a plain function; the functions that it calls are plain too,
+        but for those with fixed signatures.
+    digest : 32 hexadecimal digits; the same for functions that compile to the same code. Empty for a function that
+        imports modules, or reads anything but numbers, strings, tuples and small arrays of numbers, functions compiled
+        without fixed signatures, and names from math, cmath, numpy, numba and minimd.
     """
 
     def __init__(self, function: Any) -> None:
@@ -174,7 +177,8 @@ class Snapshot:
 
 
 def _copied(value: Any) -> Any:
-    """A copy that later changes do not reach, as far as possible: the copy of a module has its names, but not copies of what they hold."""
+    """A copy that later changes do not reach, as far as possible: the copy of a module has its names,
+    but not copies of what they hold."""
     if isinstance(value, ModuleType):
         module = ModuleType(f"{value.__name__}, copy {uuid4().hex}")  # Numba tells modules apart by their names
         module.__dict__.update(vars(value), __name__=module.__name__, __spec__=None)
@@ -199,7 +203,9 @@ def _is_trusted(module: Any) -> bool:
 def _is_named_in_trusted_module(value: Any) -> bool:
     """True for what a trusted module holds under the name that the value carries, such as math.exp."""
     module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
-    return _is_trusted(module) and isinstance(name, str) and getattr(sys.modules.get(module), name, None) is value  # type: ignore[arg-type]
+    if not (_is_trusted(module) and isinstance(name, str)):
+        return False
+    return getattr(sys.modules.get(module), name, None) is value  # type: ignore[arg-type]
 
 
 def _has_fixed_signatures(function: CPUDispatcher) -> bool:

@@ -10,10 +10,11 @@
 A task is cut into chunks by its size, never by the number of threads, and no two chunks of a phase write to the same
 memory. So the result is the same, to the last bit, for any number of threads, and whichever thread did which chunk.
 
-A barrier waits for chunks, not for threads. The calling thread starts at once; the others, which sleep if no task comes for a
-millisecond, join when they are awake (some 10 to 80 µs later), or not at all if the machine is busy: they can make a task faster, never delay it.
-The work of a chunk must not raise: no other thread would finish that chunk. It may call stop: after the phase, was_stopped tells all
-threads. In every task each thread begins with the same chunks, whose memory is then in its cache, and then helps with the others.
+A barrier waits for chunks, not for threads. The calling thread starts at once; the others, which sleep if no task comes
+for a millisecond, join when they are awake (some 10 to 80 µs later), or not at all if the machine is busy: they can
+make a task faster, never delay it. The work of a chunk must not raise: no other thread would finish that chunk. It may
+call stop: after the phase, was_stopped tells all threads. In every task each thread begins with the same chunks, whose
+memory is then in its cache, and then helps with the others.
 """
 
 import functools
@@ -40,7 +41,9 @@ OPEN, STOPPED, FINISHED, CLAIMS = (
 MOST_CHUNKS = 1024
 PHASES = 1 << 20  # a task has fewer
 PATIENCE = 2000  # reads of a counter before a waiting thread lets others run
-LINGERING = 1000  # times that a helper lets others run, about a millisecond, before it goes to sleep: waking it takes as long as a small task
+# times that a helper lets others run, about a millisecond, before it goes to sleep: waking it takes as long as a small
+# task
+LINGERING = 1000
 
 HAS_AFFINITY = hasattr(os, "sched_setaffinity")
 _sched_getcpu = types.ExternalFunction("sched_getcpu", types.int32())
@@ -48,7 +51,10 @@ _let_others_run = types.ExternalFunction("SwitchToThread" if os.name == "nt" els
 
 
 class Worker(namedtuple("Worker", "counters thread n_threads")):
-    """One thread of a pool. counters : shared.  thread : its number; 0 is the calling thread.  n_threads : of the pool."""
+    """One thread of a pool.
+
+    counters : shared.  thread : its number; 0 is the calling thread.  n_threads : of the pool.
+    """
 
 
 class ThreadPool:
@@ -71,10 +77,12 @@ class ThreadPool:
             helper.start()
 
     def run(self, kernel: Callable, *arguments: object, calls: DirectCalls | None = None, n_tasks: int = 1) -> Any:
-        """kernel(worker, task, *arguments) on this thread, and on the others as soon as they are awake; returns what it returns on this one.
+        """kernel(worker, task, *arguments) on this thread, and on the others as soon as they are awake;
+        returns what it returns on this one.
 
         calls : of a caller who always gives this kernel arguments of the same types.
-        n_tasks : of a kernel that calls others, one after the other, with the numbers from task on; only in a pool of one thread.
+        n_tasks : of a kernel that calls others, one after the other, with the numbers from task on;
+            only in a pool of one thread.
         The kernel must call begin and share as described above, and release Python's lock (shared_kernel).
         """
         if calls is not None:
@@ -104,7 +112,8 @@ class ThreadPool:
         calls.code(kernel, self._worker, 0, *arguments)
 
     def _keep_off_callers_core(self) -> None:
-        """Keep helpers off this core: Linux tends to wake a thread on the core of the one that wakes it, where it would wait for the task to end."""
+        """Keep helpers off this core: Linux tends to wake a thread on the core of the one that wakes it,
+        where it would wait for the task to end."""
         core = _current_core()
         if core != self._core:
             self._core, cores = core, os.sched_getaffinity(0)
@@ -125,7 +134,10 @@ class ThreadPool:
 
 
 def thread_pool(n_threads: int) -> ThreadPool:
-    """A pool with this number of threads. All simulations of a process share its helpers, and wait for each other, unless there is one thread."""
+    """A pool with this number of threads.
+
+    All simulations of a process share its helpers, and wait for each other, unless there is one thread.
+    """
     return ThreadPool(1) if n_threads == 1 else _shared_pool(n_threads)
 
 
@@ -140,7 +152,10 @@ if hasattr(os, "register_at_fork"):
 
 @scalar
 def begin(worker, task):
-    """The first phase of a task; the calling thread opens it, and the others wait for that. So no thread is ever ahead of the open phase."""
+    """The first phase of a task; the calling thread opens it, and the others wait for that.
+
+    So no thread is ever ahead of the open phase.
+    """
     phase = task * PHASES
     if worker.thread == 0:
         _exchange(worker.counters, OPEN, phase)
@@ -177,7 +192,10 @@ def finish_and_take(worker, phase, n):
 
 @scalar
 def barrier(worker, phase):
-    """Wait as long as this phase is open, then return the next phase. If another phase is open, a helper does not wait."""
+    """Wait as long as this phase is open, then return the next phase.
+
+    If another phase is open, a helper does not wait.
+    """
     reads = 0
     while _read(worker.counters, OPEN) == phase:
         reads += 1
@@ -194,7 +212,10 @@ def stop(worker, phase):
 
 @scalar
 def was_stopped(worker, phase):
-    """Whether a chunk of this phase called stop. Asked after its barrier, it gives all threads the same answer, however late they are."""
+    """Whether a chunk of this phase called stop.
+
+    Asked after its barrier, it gives all threads the same answer, however late they are.
+    """
     return _read(worker.counters, STOPPED) == phase
 
 

@@ -16,7 +16,9 @@ from minimd.structure.images import images_of_length, nearest_images
 from minimd.structure.observables import degrees_of_freedom
 from minimd.structure.system import System, check_resolution
 
-TOLD = 1e-8  # relative violation, exceeded for example in files of single precision, above which the projection of an initial state causes a warning
+# relative violation, exceeded for example in files of single precision, above which the projection of an initial state
+# causes a warning
+TOLD = 1e-8
 
 
 class ConstraintSet:
@@ -24,7 +26,8 @@ class ConstraintSet:
 
     Attributes
     ----------
-    inverse_masses : (N,) [1/mass], zero for fixed atoms.  bonds : ConstraintSolver, or None.  n_constraints, n_fixed : int.
+    inverse_masses : (N,) [1/mass], zero for fixed atoms.  bonds : ConstraintSolver, or None.  n_constraints, n_fixed :
+        int.
     kept : the same constraints, with the lengths that are kept; at most one of each kind.
     """
 
@@ -68,7 +71,8 @@ class ConstraintSet:
         return degrees_of_freedom(n_atoms, self.n_constraints, conserves_momentum and not self.n_fixed)
 
     def fit(self, system: System) -> None:
-        """Choose the image of each bond that has its length, after atoms were moved by lattice vectors or the cell was changed."""
+        """Choose the image of each bond that has its length,
+        after atoms were moved by lattice vectors or the cell was changed."""
         if self.bonds is None:
             return
         off = self.bonds.violation(system.positions) > self.bonds.tolerance
@@ -90,7 +94,8 @@ class ConstraintSet:
         self._cell = cell
 
     def restore(self, system: System, offsets: NDArray[np.float64], tolerance: float) -> None:
-        """Take over the solver of another set with the same constraints: images of its bonds, (K, 3) [length], and its tolerance."""
+        """Take over the solver of another set with the same constraints: images of its bonds, (K, 3) [length],
+        and its tolerance."""
         self.bonds = ConstraintSolver(
             self.kept[-1], system.positions, self.inverse_masses, offsets, self._threads, tolerance
         )
@@ -108,7 +113,8 @@ class ConstraintSet:
             self.bonds.project_velocities(velocities, positions)
 
     def begin(self, system: System) -> None:
-        """Project positions and velocities that violate a constraint; a warning says by how much if it is more than rounding."""
+        """Project positions and velocities that violate a constraint;
+        a warning says by how much if it is more than rounding."""
         self.fit(system)
         system.velocities[self.inverse_masses == 0.0] = 0.0
         if self.bonds is None:

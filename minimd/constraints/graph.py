@@ -1,9 +1,9 @@
 """The graph of distance constraints: connected components, and an order in which their equations form a narrow band.
 
-Constraints that share an atom are coupled:  A_kl = (r_k · s_l) c_kl  with  c_kk = 1/m_i + 1/m_j, c_kl = ±1/m of the shared atom.
-In reverse Cuthill-McKee order the matrix of a chain is tridiagonal, that of a ring or a sheet has a narrow band, and that of a
-small cage is full. Elimination fills nothing outside the envelope, so one factorization serves them all.
-A. George, J. W. Liu, Computer Solution of Large Sparse Positive Definite Systems (1981), 4.
+Constraints that share an atom are coupled:  A_kl = (r_k · s_l) c_kl  with  c_kk = 1/m_i + 1/m_j, c_kl = ±1/m of the
+shared atom. In reverse Cuthill-McKee order the matrix of a chain is tridiagonal, that of a ring or a sheet has a narrow
+band, and that of a small cage is full. Elimination fills nothing outside the envelope, so one factorization serves them
+all. A. George, J. W. Liu, Computer Solution of Large Sparse Positive Definite Systems (1981), 4.
 """
 
 from itertools import pairwise
@@ -71,7 +71,8 @@ def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
 
 
 def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
-    """The graph of (K, 2) pairs of atoms, with (N,) 1/mass, zero for atoms that are held fixed.  ids : (K,) numbers of the pairs."""
+    """The graph of (K, 2) pairs of atoms, with (N,) 1/mass, zero for atoms that are held fixed.  ids : (K,)
+    numbers of the pairs."""
     from scipy.sparse import coo_array  # loaded only if there are constraints
     from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 

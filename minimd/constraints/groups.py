@@ -1,7 +1,9 @@
-"""Groups of constraints of one shape, each with the solver that suits it, on several threads: no two components share an atom.
+"""Groups of constraints of one shape, each with the solver that suits it, on several threads:
+no two components share an atom.
 
-A solver is a function solver(first, last, *arguments) that treats components first to last − 1. It is named by a marker, a
-NamedTuple class that type_of(solver) ties to it, so that the next process finds the compiled kernel in the cache.
+A solver is a function solver(first, last, *arguments) that treats components first to last − 1. It is named by a
+marker, a NamedTuple class that type_of(solver) ties to it,
+so that the next process finds the compiled kernel in the cache.
 """
 
 from collections import defaultdict
@@ -27,13 +29,16 @@ from minimd.constraints.pairs import DriftPairs, ProjectPairs
 from minimd.constraints.settle import DriftTriangles
 from minimd.constraints.vectors import Atoms, Bonds, Molecules
 
-STRAIGHT = 1e-9  # relative: a triangle whose longest side is the sum of the others to this accuracy is a line; files have about nine digits
+# relative: a triangle whose longest side is the sum of the others to this accuracy is a line; files have about nine
+# digits
+STRAIGHT = 1e-9
 CONSTRAINTS_IN_A_CHUNK = 500  # least number: about ten microseconds of work, more than the time to wake a thread
 ALIKE = 1e-12  # relative: masses and squared lengths that differ by less are equal
 
 
 class SolverPool:
-    """Runs solvers on the components of a group, cut into chunks whose number follows from the constraints alone, on several threads."""
+    """Runs solvers on the components of a group, cut into chunks whose number follows from the constraints alone,
+    on several threads."""
 
     def __init__(self, n_components: int, n_constraints: int, most_threads: int) -> None:
         self.n_components, n_chunks = (
@@ -47,7 +52,8 @@ class SolverPool:
     def run(self, solver: tuple, atoms: tuple, *arguments: Any) -> int:
         """The worst answer of a solver: the first negative one, if components failed, or else the largest.
 
-        atoms : the fields of Atoms, of which compiled code makes one.  arguments : always of the same types for a solver.
+        atoms : the fields of Atoms, of which compiled code makes one.  arguments :
+            always of the same types for a solver.
         """
         are_plain = all(array.flags.carray and array.dtype == np.float64 for array in atoms)
         calls = self._calls[type(solver)] if are_plain else None
@@ -58,7 +64,10 @@ class SolverPool:
 
 @shared_kernel
 def run_chunks(me, task, answers, solver, n, atoms, arguments):
-    """answers[k] = what the solver returns for the k-th chunk of n components. Returns the first that is negative, or else the largest."""
+    """answers[k] = what the solver returns for the k-th chunk of n components.
+
+    Returns the first that is negative, or else the largest.
+    """
     n_chunks = answers.size
     phase = begin(me, task)
     chunk = take(me, phase, n_chunks)
@@ -90,10 +99,11 @@ def _solve_some(solver, first, last, atoms, arguments):
 
 
 class Networks:
-    """Components of any shape.  every : the ConstraintSolver.  order : (K,) which of its constraints are here.  multipliers : (K,), the last ones.
+    """Components of any shape.  every : the ConstraintSolver.  order : (K,) which of its constraints are here.
+    multipliers : (K,), the last ones.
 
-    Other shapes drift with other solvers: drifter is the marker of the solver, known are its arguments after the atoms, n_each is the
-    number of constraints of one molecule, if the solver counts molecules.
+    Other shapes drift with other solvers: drifter is the marker of the solver, known are its arguments after the atoms,
+    n_each is the number of constraints of one molecule, if the solver counts molecules.
     """
 
     shape, drifter, n_each = "networks", DriftComponents(), 1
@@ -120,11 +130,15 @@ class Networks:
         if k >= 0:
             i, j = self.graph.first[k], self.graph.second[k]
             raise ValueError(
-                f"constraint {self.order[k]} (atoms {i}-{j}) follows from the other constraints or contradicts them; leave it out"
+                f"constraint {self.order[k]} (atoms {i}-{j}) follows from the other constraints or contradicts them; "
+                "leave it out"
             )
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
-        """Drift of the atoms of the group. Returns a number of iterations, or −1 − the constraint, within the group, that cannot be kept."""
+        """Drift of the atoms of the group.
+
+        Returns a number of iterations, or −1 − the constraint, within the group, that cannot be kept.
+        """
         answer = self.pool.run(self.drifter, (positions, velocities, self.masses), *self.known, float(duration))
         return answer if answer >= 0 else self.n_each * (answer + 1) - 1  # the first constraint of the molecule
 
@@ -180,7 +194,8 @@ class Triangles(Networks):
 
 
 class LinearTriatomics(Networks):
-    """Three atoms in a line with three constraints: the distance of the outer atoms is kept, and the position of the middle one between them."""
+    """Three atoms in a line with three constraints: the distance of the outer atoms is kept,
+    and the position of the middle one between them."""
 
     shape, drifter, n_each = "linear molecules", DriftLinear(), 3
 
@@ -243,7 +258,8 @@ def _kinds_of_triangles(
         k = starts[np.argmax(excess)]
         sides = graph.order[k : k + 3].tolist()
         raise ValueError(
-            f"the lengths of constraints {sides}, which form a triangle, contradict each other: one is longer than the sum of the other two"
+            f"the lengths of constraints {sides}, which form a triangle, contradict each other: one is longer than the "
+            "sum of the other two"
         )
     is_straight = excess >= -STRAIGHT * lengths.sum(axis=1)
     base = _equal_sides(graph, starts, lengths2, inverse_masses)
@@ -259,7 +275,8 @@ def _kinds_of_triangles(
 
 
 def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats) -> Ints:
-    """For each triangle the constraint whose ends have equal masses and equal distances from the third atom; −1 if there is none."""
+    """For each triangle the constraint whose ends have equal masses and equal distances from the third atom;
+    −1 if there is none."""
     answer = np.full(len(starts), -1)
     for k in range(3):
         base = starts + k
@@ -271,7 +288,8 @@ def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: F
 
 
 def _corners(graph: Graph, base: Ints, offsets: Floats) -> tuple[Ints, Floats, Ints]:
-    """Of each triangle: atoms (apex, b, c) with b-c the base, offsets of b and c from the apex (T, 2, 3), and the two other constraints (T, 2)."""
+    """Of each triangle: atoms (apex, b, c) with b-c the base, offsets of b and c from the apex (T, 2, 3),
+    and the two other constraints (T, 2)."""
     sides = graph.components.starts[:-1, None] + np.arange(3)
     first, second = graph.first[sides], graph.second[sides]
     b, c = graph.first[base], graph.second[base]

@@ -1,9 +1,12 @@
-"""Rigid linear molecules of three atoms. Three fixed lengths cannot constrain them: at 180° their gradients are linearly dependent.
+"""Rigid linear molecules of three atoms.
+
+Three fixed lengths cannot constrain them: at 180° their gradients are linearly dependent.
 
     b = α a + β c,  |c − a| = d      with α = |bc|/|ac|, β = |ab|/|ac|
 
-These are three linear constraints and one length. They are solved by two multipliers, a vector μ on b and a number λ along s = c − a
-before the drift, with the forces (−α μ − λ s, μ, −β μ + λ s) on a, b and c. With e = b − α a − β c and p = c − a after the drift
+These are three linear constraints and one length. They are solved by two multipliers, a vector μ on b and a number λ
+along s = c − a before the drift, with the forces (−α μ − λ s, μ, −β μ + λ s) on a, b and c.
+With e = b − α a − β c and p = c − a after the drift
 
     κ = α/m_a − β/m_c      Q = 1/m_b + α²/m_a + β²/m_c      W = 1/m_a + 1/m_c − κ²/Q
     μ = −(e + λ κ s)/Q     |p − κ e/Q + λ W s|² = d²
@@ -42,7 +45,8 @@ def apply(vectors, inverse_masses, molecule, mu, scale, s):
 def drift_linear(first, last, atoms, molecules, duration):
     """Drift of molecules first to last − 1.
 
-    Atoms; Molecules with b in the middle and shapes (M, 3): α, β, d² [length²]; [time]. Returns 1, or −1 − the molecule that cannot be kept.
+    Atoms; Molecules with b in the middle and shapes (M, 3): α, β, d² [length²]; [time]. Returns 1,
+    or −1 − the molecule that cannot be kept.
     """
     positions, velocities, inverse_masses = atoms
     for m in range(first, last):
@@ -85,7 +89,10 @@ def drift_linear(first, last, atoms, molecules, duration):
 
 @inlined
 def project_linear(first, last, atoms, molecules, targets, multipliers):
-    """Vectors x of molecules first to last − 1: x_b = α x_a + β x_c, and r · (x_c − x_a) = target. Arguments as drift_linear, project_pairs."""
+    """Vectors x of molecules first to last − 1: x_b = α x_a + β x_c, and r · (x_c − x_a) = target.
+
+    Arguments as drift_linear, project_pairs.
+    """
     positions, vectors, inverse_masses = atoms
     for m in range(first, last):
         a, b, c = molecules.atoms[m]

@@ -1,10 +1,12 @@
-"""Distance constraints of any shape, by Newton's method on all constraints of a component, within an envelope, or by sweeps.
+"""Distance constraints of any shape, by Newton's method on all constraints of a component, within an envelope,
+or by sweeps.
 
     drift        r′ = r + Δt v + M⁻¹ Gᵀ λ,  |r′_ij|² = d²,  v′ = (r′ − r)/Δt        G : rows s_k = r_ij before the drift
     velocities   v′ = v + M⁻¹ Gᵀ μ,  r_ij · v′_ij = 0                                G : rows r_k = r_ij now
 
 with r_ij = r_j − r_i + offset. J.-P. Ryckaert, G. Ciccotti, H. J. C. Berendsen, J. Comput. Phys. 23, 327 (1977);
-H. C. Andersen, J. Comput. Phys. 52, 24 (1983); V. Kräutler, W. F. van Gunsteren, P. H. Hünenberger, J. Comput. Chem. 22, 501 (2001).
+H. C. Andersen, J. Comput. Phys. 52, 24 (1983); V. Kräutler, W. F. van Gunsteren, P. H. Hünenberger, J. Comput. Chem.
+22, 501 (2001).
 
 SHAKE and RATTLE sweep: one constraint after the other, repeatedly, until all are kept to a tolerance.
 
@@ -23,12 +25,16 @@ from minimd.structure.vectors import dot, separation
 
 MAX_ITERATIONS, MAX_SWEEPS = 50, 10_000
 ROUNDING = 4.0 * EPS  # of |r|² against d²: no iteration makes it smaller
-LAST = 1e-9  # of residuals below this, one more iteration makes rounding (it squares them), even where the equations are stiff
+# of residuals below this, one more iteration makes rounding (it squares them), even where the equations are stiff
+LAST = 1e-9
 DEPENDENT = 1e-10  # relative to its diagonal: a smaller pivot is rounding
 
 
 class Memory(NamedTuple):
-    """Scratch arrays. r, s : (K, 3) separations.  x, total : (K,) multipliers.  lower, upper : factors, in the envelope."""
+    """Scratch arrays.
+
+    r, s : (K, 3) separations.  x, total : (K,) multipliers.  lower, upper : factors, in the envelope.
+    """
 
     r: Any
     s: Any
@@ -49,7 +55,8 @@ def find_separations(positions, bonds, start, end, out):
 
 @inlined
 def assemble(components, start, end, r, s, lower, upper):
-    """A_kl = c_kl r_k · s_l within the envelope: row k left of the diagonal into lower, column k down to it into upper."""
+    """A_kl = c_kl r_k · s_l within the envelope: row k left of the diagonal into lower,
+    column k down to it into upper."""
     for k in range(start, end):
         at = components.begins[k] - components.lowest[k]
         for l in range(components.lowest[k], k + 1):
@@ -107,7 +114,10 @@ def worst_violation(r, lengths2, start, end, x):
 
 @inlined
 def restore_lengths(atoms, components, bonds, c, memory):
-    """Newton's method for the λ of component c, from positions that have drifted: memory.total. Returns the number of iterations."""
+    """Newton's method for the λ of component c, from positions that have drifted: memory.total.
+
+    Returns the number of iterations.
+    """
     start, end = components.starts[c], components.starts[c + 1]
     r, s, x, total, lower, upper = memory
     for k in range(start, end):
@@ -131,7 +141,8 @@ def restore_lengths(atoms, components, bonds, c, memory):
 
 
 def drift_with(restore_lengths):
-    """The drift of components of any shape, given a solver that restores their lengths afterwards, such as restore_lengths."""
+    """The drift of components of any shape, given a solver that restores their lengths afterwards,
+    such as restore_lengths."""
 
     @inlined
     def drift_components(first, last, atoms, components, bonds, memory, duration):
@@ -189,7 +200,8 @@ def project_components(first, last, atoms, components, bonds, memory, targets):
 
 @kernel
 def dependent_constraint(positions, components, bonds, memory):
-    """A constraint whose pivot vanishes relative to its diagonal: it follows from others or contradicts them. −1 if there is none."""
+    """A constraint whose pivot vanishes relative to its diagonal: it follows from others or contradicts them.
+    −1 if there is none."""
     r, total, lower, upper = memory.r, memory.total, memory.lower, memory.upper
     for c in range(components.starts.size - 1):
         start, end = components.starts[c], components.starts[c + 1]
@@ -232,7 +244,10 @@ def sweep_lengths(atoms, components, bonds, c, memory):
 
 @inlined
 def sweep_velocities(first, last, atoms, components, bonds):
-    """Velocities of components first to last − 1, by sweeps. The tolerance is that of |r · v|/(|r| |v|), v the relative velocity of a bond."""
+    """Velocities of components first to last − 1, by sweeps.
+
+    The tolerance is that of |r · v|/(|r| |v|), v the relative velocity of a bond.
+    """
     velocities, inverse_masses = atoms.vectors, atoms.inverse_masses
     most = 0
     for c in range(first, last):

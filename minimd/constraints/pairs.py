@@ -18,7 +18,8 @@ from minimd.structure.vectors import dot, separation
 
 @inlined
 def drift_pairs(start, end, atoms, bonds, duration):
-    """Drift of bonds start to end − 1: a λ² + 2 b λ + c = 0 with a = w² s², b = w p · s, c = p² − d².  Atoms, Bonds, [time]."""
+    """Drift of bonds start to end − 1: a λ² + 2 b λ + c = 0 with a = w² s², b = w p · s, c = p² − d².  Atoms, Bonds,
+    [time]."""
     positions, velocities, inverse_masses = atoms
     for k in range(start, end):
         i, j = (

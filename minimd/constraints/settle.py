@@ -1,9 +1,9 @@
 """SETTLE: the drift of rigid triangles with two equal sides and two equal masses, such as water, in closed form.
 
-Positions are relative to the center of mass: 0 before the drift, 1 after it, 3 with the constraints. a is the apex, b and c are the
-other atoms. r_a and r_b are the distances of the center of mass from a and from the middle of bc, r_c is half of |bc|. The axes are
-z ∥ b₀ × c₀ (with b₀, c₀ taken from a), x ∥ a₁ × z and y = z × x. The new triangle is an upright one in the plane of x and y, turned by
-ψ around y, φ around x and θ around z:
+Positions are relative to the center of mass: 0 before the drift, 1 after it, 3 with the constraints. a is the apex, b
+and c are the other atoms. r_a and r_b are the distances of the center of mass from a and from the middle of bc, r_c is
+half of |bc|. The axes are z ∥ b₀ × c₀ (with b₀, c₀ taken from a), x ∥ a₁ × z and y = z × x. The new triangle is an
+upright one in the plane of x and y, turned by ψ around y, φ around x and θ around z:
 
     sin φ = z_a1/r_a                                      sin ψ = (z_b1 − z_c1)/(2 r_c cos φ)
     b₂ = (−r_c cos ψ, −r_b cos φ − r_c sin ψ sin φ)       c₂ = (r_c cos ψ, −r_b cos φ + r_c sin ψ sin φ)
@@ -11,12 +11,12 @@ z ∥ b₀ × c₀ (with b₀, c₀ taken from a), x ∥ a₁ × z and y = z × 
     γ = x_b0 y_b1 − x_b1 y_b0 + x_c0 y_c1 − x_c1 y_c0     sin θ = (α γ − β √(α² + β² − γ²))/(α² + β²)
     r₃ = (x₂ cos θ − y₂ sin θ,  x₂ sin θ + y₂ cos θ,  z₁)  of b and c
 
-θ solves α sin θ + β cos θ = γ: the forces of the constraints act along the old bonds, so that m (r₃ − r₁) has no moment about the old a.
-S. Miyamoto, P. A. Kollman, J. Comput. Chem. 13, 952 (1992), eq. A8-A17.
+θ solves α sin θ + β cos θ = γ: the forces of the constraints act along the old bonds, so that m (r₃ − r₁) has no moment
+about the old a. S. Miyamoto, P. A. Kollman, J. Comput. Chem. 13, 952 (1992), eq. A8-A17.
 
-So m (r₃ − r₁) is a sum of impulses along the old bonds, equal and opposite on the two atoms of each. These impulses are applied: the
-rounding of r₃, divided by a short Δt, then changes neither momentum nor angular momentum. With δ = r₃ − r₁, e₀ = c₀ − b₀, plane vectors
-u × w = x_u y_w − y_u x_w, and λ in units of the mass of b:
+So m (r₃ − r₁) is a sum of impulses along the old bonds, equal and opposite on the two atoms of each. These impulses are
+applied: the rounding of r₃, divided by a short Δt, then changes neither momentum nor angular momentum. With δ = r₃ −
+r₁, e₀ = c₀ − b₀, plane vectors u × w = x_u y_w − y_u x_w, and λ in units of the mass of b:
 
     λ_ab = δ_b × e₀/(b₀ × c₀)      λ_ac = δ_c × e₀/(b₀ × c₀)      λ_bc = (δ_b × b₀ − δ_c × c₀)/(2 b₀ × c₀)
     δ_b = λ_ab b₀ − λ_bc e₀        δ_c = λ_ac c₀ + λ_bc e₀        m_a δ_a = −m_b (λ_ab b₀ + λ_ac c₀)
@@ -34,7 +34,8 @@ from minimd.structure.vectors import combined, cross, dot, separation, unit
 def impulses(b0, c0, drifted, r_a, r_b, r_c):
     """λ_ab, λ_ac, λ_bc of a triangle [dimensionless], and whether they exist.
 
-    b0, c0 : separations a to b and a to c before the drift.  drifted : a₁, b₁, c₁.  r_a, r_b, r_c : see above. All [length].
+    b0, c0 : separations a to b and a to c before the drift.  drifted : a₁, b₁, c₁.  r_a, r_b, r_c : see above.
+        All [length].
     """
     a1, b1, c1 = drifted
     z = unit(cross(b0, c0))
@@ -71,7 +72,8 @@ def impulses(b0, c0, drifted, r_a, r_b, r_c):
 def drift_triangles(first, last, atoms, triangles, duration):
     """Drift of triangles first to last − 1.
 
-    Atoms; Molecules with shapes (T, 2): |ab|, |bc| [length]; [time]. Returns 1, or −1 − the triangle that cannot be kept.
+    Atoms; Molecules with shapes (T, 2): |ab|, |bc| [length]; [time]. Returns 1,
+    or −1 − the triangle that cannot be kept.
     """
     positions, velocities, inverse_masses = atoms
     for t in range(first, last):

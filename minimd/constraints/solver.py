@@ -25,10 +25,12 @@ class ConstraintSolver:
 
     Parameters
     ----------
-    constraints : DistanceConstraints.  positions : (N, 3) [length].  inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
+    constraints : DistanceConstraints.  positions : (N, 3) [length].  inverse_masses : (N,) [1/mass],
+        zero for atoms that are held fixed.
     offsets : (K, 3) [length], added to r_j − r_i: lattice translations of bonds across a periodic boundary.
     threads : maximum number of threads; results have the same bits for any number.
-    tolerance : of relative violations; if not given, that of the constraints, or the rounding of the positions if this is larger.
+    tolerance : of relative violations; if not given, that of the constraints,
+        or the rounding of the positions if this is larger.
 
     Attributes
     ----------
@@ -37,7 +39,8 @@ class ConstraintSolver:
 
     Raises
     ------
-    ValueError : for atoms that do not exist, a pair of two fixed atoms, a length of zero, or constraints that depend on each other.
+    ValueError : for atoms that do not exist, a pair of two fixed atoms, a length of zero,
+        or constraints that depend on each other.
     """
 
     def __init__(
@@ -77,7 +80,8 @@ class ConstraintSolver:
             before.follow(cell, offsets)
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> None:
-        """positions += duration · velocities, projected along the old gradients; velocities are changed accordingly.  Both arrays are (N, 3).
+        """positions += duration · velocities, projected along the old gradients; velocities are changed accordingly.
+        Both arrays are (N, 3).
 
         Raises
         ------
@@ -109,7 +113,8 @@ class ConstraintSolver:
         self._fail(int(np.argmax(self.violation(positions))), positions, at_rest, 1.0)
 
     def multipliers(self, positions: Floats, velocities: Floats, accelerations: Floats) -> list[tuple[Ints, Floats]]:
-        """For each group its constraints and their λ [energy/length²]: the constraint force on j is λ r_ij; accelerations are projected."""
+        """For each group its constraints and their λ [energy/length²]: the constraint force on j is λ r_ij;
+        accelerations are projected."""
         found = []
         for group in self.groups:
             turning = velocities[self.pairs[group.order, 1]] - velocities[self.pairs[group.order, 0]]
@@ -143,7 +148,8 @@ class ConstraintSolver:
         )
 
     def _fail(self, constraint: int, positions: Floats, velocities: Floats, duration: float) -> None:
-        """Raise ConstraintError with the larger violation: closed forms fail before they move atoms, iterations afterwards."""
+        """Raise ConstraintError with the larger violation: closed forms fail before they move atoms,
+        iterations afterwards."""
         i, j = self.pairs[constraint]
         off = max(self.violation(positions)[constraint], self.violation(positions + duration * velocities)[constraint])
         what = f"drift of {duration:g}" if duration else "projection of velocities"

@@ -1,6 +1,7 @@
 """Atoms, bonds and molecules in the form that constraint solvers use, and operations on their vectors.
 
-Solvers return the largest number of iterations; a negative number n says that the constraint (or molecule) −1 − n could not be kept.
+Solvers return the largest number of iterations; a negative number n says that the constraint (or molecule)
+−1 − n could not be kept.
 """
 
 from typing import Any, NamedTuple
@@ -11,7 +12,8 @@ NOTHING = -1
 
 
 class Atoms(NamedTuple):
-    """positions : (N, 3) [length].  vectors : (N, 3) velocities [length/time], or accelerations.  inverse_masses : (N,) [1/mass]."""
+    """positions : (N, 3) [length].  vectors : (N, 3) velocities [length/time], or accelerations.  inverse_masses : (N,)
+    [1/mass]."""
 
     positions: Any
     vectors: Any
@@ -19,7 +21,8 @@ class Atoms(NamedTuple):
 
 
 class Bonds(NamedTuple):
-    """first, second : (K,) atoms.  offsets : (K, 3) [length], added to r_j − r_i.  lengths2 : (K,) d² [length²].  tolerance : of |r² − d²|/d²."""
+    """first, second : (K,) atoms.  offsets : (K, 3) [length], added to r_j − r_i.  lengths2 : (K,) d² [length²].
+    tolerance : of |r² − d²|/d²."""
 
     first: Any
     second: Any

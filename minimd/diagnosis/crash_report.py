@@ -21,21 +21,26 @@ from minimd.structure.system import System
 from minimd.structure.units import LJ, SYSTEMS
 
 OVERLAP = 0.8  # of σ; thermal collisions of a liquid at k_B T = ε end at 0.85 σ
-THROWN = 0.1  # of its distance: a pair that a force moves farther in one step overlaps; for laws without a length of their own
+# of its distance: a pair that a force moves farther in one step overlaps; for laws without a length of their own
+THROWN = 0.1
 HOT_STEP = (
     0.05  # of σ that the atoms move in a step, root mean square; a liquid at its usual step moves a fifth of this
 )
 HOT_SPOT = 6.0  # times the root mean square speed; in 10⁹ atoms of a thermal ensemble none is as fast
-FAST = 0.3  # of ωσ at the minimum of a pair: higher speeds are due to heat, k_B T > 3 ε; at lower ones the step is too long
+# of ωσ at the minimum of a pair: higher speeds are due to heat, k_B T > 3 ε; at lower ones the step is too long
+FAST = 0.3
 NEAR_LIMIT = 0.5  # of the longest stable step: collisions are that much stiffer than the state itself
 ADVICE_SECONDS = 10.0  # at most, for the search of the stiffest mode
 
 
 class Failure(NamedTuple):
-    """How a run failed.  fault : in words.  step : in which.  constraint : atoms of one that could not be kept, or None.
+    """How a run failed.  fault : in words.  step : in which.  constraint : atoms of one that could not be kept,
+    or None.
 
-    at : (N, 3), positions at that moment, or None.  start : the earlier state that is known.  is_first : whether no step led to it.
-    first_volume : when the simulation was made [length³], or None.  is_of_barostat : whether the barostat has refused to go on.
+    at : (N, 3), positions at that moment, or None.  start : the earlier state that is known.  is_first :
+        whether no step led to it.
+    first_volume : when the simulation was made [length³], or None.  is_of_barostat :
+        whether the barostat has refused to go on.
     """
 
     fault: str
@@ -64,10 +69,12 @@ class Verdict(NamedTuple):
 class CrashReport:
     """The findings about a failed run. str() puts them into lines.
 
-    fault : what went wrong.  step : in which step.  last_good_step : of the state described.  first_step : from which it can be replayed.
+    fault : what went wrong.  step : in which step.  last_good_step : of the state described.  first_step :
+        from which it can be replayed.
     kind, pair, cause, advice : as Verdict.  closest : two atoms and their distance [length], or None.
     pushed, largest_force : the atom on which the largest force acts, and its size [energy/length].
-    fastest, displacement : the fastest atom, and how far it moves in a step [length].  timestep : [time].  units : name.
+    fastest, displacement : the fastest atom, and how far it moves in a step [length].  timestep : [time].  units :
+        name.
     """
 
     fault: str
@@ -97,7 +104,8 @@ class CrashReport:
         if pair is not None:
             what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms} ({pair.law})"
             lines.append(
-                f"pair           {what}, {pair.apart(length)}, −u′ {pair.force:.3g} {force}{pair.stiffness(self.timestep)}"
+                f"pair           {what}, {pair.apart(length)}, −u′ {pair.force:.3g} "
+                f"{force}{pair.stiffness(self.timestep)}"
             )
         closest = self.closest.told(length) if self.closest else "none"
         largest = f"largest force {self.largest_force:.3g} {force} on atom {self.pushed}"
@@ -108,7 +116,8 @@ class CrashReport:
 
 
 def examine(engine: Engine, failure: Failure) -> CrashReport:
-    """Find the likely cause of a failure.  engine : in the last good state, with energies of single atoms (PER_ATOM)."""
+    """Find the likely cause of a failure.  engine : in the last good state,
+    with energies of single atoms (PER_ATOM)."""
     (pushed, force), (fastest, speed) = longest(engine.forces), longest(engine.velocities)
     bad = np.flatnonzero(~(np.isfinite(engine.forces).all(axis=1) & np.isfinite(engine.interactions.energies)))[:2]
     closest = closest_pair(engine.system)
@@ -131,8 +140,10 @@ def examine(engine: Engine, failure: Failure) -> CrashReport:
 class Evidence:
     """What is known about a failure.
 
-    suspects : atoms whose contacts are examined.  found : their contacts in the last good state, and those without a finite force at the
-    moment of the failure.  strongest : the contact with the largest force, or None.  met : the same of the closest pair at that moment.
+    suspects : atoms whose contacts are examined.  found : their contacts in the last good state,
+        and those without a finite force at the
+    moment of the failure.  strongest : the contact with the largest force, or None.  met :
+    the same of the closest pair at that moment.
     """
 
     def __init__(self, engine: Engine, failure: Failure, suspects: list[int]) -> None:
@@ -202,7 +213,10 @@ def overlap_at_start(evidence: Evidence) -> Verdict | None:
     if not over:
         return None
     worst = min(over, key=lambda one: one.distance)
-    cause = f"{worst.atoms} overlap at {f'step {step}' if step else 'the start'}, {worst.apart(evidence.system.units.length)}"
+    cause = (
+        f"{worst.atoms} overlap at {f'step {step}' if step else 'the start'}, "
+        f"{worst.apart(evidence.system.units.length)}"
+    )
     return Verdict("overlap", worst, cause, "minimize moves atoms apart; or start from another state with less energy")
 
 
@@ -232,7 +246,10 @@ def barostat(evidence: Evidence) -> Verdict | None:
     if volume > EVAPORATED * before:
         cause = f"the cell has grown from {before:.4g} to {volume:.4g} {units.volume} {at}, where no dense state exists"
         return Verdict("barostat", None, cause, "take a higher pressure, or a lower temperature")
-    cause = f"the barostat strains a cell of {volume:.4g} {units.volume}, {before:.4g} when the simulation was made, too fast {at}"
+    cause = (
+        f"the barostat strains a cell of {volume:.4g} {units.volume}, {before:.4g} when the simulation was made, "
+        f"too fast {at}"
+    )
     return Verdict(
         "barostat",
         None,
@@ -316,7 +333,10 @@ def collision_in_a_step(evidence: Evidence) -> Verdict | None:
     ):
         return None
     there = f"{met.apart(evidence.system.units.length)}{met.stiffness(evidence.timestep)}"
-    cause = f"timestep {evidence.shown_timestep} too large: step {evidence.failure.step} drives {met.atoms} into each other, {there}"
+    cause = (
+        f"timestep {evidence.shown_timestep} too large: step {evidence.failure.step} drives {met.atoms} into each "
+        f"other, {there}"
+    )
     return Verdict("pair", met, cause, "halve the timestep until the energy is conserved")
 
 
@@ -333,7 +353,10 @@ def long_step(evidence: Evidence) -> Verdict:
             return Verdict("step", None, cause, evidence.recommended)
         cause = "atoms fly apart although no pair with a known law pushes them: the forces come from elsewhere"
         return Verdict("law", None, cause, "examine the forces in the last good state")
-    what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms}, {pair.apart(evidence.system.units.length)}{pair.stiffness(evidence.timestep)}"
+    what = (
+        f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms}, "
+        f"{pair.apart(evidence.system.units.length)}{pair.stiffness(evidence.timestep)}"
+    )
     return Verdict(
         "pair",
         pair,

@@ -1,4 +1,5 @@
-"""What can be wrong with the state of an engine: numbers that no step could make, and energies that no stable step makes."""
+"""What can be wrong with the state of an engine: numbers that no step could make,
+and energies that no stable step makes."""
 
 from collections.abc import Mapping
 
@@ -23,16 +24,23 @@ def fault_of(engine: Engine) -> str | None:
         if not longest(array)[1] <= LARGEST:
             bad = np.flatnonzero(~(np.abs(array) <= LARGEST).all(axis=1))
             if bad.size:
-                return f"{name} of {bad.size} atoms are not finite, or beyond {LARGEST:g} (atom {bad[0]}{' ...' if bad.size > 1 else ''})"
+                return (
+                    f"{name} of {bad.size} atoms are not finite, or beyond {LARGEST:g} (atom "
+                    f"{bad[0]}{' ...' if bad.size > 1 else ''})"
+                )
     atom, speed = longest(system.velocities)
     distance, cutoff = speed * abs(engine.method.timestep), engine.interactions.largest_cutoff
     if distance > cutoff:
-        return f"atom {atom} moves {distance:.3g} {system.units.length} in one step, past every neighbor (cutoff {cutoff:g})"
+        return (
+            f"atom {atom} moves {distance:.3g} {system.units.length} in one step, past every neighbor (cutoff "
+            f"{cutoff:g})"
+        )
     return None
 
 
 def fault_at_start(engine: Engine) -> str | None:
-    """What would go wrong in the first step: accelerations that are not finite or throw atoms across the scene; None if nothing would."""
+    """What would go wrong in the first step: accelerations that are not finite or throw atoms across the scene;
+    None if nothing would."""
     sizes = np.sqrt(np.einsum("ij,ij->i", engine.forces, engine.forces))
     accelerations = np.einsum(
         "i,i->i", engine.constraint_set.inverse_masses, sizes
@@ -53,7 +61,8 @@ def runaway(
 
         K + |U| > growth (K₀ + |U₀| + R)   and   |E − E₀| > (K + |U|) / 2,   R = Σ m (ulp(r)/Δt)²
 
-    first : observables of an earlier frame.  since : when that was, for the sentence.  E is the total energy minus the reservoir energy and
+    first : observables of an earlier frame.  since : when that was, for the sentence.
+        E is the total energy minus the reservoir energy and
     work, R the energy [energy] that the rounding of positions can make in a step.
     """
     system, kinetic, potential = engine.system, engine.kinetic_energy, engine.interactions.potential_energy
@@ -66,5 +75,8 @@ def runaway(
     start = first[name] - (0.0 if engine.has_bath else first.get("work", 0.0))
     before, now = first["kinetic_energy"] + abs(first["potential_energy"]), kinetic + abs(potential)
     if now > growth * (before + rounding) and abs(energy - start) > HALF * now:
-        return f"the {name.replace('_', ' ')} has gone from {start:.3g} to {energy:.3g} {system.units.energy} since {since}"
+        return (
+            f"the {name.replace('_', ' ')} has gone from {start:.3g} to {energy:.3g} {system.units.energy} since "
+            f"{since}"
+        )
     return None

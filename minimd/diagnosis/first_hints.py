@@ -35,26 +35,32 @@ def hints(engine: Engine) -> Iterator[str]:
 
 
 def too_long_a_step(engine: Engine) -> str | None:
-    """A clause if the time step is longer than a harmonic bond allows, or far longer than suits Lennard-Jones atoms, else None; of ε if so."""
+    """A clause if the time step is longer than a harmonic bond allows, or far longer than suits Lennard-Jones atoms,
+    else None; of ε if so."""
     return (
         strange_depth(engine.system, engine.interactions.potentials) or unstable_bond(engine) or _long_timestep(engine)
     )
 
 
 def _barostat(engine: Engine) -> Iterator[str]:
-    """Hints if a barostat acts too seldom for its relaxation time, or if its pressure, in eV/Å³, is a number in bar or so."""
+    """Hints if a barostat acts too seldom for its relaxation time, or if its pressure, in eV/Å³,
+    is a number in bar or so."""
     barostat, units, shown = engine.barostat, engine.system.units, engine.system.units.shown
     if barostat is None:
         return
     if barostat.every * engine.method.timestep > QUICK * barostat.relaxation_time:
         yield (
-            f"the barostat acts every {barostat.every} steps, {shown(barostat.every * engine.method.timestep)}, which is too long for its "
-            f"relaxation_time {shown(barostat.relaxation_time)}: the volume fluctuates too much; take a relaxation_time of at least "
-            f"{1.0 / QUICK:g} such intervals, or a smaller every"
+            f"the barostat acts every {barostat.every} steps, {shown(barostat.every * engine.method.timestep)}, which "
+            "is too long for its "
+            f"relaxation_time {shown(barostat.relaxation_time)}: the volume fluctuates too much; take a "
+            f"relaxation_time of at least {1.0 / QUICK:g} such intervals, or a smaller every"
         )
     if units == ASE and abs(barostat.pressure) > CRUSHING:
         meant = f"if {barostat.pressure:g} bar is meant, give {barostat.pressure:g} * md.units.BAR"
-        yield f"pressure {barostat.pressure:g} {units.pressure} is {barostat.pressure / BAR:.2g} bar; {meant}, and the compressibility per BAR"
+        yield (
+            f"pressure {barostat.pressure:g} {units.pressure} is {barostat.pressure / BAR:.2g} bar; {meant}, and the "
+            "compressibility per BAR"
+        )
 
 
 def _moving_center(engine: Engine) -> Iterator[str]:
@@ -75,11 +81,15 @@ def _short_timestep(engine: Engine) -> str | None:
     if not MEANT < share < TOO_SHORT:
         return None
     meant = ", such as 5 * md.units.fs" if system.units == ASE else ""
-    return f"timestep {system.units.shown(timestep)} is {share:.0e} of the time in which Lennard-Jones atoms collide: check its unit{meant}"
+    return (
+        f"timestep {system.units.shown(timestep)} is {share:.0e} of the time in which Lennard-Jones atoms collide: "
+        f"check its unit{meant}"
+    )
 
 
 def _long_timestep(engine: Engine) -> str | None:
-    """A hint if collisions of Lennard-Jones atoms are faster than the method can follow: for atoms of a liquid; the step told is for their heat."""
+    """A hint if collisions of Lennard-Jones atoms are faster than the method can follow: for atoms of a liquid;
+    the step told is for their heat."""
     system, method, potentials = engine.system, engine.method, engine.interactions.potentials
     held = engine.constraint_set.bonds.pairs if engine.constraint_set.bonds else system.bonds[:0]
     fastest = collision_frequency(system, potentials, held, at_rest=True)
@@ -91,8 +101,8 @@ def _long_timestep(engine: Engine) -> str | None:
     recommended = step / collision_frequency(system, potentials, held)
     shown = system.units.shown
     return (
-        f"timestep {shown(abs(method.timestep))} is long for Lennard-Jones atoms as light as these: in a liquid {method.name} "
-        f"conserves the energy well up to {shown(recommended)}"
+        f"timestep {shown(abs(method.timestep))} is long for Lennard-Jones atoms as light as these: in a liquid "
+        f"{method.name} conserves the energy well up to {shown(recommended)}"
     )
 
 
@@ -106,6 +116,6 @@ def _no_pair_in_reach(engine: Engine) -> Iterator[str]:
     if closest is not None and closest.distance > max(cutoffs):
         unit = system.units.length
         yield (
-            f"no two atoms are within the cutoff, {max(cutoffs):g} {unit}: the closest, {closest.first} and {closest.second}, are "
-            f"{closest.distance:.3g} {unit} apart; are the lengths of the potential in {unit}?"
+            f"no two atoms are within the cutoff, {max(cutoffs):g} {unit}: the closest, {closest.first} and "
+            f"{closest.second}, are {closest.distance:.3g} {unit} apart; are the lengths of the potential in {unit}?"
         )

@@ -1,4 +1,5 @@
-"""The curvature of the potential energy around a state: the stiffness of its bonds in closed form, and its stiffest mode."""
+"""The curvature of the potential energy around a state: the stiffness of its bonds in closed form,
+and its stiffest mode."""
 
 from collections.abc import Sequence
 from math import sqrt
@@ -43,7 +44,8 @@ class StiffBond(NamedTuple):
 def stiffest_bond(system: System, potentials: Sequence[Any], constraint_set: ConstraintSet) -> StiffBond | None:
     """The harmonic bond with the highest frequency of its own, ω² = k/μ; None if there is none that can stretch.
 
-    With other bonds, and if nothing is compressed, the stiffest mode is faster still: ω² is a lower bound for its square.
+    With other bonds, and if nothing is compressed, the stiffest mode is faster still:
+    ω² is a lower bound for its square.
     """
     found: list[StiffBond] = []
     for potential in potentials:
@@ -62,7 +64,8 @@ def stiffest_bond(system: System, potentials: Sequence[Any], constraint_set: Con
 
 
 def _free_part(system: System, bond: StiffBond, constraint_set: ConstraintSet) -> float:
-    """The fraction of 1/μ that constraints leave to a bond: the relative velocity that a unit impulse along it causes, times μ. From 0 to 1."""
+    """The fraction of 1/μ that constraints leave to a bond: the relative velocity that a unit impulse along it causes,
+    times μ. From 0 to 1."""
     pair, inverse_masses = np.array([[bond.i, bond.j]]), constraint_set.inverse_masses[[bond.i, bond.j]]
     arm = _direction(nearest_vectors(system.positions, system.cell, pair)[0])
     velocities = np.zeros_like(system.positions)
@@ -95,11 +98,12 @@ def unstable_bond(engine: Engine) -> str | None:
 class Curvature:
     """Products of D = M^−1/2 (∇²U − Σ λ ∇²g) M^−1/2 with vectors, on the directions that constraints allow.
 
-    g = ½ (r² − d²) of each constraint, and λ its multiplier at rest: the curvature of the constraints acts like springs of stiffness −λ.
-    Vectors w are mass-weighted displacements, w = M^1/2 u; D w is the change of M^−1/2 times the forces, with the opposite sign,
-    from central differences. Positions of the system are changed and put back.
+    g = ½ (r² − d²) of each constraint, and λ its multiplier at rest: the curvature of the constraints acts like springs
+    of stiffness −λ. Vectors w are mass-weighted displacements, w = M^1/2 u; D w is the change of M^−1/2 times the
+    forces, with the opposite sign, from central differences. Positions of the system are changed and put back.
 
-    is_finite : whether the forces of the state are finite numbers.  displacement : of the atom that is moved most [length].
+    is_finite : whether the forces of the state are finite numbers.  displacement :
+        of the atom that is moved most [length].
     """
 
     def __init__(self, forces: Forces, constraint_set: ConstraintSet) -> None:
@@ -142,7 +146,8 @@ class Curvature:
         return np.divide(accelerations, self._root, out=np.zeros_like(accelerations), where=self._root > 0.0).ravel()
 
     def stiffest(self, guess: Array) -> tuple[float, Array]:
-        """The largest eigenvalue of D [1/time²] and its vector, (N, 3), of length one.  guess : (N, 3), a vector to start from."""
+        """The largest eigenvalue of D [1/time²] and its vector, (N, 3), of length one.  guess : (N, 3),
+        a vector to start from."""
         if guess.size <= SMALL:
             matrix = np.stack([self.times(unit) for unit in np.eye(guess.size)])
             squares, modes = np.linalg.eigh(0.5 * (matrix + matrix.T))
@@ -161,7 +166,8 @@ class Curvature:
         return vector if bond is None else vector + self.stretching(np.array([[bond.i, bond.j]]))[0]
 
     def stretching(self, pairs: NDArray[np.int64]) -> Array:
-        """The stretching mode of each pair alone: its atoms move apart, in any direction if they are at the same place. (B, N, 3), of length one."""
+        """The stretching mode of each pair alone: its atoms move apart, in any direction if they are at the same place.
+        (B, N, 3), of length one."""
         modes = np.zeros((len(pairs), *self._start.shape))
         for mode, (i, j), arm in zip(modes, pairs, nearest_vectors(self._start, self._system.cell, pairs), strict=True):
             mode[i], mode[j] = np.outer((-self._root[i], self._root[j]), _direction(arm))

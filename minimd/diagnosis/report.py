@@ -71,7 +71,8 @@ class Drift:
     """Slope of a straight line through block averages [per time], and its standard error.
 
     With fewer than four blocks, the error is infinite and the slope is that between the ends.
-    n_independent : how many independent averages would leave this error.  is_unsure : whether they are too few to rule a drift out.
+    n_independent : how many independent averages would leave this error.  is_unsure :
+        whether they are too few to rule a drift out.
     """
 
     slope: float
@@ -86,7 +87,8 @@ class Drift:
     def is_significant(self) -> bool:
         """True if chance produces such a slope less than 3 times in 1000, or if it is not a number.
 
-        It then differs from zero by more than three standard errors, or up to six (Student's t) if fluctuations last long compared with the run.
+        It then differs from zero by more than three standard errors, or up to six (Student's t)
+        if fluctuations last long compared with the run.
         """
         return not abs(self.slope) <= self._significant * self.error
 
@@ -114,13 +116,16 @@ def drift(
 
         error² = σ² / ((n − 2) Var t),   n = blocks (1 − ρ)/(1 + ρ)
 
-    Averages over blocks scatter by σ about the line, and each resembles the next by ρ, the correlation of neighbors: n of them are
-    independent. A short series makes ρ too small by (2 + 4ρ)/blocks, since the line follows it; this is corrected.
+    Averages over blocks scatter by σ about the line, and each resembles the next by ρ, the correlation of neighbors: n
+    of them are independent. A short series makes ρ too small by (2 + 4ρ)/blocks, since the line follows it;
+    this is corrected.
     time, series : (T,). NaN if one of them is not finite.
-    beside : (T,) another series of the same run, whose n is taken if it is smaller. The energy error of a method depends on the state, and slow
+    beside : (T,) another series of the same run, whose n is taken if it is smaller.
+        The energy error of a method depends on the state, and slow
     changes of the state are plain to see in the kinetic energy, while in the total energy faster changes hide them.
 
-    H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989), on blocks; M. G. Kendall, Biometrika 41, 403 (1954), on the bias of ρ.
+    H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989), on blocks; M. G. Kendall, Biometrika 41, 403 (1954),
+    on the bias of ρ.
     """
     blocks = min(blocks, len(series))
     if not np.isfinite([time, series]).all():
@@ -146,11 +151,13 @@ def _line(t: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, NDArra
 
 
 def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS_OF_WALK) -> Drift:
-    """Slope of a series that is the sum of a drift, a random walk and fluctuations, and the standard error of the slope.
+    """Slope of a series that is the sum of a drift, a random walk and fluctuations,
+    and the standard error of the slope.
 
-    Total energy minus reservoir energy is such a series. A method conserves a shadow Hamiltonian, which differs from the energy, and each
-    contact with the bath changes the difference at random. The slope is that between the means of the first and of the last block. Its
-    error is that of the mean change from block to block, which is known as well as that of half as many independent changes.
+    Total energy minus reservoir energy is such a series. A method conserves a shadow Hamiltonian, which differs from
+    the energy, and each contact with the bath changes the difference at random. The slope is that between the means of
+    the first and of the last block. Its error is that of the mean change from block to block,
+    which is known as well as that of half as many independent changes.
     """
     blocks = min(blocks, len(series))
     if blocks <= FEW or np.ptp(time) == 0.0 or not np.isfinite([time, series]).all():
@@ -162,7 +169,8 @@ def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run cost: steps, seconds, list builds, force evaluations; and in words its lists, its constraints and the work it did not need.
+    """What a run cost: steps, seconds, list builds, force evaluations; and in words its lists,
+    its constraints and the work it did not need.
 
     peak_memory : bytes that the process has held at most so far, or None if that is unknown.
     """
@@ -180,7 +188,8 @@ class Cost:
         """Lines of a report."""
         speed = f"{self.n_steps / self.seconds:.4g} steps/s" if self.seconds > 0.0 else "no steps"
         lines = [
-            f"speed          {speed}; {self.n_evaluations} force evaluations, {self.pair_search}, built {self.list_builds} times"
+            f"speed          {speed}; {self.n_evaluations} force evaluations, {self.pair_search}, built "
+            f"{self.list_builds} times"
         ]
         lines += [f"constraints    {self.constraints}"] if self.constraints else []
         if self.peak_memory is not None:
@@ -194,21 +203,28 @@ class Report(Displayed):
 
     Attributes
     ----------
-    energy_drift : Drift of the total energy per atom [energy/time], minus reservoir energy if has_bath; time in ps, or τ in reduced units.
+    energy_drift : Drift of the total energy per atom [energy/time], minus reservoir energy if has_bath; time in ps,
+        or τ in reduced units.
     energy_oscillation : standard deviation of the total energy per atom about that line [energy].
     momentum_change : largest |P(t) − P(0)| / Σ|mv|, or None if P is not a constant.
     angular_momentum_change : largest |L(t) − L(0)| / Σ m|r − r_cm||v|, or None if L is not a constant.
     constraint_violation : largest |r² − d²|/d², or None without constraints.
-    mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.  temperature_error : standard error of the mean.
-    duration : [ps or τ].  n_frames : number of observations.  n_steps : from the first to the last.  cost : of the run, if known.
-    kinetic_energy : mean per atom [energy]: ½ n_dof k_B T / N, which leaves out a motion of the center of mass that n_dof leaves out.
+    mean_temperature, temperature_deviation : mean and standard deviation of the kinetic temperature.
+        temperature_error : standard error of the mean.
+    duration : [ps or τ].  n_frames : number of observations.  n_steps : from the first to the last.  cost : of the run,
+        if known.
+    kinetic_energy : mean per atom [energy]: ½ n_dof k_B T / N,
+        which leaves out a motion of the center of mass that n_dof leaves out.
     energy_range : largest difference of two total energies per atom beyond rounding [energy].
     shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.
     temperatures, volumes : means of the first and of the last fifth of the run; volumes of zero if they are unknown.
-    not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if there is none.
+    not_finite : the first observable with an entry that is NaN or infinite, and its step, in words;
+        empty if there is none.
     lines : results that need no run: see diagnosis.run_report.
-    too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown, as for a file.
-    is_at_rest : whether nothing moves except by rounding; changes of momentum then cannot be judged, for lack of a scale.
+    too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown,
+        as for a file.
+    is_at_rest : whether nothing moves except by rounding; changes of momentum then cannot be judged,
+        for lack of a scale.
     """
 
     energy_drift: Drift
@@ -239,10 +255,11 @@ class Report(Displayed):
 
     @property
     def energy_is_conserved(self) -> bool | None:
-        """True if the drift is zero within its error, or below 1e-6 of the kinetic energy in each ps or τ; None if the run is too short to tell.
+        """True if the drift is zero within its error, or below 1e-6 of the kinetic energy in each ps or τ;
+        None if the run is too short to tell.
 
-        An energy that varies by more than half the kinetic energy is not conserved, whatever its drift: one bad step is no drift. Nothing is
-        conserved if an observable is not finite.
+        An energy that varies by more than half the kinetic energy is not conserved, whatever its drift: one bad step is
+        no drift. Nothing is conserved if an observable is not finite.
         """
         if self.not_finite:
             return False
@@ -268,7 +285,8 @@ class Report(Displayed):
 
     @property
     def momentum_is_conserved(self) -> bool:
-        """True if rounding, which adds up like a random walk, explains the change, or if momentum need not be constant."""
+        """True if rounding, which adds up like a random walk, explains the change,
+        or if momentum need not be constant."""
         return not self.not_finite and (
             self.is_at_rest or (self.momentum_change or 0.0) < MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
         )
@@ -283,7 +301,8 @@ class Report(Displayed):
 
     @property
     def is_settling(self) -> bool:
-        """Whether the temperature of the first and of the last fifth of the run differ much, as after a start that is not in equilibrium."""
+        """Whether the temperature of the first and of the last fifth of the run differ much,
+        as after a start that is not in equilibrium."""
         first, last = self.temperatures
         return abs(last - first) > SETTLING * max(first, last)
 
@@ -335,7 +354,8 @@ class Report(Displayed):
         if self.angular_momentum_change is not None and not self.is_at_rest:
             tell(
                 "ang. momentum",
-                f"change {self.angular_momentum_change:.1e} of the sum of m|r||v|: {KEPT[self.angular_momentum_is_conserved]}",
+                f"change {self.angular_momentum_change:.1e} of the sum of m|r||v|: "
+                f"{KEPT[self.angular_momentum_is_conserved]}",
             )
         if self.constraint_violation is not None:
             said = "kept" if self.constraint_violation < LENGTHS_KEPT else "NOT KEPT"
@@ -351,7 +371,8 @@ class Report(Displayed):
 
     @property
     def is_quiet(self) -> bool:
-        """Whether the energy stays within a hundredth of the kinetic energy, in a run that is too short to tell a drift from fluctuations."""
+        """Whether the energy stays within a hundredth of the kinetic energy,
+        in a run that is too short to tell a drift from fluctuations."""
         return (
             self.energy_is_conserved is None
             and self.n_frames >= FEW
@@ -377,7 +398,10 @@ class Report(Displayed):
                 if self.too_long_a_step
                 else f"the {name} is conserved"
             )
-        settling = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy with it; equilibrate first"
+        settling = (
+            f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy "
+            "with it; equilibrate first"
+        )
         swollen = (
             f" (the volume changed by {100.0 * (self.volumes[1] / self.volumes[0] - 1.0):+.2g} %)"
             if self.swells
@@ -398,7 +422,10 @@ class Report(Displayed):
         if self.not_finite:
             return f"NOTHING IS CONSERVED: {self.not_finite}"
         if self.n_frames < FEW:
-            return f"{self.n_frames} frame{'s are' if self.n_frames > 1 else ' is'} too few to judge the energy; observe more often"
+            return (
+                f"{self.n_frames} frame{'s are' if self.n_frames > 1 else ' is'} too few to judge the energy; "
+                "observe more often"
+            )
         energy = self._energy_verdict
         if self.is_at_rest:
             return f"{energy}; the atoms are at rest: set_temperature gives them velocities."
@@ -421,8 +448,10 @@ def conservation_report(
     """The report of a record.
 
     n_dof : degrees of freedom of the run; if not given, the kinetic energy includes a motion of the center of mass.
-    linear, angular : whether the scene conserves momentum (no bath, nothing fixed) and angular momentum (nor anything periodic).
-    lines : further lines of the report.  With a thermostat or barostat, total energy minus reservoir energy is judged; with forces that depend
+    linear, angular : whether the scene conserves momentum (no bath, nothing fixed)
+        and angular momentum (nor anything periodic).
+    lines : further lines of the report.  With a thermostat or barostat, total energy minus reservoir energy is judged;
+        with forces that depend
     on time, the total energy and the shadow energy minus their work.
     """
     units, has_bath = record.units, "conserved_energy" in record

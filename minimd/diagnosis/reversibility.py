@@ -1,8 +1,9 @@
 """Whether a simulation is reversible: some steps, all velocities reversed, and as many steps again.
 
-A symmetric method without a bath returns to its start except for rounding, which grows along a chaotic path. This growth is measured
-on the same path: the way back is made twice, the second time from a turning point displaced by some rounding errors. A run with forces
-that depend on the past, a list that misses pairs, or a solver that stops early does not return.
+A symmetric method without a bath returns to its start except for rounding, which grows along a chaotic path. This
+growth is measured on the same path: the way back is made twice, the second time from a turning point displaced by some
+rounding errors. A run with forces that depend on the past, a list that misses pairs,
+or a solver that stops early does not return.
 """
 
 from dataclasses import dataclass
@@ -17,7 +18,8 @@ from minimd.structure.observables import longest
 
 ROUNDING = {"double": 2.0**-52, "mixed": 2.0**-23, "fixed-point": 2.0**-52}  # of the forces
 AMPLIFIED = 1e3  # rounding errors by which the turning point is displaced, so that their growth stands out
-ENOUGH = 3.0  # times what one rounding grows to, times the square root of the steps: up to this, a distance is due to rounding
+# times what one rounding grows to, times the square root of the steps: up to this, a distance is due to rounding
+ENOUGH = 3.0
 CHAOS = 0.01  # of the way that atoms went: beyond it, rounding has grown too much to tell
 
 
@@ -27,9 +29,10 @@ class Reversibility(Displayed):
 
     Attributes
     ----------
-    n_steps : in each direction.  distance : the largest of any atom from its start, at the end [length].  way : the same, at the reversal [length].
-    rounding : growth of one rounding error from the turning point to the end, times √(2 n_steps) [length]; infinite if too chaotic to tell.
-        Not measured, and 0, if is_exact.
+    n_steps : in each direction.  distance : the largest of any atom from its start, at the end [length].  way :
+        the same, at the reversal [length].
+    rounding : growth of one rounding error from the turning point to the end, times √(2 n_steps) [length]; infinite if
+        too chaotic to tell. Not measured, and 0, if is_exact.
     is_exact : whether all bits of positions and velocities came back.
     """
 
@@ -78,7 +81,8 @@ def make_steps_back(guard: RunGuard, n_steps: int) -> None:
         )
     if engine.constraint_set.bonds is not None:
         raise ValueError(
-            "steps with constraints cannot be retraced to the last bit: constraint impulses are rounded after they are computed"
+            "steps with constraints cannot be retraced to the last bit: constraint impulses are rounded after they are "
+            "computed"
         )
     if not engine.method.is_symmetric:
         symmetric = "velocity Verlet, position Verlet, leapfrog and symmetric compositions"
@@ -112,7 +116,8 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
         raise ValueError(f"{bath}: its noise cannot be undone, so no run with it is reversible")
     if engine.interactions.depend_on_time:
         raise ValueError(
-            "a run with forces that depend on time has no way back: time goes on while atoms return; probe the scene without them"
+            "a run with forces that depend on time has no way back: time goes on while atoms return; probe the scene "
+            "without them"
         )
     before = engine.snapshot()
     with guard.uncounted():
@@ -137,7 +142,8 @@ def _probed(guard: RunGuard, n_steps: int) -> Reversibility:
     if np.array_equal(returned, start.positions) and np.array_equal(-engine.velocities, start.velocities):
         return Reversibility(n_steps, 0.0, way, 0.0, engine.system.units.length, is_exact=True)
     engine.restore(turning)
-    # the turning point is displaced by some roundings of random sign: of coordinates (or the tolerance of a solver), forces and velocities
+    # the turning point is displaced by some roundings of random sign: of coordinates (or the tolerance of a solver),
+    # forces and velocities
     random, shape, moving = (
         np.random.default_rng(1),
         engine.positions.shape,

@@ -1,4 +1,5 @@
-"""The run guard makes steps in blocks; if a block fails, it is undone and made again step by step, and the failure is explained."""
+"""The run guard makes steps in blocks; if a block fails, it is undone and made again step by step,
+and the failure is explained."""
 
 import warnings
 from collections.abc import Iterator, Mapping
@@ -21,7 +22,8 @@ from minimd.structure.console import outside_minimd
 from minimd.structure.errors import ConstraintError, NonFiniteError, RangeError
 from minimd.structure.observables import Array, longest
 
-BLOCK = 100  # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
+# steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
+BLOCK = 100
 SMALL, LONGEST_BLOCK = (
     50_000,
     500,
@@ -36,7 +38,8 @@ LEAST_REPLAY = 20  # steps from the snapshot with which a replay begins to the f
 class RunGuard:
     """Makes the steps of an engine, and finds out what went wrong when one fails.
 
-    seconds, n_steps : of the present run, without compilation.  failed_from : Snapshot from which the last failure can be replayed.
+    seconds, n_steps : of the present run, without compilation.  failed_from :
+        Snapshot from which the last failure can be replayed.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -80,7 +83,10 @@ class RunGuard:
             self.seconds, self.n_steps, interactions.counts = counted
 
     def judge_by(self, first: Mapping[str, Any] | None, growth: float) -> None:
-        """Judge later runs by the energies at the start of another run, of which they are a part. See faults.runaway."""
+        """Judge later runs by the energies at the start of another run, of which they are a part.
+
+        See faults.runaway.
+        """
         self._judged_by = first, growth
 
     @property
@@ -89,7 +95,9 @@ class RunGuard:
         return self._first, self._growth
 
     def check_start(self, is_same_run: bool = False) -> None:
-        """Take the state as it is now. Raise NonFiniteError if the first step would throw atoms across the scene, and as Forces.check_resolution.
+        """Take the state as it is now.
+
+        Raise NonFiniteError if the first step would throw atoms across the scene, and as Forces.check_resolution.
 
         A state that was not changed since the last step continues as if there had been no pause.
         is_same_run : energies and snapshots of earlier steps remain valid, if the energy is still the same.
@@ -120,7 +128,8 @@ class RunGuard:
             raise self._failure(fault, engine.step)
 
     def make_steps(self, n_steps: int, with_energy: bool = False) -> None:
-        """Make steps, in blocks.  with_energy : evaluate the energy with the last forces.  Raises as advance and observe."""
+        """Make steps, in blocks.  with_energy : evaluate the energy with the last forces.
+        Raises as advance and observe."""
         try:
             for done in range(0, n_steps, self.block):
                 self.advance(min(self.block, n_steps - done), with_energy and done + self.block >= n_steps)
@@ -132,8 +141,8 @@ class RunGuard:
     def advance(self, n_steps: int, with_energy: bool) -> None:
         """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out which step failed and why.
 
-        Raises NonFiniteError, ConstraintError if a step fails; the engine is then in the last good state. KeyboardInterrupt after Ctrl-C.
-        ValueError if the scene no longer fits the list it needs.
+        Raises NonFiniteError, ConstraintError if a step fails; the engine is then in the last good state.
+        KeyboardInterrupt after Ctrl-C. ValueError if the scene no longer fits the list it needs.
         """
         engine = self.engine
         kept = max(1, min(MOST_SNAPSHOTS, ROOM // len(engine.positions)))
@@ -163,7 +172,8 @@ class RunGuard:
             raise KeyboardInterrupt(f"stopped after step {engine.step}")
 
     def _replay(self, before: Snapshot, n_steps: int, otherwise: str) -> NoReturn:
-        """Repeat failed steps one by one, up to the last good state; raise the error of the next step.  otherwise : the fault if none fails."""
+        """Repeat failed steps one by one, up to the last good state; raise the error of the next step.  otherwise :
+        the fault if none fails."""
         engine = self.engine
         engine.restore(before)
         for _ in range(n_steps):
@@ -214,7 +224,8 @@ class RunGuard:
         return not abs(kinetic + potential - self._seen[1]) <= SAME_ENERGY * (kinetic + abs(potential))
 
     def check_kinetic_energy(self, most: float) -> None:
-        """Raise NonFiniteError if the kinetic energy is larger than most [energy]; the engine is then in the last good state of the last block."""
+        """Raise NonFiniteError if the kinetic energy is larger than most [energy];
+        the engine is then in the last good state of the last block."""
         kinetic, before = self.engine.kinetic_energy, self._before
         if kinetic > most and before is not None:
             end = self.engine.snapshot()
@@ -244,7 +255,8 @@ class RunGuard:
         self._first, self._growth, self._since, self._seen = None, RUNAWAY, RUN_BEGAN, (self.engine.step, 0.0)
 
     def drop_snapshots(self) -> None:
-        """Drop the snapshots: the velocities were rescaled, and a replay from one of them would not lead to the present state."""
+        """Drop the snapshots: the velocities were rescaled,
+        and a replay from one of them would not lead to the present state."""
         self._snapshots = []
 
     def _fail_if(self, fault: str | None) -> None:
@@ -259,7 +271,8 @@ class RunGuard:
         self._replay(start, end - start.step, fault)
 
     def _good_start(self, before: Snapshot) -> Snapshot:
-        """The latest stored state, since the last observation, in which no energy had run away yet; else the state before the last block."""
+        """The latest stored state, since the last observation, in which no energy had run away yet;
+        else the state before the last block."""
         self._growth, growth = min(GROWTH, self._growth), self._growth
         known = {one.step: one for one in (*self._snapshots, before) if self._seen[0] <= one.step <= before.step}
         for step in sorted(known, reverse=True):
@@ -271,7 +284,8 @@ class RunGuard:
         return before
 
     def _failure(self, fault: str, step: int, at: Array | None = None) -> NonFiniteError | ConstraintError:
-        """The error for a run that failed in a step, with its crash report; the engine is in the last good state.  at : (N, 3), of the failure."""
+        """The error for a run that failed in a step, with its crash report; the engine is in the last good state.  at :
+        (N, 3), of the failure."""
         engine, reason = self.engine, self._reason
         engine.is_whole = True  # a good state, worth keeping, although runs from it may be rounded differently
         snapshots = self._snapshots or [engine.snapshot()]

@@ -92,7 +92,10 @@ def cutoff_lines(system: System, potentials: Sequence[Any]) -> Iterator[Line]:
         elif force_jumps:
             verdict = "the energy is continuous, the force jumps; smooth it for methods of order above 2"
         where = "" if at == there or energy == 0.0 else f" at {at:g} {units.length}"
-        words = f"energy {energy:.1e} {units.energy}{where}, force {force:.1e} {units.energy}/{units.length} at {there:g} {units.length}"
+        words = (
+            f"energy {energy:.1e} {units.energy}{where}, force {force:.1e} {units.energy}/{units.length} at "
+            f"{there:g} {units.length}"
+        )
         yield Line("cutoff jump", words, verdict, not energy_jumps)
 
 
@@ -108,7 +111,10 @@ def _jumps(law: tuple, cutoff: float, numbers: tuple[float, ...]) -> tuple[float
 def pressure_lines(
     record: Record, barostat: StochasticCellRescaling | None, conserves_momentum: bool
 ) -> Iterator[Line]:
-    """Lines with the mean volume, and the mean pressure compared with the target of the barostat. No line without a barostat."""
+    """Lines with the mean volume, and the mean pressure compared with the target of the barostat.
+
+    No line without a barostat.
+    """
     if barostat is None or len(record) < ENOUGH or not np.isfinite(record.pressure).all():
         return
     first, last, units = float(record.volume[0]), float(record.volume[-1]), record.units

@@ -1,7 +1,7 @@
 """The shadow energy: what a Verlet step conserves instead of the energy, to the next order.
 
-A symplectic step of length Δt is the exact flow of a Hamiltonian close to H. For velocity Verlet (kick, drift, kick), and for
-leapfrog at the end of a run, where its velocities are at the time of its positions,
+A symplectic step of length Δt is the exact flow of a Hamiltonian close to H. For velocity Verlet (kick, drift, kick),
+and for leapfrog at the end of a run, where its velocities are at the time of its positions,
 
     H̃ = H + Δt² [ 1/12 v·(∇²U) v − 1/24 F·M⁻¹F ] + O(Δt⁴)
 
@@ -9,11 +9,12 @@ and for position Verlet (drift, kick, drift), where both halves have changed pla
 
     H̃ = H + Δt² [ −1/24 v·(∇²U) v + 1/12 F·M⁻¹F ] + O(Δt⁴)
 
-where v·(∇²U) v is the second derivative of U(r + v s, t + s) by s: if forces depend on time, it is one more coordinate, whose
-velocity is 1, and what is conserved is H̃ minus their work.
+where v·(∇²U) v is the second derivative of U(r + v s, t + s) by s: if forces depend on time, it is one more coordinate,
+whose velocity is 1, and what is conserved is H̃ minus their work.
 
 Along the path H itself oscillates by O(Δt²), H̃ only by O(Δt⁴): a drift that remains is seen 1/Δt² times as clearly.
-E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), IX.3; R. D. Engle, R. D. Skeel, M. Drees, J. Comput. Phys. 206, 432 (2005).
+E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), IX.3; R. D. Engle, R. D. Skeel, M. Drees, J.
+Comput. Phys. 206, 432 (2005).
 """
 
 from typing import Protocol
@@ -46,7 +47,8 @@ def shadow_energy(simulation: HasEngine) -> float:
 
     Raises
     ------
-    ValueError : for a method other than velocity Verlet, leapfrog and position Verlet, for a thermostat, and for rigid bonds.
+    ValueError : for a method other than velocity Verlet, leapfrog and position Verlet, for a thermostat,
+        and for rigid bonds.
     """
     engine = simulation.engine
     check_has_shadow(engine)
@@ -58,8 +60,8 @@ def shadow_energy(simulation: HasEngine) -> float:
 def correction(engine: Engine) -> float:
     """H̃ − H [energy], with the forces current.
 
-    v·(∇²U) v [energy/time²] is the difference of dU/ds = ∂U/∂t − F·v at s = 0, d and 2d, right to d². Its times are not before the
-    present one, at which a spring may begin to move.
+    v·(∇²U) v [energy/time²] is the difference of dU/ds = ∂U/∂t − F·v at s = 0, d and 2d, right to d². Its times are not
+    before the present one, at which a spring may begin to move.
     """
     of_motion, of_forces = COEFFICIENTS[engine.method.sequence()]
     squares = float(np.einsum("ij,ij,i->", engine.forces, engine.forces, engine.constraint_set.inverse_masses))
@@ -77,13 +79,15 @@ def check_has_shadow(engine: Engine) -> None:
     method = engine.method
     if method.is_thermostat:
         raise ValueError(
-            f"there is no shadow energy with a thermostat, which exchanges energy with the system; the method is {method.name}"
+            "there is no shadow energy with a thermostat, which exchanges energy with the system; the method is "
+            f"{method.name}"
         )
     if engine.barostat is not None:
         raise ValueError("there is no shadow energy with a barostat, which exchanges energy with the system")
     if method.sequence() not in COEFFICIENTS:
         raise ValueError(
-            f"the shadow energy is known only for velocity-verlet, leapfrog and position-verlet; the method is {method.name}"
+            "the shadow energy is known only for velocity-verlet, leapfrog and position-verlet; the method is "
+            f"{method.name}"
         )
     if engine.constraint_set.bonds is not None:
         raise ValueError(

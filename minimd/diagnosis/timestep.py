@@ -1,4 +1,5 @@
-"""Advice on the time step: the stiffest mode of a state and collisions of its atoms, and how long a time step they allow."""
+"""Advice on the time step: the stiffest mode of a state and collisions of its atoms,
+and how long a time step they allow."""
 
 from __future__ import annotations
 
@@ -39,7 +40,9 @@ EVALUATIONS = 200  # of the forces: as many mostly suffice to find the stiffest 
 SHOWN_ATOMS = 4  # of the stiffest mode, at most
 HALF = 0.5  # of a mode: a bond is named if its stretching makes up more
 SHOWN_SHARE = 0.05  # of its kinetic energy, at least
-CROWDED = 5.0  # ω of the stiffest mode of a liquid, divided by that of a pair at rest; the modes: 4.8 at T* 0.7, ρ* 0.85; 5.8 at 1.44, 0.8442
+# ω of the stiffest mode of a liquid, divided by that of a pair at rest; the modes: 4.8 at T* 0.7, ρ* 0.85; 5.8 at 1.44,
+# 0.8442
+CROWDED = 5.0
 CROWDED_COLD, CROWDED_HEAT = (
     15.0,
     12.2,
@@ -69,7 +72,8 @@ class StepAdvice(Displayed):
     limit : the longest stable step of the method [time].
     harmonic : the step at which the energy of this mode oscillates by ±1/80 of its mean, at most half the limit [time].
     collision : the same for Lennard-Jones atoms that collide in a liquid [time]; infinite without such atoms.
-    recommended : the smaller of the two [time].  temperature : of the velocities, for which it holds; 0 at rest [temperature].
+    recommended : the smaller of the two [time].  temperature : of the velocities, for which it holds;
+        0 at rest [temperature].
     method : name of the method.  timestep : of the method, if it has one [time].
     atoms, shares : the atoms that move most in the mode, and the fraction of its kinetic energy that each of them has.
     n_moving : over how many atoms the mode is spread, 1/Σ share².
@@ -120,11 +124,16 @@ class StepAdvice(Displayed):
         heat = f"{self.temperature:.3g} {self.units.temperature}" if self.temperature else "rest"
         holds = f"at k_B T up to {COLDEST:.2g} ε, or at that of the velocities if they are hotter (given: {heat})"
         why = f"collisions of Lennard-Jones atoms in a liquid {holds}" if by_collisions else "the stiffest mode"
-        alone = f"               the stiffest mode alone would allow {shown(self.harmonic)}, for vibrations around this state only"
+        alone = (
+            f"               the stiffest mode alone would allow {shown(self.harmonic)}, for vibrations around "
+            "this state only"
+        )
         return [
-            f"stiffest mode  ω = {self.frequency / self.units.to_picosecond:.4g} / {self.units.shown_time}, period {self.units.shown(self.period)}",
+            f"stiffest mode  ω = {self.frequency / self.units.to_picosecond:.4g} / {self.units.shown_time}, period "
+            f"{self.units.shown(self.period)}",
             f"               {motion}",
-            f"limit          {self.units.shown(self.limit)} for {self.method}: longer steps blow up, and at a temperature shorter ones may",
+            f"limit          {self.units.shown(self.limit)} for {self.method}: longer steps blow up, and at a "
+            "temperature shorter ones may",
             f"recommended    {shown(self.recommended)}: {self.period / self.recommended:.3g} steps a period",
             f"decided by     {why}",
             *([alone] if by_collisions else []),
@@ -138,17 +147,21 @@ def advise_timestep(
     constraints: Constraint | Sequence[Constraint] | None = None,
     method: Splitting | type[Splitting] = VelocityVerlet,
 ) -> StepAdvice:
-    """How long a time step may be: from the highest frequency of the mass-weighted Hessian M^−1/2 H M^−1/2 of this state.
+    """How long a time step may be: from the highest frequency of the mass-weighted
+    Hessian M^−1/2 H M^−1/2 of this state.
 
-        limit = h_max/ω, h_max = 2 for velocity Verlet; recommended = h/ω with (E_max − E_min)/(E_max + E_min) = 1/80 for the mode,
-        which velocity Verlet has at h²/8 ≈ 1/80, 20 steps a period.  See integrators.stability for other methods.
+        limit = h_max/ω, h_max = 2 for velocity Verlet; recommended = h/ω with (E_max − E_min)/(E_max + E_min) = 1/80
+        for the mode, which velocity Verlet has at h²/8 ≈ 1/80, 20 steps a period.
+        See integrators.stability for other methods.
 
-    The Hessian is never built: Lanczos iterations need only its products with vectors, central differences of the forces. With
-    constraints the modes are those of the allowed directions, and the curvature of the constraints counts too.
+    The Hessian is never built: Lanczos iterations need only its products with vectors, central differences of the
+    forces. With constraints the modes are those of the allowed directions,
+    and the curvature of the constraints counts too.
 
-    In a run at a finite temperature, atoms come closer to each other than in a crystal or at a minimum, and the forces are stiffer there.
-    For Lennard-Jones atoms the recommended step therefore is at most h/ω′ of atoms that collide in a liquid, at the temperature of the
-    velocities of the state, or k_B T = 0.84 ε if they are colder. For other laws ask again with a state from the run.
+    In a run at a finite temperature, atoms come closer to each other than in a crystal or at a minimum, and the forces
+    are stiffer there. For Lennard-Jones atoms the recommended step therefore is at most h/ω′ of atoms that collide in a
+    liquid, at the temperature of the velocities of the state, or k_B T = 0.84 ε if they are colder.
+    For other laws ask again with a state from the run.
 
     Forces that jump at the cutoff ("truncated", "shifted") have no Hessian there; the jumps are left out
     unless the distance of a pair agrees with the cutoff to six digits.
@@ -173,7 +186,8 @@ def advise_timestep(
 
 
 def advice_at(engine: Engine, seconds: float) -> StepAdvice | None:
-    """advise_timestep for the present state of an engine, which is left as it is; None if that would take more than this number of seconds.
+    """advise_timestep for the present state of an engine, which is left as it is;
+    None if that would take more than this number of seconds.
 
     Raises NonFiniteError as advise_timestep, and whatever a potential raises.
     """
@@ -287,8 +301,8 @@ def strange_depth(system: System, potentials: Sequence[Any]) -> str | None:
                 for unit, size, words in fits
             ]
             return (
-                f"epsilon = {worst:.6g} eV is far deeper than the well of any such atom (noble gases 0.001 to 0.02 eV, metals up to 1 eV); "
-                f"{'; '.join(told) or 'check its unit'}"
+                f"epsilon = {worst:.6g} eV is far deeper than the well of any such atom (noble gases 0.001 to 0.02 eV, "
+                f"metals up to 1 eV); {'; '.join(told) or 'check its unit'}"
             )
     return None
 

@@ -1,4 +1,5 @@
-"""A barostat acting on an engine: it strains cell, positions and velocities every few steps, and counts the energy it gives."""
+"""A barostat acting on an engine: it strains cell, positions and velocities every few steps,
+and counts the energy it gives."""
 
 from collections.abc import Callable
 from typing import Any
@@ -20,11 +21,13 @@ from minimd.structure.strain import strained
 from minimd.structure.system import System
 
 LARGEST_STRAIN = 0.2  # of the cell at once: a bath that strains it more does not act slowly
-EVAPORATED = 8.0  # times the volume at the start, all lengths doubled: a liquid grows by a factor of some 3 up to its critical point
+# times the volume at the start, all lengths doubled: a liquid grows by a factor of some 3 up to its critical point
+EVAPORATED = 8.0
 
 
 class Molecules:
-    """The bodies that move as a whole when the cell is strained: atoms tied together by rigid lengths, and single atoms.
+    """The bodies that move as a whole when the cell is strained: atoms tied together by rigid lengths,
+    and single atoms.
 
     bodies : Bodies.  masses : (B,) of the bodies [mass].
     """
@@ -44,7 +47,8 @@ class Molecules:
         return np.column_stack([self._sums(weighted[:, c]) for c in range(3)]) / self.masses[:, None]
 
     def whole(self, bonds: Any) -> Array:
-        """Lattice translations of the present cell, (N, 3) [length], that join the atoms of each body as its rigid bonds do."""
+        """Lattice translations of the present cell, (N, 3) [length],
+        that join the atoms of each body as its rigid bonds do."""
         cell = self._system.cell
         if bonds is not self._of:
             self._translations, self._of, self._cell = self._joined(bonds), bonds, cell
@@ -96,7 +100,8 @@ class CellRescaling:
         self._first_volume = float(system.volume or 0.0)
 
     def temperature(self, method: Splitting) -> float:
-        """T of the bath.  Raises ValueError if neither barostat nor thermostat has one, the two differ, or time runs backwards."""
+        """T of the bath.  Raises ValueError if neither barostat nor thermostat has one, the two differ,
+        or time runs backwards."""
         own, theirs = self.barostat.temperature, getattr(method, "temperature", None) if method.is_thermostat else None
         if method.timestep < 0.0:
             raise ValueError(f"time cannot run backwards with a barostat; timestep = {method.timestep!r}")
@@ -106,7 +111,8 @@ class CellRescaling:
             )
         if own is not None and theirs is not None and own != theirs:
             raise ValueError(
-                f"barostat and thermostat must have the same temperature; they have {own} and {theirs}: leave out that of the barostat"
+                f"barostat and thermostat must have the same temperature; they have {own} and {theirs}: leave out that "
+                "of the barostat"
             )
         found: Any = theirs if own is None else own
         return float(found)
@@ -126,16 +132,21 @@ class CellRescaling:
     def apply(self, method: Splitting, noise_number: int, bath: Bath, forces_follow: Callable[[], None]) -> None:
         """Strain the whole scene once; its forces, energy and virial must be current.
 
-        noise_number : selects the noise.  forces_follow : called after cell and positions have changed, to make forces, energy and virial current.
+        noise_number : selects the noise.  forces_follow : called after cell and positions have changed, to make forces,
+            energy and virial current.
 
-        Raises RangeError if the strain is too large, or if nothing holds the cell together any more.  ValueError if there is no virial.
+        Raises RangeError if the strain is too large, or if nothing holds the cell together any more.
+        ValueError if there is no virial.
         """
         duration, thermal = self.barostat.every * method.timestep, self._system.units.k_B * self.temperature(method)
         before = self._thermodynamic_state(thermal, bath)
         strain = self.barostat.strain(before, duration, noise_number)
         largest = float(np.abs(strain).max())
         if not largest <= LARGEST_STRAIN:
-            why = f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {self.barostat.pressure:.3g} {self._system.units.pressure}"
+            why = (
+                f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {self.barostat.pressure:.3g} "
+                f"{self._system.units.pressure}"
+            )
             cure = "equilibrate first, take a longer relaxation_time, or look at the unit of the pressure"
             raise RangeError(f"the barostat would strain the cell by {largest:.1e} at once ({why}): {cure}")
         if self.barostat.pressure <= 0.0 and before.volume > EVAPORATED * self._first_volume:
@@ -148,20 +159,25 @@ class CellRescaling:
     def _growth(self, state: ThermodynamicState) -> str:
         volume, pressure = self._system.units.volume, self._system.units.pressure
         grown = f"the cell has grown from {self._first_volume:.4g} to {state.volume:.4g} {volume}"
-        why = f"at pressure {self.barostat.pressure:.3g} {pressure} there is no gas at rest, and what was dense has evaporated"
+        why = (
+            f"at pressure {self.barostat.pressure:.3g} {pressure} there is no gas at rest, and what was dense has "
+            "evaporated"
+        )
         return f"{grown}: {why}; take a pressure above zero, at which the atoms stay together, or a lower temperature"
 
     def _thermodynamic_state(self, thermal: float, bath: Bath, back: Array | None = None) -> ThermodynamicState:
         """The present state.  back : (3, 3) rotation applied to its tensors.
 
-        If the total momentum is constant, it is no part of the thermal motion, and its degrees of freedom contribute k_B T/V to the pressure.
+        If the total momentum is constant, it is no part of the thermal motion,
+        and its degrees of freedom contribute k_B T/V to the pressure.
         """
         system, volume = self._system, float(self._system.volume or 0.0)
         moving, masses = system.velocities, system.masses
         virial = self._interactions.virial
         if not np.isfinite(virial).all() and np.isfinite(self._interactions.forces).all():
             raise ValueError(
-                "a barostat needs the virial, but a potential gives none: take one that does, such as a calculator with a stress"
+                "a barostat needs the virial, but a potential gives none: take one that does, such as a calculator "
+                "with a stress"
             )
         if self._molecules is not None:
             virial = virial - self._inner_virial()
@@ -175,14 +191,16 @@ class CellRescaling:
         return ThermodynamicState(tensor / volume, volume, energy, thermal)
 
     def _inner_virial(self) -> Array:
-        """Σ (r − R) ⊗ F [energy], (3, 3): the virial of atoms minus that of molecules, to which rigid bonds do not contribute."""
+        """Σ (r − R) ⊗ F [energy], (3, 3): the virial of atoms minus that of molecules,
+        to which rigid bonds do not contribute."""
         molecules: Any = self._molecules
         whole = self._system.positions + molecules.whole(self._constraints.bonds)
         inner = whole - molecules.centers(whole)[molecules.bodies.label]
         return np.einsum("ia,ib->ab", inner, self._interactions.forces)
 
     def _move(self, stretch: Array, bath: Bath) -> Array | None:
-        """Strain cell, positions and velocities by a symmetric (3, 3) matrix; returns the rotation that followed, or None."""
+        """Strain cell, positions and velocities by a symmetric (3, 3) matrix; returns the rotation that followed,
+        or None."""
         system, before, rotation = self._system, self._system.cell, None
         vectors = before.vectors @ stretch
         if self.barostat.coupling == "triclinic":
@@ -226,7 +244,8 @@ def rescaling_of(
     method: Splitting,
     holds_center: bool,
 ) -> CellRescaling | None:
-    """A barostat acting on the parts of an engine, or None without one.  Raises TypeError for any other object, and ValueError as CellRescaling."""
+    """A barostat acting on the parts of an engine, or None without one.  Raises TypeError for any other object,
+    and ValueError as CellRescaling."""
     if barostat is None:
         return None
     if not isinstance(barostat, StochasticCellRescaling):
@@ -247,11 +266,13 @@ def check(system: System, interactions: Forces, constraints: ConstraintSet) -> N
         )
     if interactions.act_from_outside:
         raise ValueError(
-            "a barostat needs the virial of all forces, but external forces, such as fields and walls, have none: remove them"
+            "a barostat needs the virial of all forces, but external forces, such as fields and walls, have none: "
+            "remove them"
         )
     if interactions.options.precision == FIXED_POINT:
         raise ValueError(
-            "precision='fixed-point' needs a constant cell, whose vectors lie on its grid; with a barostat take precision='double'"
+            "precision='fixed-point' needs a constant cell, whose vectors lie on its grid; with a barostat take "
+            "precision='double'"
         )
 
 
@@ -259,5 +280,6 @@ def check_cell(system: System) -> None:
     """Raise ValueError for a cell without a volume."""
     if system.volume is None:
         raise ValueError(
-            f"a barostat needs a cell that is periodic in all three directions (for a slab, with empty space); pbc = {system.cell.pbc.tolist()}"
+            "a barostat needs a cell that is periodic in all three directions (for a slab, with empty space); pbc = "
+            f"{system.cell.pbc.tolist()}"
         )

@@ -19,5 +19,8 @@ def check_center(is_held: bool, stays: bool, method: Splitting) -> None:
         return
     cause = "a force from outside or a fixed atom moves the center of mass: remove one of them"
     if not method.conserves_momentum:
-        cause = f"{method.name} moves the center of mass: take StochasticVelocityRescaling or minimd.ase.Langevin, or remove FixCom"
+        cause = (
+            f"{method.name} moves the center of mass: take StochasticVelocityRescaling or minimd.ase.Langevin, or "
+            "remove FixCom"
+        )
     raise ValueError(f"atoms.constraints holds FixCom, but {cause}")

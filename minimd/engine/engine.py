@@ -1,4 +1,7 @@
-"""The engine: one system, its forces, its constraints and one method. It advances the state, and can go back to an earlier one."""
+"""The engine: one system, its forces, its constraints and one method.
+
+It advances the state, and can go back to an earlier one.
+"""
 
 import zlib
 from collections.abc import Iterator, Sequence
@@ -33,13 +36,17 @@ class Engine:
     """One system, its forces, its constraints and one method; see Simulation for the parameters.
 
     system : System, the state; its arrays can be changed.  step : number of steps made.  time : [time].
-    interactions : Forces, the sum of all terms.  constraint_set : ConstraintSet.  surroundings : Surroundings of the method.
-    noise_shift : step n has the noise with number n + noise_shift.  extra_observables : names of additional observables.
-    is_whole : whether a checkpoint has the bits of the run; false after a failure, when an earlier state was restored, but not its lists.
+    interactions : Forces, the sum of all terms.  constraint_set : ConstraintSet.  surroundings :
+        Surroundings of the method.
+    noise_shift : step n has the noise with number n + noise_shift.  extra_observables :
+        names of additional observables.
+    is_whole : whether a checkpoint has the bits of the run; false after a failure, when an earlier state was restored,
+        but not its lists.
     holds_center : whether the center of mass must not move, because atoms with FixCom of ASE were given.
     counts_center : whether it counts as a degree of freedom although nothing moves it, as in ASE's dynamics.
     barostat : StochasticCellRescaling, or None.
-    equilibrated : steps of equilibrations so far: none of them has the noise of another.  notes : title and scene, texts for files.
+    equilibrated : steps of equilibrations so far: none of them has the noise of another.  notes : title and scene,
+        texts for files.
     """
 
     def __init__(
@@ -86,7 +93,8 @@ class Engine:
         return GridState(*parts, impulses=interactions.impulses, bodies=bodies)
 
     def _fit_grid(self) -> None:
-        """In fixed-point arithmetic, after the state was changed: larger steps of the grid if it needs them, and the state rounded to it."""
+        """In fixed-point arithmetic, after the state was changed: larger steps of the grid if it needs them,
+        and the state rounded to it."""
         interactions, state = self.interactions, self._state
         if interactions.grid is None or not isinstance(state, GridState):
             return
@@ -107,11 +115,14 @@ class Engine:
         interactions.unit = state.unit = self.method.units([kick])[kick] * self.method.timestep
 
     def advance(self, n_steps: int, with_energy: bool = True) -> int:
-        """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many. step and time stay as they are.
+        """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many.
+
+        step and time stay as they are.
 
         Blocks of any size have the same bits as one, if nothing is changed in between.
 
-        Raises NonFiniteError, ConstraintError if a step fails; the state is then invalid, and a snapshot must be restored.
+        Raises NonFiniteError, ConstraintError if a step fails; the state is then invalid,
+        and a snapshot must be restored.
         """
         rescaling, step, end = self._rescaling, self.step, self.step + n_steps
         while step < end:
@@ -152,7 +163,8 @@ class Engine:
         self.surroundings.power = self.interactions.power
 
     def begin(self) -> None:
-        """Prepare a run from the present state: choose images of rigid bonds, project onto the constraints, mark the forces as outdated."""
+        """Prepare a run from the present state: choose images of rigid bonds, project onto the constraints,
+        mark the forces as outdated."""
         self.moved()
         self.is_whole = True
         self._describe_bath()
@@ -170,7 +182,8 @@ class Engine:
         self.surroundings.open_end, self._left = None, None
 
     def catch_up(self) -> None:
-        """If anything was changed since leave, mark the forces as outdated and choose the images of rigid bonds again."""
+        """If anything was changed since leave, mark the forces as outdated and choose the
+        images of rigid bonds again."""
         if not self.is_as_left:
             self.moved()
             self.fit_images()
@@ -190,7 +203,8 @@ class Engine:
         return tuple(zlib.crc32(np.ascontiguousarray(array).data) for array in arrays)
 
     def evaluate(self) -> None:
-        """Compute forces, energy and virial, unless they are current; this does not change the bits of the steps to come."""
+        """Compute forces, energy and virial, unless they are current;
+        this does not change the bits of the steps to come."""
         self._evaluate(self.step)
 
     def _evaluate(self, step: int) -> None:
@@ -273,7 +287,8 @@ class Engine:
         )
 
     def go_on_from(self, checkpoint: Checkpoint) -> None:
-        """Go on in place of the engine of a checkpoint: the next steps have the same bits as the next steps of that engine."""
+        """Go on in place of the engine of a checkpoint:
+        the next steps have the same bits as the next steps of that engine."""
         self.restore(checkpoint.state)
         self._lay(checkpoint.grid)
         self.equilibrated, self.is_whole = checkpoint.equilibrated, True
@@ -338,8 +353,8 @@ class Engine:
     def method(self) -> Splitting:
         """The integrator with its time step; it can be replaced.
 
-        Setting it raises TypeError for anything but a splitting with its time step; ValueError if it leaves no degree of freedom, moves the center
-        of mass of atoms with FixCom, or has another temperature than the barostat.
+        Setting it raises TypeError for anything but a splitting with its time step; ValueError if it leaves no degree
+        of freedom, moves the center of mass of atoms with FixCom, or has another temperature than the barostat.
         """
         return self._method
 
@@ -379,7 +394,8 @@ class Engine:
 
     @property
     def conserves_momentum(self) -> bool:
-        """Whether momentum is constant: no fixed atoms, no force from outside, no bath that acts on each atom, and no counts_center."""
+        """Whether momentum is constant: no fixed atoms, no force from outside, no bath that acts on each atom,
+        and no counts_center."""
         return self._is_still_under(self.method)
 
     def _is_still_under(self, method: Splitting) -> bool:
@@ -388,7 +404,10 @@ class Engine:
 
     @property
     def reservoir_energy(self) -> float:
-        """Energy given to the system by thermostat and barostat since the start [energy]. It is set when a run is resumed."""
+        """Energy given to the system by thermostat and barostat since the start [energy].
+
+        It is set when a run is resumed.
+        """
         return self._bath.energy
 
     @reservoir_energy.setter
@@ -397,7 +416,10 @@ class Engine:
 
     @property
     def work(self) -> float:
-        """Work done on the system since the start by forces that depend on time, ∫ ∂U/∂t dt [energy]. It is set when a run is resumed."""
+        """Work done on the system since the start by forces that depend on time, ∫ ∂U/∂t dt [energy].
+
+        It is set when a run is resumed.
+        """
         return self.surroundings.work
 
     @work.setter

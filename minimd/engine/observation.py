@@ -78,7 +78,8 @@ class Observable:
 
     name : in record and file.  unit : the attribute of UnitSystem that names its unit, empty for a pure number.
     measure : its value, from a Look.  exists : whether it is defined for an engine.
-    demand : for an observable that is recorded only if extra_observables names it: raises ValueError for an engine that cannot have it.
+    demand : for an observable that is recorded only if extra_observables names it:
+        raises ValueError for an engine that cannot have it.
     """
 
     name: str
@@ -104,7 +105,8 @@ def register(observable: Observable) -> None:
         raise ValueError(f"an observable must have a name of its own; {observable.name!r} is already in use")
     if observable.unit and observable.unit not in UnitSystem.__dataclass_fields__:
         raise ValueError(
-            f"the unit of {observable.name} must be empty or an attribute of UnitSystem, such as 'energy'; unit = {observable.unit!r}"
+            f"the unit of {observable.name} must be empty or an attribute of UnitSystem, such as 'energy'; unit = "
+            f"{observable.unit!r}"
         )
     OBSERVABLES[observable.name] = observable
     SERIES[observable.name] = observable.unit
@@ -187,13 +189,15 @@ def observe(engine: Engine) -> Frame:
 
 
 def measure(engine: Engine, name: str) -> Any:
-    """One observable of the present state, evaluated as in observe.  Raises ValueError for a pressure or stress without a volume."""
+    """One observable of the present state, evaluated as in observe.
+    Raises ValueError for a pressure or stress without a volume."""
     engine.evaluate()
     return OBSERVABLES[name].measure(Look(engine))
 
 
 def check_extras(engine: Engine) -> None:
-    """Raise ValueError unless extra_observables of the engine names only observables that can be recorded besides the usual ones."""
+    """Raise ValueError unless extra_observables of the engine names only observables that
+    can be recorded besides the usual ones."""
     names, known = engine.extra_observables, [name for name, one in OBSERVABLES.items() if one.demand is not None]
     if isinstance(names, str) or not set(names) <= set(known):
         raise ValueError(

@@ -28,7 +28,8 @@ class Frame(NamedTuple):
     """The observed state at one step. Arrays are those of the running simulation; copy them to keep their values.
 
     step, time [time].  positions, velocities, forces : (N, 3).  observables : name in SERIES to number or (3,) array;
-    pressure is missing unless the cell has a volume.  reservoir_energy : given by thermostat and barostat since the start [energy].  cell : Cell.
+    pressure is missing unless the cell has a volume.  reservoir_energy :
+    given by thermostat and barostat since the start [energy].  cell : Cell.
     """
 
     step: int
@@ -48,7 +49,8 @@ class Record(Displayed):
     ----------
     step : (T,) int.  time : (T,) [time].
     potential_energy, kinetic_energy, total_energy : (T,) [energy].  temperature : (T,).
-    conserved_energy : (T,) [energy], total energy minus reservoir energy and work, only with a thermostat or a barostat.
+    conserved_energy : (T,) [energy], total energy minus reservoir energy and work,
+        only with a thermostat or a barostat.
     work : (T,) [energy], done since the start by forces that depend on time, ∫ ∂U/∂t dt, only with such forces.
     volume, cell : (T,) [length³], (T, 3, 3) lattice vectors as rows [length], only with a barostat.
     shadow_energy : (T,) [energy], only if asked for: see minimd.shadow_energy.
@@ -93,7 +95,8 @@ class Record(Displayed):
             return np.array(series[name])
         if name == "pressure":
             raise AttributeError(
-                "pressure was not recorded: the cell has no volume; it must be periodic in all three directions, pbc = (True, True, True)"
+                "pressure was not recorded: the cell has no volume; it must be periodic in all three directions, pbc = "
+                "(True, True, True)"
             )
         raise AttributeError(f"a record has no {name!r}; it has {', '.join(series)}")
 
@@ -110,7 +113,8 @@ class Record(Displayed):
         return self.units.time if name == "time" else str(getattr(self.units, SERIES.get(name) or "", ""))
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """All series as columns of numbers, (T,) each: vectors as momentum_x, momentum_y, momentum_z, tensors as stress_xx, stress_xy, …"""
+        """All series as columns of numbers, (T,) each: vectors as momentum_x, momentum_y, momentum_z,
+        tensors as stress_xx, stress_xy, …"""
         made = {}
         for name in self._series:
             series = getattr(self, name)
@@ -137,7 +141,8 @@ class Record(Displayed):
         """Write columns() as text with commas, names in the first line, numbers with all their digits; return the path.
 
         A file or link that is replaced stays until the new one is whole.
-        Raises FileExistsError if the file exists and overwrite is false.  OSError if it cannot be written, or a device would be replaced.
+        Raises FileExistsError if the file exists and overwrite is false.  OSError if it cannot be written,
+        or a device would be replaced.
         """
         columns, path = self.columns(), Path(path)
         place = path.with_name(f"{path.name}.part") if overwrite else path
@@ -156,9 +161,11 @@ class Record(Displayed):
         return place.replace(path)
 
     def plot(self) -> Figure:
-        """A figure of the run: change of the total energy per atom, temperature, change of the momentum, and pressure or potential energy.
+        """A figure of the run: change of the total energy per atom, temperature, change of the momentum,
+        and pressure or potential energy.
 
-        In a notebook it appears in the cell; .savefig(path) writes it to a file.  Raises ValueError if there are no entries.
+        In a notebook it appears in the cell; .savefig(path) writes it to a file.
+        Raises ValueError if there are no entries.
         """
         from minimd.engine.record_picture import picture_of  # matplotlib takes its time to load
 

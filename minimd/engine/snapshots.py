@@ -10,9 +10,11 @@ from minimd.structure.observables import Array
 
 
 class Snapshot(NamedTuple):
-    """A stored state, see Engine.restore.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy].  open_end : see Surroundings.
+    """A stored state, see Engine.restore.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy].
+    open_end : see Surroundings.
 
-    clock : a step and its time, from which the times of other steps are counted.  work : done by forces that depend on time [energy].
+    clock : a step and its time, from which the times of other steps are counted.  work :
+        done by forces that depend on time [energy].
     cell : with a barostat, else None.
     """
 
@@ -28,11 +30,14 @@ class Snapshot(NamedTuple):
 
 
 class Checkpoint(NamedTuple):
-    """All that determines the bits of the steps to come, besides system, potentials, method, constraints and options; see Engine.go_on_from.
+    """All that determines the bits of the steps to come, besides system, potentials, method, constraints and options;
+    see Engine.go_on_from.
 
     state : Snapshot.
-    displacement : of the fastest atom in a step, for which skins were chosen [length].  lists : Built of each list of neighbors.
-    images : (K, 3) lattice vectors of rigid bonds [length], and their tolerance; None without.  equilibrated : of the engine.
+    displacement : of the fastest atom in a step, for which skins were chosen [length].  lists :
+        Built of each list of neighbors.
+    images : (K, 3) lattice vectors of rigid bonds [length], and their tolerance; None without.  equilibrated :
+        of the engine.
     grid : of fixed-point arithmetic; None without.
     """
 

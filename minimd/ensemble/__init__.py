@@ -1,4 +1,5 @@
-"""Many runs: the members of an ensemble are run by any executor, each with its own file; a table holds their averages."""
+"""Many runs: the members of an ensemble are run by any executor, each with its own file;
+a table holds their averages."""
 
 from minimd.ensemble.member import Member
 from minimd.ensemble.running import ensemble

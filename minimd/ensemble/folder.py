@@ -1,11 +1,13 @@
-"""The folder of an ensemble: a description of what was asked for, one line for each member that has ended, and a file for each member.
+"""The folder of an ensemble: a description of what was asked for, one line for each member that has ended,
+and a file for each member.
 
 ensemble.json          seed, steps, every, functions, and the parameters of all members
-members.jsonl          one line for each member that has ended, in the order in which they end; a later line replaces an earlier one
+members.jsonl          a line for each member that has ended, in that order; a later line replaces an earlier one
 0000-0999/0012.h5md    the run of member 12
 table.csv, table.json  the table, written when a call ends
 
-A line is appended when a member ends: 10⁵ members need 10⁵ lines, and a process that is killed loses at most the line that it is writing.
+A line is appended when a member ends: 10⁵ members need 10⁵ lines,
+and a process that is killed loses at most the line that it is writing.
 """
 
 from __future__ import annotations
@@ -46,7 +48,8 @@ NEEDED = {DONE: ("n_steps", "means", "errors"), FAILED: ("message", "traceback")
 
 
 class Asked(NamedTuple):
-    """What was asked for.  seed : entropy of all random numbers.  parameters : of each member.  build, prepare, run : names of functions."""
+    """What was asked for.  seed : entropy of all random numbers.  parameters : of each member.  build, prepare, run :
+    names of functions."""
 
     seed: int
     steps: int
@@ -60,7 +63,8 @@ class Asked(NamedTuple):
 class EnsembleFolder:
     """The folder of an ensemble; if it is opened for writing, it is locked until it is closed.
 
-    path : of the folder.  asked : what the last call asked for, None in a new folder.  rows : of members that have ended, by index.
+    path : of the folder.  asked : what the last call asked for, None in a new folder.  rows :
+        of members that have ended, by index.
     """
 
     def __init__(self, path: Path, *, writes: bool) -> None:
@@ -88,7 +92,8 @@ class EnsembleFolder:
             raise
 
     def begin(self, asked: Asked, resume: bool) -> Asked:
-        """Write the description of what is asked for now, and return it; the parameters of further members from earlier calls are appended.
+        """Write the description of what is asked for now, and return it;
+        the parameters of further members from earlier calls are appended.
 
         resume : True to go on with the members in the folder, False to remove them.
         Raises ValueError if the folder holds another ensemble.
@@ -114,7 +119,8 @@ class EnsembleFolder:
         return asked
 
     def take(self, row: Row) -> None:
-        """Append the row of a member that has ended.  Raises OSError if it cannot be written, such as on a full disk."""
+        """Append the row of a member that has ended.  Raises OSError if it cannot be written,
+        such as on a full disk."""
         self.rows[row["index"]] = row
         try:
             os.lseek(self._lock, 0, os.SEEK_END)
@@ -131,7 +137,8 @@ class EnsembleFolder:
         return self.path.absolute() / file_of(index)
 
     def files(self) -> set[str]:
-        """Names of all files of members, such as 0000-0999/0012.h5md; a thousand files need a single listing of a folder."""
+        """Names of all files of members, such as 0000-0999/0012.h5md;
+        a thousand files need a single listing of a folder."""
         return {f"{place.name}/{name}" for place in self._folders() for name in os.listdir(place)}
 
     def close(self) -> None:
@@ -152,7 +159,8 @@ class EnsembleFolder:
         for place in found:
             if not place.is_dir(follow_symlinks=False):
                 raise OSError(
-                    f"{place.path!r} must be a real folder, for members: it is a link or a file; remove it, or choose another folder"
+                    f"{place.path!r} must be a real folder, for members: it is a link or a file; remove it, or choose "
+                    "another folder"
                 )
         return found
 
@@ -175,18 +183,23 @@ class EnsembleFolder:
             return None
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ValueError(
-                f"{file} is not a description of an ensemble ({type(error).__name__}: {error}); choose another folder, or remove it"
+                f"{file} is not a description of an ensemble ({type(error).__name__}: {error}); choose another folder, "
+                "or remove it"
             ) from None
 
     def _lines(self) -> Iterator[Row]:
-        """Rows of the journal. An incomplete last line comes from a process that was killed; it is removed if the folder is open for writing."""
+        """Rows of the journal.
+
+        An incomplete last line comes from a process that was killed; it is removed if the folder is open for writing.
+        """
         file, whole = self.path / JOURNAL, 0
         with open(file, "rb", opener=regular) as lines:
             while some := lines.readlines(BYTES_AT_ONCE):
                 for row in _rows_in(some):
                     if not _is_sound(row):
                         raise ValueError(
-                            f"{file} is not a journal of members: it has the line {shown(row)}; choose another folder, or remove it"
+                            f"{file} is not a journal of members: it has the line {shown(row)}; choose another folder, "
+                            "or remove it"
                         )
                     yield row
                 whole += sum(map(len, some)) - (0 if some[-1].endswith(b"\n") else len(some[-1]))
@@ -194,7 +207,8 @@ class EnsembleFolder:
             os.ftruncate(self._lock, whole)
 
     def _check_is(self, before: Asked, asked: Asked) -> None:
-        """Raise ValueError unless this is the same ensemble; it may have more members and, without a function run, more steps."""
+        """Raise ValueError unless this is the same ensemble; it may have more members and, without a function run,
+        more steps."""
         for name in ("seed", "every", "build", "prepare", "run"):
             there, here = (value if (value := getattr(one, name)) != "" else None for one in (before, asked))
             self._refuse_unless(there == here, f"{name} = {there} there, {here} here")
@@ -211,12 +225,16 @@ class EnsembleFolder:
     def _refuse_unless(self, is_same: bool, words: str) -> None:
         if not is_same:
             raise ValueError(
-                f"folder {str(self.path)!r} holds another ensemble: {words}; choose another folder, or replace what is there with resume=False"
+                f"folder {str(self.path)!r} holds another ensemble: {words}; choose another folder, or replace what is "
+                "there with resume=False"
             )
 
 
 def _rows_in(lines: list[bytes]) -> list[Row]:
-    """Rows of the complete lines of the journal. If the lines are read in one piece, rows share their names, which halves the memory."""
+    """Rows of the complete lines of the journal.
+
+    If the lines are read in one piece, rows share their names, which halves the memory.
+    """
     whole = [line for line in lines if line.endswith(b"\n")]
     with suppress(ValueError, RecursionError):
         rows: list[Row] = json.loads(b"[%b]" % b",".join(whole))
@@ -256,7 +274,8 @@ def columns_of(parameters: list[dict[str, Value]]) -> dict[str, list[Value]]:
 
 
 def entropy_of(seed: int | None, before: Asked | None) -> int:
-    """The entropy: the seed if given, else that of the folder, else a random one.  Raises ValueError for a seed below 0 or from 2¹²⁸ on."""
+    """The entropy: the seed if given, else that of the folder, else a random one.
+    Raises ValueError for a seed below 0 or from 2¹²⁸ on."""
     if seed is not None:
         return checked_count("seed", seed, 0, ENTROPIES)
     return before.seed if before is not None else secrets.randbits(128)

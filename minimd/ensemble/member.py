@@ -44,7 +44,8 @@ class Member:
 
     @cached_property
     def seed_sequence(self) -> np.random.SeedSequence:
-        """The child of SeedSequence(entropy) with the index of the member; it does not depend on the number of members."""
+        """The child of SeedSequence(entropy) with the index of the member;
+        it does not depend on the number of members."""
         return np.random.SeedSequence(self.entropy, spawn_key=(self.index,))
 
     @property
@@ -53,10 +54,11 @@ class Member:
         return int(self.seed_sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
     def run(self, simulation: Simulation, every: int = 100) -> Record:
-        """For use in the function `run` of an ensemble: make the steps of the member, write its file, and return the record of all its frames.
+        """For use in the function `run` of an ensemble: make the steps of the member, write its file,
+        and return the record of all its frames.
 
-        If an earlier call was stopped before the end, the simulation takes over the state in the file and makes the remaining steps: file and
-        record have the same bits as without the interruption.
+        If an earlier call was stopped before the end, the simulation takes over the state in the file and makes the
+        remaining steps: file and record have the same bits as without the interruption.
 
         every : steps between observations.  Raises as Simulation.run; FileExistsError if it is called twice.
         """
@@ -74,10 +76,11 @@ def file_of(index: int) -> Path:
 
 
 def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
-    """The parameters of each member.  parameters : number of members, columns of values, or one mapping for each member.
+    """The parameters of each member.  parameters : number of members, columns of values,
+    or one mapping for each member.
 
-    Raises ValueError, TypeError for anything else, no members, columns of different lengths, members with different names, values that are
-    neither numbers nor texts, and names that are reserved for columns of the table.
+    Raises ValueError, TypeError for anything else, no members, columns of different lengths, members with different
+    names, values that are neither numbers nor texts, and names that are reserved for columns of the table.
     """
     if isinstance(parameters, Mapping):
         rows = _from_columns(parameters)
@@ -89,8 +92,8 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
         rows = [dict(one) for one in parameters]
     elif isinstance(parameters, Sequence | np.ndarray) or hasattr(parameters, "columns"):
         raise TypeError(
-            "parameters must be the number of members, a dict of columns such as {'temperature': [0.8, 0.9]}, or a list of dicts, one for each "
-            f"member; parameters = {shown(parameters)}"
+            "parameters must be the number of members, a dict of columns such as {'temperature': [0.8, 0.9]}, or a "
+            f"list of dicts, one for each member; parameters = {shown(parameters)}"
         )
     else:
         rows = [{} for _ in range(checked_count("the number of members", parameters, 1, MOST_MEMBERS + 1))]
@@ -99,13 +102,15 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
     for index, row in enumerate(rows):
         if row.keys() != rows[0].keys():
             raise ValueError(
-                f"all members must have the same parameters; member 0 has {listed(rows[0])}, member {index} has {listed(row)}"
+                f"all members must have the same parameters; member 0 has {listed(rows[0])}, member {index} has "
+                f"{listed(row)}"
             )
     for name in rows[0]:
         if not isinstance(name, str) or not name or name in OWN_COLUMNS or name.endswith(OWN_ENDINGS):
             taken = f"{listed(OWN_COLUMNS)}, and must not end in {' or '.join(OWN_ENDINGS)}"
             raise ValueError(
-                f"the name of a parameter must be a text, not one of {taken}: these are columns of the table; it is {shown(name)}"
+                f"the name of a parameter must be a text, not one of {taken}: these are columns of the table; it is "
+                f"{shown(name)}"
             )
     return [{name: _checked_value(name, index, row[name]) for name in rows[0]} for index, row in enumerate(rows)]
 
@@ -120,7 +125,8 @@ def _from_columns(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
     if len(set(lengths.values())) > 1:
         told = ", ".join(f"{name!r} has {length}" for name, length in lengths.items())
         raise ValueError(
-            f"all parameters must have as many values as there are members; {told}. For all combinations of values, give a list of dicts"
+            f"all parameters must have as many values as there are members; {told}. For all combinations of values, "
+            "give a list of dicts"
         )
     return [dict(zip(lists, row, strict=True)) for row in zip(*lists.values(), strict=True)]
 

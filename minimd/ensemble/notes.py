@@ -1,7 +1,7 @@
 """The progress of a member: a note beside its file, kept while the member runs, for `minimd scan --status`.
 
-A thread writes the note every two seconds; members that take less time have none. The process holds a lock on the note as long as it lives:
-a note without a lock was left behind by a process that was killed.
+A thread writes the note every two seconds; members that take less time have none. The process holds a lock on the note
+as long as it lives: a note without a lock was left behind by a process that was killed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ LENGTH = 60  # characters of a note, so that each writing replaces the whole not
 
 
 class Note:
-    """The note of a member.  simulation : of the member.  first : the step at which its run begins.  Both are None before the run begins."""
+    """The note of a member.  simulation : of the member.  first : the step at which its run begins.
+    Both are None before the run begins."""
 
     def __init__(self, member: Member) -> None:
         self._place, self._steps, self._descriptor = note_of(member.file), member.steps, -1
@@ -75,7 +76,8 @@ def note_of(file: Path) -> Path:
 
 
 def read_note(file: Path) -> str:
-    """What the member with this file is doing now; empty if no process runs it, or if it began less than two seconds ago."""
+    """What the member with this file is doing now; empty if no process runs it,
+    or if it began less than two seconds ago."""
     place = note_of(file)
     try:
         with open(place, encoding="utf-8", opener=regular) as note:

@@ -23,7 +23,8 @@ def set_aside(file: Path) -> None:
 
 
 def run_in_file(simulation: Simulation, file: Path, steps: int, every: int) -> Record:
-    """Make the steps of a member, or the remaining ones if it was stopped, and write them to its file; returns the record of all frames.
+    """Make the steps of a member, or the remaining ones if it was stopped, and write them to its file;
+    returns the record of all frames.
 
     To go on, the simulation takes over the state in the file, to the last bit.  Raises as Simulation.run.
     """
@@ -39,7 +40,8 @@ def run_in_file(simulation: Simulation, file: Path, steps: int, every: int) -> R
 
 
 def _taken_up(simulation: Simulation, file: Path) -> int | None:
-    """Take over the last state in a file; returns the first step of its run, or None if there is no file or it is damaged or of another system."""
+    """Take over the last state in a file; returns the first step of its run,
+    or None if there is no file or it is damaged or of another system."""
     from minimd.files.h5md_reader import read_file, verify_frames
 
     if not file.exists():

@@ -71,22 +71,29 @@ def ensemble(
 ) -> EnsembleTable:
     """Make many runs, each with parameters, random numbers and a file of its own; return a table of their averages.
 
-    Members that an earlier call in the same folder has finished are skipped. Those that were stopped before the end go on from their files,
-    with the same bits; those that failed begin anew. The result of a member depends on its index, its parameters and the seed alone.
+    Members that an earlier call in the same folder has finished are skipped. Those that were stopped before the end go
+    on from their files, with the same bits; those that failed begin anew. The result of a member depends on its index,
+    its parameters and the seed alone.
 
     Parameters
     ----------
     build : function of a Member that returns its Simulation. It is called again if a member goes on from its file.
-    parameters : number of members; or columns, such as {"temperature": [0.8, 0.9]}; or a list of dicts, one for each member.
+    parameters : number of members; or columns, such as {"temperature": [0.8, 0.9]}; or a list of dicts,
+        one for each member.
     steps : number of steps of each member.
-    prepare : function of simulation and member, such as an equilibration, called before the first step, but not when a member goes on.
-    run : function of simulation and member that makes the run in place of minimd, and returns a Record, or a dict of numbers, of tuples
-        (mean, error) or of series. A member that was stopped begins anew, unless the function calls member.run, which goes on from the file.
+    prepare : function of simulation and member, such as an equilibration, called before the first step,
+        but not when a member goes on.
+    run : function of simulation and member that makes the run in place of minimd, and returns a Record, or a dict of
+        numbers, of tuples (mean, error) or of series. A member that was stopped begins anew,
+        unless the function calls member.run, which goes on from the file.
     every : steps between observations.
-    executor : any concurrent.futures.Executor, such as client.get_executor() of dask or mpi4py.futures.MPIPoolExecutor(); all its workers
-        must see the folder. If not given, processes are spawned on this machine.
-    workers : number of those processes, one for each core if not given; 0 runs all members in this process, one after the other.
-    seed : entropy of the SeedSequence from which each member gets a child; None for that of the folder, or a random one in a new folder.
+    executor : any concurrent.futures.Executor, such as client.get_executor() of dask or
+        mpi4py.futures.MPIPoolExecutor(); all its workers must see the folder. If not given,
+        processes are spawned on this machine.
+    workers : number of those processes, one for each core if not given; 0 runs all members in this process,
+        one after the other.
+    seed : entropy of the SeedSequence from which each member gets a child; None for that of the folder,
+        or a random one in a new folder.
     folder : for all files; see minimd.ensemble.folder.  resume : False to replace what is in the folder.
     progress : whether to show a bar that counts members, as for Simulation.run.
 
@@ -94,9 +101,12 @@ def ensemble(
 
     Raises
     ------
-    TypeError, ValueError : for wrong arguments, functions that cannot be sent to a process, a folder with another ensemble.
-    EnsembleError, a RuntimeError : if all members fail or cannot be run; if only some fail, a warning and the table say why.
-    KeyboardInterrupt : after Ctrl-C; finished members are kept, and the next call goes on.  OSError : if the folder cannot be written.
+    TypeError, ValueError : for wrong arguments, functions that cannot be sent to a process,
+        a folder with another ensemble.
+    EnsembleError, a RuntimeError : if all members fail or cannot be run; if only some fail,
+        a warning and the table say why.
+    KeyboardInterrupt : after Ctrl-C; finished members are kept, and the next call goes on.  OSError :
+        if the folder cannot be written.
     """
     _check_functions(build=build, prepare=prepare, run=run)
     rows, place = checked_parameters(parameters), Path(folder)
@@ -170,7 +180,8 @@ def _rows(executor: Executor, plan: Plan, jobs: Iterator[tuple[Member, bool]], m
 
 
 def _row_of(future: Future, members: dict[Future, Member]) -> Row:
-    """The row of a member that has ended, also if its worker died.  Raises EnsembleError if members cannot be run, and KeyboardInterrupt."""
+    """The row of a member that has ended, also if its worker died.  Raises EnsembleError if members cannot be run,
+    and KeyboardInterrupt."""
     member = members.pop(future)
     try:
         row: Row = future.result()
@@ -194,7 +205,10 @@ def _row_of(future: Future, members: dict[Future, Member]) -> Row:
 
 @contextmanager
 def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Executor, int]]:
-    """The executor, and how many members it may have at a time. An executor made here is shut down at the end, at once after an error."""
+    """The executor, and how many members it may have at a time.
+
+    An executor made here is shut down at the end, at once after an error.
+    """
     if executor is not None:
         yield executor.get_executor() if hasattr(executor, "get_executor") else executor, MOST_WAITING
     elif n_workers == 0:
@@ -211,10 +225,12 @@ def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Execu
 
 
 def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) -> int:
-    """The number of processes to spawn.  Raises TypeError, ValueError, RuntimeError if executor and functions cannot work together."""
+    """The number of processes to spawn.  Raises TypeError, ValueError,
+    RuntimeError if executor and functions cannot work together."""
     if executor is not None and workers is not None:
         raise ValueError(
-            f"workers is the number of minimd's own processes; with an executor leave it out; workers = {shown(workers)}"
+            "workers is the number of minimd's own processes; with an executor leave it out; workers = "
+            f"{shown(workers)}"
         )
     if executor is not None and not callable(getattr(executor, "submit", None)):
         raise TypeError(
@@ -257,8 +273,10 @@ def _check_can_be_sent(plan: Plan) -> None:
             reason = sentence(error)
         if reason:
             raise TypeError(
-                f"{name} cannot be sent to worker processes: {reason}. Define it with def at the top level of a file, and import it if this is a "
-                f"notebook; or pass workers=0 to stay in this process; or use an executor that can send such functions, such as that of dask"
+                f"{name} cannot be sent to worker processes: {reason}. Define it with def at the top level of a file, "
+                "and import it if this is a "
+                "notebook; or pass workers=0 to stay in this process; or use an executor that can send such "
+                "functions, such as that of dask"
             )
 
 

@@ -42,7 +42,10 @@ class Setting(NamedTuple):
 
     def __str__(self) -> str:
         shown = [str(value) for value in self.values]
-        return f"{self.key} = {', '.join(shown if len(shown) <= 12 else [*shown[:6], '...', *shown[-3:]])} ({len(shown)} values)"
+        return (
+            f"{self.key} = {', '.join(shown if len(shown) <= 12 else [*shown[:6], '...', *shown[-3:]])} "
+            f"({len(shown)} values)"
+        )
 
 
 def parsed_setting(text: str) -> Setting:
@@ -79,7 +82,8 @@ def _value(text: str) -> Value:
 
 
 def changed_text(path: Path, text: str, values: Iterable[tuple[str, Value]]) -> str:
-    """The text of a scene with new values; everything else, with the comments, is unchanged.  Raises ValueError for a table that is not in it."""
+    """The text of a scene with new values; everything else, with the comments, is unchanged.
+    Raises ValueError for a table that is not in it."""
     import tomlkit
 
     document = tomlkit.parse(text)
@@ -93,7 +97,8 @@ def changed_text(path: Path, text: str, values: Iterable[tuple[str, Value]]) -> 
                 raise ValueError(f"{path} has no {key!r}: {part!r} is not in it") from None
         if not isinstance(node, dict):
             raise ValueError(
-                f"{path} has no {key!r}: {last!r} must be a key in a table; write an entry of a list as in potential[0].cutoff"
+                f"{path} has no {key!r}: {last!r} must be a key in a table; write an entry of a list as in "
+                "potential[0].cutoff"
             )
         node[last] = value
     return tomlkit.dumps(document)
@@ -135,7 +140,8 @@ def scan_scene(
     progress: bool | None = None,
     tell: Tell = print,
 ) -> EnsembleTable:
-    """Run a scene with all combinations of the settings, each combination `replicas` times with different random numbers.
+    """Run a scene with all combinations of the settings,
+    each combination `replicas` times with different random numbers.
 
     Members are counted replica by replica, so that more replicas can be added later.
 
@@ -163,7 +169,8 @@ def scan_scene(
     kept = place / SCENE
     if resume and kept.exists() and _text(kept) != scene.text:
         raise ValueError(
-            f"folder {str(place)!r} holds a scan of another scene, {kept}; choose another folder with --out, or replace it with --overwrite"
+            f"folder {str(place)!r} holds a scan of another scene, {kept}; choose another folder with --out, or "
+            "replace it with --overwrite"
         )
     place.mkdir(parents=True, exist_ok=True)
     write_whole(kept, scene.text)
@@ -174,7 +181,8 @@ def scan_scene(
     for setting in settings:
         tell(f"set            {setting}")
     tell(
-        f"members        {len(grid) * replicas}, {n_steps} steps each; {replicas} for each set of values; files in {place}"
+        f"members        {len(grid) * replicas}, {n_steps} steps each; {replicas} for each set of values; files in "
+        f"{place}"
     )
     options: dict[str, Any] = {
         "every": scene.sections.output.every,

@@ -47,9 +47,11 @@ class EnsembleTable(Displayed):
 
     Attributes
     ----------
-    array : structured array: index, the parameters, status, n_steps, n_atoms, <name>_mean and <name>_error of each observable, file, message.
-        status is "done", "failed", "begun" (stopped before its end) or "missing". Means are NaN for a member that is not done.
-    folder : of the ensemble.  parameters, observables : names.  units : the UnitSystem of the observables, None if it is not known.
+    array : structured array: index, the parameters, status, n_steps, n_atoms, <name>_mean and <name>_error of each
+        observable, file, message. status is "done", "failed", "begun" (stopped before its end) or "missing".
+        Means are NaN for a member that is not done.
+    folder : of the ensemble.  parameters, observables : names.  units : the UnitSystem of the observables,
+        None if it is not known.
 
     table["pressure_mean"] is a column of the array.
     """
@@ -75,10 +77,11 @@ class EnsembleTable(Displayed):
         return np.asarray(self["status"] == DONE)
 
     def averaged(self) -> NDArray[Any]:
-        """Structured array with a row for each set of parameters: the parameters, the number n_members of members done, their means and errors.
+        """Structured array with a row for each set of parameters: the parameters, the number n_members of members done,
+        their means and errors.
 
-        The error of a mean over M ≥ 2 members is the larger of √(Σ σ²) / M, with the error σ of each member, and the standard error that
-        follows from the scatter of their means. Sets without a member that is done are left out.
+        The error of a mean over M ≥ 2 members is the larger of √(Σ σ²) / M, with the error σ of each member, and the
+        standard error that follows from the scatter of their means. Sets without a member that is done are left out.
         """
         rows = self.array[self.done]
         groups, first = _groups([rows[name] for name in self.parameters], len(rows))
@@ -114,7 +117,8 @@ class EnsembleTable(Displayed):
         return DataFrame({name: self.array[name] for name in self.array.dtype.names or ()}).set_index("index")
 
     def write(self) -> None:
-        """Write table.csv and table.json into the folder; numbers have all their digits, paths are relative to the folder.  Raises OSError."""
+        """Write table.csv and table.json into the folder; numbers have all their digits,
+        paths are relative to the folder.  Raises OSError."""
         columns = {name: self.array[name].tolist() for name in self.array.dtype.names or ()}
         columns["file"] = [
             file_of(index).as_posix() if file else ""
@@ -159,7 +163,8 @@ class EnsembleTable(Displayed):
 
 
 def _limits(means: Floats, errors: Floats) -> str:
-    """The lowest and the highest of the means of several sets of parameters, with their errors where these are known; that of one set."""
+    """The lowest and the highest of the means of several sets of parameters, with their errors where these are known;
+    that of one set."""
     if np.isnan(means).all():
         return "not known"
     lowest, highest = int(np.nanargmin(means)), int(np.nanargmax(means))
@@ -168,7 +173,8 @@ def _limits(means: Floats, errors: Floats) -> str:
 
 
 def _groups(columns: Sequence[NDArray[Any]], n_rows: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The number of the group of each row, (R,), and the first row of each group, (G,), where rows with the same entries are a group.
+    """The number of the group of each row, (R,), and the first row of each group, (G,),
+    where rows with the same entries are a group.
 
     Groups are counted in the order of their first rows.
     """
@@ -240,7 +246,8 @@ def _numbers(rows: Sequence[Row | None], key: str, names: list[str]) -> Floats:
 
 
 def status(folder: Path) -> tuple[EnsembleTable, list[str]]:
-    """The table as it is now, and lines about it.  Raises FileNotFoundError, ValueError for a folder without an ensemble."""
+    """The table as it is now, and lines about it.  Raises FileNotFoundError,
+    ValueError for a folder without an ensemble."""
     with EnsembleFolder(folder, writes=False) as opened:
         if opened.asked is None:
             raise FileNotFoundError(f"folder {str(folder)!r} holds no ensemble: there is no {DESCRIPTION} in it")
@@ -276,7 +283,8 @@ def _progress(file: str, steps: int) -> str:
 
 
 def told_averages(table: EnsembleTable) -> Iterator[str]:
-    """A line of names, then the averages over members with the same parameters, a line for each of the first hundred sets."""
+    """A line of names, then the averages over members with the same parameters,
+    a line for each of the first hundred sets."""
     rows = table.averaged()
     names = [name for name in TOLD if name in table.observables] or list(table.observables)
     units = {name: f" [{table.unit(name)}]" if table.unit(name) else "" for name in names}
@@ -292,20 +300,23 @@ def told_averages(table: EnsembleTable) -> Iterator[str]:
 
 
 def drawn_quantity(table: EnsembleTable, quantity: str | None) -> str:
-    """The observable of the figure: quantity, or if it is None, pressure, else potential energy, else the first.  Raises ValueError."""
+    """The observable of the figure: quantity, or if it is None, pressure, else potential energy, else the first.
+    Raises ValueError."""
     if not table.observables:
         raise ValueError("there is nothing to draw: no member is done yet")
     if quantity is None:
         return next((name for name in DRAWN if name in table.observables), table.observables[0])
     if quantity not in table.observables:
         raise ValueError(
-            f"the quantity must be one of {listed(table.observables)}; it is {quantity!r}{near(quantity, table.observables)}"
+            f"the quantity must be one of {listed(table.observables)}; it is "
+            f"{quantity!r}{near(quantity, table.observables)}"
         )
     return quantity
 
 
 def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure:
-    """One quantity against the first parameter that has several numbers as values, with error bars; a curve for each set of values of the others.
+    """One quantity against the first parameter that has several numbers as values, with error bars;
+    a curve for each set of values of the others.
 
     Raises ValueError if no member is done, or none has such a quantity.
     """
@@ -343,7 +354,8 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
 
 
 def save_picture(table: EnsembleTable, quantity: str | None = None, out: Path | None = None) -> Path:
-    """Save the figure to out, or to a file in the folder named after the quantity.  Raises ValueError as picture_of_scan, OSError."""
+    """Save the figure to out, or to a file in the folder named after the quantity.
+    Raises ValueError as picture_of_scan, OSError."""
     from minimd.analysis.picture import save
 
     place = out or table.folder / f"{drawn_quantity(table, quantity)}.png"

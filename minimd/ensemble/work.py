@@ -28,7 +28,8 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done for every member; see ensemble.  call : unique name of this call; without it dask would return results of an earlier call."""
+    """What is done for every member; see ensemble.  call : unique name of this call;
+    without it dask would return results of an earlier call."""
 
     build: Callable[[Member], Simulation]
     prepare: Callable[[Simulation, Member], Any] | None
@@ -38,7 +39,9 @@ class Plan:
 
 
 def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
-    """Run a member and return its row, which also describes an error. Its simulation has one thread, unless build says otherwise.
+    """Run a member and return its row, which also describes an error.
+
+    Its simulation has one thread, unless build says otherwise.
 
     begins_anew : do not go on from its file, because a run that has blown up would go another way from there.
     Raises KeyboardInterrupt, SystemExit if it is stopped.
@@ -99,7 +102,8 @@ def _crash_file(member: Member) -> Path:
 
 
 def _resumed(file: Path, built: Simulation) -> tuple[Simulation, int] | None:
-    """The simulation in the file of a stopped member, and the first step of its run; None if there is no file, or a damaged one."""
+    """The simulation in the file of a stopped member, and the first step of its run; None if there is no file,
+    or a damaged one."""
     from minimd.files.h5md_reader import read_file
 
     if not file.exists():
@@ -126,7 +130,8 @@ def _described(simulation: Simulation, result: Any, n_steps: int) -> Row:
 def averages_of(result: Any) -> dict[str, tuple[float, float]]:
     """Means and errors, by name, of what the function run returned; none for None.
 
-    result : a Record, or a dict of numbers, of tuples (mean, error) or of series.  Raises TypeError, ValueError for anything else.
+    result : a Record, or a dict of numbers, of tuples (mean, error) or of series.  Raises TypeError,
+        ValueError for anything else.
     """
     if result is None:
         return {}
@@ -136,7 +141,8 @@ def averages_of(result: Any) -> dict[str, tuple[float, float]]:
         }
     if not isinstance(result, Mapping):
         raise TypeError(
-            f"run must return a Record, a dict of numbers, of tuples (mean, error) or of series, or None; it returned {shown(result)}"
+            "run must return a Record, a dict of numbers, of tuples (mean, error) or of series, or None; it returned "
+            f"{shown(result)}"
         )
     averages = {}
     for name, value in result.items():
@@ -147,7 +153,8 @@ def averages_of(result: Any) -> dict[str, tuple[float, float]]:
         array = np.asarray(value)
         if array.dtype.kind not in "biuf" or array.ndim > 1:
             raise TypeError(
-                f"the values in the dict that run returns must be numbers, tuples (mean, error), or series; {name} = {shown(value)}"
+                f"the values in the dict that run returns must be numbers, tuples (mean, error), or series; {name} = "
+                f"{shown(value)}"
             )
         if array.ndim == 0:
             averages[name] = float(array), np.nan

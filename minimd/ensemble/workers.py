@@ -1,7 +1,8 @@
-"""Spawned worker processes, each of which can die without ending the others; and an executor that uses this process only.
+"""Spawned worker processes, each of which can die without ending the others;
+and an executor that uses this process only.
 
-concurrent.futures.ProcessPoolExecutor gives up all members when one of its processes is killed. Here each process has its own pipe and
-thread; if a process dies, its member fails, and the next member gets a new process.
+concurrent.futures.ProcessPoolExecutor gives up all members when one of its processes is killed. Here each process has
+its own pipe and thread; if a process dies, its member fails, and the next member gets a new process.
 """
 
 import multiprocessing
@@ -102,7 +103,8 @@ class Worker:
         return False
 
     def do(self, job: bytes) -> Any:
-        """The result of a pickled job.  Raises what the job raises, WorkerDied if the process dies, CancelledError if it was told to end."""
+        """The result of a pickled job.  Raises what the job raises, WorkerDied if the process dies,
+        CancelledError if it was told to end."""
         try:
             self._pipe.send_bytes(job)
             result, error = pickle.loads(self._pipe.recv_bytes())
@@ -127,7 +129,8 @@ class Worker:
 
 
 def serve(pipe: Any, parent: int) -> None:
-    """Main function of a worker process: it takes jobs from the pipe until the other end is closed, and it ends if its parent ends.
+    """Main function of a worker process: it takes jobs from the pipe until the other end is closed,
+    and it ends if its parent ends.
 
     Ctrl-C is for the parent alone, which then sends SIGTERM.
     """

@@ -1,9 +1,9 @@
 """A claim on an output file: one file, one run.
 
-A claim holds a lock, so that no other run writes the file, neither in another process nor in this one, under any name or link. A new file is
-written under a temporary name, and gets the name that was asked for when its first frame is on the disk: a file that it replaces is kept until
-then, and a run that does not get the claim changes nothing. Temporary names are those of new files, and never followed as links: whoever
-can write to the folder could have put links there.
+A claim holds a lock, so that no other run writes the file, neither in another process nor in this one, under any name
+or link. A new file is written under a temporary name, and gets the name that was asked for when its first frame is on
+the disk: a file that it replaces is kept until then, and a run that does not get the claim changes nothing. Temporary
+names are those of new files, and never followed as links: whoever can write to the folder could have put links there.
 """
 
 import errno
@@ -17,7 +17,10 @@ try:
 except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
-IN_USE = "another run is writing it, or a program has it open; if a universe in this process reads it, close that first: universe.trajectory.close()"
+IN_USE = (
+    "another run is writing it, or a program has it open; if a universe in this process reads it, close that "
+    "first: universe.trajectory.close()"
+)
 NO_LINK = (
     getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 )  # and no waiting for what is a pipe
@@ -29,11 +32,13 @@ class Claim:
 
 
 
-    path : links are followed, as the user gave it.  is_new : begin a new file.  overwrite : a new file may replace one that exists.
+    path : links are followed, as the user gave it.  is_new : begin a new file.  overwrite :
+        a new file may replace one that exists.
     place : where to write: the path, or the temporary name of a new file.  descriptor : of the file, locked.
     replaced : descriptor of the file that will be replaced, locked; −1 if there is none.
 
-    Raises FileExistsError if a new file would replace one and may not.  OSError if another run writes the file, or it is not a regular file.
+    Raises FileExistsError if a new file would replace one and may not.  OSError if another run writes the file,
+    or it is not a regular file.
     """
 
     def __init__(self, path: str | Path, is_new: bool = True, overwrite: bool = False) -> None:
@@ -53,7 +58,8 @@ class Claim:
             raise
 
     def appear(self) -> None:
-        """Give a new file its name, unless it has it already.  Raises FileExistsError if another file took the name meanwhile."""
+        """Give a new file its name, unless it has it already.
+        Raises FileExistsError if another file took the name meanwhile."""
         if not self._is_new:
             return
         os.fsync(self.descriptor)
@@ -76,7 +82,8 @@ class Claim:
 
     @property
     def stream(self) -> Path:
-        """A name under which a library may open the claimed file for writing: it leads there whatever its other names lead to by now."""
+        """A name under which a library may open the claimed file for writing:
+        it leads there whatever its other names lead to by now."""
         own = Path(f"/dev/fd/{self.descriptor}")
         return own if own.exists() else self.place
 
@@ -115,7 +122,9 @@ def locked(path: Path, create: bool = False) -> int:
 
 
 def new_file(path: Path) -> int:
-    """A descriptor of a new and empty regular file, locked. A link in its place is removed, and so is a file that a killed run has left.
+    """A descriptor of a new and empty regular file, locked.
+
+    A link in its place is removed, and so is a file that a killed run has left.
 
     Raises OSError as locked, and if another run is faster.
     """
@@ -135,7 +144,8 @@ def new_file(path: Path) -> int:
 
 
 def write_whole(file: Path, content: str | bytes) -> None:
-    """Write a file under another name, then rename it: nobody sees it half written, and a link is replaced, not followed.
+    """Write a file under another name, then rename it: nobody sees it half written, and a link is replaced,
+    not followed.
 
     Raises OSError with a message.
     """
@@ -184,7 +194,8 @@ def _locked(descriptor: int, path: Path) -> int:
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a process holds the lock of a file; True also where this cannot be found out.  Raises OSError if the file cannot be opened."""
+    """Whether a process holds the lock of a file; True also where this cannot be found out.
+    Raises OSError if the file cannot be opened."""
     descriptor = os.open(path, os.O_RDONLY | NO_LINK)
     try:
         if fcntl is not None:

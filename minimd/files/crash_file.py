@@ -1,6 +1,8 @@
-"""The file that a failed run leaves: an H5MD file with the last good state, an earlier state, and all that a replay needs.
+"""The file that a failed run leaves: an H5MD file with the last good state, an earlier state,
+and all that a replay needs.
 
-frames                 the earlier state and the last good one, with forces and observables; the restart is the last good state
+frames                 the earlier state and the last good one, with forces and observables;
+                       the restart is the last good state
 minimd/crash_report    findings, and the shift of the noise, as JSON
     start              the earlier state to the last bit
 """
@@ -35,9 +37,11 @@ ATOMS = ("first", "second", "pushed", "fastest")  # in findings, by index
 class CrashFile(NamedTuple):
     """The contents of a crash file.
 
-    findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.  method : of the run.
+    findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.  method :
+        of the run.
     precision, skin, noise_shift : of the engine.  judgment : of the run guard.
-    potentials : in words.  scene : text, empty if the run came from a script.  barostat : StochasticCellRescaling, or None.
+    potentials : in words.  scene : text, empty if the run came from a script.  barostat : StochasticCellRescaling,
+        or None.
     """
 
     findings: CrashReport
@@ -54,7 +58,8 @@ class CrashFile(NamedTuple):
 
 
 def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
-    """Where a run leaves its crash file: the path given, or for True beside its first trajectory; None if there is no such place.
+    """Where a run leaves its crash file: the path given, or for True beside its first trajectory;
+    None if there is no such place.
 
     Raises ValueError for the path of a trajectory, which the crash file would replace.
     """
@@ -64,14 +69,16 @@ def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path |
     [place] = named_files("crash_report", [crash_report])
     if place.resolve() in [file.resolve() for file in several]:
         raise ValueError(
-            f"crash_report must be a file of its own; {str(crash_report)!r} is a trajectory of the run: choose another name"
+            f"crash_report must be a file of its own; {str(crash_report)!r} is a trajectory of the run: choose another "
+            "name"
         )
     return place
 
 
 @contextmanager
 def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iterator[None]:
-    """If a run fails, write its crash file and name it in the error; unless overwrite, an existing file is kept and the new one gets a number."""
+    """If a run fails, write its crash file and name it in the error; unless overwrite,
+    an existing file is kept and the new one gets a number."""
     try:
         yield
     except (NonFiniteError, ConstraintError) as error:
@@ -141,7 +148,8 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
 
 
 def is_crash_file(path: str | Path) -> bool:
-    """Whether a file is a crash file.  Raises FileNotFoundError, OSError, ValueError as minimd.files.h5md_opening.opened."""
+    """Whether a file is a crash file.  Raises FileNotFoundError, OSError,
+    ValueError as minimd.files.h5md_opening.opened."""
     from minimd.files.h5md_opening import opened
 
     with opened(path) as h5:
@@ -149,7 +157,8 @@ def is_crash_file(path: str | Path) -> bool:
 
 
 def read_crash_report(path: str | Path) -> CrashFile:
-    """The contents of a crash file.  Raises FileNotFoundError, OSError, ValueError as read_file, and ValueError for another file of minimd."""
+    """The contents of a crash file.  Raises FileNotFoundError, OSError, ValueError as read_file,
+    and ValueError for another file of minimd."""
     from minimd.files.h5md_opening import damage_told, opened
     from minimd.files.h5md_reader import read_file
     from minimd.files.h5md_restart import read_group, unflattened
@@ -191,7 +200,8 @@ def _printable(found: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_types(part: Any, n_atoms: int) -> None:
-    """Raise ValueError unless all values of a part of the findings are of the types that it declares, and its atoms are among n_atoms."""
+    """Raise ValueError unless all values of a part of the findings are of the types that it declares,
+    and its atoms are among n_atoms."""
     for name, declared in get_type_hints(type(part)).items() if part else ():
         value, kinds = getattr(part, name), get_args(declared) or (declared,)
         is_in_range = (

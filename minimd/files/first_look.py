@@ -1,4 +1,5 @@
-"""A first look at a file, in a child process: on damaged bytes HDF5 may crash, or never end, and its process with it."""
+"""A first look at a file, in a child process: on damaged bytes HDF5 may crash, or never end,
+and its process with it."""
 
 import ctypes
 import faulthandler
@@ -80,7 +81,8 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
             answer = (
                 None,
                 OSError(
-                    f"file {str(path)!r} is damaged: to read it takes more memory than {MEMORY / 1e9:.2g} GB; copy it, or run, again"
+                    f"file {str(path)!r} is damaged: to read it takes more memory than {MEMORY / 1e9:.2g} GB; copy it, "
+                    "or run, again"
                 ),
             )
         except Exception as error:
@@ -93,7 +95,8 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
 
 
 def end_with(parent: int, number: int = signal.SIGKILL) -> None:
-    """On Linux, let this process get the signal when its parent dies: otherwise the locks of the parent would live on in it."""
+    """On Linux, let this process get the signal when its parent dies:
+    otherwise the locks of the parent would live on in it."""
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(number))
@@ -102,7 +105,8 @@ def end_with(parent: int, number: int = signal.SIGKILL) -> None:
 
 
 def _limit(n_bytes: int) -> None:
-    """Limit processor time and memory of this process to what a file of n_bytes may take, and let it leave no core file."""
+    """Limit processor time and memory of this process to what a file of n_bytes may take,
+    and let it leave no core file."""
     import resource  # a system without fork does not have this module
 
     limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: SECONDS + n_bytes // BYTES_PER_SECOND}

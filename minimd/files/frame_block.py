@@ -1,4 +1,5 @@
-"""Frames that wait to be written, in memory that is reused: allocating new memory would take longer than copying the frames."""
+"""Frames that wait to be written, in memory that is reused:
+allocating new memory would take longer than copying the frames."""
 
 import numpy as np
 

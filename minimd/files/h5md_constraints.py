@@ -1,4 +1,5 @@
-"""Constraints in a minimd file: the atoms and lengths that a run holds fixed, and how those of file and simulation differ.
+"""Constraints in a minimd file: the atoms and lengths that a run holds fixed,
+and how those of file and simulation differ.
 
 minimd/constraints    pairs (K, 2), their lengths (K,), with the attributes tolerance and solver; fixed (F,) atoms
 
@@ -43,7 +44,8 @@ def read_constraints(group: h5py.Group) -> tuple[Constraint, ...]:
 
 
 def difference(file: Sequence[Constraint], simulation: Sequence[Constraint], positions: NDArray[np.float64]) -> str:
-    """The first difference between the constraints of file and simulation, in words; empty if they agree within tolerance and rounding.
+    """The first difference between the constraints of file and simulation, in words;
+    empty if they agree within tolerance and rounding.
 
     positions : (N, 3) [length]; the largest coordinate sets the rounding of lengths that were measured in positions.
     """
@@ -75,7 +77,10 @@ def _difference_of_lengths(
             return f"the length of atoms {i}-{j} is {length:.17g} in the file and {ours[i, j]:.17g} in the simulation"
     for name in ("tolerance", "solver"):
         if getattr(file, name) != getattr(simulation, name):
-            return f"the {name} of lengths is {getattr(file, name)!r} in the file and {getattr(simulation, name)!r} in the simulation"
+            return (
+                f"the {name} of lengths is {getattr(file, name)!r} in the file and {getattr(simulation, name)!r} in "
+                "the simulation"
+            )
     return ""
 
 

@@ -1,9 +1,10 @@
 """Checksums in a minimd file, which show whether its numbers are those that were written.
 
-minimd/blocks             (B, 2) a row for each block of frames: the number of frames up to its end, and the CRC-32 of the block;
-                          the attribute series names the datasets that grow with the frames
+minimd/blocks             (B, 2) a row for each block of frames: the number of frames up to its end, and the CRC-32 of
+                          the block; the attribute series names the datasets that grow with the frames
 minimd/restart, ...       see h5md_restart
-minimd, attribute digest  the CRC-32 of everything that does not change: names, types, attributes, and arrays that do not grow
+minimd, attribute digest  the CRC-32 of everything that does not change: names, types, attributes, and arrays
+                          that do not grow
 
 Types are part of every checksum: the same bytes in another order are other numbers.
 """
@@ -27,7 +28,8 @@ FIXED = (
 
 
 def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> None:
-    """Append the row of a block: n_frames frames are now in the file; entries : of the frames of the block, by the paths of their series."""
+    """Append the row of a block: n_frames frames are now in the file; entries : of the frames of the block,
+    by the paths of their series."""
     if BLOCKS not in h5:
         h5.create_dataset(BLOCKS, (0, 2), np.int64, maxshape=(None, 2), chunks=(64, 2)).attrs["series"] = sorted(
             entries

@@ -1,11 +1,13 @@
 """Observers in a minimd file: their arguments, their state at each restart, and their results at the end of a run.
 
-minimd/observers/<name>             attributes kind and arguments (JSON); at the end of a run the result: a dataset for each series and for its
-                                    standard error, and single numbers as attributes, in the units of the simulation (attribute units)
+minimd/observers/<name>             attributes kind and arguments (JSON); at the end of a run the result: a dataset
+                                    for each series and for its standard error, and single numbers as attributes,
+                                    in the units of the simulation (attribute units)
 minimd/restart/observer.<name>.*    the arrays of its state, together with the restart to which they belong
 
-H5MD keeps averages that do not depend on time as groups in observables. The reader of MDAnalysis takes everything there for series with an
-entry for each frame, and refuses a file in which that is not so. Therefore minimd keeps them in its own group.
+H5MD keeps averages that do not depend on time as groups in observables. The reader of MDAnalysis takes everything there
+for series with an entry for each frame, and refuses a file in which that is not so.
+Therefore minimd keeps them in its own group.
 """
 
 import json
@@ -41,8 +43,8 @@ def states_of(observers: Sequence[Accumulator]) -> dict[str, np.ndarray]:
 def restore_observers(h5: h5py.File, file: str | Path, observers: Sequence[Accumulator]) -> None:
     """Give observers that have not looked yet the state that the file holds for them.
 
-    Raises ValueError if the file holds an observer of the same name with other arguments, or in a state of another convention. Warns of
-    observers in the file that the run does not have.
+    Raises ValueError if the file holds an observer of the same name with other arguments, or in a state of another
+    convention. Warns of observers in the file that the run does not have.
     """
     known = h5.get(GROUP, {})
     states = _states(arrays_of_restart(h5)) if len(known) else {}
@@ -50,13 +52,15 @@ def restore_observers(h5: h5py.File, file: str | Path, observers: Sequence[Accum
         if one.name in known:
             if (was := json.loads(known[one.name].attrs["arguments"])) != json.loads(json.dumps(one.made_with())):
                 raise ValueError(
-                    f"file {str(file)!r} holds the observer {one.name} with the arguments {was}; use the same arguments, or pass another name="
+                    f"file {str(file)!r} holds the observer {one.name} with the arguments {was}; use the same "
+                    "arguments, or pass another name="
                 )
             if not one.n_looks:
                 one.restore(states.get(one.name, {}))
     if left := set(known) - {one.name for one in observers}:
         warnings.warn(
-            f"file {str(file)!r} holds {listed(sorted(left))}, which this run does not go on with; to go on with them, pass observers=",
+            f"file {str(file)!r} holds {listed(sorted(left))}, which this run does not go on with; to go on with them, "
+            "pass observers=",
             stacklevel=outside_minimd(),
         )
 
@@ -90,12 +94,14 @@ def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
 
 
 def lack_results(h5: h5py.File, observers: Mapping[str, Accumulator]) -> bool:
-    """Whether observers have looked since their results were written, as in a killed run.  observers : as observers_of."""
+    """Whether observers have looked since their results were written, as in a killed run.  observers :
+    as observers_of."""
     return any(one.n_looks > h5[f"{GROUP}/{name}"].attrs.get("n_looks", 0) for name, one in observers.items())
 
 
 def observers_of(h5: h5py.File) -> dict[str, Accumulator]:
-    """The observers in an open file, by name, in their state at the restart; new ones where the convention of the state is another."""
+    """The observers in an open file, by name, in their state at the restart;
+    new ones where the convention of the state is another."""
     states, found = _states(arrays_of_restart(h5)) if GROUP in h5 else {}, {}
     for name, group in h5.get(GROUP, {}).items():
         arguments: dict[str, Any] = json.loads(group.attrs["arguments"])

@@ -1,7 +1,8 @@
 """The door: every HDF5 file that minimd reads or continues is opened here, and searched before anything in it is read.
 
-HDF5 lets a file lead elsewhere: links may name objects in other files, and the numbers of a dataset may lie in any other file, which is then
-read, or overwritten when a run goes on. A file of minimd consists of groups and plain datasets in itself; all others are refused.
+HDF5 lets a file lead elsewhere: links may name objects in other files, and the numbers of a dataset may lie in any
+other file, which is then read, or overwritten when a run goes on.
+A file of minimd consists of groups and plain datasets in itself; all others are refused.
 """
 
 from collections.abc import Iterator
@@ -32,8 +33,8 @@ DEEPEST = 8  # groups in groups; minimd has 5
 def opened(path: str | Path) -> h5py.File:
     """Open a minimd file for reading. A commit that was interrupted is finished first.
 
-    Raises FileNotFoundError if it does not exist.  ValueError if it is not HDF5, or not written by minimd.  OSError if it is damaged, as
-    admitted, or if a run is writing it.
+    Raises FileNotFoundError if it does not exist.  ValueError if it is not HDF5, or not written by minimd.  OSError if
+    it is damaged, as admitted, or if a run is writing it.
     """
     if not Path(path).is_file():
         raise FileNotFoundError(f"file {str(path)!r} does not exist; give the .h5md file of a run")
@@ -71,7 +72,10 @@ def admitted(h5: h5py.File, path: str | Path) -> h5py.File:
 
 
 def _strange_thing(h5: h5py.File) -> str:
-    """The first thing that minimd does not write, in words; empty if there is none. No link out of the file is followed, and no number read."""
+    """The first thing that minimd does not write, in words; empty if there is none.
+
+    No link out of the file is followed, and no number read.
+    """
     room, seen, groups = h5.id.get_filesize(), {h5o.get_info(h5.id).addr}, [("", h5.id)]
     while groups:
         path, group = groups.pop()

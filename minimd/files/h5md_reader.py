@@ -36,14 +36,19 @@ from minimd.structure.units import SYSTEMS
 class H5MDContents(Displayed):
     """The contents of a minimd file, apart from its frames.
 
-    record : Record, one entry for each frame.  system : System at the restart, to the last bit, with the constraints of the run.
-    restart : Checkpoint.  step, time : int, [time], of the restart.  timestep : [time].  method : its name in integrators.METHODS.
-    barostat : StochasticCellRescaling, or None.  too_long_a_step : the warning of a Report that the time step is too long, or empty.
-    parameters : arguments with which the method can be made again.  precision, skin : of the options.  potentials : in words.
-    reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.  conserves_momentum : whether the run did.
+    record : Record, one entry for each frame.  system : System at the restart, to the last bit,
+        with the constraints of the run.
+    restart : Checkpoint.  step, time : int, [time], of the restart.  timestep : [time].  method :
+        its name in integrators.METHODS.
+    barostat : StochasticCellRescaling, or None.  too_long_a_step :
+        the warning of a Report that the time step is too long, or empty.
+    parameters : arguments with which the method can be made again.  precision, skin : of the options.  potentials :
+        in words.
+    reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.  conserves_momentum :
+        whether the run did.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
-    observers : of minimd.observers, by name, in their state at the restart, see observers_of.  lacks_results : whether they have
-        looked since their results were written.
+    observers : of minimd.observers, by name, in their state at the restart, see observers_of.  lacks_results : whether
+        they have looked since their results were written.
     repaired : a sentence if the newest restart is damaged and the one before it is used; else empty.
     """
 
@@ -90,16 +95,20 @@ class H5MDContents(Displayed):
         """The method with its time step.  Raises ValueError if it is not a method of minimd."""
         if self.method not in METHODS:
             raise ValueError(
-                f"the run was made with the method {self.method!r}, which minimd does not have; pass the method of that run"
+                f"the run was made with the method {self.method!r}, which minimd does not have; pass the method of "
+                "that run"
             )
         made: Any = METHODS[self.method](**self.parameters)
         return made
 
 
 def read_file(path: str | Path) -> H5MDContents:
-    """Read record, restart and description of a minimd file. Checksums of description and restart are verified, those of frames in verify_frames.
+    """Read record, restart and description of a minimd file.
 
-    Raises FileNotFoundError, OSError as opened, and OSError if it is damaged.  ValueError if it is not HDF5, or not written by minimd.
+    Checksums of description and restart are verified, those of frames in verify_frames.
+
+    Raises FileNotFoundError, OSError as opened, and OSError if it is damaged.  ValueError if it is not HDF5,
+    or not written by minimd.
     """
     with opened(path) as h5:
         return contents_of(h5, path)
@@ -159,7 +168,8 @@ def velocities_of(path: str | Path, n_frames: int) -> Iterator[NDArray[np.float6
 
 
 def damage(path: str | Path) -> str:
-    """The frames, or else the restart, of a minimd file that are not as they were written, in words; empty if there are none.
+    """The frames, or else the restart, of a minimd file that are not as they were written, in words;
+    empty if there are none.
 
     The whole file is read in a child process, which damaged bytes may crash.  Raises as read_file.
     """

@@ -1,8 +1,11 @@
-"""The restart in a minimd file: all that the next steps depend on, to the last bit, with a checksum; and the restart before it.
+"""The restart in a minimd file: all that the next steps depend on, to the last bit, with a checksum;
+and the restart before it.
 
-minimd/restart, minimd/earlier_restart    the datasets and attributes of flattened(), the number n_frames of frames, and the digest of them all
+minimd/restart, minimd/earlier_restart    the datasets and attributes of flattened(), the number n_frames of frames, and
+                                          the digest of them all
 
-The older of the two is overwritten, then the two exchange their names: if one is damaged, the run goes on from the other.
+The older of the two is overwritten, then the two exchange their names: if one is damaged,
+the run goes on from the other.
 """
 
 import zlib
@@ -102,7 +105,8 @@ def write_restart(
 
 
 def read_restart(h5: h5py.File) -> tuple[Checkpoint, int, bool]:
-    """The newest restart that is intact, the number of frames in the file at that time, and whether it is the earlier restart.
+    """The newest restart that is intact, the number of frames in the file at that time,
+    and whether it is the earlier restart.
 
     Raises ValueError if both restarts are damaged.
     """
@@ -113,7 +117,8 @@ def read_restart(h5: h5py.File) -> tuple[Checkpoint, int, bool]:
 
 
 def arrays_of_restart(h5: h5py.File) -> dict[str, np.ndarray]:
-    """All arrays of the restart that read_restart finds, with those that are kept with it; none if both restarts are damaged."""
+    """All arrays of the restart that read_restart finds, with those that are kept with it;
+    none if both restarts are damaged."""
     name = next((name for name in (RESTART, EARLIER) if _whole(h5, name) is not None), None)
     return {} if name is None else read_group(h5[name])[0]
 

@@ -4,12 +4,14 @@
     connectivity/bonds      pairs of bonded atoms; likewise angles, dihedrals and impropers, if there are any
     observables/<name>      the numbers of the record, to the last bit, in the units of the simulation
     observables/dt          the time between observations [ps], for each frame: MDAnalysis looks for it only here
-    minimd                  data without a place in H5MD: units, cell, pbc, timestep, method, constraints, exact times, restarts, digests
+    minimd                  data without a place in H5MD: units, cell, pbc, timestep, method, constraints, exact times,
+                            restarts, digests
 
-Numbers in reduced units are written unchanged with the same labels, because MDAnalysis refuses a file without units; the attribute
-units of the group minimd is then "LJ". For MDAnalysis a box with edges is periodic in all directions, and one without edges in none.
-Edges are written if any direction is periodic and the cell has three independent vectors; the attribute pbc says which are periodic.
-P. de Buyl, P. H. Colberg, F. Höfling, Comput. Phys. Commun. 185, 1546 (2014); H5MD 1.1.
+Numbers in reduced units are written unchanged with the same labels, because MDAnalysis refuses a file without units;
+the attribute units of the group minimd is then "LJ". For MDAnalysis a box with edges is periodic in all directions, and
+one without edges in none. Edges are written if any direction is periodic and the cell has three independent vectors;
+the attribute pbc says which are periodic. P. de Buyl, P. H. Colberg, F. Höfling, Comput. Phys. Commun. 185,
+1546 (2014); H5MD 1.1.
 """
 
 import json
@@ -38,11 +40,13 @@ CHUNK_ROWS, FEW_ROWS = (
 LARGEST_ENUMERATION = 1000  # so many labels fit into the header of a dataset, 64 KiB
 TRAJECTORY = "particles/trajectory"
 STEPS, TIMES = f"{TRAJECTORY}/position/step", f"{TRAJECTORY}/position/time"
-SPACING = "dt"  # the name in Timestep.data that MDAnalysis' Timestep.dt reads first; its H5MD reader fills data from observables
+# the name in Timestep.data that MDAnalysis' Timestep.dt reads first; its H5MD reader fills data from observables
+SPACING = "dt"
 
 
 class Column(NamedTuple):
-    """A series of the file: its path, its unit (empty for a pure number, or if it is not known), and the function for its entry for a frame."""
+    """A series of the file: its path, its unit (empty for a pure number, or if it is not known),
+    and the function for its entry for a frame."""
 
     path: str
     unit: str
@@ -100,13 +104,16 @@ def has_edges(cell: Cell) -> bool:
 
 
 def chunk_rows(entry: np.ndarray, n_frames: int | None = None) -> int:
-    """The number of entries in a chunk of a series; a chunk takes its full size on the disk.  n_frames : expected in the file, if known."""
+    """The number of entries in a chunk of a series; a chunk takes its full size on the disk.  n_frames :
+    expected in the file, if known."""
     expected = CHUNK_ROWS if n_frames is None else max(FEW_ROWS, n_frames)
     return int(np.clip(CHUNK_BYTES // entry.nbytes, 1, min(CHUNK_ROWS, expected)))
 
 
 def series_of(h5: h5py.File, column: Column, like: np.ndarray, n_frames: int | None = None) -> h5py.Dataset:
-    """The series of a column; if it does not exist, an empty one for entries like this one. Series of H5MD share one step and one time.
+    """The series of a column; if it does not exist, an empty one for entries like this one.
+
+    Series of H5MD share one step and one time.
 
     n_frames : as for chunk_rows.
     """
@@ -151,7 +158,8 @@ def potentials_in_words(potentials: Sequence[Any]) -> list[str]:
 
 
 def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
-    """How the potentials in a file differ from those with which its run goes on, in words; empty if they are the same."""
+    """How the potentials in a file differ from those with which its run goes on, in words;
+    empty if they are the same."""
     before, now = (
         sorted(re.sub(r" at 0x[0-9a-fA-F]+", "", one) for one in several)
         for several in (stored, potentials_in_words(potentials))
@@ -163,7 +171,8 @@ def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
 
 
 def other_method(name: str, parameters: Mapping[str, Any], precision: str, engine: Engine) -> str:
-    """The method, bath and precision of the last steps in a file beside those with which its run goes on, in words; empty if they are the same."""
+    """The method, bath and precision of the last steps in a file beside those with which its run goes on, in words;
+    empty if they are the same."""
     ours = engine.method.name, json.loads(json.dumps(engine.method.parameters)), engine.interactions.options.precision
     if ours == (name, parameters, precision):
         return ""

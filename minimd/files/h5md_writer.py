@@ -1,8 +1,8 @@
 """One float64 file for a run: trajectory, observables and restart, in the layout of H5MD; see h5md_schema.
 
-Frames are collected in memory for a second, or longer if writing them would take more than 2 % of the time. Then the frames, and the state
-from which the run can go on, are written in one commit of the journaled file: whenever the process is killed, the file holds the frames up
-to a commit, and the restart of that commit.
+Frames are collected in memory for a second, or longer if writing them would take more than 2 % of the time. Then the
+frames, and the state from which the run can go on, are written in one commit of the journaled file: whenever the
+process is killed, the file holds the frames up to a commit, and the restart of that commit.
 """
 
 import signal
@@ -48,10 +48,12 @@ class H5MDWriter:
 
     Its restart is the state of the engine at the last flush, checkpoint or close.
 
-    claim : on the file.  engine : whose frames are written.  store_forces : also write forces.  every : steps between two frames.
+    claim : on the file.  engine : whose frames are written.  store_forces : also write forces.  every :
+        steps between two frames.
     n_frames : number of frames expected, None if it is not known.
     observers : of the run; their state is kept with each restart, and their results are written at the end of the run.
-    bring_others : brings other trajectories to the disk before a restart; the marks that it returns are kept until the end of the run.
+    bring_others : brings other trajectories to the disk before a restart;
+        the marks that it returns are kept until the end of the run.
 
     Raises OSError if the file cannot be created or has no room.
     """
@@ -95,14 +97,14 @@ class H5MDWriter:
     ) -> "H5MDWriter":
         """A writer that continues a file from its restart; frames after the restart are removed.
 
-        Forces are written if the file has them. A frame at the step of the restart is not written twice. Observers that have not looked yet
-        take over the state of those in the file with the same names.
+        Forces are written if the file has them. A frame at the step of the restart is not written twice. Observers that
+        have not looked yet take over the state of those in the file with the same names.
 
         Warns if the steps to come are those of another method, bath or precision.
 
-        Raises ValueError if the file holds another system, other constraints, another barostat or other observables, if it has no forces
-        and store_forces asks for them, or if the simulation is not at the step of the restart.  OSError if the file cannot be written, or is
-        damaged.
+        Raises ValueError if the file holds another system, other constraints, another barostat or other observables, if
+        it has no forces and store_forces asks for them, or if the simulation is not at the step of the restart.
+        OSError if the file cannot be written, or is damaged.
         """
         claim, writer = _claimed(file), cls.__new__(cls)
         try:
@@ -152,7 +154,8 @@ class H5MDWriter:
     def write(self, frame: Frame) -> None:
         """Take one frame, of the present step of the engine; a second frame of the same step is ignored.
 
-        Raises OSError if the file has no room or cannot be written; what it held before stays valid.  ValueError if it is closed.
+        Raises OSError if the file has no room or cannot be written; what it held before stays valid.
+        ValueError if it is closed.
         """
         if not self._h5:
             raise ValueError(f"trajectory {self.claim.name!r} is closed; it cannot take the frame of step {frame.step}")
@@ -168,7 +171,8 @@ class H5MDWriter:
             self.checkpoint()
 
     def checkpoint(self) -> None:
-        """Write all frames, and the present state of the engine as the restart, to the disk.  Raises OSError as write."""
+        """Write all frames, and the present state of the engine as the restart, to the disk.
+        Raises OSError as write."""
         pending = self._pending.entries() if self._pending else {}
         n_frames = self._n_frames + len(pending.get(layout.STEPS, ()))
         if not self._h5 or n_frames == 0:
@@ -194,7 +198,9 @@ class H5MDWriter:
         self._next_flush = now + max(SECONDS_BETWEEN_FLUSHES, MOST_OFTEN * (now - started))
 
     def close(self) -> None:
-        """Write the remaining frames, the restart of the present state and results of observers; close the file. Nothing if it is closed or failed.
+        """Write the remaining frames, the restart of the present state and results of observers; close the file.
+
+        Nothing if it is closed or failed.
 
         Raises OSError if they cannot be written.
         """
@@ -256,7 +262,8 @@ class H5MDWriter:
             self._give_up()
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
             raise OSError(
-                f"trajectory {self.claim.name!r} could not {what}: {reason}; the {self._n_frames} frames before it are valid"
+                f"trajectory {self.claim.name!r} could not {what}: {reason}; the {self._n_frames} frames before it are "
+                "valid"
             ) from error
 
     def _give_up(self) -> None:
@@ -329,16 +336,18 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
     for name, is_same in same.items():
         if not is_same:
             raise ValueError(
-                f"trajectory {str(file)!r} holds another system: {name} of file and simulation differ; write to a new file"
+                f"trajectory {str(file)!r} holds another system: {name} of file and simulation differ; write to a new "
+                "file"
             )
     if held := difference(theirs.constraints, engine.constraints, theirs.positions):
         raise ValueError(
-            f"trajectory {str(file)!r} holds a run with other constraints: {held}; use the constraints of the file, or write to a new file"
+            f"trajectory {str(file)!r} holds a run with other constraints: {held}; use the constraints of the file, or "
+            "write to a new file"
         )
     if engine.step != contents.step:
         raise ValueError(
-            f"trajectory {str(file)!r} continues from step {contents.step}, but the simulation is at step {engine.step}; take the state of the file "
-            "with minimd.Simulation.resume, or write to a new file"
+            f"trajectory {str(file)!r} continues from step {contents.step}, but the simulation is at step "
+            f"{engine.step}; take the state of the file with minimd.Simulation.resume, or write to a new file"
         )
     if engine.barostat != contents.barostat:
         before, now = (
@@ -349,30 +358,34 @@ def _check_continues(file: Path, contents: H5MDContents, engine: Engine, store_f
         )
     if engine.has_bath != ("conserved_energy" in contents.record):
         raise ValueError(
-            f"trajectory {str(file)!r} was written {'without' if engine.method.is_thermostat else 'with'} a thermostat; it cannot be continued "
-            f"with {engine.method.name}: write to a new file"
+            f"trajectory {str(file)!r} was written {'without' if engine.method.is_thermostat else 'with'} a "
+            f"thermostat; it cannot be continued with {engine.method.name}: write to a new file"
         )
     if set(wanted := extras_in(contents.record)) != set(engine.extra_observables):
         raise ValueError(
-            f"trajectory {str(file)!r} was begun with simulation.extra_observables = {wanted}; set the same, or write to a new file"
+            f"trajectory {str(file)!r} was begun with simulation.extra_observables = {wanted}; set the same, or write "
+            "to a new file"
         )
     _check_same_observables(file, contents, recorded(engine))
     if store_forces and not contents.has_forces:
         raise ValueError(
-            f"trajectory {str(file)!r} was begun without forces; continue it without store_forces, or write to a new file"
+            f"trajectory {str(file)!r} was begun without forces; continue it without store_forces, or write to a new "
+            "file"
         )
 
 
 def _check_same_observables(file: Path, contents: H5MDContents, ours: Sequence[str]) -> None:
-    """Raise ValueError unless the run records the observables in the file, because each of them has an entry for every frame."""
+    """Raise ValueError unless the run records the observables in the file,
+    because each of them has an entry for every frame."""
     theirs = [name for name in contents.record.names if name not in ("step", "time")]
     new, missing = ([name for name in one if name not in other] for one, other in ((ours, theirs), (theirs, ours)))
     if new:
         raise ValueError(
-            f"trajectory {str(file)!r} was begun without {listed(new)}, which this run records: a file has the same observables in all frames; "
-            "append before you register others, or write to a new file"
+            f"trajectory {str(file)!r} was begun without {listed(new)}, which this run records: a file has the same "
+            "observables in all frames; append before you register others, or write to a new file"
         )
     if missing:
         raise ValueError(
-            f"trajectory {str(file)!r} holds {listed(missing)}, which this run does not record; register what is missing, or write to a new file"
+            f"trajectory {str(file)!r} holds {listed(missing)}, which this run does not record; register what is "
+            "missing, or write to a new file"
         )

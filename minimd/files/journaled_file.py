@@ -1,7 +1,8 @@
-"""A file that changes in commits: each commit is on the disk as a whole or not at all, whenever the process is killed or the power fails.
+"""A file that changes in commits: each commit is on the disk as a whole or not at all,
+whenever the process is killed or the power fails.
 
-HDF5 updates its tables in place, one after the other; a process that dies in between leaves a file that cannot be opened. Here HDF5 writes
-into memory, and a commit writes this to the disk:
+HDF5 updates its tables in place, one after the other; a process that dies in between leaves a file that cannot be
+opened. Here HDF5 writes into memory, and a commit writes this to the disk:
 
     1  beyond the present end of the file, where nobody reads yet: the new bytes, and behind them a journal of those
        that will replace others, with a checksum of both
@@ -9,8 +10,8 @@ into memory, and a commit writes this to the disk:
     3  the end of the file, which cuts the journal off
 
 A file that ends with a complete journal is repaired by doing 2 and 3 again, however often. An incomplete one is no
-journal: the file is as it was, because HDF5 does not read what is behind its end. The journal is in the file itself: it is
-not lost when the file is moved or copied, and has no name, which a power failure could take away.
+journal: the file is as it was, because HDF5 does not read what is behind its end. The journal is in the file itself: it
+is not lost when the file is moved or copied, and has no name, which a power failure could take away.
 J. Gray, A. Reuter, Transaction Processing (1993), chapter 9.
 """
 
@@ -107,7 +108,8 @@ class JournaledFile:
     def commit(self) -> None:
         """Write to the disk what was written since the last commit, all of it or nothing.
 
-        Raises OSError if there is no room, or the file was removed, replaced or shortened during the run; it is then as it was.
+        Raises OSError if there is no room, or the file was removed, replaced or shortened during the run;
+        it is then as it was.
         """
         descriptor = self._claim.descriptor
         self._check()
@@ -173,7 +175,8 @@ def _finish(descriptor: int) -> bool:
 
 
 def _journal(before: int, size: int, pieces: Pieces, checksum: int) -> bytes:
-    """The journal of a commit.  before, size : of the file before and after it.  checksum : of the new bytes before it."""
+    """The journal of a commit.  before, size : of the file before and after it.  checksum :
+    of the new bytes before it."""
     body = b"".join([PIECE.pack(place, len(data)) + data for place, data in pieces])
     end = END.pack(before, size, len(body), 0, MAGIC)
     return body + END.pack(before, size, len(body), zlib.crc32(end, zlib.crc32(body, checksum)), MAGIC)

@@ -23,14 +23,16 @@ ROOM = 2**18  # bytes that must be free besides those of a frame, for the buffer
 
 
 class MDAnalysisWriter:
-    """Frames to .xtc, .dcd, .trr or .ncdf (.nc) through MDAnalysis: float32, positions unwrapped, Å and ps or reduced numbers.
+    """Frames to .xtc, .dcd, .trr or .ncdf (.nc) through MDAnalysis: float32, positions unwrapped,
+    Å and ps or reduced numbers.
 
     A cell in an orientation that MDAnalysis does not hold is turned, with positions and velocities: see Turn.
 
 
 
-    TRR and NCDF hold velocities; DCD and XTC, whose positions are rounded to 0.001 Å, do not. A DCD file states the time between
-    frames at its beginning; therefore it is begun when the second frame comes, or at the end of a run with one frame.
+    TRR and NCDF hold velocities; DCD and XTC, whose positions are rounded to 0.001 Å, do not. A DCD file states the
+    time between frames at its beginning; therefore it is begun when the second frame comes,
+    or at the end of a run with one frame.
 
     claim : on the file, which gets its name with its first frame.
 

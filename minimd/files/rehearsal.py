@@ -1,4 +1,5 @@
-"""A rehearsal before a file is continued: a child process, which may crash, does in memory what the run will do with the file.
+"""A rehearsal before a file is continued: a child process, which may crash,
+does in memory what the run will do with the file.
 
 Damage that is not noticed in reading, such as a wrong count of links, can crash HDF5 when it writes.
 """

@@ -1,4 +1,5 @@
-"""Structures, and the bonds, angles and dihedrals in them, from files that ASE or MDAnalysis reads; masses of chemical elements."""
+"""Structures, and the bonds, angles and dihedrals in them, from files that ASE or MDAnalysis reads;
+masses of chemical elements."""
 
 import warnings
 from collections.abc import Iterable, Iterator
@@ -46,21 +47,26 @@ def system_from_file(
     units: UnitSystem | None = None,
     bonds: ArrayLike | str | Path | None = "file",
 ) -> System:
-    """The last structure in a file of any format that ASE or MDAnalysis reads, with its bonds, angles, dihedrals and impropers.
+    """The last structure in a file of any format that ASE or MDAnalysis reads, with its bonds, angles,
+    dihedrals and impropers.
 
     Parameters
     ----------
 
 
-    cell, pbc : in place of those of the file, as for System; if only cell is given, the directions with a vector are periodic.
-    format : ASE's name of the format ("lammps-data"), or MDAnalysis' name ("GRO"); if not given, suffix and content decide.
-    units : minimd.units.ASE if not given, or minimd.units.LJ, for which the numbers in the file are taken unchanged. With LJ, masses and
-        velocities are those of the file if it states masses (LAMMPS data, GSD; files of ASE with masses, as minimd writes them); else
-        masses are 1 and velocities 0. A file .h5md of minimd states its units, and is read in no others.
-    bonds : "file" for the bonds, angles and dihedrals in the file; the name of another file that holds them, such as a PSF; pairs of
-        atoms; or None for no bonds, with a warning if the file has some.
+    cell, pbc : in place of those of the file, as for System; if only cell is given,
+        the directions with a vector are periodic.
+    format : ASE's name of the format ("lammps-data"), or MDAnalysis' name ("GRO"); if not given,
+        suffix and content decide.
+    units : minimd.units.ASE if not given, or minimd.units.LJ, for which the numbers in the file are taken unchanged.
+        With LJ, masses and velocities are those of the file if it states masses (LAMMPS data, GSD; files of ASE with
+        masses, as minimd writes them); else masses are 1 and velocities 0. A file .h5md of minimd states its units,
+        and is read in no others.
+    bonds : "file" for the bonds, angles and dihedrals in the file; the name of another file that holds them, such as a
+        PSF; pairs of atoms; or None for no bonds, with a warning if the file has some.
 
-    Species of LAMMPS data are its types, unless units are ASE's and the masses are those of as many chemical elements, to 0.1 %.
+    Species of LAMMPS data are its types, unless units are ASE's and the masses are those of as many chemical elements,
+    to 0.1 %.
 
     Raises
     ------
@@ -73,7 +79,8 @@ def system_from_file(
         system = _system(source, units or ASE, form)
     if isinstance(source, System) and units not in (None, source.units):
         raise ValueError(
-            f"file {str(path)!r} states units = {source.units.name!r}; it cannot be read with units = {units and units.name!r}"
+            f"file {str(path)!r} states units = {source.units.name!r}; it cannot be read with units = "
+            f"{units and units.name!r}"
         )
     if cell is not None or pbc is not None:
         placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
@@ -95,7 +102,10 @@ def system_from_file(
     for name, n_types in found.n_types.items():
         groups = {"bonds": "pairs", "angles": "triples"}.get(name, "quadruples")
         one = f"{'an' if name[0] in 'ai' else 'a'} {name[:-1]} potential"
-        words = f"the {name} of {str(path)!r} are of {n_types} types, which {one} does not distinguish; give it {groups}, or arrays of parameters"
+        words = (
+            f"the {name} of {str(path)!r} are of {n_types} types, which {one} does not distinguish; give it "
+            f"{groups}, or arrays of parameters"
+        )
         warnings.warn(words, stacklevel=outside_minimd())
     return changed(system, **found.groups)
 
@@ -109,7 +119,10 @@ def changed(system: System, **changes: Any) -> System:
 
 
 def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
-    """The System in an .h5md file, a universe for a format of MDAnalysis, else ASE's atoms. With LJ, numbers of LAMMPS data are unchanged."""
+    """The System in an .h5md file, a universe for a format of MDAnalysis, else ASE's atoms.
+
+    With LJ, numbers of LAMMPS data are unchanged.
+    """
     if form is not None and form not in ioformats:
         return _universe(path, form)
     if form is None and path.suffix.lower() == ".h5md":
@@ -129,7 +142,8 @@ def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
 
 
 def _add_impropers(path: Path, atoms: Atoms) -> None:
-    """Add the impropers of LAMMPS data, which ASE does not read, in the form in which ASE adds dihedrals: see structure.joined."""
+    """Add the impropers of LAMMPS data, which ASE does not read, in the form in which ASE adds dihedrals:
+    see structure.joined."""
     from MDAnalysis.topology.LAMMPSParser import DATAParser
 
     with quiet(), DATAParser(str(path)) as parser:
@@ -172,7 +186,8 @@ def _system(source: Any, units: UnitSystem, form: str | None) -> System:
 
 
 def _are_elements(system: System, types: Iterable[str]) -> bool:
-    """Whether the types of LAMMPS data are as many chemical elements, judged by their masses: that of a united atom such as CH₂ differs."""
+    """Whether the types of LAMMPS data are as many chemical elements, judged by their masses:
+    that of a united atom such as CH₂ differs."""
     symbols = set(system.species_names)
     if "X" in symbols or len(symbols) < len(set(types)):
         return False
@@ -195,13 +210,15 @@ def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joi
         positions, found = np.asarray(made.atoms.positions, dtype=np.float64), _joined_of(made)
     if positions.shape != source.positions.shape or np.abs(positions - source.positions).max() > NEAR:
         raise ValueError(
-            f"file {str(path)!r} is read in different orders by ASE and by MDAnalysis, which reads its bonds; give the bonds as pairs"
+            f"file {str(path)!r} is read in different orders by ASE and by MDAnalysis, which reads its bonds; give the "
+            "bonds as pairs"
         )
     return found
 
 
 def _joined_beside(path: Path, n_atoms: int) -> Joined:
-    """The bonds in a file other than that of the atoms.  Raises ValueError if it cannot be read, or has another number of atoms."""
+    """The bonds in a file other than that of the atoms.  Raises ValueError if it cannot be read,
+    or has another number of atoms."""
     with _read_as(path, "bonds", None):
         if SUFFIXES.get(path.suffix.lower()) == LAMMPS:
             atoms = _source(path, LAMMPS, LJ)
@@ -226,8 +243,8 @@ def _joined_of(universe: Any) -> Joined:
 def _tell_unused(path: Path, found: Joined) -> None:
     if found:
         warnings.warn(
-            f'file {str(path)!r} has {found}, which are not used; use them with bonds = "file", in a scene under [structure], '
-            "or leave them out with bonds = []",
+            f'file {str(path)!r} has {found}, which are not used; use them with bonds = "file", in a scene under '
+            "[structure], or leave them out with bonds = []",
             stacklevel=outside_minimd(),
         )
 
@@ -248,7 +265,8 @@ def _read_as(path: Path, what: str, form: str | None) -> Iterator[None]:
             and (label := error.args[0]) not in atomic_numbers
         ):
             reason = (
-                f"{label!r} is not a chemical symbol, which ASE expects in this format; name the atoms X, and give their species to System or in the "
+                f"{label!r} is not a chemical symbol, which ASE expects in this format; name the atoms X, and give "
+                "their species to System or in the "
                 "scene under [structure], or write LAMMPS data, whose types may have any name"
             )
         else:

@@ -35,7 +35,8 @@ class Writer(Protocol):
         """Finish the file, which then is valid with any number of frames."""
 
 
-FORMATS = {  # suffix: module and class of its writer, imported when needed, and the options that it takes besides claim and engine
+# suffix: module and class of its writer, imported when needed, and the options that it takes besides claim and engine
+FORMATS = {
     ".h5md": (
         "minimd.files.h5md_writer",
         "H5MDWriter",
@@ -48,8 +49,9 @@ FORMATS = {  # suffix: module and class of its writer, imported when needed, and
 }
 N_FIRST, N_LAST = 128, 256
 MARK = struct.Struct(f"<QQQ{N_FIRST}s{N_LAST}s")
-"""Of a file beside an H5MD file: inode of the H5MD file; inode and size of the file, its first bytes, in which some formats count frames, and
-its last bytes, in which zeros may be replaced later by places of frames (.traj). Its name follows."""
+"""Of a file beside an H5MD file: inode of the H5MD file; inode and size of the file, its first bytes, in which some
+formats count frames, and its last bytes, in which zeros may be replaced later by places of frames (.traj).
+Its name follows."""
 
 
 @contextmanager
@@ -64,13 +66,15 @@ def open_trajectories(
     n_steps: int | None = None,
     observers: Sequence[Accumulator] = (),
 ) -> Iterator[list[Writer]]:
-    """Writers for several files: all are checked before the first is opened, and closed at the end; if one cannot be opened, none is left behind.
+    """Writers for several files: all are checked before the first is opened, and closed at the end;
+    if one cannot be opened, none is left behind.
 
     every : steps between two frames.  n_steps : of the run, None if it is not known.
-    observers : .h5md files hold their state and results; with append, those that have not looked yet go on from their state in the file.
-    Raises ValueError for a suffix without a writer, a file that is named twice, is not a regular file, or cannot be appended to.
-    FileExistsError for a file that exists, unless overwrite.  FileNotFoundError, PermissionError for a folder that does not exist or cannot
-    be written.  OSError if another run writes the file.
+    observers : .h5md files hold their state and results; with append,
+        those that have not looked yet go on from their state in the file.
+    Raises ValueError for a suffix without a writer, a file that is named twice, is not a regular file, or cannot be
+    appended to. FileExistsError for a file that exists, unless overwrite.  FileNotFoundError, PermissionError for a
+    folder that does not exist or cannot be written.  OSError if another run writes the file.
     """
     several = named_files("trajectory", paths)
     _check_are_different(several)
@@ -119,7 +123,8 @@ def _continued(file: Path, engine: Engine, options: dict[str, Any]) -> Writer:
 
 
 def _cut_others_back(writer: Any) -> None:
-    """Cut the other trajectories of a continued H5MD file to what they were at its restart; warns of what was cut, and what could not be."""
+    """Cut the other trajectories of a continued H5MD file to what they were at its restart; warns of what was cut,
+    and what could not be."""
     told = []
     for mark in writer.marks:
         path = writer.claim.path.parent / Path(os.fsdecode(mark[MARK.size :])).name
@@ -137,9 +142,11 @@ def _cut_others_back(writer: Any) -> None:
 
 
 def _brought_to_disk(writers: list[Writer], claim: Claim) -> list[bytes]:
-    """Bring trajectories to the disk that are not H5MD; returns marks of those beside the claimed H5MD file, for its restart.
+    """Bring trajectories to the disk that are not H5MD; returns marks of those beside the claimed H5MD file,
+    for its restart.
 
-    A kill may leave a part of a frame, which the usual readers refuse; a resumed run cuts off what came after the restart.
+    A kill may leave a part of a frame, which the usual readers refuse;
+    a resumed run cuts off what came after the restart.
 
     Raises OSError for a trajectory that cannot be brought to the disk; it is not tried again.
     """
@@ -194,7 +201,8 @@ def _last_bytes(size: int) -> tuple[int, int]:
 def _appendable(file: Path) -> Path:
     if file.suffix.lower() != ".h5md":
         raise ValueError(
-            f"only .h5md files can be appended to, because they hold the state from which a run goes on; the file is {str(file)!r}"
+            "only .h5md files can be appended to, because they hold the state from which a run goes on; the file is "
+            f"{str(file)!r}"
         )
     return file
 
@@ -205,12 +213,14 @@ def _check_are_different(paths: Sequence[Path]) -> None:
     for path in paths:
         if (first := seen.setdefault(os.path.realpath(path), path)) is not path:
             raise ValueError(
-                f"each trajectory must be a file of its own; {str(first)!r} and {str(path)!r} are the same file: name it once"
+                f"each trajectory must be a file of its own; {str(first)!r} and {str(path)!r} are the same file: name "
+                "it once"
             )
 
 
 def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Path]:
-    """The paths of one file or several.  name : of the argument, for messages.  Raises TypeError for anything that is not a path."""
+    """The paths of one file or several.  name : of the argument, for messages.
+    Raises TypeError for anything that is not a path."""
     several = [paths] if isinstance(paths, str | Path) else paths
     if not isinstance(several, list | tuple) or not all(
         isinstance(path, str | Path) and Path(path).name for path in several

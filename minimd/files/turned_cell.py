@@ -1,7 +1,8 @@
 """Cells as MDAnalysis holds them, by lengths and angles only, and how the frames of a run are turned to fit them.
 
-MDAnalysis places a along x and b in the xy plane. A cell in another orientation is rotated there, and all vectors of its atoms with it. A
-left-handed cell would need a reflection; but −a, −b, −c span the same lattice, have the same lengths and angles, and are right-handed.
+MDAnalysis places a along x and b in the xy plane. A cell in another orientation is rotated there, and all vectors of
+its atoms with it. A left-handed cell would need a reflection; but −a, −b, −c span the same lattice,
+have the same lengths and angles, and are right-handed.
 """
 
 from typing import Any
@@ -21,25 +22,29 @@ FARTHEST = 1.0 + 1e-9  # in lattice vectors: MDAnalysis misses nearest images th
 
 
 class Turn:
-    """The rotation that turns frames of a run so that their cell is oriented as MDAnalysis expects; a transformation for its trajectories.
+    """The rotation that turns frames of a run so that their cell is oriented as MDAnalysis expects;
+    a transformation for its trajectories.
 
         u = MDAnalysis.Universe("melt.psf", "run.h5md", transformations=Turn(system.cell))
 
-    positions, velocities and forces r become r @ R; ts.data["rotation"] is R, and r @ R.T turns back. Other entries of ts.data, such as momenta,
-    are not changed. If the cell changes, in a run with a barostat, the cell of a frame is ts.data["cell"], and R is that of the frame.
+    positions, velocities and forces r become r @ R; ts.data["rotation"] is R, and r @ R.T turns back. Other entries of
+    ts.data, such as momenta, are not changed. If the cell changes, in a run with a barostat,
+    the cell of a frame is ts.data["cell"], and R is that of the frame.
 
     cell : of the run; its vectors must be independent.  to_angstrom : factor for its lengths.
 
     Attributes
     ----------
-    combination : (3, 3) int; the lattice vectors in MDAnalysis are combination @ vectors @ R. It is the unit matrix, or minus that for a
-        left-handed cell; for a cell so skewed that MDAnalysis would miss nearest images, it gives the vectors of the reduced lattice.
+    combination : (3, 3) int; the lattice vectors in MDAnalysis are combination @ vectors @ R. It is the unit matrix, or
+        minus that for a left-handed cell; for a cell so skewed that MDAnalysis would miss nearest images,
+        it gives the vectors of the reduced lattice.
     """
 
     def __init__(self, cell: Cell, to_angstrom: float = 1.0) -> None:
         if not has_edges(cell):
             raise ValueError(
-                f"only a cell with three independent vectors, periodic in some direction, can be turned; cell = {cell!r}"
+                "only a cell with three independent vectors, periodic in some direction, can be turned; cell = "
+                f"{cell!r}"
             )
         self._vectors, self._to_angstrom = cell.vectors, to_angstrom
         self._is_reduced = finds_all_images(cell)
@@ -54,7 +59,8 @@ class Turn:
         )
 
     def of(self, vectors: Array) -> tuple[Array, NDArray[np.float32]]:
-        """R (3, 3), and the lengths and angles in MDAnalysis [Å, °], for a frame with these lattice vectors [length]."""
+        """R (3, 3), and the lengths and angles in MDAnalysis [Å, °],
+        for a frame with these lattice vectors [length]."""
         rotation, triangle = upright(self.combination @ vectors)
         return rotation, triclinic_box(*(triangle * self._to_angstrom))
 
@@ -68,18 +74,22 @@ class Turn:
         return ts
 
     def in_words(self, what: str, way_back: str) -> str:
-        """A sentence on what is done to positions and cell.  what : to which they belong.  way_back : where R is found."""
+        """A sentence on what is done to positions and cell.  what : to which they belong.  way_back :
+        where R is found."""
         rows = np.array2string(self.of(self._vectors)[0], separator=", ", precision=6, suppress_small=True).replace(
             "\n", ""
         )
         reason = ""
         if not self._is_reduced:
-            reason = "; the cell is so skewed that MDAnalysis would miss nearest images, and is replaced by its shortest vectors"
+            reason = (
+                "; the cell is so skewed that MDAnalysis would miss nearest images, and is replaced by its "
+                "shortest vectors"
+            )
         elif self.combination[0, 0] < 0:
             reason = "; the cell is left-handed, and is given as -a, -b, -c, which repeat the same lattice"
         return (
-            f"{what} is turned, because MDAnalysis holds a cell as lengths and angles, with a along x and b in the xy plane: positions, velocities "
-            f"and forces are r @ R, R = {rows}, and r @ R.T turns back{way_back}{reason}"
+            f"{what} is turned, because MDAnalysis holds a cell as lengths and angles, with a along x and b in the xy "
+            f"plane: positions, velocities and forces are r @ R, R = {rows}, and r @ R.T turns back{way_back}{reason}"
         )
 
 
@@ -95,16 +105,17 @@ def as_in_run(ts: Any, vectors: NDArray[Any]) -> Array:
 
 
 def cell_dimensions(cell: Cell, to_angstrom: float) -> NDArray[np.float32] | None:
-    """Lengths and angles of a cell [Å, °], or None if no direction is periodic or the three vectors are not independent."""
+    """Lengths and angles of a cell [Å, °], or None if no direction is periodic or the
+    three vectors are not independent."""
     return triclinic_box(*(cell.vectors * to_angstrom)) if has_edges(cell) else None
 
 
 def finds_all_images(cell: Cell) -> bool:
     """Whether MDAnalysis finds all nearest images in a cell with its vectors as given.
 
-    MDAnalysis brings atoms into the cell, and tries −1, 0 and 1 times each vector. That is enough if no point of the Wigner-Seitz cell, which
-    is nearer to 0 than to any other lattice point, has a fractional coordinate above 1 in magnitude: a linear program. Reduced vectors always
-    fulfill this.
+    MDAnalysis brings atoms into the cell, and tries −1, 0 and 1 times each vector. That is enough if no point of the
+    Wigner-Seitz cell, which is nearer to 0 than to any other lattice point, has a fractional coordinate above 1 in
+    magnitude: a linear program. Reduced vectors always fulfill this.
     """
     if not cell.pbc.all() or np.array_equal(np.abs(cell.reduction), np.eye(3)):
         return True

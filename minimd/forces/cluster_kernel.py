@@ -1,4 +1,5 @@
-"""The kernel of pair laws on the cluster list: the forces of a state, or many kicks and drifts with forces in between, on a pool of threads."""
+"""The kernel of pair laws on the cluster list: the forces of a state, or many kicks and drifts with forces in between,
+on a pool of threads."""
 
 from collections import namedtuple
 
@@ -28,15 +29,18 @@ from minimd.structure.observables import kinetic_energy_of
 
 
 class Loop(namedtuple("Loop", "add prepare work")):
-    """What differs from law to law, which is compiled apart: so that the kernels of this file are the same for all laws.
+    """What differs from law to law, which is compiled apart:
+    so that the kernels of this file are the same for all laws.
 
-    add, prepare : addresses of add_forces_of_laws and, if the loop needs it after a list build, of prepare_loop, else 0.
+    add, prepare : addresses of add_forces_of_laws and, if the loop needs it after a list build, of prepare_loop,
+        else 0.
     work : address of their Work.
     """
 
 
 class Contacts(ByAddress, namedtuple("Contacts", "kept spread duration noise masses before after energy")):
-    """Contacts with a bath, each followed by a drift, after each kick and drift: see Contact in integrators.splitting.state.
+    """Contacts with a bath, each followed by a drift, after each kick and drift:
+    see Contact in integrators.splitting.state.
 
     noise : (n, N, 3), of kick and drift k in row k; n is 0 if there is no bath.  masses : (N,).
     before, after : (N,) output, kinetic energies of the atoms, of the last contact [energy].
@@ -50,10 +54,12 @@ class Atoms(
 ):
     """What moves beside the positions.  velocities : (N, 3) [length/time].  inverse_masses : (N,) [1/mass].
 
-    mass_step : how far apart those of neighboring slots are in own_inverse_masses: 0 if all are the same, so that a vector of them is enough.
-    own_positions, own_velocities, own_inverse_masses : flat, a block for each cluster: the atoms in the order of the clusters. They are read
-        at the start of a Motion and written back at its end. So no two threads write to the same cache line, and vectors of atoms move at a
-        time. In fixed-point arithmetic own_velocities holds momenta, in steps.
+    mass_step : how far apart those of neighboring slots are in own_inverse_masses: 0 if all are the same,
+        so that a vector of them is enough.
+    own_positions, own_velocities, own_inverse_masses : flat, a block for each cluster: the atoms in the order of the
+        clusters. They are read at the start of a Motion and written back at its end. So no two threads write to the
+        same cache line, and vectors of atoms move at a time. In fixed-point arithmetic own_velocities holds momenta,
+        in steps.
     """
 
 
@@ -61,8 +67,10 @@ class Motion(ByAddress, namedtuple("Motion", "steps durations course contacts at
     """Kicks and drifts, each kick after an evaluation of the forces; only an evaluation if none is to be made.
 
     steps : Steps of fixed-point arithmetic, or ().
-    durations : (P, 2, 2) of P kicks and drifts, in turn from the first, and the times of which they are whole multiples [time].
-    course : (2,) int, how many were made before, and how many there are to be in all.  contacts : Contacts.  atoms : Atoms.
+    durations : (P, 2, 2) of P kicks and drifts, in turn from the first,
+        and the times of which they are whole multiples [time].
+    course : (2,) int, how many were made before, and how many there are to be in all.  contacts : Contacts.  atoms :
+        Atoms.
     """
 
 
@@ -73,7 +81,8 @@ MADE, TO_MAKE = 0, 1  # places in a course
 def evaluate_clusters(worker, task, positions, arrays, loop, forces, motion):
     """forces (N, 3) += those of all laws; or, with a Motion that is not at its end, atoms move. Each domain is a chunk.
 
-    Returns how many kicks and drifts were made: fewer than are left if the list is outdated then, or positions are not finite.
+    Returns how many kicks and drifts were made: fewer than are left if the list is outdated then,
+    or positions are not finite.
 
     positions : (N, 3) [length].  arrays : ClusterArrays.  loop : Loop.  motion : Motion.
     """
@@ -128,7 +137,8 @@ def evaluate_clusters(worker, task, positions, arrays, loop, forces, motion):
 
 @scalar
 def _finish(domain, arrays, excess, forces, motion, n_made):
-    """What is done with the forces on the atoms of a domain, once they are whole: they are handed over, or the atoms move. See _move."""
+    """What is done with the forces on the atoms of a domain, once they are whole: they are handed over,
+    or the atoms move. See _move."""
     if moves(motion) == 0:
         _scatter(domain, arrays, excess, forces)
         return True
@@ -222,7 +232,10 @@ def _sum_forces(domain, arrays):
 
 @scalar
 def _excess(arrays, forces):
-    """Σ F / N (x, y, z) in mixed precision, if finite; else 0. The net force of pairs is only rounding; without it momentum is conserved."""
+    """Σ F / N (x, y, z) in mixed precision, if finite; else 0.
+
+    The net force of pairs is only rounding; without it momentum is conserved.
+    """
     net, x, y, z = arrays.memory.net, 0.0, 0.0, 0.0
     for d in range(net.shape[0] if is_mixed(arrays) else 0):
         x, y, z = x + net[d, 0], y + net[d, 1], z + net[d, 2]
@@ -288,7 +301,8 @@ def _move(domain, arrays, excess, motion, n_made):
 
 @scalar
 def _touch(i, place, n_lanes, motion, row):
-    """Contact of atom i with the bath, and its second drift.  place : of its x in its own arrays.  row : of the noise."""
+    """Contact of atom i with the bath, and its second drift.  place : of its x in its own arrays.  row :
+    of the noise."""
     contacts, at, v = motion.contacts, motion.atoms.own_positions, motion.atoms.own_velocities
     mass, y, z = contacts.masses[i], place + n_lanes, place + 2 * n_lanes
     scale = contacts.spread * np.sqrt(motion.atoms.inverse_masses[i])
@@ -314,7 +328,10 @@ def of_cycle(motion, k):
 
 @by_type
 def _moved(velocity, position, force, inverse_mass, flows, steps):
-    """Velocity and position after a kick and a drift.  flows : see of_cycle. In fixed-point arithmetic momentum, and force is an impulse."""
+    """Velocity and position after a kick and a drift.  flows : see of_cycle.
+
+    In fixed-point arithmetic momentum, and force is an impulse.
+    """
     if not is_fixed(steps):
 
         def moved(velocity, position, force, inverse_mass, flows, steps):

@@ -1,7 +1,8 @@
 """The vector loop over clusters: the same pair laws as pair_loop, applied to all lanes of a vector at a time.
 
-Atoms near each other form clusters, of as many as there are lanes; see neighbors.clusters for the picture. A row belongs to one
-atom i and lists the clusters j with atoms within its reach. Lanes that do not count are infinitely far from it, see Memory.far.
+Atoms near each other form clusters, of as many as there are lanes; see neighbors.clusters for the picture. A row
+belongs to one atom i and lists the clusters j with atoms within its reach.
+Lanes that do not count are infinitely far from it, see Memory.far.
 """
 
 import functools
@@ -39,7 +40,8 @@ class ByLane(ByAddress, namedtuple("ByLane", "columns species slots table of_ato
 
 @by_type
 def parameters_of_lanes(source, slot, cluster, lanes):
-    """Parameters of the pairs of the atom in a slot with the lanes of a cluster: numbers, or vectors if species differ."""
+    """Parameters of the pairs of the atom in a slot with the lanes of a cluster: numbers,
+    or vectors if species differ."""
     if source.instance_class is SameForAll:
         return lambda source, slot, cluster, lanes: source.numbers
     return lambda source, slot, cluster, lanes: _loaded(
@@ -58,10 +60,12 @@ def _loaded(columns, start, lanes):
 class Sums(ByAddress, namedtuple("Sums", "forces energies virials lane_sums detail")):
     """The accumulators of the loop.
 
-    forces : flat, a block for each ghost in a window, see Domains.place, of the type of the pair arithmetic [energy/length]; in fixed-point
-        arithmetic int64 impulses.
-    energies : (slots,) and virials : (slots, 6), xx yy zz yz xz xy, of the atoms of the rows with PER_ATOM, else (C,) and (C, 6) of their clusters.
-    lane_sums : flat, LANE_SUMS · n numbers for each ghost of each window: energies and virials of the lanes; empty unless PER_ATOM.
+    forces : flat, a block for each ghost in a window, see Domains.place, of the type of the pair arithmetic
+        [energy/length]; in fixed-point arithmetic int64 impulses.
+    energies : (slots,) and virials : (slots, 6), xx yy zz yz xz xy, of the atoms of the rows with PER_ATOM, else (C,)
+        and (C, 6) of their clusters.
+    lane_sums : flat, LANE_SUMS · n numbers for each ghost of each window: energies and virials of the lanes;
+        empty unless PER_ATOM.
     detail : TOTALS or PER_ATOM, see term.
     """
 
@@ -81,14 +85,16 @@ def with_energy(sums):
 def looks_ahead(vector):
     """Whether the loop computes separations one entry ahead, so that the processor has work while it waits for the law.
 
-    It does with vectors of 512 bits: processors that have them have the 32 registers that this needs, and gain a twentieth.
+    It does with vectors of 512 bits: processors that have them have the 32 registers that this needs,
+    and gain a twentieth.
     """
     answer = vector.lanes * vector.element.bitwidth == 512
     return lambda vector: answer
 
 
 class Work(ByAddress, namedtuple("Work", "laws sums")):
-    """What the loop does.  laws : tuple of pairs, a law type and its parameters, SameForAll or ByLane.  sums : Sums or ForceSums."""
+    """What the loop does.  laws : tuple of pairs, a law type and its parameters, SameForAll or ByLane.  sums :
+    Sums or ForceSums."""
 
 
 @called_kernel
@@ -183,7 +189,8 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
 
 @scalar
 def separations(coordinates, memory, entry, at, lanes):
-    """r_j − r_i = (dx, dy, dz) and r² from a position x, y, z to the lanes of an entry, ∞ for those that do not count [length].
+    """r_j − r_i = (dx, dy, dz) and r² from a position x, y, z to the lanes of an entry,
+    ∞ for those that do not count [length].
 
     coordinates : of the ghosts in the window.
     """
@@ -228,7 +235,8 @@ def as_impulse(f, scale):
 
 @by_type
 def plus_product(f, x, to):
-    """to + f x, lane by lane; where it is of int64, with the product rounded to a whole number, and BIAS added, see without_bias."""
+    """to + f x, lane by lane; where it is of int64, with the product rounded to a whole number, and BIAS added,
+    see without_bias."""
     return (lambda f, x, to: fma(f, x, to)) if to.is_float else lambda f, x, to: to + biased_product(f, x)
 
 
@@ -242,14 +250,16 @@ def without_bias(total, n, lanes):
 
 @kernel
 def prepare_loop(arrays, work):
-    """To be called after a list build, and after each change of the layers in use: what the loop needs beside the list."""
+    """To be called after a list build, and after each change of the layers in use:
+    what the loop needs beside the list."""
     fill_lanes(arrays, work.laws)
     start_sums(arrays, len(work.laws), arrays.memory.first_sum, arrays.memory.forces)
 
 
 @by_type
 def fill_lanes(arrays, laws):
-    """Columns and species of each law with a table, see ByLane, in the slots of all ghosts; unrolled by the compiler."""
+    """Columns and species of each law with a table, see ByLane, in the slots of all ghosts;
+    unrolled by the compiler."""
     if len(laws) == 0:
         return lambda arrays, laws: None
 
@@ -291,7 +301,8 @@ def _fill_columns(columns, table, a, b, p, place):
 
 @by_type
 def start_sums(arrays, n_laws, first_sum, forces):
-    """first_sum (W,) int64 = what sums of forces begin with on each ghost of each window: minus the biases that the rows of n_laws will add."""
+    """first_sum (W,) int64 = what sums of forces begin with on each ghost of each window:
+    minus the biases that the rows of n_laws will add."""
     if isinstance(forces.dtype, types.Float):
         return lambda arrays, n_laws, first_sum, forces: None
 
@@ -332,7 +343,8 @@ def summed_squares(f, to, steps):
 
 @by_type
 def lanes_beyond(size2, limit2):
-    """The lanes, as bits, whose squares are beyond a limit or no numbers; none if limit2 is (), as where nothing is limited."""
+    """The lanes, as bits, whose squares are beyond a limit or no numbers; none if limit2 is (),
+    as where nothing is limited."""
     if not isinstance(limit2, types.Float):
         return lambda size2, limit2: 0
     all_lanes = (1 << size2.lanes) - 1
@@ -359,14 +371,18 @@ def push(forces, ghost, f, separation):
 
 @kernel
 def sum_over_lanes(law, distances2, parameters, lanes):
-    """Σ (u + f) of a law at squared distances [length²], as many as there are lanes: compiles only if the law runs on vectors."""
+    """Σ (u + f) of a law at squared distances [length²], as many as there are lanes:
+    compiles only if the law runs on vectors."""
     u, f = evaluate_law(law, load(distances2, 0, lanes), parameters)
     return total(u) + total(f)
 
 
 @functools.cache
 def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
-    """Whether a law compiles for vectors. Those of minimd do, but for tables; a law of the user's that branches on its arguments does not."""
+    """Whether a law compiles for vectors.
+
+    Those of minimd do, but for tables; a law of the user's that branches on its arguments does not.
+    """
     if reads_table(law):
         return False
     if not is_user_law(law):

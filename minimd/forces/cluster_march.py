@@ -1,4 +1,5 @@
-"""Many steps with all list builds between them as one kernel, which returns to Python when they are made, or when it is needed there."""
+"""Many steps with all list builds between them as one kernel, which returns to Python when they are made,
+or when it is needed there."""
 
 from minimd.compiled.call_by_address import call_at, run_at
 from minimd.compiled.fixed_point import is_fixed
@@ -13,12 +14,15 @@ TASKS_PER_MOVE = 2  # at most: an evaluation with its kick and drift, and a list
 
 @shared_kernel
 def march_clusters(worker, task, evaluate, evaluation, build, building):
-    """Kicks and drifts, all that motion.course asks for, with list builds where they are due; on one thread. Returns the number of list builds.
+    """Kicks and drifts, all that motion.course asks for, with list builds where they are due; on one thread.
 
-    It makes fewer if positions are not finite, if something has left the range of fixed-point arithmetic, or if a list needs more memory;
-    then there is no list, and rows.layers is zero.
+    Returns the number of list builds.
 
-    evaluate, build : addresses of evaluate_clusters and build_clusters.  evaluation, building : their arguments, but for worker and task.
+    It makes fewer if positions are not finite, if something has left the range of fixed-point arithmetic, or if a list
+    needs more memory; then there is no list, and rows.layers is zero.
+
+    evaluate, build : addresses of evaluate_clusters and build_clusters.  evaluation, building : their arguments,
+        but for worker and task.
     """
     positions, arrays, loop, _, motion = evaluation
     course, rows, n_builds = motion.course, arrays.rows, 0

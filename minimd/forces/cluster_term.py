@@ -202,7 +202,8 @@ class ClusterTerm(OwnTerm):
         return self._atoms
 
     def _totals(self) -> Work:
-        """Work with accumulators of each cluster, which are zero, in idle memory; it is kept, because small scenes are observed often."""
+        """Work with accumulators of each cluster, which are zero, in idle memory; it is kept,
+        because small scenes are observed often."""
         n = self.list.n_clusters
         if self._work_of_totals is None or len(self._work_of_totals.sums.energies) != n:
             energies, virials = self.list.idle[:n], self.list.idle[n : 7 * n].reshape(n, 6)

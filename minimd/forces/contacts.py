@@ -1,4 +1,5 @@
-"""The contacts of single atoms: how far away their neighbors are, how strong and how stiff each pair is, and which law gives no finite number."""
+"""The contacts of single atoms: how far away their neighbors are, how strong and how stiff each pair is,
+and which law gives no finite number."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -32,11 +33,15 @@ STEP = 1e-5  # of a central difference, relative to the distance
 class Contact:
     """What one law does to one pair.
 
-    first, second : atoms.  law : name of the potential.  is_bond : whether the pair is bonded.  is_users : whether the law is a user's, or a table.
-    distance : r [length], of the nearest image.  ratio : r/σ, or r/r₀ of a harmonic bond; None if the law has no length of its own.
-    energy, force : u(r), −u′(r) [energy], [energy/length]; positive where the pair repels.  frequency : √(u″/μ) [1/time], None where u″ ≤ 0.
+    first, second : atoms.  law : name of the potential.  is_bond : whether the pair is bonded.  is_users :
+        whether the law is a user's, or a table.
+    distance : r [length], of the nearest image.  ratio : r/σ, or r/r₀ of a harmonic bond;
+        None if the law has no length of its own.
+    energy, force : u(r), −u′(r) [energy], [energy/length]; positive where the pair repels.  frequency : √(u″/μ)
+        [1/time], None where u″ ≤ 0.
     rest_frequency : √(u″/μ) at the minimum [1/time], of Lennard-Jones pairs and harmonic bonds; None of others.
-    sinks : whether the pair attracts, and the energy still falls at half the distance: nothing keeps the two atoms apart.
+    sinks : whether the pair attracts, and the energy still falls at half the distance:
+        nothing keeps the two atoms apart.
     longest : R of a FENE bond [length]; None of others.
     """
 
@@ -101,7 +106,8 @@ Pair = tuple[
 def contacts(
     system: System, potentials: Sequence[Any], inverse_masses: NDArray[np.float64], atoms: Iterable[int]
 ) -> list[Contact]:
-    """The contacts of some atoms with their nearest neighbors, by pair potentials and bonds; other potentials have none.
+    """The contacts of some atoms with their nearest neighbors, by pair potentials and bonds;
+    other potentials have none.
 
     inverse_masses : (N,) [1/mass], zero for atoms held fixed.  atoms : finite in their positions.
     """

@@ -58,7 +58,8 @@ def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potent
 
     Raises
     ------
-    NonFiniteError : if a force or an energy is not finite, as for two atoms at the same place; it names them and the law.
+    NonFiniteError : if a force or an energy is not finite, as for two atoms at the same place;
+        it names them and the law.
     ValueError, TypeError : as Forces.
     """
     system = system if isinstance(system, System) else System.from_ase(system)

@@ -45,7 +45,8 @@ class Forces:
     forces : (N, 3) [energy/length], of the last compute.  terms : those that compute adds up.
     displacement : of the fastest atom in a step, for which skins were chosen [length]; 0 if unknown.
     n_evaluations : calls of compute since the last reset_counts.
-    grid : of fixed-point arithmetic, see lay_grid; None in float64.  impulses : (N, 3) int64 in its steps of momentum, of the last compute.
+    grid : of fixed-point arithmetic, see lay_grid; None in float64.  impulses : (N, 3) int64 in its steps of momentum,
+        of the last compute.
     unit : of time, over which they are computed if compute is given no other [time].
     time : at which forces that depend on it are evaluated [time].
 
@@ -92,7 +93,8 @@ class Forces:
         self._compiled: set[int] = set()  # details that the terms have been computed with
 
     def _is_in_double(self) -> bool:
-        """Whether arithmetic is float64 although fixed-point was asked for: there is no grid if no splitting moves the atoms."""
+        """Whether arithmetic is float64 although fixed-point was asked for:
+        there is no grid if no splitting moves the atoms."""
         return self.grid is None and self.options.precision == FIXED_POINT
 
     def lay_grid(self, grid: Grid) -> None:
@@ -103,7 +105,8 @@ class Forces:
             if not term.fits_grid:
                 kinds = "laws u(r) of pairs and bonds, angles, dihedrals, and fields that stay the same"
                 raise ValueError(
-                    f"precision='fixed-point' is for {kinds}; {type(term).__name__} cannot round its forces: take precision='double'"
+                    f"precision='fixed-point' is for {kinds}; {type(term).__name__} cannot round its forces: take "
+                    "precision='double'"
                 )
 
     def depth(self) -> float:
@@ -125,7 +128,8 @@ class Forces:
                 check_force(potential, self.system, time)
 
     def fit_skin(self, displacement: float) -> None:
-        """Choose the skin anew if the displacement of the fastest atom in a step [length] has changed much, unless the user gave a skin."""
+        """Choose the skin anew if the displacement of the fastest atom in a step [length] has changed much,
+        unless the user gave a skin."""
         if (
             self.options.skin is None
             and not self.displacement / CHANGED_SPEED <= displacement <= self.displacement * CHANGED_SPEED
@@ -134,7 +138,8 @@ class Forces:
             self._plan(self._bound)
 
     def follow(self) -> None:
-        """After atoms and cell were strained together: keep terms and lists in the new cell, if possible; if not, compute binds them again."""
+        """After atoms and cell were strained together: keep terms and lists in the new cell, if possible; if not,
+        compute binds them again."""
         if sum(not term.follow(self.system) for term in self.terms) == 0:
             self._planned_for = self.system.cell
 
@@ -148,7 +153,8 @@ class Forces:
             one.build_again(as_it_was, self.system.cell)
 
     def go_on_with(self, displacement: float, built: Sequence[Built]) -> None:
-        """Take over the skins and lists of other Forces of the same scene; choose new ones if the number of lists differs."""
+        """Take over the skins and lists of other Forces of the same scene;
+        choose new ones if the number of lists differs."""
         self.displacement = displacement
         self._plan(self._bound, [one.skin for one in built] if len(built) == len(_lists(self.terms)) else ())
         if len(built) == len(_lists(self.terms)):
@@ -238,12 +244,14 @@ class Forces:
         except NumbaError as error:
             laws, reason = ", ".join(map(repr, self.potentials)), why_not_compiled(str(error))
             raise TypeError(
-                f"a law of {laws} does not compile; laws must be arithmetic on numbers that numba.njit accepts: {reason}"
+                f"a law of {laws} does not compile; laws must be arithmetic on numbers that numba.njit accepts: "
+                f"{reason}"
             ) from error
         self._compiled.add(detail)
 
     def _clear_accumulators(self, detail: int) -> None:
-        """Set energies and virials to zero: one element for each atom, or a single one for TOTALS if all terms support it."""
+        """Set energies and virials to zero: one element for each atom,
+        or a single one for TOTALS if all terms support it."""
         n = 1 if detail == TOTALS and all(term.needs_one_accumulator for term in self.terms) else len(self.system)
         if len(self._energies) != n:
             self._energies, self._virials = np.empty(n), np.empty((n, 6))
@@ -251,7 +259,10 @@ class Forces:
 
     @contextmanager
     def set_aside(self) -> Iterator[None]:
-        """Context in which compute may be called at displaced positions. Afterwards forces, energies and virials are restored."""
+        """Context in which compute may be called at displaced positions.
+
+        Afterwards forces, energies and virials are restored.
+        """
         forces, energies, virials, detail = self.forces.copy(), self._energies, self._virials, self._detail
         self._energies, self._virials = np.zeros(0), np.zeros((0, 6))
         try:
@@ -272,7 +283,8 @@ class Forces:
 
     @property
     def virial(self) -> NDArray[np.float64]:
-        """W = Σ f r_ij ⊗ r_ij [energy], (3, 3), of the last compute with TOTALS or PER_ATOM, tail corrections included."""
+        """W = Σ f r_ij ⊗ r_ij [energy], (3, 3), of the last compute with TOTALS or PER_ATOM,
+        tail corrections included."""
         return self._virials.sum(axis=0)[VOIGT] + np.eye(3) * self._tail_corrections()[1] / 3.0
 
     @property
@@ -289,7 +301,8 @@ class Forces:
 
     @property
     def largest_cutoff(self) -> float:
-        """The largest finite cutoff [length]: an atom that moves farther in one step may pass another without interacting."""
+        """The largest finite cutoff [length]: an atom that moves farther in one step may
+        pass another without interacting."""
         return max((term.cutoff for term in self._bound if np.isfinite(term.cutoff)), default=np.inf)
 
     @property

@@ -18,11 +18,13 @@ class Options:
     threads : maximum number; all cores of the process if not given. The result has the same bits for any number.
     precision : "double": all arithmetic in float64. "mixed": pairs of cluster lists, and the sums of their forces
         within a domain, in float32; positions, velocities, energies, virials and the sums over ghosts in float64.
-        "fixed-point": positions, momenta and the impulse of each pair are whole multiples of the steps of a grid, so that all sums are exact.
+        "fixed-point": positions, momenta and the impulse of each pair are whole multiples of the steps of a grid,
+        so that all sums are exact.
     skin : of the lists of neighbors [length]; chosen by neighbors.verlet_list.best_skin if not given.
     grid : of fixed-point arithmetic; chosen by Grid.of_scene if not given.
 
-    Raises ValueError for a number of threads below one, an unknown precision, a skin that is negative or not finite, a grid without fixed-point.
+    Raises ValueError for a number of threads below one, an unknown precision, a skin that is negative or not finite,
+    a grid without fixed-point.
     """
 
     threads: int | None = None

@@ -25,7 +25,8 @@ class PairLaws:
     """Pair laws with one bonded_scale, for one system.
 
     members : the laws.  cutoff : their largest cutoff [length].
-    special : pairs (P, 2) with a factor other than 1, and that factor.  excluded : (P, 2) all of them: the list leaves out their nearest images.
+    special : pairs (P, 2) with a factor other than 1, and that factor.  excluded : (P, 2) all of them:
+        the list leaves out their nearest images.
     """
 
     def __init__(self, system: System, members: Sequence[PairLaw]) -> None:
@@ -42,7 +43,8 @@ class PairLaws:
         return (["parameter table"] if is_alike else []) + ([] if len(self.excluded) else ["exclusions"])
 
     def fit_clusters(self, system: System, options: Options, displacement: float) -> bool:
-        """Whether clusters are used: for CLUSTERS_FROM atoms or more, a finite cutoff, heights ≥ cutoff + skin, laws that run on vectors."""
+        """Whether clusters are used: for CLUSTERS_FROM atoms or more, a finite cutoff, heights ≥ cutoff + skin,
+        laws that run on vectors."""
         if len(system) < CLUSTERS_FROM or self.cutoff == np.inf:
             return False
         reach = self.cutoff + skin_for(system, self, options, displacement, LAYERS)
@@ -50,7 +52,8 @@ class PairLaws:
         return high_enough and all(runs_on_vectors(one.law, one.table.shape[-1] - 1) for one in self.members)
 
     def check_single_precision(self) -> None:
-        """Raise ValueError if float32 has no room for squared distances, energies or forces of a law, as in units far from those of atoms."""
+        """Raise ValueError if float32 has no room for squared distances, energies or forces of a law,
+        as in units far from those of atoms."""
         for one in self.members:
             for cutoff2, *numbers in one.table.reshape(-1, one.table.shape[-1]).tolist():
                 tried = np.abs([law_at(one.law, x * cutoff2**0.5, tuple(numbers)) for x in TRIED_AT])
@@ -63,7 +66,10 @@ class PairLaws:
                     if size > 0.0 and isfinite(size)
                 ]
                 if min(sizes) < SINGLE[0] or max(sizes) > SINGLE[1]:
-                    room = f"precision='mixed' has room for squared distances, energies and forces from {SINGLE[0]:g} to {SINGLE[1]:g}"
+                    room = (
+                        f"precision='mixed' has room for squared distances, energies and forces from {SINGLE[0]:g} "
+                        f"to {SINGLE[1]:g}"
+                    )
                     found = f"those of {one.name} go from {min(sizes):.1e} to {max(sizes):.1e}"
                     raise ValueError(f"{room}; {found}: take other units, or precision='double'")
 
@@ -94,7 +100,8 @@ def skin_for(system: System, laws: PairLaws, options: Options, displacement: flo
 
 
 def widest_skin(system: System, laws: PairLaws) -> float:
-    """The widest skin with which nearest images of laws.excluded cannot change while the list is in use [length]; infinite without such pairs."""
+    """The widest skin with which nearest images of laws.excluded cannot change while the list is in use [length];
+    infinite without such pairs."""
     return (
         max(0.0, ROUNDED_DOWN * (float(np.sqrt(system.cell.safe_distance2)) - laws.cutoff))
         if len(laws.excluded)

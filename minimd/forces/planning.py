@@ -18,9 +18,11 @@ from minimd.structure.system import System
 def plan(
     terms_bound: Sequence[Term], system: System, options: Options, displacement: float, skins: Sequence[float] = ()
 ) -> list[Term]:
-    """The terms to run: those that add their forces themselves, and one term with a list for all pair laws of one bonded_scale.
+    """The terms to run: those that add their forces themselves,
+    and one term with a list for all pair laws of one bonded_scale.
 
-    terms_bound : the terms that the potentials were bound to.  displacement : of the fastest atom in a step [length], 0 if unknown.
+    terms_bound : the terms that the potentials were bound to.  displacement : of the fastest atom in a step [length],
+        0 if unknown.
     skins : of the lists [length], if they are known.
     """
     terms = [term for term in terms_bound if term.pair_law is None]

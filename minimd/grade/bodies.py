@@ -1,4 +1,5 @@
-"""Laws for the forces on many atoms: −∇U, action and reaction, exchange, rotation, translation, nearest images, and sums over pairs."""
+"""Laws for the forces on many atoms: −∇U, action and reaction, exchange, rotation, translation, nearest images,
+and sums over pairs."""
 
 from __future__ import annotations
 
@@ -62,7 +63,8 @@ class Bodies:
         return self.u(self.pair(r))
 
     def period(self) -> float | None:
-        """The edge along x of a cell inside the function: the distance after which the force of a pair repeats; None if it does not."""
+        """The edge along x of a cell inside the function: the distance after which the force of a pair repeats;
+        None if it does not."""
         if not self.takes_pairs:
             return None
         distances = np.arange(3.0, LONGEST, 0.25)
@@ -109,7 +111,8 @@ class Bodies:
         if not np.isfinite(forces).all():
             self.is_broken = True
             self.faults.append(
-                f"the forces of {len(self.x)} atoms are not finite: an atom meets itself (i = j, r = 0), or two atoms coincide"
+                f"the forces of {len(self.x)} atoms are not finite: an atom meets itself (i = j, r = 0), or two atoms "
+                "coincide"
             )
             return [
                 Finding(
@@ -152,7 +155,8 @@ class Bodies:
         return x + 0.5 if self.lengths is None else np.mod(x - SPACING + 0.3, self.lengths)
 
     def _margin(self, x: Array) -> float:
-        """The smallest distance of any pair from the cutoff, or from half the cell along an axis, where forces may jump."""
+        """The smallest distance of any pair from the cutoff, or from half the cell along an axis,
+        where forces may jump."""
         first, second = np.triu_indices(len(x), 1)
         apart, margins = np.abs(x[first] - x[second]), [1.0]
         if self.lengths is not None:
@@ -170,7 +174,8 @@ class Bodies:
                 who = "first" if sizes[1] < sizes[0] else "second"
                 hint = "" if self.lengths is None else "; or the nearest image is taken with floor in place of round"
                 self.faults.append(
-                    f"only one of the two atoms of a pair gets the force, the {who} one: what is added to one must be subtracted from the other{hint}"
+                    f"only one of the two atoms of a pair gets the force, the {who} one: what is added to one must be "
+                    f"subtracted from the other{hint}"
                 )
             elif np.allclose(one, two, rtol=1e-9):
                 self.faults.append("both atoms of a pair get the same force: the second one needs the opposite sign")
@@ -196,7 +201,8 @@ class Bodies:
             off = float(np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300))
             if off >= 1e-4:
                 self.faults.append(
-                    f"the forces are not the gradient of any energy: ∂F_i/∂x_j and ∂F_j/∂x_i differ by {off:.1%}; no energy can be conserved"
+                    f"the forces are not the gradient of any energy: ∂F_i/∂x_j and ∂F_j/∂x_i differ by {off:.1%}; no "
+                    "energy can be conserved"
                 )
             return [
                 Finding("a gradient", off < 1e-4, f"∂F_i/∂x_j − ∂F_j/∂x_i is {off:.1e} of the largest element", off)
@@ -219,8 +225,8 @@ class Bodies:
         order = np.random.default_rng(2).permutation(len(self.x))
         off = float(np.abs(self.f(self.x[order]) - forces[order]).max()) / scale
         if off > ROUNDING and not self.faults:
-            self.faults.append(f"the forces depend on the numbering of the atoms, by {off:.1%}: the double loop leaves out pairs, or forces "
-                               f"are overwritten "
+            self.faults.append(f"the forces depend on the numbering of the atoms, by {off:.1%}: the double loop leaves "
+                               f"out pairs, or forces are overwritten "
                                "(=) where they should be added (+=)")  # fmt: skip
         return Finding("exchange", off < ROUNDING, f"forces of renumbered atoms differ by {off:.1e}", off)
 
@@ -236,7 +242,8 @@ class Bodies:
         off = float(np.abs(self.f(self.x @ turn) - forces @ turn).max()) / scale
         if off > 1e-8:
             self.faults.append(
-                f"the forces do not turn with the atoms: they differ by {off:.1%}. A component is missing, or r is not √(x² + y² + z²)"
+                f"the forces do not turn with the atoms: they differ by {off:.1%}. A component is missing, or r is not "
+                "√(x² + y² + z²)"
             )
         return Finding("rotation", off < 1e-8, f"forces of turned atoms differ by {off:.1e}", off)
 
@@ -256,8 +263,10 @@ class Bodies:
                 if off > 1e-8:
                     (missing if np.abs(across).max() < 0.2 * np.abs(inside).max() else wrong).append((axis, sign))
             if self._wraps_positions(lengths):
-                self.faults.append("positions are wrapped into the cell, but differences are not: two atoms on both sides of a face of the "
-                                   "wrapped cell do not interact; use dx − L · round(dx/L) for the differences")  # fmt: skip
+                self.faults.append(
+                    "positions are wrapped into the cell, but differences are not: two atoms on both "
+                    "sides of a face of the wrapped cell do not interact; use dx − L · round(dx/L) for the differences"
+                )
                 return [
                     Finding(
                         "nearest image",
@@ -281,7 +290,8 @@ class Bodies:
         )
         if off > 1e-8 and not missing and not wrong:
             self.faults.append(
-                f"forces on atoms outside the cell differ, by {off:.1%}: subtract L · round(dx/L), which is right for any distance"
+                f"forces on atoms outside the cell differ, by {off:.1%}: subtract L · round(dx/L), which is right for "
+                "any distance"
             )
         return answers
 
@@ -306,7 +316,8 @@ class Bodies:
         verb = "is missing" if missing else "is wrong"
         if len(bad) == 2 * self.d:
             self.faults.append(
-                f"minimum image {verb}: atoms on both sides of a face of the cell do not interact as neighbors; use dx − L · round(dx/L)"
+                f"minimum image {verb}: atoms on both sides of a face of the cell do not interact as neighbors; use dx "
+                "− L · round(dx/L)"
             )
         elif len(axes) < self.d and len(bad) == 2 * len(axes):
             self.faults.append(f"minimum image {verb} {where}, but right for the other axes")
@@ -333,7 +344,8 @@ class Bodies:
             last = float(np.abs(forces[-1]).max()) / scale
             if single < 1e-8:
                 self.faults.append(
-                    "each atom feels only one other atom: its force is overwritten (=) in the loop where it should be added (+=)"
+                    "each atom feels only one other atom: its force is overwritten (=) in the loop where it should be "
+                    "added (+=)"
                 )
             elif min(lower, upper) < 1e-8:
                 self.faults.append(
@@ -346,11 +358,12 @@ class Bodies:
         return Finding("sum over pairs", off < 1e-8, f"F − Σ of single pairs is {off:.1e} of the largest force", off)
 
     def _other_sum(self, pairs: Array, forces: Array, off: float) -> Finding:
-        """Forces that are not the sum over pairs: either a multiple of it, which is a fault, or many-body forces, which may be right."""
+        """Forces that are not the sum over pairs: either a multiple of it, which is a fault, or many-body forces,
+        which may be right."""
         c, n = float(np.sum(forces * pairs) / np.sum(pairs * pairs)), len(forces)
         if float(np.abs(forces - c * pairs).max()) < 1e-8 * float(np.abs(forces).max()):
-            self.faults.append(f"the forces of {n} atoms are {coefficient(c)} times the sum of those of pairs: they are divided or "
-                               f"multiplied by a number "
+            self.faults.append(f"the forces of {n} atoms are {coefficient(c)} times the sum of those of pairs: they "
+                               f"are divided or multiplied by a number "
                                "of atoms or pairs")  # fmt: skip
             return Finding("sum over pairs", False, f"F = {coefficient(c)} × Σ of single pairs", c)
         passed = False if self.faults else None

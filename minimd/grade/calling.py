@@ -1,14 +1,14 @@
 """How a student's step is called: its parameters are recognized by their names, and its results by their shapes.
 
-    x, r, q, pos, positions …           positions                  v, vel, velocities …      velocities;  p, momenta: momenta
-    force, forces, f, compute_forces    a function of positions    acceleration, acc, a      the same, divided by the masses
-    m, mass, masses                     masses                     dt, h, timestep           time step
-    x_old, x_prev …                     positions a step ago       v_half …                  velocities half a step ago
-    state, y                            [x, v] in one              n_steps                   number of steps, 1: the last row of a path is used
+    x, r, q, pos, positions …           positions                  v, vel …              velocities;  p: momenta
+    force, forces, f, compute_forces    a function of positions    acceleration, a       the same, divided by the masses
+    m, mass, masses                     masses                     dt, h, timestep       time step
+    x_old, x_prev …                     positions a step ago       v_half …              velocities half a step ago
+    state, y                            [x, v] in one              n_steps               1: the last row of a path
 
-Parameters with other names take the free places in step(x, v, force, m, dt), in this order. Coordinates are tried as (N, 3), (N, 2), (N,)
-and one number; masses as (N,), (N, 1) and one number; force(x) returns F, (F, U) or (U, F). The step is called in the first manner in which
-it returns without an error.
+Parameters with other names take the free places in step(x, v, force, m, dt), in this order. Coordinates are tried as
+(N, 3), (N, 2), (N,) and one number; masses as (N,), (N, 1) and one number; force(x) returns F, (F, U) or (U, F). The
+step is called in the first manner in which it returns without an error.
 """
 
 from __future__ import annotations
@@ -63,7 +63,8 @@ TINY = 1e-6  # time step of the first call, which shows whether x or v is return
 
 
 class Manner(NamedTuple):
-    """roles : of the parameters, in their order; "known force" is the force at x as an array, "before force" the one a step earlier.
+    """roles : of the parameters, in their order; "known force" is the force at x as an array,
+    "before force" the one a step earlier.
     masses, answers : how masses are given, and what force(x) returns; see the module."""
 
     roles: tuple[str, ...]
@@ -76,7 +77,8 @@ class Manner(NamedTuple):
         """The call as text."""
         shapes = {(5, 3): "(N, 3)", (5, 2): "(N, 2)", (5,): "(N,)", (): "one number"}
         kinds = {"x": shapes[self.shape], "m": self.masses, **dict.fromkeys(FORCES, f"a function: {self.answers}")}
-        return f"{name}({', '.join(f'{one}: {kinds[role]}' if role in kinds else one for one, role in zip(self.names, self.roles, strict=True))})"
+        pairs = zip(self.names, self.roles, strict=True)
+        return f"{name}({', '.join(f'{one}: {kinds[role]}' if role in kinds else one for one, role in pairs)})"
 
 
 def role_of(name: str) -> str:
@@ -99,7 +101,8 @@ def roles_of(function: Callable[..., Any]) -> tuple[list[str], list[str]]:
         raise TypeError(f"step must be a function, such as step(x, v, force, m, dt); got {function!r}") from None
     if parameters and parameters[0].name == "self":
         raise TypeError(
-            "step is a method without its object (its first parameter is self): pass the method of an object, as in md.grade(Simulation().step)"
+            "step is a method without its object (its first parameter is self): pass the method of an object, as in "
+            "md.grade(Simulation().step)"
         )
     pairs = [
         (one.name, role_of(one.name), one.default is one.empty)
@@ -123,7 +126,8 @@ def roles_of(function: Callable[..., Any]) -> tuple[list[str], list[str]]:
         told = ", ".join(names)
         unknown = [name for name in names if not role_of(name)]
         nobody = f"; the meaning of {' and '.join(unknown)} cannot be seen from the name" if unknown else ""
-        raise TypeError(f"a step takes positions, velocities, a force function, masses and a time step, as step(x, v, force, m, dt); "
+        raise TypeError("a step takes positions, velocities, a force function, masses and a time step, as step(x, v, "
+                        "force, m, dt); "
                         f"the parameters of this one are ({told}){nobody}. Give them these names (m may be left out); "
                         f"also known are {KNOWN}")  # fmt: skip
     return names, roles
@@ -160,8 +164,10 @@ def manners(function: Callable[..., Any]) -> Iterator[Manner]:
 class StudentStep:
     """A student's step as a map of (x, v) to (x, v).
 
-    n_evaluations : how often it called the force function.  third : the force that it returned last as its third result, or None.
-    swapped, in_place, is_procedure : whether it returns v first; whether it changes x or v in place; whether it changes both.
+    n_evaluations : how often it called the force function.  third :
+        the force that it returned last as its third result, or None.
+    swapped, in_place, is_procedure : whether it returns v first; whether it changes x or v in place;
+        whether it changes both.
     """
 
     def __init__(self, function: Callable[..., Any], manner: Manner) -> None:
@@ -179,7 +185,8 @@ class StudentStep:
         rate = self(where, where.x, 0.0 * where.v, TINY)[1] / TINY
         k = -float(np.sum(rate * where.x) / np.sum(where.x**2))
         if not k > 0.0 or np.abs(rate + k * where.x).max() > 1e-4 * max(k, 1.0):
-            raise TypeError("the step takes no force function, and its own force is not that of a spring, −k x: make the force function an argument, "
+            raise TypeError("the step takes no force function, and its own force is not that of a spring, −k x: make "
+                            "the force function an argument, "
                             "as step(x, v, force, m, dt)")  # fmt: skip
         self.stiffness = round(k, 5)
 
@@ -206,8 +213,9 @@ class StudentStep:
         roles, single = self.manner.roles, x.ndim == 0
         half = v - 0.5 * h * where.force(x) / where.mass if {"half", "old"} & set(roles) else v
         given = [self._argument(role, where, x, v, half, h) for role in roles]
-        given = [float(one) if single and isinstance(one, np.ndarray) else list(map(float, one)) if single and role == "state" else one
-                 for role, one in zip(roles, given, strict=True)]  # fmt: skip
+        if single:
+            given = [float(one) if isinstance(one, np.ndarray) else one for one in given]
+            given = [list(map(float, one)) if role == "state" else one for role, one in zip(roles, given, strict=True)]
         before = [one.copy() if isinstance(one, np.ndarray) else one for one in given]
         answer = self.function(**dict(zip(self.manner.names, given, strict=True)))
         if "state" in roles:
@@ -261,8 +269,11 @@ class StudentStep:
             self.n_evaluations += 1
             x = np.array(x, dtype=float)
             if x.size != where.x.size:
-                raise TypeError(f"the step calls its force with numbers of shape {x.shape}, but positions have shape {where.x.shape}; f(y, t) of "
-                                "a whole state, as for SciPy, cannot be graded: write step(x, v, force, m, dt)")  # fmt: skip
+                raise TypeError(
+                    f"the step calls its force with numbers of shape {x.shape}, but positions have shape "
+                    f"{where.x.shape}; f(y, t) of "
+                    "a whole state, as for SciPy, cannot be graded: write step(x, v, force, m, dt)"
+                )
             scaled = self._scaled(role, where, where.force(x))
             answer: Any = float(scaled) if x.ndim == 0 else scaled
             energy = where.potential(x) if self.manner.answers != "F" else 0.0
@@ -298,7 +309,8 @@ class StudentStep:
         return parts
 
     def _from_recursion(self, where: Problem, new: list[Array], x: Array, v: Array, h: float) -> tuple[Array, Array]:
-        """x and v of a step that takes two positions: v as returned, else the velocity at the half step plus half a kick."""
+        """x and v of a step that takes two positions: v as returned,
+        else the velocity at the half step plus half a kick."""
         x1 = new[0]
         own = next((part for part in new[1:3] if not np.array_equal(part, x)), None)
         if own is not None and np.abs(own - v).max() < np.abs(own - x).max():
@@ -309,7 +321,8 @@ class StudentStep:
 def understood(function: Callable[..., Any]) -> StudentStep:
     """The step, called in the first manner that works.
 
-    Raises TypeError for other arguments, and ValueError for a step that fails in every manner, with the first error and its call.
+    Raises TypeError for other arguments, and ValueError for a step that fails in every manner,
+    with the first error and its call.
     """
     first: tuple[str, str] | None = None
     cause: Exception | None = None
@@ -328,7 +341,8 @@ def understood(function: Callable[..., Any]) -> StudentStep:
             continue
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
             raise ValueError(
-                f"the step returned numbers that are not finite after one step of {TINY:g}, called as {manner.told('step')}"
+                f"the step returned numbers that are not finite after one step of {TINY:g}, called as "
+                f"{manner.told('step')}"
             )
         as_told, swapped = (np.abs(a - where.x).max() + np.abs(b - where.v).max() for a, b in ((x, v), (v, x)))
         step.swapped = bool(swapped < 0.01 * as_told) and not {"old", "p"} & set(manner.roles)

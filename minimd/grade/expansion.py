@@ -2,9 +2,9 @@
 
     x₁ = x + Δt v + ½ Δt² F/m + …              v₁ = v + Δt F/m + ½ Δt² J v + …         J v = d/dt F/m along v
 
-The terms are measured by extrapolation to Δt = 0 and written as combinations of v, F/m, J v, and of terms that come from faults, such as F
-and F/m², if a division by m is missing or made twice. For methods of order 2 both coefficients of Δt² are ½. A step of order 1 has other
-coefficients, which show the force and the velocity that it used.
+The terms are measured by extrapolation to Δt = 0 and written as combinations of v, F/m, J v, and of terms that come
+from faults, such as F and F/m², if a division by m is missing or made twice. For methods of order 2 both coefficients
+of Δt² are ½. A step of order 1 has other coefficients, which show the force and the velocity that it used.
 """
 
 from __future__ import annotations
@@ -27,50 +27,58 @@ SECOND_ORDER = {  # coefficients of Δt² F/m in x, and of Δt² J v in v, times
     (
         0,
         0,
-    ): "explicit Euler: positions move with the old velocity and velocities with the old force; order 1, the energy grows. Kick first, "
-    "then let the positions move with the new velocity",
+    ): "explicit Euler: positions move with the old velocity and velocities with the old force; order 1, the energy "
+    "grows. Kick first, then let the positions move with the new velocity",
     (
         2,
         0,
-    ): "symplectic Euler, kick first (v += dt F/m, then x += dt v): order 1. Kick by half a step before the drift and by half a step with "
-    "the new force after it; or, if velocities are meant to be at half steps (leapfrog), start the run with half a kick: v(dt/2)",
+    ): "symplectic Euler, kick first (v += dt F/m, then x += dt v): order 1. Kick by half a step before the drift and "
+    "by half a step with "
+    "the new force after it; or, if velocities are meant to be at half steps (leapfrog), start the run with half a "
+    "kick: v(dt/2)",
     (
         0,
         2,
-    ): "symplectic Euler, drift first (x += dt v, then v += dt F(new x)/m): order 1. The kick must be split into two halves, one before "
-    "and one after the drift",
+    ): "symplectic Euler, drift first (x += dt v, then v += dt F(new x)/m): order 1. The kick must be split into two "
+    "halves, one before and one after the drift",
     (
         1,
         0,
-    ): "the second half kick uses the old force F(x(t)): the force must be computed again after the positions have moved; order 1",
+    ): "the second half kick uses the old force F(x(t)): the force must be computed again after the positions have "
+    "moved; order 1",
     (
         1,
         2,
-    ): "your half step uses the new force twice: velocities are kicked by dt F(x(t+dt))/m, without the old force F(x(t)). Keep a copy of the "
-    "old force before it is computed again; order 1",
+    ): "your half step uses the new force twice: velocities are kicked by dt F(x(t+dt))/m, without the old force "
+    "F(x(t)). Keep a copy of the old force before it is computed again; order 1",
     (
         2,
         1,
-    ): "positions move by dt² F/m in place of ½ dt² F/m: the factor ½ is missing, or the first kick is that of a whole step",
+    ): "positions move by dt² F/m in place of ½ dt² F/m: the factor ½ is missing, or the first kick is that of a whole "
+    "step",
     (
         0,
         1,
-    ): "positions move with the old velocity, x += dt v(t): the term ½ dt² F/m is missing (the drift must use the velocity at half a step)",
+    ): "positions move with the old velocity, x += dt v(t): the term ½ dt² F/m is missing (the drift must use the "
+    "velocity at half a step)",
     (
         1,
         0.5,
-    ): "the second half kick uses the force at the middle of the drift, F(x + dt/2 v): it must be computed at the new positions; order 1",
+    ): "the second half kick uses the force at the middle of the drift, F(x + dt/2 v): it must be computed at the new "
+    "positions; order 1",
     (
         2,
         2,
-    ): "the new force and the new velocity are used where their means with the old ones are needed, as in an implicit Euler step: order 1",
+    ): "the new force and the new velocity are used where their means with the old ones are needed, as in an implicit "
+    "Euler step: order 1",
 }
 
 
 class Expansion(NamedTuple):
     """Coefficients by power of Δt and by term, of positions and of velocities.
 
-    rests : relative norms of what no term explains.  places : the atoms or axes that are wrong, in words, by part and power; "" if all are.
+    rests : relative norms of what no term explains.  places : the atoms or axes that are wrong, in words,
+        by part and power; "" if all are.
     """
 
     x: tuple[dict[str, float], ...]
@@ -193,14 +201,16 @@ def explained(found: Expansion) -> list[str]:
     for part, law, rest, place in parts:
         if rest[1] > UNEXPLAINED:
             return [
-                f"for short steps {part} do not change as {law} says: {rest[1]:.1%} of the change is something else{place[1]}"
+                f"for short steps {part} do not change as {law} says: {rest[1]:.1%} of the change is something "
+                f"else{place[1]}"
             ]
     if faults := [*_first_power_of_x(found.x[1], found.x[2]), *_first_power_of_v(found.v[1], found.v[2])]:
         return faults
     for part, _, rest, place in parts:
         if rest[2] > UNEXPLAINED:
             return [
-                f"{part} contain a term of order dt² that is not that of Newton's equation: {rest[2]:.1%} of it is something else{place[2]}; order 1"
+                f"{part} contain a term of order dt² that is not that of Newton's equation: {rest[2]:.1%} of it is "
+                f"something else{place[2]}; order 1"
             ]
     return _second_power(found)
 
@@ -222,15 +232,18 @@ def _jumps(found: Expansion) -> list[str]:
     if "F/m" in v or "F" in v or "F/m²" in v:
         mass = "" if "F/m" in v else " (and 1/m)" if "F" in v else " (and is divided by m twice)"
         faults.append(
-            f"the kick lacks dt{mass}: velocities change by a multiple of the force in each step, even in the shortest one"
+            f"the kick lacks dt{mass}: velocities change by a multiple of the force in each step, even in the shortest "
+            "one"
         )
     if "v" in v and is_near(v["v"], 1.0):
         faults.append(
-            "velocities are doubled in each step, even in the shortest one: are they (x_new − x_old)/dt where (x_new − x_old)/(2 dt) is needed?"
+            "velocities are doubled in each step, even in the shortest one: are they (x_new − x_old)/dt where (x_new − "
+            "x_old)/(2 dt) is needed?"
         )
     elif "v" in v:
         faults.append(
-            f"velocities are multiplied by {1.0 + v['v']:.8g} in each step, even in the shortest one: the step contains a thermostat or a rescaling"
+            f"velocities are multiplied by {1.0 + v['v']:.8g} in each step, even in the shortest one: the step "
+            "contains a thermostat or a rescaling"
         )
     return faults
 
@@ -254,7 +267,8 @@ def _first_power_of_x(c: dict[str, float], next_c: dict[str, float]) -> list[str
         if name in c:
             mass = {"F/m": "", "F": ", and 1/m is missing", "F/m²": ", and it is divided by m twice"}[name]
             faults.append(
-                f"positions change by {coefficient(c[name])} dt {name}: the acceleration term needs dt², ½ dt² F/m{mass}"
+                f"positions change by {coefficient(c[name])} dt {name}: the acceleration term needs dt², ½ dt² "
+                f"F/m{mass}"
             )
     if "x" in c:
         faults.append(f"positions are scaled by 1 + {coefficient(c['x'])} dt in each step")
@@ -268,7 +282,8 @@ def _first_power_of_v(c: dict[str, float], next_c: dict[str, float]) -> list[str
     if friction:
         word = "friction" if friction < 0.0 else "a drive"
         faults.append(
-            f"velocities change by {coefficient(friction)} dt v in addition to the kick: {word}, or a thermostat hidden in the step"
+            f"velocities change by {coefficient(friction)} dt v in addition to the kick: {word}, or a thermostat "
+            "hidden in the step"
         )
     if bare and twice == 0.0:
         part = (
@@ -293,19 +308,27 @@ def _first_power_of_v(c: dict[str, float], next_c: dict[str, float]) -> list[str
         )
     elif total < 0.0:
         faults.append(
-            f"the kick has the wrong sign: velocities change by {coefficient(total)} dt F/m; F = −∇U is a force, not a gradient"
+            f"the kick has the wrong sign: velocities change by {coefficient(total)} dt F/m; F = −∇U is a force, not a "
+            "gradient"
         )
     elif is_near(total, 0.5) and is_near(next_c.get("F/m", 0.0), 0.5):
         faults.append(
-            "one half kick is multiplied by dt twice: ½ dt² F/m is added to the velocities (a dv that already contains dt is multiplied by dt)"
+            "one half kick is multiplied by dt twice: ½ dt² F/m is added to the velocities (a dv that already contains "
+            "dt is multiplied by dt)"
         )
     elif is_near(total, 0.5):
-        faults.append("only half of the kick is made: velocities change by ½ dt F/m. One of the two half kicks is missing, or the velocity that is "
+        faults.append("only half of the kick is made: velocities change by ½ dt F/m. One of the two half kicks is "
+                      "missing, or the velocity that is "
                       "returned is that at half a step")  # fmt: skip
     elif not is_near(total, 1.0):
-        faults.append(f"the kicks of a step add up to {coefficient(total)} dt F/m, not to dt F/m: they are {_multiple(total)} times too large"
-                      + {1.5: ": one half kick is that of a whole step", 2.0: ": each half kick is that of a whole step, or a factor ½ is "
-                                                                         "missing"}.get(round(total, 6), ""))  # fmt: skip
+        faults.append(
+            f"the kicks of a step add up to {coefficient(total)} dt F/m, not to dt F/m: they are "
+            f"{_multiple(total)} times too large"
+            + {
+                1.5: ": one half kick is that of a whole step",
+                2.0: ": each half kick is that of a whole step, or a factor ½ is missing",
+            }.get(round(total, 6), "")
+        )
     if "x" in c:
         faults.append(f"velocities change by {coefficient(c['x'])} dt x, a force that is not the one that was given")
     return faults
@@ -323,22 +346,27 @@ def _second_power(found: Expansion) -> list[str]:
     total = a + x.get("F", 0.0) + x.get("F/m²", 0.0) + x.get("mF", 0.0)
     if "F" in x or "F/m²" in x:
         word = "lacks 1/m" if "F" in x else "is divided by m twice"
-        faults.append(f"the force term of the positions {word}: they move by {coefficient(x.get('F', x.get('F/m²', 0.0)))} dt² "
+        faults.append(f"the force term of the positions {word}: they move by "
+                      f"{coefficient(x.get('F', x.get('F/m²', 0.0)))} dt² "
                       f"{'F' if 'F' in x else 'F/m²'}")  # fmt: skip
     if "mF" in x:
-        faults.append(f"the force term of the positions is multiplied by m where it should be divided: {coefficient(x['mF'])} dt² m F; "
+        faults.append("the force term of the positions is multiplied by m where it should be divided: "
+                      f"{coefficient(x['mF'])} dt² m F; "
                       "in Python /2*m is not /(2*m)")  # fmt: skip
     if "v" in x or "x" in x:
         faults.append(
-            f"positions change by {coefficient(x.get('v', x.get('x', 0.0)))} dt² {'v' if 'v' in x else 'x'}, which belongs to no method"
+            f"positions change by {coefficient(x.get('v', x.get('x', 0.0)))} dt² {'v' if 'v' in x else 'x'}, which "
+            "belongs to no method"
         )
     turning = v.get("Jv", 0.0) + v.get("mJv", 0.0)
     if "mJv" in v:
         faults.append("1/m is missing where the new force enters the velocities")
     extra = {name: c for name, c in v.items() if name in ("v", "F/m", "F", "F/m²", "x")}
     for name, c in extra.items():
-        faults.append(f"velocities change by {coefficient(c)} dt² {name}: "
-                      + ("a part of the kick has one power of dt too many" if name.startswith("F") else "it belongs to no method"))  # fmt: skip
+        faults.append(
+            f"velocities change by {coefficient(c)} dt² {name}: "
+            + ("a part of the kick has one power of dt too many" if name.startswith("F") else "it belongs to no method")
+        )
     pair = 2.0 * total, 2.0 * turning
     for (c, d), sentence in SECOND_ORDER.items():
         if is_near(pair[0], c) and is_near(pair[1], d):

@@ -1,11 +1,13 @@
-"""How a student's force function is called, and its kind: forces on all atoms, a law of the distance, or the force of one pair.
+"""How a student's force function is called, and its kind: forces on all atoms, a law of the distance,
+or the force of one pair.
 
     force(positions)                 (N, 3) -> (N, 3), or with the energy: (F, U), (U, F)          forces
     force(positions, box, cutoff)    the same, with an edge and a cutoff                            forces
     force(r), law(r2)                numbers -> numbers, or (u, f)                                  law of the distance
     force(rij), force(ri, rj)        (3,) -> (3,)                                                  force of a pair
 
-The kind follows from the names of the parameters, and from what the function does with arrays: a law treats each element separately.
+The kind follows from the names of the parameters, and from what the function does with arrays:
+a law treats each element separately.
 """
 
 from __future__ import annotations
@@ -66,7 +68,8 @@ class StudentForce:
             )
         if needed[0] == "self":
             raise TypeError(
-                f"{self.name} is a method without its object: pass the method of an object, as in md.grade(Model().{self.name})"
+                f"{self.name} is a method without its object: pass the method of an object, as in "
+                f"md.grade(Model().{self.name})"
             )
         self.names, self.defaults = (
             needed,
@@ -79,8 +82,8 @@ class StudentForce:
         if unknown := [
             name for name, option in zip(needed[1 + self.is_of_two :], self.extra, strict=True) if option not in options
         ]:
-            raise TypeError(f"{self.name} takes ({', '.join(needed)}), and the meaning of {unknown[0]} is not known; pass a function of "
-                            f"positions only, "
+            raise TypeError(f"{self.name} takes ({', '.join(needed)}), and the meaning of {unknown[0]} is not known; "
+                            f"pass a function of positions only, "
                             f"such as lambda x: {self.name}(x, …), or pass cell= and cutoff=")  # fmt: skip
         named = {
             one: option_of(one) for one in optional if option_of(one) in options and option_of(one) in ("box", "cutoff")
@@ -187,7 +190,8 @@ class StudentForce:
                 answer = self.function(*arguments, *extra, **self.named)
         except Exception as error:
             raise ValueError(
-                f"{called} raised {type(error).__name__}: {error}; if it needs another number of atoms, give their positions="
+                f"{called} raised {type(error).__name__}: {error}; if it needs another number of atoms, give their "
+                "positions="
             ) from error
         if answer is None:
             raise ValueError(f"{called} returned None; it must return the forces, or forces and energy")
@@ -202,7 +206,8 @@ class StudentForce:
                     f"{called} returned parts of shapes {shapes}; forces must have the shape of the positions, {shape}"
                 )
         elif np.shape(answer) != shape:
-            raise ValueError(f"{called} returned shape {np.shape(answer)}; forces must have the shape of the positions, {shape}. If it is written "
+            raise ValueError(f"{called} returned shape {np.shape(answer)}; forces must have the shape of the "
+                             f"positions, {shape}. If it is written "
                              "for a fixed number of atoms, give their positions=")  # fmt: skip
         if self.kind == "law" and isinstance(answer, (tuple, list)):
             self.energy_first = self._energy_is_first()

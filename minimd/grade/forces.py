@@ -1,4 +1,5 @@
-"""The grade of a force function: whether forces are a gradient, pairwise, symmetric, periodic, cut off correctly, and equal to minimd's."""
+"""The grade of a force function: whether forces are a gradient, pairwise, symmetric, periodic, cut off correctly,
+and equal to minimd's."""
 
 from __future__ import annotations
 
@@ -111,7 +112,8 @@ def _of_a_law(
 def _of_parameters(
     force: StudentForce, x: Array, pair: Law | None, cutoff: float | None, findings: list[Finding], faults: list[str]
 ) -> list[str]:
-    """The faults, those of the function's parameters first, in place of less exact ones; its own ε and σ are not judged as ε = σ = 1."""
+    """The faults, those of the function's parameters first, in place of less exact ones;
+    its own ε and σ are not judged as ε = σ = 1."""
     wrong = without_effect(force, x)
     if pair is not None:
         places = places_of_epsilon_and_sigma(
@@ -208,7 +210,8 @@ def _apart(values: Array, r: Array, u: Law) -> list[str]:
         f"{c:.6g} r^−{n} is missing" for n, c in right.items() if n not in have
     ]
     return [
-        f"the force is not minus the slope of the energy, u = {energy}: wrong exponent or coefficient: {', '.join(parts)}"
+        f"the force is not minus the slope of the energy, u = {energy}: wrong exponent or coefficient: "
+        f"{', '.join(parts)}"
     ]
 
 
@@ -218,7 +221,10 @@ def reference(potential: Any, r: float) -> float:
 
 
 def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
-    """minimd's forces and energy. Bonds without pairs join the two atoms if there are two.  Raises ValueError if there are more."""
+    """minimd's forces and energy.
+
+    Bonds without pairs join the two atoms if there are two.  Raises ValueError if there are more.
+    """
     from minimd.forces.evaluation import evaluate
     from minimd.potentials.bonded import BondPotential
     from minimd.structure.system import System
@@ -226,7 +232,8 @@ def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
     bonds = None
     if isinstance(potential, BondPotential) and potential.pairs is None:
         if len(x) != 2:
-            raise ValueError(f"{potential!r} does not say which of the {len(x)} atoms are bonded: give it pairs, such as pairs=[[0, 1]], or "
+            raise ValueError(f"{potential!r} does not say which of the {len(x)} atoms are bonded: give it pairs, such "
+                             "as pairs=[[0, 1]], or "
                              "positions= of two atoms")  # fmt: skip
         bonds = [[0, 1]]
     return evaluate(System(x, cell=lengths, bonds=bonds), potential)
@@ -254,8 +261,11 @@ def _of_bodies(
         law = more[2]
         remarks += more[3] if bodies.d == 3 else []
         if (cube := bodies.cube(farthest)) is not None:
-            faults = [f"the cutoff acts on the components, not on the distance: pairs in a cube with half the edge {cube:.4g} interact. "
-                      "Compare dx² + dy² + dz² with the square of the cutoff", *[s for s in faults if "is not applied" not in s]]  # fmt: skip
+            faults = [
+                "the cutoff acts on the components, not on the distance: pairs in a cube with half the edge "
+                f"{cube:.4g} interact. Compare dx² + dy² + dz² with the square of the cutoff",
+                *[s for s in faults if "is not applied" not in s],
+            ]
     if not bodies.is_broken:
         pair = bodies.of_a_pair if bodies.takes_pairs and not bodies.is_field else None
         faults = _of_parameters(force, bodies.x, pair, cutoff, findings, faults)
@@ -300,6 +310,7 @@ def _beside(bodies: Bodies, potential: Any, lengths: Array | None) -> tuple[Find
     energy = float(np.asarray(bodies.u(bodies.x)))
     if bodies.force.has_energy and not np.isclose(energy, answer.potential_energy, rtol=1e-9):
         fault.append(
-            f"the energy of {len(own)} atoms is {energy:.8g}, {energy / answer.potential_energy:.4g} times minimd's, {answer.potential_energy:.8g}"
+            f"the energy of {len(own)} atoms is {energy:.8g}, {energy / answer.potential_energy:.4g} times minimd's, "
+            f"{answer.potential_energy:.8g}"
         )
     return Finding("all atoms as minimd's", off < SAME_FORCE, words, off), fault

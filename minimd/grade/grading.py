@@ -32,34 +32,39 @@ def grade(
 
     A function with a time step and velocities among its parameters is graded as a step, any other as forces.
 
-    A step is a function step(x, v, force, m, dt) -> x, v. Parameters are recognized by their names, in any order (see below), and m may be
-    left out. It may return x and v, or change them in place. It is called with coordinates of shape (N, 3), (N, 2), (N,) or one number, the
-    first that works; force is a function of positions. These are measured: order, reversibility, symplectic form, volume, momenta, drift
-    and oscillation of the energy, and the constant of a harmonic oscillator. The first terms of its expansion in dt, and a table of known
-    methods, show what is wrong.
+    A step is a function step(x, v, force, m, dt) -> x, v. Parameters are recognized by their names, in any order (see
+    below), and m may be left out. It may return x and v, or change them in place. It is called with coordinates of
+    shape (N, 3), (N, 2), (N,) or one number, the first that works; force is a function of positions. These are
+    measured: order, reversibility, symplectic form, volume, momenta, drift and oscillation of the energy, and the
+    constant of a harmonic oscillator. The first terms of its expansion in dt, and a table of known methods,
+    show what is wrong.
 
-    Forces are a function forces(positions) -> F or (F, U), a law f(r) or law(r2) -> (u, f), or the force of a pair f(r_ij). These are
-    measured: F = −∇U, sum of forces, exchange, rotation, translation, nearest images, powers of r, cutoff and continuity, and the difference
-    from a potential of minimd.
+    Forces are a function forces(positions) -> F or (F, U), a law f(r) or law(r2) -> (u, f), or the force of a pair
+    f(r_ij). These are measured: F = −∇U, sum of forces, exchange, rotation, translation, nearest images, powers of r,
+    cutoff and continuity, and the difference from a potential of minimd.
 
     Parameters
     ----------
-    function : the step or the force function; names of parameters: x r q pos positions, v vel velocities, force forces f compute_forces,
-        acceleration a (force over mass), m mass masses, dt h timestep, p momenta; x_old x_prev for a recursion of two positions; v_half for
-        velocities half a step earlier.
+    function : the step or the force function; names of parameters: x r q pos positions, v vel velocities, force forces
+        f compute_forces, acceleration a (force over mass), m mass masses, dt h timestep, p momenta; x_old x_prev for a
+        recursion of two positions; v_half for velocities half a step earlier.
     potential : a potential of minimd with which forces are compared, such as LennardJones(1.0, 1.0, 2.5).
-    cell : edge of the cubic cell, or three edges, if forces are periodic [length].  cutoff : distance beyond which forces are zero [length].
+    cell : edge of the cubic cell, or three edges, if forces are periodic [length].  cutoff :
+        distance beyond which forces are zero [length].
     positions : (N, 3), for a force function that is written for these atoms only [length].
-    order : expected order of a step.  kind : "step", "forces", "law" or "pair", if the names of the parameters do not show it.
+    order : expected order of a step.  kind : "step", "forces", "law" or "pair",
+        if the names of the parameters do not show it.
 
     Returns
     -------
-    Grade : print it, or show it in a notebook; grade.faults are sentences, grade["order"].value is a number, grade.passed is True if all is right.
+    Grade : print it, or show it in a notebook; grade.faults are sentences, grade["order"].value is a number,
+        grade.passed is True if all is right.
 
     Raises
     ------
     TypeError : for anything that is not a function, or for parameters whose meaning is not known.
-    ValueError : if the function raises an error, or returns None or another shape, with the call and the error; for options out of range.
+    ValueError : if the function raises an error, or returns None or another shape, with the call and the error;
+        for options out of range.
     """
     kinds = ("step", *KINDS)
     if kind is not None and kind not in kinds:

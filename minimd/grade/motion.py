@@ -1,4 +1,5 @@
-"""Laws for a step, measured on a few particles: order, reversibility, symplectic form, momenta, energy, the oscillator, the cost."""
+"""Laws for a step, measured on a few particles: order, reversibility, symplectic form, momenta, energy, the oscillator,
+the cost."""
 
 from __future__ import annotations
 
@@ -44,14 +45,21 @@ def order_of(step: StudentStep, where: Problem, expected: int) -> Finding:
     kept = kept[-3:] if len(kept) > 2 else [0, 1]
     slope = float(-np.polyfit(np.log(counts[kept]), np.log(np.maximum([errors[k] for k in kept], 1e-300)), 1)[0])
     if slope < ORDER_OFF:
-        words = f"0: the error does not decrease with dt, it remains {errors[-1]:.2g}; the step does not solve Newton's equation"
+        words = (
+            f"0: the error does not decrease with dt, it remains {errors[-1]:.2g}; the step does not solve "
+            "Newton's equation"
+        )
         return Finding("order", False, words, slope)
-    words = f"{slope:.2f} measured, {expected} expected; error {errors[-1]:.1e} at t = {DURATION:g}, dt = {DURATION / counts[-1]:g}"
+    words = (
+        f"{slope:.2f} measured, {expected} expected; error {errors[-1]:.1e} at t = {DURATION:g}, dt = "
+        f"{DURATION / counts[-1]:g}"
+    )
     return Finding("order", slope > expected - ORDER_OFF, words, slope)
 
 
 def reversal(step: StudentStep, where: Problem, noise: float) -> Finding:
-    """Some steps, velocities reversed, as many steps again: the distance from the start, compared with the length of the way."""
+    """Some steps, velocities reversed, as many steps again: the distance from the start,
+    compared with the length of the way."""
     x, v = _run(step, where, 0.05, BACK)
     way = float(np.abs(x - where.x).max())
     x, v = _run(step, where._replace(x=x, v=-v), 0.05, BACK)
@@ -154,7 +162,8 @@ def energy(step: StudentStep, where: Problem) -> Finding:
         return Finding(
             "energy",
             False,
-            f"constant to rounding, {oscillation:.1e} of the kinetic energy: no explicit step has this property by itself",
+            f"constant to rounding, {oscillation:.1e} of the kinetic energy: no explicit step has this property by "
+            "itself",
             0.0,
         )
     words = f"{verb}; it oscillates by {oscillation:.1e} (dt = {LONG_STEP:g})"
@@ -162,7 +171,8 @@ def energy(step: StudentStep, where: Problem) -> Finding:
 
 
 def oscillator(step: StudentStep) -> Finding:
-    """The step as a matrix, for x″ = −x: its determinant, the quadratic form that it conserves, and the longest stable step."""
+    """The step as a matrix, for x″ = −x: its determinant, the quadratic form that it conserves,
+    and the longest stable step."""
     omega = np.sqrt(step.stiffness or 1.0)
     where = step.problem(1, stiffness=float(omega**2))
     where = where._replace(m=np.ones_like(where.m))
@@ -181,7 +191,8 @@ def oscillator(step: StudentStep) -> Finding:
         return Finding(
             "oscillator",
             False,
-            f"no quadratic form is conserved: at ω dt = {h:g} the energy {verb} by the factor {1.0 + off:.4g} in each step",
+            f"no quadratic form is conserved: at ω dt = {h:g} the energy {verb} by the factor {1.0 + off:.4g} in each "
+            "step",
             off,
         )
     skew = (m[1, 1] - m[0, 0]) / m[0, 1]

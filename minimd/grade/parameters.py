@@ -1,7 +1,7 @@
 """Parameters of a force function: those without effect, and wrong terms of a Lennard-Jones force.
 
-Each argument is increased by 15 %: if the forces are the same, it has no effect. Both terms of a Lennard-Jones force are compared with
-48 ε σ¹²/r¹³ − 24 ε σ⁶/r⁷.
+Each argument is increased by 15 %: if the forces are the same, it has no effect. Both terms of a Lennard-Jones force
+are compared with 48 ε σ¹²/r¹³ − 24 ε σ⁶/r⁷.
 """
 
 from __future__ import annotations
@@ -76,7 +76,8 @@ def without_effect(force: StudentForce, x: Array) -> list[str]:
         if np.array_equal(own, other):
             hint = ", a bond without rest length: F = −k (r − r0) r_ij/r" if re.search(REST, name.lower()) else ""
             faults.append(
-                f"the argument {name} is without effect: with {name} = {value:g} and {FACTOR * value:g} the forces are the same{hint}"
+                f"the argument {name} is without effect: with {name} = {value:g} and {FACTOR * value:g} the forces are "
+                f"the same{hint}"
             )
     return faults
 
@@ -107,6 +108,7 @@ def places_of_epsilon_and_sigma(force: StudentForce, f: Law, r: Array) -> list[s
             if epsilon != 1.0 and is_near(ratio, 1.0 / epsilon)
             else f", {coefficient(ratio)} times as much"
         )
-        faults.append(f"the {name} term is {c:.6g} r^−{n} where {factor:g} ε σ^{power} r^−{n} = {factor * epsilon * sigma**power:.6g} r^−{n} is "
+        faults.append(f"the {name} term is {c:.6g} r^−{n} where {factor:g} ε σ^{power} r^−{n} = "
+                      f"{factor * epsilon * sigma**power:.6g} r^−{n} is "
                       f"needed (with the function's ε = {epsilon:g}, σ = {sigma:g}){missing}")  # fmt: skip
     return faults

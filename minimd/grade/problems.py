@@ -1,10 +1,12 @@
-"""The problem on which a student's step is tested: a few particles with smooth, anharmonic forces, in the dimensions of the step.
+"""The problem on which a student's step is tested: a few particles with smooth, anharmonic forces,
+in the dimensions of the step.
 
     N particles     U = Σ_{i<j} ½ k r² + ¼ g r⁴          invariant under translation, rotation and exchange
     one number      U = ½ k q² + ¼ g q⁴, k = 1, g = 0.3
 
-Units are reduced; frequencies are about 1, and all masses differ. Polynomials have neither cutoff nor singularity: errors that are measured
-come from the step. The formula is the same in all dimensions, also for coordinates of shape (N,).
+Units are reduced; frequencies are about 1, and all masses differ. Polynomials have neither cutoff nor singularity:
+errors that are measured come from the step. The formula is the same in all dimensions,
+also for coordinates of shape (N,).
 """
 
 from __future__ import annotations

@@ -91,7 +91,8 @@ def ratio_of(f: Array, g: Array, r: Array) -> tuple[float, float] | None:
 
 
 def related(pair: tuple[float, float] | None, other: str, is_law: bool = False) -> tuple[str, str]:
-    """The meaning of f = c rᵏ g: words for a finding, and the fault (empty if there is none).  is_law : whether f may be f/r."""
+    """The meaning of f = c rᵏ g: words for a finding, and the fault (empty if there is none).  is_law :
+    whether f may be f/r."""
     if pair is None:
         return f"not {other}, nor a multiple of it", ""
     c, k = pair
@@ -100,13 +101,15 @@ def related(pair: tuple[float, float] | None, other: str, is_law: bool = False) 
     faults = []
     if c < 0.0:
         faults.append(
-            f"the force has the wrong sign: it is {coefficient(c)} times {other}, so atoms that should repel each other attract each other"
+            f"the force has the wrong sign: it is {coefficient(c)} times {other}, so atoms that should repel each "
+            "other attract each other"
         )
     if k == 1.0 and is_law:
         faults.append(f"the force has one power of r too many: a factor 1/r is missing in {other}")
     elif k == 1.0:
         faults.append(
-            "the factor 1/r is missing: du/dr is multiplied by the vector r_ij, but du/dr / r (or the unit vector) is needed"
+            "the factor 1/r is missing: du/dr is multiplied by the vector r_ij, but du/dr / r (or the unit vector) is "
+            "needed"
         )
     elif k == -1.0 and not is_law:
         faults.append("there is a factor 1/r too many: the force is divided by r twice")
@@ -125,7 +128,8 @@ def related(pair: tuple[float, float] | None, other: str, is_law: bool = False) 
 
 
 def jumps(law: Law, r: Array) -> list[Jump]:
-    """The jumps of a function of r: between grid points that differ by more than a smooth function would; refined by bisection."""
+    """The jumps of a function of r: between grid points that differ by more than a smooth function would;
+    refined by bisection."""
     values = np.array([law(float(one)) for one in r])
     scale = np.abs(values[r >= 1.0]).max() if (r >= 1.0).any() else np.abs(values).max()
     found: list[Jump] = []
@@ -147,14 +151,16 @@ def jumps(law: Law, r: Array) -> list[Jump]:
 
 
 def lennard_jones_fault(f: Powers) -> tuple[str, list[str]]:
-    """Name and faults of a force of two powers that should be −du/dr of Lennard-Jones, 48 r^−13 − 24 r^−7 with ε = σ = 1."""
+    """Name and faults of a force of two powers that should be −du/dr of Lennard-Jones,
+    48 r^−13 − 24 r^−7 with ε = σ = 1."""
     n, c = f.exponents, f.coefficients
     if len(n) != 2:
         return "", []
     if n == (13, 7):
         if c[0] * c[1] >= 0.0:
             return "Lennard-Jones, with a wrong sign", [
-                f"F = {f}: both terms have the same sign; repulsion and attraction need opposite ones, 48 r^−13 − 24 r^−7"
+                f"F = {f}: both terms have the same sign; repulsion and attraction need opposite ones, 48 r^−13 − 24 "
+                "r^−7"
             ]
         sigma6 = abs(c[0] / c[1]) / 2.0
         epsilon, sigma = abs(c[1]) / 24.0 / sigma6, sigma6 ** (1.0 / 6.0)
@@ -162,16 +168,26 @@ def lennard_jones_fault(f: Powers) -> tuple[str, list[str]]:
         faults = []
         if c[0] < 0.0:
             faults.append(
-                f"the force has the wrong sign: F = {f} attracts at short distances; F = −du/dr = 48ε σ¹²/r¹³ − 24ε σ⁶/r⁷"
+                f"the force has the wrong sign: F = {f} attracts at short distances; F = −du/dr = 48ε σ¹²/r¹³ − 24ε "
+                "σ⁶/r⁷"
             )
         if is_near(abs(c[0]), 24.0) and is_near(abs(c[1]), 24.0):
             faults.append(
-                "the repulsive term has 24 where 48 = 4 · 12 is needed: 48 r^−13 − 24 r^−7 with ε = σ = 1; a factor 2 is missing"
+                "the repulsive term has 24 where 48 = 4 · 12 is needed: 48 r^−13 − 24 r^−7 with ε = σ = 1; a factor 2 "
+                "is missing"
             )
         elif is_near(sigma6, 1.0) and not is_near(epsilon, 1.0):
-            faults.append(f"with ε = σ = 1 the force is {coefficient(epsilon)} times 48 r^−13 − 24 r^−7, as for ε = {coefficient(epsilon)}: "
-                          + ("pairs are counted twice, or a factor ½ is missing" if is_near(epsilon, 2.0) else
-                             "a factor 2 is missing" if is_near(epsilon, 0.5) else "a factor is wrong, unless this ε is meant"))  # fmt: skip
+            faults.append(
+                f"with ε = σ = 1 the force is {coefficient(epsilon)} times 48 r^−13 − 24 r^−7, as for ε = "
+                f"{coefficient(epsilon)}: "
+                + (
+                    "pairs are counted twice, or a factor ½ is missing"
+                    if is_near(epsilon, 2.0)
+                    else "a factor 2 is missing"
+                    if is_near(epsilon, 0.5)
+                    else "a factor is wrong, unless this ε is meant"
+                )
+            )
         elif sum((is_near(abs(c[0]), 48.0), is_near(abs(c[1]), 24.0))) == 1:
             which, size, right = (
                 ("attractive", abs(c[1]), 24) if is_near(abs(c[0]), 48.0) else ("repulsive", abs(c[0]), 48)
@@ -184,8 +200,8 @@ def lennard_jones_fault(f: Powers) -> tuple[str, list[str]]:
             f"{told}: there is a factor 1/r too many. f/r is multiplied by the vector r_ij, not by the unit vector"
         ]
     if n == (12, 6):
-        return "Lennard-Jones, times r", [f"{told}: the factor 1/r is missing; these are the exponents of the energy (du/dr is multiplied "
-                                          f"by the vector r_ij, "
+        return "Lennard-Jones, times r", [f"{told}: the factor 1/r is missing; these are the exponents of the energy "
+                                          f"(du/dr is multiplied by the vector r_ij, "
                                           "which brings another r)"]  # fmt: skip
     if 13 in n or 7 in n or (5 <= n[1] <= 9 and 11 <= n[0] <= 15):
         wrong = [
@@ -206,13 +222,15 @@ def _other_cutoff(seen: list[Jump], cutoff: float | None) -> list[str]:
         return [f"the force ends at r = {end:.6g}, before the cutoff {cutoff:g}{why}"]
     if cutoff is None and is_near(2.0 * squared, round(2.0 * squared)) and not is_near(100.0 * end, round(100.0 * end)):
         return [
-            f"the force ends at r = {end:.6g}, where r² = {squared:.6g}: is r² compared with a cutoff, not with its square?"
+            f"the force ends at r = {end:.6g}, where r² = {squared:.6g}: is r² compared with a cutoff, not with its "
+            "square?"
         ]
     return []
 
 
 def cutoff_findings(f: Law, u: Law | None, cutoff: float | None, farthest: float) -> tuple[list[Finding], list[str]]:
-    """Whether the force ends at the cutoff, and whether force and energy are continuous; without a cutoff, where they jump."""
+    """Whether the force ends at the cutoff, and whether force and energy are continuous; without a cutoff,
+    where they jump."""
     r = np.linspace(NEAREST, farthest, GRID)
     steps = [("force", jumps(f, r))] + ([("energy", jumps(u, r))] if u is not None else [])
     findings, faults = [], []
@@ -224,7 +242,8 @@ def cutoff_findings(f: Law, u: Law | None, cutoff: float | None, farthest: float
             seen = [one.r for one in steps[0][1] if one.above == 0.0]
             where = f"; the force ends at {seen[0]:.6g} instead" if seen else ""
             faults.append(
-                f"the cutoff {cutoff:g} is not applied: at r = {1.001 * cutoff:.4g} the force is {f(1.001 * cutoff):.3g}{where}"
+                f"the cutoff {cutoff:g} is not applied: at r = {1.001 * cutoff:.4g} the force is "
+                f"{f(1.001 * cutoff):.3g}{where}"
             )
     faults += _other_cutoff(steps[0][1], cutoff)
     for name, found in steps:
@@ -232,7 +251,7 @@ def cutoff_findings(f: Law, u: Law | None, cutoff: float | None, farthest: float
         passed = (None if name == "force" else False) if found else True
         findings.append(Finding(f"{name} continuous", passed, words, float(found[0].height) if found else 0.0))
         if found and name == "energy":
-            faults.append(f"the energy jumps at the cutoff by {found[0].height:+.4g} (r = {found[0].r:.6g}): each pair that crosses it "
-                          f"changes the total "
+            faults.append(f"the energy jumps at the cutoff by {found[0].height:+.4g} (r = {found[0].r:.6g}): each pair "
+                          f"that crosses it changes the total "
                           f"energy; subtract u(r_c) = {found[0].below:.4g} from the energy of every pair")  # fmt: skip
     return findings, faults

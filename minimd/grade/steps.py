@@ -1,4 +1,5 @@
-"""The grade of a step: its order, its symmetries, the quantities that it conserves, and the faults that its first terms show."""
+"""The grade of a step: its order, its symmetries, the quantities that it conserves,
+and the faults that its first terms show."""
 
 from __future__ import annotations
 
@@ -81,7 +82,8 @@ def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
 
 
 def _as_runge_kutta(findings: list[Finding]) -> tuple[Finding, ...]:
-    """Findings of a correct Runge-Kutta method, if its order was given: laws that no such method obeys do not count as faults."""
+    """Findings of a correct Runge-Kutta method, if its order was given:
+    laws that no such method obeys do not count as faults."""
     return tuple(replace(finding, passed=None) if finding.passed is False else finding for finding in findings)
 
 
@@ -97,7 +99,8 @@ def _hidden(step: StudentStep, where: Problem) -> list[str]:
     second = step(where, where.x, where.v, 0.1)
     if step.n_evaluations == 0 and any(role in FORCES for role in step.manner.roles):
         return [
-            "the step does not compute the force: it called the force function in its first call, or never, and keeps using that result"
+            "the step does not compute the force: it called the force function in its first call, or never, and keeps "
+            "using that result"
         ]
     off = max(float(np.abs(a - b).max()) for a, b in zip(first, second, strict=True))
     if off == 0.0:
@@ -110,9 +113,11 @@ def _hidden(step: StudentStep, where: Problem) -> list[str]:
     np.random.set_state(state)
     if all(np.array_equal(a, b) for a, b in zip(*ends, strict=True)):
         return [
-            f"the step draws random numbers: two steps from the same state differ by {off:.1e}. The step contains a thermostat"
+            f"the step draws random numbers: two steps from the same state differ by {off:.1e}. The step contains a "
+            "thermostat"
         ]
-    return [f"two steps from the same x and v differ by {off:.1e}: the step draws random numbers, or remembers earlier calls, such as a force "
+    return [f"two steps from the same x and v differ by {off:.1e}: the step draws random numbers, or remembers earlier "
+            "calls, such as a force "
             "that is kept outside. What a step needs must be among its arguments"]  # fmt: skip
 
 
@@ -157,7 +162,8 @@ def _faults(step: StudentStep, problems: list[Problem], noise: float, is_high: b
         off = float(np.abs(step.third - right).max() / np.abs(right).max()) if step.third is not None else 0.0
         if off > ROUNDING:
             faults.append(
-                f"the force that is returned is not the one at the new positions (off by {off:.1%}): the next step would begin with an old force"
+                f"the force that is returned is not the one at the new positions (off by {off:.1%}): the next step "
+                "would begin with an old force"
             )
     return faults
 
@@ -181,14 +187,16 @@ def _left_out(step: StudentStep, problems: list[Problem]) -> list[str]:
             if len(alone) and (what == "atom" or still.ndim > 1):
                 last = ", the last," if what == "atom" and list(alone) == [len(still) - 1] else ""
                 faults.append(
-                    f"{what} {', '.join(map(str, alone))}{last} is not {verb}: check the bounds of the loop, such as range(N − 1)"
+                    f"{what} {', '.join(map(str, alone))}{last} is not {verb}: check the bounds of the loop, such as "
+                    "range(N − 1)"
                 )
                 break
     return faults
 
 
 def _wrapped(step: StudentStep, where: Problem) -> list[str]:
-    """The fault of positions that are wrapped, found by starts farther and farther away; the forces of the test have no cell."""
+    """The fault of positions that are wrapped, found by starts farther and farther away;
+    the forces of the test have no cell."""
     if where.x.ndim == 0 or where.stiffness:
         return []
     new, _ = step(where, where.x, where.v, 0.02)
@@ -198,14 +206,18 @@ def _wrapped(step: StudentStep, where: Problem) -> list[str]:
             jump = np.abs(far - shift - new)
             if jump.max() > 1e-6:
                 cell = f"{jump[jump > 1e-6].min():.6g}"
-                return [f"atoms that start {distance:g} farther away are moved by {cell} more: positions are wrapped into a box with this edge "
-                        f"inside the "
-                        "step, or it depends on the place of the origin. Wrap positions that are written, not those that are integrated"]  # fmt: skip
+                return [
+                    f"atoms that start {distance:g} farther away are moved by {cell} more: positions are wrapped "
+                    f"into a box with this edge inside the "
+                    "step, or it depends on the place of the origin. Wrap positions that are written, not those "
+                    "that are integrated"
+                ]
     return []
 
 
 def _thermostat(step: StudentStep, problems: list[Problem]) -> list[str]:
-    """The fault of velocities that are rescaled, at once or at a rate that depends on the state, or whose mean motion is removed."""
+    """The fault of velocities that are rescaled, at once or at a rate that depends on the state,
+    or whose mean motion is removed."""
     where = problems[0]
     if where.x.ndim == 0:
         return []
@@ -214,7 +226,8 @@ def _thermostat(step: StudentStep, problems: list[Problem]) -> list[str]:
     if np.abs(changes[0]).max() > 1e-4:
         if np.abs(changes[0] - changes[0].mean(axis=0)).max() < 1e-5:
             return [
-                "the mean motion is removed in each step: all velocities change by the same vector. Do this only once, at the start"
+                "the mean motion is removed in each step: all velocities change by the same vector. Do this only once, "
+                "at the start"
             ]
         factors = [
             float(np.sum(change * one.v) / np.sum(one.v**2)) for change, one in zip(changes, problems, strict=True)
@@ -222,7 +235,8 @@ def _thermostat(step: StudentStep, problems: list[Problem]) -> list[str]:
         rests = [np.abs(change - c * one.v).max() for change, c, one in zip(changes, factors, problems, strict=True)]
         if max(rests) < 1e-5 and np.ptp(factors) > 1e-4:
             told = ", ".join(f"{1.0 + c:.4g}" for c in factors[:3])
-            return [f"velocities are multiplied by {told}, … in each step, even in the shortest one: they are rescaled to a temperature, the step "
+            return [f"velocities are multiplied by {told}, … in each step, even in the shortest one: they are rescaled "
+                    "to a temperature, the step "
                     "contains a thermostat"]  # fmt: skip
         return []
     rates = []
@@ -247,7 +261,8 @@ def _is_plain(parts: list[tuple[str, float]]) -> bool:
 
 
 def _of_substeps(parts: list[tuple[str, float]], findings: list[Finding], order: int) -> list[str]:
-    """The fault of a sequence of three kicks or more of lower order than expected, or than a method with nearly its weights: weights are wrong."""
+    """The fault of a sequence of three kicks or more of lower order than expected,
+    or than a method with nearly its weights: weights are wrong."""
     kicks, reached = sum(kind == "kick" for kind, _ in parts), findings[0].value
     near = nearest_method(parts) if kicks >= FEW else ""
     if kicks < FEW or reached > (max(order - 0.5, HIGH) if near else order - 0.5):
@@ -255,15 +270,18 @@ def _of_substeps(parts: list[tuple[str, float]], findings: list[Finding], order:
     near = (
         f": {near}"
         if near
-        else "; print(md.integrators.METHODS) lists those that have more, and md.integrators.CandyRozmus4.substeps their weights"
+        else "; print(md.integrators.METHODS) lists those that have more, and md.integrators.CandyRozmus4.substeps "
+        "their weights"
     )
     return [
-        f"{kicks} kicks in a step, but no more than order {reached:.1f}: the weights of the substeps are not those of a method of higher order{near}"
+        f"{kicks} kicks in a step, but no more than order {reached:.1f}: the weights of the substeps are not those of "
+        f"a method of higher order{near}"
     ]
 
 
 def clipped(step: StudentStep, where: Problem) -> list[str]:
-    """A limit of the components of velocities, or of speeds: larger values are reduced to it, smaller ones do not change."""
+    """A limit of the components of velocities, or of speeds: larger values are reduced to it,
+    smaller ones do not change."""
     if where.x.ndim == 0:
         return []
     for faster in FASTER:
@@ -302,7 +320,8 @@ def same_rows(step: StudentStep, where: Problem) -> list[str]:
     for part in step.path[:1]:
         if len(part) > 2 and np.array_equal(part[0], part[-1]) and np.array_equal(part[1], part[-1]):
             return [
-                "all rows of the path are alike: the array is changed in place after it was appended. Append a copy, as in xs.append(x.copy())"
+                "all rows of the path are alike: the array is changed in place after it was appended. Append a copy, "
+                "as in xs.append(x.copy())"
             ]
     return []
 
@@ -312,18 +331,20 @@ def _structural(findings: list[Finding], step: StudentStep) -> list[str]:
     failed = {finding.name: finding for finding in findings if finding.passed is False}
     faults = []
     if "energy" in failed and failed["energy"].value == 0.0:
-        faults.append("the energy is kept to rounding: velocities are rescaled in each step to keep it, which hides the error of the step "
-                      "and is neither "
+        faults.append("the energy is kept to rounding: velocities are rescaled in each step to keep it, which hides "
+                      "the error of the step and is neither "
                       "symplectic nor reversible")  # fmt: skip
     if "order" in failed:
         faults.append(f"the first terms are right, but the measured order is {failed['order'].value:.2f}")
     if "momentum" in failed:
         faults.append(
-            "the total momentum changes: the forces of a step are not all computed at the same positions, or atoms are moved one after another"
+            "the total momentum changes: the forces of a step are not all computed at the same positions, or atoms are "
+            "moved one after another"
         )
     if "symplectic" in failed and "volume" in failed:
         faults.append(
-            "the step shrinks or stretches phase space (see volume), as Runge-Kutta methods and thermostats do: its energy drifts"
+            "the step shrinks or stretches phase space (see volume), as Runge-Kutta methods and thermostats do: its "
+            "energy drifts"
         )
     elif "symplectic" in failed:
         faults.append("the step is not symplectic: it is not a product of kicks and drifts")

@@ -1,7 +1,7 @@
 """The name of a step: methods, right and wrong, with which it is compared to rounding, and the kicks and drifts in it.
 
-A row is a name and a step; a(x) is F/m at x. Steps that are sequences of kicks and drifts come from minimd's own table of splittings. To add
-a method, add a row.
+A row is a name and a step; a(x) is F/m at x. Steps that are sequences of kicks and drifts come from minimd's own table
+of splittings. To add a method, add a row.
 
 The weights of kicks and drifts are found from the results of a step:
 
@@ -190,7 +190,8 @@ def recorded(where: Problem, only: int) -> Any:
 
 
 def substeps_of(step: StudentStep, where: Problem, h: float = 0.1) -> list[tuple[str, float]] | None:
-    """("kick" or "drift", weight) in turn, neighbors of the same kind added; None for a step that is not such a sequence."""
+    """("kick" or "drift", weight) in turn, neighbors of the same kind added;
+    None for a step that is not such a sequence."""
     if any(role.split()[0] in ("known", "before", "half", "old") for role in step.manner.roles):
         return None
     free = recorded(where, -1)

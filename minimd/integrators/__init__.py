@@ -1,4 +1,5 @@
-"""Kicks, drifts and the methods composed from them; implicit methods, differential-algebraic equations and invariants of small systems."""
+"""Kicks, drifts and the methods composed from them; implicit methods,
+differential-algebraic equations and invariants of small systems."""
 
 from minimd.integrators.dae.hessenberg import *
 from minimd.integrators.dae.implicit import *

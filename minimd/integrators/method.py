@@ -19,7 +19,8 @@ class Problem(Protocol):
     """y′ = f(t, y) or F(t, y, y′) = 0, with initial values. States are one-dimensional arrays.
 
     solver : Newton() or FixedPoint(), for implicit steps.  shape : of q and of v, None for problems without them.
-    remark : what limits the accuracy of solutions beyond method and rounding, if anything does; known once initial values are given.
+    remark : what limits the accuracy of solutions beyond method and rounding, if anything does;
+        known once initial values are given.
     """
 
     solver: Any
@@ -39,7 +40,8 @@ class Problem(Protocol):
 class Step(Protocol):
     """One step of a method on a problem: y(t) → y(t+h). It never changes y, and counts its evaluations in nfev.
 
-    A step may remember what it knows about the state it returned last (its force, say); it recognizes the state as the same array object.
+    A step may remember what it knows about the state it returned last (its force, say);
+    it recognizes the state as the same array object.
     """
 
     @property
@@ -96,7 +98,8 @@ class Method(Displayed):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The constructor arguments that recreate this method, by name: its attributes with the names of constructor arguments."""
+        """The constructor arguments that recreate this method, by name:
+        its attributes with the names of constructor arguments."""
         return {name: getattr(self, name) for name in signature(type(self)).parameters if hasattr(self, name)}
 
     def display_rows(self) -> Rows:
@@ -108,7 +111,8 @@ class Method(Displayed):
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
-        """The step of this method on a problem that has its initial values.  Raises TypeError if the method cannot be used on such problems."""
+        """The step of this method on a problem that has its initial values.
+        Raises TypeError if the method cannot be used on such problems."""
         raise NotImplementedError
 
     @classmethod

@@ -1,4 +1,5 @@
-"""The bridge to LAMMPS: a simulation is handed over, verified at step 0, run under MPI, and brought back as a file of minimd."""
+"""The bridge to LAMMPS: a simulation is handed over, verified at step 0, run under MPI,
+and brought back as a file of minimd."""
 
 from minimd.lammps.handing_over import HandOver, check_hand_over, hand_over, not_carried_over
 from minimd.lammps.program import find_program

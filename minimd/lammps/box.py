@@ -1,4 +1,5 @@
-"""The cell in LAMMPS, with a along x and b in the xy plane: positions are turned and wrapped for it, and turned and unwrapped afterwards."""
+"""The cell in LAMMPS, with a along x and b in the xy plane: positions are turned and wrapped for it,
+and turned and unwrapped afterwards."""
 
 from __future__ import annotations
 
@@ -19,8 +20,9 @@ class Box:
     Attributes
     ----------
     turn : (3, 3) rotation; a vector r of minimd is r @ turn in LAMMPS.
-    edges : (3, 3) [length], lower triangle; rows are the vectors of minimd's reduced lattice, turned. If the lattice is left-handed, all three
-        are negated, which gives the same lattice: a reflection would change the sign of dihedral angles.
+    edges : (3, 3) [length], lower triangle; rows are the vectors of minimd's reduced lattice, turned. If the lattice is
+        left-handed, all three are negated, which gives the same lattice:
+        a reflection would change the sign of dihedral angles.
     low, high : (3,) bounds along the diagonal [length].  open : (3,) bool.
     positions : (N, 3) [length], turned and wrapped.
 
@@ -38,7 +40,8 @@ class Box:
         self.low, self.high = np.zeros(3), np.diag(self.edges).copy()
 
     def make_room(self, length: float) -> None:
-        """Set bounds in open directions at a distance from the atoms [length]; LAMMPS, which moves them, needs a box thicker than cutoffs."""
+        """Set bounds in open directions at a distance from the atoms [length]; LAMMPS, which moves them,
+        needs a box thicker than cutoffs."""
         for k in np.flatnonzero(self.open):
             column = self.positions[:, k]
             self.low[k], self.high[k] = column.min() - length, column.max() + length
@@ -54,7 +57,8 @@ class Box:
     def positions_back(self, unwrapped: Array, expected: Array) -> Array:
         """Unwrapped positions of LAMMPS (N, 3) [length], turned back and in the images of minimd.
 
-        LAMMPS loses multiples of IMAGES cells; those are taken that come closest to the expected positions, (N, 3) [length].
+        LAMMPS loses multiples of IMAGES cells; those are taken that come closest to the expected positions, (N, 3)
+        [length].
         """
         positions = self.back(unwrapped) + self._shifts
         return positions + IMAGES * np.rint(self.crossed(expected - positions) / IMAGES) @ self._cell.lattice
@@ -72,7 +76,8 @@ class Box:
         return turned[:, [0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]]
 
     def boundary(self) -> str:
-        """The arguments of LAMMPS' command boundary: p (periodic), or m, an open boundary that follows the atoms but keeps a smallest extent."""
+        """The arguments of LAMMPS' command boundary: p (periodic), or m,
+        an open boundary that follows the atoms but keeps a smallest extent."""
         return " ".join("m" if is_open else "p" for is_open in self.open)
 
     def lines(self) -> list[str]:

@@ -1,7 +1,8 @@
-"""A law u(r) as a text for LAMMPS' styles "lepton": the function of the law is called with symbols, which record the operations on them.
+"""A law u(r) as a text for LAMMPS' styles "lepton": the function of the law is called with symbols,
+which record the operations on them.
 
-Lepton differentiates the text itself: only u is needed, not the −u′(r)/r that the law also returns. A law with conditions on the distance is
-called for each combination of their outcomes.
+Lepton differentiates the text itself: only u is needed, not the −u′(r)/r that the law also returns. A law with
+conditions on the distance is called for each combination of their outcomes.
 P. Eastman et al., PLoS Comput. Biol. 13, e1005659 (2017), for Lepton, the parser of OpenMM.
 """
 
@@ -153,7 +154,8 @@ class Symbol:
 
 
 def applied(name: str, *inputs: Any) -> Any:
-    """Apply a function of math or numpy, given by name, to symbols and numbers.  Raises UnwritableError if Lepton does not have it."""
+    """Apply a function of math or numpy, given by name, to symbols and numbers.
+    Raises UnwritableError if Lepton does not have it."""
     first = next(one for one in inputs if isinstance(one, Symbol))
     if name in OPERATORS:
         return OPERATORS[name](*(x if isinstance(x, Symbol) else float(x) for x in inputs))
@@ -212,7 +214,8 @@ def _followed(law: tuple, parameters: tuple[float, ...], decisions: tuple[bool, 
 
 
 class Rewritten:
-    """Copies of functions that compute with symbols: in them, functions of math, min, max and others take symbols too."""
+    """Copies of functions that compute with symbols: in them, functions of math, min,
+    max and others take symbols too."""
 
     def __init__(self) -> None:
         self._copies: dict[int, Callable] = {}

@@ -46,9 +46,11 @@ Tell = Callable[[str], object]
 class HandOver(Displayed):
     """The result of a hand-over.
 
-    folder : of all files.  trajectory : the H5MD file, from which Simulation.resume goes on.  record : Record of its frames.
-    verification : of step 0.  energy_difference : largest difference, in all frames, of the potential energies of LAMMPS and minimd, as a
-        fraction of the largest of Verification.scale, the potential energy of the frame and its N k_B T.
+    folder : of all files.  trajectory : the H5MD file, from which Simulation.resume goes on.  record :
+        Record of its frames.
+    verification : of step 0.  energy_difference : largest difference, in all frames, of the potential energies of
+        LAMMPS and minimd, as a fraction of the largest of Verification.scale,
+        the potential energy of the frame and its N k_B T.
     seconds : of each phase.  version : of LAMMPS.  processes : their number.
     """
 
@@ -69,7 +71,8 @@ class HandOver(Displayed):
             ("verified", f"{self.verification}"),
             (
                 "frames",
-                f"{len(self.record)}; potential energies differ by at most {self.energy_difference:.1e} of Σ|e_i| or N k_B T",
+                f"{len(self.record)}; potential energies differ by at most {self.energy_difference:.1e} of Σ|e_i| or N "
+                "k_B T",
             ),
             ("time", times),
             ("written", str(self.trajectory)),
@@ -80,15 +83,18 @@ def not_carried_over(simulation: Simulation) -> list[str]:
     """The promises of minimd that a run by LAMMPS does not keep, one sentence each."""
     engine, method = simulation.engine, simulation.method
     told = [
-        "exact restart: bits depend on the number of processes, and on where LAMMPS ended; minimd goes on from positions and velocities only"
+        "exact restart: bits depend on the number of processes, and on where LAMMPS ended; minimd goes on from "
+        "positions and velocities only"
     ]
     if method.is_thermostat:
         told.append(
-            f"noise: its bath is LAMMPS' {script.BATHS[type(method)]}, with random numbers that depend on the number of processes"
+            f"noise: its bath is LAMMPS' {script.BATHS[type(method)]}, with random numbers that depend on the number "
+            "of processes"
         )
     if isinstance(method, LangevinBAOAB):
         told.append(
-            "order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, and its errors of order Δt² differ"
+            "order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, and its errors "
+            "of order Δt² differ"
         )
     if len(engine.extra_observables):
         told.append(f"{', '.join(engine.extra_observables)}: computed by minimd for each frame, not by LAMMPS")
@@ -98,7 +104,8 @@ def not_carried_over(simulation: Simulation) -> list[str]:
         told.append(f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration")
     return [
         *told,
-        "observers, crash reports and the run guard: a run of LAMMPS that fails ends with LAMMPS' own error, and the frames before it are kept",
+        "observers, crash reports and the run guard: a run of LAMMPS that fails ends with LAMMPS' own error, and the "
+        "frames before it are kept",
     ]
 
 
@@ -114,24 +121,32 @@ def hand_over(
     progress: bool | None = None,
     tell: Tell | None = print,
 ) -> HandOver:
-    """Let LAMMPS make the next steps of a simulation. Afterwards the simulation is in the state in which LAMMPS ended, and can go on.
+    """Let LAMMPS make the next steps of a simulation.
 
-    The scene is written for LAMMPS from the same laws. LAMMPS evaluates it at step 0; energy, force and virial of each atom must agree with
-    those of minimd to 1e-10 of the largest, or nothing is run. Then LAMMPS runs as a child process, under mpiexec for several processes. Its
-    frames are read back, observed by minimd, and written to an H5MD file with a restart.
+    Afterwards the simulation is in the state in which LAMMPS ended, and can go on.
+
+    The scene is written for LAMMPS from the same laws. LAMMPS evaluates it at step 0; energy, force and virial of each
+    atom must agree with those of minimd to 1e-10 of the largest, or nothing is run. Then LAMMPS runs as a child
+    process, under mpiexec for several processes. Its frames are read back, observed by minimd,
+    and written to an H5MD file with a restart.
 
     Parameters
     ----------
-    folder : for all files; it must not exist, or must be empty.  steps : number of steps.  processes : number of MPI processes.
-    every : steps between frames: the first state, and then those whose step is a multiple of every.  store_forces : also write forces.
-    overwrite : replace the folder.  progress : as for Simulation.run.  tell : called with lines about the hand-over; None for silence.
+    folder : for all files; it must not exist, or must be empty.  steps : number of steps.  processes :
+        number of MPI processes.
+    every : steps between frames: the first state, and then those whose step is a multiple of every.  store_forces :
+        also write forces.
+    overwrite : replace the folder.  progress : as for Simulation.run.  tell : called with lines about the hand-over;
+        None for silence.
 
     Raises
     ------
-    FileNotFoundError : if LAMMPS is not found, or mpiexec for several processes.  FileExistsError : for a folder that is not empty.
-    ValueError : for a scene that LAMMPS cannot run as minimd does.  HandOverError : if LAMMPS disagrees or fails.  OSError : for files.
-    The simulation is then in its state before, and the folder is removed. But if LAMMPS fails after it has written frames, the complete
-    frames are kept, and the simulation is in the state of the last one.
+    FileNotFoundError : if LAMMPS is not found, or mpiexec for several processes.  FileExistsError :
+        for a folder that is not empty.
+    ValueError : for a scene that LAMMPS cannot run as minimd does.  HandOverError : if LAMMPS disagrees or fails.
+        OSError : for files.
+    The simulation is then in its state before, and the folder is removed. But if LAMMPS fails after it has written
+    frames, the complete frames are kept, and the simulation is in the state of the last one.
     """
     job = Job(simulation, Path(folder), steps, processes, every, progress, tell or (lambda line: None))
     with job.in_folder(checked_flag("overwrite", overwrite)):
@@ -148,14 +163,16 @@ def check_hand_over(
     every: int = 100,
     overwrite: bool = False,
 ) -> None:
-    """Raise the errors that hand_over raises before it starts: for a scene that LAMMPS cannot run, if LAMMPS is not found, for the folder."""
+    """Raise the errors that hand_over raises before it starts: for a scene that LAMMPS cannot run,
+    if LAMMPS is not found, for the folder."""
     job = Job(simulation, Path(folder), steps, processes, every)
     job.check_folder(overwrite)
     Model(job.engine)
 
 
 class Brought(NamedTuple):
-    """record : of the frames that were read back.  energy_difference : see HandOver.  missing : number of frames that are missing."""
+    """record : of the frames that were read back.  energy_difference : see HandOver.  missing :
+    number of frames that are missing."""
 
     record: Record
     energy_difference: float
@@ -177,7 +194,8 @@ class Job:
     ) -> None:
         if simulation.barostat is not None:
             raise ValueError(
-                "a run with a barostat cannot be handed over to LAMMPS, which has other barostats than minimd; run it with minimd"
+                "a run with a barostat cannot be handed over to LAMMPS, which has other barostats than minimd; run it "
+                "with minimd"
             )
         self.simulation, self.engine, self.folder, self.trajectory = (
             simulation,
@@ -197,7 +215,10 @@ class Job:
 
     @contextmanager
     def in_folder(self, overwrite: bool) -> Iterator[None]:
-        """Context in which the folder exists. If something fails, the folder is removed, unless frames are kept in it."""
+        """Context in which the folder exists.
+
+        If something fails, the folder is removed, unless frames are kept in it.
+        """
         self.check_folder(overwrite)
         before, old = self.engine.snapshot(), None
         if self.folder.is_dir() and any(self.folder.iterdir()):
@@ -239,7 +260,10 @@ class Job:
             shutil.disk_usage(self.folder.absolute().parent).free,
         )
         if needed > free:
-            sizes = f"{needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the disk has {free / 1e9:.2g} GB left"
+            sizes = (
+                f"{needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the disk has "
+                f"{free / 1e9:.2g} GB left"
+            )
             raise OSError(
                 f"the hand-over needs {sizes}; free some space, or write frames less often (every = {self.every})"
             )
@@ -276,7 +300,10 @@ class Job:
             if self.stop_requested:
                 raise KeyboardInterrupt("stopped before the run of LAMMPS")
             if log.processes != self.processes:
-                why = f"{self.program.lmp} was probably built without MPI, or for another mpiexec than {self.program.mpiexec}"
+                why = (
+                    f"{self.program.lmp} was probably built without MPI, or for another mpiexec than "
+                    f"{self.program.mpiexec}"
+                )
                 raise HandOverError(
                     f"LAMMPS runs on {log.processes} process instead of {self.processes}; {why}: {INSTALL}"
                 )
@@ -322,7 +349,8 @@ class Job:
         return done
 
     def _judge(self, failure: HandOverError | None, brought: Brought, log: Log) -> None:
-        """Raise HandOverError if LAMMPS has failed, or frames are missing or wrong; KeyboardInterrupt if the run was stopped."""
+        """Raise HandOverError if LAMMPS has failed, or frames are missing or wrong;
+        KeyboardInterrupt if the run was stopped."""
         words, different, allowed = (
             "",
             brought.energy_difference,
@@ -336,7 +364,10 @@ class Job:
             words = f"LAMMPS has made all steps, but {brought.missing} frames are not on the disk; is the disk full?"
         elif not different <= allowed:
             why = f"its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the time step"
-            words = f"potential energies of a frame differ by {different:.1e} of Σ|e_i| or N k_B T, allowed is {allowed:g}; {why}"
+            words = (
+                f"potential energies of a frame differ by {different:.1e} of Σ|e_i| or N k_B T, allowed is "
+                f"{allowed:g}; {why}"
+            )
         if words and self.keeps_frames:
             kept = f"{len(brought.record)} frames up to step {self.engine.step} are kept in {self.trajectory}"
             words = f"{kept}; {words}" if self.stop_requested else f"{words}; {kept}"  # the name of the signal follows
@@ -346,7 +377,8 @@ class Job:
     def _bring_back(self, log: Log, store_forces: bool, is_whole: bool) -> Brought:
         """Write the frames, observed by minimd, into the H5MD file; the simulation is then in the last state.
 
-        is_whole : whether LAMMPS has reached its end. If not, the frames that exist are kept if there is one after the first.
+        is_whole : whether LAMMPS has reached its end. If not,
+            the frames that exist are kept if there is one after the first.
         """
         path, n_atoms, k_b = self.folder / script.FRAMES, len(self.engine.system), self.engine.system.units.k_B
         record = Record(self.engine.system.units, n_atoms, self.trajectory)
@@ -409,13 +441,18 @@ class Job:
         engine, box, velocities = self.engine, self.model.box, self.model.box.back(columns[:, 3:])
         if not np.isfinite(columns).all():
             raise HandOverError(
-                f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step ({engine.method.timestep:g})"
+                f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step "
+                f"({engine.method.timestep:g})"
             )
         half = 0.5 * (step - engine.step) * engine.method.timestep
         if (most := np.abs(box.crossed(half * (velocities - engine.velocities))).max()) > IMAGES / 2:
-            why = f"the change of their velocities since step {engine.step} amounts to {most:.3g} cells, and LAMMPS counts {IMAGES // 2}"
+            why = (
+                f"the change of their velocities since step {engine.step} amounts to {most:.3g} cells, and LAMMPS "
+                f"counts {IMAGES // 2}"
+            )
             raise HandOverError(
-                f"the images of atoms at step {step} are unknown: {why}; bring frames back more often (every = {self.every})"
+                f"the images of atoms at step {step} are unknown: {why}; bring frames back more often (every = "
+                f"{self.every})"
             )
         engine.positions[:] = box.positions_back(
             columns[:, :3], engine.positions + half * (velocities + engine.velocities)

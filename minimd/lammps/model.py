@@ -1,4 +1,5 @@
-"""A scene translated for LAMMPS: types, bonds, angles and dihedrals, pair styles from the laws; errors for all that LAMMPS does not have."""
+"""A scene translated for LAMMPS: types, bonds, angles and dihedrals, pair styles from the laws;
+errors for all that LAMMPS does not have."""
 
 from __future__ import annotations
 
@@ -39,7 +40,8 @@ BOND_STYLES = {MorseLaw: "morse", FENELaw: "fene"}  # the styles with the same p
 
 
 class PairStyle(NamedTuple):
-    """name : of the style.  cutoff : the largest [length].  shift : whether LAMMPS subtracts u(r_c).  scale : bonded_scale.
+    """name : of the style.  cutoff : the largest [length].  shift : whether LAMMPS subtracts u(r_c).  scale :
+    bonded_scale.
 
     coefficients : for each pair of types, the types as LAMMPS writes them, and the parameters.
     """
@@ -56,8 +58,10 @@ class Model:
 
     Attributes
     ----------
-    box : Box.  types : AtomTypes.  bonds, angles, dihedrals : Groups.  rigid_bonds, rigid_angles : the types that fix shake holds.
-    pair_styles : list of PairStyle.  cutoff, skin : [length], of lists.  reach : [length], of the communication between processes.
+    box : Box.  types : AtomTypes.  bonds, angles, dihedrals : Groups.  rigid_bonds, rigid_angles :
+        the types that fix shake holds.
+    pair_styles : list of PairStyle.  cutoff, skin : [length], of lists.  reach : [length],
+        of the communication between processes.
     search : how lists are built.
 
     Raises
@@ -132,7 +136,8 @@ class Model:
             )
 
     def _pair_style(self, potential: PairPotential, species_names: tuple) -> PairStyle:
-        """The style of a pair potential: a Lennard-Jones style of LAMMPS if there is one, else its law as an expression for Lepton."""
+        """The style of a pair potential: a Lennard-Jones style of LAMMPS if there is one,
+        else its law as an expression for Lepton."""
         table = potential.table(species_names)
         is_own = isinstance(potential.plain_law, LennardJonesLaw) and type(potential.law) in LJ_STYLES
         name = LJ_STYLES[type(potential.law)] if is_own else "lepton"
@@ -171,7 +176,8 @@ class Model:
         if is_fixed[constraints.pairs].any():
             pair = constraints.pairs[np.argmax(is_fixed[constraints.pairs].any(axis=1))].tolist()
             raise ValueError(
-                f"LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms {pair}: run this scene with minimd"
+                f"LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms {pair}: run this "
+                "scene with minimd"
             )
         rigid = Rigid.of(constraints, len(is_fixed))
         lengths, of_each = np.unique(rigid.lengths, return_inverse=True)
@@ -184,12 +190,14 @@ class Model:
         )
 
     def _complete_graph(self, bonds: NDArray[np.int64]) -> None:
-        """Add the bonds without a law: LAMMPS counts bonded_scale along all bonds that it knows.  Raises ValueError if it knows others."""
+        """Add the bonds without a law: LAMMPS counts bonded_scale along all bonds that it knows.
+        Raises ValueError if it knows others."""
         known = self.bonds.atoms
         if len(known) and not among(known, bonds).all():
             pair = known[np.argmin(among(known, bonds))].tolist()
             raise ValueError(
-                f"minimd counts bonded_scale along the bonds of the system, LAMMPS also along held lengths and others; atoms {pair} are not bonded"
+                "minimd counts bonded_scale along the bonds of the system, LAMMPS also along held lengths and others; "
+                f"atoms {pair} are not bonded"
             )
         missing = bonds[~among(bonds, known)] if len(known) else bonds
         if len(missing):

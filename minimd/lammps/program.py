@@ -26,12 +26,14 @@ SECONDS_BETWEEN_LOOKS = 0.05
 SECONDS_TO_END = 5.0  # for a child to end after SIGTERM, before it is killed
 SECONDS_TO_TRY = 60.0
 OUTPUT = "output.txt"
-GUARD = "trap '' TERM; read -r line; kill -KILL 0"  # for sh: when the other end of its input is closed, kill its process group
+# for sh: when the other end of its input is closed, kill its process group
+GUARD = "trap '' TERM; read -r line; kill -KILL 0"
 
 
 @dataclass(frozen=True)
 class Program:
-    """lmp : the executable.  mpiexec : the program that starts several processes of it, or None.  version : as LAMMPS states it."""
+    """lmp : the executable.  mpiexec : the program that starts several processes of it, or None.  version :
+    as LAMMPS states it."""
 
     lmp: Path
     mpiexec: Path | None
@@ -48,7 +50,8 @@ class Program:
 
 
 def environment() -> dict[str, str]:
-    """The environment of the child: with the libraries of mpich, which are installed with Python, and one thread for each process."""
+    """The environment of the child: with the libraries of mpich, which are installed with Python,
+    and one thread for each process."""
     before = os.environ.get("LD_LIBRARY_PATH", "")
     return os.environ | {
         "LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(Path(sys.prefix, "lib")), before])),
@@ -91,10 +94,11 @@ def _version(lmp: Path) -> str:
 
 @contextmanager
 def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
-    """A child process that prints to the file OUTPUT; it and its processes are ended when the context is left, or when this process dies.
+    """A child process that prints to the file OUTPUT; it and its processes are ended when the context is left,
+    or when this process dies.
 
-    They are in a process group led by a shell, which waits for the end of its input and then kills the group. Only this process can end that
-    input: by closing the pipe, or by dying, even by kill -9.
+    They are in a process group led by a shell, which waits for the end of its input and then kills the group. Only this
+    process can end that input: by closing the pipe, or by dying, even by kill -9.
     """
     (folder / OUTPUT).unlink(missing_ok=True)  # of the run before
     with (folder / OUTPUT).open("x") as output:
@@ -128,7 +132,8 @@ def _end(child: subprocess.Popen, group: int) -> None:
 def run(
     command: list[str], folder: Path, log: str, stop: Stoppable, tell: Callable[[int], object] = lambda step: None
 ) -> Log:
-    """Run LAMMPS to its end, or until a stop is requested; returns its log.  tell : called with the step, as the log grows.
+    """Run LAMMPS to its end, or until a stop is requested; returns its log.  tell : called with the step,
+    as the log grows.
 
     Raises HandOverError, with the first error that LAMMPS printed, if it fails.
     """
@@ -167,7 +172,8 @@ def _failure(code: int, log: Log, output: str) -> str:
 class Log:
     """The log of a run of LAMMPS, read while it grows.
 
-    columns : names.  steps, rows : step and numbers of each line.  dangerous_builds : of lists.  processes : that LAMMPS uses, 0 until it says so.
+    columns : names.  steps, rows : step and numbers of each line.  dangerous_builds : of lists.  processes :
+        that LAMMPS uses, 0 until it says so.
     """
 
     def __init__(self, path: Path) -> None:

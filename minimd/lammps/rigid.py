@@ -1,4 +1,5 @@
-"""Rigid bonds for LAMMPS' fix shake: one to three bonds of a middle atom, or a triangle with two equal sides, such as water."""
+"""Rigid bonds for LAMMPS' fix shake: one to three bonds of a middle atom, or a triangle with two equal sides,
+such as water."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ CAN = "fix shake of LAMMPS holds one to three bonds of a middle atom, or triangl
 
 
 class Rigid(NamedTuple):
-    """bonds : (B, 2) atoms.  lengths : (B,) [length].  angles : (A, 3) atoms, the middle one second.  openings : (A,) [rad]."""
+    """bonds : (B, 2) atoms.  lengths : (B,) [length].  angles : (A, 3) atoms, the middle one second.  openings : (A,)
+    [rad]."""
 
     bonds: NDArray[np.int64]
     lengths: NDArray[np.float64]
@@ -53,7 +55,8 @@ class Rigid(NamedTuple):
 def _opened(
     pairs: NDArray[np.int64], lengths: NDArray[np.float64], triangles: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Two equal sides of each triangle, the atoms of the angle between them, and the angle.  triangles : (A, 3) indices of pairs."""
+    """Two equal sides of each triangle, the atoms of the angle between them, and the angle.  triangles : (A, 3)
+    indices of pairs."""
     sides = lengths[triangles]
     differences = np.abs(sides - np.roll(sides, -1, axis=1)) / sides.max(axis=1, keepdims=True, initial=1.0)
     equal = np.argmin(
@@ -62,7 +65,8 @@ def _opened(
     rows = np.arange(len(triangles))
     if (differences[rows, equal] > EQUAL).any():
         raise ValueError(
-            f"{CAN}; that of atom {pairs[triangles[np.argmax(differences[rows, equal] > EQUAL), 0], 0]} has none: run it with minimd instead"
+            f"{CAN}; that of atom {pairs[triangles[np.argmax(differences[rows, equal] > EQUAL), 0], 0]} has none: run "
+            "it with minimd instead"
         )
     first, second, third = (triangles[rows, (equal + k) % 3] for k in range(3))
     if (lengths[third] > (1.0 - FLAT) * (lengths[first] + lengths[second])).any():

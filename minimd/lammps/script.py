@@ -24,7 +24,8 @@ ATOMS_AT_ONCE = 100_000  # written in one piece
 SHAKE_TOLERANCE, SHAKE_ITERATIONS = 1e-13, 200  # tolerance relative to the lengths
 LARGEST_SEED = 900_000_000  # of LAMMPS' random numbers
 LOOKS = 50  # least number of lines with energies in the log of a run
-PER_ATOM = "c_energies fx fy fz c_stresses[1] c_stresses[2] c_stresses[3] c_stresses[6] c_stresses[5] c_stresses[4]"  # xx yy zz yz xz xy
+# xx yy zz yz xz xy
+PER_ATOM = "c_energies fx fy fz c_stresses[1] c_stresses[2] c_stresses[3] c_stresses[6] c_stresses[5] c_stresses[4]"
 
 BATHS: dict[type, str] = {LangevinBAOAB: "fix langevin", StochasticVelocityRescaling: "fix temp/csvr"}
 METHODS: tuple[type[Splitting], ...] = (VelocityVerlet, Leapfrog, *BATHS)  # Leapfrog: same observed states
@@ -36,14 +37,16 @@ def check_method(engine: Engine) -> None:
     if type(method) not in METHODS:
         known = ", ".join(one.name for one in METHODS)
         raise ValueError(
-            f"LAMMPS can make the steps of {known}; the method is {method.name}: choose another one, or run this scene with minimd"
+            f"LAMMPS can make the steps of {known}; the method is {method.name}: choose another one, or run this scene "
+            "with minimd"
         )
     if method.timestep < 0.0:
         raise ValueError(f"the time step must be positive for LAMMPS; timestep = {method.timestep!r}")
 
 
 def write_atoms(path: Path, model: Model, box: Box, velocities: NDArray[np.float64]) -> None:
-    """The data file: box, masses, atoms, velocities (N, 3), bonds, angles, dihedrals; all numbers with all their digits."""
+    """The data file: box, masses, atoms, velocities (N, 3), bonds, angles, dihedrals;
+    all numbers with all their digits."""
     types, is_bonded = model.types, model.atom_style != "atomic"
     with path.open("x", encoding="ascii") as file:
         file.write(f"atoms of a scene of minimd\n\n{len(types.of_atom)} atoms\n{len(types.masses)} atom types\n")
@@ -145,9 +148,9 @@ def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
 def _shake(model: Model) -> list[str]:
     """Rigid bonds, after all other fixes.
 
-    Fix rattle is not used: that of LAMMPS 22 Jul 2025 moves molecules of three atoms on the border of two processes wrongly, and dumps
-    velocities with a component along the bonds. The positions of SHAKE are those of RATTLE, and so are its velocities after a projection,
-    see Job.
+    Fix rattle is not used: that of LAMMPS 22 Jul 2025 moves molecules of three atoms on the border of two processes
+    wrongly, and dumps velocities with a component along the bonds. The positions of SHAKE are those of RATTLE, and so
+    are its velocities after a projection, see Job.
     """
     if not len(model.rigid_bonds):
         return []

@@ -16,7 +16,8 @@ MOST_TYPES = 500  # of atoms: LAMMPS' tables grow with their square
 class AtomTypes(NamedTuple):
     """One type for each combination of species, mass, and whether an atom is held fixed.
 
-    of_atom : (N,) type of each atom, from 0 on.  species : (T,) index of the species of a type.  masses : (T,) [mass].  is_fixed : (T,) bool.
+    of_atom : (N,) type of each atom, from 0 on.  species : (T,) index of the species of a type.  masses : (T,) [mass].
+        is_fixed : (T,) bool.
     """
 
     of_atom: NDArray[np.int64]
@@ -35,7 +36,8 @@ class AtomTypes(NamedTuple):
         rows, of_atom = np.unique(keys, axis=0, return_inverse=True)
         if len(rows) > MOST_TYPES:
             raise ValueError(
-                f"LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs {len(rows)}, allowed are {MOST_TYPES}"
+                f"LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs {len(rows)}, "
+                f"allowed are {MOST_TYPES}"
             )
         return cls(
             of_atom.reshape(-1), rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
@@ -49,7 +51,8 @@ class AtomTypes(NamedTuple):
 class Groups:
     """Bonds, angles or dihedrals, with their types.
 
-    size : atoms in a group.  coefficients : of each type, style and numbers.  atoms : (G, size).  types : (G,) from 0 on.
+    size : atoms in a group.  coefficients : of each type, style and numbers.  atoms : (G, size).  types : (G,)
+        from 0 on.
     """
 
     def __init__(self, size: int) -> None:
@@ -57,7 +60,8 @@ class Groups:
         self.atoms, self.types = np.zeros((0, size), dtype=np.int64), np.zeros(0, dtype=np.int64)
 
     def add(self, atoms: NDArray[np.int64], of_each: NDArray[np.int64], coefficients: list[tuple[str, str]]) -> range:
-        """Add groups with new types, one for each of the coefficients, and return the new types.  of_each : (G,) index of a group's coefficients."""
+        """Add groups with new types, one for each of the coefficients, and return the new types.  of_each : (G,)
+        index of a group's coefficients."""
         first = len(self.coefficients)
         self.atoms = np.concatenate([self.atoms, atoms.reshape(-1, self.size)])
         self.types = np.concatenate([self.types, np.broadcast_to(of_each, len(atoms)) + first])

@@ -1,4 +1,5 @@
-"""The verification at step 0: energies, forces and virials of atoms in LAMMPS and minimd, in the scene and a smaller copy."""
+"""The verification at step 0: energies, forces and virials of atoms in LAMMPS and minimd,
+in the scene and a smaller copy."""
 
 from __future__ import annotations
 
@@ -35,9 +36,12 @@ Array = NDArray[np.float64]
 class Verification:
     """The largest differences at step 0, each relative to the largest of its kind; the worse of scene and copy.
 
-    energy : of the whole scene, relative to Σ|e_i| of the atoms.  energies, forces, virials : of single atoms, relative to the largest one;
-    where they vanish or cancel, as in a crystal or a dilute gas, relative to what follows from energies, virials or the copy.
-    atom : the atom whose force differs most.  scale : of energies [energy]: Σ|e_i|, or PART of that of the copy if it is larger.
+    energy : of the whole scene, relative to Σ|e_i| of the atoms.  energies, forces, virials : of single atoms,
+        relative to the largest one;
+    where they vanish or cancel, as in a crystal or a dilute gas, relative to what follows from energies,
+    virials or the copy.
+    atom : the atom whose force differs most.  scale : of energies [energy]: Σ|e_i|,
+        or PART of that of the copy if it is larger.
     """
 
     energy: float
@@ -65,13 +69,17 @@ class Verification:
     def check(self, engine: Engine) -> None:
         """Raise HandOverError if LAMMPS and minimd differ by more than TOLERANCE."""
         if not self.worst <= TOLERANCE:
-            where = f"energies of atoms by {self.energies:.1e}, forces by {self.forces:.1e} (atom {self.atom}), virials by {self.virials:.1e}"
+            where = (
+                f"energies of atoms by {self.energies:.1e}, forces by {self.forces:.1e} (atom {self.atom}), "
+                f"virials by {self.virials:.1e}"
+            )
             why = f"of the largest, allowed is {TOLERANCE:g}; the run was not started{on_a_cutoff(engine)}"
             raise HandOverError(f"LAMMPS and minimd differ at step 0: {where} {why}")
 
 
 def on_a_cutoff(engine: Engine) -> str:
-    """A clause about a pair that interacts, on a cutoff at which the energy or the force jumps; empty if there is none."""
+    """A clause about a pair that interacts, on a cutoff at which the energy or the force jumps;
+    empty if there is none."""
     system = engine.system
     for one in engine.interactions.potentials:
         if isinstance(one, PairPotential) and one.truncation in ("truncated", "shifted") and one.cutoff < np.inf:
@@ -85,13 +93,20 @@ def on_a_cutoff(engine: Engine) -> str:
             for k in np.flatnonzero(np.abs(distances - at) <= TOLERANCE * at).tolist():
                 if scales.get(frozenset((int(first[k]), int(second[k]))), 1.0) == 0.0:
                     continue
-                pair = f"atoms {first[k]} and {second[k]} are {distances[k]:.10g} apart, on the cutoff of {type(one).__name__}"
-                return f"; {pair}, where rounding decides whether they interact: change the cutoff, or take truncation='force-shifted'"
+                pair = (
+                    f"atoms {first[k]} and {second[k]} are {distances[k]:.10g} apart, on the cutoff of "
+                    f"{type(one).__name__}"
+                )
+                return (
+                    f"; {pair}, where rounding decides whether they interact: change the cutoff, or take "
+                    "truncation='force-shifted'"
+                )
     return ""
 
 
 class Evaluated(NamedTuple):
-    """For each atom: energies (N,) [energy], forces (N, 3) [energy/length], virials (N, 6) [energy], as xx yy zz yz xz xy.
+    """For each atom: energies (N,) [energy], forces (N, 3) [energy/length], virials (N, 6) [energy],
+    as xx yy zz yz xz xy.
 
     length : the largest cutoff [length], or 1.  n_idle : number of terms without any energy.
     """
@@ -122,10 +137,12 @@ def evaluated(engine: Engine, system: System) -> Evaluated:
 def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple[Evaluated, Evaluated]]:
     """A copy of the scene, and what minimd computes in the scene and in the copy.
 
-    In the copy atoms are slightly displaced, which also bends angles. It is made smaller, size by size, until each term has an energy in two
-    sizes in succession, so that the energy is not only that of a pair at the cutoff. If no size achieves this, the copy is the first one with
-    the smallest number of terms without energy. If energies are not finite in any size, it is the scene itself.
-    shortest : the smallest cutoff [length].  skin : [length].  Raises NonFiniteError if energies or forces of the scene are not finite.
+    In the copy atoms are slightly displaced, which also bends angles. It is made smaller, size by size, until each term
+    has an energy in two sizes in succession, so that the energy is not only that of a pair at the cutoff. If no size
+    achieves this, the copy is the first one with the smallest number of terms without energy.
+    If energies are not finite in any size, it is the scene itself.
+    shortest : the smallest cutoff [length].  skin : [length].
+        Raises NonFiniteError if energies or forces of the scene are not finite.
     """
     system, before = engine.system, evaluated(engine, engine.system)
     if not (np.isfinite(before.energies).all() and np.isfinite(before.forces).all()):

@@ -1,4 +1,5 @@
-"""What MDAnalysis reads: files of minimd, with frames turned to fit the cell, and frames of a running simulation, kept in memory."""
+"""What MDAnalysis reads: files of minimd, with frames turned to fit the cell, and frames of a running simulation,
+kept in memory."""
 
 from typing import Any
 
@@ -21,14 +22,15 @@ class Frames:
         sim.run(1000, every=10, observers=[frames])
         u = universe(frames)
 
-    Positions and velocities are kept in float32, as MDAnalysis uses them, observables in float64: 24 bytes for each atom and frame. A step
-    that is observed twice, at the end of a run and at the start of the next, is kept once.
+    Positions and velocities are kept in float32, as MDAnalysis uses them, observables in float64: 24 bytes for each
+    atom and frame. A step that is observed twice, at the end of a run and at the start of the next, is kept once.
 
     Attributes
     ----------
     system : System, a copy made with the first frame; None before.
     conserves_momentum : whether the simulation does.
-    turn : Turn of a cell in an orientation that MDAnalysis does not hold; positions and velocities are kept turned. Else None.
+    turn : Turn of a cell in an orientation that MDAnalysis does not hold; positions and velocities are kept turned.
+        Else None.
     """
 
     def __init__(self) -> None:
@@ -87,7 +89,8 @@ class Frames:
 
 
 class RecordedReader(MemoryReader):
-    """MDAnalysis' reader of arrays, with the recorded times and observables.  rows : for each frame the entries of ts.data, with its time."""
+    """MDAnalysis' reader of arrays, with the recorded times and observables.  rows :
+    for each frame the entries of ts.data, with its time."""
 
     def __init__(self, coordinate_array: NDArray, rows: list[dict[str, Any]] | None = None, **options: Any) -> None:
         self._recorded = rows
@@ -101,7 +104,10 @@ class RecordedReader(MemoryReader):
 
 
 class RunReader(H5MDReader):
-    """Frames of a minimd file.  turn : of its cell, or None. A transformation could do the same, but it can be set only once."""
+    """Frames of a minimd file.  turn : of its cell, or None.
+
+    A transformation could do the same, but it can be set only once.
+    """
 
     @store_init_arguments
     def __init__(self, filename: str, turn: Turn | None = None, **kwargs: Any) -> None:

@@ -18,9 +18,11 @@ MOST_COUNTS = 10**7  # of molecules times species
 
 
 def bare_universe(kind: type[U], system: System) -> U:
-    """A universe without a trajectory: masses, types, names, elements if labels are symbols, bonds, angles, dihedrals; each molecule is a residue.
+    """A universe without a trajectory: masses, types, names, elements if labels are symbols, bonds, angles, dihedrals;
+    each molecule is a residue.
 
-    kind : its class.  Residues are numbered from 1, in the order of their first atoms; their names are chemical formulas, or "MOL".
+    kind : its class.  Residues are numbered from 1, in the order of their first atoms;
+        their names are chemical formulas, or "MOL".
     """
     labels, of_atoms = [str(label) for label in system.species], molecules(system)
     n_molecules = int(of_atoms.max()) + 1
@@ -46,7 +48,8 @@ def bare_universe(kind: type[U], system: System) -> U:
 
 
 def molecules(system: System) -> NDArray[np.int64]:
-    """(N,) number of the molecule of each atom, from 0; bonds and lengths held fixed connect the atoms of a molecule."""
+    """(N,) number of the molecule of each atom, from 0;
+    bonds and lengths held fixed connect the atoms of a molecule."""
     held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
     i, j = np.concatenate([system.bonds, *held]).T
     numbers = connected_components(
@@ -72,7 +75,8 @@ def _formulas(system: System, of_atoms: NDArray[np.int64]) -> list[str]:
 
 
 def _formula(counts: dict[str, int]) -> str:
-    """The formula in Hill's order: carbon, hydrogen, then the others by name; without carbon all elements, also hydrogen, by name."""
+    """The formula in Hill's order: carbon, hydrogen, then the others by name; without carbon all elements,
+    also hydrogen, by name."""
     present = {name: n for name, n in counts.items() if n}
     if len(present) == 1 and sum(present.values()) == 1:
         return next(iter(present))

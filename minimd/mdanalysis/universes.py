@@ -1,7 +1,7 @@
 """Runs as universes of MDAnalysis, and its analyses.
 
-MDAnalysis holds positions and velocities in float32, in Å and Å/ps, and a cell as lengths and angles only. Numbers in reduced units are not
-converted: 1 σ becomes 1 Å and 1 τ becomes 1 ps.
+MDAnalysis holds positions and velocities in float32, in Å and Å/ps, and a cell as lengths and angles only. Numbers in
+reduced units are not converted: 1 σ becomes 1 Å and 1 τ becomes 1 ps.
 """
 
 import warnings
@@ -57,7 +57,8 @@ CM2_PER_S = 1e-4  # per Å²/ps
 
 
 class RunUniverse(MDAnalysis.Universe):
-    """The universe of a run.  system : System.  contents : of its file, apart from frames; a universe in memory has none."""
+    """The universe of a run.  system : System.  contents : of its file, apart from frames;
+    a universe in memory has none."""
 
     system: System
     conserves_momentum: bool  # whether the run did
@@ -68,7 +69,8 @@ Run = str | Path | Simulation | Frames | RunUniverse
 
 
 def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | None = None) -> RunUniverse:
-    """A minimd file as an MDAnalysis universe: masses, types, names, elements if labels are symbols, bonds, angles, dihedrals, residues.
+    """A minimd file as an MDAnalysis universe: masses, types, names, elements if labels are symbols, bonds, angles,
+    dihedrals, residues.
 
 
 
@@ -78,9 +80,9 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
 
     Each molecule is a residue: the atoms that bonds or fixed lengths connect. Observables are in ts.data.
 
-    MDAnalysis places a cell with a along x and b in the xy plane. If the cell of the run has another orientation, positions, velocities and
-    forces are turned with it, and a warning says so: r @ R, where R is ts.data["rotation"], and r @ R.T turns back. ts.data and the system
-    are not turned. See Turn.
+    MDAnalysis places a cell with a along x and b in the xy plane. If the cell of the run has another orientation,
+    positions, velocities and forces are turned with it, and a warning says so: r @ R, where R is ts.data["rotation"],
+    and r @ R.T turns back. ts.data and the system are not turned. See Turn.
 
     run : a file; or, in memory, a simulation in its present state, or the Frames of a run.
     contents : of the file, if they have been read.
@@ -89,7 +91,8 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
 
     Raises
     ------
-    FileNotFoundError, OSError, ValueError : as minimd.files.h5md_reader.read_file.  ValueError : for Frames that are empty.
+    FileNotFoundError, OSError, ValueError : as minimd.files.h5md_reader.read_file.  ValueError :
+        for Frames that are empty.
     """
     if isinstance(run, Simulation):
         frames = Frames()
@@ -115,7 +118,8 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
 
 
 def _in_memory(frames: Frames, timestep: float = 1.0) -> RunUniverse:
-    """The universe of frames in memory.  timestep : used as the time between frames if there is only one frame [ps, or τ]."""
+    """The universe of frames in memory.  timestep : used as the time between frames if there is only one frame [ps,
+    or τ]."""
     if frames.system is None:
         raise ValueError("these Frames are empty; pass them to a run as observers=[frames]")
     _tell_cell("the universe in memory", frames.system.cell, frames.turn)
@@ -133,14 +137,17 @@ def _tell_cell(what: str, cell: Cell, turn: Turn | None) -> None:
         warnings.warn(turn.in_words(what, ": R is ts.data['rotation']"), stacklevel=outside_minimd())
     if cell.is_periodic and not has_edges(cell):
         warnings.warn(
-            f"{what} has no cell, because MDAnalysis needs three vectors and this cell has fewer: distances are not those of nearest images; "
-            "give the open direction a length into which all atoms fit, with pbc, as in cell=[20, 20, 50], pbc=(True, True, False)",
+            f"{what} has no cell, because MDAnalysis needs three vectors and this cell has fewer: distances are not "
+            "those of nearest images; "
+            "give the open direction a length into which all atoms fit, with pbc, as in cell=[20, 20, 50], pbc=(True, "
+            "True, False)",
             stacklevel=outside_minimd(),
         )
 
 
 def _spacing(what: str, steps: NDArray[np.int64], times: Array) -> float | None:
-    """dt [ps] for MDAnalysis, which has a single spacing of frames: the median, with a warning if spacings differ; None for one frame."""
+    """dt [ps] for MDAnalysis, which has a single spacing of frames: the median, with a warning if spacings differ;
+    None for one frame."""
     spacings = np.diff(times)
     if not len(spacings):
         return None
@@ -151,7 +158,8 @@ def _spacing(what: str, steps: NDArray[np.int64], times: Array) -> float | None:
         if least == most:
             apart = f"{spacings.min():.4g} to {spacings.max():.4g} apart in time, because the time step changed"
         warnings.warn(
-            f"{what} are {apart}, so trajectory.dt and totaltime are not right for all of them; use the time of each frame, ts.time",
+            f"{what} are {apart}, so trajectory.dt and totaltime are not right for all of them; use the time of each "
+            "frame, ts.time",
             stacklevel=outside_minimd(),
         )
     return spacing
@@ -159,7 +167,8 @@ def _spacing(what: str, steps: NDArray[np.int64], times: Array) -> float | None:
 
 @contextmanager
 def universe_of(run: Run) -> Iterator[RunUniverse]:
-    """The universe of a run; if run is a universe, it stays open, else the universe is closed at the end.  Raises as universe."""
+    """The universe of a run; if run is a universe, it stays open, else the universe is closed at the end.
+    Raises as universe."""
     with quiet():  # the analyses here use the time of each frame
         made = run if isinstance(run, RunUniverse) else universe(run)
     try:
@@ -177,13 +186,17 @@ class RadialDistribution(NamedTuple):
 
     def __repr__(self) -> str:
         k = int(np.argmax(self.g))
-        return f"RadialDistribution({len(self.r)} distances from {self.r[0]:.4g} to {self.r[-1]:.4g}; highest at {self.r[k]:.4g}, {self.g[k]:.4g})"
+        return (
+            f"RadialDistribution({len(self.r)} distances from {self.r[0]:.4g} to {self.r[-1]:.4g}; highest at "
+            f"{self.r[k]:.4g}, {self.g[k]:.4g})"
+        )
 
 
 def radial_distribution(run: Run, n_bins: int = 200) -> RadialDistribution:
     """g(r) by MDAnalysis' InterRDF, up to half the smallest height of the cell, from evenly chosen frames and atoms.
 
-    Bonded pairs count like all others. If distances between all atoms would take too long, they are measured from some atoms to all atoms.
+    Bonded pairs count like all others. If distances between all atoms would take too long,
+    they are measured from some atoms to all atoms.
     run : an argument of universe, or a universe.
 
     Raises
@@ -194,7 +207,8 @@ def radial_distribution(run: Run, n_bins: int = 200) -> RadialDistribution:
         system = made.system
         if not system.cell.pbc.all() or len(system) < 2:
             raise ValueError(
-                f"g(r) needs at least two atoms, and a cell that is periodic in all directions; {_name(made)} holds {system!r}"
+                f"g(r) needs at least two atoms, and a cell that is periodic in all directions; {_name(made)} holds "
+                f"{system!r}"
             )
         r_max = float(system.cell.heights.min() / 2.0) * system.units.to_angstrom
         stride = ceil(len(made.trajectory) / RDF_FRAMES)
@@ -222,7 +236,8 @@ class Diffusion(Displayed):
     coefficient : D in this cell [Å²/ps, or σ²/τ].  cm2_per_s : the same in cm²/s, None in reduced units.
     error : standard error of D, from the scatter of the slopes of the atoms; NaN for fewer than 4 atoms.
     infinite : D in an infinite system, by the correction of Yeh and Hummer; None if no viscosity was given.
-    window : lags of the straight-line fit [ps or τ].  lags, displacements : (T,) [ps or τ], (T,) mean squares [Å² or σ²].
+    window : lags of the straight-line fit [ps or τ].  lags, displacements : (T,) [ps or τ], (T,)
+        mean squares [Å² or σ²].
     """
 
     coefficient: float
@@ -247,14 +262,18 @@ class Diffusion(Displayed):
     def __str__(self) -> str:
         unit, time = ("σ²/τ", "τ") if self.cm2_per_s is None else ("Å²/ps", "ps")
         absolute = "" if self.cm2_per_s is None else f" = {self.cm2_per_s:.4g} cm²/s"
-        return f"D = {with_error(self.coefficient, self.error)} {unit}{absolute}, from lags of {self.window[0]:.4g} to {self.window[1]:.4g} {time}"
+        return (
+            f"D = {with_error(self.coefficient, self.error)} {unit}{absolute}, from lags of {self.window[0]:.4g} to "
+            f"{self.window[1]:.4g} {time}"
+        )
 
 
 def mean_square_displacement(run: Run) -> tuple[Array, Array]:
     """Lags [ps, or τ], (T,), and ⟨|r(t₀ + lag) − r(t₀)|²⟩ [Å², or σ²], (T,), by MDAnalysis' EinsteinMSD.
 
     They are relative to the center of mass of all atoms if the run conserved the momentum, as its file tells.
-    If there are many frames or atoms, some of them are used, evenly chosen.  run : an argument of universe, or a universe.
+    If there are many frames or atoms, some of them are used, evenly chosen.  run : an argument of universe,
+    or a universe.
 
     Raises
     ------
@@ -287,13 +306,15 @@ def diffusion_coefficient(
 
     The error is that of the mean over atoms, which move almost independently of each other.
 
-    run : an argument of universe, or a universe.  window : [ps, or τ]; from a tenth to half of the duration if not given.
-    viscosity : η [energy time/length³], for the correction of Yeh and Hummer for the size of a cubic cell; see observers.diffusion.
+    run : an argument of universe, or a universe.  window : [ps, or τ];
+        from a tenth to half of the duration if not given.
+    viscosity : η [energy time/length³], for the correction of Yeh and Hummer for the size of a cubic cell;
+        see observers.diffusion.
 
     Raises
     ------
-    ValueError : if the window holds fewer than three lags; if a viscosity is given, and the cell is not cubic or the run is in memory.
-        Others as mean_square_displacement.
+    ValueError : if the window holds fewer than three lags; if a viscosity is given, and the cell is not cubic or the
+        run is in memory. Others as mean_square_displacement.
     """
     with universe_of(run) as made:
         (lags, of_atoms), units = _displacements(made), made.system.units
@@ -302,7 +323,8 @@ def diffusion_coefficient(
     chosen = (lags >= start) & (lags <= end)
     if chosen.sum() < 3:
         raise ValueError(
-            f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g}) holds {chosen.sum()} of {len(lags)}"
+            f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g}) holds {chosen.sum()} of "
+            f"{len(lags)}"
         )
     coefficient = float(np.polyfit(lags[chosen], squares[chosen], 1)[0]) / 6.0
     each = np.polyfit(lags[chosen], of_atoms[chosen], 1)[0] / 6.0
@@ -319,7 +341,8 @@ def _correction(made: RunUniverse, viscosity: float) -> float:
     cell, units = made.system.cell, made.system.units
     if not is_cubic(cell) or not hasattr(made, "contents"):
         raise ValueError(
-            "the correction of Yeh and Hummer needs the file of a run in a cubic cell that is periodic in all directions; leave viscosity out"
+            "the correction of Yeh and Hummer needs the file of a run in a cubic cell that is periodic in all "
+            "directions; leave viscosity out"
         )
     thermal_energy = units.k_B * float(made.contents.record.temperature.mean())
     added = finite_size_correction(thermal_energy, viscosity, float(np.linalg.norm(cell.vectors[0])))

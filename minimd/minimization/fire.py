@@ -1,11 +1,14 @@
-"""FIRE, the fast inertial relaxation engine: a descent with inertia, which stops whenever the energy begins to increase.
+"""FIRE, the fast inertial relaxation engine: a descent with inertia,
+which stops whenever the energy begins to increase.
 
-The rules are written beside their lines in FIRE._descend. All masses are 1. E. Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006), in the
-form of J. Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020): half a step back after each stop, and steps of symplectic Euler.
+The rules are written beside their lines in FIRE._descend. All masses are 1. E. Bitzek et al., Phys. Rev. Lett. 97,
+170201 (2006), in the form of J. Guénolé et al., Comput. Mater. Sci. 175, 109584 (2020):
+half a step back after each stop, and steps of symplectic Euler.
 
-Three things are added. The unit of time is not known here; therefore Δt is limited by the largest curvature κ = |ΔF|/|Δr|, which is estimated
-regularly by a few power iterations. No atom moves farther than a given length in a step, so that overlaps are resolved however large the
-forces are. A step that leaves the domain of the energy, as one that overstretches a FENE bond, is taken back and shortened.
+Three things are added. The unit of time is not known here; therefore Δt is limited by the largest curvature
+κ = |ΔF|/|Δr|, which is estimated regularly by a few power iterations. No atom moves farther than a given length in a
+step, so that overlaps are resolved however large the forces are. A step that leaves the domain of the energy, as one
+that overstretches a FENE bond, is taken back and shortened.
 """
 
 from collections.abc import Callable
@@ -74,7 +77,10 @@ def overlap(first, second):
 
 @kernel
 def steer(velocities, forces, timestep, mixing, most):
-    """v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|; then all v are scaled by one factor so that Δt |v_i| ≤ most. v, F : (N, 3)."""
+    """v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|; then all v are scaled by one factor so that Δt |v_i| ≤ most.
+
+    v, F : (N, 3).
+    """
     v2, f2 = 0.0, 0.0
     for i in range(velocities.shape[0]):
         for c in range(3):
@@ -95,7 +101,8 @@ def steer(velocities, forces, timestep, mixing, most):
 class FIRE:
     """A descent, made in place on the positions of the system of some forces.
 
-    n_steps : made so far.  largest_force : the largest force on an atom, projected onto the constraints [energy/length].
+    n_steps : made so far.  largest_force : the largest force on an atom,
+        projected onto the constraints [energy/length].
     stop_requested : set it to True to end after the present step.
     """
 
@@ -114,10 +121,11 @@ class FIRE:
         self.n_steps, self.largest_force, self.stop_requested = 0, 0.0, False
 
     def begin(self) -> float:
-        """Correct the constrained lengths and evaluate the forces; return the largest, infinite if atoms had to be pushed apart first.
+        """Correct the constrained lengths and evaluate the forces; return the largest,
+        infinite if atoms had to be pushed apart first.
 
-        Raises NonFiniteError if energy or forces are not finite for another reason than overlaps.  ConstraintError if the lengths cannot be
-        corrected.
+        Raises NonFiniteError if energy or forces are not finite for another reason than overlaps.  ConstraintError if
+        the lengths cannot be corrected.
         """
         bonds = self._constraint_set.bonds
         if bonds is not None and bonds.violation(self._positions).max() > bonds.tolerance:
@@ -129,7 +137,8 @@ class FIRE:
         return np.inf if n_pushes else self.largest_force
 
     def run(self, tolerance: float, max_steps: int, tell: Callable[[int], Any]) -> None:
-        """Descend until no force exceeds the tolerance, or for max_steps steps.  tell : called with the number of steps made.
+        """Descend until no force exceeds the tolerance, or for max_steps steps.  tell :
+        called with the number of steps made.
 
         Raises as begin.
         """
@@ -141,7 +150,8 @@ class FIRE:
         return self.largest_force > self._tolerance and self.n_steps < self._max_steps and not self.stop_requested
 
     def _steepest(self) -> None:
-        """Steepest descent, as long as the largest force decreases; the atom with the largest force moves by the longest step."""
+        """Steepest descent, as long as the largest force decreases;
+        the atom with the largest force moves by the longest step."""
         while self._goes_on():
             before, forces, largest = self._positions.copy(), self._forces.copy(), self.largest_force
             if self._moved(self._forces * (self._longest / largest), 1.0) and self._evaluate():
@@ -152,7 +162,8 @@ class FIRE:
             return
 
     def _descend(self) -> None:
-        """FIRE, with the rules beside their lines; a step that constraints refuse, or that leaves the domain of the energy, is taken back."""
+        """FIRE, with the rules beside their lines; a step that constraints refuse,
+        or that leaves the domain of the energy, is taken back."""
         if not self._goes_on():
             return
         for _ in range(FIRST_SERIES):
@@ -189,7 +200,8 @@ class FIRE:
                 raise kind(f"the minimization found no step that {wanted}, down to one of {length}")
 
     def _try_curvature(self) -> None:
-        """Estimate κ by power iterations, which continue the last series; a lower bound keeps the first step within the longest."""
+        """Estimate κ by power iterations, which continue the last series;
+        a lower bound keeps the first step within the longest."""
         before, forces, largest, shown = self._positions.copy(), self._forces.copy(), self.largest_force, 0.0
         for _ in range(PROBES):
             self._constraint_set.project(self._probe, before)
@@ -211,7 +223,8 @@ class FIRE:
         self._tell(self.n_steps)
 
     def _moved(self, velocities: Array, duration: float) -> bool:
-        """Move all atoms, and change velocities as constraints require; False, without any motion, if constraints cannot be kept."""
+        """Move all atoms, and change velocities as constraints require; False, without any motion,
+        if constraints cannot be kept."""
         bonds = self._constraint_set.bonds
         if bonds is None:
             self._positions += duration * velocities
@@ -242,10 +255,11 @@ class FIRE:
         return True
 
     def _push_apart(self, n_pushes: int) -> None:
-        """Move the two atoms of the closest pair, whose forces are infinite, apart along their connection, each by half the longest step.
+        """Move the two atoms of the closest pair, whose forces are infinite, apart along their connection,
+        each by half the longest step.
 
-        If they are at the same place, all atoms that share a place with another take directions of their own, which are always the same; the
-        one that moves farthest moves by half the longest step.
+        If they are at the same place, all atoms that share a place with another take directions of their own, which are
+        always the same; the one that moves farthest moves by half the longest step.
         """
         pair = closest_pair(self._system)
         if pair is None or pair.distance > self._longest or n_pushes > PUSHES or not np.isfinite(self._positions).all():

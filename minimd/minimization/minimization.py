@@ -54,7 +54,8 @@ class Minimization(Displayed):
         return (
             f"minimization   {'converged' if self.converged else 'not converged'} after {self.n_steps} steps\n"
             f"energy         {self.potential_energy_before:.10g} -> {self.potential_energy:.10g} {units.energy}\n"
-            f"largest force  {self.largest_force_before:.3g} -> {self.largest_force:.3g} {unit}, tolerance {self.force_tolerance:.3g}"
+            f"largest force  {self.largest_force_before:.3g} -> {self.largest_force:.3g} {unit}, tolerance "
+            f"{self.force_tolerance:.3g}"
         )
 
 
@@ -71,26 +72,28 @@ def minimize(
 ) -> Minimization:
     """Find a minimum of the potential energy near the given state, by FIRE; the given system is not changed.
 
-    No step moves an atom farther than max_step_length, so that atoms that are far too close to each other separate, however
-    large their forces are. Atoms at exactly the same place, where the direction of their force is undefined, are moved apart,
-    each in a direction of its own that is always the same. A step that leaves the domain of the energy, as one that stretches
-    a FENE bond beyond its longest length, is taken back and shortened; a start outside it is refused. A start where all
-    forces are zero is not changed, even if it is not a minimum: displace the atoms of a crystal a little if its symmetry
-    should break. Constraints are kept, and fixed atoms do not move. Velocities are kept, but projected onto the constraints
-    at the end.
+    No step moves an atom farther than max_step_length, so that atoms that are far too close to each other separate,
+    however large their forces are. Atoms at exactly the same place, where the direction of their force is undefined,
+    are moved apart, each in a direction of its own that is always the same. A step that leaves the domain of the
+    energy, as one that stretches a FENE bond beyond its longest length, is taken back and shortened; a start outside it
+    is refused. A start where all forces are zero is not changed, even if it is not a minimum: displace the atoms of a
+    crystal a little if its symmetry should break. Constraints are kept, and fixed atoms do not move. Velocities are
+    kept, but projected onto the constraints at the end.
 
     Parameters
     ----------
     system, potentials, constraints : as for Simulation.
-    force_tolerance : the search converges when the force on each atom is at most this [energy/length]. If the force jumps at the cutoff
-        (truncation "shifted" or "truncated"), there may be no place where all forces vanish, and the search ends after max_steps.
+    force_tolerance : the search converges when the force on each atom is at most this [energy/length]. If the force
+        jumps at the cutoff (truncation "shifted" or "truncated"), there may be no place where all forces vanish,
+        and the search ends after max_steps.
     max_steps : maximum number of steps; see converged of the result.
     max_step_length : largest displacement of an atom in a step [length].
     progress : as for Simulation.run.
 
     Raises
     ------
-    NonFiniteError : for an energy or forces that are not finite although no atoms are close; it names the law and its atoms.
+    NonFiniteError : for an energy or forces that are not finite although no atoms are close;
+        it names the law and its atoms.
     ConstraintError : if constraints cannot be kept.  TypeError, ValueError : as Simulation.
     KeyboardInterrupt : after Ctrl-C; its attribute result is the Minimization so far.
 

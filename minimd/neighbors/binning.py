@@ -46,7 +46,8 @@ class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
 
 @scalar
 def into_cell(positions, i, inverse, pbc, d):
-    """Fractional coordinate of atom i along lattice vector d, in the cell, and the number of lattice vectors that brought it there."""
+    """Fractional coordinate of atom i along lattice vector d, in the cell,
+    and the number of lattice vectors that brought it there."""
     s = positions[i, 0] * inverse[0, d] + positions[i, 1] * inverse[1, d] + positions[i, 2] * inverse[2, d]
     cells = -np.floor(s) if pbc[d] else 0.0
     return s + cells, cells
@@ -54,7 +55,8 @@ def into_cell(positions, i, inverse, pbc, d):
 
 @scalar
 def counting_sort(positions, inverse, pbc, grid, binned):
-    """Sort atoms into the bins of a grid (counts, origin, extent), the last direction running fastest, in linear time: fills Binned."""
+    """Sort atoms into the bins of a grid (counts, origin, extent), the last direction running fastest, in linear time:
+    fills Binned."""
     counts, origin, extent = grid.counts, grid.origin, grid.extent
     for b in range(binned.bin_start.size):
         binned.bin_start[b] = 0
@@ -79,7 +81,8 @@ def counting_sort(positions, inverse, pbc, grid, binned):
 
 @kernel
 def sort_into_bins(positions, lattice, inverse, pbc, grid):
-    """order, offsets and bin_start: the atoms in the order of their bins, see Binned; offsets[k] [length] brings atom order[k] into the cell."""
+    """order, offsets and bin_start: the atoms in the order of their bins, see Binned;
+    offsets[k] [length] brings atom order[k] into the cell."""
     n_atoms, n_bins = positions.shape[0], grid.counts[0] * grid.counts[1] * grid.counts[2]
     order, bins = np.empty(n_atoms, dtype=np.int64), np.empty(n_atoms, dtype=np.int64)
     bin_start, place = np.empty(n_bins + 1, dtype=np.int64), np.empty(n_bins + 1, dtype=np.int64)

@@ -1,4 +1,5 @@
-"""Memory that is used again at each build: new pages from the operating system would cost more time than writing to them."""
+"""Memory that is used again at each build: new pages from the operating system would cost
+more time than writing to them."""
 
 from collections.abc import Sequence
 from itertools import accumulate
@@ -25,8 +26,9 @@ def with_room(n: float) -> int:
 class Buffers:
     """Arrays by name, each as large as it ever was; their contents are what was left in them.
 
-    Processors take a load for one of what was just stored if the two addresses agree in the lower twelve bits, and wait. Where a loop
-    loads from one array and stores to another, the two should therefore begin at different places in a page of memory.
+    Processors take a load for one of what was just stored if the two addresses agree in the lower twelve bits, and
+    wait. Where a loop loads from one array and stores to another,
+    the two should therefore begin at different places in a page of memory.
     """
 
     def __init__(self) -> None:
@@ -35,7 +37,8 @@ class Buffers:
     def array(self, name: str, dtype: type, n: int, *more: int, in_page: int = 0, spare: float = SPARE) -> NDArray[Any]:
         """An array of shape (n, *more); the next one of the same name takes its place.
 
-        in_page : where in a page it begins, a multiple of 64.  spare : memory in units of what was asked for, if there is none yet.
+        in_page : where in a page it begins, a multiple of 64.  spare : memory in units of what was asked for,
+            if there is none yet.
         """
         if name not in self._all or n > len(self._all[name]):
             self._all.pop(name, None)  # first: the old one is not needed beside the new one
@@ -47,7 +50,8 @@ class Buffers:
         return self._all[name][:n]
 
     def overlaid(self, name: str, *uses: Fields, spare: float = SPARE) -> list[list[NDArray[Any]]]:
-        """For each of several uses of one piece of memory the arrays, one after the other: only one of the uses can be made at a time.
+        """For each of several uses of one piece of memory the arrays, one after the other:
+        only one of the uses can be made at a time.
 
         Uses that begin with the same fields share these.
         """

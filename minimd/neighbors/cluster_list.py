@@ -52,14 +52,17 @@ COARSEST = 1e-6  # of the cutoff: on a coarser grid, coordinates are rounded mor
 
 
 class Memory(ByAddress, namedtuple("Memory", "coordinates shift origin unit forces first_sum far net")):
-    """What the loop reads and writes; coordinates are in the precision of the pair arithmetic, see separation in cluster_loop.
+    """What the loop reads and writes; coordinates are in the precision of the pair arithmetic,
+    see separation in cluster_loop.
 
     coordinates, forces : flat, a block for each ghost, and for each ghost in a window.
-    shift : (IMAGES, 3) of each image, as the coordinates.  origin : (3,) [length] and unit [length]: coordinate = (x − origin) / unit.
+    shift : (IMAGES, 3) of each image, as the coordinates.  origin : (3,) [length] and unit [length]:
+        coordinate = (x − origin) / unit.
     first_sum : (W,) int64, what sums of forces begin with in fixed-point arithmetic, filled by the loop; else empty.
-    far : flat, n numbers for each set of lanes: 0 for lanes in it, ∞ for others, which are then infinitely far [length²].
-    net : (K, 3); in mixed precision the sum of the forces on the atoms of each domain [energy/length]; in fixed-point arithmetic not zero where
-        a force (first column) or a momentum (second) of the domain has left its range.
+    far : flat, n numbers for each set of lanes: 0 for lanes in it, ∞ for others,
+        which are then infinitely far [length²].
+    net : (K, 3); in mixed precision the sum of the forces on the atoms of each domain [energy/length]; in fixed-point
+        arithmetic not zero where a force (first column) or a momentum (second) of the domain has left its range.
     """
 
 
@@ -70,14 +73,15 @@ class ClusterArrays(ByAddress, namedtuple("ClusterArrays", "clusters domain_star
 class ClusterList(VerletList):
     """Clusters with an atom within cutoff + skin of each atom.
 
-    Each row has two layers: what is within cutoff + skin/2, which is enough until an atom has moved by skin/4, and the rest. So rows are short
-    at first. What is left out then would add zeros: forces have the same bits either way.
+    Each row has two layers: what is within cutoff + skin/2, which is enough until an atom has moved by skin/4, and the
+    rest. So rows are short at first. What is left out then would add zeros: forces have the same bits either way.
 
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
 
     cutoff, skin : see VerletList.  excluded : (P, 2) int, pairs whose nearest image is left out.
     precision : see Options.  pool : the threads that build it.
-    lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.  n_domains : number of chunks of a task.
+    lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.  n_domains :
+        number of chunks of a task.
     arrays : what the loop needs of them. They have room for more, and are the same arrays until it is used up.
     n_arranged : how often they were replaced.  building : what build_clusters needs.
     idle : flat, a block for each cluster, memory that is free between two builds.
@@ -150,8 +154,8 @@ class ClusterList(VerletList):
 
     @property
     def can_be_renewed(self) -> bool:
-        """Whether a kernel can do what update does: on one thread, with columns that stay where they are, and with nothing that a build does after
-        build_clusters.
+        """Whether a kernel can do what update does: on one thread, with columns that stay where they are, and with
+        nothing that a build does after build_clusters.
         """
         stays = self._cell is not None and self._are_columns_of(self._cell)
         return stays and self._pool.n_threads == 1 and self._excluded is None and not self._is_mixed
@@ -229,7 +233,8 @@ class ClusterList(VerletList):
         )
         if widest > GHOST_BITS:
             raise ValueError(
-                f"cluster lists hold up to {GHOST_BITS} ghost clusters of a domain, this scene needs {widest}: simulate fewer atoms"
+                f"cluster lists hold up to {GHOST_BITS} ghost clusters of a domain, this scene needs {widest}: "
+                "simulate fewer atoms"
             )
         self._room = tuple(room if n <= room else with_room(n) for n, room in zip(needed, self._room, strict=True))
         if len(self._entry_start) != self.n_domains + 1:
@@ -243,7 +248,8 @@ class ClusterList(VerletList):
         start, most = np.concatenate([[0], np.cumsum(room)]), np.iinfo(np.int32).max
         if start[-1] > most:
             raise ValueError(
-                f"cluster lists hold up to {most} entries, this scene needs {start[-1]}: reduce cutoff or skin, or simulate fewer atoms"
+                f"cluster lists hold up to {most} entries, this scene needs {start[-1]}: reduce cutoff or skin, or "
+                "simulate fewer atoms"
             )
         self._entry_start = start
         del (
@@ -290,7 +296,8 @@ class ClusterList(VerletList):
 
     @property
     def _spare(self) -> float:
-        """Room to spare where there is enough for all atoms, however they stand: for other columns, as cells have them that are open on a side."""
+        """Room to spare where there is enough for all atoms, however they stand: for other columns,
+        as cells have them that are open on a side."""
         return 1.0 if self._columns.pbc.all() else SPARE
 
     def _share_memory(self) -> None:
@@ -338,7 +345,8 @@ class ClusterList(VerletList):
         if unit > COARSEST * self.cutoff:
             width, limit = unit * GRID, COARSEST * self.cutoff
             raise ValueError(
-                f"precision='mixed' resolves {unit:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take precision='double'"
+                f"precision='mixed' resolves {unit:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take "
+                "precision='double'"
             )
         self.memory = self.memory._replace(unit=unit)
         self.arrays = self.arrays._replace(memory=self.memory)
@@ -352,7 +360,8 @@ def far(n_lanes: int) -> NDArray[np.float64]:
 
 @kernel
 def lay_grid(n, boxes, shifts, reach, skin, origin, in_units):
-    """The grid of mixed precision: its origin (3,) and shifts (IMAGES, 3) in units are written, the unit is returned.  boxes : of n ghosts."""
+    """The grid of mixed precision: its origin (3,) and shifts (IMAGES, 3) in units are written, the unit is returned.
+    boxes : of n ghosts."""
     unit, stride = 0.0, boxes.size // SIDES
     for c in range(3):
         low, high = np.inf, -np.inf
@@ -375,7 +384,10 @@ def gather(k, clusters, of_atoms, block, start):
 
 @scalar
 def place(k, arrays, at):
-    """Positions of the atoms of cluster k, vectors x, y, z [length], to all its ghosts. Indices are unsigned: none counts from the end."""
+    """Positions of the atoms of cluster k, vectors x, y, z [length], to all its ghosts.
+
+    Indices are unsigned: none counts from the end.
+    """
     ghosts, memory, lanes, n_lanes = (
         arrays.ghosts,
         arrays.memory,
@@ -397,7 +409,8 @@ def place(k, arrays, at):
 
 @by_type
 def coordinate(x, origin, unit, like):
-    """A vector of coordinates x [length] as an array of coordinates holds it, see Memory; like : a vector from that array."""
+    """A vector of coordinates x [length] as an array of coordinates holds it, see Memory; like :
+    a vector from that array."""
     if like.is_float:
         return lambda x, origin, unit, like: x
     lanes = x.lanes
@@ -412,7 +425,10 @@ def coordinate(x, origin, unit, like):
 
 @scalar
 def clear(domain, arrays):
-    """Forces on all ghosts in the window of a domain = 0, or first_sum. Who adds to them does so, and has them in its cache then."""
+    """Forces on all ghosts in the window of a domain = 0, or first_sum.
+
+    Who adds to them does so, and has them in its cache then.
+    """
     lanes, n_lanes, forces, domains = (
         arrays.clusters.lanes,
         count(arrays.clusters.lanes),
@@ -436,7 +452,8 @@ def _first_sum(block, first_sum, forces):
 
 @scalar
 def collected(k, arrays):
-    """The forces on the atoms of cluster k, sums of those on its ghosts in all windows: vectors x, y, z in double precision, or of int64."""
+    """The forces on the atoms of cluster k, sums of those on its ghosts in all windows: vectors x, y,
+    z in double precision, or of int64."""
     ghosts, forces, lanes = arrays.ghosts, arrays.memory.forces, arrays.clusters.lanes
     block, first = np.uintp(DIMENSIONS * count(lanes)), np.uintp(ghosts.part_start[k])
     x, y, z = loaded(forces, np.uintp(ghosts.parts[first]) * block, lanes)

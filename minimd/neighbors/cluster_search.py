@@ -1,7 +1,7 @@
 """Which clusters each atom must meet: columns ahead, bounding boxes, then the atoms themselves.
 
-Every pair of clusters is met once: an atom's row looks at its own cluster (later lanes only), at what stands above it in
-its own column, and at the columns ahead:
+Every pair of clusters is met once: an atom's row looks at its own cluster (later lanes only), at what stands above it
+in its own column, and at the columns ahead:
 
     . . f f f        c  the column itself, upwards only
     . . f f f        f  columns ahead, over their whole height
@@ -9,7 +9,8 @@ its own column, and at the columns ahead:
     . . . f f
     . . . f f
 
-All of these are runs of ghosts in the window of the atom's domain: neither the search nor the loop over rows knows of periodicity.
+All of these are runs of ghosts in the window of the atom's domain:
+neither the search nor the loop over rows knows of periodicity.
 """
 
 from collections import namedtuple
@@ -40,24 +41,28 @@ ROUNDED_UP = 1.0 + 1e-6  # the squared reach, in units of itself, by the roundin
 
 
 class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 limits2_at_build layers")):
-    """Clusters near each atom, in layers: entries[start[s] : stops[l, s]] are those that have an atom within reach l of the atom in slot s.
+    """Clusters near each atom, in layers: entries[start[s] : stops[l,
+    s]] are those that have an atom within reach l of the atom in slot s.
 
     start : (slots,) int.  stops : (LAYERS, slots) int.
-    entries : (E,) uint32, the number of a ghost in the window of the domain, and above its 24 bits one for each lane that counts.
+    entries : (E,) uint32, the number of a ghost in the window of the domain,
+        and above its 24 bits one for each lane that counts.
     reaches2 : (LAYERS,) squared, from the shortest to the longest [length²].
     limits2 : (LAYERS,) squared distances that an atom may move before another layer is needed, or a new list [length²].
     limits2_at_build : the same as long as the cell has not been strained since.
     layers : (1,) int, how many layers are in use.
-    After the last entry there is memory for AHEAD more, because some read ahead. The loop reads one of them, which must name a ghost.
+    After the last entry there is memory for AHEAD more, because some read ahead. The loop reads one of them,
+    which must name a ghost.
     """
 
 
 class Work(namedtuple("Work", "ahead candidates entries near")):
     """Memory for the search of one cluster. Ghosts are numbered as in GhostClusters, but for those in entries.
 
-    ahead : (runs, 2) int, first and last ghost of each run ahead.  candidates, entries : (M,) ghosts, and the entries they become.
-    near : flat int64, for each WORD candidates, each layer and each lane of the cluster a number: bit b is set if candidate b stands in that
-        layer of the row of the atom in that lane.
+    ahead : (runs, 2) int, first and last ghost of each run ahead.  candidates, entries : (M,) ghosts,
+        and the entries they become.
+    near : flat int64, for each WORD candidates, each layer and each lane of the cluster a number: bit b is set if
+        candidate b stands in that layer of the row of the atom in that lane.
     """
 
 
@@ -107,7 +112,10 @@ def find_rows(domain, layout, rows, room, work):
 
 @scalar
 def _candidates(k, n_ahead, layout, work):
-    """Ghosts ahead of cluster k whose boxes are within reach; returns how many. The first ghost of each run moves up with k."""
+    """Ghosts ahead of cluster k whose boxes are within reach; returns how many.
+
+    The first ghost of each run moves up with k.
+    """
     ghosts, along, limit2, ahead, candidates = (
         layout.ghosts,
         layout.columns.along[0],
@@ -158,13 +166,16 @@ def _box(boxes, i):
 
 @scalar
 def _gap(boxes, j, stride, low, high):
-    """Distances along one axis, in units of the reach, from an interval, low to high, to those of BOXES boxes; 0 where they overlap."""
+    """Distances along one axis, in units of the reach, from an interval, low to high, to those of BOXES boxes;
+    0 where they overlap."""
     return max(0.0, max(load(boxes, j, BOXES) - high, low - load(boxes, j + 3 * stride, BOXES)))
 
 
 @scalar
 def _prune(k, n, domain, layout, rows, room, work):
-    """Write the rows of the atoms of cluster k: k itself, then those of the n candidates that are within reach. Returns the end of the entries.
+    """Write the rows of the atoms of cluster k: k itself, then those of the n candidates that are within reach.
+
+    Returns the end of the entries.
 
     room : first and last of the entries that are left.
     """
@@ -190,7 +201,10 @@ def _prune(k, n, domain, layout, rows, room, work):
 
 @scalar
 def _append(work, first, near, entries, end):
-    """Append those of WORD candidates, from the first on, whose bits in near are set. Returns the end of the entries."""
+    """Append those of WORD candidates, from the first on, whose bits in near are set.
+
+    Returns the end of the entries.
+    """
     bits = np.uint64(near)
     while True:
         for _ in range(AT_A_TIME):  # without a branch: what is one too many is overwritten by the next
@@ -203,7 +217,8 @@ def _append(work, first, near, entries, end):
 
 @scalar
 def _find_near(k, n, domain, layout, reaches2, work):
-    """Which of the n candidates stand in which layers of the rows of the atoms of cluster k: work.near; their entries: work.entries."""
+    """Which of the n candidates stand in which layers of the rows of the atoms of cluster k: work.near; their entries:
+    work.entries."""
     ghosts, coordinates, lanes, n_lanes = (
         layout.ghosts,
         layout.coordinates,
@@ -238,9 +253,11 @@ def _find_near(k, n, domain, layout, reaches2, work):
 
 @shared_kernel
 def exclude_pairs(worker, task, layout, image, partners, slot_of, rows):
-    """Clear the lane of each excluded partner, at its nearest image, in the row where the pair is listed; each domain is a chunk.
+    """Clear the lane of each excluded partner, at its nearest image, in the row where the pair is listed;
+    each domain is a chunk.
 
-    image : lattice, inverse, pbc, safe_distance2 of Cell.  partners : see find_pairs.  slot_of : (N,) int, output, slot of each atom.
+    image : lattice, inverse, pbc, safe_distance2 of Cell.  partners : see find_pairs.  slot_of : (N,) int, output,
+        slot of each atom.
     """
     n = layout.domains.cluster.size - 1
     phase = begin(worker, task)
@@ -312,7 +329,10 @@ def _ghost_of(domain, cluster, image, layout):
 
 @scalar
 def _find_entry(rows, slot, ghost):
-    """Where a ghost stands in the row of a slot; −1 if it does not. Many entries are compared at a time, for most rows end soon."""
+    """Where a ghost stands in the row of a slot; −1 if it does not.
+
+    Many entries are compared at a time, for most rows end soon.
+    """
     start, stop = np.uintp(rows.start[slot]), np.uintp(rows.stops[LAYERS - 1, slot])
     while start < stop:
         first, second = (

@@ -8,7 +8,8 @@ Seen from above and from the side (4 columns; one column with its clusters A, B,
     |  2  |  3  |        in memory, each cluster: x x x x x x x x y y y y y y y y z z z z z z z z
     +-----+-----+
 
-The last cluster of a column may have fewer atoms than lanes. The other lanes are padding: they repeat its last atom, and count nowhere.
+The last cluster of a column may have fewer atoms than lanes. The other lanes are padding: they repeat its last atom,
+and count nowhere.
 """
 
 from collections import namedtuple
@@ -32,11 +33,14 @@ DIMENSIONS = 3  # numbers of an atom; a cluster of n atoms is a block of 3 n num
 
 
 class Columns(ByAddress, namedtuple("Columns", "counts distance reach pbc along origin extent lattice inverse")):
-    """A cell divided into columns along its third lattice vector. What changes as the cell is strained, from along on, is in arrays.
+    """A cell divided into columns along its third lattice vector.
+
+    What changes as the cell is strained, from along on, is in arrays.
 
     counts : (3,) int, columns along the first two lattice vectors, and bins along the third, for sorting.
     distance : within which pairs are searched [length].  reach : (2,) int, the same in columns on each side.
-    pbc, lattice, inverse : of the Cell.  along : (1,) distance as a fraction of the height along the third lattice vector.
+    pbc, lattice, inverse : of the Cell.  along : (1,) distance as a fraction of the
+        height along the third lattice vector.
     origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions.
     """
 
@@ -44,10 +48,13 @@ class Columns(ByAddress, namedtuple("Columns", "counts distance reach pbc along 
 class Clusters(
     ByAddress, namedtuple("Clusters", "lanes atom filled positions origins wrapping column_start bottom top boxes")
 ):
-    """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n. Arrays of C elements have room for more.
+    """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n.
+
+    Arrays of C elements have room for more.
 
     lanes : Lanes, n as a type.  atom : (n C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
-    positions : flat, a block of 3 n numbers for each cluster: of its atoms when it was made, strained since as the cell was [length].
+    positions : flat, a block of 3 n numbers for each cluster: of its atoms when it was made,
+        strained since as the cell was [length].
     origins : the same without the strain, and the same array if there never was one.  wrapping : Wrapping.
     column_start : (columns + 1,) int, first cluster of each column; the last number is C.
     bottom, top : (C,) lowest and highest fractional coordinate along the third lattice vector.
@@ -57,7 +64,9 @@ class Clusters(
 
 
 class Wrapping(namedtuple("Wrapping", "inverse periodic lattice")):
-    """How atoms are brought into the cell: by as many lattice vectors as for their origins. These are computed, not kept: memory is slower.
+    """How atoms are brought into the cell: by as many lattice vectors as for their origins.
+
+    These are computed, not kept: memory is slower.
 
     inverse : (3, 3) of the cell in which clusters were made [1/length], and periodic : (3,) 1.0 where it was, else 0.0.
     lattice : (3, 3) of the cell as it is now [length].
@@ -66,7 +75,8 @@ class Wrapping(namedtuple("Wrapping", "inverse periodic lattice")):
 
 @scalar
 def offsets_of(start, clusters):
-    """Lattice vectors that bring the atoms of a cluster into the cell: vectors x, y, z [length].  start : of its block."""
+    """Lattice vectors that bring the atoms of a cluster into the cell: vectors x, y, z [length].  start :
+    of its block."""
     (inverse, periodic, lattice), (x, y, z) = clusters.wrapping, loaded(clusters.origins, start, clusters.lanes)
     a = -np.floor(x * inverse[0, 0] + y * inverse[1, 0] + z * inverse[2, 0]) * periodic[0]
     b = -np.floor(x * inverse[0, 1] + y * inverse[1, 1] + z * inverse[2, 1]) * periodic[1]
@@ -95,7 +105,8 @@ def make_columns(
     origin: NDArray[np.float64] = ZEROS,
     extent: NDArray[np.float64] = ONES,
 ) -> Columns:
-    """Columns so wide that the atoms of a cluster fill about a cube of them.  origin, extent : see covered; the whole cell if left out."""
+    """Columns so wide that the atoms of a cluster fill about a cube of them.  origin, extent : see covered;
+    the whole cell if left out."""
     widths, n_lanes = cell.heights * extent, lanes.size
     cube = (n_lanes * widths.prod() / n_atoms) ** (1.0 / 3.0)
     across = np.maximum(1.0, np.minimum(widths[:2] / cube, n_atoms))
@@ -121,7 +132,8 @@ def make_columns(
 
 
 def moved_columns(columns: Columns, to: Columns) -> bool:
-    """Whether there are as many columns in another cell, or at other places; then they are moved there, in the same arrays."""
+    """Whether there are as many columns in another cell, or at other places; then they are moved there,
+    in the same arrays."""
     stay, move = columns[:N_FIXED], columns[N_FIXED:]
     if not all(np.array_equal(a, b) for a, b in zip(stay, to[:N_FIXED], strict=True)):
         return False
@@ -160,7 +172,8 @@ def bins_for_sort(n_atoms: int, columns: Columns) -> Fields:
 
 @scalar
 def sort_into_columns(positions, columns, binned, clusters):
-    """Atoms into the bins of all columns; the first cluster of each column, the second lattice direction running faster than the first."""
+    """Atoms into the bins of all columns; the first cluster of each column,
+    the second lattice direction running faster than the first."""
     counts, column_start, n_lanes = columns.counts, clusters.column_start, count(clusters.lanes)
     counting_sort(positions, columns.inverse, columns.pbc, columns, binned)
     column_start[0] = 0
@@ -221,7 +234,8 @@ def n_clusters(clusters):
 
 @kernel
 def any_moved_from_clusters(positions, clusters, limit2):
-    """True if an atom is farther than √limit2 from where it was when the clusters were made, or if its position is NaN."""
+    """True if an atom is farther than √limit2 from where it was when the clusters were made,
+    or if its position is NaN."""
     lanes = clusters.lanes
     for k in range(n_clusters(clusters)):
         x, y, z = gathered(k, clusters, positions)

@@ -1,7 +1,9 @@
-"""The cell cut into domains, each with forces of its own on all clusters that its atoms can see: so no two domains write to the same memory.
+"""The cell cut into domains, each with forces of its own on all clusters that its atoms can see:
+so no two domains write to the same memory.
 
-A domain is a range of columns along the first lattice vector. Its rows look ahead only. So around its own columns (o) it
-sees those ahead (h), through periodic boundaries where these are crossed; atoms in the columns behind (.) look at the domain instead:
+A domain is a range of columns along the first lattice vector. Its rows look ahead only. So around its own columns (o)
+it sees those ahead (h), through periodic boundaries where these are crossed; atoms in the columns behind (.)
+look at the domain instead:
 
     . . h h h h h h h        second lattice vector  ↑
     . . o o o o o h h
@@ -12,17 +14,18 @@ Each of these columns is a run of ghosts, sorted along the third lattice vector,
 
     | image −1: the highest of the column | the column itself | image +1: the lowest of the column |
 
-A ghost is a cluster moved by a lattice vector; the one moved by zero is its home. Ghosts are numbered column after column, so those that a domain
-sees, its window, have consecutive numbers; the windows of neighboring domains overlap. Positions are copied to all ghosts of a cluster. Forces belong
-to a ghost in a window, and are summed window by window, in the order of the ghosts: the same bits, whichever thread did the work.
+A ghost is a cluster moved by a lattice vector; the one moved by zero is its home. Ghosts are numbered column after
+column, so those that a domain sees, its window, have consecutive numbers; the windows of neighboring domains overlap.
+Positions are copied to all ghosts of a cluster. Forces belong to a ghost in a window, and are summed window by window,
+in the order of the ghosts: the same bits, whichever thread did the work.
 
     ghosts    | 0 0 0 0 0 0 0 0 | 1 1 1 1 1 1 1 1 | 2 2 2 2 2 2 2 2 | behind the last column: images of the first
     window 0  | o o o o o o o o   h h h |
     window 1                    | o o o o o o o o   h h h |
     window 2                                      | o o o o o o o o   h h h |
 
-One thread needs memory for the forces of few windows at a time: as soon as a domain and those behind it are done, the sums of its atoms are whole.
-Only the first domains, which the last ones see, must wait to the end.
+One thread needs memory for the forces of few windows at a time: as soon as a domain and those behind it are done, the
+sums of its atoms are whole. Only the first domains, which the last ones see, must wait to the end.
 """
 
 import functools
@@ -49,12 +52,14 @@ ATOMS_PER_DOMAIN = 800  # at least, on average: with fewer, handing out the work
 
 
 class Domains(ByAddress, namedtuple("Domains", "column cluster first window place numbers ghost")):
-    """column : (K + 1,) int, first column of each domain along the first lattice vector.  cluster : (K + 1,) int, its first cluster.
+    """column : (K + 1,) int, first column of each domain along the first lattice vector.  cluster : (K + 1,) int,
+    its first cluster.
 
-    first : (K,) int, the first ghost that it sees.  window : (K + 1,) int, how many ghosts the domains before it see, all of them together.
+    first : (K,) int, the first ghost that it sees.  window : (K + 1,) int, how many ghosts the domains before it see,
+        all of them together.
     place : (K,) int, the block of forces of its first ghost.
-    numbers : (3,) int, LATE: how many of the domains, the first ones, wait until all forces are computed; all of them, unless one thread goes
-        from domain to domain.  BLOCKS: how many blocks of forces there are.  GHOSTS: M.
+    numbers : (3,) int, LATE: how many of the domains, the first ones, wait until all forces are computed; all of them,
+        unless one thread goes from domain to domain.  BLOCKS: how many blocks of forces there are.  GHOSTS: M.
     ghost : (runs + 1,) int, the first ghost of each run; the last number is M.
     """
 
@@ -64,14 +69,17 @@ class GhostClusters(
 ):
     """M ghosts of C clusters, and W of them in windows. Arrays have room for more.
 
-    owner : (M,) int, the cluster.  image : (M,) int, code of its image (a, b, c), which is 9 (a + 1) + 3 (b + 1) + c + 1.
+    owner : (M,) int, the cluster.  image : (M,) int, code of its image (a, b, c), which is 9 (a + 1) + 3 (b + 1)
+        + c + 1.
     bottom, top : (M,) fractional coordinates along the third lattice vector.
-    boxes : flat float32, for each of the SIDES a row of at least M + BOXES numbers, in units of Columns.distance: any length has room.
+    boxes : flat float32, for each of the SIDES a row of at least M + BOXES numbers, in units of Columns.distance:
+        any length has room.
     lanes : (M,) uint8, bit k is set if lane k is not padding.
     home : (C,) int, the home of each cluster.
-    is_used : (W + M,) bool, window after window, true for ghosts that stand in a row of the domain, and for its homes; then for each ghost whether
-        it is used in any of them.
-    of : (U,) int, all ghosts that are used in some window, cluster by cluster, those of cluster k from start[k].  start : (C + 1,) int.
+    is_used : (W + M,) bool, window after window, true for ghosts that stand in a row of the domain, and for its homes;
+        then for each ghost whether it is used in any of them.
+    of : (U,) int, all ghosts that are used in some window, cluster by cluster, those of cluster k from start[k].
+        start : (C + 1,) int.
     parts : (P,) int, the blocks of the forces on them, likewise, from part_start[k].  part_start : (C + 1,) int.
     bottom, top, boxes, lanes and is_used are needed for a build only; afterwards their memory has other uses.
     """
@@ -85,7 +93,8 @@ class Layout(ByAddress, namedtuple("Layout", "columns clusters domains ghosts co
 
 
 def make_domains(columns: Columns, n_atoms: int) -> Domains:
-    """As many domains as have enough atoms each and are at least as wide as their rows look ahead; the same for any number of threads."""
+    """As many domains as have enough atoms each and are at least as wide as their rows look ahead;
+    the same for any number of threads."""
     across = int(columns.counts[0]) // max(1, int(columns.reach[0]))
     n_domains = max(1, min(n_atoms // ATOMS_PER_DOMAIN, across, MOST_CHUNKS))
     n_runs = int((columns.counts[0] + columns.reach[0]) * (columns.counts[1] + 2 * columns.reach[1]))
@@ -108,7 +117,8 @@ def ghosts_for_search(n_ghosts: int, n_in_windows: int) -> Fields:
 def make_ghosts(
     n_clusters: int, n_ghosts: int, n_in_windows: int, for_search: Sequence[NDArray], memory: Buffers
 ) -> GhostClusters:
-    """Arrays with room for so many, to be filled by fill_ghosts and sort_ghosts.  for_search : those of ghosts_for_search."""
+    """Arrays with room for so many, to be filled by fill_ghosts and sort_ghosts.  for_search :
+    those of ghosts_for_search."""
     room = functools.partial(memory.array, spare=1.0)
     owner, of, image = (
         room("owner", np.int32, n_ghosts),
@@ -125,7 +135,8 @@ def make_ghosts(
 def cut_into_domains(clusters, columns, domains, goes_along):
     """Fill Domains: which columns and clusters each has, and which ghosts it sees.
 
-    goes_along : whether one thread goes from domain to domain; the forces of a window then take the place of those that are needed no more.
+    goes_along : whether one thread goes from domain to domain;
+        the forces of a window then take the place of those that are needed no more.
     """
     counts, reach, column_start = columns.counts, columns.reach, clusters.column_start
     n_domains, n_clusters = domains.column.size - 1, column_start[counts[0] * counts[1]]
@@ -160,7 +171,8 @@ def cut_into_domains(clusters, columns, domains, goes_along):
 
 @scalar
 def _place_windows(columns, domains, goes_along):
-    """Where the forces of each window stand: each in a place of its own, or all but the late ones in the places of those that are done."""
+    """Where the forces of each window stand: each in a place of its own,
+    or all but the late ones in the places of those that are done."""
     n, column, reach = domains.first.size, domains.column, columns.reach[0]
     n_late, n_open, widest, behind = 0, 1, 0, 0
     for d in range(n):
@@ -187,7 +199,8 @@ def first_run(x, columns):
 
 @scalar
 def _seen(run_x, run_y, image_z, clusters, columns):
-    """Clusters first to last of a column, inside the cell or beyond its faces, whose image can be seen from it; the image's code."""
+    """Clusters first to last of a column, inside the cell or beyond its faces, whose image can be seen from it;
+    the image's code."""
     counts, pbc = columns.counts, columns.pbc
     image_x, image_y = run_x // counts[0], run_y // counts[1]
     image = (image_x + 1) * 9 + (image_y + 1) * 3 + image_z + 1
@@ -204,7 +217,8 @@ def _seen(run_x, run_y, image_z, clusters, columns):
 
 @scalar
 def fill_ghosts(domain, layout):
-    """Write the ghosts of the columns of one domain, the last one's also those behind the last column; and is_used of its window.
+    """Write the ghosts of the columns of one domain, the last one's also those behind the last column;
+    and is_used of its window.
 
     is_used is true for the domain's own clusters only; find_rows sets it for the others.
     """
@@ -253,7 +267,8 @@ def fill_shifts(columns, shifts):
 
 @scalar
 def sort_ghosts(domains, ghosts):
-    """Fill ghosts.of, start, parts, part_start: what is used, cluster by cluster, window by window, in the order of their numbers."""
+    """Fill ghosts.of, start, parts, part_start: what is used, cluster by cluster, window by window,
+    in the order of their numbers."""
     owner, window, is_used = ghosts.owner, domains.window, ghosts.is_used
     n_ghosts, n_domains = domains.numbers[GHOSTS], domains.first.size
     somewhere = window[n_domains]  # behind the windows: whether a ghost is used in any of them

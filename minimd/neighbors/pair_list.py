@@ -94,7 +94,8 @@ def fixed_pairs(pairs: NDArray[np.int64], n_atoms: int, periodic: bool) -> tuple
 
 
 def check_size(system: System, cutoff: float, skin: float) -> None:
-    """Raise ValueError for more pairs or images than a list can hold: for a huge reach in a small cell, or a huge scene without cutoff."""
+    """Raise ValueError for more pairs or images than a list can hold: for a huge reach in a small cell,
+    or a huge scene without cutoff."""
     n_atoms, reach, cell = len(system), cutoff + skin, system.cell
     n_pairs = 0.5 * n_atoms**2
     if reach < np.inf:

@@ -55,7 +55,8 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
 
     positions : (N, 3), in the order of the bins and inside the cell [length].  order : (N,) the user's index of each.
     bins : Bins.  reach2 : squared reach [length²].
-    partners : (start, values); the nearest image of a pair of user's atom a and values[start[a] : start[a + 1]] is left out.
+    partners : (start, values); the nearest image of a pair of user's atom a and values[start[a] :
+        start[a + 1]] is left out.
     pairs : output, see Pairs; its atoms count in the order of the bins.
     """
     n_pairs, room = 0, pairs.second.size

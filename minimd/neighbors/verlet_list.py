@@ -23,9 +23,11 @@ def best_skin(cutoff: float, density: float, displacement: float, n_atoms: int, 
 
         cost(s) = step(c̄) + build(c) / n,   c = ρ (r_c + s)³,   n = s/2 / d steps between two builds
 
-    c̄ is the mean of ρ (r_c + s l/L)³ over L layers of a list, l = 1 … L, of which one after the other is taken into use: c if there is one.
+    c̄ is the mean of ρ (r_c + s l/L)³ over L layers of a list, l = 1 … L,
+    of which one after the other is taken into use: c if there is one.
 
-    cutoff : r_c [length].  density : ρ [1/length³].  displacement : d, of the fastest atom in a step [length].  layers : L.
+    cutoff : r_c [length].  density : ρ [1/length³].  displacement : d, of the fastest atom in a step [length].
+        layers : L.
     The costs were measured on the Lennard-Jones liquid with cluster lists; the minimum is flat.
     """
     if not displacement > 0.0:
@@ -55,12 +57,13 @@ class Built(NamedTuple):
 class VerletList(ABC):
     """A list of all pairs within cutoff + skin, kept until an atom has moved by more than skin/2.
 
-    Until then no pair that is not listed can have come within the cutoff: two atoms approach each other by at most the skin.
-    Displacements are true ones: an atom moved by a lattice vector has moved.  L. Verlet, Phys. Rev. 159, 98 (1967).
+    Until then no pair that is not listed can have come within the cutoff: two atoms approach each other by at most the
+    skin. Displacements are true ones: an atom moved by a lattice vector has moved.  L. Verlet, Phys. Rev. 159,
+    98 (1967).
 
-    A list can follow a homogeneous strain F of cell and atoms, r → r F. Pairs that are not listed were farther apart than the reach R, so that
-    they are now farther apart than s R, s being the smallest singular value of F. So the list holds until an atom has moved, beside the strain,
-    by more than (s R − r_c)/2.
+    A list can follow a homogeneous strain F of cell and atoms, r → r F. Pairs that are not listed were farther apart
+    than the reach R, so that they are now farther apart than s R, s being the smallest singular value of F. So the list
+    holds until an atom has moved, beside the strain, by more than (s R − r_c)/2.
 
     cutoff : [length].  skin : [length], ≥ 0.  n_builds : how often it was built.
     limit2 : square of the distance that an atom may move before the list is outdated [length²].
@@ -94,10 +97,14 @@ class VerletList(ABC):
 
     @abstractmethod
     def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
-        """Positions of the last build become r F, with F = strain (3, 3), lattice vectors of the cell before those of a cell; then limit2 is set."""
+        """Positions of the last build become r F, with F = strain (3, 3),
+        lattice vectors of the cell before those of a cell; then limit2 is set."""
 
     def follow(self, cell: Cell) -> None:
-        """Adapt the list to a cell that was strained together with all positions. The result depends on the cell alone."""
+        """Adapt the list to a cell that was strained together with all positions.
+
+        The result depends on the cell alone.
+        """
         if self._cell is None or self._built_in is None:
             return
         if not np.array_equal(cell.reduction, self._cell.reduction):
@@ -171,7 +178,8 @@ def count_not_finite(positions):
 
 
 def partners(pairs: NDArray[np.int64], n_atoms: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The partners of each atom in pairs (P, 2), as (start, values): those of atom a are values[start[a] : start[a + 1]]."""
+    """The partners of each atom in pairs (P, 2), as (start, values): those of atom a are values[start[a] :
+    start[a + 1]]."""
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.argsort(both[:, 0], kind="stable")]
     return starts(both[:, 0], n_atoms), np.ascontiguousarray(both[:, 1])

@@ -1,4 +1,5 @@
-"""The base of observers with results: the steps at which they look, their scene, their state, and the display of results."""
+"""The base of observers with results: the steps at which they look, their scene, their state,
+and the display of results."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ Array = NDArray[np.float64]
 class ObservedRun:
     """The properties of a run that results need; they do not change from the first observation to the last.
 
-    units : name of the unit system.  species : labels.  numbers : of atoms of each species.  spacing : time between observations [time].
+    units : name of the unit system.  species : labels.  numbers : of atoms of each species.  spacing :
+        time between observations [time].
     n_dof : degrees of freedom.  bath_temperature, bath_pressure : of thermostat and barostat; None without them.
     """
 
@@ -85,7 +87,8 @@ class Result(Displayed):
         return {}
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A data frame of columns(), with the numbers in its attrs.  Raises ModuleNotFoundError if pandas is not installed."""
+        """A data frame of columns(), with the numbers in its attrs.
+        Raises ModuleNotFoundError if pandas is not installed."""
         from pandas import DataFrame
 
         table = DataFrame(self.columns())
@@ -118,8 +121,8 @@ class Accumulator(ABC, Displayed):
         sim.run(100_000, observers=[observer])
         print(observer.result())
 
-    It looks once at each step that is a multiple of every, and goes on in later runs of the simulation. Correlations in time begin anew if
-    steps are missing between two looks, or if the state was changed between two runs.
+    It looks once at each step that is a multiple of every, and goes on in later runs of the simulation. Correlations in
+    time begin anew if steps are missing between two looks, or if the state was changed between two runs.
 
     Attributes
     ----------
@@ -164,14 +167,16 @@ class Accumulator(ABC, Displayed):
         return {name: getattr(self, name) for name in (*self.arguments, "name")}
 
     def prepare(self, engine: Engine) -> None:
-        """Prepare for a run of an engine.  Raises ValueError if it cannot be observed, or is another scene than the one observed before."""
+        """Prepare for a run of an engine.  Raises ValueError if it cannot be observed,
+        or is another scene than the one observed before."""
         scene = ObservedRun.of(engine, self.every)
         if self.scene is None:
             self._begin(engine)
             self._set_up(scene)
         elif self.scene != scene:
             raise ValueError(
-                f"{self!r} has observed another system, or one with another time step or bath; make a new observer for this run"
+                f"{self!r} has observed another system, or one with another time step or bath; make a new observer for "
+                "this run"
             )
 
     def observe(self, engine: Engine) -> None:
@@ -199,7 +204,8 @@ class Accumulator(ABC, Displayed):
         """The scene, which a result needs.  Raises ValueError before the first look."""
         if self.scene is None or not self.n_looks:
             raise ValueError(
-                f"{self!r} has not looked yet; pass it to a run of {self.every} steps or more: sim.run(n_steps, observers=[...])"
+                f"{self!r} has not looked yet; pass it to a run of {self.every} steps or more: sim.run(n_steps, "
+                "observers=[...])"
             )
         return self.scene
 
@@ -260,9 +266,13 @@ class Accumulator(ABC, Displayed):
             return
         words = json.loads(bytes(state["words"]))
         if not self.can_restore(state):
-            was = f"its sums have convention {words.get('convention', 1)} of another version of minimd, not {self.convention}"
+            was = (
+                f"its sums have convention {words.get('convention', 1)} of another version of minimd, not "
+                f"{self.convention}"
+            )
             raise ValueError(
-                f"observer {self.name} cannot go on: {was}; go on without it, or with one of another name, which begins anew"
+                f"observer {self.name} cannot go on: {was}; go on without it, or with one of another name, which "
+                "begins anew"
             )
         for name in self._settled():  # no other attribute, whatever a file says
             setattr(self, name, words["settled"][name])

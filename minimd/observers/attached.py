@@ -31,7 +31,8 @@ class Attached:
         names = [one.name for one in self.accumulators]
         if twice := {name for name in names if names.count(name) > 1}:
             raise ValueError(
-                f"observers must have different names; {min(twice)!r} is the name of several: pass another name= to one of them"
+                f"observers must have different names; {min(twice)!r} is the name of several: pass another name= to "
+                "one of them"
             )
         self._engine = engine
         if not engine.is_as_left:  # the state was changed since the last run
@@ -60,7 +61,10 @@ class Attached:
 
     @contextmanager
     def broken_off(self) -> Iterator[None]:
-        """Context of a run. If the run fails, a warning names the observers that have looked at steps after its last good one."""
+        """Context of a run.
+
+        If the run fails, a warning names the observers that have looked at steps after its last good one.
+        """
         try:
             yield
         except (NonFiniteError, ConstraintError):

@@ -18,7 +18,8 @@ class BlockedSums:
 
 
 
-    All blocks have the same length, which grows with the run: they become longer than any correlation that the run is long enough to show.
+    All blocks have the same length, which grows with the run:
+    they become longer than any correlation that the run is long enough to show.
 
     total : (n,), to which entries are added in place.  n_entries : number of complete entries.
     """
@@ -44,7 +45,8 @@ class BlockedSums:
         return np.diff(self._marks[: self._n_marks], axis=0, prepend=0.0)
 
     def replicas(self, law: Callable[[Array], Any]) -> Array:
-        """The result of a law for the sums without one block, (K, ...), for each of K blocks; their spread gives the standard error."""
+        """The result of a law for the sums without one block, (K, ...), for each of K blocks;
+        their spread gives the standard error."""
         with np.errstate(all="ignore"):  # a lag that occurs in one block only has no error
             return replicas(law, self.total, self.parts())
 

@@ -1,10 +1,12 @@
 """The multiple-tau correlator: time correlations over many decades of lags during a run, with little memory and work.
 
-Level k holds the last p entries of a series that is 2ᵏ times coarser than that of level 0, and correlates the newest with the others, at lags
-0, 1, …, p − 1 on level 0, and p/2 to p − 1 of its own entries on every other level. The longest lag grows as 2ᵏ, the number of lags as k.
+Level k holds the last p entries of a series that is 2ᵏ times coarser than that of level 0, and correlates the newest
+with the others, at lags 0, 1, …, p − 1 on level 0, and p/2 to p − 1 of its own entries on every other level.
+The longest lag grows as 2ᵏ, the number of lags as k.
 
     thinned   a level gets every second entry of the level below: each lag is exact, but has fewer origins
-    averaged  a level gets the means of two entries of the level below: noise is averaged out, at lags of p/2 entries or more
+    averaged  a level gets the means of two entries of the level below: noise is averaged out,
+    at lags of p/2 entries or more
 
 J. Ramírez, S. K. Sukumaran, B. Vorselaars, A. E. Likhtman, J. Chem. Phys. 133, 154103 (2010).
 """
@@ -79,7 +81,8 @@ class MultipleTau:
     law : Product() or SquaredDifference().  starts : (G + 1,) int, first particle of each group.  n_components : C.
 
 
-    points : p, number of entries on a level, even.  n_levels : L, the largest number of levels.  averages : True for averaged levels, else thinned.
+    points : p, number of entries on a level, even.  n_levels : L, the largest number of levels.  averages :
+        True for averaged levels, else thinned.
 
     size : of the sums, which the caller keeps: counts (L, p), then sums (L, p, G, C).
     lags : (T,) int, all possible lags in entries, ascending.
@@ -134,7 +137,8 @@ class MultipleTau:
                 return
 
     def correlations(self, sums: Array) -> tuple[Array, Array]:
-        """Numbers of origins, (T,), and mean products of each group, summed over its particles, (T, G, C); NaN for lags without origins."""
+        """Numbers of origins, (T,), and mean products of each group, summed over its particles, (T, G, C);
+        NaN for lags without origins."""
         counts = sums[: self._n_counts][self._places]
         products = sums[self._n_counts :].reshape(self._n_counts, *self._sums_shape[2:])[self._places]
         with np.errstate(all="ignore"):

@@ -19,7 +19,8 @@ def is_cubic(cell: Cell) -> bool:
 
 
 def slope(times: Array, squares: Array) -> Array:
-    """Slopes of straight lines through mean squares (..., T) at times (T,), each point weighted by 1/t, because its error grows as t."""
+    """Slopes of straight lines through mean squares (..., T) at times (T,), each point weighted by 1/t,
+    because its error grows as t."""
     weights = 1.0 / times
     weights = weights**2 / (weights**2).sum()
     t = times - weights @ times

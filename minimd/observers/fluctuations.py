@@ -23,7 +23,8 @@ N_SERIES = 3  # K, U, V
 KINETIC, ENERGY, VOLUME = range(N_SERIES)
 OF_INTEREST = ((1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # K, E and V, as weights of K, U, V
 FEWEST = 30.0  # correlation times; a run with fewer cannot tell how many it has
-JACKKNIFE = 0.7  # of the error of the jackknife: the least error; not all of it, because it scatters more than the other estimate
+# of the error of the jackknife: the least error; not all of it, because it scatters more than the other estimate
+JACKKNIFE = 0.7
 ENOUGH = 100.0  # correlation times; the error bar of a shorter run is itself too uncertain
 
 
@@ -32,18 +33,19 @@ class Fluctuations(Accumulator):
 
         constant energy        C_V = (f k_B/2) / (1 − 2 ⟨δK²⟩ / (f k_B² T²))
         constant temperature   C_V = ⟨δE²⟩ / (k_B T²)
-        constant pressure      C_P = ⟨δH²⟩ / (k_B T²),  κ_T = ⟨δV²⟩ / (k_B T V),  α_P = ⟨δV δH⟩ / (k_B T² V),   H = E + P V
+        constant pressure      C_P = ⟨δH²⟩ / (k_B T²),  κ_T = ⟨δV²⟩ / (k_B T V), α_P = ⟨δV δH⟩ / (k_B T² V), H = E + PV
 
-    f is the number of degrees of freedom in K, which is thermal; T and P are those of the bath, and without a bath T is the mean temperature.
-    The compressibility needs a volume that fluctuates.
+    f is the number of degrees of freedom in K, which is thermal; T and P are those of the bath, and without a bath T is
+    the mean temperature. The compressibility needs a volume that fluctuates.
 
-    The variance of a run of n_c correlation times is too small by that of its mean, the part 2/n_c, which is added. The standard error is the
-    change of the coefficient if all variances grow by a factor e^√(2/n_c), where √(2/n_c) is the relative standard error of the variance of a
-    series with correlations e^(−t/τ); or 0.7 of the jackknife's, if that is more, as where correlations oscillate. The jackknife alone gives too
-    small an error to runs whose variance is too small by chance. A run cannot tell that it is shorter than 30 correlation times; n_c is 30 then.
+    The variance of a run of n_c correlation times is too small by that of its mean, the part 2/n_c, which is added. The
+    standard error is the change of the coefficient if all variances grow by a factor e^√(2/n_c), where √(2/n_c) is the
+    relative standard error of the variance of a series with correlations e^(−t/τ); or 0.7 of the jackknife's, if that
+    is more, as where correlations oscillate. The jackknife alone gives too small an error to runs whose variance is too
+    small by chance. A run cannot tell that it is shorter than 30 correlation times; n_c is 30 then.
 
-    J. L. Lebowitz, J. K. Percus, L. Verlet, Phys. Rev. 153, 250 (1967), on constant energy; M. P. Allen, D. J. Tildesley, Computer Simulation
-    of Liquids, 2nd ed. (2017), section 2.5.
+    J. L. Lebowitz, J. K. Percus, L. Verlet, Phys. Rev. 153, 250 (1967), on constant energy; M. P. Allen, D. J.
+    Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), section 2.5.
 
     Parameters
     ----------
@@ -92,7 +94,8 @@ class Fluctuations(Accumulator):
 
 
 def correlation_times(sums: BlockedSums) -> Array:
-    """The length of a run in correlation times of K, E and V, (3,): n_c = 2 s²/error², with the variance s² and the standard error of the mean.
+    """The length of a run in correlation times of K, E and V, (3,): n_c = 2 s²/error²,
+    with the variance s² and the standard error of the mean.
 
     NaN if there are too few blocks, or if the series is constant.
     """
@@ -106,12 +109,13 @@ def correlation_times(sums: BlockedSums) -> Array:
 
 
 def _coefficients(sums: Array, reference: Array, scene: ObservedRun, grown: Array) -> Array:
-    """T, C_V, C_P, κ_T, α_P; NaN for those that do not follow from the ensemble.  grown : (3,) factors for the variances of K, E and V."""
+    """T, C_V, C_P, κ_T, α_P; NaN for those that do not follow from the ensemble.  grown : (3,)
+    factors for the variances of K, E and V."""
     means, weights = sums[1 : 1 + N_SERIES] / sums[0], np.array(OF_INTEREST) * np.sqrt(grown)[:, None]
     covariance = (
         weights @ (sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(means, means)) @ weights.T
     )
-    means, k_B, f = means + reference, scene.unit_system.k_B, scene.n_dof  # noqa: N806 - the symbol of the constant
+    means, k_B, f = means + reference, scene.unit_system.k_B, scene.n_dof
     mean_temperature = 2.0 * means[KINETIC] / (f * k_B)
     T = mean_temperature if scene.bath_temperature is None else scene.bath_temperature  # noqa: N806
     energy, volume = np.eye(N_SERIES)[[ENERGY, VOLUME]]
@@ -139,8 +143,10 @@ def _coefficients(sums: Array, reference: Array, scene: ObservedRun, grown: Arra
 class FluctuationResult(Result):
     """Coefficients from fluctuations.
 
-    ensemble : in words.  values, errors : (5,) mean temperature, C_V and C_P of the whole system [energy/temperature], κ_T [length³/energy], α_P
-    [1/temperature], and their standard errors; NaN for those that do not follow from the ensemble.  n_looks : number of looks.
+    ensemble : in words.  values, errors : (5,) mean temperature, C_V and C_P of the whole system [energy/temperature],
+        κ_T [length³/energy], α_P
+    [1/temperature], and their standard errors; NaN for those that do not follow from the ensemble.  n_looks :
+    number of looks.
     correlation_times : length of the run in correlation times of the slowest fluctuation; NaN if unknown.
     """
 
@@ -183,17 +189,16 @@ class FluctuationResult(Result):
         rows = [("fluctuations", f"at {self.ensemble}, {self.n_looks} looks, T = {temperature} {units.temperature}")]
         for name, symbol in per_atom.items():
             if np.isfinite(value := getattr(self, name)):
+                error = getattr(self, name + "_error")
                 rows.append(
-                    (
-                        "",
-                        f"{symbol} = {with_error(value / (n * units.k_B), getattr(self, name + '_error') / (n * units.k_B))} k_B per atom",
-                    )
+                    ("", f"{symbol} = {with_error(value / (n * units.k_B), error / (n * units.k_B))} k_B per atom")
                 )
         if np.isfinite(self.compressibility):
             rows.append(
                 (
                     "",
-                    f"κ_T = {with_error(self.compressibility, self.compressibility_error)} {units.length}³/{units.energy}",
+                    f"κ_T = {with_error(self.compressibility, self.compressibility_error)} "
+                    f"{units.length}³/{units.energy}",
                 )
             )
         if self.correlation_times < ENOUGH:

@@ -16,7 +16,8 @@ FEWEST_LAGS = 3  # in a plateau
 
 
 class Plateau(NamedTuple):
-    """value, error : of the integral, in its units.  window : (start, end) [time].  is_reached : whether the integral has a plateau."""
+    """value, error : of the integral, in its units.  window : (start, end) [time].  is_reached :
+    whether the integral has a plateau."""
 
     value: float
     error: float
@@ -31,19 +32,20 @@ def running_integral(times: Array, correlation: Array) -> Array:
 
 
 def plateau(times: Array, integral: Array, without: Array) -> Plateau:
-    """The mean of the integral over an octave of times, t to 2t, that begins where the noise grows faster than the missing rest decreases.
+    """The mean of the integral over an octave of times, t to 2t,
+    that begins where the noise grows faster than the missing rest decreases.
 
         A(t) e^(−t/Sτ) ≤ σ(t) Sτ/2t,   τ(t) = ∫₀ᵗ |I(t) − I(s)| ds / A(t),   A(t) = max |I(s)|, s ≤ t,   S = 1.5
 
-    The first t that fulfills this is used: there the sum of both errors is smallest, if the rest beyond t is A e^(−t/Sτ) and the standard
-    error σ grows as √t. For C = e^(−t/τ₀), τ is τ₀; a slow part contributes to τ in proportion to its share of the integral. If there is no
-    such t, the last octave is used. A slow correlation whose whole share of the integral is below the error bar is not noticed, and is missing
-    from the result.
+    The first t that fulfills this is used: there the sum of both errors is smallest, if the rest beyond t is A
+    e^(−t/Sτ) and the standard error σ grows as √t. For C = e^(−t/τ₀), τ is τ₀; a slow part contributes to τ in
+    proportion to its share of the integral. If there is no such t, the last octave is used. A slow correlation whose
+    whole share of the integral is below the error bar is not noticed, and is missing from the result.
 
     times, integral : (T,), from time 0.  without : (K, T), replicas of the integral.
 
-    U. Wolff, Comput. Phys. Commun. 156, 143 (2004), on the window and S, with τ from the whole integral instead of C(0); N. Madras,
-    A. D. Sokal, J. Stat. Phys. 50, 109 (1988), on windows that are multiples of τ.
+    U. Wolff, Comput. Phys. Commun. 156, 143 (2004), on the window and S, with τ from the whole integral instead of
+    C(0); N. Madras, A. D. Sokal, J. Stat. Phys. 50, 109 (1988), on windows that are multiples of τ.
     """
     errors, largest = spread(without), np.maximum.accumulate(np.abs(integral))
     for i in range(1, len(times)):

@@ -67,7 +67,8 @@ class _OfAtoms(TimeCorrelation):
         """The vectors of all atoms, (N, 3), and what to subtract from them, (3,)."""
 
     def _means(self, seen: NDArray[np.bool_]) -> Callable[[Array], Array]:
-        """The function of the sums that gives means over all atoms, over those of each species, and along x, y, z; (1 + S + 3, T)."""
+        """The function of the sums that gives means over all atoms, over those of each species, and along x, y, z;
+        (1 + S + 3, T)."""
         numbers = np.maximum(1, np.array(self.numbers))
 
         def law(sums: Array) -> Array:
@@ -79,16 +80,18 @@ class _OfAtoms(TimeCorrelation):
 
 
 class MeanSquareDisplacement(_OfAtoms):
-    """⟨|r(t₀ + t) − r(t₀)|²⟩ and the coefficient of self-diffusion, by a multiple-tau correlator with lags up to 15 · 2ᵏ⁻¹ · every steps in k levels.
+    """⟨|r(t₀ + t) − r(t₀)|²⟩ and the coefficient of self-diffusion,
+    by a multiple-tau correlator with lags up to 15 · 2ᵏ⁻¹ · every steps in k levels.
 
-    Every lag is exact: levels are thinned, never averaged. If the cell changes, as with a barostat, the motion of the cell is not counted:
-    from one look to the next each atom, or the center of its rigid molecule, is first moved with the cell, and only the rest is its displacement.
-    S. von Bülow, J. T. Bullerjahn, G. Hummer, J. Chem. Phys. 153, 021101 (2020), on why.
+    Every lag is exact: levels are thinned, never averaged. If the cell changes, as with a barostat, the motion of the
+    cell is not counted: from one look to the next each atom, or the center of its rigid molecule, is first moved with
+    the cell, and only the rest is its displacement. S. von Bülow, J. T. Bullerjahn, G. Hummer, J. Chem. Phys. 153,
+    021101 (2020), on why.
 
     Parameters
     ----------
-    every : steps between two looks.  n_levels : largest number of levels.  most_atoms : largest number of atoms, chosen evenly; time and memory
-        are proportional to it.
+    every : steps between two looks.  n_levels : largest number of levels.  most_atoms : largest number of atoms, chosen
+        evenly; time and memory are proportional to it.
     name : its name in files, "mean_square_displacement" if not given.
     """
 
@@ -116,9 +119,11 @@ class MeanSquareDisplacement(_OfAtoms):
         return vectors, center(vectors, engine.system.masses, engine.conserves_momentum)
 
     def _moved_by_cell(self, engine: Engine, was: Cell, old: Array) -> Array:
-        """Displacements due to the motion of the cell since the last look, (N, 3).  was, old : cell and positions at that look.
+        """Displacements due to the motion of the cell since the last look, (N, 3).  was, old :
+        cell and positions at that look.
 
-        Each atom moves with the cell; of a molecule with lengths held fixed the center does, and the molecule turns as the cell does.
+        Each atom moves with the cell; of a molecule with lengths held fixed the center does,
+        and the molecule turns as the cell does.
         """
         cell, bonds = engine.system.cell, engine.constraint_set.bonds
         strain = np.linalg.solve(_spanning(was), _spanning(cell))
@@ -159,11 +164,12 @@ class MeanSquareDisplacement(_OfAtoms):
     def result(self, window: tuple[float, float] | None = None, viscosity: float | None = None) -> DisplacementResult:
         """The displacements so far, and D of the atoms, each with its standard error.
 
-        window : lags for the fit of a straight line [time]; if not given, a decade that begins when atoms have moved by half the distance of
-            neighbors, and ends at a quarter of the run at the latest.
+        window : lags for the fit of a straight line [time]; if not given, a decade that begins when atoms have moved by
+            half the distance of neighbors, and ends at a quarter of the run at the latest.
         viscosity : η [energy time/length³], for the finite-size correction of Yeh and Hummer, which needs a cubic cell.
 
-        Raises ValueError before the first look, for a window with fewer than 3 lags, or if a viscosity is given and the cell is not cubic.
+        Raises ValueError before the first look, for a window with fewer than 3 lags,
+        or if a viscosity is given and the cell is not cubic.
         """
         scene = self.answered()
         seen, times, longest = self._seen()
@@ -183,8 +189,8 @@ def _spanning(cell: Cell) -> Array:
 class VelocityAutocorrelation(_OfAtoms):
     """⟨v(t₀) · v(t₀ + t)⟩, and the coefficient of self-diffusion as its integral, D = ⅓ ∫ ⟨v(0) · v(t)⟩ dt.
 
-    It is computed by a multiple-tau correlator, with the parameters of MeanSquareDisplacement. The time between looks must be short compared
-    with the time in which velocities change: about 20 fs, or 0.02 τ.
+    It is computed by a multiple-tau correlator, with the parameters of MeanSquareDisplacement. The time between looks
+    must be short compared with the time in which velocities change: about 20 fs, or 0.02 τ.
     """
 
     kind = "velocity-autocorrelation"
@@ -194,7 +200,8 @@ class VelocityAutocorrelation(_OfAtoms):
         return look.engine.velocities, look.drift
 
     def result(self) -> VelocityResult:
-        """The autocorrelation so far, its running integral, and D, each with its standard error.  Raises ValueError before the first look."""
+        """The autocorrelation so far, its running integral, and D, each with its standard error.
+        Raises ValueError before the first look."""
         scene = self.answered()
         seen, times, longest = self._seen()
         law = self._means(seen)

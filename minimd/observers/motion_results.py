@@ -48,10 +48,13 @@ def _series(name: str, scene: ObservedRun, times: Array, means: Array, errors: A
 class DisplacementResult(Result):
     """A mean-square displacement, and the self-diffusion that follows from it.
 
-    times : (T,) lags [time].  means, errors : (1 + S + 3, T) [length²], of all atoms, of those of each species, and along x, y, z.
-    diffusion, diffusion_error : D in this cell [length²/time]; NaN if the window holds too few lags.  diffusion_of_species : D of each, (S,).
+    times : (T,) lags [time].  means, errors : (1 + S + 3, T) [length²], of all atoms, of those of each species,
+        and along x, y, z.
+    diffusion, diffusion_error : D in this cell [length²/time]; NaN if the window holds too few lags.
+        diffusion_of_species : D of each, (S,).
     infinite, infinite_error : D of an infinite system by Yeh and Hummer; NaN without a viscosity.
-    window : of the straight line [time].  temperature, volume : means.  n_atoms : number of atoms whose displacements were measured.
+    window : of the straight line [time].  temperature, volume : means.  n_atoms :
+        number of atoms whose displacements were measured.
     """
 
     scene: ObservedRun
@@ -83,13 +86,15 @@ class DisplacementResult(Result):
     def fitted(
         self, without: Array, window: tuple[float, float] | None, longest: float, viscosity: float | None
     ) -> DisplacementResult:
-        """This result with D.  without : (K, 1 + S + 3, T) replicas of the means.  longest : last lag for a fit [time].  Raises ValueError."""
+        """This result with D.  without : (K, 1 + S + 3, T) replicas of the means.  longest : last lag for a fit [time].
+        Raises ValueError."""
         start, end = window or self._own_window(longest)
         inside = (self.times >= start) & (self.times <= end) & (self.times > 0.0)
         if inside.sum() < 3:
             if window is not None:
                 raise ValueError(
-                    f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g}) holds {inside.sum()} of {len(self.times)}"
+                    f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g}) holds {inside.sum()} "
+                    f"of {len(self.times)}"
                 )
             return self
         times, n = self.times[inside], 1 + len(self.scene.species)
@@ -115,7 +120,8 @@ class DisplacementResult(Result):
     def _correction(self, viscosity: float) -> float:
         if not self.is_cubic:
             raise ValueError(
-                "the correction of Yeh and Hummer needs a cubic cell that is periodic in all directions; leave viscosity out"
+                "the correction of Yeh and Hummer needs a cubic cell that is periodic in all directions; leave "
+                "viscosity out"
             )
         return finite_size_correction(
             self.scene.unit_system.k_B * self.temperature, viscosity, self.volume ** (1.0 / 3.0)
@@ -150,7 +156,8 @@ class DisplacementResult(Result):
                 *rows,
                 (
                     "",
-                    f"D = {diffusion_words(self.infinite, self.infinite_error, units)} in an infinite cell (Yeh and Hummer)",
+                    f"D = {diffusion_words(self.infinite, self.infinite_error, units)} in an infinite cell (Yeh and "
+                    "Hummer)",
                 ),
             ]
         return (
@@ -180,8 +187,10 @@ class DisplacementResult(Result):
 class VelocityResult(Result):
     """A velocity autocorrelation, its integral, and the self-diffusion that follows from it.
 
-    times : (T,) lags [time].  means, errors : (1 + S + 3, T) [length²/time²], of all atoms, of those of each species, and along x, y, z.
-    integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].  plateau : of the integral.  n_atoms : number of atoms that were observed.
+    times : (T,) lags [time].  means, errors : (1 + S + 3, T) [length²/time²], of all atoms, of those of each species,
+        and along x, y, z.
+    integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].  plateau : of the integral.  n_atoms :
+        number of atoms that were observed.
     """
 
     scene: ObservedRun

@@ -31,18 +31,21 @@ class Profile(Accumulator):
 
         ρ(z) = ⟨n(z) / ΔV⟩,   T(z) = ⟨Σ m v²⟩ / (g k_B ⟨n(z)⟩),   g = n_dof / N
 
-    z is the distance along the normal of the two other lattice vectors. If the cell changes, layers of a periodic axis move with it, and z is
-    given in the mean cell. The velocities of a flow count as thermal, but not those of the whole if n_dof leaves them out.
+    z is the distance along the normal of the two other lattice vectors. If the cell changes, layers of a periodic axis
+    move with it, and z is given in the mean cell. The velocities of a flow count as thermal,
+    but not those of the whole if n_dof leaves them out.
 
     Parameters
     ----------
     axis : "a", "b" or "c", the lattice vector.  n_bins : B layers.  every : steps between two looks.
-    extent : (lower, upper) [length], required for an open axis; atoms outside are not counted. The other two axes must be periodic.
+    extent : (lower, upper) [length], required for an open axis; atoms outside are not counted.
+        The other two axes must be periodic.
     name : its name in files, "profile" if not given.
 
     Raises
     ------
-    ValueError : for arguments out of range; when a run begins, if the cell and extent do not define the volume of layers.
+    ValueError : for arguments out of range; when a run begins,
+        if the cell and extent do not define the volume of layers.
     """
 
     kind = "profile"
@@ -68,7 +71,8 @@ class Profile(Accumulator):
         pbc, k = engine.system.cell.pbc, AXES.index(self.axis)
         if not np.delete(pbc, k).all():
             raise ValueError(
-                f"layers across axis {self.axis} need a cell that is periodic along the other two axes; its pbc = {pbc.tolist()}"
+                f"layers across axis {self.axis} need a cell that is periodic along the other two axes; its pbc = "
+                f"{pbc.tolist()}"
             )
         if pbc[k] != (self.extent is None):
             needed = "is periodic: leave extent out" if pbc[k] else "is open: give extent=(lower, upper)"
@@ -120,7 +124,8 @@ class Profile(Accumulator):
 class ProfileResult(Result):
     """Profiles along an axis.
 
-    axis : its name.  z : (B,) middles of the layers [length].  densities, density_errors : (S, B) of each species [1/length³].
+    axis : its name.  z : (B,) middles of the layers [length].  densities, density_errors : (S, B)
+        of each species [1/length³].
     temperature, temperature_error : (B,); NaN in layers without atoms.  n_frames : number of looks.
     """
 
@@ -153,7 +158,8 @@ class ProfileResult(Result):
         return [
             (
                 "profile",
-                f"along {self.axis}, {len(self.z)} layers, {self.n_frames} looks; density from {low:.4g} to {high:.4g} /{length}³",
+                f"along {self.axis}, {len(self.z)} layers, {self.n_frames} looks; density from {low:.4g} to {high:.4g} "
+                f"/{length}³",
             )
         ]
 

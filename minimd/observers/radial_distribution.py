@@ -27,9 +27,11 @@ FRAMES, HEAD = 0, 1  # places in the sums: number of frames, then V times the nu
 
 @kernel
 def count_pairs(positions, species, bins, pair_of_species, width, r_max, counts):
-    """counts[p, k] += number of pairs of kind p = pair_of_species[a, b] with k · width ≤ r < (k + 1) · width, with all images within r_max.
+    """counts[p, k] += number of pairs of kind p = pair_of_species[a, b] with k · width ≤ r < (k + 1) · width,
+    with all images within r_max.
 
-    positions : (N, 3) [length], in the order of the bins and inside the cell.  species : (N,) int, in the same order.  bins : see neighbors.search.
+    positions : (N, 3) [length], in the order of the bins and inside the cell.  species : (N,) int, in the same order.
+        bins : see neighbors.search.
     """
     size, bin_start, translations, n_bins = bins.counts, bins.bin_start, bins.translations, counts.shape[1]
     ranges = np.empty((bins.forward.shape[0] + 1, 3), dtype=np.int64)
@@ -57,17 +59,19 @@ class RadialDistribution(Accumulator):
 
         g_ab(r) = ⟨V n_ab(r)⟩ / (N_ab · 4π/3 [(r + Δr/2)³ − (r − Δr/2)³])
 
-    n_ab(r) is the number of pairs in a bin, of N_ab = N_a N_b, or N_a (N_a − 1)/2, pairs. V is the volume at each look; it may change.
-    Bonded pairs count like all others.
+    n_ab(r) is the number of pairs in a bin, of N_ab = N_a N_b, or N_a (N_a − 1)/2, pairs. V is the volume at each look;
+    it may change. Bonded pairs count like all others.
 
     Parameters
     ----------
-    r_max : largest distance [length]; half the smallest height of the cell at the start if not given.  n_bins : B.  every : steps between two looks.
+    r_max : largest distance [length]; half the smallest height of the cell at the start if not given.  n_bins : B.
+        every : steps between two looks.
     name : its name in files, "radial_distribution" if not given.
 
     Raises
     ------
-    ValueError : for arguments out of range; when a run begins, for a cell that is not periodic in all directions, or a single atom.
+    ValueError : for arguments out of range; when a run begins, for a cell that is not periodic in all directions,
+        or a single atom.
     """
 
     kind = "radial-distribution"
@@ -137,7 +141,8 @@ class RadialDistributionResult(Result):
     """g(r).
 
     r : (B,) middles of the bins [length].  g, error : (B,) of all atoms, and its standard error.
-    pairs : names of the pairs of species, P of them.  g_of_pairs, errors_of_pairs : (P, B).  n_frames : number of looks.
+    pairs : names of the pairs of species, P of them.  g_of_pairs, errors_of_pairs : (P, B).  n_frames :
+        number of looks.
     """
 
     scene: ObservedRun

@@ -30,7 +30,10 @@ class Integral(NamedTuple):
 
 
 class TimeCorrelation(Accumulator):
-    """An observer of a correlation in time. Its sums are the number of looks, temperatures, volumes, and those of a multiple-tau correlator."""
+    """An observer of a correlation in time.
+
+    Its sums are the number of looks, temperatures, volumes, and those of a multiple-tau correlator.
+    """
 
     convention = 2  # relative to the center of mass where its motion is no degree of freedom
     _correlator: MultipleTau
@@ -61,14 +64,16 @@ class TimeCorrelation(Accumulator):
         self._correlator.restore(arrays)
 
     def _seen(self) -> tuple[NDArray[np.bool_], Array, float]:
-        """Whether each lag has origins; the lags that have [time]; and the longest lag for fits and integrals [time]."""
+        """Whether each lag has origins; the lags that have [time];
+        and the longest lag for fits and integrals [time]."""
         counts, _ = self._correlator.correlations(self.sums.total[HEAD:])
         seen, spacing = counts > 0.0, self.answered().spacing
         times: Array = self._correlator.lags[seen] * np.float64(spacing)
         return seen, times, LONGEST * (self.n_looks - 1) * spacing
 
     def _estimate(self, times: Array, longest: float, law: Callable[[Array], Array]) -> tuple[Array, Array]:
-        """The result of a law for the sums, (..., T), and its standard errors; NaN for lags that only a small part of the blocks contains."""
+        """The result of a law for the sums, (..., T), and its standard errors;
+        NaN for lags that only a small part of the blocks contains."""
         values, errors = self.sums.estimate(law)
         errors[..., times > 2.0 * longest] = np.nan
         return values, errors

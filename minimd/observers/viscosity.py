@@ -29,19 +29,22 @@ MPA_S = 1e-4 / (BAR * PICOSECOND)  # per eV/Å³ Å √(u/eV): a bar times a pic
 
 
 class Viscosity(TimeCorrelation):
-    """Shear viscosity by Green and Kubo, from all components of the stress without its trace, by a multiple-tau correlator that averages.
+    """Shear viscosity by Green and Kubo, from all components of the stress without its trace,
+    by a multiple-tau correlator that averages.
 
         C(t) = Σ_ab ⟨P_ab(0) P_ab(t)⟩ / 10,   P = −(σ + σᵀ)/2 + tr σ / 3
         η = V / (k_B T) ∫ C(t) dt
 
-    Each look evaluates the virial with the forces of its step. The time between looks must be short compared with the time in which the stress
-    changes: about 20 fs, or 0.02 τ. A bath that acts on each atom, such as Langevin's, changes the viscosity.
+    Each look evaluates the virial with the forces of its step. The time between looks must be short compared with the
+    time in which the stress changes: about 20 fs, or 0.02 τ. A bath that acts on each atom, such as Langevin's,
+    changes the viscosity.
 
     P. J. Daivis, D. J. Evans, J. Chem. Phys. 100, 541 (1994), on all components.
 
     Parameters
     ----------
-    every : steps between two looks.  n_levels : k, largest number of levels of the correlator: the longest lag is 31 · 2ᵏ⁻¹ · every steps.
+    every : steps between two looks.  n_levels : k, largest number of levels of the correlator:
+        the longest lag is 31 · 2ᵏ⁻¹ · every steps.
     name : its name in files, "viscosity" if not given.
 
     Raises
@@ -72,7 +75,7 @@ class Viscosity(TimeCorrelation):
         """η so far, with its standard error.  Raises ValueError before the first look."""
         scene = self.answered()
         seen, times, longest = self._seen()
-        k_B = scene.unit_system.k_B  # noqa: N806 - the symbol of the constant
+        k_B = scene.unit_system.k_B
 
         def correlation(sums: Array) -> Array:
             found: Array = self._correlator.correlations(sums[HEAD:])[1][seen, 0].sum(axis=1) / WEIGHT
@@ -86,7 +89,8 @@ class Viscosity(TimeCorrelation):
 
 
 def traceless(tensor: Array) -> Array:
-    """(6,) numbers whose squares add up to Σ_ab P_ab², with P the symmetric part of a tensor (3, 3) without its trace."""
+    """(6,) numbers whose squares add up to Σ_ab P_ab², with P the symmetric part of a tensor (3, 3)
+    without its trace."""
     p = 0.5 * (tensor + tensor.T) - np.eye(3) * np.trace(tensor) / 3.0
     root = np.sqrt(2.0)
     return np.array([p[0, 0], p[1, 1], p[2, 2], root * p[1, 2], root * p[0, 2], root * p[0, 1]])

@@ -1,4 +1,5 @@
-"""What the scalar loops add to: the float64 arrays forces, energies, virials; or GridSums, to which only numbers rounded to a grid are added."""
+"""What the scalar loops add to: the float64 arrays forces, energies, virials; or GridSums,
+to which only numbers rounded to a grid are added."""
 
 import numpy as np
 from numba import types
@@ -25,7 +26,8 @@ def in_steps(u, sums):
 
 
 def watch(size2, sums):
-    """For GridSums, record a fault if one of several forces may be too large.  size2 : sum of their squares [energy²/length²]."""
+    """For GridSums, record a fault if one of several forces may be too large.  size2 :
+    sum of their squares [energy²/length²]."""
     if isinstance(sums, GridSums) and not size2 * sums.steps.per_force[0] ** 2 <= LIMIT2:
         sums.faults[0] = 1
 

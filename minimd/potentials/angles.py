@@ -52,7 +52,8 @@ class HarmonicAngle(OwnPotential):
 
         Raises
         ------
-        ValueError : if a triple names a missing atom, or an array of k or angle has another length than the list of angles.
+        ValueError : if a triple names a missing atom, or an array of k or angle has
+            another length than the list of angles.
         """
         triples = system.angles if self.triples is None else checked_groups("triples", self.triples, 3, len(system))
         k, angle = columns_of("angles", {"k": self.k, "angle": self.angle}, len(triples))
@@ -62,7 +63,8 @@ class HarmonicAngle(OwnPotential):
 
 
 class Angles(namedtuple("Angles", "first middle last first_translations last_translations k sine cosine")):
-    """first, middle, last : (A,) int.  first_translations, last_translations : (A, 3) [length], added to r_first − r_middle and r_last − r_middle.
+    """first, middle, last : (A,) int.  first_translations, last_translations : (A, 3) [length],
+    added to r_first − r_middle and r_last − r_middle.
 
     k : (A,) stiffness [energy/rad²].  sine, cosine : (A,) of θ₀.
     """
@@ -109,10 +111,11 @@ def add_angle_forces(positions, angles, detail, sums):
         tan(θ − θ₀) = (|n| cos θ₀ − a·b sin θ₀)/(a·b cos θ₀ + |n| sin θ₀)
         F_i = u′(θ) n × a/(a²|n|),   F_k = u′(θ) b × n/(b²|n|),   F_j = −F_i − F_k,   all zero if n = 0
 
-    positions : (N, 3) [length].  angles : Angles.  detail : see Term.add.  sums : its accumulators forces, energies and virials; or GridSums.
+    positions : (N, 3) [length].  angles : Angles.  detail : see Term.add.  sums : its accumulators forces,
+        energies and virials; or GridSums.
     θ near 0 and π, and θ − θ₀ if θ₀ is 0 or π, have all their digits.
-    The virial a ⊗ F_i + b ⊗ F_k is symmetric because angles feel no torque. TOTALS adds an angle to its middle atom, PER_ATOM a third of it
-    to each atom.
+    The virial a ⊗ F_i + b ⊗ F_k is symmetric because angles feel no torque. TOTALS adds an angle to its middle atom,
+    PER_ATOM a third of it to each atom.
     """
     forces, energies, virials = sums[0], sums[1], sums[2]
     for t in range(angles.middle.size):

@@ -26,8 +26,8 @@ class BondPotential(OwnPotential):
     parameters : one entry for each parameter of the law: a number for all bonds, or an array with one number for each.
     pairs : (B, 2) int, the bonded atoms; system.bonds if not given.
 
-    Each bond runs to the nearest image of its partner. Raises ValueError for parameters that are not finite numbers, or invalid pairs;
-    TypeError for a law that is not a function, or parameters that are not a tuple.
+    Each bond runs to the nearest image of its partner. Raises ValueError for parameters that are not finite numbers, or
+    invalid pairs; TypeError for a law that is not a function, or parameters that are not a tuple.
     """
 
     def __init__(
@@ -37,7 +37,8 @@ class BondPotential(OwnPotential):
         self.pairs = None if pairs is None else checked_pairs("pairs", pairs)
         if not isinstance(parameters, Sequence):
             raise TypeError(
-                f"parameters of bonds must be a tuple with one entry for each parameter of the law; parameters = {shown(parameters)}"
+                "parameters of bonds must be a tuple with one entry for each parameter of the law; parameters = "
+                f"{shown(parameters)}"
             )
         self.parameters = tuple(
             checked_numbers("bond parameters", parameter, "one number, or one for each bond")
@@ -82,7 +83,8 @@ class BondPotential(OwnPotential):
         for parameter in self.parameters:
             if parameter.shape not in ((), (n_bonds,)):
                 raise ValueError(
-                    f"a bond parameter must be one number or {n_bonds}, one for each bond; its shape is {parameter.shape}"
+                    f"a bond parameter must be one number or {n_bonds}, one for each bond; its shape is "
+                    f"{parameter.shape}"
                 )
         return np.stack([np.broadcast_to(column, n_bonds) for column in (np.array(np.inf), *self.parameters)], axis=-1)
 
@@ -97,7 +99,8 @@ class OwnBond(BondPotential):
         return dict(zip(self.names, self.parameters, strict=True))
 
     def _check(self, what: str, negative: tuple[str, ...] = (), not_positive: tuple[str, ...] = ()) -> None:
-        """Raise ValueError if a parameter is negative or not positive.  negative, not_positive : names of those that must not be so."""
+        """Raise ValueError if a parameter is negative or not positive.  negative, not_positive :
+        names of those that must not be so."""
         for name, values in self.law_arguments().items():
             if name in negative and np.any(values < 0.0):
                 raise ValueError(f"{name} of {what} must not be negative; {name} = {values.tolist()}")
@@ -131,7 +134,8 @@ class MorseBond(OwnBond):
 
     Parameters
     ----------
-    depth : D [energy].  a : [1/length]; the stiffness at rest is 2 a² D.  length : r₀ [length]. One number each, or one for each bond.
+    depth : D [energy].  a : [1/length]; the stiffness at rest is 2 a² D.  length : r₀ [length]. One number each,
+        or one for each bond.
     pairs : (B, 2) int, the bonded atoms; system.bonds if not given.
 
     Raises
@@ -147,15 +151,16 @@ class MorseBond(OwnBond):
 
 
 class FENEBond(OwnBond):
-    """Finitely extensible bond of Kremer and Grest: −½ k R² ln(1 − (r/R)²), and a repulsion of its two beads, Lennard-Jones cut at its minimum.
+    """Finitely extensible bond of Kremer and Grest: −½ k R² ln(1 − (r/R)²), and a repulsion of its two beads,
+    Lennard-Jones cut at its minimum.
 
-    Exclude bonded pairs from the potential between all beads with bonded_scale=(0, 1, 1), as LAMMPS' `special_bonds fene` does. The energy of a
-    bond of length R or more is not finite: the run ends with NonFiniteError.
+    Exclude bonded pairs from the potential between all beads with bonded_scale=(0, 1, 1), as LAMMPS' `special_bonds
+    fene` does. The energy of a bond of length R or more is not finite: the run ends with NonFiniteError.
 
     Parameters
     ----------
-    k : stiffness [energy/length²].  longest : R [length].  epsilon, sigma : of the repulsion [energy], [length]; epsilon = 0 for none.
-        One number each, or one for each bond.
+    k : stiffness [energy/length²].  longest : R [length].  epsilon, sigma : of the repulsion [energy], [length];
+        epsilon = 0 for none. One number each, or one for each bond.
     pairs : (B, 2) int, the bonded atoms; system.bonds if not given.
 
     Raises

@@ -1,4 +1,5 @@
-"""Dihedrals and impropers: a law of the angle between two planes, the one through atoms i, j, k and the one through j, k, l."""
+"""Dihedrals and impropers: a law of the angle between two planes, the one through atoms i, j, k and the one through j,
+k, l."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ from minimd.structure.checks import shown
 from minimd.structure.system import System
 from minimd.structure.vectors import cross, dot, separation
 
-STRAIGHT2 = 1e-16  # the smallest sin² of the angle between two neighboring bonds by which forces are divided: its rounding error
+# the smallest sin² of the angle between two neighboring bonds by which forces are divided: its rounding error
+STRAIGHT2 = 1e-16
 N_COEFFICIENTS = 6  # of the polynomial of Ryckaert and Bellemans
 
 
@@ -33,13 +35,15 @@ class DihedralPotential(OwnPotential):
 
     Parameters
     ----------
-    law : function law(phi, *parameters) of the angle [rad], −π < φ ≤ π, zero for cis and ±π for trans, that returns u [energy] and u′(φ)
-        [energy/rad]; plain Python of numbers, or already compiled by numba.njit.
-    parameters : one entry for each parameter of the law: a number for all dihedrals, or an array with one number for each.
+    law : function law(phi, *parameters) of the angle [rad], −π < φ ≤ π, zero for cis and ±π for trans, that returns u
+        [energy] and u′(φ) [energy/rad]; plain Python of numbers, or already compiled by numba.njit.
+    parameters : one entry for each parameter of the law: a number for all dihedrals,
+        or an array with one number for each.
     quadruples : (D, 4) int; system.dihedrals if not given.
 
-    Each bond of the chain i, j, k, l runs to the nearest image of its partner. Raises ValueError for parameters that are not finite numbers, or
-    invalid quadruples; TypeError for a law that is not a function, or parameters that are not a tuple.
+    Each bond of the chain i, j, k, l runs to the nearest image of its partner. Raises ValueError for parameters that
+    are not finite numbers, or invalid quadruples; TypeError for a law that is not a function,
+    or parameters that are not a tuple.
     """
 
     groups: ClassVar[str] = "dihedrals"  # of a System, on which it acts
@@ -49,7 +53,8 @@ class DihedralPotential(OwnPotential):
     ) -> None:
         if not isinstance(parameters, Sequence) or isinstance(parameters, str):
             raise TypeError(
-                f"parameters must be a tuple with one entry for each parameter of the law; parameters = {shown(parameters)}"
+                "parameters must be a tuple with one entry for each parameter of the law; parameters = "
+                f"{shown(parameters)}"
             )
         self._hold(checked_law(law), {f"parameter {k}": values for k, values in enumerate(parameters)}, quadruples)
 
@@ -61,7 +66,8 @@ class DihedralPotential(OwnPotential):
 
     def law_arguments(self) -> dict[str, Any]:
         """The arguments that belong to the law, by name, for display."""
-        return {"law": type(self.law).python, "parameters": tuple(self.parameters.values())}  # type: ignore[attr-defined]
+        law: Any = type(self.law)
+        return {"law": law.python, "parameters": tuple(self.parameters.values())}
 
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
@@ -84,7 +90,8 @@ class DihedralPotential(OwnPotential):
 
         Raises
         ------
-        ValueError : if a quadruple names a missing atom, or an array of parameters has another length than the list of quadruples.
+        ValueError : if a quadruple names a missing atom,
+            or an array of parameters has another length than the list of quadruples.
         """
         quadruples = self.quadruples_in(system)
         columns = self.columns(len(quadruples))
@@ -100,8 +107,10 @@ class PeriodicDihedral(DihedralPotential):
 
     Parameters
     ----------
-    k : half the barrier [energy].  n : minima in a turn, whole numbers from 0 on.  phase : φ₀ [rad]. One number each, or one for each dihedral.
-    quadruples : (D, 4) int; system.dihedrals if not given. A quadruple may be given several times, for a sum of such terms.
+    k : half the barrier [energy].  n : minima in a turn, whole numbers from 0 on.  phase : φ₀ [rad]. One number each,
+        or one for each dihedral.
+    quadruples : (D, 4) int; system.dihedrals if not given. A quadruple may be given several times,
+        for a sum of such terms.
 
     Raises
     ------
@@ -125,7 +134,8 @@ class RyckaertBellemans(DihedralPotential):
 
     Parameters
     ----------
-    coefficients : c₀ … c₅ [energy], up to six, each one number or an array with one for each dihedral; missing ones are 0.
+    coefficients : c₀ … c₅ [energy], up to six, each one number or an array with one for each dihedral;
+        missing ones are 0.
     quadruples : (D, 4) int; system.dihedrals if not given.
 
     LAMMPS' `dihedral_style nharmonic` has powers of cos φ: A₁ = c₀, A₂ = −c₁, A₃ = c₂, A₄ = −c₃ …
@@ -156,13 +166,15 @@ class RyckaertBellemans(DihedralPotential):
 
 
 class OPLSDihedral(DihedralPotential):
-    """OPLS torsion u(φ) = ½ [k₁ (1 + cos φ) + k₂ (1 − cos 2φ) + k₃ (1 + cos 3φ) + k₄ (1 − cos 4φ)], as LAMMPS' `dihedral_style opls`.
+    """OPLS torsion u(φ) = ½ [k₁ (1 + cos φ) + k₂ (1 − cos 2φ) + k₃ (1 + cos 3φ) + k₄ (1 − cos 4φ)],
+    as LAMMPS' `dihedral_style opls`.
 
     It is computed as the polynomial of Ryckaert and Bellemans that equals it.
 
     Parameters
     ----------
-    k1, k2, k3, k4 : [energy], one number each, or one for each dihedral.  quadruples : (D, 4) int; system.dihedrals if not given.
+    k1, k2, k3, k4 : [energy], one number each, or one for each dihedral.  quadruples : (D, 4) int;
+        system.dihedrals if not given.
 
     W. L. Jorgensen, D. S. Maxwell, J. Tirado-Rives, J. Am. Chem. Soc. 118, 11225 (1996).
 
@@ -178,7 +190,8 @@ class OPLSDihedral(DihedralPotential):
         one, two, three, four = self.barriers.values()
         if len({each.shape for each in self.barriers.values()} - {()}) > 1:
             raise ValueError(
-                f"k1 to k4 must have the same length; their shapes are {[each.shape for each in self.barriers.values()]}"
+                "k1 to k4 must have the same length; their shapes are "
+                f"{[each.shape for each in self.barriers.values()]}"
             )
         c = (two + 0.5 * (one + three), 0.5 * (3.0 * three - one), 4.0 * four - two, -2.0 * three, -4.0 * four, 0.0)
         self._hold(RyckaertBellemansLaw(), {f"c{k}": each for k, each in enumerate(c)}, quadruples)
@@ -191,8 +204,9 @@ class OPLSDihedral(DihedralPotential):
 class HarmonicImproper(DihedralPotential):
     """Harmonic improper u(φ) = ½ k (φ − φ₀)², φ − φ₀ taken between −π and π.
 
-    φ is the dihedral angle of the four atoms in the order in which they are given, with its sign: φ₀ = 0 keeps them in a plane, another φ₀ keeps
-    the chirality of a center.  LAMMPS' `improper_style harmonic` takes the same angle without its sign, and K = k/2.
+    φ is the dihedral angle of the four atoms in the order in which they are given, with its sign: φ₀ = 0 keeps them in
+    a plane, another φ₀ keeps the chirality of a center.
+    LAMMPS' `improper_style harmonic` takes the same angle without its sign, and K = k/2.
 
     Parameters
     ----------
@@ -219,7 +233,8 @@ class HarmonicImproper(DihedralPotential):
 
 
 class Dihedrals(namedtuple("Dihedrals", "atoms first middle last")):
-    """atoms : (D, 4) int, i, j, k, l.  first, middle, last : (D, 3) [length], added to r_i − r_j, r_j − r_k and r_l − r_k."""
+    """atoms : (D, 4) int, i, j, k, l.  first, middle, last : (D, 3) [length], added to r_i − r_j,
+    r_j − r_k and r_l − r_k."""
 
 
 @kernel
@@ -228,12 +243,15 @@ def add_dihedral_forces(positions, dihedrals, law, parameters, detail, sums):
 
         F = r_i − r_j,  G = r_j − r_k,  H = r_l − r_k,  A = F × G,  B = H × G
         cos φ = A·B/(|A||B|),   sin φ = (B × A)·G/(|A||B||G|)
-        F_i = u′ |G|/A² A,   F_l = −u′ |G|/B² B,   S = u′ (F·G/(A²|G|) A − H·G/(B²|G|) B),   F_j = −F_i − S,   F_k = −F_l + S
+        F_i = u′ |G|/A² A,   F_l = −u′ |G|/B² B,   S = u′ (F·G/(A²|G|) A − H·G/(B²|G|) B),
+        F_j = −F_i − S,   F_k = −F_l + S
 
-    positions : (N, 3) [length].  dihedrals : Dihedrals.  law : law type.  parameters : see parameters_of_pair.  detail : see Term.add.
+    positions : (N, 3) [length].  dihedrals : Dihedrals.  law : law type.  parameters : see parameters_of_pair.
+        detail : see Term.add.
     sums : its accumulators forces, energies and virials; or GridSums.
-    The virial F ⊗ F_i − G ⊗ S + H ⊗ F_l is symmetric because dihedrals feel no torque. TOTALS adds a dihedral to its second atom, PER_ATOM a
-    quarter of it to each atom.  A. Blondel, M. Karplus, J. Comput. Chem. 17, 1132 (1996), eq. 6, 27.
+    The virial F ⊗ F_i − G ⊗ S + H ⊗ F_l is symmetric because dihedrals feel no torque. TOTALS adds a dihedral to its
+    second atom, PER_ATOM a quarter of it to each atom.  A. Blondel, M. Karplus, J. Comput. Chem. 17, 1132 (1996), eq.
+    6, 27.
     """
     forces, energies, virials = sums[0], sums[1], sums[2]
     for t in range(dihedrals.atoms.shape[0]):

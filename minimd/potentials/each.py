@@ -1,4 +1,5 @@
-"""Parameters of laws that act on a list of things, such as bonds, dihedrals or atoms: one number for all, or an array with one for each."""
+"""Parameters of laws that act on a list of things, such as bonds, dihedrals or atoms: one number for all,
+or an array with one for each."""
 
 from collections.abc import Mapping
 
@@ -31,7 +32,8 @@ def checked_each(
 
 
 def columns_of(things: str, parameters: Mapping[str, Array], n: int) -> tuple[Array, ...]:
-    """The parameters of each of n things, as contiguous (n,) arrays.  Raises ValueError for an array of another length."""
+    """The parameters of each of n things, as contiguous (n,) arrays.
+    Raises ValueError for an array of another length."""
     for name, array in parameters.items():
         if array.shape not in ((), (n,)):
             raise ValueError(

@@ -27,7 +27,8 @@ NOWHERE = np.zeros((0, 3))
 class Sites(namedtuple("Sites", "atoms anchors lattice inverse pbc safe_distance2")):
     """Where a field acts.
 
-    atoms : (n,) int.  anchors : (n, 3) points from which positions are counted, to the nearest image [length]; (0, 3) for the origin, and none.
+    atoms : (n,) int.  anchors : (n, 3) points from which positions are counted, to the nearest image [length]; (0, 3)
+        for the origin, and none.
     lattice, inverse, pbc, safe_distance2 : of the Cell.
     """
 
@@ -40,9 +41,12 @@ def _rate(found):
 
 @kernel
 def add_field_forces(positions, sites, law, parameters, time, detail, sums):
-    """Add the forces and energies of a field u(x, y, z, t), and return Σ ∂u/∂t [energy/time]. The virial is left out: fields act from outside.
+    """Add the forces and energies of a field u(x, y, z, t), and return Σ ∂u/∂t [energy/time].
 
-    positions : (N, 3) [length].  sites : Sites.  law : law type.  parameters : see parameters_of_pair, of each site.  time : t [time].
+    The virial is left out: fields act from outside.
+
+    positions : (N, 3) [length].  sites : Sites.  law : law type.  parameters : see parameters_of_pair, of each site.
+        time : t [time].
     detail : see Term.add.  sums : its accumulators forces and energies; or GridSums.
     """
     forces, energies = sums[0], sums[1]
@@ -105,13 +109,15 @@ class OwnField(OwnPotential):
             return np.arange(len(system))
         if self.atoms.max(initial=-1) >= len(system):
             raise ValueError(
-                f"atoms of {type(self).__name__} must be atoms 0 to {len(system) - 1}; they name atom {self.atoms.max()}"
+                f"atoms of {type(self).__name__} must be atoms 0 to {len(system) - 1}; they name atom "
+                f"{self.atoms.max()}"
             )
         return self.atoms
 
 
 class ConstantForce(OwnField):
-    """A constant force F on atoms, u = −F·r; r is never wrapped, so the energy changes steadily as an atom is pulled through the cells.
+    """A constant force F on atoms, u = −F·r; r is never wrapped,
+    so the energy changes steadily as an atom is pulled through the cells.
 
     Parameters
     ----------
@@ -130,7 +136,8 @@ class ConstantForce(OwnField):
         return {"force": self.force, "atoms": self.atoms}
 
     def bind(self, system: System) -> Term:
-        """The term of this force in a system.  Raises ValueError if atoms do not exist, or do not have one force each."""
+        """The term of this force in a system.  Raises ValueError if atoms do not exist,
+        or do not have one force each."""
         atoms = self.atoms_in(system)
         return FieldTerm(atoms, ConstantLaw(), vector_columns("force", self.force, len(atoms)))
 
@@ -188,7 +195,8 @@ class Restraint(OwnField):
         return {"k": self.k, "points": self.points, "atoms": self.atoms}
 
     def bind(self, system: System) -> Term:
-        """The term of these springs in a system.  Raises ValueError if atoms do not exist, or do not have one point each."""
+        """The term of these springs in a system.  Raises ValueError if atoms do not exist,
+        or do not have one point each."""
         atoms = self.atoms_in(system)
         points = np.stack(vector_columns("points", self.points, len(atoms)), axis=-1)
         numbers = np.concatenate([np.broadcast_to(self.k, 3), np.zeros(3)])
@@ -196,7 +204,8 @@ class Restraint(OwnField):
 
 
 class SteeredSpring(Restraint):
-    """Harmonic springs from atoms to points that move, p(t) = p + v (t' − start), where t' is t limited to the time from start to end.
+    """Harmonic springs from atoms to points that move, p(t) = p + v (t' − start),
+    where t' is t limited to the time from start to end.
 
     The work that moving the points does on the atoms, W = ∫ ∂u/∂t dt, is counted, and recorded as `work`.
 
@@ -225,7 +234,8 @@ class SteeredSpring(Restraint):
         self.end = inf if isinstance(end, float) and end == inf else checked_number("end", end)
         if self.velocity.ndim != 1 or not self.end > self.start:
             raise ValueError(
-                f"velocity must be three numbers, and end after start; velocity = {shown(velocity)}, start = {start!r}, end = {end!r}"
+                f"velocity must be three numbers, and end after start; velocity = {shown(velocity)}, start = "
+                f"{start!r}, end = {end!r}"
             )
 
     def arguments(self) -> dict[str, Any]:

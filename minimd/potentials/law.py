@@ -1,8 +1,8 @@
 """How loops are given a scalar law u(r): by its type, so that the next process finds the compiled loop again.
 
-A law is one function `law(r2, *parameters)` that returns u [energy] and f = −u′(r)/r [energy/length²]. Its law type is a
-named tuple class that law_type ties to it. The law type of a truncated law holds that of the law inside. Law types hold
-no parameters: these follow in one flat tuple, first those of the truncation, then those of the law.
+A law is one function `law(r2, *parameters)` that returns u [energy] and f = −u′(r)/r [energy/length²]. Its law type is
+a named tuple class that law_type ties to it. The law type of a truncated law holds that of the law inside. Law types
+hold no parameters: these follow in one flat tuple, first those of the truncation, then those of the law.
 """
 
 from collections import namedtuple
@@ -22,7 +22,8 @@ ACCURACY, BESIDE_U = 1e-4, 1e-9  # of that difference: relative to itself, and t
 
 
 def law_type(name: str, formula: Callable) -> Any:
-    """The law type of a compiled law, formula(r2, *parameters), or of one around another law, formula(r2, law, parameters).
+    """The law type of a compiled law, formula(r2, *parameters), or of one around another law, formula(r2, law,
+    parameters).
 
     name : of the variable that it is assigned to in the module of the formula; there the cache and pickles find it.
     """
@@ -37,7 +38,8 @@ def checked_law(law: Any) -> Any:
 
 
 def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, float]:
-    """u(r) [energy] and −u′(r)/r [energy/length²] of a law at a distance r [length]; NaN where the law gives no real number.
+    """u(r) [energy] and −u′(r)/r [energy/length²] of a law at a distance r [length];
+    NaN where the law gives no real number.
 
     Raises TypeError if a user's law does not take these parameters or does not return two numbers.
     """
@@ -61,7 +63,8 @@ def _name(law: tuple) -> str:
 def check_user_law(law: tuple, parameters: tuple[float, ...], distances: Iterable[float]) -> None:
     """Try a user's law at some distances [length]: does it return u and −u′(r)/r?
 
-    Raises TypeError as law_at; ValueError if, at more than half of the distances, the second number is not −u′(r)/r by central differences.
+    Raises TypeError as law_at; ValueError if, at more than half of the distances,
+    the second number is not −u′(r)/r by central differences.
     """
     tried, wrong = 0, []
     for r in distances:

@@ -15,7 +15,8 @@ from minimd.structure.checks import checked_number, shown
 
 
 def curvature_at_minimum(epsilon: Any, sigma: Any) -> Any:
-    """u″ of the Lennard-Jones law at its minimum, r = 2^(1/6) σ: 72 ε / (2^(1/3) σ²) [energy/length²].  epsilon, sigma : numbers or arrays."""
+    """u″ of the Lennard-Jones law at its minimum, r = 2^(1/6) σ: 72 ε / (2^(1/3) σ²) [energy/length²].  epsilon,
+    sigma : numbers or arrays."""
     return 72.0 * epsilon / (2.0 ** (1.0 / 3.0) * sigma * sigma)
 
 

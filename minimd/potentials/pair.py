@@ -34,7 +34,8 @@ ByPairOfLabels = Mapping[tuple[Label, Label], Parameters]
 
 
 def lorentz_berthelot(first: Parameters, second: Parameters) -> Parameters:
-    """(ε, σ) of an unlike pair: ε = √(ε₁ ε₂), σ = (σ₁ + σ₂)/2.  H. A. Lorentz, Ann. Phys. 248, 127 (1881); D. Berthelot, C. R. 126, 1703 (1898)."""
+    """(ε, σ) of an unlike pair: ε = √(ε₁ ε₂), σ = (σ₁ + σ₂)/2.  H. A. Lorentz, Ann. Phys. 248, 127 (1881); D.
+    Berthelot, C. R. 126, 1703 (1898)."""
     return sqrt(first[0] * second[0]), 0.5 * (first[1] + second[1])
 
 
@@ -59,7 +60,8 @@ class PairPotential(OwnPotential):
     truncation : "shifted" (default), "truncated", "force-shifted", or a switch, "switched", "charmm" or "smooth" (for
         methods of order above 2): see minimd.potentials.truncation.
     mixing : name of a rule or a function of two parameter tuples, for pairs of species not in pairs.
-    pairs : mapping from pairs of species, in either order, to their parameters; only together with a mapping from species.
+    pairs : mapping from pairs of species, in either order, to their parameters;
+        only together with a mapping from species.
     switch_start : r_on [length] of the switches; 0.8 r_c if not given.
     bonded_scale : factors for pairs one, two and three bonds apart; 0 excludes, 1 (default) changes nothing. In a cell
         smaller than the cutoff they hold for the nearest image of the pair only.
@@ -109,8 +111,8 @@ class PairPotential(OwnPotential):
 
         Raises
         ------
-        ValueError : as table; for a periodic cell without a cutoff, an open one with a tail correction, or pairs of species that are neither in
-            the parameters nor in the system.
+        ValueError : as table; for a periodic cell without a cutoff, an open one with a tail correction, or pairs of
+            species that are neither in the parameters nor in the system.
         """
         if self.cutoff == inf and system.cell.is_periodic:
             raise ValueError(f"cutoff must be given in a periodic cell; that of {type(self).__name__} is None")
@@ -133,7 +135,8 @@ class PairPotential(OwnPotential):
 
     @property
     def shortest_length(self) -> float:
-        """The smallest cutoff, with which rounding errors of separations are compared [length]; infinite without one."""
+        """The smallest cutoff, with which rounding errors of separations are compared [length];
+        infinite without one."""
         return min(self._cutoffs.values()) if isinstance(self._cutoffs, dict) else self._cutoffs
 
     @property
@@ -171,7 +174,8 @@ class PairPotential(OwnPotential):
         }
 
     def pair_energy(self, r: ArrayLike, first: Label | None = None, second: Label | None = None) -> NDArray[np.float64]:
-        """u [energy] of two atoms of given species at distances r > 0 [length], truncation included; an array of r's shape.
+        """u [energy] of two atoms of given species at distances r > 0 [length], truncation included;
+        an array of r's shape.
 
         Raises ValueError for distances that are not positive, and as table.
         """
@@ -204,7 +208,8 @@ class PairPotential(OwnPotential):
         if not all(map(isfinite, extra)) and self.truncation not in SWITCHES:
             hint = "a cutoff" if cutoff == inf else f"another cutoff than {cutoff:g}"
             raise ValueError(
-                f"the law must be finite at the cutoff, where it is {self.truncation}; it is {extra[0]}: give {hint}, or 'truncated'"
+                f"the law must be finite at the cutoff, where it is {self.truncation}; it is {extra[0]}: give {hint}, "
+                "or 'truncated'"
             )
         return (cutoff * cutoff, *extra, *parameters)
 
@@ -231,7 +236,8 @@ class PairPotential(OwnPotential):
             return self.parameters[a]
         if self.mixing is None:
             raise ValueError(
-                f"{type(self).__name__} has no parameters for the pair {a!r}, {b!r}; give them in pairs, or a mixing rule"
+                f"{type(self).__name__} has no parameters for the pair {a!r}, {b!r}; give them in pairs, or a mixing "
+                "rule"
             )
         mixed, reverse = (
             self._checked_numbers(self.mixing(self.parameters[x], self.parameters[y]), (x, y))
@@ -241,7 +247,8 @@ class PairPotential(OwnPotential):
             map(partial(isclose, rel_tol=MIXED), mixed, reverse)
         ):
             raise ValueError(
-                f"mixing must give all parameters, the same for {a!r}, {b!r} as for {b!r}, {a!r}; it gives {mixed} and {reverse}"
+                f"mixing must give all parameters, the same for {a!r}, {b!r} as for {b!r}, {a!r}; it gives {mixed} and "
+                f"{reverse}"
             )
         return mixed
 
@@ -255,7 +262,8 @@ class PairPotential(OwnPotential):
         for name in (name for pair in self.pairs for name in pair):
             if self.parameters and name not in known:
                 raise ValueError(
-                    f"pairs of {type(self).__name__} must be of known species, {listed(known)}; they name {name!r}{near(name, known)}"
+                    f"pairs of {type(self).__name__} must be of known species, {listed(known)}; they name "
+                    f"{name!r}{near(name, known)}"
                 )
 
     def _checked_parameters(self, given: Any, pairs: Any) -> tuple[Parameters | dict[Label, Parameters], dict]:
@@ -263,7 +271,8 @@ class PairPotential(OwnPotential):
         if not isinstance(given, Mapping):
             if pairs is not None and len(pairs):
                 raise ValueError(
-                    f"pairs of {type(self).__name__} need parameters that are a mapping from species; parameters = {shown(given)}"
+                    f"pairs of {type(self).__name__} need parameters that are a mapping from species; parameters = "
+                    f"{shown(given)}"
                 )
             return self._checked_numbers(given, None), {}
         by_label = {label: self._checked_numbers(numbers, label) for label, numbers in given.items()}
@@ -278,7 +287,8 @@ class PairPotential(OwnPotential):
         return by_label, by_pair
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
-        """The parameters of one law.  of : the species or the pair that has them; None for all.  Raises ValueError unless they are finite numbers."""
+        """The parameters of one law.  of : the species or the pair that has them; None for all.
+        Raises ValueError unless they are finite numbers."""
         values = checked_numbers("parameters", numbers, "a tuple of finite numbers")
         if values.ndim != 1 or not np.isfinite(values).all():
             whose = "of all atoms" if of is None else f"of {of!r}"

@@ -1,4 +1,5 @@
-"""The plain loop over pairs: the one place where a pair law becomes forces, energies and virial; bonds run through it too."""
+"""The plain loop over pairs: the one place where a pair law becomes forces, energies and virial;
+bonds run through it too."""
 
 from collections import namedtuple
 from typing import Any
@@ -76,8 +77,8 @@ def add_pair_forces(positions, pairs, law, parameters, detail, sums):
         r_ij = r_j − r_i + translation,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= f r_ij,   W += f r_ij ⊗ r_ij
 
     positions : (N, 3) [length].  pairs : Pairs.  law : law type.  parameters : see parameters_of_pair.
-    detail : with FORCES only forces are changed. TOTALS adds each pair to energies and virials of its first atom, so that their
-        sums are right; PER_ATOM adds half of it to both atoms.
+    detail : with FORCES only forces are changed. TOTALS adds each pair to energies and virials of its first atom, so
+        that their sums are right; PER_ATOM adds half of it to both atoms.
     sums : the accumulators forces, energies and virials, see Term.add; or GridSums.
     """
     forces, energies, virials = sums[0], sums[1], sums[2]

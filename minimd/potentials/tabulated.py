@@ -1,4 +1,5 @@
-"""Pair potentials from a table u(rᵢ): a spline through its points, and the force that is exactly the derivative of the spline."""
+"""Pair potentials from a table u(rᵢ): a spline through its points,
+and the force that is exactly the derivative of the spline."""
 
 from __future__ import annotations
 
@@ -39,7 +40,8 @@ def tabulated(r2, table, parameters):
         −u′(r)/r = −S′(r)/r
 
     r2 : squared distance [length²].  parameters : (k,) number of the spline.
-    Returns u [energy], −u′/r [energy/length²]; NaN closer than the first knot, where nothing is known; the last piece continues beyond the last knot.
+    Returns u [energy], −u′/r [energy/length²]; NaN closer than the first knot, where nothing is known;
+    the last piece continues beyond the last knot.
     """
     r, n = sqrt(r2), table.knots.size - 1
     if r < table.knots[0]:
@@ -72,10 +74,11 @@ def reads_table(law: tuple) -> bool:
 class Tabulated(PairPotential):
     """A pair potential from a table: the quintic spline through the points (rᵢ, uᵢ), and its exact derivative.
 
-    The spline has four continuous derivatives and an error of order Δr⁶ in the energy, Δr⁵ in the force (not-a-knot ends: C. de Boor, A Practical
-    Guide to Splines (2001), chapters IV and XIII). Noise of the table appears in the force, divided by Δr: smooth a measured table. Closer than
-    the first point nothing is known: u is NaN there, and a run ends with NonFiniteError. So begin the table well inside the repulsive wall.
-    Tables use the pair list, one pair at a time; a law with a formula is several times faster.
+    The spline has four continuous derivatives and an error of order Δr⁶ in the energy, Δr⁵ in the force (not-a-knot
+    ends: C. de Boor, A Practical Guide to Splines (2001), chapters IV and XIII). Noise of the table appears in the
+    force, divided by Δr: smooth a measured table. Closer than the first point nothing is known: u is NaN there, and a
+    run ends with NonFiniteError. So begin the table well inside the repulsive wall. Tables use the pair list,
+    one pair at a time; a law with a formula is several times faster.
 
     Parameters
     ----------
@@ -86,8 +89,8 @@ class Tabulated(PairPotential):
 
     Raises
     ------
-    ValueError : for tables that are not increasing in r, too short, not finite or of different lengths, and a cutoff beyond the table; and as
-        PairPotential.
+    ValueError : for tables that are not increasing in r, too short, not finite or of different lengths, and a cutoff
+        beyond the table; and as PairPotential.
     """
 
     def __init__(
@@ -145,7 +148,8 @@ def _checked_distances(r: Any) -> NDArray[np.float64]:
     if wrong.size:
         k = wrong[0]
         raise ValueError(
-            f"r must increase; r[{k + 1}] = {distances[k + 1]:g} follows r[{k}] = {distances[k]:g}: sort the table, each r once"
+            f"r must increase; r[{k + 1}] = {distances[k + 1]:g} follows r[{k}] = {distances[k]:g}: sort the table, "
+            "each r once"
         )
     return distances
 
@@ -159,7 +163,8 @@ def _checked_energies(u: Any, r: NDArray[np.float64], pair: Any) -> NDArray[np.f
     wrong = np.flatnonzero(~np.isfinite(energies))
     if wrong.size:
         raise ValueError(
-            f"{name} must be finite; it is {shown(energies[wrong[0]].item())} at r[{wrong[0]}] = {r[wrong[0]]:g}: leave such points out"
+            f"{name} must be finite; it is {shown(energies[wrong[0]].item())} at r[{wrong[0]}] = {r[wrong[0]]:g}: "
+            "leave such points out"
         )
     return energies
 

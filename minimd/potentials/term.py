@@ -1,4 +1,5 @@
-"""The interface of all forces: a potential has bind(system), which returns a Term; a Term adds its forces to the sum."""
+"""The interface of all forces: a potential has bind(system), which returns a Term;
+a Term adds its forces to the sum."""
 
 from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
@@ -30,7 +31,8 @@ INTERPRETERS: list[
 
 
 class PairLaw(NamedTuple):
-    """A law on all pairs within a cutoff, as the planner needs it to find a list of neighbors; laws with one bonded_scale share a list.
+    """A law on all pairs within a cutoff, as the planner needs it to find a list of neighbors;
+    laws with one bonded_scale share a list.
 
     name : of the potential, for messages.  law : law type, truncation included.  cutoff : the largest [length].
     table : (S, S, 1 + P) numbers of each pair of species, the squared cutoff first; S = 1 if all atoms are alike.
@@ -62,24 +64,28 @@ class Term:
                 if detail != FORCES:
                     energies += self.weights * system.positions[:, 2]
 
-    bind is called when a simulation is made, and again when the cell changes; add is called at each evaluation, and may call
-    kernels compiled with numba.njit on the arrays. examples/own_force.py has two such potentials. The virial decides the
-    pressure; fields and walls, which act from outside, may leave it out.
+    bind is called when a simulation is made, and again when the cell changes; add is called at each evaluation, and may
+    call kernels compiled with numba.njit on the arrays. examples/own_force.py has two such potentials. The virial
+    decides the pressure; fields and walls, which act from outside, may leave it out.
 
     Attributes
     ----------
     pair_law : a PairLaw for the planner to run on a list of neighbors; None for a term that adds its forces itself.
     cutoff : an atom that moves farther in one step may pass another without interacting [length].
     shortest_length : rounding errors of separations must be small compared with it [length].
-    list : the list of neighbors, if the term keeps one.  widest_skin : that the list can have [length].  summary : of the list, for the report.
-    ingredient : name of what this term adds to a scene; the report lists it if absent.  warning : for the user, given once.
-    acts_from_outside : whether its forces need not add up to zero, as those of fields and walls: the total momentum is then not constant.
+    list : the list of neighbors, if the term keeps one.  widest_skin : that the list can have [length].  summary :
+        of the list, for the report.
+    ingredient : name of what this term adds to a scene; the report lists it if absent.  warning : for the user,
+        given once.
+    acts_from_outside : whether its forces need not add up to zero, as those of fields and walls:
+        the total momentum is then not constant.
     needs_one_accumulator : whether add with TOTALS adds to the first elements of energies and virials only.
-    depends_on_time : whether its forces depend on time. Its attribute time [time] is then set before each evaluation, and it must set power
-        to ∂U/∂t of its energy [energy/time], from which the work that is done from outside is counted.
+    depends_on_time : whether its forces depend on time. Its attribute time [time] is then set before each evaluation,
+        and it must set power to ∂U/∂t of its energy [energy/time],
+        from which the work that is done from outside is counted.
     marches : whether march does anything.
-    is_checked : whether the first run compares its force with its energy, see check_force. False for a force that is no gradient, such as
-        friction beside an energy. A term without any energy is not checked.
+    is_checked : whether the first run compares its force with its energy, see check_force. False for a force that is no
+        gradient, such as friction beside an energy. A term without any energy is not checked.
     fits_grid : whether its add_to takes GridSums, for precision="fixed-point".
     """
 
@@ -112,13 +118,16 @@ class Term:
         self.add(system, detail, *sums)
 
     def prepare(self, system: System, forces: NDArray, steps: Any = (), is_alone: bool = True) -> None:
-        """After add: compile what only steps need, the kernels of add with FORCES and of march. Nothing is added, no list is built.
+        """After add: compile what only steps need, the kernels of add with FORCES and of march.
+
+        Nothing is added, no list is built.
 
         is_alone : whether it is the only term of its scene, and so may march.
         """
 
     def follow(self, system: System) -> bool:
-        """After atoms and cell were strained together: True if the term now stands for the strained system, False if it must be bound again."""
+        """After atoms and cell were strained together: True if the term now stands for the strained system,
+        False if it must be bound again."""
         return False
 
     def march(self, system: System, state: Any, cycle: Any, n: int) -> int:
@@ -166,11 +175,13 @@ class Potential(Protocol):
     """What a Simulation takes: minimd's potentials, and any object with bind."""
 
     def bind(self, system: System) -> Any:
-        """The Term for this system, or another object with add, and perhaps skipped, acts_from_outside and is_checked."""
+        """The Term for this system, or another object with add, and perhaps skipped,
+        acts_from_outside and is_checked."""
 
 
 class OwnPotential(Displayed):
-    """Base class of minimd's own potentials; type checkers see a list of several different ones as a list of this class."""
+    """Base class of minimd's own potentials; type checkers see a list of several
+    different ones as a list of this class."""
 
     def bind(self, system: System) -> Term:
         """See Potential."""
@@ -192,7 +203,8 @@ class OwnPotential(Displayed):
 
 
 def as_potentials(given: Any) -> tuple[Any, ...]:
-    """One potential or several as a tuple; objects of other kinds are replaced by the potentials that an INTERPRETER has for them."""
+    """One potential or several as a tuple; objects of other kinds are replaced by the
+    potentials that an INTERPRETER has for them."""
     potentials: list[Any] = []
     for one in given if isinstance(given, list | tuple) else (given,):
         found = (
@@ -233,9 +245,10 @@ def bound(potential: Any, system: System) -> Term:
 def check_force(potential: Any, system: System, time: float) -> None:
     """Compare the force of a term with its energy at a time: F·w = −dU/dw, along random displacements w of all atoms.
 
-    The slope is a central difference. The larger the disagreement with that of twice the step, as at a jump of the energy or in
-    float32, the more may the force differ. A copy of the potential is bound to a copy of the system: the term of the run sees nothing of it.
-    A potential that cannot be copied is not checked.  Raises ValueError if most of the finite forces are wrong.
+    The slope is a central difference. The larger the disagreement with that of twice the step, as at a jump of the
+    energy or in float32, the more may the force differ. A copy of the potential is bound to a copy of the system: the
+    term of the run sees nothing of it. A potential that cannot be copied is not checked.
+    Raises ValueError if most of the finite forces are wrong.
     """
     try:
         potential, system = deepcopy((potential, system))
@@ -270,7 +283,8 @@ def check_force(potential: Any, system: System, time: float) -> None:
 
 
 def _length_of(system: System) -> float:
-    """A length by which atoms can move a little: the closest distance, within bounds if atoms overlap or are far from each other [length]."""
+    """A length by which atoms can move a little: the closest distance,
+    within bounds if atoms overlap or are far from each other [length]."""
     cell, positions, pair = system.cell, system.positions, closest_pair(system)
     sizes = cell.heights[cell.pbc].min(initial=inf), np.ptp(positions, axis=0).max(), np.abs(positions).max(), 1.0
     spacing = next(size for size in sizes if 0.0 < size < inf) / len(system) ** (1.0 / 3.0)

@@ -1,6 +1,8 @@
-"""The laws u(φ) of a dihedral angle, each written once: law(phi, *parameters) returns u [energy] and u′(φ) [energy/rad].
+"""The laws u(φ) of a dihedral angle, each written once: law(phi, *parameters) returns u [energy] and u′(φ)
+[energy/rad].
 
-φ is zero where the first and the last atom lie on one side (cis), and π or −π where they lie on opposite sides (trans): IUPAC's convention.
+φ is zero where the first and the last atom lie on one side (cis), and π or −π where they lie on opposite sides (trans):
+IUPAC's convention.
 """
 
 from math import cos, floor, pi, sin

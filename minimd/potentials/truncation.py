@@ -1,6 +1,7 @@
 """Truncations: functions of a law, so that each law is written without a cutoff.
 
-Beyond the cutoff r_c every truncated law is zero; the loop sees to that. Inside, the truncation determines how u goes to zero:
+Beyond the cutoff r_c every truncated law is zero; the loop sees to that. Inside,
+the truncation determines how u goes to zero:
 
     truncated       u(r)                                          jumps at r_c
     shifted         u(r) − u(r_c)                                 u continuous, force jumps
@@ -9,8 +10,9 @@ Beyond the cutoff r_c every truncated law is zero; the loop sees to that. Inside
     charmm          u(r) C(r²) between r_on and r_c               u and force continuous; ASE's smooth=True
     smooth          u(r) S(y), y = (r² − r_on²)/(r_c² − r_on²)    seven derivatives continuous (C⁷)
 
-A method keeps its order only where u is smooth enough: an atom that crosses a jump of the k-th derivative is left with an error
-of Δtᵏ in its energy, whatever the method. So a switched law is for methods up to order 3, a smooth one for those up to 8.
+A method keeps its order only where u is smooth enough: an atom that crosses a jump of the k-th derivative is left with
+an error of Δtᵏ in its energy, whatever the method. So a switched law is for methods up to order 3,
+a smooth one for those up to 8.
 """
 
 from collections.abc import Callable
@@ -41,9 +43,11 @@ def force_shifted(r2, law, parameters):
 
 @scalar
 def switched(r2, law, parameters):
-    """u(r) S(x) with S = 1 − 10x³ + 15x⁴ − 6x⁵ and x = (r − r_on)/(r_c − r_on), clipped to [0, 1]; S, S′, S″ continuous.
+    """u(r) S(x) with S = 1 − 10x³ + 15x⁴ − 6x⁵ and x = (r − r_on)/(r_c − r_on), clipped to [0, 1]; S, S′,
+    S″ continuous.
 
-    parameters : (r_on, r_c, *parameters of law).  D. van der Spoel, P. J. van Maaren, J. Chem. Theory Comput. 2, 1 (2006).
+    parameters : (r_on, r_c, *parameters of law).  D. van der Spoel, P. J. van Maaren, J. Chem. Theory Comput. 2,
+        1 (2006).
     """
     u, f = evaluate_law(law, r2, parameters[2:])
     r = sqrt(r2)
@@ -71,11 +75,13 @@ def charmm(r2, law, parameters):
 
 @scalar
 def smooth(r2, law, parameters):
-    """u(r) S(y) with y = (r² − r_on²)/(r_c² − r_on²), clipped to [0, 1], and the polynomial of degree 15 that falls from 1 to 0 with
+    """u(r) S(y) with y = (r² − r_on²)/(r_c² − r_on²), clipped to [0, 1],
+    and the polynomial of degree 15 that falls from 1 to 0 with
 
         S(y) = (1 − y)⁸ Σₖ C(7 + k, k) yᵏ, k = 0 … 7,   S′(y) = −15!/(7!)² y⁷ (1 − y)⁷
 
-    so that seven derivatives vanish at both ends: the incomplete beta function I₁₋ᵧ(8, 8), NIST DLMF 8.17. All terms are positive.
+    so that seven derivatives vanish at both ends: the incomplete beta function I₁₋ᵧ(8, 8), NIST DLMF 8.17.
+    All terms are positive.
     parameters : (r_on², r_c², *parameters of law).
     """
     u, f = evaluate_law(law, r2, parameters[2:])
@@ -95,7 +101,8 @@ def smooth(r2, law, parameters):
 
 
 class Truncation(NamedTuple):
-    """around : makes the law type of the truncated law.  numbers : makes the parameters of its formula, from the law, its parameters, r_c, r_on."""
+    """around : makes the law type of the truncated law.  numbers : makes the parameters of its formula, from the law,
+    its parameters, r_c, r_on."""
 
     around: Callable[[tuple], tuple]
     numbers: Callable[[tuple, tuple, float, float], tuple]

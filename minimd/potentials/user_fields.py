@@ -32,22 +32,25 @@ class Field(OwnField):
 
     Parameters
     ----------
-    law : function law(x, y, z, t, *parameters) of the position of an atom, which is never wrapped [length], and the time [time]. It returns
-        u [energy] and the force, three numbers [energy/length]; and, if u depends on t, ∂u/∂t [energy/time] as a fifth number, from which the
-        work is counted. Plain Python with numbers, or already compiled by numba.njit.
+    law : function law(x, y, z, t, *parameters) of the position of an atom, which is never wrapped [length], and the
+        time [time]. It returns u [energy] and the force, three numbers [energy/length]; and, if u depends on t, ∂u/∂t
+        [energy/time] as a fifth number, from which the work is counted. Plain Python with numbers,
+        or already compiled by numba.njit.
     parameters : one entry for each parameter of the law: a number for all atoms, or an array with one number for each.
     atoms : indices of the atoms on which it acts; all if not given.
 
     Raises
     ------
-    TypeError : for a law that is not a function, or does not return such numbers.  ValueError : for parameters that are not finite or do not fit,
-        and, when it is bound to a system, for a force that is not −∇u, or a u that changes with time where ∂u/∂t is not returned.
+    TypeError : for a law that is not a function, or does not return such numbers.  ValueError : for parameters that are
+        not finite or do not fit, and, when it is bound to a system, for a force that is not −∇u,
+        or a u that changes with time where ∂u/∂t is not returned.
     """
 
     def __init__(self, law: Callable, parameters: Sequence[ArrayLike] = (), atoms: ArrayLike | None = None) -> None:
         if not isinstance(parameters, Sequence) or isinstance(parameters, str):
             raise TypeError(
-                f"parameters must be a tuple with one entry for each parameter of the law; parameters = {shown(parameters)}"
+                "parameters must be a tuple with one entry for each parameter of the law; parameters = "
+                f"{shown(parameters)}"
             )
         self.law = checked_law(law)
         self.parameters = checked_each("atoms", {f"parameter {k}": values for k, values in enumerate(parameters)})
@@ -112,10 +115,8 @@ class _Tried:
                 at = f"at ({', '.join(f'{c:.4g}' for c in self.place)}), t = {time:g}"
                 what = f"-∂u/∂{'xyz'[k]}" if k < len("xyz") else "∂u/∂t"
                 if k == len(told):
-                    yield (
-                        k,
-                        f"the law must return ∂u/∂t as its fifth number, because u depends on t; {at} it is {slope:.6g}",
-                    )
+                    fifth = "the law must return ∂u/∂t as its fifth number, because u depends on t"
+                    yield k, f"{fifth}; {at} it is {slope:.6g}"
                 else:
                     yield (
                         k,
@@ -128,5 +129,8 @@ class _Tried:
         for k in np.flatnonzero(system.cell.pbc):
             there = self.at(TIMES[0], system.cell.vectors[k])[1:4]
             if not np.allclose(here, there, rtol=ACCURACY, atol=ACCURACY * np.abs(here).max()):
-                return f"the cell is periodic along {'abc'[k]}, but the field is not: an atom and its image feel different forces"
+                return (
+                    f"the cell is periodic along {'abc'[k]}, but the field is not: an atom and its image feel "
+                    "different forces"
+                )
         return ""

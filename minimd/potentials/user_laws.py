@@ -1,7 +1,8 @@
-"""Law types of a user's laws: one class for each law, named after a digest, so that the next process finds its compiled loops.
+"""Law types of a user's laws: one class for each law, named after a digest,
+so that the next process finds its compiled loops.
 
-The index of Numba's cache holds the law types of earlier runs. It is read with pickle, which looks for their classes in this
-module; a class that no law of this process needs stays without a formula.
+The index of Numba's cache holds the law types of earlier runs. It is read with pickle, which looks for their classes in
+this module; a class that no law of this process needs stays without a formula.
 """
 
 import re
@@ -56,8 +57,8 @@ def __getattr__(name: str) -> type[UserLaw]:
 def user_law(function: Callable) -> UserLaw:
     """The law type of a plain or compiled function of r² and parameters that returns u and −u′(r)/r.
 
-    The law stays as it is now, compiled and in Python: globals that it reads may change later without effect. Raises TypeError if it is
-    not a function.
+    The law stays as it is now, compiled and in Python: globals that it reads may change later without effect. Raises
+    TypeError if it is not a function.
     """
     if not isinstance(function, FunctionType | Dispatcher):
         raise TypeError(

@@ -26,8 +26,10 @@ ALONG = 1e-9  # of a lattice vector: one that leaves the plane of a wall by less
 class OwnWall(OwnField):
     """Base class of walls.
 
-    epsilon : ε [energy], sigma : σ [length], one number each, or one for each atom.  cutoff : distance beyond which there is no force [length];
-    None for none. The energy is shifted to be zero there.  law : "9-3", ε [2/15 (σ/d)⁹ − (σ/d)³], or "12-6", 4ε [(σ/d)¹² − (σ/d)⁶].
+    epsilon : ε [energy], sigma : σ [length], one number each, or one for each atom.  cutoff :
+        distance beyond which there is no force [length];
+    None for none. The energy is shifted to be zero there.  law : "9-3", ε [2/15 (σ/d)⁹ − (σ/d)³], or "12-6",
+    4ε [(σ/d)¹² − (σ/d)⁶].
     """
 
     around: ClassVar[Any]  # Planar or Curved
@@ -93,16 +95,18 @@ class Wall(OwnWall):
 
     Parameters
     ----------
-    point : p, a point of the plane, three numbers [length].  normal : n, three numbers of any length, towards the atoms.
+    point : p, a point of the plane, three numbers [length].  normal : n, three numbers of any length,
+        towards the atoms.
     epsilon : ε [energy], sigma : σ [length], one number each, or one for each atom.
     cutoff : distance beyond which there is no force [length]; None for none. The energy is shifted to be zero there.
-    law : "9-3", u = ε [2/15 (σ/d)⁹ − (σ/d)³], of a half-space of atoms; or "12-6", u = 4ε [(σ/d)¹² − (σ/d)⁶], of a layer.
+    law : "9-3", u = ε [2/15 (σ/d)⁹ − (σ/d)³], of a half-space of atoms; or "12-6", u = 4ε [(σ/d)¹² − (σ/d)⁶],
+        of a layer.
     atoms : indices; all if not given.
 
     Raises
     ------
-    ValueError : if a number is not finite or out of range, or shapes do not fit; and, when it is bound to a system, for atoms on the wall or
-        behind it.
+    ValueError : if a number is not finite or out of range, or shapes do not fit; and, when it is bound to a system, for
+        atoms on the wall or behind it.
     """
 
     around, names = Planar, ("point", "normal")
@@ -129,7 +133,8 @@ class Wall(OwnWall):
         if crossed.any():
             name = "abc"[np.flatnonzero(system.cell.pbc)[np.argmax(crossed)]]
             raise ValueError(
-                f"a Wall must lie along all periodic directions; it crosses {name}: set pbc to False there, or turn the wall"
+                f"a Wall must lie along all periodic directions; it crosses {name}: set pbc to False there, or turn "
+                "the wall"
             )
         distances: Array = ((positions - self.point) * self.normal).sum(axis=1)
         return distances
@@ -159,7 +164,8 @@ class CylinderWall(RoundWall):
     Parameters
     ----------
     point : on the axis, three numbers [length].  axis : direction, three numbers of any length.  radius : R [length].
-    epsilon, sigma, cutoff, law, atoms : as for Wall. The law is that of a flat wall; its distance is that to the nearest point of this wall.
+    epsilon, sigma, cutoff, law, atoms : as for Wall. The law is that of a flat wall;
+        its distance is that to the nearest point of this wall.
 
     Positions count relative to the nearest image of the point.
 
@@ -194,7 +200,8 @@ class SphereWall(RoundWall):
 
     Parameters
     ----------
-    point : p, the center, three numbers [length].  radius : R [length].  epsilon, sigma, cutoff, law, atoms : as for CylinderWall.
+    point : p, the center, three numbers [length].  radius : R [length].  epsilon, sigma, cutoff, law, atoms :
+        as for CylinderWall.
 
     Raises
     ------

@@ -44,7 +44,8 @@ class Scene:
     def system(self) -> System:
         """The atoms at the start, with their constraints.
 
-        Raises ValueError, OSError, with the name of the file, for a structure that cannot be read or is impossible, or for impossible constraints.
+        Raises ValueError, OSError, with the name of the file, for a structure that cannot be read or is impossible,
+        or for impossible constraints.
         """
         with _blamed_on(f"{self.path}: structure"):
             system = self._from_lattice() if self.sections.structure.file is None else self._from_file()
@@ -61,7 +62,8 @@ class Scene:
         return made
 
     def tables(self) -> dict[str, Numbers]:
-        """The numbers of all tables of tabulated laws, by name.  Raises ValueError, with the entry, for a table that cannot be read."""
+        """The numbers of all tables of tabulated laws, by name.  Raises ValueError, with the entry,
+        for a table that cannot be read."""
         found: dict[str, Numbers] = {}
         for index, section in enumerate(self.sections.potential):
             with _blamed_on(f"{self.path}: potential[{index}]"):
@@ -76,7 +78,8 @@ class Scene:
         return self.text + as_sections(elsewhere, self.sections.units)
 
     def method(self) -> Splitting:
-        """The integrator with its time step, and its bath if it has one.  Raises ValueError, with the name of the file, for bad numbers."""
+        """The integrator with its time step, and its bath if it has one.  Raises ValueError, with the name of the file,
+        for bad numbers."""
         with _blamed_on(f"{self.path}: dynamics"):
             return self.sections.dynamics.integrator()
 
@@ -88,8 +91,8 @@ class Scene:
     def simulation(self, system: System | None = None) -> Simulation:
         """The simulation at its start; if the scene gives a temperature, velocities are drawn at it.
 
-        system : a state from which to go on, with its velocities, in place of the structure of the scene; its constraints are kept unless
-            the scene has a section [constraints].
+        system : a state from which to go on, with its velocities, in place of the structure of the scene; its
+            constraints are kept unless the scene has a section [constraints].
         """
         dynamics, start = self.sections.dynamics, self.system() if system is None else self._constrained(system.copy())
         potentials, method = self.potentials(), self.method()
@@ -109,7 +112,8 @@ class Scene:
         return simulation
 
     def observers(self) -> list[Accumulator]:
-        """New observers as described in the scene.  Raises ValueError, with the name of the file, if two have the same name."""
+        """New observers as described in the scene.  Raises ValueError, with the name of the file,
+        if two have the same name."""
         made = [section.observer() for section in self.sections.observer]
         if len({one.name for one in made}) < len(made):
             raise ValueError(
@@ -124,14 +128,16 @@ class Scene:
         return [Path(name) for name in several]
 
     def named_outputs(self, instead: Path | None = None) -> list[Path]:
-        """Files that must not exist unless they may be replaced: the trajectories, and the picture if the scene gives its name."""
+        """Files that must not exist unless they may be replaced: the trajectories,
+        and the picture if the scene gives its name."""
         plot = self.sections.output.plot
         return self.trajectories(instead) + ([Path(plot)] if isinstance(plot, str) and instead is None else [])
 
     def plot_name(self, trajectories: list[Path], *, beside: bool = False) -> Path | None:
         """The picture that the scene asks for; None if it asks for none.
 
-        beside : the trajectories replace those of the scene. The picture is then named after the first that ends in .h5md; None if none does.
+        beside : the trajectories replace those of the scene.
+            The picture is then named after the first that ends in .h5md; None if none does.
         Raises ValueError if no trajectory ends in .h5md, from which a picture is drawn, unless beside.
         """
         plot, drawn = self.sections.output.plot, h5md_files(trajectories)
@@ -139,7 +145,8 @@ class Scene:
             return None
         if not drawn:
             raise ValueError(
-                f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = {list(map(str, trajectories))}"
+                f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = "
+                f"{list(map(str, trajectories))}"
             )
         picture = Path(plot) if isinstance(plot, str) else drawn[0].with_suffix(".png")
         return drawn[0].with_suffix(picture.suffix) if beside else picture
@@ -200,8 +207,8 @@ def load_scene(path: str | Path) -> Scene:
 
     Raises
     ------
-    OSError : if it cannot be read.  ValueError : if it is not valid TOML, or wrong: one line for each problem, with the file, the
-        place, the value and what is expected.
+    OSError : if it cannot be read.  ValueError : if it is not valid TOML, or wrong: one line for each problem, with the
+        file, the place, the value and what is expected.
     """
     file = Path(path)
     try:
@@ -224,7 +231,8 @@ def stored_scene(text: str, file: Path) -> Scene:
         for name in section.files if isinstance(section, TabulatedSection) else ():
             if name not in scene.sections.tables:
                 raise ValueError(
-                    f"{file}: potential[{index}] of the stored scene must have its table in the scene; it names {name!r}"
+                    f"{file}: potential[{index}] of the stored scene must have its table in the scene; it names "
+                    f"{name!r}"
                 )
     return scene
 

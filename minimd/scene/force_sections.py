@@ -1,4 +1,5 @@
-"""The sections of a scene file for bonds, angles, dihedrals, impropers, fields, springs and walls: one row for each type of [[potential]]."""
+"""The sections of a scene file for bonds, angles, dihedrals, impropers, fields, springs and walls:
+one row for each type of [[potential]]."""
 
 import functools
 import operator

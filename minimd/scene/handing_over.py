@@ -20,7 +20,8 @@ def hand_over_scene(
 ) -> HandOver:
     """Build a scene, minimize and equilibrate it, and let LAMMPS run it.
 
-    folder : for all files.  steps : in place of those of the scene.  Other arguments and errors are those of minimd.lammps.hand_over.
+    folder : for all files.  steps : in place of those of the scene.
+        Other arguments and errors are those of minimd.lammps.hand_over.
     Raises ValueError, OSError also for a scene that cannot be built.
     """
     output, n_steps = scene.sections.output, scene.sections.dynamics.steps if steps is None else steps
@@ -32,7 +33,8 @@ def hand_over_scene(
     )  # before the minimization begins
     if scene.sections.observer:
         tell(
-            "NOTE           the observers of the scene are not used: they work in runs of minimd only, and LAMMPS makes this run"
+            "NOTE           the observers of the scene are not used: they work in runs of minimd only, and LAMMPS "
+            "makes this run"
         )
     minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell)

@@ -24,7 +24,8 @@ THREE = {  # lists of the wrong length: what to write
     (
         "structure",
         "cell",
-    ): ": give all three edges, 0 along a direction that does not repeat, as of a slab: [20, 20, 0] with pbc = [true, true, false]",
+    ): ": give all three edges, 0 along a direction that does not repeat, as of a slab: [20, 20, 0] with pbc = [true, "
+    "true, false]",
     ("structure", "pbc"): ": give one for all directions, or three, as of a slab: [true, true, false]",
 }
 
@@ -72,14 +73,13 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
         )
     if kind == "model_type" and not isinstance(value, dict):
         section = next(one for one in sections_below(Section) if one.__name__ == details["ctx"]["class_name"])
-        return (
-            place,
-            f"{place} must be a table with the keys {', '.join(section.keys(reading.units))}; {place} = {_shown(value)}",
-        )
+        wanted = ", ".join(section.keys(reading.units))
+        return place, f"{place} must be a table with the keys {wanted}; {place} = {_shown(value)}"
     if place == "potential" and isinstance(value, dict):
         return (
             place,
-            "potential must be written [[potential]], with two brackets, because a scene can have several; it is [potential]",
+            "potential must be written [[potential]], with two brackets, because a scene can have several; it is "
+            "[potential]",
         )
     words = details["msg"]
     for theirs, ours in PLAIN.items():
@@ -92,14 +92,18 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
 
 
 def _about_key(loc: tuple, reading: Reading) -> str:
-    """The sentence about a key that a section does not know, or that gives a quantity for the second time, in another unit."""
+    """The sentence about a key that a section does not know, or that gives a quantity for the second time,
+    in another unit."""
     place, table, keys = _written(loc, reading)
     key = loc[-1].removeprefix(UNKNOWN)
     if key in keys:
         return f"{place} has {key!r} and the same quantity in another unit; give only one of them"
     near = _near(loc, reading)[0]
     hint = f"did you mean {near!r}? " if near else ""
-    return f"{place or 'a scene'} has no key {key!r} (= {_shown(table[key])}); {hint}Keys in {reading.units} units: {', '.join(keys)}"
+    return (
+        f"{place or 'a scene'} has no key {key!r} (= {_shown(table[key])}); {hint}Keys in {reading.units} units: "
+        f"{', '.join(keys)}"
+    )
 
 
 def _near(loc: tuple, reading: Reading) -> tuple[str | None, str | None]:
@@ -111,7 +115,8 @@ def _near(loc: tuple, reading: Reading) -> tuple[str | None, str | None]:
 
 
 def _written(loc: tuple, reading: Reading) -> tuple[str, Any, Keys]:
-    """Path and value at a location of pydantic, as written in the file, as far as the file goes; and the keys allowed there."""
+    """Path and value at a location of pydantic, as written in the file, as far as the file goes;
+    and the keys allowed there."""
     path, node = "", reading.document
     for step in loc:
         if isinstance(node, list) and isinstance(step, int):
@@ -124,7 +129,8 @@ def _written(loc: tuple, reading: Reading) -> tuple[str, Any, Keys]:
 
 
 def _joined(sentences: list[str]) -> str:
-    """One sentence from several: "x must be a boolean; x = 3", "x must be a list; x = 3" give "x must be a boolean or a list; x = 3"."""
+    """One sentence from several: "x must be a boolean; x = 3", "x must be a list;
+    x = 3" give "x must be a boolean or a list; x = 3"."""
     first, *others = dict.fromkeys(sentences)
     for other in others:
         head, _, tail = first.partition(";")

@@ -45,14 +45,16 @@ def run_scene(
 
     Parameters
     ----------
-    steps : in place of those of the scene.  trajectory : one file in place of those of the scene; the picture is written beside it.
-    overwrite : replace files that exist. Without it, an error is raised at the start if a trajectory exists, or a picture whose name the
-        scene gives; a picture without a name in the scene is not drawn if it exists.
+    steps : in place of those of the scene.  trajectory : one file in place of those of the scene;
+        the picture is written beside it.
+    overwrite : replace files that exist. Without it, an error is raised at the start if a trajectory exists, or a
+        picture whose name the scene gives; a picture without a name in the scene is not drawn if it exists.
     progress : as for Simulation.run.  tell : called with each line about the run.
 
     Raises
     ------
-    ValueError, OSError : for a scene that cannot be built, and files that cannot be written.  NonFiniteError, KeyboardInterrupt : as Simulation.run.
+    ValueError, OSError : for a scene that cannot be built, and files that cannot be written.  NonFiniteError,
+        KeyboardInterrupt : as Simulation.run.
     """
     output, n_steps = scene.sections.output, scene.sections.dynamics.steps if steps is None else steps
     files = scene.trajectories(trajectory)
@@ -98,15 +100,16 @@ def resume_run(
     progress: bool | None = None,
     tell: Tell = print,
 ) -> Simulation:
-    """Go on with the run in an H5MD file from its restart, and append to this file; other trajectories are cut to their frames up to it.
+    """Go on with the run in an H5MD file from its restart, and append to this file;
+    other trajectories are cut to their frames up to it.
 
     The file of a run from a script has no scene; go on with it by Simulation.resume.
 
     Parameters
     ----------
     steps : number of further steps; if not given, the run goes on to the last step of the scene.
-    scene : replaces the scene in the file, except for the sections of the start; a note lists the differences. It must have the same
-        constraints. If it is not given, the method is that of the last steps in the file.
+    scene : replaces the scene in the file, except for the sections of the start; a note lists the differences. It must
+        have the same constraints. If it is not given, the method is that of the last steps in the file.
 
     Raises
     ------
@@ -118,17 +121,18 @@ def resume_run(
     stored = stored_scene(contents.scene, path) if contents.scene else None
     given, scene = scene, scene or stored
     if scene is None:
-        go_on = f"sim = minimd.Simulation.resume({str(file)!r}, potentials); sim.run(n_steps, trajectory={str(file)!r}, append=True)"
+        resumed = f"sim = minimd.Simulation.resume({str(file)!r}, potentials)"
         raise ValueError(
-            f"file {str(file)!r} holds no scene from which to rebuild its potentials; go on in the script: {go_on}"
+            f"file {str(file)!r} holds no scene from which to rebuild its potentials; go on in the script: "
+            f"{resumed}; sim.run(n_steps, trajectory={str(file)!r}, append=True)"
         )
     end = scene.sections.dynamics.steps if steps is None else contents.step + steps
     if steps is None and end <= contents.step and contents.lacks_results:  # killed after its last step
         end = contents.step
     elif steps is None and end <= contents.step:
         raise ValueError(
-            f"the run in {str(file)!r} has reached the end of its scene: it is at step {contents.step}, dynamics.steps = {end}; "
-            f"give the number of further steps with --steps"
+            f"the run in {str(file)!r} has reached the end of its scene: it is at step {contents.step}, dynamics.steps "
+            f"= {end}; give the number of further steps with --steps"
         )
     if stored is not None and (other := differences(stored, scene)):
         tell("NOTE           the scene given replaces that of the run so far; frames before and after differ")
@@ -142,15 +146,14 @@ def resume_run(
     if (simulation.method.name, simulation.method.parameters) != (contents.method, contents.parameters):
         if given is None:  # a script went on with a method other than that of the scene
             simulation.method = contents.integrator()
-            tell(
-                f"NOTE           the last steps were made with {simulation.method!r}, not with the method of the scene in the file; "
-                "the run goes on with it"
-            )
+            tell(f"NOTE           the last steps were made with {simulation.method!r}, not with the method of the")
+            tell("               scene in the file; the run goes on with it")
         else:
             simulation.engine.moved()
     if given is None and (changed := other_potentials(contents.potentials, simulation.potentials)):
         tell(
-            f"NOTE           the scene in the file has other potentials than the last steps, and the run goes on with those of the scene: {changed}"
+            "NOTE           the scene in the file has other potentials than the last steps, and the run goes on with "
+            f"those of the scene: {changed}"
         )
     for line in description(scene, simulation, end - contents.step):
         tell(line)
@@ -230,7 +233,8 @@ def equilibrate(
     if plan is None or target is None or plan.steps == 0:  # SceneSections has checked that there is a target
         return
     tell(
-        f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every {plan.rescale_every}"
+        f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every "
+        f"{plan.rescale_every}"
     )
     with kept(scene, where=" of the equilibration"):
         simulation.equilibrate(
@@ -256,7 +260,8 @@ def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]
         *(f"potential      {_potential(potential, units)}" for potential in scene.potentials()),
         f"method         {_method(scene, simulation)}",
         *([f"barostat       {_barostat(simulation.barostat, units)}"] if simulation.barostat is not None else []),
-        f"run            {n_steps} steps = {units.shown(n_steps * simulation.method.timestep)}, observed every {scene.sections.output.every}",
+        f"run            {n_steps} steps = {units.shown(n_steps * simulation.method.timestep)}, observed every "
+        f"{scene.sections.output.every}",
     ]
 
 
@@ -275,7 +280,10 @@ def _method(scene: Scene, simulation: Simulation) -> str:
 
 def _barostat(barostat: StochasticCellRescaling, units: UnitSystem) -> str:
     relaxation = f"relaxation time {units.shown(barostat.relaxation_time)}"
-    return f"stochastic cell rescaling, {barostat.coupling}, {barostat.pressure:.6g} {units.pressure}, {relaxation}, every {barostat.every} steps"
+    return (
+        f"stochastic cell rescaling, {barostat.coupling}, {barostat.pressure:.6g} {units.pressure}, {relaxation}, "
+        f"every {barostat.every} steps"
+    )
 
 
 def _cell(system: System) -> str:
@@ -300,7 +308,8 @@ def _potential(potential: object, units: UnitSystem) -> str:
 def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = "") -> Iterator[None]:
     """If a run fails, add to the message which files are kept and, if it was interrupted, how to go on.
 
-    files : of the run; none for a preparation.  end : the step at which the run was to end, for the command that goes on.
+    files : of the run; none for a preparation.  end : the step at which the run was to end,
+        for the command that goes on.
     where : words on what was interrupted, such as " of the equilibration".
     """
     begun = time() - CLOCK

@@ -1,7 +1,7 @@
 """The base of all sections of a scene file: strict types, and keys that end in a unit.
 
-The key of a quantity ends in its unit, as in timestep_fs. The name of the field has no unit, as in timestep, and its value is in the units of
-the engine.
+The key of a quantity ends in its unit, as in timestep_fs. The name of the field has no unit, as in timestep, and its
+value is in the units of the engine.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -141,7 +141,8 @@ def _multiplied(value: Any, size: float | None) -> Any:
 
 
 def one_of(allowed: Collection[str]) -> AfterValidator:
-    """A check that a text is one of the allowed names.  allowed : read at each check, so that names registered later are included."""
+    """A check that a text is one of the allowed names.  allowed : read at each check,
+    so that names registered later are included."""
 
     def check(value: str) -> str:
         if value not in allowed:

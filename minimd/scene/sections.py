@@ -29,7 +29,8 @@ METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
 class StructureSection(Section):
     """[structure]: a file that ASE or MDAnalysis reads, or a block of a cubic crystal.
 
-    format : name of the format, for a file whose suffix does not show it.  bonds : pairs of atoms; "file" for the bonds, angles and dihedrals in
+    format : name of the format, for a file whose suffix does not show it.  bonds : pairs of atoms;
+        "file" for the bonds, angles and dihedrals in
     the file; or the name of another file that holds them.
     """
 
@@ -67,13 +68,17 @@ class StructureSection(Section):
             )
         if (self.density is None) == (self.lattice_constant is None):
             raise ValueError(
-                f"must have either {self.key('density', info)} or {self.key('lattice_constant', info)} together with lattice"
+                f"must have either {self.key('density', info)} or {self.key('lattice_constant', info)} together with "
+                "lattice"
             )
         return self
 
 
 class ConstraintsSection(Section):
-    """[constraints]: lengths and atoms that are held fixed. Constraints that it does not mention are those of the structure file."""
+    """[constraints]: lengths and atoms that are held fixed.
+
+    Constraints that it does not mention are those of the structure file.
+    """
 
     pairs: list[PairOfAtoms] | Literal["bonds"] | None = None
     lengths: Annotated[Positive | list[Positive] | None, Dimension("length")] = None
@@ -88,14 +93,16 @@ class ConstraintsSection(Section):
             raise ValueError(f"must have pairs together with {key}")
         if isinstance(self.lengths, list) and isinstance(self.pairs, list) and len(self.lengths) != len(self.pairs):
             raise ValueError(
-                f"must have one number as {key}, or one for each of its {len(self.pairs)} pairs; it has {len(self.lengths)}"
+                f"must have one number as {key}, or one for each of its {len(self.pairs)} pairs; it has "
+                f"{len(self.lengths)}"
             )
         return self
 
     def constraints(self, bonds: list[list[int]], known: Sequence[Constraint]) -> tuple[Constraint, ...]:
         """The constraints of a system whose file, of structure or run, may hold some already.
 
-        bonds : of the structure.  known : constraints of the file; they hold where the section says nothing, lengths only if the pairs are the same.
+        bonds : of the structure.  known : constraints of the file; they hold where the section says nothing,
+            lengths only if the pairs are the same.
         Raises ValueError for impossible constraints.
         """
         fixed: list[Constraint] = [one for one in known if isinstance(one, FixedAtoms)]
@@ -108,7 +115,8 @@ class ConstraintsSection(Section):
         if not pairs:
             if self.tolerance is not None or self.solver is not None:
                 raise ValueError(
-                    "tolerance and solver are for lengths, and no lengths are held; give pairs, or leave tolerance and solver out"
+                    "tolerance and solver are for lengths, and no lengths are held; give pairs, or leave tolerance and "
+                    "solver out"
                 )
             return tuple(fixed)
         if held is None or held.pairs.tolist() != pairs:
@@ -176,7 +184,8 @@ class PairTableSection(Section):
 class TabulatedSection(Section):
     """[[potential]] of type "tabulated": one table for all atoms, or one for each pair of species, all at the same r.
 
-    file : two columns, r and u in the units of the scene, with a path relative to the scene file; or a name in [tables].
+    file : two columns, r and u in the units of the scene, with a path relative to the scene file;
+        or a name in [tables].
     """
 
     type: Literal["tabulated"]
@@ -199,7 +208,8 @@ class TabulatedSection(Section):
         return [self.file] if self.file is not None else list(dict.fromkeys(one.file for one in self.pairs or ()))
 
     def potential(self, table_of: Callable[[str], Numbers]) -> Tabulated:
-        """The potential that the section describes.  table_of : returns the numbers of a table.  Raises ValueError for tables that do not fit."""
+        """The potential that the section describes.  table_of : returns the numbers of a table.
+        Raises ValueError for tables that do not fit."""
         tables = {name: table_of(name) for name in self.files}
         first = self.files[0]
         for name, table in tables.items():
@@ -234,7 +244,8 @@ class DynamicsSection(Section):
         if self.method not in THERMOSTATS and self.relaxation_time is not None:
             key = self.key("relaxation_time", info)
             raise ValueError(
-                f"cannot have {key} with method {self.method!r}, which has no relaxation time; {', '.join(THERMOSTATS)} have one"
+                f"cannot have {key} with method {self.method!r}, which has no relaxation time; "
+                f"{', '.join(THERMOSTATS)} have one"
             )
         return self
 
@@ -263,7 +274,10 @@ class BarostatSection(Section):
 
 
 class MinimizationSection(Section):
-    """[minimization]: first of all, the atoms are moved to a nearby minimum of the potential energy. The table may be empty."""
+    """[minimization]: first of all, the atoms are moved to a nearby minimum of the potential energy.
+
+    The table may be empty.
+    """
 
     force_tolerance: Annotated[Positive, Dimension("force")] = FORCE_TOLERANCE
     max_steps: NonNegativeInt = MAX_STEPS
@@ -271,7 +285,8 @@ class MinimizationSection(Section):
 
 
 class EquilibrationSection(Section):
-    """[equilibration]: steps before the run, with velocities rescaled to a temperature; if not given, that of [dynamics]."""
+    """[equilibration]: steps before the run, with velocities rescaled to a temperature; if not given,
+    that of [dynamics]."""
 
     steps: NonNegativeInt
     temperature: Annotated[Positive | None, Dimension("temperature")] = None
@@ -279,7 +294,8 @@ class EquilibrationSection(Section):
 
 
 class ObserverSection(Section):
-    """[[observer]]: a quantity that is measured during the run by an observer of minimd.observers, with its arguments."""
+    """[[observer]]: a quantity that is measured during the run by an observer of minimd.observers,
+    with its arguments."""
 
     kind: Annotated[str, one_of(KINDS)]
     every: PositiveInt | None = None
@@ -336,7 +352,10 @@ class OutputSection(Section):
         return [name for name in ("shadow_energy", "stress") if getattr(self, name)]
 
 
-PotentialSection = Annotated[LennardJonesSection | TabulatedSection | ForceSection, Field(discriminator="type")]  # type: ignore[valid-type]
+PotentialSection = Annotated[
+    LennardJonesSection | TabulatedSection | ForceSection,  # type: ignore[valid-type]
+    Field(discriminator="type"),
+]
 
 
 class SceneSections(Section):
@@ -359,7 +378,8 @@ class SceneSections(Section):
     def _fits_together(self, info: ValidationInfo) -> Self:
         if self.equilibration is not None and self.dynamics.temperature is None:
             raise ValueError(
-                f"equilibration needs dynamics.{DynamicsSection.key('temperature', info)}, at which the first velocities are drawn"
+                f"equilibration needs dynamics.{DynamicsSection.key('temperature', info)}, at which the first "
+                "velocities are drawn"
             )
         if self.barostat is not None and self.dynamics.temperature is None:
             raise ValueError(

@@ -1,6 +1,7 @@
 """Tables of tabulated laws in scenes: files with two columns, or the same numbers in the scene itself.
 
-A scene that is stored in the file of its run needs no other files: [tables."argon.dat"] at its end holds the numbers of argon.dat.
+A scene that is stored in the file of its run needs no other files:
+[tables."argon.dat"] at its end holds the numbers of argon.dat.
 """
 
 import json
@@ -34,7 +35,8 @@ class TableSection(Section):
 
 
 def read_table(path: Path) -> Numbers:
-    """The two columns of a text file, in the units of the scene; '#' begins a comment.  Raises ValueError, with the path, for anything else."""
+    """The two columns of a text file, in the units of the scene; '#' begins a comment.  Raises ValueError,
+    with the path, for anything else."""
     if path.exists() and not path.is_file():
         raise ValueError(f"table {str(path)!r} is not a regular file")
     try:
@@ -48,7 +50,8 @@ def read_table(path: Path) -> Numbers:
         raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u: {error}") from None
     if columns.shape[1:] != (COLUMNS,) or not len(columns):
         raise ValueError(
-            f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} lines of {columns.shape[1]}"
+            f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} lines of "
+            f"{columns.shape[1]}"
         )
     return Numbers(*columns.T.tolist())
 

@@ -18,7 +18,8 @@ from minimd.structure.keywords import names_keywords
 
 @dataclass(frozen=True)
 class Archive(Displayed):
-    """The result of archiving a file.  n_frames, n_bytes : before and after.  every : steps between two frames that were kept."""
+    """The result of archiving a file.  n_frames, n_bytes : before and after.  every :
+    steps between two frames that were kept."""
 
     file: Path
     every: int
@@ -36,14 +37,16 @@ class Archive(Displayed):
 def archive(
     file: str | Path, out: str | Path, every: int, potentials: Potentials = None, overwrite: bool = False
 ) -> Archive:
-    """Write a file with few frames of a run in fixed-point arithmetic, from which all others can be made again, to the last bit.
+    """Write a file with few frames of a run in fixed-point arithmetic, from which all others can be made again,
+    to the last bit.
 
-    As a test, the forces of each kept frame are evaluated again, and the steps from the first to the second kept frame are made again: energies
-    and positions must be those in the file.
+    As a test, the forces of each kept frame are evaluated again, and the steps from the first to the second kept frame
+    are made again: energies and positions must be those in the file.
 
     every : the first frame is kept, and those whose step is a multiple of it.  potentials : see Simulation.resume.
 
-    Raises ValueError for a run with another precision, or if energies or positions differ.  OSError as open_trajectories.
+    Raises ValueError for a run with another precision, or if energies or positions differ.
+    OSError as open_trajectories.
     """
     from minimd.files.h5md_reader import frame_arrays, read_file
 
@@ -56,7 +59,8 @@ def archive(
         again.make_steps(int(steps[kept[1]] - steps[kept[0]]))
         if not np.array_equal(again.positions, frame_arrays(file, kept[1])[0]):
             raise ValueError(
-                f"step {steps[kept[1]]} of {str(file)!r} is not the same, to the last bit, when it is made again: give the potentials of the run"
+                f"step {steps[kept[1]]} of {str(file)!r} is not the same, to the last bit, when it is made again: give "
+                "the potentials of the run"
             )
     n_steps = int(steps[kept[-1]] - steps[kept[0]])
     with open_trajectories(out, engine, store_forces=False, overwrite=overwrite, every=every, n_steps=n_steps) as (
@@ -67,7 +71,8 @@ def archive(
             frame = observe(engine)
             if frame.observables["total_energy"] != energies[k]:
                 raise ValueError(
-                    f"the energy of step {steps[k]} of {str(file)!r} is different when it is computed again: give the potentials of the run"
+                    f"the energy of step {steps[k]} of {str(file)!r} is different when it is computed again: give the "
+                    "potentials of the run"
                 )
             writer.write(frame)
         engine.go_on_from(contents.restart)

@@ -32,7 +32,8 @@ class Closed:
 
 
 class EngineAttribute(Generic[T]):
-    """Attribute of a simulation that reads and sets the attribute of its engine with the same name; with a path it is read-only.
+    """Attribute of a simulation that reads and sets the attribute of its engine with the same name;
+    with a path it is read-only.
 
     check : function of the engine that raises an error for a value that it cannot have; the old value is then restored.
     """
@@ -68,7 +69,8 @@ class EngineAttribute(Generic[T]):
 
 
 class Measured(Generic[T]):
-    """Read-only attribute of a simulation: the observable of this name, of the present state; forces are evaluated if they are not current."""
+    """Read-only attribute of a simulation: the observable of this name, of the present state;
+    forces are evaluated if they are not current."""
 
     def __init__(self, doc: str) -> None:
         self.__doc__ = f"{doc[:-1]}, of the present state."

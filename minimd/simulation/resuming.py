@@ -52,7 +52,8 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
         check_is_fixed(file, contents)
         if not steps[0] <= step <= contents.step:
             raise ValueError(
-                f"file {str(file)!r} has the steps {steps[0]} to {contents.step}; step must be one of them, but step = {step}"
+                f"file {str(file)!r} has the steps {steps[0]} to {contents.step}; step must be one of them, but step = "
+                f"{step}"
             )
         frame = int(np.searchsorted(steps, step, side="right")) - 1
         go_to(simulation, file, contents, frame)  # the frame before the step
@@ -61,7 +62,8 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
 
 
 def check_is_fixed(file: str | Path, contents: H5MDContents) -> None:
-    """Raise ValueError for a run in float64, or with rigid bonds: its steps go on from velocities before they were projected."""
+    """Raise ValueError for a run in float64, or with rigid bonds:
+    its steps go on from velocities before they were projected."""
     if contents.restart.grid is None:
         why = f"the run in {str(file)!r} was made with precision={contents.precision!r}"
         raise ValueError(
@@ -69,12 +71,16 @@ def check_is_fixed(file: str | Path, contents: H5MDContents) -> None:
         )
     if contents.restart.images is not None:
         raise ValueError(
-            f"the run in {str(file)!r} has rigid bonds: its steps cannot be made again to the last bit from a frame, only from its restart"
+            f"the run in {str(file)!r} has rigid bonds: its steps cannot be made again to the last bit from a frame, "
+            "only from its restart"
         )
 
 
 def go_to(simulation: Any, file: str | Path, contents: H5MDContents, frame: int) -> None:
-    """Put a simulation into the state of a frame. In fixed-point arithmetic this is all that the steps to come depend on."""
+    """Put a simulation into the state of a frame.
+
+    In fixed-point arithmetic this is all that the steps to come depend on.
+    """
     from minimd.files.h5md_reader import frame_arrays
 
     record, engine = contents.record, simulation.engine

@@ -53,9 +53,12 @@ class Simulation(Closed, Displayed):
     potentials : one potential or several.
     method : a splitting with its time step, such as VelocityVerlet(0.005).
     constraints : DistanceConstraints, FixedAtoms, or both, in place of those of the system; () for none.
-    threads : their largest number; all cores of the process if not given. Results are the same, to the last bit, for any number.
-    precision : "double"; "mixed": pairs in float32, their sums in float64; or "fixed-point": all sums exact, see docs/fixed-point.md.
-    skin : of neighbor lists [length]; the best one if not given.  grid : Grid of fixed-point arithmetic; chosen from the scene if not given.
+    threads : their largest number; all cores of the process if not given. Results are the same, to the last bit,
+        for any number.
+    precision : "double"; "mixed": pairs in float32, their sums in float64; or "fixed-point": all sums exact,
+        see docs/fixed-point.md.
+    skin : of neighbor lists [length]; the best one if not given.  grid : Grid of fixed-point arithmetic;
+        chosen from the scene if not given.
     barostat : StochasticCellRescaling, which keeps the pressure; None for a constant cell.
 
     Attributes
@@ -104,7 +107,8 @@ class Simulation(Closed, Displayed):
     temperature = Measured[float]("Kinetic temperature.")
     pressure = Measured[float]("P [energy/length³]; ValueError without a volume.")
     stress = Measured[Array](
-        "σ [energy/length³], (3, 3), kinetic part included, positive under tension: P = −tr σ / 3; ValueError without a volume."
+        "σ [energy/length³], (3, 3), kinetic part included, positive under tension: P = −tr σ / 3; ValueError without "
+        "a volume."
     )
     potentials = EngineAttribute[tuple[Potential, ...]]("What acts on the atoms.", "interactions.potentials")
     barostat = EngineAttribute[StochasticCellRescaling | None]("What keeps the pressure, or None.", "barostat")
@@ -158,7 +162,9 @@ class Simulation(Closed, Displayed):
         threads: int | None = None,
         step: int | None = None,
     ) -> Self:
-        """The simulation at the restart of an H5MD file. Its next steps are those that the run would have made, to the last bit.
+        """The simulation at the restart of an H5MD file.
+
+        Its next steps are those that the run would have made, to the last bit.
 
             sim = md.Simulation.resume("run.h5md", potentials)
             sim.run(until_step=100_000, trajectory="run.h5md", append=True)
@@ -166,12 +172,13 @@ class Simulation(Closed, Displayed):
         Parameters
         ----------
         potentials : those of the run; if not given, those of the scene that is stored in the file.  threads : as above.
-        step : of a run in fixed-point arithmetic, any step from the first frame on; it is made again from the frame before it.
+        step : of a run in fixed-point arithmetic, any step from the first frame on;
+            it is made again from the frame before it.
 
         Raises
         ------
-        FileNotFoundError, OSError, ValueError : for a file that does not exist, is damaged or not of minimd, or has no scene if no potentials are
-            given; for a step that is not in the file, or of a run in float64.
+        FileNotFoundError, OSError, ValueError : for a file that does not exist, is damaged or not of minimd, or has no
+            scene if no potentials are given; for a step that is not in the file, or of a run in float64.
         """
         found: Self = resumed(cls, file, potentials, threads, step)
         return found
@@ -190,27 +197,33 @@ class Simulation(Closed, Displayed):
         progress: bool | None = None,
         crash_report: str | Path | bool = True,
     ) -> Record:
-        """Make n_steps steps, or those up to until_step; observe the first state, and then those whose step is a multiple of every.
+        """Make n_steps steps, or those up to until_step; observe the first state,
+        and then those whose step is a multiple of every.
 
-        A run of N steps and one of M steps give the same numbers, to the last bit, as one of N + M steps, if nothing is changed in between.
+        A run of N steps and one of M steps give the same numbers, to the last bit, as one of N + M steps,
+        if nothing is changed in between.
 
         Parameters
         ----------
         every : steps between observations, for record, trajectory and observers alike.
         trajectory : one file or several; the suffix gives the format, see minimd.files.trajectory.
         store_forces : write forces into formats that can hold them.
-        overwrite : replace files that exist.  append : continue the trajectory, an H5MD file whose restart is the state of this simulation.
-        observers : functions called with this simulation at each observation; and those of minimd.observers, which have their own steps and
-            give results at the end. An H5MD file keeps them, and a run that continues it goes on with them.
+        overwrite : replace files that exist.  append : continue the trajectory,
+            an H5MD file whose restart is the state of this simulation.
+        observers : functions called with this simulation at each observation; and those of minimd.observers, which have
+            their own steps and give results at the end. An H5MD file keeps them,
+            and a run that continues it goes on with them.
         progress : show a progress bar; if not given, on a terminal and in a notebook.
-        crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at a path, or nowhere
-            (False). It holds the last good state and what minimd.replay needs; an existing file is kept unless overwrite, and the new one numbered.
+        crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at
+            a path, or nowhere (False). It holds the last good state and what minimd.replay needs;
+            an existing file is kept unless overwrite, and the new one numbered.
 
         Raises
         ------
-        NonFiniteError, ConstraintError : if the run blows up. The message names step, atoms and pair, the likely cause, and the file of
-            the crash report; sim.system holds the last good state.
-        KeyboardInterrupt : after Ctrl-C, with the state of the last whole step, all files valid.  SystemExit : likewise after SIGTERM or SIGHUP.
+        NonFiniteError, ConstraintError : if the run blows up. The message names step, atoms and pair, the likely cause,
+            and the file of the crash report; sim.system holds the last good state.
+        KeyboardInterrupt : after Ctrl-C, with the state of the last whole step, all files valid.  SystemExit :
+            likewise after SIGTERM or SIGHUP.
         FileExistsError, ValueError, OSError : for outputs that cannot be written, before the first step where possible.
         """
         engine, guard = self.engine, self.guard
@@ -272,7 +285,8 @@ class Simulation(Closed, Displayed):
                     engine.moved()
             if self.record is not None and ("conserved_energy" in self.record) != engine.has_bath:
                 raise ValueError(
-                    f"a bath cannot be switched on or off within a run; {engine.method.name} can only take over in a new run"
+                    f"a bath cannot be switched on or off within a run; {engine.method.name} can only take over in a "
+                    "new run"
                 )
             if not engine.is_as_left:
                 self.guard.forget()
@@ -294,9 +308,12 @@ class Simulation(Closed, Displayed):
         progress: bool | None = None,
         crash_report: str | Path | None = None,
     ) -> None:
-        """Run n_steps and rescale the velocities to a temperature every `every` steps. At the end step and time are set to 0.
+        """Run n_steps and rescale the velocities to a temperature every `every` steps.
 
-        The noise of a thermostat is that of steps before the start; it differs between the equilibrations of a simulation.
+        At the end step and time are set to 0.
+
+        The noise of a thermostat is that of steps before the start;
+        it differs between the equilibrations of a simulation.
         crash_report : the crash file to write if it fails, as for run.
 
         Raises
@@ -340,7 +357,8 @@ class Simulation(Closed, Displayed):
 
         Raises
         ------
-        NonFiniteError, ConstraintError, ValueError, KeyboardInterrupt : as minimize; sim.system then holds the state reached.
+        NonFiniteError, ConstraintError, ValueError, KeyboardInterrupt : as minimize;
+            sim.system then holds the state reached.
         """
         self.engine.moved()
         with self.guard.uncounted():
@@ -354,9 +372,12 @@ class Simulation(Closed, Displayed):
             )
 
     def probe_reversibility(self, n_steps: int) -> Reversibility:
-        """Make n_steps, reverse all velocities, make n_steps again, and measure the distance from the start. The state is restored.
+        """Make n_steps, reverse all velocities, make n_steps again, and measure the distance from the start.
 
-        Another n_steps from the reversal measure the distance that rounding alone explains. Later reports include the result.
+        The state is restored.
+
+        Another n_steps from the reversal measure the distance that rounding alone explains.
+        Later reports include the result.
 
         Raises
         ------
@@ -367,7 +388,9 @@ class Simulation(Closed, Displayed):
         return self.reversibility
 
     def run_back(self, n_steps: int) -> None:
-        """Retrace the last n_steps steps, to the last bit: for precision="fixed-point" and a symmetric method. step and time go back, too.
+        """Retrace the last n_steps steps, to the last bit: for precision="fixed-point" and a symmetric method.
+
+        step and time go back, too.
 
         Raises
         ------
@@ -377,7 +400,8 @@ class Simulation(Closed, Displayed):
 
     @contextmanager
     def _running(self, noise_shift: int) -> Iterator[None]:
-        """Context of a run.  noise_shift : of the engine during this run.  Raises RuntimeError for a run inside a run."""
+        """Context of a run.  noise_shift : of the engine during this run.
+        Raises RuntimeError for a run inside a run."""
         if self._is_running:
             raise RuntimeError(
                 "this simulation is running: an observer may read and change its state, but not run or equilibrate it"
@@ -405,7 +429,8 @@ class Simulation(Closed, Displayed):
         return observe(self.engine)
 
     def set_temperature(self, temperature: float, seed: int | None = None) -> None:
-        """Draw Maxwell-Boltzmann velocities: kinetic temperature exactly this one, total momentum zero (of several free atoms).
+        """Draw Maxwell-Boltzmann velocities: kinetic temperature exactly this one,
+        total momentum zero (of several free atoms).
 
         Raises
         ------
@@ -424,7 +449,7 @@ class Simulation(Closed, Displayed):
 
         Raises ValueError if the temperature is negative or not finite, or nothing moves.
         """
-        v, k_B = self.velocities, self.system.units.k_B  # noqa: N806 - the symbol of the constant
+        v, k_B = self.velocities, self.system.units.k_B
         v[:] = rescaled(v, self.system.masses, temperature, k_B, self.n_dof, self.drift)
         self.engine.turned()
 

@@ -23,7 +23,8 @@ from minimd.structure.observables import stress as kinetic_stress
 from minimd.structure.units import ASE
 
 LABELS = "species_labels"  # the array of an ase.Atoms for species that are not chemical elements
-NAMES = "species_names"  # in the info of atoms from a .traj, which keeps no such array: the names of species; tags are indices into them
+# in the info of atoms from a .traj, which keeps no such array: the names of species; tags are indices into them
+NAMES = "species_names"
 Pairs = tuple[NDArray[np.int64], NDArray[np.float64]]
 UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCom"
 
@@ -31,15 +32,17 @@ UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCo
 def system_arguments(
     atoms: Atoms, bonds: ArrayLike | None = None, constraints: bool = True, **others: ArrayLike | None
 ) -> dict[str, Any]:
-    """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and constraints.
+    """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell,
+    periodicity and constraints.
 
     Species are the chemical symbols, or the labels that atoms_from_system or label_by_tags stored in the atoms.
 
-    bonds, others : bonds, angles, dihedrals and impropers, as for System; without bonds, what the arrays of the atoms name: see joined_in.
+    bonds, others : bonds, angles, dihedrals and impropers, as for System; without bonds,
+        what the arrays of the atoms name: see joined_in.
     constraints : True to take those of the atoms; False if the caller handles them.
 
-    Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, and as joined_in.
-    Warns of charges, which are not used.
+    Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, and as
+    joined_in. Warns of charges, which are not used.
     """
     if not isinstance(atoms, Atoms):
         raise TypeError(f"a minimd System or an ase.Atoms is expected; got {type(atoms).__name__}")
@@ -62,13 +65,14 @@ def system_arguments(
 
 
 def atoms_from_system(system: Any) -> Atoms:
-    """ASE's atoms with the positions (not wrapped), momenta, masses, cell, periodicity, constraints, bonds, angles and dihedrals of a system.
+    """ASE's atoms with the positions (not wrapped), momenta, masses, cell, periodicity, constraints, bonds,
+    angles and dihedrals of a system.
 
-    Species that are chemical symbols become elements. All others become 'X', ASE's symbol for no element, and all labels
-    are kept in the array "species_labels", where system_arguments finds them again. Numbers are not converted: for a system
-    in reduced units they are not in Å and eV. Bonds, angles, dihedrals and impropers become arrays with these names, as ASE's reader of LAMMPS
-    data makes them. The array "id" shows system_arguments that no atoms were cut out or sorted; it gives the groups back in the order of their
-    first atoms.
+    Species that are chemical symbols become elements. All others become 'X', ASE's symbol for no element, and all
+    labels are kept in the array "species_labels", where system_arguments finds them again. Numbers are not converted:
+    for a system in reduced units they are not in Å and eV. Bonds, angles, dihedrals and impropers become arrays with
+    these names, as ASE's reader of LAMMPS data makes them. The array "id" shows system_arguments that no atoms were cut
+    out or sorted; it gives the groups back in the order of their first atoms.
     """
     symbols = [label if label in atomic_numbers else "X" for label in system.species.tolist()]
     momenta = system.velocities * system.masses[:, None]
@@ -84,14 +88,16 @@ def atoms_from_system(system: Any) -> Atoms:
 
 
 def label_by_tags(atoms: Atoms, system: Any) -> None:
-    """Store species that are not elements where a .traj keeps them: their names in info, and the index of each atom's species in its tag."""
+    """Store species that are not elements where a .traj keeps them: their names in info,
+    and the index of each atom's species in its tag."""
     if LABELS in atoms.arrays:
         atoms.info[NAMES] = list(system.species_names)
         atoms.set_tags(system.species_index)
 
 
 def _labels(atoms: Atoms) -> Any:
-    """The species of each atom: its label, or else its chemical symbol; an atom with a symbol other than X needs no label."""
+    """The species of each atom: its label, or else its chemical symbol;
+    an atom with a symbol other than X needs no label."""
     names = atoms.info.get(NAMES)
     if LABELS in atoms.arrays or names is None:
         return atoms.arrays.get(LABELS, atoms.get_chemical_symbols())
@@ -120,7 +126,8 @@ def same_scene(one: Atoms, other: Atoms) -> bool:
 
 
 def calculators_stress(stress: NDArray[np.float64], atoms: Atoms, conserves_momentum: bool) -> NDArray[np.float64]:
-    """What ASE calls the stress, (6,) as xx yy zz yz xz xy [eV/Å³]: without the kinetic part, which get_stress(include_ideal_gas=True) adds.
+    """What ASE calls the stress, (6,) as xx yy zz yz xz xy [eV/Å³]: without the kinetic part,
+    which get_stress(include_ideal_gas=True) adds.
 
     stress : (3, 3), of an engine with the atoms in their present motion.  conserves_momentum : of that engine.
     """
@@ -163,7 +170,8 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
             )
     if fixed and fixes_center(atoms):
         raise ValueError(
-            "atoms.constraints holds FixCom and FixAtoms: with fixed atoms the center of mass does not stay by itself; remove one"
+            "atoms.constraints holds FixCom and FixAtoms: with fixed atoms the center of mass does not stay by itself; "
+            "remove one"
         )
     answer: list[Constraint] = [FixedAtoms(np.unique(fixed))] if fixed else []
     if lengths:
@@ -173,7 +181,8 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
 
 
 def ases_constraints_of(system: Any) -> list[FixConstraint]:
-    """The constraints of a system for an ase.Atoms: FixAtoms, and FixBondLengths with the lengths; ASE has one solver of its own."""
+    """The constraints of a system for an ase.Atoms: FixAtoms, and FixBondLengths with the lengths;
+    ASE has one solver of its own."""
     answer: list[FixConstraint] = []
     for constraint in system.constraints:
         if isinstance(constraint, FixedAtoms):
@@ -187,7 +196,10 @@ def ases_constraints_of(system: Any) -> list[FixConstraint]:
 
 
 def fixes_center(atoms: Atoms) -> bool:
-    """Whether the center of mass is held. If momentum is conserved, it is enough that it is zero at the start; Engine refuses all other cases."""
+    """Whether the center of mass is held.
+
+    If momentum is conserved, it is enough that it is zero at the start; Engine refuses all other cases.
+    """
     return any(isinstance(constraint, FixCom) for constraint in atoms.constraints)
 
 

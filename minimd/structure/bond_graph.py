@@ -34,7 +34,8 @@ def pairs_by_bonds_apart(bonds: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 def checked_pairs(name: str, pairs: ArrayLike, n_atoms: int | None = None) -> NDArray[np.int64]:
     """Pairs of atoms as a (P, 2) int array, (0, 2) if there are none.  n_atoms : None for any number of atoms.
 
-    Raises ValueError if the shape is wrong, an atom does not exist or is paired with itself, or a pair is given twice, in either order.
+    Raises ValueError if the shape is wrong, an atom does not exist or is paired with itself, or a pair is given twice,
+    in either order.
     """
     array = checked_groups(name, pairs, 2, n_atoms)
     _, first, counts = np.unique(np.sort(array, axis=1), axis=0, return_index=True, return_counts=True)

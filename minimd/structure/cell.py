@@ -15,7 +15,10 @@ from minimd.structure.display import Displayed, Rows, as_text
 from minimd.structure.strain import follow_lattice
 
 FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
-OPEN = "in a direction that does not repeat give length 0, or any length and pbc=False there, such as pbc=(True, True, False) of a slab"
+OPEN = (
+    "in a direction that does not repeat give length 0, or any length and pbc=False there, such as pbc=(True, True, "
+    "False) of a slab"
+)
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
 COMBINED = np.array(
     [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)]
@@ -24,7 +27,9 @@ COMBINED = np.array(
 
 @dataclass(frozen=True, repr=False)
 class Cell(Displayed):
-    """Lattice vectors and periodicity, checked, with the reduced lattice that searches use. Made by Cell.of; never changed.
+    """Lattice vectors and periodicity, checked, with the reduced lattice that searches use.
+
+    Made by Cell.of; never changed.
 
     Attributes
     ----------
@@ -63,12 +68,13 @@ class Cell(Displayed):
 
     @classmethod
     def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> Cell:
-        """A cell from one length, three lengths or a (3, 3) array of rows; pbc defaults to True where a vector is given.
+        """A cell from one length, three lengths or a (3, 3) array of rows;
+        pbc defaults to True where a vector is given.
 
         Raises
         ------
-        ValueError : if the shape is wrong, a number is masked, complex or not finite, pbc is neither one bool nor three, a periodic
-            direction has no vector, or the periodic vectors are linearly dependent.
+        ValueError : if the shape is wrong, a number is masked, complex or not finite, pbc is neither one bool nor
+            three, a periodic direction has no vector, or the periodic vectors are linearly dependent.
         """
         matrix = _as_matrix(vectors)
         given = np.any(matrix != 0.0, axis=1)
@@ -83,7 +89,8 @@ class Cell(Displayed):
         return cell
 
     def strained(self, vectors: NDArray[np.float64]) -> Cell:
-        """The cell after a small change of its vectors, all periodic; the reduction stays the same as long as it reduces them."""
+        """The cell after a small change of its vectors, all periodic;
+        the reduction stays the same as long as it reduces them."""
         cell = Cell.of_reduction(vectors, self.reduction)
         length2, combined = (cell.lattice**2).sum(axis=1), ((COMBINED @ cell.lattice) ** 2).sum(axis=1)
         is_reduced = (combined[:, None] >= SHORTER * length2)[COMBINED != 0].all()
@@ -114,17 +121,20 @@ class Cell(Displayed):
 
     @property
     def safe_distance2(self) -> float:
-        """Squared length below which a vector is certainly its own minimum image: (half the smallest height)² [length²]."""
+        """Squared length below which a vector is certainly its own minimum image:
+        (half the smallest height)² [length²]."""
         return float((0.5 * self.heights[self.pbc].min()) ** 2) if self.is_periodic else np.inf
 
     def wrapped(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Positions moved by lattice vectors into the cell spanned by vectors, in its periodic directions; a new array."""
+        """Positions moved by lattice vectors into the cell spanned by vectors, in its periodic directions;
+        a new array."""
         full = np.where(self.pbc[:, None], self.vectors, self.lattice)
         cells = np.floor(positions @ np.linalg.inv(full))
         return positions - np.where(self.pbc, cells, 0.0) @ full
 
     def follow(self, cell: Cell, translations: NDArray[np.float64]) -> None:
-        """Lattice vectors, (n, 3) or in blocks (n, 3, m), become in place the same multiples of the vectors of another cell."""
+        """Lattice vectors, (n, 3) or in blocks (n, 3, m),
+        become in place the same multiples of the vectors of another cell."""
         follow_lattice(translations, self.vectors, cell.vectors)
 
     def same_as(self, other: Cell) -> bool:
@@ -136,8 +146,9 @@ class Cell(Displayed):
 def minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2):
     """Integers (a, b, c) for which d + (a, b, c) · lattice is shortest.
 
-    A vector shorter than half the smallest height is its own minimum image. Otherwise the fractional coordinates are rounded. A result
-    as short as that is right; a longer one is compared with its 26 neighbors, which suffices in a reduced lattice.
+    A vector shorter than half the smallest height is its own minimum image. Otherwise the fractional coordinates are
+    rounded. A result as short as that is right; a longer one is compared with its 26 neighbors,
+    which suffices in a reduced lattice.
     """
     if dx * dx + dy * dy + dz * dz <= safe_distance2:
         return 0.0, 0.0, 0.0
@@ -168,10 +179,12 @@ def _length2(dx, dy, dz, a, b, c, lattice):
 
 @kernel
 def minimum_image_translations(positions, first, second, lattice, inverse, pbc, safe_distance2, translations):
-    """translations[p] = the lattice vector that makes r_j − r_i + translation shortest, for fixed pairs (i, j) = (first, second)[p].
+    """translations[p] = the lattice vector that makes r_j − r_i + translation shortest, for fixed pairs (i, j)
+    = (first, second)[p].
 
     positions : (N, 3) [length].  first, second : (P,) int.
-    translations : (P, 3) [length], lattice vectors, such as zeros or the previous ones; kept where they are still certainly right.
+    translations : (P, 3) [length], lattice vectors, such as zeros or the previous ones;
+        kept where they are still certainly right.
     """
     for p in range(np.uintp(first.size)):  # unsigned: no check for indices that count from the end
         i, j = np.uintp(first[p]), np.uintp(second[p])
@@ -226,11 +239,13 @@ def _check_independent(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> 
     largest = np.abs(rows).max(axis=1)
     if largest.min() < SMALLEST or largest.max() > LARGEST:
         raise ValueError(
-            f"lattice vectors must be between {SMALLEST:g} and {LARGEST:g} long; take other units: they are {rows.tolist()}"
+            f"lattice vectors must be between {SMALLEST:g} and {LARGEST:g} long; take other units: they are "
+            f"{rows.tolist()}"
         )
     if EPS * largest.max() > largest.min():
         raise ValueError(
-            f"lengths of lattice vectors must not differ by more than a factor of {1.0 / EPS:.1g}; they are {rows.tolist()}"
+            f"lengths of lattice vectors must not differ by more than a factor of {1.0 / EPS:.1g}; they are "
+            f"{rows.tolist()}"
         )
     unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     if np.linalg.svd(unit, compute_uv=False).min() < FLAT:
@@ -267,7 +282,8 @@ def _shorten_once(steps: NDArray[np.int64], rows: NDArray[np.float64]) -> bool:
 def _neighbors(
     i: int, steps: NDArray[np.int64], current: NDArray[np.float64], length2: NDArray[np.float64]
 ) -> list[NDArray[np.int64]]:
-    """Vector i plus multiples of the others: once the rounded projection (Gauss), then all of −1, 0, 1 (Minkowski's conditions)."""
+    """Vector i plus multiples of the others: once the rounded projection (Gauss), then all of −1, 0,
+    1 (Minkowski's conditions)."""
     others = [j for j in range(len(steps)) if j != i]
     gauss = [steps[i] - int(np.rint(current[i] @ current[j] / length2[j])) * steps[j] for j in others]
     near = [steps[i].copy()]

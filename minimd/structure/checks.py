@@ -1,4 +1,5 @@
-"""Checks of input: a value is returned in the form that the rest of minimd expects, or refused in one sentence, before memory is allocated for it."""
+"""Checks of input: a value is returned in the form that the rest of minimd expects, or refused in one sentence,
+before memory is allocated for it."""
 
 from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
@@ -28,7 +29,8 @@ PLAIN = {bool: "b", int: "i", float: "f"}
 def checked_count(name: str, value: Any, least: int = 1, limit: int = COUNTS) -> int:
     """The value as an int.
 
-    Raises ValueError unless it is an int or an integer of NumPy, not a bool, not less than least, and below limit; name is used in the message.
+    Raises ValueError unless it is an int or an integer of NumPy, not a bool, not less than least, and below limit;
+    name is used in the message.
     """
     if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) < limit:
         most = f" and below {limit:.3g}" if isinstance(value, Integral) and int(value) >= limit else ""
@@ -39,8 +41,8 @@ def checked_count(name: str, value: Any, least: int = 1, limit: int = COUNTS) ->
 def checked_number(name: str, value: Any, demand: str = "finite") -> float:
     """The value as a float.  demand : one of DEMANDS.
 
-    Raises ValueError for anything that is not a real number, such as a text or a bool, for what the demand excludes, and for numbers whose
-    powers could overflow: above LARGEST or, for positive quantities, below SMALLEST.
+    Raises ValueError for anything that is not a real number, such as a text or a bool, for what the demand excludes,
+    and for numbers whose powers could overflow: above LARGEST or, for positive quantities, below SMALLEST.
     """
     number = _as_float(value)
     if not DEMANDS[demand](number):
@@ -66,7 +68,8 @@ def checked_choice(name: str, value: Any, allowed: Collection[str]) -> Any:
 
 
 def checked_numbers(name: str, values: Any, expected: str) -> NDArray[np.float64]:
-    """A new contiguous array of real numbers, of any shape; they may be infinite or NaN.  Raises ValueError as checked_array."""
+    """A new contiguous array of real numbers, of any shape; they may be infinite or NaN.
+    Raises ValueError as checked_array."""
     array = checked_array(name, values, expected, "if")
     try:
         return np.array(array, dtype=np.float64, order="C")
@@ -75,19 +78,23 @@ def checked_numbers(name: str, values: Any, expected: str) -> NDArray[np.float64
 
 
 def checked_indices(name: str, values: Any, expected: str) -> NDArray[np.int64]:
-    """A new contiguous array of indices of atoms, of any shape; they may be negative.  Raises ValueError as checked_array, or if one is too large."""
+    """A new contiguous array of indices of atoms, of any shape; they may be negative.
+    Raises ValueError as checked_array, or if one is too large."""
     array = checked_array(name, values, expected, "i")
     if array.size and not -MOST_ATOMS <= array.min() <= array.max() < MOST_ATOMS:
         raise ValueError(
-            f"{name} must be {expected}: they go from {array.min()} to {array.max()}, but at most {MOST_ATOMS} atoms are allowed"
+            f"{name} must be {expected}: they go from {array.min()} to {array.max()}, but at most {MOST_ATOMS} atoms "
+            "are allowed"
         )
     return np.array(array, dtype=np.int64, order="C")
 
 
 def checked_array(name: str, values: Any, expected: str, kinds: str) -> NDArray[Any]:
-    """The values as an array, the same one if they are one.  expected : words for the message.  kinds : which of KINDS may be in it.
+    """The values as an array, the same one if they are one.  expected : words for the message.  kinds :
+    which of KINDS may be in it.
 
-    Raises ValueError for anything else, for masked values, for bools among numbers, for ragged lists, and for more than MOST_NUMBERS values.
+    Raises ValueError for anything else, for masked values, for bools among numbers, for ragged lists,
+    and for more than MOST_NUMBERS values.
     """
     found: set[str] = set()
     try:
@@ -101,7 +108,8 @@ def checked_array(name: str, values: Any, expected: str, kinds: str) -> NDArray[
 
 
 def _find_kinds(values: Any, found: set[str]) -> None:
-    """Add to found the kinds of numbers among the values.  Raises ValueError for values that are no numbers, masked, or too many."""
+    """Add to found the kinds of numbers among the values.  Raises ValueError for values that are no numbers, masked,
+    or too many."""
     if type(values) in PLAIN:
         found.add(PLAIN[type(values)])
     elif isinstance(values, list | tuple):
@@ -150,7 +158,8 @@ def listed(names: Iterable[Any]) -> str:
 
 
 def printable(text: str) -> str:
-    """A text of a file, with escapes in place of characters that a terminal would obey, or that reorder others; ends of lines are kept."""
+    """A text of a file, with escapes in place of characters that a terminal would obey, or that reorder others;
+    ends of lines are kept."""
     return "".join(one if one.isprintable() or one == "\n" else one.encode("unicode_escape").decode() for one in text)
 
 

@@ -30,11 +30,12 @@ DEFAULT_HANDLERS: list[Any] = [
 def progress_of(
     n_steps: int, label: str, show: bool | None = None, unit: str = "step"
 ) -> Iterator[Callable[[int], Any]]:
-    """Show on standard error, or in a notebook, how much of n_steps is done; yields a function to be called with the number of steps made.
+    """Show on standard error, or in a notebook, how much of n_steps is done;
+    yields a function to be called with the number of steps made.
 
     unit : what is counted, if not steps.
-    show : True for a bar on a terminal or in a notebook, and ten lines elsewhere; False for nothing; None for a bar where one is possible.
-        Raises ValueError for anything else.
+    show : True for a bar on a terminal or in a notebook, and ten lines elsewhere; False for nothing; None for a bar
+        where one is possible. Raises ValueError for anything else.
     """
     if show is not None:
         checked_flag("progress", show)
@@ -69,13 +70,15 @@ class Stoppable(Protocol):
 
 @contextmanager
 def stop_on_signals(run: Stoppable) -> Iterator[None]:
-    """While active, Ctrl-C, SIGTERM and SIGHUP set run.stop_requested; at the end, SIGTERM and SIGHUP raise Terminated, and Ctrl-C KeyboardInterrupt.
+    """While active, Ctrl-C, SIGTERM and SIGHUP set run.stop_requested; at the end, SIGTERM and SIGHUP raise Terminated,
+    and Ctrl-C KeyboardInterrupt.
 
-    Handlers that the host has set, and signals that it ignores, are left alone. Outside the main thread, where no handlers can be set, only
-    stop_runs_of_threads stops a run.
+    Handlers that the host has set, and signals that it ignores, are left alone. Outside the main thread, where no
+    handlers can be set, only stop_runs_of_threads stops a run.
 
-    A second Ctrl-C does not wait for the end of the step. A run inside another one, in an observer, stops first; its exception ends the outer one.
-    Python says nothing as it ends by Terminated: a sentence on standard error does, unless a caller tells it, see endings_are_told.
+    A second Ctrl-C does not wait for the end of the step. A run inside another one, in an observer, stops first; its
+    exception ends the outer one. Python says nothing as it ends by Terminated: a sentence on standard error does,
+    unless a caller tells it, see endings_are_told.
     """
     requests = StopRequests(run)
     try:
@@ -136,9 +139,11 @@ def stop_runs_of_threads() -> None:
 
 @contextmanager
 def raising_on_signals() -> Iterator[None]:
-    """While active, Ctrl-C raises KeyboardInterrupt, and SIGTERM and SIGHUP raise Terminated, at once; a run inside stops after a whole step.
+    """While active, Ctrl-C raises KeyboardInterrupt, and SIGTERM and SIGHUP raise Terminated, at once;
+    a run inside stops after a whole step.
 
-    For the main thread of a process whose workers do the work. Handlers that the host has set, and signals that it ignores, are left alone.
+    For the main thread of a process whose workers do the work. Handlers that the host has set,
+    and signals that it ignores, are left alone.
     """
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
@@ -174,7 +179,8 @@ class StopRequests:
             self._give_back(number)
 
     def begin(self) -> None:
-        """Set the handler; outside the main thread, where none can be set, register the run for stop_runs_of_threads."""
+        """Set the handler; outside the main thread, where none can be set,
+        register the run for stop_runs_of_threads."""
         self._run.stop_requested = False
         if threading.current_thread() is not threading.main_thread():
             RUNS_OF_THREADS[id(self._run)] = self._run
@@ -200,7 +206,9 @@ class StopRequests:
 
 
 class Terminated(SystemExit):
-    """A run was ended by SIGTERM or SIGHUP, after a whole step. The exit code is 128 + the number of the signal, as in shells.
+    """A run was ended by SIGTERM or SIGHUP, after a whole step.
+
+    The exit code is 128 + the number of the signal, as in shells.
 
     kept : files of the run.
     """
@@ -223,7 +231,8 @@ DEFAULT_HANDLERS.append(raise_terminated)
 
 
 def outside_minimd() -> int:
-    """The stacklevel with which a warning of the calling function points to the first frame outside minimd and contextlib."""
+    """The stacklevel with which a warning of the calling function points to the first
+    frame outside minimd and contextlib."""
     frame, level = sys._getframe(1), 1
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in (
         "minimd",

@@ -36,8 +36,8 @@ class DistanceConstraints:
 
     Raises
     ------
-    ValueError : for no pairs, an atom paired with itself, or a pair given twice; lengths that are not positive; a tolerance that is not
-        between 0 and 1; an unknown solver.
+    ValueError : for no pairs, an atom paired with itself, or a pair given twice; lengths that are not positive; a
+        tolerance that is not between 0 and 1; an unknown solver.
     """
 
     def __init__(
@@ -98,7 +98,8 @@ class FixedAtoms:
         """Raise ValueError if the indices or the bools do not fit a system of n_atoms atoms."""
         if self._n_bools not in (None, n_atoms):
             raise ValueError(
-                f"fixed atoms must be given as indices, or as one bool for each of {n_atoms} atoms; got {self._n_bools} bools"
+                f"fixed atoms must be given as indices, or as one bool for each of {n_atoms} atoms; got "
+                f"{self._n_bools} bools"
             )
         if self.atoms.max(initial=-1) >= n_atoms:
             raise ValueError(f"fixed atoms must be among 0 to {n_atoms - 1}; they name atom {self.atoms.max()}")

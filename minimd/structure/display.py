@@ -19,14 +19,16 @@ Rows = list[tuple[str, str]]
 
 
 class Displayed:
-    """Base class of objects that a notebook displays. A class defines either __str__ or display_rows; here each is defined by the other.
+    """Base class of objects that a notebook displays.
+
+    A class defines either __str__ or display_rows; here each is defined by the other.
 
     Inside another object, such as a list, the repr is shown.
     """
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        cls._repr_pretty_ = Displayed._repr_pretty_  # type: ignore[method-assign]  # IPython prefers a __repr__ of a class to what it inherits
+        cls._repr_pretty_ = Displayed._repr_pretty_  # type: ignore[method-assign] # else IPython takes __repr__
 
     def display_rows(self) -> Rows:
         """Names and words; a row without a name continues the one before."""
@@ -51,7 +53,8 @@ class Displayed:
 
 
 def call_of(one: object, arguments: Mapping[str, Any], always: Iterable[str] = ()) -> str:
-    """The call that recreates an object, without arguments that have their default values, except for those named in always."""
+    """The call that recreates an object, without arguments that have their default values,
+    except for those named in always."""
     parameters, always = signature(type(one)).parameters, set(always)
     told = [
         f"{name}={as_text(value)}"

@@ -8,7 +8,8 @@ from typing import Any
 class NonFiniteError(ArithmeticError):
     """A position, velocity, force or energy is no longer a finite number.
 
-    solution : of a small system, up to the failure.  crash_report : CrashReport of a simulation.  file : to which it was written, or None.
+    solution : of a small system, up to the failure.  crash_report : CrashReport of a simulation.  file :
+        to which it was written, or None.
     """
 
     solution: Any = None
@@ -17,12 +18,13 @@ class NonFiniteError(ArithmeticError):
 
 
 class RangeError(NonFiniteError):
-    """A force, a momentum or a position has left the range of fixed-point numbers (none has wrapped around); or a barostat would strain the
-    cell too much at once."""
+    """A force, a momentum or a position has left the range of fixed-point numbers (none has wrapped around); or a
+    barostat would strain the cell too much at once."""
 
 
 class ConstraintError(ArithmeticError):
-    """A constraint solver did not reach its tolerance.  atoms : the two of the constraint.  crash_report, file : as for NonFiniteError."""
+    """A constraint solver did not reach its tolerance.  atoms : the two of the constraint.  crash_report, file :
+    as for NonFiniteError."""
 
     atoms: Any = None
     crash_report: Any = None

@@ -39,8 +39,8 @@ class Grid(Displayed):
     momentum : of momenta, and of the impulse F Δt of each pair [mass length/time]; they reach to 2⁵⁰ steps.
     energy : of the energies and virials of pairs [energy]; sums reach to 2⁵² steps.
 
-    Positions r and velocities v = p/m are float64; on a grid they stand for whole numbers of steps: r/length is exact, and rounding
-    m v/momentum gives the whole number from which v was made.
+    Positions r and velocities v = p/m are float64; on a grid they stand for whole numbers of steps: r/length is exact,
+    and rounding m v/momentum gives the whole number from which v was made.
 
     Raises ValueError for a step that is not a positive power of two.
     """
@@ -101,7 +101,9 @@ class Grid(Displayed):
         return Grid(max(self.length, other.length), max(self.momentum, other.momentum), max(self.energy, other.energy))
 
     def take(self, system: System, inverse_masses: Array) -> None:
-        """Round positions, lattice vectors and momenta of a system to the grid, in place. inverse_masses : (N,), zero for fixed atoms.
+        """Round positions, lattice vectors and momenta of a system to the grid, in place.
+
+        inverse_masses : (N,), zero for fixed atoms.
 
         Raises RangeError if one of them is beyond its range.
         """
@@ -138,14 +140,18 @@ class Grid(Displayed):
             largest, most = np.abs(momenta).max() * self.momentum, MOST * self.momentum
             hint = f"grid=minimd.Grid(...) with a larger step of momentum than {self.momentum:.3g}"
             raise RangeError(
-                f"the momentum of atom {atom} is {largest:.3g}, beyond the range of fixed-point numbers, {most:.3g}: give {hint}"
+                f"the momentum of atom {atom} is {largest:.3g}, beyond the range of fixed-point numbers, {most:.3g}: "
+                f"give {hint}"
             )
 
     def check_positions(self, positions: Array) -> None:
         """Raise RangeError if a position is beyond the range of the grid."""
         if not largest_component(positions) <= FARTHEST * self.length:
             atom = int(np.argmax(np.abs(positions).max(axis=1)))
-            hint = "in a periodic cell, wrap the positions: simulation.positions[:] = simulation.system.cell.wrapped(simulation.positions)"
+            hint = (
+                "in a periodic cell, wrap the positions: simulation.positions[:] = "
+                "simulation.system.cell.wrapped(simulation.positions)"
+            )
             largest, most = np.abs(positions).max(), FARTHEST * self.length
             raise RangeError(
                 f"atom {atom} is {largest:.3g} from the origin, beyond the range of fixed-point numbers, {most:.3g}: "

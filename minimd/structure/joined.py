@@ -1,8 +1,10 @@
-"""Bonds, angles and dihedrals in an ase.Atoms: one text for each atom, as ASE's reader of LAMMPS data files stores them.
+"""Bonds, angles and dihedrals in an ase.Atoms: one text for each atom,
+as ASE's reader of LAMMPS data files stores them.
 
-The array "bonds" has "j(type)" for atom i, "angles" has "i-k(type)" for the middle atom j, "dihedrals" has "j-k-l(type)" for the first atom i,
-and so has "impropers", which ASE does not read. Several entries are joined by commas; "_" means none.
-The indices are those of the atoms as they were read. ASE copies the text unchanged when atoms are cut out, repeated or sorted.
+The array "bonds" has "j(type)" for atom i, "angles" has "i-k(type)" for the middle atom j, "dihedrals" has
+"j-k-l(type)" for the first atom i, and so has "impropers", which ASE does not read. Several entries are joined by
+commas; "_" means none. The indices are those of the atoms as they were read.
+ASE copies the text unchanged when atoms are cut out, repeated or sorted.
 """
 
 import re
@@ -21,7 +23,8 @@ NONE = ("_", "")
 
 
 class Joined(NamedTuple):
-    """groups : bonds (B, 2), angles (A, 3), the middle atom second, dihedrals (D, 4) and impropers (I, 4), by these names; int, all of them.
+    """groups : bonds (B, 2), angles (A, 3), the middle atom second, dihedrals (D, 4) and impropers (I, 4),
+    by these names; int, all of them.
 
     n_types : how many types of each there are, by these names; left out where all are of one type.
     """
@@ -38,16 +41,19 @@ class Joined(NamedTuple):
 
 
 def joined_in(atoms: Any) -> Joined:
-    """The groups in the arrays "bonds", "angles", "dihedrals" and "impropers" of an ase.Atoms; empty if it has no such arrays.
+    """The groups in the arrays "bonds", "angles", "dihedrals" and "impropers" of an ase.Atoms;
+    empty if it has no such arrays.
 
-    Raises ValueError for text in another form, or if the atoms are not those that were read: the array "id" then does not count from 1 to N.
+    Raises ValueError for text in another form, or if the atoms are not those that were read:
+    the array "id" then does not count from 1 to N.
     """
     if not any(name in atoms.arrays for name in GROUPS):
         return Joined({name: np.zeros((0, size), np.int64) for name, size in GROUPS.items()})
     ids = atoms.arrays.get("id")
     if ids is not None and not np.array_equal(ids, np.arange(1, len(atoms) + 1)):
         raise ValueError(
-            "the bonds of these atoms cannot be trusted: their array 'id' does not count from 1 to N, so atoms may have been cut out, repeated or "
+            "the bonds of these atoms cannot be trusted: their array 'id' does not count from 1 to N, so atoms may "
+            "have been cut out, repeated or "
             "sorted since they were read; give the bonds as bonds=[[0, 1], ...], or bonds=() for none"
         )
     found: dict[str, Indices] = {}
@@ -69,7 +75,8 @@ def _entries(atoms: Any, name: str, form: re.Pattern[str]) -> list[tuple[int, tu
             match = form.fullmatch(entry.strip())
             if match is None or max(indices := tuple(map(int, match.groups()))) >= len(atoms):
                 raise ValueError(
-                    f"the array {name!r} of these atoms must name atoms 0 to {len(atoms) - 1} as ASE's reader of LAMMPS data does; for atom {i} "
+                    f"the array {name!r} of these atoms must name atoms 0 to {len(atoms) - 1} as ASE's reader of "
+                    f"LAMMPS data does; for atom {i} "
                     f"it has {str(text)!r}: give the bonds as bonds=[[0, 1], ...], or bonds=() for none"
                 )
             found.append((i, indices))

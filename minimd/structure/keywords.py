@@ -20,7 +20,8 @@ R = TypeVar("R")
 def names_keywords(function: Callable[P, R], elsewhere: Callable[[str], str] = lambda _: "") -> Callable[P, R]:
     """Decorator: if a call has a keyword that the function does not know, its TypeError names a similar one.
 
-    elsewhere : gives words about a keyword to which none is similar.  Name, signature and help remain those of the function.
+    elsewhere : gives words about a keyword to which none is similar.  Name,
+        signature and help remain those of the function.
     """
 
     @wraps(function)
@@ -40,7 +41,8 @@ def names_keywords(function: Callable[P, R], elsewhere: Callable[[str], str] = l
 
 
 def name_keywords(kinds: Iterable[Any]) -> None:
-    """Apply names_keywords to the constructors of classes, also to those inherited in minimd, and to their own methods that have defaults.
+    """Apply names_keywords to the constructors of classes, also to those inherited in minimd,
+    and to their own methods that have defaults.
 
     What is no class is passed over.
     """

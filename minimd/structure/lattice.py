@@ -29,7 +29,8 @@ def crystal(
     repeat : three numbers of unit cells, each at least 1.
     lattice_constant : edge of the unit cell [length].
 
-    Raises ValueError for an unknown lattice, a repeat that is not three positive whole numbers, too many atoms, or an edge that is not positive.
+    Raises ValueError for an unknown lattice, a repeat that is not three positive whole numbers, too many atoms,
+    or an edge that is not positive.
     """
     basis = BASES[checked_choice("lattice", lattice, BASES)]
     counts = checked_indices("repeat", repeat, "three numbers of unit cells")

@@ -50,8 +50,8 @@ def _masses(atoms: AtomGroup, units: UnitSystem) -> NDArray[np.float64] | None:
     if not (masses > 0.0).all():
         first = int(np.argmin(masses > 0.0))
         raise ValueError(
-            f"masses must be positive; MDAnalysis has {masses[first]} for atom {first}, as for all types that it does not know: "
-            "set universe.atoms.masses, or call universe.add_TopologyAttr('masses', values)"
+            f"masses must be positive; MDAnalysis has {masses[first]} for atom {first}, as for all types that it does "
+            "not know: set universe.atoms.masses, or call universe.add_TopologyAttr('masses', values)"
         )
     return masses
 

@@ -1,6 +1,7 @@
 """What can be measured on a state: energies, temperature, pressure, linear and angular momentum.
 
-Sums are compiled: they need no memory, and no threads of BLAS, which would spin for a while on the cores that the forces need.
+Sums are compiled: they need no memory, and no threads of BLAS,
+which would spin for a while on the cores that the forces need.
 velocities, positions : (N, 3).  masses : (N,).
 """
 
@@ -24,7 +25,8 @@ def kinetic_energy_of(mass, vx, vy, vz):
 
 @kernel
 def kinetic_energy(velocities, masses, step=0.0):
-    """K = Σ ½ m v² [energy].  step : each atom's share is rounded to a multiple of it, so that their order does not matter; 0 for no rounding."""
+    """K = Σ ½ m v² [energy].  step : each atom's share is rounded to a multiple of it,
+    so that their order does not matter; 0 for no rounding."""
     total = 0.0
     for i in range(velocities.shape[0]):
         total += on_grid(kinetic_energy_of(masses[i], velocities[i, 0], velocities[i, 1], velocities[i, 2]), step)
@@ -32,7 +34,8 @@ def kinetic_energy(velocities, masses, step=0.0):
 
 
 def leaves_out_center(n_atoms: int, conserves_momentum: bool) -> bool:
-    """Whether the center of mass is no degree of freedom: where the total momentum is a constant, but for a single atom.
+    """Whether the center of mass is no degree of freedom: where the total momentum is a constant,
+    but for a single atom.
 
     What degrees_of_freedom leaves out, all thermal quantities leave out, from temperature to displacements; see center.
     """
@@ -58,12 +61,13 @@ def center(vectors: Array, masses: Array, conserves_momentum: bool = True) -> Ar
 
 
 def thermal_energy(kinetic: float, drift: Array, masses: Array) -> float:
-    """½ Σ m (v − V)² = K − ½ V² Σ m [energy]; 0 if what is left of K is only rounding.  drift : V, center of velocities."""
+    """½ Σ m (v − V)² = K − ½ V² Σ m [energy]; 0 if what is left of K is only rounding.  drift : V,
+    center of velocities."""
     left = kinetic - 0.5 * float(masses.sum()) * float(drift @ drift)
     return 0.0 if left <= AT_REST * kinetic else left
 
 
-def temperature(kinetic: float, n_dof: int, k_B: float = 1.0) -> float:  # noqa: N803
+def temperature(kinetic: float, n_dof: int, k_B: float = 1.0) -> float:
     """Kinetic temperature T = 2K / (n_dof k_B).  kinetic : see thermal_energy.  n_dof : see degrees_of_freedom."""
     return 2.0 * kinetic / (n_dof * k_B)
 
@@ -79,7 +83,8 @@ def pressure(kinetic: float, virial: Array, volume: float) -> float:
 def stress(velocities: Array, masses: Array, virial: Array, volume: float) -> Array:
     """σ = −(Σ m v ⊗ v + W) / V [energy/length³], (3, 3), positive under tension; the pressure is −tr σ / 3.
 
-    M. P. Allen, D. J. Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), eq. 2.112, where the sign is that of a pressure.
+    M. P. Allen, D. J. Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), eq. 2.112,
+    where the sign is that of a pressure.
     """
     return np.asarray(-(momentum_flux(velocities, masses) + virial) / volume)
 
@@ -117,7 +122,10 @@ def absolute_momentum(velocities, masses):
 
 @kernel
 def longest(vectors):
-    """Index and length of the longest of (N, 3) vectors. If vectors are not finite: index of the first of them, and infinity."""
+    """Index and length of the longest of (N, 3) vectors.
+
+    If vectors are not finite: index of the first of them, and infinity.
+    """
     where, longest2 = 0, -1.0
     for i in range(vectors.shape[0]):
         length2 = vectors[i, 0] ** 2 + vectors[i, 1] ** 2 + vectors[i, 2] ** 2

@@ -1,4 +1,7 @@
-"""Warnings passed over in one thread alone. warnings.catch_warnings changes the filters of all threads, and may leave them changed."""
+"""Warnings passed over in one thread alone.
+
+warnings.catch_warnings changes the filters of all threads, and may leave them changed.
+"""
 
 import warnings
 from collections.abc import Iterator
@@ -10,7 +13,8 @@ IS_QUIET = ContextVar("is_quiet", default=False)
 
 
 class Here:
-    """In place of the regular expression of a filter: it fits every message of a thread, or asynchronous task, that is quiet."""
+    """In place of the regular expression of a filter: it fits every message of a thread, or asynchronous task,
+    that is quiet."""
 
     def match(self, _message: str) -> bool:
         """Called by the module warnings, in the thread that warns."""

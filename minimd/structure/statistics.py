@@ -29,7 +29,8 @@ WALKS = {
 
 
 def mean_and_error(series: Any) -> tuple[float, float]:
-    """Mean of a correlated series, and the standard error of the mean from its averages over 16 to 31 blocks; NaN for fewer than 4 entries."""
+    """Mean of a correlated series, and the standard error of the mean from its averages over 16 to 31 blocks;
+    NaN for fewer than 4 entries."""
     values = np.asarray(series, dtype=np.float64)
     if len(values) < FEW:
         return float(values.mean()) if len(values) else np.nan, np.nan
@@ -41,20 +42,22 @@ def mean_and_error(series: Any) -> tuple[float, float]:
 
 
 def standard_error(parts: Array, weighted: Weighted | None = None) -> Array:
-    """The standard error of the mean of K numbers (K, ...), each from the same length of a run, that may be correlated; (...).
+    """The standard error of the mean of K numbers (K, ...), each from the same length of a run, that may be correlated;
+    (...).
 
-        C_ab ∝ w Λ_ab(τ) + (1 − w) δ_ab                                         Λ: of averages of a process with correlations e^(−t/τ), Σ_b Λ_ab → 1
-        q = xᵀ(C⁻¹ − C⁻¹1 1ᵀC⁻¹/1ᵀC⁻¹1) x / (K − 1)                             xᵀx/(K − 1) of deviations x from the mean, if they are uncorrelated
+        C_ab ∝ w Λ_ab(τ) + (1 − w) δ_ab             Λ: of averages of a process with correlations e^(−t/τ), Σ_b Λ_ab → 1
+        q = xᵀ(C⁻¹ − C⁻¹1 1ᵀC⁻¹/1ᵀC⁻¹1) x / (K − 1)   xᵀx/(K − 1) of deviations x from the mean, if uncorrelated
         L = (|C| 1ᵀC⁻¹1 q^(K−1))^(−1/2)                                         likelihood of C, whatever mean and scale
         error = Σ p L √(q 1ᵀC1)/K / Σ p L                                       p: weight of C
 
-    The sums are over covariances C that few numbers can just tell from each other: w = 0, and those of TIMES and SHARES. Correlations that last
-    longer than a sixth of a run are seen in part only: the error is too small then. 0 for equal numbers, NaN for fewer than 4.
+    The sums are over covariances C that few numbers can just tell from each other: w = 0, and those of TIMES and
+    SHARES. Correlations that last longer than a sixth of a run are seen in part only: the error is too small then.
+    0 for equal numbers, NaN for fewer than 4.
 
     weighted : other covariances and their weights, see correlated and wandering.
 
-    H. D. Patterson, R. Thompson, Biometrika 58, 545 (1971), on L; J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky, Statist. Sci. 14, 382
-    (1999), on averages over models.
+    H. D. Patterson, R. Thompson, Biometrika 58, 545 (1971), on L; J. A. Hoeting, D. Madigan, A. E. Raftery, C. T.
+    Volinsky, Statist. Sci. 14, 382 (1999), on averages over models.
     """
     n = len(parts)
     if n < FEW:
@@ -73,7 +76,8 @@ def standard_error(parts: Array, weighted: Weighted | None = None) -> Array:
 
 
 def correlated(n: int) -> list[tuple[float, Array]]:
-    """Weights p and covariances C, (n, n), of averages that nothing, or a correlation e^(−t/τ), ties to each other; see standard_error."""
+    """Weights p and covariances C, (n, n), of averages that nothing, or a correlation e^(−t/τ), ties to each other;
+    see standard_error."""
     lags, each = np.abs(np.subtract.outer(np.arange(n), np.arange(n))), (1.0 - NONE) / (len(TIMES) * len(SHARES))
     found = [(NONE, np.eye(n))]
     for time in n * np.array(TIMES):
@@ -115,7 +119,8 @@ def independent(rest: Array) -> float:
 
 
 def statistical_inefficiency(series: Any) -> float:
-    """How many entries of a correlated series count as one independent entry: g = T error² / σ²; NaN if the error is, 1 for a constant series."""
+    """How many entries of a correlated series count as one independent entry: g = T error² / σ²; NaN if the error is,
+    1 for a constant series."""
     values = np.asarray(series, dtype=np.float64)
     error, variance = mean_and_error(values)[1], float(values.var(ddof=1)) if len(values) > 1 else 0.0
     return len(values) * error**2 / variance if variance > 0.0 else 1.0
@@ -129,14 +134,16 @@ def block_means(series: Array, blocks: int) -> Array:
 def replicas(estimate: Callable[[Array], Any], total: Array, parts: Array) -> Array:
     """Estimates from the sums over a run without one of its blocks, (K, ...), for each of K blocks; see spread.
 
-    estimate : function of sums (n,), linear or not; returns a number or an array.  total : (n,).  parts : (K, n), of blocks of equal length.
+    estimate : function of sums (n,), linear or not; returns a number or an array.  total : (n,).  parts : (K, n),
+        of blocks of equal length.
     This is the jackknife: B. Efron, C. Stein, Ann. Statist. 9, 586 (1981).
     """
     return np.array([estimate(total - part) for part in parts], dtype=np.float64)
 
 
 def spread(without: Array) -> Array:
-    """The standard error that follows from replicas f_k in the order of time, (K, ...): that of the mean of (K − 1) f_k."""
+    """The standard error that follows from replicas f_k in the order of time, (K, ...): that of the mean of (K − 1)
+    f_k."""
     return standard_error((len(without) - 1.0) * without)
 
 

@@ -1,4 +1,5 @@
-"""Homogeneous strain of arrays of vectors: rows (n, 3), or blocks (n, 3, m) that hold the x, the y and the z of m vectors."""
+"""Homogeneous strain of arrays of vectors: rows (n, 3), or blocks (n, 3, m) that hold the x,
+the y and the z of m vectors."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,14 @@ def strained(
     out: NDArray[np.float64],
     shift: NDArray[np.float64] = NOWHERE,
 ) -> None:
-    """out = vectors @ matrix + shift; both may be one array.  vectors, out : (n, 3) or (n, 3, m).  matrix : (3, 3).  shift : (3,)."""
+    """out = vectors @ matrix + shift; both may be one array.  vectors, out : (n, 3) or (n, 3, m).  matrix : (3, 3).
+    shift : (3,)."""
     multiply_blocks(as_blocks(vectors), np.ascontiguousarray(matrix), shift, as_blocks(out))
 
 
 def follow_lattice(translations: NDArray[np.float64], before: NDArray[np.float64], after: NDArray[np.float64]) -> None:
-    """Translations by lattice vectors, (n, 3) or (n, 3, m), become the same multiples of other ones, in place.  before, after : (3, 3) rows."""
+    """Translations by lattice vectors, (n, 3) or (n, 3, m), become the same multiples of other ones, in place.  before,
+    after : (3, 3) rows."""
     follow_blocks(as_blocks(translations), np.ascontiguousarray(np.linalg.inv(before)), np.ascontiguousarray(after))
 
 

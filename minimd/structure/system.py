@@ -39,7 +39,8 @@ class System(Displayed):
     pbc : one bool or three; by default True where a lattice vector is given.
     species : N labels (str or int); all alike if not given.
     bonds : (B, 2) int, pairs of bonded atoms.  angles : (A, 3) int, triples of atoms with an angle at the second one.
-    dihedrals, impropers : (D, 4), (I, 4) int, quadruples of atoms with an angle between the planes through the first and the last three.
+    dihedrals, impropers : (D, 4), (I, 4) int, quadruples of atoms with an angle between
+        the planes through the first and the last three.
     units : minimd.units.LJ (reduced, default) or minimd.units.ASE (eV, Å, u).
     constraints : DistanceConstraints and FixedAtoms that a Simulation keeps unless it is given others.
 
@@ -51,9 +52,9 @@ class System(Displayed):
 
     Raises
     ------
-    ValueError : if a shape does not fit, a number is masked, complex, a bool or not finite, a mass is not positive, a bond, an angle or a dihedral
-        names a missing atom, one atom twice or one pair twice, or a periodic direction has no lattice vector. TypeError : for units or constraints of
-        another kind.
+    ValueError : if a shape does not fit, a number is masked, complex, a bool or not finite, a mass is not positive, a
+        bond, an angle or a dihedral names a missing atom, one atom twice or one pair twice, or a periodic direction has
+        no lattice vector. TypeError : for units or constraints of another kind.
     """
 
     def __init__(
@@ -116,7 +117,10 @@ class System(Displayed):
 
     def __repr__(self) -> str:
         names = ", ".join(str(name) for name in self.species_names)
-        return f"System({len(self)} atoms of {names}; {self._joined}; periodic {self.cell.pbc.tolist()}; {self.units.name} units)"
+        return (
+            f"System({len(self)} atoms of {names}; {self._joined}; periodic {self.cell.pbc.tolist()}; "
+            f"{self.units.name} units)"
+        )
 
     @property
     def _joined(self) -> str:
@@ -171,10 +175,11 @@ class System(Displayed):
     ) -> System:
         """A system in ASE's units from an ase.Atoms: see minimd.structure.ase_atoms.system_arguments.
 
-        bonds, angles, dihedrals, impropers : as for System. If bonds is not given, those that ASE read from a file: atoms.arrays["bonds"] and so
+        bonds, angles, dihedrals, impropers : as for System. If bonds is not given, those that ASE read from a file:
+            atoms.arrays["bonds"] and so
         on; bonds=() for none of them.
-        FixCom sets the total momentum to zero and is then forgotten. To have a Simulation refuse to move the center of mass, give it the atoms
-        themselves.
+        FixCom sets the total momentum to zero and is then forgotten. To have a Simulation refuse to move the center of
+        mass, give it the atoms themselves.
         """
         from minimd.structure.ase_atoms import system_arguments
 
@@ -192,14 +197,18 @@ class System(Displayed):
         impropers: ArrayLike | None = None,
         pbc: ArrayLike | None = None,
     ) -> System:
-        """A system from the present frame of an MDAnalysis universe, or of a group of its atoms: all that System takes, except constraints.
+        """A system from the present frame of an MDAnalysis universe, or of a group of its atoms: all that System takes,
+        except constraints.
 
-        MDAnalysis holds positions, velocities and cell in float32, the cell as lengths and angles. Species are its types.
+        MDAnalysis holds positions, velocities and cell in float32, the cell as lengths and angles.
+        Species are its types.
 
         Parameters
         ----------
-        units : minimd.units.ASE, to which Å, Å/ps and u are converted; or minimd.units.LJ, with which numbers are taken unchanged.
-        bonds, angles, dihedrals, impropers : as for System; those of the universe if not given, () for none.  pbc : as for System.
+        units : minimd.units.ASE, to which Å, Å/ps and u are converted; or minimd.units.LJ,
+            with which numbers are taken unchanged.
+        bonds, angles, dihedrals, impropers : as for System; those of the universe if not given, () for none.  pbc :
+            as for System.
 
         Raises
         ------
@@ -211,7 +220,8 @@ class System(Displayed):
         return cls(**universe_arguments(universe, units, groups, pbc))
 
     def to_ase(self) -> ase.Atoms:
-        """An ase.Atoms with the same positions, momenta, masses, cell, species, bonds and constraints: see minimd.ase.atoms_from_system."""
+        """An ase.Atoms with the same positions, momenta, masses, cell, species, bonds and constraints:
+        see minimd.ase.atoms_from_system."""
         from minimd.structure.ase_atoms import atoms_from_system
 
         return atoms_from_system(self)
@@ -292,7 +302,8 @@ def _constraints(constraints: Any) -> tuple[Constraint, ...]:
 
 
 def check_resolution(system: System, length: float, name: str) -> None:
-    """Raise ValueError if separations of atoms have rounding errors of more than RESOLVED of a length.  name : of the length, in words."""
+    """Raise ValueError if separations of atoms have rounding errors of more than RESOLVED of a length.  name :
+    of the length, in words."""
     farthest = largest_component(system.positions)
     if EPS * farthest > RESOLVED * length:
         error, most = f"{EPS * farthest:.1g}, more than a millionth of {name}, {length:.3g}", RESOLVED * length / EPS
@@ -301,7 +312,8 @@ def check_resolution(system: System, length: float, name: str) -> None:
 
 
 def number_density(system: System, thickness: float) -> float:
-    """N / V [1/length³]; open directions count with the width of the scene, or with a thickness [length] if that is more."""
+    """N / V [1/length³]; open directions count with the width of the scene,
+    or with a thickness [length] if that is more."""
     cell = system.cell
     fractional = np.einsum("ij,jk->ik", system.positions, cell.inverse)  # not @: see observables
     widths = np.where(cell.pbc, cell.heights, np.maximum(thickness, np.ptp(fractional, axis=0) * cell.heights))

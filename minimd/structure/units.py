@@ -1,7 +1,7 @@
 """Unit systems. The core computes in any consistent units; all conversion factors of minimd are in this file.
 
-ASE's units: length Å, energy eV, mass u, hence time Å √(u/eV). Constants are those of ase.units (CODATA 2014), so that a number
-given to ASE and taken back is the same number; a test compares the two.
+ASE's units: length Å, energy eV, mass u, hence time Å √(u/eV). Constants are those of ase.units (CODATA 2014), so that
+a number given to ASE and taken back is the same number; a test compares the two.
 """
 
 import math
@@ -19,19 +19,21 @@ DEGREE = math.pi / 180.0  # rad
 
 @dataclass(frozen=True)
 class UnitSystem:
-    """A consistent set of units, and the factors that convert its numbers to Å, ps and kJ/mol; by default reduced units.
+    """A consistent set of units, and the factors that convert its numbers to Å, ps and kJ/mol;
+    by default reduced units.
 
     name : "ASE" or "LJ".
     k_B : Boltzmann constant [energy/temperature].
-    to_angstrom, to_picosecond, to_kj_per_mol : factors for files that must have these units. Reduced numbers are written
-        unchanged (1 σ as 1 Å, 1 τ as 1 ps, 1 ε as 1 kJ/mol), as most tools do.
-    shown_time : name of the unit of time · to_picosecond, as it is shown.  small_time : the same for time steps, of which
-        shown_small_time make one.
-    length, volume, time, energy, temperature, pressure, momentum, angular_momentum : names of the units, for files, plots and reports.
+    to_angstrom, to_picosecond, to_kj_per_mol : factors for files that must have these units. Reduced numbers are
+        written unchanged (1 σ as 1 Å, 1 τ as 1 ps, 1 ε as 1 kJ/mol), as most tools do.
+    shown_time : name of the unit of time · to_picosecond, as it is shown.  small_time : the same for time steps, of
+        which shown_small_time make one.
+    length, volume, time, energy, temperature, pressure, momentum, angular_momentum : names of the units, for files,
+        plots and reports.
     """
 
     name: str = "LJ"
-    k_B: float = 1.0  # noqa: N815 - the symbol of the constant
+    k_B: float = 1.0
     to_angstrom: float = 1.0
     to_picosecond: float = 1.0
     to_kj_per_mol: float = 1.0
@@ -58,7 +60,8 @@ class UnitSystem:
         return (_system, (self.name,)) if is_known else (UnitSystem, tuple(vars(self).values()))
 
     def shown(self, time: float) -> str:
-        """A time as text: with 4 digits below 1000 of the small unit, else with 6 digits in the large one; "2.5 fs", "12.5 ps", "0.004 τ"."""
+        """A time as text: with 4 digits below 1000 of the small unit, else with 6 digits in the large one; "2.5 fs",
+        "12.5 ps", "0.004 τ"."""
         shown = time * self.to_picosecond
         small = shown * self.shown_small_time
         return f"{small:.4g} {self.small_time}" if abs(small) < 1000.0 else f"{shown:.6g} {self.shown_time}"

@@ -8,7 +8,7 @@ from minimd.structure.observables import Array, center, degrees_of_freedom, kine
 SEEDS = 2**128
 
 
-def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int | None = None) -> Array:  # noqa: N803
+def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int | None = None) -> Array:
     """Normally distributed velocities, (N, 3), with total momentum zero and kinetic temperature exactly the target.
 
     Each component has variance k_B T/m before the mean motion is removed and the rest rescaled.
@@ -26,8 +26,9 @@ def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int 
     return rescaled(velocities, masses, target, k_B, n_dof, np.zeros(3)) if target > 0.0 else velocities
 
 
-def rescaled(velocities: Array, masses: Array, target: float, k_B: float, n_dof: int, drift: Array) -> Array:  # noqa: N803
-    """V + √(T_target/T) (v − V): kinetic temperature exactly the target, (N, 3).  drift : V; scaled, too, if only rounding.
+def rescaled(velocities: Array, masses: Array, target: float, k_B: float, n_dof: int, drift: Array) -> Array:
+    """V + √(T_target/T) (v − V): kinetic temperature exactly the target, (N, 3).  drift : V; scaled, too,
+    if only rounding.
 
     Raises ValueError if the target is negative or not finite, or nothing moves, except all atoms alike.
     """

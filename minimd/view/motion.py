@@ -2,8 +2,9 @@
 
     r = Σ_k (low_k + width_k q_k / 2¹⁶) lattice_k        k = 1, 2, 3;  q_k = 0 … 2¹⁶ − 1
 
-Along periodic directions of the reduced lattice low is 0 and width is 1: q counts fractions of the lattice vector, a sum that overflows leads to
-the next cell, and the difference of two q, as a signed number, is that of nearest images. Along open directions each frame has its own bounds.
+Along periodic directions of the reduced lattice low is 0 and width is 1: q counts fractions of the lattice vector, a
+sum that overflows leads to the next cell, and the difference of two q, as a signed number, is that of nearest images.
+Along open directions each frame has its own bounds.
 """
 
 from collections.abc import Sequence
@@ -52,7 +53,8 @@ class Motion(NamedTuple):
     n_atoms: int
 
     def positions(self, k: int) -> Array:
-        """(A, 3) [length] of frame k, off by at most half of width/2¹⁶ along each lattice vector, and by any vector of the periodic lattice."""
+        """(A, 3) [length] of frame k, off by at most half of width/2¹⁶ along each lattice vector,
+        and by any vector of the periodic lattice."""
         positions: Array = (self.low[k] + self.width[k] * self.counts[k] / LEVELS) @ self.cell.lattice
         return positions
 
@@ -60,8 +62,10 @@ class Motion(NamedTuple):
 def motion_of(made: RunUniverse, most: int, marked: Sequence[int] = (), latest: bool = False) -> Motion:
     """The motion in a file whose universe is open.
 
-    most : largest number of frames; fewer are used if there are many atoms.  latest : the last frames, in place of evenly chosen ones.
-    marked : atoms that are always shown; all are shifted so that, in the last frame, the first of these is in the middle of the cell.
+    most : largest number of frames; fewer are used if there are many atoms.  latest : the last frames,
+        in place of evenly chosen ones.
+    marked : atoms that are always shown; all are shifted so that, in the last frame,
+        the first of these is in the middle of the cell.
     """
     contents, system = made.contents, made.contents.system
     cell, record, atoms = system.cell, contents.record, chosen_atoms(len(system), marked)
@@ -92,7 +96,8 @@ def motion_of(made: RunUniverse, most: int, marked: Sequence[int] = (), latest: 
 
 
 def bonds_among(atoms: NDArray[np.int64], system: System) -> NDArray[np.int64]:
-    """(B, 2) pairs of indices in atoms: bonded pairs, and pairs whose length is held fixed, if both atoms are shown; each pair once."""
+    """(B, 2) pairs of indices in atoms: bonded pairs, and pairs whose length is held fixed, if both atoms are shown;
+    each pair once."""
     held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
     place = np.full(len(system), -1)
     place[atoms] = np.arange(len(atoms))
@@ -124,7 +129,8 @@ def counted(fractions: Array, pbc: NDArray[np.bool_]) -> tuple[NDArray[np.uint16
 
 
 def neighbor_distances(positions: Array, species: NDArray[np.int64], n_species: int) -> Array:
-    """Median distance to the nearest other atom for each species [length], without images; 1 if there is no other atom."""
+    """Median distance to the nearest other atom for each species [length], without images;
+    1 if there is no other atom."""
     some = np.arange(0, len(positions), ceil(len(positions) / SAMPLED))
     if len(positions) < 2:
         return np.ones(n_species)

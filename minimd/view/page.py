@@ -100,7 +100,8 @@ def legend(motion: Motion, names: Sequence[Any], index: NDArray[np.int64]) -> st
     counts = np.bincount(index, minlength=len(names))
     rows = zip(names, colors(names), counts, strict=True)
     return "".join(
-        f'<li><svg viewBox="0 0 10 10" aria-hidden="true"><circle cx="5" cy="5" r="4.5" fill="{color}"/></svg> {html.escape(str(name))} ({n})</li>'
+        f'<li><svg viewBox="0 0 10 10" aria-hidden="true"><circle cx="5" cy="5" r="4.5" fill="{color}"/></svg> '
+        f"{html.escape(str(name))} ({n})</li>"
         for name, color, n in rows
     )
 

@@ -24,9 +24,11 @@ LARGEST_PICTURE = 1_500_000  # of an SVG in bytes; a larger one is drawn in pixe
 
 
 class Story(NamedTuple):
-    """title, heading : texts.  contents : of the file.  motion : Motion.  marked : atoms that caused a failure; empty without one.
+    """title, heading : texts.  contents : of the file.  motion : Motion.  marked : atoms that caused a failure;
+    empty without one.
 
-    cause : of a failure, with advice and fault; empty without one.  picture : MIME type and bytes.  alternative : the picture in words.
+    cause : of a failure, with advice and fault; empty without one.  picture : MIME type and bytes.  alternative :
+        the picture in words.
     report : text.  notes : sentences about what is not shown.
     """
 
@@ -56,13 +58,17 @@ def run_story(path: Path, frames: int) -> Story:
     """The check of a run as text, its picture, its atoms.  Raises as minimd.mdanalysis.universe."""
     with universe_of(path) as made:
         motion, contents = motion_of(made, frames), made.contents
-        words = "Four pictures: change of the total energy, temperature, change of the momentum, and structure; the report has their figures."
+        words = (
+            "Four pictures: change of the total energy, temperature, change of the momentum, and structure; the "
+            "report has their figures."
+        )
         shown = (_scalable(drawn(made)), words, str(checked(made)), _left_out(motion, contents.repaired))
         return Story(contents.title, _heading(path, contents), contents, motion, (), (), *shown)
 
 
 def failure_story(path: Path, frames: int, potentials: Potential | Sequence[Potential] | None) -> Story:
-    """The last steps of a failed run, made again; or, without potentials, the two states in its file.  Raises as minimd.replay."""
+    """The last steps of a failed run, made again; or, without potentials, the two states in its file.
+    Raises as minimd.replay."""
     past = read_crash_report(path)
     found = past.findings
     marked = (
@@ -89,7 +95,10 @@ def _steps(
         seen = replay(path, potentials, trajectory=steps, picture=drawing)
         with universe_of(seen.trajectory or path) as made:
             motion = moved(made)
-        words = "Four pictures against the step: total energy, distance of the closest pair, largest force, largest speed; the report has a table."
+        words = (
+            "Four pictures against the step: total energy, distance of the closest pair, largest force, largest "
+            "speed; the report has a table."
+        )
         return (
             read_file(path),
             motion,
@@ -121,7 +130,10 @@ def _states(
 
 def _heading(path: Path, contents: H5MDContents) -> str:
     step = contents.system.units.shown(contents.timestep)
-    return f"{path.name}: {len(contents.system)} atoms, {contents.method} with Δt = {step}, {contents.system.units.name} units"
+    return (
+        f"{path.name}: {len(contents.system)} atoms, {contents.method} with Δt = {step}, "
+        f"{contents.system.units.name} units"
+    )
 
 
 def parameters(contents: H5MDContents) -> Rows:

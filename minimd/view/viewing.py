@@ -27,7 +27,9 @@ class View:
     summary: str
 
     def save(self, page: str | Path | None = None) -> Path:
-        """Write the page and return its name; if not given, that of the run with .html. A file or link with this name is replaced.
+        """Write the page and return its name; if not given, that of the run with .html.
+
+        A file or link with this name is replaced.
 
         Raises OSError if it cannot be written.
         """
@@ -51,19 +53,21 @@ class View:
 def view(file: str | Path, *, frames: int = FRAMES, potentials: Potential | Sequence[Potential] | None = None) -> View:
     """A run as a page: its report, its pictures, and its atoms in motion with cell, bonds and species.
 
-    For a failed run (.crash.h5md) the page shows the last steps, made again one by one, and marks the pair of atoms that caused the failure.
+    For a failed run (.crash.h5md) the page shows the last steps, made again one by one,
+    and marks the pair of atoms that caused the failure.
 
     Parameters
     ----------
     file : .h5md file of a run, or .crash.h5md that a failed run left.
     frames : largest number of frames, evenly chosen from those in the file; fewer are shown if there are many atoms.
-    potentials : for a failed run only; if not given, those of the scene that is stored in the file. Without both, the page shows the two
-        states in the file.
+    potentials : for a failed run only; if not given, those of the scene that is stored in the file. Without both, the
+        page shows the two states in the file.
 
     Raises
     ------
-    FileNotFoundError, OSError, ValueError : as md.replay for a failed run, else as minimd.mdanalysis.universe.  ValueError also if potentials
-        are given for a run that did not fail, or if frames is not a whole number of at least 2.
+    FileNotFoundError, OSError, ValueError : as md.replay for a failed run, else as minimd.mdanalysis.universe.
+        ValueError also if potentials are given for a run that did not fail,
+        or if frames is not a whole number of at least 2.
     """
     frames, path = checked_count("frames", frames, least=2), Path(file)
     from minimd.files.crash_file import is_crash_file  # these load h5py, MDAnalysis and matplotlib

@@ -47,7 +47,8 @@ LANE_BY_LANE = (
 
 
 def _instruction(of_floats: str, of_integers: str, *sign: str):
-    """An intrinsic for two vectors of one type: IRBuilder's methods for floats and for integers, and the sign of a comparison."""
+    """An intrinsic for two vectors of one type: IRBuilder's methods for floats and for integers,
+    and the sign of a comparison."""
 
     @intrinsic
     def operation(_context, a, b):
@@ -83,7 +84,8 @@ def _multiply_add(_context, a, b, c):
 
 
 def fma(a, b, c):
-    """a · b + c for three numbers or three vectors of one type, rounded once where the processor has an instruction for it; c may be a number."""
+    """a · b + c for three numbers or three vectors of one type,
+    rounded once where the processor has an instruction for it; c may be a number."""
     return a * b + c
 
 
@@ -112,7 +114,8 @@ def _select(mask, a, b):
 
 
 def _bind(function, operation) -> None:
-    """Let a Python operator of two arguments do an operation where one of them is a vector and the other a vector or a number."""
+    """Let a Python operator of two arguments do an operation where one of them is a
+    vector and the other a vector or a number."""
 
     @overload(function)
     def of_vectors(a, b):
@@ -150,7 +153,10 @@ def _negative(x):
 
 @overload(operator.pow)
 def _power(x, exponent):
-    """The powers that laws are written with; the compiler picks one where the exponent is a constant. Others lane by lane."""
+    """The powers that laws are written with; the compiler picks one where the exponent is a constant.
+
+    Others lane by lane.
+    """
     if not (isinstance(x, Vector) and isinstance(exponent, types.Number)):
         return None
     lanes = x.lanes

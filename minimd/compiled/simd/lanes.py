@@ -1,4 +1,5 @@
-"""How many lanes a vector has, as a type: kernels are compiled for the number that suits the processor and the precision."""
+"""How many lanes a vector has, as a type: kernels are compiled for the number that suits
+the processor and the precision."""
 
 import functools
 import re
@@ -12,7 +13,10 @@ from minimd.compiled.simd.vector import n_lanes
 
 DOUBLE, MIXED = 64, 32  # bits of a number of the pair arithmetic
 REGISTERS = {"zmm": 512, "ymm": 256}  # names in assembly of registers with more than 128 bits
-PROBE = "define <8 x double> @sum(<8 x double> %a, <8 x double> %b) {\n  %c = fadd <8 x double> %a, %b\n  ret <8 x double> %c\n}"
+PROBE = (
+    "define <8 x double> @sum(<8 x double> %a, <8 x double> %b) {\n  %c = fadd <8 x double> %a, %b\n  ret <8 x "
+    "double> %c\n}"
+)
 
 
 class Lanes4(namedtuple("Lanes4", "")):
@@ -39,7 +43,8 @@ def count(lanes):
 
 @functools.cache
 def register_bits() -> int:
-    """Width of the registers in which vectors are added, from the compiler's output: Numba may compile for another processor than this one."""
+    """Width of the registers in which vectors are added, from the compiler's output:
+    Numba may compile for another processor than this one."""
     triple, name, features = cpu_target.target_context.codegen().magic_tuple()
     machine = llvm.Target.from_triple(triple).create_target_machine(cpu=name, features=features)
     assembly = machine.emit_assembly(llvm.parse_assembly(PROBE))
@@ -48,5 +53,6 @@ def register_bits() -> int:
 
 @functools.cache
 def lanes_for(bits: int) -> Lanes:
-    """Lanes for numbers of this many bits: eight if they fit into one register, else four, with which the inner loop needs 16 registers."""
+    """Lanes for numbers of this many bits: eight if they fit into one register, else four,
+    with which the inner loop needs 16 registers."""
     return Lanes8() if 8 * bits <= register_bits() else Lanes4()

@@ -73,7 +73,8 @@ def trailing_zeros(_context, bits):
 
 @intrinsic
 def convert(_context, vector, like):
-    """A vector of float64, float32 or int32 with the element type of like, a vector or a number of float64 or float32."""
+    """A vector of float64, float32 or int32 with the element type of like,
+    a vector or a number of float64 or float32."""
     element = like.element if isinstance(like, Vector) else like
     kind = Vector(element, vector.lanes)
 
@@ -123,7 +124,8 @@ def with_lane(_context, vector, k, number):
 
 @intrinsic(prefer_literal=True)
 def load(_context, array, index, lanes):
-    """Contiguous elements of a one-dimensional array, from index.  lanes : how many, a literal or one of simd.lanes; or a vector of as many."""
+    """Contiguous elements of a one-dimensional array, from index.  lanes : how many, a literal or one of simd.lanes;
+    or a vector of as many."""
     kind = Vector(array.dtype, n_lanes(lanes))
 
     def generate(context, builder, signature, arguments):
@@ -151,7 +153,9 @@ def n_lanes(lanes: types.Type) -> int:
     """The number of lanes that a Numba type stands for: a vector, one of simd.lanes, or a literal."""
     if isinstance(lanes, Vector):
         return lanes.lanes
-    return lanes.literal_value if isinstance(lanes, types.Literal) else lanes.instance_class.size  # type: ignore[attr-defined]
+    if isinstance(lanes, types.Literal):
+        return lanes.literal_value  # type: ignore[attr-defined]
+    return lanes.instance_class.size  # type: ignore[attr-defined]
 
 
 def _some_lanes(builder, value, numbers):
@@ -167,6 +171,7 @@ def call(builder, name, result, arguments):
 
 
 def _pointer_to(context, builder, kind, arguments, vector):
-    """The address of an element of an array, as that of a vector.  arguments : values of the array, of type kind, and of the index."""
+    """The address of an element of an array, as that of a vector.  arguments : values of the array, of type kind,
+    and of the index."""
     data = context.make_array(kind)(context, builder, arguments[0]).data
     return builder.bitcast(builder.gep(data, [arguments[1]]), context.get_value_type(vector).as_pointer())

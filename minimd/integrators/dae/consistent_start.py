@@ -1,9 +1,10 @@
 """Consistent starts, which obey all constraints, given and hidden: numerical time derivatives, and the nearest root.
 
     c(ε) = g(t + ε, y + ε y′ + ε²/2 y″)        dᵏg/dtᵏ along the solution is dᵏc/dεᵏ at ε = 0
-    x ← x − C⁺ c(x)                            Gauss-Newton, C⁺ the pseudo-inverse of C = ∂c/∂x: the root nearest to the guess
+    x ← x − C⁺ c(x)                            Gauss-Newton, C⁺ pseudo-inverse of C = ∂c/∂x: the nearest root
 
-C. C. Pantelides, SIAM J. Sci. Stat. Comput. 9, 213 (1988); B. Leimkuhler, L. R. Petzold, C. W. Gear, SIAM J. Numer. Anal. 28, 205 (1991).
+C. C. Pantelides, SIAM J. Sci. Stat. Comput. 9, 213 (1988); B. Leimkuhler, L. R. Petzold, C. W. Gear, SIAM J. Numer.
+Anal. 28, 205 (1991).
 """
 
 from collections.abc import Callable
@@ -33,10 +34,12 @@ def unit_of_time(y: Array, *derivatives: Array) -> float:
 def nearest_root(
     function: Callable[[Array], Array], x: Array, step: float = CENTRAL, dependent: float = DEPENDENT, size: float = 0.0
 ) -> Array:
-    """A root of the function near the guess, by Gauss-Newton: each correction is the smallest that solves the linearized equations.
+    """A root of the function near the guess, by Gauss-Newton:
+    each correction is the smallest that solves the linearized equations.
 
     step : of central differences, relative to x; wide for functions that are numerical derivatives themselves.
-    dependent : ratio of singular values below which equations count as dependent.  size : of the largest variable, where x may be smaller by chance.
+    dependent : ratio of singular values below which equations count as dependent.  size : of the largest variable,
+        where x may be smaller by chance.
     """
     best, least, size = x, np.inf, max(size, np.abs(x).max())
     for _ in range(MAX_ITERATIONS):

@@ -3,10 +3,10 @@
     index 1     y′ = f(t, y, z)                             0 = g(t, y, z)    gives z
     index 2     y′ = f(t, y, z)                             0 = g(t, y)       0 = dg/dt = g_t + g_y f gives z
     index 3     y′ = f(t, y, z),  z′ = k(t, y, z, u)        0 = g(t, y)       0 = dg/dt is hidden, 0 = d²g/dt² gives u
-    mechanics   q′ = v,  M(q) v′ = f(t, q, v) − G(q)ᵀ λ     0 = g(t, q)       0 = G v + g_t is hidden, 0 = d²g/dt² gives λ
+    mechanics   q′ = v,  M(q) v′ = f(t, q, v) − G(q)ᵀ λ     0 = g(t, q)       hidden: 0 = G v + g_t; 0 = d²g/dt² gives λ
 
-The state holds its parts one after the other. A start that violates one of these constraints is refused, with the reason.
-E. Hairer, G. Wanner, Solving ODEs II (1996), VI.1, VII.1.
+The state holds its parts one after the other. A start that violates one of these constraints is refused, with the
+reason. E. Hairer, G. Wanner, Solving ODEs II (1996), VI.1, VII.1.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ Parts = tuple[Array, ...]
 
 
 class Hessenberg(DifferentialAlgebraic):
-    """What the forms have in common: parts of the state, and a chain of constraints, each of which determines one of the last parts."""
+    """What the forms have in common: parts of the state, and a chain of constraints,
+    each of which determines one of the last parts."""
 
     names: ClassVar[tuple[str, ...]]  # of the parts
     functions: ClassVar[tuple[str, ...]]  # of the user, one for each part
@@ -47,8 +48,10 @@ class Hessenberg(DifferentialAlgebraic):
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, its algebraic variables solved for.
 
-        start : the parts one after the other, such as (q, v); algebraic variables may be left out; if given they are a first guess.
-        Raises ValueError for a start that violates a constraint, given or hidden; problem.corrected gives one that does not.
+        start : the parts one after the other, such as (q, v); algebraic variables may be left out;
+            if given they are a first guess.
+        Raises ValueError for a start that violates a constraint, given or hidden;
+        problem.corrected gives one that does not.
         """
         return self._consistent(start, t0, self._refused)
 
@@ -91,21 +94,24 @@ class Hessenberg(DifferentialAlgebraic):
 
             size = self._size_of_algebraic(t, parts) if k == last else _size(parts[i], parts)
             if not are_independent(violation, parts[i], step, size):
-                raise ValueError(f"{self.regular} must have full rank at the start, t = {t:g}, or the index is higher than {self.index}: "
+                raise ValueError(f"{self.regular} must have full rank at the start, t = {t:g}, or the index is higher "
+                                 f"than {self.index}: "
                                  f"the constraints 0 = {self.chain[k]} do not determine {self.names[i]}")  # fmt: skip
             root = nearest_root(violation, parts[i], step, size=size)
             parts[i] = root if k == last else judged(k, t, parts, root)
         return np.concatenate(parts)
 
     def _refused(self, k: int, t: float, parts: list[Array], root: Array) -> Array:
-        """The part that the k-th constraint determines: its root, or the part itself where the two agree to rounding."""
+        """The part that the k-th constraint determines: its root,
+        or the part itself where the two agree to rounding."""
         i = len(parts) - len(self.chain) + k
         name, part = self.names[i], parts[i]
         move, size = np.abs(root - part).max(), max(_size(part, parts), np.abs(root).max())
         if move > REFUSED * size:
             violation = self.constraint(k, t, *parts)
             worst = int(np.argmax(np.abs(violation)))
-            raise ValueError(f"the start violates the {'hidden ' if k else ''}constraint 0 = {self.chain[k]}: its element {worst} is "
+            raise ValueError(f"the start violates the {'hidden ' if k else ''}constraint 0 = {self.chain[k]}: its "
+                             f"element {worst} is "
                              f"{violation[worst]:.2e} at t = {t:g}, and {name} would have to move by {move:.1e}; "
                              "give consistent values, or take them from problem.corrected(start, t0)")  # fmt: skip
         return root if move > KEPT * size else part
@@ -119,14 +125,16 @@ class Hessenberg(DifferentialAlgebraic):
         return float(wanted / response) if wanted > 0.0 < response else 1.0
 
     def _highest_derivative(self, t: float, *parts: Array) -> Array:
-        """The derivative of y that occurs in the last constraint of the chain and depends on the algebraic variables."""
+        """The derivative of y that occurs in the last constraint of the chain and depends
+        on the algebraic variables."""
         return parts[-1]
 
     def _begun(self, start: Any, t: float) -> list[Array]:
         """The parts of a start, with zeros for algebraic variables that are not given; sizes are remembered."""
         if not isinstance(start, tuple) or len(start) not in (len(self.names) - 1, len(self.names)):
             raise ValueError(
-                f"the start must be a tuple of {', '.join(self.names)}, of which {self.names[-1]} may be left out; got {shown(start)}"
+                f"the start must be a tuple of {', '.join(self.names)}, of which {self.names[-1]} may be left out; got "
+                f"{shown(start)}"
             )
         parts = [np.array(part, dtype=float).reshape(-1) for part in start]
         if len(parts) < len(self.names):
@@ -140,7 +148,8 @@ class Hessenberg(DifferentialAlgebraic):
         for name, answer, part in zip(self.functions, self._answers(t, *parts), parts, strict=True):
             if answer.size != part.size:
                 raise ValueError(
-                    f"{name} must answer with as many numbers as it has variables, {part.size} as in the start; got {answer.size}"
+                    f"{name} must answer with as many numbers as it has variables, {part.size} as in the start; got "
+                    f"{answer.size}"
                 )
         return parts
 
@@ -165,7 +174,7 @@ class Hessenberg1(Hessenberg):
 
     index, names, functions, chain, regular = 1, ("y", "z"), ("f", "g"), ("g",), "g_z"
 
-    def __init__(self, f: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
+    def __init__(self, f: Function, g: Function, solver: Solver = Newton()) -> None:
         super().__init__(solver)
         self.f, self.g = taking(f, ("t", "y", "z"), "f"), taking(g, ("t", "y", "z"), "g")
 
@@ -193,7 +202,7 @@ class Hessenberg2(Hessenberg):
     index, names, functions, regular = 2, ("y", "z"), ("f", "g"), "g_y f_z"
     chain = ("g", "dg/dt = g_t + g_y f")
 
-    def __init__(self, f: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
+    def __init__(self, f: Function, g: Function, solver: Solver = Newton()) -> None:
         super().__init__(solver)
         self.f, self.g = taking(f, ("t", "y", "z"), "f"), taking(g, ("t", "y"), "g")
 
@@ -225,7 +234,7 @@ class Hessenberg3(Hessenberg):
     index, names, functions, regular = 3, ("y", "z", "u"), ("f", "k", "g"), "g_y f_z k_u"
     chain = ("g", "dg/dt = g_t + g_y f", "d²g/dt²")
 
-    def __init__(self, f: Function, k: Function, g: Function, solver: Solver = Newton()) -> None:  # noqa: B008
+    def __init__(self, f: Function, k: Function, g: Function, solver: Solver = Newton()) -> None:
         super().__init__(solver)
         self.f, self.k, self.g = (
             taking(f, ("t", "y", "z"), "f"),
@@ -269,17 +278,18 @@ class Mechanical(Hessenberg3):
         q′ = v        M(q) v′ = f(t, q, v) − G(t, q)ᵀ λ        0 = g(t, q)        G = ∂g/∂q
 
     The hidden constraints are 0 = G v + g_t and 0 = G v′ + (G v + g_t)_q v + …, which determines λ. The mass matrix and
-    the force are arbitrary, and constraints may depend on time. For particles and forces that do not depend on v, RATTLE
-    on a Holonomic problem is cheaper, and symplectic. Hairer, Wanner (1996), VII.1, eq. 1.46.
+    the force are arbitrary, and constraints may depend on time. For particles and forces that do not depend on v,
+    RATTLE on a Holonomic problem is cheaper, and symplectic. Hairer, Wanner (1996), VII.1, eq. 1.46.
 
     Parameters
     ----------
     mass : number, (n,) diagonal, (n, n) matrix, or a function of q that answers with one of them [mass].
     force : function of t, q, v, or of some of them under these names [force].
-    g : (m,) constraints, function of t, q.  gradient : (m, n) G = ∂g/∂q, a function of the same; by differences of order 6 if not given.
+    g : (m,) constraints, function of t, q.  gradient : (m, n) G = ∂g/∂q, a function of the same;
+        by differences of order 6 if not given.
 
-    The start is (q, v), or (q, v, λ) with a guess of λ; the force of the constraints is −Gᵀ λ. An error of G is one of this force: for
-    all digits of λ and v′ give the gradient. The message of a solution says how large the error is.
+    The start is (q, v), or (q, v, λ) with a guess of λ; the force of the constraints is −Gᵀ λ. An error of G is one of
+    this force: for all digits of λ and v′ give the gradient. The message of a solution says how large the error is.
     """
 
     names, functions, regular = ("q", "v", "λ"), ("q′", "force", "g"), "G M⁻¹ Gᵀ"
@@ -292,7 +302,7 @@ class Mechanical(Hessenberg3):
         g: Function,
         gradient: Function | None = None,
         solver: Solver = Newton(),
-    ) -> None:  # noqa: B008
+    ) -> None:
         of_time_and_q = taking(g, ("t", "q"), "g")
         super().__init__(
             lambda t, y, z: z,

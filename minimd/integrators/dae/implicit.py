@@ -2,8 +2,8 @@
 
     0 = F,  0 = dF/dt,  0 = d²F/dt²         along y + ε y′ + ε²/2 y″ + ε³/6 y‴: the derivative array
 
-A start is consistent if this array, with derivatives up to the index minus one, can be solved for y′, y″ … and for the variables
-whose derivative does not occur in F. The index is that of the pencil λ F_y′ + F_y at the start.
+A start is consistent if this array, with derivatives up to the index minus one, can be solved for y′, y″ … and for the
+variables whose derivative does not occur in F. The index is that of the pencil λ F_y′ + F_y at the start.
 S. L. Campbell, SIAM J. Sci. Stat. Comput. 6, 334 (1985); E. Hairer, G. Wanner, Solving ODEs II (1996), VII.1, VII.2.
 """
 
@@ -44,12 +44,17 @@ class Implicit(DifferentialAlgebraic):
     F : (n,) function of t, y, slope, or of some of them under these names.
     F_y, F_slope : (n, n) ∂F/∂y and ∂F/∂y′, functions of the same; by finite differences if not given.
 
-    The start is y, or (y, y′) with a guess of y′. Variables whose derivative does not occur in F are taken for a guess as well.
+    The start is y, or (y, y′) with a guess of y′. Variables whose derivative does not
+    occur in F are taken for a guess as well.
     """
 
     def __init__(
-        self, F: Function, F_y: Function | None = None, F_slope: Function | None = None, solver: Solver = Newton()
-    ) -> None:  # noqa: B008, N803
+        self,
+        F: Function,
+        F_y: Function | None = None,
+        F_slope: Function | None = None,
+        solver: Solver = Newton(),
+    ) -> None:
         super().__init__(solver)
         names = "t", "y", "slope"
         self._F, self._slope = taking(F, names, "F"), np.zeros(0)
@@ -57,9 +62,11 @@ class Implicit(DifferentialAlgebraic):
         self._F_slope = F_slope if F_slope is None else taking(F_slope, names, "F_slope")
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
-        """The start as a state, with variables whose derivative does not occur in F solved for; field(t0, y) is then its y′.
+        """The start as a state, with variables whose derivative does not occur in F solved for; field(t0, y)
+        is then its y′.
 
-        Raises ValueError if F, or a time derivative of it, cannot be zero there; if the index is above 3, or solutions are not unique.
+        Raises ValueError if F, or a time derivative of it, cannot be zero there; if the index is above 3,
+        or solutions are not unique.
         """
         return self._consistent(start, t0, 0.0)
 
@@ -107,7 +114,8 @@ class Implicit(DifferentialAlgebraic):
             or not (np.isfinite(y).all() and np.isfinite(slope).all())
         ):
             raise ValueError(
-                f"the start must be y, or (y, y′), one-dimensional arrays of the same length with finite elements; got {shown(start)}"
+                "the start must be y, or (y, y′), one-dimensional arrays of the same length with finite elements; got "
+                f"{shown(start)}"
             )
         n_equations = self.residual(t, y, slope).size
         if n_equations != y.size:
@@ -116,7 +124,8 @@ class Implicit(DifferentialAlgebraic):
         return y, slope
 
     def _consistent(self, start: Any, t: float, least: float) -> Array:
-        """y, after solving F = 0 and its derivatives up to the index minus one.  least : mobility of variables whose derivative occurs in F."""
+        """y, after solving F = 0 and its derivatives up to the index minus one.  least :
+        mobility of variables whose derivative occurs in F."""
         y, slope = self._begun(start, t)
         derivatives = np.abs(self.slope_jacobian(t, y, slope))
         mobility = np.where(derivatives.max(axis=0) <= ABSENT * derivatives.max(), 1.0, least)
@@ -185,7 +194,8 @@ class Implicit(DifferentialAlgebraic):
         k = int(np.argmax(np.abs(left) - allowed))
         if not abs(left[k]) <= allowed[k]:
             order, equation = divmod(k, self._slope.size)
-            raise ValueError(f"the start violates F(t, y, y′) = 0: {ORDINALS[order]}equation {equation} stays at {left[k] / unit**order:.2e} "
+            raise ValueError(f"the start violates F(t, y, y′) = 0: {ORDINALS[order]}equation {equation} stays at "
+                             f"{left[k] / unit**order:.2e} "
                              f"at t = {t:g}, whatever y′ and the variables without one are; "
                              "give consistent values, or take them from problem.corrected(start, t0)")  # fmt: skip
 
@@ -199,27 +209,32 @@ def _taylor(coefficients: list[Array], e: float) -> Array:
 
 
 def _levels(of_slope: Array, of_state: Array) -> Array:
-    """(n,) powers of 1/h by which errors of equations are amplified in each variable: 0, 1 or 2, from (F_y′/h + F_y)⁻¹ at two small h."""
+    """(n,) powers of 1/h by which errors of equations are amplified in each variable: 0, 1 or 2,
+    from (F_y′/h + F_y)⁻¹ at two small h."""
     m, a = of_slope / (np.abs(of_slope).max() or 1.0), of_state / (np.abs(of_state).max() or 1.0)
     long, short = (np.abs(np.linalg.inv(m / h + a)).max(axis=1) for h in (1e-3, 1e-4))
     return np.clip(np.round(np.log10(short / long)), 0, HIGHEST_INDEX - 1).astype(int)
 
 
-def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> int:  # noqa: N803
-    """Index ν of the pencil λM − A: how often equations of M y′ = A y must be differentiated to give y′. 0 if M is regular.
+def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> int:
+    """Index ν of the pencil λM − A: how often equations of M y′ = A y must be differentiated to give y′.
+    0 if M is regular.
 
-        P M Q = diag(1, N),  P A Q = diag(C, 1)          Weierstrass' form of a regular pencil; the index is that of N: Nᵛ = 0 ≠ Nᵛ⁻¹
+        P M Q = diag(1, N),  P A Q = diag(C, 1)          Weierstrass' form; the index is that of N: Nᵛ = 0 ≠ Nᵛ⁻¹
 
-    Shuffle algorithm: orthogonal row operations bring M to (M₁; 0) with M₁ of full rank and A to (A₁; A₂); the equations 0 = A₂ y are
-    differentiated, 0 = A₂ y′, and become rows of M. It ends when M is regular; the number of rounds is the index.
+    Shuffle algorithm: orthogonal row operations bring M to (M₁; 0) with M₁ of full rank and A to (A₁; A₂); the
+    equations 0 = A₂ y are differentiated, 0 = A₂ y′, and become rows of M. It ends when M is regular;
+    the number of rounds is the index.
 
     Parameters
     ----------
-    M, A : (n, n).  tolerance : singular values below this part of the largest one count as zero; rows and time are scaled first.
+    M, A : (n, n).  tolerance : singular values below this part of the largest one count as zero;
+        rows and time are scaled first.
 
     Raises
     ------
-    ValueError : for matrices of other shapes, or a singular pencil, det(λM − A) = 0 for all λ: its solutions are not determined.
+    ValueError : for matrices of other shapes, or a singular pencil, det(λM − A) = 0 for all λ:
+        its solutions are not determined.
 
     F. R. Gantmacher, The Theory of Matrices, vol. 2 (1959), XII; D. G. Luenberger, Automatica 14, 473 (1978);
     ranks by singular values: P. Van Dooren, Linear Algebra Appl. 27, 103 (1979).
@@ -251,5 +266,9 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
 
 
 def _singular(n_constraints: int, index: int, sizes: Any) -> str:
-    return (f"the pencil is singular, det(λM − A) = 0 for all λ: after {index} differentiations {n_constraints} equations without y′ "
-            f"depend on each other (singular values from {sizes[0]:.1e} to {sizes[-1]:.1e}), so that some variable is not determined")  # fmt: skip
+    return (
+        f"the pencil is singular, det(λM − A) = 0 for all λ: after {index} differentiations {n_constraints} "
+        "equations without y′ "
+        f"depend on each other (singular values from {sizes[0]:.1e} to {sizes[-1]:.1e}), so that some variable is "
+        "not determined"
+    )

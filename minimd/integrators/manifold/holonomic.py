@@ -1,12 +1,13 @@
-"""Constrained mechanics of small systems: q″ = f(t, q) − M⁻¹ G(q)ᵀ λ with 0 = g(q), the differential-algebraic equation of index 3.
+"""Constrained mechanics of small systems: q″ = f(t, q) − M⁻¹ G(q)ᵀ λ with 0 = g(q),
+the differential-algebraic equation of index 3.
 
     drift     q₁ = q₀ + h v − M⁻¹ G(q₀)ᵀ λ  with  g(q₁) = 0,      v ← (q₁ − q₀)/h
     end       v ← v − M⁻¹ G(q₁)ᵀ μ          with  G(q₁) v = 0
 
-Kicks are unchanged. With the substeps of velocity Verlet this is RATTLE: order 2, symmetric, symplectic on the manifold.
-H. C. Andersen, J. Comput. Phys. 52, 24 (1983); B. Leimkuhler, R. D. Skeel, J. Comput. Phys. 112, 117 (1994).
-Symmetric sequences stay symmetric. Compositions of velocity Verlet, such as Yoshida's, keep their order. All others have order 2
-at most, because a constrained drift is not an exact flow: two of them in a row differ from a single one.
+Kicks are unchanged. With the substeps of velocity Verlet this is RATTLE: order 2, symmetric, symplectic on the
+manifold. H. C. Andersen, J. Comput. Phys. 52, 24 (1983); B. Leimkuhler, R. D. Skeel, J. Comput. Phys. 112, 117 (1994).
+Symmetric sequences stay symmetric. Compositions of velocity Verlet, such as Yoshida's, keep their order. All others
+have order 2 at most, because a constrained drift is not an exact flow: two of them in a row differ from a single one.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ class Holonomic(SecondOrder):
     ----------
     f : acceleration without the constraints, a function of q, or of t and q [length/time²].
     g : (m,) constraints, a function of q.
-    jacobian : (m, n) G = ∂g/∂q, a function of q. By differences of order 6 if not given: G v = 0 then holds to their error,
-        which the message of a solution tells.
+    jacobian : (m, n) G = ∂g/∂q, a function of q. By differences of order 6 if not given: G v = 0 then holds to their
+        error, which the message of a solution tells.
     masses : (n,) mass of each coordinate, or one number [mass].
 
     A start that violates g = 0 or G v = 0 is projected, with a warning that says how far it was off.
@@ -59,7 +60,7 @@ class Holonomic(SecondOrder):
         jacobian: Function | None = None,
         masses: ArrayLike = 1.0,
         solver: Solver = Newton(),
-    ) -> None:  # noqa: B008
+    ) -> None:
         super().__init__(f, solver=solver)
         if "v" in self.f.takes:
             raise ValueError("a constrained step needs forces that do not depend on v; f takes v")
@@ -99,7 +100,8 @@ class Holonomic(SecondOrder):
         return RattleStep(self, substeps)
 
     def sequence_order(self, substeps: Substeps) -> int:
-        """Compositions of velocity Verlet keep their order, because each of their steps is a RATTLE step; all others have order 2 at most."""
+        """Compositions of velocity Verlet keep their order, because each of their steps is a RATTLE step;
+        all others have order 2 at most."""
         return nystrom_order(substeps) if is_made_of_verlet(substeps) else min(nystrom_order(substeps), 2)
 
     def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
@@ -155,7 +157,8 @@ class RattleStep(SequenceStep):
 
 
 def is_made_of_verlet(substeps: Substeps) -> bool:
-    """Whether these are steps of velocity Verlet: kick w₁/2, drift w₁, kick (w₁ + w₂)/2, drift w₂, … with neighboring kicks merged."""
+    """Whether these are steps of velocity Verlet: kick w₁/2, drift w₁, kick (w₁ + w₂)/2, drift w₂,
+    … with neighboring kicks merged."""
     kicks, drifts = substeps[::2], (0.0, *(substep.coefficient for substep in substeps[1::2]), 0.0)
     if not isinstance(substeps[0], Kick) or len(kicks) != len(drifts) - 1:
         return False

@@ -100,7 +100,8 @@ class Manifold:
         sines = np.abs(np.diagonal(r)) / np.maximum(np.linalg.norm(gradients, axis=0), np.finfo(float).tiny)
         if not np.all(sines > PARALLEL):
             k = int(np.argmin(sines > PARALLEL))
-            raise ConvergenceError(f"invariant {k} is not independent: its gradient {_shown(gradients[:, k])} vanishes, or lies in the span of those "
+            raise ConvergenceError(f"invariant {k} is not independent: its gradient {_shown(gradients[:, k])} "
+                                   "vanishes, or lies in the span of those "
                                    "before it; the Jacobian of invariants must have full rank")  # fmt: skip
         return q, r
 
@@ -173,9 +174,10 @@ class CorrectedFirstOrder(FirstOrder):
 def stabilized(problem: Problem, invariants: Invariants, gamma: float) -> CorrectedPartitioned | CorrectedFirstOrder:
     """The problem y′ = f − γ Gᵀ (G Gᵀ)⁻¹ (g − g₀), for any method: its solutions approach the manifold g = g₀.
 
-    For one invariant, such as the energy, it reads y′ = f − γ (H − H₀) ∇H / |∇H|². Distances are those of y: choose units in which its
-    components have similar sizes. A problem with q and v becomes Partitioned, and its steps implicit. Far from the manifold give the
-    Jacobian of the invariants in closed form: y′ contains the noise of differences, 1e-13, with which implicit steps may not be solved.
+    For one invariant, such as the energy, it reads y′ = f − γ (H − H₀) ∇H / |∇H|². Distances are those of y: choose
+    units in which its components have similar sizes. A problem with q and v becomes Partitioned, and its steps
+    implicit. Far from the manifold give the Jacobian of the invariants in closed form: y′ contains the noise of
+    differences, 1e-13, with which implicit steps may not be solved.
 
     Parameters
     ----------

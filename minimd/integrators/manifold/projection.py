@@ -1,9 +1,10 @@
-"""Steps that end on the manifold g(y) = g₀ of the invariants, whatever the method: projections, and Lagrange multipliers.
+"""Steps that end on the manifold g(y) = g₀ of the invariants, whatever the method: projections,
+and Lagrange multipliers.
 
     ỹ = Φ_h(y₀)                     y₁ = ỹ + G(ỹ)ᵀ μ                  projected: standard projection
     ỹ = Φ_h(y₀ + G(y₀)ᵀ μ)          y₁ = ỹ + G(y₁)ᵀ μ                 symmetrically_projected
     y′ = f(t, y) − G(y)ᵀ z          z constant over the step          with_multipliers: the index-2 form, for any method
-    the same, 0 = g(y) − g₀         z as the method has it            index_two: the problem, for differential-algebraic methods
+    the same, 0 = g(y) − g₀         z as the method has it            index_two: the problem, for DAE methods
 
 with μ, or z, such that g(y₁) = g₀. The exact flow keeps g, so that the method keeps its order, and μ, z → 0 with h.
 A symplectic method is no longer symplectic afterwards, even where its energy is then constant.
@@ -48,7 +49,8 @@ def projected(method: type[Method], invariants: Invariants) -> type[Method]:
 
 
 def symmetrically_projected(method: type[Method], invariants: Invariants) -> type[Method]:
-    """The method, with moves of the same size off the manifold before each step and back to it afterwards: symmetric, if the method is.
+    """The method, with moves of the same size off the manifold before each step and back to it afterwards: symmetric,
+    if the method is.
 
     Parameters, Raises : as for projected.
     """
@@ -56,11 +58,14 @@ def symmetrically_projected(method: type[Method], invariants: Invariants) -> typ
 
 
 def with_multipliers(method: type[Method], invariants: Invariants) -> type[Method]:
-    """The method on y′ = f − Gᵀ z, with a z for each step such that it ends on the manifold: the index-2 form. Symmetric, if the method is.
+    """The method on y′ = f − Gᵀ z, with a z for each step such that it ends on the manifold: the index-2 form.
+
+    Symmetric, if the method is.
 
     Problems with q and v become Partitioned, and steps implicit.
 
-    Parameters, Raises : as for projected. TypeError from a run for other problems than SecondOrder, Partitioned, FirstOrder.
+    Parameters, Raises : as for projected. TypeError from a run for other problems than SecondOrder, Partitioned,
+        FirstOrder.
     """
     return _wrapped(method, invariants, "multipliers", MultiplierStep)
 
@@ -90,7 +95,8 @@ def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: type
 
 
 class ManifoldStep:
-    """A step that begins and ends on the manifold through the first state of the run.  is_symmetric : whether it keeps the symmetry of the method."""
+    """A step that begins and ends on the manifold through the first state of the run.  is_symmetric :
+    whether it keeps the symmetry of the method."""
 
     is_symmetric = True
 
@@ -178,7 +184,8 @@ class IndexTwo(Hessenberg2):
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start of the problem itself, (q, v) or y, as a state.
 
-        Raises ValueError if it is not on the manifold of given values, or if the gradients of the invariants are not independent.
+        Raises ValueError if it is not on the manifold of given values,
+        or if the gradients of the invariants are not independent.
         """
         y = self._problem.begin(start)
         self._manifold = self._invariants.through(y, self._problem.shape)
@@ -205,9 +212,11 @@ def index_two(problem: Problem, invariants: Invariants) -> IndexTwo:
 
 
 def arrival(manifold: Manifold, arrive: Arrival, slope: Callable[[], Array]) -> Array:
-    """arrive(z) with g(arrive(z)) = g₀, to rounding: Newton's method from z = 0, the matrix updated by Broyden's formula.
+    """arrive(z) with g(arrive(z)) = g₀, to rounding: Newton's method from z = 0,
+    the matrix updated by Broyden's formula.
 
-    arrive : (n,) state as a function of (m,) numbers z.  slope : a function that returns a guess of ∂g(arrive(z))/∂z, (m, m).
+    arrive : (n,) state as a function of (m,) numbers z.  slope : a function that returns a guess of ∂g(arrive(z))/∂z,
+        (m, m).
     Raises ConvergenceError with the largest error of an invariant.
     C. G. Broyden, Math. Comput. 19, 577 (1965), eq. 4.2.
     """

@@ -1,13 +1,15 @@
-"""Backward differentiation formulas: the polynomial through the last k states and the new one satisfies the equation at the new time.
+"""Backward differentiation formulas: the polynomial through the last k states and the new
+one satisfies the equation at the new time.
 
     F(t₁, y₁, K) = 0,      K = (1/h) Σ_{j=0}^{k} α_j y_{1−j},      α_j = ℓ_j′(t₁) h
     α = (1, −1)    (3/2, −2, 1/2)    (11/6, −3, 3/2, −1/3)    …                            for equal steps
 
-The α follow from the times of the last states, so that a shortened last step has the order of the others. The first k − 1 steps are
-made by Radau IIA with k stages, whose order is at least k in every variable that enters the formula.
-C. F. Curtiss, J. O. Hirschfelder, Proc. Natl. Acad. Sci. 38, 235 (1952); C. W. Gear, IEEE Trans. Circuit Theory 18, 89 (1971).
-Order k for problems of index 1 and 2, and of index 3 with equal steps after the first k + 1 (K. E. Brenan, S. L. Campbell,
-L. R. Petzold, Numerical Solution of Initial-Value Problems in Differential-Algebraic Equations (1989), 3.2).
+The α follow from the times of the last states, so that a shortened last step has the order of the others. The first k −
+1 steps are made by Radau IIA with k stages, whose order is at least k in every variable that enters the formula.
+C. F. Curtiss, J. O. Hirschfelder, Proc. Natl. Acad. Sci. 38, 235 (1952); C. W. Gear, IEEE Trans. Circuit Theory 18, 89
+(1971). Order k for problems of index 1 and 2, and of index 3 with equal steps after the first k + 1 (K. E. Brenan, S.
+L. Campbell, L. R. Petzold, Numerical Solution of Initial-Value Problems in Differential-Algebraic Equations (1989),
+3.2).
 """
 
 from collections import deque
@@ -22,13 +24,18 @@ __all__ = ["BDF1", "BDF2", "BDF3", "BDF4", "BDF5"]
 
 
 class BDF(Method):
-    """A backward differentiation formula. With k ≥ 2 it is not a one-step method: run_steps and run_until can use it, run_adaptive cannot.
+    """A backward differentiation formula.
+
+    With k ≥ 2 it is not a one-step method: run_steps and run_until can use it, run_adaptive cannot.
 
     n_past : number k of past states, and order; at most 5, because BDF6 is A(α)-stable only up to α = 18°.
     """
 
     n_past: ClassVar[int]
-    source = "C. F. Curtiss, J. O. Hirschfelder, Proc. Natl. Acad. Sci. 38, 235 (1952); C. W. Gear, IEEE Trans. Circuit Theory 18, 89 (1971)"
+    source = (
+        "C. F. Curtiss, J. O. Hirschfelder, Proc. Natl. Acad. Sci. 38, 235 (1952); C. W. Gear, IEEE Trans. "
+        "Circuit Theory 18, 89 (1971)"
+    )
     order = ClassProperty(lambda method: method.n_past)
     stages = 1
     is_symmetric = is_symplectic = is_explicit = False
@@ -59,8 +66,12 @@ class BDFStep:
         if not self._states or self._k == 1:
             self._states.appendleft(y)
         if self._states[0] is not y:
-            raise TypeError(f"bdf-{self._k} looks back at {self._k} states of its own path and cannot start anew at every step, as step doubling, "
-                            "reversible steps and projections want; use run_steps or run_until, or a one-step method such as RadauIIA3")  # fmt: skip
+            raise TypeError(
+                f"bdf-{self._k} looks back at {self._k} states of its own path and cannot start anew at "
+                "every step, as step doubling, "
+                "reversible steps and projections want; use run_steps or run_until, or a one-step method "
+                "such as RadauIIA3"
+            )
         y_new = self._start(t, y, h) if len(self._states) < self._k else self._formula(t, h)
         self._states.appendleft(y_new)
         self._steps.appendleft(h)

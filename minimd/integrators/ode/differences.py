@@ -1,13 +1,13 @@
 """Derivatives of functions by finite differences.
 
-    forward_differences      order 1, some 8 digits      matrices of Newton's method, whose errors vanish with its corrections
+    forward_differences      order 1, some 8 digits     matrices of Newton's method, whose errors vanish with it
     central_differences      order 2, some 11 digits     the same where ranks are judged too
-    accurate_differences     order 6, some 13 digits     derivatives that stand in the equations themselves, such as G in −Gᵀ λ
+    accurate_differences     order 6, some 13 digits    derivatives in the equations themselves, as G in −Gᵀ λ
     time_derivative          order 6, some 12 digits     along a path
     second time_derivative   order 6, some 10 digits
 
-Of order 6:  f′ = (45 Δ₁ − 9 Δ₂ + Δ₃)/(60 s) + O(s⁶),  Δ_j = f(js) − f(−js).  The one of order 4, (8 Δ₁ − Δ₂)/(12 s), estimates the error.
-B. Fornberg, Math. Comput. 51, 699 (1988), table 1.
+Of order 6:  f′ = (45 Δ₁ − 9 Δ₂ + Δ₃)/(60 s) + O(s⁶),  Δ_j = f(js) − f(−js).  The one of order 4, (8 Δ₁ − Δ₂)/(12 s),
+estimates the error. B. Fornberg, Math. Comput. 51, 699 (1988), table 1.
 """
 
 from collections.abc import Callable
@@ -34,12 +34,14 @@ NARROWING = 2.0**-8 / 4.0 ** np.arange(12)  # in units of a variable: powers of 
 GROWN, NEAR = (
     16.0,
     0.03,
-)  # an error that has grown by this factor, of a derivative this near the best one, is noise: it grows with each spacing
+    # an error that has grown by this factor, of a derivative this near the best one, is noise: it grows with spacing
+)
 ENOUGH = 1e-9  # relative error of the formula of order 4 with which the search ends: that of order 6 is then some 1e-13
 
 
 def forward_differences(function: Callable[[Array], Array], x: Array, at_x: Array) -> Array:
-    """∂function/∂x, one column per variable: half the evaluations of central differences, and fewer digits.  at_x : function(x)."""
+    """∂function/∂x, one column per variable: half the evaluations of central differences, and fewer digits.  at_x :
+    function(x)."""
     jacobian = np.empty((at_x.size, x.size))
     steps = FORWARD * np.maximum(np.abs(x), LEAST * (np.abs(x).max() or 1.0))
     for k in range(x.size):
@@ -54,7 +56,8 @@ def central_differences(
 ) -> Array:
     """∂function/∂x, one column per variable.
 
-    step : relative to each variable; wide for noisy functions.  size : of the largest variable, where x may be smaller by chance.
+    step : relative to each variable; wide for noisy functions.  size : of the largest variable,
+        where x may be smaller by chance.
     """
     steps = step * np.maximum(np.abs(x), LEAST * (max(np.abs(x).max(), size) or 1.0))
     columns = []
@@ -67,9 +70,11 @@ def central_differences(
 
 
 def accurate_differences(function: Callable[[Array], Array], x: Array, narrowed: float = 1.0) -> Array:
-    """∂function/∂x, one column per variable, to some 1e-13, at worst 1e-12 of the terms of the function: six evaluations of it for a variable.
+    """∂function/∂x, one column per variable, to some 1e-13, at worst 1e-12 of the terms of the function:
+    six evaluations of it for a variable.
 
-    Spacings are up to 1/256 of a variable, and are narrowed while the formulas of order 6 and 4 differ, or the function has no value there.
+    Spacings are up to 1/256 of a variable, and are narrowed while the formulas of order 6 and 4 differ,
+    or the function has no value there.
     narrowed : factor of all spacings.  The result is NaN where no spacing gives one.
     """
     here, sizes = function(x), np.maximum(np.abs(x), LEAST_WIDE * (np.abs(x).max() or 1.0))
@@ -89,7 +94,10 @@ def error_of_differences(function: Callable[[Array], Array], x: Array) -> float:
 
 def remark_on_differences(name: str, function: Callable[[Array], Array], x: Array) -> str:
     """Says that a derivative is found by accurate_differences, with their error at x."""
-    return f"{name} by differences, with a relative error of {max(error_of_differences(function, x), EPS):.0e} at the start"
+    return (
+        f"{name} by differences, with a relative error of {max(error_of_differences(function, x), EPS):.0e} at the "
+        "start"
+    )
 
 
 def time_derivative(path: Callable[[float], Array], order: int, unit: float) -> Array:

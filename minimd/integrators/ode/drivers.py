@@ -1,4 +1,5 @@
-"""Runs of small problems with a fixed time step, over a number of steps or up to a time, and their results in the manner of SciPy."""
+"""Runs of small problems with a fixed time step, over a number of steps or up to a time,
+and their results in the manner of SciPy."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,9 +24,11 @@ LEFTOVER = 1e-12  # of a step: a shorter rest is rounding of the times, and belo
 class Solution(Displayed):
     """A path on a grid of times.
 
-    t : (n + 1,) times.  y : (n + 1, size) states.  q, v : (n + 1, …) positions and velocities, of problems that have them.
+    t : (n + 1,) times.  y : (n + 1, size) states.  q, v : (n + 1, …) positions and velocities,
+        of problems that have them.
     nfev : evaluations of the right-hand side (of f, for problems with q and v).  n_rejected : steps tried in vain.
-    success, message : whether the end was reached, and if not, why; if so, what limits the accuracy beside the method and rounding.
+    success, message : whether the end was reached, and if not, why; if so,
+        what limits the accuracy beside the method and rounding.
     """
 
     t: Array
@@ -87,7 +90,8 @@ def run_steps(problem: Problem, method: Method, start: Any, n_steps: int, t0: fl
     ------
     TypeError : for anything but a problem and a method with its time step.
     ValueError : for counts below 1, a time that is not finite, or a start that does not fit the problem.
-    ConvergenceError, NonFiniteError : if a step cannot be made; the message names it, error.solution holds the path before.
+    ConvergenceError, NonFiniteError : if a step cannot be made; the message names it,
+        error.solution holds the path before.
     """
     check_method(method)
     checked_count("n_steps", n_steps)
@@ -156,7 +160,8 @@ def _finite(solution: Solution, h: float) -> Solution:
     if np.isfinite(solution.y[-1]).all():
         return solution
     first = int(np.argmin(np.isfinite(solution.y).all(axis=1)))
-    error = NonFiniteError(f"the state is not finite at t = {solution.t[first]:g}; the last finite one is at t = {solution.t[first - 1]:g}; "
+    error = NonFiniteError(f"the state is not finite at t = {solution.t[first]:g}; the last finite one is at t = "
+                           f"{solution.t[first - 1]:g}; "
                            f"reduce the timestep ({h:g}), or look for a singularity of the problem")  # fmt: skip
     raise with_path(error, Solution(solution.t[:first], solution.y[:first], solution.nfev, solution.shape))
 

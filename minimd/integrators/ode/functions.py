@@ -1,8 +1,9 @@
 """Functions of the user: which arguments they take, and their answers as arrays.
 
-A function is written with the arguments it needs, under the names that the problem gives them. It cannot depend on an argument that
-it does not take, and from this a method knows which steps are explicit. A function that takes all arguments may depend on all of them:
-its steps are solved as implicit ones, in one iteration where they turn out to be explicit.
+A function is written with the arguments it needs, under the names that the problem gives them. It cannot depend on an
+argument that it does not take, and from this a method knows which steps are explicit. A function that takes all
+arguments may depend on all of them: its steps are solved as implicit ones,
+in one iteration where they turn out to be explicit.
 """
 
 import inspect
@@ -117,7 +118,8 @@ def of_time_and_state(function: Function, name: str) -> Function:
 
 
 def taking(function: Function, names: tuple[str, ...], label: str) -> Function:
-    """The function as one of all the named arguments, of which it may take some, under these names and in this order; its answer is flat.
+    """The function as one of all the named arguments, of which it may take some, under these names and in this order;
+    its answer is flat.
 
     Raises TypeError for anything else.
     """
@@ -127,7 +129,8 @@ def taking(function: Function, names: tuple[str, ...], label: str) -> Function:
         return lambda *values: np.array(function(*values), dtype=float).reshape(-1)
     if takes != [name for name in names if name in takes]:
         raise TypeError(
-            f"{label} must take some of {', '.join(names)}, in this order and under these names; it takes ({', '.join(takes)})"
+            f"{label} must take some of {', '.join(names)}, in this order and under these names; it takes "
+            f"({', '.join(takes)})"
         )
     chosen = [names.index(name) for name in takes]
     return lambda *values: np.array(function(*(values[k] for k in chosen)), dtype=float).reshape(-1)

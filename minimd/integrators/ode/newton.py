@@ -1,12 +1,13 @@
 """Solving the equations of an implicit step, down to rounding.
 
-    x ← x − J⁻¹ r(x),   J ≈ ∂r/∂x        simplified Newton: J is kept from solution to solution, and renewed when progress is slow
+    x ← x − J⁻¹ r(x),   J ≈ ∂r/∂x        simplified Newton: J is kept, and renewed when progress is slow
     x ← x − r(x)                          fixed point: the same with J = 1, for r(x) = x − φ(x)
 
-An iteration has converged when the correction is at rounding, or is small and no longer shrinks although J is new: with a looser
-tolerance symmetric and symplectic methods would drift. Where each unknown has its own size, the columns of J are scaled by these
-sizes and its rows to one, because the equations of a differential-algebraic step differ by powers of h.
-E. Hairer, R. I. McLachlan, A. Razakarivony, BIT Numer. Math. 48, 231 (2008), 4; E. Hairer, G. Wanner, Solving ODEs II (1996), IV.8, VII.4.
+An iteration has converged when the correction is at rounding, or is small and no longer shrinks although J is new: with
+a looser tolerance symmetric and symplectic methods would drift. Where each unknown has its own size, the columns of J
+are scaled by these sizes and its rows to one, because the equations of a differential-algebraic step differ by powers
+of h. E. Hairer, R. I. McLachlan, A. Razakarivony, BIT Numer. Math. 48, 231 (2008), 4; E. Hairer, G. Wanner,
+Solving ODEs II (1996), IV.8, VII.4.
 """
 
 from collections.abc import Callable
@@ -29,7 +30,9 @@ Sizes = Array | float
 SLOW = 0.3  # the Jacobian is renewed if a correction is more than this part of the one before
 NEAR = 16.0 * EPS  # corrections, relative to the unknowns, that are taken for rounding once they shrink slowly
 STALLED = 0.5  # corrections that shrink by less than this factor with a new Jacobian no longer shrink
-SMALL = 1e-8  # corrections, relative to the unknowns, that are taken for rounding once they no longer shrink: about the square root of EPS
+# corrections, relative to the unknowns, that are taken for rounding once they no longer shrink: about the square root
+# of EPS
+SMALL = 1e-8
 
 
 class Newton:
@@ -82,7 +85,8 @@ class Newton:
 
 
 class FixedPoint(Newton):
-    """Fixed-point iteration x ← φ(x), without a Jacobian; it converges for short steps only.  Parameters, Raises : as for Newton."""
+    """Fixed-point iteration x ← φ(x), without a Jacobian; it converges for short steps only.  Parameters, Raises :
+    as for Newton."""
 
     slow = 1.0  # there is no Jacobian to renew
 
@@ -129,7 +133,8 @@ class Iteration:
 
         residual : function of x.  x : first guess.  jacobian : ∂residual/∂x, a function of x.
         key : what J depends on beside x, such as the time step; J is renewed when it changes.
-        scale : least sizes of the unknowns for relative errors, one number or an array; the equations are scaled by an array too.
+        scale : least sizes of the unknowns for relative errors, one number or an array;
+            the equations are scaled by an array too.
         floor : the same for corrections that no longer shrink; scale if not given.
         nothing : corrections up to this size end the iteration, whatever the unknowns.
         """

@@ -3,17 +3,18 @@
     SecondOrder   q″ = f(t, q, v)                               planets, pendulums, particles
     Partitioned   q′ = g(t, q, v),  v′ = f(t, q, v)             any Hamiltonian, with v for the momenta
 
-Separable problems, q′ = g(v) and v′ = f(t, q), are kicked and drifted. For all others the sequence is read as a product of the two
-symplectic Euler methods. Each of them solves one equation, and each is the adjoint of the other:
+Separable problems, q′ = g(v) and v′ = f(t, q), are kicked and drifted. For all others the sequence is read as a product
+of the two symplectic Euler methods. Each of them solves one equation, and each is the adjoint of the other:
 
     SE1   v₁ = v₀ + h f(t₀, q₀, v₁),   q₁ = q₀ + h g(t₀, q₀, v₁)
     SE2   q₁ = q₀ + h g(t₁, q₁, v₀),   v₁ = v₀ + h f(t₁, q₁, v₀)
 
     kick b₁, drift a₁, kick b₂, …  =  … SE1(b₂ − a₁ + b₁) ∘ SE2(a₁ − b₁) ∘ SE1(b₁)
 
-Velocity Verlet becomes SE2(½) ∘ SE1(½), the generalized Störmer-Verlet method (A), position Verlet (B). Time is a position:
-it moves with q. A sequence whose order p holds for all separable problems has the order p for all problems.
-R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995); E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), III.3.3, VI.3.
+Velocity Verlet becomes SE2(½) ∘ SE1(½), the generalized Störmer-Verlet method (A), position Verlet (B). Time is a
+position: it moves with q. A sequence whose order p holds for all separable problems has the order p for all problems.
+R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995); E. Hairer, C. Lubich, G. Wanner,
+Geometric Numerical Integration (2006), III.3.3, VI.3.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ class Partitioned:
 
     Parameters
     ----------
-    g, f : functions of t, q, v, or of those of them they depend on: g(v), f(q), f(t, q), …; q and v have the shape of the start,
-        and so have the answers. q and v are not to be changed.
+    g, f : functions of t, q, v, or of those of them they depend on: g(v), f(q), f(t, q), …; q and v have the shape of
+        the start, and so have the answers. q and v are not to be changed.
     g_q, f_v : (n, n) Jacobians ∂g/∂q and ∂f/∂v, functions of t, q, v; found by finite differences if not given.
     solver : Newton() or FixedPoint(), for steps that turn out implicit.
 
@@ -60,7 +61,7 @@ class Partitioned:
         g_q: Function | None = None,
         f_v: Function | None = None,
         solver: Solver = Newton(),
-    ) -> None:  # noqa: B008
+    ) -> None:
         self.g, self.f = Field(g, "v", "g"), Field(f, "q", "f")
         self.g_q = g_q if g_q is None else Field(g_q, "tqv", "g_q")
         self.f_v = f_v if f_v is None else Field(f_v, "tqv", "f_v")
@@ -79,7 +80,8 @@ class Partitioned:
     def begin(self, start: tuple[ArrayLike, ArrayLike], t0: float = 0.0) -> Array:
         """(q, v) as one state of length 2n.
 
-        Raises ValueError if q and v do not have the same shape, or a value is not finite; from g and f, if their answers have another shape.
+        Raises ValueError if q and v do not have the same shape, or a value is not finite; from g and f,
+        if their answers have another shape.
         """
         if not isinstance(start, (tuple, list, np.ndarray)) or len(start) != 2:
             raise ValueError(f"the start must be a pair, (q, v); got {shown(start)}")
@@ -94,7 +96,8 @@ class Partitioned:
         return y
 
     def sequence_step(self, substeps: Substeps) -> Step:
-        """The step of a splitting: kicks and drifts if the problem is separable, else the implicit form of the method."""
+        """The step of a splitting: kicks and drifts if the problem is separable,
+        else the implicit form of the method."""
         return SequenceStep(self, substeps) if self.is_separable else EulerStep(self, substeps)
 
     def sequence_order(self, substeps: Substeps) -> int:
@@ -125,7 +128,7 @@ class SecondOrder(Partitioned):
     f : a function of q, of t and q, or of t, q and v.  f_v, solver : as for Partitioned.
     """
 
-    def __init__(self, f: Function, f_v: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
+    def __init__(self, f: Function, f_v: Function | None = None, solver: Solver = Newton()) -> None:
         super().__init__(lambda v: v, f, f_v=f_v, solver=solver)
         self.g_is_v = True
 
@@ -208,7 +211,8 @@ class EulerStep:
         duration: float,
         iteration: Iteration,
     ) -> Array:
-        """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one is constant.  place : (t, q, v) with this x."""
+        """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one is constant.  place : (t, q, v)
+        with this x."""
         guess = x0 + duration * self._value(field, *place(x0))
         if unknown not in field.takes:
             return guess

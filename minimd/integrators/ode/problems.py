@@ -1,8 +1,8 @@
 """Problems whose state is one array: y′ = f(t, y), and the differential-algebraic F(t, y, y′) = 0.
 
 The index is how often equations must be differentiated until they determine y′. Constraints that appear on the way are
-hidden, and a start must obey them too. E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic Systems
-by Runge-Kutta Methods (1989); E. Hairer, G. Wanner, Solving ODEs II (1996), VI and VII.
+hidden, and a start must obey them too. E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic
+Systems by Runge-Kutta Methods (1989); E. Hairer, G. Wanner, Solving ODEs II (1996), VI and VII.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ class FirstOrder:
 
     Parameters
     ----------
-    f : function of t and y, or of y.  jacobian : (n, n) ∂f/∂y as a function of the same, found by finite differences if not given.
+    f : function of t and y, or of y.  jacobian : (n, n) ∂f/∂y as a function of the same,
+        found by finite differences if not given.
     solver : Newton() or FixedPoint().
     """
 
@@ -32,7 +33,7 @@ class FirstOrder:
     def __repr__(self) -> str:
         return f"{type(self).__name__}(f)"
 
-    def __init__(self, f: Function, jacobian: Function | None = None, solver: Solver = Newton()) -> None:  # noqa: B008
+    def __init__(self, f: Function, jacobian: Function | None = None, solver: Solver = Newton()) -> None:
         self._f = of_time_and_state(f, "f")
         self.jacobian = jacobian if jacobian is None else of_time_and_state(jacobian, "jacobian")
         self.solver = checked_solver(solver)
@@ -40,7 +41,8 @@ class FirstOrder:
     def begin(self, start: ArrayLike, t0: float = 0.0) -> Array:
         """The start as a state of length n.
 
-        Raises ValueError if it is not an array of one dimension, or a value is not finite; from f, if its answers have another shape.
+        Raises ValueError if it is not an array of one dimension, or a value is not finite; from f,
+        if its answers have another shape.
         """
         y = np.array(start, dtype=float)
         if y.ndim != 1 or y.size == 0:
@@ -62,8 +64,8 @@ class FirstOrder:
 class DifferentialAlgebraic(Problem):
     """F(t, y, y′) = 0: what the forms of differential-algebraic problems have in common.
 
-    begin refuses a start that violates a constraint, given or hidden, or that has no solution through it, with a ValueError. It solves for
-    the algebraic variables; field is zero for those.
+    begin refuses a start that violates a constraint, given or hidden, or that has no solution through it, with a
+    ValueError. It solves for the algebraic variables; field is zero for those.
 
     Attributes of each problem
     --------------------------
@@ -78,7 +80,8 @@ class DifferentialAlgebraic(Problem):
     def __init__(self, solver: Solver) -> None:
         if not isinstance(solver, Newton) or isinstance(solver, FixedPoint):
             raise TypeError(
-                f"differential-algebraic equations need Newton's method, they are no fixed-point equations; got solver = {solver!r}"
+                "differential-algebraic equations need Newton's method, they are no fixed-point equations; got solver "
+                f"= {solver!r}"
             )
         self.solver = solver
 
@@ -93,8 +96,8 @@ class DifferentialAlgebraic(Problem):
     def error_weights(self, h: float) -> Array:
         """(n,) min(1, |h|)^level: the factors of the errors of variables in an error norm.
 
-        An error ε of the equations appears as ε/h in variables of index 2 and as ε/h² in those of index 3. These act on the
-        solution with the inverse factors. The unit of time should be one in which the solution varies.
+        An error ε of the equations appears as ε/h in variables of index 2 and as ε/h² in those of index 3. These act on
+        the solution with the inverse factors. The unit of time should be one in which the solution varies.
         E. Hairer, G. Wanner, Solving ODEs II (1996), VII.4 and the code RADAU5.
         """
         return min(1.0, abs(h)) ** self.levels

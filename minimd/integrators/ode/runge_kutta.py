@@ -3,9 +3,9 @@
     F(t + c_i h, y + h Σ_j β_ij K_j, K_i) = 0,  i = 1 … s        K_i are the slopes of the stages
     y₁ = y + h Σ_i w_i K_i                                       or the last stage, where the two are the same
 
-The equations are solved to rounding and the increments are added with a compensated sum (W. Kahan, Commun. ACM 8, 40 (1965)),
-so that symplectic methods keep quadratic invariants over millions of steps. Collocation methods follow from their nodes alone:
-β_ij = ∫₀^{c_i} ℓ_j and w_j = ∫₀¹ ℓ_j with the Lagrange polynomials ℓ_j of the nodes.
+The equations are solved to rounding and the increments are added with a compensated sum (W. Kahan, Commun. ACM 8, 40
+(1965)), so that symplectic methods keep quadratic invariants over millions of steps. Collocation methods follow from
+their nodes alone: β_ij = ∫₀^{c_i} ℓ_j and w_j = ∫₀¹ ℓ_j with the Lagrange polynomials ℓ_j of the nodes.
 E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic Systems by Runge-Kutta Methods (1989);
 E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5.
 """
@@ -25,8 +25,8 @@ from minimd.integrators.ode.differences import forward_differences
 from minimd.integrators.ode.problems import DifferentialAlgebraic, FirstOrder
 from minimd.structure.errors import ConvergenceError
 
-__all__ = ["GaussLegendre1", "GaussLegendre2", "GaussLegendre3", "GaussLegendre4", "ImplicitEuler", "RadauIIA2", "RadauIIA3", "RungeKutta",
-           "Tableau", "collocation", "gauss", "radau_iia"]  # fmt: skip
+__all__ = ["GaussLegendre1", "GaussLegendre2", "GaussLegendre3", "GaussLegendre4", "ImplicitEuler", "RadauIIA2",
+           "RadauIIA3", "RungeKutta", "Tableau", "collocation", "gauss", "radau_iia"]  # fmt: skip
 
 FARTHEST = 3.0  # times the last step: how far its slopes are extrapolated at most
 TABLEAU_ROUNDING = 1e-13  # of sums of a few products of coefficients of order one
@@ -63,7 +63,8 @@ class Tableau:
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether β_{s+1−i,s+1−j} + β_ij = w_j: the method is its own adjoint (stages in rising order of their nodes)."""
+        """Whether β_{s+1−i,s+1−j} + β_ij = w_j: the method is its own adjoint (stages in
+        rising order of their nodes)."""
         return bool(np.abs(self.beta[::-1, ::-1] + self.beta - self.weights).max() < TABLEAU_ROUNDING)
 
     @property
@@ -84,7 +85,8 @@ class Tableau:
 
     @property
     def order(self) -> int:
-        """Largest p whose simplifying assumptions B(p), C(η), D(ζ) with p ≤ η + ζ + 1 and p ≤ 2η + 2 hold (Butcher 1964): a lower bound of the order.
+        """Largest p whose simplifying assumptions B(p), C(η), D(ζ)
+        with p ≤ η + ζ + 1 and p ≤ 2η + 2 hold (Butcher 1964): a lower bound of the order.
 
         B(p): Σ w_i c_iᵏ⁻¹ = 1/k;  C(η): Σ_j β_ij c_jᵏ⁻¹ = c_iᵏ/k;  D(ζ): Σ_i w_i c_iᵏ⁻¹ β_ij = w_j (1 − c_jᵏ)/k.
         """
@@ -96,7 +98,8 @@ class Tableau:
 
 
 def _first_failure(defects: Array, axis: int = 0) -> int:
-    """How many conditions hold before the first that fails; conditions along the last axis, or along the first if axis is 1."""
+    """How many conditions hold before the first that fails; conditions along the last axis,
+    or along the first if axis is 1."""
     worst = np.abs(np.atleast_2d(defects)).max(axis=axis)
     return int(np.argmax(worst > TABLEAU_ROUNDING)) if (worst > TABLEAU_ROUNDING).any() else worst.size
 
@@ -108,7 +111,8 @@ def collocation(nodes: ArrayLike) -> Tableau:
 
 
 def gauss(n_stages: int) -> Tableau:
-    """Gauss-Legendre nodes, the zeros of P_s(2c − 1): order 2s, symplectic and symmetric.  J. C. Butcher, Math. Comput. 18, 50 (1964)."""
+    """Gauss-Legendre nodes, the zeros of P_s(2c − 1): order 2s, symplectic and symmetric.  J. C. Butcher, Math. Comput.
+    18, 50 (1964)."""
     if n_stages == 2:
         r = np.sqrt(3.0) / 6.0
         return Tableau(
@@ -131,7 +135,8 @@ def radau_iia(n_stages: int) -> Tableau:
 
 
 def _lagrange_integrals(nodes: Array, end: float) -> Array:
-    """∫₀^end ℓ_j for all j, by a Gauss quadrature that is exact for them; ℓ_j is one on node j and zero on the others."""
+    """∫₀^end ℓ_j for all j, by a Gauss quadrature that is exact for them;
+    ℓ_j is one on node j and zero on the others."""
     x, w = np.polynomial.legendre.leggauss(nodes.size)
     x, w = end * (1.0 + x) / 2.0, end * w / 2.0
     factors = (x[:, None, None] - nodes) / np.where(
@@ -142,7 +147,10 @@ def _lagrange_integrals(nodes: Array, end: float) -> Array:
 
 
 class RungeKutta(Method):
-    """An implicit Runge-Kutta method, given by its tableau : Tableau. Order, symmetry and symplecticity are computed from it."""
+    """An implicit Runge-Kutta method, given by its tableau : Tableau.
+
+    Order, symmetry and symplecticity are computed from it.
+    """
 
     tableau: ClassVar[Tableau]
     is_explicit = False
@@ -155,16 +163,19 @@ class RungeKutta(Method):
     def on(cls, problem: Problem) -> Step:
         """The step on any problem; those of index 3 need a method whose last stage is the next state.
 
-        Raises TypeError for Gauss-Legendre methods on problems of index 3, where errors of the multipliers do not shrink with the time step.
+        Raises TypeError for Gauss-Legendre methods on problems of index 3,
+        where errors of the multipliers do not shrink with the time step.
         """
         if isinstance(problem, DifferentialAlgebraic) and problem.index > 2 and not cls.tableau.is_stiffly_accurate:
-            raise TypeError(f"{cls.name} does not converge on problems of index {problem.index}, whose multipliers stay wrong however short "
+            raise TypeError(f"{cls.name} does not converge on problems of index {problem.index}, whose multipliers "
+                            "stay wrong however short "
                             "the steps; take RadauIIA3 or BDF3, or a Holonomic problem with a splitting")  # fmt: skip
         return StageStep(problem, cls.tableau)
 
     @classmethod
     def order_on(cls, problem: Problem) -> int:
-        """Order of the error estimate: that of algebraic variables, weighted by h for index 2 and h² for index 3, where it is lower."""
+        """Order of the error estimate: that of algebraic variables, weighted by h for index 2 and h² for index 3,
+        where it is lower."""
         if not isinstance(problem, DifferentialAlgebraic) or (problem.index <= 1 and cls.tableau.is_stiffly_accurate):
             return cls.order
         return cls.tableau.stage_order
@@ -188,7 +199,8 @@ class StageEquations:
     def slopes(self, times: Array, base: Array, weights: Array, guess: Array, h: float) -> Array:
         """(s, n) K with F(t_i, b_i + Σ_j weights_ij K_j, K_i) = 0.  Raises ConvergenceError with the largest residual.
 
-        times : (s,).  base : (n,) b, the same for all stages.  weights : (s, s) h β.  guess : (s, n).  h : the step [time].
+        times : (s,).  base : (n,) b, the same for all stages.  weights : (s, s) h β.  guess : (s, n).  h :
+            the step [time].
         """
 
         def residual(unknowns: Array) -> Array:
@@ -227,9 +239,9 @@ class StageEquations:
     def _sizes(self, base: Array, guess: Array, h: float) -> tuple[Array | float, Array | float, float]:
         """scale, floor and nothing of Iteration.solve.
 
-        Explicit problems: the slopes are compared with the state over h once they no longer shrink, because at rest slopes vanish
-        and the state does not. Differential-algebraic ones: each variable has its own size; corrections of algebraic variables
-        that no longer shrink are rounding if the others are solved for.
+        Explicit problems: the slopes are compared with the state over h once they no longer shrink, because at rest
+        slopes vanish and the state does not. Differential-algebraic ones: each variable has its own size; corrections
+        of algebraic variables that no longer shrink are rounding if the others are solved for.
         """
         problem = self._problem
         if not isinstance(problem, DifferentialAlgebraic):
@@ -261,7 +273,8 @@ class StageStep(StageEquations):
         return y_new
 
     def _all_slopes(self, t: float, y: Array, h: float) -> Array:
-        """(s, n) slopes of all stages; the guess is the polynomial through those of the last step, or y′ if that is far or fails."""
+        """(s, n) slopes of all stages; the guess is the polynomial through those of the last step,
+        or y′ if that is far or fails."""
         times, weights = t + self._tableau.nodes * h, h * self._tableau.beta
         if self._last is not None:
             t_last, h_last, slopes = self._last

@@ -3,10 +3,10 @@
     two-step   q_{n+1} − 2q_n + q_{n−1} = Δt² f(q_n)
     summed     d_n = d_{n−1} + Δt² f(q_n),   q_{n+1} = q_n + d_n
 
-Both are velocity Verlet with the velocities eliminated, v_n = (q_{n+1} − q_{n−1})/2Δt. In exact arithmetic they give the
-same path. In floating point the recursion adds Δt² f to numbers of order one, and its rounding errors grow as n² ε. The summed
-form adds Δt² f to the small increments first, and its errors grow as n ε (P. Henrici, Discrete Variable Methods
-in ODEs (1962), 6.4; E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), III.10).
+Both are velocity Verlet with the velocities eliminated, v_n = (q_{n+1} − q_{n−1})/2Δt. In exact arithmetic they give
+the same path. In floating point the recursion adds Δt² f to numbers of order one, and its rounding errors grow as n² ε.
+The summed form adds Δt² f to the small increments first, and its errors grow as n ε (P. Henrici, Discrete Variable
+Methods in ODEs (1962), 6.4; E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), III.10).
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ def stormer_two_step(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: fl
 
     Raises
     ------
-    ValueError : if the time step is zero or not finite, n_steps not a whole number, at least 1, or the shapes of q0, v0 and f(q0) differ.
+    ValueError : if the time step is zero or not finite, n_steps not a whole number, at least 1, or the shapes of q0,
+        v0 and f(q0) differ.
     """
     q, _ = _start(f, q0, v0, timestep, n_steps)
     for n in range(1, n_steps + 1):
@@ -44,7 +45,8 @@ def stormer_two_step(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: fl
 
 
 def stormer_summed(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> Solution:
-    """The recursion for the increments d_n = q_{n+1} − q_n: the same path, with far less round-off over many small steps.
+    """The recursion for the increments d_n = q_{n+1} − q_n: the same path,
+    with far less round-off over many small steps.
 
     Parameters, Raises : as stormer_two_step.
     """

@@ -4,16 +4,17 @@ Adaptive: the length of a step follows from its error, estimated by step doublin
 
     error ≈ ‖y_h − y_{h/2, h/2}‖₂ / (2ᵖ − 1)          one step against two half as long, p the order
 
-This works for every one-step method. The result of the two short steps is kept, without extrapolation, so that what the method
-conserves in a step stays conserved. E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), II.4.
+This works for every one-step method. The result of the two short steps is kept, without extrapolation, so that what the
+method conserves in a step stays conserved. E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), II.4.
 
 Reversible: the integrating controller.
 
     ρ_{n+1/2} = ρ_{n−1/2} + ε G(y_n),      y_{n+1} = Φ_{ε/ρ_{n+1/2}}(y_n),      G = d ln ρ/dt along the solution
 
-Steps are dense (ρ large) where the solution changes fast. Density and state are advanced in turn, so that the scheme is symmetric. It
-is reversible if G changes sign with the velocities. The energy of Hamiltonian problems then oscillates; it drifts if each step is
-chosen by an estimate of its error. E. Hairer, G. Söderlind, SIAM J. Sci. Comput. 26, 1838 (2005), eq. 3.2-3.4.
+Steps are dense (ρ large) where the solution changes fast. Density and state are advanced in turn, so that the scheme is
+symmetric. It is reversible if G changes sign with the velocities. The energy of Hamiltonian problems then oscillates;
+it drifts if each step is chosen by an estimate of its error. E. Hairer, G. Söderlind, SIAM J. Sci. Comput. 26,
+1838 (2005), eq. 3.2-3.4.
 """
 
 from __future__ import annotations
@@ -66,7 +67,8 @@ class StepControl:
     Parameters
     ----------
     rtol, atol : relative and absolute error allowed per step; atol may differ from component to component.
-    first_step, min_step, max_step : lengths of steps [time], positive.  max_steps : int, limit of accepted and rejected steps together.
+    first_step, min_step, max_step : lengths of steps [time], positive.  max_steps : int,
+        limit of accepted and rejected steps together.
 
     Raises
     ------
@@ -122,7 +124,8 @@ class StepControl:
         return max(self.min_step, 16.0 * np.spacing(max(abs(t), EPS * span)))
 
     def _norm(self, difference: Array, size: Array) -> float:
-        """Root mean square of difference/(atol + rtol size); a difference of zero counts as zero even where nothing is allowed."""
+        """Root mean square of difference/(atol + rtol size);
+        a difference of zero counts as zero even where nothing is allowed."""
         allowed = np.asarray(self.atol, dtype=float) + self.rtol * size
         with np.errstate(divide="ignore"):
             ratio = np.divide(difference, allowed, out=np.zeros(size.size), where=difference != 0.0)
@@ -146,8 +149,10 @@ def run_adaptive(
 
     Raises
     ------
-    TypeError : for anything but a problem, a method without a time step, and StepControl.  ValueError : if atol does not fit y.
-    A run that needs too many steps, or steps below min_step or the spacing of numbers at t, ends early: solution.success is False.
+    TypeError : for anything but a problem, a method without a time step, and StepControl.  ValueError :
+        if atol does not fit y.
+    A run that needs too many steps, or steps below min_step or the spacing of numbers at t, ends early:
+    solution.success is False.
     """
     check_problem(problem)
     check_ahead(t0, t_end)
@@ -182,7 +187,10 @@ class _AdaptivePath:
                 self.times.append(t_end if is_last else t + direction * h)
                 self.states.append(y)
             elif h <= control.shortest(t, span):
-                why = f"a step of {h:.1e} is too long, {why}, and shorter ones are not allowed (min_step = {control.min_step:g})"
+                why = (
+                    f"a step of {h:.1e} is too long, {why}, and shorter ones are not allowed (min_step = "
+                    f"{control.min_step:g})"
+                )
                 return self.solution().ended(f"stopped at t = {t:g}: {why}")
             else:
                 self.n_rejected += 1
@@ -194,7 +202,8 @@ class _AdaptivePath:
         return self.solution()
 
     def _tried(self, h: float) -> tuple[Array, float, str]:
-        """The next state, after two steps of h/2, its error divided by the allowed one, and a description of the error."""
+        """The next state, after two steps of h/2, its error divided by the allowed one,
+        and a description of the error."""
         t, y = self.times[-1], self.states[-1]
         try:
             one = self.coarse(t, y, h)
@@ -219,7 +228,8 @@ class _AdaptivePath:
 
 @dataclass
 class ReversibleSolution(Solution):
-    """A Solution with density : (n + 1,) values of ρ at its times, dimensionless, for a run that continues or goes back."""
+    """A Solution with density : (n + 1,) values of ρ at its times, dimensionless,
+    for a run that continues or goes back."""
 
     density: Array = field(default_factory=lambda: np.empty(0))
 
@@ -230,7 +240,8 @@ class DensityControl:
 
     Parameters
     ----------
-    rate : G(t, q, v) = d ln ρ/dt [1/time], odd in v. If not given, ρ follows |f|^¾, at two more evaluations of f per step.
+    rate : G(t, q, v) = d ln ρ/dt [1/time], odd in v. If not given, ρ follows |f|^¾,
+        at two more evaluations of f per step.
     density : ρ at the start, dimensionless.  max_steps : int, limit of the number of steps.
 
     Raises
@@ -268,7 +279,8 @@ def run_reversible(
     Raises
     ------
     ValueError : if the method is not symmetric, or t_end does not lie ahead.
-    ConvergenceError, NonFiniteError : if a step cannot be made, or ρ is no longer positive; error.solution holds the path before.
+    ConvergenceError, NonFiniteError : if a step cannot be made, or ρ is no longer positive;
+        error.solution holds the path before.
     A run that needs too many steps ends early: solution.success is False.
     """
     check_problem(problem)
@@ -313,7 +325,10 @@ class _ReversiblePath:
         return self.solution()
 
     def _advance(self, t_end: float, change: float) -> float:
-        """One step. change : ε G at its start; returns ε G at its end. Half of each is added to ρ, before and after the step."""
+        """One step.
+
+        change : ε G at its start; returns ε G at its end. Half of each is added to ρ, before and after the step.
+        """
         rho = self.rho + 0.5 * change
         if not rho > 0.0 or self.t + self.epsilon / rho == self.t:
             raise ConvergenceError(f"the density of steps {'fell' if rho <= 0.0 else 'grew'} to {rho:.1e}")

@@ -1,7 +1,8 @@
 """Stochastic cell rescaling: a bath of constant pressure, which strains the cell and everything in it.
 
-It acts every few steps, on the state between two steps: a splitting of the whole evolution in which each part is reversible. The energy it
-gives to the system is counted like the heat of a thermostat: total energy minus reservoir energy changes only by errors of the time step.
+It acts every few steps, on the state between two steps: a splitting of the whole evolution in which each part is
+reversible. The energy it gives to the system is counted like the heat of a thermostat:
+total energy minus reservoir energy changes only by errors of the time step.
 """
 
 from dataclasses import dataclass, field
@@ -26,7 +27,8 @@ OWN_STREAM = 1  # of random numbers; the stream of thermostats is 0
 class ThermodynamicState:
     """What a barostat needs to know about a state.
 
-    pressure : P, (3, 3) [energy/length³], kinetic part included.  volume : V [length³].  energy : E = K + U [energy].  thermal : k_B T [energy].
+    pressure : P, (3, 3) [energy/length³], kinetic part included.  volume : V [length³].  energy : E = K + U [energy].
+        thermal : k_B T [energy].
     """
 
     pressure: Array
@@ -37,44 +39,52 @@ class ThermodynamicState:
 
 @dataclass(frozen=True, repr=False)
 class StochasticCellRescaling(Displayed):
-    """Constant pressure by stochastic cell rescaling: a first-order bath with the fluctuations of the isothermal-isobaric ensemble.
+    """Constant pressure by stochastic cell rescaling: a first-order bath with the fluctuations of the
+    isothermal-isobaric ensemble.
 
-        dλ = −(βλ/2τ) (P₀ − P − k_B T/2V) dt + √(k_B T β/2τ) dW,  λ = √V              isotropic: Bernetti and Bussi, eq. 7
+        dλ = −(βλ/2τ) (P₀ − P − k_B T/2V) dt + √(k_B T β/2τ) dW,  λ = √V   isotropic: Bernetti and Bussi, eq. 7
         dε = −(β/3τ) 𝒫[P₀ 1 − P] dt + √(2 k_B T β/3Vτ) 𝒫[dW]                          anisotropic: Del Tatto et al.
         r ← r e^ε,  v ← v e^(−ε),  cell ← cell e^ε;  isotropic e^ε = (V′/V)^(1/3)
 
-    P is the pressure, isotropic its trace/3; ε is the strain and W a symmetric matrix of white noise. 𝒫 keeps the strains that the coupling
-    allows: along some axes, each by itself, or all of them ("triclinic"), followed by the rotation that keeps the direction of the first lattice
-    vector and the plane of the first two. ε is symmetric, and its trace is d ln V, as in eq. 4 of the first paper.
-    Atoms joined by fixed lengths form molecules: their centers of mass move as above, and P is the molecular pressure.
+    P is the pressure, isotropic its trace/3; ε is the strain and W a symmetric matrix of white noise. 𝒫 keeps the
+    strains that the coupling allows: along some axes, each by itself, or all of them ("triclinic"), followed by the
+    rotation that keeps the direction of the first lattice vector and the plane of the first two. ε is symmetric, and
+    its trace is d ln V, as in eq. 4 of the first paper. Atoms joined by fixed lengths form molecules:
+    their centers of mass move as above, and P is the molecular pressure.
 
-    The bath acts at every n-th step, over h = nΔt, by one Euler step with the drift b = −(βλh/2τ)(…) or m = −(βh/3τ) 𝒫[…]. It changes
+    The bath acts at every n-th step, over h = nΔt, by one Euler step with the drift b = −(βλh/2τ)(…) or m = −(βh/3τ)
+    𝒫[…]. It changes
 
         H = E − reservoir energy
 
     by ΔE + P₀ΔV − ½ k_B T ln(V′/V) + (τ/βh) [(λ′ − λ + b′)² − (λ′ − λ − b)²], or, with d free strains,
-    by ΔE + P₀ΔV − (1 + d/2) k_B T ln(V′/V) + (3τ/4βh) [V′|ε + m′|² − V|ε − m|²], where ′ means afterwards. This is zero up to errors of the finite
-    h, as for thermostats. All other energy it gives to the system, heat and work, is counted in the reservoir energy. Fluctuations of V are too
-    large by a fraction of the order h/τ.
+    by ΔE + P₀ΔV − (1 + d/2) k_B T ln(V′/V) + (3τ/4βh) [V′|ε + m′|² − V|ε − m|²], where ′ means afterwards. This is zero
+    up to errors of the finite h, as for thermostats. All other energy it gives to the system, heat and work, is counted
+    in the reservoir energy. Fluctuations of V are too large by a fraction of the order h/τ.
 
-    With a thermostat this gives the isothermal-isobaric (NPT) ensemble. Without one, only the noise of the cell brings the temperature to T, and
-    it does so slowly; until then the run samples no standard ensemble, not even the isobaric-isenthalpic one.
+    With a thermostat this gives the isothermal-isobaric (NPT) ensemble. Without one, only the noise of the cell brings
+    the temperature to T, and it does so slowly; until then the run samples no standard ensemble,
+    not even the isobaric-isenthalpic one.
 
     Parameters
     ----------
     pressure : P₀ [energy/length³].
-    compressibility : β, isothermal [length³/energy]; a rough value is enough, since only β/τ matters; 4.6e-5 bar⁻¹ for water.
-    relaxation_time : τ of the volume, > 0 [time]; at least 10 nΔt. With one free axis the volume takes three times as long.
+    compressibility : β, isothermal [length³/energy]; a rough value is enough, since only β/τ matters;
+        4.6e-5 bar⁻¹ for water.
+    relaxation_time : τ of the volume, > 0 [time]; at least 10 nΔt.
+        With one free axis the volume takes three times as long.
     seed : int ≥ 0 of the noise, below 2¹²⁸.
     temperature : T ≥ 0; that of the thermostat if not given.
     coupling : "isotropic", "triclinic", or axes that change each by itself, such as "z" or "xy".
-    every : n, the number of steps between two strains. Each strain costs as much as several steps: it needs energy and virial twice.
+    every : n, the number of steps between two strains. Each strain costs as much as several steps:
+        it needs energy and virial twice.
 
     Raises
     ------
     ValueError : for a number out of range or an unknown coupling.
 
-    M. Bernetti, G. Bussi, J. Chem. Phys. 153, 114107 (2020); V. Del Tatto, P. Raiteri, M. Bernetti, G. Bussi, Appl. Sci. 12, 1139 (2022).
+    M. Bernetti, G. Bussi, J. Chem. Phys. 153, 114107 (2020); V. Del Tatto, P. Raiteri, M. Bernetti, G. Bussi, Appl.
+    Sci. 12, 1139 (2022).
     """
 
     pressure: float
@@ -99,7 +109,8 @@ class StochasticCellRescaling(Displayed):
         object.__setattr__(self, "mask", np.ones((3, 3)) if self.coupling == "triclinic" else np.diag(axes))
 
     def __repr__(self) -> str:
-        return f"StochasticCellRescaling({', '.join(f'{name}={value!r}' for name, value in self.parameters.items() if value is not None)})"
+        given = (f"{name}={value!r}" for name, value in self.parameters.items() if value is not None)
+        return f"StochasticCellRescaling({', '.join(given)})"
 
     def display_rows(self) -> Rows:
         """See Displayed."""
@@ -134,7 +145,8 @@ class StochasticCellRescaling(Displayed):
     ) -> float:
         """ΔH [energy] of one strain, as above.
 
-        It is k_B T ln of the ratio of two probabilities: of the strain and of its reverse, each times that of the state it starts from.
+        It is k_B T ln of the ratio of two probabilities: of the strain and of its reverse,
+        each times that of the state it starts from.
         """
         work = after.energy - before.energy + self.pressure * (after.volume - before.volume)
         entropy, rate = (
@@ -178,7 +190,8 @@ def exponential(strain: Array) -> Array:
 
 
 def turned_back(before: Array, strained: Array) -> tuple[Array, Array]:
-    """Strained lattice vectors (3, 3), rows, rotated so that the first has its old direction and the first two their old plane; and the rotation."""
+    """Strained lattice vectors (3, 3), rows, rotated so that the first has its old direction and the first two their
+    old plane; and the rotation."""
     (frame, _), (own, triangle) = (np.linalg.qr(vectors.T) for vectors in (before, strained))
     signs = np.sign(np.einsum("ij,ij->j", frame, own))  # of the axes: a strain turns them only slightly
     own, triangle = own * signs, triangle * signs[:, None]

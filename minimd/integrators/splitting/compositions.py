@@ -1,8 +1,10 @@
-"""Methods made from other methods, and splittings of higher order: one sequence of substeps each, from the paper or its closed form.
+"""Methods made from other methods, and splittings of higher order: one sequence of substeps each,
+from the paper or its closed form.
 
-No sequence of positive coefficients has an order above 2, so those here have a negative coefficient (Q. Sheng, IMA J. Numer. Anal. 9,
-199 (1989); M. Suzuki, J. Math. Phys. 32, 400 (1991)). All of them take timestep : Δt [time]. Surveys: R. I. McLachlan,
-G. R. W. Quispel, Acta Numerica 11, 341 (2002); E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), V.3.
+No sequence of positive coefficients has an order above 2, so those here have a negative coefficient (Q. Sheng, IMA J.
+Numer. Anal. 9, 199 (1989); M. Suzuki, J. Math. Phys. 32, 400 (1991)). All of them take timestep : Δt [time]. Surveys:
+R. I. McLachlan, G. R. W. Quispel, Acta Numerica 11, 341 (2002); E. Hairer, C. Lubich, G. Wanner,
+Geometric Numerical Integration (2006), V.3.
 """
 
 from collections.abc import Sequence
@@ -51,7 +53,8 @@ def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitt
     Parameters
     ----------
     parts : methods, or flows Kick(c) and Drift(c).
-    weights : fraction of the time step for each part. If not given, methods get equal fractions, and each flow lasts its own cΔt.
+    weights : fraction of the time step for each part. If not given, methods get equal fractions,
+        and each flow lasts its own cΔt.
 
     Raises
     ------
@@ -73,7 +76,8 @@ def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitt
         weights = [1.0 / n_methods if n_methods else 1.0] * len(parts)
     if len(weights) != len(parts) or not parts:
         raise ValueError(
-            f"there must be at least one part, and as many weights as parts; got {len(parts)} parts, {len(weights)} weights"
+            f"there must be at least one part, and as many weights as parts; got {len(parts)} parts, {len(weights)} "
+            "weights"
         )
     sequences = [
         scaled(part.sequence() if isinstance(part, type) else (part,), weight)
@@ -86,7 +90,9 @@ def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitt
 
 
 def adjoint(method: type[Splitting]) -> type[Splitting]:
-    """The adjoint Φ*_Δt = (Φ_{−Δt})⁻¹: the substeps in reverse. With the opposite time step it undoes a step of the method.
+    """The adjoint Φ*_Δt = (Φ_{−Δt})⁻¹: the substeps in reverse.
+
+    With the opposite time step it undoes a step of the method.
 
     Raises
     ------
@@ -173,9 +179,11 @@ class PEFRL(Splitting):
 
 
 class BlanesMoan4(Splitting):
-    """Blanes and Moan's Nyström method SRKN₆ᵇ: order 4, six kicks, the smallest error per force evaluation of order 4 here.
+    """Blanes and Moan's Nyström method SRKN₆ᵇ: order 4, six kicks,
+    the smallest error per force evaluation of order 4 here.
 
-    Its free parameters are chosen so that the error terms of order 5 that remain for quadratic kinetic energy are small.
+    Its free parameters are chosen so that the error terms of order 5 that remain for
+    quadratic kinetic energy are small.
     """
 
     name = "blanes-moan-rkn-4"
@@ -215,7 +223,8 @@ class KahanLi8(Splitting):
     """Kahan and Li's s17odr8a: order 8 from seventeen steps of velocity Verlet."""
 
     name = "kahan-li-8"
-    _w = (0.13020248308889008088, 0.56116298177510838456, -0.38947496264484728641, 0.15884190655515560090, -0.39590389413323757734,
-          0.18453964097831570709, 0.25837438768632204729, 0.29501172360931029887, -0.60550853383003451170)  # fmt: skip
+    _w = (0.13020248308889008088, 0.56116298177510838456, -0.38947496264484728641,
+          0.15884190655515560090, -0.39590389413323757734, 0.18453964097831570709,
+          0.25837438768632204729, 0.29501172360931029887, -0.60550853383003451170)  # fmt: skip
     substeps = repeated(VelocityVerlet.substeps, palindrome(_w))
     source = "W. Kahan, R.-C. Li, Math. Comput. 66, 1089 (1997), s17odr8a"

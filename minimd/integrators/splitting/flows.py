@@ -1,4 +1,5 @@
-"""The two flows of a splitting, kick and drift: for numbers, for SIMD vectors, and for all atoms; in float64 and in fixed-point arithmetic."""
+"""The two flows of a splitting, kick and drift: for numbers, for SIMD vectors, and for all atoms;
+in float64 and in fixed-point arithmetic."""
 
 import numpy as np
 
@@ -45,7 +46,10 @@ def drift(positions, velocities, duration):
 
 @scalar
 def momentum_in_steps(velocity, inverse_mass, steps):
-    """Momentum of an atom in steps: exactly the one from which its velocity was made, if it was. For numbers. Zero for a fixed atom."""
+    """Momentum of an atom in steps: exactly the one from which its velocity was made, if it was.
+
+    For numbers. Zero for a fixed atom.
+    """
     return np.rint(velocity / (steps.momentum * inverse_mass)) if inverse_mass > 0.0 else 0.0
 
 
@@ -63,14 +67,16 @@ def kicked_on_grid(momentum, impulse, inverse_mass, times):
 
 @scalar
 def drifted_on_grid(position, momentum, inverse_mass, unit, times, steps):
-    """r + times · (unit · p/m), with the displacement in brackets rounded to a multiple of steps.length; −p gives the opposite displacement."""
+    """r + times · (unit · p/m), with the displacement in brackets rounded to a multiple of steps.length;
+    −p gives the opposite displacement."""
     rounder = MAGIC * steps.length
     return position + times * (fma(momentum, steps.momentum * unit * inverse_mass, rounder) - rounder)
 
 
 @kernel
 def kick_on_grid(velocities, impulses, inverse_masses, times, steps):
-    """Momenta += times · impulses.  (N, 3) [length/time], (N, 3) int64 in steps, (N,) [1/mass].  Returns whether a momentum left its range."""
+    """Momenta += times · impulses.  (N, 3) [length/time], (N, 3) int64 in steps, (N,) [1/mass].
+    Returns whether a momentum left its range."""
     is_out = False
     for i in range(velocities.shape[0]):
         for c in range(3):
@@ -83,7 +89,8 @@ def kick_on_grid(velocities, impulses, inverse_masses, times, steps):
 
 @kernel
 def drift_on_grid(positions, velocities, inverse_masses, unit, times, steps):
-    """positions += times · (unit · velocities), with the brackets rounded to steps.  (N, 3) [length], (N, 3) [length/time], (N,), [time]."""
+    """positions += times · (unit · velocities), with the brackets rounded to steps.  (N, 3) [length], (N, 3)
+    [length/time], (N,), [time]."""
     for i in range(positions.shape[0]):
         for c in range(3):
             momentum = momentum_in_steps(velocities[i, c], inverse_masses[i], steps)

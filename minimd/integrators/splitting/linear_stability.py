@@ -1,9 +1,9 @@
 """Kicks and drifts on a harmonic oscillator: the longest stable step, and the oscillation of the energy.
 
-    q″ = −ω²q, h = ωΔt, in units of q and v/ω:   drift (1 ch; 0 1)   kick (1 0; −ch 1)   step M(h), the product, det M = 1
+    q″ = −ω²q, h = ωΔt, in units of q and v/ω:   drift (1 ch; 0 1)   kick (1 0; −ch 1)   step M(h): product, det M = 1
 
-Powers of M stay bounded while |tr M| < 2. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), I.5.2;
-B. Leimkuhler, S. Reich, Simulating Hamiltonian Dynamics (2004), 2.6.
+Powers of M stay bounded while |tr M| < 2. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006),
+I.5.2; B. Leimkuhler, S. Reich, Simulating Hamiltonian Dynamics (2004), 2.6.
 """
 
 from functools import cache
@@ -37,8 +37,8 @@ def propagation(substeps: Substeps, h: float) -> Array:
 def stability_limit(substeps: Substeps) -> float:
     """The stability limit of h = ωΔt: |tr M(h)| ≤ 2 for all h up to it; 2 for velocity Verlet, 0 if no step is stable.
 
-    tr M is a polynomial in x = h². It is evaluated once between each two neighboring roots of tr M = ±2, so that no window of
-    instability is too narrow to be found. A root at which tr M only touches ±2 is no limit.
+    tr M is a polynomial in x = h². It is evaluated once between each two neighboring roots of tr M = ±2, so that no
+    window of instability is too narrow to be found. A root at which tr M only touches ±2 is no limit.
     """
     trace = trace_polynomial(substeps)
     roots = np.concatenate([(trace - 2.0).roots(), (trace + 2.0).roots()])
@@ -64,10 +64,12 @@ def trace_polynomial(substeps: Substeps) -> Polynomial:
 
 
 def energy_oscillation(substeps: Substeps, h: float) -> float:
-    """Relative amplitude with which the energy of an oscillator varies: (E_max − E_min)/(E_max + E_min); infinite if unstable.
+    """Relative amplitude with which the energy of an oscillator varies: (E_max − E_min)/(E_max + E_min);
+    infinite if unstable.
 
-    A stable step M = (a b; c d) conserves the quadratic form −c q² + (a − d) q v + b v². States lie on an ellipse; on its axes the
-    energy (q² + v²)/2 is largest and smallest. Velocity Verlet has h²/(8 − h²): 1/80 at 20 steps per period.  h : ωΔt.
+    A stable step M = (a b; c d) conserves the quadratic form −c q² + (a − d) q v + b v². States lie on an ellipse; on
+    its axes the energy (q² + v²)/2 is largest and smallest. Velocity Verlet has h²/(8 − h²):
+    1/80 at 20 steps per period.  h : ωΔt.
     """
     (a, b), (c, d) = propagation(substeps, h)
     if abs(a + d) >= 2.0:
@@ -79,7 +81,8 @@ def energy_oscillation(substeps: Substeps, h: float) -> float:
 
 @cache
 def accurate_step(substeps: Substeps, oscillation: float) -> float:
-    """The largest ωΔt, at most half the stability limit, up to which the energy oscillation of an oscillator stays within this fraction."""
+    """The largest ωΔt, at most half the stability limit,
+    up to which the energy oscillation of an oscillator stays within this fraction."""
     steps = np.linspace(0.0, 0.5 * stability_limit(substeps), SCANNED)
     too_long = [energy_oscillation(substeps, h) > oscillation for h in steps[1:]]
     if not any(too_long):

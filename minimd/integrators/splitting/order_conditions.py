@@ -5,8 +5,8 @@ A sequence has order p if its step and the exact flow agree through Δtᵖ. Ther
     separable order   for every H = T(p) + V(q); for every q′ = g(v), v′ = f(q)
     Nyström order     for T = p²/2m, that is q″ = f(q): fewer conditions, never a lower order
 
-E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), III.3 and IV.2; R. I. McLachlan, G. R. W. Quispel,
-Acta Numerica 11, 341 (2002), section 4.
+E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), III.3 and IV.2; R. I. McLachlan, G. R. W.
+Quispel, Acta Numerica 11, 341 (2002), section 4.
 """
 
 from collections.abc import Callable, Iterator
@@ -50,10 +50,10 @@ def _first_failure(substeps: Substeps, residuals: Callable[[Substeps, int], list
 def separable_residuals(substeps: Substeps, order: int) -> list[float]:
     """Residuals of the conditions of exactly this order: coefficient of each Lyndon word − 1/order!.
 
-    The step is exp(c₁X₁) exp(c₂X₂) …, where each X is T or V. The exact flow is exp(T + V), in which every word of n letters T, V
-    has the coefficient 1/n!. Both series are group-like, and such series agree if they agree on the Lyndon words, the words that
-    come before all their rotations. For n = 1, …, 8 there are 2, 1, 2, 3, 6, 9, 18, 30 of them, as many as there are independent
-    conditions (C. Reutenauer, Free Lie Algebras (1993), chapter 6).
+    The step is exp(c₁X₁) exp(c₂X₂) …, where each X is T or V. The exact flow is exp(T + V), in which every word of n
+    letters T, V has the coefficient 1/n!. Both series are group-like, and such series agree if they agree on the Lyndon
+    words, the words that come before all their rotations. For n = 1, …, 8 there are 2, 1, 2, 3, 6, 9, 18, 30 of them,
+    as many as there are independent conditions (C. Reutenauer, Free Lie Algebras (1993), chapter 6).
     """
     return [word_coefficient(substeps, word) - 1.0 / factorial(order) for word in lyndon_words(order)]
 
@@ -90,10 +90,10 @@ class Branch(NamedTuple):
 def nystrom_residuals(substeps: Substeps, order: int) -> list[float]:
     """Residuals of the conditions of exactly this order for q″ = f(q): Σ bᵢ Φᵢ(τ) − κ(τ)/order for each Nyström tree τ.
 
-    As a Runge-Kutta-Nyström method the sequence has, for kick i, the weight bᵢ, the abscissa cᵢ = Σ drifts before it and
-    aᵢⱼ = bⱼ (cᵢ − cⱼ), j before i. A tree is a force f with branches: velocities, Φᵢ = cᵢ, and forces integrated twice,
-    Φᵢ = Σⱼ aᵢⱼ Φⱼ. These are the conditions for velocities. Those for positions, with weights bᵢ (1 − cᵢ), follow from them
-    if Σ drifts = 1. The trees: E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), II.14.
+    As a Runge-Kutta-Nyström method the sequence has, for kick i, the weight bᵢ, the abscissa cᵢ = Σ drifts before it
+    and aᵢⱼ = bⱼ (cᵢ − cⱼ), j before i. A tree is a force f with branches: velocities, Φᵢ = cᵢ, and forces integrated
+    twice, Φᵢ = Σⱼ aᵢⱼ Φⱼ. These are the conditions for velocities. Those for positions, with weights bᵢ (1 − cᵢ),
+    follow from them if Σ drifts = 1. The trees: E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), II.14.
     """
     b, c, a = nystrom_tableau(substeps)
     one, branches = np.ones_like(c), [Branch(1, c, 1.0)]

@@ -3,8 +3,8 @@
     drift  φ[1]:  r(t+cΔt) = r(t) + cΔt v            velocities are constant
     kick   φ[2]:  v(t+cΔt) = v(t) + cΔt F(r)/m       positions are constant
 
-Each half is solved exactly, so every composition is symplectic and conserves total momentum. It is reversible if the sequence
-equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), II.5.
+Each half is solved exactly, so every composition is symplectic and conserves total momentum. It is reversible if the
+sequence equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), II.5.
 """
 
 from collections.abc import Callable, Iterable
@@ -30,12 +30,14 @@ __all__ = ["Splitting"]
 
 ComputeForces = Callable[[State, bool], None]  # fills state.forces; with True, evaluates the energy too
 
-# (state, cycle, n): repeats a cycle up to n times; returns how many times, 0 if it cannot. Afterwards the forces are outdated.
+# (state, cycle, n): repeats a cycle up to n times; returns how many times, 0 if it cannot. Afterwards the forces are
+# outdated.
 March = Callable[[State, Cycle, int], int]
 
 
 def stages(method: "type[Splitting]") -> int:
-    """Force evaluations per step of a long run: groups of kicks with no drift between them; the last and the first kick form one group."""
+    """Force evaluations per step of a long run: groups of kicks with no drift between them;
+    the last and the first kick form one group."""
     kicks = [isinstance(substep, Kick) for substep in merged(mechanical(method.substeps))]
     return sum(kicks) - (len(kicks) > 1 and kicks[0] and kicks[-1])
 
@@ -43,11 +45,11 @@ def stages(method: "type[Splitting]") -> int:
 class Splitting(Method):
     """A splitting method, given by its sequence of substeps.
 
-    If the first and the last substep are of one kind, the two are merged between steps: within a block of steps velocity
-    Verlet makes one kick and one drift per step, as leapfrog does. Forces are computed when a kick needs them and
-    positions have moved since. With constraints every drift is projected. Velocities are projected only at the end of a block,
-    because a constrained drift does not depend on the component that a projection removes. A block can continue from the open
-    end of the previous one, see Surroundings: two blocks then give the same bits as one.
+    If the first and the last substep are of one kind, the two are merged between steps: within a block of steps
+    velocity Verlet makes one kick and one drift per step, as leapfrog does. Forces are computed when a kick needs them
+    and positions have moved since. With constraints every drift is projected. Velocities are projected only at the end
+    of a block, because a constrained drift does not depend on the component that a projection removes. A block can
+    continue from the open end of the previous one, see Surroundings: two blocks then give the same bits as one.
 
     Parameters, Raises : as Method.
 
@@ -102,9 +104,11 @@ class Splitting(Method):
         surroundings: Surroundings | None = None,
         march: March | None = None,
     ) -> int:
-        """Make n_steps steps, or fewer (at least one) if surroundings.stop_requested becomes true; return how many were made.
+        """Make n_steps steps, or fewer (at least one) if surroundings.stop_requested becomes true;
+        return how many were made.
 
-        with_energy : evaluate the energy together with the forces of the last step.  surroundings : constraints and bath, if there are any.
+        with_energy : evaluate the energy together with the forces of the last step.  surroundings :
+            constraints and bath, if there are any.
         march : makes many steps at once where it can; see March.
 
         Raises
@@ -167,11 +171,15 @@ class Splitting(Method):
         return n_steps
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
-        """Contact with the bath over a duration: what a substep Thermalize does. Methods without a bath have no such substep."""
+        """Contact with the bath over a duration: what a substep Thermalize does.
+
+        Methods without a bath have no such substep.
+        """
         raise NotImplementedError(f"{self.name} has no thermostat")
 
     def _grouped(self, may_merge_drifts: bool) -> tuple[Substeps, Substeps, Substeps]:
-        """Substeps of the first step of a block, of every other step, and after the last one: half a kick or drift if the two ends are of one kind.
+        """Substeps of the first step of a block, of every other step, and after the last one:
+        half a kick or drift if the two ends are of one kind.
 
         Two contacts with a bath are not merged, nor are two constrained drifts.
         """
@@ -184,10 +192,12 @@ class Splitting(Method):
 
     @classmethod
     def units(cls, substeps: Iterable[Substep]) -> dict[Substep, float]:
-        """For each substep its unit: a coefficient of which its own is a whole multiple. On a grid, the change over one unit is rounded.
+        """For each substep its unit: a coefficient of which its own is a whole multiple.
 
-        The unit is the coefficient of the first or last substep of a step where the substep is a whole multiple of it: two merged half kicks then
-        give the same bits as two half kicks.
+        On a grid, the change over one unit is rounded.
+
+        The unit is the coefficient of the first or last substep of a step where the substep is a whole multiple of it:
+        two merged half kicks then give the same bits as two half kicks.
         """
         sequence = cls.sequence()
         ends = {type(end): end.coefficient for end in (sequence[-1], sequence[0])}

@@ -41,11 +41,13 @@ class State:
     _memory: Buffers = field(default_factory=Buffers, repr=False)
 
     def room(self, n: int) -> Array:
-        """Flat memory for n numbers, velocities beside those of the state: of a March, or, between two blocks of steps, of an open end."""
+        """Flat memory for n numbers, velocities beside those of the state: of a March, or, between two blocks of steps,
+        of an open end."""
         return self._memory.array("velocities", np.float64, n, in_page=HALF_A_PAGE, spare=1.0)
 
     def has_forces_over(self, unit: float) -> bool:
-        """Whether the forces of the next kick are already computed.  unit : the kick lasts a whole multiple of it; see Splitting.units [time]."""
+        """Whether the forces of the next kick are already computed.  unit : the kick lasts a whole multiple of it;
+        see Splitting.units [time]."""
         return self.forces_are_current
 
     def kick(self, duration: float, _unit: float) -> None:
@@ -61,7 +63,8 @@ class State:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Context in which constraints change positions and velocities; at its end both are rounded to the grid, if there is one."""
+        """Context in which constraints change positions and velocities; at its end both are rounded to the grid,
+        if there is one."""
         yield
 
     def kinetic_energy(self) -> float:
@@ -153,12 +156,13 @@ class Bath:
     """What a thermostat needs to know about its system, and the energy it has given to the system.
 
     k_B : [energy/temperature].  n_dof : degrees of freedom that share the kinetic energy.
-    conserves_momentum : whether the total momentum is constant; the motion of the center of mass is then not a thermal degree of freedom.
+    conserves_momentum : whether the total momentum is constant;
+        the motion of the center of mass is then not a thermal degree of freedom.
     step, contact : steps since the start, and contacts since the step began; both select the noise.
     energy : given to the system since the start, the reservoir energy [energy].
     """
 
-    k_B: float = 1.0  # noqa: N815 - the symbol of the constant
+    k_B: float = 1.0
     n_dof: int = 0
     conserves_momentum: bool = False
     step: int = 0
@@ -192,11 +196,14 @@ class Cycle(NamedTuple):
 
 
 class OpenEnd(NamedTuple):
-    """A state before the end of a block of steps: before the last half kick or drift, and before velocities were projected.
+    """A state before the end of a block of steps: before the last half kick or drift,
+    and before velocities were projected.
 
-    velocities : (N, 3), in the room of the state, or, at the end of a block that changes them no more, those of the state itself.
+    velocities : (N, 3), in the room of the state, or, at the end of a block that changes them no more,
+        those of the state itself.
     positions : (N, 3), a copy, or None if they are those of the state.
-    drifts_next : whether the next block moves the atoms before it needs forces; it then never needs the forces at the present positions.
+    drifts_next : whether the next block moves the atoms before it needs forces;
+        it then never needs the forces at the present positions.
     work : see Surroundings [energy].
     """
 
@@ -216,10 +223,13 @@ class Surroundings:
 
     constraints : solver for the lengths that drifts keep, or None.  bath : of a thermostat, or None.
     stop_requested : set it to True to end a run of steps after the present one.
-    keeps_open_end : whether a block continues from the open end of the previous one; code that changes the state in between sets open_end to None.
+    keeps_open_end : whether a block continues from the open end of the previous one;
+        code that changes the state in between sets open_end to None.
     phase : time since the beginning of the step, in time steps; only drifts advance it.
-    power : ∂U/∂t with the forces of the next kick [energy/time].  work : its integral, Σ duration · power over all kicks [energy]. Time is treated
-    as a coordinate with momentum −work, and this larger system is split: total energy minus work is conserved as well as an energy is.
+    power : ∂U/∂t with the forces of the next kick [energy/time].  work : its integral,
+        Σ duration · power over all kicks [energy]. Time is treated
+    as a coordinate with momentum −work, and this larger system is split:
+    total energy minus work is conserved as well as an energy is.
     """
 
     constraints: ConstraintSolver | None = None
@@ -232,7 +242,8 @@ class Surroundings:
     work: float = 0.0
 
     def leave_open(self, state: State, end: Substeps, cycle: Substeps) -> None:
-        """Keep the open end of a block.  end : the substeps that end it.  cycle : the substeps of the next step, if the run continues."""
+        """Keep the open end of a block.  end : the substeps that end it.  cycle : the substeps of the next step,
+        if the run continues."""
         if not self.keeps_open_end:
             return
         velocities = state.velocities

@@ -1,4 +1,5 @@
-"""Substeps (kicks, drifts and contacts with a bath), and sequences of them in the order in which a step applies them."""
+"""Substeps (kicks, drifts and contacts with a bath), and sequences of them in the order
+in which a step applies them."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -26,7 +27,10 @@ class Kick:
 
 @dataclass(frozen=True, slots=True)
 class Thermalize:
-    """Contact with a bath over coefficient · Δt: velocities change at random, positions are constant. See thermostats."""
+    """Contact with a bath over coefficient · Δt: velocities change at random, positions are constant.
+
+    See thermostats.
+    """
 
     coefficient: float
 

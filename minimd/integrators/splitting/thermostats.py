@@ -1,9 +1,10 @@
 """Methods in contact with a bath: the substeps of a splitting, and one more that changes velocities at random.
 
-The noise depends only on the seed, the number of the step and the place of the contact within the step: a run that is stopped and
-resumed, replayed after a failure, or made with another number of threads has the same noise. The energy that the bath puts in is
-counted, so that total energy minus this sum changes only by the errors of kicks and drifts. This difference drifts if Δt is large.
-G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007); D. A. Sivak, J. D. Chodera, G. E. Crooks, Phys. Rev. X 3, 011007 (2013).
+The noise depends only on the seed, the number of the step and the place of the contact within the step: a run that is
+stopped and resumed, replayed after a failure, or made with another number of threads has the same noise. The energy
+that the bath puts in is counted, so that total energy minus this sum changes only by the errors of kicks and drifts.
+This difference drifts if Δt is large. G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007); D. A. Sivak, J. D.
+Chodera, G. E. Crooks, Phys. Rev. X 3, 011007 (2013).
 """
 
 from math import exp, sqrt
@@ -52,7 +53,8 @@ class Thermostat(Splitting):
 
     @classmethod
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
-        """The thermostat with this relaxation time, τ > 0 [time]; scene files know no other parameter.  Other arguments : see Thermostat."""
+        """The thermostat with this relaxation time, τ > 0 [time]; scene files know no other parameter.
+        Other arguments : see Thermostat."""
         raise NotImplementedError(
             f"{cls.name} cannot be used in a scene, because it has no with_relaxation_time; run it from a script"
         )
@@ -63,7 +65,8 @@ class Thermostat(Splitting):
         raise TypeError(f"{cls.name} runs in a Simulation, where atoms have masses and a temperature has a unit")
 
     def noise(self, bath: Bath) -> np.random.Generator:
-        """The generator of random numbers for one contact with the bath: for this step, and the place of the contact within it."""
+        """The generator of random numbers for one contact with the bath: for this step,
+        and the place of the contact within it."""
         counter = np.array([0, 0, bath.contact, bath.step % STEPS], dtype=np.uint64)
         bath.contact += 1
         return np.random.Generator(np.random.Philox(key=self.seed, counter=counter))
@@ -78,10 +81,11 @@ class LangevinBAOAB(Thermostat):
         r(t+Δt)   = r(t+Δt/2) + Δt/2 v                         A
         v(t+Δt)   = v + Δt/2 F(t+Δt)/m                         B
 
-    Averages have errors of order 2. For harmonic forces, averages of positions are exact at any stable Δt, and those of v² are too
-    low by the fraction (ωΔt)²/4: a kinetic temperature below that of the bath by O(Δt²) is an error of the time step, not of the
-    bath. This also holds for rigid molecules; without forces they have the temperature of the bath. Momentum is not conserved, so
-    all 3N degrees of freedom are thermal. Without friction the method is velocity Verlet.
+    Averages have errors of order 2. For harmonic forces, averages of positions are exact at any stable Δt, and those of
+    v² are too low by the fraction (ωΔt)²/4: a kinetic temperature below that of the bath by O(Δt²) is an error of the
+    time step, not of the bath. This also holds for rigid molecules; without forces they have the temperature of the
+    bath. Momentum is not conserved, so all 3N degrees of freedom are thermal.
+    Without friction the method is velocity Verlet.
 
     Parameters
     ----------
@@ -154,7 +158,8 @@ class LangevinBAOAB(Thermostat):
 
 
 class StochasticVelocityRescaling(Thermostat):
-    """Velocity Verlet, then all velocities times one factor, drawn so that the kinetic energy has its canonical distribution.
+    """Velocity Verlet, then all velocities times one factor,
+    drawn so that the kinetic energy has its canonical distribution.
 
         dK = (K̄ − K) dt/τ + 2 √(K K̄/n_dof) dW/√τ,  K̄ = n_dof k_B T/2
 
@@ -162,9 +167,9 @@ class StochasticVelocityRescaling(Thermostat):
 
         K′ = c K + (1 − c) K̄/n_dof (S + ξ²) + 2 ξ √(c (1 − c) K K̄/n_dof)
 
-    K is the kinetic energy of the n_dof degrees of freedom. If total momentum is conserved, the motion of the center of mass is not
-    among them: K is then relative to its velocity V, which is kept, v ← V + √(K′/K) (v − V). If atoms are held fixed, V is zero.
-    Directions of motion are kept, so that the dynamics is hardly disturbed.
+    K is the kinetic energy of the n_dof degrees of freedom. If total momentum is conserved, the motion of the center of
+    mass is not among them: K is then relative to its velocity V, which is kept, v ← V + √(K′/K) (v − V). If atoms are
+    held fixed, V is zero. Directions of motion are kept, so that the dynamics is hardly disturbed.
 
     Parameters
     ----------
@@ -207,7 +212,8 @@ def bath_of(around: Surroundings) -> Bath:
     """The bath that a thermostat needs.  Raises ValueError if there is none."""
     if around.bath is None:
         raise ValueError(
-            "a thermostat needs a bath to count the energy it gives: pass surroundings=Surroundings(bath=Bath(k_B, n_dof))"
+            "a thermostat needs a bath to count the energy it gives: pass surroundings=Surroundings(bath=Bath(k_B, "
+            "n_dof))"
         )
     return around.bath
 

@@ -1,10 +1,12 @@
-"""The program `minimd`: from its first line on, a signal ends it with one sentence, whatever is being loaded or compiled.
+"""The program `minimd`: from its first line on, a signal ends it with one sentence,
+whatever is being loaded or compiled.
 
 The codes are those of shells: 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP.
 
-This file is beside the package, because Python loads a package, and with it NumPy and Numba, before any of its modules. A KeyboardInterrupt
-is not enough: while a compiled module is loaded or a kernel is compiled, it may become another error, a traceback or nothing. Only a run
-has something to save; it replaces the handler by its own, see minimd.structure.console.
+This file is beside the package, because Python loads a package, and with it NumPy and Numba, before any of its modules.
+A KeyboardInterrupt is not enough: while a compiled module is loaded or a kernel is compiled, it may become another
+error, a traceback or nothing. Only a run has something to save; it replaces the handler by its own,
+see minimd.structure.console.
 """
 
 import _signal  # loaded at once, unlike the module signal
@@ -42,7 +44,8 @@ def main() -> None:
 
 
 def _end(code: int, words: str = "") -> None:
-    """End the process without shutting the interpreter down: threads may still compute, and HDF5 may be in the middle of a call."""
+    """End the process without shutting the interpreter down: threads may still compute,
+    and HDF5 may be in the middle of a call."""
     for stream in (sys.__stdout__, sys.__stderr__):
         try:
             if stream is not None:

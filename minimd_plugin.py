@@ -1,6 +1,7 @@
 """The parts of minimd that ASE finds by itself: the format of its files, and its calculator.
 
-This file is beside the package, because ASE loads it with ase.io, and Python would load the whole package, with Numba, before its modules.
+This file is beside the package, because ASE loads it with ase.io, and Python would load the whole package, with Numba,
+before its modules.
 """
 
 from typing import Any

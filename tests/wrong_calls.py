@@ -1,4 +1,4 @@
-"""What a wrong call is answered with, held for all tables of errors: one sentence that names the argument and shows the value."""
+"""What every wrong call is answered with: one sentence that names the argument and shows the value."""
 
 import traceback
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Twelve named scenes in reduced units, each built once: `SCENES[name]()` and the fixture of that name are fresh copies.
+"""Twelve named scenes in reduced units, built once: `SCENES[name]()` and the fixture of that name are fresh copies.
 
 Scenes of one kind share their law and its truncation, so that the suite compiles few kernels.
 """

@@ -30,7 +30,10 @@ def test_n_steps_and_m_steps_are_n_plus_m(scene, precision, threads, tmp_path):
     draw, options = random.Random(f"{scene} {precision} {threads}"), {"precision": precision, "threads": threads}
     for k in range(2):
         name, n, m = draw.choice(NAMES), draw.randrange(130), draw.randrange(1, 130)
-        every, skin = draw.choice([1, 7, 10, 50, 1000]), draw.choice([None, 0.05])  # thin: lists are built where it stops
+        every, skin = (
+            draw.choice([1, 7, 10, 50, 1000]),
+            draw.choice([None, 0.05]),
+        )  # thin: lists are built where it stops
         file, path = tmp_path / f"{k}.h5md", tmp_path / f"{k} in parts.h5md"
         with atoms_per_domain(50):
             whole, parts = (SCENES[scene](method_of(name), skin=skin, **options) for _ in range(2))

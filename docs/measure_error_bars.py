@@ -2,8 +2,8 @@
 
 python docs/measure_error_bars.py FOLDER [--write]
 
-FOLDER keeps the sums of all runs. Those that are there already are not made again, so that another estimate is tried in seconds.
---write puts the table into docs/accuracy.md.
+FOLDER keeps the sums of all runs. Those that are there already are not made again, so that another estimate is tried
+in seconds. --write puts the table into docs/accuracy.md.
 """
 
 import sys

@@ -75,9 +75,9 @@ def in_child(work):
 def outcome(command, file):
     """What a command makes of a file, in a process of its own, and what it says."""
     words = in_child(lambda: run_command(command, file))
-    *told, code = words.strip().splitlines()
     if words.startswith("died with status"):
         return CRASH, words
+    *told, code = filter(None, words.splitlines())
     known = {"0": PASSED, "1": FAILED, "2": SENTENCE}.get(code, TRACEBACK)
     is_sentence = told and told[-1].startswith("minimd: error: ")
     return (TRACEBACK if "Traceback" in words or (known == SENTENCE and not is_sentence) else known), words

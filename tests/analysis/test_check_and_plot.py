@@ -174,12 +174,12 @@ def test_a_file_is_read_once(run_file, tmp_path, monkeypatch, look):
     """By minimd, what is no frame; by one reader of MDAnalysis, the frames."""
     path, calls = tmp_path / "a.h5md", []
     path.write_bytes(run_file.read_bytes())
-    for place, name in ((h5md_reader, "opened"), (H5MDReader, "__init__")):
 
-        def counted(*arguments, name=name, original=getattr(place, name), **keywords):
-            calls.append(name)
-            return original(*arguments, **keywords)
+    def count(place, name):
+        original = getattr(place, name)
+        monkeypatch.setattr(place, name, lambda *args, **options: calls.append(name) or original(*args, **options))
 
-        monkeypatch.setattr(place, name, counted)
+    count(h5md_reader, "opened")
+    count(H5MDReader, "__init__")
     look(path)
     assert calls == ["opened", "__init__"]  # the look at the checksums is a child's

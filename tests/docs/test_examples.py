@@ -25,9 +25,15 @@ SHORTER = {
     "t_end": 3.0,
 }
 IN_FULL = ("own_law.py", "rigid_ring.py", "equation_of_state.py")  # by tests of their own
-KERNELS_OF_THEIR_OWN = "precision to_the_last_bit viscosity constant_pressure stretched_chain".split()
-SMALL_SYSTEMS = "stiff_spring henon_heiles smooth_cutoff coupled_wells mechanism three_body work_precision".split()
-LONG = ["ensemble_checks", "timestep_gain", *KERNELS_OF_THEIR_OWN, *SMALL_SYSTEMS]  # the gallery of the site runs them
+KERNELS_OF_THEIR_OWN = ["precision", "to_the_last_bit", "viscosity", "constant_pressure", "stretched_chain"]
+SMALL_SYSTEMS = ["stiff_spring", "henon_heiles", "smooth_cutoff", "coupled_wells", "mechanism", "three_body"]
+LONG = [
+    "ensemble_checks",
+    "timestep_gain",
+    "work_precision",
+    *KERNELS_OF_THEIR_OWN,
+    *SMALL_SYSTEMS,
+]  # the gallery of the site runs them
 FAST = [path for path in SCRIPTS if path.name not in IN_FULL and path.stem not in LONG] + LESSONS[:1]
 SLOW = [path for path in SCRIPTS if path.stem in LONG] + LESSONS[1:]
 

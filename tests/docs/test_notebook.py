@@ -25,7 +25,7 @@ TITLES = {  # last line of a cell: the title of its table, and a word in it
     "sim.minimize(max_steps=50)": ("Minimization", "largest force"),
     "table": ("Tabulated", "truncation"),
 }
-PARAMETERS = "epsilon sigma cutoff truncation mixing pairs switch_start bonded_scale tail_correction".split()
+PARAMETERS = ["epsilon", "sigma", "cutoff", "truncation", "mixing", "pairs", "switch_start", "bonded_scale"]
 
 
 @pytest.fixture(scope="module")

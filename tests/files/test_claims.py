@@ -1,4 +1,4 @@
-"""One file, one run: who comes second is refused, and touches nothing of the first; no output is written through a link."""
+"""One file, one run: who comes second is refused and touches nothing; no output is written through a link."""
 
 import os
 import threading

@@ -19,7 +19,6 @@ from damages import (
     RESTARTS,
     SCENES,
     SENTENCE,
-    TRACEBACK,
     WAYS,
     damaged,
     in_child,

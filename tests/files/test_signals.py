@@ -1,4 +1,4 @@
-"""Signals with manners: who else has a say, where a run ends, and that the command ends in one sentence wherever it is."""
+"""Signals with manners: who else has a say, where a run ends, and the one sentence of the command, wherever it is."""
 
 import os
 import random

@@ -202,7 +202,7 @@ def test_radial_distribution_equals_counting_all_images(path, monkeypatch, units
 
 
 def counted(positions, cell, edges, every):
-    """Distances from every so manieth atom to all images of all atoms, as a histogram: every image that could matter."""
+    """Distances from every so manieth atom to all images of all atoms, as a histogram."""
     vectors = positions[None, :, :] - positions[::every][:, None, :]
     vectors -= np.round(vectors @ np.linalg.inv(cell)) @ cell
     images = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), -1).reshape(-1, 3) @ cell

@@ -61,9 +61,8 @@ plt.show()
 for exponent in (1.0 / 3.0, -1.0 / 3.0):
     w = 1.0 / (2.0 - 2.0**exponent)
     jump = compose(*3 * [md.VelocityVerlet], weights=[w, 1.0 - 2.0 * w, w])
-    print(
-        f"w = 1/(2 − 2^({exponent:+.2f})) = {w:.5f}   order {jump.order}   (4, and 2 with the slip of sign that stands in several programs)"
-    )
+    known = "4" if exponent > 0.0 else "2, with the slip of sign that stands in several programs"
+    print(f"w = 1/(2 − 2^({exponent:+.2f})) = {w:.5f}   order {jump.order}   ({known})")
 
 # %%
 # Stability
@@ -79,9 +78,8 @@ for phase in (0.5, 1.5, 1.95, 2.01):
     kept = path.v**2 + path.q**2 * (1.0 - phase**2 / 4.0)
     panel.semilogy(np.abs(path.q), ".", markersize=3, label=f"ωΔt = {phase}")
     if phase < 2.0:
-        print(
-            f"ωΔt = {phase:4}   largest |q| {np.abs(path.q).max():.3f}, shadow energy constant to {np.ptp(kept) / kept[0, 0]:.0e}   (rounding)"
-        )
+        largest, change = np.abs(path.q).max(), np.ptp(kept) / kept[0, 0]
+        print(f"ωΔt = {phase:4}   largest |q| {largest:.3f}, shadow energy constant to {change:.0e}   (rounding)")
 panel.set(xlabel="steps", ylabel="|q|", ylim=(1e-3, 1e4))
 panel.legend(frameon=False)
 plt.show()

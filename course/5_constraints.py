@@ -55,7 +55,7 @@ plt.show()
 
 
 def shake(new, old, length, masses, tolerance=1e-12):
-    """New positions of two atoms, moved along the old bond until their distance is the length; and the number of sweeps."""
+    """New positions of two atoms, moved along the old bond until they are the length apart; the number of sweeps."""
     new, bond, sweeps = new.copy(), old[1] - old[0], 0
     inverse = 1.0 / masses
     while True:
@@ -100,9 +100,8 @@ for length in timesteps:
     simulation = md.Simulation(liquid.system, law, md.VelocityVerlet(length * fs))
     record = simulation.run(int(duration // length), every=1, progress=False)
     energies.append(record.total_energy.std() / len(pairs) / ASE.k_B)
-    print(
-        f"Δt = {length:2} fs   energy ± {energies[-1]:.3f} K per molecule, bonds off by {record.constraint_violation.max():.0e}"
-    )
+    off = record.constraint_violation.max()
+    print(f"Δt = {length:2} fs   energy ± {energies[-1]:.3f} K per molecule, bonds off by {off:.0e}")
 slope = np.polyfit(np.log(timesteps), np.log(energies), 1)[0]
 print(f"the energy fluctuates as Δt to the power {slope:.2f}   (velocity Verlet: 2)")
 

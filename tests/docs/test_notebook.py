@@ -1,9 +1,12 @@
 """A notebook, run headless: what its cells show."""
 
 import os
+from inspect import signature
 from pathlib import Path
 
 import pytest
+
+from minimd import LennardJones
 
 nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
 pytest.importorskip("ipykernel")
@@ -25,7 +28,6 @@ TITLES = {  # last line of a cell: the title of its table, and a word in it
     "sim.minimize(max_steps=50)": ("Minimization", "largest force"),
     "table": ("Tabulated", "truncation"),
 }
-PARAMETERS = ["epsilon", "sigma", "cutoff", "truncation", "mixing", "pairs", "switch_start", "bonded_scale"]
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +56,7 @@ def test_every_result_is_a_table_and_aligned_text(cells):
         assert word in text, line
         assert "object at 0x" not in text
         assert title == "Cell" or len(text.splitlines()) < 40
-    assert all(f">{name}</th>" in shown(cells["lj"])["text/html"] for name in PARAMETERS)
+    assert all(f">{name}</th>" in shown(cells["lj"])["text/html"] for name in signature(LennardJones).parameters)
 
 
 def test_in_a_list_objects_are_in_one_line(cells):

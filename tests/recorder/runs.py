@@ -178,7 +178,7 @@ def verdict(kind, folder, known, n_least):
 
 
 class Survey:
-    """States of the disk of a run, and what becomes of each; those that are the same after their repair are judged once.
+    """States of the disk of a run, and what becomes of each; those that are the same when repaired are judged once.
 
     kind : of the run.  disk : its part of the disk.  made : the folder in which it was made.  scratch : folder.
     """

@@ -166,24 +166,10 @@ def _overwrite(make):
     def overwrite_block(content, rng):
         n = _length(rng)
         place = _anywhere(content, rng, n)
-        content[place : place + n] = make(rng, n)
+        content[place : place + n] = make(content, rng, n)
         return content
 
     return overwrite_block
-
-
-def swap_blocks(content, rng):
-    n = _length(rng)
-    one, other = (_anywhere(content, rng, n) for _ in range(2))
-    first, second = content[one : one + n], content[other : other + n]
-    content[other : other + n] = first
-    content[one : one + n] = second
-    return content
-
-
-def insert(content, rng):
-    place = _anywhere(content, rng)
-    return content[:place] + rng.bytes(_length(rng)) + content[place:]
 
 
 def interrupted_commit(content, rng):
@@ -248,12 +234,6 @@ def change_number(h5, rng):
     series[...] = values
 
 
-def swap_numbers(h5, rng):
-    series = h5[_one_of(h5, rng)]
-    values = series[()]
-    series[...] = values[::-1] if values.ndim else values + 1
-
-
 def change_attribute(h5, rng):
     at, key = _attribute_of(h5, rng)
     value = np.array(at[key])
@@ -267,31 +247,17 @@ def change_attribute(h5, rng):
         at.modify(key, value)
 
 
-def remove(h5, rng):
-    del h5[_one_of(h5, rng, _objects)]
-
-
 def remove_attribute(h5, rng):
     at, key = _attribute_of(h5, rng)
     del at[key]
 
 
-def rename(h5, rng):
-    name = _one_of(h5, rng, _objects)
-    h5.move(name, f"{name}_" if rng.random() < 0.5 else "elsewhere")
-
-
-def retype(h5, rng):
-    """The same bytes, or the same values, of another type or shape."""
-    name = _one_of(h5, rng)
-    values, at, grows = np.asarray(h5[name][()]), dict(h5[name].attrs), name in _growing(h5)
-    bits = {"f": np.int64, "i": np.float64}.get(values.dtype.kind if values.itemsize == 8 else "", values.dtype)
-    others = [values.view(values.dtype.newbyteorder(">")), values.view(bits), values.astype(np.float32)]
-    others += [np.array("text", "S4"), values.reshape(-1), values.T, values[:-1] if values.ndim else values + 1]
-    other = others[int(rng.integers(len(others)))]
-    del h5[name]
-    h5.create_dataset(name, data=other, maxshape=(None, *other.shape[1:]) if grows and other.ndim else None)
-    h5[name].attrs.update({key: value for key, value in at.items() if key != "particles_group"})
+def swap(h5, rng):
+    """Two datasets have each other's names."""
+    one, other = _one_of(h5, rng), _one_of(h5, rng)
+    if one != other:
+        for old, new in ((one, "between"), (other, one), ("between", other)):
+            h5.move(old, new)
 
 
 def resize(h5, rng):
@@ -305,28 +271,6 @@ def resize_all_with_their_checksums(h5, rng):
     for name in blocks.attrs["series"]:
         h5[name].resize(int(blocks[0, 0]), axis=0)
     blocks.resize(1, axis=0)
-
-
-def add_series(h5, rng):
-    name = str(rng.choice(["conserved_energy", "constraint_violation", "shadow_energy", "stranger"]))
-    if f"observables/{name}" in h5:
-        del h5[f"observables/{name}"]
-    h5[f"observables/{name}/value"] = np.zeros(len(h5["minimd/time"]))
-
-
-def link_elsewhere(h5, rng):
-    name = _one_of(h5, rng, _objects)
-    del h5[name]
-    places = "/nowhere", "/minimd/time", f"/{name}"
-    h5[name] = [*map(h5py.SoftLink, places), h5py.ExternalLink("b.h5", "/x")][int(rng.integers(4))]
-
-
-def exchange(h5, rng):
-    one, other = _one_of(h5, rng), _one_of(h5, rng)
-    with contextlib.suppress(ValueError, KeyError, RuntimeError):
-        h5.move(one, "between")
-        h5.move(other, one)
-        h5.move("between", other)
 
 
 def damage_both_restarts(h5, rng):
@@ -350,29 +294,25 @@ IN_BYTES = {
     "replace a byte in a table": _replace(_in_a_table),
     "replace bytes in tables": _replace(_in_a_table, 8, [0, 1, 128, 255, 77]),
     "replace bytes": _replace(_anywhere, 16),
-    "clear a block": _overwrite(lambda rng, n: bytes(n)),
-    "overwrite a block": _overwrite(lambda rng, n: rng.bytes(n)),
-    "swap blocks": swap_blocks,
+    "clear a block": _overwrite(lambda content, rng, n: bytes(n)),
+    "overwrite a block": _overwrite(lambda content, rng, n: rng.bytes(n)),
+    "copy a block": _overwrite(lambda content, rng, n: content[: _anywhere(content, rng) + n][-n:]),
+    "insert": _overwrite(lambda content, rng, n: rng.bytes(2 * n)),
     "truncate": lambda content, rng: content[: _anywhere(content, rng)],
     "append": lambda content, rng: content + rng.bytes(_length(rng)),
-    "insert": insert,
     "an interrupted commit": interrupted_commit,
     "an interrupted commit with a damaged journal": interrupted_commit_with_a_damaged_journal,
     "a strange journal": lambda content, rng: content + rng.bytes(44) + MAGIC,
 }
 IN_NUMBERS = {
     "change a number": change_number,
-    "swap numbers": swap_numbers,
     "change an attribute": change_attribute,
-    "remove": remove,
+    "remove": lambda h5, rng: h5.pop(_one_of(h5, rng, _objects)),
     "remove an attribute": remove_attribute,
-    "rename": rename,
-    "retype": retype,
+    "rename": lambda h5, rng: h5.move(_one_of(h5, rng, _objects), "elsewhere"),
+    "swap": swap,
     "resize": resize,
     "resize all with their checksums": resize_all_with_their_checksums,
-    "add a series": add_series,
-    "link elsewhere": link_elsewhere,
-    "exchange": exchange,
     "damage both restarts": damage_both_restarts,
     "damage a restart": damage_a_restart,
 }

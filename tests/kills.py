@@ -1,56 +1,11 @@
-"""Runs that are stopped somewhere, and processes that are killed at work."""
+"""Processes that are killed at work."""
 
 import os
 import signal
 import time
 import traceback
 
-import numpy as np
-from references import liquid
-from scenes import BONDED, LJ
-
-import minimd as md
-from minimd.integrators.methods import METHODS
-from minimd.structure.lattice import crystal
-
 CALLS = ("pwrite", "fsync", "ftruncate", "replace", "link", "unlink", "open")  # of os, by which minimd changes files
-
-
-def simulation(system, laws, method=None, constraints=None, **options):
-    made = md.Simulation(system, laws, method or md.VelocityVerlet(0.003), constraints, **{"threads": 1, **options})
-    made.set_temperature(1.2, 3)
-    return made
-
-
-def plain(method=None, **options):
-    return simulation(liquid(3), LJ, method, **options)
-
-
-def rigid(method=None, **options):
-    """Dumbbells and single atoms."""
-    system, pairs = liquid(3), np.arange(108).reshape(-1, 2)[5:]
-    bonded = md.System(system.positions, cell=system.cell, bonds=pairs)
-    return simulation(bonded, BONDED, method, [md.DistanceConstraints(pairs)], **options)
-
-
-def springs(method=None, **options):
-    """Two lists: bonded pairs are scaled in one law and not in the other; fixed atoms; open along z."""
-    system, pairs = liquid(3), np.arange(108).reshape(-1, 2)
-    slab = md.System(system.positions, cell=system.cell.vectors, pbc=(True, True, False), bonds=pairs)
-    return simulation(slab, [LJ, BONDED, md.HarmonicBond(20.0, 1.1)], method, [md.FixedAtoms([0, 7])], **options)
-
-
-def few(method=None, **options):
-    """Too few for clusters, without a cell."""
-    return simulation(md.System(crystal("fcc", (2, 2, 2), 1.6)[0][:27]), LJ, method, **options)
-
-
-SCENES = {"plain": plain, "rigid": rigid, "springs": springs, "few": few}
-
-
-def method_of(name):
-    of = METHODS[name]
-    return of(0.003, 1.2, 0.7, seed=4) if of.is_thermostat else of(0.003)
 
 
 def at_work(work):

@@ -16,16 +16,24 @@ EXAMPLES, COURSE = REPOSITORY / "examples", REPOSITORY / "course"
 SCRIPTS, LESSONS = sorted(EXAMPLES.glob("*.py")), sorted(COURSE.glob("*.py"))
 SHORTER = {
     "n_equilibration": 50,
-    "n_steps": 300,
+    "n_steps": 1000,
     "n_periods": 5,
     "rounds": 2,
     "every": 10,
-    "duration": 100,
+    "duration": 200,
     "end": 2.0,
     "t_end": 3.0,
 }
 IN_FULL = ("own_law.py", "rigid_ring.py", "equation_of_state.py")  # by tests of their own
-KERNELS_OF_THEIR_OWN = ["precision", "to_the_last_bit", "viscosity", "constant_pressure", "stretched_chain"]
+KERNELS_OF_THEIR_OWN = [
+    "precision",
+    "to_the_last_bit",
+    "viscosity",
+    "constant_pressure",
+    "stretched_chain",
+    "own_force",
+    "rigid_chain",
+]
 SMALL_SYSTEMS = ["stiff_spring", "henon_heiles", "smooth_cutoff", "coupled_wells", "mechanism", "three_body"]
 LONG = [
     "ensemble_checks",

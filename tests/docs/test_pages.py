@@ -51,7 +51,7 @@ SHORTER = {
     "probe_reversibility(200)": "probe_reversibility(50)",
 }
 LONG = ("fixed-point.md", "lists.md", "timestep.md", "observers.md", "pressure.md", "forces.md")  # many kernels
-ELSEWHERE = ("formats.md", "ensembles.md", "fast-forces.md")  # by tests of their own below
+ELSEWHERE = ("formats.md", "ensembles.md", "fast-forces.md", "blow-up.md")  # by tests of their own below
 
 
 def text_of(path):
@@ -238,8 +238,9 @@ def melt(here):
     pdb += [f"CONECT{a:5d}{b:5d}" for pair in groups[2] for a, b in (pair, pair[::-1])] + ["END"]
     psf = ["PSF", "", "       1 !NTITLE", " REMARKS melt", "", f"{20:8d} !NATOM"]
     psf += [f"{i:8d} MELT {(i - 1) // 5 + 1:<4d} BEA  C    CT   {0:10.6f}  {12.011:12.4f}  0" for i in range(1, 21)]
-    for n, name in ((2, "NBOND: bonds"), (3, "NTHETA: angles")):
-        psf += ["", f"{len(groups[n]):8d} !{name}", *("".join(f"{i:8d}" for i in group) for group in groups[n])]
+    for n, per_line, name in ((2, 4, "NBOND: bonds"), (3, 3, "NTHETA: angles")):
+        numbers = "".join(f"{i:8d}" for group in groups[n] for i in group)
+        psf += ["", f"{len(groups[n]):8d} !{name}", *re.findall(rf".{{1,{8 * n * per_line}}}", numbers)]
     for suffix, lines in (("data", data), ("pdb", pdb), ("psf", psf)):
         (here / f"melt.{suffix}").write_text("\n".join([*lines, ""]))
     return here

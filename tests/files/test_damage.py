@@ -291,8 +291,9 @@ def test_a_file_that_leads_elsewhere_is_refused_wherever_it_is_opened(
         other["x"] = np.ones((32, 3))
     with h5py.File("a.h5md", "r+") as h5:
         change(h5, culprit, tmp_path)
-        with suppress(Exception):
-            sign(h5)
+        if change is not deep:  # which takes a quarter of a minute
+            with suppress(Exception):
+                sign(h5)
     before = {file: file.read_bytes() for file in Path().iterdir()}
     for name in readers:
         try:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from cluster_scenes import atoms_per_domain
 from h5md_runs import assert_same_file, bring_to_disk_every
-from kills import SCENES, at_work, killed_after, method_of, plain
+from kills import at_work, killed_after
 from recorder.runs import KINDS, RESUMES, survey
-from scenes import LJ
+from scenes import BONDED, LJ, SCENES, Scene
 
 import minimd as md
 from minimd.files.h5md_reader import read_file
@@ -18,9 +18,32 @@ from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.splitting import Splitting
 
 NAMES = sorted(name for name, of in METHODS.items() if issubclass(of, Splitting))
+
+
+def springs():
+    """Two lists: bonded pairs are scaled in one law and not in the other; fixed atoms; open along z."""
+    of, pairs = SCENES["slab"]().system, np.arange(108).reshape(-1, 2)
+    slab = md.System(of.positions, velocities=of.velocities, cell=of.cell.vectors, pbc=of.cell.pbc, bonds=pairs)
+    return Scene(slab, [LJ, BONDED, md.HarmonicBond(20.0, 1.1)], [md.FixedAtoms([0, 7])])
+
+
+def few():
+    """Too few for clusters, without a cell."""
+    of = SCENES["droplet"]().system
+    return Scene(md.System(of.positions[:27], velocities=of.velocities[:27]), [LJ])
+
+
+RUNS = {"argon": SCENES["argon"], "dumbbells": SCENES["dumbbells"], "springs": springs, "few": few}
 COMMON = ["velocity-verlet", "position-verlet", "langevin-baoab"]  # whose kernels other tests compile, too
-FAST = [(*row, COMMON) for row in (("plain", "mixed", 2), ("rigid", "double", 1), ("springs", "double", 2))]
-SLOW = [(scene, precision, n, NAMES) for scene in SCENES for precision in ("double", "mixed") for n in (1, 2)]
+FAST = [(*row, COMMON) for row in (("argon", "mixed", 2), ("dumbbells", "double", 1), ("springs", "double", 2))]
+SLOW = [(scene, precision, n, NAMES) for scene in RUNS for precision in ("double", "mixed") for n in (1, 2)]
+
+
+def begun(scene, name, threads=1, **options):
+    """The simulation of a scene by the method of a name."""
+    scene, of = RUNS[scene](), METHODS[name]
+    method = of(scene.timestep, 1.2, 0.7, seed=4) if of.is_thermostat else of(scene.timestep)
+    return scene.simulation(method, threads=threads, **options)
 
 
 @pytest.mark.parametrize(
@@ -38,7 +61,7 @@ def test_n_steps_and_m_steps_are_n_plus_m(scene, precision, threads, names, tmp_
         )  # thin: lists are built where it stops
         file, path = tmp_path / f"{k}.h5md", tmp_path / f"{k} in parts.h5md"
         with atoms_per_domain(50):
-            whole, parts = (SCENES[scene](method_of(name), skin=skin, **options) for _ in range(2))
+            whole, parts = (begun(scene, name, skin=skin, **options) for _ in range(2))
             whole.run(n + m, every=every, trajectory=file)
             parts.run(n, every=every, trajectory=path)
             if k % 2:
@@ -52,7 +75,7 @@ def test_n_steps_and_m_steps_are_n_plus_m(scene, precision, threads, names, tmp_
 @pytest.mark.parametrize("n", [30, 34])
 def test_a_look_between_two_drifts_builds_no_list(n, tmp_path):
     """The run itself needs no forces there; its list, of another place, decides the order of the sums."""
-    whole, parts = (plain(md.PositionVerlet(0.003), skin=0.05) for _ in range(2))
+    whole, parts = (begun("argon", "position-verlet", skin=0.05) for _ in range(2))
     whole.run(80)
     parts.run(n, trajectory=tmp_path / "a.h5md")
     parts = md.Simulation.resume(tmp_path / "a.h5md", LJ, threads=1)
@@ -81,10 +104,10 @@ def test_random_kills_while_it_runs_and_resumes(seed, threads, tmp_path, monkeyp
     bring_to_disk_every(0.01, monkeypatch)
     monkeypatch.setattr("minimd.simulation.simulation.SECONDS_BETWEEN_CHECKPOINTS", 0.01)
     draw, path, whole = random.Random(f"{seed} {threads}"), tmp_path / "a.h5md", tmp_path / "whole.h5md"
-    scene, method = SCENES[draw.choice(sorted(SCENES))], draw.choice(NAMES)
+    scene, method = draw.choice(sorted(RUNS)), draw.choice(NAMES)
 
     def go_on(end):
-        known, made = path.exists(), scene(method_of(method), threads=threads)
+        known, made = path.exists(), begun(scene, method, threads=threads)
         sim = md.Simulation.resume(path, made.potentials, threads=threads) if known else made
         sim.run(until_step=end, every=50, trajectory=path, append=known)
 
@@ -94,12 +117,12 @@ def test_random_kills_while_it_runs_and_resumes(seed, threads, tmp_path, monkeyp
         return time.perf_counter() - start
 
     with atoms_per_domain(50):
-        scene(method_of(method)).run(50)  # the children find kernels that are loaded
+        begun(scene, method).run(50)  # the children find kernels that are loaded
         resumed = min([seconds_to(end) for end in (50, 150, 250)][1:])
         path.unlink()
         assert sum(killed_after(3 * resumed * draw.random(), lambda: go_on(10**9)) for _ in range(50)) == 50
         end = read_file(path).step + 100
         assert end > 300
         go_on(end)
-        scene(method_of(method)).run(end, every=50, trajectory=whole)
+        begun(scene, method).run(end, every=50, trajectory=whole)
     assert_same_file(path, whole)

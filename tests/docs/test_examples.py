@@ -14,16 +14,8 @@ import pytest
 REPOSITORY = Path(__file__).parents[2]
 EXAMPLES, COURSE = REPOSITORY / "examples", REPOSITORY / "course"
 SCRIPTS, LESSONS = sorted(EXAMPLES.glob("*.py")), sorted(COURSE.glob("*.py"))
-SHORTER = {
-    "n_equilibration": 50,
-    "n_steps": 1000,
-    "n_periods": 5,
-    "rounds": 2,
-    "every": 10,
-    "duration": 200,
-    "end": 2.0,
-    "t_end": 3.0,
-}
+LENGTHS = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 5, "rounds": 2, "every": 10}
+SHORTER = LENGTHS | {"duration": 200, "end": 2.0, "t_end": 3.0}
 IN_FULL = ("own_law.py", "rigid_ring.py", "equation_of_state.py")  # by tests of their own
 KERNELS_OF_THEIR_OWN = [
     "precision",

@@ -26,6 +26,7 @@ from damages import (
     numbers,
     outcome,
 )
+from wrong_calls import assert_answered
 
 from minimd.commands import main as cli
 from minimd.files import first_look
@@ -116,32 +117,30 @@ def test_two_thousand_damaged_files_end_in_a_sentence_or_a_right_result(sound):
     assert counts[RIGHT] > 200
 
 
-def spoiled(sound, path, change):
-    """A copy of the plain file, changed through h5py."""
-    shutil.copy(sound.file("plain"), path)
-    with h5py.File(path, "r+") as h5:
-        change(h5)
-    return path
+def within(change):
+    """A damage of a file that is done through h5py."""
+
+    def damaging(path):
+        with h5py.File(path, "r+") as h5:
+            change(h5)
+
+    return damaging
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["observables/pressure/value", "particles/trajectory/velocity/value", "minimd/masses", "minimd/restart/positions"],
-)
-@pytest.mark.parametrize("kind", [">f8", "<i8"])
-def test_the_same_bytes_of_another_type_are_not_what_was_written(sound, tmp_path, name, kind):
-    def retyped(h5):
-        values, grows = h5[name][()], h5[name].maxshape[:1] == (None,)
-        del h5[name]
-        h5.create_dataset(name, data=values.view(kind), maxshape=(None, *values.shape[1:]) if grows else None)
+def retyped(name, kind):
+    """The same bytes of another type."""
 
-    path = spoiled(sound, tmp_path / "a.h5md", retyped)
-    if "restart" in name:
-        assert "newest restart" in damage(path)
-        assert "newest restart" in read_file(path).repaired
-    else:
-        with pytest.raises(OSError, match=r"a\.h5md' is damaged"):
-            verify_frames(path)
+    def change(h5):
+        grows = h5[name].maxshape[:1] == (None,)
+        values = h5.pop(name)[()].view(kind)
+        h5.create_dataset(name, data=values, maxshape=(None, *values.shape[1:]) if grows else None)
+
+    return within(change)
+
+
+def foreign(path):
+    with h5py.File(path, "w") as h5:
+        h5["data"] = [1, 2]
 
 
 def add_series(h5):
@@ -153,28 +152,45 @@ def rename_a_link(h5):
     h5.move("observables/angular_momentum/time", "observables/angular_momentum/tine")
 
 
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        (rename_a_link, "its description is not"),
-        (add_series, "its description is not"),
-        (lambda h5: h5["minimd/time"].resize(10**14, axis=0), "larger than the file"),
-    ],
-)
-def test_every_name_is_signed_and_sizes_are_checked_before_memory_is_asked_for(change, told, sound, tmp_path):
-    path = spoiled(sound, tmp_path / "a.h5md", change)
-    for read in (read_file, verify_frames):
-        with pytest.raises(OSError, match=told):
-            read(path)
+FOREIGN = {  # what is in the place of the file, the error, and what is said
+    "nothing": (Path.unlink, FileNotFoundError, "does not exist"),
+    "a text": (lambda path: path.write_text("not at all"), ValueError, "not an HDF5 file"),
+    "a file of others": (foreign, ValueError, "not written by minimd"),
+}
+TYPED = ("observables/pressure/value", "particles/trajectory/velocity/value", "minimd/masses")
+DAMAGES = {  # what is damaged, and what is said
+    "half a file": (lambda path: os.truncate(path, path.stat().st_size // 2), "is damaged"),
+    **{f"{name} as {kind}": (retyped(name, kind), "is damaged") for name in TYPED for kind in (">f8", "<i8")},
+    "a name": (within(rename_a_link), "its description is not"),
+    "a new series": (within(add_series), "its description is not"),
+    "a size": (within(lambda h5: h5["minimd/time"].resize(10**14, axis=0)), "larger than the file"),
+}
+
+
+@pytest.mark.parametrize("what", [*FOREIGN, *DAMAGES])
+def test_what_is_damaged_is_said(what, sound, tmp_path):
+    """Sizes before memory is asked for."""
+    change, error, shown = FOREIGN.get(what) or (DAMAGES[what][0], OSError, DAMAGES[what][1])
+    path = Path(shutil.copy(sound.file("plain"), tmp_path / "a.h5md"))
+    change(path)
+    assert_answered(lambda: verify_frames(path), error, "a.h5md", shown)
+    if " as " not in what:
+        assert_answered(lambda: read_file(path), error, "a.h5md", shown)
+
+
+@pytest.mark.parametrize("kind", [">f8", "<i8"])
+def test_a_restart_of_another_type_is_not_the_newest(kind, sound, tmp_path):
+    path = Path(shutil.copy(sound.file("plain"), tmp_path / "a.h5md"))
+    retyped("minimd/restart/positions", kind)(path)
+    assert "newest restart" in damage(path)
+    assert "newest restart" in read_file(path).repaired
 
 
 def test_a_damaged_restart_is_set_aside_by_resume(sound, tmp_path):
     """Where it claims to lie may be the place of others: it is not written, nor given free."""
 
-    def spoil(h5):
-        h5["minimd/restart/velocities"][...] = np.nan
-
-    path = spoiled(sound, tmp_path / "a.h5md", spoil)
+    path = Path(shutil.copy(sound.file("plain"), tmp_path / "a.h5md"))
+    within(lambda h5: h5["minimd/restart/velocities"].write_direct(np.full((32, 3), np.nan)))(path)
     assert outcome("resume", path)[0] == PASSED
     with h5py.File(path) as h5:
         assert np.isnan(h5["minimd/restart_damaged_1/velocities"]).all()

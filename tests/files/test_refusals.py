@@ -1,6 +1,5 @@
 """What cannot be read, or cannot go on, is refused with its reason, and stays as it is."""
 
-import h5py
 import numpy as np
 import pytest
 from h5md_runs import at_step, simulation
@@ -61,32 +60,6 @@ def test_another_pressure_cannot_be_appended(tmp_path):
     other.restore(one.snapshot())
     call = lambda: other.run(4, every=2, trajectory=tmp_path / "a.h5md", append=True)  # noqa: E731
     assert_answered(call, ValueError, "pressure=1.0", "pressure=2.0")
-
-
-def cut(folder):
-    simulation().run(20, every=5, trajectory=folder / "a.h5md")
-    content = (folder / "a.h5md").read_bytes()
-    (folder / "a.h5md").write_bytes(content[: len(content) // 2])
-
-
-def foreign(folder):
-    with h5py.File(folder / "a.h5md", "w") as h5:
-        h5["data"] = [1, 2]
-
-
-READ = {
-    "nothing": (lambda folder: None, FileNotFoundError, "does not exist"),
-    "a text": (lambda folder: (folder / "a.h5md").write_text("not at all"), ValueError, "not an HDF5 file"),
-    "a file of others": (foreign, ValueError, "not written by minimd"),
-    "half a file": (cut, OSError, "is damaged"),
-}
-
-
-@pytest.mark.parametrize("what", READ)
-def test_files_that_are_no_runs_are_named(what, tmp_path):
-    make, error, shown = READ[what]
-    make(tmp_path)
-    assert_answered(lambda: read_file(tmp_path / "a.h5md"), error, "a.h5md", shown)
 
 
 def append_to_xtc(path):

@@ -27,7 +27,7 @@ NAMES = ("ext4", "strict")
 
 
 class Change(NamedTuple):
-    """what : write, size, sync, name, unname, sync folder.  file : a number.  name : of the file.  old : what it loses."""
+    """what : write, size, sync, name, unname, sync folder.  file : its number.  name : of it.  old : what it loses."""
 
     what: str
     file: int = -1

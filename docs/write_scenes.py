@@ -25,8 +25,8 @@ from minimd.structure.lattice import BASES
 PAGE = Path(__file__).parent / "scenes.md"
 UNITS = {
     "_A": "Å", "_fs": "fs", "_K": "K", "_eV": "eV", "_eV_A": "eV/Å", "_g_cm3": "g/cm³", "_eV_A2": "eV/Å²",
-    "_degree": "°", "_eV_rad2": "eV/rad²", "_per_A": "1/Å", "_A_ps": "Å/ps", "_A_ps2": "Å/ps²", "_bar": "bar", "_GPa": "GPa",
-    "_per_bar": "1/bar", "_per_GPa": "1/GPa",
+    "_degree": "°", "_eV_rad2": "eV/rad²", "_per_A": "1/Å", "_A_ps": "Å/ps", "_A_ps2": "Å/ps²",
+    "_bar": "bar", "_GPa": "GPa", "_per_bar": "1/bar", "_per_GPa": "1/GPa",
 }  # fmt: skip
 REDUCED = {
     "length": "σ", "time": "τ", "temperature": "ε/k_B", "energy": "ε", "force": "ε/σ", "density": "1/σ³",

@@ -1,4 +1,4 @@
-"""The Lennard-Jones liquid at twenty temperatures, on all cores: are pressure and energy those of NIST?
+"""The equation of state of the Lennard-Jones liquid, at twenty temperatures on all cores: is it that of NIST?
 
 At ρ* = 0.776 NIST has results for 500 atoms: https://mmlapps.nist.gov/srs/LJ_PURE/mc.htm. With 256, and forces that
 do not feel the jump at the cutoff, p is 0.014 lower (docs/ensembles.md). Run it again to go on: it keeps 240 MB."""

@@ -59,13 +59,6 @@ def test_every_result_is_a_table_and_aligned_text(cells):
     assert all(f">{name}</th>" in shown(cells["lj"])["text/html"] for name in signature(LennardJones).parameters)
 
 
-def test_in_a_list_objects_are_in_one_line(cells):
-    assert shown(cells["[lj, sim.method]"])["text/plain"].splitlines() == [
-        "[LennardJones(epsilon=1, sigma=1, cutoff=1.85, truncation='switched'),",
-        " VelocityVerlet(timestep=0.003)]",
-    ]
-
-
 def test_a_run_shows_one_progress_bar(cells):
     streams = [one for one in cells["record"] if one.output_type in ("display_data", "stream")]
     texts = [one.data["text/plain"] if "data" in one else one.text for one in streams]

@@ -6,8 +6,6 @@ import h5py
 import numpy as np
 import pytest
 from h5md_runs import PER_PICOSECOND, opened, simulation
-from MDAnalysis.analysis.msd import EinsteinMSD
-from scipy.stats import linregress
 
 import minimd as md
 from minimd.analysis.check import liquid, recompute
@@ -224,19 +222,6 @@ def test_diffusion_of_a_random_walk_is_that_of_its_steps(path, units):
     assert diffusion_coefficient(path, (0.0, 20 * frame_time)).coefficient == pytest.approx(expected, rel=0.05)
 
 
-def test_d_by_the_usual_lines_is_that_of_minimd(path):
-    """Lags from trajectory.dt, as everybody writes it."""
-    walk = np.cumsum(np.random.default_rng(6).normal(0.0, 0.3, (40, 50, 3)), axis=0)
-    walk -= walk.mean(axis=1, keepdims=True)
-    written(path, md.System(walk[0], masses=1.0, cell=9.0, units=ASE), walk)
-    made, chosen = universe(path), slice(4, 20)
-    msd = EinsteinMSD(made, msd_type="xyz", fft=False).run()
-    lags = np.arange(msd.n_frames) * made.trajectory.dt
-    usual = linregress(lags[chosen], msd.results.timeseries[chosen]).slope / 6.0
-    ours = diffusion_coefficient(path, (3.5 * made.trajectory.dt, 19.5 * made.trajectory.dt)).coefficient
-    assert usual == pytest.approx(ours, rel=1e-6)
-
-
 def test_what_cannot_be_analyzed_is_refused(path, tmp_path):
     ten = written(path, md.System(np.eye(3)), [np.eye(3)] * 10)
     one = written(tmp_path / "b.h5md", md.System(np.eye(3)), [np.eye(3)])
@@ -255,18 +240,6 @@ def test_displacement_of_unevenly_spaced_frames_is_that_of_their_times(path):
     lags, squares = mean_square_displacement(path)
     np.testing.assert_allclose(lags, 0.5 * np.array([0, 1, 2, 3, 4, 6, 7, 8]))
     np.testing.assert_allclose(squares, 0.06 * lags**2, rtol=1e-6)
-
-
-@UNITS
-def test_moments_recomputed_from_velocities_are_those_of_the_record(path, units):
-    record = simulation("cubic", units).run(40, every=10, trajectory=path)
-    moved = recompute(path)
-    np.testing.assert_array_equal(moved.step, record.step)
-    np.testing.assert_allclose(moved.time, record.time, rtol=1e-14)
-    np.testing.assert_allclose(moved.kinetic_energy, record.kinetic_energy, rtol=1e-6)
-    assert np.linalg.norm(moved.momentum - record.momentum, axis=1).max() < 6e-8 * record.absolute_momentum.max()
-    np.testing.assert_array_equal(moved.stored["total_energy"], record.total_energy)
-    assert np.ptp(record.kinetic_energy) > 1e-4 * record.kinetic_energy[0]
 
 
 def test_diffusing_liquid_is_told_with_its_peak_and_coefficient(path, tmp_path):

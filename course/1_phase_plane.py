@@ -2,8 +2,8 @@
 1. One particle and its phase plane
 ===================================
 
-A pendulum, q″ = −sin q. Its state is a point (q, v) of the phase plane, and its energy H = v²/2 − cos q is constant, so that the point
-stays on a curve H = const. Three steps look alike: which of them stays on the curve?
+A pendulum, q″ = −sin q. Its state is a point (q, v) of the phase plane, and its energy H = v²/2 − cos q is constant,
+so that the point stays on a curve H = const. Three steps look alike: which of them stays on the curve?
 """
 
 import matplotlib.pyplot as plt
@@ -61,8 +61,8 @@ def run(step, q, v, n_steps):
 # %%
 # In the phase plane
 # ------------------
-# Gray: curves of constant energy. Explicit Euler gains energy in each turn, until the pendulum goes over the top. The other two stay near
-# their curve; that of symplectic Euler is sheared.
+# Gray: curves of constant energy. Explicit Euler gains energy in each turn, until the pendulum goes over the top. The
+# other two stay near their curve; that of symplectic Euler is sheared.
 
 methods = [explicit_euler, symplectic_euler, velocity_verlet]
 figure, panels = plt.subplots(1, 3, figsize=(11.0, 3.8), layout="constrained", sharey=True)
@@ -87,9 +87,8 @@ for step in methods[1:]:
     q, v = run(step, 1.5, 0.0, n_steps)
     change = energy(q, v) - energy(q[0], v[0])
     panel.plot(timestep * np.arange(len(q)), change, linewidth=0.6, label=step.__name__.replace("_", " "))
-    print(
-        f"{step.__name__:17} energy off by at most {np.abs(change).max():.3f}, in the last tenth by {np.abs(change[-n_steps // 10 :]).max():.3f}"
-    )
+    worst, last = np.abs(change).max(), np.abs(change[-n_steps // 10 :]).max()
+    print(f"{step.__name__:17} energy off by at most {worst:.3f}, in the last tenth by {last:.3f}")
 panel.set(xlabel="time", ylabel="H − H(0)")
 panel.legend(frameon=False)
 plt.show()
@@ -97,8 +96,8 @@ plt.show()
 # %%
 # Areas
 # -----
-# A hundred pendulums start on a circle in the phase plane. Symplectic steps turn and stretch it, and keep its area; explicit Euler
-# makes it larger in each step.
+# A hundred pendulums start on a circle in the phase plane. Symplectic steps turn and stretch it, and keep its area;
+# explicit Euler makes it larger in each step.
 
 angle = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
 figure, panel = plt.subplots(figsize=(6.0, 4.5), layout="constrained")
@@ -128,7 +127,8 @@ print(md.grade(velocity_verlet))
 # -----
 # 1. Write position Verlet: half a drift, a kick, half a drift. Let ``md.grade`` tell you whether it is right.
 # 2. In ``velocity_verlet``, forget to compute the force again. What does the energy do? What does ``md.grade`` say?
-# 3. Make the time step longer. At which length does the phase plane of ``velocity_verlet`` show islands, and when does it blow up? Small
-#    swings have ω = 1: compare with ωΔt = 2.
-# 4. Symplectic Euler keeps H + (Δt/2) v sin q better than H. Plot both. (Which comes first, kick or drift, if the term has this sign?)
+# 3. Make the time step longer. At which length does the phase plane of ``velocity_verlet`` show islands, and when
+#    does it blow up? Small swings have ω = 1: compare with ωΔt = 2.
+# 4. Symplectic Euler keeps H + (Δt/2) v sin q better than H. Plot both. (Which comes first, kick or drift, if the
+#    term has this sign?)
 # 5. Add friction, −γv, to the force. Which of the properties are lost?

@@ -2,9 +2,9 @@
 2. Argon as Rahman did it
 =========================
 
-In 1964 A. Rahman followed 864 atoms of liquid argon at 94.4 K and 1.374 g/cm³ (Phys. Rev. 136, A405): the first simulation of a liquid with
-continuous forces. He found that they diffuse with D = 2.43·10⁻⁵ cm²/s, and that neighbors stand at 3.7 Å, the next ones at 7.0 and 10.4 Å.
-Here is the same liquid.
+In 1964 A. Rahman followed 864 atoms of liquid argon at 94.4 K and 1.374 g/cm³ (Phys. Rev. 136, A405): the first
+simulation of a liquid with continuous forces. He found that they diffuse with D = 2.43·10⁻⁵ cm²/s, and that neighbors
+stand at 3.7 Å, the next ones at 7.0 and 10.4 Å. Here is the same liquid.
 """
 
 import matplotlib.pyplot as plt
@@ -21,8 +21,8 @@ n_steps = 12_000
 # %%
 # The liquid
 # ----------
-# Atoms start on a lattice with random velocities. The lattice melts within a few picoseconds, which takes half of the kinetic energy:
-# velocities are rescaled meanwhile.
+# Atoms start on a lattice with random velocities. The lattice melts within a few picoseconds, which takes half of the
+# kinetic energy: velocities are rescaled meanwhile.
 
 positions, edges = md.lattice.crystal("fcc", [6, 6, 6], 5.78)  # Å: four atoms of 39.948 u at 1.374 g/cm³
 argon = md.System(positions, masses=39.948, cell=edges, units=md.units.ASE)
@@ -76,8 +76,8 @@ plt.show()
 # %%
 # How fast they go
 # ----------------
-# ⟨|r(t) − r(0)|²⟩ grows as t² at first, while an atom flies freely, and as 6Dt later. minimd never wraps positions, so that displacements
-# can be read off.
+# ⟨|r(t) − r(0)|²⟩ grows as t² at first, while an atom flies freely, and as 6Dt later. minimd never wraps positions,
+# so that displacements can be read off.
 
 lags = np.arange(1, len(paths) // 4)
 squares = np.array(
@@ -98,8 +98,8 @@ panels[0].legend(frameon=False)
 # %%
 # The memory of velocities
 # ------------------------
-# ⟨v(t)·v(0)⟩ goes below zero after a third of a picosecond: an atom bounces back from the cage of its neighbors. That was the surprise of the
-# paper, because Langevin's equation predicts nothing of the kind.
+# ⟨v(t)·v(0)⟩ goes below zero after a third of a picosecond: an atom bounces back from the cage of its neighbors. That
+# was the surprise of the paper, because Langevin's equation predicts nothing of the kind.
 
 delays = np.arange(min(20, len(speeds) // 2))
 memory = np.array([np.mean(np.sum(speeds[: len(speeds) - k] * speeds[k:], axis=2)) for k in delays])
@@ -111,7 +111,8 @@ plt.show()
 # %%
 # A force of your own
 # -------------------
-# This is the loop that every course begins with. ``md.grade`` compares it with minimd's own force, and looks for the usual faults.
+# This is the loop that every course begins with. ``md.grade`` compares it with minimd's own force, and looks for the
+# usual faults.
 
 
 def forces(positions, box, cutoff):
@@ -136,10 +137,10 @@ print(md.grade(forces, cell=8.0, cutoff=2.5))
 # %%
 # Tasks
 # -----
-# 1. Break ``forces``: forget ``total[j] -= pair``; divide by r instead of r²; leave out ``np.round``; do not shift the energy. What does
-#    ``md.grade`` find each time?
+# 1. Break ``forces``: forget ``total[j] -= pair``; divide by r instead of r²; leave out ``np.round``; do not shift
+#    the energy. What does ``md.grade`` find each time?
 # 2. Rahman's cutoff was 2.25σ. What does it do to D, and to the height of the first peak?
 # 3. How many neighbors are below the first minimum of g(r), at about 5.4 Å? Integrate 4πr²ρ g(r).
 # 4. Double the number of atoms in each direction. D grows a little: why? (Lesson 6 has the answer.)
-# 5. Compute ⟨|r(t) − r(0)|⁴⟩ and the parameter (3⟨r⁴⟩/5⟨r²⟩²) − 1, which is zero for a Gaussian. Rahman found that it rises within a few
-#    picoseconds and falls again. Do you?
+# 5. Compute ⟨|r(t) − r(0)|⁴⟩ and the parameter (3⟨r⁴⟩/5⟨r²⟩²) − 1, which is zero for a Gaussian. Rahman found that it
+#    rises within a few picoseconds and falls again. Do you?

@@ -2,8 +2,9 @@
 4. Ensembles
 ============
 
-Without a bath the energy is constant and the temperature fluctuates; in a bath it is the other way round, and both fluctuate as statistical
-mechanics says. Here are 108 atoms of argon alone, in two good baths, and in one that only looks like a bath.
+Without a bath the energy is constant and the temperature fluctuates; in a bath it is the other way round, and both
+fluctuate as statistical mechanics says. Here are 108 atoms of argon alone, in two good baths, and in one that only
+looks like a bath.
 """
 
 import matplotlib.pyplot as plt
@@ -25,8 +26,8 @@ law = md.LennardJones(120.0 * kelvin, 3.4, cutoff=8.0, truncation="switched")
 # %%
 # The baths
 # ---------
-# Langevin dynamics pushes and brakes each atom; stochastic velocity rescaling acts on the kinetic energy of all at once. Both draw random
-# numbers, and must.
+# Langevin dynamics pushes and brakes each atom; stochastic velocity rescaling acts on the kinetic energy of all at
+# once. Both draw random numbers, and must.
 
 methods = {
     "alone": md.VelocityVerlet(timestep),
@@ -53,8 +54,8 @@ print(
 # %%
 # The distribution of the kinetic energy
 # --------------------------------------
-# In the canonical ensemble K/k_BT is gamma distributed, whatever the forces are. Without a bath its distribution is narrower: what the kinetic
-# energy gains, the potential energy must lose, and it has less to give than a bath.
+# In the canonical ensemble K/k_BT is gamma distributed, whatever the forces are. Without a bath its distribution is
+# narrower: what the kinetic energy gains, the potential energy must lose, and it has less to give than a bath.
 
 figure, panels = plt.subplots(1, 3, figsize=(11.0, 3.6), layout="constrained", sharey=True)
 expected = stats.gamma(n_dof / 2.0)
@@ -69,8 +70,8 @@ plt.show()
 # %%
 # Heat capacity, twice
 # --------------------
-# In a bath the variance of the energy is k_B T² C. Without one, that of the kinetic energy gives C: ⟨δK²⟩ = (n/2)(k_B T)² (1 − n k_B/2C)
-# (J. L. Lebowitz, J. K. Percus, L. Verlet, Phys. Rev. 153, 250 (1967)).
+# In a bath the variance of the energy is k_B T² C. Without one, that of the kinetic energy gives C: ⟨δK²⟩ = (n/2)(k_B
+# T)² (1 − n k_B/2C) (J. L. Lebowitz, J. K. Percus, L. Verlet, Phys. Rev. 153, 250 (1967)).
 
 n_atoms = len(argon)
 for name in ("Langevin", "rescaling"):
@@ -83,8 +84,9 @@ print(f"alone      C/N = {capacity:.2f} k_B   (the same, from the kinetic energy
 # %%
 # What is not a bath
 # ------------------
-# Velocities that are rescaled to the same temperature in every step give the right mean and no fluctuation at all. Nothing in a picture of
-# the atoms shows it; ``md.grade`` does, because the step is neither reversible nor a solution of Newton's equation.
+# Velocities that are rescaled to the same temperature in every step give the right mean and no fluctuation at all.
+# Nothing in a picture of the atoms shows it; ``md.grade`` does, because the step is neither reversible nor a solution
+# of Newton's equation.
 
 
 def rescaled(x, v, force, m, dt):
@@ -102,9 +104,10 @@ print(md.grade(rescaled))
 # %%
 # Tasks
 # -----
-# 1. Which friction is too weak for the kinetic energy to be canonical within this run, and which is so strong that the atoms hardly diffuse?
+# 1. Which friction is too weak for the kinetic energy to be canonical within this run, and which is so strong that
+#    the atoms hardly diffuse?
 # 2. Write Langevin's step yourself, with ``np.random``. Why can ``md.grade`` not judge it?
 # 3. Compare the histogram of the potential energy in both baths. Must they agree?
-# 4. Take a time step of 20 fs. The kinetic temperature of Langevin dynamics is off by O(Δt²), where configurations are far better: see
-#    ``examples/thermostats.py``.
+# 4. Take a time step of 20 fs. The kinetic temperature of Langevin dynamics is off by O(Δt²), where configurations
+#    are far better: see ``examples/thermostats.py``.
 # 5. Estimate the error of C from blocks of the run. How long must it be for two digits?

@@ -2,8 +2,9 @@
 5. Constraints
 ==============
 
-A nitrogen molecule vibrates with a period of 14 fs, and a step must resolve this vibration, although it is of no interest. A rigid bond does
-not vibrate and allows longer steps, but the force along it must be solved for. First one pendulum, then a liquid of rigid molecules.
+A nitrogen molecule vibrates with a period of 14 fs, and a step must resolve this vibration, although it is of no
+interest. A rigid bond does not vibrate and allows longer steps, but the force along it must be solved for. First one
+pendulum, then a liquid of rigid molecules.
 """
 
 import matplotlib.pyplot as plt
@@ -15,8 +16,9 @@ from minimd.integrators import Holonomic, SecondOrder, run_steps
 # %%
 # A pendulum in Cartesian coordinates
 # -----------------------------------
-# A mass on a rod of length 1: q″ = −e_y − λ q with 0 = (|q|² − 1)/2. Differentiated twice, the constraint gives λ as a function of q and v, and
-# an ordinary equation. It has the same solutions, but |q| = 1 is then only a first integral, and errors let it drift.
+# A mass on a rod of length 1: q″ = −e_y − λ q with 0 = (|q|² − 1)/2. Differentiated twice, the constraint gives λ as
+# a function of q and v, and an ordinary equation. It has the same solutions, but |q| = 1 is then only a first
+# integral, and errors let it drift.
 
 down = np.array([0.0, -1.0])
 timestep = 0.05
@@ -48,12 +50,12 @@ plt.show()
 # %%
 # SHAKE, by hand
 # --------------
-# A step without the constraint, then impulses along the *old* bond until the length is right again. For one bond the equation is quadratic in
-# λ; SHAKE solves it by sweeps that linearize it, bond after bond.
+# A step without the constraint, then impulses along the *old* bond until the length is right again. For one bond the
+# equation is quadratic in λ; SHAKE solves it by sweeps that linearize it, bond after bond.
 
 
 def shake(new, old, length, masses, tolerance=1e-12):
-    """New positions of two atoms, moved along the old bond until their distance is the length; and the number of sweeps."""
+    """New positions of two atoms, moved along the old bond until they are the length apart; the number of sweeps."""
     new, bond, sweeps = new.copy(), old[1] - old[0], 0
     inverse = 1.0 / masses
     while True:
@@ -77,7 +79,8 @@ for h in (0.05, 0.2, 0.4):
 # %%
 # A liquid of rigid molecules
 # ---------------------------
-# 108 nitrogen molecules at 77 K. Lengths are kept to rounding at any time step; the error of the energy grows with the square of the step.
+# 108 nitrogen molecules at 77 K. Lengths are kept to rounding at any time step; the error of the energy grows with
+# the square of the step.
 
 ASE, fs = md.units.ASE, md.units.fs
 bond, n_equilibration, duration = 1.0897, 1000, 600  # Å, steps, fs
@@ -97,9 +100,8 @@ for length in timesteps:
     simulation = md.Simulation(liquid.system, law, md.VelocityVerlet(length * fs))
     record = simulation.run(int(duration // length), every=1, progress=False)
     energies.append(record.total_energy.std() / len(pairs) / ASE.k_B)
-    print(
-        f"Δt = {length:2} fs   energy ± {energies[-1]:.3f} K per molecule, bonds off by {record.constraint_violation.max():.0e}"
-    )
+    off = record.constraint_violation.max()
+    print(f"Δt = {length:2} fs   energy ± {energies[-1]:.3f} K per molecule, bonds off by {off:.0e}")
 slope = np.polyfit(np.log(timesteps), np.log(energies), 1)[0]
 print(f"the energy fluctuates as Δt to the power {slope:.2f}   (velocity Verlet: 2)")
 
@@ -111,8 +113,10 @@ plt.show()
 # %%
 # Tasks
 # -----
-# 1. Move along the *new* bond in ``shake`` in place of the old one. It converges as well. Turn the velocities of a run around: what is lost?
-# 2. Extend ``shake`` to a chain of three atoms. How many sweeps does it need now? ``md.DistanceConstraints(pairs, solver="shake")`` sweeps, too.
+# 1. Move along the *new* bond in ``shake`` in place of the old one. It converges as well. Turn the velocities of a
+#    run around: what is lost?
+# 2. Extend ``shake`` to a chain of three atoms. How many sweeps does it need now? ``md.DistanceConstraints(pairs,
+#    solver="shake")`` sweeps, too.
 # 3. Replace the rods by springs of 2359 cm⁻¹. What is the longest stable step? See ``examples/timestep_gain.py``.
 # 4. How many degrees of freedom does the liquid have? Compare ``liquid.n_dof`` with 3·216 − 108 − 3.
 # 5. Take a time step that is much too long. Which bond does the message name, and why there?

@@ -2,8 +2,9 @@
 6. Diffusion and viscosity
 ==========================
 
-Transport coefficients are integrals over the memory of a liquid at rest (Green and Kubo). D from velocities and from displacements must
-agree; the viscosity follows from the stress. And D depends on the size of the box, in a way that the viscosity determines.
+Transport coefficients are integrals over the memory of a liquid at rest (Green and Kubo). D from velocities and from
+displacements must agree; the viscosity follows from the stress. And D depends on the size of the box, in a way that
+the viscosity determines.
 """
 
 import matplotlib.pyplot as plt
@@ -84,12 +85,12 @@ print(f"D = {diffusion:.4f} by Green and Kubo, {einstein:.4f} by Einstein   (the
 # %%
 # Viscosity
 # ---------
-# η = V/k_BT ∫ ⟨σ_xy(0) σ_xy(t)⟩ dt. A liquid has one stress, not one for each atom, so this converges far more slowly. Five independent
-# components help: xy, yz, zx, and (xx − yy)/2, (yy − zz)/2.
+# η = V/k_BT ∫ ⟨σ_xy(0) σ_xy(t)⟩ dt. A liquid has one stress, not one for each atom, so this converges far more
+# slowly. Five independent components help: xy, yz, zx, and (xx − yy)/2, (yy − zz)/2.
 
-shear = np.stack([stress[:, 0, 1], stress[:, 1, 2], stress[:, 2, 0],
-                  (stress[:, 0, 0] - stress[:, 1, 1]) / 2.0, (stress[:, 1, 1] - stress[:, 2, 2]) / 2.0], axis=1)  # fmt: skip
-running = volume / t * integral(memory(shear, n_lags))
+xx, yy, zz = (stress[:, k, k] for k in range(3))
+shear = [stress[:, 0, 1], stress[:, 1, 2], stress[:, 2, 0], (xx - yy) / 2.0, (yy - zz) / 2.0]
+running = volume / t * integral(memory(np.stack(shear, axis=1), n_lags))
 viscosity = running[n_lags // 3 : n_lags // 2].mean()
 print(f"η = {viscosity:.2f}   (3.2 to 3.3 for the law without a cutoff, less with one; this run is good to some 0.3)")
 
@@ -107,19 +108,19 @@ plt.show()
 # %%
 # The size of the box
 # -------------------
-# A diffusing atom drags the liquid along, and its images with it: D is too small by ξ k_BT/6πηL, ξ = 2.837297 (B. Dünweg, K. Kremer 1993;
-# I.-C. Yeh, G. Hummer, J. Phys. Chem. B 108, 15873 (2004)).
+# A diffusing atom drags the liquid along, and its images with it: D is too small by ξ k_BT/6πηL, ξ = 2.837297 (B.
+# Dünweg, K. Kremer 1993; I.-C. Yeh, G. Hummer, J. Phys. Chem. B 108, 15873 (2004)).
 
 correction = 2.837297 * t / (6.0 * np.pi * viscosity * volume ** (1.0 / 3.0))
-print(
-    f"D of an endless liquid: {diffusion + correction:.4f}   (0.033 to 0.034 for the law without a cutoff, more with one)"
-)
+known = "0.033 to 0.034 for the law without a cutoff, more with one"
+print(f"D of an endless liquid: {diffusion + correction:.4f}   ({known})")
 
 # %%
 # Tasks
 # -----
 # 1. Take 500 and 1372 atoms, and plot D against 1/L. Does the line end where the correction says?
-# 2. Where does η(t) stop rising, and where does it become noise? Split the run into five parts and draw all five integrals.
+# 2. Where does η(t) stop rising, and where does it become noise? Split the run into five parts and draw all five
+#    integrals.
 # 3. Show that D(t) of Green and Kubo is the derivative of ⟨r²⟩/6, not ⟨r²⟩/6t. Which of the two converges faster?
 # 4. Stokes and Einstein: is D = k_BT/(4πηR) with a sensible radius R?
 # 5. Do the same for Rahman's argon (lesson 2), and give η in mPa s. Liquid argon at 94 K has 0.20.

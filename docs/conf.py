@@ -1,4 +1,4 @@
-"""The site: sphinx-build -W docs site.  Nothing is fetched while it is built, and its pages make no request to any host."""
+"""The site: sphinx-build -W docs site.  Nothing is fetched while it is built; its pages make no request to any host."""
 
 import sys
 from importlib.util import find_spec
@@ -46,8 +46,8 @@ mathjax_path = "mathjax/tex-svg-full.js"
 EXAMPLES = """Examples
 ========
 
-Each answers a question about physics, in at most sixty lines, and prints what it finds beside the known value. All pictures and
-outputs were made when this site was built. Every script can be downloaded at the end of its page.
+Each answers a question about physics, in at most sixty lines, and prints what it finds beside the known value. All
+pictures and outputs were made when this site was built. Every script can be downloaded at the end of its page.
 """
 FOLDERS = {name: DOCS.parent / folder for name, folder in (("gallery", "examples"), ("course", "course"))}
 FOLDERS = {name: folder for name, folder in FOLDERS.items() if folder.is_dir()}

@@ -1,9 +1,9 @@
-"""Whether error bars are right: independent runs of a small Lennard-Jones liquid, what each claims, and what they scatter by.
+"""Whether error bars are right: runs of a small Lennard-Jones liquid, what each claims, and what they scatter by.
 
 python docs/measure_error_bars.py FOLDER [--write]
 
-FOLDER keeps the sums of all runs. Those that are there already are not made again, so that another estimate is tried in seconds.
---write puts the table into docs/accuracy.md.
+FOLDER keeps the sums of all runs. Those that are there already are not made again, so that another estimate is tried
+in seconds. --write puts the table into docs/accuracy.md.
 """
 
 import sys
@@ -116,7 +116,7 @@ def of_run(file, length):
 
 
 def claimed_and_seen(runs, name):
-    """Claimed error over scatter, and the share within two errors, of the entries that all runs have: (ratio, share, entries)."""
+    """Of the entries that all runs have: claimed error over scatter, the share within two errors, their number."""
     n = min(run[name].shape[1] for run in runs)
     values, errors = np.array([run[name][:, :n] for run in runs]).transpose(1, 0, 2)
     known = np.isfinite(values).all(axis=0) & np.isfinite(errors).all(axis=0) & (values.std(axis=0) > 0.0)

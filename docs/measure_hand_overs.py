@@ -41,7 +41,7 @@ def melt(cells: int):
 
 
 class Sampler:
-    """Looks every 20 ms at the memory of this process and of LAMMPS' processes that it has started, and at the files of a folder.
+    """Looks every 20 ms at the memory of this process and of LAMMPS' processes that it has started, and at files.
 
     own, others : bytes at most, by phase.  sizes : bytes at most, by file.
     """
@@ -154,7 +154,8 @@ def steps() -> Iterator[str]:
     one, two = found[LARGE, 1]["loop"], found[LARGE, 2]["loop"]
     yield ""
     yield f"Strong scaling, {found[LARGE, 1]['n']:,} atoms: {one / two:.2f} times faster on two processes."
-    yield f"Weak scaling, about {found[SMALL, 1]['n']:,} atoms for each: {speed[LARGE, 2] / speed[SMALL, 1]:.2f} times the atom-steps per second."
+    gain = speed[LARGE, 2] / speed[SMALL, 1]
+    yield f"Weak scaling, about {found[SMALL, 1]['n']:,} atoms for each: {gain:.2f} times the atom-steps per second."
 
 
 def growth(name: str, phase: str) -> float:

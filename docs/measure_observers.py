@@ -1,4 +1,4 @@
-"""What observers cost: CPU time of a step of the Lennard-Jones melt without them and with each, interleaved; and of the correlator alone.
+"""What observers cost: CPU time of a step of the melt without them and with each, interleaved; the correlator alone.
 
 python docs/measure_observers.py [N_ROUNDS]
 """
@@ -63,9 +63,8 @@ def main(n_rounds):
         print(f"{name:<42} {np.median(taken) * 1e6:9.1f}    {100.0 * extra / plain:+6.1f} %")
     for name, law in (("squared differences", SquaredDifference()), ("products", Product())):
         look = np.median([correlator_alone(law) for _ in range(n_rounds)])
-        print(
-            f"correlator alone, {name:<20} {look * 1e6:7.1f} µs a look, {100.0 * look / 10 / plain:.1f} % of a step with a look every 10 steps"
-        )
+        share = f"{100.0 * look / 10 / plain:.1f} % of a step with a look every 10 steps"
+        print(f"correlator alone, {name:<20} {look * 1e6:7.1f} µs a look, {share}")
 
 
 if __name__ == "__main__":

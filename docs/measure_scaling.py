@@ -1,4 +1,4 @@
-"""Measures what docs/scaling.md says: hand-overs to LAMMPS, ensembles, their tables. Five minutes on two cores that nobody else uses.
+"""Measures what docs/scaling.md says: hand-overs to LAMMPS, ensembles, tables. Five minutes on two idle cores.
 
     python docs/measure_scaling.py                      # all tables, as Markdown
     python docs/measure_scaling.py steps phases files   # these
@@ -88,7 +88,8 @@ def ensembles() -> Iterator[str]:
     ratios = np.array([one["wall"] / two["wall"] for one, two in turns])
     work = np.array([two["children"] / one["children"] for one, two in turns])
     yield ""
-    yield f"Two workers beside one, in {TURNS} turns: {np.median(ratios):.2f} ({ratios.min():.2f} to {ratios.max():.2f}) times the members per hour,"
+    gain = f"{np.median(ratios):.2f} ({ratios.min():.2f} to {ratios.max():.2f})"
+    yield f"Two workers beside one, in {TURNS} turns: {gain} times the members per hour,"
     yield f"for {np.median(work):.2f} times the processor time."
 
 
@@ -115,7 +116,8 @@ def members() -> Iterator[str]:
     )
     frames = one_ensemble(2, 2000, 0, every=10)["bytes"] - few["bytes"]
     yield ""
-    yield f"The file of a member of 256 atoms: {few['bytes'] / 1e3:.0f} kB with 2 frames, and {frames / 199 / 1e3:.1f} kB for each other one."
+    first, other = f"{few['bytes'] / 1e3:.0f} kB", f"{frames / 199 / 1e3:.1f} kB"
+    yield f"The file of a member of 256 atoms: {first} with 2 frames, and {other} for each other one."
 
 
 def one_table(n: int) -> None:

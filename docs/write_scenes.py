@@ -24,11 +24,13 @@ from minimd.structure.lattice import BASES
 
 PAGE = Path(__file__).parent / "scenes.md"
 UNITS = {
-    "_A": "Å", "_fs": "fs", "_K": "K", "_eV": "eV", "_eV_A": "eV/Å", "_g_cm3": "g/cm³", "_eV_A2": "eV/Å²", "_degree": "°", "_eV_rad2": "eV/rad²",
-    "_per_A": "1/Å", "_A_ps": "Å/ps", "_A_ps2": "Å/ps²", "_bar": "bar", "_GPa": "GPa", "_per_bar": "1/bar", "_per_GPa": "1/GPa",
+    "_A": "Å", "_fs": "fs", "_K": "K", "_eV": "eV", "_eV_A": "eV/Å", "_g_cm3": "g/cm³", "_eV_A2": "eV/Å²",
+    "_degree": "°", "_eV_rad2": "eV/rad²", "_per_A": "1/Å", "_A_ps": "Å/ps", "_A_ps2": "Å/ps²",
+    "_bar": "bar", "_GPa": "GPa", "_per_bar": "1/bar", "_per_GPa": "1/GPa",
 }  # fmt: skip
 REDUCED = {
-    "length": "σ", "time": "τ", "temperature": "ε/k_B", "energy": "ε", "force": "ε/σ", "density": "1/σ³", "stiffness": "ε/σ²",
+    "length": "σ", "time": "τ", "temperature": "ε/k_B", "energy": "ε", "force": "ε/σ", "density": "1/σ³",
+    "stiffness": "ε/σ²",
     "angular stiffness": "ε/rad²", "angle": "°", "inverse length": "1/σ", "velocity": "σ/τ", "acceleration": "σ/τ²",
     "pressure": "ε/σ³", "compressibility": "σ³/ε",
 }  # fmt: skip
@@ -57,7 +59,10 @@ MEANINGS = {
         "pbc": "periodic directions, one for all or three; of a slab `[true, true, false]`",
         "species": "a label for each atom, instead of those of the file or the element",
         "format": 'of `file`, if its suffix does not tell it, such as `"lammps-data"`',
-        "bonds": 'pairs of atoms; `"file"` for those that the file names, with its angles and dihedrals; or another file that names them',
+        "bonds": (
+            'pairs of atoms; `"file"` for those that the file names, with its angles and dihedrals; or another file '
+            "that names them"
+        ),
     },
     "constraints": {
         "pairs": 'of atoms whose distance is held; `"bonds"` for those of the structure',
@@ -89,7 +94,10 @@ MEANINGS = {
     "tables": {"r": "distances", "u": "energies, as many"},
     "potential, tabulated": {
         "type": "of the potential",
-        "file": "table of all atoms: two columns, r and u in the units of the scene, relative to the scene; or a name in `[tables]`",
+        "file": (
+            "table of all atoms: two columns, r and u in the units of the scene, relative to the scene; or a name in "
+            "`[tables]`"
+        ),
         "pairs": "instead of `file`: a table for each pair of species, see below",
         "cutoff": "the last r of the table if not given",
         "truncation": "how the law goes to zero at the cutoff",
@@ -240,12 +248,16 @@ MEANINGS = {
         "r_max": "of `radial-distribution`; half the height of the cell if not given",
         "n_bins": "of `radial-distribution` and `profile`",
         "n_levels": "of the correlator, of `mean-square-displacement`, `velocity-autocorrelation` and `viscosity`",
-        "most_atoms": "largest number of atoms, evenly chosen, for `mean-square-displacement` and `velocity-autocorrelation`",
+        "most_atoms": (
+            "largest number of atoms, evenly chosen, for `mean-square-displacement` and `velocity-autocorrelation`"
+        ),
         "axis": "of `profile`: the lattice vector",
         "extent": "of `profile` along an open axis: lower and upper end",
     },
     "output": {
-        "trajectory": "a file, or several, of the format that the suffix names; the name of the scene with `.h5md` if not given",
+        "trajectory": (
+            "a file, or several, of the format that the suffix names; the name of the scene with `.h5md` if not given"
+        ),
         "every": "steps between two observations",
         "forces": "store them in the trajectory",
         "shadow_energy": "observe it",
@@ -255,7 +267,8 @@ MEANINGS = {
 }
 INTRODUCTION = """# What can stand in a scene file?
 
-A scene file describes a run: atoms, potentials, method, steps and output. Write one in [TOML](https://toml.io), and run it with
+A scene file describes a run: atoms, potentials, method, steps and output. Write one in [TOML](https://toml.io), \
+and run it with
 `minimd run scene.toml`.
 
 ```toml
@@ -282,8 +295,10 @@ steps = 20
 temperature_K = 94.4
 ```
 
-The key of a quantity ends in its unit, as `timestep_fs` does. With `units = "LJ"` numbers are reduced and keys have no such ending (`timestep`),
-except for angles. An unknown key is refused, and the message lists the known ones. The tables below have every key. (This page is written by
+The key of a quantity ends in its unit, as `timestep_fs` does. With `units = "LJ"` numbers are reduced and keys \
+have no such ending (`timestep`),
+except for angles. An unknown key is refused, and the message lists the known ones. The tables below have every \
+key. (This page is written by
 `docs/write_scenes.py` from the code that reads scenes.)
 """
 HEADINGS = {
@@ -292,18 +307,40 @@ HEADINGS = {
     "observer": "[[observer]]",
 }
 NOTES = {
-    "structure": "Either `file`, or `lattice` with `repeat` and `density` or `lattice_constant`, and `element` unless units are reduced.",
+    "structure": (
+        "Either `file`, or `lattice` with `repeat` and `density` or `lattice_constant`, and `element` unless units "
+        "are reduced."
+    ),
     "constraints": "Optional. What it does not name is taken from the structure file.",
-    "potential, lennard-jones": "Double brackets: a scene can have several potentials. Either `epsilon` and `sigma`, or `species`.",
-    "potential, fene-bond": "Exclude bonded pairs from the potential between all beads with `bonded_scale = [0.0, 1.0, 1.0]`.",
+    "potential, lennard-jones": (
+        "Double brackets: a scene can have several potentials. Either `epsilon` and `sigma`, or `species`."
+    ),
+    "potential, fene-bond": (
+        "Exclude bonded pairs from the potential between all beads with `bonded_scale = [0.0, 1.0, 1.0]`."
+    ),
     "potential, steered-spring": "The work that moving the points does is recorded as `work`.",
-    "potential, wall": "Fields are external forces. Their formulas, and those of all other potentials, are on the page on [forces](forces.md).",
-    "potential.species.X": "A table for each species X, below its `[[potential]]`, or: `species = { X = { epsilon_eV = 0.01, sigma_A = 3.4 } }`",
+    "potential, wall": (
+        "Fields are external forces. Their formulas, and those of all other potentials, are on the page on "
+        "[forces](forces.md)."
+    ),
+    "potential.species.X": (
+        "A table for each species X, below its `[[potential]]`, or: `species = { X = { epsilon_eV = 0.01, sigma_A = "
+        "3.4 } }`"
+    ),
     "potential.pairs": "One table for each pair, below its `[[potential]]`.",
     "potential, tabulated": "Either `file` or `pairs`.",
-    "tables": "A table `[tables.X]` is what a file named X would hold: a scene that is stored in the file of its run has its tables there.",
-    "barostat": "Optional: constant pressure by stochastic cell rescaling, at the temperature of `[dynamics]`; see [pressure.md](pressure.md).",
-    "minimization": "Optional: before everything else, atoms move to a nearby minimum of the energy. `[minimization]` alone is enough.",
+    "tables": (
+        "A table `[tables.X]` is what a file named X would hold: a scene that is stored in the file of its run has "
+        "its tables there."
+    ),
+    "barostat": (
+        "Optional: constant pressure by stochastic cell rescaling, at the temperature of `[dynamics]`; see "
+        "[pressure.md](pressure.md)."
+    ),
+    "minimization": (
+        "Optional: before everything else, atoms move to a nearby minimum of the energy. `[minimization]` alone is "
+        "enough."
+    ),
     "equilibration": "Optional: steps before the run, with velocities rescaled.",
     "observer": "Optional. Double brackets: a scene can have several. The defaults are those of the kind.",
     "output": "Optional.",

@@ -1,7 +1,8 @@
 """A comet, e = 0.9, over 1000 periods with steps of varying length: does its energy stay?
 
-A comet needs short steps near the sun and long ones far from it. Steps chosen by an error estimate spoil the long-term behavior of
-Störmer-Verlet; steps chosen reversibly, their density in a leapfrog with the state, keep it. Units: semi-axis 1, period 2π.
+A comet needs short steps near the sun and long ones far from it. Steps chosen by an error estimate spoil the
+long-term behavior of Störmer-Verlet; steps chosen reversibly, their density in a leapfrog with the state, keep it.
+Units: semi-axis 1, period 2π.
 """
 
 import matplotlib.pyplot as plt

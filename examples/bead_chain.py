@@ -36,10 +36,8 @@ def measure_stretch(run):
 
 record = simulation.run(n_steps, every=10, observers=[measure_stretch])
 spring_energy = 0.5 * stiffness * np.mean(np.square(stretches))
-now = record.temperature.mean()
-energy = record.total_energy
-print(
-    f"total energy   {energy[0]:.3f} to {energy[-1]:.3f} ε; fluctuates by {energy.std() / len(system):.1e} ε per bead   (expected: below 1e-3)"
-)
+now, energy = record.temperature.mean(), record.total_energy
+width = energy.std() / len(system)
+print(f"total energy   {energy[0]:.3f} to {energy[-1]:.3f} ε; ± {width:.1e} ε per bead   (expected: below 1e-3)")
 print(f"spring energy  {spring_energy:.3f} ε per bond   (equipartition: about k_B T/2 = {0.5 * now:.3f})")
 print(simulation.report())

@@ -1,7 +1,8 @@
-"""Liquid argon at constant pressure: does it find the density of the equation of state, and do its fluctuations give the compressibility?
+"""Liquid argon at constant pressure: are density and compressibility those of the equation of state?
 
-NIST's Monte Carlo results for 500 Lennard-Jones atoms, https://mmlapps.nist.gov/srs/LJ_PURE/mc.htm: at T* = 0.90 the density 0.776 has the
-pressure 0.24056. A parabola through this point and those at 0.82 and 0.90 has the slope dp/dρ = 10.2 there: κ = 1/(ρ dp/dρ) = 0.126.
+NIST's Monte Carlo results for 500 Lennard-Jones atoms, https://mmlapps.nist.gov/srs/LJ_PURE/mc.htm: at T* = 0.90 the
+density 0.776 has the pressure 0.24056. A parabola through this point and those at 0.82 and 0.90 has the slope dp/dρ =
+10.2 there: κ = 1/(ρ dp/dρ) = 0.126.
 """
 
 import minimd as md

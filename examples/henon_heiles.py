@@ -1,8 +1,8 @@
 """A star in a galaxy, after Hénon and Heiles: does its motion have a third invariant besides energy and time?
 
-H = (vx² + vy² + x² + y²)/2 + x² y − y³/3. Each time an orbit passes x = 0 with vx > 0, it leaves a point (y, vy). At low energy the
-points of an orbit form a curve: there is a third invariant. Near the energy of escape, 1/6, most orbits fill an area: chaos.
-M. Hénon, C. Heiles, Astron. J. 69, 73 (1964).
+H = (vx² + vy² + x² + y²)/2 + x² y − y³/3. Each time an orbit passes x = 0 with vx > 0, it leaves a point (y, vy). At
+low energy the points of an orbit form a curve: there is a third invariant. Near the energy of escape, 1/6, most orbits
+fill an area: chaos. M. Hénon, C. Heiles, Astron. J. 69, 73 (1964).
 """
 
 import matplotlib.pyplot as plt
@@ -11,11 +11,6 @@ from scipy.interpolate import CubicHermiteSpline
 
 import minimd as md
 from minimd.integrators import BlanesMoan4, KahanLi6, SecondOrder, Suzuki4, run_until
-
-
-def force(q):
-    x, y = q
-    return np.array([-x - 2 * x * y, -y - x * x + y * y])
 
 
 def potential(x, y):
@@ -34,30 +29,21 @@ def points(path, k):
     return y(upwards), y(upwards, 1)
 
 
-galaxy = SecondOrder(force)
+galaxy = SecondOrder(lambda q: np.array([-q[0] - 2 * q[0] * q[1], -q[1] - q[0] ** 2 + q[1] ** 2]))
 figure, (regular, chaotic, accuracy) = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
-for axes, level, heights in (
-    (regular, 1 / 12, np.linspace(-0.34, 0.44, 14)),
-    (chaotic, 1 / 6.05, np.linspace(-0.41, 0.9, 14)),
-):
-    start = (
-        [0 * heights, heights],
-        [np.sqrt(2 * (level - potential(0, heights))), 0 * heights],
-    )  # all orbits at once, q of shape (2, 14)
+low, high = (1 / 12, np.linspace(-0.34, 0.44, 14)), (1 / 6.05, np.linspace(-0.41, 0.9, 14))
+for axes, (level, y), kind in ((regular, low, "regular"), (chaotic, high, "mostly chaotic")):
+    start = [0 * y, y], [np.sqrt(2 * (level - potential(0, y))), 0 * y]  # all orbits at once, q of shape (2, 14)
     path = run_until(galaxy, BlanesMoan4(0.2), start, 2000.0)
-    for k in range(heights.size):
+    for k in range(y.size):
         axes.plot(*points(path, k), ".", ms=2.5, mew=0)
-    axes.set(
-        xlabel="y", ylabel="vy", title=f"energy 1/{1 / level:.3g}: {'regular' if level < 0.1 else 'mostly chaotic'}"
-    )
-    error = np.abs(energy(path) / level - 1).max()
-    print(
-        f"energy 1/{1 / level:.3g}: off by at most {error:.0e} of itself in {path.t.size - 1} steps   (expected: below 1e-6)"
-    )
+    axes.set(xlabel="y", ylabel="vy", title=f"energy 1/{1 / level:.3g}: {kind}")
+    error, n_steps = np.abs(energy(path) / level - 1).max(), path.t.size - 1
+    print(f"energy 1/{1 / level:.3g}: off by {error:.0e} of itself at most, {n_steps} steps   (expected: below 1e-6)")
 
+timesteps, start = 0.4 / 2.0 ** np.arange(4), ([[0.0], [0.1]], [[0.5], [0.0]])
 for method in (md.VelocityVerlet, Suzuki4, BlanesMoan4, KahanLi6):
-    timesteps = 0.4 / 2.0 ** np.arange(4)
-    errors = [np.ptp(energy(run_until(galaxy, method(h), ([[0.0], [0.1]], [[0.5], [0.0]]), 100.0))) for h in timesteps]
+    errors = [np.ptp(energy(run_until(galaxy, method(h), start, 100.0))) for h in timesteps]
     slope = np.polyfit(np.log(timesteps[1:]), np.log(errors[1:]), 1)[0]
     accuracy.loglog(timesteps, errors, "o-", ms=4, label=f"{method.name}, slope {slope:.1f}")
     print(f"{method.name:16s} energy error ∝ timestep to the {slope:.2f}   (expected: order {method.order})")

@@ -1,14 +1,15 @@
 """Three points, two of them sliding on the lines y = ±l, joined to the middle one by rods, pulled along the lines.
 
-Nothing is eliminated: six coordinates obey four constraints, and their multipliers are the forces of rods and lines. The kinetic energy
-must equal the work of the pulls; and as long as the positions of the rods are functions of the middle point, solve_ivp must find the same path.
+Nothing is eliminated: six coordinates obey four constraints, and their multipliers are the forces of rods and lines.
+The kinetic energy must equal the work of the pulls; and as long as the positions of the rods are functions of the
+middle point, solve_ivp must find the same path.
 """
 
 import matplotlib.pyplot as plt
 import numpy as np
 from scipy.integrate import solve_ivp
 
-import minimd as md
+from minimd.integrators import Mechanical, RadauIIA3, run_until
 
 l, r1, r2 = 1.0, 2.0, 1.5  # m
 timestep, end = 0.05, 8.0  # s
@@ -18,12 +19,8 @@ pull = np.array([-1.0, 0.5, 1.5])  # N, along x
 
 def constraints(q):
     (x1, y1), (x2, y2), (x3, y3) = q.reshape(3, 2)
-    return [
-        y1 - l,
-        y3 + l,
-        ((x1 - x2) ** 2 + (y1 - y2) ** 2 - r1**2) / 2,
-        ((x3 - x2) ** 2 + (y3 - y2) ** 2 - r2**2) / 2,
-    ]
+    rods = ((x1 - x2) ** 2 + (y1 - y2) ** 2 - r1**2) / 2, ((x3 - x2) ** 2 + (y3 - y2) ** 2 - r2**2) / 2
+    return [y1 - l, y3 + l, *rods]
 
 
 def reduced(t, state):
@@ -37,35 +34,26 @@ def reduced(t, state):
     return [vx, vy, *np.linalg.solve(inertia, force)]
 
 
-mechanism = md.integrators.Mechanical(np.repeat(mass, 2), lambda q: np.stack([pull, np.zeros(3)], axis=1), constraints)
+mechanism = Mechanical(np.repeat(mass, 2), lambda q: np.stack([pull, np.zeros(3)], axis=1), constraints)
 y0 = -0.7
 points = [-np.sqrt(r1**2 - (l - y0) ** 2), l, 0.0, y0, np.sqrt(r2**2 - (l + y0) ** 2), -l]
-path = md.integrators.run_until(mechanism, md.integrators.RadauIIA3(timestep), (points, np.zeros(6)), end)
+path = run_until(mechanism, RadauIIA3(timestep), (points, np.zeros(6)), end)
 q, v, multipliers = mechanism.parts(path.y)
 other = solve_ivp(reduced, (0.0, end), [0.0, y0, 0.0, 0.0], method="DOP853", rtol=1e-11, atol=1e-11)
 
 figure, (motion, forces) = plt.subplots(2, 1, figsize=(9, 4.5), layout="constrained")
-for t, (x1, y1, x2, y2, x3, y3) in zip(path.t[::20], q[::20], strict=True):
-    motion.plot(
-        [x1, x2, x3],
-        [y1, y2, y3],
-        "-o",
-        color=plt.cm.viridis(0.9 * t / end),
-        ms=4,
-        label=f"{t:.0f} s" if t % 4 < timestep else None,
-    )
+for t, row in zip(path.t[::20], q[::20], strict=True):
+    motion.plot(row[::2], row[1::2], "-o", color=plt.cm.viridis(0.9 * t / end), ms=4)
 motion.plot(q[:, 2], q[:, 3], color="tab:red", lw=1, label="middle point")
 motion.hlines([l, -l], *motion.get_xlim(), color="0.8", zorder=0)
-motion.set(xlabel="x / m", ylabel="y / m", title="the mechanism, once a second", aspect="equal")
-for label, k, r in (("upper rod", 2, r1), ("lower rod", 3, r2)):
-    forces.plot(path.t, r * multipliers[:, k], label=label)
+motion.set(xlabel="x / m", ylabel="y / m", title="once a second, from dark to light", aspect="equal")
+forces.plot(path.t, [r1, r2] * multipliers[:, 2:], label=["upper rod", "lower rod"])
 forces.set(xlabel="time / s", ylabel="tension / N", title="forces in the rods")
-motion.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-forces.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+for panel in (motion, forces):
+    panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 figure.savefig("mechanism.png", dpi=150)
-
 kinetic, work = 0.5 * v**2 @ np.repeat(mass, 2), (q - q[0])[:, ::2] @ pull
-kept = max(np.abs(constraints(state)).max() for state in q)
+kept = max(np.abs(constraints(one)).max() for one in q)
 print(f"constraints violated by at most {kept:.0e}   (expected: rounding, 1e-15)")
 print(f"kinetic energy at the end {kinetic[-1]:.6f} J   (work of the pulls: {work[-1]:.6f})")
 print(f"middle point ends at x = {q[-1, 2]:.6f} m   (solve_ivp with two coordinates: {other.y[0, -1]:.6f})")

@@ -1,7 +1,7 @@
 """Liquid argon and krypton, one to one: does a mixing rule make unlike neighbors sit at the mean distance?
 
-Lorentz-Berthelot: σ₁₂ = (σ₁ + σ₂)/2, ε₁₂ = √(ε₁ ε₂). Neighbors in a dense liquid are a little closer than the minimum of their
-pair potential, 2^(1/6) σ₁₂, because the other atoms press them together.
+Lorentz-Berthelot: σ₁₂ = (σ₁ + σ₂)/2, ε₁₂ = √(ε₁ ε₂). Neighbors in a dense liquid are a little closer than the minimum
+of their pair potential, 2^(1/6) σ₁₂, because the other atoms press them together.
 """
 
 import matplotlib.pyplot as plt

@@ -1,11 +1,11 @@
-"""Forces of one's own: atoms fall onto an attractive floor, one of them held by a spring. Is the total energy conserved?
+"""Forces of one's own: atoms fall onto an attractive floor, one is held by a spring. Is the total energy conserved?
 
     gravity  U = m g z                                F_z = −m g
     floor    U = ε [2/15 (σ/z)⁹ − (σ/z)³]             F_z = ε/z [6/5 (σ/z)⁹ − 3 (σ/z)³]
     spring   U = ½ k |r − r₀|²                        F = −k (r − r₀)
 
-A potential has bind(system), which returns a term; its add(...) adds forces and energies. The spring is Python, the field compiled.
-"""
+A potential has bind(system), which returns a term; its add(...) adds forces and energies. The spring is Python, the
+field compiled."""
 
 import numba
 import numpy as np
@@ -27,22 +27,19 @@ def add_field(positions, masses, g, epsilon, with_energy, forces, energies):
             energies[i] += epsilon * (2.0 / 15.0 * s3**3 - s3) + weight * z
 
 
-class Field(Term):
+class Outside(Term):
     acts_from_outside = True  # the total momentum is no constant
 
     def bind(self, system):
         return self  # nothing to prepare: the potential is its own term
 
+
+class Field(Outside):
     def add(self, system, detail, forces, energies, virials):
         add_field(system.positions, system.masses, gravity, floor_depth, detail != FORCES, forces, energies)
 
 
-class Spring(Term):
-    acts_from_outside = True
-
-    def bind(self, system):
-        return self
-
+class Spring(Outside):
     def add(self, system, detail, forces, energies, virials):
         away = system.positions[0] - anchor
         forces[0] -= stiffness * away
@@ -52,15 +49,11 @@ class Spring(Term):
 
 sites = 1.2 * (np.indices((5, 5, 4)).reshape(3, -1).T + np.array([0.5, 0.5, 1.5]))
 system = md.System(sites, cell=[6.0, 6.0, 20.0], pbc=(True, True, False))
-simulation = md.Simulation(
-    system, [md.LennardJones(1.0, 1.0, 2.5, "switched"), Field(), Spring()], md.VelocityVerlet(0.002)
-)
+laws = [md.LennardJones(1.0, 1.0, 2.5, "switched"), Field(), Spring()]
+simulation = md.Simulation(system, laws, md.VelocityVerlet(0.002))
 simulation.set_temperature(0.5, seed=1)
 record = simulation.run(2000, every=20, progress=False)
-variation = np.ptp(record.total_energy) / np.ptp(record.potential_energy)
-print(
-    f"potential energy  {record.potential_energy[0]:.1f} -> {record.potential_energy[-1]:.1f} ε: the atoms fall onto the floor"
-)
-print(
-    f"total energy      varies by {variation:.1e} of the range of the potential energy   (expected: below 1e-3, ∝ Δt²)"
-)
+potential, total = record.potential_energy, record.total_energy
+print(f"potential energy  {potential[0]:.1f} -> {potential[-1]:.1f} ε: the atoms fall onto the floor")
+share = np.ptp(total) / np.ptp(potential)
+print(f"total energy      varies by {share:.1e} of the range of the potential energy   (expected: below 1e-3, ∝ Δt²)")

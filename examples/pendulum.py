@@ -9,13 +9,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.special import ellipj, ellipk
 
-import minimd as md
+from minimd.integrators import Mechanical, RadauIIA3, run_until
 
 angle, end = 1.0, 3.0  # rad, released at rest; time √(rod/g)
 
-pendulum = md.integrators.Mechanical(
-    mass=1.0, force=lambda q: np.array([0.0, -1.0]), g=lambda q: (q @ q - 1) / 2, gradient=lambda q: q
-)
+pendulum = Mechanical(1.0, lambda q: np.array([0.0, -1.0]), g=lambda q: (q @ q - 1) / 2, gradient=lambda q: q)
 start = (np.sin(angle), -np.cos(angle)), (0.0, 0.0)  # the tension follows
 
 
@@ -30,35 +28,22 @@ def closed_form(t):
 
 
 figure, (motion, errors) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
-timesteps = end / np.array([10, 20, 40, 80, 160])
-worst = []
+timesteps, worst = end / np.array([10, 20, 40, 80, 160]), []
 for timestep in timesteps:
-    path = md.integrators.run_until(pendulum, md.integrators.RadauIIA3(timestep), start, end)
-    worst.append(
-        [np.abs(part - exact).max() for part, exact in zip(pendulum.parts(path.y), closed_form(path.t), strict=True)]
-    )
+    path = run_until(pendulum, RadauIIA3(timestep), start, end)
+    parts = zip(pendulum.parts(path.y), closed_form(path.t), strict=True)
+    worst.append([np.abs(part - exact).max() for part, exact in parts])
 q, v, tension = pendulum.parts(path.y)
 fine = np.linspace(0.0, end, 200)
-for label, color, k in (("x", "tab:blue", 0), ("z", "tab:green", 1)):
-    motion.plot(path.t[::8], q[::8, k], "o", ms=4, color=color, label=label)
-    motion.plot(fine, closed_form(fine)[0][:, k], color=color, lw=1)
-motion.plot(path.t[::8], tension[::8], "o", ms=4, color="tab:red", label="tension λ")
-motion.plot(fine, closed_form(fine)[2], color="tab:red", lw=1)
-for label, marker, color, error, order in zip(
-    ("position", "velocity", "tension"),
-    "so^",
-    ("tab:blue", "tab:orange", "tab:red"),
-    np.transpose(worst),
-    (5, 3, 2),
-    strict=True,
-):
-    errors.loglog(timesteps, error, marker, color=color, label=f"{label}, slope {order}")
-    errors.loglog(timesteps, error[-1] * (timesteps / timesteps[-1]) ** order, color=color, lw=1)
-motion.set(
-    xlabel="time / √(rod / g)",
-    ylabel="coordinates / rod,  λ / (m g / rod)",
-    title="Radau IIA (dots) and closed form (lines)",
-)
+q_fine, _, tension_fine = closed_form(fine)
+for dots, line, label in zip([*q.T, tension], [*q_fine.T, tension_fine], ("x", "z", "tension λ"), strict=True):
+    (drawn,) = motion.plot(fine, line, lw=1)
+    motion.plot(path.t[::8], dots[::8], "o", ms=4, color=drawn.get_color(), label=label)
+for label, error, order in zip(("position", "velocity", "tension"), np.transpose(worst), (5, 3, 2), strict=True):
+    (drawn,) = errors.loglog(timesteps, error[-1] * (timesteps / timesteps[-1]) ** order, lw=1)
+    errors.loglog(timesteps, error, "o", color=drawn.get_color(), label=f"{label}, slope {order}")
+motion.set(xlabel="time / √(rod / g)", ylabel="coordinates / rod,  λ / (m g / rod)")
+motion.set(title="Radau IIA (dots) and closed form (lines)")
 errors.set(xlabel="time step / √(rod / g)", ylabel="largest error", title="errors fall with the orders of index 3")
 errors.set_xticks(timesteps, [f"{timestep:.3g}" for timestep in timesteps])
 errors.minorticks_off()

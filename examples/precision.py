@@ -38,10 +38,7 @@ for precision in ("double", "mixed"):
     record = run.run(n_steps, every=every)
     drift, change = run.report().energy_drift, run.report().momentum_change
     print(f"{precision} precision")
-    print(
-        f"    error of the forces   rms {np.sqrt(np.mean(errors**2)):.1e}, largest {errors.max():.1e}, of the largest force"
-    )
-    print(
-        f"    drift of the energy   {drift.slope:+.1e} ± {drift.error:.1e} ε per atom per τ   (expected: zero within its error)"
-    )
+    rms, slope = np.sqrt(np.mean(errors**2)), f"{drift.slope:+.1e} ± {drift.error:.1e} ε per atom per τ"
+    print(f"    error of the forces   rms {rms:.1e}, largest {errors.max():.1e}, of the largest force")
+    print(f"    drift of the energy   {slope}   (expected: zero within its error)")
     print(f"    change of momentum    {change:.1e} of the sum of |mv|   (expected: rounding, some 1e-16)")

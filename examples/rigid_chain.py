@@ -1,8 +1,8 @@
 """Chains of beads on rigid bonds, without any other force: do their ends reach the distance of a random walk?
 
 The inertia of the beads favors some bond angles, but none over its mirror image, so bonds stay uncorrelated and
-⟨R²⟩ = (n − 1) b², exactly as for freely jointed bonds. Chains start as straight rods, R = (n − 1) b, in a Langevin bath. Reduced units.
-M. Fixman, Proc. Natl. Acad. Sci. USA 71, 3050 (1974).
+⟨R²⟩ = (n − 1) b², exactly as for freely jointed bonds. Chains start as straight rods, R = (n − 1) b, in a Langevin
+bath. Reduced units. M. Fixman, Proc. Natl. Acad. Sci. USA 71, 3050 (1974).
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,8 @@
 """Liquid nitrogen of rigid molecules: what suffers from a longer time step, the energy or the bonds?
 
-ASE builds the molecules with FixBondLengths, which minimd understands. Two-center Lennard-Jones model of P. S. Y. Cheung and
-J. G. Powles, Mol. Phys. 30, 921 (1975). Bonds are kept to rounding at any time step; the error of the energy grows with its square.
+ASE builds the molecules with FixBondLengths, which minimd understands. Two-center Lennard-Jones model of P. S. Y.
+Cheung and J. G. Powles, Mol. Phys. 30, 921 (1975). Bonds are kept to rounding at any time step; the error of the
+energy grows with its square.
 """
 
 import matplotlib.pyplot as plt
@@ -51,6 +52,4 @@ panel.legend()
 figure.savefig("rigid_nitrogen.png", dpi=150)
 print(f"energy fluctuates as the time step to the power {slope:.2f}   (velocity Verlet: 2)")
 print(f"bonds are off by at most {max(bonds):.0e} of their square   (rounding: 1e-14)")
-print(
-    f"share of the rotation in the kinetic energy {np.mean(shares):.2f}   (equipartition: 2 of 5 degrees of freedom, 0.40)"
-)
+print(f"share of the rotation in the kinetic energy {np.mean(shares):.2f}   (equipartition: 2 of 5, 0.40)")

@@ -1,8 +1,9 @@
 """A closed chain that runs along itself: does it keep its shape?
 
-A flexible, inextensible loop of line density μ keeps any shape if all its points move along it with speed v: where the curvature is κ,
-the tension T = μ v² gives the force T κ per length, just the centripetal force μ v² κ that is needed. Here the loop is a ring of beads on
-rigid bonds of length b; it keeps its shape to a fraction of b. The same ring, squeezed, does not. No forces; mass 1, speed 1, b about 1.
+A flexible, inextensible loop of line density μ keeps any shape if all its points move along it with speed v: where
+the curvature is κ, the tension T = μ v² gives the force T κ per length, just the centripetal force μ v² κ that is
+needed. Here the loop is a ring of beads on rigid bonds of length b; it keeps its shape to a fraction of b. The same
+ring, squeezed, does not. No forces; mass 1, speed 1, b about 1.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,8 @@
-"""How smooth must a cutoff be for a method of order 6 to be one? The energy error of an argon droplet against the time step.
+"""How smooth must a cutoff be for a method of order 6 to be one? The energy error of an argon droplet.
 
-Each atom that crosses a cutoff where the third derivative of u jumps keeps an error of order Δt³, whatever the method: the usual
-switch, with two continuous derivatives, spoils all orders above 3. The smooth switch has seven continuous derivatives.
+Each atom that crosses a cutoff where the third derivative of u jumps keeps an error of order Δt³, whatever the
+method: the usual switch, with two continuous derivatives, spoils all orders above 3. The smooth switch has seven
+continuous derivatives.
 """
 
 import matplotlib.pyplot as plt
@@ -39,9 +40,8 @@ for color, (method, steps) in zip(("C0", "C1", "C2", "C3"), timesteps.items(), s
     for truncation, style in (("switched", "o--"), ("smooth", "o-")):
         errors = [energy_error(method, timestep, truncation) for timestep in steps]
         slope = np.log2(errors[-2] / errors[-1])
-        print(
-            f"{method.name:18s} {truncation:9s} error {errors[0]:.1e} to {errors[-1]:.1e} ε, last slope {slope:4.1f}   (order {method.order})"
-        )
+        found = f"error {errors[0]:.1e} to {errors[-1]:.1e} ε, last slope {slope:4.1f}"
+        print(f"{method.name:18s} {truncation:9s} {found}   (order {method.order})")
         axes.loglog(cost, errors, style, color=color, ms=4, label=method.name if truncation == "smooth" else None)
 axes.set(xlabel="force evaluations per τ", ylabel="largest change of the total energy  [ε]")
 axes.set_title("108 atoms, cutoff 2.5 σ: two continuous derivatives (dashed) and seven (solid)", fontsize=10)

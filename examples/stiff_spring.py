@@ -2,8 +2,9 @@
 
     q″ = −λ q/|q| − e_z,  0 = |q| − 1 − λ/k         mass, gravity and length 1; λ is the tension
 
-For k < ∞ the tension follows from the length, index 1; the limit is a differential-algebraic equation of index 3. The same code
-solves both, and paths that start without vibration approach that of the rod like 1/k. Units: length, √(length/gravity).
+For k < ∞ the tension follows from the length, index 1; the limit is a differential-algebraic equation of index 3. The
+same code solves both, and paths that start without vibration approach that of the rod like 1/k. Units: length,
+√(length/gravity).
 """
 
 import matplotlib.pyplot as plt

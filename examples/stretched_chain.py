@@ -1,9 +1,11 @@
-"""A chain is pulled by a spring: what does the work say about the free energy? Jarzynski's equality, for a case with a known answer.
+"""A chain is pulled by a spring: what does the work say about the free energy? Jarzynski's equality.
 
-Four beads on harmonic springs of length zero, in a bath: the first is held at the origin, the last is pulled by a spring whose point moves
-from 0 to L in a time τ. Positions are Gaussian, so that the free energy is exact: springs in a row, k_eff = 1/(3/k + 1/κ), ΔF = k_eff L²/2.
+Four beads on harmonic springs of length zero, in a bath: the first is held at the origin, the last is pulled by a
+spring whose point moves from 0 to L in a time τ. Positions are Gaussian, so that the free energy is exact: springs in
+a row, k_eff = 1/(3/k + 1/κ), ΔF = k_eff L²/2.
 
-    ⟨W⟩ ≥ ΔF, by the second law;   −k_B T ln ⟨exp(−W/k_B T)⟩ = ΔF, at any speed;   ⟨W⟩ − var W/(2 k_B T) = ΔF, because W is Gaussian
+    ⟨W⟩ ≥ ΔF, by the second law;   −k_B T ln ⟨exp(−W/k_B T)⟩ = ΔF, at any speed;
+    ⟨W⟩ − var W/(2 k_B T) = ΔF, because W is Gaussian
 
 C. Jarzynski, Phys. Rev. Lett. 78, 2690 (1997); O. Mazonka, C. Jarzynski, arXiv:cond-mat/9912121 (1999). Reduced units.
 """
@@ -36,19 +38,16 @@ def works(duration, seed):
     return np.trapezoid(power, record.time, axis=0), record
 
 
-print(
-    f"exact ΔF = {exact:.3f} ε   (expected: ⟨W⟩ above it, the others equal to it where W varies by little more than k_B T)"
-)
+print(f"exact ΔF = {exact:.3f} ε   (expected: ⟨W⟩ above it, the others equal where W varies by little more than k_B T)")
 for duration in (2.0, 10.0, 50.0):
     done, record = works(duration, seed=1)
     average, spread = done.mean(), done.std(ddof=1) / n_chains**0.5
     jarzynski = -temperature * np.log(np.mean(np.exp(-done / temperature)))
     cumulant = average - done.var(ddof=1) / (2.0 * temperature)
     drift = np.ptp(record.conserved_energy) / n_chains
+    off = abs(record.work[-1] / done.sum() - 1.0)
     print(
-        f"τ = {duration:4.0f}: ⟨W⟩ = {average:.3f} ± {spread:.3f}, Jarzynski {jarzynski:.3f}, Gaussian {cumulant:.3f}; ",
-        end="",
+        f"τ = {duration:4.0f}: ⟨W⟩ = {average:.3f} ± {spread:.3f}, Jarzynski {jarzynski:.3f}, Gaussian {cumulant:.3f};",
+        end=" ",
     )
-    print(
-        f"recorded work is their sum to {abs(record.work[-1] / done.sum() - 1.0):.0e}; E − Q − W varies by {drift:.3f} ε a chain"
-    )
+    print(f"recorded work is their sum to {off:.0e}; E − Q − W varies by {drift:.3f} ε a chain")

@@ -1,7 +1,8 @@
-"""Argon in a heat bath: is its kinetic energy distributed as in the canonical ensemble, and what does a large time step cost?
+"""Argon in a heat bath: is its kinetic energy distributed canonically, and what does a large time step cost?
 
-Langevin dynamics acts on each atom, stochastic velocity rescaling on all at once; both must give a gamma distribution. A harmonic
-oscillator at ωΔt = 1.5, near the limit of stability, then shows what is special about BAOAB: its positions are exactly distributed.
+Langevin dynamics acts on each atom, stochastic velocity rescaling on all at once; both must give a gamma distribution.
+A harmonic oscillator at ωΔt = 1.5, near the limit of stability, then shows what is special about BAOAB: its positions
+are exactly distributed.
 """
 
 import matplotlib.pyplot as plt
@@ -18,21 +19,18 @@ kelvin, fs = md.units.ASE.k_B, md.units.fs  # k_B · 1 K, 1 fs in eV and Å √(
 positions, edges = md.lattice.crystal("fcc", [n_cells] * 3, lattice_constant)
 argon = md.System(positions, masses=39.948, cell=edges, units=md.units.ASE)
 law = md.LennardJones(120 * kelvin, 3.4, cutoff=8.0, truncation="switched")
-methods = [
-    md.LangevinBAOAB(5 * fs, temperature, friction=1 / (500 * fs), seed=seed),
-    md.StochasticVelocityRescaling(5 * fs, temperature, relaxation_time=200 * fs, seed=seed),
-]
+langevin = md.LangevinBAOAB(5 * fs, temperature, friction=1 / (500 * fs), seed=seed)
+rescaling = md.StochasticVelocityRescaling(5 * fs, temperature, relaxation_time=200 * fs, seed=seed)
 
 figure, panels = plt.subplots(1, 2, figsize=(10.0, 4.2), layout="constrained", sharey=True)
-for panel, method in zip(panels, methods, strict=True):
+for panel, method in zip(panels, (langevin, rescaling), strict=True):
     simulation = md.Simulation(argon, law, method)
     simulation.set_temperature(2 * temperature, seed=seed)  # half of it goes into the melting crystal
     simulation.run(n_equilibration, every=n_equilibration)
     kinetic = simulation.run(n_steps, every=every).kinetic_energy / (kelvin * temperature)
     expected = stats.gamma(simulation.n_dof / 2)
-    print(
-        f"{method.name:30s} K / k_B T = {kinetic.mean():6.2f} ± {kinetic.std():5.2f}   ({expected.mean():.2f} ± {expected.std():.2f})"
-    )
+    found, exact = (f"{one.mean():6.2f} ± {one.std():5.2f}" for one in (kinetic, expected))
+    print(f"{method.name:30s} K / k_B T = {found}   ({exact})")
     grid = np.linspace(*expected.ppf([1e-4, 1 - 1e-4]), 200)
     panel.hist(kinetic, bins=40, density=True, color="0.8", label=f"{len(kinetic)} frames")
     panel.plot(grid, expected.pdf(grid), color="C3", label=f"gamma, {simulation.n_dof} degrees of freedom")
@@ -57,7 +55,5 @@ for _ in range(100):
     method.advance(state, springs, 5, surroundings=around)
     squares.append([(state.positions**2).mean(), (state.velocities**2).mean()])
 q2, v2 = np.mean(squares[20:], axis=0)
-print(
-    f"oscillator at ωΔt = {omega}: ω²⟨q²⟩/k_B T = {omega**2 * q2:.3f}   (1, exactly), ⟨v²⟩/k_B T = {v2:.3f}   ({1 - omega**2 / 4:.3f})"
-)
-print("drawn thermostats.png")
+print(f"oscillator at ωΔt = {omega}: ω²⟨q²⟩/k_B T = {omega**2 * q2:.3f}   (1, exactly)")
+print(f"                          ⟨v²⟩/k_B T = {v2:.3f}   ({1 - omega**2 / 4:.3f})")

@@ -1,8 +1,8 @@
-"""Three equal masses chase each other on a figure eight: what does it take to keep their energy, if the method does not?
+"""Three equal masses chase each other on a figure eight: what keeps their energy, if the method does not?
 
-RadauIIA2 is not a geometric method: it loses energy. Projecting each step onto the initial energy prevents that, and other invariants
-of the exact flow can be added to the list. A symplectic method needs no such help. Units: G = m = 1, period 6.3259.
-A. Chenciner, R. Montgomery, Ann. Math. 152, 881 (2000).
+RadauIIA2 is not a geometric method: it loses energy. Projecting each step onto the initial energy prevents that, and
+other invariants of the exact flow can be added to the list. A symplectic method needs no such help. Units: G = m = 1,
+period 6.3259. A. Chenciner, R. Montgomery, Ann. Math. 152, 881 (2000).
 """
 
 import matplotlib.pyplot as plt
@@ -40,9 +40,8 @@ methods = {
     "… and angular momentum": projected(RadauIIA2, Invariants(energy_and_spin)),
     "velocity Verlet": md.VelocityVerlet,
 }
-figure, axes = plt.subplot_mosaic(
-    [[*list(methods)[:3]], ["energy"] * 3], figsize=(11, 6), layout="constrained", height_ratios=[1, 1.3]
-)
+rows = [list(methods)[:3], ["energy"] * 3]
+figure, axes = plt.subplot_mosaic(rows, figsize=(11, 6), layout="constrained", height_ratios=[1, 1.3])
 for (name, method), color in zip(methods.items(), ["tab:red", "tab:blue", "tab:green", "0.6"], strict=True):
     path = run_until(SecondOrder(gravity), method(timestep), start, rounds * period)
     error = np.abs([energy(q, v) - energy(path.q[0], path.v[0]) for q, v in zip(path.q, path.v, strict=True)])
@@ -52,9 +51,7 @@ for (name, method), color in zip(methods.items(), ["tab:red", "tab:blue", "tab:g
     if name in axes:
         axes[name].plot(path.q[:, :, 0], path.q[:, :, 1], color=color, lw=0.3)
         axes[name].plot(*path.q[-1].T, "o", color="black", ms=4)
-        axes[name].set(
-            title=name, xlabel="x / length", ylabel="y / length", aspect="equal", xlim=(-1.3, 1.3), ylim=(-0.6, 0.6)
-        )
+        axes[name].set(title=name, aspect="equal", xlim=(-1.3, 1.3), ylim=(-0.6, 0.6))
 axes["energy"].set(xlabel="rounds", ylabel="|energy error| / (G m²/length)", ylim=(1e-17, 1))
 axes["energy"].legend(loc="center right")
 figure.savefig("three_body.png", dpi=150)

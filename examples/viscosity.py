@@ -1,9 +1,9 @@
 """The Lennard-Jones liquid near its triple point: how viscous is it, and how fast do its atoms diffuse?
 
 Reduced units. Observers keep sums during the run; no frame is written. Published values:
-viscosity 3.258, diffusion coefficient 0.0325 for 1372 atoms, or 0.0353 for an infinite system: K. Meier, A. Laesecke, S. Kabelac,
-J. Chem. Phys. 121, 3671 and 9526 (2004);
-viscosity 3.24 ± 0.04: M. Ferrario, G. Ciccotti, B. L. Holian, J. P. Ryckaert, Phys. Rev. A 44, 6936 (1991).
+viscosity 3.258, diffusion coefficient 0.0325 for 1372 atoms, or 0.0353 for an infinite system: K. Meier, A. Laesecke,
+S. Kabelac, J. Chem. Phys. 121, 3671 and 9526 (2004); viscosity 3.24 ± 0.04: M. Ferrario, G. Ciccotti, B. L. Holian,
+J. P. Ryckaert, Phys. Rev. A 44, 6936 (1991).
 """
 
 import minimd as md

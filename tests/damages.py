@@ -1,27 +1,27 @@
-"""Files of runs, damaged copies of them, and what a command then makes of one."""
+"""Files of runs, ways to damage them, and what a command then makes of one."""
 
 import contextlib
+import io
 import os
 import shutil
+import struct
+import traceback
+import zlib
 from pathlib import Path
 
 import h5py
 import numpy as np
 from references import melt_scene
-from ways_of_damage import IN_BYTES, WAYS
 
 from minimd.commands import main as cli
+from minimd.files.journaled_file import MAGIC
 
-RIGID = 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[constraints]\npairs = [[0, 1], [2, 3]]\n'
+BATH = 'method = "langevin-baoab"\nrelaxation_time = 1.0\n'
 SCENES = {
-    "plain": melt_scene(2, 60, "seed = 3\n[output]\nevery = 5\n").replace("cutoff = 2.5", "cutoff = 1.6"),
-    "rigid": melt_scene(2, 60, RIGID + "[output]\nevery = 5\n").replace("cutoff = 2.5", "cutoff = 1.6"),
-    "forces": melt_scene(2, 60, "seed = 3\n[output]\nevery = 5\nforces = true\n").replace(
-        "cutoff = 2.5", "cutoff = 1.6"
-    ),
-    "crash": melt_scene(2, 4000, "seed = 3\n")
-    .replace("timestep = 0.004", "timestep = 0.05")
-    .replace("cutoff = 2.5", "cutoff = 1.6"),
+    "plain": melt_scene(2, 60, "seed = 3\n[output]\nevery = 5\n"),
+    "rigid": melt_scene(2, 60, BATH + "seed = 3\n[constraints]\npairs = [[0, 1], [2, 3]]\n[output]\nevery = 5\n"),
+    "forces": melt_scene(2, 60, "seed = 3\n[output]\nevery = 5\nforces = true\n"),
+    "crash": melt_scene(2, 4000, "seed = 3\n").replace("timestep = 0.004", "timestep = 0.05"),
 }
 COMMANDS = {
     "check": ["check"],
@@ -30,102 +30,290 @@ COMMANDS = {
     "replay": ["replay", "--overwrite"],
 }
 GROUPS = ("h5md", "particles", "observables", "connectivity", "minimd")
+RESTARTS = ("minimd/restart", "minimd/earlier_restart")
 SENTENCE, PASSED, FAILED, TRACEBACK, CRASH = "a sentence", "passed", "failed", "a traceback", "a crash"
 
 
-def make_files(folder):
-    """A sound file of each scene; runs are made in two parts, so that they have two restarts. Every command is loaded then."""
-    files = {}
+def make_file(folder, name):
+    """A sound file of a scene; the run is made in two parts, so that it has two restarts."""
+    ends = {"crash": 3}.get(name, 0)
     with contextlib.chdir(folder):
-        for name, scene in SCENES.items():
-            Path(f"{name}.toml").write_text(scene)
-            code = cli.main(["run", f"{name}.toml", "--quiet", *([] if name == "crash" else ["--steps", "40"])])
-            assert code == (3 if name == "crash" else 0)
-            files[name] = folder / (f"{name}.crash.h5md" if name == "crash" else f"{name}.h5md")
-            if name != "crash":
-                assert cli.main(["resume", f"{name}.h5md", "--steps", "10", "--quiet"]) == 0
-        for command, file in (("check", "plain.h5md"), ("plot", "plain.h5md"), ("replay", "crash.crash.h5md")):
-            name, *options = COMMANDS[command]
-            assert cli.main([name, file, *options]) == 0
-    return files
+        text = SCENES[name].replace("cutoff = 2.5", 'cutoff = 1.6\ntruncation = "force-shifted"')
+        Path(f"{name}.toml").write_text(text)
+        assert cli.main(["run", f"{name}.toml", "--quiet", *([] if ends else ["--steps", "40"])]) == ends
+        if not ends:
+            assert cli.main(["resume", f"{name}.h5md", "--steps", "10", "--quiet"]) == 0
+    return folder / (f"{name}.crash.h5md" if ends else f"{name}.h5md")
+
+
+def run_command(command, file):
+    name, *options = COMMANDS[command]
+    with contextlib.chdir(Path(file).parent):
+        return cli.main([name, Path(file).name, *options])
+
+
+def in_child(work):
+    """What work returns or prints, in a process of its own, or its error, in words; a file may do anything to HDF5."""
+    listening, telling = os.pipe()
+    child = os.fork()
+    if child == 0:
+        with open(telling, "w") as told, contextlib.suppress(BaseException):
+            with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(out):
+                try:
+                    answer = work()
+                except BaseException:
+                    answer = out.getvalue()[-500:] + traceback.format_exc()[-1500:]
+            told.write(answer if isinstance(answer, str) else f"{out.getvalue()}\n{answer}")
+        os._exit(0)
+    os.close(telling)
+    with open(listening) as told:
+        answer = told.read()
+    status = os.waitpid(child, 0)[1]
+    return answer if status == 0 else f"died with status {status}"
 
 
 def outcome(command, file):
     """What a command makes of a file, in a process of its own, and what it says."""
-    told = Path(f"{file}.told")
-    child = os.fork()
-    if child == 0:
-        _run_and_end(command, file, told)
-    _, status = os.waitpid(child, 0)
-    words = told.read_text(errors="replace")
-    if os.WIFSIGNALED(status):
+    words = in_child(lambda: run_command(command, file))
+    if words.startswith("died with status"):
         return CRASH, words
-    known = {0: PASSED, 1: FAILED, 2: SENTENCE}
-    is_sentence = words.rstrip().splitlines()[-1:] and words.rstrip().splitlines()[-1].startswith("minimd: error: ")
-    code = known.get(os.WEXITSTATUS(status), TRACEBACK)
-    return (TRACEBACK if "Traceback" in words or (code == SENTENCE and not is_sentence) else code), words
-
-
-def _run_and_end(command, file, told):
-    status = 99
-    try:
-        os.chdir(Path(file).parent)
-        descriptor = os.open(told, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-        with open(descriptor, "w") as stream, contextlib.redirect_stdout(stream), contextlib.redirect_stderr(stream):
-            try:
-                name, *options = COMMANDS[command]
-                status = cli.main([name, Path(file).name, *options])
-            except BaseException:
-                import traceback
-
-                traceback.print_exc()
-    finally:
-        os._exit(status)
+    *told, code = filter(None, words.splitlines())
+    known = {"0": PASSED, "1": FAILED, "2": SENTENCE}.get(code, TRACEBACK)
+    is_sentence = told and told[-1].startswith("minimd: error: ")
+    return (TRACEBACK if "Traceback" in words or (known == SENTENCE and not is_sentence) else known), words
 
 
 def numbers(file, leave_out=()):
     """Everything in a file: types, shapes, bytes, attributes, by name."""
     found = {}
 
-    def opened(group, key):
-        with contextlib.suppress(KeyError, RuntimeError):
-            return group[key]
-        return None  # a link that leads nowhere, or to itself
-
-    def look(name, item, depth=0):
+    def look(name, group, key, depth=0):
         if name.startswith(leave_out) or depth > 6:
             return
-        if item is None:
-            found[name] = {}
-            return
-        found[name] = {
-            key: repr(np.asarray(item.attrs[key]).tolist()) for key in item.attrs if key != "particles_group"
-        }
+        found[name] = {}
+        try:
+            item = group[key]
+        except (KeyError, RuntimeError):
+            return  # a link that leads nowhere, or to itself
+        known = [key for key in item.attrs if key != "particles_group"]
+        found[name].update((key, repr(np.asarray(item.attrs[key]).tolist())) for key in known)
         if isinstance(item, h5py.Dataset):
             content = item[()]
-            found[name][""] = (
-                item.dtype.str,
-                item.shape,
-                repr(np.asarray(content).tolist()) if item.dtype.kind == "O" else content.tobytes(),
-            )
+            kept = repr(np.asarray(content).tolist()) if item.dtype.kind == "O" else content.tobytes()
+            found[name][""] = item.dtype.str, item.shape, kept
         elif isinstance(item, h5py.Group):
             for key in item:
-                look(f"{name}/{key}", opened(item, key), depth + 1)
+                look(f"{name}/{key}", item, key, depth + 1)
 
     with h5py.File(file, "r") as h5:
         for group in GROUPS:
-            look(group, h5[group])
+            look(group, h5, group)
     return found
 
 
 def damaged(sound, target, seed):
     """A copy of a file, damaged in a way drawn by a seed; returns the name of the way."""
-    rng = np.random.default_rng(seed)
-    way = WAYS[seed % len(WAYS)]
+    rng, way = np.random.default_rng(seed), WAYS[seed % len(WAYS)]
     shutil.copy(sound, target)
     if way in IN_BYTES:
-        target.write_bytes(way(bytearray(target.read_bytes()), rng))
+        target.write_bytes(IN_BYTES[way](bytearray(target.read_bytes()), rng))
     else:
         with h5py.File(target, "r+") as h5:
-            way(h5, rng)
-    return way.__name__
+            IN_NUMBERS[way](h5, rng)
+    return way
+
+
+def _anywhere(content, rng, length=1):
+    return int(rng.integers(len(content) - length))
+
+
+SIGNS = b"OHDR TREE HEAP SNOD GCOL \x89HDF value restart \x01\x00\x0c\x00 \x08\x00\x18\x00 \x03\x00".split(b" ")
+
+
+def _in_a_table(content, rng):
+    """The place of a byte that is no number of a dataset, as far as one can see: beside a signature or a name."""
+    places = []
+    for sign in SIGNS:
+        place = content.find(sign)
+        while place >= 0:
+            places.append(place)
+            place = content.find(sign, place + 1)
+    return min(len(content) - 1, int(rng.choice(places)) + int(rng.integers(64)))
+
+
+def _length(rng):
+    return int(2 ** rng.uniform(2, 12))
+
+
+def _flip(place):
+    def flip_bit(content, rng):
+        content[place(content, rng)] ^= 1 << int(rng.integers(8))
+        return content
+
+    return flip_bit
+
+
+def _replace(place, times=1, choices=range(256)):
+    def replace_bytes(content, rng):
+        for _ in range(times):
+            content[place(content, rng)] = int(rng.choice(choices))
+        return content
+
+    return replace_bytes
+
+
+def _overwrite(make):
+    def overwrite_block(content, rng):
+        n = _length(rng)
+        place = _anywhere(content, rng, n)
+        content[place : place + n] = make(content, rng, n)
+        return content
+
+    return overwrite_block
+
+
+def interrupted_commit(content, rng):
+    """A piece of the file is half replaced; the journal at its end has it."""
+    n = _length(rng)
+    place, before = _anywhere(content, rng, n), len(content)
+    body = struct.pack("<qq", place, n) + content[place : place + n]
+    end = struct.pack("<qqqI17s", before, before, len(body), 0, MAGIC)
+    end = struct.pack("<qqqI17s", before, before, len(body), zlib.crc32(end, zlib.crc32(body)), MAGIC)
+    content[place : place + n // 2] = rng.bytes(n // 2)
+    return content + body + end
+
+
+def interrupted_commit_with_a_damaged_journal(content, rng):
+    before, how = len(content), int(rng.integers(3))
+    content = interrupted_commit(content, rng)
+    place = before + int(rng.integers(len(content) - before))
+    if how == 0:
+        return content[:place]
+    if how == 1:
+        content[place] ^= 1 << int(rng.integers(8))
+    else:
+        content[before:] = rng.bytes(len(content) - before)
+    return content
+
+
+def _datasets(h5):
+    items = {name: h5[name] for name in _objects(h5)}
+    return [k for k, one in items.items() if isinstance(one, h5py.Dataset) and one.size and one.dtype.kind != "O"]
+
+
+def _objects(h5):
+    found = []
+    h5.visit(found.append)
+    return found
+
+
+def _one_of(h5, rng, among=_datasets):
+    return str(rng.choice(among(h5)))
+
+
+def _attribute_of(h5, rng):
+    """The attributes of an object, and the name of one of them."""
+    owners = [name for name in _objects(h5) if any(key != "particles_group" for key in h5[name].attrs)]
+    at = h5[str(rng.choice(owners))].attrs
+    return at, str(rng.choice([key for key in at if key != "particles_group"]))
+
+
+def _growing(h5):
+    return [name for name in _datasets(h5) if h5[name].maxshape[:1] == (None,)]
+
+
+def change_number(h5, rng):
+    series = h5[_one_of(h5, rng)]
+    values = np.array(series[()])
+    k = int(rng.integers(values.size))
+    old = values.flat[k]
+    others = [old + 1, old - 1, old + 1000]
+    if values.dtype.kind == "f":
+        others = [np.nan, np.inf, -old, np.nextafter(old, np.inf), old * (1 + 1e-9), 0.0, 1e300]
+    values.flat[k] = rng.choice(others)
+    series[...] = values
+
+
+def change_attribute(h5, rng):
+    at, key = _attribute_of(h5, rng)
+    value = np.array(at[key])
+    if value.dtype.kind not in "fiub":
+        at[key] = "LJ" if rng.random() < 0.5 else "other"
+    elif value.size:
+        k = int(rng.integers(value.size))
+        old = value.flat[k]
+        others = [np.nan, 0.0, -1.0, np.nextafter(old, np.inf)] if value.dtype.kind == "f" else [old ^ 1]
+        value.flat[k] = rng.choice(others)
+        at.modify(key, value)
+
+
+def remove_attribute(h5, rng):
+    at, key = _attribute_of(h5, rng)
+    del at[key]
+
+
+def swap(h5, rng):
+    """Two datasets have each other's names."""
+    one, other = _one_of(h5, rng), _one_of(h5, rng)
+    if one != other:
+        for old, new in ((one, "between"), (other, one), ("between", other)):
+            h5.move(old, new)
+
+
+def resize(h5, rng):
+    names = _growing(h5)
+    for name in names if rng.random() < 0.3 else [str(rng.choice(names))]:
+        h5[name].resize(max(0, len(h5[name]) + int(rng.choice([-3, -1, 1, 100]))), axis=0)
+
+
+def resize_all_with_their_checksums(h5, rng):
+    blocks = h5["minimd/blocks"]
+    for name in blocks.attrs["series"]:
+        h5[name].resize(int(blocks[0, 0]), axis=0)
+    blocks.resize(1, axis=0)
+
+
+def damage_both_restarts(h5, rng):
+    for name in RESTARTS:
+        if name in h5:
+            positions = h5[f"{name}/{rng.choice(['positions', 'velocities'])}"]
+            positions[3, 1] = rng.choice([np.nan, np.nextafter(positions[3, 1], 9.0)])
+
+
+def damage_a_restart(h5, rng):
+    at = h5[str(rng.choice([name for name in RESTARTS if name in h5]))].attrs
+    key = str(rng.choice(["step", "time", "reservoir_energy", "clock_step", "digest"]))
+    new = np.nan if rng.random() < 0.5 and key in ("time", "reservoir_energy") else at[key] + 1
+    at.modify(key, np.asarray(new, dtype=at[key].dtype))
+
+
+IN_BYTES = {
+    "flip a bit": _flip(_anywhere),
+    "flip a bit in a table": _flip(_in_a_table),
+    "flip a bit at the start": _flip(lambda content, rng: int(rng.integers(2048))),
+    "replace a byte in a table": _replace(_in_a_table),
+    "replace bytes in tables": _replace(_in_a_table, 8, [0, 1, 128, 255, 77]),
+    "replace bytes": _replace(_anywhere, 16),
+    "clear a block": _overwrite(lambda content, rng, n: bytes(n)),
+    "overwrite a block": _overwrite(lambda content, rng, n: rng.bytes(n)),
+    "copy a block": _overwrite(lambda content, rng, n: content[: _anywhere(content, rng) + n][-n:]),
+    "insert": _overwrite(lambda content, rng, n: rng.bytes(2 * n)),
+    "truncate": lambda content, rng: content[: _anywhere(content, rng)],
+    "append": lambda content, rng: content + rng.bytes(_length(rng)),
+    "an interrupted commit": interrupted_commit,
+    "an interrupted commit with a damaged journal": interrupted_commit_with_a_damaged_journal,
+    "a strange journal": lambda content, rng: content + rng.bytes(44) + MAGIC,
+}
+IN_NUMBERS = {
+    "change a number": change_number,
+    "change an attribute": change_attribute,
+    "remove": lambda h5, rng: h5.pop(_one_of(h5, rng, _objects)),
+    "remove an attribute": remove_attribute,
+    "rename": lambda h5, rng: h5.move(_one_of(h5, rng, _objects), "elsewhere"),
+    "swap": swap,
+    "resize": resize,
+    "resize all with their checksums": resize_all_with_their_checksums,
+    "damage both restarts": damage_both_restarts,
+    "damage a restart": damage_a_restart,
+}
+WAYS = [*IN_BYTES, *IN_NUMBERS, "flip a bit in a table", "replace a byte in a table", "change a number"]

@@ -1,12 +1,17 @@
-"""Short runs that write H5MD files."""
+"""Short runs that write files, and what tests of files look at."""
 
+import contextlib
 import resource
+import signal
 
 import MDAnalysis
 import numpy as np
 
 import minimd as md
+from minimd.files.h5md_reader import read_file, verify_frames
 
+PER_PICOSECOND = 98.22694788464064  # of the time unit of ASE, as its documentation has it
+N_ATOMS = 27
 CELLS = {
     "cubic": (3.6, None),
     "triclinic": ([[3.6, 0, 0], [0.7, 3.6, 0], [-0.4, 0.9, 3.6]], None),
@@ -22,22 +27,20 @@ def simulation(cell="cubic", units=md.units.LJ):
     """27 Lennard-Jones atoms of two species, three of them bonded, warm."""
     vectors, pbc = CELLS[cell]
     sites = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(-1, 3)
-    positions = 1.2 * sites + np.random.default_rng(3).normal(0.0, 0.03, (27, 3))
-    sigma, epsilon, mass, timestep, temperature = (
-        (1.0, 1.0, 1.0, 0.004, 0.7) if units is md.units.LJ else (3.4, 0.0104, 39.9, 0.4, 90.0)
-    )
+    positions = 1.2 * sites + np.random.default_rng(3).normal(0.0, 0.03, (N_ATOMS, 3))
+    reduced, argon = (1.0, 1.0, 1.0, 0.004, 0.7), (3.4, 0.0104, 39.9, 0.4, 90.0)
+    sigma, epsilon, mass, timestep, temperature = reduced if units is md.units.LJ else argon
     system = md.System(
         positions * sigma,
-        masses=np.where(np.arange(27) % 2, mass, 2.1 * mass),
+        masses=np.where(np.arange(N_ATOMS) % 2, mass, 2.1 * mass),
         cell=None if vectors is None else np.array(vectors) * sigma,
         pbc=pbc,
-        species=np.where(np.arange(27) % 2, "Ar", "Kr"),
+        species=np.where(np.arange(N_ATOMS) % 2, "Ar", "Kr"),
         bonds=[[0, 1], [1, 2]],
         units=units,
     )
-    made = md.Simulation(
-        system, md.LennardJones(epsilon, sigma, 1.6 * sigma, truncation="shifted"), md.VelocityVerlet(timestep)
-    )
+    law = md.LennardJones(epsilon, sigma, 1.6 * sigma, truncation="force-shifted")
+    made = md.Simulation(system, law, md.VelocityVerlet(timestep))
     made.set_temperature(temperature, seed=5)
     return made
 
@@ -47,23 +50,45 @@ def resumed(path, cell="cubic"):
     return md.Simulation.resume(path, simulation(cell).potentials)
 
 
-def opened(path, n_atoms=27):
-    universe = MDAnalysis.Universe.empty(n_atoms, trajectory=False)
-    return universe.load_new(str(path))
+def opened(path, n_atoms=N_ATOMS):
+    """What the reader of MDAnalysis makes of a file, without minimd."""
+    return MDAnalysis.Universe.empty(n_atoms, trajectory=False).load_new(str(path))
 
 
+def at_step(step, what):
+    """An observer that does something at a step."""
+    return lambda sim: what() if sim.step == step else None
+
+
+def interrupt(*_):
+    raise KeyboardInterrupt
+
+
+def ctrl_c():
+    signal.raise_signal(signal.SIGINT)
+
+
+def assert_same_file(path, other):
+    """All that minimd reads from them, to the last bit."""
+    for one in (path, other):
+        verify_frames(one)
+    ours, theirs = read_file(path), read_file(other)
+    for name in theirs.record.__dict__["_series"]:
+        np.testing.assert_array_equal(getattr(ours.record, name), getattr(theirs.record, name), strict=True)
+    for name in ("positions", "velocities"):
+        np.testing.assert_array_equal(getattr(ours.system, name), getattr(theirs.system, name), strict=True)
+    assert (ours.step, ours.time, ours.reservoir_energy) == (theirs.step, theirs.time, theirs.reservoir_energy)
+
+
+@contextlib.contextmanager
 def limited(n_bytes):
-    """A context in which no file grows beyond n_bytes, as on a full disk."""
-
-    class Limit:
-        def __enter__(self):
-            self.before = resource.getrlimit(resource.RLIMIT_FSIZE)
-            resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, self.before[1]))
-
-        def __exit__(self, *_):
-            resource.setrlimit(resource.RLIMIT_FSIZE, self.before)
-
-    return Limit()
+    """No file grows beyond n_bytes, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def bring_to_disk_every(seconds, monkeypatch):

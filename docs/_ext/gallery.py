@@ -18,7 +18,7 @@ sys.modules["__main__"].__file__ = {path!r}
 
 
 def with_title(text: str, path: Path) -> str:
-    """A script whose docstring begins with a title of reStructuredText: its first words, up to a comma, a colon or the end of a question.
+    """A script whose docstring begins with a title: its first words, up to a comma, a colon or the end of a question.
 
     A script that has such a title already is left as it is.
     """
@@ -32,8 +32,9 @@ def with_title(text: str, path: Path) -> str:
 
 
 def prepare(source: Path, target: Path, header: str) -> str:
-    """Copy the scripts of a folder to another, which sphinx-gallery reads; a copy that is up to date is left alone.  Returns the other folder.
+    """Copy the scripts of a folder to another, which sphinx-gallery reads, and return it.
 
+    A copy that is up to date is left alone.
     header : the text above the scripts, unless the folder has one in README.rst.
     """
     target.mkdir(parents=True, exist_ok=True)
@@ -54,7 +55,7 @@ def prepare(source: Path, target: Path, header: str) -> str:
 
 
 def escape_bars(_app: object, name: str, source: list[str]) -> None:
-    """For Sphinx' event source-read: |v| in the prose of a script is the length of v, and no substitution of reStructuredText."""
+    """For Sphinx' event source-read: |v| in the prose of a script is the length of v, and no substitution."""
     if name.startswith(("gallery/", "course/")):
         lines = source[0].split("\n")
         prose = (line[:1] not in (" ", ".", "|", "") and "``" not in line and ":math:" not in line for line in lines)

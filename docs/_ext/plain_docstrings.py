@@ -1,4 +1,4 @@
-"""minimd's docstrings as reStructuredText: they are plain text for help(), with formulas indented and one argument a line."""
+"""minimd's docstrings, plain text for help() with indented formulas and one argument a line, as reStructuredText."""
 
 import re
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ def _without_markup(text: str) -> str:
 
 
 def entries(lines: list[str]) -> Iterator[str]:
-    """A definition list of lines "name : text", several of which may share a line; a line that is none of them goes on with the one before."""
+    """A definition list of lines "name : text", several of which may share a line; other lines go on with the last."""
     found: list[list[str]] = []
     for line in (part for whole in lines for part in BETWEEN_ENTRIES.split(whole)):
         if match := ENTRY.match(line):

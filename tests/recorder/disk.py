@@ -1,8 +1,11 @@
-"""States of a disk: what may be on it when a process is killed, or the power fails, at any of the calls that a recorder has logged.
+"""States of a disk: what may be on it when a process is killed, or the power fails, at any of the recorded calls.
 
 kill    the first k calls
 torn    the same, and a half or some sectors of the next call
-power   of each file, any sectors of what was written since its last fsync, and any of the lengths that it had; names see NAMES
+power   of each file, any sectors of what was written since its last fsync, and any of the lengths that it had
+
+NAMES of files after a power failure: as on ext4, which keeps their order, and saves that of a file with its fsync; or
+strictly what POSIX promises: a name is safe when its folder was synced.
 
 T. S. Pillai et al., All File Systems Are Not Created Equal (OSDI 2014); https://www.sqlite.org/atomiccommit.html
 """
@@ -18,18 +21,13 @@ from typing import NamedTuple
 
 import pytest
 
-HEAD = struct.Struct(
-    "<iiiiqqqq"
-)  # what, process, its parent, descriptor, offset, value, bytes of the path, bytes of the data
+HEAD = struct.Struct("<iiiiqqqq")  # what, process, parent, descriptor, offset, value, bytes of the path, of the data
 OPEN, WRITE, TRUNCATE, FSYNC, RENAME, LINK, UNLINK, MKDIR, CLOSE, DUP = range(1, 11)
-NAMES = (
-    "ext4",
-    "strict",
-)  # a file system that keeps the order of names, and saves that of a file with its fsync; one that promises what POSIX does
+NAMES = ("ext4", "strict")
 
 
 class Change(NamedTuple):
-    """what : write, size, sync, name, unname, or sync of a folder.  file : a number.  name, old : of the file, old one that it loses."""
+    """what : write, size, sync, name, unname, sync folder.  file : its number.  name : of it.  old : what it loses."""
 
     what: str
     file: int = -1
@@ -45,25 +43,20 @@ def recorder(folder):
     compiler = shutil.which("cc")
     if not sys.platform.startswith("linux") or compiler is None:
         pytest.skip("the recorder needs Linux and a C compiler")
-    made = Path(folder) / "recorder.so"
-    subprocess.run(
-        [compiler, "-O1", "-shared", "-fPIC", "-o", made, Path(__file__).with_name("recorder.c"), "-ldl"], check=True
-    )
+    source, made = Path(__file__).with_name("recorder.c"), Path(folder) / "recorder.so"
+    subprocess.run([compiler, "-O1", "-shared", "-fPIC", "-o", made, source, "-ldl"], check=True)
     return made
 
 
 def recorded(script, root, work):
-    """Run a Python script, its argument is the folder root; returns the disk, with the changes below root.  work : folder for recorder and log."""
+    """The disk with the changes that a Python script, given the folder root, makes below it.  work : a folder."""
     before, log = _files(root), work / "log"
     log.unlink(missing_ok=True)
     known = {"LD_PRELOAD": str(recorder(work)), "RECORDED": str(root), "RECORD": str(log), "OPENBLAS_NUM_THREADS": "1"}
     subprocess.run([sys.executable, str(script), str(root)], env=os.environ | known, check=True, cwd=root)
-    known = [
-        (Change("name", n, name=name), Change("write", n, 0, before[name]), Change("sync", n))
-        for n, name in enumerate(before)
-    ]
-    folders = [Change("sync folder", name=name) for name in {os.path.dirname(name) for name in before}]
-    start = [change for three in known for change in three] + folders
+    start = [Change("sync folder", name=name) for name in {os.path.dirname(name) for name in before}]
+    for n, name in enumerate(before):
+        start[:0] = Change("name", n, name=name), Change("write", n, 0, before[name]), Change("sync", n)
     disk = Disk(start + _changes(log.read_bytes(), str(root), before), len(start))
     assert disk.killed(len(disk.changes)) == _files(root)
     return disk
@@ -143,17 +136,14 @@ class Disk:
 
     def part(self, folder):
         """The disk of a folder alone."""
-        mine = {
-            change.file for change in self.changes if change.what == "name" and os.path.dirname(change.name) == folder
-        }
-        kept = [
-            change.file in mine or (change.what == "sync folder" and change.name == folder) for change in self.changes
-        ]
-        short = [
-            one._replace(name=os.path.basename(one.name) if one.file >= 0 else "", old=os.path.basename(one.old))
-            for one in self.changes
-        ]
-        return Disk([one for one, is_kept in zip(short, kept, strict=True) if is_kept], sum(kept[: self.start]))
+        mine = {one.file for one in self.changes if one.what == "name" and os.path.dirname(one.name) == folder}
+        kept, n_start = [], 0
+        for at, one in enumerate(self.changes):
+            if one.file in mine or (one.what == "sync folder" and one.name == folder):
+                name = os.path.basename(one.name) if one.file >= 0 else ""
+                kept.append(one._replace(name=name, old=os.path.basename(one.old)))
+                n_start += at < self.start
+        return Disk(kept, n_start)
 
     def killed(self, k):
         """The files after k changes: contents by name."""

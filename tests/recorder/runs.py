@@ -1,16 +1,14 @@
-"""Runs that are recorded, and what a user makes of a disk that one of them has left: `minimd check`, `minimd resume`.
+"""Runs that are recorded, and what a user makes of a disk that one has left: `minimd check`, `minimd resume`.
 
-python tests/recorder/runs.py FOLDER    makes the runs in FOLDER: each of its folders has the name of one, and its scene
+python tests/recorder/runs.py FOLDER    makes the runs in FOLDER, which has a folder with the scene of each, by its name
 """
 
 import contextlib
 import hashlib
-import io
 import os
 import random
 import shutil
 import sys
-import traceback
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +19,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from damages import numbers
+from damages import in_child, numbers
+from recorder.disk import NAMES, recorded
 from references import melt_scene
 
 from minimd.commands import main as cli
@@ -55,7 +54,9 @@ KINDS = {  # what is added to a melt of 108 atoms
     "crash": EVERY,
 }
 RESUMES = ("resumed when killed", "resumed when finished")
-NOT_SERIES = ("minimd/earlier_restart", "minimd/blocks", "minimd/restart/beside")  # other parts and inodes give others
+COMMANDS = {"appended": [[*RUN, "--steps", "6"], RESUME], RESUMES[0]: [RESUME], RESUMES[1]: [[*RESUME, "--steps", "6"]]}
+EARLIER = ("minimd/earlier_restart", "minimd/blocks")  # other in runs of other parts
+MODELS = ("kill", "torn", *NAMES)
 
 
 class Reference(NamedTuple):
@@ -77,13 +78,32 @@ def make(kind, folder):
     """The work of a user in a folder, with a commit for each frame and between them; two frames fill a chunk."""
     h5md_writer.SECONDS_BETWEEN_FLUSHES = h5md_writer.MOST_OFTEN = simulation.SECONDS_BETWEEN_CHECKPOINTS = 0.0
     h5md_schema.CHUNK_BYTES, RunGuard.block = 6000, 2
-    commands = {
-        "appended": [[*RUN, "--steps", "6"], RESUME],
-        RESUMES[0]: [RESUME],
-        RESUMES[1]: [[*RESUME, "--steps", "6"]],
-    }.get(kind, [RUN])
     with contextlib.chdir(folder):
-        assert {cli.main(one) for one in commands} <= {3 if kind == "crash" else 0}
+        assert {cli.main(one) for one in COMMANDS.get(kind, [RUN])} <= {3 if kind == "crash" else 0}
+
+
+def survey(kinds, seeds, folder):
+    """States of the disk of some runs, drawn by each model, that do not end as the uninterrupted run did."""
+    root, resumes = folder / "root", sorted(set(kinds) & set(RESUMES))
+    for kind in [kind for kind in kinds if kind not in RESUMES] + ["nve"][: len(resumes)]:
+        _begin(root / kind, {SCENE: text_of(kind).encode()})
+    disk = recorded(__file__, root, folder)
+    if resumes:  # of a file that was killed in the middle of a commit, and of one that is finished
+        root, plain = folder / "resumes", disk.part("nve")
+        commit = [k for k, one in enumerate(plain.changes) if one.what == "sync"][8]
+        for kind, k in zip(RESUMES, (commit + 3, len(plain.changes)), strict=True):
+            _begin(root / kind, plain.killed(k))
+        disk = recorded(__file__, root, folder)
+    surveys = [Survey(kind, disk.part(kind), root / kind, folder / "state") for kind in kinds]
+    found = [(one.kind, model, seed, *one.of(model, seed)) for one in surveys for model in MODELS for seed in seeds]
+    print(f"{len(found)} states of {kinds}, {sum(len(one.seen) for one in surveys)} of them differ after their repair")
+    return [one for one in found if one[-1] != "identical"]
+
+
+def _begin(folder, files):
+    folder.mkdir(parents=True)
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
 
 
 def frames_of(file):
@@ -94,34 +114,9 @@ def frames_of(file):
 
 def content_of(file):
     """All that is in a file, apart from what belongs to its parts and its inode."""
-    found = numbers(file, NOT_SERIES)
+    found = numbers(file, (*EARLIER, "minimd/restart/beside"))
     del found["minimd/restart"]["digest"]
     return found
-
-
-def begin(folder, kinds):
-    """Folders with the scenes of some runs."""
-    for kind in kinds:
-        (folder / kind).mkdir(parents=True)
-        (folder / kind / SCENE).write_text(text_of(kind))
-
-
-def begin_resumes(folder, disk):
-    """Folders with a file that was killed in the middle of a commit, and one that is finished.  disk : of the run without a resume."""
-    third = [k for k, one in enumerate(disk.changes) if one.what == "sync"][8]
-    for kind, k in zip(RESUMES, (third + 3, len(disk.changes)), strict=True):
-        (folder / kind).mkdir(parents=True)
-        for name, content in disk.killed(k).items():
-            (folder / kind / name).write_bytes(content)
-
-
-def cut_back_elsewhere():
-    """The files of a state have other inodes than those of the run; see trajectory._cut_back."""
-    trajectory._has_inode = lambda descriptor, inode: True
-
-
-def reference(folder):
-    return Reference(folder, read_file(folder / FILE).step, content_of(folder / FILE), frames_of(folder / FILE))
 
 
 def others_of(file):
@@ -129,11 +124,11 @@ def others_of(file):
     if file.suffix in (".traj", ".extxyz"):
         return np.array([atoms.positions for atoms in ase.io.read(file, ":")])
     universe = MDAnalysis.Universe.empty(108).load_new(str(file))
-    with contextlib.closing(universe.trajectory) as trajectory:
-        return np.array([ts.positions.copy() for ts in trajectory])
+    with contextlib.closing(universe.trajectory) as read:
+        return np.array([ts.positions.copy() for ts in read])
 
 
-def state_key(files, folder):
+def put(files, folder):
     """Put a state of a disk into a folder, repaired; returns a name for what is there now."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
@@ -146,42 +141,14 @@ def state_key(files, folder):
     return key.digest()
 
 
-def n_committed(files, folder):
-    """The number of frames in a state of a disk."""
-    state_key(files, folder)
-    return in_child(lambda: str(read_file(folder / FILE).n_frames)) if FILE in files else "0"
-
-
-def in_child(work):
-    """What work returns, in a process of its own, or its error, in words; a test stays alive whatever a damaged file does to HDF5."""
-    listening, telling = os.pipe()
-    child = os.fork()
-    if child == 0:
-        with open(telling, "w") as told, contextlib.suppress(BaseException):
-            with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(out):
-                try:
-                    answer = work()
-                except BaseException:
-                    answer = out.getvalue()[-500:] + traceback.format_exc()[-1500:]
-            told.write(answer)
-        os._exit(0)
-    os.close(telling)
-    with open(listening) as told:
-        answer = told.read()
-    status = os.waitpid(child, 0)[1]
-    return answer if status == 0 else f"died with status {status}"
-
-
 def verdict(kind, folder, known, n_least):
-    """What becomes of a state of a disk: "identical", or what is wrong.  n_least : number of frames that were committed."""
+    """What becomes of a state of a disk: "identical", or an error.  n_least : number of frames that were committed."""
     os.chdir(folder)
-    cut_back_elsewhere()
+    trajectory._has_inode = lambda descriptor, inode: True  # the files of a state have other inodes than the run's
     n_frames = None
     if Path(FILE).exists():
         assert cli.main(["check", FILE]) in (0, 1)
-        universe = MDAnalysis.Universe.empty(108).load_new(FILE)
-        n_frames = len(universe.trajectory)
-        universe.trajectory.close()
+        n_frames = len(others_of(Path(FILE)))
         assert n_frames >= n_least, f"{n_frames} frames of {n_least}"
         for name, series in frames_of(FILE).items():
             np.testing.assert_array_equal(series, known.frames[name][: len(series)], strict=True)
@@ -201,48 +168,35 @@ def verdict(kind, folder, known, n_least):
     found = content_of(FILE)
     other = [name for name in {**found, **known.numbers} if found.get(name) != known.numbers.get(name)]
     assert not other, f"other numbers: {other}"
-    for suffix in (".xtc", ".extxyz", ".traj", ".dcd"):
-        if Path("run").with_suffix(suffix).exists():
-            check_other(Path("run").with_suffix(suffix), known, n_frames)
+    for file in Path().glob("run.*"):
+        if file.suffix in (".xtc", ".extxyz", ".traj", ".dcd"):  # up to the restart, or all of a run begun again
+            frames, whole = others_of(file), others_of(known.folder / file)
+            n_expected = len(whole) if n_frames is None else n_frames
+            assert len(frames) == n_expected, f"{file}: {len(frames)} frames, {n_expected} at the restart"
+            np.testing.assert_array_equal(frames, whole[: len(frames)])
     return "identical"
 
 
-def check_other(file, known, n_frames):
-    """It has the frames up to the restart, or all those of a run that was begun again."""
-    frames, whole = others_of(file), others_of(known.folder / file.name)
-    assert len(frames) == (len(whole) if n_frames is None else n_frames), (
-        f"{file}: {len(frames)} frames, {n_frames} at the restart"
-    )
-    np.testing.assert_array_equal(frames, whole[: len(frames)])
-
-
 class Survey:
-    """States of the disk of a run, and what becomes of each; those that are the same after their repair are judged once.
+    """States of the disk of a run, and what becomes of each; those that are the same when repaired are judged once.
 
-    kind : of the run.  disk : its part of the disk.  known : Reference.  scratch : folder.
+    kind : of the run.  disk : its part of the disk.  made : the folder in which it was made.  scratch : folder.
     """
 
-    def __init__(self, kind, disk, known, scratch):
-        self.kind, self._disk, self._known, self._scratch, self._seen = kind, disk, known, scratch, {}
-        self._frames = {}
-        with (
-            contextlib.redirect_stdout(io.StringIO()),
-            contextlib.redirect_stderr(io.StringIO()),
-        ):  # children find all loaded
-            scratch.mkdir(exist_ok=True)
-            shutil.copy(known.folder / FILE, scratch)
-            assert cli.main(["check", str(scratch / FILE)]) in (0, 1)
-            assert cli.main(["resume", str(scratch / FILE), "--quiet", "--steps", "2"]) == 0 or kind == "crash"
+    def __init__(self, kind, disk, made, scratch):
+        self.kind, self._disk, self._scratch, self.seen, self._frames = kind, disk, scratch, {}, {}
+        file = made / FILE
+        self._known = Reference(made, read_file(file).step, content_of(file), frames_of(file))
+        scratch.mkdir(exist_ok=True)
+        shutil.copy(file, scratch)  # children find loaded what they need
+        assert cli.main(["check", str(scratch / FILE)]) in (0, 1)
+        assert cli.main(["resume", str(scratch / FILE), "--quiet", "--steps", "2"]) == 0 or kind == "crash"
         names = [k for k, one in enumerate(disk.changes) if one.what == "name" and one.name == FILE]
         folders = [k for k, one in enumerate(disk.changes) if one.what == "sync folder" and k > names[0]]
         self._file, self._is_safe_from = disk.changes[names[0]].file, folders[0] + 1
 
-    @property
-    def n_judged(self):
-        return len(self._seen)
-
     def of(self, model, seed):
-        """A state that a model draws, its place among the changes, and what becomes of it."""
+        """A state that a model draws: its place among the changes, and what becomes of it."""
         draw, disk = random.Random(f"{self.kind} {model} {seed}"), self._disk
         if model == "torn":
             k = draw.choice([k for k in range(disk.start, len(disk.changes)) if disk.changes[k].what == "write"])
@@ -251,18 +205,19 @@ class Survey:
             k = draw.randint(disk.start, len(disk.changes))
             files = disk.killed(k) if model == "kill" else disk.without_power(k, draw, model)
         n_least = self._n_committed(k) if model in ("kill", "torn") or k >= self._is_safe_from else 0
-        if (key := state_key(files, self._scratch)) not in self._seen:
-            self._seen[key] = in_child(lambda: verdict(self.kind, self._scratch, self._known, n_least))
-        return k, self._seen[key]
+        if (key := put(files, self._scratch)) not in self.seen:
+            self.seen[key] = in_child(lambda: verdict(self.kind, self._scratch, self._known, n_least))
+        return k, self.seen[key]
 
     def _n_committed(self, k):
         """The number of frames that were safe after k changes: those after the last fsync of the file."""
-        last = max(
-            (at + 1 for at, one in enumerate(self._disk.changes[:k]) if one.what == "sync" and one.file == self._file),
-            default=0,
-        )
+        mine = [at + 1 for at, one in enumerate(self._disk.changes[:k]) if one[:2] == ("sync", self._file)]
+        last = max(mine, default=0)
         if last not in self._frames:
-            self._frames[last] = int(n_committed(self._disk.killed(last), self._scratch))
+            files = self._disk.killed(last)
+            put(files, self._scratch)
+            count = in_child(lambda: str(read_file(self._scratch / FILE).n_frames)) if FILE in files else 0
+            self._frames[last] = int(count)
         return self._frames[last]
 
 

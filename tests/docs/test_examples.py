@@ -1,0 +1,133 @@
+"""Examples and lessons run, shortened; what they print stands beside the known value that they name."""
+
+import re
+import runpy
+import subprocess
+import sys
+from ast import literal_eval
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+EXAMPLES, COURSE = REPOSITORY / "examples", REPOSITORY / "course"
+SCRIPTS, LESSONS = sorted(EXAMPLES.glob("*.py")), sorted(COURSE.glob("*.py"))
+LENGTHS = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 5, "rounds": 2, "every": 10}
+SHORTER = LENGTHS | {"duration": 200, "end": 2.0, "t_end": 3.0}
+IN_FULL = ("own_law.py", "rigid_ring.py", "equation_of_state.py")  # by tests of their own
+KERNELS_OF_THEIR_OWN = [
+    "precision",
+    "to_the_last_bit",
+    "viscosity",
+    "constant_pressure",
+    "stretched_chain",
+    "own_force",
+    "rigid_chain",
+]
+SMALL_SYSTEMS = ["stiff_spring", "henon_heiles", "smooth_cutoff", "coupled_wells", "mechanism", "three_body"]
+LONG = [
+    "ensemble_checks",
+    "timestep_gain",
+    "work_precision",
+    *KERNELS_OF_THEIR_OWN,
+    *SMALL_SYSTEMS,
+]  # the gallery of the site runs them
+FAST = [path for path in SCRIPTS if path.name not in IN_FULL and path.stem not in LONG] + LESSONS[:1]
+SLOW = [path for path in SCRIPTS if path.stem in LONG] + LESSONS[1:]
+
+pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
+
+
+def shortened(path):
+    """The text of a script, with fewer steps."""
+    text = path.read_text(encoding="utf-8")
+    for names, values in re.findall(r"^(\w+(?:, \w+)*) = ([\d_., ]*\d)(?:  #.*)?$", text, re.MULTILINE):
+        pairs = zip(names.split(", "), values.split(", "), strict=True)
+        shorter = [str(min(SHORTER.get(word, np.inf), literal_eval(value))) for word, value in pairs]
+        text = text.replace(f"{names} = {values}", f"{names} = {', '.join(shorter)}")
+    return text
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """A function that runs the text of a script in an empty folder, and returns what it prints."""
+    monkeypatch.chdir(tmp_path)
+
+    def running(text):
+        Path("script.py").write_text(text, encoding="utf-8")
+        try:
+            runpy.run_path("script.py", run_name="__main__")
+        finally:
+            plt.close("all")
+        return capsys.readouterr().out
+
+    return running
+
+
+@pytest.mark.parametrize(
+    "path",
+    [*FAST, *(pytest.param(path, marks=pytest.mark.slow) for path in SLOW)],
+    ids=[path.name for path in FAST + SLOW],
+)
+def test_script_runs(path, run):
+    if path.stem == "ensemble_checks":
+        pytest.importorskip("physical_validation")
+    told = run(shortened(path))
+    assert "(" in told  # the known value
+    assert "nan" not in told
+    assert "THE TOTAL" not in told  # the verdict of a report that is not content
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.name)
+def test_example_is_short(path):
+    assert len(path.read_text().splitlines()) <= (40 if path.stem == "equation_of_state" else 60)
+
+
+@pytest.mark.parametrize("path", LESSONS, ids=lambda path: path.name)
+def test_lesson_has_a_title_cells_and_tasks(path):
+    text = path.read_text(encoding="utf-8")
+    title, underline = text.split("\n")[1:3]
+    assert title.startswith(f"{path.name[0]}. ")
+    assert underline == "=" * len(title)
+    assert text.count("# %%\n") >= 4
+    assert text.rindex("# Tasks\n# -----\n") > text.rindex("# %%\n")
+    assert len(re.findall(r"^# [1-9]\. ", text, re.M)) == 5
+
+
+def test_a_ring_that_runs_along_itself_keeps_its_shape(run):
+    told = run((EXAMPLES / "rigid_ring.py").read_text())
+    running, squeezed = map(float, re.findall(r"off its curve by (\d+\.\d+) b", told))
+    assert running < 0.2  # truncation: 0.12 with 200 beads, 0.20 with 100
+    assert squeezed > 10.0
+    assert Path("rigid_ring.png").stat().st_size > 0
+
+
+def test_own_laws_give_what_their_formulas_say(run):
+    told = run((EXAMPLES / "own_law.py").read_text())
+    frequency, expected, force, difference = map(float, re.findall(r"-?\d+\.\d{3,}", told))
+    assert frequency == pytest.approx(expected, rel=1e-3)  # truncation: amplitude 1e-3, and a finite number of swings
+    assert force == pytest.approx(difference, abs=2e-6)  # as printed
+
+
+@pytest.mark.slow
+def test_the_scan_of_an_equation_of_state_runs_in_worker_processes(tmp_path):
+    """Of two temperatures only."""
+    (tmp_path / "scan.py").write_text(shortened(EXAMPLES / "equation_of_state.py").replace("0.70, 1.69", "0.85, 0.91"))
+    told = subprocess.run([sys.executable, "scan.py"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert re.findall(r"T\* (\S+): .* \(NIST: (\S+),", told) == [("0.85", "-5.5121"), ("0.90", "-5.4689")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", LESSONS, ids=lambda path: path.name)
+def test_lesson_in_full_finds_the_known_values(path, run):
+    told = run(path.read_text(encoding="utf-8"))
+    print(told)
+    if path.name.startswith("2"):
+        assert float(re.search(r"diffusion +(\S+)", told)[1]) == pytest.approx(2.43e-5, rel=0.12)  # statistics
+        assert float(re.search(r"g\(r\) (\S+)", told)[1]) == pytest.approx(3.7, abs=0.1)
+    if path.name.startswith("6"):
+        first, second = map(float, re.search(r"D = (\S+) by Green and Kubo, (\S+) by", told).groups())
+        assert first == pytest.approx(second, rel=0.1)
+        assert float(re.search(r"η = (\S+)", told)[1]) == pytest.approx(3.25, rel=0.25)

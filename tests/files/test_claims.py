@@ -1,0 +1,215 @@
+"""One file, one run: who comes second is refused and touches nothing; no output is written through a link."""
+
+import os
+import threading
+import warnings
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from h5md_runs import at_step, bring_to_disk_every, resumed, simulation
+from matplotlib.figure import Figure
+
+import minimd as md
+from minimd.analysis.picture import save
+from minimd.ensemble.member import Member
+from minimd.ensemble.notes import Note, note_of
+from minimd.files.claim import Claim, write_whole
+from minimd.files.h5md_reader import read_file
+from minimd.files.trajectory import open_trajectories
+from minimd.view.viewing import View
+
+FORMATS = ["a.h5md", "a.xtc", "a.dcd", "a.trr", "a.ncdf", "a.traj", "a.xyz"]
+EACH = pytest.mark.parametrize("name", FORMATS)
+
+
+def files_of(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+@EACH
+def test_a_second_run_is_refused_and_the_first_goes_on(name, tmp_path):
+    path, refused = tmp_path / name, []
+
+    def second(overwrite):
+        with pytest.raises((OSError, ValueError), match=name) as failure:
+            simulation().run(10, every=5, trajectory=path, overwrite=overwrite)
+        refused.append(str(failure.value))
+
+    for is_old in (False, True):
+        refused.clear()
+        look = [at_step(5, lambda: second(False)), at_step(10, lambda: second(True))]
+        simulation().run(20, every=5, trajectory=path, overwrite=is_old, observers=look)
+        assert len(refused) == 2
+        assert "another run" in refused[1]
+        assert files_of(tmp_path) == [name]
+    if name == "a.h5md":
+        assert read_file(path).record.step.tolist() == [0, 5, 10, 15, 20]
+
+
+def test_what_is_replaced_is_kept_until_the_first_frame(tmp_path):
+    engine = simulation().engine
+    for name in FORMATS:
+        (tmp_path / name).write_text("precious")
+        with open_trajectories(tmp_path / name, engine, store_forces=False, overwrite=True):
+            assert (tmp_path / name).read_text() == "precious"
+        assert (tmp_path / name).read_text() == "precious"
+    assert files_of(tmp_path) == sorted(FORMATS)
+
+
+def test_links_to_a_file_are_that_file(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    link, file = tmp_path / "link.h5md", tmp_path / "elsewhere" / "a.h5md"
+    link.symlink_to(file)
+    with pytest.raises(ValueError, match="are the same file"):
+        simulation().run(10, trajectory=[link, file])
+    file.touch()  # a link to nothing is refused, see below
+    simulation().run(10, every=5, trajectory=link, overwrite=True)
+    assert link.is_symlink()
+    assert read_file(file).n_frames == 3
+
+    def second(_sim):
+        with pytest.raises(OSError, match="another run"):
+            simulation().run(1, trajectory=file, overwrite=True)
+
+    simulation().run(5, every=5, trajectory=link, overwrite=True, observers=[second])
+    assert read_file(link).n_frames == 2
+
+
+@EACH
+def test_a_link_at_a_temporary_name_is_not_followed(name, tmp_path, monkeypatch):
+    """Whoever can write to the folder can put one there; after the claim, libraries would open its target by name."""
+    path, precious, link = tmp_path / name, tmp_path / "precious", tmp_path / f"{name}.begun"
+    precious.write_text("precious")
+
+    def put_link(*_):
+        link.unlink(missing_ok=True)
+        link.symlink_to(precious)
+
+    put_link()
+    simulation().run(10, every=5, trajectory=path)
+    assert path.is_file()
+    assert not path.is_symlink()
+    assert files_of(tmp_path) == sorted([name, "precious"])
+    path.unlink()
+    made = Claim.__init__
+    monkeypatch.setattr(Claim, "__init__", lambda *args, **options: (made(*args, **options), put_link())[0])
+    with pytest.raises(OSError, match="was replaced"):
+        simulation().run(10, every=5, trajectory=path)
+    assert precious.read_text() == "precious"
+
+
+def test_a_link_to_nothing_makes_no_file_elsewhere(tmp_path):
+    (elsewhere := tmp_path / "elsewhere").mkdir()
+    for suffix in ("h5md", "xtc", "extxyz"):
+        (path := tmp_path / f"a.{suffix}").symlink_to(elsewhere / f"new.{suffix}")
+        for overwrite in (False, True):
+            with pytest.raises(OSError, match="link"):
+                simulation().run(10, every=5, trajectory=path, overwrite=overwrite)
+    assert not list(elsewhere.iterdir())
+
+
+def note(path):
+    made = Note(Member(0, {}, 1, 10, path))
+    note_of(path).symlink_to(path.parent / "precious")
+    made.write()
+    made.remove()
+
+
+def blow_up(path):
+    """A run that fails, and names its report."""
+    pair = md.System([[0.0, 0, 0], [0.9, 0, 0]], velocities=[[-5.0, 0, 0], [5.0, 0, 0]])
+    sim = md.Simulation(pair, simulation().potentials, md.VelocityVerlet(0.2))
+    with pytest.raises(md.NonFiniteError) as failure, warnings.catch_warnings(action="ignore"):
+        sim.run(1000, crash_report=path)
+    return str(failure.value)
+
+
+SMALL_FILES = {  # what writes them, given their name
+    "a page": View("<html>", Path("a.h5md"), "").save,
+    "a picture": lambda path: save(Figure(), path.with_suffix(".png")),
+    "a table": lambda path: simulation().run(5, every=5).to_csv(path, overwrite=False),
+    "a table in place of another": lambda path: simulation().run(5, every=5).to_csv(path, overwrite=True),
+    "a description": lambda path: write_whole(path, "{}"),
+    "a note": note,
+    "a crash report": blow_up,
+}
+
+
+@pytest.mark.parametrize("kind", SMALL_FILES)
+def test_no_small_file_is_written_through_a_link(kind, tmp_path):
+    """Neither at its own name, nor at the one under which it is begun."""
+    precious, path = tmp_path / "precious", tmp_path / "a.png"
+    precious.write_text("precious")
+    for name in ("a.png", "a.png.part", "a.png.begun", "a.png.part.begun", "a-2.png.part"):
+        (tmp_path / name).symlink_to(precious)
+    with suppress(FileExistsError):
+        SMALL_FILES[kind](path)
+    assert precious.read_text() == "precious"
+
+
+def test_a_refused_crash_report_leaves_that_of_the_other_run(tmp_path):
+    claim = Claim(tmp_path / "a.crash.h5md.part")
+    claim.appear()
+    assert "another run" in blow_up(tmp_path / "a.crash.h5md")
+    claim.check()
+    claim.release()
+
+
+def test_pipes_are_no_trajectories_and_not_replaced(tmp_path):
+    for name in FORMATS:
+        os.mkfifo(tmp_path / name)
+        with pytest.raises(ValueError, match="regular file"):
+            simulation().run(1, trajectory=tmp_path / name, overwrite=True)
+    with pytest.raises(OSError, match="regular file"):
+        write_whole(tmp_path / FORMATS[0], "text")
+    assert files_of(tmp_path) == sorted(FORMATS)
+
+
+def test_of_two_threads_one_writes(tmp_path):
+    path, outcomes, both = tmp_path / "a.h5md", [], threading.Barrier(2)
+
+    def run():
+        sim = simulation()
+        both.wait()
+        try:
+            sim.run(40, every=1, trajectory=path)
+            outcomes.append("written")
+        except OSError as error:
+            outcomes.append(str(error))
+
+    threads = [threading.Thread(target=run) for _ in range(2)]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    assert sorted(one == "written" for one in outcomes) == [False, True], outcomes
+    assert read_file(path).n_frames == 41
+
+
+@pytest.mark.parametrize("fate", ["removed", "replaced", "cut"])
+def test_a_file_that_is_lost_under_the_run_is_told(fate, tmp_path, monkeypatch):
+    bring_to_disk_every(0.0, monkeypatch)
+    path = tmp_path / "a.h5md"
+    meddle = {
+        "removed": path.unlink,
+        "replaced": lambda: (path.unlink(), path.write_text("mine")),
+        "cut": lambda: os.truncate(path, 1000),
+    }
+    with pytest.raises(OSError, match=rf"step 15: it was {fate}"):
+        simulation().run(30, every=5, trajectory=path, observers=[at_step(10, meddle[fate])])
+    assert fate != "replaced" or path.read_text() == "mine"
+    assert files_of(tmp_path) == ([] if fate == "removed" else ["a.h5md"])
+
+
+def test_a_resumed_file_is_claimed_too(tmp_path):
+    path = tmp_path / "a.h5md"
+    simulation().run(10, every=5, trajectory=path)
+    claim = Claim(path, is_new=False)
+    with pytest.raises(OSError, match="another run"):
+        resumed(path).run(10, trajectory=path, append=True)
+    claim.release()
+    sim = resumed(path)
+    sim.run(10, every=5, trajectory=path, append=True)
+    np.testing.assert_array_equal(read_file(path).system.positions, sim.positions)

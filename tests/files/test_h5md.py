@@ -1,0 +1,188 @@
+"""The H5MD file: what is read is what was run, and what goes on is what stopped."""
+
+import warnings
+from typing import NamedTuple
+
+import h5py
+import numpy as np
+import pytest
+from h5md_runs import CELLS, PER_PICOSECOND, at_step, opened, resumed, simulation
+
+import minimd as md
+from minimd.engine.record import SERIES
+from minimd.files.h5md_reader import read_file
+from minimd.files.h5md_writer import edit
+
+KJ_PER_MOL = 96.48533288249877  # of eV, as ASE's documentation has it
+LJ, ASE = md.units.LJ, md.units.ASE
+RUNS = [*((cell, LJ) for cell in CELLS), ("cubic", ASE), ("triclinic", ASE), ("open", ASE)]
+
+
+class Run(NamedTuple):
+    cell: str
+    units: object
+    path: object
+    sim: object
+    record: object
+    seen: list  # step, time, positions, velocities, forces at each frame
+
+
+@pytest.fixture(scope="module", params=RUNS, ids=lambda row: f"{row[0]}-{row[1].name}")
+def run(request, tmp_path_factory):
+    """23 steps with a frame of every fifth: the end lies beyond the last frame."""
+    (cell, units), seen = request.param, []
+    path, sim = tmp_path_factory.mktemp("run") / "a.h5md", simulation(cell, units)
+    look = [lambda s: seen.append((s.step, s.time, s.positions.copy(), s.velocities.copy(), s.forces.copy()))]
+    record = sim.run(23, every=5, trajectory=path, store_forces=True, observers=look)
+    return Run(cell, units, path, sim, record, seen)
+
+
+def test_trajectory_read_back_by_mdanalysis_is_the_trajectory_written(run):
+    per_ps, energy = (1.0, 1.0) if run.units is LJ else (PER_PICOSECOND, KJ_PER_MOL)
+    frames = opened(run.path).trajectory
+    assert len(frames) == len(run.seen) == 5
+    for ts, (step, time, positions, velocities, forces) in zip(frames, run.seen, strict=True):
+        assert ts.data["step"] == step
+        assert ts.time == pytest.approx(time / per_ps, rel=1e-14)
+        np.testing.assert_array_equal(ts.positions, positions.astype(np.float32))
+        np.testing.assert_allclose(ts.velocities, velocities * per_ps, rtol=1.2e-7)  # rounding to float32
+        np.testing.assert_allclose(ts.forces, forces * energy, rtol=1.2e-7)
+        assert ts.velocities.any()
+        assert ts.forces.any()
+
+
+def test_cell_of_mdanalysis_has_lengths_and_angles_of_ours(run):
+    cell, dimensions = run.sim.system.cell, opened(run.path).trajectory.ts.dimensions
+    assert read_file(run.path).system.cell.same_as(cell)
+    if run.cell.startswith("open") or run.cell == "slab without height":
+        assert dimensions is None
+        return
+    a, b, c = (v / np.linalg.norm(v) for v in cell.vectors)
+    angles = np.degrees(np.arccos([b @ c, a @ c, a @ b]))
+    np.testing.assert_allclose(dimensions, [*np.linalg.norm(cell.vectors, axis=1), *angles], rtol=2e-7)
+
+
+def test_observables_are_those_of_the_record_to_the_last_bit(run):
+    read, names = read_file(run.path).record, [name for name in SERIES if name in run.record]
+    assert {"total_energy", "momentum", "temperature"} <= set(names)
+    assert ("pressure" in names) == hasattr(read, "pressure") == run.sim.system.cell.pbc.all()
+    assert read.units is run.units
+    stored = [dict(ts.data) for ts in opened(run.path).trajectory]
+    for name in ("step", "time", *names):
+        np.testing.assert_array_equal(getattr(read, name), getattr(run.record, name), strict=True)
+    for name in names:
+        np.testing.assert_array_equal([row[name] for row in stored], getattr(run.record, name), strict=True)
+
+
+def test_restart_is_the_end_of_the_run_to_the_last_bit(run):
+    contents = read_file(run.path)
+    assert (contents.step, contents.time, contents.timestep) == (23, run.sim.time, run.sim.method.timestep)
+    assert md.integrators.SPLITTINGS[contents.method] is md.VelocityVerlet
+    for name in ("positions", "velocities", "masses", "species", "bonds"):
+        np.testing.assert_array_equal(getattr(contents.system, name), getattr(run.sim.system, name), strict=True)
+
+
+def test_series_share_one_step_and_one_time(run):
+    with h5py.File(run.path) as h5:
+        position = h5["particles/trajectory/position"]
+        groups = [f"particles/trajectory/{name}" for name in ("velocity", "force", "box/edges")]
+        for one in [h5[name] for name in ("observables/momentum", *groups) if name in h5]:
+            assert one["step"] == position["step"]
+            assert one["time"] == position["time"]
+        assert position["value"].dtype == np.float64
+        assert h5["observables/total_energy/value"].attrs["unit"] == run.units.energy
+
+
+@pytest.mark.parametrize("n_steps", [20, 23])  # the end of the run is a frame, or lies beyond the last one
+def test_appended_run_continues_on_the_grid_of_the_first_one(tmp_path, n_steps):
+    path = tmp_path / "a.h5md"
+    simulation().run(n_steps, every=5, trajectory=path, store_forces=True)
+    assert read_file(path).step == n_steps
+    record = resumed(path).run(until_step=n_steps + 20, every=5, trajectory=path, append=True)
+    contents = read_file(path)
+    assert contents.record.step.tolist() == [0, 5, 10, 15, 20, 25, 30, 35, 40]
+    assert (np.diff(contents.record.time) > 0.0).all()
+    assert contents.step == n_steps + 20
+    np.testing.assert_array_equal(contents.record.total_energy[-3:], record.total_energy[-3:])
+    frames = opened(path).trajectory
+    assert len(frames) == 9
+    assert len(frames[-1].forces) == 27
+
+
+def langevin(temperature=1.0, seed=3):
+    return md.LangevinBAOAB(0.002, temperature, 1.0, seed)
+
+
+OTHER_STEPS = {
+    "method": (md.VelocityVerlet(0.002), md.PositionVerlet(0.002), ["velocity-verlet", "position-verlet"]),
+    "time step": (md.VelocityVerlet(0.002), md.VelocityVerlet(0.001), ["timestep=0.002", "timestep=0.001"]),
+    "temperature": (langevin(), langevin(2.0), ["temperature=1", "temperature=2"]),
+    "seed": (langevin(), langevin(seed=4), ["seed=3", "seed=4"]),
+}
+
+
+@pytest.mark.parametrize("what", OTHER_STEPS)
+def test_a_run_that_goes_on_with_other_steps_says_so(what, tmp_path):
+    (before, now, shown), sim, path = OTHER_STEPS[what], simulation(), tmp_path / "a.h5md"
+    sim.method = before
+    sim.run(4, every=2, trajectory=path)
+    with warnings.catch_warnings(action="error"):
+        sim.run(4, every=2, trajectory=path, append=True)  # with the same ones it is silent
+        resumed(path).run(4, every=2, trajectory=path, append=True)
+    again = resumed(path)
+    again.method = now
+    with pytest.warns(UserWarning, match=".* before, .*".join(shown)) as caught:
+        again.run(4, every=2, trajectory=path, append=True)
+    assert caught[0].filename == __file__
+    assert read_file(path).parameters == now.parameters
+
+
+def test_a_method_that_takes_over_during_a_run_is_in_the_file(tmp_path):
+    def shorten(sim):
+        if sim.step == 10:
+            sim.method = md.VelocityVerlet(0.001)
+
+    whole, sim, path = simulation(), simulation(), tmp_path / "a.h5md"
+    whole.run(40, every=5, observers=[shorten])
+    sim.run(20, every=5, trajectory=path, observers=[shorten])
+    again = resumed(path)
+    again.run(20, every=5)
+    assert (again.method.timestep, again.time) == (0.001, whole.time)
+    np.testing.assert_array_equal(again.positions, whole.positions)
+
+
+def test_time_is_restored_whatever_the_method_is():
+    sim = simulation()
+    sim.make_steps(20)
+    before, time = sim.snapshot(), sim.time
+    sim.method = md.VelocityVerlet(0.001)
+    sim.make_steps(7)
+    sim.restore(before)
+    assert (sim.step, sim.time) == (20, time)
+
+
+def test_a_title_a_scene_and_integer_species_are_kept(tmp_path):
+    path, text = tmp_path / "a.h5md", "structure = 'ä'\n" * 10_000
+    sim = simulation()
+    sim.engine.notes.update(title="two species", scene=text)
+    sim.run(4, every=2, trajectory=path)
+    contents = read_file(path)
+    assert (contents.title, contents.scene, contents.n_frames) == ("two species", text, 3)
+    resumed(path).run(4, every=2, trajectory=path, append=True)
+    assert read_file(path).scene == text
+    numbered = md.System(np.diag([1.0, 2.0, 3.0]), species=[7, 3, 7])
+    md.Simulation(numbered, sim.potentials, sim.method).run(1, trajectory=tmp_path / "b.h5md")
+    assert read_file(tmp_path / "b.h5md").system.species.tolist() == [7, 3, 7]
+
+
+def test_a_file_that_is_being_written_is_not_changed_by_others(tmp_path):
+    path, told = tmp_path / "a.h5md", []
+
+    def meddle():
+        with pytest.raises(OSError, match=r"a\.h5md") as failure:
+            edit(path, lambda h5: h5["minimd"].attrs.update(title="mine"))
+        told.append(failure)
+
+    simulation().run(4, every=2, trajectory=path, observers=[at_step(step, meddle) for step in (0, 2, 4)])
+    assert len(told) == 3
+    assert read_file(path).title == "27 atoms of Ar, Kr"

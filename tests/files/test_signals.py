@@ -1,0 +1,298 @@
+"""Signals with manners: who else has a say, where a run ends, and the one sentence of the command, wherever it is."""
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+import tomllib
+from pathlib import Path
+
+import pytest
+from h5md_runs import assert_same_file, at_step, simulation
+from scene_texts import SMOOTH
+
+from minimd.commands import main as cli
+from minimd.files.h5md_reader import read_file
+from minimd.structure.console import SIGNALS, Terminated, endings_are_told, stop_on_signals
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+
+REPOSITORY = Path(__file__).parents[2]
+END = 3000
+SCENE = SMOOTH.replace("steps = 40", f"steps = {END}")
+READY = """
+import os, sys, minimd_command
+class Loading:  # NumPy and the like: the first lines of minimd are behind it
+    def find_spec(self, *_): os.write(1, b"!"), sys.meta_path.remove(self)
+sys.meta_path.insert(0, Loading())
+minimd_command.main()
+"""
+PROGRESS = ("running: step", "minimd: compiling kernels")
+LOADING = 1.0  # s, about
+ENDINGS = [number for number in SIGNALS if number != signal.SIGINT]
+EACH = pytest.mark.parametrize("number", SIGNALS)
+
+
+class Run:
+    """What looks at a flag between its steps."""
+
+    stop_requested = True
+
+
+def ending_of(number, words="stopped after the last step"):
+    return pytest.raises(KeyboardInterrupt if number == signal.SIGINT else Terminated, match=words)
+
+
+@pytest.fixture(autouse=True)
+def handlers():
+    """Every test starts with those that Python has, and leaves those that were there."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@EACH
+def test_handlers_of_the_host_are_left_alone_and_ignored_signals_stay_ignored(number):
+    heard, run = [], Run()
+    for handler in (lambda *_: heard.append(number), signal.SIG_IGN):
+        signal.signal(number, handler)
+        with stop_on_signals(run):
+            signal.raise_signal(number)
+            assert not run.stop_requested
+        assert heard == [number]
+        assert signal.getsignal(number) is handler
+
+
+@EACH
+def test_handlers_are_back_after_a_run_except_those_set_meanwhile_and_nothing_is_requested(number):
+    before, run = [signal.getsignal(one) for one in SIGNALS], Run()
+    with ending_of(number) as caught, stop_on_signals(run):
+        signal.raise_signal(number)
+        assert run.stop_requested
+        if number != signal.SIGINT:
+            signal.raise_signal(number)  # a terminal that hangs up twice does not cut the step
+    assert [signal.getsignal(one) for one in SIGNALS] == before
+    assert not run.stop_requested
+    assert number == signal.SIGINT or caught.value.code == 128 + number
+    with stop_on_signals(run):
+        signal.signal(number, own := lambda *_: None)
+    assert signal.getsignal(number) is own
+
+
+def test_a_second_ctrl_c_does_not_wait():
+    reached = []
+    with pytest.raises(KeyboardInterrupt), stop_on_signals(Run()):
+        reached += [signal.raise_signal(signal.SIGINT) for _ in range(3)]
+    assert not reached
+
+
+def test_outside_the_main_thread_no_handler_is_touched():
+    before, during = [signal.getsignal(one) for one in SIGNALS], []
+
+    def work():
+        with stop_on_signals(Run()):
+            during.extend(signal.getsignal(one) for one in SIGNALS)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert during == before
+
+
+def raising(number, step):
+    return [at_step(step, lambda: signal.raise_signal(number))]
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+def test_a_script_that_is_terminated_says_at_which_step_and_what_is_kept(number, tmp_path, capsys):
+    def inner(_sim):
+        simulation().run(100, every=10, observers=raising(number, 30))
+
+    path, told = tmp_path / "a.h5md", f"by {signal.Signals(number).name}"
+    with ending_of(number, "step"):
+        simulation().run(100, every=10, trajectory=path, observers=raising(number, 20))
+    assert capsys.readouterr().err == f"minimd: stopped after step 21 {told}; what was written is kept in {path}\n"
+    with ending_of(number, "step"):
+        simulation().run(100, every=10, observers=[inner])  # both runs stop, and one sentence is enough
+    assert capsys.readouterr().err == f"minimd: stopped after step 31 {told}\n"
+    with ending_of(number, "step"), endings_are_told():
+        simulation().run(100, every=10, observers=[inner])
+    assert capsys.readouterr().err == ""
+
+
+@EACH
+def test_a_run_inside_a_run_stops_and_so_does_the_other_and_steps_can_be_made_afterwards(number):
+    outer, inner = simulation(), simulation()
+    nested = at_step(20, lambda: inner.run(100_000, every=10, observers=raising(number, 30)))
+    with ending_of(number, "step"):
+        outer.run(100_000, every=10, observers=[nested])
+    assert (outer.step, inner.step) == (20, 31)
+    inner.make_steps(10)
+    assert inner.step == 41
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty current folder with the scene in it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "melt.toml").write_text(SCENE)
+    return tmp_path
+
+
+def command(*arguments, handler=signal.SIG_DFL, **environment):
+    """The command, at its first lines.  handler : of all signals, as it finds them."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", READY, *arguments],
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: [signal.signal(number, handler) for number in SIGNALS],
+    )
+    assert process.stdout.read(1) == b"!"
+    return process
+
+
+def sentences(process, most=1):
+    """What a process says on standard error, beside how far it is; and its exit code."""
+    _, errors = process.communicate(timeout=120)
+    told = [line for line in errors.decode().splitlines() if not line.startswith(PROGRESS)]
+    assert len(told) <= most, errors.decode()
+    assert all(line.startswith("minimd: error: ") for line in told), told
+    return told, process.returncode
+
+
+def begun(file):
+    """A run that has begun to write its file, at a new place."""
+    shutil.rmtree(Path(file).parent, ignore_errors=True)
+    Path(file).parent.mkdir()
+    process = command("run", "melt.toml", "--out", file)
+    while not Path(file).exists():
+        assert process.poll() is None
+        time.sleep(0.002)
+    return process
+
+
+def assert_stopped_run_goes_on(number, seconds):
+    """A signal so many seconds after the run has begun to write; whether it came before the end."""
+    process = begun("out/melt.h5md")
+    time.sleep(seconds)
+    process.send_signal(number)
+    (told, code), step = sentences(process), read_file("out/melt.h5md").step
+    if not any("kept in" in one for one in told):
+        assert (code in (0, 128 + number), step) == (True, END)  # the run was over
+        return False
+    assert "kept in out/melt.h5md" in told[0]
+    assert ("minimd resume out/melt.h5md" in told[0]) == (step < END)
+    if step < END:
+        assert cli.main(["resume", "out/melt.h5md", "--quiet"]) == 0
+    assert_same_file("out/melt.h5md", "whole.h5md")
+    return True
+
+
+def test_a_run_that_is_terminated_goes_on_to_the_same_bits(folder):
+    assert cli.main(["run", "melt.toml", "--quiet", "--out", "whole.h5md"]) == 0
+    assert assert_stopped_run_goes_on(signal.SIGTERM, 0.0)  # SIGHUP is among the slow tests
+
+
+def interrupted_after(seconds, **environment):
+    """The exit code of a run that gets SIGINT after so many seconds, and a new place for its file."""
+    shutil.rmtree("out", ignore_errors=True)
+    Path("out").mkdir()
+    process = command("run", "melt.toml", "--out", "out/melt.h5md", **environment)
+    time.sleep(seconds)
+    process.send_signal(signal.SIGINT)
+    told, code = sentences(process)
+    assert code in (0, 130), told
+    assert len(told) == (code == 130)
+    return code
+
+
+def test_ctrl_c_while_it_loads_ends_the_command_in_one_sentence(folder):
+    interrupted_after(0.6 * LOADING)
+
+
+def test_a_signal_during_imports_ends_the_command_in_one_sentence():
+    processes = {number: command("--help") for number in SIGNALS}
+    for number, process in processes.items():
+        process.send_signal(number)
+    for number, process in processes.items():
+        told, code = sentences(process)
+        assert (len(told), code) == (1, 128 + number)
+
+
+def test_the_command_begins_with_its_own_module():
+    """That of a module in the package would load NumPy and Numba before its first line."""
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())
+    assert project["project"]["scripts"] == {"minimd": "minimd_command:main"}
+    assert "minimd_command" in project["tool"]["setuptools"]["py-modules"]
+    code = "import sys, minimd_command; assert not {'numpy', 'numba', 'minimd'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"PYTHONPATH": str(REPOSITORY)})
+
+
+def test_a_command_that_was_started_deaf_to_signals_stays_so(folder):
+    """As nohup does, and shells with what goes on in the background."""
+    process = command("run", "melt.toml", "--steps", "10", handler=signal.SIG_IGN)
+    for number in SIGNALS:
+        process.send_signal(number)
+    assert sentences(process) == ([], 0)
+
+
+def test_a_reader_that_is_gone_is_told_of_in_one_sentence(folder):
+    Path("hot.toml").write_text(SCENE.replace("timestep = 0.004", "timestep = 0.018").replace("1.44", "200.0"))
+    for arguments, n_lines, expected in ((("--help",), 1, 2), (("run", "hot.toml"), 2, 3)):  # cause, and what was seen
+        process = command(*arguments, PYTHONUNBUFFERED="")
+        process.stdout.close()
+        process.stdout = None
+        told, code = sentences(process, n_lines)
+        assert (len(told), code) == (n_lines, expected)
+
+
+def seconds_of_a_run():
+    """From its first lines to its end, and of these while it writes out/melt.h5md; a shorter run before it compiles."""
+    assert sentences(command("run", "melt.toml", "--steps", "200", "--out", "first.h5md")) == ([], 0)
+    started = time.monotonic()
+    process = begun("out/melt.h5md")
+    has_begun = time.monotonic()
+    assert sentences(process) == ([], 0)
+    shutil.move("out/melt.h5md", "whole.h5md")
+    return time.monotonic() - started, time.monotonic() - has_begun
+
+
+@pytest.mark.slow
+def test_ctrl_c_at_a_hundred_moments(folder, tmp_path):
+    """Half of them while kernels are compiled, into a cache that the next run goes on with; half with all compiled."""
+    draw, cold = random.Random(1), {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    codes = [interrupted_after(8.0 * draw.random() ** 2, **cold) for _ in range(50)]
+    assert sentences(command("run", "melt.toml", "--out", "cold.h5md", **cold)) == ([], 0)
+    duration, _ = seconds_of_a_run()
+    assert_same_file("cold.h5md", "whole.h5md")  # what the kills left in the cache is sound
+    codes += [interrupted_after((k + draw.random()) / 50 * duration) for k in range(50)]
+    assert codes.count(130) > 50
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", ENDINGS)
+def test_termination_at_thirty_moments_of_a_run(number, folder):
+    draw, early, (_, writing) = random.Random(number), [], seconds_of_a_run()
+    while early.count(True) < 30:
+        early.append(assert_stopped_run_goes_on(number, draw.random() * writing))
+        assert early.count(False) < 30
+
+
+@pytest.mark.slow
+def test_a_cache_survives_kills_while_kernels_are_compiled(folder, tmp_path):
+    draw, cold = random.Random(2), {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    for _ in range(20):
+        process = command("run", "melt.toml", "--out", "killed.h5md", "--overwrite", **cold)
+        time.sleep(LOADING + 4.0 * draw.random())
+        process.kill()
+        process.communicate()
+    for name, environment in (("cold.h5md", cold), ("warm.h5md", {})):
+        assert sentences(command("run", "melt.toml", "--out", name, **environment)) == ([], 0)
+    assert_same_file("cold.h5md", "warm.h5md")

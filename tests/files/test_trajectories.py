@@ -1,0 +1,184 @@
+"""Formats that other libraries write: each holds the run, and none holds more than the restart beside it."""
+
+import errno
+import os
+import shutil
+import warnings
+
+import ase.io
+import MDAnalysis
+import numpy as np
+import pytest
+from h5md_runs import PER_PICOSECOND, at_step, bring_to_disk_every, opened, resumed, simulation
+
+import minimd as md
+from minimd.files import mdanalysis_writer
+from minimd.files.h5md_reader import read_file
+
+FORMATS = {"xtc": 0.5e-3, "dcd": 0.0, "trr": 0.0, "ncdf": 0.0}  # error of a position beyond float32 [Å]
+ALL = [*FORMATS, "extxyz", "traj"]
+LJ, ASE = md.units.LJ, md.units.ASE
+
+
+def frames_in(path):
+    """Positions in all frames of a file, by its usual reader."""
+    if path.suffix in (".extxyz", ".traj"):
+        return np.array([atoms.positions for atoms in ase.io.read(path, ":")])
+    return np.array([ts.positions.copy() for ts in opened(path).trajectory])
+
+
+@pytest.mark.parametrize(("cell", "units"), [("triclinic", LJ), ("triclinic", ASE), ("open", ASE)])
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_what_mdanalysis_reads_is_what_was_run(tmp_path, suffix, cell, units):
+    path, seen, sim = tmp_path / f"a.{suffix}", [], simulation(cell, units)
+    look = [lambda s: seen.append((s.time, s.positions.copy(), s.velocities.copy()))]
+    sim.run(12)
+    sim.run(12, every=4, trajectory=path, observers=look)
+    per_ps, made, vectors = PER_PICOSECOND if units is ASE else 1.0, opened(path), sim.system.cell.vectors
+    assert len(made.trajectory) == 4
+    for ts, (time, positions, velocities) in zip(made.trajectory, seen, strict=True):
+        assert ts.time == pytest.approx(time / per_ps, rel=1e-6)
+        np.testing.assert_allclose(ts.positions, positions, rtol=2e-7, atol=1.01 * FORMATS[suffix])
+        assert ts.has_velocities == (suffix in ("trr", "ncdf"))
+        if ts.has_velocities:
+            np.testing.assert_allclose(ts.velocities, velocities * per_ps, rtol=4e-7)
+        if cell == "open":
+            assert ts.dimensions is None or not ts.dimensions[:3].any()
+            continue
+        a, b, c = (v / np.linalg.norm(v) for v in vectors)
+        angles = np.degrees(np.arccos([b @ c, a @ c, a @ b]))
+        np.testing.assert_allclose(ts.dimensions, [*np.linalg.norm(vectors, axis=1), *angles], rtol=1e-5)
+
+
+def test_dcd_of_one_frame_is_whole(tmp_path):
+    simulation().run(0, trajectory=tmp_path / "a.dcd")
+    assert len(opened(tmp_path / "a.dcd").trajectory) == 1
+
+
+def test_cell_that_lengths_and_angles_cannot_hold_is_told_at_the_line_of_the_user(tmp_path):
+    sim = simulation("turned")
+    with pytest.warns(UserWarning, match=r"a\.nc' is turned") as caught:
+        sim.run(2, every=1, trajectory=tmp_path / "a.nc")
+    assert caught[0].filename == __file__
+    with MDAnalysis.coordinates.TRJ.NCDFReader(str(tmp_path / "a.nc")) as read:
+        assert len(read) == 3
+
+
+@pytest.mark.parametrize("suffix", ALL)
+def test_a_resumed_run_cuts_other_trajectories_to_its_restart(tmp_path, suffix, monkeypatch):
+    """What a killed run leaves can be opened at every frame; a part of a frame behind it is cut off."""
+    bring_to_disk_every(0.0, monkeypatch)
+    path, found = tmp_path / f"a.{suffix}", []
+
+    def look(sim):
+        if path.exists():  # a DCD file is begun with the second frame
+            shutil.copy(path, tmp_path / f"b.{suffix}")
+            found.append((len(frames_in(tmp_path / f"b.{suffix}")), 1 + sim.step))
+        if sim.step == 1:  # the index of a .traj file has room for 42 frames, at its end
+            shutil.copy(tmp_path / "a.h5md", tmp_path / "b.h5md")
+
+    simulation().run(8, every=1, trajectory=[tmp_path / "a.h5md", path], observers=[look])
+    assert len(found) >= 8
+    assert all(n == m for n, m in found)
+    whole = frames_in(path)
+    with path.open("ab") as file:
+        file.write(path.read_bytes()[300:1000])
+    (tmp_path / "a.h5md").write_bytes((tmp_path / "b.h5md").read_bytes())  # with its inode, as a kill leaves it
+    with pytest.warns(UserWarning, match=rf"a\.{suffix}' was cut"):
+        resumed(tmp_path / "a.h5md").run(4, every=1, trajectory=tmp_path / "a.h5md", append=True)
+    np.testing.assert_array_equal(frames_in(path), whole[:2])
+
+
+@pytest.mark.parametrize("suffix", ALL)
+def test_a_trajectory_of_a_finished_run_is_never_cut(tmp_path, suffix):
+    sim = simulation()
+    for n_steps in (0, 4):
+        h5md, path = tmp_path / f"{n_steps}.h5md", tmp_path / f"{n_steps}.{suffix}"
+        sim.run(n_steps, every=2, trajectory=[h5md, path])
+        with path.open("ab") as file:
+            file.write(b"added")
+        content = path.read_bytes()
+        sim.run(4, every=2, trajectory=h5md, append=True)
+        assert path.read_bytes() == content
+
+
+def renewed(path):
+    """Replaced by a copy of itself."""
+    path.with_suffix(".new").write_bytes(path.read_bytes())
+    path.with_suffix(".new").replace(path)
+
+
+OF_ANOTHER_RUN = {
+    "a copy": lambda path, old: renewed(path),
+    "restart in a copy": lambda path, old: renewed(old),
+    "rewritten": lambda path, old: path.write_bytes(path.read_bytes()[::-1]),
+    "a link": lambda path, old: path.symlink_to(path.replace(path.with_name("b.xtc"))),
+}
+
+
+@pytest.mark.parametrize("change", OF_ANOTHER_RUN)
+def test_a_trajectory_that_is_not_of_the_run_is_left_alone_and_told(tmp_path, change, monkeypatch):
+    bring_to_disk_every(0.0, monkeypatch)
+    old, path, held = tmp_path / "a.h5md", tmp_path / "a.xtc", []
+    simulation().run(8, every=2, trajectory=[old, path], observers=[at_step(4, lambda: held.append(old.read_bytes()))])
+    old.write_bytes(held[0])
+    OF_ANOTHER_RUN[change](path, old)
+    content = path.read_bytes()
+    with pytest.warns(UserWarning, match=r"a\.xtc' may hold frames after the restart"):
+        resumed(old).run(4, every=2, trajectory=old, append=True)
+    assert path.read_bytes() == content
+
+
+def test_a_mark_is_read_from_the_file_that_was_claimed(tmp_path, monkeypatch):
+    """Another program has put a link to a secret in the place of the trajectory."""
+
+    def swap(self):
+        if self.claim.path.exists() and not self.claim.path.is_symlink():
+            self.claim.path.unlink()
+            self.claim.path.symlink_to(secret)
+
+    bring_to_disk_every(0.0, monkeypatch)
+    (secret := tmp_path / "secret").write_text("precious")
+    monkeypatch.setattr(mdanalysis_writer.MDAnalysisWriter, "checkpoint", swap)
+    with pytest.raises(OSError, match="it was replaced"):
+        simulation().run(8, every=2, trajectory=[tmp_path / "a.h5md", tmp_path / "a.xtc"])
+    assert b"precious" not in (tmp_path / "a.h5md").read_bytes()
+
+
+def test_a_trajectory_whose_disk_fails_is_named_and_the_h5md_file_is_whole(tmp_path, monkeypatch):
+    def failing(descriptor):
+        if len(seen) > 1 and os.path.samestat(os.fstat(descriptor), os.stat(tmp_path / "a.xtc")):
+            raise OSError(errno.EIO, "Input/output error")
+        fsync(descriptor)
+
+    fsync, seen, files = os.fsync, [], [tmp_path / "a.h5md", tmp_path / "a.xtc"]
+    bring_to_disk_every(0.0, monkeypatch)
+    monkeypatch.setattr("os.fsync", failing)
+    with pytest.raises(OSError, match=r"a\.xtc' .*Input/output error"):
+        simulation().run(8, every=2, trajectory=files, observers=[lambda sim: seen.append(sim.step)])
+    assert seen == [0, 2]
+    held = read_file(tmp_path / "a.h5md")
+    assert (held.step, held.n_frames) == (4, 3)
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_full_disk_is_told_by_every_format(tmp_path, monkeypatch, suffix):
+    usage, path = mdanalysis_writer.disk_usage, tmp_path / f"a.{suffix}"
+
+    def fill():
+        monkeypatch.setattr(mdanalysis_writer, "disk_usage", lambda folder: usage(folder)._replace(free=1000))
+
+    with pytest.raises(OSError, match=rf"a\.{suffix}' .*step 6"):
+        simulation().run(20, every=2, trajectory=path, observers=[at_step(4, fill)])
+    assert len(opened(path).trajectory) == 3
+
+
+def test_failing_foreign_write_is_told_once(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError("write error")
+
+    with monkeypatch.context() as patch, warnings.catch_warnings(action="error"):
+        patch.setattr(MDAnalysis.coordinates.TRR.TRRWriter, "write", full)
+        patch.setattr(MDAnalysis.coordinates.TRR.TRRWriter, "close", full)
+        with pytest.raises(OSError, match=r"a\.trr' .*step 0: write error"):
+            simulation().run(4, every=2, trajectory=tmp_path / "a.trr")

@@ -1,0 +1,267 @@
+"""The bridge to MDAnalysis: universes that know the system, analyses with known results."""
+
+import warnings
+
+import h5py
+import numpy as np
+import pytest
+from h5md_runs import PER_PICOSECOND, opened, simulation
+
+import minimd as md
+from minimd.analysis.check import liquid, recompute
+from minimd.files.claim import Claim
+from minimd.files.h5md_digest import digest_of_block, sign
+from minimd.files.h5md_reader import damage
+from minimd.files.h5md_writer import H5MDWriter
+from minimd.files.turned_cell import as_in_run
+from minimd.mdanalysis import (
+    Frames,
+    diffusion_coefficient,
+    mean_square_displacement,
+    radial_distribution,
+    universe,
+    universes,
+)
+
+LJ, ASE = md.units.LJ, md.units.ASE
+UNITS = pytest.mark.parametrize("units", [LJ, ASE], ids=lambda units: units.name)
+TURNED = np.array([[0.3, 9.0, 0.5], [1.0, 3.5, 8.0], [8.5, -2.0, 1.0]])  # left-handed, along no axis
+SKEWED = np.array([[1, 0, 0], [2, 1, 0], [-3, 1, 1]])  # SKEWED @ cell spans the same lattice
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "a.h5md"
+
+
+def still(system, timestep=0.5):
+    """A simulation of a system whose atoms do not feel each other."""
+    return md.Simulation(system, md.LennardJones(1e-12, 1e-6, 1e-3, "force-shifted"), md.VelocityVerlet(timestep))
+
+
+def written(path, made, frames, steps=None):
+    """A file of the given positions, one frame for each step."""
+    sim = still(made)
+    writer = H5MDWriter(Claim(path), sim.engine, False)
+    for step, positions in zip(steps or range(len(frames)), frames, strict=True):
+        writer.write(sim.frame()._replace(step=step, time=0.5 * step, positions=positions))
+    sim.step = step
+    writer.close()
+    return path
+
+
+@UNITS
+def test_universe_knows_the_system_and_the_time_between_frames(path, units):
+    """Also for those who open the file themselves: the first frame is written before the second is known."""
+    sim = simulation("cubic", units)
+    record = sim.run(20, every=5, trajectory=path)
+    times = record.time / (PER_PICOSECOND if units is ASE else 1.0)
+    with warnings.catch_warnings(action="error"):
+        made, plain, in_memory = universe(path), opened(path), opened(path)
+        in_memory.transfer_to_memory()
+        for trajectory in (made.trajectory, plain.trajectory, in_memory.trajectory):
+            assert trajectory.dt == pytest.approx(times[1], rel=1e-14)
+            assert trajectory.totaltime == pytest.approx(times[-1], rel=1e-14)
+            np.testing.assert_allclose([ts.time for ts in trajectory], times, rtol=1e-14)
+    np.testing.assert_array_equal(made.atoms.masses, sim.system.masses)
+    np.testing.assert_array_equal(made.atoms.bonds.indices, sim.system.bonds)
+    for labels in (made.atoms.types, made.atoms.names, made.atoms.elements):
+        assert labels.tolist() == sim.system.species.tolist()
+    np.testing.assert_array_equal(made.trajectory[-1].positions, sim.positions.astype(np.float32))
+
+
+def test_dt_of_one_frame_is_that_of_the_run(path):
+    simulation().run(3, every=5, trajectory=path)
+    assert universe(path).trajectory.dt == 0.02
+    assert universe(path).trajectory.totaltime == 0.0
+
+
+def test_dt_of_a_file_that_does_not_hold_it_is_found_in_its_times(path):
+    """As those of minimd 0.1.0; they can be continued too."""
+    sim = simulation()
+    sim.run(20, every=5, trajectory=path)
+    with h5py.File(path, "r+") as h5:
+        del h5["observables/dt"]
+        blocks = h5["minimd/blocks"]
+        series, first = [name for name in blocks.attrs["series"] if "/dt/" not in name], 0
+        for row, (last, _) in enumerate(blocks[:].tolist()):
+            blocks[row] = last, digest_of_block({name: h5[name][first:last] for name in series})
+            first = last
+        blocks.attrs["series"] = series
+        sign(h5)
+    with opened(path).trajectory as trajectory:
+        assert "dt" not in trajectory.ts.data
+    with universe(path).trajectory as trajectory:
+        assert trajectory.dt == pytest.approx(0.02)
+    md.Simulation.resume(path, sim.potentials).run(20, every=5, trajectory=path, append=True)
+    made = universe(path).trajectory
+    assert (made.dt, len(made), made.totaltime) == (pytest.approx(0.02), 9, pytest.approx(0.16))
+    assert not damage(path)
+
+
+def test_uneven_frames_are_told(path):
+    sim = simulation()
+    sim.run(3)
+    sim.run(17, every=5, trajectory=path)
+    with pytest.warns(UserWarning, match="2 to 5 steps apart") as caught:
+        made = universe(path)
+    assert caught[0].filename == __file__
+    assert made.trajectory.dt == pytest.approx(0.02)
+
+
+def polymers(units=LJ):
+    """Two chains of three beads, a diatomic molecule held rigid, and an atom; numbered across each other."""
+    sites = np.stack(np.meshgrid(*[np.arange(3.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    return md.System(
+        3.0 * np.random.default_rng(5).permutation(sites)[:9],
+        masses=np.arange(1.0, 10.0),
+        cell=20.0,
+        species=["C", "H", "N", "H", "N", "C", "H", "H", "Ar"],
+        bonds=[[0, 1], [0, 3], [5, 6], [5, 7]],
+        angles=[[1, 0, 3], [6, 5, 7]],
+        constraints=[md.DistanceConstraints([[2, 4]])],
+        units=units,
+    )
+
+
+def test_molecules_are_residues_and_labels_that_are_no_symbols_are_no_elements(path, tmp_path):
+    """By bonds and by lengths that are held; their name is the formula, by Hill's order."""
+    still(polymers()).run(0, trajectory=path)
+    made = universe(path)
+    assert made.atoms.resids.tolist() == [1, 1, 2, 1, 2, 3, 3, 3, 4]
+    assert made.residues.resnames.tolist() == ["CH2", "N2", "CH2", "Ar"]
+    assert made.select_atoms("resid 3").indices.tolist() == [5, 6, 7]
+    assert made.select_atoms("resname CH2 and name H").indices.tolist() == [1, 3, 6, 7]
+    assert made.select_atoms("bonded index 5").indices.tolist() == [6, 7]
+    assert made.atoms.angles.indices.tolist() == [[1, 0, 3], [6, 5, 7]]
+    labelled = md.System(polymers().positions, species=["bead", "Ar", "bead"] * 3, bonds=[[0, 1]])
+    still(labelled).run(0, trajectory=tmp_path / "b.h5md")
+    made = universe(tmp_path / "b.h5md")
+    assert made.residues.resnames.tolist() == ["MOL", "bead", "bead", "Ar", "bead", "bead", "Ar", "bead"]
+    assert made.atoms.elements.tolist() == ["", "Ar", ""] * 3
+    assert made.atoms.types.tolist() == ["bead", "Ar", "bead"] * 3
+
+
+@UNITS
+def test_universe_in_memory_is_that_of_the_file(path, units):
+    """Frames, times, cell and topology; observables in ts.data have the engine's bits."""
+    sim, frames = simulation("triclinic", units), Frames()
+    record = sim.run(10, every=5, trajectory=path, observers=[frames])
+    second = sim.run(10, every=5, trajectory=path, append=True, observers=[frames])
+    kept, stored = universe(frames), universe(path)
+    assert len(kept.trajectory) == len(stored.trajectory) == len(frames) == 5
+    assert kept.trajectory.dt == pytest.approx(stored.trajectory.dt, rel=1e-12)
+    assert kept.trajectory.totaltime == pytest.approx(stored.trajectory.totaltime, rel=1e-12)
+    for ours, theirs in zip(kept.trajectory, stored.trajectory, strict=True):
+        for name in ("positions", "velocities", "dimensions"):
+            np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+        assert ours.time == theirs.time
+        assert set(ours.data) == set(theirs.data)
+        for name in theirs.data.keys() - {"dt"}:
+            np.testing.assert_array_equal(ours.data[name], theirs.data[name])
+    energies = [ts.data["total_energy"] for ts in kept.trajectory]
+    np.testing.assert_array_equal(energies, [*record.total_energy, *second.total_energy[1:]])
+    assert kept.atoms.resids.tolist() == stored.atoms.resids.tolist()
+    assert len(radial_distribution(frames, 20).r) == 19
+    ours, theirs = (diffusion_coefficient(one, (0.0, 1e9)).coefficient for one in (frames, stored))
+    assert ours == theirs
+
+
+def test_simulation_as_a_universe_is_its_present_state():
+    sim = simulation("cubic", ASE)
+    sim.run(3, every=3)
+    made = universe(sim)
+    np.testing.assert_array_equal(made.atoms.positions, sim.positions.astype(np.float32))
+    np.testing.assert_allclose(made.atoms.velocities, sim.velocities * PER_PICOSECOND, rtol=1.2e-7)
+    ts = made.trajectory.ts
+    assert ts.data["total_energy"] == sim.frame().observables["total_energy"]
+    assert (ts.time, ts.data["step"], made.trajectory.totaltime) == (pytest.approx(1.2 / PER_PICOSECOND), 3, 0.0)
+    with pytest.raises(ValueError, match="empty"):
+        universe(Frames())
+
+
+@pytest.mark.parametrize(("distances", "every"), [(1e9, 1), (2e3, 6)])  # from every atom; from a few
+@UNITS
+def test_radial_distribution_equals_counting_all_images(path, monkeypatch, units, distances, every):
+    rng, n_atoms, n_frames, n_bins = np.random.default_rng(4), 24, 20, 6
+    frames = [rng.uniform(-2.0, 2.0, (n_atoms, 3)) @ TURNED for _ in range(n_frames)]  # far outside of the cell too
+    for positions in frames:
+        positions[::2] = positions[1::2] + rng.normal(0.0, 0.6, (n_atoms // 2, 3))  # so that g(r) is not flat
+    monkeypatch.setattr(universes, "RDF_DISTANCES", distances)
+    made = md.System(frames[0], masses=1.0, cell=SKEWED @ TURNED, units=units)
+    r, g = radial_distribution(written(path, made, frames), n_bins)
+    edges = np.linspace(1 / n_bins, 1.0, n_bins) * md.Cell.of(TURNED).heights.min() / 2
+    counts = sum(counted(positions, TURNED, edges, every) for positions in frames)
+    shells = 4 / 3 * np.pi * np.diff(edges**3)
+    expected = counts / n_frames / (n_atoms / every) / (n_atoms - 1) * abs(np.linalg.det(TURNED)) / shells
+    np.testing.assert_allclose(r, 0.5 * (edges[1:] + edges[:-1]), rtol=1e-6)
+    np.testing.assert_allclose(g, expected, rtol=0.01)  # float32 may put a pair on the edge of a bin to the other side
+    assert expected[0] > 2.0 > expected[-1] > 0.5
+
+
+def counted(positions, cell, edges, every):
+    """Distances from every so manieth atom to all images of all atoms, as a histogram."""
+    vectors = positions[None, :, :] - positions[::every][:, None, :]
+    vectors -= np.round(vectors @ np.linalg.inv(cell)) @ cell
+    images = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), -1).reshape(-1, 3) @ cell
+    return np.histogram(np.linalg.norm(vectors[:, :, None, :] + images, axis=-1), bins=edges)[0]
+
+
+@UNITS
+def test_diffusion_of_a_random_walk_is_that_of_its_steps(path, units):
+    rng, n_atoms, n_frames, step = np.random.default_rng(6), 500, 100, 0.3
+    walk = np.cumsum(rng.normal(0.0, step, (n_frames, n_atoms, 3)), axis=0)
+    found = diffusion_coefficient(written(path, md.System(walk[0], masses=1.0, cell=9.0, units=units), walk))
+    frame_time = 0.5 / (PER_PICOSECOND if units is ASE else 1.0)
+    expected = step**2 / 2.0 / frame_time  # <x²> = step² a frame = 2 D t
+    assert found.coefficient == pytest.approx(expected, rel=0.05)  # statistics: four standard errors of 500 walkers
+    assert found.window == pytest.approx((0.1 * 99 * frame_time, 0.5 * 99 * frame_time))
+    assert (found.cm2_per_s is None) == (units is LJ)
+    if units is ASE:
+        assert found.cm2_per_s == pytest.approx(found.coefficient * 1e-16 / 1e-12)
+    assert diffusion_coefficient(path, (0.0, 20 * frame_time)).coefficient == pytest.approx(expected, rel=0.05)
+
+
+def test_what_cannot_be_analyzed_is_refused(path, tmp_path):
+    ten = written(path, md.System(np.eye(3)), [np.eye(3)] * 10)
+    one = written(tmp_path / "b.h5md", md.System(np.eye(3)), [np.eye(3)])
+    for call, words in (
+        (lambda: diffusion_coefficient(ten, (100.0, 200.0)), "at least 3 lags"),
+        (lambda: diffusion_coefficient(one), "at least 2 frames"),
+        (lambda: radial_distribution(universe(simulation("slab"))), "periodic in all directions"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()
+
+
+def test_displacement_of_unevenly_spaced_frames_is_that_of_their_times(path):
+    steps, velocity = [0, 1, 2, 4, 8], np.outer([1.0, 0.0, -1.0], [0.1, 0.2, 0.2])
+    written(path, md.System(np.eye(3), cell=9.0), [np.eye(3) + 0.5 * step * velocity for step in steps], steps)
+    lags, squares = mean_square_displacement(path)
+    np.testing.assert_allclose(lags, 0.5 * np.array([0, 1, 2, 3, 4, 6, 7, 8]))
+    np.testing.assert_allclose(squares, 0.06 * lags**2, rtol=1e-6)
+
+
+def test_diffusing_liquid_is_told_with_its_peak_and_coefficient(path, tmp_path):
+    rng = np.random.default_rng(4)
+    sites = np.stack(np.meshgrid(*[np.arange(5.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    steps = np.cumsum(rng.normal(0.0, 0.1, (100, 125, 3)), axis=0)  # D = 0.1² / (2 · 0.5)
+    first, second = liquid(written(path, md.System(sites, cell=5.0), sites + steps))
+    assert first.startswith("g(r)           first peak at ")
+    assert second.startswith("diffusion      D = 0.0")
+    solid = sites + rng.normal(0.0, 0.01, (100, 125, 3))
+    (line,) = liquid(written(tmp_path / "still.h5md", md.System(sites, cell=5.0), solid))
+    assert float(line.split()[-2]) == pytest.approx(1.0, abs=0.03)  # σ, next neighbors of the crystal
+
+
+def test_analyses_of_one_universe_are_those_of_its_file(path):
+    """In any order, and the universe stays open for more."""
+    frames = np.random.default_rng(4).uniform(0.0, 9.0, (20, 24, 3))
+    made = universe(written(path, md.System(frames[0], cell=SKEWED @ TURNED), frames))
+    for _ in range(2):
+        for analysis in (radial_distribution, mean_square_displacement):
+            for found, expected in zip(analysis(made), analysis(path), strict=True):
+                np.testing.assert_array_equal(found, expected)
+        assert diffusion_coefficient(made).coefficient == diffusion_coefficient(path).coefficient
+        assert recompute(made).step.tolist() == list(range(20))
+    np.testing.assert_allclose(as_in_run(made.trajectory[3], made.trajectory[3].positions), frames[3], atol=2e-6)

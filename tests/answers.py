@@ -6,16 +6,8 @@ from pathlib import Path
 
 import minimd as md
 
-SENTENCES = (
-    ValueError,
-    TypeError,
-    md.NonFiniteError,
-    md.ConstraintError,
-    FileNotFoundError,
-    FileExistsError,
-    PermissionError,
-)
 FAILED_RUNS = (md.NonFiniteError, md.ConstraintError)  # of which the cause is told, and in a second line what was seen
+SENTENCES = (ValueError, TypeError, FileNotFoundError, FileExistsError, PermissionError, *FAILED_RUNS)
 
 
 def answer_of(call, is_senseless, has_several_problems=False):

@@ -1,4 +1,4 @@
-"""Calls that make no sense, drawn from a table of doors and tables of values: a sentence or a right result, and soon."""
+"""Senseless calls, drawn from a table of doors and tables of values: a sentence or a right result, and soon."""
 
 from collections import Counter
 from fractions import Fraction

@@ -159,7 +159,8 @@ def change(scene, rng):
         table.append(copy.deepcopy(old))
     elif way == "sense":
         table[key] = drawn(SENSELESS, rng)
-        is_senseless = not (MAY_BE_TEXT & where or (table[key] == {} and key in MAY_BE_EMPTY))
+        may_be_energy, may_be_empty = "u" in where and table[key] == -(2**63), key in MAY_BE_EMPTY and table[key] == {}
+        is_senseless = not (MAY_BE_TEXT & where or may_be_energy or may_be_empty)
     elif way == "value":
         value = drawn(STRANGE, rng)
         is_large = isinstance(value, int) and value > 100 and LARGE_IS_NO_MISTAKE & where

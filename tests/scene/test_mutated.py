@@ -19,15 +19,10 @@ SECONDS, KILOBYTES = 2.0, 1_000_000  # for one scene, of processor time
 MELT = """
 units = "LJ"
 structure = {lattice = "fcc", repeat = [3, 3, 3], density = 0.8}
+potential = [{type = "lennard-jones", epsilon = 1.0, sigma = 1.0, cutoff = 2.5, truncation = "shifted"}]
 minimization = {max_steps = 2, force_tolerance = 0.1}
 equilibration = {steps = 2, rescale_every = 1}
 output = {every = 5, trajectory = ["a.h5md", "a.xtc"], plot = "a.png", forces = true, stress = true}
-[[potential]]
-type = "lennard-jones"
-epsilon = 1.0
-sigma = 1.0
-cutoff = 2.5
-truncation = "shifted"
 [dynamics]
 method = "langevin-baoab"
 timestep = 0.004
@@ -56,6 +51,11 @@ DUMBBELLS = """
 units = "LJ"
 constraints = {pairs = "bonds", lengths = 1.2, tolerance = 1e-10, solver = "shake"}
 dynamics = {timestep = 0.004, steps = 20, temperature = 1.5}
+potential = [
+    {type = "lennard-jones", epsilon = 1.0, sigma = 1.0, cutoff = 2.1, bonded_scale = [0.0, 1.0, 1.0]},
+    {type = "harmonic-bond", k = 30.0, length = 1.3, pairs = [[0, 2], [1, 3]]},
+    {type = "harmonic-angle", k = 10.0, angle_degree = 120.0, triples = [[0, 1, 2]]},
+]
 [structure]
 lattice = "bcc"
 repeat = [2, 2, 2]
@@ -63,39 +63,23 @@ lattice_constant = 1.385640646055102
 bonds = [[0, 1], [2, 3], [4, 5], [6, 7], [8, 9], [10, 11], [12, 13], [14, 15]]
 pbc = [true, true, false]
 species = ["A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B"]
-[[potential]]
-type = "lennard-jones"
-epsilon = 1.0
-sigma = 1.0
-cutoff = 2.1
-bonded_scale = [0.0, 1.0, 1.0]
-[[potential]]
-type = "harmonic-bond"
-k = 30.0
-length = 1.3
-pairs = [[0, 2], [1, 3]]
-[[potential]]
-type = "harmonic-angle"
-k = 10.0
-angle_degree = 120.0
-triples = [[0, 1, 2]]
 """
 TABLE = """
 units = "LJ"
 structure = {lattice = "sc", repeat = [2, 2, 2], density = 0.2, species = ["A", "B", "A", "B", "A", "B", "A", "B"]}
 dynamics = {timestep = 0.002, steps = 20, temperature = 0.5}
+[tables]
+like = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [9.0, 6.0, 3.0, 1.5, 0.7, 0.0]}
+unlike = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [0, 0, 0, 1, 0, 0]}
 [[potential]]
 type = "tabulated"
+cutoff = 1.6
+truncation = "switched"
 pairs = [
     {species = ["A", "A"], file = "like"},
     {species = ["A", "B"], file = "unlike"},
     {species = ["B", "B"], file = "like"},
 ]
-cutoff = 1.6
-truncation = "switched"
-[tables]
-like = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [9.0, 6.0, 3.0, 1.5, 0.7, 0.0]}
-unlike = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [0, 0, 0, 1, 0, 0]}
 """
 SCENES = [tomllib.loads(text) for text in (MELT, ARGON, DUMBBELLS, TABLE)]
 # nowhere in a scene

@@ -11,28 +11,13 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.scene import load_scene, resume_run
 
-SLAB = """[structure]
-file = "two.xyz"
-{}
-[[potential]]
-type = "lennard-jones"
-epsilon_K = 120.0
-sigma_A = 3.4
-cutoff_A = 8.5
-[dynamics]
-timestep_fs = 5.0
-steps = 1
+SLAB = """
+structure = {{ file = "two.xyz", {} }}
+dynamics = {{ timestep_fs = 5.0, steps = 1 }}
+potential = [{{ type = "lennard-jones", epsilon_K = 120.0, sigma_A = 3.4, cutoff_A = 8.5 }}]
 """
-SPECIES = """[potential.species.A]
-epsilon = 1.0
-sigma = 1.0
-[potential.species.B]
-epsilon = 1.0
-sigma = 1.0
-[[potential.pairs]]
-species = ["A", "{}"]
-epsilon = 2.0
-sigma = 1.0
+SPECIES = """species = { A = { epsilon = 1.0, sigma = 1.0 }, B = { epsilon = 1.0, sigma = 1.0 } }
+pairs = [{ species = ["A", "{}"], epsilon = 2.0, sigma = 1.0 }]
 """
 WRONG = [  # what stands in the scene, what is written there, and what the sentence must contain
     ("timestep = 0.004", "timestep_fs = 4.0", "dynamics", "'timestep_fs' (= 4.0)", "did you mean 'timestep'?", "LJ"),
@@ -157,12 +142,12 @@ def test_edges_that_are_not_three_are_answered_with_what_to_write(tmp_path):
         assert_answered(lambda: scene_of(SLAB.format(entry)), ValueError, *shown)
     (tmp_path / "two.xyz").write_text("2\n\nAr 0 0 0\nAr 4 0 0\n")
     path = tmp_path / "scene.toml"
-    path.write_text(SLAB.format("cell_A = [20, 20, 0]\npbc = [true, true, false]"))  # as the message says
+    path.write_text(SLAB.format("cell_A = [20, 20, 0], pbc = [true, true, false]"))  # as the message says
     assert load_scene(path).simulation().system.cell.pbc.tolist() == [True, True, False]
 
 
 def test_pairs_of_a_misspelt_species_are_refused():
-    text = REDUCED.replace("epsilon = 1.0\nsigma = 1.0\n", "").replace("cutoff = 2.5\n", f"cutoff = 2.5\n{SPECIES}")
+    text = REDUCED.replace("epsilon = 1.0\nsigma = 1.0\n", SPECIES)
     text = text.replace("density = 0.8442\n", f"density = 0.8442\nspecies = {128 * ['A', 'B']}\n")
     shown = ("scene.toml: pairs", "'A', 'B'", "'Bb'", "did you mean 'B'?")
     assert_answered(lambda: everything_of(text.replace("{}", "Bb")), ValueError, *shown)

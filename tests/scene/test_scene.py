@@ -19,34 +19,23 @@ from minimd.scene.section import KEY_UNITS
 ATOMIC_MASS, ELECTRON_VOLT, BOLTZMANN, ANGSTROM = 1.66053906660e-27, 1.602176634e-19, 1.380649e-23, 1e-10
 TIME_UNIT = ANGSTROM * np.sqrt(ATOMIC_MASS / ELECTRON_VOLT)  # s
 CODATA = {"rel": 1e-6, "abs": 0.0}  # what two editions differ by; approx would take every number of SI size for zero
-DYNAMICS = "[dynamics]\ntimestep_fs = 0.5\nsteps = 10\n"
-MOLECULE = f"""
-[structure]
-file = "bent.xyz"
-bonds = [[0, 1], [1, 2]]
-[[potential]]
-type = "harmonic-bond"
-k_eV_A2 = 20.0
-length_A = 1.0
-[[potential]]
-type = "harmonic-angle"
-k_eV_rad2 = 3.0
-angle_degree = 120.0
-triples = [[0, 1, 2]]
-{DYNAMICS}"""
-PAIR = (
-    """
-[structure]
-file = "pair.xyz"
+MOLECULE = """
+structure = { file = "bent.xyz", bonds = [[0, 1], [1, 2]] }
+dynamics = { timestep_fs = 0.5, steps = 10 }
+potential = [
+    { type = "harmonic-bond", k_eV_A2 = 20.0, length_A = 1.0 },
+    { type = "harmonic-angle", k_eV_rad2 = 3.0, angle_degree = 120.0, triples = [[0, 1, 2]] },
+]
+"""
+PAIR = """
+structure = { file = "pair.xyz" }
+dynamics = { timestep_fs = 0.5, steps = 10 }
 [[potential]]
 type = "lennard-jones"
 truncation = "truncated"
 cutoff_A = 12.0
-{}
 species = { Ar = { epsilon_K = 120.0, sigma_A = 3.4 }, Kr = { epsilon_K = 164.0, sigma_A = 3.65 } }
 """
-    + DYNAMICS
-)
 ENDINGS = {  # of keys: SI / that of minimd, for each dimension
     "length": (ANGSTROM, {"_A": ANGSTROM}),
     "time": (TIME_UNIT, {"_fs": 1e-15}),
@@ -126,7 +115,7 @@ def test_structure_file_is_read_beside_the_scene_with_its_velocities(tmp_path, m
 
     momenta = [[1.0, 2.0, 3.0], [0.0, -1.0, 0.5]]
     write(tmp_path / "pair.traj", Atoms("ArKr", [[0, 0, 0], [4.0, 0, 0]], cell=[30, 30, 30], pbc=True, momenta=momenta))
-    (tmp_path / "scene.toml").write_text(PAIR.replace("{}", "").replace(".xyz", ".traj"))
+    (tmp_path / "scene.toml").write_text(PAIR.replace(".xyz", ".traj"))
     monkeypatch.chdir("/")
     system = load_scene(tmp_path / "scene.toml").simulation().system
     assert system.species.tolist() == ["Ar", "Kr"]
@@ -136,8 +125,8 @@ def test_structure_file_is_read_beside_the_scene_with_its_velocities(tmp_path, m
 
 
 def test_cell_and_pbc_of_a_scene_replace_those_of_the_file(folder):
-    cell = "cell_A = [12.0, 13.0, 14.0]\npbc = [true, false, true]"
-    system = scene_of(MOLECULE.replace("[[pot", f"{cell}\n[[pot", 1)).system()
+    cell = "{ cell_A = [12.0, 13.0, 14.0], pbc = [true, false, true], "
+    system = scene_of(MOLECULE.replace("{", cell, 1)).system()
     assert system.cell.vectors == pytest.approx(np.diag([12.0, 13.0, 14.0]))
     assert system.cell.pbc.tolist() == [True, False, True]
 
@@ -184,7 +173,7 @@ def test_every_registered_thermostat_is_built_from_its_own_parameters_or_refused
 )
 def test_unlike_pairs_follow_the_mixing_rule_unless_they_are_given(folder, extra, epsilon, sigma):
     Path("pair.xyz").write_text("2\n\nAr 0 0 0\nKr 4.0 0 0\n")
-    found = energy_of(scene_of(PAIR.replace("{}", extra))) * ELECTRON_VOLT / BOLTZMANN
+    found = energy_of(scene_of(PAIR + extra)) * ELECTRON_VOLT / BOLTZMANN
     assert found == pytest.approx(4.0 * epsilon * ((sigma / 4.0) ** 12 - (sigma / 4.0) ** 6), **CODATA)
 
 

@@ -18,18 +18,13 @@ Array = NDArray[np.float64]
 
 
 class Weight(md.Term):
-    def __init__(self, masses: NDArray[np.float64]) -> None:
-        self.weights = 9.81 * masses
-
-    def add(
-        self, system: md.System, detail: int, forces: Array, energies: Array, virials: Array
-    ) -> None:
-        forces[:, 2] -= self.weights
+    def add(self, system: md.System, detail: int, forces: Array, energies: Array, virials: Array) -> None:
+        forces[:, 2] -= 9.81 * system.masses
 
 
 class Gravity:
     def bind(self, system: md.System) -> Weight:
-        return Weight(system.masses)
+        return Weight()
 
 
 def look(sim: md.Simulation) -> None:
@@ -42,11 +37,11 @@ potentials = [lj, md.HarmonicBond(100.0, 1.0), md.Tabulated(np.arange(1.0, 7.0),
 sim = md.Simulation(system, potentials, md.VelocityVerlet(0.005), precision="mixed")
 other = md.Simulation(system, [lj, Gravity()], md.LangevinBAOAB(0.005, 1.0, 1.0, seed=1))
 record = sim.run(100, every=10, observers=[look], progress=False)
-energies: NDArray[np.float64] = record.total_energy
+energies: Array = record.total_energy
 record.plot().savefig("a.png")
 record.to_csv("a.csv").unlink()
 drift: float = sim.report().energy_drift.slope
-forces: NDArray[np.float64] = md.evaluate(system, lj).forces
+forces: Array = md.evaluate(system, lj).forces
 total: float = sim.pressure + sim.potential_energy
 is_done: bool = md.minimize(system, potentials).converged
 """

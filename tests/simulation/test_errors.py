@@ -115,6 +115,7 @@ WRONG = [  # a call that raises ValueError, and what its sentence must contain
     # constraints
     (lambda: made([], constraints=rigid(200.0), cell=3.4), "lengths", "65536", "constraint 0 is 200", "1.8e+06"),
     (lambda: rigid(tolerance=1.0), "tolerance", "1.0"),
+    (lambda: md.FixedAtoms([True, 2]), "fixed atoms", "bools"),
     # potentials
     (lambda: lj(cutoff=-2.5), "cutoff", "-2.5"),
     (lambda: lj(-1.0, 1.0), "epsilon", "-1.0"),

@@ -2,20 +2,13 @@
 
 import traceback
 import warnings
+from collections import Counter
 from pathlib import Path
 
 import minimd as md
 
-SENTENCES = (
-    ValueError,
-    TypeError,
-    md.NonFiniteError,
-    md.ConstraintError,
-    FileNotFoundError,
-    FileExistsError,
-    PermissionError,
-)
 FAILED_RUNS = (md.NonFiniteError, md.ConstraintError)  # of which the cause is told, and in a second line what was seen
+SENTENCES = (ValueError, TypeError, FileNotFoundError, FileExistsError, PermissionError, *FAILED_RUNS)
 
 
 def answer_of(call, is_senseless, has_several_problems=False):
@@ -35,3 +28,13 @@ def answer_of(call, is_senseless, has_several_problems=False):
     except Exception as error:
         return f"wrong exception: {type(error).__name__}: {error}"
     return "accepted though senseless" if is_senseless else "result"
+
+
+def assert_right(answers):
+    """All of some pairs, words about a call and the answer to it, are right; results and refusals are among them."""
+    answers = list(answers)
+    wrong = [f"{told}: {answer}" for told, answer in answers if not answer.isidentifier()]
+    assert not wrong, "\n".join(wrong[:20])
+    found = Counter(answer for _, answer in answers)
+    assert found["result"] > 0.05 * len(answers)
+    assert found["ValueError"] > 0.3 * len(answers)

@@ -11,22 +11,34 @@ from minimd.commands import main as cli
 from minimd.compiled import kernels as compiling
 from minimd.compiled.code_cache import CodeFiles
 
+TOLD = (f"minimd         {md.__version__}", "numba ", "cores", "cache folder", "equal to the last bit", " µs")
+
+
+def evaluate_wrongly(system, potentials, evaluate=md.evaluate):
+    found = evaluate(system, potentials)
+    found.forces[:] *= 1.001
+    return found
+
+
+class Careless(md.Simulation):
+    def __init__(self, *arguments, threads=None):
+        super().__init__(*arguments, threads=threads)
+        self.positions[0, 0] += 1e-15 * (threads == 2)
+
+
+class Leaking(md.VelocityVerlet):
+    def advance(self, state, compute_forces, n_steps, with_energy, surroundings, march):
+        state.velocities[:] *= 0.9999
+        surroundings.open_end = None
+        return super().advance(state, compute_forces, n_steps, with_energy, surroundings, march)
+
 
 def test_doctor_finds_this_machine_in_order(capsys):
     assert cli.main(["doctor"]) == 0
     told = capsys.readouterr().out
     assert "FAILED" not in told
     assert told.count(" OK ") == len(doctor.TESTS) == 7
-    for words in (
-        f"minimd         {md.__version__}",
-        "numba ",
-        "cores",
-        "cache folder",
-        "equal to the last bit",
-        " µs",
-        "million atom-steps/s on one thread",
-    ):
-        assert words in told
+    assert all(words in told for words in (*TOLD, "million atom-steps/s on one thread"))
 
 
 def test_no_layer_of_numba_is_used(capsys):
@@ -61,44 +73,21 @@ def test_doctor_finds_damaged_compiled_code_and_loads_nothing_of_it(tmp_path, mo
     file.write_bytes(code)
     fine, sentence = doctor.cache()
     assert fine
-    assert sentence.startswith(str(tmp_path))
-    assert sentence.endswith(": 1")
+    assert (sentence.startswith(str(tmp_path)), sentence.endswith(": 1")) == (True, True)
     assert doctor.cache() == (True, str(tmp_path))
     assert (files.load("floats"), files.load("integers")) == (None, "code for integers")
 
 
-def test_doctor_notices_a_wrong_force(monkeypatch):
-    evaluate = md.evaluate
-
-    def wrong(system, potentials):
-        found = evaluate(system, potentials)
-        found.forces[:] *= 1.001
-        return found
-
-    monkeypatch.setattr(doctor.md, "evaluate", wrong)
-    fine, sentence = doctor.gradient()
+@pytest.mark.parametrize(
+    ("name", "wrong", "test"),
+    [
+        ("evaluate", evaluate_wrongly, doctor.gradient),
+        ("Simulation", Careless, doctor.same_bits),
+        ("VelocityVerlet", Leaking, doctor.conservation),
+    ],
+)
+def test_doctor_notices_wrong_forces_bits_that_depend_on_threads_and_drifts(name, wrong, test, monkeypatch):
+    monkeypatch.setattr(doctor.md, name, wrong)
+    fine, sentence = test()
     assert not fine, sentence
-
-
-def test_doctor_notices_a_bit_that_depends_on_threads(monkeypatch):
-    class Careless(md.Simulation):
-        def __init__(self, *arguments, threads=None):
-            super().__init__(*arguments, threads=threads)
-            self.positions[0, 0] += 1e-15 * (threads == 2)
-
-    monkeypatch.setattr(doctor.md, "Simulation", Careless)
-    fine, sentence = doctor.same_bits()
-    assert not fine
-    assert sentence.endswith("2 from 1")
-
-
-def test_doctor_notices_a_drift(monkeypatch):
-    class Leaking(md.VelocityVerlet):
-        def advance(self, state, compute_forces, n_steps, with_energy, surroundings, march):
-            state.velocities[:] *= 0.9999
-            surroundings.open_end = None
-            return super().advance(state, compute_forces, n_steps, with_energy, surroundings, march)
-
-    monkeypatch.setattr(doctor.md, "VelocityVerlet", Leaking)
-    fine, sentence = doctor.conservation()
-    assert not fine, sentence
+    assert name != "Simulation" or sentence.endswith("2 from 1")

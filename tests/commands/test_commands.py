@@ -1,0 +1,296 @@
+"""The command line: what it says, where, with which exit code, and what it leaves behind."""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scene_texts import SMOOTH
+from wrong_calls import assert_answered
+
+import minimd as md
+from minimd.commands import main as cli
+from minimd.files.h5md_digest import sign
+from minimd.files.h5md_reader import read_file
+from minimd.files.h5md_writer import H5MDWriter
+from minimd.scene import load_scene
+
+SCENE = f'title = "A small melt"\n{SMOOTH}'
+REPOSITORY = Path(__file__).parents[2]
+COMMANDS = ["run", "scan", "resume", "check", "plot", "view", "frames", "archive", "bench", "doctor"]
+LIGHT = """
+import runpy, sys
+from minimd.commands.main import main
+sys.argv = ["minimd", "--version"]
+calls = [(main, ["--version"]), (main, ["--help"]), (runpy.run_module, "minimd", None, "__main__")]
+for call, *arguments in calls:
+    try:
+        call(*arguments)
+    except SystemExit as end:
+        assert end.code == 0
+heavy = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm"} & set(sys.modules)
+assert not heavy, heavy
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty current folder with the scene in it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "melt.toml").write_text(SCENE)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """The file of a run of the scene."""
+    folder = tmp_path_factory.mktemp("finished")
+    (folder / "melt.toml").write_text(SCENE)
+    assert cli.main(["run", str(folder / "melt.toml"), "--quiet", "--out", str(folder / "melt.h5md")]) == 0
+    return folder / "melt.h5md"
+
+
+def run(*arguments):
+    return cli.main([*map(str, arguments), "--quiet"])
+
+
+def command(*arguments, **keywords):
+    """The command in a process of its own."""
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    called = [sys.executable, "-m", "minimd.commands.main", *arguments]
+    return subprocess.Popen(called, env=environment, text=True, stderr=subprocess.PIPE, **keywords)
+
+
+def wait_for_frames(process, file):
+    """Wait until a running process has written more than one frame; between two flushes the file can be read."""
+    deadline = time.monotonic() + 100.0
+    while time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.1)
+        with contextlib.suppress(OSError, ValueError):
+            shutil.copy(file, "copy.h5md")
+            if read_file("copy.h5md").n_frames > 1:
+                return
+    pytest.fail(f"{file} has no frames after 100 s; the process ended with {process.poll()}")
+
+
+def test_version_and_help_are_told_without_loading_anything():
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    called = [sys.executable, "-c", LIGHT]
+    done = subprocess.run(called, capture_output=True, text=True, check=False, env=environment)
+    assert (done.returncode, done.stderr) == (0, "")
+    told = f"minimd {md.__version__}\n"
+    assert done.stdout.startswith(f"{told}usage: minimd [-h] [--version] command ...")
+    assert done.stdout.endswith(told)
+
+
+def test_each_command_describes_itself_in_a_sentence(capsys):
+    assert cli.main([]) == 0
+    told = capsys.readouterr().out
+    for name in COMMANDS:
+        assert f"\n    {name} " in told
+        with pytest.raises(SystemExit):
+            cli.main([name, "--help"])
+        described = capsys.readouterr().out.split("\n\n")[1]
+        assert "." in described
+        assert not described.startswith("positional")
+
+
+def test_run_tells_what_it_does_and_what_to_do_next_unless_it_is_quiet(folder, capfd):
+    assert run("run", "melt.toml") == 0
+    assert tuple(capfd.readouterr()) == ("", "")
+    assert read_file("melt.h5md").n_frames == 5
+    assert cli.main(["run", "melt.toml", "--overwrite"]) == 0
+    out, err = capfd.readouterr()
+    for words in ("A small melt", "256 atoms", "40 steps = 0.16 τ", "verdict", "melt.h5md", "minimd check melt.h5md"):
+        assert words in out
+    assert err.count("running: step") == 4  # no terminal, so lines: one at each of the four observations
+
+
+def test_out_takes_the_picture_along_and_spares_pictures_that_were_not_named(folder, capsys):
+    Path("melt.toml").write_text(SCENE + 'plot = "melt.png"\n')
+    for name in ("melt.png", "second.png"):
+        Path(name).write_text("precious")
+    for name in ("first", "second"):
+        assert cli.main(["run", "melt.toml", "--steps", "20", "--out", f"{name}.h5md"]) == 0
+        assert read_file(f"{name}.h5md").record.step.tolist() == [0, 10, 20]
+    assert Path("first.png").read_bytes().startswith(b"\x89PNG")
+    assert {Path(name).read_text() for name in ("melt.png", "second.png")} == {"precious"}
+    told = capsys.readouterr().out
+    assert "drawing        first.png" in told
+    assert "second.png exists and is kept" in told
+    assert run("run", "melt.toml", "--steps", 0, "--out", "third.xyz") == 0
+    Path("melt.toml").write_text(SCENE + "plot = true\n")
+    assert run("run", "melt.toml", "--steps", 0, "--out", "fourth.h5md") == 0
+    assert Path("fourth.png").read_bytes().startswith(b"\x89PNG")
+    assert not Path("melt.h5md").exists()
+
+
+def test_resumed_run_ends_with_the_scene_and_is_the_uninterrupted_one(folder, capsys):
+    Path("melt.toml").write_text(SCENE + 'trajectory = ["melt.h5md", "melt.xyz"]\n')
+    assert run("run", "melt.toml", "--out", "whole.h5md") == 0
+    assert run("run", "melt.toml", "--steps", 15) == 0
+    capsys.readouterr()
+    assert cli.main(["resume", "melt.h5md"]) == 0
+    assert "only melt.h5md is continued" in capsys.readouterr().out
+    assert cli.main(["resume", "melt.h5md"]) == 2
+    assert "it is at step 40, dynamics.steps = 40" in capsys.readouterr().err
+    whole, parts, start = read_file("whole.h5md"), read_file("melt.h5md"), load_scene("melt.toml").system()
+    assert parts.step == whole.step == 40
+    assert parts.time == pytest.approx(0.16)
+    assert set(whole.record.step) <= set(parts.record.step)
+    # rounding: other list, other sums; grown over 25 steps in the positions
+    assert parts.record.total_energy[-1] == pytest.approx(whole.record.total_energy[-1], rel=1e-13)
+    assert np.abs(parts.system.positions - whole.system.positions).max() < 1e-12
+    assert np.abs(parts.system.positions - start.positions).max() > 1e-3  # atoms moved
+
+
+def test_interrupted_run_says_how_to_go_on(folder, capsys, monkeypatch):
+    write = H5MDWriter.write
+
+    def stopping(writer, frame):
+        write(writer, frame)
+        if frame.step == 20:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(H5MDWriter, "write", stopping)
+    assert cli.main(["run", "melt.toml"]) == 130
+    assert "resume with: minimd resume melt.h5md --steps 19" in capsys.readouterr().err
+    monkeypatch.undo()
+    os.chdir(folder)
+    assert run("resume", "melt.h5md", "--steps", 19) == 0
+    assert read_file("melt.h5md").step == 40
+
+
+def test_interrupted_equilibration_says_that_nothing_was_written(folder, capsys, monkeypatch):
+    Path("melt.toml").write_text(SCENE.replace("[output]", "[equilibration]\nsteps = 40\n[output]"))
+    rescale = md.Simulation.rescale_temperature
+
+    def stopping(simulation, temperature):
+        rescale(simulation, temperature)
+        if simulation.step == 20:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(md.Simulation, "rescale_temperature", stopping)
+    assert cli.main(["run", "melt.toml"]) == 130
+    assert "of the equilibration; nothing was written" in capsys.readouterr().err
+    assert not Path("melt.h5md").exists()
+
+
+def test_resume_without_a_stored_scene_asks_for_one(folder, capsys):
+    from_scene = load_scene("melt.toml").simulation()
+    simulation = md.Simulation(from_scene.system, from_scene.potentials, from_scene.method)
+    simulation.run(10, every=5, trajectory="bare.h5md")
+    assert cli.main(["resume", "bare.h5md", "--steps", "5"]) == 2
+    told = capsys.readouterr().err
+    assert "'bare.h5md' holds no scene" in told
+    assert "minimd.Simulation.resume('bare.h5md', potentials)" in told
+    assert run("resume", "bare.h5md", "--steps", 10, "--scene", "melt.toml") == 0
+    assert read_file("bare.h5md").step == 20
+
+
+def test_a_scene_given_to_resume_replaces_that_of_the_file(folder, capsys):
+    Path("slow.toml").write_text(SCENE.replace("timestep = 0.004", "timestep = 0.002"))
+    assert run("run", "melt.toml", "--steps", 4) == 0
+    assert cli.main(["resume", "melt.h5md", "--scene", "slow.toml", "--steps", "4"]) == 0
+    assert "dynamics.timestep: 0.004 before, 0.002 now" in capsys.readouterr().out
+    assert cli.main(["resume", "melt.h5md", "--steps", "4"]) == 0
+    told = capsys.readouterr().out
+    assert "timestep 0.002 τ" in told
+    assert "NOTE" not in told
+    simulation = md.Simulation.resume("melt.h5md")
+    assert simulation.method.timestep == 0.002
+    simulation.method = md.VelocityVerlet(0.001)  # in a script, beside the scene in the file
+    simulation.run(4, trajectory="melt.h5md", append=True)
+    assert cli.main(["resume", "melt.h5md", "--steps", "4"]) == 0
+    assert "the last steps were made with VelocityVerlet(timestep=0.001)" in capsys.readouterr().out
+    assert md.Simulation.resume("melt.h5md").method.timestep == 0.001
+
+
+def test_texts_of_files_give_no_orders_to_the_terminal(finished, folder, capsys):
+    """Titles and names of files are escaped; labels of atoms are refused.  Colors, returns, bells, titles, order."""
+    orders = ["\x1b[31mred", "a\rb", "\a", "\x9d0;x\x9c", "\u202egnp"]
+    strange = "".join(orders)
+    file = shutil.copy(finished, f"a{strange}.h5md")
+    with h5py.File(file, "r+") as h5:
+        h5["minimd"].attrs["title"] = strange
+        sign(h5)
+    scene, title = f"a{strange}.toml", json.dumps(strange)
+    Path(scene).write_text(f"title = {title}\n{SMOOTH}")
+    assert cli.main(["run", scene, "--steps", "0", "--out", f"b{strange}.h5md"]) == 0
+    Path(scene).write_text(f"{title} = {title}\n{SMOOTH}")
+    for arguments in (["check"], ["view"], ["frames", "--at", "1"], ["plot"], ["resume", "--steps", "5"], ["replay"]):
+        cli.main([arguments[0], file, *arguments[1:]])
+        told = "".join(capsys.readouterr())
+        assert repr(strange)[1:-1] in told, arguments
+        assert all(one.isprintable() or one == "\n" for one in told)
+    for arguments in (["check", f"{file}.nowhere"], ["run", scene]):
+        assert cli.main(arguments) == 2
+        told = "".join(capsys.readouterr())
+        assert repr(strange)[1:-1] in told, arguments
+        assert all(one.isprintable() or one == "\n" for one in told)
+    for one in orders:
+        assert_answered(lambda: md.System([[0.0, 0, 0]], species=[one]), ValueError, "printable", repr(one))
+
+
+def test_check_passes_on_a_sound_file_and_fails_on_another(finished, folder, capsys):
+    shutil.copy(finished, "melt.h5md")
+    assert cli.main(["check", "melt.h5md"]) == 0
+    assert "passed" in capsys.readouterr().out
+    with h5py.File("melt.h5md", "r+") as h5:
+        h5["particles/trajectory/velocity/value"][2] *= 1.01
+    assert cli.main(["check", "melt.h5md"]) == 1
+    assert "FAILED" in capsys.readouterr().out
+
+
+def test_plot_writes_a_picture_and_says_so(finished, folder, capsys):
+    shutil.copy(finished, "melt.h5md")
+    for out, done in (([], "written "), ([], "replaced"), (["--out", "other.png"], "written ")):
+        name = out[-1] if out else "melt.png"
+        assert cli.main(["plot", "melt.h5md", *out]) == 0
+        assert capsys.readouterr().out.splitlines() == [f"drawing        {name} ...", f"{done}       {name}"]
+        assert Path(name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsys):
+    hot = SCENE.replace("1.44", "50.0").replace("steps = 40", "steps = 4000")
+    Path("melt.toml").write_text(hot.replace("timestep = 0.004", "timestep = 0.025"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert cli.main(["run", "melt.toml"]) == 3
+    err = capsys.readouterr().err
+    note, cause, seen = [line for line in err.splitlines() if line.startswith("minimd: ") and "compiling" not in line]
+    assert note.startswith("minimd: warning: timestep 0.025 τ is long for Lennard-Jones atoms")
+    assert cause.startswith("minimd: error: Likely cause:")
+    assert "timestep 0.025 τ too large" in cause
+    assert seen.startswith("minimd: error: At step")
+    assert "kept in melt.h5md" in seen
+    assert "Traceback" not in err
+    assert read_file("melt.h5md").n_frames > 0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize(("end", "code"), [(signal.SIGKILL, -9), (signal.SIGINT, 130)])
+def test_a_run_that_is_killed_or_interrupted_can_be_resumed(end, code, folder):
+    process = command("run", "melt.toml", "--steps", "1000000", "--quiet")
+    wait_for_frames(process, "melt.h5md")
+    process.send_signal(end)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == code
+    assert "Traceback" not in err
+    if end == signal.SIGINT:
+        assert "stopped after step" in err
+        assert "kept in melt.h5md" in err
+    contents = read_file("melt.h5md")
+    assert contents.n_frames > 1
+    assert run("resume", "melt.h5md", "--steps", 10) == 0
+    assert read_file("melt.h5md").step == contents.step + 10

@@ -1,0 +1,251 @@
+"""Scene files: the simulation they make is physically what their keys say."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scene_texts import ARGON, MIXTURE, REDUCED, TABULATED, R, U, scene_of, write_tables
+from wrong_calls import assert_answered
+
+import minimd as md
+from minimd.files.h5md_reader import read_file
+from minimd.integrators import THERMOSTATS, LangevinBAOAB
+from minimd.integrators.splitting.thermostats import Thermostat
+from minimd.scene import load_scene, resume_run, run_scene
+from minimd.scene.running import differences
+from minimd.scene.section import KEY_UNITS
+
+# SI values, independent of minimd.units (CODATA 2018; minimd has ASE's of 2014, equal to 1e-6)
+ATOMIC_MASS, ELECTRON_VOLT, BOLTZMANN, ANGSTROM = 1.66053906660e-27, 1.602176634e-19, 1.380649e-23, 1e-10
+TIME_UNIT = ANGSTROM * np.sqrt(ATOMIC_MASS / ELECTRON_VOLT)  # s
+CODATA = {"rel": 1e-6, "abs": 0.0}  # what two editions differ by; approx would take every number of SI size for zero
+MOLECULE = """
+structure = { file = "bent.xyz", bonds = [[0, 1], [1, 2]] }
+dynamics = { timestep_fs = 0.5, steps = 10 }
+potential = [
+    { type = "harmonic-bond", k_eV_A2 = 20.0, length_A = 1.0 },
+    { type = "harmonic-angle", k_eV_rad2 = 3.0, angle_degree = 120.0, triples = [[0, 1, 2]] },
+]
+"""
+PAIR = """
+structure = { file = "pair.xyz" }
+dynamics = { timestep_fs = 0.5, steps = 10 }
+[[potential]]
+type = "lennard-jones"
+truncation = "truncated"
+cutoff_A = 12.0
+species = { Ar = { epsilon_K = 120.0, sigma_A = 3.4 }, Kr = { epsilon_K = 164.0, sigma_A = 3.65 } }
+"""
+ENDINGS = {  # of keys: SI / that of minimd, for each dimension
+    "length": (ANGSTROM, {"_A": ANGSTROM}),
+    "time": (TIME_UNIT, {"_fs": 1e-15}),
+    "temperature": (1.0, {"_K": 1.0}),
+    "energy": (ELECTRON_VOLT, {"_eV": ELECTRON_VOLT, "_K": BOLTZMANN}),
+    "force": (ELECTRON_VOLT / ANGSTROM, {"_eV_A": ELECTRON_VOLT / ANGSTROM}),
+    "density": (ATOMIC_MASS / ANGSTROM**3, {"_g_cm3": 1000.0}),
+    "stiffness": (ELECTRON_VOLT / ANGSTROM**2, {"_eV_A2": ELECTRON_VOLT / ANGSTROM**2}),
+    "angular stiffness": (ELECTRON_VOLT, {"_eV_rad2": ELECTRON_VOLT}),
+    "angle": (1.0, {"_degree": np.pi / 180}),
+    "inverse length": (1.0 / ANGSTROM, {"_per_A": 1.0 / ANGSTROM}),
+    "velocity": (ANGSTROM / TIME_UNIT, {"_A_ps": ANGSTROM / 1e-12}),
+    "acceleration": (ANGSTROM / TIME_UNIT**2, {"_A_ps2": ANGSTROM / 1e-24}),
+    "pressure": (ELECTRON_VOLT / ANGSTROM**3, {"_bar": 1e5, "_GPa": 1e9}),
+    "compressibility": (ANGSTROM**3 / ELECTRON_VOLT, {"_per_bar": 1e-5, "_per_GPa": 1e-9}),
+}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A current folder with the files that scenes of this page name."""
+    monkeypatch.chdir(tmp_path)
+    write_tables()
+    Path("bent.xyz").write_text("3\n\nH 1.1 0 0\nO 0 0 0\nH 0 0.9 0\n")  # arms of 1.1 Å and 0.9 Å at a right angle
+    return tmp_path
+
+
+def energy_of(scene):
+    return md.evaluate(scene.system(), scene.potentials()).potential_energy
+
+
+def test_argon_scene_is_rahmans_argon_at_94_kelvin():
+    simulation = load_scene(ARGON).simulation()
+    system = simulation.system
+    assert len(system) == 864
+    assert system.species_names == ("Ar",)
+    assert np.all(system.masses == 39.948)
+    density = 864 * 39.948 * ATOMIC_MASS / (system.volume * ANGSTROM**3)  # kg/m³
+    assert density == pytest.approx(1374.0, **CODATA)
+    assert simulation.method.timestep * TIME_UNIT == pytest.approx(10e-15, **CODATA)
+    kinetic = 0.5 * 39.948 * np.sum(system.velocities**2) * ELECTRON_VOLT
+    assert 2.0 * kinetic / (3 * 863 * BOLTZMANN) == pytest.approx(94.4, **CODATA)
+    assert np.abs(system.velocities.mean(axis=0)).max() < 1e-15  # rounding
+
+
+def test_argon_potential_has_its_well_at_120_kelvin():
+    (potential,) = load_scene(ARGON).potentials()
+    depth, slope = 4 * (2.5**-12 - 2.5**-6), 4 * (-12 * 2.5**-13 + 6 * 2.5**-7)  # u(r_c)/ε, u′(r_c) σ/ε
+    expected = -1.0 - depth - (2 ** (1 / 6) - 2.5) * slope  # force-shifted at 2.5 σ
+    found = potential.pair_energy(2 ** (1 / 6) * 3.4) * ELECTRON_VOLT / BOLTZMANN
+    assert found == pytest.approx(120.0 * expected, **CODATA)
+
+
+@pytest.mark.parametrize("dimension", ENDINGS)
+def test_every_unit_in_a_key_has_its_size(dimension):
+    of_minimd, endings = ENDINGS[dimension]
+    for ending, si in endings.items():
+        assert KEY_UNITS["ASE"][dimension][ending] * of_minimd == pytest.approx(si, **CODATA)
+    assert set(KEY_UNITS["ASE"][dimension]) == set(endings)
+    assert set(KEY_UNITS["ASE"]) == set(ENDINGS)
+
+
+def test_reduced_scene_is_the_same_as_a_script():
+    simulation = scene_of(REDUCED).simulation()
+    edge = 4 * (4 / 0.8442) ** (1 / 3)
+    assert simulation.system.cell.vectors == pytest.approx(edge * np.eye(3))
+    system = md.System(simulation.system.positions, cell=edge)
+    script = md.Simulation(system, md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.004))
+    script.set_temperature(1.44, seed=3)
+    ours, theirs = (run.run(20, every=5).total_energy for run in (simulation, script))
+    assert ours == pytest.approx(theirs, rel=1e-12)  # rounding: the two edges differ by an ulp
+
+
+def test_structure_file_is_read_beside_the_scene_with_its_velocities(tmp_path, monkeypatch):
+    from ase import Atoms
+    from ase.io import write
+
+    momenta = [[1.0, 2.0, 3.0], [0.0, -1.0, 0.5]]
+    write(tmp_path / "pair.traj", Atoms("ArKr", [[0, 0, 0], [4.0, 0, 0]], cell=[30, 30, 30], pbc=True, momenta=momenta))
+    (tmp_path / "scene.toml").write_text(PAIR.replace(".xyz", ".traj"))
+    monkeypatch.chdir("/")
+    system = load_scene(tmp_path / "scene.toml").simulation().system
+    assert system.species.tolist() == ["Ar", "Kr"]
+    assert system.masses == pytest.approx([39.948, 83.798])
+    assert system.velocities * system.masses[:, None] == pytest.approx(np.array(momenta))
+    assert system.cell.pbc.all()
+
+
+def test_cell_and_pbc_of_a_scene_replace_those_of_the_file(folder):
+    cell = "{ cell_A = [12.0, 13.0, 14.0], pbc = [true, false, true], "
+    system = scene_of(MOLECULE.replace("{", cell, 1)).system()
+    assert system.cell.vectors == pytest.approx(np.diag([12.0, 13.0, 14.0]))
+    assert system.cell.pbc.tolist() == [True, False, True]
+
+
+def test_bonds_and_angles_have_the_energy_of_their_formula(folder):
+    expected = 0.5 * 20.0 * (0.1**2 + 0.1**2) + 0.5 * 3.0 * np.radians(120.0 - 90.0) ** 2
+    assert energy_of(scene_of(MOLECULE)) == pytest.approx(expected, rel=1e-12)  # rounding
+
+
+class Third(LangevinBAOAB):
+    """A thermostat that is registered by a user."""
+
+    name = "third"
+
+    def __init__(self, timestep, temperature, friction, seed, strength=2.0):
+        super().__init__(timestep, temperature, strength * friction, seed)
+
+
+class Unusual(Third):
+    """A thermostat that no relaxation time determines."""
+
+    name = "unusual"
+    with_relaxation_time = classmethod(Thermostat.with_relaxation_time.__func__)
+
+
+def test_every_registered_thermostat_is_built_from_its_own_parameters_or_refused(monkeypatch):
+    monkeypatch.setitem(THERMOSTATS, "third", Third)
+    monkeypatch.setitem(THERMOSTATS, "unusual", Unusual)
+    text = REDUCED.replace("seed = 3", 'seed = 3\nmethod = "third"\nrelaxation_time = 0.5')
+    method = scene_of(text).method()
+    assert type(method) is Third
+    assert (method.timestep, method.temperature, method.friction, method.seed) == (0.004, 1.44, 4.0, 3)
+    unusual = scene_of(text.replace("third", "unusual"))
+    assert_answered(unusual.method, ValueError, "scene.toml: dynamics", "unusual", "with_relaxation_time")
+
+
+@pytest.mark.parametrize(
+    ("extra", "epsilon", "sigma"),
+    [
+        ("", np.sqrt(120.0 * 164.0), 0.5 * (3.4 + 3.65)),
+        ('mixing = "geometric"', np.sqrt(120.0 * 164.0), np.sqrt(3.4 * 3.65)),
+        ('pairs = [{ species = ["Kr", "Ar"], epsilon_K = 150.0, sigma_A = 3.5 }]', 150.0, 3.5),
+    ],
+)
+def test_unlike_pairs_follow_the_mixing_rule_unless_they_are_given(folder, extra, epsilon, sigma):
+    Path("pair.xyz").write_text("2\n\nAr 0 0 0\nKr 4.0 0 0\n")
+    found = energy_of(scene_of(PAIR + extra)) * ELECTRON_VOLT / BOLTZMANN
+    assert found == pytest.approx(4.0 * epsilon * ((sigma / 4.0) ** 12 - (sigma / 4.0) ** 6), **CODATA)
+
+
+def test_options_of_a_potential_arrive():
+    options = 'truncation = "switched"\nswitch_start = 2.0\nbonded_scale = [0, 0, 0.5]\ntail_correction = true\n'
+    (potential,) = scene_of(REDUCED.replace("cutoff = 2.5\n", "cutoff = 2.5\n" + options)).potentials()
+    expected = md.LennardJones(
+        1.0, 1.0, 2.5, "switched", switch_start=2.0, bonded_scale=(0.0, 0.0, 0.5), tail_correction=True
+    )
+    assert repr(potential) == repr(expected)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "threads", "precision"), [("precision = 'mixed'", None, "mixed"), ("", 2, "double")]
+)
+def test_choices_about_the_computation_arrive(chosen, threads, precision):
+    text = REDUCED.replace("seed = 3", chosen + (f"\nthreads = {threads}" if threads else ""))
+    simulation = scene_of(text).simulation()
+    options = simulation.engine.interactions.options
+    assert (options.threads, options.precision) == (threads, precision)
+
+
+def test_equilibration_reaches_its_temperature_and_does_not_count(tmp_path):
+    text = REDUCED + "[equilibration]\nsteps = 200\ntemperature = 0.9\nrescale_every = 10\n"
+    simulation = run_scene(scene_of(text), steps=0, trajectory=tmp_path / "a.h5md", tell=lambda line: None)
+    assert simulation.record.step.tolist() == [0]
+    assert simulation.record.temperature[0] == pytest.approx(0.9)
+
+
+def test_run_writes_what_the_scene_says_and_tells_it(folder):
+    told = []
+    output = 'every = 5\nforces = true\ntrajectory = ["a.h5md", "b.extxyz"]'
+    run_scene(scene_of(REDUCED.replace("every = 5", output)), tell=told.append)
+    contents = read_file("a.h5md")
+    assert contents.record.step.tolist() == [0, 5, 10, 15, 20]
+    assert contents.has_forces
+    assert contents.scene.startswith("\nunits")
+    assert Path("b.extxyz").read_text().count("Lattice") == 5
+    for words in ("256 atoms", "20 steps = 0.08 τ", "a.h5md, b.extxyz"):
+        assert words in "\n".join(told)
+    assert scene_of(REDUCED, "folder/melt.toml").trajectories() == [Path("melt.h5md")]  # by default
+
+
+def test_a_table_in_a_file_is_that_of_a_script(folder):
+    (potential,) = scene_of(TABULATED).potentials()
+    script = md.Tabulated(R, U, cutoff=2.4)
+    assert repr(potential) == repr(script)
+    assert np.array_equal(potential.pair_energy(R[:-200]), script.pair_energy(R[:-200]))
+
+
+def test_tables_of_pairs_have_the_unit_of_their_keys(folder):
+    """The third pair is beyond the end of its table."""
+    assert energy_of(scene_of(MIXTURE)) == pytest.approx(3.5 + 250.0 * 8.617330337e-5, rel=1e-7)
+
+
+def test_a_run_goes_on_from_its_file_alone_with_its_table_and_its_stress(folder):
+    lines = []
+    whole = run_scene(scene_of(TABULATED), steps=8, trajectory=folder / "whole.h5md", tell=lines.append)
+    run_scene(scene_of(TABULATED), tell=lines.append)
+    (folder / "lj.dat").unlink()
+    resumed = resume_run("a.h5md", 4, tell=lines.append)
+    assert np.array_equal(resumed.positions, whole.positions)
+    record = read_file("a.h5md").record
+    assert record.stress.shape == (5, 3, 3)
+    assert np.array_equal(record.stress, read_file("whole.h5md").record.stress)
+    assert -np.trace(record.stress, axis1=1, axis2=2) / 3.0 == pytest.approx(record.pressure, rel=1e-12)  # rounding
+    assert "potential      Tabulated, cutoff 2.4 σ, shifted" in lines
+
+
+def test_a_table_that_was_changed_is_another_potential(folder):
+    stored = scene_of(scene_of(TABULATED).whole_text(), "elsewhere/a.h5md")
+    assert differences(stored, scene_of(TABULATED)) == []
+    write_tables(scale=1.1)
+    [words] = differences(stored, scene_of(TABULATED))
+    assert words.startswith("tables.lj.dat.u: ")

@@ -1,0 +1,130 @@
+"""What objects show: calls that make them again, a few lines, tables of a notebook, help that fits one screen."""
+
+import pydoc
+from typing import get_args
+
+import numpy as np
+import pytest
+from ase.build import molecule
+from scenes import SCENES
+
+import minimd as md
+from minimd.ase import Calculator, Langevin
+from minimd.files.h5md_reader import read_file
+from minimd.forces.options import Precision
+from minimd.mdanalysis import Frames, diffusion_coefficient, radial_distribution
+from minimd.potentials.pair import MIXING, MixingName
+from minimd.potentials.truncation import TRUNCATIONS, TruncationName
+from minimd.structure.display import Displayed
+from minimd.structure.units import GRAM_PER_CM3
+
+KOB_ANDERSEN = md.LennardJones(
+    {"A": (1.0, 1.0), "B": (0.5, 0.88)},
+    cutoff={("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2},
+    truncation="switched",
+    mixing="geometric",
+    pairs={("A", "B"): (1.5, 0.8)},
+    switch_start=1.5,
+    bonded_scale=(0.0, 0.0, 0.5),
+    tail_correction=True,
+)
+
+
+def soft(r2, height):
+    return height / r2, 2.0 * height / r2**2
+
+
+BONDS = md.HarmonicBond(3.0, [1.0, 1.1], [(0, 1), (1, 2)])
+CALLS = {  # that make the object again, in full
+    "LennardJones(epsilon=0.0104, sigma=3.4, cutoff=8.5, truncation='shifted')": md.LennardJones(0.0104, 3.4, 8.5),
+    "LennardJones(epsilon={'A': (1, 1), 'B': (0.5, 0.88)}, "
+    "cutoff={('A', 'A'): 2.5, ('A', 'B'): 2, ('B', 'B'): 2.2}, truncation='switched', mixing='geometric', "
+    "pairs={('A', 'B'): (1.5, 0.8)}, switch_start=1.5, bonded_scale=(0, 0, 0.5), tail_correction=True)": KOB_ANDERSEN,
+    "PairPotential(law=soft, parameters=(3,), cutoff=None, truncation='shifted')": md.PairPotential(soft, (3.0,)),
+    "BondPotential(law=soft, parameters=(2.0,))": md.BondPotential(soft, (2.0,)),
+    "HarmonicBond(k=3.0, length=[1.0, 1.1], pairs=[[0, 1], [1, 2]])": BONDS,
+    "HarmonicAngle(k=2.0, angle=1.0, triples=[[0, 1, 2]])": md.HarmonicAngle(2.0, 1.0, [(0, 1, 2)]),
+    "LangevinBAOAB(timestep=0.005, temperature=0.7, friction=2, seed=3)": md.LangevinBAOAB(0.005, 0.7, 2.0, seed=3),
+    "VelocityVerlet(timestep=0.09822694788)": md.VelocityVerlet(md.units.fs),
+    "Cell([[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 2.0]], pbc=[True, True, True])": md.Cell.of(2.0),
+    "minimd.units.ASE": md.units.ASE,
+}
+
+
+def test_repr_is_the_call_with_all_that_is_no_default():
+    assert [repr(one) for one in CALLS.values()] == list(CALLS)
+    for one in (KOB_ANDERSEN, md.LennardJones(0.3, 1.2, 2.5, "charmm"), md.LangevinBAOAB(0.005, 0.7, 2.0, seed=3)):
+        again = eval(repr(one), {**vars(md), "None": None})
+        assert repr(again) == repr(one)
+
+
+def test_html_is_escaped_and_text_of_one_object_keeps_its_lines(argon):
+    class Odd(Displayed):
+        def __str__(self):
+            return "a <b>          words & more\n               of the same"
+
+    assert Odd().display_rows() == [("a <b>", "words & more"), ("", "of the same")]
+    assert "a &lt;b&gt;</th>" in Odd()._repr_html_()
+    assert "words &amp; more" in Odd()._repr_html_()
+    assert str(argon.simulation()).splitlines()[0].startswith("system         System(108 atoms")
+
+
+def test_a_system_shows_its_angles_and_its_density():
+    """Argon at 1.374 g/cm³ has 0.0207 atoms/Å³."""
+    triples = [[0, 1, 2], [1, 2, 0]]
+    edges = [1.0, 1.0, 3 * 39.948 / (1.374 * GRAM_PER_CM3)]
+    system = md.System(np.eye(3), masses=39.948, cell=edges, angles=triples, units=md.units.ASE)
+    assert "2 angles" in repr(system)
+    assert ["angles", "2"] in [line.split() for line in str(system).splitlines()]
+    assert "angles" in system._repr_html_()
+    assert pytest.approx(0.6022140858549161) == GRAM_PER_CM3  # u/Å³
+    assert "1.374 g/cm³" in str(system)
+
+
+def test_no_result_fills_the_screen(tmp_path):
+    """What a cell of a notebook ends with is a few lines, none of which shows an address."""
+    frames, file = Frames(), tmp_path / "a.h5md"
+    SCENES["argon"]().simulation().run(60, every=2, trajectory=file, observers=[frames])
+    problem = md.integrators.SecondOrder(lambda q: -q)
+    solved = md.integrators.run_steps(problem, md.VelocityVerlet(0.1), ([1.0], [0.0]), 1000)
+    atoms = molecule("N2")
+    atoms.calc = Calculator(md.HarmonicBond(100.0, 1.1, pairs=[[0, 1]]))
+    shown = [radial_distribution(frames), diffusion_coefficient(frames), read_file(file), frames, problem, solved]
+    shown += [atoms.calc, Langevin(atoms, 1.0, temperature_K=300.0, friction=0.01)]
+    shown += [md.integrators.FirstOrder(lambda y: -y), SCENES["dumbbells"]().simulation().rigid_bonds]
+    for one in shown:
+        for text in (repr(one), str(one)):
+            assert " at 0x" not in text, text
+            assert "array(" not in text, text
+            assert len(text.splitlines()) < 20
+        assert len(repr(one)) < 300
+        assert "\n" not in repr(one)
+    assert repr(problem) == "SecondOrder(f(q))"
+    assert "frames         31, without forces" in str(read_file(file))
+    assert "states         1001 of q and v" in str(solved)
+
+
+def test_names_that_are_offered_are_public_ones_that_exist():
+    names = [name for name in dir(md) if not name.startswith("__")]
+    assert names == sorted(md.__all__)
+    assert not {"report", "fire", "team", "engine", "structure"} & set(names)
+    assert all(hasattr(md, name) for name in names)
+    units = {name for name in dir(md.units) if not name.startswith("_")}
+    assert {"ASE", "LJ", "fs", "ps"} <= units
+    assert not {"Any", "dataclass", "math"} & units
+    assert set(get_args(TruncationName)) == set(TRUNCATIONS)
+    assert set(get_args(MixingName)) == set(MIXING)
+    assert set(get_args(Precision)) == {"double", "mixed", "fixed-point"}
+
+
+NAMES = ["System", "Simulation", "LennardJones", "PairPotential", "HarmonicBond", "Tabulated", "DistanceConstraints"]
+
+
+@pytest.mark.parametrize("name", [*NAMES, "minimize"])
+def test_help_fits_one_screen_before_the_text_begins(name):
+    """24 lines of 80 letters; annotations as they are written, defaults by name."""
+    text = pydoc.plain(pydoc.render_doc(getattr(md, name)))
+    before = text[: text.index(getattr(md, name).__doc__.splitlines()[0])].splitlines()
+    assert sum(1 + len(line) // 80 for line in before) < 24
+    assert "numpy._typing" not in text[:3000]
+    assert name != "System" or "units: 'UnitSystem' = minimd.units.LJ" in text

@@ -1,22 +1,34 @@
-"""minimd and ASE say the same: units, atoms in and out, calculators both ways, velocity Verlet, files."""
+"""minimd and ASE say the same: units, atoms in and out, energies, forces and stress, after every kind of change."""
 
 import copy
 import pickle
+import warnings
 
-import ase.io
 import ase.units
 import numpy as np
 import pytest
-from argon_atoms import CUTOFF, EPSILON, SIGMA, TIMESTEP, argon, ase_lennard_jones, lennard_jones, same, with_calculator
+from argon_atoms import (
+    CUTOFF,
+    EPSILON,
+    SIGMA,
+    TIMESTEP,
+    argon,
+    ase_lennard_jones,
+    lennard_jones,
+    liquid,
+    same,
+    with_calculator,
+)
 from ase import Atoms
 from ase.build import bulk, molecule
+from ase.calculators.emt import EMT
 from ase.calculators.fd import calculate_numerical_stress
-from ase.constraints import FixedPlane, Hookean
+from ase.calculators.lj import LennardJones
 from ase.filters import FrechetCellFilter
 from ase.optimize import BFGS
 
 import minimd as md
-from minimd.ase import Calculator, VelocityVerlet, atoms_from_system, system_from_atoms
+from minimd.ase import Calculator, ForcesFromCalculator, atoms_from_system, system_from_atoms
 
 
 def test_units_are_those_of_ase():
@@ -34,86 +46,62 @@ def test_units_are_those_of_ase():
 
 def test_atoms_survive_the_round_trip():
     rng = np.random.default_rng(3)
-    atoms = Atoms(
-        "ArKrXeH2", rng.uniform(-50, 50, (5, 3)), cell=rng.standard_normal((3, 3)) * 9, pbc=(True, False, True)
-    )
+    cell = rng.standard_normal((3, 3)) * 9
+    atoms = Atoms("ArKrXeH2", rng.uniform(-50, 50, (5, 3)), cell=cell, pbc=(True, False, True))
     atoms.set_masses([39.9, 83.8, 131.3, 1.0, 2.0])
     atoms.set_momenta(rng.standard_normal((5, 3)))
     system = md.System.from_ase(atoms)
     back = system.to_ase()
     assert system.units is md.units.ASE
     assert system.species.tolist() == ["Ar", "Kr", "Xe", "H", "H"]
-    assert np.array_equal(system.positions, atoms.positions)
     assert same(system.velocities, atoms.get_velocities(), 1e-15)
     assert same(back.get_momenta(), atoms.get_momenta(), 1e-15)
+    assert np.array_equal(system.positions, atoms.positions)
     for name in ("positions", "numbers", "pbc", "cell"):
         assert np.array_equal(getattr(back, name), getattr(atoms, name)), name
     assert np.array_equal(back.get_masses(), atoms.get_masses())
 
 
-def test_labels_that_are_no_elements_come_back():
-    system = md.System(
-        [[0.0, 0, 0], [1, 0, 0], [2, 0, 0]], species=["A", "Ar", "bead"], velocities=np.eye(3), masses=[1.0, 2.0, 3.0]
-    )
+@pytest.mark.parametrize("species", [["A", "Ar", "bead"], [7, 8, 7]])
+def test_labels_that_are_no_elements_come_back(species):
+    places = [[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]
+    system = md.System(places, species=species, velocities=np.eye(3), masses=[1.0, 2.0, 3.0])
     atoms = atoms_from_system(system)
-    assert atoms.get_chemical_symbols() == ["X", "Ar", "X"]
-    assert system_from_atoms(atoms).species.tolist() == ["A", "Ar", "bead"]
-    assert system_from_atoms(atoms_from_system(md.System(system.positions, species=[7, 8, 7]))).species.tolist() == [
-        7,
-        8,
-        7,
-    ]
+    assert atoms.get_chemical_symbols() == ["Ar" if one == "Ar" else "X" for one in species]
+    assert system_from_atoms(atoms).species.tolist() == species
     assert np.array_equal(atoms.positions, system.positions)  # reduced units: the numbers are kept
     assert same(atoms.get_momenta(), np.diag([1.0, 2.0, 3.0]), 0.0)
 
 
-def test_another_label_gives_another_energy():
-    atoms = atoms_from_system(md.System([[0.0, 0, 0], [1.1, 0, 0]], species=["A", "A"]))
-    atoms.calc = Calculator(md.LennardJones({"A": (1.0, 1.0), "B": (3.0, 1.0)}, cutoff=2.5))
-    before = atoms.get_potential_energy()
-    atoms.arrays["species_labels"][:] = "B"
-    assert atoms.get_potential_energy() == pytest.approx(3.0 * before, rel=1e-14)
+# Energies, forces and stress
+
+QUANTITIES = ("energy", "energies", "forces", "stress", "stresses")
+CHARMM = md.LennardJones(EPSILON, SIGMA, CUTOFF, "charmm", switch_start=0.66 * CUTOFF)
+CRYSTAL, MOLECULE = bulk("Cu", cubic=True) * 2, molecule("CH3CH2OH")
 
 
-@pytest.mark.parametrize("constraint", [FixedPlane(0, (0, 0, 1)), Hookean(0, 1, 5.0, 1.0)])
-def test_other_constraints_are_refused_by_name(constraint):
-    atoms = argon(1)
-    atoms.set_constraint(constraint)
-    with pytest.raises(ValueError, match=type(constraint).__name__):
-        system_from_atoms(atoms)
-    atoms.calc = Calculator(lennard_jones())
-    with pytest.raises(ValueError, match=type(constraint).__name__):
-        VelocityVerlet(atoms, TIMESTEP).run(1)
-    atoms.set_constraint()
-    dynamics = VelocityVerlet(atoms, TIMESTEP)
-    dynamics.run(1)
-    atoms.set_constraint(constraint)  # between two runs
-    with pytest.raises(ValueError, match=type(constraint).__name__):
-        dynamics.run(1)
+AS_ASE = {  # atoms, how much they are shaken, pbc, a calculator, and another that says the same of `QUANTITIES[:n]`
+    "liquid": (argon(), 0.0, True, lennard_jones(), ase_lennard_jones(), 5),
+    "smooth": (argon(), 0.0, True, CHARMM, ase_lennard_jones(smooth=True), 5),
+    "slab": (argon(2), 0.0, (True, False, True), lennard_jones(), ase_lennard_jones(), 5),
+    "slab by ASE": (argon(2), 0.0, (True, False, True), ForcesFromCalculator(ase_lennard_jones()), None, 4),
+    "cluster by ASE": (argon(2), 0.0, False, ForcesFromCalculator(ase_lennard_jones()), None, 4),
+    "crystal by EMT": (CRYSTAL, 0.1, True, ForcesFromCalculator(EMT()), EMT(), 4),
+    "molecule by EMT": (MOLECULE, 0.1, False, ForcesFromCalculator(EMT()), EMT(), 3),
+}
 
 
-def test_what_is_no_atoms_is_refused():
-    with pytest.raises(TypeError, match=r"ase\.Atoms is expected; got list"):
-        md.System.from_ase([[0.0, 0.0, 0.0]])
-
-
-# The calculator
-
-
-@pytest.mark.parametrize("smooth", [False, True])
-def test_calculator_is_evaluate_and_ases_lennard_jones(smooth):
-    truncation, start = ("charmm", 0.66 * CUTOFF) if smooth else ("shifted", None)
-    potential = md.LennardJones(EPSILON, SIGMA, CUTOFF, truncation, switch_start=start)
-    atoms, reference = (
-        with_calculator(argon(), Calculator(potential)),
-        with_calculator(argon(), ase_lennard_jones(smooth=smooth)),
-    )
-    result = md.evaluate(system_from_atoms(atoms), potential)
-    assert same(atoms.get_potential_energy(), result.potential_energy, 1e-14)
-    for method in ("get_potential_energy", "get_potential_energies", "get_forces", "get_stress", "get_stresses"):
-        assert same(getattr(atoms, method)(), getattr(reference, method)()), method
-    assert atoms.get_potential_energy(force_consistent=True) == atoms.get_potential_energy()
-    assert np.trace(result.virial) == pytest.approx(-atoms.get_stress()[:3].sum() * atoms.get_volume(), rel=1e-13)
+@pytest.mark.parametrize("scene", AS_ASE)
+def test_energies_forces_and_stress_are_those_of_ase(scene):
+    """With minimd's potentials, and with those of a calculator of ASE, which minimd hands through (there shares of the stress are equal)."""
+    atoms, shaken, pbc, potential, other, n = AS_ASE[scene]
+    atoms.rattle(shaken, seed=1)
+    atoms.pbc = pbc
+    mine = with_calculator(atoms, Calculator(potential))
+    reference = with_calculator(atoms, other or Calculator(lennard_jones()))
+    for name in QUANTITIES[:n]:
+        assert same(mine.calc.get_property(name, mine), reference.calc.get_property(name, reference)), name
+    assert mine.get_potential_energy(force_consistent=True) == mine.get_potential_energy()
 
 
 def test_pressure_is_minus_a_third_of_the_trace_of_ases_stress():
@@ -123,8 +111,7 @@ def test_pressure_is_minus_a_third_of_the_trace_of_ases_stress():
 
 
 def test_stress_is_the_slope_of_the_energy():
-    rng = np.random.default_rng(2)
-    atoms = argon(2)
+    atoms, rng = argon(2), np.random.default_rng(2)
     atoms.set_cell(atoms.cell.array @ (np.eye(3) + 0.1 * rng.standard_normal((3, 3))), scale_atoms=True)
     atoms.calc = Calculator(lennard_jones("switched"))
     numerical = calculate_numerical_stress(atoms, eps=1e-5)
@@ -132,24 +119,22 @@ def test_stress_is_the_slope_of_the_energy():
 
 
 def test_atoms_may_be_thousands_of_cells_away():
-    rng = np.random.default_rng(4)
-    atoms, moved = argon(2), argon(2)
+    atoms, moved, rng = liquid(), liquid(), np.random.default_rng(4)
     moved.positions += rng.integers(-3000, 3000, (len(atoms), 3)) @ atoms.cell.array
-    atoms.calc, moved.calc = Calculator(lennard_jones()), Calculator(lennard_jones())
     lost = np.spacing(np.abs(moved.positions).max())  # rounding of the positions themselves
     stiffness = 72.0 * EPSILON / SIGMA**2 * 100.0  # of the well, and a hundred times that of a close pair
     assert np.abs(atoms.get_forces() - moved.get_forces()).max() < lost * stiffness
     assert np.abs(atoms.get_forces()).max() > 1e6 * lost * stiffness
 
 
-def test_two_atoms_on_one_spot_are_an_error_that_names_them():
-    atoms = argon(1)
-    atoms.positions[2] = atoms.positions[1]
-    atoms.calc = Calculator(lennard_jones())
-    with pytest.raises(md.NonFiniteError, match="atoms 1 and 2"):
-        atoms.get_forces()
-    atoms.positions[2] += 3.5
-    assert np.isfinite(atoms.get_forces()).all()
+def test_open_cluster_has_no_stress():
+    atoms = with_calculator(molecule("H2O"), Calculator(md.LennardJones(1.0, 1.0)))
+    assert atoms.get_forces().shape == (3, 3)
+    with pytest.raises(NotImplementedError):
+        atoms.get_stress()
+
+
+# Changes of the atoms
 
 
 def test_list_is_kept_while_atoms_move_a_little():
@@ -179,20 +164,33 @@ def smaller_than_the_cutoff(atoms):
     atoms.set_cell(np.eye(3) * 5.6)
 
 
+def one_more(atoms):
+    atoms.append("Kr")
+    atoms.positions[-1] = 1.4
+
+
+def moved_far(atoms):
+    atoms.positions[3] += atoms.cell[0] - 4 * atoms.cell[1]
+
+
+def other_potentials(atoms):
+    atoms.calc.potentials = md.LennardJones({"Ar": (0.02, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)
+
+
 CHANGES = {
     "positions": lambda atoms: atoms.rattle(0.05, seed=9),
-    "one position, far": lambda atoms: atoms.positions.__setitem__(
-        3, atoms.positions[3] + atoms.cell[0] - 4 * atoms.cell[1]
-    ),
+    "one position, far": moved_far,
     "cell": pressed,
     "cell, atoms left behind": lambda atoms: atoms.set_cell(atoms.cell.array * 0.97),
     "pbc": lambda atoms: atoms.set_pbc((True, False, True)),
     "no pbc": lambda atoms: atoms.set_pbc(False),
+    "pbc and back": lambda atoms: (atoms.set_pbc(False), atoms.get_forces(), atoms.set_pbc(True)),
     "numbers": lambda atoms: atoms.numbers.__setitem__(slice(0, 50), 36),
     "masses": lambda atoms: atoms.set_masses([2.0] * len(atoms)),
     "fewer atoms": lambda atoms: atoms.__delitem__(slice(0, 20)),
-    "more atoms": lambda atoms: atoms.append("Kr") or atoms.positions.__setitem__(-1, [1.4, 1.4, 1.4]),
+    "more atoms": one_more,
     "cell, smaller than the cutoff": smaller_than_the_cutoff,
+    "potentials": other_potentials,
 }
 
 
@@ -204,19 +202,21 @@ def test_results_are_right_after_every_kind_of_change(change):
     before = atoms.get_potential_energy()
     for redo in (CHANGES[change], lambda atoms: atoms.rattle(0.02, seed=10)):  # and once more with what was kept
         redo(atoms)
-        expected = md.evaluate(system_from_atoms(atoms), mixture)
+        expected = md.evaluate(system_from_atoms(atoms), atoms.calc.potentials)
         assert same(atoms.get_potential_energy(), expected.potential_energy)
         assert same(atoms.get_forces(), expected.forces)
         assert same(atoms.get_potential_energies(), expected.energies)
-        if change not in ("masses", "one position, far"):  # neither changes the energy
+        assert same(atoms.get_stress()[:3].sum() * atoms.get_volume(), -np.trace(expected.virial))
+        if change not in ("masses", "one position, far", "pbc and back"):  # these do not change the energy
             assert atoms.get_potential_energy() != before
 
 
-def test_small_cluster_can_become_periodic():
-    atoms = with_calculator(argon(1), Calculator(lennard_jones()))
-    for pbc in (False, True, (True, False, False), False):
-        atoms.pbc = pbc
-        assert same(atoms.get_forces(), md.evaluate(system_from_atoms(atoms), lennard_jones()).forces)
+def test_another_label_gives_another_energy():
+    atoms = atoms_from_system(md.System([[0.0, 0, 0], [1.1, 0, 0]], species=["A", "A"]))
+    atoms.calc = Calculator(md.LennardJones({"A": (1.0, 1.0), "B": (3.0, 1.0)}, cutoff=2.5))
+    before = atoms.get_potential_energy()
+    atoms.arrays["species_labels"][:] = "B"
+    assert atoms.get_potential_energy() == pytest.approx(3.0 * before, rel=1e-14)
 
 
 def test_bonded_scene_is_right_when_the_cell_shrinks_below_twice_the_cutoff():
@@ -234,20 +234,9 @@ def test_bonded_scene_is_right_when_the_cell_shrinks_below_twice_the_cutoff():
         assert same(atoms.get_stress()[:3].sum() * atoms.get_volume(), -np.trace(expected.virial))
 
 
-def test_a_failed_call_leaves_nothing_behind():
-    atoms = with_calculator(argon(1), Calculator(md.LennardJones({"Ar": (EPSILON, SIGMA)}, cutoff=CUTOFF)))
-    before = atoms.get_potential_energy()
-    atoms.numbers[0] = 36
-    for _ in range(2):
-        with pytest.raises(ValueError, match="no parameters for species 'Kr'"):
-            atoms.get_potential_energy()
-    atoms.numbers[0] = 18
-    assert atoms.get_potential_energy() == pytest.approx(before, rel=1e-14)
-
-
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda thing: pickle.loads(pickle.dumps(thing))])
 def test_atoms_with_calculator_can_be_copied_and_pickled(duplicate):
-    atoms = with_calculator(argon(), Calculator(lennard_jones("switched")))
+    atoms = with_calculator(argon(), Calculator(lennard_jones()))
     expected = atoms.get_forces()
     other = duplicate(atoms)
     assert (atoms.calc.n_builds, other.calc.n_builds) == (1, 0)  # the list stays behind
@@ -257,16 +246,52 @@ def test_atoms_with_calculator_can_be_copied_and_pickled(duplicate):
     assert same(other.get_forces(), expected)
 
 
-def test_open_cluster_has_no_stress():
-    atoms = molecule("H2O")
-    atoms.calc = Calculator(md.LennardJones(1.0, 1.0))
-    assert atoms.get_forces().shape == (3, 3)
-    with pytest.raises(NotImplementedError, match="stress"):
-        atoms.get_stress()
+# Potentials that are calculators of ASE
+
+
+def test_several_potentials_add_up_with_a_calculator():
+    system = system_from_atoms(argon(2))
+    both = md.evaluate(system, [ForcesFromCalculator(ase_lennard_jones()), lennard_jones()])
+    assert same(both.forces, 2.0 * md.evaluate(system, lennard_jones()).forces)
+
+
+def test_a_run_with_a_calculator_is_the_run_with_the_potential():
+    records = []
+    for potential in (lennard_jones(), ForcesFromCalculator(ase_lennard_jones())):
+        records.append(md.Simulation(argon(2), potential, md.VelocityVerlet(TIMESTEP)).run(20, every=5))
+    for name in ("total_energy", "pressure", "temperature"):
+        assert same(getattr(records[1], name), getattr(records[0], name), 1e-11), name
+
+
+class WithoutStress(LennardJones):
+    implemented_properties = ("energy", "forces")
+
+    def calculate(self, *arguments):
+        super().calculate(*arguments)
+        self.results = {name: self.results[name] for name in self.implemented_properties}
+
+
+def test_unknown_stress_is_no_number_and_said_so():
+    crystal, cluster = argon(2), argon(2)
+    cluster.pbc = False
+    unknown = ForcesFromCalculator(WithoutStress(sigma=SIGMA, epsilon=EPSILON, rc=CUTOFF))
+    with pytest.warns(UserWarning, match="WithoutStress"):
+        periodic = md.evaluate(system_from_atoms(crystal), unknown)
+    assert np.isnan(periodic.virial).all()
+    assert same(periodic.energies, periodic.potential_energy / len(periodic.energies))
+    with warnings.catch_warnings(action="error"):
+        virial = md.evaluate(system_from_atoms(cluster), unknown).virial
+    assert same(virial, md.evaluate(system_from_atoms(cluster), lennard_jones()).virial)
+
+
+# A crystal
 
 
 def lattice_constant(cutoff):
-    """fcc Lennard-Jones crystal of least energy, in σ: a = (2 S₁₂/S₆)^(1/6), S_n = Σ |R|⁻ⁿ over the lattice with a = 1, within the cutoff."""
+    """fcc Lennard-Jones crystal of least energy, in σ: a = (2 S₁₂/S₆)^(1/6).
+
+    S_n = Σ |R|⁻ⁿ over the lattice with a = 1, within the cutoff.
+    """
     grid = np.stack(np.meshgrid(*[np.arange(-9, 10)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     r = 0.5 * np.linalg.norm(grid[(grid.sum(axis=1) % 2 == 0) & grid.any(axis=1)], axis=1)
     r = r[r * 1.545 < cutoff]
@@ -279,14 +304,10 @@ def test_relaxed_argon_has_the_lattice_constant_of_the_lattice_sums():
     atoms.rattle(0.05, seed=2)
     atoms.set_cell(atoms.cell.array @ [[1.01, 0.02, 0], [0, 0.99, 0], [0.01, 0, 1.01]], scale_atoms=True)
     atoms.calc = Calculator(lennard_jones(cutoff=cutoff * SIGMA))
-    assert BFGS(FrechetCellFilter(atoms), logfile=None, alpha=5.0).run(
-        fmax=1e-7, steps=100
-    )  # alpha: argon is softer than ASE's guess
-    lengths = atoms.cell.lengths() / SIGMA
-    assert lengths == pytest.approx(
-        lattice_constant(cutoff), rel=1e-7
-    )  # truncation: fmax over the stiffness of the crystal
-    assert lattice_constant(7.0) == pytest.approx(
-        np.sqrt(2.0) * (2.0 * 12.13188 / 14.45392) ** (1 / 6), rel=1e-3
-    )  # Kittel, table 3.3: cutoff infinite
+    search = BFGS(FrechetCellFilter(atoms), logfile=None, alpha=5.0)  # alpha: argon is softer than ASE's guess
+    assert search.run(fmax=1e-7, steps=100)
+    # truncation: fmax over the stiffness of the crystal
+    assert atoms.cell.lengths() / SIGMA == pytest.approx(lattice_constant(cutoff), rel=1e-7)
+    kittel = np.sqrt(2.0) * (2.0 * 12.13188 / 14.45392) ** (1 / 6)  # table 3.3: cutoff infinite
+    assert lattice_constant(7.0) == pytest.approx(kittel, rel=1e-3)
     assert np.abs(atoms.get_stress()).max() < 1e-8

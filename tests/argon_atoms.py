@@ -1,4 +1,4 @@
-"""Argon as ASE sees it, with minimd's calculator and with ASE's; atoms of other kinds; minimd's format of files made known to ASE."""
+"""Argon as ASE sees it, with minimd's calculator and with ASE's; copper; minimd's format of files made known to ASE."""
 
 import tomllib
 from importlib.metadata import EntryPoint

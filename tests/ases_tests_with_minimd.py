@@ -1,4 +1,4 @@
-"""A plugin of pytest for ASE's own tests: minimd's classes of dynamics stand where ASE's stood, before a test module imports them.
+"""A plugin of pytest for ASE's own tests: minimd's classes stand where ASE's stood, before a test module is imported.
 
     pytest -p ases_tests_with_minimd --pyargs ase.test.md.test_bussi
 

@@ -5,7 +5,7 @@ Left out, and why
 test_langevin_asapcompat : asks for the arrays that ASE's own Langevin step leaves behind for Asap's subclass of it.
 test_rng : its time step is 1.0 / fs, which is 104 fs: the atoms fly apart, and minimd says so. See test_thermostats.
 test_LangevinBAOAB_NPT, NsT, NsH, seed : need a barostat; externalstress is refused by name.
-test_isotropic_*, test_anisotropic_*, test_masked_npt, test_nptberendsen, test_melchionna_* : barostats, which minimd does not replace.
+test_isotropic_*, test_anisotropic_*, test_masked_npt, test_nptberendsen, test_melchionna_* : barostats stay ASE's.
 test_langevin_switching : ASE's subclass SwitchLangevin of its own Langevin.
 test_thermostat_*, test_optimiz* : of ASE's own thermostat and optimizers, which stay what they are; they run along.
 test_md_stepwise : irun of MelchionnaNPT; it runs along. All others use the classes that are exchanged.

@@ -1,4 +1,4 @@
-"""What ASE reads of the files of a run, and finds of minimd by its entry points, as they are declared in pyproject.toml."""
+"""What ASE reads of the files of a run, and finds of minimd by the entry points in pyproject.toml."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""Random scenes, minimd against ASE: triclinic, left-handed, strongly skewed, partly periodic, smaller than the cutoff, open."""
+"""Random scenes, minimd against ASE: triclinic, left-handed, skewed, partly periodic, smaller than the cutoff, open."""
 
 import ase.neighborlist
 import numpy as np

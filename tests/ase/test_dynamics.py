@@ -145,35 +145,18 @@ def test_observers_files_and_answers_are_those_of_ase(drive, tmp_path):
     assert words == expected
 
 
-def stretch(dynamics):
-    dynamics.atoms.set_cell(dynamics.atoms.cell.array * 1.01, scale_atoms=True)
-
-
-def exchange(dynamics):
-    """Take the other of two truncations."""
-    other = "charmm" if dynamics.atoms.calc.potentials.truncation == "shifted" else "shifted"
-    dynamics.atoms.calc = Calculator(lennard_jones(other))
-
-
-def deepen(dynamics):
-    dynamics.atoms.calc.potentials = md.LennardJones(2.0 * EPSILON, SIGMA, CUTOFF)
-
-
-def deepen_ases(dynamics):
-    dynamics.atoms.calc.parameters.epsilon *= 1.2
-    dynamics.atoms.calc.reset()
-
-
+OTHER = {"shifted": lennard_jones("charmm"), "charmm": lennard_jones("shifted")}
+DEEPER = md.LennardJones(2.0 * EPSILON, SIGMA, CUTOFF)
 MEDDLERS = {
-    "momenta": lambda dynamics: dynamics.atoms.set_momenta(1.05 * dynamics.atoms.get_momenta()),
-    "wrapped": lambda dynamics: dynamics.atoms.wrap(),
-    "displaced": lambda dynamics: dynamics.atoms.rattle(0.05, seed=11),
-    "cell": stretch,
-    "masses": lambda dynamics: dynamics.atoms.set_masses(1.1 * dynamics.atoms.get_masses()),
-    "time step": lambda dynamics: setattr(dynamics, "dt", 0.5 * TIMESTEP),
-    "another calculator": exchange,
-    "other potentials": deepen,
-    "parameters of ASE's": deepen_ases,
+    "momenta": lambda d: d.atoms.set_momenta(1.05 * d.atoms.get_momenta()),
+    "wrapped": lambda d: d.atoms.wrap(),
+    "displaced": lambda d: d.atoms.rattle(0.05, seed=11),
+    "cell": lambda d: d.atoms.set_cell(d.atoms.cell.array * 1.01, scale_atoms=True),
+    "masses": lambda d: d.atoms.set_masses(1.1 * d.atoms.get_masses()),
+    "time step": lambda d: setattr(d, "dt", 0.5 * TIMESTEP),
+    "another calculator": lambda d: setattr(d.atoms, "calc", Calculator(OTHER[d.atoms.calc.potentials.truncation])),
+    "other potentials": lambda d: setattr(d.atoms.calc, "potentials", DEEPER),
+    "parameters of ASE's": lambda d: d.atoms.calc.set(epsilon=1.2 * d.atoms.calc.parameters.epsilon),
 }
 
 

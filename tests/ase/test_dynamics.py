@@ -9,7 +9,7 @@ import ase.io
 import ase.units
 import numpy as np
 import pytest
-from argon_atoms import CUTOFF, EPSILON, SIGMA, TIMESTEP, ase_lennard_jones, copper, lennard_jones, liquid, same
+from argon_atoms import CUTOFF, TIMESTEP, ase_lennard_jones, copper, lennard_jones, liquid, same
 from ase import build
 from ase.calculators.emt import EMT
 from ase.calculators.idealgas import IdealGas
@@ -146,7 +146,13 @@ def test_observers_files_and_answers_are_those_of_ase(drive, tmp_path):
 
 
 OTHER = {"shifted": lennard_jones("charmm"), "charmm": lennard_jones("shifted")}
-DEEPER = md.LennardJones(2.0 * EPSILON, SIGMA, CUTOFF)
+
+
+def deepen(dynamics):
+    dynamics.atoms.calc.parameters.epsilon *= 1.2
+    dynamics.atoms.calc.reset()
+
+
 MEDDLERS = {
     "momenta": lambda d: d.atoms.set_momenta(1.05 * d.atoms.get_momenta()),
     "wrapped": lambda d: d.atoms.wrap(),
@@ -155,8 +161,8 @@ MEDDLERS = {
     "masses": lambda d: d.atoms.set_masses(1.1 * d.atoms.get_masses()),
     "time step": lambda d: setattr(d, "dt", 0.5 * TIMESTEP),
     "another calculator": lambda d: setattr(d.atoms, "calc", Calculator(OTHER[d.atoms.calc.potentials.truncation])),
-    "other potentials": lambda d: setattr(d.atoms.calc, "potentials", DEEPER),
-    "parameters of ASE's": lambda d: d.atoms.calc.set(epsilon=1.2 * d.atoms.calc.parameters.epsilon),
+    "other potentials": lambda d: setattr(d.atoms.calc, "potentials", OTHER[d.atoms.calc.potentials.truncation]),
+    "parameters of ASE's": deepen,
 }
 
 

@@ -1,14 +1,21 @@
-"""Argon as ASE sees it, with our calculator and with ASE's."""
+"""Argon as ASE sees it, with minimd's calculator and with ASE's; copper; minimd's format of files made known to ASE."""
 
-import ase.io
+import tomllib
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
 import ase.units
 import numpy as np
 from ase.build import bulk
+from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
+from ase.io.formats import define_external_io_format, ioformats
 
 import minimd as md
+from minimd.ase import Calculator
 from minimd.structure.velocities import maxwell_boltzmann
 
+REPOSITORY = Path(__file__).parents[1]
 SIGMA, EPSILON, CUTOFF = 3.405, 0.0103, 8.0
 TIMESTEP = 4.0 * ase.units.fs
 ROUNDING = 1e-12  # of sums over 108 atoms with some 50 neighbors each
@@ -37,6 +44,32 @@ def with_calculator(atoms, calculator):
     return atoms
 
 
+def liquid(calculator=None, n_cells=2):
+    """Argon with a calculator: of 32 atoms, or 4 n³."""
+    return with_calculator(argon(n_cells), calculator or Calculator(lennard_jones()))
+
+
+def copper(calculator=None):
+    """Four warm atoms of copper."""
+    atoms = with_calculator(bulk("Cu", cubic=True), calculator or EMT())
+    atoms.rattle(0.05, seed=1)
+    atoms.set_momenta(np.random.default_rng(2).normal(0.0, 1.5, (4, 3)))
+    return atoms
+
+
 def same(a, b, tolerance=ROUNDING):
     a, b = np.asarray(a), np.asarray(b)
     return np.abs(a - b).max() <= tolerance * max(np.abs(b).max(), 1e-300)
+
+
+def entry_points():
+    """What pyproject.toml declares for ASE."""
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+    return {group: project["entry-points"][group] for group in ("ase.ioformats", "ase.plugins")}
+
+
+def define():
+    """Make the format known in this process, whether or not minimd is installed with its entry points."""
+    if "minimd-h5md" not in ioformats:
+        target = entry_points()["ase.ioformats"]["minimd-h5md"]
+        define_external_io_format(EntryPoint("minimd-h5md", target, "ase.ioformats"))

@@ -1,4 +1,4 @@
-"""A plugin of pytest for ASE's own tests: minimd's classes of dynamics stand where ASE's stood, before a test module imports them.
+"""A plugin of pytest for ASE's own tests: minimd's classes stand where ASE's stood, before a test module is imported.
 
     pytest -p ases_tests_with_minimd --pyargs ase.test.md.test_bussi
 
@@ -24,13 +24,7 @@ PLACES = {
     "Andersen": "andersen",
     "NVTBerendsen": "nvtberendsen",
 }
-METALS = {
-    "Cu": (0.409, 2.338),
-    "Ag": (0.345, 2.644),
-    "Au": (0.449, 2.637),
-    "Pt": (0.694, 2.542),
-    "Al": (0.392, 2.620),
-}
+METALS = {"Cu": (0.409, 2.338), "Ag": (0.345, 2.644), "Au": (0.449, 2.637), "Pt": (0.694, 2.542), "Al": (0.392, 2.620)}
 
 
 def metals():
@@ -49,13 +43,7 @@ if os.environ.get("MINIMD_CALCULATOR"):
 
 def pytest_terminal_summary(terminalreporter):
     """Show that the classes were exchanged in every module that was tested."""
-    tested = [
-        module for name, module in sys.modules.items() if name.startswith("ase.test.") and hasattr(module, "__file__")
-    ]
-    left = [
-        f"{m.__name__}.{name}"
-        for m in tested
-        for name in PLACES
-        if hasattr(m, name) and getattr(m, name) is not getattr(minimd.ase, name)
-    ]
+    tested = [m for name, m in sys.modules.items() if name.startswith("ase.test.") and hasattr(m, "__file__")]
+    found = [(m, name) for m in tested for name in PLACES if hasattr(m, name)]
+    left = [f"{m.__name__}.{name}" for m, name in found if getattr(m, name) is not getattr(minimd.ase, name)]
     terminalreporter.write_line(f"not minimd's: {', '.join(left) or 'none'}")

@@ -1,52 +1,41 @@
-"""Small scenes that are handed to LAMMPS: name to simulation."""
+"""Small scenes that are handed to LAMMPS: name to simulation. Those of scenes.py, and more."""
 
 from math import exp, sqrt
 
 import numpy as np
+import scenes
 from references import fourmol, liquid, load
-from test_reference_lammps import SCALE, coefficients, harmonic_angles, harmonic_bonds
+from scenes import LJ
 
 import minimd as md
 
 CUTOFF = 2.5
 TIMESTEP = 0.002
-LJ = md.LennardJones(1.0, 1.0, CUTOFF)
 SKEWED = np.array([[1.0, 0.0, 0.0], [0.3, 1.0, 0.0], [-0.2, 0.4, 1.0]])
+ROTATION = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+ROTATION *= np.sign(np.linalg.det(ROTATION))  # proper, about no axis of the cell
+LEFT_HANDED = np.diag([1.0, 1.0, -1.0]) @ SKEWED
+TWO_KINDS = np.where(np.arange(108) % 5 == 0, "B", "A")  # four of five atoms A
 
 
-def fluid(n_cells=3, **changes):
-    """A disordered fluid of 4 n³ atoms, and what its System gets beside."""
-    start = liquid(n_cells, jitter=0.03)
-    given = {"velocities": start.velocities, "cell": start.cell.vectors} | changes
-    return md.System(given.pop("positions", start.positions), **given)
+def scene(system, potentials=LJ, constraints=(), method=None, **options):
+    return md.Simulation(system, potentials, method or md.VelocityVerlet(TIMESTEP), constraints, **options)
 
 
-def sheared(matrix, **changes):
-    """The fluid in another cell: positions and lattice vectors times a matrix."""
-    start = liquid(3, jitter=0.03)
-    return fluid(positions=start.positions @ matrix, cell=start.cell.vectors @ matrix, **changes)
+def fluid(matrix=None, **changes):
+    """The system of scenes.argon, its positions and cell times a matrix, and what its System gets beside."""
+    start, matrix = scenes.argon().system, np.eye(3) if matrix is None else matrix
+    given = {"positions": start.positions @ matrix, "velocities": start.velocities, "cell": start.cell.vectors @ matrix}
+    return md.System(**given | changes)
 
 
-def rotation():
-    """A proper rotation about no axis of the cell."""
-    q, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
-    return q * np.sign(np.linalg.det(q))
+def far_away():
+    start = fluid()
+    images = np.random.default_rng(4).integers(-2000, 2000, (108, 3)).astype(float)
+    return fluid(positions=start.positions + images @ start.cell.vectors)
 
 
-def mixture():
-    """Labels of two species, four of five atoms A."""
-    return np.where(np.arange(108) % 5 == 0, "B", "A")
-
-
-def kob_andersen():
-    own = {"A": (1.0, 1.0), "B": (0.5, 0.88)}
-    cutoffs = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}
-    potential = md.LennardJones(own, cutoff=cutoffs, pairs={("A", "B"): (1.5, 0.8)})
-    return md.Simulation(fluid(species=mixture()), potential, md.VelocityVerlet(TIMESTEP))
-
-
-def truncated(truncation):
-    return md.Simulation(fluid(), md.LennardJones(1.0, 1.0, CUTOFF, truncation), md.VelocityVerlet(TIMESTEP))
+# Laws
 
 
 def buckingham(r2, a, rho, c):
@@ -61,203 +50,114 @@ def morse(r2, depth, alpha, r0):
     return depth * (x * x - 2.0 * x), 2.0 * depth * alpha * (x * x - x) / r
 
 
-def weeks_chandler_andersen(r2, epsilon):
-    if r2 > 2.0 ** (1.0 / 3.0):
-        return 0.0, 0.0
-    s6 = 1.0 / r2**3
-    return 4.0 * epsilon * s6 * (s6 - 1.0) + epsilon, 24.0 * epsilon * s6 * (2.0 * s6 - 1.0) / r2
+def soft(r2, a):
+    r = sqrt(r2)
+    return (a * (1.0 - r) ** 2, 2.0 * a * (1.0 - r) / r) if r < 1.0 else (0.0, 0.0)
 
 
-def own_law():
-    potential = md.PairPotential(buckingham, (3e5, 0.08, 2.0), CUTOFF, "force-shifted")
-    return md.Simulation(fluid(), potential, md.VelocityVerlet(TIMESTEP))
+def kob_andersen():
+    cutoffs = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}
+    return md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=cutoffs, pairs={("A", "B"): (1.5, 0.8)})
 
 
-def own_law_of_species():
-    potential = md.PairPotential(
-        morse, {"A": (1.0, 5.0, 1.1), "B": (0.7, 4.0, 1.0)}, CUTOFF, pairs={("A", "B"): (1.2, 5.0, 1.0)}
-    )
-    return md.Simulation(fluid(species=mixture()), potential, md.VelocityVerlet(TIMESTEP))
+def two_morse():
+    own = {"A": (1.0, 5.0, 1.1), "B": (0.7, 4.0, 1.0)}
+    return md.PairPotential(morse, own, CUTOFF, pairs={("A", "B"): (1.2, 5.0, 1.0)})
 
 
-def own_law_with_a_decision():
-    potential = md.PairPotential(weeks_chandler_andersen, (1.0,), 1.5, "truncated")
-    return md.Simulation(fluid(), potential, md.VelocityVerlet(TIMESTEP))
+# Bonds
 
-
-def groups(size):
-    """(G, size): atoms of neighboring numbers, which are neighbors in a fresh crystal."""
-    return np.arange(108 - 108 % size).reshape(-1, size)
+CHAINS = np.arange(108).reshape(-1, 4)  # atoms of neighboring numbers, which are neighbors in a fresh crystal
 
 
 def chain_system():
-    chains = groups(4)
-    bonds = np.concatenate([chains[:, k : k + 2] for k in range(3)])
-    return fluid(
-        bonds=bonds,
-        angles=np.concatenate([chains[:, k : k + 3] for k in range(2)]),
-        masses=np.where(np.arange(108) % 4 == 0, 2.0, 1.0),
-    )
+    """27 chains of four, with bonds and angles."""
+    bonds = np.concatenate([CHAINS[:, k : k + 2] for k in range(3)])
+    angles = np.concatenate([CHAINS[:, k : k + 3] for k in range(2)])
+    return fluid(bonds=bonds, angles=angles, masses=np.where(np.arange(108) % 4 == 0, 2.0, 1.0))
+
+
+def scaled(*scale):
+    return md.LennardJones(1.0, 1.0, CUTOFF, bonded_scale=scale)
 
 
 def chains():
-    potentials = [
-        md.LennardJones(1.0, 1.0, CUTOFF, bonded_scale=(0.0, 0.5, 0.8)),
-        md.HarmonicBond(100.0, np.linspace(1.0, 1.3, 81)),
-        md.HarmonicAngle(20.0, 1.9),
-    ]
-    return md.Simulation(chain_system(), potentials, md.VelocityVerlet(TIMESTEP))
+    springs = md.HarmonicBond(100.0, np.linspace(1.0, 1.3, 81)), md.HarmonicAngle(20.0, 1.9)
+    return scene(chain_system(), [scaled(0.0, 0.5, 0.8), *springs])
 
 
 def torsions():
-    """Chains of four with every bond and dihedral that LAMMPS has too."""
-    system, chains = chain_system(), groups(4)
+    """Every bond and dihedral that LAMMPS has too."""
+    system = chain_system()
     potentials = [
-        md.LennardJones(1.0, 1.0, CUTOFF, bonded_scale=(0.0, 1.0, 1.0)),
+        scaled(0.0, 1.0, 1.0),
         md.FENEBond(30.0, 1.9, 1.0, 0.9, system.bonds[:27]),
         md.MorseBond(20.0, 2.0, 1.1, system.bonds[27:]),
-        md.PeriodicDihedral(1.5, 3, 0.4, chains[:13]),
-        md.RyckaertBellemans((1.3, 1.4, -1.6, -0.4, 3.1, -3.4), chains[13:20]),
-        md.OPLSDihedral(1.0, 2.0, 3.0, 0.5, chains[20:]),
+        md.PeriodicDihedral(1.5, 3, 0.4, CHAINS[:13]),
+        md.RyckaertBellemans((1.3, 1.4, -1.6, -0.4, 3.1, -3.4), CHAINS[13:20]),
+        md.OPLSDihedral(1.0, 2.0, 3.0, 0.5, CHAINS[20:]),
     ]
-    return md.Simulation(system, potentials, md.VelocityVerlet(TIMESTEP))
+    return scene(system, potentials)
 
 
-def two_laws_with_scales_of_their_own():
+def two_laws():
+    """Each with scales of its own."""
     potentials = [
-        md.LennardJones(1.0, 1.0, CUTOFF, bonded_scale=(0.0, 1.0, 1.0)),
+        scaled(0.0, 1.0, 1.0),
         md.LennardJones(0.5, 0.9, 2.0, bonded_scale=(1.0, 0.5, 1.0)),
         md.PairPotential(buckingham, (3e4, 0.08, 0.0), 2.0, bonded_scale=(0.0, 0.0, 1.0)),
         md.BondPotential(morse, (10.0, 3.0, 1.1)),
     ]
-    return md.Simulation(chain_system(), potentials, md.VelocityVerlet(TIMESTEP))
-
-
-def molecules(atoms, pairs, lengths, masses=None, species=None, scale=(0.0, 0.0, 1.0), bonds=None):
-    """Copies of a rigid molecule, (A, 3), each turned and shifted, in a cell of 27."""
-    rng, positions = np.random.default_rng(5), []
-    for place in np.ndindex(3, 3, 3):
-        q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-        positions.append(2.3 * np.array(place) + np.asarray(atoms) @ q + 0.1)
-    size = len(atoms)
-    pairs = np.asarray(pairs)
-    all_pairs = np.concatenate([pairs + size * k for k in range(27)])
-    bonds = all_pairs if bonds is None else np.concatenate([np.asarray(bonds) + size * k for k in range(27)])
-    system = md.System(
-        np.concatenate(positions),
-        cell=6.9,
-        bonds=bonds,
-        masses=np.tile(masses or [1.0] * size, 27),
-        species=species and species * 27,
-    )
-    laws = md.LennardJones({"X": (1.0, 1.0), "H": (0.0, 1.0)}, cutoff=CUTOFF, bonded_scale=scale)
-    simulation = md.Simulation(
-        system, laws, md.VelocityVerlet(TIMESTEP), md.DistanceConstraints(all_pairs, np.tile(lengths, 27))
-    )
-    simulation.set_temperature(1.0, seed=2)
-    return simulation
-
-
-def dumbbells():
-    return molecules([[0.0, 0.0, 0.0], [0.8, 0.0, 0.0]], [[0, 1]], [0.8])
-
-
-def bent():
-    """Molecules of four atoms, three bonds at the middle one."""
-    arms = 0.7 * np.eye(3)
-    return molecules([[0.0, 0.0, 0.0], *arms], [[0, 1], [0, 2], [0, 3]], [0.7, 0.7, 0.7], masses=[3.0, 1.0, 1.0, 2.0])
-
-
-def water():
-    """The shape of SPC/E: Lennard-Jones on the oxygens, no charges."""
-    angle = np.radians(109.47)
-    atoms = 0.32 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [np.cos(angle), np.sin(angle), 0.0]])
-    across = float(np.linalg.norm(atoms[2] - atoms[1]))
-    pairs = [[0, 1], [0, 2], [1, 2]]
-    return molecules(
-        atoms, pairs, [0.32, 0.32, across], masses=[16.0, 1.0, 1.0], species=["X", "H", "H"], scale=(1.0, 1.0, 1.0)
-    )
-
-
-def water_with_bonds():
-    """The same, with bonds along which bonded_scale counts."""
-    angle = np.radians(109.47)
-    atoms = 0.6 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [np.cos(angle), np.sin(angle), 0.0]])
-    across = float(np.linalg.norm(atoms[2] - atoms[1]))
-    return molecules(
-        atoms, [[0, 1], [0, 2], [1, 2]], [0.6, 0.6, across], masses=[16.0, 1.0, 1.0], bonds=[[0, 1], [0, 2]]
-    )
-
-
-def in_cell(system):
-    return md.Simulation(system, LJ, md.VelocityVerlet(TIMESTEP))
-
-
-def droplet(pbc, matrix=SKEWED):
-    """The fluid cut out of its surroundings in open directions."""
-    return in_cell(sheared(matrix, pbc=pbc))
-
-
-def without_cutoff():
-    start = liquid(2, jitter=0.03)
-    system = md.System(start.positions, velocities=start.velocities)
-    return md.Simulation(system, md.LennardJones(1.0, 1.0, truncation="truncated"), md.VelocityVerlet(TIMESTEP))
-
-
-def with_fixed_atoms():
-    system = fluid(masses=np.where(np.arange(108) % 3 == 0, 2.5, 1.0))
-    return md.Simulation(system, LJ, md.VelocityVerlet(TIMESTEP), md.FixedAtoms(np.arange(0, 108, 4)))
-
-
-def argon():
-    """In eV, Å, u, with a tail."""
-    start = liquid(3, jitter=0.03)
-    system = md.System(3.4 * start.positions, masses=39.948, cell=3.4 * start.cell.vectors, units=md.units.ASE)
-    potential = md.LennardJones(0.0104, 3.4, 8.5, "truncated", tail_correction=True)
-    simulation = md.Simulation(system, potential, md.Leapfrog(5.0 * md.units.fs))
-    simulation.set_temperature(120.0, seed=1)
-    return simulation
-
-
-def far_away():
-    start = liquid(3, jitter=0.03)
-    images = np.random.default_rng(4).integers(-2000, 2000, (108, 3)).astype(float)
-    return in_cell(fluid(positions=start.positions + images @ start.cell.vectors))
-
-
-def sheet():
-    """Four atoms in a plane, two directions periodic."""
-    positions = [[0.0, 0.0, 0.0], [1.1, 0.0, 0.0], [0.3, 1.0, 0.0], [2.0, 2.0, 0.0]]
-    return in_cell(md.System(positions, cell=[[10.0, 0.0, 0.0], [0.0, 10.0, 0.0], [0.0, 0.0, 0.0]]))
-
-
-def in_mixed_precision():
-    return md.Simulation(fluid(), LJ, md.VelocityVerlet(TIMESTEP), precision="mixed")
-
-
-def only_bonds():
-    return md.Simulation(chain_system(), [md.HarmonicBond(100.0, 1.1)], md.VelocityVerlet(TIMESTEP))
+    return scene(chain_system(), potentials)
 
 
 def springs_at_rest():
     """All forces are rounding."""
-    system = md.System(
-        [[0.1, 0.2, 0.3], [0.7, 0.8, 1.0], [2.0, 2.0, 2.0], [3.0, 3.0, 3.5]], cell=SKEWED * 9.0, bonds=[[0, 1], [2, 3]]
-    )
+    positions = [[0.1, 0.2, 0.3], [0.7, 0.8, 1.0], [2.0, 2.0, 2.0], [3.0, 3.0, 3.5]]
     lengths = [np.sqrt(0.36 + 0.36 + 0.49), 1.5]
-    return md.Simulation(system, md.HarmonicBond(300.0, lengths), md.VelocityVerlet(TIMESTEP))
+    return scene(md.System(positions, cell=SKEWED * 9.0, bonds=[[0, 1], [2, 3]]), md.HarmonicBond(300.0, lengths))
 
 
-def at_rest(positions, potentials, **given):
-    """Thermal atoms without potential energy at the start."""
-    simulation = md.Simulation(md.System(positions, **given), potentials, md.VelocityVerlet(TIMESTEP))
-    simulation.set_temperature(1.0, seed=1)
+def solute():
+    """LAMMPS' own molecule, with a table of unlike pairs, and a cutoff of more than half the cell."""
+    rows = [line.split() for line in load("lammps_fourmol/mol-pair-lj_cut.json")["pair_coeff"]]
+    pairs = {(int(a), int(b)): (float(epsilon), float(sigma)) for a, b, epsilon, sigma, *_ in rows}
+    own = {a: pairs.pop((a, b)) for a, b in list(pairs) if a == b}
+    scale = (0.10, 0.25, 0.50)
+    law = md.LennardJones(own, cutoff=8.0, truncation="truncated", pairs=pairs, mixing="geometric", bonded_scale=scale)
+    return scene(fourmol()[0], [law, md.HarmonicBond(300.0, 1.2)])
+
+
+def water():
+    """That of scenes.py, its lengths equal to the last bit, as fix shake wants them."""
+    system, laws, rigid, *_ = scenes.water()
+    return scene(system, laws, md.DistanceConstraints(rigid[0].pairs, [0.3, 0.3, 0.48] * 32))
+
+
+def stars():
+    """Rigid molecules of four atoms, three bonds at the middle one, which alone has a law."""
+    centers, edges = md.lattice.crystal("sc", [3, 3, 3], 2.3)
+    turns = np.linalg.qr(np.random.default_rng(5).normal(size=(27, 3, 3)))[0]
+    positions = centers[:, None] + 0.7 * np.vstack([np.zeros(3), np.eye(3)]) @ turns
+    pairs = np.concatenate([4 * k + np.array([[0, 1], [0, 2], [0, 3]]) for k in range(27)])
+    given = {"masses": [3.0, 1.0, 1.0, 2.0] * 27, "species": ["X", "H", "H", "H"] * 27}
+    law = md.LennardJones({"X": (1.0, 1.0), "H": (0.0, 1.0)}, cutoff=CUTOFF, bonded_scale=(0.0, 0.5, 1.0))
+    system = md.System(positions.reshape(-1, 3), cell=edges, bonds=pairs, **given)
+    return warm(system, law, md.DistanceConstraints(pairs, 0.7))
+
+
+# Thermal atoms without potential energy at the start
+
+
+def warm(system, potentials, constraints=(), method=None, temperature=1.0):
+    simulation = scene(system, potentials, constraints, method)
+    simulation.set_temperature(temperature, seed=1)
     return simulation
 
 
-def soft(r2, a):
-    r = sqrt(r2)
-    return (a * (1.0 - r) ** 2, 2.0 * a * (1.0 - r) / r) if r < 1.0 else (0.0, 0.0)
+def crystal(density, potential):
+    positions, edges = md.lattice.crystal("fcc", [3, 3, 3], md.lattice.constant_from_density("fcc", density))
+    return warm(md.System(positions, cell=edges), potential)
 
 
 def chains_at_rest():
@@ -267,76 +167,58 @@ def chains_at_rest():
     first = 4 * np.arange(8)[:, None]
     bonds = np.concatenate([first + pair for pair in ([0, 1], [1, 2], [2, 3])])
     angles = np.concatenate([first + three for three in ([0, 1, 2], [1, 2, 3])])
-    laws = [
-        md.HarmonicBond(300.0, 1.2),
-        md.HarmonicAngle(20.0, np.pi / 2),
-        md.LennardJones(1.0, 1.0, 2.0 ** (1.0 / 6.0)),
-    ]
-    return at_rest(positions, laws, cell=8.0, bonds=bonds, angles=angles)
+    springs = md.HarmonicBond(300.0, 1.2), md.HarmonicAngle(20.0, np.pi / 2)
+    return warm(md.System(positions, cell=8.0, bonds=bonds, angles=angles), [*springs, WCA])
 
 
-def crystal(density, potential):
-    positions, edges = md.lattice.crystal("fcc", [3, 3, 3], md.lattice.constant_from_density("fcc", density))
-    return at_rest(positions, potential, cell=edges)
-
-
+WCA = md.LennardJones(1.0, 1.0, 2.0 ** (1.0 / 6.0))
 AT_REST = {
-    "WCA crystal": lambda: crystal(0.8442, md.LennardJones(1.0, 1.0, 2.0 ** (1.0 / 6.0))),
-    "gas": lambda: crystal(0.008, LJ),
+    "WCA crystal": lambda: crystal(0.8442, WCA),
+    "thin gas": lambda: crystal(0.008, LJ),
     "chains at rest": chains_at_rest,
     "soft spheres": lambda: crystal(0.8442, md.PairPotential(soft, (50.0,), 1.1, "truncated")),
 }
 
 
-def fourmol_scene():
-    """LAMMPS' own molecule: everything bonded, a cutoff of more than half the cell."""
-    system, table = fourmol()
-    reference = load("lammps_fourmol/mol-pair-lj_cut.json")
-    own, unlike = coefficients(reference["pair_coeff"])
-    bonds, angles = (load(f"lammps_fourmol/{name}-harmonic.json") for name in ("bond", "angle"))
-    potentials = [
-        md.LennardJones(own, cutoff=8.0, truncation="truncated", pairs=unlike, mixing="geometric", bonded_scale=SCALE),
-        harmonic_bonds(table, bonds["bond_coeff"]),
-        harmonic_angles(table, angles["angle_coeff"]),
-    ]
-    return md.Simulation(system, potentials, md.VelocityVerlet(0.002))
+def with_a_tail():
+    """In eV, Å, u."""
+    start = fluid()
+    system = md.System(3.4 * start.positions, masses=39.948, cell=3.4 * start.cell.vectors, units=md.units.ASE)
+    potential = md.LennardJones(0.0104, 3.4, 8.5, "truncated", tail_correction=True)
+    return warm(system, potential, method=md.Leapfrog(5.0 * md.units.fs), temperature=120.0)
 
 
+def in_cell(matrix, **open_directions):
+    return lambda: scene(fluid(matrix, **open_directions))
+
+
+HEAVIER = np.where(np.arange(108) % 3 == 0, 2.5, 1.0)
+PLANE = [[0.0, 0.0, 0.0], [1.1, 0.0, 0.0], [0.3, 1.0, 0.0], [2.0, 2.0, 0.0]]
 SCENES = {
-    "melt": lambda: in_cell(fluid()),
-    "Kob-Andersen mixture": kob_andersen,
-    "truncated": lambda: truncated("truncated"),
-    "force-shifted": lambda: truncated("force-shifted"),
-    "switched": lambda: truncated("switched"),
-    "charmm": lambda: truncated("charmm"),
-    "smooth": lambda: truncated("smooth"),
-    "own law": own_law,
-    "own law of species": own_law_of_species,
-    "own law with a decision": own_law_with_a_decision,
+    **{name: lambda make=make: make().simulation() for name, make in scenes.SCENES.items() if name != "two_atoms"},
+    **{
+        one: lambda one=one: scene(fluid(), md.LennardJones(1.0, 1.0, CUTOFF, one))
+        for one in ("truncated", "shifted", "switched", "charmm", "smooth")
+    },
+    "Kob-Andersen mixture": lambda: scene(fluid(species=TWO_KINDS), kob_andersen()),
+    "own law": lambda: scene(fluid(), md.PairPotential(buckingham, (3e5, 0.08, 2.0), CUTOFF, "force-shifted")),
+    "own law of species": lambda: scene(fluid(species=TWO_KINDS), two_morse()),
+    "water": water,
     "chains": chains,
     "torsions": torsions,
-    "two laws": two_laws_with_scales_of_their_own,
-    "dumbbells": dumbbells,
-    "bent": bent,
-    "water": water,
-    "water with bonds": water_with_bonds,
-    "triclinic": lambda: droplet(True),
-    "turned": lambda: droplet(True, SKEWED @ rotation()),
-    "left-handed": lambda: droplet(True, np.diag([1.0, 1.0, -1.0]) @ SKEWED),
-    "slab": lambda: droplet([True, True, False]),
-    "skewed slab": lambda: droplet([True, False, True], SKEWED @ rotation()),
-    "wire": lambda: droplet([False, True, False]),
-    "droplet": lambda: droplet(False),
-    "small cell": lambda: in_cell(
-        md.System(liquid(2, jitter=0.03).positions, velocities=liquid(2).velocities, cell=liquid(2).cell.vectors)
-    ),
-    "without cutoff": without_cutoff,
-    "fixed atoms": with_fixed_atoms,
-    "argon": argon,
-    "sheet": sheet,
-    "far away": far_away,
-    "only bonds": only_bonds,
+    "two laws": two_laws,
+    "stars": stars,
+    "turned": in_cell(SKEWED @ ROTATION),
+    "left-handed": in_cell(LEFT_HANDED),
+    "skewed slab": in_cell(SKEWED @ ROTATION, pbc=[True, False, True]),
+    "wire": in_cell(SKEWED, pbc=[False, True, False]),
+    "small cell": lambda: scene(liquid(2), scaled(1.0, 1.0, 1.0)),
+    "without cutoff": lambda: scene(scenes.droplet().system, scenes.OPEN),
+    "fixed atoms": lambda: scene(fluid(masses=HEAVIER), LJ, md.FixedAtoms(np.arange(0, 108, 4))),
+    "tail": with_a_tail,
+    "sheet": lambda: scene(md.System(PLANE, cell=np.diag([10.0, 10.0, 0.0]))),
+    "far away": lambda: scene(far_away()),
     "springs at rest": springs_at_rest,
-    "fourmol": fourmol_scene,
+    "solute": solute,
     **AT_REST,
 }

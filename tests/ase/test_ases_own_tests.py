@@ -3,9 +3,9 @@
 Left out, and why
 -----------------
 test_langevin_asapcompat : asks for the arrays that ASE's own Langevin step leaves behind for Asap's subclass of it.
-test_rng : its time step is 1.0 / fs, which is 104 fs: the atoms fly apart, and minimd says so. Rngs are tested in test_ase_thermostats.
+test_rng : its time step is 1.0 / fs, which is 104 fs: the atoms fly apart, and minimd says so. See test_thermostats.
 test_LangevinBAOAB_NPT, NsT, NsH, seed : need a barostat; externalstress is refused by name.
-test_isotropic_*, test_anisotropic_*, test_masked_npt, test_nptberendsen, test_melchionna_* : barostats, which minimd does not replace.
+test_isotropic_*, test_anisotropic_*, test_masked_npt, test_nptberendsen, test_melchionna_* : barostats stay ASE's.
 test_langevin_switching : ASE's subclass SwitchLangevin of its own Langevin.
 test_thermostat_*, test_optimiz* : of ASE's own thermostat and optimizers, which stay what they are; they run along.
 test_md_stepwise : irun of MelchionnaNPT; it runs along. All others use the classes that are exchanged.
@@ -20,26 +20,11 @@ from pathlib import Path
 
 import pytest
 
-MODULES = [
-    *(
-        f"md.test_{name}"
-        for name in (
-            "irun_force_call_order",
-            "md",
-            "md_logger",
-            "md_logger_interval",
-            "md_stepwise",
-            "bussi",
-            "langevin_com",
-        )
-    ),
-    *(
-        f"md.test_{name}"
-        for name in ("langevinbaoab", "idealgas", "position_distribution", "nose_hoover_chain", "fixrotation")
-    ),
-    "forcefields.test_rattle",
-    "forcefields.test_rattle_linear",
-]
+MD = (
+    *("irun_force_call_order", "md", "md_logger", "md_logger_interval", "md_stepwise", "bussi", "langevin_com"),
+    *("langevinbaoab", "idealgas", "position_distribution", "nose_hoover_chain", "fixrotation"),
+)
+MODULES = [*(f"md.test_{name}" for name in MD), "forcefields.test_rattle", "forcefields.test_rattle_linear"]
 WITH_ASAP = ["md.test_nvt_npt", "md.test_verlet_thermostats_asap", "md.test_CO2linear_Au111_langevin"]
 NOT_OURS = "mtk or barostat or npt_ or masked or isotropic or nptberendsen or melchionna or BAOAB_N or BAOAB_seed"
 KEPT = f"not ({NOT_OURS}) or NVT or nvt or default"
@@ -47,21 +32,10 @@ KEPT = f"not ({NOT_OURS}) or NVT or nvt or default"
 
 def run_ases_tests(modules, calculator, folder):
     """The output of pytest on modules of ase.test."""
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        "-p",
-        "ases_tests_with_minimd",
-        "-W",
-        "ignore:the calculator is",
-    ]
-    paths = os.pathsep.join(
-        [str(Path(__file__).parent), str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
-    )
+    plugins = ["-p", "no:cacheprovider", "-p", "ases_tests_with_minimd", "-W", "ignore:the calculator is"]
+    command = [sys.executable, "-m", "pytest", "-q", *plugins]
+    tests = Path(__file__).parents[1]
+    paths = os.pathsep.join([str(tests), str(tests.parent), os.environ.get("PYTHONPATH", "")])
     environment = os.environ | {"PYTHONPATH": paths, "MINIMD_CALCULATOR": calculator, "OMP_NUM_THREADS": "1"}
     command += ["-k", KEPT, "--pyargs", *(f"ase.test.{module}" for module in modules)]
     return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder, env=environment).stdout

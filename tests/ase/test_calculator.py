@@ -1,0 +1,210 @@
+"""minimd and ASE say the same: units, atoms in and out, energies, forces and stress, after every kind of change."""
+
+import copy
+import pickle
+import warnings
+
+import ase.units
+import numpy as np
+import pytest
+from argon_atoms import CUTOFF, EPSILON, SIGMA, TIMESTEP, argon, ase_lennard_jones, lennard_jones, same, with_calculator
+from ase import Atoms
+from ase.build import bulk, molecule
+from ase.calculators.emt import EMT
+from ase.calculators.lj import LennardJones
+
+import minimd as md
+from minimd.ase import Calculator, ForcesFromCalculator, atoms_from_system, system_from_atoms
+
+
+def test_units_are_those_of_ase():
+    a, our = ase.units, md.units
+    assert (our.ASE.k_B, our.fs, our.BAR) == (a.kB, a.fs, a.bar)
+    assert our.ps == pytest.approx(1000.0 * a.fs, rel=1e-15) == 1.0 / our.ASE.to_picosecond
+    assert a.mol / a.kJ == our.KJ_PER_MOL_PER_EV == our.ASE.to_kj_per_mol
+    assert 1e-3 * a.kg / (1e-2 * a.m) ** 3 == pytest.approx(our.GRAM_PER_CM3, rel=1e-15)
+
+
+# Atoms in and out
+
+
+def test_atoms_survive_the_round_trip():
+    rng = np.random.default_rng(3)
+    cell = rng.standard_normal((3, 3)) * 9
+    atoms = Atoms("ArKrXeH2", rng.uniform(-50, 50, (5, 3)), cell=cell, pbc=(True, False, True))
+    atoms.set_masses([39.9, 83.8, 131.3, 1.0, 2.0])
+    atoms.set_momenta(rng.standard_normal((5, 3)))
+    system = md.System.from_ase(atoms)
+    back = system.to_ase()
+    assert system.units is md.units.ASE
+    assert system.species.tolist() == ["Ar", "Kr", "Xe", "H", "H"]
+    assert same(system.velocities, atoms.get_velocities(), 1e-15)
+    assert same(back.get_momenta(), atoms.get_momenta(), 1e-15)
+    assert np.array_equal(system.positions, atoms.positions)
+    for name in ("positions", "numbers", "pbc", "cell"):
+        assert np.array_equal(getattr(back, name), getattr(atoms, name)), name
+    assert np.array_equal(back.get_masses(), atoms.get_masses())
+
+
+@pytest.mark.parametrize("species", [["A", "Ar", "bead"], [7, 8, 7]])
+def test_labels_that_are_no_elements_come_back(species):
+    places = [[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]
+    system = md.System(places, species=species, velocities=np.eye(3), masses=[1.0, 2.0, 3.0])
+    atoms = atoms_from_system(system)
+    assert atoms.get_chemical_symbols() == ["Ar" if one == "Ar" else "X" for one in species]
+    assert system_from_atoms(atoms).species.tolist() == species
+    assert np.array_equal(atoms.positions, system.positions)  # reduced units: the numbers are kept
+    assert same(atoms.get_momenta(), np.diag([1.0, 2.0, 3.0]), 0.0)
+
+
+# Energies, forces and stress
+
+QUANTITIES = ("energy", "energies", "forces", "stress", "stresses")
+CHARMM = md.LennardJones(EPSILON, SIGMA, CUTOFF, "charmm", switch_start=0.66 * CUTOFF)
+CRYSTAL, MOLECULE = bulk("Cu", cubic=True) * 2, molecule("CH3CH2OH")
+
+
+AS_ASE = {  # atoms, how much they are shaken, pbc, a calculator, and another that says the same of `QUANTITIES[:n]`
+    "liquid": (argon(), 0.0, True, lennard_jones(), ase_lennard_jones(), 5),
+    "smooth": (argon(), 0.0, True, CHARMM, ase_lennard_jones(smooth=True), 5),
+    "slab": (argon(2), 0.0, (True, False, True), lennard_jones(), ase_lennard_jones(), 5),
+    "slab by ASE": (argon(2), 0.0, (True, False, True), ForcesFromCalculator(ase_lennard_jones()), None, 4),
+    "cluster by ASE": (argon(2), 0.0, False, ForcesFromCalculator(ase_lennard_jones()), None, 4),
+    "crystal by EMT": (CRYSTAL, 0.1, True, ForcesFromCalculator(EMT()), EMT(), 4),
+    "molecule by EMT": (MOLECULE, 0.1, False, ForcesFromCalculator(EMT()), EMT(), 3),
+}
+
+
+@pytest.mark.parametrize("scene", AS_ASE)
+def test_energies_forces_and_stress_are_those_of_ase(scene):
+    """With minimd's potentials, and with calculators of ASE; these give equal shares of the stress."""
+    atoms, shaken, pbc, potential, other, n = AS_ASE[scene]
+    atoms.rattle(shaken, seed=1)
+    atoms.pbc = pbc
+    mine = with_calculator(atoms, Calculator(potential))
+    reference = with_calculator(atoms, other or Calculator(lennard_jones()))
+    for name in QUANTITIES[:n]:
+        assert same(mine.calc.get_property(name, mine), reference.calc.get_property(name, reference)), name
+    assert mine.get_potential_energy(force_consistent=True) == mine.get_potential_energy()
+
+
+def test_pressure_is_minus_a_third_of_the_trace_of_ases_stress():
+    atoms = with_calculator(argon(), Calculator(lennard_jones()))
+    pressure = md.Simulation(atoms, lennard_jones(), md.VelocityVerlet(TIMESTEP)).frame().observables["pressure"]
+    assert pressure == pytest.approx(-atoms.get_stress(include_ideal_gas=True)[:3].mean(), rel=1e-12)
+
+
+# Changes of the atoms
+
+
+def test_list_is_kept_while_atoms_move_a_little():
+    atoms = with_calculator(argon(), Calculator(lennard_jones(), skin=1.0))
+    for _ in range(5):
+        atoms.get_forces()
+        atoms.rattle(0.01, seed=5)
+    atoms.get_stresses()
+    assert atoms.calc.n_builds == 1
+    atoms.positions[0] += 0.6  # more than half the skin
+    atoms.get_forces()
+    assert atoms.calc.n_builds == 2
+    atoms.set_cell(atoms.cell.array * 1.001)
+    atoms.get_forces()
+    assert atoms.calc.n_builds == 3
+    atoms.positions[0] += atoms.cell[0]  # an atom moved by a lattice vector has moved
+    atoms.get_forces()
+    assert atoms.calc.n_builds == 4
+
+
+OTHERS = md.LennardJones({"Ar": (0.02, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)
+CHANGES = {
+    "positions": lambda atoms: atoms.rattle(0.05, seed=9),
+    "one position, far": lambda atoms: atoms.positions.__setitem__(3, atoms.positions[3] - 4 * atoms.cell[1]),
+    "cell": lambda atoms: atoms.set_cell(atoms.cell.array * [[0.9], [1.0], [1.0]], scale_atoms=True),
+    "cell, atoms left behind": lambda atoms: atoms.set_cell(atoms.cell.array * 0.97),
+    "cell, smaller than the cutoff": lambda atoms: (atoms.__delitem__(slice(4, None)), atoms.set_cell(np.eye(3) * 5.6)),
+    "pbc": lambda atoms: atoms.set_pbc((True, False, True)),
+    "no pbc": lambda atoms: atoms.set_pbc(False),
+    "pbc and back": lambda atoms: (atoms.set_pbc(False), atoms.get_forces(), atoms.set_pbc(True)),
+    "numbers": lambda atoms: atoms.numbers.__setitem__(slice(0, 50), 36),
+    "masses": lambda atoms: atoms.set_masses([2.0] * len(atoms)),
+    "fewer atoms": lambda atoms: atoms.__delitem__(slice(0, 20)),
+    "more atoms": lambda atoms: atoms.extend(Atoms("Kr", [[1.4, 1.4, 1.4]])),
+    "potentials": lambda atoms: setattr(atoms.calc, "potentials", OTHERS),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_results_are_right_after_every_kind_of_change(change):
+    mixture = md.LennardJones({"Ar": (0.0103, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)
+    atoms = with_calculator(argon(), Calculator(mixture))
+    atoms.set_masses(atoms.get_masses())  # given, so that another element has the same
+    before = atoms.get_potential_energy()
+    for redo in (CHANGES[change], lambda atoms: atoms.rattle(0.02, seed=10)):  # and once more with what was kept
+        redo(atoms)
+        expected = md.evaluate(system_from_atoms(atoms), atoms.calc.potentials)
+        assert same(atoms.get_potential_energy(), expected.potential_energy)
+        assert same(atoms.get_forces(), expected.forces)
+        assert same(atoms.get_potential_energies(), expected.energies)
+        assert same(atoms.get_stress()[:3].sum() * atoms.get_volume(), -np.trace(expected.virial))
+        if change not in ("masses", "one position, far", "pbc and back"):  # these do not change the energy
+            assert atoms.get_potential_energy() != before
+
+
+def test_another_label_gives_another_energy():
+    atoms = atoms_from_system(md.System([[0.0, 0, 0], [1.1, 0, 0]], species=["A", "A"]))
+    atoms.calc = Calculator(md.LennardJones({"A": (1.0, 1.0), "B": (3.0, 1.0)}, cutoff=2.5))
+    before = atoms.get_potential_energy()
+    atoms.arrays["species_labels"][:] = "B"
+    assert atoms.get_potential_energy() == pytest.approx(3.0 * before, rel=1e-14)
+
+
+def test_bonded_scene_is_right_when_the_cell_shrinks_below_twice_the_cutoff():
+    """Then the nearest image of an excluded pair can change between two builds of the list."""
+    bonds = [(0, 1), (1, 2), (2, 3)]
+    potentials = [md.LennardJones(EPSILON, SIGMA, CUTOFF, bonded_scale=(0, 0, 0.5)), md.HarmonicBond(1.0, 4.0)]
+    atoms = Atoms("Ar4", np.arange(4)[:, None] * [3.8, 0.1, 0.2], cell=[40.0] * 3, pbc=True)
+    atoms.calc = Calculator(potentials, bonds, skin=2.0)
+    atoms.get_forces()
+    atoms.set_cell([15.0, 40.0, 40.0])
+    for move in (0.0, -0.3, 0.3):  # atoms 0 and 2 are 7.6 apart, or 7.4 through the boundary
+        atoms.positions[2, 0] += move
+        expected = md.evaluate(system_from_atoms(atoms, bonds), potentials)
+        assert same(atoms.get_forces(), expected.forces)
+        assert same(atoms.get_stress()[:3].sum() * atoms.get_volume(), -np.trace(expected.virial))
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda thing: pickle.loads(pickle.dumps(thing))])
+def test_atoms_with_calculator_can_be_copied_and_pickled(duplicate):
+    atoms = with_calculator(argon(), Calculator(lennard_jones()))
+    expected = atoms.get_forces()
+    other = duplicate(atoms)
+    assert (atoms.calc.n_builds, other.calc.n_builds) == (1, 0)  # the list stays behind
+    other.rattle(0.1, seed=8)
+    assert same(atoms.get_forces(), expected, 0.0)
+    other.positions[:] = atoms.positions
+    assert same(other.get_forces(), expected)
+
+
+# Potentials that are calculators of ASE
+
+
+class WithoutStress(LennardJones):
+    implemented_properties = ("energy", "forces")
+
+    def calculate(self, *arguments):
+        super().calculate(*arguments)
+        self.results = {name: self.results[name] for name in self.implemented_properties}
+
+
+def test_unknown_stress_is_no_number_and_said_so():
+    crystal, cluster = system_from_atoms(argon(2)), argon(2)
+    cluster.pbc = False
+    unknown = ForcesFromCalculator(WithoutStress(sigma=SIGMA, epsilon=EPSILON, rc=CUTOFF))
+    cluster = system_from_atoms(cluster)
+    with pytest.warns(UserWarning, match="WithoutStress"):
+        periodic = md.evaluate(crystal, unknown)
+    assert np.isnan(periodic.virial).all()
+    assert same(periodic.energies, periodic.potential_energy / len(periodic.energies))
+    with warnings.catch_warnings(action="error"):
+        virial = md.evaluate(cluster, unknown).virial
+    assert same(virial, md.evaluate(cluster, lennard_jones()).virial)

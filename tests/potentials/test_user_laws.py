@@ -1,4 +1,4 @@
-"""Laws of the user's in the cache of compiled code: found again by the next process if nothing they read has changed."""
+"""Laws of the user in the cache of compiled code: found again by the next process if nothing they read has changed."""
 
 import copy
 import os

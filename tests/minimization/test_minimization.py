@@ -267,7 +267,8 @@ def test_chains_that_cross_come_to_rest_without_breaking(n_chains, n_beads, seed
 
 def without_wall(r2):
     """FENE as many write it: beyond R = 1.5 the energy is no number, but the force is one, and pushes."""
-    return -0.5 * 30.0 * 2.25 * np.log(1.0 - r2 / 2.25), -30.0 / (1.0 - r2 / 2.25)
+    rest = 1.0 - r2 / 2.25
+    return -33.75 * np.log(rest), -30.0 / rest
 
 
 def test_a_step_to_where_only_the_energy_has_no_number_is_taken_back():
@@ -300,7 +301,7 @@ def run_of(system, potentials):
 
 BROKEN = md.System([[0.0, 0.0, 0.0], [1, 0, 0], [5, 0, 0], [5, 1.6, 0]], bonds=[[0, 1], [2, 3]])
 CLOSE = md.System([[0.0, 0.0, 0.0], [1e-100, 0.0, 0.0]])
-ENDLESS = md.PairPotential(lambda r2: (r2, r2 / (r2 - r2)))
+ENDLESS = md.PairPotential(lambda r2: (r2, r2 / (r2 - r2)), truncation="truncated")
 WRONG = [
     *(
         (lambda call=call: call(BROKEN, [LJ, md.FENEBond(30.0, 1.5)]), md.NonFiniteError, "FENEBond", "2 and 3, 1.6")

@@ -87,7 +87,7 @@ def test_files_stay_valid_after_ctrl_c_at_an_observer_and_the_simulation_goes_on
         ("x" * 300 + ".h5md", (OSError, ValueError), "xxx"),
         ("", ValueError, "suffix"),
         ("good.h5md", (OSError, ValueError), "good.h5md"),  # the same one twice
-        ("/dev/full", (OSError, ValueError), ""),
+        ("/dev/full", (OSError, ValueError), None),
     ],
 )
 def test_outputs_that_cannot_be_are_told_before_the_first_step(name, error, words, tmp_path):

@@ -147,7 +147,7 @@ def test_melt_from_a_file_runs_with_its_groups_and_ends_as_fragments(folder, for
     resumed.run(5, every=5, trajectory="melt.h5md", append=True, progress=False)
     made = universe("melt.h5md")
     again = md.System.from_mdanalysis(made, units=md.units.LJ)
-    assert list(sim.system.groups()) == names
+    assert [name for name, rows in sim.system.groups().items() if len(rows)] == names
     for name in names:
         same_groups(getattr(sim.system, name), GROUPS[name])
         same_groups(getattr(again, name), GROUPS[name])

@@ -1,14 +1,16 @@
 """LAMMPS' reference numbers: a small molecule system with everything in it, and the 4000-atom melt."""
 
+from functools import partial
+
 import numpy as np
 import pytest
-from lammps_reference import FTM2V, SCALE, coefficients, harmonic_angles, harmonic_bonds, per_term
 from references import fourmol, load, melt
 
 import minimd as md
 
 STRESS_ORDER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])  # xx yy zz xy xz yz
 RELATIVE = 1e-12
+FTM2V = 1.0 / 48.88821291**2  # acceleration [Å/fs²] of 1 kcal/mol/Å on 1 g/mol
 OF_IMPROPERS = 5e-11  # as LAMMPS' own test: it divides by sin φ, and φ is near 0
 
 
@@ -24,56 +26,55 @@ def lennard_jones_96(r2, epsilon, sigma):
     return 4.0 * scale * (s3 - 1.0), scale * (36.0 * s3 - 24.0) / r2
 
 
-def lennard_jones(lines, truncation="truncated", **more):
-    own, unlike = coefficients(lines)
-    return md.LennardJones(own, cutoff=8.0, truncation=truncation, pairs=unlike, bonded_scale=SCALE, **more)
+def pairs(law, truncation="truncated", **more):
+    """A pair potential with the parameters of LAMMPS' lines for the types, and for pairs of unlike types."""
 
-
-def users(law, **more):
     def made(_table, lines):
-        own, unlike = coefficients(lines)
-        return md.PairPotential(law, own, 8.0, "truncated", pairs=unlike, bonded_scale=SCALE, **more)
+        rows = [line.split() for line in lines]
+        numbers = {(int(a), int(b)): tuple(map(float, row)) for a, b, *row in rows}
+        own = {a: row for (a, b), row in numbers.items() if a == b}
+        unlike = {(a, b): row for (a, b), row in numbers.items() if a != b}
+        options = {"cutoff": 8.0, "truncation": truncation, "pairs": unlike, "bonded_scale": (0.10, 0.25, 0.50)}
+        return law(own, **options, **more)
 
     return made
 
 
-def groups(table, name, lines):
-    """Parameters of each term, and its atoms."""
-    kinds, *atoms = np.array(table[name]).T
-    return per_term(lines, kinds), np.stack(atoms, axis=-1) - 1
+def groups(name, law):
+    """A potential of the bonds, angles, ...: law(groups of atoms, *parameters of each)."""
+
+    def made(table, lines):
+        kinds, *atoms = np.array(table[name]).T
+        numbers = {int(line.split()[0]): [float(x) for x in line.split()[1:]] for line in lines}
+        return law(np.stack(atoms, axis=-1) - 1, *np.array([numbers[kind] for kind in kinds]).T)
+
+    return made
 
 
-def of_bonds(law):
-    return lambda table, lines: law(*groups(table, "bonds", lines)[0])
+HARMONIC_BONDS = groups("bonds", lambda _bonds, k, length: md.HarmonicBond(2.0 * k, length))
+HARMONIC_ANGLES = groups("angles", lambda atoms, k, angle: md.HarmonicAngle(2.0 * k, np.radians(angle), atoms))
 
 
-def opls(table, lines):
-    parameters, quadruples = groups(table, "dihedrals", lines)
-    return md.OPLSDihedral(*parameters, quadruples)
+def periodic(atoms, k, d, n):
+    return md.PeriodicDihedral(k, n, np.where(d > 0.0, 0.0, np.pi), atoms)
 
 
-def periodic(table, lines):
-    (k, d, n), quadruples = groups(table, "dihedrals", lines)
-    return md.PeriodicDihedral(k, n, np.where(d > 0.0, 0.0, np.pi), quadruples)
-
-
-def improper(table, lines):
+def improper(atoms, k, angle):
     """Both angles are negative; LAMMPS' have no sign."""
-    (k, angle), quadruples = groups(table, "impropers", lines)
-    return md.HarmonicImproper(2.0 * k, -np.radians(angle), quadruples)
+    return md.HarmonicImproper(2.0 * k, -np.radians(angle), atoms)
 
 
 CASES = {
-    "mol-pair-lj_cut": lambda table, lines: lennard_jones(lines, "shifted"),
-    "mol-pair-morse": users(morse),
-    "mol-pair-lj96_cut": users(lennard_jones_96, mixing="lorentz-berthelot"),
-    "bond-harmonic": harmonic_bonds,
-    "bond-morse": of_bonds(md.MorseBond),
-    "bond-fene": of_bonds(md.FENEBond),
-    "angle-harmonic": harmonic_angles,
-    "dihedral-harmonic": periodic,
-    "dihedral-opls": opls,
-    "improper-harmonic": improper,
+    "mol-pair-lj_cut": pairs(md.LennardJones, "shifted"),
+    "mol-pair-morse": pairs(partial(md.PairPotential, morse)),
+    "mol-pair-lj96_cut": pairs(partial(md.PairPotential, lennard_jones_96), mixing="lorentz-berthelot"),
+    "bond-harmonic": HARMONIC_BONDS,
+    "bond-morse": groups("bonds", lambda _bonds, *parameters: md.MorseBond(*parameters)),
+    "bond-fene": groups("bonds", lambda _bonds, *parameters: md.FENEBond(*parameters)),
+    "angle-harmonic": HARMONIC_ANGLES,
+    "dihedral-harmonic": groups("dihedrals", periodic),
+    "dihedral-opls": groups("dihedrals", lambda atoms, *parameters: md.OPLSDihedral(*parameters, atoms)),
+    "improper-harmonic": groups("impropers", improper),
 }
 
 
@@ -93,7 +94,7 @@ def test_energy_forces_and_virial_are_those_of_lammps(style):
 
 def test_energy_without_a_shift():
     reference = load("lammps_fourmol/mol-pair-lj_cut.json")
-    found = md.evaluate(fourmol()[0], lennard_jones(reference["pair_coeff"]))
+    found = md.evaluate(fourmol()[0], pairs(md.LennardJones)(None, reference["pair_coeff"]))
     assert found.potential_energy == pytest.approx(reference["extra"]["unshifted_init_vdwl"], rel=RELATIVE)
 
 
@@ -120,13 +121,10 @@ def test_eight_steps_of_the_solute(method):
     system = fourmol(masses=np.where(solute, system.masses / FTM2V, 1e30))[0]
     moving_velocities = system.velocities.copy()
     system.velocities[~solute] = 0.0
-    pairs, bonds, angles = (
-        load(f"lammps_fourmol/{name}.json") for name in ("mol-pair-lj_cut", "bond-harmonic", "angle-harmonic")
-    )
+    laws = {"mol-pair-lj_cut": pairs(md.LennardJones, mixing="geometric")}
+    laws |= {"bond-harmonic": HARMONIC_BONDS, "angle-harmonic": HARMONIC_ANGLES}
     potentials = [
-        lennard_jones(pairs["pair_coeff"], mixing="geometric"),
-        harmonic_bonds(table, bonds["bond_coeff"]),
-        harmonic_angles(table, angles["angle_coeff"]),
+        law(table, load(f"lammps_fourmol/{style}.json")[f"{style.split('-')[-2]}_coeff"]) for style, law in laws.items()
     ]
     simulation = md.Simulation(system, potentials, method(0.25))
     simulation.run(8, every=8)

@@ -83,7 +83,10 @@ def test_the_smooth_switch_is_the_incomplete_beta_function():
     assert [evaluate_law(law, r2, (4.0, 6.25)) for r2 in (3.9, 6.3)] == [(1.0, 0.0), (0.0, 0.0)]
 
 
-def test_scaled_pairs_end_at_the_cutoff_too():
+def test_pairs_count_up_to_the_cutoff_scaled_ones_too():
+    for distance, expected in ((CUTOFF * (1.0 - 1e-9), 4.0 * (CUTOFF**-12 - CUTOFF**-6)), (CUTOFF * (1.0 + 1e-9), 0.0)):
+        found = md.evaluate(md.System([[0, 0, 0], [distance, 0, 0]]), LJ).potential_energy
+        assert found == pytest.approx(expected, rel=1e-7)
     far = md.System([[0, 0, 0], [1.2, 0, 0], [2.5, 0, 0]], bonds=[[0, 1], [1, 2]])
     scaled = md.evaluate(far, md.LennardJones(1.0, 1.0, 2.4, "truncated", bonded_scale=(0.0, 0.5, 1.0)))
     assert scaled.potential_energy == 0.0

@@ -191,6 +191,15 @@ def test_walls_have_their_laws(law, d, depth):
     assert energy(md.SphereWall([0, 0, 0], 5.0, 2.0, 1.5, 3.0, law), -3.7) == pytest.approx(energy(cut, 2.3), rel=1e-13)
 
 
+def test_a_restraint_is_a_spring_to_the_nearest_image_of_its_point():
+    rng, k = np.random.default_rng(8), np.array([3.0, 1.0, 2.0])
+    points, away = rng.uniform(-4.0, 4.0, (5, 3)), rng.uniform(-1.0, 1.0, (5, 3))
+    system = md.System(points + away + 9.0 * rng.integers(-2, 3, (5, 3)), cell=9.0)
+    found = md.evaluate(system, md.Restraint(k, points))
+    assert found.potential_energy == pytest.approx(0.5 * (k * away**2).sum(), rel=1e-13)
+    assert found.forces == pytest.approx(-k * away, rel=1e-12, abs=1e-13)
+
+
 @pytest.mark.parametrize("size", [1e-300, 1.0, 1e300])
 def test_normals_may_have_any_length(size):
     assert md.Wall([0, 0, 0], [3.0 * size, 0, -4.0 * size]).normal == pytest.approx([0.6, 0.0, -0.8])

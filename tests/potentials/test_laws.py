@@ -10,7 +10,7 @@ from references import brute_force_pairs
 
 import minimd as md
 from minimd.potentials.pair_loop import SameForAll, add_pair_forces, fixed_pairs
-from minimd.potentials.term import TOTALS
+from minimd.potentials.term import PER_ATOM, TOTALS
 
 CUTOFF = 2.3
 
@@ -129,9 +129,16 @@ def test_force_is_minus_the_gradient(name, cell):
 
 
 @pytest.mark.parametrize(("name", "cell"), INTERNAL + EXTERNAL)
-def test_energy_is_that_of_the_atoms(name, cell):
-    found = scene(name, cell)[-1]
+def test_energy_and_virial_are_those_of_the_atoms(name, cell):
+    """Also where only their totals are asked for."""
+    system, potential, found = scene(name, cell)
+    totals, of_atoms = (md.Forces(system, potential) for _ in range(2))
+    totals.compute(TOTALS)
+    of_atoms.compute(PER_ATOM)
     assert found.energies.sum() == pytest.approx(found.potential_energy, rel=1e-13, abs=1e-13)  # rounding
+    assert totals.potential_energy == pytest.approx(of_atoms.energies.sum(), rel=1e-13, abs=1e-13)
+    assert np.trace(totals.virial) == pytest.approx(of_atoms.virials[:, :3].sum(), rel=1e-12, abs=1e-12)
+    assert totals.virial == pytest.approx(found.virial, rel=1e-12, abs=1e-12)
 
 
 @pytest.mark.parametrize(("name", "cell"), INTERNAL)

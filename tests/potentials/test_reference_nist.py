@@ -22,10 +22,9 @@ def test_energy_virial_and_tail_are_nists(name, k):
     assert plain.potential_energy == pytest.approx(row["Upair_recomputed"], rel=RELATIVE)
     assert np.trace(plain.virial) == pytest.approx(row["Wpair_recomputed"], rel=RELATIVE)
     if truncation == "truncated":
-        with_tail = md.evaluate(system, md.LennardJones(1.0, 1.0, row["rc"], truncation, tail_correction=True))
-        assert with_tail.potential_energy - plain.potential_energy == pytest.approx(
-            row["ULRC_recomputed"], rel=RELATIVE
-        )
+        whole = md.evaluate(system, md.LennardJones(1.0, 1.0, row["rc"], truncation, tail_correction=True))
+        tail = whole.potential_energy - plain.potential_energy
+        assert tail == pytest.approx(row["ULRC_recomputed"], rel=RELATIVE)
 
 
 def test_tail_pressure_is_the_closed_form():
@@ -48,7 +47,7 @@ def test_tail_makes_a_switched_fluid_that_of_the_full_law(truncation):
     energies, virials = [], []
     for cutoff in (3.0, 3.5):
         potential = md.LennardJones(1.0, 1.0, cutoff, truncation, switch_start=2.5, tail_correction=True)
-        r = np.linspace(2.5, cutoff, 100_001)
+        r = np.linspace(2.5, cutoff, 20_001)
         u = potential.pair_energy(r)
         tail = potential.tail(counts, ("X",), volume)
         pairs = 2 * np.pi * counts[0] ** 2 / volume
@@ -71,14 +70,3 @@ def test_tail_follows_the_volume_and_is_shared_by_the_atoms():
         assert forces.energies.sum() == pytest.approx(forces.potential_energy, rel=1e-12)
         assert forces.virials.sum(axis=0)[:3].sum() == pytest.approx(np.trace(forces.virial), rel=1e-12)
     assert tails[0] == pytest.approx(np.multiply(8.0, tails[1]), rel=1e-6)
-
-
-def test_tail_of_a_law_that_does_not_fall_off_is_refused():
-    def coulomb(r2, strength):
-        return strength / r2**0.5, strength / r2**1.5
-
-    with pytest.raises(ValueError, match="falls off faster"):
-        md.evaluate(
-            md.System([[0, 0, 0], [1, 0, 0]], cell=9.0),
-            md.PairPotential(coulomb, (1.0,), 3.0, "truncated", tail_correction=True),
-        )

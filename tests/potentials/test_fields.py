@@ -1,0 +1,122 @@
+"""Fields that depend on time: springs that are moved, and the work that goes through them into the energy."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import minimd as md
+
+MASS, K, V = 1.5, 6.0, np.array([0.8, 0.0, 0.0])
+OMEGA = (K / MASS) ** 0.5
+
+
+def pulled(method, **more):
+    """One atom on a spring whose point leaves with a constant velocity.
+
+    x = vt − (v/ω) sin ωt, W = m v² (1 − cos ωt)
+    """
+    return md.Simulation(md.System([[0.0, 0.0, 0.0]], masses=MASS), md.SteeredSpring(K, [0, 0, 0], V, **more), method)
+
+
+@pytest.mark.parametrize("name", ["velocity-verlet", "position-verlet", "leapfrog", "suzuki-4", "pefrl"])
+def test_methods_keep_their_order_in_time_dependent_fields(name):
+    """Each force is evaluated at the time at which its kick stands, and the work with it."""
+    method, errors, apart = md.integrators.METHODS[name], [], []
+    for n in (40, 80):
+        simulation = pulled(method(2.0 / n))
+        record = simulation.run(n, every=n, progress=False)
+        exact = V[0] * 2.0 - V[0] / OMEGA * np.sin(OMEGA * 2.0)
+        errors.append(abs(simulation.positions[0, 0] - exact))
+        apart.append(abs(record.work[-1] - MASS * V[0] ** 2 * (1.0 - np.cos(OMEGA * 2.0))))
+        assert record.total_energy[-1] - record.work[-1] == pytest.approx(0.0, abs=2e-3)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(method.order, abs=0.2)
+    assert np.log2(apart[0] / apart[1]) == pytest.approx(method.order, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    "method", [md.VelocityVerlet(0.03), md.PositionVerlet(0.03), md.LangevinBAOAB(0.03, 0.5, 1.0, seed=2)]
+)
+def test_work_and_time_survive_pauses_copies_and_files(method, tmp_path):
+    whole, parts = (pulled(method, start=0.2, end=1.1) for _ in range(2))
+    whole.run(60, every=20, progress=False)
+    parts.run(13, every=5, progress=False)
+    assert parts.potential_energy >= 0.0
+    parts = pickle.loads(pickle.dumps(parts))
+    file = tmp_path / "pulled.h5md"
+    parts.run(20, every=10, trajectory=file, progress=False)
+    resumed = md.Simulation.resume(file, md.SteeredSpring(K, [0, 0, 0], V, start=0.2, end=1.1))
+    resumed.run(until_step=60, every=9, trajectory=file, append=True, progress=False)
+    assert resumed.positions.tolist() == whole.positions.tolist()
+    assert resumed.velocities.tolist() == whole.velocities.tolist()
+    assert resumed.work == whole.work != 0.0
+    assert resumed.time == whole.time
+
+
+@pytest.mark.parametrize("method", [md.VelocityVerlet, md.PositionVerlet])
+def test_a_spring_moves_from_its_start_to_its_end_and_only_then(method):
+    """A step that ends at the start does no work; the next one does, and the last ends at the end."""
+    simulation = pulled(method(0.25), start=0.5, end=1.0)
+    work = simulation.run(8, every=1, progress=False).work
+    changes = np.diff(work)
+    assert (changes[:2] == 0.0).all()
+    assert changes[2] != 0.0
+    assert changes[3] != 0.0
+    assert (changes[4:] == 0.0).all()
+
+
+def test_looking_changes_no_bit_of_the_work_though_it_evaluates_the_forces_again():
+    """A bath at the end of a step leaves no energy there: it is evaluated at the time of the last kick exactly."""
+    bath = md.StochasticVelocityRescaling(0.003, temperature=1.0, relaxation_time=0.2, seed=2)
+    works = []
+    for every in (1, 60):
+        spring = md.SteeredSpring(10.0, [0, 0, 0], [0.3, 0.2, 0], start=0.02)
+        simulation = md.Simulation(md.System(np.diag([0.01, 0.02, 0.03])), spring, bath)
+        simulation.set_temperature(1.0, seed=1)
+        simulation.run(60, every=every, progress=False)
+        works.append(simulation.work)
+    assert works[0] == works[1] != 0.0
+
+
+def test_the_report_judges_the_energy_minus_the_work():
+    simulation = pulled(md.VelocityVerlet(0.02))
+    assert np.ptp(simulation.run(2000, every=10, progress=False).total_energy) > 1.0
+    told = str(simulation.report())
+    assert "total energy minus work is conserved" in told
+    assert "E - work" in told
+    simulation.equilibrate(10, 1.0)
+    assert (simulation.step, simulation.time, simulation.work) == (0, 0.0, 0.0)
+
+
+def test_an_equilibration_comes_before_the_time_zero():
+    """The spring that starts then has not moved before."""
+    simulation = pulled(md.VelocityVerlet(0.02))
+    simulation.set_temperature(1e-12, seed=1)
+    simulation.equilibrate(30, 1e-12)
+    assert simulation.time == 0.0
+    assert np.abs(simulation.positions).max() < 1e-5  # the way of such an atom; its point moves 0.5 in as many steps
+
+
+@pytest.mark.slow
+def test_fields_that_stay_and_dihedrals_are_exact_in_fixed_point():
+    from fixed_point_scenes import bits
+
+    k = np.arange(6)
+    quadruples = np.column_stack([k[:3], k[1:4], k[2:5], k[3:]])
+    system = md.System(
+        np.column_stack([np.cos(k), np.sin(k), 0.7 * k]),
+        bonds=np.column_stack([k[:-1], k[1:]]),
+        dihedrals=quadruples,
+    )
+    internal = [md.HarmonicBond(50.0, 1.0), md.PeriodicDihedral(1.0, 3)]
+    fields = [md.Gravity(0.5), md.Wall([0, 0, -2.0], [0, 0, 1.0])]
+    simulation = md.Simulation(system, [*internal, *fields], md.VelocityVerlet(0.005), precision="fixed-point")
+    simulation.set_temperature(1.0, seed=1)
+    simulation.make_steps(0)
+    start = bits(simulation)
+    simulation.make_steps(300)
+    simulation.run_back(300)
+    assert bits(simulation) == start
+    free = md.Simulation(system, internal, md.VelocityVerlet(0.005), precision="fixed-point")
+    record = free.run(200, every=50, progress=False)
+    assert (record.momentum == record.momentum[0]).all()

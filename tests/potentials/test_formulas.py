@@ -1,0 +1,205 @@
+"""Each law by itself: its zero and its minimum, what it does at its ends, which atoms and parameters it takes."""
+
+import itertools
+from decimal import Decimal, localcontext
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from MDAnalysis.lib.distances import calc_dihedrals
+
+import minimd as md
+
+LJ = md.LennardJones(1.0, 1.0)
+
+
+def two(distance, *more):
+    """Two bonded atoms at a distance along x."""
+    return md.System([[0, 0, 0], [distance, 0, 0], *more], bonds=[[0, 1]])
+
+
+def test_lennard_jones_is_its_formula_with_its_minimum_and_zero_where_it_says():
+    law = md.LennardJones(0.0104, 3.4, 8.0)
+    r = np.linspace(3.0, 8.5, 30)
+    formula = 4.0 * 0.0104 * ((3.4 / r) ** 12 - (3.4 / r) ** 6 - (3.4 / 8.0) ** 12 + (3.4 / 8.0) ** 6)
+    assert law.pair_energy(r) == pytest.approx(np.where(r < 8.0, formula, 0.0), rel=1e-13)
+    at_minimum = md.evaluate(two(2.0 ** (1.0 / 6.0) * 3.4), md.LennardJones(0.0104, 3.4, truncation="truncated"))
+    assert at_minimum.potential_energy == pytest.approx(-0.0104, rel=1e-15)
+    assert np.abs(at_minimum.forces).max() < 1e-16
+    assert abs(md.evaluate(two(3.4), md.LennardJones(0.0104, 3.4)).potential_energy) < 1e-17
+
+
+def test_a_spring_of_length_zero_pulls_with_k_times_the_distance_down_to_none():
+    """u = ½ k r² is smooth where two atoms lie on one spot: no force there, a curvature that advises a time step."""
+    apart, springs = np.array([0.3, 0.0, -0.4]), [md.HarmonicBond(3.0, 0.0), md.HarmonicBond([3.0], [0.0])]
+    for spring, distance in itertools.product(springs, (0.0, 1e-200, 1e-9, 1.0)):
+        system = md.System([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0] + distance * apart], bonds=[[0, 1]])
+        found, between = md.evaluate(system, spring), system.positions[1] - system.positions[0]
+        assert found.forces.tolist() == [(3.0 * between).tolist(), (-3.0 * between).tolist()]
+        assert found.potential_energy == pytest.approx(1.5 * between @ between, rel=1e-15)  # rounding
+    frequency = md.advise_timestep(two(0.0), springs[0]).frequency
+    assert frequency == pytest.approx(6.0**0.5, rel=1e-6)  # √(k/μ), truncation of the difference
+    record = md.Simulation(two(0.0), springs[0], md.VelocityVerlet(0.01)).run(10, progress=False)
+    assert record.total_energy.tolist() == [0.0]
+
+
+def of_extremes(first, second):
+    return min(first[0], second[0]), max(first[1], second[1])
+
+
+@pytest.mark.parametrize(
+    ("rule", "epsilon", "sigma"),
+    [
+        ({"mixing": "lorentz-berthelot"}, 2.0, 1.5),
+        ({"mixing": "geometric"}, 2.0, 2.0**0.5),
+        ({"mixing": of_extremes}, 1.0, 2.0),
+        ({"pairs": {("B", "A"): (3.0, 1.0)}}, 3.0, 1.0),
+    ],
+)
+def test_mixing_rules_and_what_is_given_instead(rule, epsilon, sigma):
+    mixed = md.LennardJones({"A": (1.0, 1.0), "B": (4.0, 2.0)}, cutoff=5.0, truncation="truncated", **rule)
+    expected = 4 * epsilon * ((sigma / 1.8) ** 12 - (sigma / 1.8) ** 6)
+    assert float(mixed.pair_energy(1.8, "A", "B")) == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize("cell", [None, 3.0, [[2.9, 0, 0], [1.2, 3.0, 0], [-0.8, 0.9, 3.3]]])
+def test_scaled_pairs_are_those_along_the_bonds_at_their_nearest_image(cell):
+    """The textbook sum over all images of all pairs: the fourth neighbor counts in full, and so do farther images."""
+    positions = np.array([[0.1, 0.2, 0.3], [1.2, 0.4, 0.1], [1.4, 1.6, 0.5], [0.2, 1.5, 1.7], [0.4, 0.3, 1.6]])
+    shifts = np.zeros((1, 3)) if cell is None else np.array([*np.ndindex(9, 9, 9)]) - 4
+    scale, cutoff, expected = (0.0, 0.3, 0.7, 1.0), 4.0, 0.0
+    for i, j in itertools.product(range(5), repeat=2):
+        distances = np.sort(np.linalg.norm(positions[j] - positions[i] + shifts @ md.Cell.of(cell).vectors, axis=1))
+        distances = distances[int(i == j) :]
+        energies = np.where(distances < cutoff, 4.0 * (distances**-12 - distances**-6), 0.0)
+        if i != j:
+            energies[0] *= scale[abs(i - j) - 1]
+        expected += 0.5 * energies.sum()
+    system = md.System(positions, cell=cell, bonds=[[0, 1], [1, 2], [2, 3], [3, 4]])
+    found = md.evaluate(system, md.LennardJones(1.0, 1.0, cutoff, "truncated", bonded_scale=scale[:3]))
+    assert found.potential_energy == pytest.approx(expected, rel=1e-12)
+
+
+def test_bonds_change_nothing_by_themselves_and_excluded_pairs_may_sit_on_each_other():
+    bent = [[0, 0, 0], [1.1, 0, 0], [1.5, 1.0, 0], [1.4, 1.4, 1.1]]
+    free, joined = (md.System(bent, bonds=bonds) for bonds in (None, [[0, 1], [1, 2], [2, 3]]))
+    assert md.evaluate(joined, LJ).potential_energy == md.evaluate(free, LJ).potential_energy
+    excluding = md.LennardJones(1.0, 1.0, bonded_scale=(0, 1, 1))
+    assert np.isfinite(md.evaluate(two(1e-9, [1.5, 0, 0]), excluding).forces).all()
+
+
+def test_bonds_in_any_order_keep_their_own_parameters():
+    system = md.System([[0, 0, 0], [1.0, 0, 0], [2.1, 0, 0], [3.3, 0, 0]], bonds=[[2, 3], [1, 0], [1, 2]])
+    k, length = np.array([10.0, 200.0, 3000.0]), np.array([1.0, 0.9, 1.2])
+    expected = (0.5 * k * (np.array([1.2, 1.0, 1.1]) - length) ** 2).sum()
+    assert md.evaluate(system, md.HarmonicBond(k, length)).potential_energy == pytest.approx(expected, rel=1e-13)
+
+
+def test_a_morse_bond_breaks():
+    found = md.evaluate(two(40.0), md.MorseBond(3.0, 2.0, 1.1))
+    assert found.potential_energy == pytest.approx(3.0, rel=1e-15)
+    assert found.forces == pytest.approx(0.0, abs=1e-30)
+
+
+def exact_angle(positions, k, theta0):
+    """Force on the first atom and energy of a harmonic angle δ or π − δ, δ < 0.01, with 40 digits.
+
+    By fractions, and by the series of arctan.
+    """
+    i, j, l = ([Fraction(c) for c in row] for row in positions.tolist())
+    a, b = ([c - m for c, m in zip(end, j, strict=True)] for end in (i, l))
+    n = np.cross(a, b).tolist()
+    a2, ab, n2 = (decimal(sum(x * y for x, y in zip(u, v, strict=True))) for u, v in ((a, a), (a, b), (n, n)))
+    tangent = n2.sqrt() / abs(ab)
+    delta = sum((-1) ** m * tangent ** (2 * m + 1) / (2 * m + 1) for m in range(10))
+    pi = Decimal("3.14159265358979323846264338327950288419716939937510")
+    stretch = (delta if ab > 0 else pi - delta) - Decimal(theta0)
+    across = [decimal(c) for c in np.cross(n, a).tolist()]
+    return [float(Decimal(k) * stretch * c / (a2 * n2.sqrt())) for c in across], float(Decimal(k) * stretch**2 / 2)
+
+
+def decimal(fraction):
+    return Decimal(fraction.numerator) / Decimal(fraction.denominator)
+
+
+def test_angles_near_0_and_pi_have_all_their_digits():
+    """At any place in space; the reference takes the angle that the rounded coordinates have."""
+    rng = np.random.default_rng(6)
+    with localcontext(prec=60):
+        for sign, delta, theta0 in itertools.product((1.0, -1.0), 10.0 ** np.arange(-8, -2), (1.9, np.pi, 0.0)):
+            arm, side = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
+            ends = np.array([arm, [0.0] * 3, 1.3 * (sign * np.cos(delta) * arm + np.sin(delta) * side)])
+            system = md.System(ends + rng.uniform(-2.0, 2.0, 3))
+            force, energy = exact_angle(system.positions, 20.0, theta0)
+            found = md.evaluate(system, md.HarmonicAngle(20.0, theta0, [[0, 1, 2]]))
+            assert np.linalg.norm(found.forces[0] - force) <= 1e-14 * np.linalg.norm(force)  # rounding
+            assert found.potential_energy == pytest.approx(energy, rel=1e-14, abs=0.0)
+
+
+@pytest.mark.parametrize("rest", [0.0, 2.0, np.pi])
+def test_straight_and_folded_angles_pull_nowhere(rest):
+    for end, angle in ((2.2, np.pi), (0.3, 0.0)):
+        found = md.evaluate(two(1.0, [end, 0, 0]), md.HarmonicAngle(10.0, rest, [[0, 1, 2]]))
+        assert not found.forces.any()
+        assert found.potential_energy == pytest.approx(5.0 * (angle - rest) ** 2, rel=1e-14, abs=1e-30)
+
+
+def test_dihedral_angles_are_those_of_mdanalysis_and_planar_ones_have_forces():
+    """The sign, trans and cis; and no division by sin φ: at φ = 0 and π forces are finite, and at a barrier zero."""
+    for angle in (*np.random.default_rng(3).uniform(-np.pi, np.pi, 5), 0.0, np.pi):
+        end = np.array([-0.6, np.cos(angle), np.sin(angle)]) * [-1.0, 1.0, -1.0] + [1.2, 0.0, 0.0]
+        system = md.System([[-0.6, 1.0, 0.0], [0.0, 0.0, 0.0], [1.2, 0.0, 0.0], end], dihedrals=[[0, 1, 2, 3]])
+        away = (float(calc_dihedrals(*system.positions)) - 0.7 + np.pi) % (2.0 * np.pi) - np.pi
+        energy = md.evaluate(system, md.HarmonicImproper(2.0, 0.7, [[0, 1, 2, 3]])).potential_energy
+        assert energy == pytest.approx(away**2, rel=1e-6)  # MDAnalysis computes in float32
+        assert np.isfinite(md.evaluate(system, md.PeriodicDihedral(1.0, 3, 0.4)).forces).all()
+    at_bottom = md.evaluate(system, md.PeriodicDihedral(1.0, 3))  # trans
+    assert np.abs(at_bottom.forces).max() < 1e-14  # rounding
+    straight = md.System([[-1.0, 0, 0], [0, 0, 0], [1, 0, 0], [1.5, 1, 0]], dihedrals=[[0, 1, 2, 3]])
+    assert np.isfinite(md.evaluate(straight, md.PeriodicDihedral(1.0, 3, 0.4)).forces).all()
+
+
+def test_dihedrals_follow_a_strained_cell():
+    """As at constant pressure: their term goes on in the new cell, with the forces of a new one."""
+    positions = np.array([[0.2, 2.7, 0.0], [-0.3, 3.6, 0.1], [0.4, 4.2, 0.8], [0.1, 5.1, 1.3]])
+    system = md.System(positions, cell=4.0, dihedrals=[[0, 1, 2, 3]])
+    system.positions[:] = system.cell.wrapped(system.positions)
+    law, stretch = md.PeriodicDihedral(2.0, 3), np.array([[1.02, 0.01, 0.0], [0.01, 0.97, 0.0], [0.0, 0.0, 1.01]])
+    forces = md.Forces(system, law)
+    forces.compute()
+    system.positions[:], system.cell = system.positions @ stretch, system.cell.strained(system.cell.vectors @ stretch)
+    [term] = forces.terms
+    forces.follow()
+    forces.compute()
+    assert forces.terms == [term]
+    assert forces.forces == pytest.approx(md.evaluate(system, law).forces, rel=1e-12)
+    assert np.abs(forces.forces).max() > 0.1
+
+
+@pytest.mark.parametrize(("law", "d", "depth"), [("9-3", 0.4 ** (1 / 6), 10.0**0.5 / 3.0), ("12-6", 2.0 ** (1 / 6), 1)])
+def test_walls_have_their_laws(law, d, depth):
+    """Where their wells lie, and how deep; they are continuous at the cutoff; at equal distance all are alike."""
+
+    def energy(wall, z):
+        return md.evaluate(md.System([[0.0, 0.0, z]]), wall).potential_energy
+
+    at_bottom = md.evaluate(md.System([[5.0, 6.0, 1.0 + 1.5 * d]]), md.Wall([0, 0, 1], [0, 0, 1], 2.0, 1.5, law=law))
+    assert at_bottom.potential_energy == pytest.approx(-2.0 * depth, rel=1e-14)
+    assert np.abs(at_bottom.forces).max() < 1e-14
+    cut = md.Wall([0, 0, 1.0], [0, 0, 1], 2.0, 1.5, 3.0, law)
+    assert [energy(cut, 4.0 + dz) for dz in (-1e-9, 1e-9)] == pytest.approx([0.0, 0.0], abs=1e-8)
+    assert energy(md.SphereWall([0, 0, 0], 5.0, 2.0, 1.5, 3.0, law), -3.7) == pytest.approx(energy(cut, 2.3), rel=1e-13)
+
+
+def test_a_restraint_is_a_spring_to_the_nearest_image_of_its_point():
+    rng, k = np.random.default_rng(8), np.array([3.0, 1.0, 2.0])
+    points, away = rng.uniform(-4.0, 4.0, (5, 3)), rng.uniform(-1.0, 1.0, (5, 3))
+    system = md.System(points + away + 9.0 * rng.integers(-2, 3, (5, 3)), cell=9.0)
+    found = md.evaluate(system, md.Restraint(k, points))
+    assert found.potential_energy == pytest.approx(0.5 * (k * away**2).sum(), rel=1e-13)
+    assert found.forces == pytest.approx(-k * away, rel=1e-12, abs=1e-13)
+
+
+@pytest.mark.parametrize("size", [1e-300, 1.0, 1e300])
+def test_normals_may_have_any_length(size):
+    assert md.Wall([0, 0, 0], [3.0 * size, 0, -4.0 * size]).normal == pytest.approx([0.6, 0.0, -0.8])

@@ -1,0 +1,236 @@
+"""Laws of forces that every potential obeys. POTENTIALS is where a new one is registered."""
+
+import itertools
+from functools import cache
+
+import numba
+import numpy as np
+import pytest
+from references import brute_force_pairs
+
+import minimd as md
+from minimd.potentials.pair_loop import SameForAll, add_pair_forces, fixed_pairs
+from minimd.potentials.term import PER_ATOM, TOTALS
+
+CUTOFF = 2.3
+
+
+def yukawa(r2, strength, kappa):
+    r = np.sqrt(r2)
+    u = strength / r * np.exp(-kappa * r)
+    return u, u * (1.0 + kappa * r) / r2
+
+
+@numba.njit
+def soft_core(r2, height):
+    u = height * np.exp(-r2)
+    return u, 2.0 * u
+
+
+def traveling_saddle(x, y, z, t, k):
+    """Hills that move along z."""
+    phase = z - 0.7 * t
+    wave = np.sin(phase)
+    return k * (x * x - y * y) + wave, -2.0 * k * x, 2.0 * k * y, -np.cos(phase), -0.7 * np.cos(phase)
+
+
+R = np.linspace(0.3, CUTOFF, 60)
+TABLES = {("A", "A"): np.exp(-R), ("A", "B"): np.exp(-2.0 * R), ("B", "B"): 1.0 / R}
+TWO_KINDS = {"A": (1.0, 1.0), "B": (0.5, 0.88)}
+CHAINS = [[k, k + 1, k + 2, k + 3] for k in range(7)]
+PAIRS = {
+    "lennard-jones": md.LennardJones(1.0, 1.0, CUTOFF),
+    "force-shifted": md.LennardJones(1.0, 1.0, CUTOFF, "force-shifted"),
+    "mixture": md.LennardJones(TWO_KINDS, cutoff=CUTOFF),
+    "kob-andersen": md.LennardJones(
+        TWO_KINDS, cutoff={("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}, pairs={("A", "B"): (1.5, 0.8)}
+    ),
+    "yukawa": md.PairPotential(yukawa, (2.0, 1.1), CUTOFF, "force-shifted"),
+    "soft core": md.PairPotential(soft_core, (3.0,), CUTOFF),
+}
+BONDED = {
+    "scaled neighbors": md.LennardJones(TWO_KINDS, cutoff=CUTOFF, truncation="switched", bonded_scale=(0.0, 0.3, 0.7)),
+    "tabulated": md.Tabulated(R, TABLES, truncation="switched", bonded_scale=(0.5, 1.0, 1.0)),
+    "harmonic bonds": md.HarmonicBond(np.linspace(50, 90, 9), 1.1),
+    "harmonic angles": md.HarmonicAngle(20.0, 2.0, [[k, k + 1, k + 2] for k in range(8)]),
+    "morse bonds": md.MorseBond(np.linspace(3.0, 5.0, 9), 2.0, 1.1),
+    "fene bonds": md.FENEBond(30.0, 1.9, 1.0, np.linspace(0.9, 1.2, 9)),
+    "periodic dihedrals": md.PeriodicDihedral(np.linspace(0.5, 2.0, 7), [0, 1, 2, 3, 4, 5, 6], 0.4, CHAINS),
+    "ryckaert-bellemans": md.RyckaertBellemans((1.3, 1.4, -1.6, -0.4, 3.1, -3.4), CHAINS),
+    "harmonic impropers": md.HarmonicImproper(3.0, np.linspace(-3.1, 3.1, 7), CHAINS),
+    "several": [PAIRS["lennard-jones"], PAIRS["yukawa"], md.HarmonicBond(30.0, 1.0)],
+}
+EVERYWHERE, STRENGTHS = ("open", "slab", "tube", "triclinic"), np.linspace(0.5, 1.0, 10)
+FIELDS = {  # and where they may act: walls lie along the periodic directions
+    "constant force": (md.ConstantForce([0.3, -0.2, 0.5], [0, 2]), EVERYWHERE),
+    "gravity": (md.Gravity(2.0), EVERYWHERE),
+    "restraint": (md.Restraint([3.0, 0.0, 2.0], [[0.8, 0.9, -0.3], [-0.6, 1.3, 0.2]], [1, 4]), EVERYWHERE),
+    "steered": (md.SteeredSpring(3.0, [[0.2, 0.3, 0.1], [1.0, 0.0, 2.0]], [0.4, 0, 0], [3, 7]), EVERYWHERE),
+    "wall 9-3": (md.Wall([0, 0, -0.8], [0, 0, 2.0], 1.3, 0.9, 2.0), ("open", "slab")),
+    "wall 12-6": (md.Wall([0, 0, 4.7], [0, 0, -1.0], STRENGTHS, 0.8, 2.0, "12-6"), ("open", "slab")),
+    "cylinder": (md.CylinderWall([0.1, 0.2, 0.3], [0, 0, 1], 2.1, 1.0, 0.7, 2.5, "12-6"), ("open", "tube")),
+    "sphere": (md.SphereWall([0.1, 0.0, 1.9], 2.9, 1.0, 0.7), ("open", "triclinic")),
+    "user's": (md.Field(traveling_saddle, (0.8,)), ("open",)),
+}
+POTENTIALS = PAIRS | BONDED | {name: field for name, (field, _) in FIELDS.items()}
+CELLS = {
+    "open": {},
+    "cube": {"cell": 4.7},
+    "triclinic": {"cell": [[4.6, 0, 0], [1.5, 4.4, 0], [-1.0, 0.7, 5.0]]},
+    "left-handed": {"cell": [[0, 4.6, 0], [4.7, 0, 0], [0, 0, 4.8]]},
+    "slab": {"cell": [4.7, 4.9, 9.0], "pbc": (True, True, False)},
+    "small": {"cell": 3.6},
+    "tube": {"cell": [9.0, 9.0, 4.8], "pbc": (False, False, True)},
+}
+OF_PAIRS = [*itertools.product(PAIRS, list(CELLS)[:-1])]
+INTERNAL = [*OF_PAIRS, *itertools.product(BONDED, list(CELLS)[:-1])]
+EXTERNAL = [(name, cell) for name, (_, cells) in FIELDS.items() for cell in cells]
+
+
+def chain(cell="open", bonded=True):
+    """Ten atoms along a bent chain, 1 apart, of two species."""
+    k = np.arange(10)
+    places = np.column_stack([np.cos(k * 0.9), np.sin(k * 0.9), 0.36 * k]) * 1.15
+    places += 0.05 * np.random.default_rng(4).normal(size=(10, 3))
+    bonds = np.column_stack([k[:-1], k[1:]]) if bonded else None
+    return md.System(
+        places, species=np.where(k % 3, "A", "B"), masses=np.linspace(1.0, 2.0, 10), bonds=bonds, **CELLS[cell]
+    )
+
+
+def at(system, positions, cell=None, order=slice(None)):
+    """The system at other positions, perhaps in another cell, its atoms perhaps in another order."""
+    bonds = np.argsort(np.arange(10)[order])[system.bonds]
+    return md.System(
+        positions[order],
+        cell=cell or system.cell,
+        species=system.species[order],
+        masses=system.masses[order],
+        bonds=bonds,
+    )
+
+
+@cache
+def scene(name, cell):
+    """System, potential, and what is evaluated there."""
+    system = chain(cell, bonded=name not in PAIRS)
+    return system, POTENTIALS[name], md.evaluate(system, POTENTIALS[name])
+
+
+@pytest.mark.parametrize(("name", "cell"), INTERNAL + EXTERNAL)
+def test_force_is_minus_the_gradient(name, cell):
+    """Along some directions in the space of all coordinates."""
+    (system, potential, found), h = scene(name, cell), 2e-6
+    assert np.abs(found.forces).max() > 0.1
+    for along in np.random.default_rng(1).normal(size=(4, 10, 3)):
+        low, high = (md.evaluate(at(system, system.positions + s * along), potential) for s in (-h, h))
+        slope = (low.potential_energy - high.potential_energy) / (2.0 * h)
+        assert (found.forces * along).sum() == pytest.approx(slope, rel=1e-6, abs=2e-6)  # truncation h², rounding u/h
+
+
+@pytest.mark.parametrize(("name", "cell"), INTERNAL + EXTERNAL)
+def test_energy_and_virial_are_those_of_the_atoms(name, cell):
+    """Also where only their totals are asked for."""
+    system, potential, found = scene(name, cell)
+    totals, of_atoms = (md.Forces(system, potential) for _ in range(2))
+    totals.compute(TOTALS)
+    of_atoms.compute(PER_ATOM)
+    assert found.energies.sum() == pytest.approx(found.potential_energy, rel=1e-13, abs=1e-13)  # rounding
+    assert totals.potential_energy == pytest.approx(of_atoms.energies.sum(), rel=1e-13, abs=1e-13)
+    assert np.trace(totals.virial) == pytest.approx(of_atoms.virials[:, :3].sum(), rel=1e-12, abs=1e-12)
+    assert totals.virial == pytest.approx(found.virial, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize(("name", "cell"), INTERNAL)
+def test_forces_sum_to_zero(name, cell):
+    forces = scene(name, cell)[-1].forces
+    assert np.abs(forces.sum(axis=0)).max() < 1e-13 * np.abs(forces).sum()  # rounding
+
+
+@pytest.mark.parametrize(("name", "cell"), INTERNAL)
+def test_virial_is_the_strain_derivative_of_the_energy(name, cell):
+    """W = −∂U/∂(strain) at zero strain, along some strains with nine components each."""
+    (system, potential, found), h = scene(name, cell), 1e-6
+    for along in np.random.default_rng(2).normal(size=(4, 3, 3)):
+        energies = []
+        for strain in (np.eye(3) - h * along, np.eye(3) + h * along):
+            strained = md.Cell.of(system.cell.vectors @ strain, system.cell.pbc)
+            energies.append(md.evaluate(at(system, system.positions @ strain, strained), potential).potential_energy)
+        slope = (energies[0] - energies[1]) / (2.0 * h)
+        assert (found.virial * along).sum() == pytest.approx(slope, rel=1e-5, abs=1e-5)
+
+
+@pytest.mark.parametrize(("name", "cell"), INTERNAL)
+def test_nothing_depends_on_place_direction_or_order(name, cell):
+    """Pair potentials neither on the numbers of the atoms; groups of the others name them."""
+    (system, potential, found), rng = scene(name, cell), np.random.default_rng(0)
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    cells_away = rng.integers(-2, 3, (10, 3)) * system.cell.pbc
+    order = rng.permutation(10) if name in PAIRS else slice(None)
+    positions = (system.positions + cells_away @ system.cell.vectors + rng.normal(size=3)) @ rotation
+    turned = md.Cell.of(system.cell.vectors @ rotation, system.cell.pbc)
+    moved = md.evaluate(at(system, positions, turned, order), potential)
+    assert moved.potential_energy == pytest.approx(found.potential_energy, rel=1e-11, abs=1e-11)
+    assert moved.forces == pytest.approx(found.forces[order] @ rotation, rel=1e-10, abs=1e-10)
+    assert moved.virial == pytest.approx(rotation.T @ found.virial @ rotation, rel=1e-10, abs=1e-10)
+    assert moved.energies == pytest.approx(found.energies[order], rel=1e-10, abs=1e-10)
+
+
+@pytest.mark.parametrize(("name", "cell"), OF_PAIRS)
+def test_energy_of_pairs_is_the_sum_over_all_pairs_and_images(name, cell):
+    system, potential, found = scene(name, cell)
+    expected = 0.0
+    for i, j, *shift in brute_force_pairs(system.positions, system.cell.vectors, system.cell.pbc, potential.cutoff):
+        r = np.linalg.norm(system.positions[j] - system.positions[i] + np.array(shift) @ system.cell.vectors)
+        expected += 0.5 * float(potential.pair_energy(r, system.species[i], system.species[j]))
+    assert found.potential_energy == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "cell"), [*itertools.product(["mixture", "kob-andersen"], ["cube", "triclinic", "left-handed"])]
+)
+def test_replicated_cell_has_replicated_energy(name, cell):
+    one, potential, found = scene(name, cell)
+    shifts = np.array(list(np.ndindex(2, 3, 1))) @ one.cell.vectors
+    many = md.System(
+        (one.positions + shifts[:, None, :]).reshape(-1, 3),
+        cell=one.cell.vectors * [[2], [3], [1]],
+        species=np.tile(one.species, 6),
+    )
+    of_many = md.evaluate(many, potential)
+    assert of_many.potential_energy == pytest.approx(6 * found.potential_energy, rel=1e-12)
+    assert of_many.forces == pytest.approx(np.tile(found.forces, (6, 1)), rel=1e-11, abs=1e-11)
+    assert of_many.virial == pytest.approx(6 * found.virial, rel=1e-12, abs=1e-11)
+
+
+@pytest.mark.parametrize(("name", "cell"), EXTERNAL)
+def test_fields_act_from_outside_and_on_all_images_alike(name, cell):
+    """Without a virial; the energy in a constant force changes steadily as an atom is pulled through the cells."""
+    system, field, found = scene(name, cell)
+    assert not found.virial.any()
+    if name not in ("gravity", "constant force"):
+        away = np.random.default_rng(7).integers(-3, 4, (10, 3)) * system.cell.pbc
+        moved = md.evaluate(at(system, system.positions + away @ system.cell.vectors), field)
+        assert moved.forces == pytest.approx(found.forces, rel=1e-11, abs=1e-11)
+        assert moved.energies == pytest.approx(found.energies, rel=1e-11, abs=1e-11)
+
+
+@pytest.mark.parametrize("name", ["user's", "steered"])
+def test_power_is_what_time_alone_does_to_the_energy(name):
+    forces, energies, h = md.Forces(chain(), POTENTIALS[name]), [], 1e-5
+    for forces.time in (0.3 - h, 0.3 + h, 0.3):
+        forces.compute(TOTALS)
+        energies.append(forces.potential_energy)
+    assert forces.power == pytest.approx((energies[1] - energies[0]) / (2.0 * h), rel=1e-7)  # truncation
+    assert abs(forces.power) > 0.1
+
+
+@pytest.mark.parametrize("name", ["lennard-jones", "yukawa"])
+def test_laws_run_as_plain_python_too(name):
+    system, potential, found = scene(name, "open")
+    pairs, _ = fixed_pairs(np.argwhere(np.triu(np.ones((10, 10)), k=1)), 10, periodic=False)
+    numbers = SameForAll(tuple(potential.table(("A", "B"))[0, 0].tolist()))
+    forces, energies, virials = np.zeros((10, 3)), np.zeros(10), np.zeros((10, 6))
+    add_pair_forces.py_func(system.positions, pairs, potential.law, numbers, TOTALS, (forces, energies, virials))
+    assert forces == pytest.approx(found.forces, rel=1e-13, abs=1e-14)
+    assert energies.sum() == pytest.approx(found.potential_energy, rel=1e-13)

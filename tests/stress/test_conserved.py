@@ -1,0 +1,317 @@
+"""Scenes that nobody asked for, and somebody will run: each conserves its energy within its bound.
+
+A scene returns a simulation that has run, and the bound of its oscillation; what else holds of it, it asserts.
+"""
+
+from itertools import product
+
+import numpy as np
+import pytest
+import stress_scenes as stress
+from references import brute_force_energy
+from stress_scenes import OPEN, SMOOTH, STIFF, is_finite, made, oscillation, pair_at, ran, solid
+
+import minimd as md
+from minimd.structure.checks import LARGEST, SMALLEST
+from minimd.structure.lattice import crystal
+
+pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
+
+BELOW = [0.1, 0.5, 1.0, 1.5, 1.9, 1.99]  # Δt ω
+GAUSS = md.PairPotential(stress.gauss, (), 2.5, "force-shifted")
+
+
+def momentum_is_kept(simulation, bound=1e-12):
+    """To rounding."""
+    record = simulation.record
+    return np.abs(record.momentum - record.momentum[0]).max() < bound * record.absolute_momentum[0]
+
+
+def planet_and_moon():
+    """A million times lighter; a thousand orbits close."""
+
+    def gravity(r2, strength):
+        r = r2**0.5
+        return -strength / r, -strength / (r2 * r)
+
+    system = md.System([[0, 0, 0], [1, 0, 0]], velocities=[[0, -1e-6, 0], [0, 1, 0]], masses=[1e6, 1.0])
+    simulation = ran(system, md.PairPotential(gravity, (1.0,), truncation="truncated"), 0.01, 62_832, every=50)
+    assert np.linalg.norm(np.diff(simulation.positions, axis=0)) == pytest.approx(1.0, abs=1e-3)
+    return simulation, 1e-4
+
+
+def bond_across_a_thousand_cells():
+    system = md.System([[0.1, 0, 0], [0.1 + 1.2 + 9.0 * 1000, 0, 0]], cell=9.0, bonds=[[0, 1]])
+    simulation = ran(system, md.HarmonicBond(100.0, 1.0), 0.004, 2000)
+    assert simulation.record.potential_energy[0] == pytest.approx(0.5 * 100.0 * 0.2**2, rel=1e-8)
+    return simulation, 0.05
+
+
+def star():
+    """500 springs on one atom, exclusions and all."""
+    arms = np.random.default_rng(1).standard_normal((500, 3))
+    arms *= 6.0 / np.linalg.norm(arms, axis=1, keepdims=True)
+    system = md.System(np.vstack([[0, 0, 0], arms]), bonds=[[0, k] for k in range(1, 501)])
+    soft = md.PairPotential(stress.gauss, (), 2.5, "force-shifted", bonded_scale=(0, 1, 1))
+    simulation = ran(system, [soft, md.HarmonicBond(10.0, 6.0)], 0.002, 1000, temperature=0.5)
+    assert momentum_is_kept(simulation)
+    return simulation, 1e-2
+
+
+def contact_of_hard_cores():
+    """r⁻⁴⁸ spheres: as steep a wall as anybody uses."""
+
+    def wall(r2, epsilon):
+        s = epsilon / (r2 * r2 * r2) ** 8
+        return s, 48.0 * s / r2
+
+    law = md.PairPotential(wall, (1.0,), 1.5, "force-shifted")
+    return ran(solid(3, jitter=0.02), law, 0.0002, 5000, temperature=1.0), 1e-2
+
+
+def rigid_ring(n_steps):
+    system, bonds = stress.rigid_ring()
+    simulation = ran(system, stress.WEAK, 0.002, n_steps, temperature=1.0, constraints=bonds)
+    assert simulation.record.constraint_violation.max() < 1e-14  # rounding
+    assert simulation.report().energy_is_conserved
+    assert momentum_is_kept(simulation, 1e-11)
+    return simulation, 1e-3
+
+
+def rigid_chain_near_180_degrees(zigzag):
+    system, bonds = stress.rigid_chain(zigzag)
+    simulation = ran(system, stress.WEAK, 0.002, 2000, temperature=1.0, constraints=bonds)
+    assert simulation.record.constraint_violation.max() < 1e-14  # rounding
+    return simulation, 1e-3
+
+
+def angle_that_swings_through(angle):
+    """Atoms without a pair law: the angle passes 180 degrees, where its sine vanishes."""
+    positions = [[0, 0, 0], [1, 0, 0], [1 - np.cos(angle + 1e-3), np.sin(angle + 1e-3), 0]]
+    system = md.System(positions, bonds=[[0, 1], [1, 2]])
+    return ran(system, [md.HarmonicAngle(50.0, angle, [[0, 1, 2]]), STIFF], 0.002, 20_000, temperature=0.5), 5e-3
+
+
+def line_without_a_cell(*along):
+    simulation = ran(md.System(1.1 * np.arange(300)[:, None] * along / np.linalg.norm(along)), SMOOTH, 0.004, 300)
+    assert np.abs(np.cross(simulation.positions, along)).max() < 1e-9
+    return simulation, 1e-2
+
+
+def plane_without_a_cell(normal):
+    grid = np.array(list(np.ndindex(15, 15))) * 1.1
+    return ran(md.System(np.insert(grid, normal, 0.0, axis=1)), SMOOTH, 0.004, 300), 1e-2
+
+
+def gas_of_density_1e_4():
+    simulation = ran(
+        md.System(np.array(list(np.ndindex(10, 10, 10))) * 21.5, cell=215.0), SMOOTH, 0.005, 5000, temperature=2.0
+    )
+    assert simulation.record.temperature[-1] == pytest.approx(2.0, rel=0.02)
+    return simulation, 1e-4
+
+
+def hot_dense_start():
+    """T* = 50 at density 0.84: atoms come as near as 0.6 σ."""
+    return ran(solid(3), SMOOTH, 0.0005, 2000, temperature=50.0, every=20), 1e-3
+
+
+def collision_at_a_hundred_times_thermal_speed(timestep, bound):
+    system = md.System([[0, 0, 0], [5, 0.1, 0]], velocities=[[100.0, 0, 0], [-100.0, 0, 0]])
+    simulation = ran(system, SMOOTH, timestep, round(0.08 / timestep), every=10)
+    assert simulation.velocities[0, 0] < 0.0
+    return simulation, bound
+
+
+def atoms_that_jump_over_each_other():
+    """And meet nobody: without a cutoff nothing is seen of it."""
+    system = md.System([[0, 0, 0], [4.0, 0.1, 0]], velocities=[[1000.0, 0, 0], [-1000.0, 0, 0]])
+    return ran(system, OPEN, 0.004, 100), 1e-6
+
+
+def masses_a_million_times_apart(ratio):
+    """The light ones set the time step: Δt ∝ √m."""
+    system = solid(3, masses=np.where(np.arange(108) % 2, 1.0, ratio))
+    simulation = ran(system, SMOOTH, 0.002 * min(1.0, ratio) ** 0.5, 2000, temperature=1.0)
+    assert np.ptp(simulation.record.momentum, axis=0).max() < 1e-13 * simulation.record.absolute_momentum[0]
+    return simulation, 1e-3
+
+
+def dimer_below_its_limit(potential, x):
+    """The well is not a parabola: what is stable for a small amplitude only."""
+    simulation = ran(pair_at(stress.BOTTOM + 0.001), potential, x / np.sqrt(2.0 * stress.CURVATURE), 20_000, every=7)
+    assert np.ptp(simulation.record.total_energy) < 2e-3
+    assert np.linalg.norm(np.diff(simulation.positions, axis=0)) == pytest.approx(stress.BOTTOM, abs=0.05)
+    return simulation, np.inf
+
+
+def beads_below_their_limit(x):
+    """The fastest mode of a chain has ω = 2 √(k/m) at most."""
+    simulation = ran(stress.in_a_row(20, 0.1 * np.sin(np.arange(20))), STIFF, x / 40.0, 20_000)
+    assert simulation.record.total_energy.max() < 3.0 * simulation.record.total_energy[0]
+    return simulation, 1.0
+
+
+def hundred_thousand_list_builds(n_atoms):
+    """Skin zero: pair lists and cluster lists are built at every step."""
+    start = solid(3)
+    cell = start.cell.vectors * (n_atoms / 108) ** (1 / 3)
+    system = md.System(start.positions[:n_atoms], cell=cell, pbc=n_atoms == 108)
+    simulation = ran(system, SMOOTH, 0.002, 100_000, every=50, temperature=0.3, skin=0.0)
+    builds, search = simulation.report().cost.list_builds, simulation.engine.interactions.pair_search
+    assert builds >= 99_999 or "all pairs" in search
+    assert simulation.report().energy_is_conserved
+    assert momentum_is_kept(simulation)
+    return simulation, 1e-2
+
+
+def million_atoms(precision):
+    positions, edges = crystal("fcc", [63, 63, 63], 1.68)
+    system = md.System(positions, cell=edges)
+    simulation = ran(system, SMOOTH, 0.004, 10, temperature=1.0, every=5, precision=precision)
+    assert momentum_is_kept(simulation)
+    return simulation, 1e-3
+
+
+def million_steps():
+    """A cluster bound at T = 0.1: it drifts less than four standard errors."""
+    simulation = ran(solid(2, cell=False, jitter=0.02), SMOOTH, 0.004, 20_000, temperature=0.1)
+    simulation.run(1_000_000, every=100, progress=False)
+    drift = simulation.report().energy_drift
+    assert abs(drift.slope) < 4.0 * drift.error
+    assert momentum_is_kept(simulation)
+    return simulation, 1e-2
+
+
+def oscillator_below_its_limit(x):
+    """K + U (1 − (ωΔt)²/4) is a constant of velocity Verlet, to rounding times steps."""
+    simulation = ran(pair_at(1.1, bonded=True), stress.SPRING, x / stress.FREQUENCY, 20_000, every=97)
+    record = simulation.record
+    modified = record.kinetic_energy + (1.0 - 0.25 * x * x) * record.potential_energy
+    assert np.ptp(modified) < 1e-9 * record.potential_energy[0]  # rounding
+    assert record.total_energy.max() < 1.01 / (1.0 - 0.25 * x * x) * record.total_energy[0]
+    return simulation, np.inf
+
+
+def stiff_bond_among_its_resonances(x):
+    """A stiff dumbbell in a soft well: no growth of the energy at any Δt ω, nor at the resonances of 1, √2 and √3."""
+    positions = np.array([[0.0, 0, 0], [1.02, 0, 0], [0.5, stress.BOTTOM, 0], [0.5, -0.1, 1.2]])
+    system, soft = md.System(positions, bonds=[[0, 1]]), md.LennardJones(1.0, 1.0, bonded_scale=(0, 1, 1))
+    simulation = ran(system, [STIFF, soft], x / np.sqrt(800.0), 30_000, every=50, temperature=0.001)
+    width = [np.ptp(part) for part in np.array_split(simulation.record.total_energy, 3)]
+    assert width[2] < 2.0 * max(width[0], 1e-6)
+    return simulation, np.inf
+
+
+def threshold_of_lists(n_atoms, cell):
+    """Where another list takes over: the energy is that of all pairs."""
+    full = solid(3)
+    system = md.System(full.positions[:n_atoms], cell=full.cell if cell else None)
+    expected = 0.5 * SMOOTH.pair_energy(md.neighbor_list("d", system, 2.5)).sum()
+    assert stress.forces_of(system, SMOOTH).potential_energy == pytest.approx(expected, rel=1e-12)
+    return ran(system, SMOOTH, 0.002, 500, temperature=0.5), 1e-2
+
+
+def energy_of_all_pairs(positions, cell):
+    return brute_force_energy(md.System(positions, cell=cell), lambda r: float(GAUSS.pair_energy(r)), 2.5)
+
+
+SHAPES = {
+    "needle": np.diag([200.0, 3.0, 3.0]),
+    "sheet": np.diag([3.0, 40.0, 40.0]),
+    "sheared 45 times": [[9.0, 0, 0], [400.0, 9.0, 0], [0, -300.0, 9.0]],
+    "nearly flat": [[9.0, 0, 0], [0, 9.0, 0], [8.9, 0.2, 2.6]],
+    "left-handed": [[0, 9.0, 0], [9.0, 0, 0], [1.0, 2.0, 9.0]],
+}
+
+
+def cell_of_any_shape(shape, pbc):
+    """It holds the energy of all pairs."""
+    cell = md.Cell.of(SHAPES[shape], pbc)
+    system = md.System(np.random.default_rng(5).uniform(-1, 1, (80, 3)) @ cell.lattice, cell=cell)
+    expected = energy_of_all_pairs(system.positions, md.Cell.of(cell.lattice, pbc))
+    assert stress.forces_of(system, GAUSS).potential_energy == pytest.approx(expected, rel=1e-10)
+    return ran(system, GAUSS, 0.01, 300, temperature=1.0, every=10), 1e-2
+
+
+ALONE = [()]
+CONSERVED = {
+    planet_and_moon: ALONE,
+    bond_across_a_thousand_cells: ALONE,
+    star: ALONE,
+    contact_of_hard_cores: ALONE,
+    rigid_ring: [(100_000,)],
+    rigid_chain_near_180_degrees: [(zigzag,) for zigzag in (0.0, 1e-300, 1e-12, 1e-6, 1e-3, 0.1)],
+    angle_that_swings_through: [(angle,) for angle in (np.pi, np.pi - 1e-8, np.pi - 1e-3, 3.0, 1e-3, 0.0)],
+    line_without_a_cell: [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)],
+    plane_without_a_cell: [(0,), (1,), (2,)],
+    gas_of_density_1e_4: ALONE,
+    hot_dense_start: ALONE,
+    collision_at_a_hundred_times_thermal_speed: [(2e-5, 2e-4), (5e-6, 2e-5)],
+    atoms_that_jump_over_each_other: ALONE,
+    masses_a_million_times_apart: [(1e6,), (1e-6,)],
+    dimer_below_its_limit: product((OPEN, SMOOTH), (0.1, 0.5, 1.0, 1.5, 1.9)),
+    beads_below_their_limit: [(x,) for x in BELOW],
+    hundred_thousand_list_builds: [(60,), (108,)],
+    million_atoms: [("double",), ("mixed",)],
+    million_steps: ALONE,
+    oscillator_below_its_limit: [(x,) for x in BELOW],
+    stiff_bond_among_its_resonances: [(x,) for x in (0.1, 0.5, 0.9, 1.3, 1.41, 1.7, 1.8)],
+    threshold_of_lists: product((63, 64, 65, 100, 101), (True, False)),
+    cell_of_any_shape: product(SHAPES, (True, (True, False, True), (False, True, False))),
+}
+
+
+@pytest.mark.parametrize(
+    ("scene", "given"),
+    [
+        pytest.param(scene, given, id=f"{scene.__name__} {k}")
+        for scene, rows in CONSERVED.items()
+        for k, given in enumerate(rows)
+    ],
+)
+def test_energy_is_conserved(scene, given):
+    simulation, bound = scene(*given)
+    assert is_finite(simulation)
+    assert oscillation(simulation) < bound  # truncation
+
+
+@pytest.mark.parametrize("cell", [None, 1.2, 30.0])
+def test_one_atom_flies_straight(cell):
+    system = md.System([[0.1, 0.2, 0.3]], cell=cell, velocities=[[3.0, -2.0, 1.0]])
+    simulation = ran(system, SMOOTH, 0.004, 1000)
+    assert np.abs(simulation.positions - [[12.1, -7.8, 4.3]]).max() < 1e-11
+    assert is_finite(simulation)
+
+
+@pytest.mark.parametrize("temperature", [0.0, 1e-30, 1.0])
+@pytest.mark.parametrize(
+    ("bath", "speed"),
+    [
+        *((md.LangevinBAOAB, friction) for friction in (1e-300, 1e-3, 1.0, 1e3, 1e10, LARGEST)),
+        *((md.StochasticVelocityRescaling, time) for time in (SMALLEST, 1e-3, 1e3, LARGEST)),
+    ],
+)
+def test_baths_of_any_friction_or_relaxation_are_finite_and_cool_or_keep(bath, speed, temperature):
+    simulation = ran(solid(3), SMOOTH, 0.002, 300, temperature=1.0, method=bath(0.002, temperature, speed, 1))
+    assert is_finite(simulation)
+    assert np.ptp(simulation.record.conserved_energy) < 0.2  # 108 atoms exchange some hundred ε with the bath
+    if bath is md.LangevinBAOAB and speed >= 1e3:  # the last half kick comes after the bath
+        assert simulation.record.temperature[-1] == pytest.approx(temperature, rel=0.3, abs=1e-4)
+
+
+def test_equilibration_to_zero_stops_all_motion():
+    simulation = made(solid(3), SMOOTH, 0.002, temperature=1.0)
+    simulation.equilibrate(100, 0.0)
+    assert not simulation.velocities.any()
+
+
+@pytest.mark.parametrize("cutoffs", [1.01, 1.5, 2.0, 2.3, 3.0, 10.0, 30.0, 100.0])
+@pytest.mark.parametrize("n_atoms", [2, 100])
+def test_boxes_of_any_number_of_cutoffs_hold_the_energy_of_all_pairs(cutoffs, n_atoms):
+    edge, rng = 2.5 * cutoffs, np.random.default_rng(3)
+    positions = rng.uniform(0, edge, (n_atoms, 3)) + edge * rng.integers(-3, 4, (n_atoms, 3))
+    found = md.evaluate(md.System(positions, cell=edge), GAUSS)
+    expected = energy_of_all_pairs(positions, md.Cell.of(edge))
+    assert found.potential_energy == pytest.approx(expected, rel=1e-11, abs=1e-13)
+    assert np.abs(found.forces.sum(axis=0)).max() < 1e-11

@@ -1,0 +1,288 @@
+"""Units, lists, threads, order of atoms, images, places and cells: what must not change the physics.
+
+A scene yields what was found, what is expected, and by how much they may differ: rounding and its growth.
+"""
+
+from itertools import product
+from math import sqrt
+
+import numpy as np
+import pytest
+from cluster_scenes import atoms_per_domain
+from stress_scenes import BOTH, OPEN, ROUNDING, SMOOTH, forces_of, gauss, made, oscillation, pair_at, ran, scaled, solid
+
+import minimd as md
+from minimd.structure.lattice import BASES, crystal
+
+pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
+
+POWERS = [(1e-30, 1, 1), (1e30, 1, 1), (1, 1e-30, 1), (1, 1e30, 1), (1, 1, 1e-30), (1, 1, 1e30), (1e-30, 1e30, 1e-30)]
+SI = (3.4e-10, 1.65e-21, 6.63e-26)  # m, J, kg: argon
+SINGLE = [SI, (1e-12, 1e-21, 1e-26), (1e8, 1, 1), (1, 1e-27, 1), (1, 1, 1e30)]
+RELATIVE = {"double": 1e-12, "mixed": 1e-4}  # of forces
+
+
+def largest(difference):
+    return np.abs(difference).max()
+
+
+def units(scales, n_cells, precision):
+    tolerance = 1e-11 if precision == "double" else 1e-5
+    reference = scaled(1.0, 1.0, 1.0, n_cells)
+    for found, expected in zip(scaled(*scales, n_cells, precision=precision), reference, strict=True):
+        yield found, expected, tolerance * largest(expected)
+
+
+def soft_and_rigid(length, energy):
+    """Positions of a chain held by springs, and of one held by constraints, in units of the scales."""
+    k = np.arange(8)
+    positions = np.column_stack([k, 0.2 * np.sin(k), 0.1 * np.cos(k)]) * length
+    pairs, triples = np.column_stack([k[:-1], k[1:]]), np.column_stack([k[:-2], k[1:-1], k[2:]])
+    terms = [md.HarmonicAngle(energy, 2.0, triples), md.LennardJones(energy, length)]
+    more = {"timestep": 0.002 * length / sqrt(energy), "n_steps": 200, "temperature": 0.1 * energy}
+    soft = ran(md.System(positions, bonds=pairs), [md.HarmonicBond(100 * energy / length**2, length), *terms], **more)
+    rigid = ran(md.System(positions), terms, constraints=md.DistanceConstraints(pairs), **more)
+    return np.concatenate([soft.positions, rigid.positions]) / length
+
+
+def chains(length, energy, _mass):
+    yield soft_and_rigid(length, energy), soft_and_rigid(1.0, 1.0), 1e-11
+
+
+def skins(cell, precision):
+    widths = [0.3, 0.0, 1e-300, 1.5, 4.2] + [1e6] * (not cell and precision == "double")
+    one, *others = (
+        ran(solid(cell=cell), SMOOTH, 0.004, 100, temperature=1.0, skin=skin, precision=precision) for skin in widths
+    )
+    assert others[0].engine.interactions.n_builds >= 99
+    for other in others:
+        yield other.positions, one.positions, ROUNDING[precision]
+
+
+def huge_cutoff_without_a_cell(cutoff):
+    every = forces_of(solid(3, cell=False), OPEN).forces
+    law = md.LennardJones(1.0, 1.0, cutoff, "truncated")
+    yield forces_of(solid(3, cell=False), law).forces, every, 1e-12 * largest(every)
+
+
+def threads(precision):
+    """One to eight: the same bits."""
+    more = {"temperature": 1.5, "precision": precision}
+    with atoms_per_domain(60):
+        one, *others = (ran(solid(6), SMOOTH, 0.004, 100, threads=n, **more) for n in range(1, 9))
+    assert one.engine.interactions.n_builds > 1
+    for other in others:
+        yield other.positions, one.positions, 0.0
+        yield other.record.total_energy, one.record.total_energy, 0.0
+
+
+def order_of_atoms(precision):
+    law = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.9)}, cutoff=2.5, truncation="force-shifted")
+    start = made(solid(4, species=["A", "B"] * 128), law, 0.004, temperature=1.0).system
+    order = np.random.default_rng(4).permutation(len(start))
+    mixed_up = md.System(
+        start.positions[order], velocities=start.velocities[order], species=start.species[order], cell=start.cell
+    )
+    other, one = (ran(system, law, 0.004, 100, precision=precision) for system in (mixed_up, start))
+    tolerance = 1e-11 if precision == "double" else 1e-4
+    yield other.positions, one.positions[order], tolerance
+    yield other.record.total_energy, one.record.total_energy, 1e2 * tolerance
+
+
+def head_on_collision_on_an_axis():
+    """Symmetric to the last bit: what is one-dimensional remains so, and returns by the way it came."""
+    system = md.System([[-3.0, 0, 0], [3.0, 0, 0]], velocities=[[1.0, 0, 0], [-1.0, 0, 0]])
+    simulation = ran(system, OPEN, 0.002, 4000)
+    yield simulation.positions[0], -simulation.positions[1], 0.0
+    yield simulation.positions[:, 1:], 0.0, 0.0
+    yield abs(simulation.velocities[1, 0]), 1.0, 1e-3
+
+
+def drift():
+    """Galilei: a whole crystal at fifty times thermal speed, through its periodic cell again and again."""
+    velocity = np.array([50.0, -30.0, 10.0])
+    rest, drifting = (made(solid(3), SMOOTH, 0.004, temperature=1.0).system for _ in range(2))
+    drifting.velocities[:] += velocity
+    here, there = (ran(system, SMOOTH, 0.004, 300) for system in (rest, drifting))
+    yield there.positions - there.time * velocity, here.positions, 1e-8  # rounding at 60 σ
+
+
+def bond_near_half_a_cell(stretch):
+    """Taken at its nearest image."""
+    system = md.System([[0, 0, 0], [stretch * 4.0, 0, 0]], cell=4.0, bonds=[[0, 1]])
+    expected = 0.5 * (abs(stretch - np.rint(stretch)) * 4.0 - 1.0) ** 2
+    yield md.evaluate(system, md.HarmonicBond(1.0, 1.0)).potential_energy, expected, 1e-6 * expected
+
+
+def corner_of_a_large_cell(precision):
+    """One bin holds everything; and around the corner eight corners hold a piece each."""
+    positions, _ = crystal("fcc", [4, 4, 4], 1.68)
+    one, other = (
+        ran(md.System(positions - shift, cell=500.0), SMOOTH, 0.004, 100, precision=precision) for shift in (0.0, 3.0)
+    )
+    yield one.positions - 3.0, other.positions, 1e-11 if precision == "double" else 1e-4
+
+
+def pair_at_the_cutoff(beside):
+    """Force-shifted: energy and force go to zero there, on either side of it."""
+    crowd = 50.0 + 5.0 * np.array(list(np.ndindex(5, 5, 4)))
+    for more in (crowd[:0], crowd):
+        found = md.evaluate(md.System(np.vstack([pair_at(2.5 + beside).positions, more])), SMOOTH)
+        yield found.potential_energy, 0.0, 1e-12
+        yield found.forces, 0.0, 1e-8
+
+
+def how_often_one_looks(every):
+    once, often = (ran(solid(3), SMOOTH, 0.004, 333, temperature=1.0, every=n) for n in (333, every))
+    yield often.positions, once.positions, 1e-11
+
+
+def thousand_short_runs():
+    parts = made(solid(2, cell=False), SMOOTH, 0.004, temperature=0.3)
+    for _ in range(1000):
+        parts.run(1, progress=False)
+    whole = ran(solid(2, cell=False), SMOOTH, 0.004, 1000, temperature=0.3, every=1)
+    yield parts.step, 1000, 0
+    yield parts.positions, whole.positions, 1e-11
+
+
+def two_opposite_potentials():
+    """A law and its negative: forces cancel to rounding, atoms fly straight."""
+
+    def signed(r2, sign):
+        return sign * np.exp(-r2), 2.0 * sign * np.exp(-r2)
+
+    both = [md.PairPotential(signed, (sign,), 2.5, "force-shifted") for sign in (1.0, -1.0)]
+    simulation = ran(solid(3), both, 0.004, 500, temperature=1.0)
+    yield simulation.positions, solid(3).positions + simulation.time * simulation.velocities, 1e-11
+
+
+def atom_far_away(away):
+    """Without a cell it changes nothing for the others."""
+    near, far = solid(3, cell=False), solid(3, cell=False)
+    near.positions[7] += 100.0
+    far.positions[7] += [away, -away, away]
+    yield forces_of(far, SMOOTH).forces, forces_of(near, SMOOTH).forces, 0.0
+    yield oscillation(ran(far, SMOOTH, 0.004, 200, temperature=0.5)), 0.0, 1e-2
+
+
+def image_far_away(away, precision):
+    near = solid(3)
+    far = near.copy()
+    far.positions[7] += np.array([1, -1, 1]) * round(away / 5.04) * near.cell.vectors[0, 0]
+    here, there = (forces_of(system, SMOOTH, precision=precision).forces for system in (near, far))
+    yield there, here, 1e3 * np.spacing(largest(far.positions)) + RELATIVE[precision] * largest(here)
+
+
+def far_from_the_origin(offset, precision):
+    for cell in (True, False):
+        near = solid(3, cell=cell)
+        near.positions += offset  # rounds the coordinates, once
+        home = near.copy()
+        home.positions -= offset
+        there, here = (forces_of(system, SMOOTH, precision=precision).forces for system in (near, home))
+        yield there, here, RELATIVE[precision] * largest(here) + 1e3 * np.spacing(offset)
+
+
+def supercell_of_a_small_box(edge, pbc):
+    """All images within the cutoff count."""
+    copies = 1 + 2 * np.array(pbc)
+    small = md.System([[0, 0, 0], [0.45 * edge, 0.4 * edge, 0.3 * edge]], cell=edge, pbc=pbc)
+    shifts = np.array(list(np.ndindex(*copies))) * edge
+    large = md.System((small.positions + shifts[:, None]).reshape(-1, 3), cell=edge * copies, pbc=pbc)
+    law = md.PairPotential(gauss, (), 2.5, "force-shifted")
+    one, many = md.evaluate(small, law), md.evaluate(large, law)
+    expected = len(shifts) * one.potential_energy
+    yield many.potential_energy, expected, 1e-12 * abs(expected)
+    yield many.forces[:2], one.forces, 1e-11 * largest(one.forces)
+
+
+def faces_of_cells(precision):
+    """On 0, on the edge, one ulp beside both, and negative zero."""
+    positions, edges = crystal("fcc", [4, 4, 4], 1.68)
+    expected = forces_of(md.System(positions, cell=edges), SMOOTH, precision=precision).potential_energy
+    rng, edge = np.random.default_rng(2), edges[0]
+    faces = [0.0, -0.0, edge, -edge, np.nextafter(0, -1), np.nextafter(edge, 9)]
+    force, energy = (1e-11, 1e-12) if precision == "double" else (1e-3, 1e-6)
+    for _ in range(5):
+        moved = np.where(positions == 0.0, rng.choice(faces, positions.shape), positions)
+        found = forces_of(md.System(moved, cell=edges), SMOOTH, precision=precision)
+        yield found.forces, 0.0, force
+        yield found.potential_energy, expected, energy * abs(expected)
+
+
+def sites_of_a_crystal(lattice, precision):
+    """Forces are zero to rounding; where the lattice is unstable the run is too short for rounding to grow."""
+    if lattice == "hcp":
+        basis = np.array([[0, 0, 0], [0.5, 0.5, 0], [0.5, 5 / 6, 0.5], [0, 1 / 3, 0.5]])
+        edges = np.array([1.1, 1.1 * 3**0.5, 1.1 * (8 / 3) ** 0.5])
+        positions = ((np.array(list(np.ndindex(5, 3, 3)))[:, None] + basis) * edges).reshape(-1, 3)
+        edges = edges * [5, 3, 3]
+    else:
+        spacing, n_cells = {"sc": (1.1, 5), "bcc": (1.26, 5), "fcc": (1.56, 5), "diamond": (2.54, 3)}[lattice]
+        positions, edges = crystal(lattice, [n_cells] * 3, spacing)
+    system, n_steps = md.System(positions, cell=edges), 50 if lattice in ("sc", "bcc", "diamond") else 1000
+    force, way = (1e-11, 1e-10) if precision == "double" else (1e-3, 1e-3)
+    yield forces_of(system, SMOOTH, precision=precision).forces, 0.0, force
+    yield ran(system, SMOOTH, 0.004, n_steps, precision=precision).positions, positions, way
+
+
+def droplet_in_vacuum(edge):
+    """Whatever surrounds it: the same as without a cell."""
+    inside = md.System(solid(3).positions + 0.25 * edge, cell=edge)
+    boxed, free = (ran(system, SMOOTH, 0.004, 200, temperature=0.5) for system in (inside, solid(3, cell=False)))
+    yield boxed.positions - 0.25 * edge, free.positions, 1e5 * np.spacing(edge)
+    yield oscillation(boxed), 0.0, 1e-2
+
+
+def negative_time_step():
+    there = ran(solid(3), SMOOTH, 0.004, 300, temperature=1.0)
+    back = ran(there.system, SMOOTH, -0.004, 300)
+    yield back.positions, solid(3).positions, 1e-10
+    yield back.time, -1.2, 1e-6
+
+
+def no_step():
+    """A look."""
+    look = ran(solid(2, cell=False), SMOOTH, 0.004, 0, temperature=1.0)
+    yield np.array([look.step, len(look.record)]), np.array([0, 1]), 0
+
+
+ALONE, OF_PRECISION, FAR = [()], [(precision,) for precision in BOTH], (1e3, 1e6, 1e9)
+SAME = {
+    units: [
+        *product([*POWERS, SI, (1e-60, 1, 1), (1e60, 1, 1)], (2, 4), ["double"]),
+        *product(SINGLE, [4], ["mixed"]),
+    ],
+    chains: POWERS[:4],
+    skins: product((True, False), BOTH),
+    huge_cutoff_without_a_cell: [(1e3,), (1e30,)],
+    threads: OF_PRECISION,
+    order_of_atoms: OF_PRECISION,
+    head_on_collision_on_an_axis: ALONE,
+    drift: ALONE,
+    bond_near_half_a_cell: [(0.3,), (0.49,), (0.51,)],
+    corner_of_a_large_cell: OF_PRECISION,
+    pair_at_the_cutoff: [(beside,) for beside in (0.0, 1e-15, -1e-15, 1e-9, -1e-9)],
+    how_often_one_looks: [(every,) for every in (1, 7, 100, 333, 10**9)],
+    thousand_short_runs: ALONE,
+    two_opposite_potentials: ALONE,
+    atom_far_away: [(away,) for away in FAR],
+    image_far_away: product(FAR, BOTH),
+    far_from_the_origin: product(FAR, BOTH),
+    supercell_of_a_small_box: product((0.9, 1.3, 2.4), ([True] * 3, [True, False, True], [False, False, True])),
+    faces_of_cells: OF_PRECISION,
+    sites_of_a_crystal: product([*BASES, "hcp"], BOTH),
+    droplet_in_vacuum: [(edge,) for edge in (100.0, 1e4, 1e8)],
+    negative_time_step: ALONE,
+    no_step: ALONE,
+}
+
+
+@pytest.mark.parametrize(
+    ("scene", "given"),
+    [pytest.param(scene, given, id=f"{scene.__name__} {given}") for scene, rows in SAME.items() for given in rows],
+)
+def test_the_physics_is_the_same(scene, given):
+    for found, expected, tolerance in scene(*given):
+        assert largest(found - expected) <= tolerance

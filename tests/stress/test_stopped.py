@@ -1,0 +1,232 @@
+"""Scenes that cannot be, or cannot go on: each is stopped with a sentence that names the cause."""
+
+import itertools
+from functools import partial
+from time import perf_counter
+
+import numpy as np
+import pytest
+from stress_scenes import (
+    BOTTOM,
+    CURVATURE,
+    FREQUENCY,
+    LAST_GOOD,
+    OPEN,
+    SMOOTH,
+    SPRING,
+    STIFF,
+    WEAK,
+    assert_stops,
+    forces_of,
+    in_a_row,
+    is_finite,
+    made,
+    pair_at,
+    ran,
+    rigid_chain,
+    rigid_ring,
+    scaled,
+    solid,
+)
+
+import minimd as md
+from minimd.neighbors.queries import closest_pair
+from minimd.structure.lattice import crystal
+
+pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
+
+GONE = "energy has gone|not finite"
+PAST = "moves .* in one step, past every neighbor"
+BATHS = [md.LangevinBAOAB, md.StochasticVelocityRescaling]
+
+
+def overlap(distance, scene):
+    """Two atoms at a distance, in a liquid or with a third one."""
+    if scene != "liquid":
+        return md.System([[0, 0, 0], [distance, 0, 0], [3.0, 0, 0]])
+    system = solid(3)
+    system.positions[1] = system.positions[0] + [distance, 0, 0]
+    return system
+
+
+def with_one_more(place, cell=True):
+    """A crystal and another atom, by default of its first atom's place."""
+    start = solid(3, jitter=0.0, cell=cell)
+    return md.System(np.vstack([start.positions, start.positions[:1] + place]), cell=start.cell)
+
+
+def drifting(speed):
+    system = solid(3)
+    system.velocities[:] += speed
+    return system
+
+
+def dumbbell():
+    return pair_at(1.1, bonded=True)
+
+
+def falling(r2):
+    return -1.0 / (r2 * r2), -4.0 / (r2 * r2 * r2)
+
+
+def refused_scenes():
+    """Name, call, what the sentence must show."""
+    for scales in [(1e-30, 1, 1), (1e30, 1, 1), (1e-30, 1e30, 1e-30), (1e20, 1e-30, 1), (1, 1e-40, 1), (1, 1e40, 1)]:
+        yield f"units {scales}", partial(scaled, *scales, 4, precision="mixed"), "precision='mixed'"  # gave no forces
+    for size in (1e-160, 1e160, 1e300):
+        yield f"units {size}", partial(scaled, size, 1.0, 1.0, 2), "take other units"
+    yield "an atom beyond float64", partial(md.System, [[0, 0, 0], [1e160, 0, 0]]), "take other units"
+    for skin in (1e4, 1e300):
+        yield f"skin {skin}", partial(ran, solid(), SMOOTH, 0.004, 10, skin=skin), "skin"
+    for cutoff, system in itertools.product((300.0, 1e3, 1e6), (solid(), md.System([[0, 0, 0]], cell=0.5))):
+        law = md.LennardJones(1.0, 1.0, cutoff)
+        yield f"cutoff {cutoff}, {len(system)} atoms", partial(ran, system, law, 0.004, 10), "reduce the cutoff"
+    many = md.System(np.random.default_rng(1).uniform(0, 1e3, (60_000, 3)))
+    yield "many atoms without a cutoff", partial(ran, many, OPEN, 0.004, 10), "pair lists hold up to"
+    for away in (1e6, 1e9):
+        far = with_one_more([away, -away, away], cell=False)
+        yield f"atom at {away}", partial(forces_of, far, SMOOTH, precision="mixed"), "precision='mixed' resolves"
+    fixed = md.FixedAtoms(np.ones(32, dtype=bool))
+    yield "all fixed", partial(ran, solid(2), SMOOTH, 0.004, 10, constraints=fixed), "no degree of freedom"
+    fixed, one_spot = md.DistanceConstraints([[1, 2]]), md.System([[0, 0, 0], [1, 0, 0], [1, 0, 0]])
+    yield "rigid on one spot", partial(ran, one_spot, WEAK, 0.01, 10, constraints=fixed), "1 and 2 are at the same"
+
+
+def scenes_that_meet():
+    """Atoms on one spot or nearly: name, system, potential, what the sentence must show."""
+    for distance, scene in itertools.product((0.3, 0.1, 1e-3, 1e-30, 0.0), ("liquid", "three atoms", "no cutoff")):
+        apart = f"{distance:.3g}" if distance != 1e-30 else "(0|1e-30)"
+        words = LAST_GOOD, "atoms 0 and 1 overlap", f"atoms 0 and 1, {apart} σ apart"
+        yield f"{distance} {scene}", overlap(distance, scene), OPEN if scene == "no cutoff" else SMOOTH, *words
+    edge, alike = 3 * 1.68, (LAST_GOOD, "0 σ apart")
+    yield "one spot of all", md.System(np.ones((100, 3)), cell=9.0), SMOOTH, *alike
+    yield "one spot modulo the cell", with_one_more([edge, 0, 0]), SMOOTH, *alike
+    yield "one spot thousands of cells away", with_one_more([4096 * edge, 0, 0]), SMOOTH, *alike
+    bonded = md.System([[0, 0, 0], [1, 0, 0], [1, 0, 0]], bonds=[[1, 2]])
+    yield "bond on one spot", bonded, md.HarmonicBond(50.0, 1.0), "atoms 1 and 2, 0 σ apart"
+    yield "angle on one spot", bonded, md.HarmonicAngle(5.0, 2.0, [[0, 1, 2]]), "atoms 1 and 2, 0 σ apart"
+    yield "bond of two cells", md.System([[0, 0, 0], [8, 0, 0]], cell=4.0, bonds=[[0, 1]]), SPRING, "0 σ apart"
+
+
+def scenes_that_break():
+    """Name, system, potential, time step, what the sentence must show, options."""
+    yield "drift", drifting(1e4), SMOOTH, 0.004, [PAST], {}
+    collapse = md.PairPotential(falling, (), 2.5, "force-shifted")
+    yield "collapse", solid(3), collapse, 0.004, ["atoms .* apart"], {}
+    hot = [f"too hot, timestep 0.01 τ too large.*\n.*moves .* in one step.*atoms .* σ apart.* {LAST_GOOD}"]
+    yield "hot and dense", solid(3), SMOOTH, 0.01, hot, {"temperature": 50.0}
+    fixed = md.System([[0, 0, 0], [0, 0, 0], [BOTTOM, 0, 0]])
+    yield "fixed overlap", fixed, OPEN, 0.004, ["atoms 0 and 1, 0 σ apart"], {"constraints": md.FixedAtoms([0, 1])}
+    others = md.integrators
+    for method in (md.PositionVerlet, md.Leapfrog, others.BlanesMoan4, others.PEFRL, others.Ruth3):
+        yield method.__name__, dumbbell(), SPRING, 4.0, [GONE], {"method": method(12.0 / FREQUENCY)}
+    for x in (2.05, 2.5, 4.0):
+        beads = in_a_row(20, 0.1 * np.sin(np.arange(20)))
+        yield f"beads {x}", beads, STIFF, x / 40.0, ["total energy has gone from", "too large"], {}
+    for potential, speed in ((OPEN, 100.0), (SMOOTH, 100.0), (SMOOTH, 1000.0)):
+        two = md.System([[0, 0, 0], [4.0, 0.1, 0]], velocities=[[speed, 0, 0], [-speed, 0, 0]])
+        yield f"collision {potential.cutoff} {speed}", two, potential, 0.004, [f"moves .* in one step|{GONE}"], {}
+    for bath, coupling in zip(BATHS, (1e3, 1e-3), strict=True):
+        more = {"temperature": 1.0, "method": bath(0.002, 1e10, coupling, 1)}
+        yield f"{bath.__name__} too hot", solid(3), SMOOTH, 0.002, [PAST], more
+    for x, (bath, weak) in itertools.product((2.1, 3.0), zip(BATHS, (0.01, 1e4), strict=True)):
+        more = {"temperature": 1.0, "method": bath(x / FREQUENCY, 1.0, weak, 1)}
+        yield f"weak {bath.__name__} {x}", dumbbell(), SPRING, 1.0, ["conserved energy has gone|not finite"], more
+
+
+@pytest.mark.parametrize(("call", "words"), [pytest.param(*row[1:], id=row[0]) for row in refused_scenes()])
+def test_what_cannot_be_is_refused(call, words):
+    assert_stops(call, ValueError, words)
+
+
+@pytest.mark.parametrize("precision", ["double", "mixed"])
+@pytest.mark.parametrize(
+    ("system", "potential", "words"), [pytest.param(*row[1:3], row[3:], id=row[0]) for row in scenes_that_meet()]
+)
+def test_atoms_that_meet_are_named(system, potential, words, precision):
+    assert_stops(lambda: ran(system.copy(), potential, 0.004, 1000, precision=precision), md.NonFiniteError, *words)
+
+
+@pytest.mark.parametrize(
+    ("system", "potential", "timestep", "words", "more"),
+    [pytest.param(*row[1:], id=row[0]) for row in scenes_that_break()],
+)
+def test_what_breaks_is_stopped_with_its_cause(system, potential, timestep, words, more):
+    assert_stops(lambda: ran(system, potential, timestep, 5000, **more), md.NonFiniteError, *words)
+
+
+@pytest.mark.parametrize("timestep", [0.1, 0.3, 1.0, 10.0, 1e6])
+@pytest.mark.parametrize("scene", [rigid_ring(), rigid_chain(1e-3)], ids=["ring", "chain"])
+def test_rigid_bonds_with_a_long_time_step_are_named(scene, timestep):
+    system, bonds = scene
+    words = r"constraint \d+ \(atoms \d+-\d+\) cannot be kept", "reduce the timestep"
+    run = partial(ran, system.copy(), WEAK, timestep, 2000, temperature=1.0, constraints=bonds)
+    assert_stops(run, md.ConstraintError, *words)
+
+
+def test_atoms_on_one_spot_are_named_without_a_step_and_too_hot_an_equilibration():
+    assert_stops(lambda: md.evaluate(with_one_more([0, 0, 0]), SMOOTH), md.NonFiniteError, "atoms 0 and")
+    simulation = made(solid(3), SMOOTH, 0.002, temperature=1.0)
+    assert_stops(lambda: simulation.equilibrate(100, 1e9), md.NonFiniteError, "moves .* in one step")
+
+
+@pytest.mark.parametrize("n_steps", [150, 1000, 5000])
+@pytest.mark.parametrize("x", [2.001, 2.01, 2.1, 2.5, 4.0])
+def test_an_oscillator_above_its_limit_is_stopped_in_a_state_from_before(x, n_steps):
+    if x == 2.001 and n_steps == 150:
+        pytest.skip("the energy has only doubled ten times")
+    for every in (100, 10**6):
+        simulation = made(dumbbell(), SPRING, x / FREQUENCY)
+        run = lambda simulation=simulation, every=every: simulation.run(n_steps, every=every)  # noqa: E731
+        assert_stops(run, md.NonFiniteError, "total energy has gone from 0.005 to|not finite", "too large")
+        assert np.abs(simulation.positions).max() < 1e4
+
+
+@pytest.mark.parametrize("potential", [OPEN, SMOOTH])
+@pytest.mark.parametrize("x", [2.2, 3.0, 5.0, 10.0, 30.0])
+def test_a_lennard_jones_dimer_above_its_limit_is_stopped_or_told(potential, x):
+    """It is thrown apart once, with an energy that stops the run, or that a scene might have: then the report tells."""
+    simulation = made(pair_at(BOTTOM + 0.001), potential, x / np.sqrt(2.0 * CURVATURE))
+    words = ""
+    try:
+        simulation.run(5000, progress=False)
+    except md.NonFiniteError as error:
+        words = str(error)
+    if words:
+        assert "atoms 0 and 1" in words
+        assert "too large" in words
+    else:
+        assert is_finite(simulation)
+        assert np.ptp(simulation.record.total_energy) > 0.5
+        assert not simulation.report().energy_is_conserved
+
+
+@pytest.mark.parametrize(("law", "start"), [(STIFF, 1.1), (OPEN, 0.1)])
+def test_equilibration_does_not_hide_a_blow_up(law, start):
+    """Velocities are rescaled every few steps: what flies apart would look like a scene at that temperature."""
+    system = md.System([[0, 0, 0], [start, 0, 0], [2, 2, 2]], bonds=[[0, 1]])
+    simulation = made(system, law, 3.0 / 800**0.5, temperature=1.0)
+    assert_stops(lambda: simulation.equilibrate(2000, 1.0), md.NonFiniteError, "(kinetic|total) energy has gone")
+    assert np.abs(simulation.positions).max() < 100.0
+
+
+@pytest.mark.parametrize("pbc", [False, True])
+def test_the_closest_pair_is_found_in_a_crowd_with_one_atom_far_away(pbc):
+    """The words of an error must not take longer than the run."""
+    positions, _ = crystal("fcc", [28, 28, 28], 1.68)
+    positions[5], positions[-1] = positions[4] + [0.01, 0, 0], [1e6, 1e6, 1e6]
+    started = perf_counter()
+    assert str(closest_pair(md.System(positions, cell=2e6 if pbc else None))) == "atoms 4 and 5, 0.01 apart"
+    assert perf_counter() - started < 30.0
+
+
+@pytest.mark.parametrize("pbc", [(True, True, True), (False, True, False)])
+def test_the_closest_pair_is_the_first_of_all_neighbors(pbc):
+    cell, rng = [[3.0, 0, 0], [40.0, 5.0, 0], [1, -20.0, 7.0]], np.random.default_rng(2)
+    for n_atoms in (1, 2, 3, 20):
+        system = md.System(rng.uniform(-20, 20, (n_atoms, 3)), cell=cell, pbc=pbc)
+        pair = closest_pair(system)
+        i, j, d = md.neighbor_list("ijd", system, 60.0)
+        nearest = d < d.min() * 1.000001
+        assert pair.distance == pytest.approx(d.min(), rel=1e-9)
+        assert (pair.first, pair.second) in set(zip(i[nearest].tolist(), j[nearest].tolist(), strict=True))

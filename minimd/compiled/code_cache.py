@@ -53,7 +53,10 @@ class CodeFiles(IndexDataCacheFile):
         except OSError:  # it is not there, or cannot be read now
             return None
         if content is not None:
-            return pickle.loads(content)
+            try:
+                return pickle.loads(content)
+            except (ImportError, AttributeError):  # of a script that has another name, or other functions, now
+                return None
         if not CodeFiles.is_told:
             CodeFiles.is_told = True
             print(f"minimd: compiled code in {self._cache_path} was damaged and is compiled anew", file=sys.stderr)

@@ -113,6 +113,17 @@ def test_second_process_compiles_nothing_for_a_law_of_the_user(n):
     assert first[0] == pytest.approx(2.0 * UNCHANGED, rel=1e-14)  # rounding
 
 
+def test_a_law_runs_after_its_module_was_renamed(tmp_path):
+    """Kept code knows the module that it was compiled from."""
+    evaluated = "md.evaluate(md.System([[0, 0, 0], [1, 0, 0]]), md.PairPotential(law, (3.0,)))"
+    for name in ("first", "second"):
+        (tmp_path / f"{name}.py").write_text(LAW)
+        path = f"import sys; sys.path.insert(0, {str(tmp_path)!r})"
+        code = f"{path}; import minimd as md; from {name} import law; print({evaluated}.potential_energy)"
+        assert answer(code) == [3.0 * UNCHANGED]
+        (tmp_path / f"{name}.py").unlink()
+
+
 def test_another_process_compiles_a_changed_law_again_and_takes_one_that_is_sent():
     """What changed is the law, its default, a global, an array, a closure cell, or a function of one that it calls."""
     sent = pickle.dumps(user_law(names_of(LAW)["law"]))

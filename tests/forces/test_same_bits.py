@@ -1,137 +1,182 @@
-"""The number of threads changes nothing, to the last bit."""
+"""What changes no bit: the number of threads, and whether kernels or Python make steps and lists."""
+
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from cluster_scenes import KINDS, SMOOTH, atoms_per_domain, n_domains, rod
+from cluster_scenes import MANY, SKIN, atoms_per_domain, rod
 from references import melt
+from scenes import LJ, SCENES, TWO_KINDS
 
 import minimd as md
 from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
 from minimd.integrators.methods import METHODS
+from minimd.neighbors.cluster_list import ClusterList
 
-THREADS = [2, 3, 4, 8]
-SERIES = (
-    "potential_energy",
-    "kinetic_energy",
-    "total_energy",
-    "temperature",
-    "pressure",
-    "momentum",
-    "angular_momentum",
-)
-
-
-def mixture():
-    """Chains of three species in a long cell, 1-2 and 1-3 neighbors excluded, held together by springs."""
-    bonded = md.LennardJones(KINDS, cutoff=2.0, truncation="force-shifted", bonded_scale=(0.0, 0.0, 0.5))
-    return rod(30, 5), [bonded, md.HarmonicBond(50.0, 1.1)]
-
-
-SCENES = {
-    "melt": lambda: (melt(), md.LennardJones(1.0, 1.0, 2.5)),
-    "rod": lambda: (rod(30, 5), SMOOTH["two known laws"]),
-    "mixture": mixture,
+SERIES = ("potential_energy", "total_energy", "temperature", "pressure", "momentum", "angular_momentum")
+BONDED = [*MANY, md.HarmonicBond(50.0, 1.1)]
+START = {  # as many domains as the cell is long, a team of eight
+    "chains": lambda: (rod(6), BONDED),
+    "melt": lambda: (melt(), [LJ]),
+    "rod": lambda: (rod(6, 5), MANY),
+    "long chains": lambda: (rod(6, 5), BONDED),
 }
 
 
 def ran(scene, precision, threads, n_steps):
-    system, potentials = SCENES[scene]()
-    with atoms_per_domain(100):  # a team of eight, and as many chunks as the cell is long
-        simulation = md.Simulation(system, potentials, md.VelocityVerlet(0.003), threads=threads, precision=precision)
+    system, potentials = START[scene]()
+    options = {"threads": threads, "precision": precision, "skin": SKIN}
+    with atoms_per_domain(50):
+        simulation = md.Simulation(system, potentials, md.VelocityVerlet(0.003), **options)
         if not system.velocities.any():
             simulation.set_temperature(1.5, 2)
         return simulation, simulation.run(n_steps, every=max(1, n_steps // 20))
 
 
-def assert_same_bits_on_any_number_of_threads(scene, precision, n_steps):
+def clusters_of(simulation):
+    return next(term for term in simulation.engine.interactions.terms if term.list is not None)
+
+
+@pytest.mark.parametrize("precision", ["double", "mixed"])
+@pytest.mark.parametrize(
+    ("scene", "n_steps", "teams"),
+    [
+        ("chains", 100, [2, 8]),
+        *[pytest.param(name, 1000, [2, 3, 4, 8], marks=pytest.mark.slow) for name in ("melt", "rod", "long chains")],
+    ],
+)
+def test_any_number_of_threads_gives_the_same_bits(scene, n_steps, teams, precision):
     one, record = ran(scene, precision, 1, n_steps)
-    term = next(term for term in one.engine.interactions.terms if term.list is not None)
-    assert n_domains(term) >= 4
-    assert term.list.n_builds > 1
-    for threads in THREADS:
+    assert clusters_of(one).list.n_domains >= 4
+    assert clusters_of(one).list.n_builds > 1
+    for threads in teams:
         other, same = ran(scene, precision, threads, n_steps)
-        assert (
-            next(term for term in other.engine.interactions.terms if term.list is not None)._pool.n_threads == threads
-        )
-        assert np.array_equal(other.positions, one.positions)
-        assert np.array_equal(other.velocities, one.velocities)
-        assert np.array_equal(other.forces, one.forces)
+        assert clusters_of(other)._pool.n_threads == threads
+        for name in ("positions", "velocities", "forces"):
+            assert np.array_equal(getattr(other, name), getattr(one, name))
         assert all(np.array_equal(getattr(same, name), getattr(record, name)) for name in SERIES)
 
 
 @pytest.mark.parametrize("precision", ["double", "mixed"])
-@pytest.mark.parametrize("scene", SCENES)
-def test_any_number_of_threads_gives_the_same_bits(scene, precision):
-    assert_same_bits_on_any_number_of_threads(scene, precision, 200)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("precision", ["double", "mixed"])
-@pytest.mark.parametrize("scene", SCENES)
-def test_a_thousand_steps_on_any_number_of_threads_give_the_same_bits(scene, precision):
-    assert_same_bits_on_any_number_of_threads(scene, precision, 1000)
-
-
-@pytest.mark.parametrize("precision", ["double", "mixed"])
 def test_energies_of_atoms_have_the_same_bits_too(precision):
-    system, potentials = mixture()
-    with atoms_per_domain(100):
+    system, potentials = START["chains"]()
+    with atoms_per_domain(50):
         one, eight = (md.Forces(system, potentials, Options(threads, precision)) for threads in (1, 8))
     for forces in (one, eight):
         forces.compute(md.potentials.PER_ATOM)
-    assert np.array_equal(one.energies, eight.energies)
-    assert np.array_equal(one.virials, eight.virials)
-    assert np.array_equal(one.forces, eight.forces)
+    for name in ("energies", "virials", "forces"):
+        assert np.array_equal(getattr(one, name), getattr(eight, name))
 
 
-@pytest.mark.parametrize("precision", ["double", "mixed"])
-def test_the_same_run_twice_gives_the_same_bits(precision):
-    (one, _), (other, _) = (ran("mixture", precision, 2, 50) for _ in range(2))
-    assert np.array_equal(one.positions, other.positions)
+def mixture(method, precision="double", is_open=False, seed=1, **options):
+    """Two species in a triclinic cell; open along z clusters have padding."""
+    system = SCENES["mixture"]().system
+    pbc = (True, True, not is_open)
+    parts = {"species": system.species, "masses": system.masses, "cell": system.cell.vectors}
+    system = md.System(system.positions * (1.0, 1.0, 1.3 if is_open else 1.0), pbc=pbc, **parts)
+    with atoms_per_domain(50):
+        simulation = md.Simulation(system, TWO_KINDS, method, precision=precision, **{"threads": 1, **options})
+    simulation.set_temperature(1.5, seed)
+    return simulation
 
 
-def marched(method, precision, marches, monkeypatch):
-    """A gas of three species, open along z, whose clusters have padding: its end, and how many forces were evaluated and lists built."""
-    monkeypatch.setattr(ClusterTerm, "marches", marches)
-    positions = melt().positions * np.array([1.0, 1.0, 1.7])
-    cell, species = np.diag([*melt().cell.heights[:2], 60.0]), ["A", "B", "C", "A"] * (len(positions) // 4)
-    system = md.System(positions, cell=cell, pbc=(True, True, False), species=species)
-    simulation = md.Simulation(system, SMOOTH["three species"], method, precision=precision)
-    simulation.set_temperature(1.5, 2)
-    simulation.run(75, every=25)
-    return simulation.positions, simulation.velocities, simulation.engine.interactions.counts
+def ended(simulation, n_steps=100):
+    simulation.run(n_steps, every=25, progress=False)
+    counts = simulation.engine.interactions.counts
+    vectors = simulation.positions, simulation.velocities, simulation.system.cell.vectors
+    return *vectors, simulation.reservoir_energy, counts
 
 
-@pytest.mark.parametrize(
-    ("name", "precision"),
-    [("velocity-verlet", "double"), ("velocity-verlet", "mixed"), ("position-verlet", "double"), ("ruth-3", "mixed")],
-)
-def test_many_steps_in_one_call_have_the_bits_of_single_ones(name, precision, monkeypatch):
-    method = METHODS[name](0.004)
-    together, alone = (marched(method, precision, marches, monkeypatch) for marches in (True, False))
-    assert all(np.array_equal(one, other) for one, other in zip(together, alone, strict=True))
-    assert alone[2][1] > 3  # lists
+def assert_same_bits(one, other):
+    assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
-def test_plain_scenes_march_and_others_do_not(monkeypatch):
+def bath():
+    return md.LangevinBAOAB(0.004, 1.2, 2.0, seed=2**100 + 7)
+
+
+def scaled_cell():
+    """Columns move with the cell, in their memory; lists are built for every cell but a few."""
+    return {"barostat": md.StochasticCellRescaling(3.0, 0.1, 0.2, seed=2, every=7, coupling="triclinic")}
+
+
+IN_A_KERNEL = {  # a method, options, and whether its lists are built in the kernel, too
+    "free": (lambda: md.VelocityVerlet(0.004), {}, True),
+    "bath": (bath, {}, True),
+    "fixed-point": (lambda: md.VelocityVerlet(0.004), {"precision": "fixed-point"}, True),
+    "strained": (bath, scaled_cell(), True),
+    "two threads": (lambda: METHODS["position-verlet"](0.004), {"threads": 2, "is_open": True}, False),
+    "mixed": (lambda: METHODS["ruth-3"](0.004), {"precision": "mixed", "is_open": True}, False),
+}
+
+
+@pytest.mark.parametrize("name", IN_A_KERNEL)
+def test_what_one_kernel_does_has_the_bits_of_what_python_does_call_by_call(name, monkeypatch):
+    """After the first list the memory becomes so scarce that the next build must be left to Python, too."""
+    method, options, builds = IN_A_KERNEL[name]
+    ends, in_python, enlarged, (build, make_room) = [], [], [], (ClusterList._build, ClusterList._make_room)
+    monkeypatch.setattr(ClusterList, "_build", lambda self, *at: in_python.append(1) or build(self, *at))
+    monkeypatch.setattr(ClusterList, "_make_room", lambda self: enlarged.append(self.n_builds) or make_room(self))
+    for owner, attribute in ((ClusterList, ""), (ClusterList, "can_be_renewed"), (ClusterTerm, "marches")):
+        with monkeypatch.context() as patch:
+            if attribute:
+                patch.setattr(owner, attribute, False)
+            simulation = mixture(method(), **options)
+            simulation.run(1, progress=False)
+            if not attribute and builds:
+                found = clusters_of(simulation).list
+                found._entry_start[-1] = found._needed[-1] + found._entry_start[-2]
+            ends.append((ended(simulation), len(in_python)))
+            in_python.clear()
+    for end, _ in ends[1:]:
+        assert_same_bits(ends[0][0], end)
+    assert (ends[0][1] < ends[1][1]) == builds
+    assert 1 in enlarged or not builds
+    assert ends[0][0][-1][1] > 3  # lists
+    assert (ends[0][0][-2] != 0.0) == (name in ("bath", "strained"))
+    anew = md.evaluate(simulation.system, simulation.potentials)
+    assert simulation.forces == pytest.approx(anew.forces, rel=1e-4 if name == "mixed" else 1e-9, abs=1e-9)
+
+
+def test_plain_scenes_march_and_others_do_not(argon, monkeypatch):
     calls, march = [], ClusterTerm.march
     monkeypatch.setattr(ClusterTerm, "march", lambda self, *arguments: calls.append(1) or march(self, *arguments))
-    pair, fixed = md.LennardJones(1.0, 1.0, 2.5), md.FixedAtoms([0])
+    bonded = md.System(argon.system.positions, cell=argon.system.cell, bonds=[[0, 1]])
+    verlet, spring = md.VelocityVerlet(0.003), md.HarmonicBond(50.0, 1.1)
     scenes = {
-        "plain": (md.VelocityVerlet(0.003), [pair], ()),
-        "atoms fixed": (md.VelocityVerlet(0.003), [pair], fixed),
-        "bath": (md.LangevinBAOAB(0.003, 1.0, 1.0, seed=1), [pair], ()),
-        "rigid": (md.VelocityVerlet(0.003), [pair], md.DistanceConstraints([[0, 1]])),
-        "springs": (md.VelocityVerlet(0.003), [pair, md.HarmonicBond(50.0, 1.1)], ()),
+        "plain": (argon.system, [LJ], verlet),
+        "atoms fixed": (argon.system, [LJ], verlet, md.FixedAtoms([0])),
+        "bath": (argon.system, [LJ], md.LangevinBAOAB(0.003, 1.0, 1.0, seed=1)),
+        "rigid": (argon.system, [LJ], verlet, md.DistanceConstraints([[0, 1]])),
+        "springs": (bonded, [LJ, spring], verlet),
     }
     marching = set()
-    for name, (method, potentials, constraints) in scenes.items():
-        system = melt()
-        if name == "springs":
-            system = md.System(system.positions, cell=system.cell, bonds=[[0, 1]])
+    for name, scene in scenes.items():
         calls.clear()
-        md.Simulation(system, potentials, method, constraints).run(10)
-        if calls:
-            marching.add(name)
+        md.Simulation(*scene).run(10)
+        marching |= {name} if calls else set()
     assert marching == {"plain", "atoms fixed", "bath"}
+
+
+def test_another_process_of_a_derived_bath_is_not_left_out():
+    """The kernel makes the steps of LangevinBAOAB only."""
+
+    class Frozen(md.LangevinBAOAB):
+        def thermalize(self, state, duration, around):
+            state.velocities[:] = 0.0
+
+    simulation = mixture(Frozen(0.004, 1.0, 1.0, 1))
+    start = simulation.positions.copy()
+    simulation.run(20, progress=False)
+    assert np.abs(simulation.positions - start).max() < 0.01
+
+
+def test_replicas_in_threads_of_one_process_have_the_bits_of_single_runs():
+    def replica(seed):
+        return ended(mixture(bath() if seed % 2 else md.VelocityVerlet(0.004), seed=seed), 200)
+
+    with ThreadPoolExecutor(3) as pool:
+        together = list(pool.map(replica, range(6)))
+    for seed, one in enumerate(together):
+        assert_same_bits(one, replica(seed))

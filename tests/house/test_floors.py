@@ -12,7 +12,7 @@ import pytest
 import minimd
 
 PACKAGE = Path(minimd.__file__).parent
-REPOSITORY = Path(__file__).parents[1]
+REPOSITORY = Path(__file__).parents[2]
 FLOORS = [  # highest first; several on one floor do not know each other
     "minimd.commands",
     "minimd.bench",
@@ -58,16 +58,14 @@ BRIDGES = {  # modules that may import ase or MDAnalysis when they are imported
 
 
 def name_of(path):
-    return "minimd." + path.relative_to(PACKAGE).with_suffix("").as_posix().replace("/", ".")
+    return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
 
 
-MODULES = {
-    name_of(path).removesuffix(".__init__").replace("minimd.__init__", "minimd"): path for path in PACKAGE.rglob("*.py")
-}
+MODULES = {name_of(path): path for path in PACKAGE.rglob("*.py")}
 
 
 def imports(path, when_imported=False):
-    """Modules a file imports, lazily and for type checkers too; with when_imported only those that its own import loads."""
+    """Modules a file imports, lazily and for type checkers too; with when_imported only what its own import loads."""
     tree = ast.parse(path.read_text())
     for node in tree.body if when_imported else ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -80,10 +78,6 @@ def imports(path, when_imported=False):
 
 def floor_of(module):
     return max((floor for floor in FLOORS if f"{module}.".startswith(f"{floor}.")), key=len)
-
-
-def lines_of(module):
-    return MODULES[module].read_text().count("\n")
 
 
 def test_imports_go_down_the_floors():
@@ -100,50 +94,29 @@ def test_imports_go_down_the_floors():
 
 
 def test_there_are_no_circles():
-    graph = {
-        module: {other for other in imports(path) if other in MODULES and other != module}
-        for module, path in MODULES.items()
-    }
+    graph = {module: {*imports(path)} & MODULES.keys() - {module} for module, path in MODULES.items()}
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as circle:
         pytest.fail(f"a circle of imports: {' -> '.join(circle.args[1])}")
 
 
-def test_the_floors_can_be_printed(capsys):
-    """pytest -s tests/test_floors.py shows them, with the lines of each."""
-    total = 0
-    for floor in FLOORS:
-        n_lines = sum(lines_of(module) for module in MODULES if floor_of(module) == floor)
-        total += n_lines
-        with capsys.disabled():
-            print(f"\n{floor:<22} {n_lines:6}", end="")
-    with capsys.disabled():
-        print(f"\n{'in all':<22} {total:6}")
-    assert total == sum(path.read_text().count("\n") for path in MODULES.values())
-
-
 def test_no_module_reaches_for_the_private_name_of_another():
     reached = []
     for module, path in MODULES.items():
         tree = ast.parse(path.read_text())
-        own = {node.name for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
-        own |= {
-            node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)
-        }
-        own |= {
-            node.target.id
-            for node in ast.walk(tree)
-            if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
-        }
+        own = {"_asdict", "_replace", "_fields", "_make"}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                own.add(node.name)
+            elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+                own.add(node.attr)
+            elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+                own.add(node.target.id)
         for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("minimd"):
                 reached += [f"{module}: {alias.name}" for alias in node.names if re.match(r"_[^_]", alias.name)]
-            elif (
-                isinstance(node, ast.Attribute)
-                and re.match(r"_[^_]", node.attr)
-                and node.attr not in own | {"_asdict", "_replace", "_fields", "_make"}
-            ):
+            elif isinstance(node, ast.Attribute) and re.match(r"_[^_]", node.attr) and node.attr not in own:
                 owner = node.value.id if isinstance(node.value, ast.Name) else ""
                 if owner not in ("self", "cls", "sys", "os"):
                     reached.append(f"{module}: {ast.unparse(node)}")
@@ -166,20 +139,17 @@ from numba.core import event
 compiled = event.install_recorder("numba:compile")
 with compiled as recorder:
     import minimd
-heavy = [m for m in ("ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "minimd.lammps") if m in sys.modules]
-assert not heavy, heavy
+heavy = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "minimd.lammps"}
+assert not heavy & set(sys.modules), heavy & set(sys.modules)
 assert not recorder.buffer, len(recorder.buffer)
 """
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stderr
 
 
-def test_files_and_functions_keep_to_their_size():
-    for path in PACKAGE.rglob("*.py"):
-        text = path.read_text()
-        assert text.count("\n") <= 600, path
-        for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.FunctionDef):
-                body = node.body[1:] if ast.get_docstring(node) else node.body
-                length = body[-1].end_lineno - body[0].lineno + 1 if body else 0
-                assert length <= 60, f"{path.name}: {node.name} has {length} lines"
+def test_the_floors_of_the_page_are_those_of_the_house():
+    page = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| .* \| `([\w/.]+)` \|$", page, re.M)
+    assert [name for name, _ in rows] == [floor.removeprefix("minimd.") for floor in FLOORS]
+    for name, file in rows:
+        assert (PACKAGE / ("" if name in ("minimd", "replay") else name) / file).exists()

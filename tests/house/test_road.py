@@ -5,18 +5,17 @@ import sys
 from pathlib import Path
 
 from references import liquid
+from scenes import LJ, Scene
 
 import minimd as md
 
-REPOSITORY = Path(__file__).parents[1]
+REPOSITORY = Path(__file__).parents[2]
 PACKAGE = Path(md.__file__).parent  # installed, or in the repository
 
 
 def steady_steps():
     """Chains of minimd's Python functions, from Simulation.run on, that a few steps without a list build go through."""
-    sim = md.Simulation(
-        liquid(6), md.LennardJones(1.0, 1.0, 2.5, "shifted"), md.VelocityVerlet(0.001), threads=1, skin=0.6
-    )
+    sim = Scene(liquid(6), [LJ], timestep=0.001).simulation(threads=1, skin=0.6)
     sim.run(4, every=4, progress=False)  # compiles, which would take long under a profiler
     n_builds = sim.engine.interactions.n_builds
     stack, chains = [], []
@@ -34,11 +33,8 @@ def steady_steps():
     finally:
         sys.setprofile(None)
     assert sim.engine.interactions.n_builds == n_builds
-    return [
-        chain[[name for _, name in chain].index("run") :]
-        for chain in chains
-        if any(name == "advance" for _, name in chain)
-    ]
+    with_names = [(chain, [name for _, name in chain]) for chain in chains]
+    return [chain[names.index("run") :] for chain, names in with_names if "advance" in names]
 
 
 def files_of_the_road():
@@ -65,13 +61,3 @@ def test_the_page_lists_the_files_of_a_step_and_counts_their_lines():
     assert visited <= set(files), visited - set(files)
     assert len(files) == n_files
     assert sum((REPOSITORY / file).read_text(encoding="utf-8").count("\n") for file in files) == n_lines
-
-
-def test_the_floors_of_the_page_are_those_of_the_house():
-    from test_floors import FLOORS
-
-    page = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\w+)` \| .* \| `([\w/.]+)` \|$", page, re.M)
-    assert [name for name, _ in rows] == [floor.removeprefix("minimd.") for floor in FLOORS]
-    for name, file in rows:
-        assert (PACKAGE / ("" if name in ("minimd", "replay") else name) / file).exists()

@@ -23,6 +23,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from references import brute_force_pairs, liquid
 from scenes import BONDED, LJ, OPEN, SCENES
+from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.forces.pair_laws import PairLaws
@@ -47,7 +48,7 @@ def test_clusters_and_pairs_are_the_same_physics(name, precision, system, seed, 
         agree(clusters, pairs, system, EQUAL[precision])
         rng, n_builds = np.random.default_rng(seed), clusters.list.n_builds
         step = rng.normal(size=system.positions.shape)
-        step *= 0.249 * SKIN / np.linalg.norm(step, axis=1, keepdims=True)
+        step *= 0.249 * clusters.list.skin / np.linalg.norm(step, axis=1, keepdims=True)
         for _layer in range(2):
             system.positions += step
             agree(clusters, pairs, system, EQUAL[precision])
@@ -148,6 +149,7 @@ def test_excluded_pairs_may_sit_on_each_other():
     system.positions[1] = system.positions[0]
     bonded = md.System(system.positions, cell=system.cell, bonds=[[0, 1]])
     agree(*both_lists(bonded, [BONDED]), bonded)
+    assert_answered(lambda: md.LennardJones(1.0, 1.0, 2.0, bonded_scale=0), ValueError, "bonded_scale", "0")
 
 
 @pytest.mark.parametrize("short", [0, 1, 2])
@@ -174,7 +176,7 @@ def test_rule_which_list_a_scene_gets():
         "cluster list": [(argon, LJ), (dense, md.LennardJones(1.0, 1.0, 1.2)), (argon, *SOFT)],
         "pair list": [
             (md.System(dense.positions[:-1], cell=dense.cell), md.LennardJones(1.0, 1.0, 1.2)),  # few atoms
-            (argon, md.LennardJones(1.0, 1.0, 4.9, "force-shifted")),  # the cell is too small
+            (argon, md.LennardJones(1.0, 1.0, 5.2, "force-shifted")),  # the cell is too small
             (argon, md.PairPotential(branching, (1.0,), 2.5)),  # cannot run on vectors
             (md.System(argon.positions), OPEN),  # no cutoff
         ],

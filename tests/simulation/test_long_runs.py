@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from references import melt
+from scenes import SCENES
 
 import minimd as md
 from minimd.commands.main import main
@@ -13,13 +13,13 @@ from minimd.mdanalysis import diffusion_coefficient, radial_distribution
 
 pytestmark = pytest.mark.slow
 SMOOTH = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture(scope="module")
 def liquid():
     """The 4000-atom melt, molten."""
-    simulation = md.Simulation(melt(), SMOOTH, md.VelocityVerlet(0.004))
+    simulation = md.Simulation(SCENES["melt"]().system, SMOOTH, md.VelocityVerlet(0.004))
     simulation.equilibrate(1500, 1.44)
     simulation.run(500)
     return simulation.system

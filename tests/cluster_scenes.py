@@ -144,5 +144,5 @@ def agree(term, other, system, tolerance=EQUAL["double"]):
     pairs += zip(evaluated(term, system, PER_ATOM), evaluated(other, system, PER_ATOM), strict=True)
     largest = max(1.0, np.abs(pairs[0][1]).max())
     worst = max(np.abs(got - expected).max() / max(largest, np.abs(expected).max()) for got, expected in pairs)
-    assert worst <= tolerance + STEEP * np.spacing(np.abs(system.positions).max())
+    assert worst <= tolerance + STEEP * np.spacing(np.abs(system.positions).max()), (worst, largest, system.positions.tolist(), system.cell.vectors.tolist(), system.species.tolist(), getattr(term.list, "skin", 0), term.list.n_builds)
     assert np.array_equal(evaluated(term, system, FORCES)[0], evaluated(term, system)[0])

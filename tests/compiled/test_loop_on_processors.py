@@ -51,29 +51,20 @@ def test_vectors_of_any_width_give_the_same_physics(monkeypatch, kind, precision
     agree(clustered, PairListTerm(system, laws, Options(skin=0.0)), system, tolerance)
 
 
-@pytest.mark.parametrize(
-    ("register", "double", "mixed"), [(512, Lanes8, Lanes8), (256, Lanes4, Lanes8), (128, Lanes4, Lanes4)]
-)
-def test_lanes_fit_the_registers(monkeypatch, register, double, mixed):
-    monkeypatch.setattr(lanes, "register_bits", lambda: register)
-    choose = lanes.lanes_for.__wrapped__
-    assert (type(choose(DOUBLE)), type(choose(MIXED))) == (double, mixed)
+def test_lanes_fit_the_registers(monkeypatch):
+    for register, *kinds in ((512, Lanes8, Lanes8), (256, Lanes4, Lanes8), (128, Lanes4, Lanes4)):
+        monkeypatch.setattr(lanes, "register_bits", lambda register=register: register)
+        assert [type(lanes.lanes_for.__wrapped__(bits)) for bits in (DOUBLE, MIXED)] == kinds
 
 
-@pytest.mark.parametrize(
-    ("chosen", "most"),
-    [("sse", 128)] + [pytest.param(*row, marks=pytest.mark.slow) for row in [("avx512", 512), ("avx2", 256)]],
-)
-def test_older_vectors_can_be_chosen(chosen, most):
+@pytest.mark.parametrize("chosen", ["sse", *(pytest.param(one, marks=pytest.mark.slow) for one in ("avx2", "avx512"))])
+def test_older_vectors_can_be_chosen_by_their_names(chosen):
     code = "from minimd.compiled.simd.lanes import register_bits, lanes_for; print(register_bits(), lanes_for(64).size)"
     where = os.environ | {"MINIMD_VECTORS": chosen}
     told = subprocess.run([sys.executable, "-c", code], env=where, capture_output=True, text=True, check=True)
     bits, n_lanes = map(int, told.stdout.split())
-    assert bits == min(most, lanes.register_bits())
+    assert bits == min({"sse": 128, "avx2": 256, "avx512": 512}[chosen], lanes.register_bits())
     assert n_lanes == (8 if bits == 512 else 4)
-
-
-def test_other_words_for_vectors_are_refused():
     assert_answered(lambda: restrict_features("avx3"), ValueError, "MINIMD_VECTORS", "avx3", "sse")
 
 

@@ -107,19 +107,6 @@ def test_each_share_is_done_once_in_each_phase(n_threads):
         counted(team, int(n))
 
 
-@pytest.fixture
-def no_helpers(monkeypatch):
-    """Helpers that sleep until the event is set, then do what they should."""
-    awake, help_as_it_should = threading.Event(), ThreadPool._help
-
-    def oversleep(self, thread, wake):
-        awake.wait()
-        help_as_it_should(self, thread, wake)
-
-    monkeypatch.setattr(ThreadPool, "_help", oversleep)
-    return awake
-
-
 def has_help(team):
     """Whether some other thread than the calling one does a share before patience ends."""
     until = time.monotonic() + PATIENT
@@ -129,15 +116,15 @@ def has_help(team):
     return False
 
 
-def test_helpers_help_when_they_come_and_hold_nobody_up_before(no_helpers):
+def test_helpers_help_when_they_come_and_hold_nobody_up_before(monkeypatch):
+    """Nor do those that died."""
+    awake, help_as_it_should = threading.Event(), ThreadPool._help
+    monkeypatch.setattr(ThreadPool, "_help", lambda *of: awake.wait() and help_as_it_should(*of))
     team = ThreadPool(4)
     for n in (1, 5, 100):
         assert not counted(team, n)[1:].any()
-    no_helpers.set()
+    awake.set()
     assert has_help(team)
-
-
-def test_helpers_that_died_hold_nobody_up(monkeypatch):
     monkeypatch.setattr(ThreadPool, "_help", lambda self, thread, wake: None)
     team = ThreadPool(3)
     for helper in team._helpers:

@@ -10,7 +10,6 @@ from scenes import LJ, SCENES, TWO_KINDS
 
 import minimd as md
 from minimd.forces.cluster_term import ClusterTerm
-from minimd.forces.options import Options
 from minimd.integrators.methods import METHODS
 from minimd.neighbors.cluster_list import ClusterList
 
@@ -56,17 +55,6 @@ def test_any_number_of_threads_gives_the_same_bits(scene, n_steps, teams, precis
         for name in ("positions", "velocities", "forces"):
             assert np.array_equal(getattr(other, name), getattr(one, name))
         assert all(np.array_equal(getattr(same, name), getattr(record, name)) for name in SERIES)
-
-
-@pytest.mark.parametrize("precision", ["double", "mixed"])
-def test_energies_of_atoms_have_the_same_bits_too(precision):
-    system, potentials = START["chains"]()
-    with atoms_per_domain(50):
-        one, eight = (md.Forces(system, potentials, Options(threads, precision)) for threads in (1, 8))
-    for forces in (one, eight):
-        forces.compute(md.potentials.PER_ATOM)
-    for name in ("energies", "virials", "forces"):
-        assert np.array_equal(getattr(one, name), getattr(eight, name))
 
 
 def mixture(method, precision="double", is_open=False, seed=1, **options):

@@ -69,10 +69,8 @@ def scales():
 def shown(found):
     """The scales as a table, with the sum of the packages."""
     packages = [numbers for name, numbers in found.items() if name not in (ROAD, TESTS)]
-    rows = {**found, "all packages": tuple(map(sum, zip(*packages, strict=True)))}
-    head = f"{'':16}{'lines':>8}{'files':>8}{'statements':>12}   at most"
-    table = [f"{name:16}{a:8}{b:8}{c:12}   {ROWS.get(name, '')}" for name, (a, b, c) in rows.items()]
-    return "\n".join([head, *table])
+    rows = {"": ("lines", "files", "statements"), **found, "all packages": map(sum, zip(*packages, strict=True))}
+    return "\n".join("{:16}{:>8}{:>8}{:>12}   {}".format(name, *row, ROWS.get(name, "")) for name, row in rows.items())
 
 
 def test_nothing_grows_beyond_its_row():

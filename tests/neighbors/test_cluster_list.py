@@ -2,7 +2,19 @@
 
 import numpy as np
 import pytest
-from cluster_scenes import MANY, ONE_SPECIES, SKIN, SOFT, agree, atoms_per_domain, both_lists, clustered, rod, summed
+from cluster_scenes import (
+    MANY,
+    ONE_SPECIES,
+    SKIN,
+    SOFT,
+    agree,
+    atoms_per_domain,
+    both_lists,
+    clustered,
+    evaluated,
+    rod,
+    summed,
+)
 from references import liquid
 
 import minimd as md
@@ -55,17 +67,19 @@ def test_memory_follows_growing_and_shrinking_crowds(pbc):
         assert len(numbers) > 1 or n == 600
 
 
-def test_one_thread_keeps_the_forces_of_few_domains_and_sums_the_same():
-    """Forces of a domain take the place of those that are needed no more; two threads keep all of them."""
+@pytest.mark.parametrize("precision", ["double", "mixed"])
+def test_one_thread_keeps_the_forces_of_few_domains_and_sums_the_same(precision):
+    """Forces of a domain take the place of those that are needed no more; mixed precision and two threads keep all."""
     system = rod()
     with atoms_per_domain(40):
-        alone, together = (clustered(system, MANY, threads=n) for n in (1, 2))
+        alone, together = (clustered(system, MANY, precision, threads=n) for n in (1, 2))
         for detail in (TOTALS, PER_ATOM):
-            for a, b in zip(summed(alone, system, detail), summed(together, system, detail), strict=True):
+            for a, b in zip(evaluated(alone, system, detail), evaluated(together, system, detail), strict=True):
                 assert np.array_equal(a, b)
     kept, needed = (int(term.list.domains.numbers[BLOCKS]) for term in (alone, together))
-    assert kept < 0.8 * needed == 0.8 * alone.list.domains.window[-1]
-    assert len(alone.list.memory.forces) < len(together.list.memory.forces)
+    assert (kept < 0.8 * needed) == (precision == "double")
+    assert needed == alone.list.domains.window[-1]
+    assert (len(alone.list.memory.forces) < len(together.list.memory.forces)) == (precision == "double")
 
 
 @pytest.mark.parametrize("pbc", [False, (True, True, False)])

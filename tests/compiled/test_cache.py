@@ -29,13 +29,14 @@ print(compiled(2), type(compiled._cache).__name__)
 """
 
 
-def started(environment, code, *arguments):
-    """A process without the user's cache, at first."""
+def started(script, text, *arguments, **places):
+    """A process that runs a script; it has no cache but in these places."""
+    script.write_text(text)
     hidden = ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME")
-    clean = {k: v for k, v in os.environ.items() if k not in hidden} | {k: str(v) for k, v in environment.items()}
+    clean = {k: v for k, v in os.environ.items() if k not in hidden} | {k: str(v) for k, v in places.items()}
     clean["PYTHONPATH"] = str(Path(minimd.__file__).parents[1])
     told = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen([sys.executable, *(["-c", code] if code else []), *map(str, arguments)], env=clean, **told)
+    return subprocess.Popen([sys.executable, script, *map(str, arguments)], env=clean, **told)
 
 
 def ended(process):
@@ -46,27 +47,25 @@ def ended(process):
 
 
 def test_processes_that_start_on_an_empty_cache_compile_once_and_others_nothing(tmp_path):
-    both = [started({"NUMBA_CACHE_DIR": tmp_path}, OF_A_LOOP) for _ in range(2)]
-    misses = sum(int(ended(process)[0].split()[1]) for process in both)
+    one = lambda: started(tmp_path / "script.py", OF_A_LOOP, NUMBA_CACHE_DIR=tmp_path)  # noqa: E731
+    misses = sum(int(ended(process)[0].split()[1]) for process in (one(), one()))
     if hasattr(os, "getuid"):
         assert misses == 1  # one compiles, the other waits for it
-    assert ended(started({"NUMBA_CACHE_DIR": tmp_path}, OF_A_LOOP))[0].split() == ["1", "0"]
+    assert ended(one())[0].split() == ["1", "0"]
 
 
 def test_a_home_that_cannot_be_written_is_no_obstacle(tmp_path):
-    file, script = tmp_path / "file", tmp_path / "script.py"
-    file.write_text("in the way")
-    script.write_text(TWICE)
-    assert ended(started({"HOME": file, "TMPDIR": tmp_path}, "", script))[0].startswith("4 ")
+    (tmp_path / "file").write_text("in the way")
+    process = started(tmp_path / "script.py", TWICE, HOME=tmp_path / "file", TMPDIR=tmp_path)
+    assert ended(process)[0].startswith("4 ")
 
 
 @pytest.mark.slow
 @POSIX
 def test_without_a_cache_kernels_are_compiled_all_the_same(tmp_path):
     tmp_path.chmod(0o777)
-    (tmp_path / "script.py").write_text(TWICE)
     nowhere = dict.fromkeys(("NUMBA_CACHE_DIR", "HOME", "TMPDIR"), tmp_path)
-    out, errors = ended(started(nowhere, "", tmp_path / "script.py"))
+    out, errors = ended(started(tmp_path / "script.py", TWICE, **nowhere))
     assert out.split() == ["4", "NullCache"]
     assert errors.count("UserWarning") == 3
 
@@ -135,8 +134,7 @@ for ending in ("nbc", "nbi"):
 @pytest.mark.parametrize("n_flipped", [4, pytest.param(20, marks=pytest.mark.slow)])
 def test_damaged_compiled_code_is_compiled_anew_and_said_once(n_flipped, tmp_path):
     """Machine code in which a bit is flipped would end the process."""
-    (tmp_path / "script.py").write_text(DAMAGED)
-    _, errors = ended(started({"NUMBA_CACHE_DIR": tmp_path}, "", tmp_path / "script.py", n_flipped))
+    _, errors = ended(started(tmp_path / "script.py", DAMAGED, n_flipped, NUMBA_CACHE_DIR=tmp_path))
     assert errors.count("was damaged and is compiled anew") == len(errors.splitlines()) == 1
 
 
@@ -224,9 +222,7 @@ def test_a_cache_that_others_can_change_is_refused_whichever_folder_is_open(open
     assert folder_of_cache(link, monkeypatch).parent == place
     (tmp_path / opened).chmod(mode)
     for base in (place, link, place / "new"):
-        with pytest.warns(
-            UserWarning, match=f"not kept in {base}, because other users can change {tmp_path / opened}; "
-        ):
+        with pytest.warns(UserWarning, match=f"{base}, because other users can change {tmp_path / opened}; "):
             assert folder_of_cache(base, monkeypatch) is None
     assert not (place / "new").exists()
 

@@ -4,7 +4,6 @@ import math
 import operator
 from collections import namedtuple
 
-import llvmlite.binding
 import numba
 import numpy as np
 import pytest
@@ -169,16 +168,6 @@ def test_laws_compile_for_vectors_from_the_same_source(truncation):
     of_a_law(potential.law, r2, parameters, out)
     expected = np.array([evaluate_law(potential.law, x, parameters) for x in r2.tolist()])
     assert pytest.approx(expected, rel=1e-14, abs=1e-16) == out.reshape(2, 8).T
-
-
-@pytest.mark.skipif(not llvmlite.binding.get_host_cpu_features().get("avx512f"), reason="no AVX-512 here")
-def test_vector_code_uses_vector_instructions():
-    run = numba.njit(error_model="numpy")(lambda a, b, out: store(out, 0, load(a, 0, 8) / load(b, 0, 8)))
-    run(*(np.ones(8) for _ in range(3)))
-    code = next(iter(run.inspect_asm().values()))
-    assert "vdivpd" in code
-    assert "zmm" in code
-    assert "vdivsd" not in code
 
 
 @pytest.mark.parametrize("operation", [operator.mod, operator.floordiv])

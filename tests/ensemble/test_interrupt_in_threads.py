@@ -17,15 +17,11 @@ def test_ctrl_c_ends_members_in_threads_after_a_whole_step(tmp_path):
     n_steps, begun = 10**7, threading.Event()
 
     def told(member):
-        begun.set()
+        if not begun.is_set():
+            begun.set()
+            threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
         return members.liquid(member)
 
-    def interrupt():
-        begun.wait()
-        threading.Event().wait(0.5)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    threading.Thread(target=interrupt, daemon=True).start()
     with ThreadPoolExecutor(2) as pool, pytest.raises(Interrupted) as interrupted:
         md.ensemble(told, members.TEMPERATURES, n_steps, every=1000, executor=pool, folder=tmp_path, progress=False)
     found = interrupted.value.result

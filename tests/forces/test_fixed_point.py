@@ -53,6 +53,16 @@ def test_bonds_angles_and_every_kind_of_cell_likewise(pbc):
     assert there_and_back(simulated(mixture(pbc))) > 0.3
 
 
+def test_atoms_that_are_held_fixed_stay_where_they_are():
+    held, simulation = [0, 1, 50], simulated(mixture(), constraints=md.FixedAtoms([0, 1, 50]))
+    simulation.make_steps(0)
+    start, before = bits(simulation), simulation.positions[held]
+    simulation.make_steps(60)
+    assert np.array_equal(simulation.positions[held], before)
+    simulation.run_back(60)
+    assert bits(simulation) == start
+
+
 @pytest.fixture(scope="module")
 def reference():
     """A run of the mixture: its simulation and record."""
@@ -139,17 +149,29 @@ def test_any_step_is_made_again_from_a_file_and_from_its_archive(tmp_path):
     assert not (tmp_path / "other.h5md").exists()
 
 
+ARGON = md.LennardJones(0.0104, 3.4, 5.0, truncation="force-shifted")
+
+
 def test_any_step_of_a_run_in_units_of_ase_is_made_again(tmp_path):
     """Files have Å/ps; what their rounding changes is less than half a step of the grid."""
-    file, law = tmp_path / "run.h5md", md.LennardJones(120.0 * md.units.ASE.k_B, 3.4, 5.0, truncation="force-shifted")
-    atoms, method = bulk("Ar", "fcc", 5.4, cubic=True).repeat(2), md.VelocityVerlet(5.0 * md.units.fs)
-    run = md.Simulation(atoms, law, method, precision="fixed-point")
+    file, atoms = tmp_path / "run.h5md", bulk("Ar", "fcc", 5.4, cubic=True).repeat(2)
+    run = md.Simulation(atoms, ARGON, md.VelocityVerlet(5.0 * md.units.fs), precision="fixed-point")
     run.set_temperature(94.4, seed=1)
     other = pickle.loads(pickle.dumps(run))
     run.run(60, every=20, trajectory=file)
     other.make_steps(47)
-    assert bits(md.Simulation.resume(file, law, step=47)) == bits(other)
-    assert md.archive(file, tmp_path / "small.h5md", 40, law).n_frames == (4, 2)
+    assert bits(md.Simulation.resume(file, ARGON, step=47)) == bits(other)
+    assert md.archive(file, tmp_path / "small.h5md", 40, ARGON).n_frames == (4, 2)
+
+
+def test_dynamics_of_ase_make_the_same_steps():
+    atoms = bulk("Ar", "fcc", 5.4, cubic=True).repeat(2)
+    atoms.set_momenta(np.random.default_rng(4).normal(size=(32, 3)))
+    atoms.calc = minimd.ase.Calculator(ARGON, precision="fixed-point", threads=1)
+    sim = md.Simulation(atoms, ARGON, md.VelocityVerlet(2.0 * md.units.fs), precision="fixed-point")
+    sim.make_steps(20)
+    minimd.ase.VelocityVerlet(atoms, 2.0 * units.fs).run(20)
+    assert np.array_equal(atoms.positions, sim.positions)
 
 
 @pytest.mark.parametrize(
@@ -180,16 +202,6 @@ def test_rigid_bonds_keep_momentum_to_the_last_bit(tmp_path):
     assert record.constraint_violation.max() < 1e-9
     assert_answered(lambda: md.Simulation.resume(file, [LAW], step=60), ValueError, "rigid bonds")
     assert_answered(lambda: simulation.run_back(10), ValueError, "constraints")
-
-
-def test_atoms_that_are_held_fixed_stay_where_they_are():
-    simulation = simulated(mixture(), constraints=md.FixedAtoms([0, 1, 50]))
-    simulation.make_steps(0)
-    start, held = bits(simulation), simulation.positions[[0, 1, 50]].copy()
-    simulation.make_steps(60)
-    assert np.array_equal(simulation.positions[[0, 1, 50]], held)
-    simulation.run_back(60)
-    assert bits(simulation) == start
 
 
 def crystal():
@@ -299,14 +311,3 @@ NOT_SYMMETRIC = SPLITTINGS["symplectic-euler-1"](0.004)
 )
 def test_what_cannot_be_done_is_refused(call, error, shown):
     assert_answered(call, error, *shown)
-
-
-def test_dynamics_of_ase_make_the_same_steps():
-    atoms = bulk("Ar", "fcc", 5.4, cubic=True).repeat(2)
-    atoms.set_momenta(np.random.default_rng(4).normal(size=(32, 3)))
-    law = md.LennardJones(0.0104, 3.4, 5.0, "force-shifted")
-    atoms.calc = minimd.ase.Calculator(law, precision="fixed-point", threads=1)
-    sim = md.Simulation(atoms, atoms.calc.potentials, md.VelocityVerlet(2.0 * md.units.fs), precision="fixed-point")
-    sim.make_steps(20)
-    minimd.ase.VelocityVerlet(atoms, 2.0 * units.fs).run(20)
-    assert np.array_equal(atoms.positions, sim.positions)

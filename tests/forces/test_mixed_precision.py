@@ -22,14 +22,9 @@ def melted():
     return simulation.system
 
 
-@pytest.fixture(scope="module")
-def forces_of_melt(melted):
-    """Forces, energies and virials of the melt, by precision."""
-    return {precision: evaluated(clustered(melted, [LJ], precision), melted) for precision in EQUAL}
-
-
-def test_forces_in_a_melt_are_as_good_as_float32(forces_of_melt):
-    exact, mixed = forces_of_melt.values()
+def test_forces_in_a_melt_are_as_good_as_float32_and_push_nobody(melted):
+    """Σ F = 0 to the rounding of the sum in float64, though each pair of forces in mixed precision is rounded."""
+    exact, mixed = (evaluated(clustered(melted, [LJ], precision), melted) for precision in EQUAL)
     error = np.linalg.norm(mixed[0] - exact[0], axis=1)
     largest = np.linalg.norm(exact[0], axis=1).max()
     rms = np.sqrt((error**2).mean() / (exact[0] ** 2).sum(axis=1).mean())
@@ -38,13 +33,8 @@ def test_forces_in_a_melt_are_as_good_as_float32(forces_of_melt):
     assert 1e-9 < rms < 1e-6
     assert mixed[1].sum() == pytest.approx(exact[1].sum(), rel=1e-6)
     assert mixed[2].sum(axis=0) == pytest.approx(exact[2].sum(axis=0), rel=1e-5, abs=1e-6 * np.abs(exact[2]).sum())
-
-
-@pytest.mark.parametrize("precision", EQUAL)
-def test_pairs_push_nobody(forces_of_melt, precision):
-    """Σ F = 0 to the rounding of the sum in float64, though each pair of forces in mixed precision is rounded."""
-    forces = forces_of_melt[precision][0]
-    assert np.abs(forces.sum(axis=0)).max() < 1e-14 * np.abs(forces).sum()
+    for forces in (exact[0], mixed[0]):
+        assert np.abs(forces.sum(axis=0)).max() < 1e-14 * np.abs(forces).sum()
 
 
 def test_the_net_force_of_other_terms_stays(melted):

@@ -63,8 +63,7 @@ def mixture(method, precision="double", is_open=False, seed=1, **options):
     pbc = (True, True, not is_open)
     parts = {"species": system.species, "masses": system.masses, "cell": system.cell.vectors}
     system = md.System(system.positions * (1.0, 1.0, 1.3 if is_open else 1.0), pbc=pbc, **parts)
-    with atoms_per_domain(50):
-        simulation = md.Simulation(system, TWO_KINDS, method, precision=precision, **{"threads": 1, **options})
+    simulation = md.Simulation(system, TWO_KINDS, method, precision=precision, **{"threads": 1, **options})
     simulation.set_temperature(1.5, seed)
     return simulation
 
@@ -84,16 +83,13 @@ def bath():
     return md.LangevinBAOAB(0.004, 1.2, 2.0, seed=2**100 + 7)
 
 
-def scaled_cell():
-    """Columns move with the cell, in their memory; lists are built for every cell but a few."""
-    return {"barostat": md.StochasticCellRescaling(3.0, 0.1, 0.2, seed=2, every=7, coupling="triclinic")}
-
-
+FREE = md.VelocityVerlet(0.004)
+RESCALED = md.StochasticCellRescaling(3.0, 0.1, 0.2, seed=2, every=7, coupling="triclinic")  # few cells need no list
 IN_A_KERNEL = {  # a method, options, and whether its lists are built in the kernel, too
-    "free": (lambda: md.VelocityVerlet(0.004), {}, True),
+    "free": (lambda: FREE, {}, True),
     "bath": (bath, {}, True),
-    "fixed-point": (lambda: md.VelocityVerlet(0.004), {"precision": "fixed-point"}, True),
-    "strained": (bath, scaled_cell(), True),
+    "fixed-point": (lambda: FREE, {"precision": "fixed-point"}, True),
+    "strained": (bath, {"barostat": RESCALED}, True),
     "two threads": (lambda: METHODS["position-verlet"](0.004), {"threads": 2, "is_open": True}, False),
     "mixed": (lambda: METHODS["ruth-3"](0.004), {"precision": "mixed", "is_open": True}, False),
 }
@@ -107,7 +103,7 @@ def test_what_one_kernel_does_has_the_bits_of_what_python_does_call_by_call(name
     monkeypatch.setattr(ClusterList, "_build", lambda self, *at: in_python.append(1) or build(self, *at))
     monkeypatch.setattr(ClusterList, "_make_room", lambda self: enlarged.append(self.n_builds) or make_room(self))
     for owner, attribute in ((ClusterList, ""), (ClusterList, "can_be_renewed"), (ClusterTerm, "marches")):
-        with monkeypatch.context() as patch:
+        with monkeypatch.context() as patch, atoms_per_domain(50 if "threads" in options else 800):
             if attribute:
                 patch.setattr(owner, attribute, False)
             simulation = mixture(method(), **options)
@@ -115,36 +111,17 @@ def test_what_one_kernel_does_has_the_bits_of_what_python_does_call_by_call(name
             if not attribute and builds:
                 found = clusters_of(simulation).list
                 found._entry_start[-1] = found._needed[-1] + found._entry_start[-2]
-            ends.append((ended(simulation), len(in_python)))
+            ends.append((ended(simulation), len(in_python), max(enlarged)))
             in_python.clear()
-    for end, _ in ends[1:]:
+    for end, *_ in ends[1:]:
         assert_same_bits(ends[0][0], end)
-    assert (ends[0][1] < ends[1][1]) == builds
-    assert 1 in enlarged or not builds
-    assert ends[0][0][-1][1] > 3  # lists
-    assert (ends[0][0][-2] != 0.0) == (name in ("bath", "strained"))
-    anew = md.evaluate(simulation.system, simulation.potentials)
-    assert simulation.forces == pytest.approx(anew.forces, rel=1e-4 if name == "mixed" else 1e-9, abs=1e-9)
-
-
-def test_plain_scenes_march_and_others_do_not(argon, monkeypatch):
-    calls, march = [], ClusterTerm.march
-    monkeypatch.setattr(ClusterTerm, "march", lambda self, *arguments: calls.append(1) or march(self, *arguments))
-    bonded = md.System(argon.system.positions, cell=argon.system.cell, bonds=[[0, 1]])
-    verlet, spring = md.VelocityVerlet(0.003), md.HarmonicBond(50.0, 1.1)
-    scenes = {
-        "plain": (argon.system, [LJ], verlet),
-        "atoms fixed": (argon.system, [LJ], verlet, md.FixedAtoms([0])),
-        "bath": (argon.system, [LJ], md.LangevinBAOAB(0.003, 1.0, 1.0, seed=1)),
-        "rigid": (argon.system, [LJ], verlet, md.DistanceConstraints([[0, 1]])),
-        "springs": (bonded, [LJ, spring], verlet),
-    }
-    marching = set()
-    for name, scene in scenes.items():
-        calls.clear()
-        md.Simulation(*scene).run(10)
-        marching |= {name} if calls else set()
-    assert marching == {"plain", "atoms fixed", "bath"}
+    (*_, energy, counts), n_in_python, n_at_last_enlarged = ends[0]
+    assert (n_in_python < ends[1][1]) == builds
+    assert n_at_last_enlarged > 0 or not builds
+    assert counts[1] > 3  # lists
+    assert (energy != 0.0) == (name in ("bath", "strained"))
+    anew, error = md.evaluate(simulation.system, simulation.potentials).forces, 1e-5 if name == "mixed" else 1e-10
+    assert simulation.forces == pytest.approx(anew, abs=error * np.abs(anew).max(), rel=0)
 
 
 def test_another_process_of_a_derived_bath_is_not_left_out():
@@ -157,12 +134,12 @@ def test_another_process_of_a_derived_bath_is_not_left_out():
     simulation = mixture(Frozen(0.004, 1.0, 1.0, 1))
     start = simulation.positions.copy()
     simulation.run(20, progress=False)
-    assert np.abs(simulation.positions - start).max() < 0.01
+    assert np.abs(simulation.positions - start).max() < 0.05  # else 0.2
 
 
 def test_replicas_in_threads_of_one_process_have_the_bits_of_single_runs():
     def replica(seed):
-        return ended(mixture(bath() if seed % 2 else md.VelocityVerlet(0.004), seed=seed), 200)
+        return ended(mixture(bath() if seed % 2 else FREE, seed=seed), 200)
 
     with ThreadPoolExecutor(3) as pool:
         together = list(pool.map(replica, range(6)))

@@ -84,8 +84,7 @@ def test_one_thread_keeps_the_forces_of_few_domains_and_sums_the_same(precision)
 
 @pytest.mark.parametrize("pbc", [False, (True, True, False)])
 def test_a_flat_layer_has_few_columns(pbc):
-    sites = np.stack(np.meshgrid(np.arange(32), np.arange(32), [0], indexing="ij"), axis=-1).reshape(-1, 3) * 1.1
-    system = md.System(sites, cell=[35.2, 35.2, 10.0], pbc=pbc)
+    system = md.System(1.1 * np.array([*np.ndindex(32, 32, 1)]), cell=[35.2, 35.2, 10.0], pbc=pbc)
     clusters, pairs = both_lists(system, ONE_SPECIES)
     agree(clusters, pairs, system)
     assert len(clusters.list.clusters.column_start) <= len(system)

@@ -3,16 +3,13 @@
 import h5py
 import numpy as np
 import pytest
-from references import liquid
-from scenes import LJ, SCENES, Scene
+from scenes import LJ, SCENES
 from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.engine.observation import OBSERVABLES, Observable, register
 from minimd.engine.record import SERIES, Frame
 from minimd.files.h5md_reader import damage, read_file
-
-NAMES = ("potential_energy", "temperature", "pressure")
 
 
 def test_the_present_state_is_measured_whatever_has_changed(argon):
@@ -38,36 +35,16 @@ def test_the_present_state_is_measured_whatever_has_changed(argon):
     check()
 
 
-def test_looking_changes_no_bit(argon):
+def test_a_record_has_the_start_and_every_few_steps_and_looking_changes_no_bit(argon):
     one, other = argon.simulation(), argon.simulation()
-    one.run(3, progress=False)
-    assert [getattr(one, name) for name in NAMES]
+    record = one.run(25, every=10, progress=False)
     assert one.stress.shape == (3, 3)
-    one.run(3, progress=False)
-    other.run(6, progress=False)
+    assert record.step.tolist() == [0, 10, 20]
+    assert record.time == pytest.approx([0.0, 0.04, 0.08])
+    assert record.momentum.shape == (3, 3)
+    assert record.total_energy == pytest.approx(record.potential_energy + record.kinetic_energy)
+    other.run(25, progress=False)
     assert np.array_equal(one.positions, other.positions)
-
-
-def test_pressure_is_minus_the_volume_derivative_of_the_energy_at_rest():
-    """P = −dU/dV."""
-    system, h = liquid(3, jitter=0.03), 1e-5
-    at_rest = md.System(system.positions, cell=system.cell)
-    scales = ((1 - h) ** (1 / 3), (1 + h) ** (1 / 3))
-    scaled = [md.System(system.positions * s, cell=system.cell.vectors * s) for s in scales]
-    smaller, larger = (md.evaluate(one, LJ).potential_energy for one in scaled)
-    pressure = Scene(at_rest, [LJ]).simulation().pressure
-    assert pressure == pytest.approx((smaller - larger) / (2 * h * system.volume), rel=1e-6)
-
-
-def test_stress_of_ideal_atoms_and_of_a_stretched_crystal():
-    """Without forces σ = −μ v ⊗ v / V of two atoms with the relative velocity v; stretched, a crystal has σ > 0."""
-    gas = md.System([[0, 0, 0], [5, 5, 5]], velocities=[[1, 2, 3], [0, 0, 1]], masses=[2.0, 3.0], cell=10.0)
-    stress = Scene(gas, [LJ]).simulation().stress
-    assert stress == pytest.approx(-1.2 * np.outer([1, 2, 2], [1, 2, 2]) / 1000.0, rel=1e-14)
-    crystal, edges = md.lattice.crystal("fcc", [3, 3, 3], 1.05 * (4.0 / 1.09) ** (1.0 / 3.0))
-    at_rest = Scene(md.System(crystal, cell=edges), [LJ]).simulation()
-    assert at_rest.stress == pytest.approx(at_rest.stress[0, 0] * np.eye(3), abs=1e-10)
-    assert at_rest.stress[0, 0] > 0.0 > at_rest.pressure
 
 
 def test_stress_is_in_record_and_file_where_asked_for_and_in_the_resumed_run(tmp_path, argon):
@@ -98,14 +75,6 @@ def test_stress_holds_the_forces_of_constraints(name):
     assert isinstance(sim.frame(), Frame)
 
 
-def test_record_observes_the_start_and_every_few_steps(argon):
-    record = argon.simulation().run(25, every=10)
-    assert record.step.tolist() == [0, 10, 20]
-    assert record.time == pytest.approx([0.0, 0.04, 0.08])
-    assert record.momentum.shape == (3, 3)
-    assert record.total_energy == pytest.approx(record.potential_energy + record.kinetic_energy)
-
-
 @pytest.mark.parametrize("every", [20, 500])
 def test_energy_is_evaluated_only_where_somebody_looks(every, monkeypatch, chain):
     asked, compute = [], md.Forces.compute
@@ -120,8 +89,8 @@ def test_energy_is_evaluated_only_where_somebody_looks(every, monkeypatch, chain
     assert sum(detail > 0 for detail in asked) == 1  # the look at the start
 
 
-def test_what_nobody_asks_for_is_not_recorded_or_paid_and_measured_values_cannot_be_set(two_atoms):
-    """Without a volume there is no stress."""
+def test_what_nobody_asks_for_is_not_paid_and_what_cannot_be_is_told(two_atoms):
+    """Without a volume there is no stress, measured values cannot be set, names are used once."""
     sim = two_atoms.simulation()
     record = sim.run(10, every=5)
     assert {"periodic images", "bond loop", "parameter table", "exclusions"} <= set(sim.report().cost.skipped)
@@ -135,43 +104,30 @@ def test_what_nobody_asks_for_is_not_recorded_or_paid_and_measured_values_cannot
         (lambda: setattr(sim, extra, ("stress",)), ValueError, ["stress", "volume"]),
         (lambda: setattr(sim, extra, ("heat",)), ValueError, [extra, "('heat',)"]),
         (lambda: setattr(sim, "temperature", 1.0), AttributeError, ["temperature", "set_temperature"]),
+        (lambda: register(Observable("pressure", "pressure", abs)), ValueError, ["'pressure'"]),
+        (lambda: register(Observable("fastest", "speed", abs)), ValueError, ["unit", "'speed'"]),
     ]:
         assert_answered(call, error, *shown)
     assert sim.extra_observables == ()
+    assert "fastest" not in {**OBSERVABLES, **SERIES}
 
 
-@pytest.fixture
-def mine(monkeypatch):
-    """Registers an observable of one's own; afterwards it is forgotten."""
-    monkeypatch.setattr("minimd.engine.observation.OBSERVABLES", dict(OBSERVABLES))
-    known = set(SERIES)
-    yield lambda name, measure, unit="energy": register(Observable(name, unit, measure))
-    for name in set(SERIES) - known:
-        SERIES.pop(name)
-
-
-def test_an_observable_of_ones_own_is_in_record_and_file_and_stays_there(tmp_path, mine, monkeypatch, argon):
+def test_an_observable_of_ones_own_is_in_record_and_file_and_stays_there(tmp_path, monkeypatch, argon):
     """A file keeps its observables: appended to with others, its series would have different lengths."""
     before, file, sim = tmp_path / "before.h5md", tmp_path / "a.h5md", argon.simulation()
     sim.run(2, every=1, trajectory=before)
-    mine("doubled_energy", lambda look: 2.0 * look.total_energy)
-    refused = "'doubled_energy'"
-    assert_answered(lambda: sim.run(2, every=1, trajectory=before, append=True), ValueError, refused)
-    record = sim.run(6, every=3, trajectory=file)
-    assert np.array_equal(record.doubled_energy, 2.0 * record.total_energy)
+    with monkeypatch.context() as patch:
+        patch.setattr("minimd.engine.observation.OBSERVABLES", dict(OBSERVABLES))
+        register(Observable("doubled_energy", "energy", lambda look: 2.0 * look.total_energy))
+        assert_answered(lambda: sim.run(2, every=1, trajectory=before, append=True), ValueError, "'doubled_energy'")
+        record = sim.run(6, every=3, trajectory=file)
+        assert np.array_equal(record.doubled_energy, 2.0 * record.total_energy)
+    SERIES.pop("doubled_energy")
     with h5py.File(file) as h5:
         stored = h5["observables/doubled_energy/value"]
-        assert np.array_equal(stored[:], record.doubled_energy)
+        assert np.array_equal(stored[:], 2.0 * record.total_energy)
         assert stored.attrs["unit"] == md.units.LJ.energy
-    monkeypatch.setattr("minimd.engine.observation.OBSERVABLES", dict(OBSERVABLES))
-    assert_answered(lambda: sim.run(2, every=1, trajectory=file, append=True), ValueError, refused)
+    assert_answered(lambda: sim.run(2, every=1, trajectory=file, append=True), ValueError, "'doubled_energy'")
     for one in (before, file):
         assert not damage(one)
         assert read_file(one).n_frames == 3
-
-
-def test_names_in_use_and_units_that_are_none_are_refused(mine):
-    assert_answered(lambda: mine("pressure", lambda look: 0.0, "pressure"), ValueError, "'pressure'")
-    assert_answered(lambda: mine("fastest", lambda look: 0.0, "speed"), ValueError, "unit", "'speed'")
-    assert "fastest" not in OBSERVABLES
-    assert "fastest" not in SERIES

@@ -1,4 +1,4 @@
-"""Scenes for the cluster list, drawn by Hypothesis, and what two lists must agree on."""
+"""Scenes for the cluster list, drawn by Hypothesis, laws for them, and what two lists must agree on."""
 
 import itertools
 from contextlib import contextmanager
@@ -9,24 +9,42 @@ from hypothesis import strategies as st
 from references import liquid
 
 import minimd as md
+from minimd.forces.cluster_term import ClusterTerm
+from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws
+from minimd.forces.pair_list_term import PairListTerm
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS
 from minimd.structure.cell import Cell
 
 CUTOFF, SKIN = 2.0, 0.3
 JUST_HIGH_ENOUGH = (CUTOFF + SKIN) * (1.0 + 1e-9)
 PERIODICITIES = list(itertools.product([True, False], repeat=3))
-STEEP = 8.0  # what the rounding of a coordinate [length] does to a force, relative to the largest
+EQUAL = {"double": 1e-13, "mixed": 1e-5}  # of the largest force; rounding of sums in another order, of r⁻¹⁴ in float32
 SIZES = [2, 3, 7, 8, 9, 30, 120, 400, 1500]
 KINDS = {"A": (1.0, 1.0), "B": (0.5, 0.88), "C": (0.2, 1.2)}
-SMOOTH = {
-    "one species": [md.LennardJones(1.0, 1.0, CUTOFF, "force-shifted")],
+SCALED = {"bonded_scale": (0.0, 0.3, 0.8)}
+CUTOFFS = {(a, b): 1.5 + 0.1 * k for k, (a, b) in enumerate(["AA", "AB", "AC", "BB", "BC", "CC"])}
+
+
+def soft(r2, height):
+    return height * np.exp(-r2), 2.0 * height * np.exp(-r2)
+
+
+SOFT = [md.PairPotential(soft, (3.0,), CUTOFF)]
+ONE_SPECIES = [md.LennardJones(1.0, 1.0, CUTOFF, "force-shifted")]
+MANY = [  # for the kernel all there is: parameters that are alike, those that are not, two laws; and scaled pairs
+    md.LennardJones(1.0, 1.0, 1.6, "force-shifted", **SCALED),
+    md.LennardJones(KINDS, cutoff=CUTOFF, truncation="switched", **SCALED),
+]
+LAWS = {
+    "many": MANY,
+    "one species": ONE_SPECIES,
     "three species": [md.LennardJones(KINDS, cutoff=CUTOFF, truncation="switched")],
-    "exclusions": [md.LennardJones(KINDS, cutoff=CUTOFF, truncation="force-shifted", bonded_scale=(0.0, 0.3, 0.8))],
-    "two known laws": [
-        md.LennardJones(1.0, 1.0, 1.6, "force-shifted"),
-        md.LennardJones(KINDS, cutoff=CUTOFF, truncation="switched"),
-    ],
+    "exclusions": [md.LennardJones(KINDS, cutoff=CUTOFF, truncation="force-shifted", **SCALED)],
+    "cutoffs by pair": [md.LennardJones({"A": (1, 1), "B": (0.5, 0.9), "C": (1, 1)}, cutoff=CUTOFFS)],
+    "shifted": [md.LennardJones(1.0, 1.0, CUTOFF)],
+    "shifted, exclusions": [md.LennardJones(KINDS, cutoff=CUTOFF, **SCALED)],
+    "two laws": [md.LennardJones(1.0, 1.0, 1.6), *SOFT],
 }
 
 
@@ -47,9 +65,15 @@ def _jittered(n, cell, edges, rng):
     return ((sites[chosen] + 0.5 + 0.15 * rng.uniform(-1, 1, (n, 3))) / counts) @ cell
 
 
+def in_chains(positions, rng, **options):
+    """Three species, bonds along chains of five."""
+    bonds = [[k, k + 1] for k in range(len(positions) - 1) if k % 5]
+    return md.System(positions, species=rng.choice(["A", "B", "C"], len(positions)), bonds=bonds, **options)
+
+
 @st.composite
 def scenes(draw, sizes=SIZES, densities=(0.01, 0.3, 1.0)):
-    """Gas to dense, with gaps, in cells from just high enough to long and thin, turned, skewed, left-handed; chains of bonds."""
+    """Gas to dense, with gaps and chains, in cells from just high enough to long and thin, skewed, left-handed."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     n, pbc = draw(st.sampled_from(sizes)), np.array(draw(st.sampled_from(PERIODICITIES)))
     edges = _edges(draw, n / draw(st.sampled_from(densities)), rng)
@@ -61,21 +85,16 @@ def scenes(draw, sizes=SIZES, densities=(0.01, 0.3, 1.0)):
     if draw(st.booleans()):
         cell[draw(st.integers(0, 2))] *= 1.7
     positions += (rng.integers(-2, 3, (n, 3)) * pbc) @ cell
-    bonds = [[k, k + 1] for k in range(n - 1) if k % 5]
-    return md.System(positions, cell=Cell.of(cell, pbc), species=rng.choice(["A", "B", "C"], n), bonds=bonds)
+    return in_chains(positions, rng, cell=Cell.of(cell, pbc))
 
 
-def rod(n_cells=16, width=3, seed=1):
-    """A liquid of three species in a long cell, with bonds that go along chains of five."""
-    unit = liquid(width, seed=seed)
+def rod(n_copies=5, width=3, pbc=True):
+    """A dense liquid in a long cell: copies of a cube of width cells, one behind the other."""
+    unit, rng = liquid(width), np.random.default_rng(1)
     edge = unit.cell.vectors[0, 0]
-    copies = [unit.positions + k * edge * np.eye(3)[0] for k in range(n_cells // width)]
-    positions = np.concatenate(copies)
-    rng = np.random.default_rng(seed)
+    positions = np.concatenate([unit.positions + k * edge * np.eye(3)[0] for k in range(n_copies)])
     positions += 0.02 * rng.standard_normal(positions.shape)
-    bonds = [[k, k + 1] for k in range(len(positions) - 1) if k % 5]
-    species = rng.choice(["A", "B", "C"], len(positions))
-    return md.System(positions, cell=[edge * len(copies), edge, edge], species=species, bonds=bonds)
+    return in_chains(positions, rng, cell=[edge * n_copies, edge, edge], pbc=pbc)
 
 
 @contextmanager
@@ -91,8 +110,15 @@ def pair_laws(system, potentials):
     return PairLaws(system, [potential.bind(system).pair_law for potential in potentials])
 
 
-def n_domains(term):
-    return len(term.list.domains.first)
+def clustered(system, potentials, precision="double", threads=2, skin=SKIN):
+    """These laws on a cluster list."""
+    return ClusterTerm(system, pair_laws(system, potentials), Options(threads, precision, skin))
+
+
+def both_lists(system, potentials, precision="double", skin=SKIN):
+    """These laws on a cluster list, and on a pair list without a skin."""
+    bare = PairListTerm(system, pair_laws(system, potentials), Options(skin=0.0))
+    return clustered(system, potentials, precision, skin=skin), bare
 
 
 def evaluated(term, system, detail=TOTALS):
@@ -108,15 +134,16 @@ def summed(term, system, detail=TOTALS):
     return forces, energies.sum(), virials.sum(axis=0)
 
 
-def deviations(clustered, listed, system):
-    """Of forces, energies and virials, as sums and for each atom, relative to the largest force or to the largest of their own."""
-    pairs = [*zip(summed(clustered, system), summed(listed, system), strict=True)]
-    pairs += zip(evaluated(clustered, system, PER_ATOM), evaluated(listed, system, PER_ATOM), strict=True)
+def agree(term, other, system, tolerance=EQUAL["double"]):
+    """Forces, energies and virials, as sums and for each atom, are the same, relative to the largest of them.
+
+    Within a tolerance and the rounding of coordinates, which changes forces f ~ 48 r⁻¹³ by 13/r of themselves. Forces
+    have the same bits whether or not energies are wanted.
+    """
+    pairs = [*zip(summed(term, system), summed(other, system), strict=True)]
+    pairs += zip(evaluated(term, system, PER_ATOM), evaluated(other, system, PER_ATOM), strict=True)
     largest = max(1.0, np.abs(pairs[0][1]).max())
-    return [float(np.abs(got - expected).max() / max(largest, np.abs(expected).max())) for got, expected in pairs]
-
-
-def agree(clustered, listed, system, tolerance):
-    """Within a tolerance and the rounding of the coordinates, and the same forces whether or not somebody looks at the energies."""
-    assert max(deviations(clustered, listed, system)) <= tolerance + STEEP * np.spacing(np.abs(system.positions).max())
-    assert np.array_equal(evaluated(clustered, system, FORCES)[0], evaluated(clustered, system)[0])
+    worst = max(np.abs(got - expected).max() / max(largest, np.abs(expected).max()) for got, expected in pairs)
+    steep = 14.0 * (largest / 48.0) ** (1.0 / 13.0)
+    assert worst <= tolerance + steep * np.spacing(np.abs(system.positions).max())
+    assert np.array_equal(evaluated(term, system, FORCES)[0], evaluated(term, system)[0])

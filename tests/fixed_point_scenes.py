@@ -6,36 +6,28 @@ import minimd as md
 
 CELLS = 3
 GRID = md.Grid(2.0**-42, 2.0**-44, 2.0**-42)
-LAW = md.LennardJones(
-    {"A": (1.0, 1.0), "B": (0.5, 0.9)}, cutoff=1.8, mixing="lorentz-berthelot", bonded_scale=(0.0, 0.5, 1.0)
-)
+KINDS = {"A": (1.0, 1.0), "B": (0.5, 0.9)}
+LAW = md.LennardJones(KINDS, cutoff=1.8, truncation="switched", bonded_scale=(0.0, 0.5, 1.0))
 BOND, ANGLE = md.HarmonicBond(k=300.0, length=1.1), md.HarmonicAngle(k=20.0, angle=1.05)
 
 
 def mixture(pbc=True, with_bonds=True, temperature=0.9):
-    """108 atoms of two species and masses in a triclinic cell, on the points of GRID; some in groups of three with two bonds and an angle."""
-    random, edge = np.random.default_rng(5), CELLS * (4.0 / 0.8) ** (1.0 / 3.0)
-    corners = np.array([(x, y, z) for x in range(CELLS) for y in range(CELLS) for z in range(CELLS)])
-    fractional = (
-        corners[:, None] + np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]])
-    ).reshape(-1, 3) / CELLS
-    cell = on_grid(np.array([[edge, 0.0, 0.0], [0.3 * edge, edge, 0.0], [0.1 * edge, -0.2 * edge, edge]]))
-    n = len(fractional)
-    masses = np.where(np.arange(n) % 3, 1.0, 2.5)
-    velocities = random.normal(size=(n, 3)) * np.sqrt(temperature / masses)[:, None]
-    first = np.arange(0, n // 2, 8)
-    groups = {
-        "bonds": np.concatenate([[(k, k + 1), (k + 1, k + 2)] for k in first]),
-        "angles": [(k, k + 1, k + 2) for k in first],
-    }
+    """108 atoms of two species and masses in a triclinic cell, on the points of GRID; some in bent groups of three."""
+    random = np.random.default_rng(5)
+    sites, edges = md.lattice.crystal("fcc", (CELLS,) * 3, (4.0 / 0.8) ** (1.0 / 3.0))
+    cell = on_grid(edges[0] * np.array([[1.0, 0.0, 0.0], [0.3, 1.0, 0.0], [0.1, -0.2, 1.0]]))
+    n = len(sites)
+    masses, first = np.where(np.arange(n) % 3, 1.0, 2.5), np.arange(0, n // 2, 8)[:, None]
+    triples = first + np.arange(3)
+    bonds = {"bonds": triples[:, [0, 1, 1, 2]].reshape(-1, 2), "angles": triples} if with_bonds else {}
     return md.System(
-        on_grid(fractional @ cell),
+        on_grid(sites / edges @ cell),
         cell=cell,
         pbc=pbc,
         species=np.where(np.arange(n) % 3, "A", "B"),
         masses=masses,
-        velocities=velocities,
-        **(groups if with_bonds else {}),
+        velocities=random.normal(size=(n, 3)) * np.sqrt(temperature / masses)[:, None],
+        **bonds,
     )
 
 
@@ -58,7 +50,5 @@ def bits(simulation):
 
 def total_momentum(simulation):
     """Σ P in whole numbers of steps, as Python counts."""
-    momenta = np.rint(
-        simulation.system.masses[:, None] * simulation.velocities / simulation.engine.interactions.grid.momentum
-    )
-    return [sum(map(int, column)) for column in momenta.T]
+    momenta = simulation.system.masses[:, None] * simulation.velocities / simulation.engine.interactions.grid.momentum
+    return [sum(map(int, column)) for column in np.rint(momenta).T]

@@ -10,6 +10,8 @@ import pytest
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import kernel
 
+COPIES = [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one)), lambda one: one._replace(whole=7)]
+
 
 class Inner(ByAddress, namedtuple("Inner", "flat matrix")):
     """Two arrays."""
@@ -25,17 +27,8 @@ def read(outer):
     number, inner, (flags, two), whole = outer
     flat, matrix = inner
     row = outer.inner.matrix[1]
-    return (
-        number
-        + two
-        + whole
-        + flat[flat.size - 1]
-        + matrix[0, 2]
-        + row[1]
-        + 10.0 * row.size
-        + 100.0 * flags[1]
-        + 1000.0 * outer[1].flat[0]
-    )
+    of_arrays = flat[flat.size - 1] + matrix[0, 2] + row[1] + 10.0 * row.size + 100.0 * flags[1]
+    return number + two + whole + of_arrays + 1000.0 * outer[1].flat[0]
 
 
 def outer():
@@ -47,13 +40,10 @@ def test_a_kernel_reads_what_python_reads():
     assert read(outer()) == read.py_func(outer()) == 0.5 + 2.0 + 4 + 0.125 + 2 + 4 + 30.0 + 100.0 + 1000.0
 
 
-@pytest.mark.parametrize(
-    "copied", [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one)), lambda one: one._replace(whole=7)]
-)
+@pytest.mark.parametrize("copied", COPIES)
 def test_a_copy_has_its_own_address(copied):
     first = outer()
-    before = read(first)
-    second = copied(first)
+    before, second = read(first), copied(first)
     assert second.address != first.address
     second.inner.flat[0] += 1.0
     assert read(second) == read.py_func(second)

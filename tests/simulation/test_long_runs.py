@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from references import melt
+from scenes import SCENES
 
 import minimd as md
 from minimd.commands.main import main
@@ -13,13 +13,13 @@ from minimd.mdanalysis import diffusion_coefficient, radial_distribution
 
 pytestmark = pytest.mark.slow
 SMOOTH = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture(scope="module")
 def liquid():
     """The 4000-atom melt, molten."""
-    simulation = md.Simulation(melt(), SMOOTH, md.VelocityVerlet(0.004))
+    simulation = md.Simulation(SCENES["melt"]().system, SMOOTH, md.VelocityVerlet(0.004))
     simulation.equilibrate(1500, 1.44)
     simulation.run(500)
     return simulation.system
@@ -37,22 +37,22 @@ def test_argon_is_rahmans(tmp_path):
     assert main(["check", str(file)]) == 0
 
 
+def report_of(system, timestep, n_steps, every):
+    simulation = md.Simulation(system, SMOOTH, md.VelocityVerlet(timestep))
+    return conservation_report(simulation.run(n_steps, every=every), angular=False)
+
+
 def test_energy_oscillation_falls_as_the_square_of_the_time_step(liquid):
     """Slope 2.0 ± 0.1 over three step sizes, on paths through the same liquid of the same length."""
-    timesteps, oscillation = (0.005, 0.0025, 0.00125), []
-    for dt in timesteps:
-        simulation = md.Simulation(liquid, SMOOTH, md.VelocityVerlet(dt))
-        record = simulation.run(round(10.0 / dt), every=round(0.01 / dt))
-        oscillation.append(conservation_report(record, angular=False).energy_oscillation)
-    slope = np.polyfit(np.log(timesteps), np.log(oscillation), 1)[0]
-    print(f"oscillation {oscillation}, slope {slope:.3f}")
+    timesteps = (0.005, 0.0025, 0.00125)
+    reports = [report_of(liquid, dt, round(10.0 / dt), round(0.01 / dt)) for dt in timesteps]
+    slope = np.polyfit(np.log(timesteps), np.log([one.energy_oscillation for one in reports]), 1)[0]
+    print(f"slope {slope:.3f}")
     assert slope == pytest.approx(2.0, abs=0.1)
 
 
 def test_a_hundred_thousand_steps_conserve_energy_and_momentum(liquid):
-    simulation = md.Simulation(liquid, SMOOTH, md.VelocityVerlet(0.002))
-    record = simulation.run(100_000, every=50)
-    report = conservation_report(record, angular=False)
+    report = report_of(liquid, 0.002, 100_000, 50)
     print(report)
     assert abs(report.energy_drift.slope) < max(report.energy_drift.error, 1e-6)
     assert report.momentum_change < 1e-14

@@ -1,0 +1,127 @@
+"""The loop over clusters on every processor: the vectors that suit it, and what the compiler makes of it for others."""
+
+import os
+import re
+import subprocess
+import sys
+from functools import cache
+
+import llvmlite.binding as llvm
+import numba
+import pytest
+from cluster_scenes import agree, pair_laws
+from references import liquid
+from wrong_calls import assert_answered
+
+import minimd as md
+from minimd.compiled.features import restrict_features
+from minimd.compiled.simd import lanes
+from minimd.compiled.simd.lanes import DOUBLE, MIXED, Lanes4, Lanes8
+from minimd.forces.cluster_loop import add_cluster_forces
+from minimd.forces.cluster_term import ClusterTerm
+from minimd.forces.options import Options
+from minimd.forces.pair_list_term import PairListTerm
+from minimd.neighbors import cluster_list
+
+LAW = md.LennardJones(1.0, 1.0, 2.5, "truncated")
+X86, ARM = "x86_64-unknown-linux-gnu", "aarch64-unknown-linux-gnu"
+PROCESSORS = {  # triple, name, lanes, precision, division in full-width registers, most uses of the stack for each
+    "Zen 3": (X86, "znver3", Lanes4, "double", r"vdivpd\s.*%ymm", 0),
+    "Haswell": (X86, "haswell", Lanes4, "double", r"vdivpd\s.*%ymm", 0),
+    "Neoverse": (ARM, "neoverse-n1", Lanes4, "double", r"fdiv\s+v\d+\.2d", 0),
+    "Haswell, mixed": (X86, "haswell", Lanes8, "mixed", r"vdivps\s.*%ymm", 2),
+    "AVX-512": (X86, "icelake-server", Lanes8, "double", r"vdivpd\s.*%zmm", 0),
+}
+FURTHER = ("Haswell, mixed", "AVX-512")  # each of them compiles the loop once more
+DIVISION = r"v?fdiv\s+v|vdivp[sd]"
+LANE_BY_LANE = r"vpinsr|vpextr|vinsertps|vpermilp|vunpck|mov\s+v\d+\.d\[|\bins\s"
+SCALAR = r"v(?:add|sub|mul|div)s[sd]\s|f(?:add|sub|mul|div)\s+d\d"
+STACK, OF_FRAME, INTO_FRAME = r"\(%rsp\)|\[sp", r"\(%rbp\)", r"%rbp$"
+
+
+@pytest.mark.slow  # compiles the kernels of both widths; those of this processor are compared with pairs in test_lists
+@pytest.mark.parametrize(("precision", "tolerance"), [("double", 1e-13), ("mixed", 3e-6)])
+@pytest.mark.parametrize("kind", [Lanes4, Lanes8])
+def test_vectors_of_any_width_give_the_same_physics(monkeypatch, kind, precision, tolerance):
+    """tolerance : rounding, of float64 and of float32."""
+    monkeypatch.setattr(cluster_list, "lanes_for", lambda bits: kind())
+    system = liquid(5)
+    laws = pair_laws(system, [LAW])
+    clustered = ClusterTerm(system, laws, Options(precision=precision, threads=1))
+    agree(clustered, PairListTerm(system, laws, Options(skin=0.0)), system, tolerance)
+
+
+def test_lanes_fit_the_registers(monkeypatch):
+    for register, *kinds in ((512, Lanes8, Lanes8), (256, Lanes4, Lanes8), (128, Lanes4, Lanes4)):
+        monkeypatch.setattr(lanes, "register_bits", lambda register=register: register)
+        assert [type(lanes.lanes_for.__wrapped__(bits)) for bits in (DOUBLE, MIXED)] == kinds
+
+
+@pytest.mark.parametrize("chosen", ["sse", *(pytest.param(one, marks=pytest.mark.slow) for one in ("avx2", "avx512"))])
+def test_older_vectors_can_be_chosen_by_their_names(chosen):
+    code = "from minimd.compiled.simd.lanes import register_bits, lanes_for; print(register_bits(), lanes_for(64).size)"
+    where = os.environ | {"MINIMD_VECTORS": chosen}
+    told = subprocess.run([sys.executable, "-c", code], env=where, capture_output=True, text=True, check=True)
+    bits, n_lanes = map(int, told.stdout.split())
+    assert bits == min({"sse": 128, "avx2": 256, "avx512": 512}[chosen], lanes.register_bits())
+    assert n_lanes == (8 if bits == 512 else 4)
+    assert_answered(lambda: restrict_features("avx3"), ValueError, "MINIMD_VECTORS", "avx3", "sse")
+
+
+@cache
+def code(kind, precision):
+    """The loop with forces alone as LLVM's code, for the types of what a term hands over, with these lanes; not run."""
+
+    @numba.njit(error_model="numpy")
+    def loop(arrays, law, parameters, sums):
+        add_cluster_forces(0, arrays, law, parameters, sums, (), 0)
+
+    system = liquid(3)
+    term = ClusterTerm(system, pair_laws(system, [LAW]), Options(precision=precision, threads=1))
+    term._update(system)
+    ((law, parameters),), sums, arrays = *term._work, term.list.arrays
+    arrays = arrays._replace(clusters=arrays.clusters._replace(lanes=kind()))
+    loop.compile(tuple(map(numba.typeof, (arrays, law, parameters, sums))))
+    return loop.inspect_llvm(loop.signatures[-1])
+
+
+def translated(ir, triple, name):
+    """The assembly that LLVM makes for a processor from code for this one."""
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    machine = llvm.Target.from_triple(triple).create_target_machine(cpu=name, opt=3)
+    ir = re.sub(r"^target (?:triple|datalayout) = .*$", "", ir, flags=re.MULTILINE)
+    ir = re.sub(r"(?:tail )?call i8 @llvm\.x86[^)]*\)", "add i8 0, 0", ir)  # counts of references, outside the loop
+    ir = re.sub(r'"(?:target-cpu|target-features|tune-cpu)"="[^"]*"', "", ir)
+    module = llvm.parse_assembly(f'target triple = "{triple}"\ntarget datalayout = "{machine.target_data}"\n' + ir)
+    return machine.emit_assembly(module)
+
+
+def inner_loop(assembly):
+    """The lines of the shortest loop with a vector division, and how many of these: one or two for each entry."""
+    no_code = re.compile(r"\s*[.#]\w*(?:p2align|cfi|loc)")
+    lines = [line for line in assembly.splitlines() if line.strip() and not no_code.match(line)]
+    labels = {line.split(":")[0]: k for k, line in enumerate(lines) if re.match(r"\.\w+:", line)}
+    jump = re.compile(r"\s+(?:j\w+|b\.\w+|cbn?z\s+\w+,|tbn?z.*,)\s*(\.\w+)")
+    ends = [(labels.get(found[1], end), end) for end, line in enumerate(lines) if (found := jump.match(line))]
+    loops = [lines[start : end + 1] for start, end in ends if start <= end]
+    loop = min((body for body in loops if re.search(DIVISION, "\n".join(body))), key=len)
+    return loop, sum(bool(re.search(DIVISION, one)) for one in loop)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in FURTHER else ()) for name in PROCESSORS]
+)
+def test_the_loop_runs_on_full_vectors_in_registers(name):
+    """Divisions fill the registers, no number goes alone, and the stack is hardly touched."""
+    triple, processor, kind, precision, division, stack = PROCESSORS[name]
+    loop, n_divisions = inner_loop(translated(code(kind, precision), triple, processor))
+    text = "\n".join(loop)
+    print(f"{name}: {len(loop) / n_divisions:.1f} instructions for each division\n{text}")
+    assert re.search(division, text)
+    assert not re.search(LANE_BY_LANE, text)
+    assert not re.search(SCALAR, text)
+    of_frame = [] if re.search(INTO_FRAME, text, re.MULTILINE) else re.findall(OF_FRAME, text)
+    # %rbp is a register like others where the loop itself changes it
+    assert len(re.findall(STACK, text) + of_frame) <= stack * n_divisions
+    assert len(loop) / n_divisions < 60

@@ -1,0 +1,177 @@
+"""Vectors compute, lane by lane, what numpy computes element by element."""
+
+import math
+import operator
+from collections import namedtuple
+
+import numba
+import numpy as np
+import pytest
+
+import minimd as md
+from minimd.compiled.kernels import kernel, scalar
+from minimd.compiled.simd import bits_from_mask, broadcast, convert, fma, lane, load, select, store, total, with_lane
+from minimd.compiled.simd.lanes import Lanes4, Lanes8, count
+from minimd.potentials.law import evaluate_law
+from minimd.potentials.truncation import TRUNCATIONS
+
+
+class Lanes16(namedtuple("Lanes16", "")):
+    """Wider than minimd's."""
+
+    size = 16
+
+
+TYPES = [np.float64, np.float32, np.int32]
+FLOATS = TYPES[:2]
+VECTORS = [
+    pytest.param(kind, lanes, id=f"{lanes.size}-{kind.__name__}", marks=() if is_usual else pytest.mark.slow)
+    for kind in TYPES
+    for lanes, is_usual in ((Lanes4(), kind == np.float64), (Lanes8(), True), (Lanes16(), False))
+]
+LARGE = [2**31 - 1, -(2**31), 2**24 + 1, 2**24 + 3, -(2**24) - 1, 0, 1, -7]
+
+
+def numbers(kind, n, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.integers(-50, 50, n, dtype=np.int32) if kind == np.int32 else rng.uniform(0.5, 4.0, n).astype(kind)
+
+
+@scalar
+def of_all_types(x, y):
+    return x + y, x - y * y, x * y - x
+
+
+@scalar
+def of_floats(x, y):
+    return (
+        *(x / y, 1.0 / x + 2 * y - 0.5, -x, math.sqrt(x), np.sqrt(y), abs(x - y), np.floor(x)),
+        *(max(0.5, min(x, 1.5)), min(max(x, y), 2.5), select(x < y, x, 7.0)),
+        *(select((x >= y) | (x <= 1.0), x, y), select((x > y) & (x != 1.0), x, y)),
+    )
+
+
+@scalar
+def of_doubles(x, y):
+    return (
+        *(math.exp(x) + np.exp(y), math.log(x) + np.log(y), math.sin(x) + np.sin(y), math.cos(x) + np.cos(y)),
+        *(math.tanh(x) + np.tanh(y), x**0.5, x**2, x**3, x**-1, x**2.0, x**1.5, x**-3),
+    )
+
+
+@scalar
+def store_all(vectors, out, lanes):
+    for k, vector in enumerate(vectors):
+        store(out, k * count(lanes), vector)
+
+
+@kernel
+def all_types(a, b, out, lanes):
+    store_all(of_all_types(load(a, 0, lanes), load(b, 0, lanes)), out, lanes)
+
+
+@kernel
+def floats(a, b, out, lanes):
+    store_all(of_floats(load(a, 0, lanes), load(b, 0, lanes)), out, lanes)
+
+
+@kernel
+def doubles(a, b, out, lanes):
+    store_all(of_doubles(load(a, 0, lanes), load(b, 0, lanes)), out, lanes)
+
+
+def check(kernel, function, a, b, lanes, rel=0.0):
+    """A kernel makes of vectors what Python makes of each pair of numbers."""
+    expected = np.array([function(x, y) for x, y in zip(a, b, strict=True)]).T.astype(a.dtype)
+    out = np.zeros(expected.size, a.dtype)
+    kernel(a, b, out, lanes)
+    assert out.reshape(expected.shape) == pytest.approx(expected, rel=rel, abs=0.0)
+
+
+@pytest.mark.parametrize(("kind", "lanes"), VECTORS)
+def test_what_is_done_to_vectors_is_done_lane_by_lane(kind, lanes):
+    a, b = numbers(kind, lanes.size), numbers(kind, lanes.size, 1)
+    check(all_types, of_all_types, a, b, lanes)
+    if kind in FLOATS:
+        check(floats, of_floats, a, b, lanes)
+    if kind == np.float64 and lanes.size == 8:
+        check(doubles, of_doubles, a, b, lanes, rel=1e-15)  # the rounding is the library's
+
+
+@kernel
+def looked_into(a, out):
+    x = load(a, 0, 8)
+    store(out, 0, select(x > 2.0, x, 0.0))
+    store(out, 8, fma(x, x, broadcast(-1.0, x)))
+    return bits_from_mask(x > 2.0), total(x), lane(x, 5), total(with_lane(x, 2, 100.0))
+
+
+@pytest.mark.parametrize("kind", FLOATS)
+def test_masks_lanes_and_sums_and_a_multiply_add_that_rounds_once(kind):
+    a, out, small = numbers(kind, 8), np.zeros(16, kind), kind(2.0**-30 if kind == np.float64 else 2.0**-13)
+    bits, sum_, fifth, changed = looked_into(a, out)
+    assert np.array_equal(out[:8], np.where(a > 2.0, a, 0.0).astype(kind))
+    assert bits == sum(1 << k for k in range(8) if a[k] > 2.0)
+    pairs = a.reshape(2, 4).sum(axis=0)
+    assert sum_ == (pairs[0] + pairs[2]) + (pairs[1] + pairs[3])
+    assert fifth == a[5]
+    assert changed == pytest.approx(a.sum() - a[2] + 100.0, rel=1e-5)
+    looked_into(np.full(8, 1 + small), out)
+    assert np.array_equal(out[8:], np.full(8, 2 * small + small * small))
+
+
+@kernel
+def converted(values, number, out, lanes):
+    x = load(values, 0, lanes)
+    store(out, count(lanes), convert(x, number))
+    store(out, 0, convert(x, load(out, 0, lanes)))
+
+
+@pytest.mark.parametrize("to", FLOATS)
+@pytest.mark.parametrize(("kind", "lanes"), VECTORS)
+def test_conversion_rounds_to_the_nearest_for_a_number_as_for_a_vector(kind, to, lanes):
+    """Integers beyond 2²⁴ are rounded to the nearest float32, ties to even; in float64 all are exact."""
+    values = np.resize(LARGE, lanes.size).astype(kind) if kind == np.int32 else numbers(kind, lanes.size)
+    out = np.ones(2 * lanes.size, to)
+    converted(values, to(0.0), out, lanes)
+    assert np.array_equal(out, np.tile(values.astype(to), 2))
+
+
+@kernel
+def differences(a, b, out, same):
+    x = load(a, 0, 8)
+    store(same, 0, convert(x, x))
+    store(out, 0, convert(x - load(b, 0, 8), np.float32(0.0)))
+
+
+def test_differences_of_large_integers_are_exact_before_they_are_converted():
+    """What mixed precision stands on: a small distance between far places has no rounding error."""
+    b = np.linspace(-(2**31) + 1000, 2**31 - 1000, 8).astype(np.int32)
+    out, apart, same = np.zeros(8, np.float32), np.arange(1, 9, dtype=np.int32), np.zeros(8, np.int32)
+    differences(b + apart, b, out, same)
+    assert np.array_equal(out, apart)
+    assert np.array_equal(same, b + apart)
+
+
+@kernel
+def of_a_law(law, r2, parameters, out):
+    u, f = evaluate_law(law, load(r2, 0, 8), parameters)
+    store(out, 0, u)
+    store(out, 8, f)
+
+
+@pytest.mark.parametrize("truncation", TRUNCATIONS)
+def test_laws_compile_for_vectors_from_the_same_source(truncation):
+    potential = md.LennardJones(1.3, 0.9, 2.5, truncation)
+    parameters = tuple(potential.table(("X",))[0, 0, 1:].tolist())
+    r2, out = np.linspace(0.8, 7.0, 8), np.zeros(16)
+    of_a_law(potential.law, r2, parameters, out)
+    expected = np.array([evaluate_law(potential.law, x, parameters) for x in r2.tolist()])
+    assert pytest.approx(expected, rel=1e-14, abs=1e-16) == out.reshape(2, 8).T
+
+
+@pytest.mark.parametrize("operation", [operator.mod, operator.floordiv])
+def test_what_vectors_cannot_do_is_an_error(operation):
+    run = numba.njit(lambda a: store(a, 0, operation(load(a, 0, 8), load(a, 0, 8))))
+    with pytest.raises(numba.core.errors.TypingError):
+        run(np.ones(8))

@@ -1,0 +1,313 @@
+"""Fixed-point dynamics: momentum, reversibility and any order, to the last bit; see docs/fixed-point.md."""
+
+import itertools
+import pickle
+
+import numpy as np
+import pytest
+from ase import units
+from ase.build import bulk
+from fixed_point_scenes import ANGLE, BOND, GRID, KINDS, LAW, bits, mixture, simulated, total_momentum
+from wrong_calls import assert_answered
+
+import minimd as md
+import minimd.ase
+from minimd.analysis.check import check_file
+from minimd.forces.pair_laws import PairLaws
+from minimd.integrators.methods import SPLITTINGS
+from minimd.structure.grid import Grid
+from minimd.structure.images import nearest_vectors
+
+
+def plain(method=None, **options):
+    return simulated(mixture(with_bonds=False), method, **options)
+
+
+def there_and_back(simulation, n_steps=120):
+    """Steps, and back. The largest way of an atom."""
+    simulation.make_steps(0)
+    start, total, before = bits(simulation), total_momentum(simulation), simulation.positions.copy()
+    simulation.make_steps(n_steps)
+    way = np.abs(simulation.positions - before).max()
+    assert total_momentum(simulation) == total
+    simulation.run_back(n_steps)
+    assert bits(simulation) == start
+    assert simulation.step == 0
+    return way
+
+
+@pytest.mark.parametrize("name", SPLITTINGS)
+def test_symmetric_methods_return_to_the_first_bit_and_keep_momentum(name):
+    """Other methods keep momentum, too."""
+    simulation = plain(SPLITTINGS[name](0.004))
+    if simulation.method.is_symmetric:
+        assert there_and_back(simulation) > 0.3
+    else:
+        total = total_momentum(simulation)
+        simulation.make_steps(50)
+        assert total_momentum(simulation) == total
+
+
+@pytest.mark.parametrize("pbc", [True, (True, False, True), False])
+def test_bonds_angles_and_every_kind_of_cell_likewise(pbc):
+    assert there_and_back(simulated(mixture(pbc))) > 0.3
+
+
+def test_atoms_that_are_held_fixed_stay_where_they_are():
+    held, simulation = [0, 1, 50], simulated(mixture(), constraints=md.FixedAtoms([0, 1, 50]))
+    simulation.make_steps(0)
+    start, before = bits(simulation), simulation.positions[held]
+    simulation.make_steps(60)
+    assert np.array_equal(simulation.positions[held], before)
+    simulation.run_back(60)
+    assert bits(simulation) == start
+
+
+@pytest.fixture(scope="module")
+def reference():
+    """A run of the mixture: its simulation and record."""
+    simulation = simulated(mixture())
+    return simulation, simulation.run(150, every=50)
+
+
+def other_order(name):
+    """The mixture, its atoms renumbered, wrapped or translated; their order, and how far they were moved."""
+    system, random = mixture(), np.random.default_rng(1)
+    order, shift = np.arange(len(system)), 0.0
+    if name == "renumbered":
+        order = random.permutation(len(system))
+        parts = {of: getattr(system, of)[order] for of in ("positions", "masses", "velocities", "species")}
+        parts |= {of: np.argsort(order)[getattr(system, of)] for of in ("bonds", "angles")}
+        system = md.System(cell=system.cell, **parts)
+    elif name == "wrapped":
+        shift = random.integers(-3, 4, (len(system), 3)) @ system.cell.vectors
+    elif name == "translated":
+        shift = np.array([12345, -99, 7_777_777]) * GRID.length
+    system.positions[:] += shift
+    return system, order, shift
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("as it is", {"threads": 2}),
+        ("as it is", {"threads": 3, "skin": 0.1}),
+        ("as it is", {"skin": 0.6}),
+        ("on the pair list", {}),
+        ("renumbered", {}),
+        ("wrapped", {}),
+        ("translated", {}),
+    ],
+)
+def test_threads_and_skins_change_no_bit(name, options, reference, monkeypatch):
+    """Nor do another list, another order of the atoms, and lattice vectors: of the state, energies, pressures."""
+    (expected, record), (system, order, shift) = reference, other_order(name)
+    if name == "on the pair list":
+        monkeypatch.setattr(PairLaws, "fit_clusters", lambda *_: False)
+    simulation = simulated(system, **options)
+    found = simulation.run(150, every=50)
+    assert ("pair list" in simulation.engine.interactions.pair_search) == (name == "on the pair list")
+    assert np.array_equal((simulation.positions - shift)[np.argsort(order)], expected.positions)
+    assert np.array_equal(simulation.velocities[np.argsort(order)], expected.velocities)
+    for series in ("potential_energy", "total_energy", "temperature", "pressure"):
+        assert np.array_equal(getattr(found, series), getattr(record, series)), series
+    assert np.array_equal(found.momentum, np.repeat(found.momentum[:1], len(found), axis=0))
+
+
+def test_looks_copies_files_and_resumed_runs_have_the_same_bits(reference, tmp_path):
+    expected, file = reference[0], tmp_path / "run.h5md"
+    looked = simulated(mixture())
+    for n in (1, 6, 20, 3):
+        looked.make_steps(n)
+        assert looked.potential_energy < 0.0
+    copied = pickle.loads(pickle.dumps(looked))
+    copied.run(20, every=7, trajectory=file)
+    resumed = md.Simulation.resume(file, [LAW, BOND, ANGLE], threads=2)
+    assert resumed.engine.interactions.grid == GRID
+    resumed.run(until_step=150, every=13, trajectory=file, append=True)
+    assert bits(resumed) == bits(expected)
+
+
+def test_any_step_is_made_again_from_a_file_and_from_its_archive(tmp_path):
+    file, small, other_law = tmp_path / "run.h5md", tmp_path / "small.h5md", KINDS | {"B": (0.6, 0.9)}
+    run, other = plain(), plain()
+    run.make_steps(3)
+    run.run(97, every=10, trajectory=file)
+    other.make_steps(47)
+    assert bits(md.Simulation.resume(file, LAW, step=47)) == bits(other)
+    made = md.archive(file, small, 50, LAW)
+    assert made.n_frames == (11, 3)  # steps 3, 50 and 100
+    assert made.n_bytes[1] < made.n_bytes[0]
+    check = str(check_file(file))
+    assert "exact momentum change of Σ p, in whole steps of the grid: 0, tolerance 0: ok" in check
+    assert "momentum       exactly constant" in check
+    assert bits(md.Simulation.resume(small, LAW, step=47)) == bits(other)
+    assert bits(md.Simulation.resume(small, LAW)) == bits(run)
+    assert_answered(lambda: md.Simulation.resume(small, LAW, step=101), ValueError, "step", "101")
+    wrong = md.LennardJones(other_law, cutoff=1.8, truncation="switched")
+    assert_answered(lambda: md.archive(file, tmp_path / "other.h5md", 50, wrong), ValueError, "potentials")
+    assert not (tmp_path / "other.h5md").exists()
+
+
+ARGON = md.LennardJones(0.0104, 3.4, 5.0, truncation="force-shifted")
+
+
+def test_any_step_of_a_run_in_units_of_ase_is_made_again(tmp_path):
+    """Files have Å/ps; what their rounding changes is less than half a step of the grid."""
+    file, atoms = tmp_path / "run.h5md", bulk("Ar", "fcc", 5.4, cubic=True).repeat(2)
+    run = md.Simulation(atoms, ARGON, md.VelocityVerlet(5.0 * md.units.fs), precision="fixed-point")
+    run.set_temperature(94.4, seed=1)
+    other = pickle.loads(pickle.dumps(run))
+    run.run(60, every=20, trajectory=file)
+    other.make_steps(47)
+    assert bits(md.Simulation.resume(file, ARGON, step=47)) == bits(other)
+    assert md.archive(file, tmp_path / "small.h5md", 40, ARGON).n_frames == (4, 2)
+
+
+def test_dynamics_of_ase_make_the_same_steps():
+    atoms = bulk("Ar", "fcc", 5.4, cubic=True).repeat(2)
+    atoms.set_momenta(np.random.default_rng(4).normal(size=(32, 3)))
+    atoms.calc = minimd.ase.Calculator(ARGON, precision="fixed-point", threads=1)
+    sim = md.Simulation(atoms, ARGON, md.VelocityVerlet(2.0 * md.units.fs), precision="fixed-point")
+    sim.make_steps(20)
+    minimd.ase.VelocityVerlet(atoms, 2.0 * units.fs).run(20)
+    assert np.array_equal(atoms.positions, sim.positions)
+
+
+@pytest.mark.parametrize(
+    "bath", [md.LangevinBAOAB(0.004, 0.9, 1.0, seed=3), md.StochasticVelocityRescaling(0.004, 0.9, 0.5, seed=3)]
+)
+def test_baths_keep_to_the_grid(bath):
+    """A stopped run and one on other threads have the same bits; rescaling keeps the momentum to rounding."""
+    one, other = simulated(mixture(), bath), simulated(mixture(), bath, threads=2, skin=0.2)
+    one.make_steps(100)
+    other.make_steps(37)
+    other = pickle.loads(pickle.dumps(other))
+    other.make_steps(63)
+    assert bits(one) == bits(other)
+    assert one.reservoir_energy == other.reservoir_energy
+    momenta = one.velocities * one.system.masses[:, None] / GRID.momentum
+    assert momenta == pytest.approx(np.rint(momenta), abs=0.01)
+
+
+def test_rigid_bonds_keep_momentum_to_the_last_bit(tmp_path):
+    """Impulses of constraints are rounded so that they are opposite; reversibility is not claimed."""
+    system, file = mixture(), tmp_path / "rigid.h5md"
+    system.velocities[:] -= (system.masses[:, None] * system.velocities).sum(axis=0) / system.masses.sum()
+    simulation = simulated(system, constraints=md.DistanceConstraints(system.bonds), potentials=[LAW])
+    simulation.make_steps(0)
+    total = total_momentum(simulation)
+    record = simulation.run(200, every=50, trajectory=file)
+    assert total_momentum(simulation) == total
+    assert record.constraint_violation.max() < 1e-9
+    assert_answered(lambda: md.Simulation.resume(file, [LAW], step=60), ValueError, "rigid bonds")
+    assert_answered(lambda: simulation.run_back(10), ValueError, "constraints")
+
+
+def crystal():
+    """Near its minimum, and cold: the forces of pairs cancel, their rounding errors do not."""
+    positions, edges = md.lattice.crystal("fcc", (4, 4, 4), 1.55)
+    positions += np.random.default_rng(3).normal(scale=1e-4, size=positions.shape)
+    return md.System(positions, cell=edges, species=["A"] * len(positions))
+
+
+@pytest.mark.parametrize("system", [mixture(), crystal()], ids=["liquid", "crystal"])
+def test_forces_and_energies_are_those_of_float64_to_the_steps_of_the_grid(system, monkeypatch):
+    """Each impulse over a unit of time is rounded to p0, each energy to e0, whatever their size."""
+    rounded = simulated(system)
+    rounded.make_steps(60)
+    frame, here = rounded.frame(), rounded.system
+    monkeypatch.setattr(PairLaws, "fit_clusters", lambda *_: False)  # compiles less
+    exact = md.evaluate(here, rounded.engine.interactions.potentials)
+    pairs = np.array(list(itertools.combinations(range(len(here)), 2)))
+    pairs = pairs[np.linalg.norm(nearest_vectors(here.positions, here.cell, pairs), axis=1) < LAW.cutoff]
+    atoms = np.concatenate([pairs.ravel(), here.bonds.ravel(), here.angles.ravel(), here.angles[:, 1]])
+    n_impulses = np.bincount(atoms, minlength=len(here))
+    step, errors = GRID.momentum / rounded.engine.interactions.unit, frame.forces - exact.forces
+    assert (np.abs(errors) <= 0.5 * step * n_impulses[:, None] + 1e-15 * np.abs(exact.forces).max()).all()
+    of_all = step * np.sqrt(n_impulses.mean() / 12.0)
+    rms = np.sqrt((errors**2).mean())
+    assert rms == pytest.approx(of_all, rel=0.16)  # statistics: four standard errors of 324 numbers
+    of_energy = GRID.energy * np.sqrt((len(pairs) + len(here.bonds) + len(here.angles)) / 12.0)
+    error = abs(frame.observables["potential_energy"] - exact.potential_energy)
+    assert error <= 4.0 * of_energy + 1e-15 * abs(exact.potential_energy)  # statistics and rounding
+    assert rounded.engine.interactions.virial == pytest.approx(exact.virial, rel=1e-10, abs=1e-9)
+
+
+def test_what_is_said_of_it():
+    """The report allows angular momentum what the grid takes from it; in float64 as much would be a torque."""
+    simulation = plain()
+    simulation.run(100, every=10)
+    probed = simulation.probe_reversibility(30)
+    assert probed.is_exact
+    assert str(probed).endswith("returned to the last bit")
+    told = str(simulation.report())
+    assert "momentum       exactly constant" in told
+    assert "returned to the last bit" in told
+    assert "fixed-point arithmetic" in str(simulation)
+    drop = simulated(mixture(pbc=False, with_bonds=False), grid=Grid(2.0**-36, GRID.momentum, GRID.energy))
+    drop.run(200, every=20)
+    assert drop.report().angular_momentum_change > 1e-12
+    assert drop.report().angular_momentum_is_conserved
+
+
+def test_a_grid_is_chosen_from_the_scene_and_widened_with_it():
+    simulation = plain(grid=None)
+    chosen = simulation.engine.interactions.grid
+    assert 1e-14 < chosen.length < 1e-12
+    assert np.array_equal(simulation.positions / chosen.length, np.rint(simulation.positions / chosen.length))
+    simulation.velocities[:] *= 2.0
+    simulation.make_steps(0)
+    assert simulation.engine.interactions.grid == chosen  # else steps back would not be those forward
+    simulation.velocities[:] *= 50.0
+    simulation.make_steps(0)
+    assert simulation.engine.interactions.grid.momentum == pytest.approx(100.0 * chosen.momentum, rel=0.5)
+
+
+def test_a_momentum_or_a_force_that_leaves_its_range_stops_the_run():
+    """Before anything wraps round: the state is the last good one."""
+    hot = plain(grid=Grid(2.0**-42, 2.0**-47, 2.0**-36))  # momenta up to 8
+    hot.velocities[:] *= 2.0
+    with pytest.raises(md.RangeError, match=r"At step \d+: the momentum of atom \d+ is"):
+        hot.make_steps(20_000)
+    assert np.abs(hot.velocities * hot.system.masses[:, None]).max() <= 8.0
+    close = mixture(with_bonds=False)
+    close.positions[1] = close.positions[0] + [0.11, 0.0, 0.0]
+    with pytest.raises((md.RangeError, md.NonFiniteError), match=r"fixed-point numbers|would move it|not finite"):
+        simulated(close).make_steps(1)
+
+
+def one_step_with(name, number):
+    """A step after a number of atom 7 was set."""
+    simulation = plain()
+    getattr(simulation, name)[7, 1] = number
+    simulation.make_steps(1)
+
+
+class Pull(md.Term):
+    """A term of one's own, and the potential that binds it."""
+
+    def bind(self, system):
+        return self
+
+    def add(self, system, detail, forces, energies, virials):
+        forces[:, 2] -= 1.0
+
+
+NOT_SYMMETRIC = SPLITTINGS["symplectic-euler-1"](0.004)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "shown"),
+    [
+        (lambda: plain(NOT_SYMMETRIC).run_back(1), ValueError, ["symplectic-euler-1", "symmetric"]),
+        (lambda: plain(precision="double", grid=None).run_back(1), ValueError, ["precision", "double"]),
+        (lambda: one_step_with("velocities", 1e4), md.RangeError, ["momentum of atom 7", "1e+04", "64"]),
+        (lambda: one_step_with("positions", 1e4), md.RangeError, ["atom 7", "1e+04 from the origin", "1.02e+03"]),
+        (lambda: simulated(mixture(), potentials=[LAW, Pull()]), ValueError, ["precision", "fixed-point"]),
+        (lambda: simulated(mixture(), precision="double"), ValueError, ["grid", "double"]),
+        (lambda: md.Grid(1e-12, 2.0**-44, 2.0**-36), ValueError, ["length", "1e-12"]),
+    ],
+)
+def test_what_cannot_be_done_is_refused(call, error, shown):
+    assert_answered(call, error, *shown)

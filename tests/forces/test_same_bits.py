@@ -1,0 +1,147 @@
+"""What changes no bit: the number of threads, and whether kernels or Python make steps and lists."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from cluster_scenes import MANY, SKIN, atoms_per_domain, rod
+from references import melt
+from scenes import LJ, SCENES, TWO_KINDS
+
+import minimd as md
+from minimd.forces.cluster_term import ClusterTerm
+from minimd.integrators.methods import METHODS
+from minimd.neighbors.cluster_list import ClusterList
+
+SERIES = ("potential_energy", "total_energy", "temperature", "pressure", "momentum", "angular_momentum")
+BONDED = [*MANY, md.HarmonicBond(50.0, 1.1)]
+START = {  # as many domains as the cell is long, a team of eight
+    "chains": lambda: (rod(6), BONDED),
+    "melt": lambda: (melt(), [LJ]),
+    "rod": lambda: (rod(6, 5), MANY),
+    "long chains": lambda: (rod(6, 5), BONDED),
+}
+
+
+def ran(scene, precision, threads, n_steps):
+    system, potentials = START[scene]()
+    options = {"threads": threads, "precision": precision, "skin": SKIN}
+    with atoms_per_domain(50):
+        simulation = md.Simulation(system, potentials, md.VelocityVerlet(0.003), **options)
+        if not system.velocities.any():
+            simulation.set_temperature(1.5, 2)
+        return simulation, simulation.run(n_steps, every=max(1, n_steps // 20))
+
+
+def clusters_of(simulation):
+    return next(term for term in simulation.engine.interactions.terms if term.list is not None)
+
+
+@pytest.mark.parametrize("precision", ["double", "mixed"])
+@pytest.mark.parametrize(
+    ("scene", "n_steps", "teams"),
+    [
+        ("chains", 100, [2, 8]),
+        *[pytest.param(name, 1000, [2, 3, 4, 8], marks=pytest.mark.slow) for name in ("melt", "rod", "long chains")],
+    ],
+)
+def test_any_number_of_threads_gives_the_same_bits(scene, n_steps, teams, precision):
+    one, record = ran(scene, precision, 1, n_steps)
+    assert clusters_of(one).list.n_domains >= 4
+    assert clusters_of(one).list.n_builds > 1
+    for threads in teams:
+        other, same = ran(scene, precision, threads, n_steps)
+        assert clusters_of(other)._pool.n_threads == threads
+        for name in ("positions", "velocities", "forces"):
+            assert np.array_equal(getattr(other, name), getattr(one, name))
+        assert all(np.array_equal(getattr(same, name), getattr(record, name)) for name in SERIES)
+
+
+def mixture(method, precision="double", is_open=False, seed=1, **options):
+    """Two species in a triclinic cell; open along z clusters have padding."""
+    system = SCENES["mixture"]().system
+    pbc = (True, True, not is_open)
+    parts = {"species": system.species, "masses": system.masses, "cell": system.cell.vectors}
+    system = md.System(system.positions * (1.0, 1.0, 1.3 if is_open else 1.0), pbc=pbc, **parts)
+    simulation = md.Simulation(system, TWO_KINDS, method, precision=precision, **{"threads": 1, **options})
+    simulation.set_temperature(1.5, seed)
+    return simulation
+
+
+def ended(simulation, n_steps=100):
+    simulation.run(n_steps, every=25, progress=False)
+    counts = simulation.engine.interactions.counts
+    vectors = simulation.positions, simulation.velocities, simulation.system.cell.vectors
+    return *vectors, simulation.reservoir_energy, counts
+
+
+def assert_same_bits(one, other):
+    assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def bath():
+    return md.LangevinBAOAB(0.004, 1.2, 2.0, seed=2**100 + 7)
+
+
+FREE = md.VelocityVerlet(0.004)
+RESCALED = md.StochasticCellRescaling(3.0, 0.1, 0.2, seed=2, every=7, coupling="triclinic")  # few cells need no list
+IN_A_KERNEL = {  # a method, options, and whether its lists are built in the kernel, too
+    "free": (lambda: FREE, {}, True),
+    "bath": (bath, {}, True),
+    "fixed-point": (lambda: FREE, {"precision": "fixed-point"}, True),
+    "strained": (bath, {"barostat": RESCALED}, True),
+    "two threads": (lambda: METHODS["position-verlet"](0.004), {"threads": 2, "is_open": True}, False),
+    "mixed": (lambda: METHODS["ruth-3"](0.004), {"precision": "mixed", "is_open": True}, False),
+}
+
+
+@pytest.mark.parametrize("name", IN_A_KERNEL)
+def test_what_one_kernel_does_has_the_bits_of_what_python_does_call_by_call(name, monkeypatch):
+    """After the first list the memory becomes so scarce that the next build must be left to Python, too."""
+    method, options, builds = IN_A_KERNEL[name]
+    ends, in_python, enlarged, (build, make_room) = [], [], [], (ClusterList._build, ClusterList._make_room)
+    monkeypatch.setattr(ClusterList, "_build", lambda self, *at: in_python.append(1) or build(self, *at))
+    monkeypatch.setattr(ClusterList, "_make_room", lambda self: enlarged.append(self.n_builds) or make_room(self))
+    for owner, attribute in ((ClusterList, ""), (ClusterList, "can_be_renewed"), (ClusterTerm, "marches")):
+        with monkeypatch.context() as patch, atoms_per_domain(50 if "threads" in options else 800):
+            if attribute:
+                patch.setattr(owner, attribute, False)
+            simulation = mixture(method(), **options)
+            simulation.run(1, progress=False)
+            if not attribute and builds:
+                found = clusters_of(simulation).list
+                found._entry_start[-1] = found._needed[-1] + found._entry_start[-2]
+            ends.append((ended(simulation), len(in_python), max(enlarged)))
+            in_python.clear()
+    for end, *_ in ends[1:]:
+        assert_same_bits(ends[0][0], end)
+    (*_, energy, counts), n_in_python, n_at_last_enlarged = ends[0]
+    assert (n_in_python < ends[1][1]) == builds
+    assert n_at_last_enlarged > 0 or not builds
+    assert counts[1] > 3  # lists
+    assert (energy != 0.0) == (name in ("bath", "strained"))
+    anew, error = md.evaluate(simulation.system, simulation.potentials).forces, 1e-5 if name == "mixed" else 1e-10
+    assert simulation.forces == pytest.approx(anew, abs=error * np.abs(anew).max(), rel=0)
+
+
+def test_another_process_of_a_derived_bath_is_not_left_out():
+    """The kernel makes the steps of LangevinBAOAB only."""
+
+    class Frozen(md.LangevinBAOAB):
+        def thermalize(self, state, duration, around):
+            state.velocities[:] = 0.0
+
+    simulation = mixture(Frozen(0.004, 1.0, 1.0, 1))
+    start = simulation.positions.copy()
+    simulation.run(20, progress=False)
+    assert np.abs(simulation.positions - start).max() < 0.05  # else 0.2
+
+
+def test_replicas_in_threads_of_one_process_have_the_bits_of_single_runs():
+    def replica(seed):
+        return ended(mixture(bath() if seed % 2 else FREE, seed=seed), 200)
+
+    with ThreadPoolExecutor(3) as pool:
+        together = list(pool.map(replica, range(6)))
+    for seed, one in enumerate(together):
+        assert_same_bits(one, replica(seed))

@@ -1,0 +1,111 @@
+"""The house: a package is a floor, imports go down, nothing goes round in a circle; and what an import must not do.
+
+docs/architecture.md lists the floors, highest first; the floors of this test are those.
+"""
+
+import ast
+import re
+import subprocess
+import sys
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+PACKAGE = REPOSITORY / "minimd"
+PAGE = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
+BEGIN_WITH = dict(re.findall(r"^\| `(\w+)` \| .* \| `([\w/.]+)` \|$", PAGE, re.M))
+FLOORS = ["minimd" if name == "minimd" else f"minimd.{name}" for name in BEGIN_WITH]
+STRANGERS = {"minimd.integrators", "minimd.potentials"}  # never import each other
+BRIDGES = {  # folders and modules that may import ase or MDAnalysis when they are imported
+    *("ase", "bench", "mdanalysis", "structure/ase_atoms.py", "structure/mdanalysis_atoms.py"),
+    *("files/ase_writer.py", "files/structure_file.py", "files/mdanalysis_writer.py", "files/turned_cell.py"),
+}
+HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "minimd.lammps"}
+FOREIGN = {"minimd.bench.engines"}  # reaches for private names of OpenMM and LAMMPS
+
+
+def name_of(path):
+    return ".".join(path.relative_to(REPOSITORY).with_suffix("").parts).removesuffix(".__init__")
+
+
+MODULES = {name_of(path): path for path in PACKAGE.rglob("*.py")}
+
+
+def imports(path, when_imported=False):
+    """Modules a file imports, lazily and for type checkers too; with when_imported only what its own import loads."""
+    tree = ast.parse(path.read_text())
+    for node in tree.body if when_imported else ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                submodule = f"{node.module}.{alias.name}"
+                yield submodule if submodule in MODULES else node.module
+
+
+def floor_of(module):
+    return max((floor for floor in FLOORS if f"{module}.".startswith(f"{floor}.")), key=len)
+
+
+def test_every_package_is_a_floor():
+    packages = {place.parent.name for place in PACKAGE.glob("*/__init__.py")}
+    assert set(BEGIN_WITH) == packages | {"minimd", "replay"}
+    for name, file in BEGIN_WITH.items():
+        assert (PACKAGE / ("" if name in ("minimd", "replay") else name) / file).exists()
+
+
+def test_imports_go_down_the_floors_and_not_in_circles():
+    """Lazy and TYPE_CHECKING imports count; nobody is exempt."""
+    imported = {module: {*imports(path)} for module, path in MODULES.items()}
+    for module, others in imported.items():
+        for other in others:
+            if other.split(".")[0] == "minimd" and (here := floor_of(module)) != (there := floor_of(other)):
+                assert FLOORS.index(there) > FLOORS.index(here), f"{module} -> {other}"
+                assert {here, there} != STRANGERS, f"{module} -> {other}"
+    try:
+        TopologicalSorter({one: others & MODULES.keys() - {one} for one, others in imported.items()}).prepare()
+    except CycleError as circle:
+        pytest.fail(f"a circle of imports: {' -> '.join(circle.args[1])}")
+
+
+def test_no_module_reaches_for_the_private_name_of_another():
+    reached = []
+    for module, path in MODULES.items():
+        nodes = [*ast.walk(ast.parse(path.read_text()))]
+        attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
+        own = {"_asdict", "_replace", "_fields", "_make"}
+        own |= {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+        own |= {node.attr for node in attributes if isinstance(node.ctx, ast.Store)}
+        own |= {ast.unparse(node.target) for node in nodes if isinstance(node, ast.AnnAssign)}
+        for node in nodes:
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("minimd"):
+                reached += [f"{module}: {alias.name}" for alias in node.names if re.match(r"_[^_]", alias.name)]
+        for node in attributes:
+            owner = node.value.id if isinstance(node.value, ast.Name) else ""
+            is_foreign = owner not in ("self", "cls", "sys", "os") and module not in FOREIGN
+            if re.match(r"_[^_]", node.attr) and node.attr not in own and is_foreign:
+                reached.append(f"{module}: {ast.unparse(node)}")
+    assert reached == []
+
+
+def test_only_the_bridges_import_ase_and_mdanalysis():
+    for path in PACKAGE.rglob("*.py"):
+        place = path.relative_to(PACKAGE)
+        if not BRIDGES & {place.as_posix(), place.parts[0]}:
+            roots = {module.split(".")[0] for module in imports(path, when_imported=True)}
+            assert not roots & {"ase", "MDAnalysis"}, path
+
+
+def test_importing_minimd_loads_no_bridge_and_compiles_nothing():
+    code = f"""
+import sys
+from numba.core import event
+with event.install_recorder("numba:compile") as recorder:
+    import minimd
+assert not {HEAVY} & set(sys.modules), {HEAVY} & set(sys.modules)
+assert not recorder.buffer, len(recorder.buffer)
+"""
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stderr

@@ -1,0 +1,133 @@
+"""Observables: of the present state, in record and file, where they cost something, and one of one's own."""
+
+import h5py
+import numpy as np
+import pytest
+from scenes import LJ, SCENES
+from wrong_calls import assert_answered
+
+import minimd as md
+from minimd.engine.observation import OBSERVABLES, Observable, register
+from minimd.engine.record import SERIES, Frame
+from minimd.files.h5md_reader import damage, read_file
+
+
+def test_the_present_state_is_measured_whatever_has_changed(argon):
+    """After a run, at another place, with other velocities and in another cell."""
+    sim = argon.simulation()
+    sim.run(5, every=5, progress=False)
+
+    def check():
+        result = md.evaluate(sim.system, LJ)
+        kinetic, n_dof = 0.5 * (sim.velocities**2).sum(), 3 * len(sim.system) - 3
+        assert sim.potential_energy == pytest.approx(result.potential_energy, rel=1e-12)
+        assert sim.temperature == pytest.approx(2.0 * kinetic / n_dof, rel=1e-12)
+        tensor = -(sim.velocities.T @ sim.velocities + result.virial) / sim.system.volume
+        assert sim.stress == pytest.approx(tensor, rel=1e-10, abs=1e-12)
+        assert sim.pressure == pytest.approx(-np.trace(sim.stress) / 3.0, rel=1e-12)
+
+    check()
+    sim.system.positions[:] += 0.01 * np.sin(np.arange(3 * len(sim.system))).reshape(-1, 3)
+    check()
+    sim.set_temperature(0.7, seed=2)
+    check()
+    sim.system.cell = md.Cell.of(1.02 * sim.system.cell.vectors)
+    check()
+
+
+def test_a_record_has_the_start_and_every_few_steps_and_looking_changes_no_bit(argon):
+    one, other = argon.simulation(), argon.simulation()
+    record = one.run(25, every=10, progress=False)
+    assert one.stress.shape == (3, 3)
+    assert record.step.tolist() == [0, 10, 20]
+    assert record.time == pytest.approx([0.0, 0.04, 0.08])
+    assert record.momentum.shape == (3, 3)
+    assert record.total_energy == pytest.approx(record.potential_energy + record.kinetic_energy)
+    other.run(25, progress=False)
+    assert np.array_equal(one.positions, other.positions)
+
+
+def test_stress_is_in_record_and_file_where_asked_for_and_in_the_resumed_run(tmp_path, argon):
+    sim, file = argon.simulation(), tmp_path / "a.h5md"
+    assert "stress" not in sim.run(2, every=1, progress=False)
+    sim.extra_observables = ("stress",)
+    record = sim.run(4, every=2, trajectory=file, progress=False)
+    assert record.stress.shape == (3, 3, 3)
+    assert -np.trace(record.stress, axis1=1, axis2=2) / 3.0 == pytest.approx(record.pressure, rel=1e-12)
+    assert np.array_equal(record.stress[-1], sim.stress)
+    with h5py.File(file) as h5:
+        stored = h5["observables/stress/value"]
+        assert np.array_equal(stored[:], record.stress)
+        assert stored.attrs["unit"] == md.units.LJ.pressure
+    resumed = md.Simulation.resume(file, LJ)
+    assert tuple(resumed.extra_observables) == ("stress",)
+    resumed.run(4, every=2, trajectory=file, append=True, progress=False)
+    other = md.Simulation.resume(file, LJ)
+    other.extra_observables = ()
+    assert_answered(lambda: other.run(2, trajectory=file, append=True), ValueError, "extra_observables", "'stress'")
+
+
+@pytest.mark.parametrize("name", ["dumbbells", "water"])
+def test_stress_holds_the_forces_of_constraints(name):
+    sim = SCENES[name]().simulation()
+    sim.run(2, progress=False)
+    assert sim.pressure == pytest.approx(-np.trace(sim.stress) / 3.0, rel=1e-12)
+    assert isinstance(sim.frame(), Frame)
+
+
+@pytest.mark.parametrize("every", [20, 500])
+def test_energy_is_evaluated_only_where_somebody_looks(every, monkeypatch, chain):
+    asked, compute = [], md.Forces.compute
+    monkeypatch.setattr(
+        md.Forces, "compute", lambda self, detail=0, *unit: asked.append(detail) or compute(self, detail, *unit)
+    )
+    chain.simulation().run(2 * every, every=every)
+    assert len(asked) == 2 * every + 1
+    assert sum(detail > 0 for detail in asked) == 3
+    asked.clear()
+    chain.simulation().equilibrate(100, 1.0)
+    assert sum(detail > 0 for detail in asked) == 1  # the look at the start
+
+
+def test_what_nobody_asks_for_is_not_paid_and_what_cannot_be_is_told(two_atoms):
+    """Without a volume there is no stress, measured values cannot be set, names are used once."""
+    sim = two_atoms.simulation()
+    record = sim.run(10, every=5)
+    assert {"periodic images", "bond loop", "parameter table", "exclusions"} <= set(sim.report().cost.skipped)
+    assert sim.potential_energy < 0.0
+    extra = "extra_observables"
+    for call, error, shown in [
+        (lambda: record.pressure, AttributeError, ["pressure", "volume"]),
+        (lambda: record.color, AttributeError, ["'color'"]),
+        (lambda: sim.pressure, ValueError, ["pressure", "volume", "pbc = [False"]),
+        (lambda: sim.stress, ValueError, ["stress", "volume", "pbc = [False"]),
+        (lambda: setattr(sim, extra, ("stress",)), ValueError, ["stress", "volume"]),
+        (lambda: setattr(sim, extra, ("heat",)), ValueError, [extra, "('heat',)"]),
+        (lambda: setattr(sim, "temperature", 1.0), AttributeError, ["temperature", "set_temperature"]),
+        (lambda: register(Observable("pressure", "pressure", abs)), ValueError, ["'pressure'"]),
+        (lambda: register(Observable("fastest", "speed", abs)), ValueError, ["unit", "'speed'"]),
+    ]:
+        assert_answered(call, error, *shown)
+    assert sim.extra_observables == ()
+    assert "fastest" not in {**OBSERVABLES, **SERIES}
+
+
+def test_an_observable_of_ones_own_is_in_record_and_file_and_stays_there(tmp_path, monkeypatch, argon):
+    """A file keeps its observables: appended to with others, its series would have different lengths."""
+    before, file, sim = tmp_path / "before.h5md", tmp_path / "a.h5md", argon.simulation()
+    sim.run(2, every=1, trajectory=before)
+    with monkeypatch.context() as patch:
+        patch.setattr("minimd.engine.observation.OBSERVABLES", dict(OBSERVABLES))
+        register(Observable("doubled_energy", "energy", lambda look: 2.0 * look.total_energy))
+        assert_answered(lambda: sim.run(2, every=1, trajectory=before, append=True), ValueError, "'doubled_energy'")
+        record = sim.run(6, every=3, trajectory=file)
+        assert np.array_equal(record.doubled_energy, 2.0 * record.total_energy)
+    SERIES.pop("doubled_energy")
+    with h5py.File(file) as h5:
+        stored = h5["observables/doubled_energy/value"]
+        assert np.array_equal(stored[:], 2.0 * record.total_energy)
+        assert stored.attrs["unit"] == md.units.LJ.energy
+    assert_answered(lambda: sim.run(2, every=1, trajectory=file, append=True), ValueError, "'doubled_energy'")
+    for one in (before, file):
+        assert not damage(one)
+        assert read_file(one).n_frames == 3

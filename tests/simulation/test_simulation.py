@@ -1,0 +1,191 @@
+"""A whole simulation: what it conserves, how it follows changes, how it stops, and what it leaves when it fails."""
+
+import os
+import signal
+import warnings
+
+import numpy as np
+import pytest
+from scenes import BONDED, LJ, SCENES, Scene
+from scipy import stats
+from wrong_calls import assert_answered
+
+import minimd as md
+
+
+def springs():
+    """Pairs held by springs, in a cell; in each pair no other force."""
+    scene = SCENES["dumbbells"]()
+    return Scene(scene.system, [BONDED, md.HarmonicBond(300.0, 0.5)], timestep=0.002)
+
+
+def pair(x, **options):
+    """Two atoms in open space."""
+    return Scene(md.System([[0.0, 0, 0], [x, 0, 0]], **options), [LJ], timestep=0.001)
+
+
+@pytest.mark.parametrize("scene", [SCENES["argon"], springs])
+def test_wrapping_any_atom_at_any_step_changes_nothing(scene):
+    plain, wrapped = scene().simulation(), scene().simulation()
+    rng, cell = np.random.default_rng(8), plain.system.cell.vectors
+    for _ in range(20):
+        plain.run(10, every=10)
+        wrapped.run(10, every=10)
+        moved = rng.random(len(plain.system)) < 0.3
+        wrapped.positions[moved] += rng.integers(-3, 4, (moved.sum(), 3)) @ cell
+    away = (wrapped.positions - plain.positions) @ np.linalg.inv(cell)
+    assert np.abs(away - np.rint(away)).max() < 1e-10
+    assert np.abs(np.rint(away)).max() >= 1
+    assert (plain.step, plain.time) == (200, pytest.approx(200 * plain.method.timestep))
+    assert wrapped.record.total_energy == pytest.approx(plain.record.total_energy, rel=1e-11)
+
+
+def test_set_temperature_is_exact_seeded_normal_and_without_momentum():
+    masses = np.repeat([1.0, 16.0], 4000)
+    system = md.System(np.random.default_rng(0).uniform(0, 100, (8000, 3)), masses=masses, cell=100.0)
+    simulation, drawn = Scene(system, [LJ]).simulation(), []
+    for seed in (5, 5, 8):
+        simulation.set_temperature(2.0, seed=seed)
+        drawn.append(simulation.velocities.copy())
+    assert np.array_equal(drawn[0], drawn[1])
+    assert not np.allclose(drawn[0], drawn[2])
+    observed = simulation.frame().observables
+    assert observed["temperature"] == pytest.approx(2.0, rel=1e-14)
+    assert np.abs(observed["momentum"]).max() < 1e-13 * observed["absolute_momentum"]
+    for mass in (1.0, 16.0):
+        components = drawn[0][masses == mass].ravel() * np.sqrt(mass / 2.0)
+        assert stats.kstest(components, "norm").pvalue > 0.01  # statistics, seed fixed
+
+
+def test_rescaling_keeps_a_drift_unless_the_center_is_thermal(argon):
+    """And equilibrating starts the clock again."""
+    drift, sim = [0.5, 0.0, -1.0], argon.simulation()
+    sim.velocities[:] += drift
+    sim.equilibrate(20, 1.3)
+    assert (sim.step, sim.time) == (0, 0.0)
+    assert sim.temperature == pytest.approx(1.3, rel=1e-12)
+    assert sim.velocities.mean(axis=0) == pytest.approx(drift, abs=1e-13)  # rounding
+    sim.velocities[:] = drift
+    assert sim.temperature == 0.0
+    assert_answered(lambda: sim.rescale_temperature(1.0), ValueError, "velocities")
+    sim.method = md.LangevinBAOAB(0.002, 1.0, 1.0, seed=1)
+    sim.rescale_temperature(1.0)
+    assert sim.temperature == pytest.approx(1.0, rel=1e-12)
+    assert sim.velocities[0, 2] == pytest.approx(-2.0 * sim.velocities[0, 0], rel=1e-12)
+
+
+def test_another_method_is_checked_and_counts_its_degrees_of_freedom(argon):
+    sim, n_atoms = argon.simulation(), len(argon.system)
+    for wrong in (0.002, md.VelocityVerlet, None):
+        assert_answered(lambda: setattr(sim, "method", wrong), TypeError, "method")
+    assert isinstance(sim.method, md.VelocityVerlet)
+    assert sim.engine.surroundings.bath.n_dof == 3 * n_atoms - 3
+    sim.method = md.LangevinBAOAB(0.002, 1.0, 1.0, 1)
+    assert sim.n_dof == sim.engine.surroundings.bath.n_dof == 3 * n_atoms
+
+
+def test_simulation_works_on_a_copy_and_what_is_fixed_cannot_be_changed(argon):
+    system, sim = argon.system, argon.simulation()
+    before = system.positions.copy()
+    sim.run(10)
+    assert np.array_equal(system.positions, before)
+    assert not np.array_equal(sim.positions, before)
+    for array in (system.masses, system.bonds, system.species_index, system.cell.vectors, system.cell.lattice):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+
+
+def test_atoms_moved_by_anybody_are_seen_at_the_next_look_and_in_the_next_kick():
+    simulation = pair(1.5).simulation()
+    simulation.run(5, every=5)
+    for x, looked in ((1.12, lambda: simulation.potential_energy), (1.3, lambda: simulation.run(0).potential_energy)):
+        simulation.positions[:] = [[0, 0, 0], [x, 0, 0]]
+        expected = md.evaluate(simulation.system, LJ).potential_energy
+        assert looked() == pytest.approx(expected, rel=1e-14)
+
+    def push(sim):
+        sim.positions[1, 0] = 1.2 if sim.step == 10 else sim.positions[1, 0]
+
+    watched, twin = pair(1.5).simulation(), pair(1.5).simulation()
+    watched.run(20, every=10, observers=[push])
+    twin.run(10, every=10)
+    push(twin)
+    twin.run(10, every=10)
+    assert np.array_equal(watched.positions, twin.positions)
+
+
+@pytest.mark.parametrize("cells", [(None, 12.0), (12.0, None), (16.0, [12.0, 3.0, 3.0]), (12.0, [12.0, 12.0, 3.0])])
+def test_forces_follow_a_cell_that_changes(cells, chain):
+    """Open to periodic and back, below twice the cutoff, with bonds and exclusions."""
+    parts, potentials = {"positions": chain.system.positions, "bonds": chain.system.bonds}, [BONDED, *chain.laws]
+    changing = md.System(cell=cells[0], **parts)
+    forces = md.Forces(changing, potentials)
+    forces.compute(1)
+    changing.cell = md.Cell.of(cells[1])
+    forces.compute(1)
+    fresh = md.evaluate(md.System(cell=cells[1], **parts), potentials)
+    assert forces.potential_energy == pytest.approx(fresh.potential_energy, rel=1e-12)
+    assert forces.forces == pytest.approx(fresh.forces, rel=1e-11, abs=1e-11)
+
+
+def test_blow_up_says_at_which_step_which_atoms_and_keeps_the_last_good_state():
+    """Two fast atoms run into each other with a time step far too large."""
+    positions = np.array([[0.0, 0, 0], [8.0, 0.05, 0], [4.0, 6.0, 6.0]])
+    system = md.System(positions, velocities=[[10.0, 0, 0], [-10.0, 0, 0], [0, 0, 0]], cell=20.0)
+    simulation, twin = (Scene(system, [LJ], timestep=0.05).simulation() for _ in range(2))
+    shown = ["atoms 0 and 1", "timestep 0.05"]
+    message = assert_answered(lambda: simulation.run(1000, every=100), md.NonFiniteError, *shown)
+    assert f"At step {simulation.step + 1}:" in message
+    assert 0 < simulation.step < 20
+    assert np.isfinite(simulation.positions).all()
+    assert np.abs(simulation.velocities).max() < 1e3
+    expected = md.evaluate(simulation.system, LJ).potential_energy
+    assert simulation.potential_energy == pytest.approx(expected, rel=1e-12)
+    twin.run(simulation.step, every=1)
+    assert simulation.positions == pytest.approx(twin.positions, abs=1e-9)
+
+
+def broken(r2, limit):
+    """No number beyond a distance."""
+    return (limit - r2) ** 0.5, 0.0 if r2 > limit else 1.0 / (limit - r2) ** 0.5
+
+
+def test_a_start_that_would_explode_and_a_law_without_numbers_are_refused():
+    near = md.System([[0, 0, 0], [0.01, 0, 0], [3, 3, 3]], cell=10.0)
+    assert_answered(lambda: Scene(near, [LJ]).simulation().run(10), md.NonFiniteError, "atoms 0 and 1", "0.01 σ")
+    law = md.PairPotential(broken, (4.0,), 3.0, "truncated")
+    leaving = Scene(pair(1.5, velocities=[[1, 0, 0], [0, 0, 0]]).system, [law], timestep=0.01).simulation()
+    assert_answered(lambda: leaving.run(200, every=1), md.NonFiniteError, "At step ", "potential energy")
+
+
+def test_interrupt_stops_at_a_whole_step():
+    interrupt = lambda sim: os.kill(os.getpid(), signal.SIGINT) if sim.step == 50 else None  # noqa: E731
+    simulation, twin = springs().simulation(), springs().simulation()
+    with pytest.raises(KeyboardInterrupt):
+        simulation.run(100_000, every=10, observers=[interrupt])
+    twin.run(simulation.step, every=10)
+    assert 50 <= simulation.step <= 60
+    assert simulation.positions == pytest.approx(twin.positions, abs=1e-12)
+
+
+FIXED, HELD = md.FixedAtoms([2]), md.DistanceConstraints([[0, 1]])
+
+
+def made(given, law=LJ, constraints=None):
+    """A simulation of three atoms, of a system with more than them."""
+    return md.Simulation(md.System(np.diag([1.0, 0.0, 2.2]), **given), [LJ, law], md.VelocityVerlet(0.001), constraints)
+
+
+def test_what_was_probably_forgotten_is_told():
+    """Bonds, for a law that acts on them; constraints of a kind that is not given again."""
+    for law in (BONDED, md.HarmonicBond(1.0, 1.0)):
+        with pytest.warns(UserWarning, match="bonds="):
+            made({}, law)
+    with pytest.warns(UserWarning, match=r"FixedAtoms\(1 atoms\) is lost") as told:
+        made({"constraints": [FIXED]}, LJ, [HELD])
+    assert told[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made({"bonds": [[0, 1]]}, BONDED)
+        for constraints in ([HELD, FIXED], ()):
+            made({"constraints": [FIXED]}, LJ, constraints)

@@ -1,0 +1,248 @@
+"""Advice on the time step: its limit is where runs blow up, for every scene and every method; closed forms; words."""
+
+import warnings
+
+import numpy as np
+import pytest
+import scipy.linalg
+from rigid_scenes import SCENES as GRAPHS
+from scenes import LJ, OPEN, SCENES
+from step_scenes import MINIMA, at_minimum, diatomic, fcc, longest_stable_step
+from wrong_calls import assert_answered
+
+import minimd as md
+from minimd.integrators import SPLITTINGS, THERMOSTATS, SecondOrder, energy_oscillation, run_steps, stability_limit
+from minimd.integrators.splitting.substeps import repeated
+
+EXPLICIT = pytest.mark.parametrize("method", SPLITTINGS.values(), ids=lambda method: method.name)
+STEPS = [(name, md.VelocityVerlet) for name in MINIMA] + [
+    ("fcc crystal", one)
+    for one in (md.integrators.PEFRL, md.integrators.Ruth3, md.integrators.KahanLi6, md.PositionVerlet)
+]
+
+
+def oscillator_path(method, h, n_steps):
+    return run_steps(SecondOrder(lambda q: -q), method(h), ([1.0], [0.3]), n_steps)
+
+
+@pytest.mark.parametrize(("name", "method"), STEPS)
+def test_the_longest_stable_step_is_the_one_advised(name, method):
+    state = at_minimum(MINIMA[name])
+    limit = md.advise_timestep(*state, method=method).limit
+    # truncation: six bisections of ±20 %
+    assert longest_stable_step(state, method, limit) == pytest.approx(limit, rel=0.01)
+
+
+@EXPLICIT
+def test_an_oscillator_stays_bounded_below_the_limit_and_not_above(method):
+    limit = stability_limit(method.sequence())
+    for h in np.linspace(0.05, 0.999, 20) * limit:
+        assert np.abs(oscillator_path(method, h, 1000).q).max() < 100.0
+    above = np.abs(oscillator_path(method, 1.001 * limit, 4000).q).max()
+    assert not above < 1000.0  # slowly for blanes-moan-rkn-4, e^0.002 in a step
+
+
+@EXPLICIT
+def test_the_energy_of_an_oscillator_swings_as_told(method):
+    h = 0.4 * stability_limit(method.sequence())
+    path = oscillator_path(method, h, 20_000)
+    energies = 0.5 * (path.q**2 + path.v**2)
+    swing = (energies.max() - energies.min()) / (energies.max() + energies.min())
+    # the path does not meet the axes exactly
+    assert energy_oscillation(method.sequence(), h) == pytest.approx(swing, rel=2e-3)
+
+
+def test_limits_and_recommendations_that_are_known():
+    """A contact with a bath changes no limit; the recommended step swings the energy by 1/80."""
+    for method in (md.VelocityVerlet, *THERMOSTATS.values()):
+        assert stability_limit(method.sequence()) == pytest.approx(2.0, abs=1e-14)  # rounding
+    twice = repeated(md.VelocityVerlet.sequence(), (0.5, 0.5))  # tr M touches −2 at h = 2√2, where nothing happens
+    assert stability_limit(twice) == pytest.approx(4.0, rel=1e-6)
+    advice = md.advise_timestep(*diatomic())
+    h = advice.frequency * advice.recommended
+    assert advice.period / advice.recommended == pytest.approx(20.0, rel=1e-3)
+    swing = energy_oscillation(md.VelocityVerlet.sequence(), h)
+    assert swing == pytest.approx(1.0 / 80.0, rel=1e-9)
+    assert swing == pytest.approx(h**2 / (8.0 - h**2), rel=1e-9)
+    euler = md.advise_timestep(*diatomic(), method=md.integrators.SE1)
+    assert euler.recommended * euler.frequency / 2.0 == pytest.approx(1.0 / 80.0, rel=1e-6)  # symplectic Euler: h/2
+
+
+def row_of_beads():
+    """ω = 2 √(k/m) cos(π/2N)."""
+    k = np.arange(40)
+    system = md.System(np.column_stack([k, 0 * k, 0 * k]), masses=2.0, bonds=np.column_stack([k[:-1], k[1:]]))
+    return system, md.HarmonicBond(50.0, 1.0), (), 2.0 * np.sqrt(50.0 / 2.0) * np.cos(np.pi / 80.0)
+
+
+def dimer():
+    """ω² = u″(r₀)/μ at r₀ = 2^(1/6)."""
+    u2 = 4.0 * (12 * 13 * 2 ** (-14 / 6) - 6 * 7 * 2 ** (-8 / 6))
+    system = md.System([[0.0, 0.0, 0.0], [2 ** (1 / 6), 0.0, 0.0]], masses=[1.0, 3.0])
+    return system, OPEN, (), np.sqrt(u2 * 4.0 / 3.0)
+
+
+def pulled_pendulum():
+    """Length 1, a spring of rest length ½ to an anchor at distance 2: its tension stiffens, ω² = 1.5 k (1 + 1/2)/m."""
+    system = md.System([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.0, 0.0]], masses=[1.0, 2.0, 1.0])
+    held = [md.DistanceConstraints([[0, 1]]), md.FixedAtoms([0, 2])]
+    return system, md.HarmonicBond(40.0, 0.5, pairs=[[1, 2]]), held, np.sqrt(60.0 * 1.5 / 2.0)
+
+
+def rigid_triangle():
+    """It cannot oscillate, however hard its atoms push each other: rounding is not taken for a mode."""
+    system = md.System(np.array([[0.0, 0, 0], [0.9, 0, 0], [0.45, 0.78, 0]]))
+    return system, OPEN, md.DistanceConstraints([[0, 1], [1, 2], [0, 2]]), 0.0
+
+
+def free(n_atoms):
+    return md.System(np.outer(np.arange(n_atoms), [5.0, 0.0, 0.0])), LJ, (), 0.0
+
+
+KNOWN = [row_of_beads, dimer, pulled_pendulum, rigid_triangle, lambda: free(2), lambda: free(64)]
+
+
+@pytest.mark.parametrize("make", KNOWN)
+def test_frequencies_are_the_closed_forms(make):
+    *scene, frequency = make()
+    advice = md.advise_timestep(*scene)
+    assert advice.frequency == pytest.approx(frequency, rel=1e-4 if make is row_of_beads else 1e-7)  # ACCURACY
+    if make is pulled_pendulum:
+        assert advice.atoms == (1,)
+    if frequency == 0.0:
+        assert advice.limit == advice.recommended == np.inf
+        assert "nothing oscillates" in str(advice)
+
+
+def reduced_frequency(system, law, quadratic, linear):
+    """The highest frequency of M^−1/2 (∇²U − Σ λ ∇²g) M^−1/2 on the null space of all ∇g, by dense algebra.
+
+    quadratic : pairs (i, j), each with g = ½ (r_ij² − d²).  linear : rows (3N,) whose product with r is constant.
+    """
+    n, x = 3 * len(system), system.positions.ravel().copy()
+
+    def forces(y):
+        return md.evaluate(md.System(y.reshape(-1, 3), bonds=system.bonds), law).forces.ravel()
+
+    hessian = np.array([forces(x - 1e-6 * e) - forces(x + 1e-6 * e) for e in np.eye(n)]) / 2e-6
+    curvatures = []
+    for i, j in quadratic:
+        b = np.zeros((3, n))
+        b[:, 3 * j : 3 * j + 3], b[:, 3 * i : 3 * i + 3] = np.eye(3), -np.eye(3)
+        curvatures.append(b.T @ b)
+    gradients = np.array([*(g @ x for g in curvatures), *linear])
+    root = 1.0 / np.sqrt(np.repeat(system.masses, 3))
+    at_rest = np.linalg.lstsq((gradients * root).T, -forces(x) * root, rcond=None)[0]  # M⁻¹(F + λ ∇g) keeps g
+    lagrangian = hessian - np.einsum("k,kab->ab", at_rest[: len(curvatures)], np.array(curvatures))
+    allowed = scipy.linalg.null_space(gradients * root)
+    return np.sqrt(np.linalg.eigvalsh(allowed.T @ (root[:, None] * lagrangian * root) @ allowed)[-1])
+
+
+@pytest.mark.parametrize("shape", ["water", "chain", "ring", "cube", "rod"])
+def test_frequencies_with_constraints_are_those_of_the_reduced_problem(shape):
+    one, pairs, masses = GRAPHS[shape]
+    one, pairs, masses = (one[:9], pairs[:8], masses[:9]) if shape == "chain" else (one, pairs, masses)
+    positions, pairs = np.concatenate([one, one + np.array([0.7, 1.5, 1.2])]), np.concatenate([pairs, pairs + len(one)])
+    system = md.System(positions, masses=np.tile(masses, 2), bonds=pairs)
+    law, quadratic, linear = md.LennardJones(1.0, 0.9), pairs.tolist(), []
+    if shape == "rod":  # its ends are atoms 0 and 2, the middle one lies at 1.16 of 2.5 between them
+        quadratic = [[0, 2], [3, 5]]
+        for start, c in np.ndindex(2, 3):
+            row = np.zeros(18)
+            row[3 * (3 * start + np.arange(3)) + c] = 1.16 / 2.5 - 1.0, 1.0, -1.16 / 2.5
+            linear.append(row)
+    frequency = md.advise_timestep(system, law, md.DistanceConstraints(pairs)).frequency
+    assert frequency == pytest.approx(reduced_frequency(system, law, quadratic, linear), rel=1e-4)  # ACCURACY
+
+
+def test_rigid_bonds_do_not_oscillate():
+    system, law, rigid = SCENES["dumbbells"]()[:3]
+    stiff = [*law, md.HarmonicBond(1e6, 0.5)]
+    alone = md.advise_timestep(system, law, rigid).frequency
+    assert md.advise_timestep(system, stiff, rigid).frequency == pytest.approx(alone, rel=1e-3)
+    assert md.advise_timestep(system, stiff).frequency > 1000.0
+
+
+def test_the_stiffest_bond_is_named():
+    stiffness = np.full(11, 100.0)
+    stiffness[4] = 5000.0
+    bonds = md.HarmonicBond(stiffness, 1.0)
+    advice = md.advise_timestep(SCENES["chain"]().system, bonds, method=md.VelocityVerlet(0.01))
+    assert advice.bond == (4, 5)
+    assert set(advice.atoms) == {4, 5}
+    assert sum(advice.shares) == pytest.approx(1.0, abs=0.02)
+    for words in ("the bond of atoms 4 and 5", "velocity-verlet", "20 steps a period", "0.01 τ", "of the limit"):
+        assert words in str(advice)
+
+
+def test_advice_leaves_the_system_alone_and_sees_far_atoms():
+    system, law, _ = fcc()
+    before = system.positions.copy()
+    here = md.advise_timestep(system, law)
+    assert np.array_equal(system.positions, before)
+    system.positions += 1000.0 * np.array([5.0, -7.0, 3.0])
+    assert md.advise_timestep(system, law).frequency == pytest.approx(here.frequency, rel=1e-3)
+
+
+def test_what_cannot_be_advised_is_refused():
+    system = md.System([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    assert_answered(lambda: md.advise_timestep(system, OPEN), md.NonFiniteError, "atoms 0 and 1", "0 σ apart")
+    assert_answered(lambda: md.advise_timestep(system, OPEN, method=0.01), TypeError, "method", "0.01")
+
+
+def quiet(*arguments):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        md.Simulation(*arguments).run(1)
+
+
+def test_a_run_warns_once_of_a_step_too_long_for_a_bond():
+    """Unless constraints keep it from stretching: fixed atoms, its own, or other lengths that hold it however stiff."""
+    system, bond, _ = diatomic()  # 2/ω = 0.1789
+    simulation = md.Simulation(system, bond, md.VelocityVerlet(0.18))
+    words = r"timestep 0\.18 τ is longer than the bond of atoms 0 and 1 allows: .* up to 0\.1789 τ"
+    with pytest.warns(UserWarning, match=words) as caught:
+        simulation.run(1)
+    assert caught[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        simulation.run(1)
+    quiet(system, bond, md.VelocityVerlet(0.178))
+    quiet(system, bond, md.integrators.PEFRL(0.26))  # stable up to 2.989/ω
+    quiet(system, bond, md.VelocityVerlet(0.18), md.DistanceConstraints([[1, 0]]))
+    quiet(system, bond, md.VelocityVerlet(0.18), md.FixedAtoms([0]))  # 2/ω = 0.4
+    triangle = md.System(np.array([[0.0, 0, 0], [1.0, 0, 0], [0.5, 1.0, 0]]))
+    stiff = md.HarmonicBond(1e6, 1.0, pairs=[[0, 1]])
+    quiet(triangle, stiff, md.VelocityVerlet(0.01), md.FixedAtoms([0, 1]))
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(8.0)
+    apex = np.vstack([corners, corners[1] + corners[2] + corners[3]])  # a fifth atom, held by three lengths
+    pairs = [[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [2, 3], [1, 4], [2, 4], [3, 4]]
+    across = md.HarmonicBond(1e6, float(np.linalg.norm(apex[4] - apex[0])), pairs=[[0, 4]])  # implied by the others
+    quiet(md.System(apex), across, md.VelocityVerlet(0.01), md.DistanceConstraints(pairs))
+    with pytest.warns(UserWarning, match="longer than the bond of atoms 0 and 4 allows"):
+        md.Simulation(md.System(apex), across, md.VelocityVerlet(0.01)).run(1)
+
+
+def test_a_crystal_that_will_melt_is_given_the_step_of_collisions():
+    """At T* 1.44 the step of the modes alone blows up; the hint of a run names the same step as the advice."""
+    positions, edges = md.lattice.crystal("fcc", [4, 4, 4], 1.68)
+    system, law = md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5, truncation="force-shifted")
+    cold = md.advise_timestep(system, law)
+    assert cold.harmonic == pytest.approx(0.0285, rel=0.01)
+    assert cold.recommended == cold.collision == pytest.approx(0.00588, rel=0.01)
+    assert "collisions of Lennard-Jones atoms" in str(cold)
+    sim = md.Simulation(system, law, md.VelocityVerlet(cold.harmonic))
+    sim.set_temperature(1.44, seed=1)
+    hot = md.advise_timestep(sim.system, law)
+    assert hot.recommended == pytest.approx(0.00507, rel=0.01)  # ω 5.8 times that of a pair
+    with pytest.warns(UserWarning, match=f"up to {md.units.LJ.shown(hot.recommended)}; see advise_timestep"):
+        sim.run(1)
+
+
+def test_a_hydrogen_inside_its_oxygen_does_not_collide():
+    places, species = [[0.0, 0, 0], [1.0, 0, 0], [4.0, 0, 0], [5.0, 0, 0]], ["O", "H", "O", "H"]
+    system, held = md.System(places, masses=[16.0, 1.0] * 2, species=species), md.DistanceConstraints([[0, 1], [2, 3]])
+    inside, alone = (md.LennardJones({"O": (1.0, 3.0), "H": (depth, 0.4)}) for depth in (0.3, 0.0))
+    collision = md.advise_timestep(system, alone, held).collision
+    assert md.advise_timestep(system, inside, held).collision == pytest.approx(collision, rel=1e-12)
+    assert md.advise_timestep(system, inside).collision < 0.1 * collision

@@ -40,20 +40,20 @@ def resumed(path, constraints):
     return sim
 
 
-@pytest.mark.parametrize("solver", ["auto", "newton", "shake"])
-def test_constraints_read_back_are_those_that_were_kept_to_the_last_bit(solver, tmp_path):
-    sim = simulation(both_kinds(tolerance=1e-11, solver=solver))
-    sim.run(5, every=5, trajectory=tmp_path / "a.h5md")
-    lengths = sim.engine.constraint_set.bonds.lengths.tolist()
-    expected = [[0, 1]], [(PAIRS[1:].tolist(), lengths, 1e-11, solver)]
-    assert described(read_file(tmp_path / "a.h5md").system.constraints) == expected
-
-
-def test_a_file_holds_what_there_is_and_no_more(tmp_path):
-    for k, constraints in enumerate([(), md.FixedAtoms([3]), md.DistanceConstraints(PAIRS)]):
+def test_constraints_read_back_are_those_that_were_kept_to_the_last_bit(tmp_path):
+    """A file holds what there is and no more; a system carries its constraints to the next simulation."""
+    kinds = [(), md.FixedAtoms([3]), *(both_kinds(tolerance=1e-11, solver=one) for one in ("auto", "newton", "shake"))]
+    for k, constraints in enumerate(kinds):
         sim, path = simulation(constraints), tmp_path / f"{k}.h5md"
-        sim.run(1, trajectory=path)
-        assert described(read_file(path).system.constraints) == described(sim.constraints)
+        sim.run(5, every=5, trajectory=path)
+        if k > 1:
+            lengths, solver = sim.engine.constraint_set.bonds.lengths.tolist(), constraints[0].solver
+            assert described(sim.constraints) == ([[0, 1]], [(PAIRS[1:].tolist(), lengths, 1e-11, solver)])
+        again = md.Simulation(sim.system, [BONDED], VERLET)
+        assert (
+            described(again.constraints) == described(read_file(path).system.constraints) == described(sim.constraints)
+        )
+        assert again.n_dof == sim.n_dof
         with h5py.File(path) as h5:
             assert ("minimd/constraints" in h5) == bool(sim.constraints)
 
@@ -75,13 +75,6 @@ def test_a_resumed_run_is_the_uninterrupted_one(method, n_steps, tmp_path):
     assert contents.record.constraint_violation.max() < 1e-13
 
 
-def test_a_simulation_takes_the_constraints_of_the_system_of_another():
-    sim = simulation(both_kinds())
-    again = md.Simulation(sim.system, [BONDED], VERLET)
-    assert described(again.constraints) == described(sim.constraints) == described(sim.system.constraints)
-    assert again.n_dof == sim.n_dof
-
-
 FIXED = md.FixedAtoms([0, 1])
 OTHERS = {  # constraints, and what is said of the difference
     "nothing": ((), "atom 0 is fixed in the file"),
@@ -90,7 +83,10 @@ OTHERS = {  # constraints, and what is said of the difference
     "no lengths": (FIXED, "lengths, 31 of them"),
     "a pair less": ([md.DistanceConstraints(PAIRS[1:-1]), FIXED], "atoms 62-63 is kept in the file"),
     "a pair more": ([md.DistanceConstraints([*PAIRS[1:], (3, 4)]), FIXED], "atoms 3-4 is kept in the simulation"),
-    "a length": ([md.DistanceConstraints(PAIRS[1:], [0.5, 0.6, *[0.5] * 29]), FIXED], r"atoms 4-5 is 0\.[45]\d+ in the file and 0\.[56]"),
+    "a length": (
+        [md.DistanceConstraints(PAIRS[1:], [0.5, 0.6, *[0.5] * 29]), FIXED],
+        r"atoms 4-5 is 0\.[45]\d+ in the file and 0\.[56]",
+    ),
     "a tolerance": ([md.DistanceConstraints(PAIRS[1:], tolerance=1e-9), FIXED], "1e-12 in the file and 1e-09"),
     "a solver": ([md.DistanceConstraints(PAIRS[1:], solver="shake"), FIXED], "'auto' in the file and 'shake'"),
 }
@@ -219,59 +215,38 @@ def test_constraints_of_the_structure_file_hold_unless_the_section_says_otherwis
     ]:
         expected = [[1]] * has_fixed, [(*FILES_LENGTHS, 1e-10, "auto")] * has_lengths
         assert constraints_of_scene(tmp_path, section, *FILES_OWN) == expected, section
+    path = ring_in(tmp_path, FixBondLengths([[0, 3]]))  # 1.5 Å apart, and 0.5 Å in the cell of the scene
+    text = RIGID_RING.replace("ring.xyz", "ring.traj").replace(OF_BONDS, "")
+    (constraint,) = parse_scene(text.replace("bonds = ", "cell_A = [0, 2, 0]\nbonds = "), path).system().constraints
+    assert constraint.lengths == pytest.approx([0.5], abs=1e-15)
     section = '[constraints]\nsolver = "newton"\ntolerance = 1e-8\n'  # of the lengths in the structure file
     assert constraints_of_scene(tmp_path, section, FILES_OWN[1]) == ([], [(*FILES_LENGTHS, 1e-8, "newton")])
 
 
-def test_lengths_of_the_structure_file_are_measured_in_the_cell_of_the_scene(tmp_path):
-    """Atoms 0 and 3 are 1.5 Å apart, and 0.5 Å in a cell of 2 Å."""
-    path = ring_in(tmp_path, FixBondLengths([[0, 3]]))
-    text = RIGID_RING.replace("ring.xyz", "ring.traj").replace(OF_BONDS, "")
-    (constraint,) = parse_scene(text.replace("bonds = ", "cell_A = [0, 2, 0]\nbonds = "), path).system().constraints
-    assert constraint.lengths == pytest.approx([0.5], abs=1e-15)
-
-
-def run_in(folder, text, **options):
-    told = []
-    return run_scene(parse_scene(text, folder / "scene.toml"), tell=told.append, progress=False, **options), told
-
-
 def test_a_resumed_scene_is_the_uninterrupted_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    ring_in(tmp_path)
-    text = RIGID_RING.replace('pairs = "bonds"', 'pairs = "bonds"\nfixed = [2]')
-    whole, told = run_in(tmp_path, text, trajectory=Path("whole.h5md"))
+    text, told = RIGID_RING.replace(OF_BONDS, OF_BONDS + "fixed = [2]\n"), []
+    scene = parse_scene(text, ring_in(tmp_path))
+    whole = run_scene(scene, tell=told.append, progress=False, trajectory=Path("whole.h5md"))
     assert "constraints    lengths kept: 4, atoms fixed: 1; 5 degrees of freedom" in told
-    run_in(tmp_path, text, steps=10, trajectory=Path("parts.h5md"))
+    run_scene(scene, tell=told.append, progress=False, trajectory=Path("parts.h5md"), steps=10)
+    other, silent = (
+        parse_scene(text.replace(OF_BONDS, section), tmp_path / "scene.toml")
+        for section in ("[constraints]\npairs = [[0, 1]]\n", "[constraints]\n")
+    )
+    with pytest.raises(ValueError, match="atoms 0-3 is kept in the file alone"):
+        resume_run("parts.h5md", 10, scene=other, tell=lambda _: None)
     (tmp_path / "ring.xyz").unlink()  # not needed any more
-    sim = resume_run("parts.h5md", tell=lambda _: None)
+    sim = resume_run("parts.h5md", 10, scene=silent, tell=lambda _: None)  # says nothing: those of the file
     assert sim.step == 20
     assert described(sim.constraints) == described(whole.constraints)
     assert np.abs(sim.positions - whole.positions).max() < 1e-13  # rounding
     assert np.abs(sim.velocities - whole.velocities).max() < 1e-13  # rounding
 
 
-def test_a_run_is_not_resumed_with_the_constraints_of_another_scene(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    path = ring_in(tmp_path)
-    run_in(tmp_path, RIGID_RING, steps=10, trajectory=Path("a.h5md"))
-    before = Path("a.h5md").read_bytes()
-    for section, words in (
-        ("pairs = [[0, 1]]", "atoms 0-3 is kept in the file alone"),
-        ('pairs = "bonds"\nlengths_A = 1.4', "atoms 0-1 is 1.5 in the"),
-    ):
-        other = parse_scene(RIGID_RING.replace('pairs = "bonds"', section), path)
-        with pytest.raises(ValueError, match=words):
-            resume_run("a.h5md", 10, scene=other, tell=lambda _: None)
-    assert Path("a.h5md").read_bytes() == before
-    silent = parse_scene(RIGID_RING.replace(OF_BONDS, ""), path)  # says nothing: those of the file
-    assert resume_run("a.h5md", 10, scene=silent, tell=lambda _: None).n_dof == 5
-
-
 def test_the_scene_of_dumbbells_runs_as_its_comments_say():
     sim = load_scene(Path(__file__).parents[2] / "examples" / "dumbbells.toml").simulation()
-    assert sim.n_dof == 3 * 54 - 3 - 27
-    assert sim.n_dof == 132  # as the file has it
+    assert sim.n_dof == 3 * 54 - 3 - 27 == 132  # as the file has it
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # the lattice has the lengths already
         record = sim.run(200, every=10)

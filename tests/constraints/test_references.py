@@ -52,27 +52,21 @@ def constrained_fourmol(pairs, lengths, angle_atoms):
     return simulation
 
 
-def test_rattle_of_three_waters():
-    """Bonds and angles of molecules 3, 4 and 5 as distances."""
+def test_rattle_and_shake_are_those_of_lammps():
+    """Of three waters; and of the light atoms of the solute, where LAMMPS does not project velocities."""
     oxygens = [17, 20, 23]
     pairs = [pair for o in oxygens for pair in ((o, o + 1), (o, o + 2), (o + 1, o + 2))]
-    simulation = constrained_fourmol(pairs, np.tile([1.0, 1.0, 2.0 * np.sin(WATER_ANGLE / 2.0)], 3), oxygens)
+    waters = constrained_fourmol(pairs, np.tile([1.0, 1.0, 2.0 * np.sin(WATER_ANGLE / 2.0)], 3), oxygens)
+    assert [group.shape for group in waters.engine.constraint_set.bonds.groups] == ["triangles"]
     reference = load("lammps_fourmol/fix-timestep-rattle_angle.json")
-    assert [group.shape for group in simulation.engine.constraint_set.bonds.groups] == ["triangles"]
-    assert np.abs(simulation.positions - reference["run_pos"]).max() < 2e-10
-    assert np.abs(simulation.velocities - reference["run_vel"]).max() < 2e-10
-
-
-def test_shake_of_the_hydrogens_of_the_solute():
-    """Bonds of molecules 1 and 2 to atoms of mass 4.00794. LAMMPS does not project velocities here."""
+    assert np.abs(waters.positions - reference["run_pos"]).max() < 2e-10
+    assert np.abs(waters.velocities - reference["run_vel"]).max() < 2e-10
     system, table = fourmol()
-    solute = np.isin(table["mol"], (1, 2))
-    light = solute & np.isclose(system.masses, 4.00794)
-    bonds = [bond for bond in table["bonds"] if solute[bond[1] - 1] and (light[bond[1] - 1] or light[bond[2] - 1])]
-    pairs = [(bond[1] - 1, bond[2] - 1) for bond in bonds]
-    simulation = constrained_fourmol(pairs, [BOND_LENGTHS[bond[0]] for bond in bonds], [])
+    light = np.isin(table["mol"], (1, 2)) & np.isclose(system.masses, 4.00794)
+    bonds = [(kind, i - 1, j - 1) for kind, i, j in table["bonds"] if light[i - 1] or light[j - 1]]
+    solute = constrained_fourmol([pair for _, *pair in bonds], [BOND_LENGTHS[kind] for kind, *_ in bonds], [])
     reference = load("lammps_fourmol/fix-timestep-shake_bond.json")
-    assert np.abs(simulation.positions - reference["run_pos"]).max() < 2e-10
+    assert np.abs(solute.positions - reference["run_pos"]).max() < 2e-10
 
 
 def nitrogen(constraint=None):
@@ -159,14 +153,14 @@ def test_the_center_of_atoms_with_fixcom_is_held_or_what_would_move_it_is_refuse
     md.Simulation(nitrogen(), law, langevin)
 
 
-def test_ase_dynamics_keeps_the_constraints_of_the_atoms():
+def test_ase_dynamics_keeps_the_constraints_of_the_atoms_and_no_others():
     atoms = nitrogen()
     atoms.calc = Calculator(nitrogen_law(), bonds=BONDS)
-    lengths = atoms.positions[1::2] - atoms.positions[::2]
+    start = atoms.positions[1::2] - atoms.positions[::2]
     bridge.VelocityVerlet(atoms, units.fs).run(50)
     now = atoms.positions[1::2] - atoms.positions[::2]
-    assert np.abs(now - lengths).max() > 0.01
-    assert np.linalg.norm(now, axis=1) == pytest.approx(np.linalg.norm(lengths, axis=1), rel=1e-14)
+    assert np.abs(now - start).max() > 0.01
+    assert np.linalg.norm(now, axis=1) == pytest.approx(np.linalg.norm(start, axis=1), rel=1e-14)
     atoms.set_constraint()  # what was removed is no longer kept
     dynamics = bridge.VelocityVerlet(atoms, units.fs)
     dynamics.run(1)

@@ -5,18 +5,20 @@ import pytest
 from scenes import BONDED, SCENES
 
 import minimd as md
-from minimd.integrators import SPLITTINGS
+from minimd.constraints.solver import ConstraintSolver
+from minimd.integrators import SPLITTINGS, State
+from minimd.integrators.splitting.state import Bath, Surroundings
 from minimd.structure.cell import Cell
+from minimd.structure.statistics import mean_and_error
 
 VERLET = md.VelocityVerlet(0.002)
+PAIRS = np.arange(64).reshape(-1, 2)  # of the dumbbells
 SPARSE = md.LennardJones(1e-30, 0.01, 0.5, "force-shifted")
 
 
-def simulation(method=VERLET, constraints=None, **options):
+def simulation(method=VERLET, constraints=None):
     scene = SCENES["dumbbells"]()
-    return scene._replace(constraints=scene.constraints if constraints is None else constraints).simulation(
-        method, **options
-    )
+    return scene._replace(constraints=scene.constraints if constraints is None else constraints).simulation(method)
 
 
 def kept(sim):
@@ -143,7 +145,12 @@ def test_frames_and_reports_know_constraints_before_the_first_run_and_where_the_
     assert "lengths" not in str(free.report())
 
 
-def test_a_bond_across_the_boundary_of_a_new_cell_is_put_right():
+def test_lengths_that_are_violated_at_the_start_are_put_right_with_a_warning():
+    """Also those of a bond across the boundary of a new cell."""
+    sim = simulation(constraints=md.DistanceConstraints(PAIRS, 0.48))
+    with pytest.warns(UserWarning, match="relative errors were"):
+        sim.run(1)
+    assert kept(sim) < 1e-13
     system = md.System([[0.2, 5.0, 5.0], [9.2, 5.0, 5.0]], cell=10.0)
     sim = md.Simulation(system, SPARSE, md.VelocityVerlet(0.001), md.DistanceConstraints([[0, 1]]))
     sim.run(1)
@@ -151,13 +158,6 @@ def test_a_bond_across_the_boundary_of_a_new_cell_is_put_right():
     with pytest.warns(UserWarning, match="relative errors were"):
         sim.run(1)
     assert sim.positions[0, 0] - sim.positions[1, 0] + 10.5 == pytest.approx(1.0, rel=1e-12)
-
-
-def test_a_violated_start_is_projected_with_a_warning():
-    sim = simulation(constraints=[md.DistanceConstraints(np.arange(64).reshape(-1, 2), 0.48)])
-    with pytest.warns(UserWarning, match="relative errors were"):
-        sim.run(1)
-    assert kept(sim) < 1e-13
 
 
 def test_a_run_that_breaks_a_bond_keeps_the_last_good_state():
@@ -171,8 +171,7 @@ def test_a_run_that_breaks_a_bond_keeps_the_last_good_state():
 
 
 def test_fixed_atoms_stay_and_the_report_promises_no_momentum():
-    pairs = np.arange(64).reshape(-1, 2)
-    sim = simulation(constraints=[md.DistanceConstraints(pairs), md.FixedAtoms([0, 5])])
+    sim = simulation(constraints=[md.DistanceConstraints(PAIRS), md.FixedAtoms([0, 5])])
     start = sim.positions.copy()
     sim.run(100, every=20)
     assert (sim.positions[[0, 5]] == start[[0, 5]]).all()
@@ -216,3 +215,63 @@ def test_bonds_longer_than_half_the_cell_turn_as_they_are(length, skew):
     assert violation < 1e-12
     assert np.abs(plain.positions - free.positions).max() < 1e-10  # rounding
     assert np.abs(wrapped.velocities - free.velocities).max() < 1e-10
+
+
+# the temperature in a Langevin bath. B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 20160138 (2016)
+
+
+TRIANGLE = 0.6 * np.array([[0.0, 0.0, 0.0], [0.816, 0.577, 0.0], [-0.816, 0.577, 0.0]])
+MOLECULES = {
+    "dumbbell": (np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), [1.0, 3.0], [[0, 1]], 0.1),
+    "water": (TRIANGLE / 0.6, [16.0, 1.0, 1.0], [[0, 1], [0, 2], [1, 2]], 0.05),
+    "triangle": (TRIANGLE / 0.6, [1.0, 1.0, 1.0], [[0, 1], [0, 2], [1, 2]], 0.1),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MOLECULES)
+def test_free_rigid_molecules_have_the_temperature_of_the_bath_at_any_timestep(name):
+    """All 3N − K degrees of freedom share it, translation and rotation each; a step is a tenth of a turn."""
+    shape, masses, pairs, timestep = MOLECULES[name]
+    n, size, mass = 2000, len(shape), sum(masses)
+    pairs = (np.array(pairs) + size * np.arange(n)[:, None, None]).reshape(-1, 2)
+    positions, m, shares = np.tile(shape, (n, 1)), np.tile(masses, n)[:, None], []
+    bonds = ConstraintSolver(md.DistanceConstraints(pairs), positions, 1.0 / m[:, 0])
+    velocities = np.random.default_rng(1).normal(size=positions.shape) / np.sqrt(m)
+    bonds.project_velocities(velocities, positions)
+    state, around = State(positions, velocities, np.zeros_like(positions), 1.0 / m[:, 0]), Surroundings(bonds, Bath())
+    method = md.LangevinBAOAB(timestep, 1.0, friction=2.0, seed=3)
+    for _ in range(90):
+        method.advance(state, lambda state, with_energy: None, max(1, round(0.4 / timestep)), surroundings=around)
+        translation = ((m * velocities).reshape(n, size, 3).sum(axis=1) ** 2).sum() / mass
+        rotation = (m * velocities**2).sum() - translation
+        shares.append([translation / (3 * n), rotation / (3 * size * n - bonds.n_constraints - 3 * n)])
+    for values in np.array(shares[10:]).T:
+        mean, error = mean_and_error(values)
+        assert error < 0.003
+        assert abs(mean - 1.0) < 4.0 * error  # statistics
+
+
+def temperature_of_a_liquid_of_triangles(timestep, seed):
+    """Mean and error of the kinetic temperature beside that of the bath: 64 rigid triangles of Lennard-Jones atoms."""
+    centers = 1.85 * np.array(list(np.ndindex(4, 4, 4)))
+    positions = (centers[:, None] + TRIANGLE).reshape(-1, 3)
+    pairs = (np.array([[0, 1], [0, 2], [1, 2]]) + 3 * np.arange(64)[:, None, None]).reshape(-1, 2)
+    system = md.System(positions, cell=7.4, bonds=pairs)
+    lj = md.LennardJones(1.0, 1.0, cutoff=2.2, truncation="switched", bonded_scale=(0, 0, 0))
+    bath = md.LangevinBAOAB(timestep, 1.0, friction=5.0, seed=seed)
+    simulation = md.Simulation(system, lj, bath, md.DistanceConstraints(pairs), threads=1)
+    simulation.set_temperature(1.0, seed)
+    simulation.equilibrate(round(10.0 / timestep), 1.0)
+    return mean_and_error(simulation.run(round(400.0 / timestep), every=round(0.04 / timestep)).temperature[1:])
+
+
+@pytest.mark.slow
+def test_the_temperature_of_interacting_molecules_is_off_by_the_square_of_the_timestep():
+    """T(Δt) = T − c Δt², as for oscillators, where c is ω²/4: extrapolated from two steps it is that of the bath."""
+    long, error_long = temperature_of_a_liquid_of_triangles(0.02, 1)
+    short, error_short = temperature_of_a_liquid_of_triangles(0.01, 1)
+    error = np.hypot(4.0 * error_short, error_long) / 3.0
+    assert 1.0 - long > 6.0 * error_long
+    assert (4.0 * short - long) / 3.0 == pytest.approx(1.0, abs=4.0 * error)  # statistics
+    assert error < 0.004

@@ -1,5 +1,6 @@
 """Hints before the first step: a skin that does not fit, units that do not match, a step that is too long, a drift."""
 
+import re
 import warnings
 from time import time_ns
 
@@ -18,25 +19,72 @@ from minimd.engine.engine import Engine
 from minimd.potentials.term import Term
 from minimd.structure.lattice import crystal
 
-FS = md.units.fs
+FS, ARGON = md.units.fs, md.LennardJones(0.0103, 3.4, 8.5, "force-shifted")
+BAROSTAT = md.StochasticCellRescaling(1.0, 1.0, 40.0, seed=1, temperature=80.0, every=5)
 
 
-def hints_of(system, potentials, timestep=0.004, method=md.VelocityVerlet, **options):
-    """The warnings of a run of one step."""
+def hints_of(system, potentials, method=0.004, barostat=None, **options):
+    """The warnings of a run of one step, by velocity Verlet if a time step is given."""
+    method = md.VelocityVerlet(method) if isinstance(method, float) else method
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        md.Simulation(system, potentials, method(timestep), **options).run(1)
+        md.Simulation(system, potentials, method, barostat=barostat, **options).run(1)
     return [str(one.message) for one in told]
 
 
 def like(system, **changes):
     """The same places in the same cell."""
-    return md.System(system.positions, cell=system.cell, **changes)
+    return md.System(system.positions, **{"velocities": system.velocities, "cell": system.cell} | changes)
 
 
 def argon_crystal(constant=5.4):
     positions, edges = crystal("fcc", [4] * 3, constant)
     return md.System(positions, cell=edges, masses=39.95, units=md.units.ASE)
+
+
+def sparse():
+    positions, edges = crystal("fcc", (3, 3, 3), 5.4)
+    return md.System(positions, cell=edges)
+
+
+def with_depth(epsilon, sigma=3.4):
+    law = md.LennardJones(epsilon, sigma, 2.2 * sigma, "force-shifted")
+    return argon_crystal(5.4 * sigma / 3.4), law, 0.5 * FS
+
+
+def flowing():
+    system = liquid(3)
+    return like(system, velocities=system.velocities + np.array([0.3, 0.0, 0.4]))
+
+
+def long_step():
+    return f"well up to {md.units.LJ.shown(md.advise_timestep(liquid(3), LJ).collision)}; see advise_timestep"
+
+
+HINTS = {  # scene, and what is said
+    "a sound scene": (lambda: (liquid(3), LJ), None),
+    "lengths in another unit": (lambda: (sparse(), LJ), "no two atoms are within the cutoff, 1.8 σ: .*3.82 σ apart"),
+    "a single atom": (lambda: (md.System([[0.0, 0.0, 0.0]]), LJ), None),
+    "a step that is short enough": (lambda: (liquid(3), LJ, 0.018), None),
+    "a long step": (lambda: (liquid(3), LJ, 0.022), long_step),
+    "a step long for lighter atoms": (lambda: (like(liquid(3), masses=4.0), LJ, 0.022), None),
+    "a step in seconds": (lambda: (argon_crystal(), ARGON, 5e-15), r"check its unit, such as 5 \* md.units.fs"),
+    "a step no slip makes": (lambda: (argon_crystal(), ARGON, 1e-100), None),  # as in ASE's own tests
+    "a center that moves": (lambda: (flowing(), LJ), "center of mass.*0.5 σ/τ"),
+    "a pressure in bar": (lambda: (argon_crystal(), ARGON, 0.4, BAROSTAT), r"is 1.6e\+06 bar; .* 1 \* md.units.BAR"),
+    "a depth in K": (lambda: with_depth(120.0), r"^epsilon = 120 eV .* 0.0103 eV, epsilon=120 \* md.units.ASE.k_B"),
+    "a depth in kJ/mol": (lambda: with_depth(0.997), "^epsilon = 0.997 eV .* 0.0103 eV, epsilon=0.997 / md.units.KJ_"),
+    "the right depth": (lambda: with_depth(0.0103), None),
+    "the depth of tungsten": (lambda: with_depth(1.07, 2.56), None),
+    "one that is thermal": (lambda: (flowing(), LJ, md.LangevinBAOAB(0.004, 1.0, 1.0, seed=1)), None),
+}
+
+
+@pytest.mark.parametrize("name", HINTS)
+def test_what_is_odd_is_told_before_the_first_step(name):
+    make, words = HINTS[name]
+    told = hints_of(*make())
+    assert [bool(re.search(words() if callable(words) else words, one)) for one in told] == [True] * (words is not None)
 
 
 def test_a_skin_that_does_not_fit_is_clamped_and_said():
@@ -53,26 +101,6 @@ def test_a_skin_that_does_not_fit_is_clamped_and_said():
         sim.velocities[:, 0] = np.tile([40.0, -40.0], len(system) // 2)
         sim.run(0)
         assert words in str(sim.report())
-
-
-def test_lengths_in_different_units_are_pointed_out():
-    positions, edges = crystal("fcc", (3, 3, 3), 5.4)
-    (hint,) = hints_of(md.System(positions, cell=edges), LJ)
-    assert hint.startswith("no two atoms are within the cutoff, 1.8 σ: the closest,")
-    assert "3.82 σ apart" in hint
-    assert hints_of(md.System([[0.0, 0.0, 0.0]]), LJ) == []
-
-
-@pytest.mark.parametrize(("timestep", "is_long"), [(0.004, False), (0.018, False), (0.022, True)])
-def test_a_long_time_step_is_pointed_out(timestep, is_long):
-    hot = liquid(3)
-    advised = md.units.LJ.shown(md.advise_timestep(hot, LJ).collision)
-    told = hints_of(hot, LJ, timestep)
-    assert [f"conserves the energy well up to {advised}; see advise_timestep" in one for one in told] == [
-        True
-    ] * is_long
-    assert md.advise_timestep(like(hot), LJ).collision == pytest.approx(0.005879, rel=1e-3)  # at rest
-    assert hints_of(like(hot, masses=4.0), LJ, timestep) == []
 
 
 @pytest.mark.parametrize(("masses", "is_long"), [((1.0, 4.0), True), ((4.0, 1.0), False), ((4.0, 4.0), False)])
@@ -130,28 +158,6 @@ def test_the_first_step_compiles_all_that_the_next_ones_need():
     assert compile_clock.seconds == before > start
 
 
-@pytest.mark.parametrize(
-    ("epsilon", "sigma", "words"),
-    [
-        (120.0, 3.4, "in K it would be 0.0103 eV, epsilon=120 * md.units.ASE.k_B"),
-        (0.997, 3.4, "in kJ/mol it would be 0.0103 eV, epsilon=0.997 / md.units.KJ_PER_MOL_PER_EV"),
-        (0.0103, 3.4, None),
-        (1.07, 2.56, None),  # tungsten
-    ],
-)
-def test_an_epsilon_in_another_unit_is_named_before_the_time_step(epsilon, sigma, words):
-    system = argon_crystal(constant=5.4 * sigma / 3.4)
-    law = md.LennardJones(epsilon, sigma, 2.2 * sigma, "force-shifted")
-    in_a_report = too_long_a_step(Engine(system, law, md.VelocityVerlet(5 * FS))) or ""
-    assert in_a_report.startswith("epsilon" if words else "")
-    told = hints_of(system, law, 0.5 * FS)
-    assert len(told) == (words is not None)
-    for hint in told:
-        assert hint.startswith(f"epsilon = {epsilon:g} eV is far deeper")
-        assert words in hint
-        assert "timestep" not in hint
-
-
 def test_a_failure_names_the_epsilon_first():
     law = md.LennardJones(120.0, 3.4, 8.5, "force-shifted")
     sim = md.Simulation(argon_crystal(), law, md.VelocityVerlet(5 * FS))
@@ -160,35 +166,18 @@ def test_a_failure_names_the_epsilon_first():
         sim.run(500, every=20)
     assert "ikely cause: epsilon = 120 eV is far deeper" in str(caught.value)
     assert "halve" not in str(caught.value)
+    for depth, is_named in ((120.0, True), (0.0103, False)):  # in a report, too
+        system, law, _ = with_depth(depth)
+        found = too_long_a_step(Engine(system, law, md.VelocityVerlet(5 * FS))) or ""
+        assert found.startswith("epsilon") is is_named
 
 
-@pytest.mark.parametrize(
-    ("timestep", "pressure", "words"),
-    [
-        (5e-15, None, "check its unit, such as 5 * md.units.fs"),
-        (0.4, 1.0, "1 eV/Å³ is 1.6e+06 bar; if 1 bar is meant, give 1 * md.units.BAR"),
-        (1e-100, None, None),  # no slip of a unit: as in ASE's own tests, which ask for atoms that stand still
-    ],
-)
-def test_a_time_step_in_seconds_and_a_pressure_in_bar_are_pointed_out(timestep, pressure, words):
-    bath = pressure and md.StochasticCellRescaling(pressure, 1.0, 40.0, seed=1, temperature=80.0, every=5)
-    law = md.LennardJones(0.0103, 3.4, 8.5, "force-shifted")
-    told = hints_of(argon_crystal(), law, timestep, barostat=bath)
-    assert [words in one for one in told] == [True] * (words is not None)
-
-
-def test_a_center_that_moves_is_told_where_its_motion_is_no_degree_of_freedom():
-    system = liquid(3)
-    system.velocities += [0.3, 0.0, 0.4]
-    (hint,) = hints_of(system, LJ)
-    assert "center of mass" in hint
-    assert "0.5 σ/τ" in hint
-    assert hints_of(system, LJ, method=lambda dt: md.LangevinBAOAB(dt, 1.0, 1.0, seed=1)) == []
-    sim = md.Simulation(system, LJ, md.VelocityVerlet(0.004))
+def test_the_call_that_is_told_stops_a_center_that_moves():
+    (hint,) = hints_of(flowing(), LJ)
+    sim = md.Simulation(flowing(), LJ, md.VelocityVerlet(0.004))
     exec(hint.split("; ")[-1].removesuffix(" stops it"), {"sim": sim})
-    assert hints_of(sim.system, LJ) == []
-    system.velocities[:] = np.float32(sim.velocities)
-    assert hints_of(system, LJ) == []
+    for velocities in (sim.velocities, np.float32(sim.velocities)):
+        assert hints_of(like(sim.system, velocities=velocities), LJ) == []
 
 
 def test_a_thermal_center_of_ase_is_told_by_a_simulation_and_not_by_its_own_dynamics():

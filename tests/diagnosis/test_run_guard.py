@@ -112,27 +112,6 @@ def test_a_mistake_in_the_diagnosis_is_not_hidden(monkeypatch):
         liquid_run(md.VelocityVerlet(0.04)).run(4000)
 
 
-def test_an_overlap_made_during_a_run_is_told_as_one():
-    def push_together(run):
-        if run.step == 20:
-            run.positions[1] = run.positions[0] + [0.3, 0.0, 0.0]
-
-    found = failure(liquid_run().run, 100, every=10, observers=[push_together]).crash_report
-    assert found.kind == "overlap"
-    assert "overlap at step 20" in found.cause
-    assert {found.pair.first, found.pair.second} == {0, 1}
-
-
-def test_atoms_flung_beyond_all_numbers_in_use_are_told_of():
-    """Their positions are still finite, but no System can hold them."""
-    system = md.System([[0.0, 0, 0], [1.0, 0, 0]], velocities=np.full((2, 3), [9e74, 0, 0]), bonds=[[0, 1]])
-    error = failure(md.Simulation(system, md.HarmonicBond(1e-3, 1.0), md.VelocityVerlet(10.0)).run, 100)
-    assert "At step 1: positions of 2 atoms are not finite, or beyond 1e+75" in str(error)
-
-
-# energies that run away within a block
-
-
 def copper(calculator=None):
     atoms = ase.build.bulk("Cu", cubic=True).repeat(2)
     atoms.calc = EMT() if calculator is None else calculator
@@ -147,8 +126,8 @@ def nitrogen(timestep):
 
 @pytest.mark.filterwarnings("ignore:the calculator is EMT", "ignore:timestep")
 @pytest.mark.parametrize("bath", [{}, {"temperature_K": 300, "friction": 0.01 / units.fs}], ids=["alone", "bath"])
-def test_a_calculator_of_others_fails_at_its_step_for_its_cause(bath):
-    """ASE alone, step by step, has 11.5 eV after the first step and 2.4e5 eV after the second."""
+def test_a_calculator_of_others_fails_at_its_step_for_its_cause(bath, tmp_path):
+    """ASE alone has 11.5 eV after the first step and 2.4e5 eV after the second; a look at each step changes nothing."""
     atoms = copper()
     start, run = atoms.get_total_energy(), (Langevin if bath else VelocityVerlet)(atoms, TOO_LONG, **bath)
     found = failure(run.run, 300).crash_report
@@ -158,14 +137,10 @@ def test_a_calculator_of_others_fails_at_its_step_for_its_cause(bath):
     limit = md.units.ASE.shown(md.advise_timestep(atoms, ForcesFromCalculator(EMT())).limit)
     assert f"timestep 60 fs too large: {run.method().name} is stable up to {limit[:2]}" in found.cause
     assert "as advise_timestep recommends" in found.advice
-
-
-@pytest.mark.filterwarnings("ignore:the calculator is EMT")
-def test_energies_are_compared_with_those_at_the_start_of_the_run(tmp_path):
-    """Also where every step is looked at, and each block is one step."""
-    run = VelocityVerlet(copper(), TOO_LONG, logfile=str(tmp_path / "a.log"), loginterval=1)
-    assert "At step 2: the total energy has gone from 0.735 to 2.4" in str(failure(run.run, 300))
-    assert run.nsteps == 1
+    if not bath:
+        run = VelocityVerlet(copper(), TOO_LONG, logfile=str(tmp_path / "a.log"), loginterval=1)
+        assert "At step 2: the total energy has gone from 0.735 to 2.4" in str(failure(run.run, 300))
+        assert run.nsteps == 1
 
 
 class Scaled(EMT):

@@ -31,16 +31,6 @@ def failure(run, *arguments, **options):
     return caught.value
 
 
-def test_a_refused_output_leaves_the_last_record(tmp_path):
-    sim = liquid_run()
-    record = sim.run(10, every=5, trajectory=tmp_path / "a.h5md")
-    with pytest.raises(FileExistsError):
-        sim.run(10, every=5, trajectory=tmp_path / "a.h5md")
-    assert sim.record is record
-    assert len(record) == 3
-    assert "total energy" in str(sim.report())
-
-
 def test_a_failure_is_judged_by_the_energy_of_its_own_positions(monkeypatch):
     """A method that ends with a drift has not evaluated forces at its last positions; the replay of a failure does."""
     judged, runaway = [], run_guard.runaway
@@ -72,9 +62,12 @@ def test_states_to_go_back_to_are_as_many_as_there_is_room_for(monkeypatch, room
     assert (len(made), sum(positions() is not None for positions in made)) == (5, n_kept)
 
 
-def test_what_is_no_count_or_no_end_is_refused_and_no_steps_are_none():
-    sim = liquid_run()
-    before = sim.positions.copy()
+def test_what_is_no_count_or_no_end_is_refused_and_no_steps_are_none(tmp_path):
+    """What is refused leaves the last record and the state."""
+    sim, file = liquid_run(), tmp_path / "a.h5md"
+    record, before = sim.run(0, trajectory=file), sim.positions.copy()
+    with pytest.raises(FileExistsError):
+        sim.run(10, trajectory=file)
     ends = [
         ("n_steps", sim.run),
         ("until_step", lambda n: sim.run(until_step=n)),
@@ -87,6 +80,7 @@ def test_what_is_no_count_or_no_end_is_refused_and_no_steps_are_none():
             assert_answered(lambda make=make, count=count: make(count), ValueError, name, repr(count))
     for both in ({}, {"n_steps": 5, "until_step": 5}):
         assert_answered(lambda both=both: sim.run(**both), ValueError, "n_steps", "until_step")
+    assert sim.record is record
     sim.make_steps(0)
     assert len(sim.run(np.int64(0))) == 1
     assert sim.step == 0

@@ -7,6 +7,7 @@ import ase.io
 import MDAnalysis
 import numpy as np
 import pytest
+from scene_texts import ARGON
 from scenes import LJ, SCENES
 from scipy.optimize import minimize_scalar
 from step_scenes import bead_melt
@@ -114,27 +115,24 @@ def test_what_the_barostat_gives_is_what_the_energy_gains(kind, coupling):
 class Clock(md.Term):
     """No force; remembers the times of evaluations with energy."""
 
-    depends_on_time = True
-
-    def __init__(self):
-        self.times = []
+    depends_on_time, times = True, ()
 
     def bind(self, system):
         return self
 
     def add(self, system, detail, forces, energies, virials):
-        self.times += [round(self.time, 9)] if detail else []
+        self.times += (round(self.time, 9),) * bool(detail)
 
 
-def atom_with_clock(method=None, **changes):
+def atom_with_clock(**changes):
     atom, bath = md.System([[0.0, 0.0, 0.0]], cell=3.0), {"temperature": 0.8, "relaxation_time": 50.0} | changes
-    return md.Simulation(atom, Clock(), method or md.VelocityVerlet(0.1), barostat=barostat(**bath))
+    return md.Simulation(atom, Clock(), md.VelocityVerlet(0.1), barostat=barostat(**bath))
 
 
 def test_forces_that_depend_on_time_are_those_of_the_step_of_the_strain():
     simulation = atom_with_clock()
     simulation.run(10, every=10, progress=False)
-    assert simulation.potentials[0].times == [0.0, 0.5, 0.5, 1.0, 1.0]
+    assert simulation.potentials[0].times == (0.0, 0.5, 0.5, 1.0, 1.0)
 
 
 def test_heat_capacity_and_expansion_at_the_pressure_of_the_barostat():
@@ -330,36 +328,15 @@ def test_what_cannot_be_at_constant_pressure_is_refused():
         simulation(barostat=barostat(temperature=1.0, relaxation_time=0.02)).run(5, progress=False)
 
 
-SCENE = """
-[structure]
-lattice = "fcc"
-element = "Ar"
-repeat = [3, 3, 3]
-density_g_cm3 = 1.374
-[[potential]]
-type = "lennard-jones"
-epsilon_K = 120.0
-sigma_A = 3.4
-cutoff_A = 7.0
-[dynamics]
-timestep_fs = 5.0
-steps = 50
-temperature_K = 94.4
-[barostat]
-pressure_bar = 50.0
-compressibility_per_bar = 2e-4
-relaxation_time_fs = 1500.0
-every = 25
-"""
-
-
 def test_a_scene_has_a_barostat_in_bar(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "npt.toml").write_text(SCENE)
-    lines = []
-    simulation = run_scene(load_scene("npt.toml"), tell=lines.append, progress=False)
+    bath = "pressure_bar = 50.0\ncompressibility_per_bar = 2e-4\nrelaxation_time_fs = 1500.0\nevery = 25\n"
+    text = ARGON.read_text().replace("[6, 6, 6]", "[3, 3, 3]").replace("8.5", "7.0").replace("= 4000", "= 10")
+    (tmp_path / "npt.toml").write_text(f"{text}\n[barostat]\n{bath}")
+    told = []
+    simulation = run_scene(load_scene("npt.toml"), steps=50, tell=told.append, progress=False)
     assert simulation.barostat.pressure == pytest.approx(50.0 * md.units.BAR)
-    assert "barostat" in "\n".join(lines)
-    resumed = md.Simulation.resume("npt.h5md")
+    assert "barostat" in "\n".join(told)
+    resumed = md.Simulation.resume("argon.h5md")
     assert resumed.barostat == simulation.barostat
     assert np.array_equal(resumed.system.cell.vectors, simulation.system.cell.vectors)

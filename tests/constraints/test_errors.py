@@ -19,17 +19,12 @@ def solver(pairs, lengths=None, positions=None, inverse_masses=None, **options):
     return ConstraintSolver(DistanceConstraints(pairs, lengths, **options), positions, inverse_masses)
 
 
-def fixed(atoms):
-    return SCENES["dumbbells"]()._replace(constraints=md.FixedAtoms(atoms)).simulation()
-
-
 def kept(constraints):
     return SCENES["dumbbells"]()._replace(constraints=constraints).simulation()
 
 
 WRONG = [  # call, error, what is shown
     (lambda: solver(np.empty((0, 2), dtype=int)), ValueError, "pairs"),
-    (lambda: solver([[0.5, 1.0]]), ValueError, "pairs"),
     (lambda: solver([[0, 0]]), ValueError, "pairs", "[0, 0]"),
     (lambda: solver([[2, 1], [0, 1], [1, 0], [1, 2], [0, 1]]), ValueError, "pairs[0]", "[2, 1]"),  # as it is given
     (lambda: solver([[0, 1]], -1.0), ValueError, "lengths", "-1.0"),
@@ -39,14 +34,11 @@ WRONG = [  # call, error, what is shown
     (lambda: solver([*EDGES, [0, 7]]), ValueError, "follows from the other constraints", "atoms"),
     (lambda: solver([[0, 1]], inverse_masses=np.zeros(8)), ValueError, "(atoms 0-1)", "held fixed"),
     (lambda: solver([[0, 1], [1, 2], [0, 2]], [1.0, 1.0, 2.5], water(1)[0]), ValueError, "triangle", "[2, 1, 0]"),
-    (lambda: fixed(np.ones(5, dtype=bool)), ValueError, "fixed atoms", "64 atoms", "5 bools"),
-    (lambda: fixed([64]), ValueError, "fixed atoms", "64"),
-    (lambda: fixed([0.5]), ValueError, "fixed atoms", "fractions"),
-    (lambda: fixed([-1]), ValueError, "fixed atoms", "[-1]"),
-    (lambda: fixed([[0, 1]]), ValueError, "fixed atoms", "[[0, 1]]"),
+    (lambda: kept(md.FixedAtoms(np.ones(5, dtype=bool))), ValueError, "fixed atoms", "64 atoms", "5 bools"),
+    (lambda: kept(md.FixedAtoms([-1])), ValueError, "fixed atoms", "[-1]"),
+    (lambda: kept(md.FixedAtoms([[0, 1]])), ValueError, "fixed atoms", "[[0, 1]]"),
     (lambda: kept("rigid"), TypeError, "constraints"),
     (lambda: kept([md.FixedAtoms([0]), "x"]), TypeError, "constraints"),
-    (lambda: kept([1]), TypeError, "constraints"),
 ]
 
 
@@ -58,19 +50,15 @@ def test_wrong_constraints_are_answered(call, error, shown):
 SECTIONS = [  # [constraints] of a scene, what is shown
     ("pair = [[0, 1]]", "constraints has no key 'pair'", "did you mean 'pairs'?"),
     ("pairs = [[0, 1]]\nlengths = 1.5", "constraints has no key 'lengths'", "did you mean 'lengths_A'?"),
-    ("pairs = 3", "constraints.pairs", "= 3"),
     ('pairs = "bond"', "constraints.pairs", '"bond"'),
     ("pairs = [[0, 1, 2]]", "constraints.pairs[0]", "[0, 1, 2]"),
     ("pairs = [[0, 1], [1, 0]]", "constraints: pairs", "pairs[0] = [0, 1]"),
-    ("pairs = [[0, 9]]", "constraints", "atom 9"),
     ("pairs = [[0, 1], [1, 2]]\nlengths_A = [1.5]", "constraints", "lengths_A", "2 pairs"),
     ('pairs = "bonds"\nlengths_A = [1.5, 1.5]', "constraints: lengths", "(2,)"),
-    ("pairs = [[0, 1]]\nlengths_A = 0", "constraints.lengths_A", "= 0"),
     ("pairs = [[0, 1], [1, 2]]\nlengths_A = [1.5, -1]", "constraints.lengths_A[1]", "= -1"),
     ("lengths_A = 1.5", "constraints", "pairs", "lengths_A"),
     ("fixed = [-1]", "constraints.fixed[0]", "= -1"),
     ("fixed = [4]", "fixed atoms", "atom 4"),
-    ("fixed = 1", "constraints.fixed", "= 1"),
     ("fixed = [0, 1]\npairs = [[0, 1]]", "(atoms 0-1)"),
     ('pairs = [[0, 1]]\nsolver = "lincs"', "constraints.solver", '"lincs"'),
     ("pairs = [[0, 1]]\ntolerance = 0.0", "constraints.tolerance", "= 0.0"),

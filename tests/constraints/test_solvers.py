@@ -25,9 +25,9 @@ def every(names=tuple(SCENES), solvers=SOLVERS):
 class Motion:
     """A bond graph about the origin without forces, with velocities at random that keep its lengths."""
 
-    def __init__(self, name, solver="auto", tolerance=1e-12, tangent=True, masses=None):
+    def __init__(self, name, solver="auto", tolerance=1e-12, tangent=True):
         positions, self.pairs, own = SCENES[name] if isinstance(name, str) else name
-        self.masses = np.asarray(own if masses is None else masses, dtype=float)
+        self.masses = np.asarray(own, dtype=float)
         self.positions = positions - positions.mean(axis=0)
         self.velocities = np.random.default_rng(2).normal(size=positions.shape)
         kept = DistanceConstraints(self.pairs, tolerance=tolerance, solver=solver)

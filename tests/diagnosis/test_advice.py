@@ -14,9 +14,10 @@ import minimd as md
 from minimd.integrators import SPLITTINGS, THERMOSTATS, SecondOrder, energy_oscillation, run_steps, stability_limit
 from minimd.integrators.splitting.substeps import repeated
 
-STEPS = [(name, md.VelocityVerlet) for name in MINIMA] + [
-    ("fcc crystal", one)
-    for one in (md.integrators.PEFRL, md.integrators.Ruth3, md.integrators.KahanLi6, md.PositionVerlet)
+OTHERS = md.integrators.PEFRL, md.integrators.Ruth3, md.integrators.KahanLi6, md.PositionVerlet
+STEPS = [
+    pytest.param(name, method, marks=[pytest.mark.slow] * (name == "mixture" or method is md.integrators.KahanLi6))
+    for name, method in [*((name, md.VelocityVerlet) for name in MINIMA), *(("fcc crystal", one) for one in OTHERS)]
 ]
 
 
@@ -33,9 +34,8 @@ def test_an_oscillator_is_bounded_below_the_limit_and_not_above_and_its_energy_s
     """By the matrix of a step, which is linear: its eigenvalues, and the energies along a path."""
 
     def step(h):
-        paths = [
-            run_steps(SecondOrder(lambda q: -q), method(h), start, 1) for start in (([1.0], [0.0]), ([0.0], [1.0]))
-        ]
+        starts = ([1.0], [0.0]), ([0.0], [1.0])
+        paths = [run_steps(SecondOrder(lambda q: -q), method(h), start, 1) for start in starts]
         return np.array([[path.q[-1, 0], path.v[-1, 0]] for path in paths]).T
 
     limit = stability_limit(method.sequence())

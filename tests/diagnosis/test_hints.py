@@ -149,6 +149,7 @@ def never_compiled(offset):
     return spring
 
 
+@pytest.mark.slow
 def test_the_first_step_compiles_all_that_the_next_ones_need():
     start, law = compile_clock.seconds, md.PairPotential(never_compiled(1e-30 * time_ns()), (), 1.8)
     sim = md.Simulation(liquid(3), law, md.VelocityVerlet(0.004))

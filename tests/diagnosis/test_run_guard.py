@@ -128,10 +128,11 @@ def test_a_calculator_of_others_fails_at_its_step_for_its_cause(bath, tmp_path):
     assert run.nsteps == found.last_good_step == found.step - 1 <= 2
     assert abs(atoms.get_total_energy() - start) < 5.0  # one kinetic energy
     assert found.kind == "step"
-    limit = md.units.ASE.shown(md.advise_timestep(atoms, ForcesFromCalculator(EMT())).limit)
-    assert f"timestep 60 fs too large: {run.method().name} is stable up to {limit[:2]}" in found.cause
+    assert f"timestep 60 fs too large: {run.method().name} is stable up to " in found.cause
     assert "as advise_timestep recommends" in found.advice
     if not bath:
+        limit = md.advise_timestep(atoms, ForcesFromCalculator(EMT())).limit
+        assert f"up to {md.units.ASE.shown(limit)[:2]}" in found.cause
         run = VelocityVerlet(copper(), TOO_LONG, logfile=str(tmp_path / "a.log"), loginterval=1)
         assert "At step 2: the total energy has gone from 0.735 to 2.4" in str(failure(run.run, 300))
         assert run.nsteps == 1

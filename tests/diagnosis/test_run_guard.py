@@ -18,6 +18,7 @@ from minimd.diagnosis import run_guard
 from minimd.diagnosis.run_guard import BLOCK
 from minimd.engine.engine import Engine
 
+IN_A_BATH = {"temperature_K": 300, "friction": 0.01 / units.fs}
 TOO_LONG = 60.0 * units.fs  # of copper, whose limit is 41 fs
 
 
@@ -119,9 +120,9 @@ def nitrogen(timestep):
 
 
 @pytest.mark.filterwarnings("ignore:the calculator is EMT", "ignore:timestep")
-@pytest.mark.parametrize("bath", [{}, {"temperature_K": 300, "friction": 0.01 / units.fs}], ids=["alone", "bath"])
+@pytest.mark.parametrize("bath", [{}, pytest.param(IN_A_BATH, marks=pytest.mark.slow)], ids=["alone", "bath"])
 def test_a_calculator_of_others_fails_at_its_step_for_its_cause(bath, tmp_path):
-    """ASE alone has 11.5 eV after the first step and 2.4e5 eV after the second; a look at each step changes nothing."""
+    """ASE alone has 11.5 eV after the first step and 2.4e5 eV after the second; where each step is looked at, too."""
     atoms = copper()
     start, run = atoms.get_total_energy(), (Langevin if bath else VelocityVerlet)(atoms, TOO_LONG, **bath)
     found = failure(run.run, 300).crash_report

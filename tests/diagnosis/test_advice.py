@@ -1,18 +1,28 @@
-"""Advice on the time step: its limit is where runs blow up, for every scene and every method; closed forms; words."""
+"""Advice on the time step, which is where runs blow up; and hints before the first step: what is odd."""
 
+import re
 import warnings
+from time import time_ns
 
 import numpy as np
 import pytest
 import scipy.linalg
+from argon_atoms import argon, lennard_jones, with_calculator
+from ase.md.velocitydistribution import Stationary, thermalize_momenta
+from references import liquid
 from rigid_scenes import SCENES as GRAPHS
-from scenes import LJ, OPEN, SCENES
+from scenes import BONDED, LJ, OPEN, SCENES
 from step_scenes import MINIMA, at_minimum, diatomic, fcc, longest_stable_step
 from wrong_calls import assert_answered
 
 import minimd as md
+import minimd.ase
+from minimd.compiled.kernels import compile_clock
+from minimd.diagnosis.first_hints import _long_timestep, too_long_a_step
+from minimd.engine.engine import Engine
 from minimd.integrators import SPLITTINGS, THERMOSTATS, SecondOrder, energy_oscillation, run_steps, stability_limit
 from minimd.integrators.splitting.substeps import repeated
+from minimd.structure.lattice import crystal
 
 OTHERS = md.integrators.PEFRL, md.integrators.Ruth3, md.integrators.KahanLi6, md.PositionVerlet
 STEPS = [
@@ -189,42 +199,9 @@ def test_what_cannot_be_advised_is_refused():
     assert_answered(lambda: md.advise_timestep(system, OPEN, method=0.01), TypeError, "method", "0.01")
 
 
-def quiet(*arguments):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        md.Simulation(*arguments).run(1)
-
-
-def test_a_run_warns_once_of_a_step_too_long_for_a_bond():
-    """Unless constraints keep it from stretching: fixed atoms, its own, or other lengths that hold it however stiff."""
-    system, bond, _ = diatomic()  # 2/ω = 0.1789
-    simulation = md.Simulation(system, bond, md.VelocityVerlet(0.18))
-    words = r"timestep 0\.18 τ is longer than the bond of atoms 0 and 1 allows: .* up to 0\.1789 τ"
-    with pytest.warns(UserWarning, match=words) as caught:
-        simulation.run(1)
-    assert caught[0].filename == __file__
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        simulation.run(1)
-    quiet(system, bond, md.VelocityVerlet(0.178))
-    quiet(system, bond, md.integrators.PEFRL(0.26))  # stable up to 2.989/ω
-    quiet(system, bond, md.VelocityVerlet(0.18), md.DistanceConstraints([[1, 0]]))
-    quiet(system, bond, md.VelocityVerlet(0.18), md.FixedAtoms([0]))  # 2/ω = 0.4
-    triangle = md.System(np.array([[0.0, 0, 0], [1.0, 0, 0], [0.5, 1.0, 0]]))
-    stiff = md.HarmonicBond(1e6, 1.0, pairs=[[0, 1]])
-    quiet(triangle, stiff, md.VelocityVerlet(0.01), md.FixedAtoms([0, 1]))
-    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(8.0)
-    apex = np.vstack([corners, corners[1] + corners[2] + corners[3]])  # a fifth atom, held by three lengths
-    pairs = [[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [2, 3], [1, 4], [2, 4], [3, 4]]
-    across = md.HarmonicBond(1e6, float(np.linalg.norm(apex[4] - apex[0])), pairs=[[0, 4]])  # implied by the others
-    quiet(md.System(apex), across, md.VelocityVerlet(0.01), md.DistanceConstraints(pairs))
-    with pytest.warns(UserWarning, match="longer than the bond of atoms 0 and 4 allows"):
-        md.Simulation(md.System(apex), across, md.VelocityVerlet(0.01)).run(1)
-
-
 def test_a_crystal_that_will_melt_is_given_the_step_of_collisions():
     """At T* 1.44 the step of the modes alone blows up; the hint of a run names the same step as the advice."""
-    positions, edges = md.lattice.crystal("fcc", [4, 4, 4], 1.68)
+    positions, edges = crystal("fcc", [4, 4, 4], 1.68)
     system, law = md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5, truncation="force-shifted")
     cold = md.advise_timestep(system, law)
     assert cold.harmonic == pytest.approx(0.0285, rel=0.01)
@@ -245,3 +222,190 @@ def test_a_hydrogen_inside_its_oxygen_does_not_collide():
     collision = md.advise_timestep(system, alone, held).collision
     assert md.advise_timestep(system, inside, held).collision == pytest.approx(collision, rel=1e-12)
     assert md.advise_timestep(system, inside).collision < 0.1 * collision
+
+
+FS, ARGON = md.units.fs, md.LennardJones(0.0103, 3.4, 8.5, "force-shifted")
+BAROSTAT = md.StochasticCellRescaling(1.0, 1.0, 40.0, seed=1, temperature=80.0, every=5)
+
+
+def hints_of(system, potentials, method=0.004, barostat=None, constraints=(), **options):
+    """The warnings of a run of one step, by velocity Verlet if a time step is given."""
+    method = md.VelocityVerlet(method) if isinstance(method, float) else method
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        simulation = md.Simulation(system, potentials, method, constraints, barostat=barostat, **options)
+        simulation.run(1)
+        simulation.run(1)  # what was told is told once
+    assert {one.filename for one in told} <= {__file__}  # the line of the user
+    return [str(one.message) for one in told]
+
+
+def like(system, **changes):
+    """The same places in the same cell."""
+    return md.System(system.positions, **{"velocities": system.velocities, "cell": system.cell} | changes)
+
+
+def argon_crystal(constant=5.4):
+    positions, edges = crystal("fcc", [4] * 3, constant)
+    return md.System(positions, cell=edges, masses=39.95, units=md.units.ASE)
+
+
+def sparse():
+    positions, edges = crystal("fcc", (3, 3, 3), 5.4)
+    return md.System(positions, cell=edges)
+
+
+def with_depth(epsilon, sigma=3.4):
+    law = md.LennardJones(epsilon, sigma, 2.2 * sigma, "force-shifted")
+    return argon_crystal(5.4 * sigma / 3.4), law, 0.5 * FS
+
+
+def flowing():
+    system = liquid(3)
+    return like(system, velocities=system.velocities + np.array([0.3, 0.0, 0.4]))
+
+
+BOND = diatomic()[:2]  # 2/ω = 0.1789
+CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(8.0)
+APEX = md.System(np.vstack([CORNERS, CORNERS[1] + CORNERS[2] + CORNERS[3]]))  # a fifth atom, held by three lengths
+HELD = [[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [2, 3], [1, 4], [2, 4], [3, 4]]
+
+
+def across(i, j):
+    """A stiff bond at its rest length."""
+    length = float(np.linalg.norm(APEX.positions[j] - APEX.positions[i]))
+    return md.HarmonicBond(1e6, length, pairs=[[i, j]])
+
+
+def long_step():
+    return f"well up to {md.units.LJ.shown(md.advise_timestep(liquid(3), LJ).collision)}; see advise_timestep"
+
+
+HINTS = {  # scene, and what is said
+    "a sound scene": (lambda: (liquid(3), LJ), None),
+    "lengths in another unit": (lambda: (sparse(), LJ), "no two atoms are within the cutoff, 1.8 σ: .*3.82 σ apart"),
+    "a single atom": (lambda: (md.System([[0.0, 0.0, 0.0]]), LJ), None),
+    "a step that is short enough": (lambda: (liquid(3), LJ, 0.018), None),
+    "a long step": (lambda: (liquid(3), LJ, 0.022), long_step),
+    "a step long for lighter atoms": (lambda: (like(liquid(3), masses=4.0), LJ, 0.022), None),
+    "a step in seconds": (lambda: (argon_crystal(), ARGON, 5e-15), r"check its unit, such as 5 \* md.units.fs"),
+    "a step no slip makes": (lambda: (argon_crystal(), ARGON, 1e-100), None),  # as in ASE's own tests
+    "a center that moves": (lambda: (flowing(), LJ), "center of mass.*0.5 σ/τ"),
+    "a pressure in bar": (lambda: (argon_crystal(), ARGON, 0.4, BAROSTAT), r"is 1.6e\+06 bar; .* 1 \* md.units.BAR"),
+    "a depth in K": (lambda: with_depth(120.0), r"^epsilon = 120 eV .* 0.0103 eV, epsilon=120 \* md.units.ASE.k_B"),
+    "a depth in kJ/mol": (lambda: with_depth(0.997), "^epsilon = 0.997 eV .* 0.0103 eV, epsilon=0.997 / md.units.KJ_"),
+    "the right depth": (lambda: with_depth(0.0103), None),
+    "the depth of tungsten": (lambda: with_depth(1.07, 2.56), None),
+    "one that is thermal": (lambda: (flowing(), LJ, md.LangevinBAOAB(0.004, 1.0, 1.0, seed=1)), None),
+    "a start off its lengths": (lambda: (*BOND, 0.01, None, md.DistanceConstraints([[0, 1]], 0.9)), "was projected"),
+    "a step too long for a bond": (lambda: (*BOND, 0.18), "timestep 0.18 τ .* the bond of atoms 0 and 1 .* 0.1789 τ"),
+    "one that is not": (lambda: (*BOND, 0.178), None),
+    "nor for another method": (lambda: (*BOND, md.integrators.PEFRL(0.26)), None),  # stable up to 2.989/ω
+    "a rigid bond": (lambda: (*BOND, 0.18, None, md.DistanceConstraints([[1, 0]])), None),
+    "a bond with one end fixed": (lambda: (*BOND, 0.18, None, md.FixedAtoms([0])), None),  # 2/ω = 0.4
+    "a bond of fixed atoms": (lambda: (APEX, across(0, 1), 0.01, None, md.FixedAtoms([0, 1])), None),
+    "a bond held by others": (lambda: (APEX, across(0, 4), 0.01, None, md.DistanceConstraints(HELD)), None),
+    "the same bond alone": (lambda: (APEX, across(0, 4), 0.01), "longer than the bond of atoms 0 and 4 allows"),
+}
+
+
+@pytest.mark.parametrize("name", HINTS)
+def test_what_is_odd_is_told_before_the_first_step(name):
+    make, words = HINTS[name]
+    told = hints_of(*make())
+    assert [bool(re.search(words() if callable(words) else words, one)) for one in told] == [True] * (words is not None)
+
+
+def test_a_skin_that_does_not_fit_is_clamped_and_said():
+    system = like(liquid(3), bonds=np.arange(108).reshape(-1, 2))
+    room = 0.5 * system.cell.heights.min() - 1.8
+    (hint,) = hints_of(system, BONDED, skin=room + 0.5)
+    assert hint.startswith(f"skin {room + 0.5:g} σ does not fit, {room:.3g} is used")
+    with pytest.warns(UserWarning, match="does not fit"):
+        sim = md.Simulation(system, BONDED, md.VelocityVerlet(0.004), skin=room + 0.5)
+    assert sim.skins == pytest.approx([room])
+    assert hints_of(system, BONDED, skin=0.9 * room) == []
+    for skin, words in ((room - 1e-8, "no room for a wider skin"), (0.01, "a wider skin or a shorter")):
+        sim = md.Simulation(system, BONDED, md.VelocityVerlet(0.004), skin=skin)
+        sim.velocities[:, 0] = np.tile([40.0, -40.0], len(system) // 2)
+        sim.run(0)
+        assert words in str(sim.report())
+
+
+@pytest.mark.parametrize(("masses", "is_long"), [((1.0, 4.0), True), ((4.0, 1.0), False), ((4.0, 4.0), False)])
+def test_of_a_mixture_the_masses_of_those_count_that_push_each_other(masses, is_long):
+    """Of two species, of which only the first has a law that is stiff."""
+    system = like(liquid(3), species=["A", "B"] * 54, masses=np.tile(masses, 54))
+    law = md.LennardJones({"A": (1.0, 1.0), "B": (0.0, 1.0)}, cutoff=1.8, truncation="switched")
+    assert (_long_timestep(Engine(system, law, md.VelocityVerlet(0.022))) is not None) == is_long
+
+
+class Weight(md.Term):
+    """Gravity, on all atoms alike."""
+
+    acts_from_outside = True
+
+    def bind(self, _system):
+        return self
+
+    def add(self, system, detail, forces, energies, virials):
+        forces[:, 2] -= system.masses
+        if detail:
+            energies += system.masses * system.positions[:, 2]
+
+
+def test_a_force_from_outside_that_is_declared_is_no_fault():
+    sim = md.Simulation(liquid(3), [LJ, Weight()], md.VelocityVerlet(0.002))
+    sim.set_temperature(0.5, seed=1)
+    sim.run(20, every=2)
+    assert sim.n_dof == 3 * len(sim.system)
+    assert "momentum is not a constant here" in sim.report().verdict
+
+
+@pytest.mark.slow
+def test_the_first_step_compiles_all_that_the_next_ones_need():
+    offset, start = 1e-30 * time_ns(), compile_clock.seconds
+
+    def spring(r2):  # no cache holds it: the offset is a part of its code
+        return (3.24 - r2) ** 2 + offset, 4.0 * (3.24 - r2)
+
+    sim = md.Simulation(liquid(3), md.PairPotential(spring, (), 1.8), md.VelocityVerlet(0.004))
+    sim.run(1)
+    before = compile_clock.seconds
+    sim.run(50, every=10)
+    assert compile_clock.seconds == before > start
+
+
+def test_a_failure_names_the_epsilon_first():
+    law = md.LennardJones(120.0, 3.4, 8.5, "force-shifted")
+    sim = md.Simulation(argon_crystal(), law, md.VelocityVerlet(5 * FS))
+    sim.set_temperature(90.0, seed=1)
+    with pytest.warns(UserWarning, match="^epsilon = 120 eV"), pytest.raises(md.NonFiniteError) as caught:
+        sim.run(500, every=20)
+    assert "ikely cause: epsilon = 120 eV is far deeper" in str(caught.value)
+    assert "halve" not in str(caught.value)
+    for depth, is_named in ((120.0, True), (0.0103, False)):  # in a report, too
+        system, law, _ = with_depth(depth)
+        found = too_long_a_step(Engine(system, law, md.VelocityVerlet(5 * FS))) or ""
+        assert found.startswith("epsilon") is is_named
+
+
+def test_the_call_that_is_told_stops_a_center_that_moves():
+    (hint,) = hints_of(flowing(), LJ)
+    sim = md.Simulation(flowing(), LJ, md.VelocityVerlet(0.004))
+    exec(hint.split("; ")[-1].removesuffix(" stops it"), {"sim": sim})
+    for velocities in (sim.velocities, np.float32(sim.velocities)):
+        assert hints_of(like(sim.system, velocities=velocities), LJ) == []
+
+
+def test_a_thermal_center_of_ase_is_told_by_a_simulation_and_not_by_its_own_dynamics():
+    atoms, law, step = argon(), lennard_jones("force-shifted"), 4.0 * FS
+    thermalize_momenta(atoms, 94.4, rng=np.random.default_rng(1))
+    speed = np.linalg.norm(atoms.get_momenta().sum(axis=0)) / atoms.get_masses().sum() * md.units.ps
+    (hint,) = hints_of(atoms, law, step)
+    assert f"{speed:.3g} Å/ps" in hint
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        minimd.ase.VelocityVerlet(with_calculator(atoms, minimd.ase.Calculator(law)), step).run(2)
+    Stationary(atoms)
+    assert hints_of(atoms, law, step) == []

@@ -1,6 +1,5 @@
 """Runs that fail, and runs that are watched: the step is found, a good state is kept, and the true cause is told."""
 
-import warnings
 import weakref
 
 import ase.build
@@ -86,16 +85,6 @@ def test_what_is_no_count_or_no_end_is_refused_and_no_steps_are_none(tmp_path):
     assert len(sim.run(np.int64(0))) == 1
     assert sim.step == 0
     assert np.array_equal(sim.positions, before)
-
-
-def test_warnings_point_to_the_line_of_the_user():
-    system = md.System([[0.0, 0, 0], [1.1, 0, 0], [5, 0, 0]], velocities=[[0, 0, 0], [1, 0, 0], [-1, 0, 0]])
-    sim = md.Simulation(system, LJ, md.VelocityVerlet(0.001), md.DistanceConstraints([[0, 1]], lengths=1.0))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        sim.run(1)
-    assert [str(one.message)[:31] for one in caught] == ["the initial state was projected"]
-    assert caught[0].filename == __file__
 
 
 def test_a_mistake_in_the_diagnosis_is_not_hidden(monkeypatch):

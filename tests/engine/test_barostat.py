@@ -40,7 +40,7 @@ def bath_at(temperature):
 
 
 def wrapped_dumbbells():
-    """Rigid, many of them across the boundary; in an exact pair list, because there is no room for a skin."""
+    """Rigid, many of them across the boundary, in a cell that has next to no room for a skin."""
     scene = SCENES["dumbbells"]()
     system, wrapped = scene.system, scene.system.cell.wrapped(scene.system.positions + 0.9)
     return md.System(wrapped, cell=system.cell, masses=system.masses, bonds=system.bonds), NO_ROOM, scene.constraints

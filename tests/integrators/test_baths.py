@@ -158,7 +158,7 @@ def test_temperature_counts_the_degrees_of_freedom_that_the_bath_leaves(method):
     assert ("not a constant" in str(sim.report())) is not keeps
     sim.velocities[:] += [3.0, 0.0, -1.0]
     sim.make_steps(100)
-    assert (np.abs(sim.velocities.mean(axis=0) - [3.0, 0.0, -1.0]).max() < 1e-12) is keeps  # rounding
+    assert (np.abs(sim.velocities.mean(axis=0) - [3.0, 0.0, -1.0]).max() < 1e-12) == keeps  # rounding
 
 
 @EVERY_BATH

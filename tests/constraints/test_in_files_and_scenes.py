@@ -57,8 +57,7 @@ def test_constraints_read_back_are_those_that_were_kept_to_the_last_bit(tmp_path
             assert ("minimd/constraints" in h5) == bool(sim.constraints)
 
 
-@pytest.mark.parametrize("n_steps", [20, 23])
-@pytest.mark.parametrize("method", [VERLET, md.LangevinBAOAB(0.002, 1.0, 1.0, seed=4)], ids=lambda one: one.name)
+@pytest.mark.parametrize(("n_steps", "method"), [(20, VERLET), (23, md.LangevinBAOAB(0.002, 1.0, 1.0, seed=4))])
 def test_a_resumed_run_is_the_uninterrupted_one_and_a_check_recomputes_its_lengths(method, n_steps, tmp_path):
     whole, path = simulation(both_kinds(), method), tmp_path / "a.h5md"
     whole.run(n_steps + 20, every=5)

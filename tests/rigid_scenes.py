@@ -2,7 +2,9 @@
 
 from itertools import combinations
 
+import ase.io
 import numpy as np
+from ase import Atoms
 
 import minimd as md
 
@@ -17,19 +19,18 @@ def chain(n_atoms):
 
 
 def ring(n_atoms):
-    angle = 2.0 * np.pi * np.arange(n_atoms) / n_atoms
-    pairs = np.column_stack([np.arange(n_atoms), (np.arange(n_atoms) + 1) % n_atoms])
-    return np.column_stack([np.cos(angle), np.sin(angle), 0.2 * (-1.0) ** np.arange(n_atoms)]), pairs
+    k = np.arange(n_atoms)
+    angle = 2.0 * np.pi * k / n_atoms
+    places = np.column_stack([np.cos(angle), np.sin(angle), 0.2 * (-1.0) ** k])
+    return places, np.column_stack([k, (k + 1) % n_atoms])
 
 
 def sheet(side):
     index = np.arange(side * side).reshape(side, side)
-    pairs = [
-        *zip(index[:-1].flat, index[1:].flat, strict=True),
-        *zip(index[:, :-1].flat, index[:, 1:].flat, strict=True),
-    ]
-    x, y = np.divmod(np.arange(side * side), side)
-    return np.column_stack([x, y, 0.05 * np.sin(x * y)]).astype(float), np.array(pairs)
+    down, across = np.stack([index[:-1], index[1:]], axis=-1), np.stack([index[:, :-1], index[:, 1:]], axis=-1)
+    x, y = np.divmod(index.ravel(), side)
+    places = np.column_stack([x, y, 0.05 * np.sin(x * y)]).astype(float)
+    return places, np.concatenate([down.reshape(-1, 2), across.reshape(-1, 2)])
 
 
 def cube():
@@ -42,18 +43,16 @@ def cube():
 def water(n_molecules, spread=3.0):
     molecule = np.array([[0.0, 0.0, 0.0], [0.8, 0.6, 0.0], [-0.8, 0.6, 0.0]])
     centers = spread * np.random.default_rng(3).normal(size=(n_molecules, 1, 3))
-    return (centers + molecule).reshape(-1, 3), np.concatenate(
-        [np.array([[0, 1], [0, 2], [1, 2]]) + 3 * m for m in range(n_molecules)]
-    )
+    pairs = np.array([[0, 1], [0, 2], [1, 2]]) + 3 * np.arange(n_molecules)[:, None, None]
+    return (centers + molecule).reshape(-1, 3), pairs.reshape(-1, 2)
 
 
 def diatomics(n_molecules, spread=3.0):
     rng = np.random.default_rng(4)
     arms = rng.normal(size=(n_molecules, 3))
     ends = np.stack([np.zeros_like(arms), arms / np.linalg.norm(arms, axis=1)[:, None]], axis=1)
-    return (spread * rng.normal(size=(n_molecules, 1, 3)) + ends).reshape(-1, 3), np.arange(2 * n_molecules).reshape(
-        -1, 2
-    )
+    places = spread * rng.normal(size=(n_molecules, 1, 3)) + ends
+    return places.reshape(-1, 3), np.arange(2 * n_molecules).reshape(-1, 2)
 
 
 def rod():
@@ -75,11 +74,36 @@ SCENES = {
 
 
 def described(constraints):
-    """Constraints as plain values, to be compared."""
+    """Constraints as plain values, to be compared: what is fixed, and what is kept."""
     fixed = [one.atoms.tolist() for one in constraints if isinstance(one, md.FixedAtoms)]
-    lengths = [
-        (one.pairs.tolist(), one.lengths.tolist(), one.tolerance, one.solver)
-        for one in constraints
-        if isinstance(one, md.DistanceConstraints)
-    ]
-    return fixed, lengths
+    kept = [one for one in constraints if isinstance(one, md.DistanceConstraints)]
+    return fixed, [(one.pairs.tolist(), one.lengths.tolist(), one.tolerance, one.solver) for one in kept]
+
+
+SQUARE = np.array([[0.0, 0, 0], [1.5, 0, 0], [1.5, 1.5, 0], [0, 1.5, 0]])
+RIGID_RING = """
+[structure]
+file = "ring.xyz"
+bonds = [[0, 1], [1, 2], [2, 3], [3, 0]]
+[[potential]]
+type = "harmonic-angle"
+k_eV_rad2 = 3.0
+angle_degree = 80.0
+triples = [[0, 1, 2], [2, 3, 0]]
+[constraints]
+pairs = "bonds"
+[dynamics]
+timestep_fs = 1.0
+temperature_K = 300.0
+steps = 20
+[output]
+every = 10
+"""
+
+
+def ring_in(folder, *constraints):
+    """The path of this scene; its structure, four carbon atoms, lies in files that keep constraints."""
+    atoms = Atoms("C4", SQUARE, constraint=list(constraints))
+    ase.io.write(folder / "ring.xyz", atoms, format="extxyz")
+    ase.io.write(folder / "ring.traj", atoms)
+    return folder / "scene.toml"

@@ -11,7 +11,7 @@ from minimd.observers.blocked_sums import BlockedSums
 
 @pytest.mark.parametrize("times", [50, 100, 400])
 def test_error_bars_of_fluctuations_hold_the_variance_also_of_short_runs(times):
-    """Of a volume with correlations e^(−t/τ): within two errors in 88 % of the runs or more, 0.85 to 1.3 of the scatter; a short run says so."""
+    """Within two errors in 88 % of the runs or more, 0.85 to 1.3 of the scatter; a short run says what it misses."""
     tau, n_runs = 4, 100
     scene = ObservedRun("LJ", ["A"], [1], 1.0, 3, 1.0, 1.0)
     decay, rng, found, told = np.exp(-1.0 / tau), np.random.default_rng(times), [], []

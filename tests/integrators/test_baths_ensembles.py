@@ -1,4 +1,4 @@
-"""Runs with a bath sample the canonical ensemble: judged by physical_validation, a program made for it, and by the laws themselves.
+"""Runs with a bath sample the canonical ensemble: judged by physical_validation, and by the laws themselves.
 
 P. T. Merz, M. R. Shirts, PLOS ONE 13, e0202764 (2018).
 """
@@ -13,24 +13,26 @@ from minimd.structure.lattice import constant_from_density, crystal
 pytestmark = pytest.mark.slow
 K_B, FS = md.units.ASE.k_B, md.units.fs
 METHODS = {
-    "langevin": lambda temperature, seed: md.LangevinBAOAB(4 * FS, temperature, friction=1 / (500 * FS), seed=seed),
-    "rescaling": lambda temperature, seed: md.StochasticVelocityRescaling(
-        4 * FS, temperature, relaxation_time=200 * FS, seed=seed
-    ),
+    "langevin": lambda t, seed: md.LangevinBAOAB(4 * FS, t, friction=1 / (500 * FS), seed=seed),
+    "rescaling": lambda t, seed: md.StochasticVelocityRescaling(4 * FS, t, relaxation_time=200 * FS, seed=seed),
 }
 TEMPERATURES = (94.4, 100.0)  # K; the potential energies of 108 atoms overlap well
 EVERY, SIGMAS = 25, 3.0
+CONVERSIONS = {"energy": 96.485, "length": 0.1, "volume": 1e-3, "temperature": 1.0, "pressure": 1.602e6}
+
+
+def argon(constant):
+    positions, edges = crystal("fcc", (3, 3, 3), constant)
+    return md.System(positions, masses=39.948, cell=edges, units=md.units.ASE)
 
 
 @pytest.fixture(scope="module", params=METHODS)
 def runs(request):
     """Two records of liquid argon, 1 ns each, and the degrees of freedom."""
-    made = []
+    made, law = [], md.LennardJones(120 * K_B, 3.4, 8.0, "switched")
     for seed, temperature in enumerate(TEMPERATURES, start=1):
-        positions, edges = crystal("fcc", (3, 3, 3), constant_from_density("fcc", 1.374 * 0.6022140858549161, 39.948))
-        argon = md.System(positions, masses=39.948, cell=edges, units=md.units.ASE)
-        law = md.LennardJones(120 * K_B, 3.4, 8.0, "switched")
-        simulation = md.Simulation(argon, law, METHODS[request.param](temperature, seed), threads=1)
+        liquid = argon(constant_from_density("fcc", 1.374 * 0.6022140858549161, 39.948))
+        simulation = md.Simulation(liquid, law, METHODS[request.param](temperature, seed), threads=1)
         simulation.set_temperature(2 * temperature, seed=seed)
         simulation.run(25_000, every=25_000)
         made.append(simulation.run(250_000, every=EVERY))
@@ -41,21 +43,14 @@ def runs(request):
 def data_of(record, temperature, n_dof):
     """The same for physical_validation."""
     data = pytest.importorskip("physical_validation").data
-    conversions = {
-        "energy": 96.485,
-        "length": 0.1,
-        "volume": 1e-3,
-        "temperature": 1.0,
-        "pressure": 1.602e6,
-        "time": 1e-3 / FS,
-    }
-    units = data.UnitData(kb=K_B, **{f"{name}_conversion": factor for name, factor in conversions.items()})
+    factors = CONVERSIONS | {"time": 1e-3 / FS}
     atoms = {"mass": np.full(108, 39.948), "molecule_idx": np.arange(108), "nconstraints_per_molecule": np.zeros(108)}
-    system = data.SystemData(natoms=108, nconstraints=0, ndof_reduction_tra=324 - n_dof, ndof_reduction_rot=0, **atoms)
     return data.SimulationData(
-        units=units,
+        units=data.UnitData(kb=K_B, **{f"{name}_conversion": factor for name, factor in factors.items()}),
         dt=EVERY * 4 * FS,
-        system=system,
+        system=data.SystemData(
+            natoms=108, nconstraints=0, ndof_reduction_tra=324 - n_dof, ndof_reduction_rot=0, **atoms
+        ),
         ensemble=data.EnsembleData("NVT", natoms=108, volume=1.0, temperature=temperature),
         observables=data.ObservableData(record.kinetic_energy, record.potential_energy, record.total_energy),
     )
@@ -66,12 +61,11 @@ def test_kinetic_energies_are_those_of_the_canonical_ensemble(runs):
     validation = pytest.importorskip("physical_validation")
     records, n_dof = runs
     for record, temperature in zip(records, TEMPERATURES, strict=True):
-        off = validation.kinetic_energy.distribution(data_of(record, temperature, n_dof), verbosity=0, bootstrap_seed=1)
-        print(f"T(mean), T(width) off by {off[0]:.2f}, {off[1]:.2f} standard errors")
-        assert np.abs(off).max() < SIGMAS
-        wrong = validation.kinetic_energy.distribution(
-            data_of(record, 1.02 * temperature, n_dof), verbosity=0, bootstrap_seed=1
+        right, wrong = (
+            validation.kinetic_energy.distribution(data_of(record, t, n_dof), verbosity=0, bootstrap_seed=1)
+            for t in (temperature, 1.02 * temperature)
         )
+        assert np.abs(right).max() < SIGMAS
         assert wrong[0] > SIGMAS  # it would see two percent
 
 
@@ -80,49 +74,42 @@ def test_potential_energies_at_two_temperatures_differ_by_the_boltzmann_factor(r
     validation = pytest.importorskip("physical_validation")
     records, n_dof = runs
 
-    def off(temperatures):
+    def off(*temperatures):
         data = [data_of(record, temperature, n_dof) for record, temperature in zip(records, temperatures, strict=True)]
         return validation.ensemble.check(*data, verbosity=0, bootstrap_seed=1)[0]
 
-    print(f"slope of the ratio off by {off(TEMPERATURES):.2f} standard errors")
-    assert off(TEMPERATURES) < SIGMAS
-    assert off((TEMPERATURES[0], TEMPERATURES[0] + 0.1)) > SIGMAS  # it would see that the temperatures differ
+    assert off(*TEMPERATURES) < SIGMAS
+    assert off(TEMPERATURES[0], TEMPERATURES[0] + 0.1) > SIGMAS  # it would see that the temperatures differ
 
 
 def test_kinetic_energies_are_gamma_distributed(runs):
     """Our own test, of frames far enough apart: Kolmogorov-Smirnov beside Γ(n_dof/2, k_B T)."""
     records, n_dof = runs
     for record, temperature in zip(records, TEMPERATURES, strict=True):
-        apart = record.kinetic_energy[::20]
-        assert stats.kstest(apart, stats.gamma(0.5 * n_dof, scale=K_B * temperature).cdf).pvalue > 1e-3
-        wrong = stats.gamma(0.5 * n_dof, scale=1.03 * K_B * temperature)
+        apart, thermal = record.kinetic_energy[::20], K_B * temperature
+        assert stats.kstest(apart, stats.gamma(0.5 * n_dof, scale=thermal).cdf).pvalue > 1e-3
+        wrong = stats.gamma(0.5 * n_dof, scale=1.03 * thermal)
         assert stats.kstest(apart, wrong.cdf).pvalue < 1e-3  # it would see three percent
 
 
 def test_without_a_bath_the_energy_oscillates_by_the_square_of_the_time_step():
-    """Ratios of the oscillations of runs from one start, at Δt, Δt/2, Δt/4, beside 4, within a fifth; a switch with corners is seen."""
+    """Of runs from one start, at Δt, Δt/2, Δt/4, beside 4, within a fifth; a switch with corners is seen."""
     validation = pytest.importorskip("physical_validation")
-    positions, edges = crystal("fcc", (3, 3, 3), 5.78)
-    start = md.System(positions, masses=39.948, cell=edges, units=md.units.ASE)
 
     def off(truncation):
         law, runs = md.LennardJones(120 * K_B, 3.4, 8.0, truncation), []
-        melt = md.Simulation(start, law, md.VelocityVerlet(8 * FS), threads=1)
+        melt = md.Simulation(argon(5.78), law, md.VelocityVerlet(8 * FS), threads=1)
         melt.set_temperature(190.0, seed=1)
         melt.equilibrate(5000, 94.4)
         for femtoseconds in (16, 8, 4):
             simulation = md.Simulation(melt.system, law, md.VelocityVerlet(femtoseconds * FS), threads=1)
             record = simulation.run(8000 // femtoseconds, every=1)
             data = data_of(record, 94.4, simulation.n_dof)
-            data.dt, data.ensemble = (
-                femtoseconds * FS,
-                validation.data.EnsembleData("NVE", natoms=108, volume=1.0, energy=1.0),
-            )
+            data.dt = femtoseconds * FS
+            data.ensemble = validation.data.EnsembleData("NVE", natoms=108, volume=1.0, energy=1.0)
             data.observables.constant_of_motion = record.total_energy
             runs.append(data)
         return validation.integrator.convergence(runs, verbose=False)
 
-    smooth, cornered = off("smooth"), off("truncated")
-    print(f"off by {smooth:.3f} with a smooth cutoff, {cornered:.3f} with a plain one")
-    assert smooth < 0.2
-    assert cornered > 0.2
+    assert off("smooth") < 0.2
+    assert off("truncated") > 0.2

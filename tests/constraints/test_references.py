@@ -1,0 +1,164 @@
+"""Constraints beside LAMMPS' reference numbers, and beside ASE's."""
+
+import copy
+
+import ase
+import numpy as np
+import pytest
+from ase import units
+from ase.constraints import FixAtoms, FixBondLengths, FixCom, FixLinearTriatomic
+from ase.md.verlet import VelocityVerlet
+from references import fourmol, load
+
+import minimd as md
+from minimd import ase as bridge
+from minimd.ase import Calculator
+from minimd.potentials.term import Term
+
+FTM2V = 1.0 / 48.88821291**2  # acceleration [Å/fs²] of 1 kcal/mol/Å on 1 g/mol
+BOND_LENGTHS = {5: 1.0, 2: 1.1, 3: 1.3}  # r0 of the constrained bond types [Å]
+WATER_ANGLE = np.radians(110.1)
+BONDS = np.arange(54).reshape(-1, 2)  # of nitrogen
+
+
+def numbers_of(name, key, n_types=1):
+    """LAMMPS' coefficients: types to numbers."""
+    rows = [line.split() for line in load(f"lammps_fourmol/{name}.json")[key]]
+    return {tuple(map(int, row[:n_types])): tuple(map(float, row[n_types:])) for row in rows}
+
+
+def constrained_fourmol(pairs, lengths, angle_atoms):
+    """LAMMPS' molecules after 8 steps; harmonic terms of the rigid bonds, and of angles over angle_atoms, left out."""
+    system, table = fourmol()
+    rigid = {tuple(sorted(pair)) for pair in pairs}
+    bonds = np.array([row for row in table["bonds"] if tuple(sorted((row[1] - 1, row[2] - 1))) not in rigid])
+    angles = np.array([row for row in table["angles"] if row[2] - 1 not in angle_atoms])
+    of_pairs = numbers_of("mol-pair-lj_cut", "pair_coeff", 2)
+    own = {a: numbers for (a, b), numbers in of_pairs.items() if a == b}
+    unlike = {(a, b): numbers for (a, b), numbers in of_pairs.items() if a != b}
+    scale = {"mixing": "geometric", "bonded_scale": (0.10, 0.25, 0.50)}
+    of_bonds, of_angles = numbers_of("bond-harmonic", "bond_coeff"), numbers_of("angle-harmonic", "angle_coeff")
+    k, length = np.array([of_bonds[kind,] for kind in bonds[:, 0]]).T
+    stiffness, angle = np.array([of_angles[kind,] for kind in angles[:, 0]]).T
+    laws = [
+        md.LennardJones(own, cutoff=8.0, truncation="truncated", pairs=unlike, **scale),
+        md.HarmonicBond(2.0 * k, length, pairs=bonds[:, 1:] - 1),
+        md.HarmonicAngle(2.0 * stiffness, np.radians(angle), angles[:, 1:] - 1),
+    ]
+    system = fourmol(masses=system.masses / FTM2V)[0]
+    simulation = md.Simulation(system, laws, md.VelocityVerlet(0.25), md.DistanceConstraints(pairs, lengths))
+    with pytest.warns(UserWarning, match="projected onto the constraints"):
+        simulation.run(8, every=8)
+    return simulation
+
+
+def test_rattle_and_shake_are_those_of_lammps():
+    """Of three waters; and of the light atoms of the solute, where LAMMPS does not project velocities."""
+    oxygens = [17, 20, 23]
+    pairs = [pair for o in oxygens for pair in ((o, o + 1), (o, o + 2), (o + 1, o + 2))]
+    waters = constrained_fourmol(pairs, np.tile([1.0, 1.0, 2.0 * np.sin(WATER_ANGLE / 2.0)], 3), oxygens)
+    assert [group.shape for group in waters.engine.constraint_set.bonds.groups] == ["triangles"]
+    reference = load("lammps_fourmol/fix-timestep-rattle_angle.json")
+    assert np.abs(waters.positions - reference["run_pos"]).max() < 2e-10
+    assert np.abs(waters.velocities - reference["run_vel"]).max() < 2e-10
+    system, table = fourmol()
+    light = np.isin(table["mol"], (1, 2)) & np.isclose(system.masses, 4.00794)
+    bonds = [(kind, i - 1, j - 1) for kind, i, j in table["bonds"] if light[i - 1] or light[j - 1]]
+    solute = constrained_fourmol([pair for _, *pair in bonds], [BOND_LENGTHS[kind] for kind, *_ in bonds], [])
+    reference = load("lammps_fourmol/fix-timestep-shake_bond.json")
+    assert np.abs(solute.positions - reference["run_pos"]).max() < 2e-10
+
+
+def nitrogen(constraint=None):
+    """27 molecules in a cubic box, with velocities that keep their lengths."""
+    arms = np.random.default_rng(1).normal(size=(27, 3))
+    arms *= 0.55 / np.linalg.norm(arms, axis=1)[:, None]
+    centers = 4.0 * np.array(list(np.ndindex(3, 3, 3))) + 0.2
+    positions = np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3)
+    atoms = ase.Atoms("N" * 54, positions, cell=[12.0] * 3, pbc=True)
+    atoms.set_constraint(FixBondLengths(BONDS) if constraint is None else constraint)
+    atoms.set_velocities(np.random.default_rng(3).normal(size=(54, 3)) * 0.03)
+    return atoms
+
+
+def nitrogen_law():
+    return md.LennardJones(0.0031, 3.3, cutoff=5.0, truncation="force-shifted", bonded_scale=(0, 1, 1))
+
+
+@pytest.mark.slow
+def test_500_steps_of_27_rigid_molecules_beside_ase():
+    atoms, same = nitrogen(), nitrogen()
+    simulation = md.Simulation(md.System.from_ase(same, bonds=BONDS), nitrogen_law(), md.VelocityVerlet(units.fs))
+    simulation.run(500, every=500)
+    atoms.calc = Calculator(nitrogen_law(), bonds=BONDS)
+    VelocityVerlet(atoms, units.fs).run(500)
+    assert np.abs(simulation.positions - nitrogen().positions).max() > 1.0
+    assert np.abs(simulation.positions - atoms.positions).max() < 1e-9
+    assert np.abs(simulation.velocities - atoms.get_velocities()).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    "constraint",
+    [
+        FixBondLengths(BONDS),
+        FixLinearTriatomic(np.array([[0, 1, 2], [10, 11, 12]])),
+        [FixBondLengths([[0, 1], [2, 3]]), FixAtoms([5, 7, 9])],
+    ],
+    ids=["bonds", "rods", "both"],
+)
+def test_constraints_of_ase_are_kept_as_ase_keeps_them(constraint):
+    atoms, same = nitrogen([]), nitrogen([])
+    for scene in (atoms, same):
+        scene.positions[[2, 12]] = 2.0 * scene.positions[[1, 11]] - scene.positions[[0, 10]]  # in a line
+        scene.set_constraint(constraint)
+        scene.set_momenta(scene.get_momenta())
+    bonds = np.array([[0, 1], [1, 2], [0, 2], [10, 11], [11, 12], [10, 12]])
+    springs = md.HarmonicBond(2.0, 1.1, pairs=np.array([[k, k + 1] for k in range(13, 53, 2)]))
+    simulation = md.Simulation(md.System.from_ase(same, bonds=bonds), springs, md.VelocityVerlet(units.fs))
+    simulation.run(20, every=20)
+    atoms.calc = Calculator(springs, bonds=bonds)
+    VelocityVerlet(atoms, units.fs).run(20)
+    assert np.abs(simulation.positions - atoms.positions).max() < 1e-10
+    assert np.abs(simulation.velocities - atoms.get_velocities()).max() < 1e-10
+    removed = sum(c.get_removed_dof(atoms) for c in atoms.constraints)
+    assert simulation.n_dof == 3 * 54 - 3 * (simulation.engine.constraint_set.n_fixed == 0) - removed
+
+
+class Push(Term):
+    """A force from outside."""
+
+    acts_from_outside, bind = True, lambda self, _system: self
+
+
+def test_the_center_of_atoms_with_fixcom_is_held_or_what_would_move_it_is_refused():
+    atoms, law, langevin = nitrogen(FixCom()), nitrogen_law(), md.LangevinBAOAB(units.fs, 80.0, 0.1, seed=1)
+    system, verlet = md.System.from_ase(atoms), md.VelocityVerlet(units.fs)
+    assert np.abs(system.masses @ system.velocities).max() < 1e-12
+    for laws, method, fixed in ((law, langevin, ()), ([law, Push()], verlet, ()), (law, verlet, md.FixedAtoms([0]))):
+        with pytest.raises(ValueError, match="FixCom"):
+            md.Simulation(atoms, laws, method, fixed)
+    for simulation in (sim := md.Simulation(atoms, law, verlet), copy.copy(sim)):
+        with pytest.raises(ValueError, match="FixCom"):
+            simulation.method = langevin
+        assert simulation.method.name == "velocity-verlet"
+        simulation.method = md.StochasticVelocityRescaling(units.fs, 80.0, 100.0 * units.fs, seed=1)
+    md.Simulation(nitrogen(), law, langevin)
+
+
+def test_ase_dynamics_keeps_the_constraints_of_the_atoms_and_no_others():
+    atoms = nitrogen()
+    atoms.calc = Calculator(nitrogen_law(), bonds=BONDS)
+    start = atoms.positions[1::2] - atoms.positions[::2]
+    bridge.VelocityVerlet(atoms, units.fs).run(50)
+    now = atoms.positions[1::2] - atoms.positions[::2]
+    assert np.abs(now - start).max() > 0.01
+    assert np.linalg.norm(now, axis=1) == pytest.approx(np.linalg.norm(start, axis=1), rel=1e-14)
+    atoms.set_constraint()  # what was removed is no longer kept
+    dynamics = bridge.VelocityVerlet(atoms, units.fs)
+    dynamics.run(1)
+    atoms.set_constraint(FixAtoms([0]))
+    dynamics.run(1)
+    atoms.set_constraint()
+    before = atoms.positions[0].copy()
+    dynamics.run(20)
+    assert np.abs(atoms.positions[0] - before).max() > 1e-6

@@ -1,0 +1,268 @@
+"""Runs with constraints: what a Simulation keeps, counts and promises of rigid molecules and of fixed atoms."""
+
+import numpy as np
+import pytest
+from scenes import BONDED, LJ, SCENES
+
+import minimd as md
+from minimd.constraints.solver import ConstraintSolver
+from minimd.integrators import SPLITTINGS, State
+from minimd.integrators.splitting.state import Bath, Surroundings
+from minimd.structure.cell import Cell
+from minimd.structure.statistics import mean_and_error
+
+VERLET = md.VelocityVerlet(0.002)
+PAIRS = np.arange(64).reshape(-1, 2)  # of the dumbbells
+SPARSE = md.LennardJones(1e-30, 0.01, 0.5, "force-shifted")
+
+
+def simulation(method=VERLET, constraints=None):
+    scene = SCENES["dumbbells"]()
+    return scene._replace(constraints=scene.constraints if constraints is None else constraints).simulation(method)
+
+
+def kept(sim):
+    return sim.engine.constraint_set.bonds.violation(sim.positions).max()
+
+
+def test_energy_of_rigid_molecules_oscillates_with_the_square_of_the_timestep():
+    start = simulation()
+    start.equilibrate(500, 1.0)
+
+    def oscillation(timestep):
+        sim = md.Simulation(start.system, [BONDED], md.VelocityVerlet(timestep), start.constraints)
+        return sim.run(round(0.4 / timestep), every=1).total_energy.std()
+
+    assert np.log2(oscillation(0.002) / oscillation(0.001)) == pytest.approx(2.0, abs=0.1)  # truncation
+
+
+@pytest.mark.parametrize("method", [one for one in SPLITTINGS.values() if one.is_symmetric], ids=lambda one: one.name)
+def test_every_symmetric_splitting_runs_constrained_and_returns(method):
+    sim = simulation(method(0.002))
+    start = sim.positions.copy()
+    sim.run(100)
+    assert kept(sim) < 1e-13
+    assert np.abs(sim.positions - start).max() > 0.1
+    sim.velocities[:] *= -1.0
+    sim.run(100)
+    assert np.abs(sim.positions - start).max() < 1e-9  # rounding, amplified by the dynamics
+
+
+def test_temperature_counts_what_is_left_of_wrapped_atoms_too():
+    sim = simulation()
+    sim.positions[::2, 0] += sim.system.cell.vectors[0, 0]
+    sim.set_temperature(1.0, seed=2)
+    assert sim.n_dof == 3 * 64 - 32 - 3
+    record = sim.run(0)
+    assert record.temperature[0] == pytest.approx(1.0, rel=1e-12)
+    assert 2.0 * record.kinetic_energy[0] / sim.n_dof == pytest.approx(1.0, rel=1e-12)
+    assert simulation(constraints=[md.FixedAtoms([0, 3])]).n_dof == 3 * 64 - 6
+
+
+@pytest.mark.parametrize(
+    "method",
+    [md.LangevinBAOAB(0.004, 1.0, 5.0, 7), md.StochasticVelocityRescaling(0.004, 1.0, 0.1, 7)],
+    ids=["BAOAB", "Bussi"],
+)
+def test_baths_keep_lengths_and_temperature(method):
+    """Translation and rotation have their shares: equipartition, within four standard errors of blocks."""
+    sim, shares = simulation(method), []
+    sim.equilibrate(500, 1.0)
+    masses = sim.system.masses.reshape(-1, 2, 1)
+
+    def look(run):
+        v = run.velocities.reshape(-1, 2, 3)
+        centers = (masses * v).sum(axis=1, keepdims=True) / 4.0
+        translation, rotation = 4.0 * (centers**2).sum(), (masses * (v - centers) ** 2).sum()
+        shares.append([translation / (3 * 32 - 3 * sim.conserves_momentum), rotation / (2 * 32)])
+
+    record = sim.run(9000, every=20, observers=[look])
+    blocks = np.array(shares[1:]).reshape(15, -1, 2).mean(axis=1)
+    error = blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks))
+    assert (error < 0.02).all()
+    assert (np.abs(blocks.mean(axis=0) - 1.0) < 4.0 * error).all()  # statistics
+    assert record.constraint_violation.max() < 1e-13
+
+
+@pytest.mark.slow
+def test_pressure_with_constraints_is_the_slope_of_the_free_energy():
+    """Centers are scaled: p = (2 K_cm + Σ F_cm · r_cm)/3V, averaged, equals the atomic one with constraint forces."""
+    sim, molecular = simulation(md.StochasticVelocityRescaling(0.004, 1.0, 0.2, 7)), []
+    sim.equilibrate(500, 1.0)
+    masses, volume = sim.system.masses.reshape(-1, 2, 1), sim.system.volume
+
+    def look(run):
+        r, v, f = (x.reshape(-1, 2, 3) for x in (run.positions, run.velocities, run.forces))
+        arms, centers = r - (masses * r).sum(axis=1, keepdims=True) / 4.0, (masses * v).sum(axis=1) / 4.0
+        inner = (f * arms).sum()  # what the atomic virial has beyond the molecular one
+        virial = np.trace(md.evaluate(run.system, [BONDED]).virial)
+        molecular.append((4.0 * (centers**2).sum() + virial - inner) / (3.0 * volume))
+
+    record = sim.run(32_000, every=20, observers=[look])
+    difference = (record.pressure - np.array(molecular))[1:].reshape(16, -1).mean(axis=1)
+    error = difference.std(ddof=1) / 4.0
+    assert error < 0.02 * abs(record.pressure.mean())
+    assert abs(difference.mean()) < 4.0 * error  # statistics
+
+
+@pytest.mark.parametrize("method", [md.VelocityVerlet, md.PositionVerlet, md.Leapfrog])
+def test_how_often_one_looks_and_wrapped_atoms_change_nothing(method):
+    """Drifts with constraints are no flow: those of two steps are not merged where nobody looks."""
+    often, seldom, wrapped = (simulation(method(0.002)) for _ in range(3))
+    edges, rng = np.diagonal(often.system.cell.vectors), np.random.default_rng(3)
+
+    def wrap(run):
+        run.positions[:] += rng.integers(-2, 3, run.positions.shape) * edges
+
+    often.run(100, every=1)
+    seldom.run(100, every=100)
+    record = wrapped.run(100, every=20, observers=[wrap])
+    assert np.abs(often.positions - seldom.positions).max() < 1e-10  # rounding, amplified
+    apart = wrapped.positions - seldom.positions
+    assert np.abs(apart - np.round(apart / edges) * edges).max() < 1e-9  # rounding, amplified
+    assert record.constraint_violation.max() < 1e-12
+
+
+def test_frames_and_reports_know_constraints_before_the_first_run_and_where_the_bonds_of_wrapped_atoms_are():
+    sim = simulation()
+    assert sim.frame().observables["pressure"] == pytest.approx(sim.run(0).pressure[0], rel=1e-9)
+    sim.run(100, every=20)
+    pressure, report = sim.frame().observables["pressure"], str(sim.report())
+    assert "32 in bonds of their own" in report
+    sim.positions[::2, 0] += sim.system.cell.vectors[0, 0]
+    assert sim.frame().observables["pressure"] == pytest.approx(pressure, rel=1e-9)  # rounding
+    sim.positions[::2, 0] += sim.system.cell.vectors[0, 0]
+    for text in (report, str(sim.report())):
+        assert "NOT OBEYED" not in text
+        assert "lengths        kept to" in text
+    free = simulation(md.VelocityVerlet(0.0005), [])
+    free.run(10, every=5)
+    assert "lengths" not in str(free.report())
+
+
+def test_lengths_that_are_violated_at_the_start_are_put_right_with_a_warning():
+    """Also those of a bond across the boundary of a new cell."""
+    sim = simulation(constraints=md.DistanceConstraints(PAIRS, 0.48))
+    with pytest.warns(UserWarning, match="relative errors were"):
+        sim.run(1)
+    assert kept(sim) < 1e-13
+    system = md.System([[0.2, 5.0, 5.0], [9.2, 5.0, 5.0]], cell=10.0)
+    sim = md.Simulation(system, SPARSE, md.VelocityVerlet(0.001), md.DistanceConstraints([[0, 1]]))
+    sim.run(1)
+    sim.system.cell = Cell.of(10.5)
+    with pytest.warns(UserWarning, match="relative errors were"):
+        sim.run(1)
+    assert sim.positions[0, 0] - sim.positions[1, 0] + 10.5 == pytest.approx(1.0, rel=1e-12)
+
+
+def test_a_run_that_breaks_a_bond_keeps_the_last_good_state():
+    sim, twin = (simulation(md.VelocityVerlet(0.08)) for _ in range(2))
+    with pytest.raises(md.ConstraintError, match="reduce the timestep") as caught:
+        sim.run(100)
+    assert f"At step {sim.step + 1}:" in str(caught.value)
+    twin.run(sim.step)
+    assert np.abs(sim.positions - twin.positions).max() < 1e-9
+    assert kept(sim) < 1e-13
+
+
+def test_fixed_atoms_stay_and_may_overlap_and_the_report_promises_no_momentum():
+    sim = simulation(constraints=[md.DistanceConstraints(PAIRS), md.FixedAtoms([0, 5])])
+    start = sim.positions.copy()
+    sim.run(100, every=20)
+    assert (sim.positions[[0, 5]] == start[[0, 5]]).all()
+    assert np.abs(sim.positions - start).max() > 0.05
+    assert "not a constant" in str(sim.report())
+    for none in ([], (), np.zeros(64, dtype=bool)):
+        sim = simulation(constraints=md.FixedAtoms(none))
+        assert sim.conserves_momentum
+        assert sim.n_dof == 3 * 64 - 3
+    positions = [[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [1.5, 0.0, 0.0]]
+    sim = md.Simulation(md.System(positions), LJ, VERLET, md.FixedAtoms([0, 1]))
+    sim.run(50)  # they overlap, but a force on an atom that does not move throws nothing across the scene
+    assert (sim.positions[:2] == positions[:2]).all()
+    assert abs(sim.positions[2, 0] - 1.5) > 1e-3
+    with pytest.raises(md.NonFiniteError, match="the force on atom 1 would move it"):
+        md.Simulation(md.System(positions), LJ, VERLET, md.FixedAtoms([0])).run(1)
+
+
+@pytest.mark.parametrize("length", [0.9, 1.2, 3.1])
+@pytest.mark.parametrize("skew", [0.0, 0.7])
+def test_bonds_longer_than_half_the_cell_turn_as_they_are(length, skew):
+    """In a cell of edge 2, where another image comes nearer: beside the same bond in open space, wrapped or not."""
+    cell, rng = np.array([[2.0, 0.0, 0.0], [skew, 2.0, 0.0], [skew, 0.3, 2.0]]), np.random.default_rng(1)
+    positions, velocities = np.outer([0.0, length], [0.8, 0.6, 0.0]), np.outer([-1.0, 1.0], [-0.3, 0.4, 0.5])
+
+    def wrap(run):
+        run.positions[:] += rng.integers(-2, 3, run.positions.shape) @ cell
+
+    def turned(edges, observers):
+        start = md.System(positions, velocities=velocities, cell=edges)
+        sim = md.Simulation(start, SPARSE, md.VelocityVerlet(0.01), md.DistanceConstraints([[0, 1]], length))
+        record = sim.run(600, every=7, observers=observers)
+        sim.run(50)
+        return sim, record.constraint_violation.max()
+
+    (free, _), (wrapped, violation), (plain, _) = turned(None, []), turned(cell, [wrap]), turned(cell, [])
+    assert violation < 1e-12
+    assert np.abs(plain.positions - free.positions).max() < 1e-10  # rounding
+    assert np.abs(wrapped.velocities - free.velocities).max() < 1e-10
+
+
+# the temperature in a Langevin bath. B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 20160138 (2016)
+
+
+TRIANGLE = 0.6 * np.array([[0.0, 0.0, 0.0], [0.816, 0.577, 0.0], [-0.816, 0.577, 0.0]])
+MOLECULES = {
+    "dumbbell": (np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), [1.0, 3.0], [[0, 1]], 0.1),
+    "water": (TRIANGLE / 0.6, [16.0, 1.0, 1.0], [[0, 1], [0, 2], [1, 2]], 0.05),
+    "triangle": (TRIANGLE / 0.6, [1.0, 1.0, 1.0], [[0, 1], [0, 2], [1, 2]], 0.1),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MOLECULES)
+def test_free_rigid_molecules_have_the_temperature_of_the_bath_at_any_timestep(name):
+    """All 3N − K degrees of freedom share it, translation and rotation each; a step is a tenth of a turn."""
+    shape, masses, pairs, timestep = MOLECULES[name]
+    n, size, mass = 2000, len(shape), sum(masses)
+    pairs = (np.array(pairs) + size * np.arange(n)[:, None, None]).reshape(-1, 2)
+    positions, m, shares = np.tile(shape, (n, 1)), np.tile(masses, n)[:, None], []
+    bonds = ConstraintSolver(md.DistanceConstraints(pairs), positions, 1.0 / m[:, 0])
+    velocities = np.random.default_rng(1).normal(size=positions.shape) / np.sqrt(m)
+    bonds.project_velocities(velocities, positions)
+    state, around = State(positions, velocities, np.zeros_like(positions), 1.0 / m[:, 0]), Surroundings(bonds, Bath())
+    method = md.LangevinBAOAB(timestep, 1.0, friction=2.0, seed=3)
+    for _ in range(90):
+        method.advance(state, lambda state, with_energy: None, max(1, round(0.4 / timestep)), surroundings=around)
+        translation = ((m * velocities).reshape(n, size, 3).sum(axis=1) ** 2).sum() / mass
+        rotation = (m * velocities**2).sum() - translation
+        shares.append([translation / (3 * n), rotation / (3 * size * n - bonds.n_constraints - 3 * n)])
+    for values in np.array(shares[10:]).T:
+        mean, error = mean_and_error(values)
+        assert error < 0.003
+        assert abs(mean - 1.0) < 4.0 * error  # statistics
+
+
+def temperature_of_a_liquid_of_triangles(timestep, seed):
+    """Mean and error of the kinetic temperature beside that of the bath: 64 rigid triangles of Lennard-Jones atoms."""
+    centers = 1.85 * np.array(list(np.ndindex(4, 4, 4)))
+    positions = (centers[:, None] + TRIANGLE).reshape(-1, 3)
+    pairs = (np.array([[0, 1], [0, 2], [1, 2]]) + 3 * np.arange(64)[:, None, None]).reshape(-1, 2)
+    system = md.System(positions, cell=7.4, bonds=pairs)
+    lj = md.LennardJones(1.0, 1.0, cutoff=2.2, truncation="switched", bonded_scale=(0, 0, 0))
+    bath = md.LangevinBAOAB(timestep, 1.0, friction=5.0, seed=seed)
+    simulation = md.Simulation(system, lj, bath, md.DistanceConstraints(pairs), threads=1)
+    simulation.set_temperature(1.0, seed)
+    simulation.equilibrate(round(10.0 / timestep), 1.0)
+    return mean_and_error(simulation.run(round(400.0 / timestep), every=round(0.04 / timestep)).temperature[1:])
+
+
+@pytest.mark.slow
+def test_the_temperature_of_interacting_molecules_is_off_by_the_square_of_the_timestep():
+    """T(Δt) = T − c Δt², as for oscillators, where c is ω²/4: extrapolated from two steps it is that of the bath."""
+    long, error_long = temperature_of_a_liquid_of_triangles(0.02, 1)
+    short, error_short = temperature_of_a_liquid_of_triangles(0.01, 1)
+    error = np.hypot(4.0 * error_short, error_long) / 3.0
+    assert 1.0 - long > 6.0 * error_long
+    assert (4.0 * short - long) / 3.0 == pytest.approx(1.0, abs=4.0 * error)  # statistics
+    assert error < 0.004

@@ -1,0 +1,265 @@
+"""Laws of distance constraints, for every solver, on bond graphs of every shape."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rigid_scenes import SCENES, chain, ring, rod, water
+from scipy.optimize import fsolve
+
+import minimd as md
+from minimd.constraints import ConstraintSolver, DistanceConstraints
+from minimd.diagnosis.report import drift as linear_drift
+
+EPS = np.finfo(float).eps
+SOLVERS = ["auto", "newton", "shake"]
+SMALL = ["diatomics", "water", "ring", "rod"]
+
+
+def every(names=tuple(SCENES), solvers=SOLVERS):
+    return pytest.mark.parametrize(("name", "solver"), list(product(names, solvers)))
+
+
+class Motion:
+    """A bond graph about the origin without forces, with velocities at random that keep its lengths."""
+
+    def __init__(self, name, solver="auto", tolerance=1e-12, tangent=True):
+        positions, self.pairs, own = SCENES[name] if isinstance(name, str) else name
+        self.masses = np.asarray(own, dtype=float)
+        self.positions = positions - positions.mean(axis=0)
+        self.velocities = np.random.default_rng(2).normal(size=positions.shape)
+        kept = DistanceConstraints(self.pairs, tolerance=tolerance, solver=solver)
+        self.bonds = ConstraintSolver(kept, self.positions, 1.0 / self.masses)
+        self.rounding = 20.0 * EPS * np.abs(self.positions).max() / self.bonds.lengths.min()
+        if tangent:
+            self.bonds.project_velocities(self.velocities, self.positions)
+
+    def step(self, n_steps=1, duration=0.01):
+        for _ in range(n_steps):
+            self.bonds.drift(self.positions, self.velocities, duration)
+            self.bonds.project_velocities(self.velocities, self.positions)
+        return self
+
+    def momentum(self):
+        return self.masses @ self.velocities
+
+    def angular_momentum(self):
+        return self.masses @ np.cross(self.positions, self.velocities)
+
+    def kinetic_energy(self):
+        return 0.5 * self.masses @ (self.velocities**2).sum(axis=1)
+
+    def of_bonds(self, vectors):
+        return vectors[self.pairs[:, 1]] - vectors[self.pairs[:, 0]]
+
+
+@every()
+def test_lengths_are_kept_to_rounding(name, solver):
+    """After every step, and r · v = 0; sweeps keep both to their tolerance."""
+    motion = Motion(name, solver, tolerance=1e-10)
+    for _ in range({"sheet": 20, "chain": 200}.get(name, 300)):
+        motion.step()
+        limit = 1e-10 if solver == "shake" else 20.0 * EPS * np.abs(motion.positions).max() / motion.bonds.lengths.min()
+        assert motion.bonds.violation(motion.positions).max() <= limit
+        turning = np.einsum("ij,ij->i", motion.of_bonds(motion.positions), motion.of_bonds(motion.velocities))
+        speed = np.linalg.norm(motion.velocities, axis=1).max()
+        assert np.abs(turning / motion.bonds.lengths).max() <= speed * limit
+
+
+@every()
+def test_all_solvers_make_the_same_step(name, solver):
+    here, swept = (Motion(name, one, tolerance=1e-13).step(5, 0.02) for one in (solver, "shake"))
+    assert np.abs(here.positions - swept.positions).max() < 1e-9
+    assert np.abs(here.velocities - swept.velocities).max() < 1e-9
+
+
+@every([*SMALL, "cube", "triangle of three masses"])
+def test_constraint_forces_conserve_momenta_and_do_no_work_and_a_reversed_motion_returns(name, solver):
+    """Free motion; the energy of bodies is kept up to the order of the method: exactly, if they are straight."""
+    motion = Motion(name, solver, tolerance=1e-13)
+    start, momentum, angular = motion.positions.copy(), motion.momentum(), motion.angular_momentum()
+    energy = motion.kinetic_energy()
+    motion.step(100)
+    assert np.abs(motion.momentum() - momentum).max() < 1e-11
+    assert np.abs(motion.angular_momentum() - angular).max() < 1e-9
+    of_method = {"diatomics": 1e-9, "rod": 1e-9}.get(name, 0.01)
+    assert motion.kinetic_energy() == pytest.approx(energy, rel=of_method)
+    assert np.abs(motion.positions - start).max() > 0.1
+    motion.velocities *= -1.0
+    motion.step(100)
+    assert np.abs(motion.positions - start).max() < 1e-9  # rounding, amplified
+
+
+@pytest.mark.parametrize(("solver", "masses"), [*product(SOLVERS, [[16.0, 1.0, 1.0]]), ("auto", [1.0, 16.0, 16.0])])
+def test_rounding_of_lengths_over_a_short_step_is_no_momentum(solver, masses):
+    """What a solver leaves of the lengths, divided by Δt, acts on both atoms: 16,000 steps leave rounding alone."""
+    motion = Motion((*water(64), np.tile(masses, 64)), solver, tangent=False)
+    motion.velocities /= np.sqrt(motion.masses)[:, None]
+    motion.bonds.project_velocities(motion.velocities, motion.positions)
+    momentum, angular = motion.momentum(), motion.angular_momentum()
+    for _ in range(160):
+        for _ in range(100):
+            motion.bonds.drift(motion.positions, motion.velocities, 0.0005)
+        motion.bonds.project_velocities(motion.velocities, motion.positions)
+    terms = motion.masses[:, None] * np.abs(motion.velocities)
+    turning = (terms * np.linalg.norm(motion.positions, axis=1)[:, None]).sum()
+    assert np.abs(motion.momentum() - momentum).max() < 5e-15 * terms.sum()  # rounding
+    assert np.abs(motion.angular_momentum() - angular).max() < 2e-14 * turning  # rounding, of positions too
+
+
+@pytest.mark.parametrize("name", ["diatomics", "water", "cube", "ring"])
+def test_a_drift_satisfies_its_equations(name):
+    """M (r′ − r − Δt v) = Gᵀ λ with |r′_ij| = d, solved by SciPy."""
+    motion, duration = Motion(name), 0.02
+    start, old, pairs = motion.positions.copy(), motion.of_bonds(motion.positions), motion.pairs
+    free = start + duration * motion.velocities
+    motion.bonds.drift(motion.positions, motion.velocities, duration)
+
+    def moved(multipliers):
+        displaced = free.copy()
+        for side, sign in ((1, 1.0), (0, -1.0)):
+            np.add.at(
+                displaced, pairs[:, side], sign * multipliers[:, None] * old / motion.masses[pairs[:, side], None]
+            )
+        return displaced
+
+    def off(multipliers):
+        return (motion.of_bonds(moved(multipliers)) ** 2).sum(axis=1) - motion.bonds.lengths**2
+
+    exact = moved(fsolve(off, np.zeros(len(pairs)), xtol=1e-12))
+    assert np.abs(motion.positions - exact).max() < 1e-12
+    assert np.abs(motion.velocities - (exact - start) / duration).max() < 1e-10
+
+
+@every(SMALL)
+def test_a_drift_does_not_see_what_a_projection_would_take_from_the_velocities(name, solver):
+    """So velocities are projected only where somebody looks."""
+    here, projected = Motion(name, solver, 1e-13, tangent=False), Motion(name, solver, 1e-13)
+    assert np.abs(projected.velocities - here.velocities).max() > 0.1
+    for motion in (here, projected):
+        motion.bonds.drift(motion.positions, motion.velocities, 0.01)
+    assert np.abs(here.positions - projected.positions).max() < 1e-13
+    assert np.abs(here.velocities - projected.velocities).max() < 1e-11
+
+
+@pytest.mark.parametrize("name", [*SMALL, "cube", "chain"])
+def test_constraint_forces_keep_the_second_derivative_of_every_length_zero(name):
+    """r · a + v² = 0; and their virial is Σ F ⊗ r of what they add to the accelerations."""
+    motion, rng = Motion(name), np.random.default_rng(5)
+    x, m, forces = motion.positions, motion.masses[:, None], rng.normal(size=motion.positions.shape)
+    accelerations = forces / m
+    motion.bonds.multipliers(x, motion.velocities, accelerations)
+    r, v, a = (motion.of_bonds(one) for one in (x, motion.velocities, accelerations))
+    assert np.abs((r * a).sum(axis=1) + (v * v).sum(axis=1)).max() < 1e-12
+    virial = motion.bonds.virial(x, motion.velocities, forces)
+    assert np.abs(virial - (m * accelerations - forces).T @ x).max() < 1e-11 * np.abs(virial).max()  # rounding
+
+
+def test_positions_that_violate_lengths_are_projected():
+    """And the center stays; bonds across a boundary are given by offsets."""
+    motion = Motion("ring")
+    moved = motion.positions + 0.03 * np.random.default_rng(6).normal(size=motion.positions.shape)
+    center = motion.masses @ moved
+    motion.bonds.project_positions(moved)
+    assert motion.bonds.violation(moved).max() < 1e-14
+    assert np.abs(motion.masses @ moved - center).max() < 1e-13
+    positions, offsets = np.array([[0.1, 0.0, 0.0], [9.4, 0.2, 0.0]]), np.array([[-10.0, 0.0, 0.0]])
+    bonds = ConstraintSolver(DistanceConstraints([[0, 1]], lengths=0.8), positions, np.ones(2), offsets=offsets)
+    bonds.project_positions(positions)
+    assert np.linalg.norm(positions[1] - positions[0] - [10.0, 0.0, 0.0]) == pytest.approx(0.8, rel=1e-14)
+
+
+@every(SMALL)
+def test_a_step_too_long_names_the_bond(name, solver):
+    motion = Motion(name, solver)
+    with pytest.raises(md.ConstraintError, match=r"constraint (\d+) \(atoms (\d+)-(\d+)\) .* 50") as caught:
+        motion.step(1, 50.0)
+    assert list(caught.value.atoms) in motion.pairs.tolist()
+
+
+def test_the_first_component_that_fails_is_told_by_any_number_of_threads():
+    (positions, velocities), kept = np.zeros((2, 6000, 3)), DistanceConstraints(np.arange(6000).reshape(-1, 2))
+    positions[:, 0], velocities[[4001, 5001], 1] = np.arange(6000), 1e3
+    with pytest.raises(md.ConstraintError) as caught:
+        ConstraintSolver(kept, positions, np.ones(6000), threads=3).drift(positions, velocities, 1.0)
+    assert caught.value.atoms == (4000, 4001)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(2, 30), st.integers(0, 2**32 - 1))
+def test_random_connected_graphs_are_kept_to_rounding_or_refused(n_atoms, seed):
+    """Trees with some more bonds, masses 1 : 1000, lengths at random: never a hang, never a NaN."""
+    rng = np.random.default_rng(seed)
+    positions, masses = rng.normal(size=(n_atoms, 3)) * 2.0, 10.0 ** rng.uniform(0.0, 3.0, n_atoms)
+    pairs = {(int(rng.integers(k)), k) for k in range(1, n_atoms)}
+    pairs |= {
+        tuple(sorted(rng.choice(n_atoms, 2, replace=False).tolist())) for _ in range(int(rng.integers(0, n_atoms)))
+    }
+    try:
+        motion = Motion((positions, np.array(sorted(pairs)), masses))
+    except ValueError as reason:
+        assert "follows from the other constraints" in str(reason)  # noqa: PT017
+        return
+    for _ in range(5):
+        motion.step(1, 1e-3)
+        assert motion.bonds.violation(motion.positions).max() <= 5.0 * motion.rounding
+        assert np.isfinite(motion.velocities).all()
+
+
+def test_graphs_are_sorted_by_shape():
+    def shapes(*parts):
+        starts = np.cumsum([0, *(len(places) for places, _ in parts)])
+        positions = np.concatenate([places + 9.0 * k for k, (places, _) in enumerate(parts)])
+        pairs = np.concatenate([pairs + start for (_, pairs), start in zip(parts, starts[:-1], strict=True)])
+        groups = ConstraintSolver(DistanceConstraints(pairs), positions, np.ones(len(positions))).groups
+        assert sorted(np.concatenate([group.order for group in groups])) == list(range(len(pairs)))
+        return sorted(type(group).__name__ for group in groups)
+
+    assert Motion("rod").bonds.n_constraints == 4  # of nine degrees of freedom five are left
+    assert shapes(water(2)) == ["Triangles"]
+    assert shapes(rod(), ring(6), chain(2)) == ["LinearTriatomics", "Networks", "Pairs"]
+
+
+@every([*SMALL, "chain", "cube"])
+def test_threads_change_no_bit(name, solver):
+    positions, pairs, masses = SCENES[name]
+    n, many, rng = len(positions), 3000 // len(pairs), np.random.default_rng(5)
+    all_pairs = (pairs + n * np.arange(many)[:, None, None]).reshape(-1, 2)
+    start = np.tile(positions, (many, 1)) + np.repeat(rng.normal(size=(many, 3)), n, axis=0)
+    velocities, results = rng.normal(size=start.shape), []
+    for threads in (1, 3):
+        kept = DistanceConstraints(all_pairs, solver=solver)
+        bonds = ConstraintSolver(kept, start, np.tile(1.0 / masses, many), threads=threads)
+        x, v = start.copy(), velocities.copy()
+        for _ in range(5):
+            bonds.project_velocities(v, x)
+            bonds.drift(x, v, 0.01)
+        assert bonds.violation(x).max() < 1e-11
+        assert (np.abs(x - start).max(axis=1) > 0.0).all()  # no component was left out
+        results.append((x, v))
+    assert np.array_equal(results[0], results[1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
+def test_lengths_are_kept_to_rounding_over_100_000_steps(name):
+    """After every single one, with Newton's method; and the energy of the free motion does not drift."""
+    n_steps, timestep = (20_000, 0.002) if name == "sheet" else (100_000, 0.01)
+    motion, energies, worst = Motion(name, "newton", tangent=False), [], 0.0
+    motion.positions -= motion.masses @ motion.positions / motion.masses.sum()
+    motion.velocities -= motion.momentum() / motion.masses.sum()
+    motion.bonds.project_velocities(motion.velocities, motion.positions)
+    for step in range(n_steps):
+        motion.step(1, timestep)
+        limit = 20.0 * EPS * np.abs(motion.positions).max() / motion.bonds.lengths.min()
+        off = (
+            motion.bonds.violation(motion.positions),
+            motion.bonds.velocity_violation(motion.positions, motion.velocities),
+        )
+        worst = max(worst, *(one.max() / limit for one in off))
+        energies += [motion.kinetic_energy()] if step % 100 == 0 else []
+    assert worst < 1.0
+    drift = linear_drift(timestep * 100 * np.arange(len(energies)), np.array(energies))
+    assert abs(drift.slope) < 4.0 * drift.error or abs(drift.slope) * n_steps * timestep < 1e-9 * energies[0]

@@ -1,0 +1,239 @@
+"""The conservation report: what it calls conserved, how sure it is, and that its standard errors are honest."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ase.build import molecule
+from references import liquid
+from scenes import LJ, SCENES
+from scipy.signal import lfilter
+
+import minimd as md
+from minimd.analysis.check import check_file
+from minimd.compiled import machine
+from minimd.compiled.machine import peak_memory
+from minimd.diagnosis.report import Drift, conservation_report, drift, drift_of_walk
+from minimd.engine.record import SERIES, Record
+
+VERLET = md.VelocityVerlet(0.002)
+N_SERIES = 400
+
+
+def liquid_run(n_steps, *observers, method=VERLET):
+    simulation = SCENES["argon"]().simulation(method)
+    simulation.run(n_steps, every=10, observers=list(observers))
+    return simulation
+
+
+@pytest.fixture(scope="module")
+def conserved():
+    """A run in which everything is conserved."""
+    return liquid_run(1000)
+
+
+def wind(run):
+    run.velocities[:, 0] += 1e-6
+
+
+def friction(run):
+    run.velocities[:] *= 0.99
+
+
+def heat(run):
+    run.velocities[:] *= 1.0 + 1e-5
+
+
+def test_the_report_tells_conserved_from_not(conserved):
+    good = conserved.report()
+    assert good.energy_is_conserved
+    assert good.momentum_is_conserved
+    assert "is conserved" in str(good)
+    bad, slight = liquid_run(1000, friction).report(), liquid_run(2000, heat).report()
+    for report in (bad, slight):
+        assert report.energy_is_conserved is False
+        assert "DRIFTS" in report.verdict
+    assert 1e-4 < slight.energy_drift.slope < 1e-2  # 1e-3 ε per atom per τ is a drift, however long the run
+    assert not liquid_run(200, wind).report().momentum_is_conserved
+    cluster = md.Simulation(md.System(liquid(2, jitter=0.0).positions - 1.0), LJ, VERLET)
+    cluster.run(500, every=100)  # at rest as a whole: L = 0 is judged by its scale, and rounding is no change
+    assert cluster.report().angular_momentum_change < 1e-12
+
+
+def test_few_frames_are_not_judged_and_have_no_error_bar():
+    simulation = liquid_run(20)
+    report = simulation.report()
+    assert report.energy_is_conserved is None
+    assert "too few" in report.verdict
+    assert "±" not in str(report).splitlines()[0]
+    simulation.run(40, every=10)
+    assert "±" in str(simulation.report()).splitlines()[0]
+
+
+def test_the_kinetic_energy_of_a_report_leaves_out_a_drift(tmp_path):
+    """Of rigid water, which has two degrees of freedom for each atom: in a run, and from its file."""
+    file, simulation = tmp_path / "a.h5md", SCENES["water"]().simulation()
+    expected = simulation.engine.kinetic_energy / len(simulation.system)
+    simulation.velocities[:, 0] += 100.0
+    with pytest.warns(UserWarning, match="the center of mass moves"):
+        simulation.run(1, every=1, trajectory=file)
+    for report in (simulation.report(), check_file(file).report):
+        assert report.kinetic_energy == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("bath", [False, True], ids=["alone", "bath"])
+def test_nothing_is_conserved_where_something_is_not_finite(conserved, value, bath):
+    """In any observable, in any frame."""
+    record = conserved.record
+    known = {name: np.array(getattr(record, name))[:31] for name in ("step", "time", *SERIES) if name in record}
+    known |= {"shadow_energy": known["total_energy"], "constraint_violation": np.zeros(31)}
+    known |= {"conserved_energy": known["total_energy"]} if bath else {}
+
+    def judged(series, angular=True):
+        report = conservation_report(Record.of(md.units.LJ, 108, series), angular=angular)
+        energies = report.energy_is_conserved, report.shadow_is_conserved
+        return report.verdict, (*energies, report.momentum_is_conserved, report.angular_momentum_is_conserved)
+
+    assert judged(known, angular=False)[1][:3] == (True, True, True)
+    for frames in ([0], [17], [30], slice(None)):
+        for name in known.keys() - {"step"}:
+            series = known | {name: known[name].copy()}
+            series[name][frames] = value
+            verdict, found = judged(series)
+            assert found == (False,) * 4
+            assert verdict.startswith(f"NOTHING IS CONSERVED: {name.replace('_', ' ')} is not finite at step")
+        energy = known["total_energy"].copy()
+        energy[frames] = 1e308 * np.random.default_rng(1).random(len(energy[frames]))  # it overflows
+        assert bath or judged(known | {"total_energy": energy})[1][0] is False
+
+
+@pytest.mark.skipif(peak_memory() is None, reason="the operating system does not tell")
+def test_memory_is_the_peak_of_the_process(conserved, monkeypatch):
+    before = conserved.report().cost.peak_memory
+    held = np.ones(int(before // 8) + 10**7)  # 80 MB more than the process has ever held, whatever was freed of it
+    assert conserved.report().cost.peak_memory >= before + 80e6
+    del held
+    assert conserved.report().cost.peak_memory >= before + 80e6
+    assert f"\nmemory         {peak_memory() / 1e6:.4g} MB at most so far" in str(conserved.report())
+    monkeypatch.setattr(machine, "STATUS", Path("nowhere"))
+    monkeypatch.setattr(machine.platform, "system", lambda: "Windows")
+    assert conserved.report().cost.peak_memory is None
+    assert "memory" not in str(conserved.report())
+    monkeypatch.setattr(machine.platform, "system", lambda: "Darwin")
+    assert machine.peak_memory() > 0
+
+
+def record_of(total):
+    n = len(total)
+    flat, vectors = np.ones(n), np.zeros((n, 3))
+    series = dict.fromkeys(("kinetic_energy", "temperature", "absolute_momentum", "absolute_angular_momentum"), flat)
+    series |= {"total_energy": total, "potential_energy": total - 1.0, "momentum": vectors, "angular_momentum": vectors}
+    return Record.of(md.units.LJ, 10, {"step": np.arange(n), "time": np.arange(float(n)), **series})
+
+
+def test_a_figure_says_how_sure_it_is():
+    """± is a standard error, and a standard deviation is called one; one frame has neither; a run may be too short."""
+
+    def report_of(total):
+        return conservation_report(record_of(total), angular=False)
+
+    text = str(report_of(1.0 + 0.01 * np.random.default_rng(1).normal(size=51)))
+    assert "(standard error)" in text
+    assert "standard deviation 0 ε/k_B" in text
+    one = str(report_of(np.ones(1)))
+    assert "±" not in one
+    assert "1 frame is too few to judge" in one
+    for size, quiet in ((0.001, "stays within 0.002 of"), (0.1, "varies")):
+        short = report_of(1.0 + size * np.sin(np.linspace(0.0, 5.0, 51)))
+        assert short.energy_is_conserved is None
+        assert re.search(f"verdict .* energy {quiet}.* too short to tell whether it drifts", str(short))
+        assert short.is_quiet is (size == 0.001)
+
+
+def correlated(correlation, n, rng):
+    """A stationary series whose neighbors resemble each other by so much."""
+    return lfilter([1.0], [1.0, -correlation], rng.normal(size=n + 400))[400:]
+
+
+@pytest.mark.parametrize(
+    ("correlation", "n", "most"),
+    [(0.0, 51, 0.01), (0.5, 51, 0.02), (0.8, 51, 0.03), (0.8, 501, 0.02), (0.95, 501, 0.02)],
+)
+def test_few_correlated_series_seem_to_drift(correlation, n, most):
+    """0.003 expected where the correlation is known; an error blind to it finds every third of 51 with 0.8 drifting."""
+    rng, t = np.random.default_rng(3), np.arange(float(n))
+    found = [drift(t, correlated(correlation, n, rng)) for _ in range(N_SERIES)]
+    assert np.mean([one.is_significant for one in found]) <= most
+    judged = np.array([one.slope / one.error for one in found if not one.is_too_short])
+    assert 0.8 < np.sqrt(np.mean(judged**2)) < 1.6  # 1 expected
+
+
+def test_a_series_as_short_as_its_fluctuations_is_not_judged():
+    rng, t = np.random.default_rng(3), np.arange(51.0)
+    found = [drift(t, correlated(0.98, 51, rng)) for _ in range(N_SERIES)]
+    assert np.mean([one.is_too_short for one in found]) > 0.6
+    assert np.mean([one.is_significant for one in found]) < 0.08  # such a fluctuation is a drift, sometimes
+
+
+def test_a_drift_that_is_there_is_found():
+    rng, t = np.random.default_rng(3), np.arange(51.0)
+    assert all(drift(t, correlated(0.5, 51, rng) + 0.3 * t).is_significant for _ in range(20))
+    assert drift(t, np.exp(0.01 * t)).is_significant  # smooth, and no line
+    assert drift(t, 2.0 * t).is_significant
+    assert not drift(t, np.ones(51)).is_significant
+    assert not Drift(0.0, 0.0).is_significant
+    for slope in (drift, drift_of_walk):
+        assert slope(t, np.where(t == 20.0, np.nan, 1.0)).is_significant
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0, 5.0])
+def test_the_error_of_a_walk_that_fluctuates_is_its_scatter(noise):
+    """The energy without that of a bath wanders, and the error of the energy fluctuates. Few runs seem to drift."""
+    rng, t = np.random.default_rng(3), np.arange(50.0)
+    found = [drift_of_walk(t, rng.normal(size=50).cumsum() + noise * rng.normal(size=50)) for _ in range(N_SERIES)]
+    slopes, errors = np.array([(one.slope, one.error) for one in found]).T
+    assert 0.85 < np.sqrt((errors**2).mean()) / slopes.std() < 1.3
+    assert np.mean([one.is_significant for one in found]) < 0.03  # 0.003 if the error were known exactly
+
+
+def test_the_drift_of_a_long_walk_is_found_where_a_line_cannot_tell():
+    rng, t = np.random.default_rng(0), np.linspace(0.0, 100.0, 4001)
+    walks = np.cumsum(rng.normal(size=(300, t.size)), axis=1)
+    misses = sum(abs(one.slope) > 2.0 * one.error for one in (drift_of_walk(t, walk) for walk in walks))
+    assert misses < 35  # 5 % expected, with few blocks 6
+    assert sum(drift(t, walk).is_too_short for walk in walks) > 150
+    assert all(drift_of_walk(t, walk + 10.0 * np.sqrt(t.size) / 100.0 * t).is_significant for walk in walks)
+
+
+def test_slow_changes_that_the_energy_hides_are_seen_in_the_kinetic_energy():
+    """Fast noise on top of a slow wave: by itself the series seems to drift."""
+    rng, t = np.random.default_rng(3), np.arange(51.0)
+    slow = np.sin(t / 30.0)
+    series = [slow + 0.3 * rng.normal(size=51) for _ in range(20)]
+    alone, beside = [drift(t, one) for one in series], [drift(t, one, beside=3.0 - slow) for one in series]
+    assert np.mean([one.is_significant for one in alone]) > 0.3
+    assert not any(one.is_significant for one in beside)
+    assert all(b.error >= a.error for a, b in zip(alone, beside, strict=True))
+    assert sum(one.is_too_short for one in beside) >= sum(one.is_significant for one in alone)
+
+
+@pytest.mark.slow
+def test_the_error_is_the_scatter_of_many_runs():
+    """Rigid water, thin, in runs of 1 ps: errors that know nothing of correlation called every second one drifting."""
+    water, corners = molecule("H2O"), 4.0 * np.array(list(np.ndindex(2, 2, 2)))
+    places = (corners[:, None] + water.positions).reshape(-1, 3)
+    pairs = [(3 * i + a, 3 * i + b) for i in range(8) for a, b in ((0, 1), (0, 2), (1, 2))]
+    masses, species = np.tile(water.get_masses(), 8), water.get_chemical_symbols() * 8
+    system = md.System(places, cell=8.5, masses=masses, species=species, units=md.units.ASE)
+    law = md.LennardJones({"O": (0.0067, 3.166), "H": (0.0, 1.0)}, cutoff=4.0, truncation="force-shifted")
+    sim = md.Simulation(system, law, md.VelocityVerlet(2.0 * md.units.fs), md.DistanceConstraints(pairs))
+    sim.set_temperature(200.0, seed=1)
+    reports = []
+    for _ in range(100):
+        sim.run(500, every=10)
+        reports.append(sim.report())
+    drifts = [one.energy_drift for one in reports]
+    assert sum(one.energy_is_conserved is False for one in reports) <= 3  # of 100; 50 before
+    assert 0.5 < np.sqrt(np.mean([(one.slope / one.error) ** 2 for one in drifts])) < 1.5  # 1 expected

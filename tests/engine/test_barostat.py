@@ -1,0 +1,353 @@
+"""Stochastic cell rescaling: its equations, what follows the cell, and what files and reports say of it."""
+
+import pickle
+from dataclasses import replace
+
+import ase.io
+import MDAnalysis
+import numpy as np
+import pytest
+from scene_texts import ARGON
+from scenes import LJ, SCENES
+from scipy.optimize import minimize_scalar
+from step_scenes import bead_melt
+from wrong_calls import assert_answered
+
+import minimd as md
+import minimd.mdanalysis
+from minimd.analysis.check import check_file
+from minimd.diagnosis.report import conservation_report
+from minimd.diagnosis.run_report import pressure_lines
+from minimd.engine.cell_rescaling import rescaling_of
+from minimd.engine.record import Record
+from minimd.integrators.splitting.barostats import ThermodynamicState
+from minimd.observers.fluctuations import FEWEST
+from minimd.scene import load_scene, run_scene
+from minimd.structure.cell import Cell
+from minimd.structure.statistics import mean_and_error, with_error
+
+COUPLINGS = ["isotropic", "z", "xy", "triclinic"]
+NO_ROOM = md.LennardJones(1.0, 1.0, 2.05, "force-shifted", bonded_scale=(0.0, 0.0, 1.0))  # for a skin
+
+
+def barostat(**changes):
+    plain = {"pressure": 1.0, "compressibility": 0.05, "relaxation_time": 0.5, "seed": 3, "every": 5}
+    return md.StochasticCellRescaling(**plain | changes)
+
+
+def bath_at(temperature):
+    return md.LangevinBAOAB(0.003, temperature, 1.0, 2)
+
+
+def wrapped_dumbbells():
+    """Rigid, many of them across the boundary, in a cell that has next to no room for a skin."""
+    scene = SCENES["dumbbells"]()
+    system, wrapped = scene.system, scene.system.cell.wrapped(scene.system.positions + 0.9)
+    return md.System(wrapped, cell=system.cell, masses=system.masses, bonds=system.bonds), NO_ROOM, scene.constraints
+
+
+KINDS = {"clusters": lambda: SCENES["argon"]()[:3], "bonds": bead_melt, "dumbbells": wrapped_dumbbells}
+
+
+def at_pressure(kind, method=None, temperature=0.8, **changes):
+    system, laws, constraints = KINDS[kind]()
+    method, bath = method or bath_at(temperature), barostat(**{"temperature": temperature} | changes)
+    simulation = md.Simulation(system, laws, method, constraints, barostat=bath)
+    simulation.set_temperature(temperature, 1)
+    return simulation
+
+
+def strains_of_an_ideal_gas(coupling, duration, n_strains, n=12, pressure=0.7, thermal=1.3):
+    """Volumes of its isothermal-isobaric ensemble before and after, in units of their mean, and ΔH/kT; (3, K)."""
+    inverse = {"compressibility": 1.0 / pressure, "relaxation_time": 1.0}
+    bath, rng, found = barostat(pressure=pressure, coupling=coupling, **inverse), np.random.default_rng(5), []
+
+    def state(momenta, volume):
+        return ThermodynamicState(momenta.T @ momenta / volume, volume, 0.5 * np.square(momenta).sum(), thermal)
+
+    for number in range(n_strains):
+        volume, momenta = rng.gamma(n + 1) * thermal / pressure, rng.normal(scale=thermal**0.5, size=(n, 3))
+        before = state(momenta, volume)
+        strain = bath.strain(before, duration, number)
+        values, axes = np.linalg.eigh(strain)
+        after = state(momenta @ (axes * np.exp(-values)) @ axes.T, volume * np.exp(values.sum()))
+        found.append([volume, after.volume, bath.change_of_conserved(before, after, strain, duration)])
+    mean = (n + 1) * thermal / pressure
+    return np.array(found).T / [[mean], [mean], [thermal]]
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS)
+def test_strain_and_its_conserved_energy_obey_the_fluctuation_theorem(coupling):
+    """⟨f(V′) e^(−ΔH/kT)⟩ = ⟨f(V)⟩: exactly, at any time step."""
+    volume, larger, heat = strains_of_an_ideal_gas(coupling, 0.4, 4000)
+    changes = np.array([np.exp(-heat) - 1.0, np.exp(-heat) * larger**3 - volume**3])
+    error = changes.std(axis=1) / 4000**0.5
+    assert (error > 1e-3).all()  # the step is long
+    assert (np.abs(changes.mean(axis=1)) < 4.0 * error).all()  # statistics
+
+
+def test_heat_that_the_strain_does_not_balance_falls_as_the_step_to_three_halves():
+    """For the right drift of √V alone: ΔH would fall as √Δt for any other."""
+    short, long = (np.square(strains_of_an_ideal_gas("isotropic", dt, 400)[2]).mean() ** 0.5 for dt in (0.00625, 0.025))
+    assert np.log2(long / short) / 2.0 == pytest.approx(1.5, abs=0.1)  # truncation
+
+
+@pytest.mark.parametrize("coupling", ["isotropic", "triclinic"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_forces_in_a_strained_cell_are_those_of_new_lists(kind, coupling):
+    simulation = at_pressure(kind, coupling=coupling)
+    volume = simulation.system.volume
+    simulation.run(100, every=50, progress=False)
+    assert abs(simulation.system.volume / volume - 1.0) > 1e-4
+    if kind != "dumbbells":
+        assert simulation.engine.interactions.n_builds < 20  # of 20 strains
+    fresh = md.evaluate(simulation.system, simulation.potentials)
+    simulation.frame()
+    assert simulation.forces == pytest.approx(fresh.forces, abs=1e-12 * np.abs(fresh.forces).max())  # rounding
+    assert simulation.potential_energy == pytest.approx(fresh.potential_energy, rel=1e-12)
+
+
+@pytest.mark.parametrize("coupling", ["isotropic", "z", "triclinic"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_the_barostat_gives_is_what_the_energy_gains(kind, coupling):
+    """Without noise, far from the pressure, H is kept while E changes: the virial is the derivative of the energy."""
+    far = {"pressure": 30.0, "relaxation_time": 0.25, "coupling": coupling, "every": 2}
+    record = at_pressure(kind, md.VelocityVerlet(0.0005), 0.5, **far).run(60, every=2, progress=False)
+    enthalpy = record.total_energy + 30.0 * record.volume
+    assert np.ptp(record.volume) > 0.002 * record.volume[0]
+    assert np.ptp(record.conserved_energy) < 0.02 * np.ptp(enthalpy) + 0.02 * np.ptp(record.total_energy)
+    if kind == "dumbbells":
+        assert record.constraint_violation.max() < 1e-12
+    if coupling == "z":  # one axis alone changes
+        assert np.array_equal(record.cell[0][:2], record.cell[-1][:2])
+        assert record.cell[-1][2, 2] != record.cell[0][2, 2]
+
+
+class Clock(md.Term):
+    """No force; remembers the times of evaluations with energy."""
+
+    depends_on_time, times = True, ()
+
+    def bind(self, system):
+        return self
+
+    def add(self, system, detail, forces, energies, virials):
+        self.times += (round(self.time, 9),) * bool(detail)
+
+
+def atom_with_clock(**changes):
+    atom, bath = md.System([[0.0, 0.0, 0.0]], cell=3.0), {"temperature": 0.8, "relaxation_time": 50.0} | changes
+    return md.Simulation(atom, Clock(), md.VelocityVerlet(0.1), barostat=barostat(**bath))
+
+
+def test_forces_that_depend_on_time_are_those_of_the_step_of_the_strain():
+    simulation = atom_with_clock()
+    simulation.run(10, every=10, progress=False)
+    assert simulation.potentials[0].times == (0.0, 0.5, 0.5, 1.0, 1.0)
+
+
+def test_heat_capacity_and_expansion_at_the_pressure_of_the_barostat():
+    simulation, looking = atom_with_clock(), md.observers.Fluctuations(every=5)
+    simulation.velocities[:] = 0.5, -1.0, 0.7
+    record = simulation.run(40, every=5, observers=[looking], progress=False)
+    (of_enthalpy, covariance), _ = np.cov(record.total_energy + record.volume, record.volume, ddof=0)
+    found, grown = looking.result(), 1.0 + 2.0 / FEWEST  # the part that variances miss in so short a run
+    assert found.heat_capacity_p == pytest.approx(grown * of_enthalpy / 0.8**2)
+    assert found.expansion == pytest.approx(grown * covariance / (0.8**2 * record.volume.mean()))
+
+
+@pytest.mark.parametrize("method", [bath_at(0.8), md.StochasticVelocityRescaling(0.003, 0.8, 0.1, 2)])
+def test_a_file_tells_volume_and_pressure_as_the_report_does_with_the_error_of_a_mean(method, tmp_path):
+    simulation = at_pressure("clusters", method)
+    record = simulation.run(200, every=5, trajectory=tmp_path / "a.h5md", progress=False)
+    told, found = (
+        [str(line) for line in one.lines if line.name in ("volume", "pressure")]
+        for one in (simulation.report(), check_file(tmp_path / "a.h5md").report)
+    )
+    of_center = 2.0 * record.kinetic_energy / (simulation.n_dof * record.volume) * simulation.conserves_momentum
+    assert found == told
+    assert f" {with_error(*mean_and_error(record.pressure + of_center))} " in told[1]
+
+
+def record_with(n_atoms=8, **series):
+    n = len(series["pressure"])
+    flat, none = np.ones(n), np.zeros((n, 3))
+    plain = dict.fromkeys(("temperature", "potential_energy", "kinetic_energy", "conserved_energy"), flat)
+    plain |= {"total_energy": 2.0 * flat, "momentum": none, "angular_momentum": none}
+    plain |= {"absolute_momentum": flat, "absolute_angular_momentum": flat}
+    return Record.of(md.units.LJ, n_atoms, {"step": np.arange(n), "time": np.arange(float(n)), **plain, **series})
+
+
+def judged(record):
+    """The report of a run with a barostat at pressure 1."""
+    return conservation_report(record, angular=False, lines=tuple(pressure_lines(record, barostat(), False)))
+
+
+def test_a_pressure_is_reached_within_three_standard_errors():
+    noise = np.random.default_rng(1).normal(size=200)
+    mean, error = mean_and_error(noise)
+    for n_errors, is_reached in ((0.0, True), (2.5, True), (-3.43, False), (6.0, False)):
+        report = judged(record_with(pressure=1.0 + noise - mean + n_errors * error, volume=100.0 + 0.1 * noise))
+        assert [line.is_good for line in report.lines] == [True, is_reached]
+        for name in ("pressure", "P"):  # no name decides
+            renamed = replace(report, lines=tuple(replace(line, name=name) for line in report.lines))
+            assert renamed.is_far_from_pressure is not is_reached
+    for n_atoms, of_center in ((8, 0.5), (1, 0.0)):  # is added where it is left out
+        record = record_with(n_atoms, volume=np.full(40, 2.0), pressure=np.full(40, 1.25))
+        assert f" {with_error(1.25 + of_center, 0.0)} " in str(list(pressure_lines(record, barostat(), True))[1])
+
+
+@pytest.mark.parametrize("where", ["volume", "pressure", "neither"])
+def test_an_energy_that_drifts_on_the_way_to_a_pressure_is_not_blamed_on_the_step(where):
+    """The volume grows by a quarter as exp(−t) does; or the pressure is 3 for 1."""
+    rng, t = np.random.default_rng(1), np.arange(200.0)
+    volume = 100.0 + rng.normal(size=200) + (where == "volume") * 25.0 * (1.0 - np.exp(-t / 40.0))
+    pressure = rng.normal(size=200) + (3.0 if where == "pressure" else 1.0)
+    report = judged(record_with(pressure=pressure, volume=volume, conserved_energy=t + 0.01 * rng.normal(size=200)))
+    assert report.energy_is_conserved is False
+    assert report.is_far_from_pressure is (where != "neither")
+    assert ("reduce the time step" in report.verdict) is (where == "neither")
+    assert ("the volume changed" in report.verdict) is (where == "volume")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_run_goes_on_with_the_same_bits(kind, tmp_path):
+    whole, parts = (at_pressure(kind, coupling="triclinic") for _ in range(2))
+    record = whole.run(80, every=10, progress=False)
+    parts.run(33, every=10, progress=False, trajectory=tmp_path / "run.h5md")
+    copy = pickle.loads(pickle.dumps(parts))
+    resumed = md.Simulation.resume(tmp_path / "run.h5md", parts.potentials)
+    assert resumed.barostat == whole.barostat
+    for other in (parts, copy, resumed):
+        other.run(until_step=80, every=20, progress=False)
+        for name in ("positions", "velocities", "reservoir_energy"):
+            assert np.array_equal(getattr(other, name), getattr(whole, name)), name
+        assert np.array_equal(other.system.cell.vectors, record.cell[-1])
+
+
+def test_every_file_has_the_cell_of_every_frame(tmp_path):
+    simulation = at_pressure("dumbbells", coupling="triclinic")
+    names = [tmp_path / f"run.{suffix}" for suffix in ("h5md", "extxyz", "traj", "xtc", "dcd", "trr", "ncdf")]
+    record = simulation.run(40, every=10, progress=False, trajectory=names)
+    assert np.ptp(record.volume) > 0.0
+    for name in names[:3]:
+        cells = np.array([frame.cell.array for frame in ase.io.read(name, ":")])
+        assert cells == pytest.approx(record.cell, rel=0.0, abs=1e-7 if name.suffix == ".extxyz" else 0.0)
+    topology = MDAnalysis.Universe.empty(len(simulation.system), trajectory=False)._topology
+    universes = [minimd.mdanalysis.universe(names[0]), *(MDAnalysis.Universe(topology, str(one)) for one in names[3:])]
+    for name, universe in zip([names[0], *names[3:]], universes, strict=True):
+        volumes = [float(ts.volume) for ts in universe.trajectory]
+        assert volumes == pytest.approx(record.volume, rel=1e-4 if name.suffix == ".xtc" else 1e-6)  # float32
+
+
+@pytest.mark.filterwarnings("ignore:the barostat acts")
+def test_a_sheared_crystal_without_heat_finds_the_lattice_constant_of_least_energy():
+    positions, edges = md.lattice.crystal("fcc", [3, 3, 3], 1.6)
+    shear = np.array([[1.0, 0.0, 0.0], [0.05, 1.02, 0.0], [-0.03, 0.02, 0.99]])
+    cold = {"pressure": 0.0, "temperature": 0.0, "coupling": "triclinic", "compressibility": 0.02}
+    slow = barostat(**cold, relaxation_time=0.003, every=1)
+    sheared = md.System(positions @ shear, cell=np.diag(edges) @ shear)
+    simulation = md.Simulation(sheared, LJ, md.VelocityVerlet(0.001), barostat=slow)
+    simulation.run(250, every=250, progress=False)
+
+    def energy(constant):
+        at, box = md.lattice.crystal("fcc", [3, 3, 3], constant)
+        return md.evaluate(md.System(at, cell=box), LJ).potential_energy
+
+    least = minimize_scalar(energy, bounds=(1.4, 1.7), method="bounded", options={"xatol": 1e-9}).x
+    assert simulation.system.cell.vectors / 3.0 == pytest.approx(least * np.eye(3), abs=1e-6)
+    assert simulation.system.cell.vectors[np.triu_indices(3, 1)].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_what_evaporates_at_a_negative_pressure_is_told():
+    """A dilute system grows without end: the barostat is the cause, in the message and in both reports."""
+    simulation = atom_with_clock(pressure=-1.0, compressibility=1.0, relaxation_time=6.0)
+    with pytest.raises(md.NonFiniteError, match=r"from 27 to 2\d\d.* pressure -1 ") as caught:
+        simulation.run(1000, every=1000, progress=False)
+    assert caught.value.crash_report.kind == "barostat"
+    assert simulation.system.volume < 300.0
+    gas = at_pressure("clusters", temperature=3.0, pressure=1e-3, compressibility=1.0, relaxation_time=0.2)
+    gas.run(1500, every=50, progress=False)
+    record = record_with(volume=np.geomspace(1.0, 9.0, 20), pressure=np.ones(20))  # of a file
+    for told in (gas.report(), next(pressure_lines(record, barostat(), False))):
+        assert "EVAPORATED" in str(told)
+
+
+@pytest.mark.parametrize("make", [lambda: SCENES["dumbbells"]()[:3], wrapped_dumbbells], ids=["whole", "wrapped"])
+def test_displacements_of_rigid_molecules_are_those_beside_the_motion_of_their_centers(make):
+    """A strain alone, which moves centers, is no displacement; of molecules that lie across the boundary, too."""
+    system, laws, constraints = make()
+    bath = barostat(temperature=0.8, coupling="triclinic")
+    engine = md.Simulation(system, laws, md.VelocityVerlet(0.003), constraints, barostat=bath).engine
+    looking, volume = md.observers.MeanSquareDisplacement(every=1), engine.system.volume
+    parts = engine.barostat, engine.system, engine.interactions, engine.constraint_set, engine.method
+    rescaling = rescaling_of(*parts, holds_center=False)
+
+    def forces_follow():
+        engine.moved()
+        engine.interactions.follow()
+        engine.evaluate()
+
+    looking.prepare(engine)
+    engine.evaluate()
+    for _ in range(4):
+        looking.observe(engine)
+        rescaling.apply(engine.method, engine.step, engine.surroundings.bath, forces_follow)
+        engine.count(1)
+    assert abs(engine.system.volume / volume - 1.0) > 1e-5
+    assert looking.result().msd == pytest.approx(0.0, abs=1e-24)  # rounding
+
+
+def opened_between_two_runs():
+    simulation = atom_with_clock()
+    simulation.run(5, progress=False)
+    simulation.system.cell = Cell(simulation.system.cell.vectors, [True, True, False])
+    simulation.make_steps(5)
+
+
+def observer_of_another_bath():
+    looking = md.observers.Fluctuations()
+    simulation = md.Simulation(md.System([[0.0, 0.0, 0.0]]), Clock(), md.VelocityVerlet(0.1))
+    for temperature in (0.8, 0.9):
+        simulation.method = md.LangevinBAOAB(0.1, temperature, 1.0, 2)
+        looking.prepare(simulation.engine)
+
+
+def test_what_cannot_be_at_constant_pressure_is_refused():
+    system, law, _ = KINDS["clusters"]()
+    flat = md.System(system.positions, cell=system.cell.vectors, pbc=[True, True, False])
+    verlet, bath = md.VelocityVerlet(0.003), barostat(temperature=1.0)
+
+    def simulation(start=system, method=verlet, constraints=(), **options):
+        return md.Simulation(start, law, method, constraints, **{"barostat": bath} | options)
+
+    for call, error, *shown in [
+        (lambda: simulation(flat), ValueError, "barostat", "periodic"),
+        (lambda: simulation(constraints=md.FixedAtoms([3])), ValueError, "barostat", "fixed"),
+        (lambda: simulation(barostat=barostat()), ValueError, "temperature"),
+        (lambda: simulation(method=md.LangevinBAOAB(0.003, 0.5, 1.0, 1)), ValueError, "temperature", "0.5"),
+        (lambda: simulation(precision="fixed-point"), ValueError, "constant cell"),
+        (lambda: simulation(method=md.VelocityVerlet(-0.003)), ValueError, "backwards", "-0.003"),
+        (lambda: simulation(barostat=1.0), TypeError, "barostat", "1.0"),
+        (lambda: simulation().probe_reversibility(10), ValueError, "barostat"),
+        (lambda: barostat(coupling="sideways"), ValueError, "coupling", "'sideways'"),
+        (opened_between_two_runs, ValueError, "periodic", "slab"),
+        (observer_of_another_bath, ValueError, "bath"),
+    ]:
+        assert_answered(call, error, *shown)
+    with pytest.warns(UserWarning, match="acts every 5 steps"):
+        simulation(barostat=barostat(temperature=1.0, relaxation_time=0.02)).run(5, progress=False)
+
+
+def test_a_scene_has_a_barostat_in_bar(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    bath = "pressure_bar = 50.0\ncompressibility_per_bar = 2e-4\nrelaxation_time_fs = 1500.0\nevery = 25\n"
+    text = ARGON.read_text().replace("[6, 6, 6]", "[3, 3, 3]").replace("8.5", "7.0").replace("= 4000", "= 10")
+    (tmp_path / "npt.toml").write_text(f"{text}\n[barostat]\n{bath}")
+    told = []
+    simulation = run_scene(load_scene("npt.toml"), steps=50, tell=told.append, progress=False)
+    assert simulation.barostat.pressure == pytest.approx(50.0 * md.units.BAR)
+    assert "barostat" in "\n".join(told)
+    resumed = md.Simulation.resume("argon.h5md")
+    assert resumed.barostat == simulation.barostat
+    assert np.array_equal(resumed.system.cell.vectors, simulation.system.cell.vectors)

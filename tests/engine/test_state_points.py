@@ -1,0 +1,64 @@
+"""Thermodynamics of the Lennard-Jones fluid: energy and pressure beside NIST's, constant pressure beside LAMMPS.
+
+Provenance in the data files. N = 500, r_c = 3 σ with tail corrections, 200 t* or more at controlled temperature.
+"""
+
+import numpy as np
+import pytest
+from references import load
+
+import minimd as md
+from minimd.structure.lattice import constant_from_density, crystal
+from minimd.structure.statistics import mean_and_error
+
+pytestmark = pytest.mark.slow
+TIMESTEP, EVERY = 0.004, 10
+N_MELT, N_EQUILIBRATION, N_STEPS = 5_000, 20_000, 100_000  # 20 t* at twice the temperature, 80 t*, 400 t*
+LONGER = {0.9: 4, 0.003: 2, 0.005: 2, 0.007: 2, 0.009: 2}  # a gas forgets slowly, a dense liquid still more so
+
+
+def fluid_at(density, temperature, law, seed, **options):
+    positions, edges = crystal("fcc", [5] * 3, constant_from_density("fcc", density))
+    bath = md.LangevinBAOAB(TIMESTEP, temperature, friction=0.5, seed=seed)
+    fluid = md.Simulation(md.System(positions, cell=edges), law, bath, **options)
+    fluid.set_temperature(2.0 * temperature, seed=seed)
+    return fluid
+
+
+@pytest.mark.parametrize(
+    "row", load("nist_lj/state_points.json")["mc_rows"], ids=lambda row: f"T{row['T']}-rho{row['rho']}"
+)
+def test_energy_and_pressure_are_those_of_nist(row):
+    law = md.LennardJones(1.0, 1.0, 3.0, "truncated", tail_correction=True)
+    fluid = fluid_at(row["rho"], row["T"], law, seed=1)
+    fluid.equilibrate(N_MELT, 2.0 * row["T"])
+    fluid.run(N_EQUILIBRATION, every=N_EQUILIBRATION)
+    record = fluid.run(LONGER.get(row["rho"], 1) * N_STEPS, every=EVERY)
+    series = np.array([record.potential_energy / len(fluid.system), record.pressure])
+    blocks = series[:, 1:].reshape(2, 20, -1).mean(axis=2)
+    (energy, pressure), (of_energy, of_pressure) = blocks.mean(axis=1), blocks.std(axis=1, ddof=1) / np.sqrt(20)
+    print(f"U* {energy:.4f} ± {of_energy:.4f} ({row['U']:.4f}), p* {pressure:.4f} ± {of_pressure:.4f} ({row['p']:.4f})")
+    assert abs(energy - row["U"]) < 0.01
+    assert abs(pressure - row["p"]) < 0.03
+    assert of_energy < 0.004
+    assert of_pressure < 0.025
+
+
+def test_density_and_its_fluctuations_at_constant_pressure_are_those_of_lammps():
+    """Mean density and compressibility of a liquid, within three standard errors of both."""
+    theirs = load("lammps_npt/force_shifted.json")
+    law = md.LennardJones(1.0, 1.0, theirs["cutoff"], "force-shifted")
+    bath = {"relaxation_time": 1.5, "seed": 7, "every": 10}
+    barostat = md.StochasticCellRescaling(theirs["pressure"], theirs["compressibility"], **bath)
+    liquid = fluid_at(theirs["density"], theirs["temperature"], law, seed=7, barostat=barostat)
+    liquid.run(N_MELT + N_EQUILIBRATION, every=N_EQUILIBRATION)
+    looking = md.observers.Fluctuations(every=10)
+    record = liquid.run(400_000, every=EVERY, observers=[looking])
+    (density, of_density), found = mean_and_error(len(liquid.system) / record.volume), looking.result()
+    kappa, of_kappa = found.compressibility, found.compressibility_error
+    print(f"density {density:.5f} ± {of_density:.5f} ({theirs['density']:.5f} ± {theirs['density_error']:.5f})")
+    print(f"κ_T {kappa:.4f} ± {of_kappa:.4f} ({theirs['compressibility']:.4f} ± {theirs['compressibility_error']:.4f})")
+    assert 0.0 < of_density < 0.001
+    assert 0.0 < of_kappa < 0.02  # 0.0153 at this seed, with the skew of a variance; 0.0087 without
+    assert abs(density - theirs["density"]) < 3.0 * np.hypot(of_density, theirs["density_error"])
+    assert abs(kappa - theirs["compressibility"]) < 3.0 * np.hypot(of_kappa, theirs["compressibility_error"])

@@ -1,0 +1,289 @@
+"""Baths: the laws of their noise, what a run with one conserves, and that in parts or resumed it is the run in one."""
+
+import numpy as np
+import pytest
+from references import melt_scene
+from scenes import SCENES
+from scipy import stats
+from wrong_calls import assert_answered
+
+import minimd as md
+from minimd.analysis.check import check_file
+from minimd.files.h5md_writer import H5MDWriter
+from minimd.forces.cluster_term import ClusterTerm
+from minimd.integrators import THERMOSTATS, Drift, Kick, State, adjoint, compose
+from minimd.integrators.splitting.state import Bath, Surroundings
+from minimd.integrators.splitting.substeps import Thermalize
+from minimd.scene import parse_scene
+
+LANGEVIN = md.LangevinBAOAB(0.01, temperature=1.3, friction=2.0, seed=5)
+BUSSI = md.StochasticVelocityRescaling(0.01, temperature=1.3, relaxation_time=0.5, seed=5)
+EVERY_BATH = pytest.mark.parametrize("method", [LANGEVIN, BUSSI], ids=list(THERMOSTATS))
+
+
+def state(velocities, masses):
+    velocities = np.array(velocities, dtype=float)
+    return State(np.zeros_like(velocities), velocities, np.zeros_like(velocities), 1.0 / np.asarray(masses))
+
+
+def in_contact(**bath):
+    return Surroundings(bath=Bath(**bath))
+
+
+class OBABO(md.LangevinBAOAB):
+    """Two contacts with the bath in a step. G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007)."""
+
+    name = "langevin-obabo"
+    substeps = (Thermalize(0.5), Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(0.5))
+
+
+def simulation(method, seed=3):
+    sim = SCENES["argon"]().simulation(method)
+    sim.set_temperature(1.3, seed)
+    return sim
+
+
+def test_the_bath_of_langevin_is_the_ornstein_uhlenbeck_process():
+    """Mean e^(−γΔt) v, variance k_B T (1 − e^(−2γΔt))/m, normal."""
+    n, k_B, masses = 40_000, 0.7, np.repeat([1.0, 4.0], 20_000)  # noqa: N806
+    s, kept = state(np.full((n, 3), 0.8), masses), np.exp(-2.0 * 0.3)
+    LANGEVIN.thermalize(s, 0.3, in_contact(k_B=k_B))
+    for mass in (1.0, 4.0):
+        v, variance = s.velocities[masses == mass].ravel(), k_B * 1.3 * (1.0 - kept**2) / mass
+        assert v.mean() == pytest.approx(0.8 * kept, abs=4.0 * np.sqrt(variance / v.size))  # statistics
+        assert v.var() == pytest.approx(variance, rel=4.0 * np.sqrt(2.0 / v.size))
+        assert stats.kstest((v - 0.8 * kept) / np.sqrt(variance), "norm").pvalue > 1e-3
+
+
+def rescaled_energies(kinetic, n_dof, duration, n):
+    """Kinetic energies after one contact with the bath, from many steps."""
+    energies = np.empty(n)
+    for k in range(n):
+        s, around = state(np.full((1, 3), np.sqrt(2.0 * kinetic / 3.0)), [1.0]), in_contact(n_dof=n_dof, step=k)
+        BUSSI.thermalize(s, duration, around)
+        energies[k] = 0.5 * (s.velocities**2).sum()
+        assert around.bath.energy == pytest.approx(energies[k] - kinetic, abs=1e-12)
+    return energies
+
+
+def test_rescaling_makes_the_kinetic_energy_relax_as_its_equation_says():
+    """Mean c K + (1 − c) K̄; variance 2 (1 − c)² K̄²/n + 4 c (1 − c) K K̄/n; after long, the canonical distribution."""
+    kinetic, n_dof, kept, target = 3.0, 5, np.exp(-0.2 / 0.5), 0.5 * 5 * 1.3
+    energies = rescaled_energies(kinetic, n_dof, 0.2, 12_000)
+    variance = 2.0 * ((1.0 - kept) * target) ** 2 / n_dof + 4.0 * kept * (1.0 - kept) * kinetic * target / n_dof
+    mean, error = kept * kinetic + (1.0 - kept) * target, np.sqrt(variance / energies.size)
+    assert energies.mean() == pytest.approx(mean, abs=4.0 * error)  # statistics
+    assert energies.var() == pytest.approx(variance, rel=0.05)
+    assert stats.kstest(rescaled_energies(3.0, 5, 100.0, 3000) / 1.3, stats.gamma(2.5).cdf).pvalue > 1e-3
+
+
+def test_rescaling_leaves_the_motion_of_the_whole_alone():
+    """n_dof = 3N − 3: the kinetic energy relative to the center is drawn, whatever the momentum, as at rest."""
+    rng, masses, drift = np.random.default_rng(3), np.array([1.0, 2.0, 5.0]), np.array([0.3, -2.0, 7.0])
+    inner = rng.normal(size=(3, 3))
+    inner -= masses @ inner / masses.sum()
+    rest, moving, given = state(inner, masses), state(inner + drift, masses), []
+    for s in (rest, moving):
+        around = in_contact(n_dof=6, conserves_momentum=True)
+        BUSSI.thermalize(s, 0.2, around)
+        given.append(around.bath.energy)
+    gained = 0.5 * masses @ ((rest.velocities**2).sum(axis=1) - (inner**2).sum(axis=1))
+    assert np.abs(rest.velocities - inner).max() > 1e-3
+    assert moving.velocities - drift == pytest.approx(rest.velocities, abs=1e-13)  # rounding
+    assert masses @ moving.velocities == pytest.approx(masses.sum() * drift, rel=1e-14)
+    assert given == pytest.approx([gained, gained], rel=1e-12)
+    together, around = state(np.full((7, 3), 0.1), np.linspace(1, 2, 7)), in_contact(n_dof=18, conserves_momentum=True)
+    BUSSI.thermalize(together, 0.2, around)  # nothing but rounding is left: it is not blown up to a temperature
+    assert (together.velocities == 0.1).all()
+    assert around.bath.energy == 0.0
+
+
+def test_single_and_fixed_atoms_keep_all_their_degrees_of_freedom():
+    """A momentum that is no constant is thermal: it is rescaled with the rest."""
+    lj, one = md.LennardJones(1.0, 1.0, cutoff=2.0), md.System([[0.0, 0.0, 0.0]], velocities=[[1.0, 2.0, 3.0]])
+    two = md.System([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]], velocities=[[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
+    for system, fixed in ((one, None), (two, md.FixedAtoms([0]))):
+        sim = md.Simulation(system, lj, BUSSI, fixed)
+        sim.run(1)
+        assert sim.n_dof == 3
+        assert sim.velocities[-1] / [1.0, 2.0, 3.0] == pytest.approx(sim.velocities[-1, 0], rel=1e-14)
+        assert abs(sim.velocities[-1, 0] - 1.0) > 1e-3
+
+
+def test_noise_depends_on_seed_step_and_contact_alone():
+    def after(step, seed=5):
+        s = state(np.ones((4, 3)), np.ones(4))
+        md.LangevinBAOAB(0.01, 1.3, 2.0, seed).thermalize(s, 0.01, in_contact(step=step))
+        return s.velocities
+
+    assert (after(7) == after(7)).all()
+    for other in (after(8), after(7, seed=6), after(-7)):
+        assert (after(7) != other).all()
+    # two contacts in a step have two: free atoms from rest have the variance of one long contact, not a larger one
+    s, expected = state(np.zeros((20_000, 3)), np.ones(20_000)), 1.3 * (1.0 - np.exp(-1.0))
+    OBABO(1.0, 1.3, 0.5, seed=2).advance(s, lambda s, with_energy: None, 1, surroundings=in_contact())
+    assert s.velocities.var() == pytest.approx(expected, rel=4.0 * np.sqrt(2.0 / s.velocities.size))  # statistics
+
+
+def test_configurations_of_an_oscillator_are_exact_at_large_timesteps():
+    """ωΔt = 1.5: ⟨q²⟩ = k_B T/k, but ⟨v²⟩ = k_B T/m (1 − (ωΔt)²/4). B. Leimkuhler, C. Matthews (2013)."""
+    n, omega, temperature, rng = 3000, 1.5, 1.0, np.random.default_rng(2)
+    method = md.LangevinBAOAB(1.0, temperature, friction=1.0, seed=1)
+    s = State(rng.normal(size=(n, 3)) / omega, rng.normal(size=(n, 3)), np.zeros((n, 3)), np.ones(n))
+    around, squares = in_contact(n_dof=3 * n), []
+
+    def springs(s, with_energy):
+        s.forces[:] = -(omega**2) * s.positions
+
+    for _ in range(60):
+        method.advance(s, springs, 5, surroundings=around)
+        squares.append([(s.positions**2).mean(), (s.velocities**2).mean()])
+    squares = np.array(squares[10:])
+    error = squares.std(axis=0, ddof=1) / np.sqrt(len(squares))
+    assert error[0] * omega**2 < 0.005
+    exact = temperature / omega**2, temperature * (1.0 - omega**2 / 4.0)
+    assert (np.abs(squares.mean(axis=0) - exact) < 4.0 * error).all()  # statistics
+
+
+@EVERY_BATH
+def test_temperature_counts_the_degrees_of_freedom_that_the_bath_leaves(method):
+    """Rescaling keeps the momentum, also of a liquid that flows, and Langevin does not promise it."""
+    sim, keeps = simulation(method), method is BUSSI
+    assert sim.n_dof == 3 * len(sim.system) - 3 * keeps
+    record = sim.run(200, every=20)
+    assert record.temperature[0] == pytest.approx(1.3, rel=1e-14)
+    assert 2.0 * record.kinetic_energy[0] == pytest.approx(1.3 * sim.n_dof, rel=1e-14)
+    change = sim.report().momentum_change
+    assert change < 1e-13 if keeps else change is None
+    assert ("not a constant" in str(sim.report())) is not keeps
+    sim.velocities[:] += [3.0, 0.0, -1.0]
+    sim.make_steps(100)
+    assert (np.abs(sim.velocities.mean(axis=0) - [3.0, 0.0, -1.0]).max() < 1e-12) == keeps  # rounding
+
+
+@EVERY_BATH
+def test_total_energy_minus_heat_is_conserved(method, tmp_path):
+    """As without a bath, though the bath moves it by a hundred times more; and its file says the same."""
+    sim = simulation(type(method)(**{**method.parameters, "timestep": 0.002}))
+    sim.equilibrate(1000, 1.3)
+    record = sim.run(2000, every=40, trajectory=tmp_path / "bath.h5md")
+    conserved, total = record.conserved_energy, record.total_energy
+    assert np.ptp(conserved) < 0.05 * np.ptp(total)
+    assert sim.report().energy_is_conserved
+    assert total[-1] - conserved[-1] == pytest.approx(sim.reservoir_energy, rel=1e-9)
+    checked = check_file(tmp_path / "bath.h5md")
+    assert checked.passed, str(checked)
+    assert checked.report.verdict == sim.report().verdict
+
+
+def test_without_friction_langevin_is_velocity_verlet():
+    free, verlet = simulation(md.LangevinBAOAB(0.004, 1.3, 0.0, 1)), simulation(md.VelocityVerlet(0.004))
+    verlet.velocities[:] = free.velocities
+    for sim in (free, verlet):
+        sim.run(100)
+    assert np.abs(free.positions - verlet.positions).max() < 1e-10  # rounding, amplified
+    assert free.reservoir_energy == pytest.approx(0.0, abs=1e-10)
+
+
+@EVERY_BATH
+def test_a_run_in_two_parts_or_resumed_is_the_run_in_one(method, tmp_path):
+    whole, parts, file = simulation(method), simulation(method), tmp_path / "a.h5md"
+    record = whole.run(60, every=30)
+    parts.run(30, every=30, trajectory=file)
+    resumed = md.Simulation.resume(file, parts.potentials)
+    assert type(resumed.method) is type(method)
+    assert abs(whole.reservoir_energy) > 1.0
+    for other, rounding in ((parts, 0.0), (resumed, 1e-11)):  # the list is built anew, sums have another order
+        other.run(30, every=30)
+        assert other.positions == pytest.approx(whole.positions, abs=rounding, rel=0.0)
+        assert other.velocities == pytest.approx(whole.velocities, abs=rounding, rel=0.0)
+        assert other.reservoir_energy == pytest.approx(whole.reservoir_energy, rel=10.0 * rounding)
+        assert other.record.conserved_energy[-1] == pytest.approx(record.conserved_energy[-1], rel=10.0 * rounding)
+    without = simulation(md.VelocityVerlet(0.01))
+    without.step = 30
+    with pytest.raises(ValueError, match="a thermostat; it cannot be continued with"):
+        H5MDWriter.append_to(file, without.engine)
+
+
+def test_contacts_at_both_ends_of_a_step_are_not_made_one_where_nobody_looks():
+    whole, parts = (simulation(OBABO(0.004, 1.3, 2.0, 5)) for _ in range(2))
+    whole.run(40, every=40)
+    for _ in range(2):
+        parts.run(20, every=20)
+    # rounding: energies are summed with the forces or without
+    assert whole.positions == pytest.approx(parts.positions, abs=1e-9)
+
+
+def test_each_equilibration_has_noise_of_its_own_and_the_same_in_each_repetition(monkeypatch):
+    """Two of them, and one after a run: none meets the noise of another, or that of the run."""
+    monkeypatch.setattr(ClusterTerm, "marches", False)  # thermalize is called at each step
+
+    def steps_of_noise():
+        sim, seen = simulation(LANGEVIN), []
+        sim.method = md.LangevinBAOAB(0.01, 1.3, 2.0, 5)
+        thermalize = sim.method.thermalize
+
+        def noted(s, duration, around):
+            seen.append(around.bath.step)
+            thermalize(s, duration, around)
+
+        sim.method.thermalize = noted
+        sim.equilibrate(5, 1.3)
+        sim.equilibrate(3, 1.3)
+        sim.run(4)
+        sim.equilibrate(2, 1.3)
+        return seen, sim.velocities
+
+    first, again = steps_of_noise(), steps_of_noise()
+    assert first[0] == again[0] == [-5, -4, -3, -2, -1, -8, -7, -6, 0, 1, 2, 3, -10, -9]
+    assert (first[1] == again[1]).all()
+
+
+@pytest.mark.parametrize("method", THERMOSTATS.values())
+def test_every_thermostat_can_be_made_from_its_relaxation_time_and_again_from_its_parameters(method):
+    bath = method.with_relaxation_time(0.01, temperature=1.3, relaxation_time=0.5, seed=7)
+    own = {"friction": 2.0} if method is md.LangevinBAOAB else {"relaxation_time": 0.5}
+    assert type(bath) is method
+    assert bath.parameters == {"timestep": 0.01, "temperature": 1.3, "seed": 7, **own}
+    assert method(**bath.parameters).parameters == bath.parameters
+
+
+def scene(method, more=""):
+    return parse_scene(melt_scene(3, 40, f'method = "{method}"\n{more}'), "x.toml")
+
+
+WRONG = [  # call, error, what is shown
+    (lambda: md.LangevinBAOAB(-0.01, 1.0, 1.0, 1), ValueError, "timestep", "-0.01"),
+    (lambda: md.LangevinBAOAB(0.01, -1.0, 1.0, 1), ValueError, "temperature", "-1.0"),
+    (lambda: md.LangevinBAOAB(0.01, 1.0, np.nan, 1), ValueError, "friction", "nan"),
+    (lambda: md.LangevinBAOAB(0.01, 1.0, 1.0, 1.5), ValueError, "seed", "1.5"),
+    (lambda: md.LangevinBAOAB(0.01, 1.0, 1.0, 2**128), ValueError, "seed", "340"),
+    (lambda: md.StochasticVelocityRescaling(0.01, 1.0, 0.0, 1), ValueError, "relaxation_time", "0.0"),
+    (lambda: scene("velocity-verlet", "relaxation_time = 0.3"), ValueError, "relaxation time", "velocity-verlet"),
+    (lambda: scene("langevin-baoab"), ValueError, "relaxation_time", "langevin-baoab"),
+    (lambda: md.LangevinBAOAB.on(md.integrators.SecondOrder(lambda q: -q)), TypeError, "langevin-baoab"),
+    (lambda: compose(md.LangevinBAOAB), TypeError, "has a bath"),
+    (lambda: adjoint(md.StochasticVelocityRescaling), TypeError, "has a bath"),
+]
+
+
+@pytest.mark.parametrize(("call", "error", "shown"), [(call, error, shown) for call, error, *shown in WRONG])
+def test_bad_baths_are_answered(call, error, shown):
+    assert_answered(call, error, *shown)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "make",
+    [lambda s: md.LangevinBAOAB(0.004, 1.3, 5.0, s), lambda s: md.StochasticVelocityRescaling(0.004, 1.3, 0.1, s)],
+)
+def test_long_runs_that_are_fine_are_told_so(make):
+    """Energy minus reservoir energy wanders by 1e-3 ε per atom in 25 000 steps; that is no drift."""
+    ratios = []
+    for seed in range(6):
+        sim = simulation(make(seed), seed)
+        sim.run(2000, every=2000)
+        sim.run(25_000, every=10)
+        ratios.append(sim.report().energy_drift.slope / sim.report().energy_drift.error)
+    assert np.abs(ratios).max() < 4.5  # errors of twenty blocks have long tails: 3.5 is passed once in a hundred
+    assert np.sqrt(np.mean(np.square(ratios))) < 2.0  # statistics: 1 expected

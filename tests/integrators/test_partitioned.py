@@ -203,11 +203,7 @@ CLOSED_FORMS = {
         ((0.0, 0.0), (0.0, 0.0)),
         lambda t: [0.2 * (1.0 - np.cos(t)), 0.2 * (np.sin(t) - t), 0.2 * np.sin(t), 0.2 * (np.cos(t) - 1.0)],
     ),
-    "relativistic oscillator": (
-        RELATIVISTIC,
-        ((1.0,), (0.8,)),
-        lambda t: reference(RELATIVISTIC, ((1.0,), (0.8,)), t),
-    ),
+    "relativistic oscillator": (RELATIVISTIC, ((1.0,), (0.8,)), lambda t: reference(RELATIVISTIC, ((1.0,), (0.8,)), t)),
 }
 
 

@@ -1,4 +1,4 @@
-"""Drivers: fixed steps, steps up to a time, steps chosen by their error, reversible ones; what may be handed to them."""
+"""Drivers: fixed steps, steps up to a time, steps chosen by their error, reversible ones; what they may be given."""
 
 import functools
 
@@ -205,7 +205,7 @@ def reversible(h, t_end, method=VelocityVerlet, start=COMET, every=1, **control)
     return run_reversible(KEPLER, method(h), start, t_end, control=DensityControl(**control), every=every)
 
 
-@pytest.mark.parametrize("n_periods", [60, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n_periods", [80, pytest.param(1000, marks=pytest.mark.slow)])
 def test_energy_stays_bounded_with_reversible_steps_and_drifts_with_plain_step_control(n_periods):
     kept = reversible(0.002, n_periods * PERIOD)
     plain = adaptive(md.VelocityVerlet, n_periods * PERIOD, start=COMET, rtol=3e-6, atol=3e-6)

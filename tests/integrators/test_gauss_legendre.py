@@ -6,7 +6,7 @@ from math import prod
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from small_problems import GAUSS, KEPLER_START, RADAU, attraction
+from small_problems import GAUSS, RADAU
 
 import minimd.integrators as mi
 
@@ -114,14 +114,6 @@ def test_a_step_of_a_linear_problem_is_the_pade_approximant(method):
     for z in (-0.3, 0.2, -4.0):
         end = mi.run_steps(mi.FirstOrder(lambda y, z=z: z * y), method(1.0), [1.0], 1).y[-1, 0]
         assert end == pytest.approx(factor(k, s, z) / factor(s, k, -z), rel=1e-14)
-
-
-def test_newton_and_fixed_point_solve_the_same_equations():
-    newton, fixed = (
-        mi.run_steps(mi.SecondOrder(attraction, solver=solver), mi.GaussLegendre3(0.05), KEPLER_START, 100).y
-        for solver in (mi.Newton(), mi.FixedPoint())
-    )
-    assert np.abs(newton - fixed).max() < 1e-11  # rounding, growing with the square of time
 
 
 # ---- every quadratic invariant

@@ -5,7 +5,6 @@ import pytest
 import small_problems as small
 from dae_problems import DOUBLE_START, SWING_START, double_pendulum, on_rods, swing
 from references import load
-from scipy.integrate import solve_ivp
 from small_problems import ENERGY, KEPLER, KEPLER_START, PERIOD, ROUNDING, SPLITTINGS, energy, energy_errors
 
 import minimd as md
@@ -49,22 +48,6 @@ def test_rows_of_velocity_verlet_keep_their_order_and_others_do_not():
     orders = {name: method.order_on(swing()) for name, method in mi.SPLITTINGS.items()}
     assert (orders["suzuki-4"], orders["yoshida-6"], orders["kahan-li-8"]) == (4, 6, 8)
     assert (orders["pefrl"], orders["candy-rozmus-4"], orders["blanes-moan-rkn-4"]) == (2, 2, 2)
-
-
-def test_the_double_pendulum_against_its_angles():
-    """The same mechanism in two angles, integrated by DOP853."""
-    m1, m2, l1, l2 = 1.0, 2.0, 1.0, 0.5
-
-    def in_angles(t, y):
-        a, b, u, w = y
-        c, s = np.cos(a - b), np.sin(a - b)
-        mass = np.array([[(m1 + m2) * l1, m2 * l2 * c], [l1 * c, l2]])
-        pull = [-m2 * l2 * w * w * s - (m1 + m2) * np.sin(a), l1 * u * u * s - np.sin(b)]
-        return [u, w, *np.linalg.solve(mass, pull)]
-
-    exact = solve_ivp(in_angles, (0.0, 2.0), [1.0, 2.0, 0.0, 0.0], method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
-    q = run_until(double_pendulum(), mi.KahanLi6(0.05), DOUBLE_START, 2.0).q[-1]
-    assert (angle(q[:2]), angle(q[2:] - q[:2])) == pytest.approx(exact[:2], abs=1e-6)
 
 
 def test_constraints_are_kept_to_rounding():

@@ -290,25 +290,10 @@ def test_step_control_meets_its_tolerance_at_index_3():
     assert len(path.t) < 500
 
 
-@pytest.fixture
-def ida():
-    """SUNDIALS' IDA: variable-order BDF, for index 1, and 2 with algebraic variables left out of its error test."""
-    return pytest.importorskip("sksundae.ida")
+def test_pendulum_beside_sundials():
+    """IDA: variable-order BDF, for index 1."""
+    ida = pytest.importorskip("sksundae.ida")
 
-
-def test_robertson_beside_ida(ida):
-    def residual(t, y, slope, answer):
-        slow, fast, pair = 0.04 * y[0], 1e4 * y[1] * y[2], 3e7 * y[1] ** 2
-        answer[:] = slope[0] + slow - fast, slope[1] - slow + fast + pair, y.sum() - 1.0
-
-    solver = ida.IDA(residual, algebraic_idx=[2], rtol=1e-9, atol=[1e-12, 1e-16, 1e-12], max_num_steps=100_000)
-    theirs = solver.solve([0.0, 4e5], np.array([1.0, 0.0, 0.0]), np.array([-0.04, 0.04, 0.0]))
-    control = StepControl(rtol=1e-9, atol=[1e-12, 1e-16, 1e-9])
-    ours = run_adaptive(dae.robertson(), RadauIIA3, ([1.0, 0.0], [0.0]), 4e5, control=control)
-    assert ours.y[-1] == pytest.approx(theirs.y[-1], rel=1e-6)
-
-
-def test_pendulum_of_index_1_beside_ida(ida):
     def residual(t, y, slope, answer):
         x, q, u, v, tension = y
         answer[:4] = slope[0] - u, slope[1] - v, slope[2] + x * tension, slope[3] + q * tension + GRAVITY

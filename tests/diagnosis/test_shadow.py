@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from references import liquid, melt_scene
 from scenes import SCENES
+from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.analysis import check
@@ -207,6 +208,26 @@ def test_probe_of_rigid_bonds_and_of_an_atom_on_which_nothing_acts():
         alone = md.System([[0.0, 0.0, 0.0]], velocities=[[speed, 0.0, 0.0]])
         simulation = md.Simulation(alone, md.LennardJones(1.0, 1.0), md.VelocityVerlet(0.01))
         assert simulation.probe_reversibility(10).is_reversible
+
+
+def bath():
+    return argon(md.LangevinBAOAB(0.003, 1.0, 1.0, seed=1))
+
+
+REFUSED = [
+    (lambda: md.shadow_energy(bath()), "thermostat"),
+    (lambda: md.shadow_energy(argon(SPLITTINGS["yoshida-6"](0.003))), "the method is yoshida-6"),
+    (lambda: md.shadow_energy(SCENES["dumbbells"]().simulation()), "rigid bonds"),
+    (lambda: setattr(argon(), "extra_observables", ("entropy",)), "extra_observables", "entropy"),
+    (lambda: bath().probe_reversibility(10), "noise"),
+    *((lambda n=n: argon().probe_reversibility(n), "n_steps", repr(n)) for n in (0, 1.5, "ten")),
+]
+
+
+@pytest.mark.parametrize("row", range(len(REFUSED)))
+def test_what_is_not_known_or_cannot_be_undone_is_refused(row):
+    call, *shown = REFUSED[row]
+    assert_answered(call, ValueError, *shown)
 
 
 # ---- what the report tells

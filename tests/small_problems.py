@@ -1,41 +1,55 @@
-"""Small problems whose solutions or invariants are known, and what is measured on them, for the laws of the integrators."""
+"""Small problems whose solutions or invariants are known, and what is measured on them, for laws of integrators."""
 
 import numba
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from minimd.integrators import METHODS, Partitioned, SecondOrder
+import minimd.integrators as mi
 
-DETERMINISTIC = [method for method in METHODS.values() if not getattr(method, "is_thermostat", False)]
-ONE_STEP = [
-    method for method in DETERMINISTIC if getattr(method, "n_past", 1) == 1
-]  # a BDF looks back at several states
-SYMMETRIC = [method for method in ONE_STEP if method.is_symmetric]
-NOT_SYMMETRIC = [method for method in ONE_STEP if not method.is_symmetric]
-SYMPLECTIC = [method for method in ONE_STEP if method.is_symplectic]
-NOT_SYMPLECTIC = [method for method in ONE_STEP if not method.is_symplectic]
+DETERMINISTIC = [method for method in mi.METHODS.values() if not getattr(method, "is_thermostat", False)]
+ONE_STEP = [method for method in DETERMINISTIC if not hasattr(method, "n_past")]  # a BDF looks back
+SPLITTINGS = list(mi.SPLITTINGS.values())
+GAUSS = [mi.GaussLegendre1, mi.GaussLegendre2, mi.GaussLegendre3, mi.GaussLegendre4]
+RADAU = [mi.ImplicitEuler, mi.RadauIIA2, mi.RadauIIA3]
+ROUNDING = 4e-15  # a few ulp of the terms of an invariant, which are of order one
+PERIOD = 2.0 * np.pi
 
 
-@numba.njit
+@numba.njit(cache=True)
 def attraction(q):
     """A unit mass at the origin, GM = 1."""
     return -q / (q[0] * q[0] + q[1] * q[1]) ** 1.5
 
 
-@numba.njit
+@numba.njit(cache=True)
 def henon_heiles_force(q):
     """H = (v² + q²)/2 + x²y − y³/3."""
     return np.array([-q[0] - 2.0 * q[0] * q[1], -q[1] - q[0] * q[0] + q[1] * q[1]])
 
 
-ECCENTRICITY = 0.6
-KEPLER_START = (0.4, 0.0), (0.0, 2.0)  # pericentre of the orbit with semi-axis 1 and period 2π
-KEPLER = SecondOrder(attraction)
-HENON_HEILES = SecondOrder(henon_heiles_force)
+def pericentre(e):
+    """(q, v) on the orbit with semi-axis 1 and period 2π."""
+    return (1.0 - e, 0.0), (0.0, np.sqrt((1.0 + e) / (1.0 - e)))
+
+
+def kepler_orbit(time, e=0.6):
+    """(q, v) on the orbit from the pericentre, by Kepler's equation x − e sin x = t, solved to rounding."""
+    x = time
+    for _ in range(50):
+        x -= (x - e * np.sin(x) - time) / (1.0 - e * np.cos(x))
+    b = np.sqrt(1.0 - e * e)
+    return np.array([np.cos(x) - e, b * np.sin(x), *np.array([-np.sin(x), b * np.cos(x)]) / (1.0 - e * np.cos(x))])
+
+
+KEPLER = mi.SecondOrder(attraction)
+KEPLER_START = pericentre(0.6)  # H = −1/2
+HENON_HEILES = mi.SecondOrder(henon_heiles_force)
 HENON_HEILES_START = (0.0, 0.1), (0.5, 0.0)
+OSCILLATOR = mi.SecondOrder(lambda q: -q)
+ONE = (1.0,), (0.0,)
 
 
-# H = (1 + |q|²)(1 + |v|²)/2 + q₀v₁/2: each of q′ and v′ depends on both. Signatures as short as they can be, and full ones.
+# H = (1 + |q|²)(1 + |v|²)/2 + q₀v₁/2: each of q′ and v′ depends on both.
 def twisted_g(q, v):
     return (1.0 + q @ q) * v + np.array([0.0, 0.5 * q[0]])
 
@@ -54,27 +68,35 @@ def driven_f(t, q, v):
 
 
 # H = (1 + |q|²)|v|²/2 + |q|²/2 + q₁: not separable, and even in v
-def swaying_g(q, v):
-    return (1.0 + q @ q) * v
-
-
-def swaying_f(q, v):
-    return -(1.0 + v @ v) * q - np.array([0.0, 1.0])
-
-
-SWAYING = Partitioned(swaying_g, swaying_f)
-TWISTED = Partitioned(twisted_g, twisted_f)
-DRIVEN = Partitioned(driven_g, driven_f)
+SWAYING = mi.Partitioned(lambda q, v: (1.0 + q @ q) * v, lambda q, v: -(1.0 + v @ v) * q - np.array([0.0, 1.0]))
+TWISTED = mi.Partitioned(twisted_g, twisted_f)
+DRIVEN = mi.Partitioned(driven_g, driven_f)
 TWISTED_START = (0.5, -0.2), (0.3, 0.6)
 
 
-def kepler_orbit(time):
-    """(q, v) on the orbit of KEPLER_START, by Kepler's equation x − e sin x = t, solved to rounding."""
-    e, x = ECCENTRICITY, time
-    for _ in range(50):
-        x -= (x - e * np.sin(x) - time) / (1.0 - e * np.cos(x))
-    q = np.array([np.cos(x) - e, np.sqrt(1.0 - e * e) * np.sin(x)])
-    return np.concatenate([q, np.array([-np.sin(x), np.sqrt(1.0 - e * e) * np.cos(x)]) / (1.0 - e * np.cos(x))])
+def energy(q, v):
+    """Of KEPLER."""
+    return 0.5 * (v @ v) - 1.0 / np.sqrt(q @ q)
+
+
+def energy_slope(q, v):
+    return np.array([q / (q @ q) ** 1.5, v])
+
+
+def angular_momentum(q, v):
+    return q[0] * v[1] - q[1] * v[0]
+
+
+def energy_errors(solution):
+    """Of KEPLER from a pericentre, (n + 1,)."""
+    return 0.5 * (solution.v**2).sum(axis=1) - 1.0 / np.linalg.norm(solution.q, axis=1) + 0.5
+
+
+ENERGY = mi.Invariants(energy, energy_slope)
+INERTIA = np.array([1.0, 2.0, 4.0])
+RIGID_BODY = mi.FirstOrder(lambda y: np.cross(y, y / INERTIA))
+CASIMIR_AND_ENERGY = mi.Invariants(lambda y: [y @ y, 0.5 * y @ (y / INERTIA)], lambda y: [2.0 * y, y / INERTIA])
+TURNING = np.array([0.1, 1.0, 0.3])  # about the unstable axis
 
 
 def reference(problem, start, time, t0=0.0):
@@ -88,22 +110,25 @@ def slope(error, timesteps):
     return np.polyfit(np.log(timesteps), np.log([error(h) for h in timesteps]), 1)[0]
 
 
-def jacobian(problem, method, start, h, t0=0.0, n_steps=1):
-    """Φ′, the derivative of n_steps steps by the state, by differences of order six: truncation and rounding are both some 1e-12."""
+def kepler_slope(method, timesteps, problem=KEPLER):
+    """Measured order at t = 2."""
+    return slope(
+        lambda h: np.linalg.norm(mi.run_until(problem, method(h), KEPLER_START, 2.0).y[-1] - kepler_orbit(2.0)),
+        timesteps,
+    )
+
+
+def jacobian(problem, method, start, h, t0=0.0):
+    """Φ′, the derivative of a step by the state, by differences of order six: truncation and rounding, some 1e-12."""
     y0, delta = problem.begin(start), 3e-3
-    step = method.on(problem)
-
-    def flow(y):
-        for n in range(n_steps):
-            y = step(t0 + n * h, y, h)
-        return y
-
-    weights = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
-    columns = [
-        sum(w * (flow(y0 + k * delta * unit) - flow(y0 - k * delta * unit)) for k, w in weights.items()) / delta
-        for unit in np.eye(y0.size)
-    ]
-    return np.column_stack(columns)
+    step, weights = method.on(problem), {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
+    return np.column_stack(
+        [
+            sum(w * (step(t0, y0 + k * delta * e, h) - step(t0, y0 - k * delta * e, h)) for k, w in weights.items())
+            / delta
+            for e in np.eye(y0.size)
+        ]
+    )
 
 
 def symplecticity_defect(m):

@@ -1,0 +1,297 @@
+"""What a run conserves beyond the energy: its shadow, its way back; what the report says of jumps, lists, momenta."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from references import liquid, melt_scene
+from scenes import SCENES
+from wrong_calls import assert_answered
+
+import minimd as md
+from minimd.analysis import check
+from minimd.commands import main as cli
+from minimd.diagnosis.run_report import cutoff_lines
+from minimd.files.h5md_reader import read_file
+from minimd.files.h5md_writer import H5MDWriter
+from minimd.integrators import SPLITTINGS
+
+VERLETS = pytest.mark.parametrize("name", ["velocity-verlet", "position-verlet", "leapfrog"])
+SMOOTH = md.LennardJones(1.0, 1.0, 1.85, "smooth")
+
+
+def argon(method=None):
+    return SCENES["argon"]().simulation(method or md.VelocityVerlet(0.003))
+
+
+def smooth(name="velocity-verlet", dt=0.003, jitter=0.05):
+    simulation = md.Simulation(liquid(3, jitter=jitter), SMOOTH, SPLITTINGS[name](dt))
+    simulation.extra_observables = ("shadow_energy",)
+    return simulation
+
+
+def slopes(spreads):
+    """Exponents of Δt, which is halved from one to the next."""
+    return np.diff(np.log(spreads), axis=0) / np.log(0.5)
+
+
+def shaken(x, y, z, t, k):
+    """A trap whose stiffness and center along y change with time."""
+    stiff, slope, away = k * (2.0 + np.sin(1.7 * t)), 1.7 * k * np.cos(1.7 * t), y - 0.4 * np.sin(t)
+    square = x * x + away * away + z * z
+    power = 0.5 * slope * square - 0.4 * stiff * away * np.cos(t)
+    return 0.5 * stiff * square, -stiff * x, -stiff * away, -stiff * z, power
+
+
+FIELDS = {
+    "none": [],
+    "user's": [md.Field(shaken, (1.5,))],
+    "steered": [md.SteeredSpring(2.0, [0.1, 0, 0], [0.3, 0.2, 0])],
+}
+
+
+@pytest.mark.parametrize("field", FIELDS)
+@VERLETS
+def test_shadow_energy_minus_the_work_of_fields_is_conserved_to_the_fourth_order(name, field):
+    """Time is a coordinate then, and minus the work its momentum. E − W falls by 4 where Δt is halved, not by 16."""
+    spreads = []
+    for dt in (0.1, 0.05, 0.025):
+        velocities = [[0.2, 0.1, 0], [-0.3, 0, 0.4]]
+        system = md.System([[0.3, 0, 0], [1.5, 0.2, 0]], masses=(1.0, 2.5), velocities=velocities, bonds=[[0, 1]])
+        simulation = md.Simulation(system, [md.HarmonicBond(1.0, 1.0), *FIELDS[field]], SPLITTINGS[name](dt))
+        simulation.extra_observables = ("shadow_energy",)
+        record = simulation.run(round(10.0 / dt), every=1)
+        work = record.work if FIELDS[field] else 0.0
+        assert np.ptp(work) > 0.1 or not FIELDS[field]
+        spreads.append((np.ptp(record.total_energy - work), np.ptp(record.shadow_energy - work)))
+    assert slopes(spreads) == pytest.approx(np.array([[2.0, 4.0], [2.0, 4.0]]), abs=0.1)  # truncation
+    assert simulation.report().shadow_oscillation < spreads[-1][1]  # the report takes the work off
+
+
+def test_shadow_energy_of_the_oscillator_is_its_closed_form():
+    """Δt² (1/12 ω² v² − 1/24 ω⁴ x²) of one atom of mass 1 on a spring to a fixed one, ω = 1."""
+    dt, x, v = 0.3, 0.4, 0.7
+    system = md.System([[0, 0, 0], [1.0 + x, 0, 0]], velocities=[[0, 0, 0], [v, 0, 0]], bonds=[[0, 1]])
+    simulation = md.Simulation(system, md.HarmonicBond(1.0, 1.0), md.VelocityVerlet(dt), md.FixedAtoms([0]))
+    expected = 0.5 * v * v + 0.5 * x * x + dt**2 * (v * v / 12.0 - x * x / 24.0)
+    assert md.shadow_energy(simulation) == pytest.approx(expected, rel=1e-10)  # rounding, over the nudge
+
+
+@VERLETS
+def test_shadow_energy_of_a_liquid_is_conserved_to_the_fourth_order(name):
+    spreads = []
+    for dt in (0.006, 0.003):
+        simulation = smooth(name, dt, jitter=0.02)
+        simulation.run(round(0.6 / dt), every=round(0.6 / dt))
+        spreads.append(simulation.run(round(1.2 / dt), every=round(0.012 / dt)).shadow_energy.std())
+    assert slopes(spreads) == pytest.approx([4.0], abs=0.5)  # truncation, measured on one short path
+
+
+@pytest.mark.slow
+def test_shadow_energy_changes_nothing_and_shows_a_smaller_error_of_the_drift(tmp_path):
+    made = [smooth(), smooth()]
+    made[1].extra_observables = ()
+    for k, simulation in enumerate(made):
+        simulation.run(400, every=10, trajectory=tmp_path / f"{k}.h5md")
+    assert np.abs(made[0].positions - made[1].positions).max() < 1e-9  # rounding, amplified
+    report = made[0].report()
+    assert report.shadow_is_conserved
+    assert report.shadow_oscillation < 0.05 * report.energy_oscillation
+    assert report.shadow_drift.error < 0.1 * report.energy_drift.error
+    assert "shadow energy  drift" in str(report)
+    assert "shadow" not in str(made[1].report())
+    contents = read_file(tmp_path / "0.h5md")
+    np.testing.assert_array_equal(contents.record.shadow_energy, made[0].record.shadow_energy)
+    assert "shadow energy" in str(check.check_file(tmp_path / "0.h5md"))
+    made[0].extra_observables = ()
+    with pytest.raises(ValueError, match="extra_observables"):
+        H5MDWriter.append_to(tmp_path / "0.h5md", made[0].engine)
+
+
+def test_shadow_energy_sees_a_drift_that_the_energy_hides():
+    """Heat of 5e-8 of the velocities every ten steps is far below the oscillation of the energy in so short a run."""
+    simulation = smooth()
+
+    def heat(sim):
+        sim.velocities[:] *= 1.0 + 5e-8
+
+    simulation.run(1000, every=10, observers=[heat])
+    report = simulation.report()
+    put_in = 1e-7 * report.kinetic_energy / 0.03
+    assert report.shadow_drift.is_significant
+    assert report.shadow_drift.slope == pytest.approx(put_in, rel=0.2)
+    assert abs(report.energy_drift.slope - put_in) > put_in
+    assert report.shadow_is_conserved is False
+
+
+def test_scene_records_the_shadow_energy_and_goes_on_with_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    scene = melt_scene(3, 40, "[output]\nevery = 5\nshadow_energy = true\n")
+    Path("melt.toml").write_text(scene)
+    assert cli.main(["run", "melt.toml", "--quiet"]) == 0
+    assert cli.main(["resume", "melt.h5md", "--steps", "20"]) == 0
+    assert "shadow energy  drift" in capsys.readouterr().out
+    record = read_file("melt.h5md").record
+    assert record.step.tolist() == list(range(0, 61, 5))
+    assert np.ptp(record.shadow_energy) < 0.2 * np.ptp(record.total_energy)
+    bath = 'steps = 40\nmethod = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 1'
+    Path("bath.toml").write_text(scene.replace("steps = 40", bath))
+    assert cli.main(["run", "bath.toml", "--quiet"]) == 2
+    assert "output.shadow_energy" in capsys.readouterr().err
+
+
+# ---- the way back
+
+
+@pytest.mark.filterwarnings("ignore:timestep")  # too long for methods of order one
+@pytest.mark.parametrize("name", SPLITTINGS)
+def test_symmetric_methods_come_back_and_others_do_not(name):
+    found = argon(SPLITTINGS[name](0.003)).probe_reversibility(60)
+    assert found.is_reversible == SPLITTINGS[name].is_symmetric
+    assert found.way > 0.1
+    assert found.distance < 1e-11 if found.is_reversible else "NOT REVERSIBLE" in str(found)
+
+
+def test_probe_restores_the_state_and_nothing_is_counted_among_the_steps_of_a_run():
+    """Neither the steps of a probe nor those of minimization and equilibration; the memory is that of the process."""
+    simulation = argon()
+    simulation.run(50, every=10)
+    before, cost = simulation.snapshot(), simulation.report().cost
+    simulation.probe_reversibility(130)
+    assert np.array_equal(simulation.positions, before.positions)
+    assert np.array_equal(simulation.velocities, before.velocities)
+    assert (simulation.step, simulation.time) == (before.step, before.time)
+    report = simulation.report()
+    assert replace(report.cost, peak_memory=cost.peak_memory) == cost
+    assert "reversibility  130 steps and back" in str(report)
+    simulation.minimize(max_steps=5)
+    assert replace(simulation.report().cost, peak_memory=cost.peak_memory) == cost
+    simulation.equilibrate(30, 1.0)
+    after = simulation.report().cost
+    assert (after.n_steps, after.n_evaluations) == (cost.n_steps, cost.n_evaluations)
+
+
+class Tired:
+    """A force that depends on how often it was asked for has no way back."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def bind(self, _system):
+        return self
+
+    def add(self, system, _detail, forces, _energies, _virials):
+        self.calls += 1
+        forces[0] += 1e-6 * self.calls
+        forces[1] -= 1e-6 * self.calls
+
+    def skipped(self):
+        return ()
+
+
+def test_probe_finds_forces_that_remember():
+    scene = SCENES["argon"]()
+    simulation = scene._replace(laws=[*scene.laws, Tired()]).simulation(md.VelocityVerlet(0.003))
+    assert simulation.probe_reversibility(60).is_reversible is False
+
+
+def test_probe_of_a_long_way_says_that_it_cannot_tell():
+    simulation = argon(md.VelocityVerlet(0.005))
+    simulation.set_temperature(3.0, seed=1)
+    assert simulation.probe_reversibility(3000).is_reversible is None
+
+
+def test_probe_of_rigid_bonds_and_of_an_atom_on_which_nothing_acts():
+    assert SCENES["dumbbells"]().simulation().probe_reversibility(60).is_reversible
+    for speed in (0.0, 1.0):
+        alone = md.System([[0.0, 0.0, 0.0]], velocities=[[speed, 0.0, 0.0]])
+        simulation = md.Simulation(alone, md.LennardJones(1.0, 1.0), md.VelocityVerlet(0.01))
+        assert simulation.probe_reversibility(10).is_reversible
+
+
+def bath():
+    return argon(md.LangevinBAOAB(0.003, 1.0, 1.0, seed=1))
+
+
+REFUSED = [
+    (lambda: md.shadow_energy(bath()), "thermostat"),
+    (lambda: md.shadow_energy(argon(SPLITTINGS["yoshida-6"](0.003))), "the method is yoshida-6"),
+    (lambda: md.shadow_energy(SCENES["dumbbells"]().simulation()), "rigid bonds"),
+    (lambda: setattr(argon(), "extra_observables", ("entropy",)), "extra_observables", "entropy"),
+    (lambda: bath().probe_reversibility(10), "noise"),
+    *((lambda n=n: argon().probe_reversibility(n), "n_steps", repr(n)) for n in (0, 1.5, "ten")),
+]
+
+
+@pytest.mark.parametrize("row", range(len(REFUSED)))
+def test_what_is_not_known_or_cannot_be_undone_is_refused(row):
+    call, *shown = REFUSED[row]
+    assert_answered(call, ValueError, *shown)
+
+
+# ---- what the report tells
+
+
+@pytest.mark.parametrize(
+    ("truncation", "energy", "force", "words", "is_good"),
+    [
+        ("truncated", 0.0163169, 0.0389995, "THE ENERGY JUMPS", False),
+        ("shifted", 0.0, 0.0389995, "the force jumps", True),
+        ("force-shifted", 0.0, 0.0, "are continuous", True),
+        ("smooth", 0.0, 0.0, "are continuous", True),
+    ],
+)
+def test_jumps_at_the_cutoff_are_told(truncation, energy, force, words, is_good):
+    """4 (2.5⁻¹² − 2.5⁻⁶) ε = −0.0163 ε."""
+    (line,) = cutoff_lines(liquid(2), [md.LennardJones(1.0, 1.0, 2.5, truncation)])
+    assert f"energy {energy:.1e} ε, force {force:.1e} ε/σ at 2.5 σ" in line.summary
+    assert words in line.verdict
+    assert line.is_good == is_good
+
+
+def test_a_wall_at_the_minimum_does_not_jump_and_the_worst_pair_of_species_is_told():
+    """Weeks, Chandler, Andersen: shifted at 2^(1/6) σ, where the force is zero to rounding."""
+    (line,) = cutoff_lines(liquid(2), [md.LennardJones(1.0, 1.0, 2 ** (1 / 6))])
+    assert line.verdict == "energy and force are continuous"
+    system = md.System([[0, 0, 0], [1.2, 0, 0]], species=["A", "B"])
+    two = md.LennardJones({"A": (1.0, 1.0), "B": (5.0, 1.0)}, cutoff=2.5, truncation="truncated")
+    (line,) = cutoff_lines(system, [two])
+    assert line.summary.startswith("energy 8.2e-02")
+
+
+def test_report_tells_of_list_cutoff_and_constraints():
+    simulation = SCENES["dumbbells"]().simulation()
+    simulation.run(50, every=10)
+    text = str(simulation.report())
+    told = "cutoff jump", "list margin    skin/2", "rebuilt in time", "rigid bonds    velocities along them"
+    assert [words for words in (*told, ": obeyed", ": kept", ": conserved") if words not in text] == []
+    stride = np.linalg.norm(simulation.velocities, axis=1).max() * simulation.method.timestep
+    assert f"lasts {0.5 * simulation.skins[0] / stride:.3g} steps" in text
+
+
+def test_report_tells_of_a_list_without_margin_and_of_momenta_that_change():
+    simulation = SCENES["argon"]().simulation(skin=0.01)
+
+    def wind(sim):
+        sim.velocities[:, 0] += 1e-6
+
+    simulation.run(100, every=10, observers=[wind])
+    text = str(simulation.report())
+    assert "rebuilt in time, but at nearly every step" in text
+    assert "of the sum of |mv|: NOT CONSERVED" in text
+
+
+def test_angular_momentum_has_its_verdict():
+    simulation = SCENES["droplet"]().simulation(md.VelocityVerlet(0.002))
+    simulation.run(200, every=20)
+    assert simulation.report().angular_momentum_is_conserved
+    assert "of the sum of m|r||v|: conserved" in str(simulation.report())
+
+    def torque(sim):
+        sim.velocities[0] += [0.0, 1e-6, 0.0]
+        sim.velocities[-1] -= [0.0, 1e-6, 0.0]
+
+    simulation.run(200, every=20, observers=[torque])
+    assert simulation.report().momentum_is_conserved
+    assert not simulation.report().angular_momentum_is_conserved

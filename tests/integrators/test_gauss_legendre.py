@@ -1,0 +1,162 @@
+"""Runge-Kutta methods of collocation: order conditions on trees, stability functions, quadratic invariants."""
+
+from itertools import combinations_with_replacement
+from math import prod
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from small_problems import GAUSS, RADAU
+
+import minimd.integrators as mi
+
+ORDERS = dict(zip(GAUSS + RADAU, [2, 4, 6, 8, 1, 3, 5], strict=True))
+
+
+def random_flow(seed=3, n=5):
+    """y′ = S(y) C y, S skew and linear in y, which keeps yᵀ C y = 1 and nothing else; C > 0."""
+    rng = np.random.default_rng(seed)
+    skew = rng.normal(size=(n, n, n))
+    skew = skew - skew.transpose(1, 0, 2)
+    c = rng.normal(size=(n, n))
+    c = c @ c.T / n + np.eye(n)
+    start = rng.normal(size=n)
+    return lambda y: (0.3 * skew @ y + skew[:, :, 0]) @ (c @ y), c, start / np.sqrt(start @ c @ start)
+
+
+# ---- tableaus
+
+
+def rooted_trees(order):
+    """All of an order, a tree being the sorted tuple of what hangs on its root."""
+    if order == 1:
+        return [()]
+    return sorted({tuple(sorted(t)) for sizes in partitions(order - 1) for t in forests(sizes)})
+
+
+def partitions(n, largest=None):
+    largest = n if largest is None else largest
+    return [()] if n == 0 else [(k, *rest) for k in range(min(n, largest), 0, -1) for rest in partitions(n - k, k)]
+
+
+def forests(sizes):
+    if not sizes:
+        return [()]
+    equal = sizes.count(sizes[0])
+    return [a + b for a in combinations_with_replacement(rooted_trees(sizes[0]), equal) for b in forests(sizes[equal:])]
+
+
+def size(tree):
+    return 1 + sum(size(branch) for branch in tree)
+
+
+def density(tree):
+    """γ(t): the product of the sizes of all its subtrees."""
+    return size(tree) * prod(density(branch) for branch in tree)
+
+
+def stage_weights(tableau, tree):
+    """(s,) Π over the branches of Σ_j β_ij …"""
+    ones = np.ones(tableau.nodes.size)
+    return np.prod([ones, *(tableau.beta @ stage_weights(tableau, branch) for branch in tree)], axis=0)
+
+
+def worst_condition(tableau, order):
+    """Largest |Σ_i w_i Φ_i(t) − 1/γ(t)| over the trees of an order."""
+    return max(abs(tableau.weights @ stage_weights(tableau, t) - 1.0 / density(t)) for t in rooted_trees(order))
+
+
+def test_there_are_as_many_rooted_trees_as_cayley_says():
+    assert [len(rooted_trees(order)) for order in range(1, 9)] == [1, 1, 2, 4, 9, 20, 48, 115]
+
+
+@pytest.mark.parametrize("method", ORDERS)
+def test_order_conditions_hold_up_to_the_order_and_no_further(method):
+    assert method.order == method.tableau.order == ORDERS[method]
+    assert max(worst_condition(method.tableau, order) for order in range(1, method.order + 1)) < 1e-15
+    assert worst_condition(method.tableau, method.order + 1) > 1e-7
+
+
+def test_two_and_three_stages_have_their_closed_form():
+    """J. C. Butcher (1964); Hairer, Lubich, Wanner (2006), table II.1.1."""
+    r, root = np.sqrt(3.0) / 6.0, np.sqrt(15.0)
+    two, three = mi.GaussLegendre2.tableau, mi.GaussLegendre3.tableau
+    assert np.abs(two.nodes - [0.5 - r, 0.5 + r]).max() == 0.0
+    assert np.abs(two.beta - [[0.25, 0.25 - r], [0.25 + r, 0.25]]).max() == 0.0
+    assert np.abs(mi.collocation(two.nodes).beta - two.beta).max() < 1e-16
+    assert three.weights == pytest.approx([5 / 18, 4 / 9, 5 / 18], abs=1e-16)
+    closed = [
+        [5 / 36, 2 / 9 - root / 15, 5 / 36 - root / 30],
+        [5 / 36 + root / 24, 2 / 9, 5 / 36 - root / 24],
+        [5 / 36 + root / 30, 2 / 9 + root / 15, 5 / 36],
+    ]
+    assert np.abs(three.beta - closed).max() < 2e-16
+
+
+@pytest.mark.parametrize("method", ORDERS)
+def test_gauss_is_symplectic_and_symmetric_and_radau_is_neither(method):
+    assert method.is_symplectic == method.is_symmetric == (method in GAUSS)
+    defect = np.abs(method.tableau.symplecticity_defect).max()
+    assert defect < 2e-17 if method in GAUSS else defect > 1e-3
+
+
+@pytest.mark.parametrize("method", ORDERS)
+def test_a_step_of_a_linear_problem_is_the_pade_approximant(method):
+    """R(z) of degree s over s for Gauss, s − 1 over s for Radau: it agrees with eᶻ to its order, and is unique."""
+    s = method.stages
+    k = s if method in GAUSS else s - 1
+
+    def factor(degree, other, z):
+        """Σ degree!/(degree − j)! · (degree + other − j)!/(degree + other)! · zʲ/j!"""
+        terms = [prod((degree - i) / (degree + other - i) / (i + 1) * z for i in range(j)) for j in range(degree + 1)]
+        return sum(terms)
+
+    for z in (-0.3, 0.2, -4.0):
+        end = mi.run_steps(mi.FirstOrder(lambda y, z=z: z * y), method(1.0), [1.0], 1).y[-1, 0]
+        assert end == pytest.approx(factor(k, s, z) / factor(s, k, -z), rel=1e-14)
+
+
+# ---- every quadratic invariant
+
+
+@pytest.mark.parametrize("method", ORDERS)
+def test_gauss_keeps_every_quadratic_invariant_to_rounding_and_radau_none(method):
+    for seed in (3, 4):
+        f, c, start = random_flow(seed)
+        path = mi.run_steps(mi.FirstOrder(f), method(0.04), start, 200)
+        error = np.abs(np.einsum("ti,ij,tj->t", path.y, c, path.y) - 1.0).max()
+        assert np.linalg.norm(path.y[-1] - start) > 0.1  # it does move
+        assert error < 3e-15 if method in GAUSS else error > 1e-6  # a dozen roundings, and no growth
+
+
+@pytest.mark.parametrize("name", ["RK45", "DOP853", "LSODA"])
+def test_scipy_keeps_no_quadratic_invariant(name):
+    f, c, start = random_flow()
+    y = solve_ivp(lambda t, y: f(y), (0.0, 40.0), start, method=name, rtol=1e-6, atol=1e-9).y[:, -1]
+    assert abs(y @ c @ y - 1.0) > 1e-7
+
+
+def random_walk(method, n_steps, forget):
+    """(n_steps,) errors of yᵀ C y; forget makes each step begin without what the rounding of the last one took."""
+    f, c, y = random_flow()
+    step, errors = method.on(mi.FirstOrder(f)), np.empty(n_steps)
+    for n in range(n_steps):
+        y = step(0.0, y.copy() if forget else y, 0.04)
+        errors[n] = y @ c @ y - 1.0
+    return errors
+
+
+@pytest.mark.slow
+def test_the_compensated_sum_is_what_keeps_them_to_rounding():
+    """Without it each step adds a rounding; with it the error has no memory: it does not grow."""
+    kept, forgotten = (np.abs(random_walk(mi.GaussLegendre2, 4000, forget)).max() for forget in (False, True))
+    assert kept < 1e-15
+    assert forgotten > 3.0 * kept
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [mi.GaussLegendre1, mi.GaussLegendre2, mi.GaussLegendre4])
+def test_quadratic_invariants_do_not_drift_in_100_000_steps(method):
+    """Roundings of one sign would make 2e-11, a random walk of them EPS √n = 7e-14; what is left is a tenth of that."""
+    errors = random_walk(method, 100_000, forget=False)
+    assert np.abs(errors).max() < 0.2 * np.finfo(float).eps * np.sqrt(100_000)

@@ -1,0 +1,381 @@
+"""Paths on a manifold: RATTLE on g(q) = 0; invariants kept by projection, multipliers, stabilization, index 2."""
+
+import numpy as np
+import pytest
+import small_problems as small
+from dae_problems import DOUBLE_START, SWING_START, double_pendulum, on_rods, swing
+from references import load
+from small_problems import ENERGY, KEPLER, KEPLER_START, PERIOD, ROUNDING, SPLITTINGS, energy, energy_errors
+
+import minimd as md
+import minimd.integrators as mi
+from minimd.integrators import (
+    GaussLegendre1,
+    GaussLegendre2,
+    GaussLegendre3,
+    ImplicitEuler,
+    Invariants,
+    RadauIIA2,
+    RadauIIA3,
+    VelocityVerlet,
+    projected,
+    run_steps,
+    run_until,
+    stabilized,
+)
+
+ANGLE_AT_3 = -0.94875159694619818661  # of θ″ = −sin θ from θ = 1 at rest; Jacobi's elliptic functions
+
+
+def angle(q):
+    return np.arctan2(q[..., 0], -q[..., 1])
+
+
+# ---- RATTLE
+
+
+@pytest.mark.parametrize("method", SPLITTINGS)
+def test_order_on_the_pendulum(method):
+    order = method.order_on(swing())
+    timesteps = 3.0 / np.round(3.0 / ({1: 0.01, 2: 0.05, 4: 0.1, 6: 0.3, 8: 0.3}[order] / 1.25 ** np.arange(4)))
+    slope = small.slope(
+        lambda h: abs(angle(run_until(swing(), method(h), SWING_START, 3.0).q[-1]) - ANGLE_AT_3), timesteps
+    )
+    assert slope == pytest.approx(order, abs=0.3 if order > 4 else 0.1)  # truncation
+
+
+def test_rows_of_velocity_verlet_keep_their_order_and_others_do_not():
+    orders = {name: method.order_on(swing()) for name, method in mi.SPLITTINGS.items()}
+    assert (orders["suzuki-4"], orders["yoshida-6"], orders["kahan-li-8"]) == (4, 6, 8)
+    assert (orders["pefrl"], orders["candy-rozmus-4"], orders["blanes-moan-rkn-4"]) == (2, 2, 2)
+
+
+def test_constraints_are_kept_to_rounding():
+    by_differences, exact = double_pendulum(with_jacobian=False), double_pendulum()
+    path = run_steps(by_differences, VelocityVerlet(0.02), DOUBLE_START, 500)
+    exact.begin(DOUBLE_START)
+    assert max(np.abs(exact.violation(q)).max() for q in path.q) < 1e-14
+    sliding = [np.abs(exact.gradient(q) @ v).max() for q, v in zip(path.q, path.v, strict=True)]
+    assert max(sliding) < 1e-12  # G by differences
+
+
+@pytest.mark.parametrize("method", [method for method in SPLITTINGS if method.is_symmetric])
+def test_a_reversed_run_returns_to_the_start(method):
+    there = run_steps(double_pendulum(), method(0.05), DOUBLE_START, 20)
+    back = run_steps(double_pendulum(), method(0.05), (there.q[-1], -there.v[-1]), 20)
+    assert np.abs(there.q[-1] - there.q[0]).max() > 0.1
+    assert np.abs(back.q[-1] - there.q[0]).max() < 1e-9
+
+
+@pytest.mark.parametrize("method", SPLITTINGS)
+def test_the_step_is_symplectic_on_the_manifold(method):
+    """ω(Φ′ξ, Φ′η) = ω(ξ, η) for tangent ξ, η, with ω = Σ m dq ∧ dv; Φ′ by differences along charts of two angles."""
+    masses, z, h = np.array([1.0, 1.0, 2.0, 2.0]), np.array([1.0, 2.0, 0.3, -0.5]), 1e-5
+
+    def step(z):
+        path = run_steps(double_pendulum(), method(0.1), on_rods(*z), 2)
+        return np.concatenate([path.q[-1], path.v[-1]])
+
+    def form(function):
+        columns = [(function(z + h * unit) - function(z - h * unit)) / (2.0 * h) for unit in np.eye(4)]
+        q, v = np.split(np.column_stack(columns), 2)
+        return q.T @ (masses[:, None] * v) - v.T @ (masses[:, None] * q)
+
+    before = form(lambda z: np.concatenate(on_rods(*z)))
+    assert np.abs(before).max() > 0.1
+    assert np.abs(form(step) - before).max() < 1e-8  # truncation h², rounding 1/h
+
+
+@pytest.mark.slow
+def test_energy_of_a_bead_on_an_ellipse_oscillates_and_does_not_drift():
+    bead = mi.Holonomic(lambda q: np.array([0.0, -1.0]), lambda q: [0.5 * (q[0] ** 2 / 4.0 + q[1] ** 2 - 1.0)])
+
+    def errors(timestep, n_steps):
+        path = run_steps(bead, VelocityVerlet(timestep), ([2.0, 0.0], [0.0, 0.5]), n_steps)
+        energy = 0.5 * (path.v**2).sum(axis=1) + path.q[:, 1]
+        return np.abs(energy - energy[0])
+
+    by_quarter = errors(0.02, 8003).reshape(4, -1).max(axis=1)
+    assert by_quarter[-1] < 1.05 * by_quarter[0]
+    assert np.log2(errors(0.02, 1000).max() / errors(0.01, 2000).max()) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("jacobian", [lambda q: q[None, :], None])
+def test_multipliers_are_the_tension(jacobian):
+    """λ = |v|² + cos θ for unit length, mass and gravity."""
+    problem = mi.Holonomic(lambda q: np.array([0.0, -1.0]), lambda q: [0.5 * (q @ q - 1.0)], jacobian)
+    problem.begin(SWING_START)
+    q, v = np.array([np.sin(0.4), -np.cos(0.4)]), 0.7 * np.array([np.cos(0.4), np.sin(0.4)])
+    assert problem.multipliers(0.0, q, v)[0] == pytest.approx(0.49 + np.cos(0.4), rel=1e-11)
+
+
+def test_a_start_off_the_manifold_is_projected_and_told():
+    start = [1.1, 0.0], [0.3, 0.2]
+    with pytest.warns(UserWarning, match="projected onto the constraints") as warned:
+        path = run_steps(swing(), VelocityVerlet(0.01), start, 1)
+    with pytest.warns(UserWarning, match="projected onto the constraints") as warned_too:
+        swing().begin(start)
+    assert [w.filename for w in (*warned, *warned_too)] == 2 * [__file__]  # the caller's line, however deep in minimd
+    assert path.q[0] == pytest.approx([1.0, 0.0], abs=1e-15)
+    assert path.v[0] == pytest.approx([0.0, 0.2], abs=1e-15)
+
+
+def test_step_doubling_works_on_manifolds():
+    loose, tight = (
+        mi.run_adaptive(swing(), VelocityVerlet, SWING_START, 3.0, control=mi.StepControl(rtol=r, atol=r)).q[-1]
+        for r in (1e-4, 1e-8)
+    )
+    assert abs(angle(tight) - ANGLE_AT_3) < 1e-2 * abs(angle(loose) - ANGLE_AT_3)
+
+
+# ---- invariants kept by projection and multipliers
+
+WRAPPERS = [projected, mi.symmetrically_projected, mi.with_multipliers]
+wrappers = pytest.mark.parametrize("wrapper", WRAPPERS)
+
+
+@wrappers
+@pytest.mark.parametrize(
+    ("method", "h"), [(VelocityVerlet, 0.02), (RadauIIA2, 0.03), (GaussLegendre2, 0.06), (mi.CandyRozmus4, 0.05)]
+)
+def test_the_order_is_that_of_the_method(wrapper, method, h):
+    on_manifold = wrapper(method, ENERGY)
+    assert on_manifold.order == on_manifold.order_on(KEPLER) == method.order
+    assert small.kepler_slope(on_manifold, [h, h / 1.5]) == pytest.approx(method.order, abs=0.2)  # truncation
+
+
+@wrappers
+@pytest.mark.parametrize("method", [VelocityVerlet, RadauIIA2])
+def test_what_is_corrected_is_the_local_error(wrapper, method):
+    """The exact flow keeps the invariants: corrections and multipliers vanish with h, as hᵖ⁺¹ per step."""
+    y, on_manifold = small.kepler_orbit(0.7), wrapper(method, ENERGY)
+
+    def correction(h):
+        corrected, plain = (run_steps(KEPLER, m(h), (y[:2], y[2:]), 1).y[-1] for m in (on_manifold, method))
+        return np.linalg.norm(corrected - plain)
+
+    assert small.slope(correction, [0.04, 0.02, 0.01]) == pytest.approx(method.order + 1, abs=0.15)  # truncation
+
+
+@wrappers
+@pytest.mark.parametrize("method", [VelocityVerlet, mi.SE1, RadauIIA3, ImplicitEuler])
+def test_the_energy_is_kept_to_rounding(wrapper, method):
+    h = 0.002 if method is ImplicitEuler else 0.02  # with longer steps it falls into the sun
+    plain, kept = (run_steps(KEPLER, m(h), KEPLER_START, 200) for m in (method, wrapper(method, ENERGY)))
+    assert np.abs(energy_errors(plain)).max() > 1e-8
+    noise = 10 if method is ImplicitEuler else 1  # its steps are noisier than g
+    assert np.abs(energy_errors(kept)).max() < noise * ROUNDING
+
+
+@pytest.mark.parametrize(
+    ("method", "h", "n_steps"),
+    [
+        (VelocityVerlet, 0.05, 2000),
+        *(
+            pytest.param(*row, marks=pytest.mark.slow)
+            for row in [
+                (VelocityVerlet, 0.05, 10_000),
+                (ImplicitEuler, 0.01, 10_000),
+                (RadauIIA2, 0.1, 10_000),
+                (RadauIIA2, 0.1, 100_000),
+            ]
+        ),
+    ],
+)
+def test_the_energy_does_not_drift(method, h, n_steps):
+    kept = run_steps(KEPLER, projected(method, ENERGY)(h), KEPLER_START, n_steps, every=10)
+    assert np.abs(energy_errors(kept)).max() < ROUNDING
+
+
+def test_a_planet_whose_invariants_are_all_kept_stays_on_its_ellipse():
+    """Energy, angular momentum and direction of the pericentre: r + e x = a (1 − e²), with a first-order method."""
+
+    def direction(q, v):
+        spin, r = small.angular_momentum(q, v), np.sqrt(q @ q)
+        return np.arctan2(-v[0] * spin - q[1] / r, v[1] * spin - q[0] / r)
+
+    def off(path):
+        return np.abs(np.linalg.norm(path.q, axis=1) + 0.6 * path.q[:, 0] - 0.64).max()
+
+    orbit = Invariants(lambda q, v: [energy(q, v), small.angular_momentum(q, v), direction(q, v)])
+    kept, plain = (
+        run_steps(KEPLER, m(0.005), KEPLER_START, 300) for m in (projected(ImplicitEuler, orbit), ImplicitEuler)
+    )
+    assert off(kept) < 10 * ROUNDING
+    assert off(plain) > 0.04
+
+
+@wrappers
+def test_a_rigid_body_keeps_both_its_invariants(wrapper):
+    methods = wrapper(RadauIIA2, small.CASIMIR_AND_ENERGY), RadauIIA2
+    kept, plain = (run_steps(small.RIGID_BODY, method(0.1), small.TURNING, 100) for method in methods)
+    values = np.array([small.CASIMIR_AND_ENERGY.g(y, None) for y in kept.y])
+    assert np.abs(values - values[0]).max() < ROUNDING
+    assert abs(plain.y[-1] @ plain.y[-1] - small.TURNING @ small.TURNING) > 1e-6
+
+
+@pytest.mark.slow
+def test_seven_invariants_of_the_outer_solar_system():
+    """Energy, momentum and angular momentum of six bodies, q and v of shape (6, 3)."""
+    sun, g = load("geometric/problems.json")["outer_solar_system"], 2.95912208286e-4
+    m, x, v = (np.array(sun[key], dtype=float) for key in ("m", "x0", "v0"))
+    first, second = np.triu_indices(6, 1)
+
+    def gravity(q):
+        d = q[None] - q[:, None]
+        r3 = ((d**2).sum(axis=2) + np.eye(6)) ** 1.5
+        return g * (m[None, :, None] * d / r3[:, :, None]).sum(axis=1)
+
+    def conserved(q, v):
+        potential = -g * (m[first] * m[second] / np.linalg.norm(q[first] - q[second], axis=1)).sum()
+        return np.array([0.5 * m @ (v**2).sum(axis=1) + potential, *(m @ v), *(m @ np.cross(q, v))])
+
+    methods = projected(RadauIIA2, Invariants(conserved)), RadauIIA2
+    kept, plain = (run_steps(mi.SecondOrder(gravity), method(100.0), (x, v), 40) for method in methods)
+    speeds, distances = np.linalg.norm(v, axis=1), np.linalg.norm(x, axis=1)
+    terms = np.repeat([0.5 * m @ speeds**2, m @ speeds, m @ (distances * speeds)], [1, 3, 3])  # which may cancel
+    error, plain_error = (np.abs(conserved(s.q[-1], s.v[-1]) - conserved(x, v)) / terms for s in (kept, plain))
+    assert kept.q.shape == (41, 6, 3)
+    assert error.max() < 1e-14  # rounding
+    assert plain_error[0] > 1e-7
+
+
+@wrappers
+@pytest.mark.parametrize("method", [VelocityVerlet, GaussLegendre1, RadauIIA2])
+def test_reversal_returns_to_the_start_if_and_only_if_the_answer_is_symmetric(wrapper, method):
+    on_manifold = wrapper(method, ENERGY)
+    there = run_steps(KEPLER, on_manifold(0.05), KEPLER_START, 40)
+    back = run_steps(KEPLER, on_manifold(-0.05), (there.q[-1], there.v[-1]), 40, t0=2.0)
+    distance = np.abs(back.y[-1] - there.y[0]).max()
+    assert on_manifold.is_symmetric == (wrapper is not projected and method is not RadauIIA2)
+    assert distance < 1e-12 if on_manifold.is_symmetric else distance > 1e-7
+
+
+@wrappers
+def test_a_projected_symplectic_method_is_not_symplectic(wrapper):
+    """Its steps go to a manifold that does not hold the state."""
+    on_manifold = wrapper(VelocityVerlet, Invariants(energy, small.energy_slope, value=-0.8))
+    assert not on_manifold.is_symplectic
+    assert not on_manifold.is_explicit
+    start = (0.5, 0.3), (-0.4, 1.3)
+    defects = [small.symplecticity_defect(small.jacobian(KEPLER, m, start, 0.1)) for m in (on_manifold, VelocityVerlet)]
+    assert defects[0] > 1e-3
+    assert defects[1] < 1e-8  # truncation of the difference quotient
+
+
+def test_an_invariant_that_the_method_keeps_anyway_changes_nothing():
+    plain = run_steps(KEPLER, VelocityVerlet(0.02), KEPLER_START, 100)
+    for wrapper in WRAPPERS:
+        method = wrapper(VelocityVerlet, Invariants(small.angular_momentum))
+        kept = run_steps(KEPLER, method(0.02), KEPLER_START, 100)
+        assert np.abs(kept.y - plain.y).max() < 1e-11  # rounding, growing with the square of time
+
+
+def test_jacobians_by_differences_are_those_in_closed_form():
+    y = np.array([0.5, 0.3, -0.4, 1.3])
+    for invariants in (Invariants(energy), Invariants(lambda y: energy(y[:2], y[2:]))):
+        assert invariants.through(y, (2,)).jacobian(y) == pytest.approx(ENERGY.through(y, (2,)).jacobian(y), abs=1e-12)
+    found, given = (
+        run_until(KEPLER, projected(RadauIIA2, invariants)(0.05), KEPLER_START, PERIOD).y
+        for invariants in (Invariants(energy), ENERGY)
+    )
+    assert np.abs(found - given).max() < 1e-9
+
+
+def test_drivers_with_varying_steps_keep_the_invariants_too():
+    end, control = PERIOD, mi.StepControl(rtol=1e-6)
+    adaptive = mi.run_adaptive(KEPLER, projected(RadauIIA3, ENERGY), KEPLER_START, end, control=control)
+    reversible = mi.run_reversible(KEPLER, mi.with_multipliers(GaussLegendre1, ENERGY)(0.1), KEPLER_START, end)
+    for path in (adaptive, reversible):
+        assert np.ptp(np.diff(path.t)) > 0.05
+        assert np.abs(energy_errors(path)).max() < ROUNDING
+
+
+def test_a_given_value_is_reached_in_the_first_step():
+    for wrapper in WRAPPERS:
+        method = wrapper(GaussLegendre2, Invariants(energy, small.energy_slope, value=-0.49))
+        path = run_steps(KEPLER, method(0.05), KEPLER_START, 3)
+        assert energy_errors(path) == pytest.approx([0.0, 0.01, 0.01, 0.01], abs=10 * ROUNDING)
+
+
+def test_a_state_of_rest_stays_where_it_is():
+    """The gradient of the energy vanishes there, but nothing needs correction."""
+    spring, oscillator, rest = Invariants(lambda q, v: q @ q + v @ v), small.OSCILLATOR, ([0.0], [0.0])
+    for wrapper in WRAPPERS:
+        assert not run_steps(oscillator, wrapper(VelocityVerlet, spring)(0.1), rest, 5).y.any()
+    assert not run_steps(stabilized(oscillator, spring, 1.0), GaussLegendre1(0.1), rest, 5).y.any()
+
+
+def test_a_manifold_out_of_reach_is_told_with_the_path_before():
+    impossible = Invariants(lambda q, v: v @ v, value=-1.0)
+    with pytest.raises(md.ConvergenceError, match=r"step 1 .* invariant 0") as caught:
+        run_steps(KEPLER, projected(VelocityVerlet, impossible)(0.05), KEPLER_START, 5)
+    assert (caught.value.solution.q[0] == KEPLER_START[0]).all()
+
+
+# ---- problems changed so that their invariants are kept
+
+
+@pytest.mark.parametrize(("method", "h"), [(VelocityVerlet, 0.02), (RadauIIA2, 0.04), (GaussLegendre2, 0.06)])
+def test_the_order_of_a_method_on_the_stabilized_problem_is_its_own(method, h):
+    order = small.kepler_slope(method, [h, h / 1.5], stabilized(KEPLER, ENERGY, 1.0))
+    assert order == pytest.approx(method.order, abs=0.2)  # truncation
+
+
+@pytest.mark.parametrize(("gamma", "method"), [(0.5, GaussLegendre3), (2.0, RadauIIA3)])
+def test_a_stabilized_invariant_decays_exponentially(gamma, method):
+    """(g − g₀)′ = −γ (g − g₀), whatever the flow along the manifold."""
+    path = run_until(stabilized(KEPLER, Invariants(energy, value=-0.45), gamma), method(0.02), KEPLER_START, 1.0)
+    assert energy_errors(path) - 0.05 == pytest.approx(-0.05 * np.exp(-gamma * path.t), rel=1e-6)  # truncation
+
+
+def test_two_stabilized_invariants_decay_at_the_same_rate():
+    both = small.CASIMIR_AND_ENERGY
+    off = Invariants(lambda y: both.g(y, None), lambda y: both.jacobian(y, None), value=[1.0, 0.26])
+    path = run_until(stabilized(small.RIGID_BODY, off, 1.5), GaussLegendre3(0.05), small.TURNING, 4.0)
+    defect = np.array([off.g(y, None) - off.value for y in path.y])
+    assert defect == pytest.approx(np.exp(-1.5 * path.t)[:, None] * defect[0], rel=1e-6)  # truncation
+
+
+def test_stabilization_with_one_invariant_is_the_energy_form():
+    """y′ = f − γ (H − H₀) ∇H / |∇H|²."""
+    problem = stabilized(KEPLER, Invariants(energy, small.energy_slope, value=-0.3), 0.7)
+    y = problem.begin(KEPLER_START)
+    gradient = ENERGY.jacobian(y, (2,)).reshape(-1)
+    expected = KEPLER.field(0.0, KEPLER.begin(KEPLER_START)) - 0.7 * (-0.5 + 0.3) * gradient / (gradient @ gradient)
+    assert problem.field(0.0, y) == pytest.approx(expected, abs=ROUNDING)
+    halves = problem.g(0.0, y[:2], y[2:]), problem.f(0.0, y[:2], y[2:])
+    assert np.concatenate(halves) == pytest.approx(expected, abs=ROUNDING)
+
+
+@pytest.mark.slow
+def test_stabilization_bounds_an_energy_that_drifts_otherwise():
+    plain, steadied = (
+        np.abs(energy_errors(run_steps(problem, RadauIIA2(0.05), KEPLER_START, 2000)))
+        for problem in (KEPLER, stabilized(KEPLER, ENERGY, 5.0))
+    )
+    early, late = steadied[:1000].max(), steadied[1000:].max()
+    assert late == pytest.approx(early, rel=0.1)
+    assert plain[-1] > 10 * late
+
+
+def test_a_problem_on_its_manifold_is_not_changed_by_stabilization():
+    problem = stabilized(KEPLER, ENERGY, 3.0)
+    assert isinstance(problem, mi.Partitioned)
+    end = run_until(problem, mi.GaussLegendre4(0.04), KEPLER_START, 2.0).y[-1]
+    assert end == pytest.approx(small.kepler_orbit(2.0), abs=1e-10)  # truncation
+
+
+@pytest.mark.parametrize(
+    ("method", "h"), [pytest.param(ImplicitEuler, 0.002, marks=pytest.mark.slow), (RadauIIA2, 0.02), (RadauIIA3, 0.05)]
+)
+def test_the_problem_of_index_2_has_the_solutions_of_the_problem_itself(method, h):
+    """The energy is a constraint, to rounding; the multiplier vanishes with h, and the error as hᵖ."""
+    problem, errors, multipliers = mi.index_two(KEPLER, ENERGY), [], []
+    for step in (h, h / 2.0):
+        y, z = problem.parts(run_until(problem, method(step), KEPLER_START, 2.0).y)
+        errors.append(np.linalg.norm(y[-1] - small.kepler_orbit(2.0)))
+        multipliers.append(np.abs(z).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(method.order, abs=0.3)  # truncation
+    assert 1e-14 < multipliers[1] < 0.6 * multipliers[0]
+    assert max(abs(energy(x[:2], x[2:]) + 0.5) for x in y) < 3 * ROUNDING

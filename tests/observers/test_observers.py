@@ -91,10 +91,15 @@ def correlated(run, series, law):
 def pair_counts(run):
     """Of A-A, A-B and B-B, to half of the edge: among nearest images."""
     pairs = np.column_stack(np.triu_indices(len(run.species), 1))
-    kinds, shells = run.species[pairs].sum(axis=1), 4.0 / 3.0 * np.pi * np.diff(np.linspace(0, run.edges[0] / 2, 201) ** 3)
+    kinds, shells = (
+        run.species[pairs].sum(axis=1),
+        4.0 / 3.0 * np.pi * np.diff(np.linspace(0, run.edges[0] / 2, 201) ** 3),
+    )
     vectors = np.array(run.positions)[:, pairs[:, 1]] - np.array(run.positions)[:, pairs[:, 0]]
     distances = np.linalg.norm(vectors - run.edges * np.rint(vectors / run.edges), axis=2)
-    counts = [np.histogram(distances[:, kinds == k], 200, (0, run.edges[0] / 2))[0] / (kinds == k).sum() for k in range(3)]
+    counts = [
+        np.histogram(distances[:, kinds == k], 200, (0, run.edges[0] / 2))[0] / (kinds == k).sum() for k in range(3)
+    ]
     return {"g_of_pairs": np.array(counts) / len(run.positions) * run.edges.prod() / shells}
 
 
@@ -127,9 +132,7 @@ def heat_capacity(run):
 
 def layers(run):
     z, edges = np.array(run.positions)[:, :, 2] % run.edges[2], np.linspace(0.0, run.edges[2], 101)
-    densities = [
-        np.histogram(z[:, run.species == s], edges)[0] / len(z) / (run.edges.prod() / 100) for s in (0, 1)
-    ]
+    densities = [np.histogram(z[:, run.species == s], edges)[0] / len(z) / (run.edges.prod() / 100) for s in (0, 1)]
     squares = run.masses * (run.relative(run.velocities) ** 2).sum(axis=2)
     with np.errstate(invalid="ignore"):
         mean = np.histogram(z, edges, weights=squares)[0] / np.histogram(z, edges)[0]
@@ -283,7 +286,9 @@ def test_correlations_of_a_known_process(averages):
     counts, found = correlator.correlations(sums)
     near = correlator.lags < 200
     lags, found = correlator.lags[near], found[near, 0, 0] / chains
-    assert np.abs(found - decay**lags).max() < 0.03  # statistics: four errors of 200 chains of 4000/40 independent entries
+    assert (
+        np.abs(found - decay**lags).max() < 0.03
+    )  # statistics: four errors of 200 chains of 4000/40 independent entries
     assert np.trapezoid(found, lags) == pytest.approx(1.0 / (1.0 - decay) - 0.5, rel=0.05)
     assert counts[0] == n
 

@@ -8,6 +8,7 @@ import pytest
 from argon_atoms import argon, lennard_jones
 from ase.md.velocitydistribution import thermalize_momenta
 from references import liquid
+from scenes import LJ
 
 import minimd as md
 from minimd.diagnosis.timestep import velocity_temperature
@@ -16,11 +17,7 @@ from minimd.observers.correlator import MultipleTau, Product
 from minimd.observers.green_kubo import plateau, running_integral
 from minimd.structure.statistics import mean_and_error, replicas
 
-VISCOSITY, DIFFUSION, N_PUBLISHED = (
-    3.258,
-    0.0325,
-    1372,
-)  # K. Meier, A. Laesecke, S. Kabelac, J. Chem. Phys. 121, 3671 and 9526 (2004)
+VISCOSITY, DIFFUSION, N_PUBLISHED = 3.258, 0.0325, 1372  # K. Meier et al., J. Chem. Phys. 121, 3671 and 9526 (2004)
 DENSITY, TEMPERATURE = 0.8442, 0.722
 BLOCKS, COMPONENTS = 32, 5
 SLOW = {  # correlations of a known integral: share of C(0), time of the exponential
@@ -36,9 +33,8 @@ def sampled(integral, times, duration, n_samples, rng):
     That is the noise of five Gaussian processes, at times longer than their correlations.
     """
     steps = np.sqrt(np.diff(times, prepend=0.0) * BLOCKS / (COMPONENTS * duration))
-    blocks = integral + 2.0 * integral[-1] * np.cumsum(
-        rng.normal(size=(n_samples, BLOCKS, len(times))) * steps, axis=-1
-    )
+    noise = np.cumsum(rng.normal(size=(n_samples, BLOCKS, len(times))) * steps, axis=-1)
+    blocks = integral + 2.0 * integral[-1] * noise
     total = blocks.sum(axis=1, keepdims=True)
     return total[:, 0] / BLOCKS, (total - blocks) / (BLOCKS - 1)
 
@@ -71,10 +67,8 @@ def test_plateaus_have_honest_error_bars(kind):
         bias, within = honesty(integrals, without, times, truth)
         assert abs(bias) < 0.5
         assert 0.9 <= within <= 0.99
-        one, other = (
-            plateau(times, integrals[0], without[0]),
-            plateau(1e-3 * times, 1e5 * integrals[0], 1e5 * without[0]),
-        )
+        one = plateau(times, integrals[0], without[0])
+        other = plateau(1e-3 * times, 1e5 * integrals[0], 1e5 * without[0])
         assert (other.value, other.window[0]) == pytest.approx((1e5 * one.value, 1e-3 * one.window[0]))
 
 
@@ -100,9 +94,8 @@ def test_plateaus_of_gaussian_processes_have_honest_error_bars(kind):
             return running_integral(times[seen], correlator.correlations(total)[1][seen, :, 0].T / COMPONENTS)
 
     without = replicas(integral, sums, np.diff(marks, axis=0, prepend=0.0))
-    bias, within = honesty(
-        integral(sums), without.transpose(1, 0, 2), times[seen], sum(share * tau for share, tau in SLOW[kind])
-    )
+    truth = sum(share * tau for share, tau in SLOW[kind])
+    bias, within = honesty(integral(sums), without.transpose(1, 0, 2), times[seen], truth)
     print(f"{kind}: bias {bias:+.2f} standard errors, within two of them {100 * within:.0f} %")
     assert abs(bias) < 0.5
     assert 0.87 <= within <= 0.99  # statistics: two errors below the 0.90 of 900 samples of the third kind
@@ -158,7 +151,7 @@ def results(name, velocity, file):
     """All that is thermal in a short run, by name, of atoms with this velocity added."""
     system, (method, options) = liquid(3), RUNS[name]
     system.velocities += velocity
-    sim = md.Simulation(system, md.LennardJones(1.0, 1.0, 1.85, "switched"), method, **options)
+    sim = md.Simulation(system, LJ, method, **options)
     sim.extra_observables = ("stress",)
     kinds = "mean-square-displacement", "velocity-autocorrelation", "viscosity", "fluctuations"
     looking = [md.observers.KINDS[kind](every=2) for kind in kinds] + [md.observers.Profile(every=2, n_bins=1)]
@@ -265,10 +258,8 @@ def test_the_error_of_diffusion_is_what_runs_scatter_by():
     """Of 40 runs; 0.71 if blocks that follow the slow temperature of the bath were taken for uncorrelated."""
     found = [one.result() for one in map(diffusing, range(1, 41))]
     values, errors = np.array([(one.diffusion, one.diffusion_error) for one in found]).T
-    ratio, within = (
-        np.sqrt((errors**2).mean()) / values.std(ddof=1),
-        (np.abs(values - values.mean()) < 2.0 * errors).mean(),
-    )
+    ratio = np.sqrt((errors**2).mean()) / values.std(ddof=1)
+    within = (np.abs(values - values.mean()) < 2.0 * errors).mean()
     print(f"claimed over seen {ratio:.2f}, within two errors {100.0 * within:.0f} %")
     assert 0.75 < ratio < 1.45  # 0.85 to 1.3, and what 40 runs can tell: 11 %
     assert within >= 0.85

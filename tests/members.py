@@ -36,7 +36,7 @@ def melted(simulation, member):
 
 
 def run(folder, fate=None, **options):
-    """A small ensemble in this process, unless options say otherwise; the function build has the same name whatever the fate."""
+    """A small ensemble, in this process unless options say otherwise; its build has the same name whatever the fate."""
     usual = {"build": partial(liquid, fate=fate), "parameters": TEMPERATURES, "steps": STEPS, "prepare": melted}
     usual |= {"every": 5, "progress": False, "workers": None if "executor" in options else 0}
     return md.ensemble(**usual | {"folder": folder} | options)

@@ -1,4 +1,4 @@
-"""Executors of md.ensemble: all make the same bits; what a member raises, and a process that dies, cost this member only."""
+"""Executors of md.ensemble: all make the same bits; an error, and a process that dies, cost one member only."""
 
 import multiprocessing
 import os

@@ -40,15 +40,6 @@ def test_data_frame_csv_and_json_are_the_table(done):
     assert told["columns"]["file"] == members.FILES
 
 
-def test_blocks_see_a_correlation_that_single_entries_do_not():
-    series = np.repeat(np.random.default_rng(1).standard_normal(400), 50)  # each number fifty times
-    mean, error = mean_and_error(series)
-    assert mean == pytest.approx(series.mean())
-    assert error == pytest.approx(1.0 / np.sqrt(400), rel=0.5)  # statistics: of 20 blocks
-    assert error > 4.0 * series.std() / np.sqrt(len(series))
-    assert np.isnan(mean_and_error([1.0, 2.0])[1])
-
-
 def test_a_table_of_fewer_members_is_a_part_and_one_of_more_steps_has_no_averages(done):
     with EnsembleFolder(done.folder, writes=False) as folder:
         few, more = table_of(folder, folder.asked, 1), table_of(folder, folder.asked._replace(steps=STEPS + 1), 3)

@@ -1,4 +1,4 @@
-"""Observers of a run: their answers are those of slow twins, and of MDAnalysis; a run that was cut goes on to the same."""
+"""Observers of a run have the answers of slow twins and of MDAnalysis; a run that was cut goes on to the same."""
 
 import json
 
@@ -73,7 +73,7 @@ def run():
 
 
 def correlated(run, series, law):
-    """Over the origins that a level of the correlator has, every stride-th: of all atoms, each species and direction."""
+    """Over the origins that a level of the correlator has: of all atoms, each species and direction."""
     lags, means = np.array([*range(16), *range(16, 32, 2), *range(32, 51, 4)]), []
     for lag in lags:
         stride = 1 if lag < 16 else 2 if lag < 32 else 4
@@ -199,7 +199,7 @@ def test_radial_distribution_of_a_crystal_counts_all_images(cell):
 
 @pytest.mark.parametrize("growth", [1.0, 1.001])
 def test_free_atoms_move_as_their_velocities_say(growth):
-    """Ballistic motion: ⟨v²⟩ t² at every lag of every level; it is that of the atoms where the cell grows under them."""
+    """Ballistic motion: ⟨v²⟩ t² at every lag of every level, also where the cell grows under the atoms."""
     velocities = np.random.default_rng(2).normal(size=(20, 3))
     velocities -= velocities.mean(axis=0)
     system = md.System(np.zeros((20, 3)), velocities=velocities, cell=50.0)

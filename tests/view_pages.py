@@ -26,7 +26,7 @@ def skewed_chains(timestep=0.004, pbc=(True, True, True)):
         species=["A", "B"] * 6,
         bonds=np.concatenate([bonds, bonds + 6]),
     )
-    lj = md.LennardJones(1.0, 1.0, 2.5, "switched", bonded_scale=(0, 1, 1))
+    lj = md.LennardJones(1.0, 1.0, 2.5, "force-shifted", bonded_scale=(0, 1, 1))
     simulation = md.Simulation(system, [lj, md.HarmonicBond(1000.0, 1.0)], md.VelocityVerlet(timestep))
     simulation.set_temperature(0.8, seed=2)
     return simulation
@@ -43,8 +43,8 @@ def failed_melt(folder):
 class Parts(HTMLParser):
     """A page taken apart.
 
-    attributes : (element, name, value) of all elements.  texts : of script and style elements, by id.  about : what the program knows beside
-    the counts.  counts : (T, N, 3) uint16.  bonds : (B, 2).
+    attributes : (element, name, value) of all elements.  texts : of script and style elements, by id.
+    about : what the program knows beside the counts.  counts : (T, N, 3) uint16.  bonds : (B, 2).
     """
 
     def __init__(self, page):

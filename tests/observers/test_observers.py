@@ -19,6 +19,7 @@ from minimd.observers.fluctuations import FEWEST, correlation_times
 from minimd.scene import parse_scene, resume_run, run_scene
 
 DISPLACEMENT, VELOCITY = "mean-square-displacement", "velocity-autocorrelation"
+NONE = md.LennardJones(1e-12, 1e-3, 0.1, "force-shifted")  # next to no forces
 EVERY = {"radial-distribution": 10, DISPLACEMENT: 2, VELOCITY: 2, "viscosity": 5, "fluctuations": 5, "profile": 10}
 
 
@@ -151,7 +152,7 @@ def test_an_observer_has_the_result_of_its_slow_twin(kind, run):
 def test_radial_distribution_of_a_crystal_counts_all_images(cell):
     """Half the vectors from one atom to the other, and to the images of both, far beyond the cell."""
     system = md.System(np.array([[0.0, 0.0, 0.0], [2.0, 1.0, 1.0]]) @ cell, cell=np.diag([4.0, 2.0, 2.0]) @ cell)
-    sim = md.Simulation(system, md.LennardJones(1e-9, 0.1, 0.3), md.VelocityVerlet(0.1))
+    sim = md.Simulation(system, NONE, md.VelocityVerlet(0.1))
     result = looked(observers.RadialDistribution(r_max=5.0, n_bins=500, every=1), sim)
     counts = result.g * 4.0 / 3.0 * np.pi * np.diff(np.linspace(0.0, 5.0, 501) ** 3) / system.volume  # of one pair
     shifts = (np.indices((9, 9, 9)).reshape(3, -1).T - 4) @ system.cell.vectors
@@ -172,7 +173,7 @@ def test_free_atoms_move_as_their_velocities_say(growth, drift):
     velocities -= velocities.mean(axis=0)
     system = md.System(np.zeros((20, 3)), velocities=velocities + drift, cell=50.0)
     method = md.VelocityVerlet(0.01) if drift >= 0.0 else md.LangevinBAOAB(0.01, 1.0, 1.0, seed=1)
-    sim = md.Simulation(system, md.LennardJones(1e-12, 1e-3, 0.1), method)
+    sim = md.Simulation(system, NONE, method)
     looking = observers.MeanSquareDisplacement(every=1)
     looking.prepare(sim.engine)
     for step in range(200):
@@ -337,7 +338,7 @@ def seen_by(*looking, sim=None):
 
 
 def open_atoms():
-    return md.Simulation(md.System(np.eye(3)), md.LennardJones(1.0, 0.5, 2.0), md.VelocityVerlet(0.001))
+    return md.Simulation(md.System(np.eye(3)), LJ, md.VelocityVerlet(0.001))
 
 
 def with_another_time_step():

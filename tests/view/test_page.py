@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import subprocess
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import h5py
 import numpy as np
 import pytest
 from references import melt_scene
+from scenes import LJ
 from view_pages import LEVELS, Parts, failed_melt, skewed_chains
 from wrong_calls import assert_answered
 
@@ -213,8 +215,7 @@ def test_a_record_shows_its_run_or_says_what_it_needs(tmp_path):
 
 @pytest.mark.parametrize("n_frames", [1, 2])
 def test_few_frames_and_one_atom_at_rest(tmp_path, n_frames):
-    system = md.System([[0.0, 0.0, 0.0]])
-    made = md.Simulation(system, md.LennardJones(1.0, 1.0, 2.5, "switched"), md.VelocityVerlet(0.004))
+    made = md.Simulation(md.System([[0.0, 0.0, 0.0]]), LJ, md.VelocityVerlet(0.004))
     made.run(5 * n_frames - 5, every=5, trajectory=tmp_path / "a.h5md")
     assert Parts(md.view(tmp_path / "a.h5md").html).counts.shape == (n_frames, 1, 3)
 
@@ -279,9 +280,9 @@ def test_the_command_shows_a_failed_scene(tmp_path, monkeypatch, capsys):
     assert about["marked"] == [found.pair.first, found.pair.second]
 
 
-@pytest.mark.parametrize("frames", [1, 2.5, "all"])
-def test_a_number_of_frames_that_is_none_is_refused(run_file, frames):
-    assert_answered(lambda: md.view(run_file, frames=frames), ValueError, "frames", repr(frames))
+def test_a_number_of_frames_that_is_none_is_refused(run_file):
+    for frames in (1, 2.5, "all"):
+        assert_answered(partial(md.view, run_file, frames=frames), ValueError, "frames", repr(frames))
 
 
 def test_a_damaged_file_is_refused(run_file, tmp_path):

@@ -62,9 +62,9 @@ def test_a_run_of_the_users_gives_numbers_pairs_or_series(done, tmp_path):
     assert set(table["file"]) == {""}
 
 
-def table_of_rows(folder, n=60):
-    """Drawn numbers of two sets of two parameters, some of members that have failed, and one set of a single member."""
-    rng = np.random.default_rng(1)
+def test_averages_over_sets_of_members_are_those_of_each_set(tmp_path):
+    """Of two parameters; some members have failed, one is alone in its set, and of one observable no error is known."""
+    rng, n = np.random.default_rng(1), 60
     means = [(f"{x}_{y}", float) for x in "pq" for y in ("mean", "error")]
     rows = np.zeros(n, dtype=[("a", "U3"), ("b", float), ("status", "U7"), *means])
     rows["a"], rows["b"] = rng.choice(["one", "two"], n), rng.choice([0.3, -0.1, 2.0], n)
@@ -73,29 +73,18 @@ def table_of_rows(folder, n=60):
     for name, _ in means:
         rows[name] = rng.standard_normal(n)
     rows["q_error"] = np.nan
-    return md.EnsembleTable(folder, ["a", "b"], rows, None)
-
-
-def by_hand(rows, observable):
-    """Means and errors over members with the same parameters, one set after the other."""
-    sets = {}
-    for row in rows:
-        sets.setdefault((row["a"], row["b"]), []).append(row)
-    for (a, b), some in sets.items():
-        means, errors = (np.array([row[f"{observable}_{what}"] for row in some]) for what in ("mean", "error"))
-        scatter = means.std(ddof=1) / np.sqrt(len(means)) if len(means) > 1 else np.nan
-        yield a, b, len(means), means.mean(), np.fmax(np.sqrt((errors**2).sum()) / len(means), scatter)
-
-
-def test_averages_over_sets_of_members_are_those_of_each_set(tmp_path):
-    table = table_of_rows(tmp_path)
-    made = table.averaged()
-    for x in "pq":
-        got = [tuple(row) for row in made[["a", "b", "n_members", f"{x}_mean", f"{x}_error"]].tolist()]
-        expected = list(by_hand(table.array[table.done], x))
-        assert [row[:3] for row in got] == [row[:3] for row in expected]
-        np.testing.assert_allclose([row[3:] for row in got], [row[3:] for row in expected], rtol=1e-13)  # rounding
-    table.array["status"] = "failed"
+    table = md.EnsembleTable(tmp_path, ["a", "b"], rows, None)
+    made, done = table.averaged(), rows[rows["status"] == "done"]
+    assert made[["a", "b"]].tolist() == list(dict.fromkeys(done[["a", "b"]].tolist()))
+    for row in made:
+        some = done[(done["a"] == row["a"]) & (done["b"] == row["b"])]
+        assert row["n_members"] == len(some)
+        for x in "pq":
+            values, errors = some[f"{x}_mean"], some[f"{x}_error"]
+            scatter = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
+            expected = [values.mean(), np.fmax(np.sqrt((errors**2).sum()) / len(values), scatter)]
+            np.testing.assert_allclose([row[f"{x}_mean"], row[f"{x}_error"]], expected, rtol=1e-13)  # rounding
+    rows["status"] = "failed"
     assert len(table.averaged()) == 0
 
 

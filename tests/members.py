@@ -93,7 +93,7 @@ def blows_up(simulation, member):
     """Above 0.6, in the place of `melted`."""
     melted(simulation, member)
     if member["temperature"] > 0.6:
-        simulation.method = md.LangevinBAOAB(0.3, member["temperature"], 1.0, seed=member.seed)
+        simulation.method = md.LangevinBAOAB(0.04, member["temperature"], 1.0, seed=member.seed)
 
 
 blows_up.__qualname__ = melted.__qualname__

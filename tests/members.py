@@ -1,19 +1,63 @@
-"""Functions that worker processes can import: members of small ensembles, and what may happen to them."""
+"""Members of small ensembles, as functions that worker processes can import, and what may befall them."""
 
 import os
 import signal
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numba import njit
 
 import minimd as md
+from minimd.files.h5md_reader import read_file, verify_frames
 from minimd.structure.lattice import crystal
 
-TEMPERATURES = {"temperature": [0.4, 0.5, 0.6, 0.7]}
+TEMPERATURES = {"temperature": [0.4, 0.5, 0.7]}
 STEPS = 60
+FILES = [f"0000-0999/{k:04d}.h5md" for k in range(3)]
 POSITIONS, EDGES = crystal("fcc", [2, 2, 2], 1.6)
+
+
+def liquid(member, fate=None, law=None, **options):
+    """32 atoms in a bath.  fate : function of simulation and member, called at the end."""
+    method = md.LangevinBAOAB(0.004, member["temperature"], 1.0, seed=member.seed)
+    simulation = md.Simulation(
+        md.System(POSITIONS, cell=EDGES), law or md.LennardJones(1.0, 1.0, 1.8), method, **options
+    )
+    simulation.set_temperature(member["temperature"], member.seed)
+    if fate is not None:
+        fate(simulation, member)
+    return simulation
+
+
+def melted(simulation, member):
+    simulation.equilibrate(20, 2.0 * member["temperature"], progress=False)
+
+
+def run(folder, fate=None, **options):
+    """A small ensemble, in this process unless options say otherwise; its build has the same name whatever the fate."""
+    usual = {"build": partial(liquid, fate=fate), "parameters": TEMPERATURES, "steps": STEPS, "prepare": melted}
+    usual |= {"every": 5, "progress": False, "workers": None if "executor" in options else 0}
+    return md.ensemble(**usual | {"folder": folder} | options)
+
+
+def assert_same(folder, other):
+    """Tables are the same, and all that minimd reads from files of members, to the last bit."""
+    for name in ("table.csv", "table.json"):
+        assert Path(folder, name).read_bytes() == Path(other, name).read_bytes()
+    assert_same_files(folder, other)
+
+
+def assert_same_files(folder, other):
+    for name in FILES:
+        verify_frames(Path(folder, name))
+        ours, theirs = read_file(Path(folder, name)), read_file(Path(other, name))
+        for series, values in theirs.record.columns().items():
+            np.testing.assert_array_equal(ours.record.columns()[series], values, strict=True)
+        np.testing.assert_array_equal(ours.system.positions, theirs.system.positions, strict=True)
+        np.testing.assert_array_equal(ours.system.velocities, theirs.system.velocities, strict=True)
+        assert (ours.step, ours.time, ours.reservoir_energy) == (theirs.step, theirs.time, theirs.reservoir_energy)
 
 
 @njit
@@ -23,73 +67,50 @@ def gaussian(r2, height, width2):
     return u, 2.0 * u / width2
 
 
-def liquid(member, law=None, timestep=0.004, **options):
-    """32 atoms in a bath."""
-    method = md.LangevinBAOAB(timestep, member["temperature"], 1.0, seed=member.seed)
-    simulation = md.Simulation(
-        md.System(POSITIONS, cell=EDGES), law or md.LennardJones(1.0, 1.0, 1.8), method, **options
-    )
-    simulation.set_temperature(member["temperature"], member.seed)
-    return simulation
-
-
 def own_law(member):
-    return liquid(member, md.PairPotential(gaussian, (1.0, 0.5), 1.8))
+    return liquid(member, law=md.PairPotential(gaussian, (1.0, 0.5), 1.8))
 
 
-def two_threads(member):
-    return liquid(member, threads=2)
-
-
-def hot(member, timestep=0.3):
-    """Members above 0.6 blow up."""
-    return liquid(member, timestep=timestep if member["temperature"] > 0.6 else 0.004)
-
-
-def broken(member):
+def broken(simulation, member):
     raise LookupError(f"no structure for {member.index}")
 
 
-def melted(simulation, member):
-    simulation.equilibrate(20, 2.0 * member["temperature"], progress=False)
+def third_breaks_once(simulation, member):
+    once = member.file.parents[1] / "broken"
+    if member.index == 2 and not once.exists():
+        once.touch()
+        broken(simulation, member)
 
 
-def pressure_alone(simulation, member):
-    record = simulation.run(member.steps, every=10, progress=False)
-    return {"pressure": record.pressure, "last": float(record.pressure[-1]), "known": (1.0, 0.1)}
+def third_is_killed_once(simulation, member):
+    once = member.file.parents[1] / "killed"
+    if member.index == 2 and not once.exists():
+        once.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def blows_up(simulation, member):
+    """Above 0.6, in the place of `melted`."""
+    melted(simulation, member)
+    if member["temperature"] > 0.6:
+        simulation.method = md.LangevinBAOAB(0.04, member["temperature"], 1.0, seed=member.seed)
+
+
+blows_up.__qualname__ = melted.__qualname__
+
+
+def second_is_slow(simulation, member):
+    """Each block of steps of member 1 takes half a second."""
+    advance = simulation.engine.advance
+
+    def slowly(*arguments, **options):
+        time.sleep(0.5)
+        return advance(*arguments, **options)
+
+    if member.index == 1:
+        simulation.engine.advance = slowly
 
 
 def in_own_file(simulation, member):
     record = member.run(simulation, every=5)
     return {"pressure": record.pressure, "last": float(record.pressure[-1]), "step": simulation.step}
-
-
-def one_is_killed(member):
-    """The process of member 2 is killed, once."""
-    once = member.file.parents[1] / "killed"
-    simulation = liquid(member)
-    if member.index == 2 and not once.exists():
-        once.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return simulation
-
-
-def counted(member):
-    """Each call leaves a mark beside the folder."""
-    with Path(member.file.parents[2] / "calls").open("a") as file:
-        file.write(f"{member.index} {member.file.exists()}\n")
-    return liquid(member)
-
-
-def second_is_slow(member, seconds=0.5):
-    """Each block of steps of member 1 takes half a second."""
-    simulation = liquid(member)
-    advance = simulation.engine.advance
-
-    def slowly(*arguments, **options):
-        time.sleep(seconds)
-        return advance(*arguments, **options)
-
-    if member.index == 1:
-        simulation.engine.advance = slowly
-    return simulation

@@ -6,11 +6,9 @@ import shutil
 import numpy as np
 import pytest
 from PIL import Image
-from references import melt_scene
-from view_pages import Parts, skewed_chains
+from view_pages import Parts, failed_melt, skewed_chains
 
 import minimd as md
-from minimd.commands import main as cli
 from minimd.view import View
 
 pytestmark = pytest.mark.slow
@@ -95,13 +93,7 @@ def run_page(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def failed_page(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("failed")
-    scene = melt_scene(4, 4000, f'[output]\ntrajectory = "{folder}/melt.h5md"\nevery = 100\n').replace(
-        "timestep = 0.004", "timestep = 0.06"
-    )
-    (folder / "melt.toml").write_text(scene)
-    assert cli.main(["run", str(folder / "melt.toml"), "--quiet"]) == 3
-    return md.view(folder / "melt.crash.h5md").save()
+    return md.view(failed_melt(tmp_path_factory.mktemp("failed"))).save()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -149,8 +141,8 @@ def test_the_atoms_are_where_the_file_has_them(browser, run_page):
 @pytest.mark.parametrize("kind", ["run_page", "failed_page"])
 def test_the_keyboard_reaches_every_control_and_shows_where_it_is(browser, request, kind):
     opened = Opened(browser, request.getfixturevalue(kind))
-    everything = f'[...document.querySelectorAll("{CONTROLS}")].filter(one => one.checkVisibility()).map(one => one.id || one.tagName)'
-    wanted, reached = set(opened.page.evaluate(everything)), set()
+    shown = f'[...document.querySelectorAll("{CONTROLS}")].filter(one => one.checkVisibility())'
+    wanted, reached = set(opened.page.evaluate(f"{shown}.map(one => one.id || one.tagName)")), set()
     for _ in range(60):
         opened.page.keyboard.press("Tab")
         reached.add(opened.page.evaluate(FOCUS))
@@ -164,45 +156,27 @@ def test_the_keyboard_reaches_every_control_and_shows_where_it_is(browser, reque
 
 def test_the_keyboard_works_every_control(browser, run_page):
     opened = Opened(browser, run_page)
-    keys = opened.page.keyboard.press
-    for name, key, frame in [
-        ("forward", "Enter", 1),
-        ("forward", " ", 2),
-        ("back", "Enter", 1),
-        ("last", "Enter", 30),
-        ("first", " ", 0),
-        ("frame", "ArrowRight", 1),
+
+    def press(name, key):
+        opened.tab_to(name)
+        opened.page.keyboard.press(key)
+
+    keys = "forward Enter 1, forward Space 2, back Enter 1, last Enter 30, first Space 0, frame ArrowRight 1"
+    for name, key, frame in map(str.split, keys.split(", ")):
+        press(name, key)
+        assert opened.frame() == int(frame), name
+    for name, key in [("cell", " "), ("bonds", " "), ("size", "ArrowRight")] + [
+        ("scene", key) for key in ("ArrowLeft", "ArrowUp", "+", "Home")
     ]:
-        opened.tab_to(name)
-        keys(key)
-        assert opened.frame() == frame, name
-    for name in ("cell", "bonds"):
         before = opened.pixels()
-        opened.tab_to(name)
-        keys(" ")
-        assert opened.pixels() != before, name
-    before = opened.pixels()
-    opened.tab_to("size")
-    keys("ArrowRight")
-    assert opened.pixels() != before
-    opened.tab_to("scene")
-    for key in ("ArrowLeft", "ArrowUp", "+", "Home"):
-        before = opened.pixels()
-        keys(key)
-        assert opened.pixels() != before, key
-    opened.tab_to("larger")
-    keys("Enter")
+        press(name, key)
+        assert opened.pixels() != before, (name, key)
+    press("larger", "Enter")
     assert opened.page.inner_text("#zoom") == "125 %"
-    opened.tab_to("speed")
-    keys("ArrowDown")
-    opened.tab_to("repeat")
-    keys(" ")
-    opened.tab_to("last")
-    keys("Enter")
-    opened.tab_to("back")
-    keys("Enter")
-    opened.tab_to("play")
-    keys("Enter")
+    press("speed", "ArrowDown")
+    press("repeat", " ")
+    for name in ("last", "back", "play"):
+        press(name, "Enter")
     opened.wait("!minimd.player.isPlaying")
     assert opened.frame() == 30
 

@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import subprocess
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
@@ -12,19 +13,24 @@ import h5py
 import numpy as np
 import pytest
 from references import melt_scene
-from view_pages import LEVELS, Parts, skewed_chains
+from scenes import LJ
+from view_pages import LEVELS, Parts, failed_melt, skewed_chains
+from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.commands import main as cli
 from minimd.files.crash_file import read_crash_report
+from minimd.mdanalysis.universes import universe_of
 from minimd.structure.images import nearest_vectors
 from minimd.view import View
-from minimd.view.motion import ATOMS, BYTES, bonds_among, chosen_atoms, chosen_frames
+from minimd.view.motion import ATOMS, BYTES, bonds_among, chosen_atoms, chosen_frames, motion_of
 from minimd.view.page import page
 from minimd.view.stories import run_story
 
 PAGE = files("minimd.view") / "page"
 URL = re.compile(r"https?:|//\w", re.I)
+LINKS = ("src", "href", "action", "data", "srcset", "poster", "formaction", "srcdoc")
+CALLS = re.compile(r"\bfetch\(|XMLHttpRequest|WebSocket|sendBeacon|import\(|@import|url\(")
 
 
 @pytest.fixture(scope="module")
@@ -57,53 +63,47 @@ def stored_positions(path):
 def asks_nobody(page):
     """Whether no element names anything outside the page, and the browser is told to refuse it."""
     parts = Parts(page)
-    linked = [
-        value
-        for _, name, value in parts.attributes
-        if name in ("src", "href", "action", "data", "srcset", "poster", "formaction", "srcdoc")
-    ]
+    linked = [value for _, name, value in parts.attributes if name in LINKS]
     policy = next(
-        value for tag, name, value in parts.attributes if tag == "meta" and name == "content" and "default-src" in value
+        value for tag, name, value in parts.attributes if (tag, name) == ("meta", "content") and "-src" in value
     )
     own = [text for name, text in parts.texts.items() if "NGL=" not in text[:1000] or name.startswith("style")]
-    return (
-        all(value.startswith("data:") for value in linked)
-        and "default-src 'none'" in policy
-        and not URL.search(policy)
-        and not any(
-            re.search(r"\bfetch\(|XMLHttpRequest|WebSocket|sendBeacon|import\(|@import|url\(", text) for text in own
-        )
-        and "sourceMappingURL" not in page
-    )
+    refuses = "default-src 'none'" in policy and not URL.search(policy)
+    is_whole = all(value.startswith("data:") for value in linked) and "sourceMappingURL" not in page
+    return refuses and is_whole and not any(map(CALLS.search, own))
 
 
 def test_the_page_asks_nobody(made):
     assert asks_nobody(made)
-    for spoiled in (
-        '<img src="https://a.org/b.png">',
-        '<link href="//a.org/c.css">',
-        "<script>fetch('x')</script>",
-        "<style>@import 'x'</style>",
-    ):
+    image, link = '<img src="https://a.org/b.png">', '<link href="//a.org/c.css">'
+    for spoiled in (image, link, "<script>fetch('x')</script>", "<style>@import 'x'</style>"):
         assert not asks_nobody(made.replace("</main>", f"{spoiled}</main>"))
     assert not asks_nobody(made.replace("default-src 'none'", "default-src *"))
 
 
-@pytest.mark.parametrize(
-    "pbc", [(True, True, True), (True, True, False), (False, False, False)], ids=["bulk", "slab", "open"]
-)
+@pytest.mark.parametrize("pbc", [(1, 1, 1), (1, 1, 0), (0, 0, 0)], ids=["bulk", "slab", "open"])
 def test_the_counts_are_the_positions_of_the_file(tmp_path, pbc):
     """To half a step of the grid along each lattice vector, and to any vector of the lattice."""
-    simulation = skewed_chains(pbc=pbc)
+    simulation = skewed_chains(pbc=np.array(pbc, dtype=bool))
     record = simulation.run(100, every=10, trajectory=tmp_path / "a.h5md")
-    shown, cell = Parts(record.view().html), simulation.system.cell
-    differences = (shown.positions() - stored_positions(tmp_path / "a.h5md")) @ cell.inverse
+    with universe_of(tmp_path / "a.h5md") as opened:
+        shown, cell = motion_of(opened, 200), simulation.system.cell
+    differences = np.array([shown.positions(k) for k in range(11)]) - stored_positions(tmp_path / "a.h5md")
+    differences = differences @ cell.inverse
     differences -= np.where(cell.pbc, np.rint(differences), 0.0)
-    width = np.array(shown.about["width"])[:, None]
+    width = np.array(shown.width)[:, None]
     assert (np.abs(differences) <= (0.5 + 0.01) * width / LEVELS).all()  # half a step; a hundredth for float32
     assert np.abs(differences).max() > 0.2 * width.min() / LEVELS
-    np.testing.assert_array_equal(shown.about["steps"], record.step)
-    np.testing.assert_array_equal(shown.about["temperatures"], record.temperature)
+    np.testing.assert_array_equal(shown.steps, record.step)
+    np.testing.assert_array_equal(shown.temperatures, record.temperature)
+
+
+def test_the_page_holds_these_counts(story, parts):
+    motion = story.motion
+    np.testing.assert_array_equal(parts.counts, motion.counts)
+    assert parts.about["steps"] == motion.steps.tolist() == list(range(0, 601, 20))
+    assert parts.about["temperatures"] == motion.temperatures.tolist()
+    np.testing.assert_allclose(parts.positions()[30], motion.positions(30), atol=1e-12)  # rounding
 
 
 def test_bonds_are_those_of_the_system_and_of_lengths_held_fixed():
@@ -124,17 +124,20 @@ def test_bonds_join_nearest_images(run_file, parts):
         assert np.abs(frame / LEVELS @ lattice - expected).max() <= 1.01 * np.abs(lattice).sum(axis=0).max() / LEVELS
 
 
+PROGRAM = """
+const bonds = motion.bonds, start = new Float32Array(3 * bonds.length), end = new Float32Array(3 * bonds.length);
+motion.halves(7, motion.positions(7), start, end);
+console.log(JSON.stringify([motion.positions(7), start, end].map((array) => Array.from(array))));"""
+
+
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
 def test_the_program_of_the_page_puts_atoms_into_the_cell_and_bonds_beside_them(run_file, parts, tmp_path):
     """The JavaScript itself, run by node."""
-    text = (PAGE / "motion.js").read_text(encoding="utf-8")
-    known = {name: json.dumps(getattr(parts, name).ravel().tolist()) for name in ("counts", "bonds")}
-    (tmp_path / "a.js").write_text(
-        f"{text}\nconst motion = new Motion({json.dumps(parts.about)}, Uint16Array.from({known['counts']}), new Uint32Array(12), {known['bonds']});\n"
-        "const bonds = motion.bonds, start = new Float32Array(3 * bonds.length), end = new Float32Array(3 * bonds.length);\n"
-        "motion.halves(7, motion.positions(7), start, end);\n"
-        "console.log(JSON.stringify([motion.positions(7), start, end].map((array) => Array.from(array))));"
+    about, counts, bonds = (
+        json.dumps(one) for one in (parts.about, parts.counts.ravel().tolist(), parts.bonds.ravel().tolist())
     )
+    made = f"const motion = new Motion({about}, Uint16Array.from({counts}), new Uint32Array(12), {bonds});"
+    (tmp_path / "a.js").write_text(f"{(PAGE / 'motion.js').read_text(encoding='utf-8')}\n{made}{PROGRAM}")
     answer = subprocess.run(["node", tmp_path / "a.js"], capture_output=True, text=True, check=True)
     positions, start, end = (np.array(numbers).reshape(-1, 3) for numbers in json.loads(answer.stdout))
     system, grid = skewed_chains().system, np.abs(np.array(parts.about["edges"])).sum() / LEVELS
@@ -143,17 +146,16 @@ def test_the_program_of_the_page_puts_atoms_into_the_cell_and_bonds_beside_them(
     assert np.abs(differences - np.rint(differences)).max() < grid
     np.testing.assert_array_equal(start, positions[system.bonds.ravel()])
     halves = (end - start).reshape(-1, 2, 3)
-    expected = nearest_vectors(stored_positions(run_file)[7], system.cell, system.bonds)
-    np.testing.assert_allclose(halves[:, 0], expected / 2.0, atol=grid)
-    np.testing.assert_allclose(halves[:, 1], -expected / 2.0, atol=grid)
+    expected = nearest_vectors(stored_positions(run_file)[7], system.cell, system.bonds)[:, None] / [[2.0], [-2.0]]
+    np.testing.assert_allclose(halves, expected, atol=grid)
 
 
 def test_4000_atoms_in_200_frames_stay_below_10_megabytes(story):
     motion = story.motion
-    many, known = motion._replace(counts=np.zeros((200, 4000, 3), np.uint16)), {}
-    for name in ("low", "width", "steps", "times", "temperatures"):
-        known[name] = np.resize(getattr(motion, name), (200, *getattr(motion, name).shape[1:]))
-    many = many._replace(atoms=np.zeros(4000, int), bonds=np.zeros((4000, 2), int), **known)
+    known = {name: getattr(motion, name) for name in ("low", "width", "steps", "times", "temperatures")}
+    known = {name: np.resize(values, (200, *values.shape[1:])) for name, values in known.items()}
+    known |= {"atoms": np.zeros(4000, int), "bonds": np.zeros((4000, 2), int)}
+    many = motion._replace(counts=np.zeros((200, 4000, 3), np.uint16), **known)
     assert 6.4e6 < len(page(story._replace(motion=many)).encode()) < 9e6  # 4.8 MB of counts become 6.4
 
 
@@ -170,14 +172,8 @@ def test_frames_and_atoms_are_thinned():
 
 
 def test_the_page_holds_parameters_report_picture_species_and_licences(made):
-    for words in (
-        "check          passed",
-        "lengths in σ, energies in ε",
-        "A (6)",
-        "B (6)",
-        "data:image/svg+xml;base64,",
-        "Copyright (c) 2014-2017, Alexander S Rose",
-    ):
+    report = ("check          passed", "lengths in σ, energies in ε", "A (6)", "B (6)")
+    for words in (*report, "data:image/svg+xml;base64,", "Copyright (c) 2014-2017, Alexander S Rose"):
         assert words in made
     assert (PAGE / "ngl.js").read_text(encoding="utf-8").count("</script") == 0
 
@@ -189,9 +185,8 @@ def test_every_control_has_a_name_and_every_name_in_the_program_a_control(made, 
     body = made[made.index("<main>") : made.index("</main>")]
     for control in re.findall(r"<button.*?</button>", body):
         assert re.search(r">[^<]+</button>", control), control
-    assert len(re.findall(r"<(?:input|select)\b", body)) == len(
-        re.findall(r"<label[^>]*>(?:(?!</label>).)*<(?:input|select)\b", body, re.S)
-    )
+    labelled = re.findall(r"<label[^>]*>(?:(?!</label>).)*<(?:input|select)\b", body, re.S)
+    assert len(re.findall(r"<(?:input|select)\b", body)) == len(labelled)
 
 
 def test_texts_of_a_scene_are_shown_and_not_run(story):
@@ -205,10 +200,8 @@ def test_a_view_is_shown_in_a_notebook_and_saved(run_file, made, tmp_path):
     seen = View(made, run_file, "31 frames of 12 atoms")
     frame = re.fullmatch(r'<iframe title=".*?" style=".*?" srcdoc="([^"]*)"></iframe>', seen._repr_html_(), re.S)
     assert html.unescape(frame[1]) == seen.html
-    assert re.fullmatch(r"View\('.*chains.h5md': 31 frames of 12 atoms; 1.\d MB; write it with .save\(\)\)", repr(seen))
     assert seen.save(tmp_path / "a.html").read_text(encoding="utf-8") == seen.html
-    with pytest.raises(OSError, match=r"nowhere.* cannot be written: No such file"):
-        seen.save(tmp_path / "nowhere" / "a.html")
+    assert_answered(lambda: seen.save(tmp_path / "nowhere" / "a.html"), OSError, "nowhere", "No such file")
     assert seen.save() == run_file.with_suffix(".html")
 
 
@@ -217,14 +210,12 @@ def test_a_record_shows_its_run_or_says_what_it_needs(tmp_path):
     record = simulation.run(20, every=10, trajectory=[tmp_path / "a.xyz", tmp_path / "a.h5md"])
     assert record.trajectory == tmp_path / "a.h5md"
     assert record.view().summary == "3 frames of 12 atoms"
-    with pytest.raises(ValueError, match=r"wrote no \.h5md file; run with trajectory='run.h5md'"):
-        simulation.run(20, every=10).view()
+    assert_answered(simulation.run(20, every=10).view, ValueError, ".h5md", "trajectory=")
 
 
 @pytest.mark.parametrize("n_frames", [1, 2])
 def test_few_frames_and_one_atom_at_rest(tmp_path, n_frames):
-    system = md.System([[0.0, 0.0, 0.0]])
-    made = md.Simulation(system, md.LennardJones(1.0, 1.0, 2.5, "switched"), md.VelocityVerlet(0.004))
+    made = md.Simulation(md.System([[0.0, 0.0, 0.0]]), LJ, md.VelocityVerlet(0.004))
     made.run(5 * n_frames - 5, every=5, trajectory=tmp_path / "a.h5md")
     assert Parts(md.view(tmp_path / "a.h5md").html).counts.shape == (n_frames, 1, 3)
 
@@ -243,17 +234,13 @@ def test_a_failed_run_shows_its_last_steps_and_marks_the_pair(failed):
     simulation, error = failed
     found = error.crash_report
     made = md.view(error.file, potentials=simulation.potentials, frames=2).html
-    parts = Parts(made)
-    pair = (found.pair.first, found.pair.second)
+    parts, pair = Parts(made), (found.pair.first, found.pair.second)
     assert tuple(parts.about["marked"]) == pair
     assert parts.about["names"] == [str(atom) for atom in pair]
     assert html.escape(found.cause) in made
     assert html.escape(found.advice) in made
-    steps = np.array(parts.about["steps"])
-    assert len(steps) == 2
-    assert found.first_step < steps[0]  # the last ones, of more
-    assert (np.diff(steps) == 1).all()
-    assert steps[-1] == found.last_good_step
+    assert parts.about["steps"] == [found.last_good_step - 1, found.last_good_step]  # the last ones, of more
+    assert found.first_step < parts.about["steps"][0]
     middle = 0.5 * simulation.system.cell.vectors.sum(axis=0) @ simulation.system.cell.inverse
     np.testing.assert_allclose((parts.counts[-1, pair[0]] / LEVELS - middle + 0.5) % 1.0, 0.5, atol=1.0 / LEVELS)
     difference = (parts.counts[-1, pair[1]].astype(int) - parts.counts[-1, pair[0]]).astype(np.int16) / LEVELS
@@ -269,31 +256,23 @@ def test_a_failed_script_without_its_potentials_shows_two_states_and_says_so(fai
 
 def test_the_command_writes_a_page_and_names_it(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    skewed_chains().run(20, every=10, trajectory="a.h5md")
-    assert cli.main(["view", "a.h5md", "--frames", "2"]) == 0
-    assert re.search(r"written        a.html: 2 frames of 12 atoms, 1.\d MB\n", capsys.readouterr().out)
-    assert "2 of 3 frames are shown." in Path("a.html").read_text(encoding="utf-8")
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)
-    assert cli.main(["view", "a.h5md", "--open"]) == 0
-    assert "replaced       a.html: 3 frames" in capsys.readouterr().out
+    skewed_chains().run(20, every=10, trajectory="a.h5md")
+    Path("a.html").write_text("an older page")
+    assert cli.main(["view", "a.h5md", "--frames", "2", "--open"]) == 0
+    assert re.search(r"replaced       a.html: 2 frames of 12 atoms, 1.\d MB\n", capsys.readouterr().out)
+    assert "2 of 3 frames are shown." in Path("a.html").read_text(encoding="utf-8")
     assert opened == [Path("a.html").resolve().as_uri()]
-    assert cli.main(["view", "b.h5md"]) == 2
-    assert "'b.h5md' does not exist" in capsys.readouterr().err
     Path("c.toml").write_text(melt_scene(4, 20))
-    assert cli.main(["view", "a.h5md", "--scene", "c.toml"]) == 2
-    assert "a run that did not fail: leave them out" in capsys.readouterr().err
+    for arguments, shown in ((["b.h5md"], "'b.h5md'"), (["a.h5md", "--scene", "c.toml"], "did not fail")):
+        assert cli.main(["view", *arguments]) == 2
+        assert shown in capsys.readouterr().err
 
 
 def test_the_command_shows_a_failed_scene(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    Path("melt.toml").write_text(
-        melt_scene(4, 4000, '[output]\ntrajectory = "melt.h5md"\nevery = 100\n').replace(
-            "timestep = 0.004", "timestep = 0.06"
-        )
-    )
-    assert cli.main(["run", "melt.toml", "--quiet"]) == 3
-    assert cli.main(["view", "melt.crash.h5md"]) == 0
+    assert cli.main(["view", str(failed_melt("."))]) == 0
     assert "written        melt.crash.html" in capsys.readouterr().out
     about = Parts(Path("melt.crash.html").read_text(encoding="utf-8")).about
     found = read_crash_report("melt.crash.h5md").findings
@@ -301,10 +280,9 @@ def test_the_command_shows_a_failed_scene(tmp_path, monkeypatch, capsys):
     assert about["marked"] == [found.pair.first, found.pair.second]
 
 
-@pytest.mark.parametrize("frames", [1, 0, 2.5, "all"])
-def test_a_number_of_frames_that_is_none_is_refused(run_file, frames):
-    with pytest.raises(ValueError, match=rf"frames must be a whole number, at least 2; frames = {frames!r}"):
-        md.view(run_file, frames=frames)
+def test_a_number_of_frames_that_is_none_is_refused(run_file):
+    for frames in (1, 2.5, "all"):
+        assert_answered(partial(md.view, run_file, frames=frames), ValueError, "frames", repr(frames))
 
 
 def test_a_damaged_file_is_refused(run_file, tmp_path):

@@ -1,0 +1,97 @@
+"""Wrong calls of md.ensemble and of minimd scan, each answered with one sentence."""
+
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+
+import members
+import pytest
+from members import run
+from wrong_calls import assert_answered
+
+import minimd as md
+from minimd.ensemble.folder import EnsembleFolder, name_of
+from minimd.ensemble.running import EnsembleError
+from minimd.ensemble.scan import parsed_setting
+
+WRONG = [  # options, error, what is named and shown
+    ({"build": 3}, TypeError, "build", "3"),
+    ({"parameters": 0}, ValueError, "number of members", "0"),
+    ({"parameters": []}, ValueError, "parameters", "empty"),
+    ({"parameters": [1, 2]}, TypeError, "parameters", "[1, 2]"),
+    ({"parameters": {"a": 3}}, TypeError, "'a'", "3"),
+    ({"parameters": {"a": [1, 2], "b": [1]}}, ValueError, "'a' has 2", "'b' has 1"),
+    ({"parameters": [{"a": 1}, {"b": 1}]}, ValueError, "'a'", "'b'"),
+    ({"parameters": {"index": [1]}}, ValueError, "parameter", "'index'"),
+    ({"parameters": {"a": [[1]]}}, TypeError, "'a'", "[1]"),
+    ({"steps": -1}, ValueError, "steps", "-1"),
+    ({"seed": -1}, ValueError, "seed", "-1"),
+    ({"workers": -1}, ValueError, "workers", "-1"),
+    ({"workers": 2, "executor": ThreadPoolExecutor(1)}, ValueError, "workers", "2"),
+    ({"executor": "dask"}, TypeError, "executor", "'dask'"),
+    ({"workers": 2, "build": lambda member: None}, TypeError, "build", "lambda"),
+]
+
+
+@pytest.mark.parametrize(("options", "error", "shown"), [(row[0], row[1], row[2:]) for row in WRONG])
+def test_wrong_arguments_are_named_and_shown(options, error, shown, tmp_path):
+    assert_answered(lambda: run(tmp_path, **options), error, *shown)
+
+
+@pytest.mark.parametrize(
+    ("options", "shown"), [({"build": lambda member: 3}, "build"), ({"run": lambda *_: 3}, "run")], ids=["build", "run"]
+)
+def test_a_function_that_returns_something_else_is_named(options, shown, tmp_path):
+    with pytest.raises(EnsembleError, match=rf"TypeError: {shown} must return .* it returned 3"):
+        run(tmp_path, **options)
+
+
+CHANGES = [  # of an ensemble of seed 5 and 35 steps
+    ({"seed": 6}, "seed = 5 there, 6 here"),
+    ({"steps": 20}, "steps = 35 there, 20 here"),
+    ({"build": members.own_law}, "build = members.liquid there, members.own_law here"),
+    ({"prepare": None}, "prepare = members.melted there, None here"),
+    ({"parameters": {"temperature": [0.4, 0.9]}}, "member 1", "'temperature': 0.5", "'temperature': 0.9"),
+]
+
+
+def test_another_ensemble_in_the_folder_is_refused(tmp_path, done_by_hand):
+    first = {"seed": 5, "steps": 35, "parameters": {"temperature": [0.4, 0.5]}}
+    run(tmp_path, **first)
+    for change, *shown in CHANGES:
+        assert_answered(partial(run, tmp_path, **first | change), ValueError, "another ensemble", *shown)
+    more = partial(run, done_by_hand.folder, run=members.in_own_file, steps=members.STEPS + 20)
+    assert_answered(more, ValueError, "steps = 60 there, 80 here")  # that of a function run is not known to go on
+
+
+def test_two_calls_cannot_use_one_folder(tmp_path):
+    with EnsembleFolder(tmp_path, writes=True):
+        assert_answered(partial(run, tmp_path), OSError, "folder", str(tmp_path))
+
+
+def test_functions_of_a_session_are_not_sent_to_spawned_workers(tmp_path, monkeypatch):
+    def build(member): ...
+
+    session = ModuleType("__main__")  # of a notebook or a prompt: it has no file
+    session.build, build.__module__, build.__qualname__ = build, "__main__", "build"
+    monkeypatch.setitem(sys.modules, "__main__", session)
+    assert_answered(partial(run, tmp_path, build=build, workers=1), TypeError, "build", "session")
+
+
+def test_functions_are_named_as_others_import_them(monkeypatch):
+    monkeypatch.setattr(sys.modules["__main__"], "__file__", "/somewhere/script.py", raising=False)
+    monkeypatch.setattr(members.liquid, "__module__", "__main__")
+    assert name_of(partial(partial(members.liquid, law=1.0))) == name_of(members.liquid) == "script.liquid"
+    assert name_of(lambda member: 3).endswith("<lambda>")
+
+
+def test_a_parameter_that_a_member_does_not_have_is_named():
+    with pytest.raises(KeyError, match="'density'"):
+        md.Member(0, {}, 7, 10, Path("a.h5md"))["density"]
+
+
+@pytest.mark.parametrize("text", ["a.b", "=1", "a=", "a=1:2:0", "a=1:2:x", "a=2:1:1", "a=1:2:1e-9", "a=1:inf:1"])
+def test_settings_that_make_no_sense_are_refused(text):
+    assert_answered(lambda: parsed_setting(text), ValueError, "--set", repr(text))

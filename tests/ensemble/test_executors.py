@@ -1,0 +1,164 @@
+"""Executors of md.ensemble: all make the same bits; an error, and a process that dies, cost one member only."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import members
+import numpy as np
+import pytest
+from members import assert_same, run
+
+import minimd as md
+from minimd.ensemble.running import EnsembleError
+from minimd.ensemble.workers import STARTS, SpawnedProcesses, ThisProcess, Worker
+from minimd.forces.options import Options
+
+ONE = {"parameters": {"temperature": [0.5]}, "steps": 5}
+PATHS = os.pathsep.join(map(str, Path(__file__).parents[1:3]))
+
+
+@contextmanager
+def dask():
+    distributed = pytest.importorskip("distributed")
+    options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
+        yield client
+
+
+EXECUTORS = {
+    "this process": ThisProcess,
+    "threads": partial(ThreadPoolExecutor, 2),
+    "fork": partial(ProcessPoolExecutor, 2, mp_context=multiprocessing.get_context("fork")),
+    "spawned": partial(SpawnedProcesses, 2),
+    "dask": dask,
+}
+
+
+@pytest.fixture(scope="module", params=[*list(EXECUTORS)[:-1], pytest.param("dask", marks=pytest.mark.slow)])
+def executor(request):
+    with EXECUTORS[request.param]() as made:
+        made.submit(int).result()  # a process that is forked later keeps the lock of a folder
+        yield made
+
+
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
+def test_any_executor_makes_the_same_bits_and_an_error_costs_one_member(executor, done, tmp_path):
+    with pytest.warns(UserWarning, match="1 of 3 members have failed"):
+        table = run(tmp_path, members.third_breaks_once, executor=executor)
+    assert table["status"].tolist() == ["done", "done", "failed"]
+    assert table["message"][2] == "LookupError: no structure for 2"
+    assert np.isnan(table["pressure_mean"]).tolist() == [False, False, True]
+    run(tmp_path)
+    assert_same(tmp_path, done.folder)
+
+
+@pytest.mark.parametrize("executor", ["spawned"], indirect=True)
+def test_a_law_of_the_users_works_in_spawned_workers(executor, tmp_path):
+    here = run(tmp_path / "here", build=members.own_law, **ONE)
+    there = run(tmp_path / "there", build=members.own_law, executor=executor, **ONE)
+    assert there["pressure_mean"][0] == here["pressure_mean"][0] != 0.0
+
+
+def test_a_worker_that_is_killed_while_it_starts_is_replaced_unless_all_are(done, tmp_path, monkeypatch):
+    start, left = Worker.__init__, [np.inf]
+
+    def start_and_kill(worker):
+        start(worker)
+        if left[0] > 0:
+            left[0] -= 1
+            os.kill(worker.process.pid, signal.SIGKILL)
+
+    monkeypatch.setattr(Worker, "__init__", start_and_kill)
+    with pytest.raises(EnsembleError, match="SIGKILL"):
+        run(tmp_path, workers=1)
+    left[0] = STARTS - 1
+    run(tmp_path, workers=1)
+    assert left == [0]
+    assert_same(tmp_path, done.folder)
+
+
+@pytest.mark.slow
+def test_a_killed_worker_costs_its_member_only(done, tmp_path):
+    with pytest.warns(UserWarning, match=r"(?s)1 of 3 members have failed:.member 2 .*WorkerDied: .* SIGKILL"):
+        table = run(tmp_path, members.third_is_killed_once, workers=1)
+    assert table["status"].tolist() == ["done", "done", "failed"]
+    run(tmp_path, members.third_is_killed_once, workers=1)
+    assert_same(tmp_path, done.folder)
+
+
+def test_if_all_fail_the_first_failure_is_raised_with_its_traceback(tmp_path):
+    with pytest.raises(EnsembleError, match=r"member 0 .*LookupError: no structure for 0") as failure:
+        run(tmp_path, members.broken)
+    assert "in broken" in failure.value.__notes__[0]
+
+
+def test_members_that_blow_up_are_told_with_their_crash_files_and_warnings_name_a_few(tmp_path):
+    for n_failed in (1, 4):  # the second call makes the first of them anew
+        parameters = {"temperature": [0.5, *[0.7] * n_failed]}
+        told = rf"(?s){n_failed} of {n_failed + 1} members have failed:.member 1 .*NonFiniteError"
+        with pytest.warns(UserWarning, match=told) as caught:
+            table = run(tmp_path, prepare=members.blows_up, parameters=parameters)
+        assert table["status"].tolist() == ["done"] + ["failed"] * n_failed
+        assert (tmp_path / "0000-0999/0001.crash.h5md").exists()
+    assert [str(one.message).count("\nmember") for one in caught if "have failed" in str(one.message)] == [3]
+    assert "0001.crash.h5md" in table["message"][1]
+    assert str(table).count("FAILED") == 3
+
+
+def test_a_worker_has_one_thread_unless_told_otherwise(monkeypatch, tmp_path):
+    seen, before = set(), Options.most_threads.fget
+    monkeypatch.setattr(Options, "most_threads", property(lambda options: seen.add(before(options)) or 1))
+    run(tmp_path / "one", **ONE)
+    assert seen == {1}
+    seen.clear()
+    run(tmp_path / "two", build=partial(members.liquid, threads=2), **ONE)
+    assert seen == {2}
+
+
+def test_seeds_are_children_of_one_sequence():
+    for k, child in enumerate(np.random.SeedSequence(7).spawn(3)):
+        member = md.Member(k, {}, 7, 10, Path("a.h5md"))
+        assert member.seed_sequence.generate_state(4).tolist() == child.generate_state(4).tolist()
+        assert 0 <= member.seed < 2**63
+
+
+def test_nothing_heavy_is_loaded_and_a_script_without_a_main_is_told_so(tmp_path):
+    """A worker imports the script, which would make workers again."""
+    (tmp_path / "script.py").write_text(
+        "import sys, minimd.ensemble, minimd.ensemble.table, minimd as md\n"
+        "print({'h5py', 'pandas', 'dask', 'mpi4py', 'tqdm', 'pydantic'} & set(sys.modules))\n"
+        "from members import liquid\nmd.ensemble(liquid, {'temperature': [0.5]}, 5, workers=1)\n"
+    )
+    ended = started(tmp_path, [sys.executable, "script.py"])
+    assert (ended.returncode, ended.stdout.splitlines()[0]) == (1, "set()")
+    assert ended.stderr.rstrip().endswith("if __name__ == '__main__':")
+
+
+def started(folder, command, **environment):
+    environment |= {"PYTHONPATH": PATHS}
+    return subprocess.run(
+        command, cwd=folder, env=os.environ | environment, capture_output=True, text=True, check=False, timeout=300
+    )
+
+
+@pytest.mark.slow
+def test_mpi_makes_the_same_bits(done, tmp_path):
+    pytest.importorskip("mpi4py")
+    mpiexec = Path(sys.executable).with_name("mpiexec")
+    if not mpiexec.exists():
+        pytest.skip("there is no mpiexec beside Python")
+    (tmp_path / "script.py").write_text(
+        "import members\nfrom mpi4py.futures import MPIPoolExecutor\n"
+        "if __name__ == '__main__':\n    with MPIPoolExecutor() as pool:\n        members.run('scan', executor=pool)\n"
+    )
+    command = [mpiexec, "-n", "3", sys.executable, "-m", "mpi4py.futures", "script.py"]
+    ended = started(tmp_path, command, LD_LIBRARY_PATH=str(mpiexec.parents[1] / "lib"))
+    assert ended.returncode == 0, ended.stderr
+    assert_same(tmp_path / "scan", done.folder)

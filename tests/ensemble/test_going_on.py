@@ -1,0 +1,260 @@
+"""Whatever stops an ensemble, the next call goes on, and ends with the same table and files, to the last bit."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from functools import partial, wraps
+from pathlib import Path
+
+import members
+import numpy as np
+import pytest
+from full_disk import fill_the_disk
+from h5md_runs import bring_to_disk_every
+from kills import killed_at
+from members import FILES, STEPS, assert_same, run
+
+import minimd as md
+from minimd.ensemble.running import EnsembleError
+from minimd.ensemble.workers import ThisProcess
+from minimd.files.h5md_reader import read_file
+from minimd.structure.errors import Interrupted
+
+
+def killed(go, _folder, patch, at):
+    """At this change of a file."""
+    patch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.0)
+    assert killed_at(at, go) is None
+
+
+def killed_twice_in_the_first_member(go, folder, patch):
+    bring_to_disk_every(0.0, patch)
+    reached = [0]
+    for k in (30, 70):
+        assert killed_at(k, go) is None
+        reached.append(read_file(folder / FILES[0]).step)
+    assert 0 < reached[1] < reached[2] < STEPS
+
+
+def cut_off(go, folder, patch):
+    """The file of a member that was killed ends early."""
+    bring_to_disk_every(0.0, patch)
+    assert killed_at(30, go) is None
+    assert read_file(folder / FILES[0]).step > 0
+    (folder / FILES[0]).write_bytes((folder / FILES[0]).read_bytes()[:5000])
+
+
+def damaged(go, folder, _patch):
+    go(steps=35)
+    with (folder / FILES[1]).open("r+b") as file:
+        file.seek(3000)
+        file.write(b"\xff" * 4000)
+
+
+def blown_up_and_not_noted(go, folder, _patch):
+    """The caller was killed before it could note the failure."""
+    with pytest.warns(UserWarning, match="have failed"):
+        go(prepare=members.blows_up)
+    assert (folder / "0000-0999/0002.crash.h5md").exists()
+    journal = folder / "members.jsonl"
+    journal.write_text("".join(journal.read_text().splitlines(keepends=True)[:2]))
+
+
+def failed_after_the_run(go, _folder, _patch):
+    @wraps(members.in_own_file)
+    def fails(simulation, member):
+        numbers = members.in_own_file(simulation, member)
+        return numbers if member.index != 2 else 1 / 0
+
+    with pytest.warns(UserWarning, match="1 of 3 members have failed"):
+        go(run=fails)
+
+
+def interrupted(go, folder, _patch, workers):
+    """Ctrl-C, when the first member has ended and the second has begun."""
+
+    def interrupt():
+        journal = folder / "members.jsonl"
+        while not (journal.exists() and journal.read_text() and (folder / FILES[1]).exists()):
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with pytest.raises(Interrupted, match=f"1 of 3 members are done and kept in {folder}") as stopped:
+        go(members.second_is_slow, workers=workers)
+    thread.join()
+    assert stopped.value.result["status"].tolist() == ["done", "begun", "missing"]
+    assert read_file(folder / FILES[1]).step < STEPS
+
+
+def an_executor_that_takes_no_more(go, folder, _patch):
+    class Broken(ThisProcess):
+        taken = 0
+
+        def submit(self, *arguments):
+            self.taken += 1
+            if self.taken == 3:
+                raise MemoryError("a worker is gone")
+            return super().submit(*arguments)
+
+    with pytest.raises(EnsembleError, match=r"member 2 .*MemoryError: a worker is gone") as broken:
+        go(executor=Broken())
+    assert isinstance(broken.value.__cause__, MemoryError)
+    assert json.loads((folder / "table.json").read_text())["columns"]["status"] == ["done", "done", "missing"]
+
+
+def a_full_disk(go, folder, patch):
+    """In the middle of the first member. Those behind it cannot begin, and there is no room for a table either."""
+    fill_the_disk(patch, 12)
+    with pytest.raises(OSError, match=r"table\.csv.* No space left on device$"):
+        go()
+    patch.undo()
+    assert [path.name for path in (folder / "0000-0999").iterdir()] == ["0000.h5md"]
+    assert 0 < read_file(folder / FILES[0]).step < STEPS
+    lines = [json.loads(line) for line in (folder / "members.jsonl").read_text().splitlines()]
+    assert [line["status"] for line in lines] == ["failed"] * 3
+    assert all("No space left on device" in line["message"] and "\n" not in line["message"] for line in lines)
+
+
+def a_journal_without_room(go, _folder, patch):
+    """Half a line of the second member is on the disk."""
+    write, lines = os.write, []
+
+    def half(descriptor, text):
+        lines.extend([text] if bytes(text[:9]) == b'{"index":' else [])
+        if len(lines) < 2:
+            return write(descriptor, text)
+        write(descriptor, text[:20])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    patch.setattr(os, "write", half)
+    with pytest.raises(OSError, match=r"members.jsonl .* member 1: No space left on device$"):
+        go()
+
+
+def another_ensemble(go, _folder, _patch):
+    go(seed=5, steps=35)
+    with pytest.raises(ValueError, match="another ensemble"):
+        go()
+    go(resume=False)
+
+
+PLAIN, BY_HAND = None, members.in_own_file
+EVENTS = {  # what happens, the function run, and what is left: members that go on in their files, +, or begin anew, *
+    "fewer steps": (lambda go, *_: go(steps=35), PLAIN, "0+1+2+"),
+    "fewer members": (lambda go, *_: go(parameters={"temperature": [0.4, 0.5]}), PLAIN, "2*"),
+    "killed": (partial(killed, at=25), PLAIN, None),
+    **{f"killed at {k}": (partial(killed, at=k), PLAIN, None) for k in (3, 7, 12, 20, 31)},
+    "killed twice": (killed_twice_in_the_first_member, BY_HAND, "0+1*2*"),
+    "damaged": (damaged, PLAIN, "0+1*2+"),
+    "cut off": (cut_off, BY_HAND, "0*1*2*"),
+    "blown up and not noted": (blown_up_and_not_noted, PLAIN, "2*"),
+    "failed after the run": (failed_after_the_run, BY_HAND, "2"),
+    "Ctrl-C": (partial(interrupted, workers=0), PLAIN, "1+2*"),
+    "Ctrl-C with a worker": (partial(interrupted, workers=1), PLAIN, "1+2*"),
+    "an executor that takes no more": (an_executor_that_takes_no_more, PLAIN, "2*"),
+    "a full disk": (a_full_disk, BY_HAND, "0+1*2*"),
+    "a journal without room": (a_journal_without_room, BY_HAND, "12*"),
+    "another ensemble": (another_ensemble, PLAIN, ""),
+}
+
+
+@pytest.mark.parametrize(
+    "event", [pytest.param(name, marks=[pytest.mark.slow] * name.startswith("killed at")) for name in EVENTS]
+)
+def test_the_next_call_makes_what_is_left_with_the_same_bits(event, done, done_by_hand, tmp_path, monkeypatch):
+    happens, function, left = EVENTS[event]
+    go, made, before = partial(run, tmp_path, run=function), [], md.Simulation.run
+    with monkeypatch.context() as patch:
+        happens(go, tmp_path, patch)
+    monkeypatch.setattr(
+        md.Simulation, "run", lambda *of, **how: (made.append("+" if "append" in how else "*"), before(*of, **how))[1]
+    )
+    go(lambda _, member: made.append(str(member.index)))
+    assert left in (None, "".join(made))
+    assert_same(tmp_path, (done_by_hand if function else done).folder)
+    assert sorted(path.name for path in (tmp_path / "0000-0999").iterdir()) == [Path(name).name for name in FILES]
+
+
+def test_a_run_by_hand_in_the_file_of_the_member_is_that_without_it(done, done_by_hand):
+    members.assert_same_files(done.folder, done_by_hand.folder)
+    assert done_by_hand["pressure_mean"].tolist() == done["pressure_mean"].tolist()
+
+
+def test_a_function_that_writes_the_file_itself_begins_anew(tmp_path):
+    def itself(simulation, member):
+        simulation.run(STEPS // 2, trajectory=member.file, progress=False)
+        return {"last": simulation.step if is_whole else 1 / 0}
+
+    is_whole = False
+    with pytest.raises(EnsembleError):
+        run(tmp_path, run=itself)
+    is_whole = True
+    assert set(run(tmp_path, run=itself)["last_mean"]) == {STEPS // 2}
+    assert not list(tmp_path.rglob("*.stopped.h5md"))
+
+
+@pytest.mark.slow
+def test_a_drawn_seed_is_written_down_and_used_again(tmp_path):
+    drawn = []
+    for steps in (35, STEPS):
+        run(tmp_path, seed=None, steps=steps)
+        drawn.append(json.loads((tmp_path / "ensemble.json").read_text())["seed"])
+    assert drawn[0] == drawn[1] > 2**32
+
+
+SCRIPT = """
+import sys
+from members import in_own_file, run
+if __name__ == "__main__":
+    by = {"plain": None, "own": in_own_file}[sys.argv[1]]
+    run(sys.argv[2], run=by, steps=20_000, every=100, workers=2)
+"""
+
+
+def children_of(process):
+    """Workers of spawn that a process has started."""
+    found = []
+    for task in Path(f"/proc/{process}/task").iterdir():
+        found += map(int, (task / "children").read_text().split())
+    return [one for one in found if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes()]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize("kind", ["plain", "own"])
+@pytest.mark.parametrize("victims", ["parent", "worker", "both"])
+def test_a_scan_that_is_killed_again_and_again_has_the_same_table(kind, victims, tmp_path):
+    """kill -9 when files grow, and the next call at once."""
+    (tmp_path / "script.py").write_text(SCRIPT)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, Path(__file__).parents[1:3]))}
+    rng = np.random.default_rng(1)
+
+    def begun(folder):
+        return subprocess.Popen([sys.executable, "script.py", kind, folder], cwd=tmp_path, env=environment)
+
+    def size():
+        return sum(file.stat().st_size for file in tmp_path.glob("killed/*/*.h5md*"))
+
+    assert begun("whole").wait() == 0
+    for _ in range(4):
+        scan, before = begun("killed"), size()
+        while scan.poll() is None and size() == before:
+            time.sleep(0.01)
+        time.sleep(rng.uniform(0.0, 0.5))
+        targets = children_of(scan.pid)[:1] if victims != "parent" and scan.poll() is None else []
+        for process in [*targets, *([scan.pid] if victims != "worker" else [])]:
+            with suppress(ProcessLookupError):
+                os.kill(process, signal.SIGKILL)
+        scan.wait()
+    assert begun("killed").wait() == 0
+    for name in ("table.csv", "table.json"):
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert not list(tmp_path.glob("killed/*/*.stopped.h5md"))

@@ -1,0 +1,223 @@
+"""`minimd scan`: what is set is what runs, and nothing strange in its folder is believed."""
+
+import json
+import os
+import shutil
+import signal
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from references import melt_scene
+
+from minimd.commands import main as cli
+from minimd.ensemble.scan import changed_text, parsed_setting
+from minimd.files.h5md_reader import read_file
+from minimd.scene import parse_scene
+
+DYNAMICS = 'method = "langevin-baoab"\nrelaxation_time = 1.0\n[output]\nevery = 5\n'
+SCENE = "# A comment.\n" + melt_scene(2, 40, DYNAMICS).replace("2.5", "1.6")
+
+
+@pytest.fixture
+def in_time():
+    """Fail instead of waiting forever."""
+
+    def fail(*_):
+        raise AssertionError("it still waits")
+
+    before = signal.signal(signal.SIGALRM, fail)
+    signal.alarm(20)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def scan(*arguments):
+    return cli.main(["scan", *map(str, arguments)])
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "melt.toml").write_text(SCENE)
+    return tmp_path
+
+
+SETTINGS = {
+    "80:120:5": [80, 85, 90, 95, 100, 105, 110, 115, 120],
+    "0.1:0.3:0.1": [0.1, 0.2, 0.3],
+    "1:0.5:-0.25": [1.0, 0.75, 0.5],
+    "1:2:3": [1],
+    "1,2.5,1e-3": [1, 2.5, 0.001],
+    'shifted,"smooth",true': ["shifted", "smooth", True],
+}
+
+
+@pytest.mark.parametrize("text", SETTINGS)
+def test_settings_are_read_in_decimals_with_both_ends(text):
+    setting = parsed_setting(f"a.b={text}")
+    assert setting == ("a.b", SETTINGS[text])
+    assert list(map(type, setting.values)) == list(map(type, SETTINGS[text]))
+
+
+def test_a_changed_scene_differs_in_what_was_set_only():
+    changes = [("dynamics.temperature", 0.9), ("potential[0].cutoff", 1.5), ("dynamics.seed", 2**62)]
+    text = changed_text(Path("a.toml"), SCENE, changes)
+    assert text.startswith("# A comment.")
+    expected = tomllib.loads(SCENE)
+    expected["dynamics"] |= {"temperature": 0.9, "seed": 2**62}
+    expected["potential"][0]["cutoff"] = 1.5
+    assert tomllib.loads(text) == expected
+
+
+WRONG = [  # arguments, and what is shown
+    (["melt.toml", "--set", "dynamic.temperature=1,2"], "'dynamic.temperature'"),
+    (["melt.toml", "--set", "potential[1].cutoff=1,2"], "'potential[1].cutoff'"),
+    (["melt.toml", "--set", "dynamics.temperatur=1,2"], "'temperatur'"),
+    (["melt.toml", "--set", "dynamics.temperature=1,-2"], "dynamics.temperature"),
+    (["melt.toml", "--set", "dynamics.steps=1,2"], "--steps"),
+    (["melt.toml", "--set", "structure.density=1,cold"], "density"),
+    ([], "--status"),
+    (["--status", "nowhere"], "'nowhere'"),
+    (["melt.toml", "--out", "other"], "another scene"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "shown"), WRONG)
+def test_what_cannot_run_is_refused_before_anything_is_computed(folder, capsys, arguments, shown):
+    (folder / "other").mkdir()
+    (folder / "other" / "scene.toml").write_text("another")
+    assert scan(*arguments) == 2
+    told = capsys.readouterr().err
+    assert shown in told
+    assert told.count("\n") <= 2
+    assert not Path("scan").exists()
+
+
+def test_a_scan_runs_what_was_set_and_tells_averages(folder, capsys):
+    command = ["melt.toml", "--set", "dynamics.temperature=0.5:0.6:0.1", "--workers", 0, "--replicas"]
+    assert scan(*command, 2) == 0
+    told = capsys.readouterr().out
+    assert "set            dynamics.temperature = 0.5, 0.6 (2 values)" in told
+    assert "4 done" in told
+    assert "±" in told
+    assert Path("scan/pressure.png").read_bytes().startswith(b"\x89PNG")
+    texts = [read_file(f"scan/0000-0999/{k:04d}.h5md").scene for k in range(4)]
+    scenes = [parse_scene(text, Path("a.toml")).sections.dynamics for text in texts]
+    assert [one.temperature for one in scenes] == [0.5, 0.6, 0.5, 0.6]
+    assert len({one.seed for one in scenes}) == 4
+    alone = parse_scene(texts[3], Path("a.toml")).simulation()  # a member is the run of the scene in its file
+    alone.run(40, every=5, progress=False)
+    np.testing.assert_array_equal(alone.positions, read_file("scan/0000-0999/0003.h5md").system.positions)
+    before = Path("scan/members.jsonl").read_text()
+    assert scan(*command, 3, "--plot", "temperature", "--quiet") == 0
+    assert Path("scan/members.jsonl").read_text().startswith(before)
+    assert Path("scan/temperature.png").exists()
+    assert scan(*command, 3, "--plot", "presure") == 2
+    assert "did you mean 'pressure'?" in capsys.readouterr().err
+    assert scan("--status", "scan") == 0
+    told = capsys.readouterr().out
+    assert "6 members in scan: 6 done" in told
+    assert "dynamics.temperature" in told
+
+
+def test_the_preparation_of_the_scene_is_made_once(folder):
+    Path("melt.toml").write_text(f"{SCENE}\n[equilibration]\nsteps = 20\n")
+    for place, steps in (("whole", 40), ("parts", 15), ("parts", 40)):
+        assert scan("melt.toml", "--workers", 0, "--steps", steps, "--out", place, "--quiet") == 0
+    assert read_file("whole/0000-0999/0000.h5md").restart.equilibrated == 20
+    for name in ("table.csv", "table.json"):
+        assert Path("whole", name).read_bytes() == Path("parts", name).read_bytes()
+
+
+def test_members_that_fail_are_told_and_the_code_is_one(folder, capsys):
+    assert scan("melt.toml", "--set", "dynamics.timestep=0.004,0.5", "--workers", 0) == 1
+    captured = capsys.readouterr()
+    assert "1 done, 1 failed" in captured.out
+    assert "0001.crash.h5md" in captured.err
+    assert scan("melt.toml", "--set", "dynamics.timestep=0.5", "--workers", 0, "--out", "all") == 1
+    assert "all 1 members have failed" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def scanned(tmp_path_factory):
+    """The folder of a scan with one member."""
+    place = tmp_path_factory.mktemp("scanned")
+    (place / "melt.toml").write_text(SCENE)
+    assert scan(place / "melt.toml", "--workers", 0, "--steps", 5, "--quiet", "--out", place / "scan") == 0
+    return place / "scan"
+
+
+@pytest.fixture
+def copied(scanned, folder):
+    shutil.copytree(scanned, "scan")
+
+
+def test_the_status_tells_of_members_that_were_stopped_and_that_run(copied, capsys):
+    """As if more steps had been asked for than were made."""
+    description = Path("scan/ensemble.json")
+    description.write_text(description.read_text().replace('"steps": 5', '"steps": 100'))
+    simulation = parse_scene(SCENE, Path("a.toml")).simulation()
+    look = {"observers": [lambda _: scan("--status", "scan")], "overwrite": True, "progress": False}
+    simulation.run(1, every=5, trajectory="scan/0000-0999/0001.h5md", **look)
+    told = capsys.readouterr().out
+    assert "member 0: stopped after 5 of 100 steps" in told
+    assert "1 members in scan: 1 begun" in told
+
+
+def altered(**changes):
+    """Of each line of a text of JSON: a copy with other values."""
+    return lambda text: "".join(f"{json.dumps(json.loads(line) | changes)}\n" for line in text.splitlines())
+
+
+DESCRIPTION, JOURNAL = "scan/ensemble.json", "scan/members.jsonl"
+ALTERED = {  # the file, and what becomes of its text
+    "parameters": (DESCRIPTION, altered(parameters="x")),
+    "members": (DESCRIPTION, altered(members=10**8)),
+    "members without parameters": (DESCRIPTION, altered(members=10**8, parameters={})),
+    "steps": (DESCRIPTION, altered(steps="x")),
+    "no description": (DESCRIPTION, lambda _: "[]"),
+    "means": (JOURNAL, altered(means="x")),
+    "a mean": (JOURNAL, altered(means={"pressure": "x"})),
+    "errors": (JOURNAL, altered(errors="x")),
+    "n_steps": (JOURNAL, altered(n_steps="x")),
+    "large n_steps": (JOURNAL, altered(n_steps=2**70)),
+    "status": (JOURNAL, altered(status=[])),
+    "no row": (JOURNAL, lambda _: "3\n"),
+    "deep": (JOURNAL, lambda _: "[" * 200_000 + "\n"),
+}
+
+
+@pytest.mark.parametrize("kind", ALTERED)
+def test_altered_files_of_a_scan_are_refused_by_name(kind, copied, capsys):
+    name, change = ALTERED[kind]
+    text = Path(name).read_text()
+    Path(name).write_text(change(json.dumps(json.loads(text)) if name == DESCRIPTION else text))
+    assert scan("--status", "scan") == 2
+    assert name in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+@pytest.mark.parametrize("name", [DESCRIPTION, JOURNAL, "scan/scene.toml"])
+def test_pipes_and_folders_are_no_files_of_a_scan(name, make, copied, capsys, in_time):
+    Path(name).unlink()
+    make(name)
+    is_scene = name.endswith("scene.toml")
+    assert scan("melt.toml", "--workers", 0, "--steps", 5) == 2
+    told = capsys.readouterr().err if is_scene else ""
+    assert scan("--status", "scan") == (0 if is_scene else 2)
+    assert name in told + capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "command", [["melt.toml", "--workers", 0, "--steps", 5], ["melt.toml", "--overwrite"], ["--status", "scan"]]
+)
+def test_no_member_is_written_through_a_link(command, copied, capsys):
+    Path("scan/0000-0999").rename("elsewhere")
+    Path("scan/0000-0999").symlink_to(Path("elsewhere").absolute())
+    Path("elsewhere/0000.h5md").write_text("precious")
+    assert scan(*command) == 2
+    assert "0000-0999" in capsys.readouterr().err
+    assert Path("elsewhere/0000.h5md").read_text() == "precious"

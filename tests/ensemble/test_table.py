@@ -1,0 +1,159 @@
+"""The table of an ensemble, its averages, and what is told of members while they run."""
+
+import json
+import os
+import time
+
+import members
+import numpy as np
+import pytest
+from members import STEPS, TEMPERATURES, run
+
+import minimd as md
+from minimd.ensemble import notes
+from minimd.ensemble.folder import Asked, EnsembleFolder
+from minimd.ensemble.table import status, table_of
+from minimd.files.claim import locked
+from minimd.files.h5md_reader import read_file
+from minimd.structure.statistics import mean_and_error, with_error
+
+
+def test_the_table_holds_parameters_means_with_their_errors_and_files(done):
+    assert done["temperature"].tolist() == TEMPERATURES["temperature"]
+    assert set(done["status"]) == {"done"}
+    assert set(done["n_steps"]) == {STEPS}
+    assert md.Simulation.resume(done["file"][2], md.LennardJones(1.0, 1.0, 1.8)).step == STEPS
+    pressure = read_file(done["file"][1]).record.pressure
+    assert len(pressure) == 13
+    assert (done["pressure_mean"][1], done["pressure_error"][1]) == mean_and_error(pressure)
+    assert np.isfinite(done["pressure_error"]).all()
+    assert "3 done" in str(done)
+
+
+def test_data_frame_csv_and_json_are_the_table(done):
+    pandas = pytest.importorskip("pandas")
+    read = pandas.read_csv(done.folder / "table.csv").set_index("index")
+    told = json.loads((done.folder / "table.json").read_text())
+    for numbers in (done.to_pandas()["pressure_mean"], read["pressure_mean"], told["columns"]["pressure_mean"]):
+        assert list(numbers) == done["pressure_mean"].tolist()
+    assert told["units"]["pressure"] == "ε/σ³"
+    assert told["columns"]["file"] == members.FILES
+
+
+def test_a_table_of_fewer_members_is_a_part_and_one_of_more_steps_has_no_averages(done):
+    with EnsembleFolder(done.folder, writes=False) as folder:
+        few, more = table_of(folder, folder.asked, 1), table_of(folder, folder.asked._replace(steps=STEPS + 1), 3)
+    assert few["pressure_mean"].tolist() == done["pressure_mean"].tolist()[:1]
+    assert (set(more["status"]), more.observables) == ({"begun"}, ())
+
+
+def test_a_run_of_the_users_gives_numbers_pairs_or_series(done, tmp_path):
+    def by_hand(simulation, member):
+        pressure = simulation.run(member.steps, every=5, progress=False).pressure
+        return {"pressure": pressure, "last": float(pressure[-1]), "known": (1.0, 0.1)}
+
+    table = run(tmp_path, run=by_hand)
+    assert table.observables == ("pressure", "last", "known")
+    for name in ("pressure_mean", "pressure_error"):
+        assert table[name].tolist() == done[name].tolist()
+    assert set(zip(table["known_mean"], table["known_error"], strict=True)) == {(1.0, 0.1)}
+    assert np.isnan(table["last_error"]).all()
+    assert "±" not in dict(table.display_rows())["mean last"]
+    assert set(table["file"]) == {""}
+
+
+def test_averages_over_sets_of_members_are_those_of_each_set(tmp_path):
+    """Of two parameters; some members have failed, one is alone in its set, and of one observable no error is known."""
+    rng, n = np.random.default_rng(1), 60
+    means = [(f"{x}_{y}", float) for x in "pq" for y in ("mean", "error")]
+    rows = np.zeros(n, dtype=[("a", "U3"), ("b", float), ("status", "U7"), *means])
+    rows["a"], rows["b"] = rng.choice(["one", "two"], n), rng.choice([0.3, -0.1, 2.0], n)
+    rows["status"] = rng.choice(["done", "failed"], n, p=[0.8, 0.2])
+    rows["a"][0], rows["status"][0] = "own", "done"
+    for name, _ in means:
+        rows[name] = rng.standard_normal(n)
+    rows["q_error"] = np.nan
+    table = md.EnsembleTable(tmp_path, ["a", "b"], rows, None)
+    made, done = table.averaged(), rows[rows["status"] == "done"]
+    assert made[["a", "b"]].tolist() == list(dict.fromkeys(done[["a", "b"]].tolist()))
+    for row in made:
+        some = done[(done["a"] == row["a"]) & (done["b"] == row["b"])]
+        assert row["n_members"] == len(some)
+        for x in "pq":
+            values, errors = some[f"{x}_mean"], some[f"{x}_error"]
+            scatter = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
+            expected = [values.mean(), np.fmax(np.sqrt((errors**2).sum()) / len(values), scatter)]
+            np.testing.assert_allclose([row[f"{x}_mean"], row[f"{x}_error"]], expected, rtol=1e-13)  # rounding
+    rows["status"] = "failed"
+    assert len(table.averaged()) == 0
+
+
+def test_it_is_printed_with_the_lowest_and_the_highest_mean_and_their_errors(done):
+    averages = done.averaged()
+    low, high = (pick(averages["pressure_mean"]) for pick in (np.argmin, np.argmax))
+    told = [with_error(averages["pressure_mean"][k], averages["pressure_error"][k]) for k in (low, high)]
+    assert all(" ± " in one for one in told)
+    assert dict(done.display_rows())["mean pressure"] == f"from {told[0]} to {told[1]} ε/σ³"
+    replicas = md.EnsembleTable(done.folder, ["temperature"], done.array.copy(), done.units)
+    replicas.array["temperature"] = 0.5
+    (mean,), rows = replicas.averaged(), dict(replicas.display_rows())
+    assert mean["n_members"] == 3
+    assert rows["mean pressure"] == f"{with_error(mean['pressure_mean'], mean['pressure_error'])} ε/σ³"
+
+
+def test_rows_cost_the_same_whatever_their_number(tmp_path):
+    """2000 members: a line each, and one table at the end."""
+    n, sizes = 2000, []
+    row = {"status": "done", "n_steps": 10, "n_atoms": 4, "units": "LJ"}
+    row |= {"means": {"pressure": 1.0}, "errors": {"pressure": 1.0}}
+    with EnsembleFolder(tmp_path, writes=True) as folder:
+        asked = folder.begin(Asked(0, 10, 5, [{"temperature": k / n} for k in range(n)], "build", "", ""), True)
+        for k in reversed(range(n)):
+            folder.take({"index": k, **row})
+            sizes.append((tmp_path / "members.jsonl").stat().st_size)
+        table = table_of(folder, asked, n)
+    assert np.ptp(np.diff(sizes)) <= 4  # digits of the index
+    assert table["index"].tolist() == list(range(n))
+    assert table["temperature"][7] == 7 / n
+
+
+def told(folder, words):
+    """The lines of the status, as soon as they have these words; after a minute as they are."""
+    end = time.monotonic() + 60.0
+    while words not in (lines := "\n".join(status(folder)[1])) and time.monotonic() < end:
+        time.sleep(0.01)
+    return lines
+
+
+def test_the_status_says_at_which_step_each_member_is(tmp_path, monkeypatch):
+    monkeypatch.setattr(notes, "SECONDS_BETWEEN_NOTES", 0.01)
+    found = {}
+
+    def prepared(simulation, member):
+        if member.index == 1:
+            found["prepared"] = told(tmp_path, "being prepared")
+
+    def looked_at(simulation, member):
+        def look(one):
+            if member.index == 1:
+                found[one.step] = told(tmp_path, f"at step {one.step} of 60")
+
+        return simulation.run(STEPS, every=20, observers=[look], progress=False)
+
+    run(tmp_path, run=looked_at, prepare=prepared, parameters={"temperature": [0.5, 0.6]})
+    assert "running        member 1: being prepared" in found["prepared"]
+    assert "running        member 1: at step 40 of 60" in found[40]
+    assert "1 done" in found[40]
+    assert not list(tmp_path.rglob("*.running"))
+
+
+def test_a_note_that_was_left_behind_is_not_believed(done):
+    note = done.folder / "0000-0999" / "0002.running"
+    note.write_text("at step 40 of 60\n")
+    assert not any("running" in line for line in status(done.folder)[1])
+    descriptor = locked(note)
+    assert "running        member 2: at step 40 of 60" in status(done.folder)[1]
+    os.close(descriptor)
+    with notes.noting(md.Member(2, {}, 0, STEPS, note.with_suffix(".h5md"))):
+        pass
+    assert not note.exists()

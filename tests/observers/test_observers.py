@@ -1,0 +1,377 @@
+"""Observers of a run have the answers of slow twins of theirs; a run that was cut goes on to the same answers."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+from references import melt_scene
+from scenes import LJ, argon
+from wrong_calls import assert_answered
+
+import minimd as md
+from minimd import observers
+from minimd.analysis.check import check_file
+from minimd.analysis.plot import plot_file
+from minimd.files.h5md_observers import observers_of
+from minimd.mdanalysis import universe
+from minimd.observers.fluctuations import FEWEST, correlation_times
+from minimd.scene import parse_scene, resume_run, run_scene
+
+DISPLACEMENT, VELOCITY = "mean-square-displacement", "velocity-autocorrelation"
+NONE = md.LennardJones(1e-12, 1e-3, 0.1, "force-shifted")  # next to no forces
+EVERY = {"radial-distribution": 10, DISPLACEMENT: 2, VELOCITY: 2, "viscosity": 5, "fluctuations": 5, "profile": 10}
+
+
+def simulation(**options):
+    """A small mixture whose center of mass moves."""
+    atoms = argon().system
+    system = md.System(
+        atoms.positions,
+        masses=np.resize([2.0, 1.0, 1.0], 108),
+        velocities=atoms.velocities,
+        cell=atoms.cell,
+        species=np.resize(["B", "A", "A"], 108),
+    )
+    return md.Simulation(system, LJ, md.VelocityVerlet(0.004), **options)
+
+
+def several():
+    return [observers.KINDS[kind](every=every) for kind, every in EVERY.items()]
+
+
+def looked(looking, sim):
+    """The result of a single look."""
+    looking.prepare(sim.engine)
+    looking.observe(sim.engine)
+    return looking.result()
+
+
+class Run:
+    """A run of which all positions and velocities are kept, (T, N, 3), at every second step, as observers see it."""
+
+    def __init__(self):
+        self.sim, kept = simulation(), []
+        self.looking = {kind: of(every=2) for kind, of in observers.KINDS.items()}
+        keep = [lambda sim: kept.append([sim.positions.copy(), sim.velocities.copy()]), *self.looking.values()]
+        self.record = self.sim.run(100, every=2, observers=keep)
+        self.positions, self.velocities = np.array(kept).swapaxes(0, 1)
+        self.species, self.masses = self.sim.system.species_index, self.sim.system.masses
+        self.edges, self.n_dof = np.diag(self.sim.system.cell.vectors), 3 * len(self.species) - 3
+        self.moved, self.thermal = map(self.relative, (self.positions, self.velocities))
+
+    def relative(self, series):
+        """To the center of mass, which moves."""
+        return series - np.average(series, axis=1, weights=self.masses)[:, None]
+
+
+@pytest.fixture(scope="module")
+def run():
+    return Run()
+
+
+def correlated(run, series, law):
+    """Over the origins that a level of the correlator has: of all atoms, each species and direction."""
+    lags, means = np.array([*range(16), *range(16, 32, 2), *range(32, 51, 4)]), []
+    for lag in lags:
+        stride = 1 if lag < 16 else 2 if lag < 32 else 4
+        chosen = series[::stride]
+        of_atoms = law(chosen[: len(chosen) - lag // stride], chosen[lag // stride :]).mean(axis=0)
+        kinds = (of_atoms[run.species == s].sum(axis=1).mean() for s in (0, 1))
+        means.append([of_atoms.sum(axis=1).mean(), *kinds, *of_atoms.mean(axis=0)])
+    return {"times": 0.008 * lags, "means": np.transpose(means)}
+
+
+def pair_counts(run):
+    """Of A-A, A-B and B-B, among nearest images."""
+    pairs, bins = np.triu_indices(len(run.species), 1), np.linspace(0.0, run.edges[0] / 2.0, 201)
+    kinds, vectors = run.species[np.array(pairs)].sum(axis=0), run.positions[:, pairs[1]] - run.positions[:, pairs[0]]
+    distances = np.linalg.norm(vectors - run.edges * np.rint(vectors / run.edges), axis=2)
+    counts = [np.histogram(distances[:, kinds == k], bins)[0] / (kinds == k).sum() for k in range(3)]
+    shells = 4.0 / 3.0 * np.pi * np.diff(bins**3)
+    assert run.looking["radial-distribution"].result().pairs == ("A-A", "A-B", "B-B")
+    g = np.array(counts) / len(distances) * run.edges.prod() / shells
+    return {"r": 0.5 * (bins[1:] + bins[:-1]), "g_of_pairs": g}
+
+
+def stresses(run):
+    """On the first level, and on one of means of two entries; and the integral times V/T."""
+    series, made = [], run.sim.system.copy()
+    for positions, velocities in zip(run.positions, run.thermal, strict=True):
+        made.positions[:] = positions
+        virial = md.evaluate(made, run.sim.potentials).virial
+        pressure = ((run.masses[:, None] * velocities).T @ velocities + virial) / made.volume
+        series.append(0.5 * (pressure + pressure.T) - np.eye(3) * np.trace(pressure) / 3.0)
+    series, expected = np.reshape(series, (-1, 9)), []
+    for level, lags in ((series, range(32)), (0.5 * (series[:50:2] + series[1:50:2]), range(16, 25))):
+        expected += [(level[lag:] * level[: len(level) - lag]).sum(axis=1).mean() / 10.0 for lag in lags]
+    times, means = 0.008 * np.array([*range(32), *range(32, 50, 2)]), 0.5 * (np.array(expected[1:]) + expected[:-1])
+    integral = np.concatenate([[0.0], np.cumsum(means * np.diff(times))])
+    weight = made.volume / run.record.temperature.mean()
+    return {"times": times, "autocorrelation": expected, "integral": weight * integral}
+
+
+def grown(looking):
+    """Factors for deviations of K, E and V, so that their variances contain the part that is missing in a short run."""
+    return np.sqrt(1.0 + 2.0 / np.fmax(FEWEST, np.nan_to_num(correlation_times(looking.sums), nan=np.inf)))
+
+
+def heat_capacity(run):
+    temperatures = run.record.temperature
+    kinetic = 0.5 * run.n_dof * temperatures * grown(run.looking["fluctuations"])[0]
+    return {"heat_capacity_v": 0.5 * run.n_dof / (1.0 - 2.0 * kinetic.var() / (run.n_dof * temperatures.mean() ** 2))}
+
+
+def layers(run):
+    z, edges, volume = run.positions[:, :, 2] % run.edges[2], np.linspace(0.0, run.edges[2], 101), run.edges.prod()
+    counts = np.array([np.histogram(z[:, run.species == s], edges)[0] for s in (0, 1)])
+    squares = np.histogram(z, edges, weights=run.masses * (run.thermal**2).sum(axis=2))[0]
+    with np.errstate(invalid="ignore"):
+        temperatures = squares / counts.sum(axis=0) * len(run.species) / run.n_dof
+    return {"densities": counts / len(z) / (volume / 100), "temperature": temperatures}
+
+
+TWINS = {  # expected attributes of the result
+    DISPLACEMENT: lambda run: correlated(run, run.moved, lambda a, b: (b - a) ** 2),
+    VELOCITY: lambda run: correlated(run, run.thermal, lambda a, b: a * b),
+    "radial-distribution": pair_counts,
+    "viscosity": stresses,
+    "fluctuations": heat_capacity,
+    "profile": layers,
+}
+
+
+@pytest.mark.parametrize("kind", observers.KINDS)
+def test_an_observer_has_the_result_of_its_slow_twin(kind, run):
+    result = run.looking[kind].result()
+    for name, expected in TWINS[kind](run).items():
+        np.testing.assert_allclose(getattr(result, name), expected, rtol=1e-9, atol=1e-12, err_msg=name)  # rounding
+
+
+@pytest.mark.parametrize("cell", [np.eye(3), np.array([[1.0, 0, 0], [1, 1, 0], [0, -1, 1]])], ids=["cubic", "skewed"])
+def test_radial_distribution_of_a_crystal_counts_all_images(cell):
+    """Half the vectors from one atom to the other, and to the images of both, far beyond the cell."""
+    system = md.System(np.array([[0.0, 0.0, 0.0], [2.0, 1.0, 1.0]]) @ cell, cell=np.diag([4.0, 2.0, 2.0]) @ cell)
+    sim = md.Simulation(system, NONE, md.VelocityVerlet(0.1))
+    result = looked(observers.RadialDistribution(r_max=5.0, n_bins=500, every=1), sim)
+    counts = result.g * 4.0 / 3.0 * np.pi * np.diff(np.linspace(0.0, 5.0, 501) ** 3) / system.volume  # of one pair
+    shifts = (np.indices((9, 9, 9)).reshape(3, -1).T - 4) @ system.cell.vectors
+    own = shifts[len(shifts) // 2 + 1 :]  # one of each two opposite vectors
+    exact = np.linalg.norm(np.concatenate([system.positions[1] - system.positions[0] + shifts, own, own]), axis=1)
+    assert counts.sum() == pytest.approx((exact < 5.0).sum())
+    assert result.r[counts > 1e-12][0] == pytest.approx(exact.min(), abs=0.01)
+
+
+@pytest.mark.parametrize("drift", [0.0, 1.0, -1.0])
+@pytest.mark.parametrize("growth", [1.0, 1.001])
+def test_free_atoms_move_as_their_velocities_say(growth, drift):
+    """Ballistic motion: ⟨v²⟩ t² at every lag of every level, also where the cell grows under the atoms.
+
+    Relative to the center of mass; but a bath makes its motion thermal.
+    """
+    velocities = np.random.default_rng(2).normal(size=(20, 3))
+    velocities -= velocities.mean(axis=0)
+    system = md.System(np.zeros((20, 3)), velocities=velocities + drift, cell=50.0)
+    method = md.VelocityVerlet(0.01) if drift >= 0.0 else md.LangevinBAOAB(0.01, 1.0, 1.0, seed=1)
+    sim = md.Simulation(system, NONE, method)
+    looking = observers.MeanSquareDisplacement(every=1)
+    looking.prepare(sim.engine)
+    for step in range(200):
+        looking.observe(sim.engine)
+        sim.engine.count(1)
+        if growth != 1.0 and step:
+            sim.system.cell = md.Cell.of(growth * sim.system.cell.vectors)
+            sim.positions[:] *= growth
+        sim.positions[:] += 0.01 * (velocities + drift)
+    result, mean = looking.result(), ((velocities + min(drift, 0.0)) ** 2).sum(axis=1).mean()
+    assert len(result.times) > 40
+    np.testing.assert_allclose(result.msd, mean * result.times**2, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [("viscosity", "autocorrelation"), ("viscosity", "integral"), (DISPLACEMENT, "msd")]
+)
+def test_lags_beyond_half_of_the_run_have_no_error_bar(kind, name, run):
+    """Few blocks contain them; what these tell of each other is far less than the error."""
+    columns = run.looking[kind].result().columns()
+    is_known = np.isfinite(columns[f"{name}_error"])
+    assert not is_known[columns["time"] > 0.2].any()
+    assert is_known[columns["time"] <= 0.1].all()
+
+
+def test_the_correction_of_yeh_and_hummer(run):
+    looking, window = run.looking[DISPLACEMENT], (0.1, 0.3)
+    result, without = looking.result(window=window, viscosity=2.0), looking.result(window=window)
+    expected = 2.837297 * result.temperature / (6.0 * np.pi * 2.0 * run.edges[0])
+    assert result.infinite - result.diffusion == pytest.approx(expected, rel=1e-12)
+    assert result.diffusion == without.diffusion
+    assert "in a larger cell D is larger" in str(without)
+    assert "Yeh and Hummer" in str(result)
+    assert_answered(lambda: looking.result(window=(0.1, 0.101)), ValueError, "window", "0.101")
+
+
+def test_fluctuations_at_constant_pressure_are_those_of_the_record():
+    """T and P₀ are those of the barostat, with a thermostat and without: C_P, κ_T and α_P from energies and volumes."""
+    thermal, pressure = 0.9, 1.5
+    bath = md.StochasticCellRescaling(pressure, 0.05, 0.5, seed=1, temperature=thermal, every=5)
+    for method in (md.VelocityVerlet(0.004), md.StochasticVelocityRescaling(0.004, thermal, 0.1, 3)):
+        looking, sim = observers.Fluctuations(every=5), simulation(barostat=bath)
+        sim.method = method
+        record = sim.run(100, every=5, observers=[looking], progress=False)
+        _, of_energy, of_volume = grown(looking)
+        result, volume, mean = looking.result(), record.volume * of_volume, record.volume.mean()
+        enthalpy = record.total_energy * of_energy + pressure * volume
+        joint = np.mean((volume - volume.mean()) * enthalpy)
+        assert result.ensemble == "constant pressure"
+        assert [result.heat_capacity_p, result.compressibility, result.expansion] == pytest.approx(
+            [enthalpy.var() / thermal**2, volume.var() / (thermal * mean), joint / (thermal**2 * mean)], rel=1e-9
+        )
+    sim.method = md.StochasticVelocityRescaling(0.004, thermal, 0.2, 3)  # of the same temperature
+    sim.run(5, observers=[looking], progress=False)
+    assert_answered(lambda: simulation().run(5, observers=[looking], progress=False), ValueError, "bath")
+
+
+def answers(looking):
+    return {one.name: one.result().columns() | one.result().numbers() for one in looking}
+
+
+def test_a_run_that_was_cut_goes_on_to_the_same_answers(tmp_path):
+    """In one process, and through a file, to the last bit; the steps have the bits of a run without observers."""
+    (whole, cut, resumed), alone, sim = (several() for _ in range(3)), simulation(), simulation()
+    alone.run(230, every=50)
+    sim.run(230, every=50, observers=whole)
+    assert np.array_equal(sim.positions, alone.positions)
+    sim = simulation()
+    for n_steps in (103, 127):
+        sim.run(n_steps, every=50, observers=cut)
+    file, sim = tmp_path / "a.h5md", simulation()
+    sim.run(103, every=50, trajectory=file, observers=several())
+    again = md.Simulation.resume(file, sim.potentials)
+    again.run(until_step=230, every=50, trajectory=file, append=True, observers=resumed)
+    for looking in (cut, resumed, md.read_observers(file).values()):
+        np.testing.assert_equal(answers(looking), answers(whole))
+    with h5py.File(file) as h5:
+        for one in whole:
+            for name, series in one.result().columns().items():
+                np.testing.assert_array_equal(h5[f"minimd/observers/{one.name}/{name}"][:], series)
+        assert h5["minimd/observers/viscosity"].attrs["viscosity"] == whole[3].result().viscosity
+    with pytest.raises(ValueError, match="with the arguments"):
+        again.run(10, trajectory=file, append=True, observers=[observers.Profile(every=7)])
+    others = [one for one in resumed if one.kind != "viscosity"]
+    with pytest.warns(UserWarning, match="'viscosity', which this run does not go on with"):
+        again.run(10, every=50, trajectory=file, append=True, observers=others)
+    assert plot_file(file).stat().st_size > 10_000
+    assert len(universe(file).trajectory) == 5
+
+
+@pytest.mark.parametrize("kind", observers.KINDS)
+def test_a_state_sets_what_its_kind_has_and_nothing_else(kind, run):
+    made = run.looking[kind]
+    state, other = made.state(), type(made)(**made.made_with())
+    words = json.loads(bytes(state["words"]))
+    words["settled"] |= {"every": 7, "result": "not callable"}
+    other.restore(state | {"words": np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)})
+    assert (other.every, other.made_with()) == (made.every, made.made_with())
+    assert callable(other.result)
+
+
+def test_sums_of_another_convention_do_not_go_on(tmp_path, monkeypatch):
+    """Those of an older version, which gives no number: displacements were not relative to the center of mass."""
+    file, sim, dumps = tmp_path / "a.h5md", simulation(), json.dumps
+    with monkeypatch.context() as older:
+        older.setattr(observers.MeanSquareDisplacement, "convention", None, raising=False)
+        older.setattr(json, "dumps", lambda *made, **how: dumps(*made, **how).replace(', "convention": null', ""))
+        looking = [observers.MeanSquareDisplacement(every=2), observers.Profile(every=10)]
+        sim.run(20, every=10, trajectory=file, observers=looking)
+    found, resumed = md.read_observers(file), md.Simulation.resume(file, sim.potentials)
+    assert {name: one.n_looks for name, one in found.items()} == {"mean_square_displacement": 0, "profile": 3}
+    assert check_file(file).comparisons
+    assert plot_file(file).exists()
+
+    def go_on(*looking):
+        resumed.run(10, every=10, trajectory=file, append=True, observers=looking)
+
+    assert_answered(lambda: go_on(*found.values()), ValueError, "mean_square_displacement", "convention 1", "not 2")
+    for looking in ([], [observers.MeanSquareDisplacement(every=2, name="displacement")]):
+        with pytest.warns(UserWarning, match="which this run does not go on with"):
+            go_on(*looking)
+
+
+def test_a_scene_has_observers(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    kinds = '[[observer]]\nkind = "radial-distribution"\nevery = 5\nr_max = 2.0\n[[observer]]\nkind = "viscosity"\n'
+    text, told = melt_scene(3, 40, f"seed = 3\n{kinds}[output]\nevery = 20\n"), []
+    run_scene(parse_scene(text, tmp_path / "melt.toml"), steps=20, tell=told.append)
+    assert any(line.startswith("g(r)") for line in told)
+    resume_run("melt.h5md", tell=told.append)
+    found = md.read_observers("melt.h5md")
+    assert {name: one.n_looks for name, one in found.items()} == {"radial_distribution": 9, "viscosity": 9}
+    for old, new, shown in (("r_max = 2.0", 'axis = "c"', "axis"), ('"viscosity"', '"viscous"', "viscous")):
+        with pytest.raises(ValueError, match=f"{shown}.*radial-distribution|radial-distribution.*{shown}"):
+            parse_scene(text.replace(old, new), tmp_path / "melt.toml")
+
+
+def test_looks_after_the_last_good_state_are_told(monkeypatch):
+    """Nobody looks at a state that is known to have failed; earlier looks, of steps that were undone, are told of."""
+    sim, looking = simulation(), observers.MeanSquareDisplacement(every=2)
+    start, good = sim.engine.snapshot(), sim.guard.observe
+
+    def observe():
+        if sim.step < 10:
+            return good()
+        sim.engine.restore(start)
+        raise md.NonFiniteError("the total energy has run away")
+
+    monkeypatch.setattr(sim.guard, "is_hot", lambda: True)
+    monkeypatch.setattr(sim.guard, "observe", observe)
+    with pytest.raises(md.NonFiniteError), pytest.warns(UserWarning, match="has looked 4 times after step 0"):
+        sim.run(100, observers=[looking], progress=False)
+    assert looking.n_looks == 5
+    monkeypatch.undo()
+    sim.run(4, observers=[looking], progress=False)
+    counts = looking._correlator.correlations(looking.sums.total[3:])[0]
+    assert counts[:5].tolist() == [8, 6, 4, 2, 1]  # lags within five looks, and within three
+
+
+def seen_by(*looking, sim=None):
+    (sim or simulation()).run(1, observers=list(looking), progress=False)
+
+
+def open_atoms():
+    return md.Simulation(md.System(np.eye(3)), LJ, md.VelocityVerlet(0.001))
+
+
+def with_another_time_step():
+    looking, sim = observers.Profile(every=1), simulation()
+    seen_by(looking, sim=sim)
+    sim.method = md.VelocityVerlet(0.002)
+    seen_by(looking, sim=sim)
+
+
+def of_a_file_that_asks_for_too_much(folder):
+    simulation().run(4, every=2, trajectory=folder / "a.h5md", observers=[observers.RadialDistribution(every=2)])
+    with h5py.File(folder / "a.h5md", "r+") as h5:
+        group = h5["minimd/observers/radial_distribution"]
+        group.attrs["arguments"] = json.dumps(json.loads(group.attrs["arguments"]) | {"n_bins": 10**12})
+        observers_of(h5)
+
+
+WRONG = [
+    (lambda _: seen_by(3), TypeError, "observers", "[3]"),
+    (lambda _: seen_by(observers.Profile), TypeError, "observers", "Profile"),
+    (lambda _: seen_by(observers.Profile(), observers.Profile()), ValueError, "observers", "'profile'"),
+    (lambda _: observers.Profile().result(), ValueError, "Profile(", "not looked"),
+    (lambda _: observers.RadialDistribution(every=0), ValueError, "every", "0"),
+    (lambda _: observers.Profile("d"), ValueError, "axis", "'d'"),
+    (lambda _: observers.Viscosity(name="a/b"), ValueError, "name", "'a/b'"),
+    (lambda _: seen_by(observers.Profile(extent=(0.0, 1.0))), ValueError, "extent", "axis c"),
+    (lambda _: seen_by(observers.RadialDistribution(), sim=open_atoms()), ValueError, "periodic", "3 atoms"),
+    (lambda _: seen_by(observers.Viscosity(), sim=open_atoms()), ValueError, "periodic"),
+    (lambda _: with_another_time_step(), ValueError, "time step"),
+    (of_a_file_that_asks_for_too_much, ValueError, "radial_distribution", "memory"),
+]
+
+
+@pytest.mark.parametrize(("call", "error", "shown"), [(row[0], row[1], row[2:]) for row in WRONG])
+def test_what_cannot_be_observed_is_refused(call, error, shown, tmp_path):
+    assert_answered(lambda: call(tmp_path), error, *shown)

@@ -22,7 +22,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[1]
 WANTED = 0.95  # the share that must be caught
 MUTANTS = """
-forces/cluster_loop.py: test_clusters test_potentials
+forces/cluster_loop.py: test_lists test_laws
     own_share, scale = 0.5 if => own_share, scale = 1.0 if
     near = r2 < numbers[0] => near = r2 < numbers[0] * 0.999
     forces[place + n_lanes] -= without => forces[place + n_lanes] += without
@@ -31,7 +31,7 @@ forces/cluster_loop.py: test_clusters test_potentials
     at_c, lanes) + 0.5 * in_steps => at_c, lanes) + 1.0 * in_steps
 forces/cluster_loop.py: test_fixed_point
     -= n_laws * BIAS => += n_laws * BIAS
-potentials/pair_loop.py: test_clusters test_potentials
+potentials/pair_loop.py: test_lists test_laws
     fx, fy, fz = fx - gx, fy - gy, fz - gz => fx, fy, fz = fx - gx, fy - gy, fz + gz
     if r2 < numbers[0]: => if r2 <= 0.99 * numbers[0]:
     dx, dy, dz = dx + pairs.translations[t, 0] => dx, dy, dz = dx - pairs.translations[t, 0]

@@ -64,10 +64,10 @@ def in_momenta(q, p, grad_u, m, h):
     return q, p - h / 2 * grad_u(q)
 
 
-def handing_on(x, v, F, compute_force, m, dt):  # noqa: N803
+def handing_on(x, v, F, compute_force, m, dt):
     v = v + dt / 2 * F / m[:, None]
     x = x + dt * v
-    F = compute_force(x)  # noqa: N806
+    F = compute_force(x)
     return x, v + dt / 2 * F / m[:, None], F
 
 
@@ -140,7 +140,7 @@ def backward_difference(x, x_prev, force, m, dt):
     return new, x, (new - x) / dt
 
 
-def stale(x, v, F, compute_force, m, dt):  # noqa: N803
+def stale(x, v, F, compute_force, m, dt):
     v = v + dt / 2 * F / m[:, None]
     new = x + dt * v
     return new, v + dt / 2 * compute_force(new) / m[:, None], compute_force(x)

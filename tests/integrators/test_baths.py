@@ -45,7 +45,7 @@ def simulation(method, seed=3):
 
 def test_the_bath_of_langevin_is_the_ornstein_uhlenbeck_process():
     """Mean e^(−γΔt) v, variance k_B T (1 − e^(−2γΔt))/m, normal."""
-    n, k_B, masses = 40_000, 0.7, np.repeat([1.0, 4.0], 20_000)  # noqa: N806
+    n, k_B, masses = 40_000, 0.7, np.repeat([1.0, 4.0], 20_000)
     s, kept = state(np.full((n, 3), 0.8), masses), np.exp(-2.0 * 0.3)
     LANGEVIN.thermalize(s, 0.3, in_contact(k_B=k_B))
     for mass in (1.0, 4.0):

@@ -146,7 +146,7 @@ engine/cell_rescaling.py: engine/test_barostat
     tensor += thermal * np.eye(3) - np.outer => tensor += np.eye(3) - np.outer
     return step % self.barostat.every == 0 => return step % self.barostat.every == 1
     virial = virial - self._inner_virial() => virial = virial + self._inner_virial()
-files/h5md_restart.py: files/test_h5md test_present_state
+files/h5md_restart.py: files/test_h5md files/test_trajectories files/test_interrupts simulation/test_observables
     "clock_step": clock[0] => "clock_step": clock[0] + 1
     for name in (RESTART, EARLIER): => for name in (EARLIER, RESTART):
     return {} if name is None else read_group => return {} if name is not None else read_group

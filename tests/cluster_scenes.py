@@ -106,12 +106,10 @@ def atoms_per_domain(n):
 
 
 def pair_laws(system, potentials):
-    """What the planner makes of pair potentials that share a list."""
     return PairLaws(system, [potential.bind(system).pair_law for potential in potentials])
 
 
 def clustered(system, potentials, precision="double", threads=2, skin=SKIN):
-    """These laws on a cluster list."""
     return ClusterTerm(system, pair_laws(system, potentials), Options(threads, precision, skin))
 
 

@@ -52,14 +52,11 @@ def test_wrong_calls_are_answered(row):
         assert_answered(call, error, *shown)
 
 
-def test_a_file_of_another_kind_is_refused(tmp_path):
+def test_a_file_of_another_kind_is_refused_and_a_failed_call_leaves_nothing_behind(tmp_path):
     define()
     (tmp_path / "b.h5md").write_text("none")
     with pytest.raises(ValueError, match=r"b\.h5md"):
         ase.io.read(tmp_path / "b.h5md")
-
-
-def test_a_failed_call_leaves_nothing_behind():
     atoms = with_calculator(argon(1), Calculator(md.LennardJones({"Ar": (EPSILON, SIGMA)}, cutoff=CUTOFF)))
     before = atoms.get_potential_energy()
     atoms.numbers[0] = 36

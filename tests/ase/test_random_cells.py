@@ -94,25 +94,16 @@ def assert_list_of_ase(atoms, cutoff):
     assert np.abs(found - expected).max(initial=0.0) <= 1e-13 * (np.abs(atoms.positions).max() + far)  # rounding
 
 
-DRAWN = {"atoms": scenes(), "cutoff": st.floats(1.31, 3.0), "start": st.floats(0.4, 0.95)}
-
-
-def same_as_ase(atoms, cutoff, start):
+@pytest.mark.parametrize("n", [50, pytest.param(220, marks=pytest.mark.slow)])
+def test_laws_and_neighbor_list_are_those_of_ase(n):
     """Energies, forces, stress of both truncations that ASE has, and the list of neighbors."""
-    cutoff *= SIGMA
-    assert_law_of_ase(atoms, cutoff, "shifted", None)
-    assert_law_of_ase(atoms, cutoff, "charmm", start * cutoff, smooth=True)
-    assert_list_of_ase(atoms, cutoff)
 
+    @settings(max_examples=n)
+    @given(scenes(), st.floats(1.31, 3.0), st.floats(0.4, 0.95))
+    def same_as_ase(atoms, cutoff, start):
+        cutoff *= SIGMA
+        assert_law_of_ase(atoms, cutoff, "shifted", None)
+        assert_law_of_ase(atoms, cutoff, "charmm", start * cutoff, smooth=True)
+        assert_list_of_ase(atoms, cutoff)
 
-@settings(max_examples=50)
-@given(**DRAWN)
-def test_laws_and_neighbor_list_are_those_of_ase(atoms, cutoff, start):
-    same_as_ase(atoms, cutoff, start)
-
-
-@pytest.mark.slow
-@settings(max_examples=220)
-@given(**DRAWN)
-def test_laws_and_neighbor_list_are_those_of_ase_in_many_cells(atoms, cutoff, start):
-    same_as_ase(atoms, cutoff, start)
+    same_as_ase()

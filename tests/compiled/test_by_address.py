@@ -14,7 +14,7 @@ COPIES = [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one)),
 
 
 class Inner(ByAddress, namedtuple("Inner", "flat matrix")):
-    """Two arrays."""
+    pass
 
 
 class Outer(ByAddress, namedtuple("Outer", "number inner pair whole")):

@@ -1,10 +1,8 @@
 """Vectors compute, lane by lane, what numpy computes element by element."""
 
 import math
-import operator
 from collections import namedtuple
 
-import numba
 import numpy as np
 import pytest
 
@@ -17,8 +15,6 @@ from minimd.potentials.truncation import TRUNCATIONS
 
 
 class Lanes16(namedtuple("Lanes16", "")):
-    """Wider than minimd's."""
-
     size = 16
 
 
@@ -138,22 +134,6 @@ def test_conversion_rounds_to_the_nearest_for_a_number_as_for_a_vector(kind, to,
 
 
 @kernel
-def differences(a, b, out, same):
-    x = load(a, 0, 8)
-    store(same, 0, convert(x, x))
-    store(out, 0, convert(x - load(b, 0, 8), np.float32(0.0)))
-
-
-def test_differences_of_large_integers_are_exact_before_they_are_converted():
-    """What mixed precision stands on: a small distance between far places has no rounding error."""
-    b = np.linspace(-(2**31) + 1000, 2**31 - 1000, 8).astype(np.int32)
-    out, apart, same = np.zeros(8, np.float32), np.arange(1, 9, dtype=np.int32), np.zeros(8, np.int32)
-    differences(b + apart, b, out, same)
-    assert np.array_equal(out, apart)
-    assert np.array_equal(same, b + apart)
-
-
-@kernel
 def of_a_law(law, r2, parameters, out):
     u, f = evaluate_law(law, load(r2, 0, 8), parameters)
     store(out, 0, u)
@@ -168,10 +148,3 @@ def test_laws_compile_for_vectors_from_the_same_source(truncation):
     of_a_law(potential.law, r2, parameters, out)
     expected = np.array([evaluate_law(potential.law, x, parameters) for x in r2.tolist()])
     assert pytest.approx(expected, rel=1e-14, abs=1e-16) == out.reshape(2, 8).T
-
-
-@pytest.mark.parametrize("operation", [operator.mod, operator.floordiv])
-def test_what_vectors_cannot_do_is_an_error(operation):
-    run = numba.njit(lambda a: store(a, 0, operation(load(a, 0, 8), load(a, 0, 8))))
-    with pytest.raises(numba.core.errors.TypingError):
-        run(np.ones(8))

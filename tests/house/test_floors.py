@@ -1,7 +1,4 @@
-"""The house: a package is a floor, imports go down, nothing goes round in a circle; and what an import must not do.
-
-docs/architecture.md lists the floors, highest first; the floors of this test are those.
-"""
+"""The house: a package is a floor of docs/architecture.md, imports go down, nothing goes round in a circle."""
 
 import ast
 import re

@@ -35,13 +35,15 @@ def far_away():
     return fluid(positions=start.positions + images @ start.cell.vectors)
 
 
-# Laws
-
-
 def buckingham(r2, a, rho, c):
     r = sqrt(r2)
     repulsion = a * exp(-r / rho)
     return repulsion - c / r2**3, repulsion / (rho * r) - 6.0 * c / r2**4
+
+
+def soft(r2, a):
+    r = sqrt(r2)
+    return (a * (1.0 - r) ** 2, 2.0 * a * (1.0 - r) / r) if r < 1.0 else (0.0, 0.0)
 
 
 def morse(r2, depth, alpha, r0):
@@ -50,22 +52,11 @@ def morse(r2, depth, alpha, r0):
     return depth * (x * x - 2.0 * x), 2.0 * depth * alpha * (x * x - x) / r
 
 
-def soft(r2, a):
-    r = sqrt(r2)
-    return (a * (1.0 - r) ** 2, 2.0 * a * (1.0 - r) / r) if r < 1.0 else (0.0, 0.0)
+KOB_ANDERSEN = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}  # cutoffs
+KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=KOB_ANDERSEN, pairs={("A", "B"): (1.5, 0.8)})
+TWO_MORSE = {"A": (1.0, 5.0, 1.1), "B": (0.7, 4.0, 1.0)}
+TWO_MORSE = md.PairPotential(morse, TWO_MORSE, CUTOFF, pairs={("A", "B"): (1.2, 5.0, 1.0)})
 
-
-def kob_andersen():
-    cutoffs = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}
-    return md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=cutoffs, pairs={("A", "B"): (1.5, 0.8)})
-
-
-def two_morse():
-    own = {"A": (1.0, 5.0, 1.1), "B": (0.7, 4.0, 1.0)}
-    return md.PairPotential(morse, own, CUTOFF, pairs={("A", "B"): (1.2, 5.0, 1.0)})
-
-
-# Bonds
 
 CHAINS = np.arange(108).reshape(-1, 4)  # atoms of neighboring numbers, which are neighbors in a fresh crystal
 
@@ -88,27 +79,19 @@ def chains():
 
 def torsions():
     """Every bond and dihedral that LAMMPS has too."""
-    system = chain_system()
-    potentials = [
-        scaled(0.0, 1.0, 1.0),
-        md.FENEBond(30.0, 1.9, 1.0, 0.9, system.bonds[:27]),
-        md.MorseBond(20.0, 2.0, 1.1, system.bonds[27:]),
-        md.PeriodicDihedral(1.5, 3, 0.4, CHAINS[:13]),
-        md.RyckaertBellemans((1.3, 1.4, -1.6, -0.4, 3.1, -3.4), CHAINS[13:20]),
-        md.OPLSDihedral(1.0, 2.0, 3.0, 0.5, CHAINS[20:]),
-    ]
-    return scene(system, potentials)
+    system, ryckaert = chain_system(), (1.3, 1.4, -1.6, -0.4, 3.1, -3.4)
+    bonds = md.FENEBond(30.0, 1.9, 1.0, 0.9, system.bonds[:27]), md.MorseBond(20.0, 2.0, 1.1, system.bonds[27:])
+    periodic, opls = md.PeriodicDihedral(1.5, 3, 0.4, CHAINS[:13]), md.OPLSDihedral(1.0, 2.0, 3.0, 0.5, CHAINS[20:])
+    dihedrals = periodic, md.RyckaertBellemans(ryckaert, CHAINS[13:20]), opls
+    return scene(system, [scaled(0.0, 1.0, 1.0), *bonds, *dihedrals])
 
 
 def two_laws():
     """Each with scales of its own."""
-    potentials = [
-        scaled(0.0, 1.0, 1.0),
-        md.LennardJones(0.5, 0.9, 2.0, bonded_scale=(1.0, 0.5, 1.0)),
-        md.PairPotential(buckingham, (3e4, 0.08, 0.0), 2.0, bonded_scale=(0.0, 0.0, 1.0)),
-        md.BondPotential(morse, (10.0, 3.0, 1.1)),
-    ]
-    return scene(chain_system(), potentials)
+    second = md.LennardJones(0.5, 0.9, 2.0, bonded_scale=(1.0, 0.5, 1.0))
+    third = md.PairPotential(buckingham, (3e4, 0.08, 0.0), 2.0, bonded_scale=(0.0, 0.0, 1.0))
+    bonds = md.BondPotential(morse, (10.0, 3.0, 1.1))
+    return scene(chain_system(), [scaled(0.0, 1.0, 1.0), second, third, bonds])
 
 
 def springs_at_rest():
@@ -144,9 +127,6 @@ def stars():
     law = md.LennardJones({"X": (1.0, 1.0), "H": (0.0, 1.0)}, cutoff=CUTOFF, bonded_scale=(0.0, 0.5, 1.0))
     system = md.System(positions.reshape(-1, 3), cell=edges, bonds=pairs, **given)
     return warm(system, law, md.DistanceConstraints(pairs, 0.7))
-
-
-# Thermal atoms without potential energy at the start
 
 
 def warm(system, potentials, constraints=(), method=None, temperature=1.0):
@@ -192,17 +172,14 @@ def in_cell(matrix, **open_directions):
     return lambda: scene(fluid(matrix, **open_directions))
 
 
-HEAVIER = np.where(np.arange(108) % 3 == 0, 2.5, 1.0)
+HEAVIER, CUT = np.where(np.arange(108) % 3 == 0, 2.5, 1.0), ("truncated", "shifted", "switched", "charmm", "smooth")
 PLANE = [[0.0, 0.0, 0.0], [1.1, 0.0, 0.0], [0.3, 1.0, 0.0], [2.0, 2.0, 0.0]]
 SCENES = {
     **{name: lambda make=make: make().simulation() for name, make in scenes.SCENES.items() if name != "two_atoms"},
-    **{
-        one: lambda one=one: scene(fluid(), md.LennardJones(1.0, 1.0, CUTOFF, one))
-        for one in ("truncated", "shifted", "switched", "charmm", "smooth")
-    },
-    "Kob-Andersen mixture": lambda: scene(fluid(species=TWO_KINDS), kob_andersen()),
+    **{one: lambda one=one: scene(fluid(), md.LennardJones(1.0, 1.0, CUTOFF, one)) for one in CUT},
+    "Kob-Andersen mixture": lambda: scene(fluid(species=TWO_KINDS), KOB_ANDERSEN),
     "own law": lambda: scene(fluid(), md.PairPotential(buckingham, (3e5, 0.08, 2.0), CUTOFF, "force-shifted")),
-    "own law of species": lambda: scene(fluid(species=TWO_KINDS), two_morse()),
+    "own law of species": lambda: scene(fluid(species=TWO_KINDS), TWO_MORSE),
     "water": water,
     "chains": chains,
     "torsions": torsions,

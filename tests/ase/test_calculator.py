@@ -86,7 +86,7 @@ def test_energies_forces_and_stress_are_those_of_ase(scene):
     for name in QUANTITIES[:n]:
         assert same(mine.calc.get_property(name, mine), reference.calc.get_property(name, reference)), name
     assert mine.get_potential_energy(force_consistent=True) == mine.get_potential_energy()
-    if n == 5:
+    if n == 5 and pbc is True:
         pressure = md.Simulation(mine, potential, md.VelocityVerlet(TIMESTEP)).frame().observables["pressure"]
         assert pressure == pytest.approx(-mine.get_stress(include_ideal_gas=True)[:3].mean(), rel=1e-12)
 

@@ -31,7 +31,6 @@ if os.environ.get("MINIMD_CALCULATOR"):
 
 
 def pytest_terminal_summary(terminalreporter):
-    """Show that the classes were exchanged in every module that was tested."""
     tested = [m for name, m in sys.modules.items() if name.startswith("ase.test.") and hasattr(m, "__file__")]
     found = [(m, name) for m in tested for name in PLACES if hasattr(m, name)]
     left = [f"{m.__name__}.{name}" for m, name in found if getattr(m, name) is not getattr(minimd.ase, name)]

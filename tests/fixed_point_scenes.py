@@ -26,7 +26,6 @@ def mixture(pbc=True, with_bonds=True, temperature=0.9):
 
 
 def on_grid(lengths):
-    """Lengths as multiples of the step of GRID."""
     return np.rint(lengths / GRID.length) * GRID.length
 
 
@@ -41,6 +40,5 @@ def bits(simulation):
 
 
 def total_momentum(simulation):
-    """Σ P in whole numbers of steps, as Python counts."""
     momenta = simulation.system.masses[:, None] * simulation.velocities / simulation.engine.interactions.grid.momentum
     return [sum(map(int, column)) for column in np.rint(momenta).T]

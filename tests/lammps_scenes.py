@@ -23,7 +23,6 @@ def scene(system, potentials=LJ, constraints=(), method=None, **options):
 
 
 def fluid(matrix=None, **changes):
-    """The system of scenes.argon, its positions and cell times a matrix, and what its System gets beside."""
     start, matrix = scenes.argon().system, np.eye(3) if matrix is None else matrix
     given = {"positions": start.positions @ matrix, "velocities": start.velocities, "cell": start.cell.vectors @ matrix}
     return md.System(**given | changes)
@@ -62,7 +61,6 @@ CHAINS = np.arange(108).reshape(-1, 4)  # atoms of neighboring numbers, which ar
 
 
 def chain_system():
-    """27 chains of four, with bonds and angles."""
     bonds = np.concatenate([CHAINS[:, k : k + 2] for k in range(3)])
     angles = np.concatenate([CHAINS[:, k : k + 3] for k in range(2)])
     return fluid(bonds=bonds, angles=angles, masses=np.where(np.arange(108) % 4 == 0, 2.0, 1.0))
@@ -78,7 +76,6 @@ def chains():
 
 
 def torsions():
-    """Every bond and dihedral that LAMMPS has too."""
     system, ryckaert = chain_system(), (1.3, 1.4, -1.6, -0.4, 3.1, -3.4)
     bonds = md.FENEBond(30.0, 1.9, 1.0, 0.9, system.bonds[:27]), md.MorseBond(20.0, 2.0, 1.1, system.bonds[27:])
     periodic, opls = md.PeriodicDihedral(1.5, 3, 0.4, CHAINS[:13]), md.OPLSDihedral(1.0, 2.0, 3.0, 0.5, CHAINS[20:])
@@ -87,7 +84,6 @@ def torsions():
 
 
 def two_laws():
-    """Each with scales of its own."""
     second = md.LennardJones(0.5, 0.9, 2.0, bonded_scale=(1.0, 0.5, 1.0))
     third = md.PairPotential(buckingham, (3e4, 0.08, 0.0), 2.0, bonded_scale=(0.0, 0.0, 1.0))
     bonds = md.BondPotential(morse, (10.0, 3.0, 1.1))
@@ -95,14 +91,12 @@ def two_laws():
 
 
 def springs_at_rest():
-    """All forces are rounding."""
     positions = [[0.1, 0.2, 0.3], [0.7, 0.8, 1.0], [2.0, 2.0, 2.0], [3.0, 3.0, 3.5]]
     lengths = [np.sqrt(0.36 + 0.36 + 0.49), 1.5]
     return scene(md.System(positions, cell=SKEWED * 9.0, bonds=[[0, 1], [2, 3]]), md.HarmonicBond(300.0, lengths))
 
 
 def solute():
-    """LAMMPS' own molecule, with a table of unlike pairs, and a cutoff of more than half the cell."""
     rows = [line.split() for line in load("lammps_fourmol/mol-pair-lj_cut.json")["pair_coeff"]]
     pairs = {(int(a), int(b)): (float(epsilon), float(sigma)) for a, b, epsilon, sigma, *_ in rows}
     own = {a: pairs.pop((a, b)) for a, b in list(pairs) if a == b}
@@ -118,7 +112,6 @@ def water():
 
 
 def stars():
-    """Rigid molecules of four atoms, three bonds at the middle one, which alone has a law."""
     centers, edges = md.lattice.crystal("sc", [3, 3, 3], 2.3)
     turns = np.linalg.qr(np.random.default_rng(5).normal(size=(27, 3, 3)))[0]
     positions = centers[:, None] + 0.7 * np.vstack([np.zeros(3), np.eye(3)]) @ turns
@@ -161,7 +154,6 @@ AT_REST = {
 
 
 def with_a_tail():
-    """In eV, Å, u."""
     start = fluid()
     system = md.System(3.4 * start.positions, masses=39.948, cell=3.4 * start.cell.vectors, units=md.units.ASE)
     potential = md.LennardJones(0.0104, 3.4, 8.5, "truncated", tail_correction=True)

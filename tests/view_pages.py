@@ -29,7 +29,6 @@ def skewed_chains(timestep=0.004, pbc=(True, True, True)):
 
 
 def failed_melt(folder):
-    """The crash file of a scene whose time step is far too long."""
     text = melt_scene(3, 4000, f'[output]\ntrajectory = "{folder}/melt.h5md"\nevery = 100\n')
     Path(folder, "melt.toml").write_text(text.replace("timestep = 0.004", "timestep = 0.06"))
     assert cli.main(["run", f"{folder}/melt.toml", "--quiet"]) == 3

@@ -31,7 +31,6 @@ KEPT = f"not ({NOT_OURS}) or NVT or nvt or default"
 
 
 def run_ases_tests(modules, calculator, folder):
-    """The output of pytest on modules of ase.test."""
     plugins = ["-p", "no:cacheprovider", "-p", "ases_tests_with_minimd", "-W", "ignore:the calculator is"]
     command = [sys.executable, "-m", "pytest", "-q", *plugins]
     tests = Path(__file__).parents[1]

@@ -77,7 +77,6 @@ AS_ASE = {  # atoms, how much they are shaken, pbc, a calculator, and another th
 
 @pytest.mark.parametrize("scene", AS_ASE)
 def test_energies_forces_and_stress_are_those_of_ase(scene):
-    """With minimd's potentials, and with calculators of ASE; these give equal shares of the stress."""
     atoms, shaken, pbc, potential, other, n = AS_ASE[scene]
     atoms.rattle(shaken, seed=1)
     atoms.pbc = pbc
@@ -89,19 +88,6 @@ def test_energies_forces_and_stress_are_those_of_ase(scene):
     if n == 5 and pbc is True:
         pressure = md.Simulation(mine, potential, md.VelocityVerlet(TIMESTEP)).frame().observables["pressure"]
         assert pressure == pytest.approx(-mine.get_stress(include_ideal_gas=True)[:3].mean(), rel=1e-12)
-
-
-def test_list_is_kept_while_atoms_move_a_little():
-    """0.6 Å is more than half the skin; an atom moved by a lattice vector has moved."""
-    atoms = with_calculator(argon(), Calculator(lennard_jones(), skin=1.0))
-    for _ in range(5):
-        atoms.get_forces()
-        atoms.rattle(0.01, seed=5)
-    assert atoms.calc.n_builds == 1
-    for n_builds, move in ((2, [0.6] * 3), (3, atoms.cell[0])):
-        atoms.positions[0] += move
-        atoms.get_forces()
-        assert atoms.calc.n_builds == n_builds
 
 
 OTHERS = md.LennardJones({"Ar": (0.02, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)

@@ -92,7 +92,6 @@ def test_motion_without_noise_is_that_of_ase(motion):
 
 
 def observed(cls, folder, drive):
-    """Everything an observer can see of a driven run: numbers, texts, frames of files."""
     folder.mkdir()
     seen, atoms = [], liquid()
     dynamics = cls(atoms, TIMESTEP, trajectory=str(folder / "a.traj"), logfile=str(folder / "a.log"), loginterval=10)
@@ -200,8 +199,6 @@ def test_after_a_blow_up_the_atoms_hold_the_last_good_state():
 
 
 class Charged(LennardJones):
-    """It counts how often it is asked, and looks at all that the atoms carry."""
-
     n_calls = 0
 
     def calculate(self, atoms=None, *arguments):
@@ -243,8 +240,6 @@ def test_a_simulation_takes_a_calculator_of_ase_for_a_potential():
 
 
 class Wind(IdealGas):
-    """A force that is the same on all atoms."""
-
     def calculate(self, atoms=None, *arguments):
         super().calculate(atoms, *arguments)
         self.results["forces"] = np.full((len(atoms), 3), 0.1)

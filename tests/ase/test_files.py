@@ -23,7 +23,6 @@ known = pytest.fixture(define, name="known")
 
 @pytest.fixture(scope="module", params=[(md.units.ASE, True), (md.units.ASE, False), (md.units.LJ, True)])
 def written(request, tmp_path_factory):
-    """A run of 27 atoms in a triclinic cell, written to files of all kinds, and what an observer has seen of it."""
     units, has_forces = request.param
     folder, sim, seen = tmp_path_factory.mktemp("run"), simulation("triclinic", units), []
 

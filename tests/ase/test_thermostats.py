@@ -26,7 +26,6 @@ NOISY = {
 
 
 def gas(n=N, held=False):
-    """Atoms of two masses, with momenta that add up to a motion of the whole, unless their center is held."""
     rng = np.random.default_rng(5)
     positions = rng.uniform(0.0, 50.0, (n, 3))
     symbols = "Ar" * (n // 2) + "He" * (n - n // 2)
@@ -41,7 +40,6 @@ def made(name, atoms, rng=1, **options):
 
 
 def temperatures(dynamics, n=400, apart=1):
-    """n of them, some steps apart."""
     dynamics.run(20)
     seen = []
     dynamics.attach(lambda: seen.append(dynamics.atoms.get_temperature()), apart)

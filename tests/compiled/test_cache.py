@@ -91,7 +91,6 @@ def first(pair):
 
 
 def test_fields_in_another_order_are_another_type(folder, monkeypatch):
-    """Also where the file of the kernel does not change."""
     for fields in ("r s", "s r"):
         monkeypatch.setitem(globals(), "Pair", namedtuple("Pair", fields))
         for n_misses in (1, 0):

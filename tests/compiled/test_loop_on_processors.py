@@ -43,7 +43,6 @@ STACK, OF_FRAME, INTO_FRAME = r"\(%rsp\)|\[sp", r"\(%rbp\)", r"%rbp$"  # a regis
 @pytest.mark.parametrize(("precision", "tolerance"), [("double", 1e-13), ("mixed", 3e-6)])
 @pytest.mark.parametrize("kind", [Lanes4, Lanes8])
 def test_vectors_of_any_width_give_the_same_physics(monkeypatch, kind, precision, tolerance):
-    """tolerance : rounding, of float64 and of float32."""
     monkeypatch.setattr(cluster_list, "lanes_for", lambda bits: kind())
     system = liquid(5)
     laws = pair_laws(system, [LAW])
@@ -70,7 +69,6 @@ def test_older_vectors_can_be_chosen_by_their_names(chosen):
 
 @cache
 def code(kind, precision):
-    """The loop with forces alone as LLVM's code, for the types of what a term hands over, with these lanes; not run."""
 
     @numba.njit(error_model="numpy")
     def loop(arrays, law, parameters, sums):
@@ -86,7 +84,6 @@ def code(kind, precision):
 
 
 def translated(ir, triple, name):
-    """The assembly that LLVM makes for a processor from code for this one."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     machine = llvm.Target.from_triple(triple).create_target_machine(cpu=name, opt=3)
@@ -111,7 +108,6 @@ def inner_loop(assembly):
 
 @pytest.mark.parametrize("name", [*PROCESSORS][:3] + [pytest.param(one, marks=pytest.mark.slow) for one in FURTHER])
 def test_the_loop_runs_on_full_vectors_in_registers(name):
-    """Divisions fill the registers, no number goes alone, and the stack is hardly touched."""
     triple, processor, kind, precision, division, stack = PROCESSORS[name]
     loop, n_divisions = inner_loop(translated(code(kind, precision), triple, processor))
     text = "\n".join(loop)

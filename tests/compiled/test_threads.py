@@ -39,7 +39,6 @@ def counts(n_threads, n, n_phases=N_PHASES):
 
 
 def counted(team, n, n_phases=N_PHASES):
-    """done of one task, in which every share was done once, in the order of the phases."""
     done, early = counts(team.n_threads, n, n_phases)
     team.run(count_shares, n, done, early)
     assert not early.any()
@@ -83,7 +82,6 @@ def test_a_stopped_task_ends_at_the_same_step_for_all_threads(n_threads):
 
 @pytest.mark.parametrize("n_threads", [1, 2, 3, 8])
 def test_each_share_is_done_once_in_each_phase(n_threads):
-    """And in thousands of tasks that follow each other."""
     team = thread_pool(n_threads)
     for n in (1, 2, 3, 7, 8, 9, 64, 1000, MOST_CHUNKS):
         for n_phases in (1, 3, 7):

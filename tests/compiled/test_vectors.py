@@ -6,12 +6,9 @@ from collections import namedtuple
 import numpy as np
 import pytest
 
-import minimd as md
 from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.simd import bits_from_mask, broadcast, convert, fma, lane, load, select, store, total, with_lane
 from minimd.compiled.simd.lanes import Lanes4, Lanes8, count
-from minimd.potentials.law import evaluate_law
-from minimd.potentials.truncation import TRUNCATIONS
 
 
 class Lanes16(namedtuple("Lanes16", "")):
@@ -77,7 +74,6 @@ def doubles(a, b, out, lanes):
 
 
 def check(kernel, function, a, b, lanes, rel=0.0):
-    """A kernel makes of vectors what Python makes of each pair of numbers."""
     expected = np.array([function(x, y) for x, y in zip(a, b, strict=True)]).T.astype(a.dtype)
     out = np.zeros(expected.size, a.dtype)
     kernel(a, b, out, lanes)
@@ -131,20 +127,3 @@ def test_conversion_rounds_to_the_nearest_for_a_number_as_for_a_vector(kind, to,
     out = np.ones(2 * lanes.size, to)
     converted(values, to(0.0), out, lanes)
     assert np.array_equal(out, np.tile(values.astype(to), 2))
-
-
-@kernel
-def of_a_law(law, r2, parameters, out):
-    u, f = evaluate_law(law, load(r2, 0, 8), parameters)
-    store(out, 0, u)
-    store(out, 8, f)
-
-
-@pytest.mark.parametrize("truncation", TRUNCATIONS)
-def test_laws_compile_for_vectors_from_the_same_source(truncation):
-    potential = md.LennardJones(1.3, 0.9, 2.5, truncation)
-    parameters = tuple(potential.table(("X",))[0, 0, 1:].tolist())
-    r2, out = np.linspace(0.8, 7.0, 8), np.zeros(16)
-    of_a_law(potential.law, r2, parameters, out)
-    expected = np.array([evaluate_law(potential.law, x, parameters) for x in r2.tolist()])
-    assert pytest.approx(expected, rel=1e-14, abs=1e-16) == out.reshape(2, 8).T

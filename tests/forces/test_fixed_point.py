@@ -38,7 +38,6 @@ def there_and_back(simulation, n_steps=120):
 
 @pytest.mark.parametrize("name", SPLITTINGS)
 def test_symmetric_methods_return_to_the_first_bit_and_keep_momentum(name):
-    """Other methods keep momentum, too."""
     simulation = plain(SPLITTINGS[name](0.004))
     if simulation.method.is_symmetric:
         assert there_and_back(simulation) > 0.3
@@ -70,7 +69,6 @@ def reference():
 
 
 def other_order(name):
-    """The mixture, its atoms renumbered, wrapped or translated; their order, and how far they were moved."""
     system, random = mixture(), np.random.default_rng(1)
     order, shift = np.arange(len(system)), 0.0
     if name == "renumbered":
@@ -177,7 +175,6 @@ def test_baths_keep_to_the_grid(bath):
 
 
 def test_rigid_bonds_keep_momentum_to_the_last_bit(tmp_path):
-    """Impulses of constraints are rounded so that they are opposite; reversibility is not claimed."""
     system, file = mixture(), tmp_path / "rigid.h5md"
     system.velocities[:] -= (system.masses[:, None] * system.velocities).sum(axis=0) / system.masses.sum()
     simulation = simulated(system, constraints=md.DistanceConstraints(system.bonds), potentials=[LAW])

@@ -17,7 +17,6 @@ LJ = md.LennardJones(1.0, 1.0, cutoff=2.5)
 
 
 def of_melt(cells, precision="fixed-point", timestep=0.005, **options):
-    """A melt that is in equilibrium."""
     return md.Simulation(melt(cells).system, LJ, md.VelocityVerlet(timestep), precision=precision, **options)
 
 

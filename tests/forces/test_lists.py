@@ -3,17 +3,23 @@
 import cluster_scenes as cs
 import numpy as np
 import pytest
+from ase.build import bulk
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from references import brute_force_pairs, liquid
-from scenes import BONDED, LJ, OPEN, SCENES
+from scenes import BONDED, LJ
 from wrong_calls import assert_answered
 
 import minimd as md
+from minimd.ase import Calculator, VelocityVerlet
 from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
+from minimd.forces.pair_laws import skin_for
 from minimd.forces.pair_list_term import PairListTerm
+from minimd.neighbors.cluster_search import LAYERS
+from minimd.neighbors.verlet_list import best_skin
 from minimd.potentials.term import PER_ATOM
+from minimd.structure.system import number_density
 
 WIDE = 300.0  # the grid of the coordinates in mixed precision is then 1.4e-7 fine, as float32 near 1
 TABLE = [(name, precision) for name in cs.LAWS for precision in cs.EQUAL]
@@ -71,7 +77,6 @@ def test_pairs_that_run_into_each_other_are_not_missed(system, atoms):
 
 @pytest.mark.parametrize("kind", [ClusterTerm, PairListTerm])
 def test_a_list_that_follows_a_strain_misses_no_pair(kind):
-    """Pairs that were beyond the list are nearer in the smaller cell, and run into each other."""
     system, strain = liquid(4), np.array([[0.97, 0.01, 0.0], [0.0, 0.98, 0.0], [0.0, 0.0, 1.01]])
     laws = cs.pair_laws(system, cs.ONE_SPECIES)
     term, bare = kind(system, laws, Options(1, skin=cs.SKIN)), PairListTerm(system, laws, Options(skin=0.0))
@@ -160,20 +165,6 @@ def test_a_cell_just_high_enough_in_one_direction(short, factor):
         cs.agree(*cs.both_lists(system, cs.ONE_SPECIES, skin=skin), system)
 
 
-def test_rule_which_list_a_scene_gets():
-    argon, dense, short = SCENES["argon"]().system, liquid(2), md.LennardJones(1.0, 1.0, 1.2)
-    branching = lambda r2, h: (h, 0.0) if r2 < 1.0 else (h / r2, 2.0 * h / r2**2)  # noqa: E731
-    for system, potential, kind in [
-        *((argon, LJ, "cluster list"), (dense, short, "cluster list"), (argon, *cs.SOFT, "cluster list")),
-        (md.System(dense.positions[:-1], cell=dense.cell), short, "pair list"),  # few atoms
-        (argon, md.LennardJones(1.0, 1.0, 5.2, "force-shifted"), "pair list"),  # the cell is too small
-        (argon, md.PairPotential(branching, (1.0,), 2.5), "pair list"),  # cannot run on vectors
-        (md.System(argon.positions), OPEN, "all pairs"),  # no cutoff
-    ]:
-        simulation = md.Simulation(system, potential, md.VelocityVerlet(0.001))
-        assert simulation.engine.interactions.pair_search.startswith(kind)
-
-
 @pytest.mark.parametrize(("skin", "precision"), [(0.05, "double"), (None, "double"), (0.3, "mixed")])
 def test_a_hot_run_has_the_energies_of_fresh_lists(skin, precision):
     with cs.atoms_per_domain(100):
@@ -193,3 +184,51 @@ def test_a_hot_run_has_the_energies_of_fresh_lists(skin, precision):
     assert simulation.engine.interactions.n_builds > 5
     assert max(seen) < (1e-12 if precision == "double" else 1e-5)
     assert np.ptp(record.total_energy[2:]) < 0.002 * record.kinetic_energy.mean()
+
+
+def skin_of(system, timestep=0.004, **options):
+    simulation = md.Simulation(system, LJ, md.VelocityVerlet(timestep), **options)
+    simulation.run(0)
+    return simulation.engine.interactions.terms[0].list.skin
+
+
+def test_a_calculator_passes_its_choices_on():
+    atoms = bulk("Ar", "fcc", a=5.4, cubic=True) * 8
+    atoms.rattle(0.1, seed=1)
+    found = []
+    for precision in ("double", "mixed"):
+        chosen = {"threads": 2, "precision": precision, "skin": 1.25}
+        atoms.calc = Calculator(md.LennardJones(0.0103, 3.405, 6.2, "force-shifted"), **chosen)
+        found.append(atoms.get_forces())
+        dynamics = VelocityVerlet(atoms.copy(), 1.0)
+        dynamics.atoms.calc = atoms.calc
+        dynamics.run(1)
+        assert atoms.calc._plan[1].options == dynamics._guard.engine.interactions.options == Options(**chosen)
+    assert 0.0 < np.abs(found[0] - found[1]).max() < 1e-5 * np.abs(found[0]).max()
+
+
+def test_skins_follow_the_speed_of_the_atoms_and_of_the_method_and_not_threads_or_precision():
+    skins = []
+    for temperature, timestep in ((0.01, 0.001), (0.01, 0.004), (4.0, 0.004), (4.0, 0.01)):
+        system = liquid(8, temperature=temperature)
+        skins.append(skin_of(system, timestep))
+        fastest = timestep * np.linalg.norm(system.velocities, axis=1).max()
+        assert skins[-1] == best_skin(1.8, number_density(system, 1.8), fastest, len(system), LAYERS)
+    assert np.all(np.diff(skins) > 0.0)
+    assert skin_of(system, skin=0.2) == 0.2
+    options = [{"threads": threads, "precision": name} for threads in (1, 2, 8) for name in ("double", "mixed")]
+    assert len({skin_of(system, **one) for one in [{}, *options]}) == 1
+
+
+@given(st.floats(1.001, 3.0), st.floats(0.0, 0.3), st.tuples(*[st.booleans()] * 3), st.booleans())
+def test_a_skin_is_never_wider_than_the_cell_has_room_for(height, stride, pbc, has_excluded):
+    rng = np.random.default_rng(1)
+    cell = np.array([height, 1.3 * height, 2.0 * height]) * LJ.cutoff
+    system = md.System(rng.uniform(0, 1, (300, 3)) * cell, cell=cell, pbc=pbc, bonds=[[0, 1]] if has_excluded else None)
+    laws = cs.pair_laws(system, [md.LennardJones(1.0, 1.0, 1.8, bonded_scale=(0.0, 1.0, 1.0))])
+    skin, narrowest = skin_for(system, laws, Options(), stride), cell[np.array(pbc)].min(initial=np.inf)
+    assert skin <= laws.cutoff
+    if laws.fit_clusters(system, Options(), stride):
+        assert laws.cutoff + skin <= narrowest
+    if has_excluded and skin > 0.0:
+        assert laws.cutoff + skin <= 0.5 * narrowest

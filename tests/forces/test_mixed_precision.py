@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cluster_scenes import CUTOFF, EQUAL, ONE_SPECIES, clustered, evaluated, rod
+from cluster_scenes import CUTOFF, EQUAL, ONE_SPECIES, clustered, evaluated
 from references import liquid
 from scenes import LJ, SCENES
 from wrong_calls import assert_answered
@@ -16,7 +16,6 @@ MELT = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
 
 @pytest.fixture(scope="module")
 def melted():
-    """After the lattice is gone."""
     simulation = SCENES["melt"]().simulation()
     simulation.run(300)
     return simulation.system
@@ -39,18 +38,6 @@ def test_forces_in_a_melt_are_as_good_as_float32_and_push_nobody(melted):
     forces = before.copy()
     clustered(melted, [LJ], "mixed").add(melted, 0, forces, np.zeros(len(melted)), np.zeros((len(melted), 6)))
     assert forces.sum(axis=0) == pytest.approx(before.sum(axis=0), abs=1e-14 * np.abs(forces).sum())
-
-
-@pytest.mark.parametrize("precision", EQUAL)
-def test_momentum_is_conserved_as_in_double(precision):
-    start = rod()
-    masses = np.where(start.species_index == 0, 1.0, 20.0)
-    system = md.System(start.positions, cell=start.cell, masses=masses)
-    simulation = md.Simulation(system, ONE_SPECIES, md.VelocityVerlet(0.002), precision=precision)
-    simulation.set_temperature(1.5, 3)
-    record = simulation.run(1000, every=50)
-    assert simulation.report().momentum_is_conserved
-    assert conservation_report(record, angular=False).momentum_change < 1e-14
 
 
 @pytest.mark.slow

@@ -121,7 +121,6 @@ def test_what_one_kernel_does_has_the_bits_of_what_python_does_call_by_call(name
 
 
 def test_another_process_of_a_derived_bath_is_not_left_out():
-    """The kernel makes the steps of LangevinBAOAB only."""
 
     class Frozen(md.LangevinBAOAB):
         def thermalize(self, state, duration, around):

@@ -25,7 +25,6 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
 
 
 def statements(text):
-    """The statements of a source, without docstrings."""
     found = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.stmt)]
     return sum(not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant)) for one in found)
 
@@ -54,7 +53,6 @@ def test_nothing_grows_beyond_its_row():
 
 
 def sources(*folders):
-    """Places and texts of all files in folders of the repository."""
     files = [file for folder in folders for file in (REPOSITORY / folder).rglob("*.py")]
     return {file.relative_to(REPOSITORY): file.read_text(encoding="utf-8") for file in files}
 

@@ -5,11 +5,8 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import threading
 import time
-from contextlib import suppress
-from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -85,12 +82,10 @@ def test_folders(tmp_path):
 
 
 def found(path):
-    """Programs are there, or None is."""
     return shutil, "which", lambda *names, **places: path
 
 
 def replaced(right, wrong):
-    """LAMMPS is told something else."""
 
     def changed(model):
         text = forces(model)
@@ -109,7 +104,6 @@ COPIES = found(shutil.which("nice"))  # like an mpiexec of another MPI it takes 
 
 
 def displaced_dumbbells():
-    """The start is projected, and put back."""
     simulation = SCENES["dumbbells"]()
     simulation.positions[0] += 1e-9
     return simulation
@@ -218,44 +212,6 @@ def test_a_run_that_is_killed_or_interrupted_keeps_its_frames(number, tmp_path, 
     assert all(child.poll() is not None for child in children)
     assert md.Simulation.resume(folder / "run.h5md", LJ).step == simulation.step > 0
     assert not (folder / script.FRAMES).exists()
-
-
-HANDED_OVER = """
-import sys
-import minimd as md
-assert 'minimd.lammps' not in sys.modules
-md.lammps.hand_over
-assert 'h5py' not in sys.modules
-from lammps_scenes import fluid, scene
-md.lammps.hand_over(scene(fluid()), sys.argv[1], 10**7, processes=2, every=50, progress=False, tell=None)
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_import_is_lazy_and_lammps_does_not_outlive_a_minimd_that_is_killed(tmp_path):
-    folder = tmp_path / "run"
-    paths = os.pathsep.join(map(str, (Path(__file__).parents[1], Path(__file__).parents[2])))
-    minimd = subprocess.Popen([sys.executable, "-c", HANDED_OVER, folder], env=os.environ | {"PYTHONPATH": paths})
-
-    def processes():
-        """How many have this current folder."""
-        found = 0
-        for place in Path("/proc").glob("[0-9]*"):
-            with suppress(OSError):
-                found += (place / "cwd").readlink() == folder
-        return found
-
-    try:
-        while not (folder / script.FRAMES).exists() and minimd.poll() is None:
-            time.sleep(0.02)
-        assert processes() >= 3  # mpiexec and two of LAMMPS
-    finally:
-        minimd.kill()
-        minimd.wait()
-    end = time.monotonic() + 5.0
-    while processes() and time.monotonic() < end:
-        time.sleep(0.02)
-    assert processes() == 0
 
 
 @pytest.mark.parametrize("lost", [script.FRAMES, script.LAST])

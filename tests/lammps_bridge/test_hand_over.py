@@ -36,7 +36,6 @@ ALL = [pytest.param(name, n, 0, marks=pytest.mark.slow) for name in SCENES for n
 
 @pytest.mark.parametrize(("name", "processes", "before"), [(name, 2, 3) for name in QUICK] + ALL)
 def test_both_make_the_same_steps(name, processes, before, tmp_path):
-    """Step 0, records, the end and what is resumed, after some steps by minimd alone."""
     ours, theirs = SCENES[name](), SCENES[name]()
     for one in (ours, theirs):
         one.run(before, progress=False)
@@ -105,7 +104,6 @@ def test_parts_of_a_run_have_different_seeds(bath):
 
 
 def flying(cell, box=6.0):
-    """Four atoms on lanes that never meet, each with a velocity of its own; one of them rests."""
     lanes = np.array([[0.0, 0.0, 0.0], [0.0, 3.0, 0.0], [3.0, 0.0, 0.0], [3.0, 3.0, 0.0]])
     velocities = np.outer([100.0, -83.0, 17.0, 0.0], [0.0, 0.0, 1.0])
     system = md.System(lanes @ cell, velocities=velocities @ cell, cell=box * np.asarray(cell))
@@ -125,7 +123,6 @@ def test_atoms_that_cross_many_cells_come_back_in_the_right_image(cell, every, t
 
 
 def test_images_that_cannot_be_known_are_noticed(tmp_path, monkeypatch):
-    """Frames so far apart that accelerated atoms may have crossed any number of cells."""
     end = Job._end
 
     def slowed(job, *more):

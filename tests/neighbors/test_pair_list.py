@@ -37,7 +37,6 @@ def brute_force(positions, cell, cutoff):
 
 
 def near(pair_list, cutoff, positions):
-    """Pairs (P, 2) of a list within the cutoff, the smaller number first, and their distances."""
     pairs, order = pair_list.pairs, pair_list.order
     local = positions[order] + pair_list.offsets
     first = np.repeat(np.arange(len(order)), np.diff(pairs.start))
@@ -50,7 +49,6 @@ def near(pair_list, cutoff, positions):
 
 
 def check(pair_list, cell, cutoff, positions):
-    """The pairs of a list within the cutoff are those of brute force, in one direction, with their distances."""
     pairs, distances = near(pair_list, cutoff, positions)
     both = [((i, j), np.array(s)) for i, j, *s in brute_force(positions, cell, cutoff)]
     half = [((i, j), s) for (i, j), s in both if i < j or (i == j and tuple(s) > (0, 0, 0))]
@@ -135,7 +133,6 @@ def test_closest_pair_is_the_closest(scene):
 
 
 def test_closest_pair_is_found_though_others_were_flung_away():
-    """Past the door, as a run that blows up goes."""
     system = md.System(np.zeros((4, 3)))
     system.positions[1:] = [[1e200, 0.0, -1e180], [0.0, 3.0, 0.0], [0.0, 5.0, 0.0]]
     assert closest_pair(system) == (2, 3, 2.0)

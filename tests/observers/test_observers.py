@@ -27,7 +27,6 @@ EVERY = {"radial-distribution": 10, DISPLACEMENT: 2, VELOCITY: 2, "viscosity": 5
 
 
 def simulation(**options):
-    """A small mixture whose center of mass moves."""
     atoms, masses, kinds = argon().system, np.resize([2.0, 1.0, 1.0], 108), np.resize(["B", "A", "A"], 108)
     given = {"masses": masses, "velocities": atoms.velocities, "cell": atoms.cell, "species": kinds}
     return md.Simulation(md.System(atoms.positions, **given), LJ, md.VelocityVerlet(0.004), **options)
@@ -51,7 +50,6 @@ class Run:
         self.moved, self.thermal = map(self.relative, (self.positions, self.velocities))
 
     def relative(self, series):
-        """To the center of mass, which moves."""
         return series - np.average(series, axis=1, weights=self.masses)[:, None]
 
 
@@ -61,7 +59,6 @@ def run():
 
 
 def correlated(run, series, law):
-    """Over the origins that a level of the correlator has: of all atoms, each species and direction."""
     lags, means = np.array([*range(16), *range(16, 32, 2), *range(32, 51, 4)]), []
     for lag in lags:
         stride = 1 if lag < 16 else 2 if lag < 32 else 4
@@ -73,7 +70,6 @@ def correlated(run, series, law):
 
 
 def pair_counts(run):
-    """Of A-A, A-B and B-B, among nearest images."""
     pairs, bins = np.triu_indices(len(run.species), 1), np.linspace(0.0, run.edges[0] / 2.0, 201)
     kinds, vectors = run.species[np.array(pairs)].sum(axis=0), run.positions[:, pairs[1]] - run.positions[:, pairs[0]]
     distances = np.linalg.norm(vectors - run.edges * np.rint(vectors / run.edges), axis=2)
@@ -156,10 +152,7 @@ def test_radial_distribution_of_a_crystal_counts_all_images(cell):
 @pytest.mark.parametrize("drift", [0.0, 1.0, -1.0])
 @pytest.mark.parametrize("growth", [1.0, 1.001])
 def test_free_atoms_move_as_their_velocities_say(growth, drift):
-    """Ballistic motion: ⟨v²⟩ t² at every lag of every level, also where the cell grows under the atoms.
-
-    Relative to the center of mass; but a bath makes its motion thermal.
-    """
+    """⟨v²⟩ t² at every lag, also in a growing cell, relative to the center of mass; but a bath makes that thermal."""
     velocities = np.random.default_rng(2).normal(size=(20, 3))
     velocities -= velocities.mean(axis=0)
     system = md.System(np.zeros((20, 3)), velocities=velocities + drift, cell=50.0)

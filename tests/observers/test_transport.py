@@ -100,7 +100,6 @@ def test_plateaus_of_gaussian_processes_have_honest_error_bars(kind):
 
 
 def transport(seed):
-    """Viscosity, diffusion from displacements and from velocities, of 500 atoms in 1200 τ."""
     positions, edges = md.lattice.crystal("fcc", [5] * 3, md.lattice.constant_from_density("fcc", DENSITY))
     bath = md.StochasticVelocityRescaling.with_relaxation_time(0.004, TEMPERATURE, 10.0, seed=seed)
     liquid = md.Simulation(md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 3.0), bath)
@@ -146,7 +145,6 @@ FIXED = {"fixed-point": (MOTION, {"precision": "fixed-point"})}
 
 
 def results(name, velocity, file):
-    """All that is thermal in a short run, by name, of atoms with this velocity added."""
     system, (method, options) = liquid(3), (RUNS | FIXED)[name]
     system.velocities += velocity
     sim = md.Simulation(system, LJ, method, **options)
@@ -185,7 +183,6 @@ SEEDS = {"rest": 1, "moving": 2, "thermal": 3}
 
 
 def argon_at(start):
-    """Argon at rest, moving at 0.5 σ/τ, or thermalized as by ASE, which leaves its center a thermal motion."""
     atoms, dt = argon(), 5.0 * md.units.fs
     thermalize_momenta(atoms, 188.8, rng=np.random.default_rng(21))
     bath = md.StochasticVelocityRescaling(dt, 94.4, 1.0 * md.units.ps, seed=SEEDS[start])
@@ -199,7 +196,6 @@ def argon_at(start):
 
 
 def measured(start, file):
-    """Values and standard errors, of observers, record, and file as MDAnalysis reads it [Å²/ps, mPa s, K, MPa]."""
     sim, units = argon_at(start), (md.units.ps, 1.0 / (1e4 * md.units.BAR * md.units.ps), 1.0, 0.1 / md.units.BAR)
     moved, turned = md.observers.MeanSquareDisplacement(every=20), md.observers.VelocityAutocorrelation(every=5)
     stress, energies = md.observers.Viscosity(every=5), md.observers.Fluctuations(every=20)
@@ -225,7 +221,6 @@ def test_argon_that_moves_has_the_diffusion_viscosity_temperature_and_pressure_o
 
 
 def diffusing(seed):
-    """Displacements of 108 atoms in 200 τ; their bath lets the energy wander with a correlation time of 8 τ."""
     positions, edges = md.lattice.crystal("fcc", [3] * 3, md.lattice.constant_from_density("fcc", 0.8))
     bath = md.StochasticVelocityRescaling.with_relaxation_time(0.005, 0.85, 5.0, seed=seed)
     liquid = md.Simulation(md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5), bath, threads=1)

@@ -20,7 +20,6 @@ FOCUS = "document.activeElement.id || document.activeElement.tagName"
 
 @pytest.fixture(scope="module")
 def chromium():
-    """Headless Chromium: that of the system, else that of playwright; skipped where there is none."""
     playwright = pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as driver:
         try:
@@ -33,7 +32,6 @@ def chromium():
 
 @pytest.fixture
 def browser(chromium):
-    """Opens a window; all are closed at the end."""
     yield lambda **how: chromium.new_context(**how).new_page()
     for window in chromium.contexts:
         window.close()
@@ -64,7 +62,6 @@ class Opened:
         return self.page.evaluate("minimd.player.frame")
 
     def pixels(self):
-        """The scene as it is seen, as bytes of a PNG."""
         self.page.wait_for_timeout(600)
         return self.page.locator("#scene").screenshot()
 
@@ -183,7 +180,6 @@ def test_the_pair_is_marked_in_the_middle_of_the_scene(browser, failed_page):
 
 
 def test_a_notebook_shows_the_page_in_its_cell(browser, run_page, tmp_path):
-    """An iframe whose page stands in its srcdoc, as Jupyter has it."""
     cell = View(run_page.read_text(encoding="utf-8"), run_page, "")._repr_html_()
     (tmp_path / "notebook.html").write_text(f"<!doctype html><meta charset=utf-8>{cell}", encoding="utf-8")
     page, requests = browser(), []

@@ -15,12 +15,11 @@ import numpy as np
 import pytest
 from references import melt_scene
 from scenes import LJ
-from view_pages import LEVELS, Parts, failed_melt, skewed_chains
+from view_pages import LEVELS, Parts, skewed_chains
 from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.commands import main as cli
-from minimd.files.crash_file import read_crash_report
 from minimd.mdanalysis.universes import universe_of
 from minimd.structure.images import nearest_vectors
 from minimd.view import View
@@ -36,7 +35,6 @@ CALLS = re.compile(r"\bfetch\(|XMLHttpRequest|WebSocket|sendBeacon|import\(|@imp
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """The file of a run, its story, its page as text and taken apart."""
     path = tmp_path_factory.mktemp("run") / "chains.h5md"
     skewed_chains().run(600, every=20, trajectory=path)
     story = run_story(path, 200)
@@ -118,7 +116,6 @@ console.log(JSON.stringify([motion.positions(7), start, end].map((array) => Arra
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
 def test_the_program_of_the_page_puts_atoms_into_the_cell_and_bonds_beside_them(run, tmp_path):
-    """The JavaScript itself, run by node."""
     parts = run.parts
     about, counts, bonds = map(json.dumps, (parts.about, parts.counts.ravel().tolist(), parts.bonds.ravel().tolist()))
     made = f"const motion = new Motion({about}, Uint16Array.from({counts}), new Uint32Array(12), {bonds});"
@@ -133,15 +130,6 @@ def test_the_program_of_the_page_puts_atoms_into_the_cell_and_bonds_beside_them(
     halves = (end - start).reshape(-1, 2, 3)
     expected = nearest_vectors(stored_positions(run.file)[7], system.cell, system.bonds)[:, None] / [[2.0], [-2.0]]
     np.testing.assert_allclose(halves, expected, atol=grid)
-
-
-def test_4000_atoms_in_200_frames_stay_below_10_megabytes(run):
-    motion = run.story.motion
-    known = {name: getattr(motion, name) for name in ("low", "width", "steps", "times", "temperatures")}
-    known = {name: np.resize(values, (200, *values.shape[1:])) for name, values in known.items()}
-    known |= {"atoms": np.zeros(4000, int), "bonds": np.zeros((4000, 2), int)}
-    many = motion._replace(counts=np.zeros((200, 4000, 3), np.uint16), **known)
-    assert 6.4e6 < len(page(run.story._replace(motion=many)).encode()) < 9e6  # 4.8 MB of counts become 6.4
 
 
 def test_frames_and_atoms_are_thinned():
@@ -202,16 +190,6 @@ def test_the_command_writes_a_page_and_names_it(tmp_path, monkeypatch, capsys):
     for arguments, shown in ((["b.h5md"], "'b.h5md'"), (["a.h5md", "--scene", "c.toml"], "did not fail")):
         assert cli.main(["view", *arguments]) == 2
         assert shown in capsys.readouterr().err
-
-
-def test_the_command_shows_a_failed_scene(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["view", str(failed_melt("."))]) == 0
-    assert "written        melt.crash.html" in capsys.readouterr().out
-    about = Parts(Path("melt.crash.html").read_text(encoding="utf-8")).about
-    found = read_crash_report("melt.crash.h5md").findings
-    assert about["steps"][-1] == found.last_good_step
-    assert about["marked"] == [found.pair.first, found.pair.second]
 
 
 def test_a_damaged_file_and_a_number_of_frames_that_is_none_are_refused(run, tmp_path):

@@ -202,8 +202,7 @@ class Charged(LennardJones):
     n_calls = 0
 
     def calculate(self, atoms=None, *arguments):
-        assert atoms.get_initial_charges()[0] == 0.5
-        assert atoms.info["name"] == "copper"
+        assert (atoms.get_initial_charges()[0], atoms.info["name"]) == (0.5, "copper")
         self.n_calls += 1
         super().calculate(atoms, *arguments)
 

@@ -16,7 +16,7 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.compiled.features import restrict_features
 from minimd.compiled.simd import lanes
-from minimd.compiled.simd.lanes import DOUBLE, MIXED, Lanes4, Lanes8
+from minimd.compiled.simd.lanes import Lanes4, Lanes8
 from minimd.forces.cluster_loop import add_cluster_forces
 from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
@@ -48,12 +48,6 @@ def test_vectors_of_any_width_give_the_same_physics(monkeypatch, kind, precision
     laws = pair_laws(system, [LAW])
     clustered = ClusterTerm(system, laws, Options(precision=precision, threads=1))
     agree(clustered, PairListTerm(system, laws, Options(skin=0.0)), system, tolerance)
-
-
-def test_lanes_fit_the_registers(monkeypatch):
-    for register, *kinds in ((512, Lanes8, Lanes8), (256, Lanes4, Lanes8), (128, Lanes4, Lanes4)):
-        monkeypatch.setattr(lanes, "register_bits", lambda register=register: register)
-        assert [type(lanes.lanes_for.__wrapped__(bits)) for bits in (DOUBLE, MIXED)] == kinds
 
 
 @pytest.mark.parametrize("chosen", ["sse", *(pytest.param(one, marks=pytest.mark.slow) for one in ("avx2", "avx512"))])

@@ -105,8 +105,7 @@ def test_masks_lanes_and_sums_and_a_multiply_add_that_rounds_once(kind):
     assert np.array_equal(out[:8], np.where(a > 2.0, a, 0.0).astype(kind))
     assert bits == sum(1 << k for k in range(8) if a[k] > 2.0)
     pairs = a.reshape(2, 4).sum(axis=0)
-    assert sum_ == (pairs[0] + pairs[2]) + (pairs[1] + pairs[3])
-    assert fifth == a[5]
+    assert (sum_, fifth) == ((pairs[0] + pairs[2]) + (pairs[1] + pairs[3]), a[5])
     assert changed == pytest.approx(a.sum() - a[2] + 100.0, rel=1e-5)
     looked_into(np.full(8, 1 + small), out)
     assert np.array_equal(out[8:], np.full(8, 2 * small + small * small))

@@ -16,10 +16,7 @@ from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import skin_for
 from minimd.forces.pair_list_term import PairListTerm
-from minimd.neighbors.cluster_search import LAYERS
-from minimd.neighbors.verlet_list import best_skin
 from minimd.potentials.term import PER_ATOM
-from minimd.structure.system import number_density
 
 WIDE = 300.0  # the grid of the coordinates in mixed precision is then 1.4e-7 fine, as float32 near 1
 TABLE = [(name, precision) for name in cs.LAWS for precision in cs.EQUAL]
@@ -152,19 +149,6 @@ def test_chunks_change_nothing_but_rounding(atoms, pbc):
     assert len(clusters.list.domains.first) >= 5
 
 
-@pytest.mark.parametrize("short", [0, 1, 2])
-@pytest.mark.parametrize("factor", [1.02, 1.05, 1.08, 1.3])
-def test_a_cell_just_high_enough_in_one_direction(short, factor):
-    """The skin is cut to the room there is: the list then reaches exactly once through the cell."""
-    heights = np.full(3, 2.5 * cs.CUTOFF)
-    heights[short] = factor * cs.CUTOFF
-    n = np.floor(heights / 1.1).astype(int)
-    sites = (np.array([*np.ndindex(*n)]) + 0.5) / n * heights
-    system = md.System(sites + np.random.default_rng(3).uniform(-0.05, 0.05, sites.shape), cell=heights)
-    for skin in (None, float(heights[short] - cs.CUTOFF)):
-        cs.agree(*cs.both_lists(system, cs.ONE_SPECIES, skin=skin), system)
-
-
 @pytest.mark.parametrize(("skin", "precision"), [(0.05, "double"), (None, "double"), (0.3, "mixed")])
 def test_a_hot_run_has_the_energies_of_fresh_lists(skin, precision):
     with cs.atoms_per_domain(100):
@@ -186,12 +170,6 @@ def test_a_hot_run_has_the_energies_of_fresh_lists(skin, precision):
     assert np.ptp(record.total_energy[2:]) < 0.002 * record.kinetic_energy.mean()
 
 
-def skin_of(system, timestep=0.004, **options):
-    simulation = md.Simulation(system, LJ, md.VelocityVerlet(timestep), **options)
-    simulation.run(0)
-    return simulation.engine.interactions.terms[0].list.skin
-
-
 def test_a_calculator_passes_its_choices_on():
     atoms = bulk("Ar", "fcc", a=5.4, cubic=True) * 8
     atoms.rattle(0.1, seed=1)
@@ -205,19 +183,6 @@ def test_a_calculator_passes_its_choices_on():
         dynamics.run(1)
         assert atoms.calc._plan[1].options == dynamics._guard.engine.interactions.options == Options(**chosen)
     assert 0.0 < np.abs(found[0] - found[1]).max() < 1e-5 * np.abs(found[0]).max()
-
-
-def test_skins_follow_the_speed_of_the_atoms_and_of_the_method_and_not_threads_or_precision():
-    skins = []
-    for temperature, timestep in ((0.01, 0.001), (0.01, 0.004), (4.0, 0.004), (4.0, 0.01)):
-        system = liquid(8, temperature=temperature)
-        skins.append(skin_of(system, timestep))
-        fastest = timestep * np.linalg.norm(system.velocities, axis=1).max()
-        assert skins[-1] == best_skin(1.8, number_density(system, 1.8), fastest, len(system), LAYERS)
-    assert np.all(np.diff(skins) > 0.0)
-    assert skin_of(system, skin=0.2) == 0.2
-    options = [{"threads": threads, "precision": name} for threads in (1, 2, 8) for name in ("double", "mixed")]
-    assert len({skin_of(system, **one) for one in [{}, *options]}) == 1
 
 
 @given(st.floats(1.001, 3.0), st.floats(0.0, 0.3), st.tuples(*[st.booleans()] * 3), st.booleans())

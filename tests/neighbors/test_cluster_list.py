@@ -14,25 +14,6 @@ from minimd.potentials.term import PER_ATOM, TOTALS
 from minimd.structure.cell import Cell
 
 
-def test_layers_of_rows_follow_the_motion_and_change_no_bit():
-    system = liquid(4)
-    term, whole = (cs.clustered(system, cs.ONE_SPECIES) for _ in range(2))
-    at_first, n_entries = system.positions.copy(), []
-    for moved in (0.0, 0.249, 0.251, 0.1, 0.499):
-        system.positions[:] = at_first
-        cs.summed(whole, system)
-        system.positions[7, 0] += 0.499 * cs.SKIN
-        cs.summed(whole, system)  # now it needs all layers
-        system.positions[:] = at_first
-        system.positions[7, 0] += moved * cs.SKIN
-        assert np.array_equal(cs.summed(term, system)[0], cs.summed(whole, system)[0])
-        rows, n_slots = term.list.arrays.rows, term.list.n_clusters * term.list.lanes.size
-        n_entries.append(int((rows.stops[rows.layers[0] - 1] - rows.start)[:n_slots].sum()))
-    a, b, c, d, e = n_entries
-    assert a == b < c == d == e  # once taken into use, a layer is kept
-    assert (term.list.n_builds, whole.list.n_builds) == (1, 1)
-
-
 @pytest.mark.parametrize("pbc", [True, (True, True, False), False])
 def test_memory_follows_growing_and_shrinking_crowds(pbc):
     """Column by column the padding changes from build to build, and with it the number of clusters and ghosts."""

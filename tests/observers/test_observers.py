@@ -352,7 +352,6 @@ def of_a_file_that_asks_for_too_much(folder):
 
 WRONG = [
     (lambda _: seen_by(3), TypeError, "observers", "[3]"),
-    (lambda _: seen_by(observers.Profile), TypeError, "observers", "Profile"),
     (lambda _: seen_by(observers.Profile(), observers.Profile()), ValueError, "observers", "'profile'"),
     (lambda _: observers.Profile().result(), ValueError, "Profile(", "not looked"),
     (lambda _: observers.RadialDistribution(every=0), ValueError, "every", "0"),
@@ -360,7 +359,6 @@ WRONG = [
     (lambda _: observers.Viscosity(name="a/b"), ValueError, "name", "'a/b'"),
     (lambda _: seen_by(observers.Profile(extent=(0.0, 1.0))), ValueError, "extent", "axis c"),
     (lambda _: in_open_space(observers.RadialDistribution()), ValueError, "periodic", "3 atoms"),
-    (lambda _: in_open_space(observers.Viscosity()), ValueError, "periodic"),
     (lambda _: with_another_time_step(), ValueError, "time step"),
     (of_a_file_that_asks_for_too_much, ValueError, "radial_distribution", "memory"),
 ]

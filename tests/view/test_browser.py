@@ -92,8 +92,7 @@ def test_the_page_makes_no_request_and_no_error(browser, request, kind, scheme):
     opened = Opened(browser, file, scheme)
     opened.page.click("#play")
     opened.page.wait_for_timeout(1000)
-    assert opened.requests == [file.as_uri()]
-    assert opened.errors == []
+    assert (opened.requests, opened.errors) == ([file.as_uri()], [])
     background = opened.page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert (background == "rgb(255, 255, 255)") == (scheme == "light")
 

@@ -134,8 +134,7 @@ def test_the_program_of_the_page_puts_atoms_into_the_cell_and_bonds_beside_them(
 
 def test_frames_and_atoms_are_thinned():
     assert chosen_frames(301, 200)[[0, -1]].tolist() == [0, 300]
-    assert len(chosen_frames(301, 200)) == 200
-    assert chosen_frames(3, 200).tolist() == [0, 1, 2]
+    assert (len(chosen_frames(301, 200)), chosen_frames(3, 200).tolist()) == (200, [0, 1, 2])
     assert chosen_frames(7, 3, latest=True).tolist() == [4, 5, 6]
     some = chosen_atoms(10 * ATOMS, (3, 77))
     assert (len(some), len(chosen_atoms(ATOMS))) == (ATOMS + 2, ATOMS)

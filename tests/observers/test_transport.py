@@ -196,6 +196,7 @@ def argon_at(start):
 
 
 def measured(start, file):
+    """Values and standard errors, of observers, record, and file as MDAnalysis reads it [Å²/ps, mPa s, K, MPa]."""
     sim, units = argon_at(start), (md.units.ps, 1.0 / (1e4 * md.units.BAR * md.units.ps), 1.0, 0.1 / md.units.BAR)
     moved, turned = md.observers.MeanSquareDisplacement(every=20), md.observers.VelocityAutocorrelation(every=5)
     stress, energies = md.observers.Viscosity(every=5), md.observers.Fluctuations(every=20)

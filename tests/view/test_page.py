@@ -86,13 +86,6 @@ def test_the_counts_are_the_positions_of_the_file(tmp_path, pbc):
     np.testing.assert_array_equal(shown.temperatures, record.temperature)
 
 
-def test_bonds_are_those_of_the_system_and_of_lengths_held_fixed():
-    pairs = md.DistanceConstraints([[5, 4], [1, 2]], 1.0)
-    system = md.System(np.arange(18.0).reshape(6, 3), bonds=[[0, 1], [2, 1]], constraints=[pairs])
-    assert bonds_among(np.arange(6), system).tolist() == [[0, 1], [1, 2], [4, 5]]
-    assert bonds_among(np.array([0, 1, 4, 5]), system).tolist() == [[0, 1], [2, 3]]
-
-
 def test_the_page_holds_these_counts_and_bonds_join_nearest_images(run):
     motion, parts, system = run.story.motion, run.parts, skewed_chains().system
     np.testing.assert_array_equal(parts.counts, motion.counts)
@@ -132,13 +125,17 @@ def test_the_program_of_the_page_puts_atoms_into_the_cell_and_bonds_beside_them(
     np.testing.assert_allclose(halves, expected, atol=grid)
 
 
-def test_frames_and_atoms_are_thinned():
+def test_frames_and_atoms_are_thinned_and_bonds_are_those_of_the_system_and_of_lengths_held_fixed():
     assert chosen_frames(301, 200)[[0, -1]].tolist() == [0, 300]
     assert (len(chosen_frames(301, 200)), chosen_frames(3, 200).tolist()) == (200, [0, 1, 2])
     assert chosen_frames(7, 3, latest=True).tolist() == [4, 5, 6]
     some = chosen_atoms(10 * ATOMS, (3, 77))
     assert (len(some), len(chosen_atoms(ATOMS))) == (ATOMS + 2, ATOMS)
     assert {3, 77} <= set(some.tolist())
+    pairs = md.DistanceConstraints([[5, 4], [1, 2]], 1.0)
+    system = md.System(np.arange(18.0).reshape(6, 3), bonds=[[0, 1], [2, 1]], constraints=[pairs])
+    assert bonds_among(np.arange(6), system).tolist() == [[0, 1], [1, 2], [4, 5]]
+    assert bonds_among(np.array([0, 1, 4, 5]), system).tolist() == [[0, 1], [2, 3]]
 
 
 def test_a_view_is_shown_in_a_notebook_and_saved(run, tmp_path):

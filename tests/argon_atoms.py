@@ -45,12 +45,10 @@ def with_calculator(atoms, calculator):
 
 
 def liquid(calculator=None, n_cells=2):
-    """Argon with a calculator: of 32 atoms, or 4 n³."""
     return with_calculator(argon(n_cells), calculator or Calculator(lennard_jones()))
 
 
 def copper(calculator=None):
-    """Four warm atoms of copper."""
     atoms = with_calculator(bulk("Cu", cubic=True), calculator or EMT())
     atoms.rattle(0.05, seed=1)
     atoms.set_momenta(np.random.default_rng(2).normal(0.0, 1.5, (4, 3)))
@@ -63,13 +61,11 @@ def same(a, b, tolerance=ROUNDING):
 
 
 def entry_points():
-    """What pyproject.toml declares for ASE."""
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
     return {group: project["entry-points"][group] for group in ("ase.ioformats", "ase.plugins")}
 
 
 def define():
-    """Make the format known in this process, whether or not minimd is installed with its entry points."""
     if "minimd-h5md" not in ioformats:
         target = entry_points()["ase.ioformats"]["minimd-h5md"]
         define_external_io_format(EntryPoint("minimd-h5md", target, "ase.ioformats"))

@@ -15,21 +15,9 @@ import ase.md
 import minimd as md
 import minimd.ase
 
-PLACES = {
-    "VelocityVerlet": "verlet",
-    "Langevin": "langevin",
-    "LangevinBAOAB": "langevinbaoab",
-    "Bussi": "bussi",
-    "NoseHooverChainNVT": "nose_hoover_chain",
-    "Andersen": "andersen",
-    "NVTBerendsen": "nvtberendsen",
-}
+PLACES = {"VelocityVerlet": "verlet", "Langevin": "langevin", "LangevinBAOAB": "langevinbaoab", "Bussi": "bussi"}
+PLACES |= {"NoseHooverChainNVT": "nose_hoover_chain", "Andersen": "andersen", "NVTBerendsen": "nvtberendsen"}
 METALS = {"Cu": (0.409, 2.338), "Ag": (0.345, 2.644), "Au": (0.449, 2.637), "Pt": (0.694, 2.542), "Al": (0.392, 2.620)}
-
-
-def metals():
-    """What stands for EMT()."""
-    return minimd.ase.Calculator(md.LennardJones(METALS, cutoff=6.0, truncation="force-shifted"))
 
 
 for name, module in PLACES.items():
@@ -38,11 +26,11 @@ for name, module in PLACES.items():
     if hasattr(ase.md, name):
         setattr(ase.md, name, ours)
 if os.environ.get("MINIMD_CALCULATOR"):
-    ase.calculators.emt.EMT = metals
+    law = md.LennardJones(METALS, cutoff=6.0, truncation="force-shifted")
+    ase.calculators.emt.EMT = lambda: minimd.ase.Calculator(law)
 
 
 def pytest_terminal_summary(terminalreporter):
-    """Show that the classes were exchanged in every module that was tested."""
     tested = [m for name, m in sys.modules.items() if name.startswith("ase.test.") and hasattr(m, "__file__")]
     found = [(m, name) for m in tested for name in PLACES if hasattr(m, name)]
     left = [f"{m.__name__}.{name}" for m, name in found if getattr(m, name) is not getattr(minimd.ase, name)]

@@ -58,7 +58,6 @@ def _edges(draw, volume, rng):
 
 
 def _jittered(n, cell, edges, rng):
-    """n atoms on some sites of a lattice that has about as many."""
     counts = np.ceil(edges / (edges.prod() / n) ** (1 / 3)).astype(int)
     sites = np.array(list(np.ndindex(*counts)))
     chosen = np.sort(rng.permutation(len(sites))[:n])
@@ -66,7 +65,6 @@ def _jittered(n, cell, edges, rng):
 
 
 def in_chains(positions, rng, **options):
-    """Three species, bonds along chains of five."""
     bonds = [[k, k + 1] for k in range(len(positions) - 1) if k % 5]
     return md.System(positions, species=rng.choice(["A", "B", "C"], len(positions)), bonds=bonds, **options)
 
@@ -99,37 +97,31 @@ def rod(n_copies=5, width=3, pbc=True):
 
 @contextmanager
 def atoms_per_domain(n):
-    """Chunks and teams for scenes much smaller than those that need them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("minimd.neighbors.domains.ATOMS_PER_DOMAIN", n)
         yield
 
 
 def pair_laws(system, potentials):
-    """What the planner makes of pair potentials that share a list."""
     return PairLaws(system, [potential.bind(system).pair_law for potential in potentials])
 
 
 def clustered(system, potentials, precision="double", threads=2, skin=SKIN):
-    """These laws on a cluster list."""
     return ClusterTerm(system, pair_laws(system, potentials), Options(threads, precision, skin))
 
 
 def both_lists(system, potentials, precision="double", skin=SKIN):
-    """These laws on a cluster list, and on a pair list without a skin."""
     bare = PairListTerm(system, pair_laws(system, potentials), Options(skin=0.0))
     return clustered(system, potentials, precision, skin=skin), bare
 
 
 def evaluated(term, system, detail=TOTALS):
-    """Forces (N, 3), energies (N,) and virials (N, 6) of a term."""
     forces, energies, virials = np.zeros((len(system), 3)), np.zeros(len(system)), np.zeros((len(system), 6))
     term.add(system, detail, forces, energies, virials)
     return forces, energies, virials
 
 
 def summed(term, system, detail=TOTALS):
-    """Forces, potential energy and virial of a term."""
     forces, energies, virials = evaluated(term, system, detail)
     return forces, energies.sum(), virials.sum(axis=0)
 

@@ -16,39 +16,29 @@ def mixture(pbc=True, with_bonds=True, temperature=0.9):
     random = np.random.default_rng(5)
     sites, edges = md.lattice.crystal("fcc", (CELLS,) * 3, (4.0 / 0.8) ** (1.0 / 3.0))
     cell = on_grid(edges[0] * np.array([[1.0, 0.0, 0.0], [0.3, 1.0, 0.0], [0.1, -0.2, 1.0]]))
-    n = len(sites)
-    masses, first = np.where(np.arange(n) % 3, 1.0, 2.5), np.arange(0, n // 2, 8)[:, None]
+    n, k = len(sites), np.arange(len(sites))
+    masses, first = np.where(k % 3, 1.0, 2.5), np.arange(0, n // 2, 8)[:, None]
     triples = first + np.arange(3)
     bonds = {"bonds": triples[:, [0, 1, 1, 2]].reshape(-1, 2), "angles": triples} if with_bonds else {}
-    return md.System(
-        on_grid(sites / edges @ cell),
-        cell=cell,
-        pbc=pbc,
-        species=np.where(np.arange(n) % 3, "A", "B"),
-        masses=masses,
-        velocities=random.normal(size=(n, 3)) * np.sqrt(temperature / masses)[:, None],
-        **bonds,
-    )
+    velocities, species = random.normal(size=(n, 3)) * np.sqrt(temperature / masses)[:, None], np.where(k % 3, "A", "B")
+    given = {"cell": cell, "pbc": pbc, "species": species, "masses": masses, "velocities": velocities}
+    return md.System(on_grid(sites / edges @ cell), **given, **bonds)
 
 
 def on_grid(lengths):
-    """Lengths as multiples of the step of GRID."""
     return np.rint(lengths / GRID.length) * GRID.length
 
 
 def simulated(system, method=None, potentials=None, **options):
-    """A simulation in fixed-point arithmetic."""
     bonded = [BOND, ANGLE] if len(system.bonds) else []
     options = {"precision": "fixed-point", "grid": GRID, "threads": 1, **options}
     return md.Simulation(system, potentials or [LAW, *bonded], method or md.VelocityVerlet(0.004), **options)
 
 
 def bits(simulation):
-    """All bits of the state."""
     return simulation.positions.tobytes(), simulation.velocities.tobytes()
 
 
 def total_momentum(simulation):
-    """Σ P in whole numbers of steps, as Python counts."""
     momenta = simulation.system.masses[:, None] * simulation.velocities / simulation.engine.interactions.grid.momentum
     return [sum(map(int, column)) for column in np.rint(momenta).T]

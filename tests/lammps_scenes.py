@@ -23,7 +23,6 @@ def scene(system, potentials=LJ, constraints=(), method=None, **options):
 
 
 def fluid(matrix=None, **changes):
-    """The system of scenes.argon, its positions and cell times a matrix, and what its System gets beside."""
     start, matrix = scenes.argon().system, np.eye(3) if matrix is None else matrix
     given = {"positions": start.positions @ matrix, "velocities": start.velocities, "cell": start.cell.vectors @ matrix}
     return md.System(**given | changes)
@@ -35,13 +34,15 @@ def far_away():
     return fluid(positions=start.positions + images @ start.cell.vectors)
 
 
-# Laws
-
-
 def buckingham(r2, a, rho, c):
     r = sqrt(r2)
     repulsion = a * exp(-r / rho)
     return repulsion - c / r2**3, repulsion / (rho * r) - 6.0 * c / r2**4
+
+
+def soft(r2, a):
+    r = sqrt(r2)
+    return (a * (1.0 - r) ** 2, 2.0 * a * (1.0 - r) / r) if r < 1.0 else (0.0, 0.0)
 
 
 def morse(r2, depth, alpha, r0):
@@ -50,28 +51,16 @@ def morse(r2, depth, alpha, r0):
     return depth * (x * x - 2.0 * x), 2.0 * depth * alpha * (x * x - x) / r
 
 
-def soft(r2, a):
-    r = sqrt(r2)
-    return (a * (1.0 - r) ** 2, 2.0 * a * (1.0 - r) / r) if r < 1.0 else (0.0, 0.0)
+KOB_ANDERSEN = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}  # cutoffs
+KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=KOB_ANDERSEN, pairs={("A", "B"): (1.5, 0.8)})
+TWO_MORSE = {"A": (1.0, 5.0, 1.1), "B": (0.7, 4.0, 1.0)}
+TWO_MORSE = md.PairPotential(morse, TWO_MORSE, CUTOFF, pairs={("A", "B"): (1.2, 5.0, 1.0)})
 
-
-def kob_andersen():
-    cutoffs = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}
-    return md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=cutoffs, pairs={("A", "B"): (1.5, 0.8)})
-
-
-def two_morse():
-    own = {"A": (1.0, 5.0, 1.1), "B": (0.7, 4.0, 1.0)}
-    return md.PairPotential(morse, own, CUTOFF, pairs={("A", "B"): (1.2, 5.0, 1.0)})
-
-
-# Bonds
 
 CHAINS = np.arange(108).reshape(-1, 4)  # atoms of neighboring numbers, which are neighbors in a fresh crystal
 
 
 def chain_system():
-    """27 chains of four, with bonds and angles."""
     bonds = np.concatenate([CHAINS[:, k : k + 2] for k in range(3)])
     angles = np.concatenate([CHAINS[:, k : k + 3] for k in range(2)])
     return fluid(bonds=bonds, angles=angles, masses=np.where(np.arange(108) % 4 == 0, 2.0, 1.0))
@@ -87,39 +76,27 @@ def chains():
 
 
 def torsions():
-    """Every bond and dihedral that LAMMPS has too."""
-    system = chain_system()
-    potentials = [
-        scaled(0.0, 1.0, 1.0),
-        md.FENEBond(30.0, 1.9, 1.0, 0.9, system.bonds[:27]),
-        md.MorseBond(20.0, 2.0, 1.1, system.bonds[27:]),
-        md.PeriodicDihedral(1.5, 3, 0.4, CHAINS[:13]),
-        md.RyckaertBellemans((1.3, 1.4, -1.6, -0.4, 3.1, -3.4), CHAINS[13:20]),
-        md.OPLSDihedral(1.0, 2.0, 3.0, 0.5, CHAINS[20:]),
-    ]
-    return scene(system, potentials)
+    system, ryckaert = chain_system(), (1.3, 1.4, -1.6, -0.4, 3.1, -3.4)
+    bonds = md.FENEBond(30.0, 1.9, 1.0, 0.9, system.bonds[:27]), md.MorseBond(20.0, 2.0, 1.1, system.bonds[27:])
+    periodic, opls = md.PeriodicDihedral(1.5, 3, 0.4, CHAINS[:13]), md.OPLSDihedral(1.0, 2.0, 3.0, 0.5, CHAINS[20:])
+    dihedrals = periodic, md.RyckaertBellemans(ryckaert, CHAINS[13:20]), opls
+    return scene(system, [scaled(0.0, 1.0, 1.0), *bonds, *dihedrals])
 
 
 def two_laws():
-    """Each with scales of its own."""
-    potentials = [
-        scaled(0.0, 1.0, 1.0),
-        md.LennardJones(0.5, 0.9, 2.0, bonded_scale=(1.0, 0.5, 1.0)),
-        md.PairPotential(buckingham, (3e4, 0.08, 0.0), 2.0, bonded_scale=(0.0, 0.0, 1.0)),
-        md.BondPotential(morse, (10.0, 3.0, 1.1)),
-    ]
-    return scene(chain_system(), potentials)
+    second = md.LennardJones(0.5, 0.9, 2.0, bonded_scale=(1.0, 0.5, 1.0))
+    third = md.PairPotential(buckingham, (3e4, 0.08, 0.0), 2.0, bonded_scale=(0.0, 0.0, 1.0))
+    bonds = md.BondPotential(morse, (10.0, 3.0, 1.1))
+    return scene(chain_system(), [scaled(0.0, 1.0, 1.0), second, third, bonds])
 
 
 def springs_at_rest():
-    """All forces are rounding."""
     positions = [[0.1, 0.2, 0.3], [0.7, 0.8, 1.0], [2.0, 2.0, 2.0], [3.0, 3.0, 3.5]]
     lengths = [np.sqrt(0.36 + 0.36 + 0.49), 1.5]
     return scene(md.System(positions, cell=SKEWED * 9.0, bonds=[[0, 1], [2, 3]]), md.HarmonicBond(300.0, lengths))
 
 
 def solute():
-    """LAMMPS' own molecule, with a table of unlike pairs, and a cutoff of more than half the cell."""
     rows = [line.split() for line in load("lammps_fourmol/mol-pair-lj_cut.json")["pair_coeff"]]
     pairs = {(int(a), int(b)): (float(epsilon), float(sigma)) for a, b, epsilon, sigma, *_ in rows}
     own = {a: pairs.pop((a, b)) for a, b in list(pairs) if a == b}
@@ -135,7 +112,6 @@ def water():
 
 
 def stars():
-    """Rigid molecules of four atoms, three bonds at the middle one, which alone has a law."""
     centers, edges = md.lattice.crystal("sc", [3, 3, 3], 2.3)
     turns = np.linalg.qr(np.random.default_rng(5).normal(size=(27, 3, 3)))[0]
     positions = centers[:, None] + 0.7 * np.vstack([np.zeros(3), np.eye(3)]) @ turns
@@ -144,9 +120,6 @@ def stars():
     law = md.LennardJones({"X": (1.0, 1.0), "H": (0.0, 1.0)}, cutoff=CUTOFF, bonded_scale=(0.0, 0.5, 1.0))
     system = md.System(positions.reshape(-1, 3), cell=edges, bonds=pairs, **given)
     return warm(system, law, md.DistanceConstraints(pairs, 0.7))
-
-
-# Thermal atoms without potential energy at the start
 
 
 def warm(system, potentials, constraints=(), method=None, temperature=1.0):
@@ -181,7 +154,6 @@ AT_REST = {
 
 
 def with_a_tail():
-    """In eV, Å, u."""
     start = fluid()
     system = md.System(3.4 * start.positions, masses=39.948, cell=3.4 * start.cell.vectors, units=md.units.ASE)
     potential = md.LennardJones(0.0104, 3.4, 8.5, "truncated", tail_correction=True)
@@ -192,17 +164,14 @@ def in_cell(matrix, **open_directions):
     return lambda: scene(fluid(matrix, **open_directions))
 
 
-HEAVIER = np.where(np.arange(108) % 3 == 0, 2.5, 1.0)
+HEAVIER, CUT = np.where(np.arange(108) % 3 == 0, 2.5, 1.0), ("truncated", "shifted", "switched", "charmm", "smooth")
 PLANE = [[0.0, 0.0, 0.0], [1.1, 0.0, 0.0], [0.3, 1.0, 0.0], [2.0, 2.0, 0.0]]
 SCENES = {
     **{name: lambda make=make: make().simulation() for name, make in scenes.SCENES.items() if name != "two_atoms"},
-    **{
-        one: lambda one=one: scene(fluid(), md.LennardJones(1.0, 1.0, CUTOFF, one))
-        for one in ("truncated", "shifted", "switched", "charmm", "smooth")
-    },
-    "Kob-Andersen mixture": lambda: scene(fluid(species=TWO_KINDS), kob_andersen()),
+    **{one: lambda one=one: scene(fluid(), md.LennardJones(1.0, 1.0, CUTOFF, one)) for one in CUT},
+    "Kob-Andersen mixture": lambda: scene(fluid(species=TWO_KINDS), KOB_ANDERSEN),
     "own law": lambda: scene(fluid(), md.PairPotential(buckingham, (3e5, 0.08, 2.0), CUTOFF, "force-shifted")),
-    "own law of species": lambda: scene(fluid(species=TWO_KINDS), two_morse()),
+    "own law of species": lambda: scene(fluid(species=TWO_KINDS), TWO_MORSE),
     "water": water,
     "chains": chains,
     "torsions": torsions,

@@ -19,13 +19,9 @@ def skewed_chains(timestep=0.004, pbc=(True, True, True)):
     k = np.arange(6)
     strand = np.column_stack([4.0 + 0.98 * k, 0.2 * (k % 2), 0.0 * k])
     bonds = np.column_stack([k[:-1], k[1:]])
-    system = md.System(
-        np.concatenate([strand, strand + np.array([0.0, 3.0, 3.0])]),
-        cell=[[7.5, 0.0, 0.0], [16.0, 6.5, 0.0], [1.0, 2.0, 7.0]],
-        pbc=pbc,
-        species=["A", "B"] * 6,
-        bonds=np.concatenate([bonds, bonds + 6]),
-    )
+    positions, bonds = np.concatenate([strand, strand + np.array([0.0, 3.0, 3.0])]), np.concatenate([bonds, bonds + 6])
+    cell = [[7.5, 0, 0], [16.0, 6.5, 0], [1.0, 2.0, 7.0]]
+    system = md.System(positions, cell=cell, pbc=pbc, species=["A", "B"] * 6, bonds=bonds)
     lj = md.LennardJones(1.0, 1.0, 2.5, "force-shifted", bonded_scale=(0, 1, 1))
     simulation = md.Simulation(system, [lj, md.HarmonicBond(1000.0, 1.0)], md.VelocityVerlet(timestep))
     simulation.set_temperature(0.8, seed=2)
@@ -33,7 +29,6 @@ def skewed_chains(timestep=0.004, pbc=(True, True, True)):
 
 
 def failed_melt(folder):
-    """The crash file of a scene whose time step is far too long."""
     text = melt_scene(3, 4000, f'[output]\ntrajectory = "{folder}/melt.h5md"\nevery = 100\n')
     Path(folder, "melt.toml").write_text(text.replace("timestep = 0.004", "timestep = 0.06"))
     assert cli.main(["run", f"{folder}/melt.toml", "--quiet"]) == 3

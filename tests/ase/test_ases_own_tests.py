@@ -1,14 +1,10 @@
 """ASE's own tests of its dynamics, with minimd's classes in the place of ASE's, and minimd's Calculator or EMT.
 
-Left out, and why
------------------
-test_langevin_asapcompat : asks for the arrays that ASE's own Langevin step leaves behind for Asap's subclass of it.
-test_rng : its time step is 1.0 / fs, which is 104 fs: the atoms fly apart, and minimd says so. See test_thermostats.
-test_LangevinBAOAB_NPT, NsT, NsH, seed : need a barostat; externalstress is refused by name.
-test_isotropic_*, test_anisotropic_*, test_masked_npt, test_nptberendsen, test_melchionna_* : barostats stay ASE's.
-test_langevin_switching : ASE's subclass SwitchLangevin of its own Langevin.
-test_thermostat_*, test_optimiz* : of ASE's own thermostat and optimizers, which stay what they are; they run along.
-test_md_stepwise : irun of MelchionnaNPT; it runs along. All others use the classes that are exchanged.
+Left out: test_langevin_asapcompat asks for arrays that ASE's own Langevin step leaves behind for Asap's subclass of it.
+test_rng has a time step of 104 fs: the atoms fly apart, and minimd says so (see test_thermostats). Barostats stay
+ASE's: LangevinBAOAB NPT, NsT, NsH, seed (externalstress is refused by name), isotropic, masked, Berendsen, Melchionna.
+test_langevin_switching is of ASE's subclass of its own Langevin; test_thermostat_*, test_optimiz* and test_md_stepwise
+are of ASE's own classes and run along.
 """
 
 import importlib.util
@@ -31,7 +27,6 @@ KEPT = f"not ({NOT_OURS}) or NVT or nvt or default"
 
 
 def run_ases_tests(modules, calculator, folder):
-    """The output of pytest on modules of ase.test."""
     plugins = ["-p", "no:cacheprovider", "-p", "ases_tests_with_minimd", "-W", "ignore:the calculator is"]
     command = [sys.executable, "-m", "pytest", "-q", *plugins]
     tests = Path(__file__).parents[1]

@@ -4,16 +4,33 @@ import copy
 import pickle
 import warnings
 
+import ase.io
 import ase.units
 import numpy as np
 import pytest
-from argon_atoms import CUTOFF, EPSILON, SIGMA, TIMESTEP, argon, ase_lennard_jones, lennard_jones, same, with_calculator
+from argon_atoms import (
+    CUTOFF,
+    EPSILON,
+    SIGMA,
+    TIMESTEP,
+    argon,
+    ase_lennard_jones,
+    copper,
+    define,
+    lennard_jones,
+    liquid,
+    same,
+    with_calculator,
+)
 from ase import Atoms
 from ase.build import bulk, molecule
 from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
+from ase.constraints import FixedPlane, Hookean
+from wrong_calls import assert_answered
 
 import minimd as md
+import minimd.ase as ours
 from minimd.ase import Calculator, ForcesFromCalculator, atoms_from_system, system_from_atoms
 
 
@@ -23,9 +40,6 @@ def test_units_are_those_of_ase():
     assert our.ps == pytest.approx(1000.0 * a.fs, rel=1e-15) == 1.0 / our.ASE.to_picosecond
     assert a.mol / a.kJ == our.KJ_PER_MOL_PER_EV == our.ASE.to_kj_per_mol
     assert 1e-3 * a.kg / (1e-2 * a.m) ** 3 == pytest.approx(our.GRAM_PER_CM3, rel=1e-15)
-
-
-# Atoms in and out
 
 
 def test_atoms_survive_the_round_trip():
@@ -46,18 +60,21 @@ def test_atoms_survive_the_round_trip():
     assert np.array_equal(back.get_masses(), atoms.get_masses())
 
 
-@pytest.mark.parametrize("species", [["A", "Ar", "bead"], [7, 8, 7]])
-def test_labels_that_are_no_elements_come_back(species):
-    places = [[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]
+@pytest.mark.parametrize("species", [["A", "Ar", "A"], [7, 8, 7]])
+def test_labels_that_are_no_elements_come_back_and_another_one_gives_another_energy(species):
+    places = np.outer([0.0, 1.1, 5.0], [1, 0, 0])
     system = md.System(places, species=species, velocities=np.eye(3), masses=[1.0, 2.0, 3.0])
     atoms = atoms_from_system(system)
     assert atoms.get_chemical_symbols() == ["Ar" if one == "Ar" else "X" for one in species]
     assert system_from_atoms(atoms).species.tolist() == species
     assert np.array_equal(atoms.positions, system.positions)  # reduced units: the numbers are kept
     assert same(atoms.get_momenta(), np.diag([1.0, 2.0, 3.0]), 0.0)
+    a, b = species[:2]
+    atoms.calc = Calculator(md.LennardJones({a: (1.0, 1.0), b: (9.0, 1.0)}, cutoff=2.5))
+    before = atoms.get_potential_energy()
+    atoms.arrays["species_labels"][:] = a
+    assert atoms.get_potential_energy() == pytest.approx(before / 3.0, rel=1e-14)
 
-
-# Energies, forces and stress
 
 QUANTITIES = ("energy", "energies", "forces", "stress", "stresses")
 CHARMM = md.LennardJones(EPSILON, SIGMA, CUTOFF, "charmm", switch_start=0.66 * CUTOFF)
@@ -77,7 +94,6 @@ AS_ASE = {  # atoms, how much they are shaken, pbc, a calculator, and another th
 
 @pytest.mark.parametrize("scene", AS_ASE)
 def test_energies_forces_and_stress_are_those_of_ase(scene):
-    """With minimd's potentials, and with calculators of ASE; these give equal shares of the stress."""
     atoms, shaken, pbc, potential, other, n = AS_ASE[scene]
     atoms.rattle(shaken, seed=1)
     atoms.pbc = pbc
@@ -86,44 +102,20 @@ def test_energies_forces_and_stress_are_those_of_ase(scene):
     for name in QUANTITIES[:n]:
         assert same(mine.calc.get_property(name, mine), reference.calc.get_property(name, reference)), name
     assert mine.get_potential_energy(force_consistent=True) == mine.get_potential_energy()
-
-
-def test_pressure_is_minus_a_third_of_the_trace_of_ases_stress():
-    atoms = with_calculator(argon(), Calculator(lennard_jones()))
-    pressure = md.Simulation(atoms, lennard_jones(), md.VelocityVerlet(TIMESTEP)).frame().observables["pressure"]
-    assert pressure == pytest.approx(-atoms.get_stress(include_ideal_gas=True)[:3].mean(), rel=1e-12)
-
-
-# Changes of the atoms
-
-
-def test_list_is_kept_while_atoms_move_a_little():
-    atoms = with_calculator(argon(), Calculator(lennard_jones(), skin=1.0))
-    for _ in range(5):
-        atoms.get_forces()
-        atoms.rattle(0.01, seed=5)
-    atoms.get_stresses()
-    assert atoms.calc.n_builds == 1
-    atoms.positions[0] += 0.6  # more than half the skin
-    atoms.get_forces()
-    assert atoms.calc.n_builds == 2
-    atoms.set_cell(atoms.cell.array * 1.001)
-    atoms.get_forces()
-    assert atoms.calc.n_builds == 3
-    atoms.positions[0] += atoms.cell[0]  # an atom moved by a lattice vector has moved
-    atoms.get_forces()
-    assert atoms.calc.n_builds == 4
+    if n == 5 and pbc is True:
+        pressure = md.Simulation(mine, potential, md.VelocityVerlet(TIMESTEP)).frame().observables["pressure"]
+        assert pressure == pytest.approx(-mine.get_stress(include_ideal_gas=True)[:3].mean(), rel=1e-12)
 
 
 OTHERS = md.LennardJones({"Ar": (0.02, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)
+# fmt: off
 CHANGES = {
     "positions": lambda atoms: atoms.rattle(0.05, seed=9),
     "one position, far": lambda atoms: atoms.positions.__setitem__(3, atoms.positions[3] - 4 * atoms.cell[1]),
     "cell": lambda atoms: atoms.set_cell(atoms.cell.array * [[0.9], [1.0], [1.0]], scale_atoms=True),
     "cell, atoms left behind": lambda atoms: atoms.set_cell(atoms.cell.array * 0.97),
     "cell, smaller than the cutoff": lambda atoms: (atoms.__delitem__(slice(4, None)), atoms.set_cell(np.eye(3) * 5.6)),
-    "pbc": lambda atoms: atoms.set_pbc((True, False, True)),
-    "no pbc": lambda atoms: atoms.set_pbc(False),
+    "pbc": lambda atoms: atoms.set_pbc((True, False, True)), "no pbc": lambda atoms: atoms.set_pbc(False),
     "pbc and back": lambda atoms: (atoms.set_pbc(False), atoms.get_forces(), atoms.set_pbc(True)),
     "numbers": lambda atoms: atoms.numbers.__setitem__(slice(0, 50), 36),
     "masses": lambda atoms: atoms.set_masses([2.0] * len(atoms)),
@@ -131,6 +123,7 @@ CHANGES = {
     "more atoms": lambda atoms: atoms.extend(Atoms("Kr", [[1.4, 1.4, 1.4]])),
     "potentials": lambda atoms: setattr(atoms.calc, "potentials", OTHERS),
 }
+# fmt: on
 
 
 @pytest.mark.parametrize("change", CHANGES)
@@ -148,14 +141,6 @@ def test_results_are_right_after_every_kind_of_change(change):
         assert same(atoms.get_stress()[:3].sum() * atoms.get_volume(), -np.trace(expected.virial))
         if change not in ("masses", "one position, far", "pbc and back"):  # these do not change the energy
             assert atoms.get_potential_energy() != before
-
-
-def test_another_label_gives_another_energy():
-    atoms = atoms_from_system(md.System([[0.0, 0, 0], [1.1, 0, 0]], species=["A", "A"]))
-    atoms.calc = Calculator(md.LennardJones({"A": (1.0, 1.0), "B": (3.0, 1.0)}, cutoff=2.5))
-    before = atoms.get_potential_energy()
-    atoms.arrays["species_labels"][:] = "B"
-    assert atoms.get_potential_energy() == pytest.approx(3.0 * before, rel=1e-14)
 
 
 def test_bonded_scene_is_right_when_the_cell_shrinks_below_twice_the_cutoff():
@@ -185,9 +170,6 @@ def test_atoms_with_calculator_can_be_copied_and_pickled(duplicate):
     assert same(other.get_forces(), expected)
 
 
-# Potentials that are calculators of ASE
-
-
 class WithoutStress(LennardJones):
     implemented_properties = ("energy", "forces")
 
@@ -208,3 +190,58 @@ def test_unknown_stress_is_no_number_and_said_so():
     with warnings.catch_warnings(action="error"):
         virial = md.evaluate(cluster, unknown).virial
     assert same(virial, md.evaluate(cluster, lennard_jones()).virial)
+
+
+def held(*constraints):
+    atoms = with_calculator(argon(1), Calculator(lennard_jones()))
+    atoms.set_constraint(constraints)
+    return atoms
+
+
+def langevin(atoms=None, rng=1, **options):
+    atoms = atoms or liquid()
+    atoms.calc = Calculator(lennard_jones())
+    return ours.Langevin(atoms, TIMESTEP, **{"temperature_K": 90.0, "friction": 0.01, "rng": rng} | options)
+
+
+NOT_YET = (NotImplementedError, "externalstress", "-0.01")
+PLANE, SPRING = FixedPlane(0, (0, 0, 1)), Hookean(0, 1, 5.0, 1.0)
+WRONG = [
+    (lambda: md.System.from_ase([[0.0, 0.0, 0.0]]), TypeError, "ase.Atoms", "list"),
+    (lambda: system_from_atoms(held(PLANE)), ValueError, "atoms.constraints", "FixedPlane"),
+    (lambda: ours.VelocityVerlet(held(SPRING), TIMESTEP).run(1), ValueError, "atoms.constraints", "Hookean"),
+    (lambda: ours.VelocityVerlet(argon(1), TIMESTEP).step(), RuntimeError, "atoms.calc", "no calculator"),
+    (lambda: ForcesFromCalculator(lennard_jones()), TypeError, "calculator", "LennardJones"),
+    (lambda: md.Simulation(copper(), "EMT", md.VelocityVerlet(TIMESTEP)), TypeError, "potentials", "'EMT'"),
+    (lambda: langevin(rng="seven"), TypeError, "rng", "'seven'"),
+    (lambda: langevin(rng=-1), TypeError, "rng", "-1"),
+    (lambda: langevin(held()[:1], fixcm=True).run(1), ValueError, "fixcm", "3"),
+    (lambda: langevin(fixcm=False, friction=-1.0).run(1), ValueError, "friction", "-1.0"),
+    (lambda: ours.Bussi(liquid(), TIMESTEP, 300.0, -1.0, rng=2).run(1), ValueError, "taut", "-1.0"),
+    (lambda: ours.LangevinBAOAB(held(), TIMESTEP, externalstress=-0.01), *NOT_YET),
+]
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("row", range(len(WRONG)))
+def test_wrong_calls_are_answered(row):
+    call, error, *shown = WRONG[row]
+    with np.errstate(invalid="ignore"):
+        assert_answered(call, error, *shown)
+
+
+def test_a_file_of_another_kind_is_refused_and_a_failed_call_leaves_nothing_behind(tmp_path):
+    define()
+    (tmp_path / "b.h5md").write_text("none")
+    with pytest.raises(ValueError, match=r"b\.h5md"):
+        ase.io.read(tmp_path / "b.h5md")
+    atoms = with_calculator(argon(1), Calculator(md.LennardJones({"Ar": (EPSILON, SIGMA)}, cutoff=CUTOFF)))
+    before = atoms.get_potential_energy()
+    atoms.numbers[0] = 36
+    for _ in range(2):
+        assert_answered(atoms.get_potential_energy, ValueError, "species", "'Kr'")
+    atoms.numbers[0] = 18
+    atoms.positions[2], there = atoms.positions[1], atoms.positions[2].copy()
+    assert_answered(atoms.get_forces, md.NonFiniteError, "atoms 1 and 2")
+    atoms.positions[2] = there
+    assert atoms.get_potential_energy() == pytest.approx(before, rel=1e-14)

@@ -6,13 +6,15 @@ import sys
 import ase.io
 import numpy as np
 import pytest
-from argon_atoms import REPOSITORY, define, entry_points, same
+from argon_atoms import REPOSITORY, define, entry_points
 from ase.calculators.calculator import get_calculator_class
 from h5md_runs import simulation
+from references import liquid
+from wrong_calls import assert_answered
 
 import minimd as md
 import minimd.ase
-from minimd.ase import system_from_atoms
+from minimd.ase import system_from_file
 
 TEXT, EXACT = 0.51e-8, 1e-14  # of files with eight decimals; of numbers in binary
 FILES = {"a.traj": EXACT, "b.TRAJ": EXACT, "a.xyz": TEXT, "a.extxyz": TEXT, "a.h5md": EXACT}
@@ -21,7 +23,6 @@ known = pytest.fixture(define, name="known")
 
 @pytest.fixture(scope="module", params=[(md.units.ASE, True), (md.units.ASE, False), (md.units.LJ, True)])
 def written(request, tmp_path_factory):
-    """A run of 27 atoms in a triclinic cell, written to files of all kinds, and what an observer has seen of it."""
     units, has_forces = request.param
     folder, sim, seen = tmp_path_factory.mktemp("run"), simulation("triclinic", units), []
 
@@ -44,9 +45,8 @@ def test_ase_reads_the_frames_of_a_run(name, written, known):
     formats = {"xyz": "extxyz", "raj": "traj"}.get(name[-3:].lower())
     frames = ase.io.read(folder / name, ":", format=formats)
     assert len(frames) == len(seen) == 5
-    for atoms, energy, (step, time, positions, velocities, forces) in zip(
-        frames, record.potential_energy, seen, strict=True
-    ):
+    for atoms, energy, looked in zip(frames, record.potential_energy, seen, strict=True):
+        step, time, positions, velocities, forces = looked
         assert (atoms.info["step"], atoms.info["time"]) == (step, time)
         assert atoms.get_potential_energy() == energy
         assert np.array_equal(atoms.cell.array, system.cell.vectors)
@@ -77,16 +77,6 @@ def test_angles_of_a_run_come_back_through_ase(tmp_path, known):
     assert read.angles.tolist() == system.angles.tolist()
 
 
-@pytest.mark.filterwarnings("ignore:the center of mass moves")
-def test_labels_and_reduced_numbers_are_in_an_xyz_file(tmp_path):
-    system = md.System([[0.0, 0, 0], [1.1, 0, 0]], species=["A", "bead"], velocities=[[0.1, 0, 0], [0, 0.2, 0]])
-    simulation = md.Simulation(system, md.LennardJones(1.0, 1.0), md.VelocityVerlet(0.001))
-    simulation.run(0, trajectory=tmp_path / "a.xyz")
-    back = system_from_atoms(ase.io.read(tmp_path / "a.xyz"))
-    assert back.species.tolist() == ["A", "bead"]
-    assert same(back.velocities, system.velocities, 1e-7)
-
-
 ANSWER = """
 import sys, ase.io.formats as f
 print('minimd-h5md' in f.ioformats, f.filetype('run.h5md', read=False), 'minimd' in sys.modules)
@@ -99,11 +89,10 @@ def test_ase_finds_format_and_calculator_by_the_entry_points(tmp_path, monkeypat
     """The format without loading minimd: everybody who imports ase.io would wait for it."""
     place = tmp_path / "site" / "minimd-0.dist-info"  # installed as far as entry points go
     place.mkdir(parents=True)
-    lines = [
-        f"[{group}]\n" + "".join(f"{name} = {target}\n" for name, target in points.items())
-        for group, points in entry_points().items()
-    ]
-    (place / "entry_points.txt").write_text("\n".join(lines))
+    rows = (
+        (group, f"{name} = {target}") for group, points in entry_points().items() for name, target in points.items()
+    )
+    (place / "entry_points.txt").write_text("".join(f"[{group}]\n{row}\n" for group, row in rows))
     (place / "METADATA").write_text("Metadata-Version: 2.1\nName: minimd\nVersion: 0\nSummary: installed\n")
     for path in (place.parent, REPOSITORY):
         monkeypatch.setenv("PYTHONPATH", str(path), prepend=":")
@@ -112,3 +101,54 @@ def test_ase_finds_format_and_calculator_by_the_entry_points(tmp_path, monkeypat
     assert made.returncode == 0, made.stderr
     assert made.stdout.splitlines() == ["True minimd-h5md False", "('minimd', 'Calculator')"]
     assert get_calculator_class("minimd") is minimd.ase.Calculator
+
+
+LJ = md.LennardJones(1.0, 1.0, 1.85, "switched")
+TWO_ATOMS = "of two types\n\n2 atoms\n2 atom types\n\n0 9 xlo xhi\n0 9 ylo yhi\n0 9 zlo zhi\n\nMasses\n\n1 {}\n2 {}\n"
+TWO_ATOMS += "\nAtoms # atomic\n\n1 1 1.0 1.0 1.0\n2 2 4.0 1.0 1.0\n"
+
+
+def test_types_of_lammps_data_are_elements_only_with_their_masses(tmp_path):
+    known = {(12.0, 16.0): ["C", "O"], (15.9994, 1.008): ["O", "H"]}
+    known |= {masses: ["1", "2"] for masses in [(14.027, 15.035), (14.0, 13.0), (100.0, 120.0)]}
+    for masses, species in known.items():
+        (tmp_path / "a.data").write_text(TWO_ATOMS.format(*masses))
+        assert system_from_file(tmp_path / "a.data").species.tolist() == species
+
+
+@pytest.mark.parametrize("suffix", ["h5md", "traj", "xyz"])
+def test_a_stress_that_was_asked_for_reaches_ase(tmp_path, suffix):
+    """As ASE has it: without the kinetic part, which its include_ideal_gas adds."""
+    start = liquid(3)
+    options = {"velocities": start.velocities, "masses": 1.0, "cell": start.cell, "units": md.units.ASE}
+    system = md.System(start.positions, species=["Ar"] * len(start), **options)
+    sim = md.Simulation(system, LJ, md.VelocityVerlet(0.002))
+    sim.extra_observables = ("stress",)
+    record = sim.run(20, every=10, trajectory=tmp_path / f"a.{suffix}")
+    atoms = ase.io.read(tmp_path / f"a.{suffix}")
+    close = {"rel": 1e-6, "abs": 1e-6}  # .xyz has 8 decimals
+    assert atoms.get_stress(voigt=False, include_ideal_gas=True) == pytest.approx(record.stress[-1], **close)
+    virial = md.evaluate(sim.system, LJ).virial
+    assert atoms.get_stress(voigt=False) == pytest.approx(-virial / sim.system.volume, **close)
+
+
+@pytest.mark.parametrize("suffix", ["traj", "xyz", "h5md"])
+def test_files_of_reduced_runs_keep_species_masses_and_velocities(tmp_path, suffix):
+    made, file, species = simulation(), tmp_path / f"run.{suffix}", ["1", "Ar", "2"] * 9
+    options = {"masses": made.system.masses, "velocities": made.velocities}
+    system = md.System(made.positions, cell=3.6, species=species, **options)
+    sim = md.Simulation(system, made.potentials, made.method)
+    sim.run(2, every=1, trajectory=file)
+    read = system_from_file(file, units=md.units.LJ)
+    assert read.units is md.units.LJ
+    assert read.species.tolist() == species
+    np.testing.assert_allclose(read.masses, system.masses, rtol=1e-7)
+    np.testing.assert_allclose(read.velocities, sim.velocities, atol=2e-8)
+    if suffix == "h5md":
+        assert system_from_file(file).units is md.units.LJ
+        assert_answered(lambda: system_from_file(file, units=md.units.ASE), ValueError, "units", "'LJ'")
+
+
+def test_labels_that_ase_does_not_know_are_told(tmp_path):
+    (tmp_path / "ab.xyz").write_text("2\n\nA 0 0 0\nB 1 0 0\n")
+    assert_answered(lambda: system_from_file(tmp_path / "ab.xyz"), ValueError, "chemical symbol", "'A'")

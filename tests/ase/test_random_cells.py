@@ -18,7 +18,6 @@ PROPERTIES = ("energy", "free_energy", "energies", "forces", "stress", "stresses
 
 
 def sheared(cell, rng, strength):
-    """The same lattice, if all of it is periodic, from longer and more parallel vectors."""
     for _ in range(3):
         i, j = rng.permutation(3)[:2]
         cell[i] += rng.integers(-strength, strength + 1) * cell[j]
@@ -26,7 +25,6 @@ def sheared(cell, rng, strength):
 
 
 def closest(atoms):
-    """Smallest distance of two atoms or images; infinite for an atom that is alone."""
     for reach in (2.0, 4.0, 8.0):
         distances = ase.neighborlist.neighbor_list("d", atoms, reach)
         if distances.size:
@@ -94,25 +92,15 @@ def assert_list_of_ase(atoms, cutoff):
     assert np.abs(found - expected).max(initial=0.0) <= 1e-13 * (np.abs(atoms.positions).max() + far)  # rounding
 
 
-DRAWN = {"atoms": scenes(), "cutoff": st.floats(1.31, 3.0), "start": st.floats(0.4, 0.95)}
+@pytest.mark.parametrize("n", [50, pytest.param(220, marks=pytest.mark.slow)])
+def test_laws_and_neighbor_list_are_those_of_ase(n):
 
+    @settings(max_examples=n)
+    @given(scenes(), st.floats(1.31, 3.0), st.floats(0.4, 0.95))
+    def same_as_ase(atoms, cutoff, start):
+        cutoff *= SIGMA
+        assert_law_of_ase(atoms, cutoff, "shifted", None)
+        assert_law_of_ase(atoms, cutoff, "charmm", start * cutoff, smooth=True)
+        assert_list_of_ase(atoms, cutoff)
 
-def same_as_ase(atoms, cutoff, start):
-    """Energies, forces, stress of both truncations that ASE has, and the list of neighbors."""
-    cutoff *= SIGMA
-    assert_law_of_ase(atoms, cutoff, "shifted", None)
-    assert_law_of_ase(atoms, cutoff, "charmm", start * cutoff, smooth=True)
-    assert_list_of_ase(atoms, cutoff)
-
-
-@settings(max_examples=50)
-@given(**DRAWN)
-def test_laws_and_neighbor_list_are_those_of_ase(atoms, cutoff, start):
-    same_as_ase(atoms, cutoff, start)
-
-
-@pytest.mark.slow
-@settings(max_examples=220)
-@given(**DRAWN)
-def test_laws_and_neighbor_list_are_those_of_ase_in_many_cells(atoms, cutoff, start):
-    same_as_ase(atoms, cutoff, start)
+    same_as_ase()

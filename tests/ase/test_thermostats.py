@@ -1,5 +1,7 @@
 """Thermostats for ASE's scripts: the distributions of ASE, any rng, changing parameters, blocks of any size."""
 
+from types import SimpleNamespace
+
 import ase.units
 import numpy as np
 import pytest
@@ -24,7 +26,6 @@ NOISY = {
 
 
 def gas(n=N, held=False):
-    """Atoms of two masses, with momenta that add up to a motion of the whole, unless their center is held."""
     rng = np.random.default_rng(5)
     positions = rng.uniform(0.0, 50.0, (n, 3))
     symbols = "Ar" * (n // 2) + "He" * (n - n // 2)
@@ -39,12 +40,11 @@ def made(name, atoms, rng=1, **options):
 
 
 def temperatures(dynamics, n=400, apart=1):
-    """n of them, some steps apart."""
     dynamics.run(20)
-    answer = []
-    dynamics.attach(lambda: answer.append(dynamics.atoms.get_temperature()), apart)
+    seen = []
+    dynamics.attach(lambda: seen.append(dynamics.atoms.get_temperature()), apart)
     dynamics.run(n * apart)
-    return np.array(answer[-n:])
+    return np.array(seen[-n:])
 
 
 CANONICAL = [  # class, arguments, number of atoms, whether their center is held, samples, steps between them
@@ -88,11 +88,6 @@ def test_each_atom_may_have_its_own_temperature_and_friction():
     assert atoms[200:].get_temperature() == pytest.approx(900.0, rel=4.0 * np.sqrt(2.0 / 600))
 
 
-# Random numbers
-
-KINDS = (int, np.random.RandomState, np.random.default_rng, np.random.SeedSequence)
-
-
 def end_of(name, rng, drive=lambda dynamics: dynamics.run(6)):
     atoms = gas(6)
     drive(made(name, atoms, rng))
@@ -101,21 +96,14 @@ def end_of(name, rng, drive=lambda dynamics: dynamics.run(6)):
 
 @pytest.mark.parametrize("name", NOISY)
 def test_equal_seeds_make_equal_runs_and_others_do_not(name):
-    for kind in KINDS:
+    for kind in (int, np.random.RandomState, np.random.default_rng, np.random.SeedSequence):
         first = end_of(name, kind(7))
         assert np.array_equal(first, end_of(name, kind(7)))
         assert not same(first, end_of(name, kind(8)), 1e-3)
-
-
-def test_one_rng_gives_each_dynamics_its_own_noise_and_none_is_that_of_numpys_seed():
-    rng, ends = np.random.default_rng(3), []
-    assert not same(end_of("Langevin", rng), end_of("Langevin", rng), 1e-3)
-    for seed in (1, 1, 2):
-        np.random.seed(seed)
-        ends.append(end_of("Langevin", None))
-    assert np.array_equal(ends[0], ends[1])
-    assert not same(ends[0], ends[2], 1e-3)
-    assert made("Langevin", gas(), None).rng is np.random
+    rng = np.random.default_rng(3)
+    assert not same(end_of(name, rng), end_of(name, rng), 1e-3)
+    first, second = (np.random.seed(seed) or end_of("Langevin", None) for seed in (1, 2))
+    assert not same(first, second, 1e-3)
 
 
 DRIVES = (
@@ -134,29 +122,17 @@ def test_blocks_of_any_size_make_one_run_with_noise_that_never_returns(name):
 
 
 def test_all_processes_of_a_parallel_calculator_have_the_noise_of_the_first():
-    class Told:
-        rank, size = 1, 2
-
-        def broadcast(self, array, root):
-            array[:] = 0.25
-
-    seeds = [made("Langevin", gas(), rng, comm=Told()).noise_seed() for rng in (1, 2)]
+    comm = SimpleNamespace(rank=1, size=2, broadcast=lambda array, root: array.fill(0.25))
+    seeds = [made("Langevin", gas(), rng, comm=comm).noise_seed() for rng in (1, 2)]
     assert seeds[0] == seeds[1]
-
-
-# What an observer changes
 
 
 @pytest.mark.parametrize("name", ["Langevin", "LangevinBAOAB", "Andersen"])
 def test_a_temperature_set_at_every_step_is_that_of_the_next(name):
     atoms, seen = gas(500), []
     dynamics = made(name, atoms)
-
-    def ramp():
-        seen.append(atoms.get_temperature())
-        dynamics.set_temperature(temperature_K=100.0 + 10.0 * dynamics.nsteps)
-
-    dynamics.attach(ramp, 1)
+    dynamics.attach(lambda: seen.append(atoms.get_temperature()), 1)
+    dynamics.attach(lambda: dynamics.set_temperature(temperature_K=100.0 + 10.0 * dynamics.nsteps), 1)
     dynamics.run(60)
     expected = 100.0 + 10.0 * (np.arange(30, 60) - 1.5)
     assert np.mean(seen[30:60] / expected) == pytest.approx(1.0, abs=0.05)
@@ -186,9 +162,6 @@ def test_the_energy_that_bussi_has_transferred_is_what_the_atoms_have_more():
     dynamics.run(50)
     assert abs(dynamics.transferred_energy) > 0.1
     assert kept == pytest.approx([before] * len(kept), abs=2e-4)  # truncation
-
-
-# The chain of Nosé and Hoover
 
 
 def test_a_chain_is_reversible_and_keeps_its_energy():

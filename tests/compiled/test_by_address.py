@@ -1,4 +1,4 @@
-"""Named tuples that kernels get by their address: what is read there, and that each copy has an address of its own."""
+"""What kernels get by the address of a named tuple, each copy of which has its own; the noise that they draw."""
 
 import copy
 import pickle
@@ -9,12 +9,13 @@ import pytest
 
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import kernel
+from minimd.compiled.normal_numbers import normal_numbers
 
 COPIES = [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one)), lambda one: one._replace(whole=7)]
 
 
 class Inner(ByAddress, namedtuple("Inner", "flat matrix")):
-    """Two arrays."""
+    pass
 
 
 class Outer(ByAddress, namedtuple("Outer", "number inner pair whole")):
@@ -23,7 +24,6 @@ class Outer(ByAddress, namedtuple("Outer", "number inner pair whole")):
 
 @kernel
 def read(outer):
-    """Every field, by name, by index and unpacked."""
     number, inner, (flags, two), whole = outer
     flat, matrix = inner
     row = outer.inner.matrix[1]
@@ -48,3 +48,14 @@ def test_a_copy_has_its_own_address(copied):
     second.inner.flat[0] += 1.0
     assert read(second) == read.py_func(second)
     assert read(first) == before + (1000.0 if second.inner is first.inner else 0.0)
+
+
+def test_noise_has_the_bits_of_numpy():
+    """Its rare branches too: numbers at the edges of layers and in the tail."""
+    seed, step, contact, numbers = 2**100 + 12345678901234567, -3, 2, np.empty((5, 200_000))
+    normal_numbers(np.array([seed % 2**64, seed >> 64], dtype=np.uint64), step, contact, numbers)
+    for k, row in enumerate(numbers):
+        counter = np.array([0, 0, contact, (step + k) % 2**64], dtype=np.uint64)
+        expected = np.random.Generator(np.random.Philox(key=seed, counter=counter)).standard_normal(row.size)
+        assert np.array_equal(row, expected)
+    assert np.abs(numbers).max() > 3.66  # in the tail

@@ -40,7 +40,6 @@ def started(script, text, *arguments, **places):
 
 
 def ended(process):
-    """What it printed, and its errors."""
     out, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
     return out, errors
@@ -52,10 +51,7 @@ def test_processes_that_start_on_an_empty_cache_compile_once_and_others_nothing(
     if hasattr(os, "getuid"):
         assert misses == 1  # one compiles, the other waits for it
     assert ended(one())[0].split() == ["1", "0"]
-
-
-def test_a_home_that_cannot_be_written_is_no_obstacle(tmp_path):
-    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "file").write_text("in the way")  # a home that cannot be written is no obstacle
     process = started(tmp_path / "script.py", TWICE, HOME=tmp_path / "file", TMPDIR=tmp_path)
     assert ended(process)[0].startswith("4 ")
 
@@ -66,19 +62,13 @@ def test_without_a_cache_kernels_are_compiled_all_the_same(tmp_path):
     tmp_path.chmod(0o777)
     nowhere = dict.fromkeys(("NUMBA_CACHE_DIR", "HOME", "TMPDIR"), tmp_path)
     out, errors = ended(started(tmp_path / "script.py", TWICE, **nowhere))
-    assert out.split() == ["4", "NullCache"]
-    assert errors.count("UserWarning") == 3
+    assert (out.split(), errors.count("UserWarning")) == (["4", "NullCache"], 3)
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Where kernels that are made now keep their code."""
     monkeypatch.setattr(kernels, "cache_folder", lambda: tmp_path)
     return tmp_path
-
-
-def wrong(x):
-    return x.no_such_thing
 
 
 @POSIX
@@ -86,7 +76,7 @@ def test_a_kernel_that_cannot_be_compiled_keeps_nobody_waiting(folder):
     import fcntl
 
     with pytest.raises(numba.TypingError):
-        kernels.kernel(wrong)(1.0)
+        kernels.kernel(lambda x: x.no_such_thing)(1.0)
     (lock,) = folder.rglob("*.lock")
     with lock.open("r+") as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # it would raise
@@ -100,7 +90,6 @@ def first(pair):
 
 
 def test_fields_in_another_order_are_another_type(folder, monkeypatch):
-    """Also where the file of the kernel does not change."""
     for fields in ("r s", "s r"):
         monkeypatch.setitem(globals(), "Pair", namedtuple("Pair", fields))
         for n_misses in (1, 0):
@@ -169,19 +158,11 @@ def test_a_process_killed_between_two_files_leaves_no_code_of_another_signature(
     assert files.load("integers") == "new code for integers"
 
 
-LAW = """from minimd.compiled.kernels import (
-    cache_folder,
-    scalar,
-)
-from minimd.numbers import HALF
-from minimd.shapes import (
-    Pair,
-)
-from minimd.structure import units
-"""
+IMPORTS = ["compiled.kernels import (\n    cache_folder,\n    scalar,\n)", "numbers import HALF"]
+IMPORTS += ["shapes import (\n    Pair,\n)", "structure import units"]
 SOURCES = {
     "compiled/kernels.py": "b = 1\n",
-    "law.py": LAW,
+    "law.py": "".join(f"from minimd.{one}\n" for one in IMPORTS),
     "numbers.py": "from minimd.thirds import THIRD\nHALF = 1.5 * THIRD\n",
     "thirds.py": "THIRD = 1 / 3\n",
     "shapes.py": "Pair = None\n",
@@ -206,7 +187,6 @@ def test_edited_sources_of_kernels_and_no_others_get_another_cache(name, tmp_pat
 
 
 def folder_of_cache(base, monkeypatch):
-    """Where compiled code would be kept, if only this place were there."""
     monkeypatch.setattr(kernels, "_cache_bases", lambda: [base])
     return kernels.cache_folder.__wrapped__()
 
@@ -229,7 +209,7 @@ def test_a_cache_that_others_can_change_is_refused_whichever_folder_is_open(open
 
 @POSIX
 def test_a_common_sticky_folder_may_lie_on_the_way_but_not_be_the_cache(tmp_path, monkeypatch):
-    """New folders are for this user alone, whatever the umask."""
+    """New folders are for this user alone, whatever the umask; that of another user is refused, sticky or not."""
     tmp_path.chmod(0o1777)
     before = os.umask(0)
     try:
@@ -241,15 +221,9 @@ def test_a_common_sticky_folder_may_lie_on_the_way_but_not_be_the_cache(tmp_path
     assert kernels.open_to_others(tmp_path) == tmp_path
     (tmp_path / "own").chmod(0o770)
     assert kernels.open_to_others(folder) == tmp_path / "own"
-
-
-@POSIX
-def test_a_folder_of_another_user_is_refused_sticky_or_not(tmp_path, monkeypatch):
-    """As this user sees it who is not the owner."""
-    (tmp_path / "theirs").mkdir()
-    ours, stat = os.stat(tmp_path).st_uid, Path.stat
+    stat = Path.stat
     for mode in (0o40755, 0o41777):
-        theirs = os.stat_result([mode, *stat(tmp_path)[1:4], ours + 12345, *stat(tmp_path)[5:]])
-        is_theirs = lambda path, theirs=theirs: theirs if path.name == "theirs" else stat(path)  # noqa: E731
+        theirs = os.stat_result([mode, *stat(tmp_path)[1:4], os.getuid() + 12345, *stat(tmp_path)[5:]])
+        is_theirs = lambda path, theirs=theirs: theirs if path.name == "own" else stat(path)  # noqa: E731
         monkeypatch.setattr(Path, "stat", is_theirs)
-        assert kernels.open_to_others(tmp_path / "theirs" / "cache") == tmp_path / "theirs"
+        assert kernels.open_to_others(tmp_path / "own" / "cache") == tmp_path / "own"

@@ -10,30 +10,19 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from minimd.compiled import threads
 from minimd.compiled.kernels import shared_kernel
-from minimd.compiled.threads import (
-    MOST_CHUNKS,
-    ThreadPool,
-    Worker,
-    barrier,
-    begin,
-    finish_and_take,
-    stop,
-    take,
-    thread_pool,
-    was_stopped,
-)
+from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, Worker, thread_pool
 
 N_PHASES = 4
-PATIENT = 30.0  # seconds after which a test gives up
 
 
 @shared_kernel
 def count_shares(me, task, n, done, early):
     """done (threads, phases, n) += 1 for each share; early (threads,) += shares begun before a phase had ended."""
-    phase = begin(me, task)
+    phase = threads.begin(me, task)
     for p in range(done.shape[1]):
-        share = take(me, phase, n)
+        share = threads.take(me, phase, n)
         while share >= 0:
             for s in range(n if p > 0 else 0):
                 times = 0
@@ -41,17 +30,15 @@ def count_shares(me, task, n, done, early):
                     times += done[thread, p - 1, s]
                 early[me.thread] += times != 1
             done[me.thread, p, share] += 1
-            share = finish_and_take(me, phase, n)
-        phase = barrier(me, phase)
+            share = threads.finish_and_take(me, phase, n)
+        phase = threads.barrier(me, phase)
 
 
 def counts(n_threads, n, n_phases=N_PHASES):
-    """done and early for count_shares."""
     return np.zeros((n_threads, n_phases, n), dtype=np.int64), np.zeros(n_threads, dtype=np.int64)
 
 
 def counted(team, n, n_phases=N_PHASES):
-    """done of one task, in which every share was done once, in the order of the phases."""
     done, early = counts(team.n_threads, n, n_phases)
     team.run(count_shares, n, done, early)
     assert not early.any()
@@ -61,27 +48,24 @@ def counted(team, n, n_phases=N_PHASES):
 
 @shared_kernel
 def walk(me, task, n, most, last, place, after):
-    """Up to most steps of all n shares; the first share stops the walk at step last. Then one more phase.
-
-    Returns how many steps were made.
-    """
-    phase, made = begin(me, task), 0
+    """Up to most steps of all n shares, and their number; the first share stops it at step last. One more phase."""
+    phase, made = threads.begin(me, task), 0
     while True:
-        share = take(me, phase, n)
+        share = threads.take(me, phase, n)
         while share >= 0:
             place[share] += 1
             if share == 0 and place[share] == last:
-                stop(me, phase)
-            share = finish_and_take(me, phase, n)
-        walked, phase = phase, barrier(me, phase)
+                threads.stop(me, phase)
+            share = threads.finish_and_take(me, phase, n)
+        walked, phase = phase, threads.barrier(me, phase)
         made += 1
-        if made == most or was_stopped(me, walked):
+        if made == most or threads.was_stopped(me, walked):
             break
-    share = take(me, phase, n)
+    share = threads.take(me, phase, n)
     while share >= 0:
         after[share] = place[share]
-        share = finish_and_take(me, phase, n)
-    barrier(me, phase)
+        share = threads.finish_and_take(me, phase, n)
+    threads.barrier(me, phase)
     return made
 
 
@@ -98,22 +82,12 @@ def test_a_stopped_task_ends_at_the_same_step_for_all_threads(n_threads):
 
 @pytest.mark.parametrize("n_threads", [1, 2, 3, 8])
 def test_each_share_is_done_once_in_each_phase(n_threads):
-    """And in thousands of tasks that follow each other."""
     team = thread_pool(n_threads)
     for n in (1, 2, 3, 7, 8, 9, 64, 1000, MOST_CHUNKS):
         for n_phases in (1, 3, 7):
             counted(team, n, n_phases)
     for n in np.random.default_rng(1).integers(1, 20, 1500):
         counted(team, int(n))
-
-
-def has_help(team):
-    """Whether some other thread than the calling one does a share before patience ends."""
-    until = time.monotonic() + PATIENT
-    while time.monotonic() < until:
-        if counted(team, MOST_CHUNKS)[1:].any():
-            return True
-    return False
 
 
 def test_helpers_help_when_they_come_and_hold_nobody_up_before(monkeypatch):
@@ -124,7 +98,10 @@ def test_helpers_help_when_they_come_and_hold_nobody_up_before(monkeypatch):
     for n in (1, 5, 100):
         assert not counted(team, n)[1:].any()
     awake.set()
-    assert has_help(team)
+    until, is_helped = time.monotonic() + 30.0, False
+    while not is_helped and time.monotonic() < until:
+        is_helped = counted(team, MOST_CHUNKS)[1:].any()
+    assert is_helped
     monkeypatch.setattr(ThreadPool, "_help", lambda self, thread, wake: None)
     team = ThreadPool(3)
     for helper in team._helpers:
@@ -176,12 +153,8 @@ import os, sys, warnings
 import numpy as np
 from references import liquid
 from scenes import LJ, Scene
-
 warnings.simplefilter("ignore")
-
-def simulation():
-    return Scene(liquid(8), [LJ]).simulation(threads=2)
-
+simulation = lambda: Scene(liquid(8), [LJ]).simulation(threads=2)
 before = simulation()
 before.run(20)
 assert before.engine.interactions.terms[0]._pool.n_threads == 2
@@ -190,8 +163,7 @@ fresh = simulation()
 for run in (fresh, fresh, before):
     run.run(20)
 same = np.array_equal(before.positions, fresh.positions)
-if child == 0:
-    os._exit(0 if same else 1)
+child or os._exit(not same)
 print("parent", same, "child", os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
 

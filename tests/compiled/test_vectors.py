@@ -1,24 +1,17 @@
 """Vectors compute, lane by lane, what numpy computes element by element."""
 
 import math
-import operator
 from collections import namedtuple
 
-import numba
 import numpy as np
 import pytest
 
-import minimd as md
 from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.simd import bits_from_mask, broadcast, convert, fma, lane, load, select, store, total, with_lane
 from minimd.compiled.simd.lanes import Lanes4, Lanes8, count
-from minimd.potentials.law import evaluate_law
-from minimd.potentials.truncation import TRUNCATIONS
 
 
 class Lanes16(namedtuple("Lanes16", "")):
-    """Wider than minimd's."""
-
     size = 16
 
 
@@ -81,7 +74,6 @@ def doubles(a, b, out, lanes):
 
 
 def check(kernel, function, a, b, lanes, rel=0.0):
-    """A kernel makes of vectors what Python makes of each pair of numbers."""
     expected = np.array([function(x, y) for x, y in zip(a, b, strict=True)]).T.astype(a.dtype)
     out = np.zeros(expected.size, a.dtype)
     kernel(a, b, out, lanes)
@@ -113,8 +105,7 @@ def test_masks_lanes_and_sums_and_a_multiply_add_that_rounds_once(kind):
     assert np.array_equal(out[:8], np.where(a > 2.0, a, 0.0).astype(kind))
     assert bits == sum(1 << k for k in range(8) if a[k] > 2.0)
     pairs = a.reshape(2, 4).sum(axis=0)
-    assert sum_ == (pairs[0] + pairs[2]) + (pairs[1] + pairs[3])
-    assert fifth == a[5]
+    assert (sum_, fifth) == ((pairs[0] + pairs[2]) + (pairs[1] + pairs[3]), a[5])
     assert changed == pytest.approx(a.sum() - a[2] + 100.0, rel=1e-5)
     looked_into(np.full(8, 1 + small), out)
     assert np.array_equal(out[8:], np.full(8, 2 * small + small * small))
@@ -135,43 +126,3 @@ def test_conversion_rounds_to_the_nearest_for_a_number_as_for_a_vector(kind, to,
     out = np.ones(2 * lanes.size, to)
     converted(values, to(0.0), out, lanes)
     assert np.array_equal(out, np.tile(values.astype(to), 2))
-
-
-@kernel
-def differences(a, b, out, same):
-    x = load(a, 0, 8)
-    store(same, 0, convert(x, x))
-    store(out, 0, convert(x - load(b, 0, 8), np.float32(0.0)))
-
-
-def test_differences_of_large_integers_are_exact_before_they_are_converted():
-    """What mixed precision stands on: a small distance between far places has no rounding error."""
-    b = np.linspace(-(2**31) + 1000, 2**31 - 1000, 8).astype(np.int32)
-    out, apart, same = np.zeros(8, np.float32), np.arange(1, 9, dtype=np.int32), np.zeros(8, np.int32)
-    differences(b + apart, b, out, same)
-    assert np.array_equal(out, apart)
-    assert np.array_equal(same, b + apart)
-
-
-@kernel
-def of_a_law(law, r2, parameters, out):
-    u, f = evaluate_law(law, load(r2, 0, 8), parameters)
-    store(out, 0, u)
-    store(out, 8, f)
-
-
-@pytest.mark.parametrize("truncation", TRUNCATIONS)
-def test_laws_compile_for_vectors_from_the_same_source(truncation):
-    potential = md.LennardJones(1.3, 0.9, 2.5, truncation)
-    parameters = tuple(potential.table(("X",))[0, 0, 1:].tolist())
-    r2, out = np.linspace(0.8, 7.0, 8), np.zeros(16)
-    of_a_law(potential.law, r2, parameters, out)
-    expected = np.array([evaluate_law(potential.law, x, parameters) for x in r2.tolist()])
-    assert pytest.approx(expected, rel=1e-14, abs=1e-16) == out.reshape(2, 8).T
-
-
-@pytest.mark.parametrize("operation", [operator.mod, operator.floordiv])
-def test_what_vectors_cannot_do_is_an_error(operation):
-    run = numba.njit(lambda a: store(a, 0, operation(load(a, 0, 8), load(a, 0, 8))))
-    with pytest.raises(numba.core.errors.TypingError):
-        run(np.ones(8))

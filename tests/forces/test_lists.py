@@ -1,135 +1,118 @@
 """All lists do the same physics: forces, energies and virials of clusters, of pairs and of brute force, in any cell."""
 
+import cluster_scenes as cs
 import numpy as np
 import pytest
-from cluster_scenes import (
-    CUTOFF,
-    EQUAL,
-    LAWS,
-    MANY,
-    ONE_SPECIES,
-    SIZES,
-    SKIN,
-    SOFT,
-    agree,
-    atoms_per_domain,
-    both_lists,
-    evaluated,
-    pair_laws,
-    rod,
-    scenes,
-    summed,
-)
+from ase.build import bulk
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from references import brute_force_pairs, liquid
-from scenes import BONDED, LJ, OPEN, SCENES
+from scenes import BONDED, LJ, SCENES
 from wrong_calls import assert_answered
 
 import minimd as md
+from minimd.ase import Calculator, VelocityVerlet
+from minimd.diagnosis.report import conservation_report
 from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
+from minimd.forces.pair_laws import skin_for
 from minimd.forces.pair_list_term import PairListTerm
 from minimd.potentials.term import PER_ATOM
 
 WIDE = 300.0  # the grid of the coordinates in mixed precision is then 1.4e-7 fine, as float32 near 1
-TABLE = [
-    pytest.param(name, precision, marks=() if name == "many" else pytest.mark.slow)
-    for name in LAWS
-    for precision in EQUAL
-]
+TABLE = [(name, precision) for name in cs.LAWS for precision in cs.EQUAL]
+TABLE = [pytest.param(*row, marks=() if row[0] == "many" else pytest.mark.slow) for row in TABLE]
 
 
 @pytest.mark.parametrize(("name", "precision"), TABLE)
-@given(system=scenes([*SIZES, 3000]), seed=st.integers(0, 2**32 - 1), atoms=st.sampled_from([5, 40, 800]))
+@given(system=cs.scenes([*cs.SIZES, 3000]), seed=st.integers(0, 2**32 - 1), atoms=st.sampled_from([5, 40, 800]))
 @settings(max_examples=40)
 def test_clusters_and_pairs_are_the_same_physics(name, precision, system, seed, atoms):
     """Also after moves of half the skin, for which no list is built, and after moves by lattice vectors."""
     assume(precision == "double" or np.linalg.norm(system.cell.vectors, axis=1).max() < WIDE)
-    with atoms_per_domain(atoms):
-        clusters, pairs = both_lists(system, LAWS[name], precision)
-        agree(clusters, pairs, system, EQUAL[precision])
+    with cs.atoms_per_domain(atoms):
+        clusters, pairs = cs.both_lists(system, cs.LAWS[name], precision)
+        cs.agree(clusters, pairs, system, cs.EQUAL[precision])
         rng, n_builds = np.random.default_rng(seed), clusters.list.n_builds
         step = rng.normal(size=system.positions.shape)
         step *= 0.249 * clusters.list.skin / np.linalg.norm(step, axis=1, keepdims=True)
         for _layer in range(2):
             system.positions += step
-            agree(clusters, pairs, system, EQUAL[precision])
+            cs.agree(clusters, pairs, system, cs.EQUAL[precision])
         assert clusters.list.n_builds == n_builds
         moved = rng.random(len(system)) < 0.3
         system.positions[moved] += (rng.integers(-2, 3, (moved.sum(), 3)) * system.cell.pbc) @ system.cell.vectors
-        agree(clusters, pairs, system, EQUAL[precision])
+        cs.agree(clusters, pairs, system, cs.EQUAL[precision])
 
 
 def towards_a_partner(system):
     """Unit vectors that lead pairs, listed but beyond the cutoff, straight towards each other; their distances."""
-    first, second, vectors, distances = md.neighbor_list("ijDd", system, CUTOFF + SKIN)
+    first, second, vectors, distances = md.neighbor_list("ijDd", system, cs.CUTOFF + cs.SKIN)
     directions, free, gaps = np.zeros_like(system.positions), np.ones(len(system), dtype=bool), []
     for p in np.argsort(distances)[::-1]:
-        if distances[p] > CUTOFF and first[p] != second[p] and free[first[p]] and free[second[p]]:
+        if distances[p] > cs.CUTOFF and first[p] != second[p] and free[first[p]] and free[second[p]]:
             free[[first[p], second[p]]] = False
             directions[first[p]], directions[second[p]] = vectors[p] / distances[p], -vectors[p] / distances[p]
             gaps.append(distances[p])
     return directions, np.array(gaps)
 
 
-@given(system=scenes(sizes=[8, 120, 400]), atoms=st.sampled_from([5, 800]))
+@given(system=cs.scenes(sizes=[8, 120, 400]), atoms=st.sampled_from([5, 800]))
 @settings(max_examples=40)
 def test_pairs_that_run_into_each_other_are_not_missed(system, atoms):
     """Half the skin each, on the shortest way: those that were almost beyond the list come just within the cutoff."""
-    with atoms_per_domain(atoms):
-        clusters, pairs = both_lists(system, ONE_SPECIES)
-        agree(clusters, pairs, system)
+    with cs.atoms_per_domain(atoms):
+        clusters, pairs = cs.both_lists(system, cs.ONE_SPECIES)
+        cs.agree(clusters, pairs, system)
         directions, gaps = towards_a_partner(system)
         for away in (0.4999999, -0.4999999):
-            agree(clusters, pairs, md.System(system.positions + away * SKIN * directions, cell=system.cell))
+            cs.agree(clusters, pairs, md.System(system.positions + away * cs.SKIN * directions, cell=system.cell))
         assert clusters.list.n_builds == 1
-        agree(clusters, pairs, md.System(system.positions + 0.5000001 * SKIN * directions, cell=system.cell))
+        cs.agree(clusters, pairs, md.System(system.positions + 0.5000001 * cs.SKIN * directions, cell=system.cell))
         assert clusters.list.n_builds == (2 if len(gaps) else 1)
-    assert np.all(gaps - 2 * 0.4999999 * SKIN < CUTOFF + 1e-6)
+    assert np.all(gaps - 2 * 0.4999999 * cs.SKIN < cs.CUTOFF + 1e-6)
 
 
 @pytest.mark.parametrize("kind", [ClusterTerm, PairListTerm])
 def test_a_list_that_follows_a_strain_misses_no_pair(kind):
-    """Pairs that were beyond the list are nearer in the smaller cell, and run into each other."""
     system, strain = liquid(4), np.array([[0.97, 0.01, 0.0], [0.0, 0.98, 0.0], [0.0, 0.0, 1.01]])
-    laws = pair_laws(system, ONE_SPECIES)
-    term, bare = kind(system, laws, Options(1, skin=SKIN)), PairListTerm(system, laws, Options(skin=0.0))
-    agree(term, bare, system)
+    laws = cs.pair_laws(system, cs.ONE_SPECIES)
+    term, bare = kind(system, laws, Options(1, skin=cs.SKIN)), PairListTerm(system, laws, Options(skin=0.0))
+    cs.agree(term, bare, system)
     system.positions[:], system.cell = system.positions @ strain, md.Cell.of(system.cell.vectors @ strain)
     term.list.follow(system.cell)
     strained, (directions, _) = system.positions.copy(), towards_a_partner(system)
     for share, n_builds in ((0.0, 1), (0.36, 1), (0.45, 2)):
-        system.positions[:] = strained + share * SKIN * directions
-        agree(term, bare, system)
+        system.positions[:] = strained + share * cs.SKIN * directions
+        cs.agree(term, bare, system)
         assert term.list.n_builds == n_builds
 
 
 def by_hand(system):
-    """Forces, energies and virials of all atoms for ONE_SPECIES, each pair from both sides."""
-    found = sorted(brute_force_pairs(system.positions, system.cell.vectors, system.cell.pbc, CUTOFF))
+    """Forces, energies and virials of all atoms for cs.ONE_SPECIES, each pair from both sides."""
+    found = sorted(brute_force_pairs(system.positions, system.cell.vectors, system.cell.pbc, cs.CUTOFF))
     first, second, *shifts = np.array(found, dtype=int).reshape(-1, 5).T
     d = system.positions[second] - system.positions[first] + np.transpose(shifts) @ system.cell.vectors
     r = np.linalg.norm(d, axis=1)
     u, slope = (lambda x: 4.0 * (x**-12.0 - x**-6.0)), lambda x: -24.0 * (2.0 * x**-13.0 - x**-7.0)
-    f = (slope(CUTOFF) - slope(r)) / r
+    f = (slope(cs.CUTOFF) - slope(r)) / r
     forces, energies, virials = np.zeros((len(system), 3)), np.zeros(len(system)), np.zeros((len(system), 6))
     np.add.at(forces, first, -f[:, None] * d)
-    np.add.at(energies, first, 0.5 * (u(r) - u(CUTOFF) - (r - CUTOFF) * slope(CUTOFF)))
+    np.add.at(energies, first, 0.5 * (u(r) - u(cs.CUTOFF) - (r - cs.CUTOFF) * slope(cs.CUTOFF)))
     np.add.at(virials, first, 0.5 * f[:, None] * d[:, [0, 1, 2, 1, 0, 0]] * d[:, [0, 1, 2, 2, 2, 1]])
     return forces, energies, virials
 
 
-@pytest.mark.parametrize("precision", EQUAL)
+@pytest.mark.parametrize("precision", cs.EQUAL)
 def test_lists_find_what_brute_force_finds_and_padding_has_no_weight(precision):
     """Atoms of one column: 1 to 8 lanes of the last cluster are filled, all others repeat its last atom."""
     for n, pbc in [(n, pbc) for n in range(1, 20) for pbc in (True, (True, True, False))]:
         positions = np.column_stack([0.4 * (-1.0) ** np.arange(n), np.zeros(n), 0.9 * np.arange(n)])
         system = md.System(positions + 0.3, cell=[2.4, 2.4, max(2.4, 0.9 * n)], pbc=pbc)
-        clusters, pairs = both_lists(system, ONE_SPECIES, precision)
+        clusters, pairs = cs.both_lists(system, cs.ONE_SPECIES, precision)
         expected = by_hand(system)
-        for term, tolerance in ((clusters, EQUAL[precision]), (pairs, EQUAL["double"])):
-            for a, b in zip(evaluated(term, system, PER_ATOM), expected, strict=True):
+        for term, tolerance in ((clusters, cs.EQUAL[precision]), (pairs, cs.EQUAL["double"])):
+            for a, b in zip(cs.evaluated(term, system, PER_ATOM), expected, strict=True):
                 assert a == pytest.approx(b, abs=tolerance * max(1.0, np.abs(b).max()), rel=0)
         found = clusters.list.clusters
         assert (found.filled[: clusters.list.n_clusters].sum(), len(found.column_start)) == (n, 2)
@@ -137,82 +120,47 @@ def test_lists_find_what_brute_force_finds_and_padding_has_no_weight(precision):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["three species", "exclusions"])
-@given(system=scenes(sizes=[2000, 5000]), atoms=st.sampled_from([40, 800]))
+@given(system=cs.scenes(sizes=[2000, 5000]), atoms=st.sampled_from([40, 800]))
 @settings(max_examples=10)
 def test_clusters_and_pairs_are_the_same_physics_for_thousands(name, system, atoms):
-    with atoms_per_domain(atoms):
-        agree(*both_lists(system, LAWS[name]), system)
+    with cs.atoms_per_domain(atoms):
+        cs.agree(*cs.both_lists(system, cs.LAWS[name]), system)
 
 
-@pytest.mark.parametrize("size", [5, 9])
-def test_a_crystal_exactly_on_its_faces_has_no_forces(size):
-    system = md.System(1.1 * np.array([*np.ndindex(size, size, size)]), cell=1.1 * size)
-    forces, energy, _ = summed(both_lists(system, ONE_SPECIES)[0], system)
-    assert np.abs(forces).max() < 1e-12
-    assert energy == pytest.approx(md.evaluate(system, ONE_SPECIES).potential_energy, rel=1e-12)
+def test_a_crystal_exactly_on_its_faces_has_no_forces_and_excluded_pairs_may_sit_on_each_other():
+    for size in (5, 9):
+        system = md.System(1.1 * np.array([*np.ndindex(size, size, size)]), cell=1.1 * size)
+        forces, energy, _ = cs.summed(cs.both_lists(system, cs.ONE_SPECIES)[0], system)
+        assert np.abs(forces).max() < 1e-12
+        assert energy == pytest.approx(md.evaluate(system, cs.ONE_SPECIES).potential_energy, rel=1e-12)
+    system = liquid(4)
+    system.positions[1] = system.positions[0]
+    bonded = md.System(system.positions, cell=system.cell, bonds=[[0, 1]])
+    cs.agree(*cs.both_lists(bonded, [BONDED]), bonded)
+    assert_answered(lambda: md.LennardJones(1.0, 1.0, 2.0, bonded_scale=0), ValueError, "bonded_scale", "0")
 
 
 @pytest.mark.parametrize("atoms", [1, 50])
 @pytest.mark.parametrize("pbc", [True, (True, False, False), (False, True, True), False])
 def test_chunks_change_nothing_but_rounding(atoms, pbc):
-    system = rod(pbc=pbc)
-    with atoms_per_domain(atoms):
-        clusters, pairs = both_lists(system, MANY)
-        agree(clusters, pairs, system)
+    system = cs.rod(pbc=pbc)
+    with cs.atoms_per_domain(atoms):
+        clusters, pairs = cs.both_lists(system, cs.MANY)
+        cs.agree(clusters, pairs, system)
     assert len(clusters.list.domains.first) >= 5
-
-
-def test_excluded_pairs_may_sit_on_each_other():
-    system = liquid(4)
-    system.positions[1] = system.positions[0]
-    bonded = md.System(system.positions, cell=system.cell, bonds=[[0, 1]])
-    agree(*both_lists(bonded, [BONDED]), bonded)
-    assert_answered(lambda: md.LennardJones(1.0, 1.0, 2.0, bonded_scale=0), ValueError, "bonded_scale", "0")
-
-
-@pytest.mark.parametrize("short", [0, 1, 2])
-@pytest.mark.parametrize("factor", [1.02, 1.05, 1.08, 1.3])
-def test_a_cell_just_high_enough_in_one_direction(short, factor):
-    """The skin is cut to the room there is: the list then reaches exactly once through the cell."""
-    heights = np.full(3, 2.5 * CUTOFF)
-    heights[short] = factor * CUTOFF
-    n = np.floor(heights / 1.1).astype(int)
-    sites = (np.array([*np.ndindex(*n)]) + 0.5) / n * heights
-    system = md.System(sites + np.random.default_rng(3).uniform(-0.05, 0.05, sites.shape), cell=heights)
-    for skin in (None, float(heights[short] - CUTOFF)):
-        agree(*both_lists(system, ONE_SPECIES, skin=skin), system)
-
-
-def branching(r2, height):
-    return (height, 0.0) if r2 < 1.0 else (height / r2, 2.0 * height / r2**2)
-
-
-def test_rule_which_list_a_scene_gets():
-    argon, dense, short = SCENES["argon"]().system, liquid(2), md.LennardJones(1.0, 1.0, 1.2)
-    for system, potential, kind in [
-        (argon, LJ, "cluster list"),
-        (dense, short, "cluster list"),
-        (argon, *SOFT, "cluster list"),
-        (md.System(dense.positions[:-1], cell=dense.cell), short, "pair list"),  # few atoms
-        (argon, md.LennardJones(1.0, 1.0, 5.2, "force-shifted"), "pair list"),  # the cell is too small
-        (argon, md.PairPotential(branching, (1.0,), 2.5), "pair list"),  # cannot run on vectors
-        (md.System(argon.positions), OPEN, "all pairs"),  # no cutoff
-    ]:
-        simulation = md.Simulation(system, potential, md.VelocityVerlet(0.001))
-        assert simulation.engine.interactions.pair_search.startswith(kind)
-    simulation.run(5, every=1)
-    assert "all pairs" in str(simulation.report())
 
 
 @pytest.mark.parametrize(("skin", "precision"), [(0.05, "double"), (None, "double"), (0.3, "mixed")])
 def test_a_hot_run_has_the_energies_of_fresh_lists(skin, precision):
-    with atoms_per_domain(100):
-        simulation = md.Simulation(rod(), MANY, md.VelocityVerlet(0.002), skin=skin, precision=precision, threads=2)
+    with cs.atoms_per_domain(100):
+        simulation = md.Simulation(
+            cs.rod(), cs.MANY, md.VelocityVerlet(0.002), skin=skin, precision=precision, threads=2
+        )
     simulation.set_temperature(8.0, 5)
     seen = []
 
     def compare(running):
-        fresh = md.evaluate(running.system, MANY)
+        fresh = md.evaluate(running.system, cs.MANY)
         force = np.abs(running.forces - fresh.forces).max() / np.abs(fresh.forces).max()
         energy = abs(running.record.potential_energy[-1] - fresh.potential_energy) / np.abs(fresh.energies).sum()
         seen.append(max(force, energy))
@@ -221,3 +169,105 @@ def test_a_hot_run_has_the_energies_of_fresh_lists(skin, precision):
     assert simulation.engine.interactions.n_builds > 5
     assert max(seen) < (1e-12 if precision == "double" else 1e-5)
     assert np.ptp(record.total_energy[2:]) < 0.002 * record.kinetic_energy.mean()
+
+
+def test_a_calculator_passes_its_choices_on():
+    atoms = bulk("Ar", "fcc", a=5.4, cubic=True) * 8
+    atoms.rattle(0.1, seed=1)
+    found = []
+    for precision in ("double", "mixed"):
+        chosen = {"threads": 2, "precision": precision, "skin": 1.25}
+        atoms.calc = Calculator(md.LennardJones(0.0103, 3.405, 6.2, "force-shifted"), **chosen)
+        found.append(atoms.get_forces())
+        dynamics = VelocityVerlet(atoms.copy(), 1.0)
+        dynamics.atoms.calc = atoms.calc
+        dynamics.run(1)
+        assert atoms.calc._plan[1].options == dynamics._guard.engine.interactions.options == Options(**chosen)
+    assert 0.0 < np.abs(found[0] - found[1]).max() < 1e-5 * np.abs(found[0]).max()
+
+
+@given(st.floats(1.001, 3.0), st.floats(0.0, 0.3), st.tuples(*[st.booleans()] * 3), st.booleans())
+def test_a_skin_is_never_wider_than_the_cell_has_room_for(height, stride, pbc, has_excluded):
+    rng = np.random.default_rng(1)
+    cell = np.array([height, 1.3 * height, 2.0 * height]) * LJ.cutoff
+    system = md.System(rng.uniform(0, 1, (300, 3)) * cell, cell=cell, pbc=pbc, bonds=[[0, 1]] if has_excluded else None)
+    laws = cs.pair_laws(system, [md.LennardJones(1.0, 1.0, 1.8, bonded_scale=(0.0, 1.0, 1.0))])
+    skin, narrowest = skin_for(system, laws, Options(), stride), cell[np.array(pbc)].min(initial=np.inf)
+    assert skin <= laws.cutoff
+    if laws.fit_clusters(system, Options(), stride):
+        assert laws.cutoff + skin <= narrowest
+    if has_excluded and skin > 0.0:
+        assert laws.cutoff + skin <= 0.5 * narrowest
+
+
+SINGLE = cs.EQUAL["mixed"]
+MELT = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
+
+
+@pytest.fixture(scope="module")
+def melted():
+    simulation = SCENES["melt"]().simulation()
+    simulation.run(300)
+    return simulation.system
+
+
+def test_forces_in_a_melt_are_as_good_as_float32_and_push_nobody(melted):
+    """Σ F = 0 to the rounding of the sum in float64, though each pair of forces in mixed precision is rounded."""
+    exact, mixed = (cs.evaluated(cs.clustered(melted, [LJ], precision), melted) for precision in cs.EQUAL)
+    error = np.linalg.norm(mixed[0] - exact[0], axis=1)
+    rms = np.sqrt((error**2).mean() / (exact[0] ** 2).sum(axis=1).mean())
+    # rounding: r⁻¹⁴ of two close pairs, each r to half an ulp of float32
+    assert error.max() < 0.2 * SINGLE * np.linalg.norm(exact[0], axis=1).max()
+    assert 1e-9 < rms < 1e-6
+    assert mixed[1].sum() == pytest.approx(exact[1].sum(), rel=1e-6)
+    assert mixed[2].sum(axis=0) == pytest.approx(exact[2].sum(axis=0), rel=1e-5, abs=1e-6 * np.abs(exact[2]).sum())
+    for forces in (exact[0], mixed[0]):
+        assert np.abs(forces.sum(axis=0)).max() < 1e-14 * np.abs(forces).sum()
+    # only what the pairs push all atoms is taken out, not what was there before
+    before = np.random.default_rng(1).normal(1.0, 1.0, melted.positions.shape)
+    forces = before.copy()
+    cs.clustered(melted, [LJ], "mixed").add(melted, 0, forces, np.zeros(len(melted)), np.zeros((len(melted), 6)))
+    assert forces.sum(axis=0) == pytest.approx(before.sum(axis=0), abs=1e-14 * np.abs(forces).sum())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("n_steps", "every"), [(1500, 5), (20_000, 10)])
+def test_energy_drifts_no_more_than_in_double(melted, n_steps, every):
+    """Statistics: four standard errors of the difference. The oscillation differs by 5 % between runs."""
+    start, reports = md.Simulation(melted, MELT, md.VelocityVerlet(0.004)), []
+    start.run(700)
+    for precision in cs.EQUAL:
+        simulation = md.Simulation(start.system, MELT, md.VelocityVerlet(0.004), precision=precision)
+        reports.append(conservation_report(simulation.run(n_steps, every=every), angular=False))
+        slope = reports[-1].energy_drift
+        print(f"{precision}: {slope.slope:+.1e} ± {slope.error:.1e}, oscillation {reports[-1].energy_oscillation:.2e}")
+    double, mixed = reports
+    error = np.hypot(double.energy_drift.error, mixed.energy_drift.error)
+    assert abs(double.energy_drift.slope - mixed.energy_drift.slope) < 4.0 * error
+    assert mixed.energy_oscillation == pytest.approx(double.energy_oscillation, rel=0.2)
+
+
+def test_a_scene_too_wide_for_the_grid_is_refused():
+    """The grid has 2³² points across the scene; 2000 cutoffs wide, they are a millionth of a cutoff apart."""
+    places = np.random.default_rng(1).uniform(0, 1, (200, 3))
+    fits, wide = (md.System(width * places, cell=width) for width in (1000.0 * cs.CUTOFF, 2300.0 * cs.CUTOFF))
+    assert not cs.evaluated(cs.clustered(fits, cs.ONE_SPECIES, "mixed"), fits)[0].any()
+    assert not cs.evaluated(cs.clustered(wide, cs.ONE_SPECIES), wide)[0].any()
+    assert_answered(
+        lambda: cs.evaluated(cs.clustered(wide, cs.ONE_SPECIES, "mixed"), wide), ValueError, "precision", "mixed"
+    )
+
+
+FAR = [("double", 1e-9, True), ("mixed", SINGLE, True), ("mixed", SINGLE, False)]
+
+
+@pytest.mark.parametrize(("precision", "tolerance", "has_cell"), FAR)
+def test_atoms_far_from_the_origin_feel_the_same(precision, tolerance, has_cell):
+    """Thousands of cells away, or all together in open space: far coordinates are rounded."""
+    near = liquid(4)
+    moves = np.random.default_rng(2).integers(-4096, 4097, near.positions.shape) @ near.cell.vectors
+    cell = near.cell if has_cell else None
+    near, far = (md.System(near.positions + move, cell=cell) for move in (0.0, moves if has_cell else 1e6))
+    a, b = (cs.evaluated(cs.clustered(system, cs.ONE_SPECIES, precision), system) for system in (near, far))
+    assert b[0] == pytest.approx(a[0], abs=tolerance * np.abs(a[0]).max(), rel=0)
+    assert b[1].sum() == pytest.approx(a[1].sum(), rel=1e-6)

@@ -37,14 +37,11 @@ def clusters_of(simulation):
     return next(term for term in simulation.engine.interactions.terms if term.list is not None)
 
 
+LONG = [pytest.param(name, 1000, [2, 3, 4, 8], marks=pytest.mark.slow) for name in ("melt", "rod", "long chains")]
+
+
 @pytest.mark.parametrize("precision", ["double", "mixed"])
-@pytest.mark.parametrize(
-    ("scene", "n_steps", "teams"),
-    [
-        ("chains", 100, [2, 8]),
-        *[pytest.param(name, 1000, [2, 3, 4, 8], marks=pytest.mark.slow) for name in ("melt", "rod", "long chains")],
-    ],
-)
+@pytest.mark.parametrize(("scene", "n_steps", "teams"), [("chains", 100, [2, 8]), *LONG])
 def test_any_number_of_threads_gives_the_same_bits(scene, n_steps, teams, precision):
     one, record = ran(scene, precision, 1, n_steps)
     assert clusters_of(one).list.n_domains >= 4
@@ -70,9 +67,8 @@ def mixture(method, precision="double", is_open=False, seed=1, **options):
 
 def ended(simulation, n_steps=100):
     simulation.run(n_steps, every=25, progress=False)
-    counts = simulation.engine.interactions.counts
     vectors = simulation.positions, simulation.velocities, simulation.system.cell.vectors
-    return *vectors, simulation.reservoir_energy, counts
+    return *vectors, simulation.reservoir_energy, simulation.engine.interactions.counts
 
 
 def assert_same_bits(one, other):
@@ -125,7 +121,6 @@ def test_what_one_kernel_does_has_the_bits_of_what_python_does_call_by_call(name
 
 
 def test_another_process_of_a_derived_bath_is_not_left_out():
-    """The kernel makes the steps of LangevinBAOAB only."""
 
     class Frozen(md.LangevinBAOAB):
         def thermalize(self, state, duration, around):

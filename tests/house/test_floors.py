@@ -1,7 +1,4 @@
-"""The house: a package is a floor, imports go down, nothing goes round in a circle; and what an import must not do.
-
-docs/architecture.md lists the floors, highest first; the floors of this test are those.
-"""
+"""The house: a package is a floor of docs/architecture.md, imports go down, nothing goes round in a circle."""
 
 import ast
 import re
@@ -11,6 +8,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+from references import liquid
+from scenes import LJ, Scene
 
 REPOSITORY = Path(__file__).parents[2]
 PACKAGE = REPOSITORY / "minimd"
@@ -18,12 +17,7 @@ PAGE = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
 BEGIN_WITH = dict(re.findall(r"^\| `(\w+)` \| .* \| `([\w/.]+)` \|$", PAGE, re.M))
 FLOORS = ["minimd" if name == "minimd" else f"minimd.{name}" for name in BEGIN_WITH]
 STRANGERS = {"minimd.integrators", "minimd.potentials"}  # never import each other
-BRIDGES = {  # folders and modules that may import ase or MDAnalysis when they are imported
-    *("ase", "bench", "mdanalysis", "structure/ase_atoms.py", "structure/mdanalysis_atoms.py"),
-    *("files/ase_writer.py", "files/structure_file.py", "files/mdanalysis_writer.py", "files/turned_cell.py"),
-}
 HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "minimd.lammps"}
-FOREIGN = {"minimd.bench.engines"}  # reaches for private names of OpenMM and LAMMPS
 
 
 def name_of(path):
@@ -33,16 +27,14 @@ def name_of(path):
 MODULES = {name_of(path): path for path in PACKAGE.rglob("*.py")}
 
 
-def imports(path, when_imported=False):
-    """Modules a file imports, lazily and for type checkers too; with when_imported only what its own import loads."""
-    tree = ast.parse(path.read_text())
-    for node in tree.body if when_imported else ast.walk(tree):
+def imports(path):
+    """Modules a file imports, lazily and for type checkers too."""
+    for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            for alias in node.names:
-                submodule = f"{node.module}.{alias.name}"
-                yield submodule if submodule in MODULES else node.module
+            names = (f"{node.module}.{alias.name}" for alias in node.names)
+            yield from (name if name in MODULES else node.module for name in names)
 
 
 def floor_of(module):
@@ -70,34 +62,6 @@ def test_imports_go_down_the_floors_and_not_in_circles():
         pytest.fail(f"a circle of imports: {' -> '.join(circle.args[1])}")
 
 
-def test_no_module_reaches_for_the_private_name_of_another():
-    reached = []
-    for module, path in MODULES.items():
-        nodes = [*ast.walk(ast.parse(path.read_text()))]
-        attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
-        own = {"_asdict", "_replace", "_fields", "_make"}
-        own |= {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-        own |= {node.attr for node in attributes if isinstance(node.ctx, ast.Store)}
-        own |= {ast.unparse(node.target) for node in nodes if isinstance(node, ast.AnnAssign)}
-        for node in nodes:
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("minimd"):
-                reached += [f"{module}: {alias.name}" for alias in node.names if re.match(r"_[^_]", alias.name)]
-        for node in attributes:
-            owner = node.value.id if isinstance(node.value, ast.Name) else ""
-            is_foreign = owner not in ("self", "cls", "sys", "os") and module not in FOREIGN
-            if re.match(r"_[^_]", node.attr) and node.attr not in own and is_foreign:
-                reached.append(f"{module}: {ast.unparse(node)}")
-    assert reached == []
-
-
-def test_only_the_bridges_import_ase_and_mdanalysis():
-    for path in PACKAGE.rglob("*.py"):
-        place = path.relative_to(PACKAGE)
-        if not BRIDGES & {place.as_posix(), place.parts[0]}:
-            roots = {module.split(".")[0] for module in imports(path, when_imported=True)}
-            assert not roots & {"ase", "MDAnalysis"}, path
-
-
 def test_importing_minimd_loads_no_bridge_and_compiles_nothing():
     code = f"""
 import sys
@@ -109,3 +73,41 @@ assert not recorder.buffer, len(recorder.buffer)
 """
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stderr
+
+
+FILES = re.compile(r"A step of a liquid is these (\d+) files, ([\d ]+) lines in all:\n\n```\n(.*?)```", re.S)
+
+
+@pytest.fixture(scope="module")
+def steady_steps():
+    """Chains of minimd's functions, from Simulation.run on, that a few steps without a list build go through."""
+    sim = Scene(liquid(6), [LJ], timestep=0.001).simulation(threads=1, skin=0.6)
+    sim.run(4, every=4, progress=False)  # compiles, which would take long under a profiler
+    n_builds, stack, chains = sim.engine.interactions.n_builds, [], []
+
+    def profile(frame, event, _argument):
+        if event == "call":
+            stack.append((Path(frame.f_code.co_filename), frame.f_code.co_name))
+            chains.append([one for one in stack if one[0].is_relative_to(PACKAGE)])
+        elif event == "return" and stack:
+            stack.pop()
+
+    sys.setprofile(profile)
+    try:
+        sim.run(4, every=4, progress=False)
+    finally:
+        sys.setprofile(None)
+    assert sim.engine.interactions.n_builds == n_builds
+    named = [(chain, [name for _, name in chain]) for chain in chains]
+    return [chain[names.index("run") :] for chain, names in named if "advance" in names]
+
+
+def test_the_page_lists_the_files_of_a_step_and_counts_their_lines(steady_steps):
+    n_files, n_lines, table = FILES.search(PAGE).groups()
+    files = re.findall(r"^(minimd/\S+\.py)", table, re.M)
+    visited = {chain[-1][0].relative_to(REPOSITORY).as_posix() for chain in steady_steps}
+    assert visited
+    assert visited <= set(files), visited - set(files)
+    assert len(files) == int(n_files)
+    counted = sum((REPOSITORY / file).read_text(encoding="utf-8").count("\n") for file in files)
+    assert counted == int(n_lines.replace(" ", ""))

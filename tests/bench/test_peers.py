@@ -43,17 +43,8 @@ class FakeEngine:
         FakeEngine.clock += n_steps * self._seconds
 
 
-class Exploding(FakeEngine):
-    def run(self, n_steps):
-        raise md.NonFiniteError("2 positions are not finite after step 412")
-
-
-def own(scene, threads, precision):
-    return FakeEngine("minimd", threads, precision, OWN_SECONDS[threads, precision])
-
-
-def not_starting(scene, threads, timestep):
-    raise RuntimeError("libmpi.so:\n not found")
+def raising(error):
+    raise error
 
 
 @pytest.fixture
@@ -62,6 +53,7 @@ def fakes(monkeypatch):
     monkeypatch.setattr(turns, "perf_counter", lambda: FakeEngine.clock)
     monkeypatch.setattr(peers, "available_cores", lambda: 2)
     monkeypatch.setattr(engines.Peer, "is_installed", True)
+    own = lambda _, threads, kind: FakeEngine("minimd", threads, kind, OWN_SECONDS[threads, kind])  # noqa: E731
     monkeypatch.setattr(peers, "Minimd", own)
     fast = engines.Peer("fast", lambda _, n, __: FakeEngine("fast", n, "single", PEER_SECONDS / n), threads="each")
     slow = engines.Peer("slow", lambda *_: FakeEngine("slow (serial)", 1, "double", ASE_SECONDS), most_atoms=N_ATOMS)
@@ -81,18 +73,27 @@ def cells_of(table):
     return [[cell.strip() for cell in line.replace("**", "").strip("|").split("|")] for line in lines[2:]]
 
 
-def test_ratios_of_the_table(fakes):
-    """256 atoms / seconds of a step; peers are beside double on as many threads, minimd beside double on one."""
+# fmt: off
+RATIOS = [  # 256 atoms / seconds of a step; peers are beside double on as many threads, minimd beside double on one
+    ["minimd", "1", "double", "0.0853 (0.0853 to 0.0853)", "", "1"],
+    ["minimd", "1", "mixed", "0.128 (0.128 to 0.128)", "", "1.50 (1.50 to 1.50)"],
+    ["minimd", "2", "double", "0.142 (0.142 to 0.142)", "", "1.67 (1.67 to 1.67)"],
+    ["minimd", "2", "mixed", "0.213 (0.213 to 0.213)", "", "2.50 (2.50 to 2.50)"],
+    ["fast", "1", "single", "0.0171 (0.0171 to 0.0171)", "5.00 (5.00 to 5.00)", ""],
+    ["fast", "2", "single", "0.0341 (0.0341 to 0.0341)", "4.17 (4.17 to 4.17)", ""],
+    ["slow (serial)", "1", "double", "0.000731 (0.000731 to 0.000731)", "117 (117 to 117)", ""],
+]
+# fmt: on
+
+
+def test_ratios_of_the_table_and_its_picture(fakes):
     options = PeersOptions(cells=(4,), threads=(1, 2), precisions=("double", "mixed"), repeats=2)
-    assert cells_of(markdown(run_peers(options))) == [
-        ["minimd", "1", "double", "0.0853 (0.0853 to 0.0853)", "", "1"],
-        ["minimd", "1", "mixed", "0.128 (0.128 to 0.128)", "", "1.50 (1.50 to 1.50)"],
-        ["minimd", "2", "double", "0.142 (0.142 to 0.142)", "", "1.67 (1.67 to 1.67)"],
-        ["minimd", "2", "mixed", "0.213 (0.213 to 0.213)", "", "2.50 (2.50 to 2.50)"],
-        ["fast", "1", "single", "0.0171 (0.0171 to 0.0171)", "5.00 (5.00 to 5.00)", ""],
-        ["fast", "2", "single", "0.0341 (0.0341 to 0.0341)", "4.17 (4.17 to 4.17)", ""],
-        ["slow (serial)", "1", "double", "0.000731 (0.000731 to 0.000731)", "117 (117 to 117)", ""],
-    ]
+    assert cells_of(markdown(run_peers(options))) == RATIOS
+    outcome = run_peers(options._replace(cells=(4, 5), precisions=("double",)))
+    with warnings.catch_warnings(action="error"):
+        one, two = outcome.figure().axes
+    assert [name.get_text() for name in one.texts] == ["slow (serial)", "fast", "minimd"]  # from below
+    assert len(two.lines) == 2
 
 
 def test_peer_is_no_reference_and_ratios_stay_among_equals():
@@ -110,16 +111,12 @@ def test_peer_is_no_reference_and_ratios_stay_among_equals():
     assert PeersOptions(threads=(2,), precisions=("mixed",)).kinds() == [(1, "double"), (2, "mixed")]
 
 
-def test_spread_is_over_turns():
-    """The median of ratios, not the ratio of medians."""
+def test_spread_is_the_median_of_ratios_over_turns_and_costs_are_by_atoms_and_by_pairs():
     ours = EngineSpeed("minimd", 1, "double", "melt", 10, np.array([4e6, 6e6, 5e6]))
     peer = EngineSpeed("peer", 1, "double", "melt", 10, np.array([2e6, 2e6, 1e6]))
     table = cells_of(markdown(peers.Peers("melt", "text", 3, (), [[ours, peer]])))
     assert table[0][3] == "5.00 (4.00 to 6.00)"
-    assert table[1][3:5] == ["2.00 (1.00 to 2.00)", "3.00 (2.00 to 5.00)"]
-
-
-def test_costs_stand_beside_the_melt_by_atoms_and_by_pairs():
+    assert table[1][3:5] == ["2.00 (1.00 to 2.00)", "3.00 (2.00 to 5.00)"]  # not the ratio of medians
     melt = ingredients.IngredientCost("melt", 256, 6500.0, np.array([0.002, 0.002]))
     mixture = ingredients.IngredientCost("mixture", 512, 17000.0, np.array([0.010, 0.012]))
     own, other = cells_of(markdown(ingredients.IngredientCosts([melt, mixture], 2)))
@@ -155,36 +152,24 @@ def test_engines_take_turns_that_are_long_enough_for_lists_and_short_enough_for_
     assert [turns.steps_in_a_turn(seconds) for seconds in (0.001, 0.1, 0.5, 60.0)] == [500, 40, 10, 1]
     first, second = FakeEngine("a", 1, "double", 0.01), FakeEngine("b", 1, "double", 0.02)
     speeds = turns.take_turns([first, second], [50, 25], 3, N_ATOMS)
-    assert first.steps == [50] * 3
-    assert second.steps == [25] * 3
+    assert (first.steps, second.steps) == ([50] * 3, [25] * 3)
     assert speeds == pytest.approx(np.array([[100.0] * 3, [50.0] * 3]))
 
 
-@pytest.mark.parametrize(
-    ("engine", "energies", "code", "words"),
-    [
-        (FakeEngine, (-1700.1, -1200.0), cli.FAILED, ["potential energy at step 0", "minimd, double, 1 thread has -"]),
-        (FakeEngine, (-1700.0, -1199.0), cli.FAILED, ["total energy per atom", "minimd, double, 1 thread has -"]),
-        (Exploding, (-1700.0, -1200.0), cli.BLOWN_UP, ["minimd: error: 2 positions are not finite after step 412"]),
-    ],
-)
-def test_peer_with_another_energy_is_refused_and_one_that_blows_up_is_no_disagreement(
-    fakes, monkeypatch, capsys, engine, energies, code, words
-):
-    other = engines.Peer("other", lambda *_: engine("other", 1, "double", 0.01, energies))
-    monkeypatch.setattr(peers, "PEERS", {"other": other})
-    assert cli.main(ONE_PEER) == code
-    out, err = capsys.readouterr()
-    assert not out or code == cli.BLOWN_UP
-    assert all(word in err.splitlines()[-1] for word in words)
-
-
-def test_picture_of_peers_is_drawn_without_warnings(fakes):
-    outcome = run_peers(PeersOptions(cells=(4, 5), threads=(1, 2), repeats=2))
-    with warnings.catch_warnings(action="error"):
-        one, two = outcome.figure().axes
-    assert [name.get_text() for name in one.texts] == ["slow (serial)", "fast", "minimd"]  # from below
-    assert len(two.lines) == 2
+def test_peer_with_another_energy_is_refused_and_one_that_blows_up_is_no_disagreement(fakes, monkeypatch, capsys):
+    for energies, blown, code, words in (
+        ((-1700.1, -1200.0), False, cli.FAILED, ["potential energy at step 0", "minimd, double, 1 thread has -"]),
+        ((-1700.0, -1199.0), False, cli.FAILED, ["total energy per atom", "minimd, double, 1 thread has -"]),
+        ((-1700.0, -1200.0), True, cli.BLOWN_UP, ["minimd: error: 2 positions are not finite"]),
+    ):
+        engine = FakeEngine("other", 1, "double", 0.01, energies)
+        if blown:
+            engine.run = lambda n_steps: raising(md.NonFiniteError("2 positions are not finite"))
+        monkeypatch.setattr(peers, "PEERS", {"other": engines.Peer("other", lambda *_: engine)})
+        assert cli.main(ONE_PEER) == code
+        out, err = capsys.readouterr()
+        assert not out or code == cli.BLOWN_UP
+        assert all(word in err.splitlines()[-1] for word in words)
 
 
 def test_names_of_curves_do_not_overlap():
@@ -206,9 +191,7 @@ def test_peer_with_another_time_step_is_refused(monkeypatch):
         turns.check_agreement([right, wrong], N_ATOMS)
 
 
-@pytest.mark.parametrize(
-    ("name", "scene"), [(name, scene) for name, peer in engines.PEERS.items() for scene in peer.scenes]
-)
+@pytest.mark.parametrize(("name", "scene"), [(name, one) for name, p in engines.PEERS.items() for one in p.scenes])
 def test_peers_have_the_same_energies(name, scene):
     if not engines.PEERS[name].is_installed:
         pytest.skip(f"{name} is not installed")
@@ -225,7 +208,7 @@ def test_minimd_is_asked_for_threads_and_precision(monkeypatch):
     assert ", ".join(engines.PEERS) == command.PEER_NAMES
 
 
-def test_command_prints_and_writes_the_table(short, capsys, tmp_path):
+def test_command_prints_and_writes_the_table_and_other_scenes_run(short, capsys, tmp_path):
     folder = tmp_path / "new" / "results"
     options = ["--cells", "3,4", "--threads", "1", "--repeats", "1", "--peers", "none", "--out", str(folder)]
     assert cli.main(["bench", "peers", *options]) == 0
@@ -233,13 +216,10 @@ def test_command_prints_and_writes_the_table(short, capsys, tmp_path):
     assert capsys.readouterr().out == table
     assert re.findall(r"## (\d+) atoms", table) == ["108", "256"]
     assert json.loads((folder / "bench_peers.json").read_text(encoding="utf-8"))["repeats"] == 1
-
-
-@pytest.mark.parametrize("scene", ["kob-andersen", "chains", "dumbbells"])
-def test_other_scenes_run(short, scene):
-    (row,) = run_peers(ONCE._replace(scene=scene, peers=("none",))).sizes[0]
-    assert (row.engine, row.scene) == ("minimd", scene)
-    assert (row.speeds > 0.0).all()
+    for scene in ("kob-andersen", "chains", "dumbbells"):
+        (row,) = run_peers(ONCE._replace(scene=scene, peers=("none",))).sizes[0]
+        assert (row.engine, row.scene) == ("minimd", scene)
+        assert (row.speeds > 0.0).all()
 
 
 def test_every_ingredient_runs_and_partners_are_apart(short):
@@ -269,7 +249,9 @@ def test_peers_that_are_missing_or_do_not_start_are_told(fakes, monkeypatch, cap
     advice = "pip install '.[peers]'"
     assert f"no comparison with fast: not installed; {advice}" in capsys.readouterr().err
     assert_answered(lambda: run_peers(ONCE._replace(peers=("fast",))), ValueError, "fast", advice)
-    monkeypatch.setattr(peers, "PEERS", {"broken": engines.Peer("broken", not_starting)})
+    monkeypatch.setattr(
+        peers, "PEERS", {"broken": engines.Peer("broken", lambda *_: raising(RuntimeError("libmpi.so:\n not found")))}
+    )
     assert_answered(lambda: run_peers(ONCE), ValueError, "broken", "libmpi.so: not found", "--peers")
 
 

@@ -8,20 +8,16 @@ from minimd.bench import engines, scenes, work_precision
 from minimd.bench.work_precision import about_line
 
 
-def density(scene):
-    return len(scene.system) / scene.system.volume
-
-
 def test_scene_is_the_one_that_lammps_calls_melt():
     scene = scenes.melt(5)
-    assert density(scene) == pytest.approx(0.8442, rel=1e-12)
+    assert 500 / scene.system.volume == pytest.approx(0.8442, rel=1e-12)
     assert (scene.system.velocities**2).sum() / (3 * len(scene.system) - 3) == pytest.approx(1.44, rel=1e-12)
     assert engines.Minimd(scene).potential_energy() == pytest.approx(-6.7733681 * 500, rel=1e-7)
 
 
 def test_mixture_is_that_of_kob_and_andersen():
     scene = scenes.kob_andersen(5)
-    assert density(scene) == pytest.approx(1.2, rel=1e-12)
+    assert 500 / scene.system.volume == pytest.approx(1.2, rel=1e-12)
     assert (scene.system.species == "B").sum() == 100
     shift = 4.0 * (2.5**-12 - 2.5**-6)
     for pair, (epsilon, sigma) in {("A", "A"): (1.0, 1.0), ("A", "B"): (1.5, 0.8), ("B", "B"): (0.5, 0.88)}.items():
@@ -31,11 +27,9 @@ def test_mixture_is_that_of_kob_and_andersen():
 
 
 def test_chains_are_whole_and_apart():
-    scene = scenes.chains(5)
-    system = scene.system
-    assert len(system) == 500
-    assert density(scene) == pytest.approx(0.85, rel=1e-12)
-    assert len(system.bonds) == 5 * 99
+    system = scenes.chains(5).system
+    assert (len(system), len(system.bonds)) == (500, 5 * 99)
+    assert 500 / system.volume == pytest.approx(0.85, rel=1e-12)
     spacing = np.linalg.norm(system.positions[system.bonds[:, 1]] - system.positions[system.bonds[:, 0]], axis=1)
     assert np.ptp(spacing) < 1e-12
     assert md.neighbor_list("d", system, 2.5).min() == pytest.approx(spacing[0])
@@ -55,9 +49,7 @@ def test_pairs_in_range_are_those_of_the_neighbor_list(name):
 
 
 def test_the_front_of_work_precision_is_what_nothing_beats():
-    def point(who, seconds, oscillation):
-        return work_precision.Point(who, "verlet", 2, 0.01, 100.0, seconds, oscillation, 0.0, np.nan)
-
+    point = lambda who, *seen: work_precision.Point(who, "verlet", 2, 0.01, 100.0, *seen, 0.0, np.nan)  # noqa: E731
     ours = [point("minimd", *one) for one in ((1.0, 1e-2), (2.0, 1e-3), (3.0, 2e-3), (0.5, np.inf))]
     case = work_precision.Case("case", "text", "τ", [*ours, point("peer", 6.0, 1e-3), point("peer", 3.0, 2e-2)])
     assert case.front("oscillation") == ours[:2]
@@ -70,11 +62,7 @@ def test_the_front_of_work_precision_is_what_nothing_beats():
 
 def test_a_run_that_fails_has_no_finite_error():
     """Not even the distance, which was measured in a run that was shorter."""
-
-    def failing():
-        raise ArithmeticError
-
-    engine = type("Engine", (), {"run": lambda *_: failing()})
+    engine = type("Engine", (), {"run": lambda *_: 1 // 0})
     point = work_precision._point("minimd", scenes.SCENES["melt"](3), md.VelocityVerlet, 20, engine, 2, 1e-3)
     assert (point.seconds, point.oscillation, point.drift, point.distance) == (np.inf,) * 4
 

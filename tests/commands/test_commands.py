@@ -154,7 +154,7 @@ def test_interrupted_run_says_how_to_go_on_or_that_nothing_was_written(folder, c
         if getattr(argument, "step", None) == 20 or getattr(one, "step", None) == 20:
             signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(md.Simulation, "rescale_temperature", lambda sim, kT: stopping(rescale, sim, kT))
+    monkeypatch.setattr(md.Simulation, "rescale_temperature", lambda sim, to: stopping(rescale, sim, to))
     Path("warm.toml").write_text(SCENE.replace("[output]", "[equilibration]\nsteps = 40\n[output]"))
     assert cli.main(["run", "warm.toml"]) == 130
     assert "of the equilibration; nothing was written" in capsys.readouterr().err

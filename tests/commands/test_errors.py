@@ -116,7 +116,7 @@ def test_ctrl_c_without_words_says_interrupted_and_what_is_kept(folder, capsys, 
     assert cli.main(["run", "good.toml"]) == 130
     assert re.match("interrupted.*kept in good.h5md$", only_error(capsys))
     monkeypatch.setattr("minimd.scene.run_scene", interrupt)
-    assert cli.main(["run", "good.toml"]) == 130
+    assert cli.main(["run", "good.toml", "--overwrite"]) == 130
     assert only_error(capsys).startswith("interrupted")
 
 

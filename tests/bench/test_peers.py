@@ -10,7 +10,7 @@ from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.bench import engines, ingredients, memory, peers, scaling, scenes, turns
-from minimd.bench.outcome import End, as_json, markdown, name_curves, new_figure, versions
+from minimd.bench.outcome import as_json, markdown
 from minimd.bench.peers import EngineSpeed, PeersOptions, run_peers
 from minimd.commands import bench as command
 from minimd.commands import main as cli
@@ -140,14 +140,6 @@ def test_json_holds_every_turn_and_where_it_was_measured(fakes):
     assert [row.engine for row in outcome.sizes[0]] == ["minimd", "slow (serial)"]
 
 
-def test_versions_of_programs_are_those_that_they_tell(tmp_path, monkeypatch):
-    program = tmp_path / "gmx"
-    program.write_text("#!/bin/sh\necho 'GROMACS - gmx --version'\necho 'GROMACS version:    2022.5-x'\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    assert versions(["gmx", "no such program"]) == versions([]) | {"gmx": "2022.5-x", "no such program": "MISSING"}
-
-
 def test_engines_take_turns_that_are_long_enough_for_lists_and_short_enough_for_people(fakes):
     assert [turns.steps_in_a_turn(seconds) for seconds in (0.001, 0.1, 0.5, 60.0)] == [500, 40, 10, 1]
     first, second = FakeEngine("a", 1, "double", 0.01), FakeEngine("b", 1, "double", 0.02)
@@ -170,17 +162,6 @@ def test_peer_with_another_energy_is_refused_and_one_that_blows_up_is_no_disagre
         out, err = capsys.readouterr()
         assert not out or code == cli.BLOWN_UP
         assert all(word in err.splitlines()[-1] for word in words)
-
-
-def test_names_of_curves_do_not_overlap():
-    panel = new_figure(4.0).subplots()
-    panel.plot([0.0, 1.0], [0.0, 1.0])
-    ends = {"a": (1.0, 0.5), "b": (0.4, 0.5), "c": (1.0, 0.51), "d": (1.0, 0.95)}
-    name_curves(panel, {name: End(*place, f"C{k}") for k, (name, place) in enumerate(ends.items())})
-    heights = {name.get_text(): name.xyann[1] for name in panel.texts}
-    assert list(heights) == ["a", "c", "b", "d"]
-    assert np.diff(list(heights.values())).min() > 0.05
-    assert heights["d"] < 1.0
 
 
 def test_peer_with_another_time_step_is_refused(monkeypatch):
@@ -253,15 +234,6 @@ def test_peers_that_are_missing_or_do_not_start_are_told(fakes, monkeypatch, cap
         peers, "PEERS", {"broken": engines.Peer("broken", lambda *_: raising(RuntimeError("libmpi.so:\n not found")))}
     )
     assert_answered(lambda: run_peers(ONCE), ValueError, "broken", "libmpi.so: not found", "--peers")
-
-
-def test_memory_is_told_at_large_sizes_only(fakes, monkeypatch):
-    monkeypatch.setattr(peers, "FROM_ATOMS", 500)
-    monkeypatch.setattr(peers, "bytes_per_atom", lambda scene, n, threads, precision: 100.0 * n + threads)
-    outcome = run_peers(ONCE._replace(cells=(4, 5)))
-    assert [row.bytes_per_atom for size in outcome.sizes for row in size] == [None, None, None, 501.0, None]
-    assert markdown(outcome).count("bytes per atom") == 1
-    assert "| 1 | 501 |" in markdown(outcome)
 
 
 @pytest.mark.skipif(not memory.STATUS.exists(), reason="Linux tells the peak of a process, others do not")

@@ -234,6 +234,7 @@ def test_forces_are_compared_with_those_of_a_potential():
     assert any("3 times" in fault for fault in grade.faults), str(grade)
 
 
+# fmt: off
 REFUSED = [  # what is given, options, and what the sentence must contain
     (7, {}, TypeError, "takes a function"),
     (lambda x, v, force, m, dt: None, {}, ValueError, "returns None and does not change x and v"),
@@ -241,8 +242,7 @@ REFUSED = [  # what is given, options, and what the sentence must contain
     (lambda x, v, force, m, dt: (x / 0.0, v), {}, ValueError, "not finite"),
     (lambda state, dt: state, {}, TypeError, "step(x, v, force, m, dt)"),
     (velocity_verlet, {"kind": "Verlet"}, ValueError, "kind must be one of", "'Verlet'"),
-    (lambda x: None, {}, ValueError, "returned None"),
-    (lambda x: x[0], {}, ValueError, "shape of the positions"),
+    (lambda x: None, {}, ValueError, "returned None"), (lambda x: x[0], {}, ValueError, "shape of the positions"),
     (lambda x, charges: x, {}, TypeError, "charges"),
     (lambda r2, a: (a / r2, 2 * a / r2**2), {"kind": "law"}, TypeError, "the meaning of a"),
     (lambda x: -x, {"cell": -1.0}, ValueError, "cell must be", "-1.0"),
@@ -250,6 +250,7 @@ REFUSED = [  # what is given, options, and what the sentence must contain
     (lambda self, x, v, force, dt: (x, v), {}, TypeError, "method without its object"),
     (lambda y, t, dt, f: y + dt * f(y, t), {}, ValueError, "as for SciPy"),
 ]
+# fmt: on
 
 
 @pytest.mark.filterwarnings("ignore:divide by zero", "ignore:invalid value")
@@ -264,8 +265,6 @@ def test_a_grade_shows_itself_and_leaves_random_numbers_alone():
     grade = md.grade(lambda r: 48 / r**13 - 24 / r**6)
     md.grade(lambda x, v, force, dt: (x + dt * v, v + 0.0 * dt))
     assert np.random.random() == np.random.RandomState(5).random()
-    assert "✗" in grade._repr_html_() or "?" in grade._repr_html_()
-    assert "fault" in str(grade)
     assert [finding.name for finding in grade][:1] == ["powers of r"]
     with pytest.raises(KeyError, match="those that were"):
         grade["order"]

@@ -19,51 +19,41 @@ ARGON_IN_KRYPTON = md.System(THREE, species=["Ar", "Kr", "Ar"])
 WITH_TAIL = md.LennardJones(1.0, 1.0, 2.5, "truncated", tail_correction=True)
 
 
+# fmt: off
 def system(positions=THREE, **options):
     return md.System(positions, **options)
-
 
 def simulate(positions=THREE, laws=LJ, timestep=0.005, n_steps=10, cell=None, **options):
     simulation = md.Simulation(system(positions, cell=cell), laws, md.VelocityVerlet(timestep))
     simulation.set_temperature(1.0, seed=1)
     return simulation.run(n_steps, progress=False, **options)
 
-
 def made(laws=LJ, method=VERLET, constraints=(), cell=None, **options):
     return md.Simulation(system(cell=cell), laws, method, constraints, **options)
-
 
 def energy(laws, positions=THREE, **options):
     return md.evaluate(system(positions, **options), laws).potential_energy
 
-
 def lj(*arguments, **options):
     return md.LennardJones(*(arguments or (1.0, 1.0)), **{"cutoff": 2.5} | options)
 
-
 def mixed(scene=ARGON_IN_KRYPTON, **options):
     return md.evaluate(scene, md.LennardJones(OWN, cutoff=2.5, **options)).potential_energy
-
 
 def moved_by(distance):
     simulation = made(cell=9.0)
     simulation.positions[:] += distance
     simulation.run(1, progress=False)
 
-
 def rigid(length=None, **options):
     return md.DistanceConstraints([[0, 1]], length, **options)
-
 
 def coulomb(r2, q2):
     return q2 / r2**0.5, q2 / r2**1.5
 
-
 def crystal(*repeat):
     return md.lattice.crystal("fcc", repeat, 1.5)
 
-
-# fmt: off
 WRONG = [  # a call that raises ValueError, and what its sentence must contain
     (lambda: system([[0, 0, 0], [1, NAN, 0]]), "positions[1]", "nan"),
     (lambda: system(velocities=THREE * NAN), "velocities[0]", "nan"),
@@ -128,8 +118,6 @@ WRONG = [  # a call that raises ValueError, and what its sentence must contain
     (lambda: simulate(n_steps=-1), "n_steps", "-1"), (lambda: simulate(overwrite="no"), "overwrite", "'no'"),
     (lambda: simulate(trajectory="run.pdf"), ".h5md", "'run.pdf'"), (lambda: made().report(), "call run first"),
 ]
-# fmt: on
-# fmt: off
 OTHERS = [  # calls that raise something else, its kind, and what its sentence must contain
     (lambda: simulate([[0, 0, 0], [3, 3, 3], [3, 3, 3]], cell=10), md.NonFiniteError, "atoms 1 and 2, 0 σ apart"),
     (lambda: energy(LJ, [[0, 0, 0], [3, 3, 3], [3, 3, 3]]), md.NonFiniteError, "atoms 1 and 2, 0 σ apart"),

@@ -35,45 +35,40 @@ CHANGES = {  # of an array of good numbers
     "far": lambda good: good + 1e14,          "huge": lambda good: good * 1e300,
     "tiny": lambda good: good * 1e-300,       "negative": lambda good: -good,
     "bools": lambda good: good.astype(bool),  "unsigned": lambda good: good.astype(np.uint64),
-    "list": lambda good: good.tolist(),       "single": lambda good: good.astype(np.float32),
+    "single": lambda good: good.astype(np.float32), "list": lambda good: good.tolist(),
     "deeper": lambda good: good[None],        "longer": lambda good: np.repeat(good, 2, axis=0),
     "objects": lambda good: good.astype(object),
 }
 # fmt: on
 
 
+# fmt: off
 def inverse_square(r2, a):
     return a / r2, 2.0 * a / r2**2
 
-
 def system(**changed):
     return md.System(**{"positions": THREE, "cell": 10.0, "bonds": [[0, 1], [0, 2]], "species": list("ABA")} | changed)
-
 
 def simulation(method=VERLET, constraints=(), **options):
     made = md.Simulation(system(), LJ, method, constraints, **options)
     made.make_steps(1)
     return made
 
-
 def called(name):
     return lambda **arguments: getattr(simulation(), name)(**arguments)
-
 
 def energy_of(kind):
     return lambda **arguments: md.evaluate(system(), kind(**arguments)).potential_energy
 
-
 def energies_of(kind):
     return lambda **arguments: kind(**arguments).pair_energy(1.0)
-
 
 def run_by(kind):
     return lambda **arguments: simulation(kind(**arguments))
 
-
 def held_by(kind):
     return lambda **arguments: simulation(constraints=kind(**arguments))
+# fmt: on
 
 
 def scene_with(**changed):

@@ -11,26 +11,16 @@ import minimd as md
 SCRIPT = """
 import numpy as np
 from numpy.typing import NDArray
-
 import minimd as md
-
 Array = NDArray[np.float64]
-
-
 class Weight(md.Term):
     def add(self, system: md.System, detail: int, forces: Array, energies: Array, virials: Array) -> None:
         forces[:, 2] -= 9.81 * system.masses
-
-
 class Gravity:
     def bind(self, system: md.System) -> Weight:
         return Weight()
-
-
 def look(sim: md.Simulation) -> None:
     print(sim.step, sim.temperature, sim.stress[0, 0])
-
-
 system = md.System(np.arange(6.0).reshape(2, 3), cell=10.0, species=["Ar", "Ar"], bonds=[(0, 1)], units=md.units.LJ)
 lj = md.LennardJones(1.0, 1.0, cutoff=2.5, truncation="force-shifted")
 potentials = [lj, md.HarmonicBond(100.0, 1.0), md.Tabulated(np.arange(1.0, 7.0), {("Ar", "Ar"): np.ones(6)})]

@@ -68,18 +68,16 @@ MAY_BE_TEXT, MAY_BE_EMPTY = {"title", "plot", "trajectory", "species"}, {"constr
 WAYS = ["misspelt", "gone", "twice", "sense", "value", "value", "value", "scaled", "scaled", "elsewhere"]
 
 
+# fmt: off
 def drawn(values, rng):
     return values[int(rng.integers(len(values)))]
-
 
 def peak():
     """Most memory that this process had at once [kB], on Linux; 0 elsewhere."""
     return int(re.search(r"VmHWM:\s*(\d+)", STATUS.read_text())[1]) if STATUS.exists() else 0
 
-
 def text_of(scene):
     return "\n".join(f"{key} = {toml_of(value)}" for key, value in scene.items())
-
 
 def toml_of(value):
     """A value as TOML writes it, tables inline."""
@@ -89,7 +87,6 @@ def toml_of(value):
         return f"[{', '.join(map(toml_of, value))}]"
     return json.dumps(value) if isinstance(value, str | bool) else repr(value)
 
-
 def places(value, path=()):
     """The paths of all values in a scene, of tables and lists too."""
     inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
@@ -97,12 +94,12 @@ def places(value, path=()):
         yield (*path, key)
         yield from places(one, (*path, key))
 
-
 def at(scene, path):
     """What stands at a path; an empty table if there is nothing any more."""
     for key in path:
         scene = scene[key] if isinstance(scene, list) or key in scene else {}
     return scene
+# fmt: on
 
 
 def change(scene, rng):

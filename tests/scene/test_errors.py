@@ -16,9 +16,6 @@ structure = {{ file = "two.xyz", {} }}
 dynamics = {{ timestep_fs = 5.0, steps = 1 }}
 potential = [{{ type = "lennard-jones", epsilon_K = 120.0, sigma_A = 3.4, cutoff_A = 8.5 }}]
 """
-SPECIES = """species = { A = { epsilon = 1.0, sigma = 1.0 }, B = { epsilon = 1.0, sigma = 1.0 } }
-pairs = [{ species = ["A", "{}"], epsilon = 2.0, sigma = 1.0 }]
-"""
 # fmt: off
 WRONG = [  # what stands in the scene, what is written there, and what the sentence must contain
     ("timestep = 0.004", "timestep_fs = 4.0", "dynamics", "'timestep_fs' (= 4.0)", "did you mean 'timestep'?", "LJ"),
@@ -119,14 +116,6 @@ def test_edges_that_are_not_three_are_answered_with_what_to_write(tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text(SLAB.format("cell_A = [20, 20, 0], pbc = [true, true, false]"))  # as the message says
     assert load_scene(path).simulation().system.cell.pbc.tolist() == [True, True, False]
-
-
-def test_pairs_of_a_misspelt_species_are_refused():
-    text = REDUCED.replace("epsilon = 1.0\nsigma = 1.0\n", SPECIES)
-    text = text.replace("density = 0.8442\n", f"density = 0.8442\nspecies = {128 * ['A', 'B']}\n")
-    shown = ("scene.toml: pairs", "'A', 'B'", "'Bb'", "did you mean 'B'?")
-    assert_answered(lambda: everything_of(text.replace("{}", "Bb")), ValueError, *shown)
-    everything_of(text.replace("{}", "B"))
 
 
 def test_all_problems_are_told_at_once():

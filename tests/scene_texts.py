@@ -9,15 +9,12 @@ from minimd.scene import parse_scene
 
 ARGON = Path(__file__).parent.parent / "examples" / "argon.toml"
 REDUCED = melt_scene(4, 20, "seed = 3\n[output]\nevery = 5\n")
-SMOOTH = melt_scene(4, 40, "[output]\nevery = 10\n").replace(
-    "cutoff = 2.5", 'cutoff = 2.5\ntruncation = "force-shifted"'
-)
+SMOOTH = melt_scene(4, 40, "[output]\nevery = 10\n").replace("cutoff =", 'truncation = "force-shifted"\ncutoff =')
 R = np.linspace(0.8, 2.5, 2000)  # their text is longer than the 64 kB that an attribute of HDF5 can have in place
 U = 4.0 * (R**-12 - R**-6)
+TABULATED = melt_scene(3, 4, '[output]\nevery = 2\nstress = true\ntrajectory = "a.h5md"\n')
 LAW = 'type = "lennard-jones"\nepsilon = 1.0\nsigma = 1.0\ncutoff = 2.5\n'
-TABULATED = melt_scene(3, 4, '[output]\nevery = 2\nstress = true\ntrajectory = "a.h5md"\n').replace(
-    LAW, 'type = "tabulated"\nfile = "lj.dat"\ncutoff = 2.4\n'
-)
+TABULATED = TABULATED.replace(LAW, 'type = "tabulated"\nfile = "lj.dat"\ncutoff = 2.4\n')
 MIXTURE = """
 structure = { file = "pair.xyz" }
 dynamics = { timestep_fs = 1.0, steps = 0 }
@@ -29,9 +26,8 @@ pairs = [
     { species = ["Kr", "Ar"], file = "unlike" },
     { species = ["Kr", "Kr"], file = "like" },
 ]
-[tables.like]
-r_A = [2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
-u_K = [600.0, 500.0, 400.0, 300.0, 200.0, 100.0]
+[tables]
+like = { r_A = [2.0, 3.0, 4.0, 5.0, 6.0, 7.0], u_K = [600.0, 500.0, 400.0, 300.0, 200.0, 100.0] }
 [tables.unlike]
 r_A = [2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
 u_eV = [6.0, 5.0, 4.0, 3.0, 2.0, 1.0]

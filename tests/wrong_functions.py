@@ -4,12 +4,11 @@ import math
 
 import numpy as np
 
+# fmt: off
 W = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))  # of the triple jump
-
 
 def kicked(first=0.5, drift=1.0, second=0.5, divided=(True, True), is_old=False):
     """Velocity Verlet; or with other weights, kicks that are not divided by the mass, or the old force twice."""
-
     def step(x, v, force, m, dt):
         f = force(x)
         v = v + first * dt * f / (m[:, None] if divided[0] else 1.0)
@@ -18,18 +17,14 @@ def kicked(first=0.5, drift=1.0, second=0.5, divided=(True, True), is_old=False)
 
     return step
 
-
 velocity_verlet = kicked()
-
 
 def then(change):
     """Velocity Verlet, and a change afterwards."""
     return lambda x, v, force, m, dt: change(*velocity_verlet(x, v, force, m, dt), m, dt)
 
-
 def composed(*weights):
-    """Kicks and drifts in turns, the first of them a kick; the last force is not computed if its weight is 0."""
-
+    """Kicks and drifts in turns, the first of them a kick."""
     def step(x, v, force, m, dt):
         for k, weight in enumerate(weights):
             if k % 2:
@@ -40,10 +35,8 @@ def composed(*weights):
 
     return step
 
-
 def explicit_euler(x, v, force, m, dt):
     return x + v * dt, v + dt * force(x) / m[:, None]
-
 
 # right steps, in several shapes
 def in_place(pos, vel, masses, compute_forces, timestep):
@@ -51,18 +44,15 @@ def in_place(pos, vel, masses, compute_forces, timestep):
     pos += timestep * vel
     vel += 0.5 * timestep * compute_forces(pos) / masses.reshape(-1, 1)
 
-
 def with_accelerations(r, v, acceleration, h):
     a = acceleration(r)
     r = r + h * v + h**2 / 2 * a
     return r, v + h / 2 * (a + acceleration(r))
 
-
 def in_momenta(q, p, grad_u, m, h):
     p = p - h / 2 * grad_u(q)
     q = q + h * p / m[:, None]
     return q, p - h / 2 * grad_u(q)
-
 
 def handing_on(x, v, F, compute_force, m, dt):
     v = v + dt / 2 * F / m[:, None]
@@ -70,19 +60,15 @@ def handing_on(x, v, F, compute_force, m, dt):
     F = compute_force(x)
     return x, v + dt / 2 * F / m[:, None], F
 
-
 def stormer(x, x_old, force, m, dt):
     return 2 * x - x_old + dt**2 * force(x) / m[:, None], x
-
 
 def one_particle(x, v, f, m, dt):
     v = v + dt / 2 * f(float(x)) / m
     x = x + dt * v
     return math.fsum([x]), v + dt / 2 * f(x) / m
 
-
 RIGHT_STEPS = [velocity_verlet, in_place, with_accelerations, in_momenta, handing_on, stormer, one_particle]
-
 
 # wrong steps
 def aliased(r, v, force, m, dt):
@@ -92,10 +78,8 @@ def aliased(r, v, force, m, dt):
     a[:] = force(r) / m[:, None]
     return r, v + 0.5 * (a_old + a) * dt
 
-
 def with_push(push):
     """Velocity Verlet in its form of positions, with a wrong second term."""
-
     def step(x, v, force, m, dt):
         f = force(x) / m[:, None]
         x = x + dt * v + push(dt) * f
@@ -103,25 +87,18 @@ def with_push(push):
 
     return step
 
-
 def runge_kutta(x, v, force, m, dt, third=2):
     """RK4, or with a third stage that uses k1."""
-
-    def rate(x, v):
-        return np.array([v, force(x) / m[:, None]])
-
-    y = np.array([x, v])
+    rate, y = (lambda x, v: np.array([v, force(x) / m[:, None]])), np.array([x, v])
     k = [rate(*y)]
     k.append(rate(*y + dt / 2 * k[0]))
     k.append(rate(*y + dt / 2 * k[third - 1]))
     k.append(rate(*y + dt * k[2]))
     return tuple(y + dt / 6 * (k[0] + 2 * k[1] + 2 * k[2] + k[3]))
 
-
 def last_atom_forgotten(x, v, force, m, dt):
     moved = velocity_verlet(x, v, force, m, dt)
     return tuple(np.concatenate([new[:-1], old[-1:]]) for new, old in zip(moved, (x, v), strict=True))
-
 
 def atom_after_atom(x, v, force, m, dt):
     for i in range(len(x)):
@@ -129,32 +106,18 @@ def atom_after_atom(x, v, force, m, dt):
         x[i] += dt * v[i]
     return x, v
 
-
-def single_precision(x, v, force, m, dt):
-    x, v = velocity_verlet(np.float32(x), np.float32(v), force, m, dt)
-    return np.float32(x), np.float32(v)
-
-
 def backward_difference(x, x_prev, force, m, dt):
     new = 2 * x - x_prev + dt**2 * force(x) / m[:, None]
     return new, x, (new - x) / dt
-
 
 def stale(x, v, F, compute_force, m, dt):
     v = v + dt / 2 * F / m[:, None]
     new = x + dt * v
     return new, v + dt / 2 * compute_force(new) / m[:, None], compute_force(x)
 
-
-def no_dt_in_the_kick(x, v, force, m, dt):
-    v = v + force(x) / m[:, None]
-    return x + v * dt, v
-
-
 def rescaled(x, v, m, dt):
     kinetic = 0.5 * np.sum(m[:, None] * v * v)
     return x, v * np.sqrt(1.5 * len(x) * 0.5 / kinetic)
-
 
 WRONG_STEPS = {  # those named first are graded always, the others in slow tests
     "kick first": (composed(1.0, 1.0), "kick first"),
@@ -179,17 +142,13 @@ WRONG_STEPS = {  # those named first are graded always, the others in slow tests
     "hidden friction": (then(lambda x, v, m, dt: (x, v * (1 - 0.02 * dt))), "friction"),
     "rescaled": (then(rescaled), "thermostat"),
     "wrapped": (then(lambda x, v, m, dt: (x % 10.0, v)), "wrapped into a box"),
-    "single precision": (single_precision, "float32"),
+    "single precision": (then(lambda x, v, m, dt: (np.float32(x), np.float32(v))), "float32"),
     "backward difference": (backward_difference, "half"),
-    "no dt in the kick": (no_dt_in_the_kick, "lacks dt"),
+    "no dt in the kick": (lambda x, v, force, m, dt: (x + dt * (new := v + force(x) / m[:, None]), new), "lacks dt"),
     "recursion without mass": (lambda x, x_old, force, m, dt: (2 * x - x_old + dt**2 * force(x), x), "1/m"),
-    "recursion with half": (
-        lambda x, x_old, force, m, dt: (2 * x - x_old + dt**2 / 2 * force(x) / m[:, None], x),
-        "half",
-    ),
+    "recursion with half": (lambda x, x_old, f, m, dt: (2 * x - x_old + dt**2 / 2 * f(x) / m[:, None], x), "half"),
 }
 N_QUICK = 8
-
 
 # forces
 def lennard_jones(x, box=None, cutoff=2.5, shift=True, image=None):
@@ -203,11 +162,9 @@ def lennard_jones(x, box=None, cutoff=2.5, shift=True, image=None):
             if r2 < cutoff**2:
                 s6 = r2**-3
                 f = 24 * (2 * s6 * s6 - s6) / r2 * d
-                forces[i] += f
-                forces[j] -= f
+                forces[[i, j]] += f, -f
                 energy += 4 * (s6 * s6 - s6) - shift * 4 * (cutoff**-12 - cutoff**-6)
     return forces, energy
-
 
 def on_each(x, law, itself=1e10):
     """(N, N, 3) the force f(r) d/r on each atom by each; itself : its distance from itself, far away."""
@@ -215,33 +172,22 @@ def on_each(x, law, itself=1e10):
     r = np.sqrt((d * d).sum(axis=2)) + np.eye(len(x)) * itself
     return (law(r) / r)[:, :, None] * d
 
-
 def pairs(x, law):
     return on_each(x, law).sum(axis=1)
 
-
 def force_of_distance(r):
     return 48 / r**13 - 24 / r**7
-
 
 def law_of_minimd(r2, epsilon, sigma):
     s6 = (sigma**2 / r2) ** 3
     return 4 * epsilon * s6 * (s6 - 1), 24 * epsilon * s6 * (2 * s6 - 1) / r2
 
-
-RIGHT_FORCES = [
-    lambda x, box=None, cutoff=2.5: lennard_jones(x, box, cutoff),
-    force_of_distance,
-    law_of_minimd,
-    lambda x: pairs(x, force_of_distance),
-    lambda x: -3.0 * (len(x) * x - x.sum(axis=0)),
-]
-
+RIGHT_FORCES = [lambda x, box=None, cutoff=2.5: lennard_jones(x, box, cutoff), force_of_distance, law_of_minimd,
+                lambda x: pairs(x, force_of_distance), lambda x: -3.0 * (len(x) * x - x.sum(axis=0))]
 
 def overwritten(x):
     n = len(x)
     return on_each(x, force_of_distance)[np.arange(n), np.where(np.arange(n) < n - 1, n - 1, n - 2)]  # only the last
-
 
 def in_a_cube(x, box, cutoff, of_positions=False):
     x = x - box * np.round(x / box) if of_positions else x
@@ -251,39 +197,26 @@ def in_a_cube(x, box, cutoff, of_positions=False):
     inside = r2 < cutoff**2 if of_positions else (np.abs(d) < cutoff).all(axis=2)
     return (np.where(inside, 48 / r2**7 - 24 / r2**4, 0.0)[:, :, None] * d).sum(axis=1)
 
-
 def not_a_gradient(x):
     return pairs(x, force_of_distance) + 0.3 * np.stack([-x[:, 1], x[:, 0], 0 * x[:, 2]], axis=1)
-
-
-def with_energy(change):
-    def forces(x):
-        f, u = lennard_jones(x, cutoff=1e3)
-        return change(f), u
-
-    return forces
-
 
 def one_direction(x, box, cutoff):
     return lennard_jones(x, None, cutoff, image=lambda d: d - box * (d > box / 2))[0]
 
+def whole(x, factor=1.0):
+    f, u = lennard_jones(x, cutoff=1e3)
+    return factor * f, u
 
 def capped(most):
     return lambda r: (min(force_of_distance(r), most), 4.0 / r**12 - 4.0 / r**6)
 
-
 CUBE = {"cell": 8.0, "cutoff": 2.5}
 WRONG_FORCES = {  # (function, options of md.grade, words)
-    "sign": (with_energy(lambda f: -f), {}, "wrong sign"),
-    "half": (with_energy(lambda f: f / 2), {}, "half of"),
-    "du/dr times the vector": (
-        lambda x: (lennard_jones(x, cutoff=1e3)[1], pairs(x, lambda r: r * force_of_distance(r))),
-        *({}, "1/r is missing"),
-    ),
-    "only one atom": (
-        lambda x: (on_each(x, force_of_distance) * np.tri(len(x)).T[:, :, None]).sum(axis=1),
-        *({}, "only one of the two atoms"),
-    ),
+    "sign": (lambda x: whole(x, -1.0), {}, "wrong sign"),
+    "half": (lambda x: whole(x, 0.5), {}, "half of"),
+    "du/dr times the vector": (lambda x: (whole(x)[1], pairs(x, lambda r: r * force_of_distance(r))), {}, "1/r is mis"),
+    "only one atom": (lambda x: (on_each(x, force_of_distance) * np.tri(len(x)).T[:, :, None]).sum(axis=1),
+                      {}, "only one of the two atoms"),
     "= for +=": (overwritten, {}, "overwritten"),
     "jump of the energy": (lambda x: lennard_jones(x, shift=False), {}, "energy jumps at the cutoff"),
     "cutoff not applied": (lambda x: lennard_jones(x, cutoff=1e3), {"cutoff": 2.5}, "cutoff 2.5 is not applied"),
@@ -293,8 +226,7 @@ WRONG_FORCES = {  # (function, options of md.grade, words)
     "wrapped positions": (lambda x, box, cutoff: in_a_cube(x, box, cutoff, True), CUBE, "differences are not"),
     "with itself": (lambda x: on_each(x, force_of_distance, 0.0).sum(axis=1), {}, "meets itself"),
     "no gradient": (not_a_gradient, {}, "not the gradient of any energy"),
-    "capped at 200": (capped(200.0), {}, ""),
-    "capped at 1000": (capped(1000.0), {}, ""),
+    "capped at 200": (capped(200.0), {}, ""),  "capped at 1000": (capped(1000.0), {}, ""),
     "a component missing": (lambda x: pairs(x, force_of_distance) * [1, 1, 0], {}, "component"),
     "factor 2 in one term": (lambda r: 24 / r**13 - 24 / r**7, {}, "48"),
     "exponent": (lambda r: 48 / r**13 - 24 / r**6, {}, "exponent"),

@@ -11,7 +11,7 @@ from time import process_time
 import numpy as np
 import pytest
 from answers import answer_of, assert_right
-from scene_texts import scene_of
+from scene_texts import everything_of
 
 STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 SECONDS, KILOBYTES = 2.0, 1_000_000  # for one scene, of processor time
@@ -22,14 +22,8 @@ potential = [{type = "lennard-jones", epsilon = 1.0, sigma = 1.0, cutoff = 2.5, 
 minimization = {max_steps = 2, force_tolerance = 0.1}
 equilibration = {steps = 2, rescale_every = 1}
 output = {every = 5, trajectory = ["a.h5md", "a.xtc"], plot = "a.png", forces = true, stress = true}
-[dynamics]
-method = "langevin-baoab"
-timestep = 0.004
-steps = 20
-temperature = 1.44
-relaxation_time = 2.0
-seed = 3
-precision = "mixed"
+dynamics = {method = "langevin-baoab", timestep = 0.004, steps = 20, temperature = 1.44, relaxation_time = 2.0, \
+            seed = 3, precision = "mixed"}
 """
 ARGON = """
 title = "argon and krypton"
@@ -37,53 +31,35 @@ structure = {lattice = "fcc", element = "Ar", repeat = [2, 2, 3], density_g_cm3 
 constraints = {fixed = [0, 3]}
 dynamics = {timestep_fs = 5.0, steps = 20, temperature_K = 90.0, seed = 3, threads = 1}
 output = {plot = true}
-[[potential]]
-type = "lennard-jones"
-species = {Ar = {epsilon_K = 120.0, sigma_A = 3.4}, Kr = {epsilon_K = 164.0, sigma_A = 3.83}}
-pairs = [{species = ["Ar", "Kr"], epsilon_K = 130.0, sigma_A = 3.6}]
-mixing = "geometric"
-cutoff_A = 8.5
-truncation = "switched"
-switch_start_A = 7.0
+potential = [{type = "lennard-jones", \
+    species = {Ar = {epsilon_K = 120.0, sigma_A = 3.4}, Kr = {epsilon_K = 164.0, sigma_A = 3.83}}, \
+    pairs = [{species = ["Ar", "Kr"], epsilon_K = 130.0, sigma_A = 3.6}], mixing = "geometric", cutoff_A = 8.5, \
+    truncation = "switched", switch_start_A = 7.0}]
 """
-DUMBBELLS = """
+DUMBBELLS = f"""
 units = "LJ"
-constraints = {pairs = "bonds", lengths = 1.2, tolerance = 1e-10, solver = "shake"}
-dynamics = {timestep = 0.004, steps = 20, temperature = 1.5}
+constraints = {{pairs = "bonds", lengths = 1.2, tolerance = 1e-10, solver = "shake"}}
+dynamics = {{timestep = 0.004, steps = 20, temperature = 1.5}}
 potential = [
-    {type = "lennard-jones", epsilon = 1.0, sigma = 1.0, cutoff = 2.1, bonded_scale = [0.0, 1.0, 1.0]},
-    {type = "harmonic-bond", k = 30.0, length = 1.3, pairs = [[0, 2], [1, 3]]},
-    {type = "harmonic-angle", k = 10.0, angle_degree = 120.0, triples = [[0, 1, 2]]},
+    {{type = "lennard-jones", epsilon = 1.0, sigma = 1.0, cutoff = 2.1, bonded_scale = [0.0, 1.0, 1.0]}},
+    {{type = "harmonic-bond", k = 30.0, length = 1.3, pairs = [[0, 2], [1, 3]]}},
+    {{type = "harmonic-angle", k = 10.0, angle_degree = 120.0, triples = [[0, 1, 2]]}},
 ]
-[structure]
-lattice = "bcc"
-repeat = [2, 2, 2]
-lattice_constant = 1.385640646055102
-bonds = [[0, 1], [2, 3], [4, 5], [6, 7], [8, 9], [10, 11], [12, 13], [14, 15]]
-pbc = [true, true, false]
-species = ["A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B", "A", "B"]
+structure = {{lattice = "bcc", repeat = [2, 2, 2], lattice_constant = 1.385640646055102, \
+    bonds = {[[k, k + 1] for k in range(0, 16, 2)]}, pbc = [true, true, false], species = {8 * ["A", "B"]}}}
 """
 TABLE = """
 units = "LJ"
 structure = {lattice = "sc", repeat = [2, 2, 2], density = 0.2, species = ["A", "B", "A", "B", "A", "B", "A", "B"]}
 dynamics = {timestep = 0.002, steps = 20, temperature = 0.5}
-[tables]
-like = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [9.0, 6.0, 3.0, 1.5, 0.7, 0.0]}
-unlike = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [0, 0, 0, 1, 0, 0]}
-[[potential]]
-type = "tabulated"
-cutoff = 1.6
-truncation = "switched"
-pairs = [
-    {species = ["A", "A"], file = "like"},
-    {species = ["A", "B"], file = "unlike"},
-    {species = ["B", "B"], file = "like"},
-]
+tables.like = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [9.0, 6.0, 3.0, 1.5, 0.7, 0.0]}
+tables.unlike = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [0, 0, 0, 1, 0, 0]}
+potential = [{type = "tabulated", cutoff = 1.6, truncation = "switched", pairs = [ \
+    {species = ["A", "A"], file = "like"}, {species = ["A", "B"], file = "unlike"}, \
+    {species = ["B", "B"], file = "like"}]}]
 """
 SCENES = [tomllib.loads(text) for text in (MELT, ARGON, DUMBBELLS, TABLE)]
-# nowhere in a scene
-SENSELESS = [math.nan, "", "no such thing", {}, {"a": 1}, [[[]]], [{"b": []}], -(2**63), "\u0000", "1.0"]
-SENSELESS += [["1", "2", "3"]]
+SENSELESS = [math.nan, "", "no such thing", {}, {"a": 1}, [[[]]], [{"b": []}], -(2**63), "\0", "1.0", ["1", "2", "3"]]
 STRANGE = [True, False, 0, 1, -1, 3, 10**4, 2**62, 0.0, -0.0, 0.5, -2.5, 1e-300, 5e-324, 1e-9, 1e9, 1e300]
 STRANGE += [math.inf, -math.inf, [], [0, 0, 0], "auto", "Ar", "LJ"]
 FACTORS = [-1, 0, 2, 10, 1e-3, 1e3, 1e14, 1e-14]
@@ -92,18 +68,16 @@ MAY_BE_TEXT, MAY_BE_EMPTY = {"title", "plot", "trajectory", "species"}, {"constr
 WAYS = ["misspelt", "gone", "twice", "sense", "value", "value", "value", "scaled", "scaled", "elsewhere"]
 
 
+# fmt: off
 def drawn(values, rng):
     return values[int(rng.integers(len(values)))]
-
 
 def peak():
     """Most memory that this process had at once [kB], on Linux; 0 elsewhere."""
     return int(re.search(r"VmHWM:\s*(\d+)", STATUS.read_text())[1]) if STATUS.exists() else 0
 
-
 def text_of(scene):
     return "\n".join(f"{key} = {toml_of(value)}" for key, value in scene.items())
-
 
 def toml_of(value):
     """A value as TOML writes it, tables inline."""
@@ -113,7 +87,6 @@ def toml_of(value):
         return f"[{', '.join(map(toml_of, value))}]"
     return json.dumps(value) if isinstance(value, str | bool) else repr(value)
 
-
 def places(value, path=()):
     """The paths of all values in a scene, of tables and lists too."""
     inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
@@ -121,12 +94,12 @@ def places(value, path=()):
         yield (*path, key)
         yield from places(one, (*path, key))
 
-
 def at(scene, path):
     """What stands at a path; an empty table if there is nothing any more."""
     for key in path:
         scene = scene[key] if isinstance(scene, list) or key in scene else {}
     return scene
+# fmt: on
 
 
 def change(scene, rng):
@@ -167,17 +140,13 @@ def mutated(rng):
     text = text_of(scene)
     if rng.random() < 0.2:  # and mistakes of typing
         k, n = int(rng.integers(len(text))), int(rng.integers(1, 5))
-        text, is_senseless = (
-            text[:k] + drawn(["", "\n" + text[k : k + n], 2 * text[k : k + n]], rng) + text[k + n :],
-            False,
-        )
+        text = text[:k] + drawn(["", "\n" + text[k : k + n], 2 * text[k : k + n]], rng) + text[k + n :]
+        is_senseless = False
     return text, ", ".join(told), is_senseless
 
 
 def built_and_run(text, n_steps):
-    scene = scene_of(text)
-    scene.plot_name(scene.trajectories())
-    simulation = scene.simulation()
+    simulation = everything_of(text)
     if n_steps and len(simulation.system) < 2000:
         simulation.run(n_steps, every=1, progress=False, crash_report=False)
         assert np.isfinite(simulation.record.total_energy).all()

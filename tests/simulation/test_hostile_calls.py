@@ -27,60 +27,48 @@ STRANGE += [[], (), {}, set(), INF, -INF, -1.0, -1, 0, 0.0, 5e-324, 1e-300, 1e30
 STRANGE += [Fraction(3, 2), np.float32(2.5), np.float32(1e-40), np.float16(3), np.int8(-1), np.uint64(2)]
 STRANGE += [[True, 2.0, 3.0], np.array([None, 1.0]), np.array([]), np.zeros((0, 3)), np.zeros((2, 2, 2))]
 STRANGE += [np.full((3, 3), INF)]
+# fmt: off
 CHANGES = {  # of an array of good numbers
     "masked": lambda good: np.ma.masked_array(good, mask=np.ones_like(good, dtype=bool)),
-    "complex": lambda good: good + 1j,
-    "texts": lambda good: good.astype(str),
-    "NaN": lambda good: good * NAN,
-    "dates": lambda good: good.astype(int).astype("datetime64[s]"),
-    "far": lambda good: good + 1e14,
-    "huge": lambda good: good * 1e300,
-    "tiny": lambda good: good * 1e-300,
-    "negative": lambda good: -good,
-    "bools": lambda good: good.astype(bool),
-    "unsigned": lambda good: good.astype(np.uint64),
-    "single": lambda good: good.astype(np.float32),
-    "list": lambda good: good.tolist(),
-    "deeper": lambda good: good[None],
-    "longer": lambda good: np.repeat(good, 2, axis=0),
+    "complex": lambda good: good + 1j,        "texts": lambda good: good.astype(str),
+    "NaN": lambda good: good * NAN,           "dates": lambda good: good.astype(int).astype("datetime64[s]"),
+    "far": lambda good: good + 1e14,          "huge": lambda good: good * 1e300,
+    "tiny": lambda good: good * 1e-300,       "negative": lambda good: -good,
+    "bools": lambda good: good.astype(bool),  "unsigned": lambda good: good.astype(np.uint64),
+    "single": lambda good: good.astype(np.float32), "list": lambda good: good.tolist(),
+    "deeper": lambda good: good[None],        "longer": lambda good: np.repeat(good, 2, axis=0),
     "objects": lambda good: good.astype(object),
 }
+# fmt: on
 
+
+# fmt: off
+def inverse_square(r2, a):
+    return a / r2, 2.0 * a / r2**2
 
 def system(**changed):
-    return md.System(
-        **{"positions": THREE, "cell": 10.0, "bonds": [[0, 1], [0, 2]], "species": ["A", "B", "A"]} | changed
-    )
-
+    return md.System(**{"positions": THREE, "cell": 10.0, "bonds": [[0, 1], [0, 2]], "species": list("ABA")} | changed)
 
 def simulation(method=VERLET, constraints=(), **options):
     made = md.Simulation(system(), LJ, method, constraints, **options)
     made.make_steps(1)
     return made
 
-
 def called(name):
     return lambda **arguments: getattr(simulation(), name)(**arguments)
-
 
 def energy_of(kind):
     return lambda **arguments: md.evaluate(system(), kind(**arguments)).potential_energy
 
-
 def energies_of(kind):
     return lambda **arguments: kind(**arguments).pair_energy(1.0)
-
-
-def law(r2, a):
-    return a / r2, 2.0 * a / r2**2
-
 
 def run_by(kind):
     return lambda **arguments: simulation(kind(**arguments))
 
-
 def held_by(kind):
     return lambda **arguments: simulation(constraints=kind(**arguments))
+# fmt: on
 
 
 def scene_with(**changed):
@@ -107,7 +95,7 @@ DOORS = [  # a name, a call, and arguments with which it works
     ("Cell", md.Cell, {"vectors": np.eye(3), "pbc": np.array([True, True, False])}),
     ("LennardJones", energy_of(md.LennardJones), {"epsilon": 1.0, "sigma": 1.0, "cutoff": 2.5} | SWITCHED),
     ("LennardJones", energy_of(md.LennardJones), {"epsilon": SPECIES, "cutoff": CUTOFFS} | UNLIKE),
-    ("PairPotential", energies_of(md.PairPotential), {"law": law, "parameters": (1.0,), "cutoff": 2.5}),
+    ("PairPotential", energies_of(md.PairPotential), {"law": inverse_square, "parameters": (1.0,), "cutoff": 2.5}),
     ("pair_energy", LJ.pair_energy, {"r": [1.0, 2.0, 3.0]}),
     ("HarmonicBond", energy_of(md.HarmonicBond), {"k": [3.0, 1.0], "length": [1.0, 0.0], "pairs": [[0, 1], [1, 2]]}),
     ("HarmonicAngle", energy_of(md.HarmonicAngle), {"k": [3.0], "angle": [1.0], "triples": [[0, 1, 2]]}),

@@ -1,4 +1,4 @@
-"""The benchmark compares like with like, and divides the right numbers."""
+"""The benchmark compares like with like, divides the right numbers, and its scenes are those they are named after."""
 
 import json
 import re
@@ -9,8 +9,8 @@ import pytest
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.bench import engines, ingredients, memory, peers, scaling, scenes, turns
-from minimd.bench.outcome import End, as_json, markdown, name_curves, new_figure, versions
+from minimd.bench import engines, ingredients, memory, peers, scaling, scenes, turns, work_precision
+from minimd.bench.outcome import as_json, markdown
 from minimd.bench.peers import EngineSpeed, PeersOptions, run_peers
 from minimd.commands import bench as command
 from minimd.commands import main as cli
@@ -22,6 +22,7 @@ ONE_PEER = ["bench", "peers", "--cells", "4", "--threads", "1"]
 ONCE = PeersOptions(cells=(4,), threads=(1,), repeats=1)
 
 
+# fmt: off
 class FakeEngine:
     """Takes no time, but turns the clock on."""
 
@@ -42,18 +43,9 @@ class FakeEngine:
         self.steps.append(n_steps)
         FakeEngine.clock += n_steps * self._seconds
 
-
-class Exploding(FakeEngine):
-    def run(self, n_steps):
-        raise md.NonFiniteError("2 positions are not finite after step 412")
-
-
-def own(scene, threads, precision):
-    return FakeEngine("minimd", threads, precision, OWN_SECONDS[threads, precision])
-
-
-def not_starting(scene, threads, timestep):
-    raise RuntimeError("libmpi.so:\n not found")
+def raising(error):
+    raise error
+# fmt: on
 
 
 @pytest.fixture
@@ -62,6 +54,7 @@ def fakes(monkeypatch):
     monkeypatch.setattr(turns, "perf_counter", lambda: FakeEngine.clock)
     monkeypatch.setattr(peers, "available_cores", lambda: 2)
     monkeypatch.setattr(engines.Peer, "is_installed", True)
+    own = lambda _, threads, kind: FakeEngine("minimd", threads, kind, OWN_SECONDS[threads, kind])  # noqa: E731
     monkeypatch.setattr(peers, "Minimd", own)
     fast = engines.Peer("fast", lambda _, n, __: FakeEngine("fast", n, "single", PEER_SECONDS / n), threads="each")
     slow = engines.Peer("slow", lambda *_: FakeEngine("slow (serial)", 1, "double", ASE_SECONDS), most_atoms=N_ATOMS)
@@ -81,18 +74,25 @@ def cells_of(table):
     return [[cell.strip() for cell in line.replace("**", "").strip("|").split("|")] for line in lines[2:]]
 
 
-def test_ratios_of_the_table(fakes):
-    """256 atoms / seconds of a step; peers are beside double on as many threads, minimd beside double on one."""
+# fmt: off
+RATIOS = [  # 256 atoms / seconds of a step; peers are beside double on as many threads, minimd beside double on one
+    ["minimd", "1", "double", "0.0853", "", "1"],    ["minimd", "1", "mixed", "0.128", "", "1.50"],
+    ["minimd", "2", "double", "0.142", "", "1.67"],  ["minimd", "2", "mixed", "0.213", "", "2.50"],
+    ["fast", "1", "single", "0.0171", "5.00", ""],   ["fast", "2", "single", "0.0341", "4.17", ""],
+    ["slow", "1", "double", "0.000731", "117", ""],
+]
+# fmt: on
+
+
+def test_ratios_of_the_table_and_its_picture(fakes):
     options = PeersOptions(cells=(4,), threads=(1, 2), precisions=("double", "mixed"), repeats=2)
-    assert cells_of(markdown(run_peers(options))) == [
-        ["minimd", "1", "double", "0.0853 (0.0853 to 0.0853)", "", "1"],
-        ["minimd", "1", "mixed", "0.128 (0.128 to 0.128)", "", "1.50 (1.50 to 1.50)"],
-        ["minimd", "2", "double", "0.142 (0.142 to 0.142)", "", "1.67 (1.67 to 1.67)"],
-        ["minimd", "2", "mixed", "0.213 (0.213 to 0.213)", "", "2.50 (2.50 to 2.50)"],
-        ["fast", "1", "single", "0.0171 (0.0171 to 0.0171)", "5.00 (5.00 to 5.00)", ""],
-        ["fast", "2", "single", "0.0341 (0.0341 to 0.0341)", "4.17 (4.17 to 4.17)", ""],
-        ["slow (serial)", "1", "double", "0.000731 (0.000731 to 0.000731)", "117 (117 to 117)", ""],
-    ]
+    table = cells_of(markdown(run_peers(options)))
+    assert [[cell.split(" (")[0] for cell in row] for row in table] == RATIOS
+    outcome = run_peers(options._replace(cells=(4, 5), precisions=("double",)))
+    with warnings.catch_warnings(action="error"):
+        one, two = outcome.figure().axes
+    assert [name.get_text() for name in one.texts] == ["slow (serial)", "fast", "minimd"]  # from below
+    assert len(two.lines) == 2
 
 
 def test_peer_is_no_reference_and_ratios_stay_among_equals():
@@ -110,16 +110,12 @@ def test_peer_is_no_reference_and_ratios_stay_among_equals():
     assert PeersOptions(threads=(2,), precisions=("mixed",)).kinds() == [(1, "double"), (2, "mixed")]
 
 
-def test_spread_is_over_turns():
-    """The median of ratios, not the ratio of medians."""
+def test_spread_is_the_median_of_ratios_over_turns_and_costs_are_by_atoms_and_by_pairs():
     ours = EngineSpeed("minimd", 1, "double", "melt", 10, np.array([4e6, 6e6, 5e6]))
     peer = EngineSpeed("peer", 1, "double", "melt", 10, np.array([2e6, 2e6, 1e6]))
     table = cells_of(markdown(peers.Peers("melt", "text", 3, (), [[ours, peer]])))
     assert table[0][3] == "5.00 (4.00 to 6.00)"
-    assert table[1][3:5] == ["2.00 (1.00 to 2.00)", "3.00 (2.00 to 5.00)"]
-
-
-def test_costs_stand_beside_the_melt_by_atoms_and_by_pairs():
+    assert table[1][3:5] == ["2.00 (1.00 to 2.00)", "3.00 (2.00 to 5.00)"]  # not the ratio of medians
     melt = ingredients.IngredientCost("melt", 256, 6500.0, np.array([0.002, 0.002]))
     mixture = ingredients.IngredientCost("mixture", 512, 17000.0, np.array([0.010, 0.012]))
     own, other = cells_of(markdown(ingredients.IngredientCosts([melt, mixture], 2)))
@@ -130,7 +126,6 @@ def test_costs_stand_beside_the_melt_by_atoms_and_by_pairs():
 
 def test_json_holds_every_turn_and_where_it_was_measured(fakes):
     content = json.loads(as_json(run_peers(PeersOptions(cells=(4, 5), threads=(1,), repeats=3))))
-    assert content["machine"]["cores"] >= 1
     assert set(content["versions"]) == {"minimd", "numba", "numpy", "fast", "slow"}
     assert [size["n_atoms"] for size in content["sizes"]] == [256, 500]
     assert [row["engine"] for row in content["sizes"][1]["rows"]] == ["minimd", "fast"]  # the slow one if asked for
@@ -138,64 +133,32 @@ def test_json_holds_every_turn_and_where_it_was_measured(fakes):
     assert own["atom_steps_per_second"]["turns"] == pytest.approx([256 / 0.003] * 3)
     assert own["minimd_is_faster_by"] is None
     assert fast["minimd_is_faster_by"]["median"] == pytest.approx(5.0)
-    assert fast["bytes_per_atom"] is None
     outcome = run_peers(PeersOptions(cells=(5,), threads=(1,), peers=("slow",), repeats=1))
     assert [row.engine for row in outcome.sizes[0]] == ["minimd", "slow (serial)"]
-
-
-def test_versions_of_programs_are_those_that_they_tell(tmp_path, monkeypatch):
-    program = tmp_path / "gmx"
-    program.write_text("#!/bin/sh\necho 'GROMACS - gmx --version'\necho 'GROMACS version:    2022.5-x'\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    assert versions(["gmx", "no such program"]) == versions([]) | {"gmx": "2022.5-x", "no such program": "MISSING"}
 
 
 def test_engines_take_turns_that_are_long_enough_for_lists_and_short_enough_for_people(fakes):
     assert [turns.steps_in_a_turn(seconds) for seconds in (0.001, 0.1, 0.5, 60.0)] == [500, 40, 10, 1]
     first, second = FakeEngine("a", 1, "double", 0.01), FakeEngine("b", 1, "double", 0.02)
     speeds = turns.take_turns([first, second], [50, 25], 3, N_ATOMS)
-    assert first.steps == [50] * 3
-    assert second.steps == [25] * 3
+    assert (first.steps, second.steps) == ([50] * 3, [25] * 3)
     assert speeds == pytest.approx(np.array([[100.0] * 3, [50.0] * 3]))
 
 
-@pytest.mark.parametrize(
-    ("engine", "energies", "code", "words"),
-    [
-        (FakeEngine, (-1700.1, -1200.0), cli.FAILED, ["potential energy at step 0", "minimd, double, 1 thread has -"]),
-        (FakeEngine, (-1700.0, -1199.0), cli.FAILED, ["total energy per atom", "minimd, double, 1 thread has -"]),
-        (Exploding, (-1700.0, -1200.0), cli.BLOWN_UP, ["minimd: error: 2 positions are not finite after step 412"]),
-    ],
-)
-def test_peer_with_another_energy_is_refused_and_one_that_blows_up_is_no_disagreement(
-    fakes, monkeypatch, capsys, engine, energies, code, words
-):
-    other = engines.Peer("other", lambda *_: engine("other", 1, "double", 0.01, energies))
-    monkeypatch.setattr(peers, "PEERS", {"other": other})
-    assert cli.main(ONE_PEER) == code
-    out, err = capsys.readouterr()
-    assert not out or code == cli.BLOWN_UP
-    assert all(word in err.splitlines()[-1] for word in words)
-
-
-def test_picture_of_peers_is_drawn_without_warnings(fakes):
-    outcome = run_peers(PeersOptions(cells=(4, 5), threads=(1, 2), repeats=2))
-    with warnings.catch_warnings(action="error"):
-        one, two = outcome.figure().axes
-    assert [name.get_text() for name in one.texts] == ["slow (serial)", "fast", "minimd"]  # from below
-    assert len(two.lines) == 2
-
-
-def test_names_of_curves_do_not_overlap():
-    panel = new_figure(4.0).subplots()
-    panel.plot([0.0, 1.0], [0.0, 1.0])
-    ends = {"a": (1.0, 0.5), "b": (0.4, 0.5), "c": (1.0, 0.51), "d": (1.0, 0.95)}
-    name_curves(panel, {name: End(*place, f"C{k}") for k, (name, place) in enumerate(ends.items())})
-    heights = {name.get_text(): name.xyann[1] for name in panel.texts}
-    assert list(heights) == ["a", "c", "b", "d"]
-    assert np.diff(list(heights.values())).min() > 0.05
-    assert heights["d"] < 1.0
+def test_peer_with_another_energy_is_refused_and_one_that_blows_up_is_no_disagreement(fakes, monkeypatch, capsys):
+    for energies, blown, code, words in (
+        ((-1700.1, -1200.0), False, cli.FAILED, ["potential energy at step 0", "minimd, double, 1 thread has -"]),
+        ((-1700.0, -1199.0), False, cli.FAILED, ["total energy per atom", "minimd, double, 1 thread has -"]),
+        ((-1700.0, -1200.0), True, cli.BLOWN_UP, ["minimd: error: 2 positions are not finite"]),
+    ):
+        engine = FakeEngine("other", 1, "double", 0.01, energies)
+        if blown:
+            engine.run = lambda n_steps: raising(md.NonFiniteError("2 positions are not finite"))
+        monkeypatch.setattr(peers, "PEERS", {"other": engines.Peer("other", lambda *_: engine)})
+        assert cli.main(ONE_PEER) == code
+        out, err = capsys.readouterr()
+        assert not out or code == cli.BLOWN_UP
+        assert all(word in err.splitlines()[-1] for word in words)
 
 
 def test_peer_with_another_time_step_is_refused(monkeypatch):
@@ -206,9 +169,7 @@ def test_peer_with_another_time_step_is_refused(monkeypatch):
         turns.check_agreement([right, wrong], N_ATOMS)
 
 
-@pytest.mark.parametrize(
-    ("name", "scene"), [(name, scene) for name, peer in engines.PEERS.items() for scene in peer.scenes]
-)
+@pytest.mark.parametrize(("name", "scene"), [(name, one) for name, p in engines.PEERS.items() for one in p.scenes])
 def test_peers_have_the_same_energies(name, scene):
     if not engines.PEERS[name].is_installed:
         pytest.skip(f"{name} is not installed")
@@ -225,7 +186,7 @@ def test_minimd_is_asked_for_threads_and_precision(monkeypatch):
     assert ", ".join(engines.PEERS) == command.PEER_NAMES
 
 
-def test_command_prints_and_writes_the_table(short, capsys, tmp_path):
+def test_command_prints_and_writes_the_table_and_other_scenes_run(short, capsys, tmp_path):
     folder = tmp_path / "new" / "results"
     options = ["--cells", "3,4", "--threads", "1", "--repeats", "1", "--peers", "none", "--out", str(folder)]
     assert cli.main(["bench", "peers", *options]) == 0
@@ -233,13 +194,10 @@ def test_command_prints_and_writes_the_table(short, capsys, tmp_path):
     assert capsys.readouterr().out == table
     assert re.findall(r"## (\d+) atoms", table) == ["108", "256"]
     assert json.loads((folder / "bench_peers.json").read_text(encoding="utf-8"))["repeats"] == 1
-
-
-@pytest.mark.parametrize("scene", ["kob-andersen", "chains", "dumbbells"])
-def test_other_scenes_run(short, scene):
-    (row,) = run_peers(ONCE._replace(scene=scene, peers=("none",))).sizes[0]
-    assert (row.engine, row.scene) == ("minimd", scene)
-    assert (row.speeds > 0.0).all()
+    for scene in ("kob-andersen", "chains", "dumbbells"):
+        (row,) = run_peers(ONCE._replace(scene=scene, peers=("none",))).sizes[0]
+        assert (row.engine, row.scene) == ("minimd", scene)
+        assert (row.speeds > 0.0).all()
 
 
 def test_every_ingredient_runs_and_partners_are_apart(short):
@@ -269,17 +227,10 @@ def test_peers_that_are_missing_or_do_not_start_are_told(fakes, monkeypatch, cap
     advice = "pip install '.[peers]'"
     assert f"no comparison with fast: not installed; {advice}" in capsys.readouterr().err
     assert_answered(lambda: run_peers(ONCE._replace(peers=("fast",))), ValueError, "fast", advice)
-    monkeypatch.setattr(peers, "PEERS", {"broken": engines.Peer("broken", not_starting)})
+    monkeypatch.setattr(
+        peers, "PEERS", {"broken": engines.Peer("broken", lambda *_: raising(RuntimeError("libmpi.so:\n not found")))}
+    )
     assert_answered(lambda: run_peers(ONCE), ValueError, "broken", "libmpi.so: not found", "--peers")
-
-
-def test_memory_is_told_at_large_sizes_only(fakes, monkeypatch):
-    monkeypatch.setattr(peers, "FROM_ATOMS", 500)
-    monkeypatch.setattr(peers, "bytes_per_atom", lambda scene, n, threads, precision: 100.0 * n + threads)
-    outcome = run_peers(ONCE._replace(cells=(4, 5)))
-    assert [row.bytes_per_atom for size in outcome.sizes for row in size] == [None, None, None, 501.0, None]
-    assert markdown(outcome).count("bytes per atom") == 1
-    assert "| 1 | 501 |" in markdown(outcome)
 
 
 @pytest.mark.skipif(not memory.STATUS.exists(), reason="Linux tells the peak of a process, others do not")
@@ -288,3 +239,92 @@ def test_memory_is_that_of_arrays_and_lists():
     ballast = np.ones(10**8)  # the parent's memory does not count
     assert 100.0 < memory.bytes_per_atom("melt", 30, 1, "double") < 5000.0
     assert ballast.all()
+
+
+def test_scene_is_the_one_that_lammps_calls_melt():
+    scene = scenes.melt(5)
+    assert 500 / scene.system.volume == pytest.approx(0.8442, rel=1e-12)
+    assert (scene.system.velocities**2).sum() / (3 * len(scene.system) - 3) == pytest.approx(1.44, rel=1e-12)
+    assert engines.Minimd(scene).potential_energy() == pytest.approx(-6.7733681 * 500, rel=1e-7)
+
+
+def test_mixture_is_that_of_kob_and_andersen():
+    scene = scenes.kob_andersen(5)
+    assert 500 / scene.system.volume == pytest.approx(1.2, rel=1e-12)
+    assert (scene.system.species == "B").sum() == 100
+    shift = 4.0 * (2.5**-12 - 2.5**-6)
+    for pair, (epsilon, sigma) in {("A", "A"): (1.0, 1.0), ("A", "B"): (1.5, 0.8), ("B", "B"): (0.5, 0.88)}.items():
+        assert scene.cutoffs[pair] == pytest.approx(2.5 * sigma)
+        energies = scene.potentials[0].pair_energy([sigma, 2.0 ** (1 / 6) * sigma], *pair)
+        assert energies == pytest.approx([-epsilon * shift, -epsilon * (1.0 + shift)])
+
+
+def test_chains_are_whole_and_apart():
+    system = scenes.chains(5).system
+    assert (len(system), len(system.bonds)) == (500, 5 * 99)
+    assert 500 / system.volume == pytest.approx(0.85, rel=1e-12)
+    spacing = np.linalg.norm(system.positions[system.bonds[:, 1]] - system.positions[system.bonds[:, 0]], axis=1)
+    assert np.ptp(spacing) < 1e-12
+    assert md.neighbor_list("d", system, 2.5).min() == pytest.approx(spacing[0])
+
+
+@pytest.mark.parametrize("name", scenes.SCENES)
+def test_pairs_in_range_are_those_of_the_neighbor_list(name):
+    scene = scenes.SCENES[name](4)
+    scene.system.positions[:] += np.random.default_rng(1).normal(0.0, 0.05, scene.system.positions.shape)
+    i, j, d = md.neighbor_list("ijd", scene.system, 2.5)
+    species = scene.system.species
+    expected = -len(scene.system.bonds)
+    for (a, b), cutoff in scene.cutoffs.items():
+        together = (species[i] == a) & (species[j] == b) & (d < cutoff)
+        expected += together.sum() // 2 if a == b else together.sum()
+    assert scenes.pairs_in_range(scene, scene.system.positions) == expected
+
+
+def test_the_front_of_work_precision_is_what_nothing_beats():
+    point = lambda who, *seen: work_precision.Point(who, "verlet", 2, 0.01, 100.0, *seen, 0.0, np.nan)  # noqa: E731
+    ours = [point("minimd", *one) for one in ((1.0, 1e-2), (2.0, 1e-3), (3.0, 2e-3), (0.5, np.inf))]
+    case = work_precision.Case("case", "text", "τ", [*ours, point("peer", 6.0, 1e-3), point("peer", 3.0, 2e-2)])
+    assert case.front("oscillation") == ours[:2]
+    assert case.advice("oscillation")[1:] == [
+        "for oscillation 1e-02 use verlet, Δt = 0.01 τ, minimd: 1 s",
+        "for oscillation 1e-03 use verlet, Δt = 0.01 τ, minimd: 2 s",
+    ]
+    assert case.beside() == ["peer: 3.00 times the time of minimd at equal oscillation (3.00 to 3.00)"]
+
+
+def test_a_run_that_fails_has_no_finite_error():
+    """Not even the distance, which was measured in a run that was shorter."""
+    engine = type("Engine", (), {"run": lambda *_: 1 // 0})
+    point = work_precision._point("minimd", scenes.SCENES["melt"](3), md.VelocityVerlet, 20, engine, 2, 1e-3)
+    assert (point.seconds, point.oscillation, point.drift, point.distance) == (np.inf,) * 4
+
+
+def test_errors_are_about_the_line_of_regression():
+    time = np.linspace(0.0, 1.0, 41)
+    energies = 3.0 + 0.5 * time + 0.1 * np.tile([1.0, -1.0], 21)[:41]
+    assert work_precision.about_line(time, energies) == pytest.approx((0.1, 0.5), rel=1e-2)
+    assert work_precision.about_line(np.array([0.0, 1.0]), np.array([1.0, np.nan])) == (np.inf, np.inf)
+
+
+@pytest.mark.slow
+def test_work_precision_of_minimd_falls_with_the_order_of_the_method(monkeypatch):
+    """Errors of velocity Verlet with a few atoms, and of its paths, fall with the square of the time step."""
+    settings = {"CELLS_QUICK": 4, "COSTS_QUICK": (100, 200, 400), "QUICK_METHODS": ("velocity-verlet",)}
+    for name, value in {**settings, "PEER_NAMES": ()}.items():
+        monkeypatch.setattr(work_precision, name, value)
+    (case,) = work_precision.run_work_precision(["argon-smooth"], True, 1).cases
+    exact = [p for p in case.points if p.who == "minimd, double"]
+    assert np.diff(np.log2([p.distance for p in exact])) == pytest.approx([-2.0, -2.0], abs=0.2)
+    assert 8.0 < exact[0].oscillation / exact[2].oscillation < 32.0  # seen at twenty moments only
+    assert [p.forces for p in exact] == pytest.approx([100, 200, 400])
+
+
+@pytest.mark.slow
+def test_kepler_of_work_precision_counts_forces():
+    runs = {name: rest for name, *rest in work_precision.kepler_runs((400,), 1)}
+    assert len(runs) == 18
+    order, timestep, forces, _, oscillation, _, distance = runs["velocity-verlet"]
+    assert (order, forces * timestep) == (2, pytest.approx(1.0, rel=1e-2))
+    assert oscillation < 1e-2
+    assert runs["blanes-moan-rkn-4"][-1] < 0.1 * distance

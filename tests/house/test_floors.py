@@ -17,6 +17,11 @@ PAGE = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
 BEGIN_WITH = dict(re.findall(r"^\| `(\w+)` \| .* \| `([\w/.]+)` \|$", PAGE, re.M))
 FLOORS = ["minimd" if name == "minimd" else f"minimd.{name}" for name in BEGIN_WITH]
 STRANGERS = {"minimd.integrators", "minimd.potentials"}  # never import each other
+BRIDGES = {  # folders and modules that may import ase or MDAnalysis when they are imported
+    *("ase", "bench", "mdanalysis", "structure/ase_atoms.py", "structure/mdanalysis_atoms.py"),
+    *("files/ase_writer.py", "files/structure_file.py", "files/mdanalysis_writer.py", "files/turned_cell.py"),
+}
+FOREIGN = {"minimd.bench.engines"}  # reaches for private names of OpenMM and LAMMPS
 HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "minimd.lammps"}
 
 
@@ -27,9 +32,10 @@ def name_of(path):
 MODULES = {name_of(path): path for path in PACKAGE.rglob("*.py")}
 
 
-def imports(path):
-    """Modules a file imports, lazily and for type checkers too."""
-    for node in ast.walk(ast.parse(path.read_text())):
+def imports(path, when_imported=False):
+    """Modules a file imports, lazily and for type checkers too; with when_imported only what its own import loads."""
+    tree = ast.parse(path.read_text())
+    for node in tree.body if when_imported else ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -46,6 +52,34 @@ def test_every_package_is_a_floor():
     assert set(BEGIN_WITH) == packages | {"minimd", "replay"}
     for name, file in BEGIN_WITH.items():
         assert (PACKAGE / ("" if name in ("minimd", "replay") else name) / file).exists()
+
+
+def test_no_module_reaches_for_the_private_name_of_another():
+    reached = []
+    for module, path in MODULES.items():
+        nodes = [*ast.walk(ast.parse(path.read_text()))]
+        attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
+        own = {"_asdict", "_replace", "_fields", "_make"}
+        own |= {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+        own |= {node.attr for node in attributes if isinstance(node.ctx, ast.Store)}
+        own |= {ast.unparse(node.target) for node in nodes if isinstance(node, ast.AnnAssign)}
+        for node in nodes:
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("minimd"):
+                reached += [f"{module}: {alias.name}" for alias in node.names if re.match(r"_[^_]", alias.name)]
+        for node in attributes:
+            owner = node.value.id if isinstance(node.value, ast.Name) else ""
+            is_foreign = owner not in ("self", "cls", "sys", "os") and module not in FOREIGN
+            if re.match(r"_[^_]", node.attr) and node.attr not in own and is_foreign:
+                reached.append(f"{module}: {ast.unparse(node)}")
+    assert reached == []
+
+
+def test_only_the_bridges_import_ase_and_mdanalysis():
+    for path in PACKAGE.rglob("*.py"):
+        place = path.relative_to(PACKAGE)
+        if not BRIDGES & {place.as_posix(), place.parts[0]}:
+            roots = {module.split(".")[0] for module in imports(path, when_imported=True)}
+            assert not roots & {"ase", "MDAnalysis"}, path
 
 
 def test_imports_go_down_the_floors_and_not_in_circles():

@@ -94,7 +94,8 @@ def test_weights_of_backward_differences():
 
 @pytest.mark.parametrize("method", [mi.BDF3, mi.RadauIIA2, RadauIIA3])
 def test_constraints_are_kept_to_rounding(method):
-    q, _, _ = pendulum().parts(run_steps(pendulum(), method(0.02), HORIZONTAL, 200).y)
+    problem = pendulum()
+    q, _, _ = problem.parts(run_steps(problem, method(0.02), HORIZONTAL, 200).y)
     assert np.abs((q**2).sum(axis=1) - 1).max() < 3e-15
 
 

@@ -113,7 +113,7 @@ def test_a_scan_runs_what_was_set_and_tells_averages(folder, capsys):
     assert Path("scan/members.jsonl").read_text().startswith(before)
     assert Path("scan/temperature.png").exists()
     assert scan(*command, 3, "--plot", "presure") == 2
-    assert "did you mean 'pressure'?" in capsys.readouterr().err
+    assert "'pressure'" in capsys.readouterr().err
     assert scan("--status", "scan") == 0
     told = capsys.readouterr().out
     assert "6 members in scan: 6 done" in told
@@ -131,9 +131,9 @@ def test_the_preparation_of_the_scene_is_made_once(folder):
 
 def test_members_that_fail_are_told_and_the_code_is_one(folder, capsys):
     assert scan("melt.toml", "--set", "dynamics.timestep=0.004,0.5", "--workers", 0) == 1
-    captured = capsys.readouterr()
-    assert "1 done, 1 failed" in captured.out
-    assert "0001.crash.h5md" in captured.err
+    told, warned = capsys.readouterr()
+    assert "1 done, 1 failed" in told
+    assert "0001.crash.h5md" in warned
     assert scan("melt.toml", "--set", "dynamics.timestep=0.5", "--workers", 0, "--out", "all") == 1
     assert "all 1 members have failed" in capsys.readouterr().err
 

@@ -46,20 +46,19 @@ def shifted(row, first, second, amount):
 @pytest.mark.parametrize("method", SPLITTINGS)
 def test_order_conditions_hold_to_rounding(method):
     """For q″ = f(q) all of them; for every T(p) + V(q) too, but for McLachlan and Atela's last one."""
-    separable = 3 if method is mi.McLachlanAtela4 else ORDERS[method.name]
-    assert method.order == ORDERS[method.name]
-    assert worst(nystrom_residuals, method.sequence(), ORDERS[method.name]) < 2e-15  # rounding, measured 3e-16
-    assert worst(separable_residuals, method.sequence(), separable) < 2e-15
-    assert mi.separable_order(method.sequence()) == separable
-    assert worst(nystrom_residuals, method.sequence(), ORDERS[method.name] + 1) > 1e-5
-    assert worst(separable_residuals, method.sequence(), separable + 1) > 1e-6
+    row, order = method.sequence(), ORDERS[method.name]
+    separable = 3 if method is mi.McLachlanAtela4 else order
+    assert (method.order, mi.separable_order(row)) == (order, separable)
+    assert worst(nystrom_residuals, row, order) < 2e-15  # rounding, measured 3e-16
+    assert worst(separable_residuals, row, separable) < 2e-15
+    assert worst(nystrom_residuals, row, order + 1) > 1e-5
+    assert worst(separable_residuals, row, separable + 1) > 1e-6
 
 
 @pytest.mark.parametrize("method", HIGHER)
 def test_one_wrong_digit_breaks_an_order_condition(method):
     """Two stages of a kind, one longer and one shorter by 10⁻¹²: the sums are right, in the table also the symmetry."""
-    row = method.sequence()
-    n = len(row)
+    row, n = method.sequence(), len(method.sequence())
     for k in range(n - 2):
         assert worst(nystrom_residuals, shifted(row, k, k + 2, 1e-12), ORDERS[method.name]) > 1e-14
     for k in range(n // 2 - 1) if method.is_symmetric else ():

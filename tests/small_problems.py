@@ -49,27 +49,23 @@ OSCILLATOR = mi.SecondOrder(lambda q: -q)
 ONE = (1.0,), (0.0,)
 
 
-# H = (1 + |q|²)(1 + |v|²)/2 + q₀v₁/2: each of q′ and v′ depends on both.
-def twisted_g(q, v):
-    return (1.0 + q @ q) * v + np.array([0.0, 0.5 * q[0]])
-
-
-def twisted_f(q, v):
-    return -(1.0 + v @ v) * q - np.array([0.5 * v[1], 0.0])
+# H = (1 + |q|²)(1 + |v|²)/2 + q₀v₁/2: each of q′ and v′ depends on both
+TWISTED = mi.Partitioned(
+    lambda q, v: (1.0 + q @ q) * v + [0.0, 0.5 * q[0]], lambda q, v: -(1.0 + v @ v) * q - [0.5 * v[1], 0.0]
+)
 
 
 # The same in a field that oscillates: H(t, q, v) = that − q₀ cos 2t + v₁ sin t / 5
 def driven_g(t, q, v):
-    return twisted_g(q, v) + np.array([0.0, 0.2 * np.sin(t)])
+    return (1.0 + q @ q) * v + [0.0, 0.5 * q[0] + 0.2 * np.sin(t)]
 
 
 def driven_f(t, q, v):
-    return twisted_f(q, v) + np.array([np.cos(2.0 * t), 0.0])
+    return -(1.0 + v @ v) * q + [np.cos(2.0 * t) - 0.5 * v[1], 0.0]
 
 
 # H = (1 + |q|²)|v|²/2 + |q|²/2 + q₁: not separable, and even in v
-SWAYING = mi.Partitioned(lambda q, v: (1.0 + q @ q) * v, lambda q, v: -(1.0 + v @ v) * q - np.array([0.0, 1.0]))
-TWISTED = mi.Partitioned(twisted_g, twisted_f)
+SWAYING = mi.Partitioned(lambda q, v: (1.0 + q @ q) * v, lambda q, v: -(1.0 + v @ v) * q - [0.0, 1.0])
 DRIVEN = mi.Partitioned(driven_g, driven_f)
 TWISTED_START = (0.5, -0.2), (0.3, 0.6)
 

@@ -11,7 +11,7 @@ from members import STEPS, TEMPERATURES, run
 
 import minimd as md
 from minimd.ensemble import notes
-from minimd.ensemble.folder import Asked, EnsembleFolder
+from minimd.ensemble.folder import EnsembleFolder
 from minimd.ensemble.table import status, table_of
 from minimd.files.claim import locked
 from minimd.files.h5md_reader import read_file
@@ -99,22 +99,6 @@ def test_it_is_printed_with_the_lowest_and_the_highest_mean_and_their_errors(don
     (mean,), rows = replicas.averaged(), dict(replicas.display_rows())
     assert mean["n_members"] == 3
     assert rows["mean pressure"] == f"{with_error(mean['pressure_mean'], mean['pressure_error'])} ε/σ³"
-
-
-def test_rows_cost_the_same_whatever_their_number(tmp_path):
-    """2000 members: a line each, and one table at the end."""
-    n, sizes = 2000, []
-    row = {"status": "done", "n_steps": 10, "n_atoms": 4, "units": "LJ"}
-    row |= {"means": {"pressure": 1.0}, "errors": {"pressure": 1.0}}
-    with EnsembleFolder(tmp_path, writes=True) as folder:
-        asked = folder.begin(Asked(0, 10, 5, [{"temperature": k / n} for k in range(n)], "build", "", ""), True)
-        for k in reversed(range(n)):
-            folder.take({"index": k, **row})
-            sizes.append((tmp_path / "members.jsonl").stat().st_size)
-        table = table_of(folder, asked, n)
-    assert np.ptp(np.diff(sizes)) <= 4  # digits of the index
-    assert table["index"].tolist() == list(range(n))
-    assert table["temperature"][7] == 7 / n
 
 
 def told(folder, words):

@@ -6,7 +6,6 @@ METHODS is where a method is registered; what it answers (order, symmetric, symp
 import pickle
 from collections.abc import Callable
 from functools import cache
-from itertools import pairwise
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -308,13 +307,3 @@ def test_methods_are_classes_of_minimd_with_a_name_and_a_source_that_can_be_pick
         assert pickle.loads(pickle.dumps(method)) is method is getattr(mi, method.__name__)
         assert method.name == name
         assert len(method.source) > 20
-
-
-def test_the_table_says_what_the_methods_answer():
-    header, *lines = str(mi.METHODS).splitlines()
-    assert header.split() == ["name", "order", "stages", "symmetric", "symplectic", "explicit", "source"]
-    columns = [header.index(word) for word in header.split()] + [None]
-    for line, (name, method) in zip(lines, mi.METHODS.items(), strict=True):
-        entries = [line[start:end].strip() for start, end in pairwise(columns)]
-        answers = [("no", "yes")[bool(a)] for a in (method.is_symmetric, method.is_symplectic, method.is_explicit)]
-        assert entries == [name, str(method.order), str(method.stages), *answers, method.source]

@@ -132,11 +132,11 @@ def test_the_status_says_at_which_step_each_member_is(tmp_path, monkeypatch):
 
 
 def test_a_note_that_was_left_behind_is_not_believed(done):
-    note = done.folder / "0000-0999" / "0002.running"
+    note, running = done.folder / "0000-0999" / "0002.running", "running        member 2: at step 40 of 60"
     note.write_text("at step 40 of 60\n")
-    assert not any("running" in line for line in status(done.folder)[1])
+    assert running not in status(done.folder)[1]
     descriptor = locked(note)
-    assert "running        member 2: at step 40 of 60" in status(done.folder)[1]
+    assert running in status(done.folder)[1]
     os.close(descriptor)
     with notes.noting(md.Member(2, {}, 0, STEPS, note.with_suffix(".h5md"))):
         pass

@@ -27,22 +27,6 @@ def circle(q):
     return [q @ q - 1.0]
 
 
-def start(s):
-    run_steps(OSCILLATOR, VERLET, s, 1)
-
-
-def adaptive(atol):
-    run_adaptive(OSCILLATOR, mi.SE1, ONE, 1.0, control=mi.StepControl(atol=atol))
-
-
-def reversible(control):
-    run_reversible(KEPLER, VERLET, KEPLER_START, 1.0, control=control)
-
-
-def to(t):
-    run_until(OSCILLATOR, VERLET, ONE, t)
-
-
 def kept(invariants):
     run_steps(KEPLER, mi.projected(mi.RadauIIA2, invariants)(0.05), KEPLER_START, 5)
 
@@ -57,10 +41,6 @@ def hanging(g=circle, masses=1.0):
 
 def mechanical(mass=1.0, g=lambda q: q[0]):
     mi.Mechanical(mass, fall, g).begin(((0.0, 1.0), (0.0, 0.0)))
-
-
-def residual(f):
-    mi.Implicit(f).begin([0.0, 1.0])
 
 
 def index(pencil):
@@ -84,8 +64,8 @@ GROUPS = [  # function, error, argument, and several of (what the function is ca
     (mi.Invariants, T, "g must", (3.0, "3.0"), (lambda t, q, v: q[0], "not depend on t")),
     (lambda f: mi.Holonomic(f, circle), V, "f", (lambda q, v: -v, "f takes v")),
     # starts
-    (start, V, "the start", ([1.0, 0.0, 0.0], "[1.0, 0.0, 0.0]"), (None, "None"), (((), ()), "(0,)"),
-        (((1.0, 2.0), (0.0,)), "(2,) and (1,)"), (((0.0,), (np.inf,)), "1 is inf")),
+    (lambda s: run_steps(OSCILLATOR, VERLET, s, 1), V, "the start", ([1.0, 0.0, 0.0], "[1.0, 0.0, 0.0]"), (None, "None"),
+        (((), ()), "(0,)"), (((1.0, 2.0), (0.0,)), "(2,) and (1,)"), (((0.0,), (np.inf,)), "1 is inf")),
     (lambda s: run_steps(DECAY, GAUSS, s, 1), V, "the start", (1.0, "()"), ([[1.0]], "(1, 1)"), ([], "(0,)")),
     (dae.path_of_x().begin, V, "y", ([1.0], "tuple of y, z"), (([np.nan],), "y of the start")),
     (mi.Implicit(lambda y, slope: slope - y).begin, V, "one-dimensional", ([[1.0]], "[[1.0]]")),
@@ -98,8 +78,8 @@ GROUPS = [  # function, error, argument, and several of (what the function is ca
     (mi.Hessenberg3(lambda z: z, lambda y, u: 0 * u - y, lambda y: y).begin, V, "g_y f_z k_u", (([0.0], [0.0]), "")),
     (lambda g: mechanical(g=g), V, "G M⁻¹ Gᵀ", (lambda q: [q[0], 2 * q[0]], "full rank")),
     (mechanical, V, "mass", (np.ones(3), "3 numbers"), ([1.0, 0.0], "must be regular")),
-    (residual, V, "", (lambda y, slope: 2 * [slope[0] - y[1]], "singular")),
-    (residual, V, "", (lambda y, slope: slope[:1] - y[:1], "F has 1, y has 2")),
+    (lambda f: mi.Implicit(f).begin([0.0, 1.0]), V, "", (lambda y, slope: 2 * [slope[0] - y[1]], "singular"),
+        (lambda y, slope: slope[:1] - y[:1], "F has 1, y has 2")),
     (hanging, V, "independent", (lambda q: 2 * circle(q), "")),
     (lambda m: hanging(masses=m), V, "masses", ([1.0, 0], "0.")),
     (index, V, "", (([[1, 0], [0, 0]], [[1, 1], [0, 0]]), "singular"), (2 * ([[1, 1], [1, 1]],), "singular")),
@@ -112,7 +92,7 @@ GROUPS = [  # function, error, argument, and several of (what the function is ca
     (lambda h: mi.stormer_summed(np.negative, 1.0, 0.0, h, 10), V, "timestep", (0.0, "0.0"), (np.nan, "nan")),
     (lambda q: mi.stormer_summed(np.negative, q, 0.0, 0.1, 10), V, "same shape", ([1.0, 2.0], "(2,), ()")),
     (lambda t: run_steps(OSCILLATOR, VERLET, ONE, 3, t0=t), V, "t0", (np.nan, "nan"), (np.inf, "inf")),
-    (to, V, "t_end", (np.nan, "nan"), (0.0, "0.0"), (-1.0, "-1.0")),
+    (lambda t: run_until(OSCILLATOR, VERLET, ONE, t), V, "t_end", (np.nan, "nan"), (0.0, "0.0"), (-1.0, "-1.0")),
     (lambda t: run_adaptive(OSCILLATOR, mi.SE1, ONE, t), V, "t_end", (-np.inf, "-inf"), (0.0, "0.0")),
     (lambda t: run_reversible(KEPLER, VERLET, KEPLER_START, t), V, "t_end", (-1.0, "-1.0"), (np.nan, "nan")),
     (mi.VelocityVerlet, V, "timestep", (0.0, "0.0"), (np.inf, "inf"), ("0.1", "'0.1'"), (None, "None")),
@@ -127,7 +107,8 @@ GROUPS = [  # function, error, argument, and several of (what the function is ca
     (lambda h: mi.StepControl(first_step=h), V, "first_step", (0.0, "0.0"), (-0.1, "-0.1"), (np.nan, "nan")),
     (lambda h: mi.StepControl(min_step=h, max_step=0.1), V, "min_step", (0.2, "0.2"), (np.nan, "nan")),
     (lambda h: mi.StepControl(max_step=h), V, "max_step", (0.0, "0.0")),
-    (adaptive, V, "atol", ([1e-9, 1e-9, 1e-9], "(3,)"), ([[1e-9], [1e-9]], "(2, 1)")),
+    (lambda a: run_adaptive(OSCILLATOR, mi.SE1, ONE, 1.0, control=mi.StepControl(atol=a)), V, "atol",
+        ([1e-9, 1e-9, 1e-9], "(3,)"), ([[1e-9], [1e-9]], "(2, 1)")),
     # kinds
     (lambda m: run_steps(OSCILLATOR, m, ONE, 3), T, "method", (mi.SE1, "SE1"), ("verlet", "'verlet'")),
     (lambda m: run_until(OSCILLATOR, m, ONE, 1.0), T, "method", (mi.SE1, "SE1")),
@@ -146,7 +127,7 @@ GROUPS = [  # function, error, argument, and several of (what the function is ca
     (lambda i: mi.with_multipliers(mi.VelocityVerlet, i), T, "invariants must be", (energy, "energy")),
     (lambda p: mi.index_two(p, ENERGY), T, "problem", (object(), "object")),
     (lambda p: mi.stabilized(p, ENERGY, 1.0), T, "problems", (object(), "object")),
-    (reversible, T, "control", (energy, "energy")),
+    (lambda c: run_reversible(KEPLER, VERLET, KEPLER_START, 1.0, control=c), T, "control", (energy, "energy")),
     (lambda i: run_steps(small.RIGID_BODY, mi.projected(mi.RadauIIA2, i)(0.05), small.TURNING, 5), T,
         "g takes q and v", (ENERGY, "but the problem has none")),
     (lambda h: run_steps(dae.swing(), mi.SE1(h), dae.SWING_START, 10), C, "step 1", (5.0, "5")),

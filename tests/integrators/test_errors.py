@@ -64,8 +64,8 @@ GROUPS = [  # function, error, argument, and several of (what the function is ca
     (mi.Invariants, T, "g must", (3.0, "3.0"), (lambda t, q, v: q[0], "not depend on t")),
     (lambda f: mi.Holonomic(f, circle), V, "f", (lambda q, v: -v, "f takes v")),
     # starts
-    (lambda s: run_steps(OSCILLATOR, VERLET, s, 1), V, "the start", ([1.0, 0.0, 0.0], "[1.0, 0.0, 0.0]"), (None, "None"),
-        (((), ()), "(0,)"), (((1.0, 2.0), (0.0,)), "(2,) and (1,)"), (((0.0,), (np.inf,)), "1 is inf")),
+    (lambda s: run_steps(OSCILLATOR, VERLET, s, 1), V, "the start", ([1.0, 0.0, 0.0], "[1.0, 0.0, 0.0]"),
+        (None, "None"), (((), ()), "(0,)"), (((1.0, 2.0), (0.0,)), "(2,) and (1,)"), (((0.0,), (np.inf,)), "1 is inf")),
     (lambda s: run_steps(DECAY, GAUSS, s, 1), V, "the start", (1.0, "()"), ([[1.0]], "(1, 1)"), ([], "(0,)")),
     (dae.path_of_x().begin, V, "y", ([1.0], "tuple of y, z"), (([np.nan],), "y of the start")),
     (mi.Implicit(lambda y, slope: slope - y).begin, V, "one-dimensional", ([[1.0]], "[[1.0]]")),

@@ -22,9 +22,8 @@ POSITIONS, EDGES = crystal("fcc", [2, 2, 2], 1.6)
 def liquid(member, fate=None, law=None, **options):
     """32 atoms in a bath.  fate : function of simulation and member, called at the end."""
     method = md.LangevinBAOAB(0.004, member["temperature"], 1.0, seed=member.seed)
-    simulation = md.Simulation(
-        md.System(POSITIONS, cell=EDGES), law or md.LennardJones(1.0, 1.0, 1.8), method, **options
-    )
+    law = law or md.LennardJones(1.0, 1.0, 1.8)
+    simulation = md.Simulation(md.System(POSITIONS, cell=EDGES), law, method, **options)
     simulation.set_temperature(member["temperature"], member.seed)
     if fate is not None:
         fate(simulation, member)
@@ -75,18 +74,15 @@ def broken(simulation, member):
     raise LookupError(f"no structure for {member.index}")
 
 
-def third_breaks_once(simulation, member):
+def third_breaks_once(simulation, member, befalls=broken):
     once = member.file.parents[1] / "broken"
     if member.index == 2 and not once.exists():
         once.touch()
-        broken(simulation, member)
+        befalls(simulation, member)
 
 
 def third_is_killed_once(simulation, member):
-    once = member.file.parents[1] / "killed"
-    if member.index == 2 and not once.exists():
-        once.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
+    third_breaks_once(simulation, member, lambda *_: os.kill(os.getpid(), signal.SIGKILL))
 
 
 def blows_up(simulation, member):
@@ -102,13 +98,8 @@ blows_up.__qualname__ = melted.__qualname__
 def second_is_slow(simulation, member):
     """Each block of steps of member 1 takes half a second."""
     advance = simulation.engine.advance
-
-    def slowly(*arguments, **options):
-        time.sleep(0.5)
-        return advance(*arguments, **options)
-
     if member.index == 1:
-        simulation.engine.advance = slowly
+        simulation.engine.advance = lambda *of, **how: (time.sleep(0.5), advance(*of, **how))[1]
 
 
 def in_own_file(simulation, member):

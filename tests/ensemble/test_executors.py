@@ -1,10 +1,11 @@
-"""Executors of md.ensemble: all make the same bits; an error, and a process that dies, cost one member only."""
+"""Executors of md.ensemble: all make the same bits; an error, a process that dies, and Ctrl-C cost no other member."""
 
 import multiprocessing
 import os
 import signal
 import subprocess
 import sys
+import threading
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -19,6 +20,7 @@ import minimd as md
 from minimd.ensemble.running import EnsembleError
 from minimd.ensemble.workers import STARTS, SpawnedProcesses, ThisProcess, Worker
 from minimd.forces.options import Options
+from minimd.structure.errors import Interrupted
 
 ONE = {"parameters": {"temperature": [0.5]}, "steps": 5}
 PATHS = os.pathsep.join(map(str, Path(__file__).parents[1:3]))
@@ -27,8 +29,8 @@ PATHS = os.pathsep.join(map(str, Path(__file__).parents[1:3]))
 @contextmanager
 def dask():
     distributed = pytest.importorskip("distributed")
-    options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
-    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
+    cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None)
+    with cluster, distributed.Client(cluster) as client:
         yield client
 
 
@@ -113,13 +115,13 @@ def test_members_that_blow_up_are_told_with_their_crash_files_and_warnings_name_
 
 
 def test_a_worker_has_one_thread_unless_told_otherwise(monkeypatch, tmp_path):
-    seen, before = set(), Options.most_threads.fget
-    monkeypatch.setattr(Options, "most_threads", property(lambda options: seen.add(before(options)) or 1))
+    seen, before = [], Options.most_threads.fget
+    monkeypatch.setattr(Options, "most_threads", property(lambda options: seen.append(before(options)) or 1))
     run(tmp_path / "one", **ONE)
-    assert seen == {1}
+    assert set(seen) == {1}
     seen.clear()
     run(tmp_path / "two", build=partial(members.liquid, threads=2), **ONE)
-    assert seen == {2}
+    assert set(seen) == {2}
 
 
 def test_seeds_are_children_of_one_sequence():
@@ -127,6 +129,30 @@ def test_seeds_are_children_of_one_sequence():
         member = md.Member(k, {}, 7, 10, Path("a.h5md"))
         assert member.seed_sequence.generate_state(4).tolist() == child.generate_state(4).tolist()
         assert 0 <= member.seed < 2**63
+    with pytest.raises(KeyError, match="'density'"):
+        member["density"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there are no such signals")
+def test_ctrl_c_ends_members_in_threads_after_a_whole_step(tmp_path):
+    n_steps, begun = 10**7, threading.Event()
+
+    def told(member):
+        if not begun.is_set():
+            begun.set()
+            threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+        return members.liquid(member)
+
+    with ThreadPoolExecutor(2) as pool, pytest.raises(Interrupted) as interrupted:
+        md.ensemble(told, members.TEMPERATURES, n_steps, every=1000, executor=pool, folder=tmp_path, progress=False)
+    found, law = interrupted.value.result, md.LennardJones(1.0, 1.0, 1.8)
+    assert set(found["status"]) == {"begun", "missing"}
+    assert all(0 <= md.Simulation.resume(file, law).step < n_steps for file in found["file"][:2])
+
+
+def started(folder, command, **environment):
+    environment = os.environ | environment | {"PYTHONPATH": PATHS}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
 
 
 def test_nothing_heavy_is_loaded_and_a_script_without_a_main_is_told_so(tmp_path):
@@ -139,13 +165,6 @@ def test_nothing_heavy_is_loaded_and_a_script_without_a_main_is_told_so(tmp_path
     ended = started(tmp_path, [sys.executable, "script.py"])
     assert (ended.returncode, ended.stdout.splitlines()[0]) == (1, "set()")
     assert ended.stderr.rstrip().endswith("if __name__ == '__main__':")
-
-
-def started(folder, command, **environment):
-    environment |= {"PYTHONPATH": PATHS}
-    return subprocess.run(
-        command, cwd=folder, env=os.environ | environment, capture_output=True, text=True, check=False, timeout=300
-    )
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import time
 from contextlib import suppress
 from functools import partial, wraps
 from pathlib import Path
+from unittest.mock import DEFAULT, Mock
 
 import members
 import numpy as np
@@ -26,6 +27,8 @@ from minimd.ensemble.workers import ThisProcess
 from minimd.files.h5md_reader import read_file
 from minimd.structure.errors import Interrupted
 
+PLAIN, BY_HAND = None, members.in_own_file
+
 
 def killed(go, _folder, patch, at):
     """At this change of a file."""
@@ -35,11 +38,10 @@ def killed(go, _folder, patch, at):
 
 def killed_twice_in_the_first_member(go, folder, patch):
     bring_to_disk_every(0.0, patch)
-    reached = [0]
-    for k in (30, 70):
-        assert killed_at(k, go) is None
-        reached.append(read_file(folder / FILES[0]).step)
-    assert 0 < reached[1] < reached[2] < STEPS
+    assert killed_at(30, go) is None
+    reached = read_file(folder / FILES[0]).step
+    assert killed_at(70, go) is None
+    assert 0 < reached < read_file(folder / FILES[0]).step < STEPS
 
 
 def cut_off(go, folder, patch):
@@ -47,7 +49,7 @@ def cut_off(go, folder, patch):
     bring_to_disk_every(0.0, patch)
     assert killed_at(30, go) is None
     assert read_file(folder / FILES[0]).step > 0
-    (folder / FILES[0]).write_bytes((folder / FILES[0]).read_bytes()[:5000])
+    os.truncate(folder / FILES[0], 5000)
 
 
 def damaged(go, folder, _patch):
@@ -67,11 +69,7 @@ def blown_up_and_not_noted(go, folder, _patch):
 
 
 def failed_after_the_run(go, _folder, _patch):
-    @wraps(members.in_own_file)
-    def fails(simulation, member):
-        numbers = members.in_own_file(simulation, member)
-        return numbers if member.index != 2 else 1 / 0
-
+    fails = wraps(BY_HAND)(lambda of, member: (BY_HAND(of, member), 1 / (member.index != 2))[0])
     with pytest.warns(UserWarning, match="1 of 3 members have failed"):
         go(run=fails)
 
@@ -94,18 +92,12 @@ def interrupted(go, folder, _patch, workers):
     assert read_file(folder / FILES[1]).step < STEPS
 
 
-def an_executor_that_takes_no_more(go, folder, _patch):
-    class Broken(ThisProcess):
-        taken = 0
-
-        def submit(self, *arguments):
-            self.taken += 1
-            if self.taken == 3:
-                raise MemoryError("a worker is gone")
-            return super().submit(*arguments)
-
+def an_executor_that_takes_no_more(go, folder, patch):
+    executor = ThisProcess()
+    outcomes = [DEFAULT, DEFAULT, MemoryError("a worker is gone")]
+    patch.setattr(executor, "submit", Mock(wraps=executor.submit, side_effect=outcomes))
     with pytest.raises(EnsembleError, match=r"member 2 .*MemoryError: a worker is gone") as broken:
-        go(executor=Broken())
+        go(executor=executor)
     assert isinstance(broken.value.__cause__, MemoryError)
     assert json.loads((folder / "table.json").read_text())["columns"]["status"] == ["done", "done", "missing"]
 
@@ -146,7 +138,7 @@ def another_ensemble(go, _folder, _patch):
     go(resume=False)
 
 
-PLAIN, BY_HAND = None, members.in_own_file
+# fmt: off
 EVENTS = {  # what happens, the function run, and what is left: members that go on in their files, +, or begin anew, *
     "fewer steps": (lambda go, *_: go(steps=35), PLAIN, "0+1+2+"),
     "fewer members": (lambda go, *_: go(parameters={"temperature": [0.4, 0.5]}), PLAIN, "2*"),
@@ -166,9 +158,11 @@ EVENTS = {  # what happens, the function run, and what is left: members that go 
 }
 
 
-@pytest.mark.parametrize(
-    "event", [pytest.param(name, marks=[pytest.mark.slow] * name.startswith("killed at")) for name in EVENTS]
-)
+# fmt: on
+ALL = [pytest.param(name, marks=[pytest.mark.slow] * name.startswith("killed at")) for name in EVENTS]
+
+
+@pytest.mark.parametrize("event", ALL)
 def test_the_next_call_makes_what_is_left_with_the_same_bits(event, done, done_by_hand, tmp_path, monkeypatch):
     happens, function, left = EVENTS[event]
     go, made, before = partial(run, tmp_path, run=function), [], md.Simulation.run
@@ -183,17 +177,16 @@ def test_the_next_call_makes_what_is_left_with_the_same_bits(event, done, done_b
     assert sorted(path.name for path in (tmp_path / "0000-0999").iterdir()) == [Path(name).name for name in FILES]
 
 
-def test_a_run_by_hand_in_the_file_of_the_member_is_that_without_it(done, done_by_hand):
+def test_a_run_by_hand_in_the_file_of_the_member_is_that_without_it(done, done_by_hand, tmp_path):
+    """A function that writes the file itself begins anew."""
     members.assert_same_files(done.folder, done_by_hand.folder)
     assert done_by_hand["pressure_mean"].tolist() == done["pressure_mean"].tolist()
+    is_whole = False
 
-
-def test_a_function_that_writes_the_file_itself_begins_anew(tmp_path):
     def itself(simulation, member):
         simulation.run(STEPS // 2, trajectory=member.file, progress=False)
         return {"last": simulation.step if is_whole else 1 / 0}
 
-    is_whole = False
     with pytest.raises(EnsembleError):
         run(tmp_path, run=itself)
     is_whole = True
@@ -219,14 +212,6 @@ if __name__ == "__main__":
 """
 
 
-def children_of(process):
-    """Workers of spawn that a process has started."""
-    found = []
-    for task in Path(f"/proc/{process}/task").iterdir():
-        found += map(int, (task / "children").read_text().split())
-    return [one for one in found if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes()]
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("kind", ["plain", "own"])
@@ -243,13 +228,18 @@ def test_a_scan_that_is_killed_again_and_again_has_the_same_table(kind, victims,
     def size():
         return sum(file.stat().st_size for file in tmp_path.glob("killed/*/*.h5md*"))
 
+    def workers(process):
+        """That spawn has started."""
+        found = " ".join((task / "children").read_text() for task in Path(f"/proc/{process}/task").iterdir()).split()
+        return [int(one) for one in found if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes()]
+
     assert begun("whole").wait() == 0
     for _ in range(4):
         scan, before = begun("killed"), size()
         while scan.poll() is None and size() == before:
             time.sleep(0.01)
         time.sleep(rng.uniform(0.0, 0.5))
-        targets = children_of(scan.pid)[:1] if victims != "parent" and scan.poll() is None else []
+        targets = workers(scan.pid)[:1] if victims != "parent" and scan.poll() is None else []
         for process in [*targets, *([scan.pid] if victims != "worker" else [])]:
             with suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)

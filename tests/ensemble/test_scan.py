@@ -23,11 +23,7 @@ SCENE = "# A comment.\n" + melt_scene(2, 40, DYNAMICS).replace("2.5", "1.6")
 @pytest.fixture
 def in_time():
     """Fail instead of waiting forever."""
-
-    def fail(*_):
-        raise AssertionError("it still waits")
-
-    before = signal.signal(signal.SIGALRM, fail)
+    before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it still waits"))
     signal.alarm(20)
     yield
     signal.alarm(0)
@@ -55,11 +51,11 @@ SETTINGS = {
 }
 
 
-@pytest.mark.parametrize("text", SETTINGS)
-def test_settings_are_read_in_decimals_with_both_ends(text):
-    setting = parsed_setting(f"a.b={text}")
-    assert setting == ("a.b", SETTINGS[text])
-    assert list(map(type, setting.values)) == list(map(type, SETTINGS[text]))
+def test_settings_are_read_in_decimals_with_both_ends():
+    for text, values in SETTINGS.items():
+        setting = parsed_setting(f"a.b={text}")
+        assert setting == ("a.b", values)
+        assert list(map(type, setting.values)) == list(map(type, values))
 
 
 def test_a_changed_scene_differs_in_what_was_set_only():
@@ -72,27 +68,28 @@ def test_a_changed_scene_differs_in_what_was_set_only():
     assert tomllib.loads(text) == expected
 
 
+SET = ["melt.toml", "--set"]
 WRONG = [  # arguments, and what is shown
-    (["melt.toml", "--set", "dynamic.temperature=1,2"], "'dynamic.temperature'"),
-    (["melt.toml", "--set", "potential[1].cutoff=1,2"], "'potential[1].cutoff'"),
-    (["melt.toml", "--set", "dynamics.temperatur=1,2"], "'temperatur'"),
-    (["melt.toml", "--set", "dynamics.temperature=1,-2"], "dynamics.temperature"),
-    (["melt.toml", "--set", "dynamics.steps=1,2"], "--steps"),
-    (["melt.toml", "--set", "structure.density=1,cold"], "density"),
+    ([*SET, "dynamic.temperature=1,2"], "'dynamic.temperature'"),
+    ([*SET, "potential[1].cutoff=1,2"], "'potential[1].cutoff'"),
+    ([*SET, "dynamics.temperatur=1,2"], "'temperatur'"),
+    ([*SET, "dynamics.temperature=1,-2"], "dynamics.temperature"),
+    ([*SET, "dynamics.steps=1,2"], "--steps"),
+    ([*SET, "structure.density=1,cold"], "density"),
     ([], "--status"),
     (["--status", "nowhere"], "'nowhere'"),
     (["melt.toml", "--out", "other"], "another scene"),
 ]
 
 
-@pytest.mark.parametrize(("arguments", "shown"), WRONG)
-def test_what_cannot_run_is_refused_before_anything_is_computed(folder, capsys, arguments, shown):
+def test_what_cannot_run_is_refused_before_anything_is_computed(folder, capsys):
     (folder / "other").mkdir()
     (folder / "other" / "scene.toml").write_text("another")
-    assert scan(*arguments) == 2
-    told = capsys.readouterr().err
-    assert shown in told
-    assert told.count("\n") <= 2
+    for arguments, shown in WRONG:
+        assert scan(*arguments) == 2
+        told = capsys.readouterr().err
+        assert shown in told
+        assert told.count("\n") <= 2
     assert not Path("scan").exists()
 
 
@@ -116,7 +113,7 @@ def test_a_scan_runs_what_was_set_and_tells_averages(folder, capsys):
     assert Path("scan/members.jsonl").read_text().startswith(before)
     assert Path("scan/temperature.png").exists()
     assert scan(*command, 3, "--plot", "presure") == 2
-    assert "did you mean 'pressure'?" in capsys.readouterr().err
+    assert "'pressure'" in capsys.readouterr().err
     assert scan("--status", "scan") == 0
     told = capsys.readouterr().out
     assert "6 members in scan: 6 done" in told
@@ -134,9 +131,9 @@ def test_the_preparation_of_the_scene_is_made_once(folder):
 
 def test_members_that_fail_are_told_and_the_code_is_one(folder, capsys):
     assert scan("melt.toml", "--set", "dynamics.timestep=0.004,0.5", "--workers", 0) == 1
-    captured = capsys.readouterr()
-    assert "1 done, 1 failed" in captured.out
-    assert "0001.crash.h5md" in captured.err
+    told, warned = capsys.readouterr()
+    assert "1 done, 1 failed" in told
+    assert "0001.crash.h5md" in warned
     assert scan("melt.toml", "--set", "dynamics.timestep=0.5", "--workers", 0, "--out", "all") == 1
     assert "all 1 members have failed" in capsys.readouterr().err
 
@@ -173,30 +170,25 @@ def altered(**changes):
 
 
 DESCRIPTION, JOURNAL = "scan/ensemble.json", "scan/members.jsonl"
-ALTERED = {  # the file, and what becomes of its text
-    "parameters": (DESCRIPTION, altered(parameters="x")),
-    "members": (DESCRIPTION, altered(members=10**8)),
-    "members without parameters": (DESCRIPTION, altered(members=10**8, parameters={})),
-    "steps": (DESCRIPTION, altered(steps="x")),
-    "no description": (DESCRIPTION, lambda _: "[]"),
-    "means": (JOURNAL, altered(means="x")),
-    "a mean": (JOURNAL, altered(means={"pressure": "x"})),
-    "errors": (JOURNAL, altered(errors="x")),
-    "n_steps": (JOURNAL, altered(n_steps="x")),
-    "large n_steps": (JOURNAL, altered(n_steps=2**70)),
-    "status": (JOURNAL, altered(status=[])),
-    "no row": (JOURNAL, lambda _: "3\n"),
-    "deep": (JOURNAL, lambda _: "[" * 200_000 + "\n"),
-}
+# fmt: off
+ALTERED = [  # the file, and what becomes of its text
+    *((DESCRIPTION, altered(**change)) for change in (
+        {"parameters": "x"}, {"members": 10**8}, {"members": 10**8, "parameters": {}}, {"steps": "x"})),
+    *((JOURNAL, altered(**change)) for change in (
+        {"means": "x"}, {"means": {"pressure": "x"}}, {"errors": "x"}, {"n_steps": "x"}, {"n_steps": 2**70},
+        {"status": []})),
+    (DESCRIPTION, lambda _: "[]"), (JOURNAL, lambda _: "3\n"), (JOURNAL, lambda _: "[" * 200_000 + "\n"),
+]
+# fmt: on
 
 
-@pytest.mark.parametrize("kind", ALTERED)
-def test_altered_files_of_a_scan_are_refused_by_name(kind, copied, capsys):
-    name, change = ALTERED[kind]
-    text = Path(name).read_text()
-    Path(name).write_text(change(json.dumps(json.loads(text)) if name == DESCRIPTION else text))
-    assert scan("--status", "scan") == 2
-    assert name in capsys.readouterr().err
+def test_altered_files_of_a_scan_are_refused_by_name(copied, capsys):
+    for name, change in ALTERED:
+        before = Path(name).read_text()
+        Path(name).write_text(change(json.dumps(json.loads(before)) if name == DESCRIPTION else before))
+        assert scan("--status", "scan") == 2
+        assert name in capsys.readouterr().err
+        Path(name).write_text(before)
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
@@ -211,13 +203,11 @@ def test_pipes_and_folders_are_no_files_of_a_scan(name, make, copied, capsys, in
     assert name in told + capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "command", [["melt.toml", "--workers", 0, "--steps", 5], ["melt.toml", "--overwrite"], ["--status", "scan"]]
-)
-def test_no_member_is_written_through_a_link(command, copied, capsys):
+def test_no_member_is_written_through_a_link(copied, capsys):
     Path("scan/0000-0999").rename("elsewhere")
     Path("scan/0000-0999").symlink_to(Path("elsewhere").absolute())
     Path("elsewhere/0000.h5md").write_text("precious")
-    assert scan(*command) == 2
-    assert "0000-0999" in capsys.readouterr().err
-    assert Path("elsewhere/0000.h5md").read_text() == "precious"
+    for command in (["melt.toml", "--workers", 0, "--steps", 5], ["melt.toml", "--overwrite"], ["--status", "scan"]):
+        assert scan(*command) == 2
+        assert "0000-0999" in capsys.readouterr().err
+        assert Path("elsewhere/0000.h5md").read_text() == "precious"

@@ -2,7 +2,9 @@
 
 import contextlib
 import io
+import operator
 import os
+import re
 import shutil
 import struct
 import traceback
@@ -23,12 +25,11 @@ SCENES = {
     "forces": melt_scene(2, 60, "seed = 3\n[output]\nevery = 5\nforces = true\n"),
     "crash": melt_scene(2, 4000, "seed = 3\n").replace("timestep = 0.004", "timestep = 0.05"),
 }
+# fmt: off
 COMMANDS = {
-    "check": ["check"],
-    "plot": ["plot", "--out", "a.png"],
-    "resume": ["resume"],
-    "replay": ["replay", "--overwrite"],
+    "check": ["check"], "plot": ["plot", "--out", "a.png"], "resume": ["resume"], "replay": ["replay", "--overwrite"],
 }
+# fmt: on
 GROUPS = ("h5md", "particles", "observables", "connectivity", "minimd")
 RESTARTS = ("minimd/restart", "minimd/earlier_restart")
 SENTENCE, PASSED, FAILED, TRACEBACK, CRASH = "a sentence", "passed", "failed", "a traceback", "a crash"
@@ -83,6 +84,10 @@ def outcome(command, file):
     return (TRACEBACK if "Traceback" in words or (known == SENTENCE and not is_sentence) else known), words
 
 
+def _keys(item):
+    return [key for key in item.attrs if key != "particles_group"]
+
+
 def numbers(file, leave_out=()):
     """Everything in a file: types, shapes, bytes, attributes, by name."""
     found = {}
@@ -95,8 +100,7 @@ def numbers(file, leave_out=()):
             item = group[key]
         except (KeyError, RuntimeError):
             return  # a link that leads nowhere, or to itself
-        known = [key for key in item.attrs if key != "particles_group"]
-        found[name].update((key, repr(np.asarray(item.attrs[key]).tolist())) for key in known)
+        found[name].update((key, repr(np.asarray(item.attrs[key]).tolist())) for key in _keys(item))
         if isinstance(item, h5py.Dataset):
             content = item[()]
             kept = repr(np.asarray(content).tolist()) if item.dtype.kind == "O" else content.tobytes()
@@ -127,22 +131,17 @@ def _anywhere(content, rng, length=1):
     return int(rng.integers(len(content) - length))
 
 
+def _length(rng):
+    return int(2 ** rng.uniform(2, 12))
+
+
 SIGNS = b"OHDR TREE HEAP SNOD GCOL \x89HDF value restart \x01\x00\x0c\x00 \x08\x00\x18\x00 \x03\x00".split(b" ")
 
 
 def _in_a_table(content, rng):
     """The place of a byte that is no number of a dataset, as far as one can see: beside a signature or a name."""
-    places = []
-    for sign in SIGNS:
-        place = content.find(sign)
-        while place >= 0:
-            places.append(place)
-            place = content.find(sign, place + 1)
+    places = [found.start() for sign in SIGNS for found in re.finditer(re.escape(sign), content)]
     return min(len(content) - 1, int(rng.choice(places)) + int(rng.integers(64)))
-
-
-def _length(rng):
-    return int(2 ** rng.uniform(2, 12))
 
 
 def _flip(place):
@@ -196,15 +195,15 @@ def interrupted_commit_with_a_damaged_journal(content, rng):
     return content
 
 
-def _datasets(h5):
-    items = {name: h5[name] for name in _objects(h5)}
-    return [k for k, one in items.items() if isinstance(one, h5py.Dataset) and one.size and one.dtype.kind != "O"]
-
-
 def _objects(h5):
     found = []
     h5.visit(found.append)
     return found
+
+
+def _datasets(h5):
+    items = {name: h5[name] for name in _objects(h5)}
+    return [k for k, one in items.items() if isinstance(one, h5py.Dataset) and one.size and one.dtype.kind != "O"]
 
 
 def _one_of(h5, rng, among=_datasets):
@@ -213,13 +212,8 @@ def _one_of(h5, rng, among=_datasets):
 
 def _attribute_of(h5, rng):
     """The attributes of an object, and the name of one of them."""
-    owners = [name for name in _objects(h5) if any(key != "particles_group" for key in h5[name].attrs)]
-    at = h5[str(rng.choice(owners))].attrs
-    return at, str(rng.choice([key for key in at if key != "particles_group"]))
-
-
-def _growing(h5):
-    return [name for name in _datasets(h5) if h5[name].maxshape[:1] == (None,)]
+    item = h5[str(rng.choice([name for name in _objects(h5) if _keys(h5[name])]))]
+    return item.attrs, str(rng.choice(_keys(item)))
 
 
 def change_number(h5, rng):
@@ -247,11 +241,6 @@ def change_attribute(h5, rng):
         at.modify(key, value)
 
 
-def remove_attribute(h5, rng):
-    at, key = _attribute_of(h5, rng)
-    del at[key]
-
-
 def swap(h5, rng):
     """Two datasets have each other's names."""
     one, other = _one_of(h5, rng), _one_of(h5, rng)
@@ -261,7 +250,7 @@ def swap(h5, rng):
 
 
 def resize(h5, rng):
-    names = _growing(h5)
+    names = [name for name in _datasets(h5) if h5[name].maxshape[:1] == (None,)]
     for name in names if rng.random() < 0.3 else [str(rng.choice(names))]:
         h5[name].resize(max(0, len(h5[name]) + int(rng.choice([-3, -1, 1, 100]))), axis=0)
 
@@ -308,7 +297,7 @@ IN_NUMBERS = {
     "change a number": change_number,
     "change an attribute": change_attribute,
     "remove": lambda h5, rng: h5.pop(_one_of(h5, rng, _objects)),
-    "remove an attribute": remove_attribute,
+    "remove an attribute": lambda h5, rng: operator.delitem(*_attribute_of(h5, rng)),
     "rename": lambda h5, rng: h5.move(_one_of(h5, rng, _objects), "elsewhere"),
     "swap": swap,
     "resize": resize,

@@ -9,6 +9,7 @@ import shutil
 import struct
 import traceback
 import zlib
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -37,13 +38,12 @@ SENTENCE, PASSED, FAILED, TRACEBACK, CRASH = "a sentence", "passed", "failed", "
 
 def make_file(folder, name):
     """A sound file of a scene; the run is made in two parts, so that it has two restarts."""
-    ends = {"crash": 3}.get(name, 0)
+    ends, quiet = {"crash": 3}.get(name, 0), "--quiet"
     with contextlib.chdir(folder):
         text = SCENES[name].replace("cutoff = 2.5", 'cutoff = 1.6\ntruncation = "force-shifted"')
         Path(f"{name}.toml").write_text(text)
-        assert cli.main(["run", f"{name}.toml", "--quiet", *([] if ends else ["--steps", "40"])]) == ends
-        if not ends:
-            assert cli.main(["resume", f"{name}.h5md", "--steps", "10", "--quiet"]) == 0
+        assert cli.main(["run", f"{name}.toml", quiet, *([] if ends else ["--steps", "40"])]) == ends
+        assert ends or cli.main(["resume", f"{name}.h5md", "--steps", "10", quiet]) == 0
     return folder / (f"{name}.crash.h5md" if ends else f"{name}.h5md")
 
 
@@ -144,31 +144,22 @@ def _in_a_table(content, rng):
     return min(len(content) - 1, int(rng.choice(places)) + int(rng.integers(64)))
 
 
-def _flip(place):
-    def flip_bit(content, rng):
-        content[place(content, rng)] ^= 1 << int(rng.integers(8))
-        return content
-
-    return flip_bit
+def _flip(place, content, rng):
+    content[place(content, rng)] ^= 1 << int(rng.integers(8))
+    return content
 
 
-def _replace(place, times=1, choices=range(256)):
-    def replace_bytes(content, rng):
-        for _ in range(times):
-            content[place(content, rng)] = int(rng.choice(choices))
-        return content
-
-    return replace_bytes
+def _replace(place, times, choices, content, rng):
+    for _ in range(times):
+        content[place(content, rng)] = int(rng.choice(choices))
+    return content
 
 
-def _overwrite(make):
-    def overwrite_block(content, rng):
-        n = _length(rng)
-        place = _anywhere(content, rng, n)
-        content[place : place + n] = make(content, rng, n)
-        return content
-
-    return overwrite_block
+def _overwrite(make, content, rng):
+    n = _length(rng)
+    place = _anywhere(content, rng, n)
+    content[place : place + n] = make(content, rng, n)
+    return content
 
 
 def interrupted_commit(content, rng):
@@ -186,13 +177,11 @@ def interrupted_commit_with_a_damaged_journal(content, rng):
     before, how = len(content), int(rng.integers(3))
     content = interrupted_commit(content, rng)
     place = before + int(rng.integers(len(content) - before))
-    if how == 0:
-        return content[:place]
     if how == 1:
         content[place] ^= 1 << int(rng.integers(8))
-    else:
+    elif how == 2:
         content[before:] = rng.bytes(len(content) - before)
-    return content
+    return content if how else content[:place]
 
 
 def _objects(h5):
@@ -244,9 +233,8 @@ def change_attribute(h5, rng):
 def swap(h5, rng):
     """Two datasets have each other's names."""
     one, other = _one_of(h5, rng), _one_of(h5, rng)
-    if one != other:
-        for old, new in ((one, "between"), (other, one), ("between", other)):
-            h5.move(old, new)
+    for old, new in ((one, "between"), (other, one), ("between", other)) if one != other else ():
+        h5.move(old, new)
 
 
 def resize(h5, rng):
@@ -277,16 +265,16 @@ def damage_a_restart(h5, rng):
 
 
 IN_BYTES = {
-    "flip a bit": _flip(_anywhere),
-    "flip a bit in a table": _flip(_in_a_table),
-    "flip a bit at the start": _flip(lambda content, rng: int(rng.integers(2048))),
-    "replace a byte in a table": _replace(_in_a_table),
-    "replace bytes in tables": _replace(_in_a_table, 8, [0, 1, 128, 255, 77]),
-    "replace bytes": _replace(_anywhere, 16),
-    "clear a block": _overwrite(lambda content, rng, n: bytes(n)),
-    "overwrite a block": _overwrite(lambda content, rng, n: rng.bytes(n)),
-    "copy a block": _overwrite(lambda content, rng, n: content[: _anywhere(content, rng) + n][-n:]),
-    "insert": _overwrite(lambda content, rng, n: rng.bytes(2 * n)),
+    "flip a bit": partial(_flip, _anywhere),
+    "flip a bit in a table": partial(_flip, _in_a_table),
+    "flip a bit at the start": partial(_flip, lambda content, rng: int(rng.integers(2048))),
+    "replace a byte in a table": partial(_replace, _in_a_table, 1, range(256)),
+    "replace bytes in tables": partial(_replace, _in_a_table, 8, [0, 1, 128, 255, 77]),
+    "replace bytes": partial(_replace, _anywhere, 16, range(256)),
+    "clear a block": partial(_overwrite, lambda content, rng, n: bytes(n)),
+    "overwrite a block": partial(_overwrite, lambda content, rng, n: rng.bytes(n)),
+    "copy a block": partial(_overwrite, lambda content, rng, n: content[: _anywhere(content, rng) + n][-n:]),
+    "insert": partial(_overwrite, lambda content, rng, n: rng.bytes(2 * n)),
     "truncate": lambda content, rng: content[: _anywhere(content, rng)],
     "append": lambda content, rng: content + rng.bytes(_length(rng)),
     "an interrupted commit": interrupted_commit,

@@ -6,11 +6,12 @@ from typing import NamedTuple
 import h5py
 import numpy as np
 import pytest
-from h5md_runs import CELLS, PER_PICOSECOND, at_step, opened, resumed, simulation
+from h5md_runs import CELLS, PER_PICOSECOND, at_step, lengths_and_angles, opened, resumed, simulation
 
 import minimd as md
 from minimd.engine.record import SERIES
 from minimd.files.h5md_reader import read_file
+from minimd.files.h5md_schema import chunk_rows
 from minimd.files.h5md_writer import edit
 
 KJ_PER_MOL = 96.48533288249877  # of eV, as ASE's documentation has it
@@ -56,10 +57,8 @@ def test_cell_of_mdanalysis_has_lengths_and_angles_of_ours(run):
     assert read_file(run.path).system.cell.same_as(cell)
     if run.cell.startswith("open") or run.cell == "slab without height":
         assert dimensions is None
-        return
-    a, b, c = (v / np.linalg.norm(v) for v in cell.vectors)
-    angles = np.degrees(np.arccos([b @ c, a @ c, a @ b]))
-    np.testing.assert_allclose(dimensions, [*np.linalg.norm(cell.vectors, axis=1), *angles], rtol=2e-7)
+    else:
+        np.testing.assert_allclose(dimensions, lengths_and_angles(cell.vectors), rtol=2e-7)
 
 
 def test_observables_are_those_of_the_record_to_the_last_bit(run):
@@ -74,15 +73,12 @@ def test_observables_are_those_of_the_record_to_the_last_bit(run):
         np.testing.assert_array_equal([row[name] for row in stored], getattr(run.record, name), strict=True)
 
 
-def test_restart_is_the_end_of_the_run_to_the_last_bit(run):
+def test_restart_is_the_end_of_the_run_to_the_last_bit_and_series_share_one_step_and_one_time(run):
     contents = read_file(run.path)
     assert (contents.step, contents.time, contents.timestep) == (23, run.sim.time, run.sim.method.timestep)
     assert md.integrators.SPLITTINGS[contents.method] is md.VelocityVerlet
     for name in ("positions", "velocities", "masses", "species", "bonds"):
         np.testing.assert_array_equal(getattr(contents.system, name), getattr(run.sim.system, name), strict=True)
-
-
-def test_series_share_one_step_and_one_time(run):
     with h5py.File(run.path) as h5:
         position = h5["particles/trajectory/position"]
         groups = [f"particles/trajectory/{name}" for name in ("velocity", "force", "box/edges")]
@@ -138,13 +134,10 @@ def test_a_run_that_goes_on_with_other_steps_says_so(what, tmp_path):
 
 
 def test_a_method_that_takes_over_during_a_run_is_in_the_file(tmp_path):
-    def shorten(sim):
-        if sim.step == 10:
-            sim.method = md.VelocityVerlet(0.001)
-
     whole, sim, path = simulation(), simulation(), tmp_path / "a.h5md"
-    whole.run(40, every=5, observers=[shorten])
-    sim.run(20, every=5, trajectory=path, observers=[shorten])
+    shorten = [lambda sim: setattr(sim, "method", md.VelocityVerlet(0.001)) if sim.step == 10 else None]
+    whole.run(40, every=5, observers=shorten)
+    sim.run(20, every=5, trajectory=path, observers=shorten)
     again = resumed(path)
     again.run(20, every=5)
     assert (again.method.timestep, again.time) == (0.001, whole.time)
@@ -186,3 +179,15 @@ def test_a_file_that_is_being_written_is_not_changed_by_others(tmp_path):
     simulation().run(4, every=2, trajectory=path, observers=[at_step(step, meddle) for step in (0, 2, 4)])
     assert len(told) == 3
     assert read_file(path).title == "27 atoms of Ar, Kr"
+
+
+def test_a_file_of_few_frames_is_small_and_that_of_many_has_large_chunks(tmp_path):
+    """A chunk takes its full size on the disk, whatever is in it. Chunks of a long run stay as large as they were."""
+    made, file, number, numbers = simulation(), tmp_path / "short.h5md", np.zeros(()), np.zeros((27, 3))
+    made.run(1, every=1, trajectory=file)
+    assert file.stat().st_size < 130_000
+    for many in ((10_000,), ()):
+        assert [chunk_rows(entry, *many) for entry in (number, numbers)] == [512, 101]
+    assert [chunk_rows(entry, 2) for entry in (number, numbers, np.zeros((10_000, 3)))] == [16, 16, 1]
+    made.run(40, every=1, trajectory=file, append=True)
+    assert read_file(file).n_frames == 42

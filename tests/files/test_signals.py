@@ -6,9 +6,10 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -38,9 +39,7 @@ EACH = pytest.mark.parametrize("number", SIGNALS)
 
 
 class Run:
-    """What looks at a flag between its steps."""
-
-    stop_requested = True
+    stop_requested = True  # what is looked at between the steps
 
 
 def ending_of(number, words="stopped after the last step"):
@@ -93,16 +92,15 @@ def test_a_second_ctrl_c_does_not_wait():
 
 
 def test_outside_the_main_thread_no_handler_is_touched():
-    before, during = [signal.getsignal(one) for one in SIGNALS], []
+    def handlers():
+        return [signal.getsignal(one) for one in SIGNALS]
 
     def work():
         with stop_on_signals(Run()):
-            during.extend(signal.getsignal(one) for one in SIGNALS)
+            return handlers()
 
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert during == before
+    with ThreadPoolExecutor() as pool:
+        assert pool.submit(work).result() == handlers()
 
 
 def raising(number, step):
@@ -111,19 +109,16 @@ def raising(number, step):
 
 @pytest.mark.parametrize("number", ENDINGS)
 def test_a_script_that_is_terminated_says_at_which_step_and_what_is_kept(number, tmp_path, capsys):
-    def inner(_sim):
-        simulation().run(100, every=10, observers=raising(number, 30))
-
     path, told = tmp_path / "a.h5md", f"by {signal.Signals(number).name}"
-    with ending_of(number, "step"):
-        simulation().run(100, every=10, trajectory=path, observers=raising(number, 20))
-    assert capsys.readouterr().err == f"minimd: stopped after step 21 {told}; what was written is kept in {path}\n"
-    with ending_of(number, "step"):
-        simulation().run(100, every=10, observers=[inner])  # both runs stop, and one sentence is enough
-    assert capsys.readouterr().err == f"minimd: stopped after step 31 {told}\n"
-    with ending_of(number, "step"), endings_are_told():
-        simulation().run(100, every=10, observers=[inner])
-    assert capsys.readouterr().err == ""
+    inner = [lambda _: simulation().run(100, every=10, observers=raising(number, 30))]
+    for options, silent, step, more in (
+        ({"trajectory": path, "observers": raising(number, 20)}, False, 21, f"; what was written is kept in {path}"),
+        ({"observers": inner}, False, 31, ""),  # both runs stop, and one sentence is enough
+        ({"observers": inner}, True, 31, ""),
+    ):
+        with ending_of(number, "step"), endings_are_told() if silent else nullcontext():
+            simulation().run(100, every=10, **options)
+        assert capsys.readouterr().err == ("" if silent else f"minimd: stopped after step {step} {told}{more}\n")
 
 
 @EACH
@@ -142,7 +137,6 @@ def folder(tmp_path, monkeypatch):
     """An empty current folder with the scene in it."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "melt.toml").write_text(SCENE)
-    return tmp_path
 
 
 def command(*arguments, handler=signal.SIG_DFL, **environment):
@@ -167,12 +161,17 @@ def sentences(process, most=1):
     return told, process.returncode
 
 
-def begun(file):
-    """A run that has begun to write its file, at a new place."""
-    shutil.rmtree(Path(file).parent, ignore_errors=True)
-    Path(file).parent.mkdir()
-    process = command("run", "melt.toml", "--out", file)
-    while not Path(file).exists():
+def begun(**environment):
+    """A run that writes out/melt.h5md, in a new folder."""
+    shutil.rmtree("out", ignore_errors=True)
+    Path("out").mkdir()
+    return command("run", "melt.toml", "--out", "out/melt.h5md", **environment)
+
+
+def writing():
+    """The same, when it has begun to write."""
+    process = begun()
+    while not Path("out/melt.h5md").exists():
         assert process.poll() is None
         time.sleep(0.002)
     return process
@@ -180,7 +179,7 @@ def begun(file):
 
 def assert_stopped_run_goes_on(number, seconds):
     """A signal so many seconds after the run has begun to write; whether it came before the end."""
-    process = begun("out/melt.h5md")
+    process = writing()
     time.sleep(seconds)
     process.send_signal(number)
     (told, code), step = sentences(process), read_file("out/melt.h5md").step
@@ -202,9 +201,7 @@ def test_a_run_that_is_terminated_goes_on_to_the_same_bits(folder):
 
 def interrupted_after(seconds, **environment):
     """The exit code of a run that gets SIGINT after so many seconds, and a new place for its file."""
-    shutil.rmtree("out", ignore_errors=True)
-    Path("out").mkdir()
-    process = command("run", "melt.toml", "--out", "out/melt.h5md", **environment)
+    process = begun(**environment)
     time.sleep(seconds)
     process.send_signal(signal.SIGINT)
     told, code = sentences(process)
@@ -213,15 +210,9 @@ def interrupted_after(seconds, **environment):
     return code
 
 
-def test_ctrl_c_while_it_loads_ends_the_command_in_one_sentence(folder):
-    interrupted_after(0.6 * LOADING)
-
-
 def test_a_signal_during_imports_ends_the_command_in_one_sentence():
-    processes = {number: command("--help") for number in SIGNALS}
-    for number, process in processes.items():
+    for number, process in [(number, command("--help")) for number in SIGNALS]:
         process.send_signal(number)
-    for number, process in processes.items():
         told, code = sentences(process)
         assert (len(told), code) == (1, 128 + number)
 
@@ -257,7 +248,7 @@ def seconds_of_a_run():
     """From its first lines to its end, and of these while it writes out/melt.h5md; a shorter run before it compiles."""
     assert sentences(command("run", "melt.toml", "--steps", "200", "--out", "first.h5md")) == ([], 0)
     started = time.monotonic()
-    process = begun("out/melt.h5md")
+    process = writing()
     has_begun = time.monotonic()
     assert sentences(process) == ([], 0)
     shutil.move("out/melt.h5md", "whole.h5md")
@@ -279,9 +270,9 @@ def test_ctrl_c_at_a_hundred_moments(folder, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("number", ENDINGS)
 def test_termination_at_thirty_moments_of_a_run(number, folder):
-    draw, early, (_, writing) = random.Random(number), [], seconds_of_a_run()
+    draw, early, (_, duration) = random.Random(number), [], seconds_of_a_run()
     while early.count(True) < 30:
-        early.append(assert_stopped_run_goes_on(number, draw.random() * writing))
+        early.append(assert_stopped_run_goes_on(number, draw.random() * duration))
         assert early.count(False) < 30
 
 

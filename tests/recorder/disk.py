@@ -69,16 +69,12 @@ def _files(root):
 def _changes(log, root, before):
     names = {name: number for number, name in enumerate(before)}
     n_files, tables, changes, at = len(before), {}, [], 0
-
-    def short(path):
-        return path.decode().removeprefix(root).removeprefix("/")
-
     while at < len(log):
         what, process, parent, fd, offset, value, n_path, n_data = HEAD.unpack_from(log, at)
         at += HEAD.size + n_path + n_data
         path, data = log[at - n_path - n_data : at - n_data], log[at - n_data : at]
         files = tables.setdefault(process, dict(tables.get(parent, {})))
-        name = short(path)
+        name = path.decode().removeprefix(root).removeprefix("/")
         if what == OPEN:
             if (Path(root) / name).is_dir() or value & os.O_DIRECTORY:
                 files[fd] = name
@@ -92,7 +88,7 @@ def _changes(log, root, before):
             if value & os.O_TRUNC and offset:
                 changes.append(Change("size", files[fd], 0))
         elif what in (RENAME, LINK):
-            other = short(data)
+            other = data.decode().removeprefix(root).removeprefix("/")
             names[other] = names.pop(name) if what == RENAME else names[name]
             changes.append(Change("name", names[other], name=other, old=name if what == RENAME else ""))
         elif what == UNLINK and name in names:
@@ -101,10 +97,9 @@ def _changes(log, root, before):
             files.pop(fd, None)
         elif what == DUP:
             files[value] = files[fd]
-        elif fd in files and isinstance(files[fd], str):
-            if what == FSYNC:
-                changes.append(Change("sync folder", name=files[fd]))
-        elif what in (WRITE, TRUNCATE, FSYNC):
+        elif what == FSYNC and isinstance(files.get(fd), str):
+            changes.append(Change("sync folder", name=files[fd]))
+        elif what in (WRITE, TRUNCATE, FSYNC) and not isinstance(files.get(fd), str):
             kind = {WRITE: "write", TRUNCATE: "size", FSYNC: "sync"}[what]
             changes.append(Change(kind, files[fd], offset, data))
     return changes

@@ -9,8 +9,8 @@ import os
 import random
 import shutil
 import sys
+from collections import namedtuple
 from pathlib import Path
-from typing import NamedTuple
 
 import ase.io
 import h5py
@@ -34,14 +34,12 @@ from minimd.simulation import simulation
 STEPS = 13
 FILE, SCENE, CRASH = "run.h5md", "run.toml", "run.crash.h5md"
 RUN, RESUME = ["run", SCENE, "--quiet"], ["resume", FILE, "--quiet"]
-OBSERVERS = "".join(
-    f'[[observer]]\nkind = "{kind}"\nevery = 2\n'
-    for kind in ("radial-distribution", "mean-square-displacement", "viscosity", "fluctuations")
-)
+SEEN = ("radial-distribution", "mean-square-displacement", "viscosity", "fluctuations")
+OBSERVERS = "".join(f'[[observer]]\nkind = "{kind}"\nevery = 2\n' for kind in SEEN)
 BATH, EVERY = 'method = "langevin-baoab"\nrelaxation_time = 1.0\n', "[output]\nevery = 3\n"
-PRESSURE = (
-    '[barostat]\npressure = 1.0\ncompressibility = 0.1\nrelaxation_time = 0.1\nevery = 3\ncoupling = "triclinic"\n'
-)
+PRESSURE = """[barostat]
+pressure = 1.0\ncompressibility = 0.1\nrelaxation_time = 0.1\nevery = 3\ncoupling = "triclinic"
+"""
 KINDS = {  # what is added to a melt of 108 atoms
     "nve": EVERY,
     "triclinic": BATH + PRESSURE + EVERY,
@@ -59,13 +57,7 @@ EARLIER = ("minimd/earlier_restart", "minimd/blocks")  # other in runs of other 
 MODELS = ("kill", "torn", *NAMES)
 
 
-class Reference(NamedTuple):
-    """What an uninterrupted run has left."""
-
-    folder: Path
-    steps: int
-    numbers: dict
-    frames: dict
+Reference = namedtuple("Reference", "folder steps numbers frames")  # what an uninterrupted run has left
 
 
 def text_of(kind):
@@ -168,12 +160,12 @@ def verdict(kind, folder, known, n_least):
     found = content_of(FILE)
     other = [name for name in {**found, **known.numbers} if found.get(name) != known.numbers.get(name)]
     assert not other, f"other numbers: {other}"
-    for file in Path().glob("run.*"):
-        if file.suffix in (".xtc", ".extxyz", ".traj", ".dcd"):  # up to the restart, or all of a run begun again
-            frames, whole = others_of(file), others_of(known.folder / file)
-            n_expected = len(whole) if n_frames is None else n_frames
-            assert len(frames) == n_expected, f"{file}: {len(frames)} frames, {n_expected} at the restart"
-            np.testing.assert_array_equal(frames, whole[: len(frames)])
+    others = [file for file in Path().glob("run.*") if file.suffix in (".xtc", ".extxyz", ".traj", ".dcd")]
+    for file in others:  # up to the restart, or all of a run begun again
+        frames, whole = others_of(file), others_of(known.folder / file)
+        n_expected = len(whole) if n_frames is None else n_frames
+        assert len(frames) == n_expected, f"{file}: {len(frames)} frames, {n_expected} at the restart"
+        np.testing.assert_array_equal(frames, whole[: len(frames)])
     return "identical"
 
 
@@ -214,8 +206,7 @@ class Survey:
         mine = [at + 1 for at, one in enumerate(self._disk.changes[:k]) if one[:2] == ("sync", self._file)]
         last = max(mine, default=0)
         if last not in self._frames:
-            files = self._disk.killed(last)
-            put(files, self._scratch)
+            put(files := self._disk.killed(last), self._scratch)
             count = in_child(lambda: str(read_file(self._scratch / FILE).n_frames)) if FILE in files else 0
             self._frames[last] = int(count)
         return self._frames[last]

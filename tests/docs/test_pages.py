@@ -5,8 +5,6 @@ import gc
 import importlib
 import pkgutil
 import re
-import runpy
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -27,7 +25,6 @@ from minimd.files.h5md_reader import read_file
 from minimd.files.structure_file import SUFFIXES
 from minimd.files.trajectory import FORMATS
 from minimd.forces.pair_laws import CLUSTERS_FROM
-from minimd.neighbors import domains
 from minimd.neighbors.domains import ATOMS_PER_DOMAIN
 from minimd.scene import load_scene
 
@@ -189,12 +186,6 @@ def test_pages_quote_the_loop_and_numbers_of_atoms_as_they_stand_and_the_readme_
     assert f"- {CLUSTERS_FROM} atoms or more" in fast
     assert readme.count("\n") <= 120  # read in five minutes
     assert "@" not in readme.replace("@dataclass", "")  # no blanks that were left to fill in
-
-
-def test_picture_of_clusters_can_be_drawn_anew(tmp_path, monkeypatch):
-    monkeypatch.setattr(domains, "ATOMS_PER_DOMAIN", ATOMS_PER_DOMAIN)  # the script makes it smaller
-    runpy.run_path(shutil.copy(DOCS / "draw_clusters.py", tmp_path), run_name="__main__")
-    assert (tmp_path / "clusters.png").stat().st_size > 0
 
 
 @pytest.fixture

@@ -5,10 +5,11 @@ import threading
 import warnings
 from contextlib import suppress
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
-from h5md_runs import at_step, bring_to_disk_every, resumed, simulation
+from h5md_runs import at_step, bring_to_disk_every, interrupt, resumed, simulation
 from matplotlib.figure import Figure
 
 import minimd as md
@@ -151,14 +152,6 @@ def test_no_small_file_is_written_through_a_link(kind, tmp_path):
     assert precious.read_text() == "precious"
 
 
-def test_a_refused_crash_report_leaves_that_of_the_other_run(tmp_path):
-    claim = Claim(tmp_path / "a.crash.h5md.part")
-    claim.appear()
-    assert "another run" in blow_up(tmp_path / "a.crash.h5md")
-    claim.check()
-    claim.release()
-
-
 def test_of_two_threads_one_writes(tmp_path):
     path, refused, both = tmp_path / "a.h5md", [], threading.Barrier(2)
 
@@ -192,13 +185,18 @@ def test_a_file_that_is_lost_under_the_run_is_told(fate, tmp_path, monkeypatch):
     assert files_of(tmp_path) == ([] if fate == "removed" else ["a.h5md"])
 
 
-def test_a_resumed_file_is_claimed_too(tmp_path):
-    path = tmp_path / "a.h5md"
+def test_a_resumed_file_is_claimed_too_and_so_is_a_crash_report(tmp_path):
+    path, old = tmp_path / "a.h5md", Claim(tmp_path / "a.crash.h5md.part")
+    old.appear()
+    assert "another run" in blow_up(tmp_path / "a.crash.h5md")
+    old.check()
+    old.release()
     simulation().run(10, every=5, trajectory=path)
-    claim = Claim(path, is_new=False)
+    claim, sim = Claim(path, is_new=False), resumed(path)
     with pytest.raises(OSError, match="another run"):
-        resumed(path).run(10, trajectory=path, append=True)
+        sim.run(10, trajectory=path, append=True)
     claim.release()
-    sim = resumed(path)
+    with mock.patch("minimd.files.h5md_writer.drop_frames", interrupt), pytest.raises(KeyboardInterrupt):
+        sim.run(10, every=5, trajectory=path, append=True)  # an append that is interrupted leaves no claim
     sim.run(10, every=5, trajectory=path, append=True)
     np.testing.assert_array_equal(read_file(path).system.positions, sim.positions)

@@ -21,15 +21,11 @@ from minimd.files.h5md_reader import read_file
 from minimd.files.h5md_writer import H5MDWriter
 
 
-def fail():
-    raise RuntimeError("enough")
-
-
 @pytest.mark.parametrize("suffix", ["h5md", "xtc", "ncdf"])
 def test_exception_in_a_run_leaves_a_valid_file(suffix, tmp_path):
     path = tmp_path / f"a.{suffix}"
-    with pytest.raises(RuntimeError, match="enough"):
-        simulation().run(100, every=5, trajectory=path, observers=[at_step(15, fail)])
+    with pytest.raises(ZeroDivisionError):
+        simulation().run(100, every=5, trajectory=path, observers=[at_step(15, lambda: 1 // 0)])
     assert len(opened(path).trajectory) == 4
     assert suffix != "h5md" or read_file(path).step == 15
 
@@ -52,8 +48,8 @@ def test_a_run_that_was_interrupted_goes_on_with_the_same_bits(way, tmp_path):
 def test_end_of_a_run_is_the_restart_in_an_except_block_and_after_single_steps(tmp_path):
     sim = simulation()
     try:
-        fail()
-    except RuntimeError:
+        _ = 1 // 0
+    except ZeroDivisionError:
         sim.run(15, every=10, trajectory=tmp_path / "a.h5md")
     assert read_file(tmp_path / "a.h5md").step == 15
     sim.restore(sim.snapshot())
@@ -149,16 +145,6 @@ def test_what_has_a_second_name_is_not_emptied(tmp_path):
     simulation().run(10, every=5, trajectory=path)
     assert_same_file(precious, path)
     assert sorted(os.listdir(tmp_path)) == ["a.h5md", "precious.h5md"]
-
-
-def test_an_append_that_is_interrupted_leaves_no_claim(tmp_path):
-    path = tmp_path / "a.h5md"
-    simulation().run(10, every=5, trajectory=path)
-    sim = resumed(path)
-    with mock.patch("minimd.files.h5md_writer.drop_frames", interrupt), pytest.raises(KeyboardInterrupt):
-        sim.run(10, every=5, trajectory=path, append=True)
-    sim.run(10, every=5, trajectory=path, append=True)
-    assert read_file(path).step == 20
 
 
 def killed_in_a_commit(path, n_applied=0):

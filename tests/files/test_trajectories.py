@@ -3,7 +3,6 @@
 import errno
 import os
 import shutil
-import warnings
 
 import ase.io
 import MDAnalysis
@@ -99,7 +98,6 @@ def test_a_trajectory_of_a_finished_run_is_never_cut(tmp_path, suffix):
 
 
 def renewed(path):
-    """Replaced by a copy of itself."""
     path.with_suffix(".new").write_bytes(path.read_bytes())
     path.with_suffix(".new").replace(path)
 
@@ -164,14 +162,3 @@ def test_full_disk_is_told_by_every_format(tmp_path, monkeypatch, suffix):
     with pytest.raises(OSError, match=rf"a\.{suffix}' .*step 6"):
         simulation().run(20, every=2, trajectory=path, observers=[at_step(4, lambda: monkeypatch.setattr(*full))])
     assert len(opened(path).trajectory) == 3
-
-
-def test_failing_foreign_write_is_told_once(tmp_path, monkeypatch):
-    def full(*_):
-        raise OSError("write error")
-
-    with monkeypatch.context() as patch, warnings.catch_warnings(action="error"):
-        patch.setattr(MDAnalysis.coordinates.TRR.TRRWriter, "write", full)
-        patch.setattr(MDAnalysis.coordinates.TRR.TRRWriter, "close", full)
-        with pytest.raises(OSError, match=r"a\.trr' .*step 0: write error"):
-            simulation().run(4, every=2, trajectory=tmp_path / "a.trr")

@@ -26,11 +26,7 @@ SCENES = {
     "forces": melt_scene(2, 60, "seed = 3\n[output]\nevery = 5\nforces = true\n"),
     "crash": melt_scene(2, 4000, "seed = 3\n").replace("timestep = 0.004", "timestep = 0.05"),
 }
-# fmt: off
-COMMANDS = {
-    "check": ["check"], "plot": ["plot", "--out", "a.png"], "resume": ["resume"], "replay": ["replay", "--overwrite"],
-}
-# fmt: on
+OPTIONS = {"plot": ["--out", "a.png"], "replay": ["--overwrite"]}
 GROUPS = ("h5md", "particles", "observables", "connectivity", "minimd")
 RESTARTS = ("minimd/restart", "minimd/earlier_restart")
 SENTENCE, PASSED, FAILED, TRACEBACK, CRASH = "a sentence", "passed", "failed", "a traceback", "a crash"
@@ -48,9 +44,8 @@ def make_file(folder, name):
 
 
 def run_command(command, file):
-    name, *options = COMMANDS[command]
     with contextlib.chdir(Path(file).parent):
-        return cli.main([name, Path(file).name, *options])
+        return cli.main([command, Path(file).name, *OPTIONS.get(command, [])])
 
 
 def in_child(work):
@@ -95,15 +90,14 @@ def numbers(file, leave_out=()):
     def look(name, group, key, depth=0):
         if name.startswith(leave_out) or depth > 6:
             return
-        found[name] = {}
         try:
             item = group[key]
         except (KeyError, RuntimeError):
+            found[name] = {}
             return  # a link that leads nowhere, or to itself
-        found[name].update((key, repr(np.asarray(item.attrs[key]).tolist())) for key in _keys(item))
+        found[name] = {key: repr(np.asarray(item.attrs[key]).tolist()) for key in _keys(item)}
         if isinstance(item, h5py.Dataset):
-            content = item[()]
-            kept = repr(np.asarray(content).tolist()) if item.dtype.kind == "O" else content.tobytes()
+            kept = repr(np.asarray(item[()]).tolist()) if item.dtype.kind == "O" else item[()].tobytes()
             found[name][""] = item.dtype.str, item.shape, kept
         elif isinstance(item, h5py.Group):
             for key in item:
@@ -210,10 +204,8 @@ def change_number(h5, rng):
     values = np.array(series[()])
     k = int(rng.integers(values.size))
     old = values.flat[k]
-    others = [old + 1, old - 1, old + 1000]
-    if values.dtype.kind == "f":
-        others = [np.nan, np.inf, -old, np.nextafter(old, np.inf), old * (1 + 1e-9), 0.0, 1e300]
-    values.flat[k] = rng.choice(others)
+    real = [np.nan, np.inf, -old, np.nextafter(old, np.inf), old * (1 + 1e-9), 0.0, 1e300]
+    values.flat[k] = rng.choice(real if values.dtype.kind == "f" else [old + 1, old - 1, old + 1000])
     series[...] = values
 
 
@@ -225,8 +217,8 @@ def change_attribute(h5, rng):
     elif value.size:
         k = int(rng.integers(value.size))
         old = value.flat[k]
-        others = [np.nan, 0.0, -1.0, np.nextafter(old, np.inf)] if value.dtype.kind == "f" else [old ^ 1]
-        value.flat[k] = rng.choice(others)
+        is_real = value.dtype.kind == "f"
+        value.flat[k] = rng.choice([np.nan, 0.0, -1.0, np.nextafter(old, np.inf)] if is_real else [old ^ 1])
         at.modify(key, value)
 
 
@@ -251,10 +243,9 @@ def resize_all_with_their_checksums(h5, rng):
 
 
 def damage_both_restarts(h5, rng):
-    for name in RESTARTS:
-        if name in h5:
-            positions = h5[f"{name}/{rng.choice(['positions', 'velocities'])}"]
-            positions[3, 1] = rng.choice([np.nan, np.nextafter(positions[3, 1], 9.0)])
+    for name in filter(h5.__contains__, RESTARTS):
+        positions = h5[f"{name}/{rng.choice(['positions', 'velocities'])}"]
+        positions[3, 1] = rng.choice([np.nan, np.nextafter(positions[3, 1], 9.0)])
 
 
 def damage_a_restart(h5, rng):

@@ -11,15 +11,14 @@ from minimd.files.h5md_reader import read_file, verify_frames
 
 PER_PICOSECOND = 98.22694788464064  # of the time unit of ASE, as its documentation has it
 N_ATOMS = 27
+# fmt: off
 CELLS = {
-    "cubic": (3.6, None),
-    "triclinic": ([[3.6, 0, 0], [0.7, 3.6, 0], [-0.4, 0.9, 3.6]], None),
+    "cubic": (3.6, None), "slab": ([3.6, 3.6, 9.0], [True, True, False]), "open": (None, None),
+    "triclinic": ([[3.6, 0, 0], [0.7, 3.6, 0], [-0.4, 0.9, 3.6]], None), "open with vectors": (9.0, False),
     "turned": ([[0, 3.6, 0.3], [0, 0, 3.6], [3.6, 0.2, 0]], None),
-    "slab": ([3.6, 3.6, 9.0], [True, True, False]),
     "slab without height": ([3.6, 3.6, 0.0], [True, True, False]),
-    "open": (None, None),
-    "open with vectors": (9.0, False),
 }
+# fmt: on
 
 
 def simulation(cell="cubic", units=md.units.LJ):

@@ -171,8 +171,6 @@ def test_simulation_as_a_universe_is_its_present_state():
     ts = made.trajectory.ts
     assert ts.data["total_energy"] == sim.frame().observables["total_energy"]
     assert (ts.time, ts.data["step"], made.trajectory.totaltime) == (pytest.approx(1.2 / PER_PICOSECOND), 3, 0.0)
-    with pytest.raises(ValueError, match="empty"):
-        universe(Frames())
 
 
 @pytest.mark.parametrize(("distances", "every"), [(1e9, 1), (2e3, 6)])  # from every atom; from a few
@@ -214,14 +212,11 @@ def test_diffusion_of_a_random_walk_is_that_of_its_steps(path, units):
 
 def test_what_cannot_be_analyzed_is_refused(path, tmp_path):
     ten = written(path, md.System(np.eye(3)), [np.eye(3)] * 10)
-    one = written(tmp_path / "b.h5md", md.System(np.eye(3)), [np.eye(3)])
-    for call, words in (
-        (lambda: diffusion_coefficient(ten, (100.0, 200.0)), "at least 3 lags"),
-        (lambda: diffusion_coefficient(one), "at least 2 frames"),
-        (lambda: radial_distribution(universe(simulation("slab"))), "periodic in all directions"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            call()
+    one, slab = written(tmp_path / "b.h5md", md.System(np.eye(3)), [np.eye(3)]), universe(simulation("slab"))
+    assert_answered(lambda: diffusion_coefficient(ten, (100.0, 200.0)), ValueError, "at least 3 lags")
+    assert_answered(lambda: diffusion_coefficient(one), ValueError, "at least 2 frames")
+    assert_answered(lambda: radial_distribution(slab), ValueError, "periodic in all directions")
+    assert_answered(lambda: universe(Frames()), ValueError, "empty")
 
 
 def test_displacement_of_unevenly_spaced_frames_is_that_of_their_times(path):
@@ -233,13 +228,11 @@ def test_displacement_of_unevenly_spaced_frames_is_that_of_their_times(path):
 
 
 def test_diffusing_liquid_is_told_with_its_peak_and_coefficient(path, tmp_path):
-    rng, sites = np.random.default_rng(4), SITES
-    steps = np.cumsum(rng.normal(0.0, 0.1, (100, 125, 3)), axis=0)  # D = 0.1² / (2 · 0.5)
-    first, second = liquid(written(path, md.System(sites, cell=5.0), sites + steps))
+    noise = np.random.default_rng(4).normal(0.0, 0.1, (100, 125, 3))
+    first, second = liquid(written(path, md.System(SITES, cell=5.0), SITES + np.cumsum(noise, axis=0)))
     assert first.startswith("g(r)           first peak at ")
-    assert second.startswith("diffusion      D = 0.0")
-    solid = sites + rng.normal(0.0, 0.01, (100, 125, 3))
-    (line,) = liquid(written(tmp_path / "still.h5md", md.System(sites, cell=5.0), solid))
+    assert second.startswith("diffusion      D = 0.0")  # D = 0.1² / (2 · 0.5)
+    (line,) = liquid(written(tmp_path / "still.h5md", md.System(SITES, cell=5.0), SITES + 0.1 * noise))
     assert float(line.split()[-2]) == pytest.approx(1.0, abs=0.03)  # σ, next neighbors of the crystal
 
 

@@ -14,12 +14,12 @@ from pathlib import Path
 
 import ase.io
 import h5py
-import MDAnalysis
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from damages import in_child, numbers
+from h5md_runs import opened
 from recorder.disk import NAMES, recorded
 from references import melt_scene
 
@@ -115,8 +115,7 @@ def others_of(file):
     """Positions of each frame in a file that is not H5MD."""
     if file.suffix in (".traj", ".extxyz"):
         return np.array([atoms.positions for atoms in ase.io.read(file, ":")])
-    universe = MDAnalysis.Universe.empty(108).load_new(str(file))
-    with contextlib.closing(universe.trajectory) as read:
+    with contextlib.closing(opened(file, 108).trajectory) as read:
         return np.array([ts.positions.copy() for ts in read])
 
 

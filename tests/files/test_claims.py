@@ -192,7 +192,7 @@ def test_a_resumed_file_is_claimed_too_and_so_is_a_crash_report(tmp_path):
     old.check()
     old.release()
     simulation().run(10, every=5, trajectory=path)
-    claim, sim = Claim(path, is_new=False), resumed(path)
+    sim, claim = resumed(path), Claim(path, is_new=False)
     with pytest.raises(OSError, match="another run"):
         sim.run(10, trajectory=path, append=True)
     claim.release()

@@ -107,21 +107,12 @@ def test_uneven_frames_and_missing_cells_are_told_and_dt_of_one_frame_is_that_of
 SITES = np.stack(np.meshgrid(*[np.arange(5.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
 
 
-def polymers():
-    """Two chains of three beads, a diatomic molecule held rigid, and an atom; numbered across each other."""
-    return md.System(
-        3.0 * SITES[:9],
-        cell=20.0,
-        species=["C", "H", "N", "H", "N", "C", "H", "H", "Ar"],
-        bonds=[[0, 1], [0, 3], [5, 6], [5, 7]],
-        angles=[[1, 0, 3], [6, 5, 7]],
-        constraints=[md.DistanceConstraints([[2, 4]])],
-    )
-
-
 def test_molecules_are_residues_and_labels_that_are_no_symbols_are_no_elements(path, tmp_path):
     """By bonds and by lengths that are held; their name is the formula, by Hill's order."""
-    still(polymers()).run(0, trajectory=path)
+    bonds, angles, rigid = [[0, 1], [0, 3], [5, 6], [5, 7]], [[1, 0, 3], [6, 5, 7]], [md.DistanceConstraints([[2, 4]])]
+    species = ["C", "H", "N", "H", "N", "C", "H", "H", "Ar"]  # two chains, a rigid molecule and an atom, mixed
+    polymers = md.System(3.0 * SITES[:9], cell=20.0, species=species, bonds=bonds, angles=angles, constraints=rigid)
+    still(polymers).run(0, trajectory=path)
     made = universe(path)
     assert made.atoms.resids.tolist() == [1, 1, 2, 1, 2, 3, 3, 3, 4]
     assert made.residues.resnames.tolist() == ["CH2", "N2", "CH2", "Ar"]
@@ -129,7 +120,7 @@ def test_molecules_are_residues_and_labels_that_are_no_symbols_are_no_elements(p
     assert made.select_atoms("resname CH2 and name H").indices.tolist() == [1, 3, 6, 7]
     assert made.select_atoms("bonded index 5").indices.tolist() == [6, 7]
     assert made.atoms.angles.indices.tolist() == [[1, 0, 3], [6, 5, 7]]
-    labelled = md.System(polymers().positions, species=["bead", "Ar", "bead"] * 3, bonds=[[0, 1]])
+    labelled = md.System(polymers.positions, species=["bead", "Ar", "bead"] * 3, bonds=[[0, 1]])
     still(labelled).run(0, trajectory=tmp_path / "b.h5md")
     made = universe(tmp_path / "b.h5md")
     assert made.residues.resnames.tolist() == ["MOL", "bead", "bead", "Ar", "bead", "bead", "Ar", "bead"]

@@ -95,15 +95,12 @@ def test_appended_run_continues_on_the_grid_of_the_first_one(tmp_path, n_steps):
     assert (len(frames), len(frames[-1].forces)) == (9, 27)
 
 
-def langevin(temperature=1.0, seed=3):
-    return md.LangevinBAOAB(0.002, temperature, 1.0, seed)
-
-
+VERLET, BATH = md.VelocityVerlet(0.002), md.LangevinBAOAB(0.002, 1.0, 1.0, 3)
 OTHER_STEPS = {
-    "method": (md.VelocityVerlet(0.002), md.PositionVerlet(0.002), ["velocity-verlet", "position-verlet"]),
-    "time step": (md.VelocityVerlet(0.002), md.VelocityVerlet(0.001), ["timestep=0.002", "timestep=0.001"]),
-    "temperature": (langevin(), langevin(2.0), ["temperature=1", "temperature=2"]),
-    "seed": (langevin(), langevin(seed=4), ["seed=3", "seed=4"]),
+    "method": (VERLET, md.PositionVerlet(0.002), ["velocity-verlet", "position-verlet"]),
+    "time step": (VERLET, md.VelocityVerlet(0.001), ["timestep=0.002", "timestep=0.001"]),
+    "temperature": (BATH, md.LangevinBAOAB(0.002, 2.0, 1.0, 3), ["temperature=1", "temperature=2"]),
+    "seed": (BATH, md.LangevinBAOAB(0.002, 1.0, 1.0, 4), ["seed=3", "seed=4"]),
 }
 
 

@@ -2,11 +2,14 @@
 
 import contextlib
 import io
+import operator
 import os
+import re
 import shutil
 import struct
 import traceback
 import zlib
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -23,12 +26,7 @@ SCENES = {
     "forces": melt_scene(2, 60, "seed = 3\n[output]\nevery = 5\nforces = true\n"),
     "crash": melt_scene(2, 4000, "seed = 3\n").replace("timestep = 0.004", "timestep = 0.05"),
 }
-COMMANDS = {
-    "check": ["check"],
-    "plot": ["plot", "--out", "a.png"],
-    "resume": ["resume"],
-    "replay": ["replay", "--overwrite"],
-}
+OPTIONS = {"plot": ["--out", "a.png"], "replay": ["--overwrite"]}
 GROUPS = ("h5md", "particles", "observables", "connectivity", "minimd")
 RESTARTS = ("minimd/restart", "minimd/earlier_restart")
 SENTENCE, PASSED, FAILED, TRACEBACK, CRASH = "a sentence", "passed", "failed", "a traceback", "a crash"
@@ -36,20 +34,18 @@ SENTENCE, PASSED, FAILED, TRACEBACK, CRASH = "a sentence", "passed", "failed", "
 
 def make_file(folder, name):
     """A sound file of a scene; the run is made in two parts, so that it has two restarts."""
-    ends = {"crash": 3}.get(name, 0)
+    ends, quiet = {"crash": 3}.get(name, 0), "--quiet"
     with contextlib.chdir(folder):
         text = SCENES[name].replace("cutoff = 2.5", 'cutoff = 1.6\ntruncation = "force-shifted"')
         Path(f"{name}.toml").write_text(text)
-        assert cli.main(["run", f"{name}.toml", "--quiet", *([] if ends else ["--steps", "40"])]) == ends
-        if not ends:
-            assert cli.main(["resume", f"{name}.h5md", "--steps", "10", "--quiet"]) == 0
+        assert cli.main(["run", f"{name}.toml", quiet, *([] if ends else ["--steps", "40"])]) == ends
+        assert ends or cli.main(["resume", f"{name}.h5md", "--steps", "10", quiet]) == 0
     return folder / (f"{name}.crash.h5md" if ends else f"{name}.h5md")
 
 
 def run_command(command, file):
-    name, *options = COMMANDS[command]
     with contextlib.chdir(Path(file).parent):
-        return cli.main([name, Path(file).name, *options])
+        return cli.main([command, Path(file).name, *OPTIONS.get(command, [])])
 
 
 def in_child(work):
@@ -83,6 +79,10 @@ def outcome(command, file):
     return (TRACEBACK if "Traceback" in words or (known == SENTENCE and not is_sentence) else known), words
 
 
+def _keys(item):
+    return [key for key in item.attrs if key != "particles_group"]
+
+
 def numbers(file, leave_out=()):
     """Everything in a file: types, shapes, bytes, attributes, by name."""
     found = {}
@@ -90,16 +90,14 @@ def numbers(file, leave_out=()):
     def look(name, group, key, depth=0):
         if name.startswith(leave_out) or depth > 6:
             return
-        found[name] = {}
         try:
             item = group[key]
         except (KeyError, RuntimeError):
+            found[name] = {}
             return  # a link that leads nowhere, or to itself
-        known = [key for key in item.attrs if key != "particles_group"]
-        found[name].update((key, repr(np.asarray(item.attrs[key]).tolist())) for key in known)
+        found[name] = {key: repr(np.asarray(item.attrs[key]).tolist()) for key in _keys(item)}
         if isinstance(item, h5py.Dataset):
-            content = item[()]
-            kept = repr(np.asarray(content).tolist()) if item.dtype.kind == "O" else content.tobytes()
+            kept = repr(np.asarray(item[()]).tolist()) if item.dtype.kind == "O" else item[()].tobytes()
             found[name][""] = item.dtype.str, item.shape, kept
         elif isinstance(item, h5py.Group):
             for key in item:
@@ -127,49 +125,35 @@ def _anywhere(content, rng, length=1):
     return int(rng.integers(len(content) - length))
 
 
+def _length(rng):
+    return int(2 ** rng.uniform(2, 12))
+
+
 SIGNS = b"OHDR TREE HEAP SNOD GCOL \x89HDF value restart \x01\x00\x0c\x00 \x08\x00\x18\x00 \x03\x00".split(b" ")
 
 
 def _in_a_table(content, rng):
     """The place of a byte that is no number of a dataset, as far as one can see: beside a signature or a name."""
-    places = []
-    for sign in SIGNS:
-        place = content.find(sign)
-        while place >= 0:
-            places.append(place)
-            place = content.find(sign, place + 1)
+    places = [found.start() for sign in SIGNS for found in re.finditer(re.escape(sign), content)]
     return min(len(content) - 1, int(rng.choice(places)) + int(rng.integers(64)))
 
 
-def _length(rng):
-    return int(2 ** rng.uniform(2, 12))
+def _flip(place, content, rng):
+    content[place(content, rng)] ^= 1 << int(rng.integers(8))
+    return content
 
 
-def _flip(place):
-    def flip_bit(content, rng):
-        content[place(content, rng)] ^= 1 << int(rng.integers(8))
-        return content
-
-    return flip_bit
+def _replace(place, times, choices, content, rng):
+    for _ in range(times):
+        content[place(content, rng)] = int(rng.choice(choices))
+    return content
 
 
-def _replace(place, times=1, choices=range(256)):
-    def replace_bytes(content, rng):
-        for _ in range(times):
-            content[place(content, rng)] = int(rng.choice(choices))
-        return content
-
-    return replace_bytes
-
-
-def _overwrite(make):
-    def overwrite_block(content, rng):
-        n = _length(rng)
-        place = _anywhere(content, rng, n)
-        content[place : place + n] = make(content, rng, n)
-        return content
-
-    return overwrite_block
+def _overwrite(make, content, rng):
+    n = _length(rng)
+    place = _anywhere(content, rng, n)
+    content[place : place + n] = make(content, rng, n)
+    return content
 
 
 def interrupted_commit(content, rng):
@@ -187,18 +171,11 @@ def interrupted_commit_with_a_damaged_journal(content, rng):
     before, how = len(content), int(rng.integers(3))
     content = interrupted_commit(content, rng)
     place = before + int(rng.integers(len(content) - before))
-    if how == 0:
-        return content[:place]
     if how == 1:
         content[place] ^= 1 << int(rng.integers(8))
-    else:
+    elif how == 2:
         content[before:] = rng.bytes(len(content) - before)
-    return content
-
-
-def _datasets(h5):
-    items = {name: h5[name] for name in _objects(h5)}
-    return [k for k, one in items.items() if isinstance(one, h5py.Dataset) and one.size and one.dtype.kind != "O"]
+    return content if how else content[:place]
 
 
 def _objects(h5):
@@ -207,19 +184,19 @@ def _objects(h5):
     return found
 
 
+def _datasets(h5):
+    items = {name: h5[name] for name in _objects(h5)}
+    return [k for k, one in items.items() if isinstance(one, h5py.Dataset) and one.size and one.dtype.kind != "O"]
+
+
 def _one_of(h5, rng, among=_datasets):
     return str(rng.choice(among(h5)))
 
 
 def _attribute_of(h5, rng):
     """The attributes of an object, and the name of one of them."""
-    owners = [name for name in _objects(h5) if any(key != "particles_group" for key in h5[name].attrs)]
-    at = h5[str(rng.choice(owners))].attrs
-    return at, str(rng.choice([key for key in at if key != "particles_group"]))
-
-
-def _growing(h5):
-    return [name for name in _datasets(h5) if h5[name].maxshape[:1] == (None,)]
+    item = h5[str(rng.choice([name for name in _objects(h5) if _keys(h5[name])]))]
+    return item.attrs, str(rng.choice(_keys(item)))
 
 
 def change_number(h5, rng):
@@ -227,10 +204,8 @@ def change_number(h5, rng):
     values = np.array(series[()])
     k = int(rng.integers(values.size))
     old = values.flat[k]
-    others = [old + 1, old - 1, old + 1000]
-    if values.dtype.kind == "f":
-        others = [np.nan, np.inf, -old, np.nextafter(old, np.inf), old * (1 + 1e-9), 0.0, 1e300]
-    values.flat[k] = rng.choice(others)
+    real = [np.nan, np.inf, -old, np.nextafter(old, np.inf), old * (1 + 1e-9), 0.0, 1e300]
+    values.flat[k] = rng.choice(real if values.dtype.kind == "f" else [old + 1, old - 1, old + 1000])
     series[...] = values
 
 
@@ -242,26 +217,20 @@ def change_attribute(h5, rng):
     elif value.size:
         k = int(rng.integers(value.size))
         old = value.flat[k]
-        others = [np.nan, 0.0, -1.0, np.nextafter(old, np.inf)] if value.dtype.kind == "f" else [old ^ 1]
-        value.flat[k] = rng.choice(others)
+        is_real = value.dtype.kind == "f"
+        value.flat[k] = rng.choice([np.nan, 0.0, -1.0, np.nextafter(old, np.inf)] if is_real else [old ^ 1])
         at.modify(key, value)
-
-
-def remove_attribute(h5, rng):
-    at, key = _attribute_of(h5, rng)
-    del at[key]
 
 
 def swap(h5, rng):
     """Two datasets have each other's names."""
     one, other = _one_of(h5, rng), _one_of(h5, rng)
-    if one != other:
-        for old, new in ((one, "between"), (other, one), ("between", other)):
-            h5.move(old, new)
+    for old, new in ((one, "between"), (other, one), ("between", other)) if one != other else ():
+        h5.move(old, new)
 
 
 def resize(h5, rng):
-    names = _growing(h5)
+    names = [name for name in _datasets(h5) if h5[name].maxshape[:1] == (None,)]
     for name in names if rng.random() < 0.3 else [str(rng.choice(names))]:
         h5[name].resize(max(0, len(h5[name]) + int(rng.choice([-3, -1, 1, 100]))), axis=0)
 
@@ -274,10 +243,9 @@ def resize_all_with_their_checksums(h5, rng):
 
 
 def damage_both_restarts(h5, rng):
-    for name in RESTARTS:
-        if name in h5:
-            positions = h5[f"{name}/{rng.choice(['positions', 'velocities'])}"]
-            positions[3, 1] = rng.choice([np.nan, np.nextafter(positions[3, 1], 9.0)])
+    for name in filter(h5.__contains__, RESTARTS):
+        positions = h5[f"{name}/{rng.choice(['positions', 'velocities'])}"]
+        positions[3, 1] = rng.choice([np.nan, np.nextafter(positions[3, 1], 9.0)])
 
 
 def damage_a_restart(h5, rng):
@@ -288,16 +256,16 @@ def damage_a_restart(h5, rng):
 
 
 IN_BYTES = {
-    "flip a bit": _flip(_anywhere),
-    "flip a bit in a table": _flip(_in_a_table),
-    "flip a bit at the start": _flip(lambda content, rng: int(rng.integers(2048))),
-    "replace a byte in a table": _replace(_in_a_table),
-    "replace bytes in tables": _replace(_in_a_table, 8, [0, 1, 128, 255, 77]),
-    "replace bytes": _replace(_anywhere, 16),
-    "clear a block": _overwrite(lambda content, rng, n: bytes(n)),
-    "overwrite a block": _overwrite(lambda content, rng, n: rng.bytes(n)),
-    "copy a block": _overwrite(lambda content, rng, n: content[: _anywhere(content, rng) + n][-n:]),
-    "insert": _overwrite(lambda content, rng, n: rng.bytes(2 * n)),
+    "flip a bit": partial(_flip, _anywhere),
+    "flip a bit in a table": partial(_flip, _in_a_table),
+    "flip a bit at the start": partial(_flip, lambda content, rng: int(rng.integers(2048))),
+    "replace a byte in a table": partial(_replace, _in_a_table, 1, range(256)),
+    "replace bytes in tables": partial(_replace, _in_a_table, 8, [0, 1, 128, 255, 77]),
+    "replace bytes": partial(_replace, _anywhere, 16, range(256)),
+    "clear a block": partial(_overwrite, lambda content, rng, n: bytes(n)),
+    "overwrite a block": partial(_overwrite, lambda content, rng, n: rng.bytes(n)),
+    "copy a block": partial(_overwrite, lambda content, rng, n: content[: _anywhere(content, rng) + n][-n:]),
+    "insert": partial(_overwrite, lambda content, rng, n: rng.bytes(2 * n)),
     "truncate": lambda content, rng: content[: _anywhere(content, rng)],
     "append": lambda content, rng: content + rng.bytes(_length(rng)),
     "an interrupted commit": interrupted_commit,
@@ -308,7 +276,7 @@ IN_NUMBERS = {
     "change a number": change_number,
     "change an attribute": change_attribute,
     "remove": lambda h5, rng: h5.pop(_one_of(h5, rng, _objects)),
-    "remove an attribute": remove_attribute,
+    "remove an attribute": lambda h5, rng: operator.delitem(*_attribute_of(h5, rng)),
     "rename": lambda h5, rng: h5.move(_one_of(h5, rng, _objects), "elsewhere"),
     "swap": swap,
     "resize": resize,

@@ -8,13 +8,12 @@ from h5md_runs import bring_to_disk_every
 
 def fill_the_disk(monkeypatch, after):
     """After so many calls of fsync, three for the first frame and two for each other flush, the disk is full."""
-    calls = []
+    left, fsync = iter(range(after)), os.fsync
 
-    def full(*_):
-        calls.append(1)
-        if len(calls) > after:
+    def syncing(descriptor):
+        if next(left, None) is None:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(descriptor)
 
-    fsync = os.fsync
-    monkeypatch.setattr(os, "fsync", lambda descriptor: (full(), fsync(descriptor)))
+    monkeypatch.setattr(os, "fsync", syncing)
     bring_to_disk_every(0.0, monkeypatch)

@@ -2,7 +2,6 @@
 
 import contextlib
 import resource
-import signal
 
 import MDAnalysis
 import numpy as np
@@ -12,15 +11,14 @@ from minimd.files.h5md_reader import read_file, verify_frames
 
 PER_PICOSECOND = 98.22694788464064  # of the time unit of ASE, as its documentation has it
 N_ATOMS = 27
+# fmt: off
 CELLS = {
-    "cubic": (3.6, None),
-    "triclinic": ([[3.6, 0, 0], [0.7, 3.6, 0], [-0.4, 0.9, 3.6]], None),
+    "cubic": (3.6, None), "slab": ([3.6, 3.6, 9.0], [True, True, False]), "open": (None, None),
+    "triclinic": ([[3.6, 0, 0], [0.7, 3.6, 0], [-0.4, 0.9, 3.6]], None), "open with vectors": (9.0, False),
     "turned": ([[0, 3.6, 0.3], [0, 0, 3.6], [3.6, 0.2, 0]], None),
-    "slab": ([3.6, 3.6, 9.0], [True, True, False]),
     "slab without height": ([3.6, 3.6, 0.0], [True, True, False]),
-    "open": (None, None),
-    "open with vectors": (9.0, False),
 }
+# fmt: on
 
 
 def simulation(cell="cubic", units=md.units.LJ):
@@ -55,6 +53,12 @@ def opened(path, n_atoms=N_ATOMS):
     return MDAnalysis.Universe.empty(n_atoms, trajectory=False).load_new(str(path))
 
 
+def lengths_and_angles(vectors):
+    """Of a cell, in degrees, as MDAnalysis has them."""
+    a, b, c = (v / np.linalg.norm(v) for v in vectors)
+    return [*np.linalg.norm(vectors, axis=1), *np.degrees(np.arccos([b @ c, a @ c, a @ b]))]
+
+
 def at_step(step, what):
     """An observer that does something at a step."""
     return lambda sim: what() if sim.step == step else None
@@ -64,19 +68,14 @@ def interrupt(*_):
     raise KeyboardInterrupt
 
 
-def ctrl_c():
-    signal.raise_signal(signal.SIGINT)
-
-
 def assert_same_file(path, other):
     """All that minimd reads from them, to the last bit."""
     for one in (path, other):
         verify_frames(one)
     ours, theirs = read_file(path), read_file(other)
-    for name in theirs.record.__dict__["_series"]:
-        np.testing.assert_array_equal(getattr(ours.record, name), getattr(theirs.record, name), strict=True)
-    for name in ("positions", "velocities"):
-        np.testing.assert_array_equal(getattr(ours.system, name), getattr(theirs.system, name), strict=True)
+    named = [(ours.record, theirs.record, name) for name in theirs.record.__dict__["_series"]]
+    for one, same, name in [*named, *((ours.system, theirs.system, name) for name in ("positions", "velocities"))]:
+        np.testing.assert_array_equal(getattr(one, name), getattr(same, name), strict=True)
     assert (ours.step, ours.time, ours.reservoir_energy) == (theirs.step, theirs.time, theirs.reservoir_energy)
 
 

@@ -1,11 +1,10 @@
-"""README and pages: their code runs, shortened where it is long; links lead somewhere; every public name is shown."""
+"""README and pages: their code runs, shortened; links and the tests of the theory exist; every public name is shown."""
 
+import ast
 import gc
 import importlib
 import pkgutil
 import re
-import runpy
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -26,30 +25,22 @@ from minimd.files.h5md_reader import read_file
 from minimd.files.structure_file import SUFFIXES
 from minimd.files.trajectory import FORMATS
 from minimd.forces.pair_laws import CLUSTERS_FROM
-from minimd.neighbors import domains
 from minimd.neighbors.domains import ATOMS_PER_DOMAIN
 from minimd.scene import load_scene
 
 REPOSITORY = Path(__file__).parents[2]
 DOCS, README = REPOSITORY / "docs", REPOSITORY / "README.md"
 PAGES = sorted(path for folder in (DOCS, DOCS / "reference") for path in folder.glob("*.md"))
+# fmt: off
 SHORTER = {
-    "equilibrate(4000": "equilibrate(100",
-    "equilibrate(2000": "equilibrate(100",
-    "equilibrate(500": "equilibrate(100",
-    "run(200_000, every=1000": "run(2000, every=1000",
-    "until_step=400_000": "until_step=2500",
-    "12_000": "300",
-    "run(10_000, every=50": "run(200, every=10",
-    "run(4000, every=20": "run(200, every=10",
-    "run(2000, every=20": "run(200, every=20",
-    "run(2000, every=10": "run(200, every=10",
-    "run(500)": "run(100)",
-    "run_back(500)": "run_back(100)",
-    "[10, 10, 10]": "[5, 5, 5]",
-    '"melt", 1000, processes=2': '"melt", 40, processes=1',
+    **dict.fromkeys(["equilibrate(4000", "equilibrate(2000", "equilibrate(500"], "equilibrate(100"),
+    "run(200_000, every=1000": "run(2000, every=1000", "until_step=400_000": "until_step=2500", "12_000": "300",
+    **dict.fromkeys(["run(10_000, every=50", "run(4000, every=20", "run(2000, every=10"], "run(200, every=10"),
+    "run(2000, every=20": "run(200, every=20", "run(500)": "run(100)", "run_back(500)": "run_back(100)",
+    "[10, 10, 10]": "[5, 5, 5]", '"melt", 1000, processes=2': '"melt", 40, processes=1',
     "probe_reversibility(200)": "probe_reversibility(50)",
 }
+# fmt: on
 LONG = ("fixed-point.md", "lists.md", "timestep.md", "observers.md", "pressure.md", "forces.md")  # many kernels
 ELSEWHERE = ("formats.md", "ensembles.md", "fast-forces.md", "blow-up.md")  # by tests of their own below
 
@@ -86,13 +77,11 @@ def here(tmp_path, monkeypatch):
         table.update(names)
 
 
-def slow(names, paths):
-    return [
-        pytest.param(path, marks=pytest.mark.slow if path.name in names else (), id=name_of(path)) for path in paths
-    ]
+WITH_CODE = [path for path in PAGES if blocks(path) and path.name not in ELSEWHERE]
+LONG_ARE_SLOW = [pytest.param(path, marks=[pytest.mark.slow] * (path.name in LONG)) for path in WITH_CODE]
 
 
-@pytest.mark.parametrize("page", slow(LONG, [path for path in PAGES if blocks(path) and path.name not in ELSEWHERE]))
+@pytest.mark.parametrize("page", LONG_ARE_SLOW, ids=map(name_of, WITH_CODE))
 def test_the_code_of_the_page_runs(page, here, capsys):
     if page.name == "lammps.md":
         pytest.importorskip("lammps")
@@ -111,9 +100,7 @@ def test_scripts_of_the_readme_run_as_they_stand(here, capsys):
 def test_the_blow_up_on_its_page_lives_for_some_time_and_names_its_cause(here, capsys):
     names = run("\n".join(blocks(DOCS / "blow-up.md")), "blow-up.md")
     hot, found, told = names["hot"], read_crash_report("hot.crash.h5md").findings, capsys.readouterr().out
-    assert hot.step > 100
-    assert len(hot.record) > 5
-    assert found.kind == "pair"
+    assert (hot.step > 100, len(hot.record) > 5, found.kind) == (True, True, "pair")
     assert found.pair.frequency * 0.02 > 2.0  # beyond the limit of velocity Verlet
     assert f"for the pair of {found.pair.atoms}" in told
     n_frames = read_file("hot.replay.h5md").n_frames
@@ -129,14 +116,9 @@ def test_the_script_of_the_page_on_ensembles_runs(here):
     assert "4 members in scan: 4 done" in told
 
 
-@pytest.mark.parametrize("page", [path for path in PAGES if blocks(path, "toml")], ids=name_of)
-def test_the_tables_of_the_page_are_toml(page):
-    for block in blocks(page, "toml"):
-        assert tomllib.loads(block)
-
-
 @pytest.mark.parametrize("page", [README, *PAGES], ids=name_of)
-def test_links_and_files_named_are_there(page):
+def test_tables_are_toml_and_links_and_files_named_are_there(page):
+    assert all(map(tomllib.loads, blocks(page, "toml")))
     text = re.sub(r"```.*?```", "", text_of(page), flags=re.S)
     for link in re.findall(r"\]\(([^):#]+)(?:#[^)]*)?\)", text):
         script = REPOSITORY / "examples" / Path(link).with_suffix(".py").name
@@ -146,75 +128,43 @@ def test_links_and_files_named_are_there(page):
         assert (REPOSITORY / file).exists(), file
 
 
-def test_every_page_is_in_the_contents():
-    contents = {
-        (path.parent / line).relative_to(DOCS).as_posix()
-        for path in (DOCS / "index.md", DOCS / "reference" / "index.md")
-        for block in blocks(path, "{toctree}")
-        for line in block.splitlines()
-        if line and not line.startswith(":")
-    }
-    assert {name_of(path).removesuffix(".md") for path in PAGES} - {"index"} <= contents
+THEORY = re.split(r"^## ", text_of(DOCS / "theory.md"), flags=re.M)[1:]
 
 
-def public_names():
-    """Pairs of a module of minimd and a name of it that users may use."""
-    packages = [info.name for info in pkgutil.walk_packages(md.__path__, "minimd.") if info.ispkg]
-    for module in [md, md.lattice, md.units, *map(importlib.import_module, packages)]:
-        for name in getattr(module, "__all__", dir(module)):
-            if not name.startswith("_") and not isinstance(getattr(module, name), ModuleType):
-                yield module, name
-
-
-def documented():
-    """Ids of all objects that the reference shows."""
-    module, shown = "minimd", set()
-    for page in sorted((DOCS / "reference").glob("*.md")):
-        for directive, argument, members in re.findall(
-            r"^\.\. (\w+):: (\S+)\n((?:   :members:.*\n)?)", text_of(page), re.M
-        ):
-            if directive == "currentmodule":
-                module = argument
-            elif directive == "automodule":
-                module, found = argument, importlib.import_module(argument)
-                listed = members.partition(":members:")[2].replace(",", " ").split()
-                names = listed or (getattr(found, "__all__", ()) if members else ())
-                shown |= {id(getattr(found, name)) for name in names if getattr(found, name).__doc__}
-            elif directive.startswith("auto"):
-                shown.add(id(getattr(importlib.import_module(module), argument)))
-    return shown
+@pytest.mark.parametrize("section", THEORY[:-1], ids=lambda section: section.splitlines()[0])
+def test_every_section_of_the_theory_names_a_test_or_a_law_that_is_in_its_files(section):
+    """A law is a row of LAWS, as in `LAWS["volume"]`."""
+    texts = [text_of(REPOSITORY / file) for file in re.findall(r"`(tests/(?:\w+/)?test_\w+\.py)`", section)]
+    known = {node.name for text in texts for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef)}
+    tests, laws = (set(re.findall(law, section)) for law in (r"`(test_\w+)`", r"`LAWS\[(\"[^\"]+\")\]`"))
+    assert tests | laws
+    assert tests <= known
+    assert all(f"{law}: Law(" in "".join(texts) for law in laws)
 
 
 def test_every_public_name_is_in_the_reference():
-    shown, text = documented(), "".join(map(text_of, (DOCS / "reference").glob("*.md")))
-    missing = [
-        f"{module.__name__}.{name}"
-        for module, name in public_names()
-        if id(getattr(module, name)) not in shown and f"`{name}`" not in text
-    ]
-    assert not missing
-    assert len(shown) > 120
+    """By its own name, or by that of a module all of whose names are shown."""
+    text = "".join(map(text_of, (DOCS / "reference").glob("*.md")))
+    whole = map(importlib.import_module, re.findall(r"automodule:: (\S+)\n   :members:\n", text))
+    shown = {id(getattr(module, name)) for module in whole for name in getattr(module, "__all__", ())}
+    packages = [info.name for info in pkgutil.walk_packages(md.__path__, "minimd.") if info.ispkg]
+    for module in [md, md.lattice, md.units, *map(importlib.import_module, packages)]:
+        for name in getattr(module, "__all__", dir(module)):
+            item = getattr(module, name)
+            is_known = id(item) in shown or re.search(rf"\b{name}\b", text)
+            assert is_known or name.startswith("_") or isinstance(item, ModuleType), f"{module.__name__}.{name}"
 
 
-def test_readme_can_be_read_in_five_minutes_and_has_no_blanks():
-    assert text_of(README).count("\n") <= 120
-    assert "@" not in text_of(README).replace("@dataclass", "")
-
-
-def test_fast_forces_quotes_the_loop_and_numbers_of_atoms_as_they_stand():
+def test_pages_quote_the_loop_and_numbers_of_atoms_as_they_stand_and_the_readme_is_short():
     lines = {line.strip() for line in text_of(REPOSITORY / "minimd" / "forces" / "cluster_loop.py").splitlines()}
-    lists, fast = text_of(DOCS / "lists.md"), text_of(DOCS / "fast-forces.md")
+    lists, fast, readme = text_of(DOCS / "lists.md"), text_of(DOCS / "fast-forces.md"), text_of(README)
     assert [line for line in blocks(DOCS / "fast-forces.md")[0].splitlines() if line not in lines] == []
     assert f"Scenes with fewer than {2 * ATOMS_PER_DOMAIN} atoms" in lists
     assert f"if it has {CLUSTERS_FROM} atoms or more" in lists
     assert f"A domain has at least {ATOMS_PER_DOMAIN} atoms" in fast
     assert f"- {CLUSTERS_FROM} atoms or more" in fast
-
-
-def test_picture_of_clusters_can_be_drawn_anew(tmp_path, monkeypatch):
-    monkeypatch.setattr(domains, "ATOMS_PER_DOMAIN", ATOMS_PER_DOMAIN)  # the script makes it smaller
-    runpy.run_path(shutil.copy(DOCS / "draw_clusters.py", tmp_path), run_name="__main__")
-    assert (tmp_path / "clusters.png").stat().st_size > 0
+    assert readme.count("\n") <= 120  # read in five minutes
+    assert "@" not in readme.replace("@dataclass", "")  # no blanks that were left to fill in
 
 
 @pytest.fixture
@@ -278,14 +228,10 @@ def test_end_to_end_distances_of_that_page_are_those_of_whole_molecules(melt):
 
 
 def test_scene_and_tables_of_that_page_are_those_of_the_code(melt):
-    text, (written, read) = (
-        blocks(DOCS / "formats.md", "toml")[0],
-        text_of(DOCS / "formats.md").split("Read as structures"),
-    )
+    (text, *_), page = blocks(DOCS / "formats.md", "toml"), text_of(DOCS / "formats.md")
+    written, read = page.split("Read as structures")
     (melt / "melt.toml").write_text(text + "[dynamics]\ntimestep_fs = 1.0\nsteps = 0\n")
-    assert tomllib.loads(text)["structure"]["bonds"] == "file"
     scene = load_scene("melt.toml")
-    assert len(scene.system().angles) == 12
-    assert len(scene.simulation().potentials) == 2
+    assert (len(scene.system().angles), len(scene.simulation().potentials)) == (12, 2)
     assert set(re.findall(r"`(\.\w+)`", written.split("can go on")[1].split('"Can go on"')[0])) == set(FORMATS)
     assert set(SUFFIXES) <= set(re.findall(r"`(\.\w+)`", read))

@@ -68,9 +68,10 @@ def test_links_inside_lead_somewhere_and_nothing_is_fetched_from_outside(site):
         assert not re.search(r"url\(\s*['\"]?(?:https?:)?//", sheet.read_text(encoding="utf-8")), sheet.name
 
 
-@pytest.mark.parametrize(
-    ("words", "page"), [("restart", "files.html"), ("bonds", "bonds.html"), ("own law", "own-laws.html")]
-)
+SEARCHED = [("restart", "files.html"), ("bonds", "bonds.html"), ("own law", "own-laws.html")]
+
+
+@pytest.mark.parametrize(("words", "page"), SEARCHED)
 def test_pages_ask_no_host_and_the_search_finds(site, words, page):
     playwright = pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as driver:

@@ -1,16 +1,17 @@
 """The H5MD file: what is read is what was run, and what goes on is what stopped."""
 
 import warnings
-from typing import NamedTuple
+from collections import namedtuple
 
 import h5py
 import numpy as np
 import pytest
-from h5md_runs import CELLS, PER_PICOSECOND, at_step, opened, resumed, simulation
+from h5md_runs import CELLS, PER_PICOSECOND, lengths_and_angles, opened, resumed, simulation
 
 import minimd as md
 from minimd.engine.record import SERIES
 from minimd.files.h5md_reader import read_file
+from minimd.files.h5md_schema import chunk_rows
 from minimd.files.h5md_writer import edit
 
 KJ_PER_MOL = 96.48533288249877  # of eV, as ASE's documentation has it
@@ -18,13 +19,7 @@ LJ, ASE = md.units.LJ, md.units.ASE
 RUNS = [*((cell, LJ) for cell in CELLS), ("cubic", ASE), ("triclinic", ASE), ("open", ASE)]
 
 
-class Run(NamedTuple):
-    cell: str
-    units: object
-    path: object
-    sim: object
-    record: object
-    seen: list  # step, time, positions, velocities, forces at each frame
+Run = namedtuple("Run", "cell units path sim record seen")  # seen: step, time, r, v and F at each frame
 
 
 @pytest.fixture(scope="module", params=RUNS, ids=lambda row: f"{row[0]}-{row[1].name}")
@@ -49,17 +44,12 @@ def test_trajectory_read_back_by_mdanalysis_is_the_trajectory_written(run):
         np.testing.assert_allclose(ts.forces, forces * energy, rtol=1.2e-7)
         assert ts.velocities.any()
         assert ts.forces.any()
-
-
-def test_cell_of_mdanalysis_has_lengths_and_angles_of_ours(run):
-    cell, dimensions = run.sim.system.cell, opened(run.path).trajectory.ts.dimensions
+    cell, dimensions = run.sim.system.cell, frames.ts.dimensions
     assert read_file(run.path).system.cell.same_as(cell)
     if run.cell.startswith("open") or run.cell == "slab without height":
         assert dimensions is None
-        return
-    a, b, c = (v / np.linalg.norm(v) for v in cell.vectors)
-    angles = np.degrees(np.arccos([b @ c, a @ c, a @ b]))
-    np.testing.assert_allclose(dimensions, [*np.linalg.norm(cell.vectors, axis=1), *angles], rtol=2e-7)
+    else:
+        np.testing.assert_allclose(dimensions, lengths_and_angles(cell.vectors), rtol=2e-7)
 
 
 def test_observables_are_those_of_the_record_to_the_last_bit(run):
@@ -74,15 +64,12 @@ def test_observables_are_those_of_the_record_to_the_last_bit(run):
         np.testing.assert_array_equal([row[name] for row in stored], getattr(run.record, name), strict=True)
 
 
-def test_restart_is_the_end_of_the_run_to_the_last_bit(run):
+def test_restart_is_the_end_of_the_run_to_the_last_bit_and_series_share_one_step_and_one_time(run):
     contents = read_file(run.path)
     assert (contents.step, contents.time, contents.timestep) == (23, run.sim.time, run.sim.method.timestep)
     assert md.integrators.SPLITTINGS[contents.method] is md.VelocityVerlet
     for name in ("positions", "velocities", "masses", "species", "bonds"):
         np.testing.assert_array_equal(getattr(contents.system, name), getattr(run.sim.system, name), strict=True)
-
-
-def test_series_share_one_step_and_one_time(run):
     with h5py.File(run.path) as h5:
         position = h5["particles/trajectory/position"]
         groups = [f"particles/trajectory/{name}" for name in ("velocity", "force", "box/edges")]
@@ -105,19 +92,15 @@ def test_appended_run_continues_on_the_grid_of_the_first_one(tmp_path, n_steps):
     assert contents.step == n_steps + 20
     np.testing.assert_array_equal(contents.record.total_energy[-3:], record.total_energy[-3:])
     frames = opened(path).trajectory
-    assert len(frames) == 9
-    assert len(frames[-1].forces) == 27
+    assert (len(frames), len(frames[-1].forces)) == (9, 27)
 
 
-def langevin(temperature=1.0, seed=3):
-    return md.LangevinBAOAB(0.002, temperature, 1.0, seed)
-
-
+VERLET, BATH = md.VelocityVerlet(0.002), md.LangevinBAOAB(0.002, 1.0, 1.0, 3)
 OTHER_STEPS = {
-    "method": (md.VelocityVerlet(0.002), md.PositionVerlet(0.002), ["velocity-verlet", "position-verlet"]),
-    "time step": (md.VelocityVerlet(0.002), md.VelocityVerlet(0.001), ["timestep=0.002", "timestep=0.001"]),
-    "temperature": (langevin(), langevin(2.0), ["temperature=1", "temperature=2"]),
-    "seed": (langevin(), langevin(seed=4), ["seed=3", "seed=4"]),
+    "method": (VERLET, md.PositionVerlet(0.002), ["velocity-verlet", "position-verlet"]),
+    "time step": (VERLET, md.VelocityVerlet(0.001), ["timestep=0.002", "timestep=0.001"]),
+    "temperature": (BATH, md.LangevinBAOAB(0.002, 2.0, 1.0, 3), ["temperature=1", "temperature=2"]),
+    "seed": (BATH, md.LangevinBAOAB(0.002, 1.0, 1.0, 4), ["seed=3", "seed=4"]),
 }
 
 
@@ -138,27 +121,18 @@ def test_a_run_that_goes_on_with_other_steps_says_so(what, tmp_path):
 
 
 def test_a_method_that_takes_over_during_a_run_is_in_the_file(tmp_path):
-    def shorten(sim):
-        if sim.step == 10:
-            sim.method = md.VelocityVerlet(0.001)
-
     whole, sim, path = simulation(), simulation(), tmp_path / "a.h5md"
-    whole.run(40, every=5, observers=[shorten])
-    sim.run(20, every=5, trajectory=path, observers=[shorten])
+    shorten = [lambda sim: setattr(sim, "method", md.VelocityVerlet(0.001)) if sim.step == 10 else None]
+    whole.run(40, every=5, observers=shorten)
+    sim.run(20, every=5, trajectory=path, observers=shorten)
     again = resumed(path)
     again.run(20, every=5)
     assert (again.method.timestep, again.time) == (0.001, whole.time)
     np.testing.assert_array_equal(again.positions, whole.positions)
-
-
-def test_time_is_restored_whatever_the_method_is():
-    sim = simulation()
-    sim.make_steps(20)
-    before, time = sim.snapshot(), sim.time
-    sim.method = md.VelocityVerlet(0.001)
-    sim.make_steps(7)
-    sim.restore(before)
-    assert (sim.step, sim.time) == (20, time)
+    before, time, again.method = again.snapshot(), again.time, md.VelocityVerlet(0.002)
+    again.make_steps(7)
+    again.restore(before)
+    assert (again.step, again.time) == (40, time)  # whatever the method is
 
 
 def test_a_title_a_scene_and_integer_species_are_kept(tmp_path):
@@ -178,11 +152,22 @@ def test_a_title_a_scene_and_integer_species_are_kept(tmp_path):
 def test_a_file_that_is_being_written_is_not_changed_by_others(tmp_path):
     path, told = tmp_path / "a.h5md", []
 
-    def meddle():
+    def meddle(_sim):
         with pytest.raises(OSError, match=r"a\.h5md") as failure:
             edit(path, lambda h5: h5["minimd"].attrs.update(title="mine"))
         told.append(failure)
 
-    simulation().run(4, every=2, trajectory=path, observers=[at_step(step, meddle) for step in (0, 2, 4)])
-    assert len(told) == 3
-    assert read_file(path).title == "27 atoms of Ar, Kr"
+    simulation().run(4, every=2, trajectory=path, observers=[meddle])
+    assert (len(told), read_file(path).title) == (3, "27 atoms of Ar, Kr")
+
+
+def test_a_file_of_few_frames_is_small_and_that_of_many_has_large_chunks(tmp_path):
+    """A chunk takes its full size on the disk, whatever is in it. Chunks of a long run stay as large as they were."""
+    made, file, number, numbers = simulation(), tmp_path / "short.h5md", np.zeros(()), np.zeros((27, 3))
+    made.run(1, every=1, trajectory=file)
+    assert file.stat().st_size < 130_000
+    for many in ((10_000,), ()):
+        assert [chunk_rows(entry, *many) for entry in (number, numbers)] == [512, 101]
+    assert [chunk_rows(entry, 2) for entry in (number, numbers, np.zeros((10_000, 3)))] == [16, 16, 1]
+    made.run(40, every=1, trajectory=file, append=True)
+    assert read_file(file).n_frames == 42

@@ -46,19 +46,16 @@ def begun(scene, name, threads=1, **options):
     return scene.simulation(method, threads=threads, **options)
 
 
-@pytest.mark.parametrize(
-    ("scene", "precision", "threads", "names"),
-    [*FAST, ("few", "double", 1, COMMON), *(pytest.param(*row, marks=pytest.mark.slow) for row in SLOW)],
-)
+ROWS = [*FAST, ("few", "double", 1, COMMON), *(pytest.param(*row, marks=pytest.mark.slow) for row in SLOW)]
+
+
+@pytest.mark.parametrize(("scene", "precision", "threads", "names"), ROWS)
 def test_n_steps_and_m_steps_are_n_plus_m(scene, precision, threads, names, tmp_path):
     """In one process and through a file, stopped anywhere, for some methods drawn at random."""
     draw, options = random.Random(f"{scene} {precision} {threads}"), {"precision": precision, "threads": threads}
     for k in range(2):
         name, n, m = draw.choice(names), draw.randrange(130), draw.randrange(1, 130)
-        every, skin = (
-            draw.choice([1, 7, 10, 50, 1000]),
-            draw.choice([None, 0.05]),
-        )  # thin: lists are built where it stops
+        every, skin = draw.choice([1, 7, 10, 50, 1000]), draw.choice([None, 0.05])  # thin: lists where it stops
         file, path = tmp_path / f"{k}.h5md", tmp_path / f"{k} in parts.h5md"
         with atoms_per_domain(50):
             whole, parts = (begun(scene, name, skin=skin, **options) for _ in range(2))

@@ -15,24 +15,15 @@ def bath(sim):
     sim.method = md.LangevinBAOAB(sim.method.timestep, 0.7, 1.0, seed=1)
 
 
-def heavier(sim):
-    object.__setattr__(sim.system, "masses", 7.0 * sim.system.masses)
-
-
 def at_pressure(pressure):
-    rescaling = md.StochasticCellRescaling(pressure, 0.1, 1.0, seed=1, temperature=1.0)
-    method = md.VelocityVerlet(0.004)
-    return md.Simulation(simulation().system, simulation().potentials, method, barostat=rescaling)
-
-
-def same(sim):
-    pass
+    rescaling, of = md.StochasticCellRescaling(pressure, 0.1, 1.0, seed=1, temperature=1.0), simulation()
+    return md.Simulation(of.system, of.potentials, md.VelocityVerlet(0.004), barostat=rescaling)
 
 
 CONTINUED = {  # what has become of the simulation, options of its run, and what is shown
-    "masses": (heavier, {}, ["masses"]),
+    "masses": (lambda sim: object.__setattr__(sim.system, "masses", 7.0 * sim.system.masses), {}, ["masses"]),
     "a bath": (bath, {}, ["without a thermostat", "langevin-baoab"]),
-    "forces": (same, {"store_forces": True}, ["without forces"]),
+    "forces": (lambda sim: None, {"store_forces": True}, ["without forces"]),
     "the step": (lambda sim: setattr(sim, "step", 0), {}, ["step 10", "step 0"]),
     "observables": (lambda sim: setattr(sim, "extra_observables", ["stress"]), {}, ["extra_observables"]),
     "the cell": (lambda sim: simulation("triclinic"), {}, ["the cell"]),
@@ -48,23 +39,21 @@ def test_a_run_of_something_else_cannot_be_appended(what, tmp_path):
     before = path.read_bytes()
     if made := change(sim):
         made.step, sim = 10, made
-    assert_answered(
-        lambda: sim.run(10, trajectory=path, append=True, **options), ValueError, "a.h5md", "new file", *shown
-    )
+    call = lambda: sim.run(10, trajectory=path, append=True, **options)  # noqa: E731
+    assert_answered(call, ValueError, "a.h5md", "new file", *shown)
     assert path.read_bytes() == before
-
-
-def test_another_pressure_cannot_be_appended(tmp_path):
-    one, other = at_pressure(1.0), at_pressure(2.0)
-    one.run(4, every=2, trajectory=tmp_path / "a.h5md")
-    other.restore(one.snapshot())
-    call = lambda: other.run(4, every=2, trajectory=tmp_path / "a.h5md", append=True)  # noqa: E731
-    assert_answered(call, ValueError, "pressure=1.0", "pressure=2.0")
 
 
 def append_to_xtc(path):
     simulation().run(10, trajectory=path.with_suffix(".xtc"))
     simulation().run(10, trajectory=path.with_suffix(".xtc"), append=True)
+
+
+def go_on_at_another_pressure(path):
+    one, other = at_pressure(1.0), at_pressure(2.0)
+    one.run(4, every=2, trajectory=path)
+    other.restore(one.snapshot())
+    other.run(4, every=2, trajectory=path, append=True)
 
 
 def write_after_the_end(path):
@@ -79,38 +68,39 @@ def heat_on_the_way(path):
     sim.run(10, every=5, trajectory=path, observers=[at_step(5, lambda: bath(sim))])
 
 
-@pytest.mark.parametrize(
-    ("call", "shown"),
-    [(append_to_xtc, [".h5md", "a.xtc"]), (write_after_the_end, ["closed", "step 0"]), (heat_on_the_way, ["langevin"])],
-)
-def test_what_a_file_cannot_take_is_refused(call, shown, tmp_path):
-    assert_answered(lambda: call(tmp_path / "a.h5md"), ValueError, *shown)
+REFUSED = {
+    append_to_xtc: [".h5md", "a.xtc"],
+    go_on_at_another_pressure: ["pressure=1.0", "pressure=2.0"],
+    write_after_the_end: ["closed", "step 0"],
+    heat_on_the_way: ["langevin"],
+}
 
 
-def test_too_little_memory_is_no_damage(tmp_path, monkeypatch):
+@pytest.mark.parametrize("call", REFUSED)
+def test_what_a_file_cannot_take_is_refused(call, tmp_path):
+    assert_answered(lambda: call(tmp_path / "a.h5md"), ValueError, *REFUSED[call])
+
+
+def test_too_little_memory_is_no_damage_and_a_file_without_a_frame_leaves_nothing(tmp_path, monkeypatch):
+    H5MDWriter(Claim(tmp_path / "empty.h5md"), simulation().engine, False).close()
+    assert list(tmp_path.iterdir()) == []
     simulation().run(10, every=5, trajectory=tmp_path / "a.h5md")
     monkeypatch.setattr("minimd.files.h5md_restart.unflattened", lambda *_: np.empty(10**15))
     with pytest.raises(MemoryError):
         read_file(tmp_path / "a.h5md")
 
 
-def test_a_file_without_a_frame_leaves_nothing(tmp_path):
-    H5MDWriter(Claim(tmp_path / "empty.h5md"), simulation().engine, False).close()
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_refused_or_failed_output_leaves_nothing_of_the_others(tmp_path, monkeypatch):
     def fails(*_, **__):
         raise OSError("no more files")
-
-    def release(writer):
-        closed.append(writer.claim.release())
 
     (tmp_path / "b.xyz").write_text("precious")
     with pytest.raises(FileExistsError, match=r"b\.xyz' exists"):
         simulation().run(5, trajectory=[tmp_path / "a.h5md", tmp_path / "b.xyz"])
     closed = []
-    monkeypatch.setattr("minimd.files.mdanalysis_writer.MDAnalysisWriter.close", release)
+    monkeypatch.setattr(
+        "minimd.files.mdanalysis_writer.MDAnalysisWriter.close", lambda of: closed.append(of.claim.release())
+    )
     monkeypatch.setattr("minimd.files.h5md_writer.H5MDWriter.__init__", fails)
     with pytest.raises(OSError, match="no more files"):
         simulation().run(5, trajectory=[tmp_path / "a.h5md", tmp_path / "c.xtc"])

@@ -6,9 +6,9 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
-import tomllib
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -32,15 +32,12 @@ sys.meta_path.insert(0, Loading())
 minimd_command.main()
 """
 PROGRESS = ("running: step", "minimd: compiling kernels")
-LOADING = 1.0  # s, about
 ENDINGS = [number for number in SIGNALS if number != signal.SIGINT]
 EACH = pytest.mark.parametrize("number", SIGNALS)
 
 
 class Run:
-    """What looks at a flag between its steps."""
-
-    stop_requested = True
+    stop_requested = True  # what is looked at between the steps
 
 
 def ending_of(number, words="stopped after the last step"):
@@ -59,14 +56,13 @@ def handlers():
 
 @EACH
 def test_handlers_of_the_host_are_left_alone_and_ignored_signals_stay_ignored(number):
-    heard, run = [], Run()
+    heard = []
     for handler in (lambda *_: heard.append(number), signal.SIG_IGN):
         signal.signal(number, handler)
-        with stop_on_signals(run):
+        with stop_on_signals(run := Run()):
             signal.raise_signal(number)
             assert not run.stop_requested
-        assert heard == [number]
-        assert signal.getsignal(number) is handler
+        assert (heard, signal.getsignal(number)) == ([number], handler)
 
 
 @EACH
@@ -93,16 +89,15 @@ def test_a_second_ctrl_c_does_not_wait():
 
 
 def test_outside_the_main_thread_no_handler_is_touched():
-    before, during = [signal.getsignal(one) for one in SIGNALS], []
+    def handlers():
+        return [signal.getsignal(one) for one in SIGNALS]
 
     def work():
         with stop_on_signals(Run()):
-            during.extend(signal.getsignal(one) for one in SIGNALS)
+            return handlers()
 
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert during == before
+    with ThreadPoolExecutor() as pool:
+        assert pool.submit(work).result() == handlers()
 
 
 def raising(number, step):
@@ -111,19 +106,16 @@ def raising(number, step):
 
 @pytest.mark.parametrize("number", ENDINGS)
 def test_a_script_that_is_terminated_says_at_which_step_and_what_is_kept(number, tmp_path, capsys):
-    def inner(_sim):
-        simulation().run(100, every=10, observers=raising(number, 30))
-
     path, told = tmp_path / "a.h5md", f"by {signal.Signals(number).name}"
-    with ending_of(number, "step"):
-        simulation().run(100, every=10, trajectory=path, observers=raising(number, 20))
-    assert capsys.readouterr().err == f"minimd: stopped after step 21 {told}; what was written is kept in {path}\n"
-    with ending_of(number, "step"):
-        simulation().run(100, every=10, observers=[inner])  # both runs stop, and one sentence is enough
-    assert capsys.readouterr().err == f"minimd: stopped after step 31 {told}\n"
-    with ending_of(number, "step"), endings_are_told():
-        simulation().run(100, every=10, observers=[inner])
-    assert capsys.readouterr().err == ""
+    inner = [lambda _: simulation().run(100, every=10, observers=raising(number, 30))]
+    for options, silent, step, more in (
+        ({"trajectory": path, "observers": raising(number, 20)}, False, 21, f"; what was written is kept in {path}"),
+        ({"observers": inner}, False, 31, ""),  # both runs stop, and one sentence is enough
+        ({"observers": inner}, True, 31, ""),
+    ):
+        with ending_of(number, "step"), endings_are_told() if silent else nullcontext():
+            simulation().run(100, every=10, **options)
+        assert capsys.readouterr().err == ("" if silent else f"minimd: stopped after step {step} {told}{more}\n")
 
 
 @EACH
@@ -142,7 +134,6 @@ def folder(tmp_path, monkeypatch):
     """An empty current folder with the scene in it."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "melt.toml").write_text(SCENE)
-    return tmp_path
 
 
 def command(*arguments, handler=signal.SIG_DFL, **environment):
@@ -167,12 +158,17 @@ def sentences(process, most=1):
     return told, process.returncode
 
 
-def begun(file):
-    """A run that has begun to write its file, at a new place."""
-    shutil.rmtree(Path(file).parent, ignore_errors=True)
-    Path(file).parent.mkdir()
-    process = command("run", "melt.toml", "--out", file)
-    while not Path(file).exists():
+def begun(**environment):
+    """A run that writes out/melt.h5md, in a new folder."""
+    shutil.rmtree("out", ignore_errors=True)
+    Path("out").mkdir()
+    return command("run", "melt.toml", "--out", "out/melt.h5md", **environment)
+
+
+def writing():
+    """The same, when it has begun to write."""
+    process = begun()
+    while not Path("out/melt.h5md").exists():
         assert process.poll() is None
         time.sleep(0.002)
     return process
@@ -180,7 +176,7 @@ def begun(file):
 
 def assert_stopped_run_goes_on(number, seconds):
     """A signal so many seconds after the run has begun to write; whether it came before the end."""
-    process = begun("out/melt.h5md")
+    process = writing()
     time.sleep(seconds)
     process.send_signal(number)
     (told, code), step = sentences(process), read_file("out/melt.h5md").step
@@ -202,37 +198,19 @@ def test_a_run_that_is_terminated_goes_on_to_the_same_bits(folder):
 
 def interrupted_after(seconds, **environment):
     """The exit code of a run that gets SIGINT after so many seconds, and a new place for its file."""
-    shutil.rmtree("out", ignore_errors=True)
-    Path("out").mkdir()
-    process = command("run", "melt.toml", "--out", "out/melt.h5md", **environment)
+    process = begun(**environment)
     time.sleep(seconds)
     process.send_signal(signal.SIGINT)
     told, code = sentences(process)
-    assert code in (0, 130), told
-    assert len(told) == (code == 130)
+    assert (code in (0, 130), len(told)) == (True, code == 130), told
     return code
 
 
-def test_ctrl_c_while_it_loads_ends_the_command_in_one_sentence(folder):
-    interrupted_after(0.6 * LOADING)
-
-
 def test_a_signal_during_imports_ends_the_command_in_one_sentence():
-    processes = {number: command("--help") for number in SIGNALS}
-    for number, process in processes.items():
+    for number, process in [(number, command("--help")) for number in SIGNALS]:
         process.send_signal(number)
-    for number, process in processes.items():
         told, code = sentences(process)
         assert (len(told), code) == (1, 128 + number)
-
-
-def test_the_command_begins_with_its_own_module():
-    """That of a module in the package would load NumPy and Numba before its first line."""
-    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())
-    assert project["project"]["scripts"] == {"minimd": "minimd_command:main"}
-    assert "minimd_command" in project["tool"]["setuptools"]["py-modules"]
-    code = "import sys, minimd_command; assert not {'numpy', 'numba', 'minimd'} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"PYTHONPATH": str(REPOSITORY)})
 
 
 def test_a_command_that_was_started_deaf_to_signals_stays_so(folder):
@@ -243,21 +221,11 @@ def test_a_command_that_was_started_deaf_to_signals_stays_so(folder):
     assert sentences(process) == ([], 0)
 
 
-def test_a_reader_that_is_gone_is_told_of_in_one_sentence(folder):
-    Path("hot.toml").write_text(SCENE.replace("timestep = 0.004", "timestep = 0.018").replace("1.44", "200.0"))
-    for arguments, n_lines, expected in ((("--help",), 1, 2), (("run", "hot.toml"), 2, 3)):  # cause, and what was seen
-        process = command(*arguments, PYTHONUNBUFFERED="")
-        process.stdout.close()
-        process.stdout = None
-        told, code = sentences(process, n_lines)
-        assert (len(told), code) == (n_lines, expected)
-
-
 def seconds_of_a_run():
     """From its first lines to its end, and of these while it writes out/melt.h5md; a shorter run before it compiles."""
     assert sentences(command("run", "melt.toml", "--steps", "200", "--out", "first.h5md")) == ([], 0)
     started = time.monotonic()
-    process = begun("out/melt.h5md")
+    process = writing()
     has_begun = time.monotonic()
     assert sentences(process) == ([], 0)
     shutil.move("out/melt.h5md", "whole.h5md")
@@ -279,9 +247,9 @@ def test_ctrl_c_at_a_hundred_moments(folder, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("number", ENDINGS)
 def test_termination_at_thirty_moments_of_a_run(number, folder):
-    draw, early, (_, writing) = random.Random(number), [], seconds_of_a_run()
+    draw, early, (_, duration) = random.Random(number), [], seconds_of_a_run()
     while early.count(True) < 30:
-        early.append(assert_stopped_run_goes_on(number, draw.random() * writing))
+        early.append(assert_stopped_run_goes_on(number, draw.random() * duration))
         assert early.count(False) < 30
 
 
@@ -290,7 +258,7 @@ def test_a_cache_survives_kills_while_kernels_are_compiled(folder, tmp_path):
     draw, cold = random.Random(2), {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     for _ in range(20):
         process = command("run", "melt.toml", "--out", "killed.h5md", "--overwrite", **cold)
-        time.sleep(LOADING + 4.0 * draw.random())
+        time.sleep(1.0 + 4.0 * draw.random())
         process.kill()
         process.communicate()
     for name, environment in (("cold.h5md", cold), ("warm.h5md", {})):

@@ -1,11 +1,13 @@
 """The bridge to MDAnalysis: universes that know the system, analyses with known results."""
 
+import itertools
 import warnings
 
 import h5py
 import numpy as np
 import pytest
 from h5md_runs import PER_PICOSECOND, opened, simulation
+from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.analysis.check import liquid, recompute
@@ -14,14 +16,7 @@ from minimd.files.h5md_digest import digest_of_block, sign
 from minimd.files.h5md_reader import damage
 from minimd.files.h5md_writer import H5MDWriter
 from minimd.files.turned_cell import as_in_run
-from minimd.mdanalysis import (
-    Frames,
-    diffusion_coefficient,
-    mean_square_displacement,
-    radial_distribution,
-    universe,
-    universes,
-)
+from minimd.mdanalysis import Frames, diffusion_coefficient, mean_square_displacement, radial_distribution, universe
 
 LJ, ASE = md.units.LJ, md.units.ASE
 UNITS = pytest.mark.parametrize("units", [LJ, ASE], ids=lambda units: units.name)
@@ -70,12 +65,6 @@ def test_universe_knows_the_system_and_the_time_between_frames(path, units):
     np.testing.assert_array_equal(made.trajectory[-1].positions, sim.positions.astype(np.float32))
 
 
-def test_dt_of_one_frame_is_that_of_the_run(path):
-    simulation().run(3, every=5, trajectory=path)
-    assert universe(path).trajectory.dt == 0.02
-    assert universe(path).trajectory.totaltime == 0.0
-
-
 def test_dt_of_a_file_that_does_not_hold_it_is_found_in_its_times(path):
     """As those of minimd 0.1.0; they can be continued too."""
     sim = simulation()
@@ -83,10 +72,10 @@ def test_dt_of_a_file_that_does_not_hold_it_is_found_in_its_times(path):
     with h5py.File(path, "r+") as h5:
         del h5["observables/dt"]
         blocks = h5["minimd/blocks"]
-        series, first = [name for name in blocks.attrs["series"] if "/dt/" not in name], 0
-        for row, (last, _) in enumerate(blocks[:].tolist()):
+        series = [name for name in blocks.attrs["series"] if "/dt/" not in name]
+        ends = [0, *blocks[:, 0].astype(int)]
+        for row, (first, last) in enumerate(itertools.pairwise(ends)):
             blocks[row] = last, digest_of_block({name: h5[name][first:last] for name in series})
-            first = last
         blocks.attrs["series"] = series
         sign(h5)
     with opened(path).trajectory as trajectory:
@@ -99,34 +88,31 @@ def test_dt_of_a_file_that_does_not_hold_it_is_found_in_its_times(path):
     assert not damage(path)
 
 
-def test_uneven_frames_are_told(path):
+def test_uneven_frames_and_missing_cells_are_told_and_dt_of_one_frame_is_that_of_the_run(path, tmp_path):
     sim = simulation()
-    sim.run(3)
+    sim.run(3, every=5, trajectory=tmp_path / "b.h5md")
+    one = universe(tmp_path / "b.h5md").trajectory
+    assert (one.dt, one.totaltime) == (0.02, 0.0)
     sim.run(17, every=5, trajectory=path)
     with pytest.warns(UserWarning, match="2 to 5 steps apart") as caught:
         made = universe(path)
-    assert caught[0].filename == __file__
-    assert made.trajectory.dt == pytest.approx(0.02)
+    assert (caught[0].filename, made.trajectory.dt) == (__file__, pytest.approx(0.02))
+    with pytest.warns(UserWarning, match=r"has no cell.*pbc=\(True, True, False\)"):
+        universe(simulation("slab without height"))
+    assert_answered(lambda: sim.run(2, trajectory=path, append=True), OSError, "universe.trajectory.close()")
+    made.trajectory.close()
+    sim.run(2, trajectory=path, append=True)
 
 
-def polymers(units=LJ):
-    """Two chains of three beads, a diatomic molecule held rigid, and an atom; numbered across each other."""
-    sites = np.stack(np.meshgrid(*[np.arange(3.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
-    return md.System(
-        3.0 * np.random.default_rng(5).permutation(sites)[:9],
-        masses=np.arange(1.0, 10.0),
-        cell=20.0,
-        species=["C", "H", "N", "H", "N", "C", "H", "H", "Ar"],
-        bonds=[[0, 1], [0, 3], [5, 6], [5, 7]],
-        angles=[[1, 0, 3], [6, 5, 7]],
-        constraints=[md.DistanceConstraints([[2, 4]])],
-        units=units,
-    )
+SITES = np.stack(np.meshgrid(*[np.arange(5.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
 
 
 def test_molecules_are_residues_and_labels_that_are_no_symbols_are_no_elements(path, tmp_path):
     """By bonds and by lengths that are held; their name is the formula, by Hill's order."""
-    still(polymers()).run(0, trajectory=path)
+    bonds, angles, rigid = [[0, 1], [0, 3], [5, 6], [5, 7]], [[1, 0, 3], [6, 5, 7]], [md.DistanceConstraints([[2, 4]])]
+    species = ["C", "H", "N", "H", "N", "C", "H", "H", "Ar"]  # two chains, a rigid molecule and an atom, mixed
+    polymers = md.System(3.0 * SITES[:9], cell=20.0, species=species, bonds=bonds, angles=angles, constraints=rigid)
+    still(polymers).run(0, trajectory=path)
     made = universe(path)
     assert made.atoms.resids.tolist() == [1, 1, 2, 1, 2, 3, 3, 3, 4]
     assert made.residues.resnames.tolist() == ["CH2", "N2", "CH2", "Ar"]
@@ -134,7 +120,7 @@ def test_molecules_are_residues_and_labels_that_are_no_symbols_are_no_elements(p
     assert made.select_atoms("resname CH2 and name H").indices.tolist() == [1, 3, 6, 7]
     assert made.select_atoms("bonded index 5").indices.tolist() == [6, 7]
     assert made.atoms.angles.indices.tolist() == [[1, 0, 3], [6, 5, 7]]
-    labelled = md.System(polymers().positions, species=["bead", "Ar", "bead"] * 3, bonds=[[0, 1]])
+    labelled = md.System(polymers.positions, species=["bead", "Ar", "bead"] * 3, bonds=[[0, 1]])
     still(labelled).run(0, trajectory=tmp_path / "b.h5md")
     made = universe(tmp_path / "b.h5md")
     assert made.residues.resnames.tolist() == ["MOL", "bead", "bead", "Ar", "bead", "bead", "Ar", "bead"]
@@ -153,14 +139,14 @@ def test_universe_in_memory_is_that_of_the_file(path, units):
     assert kept.trajectory.dt == pytest.approx(stored.trajectory.dt, rel=1e-12)
     assert kept.trajectory.totaltime == pytest.approx(stored.trajectory.totaltime, rel=1e-12)
     for ours, theirs in zip(kept.trajectory, stored.trajectory, strict=True):
-        for name in ("positions", "velocities", "dimensions"):
+        for name in ("positions", "velocities", "dimensions", "time"):
             np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
-        assert ours.time == theirs.time
         assert set(ours.data) == set(theirs.data)
         for name in theirs.data.keys() - {"dt"}:
             np.testing.assert_array_equal(ours.data[name], theirs.data[name])
-    energies = [ts.data["total_energy"] for ts in kept.trajectory]
-    np.testing.assert_array_equal(energies, [*record.total_energy, *second.total_energy[1:]])
+    np.testing.assert_array_equal(
+        [ts.data["total_energy"] for ts in kept.trajectory], [*record.total_energy, *second.total_energy[1:]]
+    )
     assert kept.atoms.resids.tolist() == stored.atoms.resids.tolist()
     assert len(radial_distribution(frames, 20).r) == 19
     ours, theirs = (diffusion_coefficient(one, (0.0, 1e9)).coefficient for one in (frames, stored))
@@ -176,8 +162,6 @@ def test_simulation_as_a_universe_is_its_present_state():
     ts = made.trajectory.ts
     assert ts.data["total_energy"] == sim.frame().observables["total_energy"]
     assert (ts.time, ts.data["step"], made.trajectory.totaltime) == (pytest.approx(1.2 / PER_PICOSECOND), 3, 0.0)
-    with pytest.raises(ValueError, match="empty"):
-        universe(Frames())
 
 
 @pytest.mark.parametrize(("distances", "every"), [(1e9, 1), (2e3, 6)])  # from every atom; from a few
@@ -187,24 +171,20 @@ def test_radial_distribution_equals_counting_all_images(path, monkeypatch, units
     frames = [rng.uniform(-2.0, 2.0, (n_atoms, 3)) @ TURNED for _ in range(n_frames)]  # far outside of the cell too
     for positions in frames:
         positions[::2] = positions[1::2] + rng.normal(0.0, 0.6, (n_atoms // 2, 3))  # so that g(r) is not flat
-    monkeypatch.setattr(universes, "RDF_DISTANCES", distances)
+    monkeypatch.setattr("minimd.mdanalysis.universes.RDF_DISTANCES", distances)
     made = md.System(frames[0], masses=1.0, cell=SKEWED @ TURNED, units=units)
     r, g = radial_distribution(written(path, made, frames), n_bins)
     edges = np.linspace(1 / n_bins, 1.0, n_bins) * md.Cell.of(TURNED).heights.min() / 2
-    counts = sum(counted(positions, TURNED, edges, every) for positions in frames)
+    images, counts = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), -1).reshape(-1, 3) @ TURNED, 0
+    for positions in frames:  # from every so manieth atom to all images of all atoms
+        apart = positions[None, :, :] - positions[::every][:, None, :]
+        apart -= np.round(apart @ np.linalg.inv(TURNED)) @ TURNED
+        counts += np.histogram(np.linalg.norm(apart[:, :, None, :] + images, axis=-1), bins=edges)[0]
     shells = 4 / 3 * np.pi * np.diff(edges**3)
     expected = counts / n_frames / (n_atoms / every) / (n_atoms - 1) * abs(np.linalg.det(TURNED)) / shells
     np.testing.assert_allclose(r, 0.5 * (edges[1:] + edges[:-1]), rtol=1e-6)
     np.testing.assert_allclose(g, expected, rtol=0.01)  # float32 may put a pair on the edge of a bin to the other side
     assert expected[0] > 2.0 > expected[-1] > 0.5
-
-
-def counted(positions, cell, edges, every):
-    """Distances from every so manieth atom to all images of all atoms, as a histogram."""
-    vectors = positions[None, :, :] - positions[::every][:, None, :]
-    vectors -= np.round(vectors @ np.linalg.inv(cell)) @ cell
-    images = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), -1).reshape(-1, 3) @ cell
-    return np.histogram(np.linalg.norm(vectors[:, :, None, :] + images, axis=-1), bins=edges)[0]
 
 
 @UNITS
@@ -213,25 +193,21 @@ def test_diffusion_of_a_random_walk_is_that_of_its_steps(path, units):
     walk = np.cumsum(rng.normal(0.0, step, (n_frames, n_atoms, 3)), axis=0)
     found = diffusion_coefficient(written(path, md.System(walk[0], masses=1.0, cell=9.0, units=units), walk))
     frame_time = 0.5 / (PER_PICOSECOND if units is ASE else 1.0)
-    expected = step**2 / 2.0 / frame_time  # <x²> = step² a frame = 2 D t
-    assert found.coefficient == pytest.approx(expected, rel=0.05)  # statistics: four standard errors of 500 walkers
+    expected = pytest.approx(step**2 / 2.0 / frame_time, rel=0.05)  # <x²> = step² a frame = 2 D t; four standard errors
+    assert found.coefficient == expected
     assert found.window == pytest.approx((0.1 * 99 * frame_time, 0.5 * 99 * frame_time))
-    assert (found.cm2_per_s is None) == (units is LJ)
-    if units is ASE:
-        assert found.cm2_per_s == pytest.approx(found.coefficient * 1e-16 / 1e-12)
-    assert diffusion_coefficient(path, (0.0, 20 * frame_time)).coefficient == pytest.approx(expected, rel=0.05)
+    in_cm = None if units is LJ else pytest.approx(found.coefficient * 1e-16 / 1e-12)
+    assert found.cm2_per_s == in_cm
+    assert diffusion_coefficient(path, (0.0, 20 * frame_time)).coefficient == expected
 
 
 def test_what_cannot_be_analyzed_is_refused(path, tmp_path):
     ten = written(path, md.System(np.eye(3)), [np.eye(3)] * 10)
-    one = written(tmp_path / "b.h5md", md.System(np.eye(3)), [np.eye(3)])
-    for call, words in (
-        (lambda: diffusion_coefficient(ten, (100.0, 200.0)), "at least 3 lags"),
-        (lambda: diffusion_coefficient(one), "at least 2 frames"),
-        (lambda: radial_distribution(universe(simulation("slab"))), "periodic in all directions"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            call()
+    one, slab = written(tmp_path / "b.h5md", md.System(np.eye(3)), [np.eye(3)]), universe(simulation("slab"))
+    assert_answered(lambda: diffusion_coefficient(ten, (100.0, 200.0)), ValueError, "at least 3 lags")
+    assert_answered(lambda: diffusion_coefficient(one), ValueError, "at least 2 frames")
+    assert_answered(lambda: radial_distribution(slab), ValueError, "periodic in all directions")
+    assert_answered(lambda: universe(Frames()), ValueError, "empty")
 
 
 def test_displacement_of_unevenly_spaced_frames_is_that_of_their_times(path):
@@ -243,14 +219,11 @@ def test_displacement_of_unevenly_spaced_frames_is_that_of_their_times(path):
 
 
 def test_diffusing_liquid_is_told_with_its_peak_and_coefficient(path, tmp_path):
-    rng = np.random.default_rng(4)
-    sites = np.stack(np.meshgrid(*[np.arange(5.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
-    steps = np.cumsum(rng.normal(0.0, 0.1, (100, 125, 3)), axis=0)  # D = 0.1² / (2 · 0.5)
-    first, second = liquid(written(path, md.System(sites, cell=5.0), sites + steps))
+    noise = np.random.default_rng(4).normal(0.0, 0.1, (100, 125, 3))
+    first, second = liquid(written(path, md.System(SITES, cell=5.0), SITES + np.cumsum(noise, axis=0)))
     assert first.startswith("g(r)           first peak at ")
-    assert second.startswith("diffusion      D = 0.0")
-    solid = sites + rng.normal(0.0, 0.01, (100, 125, 3))
-    (line,) = liquid(written(tmp_path / "still.h5md", md.System(sites, cell=5.0), solid))
+    assert second.startswith("diffusion      D = 0.0")  # D = 0.1² / (2 · 0.5)
+    (line,) = liquid(written(tmp_path / "still.h5md", md.System(SITES, cell=5.0), SITES + 0.1 * noise))
     assert float(line.split()[-2]) == pytest.approx(1.0, abs=0.03)  # σ, next neighbors of the crystal
 
 

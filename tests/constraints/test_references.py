@@ -5,7 +5,6 @@ import copy
 import ase
 import numpy as np
 import pytest
-
 from ase.constraints import FixAtoms, FixBondLengths, FixCom, FixLinearTriatomic
 from ase.md.verlet import VelocityVerlet
 from references import fourmol, load
@@ -15,7 +14,7 @@ from minimd import ase as bridge
 from minimd.ase import Calculator
 from minimd.potentials.term import Term
 
-FS, FTM2V = md.FS, 1.0 / 48.88821291**2  # acceleration [Å/fs²] of 1 kcal/mol/Å on 1 g/mol
+FS, FTM2V = md.units.fs, 1.0 / 48.88821291**2  # acceleration [Å/fs²] of 1 kcal/mol/Å on 1 g/mol
 BOND_LENGTHS = {5: 1.0, 2: 1.1, 3: 1.3}  # r0 of the constrained bond types [Å]
 WATER_ANGLE = np.radians(110.1)
 BONDS = np.arange(54).reshape(-1, 2)  # of nitrogen

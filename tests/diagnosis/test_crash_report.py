@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -13,7 +14,7 @@ from scenes import LJ, SCENES
 
 import minimd as md
 from minimd.commands import main as cli
-from minimd.diagnosis.crash_report import examine
+from minimd.diagnosis.crash_report import bottomless_law, examine
 from minimd.files.crash_file import read_crash_report
 from minimd.files.h5md_digest import sign
 from minimd.files.h5md_reader import read_file
@@ -34,17 +35,19 @@ def melt(timestep, method=md.VelocityVerlet, **options):
     return SCENES["argon"]().simulation(method(timestep, **options))
 
 
-def rigid(timestep, *fixed):
-    scene = SCENES["dumbbells"]()
-    return scene._replace(constraints=[*scene.constraints, *fixed]).simulation(md.VelocityVerlet(timestep))
-
-
 def chain():
     return SCENES["chain"]().simulation(md.VelocityVerlet(0.15))
 
 
-def overlapping():
-    return md.Simulation(md.System([[0, 0, 0], [0.55, 0, 0], [3, 3, 3]], cell=10.0), LJ, md.VelocityVerlet(0.005))
+def rigid_with_one_fixed():
+    scene = SCENES["dumbbells"]()
+    fixed = [*scene.constraints, md.FixedAtoms([2])]
+    return scene._replace(constraints=fixed).simulation(md.VelocityVerlet(0.08))
+
+
+def of_two(law, second, timestep, velocities=0.0):
+    system = md.System([[0.0, 0, 0], [second, 0, 0]], velocities=np.full((2, 3), velocities))
+    return md.Simulation(system, law, md.VelocityVerlet(timestep))
 
 
 def one_fast_atom():
@@ -58,15 +61,7 @@ def hollow(r2, limit):
     return (r2 - limit) ** 0.5, -1.0 / (r2 - limit) ** 0.5
 
 
-def two_approaching():
-    system = md.System([[0, 0, 0], [1.5, 0, 0]], velocities=[[1, 0, 0], [0, 0, 0]])
-    return md.Simulation(system, md.PairPotential(hollow, (1.0,), 3.0, "truncated"), md.VelocityVerlet(0.01))
-
-
-def flung():
-    """Beyond all numbers in use: their positions are still finite, but no System can hold them."""
-    system = md.System([[0.0, 0, 0], [1.0, 0, 0]], velocities=np.full((2, 3), [9e74, 0, 0]), bonds=[[0, 1]])
-    return md.Simulation(system, md.HarmonicBond(1e-3, 1.0), md.VelocityVerlet(10.0))
+HOLLOW = md.PairPotential(hollow, (1.0,), 3.0, "truncated")
 
 
 def push_together(run):
@@ -74,15 +69,18 @@ def push_together(run):
         run.positions[1] = run.positions[0] + [0.3, 0.0, 0.0]
 
 
+APPROACHING, FAST = [[1.0, 0, 0], [0.0, 0, 0]], [9e74, 0, 0]
+SPRING = md.HarmonicBond(1e-3, 1.0, pairs=[[0, 1]])
 CASES = [  # scene, kind of the cause, what is said
-    (overlapping, "overlap", "Likely cause: .*atoms 0 and 1.*\nAt step 0"),
+    (lambda: of_two(LJ, 0.55, 0.005), "overlap", "Likely cause: .*atoms 0 and 1.*\nAt step 0"),
     (lambda: melt(0.004), "overlap", "Likely cause: atoms 0 and 1 overlap at step 20"),
     (chain, "bond", r"Δt·ω = \d\.\d+ \(stable to 2\)"),
     (lambda: melt(0.04), "pair", "atoms"),
     (one_fast_atom, "hot", "atom 7"),
-    (lambda: rigid(0.08), "constraint", "atoms"),
-    (two_approaching, "law", "atoms 0 and 1"),
-    (flung, "pair", r"\nAt step 1: positions of 2 atoms are not finite, or beyond 1e\+75"),
+    (rigid_with_one_fixed, "constraint", "atoms"),
+    (lambda: of_two(HOLLOW, 1.5, 0.01, APPROACHING), "law", "atoms 0 and 1"),
+    # beyond all numbers in use: positions are still finite, but no System can hold them
+    (lambda: of_two(SPRING, 1.0, 10.0, FAST), "pair", r"\nAt step 1: positions of 2 .* 1e\+75"),
 ]
 
 
@@ -94,7 +92,6 @@ def test_the_cause_is_told(make, kind, words):
     assert found.kind == kind
     assert re.search(words, str(error))
     assert f"Likely cause: {found.cause}" in str(error)
-    assert "\n" not in found.cause
     assert found.advice in str(found)
     assert error.file is None
     if make is chain:  # ω = √(k/μ), wherever it is
@@ -114,12 +111,11 @@ def test_a_step_that_drives_atoms_into_each_other_is_told_by_their_distance_then
     assert {found.pair.first, found.pair.second} == {first, second}
     assert found.pair.distance == pytest.approx(distance, rel=1e-9)  # rounding
     assert found.pair.frequency * 0.06 > 2.0
-    assert f"atoms {found.pair.first} and {found.pair.second} into each other, {distance:.3g} σ apart" in found.cause
 
 
 def test_bonded_atoms_at_one_place_are_the_cause():
     system = md.System([[0, 0, 0], [1, 0, 0], [1, 0, 0]], bonds=[[1, 2]])
-    for term in (md.HarmonicBond(50.0, 1.0), md.HarmonicAngle(5.0, 2.0, [[0, 1, 2]]), LJ):
+    for term in (md.HarmonicBond(50.0, 1.0), md.HarmonicAngle(5.0, 2.0, [[0, 1, 2]])):
         found = failing(md.Simulation(system, term, md.VelocityVerlet(0.01))).crash_report
         assert found.kind == "overlap"
         assert "atoms 1 and 2 are at the same place" in found.cause
@@ -140,6 +136,27 @@ def test_contact_knows_force_and_curvature_of_the_pair():
     assert next(one for one in found if not one.is_bond).distance == pytest.approx(0.2)
 
 
+def bottomless(r2, a, rho, c):
+    r, i6 = r2**0.5, 1.0 / r2**3
+    pushes = a * np.exp(-r / rho)
+    return pushes - c * i6, pushes / (rho * r) - 6.0 * c * i6 / r2
+
+
+def test_a_law_without_a_bottom_is_named_and_rigid_pairs_are_no_overlap():
+    law = md.PairPotential(bottomless, (1000.0, 0.15, 2.0), cutoff=2.5, truncation="truncated")
+    for law, distance, is_named in ((law, 0.36, True), (md.LennardJones(1.0, 1.0, 2.5), 1.5, False)):
+        system = md.System([[0.0, 0, 0], [distance, 0, 0]])
+        (pair,) = contacts(system, [law], np.ones(2), [0])
+        verdict = bottomless_law(SimpleNamespace(strongest=pair, system=system))
+        assert "u = -828 ε there" in verdict.cause if is_named else verdict is None
+    # of an atom and a light one without a well, thrown at the same: their lengths are not the cause
+    places, velocities = np.outer([0.0, 0.3, 1.6, 1.9], [1, 0, 0]), np.outer([0, 0, -90.0, -90.0], [1, 0, 0])
+    system = md.System(places, species=["A", "B", "A", "B"], velocities=velocities)
+    law = md.LennardJones({"A": (1.0, 1.0), "B": (0.0, 1.0)}, cutoff=2.5)
+    rigid = md.DistanceConstraints([[0, 1], [2, 3]])
+    assert "overlap at the start" not in str(failing(md.Simulation(system, law, md.VelocityVerlet(0.01), rigid), 100))
+
+
 def test_file_holds_the_last_good_state_and_loses_nothing(tmp_path, monkeypatch):
     """And the energies of all atoms are examined, of clusters too, whose totals are booked on one atom."""
     seen, simulation = [], melt(BIG_STEP)
@@ -150,17 +167,15 @@ def test_file_holds_the_last_good_state_and_loses_nothing(tmp_path, monkeypatch)
 
     monkeypatch.setattr("minimd.diagnosis.run_guard.examine", noted)
     error = failing(simulation, every=20, trajectory=tmp_path / "a.h5md")
-    assert simulation.engine.interactions.pair_search.startswith("cluster list")
     assert seen[0] == pytest.approx(md.evaluate(simulation.system, LJ).energies, rel=1e-9)  # rounding
     assert error.file == tmp_path / "a.crash.h5md"
-    assert f"minimd replay {error.file}, or, in the browser, minimd view {error.file}" in str(error)
-    contents = read_file(error.file)
+    assert f"minimd replay {error.file}" in str(error)
+    contents, kept = read_file(error.file), read_file(tmp_path / "a.h5md")
     assert contents.step == simulation.step == error.crash_report.last_good_step
     assert np.array_equal(contents.system.positions, simulation.positions)
     assert np.array_equal(contents.system.velocities, simulation.velocities)
     assert contents.record.step.tolist() == [error.crash_report.first_step, simulation.step]
     assert 20 <= simulation.step - error.crash_report.first_step <= 120
-    kept = read_file(tmp_path / "a.h5md")
     assert kept.record.step.tolist() == list(range(0, kept.step + 1, 20))
     assert kept.step == simulation.step
 
@@ -172,7 +187,6 @@ def test_files_are_written_where_they_were_asked_for_and_replace_nothing(tmp_pat
     assert [path.name for path in tmp_path.iterdir()] == ["a.h5md"]
     for name in ("why.h5md", "why-2.h5md", "why-3.h5md"):
         assert failing(chain(), crash_report="why.h5md").file == Path(name)
-    assert read_crash_report("why.h5md").findings.kind == "bond"
     with pytest.raises(ValueError, match="is a trajectory of the run"):
         chain().run(10, trajectory="a.h5md", crash_report="a.h5md", overwrite=True)
 
@@ -204,29 +218,13 @@ def crash_file(tmp_path_factory):
     return failing(chain(), crash_report=tmp_path_factory.mktemp("crash") / "a.h5md").file
 
 
-ALTERED = [  # findings: as a text, or values to be changed, of the pair in the second half
-    "{}",
-    "null",
-    "[" * 100_000,
-    {"closest": {}},
-    {"fault": None},
-    {"pair": "x"},
-    {"closest": [0, 12, 1.0]},
-    {"closest": [0, 1, "x"]},
-    {"fastest": 12},
-    {"timestep": None},
-    {"largest_force": 10**400},
-    {"pair": {"first": 99_999_999_999}},
-    {"pair": {"second": -77}},
-    {"pair": {"law": 3}},
+# fmt: off
+ALTERED = [  # findings: as a text, or values to be changed, of the pair in the last three
+    "{}", "null", "[" * 100_000, {"closest": {}}, {"fault": None}, {"pair": "x"}, {"closest": [0, 12, 1.0]},
+    {"closest": [0, 1, "x"]}, {"fastest": 12}, {"timestep": None}, {"largest_force": 10**400},
+    {"pair": {"first": 99_999_999_999}}, {"pair": {"second": -77}}, {"pair": {"law": 3}},
 ]
-
-
-def altered(found, change):
-    if isinstance(change, str):
-        return change
-    inner = {name: found[name] | value for name, value in change.items() if name == "pair" and value != "x"}
-    return json.dumps(found | change | inner)
+# fmt: on
 
 
 def test_altered_findings_are_refused(crash_file, tmp_path):
@@ -235,23 +233,22 @@ def test_altered_findings_are_refused(crash_file, tmp_path):
         file = shutil.copy(crash_file, tmp_path)
         with h5py.File(file, "r+") as h5:
             group = h5["minimd/crash_report"]
-            found = json.loads(group["findings"].asstr()[()])
+            found, text = json.loads(group["findings"].asstr()[()]), change
+            if isinstance(change, dict):
+                inner = {"pair": found["pair"] | change["pair"]} if isinstance(change.get("pair"), dict) else {}
+                text = json.dumps(found | change | inner)
             del group["findings"]
-            group["findings"] = altered(found, change)
+            group["findings"] = text
             sign(h5)
         with pytest.raises(OSError, match="is damaged"):
             read_crash_report(file)
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: melt(BIG_STEP, md.LangevinBAOAB, temperature=1.44, friction=1.0, seed=2),
-        lambda: rigid(0.05, md.FixedAtoms([2])),
-        chain,
-    ],
-    ids=["langevin", "rigid and fixed", "bonds"],
-)
+LANGEVIN = {"method": md.LangevinBAOAB, "temperature": 1.44, "friction": 1.0, "seed": 2}
+FAILING = {"langevin": lambda: melt(BIG_STEP, **LANGEVIN), "rigid and fixed": rigid_with_one_fixed, "bonds": chain}
+
+
+@pytest.mark.parametrize("make", FAILING.values(), ids=FAILING)
 def test_findings_come_back_and_a_replay_fails_again_at_the_same_step_on_the_same_path(tmp_path, make):
     simulation = make()
     error = failing(simulation, trajectory=tmp_path / "a.h5md")
@@ -272,7 +269,8 @@ def test_findings_come_back_and_a_replay_fails_again_at_the_same_step_on_the_sam
 
 
 def test_replay_says_when_it_does_not_fail_again_and_which_method_it_does_not_know(crash_file, tmp_path):
-    start = md.replay(failing(overlapping(), crash_report=tmp_path / "start.h5md").file, LJ)  # which was refused
+    refused = failing(of_two(LJ, 0.55, 0.005), crash_report=tmp_path / "start.h5md")
+    start = md.replay(refused.file, LJ)
     assert [(row.step, row.first, row.second) for row in start.rows] == [(0, 0, 1)]
     assert start.trajectory is None
     seen = md.replay(crash_file, md.HarmonicBond(1.0, 1.0), trajectory=False, picture=False)
@@ -287,6 +285,17 @@ def test_replay_says_when_it_does_not_fail_again_and_which_method_it_does_not_kn
         md.replay(crash_file)
 
 
+def test_times_and_lengths_of_a_replay_have_units(tmp_path):
+    system = md.System([[0, 0, 0], [1.12, 0, 0]], masses=14.0, bonds=[[0, 1]], units=md.units.ASE, cell=20.0)
+    sim = md.Simulation(system, md.HarmonicBond(100.0, 1.1), md.VelocityVerlet(2.0004 * 0.07**0.5))
+    error = failing(sim, 3000, crash_report=tmp_path / "a.crash.h5md")
+    assert re.search(r"atoms 0 and 1, \S+ Å apart", str(error))
+    lines = str(md.replay(error.file, sim.potentials)).splitlines()
+    last = next(line for line in lines if line.startswith(f"{sim.step:>8}"))
+    assert lines[1].split() == ["ps", "eV", "Å", "eV/Å", "Å/ps"]
+    assert float(last.split()[1]) == pytest.approx(sim.step * sim.method.timestep / md.units.ps, rel=1e-4)
+
+
 def test_scene_that_blows_up_is_replayed_from_its_file_alone(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("melt.toml").write_text(melt_scene(3, 4000).replace("timestep = 0.004", "timestep = 0.03"))
@@ -295,9 +304,8 @@ def test_scene_that_blows_up_is_replayed_from_its_file_alone(tmp_path, monkeypat
     Path("melt.toml").unlink()
     assert cli.main(["replay", "melt.crash.h5md"]) == 0
     assert "failed again" in capsys.readouterr().out
-    assert Path("melt.replay.h5md").exists()
-    assert Path("melt.replay.png").exists()
     assert cli.main(["replay", "melt.crash.h5md", "--out", "other.h5md", "--quiet"]) == 0
+    assert {"melt.replay.h5md", "melt.replay.png", "other.h5md"} <= {path.name for path in tmp_path.iterdir()}
     for file in ("melt.crash.h5md", "melt.h5md"):  # it was replayed; it holds no crash report
         assert cli.main(["replay", file]) == 2
 
@@ -312,6 +320,5 @@ def test_equilibration_of_a_scene_that_blows_up_leaves_its_crash_report(tmp_path
     past, seen = read_crash_report("melt.crash.h5md"), md.replay("melt.crash.h5md")
     assert past.noise_shift < 0
     assert seen.failed_at == past.findings.step
-    assert len(seen.rows) > 1
     energy = read_file("melt.crash.h5md").record.total_energy[-1]
     assert seen.rows[-1].energy == pytest.approx(energy, rel=1e-6)

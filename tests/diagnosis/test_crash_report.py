@@ -143,8 +143,8 @@ def bottomless(r2, a, rho, c):
 
 
 def test_a_law_without_a_bottom_is_named_and_rigid_pairs_are_no_overlap():
-    law = md.PairPotential(bottomless, (1000.0, 0.15, 2.0), cutoff=2.5, truncation="truncated")
-    for law, distance, is_named in ((law, 0.36, True), (md.LennardJones(1.0, 1.0, 2.5), 1.5, False)):
+    deep = md.PairPotential(bottomless, (1000.0, 0.15, 2.0), cutoff=2.5, truncation="truncated")
+    for law, distance, is_named in ((deep, 0.36, True), (md.LennardJones(1.0, 1.0, 2.5), 1.5, False)):
         system = md.System([[0.0, 0, 0], [distance, 0, 0]])
         (pair,) = contacts(system, [law], np.ones(2), [0])
         verdict = bottomless_law(SimpleNamespace(strongest=pair, system=system))

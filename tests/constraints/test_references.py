@@ -10,7 +10,6 @@ from ase.md.verlet import VelocityVerlet
 from references import fourmol, load
 
 import minimd as md
-from minimd import ase as bridge
 from minimd.ase import Calculator
 from minimd.potentials.term import Term
 
@@ -20,23 +19,21 @@ WATER_ANGLE = np.radians(110.1)
 BONDS = np.arange(54).reshape(-1, 2)  # of nitrogen
 
 
-def numbers_of(name, key, n_types=1):
-    """LAMMPS' coefficients: types to numbers."""
-    rows = [line.split() for line in load(f"lammps_fourmol/{name}.json")[key]]
-    return {tuple(map(int, row[:n_types])): tuple(map(float, row[n_types:])) for row in rows}
-
-
 def constrained_fourmol(pairs, lengths, angle_atoms):
     """LAMMPS' molecules after 8 steps; harmonic terms of the rigid bonds, and of angles over angle_atoms, left out."""
-    system, table = fourmol()
-    rigid = {tuple(sorted(pair)) for pair in pairs}
+
+    def numbers(name, key, n=1):  # of pairs or types of terms
+        rows = [line.split() for line in load(f"lammps_fourmol/{name}.json")[key]]
+        return {tuple(map(int, row[:n])): tuple(map(float, row[n:])) for row in rows}
+
+    (system, table), rigid = fourmol(), {tuple(sorted(pair)) for pair in pairs}
     bonds = np.array([row for row in table["bonds"] if tuple(sorted((row[1] - 1, row[2] - 1))) not in rigid])
     angles = np.array([row for row in table["angles"] if row[2] - 1 not in angle_atoms])
-    of_pairs = numbers_of("mol-pair-lj_cut", "pair_coeff", 2)
-    own = {a: numbers for (a, b), numbers in of_pairs.items() if a == b}
-    unlike = {(a, b): numbers for (a, b), numbers in of_pairs.items() if a != b}
+    of_pairs = numbers("mol-pair-lj_cut", "pair_coeff", 2)
+    of_bonds, of_angles = numbers("bond-harmonic", "bond_coeff"), numbers("angle-harmonic", "angle_coeff")
+    own = {a: row for (a, b), row in of_pairs.items() if a == b}
+    unlike = {pair: row for pair, row in of_pairs.items() if pair[0] != pair[1]}
     scale = {"mixing": "geometric", "bonded_scale": (0.10, 0.25, 0.50)}
-    of_bonds, of_angles = numbers_of("bond-harmonic", "bond_coeff"), numbers_of("angle-harmonic", "angle_coeff")
     k, length = np.array([of_bonds[kind,] for kind in bonds[:, 0]]).T
     stiffness, angle = np.array([of_angles[kind,] for kind in angles[:, 0]]).T
     laws = [
@@ -44,8 +41,8 @@ def constrained_fourmol(pairs, lengths, angle_atoms):
         md.HarmonicBond(2.0 * k, length, pairs=bonds[:, 1:] - 1),
         md.HarmonicAngle(2.0 * stiffness, np.radians(angle), angles[:, 1:] - 1),
     ]
-    system, rigid = fourmol(masses=system.masses / FTM2V)[0], md.DistanceConstraints(pairs, lengths)
-    simulation = md.Simulation(system, laws, md.VelocityVerlet(0.25), rigid)
+    system, kept = fourmol(masses=system.masses / FTM2V)[0], md.DistanceConstraints(pairs, lengths)
+    simulation = md.Simulation(system, laws, md.VelocityVerlet(0.25), kept)
     with pytest.warns(UserWarning, match="projected onto the constraints"):
         simulation.run(8, every=8)
     return simulation
@@ -130,19 +127,3 @@ def test_the_center_of_atoms_with_fixcom_is_held_or_what_would_move_it_is_refuse
             simulation.method = langevin
         assert simulation.method.name == "velocity-verlet"
         simulation.method = md.StochasticVelocityRescaling(FS, 80.0, 100.0 * FS, seed=1)
-
-
-def test_ase_dynamics_keeps_the_constraints_of_the_atoms_and_no_others():
-    atoms = nitrogen()
-    atoms.calc = Calculator(LAW, bonds=BONDS)
-    start = atoms.positions[1::2] - atoms.positions[::2]
-    bridge.VelocityVerlet(atoms, FS).run(50)
-    now = atoms.positions[1::2] - atoms.positions[::2]
-    assert np.abs(now - start).max() > 0.01
-    assert np.linalg.norm(now, axis=1) == pytest.approx(np.linalg.norm(start, axis=1), rel=1e-14)
-    dynamics = bridge.VelocityVerlet(atoms, FS)
-    for constraint in ([], FixAtoms([0]), []):  # what was removed is no longer kept
-        atoms.set_constraint(constraint)
-        before = atoms.positions[0].copy()
-        dynamics.run(10)
-    assert np.abs(atoms.positions[0] - before).max() > 1e-6

@@ -3,20 +3,17 @@
 import re
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from ase.build import molecule
 from h5md_runs import simulation
 from references import liquid
-from scenes import LJ, SCENES, Scene
+from scenes import LJ, SCENES
 from scipy.signal import lfilter
 
 import minimd as md
 from minimd.analysis.check import check_file
-from minimd.analysis.check import liquid as lines_of
-from minimd.compiled import machine
 from minimd.compiled.machine import peak_memory
 from minimd.diagnosis.report import Drift, conservation_report, drift, drift_of_walk
 from minimd.diagnosis.run_report import cutoff_lines
@@ -103,15 +100,11 @@ def test_nothing_is_conserved_where_something_is_not_finite(conserved, value, ba
 
 
 @pytest.mark.skipif(peak_memory() is None, reason="the operating system does not tell")
-def test_memory_is_the_peak_of_the_process(conserved, monkeypatch):
+def test_memory_is_the_peak_of_the_process(conserved):
     before = conserved.report().cost.peak_memory
     held = np.ones(int(before // 8) + 10**7)  # 80 MB more than the process has ever held, whatever was freed of it
     del held
     assert conserved.report().cost.peak_memory >= before + 80e6
-    monkeypatch.setattr(machine, "STATUS", Path("nowhere"))
-    for system, is_known in (("Windows", False), ("Darwin", True)):
-        monkeypatch.setattr(machine.platform, "system", lambda system=system: system)
-        assert (machine.peak_memory() is not None) == ("memory" in str(conserved.report())) == is_known
 
 
 def record_of(total, n_atoms=10, **changes):
@@ -221,26 +214,9 @@ def test_the_verdict_says_that_the_time_step_is_too_long(tmp_path):
     with pytest.warns(UserWarning, match=r"timestep 0.02 τ .*advise_timestep"):
         made.run(20, every=1, trajectory=file)
     report = made.report()
-    level, falls = {"slope": 0.0}, {"slope": -1.0, "error": 1e-3, "is_unsure": False}
-    still, falling = (replace(report, energy_drift=replace(report.energy_drift, **one)) for one in (level, falls))
-    for one in (report, check_file(file).report, replace(still, energy_range=0.0), falling):
+    still = replace(report, energy_drift=replace(report.energy_drift, slope=0.0), energy_range=0.0)
+    for one in (report, check_file(file).report, still):
         assert "timestep 0.02 τ" in one.verdict
-    assert falling.verdict.startswith("THE TOTAL ENERGY DRIFTS")
-    made.method = md.VelocityVerlet(0.002)
-    assert "timestep" not in made.report().verdict
-
-
-def test_a_start_out_of_equilibrium_is_told_beside_a_drift():
-    positions, edges = md.lattice.crystal("fcc", [4, 4, 4], 1.68)
-    law = md.LennardJones(1.0, 1.0, 2.5, "truncated")
-    run = Scene(md.System(positions, cell=edges), [law], timestep=0.02).simulation()
-    run.set_temperature(2.0, seed=1)
-    run.run(100, every=1)
-    report = run.report()
-    assert report.is_settling
-    assert report.temperatures[0] > 1.1 * report.temperatures[1]
-    assert not report.energy_is_conserved
-    assert "equilibrate first" in report.verdict
 
 
 def jump(law, system=None):
@@ -290,15 +266,6 @@ def test_report_tells_of_list_cutoff_constraints_and_angular_momentum():
     droplet.run(200, every=20, observers=[torque])
     assert droplet.report().momentum_is_conserved
     assert not droplet.report().angular_momentum_is_conserved
-
-
-def test_diffusion_of_langevin_dynamics_is_called_that(tmp_path):
-    for method, told in ((md.LangevinBAOAB(0.004, 3.0, 0.1, seed=1), True), (md.VelocityVerlet(0.004), False)):
-        sim = SCENES["argon"]().simulation(method)
-        sim.set_temperature(3.0, seed=1)
-        sim.run(1000, every=10, trajectory=tmp_path / "a.h5md", overwrite=True)
-        (found,) = [line for line in lines_of(tmp_path / "a.h5md") if line.startswith("diffusion")]
-        assert ("of Langevin dynamics" in found) is told
 
 
 def test_other_potentials_turned_cells_and_changed_time_steps_of_a_file_are_told(tmp_path):

@@ -3,8 +3,6 @@
 import csv
 import io
 import sys
-from types import SimpleNamespace
-from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from scenes import SCENES
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.structure import console
 
 
 @pytest.fixture(scope="module")
@@ -56,16 +53,3 @@ def test_a_record_draws_itself_unless_it_has_no_entries(record):
     assert str(empty) == "record         no entries"
     scene = SCENES["argon"]()
     assert "of single atoms: least " in str(md.evaluate(scene.system, scene.laws))
-
-
-def test_a_notebook_has_a_bar_unless_it_is_not_wanted(monkeypatch):
-    """By default as on a terminal; the bar is that of tqdm.auto."""
-    bar = MagicMock()
-    monkeypatch.setitem(sys.modules, "tqdm.auto", SimpleNamespace(tqdm=bar))
-    here = SimpleNamespace(get_ipython=lambda: None), SimpleNamespace(get_ipython=lambda: SimpleNamespace(kernel=1))
-    for module, wanted, shows in ((None, None, 0), (here[0], None, 0), (here[1], None, 1), (here[1], False, 0)):
-        monkeypatch.setitem(sys.modules, "IPython", module)
-        bar.reset_mock()
-        with console.progress_of(10, "running", *([] if wanted is None else [wanted])) as tell:
-            tell(5)
-        assert bar.call_count == shows

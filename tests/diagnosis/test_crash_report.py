@@ -1,32 +1,40 @@
-"""A run that blows up says why, leaves a file, and can be seen failing again."""
+"""Runs that fail, and runs that are watched: the step is found, a good state is kept, and the cause is told."""
 
 import json
 import re
 import shutil
 from pathlib import Path
 
+import ase.build
 import h5py
 import numpy as np
 import pytest
-from references import liquid, melt_scene
+from ase import units
+from ase.calculators.emt import EMT
+from ase.calculators.lj import LennardJones
+from ase.md.velocitydistribution import thermalize_momenta
+from references import melt_scene
 from scenes import LJ, SCENES
 from wrong_calls import assert_answered
 
 import minimd as md
+from minimd.ase import Calculator, ForcesFromCalculator, Langevin, VelocityVerlet
 from minimd.commands import main as cli
 from minimd.diagnosis.crash_report import examine
+from minimd.diagnosis.run_guard import BLOCK
 from minimd.files.crash_file import read_crash_report
 from minimd.files.h5md_digest import sign
 from minimd.files.h5md_reader import read_file
 from minimd.forces.contacts import contacts
-from minimd.neighbors.queries import closest_pair
 
 BIG_STEP = 0.024  # at which a liquid lives for some hundred steps
 
 
-def failing(simulation, n_steps=4000, **how):
+def failing(run, *arguments, **how):
+    if isinstance(run, md.Simulation):
+        run, arguments = run.run, (4000,)
     with pytest.raises((md.NonFiniteError, md.ConstraintError)) as caught:
-        simulation.run(n_steps, **how)
+        run(*arguments, **how)
     return caught.value
 
 
@@ -63,11 +71,6 @@ def hollow(r2, limit):
 HOLLOW = md.PairPotential(hollow, (1.0,), 3.0, "truncated")
 
 
-def push_together(run):
-    if run.step == 20:
-        run.positions[1] = run.positions[0] + [0.3, 0.0, 0.0]
-
-
 APPROACHING, FAST = [[1.0, 0, 0], [0.0, 0, 0]], [9e74, 0, 0]
 SPRING = md.HarmonicBond(1e-3, 1.0, pairs=[[0, 1]])
 CASES = [  # scene, kind of the cause, what is said
@@ -83,10 +86,15 @@ CASES = [  # scene, kind of the cause, what is said
 ]
 
 
+def push_together(run):
+    if run.step == 20:
+        run.positions[1] = run.positions[0] + [0.3, 0.0, 0.0]
+
+
 @pytest.mark.parametrize(("make", "kind", "words"), CASES)
 def test_the_cause_is_told(make, kind, words):
     """Also of an overlap that is made during the run, and of atoms that are flung beyond all numbers in use."""
-    error = failing(make(), observers=[push_together] if "step 20" in words else [], every=10)
+    error = failing(make().run, 4000, observers=[push_together] if "step 20" in words else [], every=10)
     found = error.crash_report
     assert found.kind == kind
     assert re.search(words, str(error))
@@ -98,26 +106,6 @@ def test_the_cause_is_told(make, kind, words):
         inverse = 1.0 / masses[[found.pair.first, found.pair.second]]
         assert found.pair.is_bond
         assert found.pair.frequency == pytest.approx(np.sqrt(k * inverse.sum()), rel=1e-6)
-
-
-def test_a_step_that_drives_atoms_into_each_other_is_told_by_their_distance_then():
-    """In a crystal at rest no pair is stiff: Δt·ω = 0.3 before the first step is not why it fails."""
-    crystal = liquid(5, temperature=3.0, jitter=0.0)
-    found = failing(md.Simulation(crystal, LJ, md.VelocityVerlet(0.06))).crash_report
-    assert (found.kind, found.step) == ("pair", 1)
-    moved = md.System(crystal.positions + 0.06 * crystal.velocities, cell=crystal.cell)  # the crystal has no forces
-    first, second, distance = closest_pair(moved)
-    assert {found.pair.first, found.pair.second} == {first, second}
-    assert found.pair.distance == pytest.approx(distance, rel=1e-9)  # rounding
-    assert found.pair.frequency * 0.06 > 2.0
-
-
-def test_bonded_atoms_at_one_place_are_the_cause():
-    system = md.System([[0, 0, 0], [1, 0, 0], [1, 0, 0]], bonds=[[1, 2]])
-    for term in (md.HarmonicBond(50.0, 1.0), md.HarmonicAngle(5.0, 2.0, [[0, 1, 2]])):
-        found = failing(md.Simulation(system, term, md.VelocityVerlet(0.01))).crash_report
-        assert found.kind == "overlap"
-        assert "atoms 1 and 2 are at the same place" in found.cause
 
 
 def test_contact_knows_force_and_curvature_of_the_pair():
@@ -133,15 +121,6 @@ def test_contact_knows_force_and_curvature_of_the_pair():
     found = contacts(system, [law, md.HarmonicBond(1.0, 1.0)], np.ones(3), [0])
     assert {(one.first, one.second, one.is_bond) for one in found} == {(0, 1, False), (0, 2, True)}
     assert next(one for one in found if not one.is_bond).distance == pytest.approx(0.2)
-
-
-def test_rigid_pairs_are_no_overlap():
-    """Of an atom and a light one without a well, thrown at the same: their lengths are not the cause."""
-    places, velocities = np.outer([0.0, 0.3, 1.6, 1.9], [1, 0, 0]), np.outer([0, 0, -90.0, -90.0], [1, 0, 0])
-    system = md.System(places, species=["A", "B", "A", "B"], velocities=velocities)
-    law, rigid = md.LennardJones({"A": (1.0, 1.0), "B": (0.0, 1.0)}, cutoff=2.5), [[0, 1], [2, 3]]
-    run = md.Simulation(system, law, md.VelocityVerlet(0.01), md.DistanceConstraints(rigid))
-    assert "overlap at the start" not in str(failing(run, 100))
 
 
 def test_file_holds_the_last_good_state_and_loses_nothing(tmp_path, monkeypatch):
@@ -214,7 +193,12 @@ def test_altered_findings_are_refused(crash_file, tmp_path):
 
 
 LANGEVIN = {"method": md.LangevinBAOAB, "temperature": 1.44, "friction": 1.0, "seed": 2}
-FAILING = {"langevin": lambda: melt(BIG_STEP, **LANGEVIN), "rigid and fixed": rigid_with_one_fixed, "bonds": chain}
+FAILING = {  # positions last, too: energies that a method has not evaluated at its last positions are
+    "langevin": lambda: melt(BIG_STEP, **LANGEVIN),
+    "rigid and fixed": rigid_with_one_fixed,
+    "bonds": chain,
+    "positions last": lambda: melt(0.03, md.PositionVerlet),
+}
 
 
 @pytest.mark.parametrize("make", FAILING.values(), ids=FAILING)
@@ -248,29 +232,134 @@ def test_replay_says_when_it_does_not_fail_again_and_what_it_does_not_know(crash
     assert_answered(lambda: md.replay(crash_file), ValueError, "holds no scene")
 
 
-def test_scene_that_blows_up_is_replayed_from_its_file_alone(tmp_path, monkeypatch, capsys):
+@pytest.mark.filterwarnings("ignore:timestep")
+def test_scene_that_blows_up_is_replayed_from_its_file_alone_with_the_same_noise(tmp_path, monkeypatch, capsys):
+    """Also one that blows up while it is equilibrated."""
     monkeypatch.chdir(tmp_path)
-    Path("melt.toml").write_text(melt_scene(3, 4000).replace("timestep = 0.004", "timestep = 0.03"))
-    assert cli.main(["run", "melt.toml", "--quiet"]) == 3
-    assert "Crash report in melt.crash.h5md" in capsys.readouterr().err
-    Path("melt.toml").unlink()
-    assert cli.main(["replay", "melt.crash.h5md"]) == 0
-    assert "failed again" in capsys.readouterr().out
+    bath = 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n'
+    for name, more in (("melt", ""), ("bath", f"{bath}[equilibration]\nsteps = 2000\nrescale_every = 10\n")):
+        Path("melt.toml").write_text(melt_scene(3, 4000, more).replace("timestep = 0.004", "timestep = 0.04"))
+        assert cli.main(["run", "melt.toml", "--quiet", "--out", f"{name}.h5md"]) == 3
+        assert f"Crash report in {name}.crash.h5md" in capsys.readouterr().err
+        Path("melt.toml").unlink()
+        assert cli.main(["replay", f"{name}.crash.h5md"]) == 0
+        assert "failed again" in capsys.readouterr().out
+        assert (read_crash_report(f"{name}.crash.h5md").noise_shift < 0) == (name == "bath")
     assert cli.main(["replay", "melt.crash.h5md", "--out", "other.h5md", "--quiet"]) == 0
     assert {"melt.replay.h5md", "melt.replay.png", "other.h5md"} <= {path.name for path in tmp_path.iterdir()}
     for file in ("melt.crash.h5md", "melt.h5md"):  # it was replayed; it holds no crash report
         assert cli.main(["replay", file]) == 2
 
 
-def test_equilibration_of_a_scene_that_blows_up_leaves_its_crash_report(tmp_path, monkeypatch):
-    """And is replayed with the same noise."""
-    monkeypatch.chdir(tmp_path)
-    bath = 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n'
-    scene = melt_scene(3, 10, f"{bath}[equilibration]\nsteps = 2000\nrescale_every = 10\n")
-    Path("melt.toml").write_text(scene.replace("timestep = 0.004", "timestep = 0.04"))
-    assert cli.main(["run", "melt.toml", "--quiet"]) == 3
-    past, seen = read_crash_report("melt.crash.h5md"), md.replay("melt.crash.h5md")
-    assert past.noise_shift < 0
-    assert seen.failed_at == past.findings.step
-    energy = read_file("melt.crash.h5md").record.total_energy[-1]
-    assert seen.rows[-1].energy == pytest.approx(energy, rel=1e-6)
+IN_A_BATH = {"temperature_K": 300, "friction": 0.01 / units.fs}
+TOO_LONG = 60.0 * units.fs  # of copper, whose limit is 41 fs
+
+
+def test_what_is_no_count_or_no_end_is_refused_and_no_steps_are_none(tmp_path):
+    """What is refused leaves the last record and the state."""
+    sim, file = SCENES["argon"]().simulation(), tmp_path / "a.h5md"
+    record, before = sim.run(0, trajectory=file), sim.positions.copy()
+    with pytest.raises(FileExistsError):
+        sim.run(10, trajectory=file)
+    for name, make in [
+        ("n_steps", sim.run),
+        ("until_step", lambda n: sim.run(until_step=n)),
+        ("n_steps", sim.make_steps),
+        ("n_steps", lambda n: sim.equilibrate(n, 1.0)),
+        ("max_steps", lambda n: sim.minimize(max_steps=n)),
+    ]:
+        for count in (True, 2.0, -1, "3"):
+            assert_answered(lambda make=make, count=count: make(count), ValueError, name, repr(count))
+    for both in ({}, {"n_steps": 5, "until_step": 5}):
+        assert_answered(lambda both=both: sim.run(**both), ValueError, "n_steps", "until_step")
+    assert sim.record is record
+    sim.make_steps(0)
+    assert len(sim.run(np.int64(0))) == 1
+    assert sim.step == 0
+    assert np.array_equal(sim.positions, before)
+
+
+def copper(calculator=None):
+    atoms = ase.build.bulk("Cu", cubic=True).repeat(2)
+    atoms.calc = EMT() if calculator is None else calculator
+    thermalize_momenta(atoms, 300, rng=np.random.default_rng(1))
+    return atoms
+
+
+def nitrogen(timestep):
+    system = md.System([[0, 0, 0], [1.12, 0, 0]], masses=14.0, bonds=[[0, 1]], units=md.units.ASE, cell=20.0)
+    return md.Simulation(system, md.HarmonicBond(100.0, 1.1), md.VelocityVerlet(timestep * units.fs))
+
+
+@pytest.mark.filterwarnings("ignore:the calculator is EMT", "ignore:timestep")
+@pytest.mark.parametrize("bath", [{}, pytest.param(IN_A_BATH, marks=pytest.mark.slow)], ids=["alone", "bath"])
+def test_a_calculator_of_others_fails_at_its_step_for_its_cause(bath, tmp_path):
+    """ASE alone has 11.5 eV after the first step and 2.4e5 eV after the second; where each step is looked at, too."""
+    atoms = copper()
+    start, run = atoms.get_total_energy(), (Langevin if bath else VelocityVerlet)(atoms, TOO_LONG, **bath)
+    found = failing(run.run, 300).crash_report
+    assert run.nsteps == found.last_good_step == found.step - 1 <= 2
+    assert abs(atoms.get_total_energy() - start) < 5.0  # one kinetic energy
+    assert found.kind == "step"
+    assert f"timestep 60 fs too large: {run.method().name} is stable up to " in found.cause
+    assert "as advise_timestep recommends" in found.advice
+    if not bath:
+        limit = md.advise_timestep(atoms, ForcesFromCalculator(EMT())).limit
+        assert f"up to {md.units.ASE.shown(limit)[:2]}" in found.cause
+        run = VelocityVerlet(copper(), TOO_LONG, logfile=str(tmp_path / "a.log"), loginterval=1)
+        assert "At step 2: the total energy has gone from 0.735 to 2.4" in str(failing(run.run, 300))
+        assert run.nsteps == 1
+
+
+@pytest.mark.filterwarnings("ignore:the calculator is EMT")
+def test_what_others_do_between_two_steps_is_no_runaway():
+    """Atoms that are pushed, a calculator that is another from now on, a run of its own; a heat that was asked for."""
+    atoms = copper(LennardJones(sigma=2.3, epsilon=1e-6, rc=5.0))
+    atoms.set_momenta(1e-3 * atoms.get_momenta())
+    run = VelocityVerlet(atoms, 1.0 * units.fs)
+    run.attach(lambda: setattr(atoms, "calc", EMT()) if run.nsteps >= 4 else None, 2)
+    run.attach(lambda: atoms.set_momenta(1e3 * atoms.get_momenta()), -8)
+    run.run(12)
+    atoms.set_momenta(1e3 * atoms.get_momenta())
+    run.run(2)
+    assert run.nsteps == 14
+    simulation = nitrogen(1.0)
+    simulation.run(10)
+    simulation.set_temperature(3e8, seed=1)
+    simulation.make_steps(2 * BLOCK)
+    assert simulation.step == 10 + 2 * BLOCK
+
+
+@pytest.mark.filterwarnings("ignore:timestep")
+def test_a_bond_beyond_its_limit_fails_at_once_with_the_advice_of_advise_timestep(tmp_path):
+    """Run by a Simulation, in an equilibration, and as dynamics of ASE."""
+    warm, simulation, law = nitrogen(8.0), nitrogen(8.0), md.HarmonicBond(100.0, 1.1, pairs=[[0, 1]])
+    warm.set_temperature(300, seed=1)
+    assert failing(warm.equilibrate, 300, 300.0, every=50).crash_report.step == warm.step + 1 < 5
+    atoms = ase.Atoms("N2", simulation.positions, cell=[20] * 3, pbc=True, calculator=Calculator(law))
+    of_ase = failing(VelocityVerlet(atoms, 8.0 * units.fs).run, 300)
+    error = failing(simulation.run, 300, crash_report=tmp_path / "a.crash.h5md")
+    seen = md.replay(error.file, simulation.potentials)  # fails where the run did
+    assert (seen.failed_at, [row.step for row in seen.rows]) == (1, [0])
+    assert [atoms.get_total_energy(), simulation.frame().observables["total_energy"]] == pytest.approx([0.02] * 2)
+    for found, system in ((of_ase.crash_report, atoms), (error.crash_report, simulation.system)):
+        recommended = md.advise_timestep(system, law).recommended
+        assert (found.step, found.last_good_step) == (1, 0)
+        assert f"take {md.units.ASE.shown(recommended)}, as advise_timestep recommends" in found.advice
+
+
+@pytest.mark.filterwarnings("ignore:timestep")
+def test_a_mode_that_grows_slowly_is_followed_back_to_a_good_state_and_replayed_in_units(tmp_path):
+    """Δt·ω = 2.0004: energies grow by some 8 % in a step, and raise the alarm two blocks after the last good state."""
+    simulation = nitrogen(1.0)
+    simulation.method = md.VelocityVerlet(2.0004 / (100.0 / 7.0) ** 0.5)
+    error = failing(simulation.run, 3000, every=1000, crash_report=tmp_path / "a.crash.h5md")
+    assert error.crash_report.step == simulation.step + 1
+    assert "has gone from 0.02 to" in str(error)
+    assert simulation.frame().observables["total_energy"] < 0.06  # twice K + |U| of the start, and a step
+    seen = md.replay(error.file, simulation.potentials, picture=False, trajectory=False)
+    assert seen.failed_at == error.crash_report.step
+    lines = str(seen).splitlines()
+    last = next(line for line in lines if line.startswith(f"{simulation.step:>8}"))
+    assert lines[1].split() == ["ps", "eV", "Å", "eV/Å", "Å/ps"]
+    assert float(last.split()[1]) == pytest.approx(simulation.time / md.units.ps, rel=1e-4)

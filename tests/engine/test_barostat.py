@@ -22,7 +22,6 @@ from minimd.engine.record import Record
 from minimd.integrators.splitting.barostats import ThermodynamicState
 from minimd.observers.fluctuations import FEWEST
 from minimd.scene import load_scene, run_scene
-from minimd.structure.cell import Cell
 from minimd.structure.statistics import mean_and_error, with_error
 
 COUPLINGS, BATH = ["isotropic", "z", "xy", "triclinic"], md.LangevinBAOAB(0.003, 0.8, 1.0, 2)
@@ -267,13 +266,6 @@ def test_displacements_of_rigid_molecules_are_those_beside_the_motion_of_their_c
     assert looking.result().msd == pytest.approx(0.0, abs=1e-24)  # rounding
 
 
-def opened_between_two_runs():
-    simulation = atom_with_clock()
-    simulation.run(5, progress=False)
-    simulation.system.cell = Cell(simulation.system.cell.vectors, [True, True, False])
-    simulation.make_steps(5)
-
-
 def test_what_cannot_be_at_constant_pressure_is_refused():
     system, law, _ = KINDS["clusters"]()
     flat = md.System(system.positions, cell=system.cell.vectors, pbc=[True, True, False])
@@ -292,7 +284,6 @@ def test_what_cannot_be_at_constant_pressure_is_refused():
         (lambda: simulation(barostat=1.0), TypeError, "barostat", "1.0"),
         (lambda: simulation().probe_reversibility(10), ValueError, "barostat"),
         (lambda: barostat(coupling="sideways"), ValueError, "coupling", "'sideways'"),
-        (opened_between_two_runs, ValueError, "periodic", "slab"),
     ]:
         assert_answered(call, error, *shown)
     with pytest.warns(UserWarning, match="acts every 5 steps"):

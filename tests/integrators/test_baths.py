@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from references import melt_scene
 from scenes import SCENES
 from scipy import stats
 from wrong_calls import assert_answered
@@ -14,7 +13,6 @@ from minimd.forces.cluster_term import ClusterTerm
 from minimd.integrators import THERMOSTATS, Drift, Kick, State, adjoint, compose
 from minimd.integrators.splitting.state import Bath, Surroundings
 from minimd.integrators.splitting.substeps import Thermalize
-from minimd.scene import parse_scene
 
 LANGEVIN = md.LangevinBAOAB(0.01, temperature=1.3, friction=2.0, seed=5)
 BUSSI = md.StochasticVelocityRescaling(0.01, temperature=1.3, relaxation_time=0.5, seed=5)
@@ -240,18 +238,12 @@ def test_every_thermostat_can_be_made_from_its_relaxation_time_and_again_from_it
     assert method(**bath.parameters).parameters == bath.parameters
 
 
-def scene(method, more=""):
-    return parse_scene(melt_scene(3, 40, f'method = "{method}"\n{more}'), "x.toml")
-
-
 WRONG = [  # call, error, what is shown
     (lambda: md.LangevinBAOAB(-0.01, 1.0, 1.0, 1), ValueError, "timestep", "-0.01"),
     (lambda: md.LangevinBAOAB(0.01, -1.0, 1.0, 1), ValueError, "temperature", "-1.0"),
     (lambda: md.LangevinBAOAB(0.01, 1.0, np.nan, 1), ValueError, "friction", "nan"),
     (lambda: md.LangevinBAOAB(0.01, 1.0, 1.0, 2**128), ValueError, "seed", "340"),
     (lambda: md.StochasticVelocityRescaling(0.01, 1.0, 0.0, 1), ValueError, "relaxation_time", "0.0"),
-    (lambda: scene("velocity-verlet", "relaxation_time = 0.3"), ValueError, "relaxation time", "velocity-verlet"),
-    (lambda: scene("langevin-baoab"), ValueError, "relaxation_time", "langevin-baoab"),
     (lambda: md.LangevinBAOAB.on(md.integrators.SecondOrder(lambda q: -q)), TypeError, "langevin-baoab"),
     (lambda: compose(md.LangevinBAOAB), TypeError, "has a bath"),
     (lambda: adjoint(md.StochasticVelocityRescaling), TypeError, "has a bath"),

@@ -1,7 +1,5 @@
 """Constraints beside LAMMPS' reference numbers, and beside ASE's."""
 
-import copy
-
 import ase
 import numpy as np
 import pytest
@@ -122,8 +120,7 @@ def test_the_center_of_atoms_with_fixcom_is_held_or_what_would_move_it_is_refuse
     for laws, method, fixed in ((LAW, langevin, ()), ([LAW, Push()], verlet, ()), (LAW, verlet, md.FixedAtoms([0]))):
         with pytest.raises(ValueError, match="FixCom"):
             md.Simulation(atoms, laws, method, fixed)
-    for simulation in (sim := md.Simulation(atoms, LAW, verlet), copy.copy(sim)):
-        with pytest.raises(ValueError, match="FixCom"):
-            simulation.method = langevin
-        assert simulation.method.name == "velocity-verlet"
-        simulation.method = md.StochasticVelocityRescaling(FS, 80.0, 100.0 * FS, seed=1)
+    simulation = md.Simulation(atoms, LAW, verlet)
+    with pytest.raises(ValueError, match="FixCom"):
+        simulation.method = langevin
+    simulation.method = md.StochasticVelocityRescaling(FS, 80.0, 100.0 * FS, seed=1)

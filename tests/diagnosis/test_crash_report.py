@@ -293,8 +293,8 @@ def nitrogen(timestep):
 
 @pytest.mark.filterwarnings("ignore:the calculator is EMT", "ignore:timestep")
 @pytest.mark.parametrize("bath", [{}, pytest.param(IN_A_BATH, marks=pytest.mark.slow)], ids=["alone", "bath"])
-def test_a_calculator_of_others_fails_at_its_step_for_its_cause(bath, tmp_path):
-    """ASE alone has 11.5 eV after the first step and 2.4e5 eV after the second; where each step is looked at, too."""
+def test_a_calculator_of_others_fails_at_its_step_for_its_cause(bath):
+    """ASE alone has 11.5 eV after the first step and 2.4e5 eV after the second."""
     atoms = copper()
     start, run = atoms.get_total_energy(), (Langevin if bath else VelocityVerlet)(atoms, TOO_LONG, **bath)
     found = failing(run.run, 300).crash_report
@@ -306,9 +306,6 @@ def test_a_calculator_of_others_fails_at_its_step_for_its_cause(bath, tmp_path):
     if not bath:
         limit = md.advise_timestep(atoms, ForcesFromCalculator(EMT())).limit
         assert f"up to {md.units.ASE.shown(limit)[:2]}" in found.cause
-        run = VelocityVerlet(copper(), TOO_LONG, logfile=str(tmp_path / "a.log"), loginterval=1)
-        assert "At step 2: the total energy has gone from 0.735 to 2.4" in str(failing(run.run, 300))
-        assert run.nsteps == 1
 
 
 @pytest.mark.filterwarnings("ignore:the calculator is EMT")

@@ -1,7 +1,4 @@
-"""Thermodynamics of the Lennard-Jones fluid: energy and pressure beside NIST's, constant pressure beside LAMMPS.
-
-Provenance in the data files. N = 500, r_c = 3 σ with tail corrections, 200 t* or more at controlled temperature.
-"""
+"""Thermodynamics of the Lennard-Jones fluid: energy and pressure beside NIST's, constant pressure beside LAMMPS."""
 
 import numpy as np
 import pytest

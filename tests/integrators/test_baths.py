@@ -170,15 +170,6 @@ def test_total_energy_minus_heat_is_conserved(method, tmp_path):
     assert checked.report.verdict == sim.report().verdict
 
 
-def test_without_friction_langevin_is_velocity_verlet():
-    free, verlet = simulation(md.LangevinBAOAB(0.004, 1.3, 0.0, 1)), simulation(md.VelocityVerlet(0.004))
-    verlet.velocities[:] = free.velocities
-    for sim in (free, verlet):
-        sim.run(100)
-    assert np.abs(free.positions - verlet.positions).max() < 1e-10  # rounding, amplified
-    assert free.reservoir_energy == pytest.approx(0.0, abs=1e-10)
-
-
 @EVERY_BATH
 def test_a_run_in_two_parts_or_resumed_is_the_run_in_one(method, tmp_path):
     whole, parts, file = simulation(method), simulation(method), tmp_path / "a.h5md"

@@ -1,7 +1,4 @@
-"""Runs with a bath sample the canonical ensemble: judged by physical_validation, and by the laws themselves.
-
-P. T. Merz, M. R. Shirts, PLOS ONE 13, e0202764 (2018).
-"""
+"""Runs with a bath sample the canonical ensemble. P. T. Merz, M. R. Shirts, PLOS ONE 13, e0202764 (2018)."""
 
 import numpy as np
 import pytest

@@ -69,7 +69,6 @@ def test_a_resumed_run_is_the_uninterrupted_one_and_a_check_recomputes_its_lengt
 
 
 OTHERS = [  # lengths or none, fixed atoms, and what is said of the difference
-    (None, None, "atom 0 is fixed in the file"),
     ({}, [0, 1, 5], "atom 5 is fixed in the simulation"),
     (None, [0, 1], "lengths, 31 of them"),
     ({"pairs": PAIRS[1:-1]}, [0, 1], "atoms 62-63 is kept in the file"),
@@ -223,8 +222,6 @@ WRONG = [  # [constraints] of a scene, what is shown
     ("pairs = [[0, 1], [1, 2]]\nlengths_A = [1.5]", "constraints", "lengths_A", "2 pairs"),
     ('pairs = "bonds"\nlengths_A = [1.5, 1.5]', "constraints: lengths", "(2,)"),
     ("pairs = [[0, 1], [1, 2]]\nlengths_A = [1.5, -1]", "constraints.lengths_A[1]", "= -1"),
-    ("lengths_A = 1.5", "constraints", "pairs", "lengths_A"),
-    ("fixed = [-1]", "constraints.fixed[0]", "= -1"),
     ("fixed = [4]", "fixed atoms", "atom 4"),
     ('pairs = [[0, 1]]\nsolver = "lincs"', "constraints.solver", '"lincs"'),
     ('solver = "shake"', "constraints", "tolerance and solver", "give pairs"),

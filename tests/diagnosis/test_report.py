@@ -13,7 +13,6 @@ from scipy.signal import lfilter
 
 import minimd as md
 from minimd.analysis.check import check_file
-from minimd.compiled.machine import peak_memory
 from minimd.diagnosis.report import Drift, conservation_report, drift, drift_of_walk
 from minimd.diagnosis.run_report import cutoff_lines
 from minimd.engine.record import SERIES, Record
@@ -46,7 +45,6 @@ def test_the_report_tells_conserved_from_not(conserved):
     assert good.energy_is_conserved
     assert good.momentum_is_conserved
     assert bad.energy_is_conserved is slight.energy_is_conserved is False
-    assert "DRIFTS" in bad.verdict
     assert 1e-4 < slight.energy_drift.slope < 1e-2  # 1e-3 ε per atom per τ is a drift, however long the run
     wind = lambda run: np.add(run.velocities, [1e-6, 0.0, 0.0], out=run.velocities)  # noqa: E731
     assert not liquid_run(200, wind).report().momentum_is_conserved
@@ -91,14 +89,6 @@ def test_nothing_is_conserved_where_something_is_not_finite(conserved, value, ba
         energy = known["total_energy"].copy()
         energy[frames] = 1e308 * np.random.default_rng(1).random(len(energy[frames]))  # it overflows
         assert bath or judged(known | {"total_energy": energy})[1][0] is False
-
-
-@pytest.mark.skipif(peak_memory() is None, reason="the operating system does not tell")
-def test_memory_is_the_peak_of_the_process(conserved):
-    before = conserved.report().cost.peak_memory
-    held = np.ones(int(before // 8) + 10**7)  # 80 MB more than the process has ever held, whatever was freed of it
-    del held
-    assert conserved.report().cost.peak_memory >= before + 80e6
 
 
 def record_of(total, n_atoms=10, **changes):

@@ -295,10 +295,8 @@ def test_a_scene_has_a_barostat_in_bar(tmp_path, monkeypatch):
     bath = "pressure_bar = 50.0\ncompressibility_per_bar = 2e-4\nrelaxation_time_fs = 1500.0\nevery = 25\n"
     text = ARGON.read_text().replace("[6, 6, 6]", "[3, 3, 3]").replace("8.5", "7.0").replace("= 4000", "= 10")
     (tmp_path / "npt.toml").write_text(f"{text}\n[barostat]\n{bath}")
-    told = []
-    simulation = run_scene(load_scene("npt.toml"), steps=50, tell=told.append, progress=False)
+    simulation = run_scene(load_scene("npt.toml"), steps=50, tell=lambda _: None, progress=False)
     assert simulation.barostat.pressure == pytest.approx(50.0 * md.units.BAR)
-    assert "barostat" in "\n".join(told)
     resumed = md.Simulation.resume("argon.h5md")
     assert resumed.barostat == simulation.barostat
     assert np.array_equal(resumed.system.cell.vectors, simulation.system.cell.vectors)

@@ -190,15 +190,6 @@ def test_a_run_in_two_parts_or_resumed_is_the_run_in_one(method, tmp_path):
         H5MDWriter.append_to(file, without.engine)
 
 
-def test_contacts_at_both_ends_of_a_step_are_not_made_one_where_nobody_looks():
-    whole, parts = (simulation(OBABO(0.004, 1.3, 2.0, 5)) for _ in range(2))
-    whole.run(40, every=40)
-    parts.run(20, every=20)
-    parts.run(20, every=20)
-    # rounding: energies are summed with the forces or without
-    assert whole.positions == pytest.approx(parts.positions, abs=1e-9)
-
-
 def test_each_equilibration_has_noise_of_its_own_and_the_same_in_each_repetition(monkeypatch):
     """Two of them, and one after a run: none meets the noise of another, or that of the run."""
     monkeypatch.setattr(ClusterTerm, "marches", False)  # thermalize is called at each step

@@ -9,10 +9,6 @@ from ase import Atoms
 import minimd as md
 
 
-def masses_for(n_atoms, seed=1):
-    return np.random.default_rng(seed).uniform(1.0, 3.0, n_atoms)
-
-
 def chain(n_atoms):
     k = np.arange(n_atoms)
     return np.column_stack([0.5 * np.cos(1.1 * k), 0.5 * np.sin(1.1 * k), 0.6 * k]), np.column_stack([k[:-1], k[1:]])
@@ -21,22 +17,21 @@ def chain(n_atoms):
 def ring(n_atoms):
     k = np.arange(n_atoms)
     angle = 2.0 * np.pi * k / n_atoms
-    places = np.column_stack([np.cos(angle), np.sin(angle), 0.2 * (-1.0) ** k])
-    return places, np.column_stack([k, (k + 1) % n_atoms])
+    return np.column_stack([np.cos(angle), np.sin(angle), 0.2 * (-1.0) ** k]), np.column_stack([k, (k + 1) % n_atoms])
 
 
 def sheet(side):
     index = np.arange(side * side).reshape(side, side)
     down, across = np.stack([index[:-1], index[1:]], axis=-1), np.stack([index[:, :-1], index[:, 1:]], axis=-1)
     x, y = np.divmod(index.ravel(), side)
-    places = np.column_stack([x, y, 0.05 * np.sin(x * y)]).astype(float)
-    return places, np.concatenate([down.reshape(-1, 2), across.reshape(-1, 2)])
+    pairs = np.concatenate([down.reshape(-1, 2), across.reshape(-1, 2)])
+    return np.column_stack([x, y, 0.05 * np.sin(x * y)]).astype(float), pairs
 
 
 def cube():
     """Twelve edges and a diagonal on each face: rigid, and no constraint too many."""
-    corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=float)
-    edges = [pair for pair in combinations(range(8), 2) if np.abs(corners[pair[0]] - corners[pair[1]]).sum() == 1.0]
+    corners = np.array(list(np.ndindex(2, 2, 2)), dtype=float)
+    edges = [(i, j) for i, j in combinations(range(8), 2) if np.abs(corners[i] - corners[j]).sum() == 1.0]
     return corners, np.array([*edges, (0, 3), (0, 5), (0, 6), (7, 1), (7, 2), (7, 4)])
 
 
@@ -62,14 +57,17 @@ def rod():
 
 
 SCENES = {
-    "diatomics": (*diatomics(5), masses_for(10)),
-    "water": (*water(3), np.tile([16.0, 1.0, 1.0], 3)),
-    "triangle of three masses": (*water(1), np.array([16.0, 1.0, 2.0])),
-    "chain": (*chain(100), masses_for(100)),
-    "ring": (*ring(6), masses_for(6)),
-    "cube": (*cube(), masses_for(8)),
-    "rod": (*rod(), np.array([16.0, 12.0, 16.0])),
-    "sheet": (*sheet(20), masses_for(400)),
+    name: (*graph, np.random.default_rng(1).uniform(1.0, 3.0, len(graph[0])) if masses is None else np.array(masses))
+    for name, graph, masses in [
+        ("diatomics", diatomics(5), None),
+        ("water", water(3), [16.0, 1.0, 1.0] * 3),
+        ("triangle of three masses", water(1), [16.0, 1.0, 2.0]),
+        ("chain", chain(100), None),
+        ("ring", ring(6), None),
+        ("cube", cube(), None),
+        ("rod", rod(), [16.0, 12.0, 16.0]),
+        ("sheet", sheet(20), None),
+    ]
 }
 
 

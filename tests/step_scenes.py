@@ -13,13 +13,13 @@ N_STEPS, LOOK = 3000, 100
 
 
 def diatomic():
-    system = md.System([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], masses=[1.0, 4.0], bonds=[[0, 1]])
-    return system, md.HarmonicBond(100.0, 1.0), ()
+    return md.System([[0.0, 0, 0], [1.0, 0, 0]], masses=[1.0, 4.0], bonds=[[0, 1]]), md.HarmonicBond(100.0, 1.0), ()
 
 
-def fcc(masses=1.0, stretch=(1.0, 1.0, 1.0)):
+def fcc(masses=1.0, stretch=(1.0, 1.0, 1.0), fixed=False):
     positions, edges = crystal("fcc", [3, 3, 3], 1.55)
-    return md.System(positions * stretch, cell=edges * stretch, masses=masses), LJ, ()
+    layer = md.FixedAtoms(positions[:, 0] < 0.1) if fixed else ()
+    return md.System(positions * stretch, cell=edges * stretch, masses=masses), LJ, layer
 
 
 def bead_melt():
@@ -32,11 +32,6 @@ def bead_melt():
     return system, [md.HarmonicBond(400.0, 0.97), BONDED], ()
 
 
-def squeezed_with_fixed_layer():
-    system, law, _ = fcc(np.geomspace(1.0, 200.0, 108), (1.0, 1.05, 0.93))
-    return system, law, md.FixedAtoms(system.positions[:, 0] < 0.1)
-
-
 MINIMA = {
     "diatomic": diatomic,
     "chain": lambda: SCENES["chain"]()[:3],
@@ -47,7 +42,7 @@ MINIMA = {
     "mixture": lambda: SCENES["mixture"]()[:3],
     "bead melt": bead_melt,
     "rigid dumbbells": lambda: SCENES["dumbbells"]()[:3],
-    "squeezed, one layer fixed": squeezed_with_fixed_layer,
+    "squeezed, one layer fixed": lambda: fcc(np.geomspace(1.0, 200.0, 108), (1.0, 1.05, 0.93), fixed=True),
 }
 
 

@@ -1,7 +1,6 @@
 """Stochastic cell rescaling: its equations, what follows the cell, and what files and reports say of it."""
 
 import pickle
-from dataclasses import replace
 
 import ase.io
 import MDAnalysis
@@ -23,10 +22,9 @@ from minimd.engine.record import Record
 from minimd.integrators.splitting.barostats import ThermodynamicState
 from minimd.observers.fluctuations import FEWEST
 from minimd.scene import load_scene, run_scene
-from minimd.structure.cell import Cell
 from minimd.structure.statistics import mean_and_error, with_error
 
-COUPLINGS = ["isotropic", "z", "xy", "triclinic"]
+COUPLINGS, BATH = ["isotropic", "z", "xy", "triclinic"], md.LangevinBAOAB(0.003, 0.8, 1.0, 2)
 NO_ROOM = md.LennardJones(1.0, 1.0, 2.05, "force-shifted", bonded_scale=(0.0, 0.0, 1.0))  # for a skin
 
 
@@ -35,23 +33,19 @@ def barostat(**changes):
     return md.StochasticCellRescaling(**plain | changes)
 
 
-def bath_at(temperature):
-    return md.LangevinBAOAB(0.003, temperature, 1.0, 2)
-
-
 def wrapped_dumbbells():
     """Rigid, many of them across the boundary, in a cell that has next to no room for a skin."""
-    scene = SCENES["dumbbells"]()
-    system, wrapped = scene.system, scene.system.cell.wrapped(scene.system.positions + 0.9)
-    return md.System(wrapped, cell=system.cell, masses=system.masses, bonds=system.bonds), NO_ROOM, scene.constraints
+    system, _, constraints = SCENES["dumbbells"]()[:3]
+    places = system.cell.wrapped(system.positions + 0.9)
+    return md.System(places, cell=system.cell, masses=system.masses, bonds=system.bonds), NO_ROOM, constraints
 
 
 KINDS = {"clusters": lambda: SCENES["argon"]()[:3], "bonds": bead_melt, "dumbbells": wrapped_dumbbells}
 
 
-def at_pressure(kind, method=None, temperature=0.8, **changes):
+def at_pressure(kind, method=BATH, temperature=0.8, **changes):
     system, laws, constraints = KINDS[kind]()
-    method, bath = method or bath_at(temperature), barostat(**{"temperature": temperature} | changes)
+    bath = barostat(**{"temperature": temperature} | changes)
     simulation = md.Simulation(system, laws, method, constraints, barostat=bath)
     simulation.set_temperature(temperature, 1)
     return simulation
@@ -99,8 +93,7 @@ def test_forces_in_a_strained_cell_are_those_of_new_lists(kind, coupling):
     volume = simulation.system.volume
     simulation.run(100, every=50, progress=False)
     assert abs(simulation.system.volume / volume - 1.0) > 1e-4
-    if kind != "dumbbells":
-        assert simulation.engine.interactions.n_builds < 20  # of 20 strains
+    assert kind == "dumbbells" or simulation.engine.interactions.n_builds < 20  # of 20 strains
     fresh = md.evaluate(simulation.system, simulation.potentials)
     simulation.frame()
     assert simulation.forces == pytest.approx(fresh.forces, abs=1e-12 * np.abs(fresh.forces).max())  # rounding
@@ -140,13 +133,8 @@ def atom_with_clock(**changes):
     return md.Simulation(atom, Clock(), md.VelocityVerlet(0.1), barostat=barostat(**bath))
 
 
-def test_forces_that_depend_on_time_are_those_of_the_step_of_the_strain():
-    simulation = atom_with_clock()
-    simulation.run(10, every=10, progress=False)
-    assert simulation.potentials[0].times == (0.0, 0.5, 0.5, 1.0, 1.0)
-
-
 def test_heat_capacity_and_expansion_at_the_pressure_of_the_barostat():
+    """And forces that depend on time are those of the step of the strain."""
     simulation, looking = atom_with_clock(), md.observers.Fluctuations(every=5)
     simulation.velocities[:] = 0.5, -1.0, 0.7
     record = simulation.run(40, every=5, observers=[looking], progress=False)
@@ -154,9 +142,12 @@ def test_heat_capacity_and_expansion_at_the_pressure_of_the_barostat():
     found, grown = looking.result(), 1.0 + 2.0 / FEWEST  # the part that variances miss in so short a run
     assert found.heat_capacity_p == pytest.approx(grown * of_enthalpy / 0.8**2)
     assert found.expansion == pytest.approx(grown * covariance / (0.8**2 * record.volume.mean()))
+    simulation = atom_with_clock()
+    simulation.run(10, every=10, progress=False)
+    assert simulation.potentials[0].times == (0.0, 0.5, 0.5, 1.0, 1.0)
 
 
-@pytest.mark.parametrize("method", [bath_at(0.8), md.StochasticVelocityRescaling(0.003, 0.8, 0.1, 2)])
+@pytest.mark.parametrize("method", [BATH, md.StochasticVelocityRescaling(0.003, 0.8, 0.1, 2)])
 def test_a_file_tells_volume_and_pressure_as_the_report_does_with_the_error_of_a_mean(method, tmp_path):
     simulation = at_pressure("clusters", method)
     record = simulation.run(200, every=5, trajectory=tmp_path / "a.h5md", progress=False)
@@ -172,9 +163,9 @@ def test_a_file_tells_volume_and_pressure_as_the_report_does_with_the_error_of_a
 def record_with(n_atoms=8, **series):
     n = len(series["pressure"])
     flat, none = np.ones(n), np.zeros((n, 3))
-    plain = dict.fromkeys(("temperature", "potential_energy", "kinetic_energy", "conserved_energy"), flat)
+    names = "temperature", "potential_energy", "kinetic_energy", "conserved_energy"
+    plain = dict.fromkeys((*names, "absolute_momentum", "absolute_angular_momentum"), flat)
     plain |= {"total_energy": 2.0 * flat, "momentum": none, "angular_momentum": none}
-    plain |= {"absolute_momentum": flat, "absolute_angular_momentum": flat}
     return Record.of(md.units.LJ, n_atoms, {"step": np.arange(n), "time": np.arange(float(n)), **plain, **series})
 
 
@@ -189,25 +180,10 @@ def test_a_pressure_is_reached_within_three_standard_errors():
     for n_errors, is_reached in ((0.0, True), (2.5, True), (-3.43, False), (6.0, False)):
         report = judged(record_with(pressure=1.0 + noise - mean + n_errors * error, volume=100.0 + 0.1 * noise))
         assert [line.is_good for line in report.lines] == [True, is_reached]
-        for name in ("pressure", "P"):  # no name decides
-            renamed = replace(report, lines=tuple(replace(line, name=name) for line in report.lines))
-            assert renamed.is_far_from_pressure is not is_reached
+        assert report.is_far_from_pressure is not is_reached
     for n_atoms, of_center in ((8, 0.5), (1, 0.0)):  # is added where it is left out
         record = record_with(n_atoms, volume=np.full(40, 2.0), pressure=np.full(40, 1.25))
         assert f" {with_error(1.25 + of_center, 0.0)} " in str(list(pressure_lines(record, barostat(), True))[1])
-
-
-@pytest.mark.parametrize("where", ["volume", "pressure", "neither"])
-def test_an_energy_that_drifts_on_the_way_to_a_pressure_is_not_blamed_on_the_step(where):
-    """The volume grows by a quarter as exp(−t) does; or the pressure is 3 for 1."""
-    rng, t = np.random.default_rng(1), np.arange(200.0)
-    volume = 100.0 + rng.normal(size=200) + (where == "volume") * 25.0 * (1.0 - np.exp(-t / 40.0))
-    pressure = rng.normal(size=200) + (3.0 if where == "pressure" else 1.0)
-    report = judged(record_with(pressure=pressure, volume=volume, conserved_energy=t + 0.01 * rng.normal(size=200)))
-    assert report.energy_is_conserved is False
-    assert report.is_far_from_pressure is (where != "neither")
-    assert ("reduce the time step" in report.verdict) is (where == "neither")
-    assert ("the volume changed" in report.verdict) is (where == "volume")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -266,11 +242,8 @@ def test_what_evaporates_at_a_negative_pressure_is_told():
         simulation.run(1000, every=1000, progress=False)
     assert caught.value.crash_report.kind == "barostat"
     assert simulation.system.volume < 300.0
-    gas = at_pressure("clusters", temperature=3.0, pressure=1e-3, compressibility=1.0, relaxation_time=0.2)
-    gas.run(1500, every=50, progress=False)
     record = record_with(volume=np.geomspace(1.0, 9.0, 20), pressure=np.ones(20))  # of a file
-    for told in (gas.report(), next(pressure_lines(record, barostat(), False))):
-        assert "EVAPORATED" in str(told)
+    assert "EVAPORATED" in str(next(pressure_lines(record, barostat(), False)))
 
 
 @pytest.mark.parametrize("make", [lambda: SCENES["dumbbells"]()[:3], wrapped_dumbbells], ids=["whole", "wrapped"])
@@ -282,35 +255,15 @@ def test_displacements_of_rigid_molecules_are_those_beside_the_motion_of_their_c
     looking, volume = md.observers.MeanSquareDisplacement(every=1), engine.system.volume
     parts = engine.barostat, engine.system, engine.interactions, engine.constraint_set, engine.method
     rescaling = rescaling_of(*parts, holds_center=False)
-
-    def forces_follow():
-        engine.moved()
-        engine.interactions.follow()
-        engine.evaluate()
-
+    follow = lambda: (engine.moved(), engine.interactions.follow(), engine.evaluate())  # noqa: E731
     looking.prepare(engine)
     engine.evaluate()
     for _ in range(4):
         looking.observe(engine)
-        rescaling.apply(engine.method, engine.step, engine.surroundings.bath, forces_follow)
+        rescaling.apply(engine.method, engine.step, engine.surroundings.bath, follow)
         engine.count(1)
     assert abs(engine.system.volume / volume - 1.0) > 1e-5
     assert looking.result().msd == pytest.approx(0.0, abs=1e-24)  # rounding
-
-
-def opened_between_two_runs():
-    simulation = atom_with_clock()
-    simulation.run(5, progress=False)
-    simulation.system.cell = Cell(simulation.system.cell.vectors, [True, True, False])
-    simulation.make_steps(5)
-
-
-def observer_of_another_bath():
-    looking = md.observers.Fluctuations()
-    simulation = md.Simulation(md.System([[0.0, 0.0, 0.0]]), Clock(), md.VelocityVerlet(0.1))
-    for temperature in (0.8, 0.9):
-        simulation.method = md.LangevinBAOAB(0.1, temperature, 1.0, 2)
-        looking.prepare(simulation.engine)
 
 
 def test_what_cannot_be_at_constant_pressure_is_refused():
@@ -331,8 +284,6 @@ def test_what_cannot_be_at_constant_pressure_is_refused():
         (lambda: simulation(barostat=1.0), TypeError, "barostat", "1.0"),
         (lambda: simulation().probe_reversibility(10), ValueError, "barostat"),
         (lambda: barostat(coupling="sideways"), ValueError, "coupling", "'sideways'"),
-        (opened_between_two_runs, ValueError, "periodic", "slab"),
-        (observer_of_another_bath, ValueError, "bath"),
     ]:
         assert_answered(call, error, *shown)
     with pytest.warns(UserWarning, match="acts every 5 steps"):
@@ -344,10 +295,8 @@ def test_a_scene_has_a_barostat_in_bar(tmp_path, monkeypatch):
     bath = "pressure_bar = 50.0\ncompressibility_per_bar = 2e-4\nrelaxation_time_fs = 1500.0\nevery = 25\n"
     text = ARGON.read_text().replace("[6, 6, 6]", "[3, 3, 3]").replace("8.5", "7.0").replace("= 4000", "= 10")
     (tmp_path / "npt.toml").write_text(f"{text}\n[barostat]\n{bath}")
-    told = []
-    simulation = run_scene(load_scene("npt.toml"), steps=50, tell=told.append, progress=False)
+    simulation = run_scene(load_scene("npt.toml"), steps=50, tell=lambda _: None, progress=False)
     assert simulation.barostat.pressure == pytest.approx(50.0 * md.units.BAR)
-    assert "barostat" in "\n".join(told)
     resumed = md.Simulation.resume("argon.h5md")
     assert resumed.barostat == simulation.barostat
     assert np.array_equal(resumed.system.cell.vectors, simulation.system.cell.vectors)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from references import melt_scene
 from scenes import SCENES
 from scipy import stats
 from wrong_calls import assert_answered
@@ -14,7 +13,6 @@ from minimd.forces.cluster_term import ClusterTerm
 from minimd.integrators import THERMOSTATS, Drift, Kick, State, adjoint, compose
 from minimd.integrators.splitting.state import Bath, Surroundings
 from minimd.integrators.splitting.substeps import Thermalize
-from minimd.scene import parse_scene
 
 LANGEVIN = md.LangevinBAOAB(0.01, temperature=1.3, friction=2.0, seed=5)
 BUSSI = md.StochasticVelocityRescaling(0.01, temperature=1.3, relaxation_time=0.5, seed=5)
@@ -22,8 +20,8 @@ EVERY_BATH = pytest.mark.parametrize("method", [LANGEVIN, BUSSI], ids=list(THERM
 
 
 def state(velocities, masses):
-    velocities = np.array(velocities, dtype=float)
-    return State(np.zeros_like(velocities), velocities, np.zeros_like(velocities), 1.0 / np.asarray(masses))
+    v = np.array(velocities, dtype=float)
+    return State(np.zeros_like(v), v, np.zeros_like(v), 1.0 / np.asarray(masses))
 
 
 def in_contact(**bath):
@@ -100,10 +98,10 @@ def test_rescaling_leaves_the_motion_of_the_whole_alone():
 
 def test_single_and_fixed_atoms_keep_all_their_degrees_of_freedom():
     """A momentum that is no constant is thermal: it is rescaled with the rest."""
-    lj, one = md.LennardJones(1.0, 1.0, cutoff=2.0), md.System([[0.0, 0.0, 0.0]], velocities=[[1.0, 2.0, 3.0]])
-    two = md.System([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]], velocities=[[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
-    for system, fixed in ((one, None), (two, md.FixedAtoms([0]))):
-        sim = md.Simulation(system, lj, BUSSI, fixed)
+    moving = [[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]]
+    for n, fixed in ((1, None), (2, md.FixedAtoms([0]))):
+        system = md.System([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]][:n], velocities=moving[-n:])
+        sim = md.Simulation(system, md.LennardJones(1.0, 1.0, cutoff=2.0), BUSSI, fixed)
         sim.run(1)
         assert sim.n_dof == 3
         assert sim.velocities[-1] / [1.0, 2.0, 3.0] == pytest.approx(sim.velocities[-1, 0], rel=1e-14)
@@ -127,21 +125,17 @@ def test_noise_depends_on_seed_step_and_contact_alone():
 
 def test_configurations_of_an_oscillator_are_exact_at_large_timesteps():
     """ωΔt = 1.5: ⟨q²⟩ = k_B T/k, but ⟨v²⟩ = k_B T/m (1 − (ωΔt)²/4). B. Leimkuhler, C. Matthews (2013)."""
-    n, omega, temperature, rng = 3000, 1.5, 1.0, np.random.default_rng(2)
-    method = md.LangevinBAOAB(1.0, temperature, friction=1.0, seed=1)
+    n, omega, rng, squares = 3000, 1.5, np.random.default_rng(2), []
+    method, around = md.LangevinBAOAB(1.0, temperature=1.0, friction=1.0, seed=1), in_contact(n_dof=9000)
     s = State(rng.normal(size=(n, 3)) / omega, rng.normal(size=(n, 3)), np.zeros((n, 3)), np.ones(n))
-    around, squares = in_contact(n_dof=3 * n), []
-
-    def springs(s, with_energy):
-        s.forces[:] = -(omega**2) * s.positions
-
+    springs = lambda s, with_energy: np.multiply(-(omega**2), s.positions, out=s.forces)  # noqa: E731
     for _ in range(60):
         method.advance(s, springs, 5, surroundings=around)
         squares.append([(s.positions**2).mean(), (s.velocities**2).mean()])
     squares = np.array(squares[10:])
     error = squares.std(axis=0, ddof=1) / np.sqrt(len(squares))
     assert error[0] * omega**2 < 0.005
-    exact = temperature / omega**2, temperature * (1.0 - omega**2 / 4.0)
+    exact = 1.0 / omega**2, 1.0 - omega**2 / 4.0
     assert (np.abs(squares.mean(axis=0) - exact) < 4.0 * error).all()  # statistics
 
 
@@ -176,15 +170,6 @@ def test_total_energy_minus_heat_is_conserved(method, tmp_path):
     assert checked.report.verdict == sim.report().verdict
 
 
-def test_without_friction_langevin_is_velocity_verlet():
-    free, verlet = simulation(md.LangevinBAOAB(0.004, 1.3, 0.0, 1)), simulation(md.VelocityVerlet(0.004))
-    verlet.velocities[:] = free.velocities
-    for sim in (free, verlet):
-        sim.run(100)
-    assert np.abs(free.positions - verlet.positions).max() < 1e-10  # rounding, amplified
-    assert free.reservoir_energy == pytest.approx(0.0, abs=1e-10)
-
-
 @EVERY_BATH
 def test_a_run_in_two_parts_or_resumed_is_the_run_in_one(method, tmp_path):
     whole, parts, file = simulation(method), simulation(method), tmp_path / "a.h5md"
@@ -205,38 +190,25 @@ def test_a_run_in_two_parts_or_resumed_is_the_run_in_one(method, tmp_path):
         H5MDWriter.append_to(file, without.engine)
 
 
-def test_contacts_at_both_ends_of_a_step_are_not_made_one_where_nobody_looks():
-    whole, parts = (simulation(OBABO(0.004, 1.3, 2.0, 5)) for _ in range(2))
-    whole.run(40, every=40)
-    for _ in range(2):
-        parts.run(20, every=20)
-    # rounding: energies are summed with the forces or without
-    assert whole.positions == pytest.approx(parts.positions, abs=1e-9)
-
-
 def test_each_equilibration_has_noise_of_its_own_and_the_same_in_each_repetition(monkeypatch):
     """Two of them, and one after a run: none meets the noise of another, or that of the run."""
     monkeypatch.setattr(ClusterTerm, "marches", False)  # thermalize is called at each step
+    seen, ends = [], []
 
-    def steps_of_noise():
-        sim, seen = simulation(LANGEVIN), []
-        sim.method = md.LangevinBAOAB(0.01, 1.3, 2.0, 5)
-        thermalize = sim.method.thermalize
-
-        def noted(s, duration, around):
+    class Noted(md.LangevinBAOAB):
+        def thermalize(self, s, duration, around):
             seen.append(around.bath.step)
-            thermalize(s, duration, around)
+            super().thermalize(s, duration, around)
 
-        sim.method.thermalize = noted
+    for _ in range(2):
+        sim = simulation(Noted(0.01, 1.3, 2.0, 5))
         sim.equilibrate(5, 1.3)
         sim.equilibrate(3, 1.3)
         sim.run(4)
         sim.equilibrate(2, 1.3)
-        return seen, sim.velocities
-
-    first, again = steps_of_noise(), steps_of_noise()
-    assert first[0] == again[0] == [-5, -4, -3, -2, -1, -8, -7, -6, 0, 1, 2, 3, -10, -9]
-    assert (first[1] == again[1]).all()
+        ends.append(sim.velocities)
+    assert seen == 2 * [-5, -4, -3, -2, -1, -8, -7, -6, 0, 1, 2, 3, -10, -9]
+    assert (ends[0] == ends[1]).all()
 
 
 @pytest.mark.parametrize("method", THERMOSTATS.values())
@@ -248,19 +220,12 @@ def test_every_thermostat_can_be_made_from_its_relaxation_time_and_again_from_it
     assert method(**bath.parameters).parameters == bath.parameters
 
 
-def scene(method, more=""):
-    return parse_scene(melt_scene(3, 40, f'method = "{method}"\n{more}'), "x.toml")
-
-
 WRONG = [  # call, error, what is shown
     (lambda: md.LangevinBAOAB(-0.01, 1.0, 1.0, 1), ValueError, "timestep", "-0.01"),
     (lambda: md.LangevinBAOAB(0.01, -1.0, 1.0, 1), ValueError, "temperature", "-1.0"),
     (lambda: md.LangevinBAOAB(0.01, 1.0, np.nan, 1), ValueError, "friction", "nan"),
-    (lambda: md.LangevinBAOAB(0.01, 1.0, 1.0, 1.5), ValueError, "seed", "1.5"),
     (lambda: md.LangevinBAOAB(0.01, 1.0, 1.0, 2**128), ValueError, "seed", "340"),
     (lambda: md.StochasticVelocityRescaling(0.01, 1.0, 0.0, 1), ValueError, "relaxation_time", "0.0"),
-    (lambda: scene("velocity-verlet", "relaxation_time = 0.3"), ValueError, "relaxation time", "velocity-verlet"),
-    (lambda: scene("langevin-baoab"), ValueError, "relaxation_time", "langevin-baoab"),
     (lambda: md.LangevinBAOAB.on(md.integrators.SecondOrder(lambda q: -q)), TypeError, "langevin-baoab"),
     (lambda: compose(md.LangevinBAOAB), TypeError, "has a bath"),
     (lambda: adjoint(md.StochasticVelocityRescaling), TypeError, "has a bath"),
@@ -272,11 +237,14 @@ def test_bad_baths_are_answered(call, error, shown):
     assert_answered(call, error, *shown)
 
 
+LONG = [
+    lambda seed: md.LangevinBAOAB(0.004, 1.3, 5.0, seed),
+    lambda seed: md.StochasticVelocityRescaling(0.004, 1.3, 0.1, seed),
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "make",
-    [lambda s: md.LangevinBAOAB(0.004, 1.3, 5.0, s), lambda s: md.StochasticVelocityRescaling(0.004, 1.3, 0.1, s)],
-)
+@pytest.mark.parametrize("make", LONG)
 def test_long_runs_that_are_fine_are_told_so(make):
     """Energy minus reservoir energy wanders by 1e-3 ε per atom in 25 000 steps; that is no drift."""
     ratios = []

@@ -1,7 +1,4 @@
-"""Runs with a bath sample the canonical ensemble: judged by physical_validation, and by the laws themselves.
-
-P. T. Merz, M. R. Shirts, PLOS ONE 13, e0202764 (2018).
-"""
+"""Runs with a bath sample the canonical ensemble. P. T. Merz, M. R. Shirts, PLOS ONE 13, e0202764 (2018)."""
 
 import numpy as np
 import pytest
@@ -42,15 +39,13 @@ def runs(request):
 
 def data_of(record, temperature, n_dof):
     """The same for physical_validation."""
-    data = pytest.importorskip("physical_validation").data
-    factors = CONVERSIONS | {"time": 1e-3 / FS}
+    data, factors = pytest.importorskip("physical_validation").data, CONVERSIONS | {"time": 1e-3 / FS}
     atoms = {"mass": np.full(108, 39.948), "molecule_idx": np.arange(108), "nconstraints_per_molecule": np.zeros(108)}
+    freedom = {"nconstraints": 0, "ndof_reduction_tra": 324 - n_dof, "ndof_reduction_rot": 0}
     return data.SimulationData(
         units=data.UnitData(kb=K_B, **{f"{name}_conversion": factor for name, factor in factors.items()}),
         dt=EVERY * 4 * FS,
-        system=data.SystemData(
-            natoms=108, nconstraints=0, ndof_reduction_tra=324 - n_dof, ndof_reduction_rot=0, **atoms
-        ),
+        system=data.SystemData(natoms=108, **freedom, **atoms),
         ensemble=data.EnsembleData("NVT", natoms=108, volume=1.0, temperature=temperature),
         observables=data.ObservableData(record.kinetic_energy, record.potential_energy, record.total_energy),
     )
@@ -58,12 +53,10 @@ def data_of(record, temperature, n_dof):
 
 def test_kinetic_energies_are_those_of_the_canonical_ensemble(runs):
     """Mean and width of the gamma distribution, n_dof/2 and k_B T, within three standard errors."""
-    validation = pytest.importorskip("physical_validation")
-    records, n_dof = runs
+    judged, (records, n_dof) = pytest.importorskip("physical_validation").kinetic_energy.distribution, runs
     for record, temperature in zip(records, TEMPERATURES, strict=True):
         right, wrong = (
-            validation.kinetic_energy.distribution(data_of(record, t, n_dof), verbosity=0, bootstrap_seed=1)
-            for t in (temperature, 1.02 * temperature)
+            judged(data_of(record, t, n_dof), verbosity=0, bootstrap_seed=1) for t in (temperature, 1.02 * temperature)
         )
         assert np.abs(right).max() < SIGMAS
         assert wrong[0] > SIGMAS  # it would see two percent
@@ -71,12 +64,11 @@ def test_kinetic_energies_are_those_of_the_canonical_ensemble(runs):
 
 def test_potential_energies_at_two_temperatures_differ_by_the_boltzmann_factor(runs):
     """The ratio of their distributions is exp(−(1/k_B T₂ − 1/k_B T₁) U), within three standard errors."""
-    validation = pytest.importorskip("physical_validation")
-    records, n_dof = runs
+    judged, (records, n_dof) = pytest.importorskip("physical_validation").ensemble.check, runs
 
     def off(*temperatures):
-        data = [data_of(record, temperature, n_dof) for record, temperature in zip(records, temperatures, strict=True)]
-        return validation.ensemble.check(*data, verbosity=0, bootstrap_seed=1)[0]
+        data = (data_of(record, temperature, n_dof) for record, temperature in zip(records, temperatures, strict=True))
+        return judged(*data, verbosity=0, bootstrap_seed=1)[0]
 
     assert off(*TEMPERATURES) < SIGMAS
     assert off(TEMPERATURES[0], TEMPERATURES[0] + 0.1) > SIGMAS  # it would see that the temperatures differ

@@ -104,9 +104,7 @@ def test_fields_that_stay_and_dihedrals_are_exact_in_fixed_point():
     k = np.arange(6)
     quadruples = np.column_stack([k[:3], k[1:4], k[2:5], k[3:]])
     system = md.System(
-        np.column_stack([np.cos(k), np.sin(k), 0.7 * k]),
-        bonds=np.column_stack([k[:-1], k[1:]]),
-        dihedrals=quadruples,
+        np.column_stack([np.cos(k), np.sin(k), 0.7 * k]), bonds=np.column_stack([k[:-1], k[1:]]), dihedrals=quadruples
     )
     internal = [md.HarmonicBond(50.0, 1.0), md.PeriodicDihedral(1.0, 3)]
     fields = [md.Gravity(0.5), md.Wall([0, 0, -2.0], [0, 0, 1.0])]

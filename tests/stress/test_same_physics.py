@@ -250,10 +250,7 @@ def no_step():
 
 ALONE, OF_PRECISION, FAR = [()], [(precision,) for precision in BOTH], (1e3, 1e6, 1e9)
 SAME = {
-    units: [
-        *product([*POWERS, SI, (1e-60, 1, 1), (1e60, 1, 1)], (2, 4), ["double"]),
-        *product(SINGLE, [4], ["mixed"]),
-    ],
+    units: [*product([*POWERS, SI, (1e-60, 1, 1), (1e60, 1, 1)], (2, 4), ["double"]), *product(SINGLE, [4], ["mixed"])],
     chains: POWERS[:4],
     skins: product((True, False), BOTH),
     huge_cutoff_without_a_cell: [(1e3,), (1e30,)],

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scipy.optimize
 from references import melt_scene
 from rigid_scenes import SCENES
 from wrong_calls import assert_answered
@@ -13,11 +12,10 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.forces.forces import Forces
 from minimd.minimization.fire import steer
-from minimd.potentials.term import FORCES, TOTALS
+from minimd.potentials.term import FORCES
 from minimd.scene import parse_scene, run_scene
 from minimd.structure.errors import Interrupted
 from minimd.structure.images import nearest_vectors
-from minimd.structure.lattice import crystal
 
 LJ = md.LennardJones(1.0, 1.0)
 CUT = md.LennardJones(1.0, 1.0, cutoff=2.5, truncation="force-shifted")
@@ -65,33 +63,13 @@ def test_thirteen_atoms_form_an_icosahedron_and_a_minimum_is_left_alone(seed):
     assert found.largest_force <= LARGE_FORCE
     assert found.potential_energy == pytest.approx(LJ13, abs=5e-7)  # six decimals are published
     assert found.n_steps < 250  # what inertia buys
-    assert 100 < found.n_evaluations < 400
-    energies = found.potential_energy, found.potential_energy_before
-    assert energies == pytest.approx((there.potential_energy, before.potential_energy), rel=1e-14)  # rounding
-    forces = found.largest_force, found.largest_force_before
-    assert forces == pytest.approx((largest(there.forces), largest(before.forces)), rel=1e-12)  # rounding
+    told = found.potential_energy, found.potential_energy_before, found.largest_force, found.largest_force_before
+    seen = there.potential_energy, before.potential_energy, largest(there.forces), largest(before.forces)
+    assert told == pytest.approx(seen, rel=1e-12)  # rounding
     again = md.minimize(found.system, LJ)
     assert again.n_steps == 0
     assert np.array_equal(again.system.positions, found.system.positions)
     assert "converged after 0 steps" in str(again)
-
-
-def test_the_minimum_is_the_one_that_scipy_finds():
-    start = md.System(shaken(crystal("fcc", [3, 3, 3], 1.6)[0], 0.05), cell=4.8)
-    there = start.copy()
-    forces = Forces(there, CUT)
-
-    def energy_and_gradient(x):
-        there.positions[:] = x.reshape(-1, 3)
-        forces.compute(TOTALS)
-        return forces.potential_energy, -forces.forces.ravel()
-
-    options = {"jac": True, "method": "L-BFGS-B", "options": {"gtol": 1e-8, "ftol": 0.0}}
-    reference = scipy.optimize.minimize(energy_and_gradient, start.positions.ravel(), **options)
-    found = md.minimize(start, CUT, force_tolerance=1e-8)
-    assert found.converged
-    assert found.potential_energy == pytest.approx(reference.fun, abs=1e-10)
-    assert found.potential_energy < found.potential_energy_before - 10.0
 
 
 @pytest.mark.parametrize("distance", [0.3, 1e-1, 1e-3, 1e-15, 1e-24, 1e-100, 1.1, 2.0])
@@ -151,11 +129,16 @@ def test_a_constant_force_is_followed_until_the_steps_are_used_up():
     assert nothing.potential_energy == nothing.potential_energy_before
 
 
-def test_masses_do_not_matter():
-    positions, edges = crystal("fcc", [4, 4, 4], 1.6)
-    systems = [md.System(shaken(positions), cell=edges, masses=m) for m in (1.0, np.geomspace(1.0, 300.0, 256))]
-    one, other = (md.minimize(system, CUT).system.positions for system in systems)
-    assert np.array_equal(one, other)
+def test_masses_do_not_matter_and_fixed_atoms_stay_where_they_are():
+    system, fixed = random_liquid(200), np.arange(0, 200, 10)
+    heavy = md.System(system.positions, cell=system.cell, masses=np.geomspace(1.0, 300.0, 200))
+    found, other = (md.minimize(one, CUT, md.FixedAtoms(fixed)) for one in (system, heavy))
+    assert np.array_equal(found.system.positions, other.system.positions)
+    assert found.converged
+    assert np.array_equal(found.system.positions[fixed], system.positions[fixed])
+    forces = md.evaluate(found.system, CUT).forces
+    assert largest(forces[fixed]) > 1.0
+    assert largest(np.delete(forces, fixed, axis=0)) < LARGE_FORCE
 
 
 def test_rigid_bonds_are_kept_and_take_the_forces_along_them():
@@ -204,16 +187,6 @@ def test_lengths_that_are_off_are_put_right(max_steps):
         assert found.converged == (max_steps > 0)
 
 
-def test_fixed_atoms_stay_where_they_are():
-    system, fixed = random_liquid(200), np.arange(0, 200, 10)
-    found = md.minimize(system, CUT, md.FixedAtoms(fixed))
-    assert found.converged
-    assert np.array_equal(found.system.positions[fixed], system.positions[fixed])
-    forces = md.evaluate(found.system, CUT).forces
-    assert largest(forces[fixed]) > 1.0
-    assert largest(np.delete(forces, fixed, axis=0)) < LARGE_FORCE
-
-
 @pytest.mark.parametrize("n_atoms", [2, 3, 13])
 def test_atoms_on_one_spot_part_in_the_same_way_each_time(n_atoms):
     system = md.System(np.full((n_atoms, 3), 0.3))
@@ -230,7 +203,9 @@ def test_atoms_on_one_spot_part_in_the_same_way_each_time(n_atoms):
         assert md.minimize(pairs, CUT, force_tolerance=1e-3).converged
 
 
-def melt(n_chains, n_beads, seed):
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(("n_chains", "n_beads"), [(4, 10), pytest.param(20, 50, marks=pytest.mark.slow)])
+def test_chains_that_cross_come_to_rest_without_breaking(n_chains, n_beads, seed):
     """Random walks thrown into a cell, as melts of Kremer and Grest begin."""
     rng, edge = np.random.default_rng(seed), (n_chains * n_beads / 0.85) ** (1.0 / 3.0)
     steps = rng.standard_normal((n_chains, n_beads, 3))
@@ -238,13 +213,8 @@ def melt(n_chains, n_beads, seed):
     steps[:, 0] = rng.uniform(0.0, edge, (n_chains, 3))
     atoms = np.arange(n_chains * n_beads).reshape(n_chains, n_beads)
     bonds = np.stack([atoms[:, :-1].ravel(), atoms[:, 1:].ravel()], axis=1)
-    return md.System(np.cumsum(steps, axis=1).reshape(-1, 3), cell=edge, bonds=bonds)
-
-
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize(("n_chains", "n_beads"), [(4, 10), pytest.param(20, 50, marks=pytest.mark.slow)])
-def test_chains_that_cross_come_to_rest_without_breaking(n_chains, n_beads, seed):
-    system, repulsive = melt(n_chains, n_beads, seed), md.LennardJones(1.0, 1.0, 2 ** (1 / 6), bonded_scale=(0, 1, 1))
+    system = md.System(np.cumsum(steps, axis=1).reshape(-1, 3), cell=edge, bonds=bonds)
+    repulsive = md.LennardJones(1.0, 1.0, 2 ** (1 / 6), bonded_scale=(0, 1, 1))
     found = md.minimize(system, [repulsive, md.FENEBond(30.0, 1.5)])
     assert found.converged
     assert largest(nearest_vectors(found.system.positions, system.cell, system.bonds)) < 1.5

@@ -1,6 +1,6 @@
 """Scenes that nobody asked for, and somebody will run: each conserves its energy within its bound.
 
-A scene returns a simulation that has run, and the bound of its oscillation; what else holds of it, it asserts.
+A scene yields simulations that have run, and the bound of its oscillation; what else holds of it, it asserts.
 """
 
 from functools import partial
@@ -56,38 +56,31 @@ for _angle in (np.pi, np.pi - 1e-8, np.pi - 1e-3, 3.0, 1e-3, 0.0):
 
 def of_table(name):
     run, bound = WITHIN[name]
-    return run(), bound
+    yield run(), bound
 
 
-def planet_and_moon():
-    """A million times lighter; a thousand orbits close."""
-
-    def gravity(r2, strength):
-        r = r2**0.5
-        return -strength / r, -strength / (r2 * r)
-
+def open_space():
+    """A moon a million times lighter; a bond across a thousand cells; 500 springs on one atom, exclusions and all."""
+    gravity = md.PairPotential(lambda r2, q: (-q / r2**0.5, -q / (r2 * r2**0.5)), (1.0,), truncation="truncated")
     system = md.System([[0, 0, 0], [1, 0, 0]], velocities=[[0, -1e-6, 0], [0, 1, 0]], masses=[1e6, 1.0])
-    simulation = ran(system, md.PairPotential(gravity, (1.0,), truncation="truncated"), 0.01, 62_832, every=50)
+    simulation = ran(system, gravity, 0.01, 62_832, every=50)  # a thousand orbits
     assert np.linalg.norm(np.diff(simulation.positions, axis=0)) == pytest.approx(1.0, abs=1e-3)
-    return simulation, 1e-4
-
-
-def bond_across_a_thousand_cells():
+    yield simulation, 1e-4
     system = md.System([[0.1, 0, 0], [0.1 + 1.2 + 9.0 * 1000, 0, 0]], cell=9.0, bonds=[[0, 1]])
     simulation = ran(system, md.HarmonicBond(100.0, 1.0), 0.004, 2000)
     assert simulation.record.potential_energy[0] == pytest.approx(0.5 * 100.0 * 0.2**2, rel=1e-8)
-    return simulation, 0.05
-
-
-def star():
-    """500 springs on one atom, exclusions and all."""
+    yield simulation, 0.05
     arms = np.random.default_rng(1).standard_normal((500, 3))
     arms *= 6.0 / np.linalg.norm(arms, axis=1, keepdims=True)
     system = md.System(np.vstack([[0, 0, 0], arms]), bonds=[[0, k] for k in range(1, 501)])
     soft = md.PairPotential(stress.gauss, (), 2.5, "force-shifted", bonded_scale=(0, 1, 1))
     simulation = ran(system, [soft, md.HarmonicBond(10.0, 6.0)], 0.002, 1000, temperature=0.5)
     assert momentum_is_kept(simulation)
-    return simulation, 1e-2
+    yield simulation, 1e-2
+    thin = md.System(np.array(list(np.ndindex(10, 10, 10))) * 21.5, cell=215.0)
+    simulation = ran(thin, SMOOTH, 0.005, 5000, temperature=2.0)
+    assert simulation.record.temperature[-1] == pytest.approx(2.0, rel=0.02)
+    yield simulation, 1e-4
 
 
 def rigid_ring(n_steps):
@@ -96,35 +89,27 @@ def rigid_ring(n_steps):
     assert simulation.record.constraint_violation.max() < 1e-14  # rounding
     assert simulation.report().energy_is_conserved
     assert momentum_is_kept(simulation, 1e-11)
-    return simulation, 1e-3
+    yield simulation, 1e-3
 
 
 def rigid_chain_near_180_degrees(zigzag):
     system, bonds = stress.rigid_chain(zigzag)
     simulation = ran(system, stress.WEAK, 0.002, 2000, temperature=1.0, constraints=bonds)
     assert simulation.record.constraint_violation.max() < 1e-14  # rounding
-    return simulation, 1e-3
+    yield simulation, 1e-3
 
 
 def line_without_a_cell(*along):
     simulation = ran(md.System(1.1 * np.arange(300)[:, None] * along / np.linalg.norm(along)), SMOOTH, 0.004, 300)
     assert np.abs(np.cross(simulation.positions, along)).max() < 1e-9
-    return simulation, 1e-2
-
-
-def gas_of_density_1e_4():
-    simulation = ran(
-        md.System(np.array(list(np.ndindex(10, 10, 10))) * 21.5, cell=215.0), SMOOTH, 0.005, 5000, temperature=2.0
-    )
-    assert simulation.record.temperature[-1] == pytest.approx(2.0, rel=0.02)
-    return simulation, 1e-4
+    yield simulation, 1e-2
 
 
 def collision_at_a_hundred_times_thermal_speed(timestep, bound):
     system = md.System([[0, 0, 0], [5, 0.1, 0]], velocities=[[100.0, 0, 0], [-100.0, 0, 0]])
     simulation = ran(system, SMOOTH, timestep, round(0.08 / timestep), every=10)
     assert simulation.velocities[0, 0] < 0.0
-    return simulation, bound
+    yield simulation, bound
 
 
 def masses_a_million_times_apart(ratio):
@@ -132,7 +117,7 @@ def masses_a_million_times_apart(ratio):
     system = solid(3, masses=np.where(np.arange(108) % 2, 1.0, ratio))
     simulation = ran(system, SMOOTH, 0.002 * min(1.0, ratio) ** 0.5, 2000, temperature=1.0)
     assert np.ptp(simulation.record.momentum, axis=0).max() < 1e-13 * simulation.record.absolute_momentum[0]
-    return simulation, 1e-3
+    yield simulation, 1e-3
 
 
 def dimer_below_its_limit(potential, x):
@@ -140,14 +125,14 @@ def dimer_below_its_limit(potential, x):
     simulation = ran(pair_at(stress.BOTTOM + 0.001), potential, x / np.sqrt(2.0 * stress.CURVATURE), 20_000, every=7)
     assert np.ptp(simulation.record.total_energy) < 2e-3
     assert np.linalg.norm(np.diff(simulation.positions, axis=0)) == pytest.approx(stress.BOTTOM, abs=0.05)
-    return simulation, np.inf
+    yield simulation, np.inf
 
 
 def beads_below_their_limit(x):
     """The fastest mode of a chain has ω = 2 √(k/m) at most."""
     simulation = ran(stress.in_a_row(20, 0.1 * np.sin(np.arange(20))), STIFF, x / 40.0, 20_000)
     assert simulation.record.total_energy.max() < 3.0 * simulation.record.total_energy[0]
-    return simulation, 1.0
+    yield simulation, 1.0
 
 
 def hundred_thousand_list_builds(n_atoms):
@@ -160,7 +145,7 @@ def hundred_thousand_list_builds(n_atoms):
     assert builds >= 99_999 or "all pairs" in search
     assert simulation.report().energy_is_conserved
     assert momentum_is_kept(simulation)
-    return simulation, 1e-2
+    yield simulation, 1e-2
 
 
 def million_atoms(precision):
@@ -168,7 +153,7 @@ def million_atoms(precision):
     system = md.System(positions, cell=edges)
     simulation = ran(system, SMOOTH, 0.004, 10, temperature=1.0, every=5, precision=precision)
     assert momentum_is_kept(simulation)
-    return simulation, 1e-3
+    yield simulation, 1e-3
 
 
 def million_steps():
@@ -178,7 +163,7 @@ def million_steps():
     drift = simulation.report().energy_drift
     assert abs(drift.slope) < 4.0 * drift.error
     assert momentum_is_kept(simulation)
-    return simulation, 1e-2
+    yield simulation, 1e-2
 
 
 def oscillator_below_its_limit(x):
@@ -188,7 +173,7 @@ def oscillator_below_its_limit(x):
     modified = record.kinetic_energy + (1.0 - 0.25 * x * x) * record.potential_energy
     assert np.ptp(modified) < 1e-9 * record.potential_energy[0]  # rounding
     assert record.total_energy.max() < 1.01 / (1.0 - 0.25 * x * x) * record.total_energy[0]
-    return simulation, np.inf
+    yield simulation, np.inf
 
 
 def stiff_bond_among_its_resonances(x):
@@ -198,7 +183,7 @@ def stiff_bond_among_its_resonances(x):
     simulation = ran(system, [STIFF, soft], x / np.sqrt(800.0), 30_000, every=50, temperature=0.001)
     width = [np.ptp(part) for part in np.array_split(simulation.record.total_energy, 3)]
     assert width[2] < 2.0 * max(width[0], 1e-6)
-    return simulation, np.inf
+    yield simulation, np.inf
 
 
 def threshold_of_lists(n_atoms, cell):
@@ -207,7 +192,7 @@ def threshold_of_lists(n_atoms, cell):
     system = md.System(full.positions[:n_atoms], cell=full.cell if cell else None)
     expected = 0.5 * SMOOTH.pair_energy(md.neighbor_list("d", system, 2.5)).sum()
     assert stress.forces_of(system, SMOOTH).potential_energy == pytest.approx(expected, rel=1e-12)
-    return ran(system, SMOOTH, 0.002, 500, temperature=0.5), 1e-2
+    yield ran(system, SMOOTH, 0.002, 500, temperature=0.5), 1e-2
 
 
 SHAPES = {
@@ -225,10 +210,10 @@ def cell_of_any_shape(shape, pbc):
     system = md.System(np.random.default_rng(5).uniform(-1, 1, (80, 3)) @ cell.lattice, cell=cell)
     expected = energy_of_all_pairs(system.positions, md.Cell.of(cell.lattice, pbc))
     assert stress.forces_of(system, GAUSS).potential_energy == pytest.approx(expected, rel=1e-10)
-    return ran(system, GAUSS, 0.01, 300, temperature=1.0, every=10), 1e-2
+    yield ran(system, GAUSS, 0.01, 300, temperature=1.0, every=10), 1e-2
 
 
-ALONE = (planet_and_moon, bond_across_a_thousand_cells, star, gas_of_density_1e_4, million_steps)
+ALONE = (open_space, million_steps)
 CONSERVED = {scene: [()] for scene in ALONE} | {
     of_table: [(name,) for name in WITHIN],
     rigid_ring: [(100_000,)],
@@ -252,9 +237,9 @@ CASES = [(scene, given) for scene, rows in CONSERVED.items() for given in rows]
 
 @pytest.mark.parametrize(("scene", "given"), CASES)
 def test_energy_is_conserved(scene, given):
-    simulation, bound = scene(*given)
-    assert is_finite(simulation)
-    assert oscillation(simulation) < bound  # truncation
+    for simulation, bound in scene(*given):
+        assert is_finite(simulation)
+        assert oscillation(simulation) < bound  # truncation
 
 
 @pytest.mark.parametrize("cell", [None, 1.2, 30.0])

@@ -99,22 +99,6 @@ def test_a_law_with_a_hole_stops_where_an_atom_falls_into_it(is_long):
         assert_stops(partial(ran, system, law, 0.004, 400, temperature=1.0), md.NonFiniteError, words)
 
 
-def wordy(r2):
-    return float(f"{r2}"), np.linalg.nothing(r2)
-
-
-def file(r2):
-    with open("nothing") as lines:
-        return lines, r2
-
-
-@pytest.mark.parametrize("law", [wordy, file])
-def test_a_law_that_does_not_compile_is_told(law):
-    with pytest.raises((TypeError, ValueError, AttributeError, OSError)) as caught:
-        ran(solid(3), md.PairPotential(law, (), 2.5, "truncated"), 0.004, 1)
-    assert "Failed in nopython" not in str(caught.value).splitlines()[0] or "does not compile" in str(caught.value)
-
-
 def test_arrays_of_any_kind_are_the_same_scene():
     """Integers, lists, half precision, Fortran order, strides, byte order, read-only: copied at the door."""
     whole = np.array(list(np.ndindex(6, 6, 6))) * 2

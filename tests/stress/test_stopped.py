@@ -107,19 +107,19 @@ def scenes_that_break():
         yield f"weak {bath.__name__} {x}", DUMBBELL.copy(), SPRING, 1.0, ["conserved energy has gone|not finite"], more
 
 
-@pytest.mark.parametrize("row", refused_scenes(), ids=lambda row: row[0])
+@pytest.mark.parametrize("row", [*refused_scenes()], ids=lambda row: row[0])
 def test_what_cannot_be_is_refused(row):
     assert_stops(row[1], ValueError, row[2])
 
 
 @pytest.mark.parametrize("precision", ["double", "mixed"])
-@pytest.mark.parametrize("row", scenes_that_meet(), ids=lambda row: row[0])
+@pytest.mark.parametrize("row", [*scenes_that_meet()], ids=lambda row: row[0])
 def test_atoms_that_meet_are_named(row, precision):
     _, system, potential, *words = row
     assert_stops(lambda: ran(system.copy(), potential, 0.004, 1000, precision=precision), md.NonFiniteError, *words)
 
 
-@pytest.mark.parametrize("row", scenes_that_break(), ids=lambda row: row[0])
+@pytest.mark.parametrize("row", [*scenes_that_break()], ids=lambda row: row[0])
 def test_what_breaks_is_stopped_with_its_cause(row):
     _, system, potential, timestep, words, more = row
     assert_stops(lambda: ran(system, potential, timestep, 5000, **more), md.NonFiniteError, *words)

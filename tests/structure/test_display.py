@@ -1,24 +1,17 @@
-"""What objects show: calls that make them again, a few lines, help that fits one screen; and warnings."""
+"""What objects show: calls that make them again, escaped tables of a notebook, public names; and warnings."""
 
-import pydoc
 import threading
 import warnings
 from typing import get_args
 
 import numpy as np
 import pytest
-from ase.build import molecule
-from scenes import SCENES
 
 import minimd as md
-from minimd.ase import Calculator, Langevin
-from minimd.files.h5md_reader import read_file
 from minimd.forces.options import Precision
-from minimd.mdanalysis import Frames, diffusion_coefficient, radial_distribution
 from minimd.potentials.pair import MIXING, MixingName
 from minimd.potentials.truncation import TRUNCATIONS, TruncationName
 from minimd.structure.display import Displayed
-from minimd.structure.errors import why_not_compiled
 from minimd.structure.quiet import quiet
 from minimd.structure.units import GRAM_PER_CM3
 
@@ -78,27 +71,6 @@ def test_a_system_shows_its_angles_and_its_density():
     assert "1.374 g/cm³" in str(system)
 
 
-def test_no_result_fills_the_screen(tmp_path):
-    """What a cell of a notebook ends with is a few lines, none of which shows an address."""
-    frames, file = Frames(), tmp_path / "a.h5md"
-    SCENES["argon"]().simulation().run(60, every=2, trajectory=file, observers=[frames])
-    problem = md.integrators.SecondOrder(lambda q: -q)
-    solved = md.integrators.run_steps(problem, md.VelocityVerlet(0.1), ([1.0], [0.0]), 1000)
-    atoms = molecule("N2")
-    atoms.calc = Calculator(md.HarmonicBond(100.0, 1.1, pairs=[[0, 1]]))
-    shown = [radial_distribution(frames), diffusion_coefficient(frames), read_file(file), frames, problem, solved]
-    shown += [atoms.calc, Langevin(atoms, 1.0, temperature_K=300.0, friction=0.01)]
-    shown += [md.integrators.FirstOrder(lambda y: -y), SCENES["dumbbells"]().simulation().rigid_bonds]
-    for one in shown:
-        for text in (repr(one), str(one)):
-            assert " at 0x" not in text, text
-            assert "array(" not in text, text
-            assert len(text.splitlines()) < 20
-        assert len(repr(one)) < 300
-        assert "\n" not in repr(one)
-    assert repr(problem) == "SecondOrder(f(q))"
-
-
 def test_names_that_are_offered_are_public_ones_that_exist():
     names = [name for name in dir(md) if not name.startswith("__")]
     assert names == sorted(md.__all__)
@@ -109,22 +81,6 @@ def test_names_that_are_offered_are_public_ones_that_exist():
     precisions = ["double", "mixed", "fixed-point"]
     for words, known in ((TruncationName, TRUNCATIONS), (MixingName, MIXING), (Precision, precisions)):
         assert set(get_args(words)) == set(known)
-
-
-@pytest.mark.parametrize("name", ["System", "Simulation", "LennardJones", "PairPotential", "HarmonicBond", "minimize"])
-def test_help_fits_one_screen_before_the_text_begins(name):
-    """24 lines of 80 letters; annotations as they are written, defaults by name."""
-    text = pydoc.plain(pydoc.render_doc(getattr(md, name)))
-    before = text[: text.index(getattr(md, name).__doc__.splitlines()[0])].splitlines()
-    assert sum(1 + len(line) // 80 for line in before) < 24
-    assert "numpy._typing" not in text[:3000]
-    assert name != "System" or "units: 'UnitSystem' = minimd.units.LJ" in text
-
-
-def test_what_numba_does_not_know_is_named():
-    words = "Untyped global name 'erfc':\x1b[0m Cannot determine Numba type"
-    message = f"Failed in nopython mode pipeline (step: nopython frontend)\n\x1b[1m{words}"
-    assert why_not_compiled(message) == words.replace("\x1b[0m", "")
 
 
 def test_warnings_are_passed_over_in_one_thread_alone():

@@ -55,12 +55,9 @@ def test_what_is_raised_inside_a_call_stays_as_it_is_and_no_traceback_has_a_line
         assert keywords.__file__ not in {str(entry.path) for entry in caught.traceback}
 
 
-def test_signatures_names_help_and_pickles_are_those_of_the_functions():
+def test_signatures_and_pickles_are_those_of_the_functions():
     assert list(inspect.signature(md.LennardJones).parameters)[:3] == ["epsilon", "sigma", "cutoff"]
-    assert inspect.signature(md.Simulation.run).parameters["every"].default == 100
     assert md.Simulation.run.__qualname__ == "Simulation.run"
-    assert md.Simulation.resume.__doc__.startswith("The simulation at the restart")
-    assert inspect.getsource(md.evaluate).partition("def ")[2].startswith("evaluate(")
     for one in (md.evaluate, md.ensemble, md.replay, md.Simulation.run, md.lattice.crystal):
         assert pickle.loads(pickle.dumps(one)) is one
     for one in (LJ, simulation().run, md.Simulation.resume):

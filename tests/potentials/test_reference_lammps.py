@@ -63,13 +63,9 @@ CASES = {
     "bond-morse": groups("bonds", lambda _bonds, *parameters: md.MorseBond(*parameters)),
     "bond-fene": groups("bonds", lambda _bonds, *parameters: md.FENEBond(*parameters)),
     "angle-harmonic": HARMONIC_ANGLES,
-    "dihedral-harmonic": groups(
-        "dihedrals", lambda atoms, k, d, n: md.PeriodicDihedral(k, n, np.where(d > 0.0, 0.0, np.pi), atoms)
-    ),
+    "dihedral-harmonic": groups("dihedrals", lambda atoms, k, d, n: md.PeriodicDihedral(k, n, np.pi * (d < 0), atoms)),
     "dihedral-opls": groups("dihedrals", lambda atoms, *parameters: md.OPLSDihedral(*parameters, atoms)),
-    "improper-harmonic": groups(
-        "impropers", lambda atoms, k, angle: md.HarmonicImproper(2.0 * k, -np.radians(angle), atoms)
-    ),
+    "improper-harmonic": groups("impropers", lambda g, k, at: md.HarmonicImproper(2.0 * k, -np.radians(at), g)),
 }
 
 

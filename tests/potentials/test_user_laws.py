@@ -120,13 +120,9 @@ def test_a_law_runs_after_its_module_was_renamed(tmp_path):
 def test_another_process_compiles_a_changed_law_again_and_takes_one_that_is_sent():
     """What changed is the law, its default, a global, an array, a closure cell, or a function of one that it calls."""
     sent = pickle.dumps(user_law(names_of(LAW)["law"]))
-    unchanged, *changed, u, f = answer(
-        f"""{EVALUATE}
-import pickle
-from minimd.potentials.law import evaluate_law
-print(energy(LAW), *(energy(LAW.replace(old, new)) for old, new, _ in CHANGES.values()))
-print(*evaluate_law(pickle.loads({sent!r}), 1.0, (1.0,)))"""
-    )
+    changes = "print(energy(LAW), *(energy(LAW.replace(old, new)) for old, new, _ in CHANGES.values()))"
+    received = f"import pickle\nfrom minimd.potentials.law import evaluate_law\nlaw = pickle.loads({sent!r})"
+    unchanged, *changed, u, f = answer(f"{EVALUATE}\n{changes}\n{received}\nprint(*evaluate_law(law, 1.0, (1.0,)))")
     assert changed == pytest.approx([expected for *_, expected in CHANGES.values()], rel=1e-14)  # rounding
     assert [unchanged, u, f] == pytest.approx([UNCHANGED, UNCHANGED, 2.0 * UNCHANGED], rel=1e-14)
 
@@ -149,17 +145,14 @@ def test_a_function_that_calls_itself_has_a_digest():
     assert snapshot.function(3.0, 2.0) == snapshot.python(3.0, 2.0) == 9.0
 
 
-UNSEEN = [
-    ("strength *", "place.x *"),  # an object of a class of the user's
-    ("strength = 2.0", "import numpy.ma as ma, sys; strength = sys"),  # attributes of a module could change
-    ("np.array([1.0, 3.0])", "[1.0, 3.0]"),
-    ("np.array([1.0, 3.0])", "np.zeros(10**6)"),
-    ("np.array([1.0, 3.0])", "np.zeros(8)[::2]"),
-    ("@numba.njit\ndef inner", "@numba.njit('f8(f8)')\ndef inner"),
-    ("@numba.njit\ndef inner", "def inner"),  # compiled by an overload, which may be anything
-    ("        u =", "        import math\n        u ="),
-    ("strength = 2.0", ""),
+# fmt: off
+UNSEEN = [  # objects of classes of the user's, attributes of modules, arrays that may change, calls of anything
+    ("strength *", "place.x *"), ("strength = 2.0", "import numpy.ma as ma, sys; strength = sys"), ("strength = 2.0", ""),
+    ("np.array([1.0, 3.0])", "[1.0, 3.0]"), ("np.array([1.0, 3.0])", "np.zeros(10**6)"),
+    ("np.array([1.0, 3.0])", "np.zeros(8)[::2]"), ("        u =", "        import math\n        u ="),
+    ("@numba.njit\ndef inner", "@numba.njit('f8(f8)')\ndef inner"), ("@numba.njit\ndef inner", "def inner"),
 ]
+# fmt: on
 
 
 def test_what_may_change_unseen_has_no_digest():

@@ -59,7 +59,7 @@ def skins(cell, precision):
         yield other.positions, one.positions, ROUNDING[precision]
 
 
-def threads(precision):
+def of_precision(precision):
     """One to eight: the same bits."""
     more = {"temperature": 1.5, "precision": precision}
     with atoms_per_domain(60):
@@ -68,9 +68,7 @@ def threads(precision):
     for other in others:
         yield other.positions, one.positions, 0.0
         yield other.record.total_energy, one.record.total_energy, 0.0
-
-
-def order_of_atoms(precision):
+    # order of atoms
     law = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.9)}, cutoff=2.5, truncation="force-shifted")
     start = made(solid(4, species=["A", "B"] * 128), law, 0.004, temperature=1.0).system
     order = np.random.default_rng(4).permutation(len(start))
@@ -80,24 +78,50 @@ def order_of_atoms(precision):
     tolerance = 1e-11 if precision == "double" else 1e-4
     yield other.positions, one.positions[order], tolerance
     yield other.record.total_energy, one.record.total_energy, 1e2 * tolerance
+    # One bin holds everything; and around the corner eight corners hold a piece each.
+    positions, _ = crystal("fcc", [4, 4, 4], 1.68)
+    systems = [md.System(positions - shift, cell=500.0) for shift in (0.0, 3.0)]
+    one, other = (ran(system, SMOOTH, 0.004, 100, precision=precision) for system in systems)
+    yield one.positions - 3.0, other.positions, 1e-11 if precision == "double" else 1e-4
+    # On 0, on the edge, one ulp beside both, and negative zero.
+    positions, edges = crystal("fcc", [4, 4, 4], 1.68)
+    expected = forces_of(md.System(positions, cell=edges), SMOOTH, precision=precision).potential_energy
+    rng, edge = np.random.default_rng(2), edges[0]
+    faces = [0.0, -0.0, edge, -edge, np.nextafter(0, -1), np.nextafter(edge, 9)]
+    force, energy = (1e-11, 1e-12) if precision == "double" else (1e-3, 1e-6)
+    for _ in range(5):
+        moved = np.where(positions == 0.0, rng.choice(faces, positions.shape), positions)
+        found = forces_of(md.System(moved, cell=edges), SMOOTH, precision=precision)
+        yield found.forces, 0.0, force
+        yield found.potential_energy, expected, energy * abs(expected)
 
 
-def head_on_collision_on_an_axis():
+def two_or_many():
     """Symmetric to the last bit: what is one-dimensional remains so, and returns by the way it came."""
     system = md.System([[-3.0, 0, 0], [3.0, 0, 0]], velocities=[[1.0, 0, 0], [-1.0, 0, 0]])
     simulation = ran(system, OPEN, 0.002, 4000)
     yield simulation.positions[0], -simulation.positions[1], 0.0
     yield simulation.positions[:, 1:], 0.0, 0.0
     yield abs(simulation.velocities[1, 0]), 1.0, 1e-3
-
-
-def drift():
-    """Galilei: a whole crystal at fifty times thermal speed, through its periodic cell again and again."""
+    # Galilei: a whole crystal at fifty times thermal speed, through its periodic cell again and again.
     velocity = np.array([50.0, -30.0, 10.0])
     rest, drifting = (made(solid(3), SMOOTH, 0.004, temperature=1.0).system for _ in range(2))
     drifting.velocities[:] += velocity
     here, there = (ran(system, SMOOTH, 0.004, 300) for system in (rest, drifting))
     yield there.positions - there.time * velocity, here.positions, 1e-8  # rounding at 60 σ
+    # thousand short runs
+    parts = made(solid(2, cell=False), SMOOTH, 0.004, temperature=0.3)
+    for _ in range(1000):
+        parts.run(1, progress=False)
+    whole = ran(solid(2, cell=False), SMOOTH, 0.004, 1000, temperature=0.3, every=1)
+    yield parts.step, 1000, 0
+    yield parts.positions, whole.positions, 1e-11
+    # A law and its negative: forces cancel to rounding, atoms fly straight.
+
+    signed = lambda r2, sign: (sign * np.exp(-r2), 2.0 * sign * np.exp(-r2))  # noqa: E731
+    both = [md.PairPotential(signed, (sign,), 2.5, "force-shifted") for sign in (1.0, -1.0)]
+    simulation = ran(solid(3), both, 0.004, 500, temperature=1.0)
+    yield simulation.positions, solid(3).positions + simulation.time * simulation.velocities, 1e-11
 
 
 def bond_near_half_a_cell(stretch):
@@ -105,14 +129,6 @@ def bond_near_half_a_cell(stretch):
     system = md.System([[0, 0, 0], [stretch * 4.0, 0, 0]], cell=4.0, bonds=[[0, 1]])
     expected = 0.5 * (abs(stretch - np.rint(stretch)) * 4.0 - 1.0) ** 2
     yield md.evaluate(system, md.HarmonicBond(1.0, 1.0)).potential_energy, expected, 1e-6 * expected
-
-
-def corner_of_a_large_cell(precision):
-    """One bin holds everything; and around the corner eight corners hold a piece each."""
-    positions, _ = crystal("fcc", [4, 4, 4], 1.68)
-    systems = [md.System(positions - shift, cell=500.0) for shift in (0.0, 3.0)]
-    one, other = (ran(system, SMOOTH, 0.004, 100, precision=precision) for system in systems)
-    yield one.positions - 3.0, other.positions, 1e-11 if precision == "double" else 1e-4
 
 
 def pair_at_the_cutoff(beside):
@@ -124,24 +140,6 @@ def pair_at_the_cutoff(beside):
         yield found.forces, 0.0, 1e-8
 
 
-def thousand_short_runs():
-    parts = made(solid(2, cell=False), SMOOTH, 0.004, temperature=0.3)
-    for _ in range(1000):
-        parts.run(1, progress=False)
-    whole = ran(solid(2, cell=False), SMOOTH, 0.004, 1000, temperature=0.3, every=1)
-    yield parts.step, 1000, 0
-    yield parts.positions, whole.positions, 1e-11
-
-
-def two_opposite_potentials():
-    """A law and its negative: forces cancel to rounding, atoms fly straight."""
-
-    signed = lambda r2, sign: (sign * np.exp(-r2), 2.0 * sign * np.exp(-r2))  # noqa: E731
-    both = [md.PairPotential(signed, (sign,), 2.5, "force-shifted") for sign in (1.0, -1.0)]
-    simulation = ran(solid(3), both, 0.004, 500, temperature=1.0)
-    yield simulation.positions, solid(3).positions + simulation.time * simulation.velocities, 1e-11
-
-
 def atom_far_away(away):
     """Without a cell it changes nothing for the others."""
     near, far = solid(3, cell=False), solid(3, cell=False)
@@ -151,22 +149,20 @@ def atom_far_away(away):
     yield oscillation(ran(far, SMOOTH, 0.004, 200, temperature=0.5)), 0.0, 1e-2
 
 
-def image_far_away(away, precision):
+def far_away(away, precision):
+    """Images of an atom; the whole scene, with a cell and without one."""
     near = solid(3)
     far = near.copy()
     far.positions[7] += np.array([1, -1, 1]) * round(away / 5.04) * near.cell.vectors[0, 0]
     here, there = (forces_of(system, SMOOTH, precision=precision).forces for system in (near, far))
     yield there, here, 1e3 * np.spacing(largest(far.positions)) + RELATIVE[precision] * largest(here)
-
-
-def far_from_the_origin(offset, precision):
     for cell in (True, False):
         near = solid(3, cell=cell)
-        near.positions += offset  # rounds the coordinates, once
+        near.positions += away  # rounds the coordinates, once
         home = near.copy()
-        home.positions -= offset
+        home.positions -= away
         there, here = (forces_of(system, SMOOTH, precision=precision).forces for system in (near, home))
-        yield there, here, RELATIVE[precision] * largest(here) + 1e3 * np.spacing(offset)
+        yield there, here, RELATIVE[precision] * largest(here) + 1e3 * np.spacing(away)
 
 
 def supercell_of_a_small_box(edge, pbc):
@@ -180,20 +176,6 @@ def supercell_of_a_small_box(edge, pbc):
     expected = len(shifts) * one.potential_energy
     yield many.potential_energy, expected, 1e-12 * abs(expected)
     yield many.forces[:2], one.forces, 1e-11 * largest(one.forces)
-
-
-def faces_of_cells(precision):
-    """On 0, on the edge, one ulp beside both, and negative zero."""
-    positions, edges = crystal("fcc", [4, 4, 4], 1.68)
-    expected = forces_of(md.System(positions, cell=edges), SMOOTH, precision=precision).potential_energy
-    rng, edge = np.random.default_rng(2), edges[0]
-    faces = [0.0, -0.0, edge, -edge, np.nextafter(0, -1), np.nextafter(edge, 9)]
-    force, energy = (1e-11, 1e-12) if precision == "double" else (1e-3, 1e-6)
-    for _ in range(5):
-        moved = np.where(positions == 0.0, rng.choice(faces, positions.shape), positions)
-        found = forces_of(md.System(moved, cell=edges), SMOOTH, precision=precision)
-        yield found.forces, 0.0, force
-        yield found.potential_energy, expected, energy * abs(expected)
 
 
 def sites_of_a_crystal(lattice, precision):
@@ -236,10 +218,9 @@ def droplet_in_vacuum(edge):
 
 
 FAR, OF_UNITS = (1e3, 1e6, 1e9), product([*POWERS, SI, (1e-60, 1, 1), (1e60, 1, 1)], (2, 4), ["double"])
-ALONE = thousand_short_runs, two_opposite_potentials, drift, head_on_collision_on_an_axis
-OF_PRECISION = threads, order_of_atoms, corner_of_a_large_cell, faces_of_cells
-SAME = {scene: [()] for scene in ALONE} | {scene: [(precision,) for precision in BOTH] for scene in OF_PRECISION}
-SAME |= {
+SAME = {
+    two_or_many: [()],
+    of_precision: [(precision,) for precision in BOTH],
     units: [*OF_UNITS, *product(SINGLE, [4], ["mixed"])],
     cutoffs_steps_and_looks: [(1,), (10,), (2,), (3,), (4,)],
     chains: POWERS[:4],
@@ -247,8 +228,7 @@ SAME |= {
     bond_near_half_a_cell: [(0.3,), (0.49,), (0.51,)],
     pair_at_the_cutoff: [(beside,) for beside in (0.0, 1e-15, -1e-15, 1e-9, -1e-9)],
     atom_far_away: [(away,) for away in FAR],
-    image_far_away: product(FAR, BOTH),
-    far_from_the_origin: product(FAR, BOTH),
+    far_away: [*product(FAR, BOTH)],
     supercell_of_a_small_box: product((0.9, 1.3, 2.4), ([True] * 3, [True, False, True], [False, False, True])),
     sites_of_a_crystal: product([*BASES, "hcp"], BOTH),
     droplet_in_vacuum: [(edge,) for edge in (100.0, 1e4, 1e8)],

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import warnings
+from itertools import product
 from pathlib import Path
 
 import ase.io
@@ -128,9 +129,8 @@ def test_angles_and_dihedrals_that_mdanalysis_finds_are_taken(folder):
     read.add_TopologyAttr("dihedrals", guesser.guess_dihedrals(read.angles))
     system = md.System.from_mdanalysis(read)
     back = md.System.from_ase(system.to_ase())
-    for name in ("bonds", "angles", "dihedrals"):
-        same_groups(getattr(system, name), GROUPS[name])
-        same_groups(getattr(back, name), GROUPS[name])
+    for made, name in product((system, back), ("bonds", "angles", "dihedrals")):
+        same_groups(getattr(made, name), GROUPS[name])
 
 
 FIELDS = {
@@ -312,15 +312,14 @@ def through_a_calculator(_folder):
     atoms.get_forces()
 
 
+# fmt: off
 WAYS_IN = [
-    from_mdanalysis,
-    from_a_psf_beside_a_pdb,
-    through_a_calculator,
-    lambda folder: md.System.from_ase(salt()),
+    from_mdanalysis, from_a_psf_beside_a_pdb, through_a_calculator, lambda folder: md.System.from_ase(salt()),
     lambda folder: md.Simulation(salt(), md.LennardJones(0.01, 2.0, 3.5), md.Leapfrog(0.01)),
     lambda folder: system_from_file(full_data(folder / "full.data")),
     lambda folder: system_from_file(full_data(folder / "full.data"), cell=9.0),
 ]
+# fmt: on
 
 
 @pytest.mark.parametrize("way", WAYS_IN)

@@ -9,7 +9,6 @@ import pytest
 from references import brute_force_pairs
 
 import minimd as md
-from minimd.potentials.pair_loop import SameForAll, add_pair_forces, fixed_pairs
 from minimd.potentials.term import PER_ATOM, TOTALS
 
 CUTOFF = 2.3
@@ -204,14 +203,3 @@ def test_power_is_what_time_alone_does_to_the_energy(name):
         energies.append(forces.potential_energy)
     assert forces.power == pytest.approx((energies[1] - energies[0]) / (2.0 * h), rel=1e-7)  # truncation
     assert abs(forces.power) > 0.1
-
-
-@pytest.mark.parametrize("name", ["lennard-jones", "yukawa"])
-def test_laws_run_as_plain_python_too(name):
-    system, potential, found = scene(name, "open")
-    pairs, _ = fixed_pairs(np.argwhere(np.triu(np.ones((10, 10)), k=1)), 10, periodic=False)
-    numbers = SameForAll(tuple(potential.table(("A", "B"))[0, 0].tolist()))
-    forces, energies, virials = np.zeros((10, 3)), np.zeros(10), np.zeros((10, 6))
-    add_pair_forces.py_func(system.positions, pairs, potential.law, numbers, TOTALS, (forces, energies, virials))
-    assert forces == pytest.approx(found.forces, rel=1e-13, abs=1e-14)
-    assert energies.sum() == pytest.approx(found.potential_energy, rel=1e-13)

@@ -60,11 +60,7 @@ class Tether:
 
 
 def ran(term, n_steps=2):
-    system = liquid(3)
-    start = system.positions.copy()
-    record = md.Simulation(system, [LJ, term], md.VelocityVerlet(0.001)).run(n_steps, every=1, progress=False)
-    assert np.abs(system.positions - start).max() < 0.1
-    return record
+    return md.Simulation(liquid(3), [LJ, term], md.VelocityVerlet(0.001)).run(n_steps, every=1, progress=False)
 
 
 WRONG = {
@@ -80,9 +76,14 @@ def assert_found_out(kind, run):
     assert_answered(run, ValueError, kind.__name__, "gradient", "F·w = ", "-dU/dw = ")
 
 
-@pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
-def test_a_force_that_is_not_minus_the_gradient_of_its_energy_is_refused(wrong):
-    assert_found_out(Tether, lambda: ran(Tether(wrong)))
+def test_a_force_that_is_not_minus_the_gradient_of_its_energy_is_refused():
+    for wrong in WRONG.values():
+        assert_found_out(Tether, lambda wrong=wrong: ran(Tether(wrong)))
+    for distance in (0.0, 1e-13):  # atoms at nearly one place do not spoil the comparison
+        system = md.System([[5.0, 5.0, 5.0], [5.0, 5.0, 5.0 + distance]], cell=9.0)
+        md.Simulation(system, Tether(), md.VelocityVerlet(0.001)).run(1)
+        wrong = md.Simulation(system, Tether(WRONG["twice"], u=1e-3), md.VelocityVerlet(0.001))
+        assert_found_out(Tether, lambda wrong=wrong: wrong.run(1))
 
 
 def test_right_forces_rough_energies_and_forces_that_declare_none_run():
@@ -128,28 +129,3 @@ def test_a_wrong_force_is_found_in_any_unit_among_energies_that_are_no_numbers_a
     Steep.seen.clear()
     assert_found_out(Steep, lambda: simulation.run(1))
     assert set(Steep.seen) == {time}
-
-
-@pytest.mark.parametrize("distance", [0.0, 1e-13])
-def test_atoms_at_nearly_one_place_do_not_spoil_the_comparison(distance):
-    system = md.System([[5.0, 5.0, 5.0], [5.0, 5.0, 5.0 + distance]], cell=9.0)
-    md.Simulation(system, Tether(), md.VelocityVerlet(0.001)).run(1)
-    wrong = md.Simulation(system, Tether(WRONG["twice"], u=1e-3), md.VelocityVerlet(0.001))
-    assert_found_out(Tether, lambda: wrong.run(1))
-
-
-def test_what_was_computed_can_be_set_aside(argon):
-    system = argon.system
-    forces = md.Forces(system, [LJ, Weight()])
-    names = ("forces", "potential_energy", "virial", "energies", "virials")
-    forces.compute(2)
-    kept = {name: np.copy(getattr(forces, name)) for name in names}
-    array = forces.forces
-    with forces.set_aside():
-        system.positions[:] += np.random.default_rng(1).normal(0.0, 0.01, (108, 3))
-        for detail in (0, 1, 2):
-            assert not np.array_equal(forces.compute(detail), kept["forces"])
-            assert forces.has_energy == (detail > 0)
-    assert forces.forces is array
-    assert forces.has_energy
-    assert all(np.array_equal(getattr(forces, name), before) for name, before in kept.items())

@@ -124,33 +124,26 @@ def two_or_many():
     yield simulation.positions, solid(3).positions + simulation.time * simulation.velocities, 1e-11
 
 
-def bond_near_half_a_cell(stretch):
-    """Taken at its nearest image."""
-    system = md.System([[0, 0, 0], [stretch * 4.0, 0, 0]], cell=4.0, bonds=[[0, 1]])
-    expected = 0.5 * (abs(stretch - np.rint(stretch)) * 4.0 - 1.0) ** 2
-    yield md.evaluate(system, md.HarmonicBond(1.0, 1.0)).potential_energy, expected, 1e-6 * expected
-
-
-def pair_at_the_cutoff(beside):
-    """Force-shifted: energy and force go to zero there, on either side of it."""
+def pairs_alone():
+    """A bond near half a cell is taken at its nearest image; at the cutoff energy and force go to zero."""
+    for stretch in (0.3, 0.49, 0.51):
+        system = md.System([[0, 0, 0], [stretch * 4.0, 0, 0]], cell=4.0, bonds=[[0, 1]])
+        expected = 0.5 * (abs(stretch - np.rint(stretch)) * 4.0 - 1.0) ** 2
+        yield md.evaluate(system, md.HarmonicBond(1.0, 1.0)).potential_energy, expected, 1e-6 * expected
     crowd = 50.0 + 5.0 * np.array(list(np.ndindex(5, 5, 4)))
-    for more in (crowd[:0], crowd):
+    for beside, more in product((0.0, 1e-15, -1e-15, 1e-9, -1e-9), (crowd[:0], crowd)):
         found = md.evaluate(md.System(np.vstack([pair_at(2.5 + beside).positions, more])), SMOOTH)
         yield found.potential_energy, 0.0, 1e-12
         yield found.forces, 0.0, 1e-8
 
 
-def atom_far_away(away):
-    """Without a cell it changes nothing for the others."""
+def far_away(away, precision):
+    """Images of an atom; an atom without a cell; the whole scene, with a cell and without one."""
     near, far = solid(3, cell=False), solid(3, cell=False)
     near.positions[7] += 100.0
     far.positions[7] += [away, -away, away]
     yield forces_of(far, SMOOTH).forces, forces_of(near, SMOOTH).forces, 0.0
     yield oscillation(ran(far, SMOOTH, 0.004, 200, temperature=0.5)), 0.0, 1e-2
-
-
-def far_away(away, precision):
-    """Images of an atom; the whole scene, with a cell and without one."""
     near = solid(3)
     far = near.copy()
     far.positions[7] += np.array([1, -1, 1]) * round(away / 5.04) * near.cell.vectors[0, 0]
@@ -225,9 +218,7 @@ SAME = {
     cutoffs_steps_and_looks: [(1,), (10,), (2,), (3,), (4,)],
     chains: POWERS[:4],
     skins: product((True, False), BOTH),
-    bond_near_half_a_cell: [(0.3,), (0.49,), (0.51,)],
-    pair_at_the_cutoff: [(beside,) for beside in (0.0, 1e-15, -1e-15, 1e-9, -1e-9)],
-    atom_far_away: [(away,) for away in FAR],
+    pairs_alone: [()],
     far_away: [*product(FAR, BOTH)],
     supercell_of_a_small_box: product((0.9, 1.3, 2.4), ([True] * 3, [True, False, True], [False, False, True])),
     sites_of_a_crystal: product([*BASES, "hcp"], BOTH),

@@ -75,9 +75,7 @@ def test_names_that_are_offered_are_public_ones_that_exist():
     names = [name for name in dir(md) if not name.startswith("__")]
     assert names == sorted(md.__all__)
     assert all(hasattr(md, name) for name in names)
-    assert (
-        {"ASE", "LJ", "fs", "ps"} <= set(dir(md.units)).difference({"Any", "dataclass", "math"}) == set(dir(md.units))
-    )
+    assert not {"Any", "dataclass", "math"} & set(dir(md.units))
     precisions = ["double", "mixed", "fixed-point"]
     for words, known in ((TruncationName, TRUNCATIONS), (MixingName, MIXING), (Precision, precisions)):
         assert set(get_args(words)) == set(known)

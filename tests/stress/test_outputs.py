@@ -1,6 +1,5 @@
 """Files of runs that go wrong: readable, with the last good frame; wrong outputs are told before the first step."""
 
-
 import ase.io
 import MDAnalysis
 import numpy as np

@@ -40,25 +40,20 @@ def pair_at(distance, velocities=None, bonded=False):
 
 
 def in_a_row(n_atoms, height=0.0):
-    """Atoms 1 apart in a bonded row of some height."""
     k = np.arange(n_atoms)
     return md.System(np.column_stack([k, height, 0.0 * k]), bonds=np.column_stack([k[:-1], k[1:]]))
 
 
-def rigid(system):
-    """The system without bonds, and constraints in their place."""
-    return md.System(system.positions), md.DistanceConstraints(system.bonds)
-
-
 def rigid_chain(zigzag):
-    return rigid(in_a_row(10, zigzag * (-1.0) ** np.arange(10)))
+    bonded = in_a_row(10, zigzag * (-1.0) ** np.arange(10))
+    return md.System(bonded.positions), md.DistanceConstraints(bonded.bonds)
 
 
 def rigid_ring(n_atoms=12):
     k, radius = np.arange(n_atoms), 0.5 / np.sin(np.pi / n_atoms)
-    angles, pairs = 2.0 * np.pi * k / n_atoms, np.column_stack([k, (k + 1) % n_atoms])
-    positions = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), 0.0 * angles])
-    return md.System(positions), md.DistanceConstraints(pairs)
+    around = radius * np.exp(2.0j * np.pi * k / n_atoms)
+    positions = np.column_stack([around.real, around.imag, 0.0 * k])
+    return md.System(positions), md.DistanceConstraints(np.column_stack([k, (k + 1) % n_atoms]))
 
 
 def forces_of(system, potentials, **options):

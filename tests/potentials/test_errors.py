@@ -45,7 +45,6 @@ FIELDS = [
     (lambda: steered(end=np.array([1.0, 2.0])), ValueError, "end", "[1., 2.]"),
     (lambda: steered(start=2.0, end=1.0), ValueError, "start = 2.0", "end = 1.0"),
     (lambda: md.evaluate(TWO, md.ConstantForce([0, 0, 1], [6])), ValueError, "atoms", "atom 6"),
-    (lambda: md.Restraint(-1.0, [0, 0, 0]), ValueError, "k must", "-1.0"),
     (lambda: md.evaluate(LINE, md.Restraint(1.0, np.zeros((2, 3)))), ValueError, "points", "(10, 3)", "(2, 3)"),
     (lambda: md.evaluate(LINE, md.Field(lambda x, y, z, t: (x * y, -y, x, 0.0))), ValueError, "∂u/∂y"),
     (lambda: md.evaluate(LINE, md.Field(lambda x, y, z, t: (x * t, -t, 0.0, 0.0))), ValueError, "∂u/∂t"),
@@ -53,14 +52,10 @@ FIELDS = [
     (lambda: md.evaluate(LINE, md.Field(saddle, (1.0, 2.0))), TypeError, "2 parameters"),
     (lambda: md.Simulation(TWO, md.Field(saddle, (1.0,)), md.VelocityVerlet(0.01), precision="fixed-point"),
      ValueError, "fixed-point"),
-    (lambda: md.Simulation(TWO, steered(atoms=[0]), md.VelocityVerlet(0.01), precision="fixed-point"),
-     ValueError, "fixed-point"),
     (lambda: md.Simulation(TWO, steered(), md.VelocityVerlet(0.01)).probe_reversibility(10), ValueError, "time"),
 ]  # fmt: skip
 TABLES = [
     (lambda: md.Tabulated(R[:5], R[:5]), ValueError, "r must", "(5,)"),
-    (lambda: md.Tabulated(np.ones((6, 6)), R), ValueError, "r must", "(6, 6)"),
-    (lambda: md.Tabulated(R[::-1], R), ValueError, "r must increase", "r[0] = 2.5"),
     (lambda: md.Tabulated(np.append(R, 2.5), np.append(R, 0.0)), ValueError, "r must increase", "r[10] = 2.5"),
     (lambda: md.Tabulated(R - 1.0, R), ValueError, "r must", "r[0] = -0.2"),
     (lambda: md.Tabulated(np.append(R, np.nan), np.append(R, 0.0)), ValueError, "r must", "r[10] = nan"),
@@ -68,52 +63,31 @@ TABLES = [
     (lambda: md.Tabulated(R, R[1:]), ValueError, "u must", "(9,)"),
     (lambda: md.Tabulated(R, {("A", "B"): R[1:]}), ValueError, "u of ('A', 'B')", "(9,)"),
     (lambda: md.Tabulated(R, {}), ValueError, "u must", "empty"),
-    (lambda: md.Tabulated(R, "LJ"), ValueError, "u must", "'LJ'"),
     (lambda: md.Tabulated(R, R, 2.6), ValueError, "cutoff = 2.6", "0.8 to 2.5"),
-    (lambda: md.Tabulated(R, R, 0.7), ValueError, "cutoff = 0.7"),
     (lambda: md.evaluate(TWO, md.Tabulated(R, {("A", "B"): R})), ValueError, "Tabulated", "('A', 'B')"),
     (lambda: md.evaluate(md.System([[0.0, 0, 0], [0.75, 0, 0]]), md.Tabulated(R, R)),
      md.NonFiniteError, "Tabulated", "atoms 0 and 1, 0.75"),
 ]  # fmt: skip
 
 
-def forgets_the_r(r2, a):
-    return a / r2, 2.0 * a / r2**1.5
-
-
-def returns_one(r2, a):
-    return a / r2
-
-
 def pole(r2, a):
     return a / (r2 - 1.0), 2.0 * a / (r2 - 1.0) ** 2
 
 
-def coulomb(r2, strength):
-    return strength / r2**0.5, strength / r2**1.5
-
-
-class BindsToNothing:
-    def bind(self, _system):
-        return None
-
-
-def with_tail():
-    return md.PairPotential(coulomb, (1.0,), 3.0, "truncated", tail_correction=True)
-
-
+COULOMB = md.PairPotential(lambda r2, q: (q / r2**0.5, q / r2**1.5), (1.0,), 3.0, "truncated", tail_correction=True)
 ONE_SPOT = md.System([[0, 0, 0], [1, 1, 1], [2, 0, 0], [1, 1, 1]], cell=5.0)
 LAWS = [
-    (lambda: md.evaluate(TWO, md.PairPotential(forgets_the_r, (1.0,), 2.0)), ValueError, "at r = 1.86", "0.1671"),
-    (lambda: md.evaluate(TWO, md.PairPotential(returns_one, (1.0,), 2.0)), TypeError, "returns_one"),
+    (lambda: md.evaluate(TWO, md.PairPotential(lambda r2, a: (a / r2, 2.0 * a / r2**1.5), (1.0,), 2.0)),
+     ValueError, "at r = 1.86", "0.1671"),  # the force lacks an r
+    (lambda: md.evaluate(TWO, md.PairPotential(lambda r2, a: a / r2, (1.0,), 2.0)), TypeError, "lambda"),
     (lambda: md.evaluate(TWO, md.PairPotential(pole, (), 2.0)), TypeError, "pole", "0 parameters"),
-    (lambda: md.evaluate(md.System(TWO.positions, cell=9.0), with_tail()), ValueError, "tail"),
+    (lambda: md.evaluate(md.System(TWO.positions, cell=9.0), COULOMB), ValueError, "tail"),
     *((lambda law=law: md.PairPotential(law), TypeError, "law", repr(law)) for law in ("law", (1.0, 2.0))),
     *((lambda law=law: md.BondPotential(law), TypeError, "law") for law in (len, dict, md.System, ())),
     (lambda: md.Forces(TWO, 3), TypeError, "potentials", "got 3"),
-    (lambda: md.Forces(TWO, BindsToNothing()), TypeError, "bind", "add"),
+    (lambda: md.Forces(TWO, type("Nothing", (), {"bind": lambda self, system: None})()), TypeError, "bind", "add"),
     (lambda: md.evaluate(ONE_SPOT, md.LennardJones(1.0, 1.0, 2.0)), md.NonFiniteError, "atoms 1 and 3, 0 σ apart"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("call", "error", "shown"), [(*row[:2], row[2:]) for row in BONDED + FIELDS + TABLES + LAWS])

@@ -15,8 +15,7 @@ OF_IMPROPERS = 5e-11  # as LAMMPS' own test: it divides by sin φ, and φ is nea
 
 
 def morse(r2, depth, alpha, r0):
-    r = np.sqrt(r2)
-    x = np.exp(alpha * (r0 - r))
+    r, x = np.sqrt(r2), np.exp(alpha * (r0 - np.sqrt(r2)))
     return depth * (x * x - 2.0 * x), 2.0 * depth * alpha * (x * x - x) / r
 
 
@@ -55,15 +54,7 @@ HARMONIC_BONDS = groups("bonds", lambda _bonds, k, length: md.HarmonicBond(2.0 *
 HARMONIC_ANGLES = groups("angles", lambda atoms, k, angle: md.HarmonicAngle(2.0 * k, np.radians(angle), atoms))
 
 
-def periodic(atoms, k, d, n):
-    return md.PeriodicDihedral(k, n, np.where(d > 0.0, 0.0, np.pi), atoms)
-
-
-def improper(atoms, k, angle):
-    """Both angles are negative; LAMMPS' have no sign."""
-    return md.HarmonicImproper(2.0 * k, -np.radians(angle), atoms)
-
-
+# the angles of impropers are all negative; LAMMPS' have no sign
 CASES = {
     "mol-pair-lj_cut": pairs(md.LennardJones, "shifted"),
     "mol-pair-morse": pairs(partial(md.PairPotential, morse)),
@@ -72,9 +63,9 @@ CASES = {
     "bond-morse": groups("bonds", lambda _bonds, *parameters: md.MorseBond(*parameters)),
     "bond-fene": groups("bonds", lambda _bonds, *parameters: md.FENEBond(*parameters)),
     "angle-harmonic": HARMONIC_ANGLES,
-    "dihedral-harmonic": groups("dihedrals", periodic),
+    "dihedral-harmonic": groups("dihedrals", lambda atoms, k, d, n: md.PeriodicDihedral(k, n, np.pi * (d < 0), atoms)),
     "dihedral-opls": groups("dihedrals", lambda atoms, *parameters: md.OPLSDihedral(*parameters, atoms)),
-    "improper-harmonic": groups("impropers", improper),
+    "improper-harmonic": groups("impropers", lambda g, k, at: md.HarmonicImproper(2.0 * k, -np.radians(at), g)),
 }
 
 
@@ -92,20 +83,12 @@ def test_energy_forces_and_virial_are_those_of_lammps(style):
     assert np.abs(found.virial[STRESS_ORDER] - stress).max() < of_stress * np.abs(stress).max()
 
 
-def test_energy_without_a_shift():
-    reference = load("lammps_fourmol/mol-pair-lj_cut.json")
-    found = md.evaluate(fourmol()[0], pairs(md.LennardJones)(None, reference["pair_coeff"]))
-    assert found.potential_energy == pytest.approx(reference["extra"]["unshifted_init_vdwl"], rel=RELATIVE)
-
-
 def test_walls():
     """On the atoms of the solute, where LAMMPS' run has brought them: only the upper wall is in reach."""
     reference, table = load("lammps_fourmol/fix-timestep-wall_lj93_const.json"), fourmol()[1]
     system = md.System(reference["run_pos"][:17])
-    lower, upper = (
-        md.Wall([0, table[end][1], 0], [0, inward, 0], 100.0, 2.0, 5.0)
-        for end, inward in (("box_lo", 1), ("box_hi", -1))
-    )
+    places = ((table["box_lo"][1], 1), (table["box_hi"][1], -1))
+    lower, upper = (md.Wall([0, y, 0], [0, inward, 0], 100.0, 2.0, 5.0) for y, inward in places)
     found = md.evaluate(system, [lower, upper])
     assert found.potential_energy == pytest.approx(reference["global_scalar"], rel=RELATIVE)
     assert found.forces.sum(axis=0) == pytest.approx([0.0, -reference["global_vector"][1], 0.0], rel=RELATIVE)
@@ -123,9 +106,8 @@ def test_eight_steps_of_the_solute(method):
     system.velocities[~solute] = 0.0
     laws = {"mol-pair-lj_cut": pairs(md.LennardJones, mixing="geometric")}
     laws |= {"bond-harmonic": HARMONIC_BONDS, "angle-harmonic": HARMONIC_ANGLES}
-    potentials = [
-        law(table, load(f"lammps_fourmol/{style}.json")[f"{style.split('-')[-2]}_coeff"]) for style, law in laws.items()
-    ]
+    of_lammps = {style: load(f"lammps_fourmol/{style}.json") for style in laws}
+    potentials = [law(table, of_lammps[style][f"{style.split('-')[-2]}_coeff"]) for style, law in laws.items()]
     simulation = md.Simulation(system, potentials, method(0.25))
     simulation.run(8, every=8)
     assert np.abs(simulation.positions - reference["run_pos"]).max() < 1e-13
@@ -138,9 +120,7 @@ def test_melt_follows_the_exact_list():
     simulation = md.Simulation(melt(), md.LennardJones(1.0, 1.0, 2.5, "truncated"), md.VelocityVerlet(0.005))
     record = simulation.run(150, every=50)
     n = record.n_atoms
-    measured = np.column_stack(
-        [record.temperature, record.potential_energy / n, record.total_energy / n, record.pressure]
-    )
-    for found, at, (step, *row) in zip(measured, record.step, reference["exact_list"], strict=True):
+    numbers = record.step, record.temperature, record.potential_energy / n, record.total_energy / n, record.pressure
+    for (at, *found), (step, *row) in zip(np.transpose(numbers), reference["exact_list"], strict=True):
         assert at == step
         assert found == pytest.approx(row, rel=1e-7 if step == 0 else 5e-7)

@@ -15,8 +15,7 @@ RELATIVE = 1e-12  # rounding of 3e5 terms
 @pytest.mark.parametrize(("name", "k"), CASES)
 def test_energy_virial_and_tail_are_nists(name, k):
     data = load(name)
-    row = data["rows"][k]
-    system = md.System(data["x"], cell=data["box"])
+    row, system = data["rows"][k], md.System(data["x"], cell=data["box"])
     truncation = SCHEMES[row["scheme"]]
     plain = md.evaluate(system, md.LennardJones(1.0, 1.0, row["rc"], truncation))
     assert plain.potential_energy == pytest.approx(row["Upair_recomputed"], rel=RELATIVE)
@@ -30,10 +29,8 @@ def test_energy_virial_and_tail_are_nists(name, k):
 def test_tail_pressure_is_the_closed_form():
     density, cutoff, n = 0.8, 3.0, 500
     system = md.System(np.random.default_rng(1).uniform(0, 8, (n, 3)), cell=(n / density) ** (1 / 3))
-    tails = [
-        md.evaluate(system, md.LennardJones(1.0, 1.0, cutoff, "truncated", tail_correction=on)).virial
-        for on in (True, False)
-    ]
+    laws = [md.LennardJones(1.0, 1.0, cutoff, "truncated", tail_correction=on) for on in (True, False)]
+    tails = [md.evaluate(system, law).virial for law in laws]
     correction = np.trace(tails[0] - tails[1]) / (3.0 * system.volume)
     expected = 16.0 / 3.0 * np.pi * density**2 * (2.0 / 3.0 * cutoff**-9 - cutoff**-3)
     scale = abs(np.trace(tails[1])) / (3.0 * system.volume)

@@ -93,13 +93,6 @@ def names_of(source, file="law.py"):
     return names
 
 
-def edited(*edits):
-    source = LAW
-    for old, new in edits:
-        source = source.replace(old, new)
-    return source
-
-
 def digest_of(source, file="law.py"):
     return Snapshot(names_of(source, file)["law"]).digest
 
@@ -127,13 +120,9 @@ def test_a_law_runs_after_its_module_was_renamed(tmp_path):
 def test_another_process_compiles_a_changed_law_again_and_takes_one_that_is_sent():
     """What changed is the law, its default, a global, an array, a closure cell, or a function of one that it calls."""
     sent = pickle.dumps(user_law(names_of(LAW)["law"]))
-    unchanged, *changed, u, f = answer(
-        f"""{EVALUATE}
-import pickle
-from minimd.potentials.law import evaluate_law
-print(energy(LAW), *(energy(LAW.replace(old, new)) for old, new, _ in CHANGES.values()))
-print(*evaluate_law(pickle.loads({sent!r}), 1.0, (1.0,)))"""
-    )
+    changes = "print(energy(LAW), *(energy(LAW.replace(old, new)) for old, new, _ in CHANGES.values()))"
+    received = f"import pickle\nfrom minimd.potentials.law import evaluate_law\nlaw = pickle.loads({sent!r})"
+    unchanged, *changed, u, f = answer(f"{EVALUATE}\n{changes}\n{received}\nprint(*evaluate_law(law, 1.0, (1.0,)))")
     assert changed == pytest.approx([expected for *_, expected in CHANGES.values()], rel=1e-14)  # rounding
     assert [unchanged, u, f] == pytest.approx([UNCHANGED, UNCHANGED, 2.0 * UNCHANGED], rel=1e-14)
 
@@ -144,11 +133,8 @@ def test_the_digest_tells_what_changes_the_code_and_nothing_else():
     compiled = LAW + "\nlaw = numba.njit(law)"
     others = [compiled, compiled.replace("njit(law)", "njit(fastmath=True)(law)")]
     others += [LAW.replace(old, new) for old, new, _ in list(CHANGES.values())[:-1]]
-    others += [
-        LAW.replace("@numba.njit", "@numba.njit(fastmath=True)"),
-        LAW.replace("strength = 2.0", "strength = 2"),
-        LAW.replace("np.array([", "np.float32(["),
-    ]
+    more = {"@numba.njit": "@numba.njit(fastmath=True)", "strength = 2.0": "strength = 2", "np.array([": "np.float32(["}
+    others += [LAW.replace(old, new) for old, new in more.items()]
     assert len({law, *map(digest_of, others)}) == 1 + len(others)
 
 
@@ -159,41 +145,36 @@ def test_a_function_that_calls_itself_has_a_digest():
     assert snapshot.function(3.0, 2.0) == snapshot.python(3.0, 2.0) == 9.0
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("strength *", "place.x *"),  # an object of a class of the user's
-        ("strength = 2.0", "import numpy.ma as ma, sys; strength = sys"),  # attributes of a module could change
-        ("np.array([1.0, 3.0])", "[1.0, 3.0]"),
-        ("np.array([1.0, 3.0])", "np.zeros(10**6)"),
-        ("np.array([1.0, 3.0])", "np.zeros(8)[::2]"),
-        ("@numba.njit\ndef inner", "@numba.njit('f8(f8)')\ndef inner"),
-        ("@numba.njit\ndef inner", "def inner"),  # compiled by an overload, which may be anything
-        ("        u =", "        import math\n        u ="),
-        ("strength = 2.0", ""),
-    ],
-)
-def test_what_may_change_unseen_has_no_digest(old, new):
-    assert digest_of(LAW.replace(old, new)) == ""
+# fmt: off
+UNSEEN = [  # objects of classes of the user's, attributes of modules, arrays that may change, calls of anything
+    ("strength *", "place.x *"), ("strength = 2.0", "import sys; strength = sys"), ("strength = 2.0", ""),
+    ("np.array([1.0, 3.0])", "[1.0, 3.0]"), ("np.array([1.0, 3.0])", "np.zeros(10**6)"),
+    ("np.array([1.0, 3.0])", "np.zeros(8)[::2]"), ("        u =", "        import math\n        u ="),
+    ("@numba.njit\ndef inner", "@numba.njit('f8(f8)')\ndef inner"), ("@numba.njit\ndef inner", "def inner"),
+]
+# fmt: on
 
 
-UNCLEAR = edited(  # of all kinds that take the digest from a law; its numbers are the same
+def test_what_may_change_unseen_has_no_digest():
+    assert [digest_of(LAW.replace(old, new)) for old, new in UNSEEN] == [""] * len(UNSEEN)
+
+
+UNCLEAR = LAW  # with all kinds that take the digest from a law; its numbers are the same
+for _old, _new in (
     ("place = Place(5.0)", 'place = Place(1.0); import types; params = types.ModuleType("params")'),
     ("strength = 2.0", "params.strength = 2.0; scale = np.array([1.0, 1.0, 7.0])[::2]"),
     ("strength *", "place.x * params.strength *"),  # an object of a class of the user's, a name in a module
     ("np.array([1.0, 3.0])", "np.array([1.0, 0.0, 3.0])[::2]"),
     ("7.0 * x", "scale[1] * x"),  # an array of a helper
-)
+):
+    UNCLEAR = UNCLEAR.replace(_old, _new)
 
 
-@pytest.mark.parametrize(
-    ("source", "is_clear", "change"),
-    [
-        (LAW, True, "strength, table[1] = 4.0, 30.0"),
-        (UNCLEAR, False, "place, params.strength, table[1], scale[1] = Place(5.0), 9.0, 9.0, 9.0"),
-    ],
-    ids=["clear", "unclear"],
-)
+CHANGE_UNCLEAR = "place, params.strength, table[1], scale[1] = Place(5.0), 9.0, 9.0, 9.0"
+STATES = [(LAW, True, "strength, table[1] = 4.0, 30.0"), (UNCLEAR, False, CHANGE_UNCLEAR)]
+
+
+@pytest.mark.parametrize(("source", "is_clear", "change"), STATES, ids=["clear", "unclear"])
 def test_a_law_stays_what_it_was_when_the_potential_was_made(source, is_clear, change):
     """Compiled or not, with a digest or without.
 

@@ -1,33 +1,17 @@
 """Scenes that cannot be, or cannot go on: each is stopped with a sentence that names the cause."""
 
 import itertools
+import re
 from functools import partial
 from time import perf_counter
 
 import numpy as np
 import pytest
-from stress_scenes import (
-    BOTTOM,
-    CURVATURE,
-    FREQUENCY,
-    LAST_GOOD,
-    OPEN,
-    SMOOTH,
-    SPRING,
-    STIFF,
-    WEAK,
-    assert_stops,
-    forces_of,
-    in_a_row,
-    is_finite,
-    made,
-    pair_at,
-    ran,
-    rigid_chain,
-    rigid_ring,
-    scaled,
-    solid,
-)
+
+# isort: off
+from stress_scenes import BOTTOM, CURVATURE, FREQUENCY, LAST_GOOD, OPEN, SMOOTH, SPRING, STIFF, WEAK, assert_stops
+from stress_scenes import forces_of, in_a_row, is_finite, made, pair_at, ran, rigid_chain, rigid_ring, scaled, solid
+# isort: on
 
 import minimd as md
 from minimd.neighbors.queries import closest_pair
@@ -35,6 +19,7 @@ from minimd.structure.lattice import crystal
 
 pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
 
+DUMBBELL = pair_at(1.1, bonded=True)
 GONE = "energy has gone|not finite"
 PAST = "moves .* in one step, past every neighbor"
 BATHS = [md.LangevinBAOAB, md.StochasticVelocityRescaling]
@@ -53,20 +38,6 @@ def with_one_more(place, cell=True):
     """A crystal and another atom, by default of its first atom's place."""
     start = solid(3, jitter=0.0, cell=cell)
     return md.System(np.vstack([start.positions, start.positions[:1] + place]), cell=start.cell)
-
-
-def drifting(speed):
-    system = solid(3)
-    system.velocities[:] += speed
-    return system
-
-
-def dumbbell():
-    return pair_at(1.1, bonded=True)
-
-
-def falling(r2):
-    return -1.0 / (r2 * r2), -4.0 / (r2 * r2 * r2)
 
 
 def refused_scenes():
@@ -110,8 +81,10 @@ def scenes_that_meet():
 
 def scenes_that_break():
     """Name, system, potential, time step, what the sentence must show, options."""
-    yield "drift", drifting(1e4), SMOOTH, 0.004, [PAST], {}
-    collapse = md.PairPotential(falling, (), 2.5, "force-shifted")
+    drifting = solid(3)
+    drifting.velocities[:] += 1e4
+    yield "drift", drifting, SMOOTH, 0.004, [PAST], {}
+    collapse = md.PairPotential(lambda r2: (-1.0 / (r2 * r2), -4.0 / (r2 * r2 * r2)), (), 2.5, "force-shifted")
     yield "collapse", solid(3), collapse, 0.004, ["atoms .* apart"], {}
     hot = [f"too hot, timestep 0.01 τ too large.*\n.*moves .* in one step.*atoms .* σ apart.* {LAST_GOOD}"]
     yield "hot and dense", solid(3), SMOOTH, 0.01, hot, {"temperature": 50.0}
@@ -119,7 +92,7 @@ def scenes_that_break():
     yield "fixed overlap", fixed, OPEN, 0.004, ["atoms 0 and 1, 0 σ apart"], {"constraints": md.FixedAtoms([0, 1])}
     others = md.integrators
     for method in (md.PositionVerlet, md.Leapfrog, others.BlanesMoan4, others.PEFRL, others.Ruth3):
-        yield method.__name__, dumbbell(), SPRING, 4.0, [GONE], {"method": method(12.0 / FREQUENCY)}
+        yield method.__name__, DUMBBELL.copy(), SPRING, 4.0, [GONE], {"method": method(12.0 / FREQUENCY)}
     for x in (2.05, 2.5, 4.0):
         beads = in_a_row(20, 0.1 * np.sin(np.arange(20)))
         yield f"beads {x}", beads, STIFF, x / 40.0, ["total energy has gone from", "too large"], {}
@@ -131,37 +104,33 @@ def scenes_that_break():
         yield f"{bath.__name__} too hot", solid(3), SMOOTH, 0.002, [PAST], more
     for x, (bath, weak) in itertools.product((2.1, 3.0), zip(BATHS, (0.01, 1e4), strict=True)):
         more = {"temperature": 1.0, "method": bath(x / FREQUENCY, 1.0, weak, 1)}
-        yield f"weak {bath.__name__} {x}", dumbbell(), SPRING, 1.0, ["conserved energy has gone|not finite"], more
+        yield f"weak {bath.__name__} {x}", DUMBBELL.copy(), SPRING, 1.0, ["conserved energy has gone|not finite"], more
 
 
-@pytest.mark.parametrize(("call", "words"), [pytest.param(*row[1:], id=row[0]) for row in refused_scenes()])
-def test_what_cannot_be_is_refused(call, words):
-    assert_stops(call, ValueError, words)
+@pytest.mark.parametrize("row", [*refused_scenes()], ids=lambda row: row[0])
+def test_what_cannot_be_is_refused(row):
+    assert_stops(row[1], ValueError, row[2])
 
 
 @pytest.mark.parametrize("precision", ["double", "mixed"])
-@pytest.mark.parametrize(
-    ("system", "potential", "words"), [pytest.param(*row[1:3], row[3:], id=row[0]) for row in scenes_that_meet()]
-)
-def test_atoms_that_meet_are_named(system, potential, words, precision):
+@pytest.mark.parametrize("row", [*scenes_that_meet()], ids=lambda row: row[0])
+def test_atoms_that_meet_are_named(row, precision):
+    _, system, potential, *words = row
     assert_stops(lambda: ran(system.copy(), potential, 0.004, 1000, precision=precision), md.NonFiniteError, *words)
 
 
-@pytest.mark.parametrize(
-    ("system", "potential", "timestep", "words", "more"),
-    [pytest.param(*row[1:], id=row[0]) for row in scenes_that_break()],
-)
-def test_what_breaks_is_stopped_with_its_cause(system, potential, timestep, words, more):
+@pytest.mark.parametrize("row", [*scenes_that_break()], ids=lambda row: row[0])
+def test_what_breaks_is_stopped_with_its_cause(row):
+    _, system, potential, timestep, words, more = row
     assert_stops(lambda: ran(system, potential, timestep, 5000, **more), md.NonFiniteError, *words)
 
 
 @pytest.mark.parametrize("timestep", [0.1, 0.3, 1.0, 10.0, 1e6])
-@pytest.mark.parametrize("scene", [rigid_ring(), rigid_chain(1e-3)], ids=["ring", "chain"])
-def test_rigid_bonds_with_a_long_time_step_are_named(scene, timestep):
-    system, bonds = scene
-    words = r"constraint \d+ \(atoms \d+-\d+\) cannot be kept", "reduce the timestep"
-    run = partial(ran, system.copy(), WEAK, timestep, 2000, temperature=1.0, constraints=bonds)
-    assert_stops(run, md.ConstraintError, *words)
+def test_rigid_bonds_with_a_long_time_step_are_named(timestep):
+    for system, bonds in (rigid_ring(), rigid_chain(1e-3)):
+        words = r"constraint \d+ \(atoms \d+-\d+\) cannot be kept", "reduce the timestep"
+        run = partial(ran, system, WEAK, timestep, 2000, temperature=1.0, constraints=bonds)
+        assert_stops(run, md.ConstraintError, *words)
 
 
 def test_atoms_on_one_spot_are_named_without_a_step_and_too_hot_an_equilibration():
@@ -176,8 +145,8 @@ def test_an_oscillator_above_its_limit_is_stopped_in_a_state_from_before(x, n_st
     if x == 2.001 and n_steps == 150:
         pytest.skip("the energy has only doubled ten times")
     for every in (100, 10**6):
-        simulation = made(dumbbell(), SPRING, x / FREQUENCY)
-        run = lambda simulation=simulation, every=every: simulation.run(n_steps, every=every)  # noqa: E731
+        simulation = made(DUMBBELL.copy(), SPRING, x / FREQUENCY)
+        run = partial(simulation.run, n_steps, every=every)
         assert_stops(run, md.NonFiniteError, "total energy has gone from 0.005 to|not finite", "too large")
         assert np.abs(simulation.positions).max() < 1e4
 
@@ -187,14 +156,10 @@ def test_an_oscillator_above_its_limit_is_stopped_in_a_state_from_before(x, n_st
 def test_a_lennard_jones_dimer_above_its_limit_is_stopped_or_told(potential, x):
     """It is thrown apart once, with an energy that stops the run, or that a scene might have: then the report tells."""
     simulation = made(pair_at(BOTTOM + 0.001), potential, x / np.sqrt(2.0 * CURVATURE))
-    words = ""
     try:
         simulation.run(5000, progress=False)
     except md.NonFiniteError as error:
-        words = str(error)
-    if words:
-        assert "atoms 0 and 1" in words
-        assert "too large" in words
+        assert re.search("atoms 0 and 1(.|\n)*too large|too large(.|\n)*atoms 0 and 1", str(error))  # noqa: PT017
     else:
         assert is_finite(simulation)
         assert np.ptp(simulation.record.total_energy) > 0.5
@@ -206,27 +171,22 @@ def test_equilibration_does_not_hide_a_blow_up(law, start):
     """Velocities are rescaled every few steps: what flies apart would look like a scene at that temperature."""
     system = md.System([[0, 0, 0], [start, 0, 0], [2, 2, 2]], bonds=[[0, 1]])
     simulation = made(system, law, 3.0 / 800**0.5, temperature=1.0)
-    assert_stops(lambda: simulation.equilibrate(2000, 1.0), md.NonFiniteError, "(kinetic|total) energy has gone")
+    assert_stops(partial(simulation.equilibrate, 2000, 1.0), md.NonFiniteError, "(kinetic|total) energy has gone")
     assert np.abs(simulation.positions).max() < 100.0
 
 
-@pytest.mark.parametrize("pbc", [False, True])
-def test_the_closest_pair_is_found_in_a_crowd_with_one_atom_far_away(pbc):
-    """The words of an error must not take longer than the run."""
-    positions, _ = crystal("fcc", [28, 28, 28], 1.68)
-    positions[5], positions[-1] = positions[4] + [0.01, 0, 0], [1e6, 1e6, 1e6]
-    started = perf_counter()
-    assert str(closest_pair(md.System(positions, cell=2e6 if pbc else None))) == "atoms 4 and 5, 0.01 apart"
-    assert perf_counter() - started < 30.0
-
-
 @pytest.mark.parametrize("pbc", [(True, True, True), (False, True, False)])
-def test_the_closest_pair_is_the_first_of_all_neighbors(pbc):
+def test_the_closest_pair_is_the_first_of_all_neighbors_and_found_in_a_crowd_with_one_atom_far_away(pbc):
+    """The words of an error must not take longer than the run."""
     cell, rng = [[3.0, 0, 0], [40.0, 5.0, 0], [1, -20.0, 7.0]], np.random.default_rng(2)
     for n_atoms in (1, 2, 3, 20):
         system = md.System(rng.uniform(-20, 20, (n_atoms, 3)), cell=cell, pbc=pbc)
-        pair = closest_pair(system)
-        i, j, d = md.neighbor_list("ijd", system, 60.0)
+        pair, (i, j, d) = closest_pair(system), md.neighbor_list("ijd", system, 60.0)
         nearest = d < d.min() * 1.000001
         assert pair.distance == pytest.approx(d.min(), rel=1e-9)
         assert (pair.first, pair.second) in set(zip(i[nearest].tolist(), j[nearest].tolist(), strict=True))
+    positions, _ = crystal("fcc", [28, 28, 28], 1.68)
+    positions[5], positions[-1] = positions[4] + [0.01, 0, 0], [1e6, 1e6, 1e6]
+    started = perf_counter()
+    assert str(closest_pair(md.System(positions, cell=2e6 if all(pbc) else None))) == "atoms 4 and 5, 0.01 apart"
+    assert perf_counter() - started < 30.0

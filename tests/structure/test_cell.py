@@ -1,4 +1,4 @@
-"""Cells: the reduced lattice is the same lattice, and the nearest image is the nearest."""
+"""Cells, crystals, units, and pairs some bonds apart: the same lattice, the nearest image, the shortest path."""
 
 import itertools
 
@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from wrong_calls import assert_answered
 
+import minimd as md
+from minimd.structure.bond_graph import pairs_by_bonds_apart
 from minimd.structure.cell import Cell, minimum_image_translations
+from minimd.structure.lattice import BASES, constant_from_density, crystal
+
+NEIGHBORS = {"sc": (6, 1), "bcc": (8, 0.75**0.5), "fcc": (12, 0.5**0.5), "diamond": (4, 3**0.5 / 4)}
+SIDE = [[20.0, 0.0, 0.0], [0.0, 20.0, 0.0], [20.0, 20.0, 0.0]]
+SLAB = "pbc=(True, True, False)"
 
 
 @st.composite
@@ -17,51 +25,93 @@ def cells(draw):
     for _ in range(draw(st.integers(0, 3))):
         i, j = rng.permutation(3)[:2]
         vectors[i] += draw(st.integers(-6, 6)) * vectors[j]
-    unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    assume(abs(np.linalg.det(unit)) > 1e-4)
+    assume(abs(np.linalg.det(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))) > 1e-4)
     return Cell.of(vectors, draw(st.tuples(st.booleans(), st.booleans(), st.booleans())))
 
 
 @given(cells())
 def test_reduced_lattice_is_the_same_lattice_with_shorter_vectors(cell):
-    pbc = cell.pbc
-    steps = cell.reduction[np.ix_(pbc, pbc)]
-    assert abs(round(np.linalg.det(steps))) == 1 if pbc.any() else True
+    pbc, open_rows = cell.pbc, cell.lattice[~cell.pbc]
+    assert not pbc.any() or abs(round(np.linalg.det(cell.reduction[np.ix_(pbc, pbc)]))) == 1
     assert np.allclose(cell.reduction[pbc] @ cell.vectors, cell.lattice[pbc])
-    assert np.linalg.norm(cell.lattice[pbc], axis=1).sum() <= np.linalg.norm(cell.vectors[pbc], axis=1).sum() * (
-        1 + 1e-12
-    )
-    open_rows = cell.lattice[~pbc]
+    before, after = (np.linalg.norm(rows[pbc], axis=1).sum() for rows in (cell.vectors, cell.lattice))
+    assert after <= before * (1 + 1e-12)
     assert np.allclose(open_rows @ open_rows.T, np.eye(len(open_rows)))
     assert np.allclose(open_rows @ cell.lattice[pbc].T, 0.0)
 
 
 @given(cells(), st.integers(0, 2**32 - 1))
 def test_minimum_image_is_the_shortest_of_all(cell, seed):
-    vector = np.random.default_rng(seed).normal(size=3) * 3.0
-    positions, translations = np.array([np.zeros(3), vector]), np.zeros((1, 3))
-    minimum_image_translations(
-        positions, np.array([0]), np.array([1]), cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2, translations
-    )
-    found = np.linalg.norm(vector + translations[0])
+    vector, translations = np.random.default_rng(seed).normal(size=3) * 3.0, np.zeros((1, 3))
+    of_cell = cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2
+    minimum_image_translations(np.array([0 * vector, vector]), np.array([0]), np.array([1]), *of_cell, translations)
     around = np.rint(-vector @ cell.inverse) * cell.pbc
     steps = np.array(list(itertools.product(range(-4, 5), repeat=3))) * cell.pbc
     best = np.linalg.norm(vector + (around + steps) @ cell.lattice, axis=1).min()
-    assert found == pytest.approx(best, abs=1e-9)
+    assert np.linalg.norm(vector + translations[0]) == pytest.approx(best, abs=1e-9)
 
 
 @given(cells(), st.integers(0, 2**32 - 1))
 def test_wrapping_moves_by_lattice_vectors_into_the_cell(cell, seed):
     positions = np.random.default_rng(seed).normal(size=(5, 3)) * 10
-    wrapped = cell.wrapped(positions)
-    full = np.where(cell.pbc[:, None], cell.vectors, cell.lattice)
+    wrapped, full = cell.wrapped(positions), np.where(cell.pbc[:, None], cell.vectors, cell.lattice)
     fractional, steps = wrapped @ np.linalg.inv(full), (wrapped - positions) @ np.linalg.inv(full)
     assert np.all((fractional[:, cell.pbc] > -1e-8) & (fractional[:, cell.pbc] < 1 + 1e-8))
     assert np.allclose(steps, np.rint(steps), atol=1e-7)
     assert np.allclose(steps[:, ~cell.pbc], 0.0, atol=1e-9)
 
 
-def test_volume_is_that_of_the_user_s_vectors():
+def test_volume_is_that_of_the_user_s_vectors_and_numbers_have_their_units():
     assert Cell.of([[2, 0, 0], [50, 3, 0], [7, -9, -4]]).volume == pytest.approx(24.0)
-    assert Cell.of([2, 3, 4], (True, True, False)).volume is None
-    assert Cell.of(None).volume is None
+    assert Cell.of([2, 3, 4], (True, True, False)).volume is Cell.of(None).volume is None
+    assert "(0, 0, 9) σ, open" in str(md.System(np.eye(3), cell=[3.0, 3.0, 9.0], pbc=(True, True, False)))
+    argon = str(md.System(np.eye(3), masses=40.0, cell=4.0, units=md.units.ASE))
+    assert "cell a         (4, 0, 0) Å\n" in argon
+    assert "volume         64 Å³\n" in argon
+    for time, words in ((2.5, "2.5 fs"), (-999.9, "-999.9 fs"), (12345600.0, "12345.6 ps")):
+        assert md.units.ASE.shown(time * md.units.fs) == words
+    assert md.units.LJ.shown(0.004) == "0.004 τ"
+
+
+# fmt: off
+CELLS = [
+    ([20, 20, None], None, ["None", SLAB]), ([20, 20], None, ["(2,)", SLAB]),
+    ([20, 20, np.inf], None, ["finite", SLAB]), (SIDE, None, ["linearly independent", SLAB]),
+    ([20, 20, 0], True, ["cell[2]", SLAB]), ([20, 0, 20], [False, True, True], ["pbc=(False, False, True)"]),
+    (md.Cell.of(3.0), True, ["Cell.of(vectors, pbc)"]), ([3, 3, -1], None, ["negative", "-1"]),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("cell", "pbc", "shown"), CELLS)
+def test_messages_about_cells_name_pbc_where_it_is_the_cure(cell, pbc, shown):
+    assert_answered(lambda: md.System(np.eye(3), cell=cell, pbc=pbc), ValueError, *shown)
+
+
+@pytest.mark.parametrize("lattice", BASES)
+def test_every_lattice_has_its_nearest_neighbors_and_the_density_it_was_asked_for(lattice):
+    neighbors, distance = NEIGHBORS[lattice]
+    positions, edges = crystal(lattice, (3, 4, 5), 2.0)
+    assert len(positions) == 60 * len(BASES[lattice])
+    assert edges.tolist() == [6.0, 8.0, 10.0]
+    first, d = md.neighbor_list("id", md.System(positions, cell=edges), 2.0 * distance * 1.01)
+    assert np.all(np.bincount(first) == neighbors)
+    assert d == pytest.approx(2.0 * distance)
+    positions, edges = crystal(lattice, (2, 2, 2), constant_from_density(lattice, density=1.7, mass=3.0))
+    assert len(positions) * 3.0 / edges.prod() == pytest.approx(1.7)
+
+
+def test_the_shortest_path_along_bonds_decides_in_any_graph():
+    """By powers of the matrix of neighbors, which find it another way; a ring of four has no third neighbors."""
+    rng, graphs = np.random.default_rng(5), [(4, np.array([[0, 1], [1, 2], [2, 3], [3, 0]]))]
+    for n, density in ((2, 1.0), (6, 0.3), (12, 0.15), (20, 0.1), (8, 0.6)):
+        graphs.append((n, np.argwhere(np.triu(rng.random((n, n)) < density, k=1))))
+    for n, bonds in graphs:
+        adjacency = np.zeros((n, n), dtype=bool)
+        adjacency[bonds[:, 0], bonds[:, 1]] = adjacency[bonds[:, 1], bonds[:, 0]] = True
+        reached = power = np.eye(n, dtype=bool)
+        for pairs in pairs_by_bonds_apart(bonds):
+            power = power @ adjacency
+            assert pairs.tolist() == np.argwhere(np.triu(power & ~reached, k=1)).tolist()
+            reached = reached | power
+    assert [len(pairs) for pairs in pairs_by_bonds_apart(graphs[0][1])] == [4, 2, 0]

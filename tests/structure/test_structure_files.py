@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import warnings
+from itertools import product
 from pathlib import Path
 
 import ase.io
@@ -11,7 +12,6 @@ import MDAnalysis
 import numpy as np
 import pytest
 from MDAnalysis.guesser.default_guesser import DefaultGuesser
-from melt_files import ANGLES, BONDS, GROUPS, LENGTH, N_CHAINS, POSITIONS, write_data, write_pdb, write_psf
 from wrong_calls import assert_answered
 
 import minimd as md
@@ -19,6 +19,56 @@ from minimd.ase import Calculator, VelocityVerlet, system_from_file
 from minimd.files.h5md_reader import read_file
 from minimd.mdanalysis import universe
 from minimd.scene import load_scene, parse_scene, run_scene
+
+N_CHAINS, LENGTH, EDGE = 4, 5, 6.0
+
+
+def along_chains(size):
+    return [[c * LENGTH + i + k for k in range(size)] for c in range(N_CHAINS) for i in range(LENGTH - size + 1)]
+
+
+BONDS, ANGLES, DIHEDRALS, IMPROPERS = along_chains(2), along_chains(3), along_chains(4), [[4, 3, 2, 1]]
+GROUPS = {"bonds": BONDS, "angles": ANGLES, "dihedrals": DIHEDRALS, "impropers": IMPROPERS}
+POSITIONS = np.array([[1.0 * i + 0.5, 1.5 * c + 0.25, 0.125 * (i % 2)] for c in range(N_CHAINS) for i in range(LENGTH)])
+
+
+def write_data(path):
+    """A melt as LAMMPS writes it, with image flags; atoms and ids in another order than the lines."""
+    lines = ["melt", "", "20 atoms", "2 atom types"]
+    lines += [f"{len(rows)} {name}\n1 {name[:-1]} types" for name, rows in GROUPS.items()]
+    lines += [f"0 {EDGE} {x}lo {x}hi" for x in "xyz"] + ["\nMasses\n\n1 1.0\n2 2.0\n\nAtoms # molecular\n"]
+    for i in reversed(range(20)):
+        (x, y, z), image = POSITIONS[i], int(POSITIONS[i, 0] > 4.0)
+        lines.append(f"{i + 1} {i // LENGTH + 1} {1 + (i % LENGTH == 0)} {x - EDGE * image} {y} {z} {image} 0 0")
+    lines += ["\nVelocities\n", *(f"{i + 1} {0.5 * i} 0 0" for i in range(20))]
+    for name, rows in GROUPS.items():
+        lines += [f"\n{name.capitalize()}\n"]
+        lines += [f"{k} 1 {' '.join(str(atom + 1) for atom in row)}" for k, row in enumerate(rows, start=1)]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def write_pdb(path, with_bonds):
+    """Carbon beads; each bond of a CONECT record stands there twice, as in most files."""
+    lines = [f"CRYST1{EDGE:9.3f}{EDGE:9.3f}{EDGE:9.3f}  90.00  90.00  90.00 P 1           1"]
+    for i, (x, y, z) in enumerate(POSITIONS):
+        place = f"{i + 1:5d}  C   BEA A{i // LENGTH + 1:4d}    {x:8.3f}{y:8.3f}{z:8.3f}"
+        lines.append(f"ATOM  {place}  1.00  0.00           C  ")
+    if with_bonds:
+        lines += [f"CONECT{a + 1:5d}{b + 1:5d}" for i, j in BONDS for a, b in ((i, j), (j, i))]
+    path.write_text("\n".join([*lines, "END"]) + "\n")
+
+
+def write_psf(path, charge=0.0):
+    """As CHARMM and NAMD have it: eight columns of bonds, nine of angles."""
+    lines = ["PSF", "", "       1 !NTITLE", " REMARKS melt", "", f"{20:8d} !NATOM"]
+    numbers = f"{charge:10.6f}  {12.011:12.4f}           0"
+    lines += [f"{i + 1:8d} MELT {i // LENGTH + 1:<4d} BEA  C    CT   {numbers}" for i in range(20)]
+    for name, groups, per_line in (("NBOND: bonds", BONDS, 4), ("NTHETA: angles", ANGLES, 3)):
+        lines += ["", f"{len(groups):8d} !{name}"]
+        rows = [groups[k : k + per_line] for k in range(0, len(groups), per_line)]
+        lines += ["".join(f"{i + 1:8d}" for group in row for i in group) for row in rows]
+    path.write_text("\n".join([*lines, ""]) + "\n")
+
 
 FORMATS = {"data": "file", "pdb": "file", "psf": "melt.psf"}  # what is read, and what structure.bonds says
 SCENE = """
@@ -48,19 +98,15 @@ every = 5
 
 def tables(laws):
     """[[potential]] tables of a scene, as TOML."""
-    return "".join(
-        f'[[potential]]\ntype = "{name}"\n' + "".join(f"{key} = {json.dumps(value)}\n" for key, value in given.items())
-        for name, given in laws.items()
-    )
-
-
-GROUP_LAWS = tables(
-    {
-        "harmonic-angle": {"k": 5.0, "angle_degree": 150.0},
-        "periodic-dihedral": {"k": 0.5, "n": 3},
-        "harmonic-improper": {"k": 1.0, "angle_degree": 30.0},
+    given = {
+        name: "".join(f"{key} = {json.dumps(value)}\n" for key, value in law.items()) for name, law in laws.items()
     }
-)
+    return "".join(f'[[potential]]\ntype = "{name}"\n{lines}' for name, lines in given.items())
+
+
+DIHEDRAL, IMPROPER = {"k": 0.5, "n": 3}, {"k": 1.0, "angle_degree": 30.0}
+ANGLE_LAW = tables({"harmonic-angle": {"k": 5.0, "angle_degree": 150.0}})
+GROUP_LAWS = ANGLE_LAW + tables({"periodic-dihedral": DIHEDRAL, "harmonic-improper": IMPROPER})
 
 
 @pytest.fixture
@@ -90,7 +136,7 @@ def same_groups(found, expected):
 def test_melt_from_a_file_runs_with_its_groups_and_ends_as_fragments(folder, form):
     """The end-to-end distance from the file that was written is that of the engine."""
     names = {"data": list(GROUPS), "psf": ["bonds", "angles"], "pdb": ["bonds"]}[form]
-    laws = {"data": GROUP_LAWS, "psf": GROUP_LAWS[: GROUP_LAWS.index("[[potential]]", 1)], "pdb": ""}[form]
+    laws = {"data": GROUP_LAWS, "psf": ANGLE_LAW, "pdb": ""}[form]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         sim = run_scene(scene(folder, form, laws=laws), tell=lambda _: None)
@@ -115,13 +161,13 @@ def test_melt_from_a_file_runs_with_its_groups_and_ends_as_fragments(folder, for
     assert np.all((arms**2).sum(axis=1) > 4.0)  # across the boundary of the cell, whole
 
 
-def test_angles_of_a_file_are_those_named_by_hand(folder):
+def test_angles_and_constraints_of_a_file_are_those_named_by_hand(folder):
     system = scene(folder, "psf", laws=GROUP_LAWS).system()
     assert system.angles[:, 1].tolist() == [j for _, j, _ in ANGLES]
-    of_file, by_hand = (md.HarmonicAngle(5.0, np.deg2rad(150.0), triples) for triples in (None, ANGLES))
-    found = md.evaluate(system, of_file).potential_energy
-    assert found == pytest.approx(md.evaluate(system, by_hand).potential_energy, rel=1e-14)
-    assert found > 0.0
+    found, expected = (md.evaluate(system, md.HarmonicAngle(5.0, 2.6, triples)) for triples in (None, ANGLES))
+    assert found.potential_energy == pytest.approx(expected.potential_energy, rel=1e-14) != 0.0
+    kept = scene(folder, "pdb", laws='[constraints]\npairs = "bonds"\nlengths = 1.0\n').system().constraints
+    same_groups(kept[0].pairs, BONDS)
 
 
 def test_angles_and_dihedrals_that_mdanalysis_finds_are_taken(folder):
@@ -132,9 +178,8 @@ def test_angles_and_dihedrals_that_mdanalysis_finds_are_taken(folder):
     read.add_TopologyAttr("dihedrals", guesser.guess_dihedrals(read.angles))
     system = md.System.from_mdanalysis(read)
     back = md.System.from_ase(system.to_ase())
-    for name in ("bonds", "angles", "dihedrals"):
-        same_groups(getattr(system, name), GROUPS[name])
-        same_groups(getattr(back, name), GROUPS[name])
+    for made, name in product((system, back), ("bonds", "angles", "dihedrals")):
+        same_groups(getattr(made, name), GROUPS[name])
 
 
 FIELDS = {
@@ -174,6 +219,10 @@ def test_bonds_that_are_not_used_are_told(folder, form):
         warnings.simplefilter("error")
         assert len(scene(folder, form, more="bonds = []").system().bonds) == 0
         assert scene(folder, form, more="bonds = [[0, 1]]").system().bonds.tolist() == [[0, 1]]
+    text = Path("melt.data").read_text().replace("1 bond types", "2 bond types").replace("\n3 1 3 4\n", "\n3 2 3 4\n")
+    Path("melt.data").write_text(text)
+    with pytest.warns(UserWarning, match="are of 2 types, which a bond potential does not distinguish"):
+        system_from_file("melt.data")
 
 
 @pytest.mark.slow
@@ -188,25 +237,22 @@ def test_a_command_tells_it_in_words_of_commands(folder):
     assert answer.returncode == 0
 
 
-def test_constraints_on_the_bonds_of_a_file(folder):
-    kept = scene(folder, "pdb", laws='[constraints]\npairs = "bonds"\nlengths = 1.0\n').system().constraints
-    same_groups(kept[0].pairs, BONDS)
-
-
-def test_lammps_data_in_reduced_units_keeps_its_masses_types_and_velocities(folder):
+def test_lammps_data_keeps_its_types_velocities_and_bonds(folder):
+    """Also without a suffix, and through Atoms of ASE with bonds in their arrays."""
     read = system_from_file("melt.data", units=md.units.LJ)
     np.testing.assert_allclose(read.positions, POSITIONS, atol=1e-12)
     np.testing.assert_allclose(read.velocities[:, 0], 0.5 * np.arange(20), rtol=1e-14)
     assert read.species.tolist() == ["2", "1", "1", "1", "1"] * N_CHAINS
     assert read.units is md.units.LJ
-
-
-def test_ase_atoms_with_bonds_in_their_arrays_are_bonded(folder):
     atoms = ase.io.read("melt.data", format="lammps-data")
     same_groups(md.System.from_ase(atoms).bonds, BONDS)
     same_groups(md.System.from_ase(atoms).angles, ANGLES)
     assert md.System.from_ase(atoms, bonds=[[0, 1]]).bonds.tolist() == [[0, 1]]
     assert len(md.Simulation(atoms, md.HarmonicBond(1.0, 1.0), md.VelocityVerlet(0.1)).system.bonds) == len(BONDS)
+    Path("melt.unknown").write_text(Path("melt.data").read_text())
+    same_groups(system_from_file("melt.unknown", format="lammps-data").bonds, BONDS)
+    scene(folder, "pdb", more='format = "PDB"\nbonds = "file"')
+    same_groups(load_scene(folder / "melt.toml").system().bonds, BONDS)
 
 
 @pytest.mark.parametrize("file", ["a.traj", "a.extxyz", None], ids=str)
@@ -223,9 +269,7 @@ def test_bonds_and_angles_survive_the_way_through_atoms(tmp_path, file):
     assert set(md.System(POSITIONS).to_ase().arrays) == {"numbers", "positions", "masses", "momenta"}
 
 
-@pytest.mark.parametrize(
-    "change", [lambda a: a[5:10], lambda a: a * (2, 1, 1), lambda a: a[::-1]], ids=["cut", "repeated", "turned"]
-)
+@pytest.mark.parametrize("change", [lambda a: a[5:10], lambda a: a * (2, 1, 1), lambda a: a[::-1]])
 def test_bonds_of_atoms_that_were_cut_or_repeated_are_not_trusted(folder, change):
     atoms = change(ase.io.read("melt.data", format="lammps-data"))
     with pytest.raises(ValueError, match=r"may have been cut out, repeated or sorted .* bonds=\(\) for none"):
@@ -234,43 +278,25 @@ def test_bonds_of_atoms_that_were_cut_or_repeated_are_not_trusted(folder, change
     assert len(none.bonds) == len(none.angles) == 0
 
 
-def with_bonds_that_cannot_be_read():
-    atoms = ase.io.read("plain.pdb")
-    atoms.arrays["bonds"] = np.array(["25(1)", *["_"] * 19])
-    return md.System.from_ase(atoms)
-
-
+EMPTY = MDAnalysis.Universe.empty(3, trajectory=True)  # of no masses: they are one in reduced units
 WRONG = {
-    "bonds of an array": (with_bonds_that_cannot_be_read, ValueError, "atom 0", "25(1)"),
     "no format": (lambda: system_from_file("melt.unknown"), ValueError, "format"),
     "other atoms": (lambda: system_from_file("small.xyz", bonds="melt.psf"), ValueError, "melt.psf", "20", "7"),
     "no file": (lambda: system_from_file("small.xyz", bonds="absent.psf"), ValueError, "absent.psf"),
     "no universe": (lambda: md.System.from_mdanalysis("melt.pdb"), TypeError, "str"),
-    "no masses": (
-        lambda: md.System.from_mdanalysis(MDAnalysis.Universe.empty(3, trajectory=True)), ValueError, "masses"),
-}  # fmt: skip
+    "no masses": (lambda: md.System.from_mdanalysis(EMPTY), ValueError, "masses"),
+}
 
 
-@pytest.mark.parametrize("name", WRONG)
-def test_what_cannot_be_a_structure_is_named(folder, name):
+def test_what_cannot_be_a_structure_is_named(folder):
     (folder / "melt.unknown").write_text("LAMMPS\n")
-    ase.io.write("small.xyz", ase.io.read("plain.pdb")[:7])
-    call, error, *shown = WRONG[name]
-    assert_answered(call, error, *shown)
-
-
-def test_a_format_may_be_given(folder):
-    (folder / "melt.unknown").write_text((folder / "melt.data").read_text())
-    same_groups(system_from_file("melt.unknown", format="lammps-data").bonds, BONDS)
-    scene(folder, "pdb", more='format = "PDB"\nbonds = "file"')
-    same_groups(load_scene(folder / "melt.toml").system().bonds, BONDS)
-
-
-def test_several_types_of_bonds_are_told(folder):
-    text = Path("melt.data").read_text().replace("1 bond types", "2 bond types").replace("\n3 1 3 4\n", "\n3 2 3 4\n")
-    Path("melt.data").write_text(text)
-    with pytest.warns(UserWarning, match="are of 2 types, which a bond potential does not distinguish"):
-        system_from_file("melt.data")
+    atoms = ase.io.read("plain.pdb")
+    ase.io.write("small.xyz", atoms[:7])
+    for call, error, *shown in WRONG.values():
+        assert_answered(call, error, *shown)
+    atoms.arrays["bonds"] = np.array(["25(1)", *["_"] * 19])
+    assert_answered(lambda: md.System.from_ase(atoms), ValueError, "atom 0", "25(1)")
+    assert md.System.from_mdanalysis(EMPTY, units=md.units.LJ).masses.tolist() == [1.0] * 3
 
 
 @pytest.mark.parametrize("units", [md.units.LJ, md.units.ASE], ids=lambda units: units.name)
@@ -301,11 +327,6 @@ def test_group_of_atoms_keeps_the_bonds_within_it(folder):
     assert len(part.angles) == 6
 
 
-def test_universe_without_masses_has_masses_of_one_in_reduced_units():
-    made = MDAnalysis.Universe.empty(3, trajectory=True)
-    assert md.System.from_mdanalysis(made, units=md.units.LJ).masses.tolist() == [1.0] * 3
-
-
 def salt(charges=(0.5, -0.8476)):
     atoms = ase.Atoms("NaCl", [[1.0, 1.0, 1.0], [3.5, 1.0, 1.0]], cell=[8.0] * 3, pbc=True)
     atoms.set_initial_charges(charges)
@@ -320,19 +341,19 @@ def full_data(path):
     return path
 
 
-def charged_universe():
+def from_mdanalysis(_folder):
     made = MDAnalysis.Universe.empty(2, trajectory=True)
     made.add_TopologyAttr("masses", [23.0, 35.45])
     made.add_TopologyAttr("charges", [0.5, -0.8476])
-    return made
+    return md.System.from_mdanalysis(made)
 
 
-def charged_psf(folder):
+def from_a_psf_beside_a_pdb(folder):
     write_psf(folder / "melt.psf", -0.8476)
     return system_from_file("melt.pdb", bonds="melt.psf")
 
 
-def with_calculator():
+def through_a_calculator(_folder):
     atoms = salt()
     atoms.calc = Calculator(md.LennardJones(0.01, 2.0, 3.5))
     VelocityVerlet(atoms, 1.0).run(2)
@@ -340,15 +361,14 @@ def with_calculator():
     atoms.get_forces()
 
 
-WAYS_IN = {
-    "from_ase": lambda folder: md.System.from_ase(salt()),
-    "a simulation of atoms": lambda folder: md.Simulation(salt(), md.LennardJones(0.01, 2.0, 3.5), md.Leapfrog(0.01)),
-    "calculator and dynamics": lambda folder: with_calculator(),
-    "LAMMPS data": lambda folder: system_from_file(full_data(folder / "full.data")),
-    "LAMMPS data in another cell": lambda folder: system_from_file(full_data(folder / "full.data"), cell=9.0),
-    "a PSF beside a PDB": charged_psf,
-    "from_mdanalysis": lambda folder: md.System.from_mdanalysis(charged_universe()),
-}
+# fmt: off
+WAYS_IN = [
+    from_mdanalysis, from_a_psf_beside_a_pdb, through_a_calculator, lambda folder: md.System.from_ase(salt()),
+    lambda folder: md.Simulation(salt(), md.LennardJones(0.01, 2.0, 3.5), md.Leapfrog(0.01)),
+    lambda folder: system_from_file(full_data(folder / "full.data")),
+    lambda folder: system_from_file(full_data(folder / "full.data"), cell=9.0),
+]
+# fmt: on
 
 
 @pytest.mark.parametrize("way", WAYS_IN)
@@ -356,6 +376,6 @@ def test_charges_are_not_dropped_in_silence(folder, way):
     """One warning for a structure, which shows the largest; none for charges that are zero."""
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        WAYS_IN[way](folder)
+        way(folder)
         md.System.from_ase(salt([0.0, 0.0]))
     assert ["0.8476" in str(one.message) for one in told if "charges" in str(one.message)] == [True]

@@ -11,8 +11,11 @@ import pytest
 from references import liquid
 from scenes import LJ, Scene
 
+import minimd
+
 REPOSITORY = Path(__file__).parents[2]
 PACKAGE = REPOSITORY / "minimd"
+INSTALLED = Path(minimd.__file__).parent  # or the same folder
 PAGE = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
 BEGIN_WITH = dict(re.findall(r"^\| `(\w+)` \| .* \| `([\w/.]+)` \|$", PAGE, re.M))
 FLOORS = ["minimd" if name == "minimd" else f"minimd.{name}" for name in BEGIN_WITH]
@@ -122,7 +125,7 @@ def steady_steps():
     def profile(frame, event, _argument):
         if event == "call":
             stack.append((Path(frame.f_code.co_filename), frame.f_code.co_name))
-            chains.append([one for one in stack if one[0].is_relative_to(PACKAGE)])
+            chains.append([one for one in stack if one[0].is_relative_to(INSTALLED)])
         elif event == "return" and stack:
             stack.pop()
 
@@ -139,7 +142,7 @@ def steady_steps():
 def test_the_page_lists_the_files_of_a_step_and_counts_their_lines(steady_steps):
     n_files, n_lines, table = FILES.search(PAGE).groups()
     files = re.findall(r"^(minimd/\S+\.py)", table, re.M)
-    visited = {chain[-1][0].relative_to(REPOSITORY).as_posix() for chain in steady_steps}
+    visited = {f"minimd/{chain[-1][0].relative_to(INSTALLED).as_posix()}" for chain in steady_steps}
     assert visited
     assert visited <= set(files), visited - set(files)
     assert len(files) == int(n_files)

@@ -38,7 +38,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "structure": (2778, 24, 1373),
     "view": (558, 5, 245),
     "road of a step": (5986, 25),
-    "tests": (21669,),
+    "tests": (21672,),
 }
 # fmt: on
 

@@ -62,9 +62,14 @@ class Cell(Displayed):
             "inverse": inverse,
             "heights": 1.0 / np.linalg.norm(inverse, axis=0),
         }
-        self.__dict__.update({name: np.ascontiguousarray(array) for name, array in made.items()})
-        for array in self.__dict__.values():
-            array.setflags(write=False)
+        self.__setstate__(self.__dict__ | {name: np.ascontiguousarray(array) for name, array in made.items()})
+
+    def __setstate__(self, state: dict) -> None:
+        """Arrays are read-only, in a copy too, where NumPy forgets it: kernels are not compiled for a second kind."""
+        self.__dict__.update(state)
+        for value in state.values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
 
     @classmethod
     def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> Cell:

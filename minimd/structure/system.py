@@ -93,6 +93,11 @@ class System(Displayed):
             _groups("dihedrals", dihedrals, len(self)),
             _groups("impropers", impropers, len(self)),
         )
+        self.__setstate__({})
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """What may not be changed is read-only, in a copy too, where NumPy forgets it."""
+        self.__dict__.update(state)
         for fixed in (self.masses, self.species_index, *self.groups().values()):
             fixed.setflags(write=False)
 

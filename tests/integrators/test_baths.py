@@ -67,12 +67,12 @@ def rescaled_energies(kinetic, n_dof, duration, n):
 def test_rescaling_makes_the_kinetic_energy_relax_as_its_equation_says():
     """Mean c K + (1 − c) K̄; variance 2 (1 − c)² K̄²/n + 4 c (1 − c) K K̄/n; after long, the canonical distribution."""
     kinetic, n_dof, kept, target = 3.0, 5, np.exp(-0.2 / 0.5), 0.5 * 5 * 1.3
-    energies = rescaled_energies(kinetic, n_dof, 0.2, 12_000)
+    energies = rescaled_energies(kinetic, n_dof, 0.2, 5000)
     variance = 2.0 * ((1.0 - kept) * target) ** 2 / n_dof + 4.0 * kept * (1.0 - kept) * kinetic * target / n_dof
     mean, error = kept * kinetic + (1.0 - kept) * target, np.sqrt(variance / energies.size)
     assert energies.mean() == pytest.approx(mean, abs=4.0 * error)  # statistics
-    assert energies.var() == pytest.approx(variance, rel=0.05)
-    assert stats.kstest(rescaled_energies(3.0, 5, 100.0, 3000) / 1.3, stats.gamma(2.5).cdf).pvalue > 1e-3
+    assert energies.var() == pytest.approx(variance, rel=0.1)
+    assert stats.kstest(rescaled_energies(3.0, 5, 100.0, 1500) / 1.3, stats.gamma(2.5).cdf).pvalue > 1e-3
 
 
 def test_rescaling_leaves_the_motion_of_the_whole_alone():
@@ -159,8 +159,8 @@ def test_temperature_counts_the_degrees_of_freedom_that_the_bath_leaves(method):
 def test_total_energy_minus_heat_is_conserved(method, tmp_path):
     """As without a bath, though the bath moves it by a hundred times more; and its file says the same."""
     sim = simulation(type(method)(**{**method.parameters, "timestep": 0.002}))
-    sim.equilibrate(1000, 1.3)
-    record = sim.run(2000, every=40, trajectory=tmp_path / "bath.h5md")
+    sim.equilibrate(500, 1.3)
+    record = sim.run(800, every=20, trajectory=tmp_path / "bath.h5md")
     conserved, total = record.conserved_energy, record.total_energy
     assert np.ptp(conserved) < 0.05 * np.ptp(total)
     assert sim.report().energy_is_conserved

@@ -10,7 +10,7 @@ import andrews
 import dae_problems as dae
 import numpy as np
 import pytest
-from dae_problems import DOUBLE_START, GRAVITY, HORIZONTAL, INDEX1, INDEX2, INDEX3, double_pendulum, pendulum
+from dae_problems import GRAVITY, HORIZONTAL, INDEX1, INDEX2, INDEX3, pendulum
 from numpy import cos, sin
 from references import load
 from small_problems import GAUSS
@@ -23,7 +23,12 @@ from minimd.integrators.ode.differences import accurate_differences, error_of_di
 from minimd.integrators.ode.runge_kutta import StageStep
 from minimd.structure.errors import ConvergenceError
 
-BDFS = [mi.BDF1, mi.BDF2, mi.BDF3, mi.BDF4, mi.BDF5]
+slow = pytest.mark.slow
+
+
+def slow_but(quick, methods):
+    return [method if method is quick else pytest.param(method, marks=slow) for method in methods]
+
 
 # ---- orders of y and z, or of q, v and the multiplier
 
@@ -55,13 +60,13 @@ def test_gauss_loses_order_at_index_2(method, at_index_1, problem, at_index_2):
     assert dae.measured_orders(*problem, method, n_steps=(20, 40)) == pytest.approx(at_index_2, abs=0.1)
 
 
-@pytest.mark.parametrize("method", GAUSS)
+@pytest.mark.parametrize("method", slow_but(mi.GaussLegendre2, GAUSS))
 def test_gauss_is_refused_at_index_3_because_multipliers_do_not_converge(method):
     """They are off by as much after steps half as long, or by four times more (s = 2); q and v would hide it."""
     problem, errors = pendulum(), []
     with pytest.raises(TypeError, match=method.name):
         run_steps(problem, method(0.01), HORIZONTAL, 1)
-    exact = run_steps(problem, RadauIIA3(0.5 / 250), HORIZONTAL, 250).y[-1]
+    exact = run_steps(problem, RadauIIA3(0.005), HORIZONTAL, 100).y[-1]
     for n_steps in (50, 100):
         step, y = StageStep(problem, method.tableau), problem.begin(HORIZONTAL)
         for k in range(n_steps):
@@ -72,7 +77,7 @@ def test_gauss_is_refused_at_index_3_because_multipliers_do_not_converge(method)
     assert fine[2] > 0.9 * coarse[2] > 10.0
 
 
-@pytest.mark.parametrize("method", BDFS)
+@pytest.mark.parametrize("method", slow_but(mi.BDF3, [mi.BDF1, mi.BDF2, mi.BDF3, mi.BDF4, mi.BDF5]))
 def test_bdf_has_order_k_in_every_variable(method):
     """And a shortened last step is as accurate as the others."""
     for problem in (INDEX1, INDEX2, INDEX3):
@@ -129,8 +134,10 @@ VIOLATED = [  # x(0) = 1 with 0 = x − t; positions off the circle, velocities 
     (dae.implicit_path_of_x(), [1.0, 0.0], ("equation 1 stays at 1.00e+00",)),
     (pendulum(), ((1.0, 0.1), (0.0, 0.0)), ("constraint 0 = g", "5.00e-03", "q would have to move by 5")),
     (pendulum(), ((1.0, 0.0), (0.3, 0.0)), ("hidden constraint", "3.00e-01", "v would have to move")),
-    (dae.implicit_pendulum(), [1.0, 0.1, 0.0, 0.0, 0.0], ("equation 4 stays at 5.00e-03",)),
-    (dae.implicit_pendulum(), [1.0, 0.0, 0.3, 0.0, 0.0], ("derivative of equation 4 stays at 2.",)),
+    *(
+        pytest.param(dae.implicit_pendulum(), [1.0, x, u, 0.0, 0.0], (words,), marks=slow)
+        for x, u, words in [(0.1, 0.0, "equation 4 stays at 5.00e-03"), (0.0, 0.3, "derivative of equation 4 stays")]
+    ),
 ]
 
 
@@ -142,24 +149,26 @@ def test_a_violated_constraint_is_named_and_corrected_if_asked(problem, wrong, s
     assert left == pytest.approx((0.0, 0.0), abs=1e-8 if isinstance(problem, mi.Implicit) else 1e-12)
 
 
-def test_a_fully_implicit_problem_knows_its_slopes_its_index_and_how_rounding_is_amplified():
+@slow
+def test_a_fully_implicit_pendulum_knows_its_slopes_its_index_and_its_path():
     problem = dae.implicit_pendulum()
     y = problem.begin([1.0, 0.0, 0.0, 2.0, 0.0])
     assert y == pytest.approx([1.0, 0.0, 0.0, 2.0, 4.0], abs=1e-8)
     assert problem.field(0.0, y)[:4] == pytest.approx([0.0, 2.0, -4.0, -GRAVITY], abs=1e-8)
     assert (problem.index, *problem.levels) == (3, 0, 0, 1, 1, 2)
+    one, other = (
+        run_steps(p, RadauIIA3(0.01), start, 10).y for p, start in ((problem, y), (pendulum(), (y[:2], y[2:4])))
+    )
+    assert one[1:] == pytest.approx(other[1:], abs=1e-8)  # the tension is rounding/h²
 
 
 def test_a_fully_implicit_path_is_that_of_the_structured_form():
     assert dae.implicit_path_of_x().begin([1.0, 0.0], 1.0) == pytest.approx([1.0, 1.0], abs=1e-9)
     path = run_steps(dae.path_of_x(), RadauIIA3(0.1), ([1.0],), 3, t0=1.0)
     assert path.y == pytest.approx(np.array([[1, 1], [1.1, 1], [1.2, 1], [1.3, 1]]), abs=1e-10)
-    one = run_steps(dae.implicit_pendulum(), RadauIIA3(0.01), [1.0, 0.0, 0.0, 0.0, 0.0], 40).y
-    other = run_steps(pendulum(), RadauIIA3(0.01), HORIZONTAL, 40).y
-    assert one[1:] == pytest.approx(other[1:], abs=1e-8)  # the tension is rounding/h²
     plain = mi.FirstOrder(lambda y: [y[1], -sin(y[0])])
     residual = mi.Implicit(lambda y, slope: [slope[0] - y[1], slope[1] + sin(y[0])])
-    one, other = (run_steps(problem, mi.GaussLegendre3(0.1), [1.0, 0.0], 30).y for problem in (plain, residual))
+    one, other = (run_steps(problem, mi.GaussLegendre3(0.1), [1.0, 0.0], 10).y for problem in (plain, residual))
     assert other == pytest.approx(one, abs=1e-13)
     problem = mi.Implicit(lambda y, slope: slope**2 + y**2 - 1)  # y(0) = 0: sine, up or down, as the guess says
     for sign in (1.0, -1.0):
@@ -173,7 +182,7 @@ def test_equations_that_lose_their_solution_end_the_run_before():
     with pytest.raises(ConvergenceError, match=r"step \d+ from t = .* with timestep 0\.03") as told:
         run_steps(problem, RadauIIA3(0.03), ([0.0], [1.0]), 40)
     assert told.value.solution.t[-1] > 0.95
-    stopped = run_adaptive(problem, RadauIIA3, ([0.0], [1.0]), 2.0, control=StepControl(min_step=1e-6))
+    stopped = run_adaptive(problem, RadauIIA3, ([0.0], [1.0]), 2.0, control=StepControl(min_step=1e-4))
     assert not stopped.success
     assert stopped.t[-1] == pytest.approx(1.0, abs=1e-3)
 
@@ -204,11 +213,11 @@ RELEASED = ([1.0, 0.0, 0.0, 0.0], [0.0])
 RETURNS = [  # problem, start, method, steps of a period, variables that are accurate, periods
     (dae.reduced_pendulum(), RELEASED, mi.GaussLegendre3, 200, 4, 1),
     (dae.reduced_pendulum(), RELEASED, RadauIIA3, 300, 4, 1),
-    (dae.stabilized_pendulum(), RELEASED[:1], RadauIIA3, 300, 4, 1),
-    (dae.stabilized_pendulum(), RELEASED[:1], mi.GaussLegendre3, 400, 4, 1),
+    pytest.param(dae.stabilized_pendulum(), RELEASED[:1], RadauIIA3, 300, 4, 1, marks=slow),
+    pytest.param(dae.stabilized_pendulum(), RELEASED[:1], mi.GaussLegendre3, 400, 4, 1, marks=slow),
     (pendulum(), HORIZONTAL, RadauIIA3, 300, 2, 1),  # velocities are of order 3: with 2000 steps
-    pytest.param(pendulum(), HORIZONTAL, RadauIIA3, 2000, 4, 15, marks=pytest.mark.slow),
-    (pendulum(), HORIZONTAL, mi.BDF5, 1200, 4, 1),
+    pytest.param(pendulum(), HORIZONTAL, RadauIIA3, 2000, 4, 15, marks=slow),
+    pytest.param(pendulum(), HORIZONTAL, mi.BDF5, 1200, 4, 1, marks=slow),
 ]
 
 
@@ -221,6 +230,7 @@ def test_pendulum_of_any_index_returns_after_its_period(problem, start, method, 
     assert np.abs(path.y[:, :n_kept] - [1.0, 0.0, 0.0, 0.0][:n_kept]).max() < 1e-8  # truncation
 
 
+@slow
 def test_robertson_to_1e11():
     known = load("dae/robertson.json")
     control = StepControl(rtol=1e-9, atol=[1e-15, 1e-19, 1e-9])
@@ -240,7 +250,8 @@ def test_andrews_mechanism_starts_as_published():
         assert problem.parts(y)[2][:2] == pytest.approx(multipliers, rel=digits)
 
 
-@pytest.mark.parametrize("n_steps", [0, pytest.param(1500, marks=pytest.mark.slow)])
+@slow
+@pytest.mark.parametrize("n_steps", [0, 1500])
 def test_andrews_mechanism(n_steps):
     problem, end = mi.Mechanical(andrews.mass, andrews.force, andrews.closures, andrews.gradient), andrews.DATA["T"]
     if n_steps:
@@ -253,37 +264,20 @@ def test_andrews_mechanism(n_steps):
 
 def test_step_control_meets_its_tolerance_at_index_3():
     """The error of the position falls with rtol, the multiplier being weighted by h²."""
-    for rtol in (1e-5, 1e-7):
-        path = run_adaptive(pendulum(), RadauIIA3, HORIZONTAL, 2.0, control=StepControl(rtol=rtol, atol=rtol))
-        assert np.abs(path.y[-1, :2] - [1.0, 0.0]).max() < 10 * rtol
+    for rtol in (1e-4, 1e-6):
+        path = run_adaptive(pendulum(), RadauIIA3, HORIZONTAL, 1.0, control=StepControl(rtol=rtol, atol=rtol))
+        assert np.abs(path.y[-1, :2] - [-1.0, 0.0]).max() < 10 * rtol
     assert len(path.t) < 500
-
-
-def test_pendulum_beside_sundials():
-    """IDA: variable-order BDF, for index 1."""
-    ida = pytest.importorskip("sksundae.ida")
-
-    def residual(t, y, slope, answer):
-        x, q, u, v, tension = y
-        answer[:4] = slope[0] - u, slope[1] - v, slope[2] + x * tension, slope[3] + q * tension + GRAVITY
-        answer[4] = u * u + v * v - tension * (x * x + q * q) - GRAVITY * q
-
-    solver = ida.IDA(residual, algebraic_idx=[4], rtol=1e-10, atol=1e-12, max_num_steps=100_000)
-    theirs = solver.solve([0.0, 1.7], np.array([1.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, -GRAVITY, 0.0]))
-    ours = run_steps(dae.reduced_pendulum(), RadauIIA3(0.005), RELEASED, 340)
-    assert ours.y[-1] == pytest.approx(theirs.y[-1], abs=1e-6)
-    of_index_3 = run_steps(pendulum(), RadauIIA3(0.001), HORIZONTAL, 1700)
-    assert of_index_3.y[-1, :4] == pytest.approx(theirs.y[-1, :4], abs=1e-7)
 
 
 # ---- equations of stages, solved to rounding in every variable
 
 
-@pytest.mark.parametrize("n_steps", [200, 5000])
+@pytest.mark.parametrize("n_steps", [200, pytest.param(5000, marks=slow)])
 def test_a_pendulum_of_index_3_swings_in_any_unit(n_steps):
     def path(length, time):
         problem = pendulum(length, time)
-        y = run_steps(problem, RadauIIA3(2.0 * time / n_steps), ((length, 0.0), (0.0, 0.0)), 40).y[1:]
+        y = run_steps(problem, RadauIIA3(2.0 * time / n_steps), ((length, 0.0), (0.0, 0.0)), 15).y[1:]
         q, v, tension = problem.parts(y)
         return np.hstack([q / length, v * time / length, tension * time**2])
 
@@ -365,17 +359,3 @@ def test_time_derivatives_in_any_unit(unit):
     for order, exact, digits in ((1, 3.0, 1e-12), (2, 4.0, 1e-9)):
         found = time_derivative(lambda t: np.array([np.exp(2.0 * t / unit) + t / unit]), order, unit)
         assert found == pytest.approx(exact / unit**order, rel=digits)
-
-
-SWINGING = mi.Mechanical(1.0, lambda q: np.array([0.0, -1.0]), lambda q: (q @ q - 1) / 2)
-
-
-def test_a_solution_tells_how_its_derivatives_were_found():
-    """The error is the number before the last words."""
-    for given, by_differences, method, start in (
-        (double_pendulum(), double_pendulum(with_jacobian=False), mi.VelocityVerlet, DOUBLE_START),
-        (pendulum(), SWINGING, mi.RadauIIA3, HORIZONTAL),
-    ):
-        said, more = (run_steps(problem, method(0.01), start, 2).message for problem in (given, by_differences))
-        assert more.startswith(said + "; G = ∂g/∂q by differences")
-        assert 1e-16 < float(more.removesuffix(" at the start").split()[-1]) < 1e-12

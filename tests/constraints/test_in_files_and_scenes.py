@@ -18,7 +18,7 @@ from minimd.analysis.check import check_file
 from minimd.ase import ForcesFromCalculator
 from minimd.files.h5md_reader import read_file
 from minimd.files.h5md_writer import H5MDWriter
-from minimd.scene import parse_scene, resume_run, run_scene
+from minimd.scene import load_scene, parse_scene, resume_run, run_scene
 
 PAIRS = np.arange(64).reshape(-1, 2)  # of the dumbbells
 VERLET = md.VelocityVerlet(0.002)
@@ -157,6 +157,13 @@ def test_every_key_of_the_section_arrives(tmp_path):
         assert constraints_of_scene(tmp_path, f"[constraints]\n{section}\n", suffix=".xyz") == (fixed, kept), section
     reduced = parse_scene(melt_scene(2, 10, "[constraints]\npairs = [[0, 1]]\nlengths = 1.3\n"), Path("a.toml"))
     assert described(reduced.system().constraints) == ([], [([[0, 1]], [1.3], 1e-12, "auto")])
+
+
+@pytest.mark.filterwarnings("error::UserWarning")  # the lattice has the lengths already
+def test_the_scene_of_dumbbells_runs_as_its_comments_say():
+    sim = load_scene(Path(__file__).parents[2] / "examples" / "dumbbells.toml").simulation()
+    assert sim.run(50, every=10).constraint_violation.max() < 2e-14  # rounding
+    assert sim.n_dof == 3 * 54 - 3 - 27 == 132  # as the file has it
 
 
 def test_constraints_of_the_structure_file_hold_unless_the_section_says_otherwise(tmp_path):

@@ -29,8 +29,6 @@ def slow_but(quick, methods):
     return [method if method is quick else pytest.param(method, marks=slow) for method in methods]
 
 
-# ---- orders of y and z, or of q, v and the multiplier
-
 # fmt: off
 RADAU_ORDERS = [
     (mi.ImplicitEuler, [(1, 1), (1, 1), (1, 1, 1)]),
@@ -85,9 +83,6 @@ def test_bdf_has_order_k_in_every_variable(method):
     decay, ends = mi.FirstOrder(lambda t, y: -2 * t * y * y), (1.0, 0.9963)
     whole, shortened = (mi.run_until(decay, method(0.01), [1.0], t).y[-1, 0] - 1 / (1 + t**2) for t in ends)
     assert shortened == pytest.approx(whole, rel=0.1)
-
-
-# ---- consistent starts
 
 
 @pytest.mark.parametrize(("problem", "solution"), [INDEX1, INDEX2, INDEX3])
@@ -189,8 +184,6 @@ def test_index_of_a_pencil_is_that_of_its_largest_nilpotent_block(blocks):
             assert mi.pencil_index(*weierstrass(blocks, n_regular, rng)) == max(blocks, default=0)
 
 
-# ---- beside numbers that others computed
-
 RELEASED = ([1.0, 0.0, 0.0, 0.0], [0.0])
 RETURNS = [  # problem, start, method, steps of a period, variables that are accurate, periods
     (dae.reduced_pendulum(), RELEASED, mi.GaussLegendre3, 200, 4, 1),
@@ -247,9 +240,6 @@ def test_step_control_meets_its_tolerance_at_index_3():
     assert len(path.t) < 500
 
 
-# ---- equations of stages, solved to rounding in every variable
-
-
 @pytest.mark.parametrize("n_steps", [200, pytest.param(5000, marks=slow)])
 def test_a_pendulum_of_index_3_swings_in_any_unit(n_steps):
     def path(length, time):
@@ -281,8 +271,6 @@ def test_the_jacobian_of_the_problem_is_used():
     assert given.y == pytest.approx(found.y, abs=1e-14)
     assert given.nfev < found.nfev
 
-
-# ---- derivatives by differences
 
 # fmt: off
 FUNCTIONS = {  # a function, a place, its derivative there

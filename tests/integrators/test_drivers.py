@@ -28,9 +28,6 @@ def falling(t, q, v):
     return -1.5 * (q @ v) / (q @ q)
 
 
-# ---- fixed steps
-
-
 def test_run_steps_keeps_the_first_state_every_so_many_and_the_last():
     whole = run_steps(OSCILLATOR, VelocityVerlet(0.1), ONE, 10, t0=2.0)
     some = run_steps(OSCILLATOR, VelocityVerlet(0.1), ONE, 10, t0=2.0, every=4)
@@ -59,9 +56,6 @@ def test_run_until_ends_exactly_there(t0, t_end):
     assert 1e-8 < steps[-1] < 1.0 + 1e-8
     assert len(steps) == np.ceil(round(abs(t) / 0.1, 6))
     assert path.q[-1, 0] == pytest.approx(np.cos(t) - np.sin(t) + t, abs=1e-6)
-
-
-# ---- steps chosen by an estimate of their error
 
 
 @pytest.mark.parametrize("method", [VelocityVerlet, BlanesMoan4, GaussLegendre2, RadauIIA3])
@@ -162,9 +156,6 @@ def test_a_path_that_is_no_longer_finite_ends_the_run_with_what_was():
     assert caught.value.solution.t[-1] < 0.5
 
 
-# ---- reversible steps
-
-
 @pytest.mark.parametrize("n_periods", [24, pytest.param(1000, marks=pytest.mark.slow)])
 def test_energy_stays_bounded_with_reversible_steps_and_drifts_with_plain_step_control(n_periods):
     kept = reversible(0.002, n_periods * PERIOD)
@@ -230,16 +221,11 @@ def test_a_reversible_run_ends_after_so_many_steps():
     assert (some.y[-1] == whole.y[50]).all()
 
 
-# ---- what may be handed to them
-
-
 BUFFER = np.zeros((2, 3))
 FORCES = {
-    "other name": lambda x: -x,
     "default argument": lambda q, stiffness=1.0: -stiffness * q,
     "all three under other names": lambda time, x, velocity: -x,
     "partial": functools.partial(lambda stiffness, q: -stiffness * q, 1.0),
-    "bound method": np.poly1d([-1.0, 0.0]).__call__,
     "object": np.poly1d([-1.0, 0.0]),
     "numpy": np.negative,
     "numba": numba.njit(lambda q: -q),

@@ -24,9 +24,6 @@ def random_flow(seed=3, n=5):
     return lambda y: (0.3 * skew @ y + skew[:, :, 0]) @ (c @ y), c, start / np.sqrt(start @ c @ start)
 
 
-# ---- tableaus
-
-
 def rooted_trees(order):
     """All of an order, a tree being the sorted tuple of what hangs on its root."""
     if order == 1:
@@ -88,9 +85,6 @@ def test_a_step_of_a_linear_problem_is_the_pade_approximant(method):
     for z in (-0.3, 0.2, -4.0):
         end = mi.run_steps(mi.FirstOrder(lambda y, z=z: z * y), method(1.0), [1.0], 1).y[-1, 0]
         assert end == pytest.approx(factor(k, s, z) / factor(s, k, -z), rel=1e-14)
-
-
-# ---- every quadratic invariant
 
 
 @pytest.mark.parametrize("method", ORDERS)

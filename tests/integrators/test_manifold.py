@@ -17,9 +17,6 @@ def angle(q):
     return np.arctan2(q[..., 0], -q[..., 1])
 
 
-# ---- RATTLE
-
-
 QUICK = [VelocityVerlet, mi.Ruth3, mi.Suzuki4, mi.Yoshida6]
 SOME = QUICK + [pytest.param(method, marks=slow) for method in SPLITTINGS if method not in QUICK]
 
@@ -94,8 +91,6 @@ def test_a_start_off_the_manifold_is_projected_and_told():
     assert [w.filename for w in warned] == [__file__]  # the caller's line, however deep in minimd
     assert path.y[0] == pytest.approx([1.0, 0.0, 0.0, 0.2], abs=1e-15)
 
-
-# ---- invariants kept by projection and multipliers
 
 WRAPPERS = [projected, mi.symmetrically_projected, mi.with_multipliers]
 wrappers = pytest.mark.parametrize("wrapper", WRAPPERS)
@@ -224,9 +219,6 @@ def test_drivers_with_varying_steps_keep_the_invariants_too():
     for path in (adaptive, reversible):
         assert np.ptp(np.diff(path.t)) > 0.05
         assert np.abs(energy_errors(path)).max() < ROUNDING
-
-
-# ---- problems changed so that their invariants are kept
 
 
 @pytest.mark.parametrize(("method", "h"), [pytest.param(VelocityVerlet, 0.02, marks=slow), (mi.GaussLegendre2, 0.06)])

@@ -15,7 +15,7 @@ import minimd.integrators as mi
 from minimd.integrators import SE1, SE2, Drift, Kick, PositionVerlet, VelocityVerlet, compose
 from minimd.integrators.ode.stormer import stormer_summed, stormer_two_step
 from minimd.integrators.splitting.order_conditions import lyndon_words, nystrom_residuals, separable_residuals
-from minimd.integrators.splitting.substeps import is_palindrome, merged, scaled
+from minimd.integrators.splitting.substeps import is_palindrome
 
 PAPERS = {
     1: "symplectic-euler-1 symplectic-euler-2",
@@ -121,9 +121,6 @@ def test_an_optimal_method_loses_its_order_if_kicks_and_drifts_change_places():
     assert (mi.nystrom_order(row), mi.separable_order(row), mi.nystrom_order(exchanged)) == (4, 3, 3)
 
 
-# ---- compositions
-
-
 def test_candy_rozmus_is_the_triple_jump_over_position_verlet():
     """Forest and Ruth's form: drifts θ/2, (1 − θ)/2, kicks θ, 1 − 2θ, with θ = 1/(2 − ∛2)."""
     forest_ruth = [G / 2, G, (1 - G) / 2, 1 - 2 * G, (1 - G) / 2, G, G / 2]
@@ -153,13 +150,6 @@ def test_symplectic_euler_methods_are_adjoint_to_each_other_and_not_symmetric():
         assert mi.adjoint(method).order == method.order
 
 
-def test_rows_merge_scale_and_drop_what_lasts_no_time():
-    assert merged((Kick(0.5), Drift(0.0), Kick(0.5))) == (Kick(1.0),)
-    assert merged((Kick(0.5), Drift(0.25), Drift(-0.25), Kick(0.5), Drift(1.0))) == (Kick(1.0), Drift(1.0))
-    assert scaled((Kick(0.5), Drift(1.0)), -2.0) == (Kick(-1.0), Drift(-2.0))
-    assert len(mi.KahanLi8.sequence()) == 35
-
-
 REFERENCE = load("geometric/henon_heiles.json")
 
 
@@ -176,9 +166,6 @@ def test_slopes_and_errors_on_henon_heiles_are_those_of_the_reference(name):
     slopes = [np.log2(coarse / fine) for coarse, fine in pairwise(errors)]
     assert slopes == pytest.approx([known["order"]] * 2, abs=0.1)  # truncation
     assert errors == pytest.approx(known["errors"], rel=1e-5, abs=4e-15)  # the reference has 80 bits, we round to 53
-
-
-# ---- the same steps on other roads
 
 
 def springs(q):
@@ -280,6 +267,3 @@ def test_round_off_of_the_recursion_grows_as_the_square_of_the_steps_and_of_its_
     )
     assert summed < 1e-13
     assert plain > 50 * summed
-
-
-# ---- what accuracy costs on Kepler's ellipse, at the same number of forces

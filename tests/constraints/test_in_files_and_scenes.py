@@ -182,6 +182,7 @@ def test_constraints_of_the_structure_file_hold_unless_the_section_says_otherwis
     assert constraints_of_scene(tmp_path, section, FILES_OWN[1]) == ([], [(*FILES_LENGTHS, 1e-8, "newton")])
 
 
+@pytest.mark.slow
 def test_a_scene_makes_its_bonds_rigid_and_resumed_it_is_the_uninterrupted_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = RIGID_RING.replace(OF_BONDS, OF_BONDS + "fixed = [2]\n")

@@ -57,7 +57,7 @@ class Motion:
 def test_lengths_are_kept_to_rounding(name, solver):
     """After every step, and r · v = 0; sweeps keep both to their tolerance."""
     motion = Motion(name, solver, tolerance=1e-10)
-    for _ in range({"sheet": 20, "chain": 200}.get(name, 300)):
+    for _ in range({"sheet": 10, "chain": 80}.get(name, 150)):
         motion.step()
         limit = 1e-10 if solver == "shake" else motion.rounding()
         assert motion.bonds.violation(motion.positions).max() <= limit

@@ -293,6 +293,7 @@ def test_what_cannot_be_at_constant_pressure_is_refused():
         simulation(barostat=barostat(temperature=1.0, relaxation_time=0.02)).run(5, progress=False)
 
 
+@slow
 def test_a_scene_has_a_barostat_in_bar(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     bath = "pressure_bar = 50.0\ncompressibility_per_bar = 2e-4\nrelaxation_time_fs = 1500.0\nevery = 25\n"

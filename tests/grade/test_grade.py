@@ -58,7 +58,7 @@ def yoshida(q, v, acceleration, dt):
 
 # fmt: off
 TEXTBOOK = [  # step, order that is asked for, order that is reached, within
-    (yoshida, 2, 4, 0.1),
+    pytest.param(yoshida, 2, 4, 0.1, marks=pytest.mark.slow),
     (composed(W / 2, W, (1 - W) / 2, 1 - 2 * W, (1 - W) / 2, W, W / 2), 4, 4, 0.1),  # of Forest and Ruth
     (composed(7 / 24, 2 / 3, 3 / 4, -2 / 3, -1 / 24, 1.0), 3, 3, 0.1),  # of Ruth
 ]

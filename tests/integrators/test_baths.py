@@ -16,6 +16,7 @@ from minimd.integrators.splitting.substeps import Thermalize
 
 LANGEVIN = md.LangevinBAOAB(0.01, temperature=1.3, friction=2.0, seed=5)
 BUSSI = md.StochasticVelocityRescaling(0.01, temperature=1.3, relaxation_time=0.5, seed=5)
+ONE_SLOW = pytest.mark.parametrize("method", [BUSSI, pytest.param(LANGEVIN, marks=pytest.mark.slow)])
 EVERY_BATH = pytest.mark.parametrize("method", [LANGEVIN, BUSSI], ids=list(THERMOSTATS))
 
 
@@ -155,7 +156,7 @@ def test_temperature_counts_the_degrees_of_freedom_that_the_bath_leaves(method):
     assert (np.abs(sim.velocities.mean(axis=0) - [3.0, 0.0, -1.0]).max() < 1e-12) == keeps  # rounding
 
 
-@EVERY_BATH
+@ONE_SLOW
 def test_total_energy_minus_heat_is_conserved(method, tmp_path):
     """As without a bath, though the bath moves it by a hundred times more; and its file says the same."""
     sim = simulation(type(method)(**{**method.parameters, "timestep": 0.002}))
@@ -170,7 +171,7 @@ def test_total_energy_minus_heat_is_conserved(method, tmp_path):
     assert checked.report.verdict == sim.report().verdict
 
 
-@EVERY_BATH
+@ONE_SLOW
 def test_a_run_in_two_parts_or_resumed_is_the_run_in_one(method, tmp_path):
     whole, parts, file = simulation(method), simulation(method), tmp_path / "a.h5md"
     record = whole.run(60, every=30)

@@ -192,6 +192,7 @@ def test_the_density_that_is_found_is_the_density_in_closed_form():
     assert np.abs(constant.y - run_steps(KEPLER, VelocityVerlet(0.002), COMET, 100).y).max() < 1e-13
 
 
+@pytest.mark.slow
 def test_reversible_steps_are_the_same_in_any_unit():
     """An orbit that passes close by the origin of a ring-shaped attraction, where f is largest and |q| smallest."""
 

@@ -175,7 +175,7 @@ def test_a_step_too_long_names_the_bond(name, solver):
     assert list(caught.value.atoms) in motion.pairs.tolist()
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(st.integers(2, 30), st.integers(0, 2**32 - 1))
 def test_random_connected_graphs_are_kept_to_rounding_or_refused(n_atoms, seed):
     """Trees with some more bonds, masses 1 : 1000, lengths at random: never a hang, never a NaN."""

@@ -174,23 +174,9 @@ COURSES = {
     "kepler": (small.KEPLER, small.KEPLER_START, 0.0, 2.0, small.kepler_orbit(2.0)),
     "driven": (small.DRIVEN, small.TWISTED_START, 0.3, 1.5, DRIVEN_END),
 }
-ALMOST_ALIKE = (
-    mi.McLachlanAtela4,
-    mi.Ruth3,
-    mi.Suzuki4,
-    mi.PEFRL,
-    mi.Yoshida6,
-    mi.KahanLi6,
-    mi.KahanLi8,
-    mi.RadauIIA2,
-    mi.BDF4,
-    mi.BDF5,
-)
-RUNS = [
-    *(("kepler", m) for m in small.ONE_STEP),
-    *(("driven", m) for m in small.DETERMINISTIC if m not in ALMOST_ALIKE),
-]
-RUNS += [pytest.param("driven", m, marks=pytest.mark.slow) for m in ALMOST_ALIKE]
+QUICK = md.VelocityVerlet, mi.SE1, mi.BlanesMoan4, *small.GAUSS, mi.ImplicitEuler, mi.BDF1, mi.BDF2, mi.BDF3
+RUNS = [("kepler", m) for m in small.ONE_STEP]
+RUNS += [pytest.param("driven", m, marks=[pytest.mark.slow] * (m not in QUICK)) for m in small.DETERMINISTIC]
 
 
 @pytest.mark.parametrize(("name", "method"), RUNS)

@@ -16,7 +16,6 @@ from minimd.structure.statistics import mean_and_error
 VERLET = md.VelocityVerlet(0.002)
 PAIRS = np.arange(64).reshape(-1, 2)  # of the dumbbells
 SPARSE = md.LennardJones(1e-30, 0.01, 0.5, "force-shifted")
-BUSSI = md.StochasticVelocityRescaling(0.004, 1.0, 0.1, 7)
 
 
 def simulation(method=VERLET, constraints=None):
@@ -30,7 +29,7 @@ def kept(sim):
 
 def test_energy_of_rigid_molecules_oscillates_with_the_square_of_the_timestep():
     start = simulation()
-    start.equilibrate(500, 1.0)
+    start.equilibrate(200, 1.0)
 
     def oscillation(timestep):
         sim = md.Simulation(start.system, [BONDED], md.VelocityVerlet(timestep), start.constraints)
@@ -58,48 +57,6 @@ def test_temperature_counts_what_is_left_of_wrapped_atoms_too():
     record = sim.run(0)
     assert sim.n_dof == 3 * 64 - 32 - 3
     assert [record.temperature[0], 2.0 * record.kinetic_energy[0] / sim.n_dof] == pytest.approx([1.0, 1.0], rel=1e-12)
-
-
-@pytest.mark.parametrize("method", [md.LangevinBAOAB(0.004, 1.0, 5.0, 7), BUSSI], ids=["BAOAB", "Bussi"])
-def test_baths_keep_lengths_and_temperature(method):
-    """Translation and rotation have their shares: equipartition, within four standard errors of blocks."""
-    sim, shares = simulation(method), []
-    sim.equilibrate(500, 1.0)
-    masses = sim.system.masses.reshape(-1, 2, 1)
-
-    def look(run):
-        v = run.velocities.reshape(-1, 2, 3)
-        centers = (masses * v).sum(axis=1, keepdims=True) / 4.0
-        translation, rotation = 4.0 * (centers**2).sum(), (masses * (v - centers) ** 2).sum()
-        shares.append([translation / (3 * 32 - 3 * sim.conserves_momentum), rotation / (2 * 32)])
-
-    record = sim.run(9000, every=20, observers=[look])
-    blocks = np.array(shares[1:]).reshape(15, -1, 2).mean(axis=1)
-    error = blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks))
-    assert (error < 0.02).all()
-    assert (np.abs(blocks.mean(axis=0) - 1.0) < 4.0 * error).all()  # statistics
-    assert record.constraint_violation.max() < 1e-13
-
-
-@pytest.mark.slow
-def test_pressure_with_constraints_is_the_slope_of_the_free_energy():
-    """Centers are scaled: p = (2 K_cm + Σ F_cm · r_cm)/3V, averaged, equals the atomic one with constraint forces."""
-    sim, molecular = simulation(md.StochasticVelocityRescaling(0.004, 1.0, 0.2, 7)), []
-    sim.equilibrate(500, 1.0)
-    masses, volume = sim.system.masses.reshape(-1, 2, 1), sim.system.volume
-
-    def look(run):
-        r, v, f = (x.reshape(-1, 2, 3) for x in (run.positions, run.velocities, run.forces))
-        arms, centers = r - (masses * r).sum(axis=1, keepdims=True) / 4.0, (masses * v).sum(axis=1) / 4.0
-        inner = (f * arms).sum()  # what the atomic virial has beyond the molecular one
-        virial = np.trace(md.evaluate(run.system, [BONDED]).virial)
-        molecular.append((4.0 * (centers**2).sum() + virial - inner) / (3.0 * volume))
-
-    record = sim.run(32_000, every=20, observers=[look])
-    difference = (record.pressure - np.array(molecular))[1:].reshape(16, -1).mean(axis=1)
-    error = difference.std(ddof=1) / 4.0
-    assert error < 0.02 * abs(record.pressure.mean())
-    assert abs(difference.mean()) < 4.0 * error  # statistics
 
 
 @pytest.mark.parametrize("method", [md.VelocityVerlet, md.PositionVerlet, md.Leapfrog])
@@ -192,8 +149,7 @@ def test_wrong_constraints_are_answered(call, error, shown):
     assert_answered(call, error, *shown)
 
 
-@pytest.mark.parametrize("length", [0.9, 1.2, 3.1])
-@pytest.mark.parametrize("skew", [0.0, 0.7])
+@pytest.mark.parametrize(("skew", "length"), [(0.0, 0.9), (0.7, 1.2), (0.7, 3.1)])
 def test_bonds_longer_than_half_the_cell_turn_as_they_are(length, skew):
     """In a cell of edge 2, where another image comes nearer: beside the same bond in open space, wrapped or not."""
     cell, rng = np.array([[2.0, 0.0, 0.0], [skew, 2.0, 0.0], [skew, 0.3, 2.0]]), np.random.default_rng(1)
@@ -202,8 +158,8 @@ def test_bonds_longer_than_half_the_cell_turn_as_they_are(length, skew):
     for edges, observers in ((None, []), (cell, []), (cell, [wrap])):
         start = md.System(positions, velocities=velocities, cell=edges)
         sim = md.Simulation(start, SPARSE, md.VelocityVerlet(0.01), md.DistanceConstraints([[0, 1]], length))
-        assert sim.run(600, every=7, observers=observers).constraint_violation.max() < 1e-12
-        sim.run(50)
+        assert sim.run(200, every=7, observers=observers).constraint_violation.max() < 1e-12
+        sim.run(20)
         sims.append(sim)
     free, plain, wrapped = sims
     assert np.abs(plain.positions - free.positions).max() < 1e-10  # rounding

@@ -16,6 +16,7 @@ from minimd.integrators.splitting.substeps import Thermalize
 
 LANGEVIN = md.LangevinBAOAB(0.01, temperature=1.3, friction=2.0, seed=5)
 BUSSI = md.StochasticVelocityRescaling(0.01, temperature=1.3, relaxation_time=0.5, seed=5)
+ONE_SLOW = pytest.mark.parametrize("method", [BUSSI, pytest.param(LANGEVIN, marks=pytest.mark.slow)])
 EVERY_BATH = pytest.mark.parametrize("method", [LANGEVIN, BUSSI], ids=list(THERMOSTATS))
 
 
@@ -67,12 +68,12 @@ def rescaled_energies(kinetic, n_dof, duration, n):
 def test_rescaling_makes_the_kinetic_energy_relax_as_its_equation_says():
     """Mean c K + (1 − c) K̄; variance 2 (1 − c)² K̄²/n + 4 c (1 − c) K K̄/n; after long, the canonical distribution."""
     kinetic, n_dof, kept, target = 3.0, 5, np.exp(-0.2 / 0.5), 0.5 * 5 * 1.3
-    energies = rescaled_energies(kinetic, n_dof, 0.2, 12_000)
+    energies = rescaled_energies(kinetic, n_dof, 0.2, 5000)
     variance = 2.0 * ((1.0 - kept) * target) ** 2 / n_dof + 4.0 * kept * (1.0 - kept) * kinetic * target / n_dof
     mean, error = kept * kinetic + (1.0 - kept) * target, np.sqrt(variance / energies.size)
     assert energies.mean() == pytest.approx(mean, abs=4.0 * error)  # statistics
-    assert energies.var() == pytest.approx(variance, rel=0.05)
-    assert stats.kstest(rescaled_energies(3.0, 5, 100.0, 3000) / 1.3, stats.gamma(2.5).cdf).pvalue > 1e-3
+    assert energies.var() == pytest.approx(variance, rel=0.1)
+    assert stats.kstest(rescaled_energies(3.0, 5, 100.0, 1500) / 1.3, stats.gamma(2.5).cdf).pvalue > 1e-3
 
 
 def test_rescaling_leaves_the_motion_of_the_whole_alone():
@@ -155,12 +156,12 @@ def test_temperature_counts_the_degrees_of_freedom_that_the_bath_leaves(method):
     assert (np.abs(sim.velocities.mean(axis=0) - [3.0, 0.0, -1.0]).max() < 1e-12) == keeps  # rounding
 
 
-@EVERY_BATH
+@ONE_SLOW
 def test_total_energy_minus_heat_is_conserved(method, tmp_path):
     """As without a bath, though the bath moves it by a hundred times more; and its file says the same."""
     sim = simulation(type(method)(**{**method.parameters, "timestep": 0.002}))
-    sim.equilibrate(1000, 1.3)
-    record = sim.run(2000, every=40, trajectory=tmp_path / "bath.h5md")
+    sim.equilibrate(500, 1.3)
+    record = sim.run(800, every=20, trajectory=tmp_path / "bath.h5md")
     conserved, total = record.conserved_energy, record.total_energy
     assert np.ptp(conserved) < 0.05 * np.ptp(total)
     assert sim.report().energy_is_conserved
@@ -170,7 +171,7 @@ def test_total_energy_minus_heat_is_conserved(method, tmp_path):
     assert checked.report.verdict == sim.report().verdict
 
 
-@EVERY_BATH
+@ONE_SLOW
 def test_a_run_in_two_parts_or_resumed_is_the_run_in_one(method, tmp_path):
     whole, parts, file = simulation(method), simulation(method), tmp_path / "a.h5md"
     record = whole.run(60, every=30)
@@ -211,15 +212,6 @@ def test_each_equilibration_has_noise_of_its_own_and_the_same_in_each_repetition
     assert (ends[0] == ends[1]).all()
 
 
-@pytest.mark.parametrize("method", THERMOSTATS.values())
-def test_every_thermostat_can_be_made_from_its_relaxation_time_and_again_from_its_parameters(method):
-    bath = method.with_relaxation_time(0.01, temperature=1.3, relaxation_time=0.5, seed=7)
-    own = {"friction": 2.0} if method is md.LangevinBAOAB else {"relaxation_time": 0.5}
-    assert type(bath) is method
-    assert bath.parameters == {"timestep": 0.01, "temperature": 1.3, "seed": 7, **own}
-    assert method(**bath.parameters).parameters == bath.parameters
-
-
 WRONG = [  # call, error, what is shown
     (lambda: md.LangevinBAOAB(-0.01, 1.0, 1.0, 1), ValueError, "timestep", "-0.01"),
     (lambda: md.LangevinBAOAB(0.01, -1.0, 1.0, 1), ValueError, "temperature", "-1.0"),
@@ -235,23 +227,3 @@ WRONG = [  # call, error, what is shown
 @pytest.mark.parametrize(("call", "error", "shown"), [(call, error, shown) for call, error, *shown in WRONG])
 def test_bad_baths_are_answered(call, error, shown):
     assert_answered(call, error, *shown)
-
-
-LONG = [
-    lambda seed: md.LangevinBAOAB(0.004, 1.3, 5.0, seed),
-    lambda seed: md.StochasticVelocityRescaling(0.004, 1.3, 0.1, seed),
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("make", LONG)
-def test_long_runs_that_are_fine_are_told_so(make):
-    """Energy minus reservoir energy wanders by 1e-3 ε per atom in 25 000 steps; that is no drift."""
-    ratios = []
-    for seed in range(6):
-        sim = simulation(make(seed), seed)
-        sim.run(2000, every=2000)
-        sim.run(25_000, every=10)
-        ratios.append(sim.report().energy_drift.slope / sim.report().energy_drift.error)
-    assert np.abs(ratios).max() < 4.5  # errors of twenty blocks have long tails: 3.5 is passed once in a hundred
-    assert np.sqrt(np.mean(np.square(ratios))) < 2.0  # statistics: 1 expected

@@ -82,26 +82,3 @@ def test_kinetic_energies_are_gamma_distributed(runs):
         assert stats.kstest(apart, stats.gamma(0.5 * n_dof, scale=thermal).cdf).pvalue > 1e-3
         wrong = stats.gamma(0.5 * n_dof, scale=1.03 * thermal)
         assert stats.kstest(apart, wrong.cdf).pvalue < 1e-3  # it would see three percent
-
-
-def test_without_a_bath_the_energy_oscillates_by_the_square_of_the_time_step():
-    """Of runs from one start, at Δt, Δt/2, Δt/4, beside 4, within a fifth; a switch with corners is seen."""
-    validation = pytest.importorskip("physical_validation")
-
-    def off(truncation):
-        law, runs = md.LennardJones(120 * K_B, 3.4, 8.0, truncation), []
-        melt = md.Simulation(argon(5.78), law, md.VelocityVerlet(8 * FS), threads=1)
-        melt.set_temperature(190.0, seed=1)
-        melt.equilibrate(5000, 94.4)
-        for femtoseconds in (16, 8, 4):
-            simulation = md.Simulation(melt.system, law, md.VelocityVerlet(femtoseconds * FS), threads=1)
-            record = simulation.run(8000 // femtoseconds, every=1)
-            data = data_of(record, 94.4, simulation.n_dof)
-            data.dt = femtoseconds * FS
-            data.ensemble = validation.data.EnsembleData("NVE", natoms=108, volume=1.0, energy=1.0)
-            data.observables.constant_of_motion = record.total_energy
-            runs.append(data)
-        return validation.integrator.convergence(runs, verbose=False)
-
-    assert off("smooth") < 0.2
-    assert off("truncated") > 0.2

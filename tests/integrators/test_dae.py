@@ -10,7 +10,7 @@ import andrews
 import dae_problems as dae
 import numpy as np
 import pytest
-from dae_problems import DOUBLE_START, GRAVITY, HORIZONTAL, INDEX1, INDEX2, INDEX3, double_pendulum, pendulum
+from dae_problems import GRAVITY, HORIZONTAL, INDEX1, INDEX2, INDEX3, pendulum
 from numpy import cos, sin
 from references import load
 from small_problems import GAUSS
@@ -18,14 +18,16 @@ from wrong_calls import assert_answered
 
 import minimd.integrators as mi
 from minimd.integrators import RadauIIA3, StepControl, run_adaptive, run_steps
-from minimd.integrators.ode.bdf import slope_weights
 from minimd.integrators.ode.differences import accurate_differences, error_of_differences, time_derivative
 from minimd.integrators.ode.runge_kutta import StageStep
 from minimd.structure.errors import ConvergenceError
 
-BDFS = [mi.BDF1, mi.BDF2, mi.BDF3, mi.BDF4, mi.BDF5]
+slow = pytest.mark.slow
 
-# ---- orders of y and z, or of q, v and the multiplier
+
+def slow_but(quick, methods):
+    return [method if method is quick else pytest.param(method, marks=slow) for method in methods]
+
 
 # fmt: off
 RADAU_ORDERS = [
@@ -55,13 +57,13 @@ def test_gauss_loses_order_at_index_2(method, at_index_1, problem, at_index_2):
     assert dae.measured_orders(*problem, method, n_steps=(20, 40)) == pytest.approx(at_index_2, abs=0.1)
 
 
-@pytest.mark.parametrize("method", GAUSS)
+@pytest.mark.parametrize("method", slow_but(mi.GaussLegendre2, GAUSS))
 def test_gauss_is_refused_at_index_3_because_multipliers_do_not_converge(method):
     """They are off by as much after steps half as long, or by four times more (s = 2); q and v would hide it."""
     problem, errors = pendulum(), []
     with pytest.raises(TypeError, match=method.name):
         run_steps(problem, method(0.01), HORIZONTAL, 1)
-    exact = run_steps(problem, RadauIIA3(0.5 / 250), HORIZONTAL, 250).y[-1]
+    exact = run_steps(problem, RadauIIA3(0.005), HORIZONTAL, 100).y[-1]
     for n_steps in (50, 100):
         step, y = StageStep(problem, method.tableau), problem.begin(HORIZONTAL)
         for k in range(n_steps):
@@ -72,7 +74,7 @@ def test_gauss_is_refused_at_index_3_because_multipliers_do_not_converge(method)
     assert fine[2] > 0.9 * coarse[2] > 10.0
 
 
-@pytest.mark.parametrize("method", BDFS)
+@pytest.mark.parametrize("method", slow_but(mi.BDF3, [mi.BDF1, mi.BDF2, mi.BDF3, mi.BDF4, mi.BDF5]))
 def test_bdf_has_order_k_in_every_variable(method):
     """And a shortened last step is as accurate as the others."""
     for problem in (INDEX1, INDEX2, INDEX3):
@@ -81,18 +83,6 @@ def test_bdf_has_order_k_in_every_variable(method):
     decay, ends = mi.FirstOrder(lambda t, y: -2 * t * y * y), (1.0, 0.9963)
     whole, shortened = (mi.run_until(decay, method(0.01), [1.0], t).y[-1, 0] - 1 / (1 + t**2) for t in ends)
     assert shortened == pytest.approx(whole, rel=0.1)
-
-
-def test_weights_of_backward_differences():
-    """Those of the books for equal steps; they differentiate polynomials exactly, whatever the nodes."""
-    for book in ([1, -1], [3 / 2, -2, 1 / 2], [11 / 6, -3, 3 / 2, -1 / 3]):
-        assert slope_weights(-np.arange(float(len(book)))) == pytest.approx(book, abs=1e-15)
-    nodes = np.array([0.0, -0.3, -1.1, -1.9, -3.0])
-    for power in range(5):
-        assert slope_weights(nodes) @ nodes**power == pytest.approx(float(power == 1), abs=1e-13)
-
-
-# ---- consistent starts
 
 
 @pytest.mark.parametrize(("problem", "solution"), [INDEX1, INDEX2, INDEX3])
@@ -104,14 +94,6 @@ def test_algebraic_variables_are_computed(problem, solution):
         computed = problem.parts(problem.begin(tuple(given), t))
         assert computed[-1] == pytest.approx(algebraic, rel=1e-8)  # of differences
         assert all(np.array_equal(*parts) for parts in zip(computed[:-1], given, strict=False))
-
-
-def test_the_tension_of_a_pendulum_is_computed_with_its_centrifugal_part():
-    """λ = m (v² + q·g) on the unit circle."""
-    q, v = np.array([0.6, -0.8]), 1.7 * np.array([0.8, 0.6])
-    heavy = mi.Mechanical(3.0, lambda q: 3.0 * np.array([0.0, -GRAVITY]), lambda q: (q @ q - 1) / 2)
-    for problem, mass in ((pendulum(), 1.0), (heavy, 3.0)):
-        assert problem.begin((q, v))[4] == pytest.approx(mass * (v @ v + 0.8 * GRAVITY), rel=1e-9)
 
 
 def test_a_support_that_moves_is_seen_in_the_hidden_constraint():
@@ -129,8 +111,10 @@ VIOLATED = [  # x(0) = 1 with 0 = x − t; positions off the circle, velocities 
     (dae.implicit_path_of_x(), [1.0, 0.0], ("equation 1 stays at 1.00e+00",)),
     (pendulum(), ((1.0, 0.1), (0.0, 0.0)), ("constraint 0 = g", "5.00e-03", "q would have to move by 5")),
     (pendulum(), ((1.0, 0.0), (0.3, 0.0)), ("hidden constraint", "3.00e-01", "v would have to move")),
-    (dae.implicit_pendulum(), [1.0, 0.1, 0.0, 0.0, 0.0], ("equation 4 stays at 5.00e-03",)),
-    (dae.implicit_pendulum(), [1.0, 0.0, 0.3, 0.0, 0.0], ("derivative of equation 4 stays at 2.",)),
+    *(
+        pytest.param(dae.implicit_pendulum(), [1.0, x, u, 0.0, 0.0], (words,), marks=slow)
+        for x, u, words in [(0.1, 0.0, "equation 4 stays at 5.00e-03"), (0.0, 0.3, "derivative of equation 4 stays")]
+    ),
 ]
 
 
@@ -142,24 +126,26 @@ def test_a_violated_constraint_is_named_and_corrected_if_asked(problem, wrong, s
     assert left == pytest.approx((0.0, 0.0), abs=1e-8 if isinstance(problem, mi.Implicit) else 1e-12)
 
 
-def test_a_fully_implicit_problem_knows_its_slopes_its_index_and_how_rounding_is_amplified():
+@slow
+def test_a_fully_implicit_pendulum_knows_its_slopes_its_index_and_its_path():
     problem = dae.implicit_pendulum()
     y = problem.begin([1.0, 0.0, 0.0, 2.0, 0.0])
     assert y == pytest.approx([1.0, 0.0, 0.0, 2.0, 4.0], abs=1e-8)
     assert problem.field(0.0, y)[:4] == pytest.approx([0.0, 2.0, -4.0, -GRAVITY], abs=1e-8)
     assert (problem.index, *problem.levels) == (3, 0, 0, 1, 1, 2)
+    one, other = (
+        run_steps(p, RadauIIA3(0.01), start, 10).y for p, start in ((problem, y), (pendulum(), (y[:2], y[2:4])))
+    )
+    assert one[1:] == pytest.approx(other[1:], abs=1e-8)  # the tension is rounding/h²
 
 
 def test_a_fully_implicit_path_is_that_of_the_structured_form():
     assert dae.implicit_path_of_x().begin([1.0, 0.0], 1.0) == pytest.approx([1.0, 1.0], abs=1e-9)
     path = run_steps(dae.path_of_x(), RadauIIA3(0.1), ([1.0],), 3, t0=1.0)
     assert path.y == pytest.approx(np.array([[1, 1], [1.1, 1], [1.2, 1], [1.3, 1]]), abs=1e-10)
-    one = run_steps(dae.implicit_pendulum(), RadauIIA3(0.01), [1.0, 0.0, 0.0, 0.0, 0.0], 40).y
-    other = run_steps(pendulum(), RadauIIA3(0.01), HORIZONTAL, 40).y
-    assert one[1:] == pytest.approx(other[1:], abs=1e-8)  # the tension is rounding/h²
     plain = mi.FirstOrder(lambda y: [y[1], -sin(y[0])])
     residual = mi.Implicit(lambda y, slope: [slope[0] - y[1], slope[1] + sin(y[0])])
-    one, other = (run_steps(problem, mi.GaussLegendre3(0.1), [1.0, 0.0], 30).y for problem in (plain, residual))
+    one, other = (run_steps(problem, mi.GaussLegendre3(0.1), [1.0, 0.0], 10).y for problem in (plain, residual))
     assert other == pytest.approx(one, abs=1e-13)
     problem = mi.Implicit(lambda y, slope: slope**2 + y**2 - 1)  # y(0) = 0: sine, up or down, as the guess says
     for sign in (1.0, -1.0):
@@ -173,7 +159,7 @@ def test_equations_that_lose_their_solution_end_the_run_before():
     with pytest.raises(ConvergenceError, match=r"step \d+ from t = .* with timestep 0\.03") as told:
         run_steps(problem, RadauIIA3(0.03), ([0.0], [1.0]), 40)
     assert told.value.solution.t[-1] > 0.95
-    stopped = run_adaptive(problem, RadauIIA3, ([0.0], [1.0]), 2.0, control=StepControl(min_step=1e-6))
+    stopped = run_adaptive(problem, RadauIIA3, ([0.0], [1.0]), 2.0, control=StepControl(min_step=1e-4))
     assert not stopped.success
     assert stopped.t[-1] == pytest.approx(1.0, abs=1e-3)
 
@@ -198,17 +184,15 @@ def test_index_of_a_pencil_is_that_of_its_largest_nilpotent_block(blocks):
             assert mi.pencil_index(*weierstrass(blocks, n_regular, rng)) == max(blocks, default=0)
 
 
-# ---- beside numbers that others computed
-
 RELEASED = ([1.0, 0.0, 0.0, 0.0], [0.0])
 RETURNS = [  # problem, start, method, steps of a period, variables that are accurate, periods
     (dae.reduced_pendulum(), RELEASED, mi.GaussLegendre3, 200, 4, 1),
-    (dae.reduced_pendulum(), RELEASED, RadauIIA3, 300, 4, 1),
-    (dae.stabilized_pendulum(), RELEASED[:1], RadauIIA3, 300, 4, 1),
-    (dae.stabilized_pendulum(), RELEASED[:1], mi.GaussLegendre3, 400, 4, 1),
+    pytest.param(dae.reduced_pendulum(), RELEASED, RadauIIA3, 300, 4, 1, marks=slow),
+    pytest.param(dae.stabilized_pendulum(), RELEASED[:1], RadauIIA3, 300, 4, 1, marks=slow),
+    pytest.param(dae.stabilized_pendulum(), RELEASED[:1], mi.GaussLegendre3, 400, 4, 1, marks=slow),
     (pendulum(), HORIZONTAL, RadauIIA3, 300, 2, 1),  # velocities are of order 3: with 2000 steps
-    pytest.param(pendulum(), HORIZONTAL, RadauIIA3, 2000, 4, 15, marks=pytest.mark.slow),
-    (pendulum(), HORIZONTAL, mi.BDF5, 1200, 4, 1),
+    pytest.param(pendulum(), HORIZONTAL, RadauIIA3, 2000, 4, 15, marks=slow),
+    pytest.param(pendulum(), HORIZONTAL, mi.BDF5, 1200, 4, 1, marks=slow),
 ]
 
 
@@ -221,6 +205,7 @@ def test_pendulum_of_any_index_returns_after_its_period(problem, start, method, 
     assert np.abs(path.y[:, :n_kept] - [1.0, 0.0, 0.0, 0.0][:n_kept]).max() < 1e-8  # truncation
 
 
+@slow
 def test_robertson_to_1e11():
     known = load("dae/robertson.json")
     control = StepControl(rtol=1e-9, atol=[1e-15, 1e-19, 1e-9])
@@ -240,50 +225,26 @@ def test_andrews_mechanism_starts_as_published():
         assert problem.parts(y)[2][:2] == pytest.approx(multipliers, rel=digits)
 
 
-@pytest.mark.parametrize("n_steps", [0, pytest.param(1500, marks=pytest.mark.slow)])
-def test_andrews_mechanism(n_steps):
+@slow
+def test_andrews_mechanism():
     problem, end = mi.Mechanical(andrews.mass, andrews.force, andrews.closures, andrews.gradient), andrews.DATA["T"]
-    if n_steps:
-        path, digits = run_steps(problem, RadauIIA3(end / n_steps), andrews.START, n_steps), 1e-8
-    else:
-        control = StepControl(rtol=1e-8, atol=1e-8)
-        path, digits = run_adaptive(problem, RadauIIA3, andrews.START, end, control=control), 1e-6
-    assert path.y[-1, [0, 2, 4, 6]] == pytest.approx(andrews.DATA["q_end_components_1_3_5_7"], rel=digits)
+    path = run_steps(problem, RadauIIA3(end / 1500), andrews.START, 1500)
+    assert path.y[-1, [0, 2, 4, 6]] == pytest.approx(andrews.DATA["q_end_components_1_3_5_7"], rel=1e-8)
 
 
 def test_step_control_meets_its_tolerance_at_index_3():
     """The error of the position falls with rtol, the multiplier being weighted by h²."""
-    for rtol in (1e-5, 1e-7):
-        path = run_adaptive(pendulum(), RadauIIA3, HORIZONTAL, 2.0, control=StepControl(rtol=rtol, atol=rtol))
-        assert np.abs(path.y[-1, :2] - [1.0, 0.0]).max() < 10 * rtol
+    for rtol in (1e-4, 1e-6):
+        path = run_adaptive(pendulum(), RadauIIA3, HORIZONTAL, 1.0, control=StepControl(rtol=rtol, atol=rtol))
+        assert np.abs(path.y[-1, :2] - [-1.0, 0.0]).max() < 10 * rtol
     assert len(path.t) < 500
 
 
-def test_pendulum_beside_sundials():
-    """IDA: variable-order BDF, for index 1."""
-    ida = pytest.importorskip("sksundae.ida")
-
-    def residual(t, y, slope, answer):
-        x, q, u, v, tension = y
-        answer[:4] = slope[0] - u, slope[1] - v, slope[2] + x * tension, slope[3] + q * tension + GRAVITY
-        answer[4] = u * u + v * v - tension * (x * x + q * q) - GRAVITY * q
-
-    solver = ida.IDA(residual, algebraic_idx=[4], rtol=1e-10, atol=1e-12, max_num_steps=100_000)
-    theirs = solver.solve([0.0, 1.7], np.array([1.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, -GRAVITY, 0.0]))
-    ours = run_steps(dae.reduced_pendulum(), RadauIIA3(0.005), RELEASED, 340)
-    assert ours.y[-1] == pytest.approx(theirs.y[-1], abs=1e-6)
-    of_index_3 = run_steps(pendulum(), RadauIIA3(0.001), HORIZONTAL, 1700)
-    assert of_index_3.y[-1, :4] == pytest.approx(theirs.y[-1, :4], abs=1e-7)
-
-
-# ---- equations of stages, solved to rounding in every variable
-
-
-@pytest.mark.parametrize("n_steps", [200, 5000])
+@pytest.mark.parametrize("n_steps", [200, pytest.param(5000, marks=slow)])
 def test_a_pendulum_of_index_3_swings_in_any_unit(n_steps):
     def path(length, time):
         problem = pendulum(length, time)
-        y = run_steps(problem, RadauIIA3(2.0 * time / n_steps), ((length, 0.0), (0.0, 0.0)), 40).y[1:]
+        y = run_steps(problem, RadauIIA3(2.0 * time / n_steps), ((length, 0.0), (0.0, 0.0)), 15).y[1:]
         q, v, tension = problem.parts(y)
         return np.hstack([q / length, v * time / length, tension * time**2])
 
@@ -310,8 +271,6 @@ def test_the_jacobian_of_the_problem_is_used():
     assert given.y == pytest.approx(found.y, abs=1e-14)
     assert given.nfev < found.nfev
 
-
-# ---- derivatives by differences
 
 # fmt: off
 FUNCTIONS = {  # a function, a place, its derivative there
@@ -365,17 +324,3 @@ def test_time_derivatives_in_any_unit(unit):
     for order, exact, digits in ((1, 3.0, 1e-12), (2, 4.0, 1e-9)):
         found = time_derivative(lambda t: np.array([np.exp(2.0 * t / unit) + t / unit]), order, unit)
         assert found == pytest.approx(exact / unit**order, rel=digits)
-
-
-SWINGING = mi.Mechanical(1.0, lambda q: np.array([0.0, -1.0]), lambda q: (q @ q - 1) / 2)
-
-
-def test_a_solution_tells_how_its_derivatives_were_found():
-    """The error is the number before the last words."""
-    for given, by_differences, method, start in (
-        (double_pendulum(), double_pendulum(with_jacobian=False), mi.VelocityVerlet, DOUBLE_START),
-        (pendulum(), SWINGING, mi.RadauIIA3, HORIZONTAL),
-    ):
-        said, more = (run_steps(problem, method(0.01), start, 2).message for problem in (given, by_differences))
-        assert more.startswith(said + "; G = ∂g/∂q by differences")
-        assert 1e-16 < float(more.removesuffix(" at the start").split()[-1]) < 1e-12

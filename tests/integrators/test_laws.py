@@ -3,7 +3,6 @@
 METHODS is where a method is registered; what it answers (order, symmetric, symplectic, explicit) is measured here.
 """
 
-import pickle
 from collections.abc import Callable
 from functools import cache
 from operator import attrgetter
@@ -72,12 +71,12 @@ SCENES = {
     "driven": Scene(small.DRIVEN, small.TWISTED_START, 0.1),
     "swaying": Scene(small.SWAYING, small.TWISTED_START, 0.1),
     "no divergence": Scene(NO_GRADIENTS, ((0.3, 0.2, 0.5), (0.1, -0.4, 0.6)), 0.3),
-    "b·q, c·v": Scene(HALVES, IN_SPACE, 0.1, 0.0, 100, linear),
-    "b·q + c·v": Scene(JOINT, IN_SPACE, 0.05, 0.0, 20, linear),
-    "central force": Scene(CENTRAL, OFF_CENTRE, 0.04, 0.0, 25, turning),
-    "round": Scene(ROUND, OFF_CENTRE, 0.08, 0.0, 25, turning),
-    "scaling": Scene(SCALING, OFF_CENTRE, 0.08, 0.0, 25, lambda q, v: (q * v)[:, 0]),
-    "oscillator": Scene(small.OSCILLATOR, ((1.0,), (0.0,)), 0.8, 0.0, 200, lambda q, v: (q**2 + v**2)[:, 0]),
+    "b·q, c·v": Scene(HALVES, IN_SPACE, 0.1, 0.0, 30, linear),
+    "b·q + c·v": Scene(JOINT, IN_SPACE, 0.05, 0.0, 10, linear),
+    "central force": Scene(CENTRAL, OFF_CENTRE, 0.04, 0.0, 16, turning),
+    "round": Scene(ROUND, OFF_CENTRE, 0.08, 0.0, 12, turning),
+    "scaling": Scene(SCALING, OFF_CENTRE, 0.08, 0.0, 12, lambda q, v: (q * v)[:, 0]),
+    "oscillator": Scene(small.OSCILLATOR, ((1.0,), (0.0,)), 0.8, 0.0, 60, lambda q, v: (q**2 + v**2)[:, 0]),
 }
 # fmt: on
 FLIP = np.array([1.0, 1.0, -1.0, -1.0])  # ρ, which turns the velocities around
@@ -169,21 +168,15 @@ def test_a_law_is_kept_by_the_methods_that_claim_it_and_by_no_other(law, scene, 
     assert defect < law.kept if law.claimed(method) else defect > law.broken
 
 
-LONG = [(md.VelocityVerlet, 10_000), *(pytest.param(m, 100_000, marks=pytest.mark.slow) for m in small.ONE_STEP)]
-
-
-@pytest.mark.parametrize(("method", "n_steps"), LONG)
-def test_linear_invariants_are_kept_over_many_steps(method, n_steps):
-    assert change(method, SCENES["b·q, c·v"]._replace(h=0.05, n_steps=n_steps)) < 0.1
-
-
 STEPS = {1: 100, 2: 50, 3: 200, 4: 60, 5: 40, 6: 30, 8: 16}  # by order: errors small, above rounding
-DRIVEN_END = small.reference(small.DRIVEN, small.TWISTED_START, 3.0, t0=0.3)
+DRIVEN_END = small.reference(small.DRIVEN, small.TWISTED_START, 1.5, t0=0.3)
 COURSES = {
     "kepler": (small.KEPLER, small.KEPLER_START, 0.0, 2.0, small.kepler_orbit(2.0)),
-    "driven": (small.DRIVEN, small.TWISTED_START, 0.3, 3.0, DRIVEN_END),
+    "driven": (small.DRIVEN, small.TWISTED_START, 0.3, 1.5, DRIVEN_END),
 }
-RUNS = [*(("kepler", m) for m in small.ONE_STEP), *(("driven", m) for m in small.DETERMINISTIC)]
+QUICK = md.VelocityVerlet, mi.SE1, mi.BlanesMoan4, *small.GAUSS, mi.ImplicitEuler, mi.BDF1, mi.BDF2, mi.BDF3
+RUNS = [("kepler", m) for m in small.ONE_STEP]
+RUNS += [pytest.param("driven", m, marks=[pytest.mark.slow] * (m not in QUICK)) for m in small.DETERMINISTIC]
 
 
 @pytest.mark.parametrize(("name", "method"), RUNS)
@@ -193,6 +186,7 @@ def test_measured_order_is_the_answered_order(method, name):
     order = method.order_on(problem)
     n_steps = STEPS[order] * ((8 if method is mi.Ruth3 else 2) if name == "kepler" else 1)
     n_steps *= 6 if method not in small.ONE_STEP and order > 3 else 1
+    n_steps //= 2 if name == "driven" else 1
     coarse, fine = (
         np.linalg.norm(mi.run_steps(problem, method(time / n), start, n, t0=t0, every=n).y[-1] - end)
         for n in (n_steps, 2 * n_steps)
@@ -206,9 +200,6 @@ def test_the_references_agree():
     end = np.array([*published["q"], *published["p"]], dtype=float)
     assert small.kepler_orbit(7.5) == pytest.approx(end, abs=2e-15)
     assert small.reference(small.KEPLER, small.KEPLER_START, 7.5) == pytest.approx(small.kepler_orbit(7.5), abs=1e-11)
-
-
-# ---- energy
 
 
 def henon_heiles_energy(q, v):
@@ -226,7 +217,11 @@ def largest_errors(method, h, time, problem, start, energy):
     return errors[: len(errors) // 2].max(), errors[len(errors) // 2 :].max()
 
 
-@pytest.mark.parametrize("method", [method for method in small.ONE_STEP if method.is_symplectic])
+SYMPLECTIC = [method for method in small.ONE_STEP if method.is_symplectic and method not in small.GAUSS]
+LONGEST = [pytest.param(method, marks=pytest.mark.slow) for method in small.GAUSS]
+
+
+@pytest.mark.parametrize("method", SYMPLECTIC + LONGEST)
 def test_the_energy_error_of_a_symplectic_method_is_bounded_and_falls_with_the_order(method):
     h = {1: 0.02, 2: 0.1, 3: 0.1, 4: 0.2, 6: 0.4, 8: 0.6}[method.order] * (2 if method in small.GAUSS[:2] else 1)
     first, second = largest_errors(method, h, 200.0, *HENON_HEILES)
@@ -240,7 +235,7 @@ def test_the_energy_of_a_hamiltonian_that_is_not_separable_does_not_drift(method
     first, second = largest_errors(
         method,
         0.2,
-        100.0,
+        30.0,
         small.TWISTED,
         small.TWISTED_START,
         lambda q, v: (1.0 + (q**2).sum(axis=1)) * (1.0 + (v**2).sum(axis=1)) / 2.0 + q[:, 0] * v[:, 1] / 2.0,
@@ -286,24 +281,14 @@ def test_splittings_are_stable_up_to_where_theory_says(method):
     assert limit == pytest.approx(2.0, abs=1e-12) if method.stages == 1 else 1.0 < limit < 2.0 * method.stages
 
 
-# ---- what a method answers
-
-
 @pytest.mark.parametrize("method", small.DETERMINISTIC)
 def test_stages_are_the_evaluations_or_the_stage_equations_of_a_step(method):
     """As the function of the user counts them; those of implicit methods by the times they are at."""
     times = []
     problem = mi.SecondOrder(lambda t, q: times.append(t) or small.attraction(q))
-    solution = mi.run_steps(problem, method(0.01), ORBIT, 100)
+    solution = mi.run_steps(problem, method(0.01), ORBIT, 20)
     if method.is_explicit:
-        assert 100 * method.stages <= len(times) == solution.nfev <= 100 * method.stages + 1
+        assert 20 * method.stages <= len(times) == solution.nfev <= 20 * method.stages + 1
     else:
-        inside = [t for t in times if 0.5 + 1e-9 < t < 0.51 + 1e-9]
+        inside = [t for t in times if 0.1 + 1e-9 < t < 0.11 + 1e-9]
         assert len(np.unique(np.round(inside, 9))) == method.stages
-
-
-def test_methods_are_classes_of_minimd_with_a_name_and_a_source_that_can_be_pickled():
-    for name, method in mi.METHODS.items():
-        assert pickle.loads(pickle.dumps(method)) is method is getattr(mi, method.__name__)
-        assert method.name == name
-        assert len(method.source) > 20

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 import small_problems as small
 from dae_problems import DOUBLE_START, SWING_START, double_pendulum, on_rods, swing
-from references import load
 from small_problems import ENERGY, KEPLER, KEPLER_START, PERIOD, ROUNDING, SPLITTINGS, energy, energy_errors
 
-import minimd as md
 import minimd.integrators as mi
 from minimd.integrators import Invariants, RadauIIA2, VelocityVerlet, projected, run_steps, run_until, stabilized
 
+slow = pytest.mark.slow
 ANGLE_AT_3 = -0.94875159694619818661  # of θ″ = −sin θ from θ = 1 at rest; Jacobi's elliptic functions
 
 
@@ -18,13 +17,14 @@ def angle(q):
     return np.arctan2(q[..., 0], -q[..., 1])
 
 
-# ---- RATTLE
+QUICK = [VelocityVerlet, mi.Ruth3, mi.Suzuki4, mi.Yoshida6]
+SOME = QUICK + [pytest.param(method, marks=slow) for method in SPLITTINGS if method not in QUICK]
 
 
-@pytest.mark.parametrize("method", SPLITTINGS)
+@pytest.mark.parametrize("method", SOME)
 def test_order_on_the_pendulum(method):
     order = method.order_on(swing())
-    h = {1: 0.01, 2: 0.05, 4: 0.1, 6: 0.3, 8: 0.3}[order] / 1.25 ** np.arange(4)
+    h = {1: 0.01, 2: 0.05, 4: 0.1, 6: 0.3, 8: 0.3}[order] / 1.25 ** np.arange(3)
 
     def error(h):
         return abs(angle(run_until(swing(), method(h), SWING_START, 3.0).q[-1]) - ANGLE_AT_3)
@@ -41,17 +41,17 @@ def test_rows_of_velocity_verlet_keep_their_order_and_others_do_not():
 
 def test_constraints_are_kept_to_rounding():
     exact, by_differences = double_pendulum(), double_pendulum(with_jacobian=False)
-    path = run_steps(by_differences, VelocityVerlet(0.02), DOUBLE_START, 500)
+    path = run_steps(by_differences, VelocityVerlet(0.02), DOUBLE_START, 60)
     exact.begin(DOUBLE_START)
     assert max(np.abs(exact.violation(q)).max() for q in path.q) < 1e-14
     sliding = [np.abs(exact.gradient(q) @ v).max() for q, v in zip(path.q, path.v, strict=True)]
     assert max(sliding) < 1e-12  # G by differences
 
 
-@pytest.mark.parametrize("method", [method for method in SPLITTINGS if method.is_symmetric])
+@pytest.mark.parametrize("method", [one for one in SPLITTINGS if one.is_symmetric and one.stages < 7])
 def test_a_reversed_run_returns_to_the_start(method):
-    there = run_steps(double_pendulum(), method(0.05), DOUBLE_START, 20)
-    back = run_steps(double_pendulum(), method(0.05), (there.q[-1], -there.v[-1]), 20)
+    there = run_steps(double_pendulum(), method(0.05), DOUBLE_START, 12)
+    back = run_steps(double_pendulum(), method(0.05), (there.q[-1], -there.v[-1]), 12)
     assert np.abs(there.q[-1] - there.q[0]).max() > 0.1
     assert np.abs(back.q[-1] - there.q[0]).max() < 1e-9
 
@@ -62,7 +62,7 @@ def test_the_step_is_symplectic_on_the_manifold(method):
     masses, z, h = np.array([1.0, 1.0, 2.0, 2.0]), np.array([1.0, 2.0, 0.3, -0.5]), 1e-5
 
     def step(z):
-        path = run_steps(double_pendulum(), method(0.1), on_rods(*z), 2)
+        path = run_steps(double_pendulum(), method(0.1), on_rods(*z), 1)
         return np.concatenate([path.q[-1], path.v[-1]])
 
     def form(function):
@@ -73,19 +73,6 @@ def test_the_step_is_symplectic_on_the_manifold(method):
     before = form(lambda z: np.concatenate(on_rods(*z)))
     assert np.abs(before).max() > 0.1
     assert np.abs(form(step) - before).max() < 1e-8  # truncation h², rounding 1/h
-
-
-@pytest.mark.slow
-def test_energy_of_a_bead_on_an_ellipse_oscillates_and_does_not_drift():
-    bead = mi.Holonomic(lambda q: np.array([0.0, -1.0]), lambda q: [0.5 * (q[0] ** 2 / 4.0 + q[1] ** 2 - 1.0)])
-    errors = []
-    for timestep, n_steps in ((0.02, 8003), (0.02, 1000), (0.01, 2000)):
-        path = run_steps(bead, VelocityVerlet(timestep), ([2.0, 0.0], [0.0, 0.5]), n_steps)
-        energy = 0.5 * (path.v**2).sum(axis=1) + path.q[:, 1]
-        errors.append(np.abs(energy - energy[0]))
-    by_quarter = errors[0].reshape(4, -1).max(axis=1)
-    assert by_quarter[-1] < 1.05 * by_quarter[0]
-    assert np.log2(errors[1].max() / errors[2].max()) == pytest.approx(2.0, abs=0.1)
 
 
 def test_multipliers_are_the_tension():
@@ -105,25 +92,17 @@ def test_a_start_off_the_manifold_is_projected_and_told():
     assert path.y[0] == pytest.approx([1.0, 0.0, 0.0, 0.2], abs=1e-15)
 
 
-def test_step_doubling_works_on_manifolds():
-    loose, tight = (
-        mi.run_adaptive(swing(), VelocityVerlet, SWING_START, 3.0, control=mi.StepControl(rtol=r, atol=r)).q[-1]
-        for r in (1e-4, 1e-8)
-    )
-    assert abs(angle(tight) - ANGLE_AT_3) < 1e-2 * abs(angle(loose) - ANGLE_AT_3)
-
-
-# ---- invariants kept by projection and multipliers
-
 WRAPPERS = [projected, mi.symmetrically_projected, mi.with_multipliers]
 wrappers = pytest.mark.parametrize("wrapper", WRAPPERS)
 
 
-METHODS_AND_STEPS = [(VelocityVerlet, 0.02), (RadauIIA2, 0.03), (mi.GaussLegendre2, 0.06), (mi.CandyRozmus4, 0.05)]
+STEPS = {VelocityVerlet: 0.02, RadauIIA2: 0.03, mi.GaussLegendre2: 0.06, mi.CandyRozmus4: 0.05}
+WRAPPED = [(projected, *row) for row in STEPS.items()] + [(mi.symmetrically_projected, VelocityVerlet, 0.02)]
+WRAPPED += [pytest.param(mi.symmetrically_projected, *row, marks=slow) for row in list(STEPS.items())[1:]]
+WRAPPED += [pytest.param(mi.with_multipliers, *row, marks=slow) for row in STEPS.items()]
 
 
-@wrappers
-@pytest.mark.parametrize(("method", "h"), METHODS_AND_STEPS)
+@pytest.mark.parametrize(("wrapper", "method", "h"), WRAPPED)
 def test_the_order_is_that_of_the_method(wrapper, method, h):
     """What is corrected is the local error, as the exact flow keeps the invariants: hᵖ⁺¹ per step."""
     on_manifold, y = wrapper(method, ENERGY), small.kepler_orbit(0.7)
@@ -139,21 +118,19 @@ def test_the_order_is_that_of_the_method(wrapper, method, h):
 
 
 @wrappers
-@pytest.mark.parametrize("method", [VelocityVerlet, mi.SE1, mi.RadauIIA3, mi.ImplicitEuler])
+@pytest.mark.parametrize("method", [VelocityVerlet, mi.SE1, mi.RadauIIA3, pytest.param(mi.ImplicitEuler, marks=slow)])
 def test_the_energy_is_kept_to_rounding(wrapper, method):
     h = 0.002 if method is mi.ImplicitEuler else 0.02  # with longer steps it falls into the sun
-    plain, kept = (run_steps(KEPLER, m(h), KEPLER_START, 200) for m in (method, wrapper(method, ENERGY)))
+    plain, kept = (run_steps(KEPLER, m(h), KEPLER_START, 60) for m in (method, wrapper(method, ENERGY)))
     assert np.abs(energy_errors(plain)).max() > 1e-8
     noise = 10 if method is mi.ImplicitEuler else 1  # its steps are noisier than g
     assert np.abs(energy_errors(kept)).max() < noise * ROUNDING
 
 
-slow = pytest.mark.slow
 LONG = [
-    (VelocityVerlet, 0.05, 2000),
+    (VelocityVerlet, 0.05, 500),
     pytest.param(VelocityVerlet, 0.05, 10_000, marks=slow),
     pytest.param(mi.ImplicitEuler, 0.01, 10_000, marks=slow),
-    pytest.param(RadauIIA2, 0.1, 10_000, marks=slow),
     pytest.param(RadauIIA2, 0.1, 100_000, marks=slow),
 ]
 
@@ -175,53 +152,27 @@ def test_a_planet_whose_invariants_are_all_kept_stays_on_its_ellipse():
     kept, plain = (
         np.abs(np.linalg.norm(path.q, axis=1) + 0.6 * path.q[:, 0] - 0.64).max()
         for method in (projected(mi.ImplicitEuler, orbit), mi.ImplicitEuler)
-        for path in [run_steps(KEPLER, method(0.005), KEPLER_START, 300)]
+        for path in [run_steps(KEPLER, method(0.005), KEPLER_START, 60)]
     )
     assert kept < 10 * ROUNDING
-    assert plain > 0.04
+    assert plain > 1e-3
 
 
 @wrappers
 def test_a_rigid_body_keeps_both_its_invariants(wrapper):
     methods = wrapper(RadauIIA2, small.CASIMIR_AND_ENERGY), RadauIIA2
-    kept, plain = (run_steps(small.RIGID_BODY, method(0.1), small.TURNING, 100) for method in methods)
+    kept, plain = (run_steps(small.RIGID_BODY, method(0.1), small.TURNING, 30) for method in methods)
     values = np.array([small.CASIMIR_AND_ENERGY.g(y, None) for y in kept.y])
     assert np.abs(values - values[0]).max() < ROUNDING
-    assert abs(plain.y[-1] @ plain.y[-1] - small.TURNING @ small.TURNING) > 1e-6
-
-
-@pytest.mark.slow
-def test_seven_invariants_of_the_outer_solar_system():
-    """Energy, momentum and angular momentum of six bodies, q and v of shape (6, 3)."""
-    sun, g = load("geometric/problems.json")["outer_solar_system"], 2.95912208286e-4
-    m, x, v = (np.array(sun[key], dtype=float) for key in ("m", "x0", "v0"))
-    first, second = np.triu_indices(6, 1)
-
-    def gravity(q):
-        d = q[None] - q[:, None]
-        r3 = ((d**2).sum(axis=2) + np.eye(6)) ** 1.5
-        return g * (m[None, :, None] * d / r3[:, :, None]).sum(axis=1)
-
-    def conserved(q, v):
-        potential = -g * (m[first] * m[second] / np.linalg.norm(q[first] - q[second], axis=1)).sum()
-        return np.array([0.5 * m @ (v**2).sum(axis=1) + potential, *(m @ v), *(m @ np.cross(q, v))])
-
-    methods = projected(RadauIIA2, Invariants(conserved)), RadauIIA2
-    kept, plain = (run_steps(mi.SecondOrder(gravity), method(100.0), (x, v), 40) for method in methods)
-    speeds, distances = np.linalg.norm(v, axis=1), np.linalg.norm(x, axis=1)
-    terms = np.repeat([0.5 * m @ speeds**2, m @ speeds, m @ (distances * speeds)], [1, 3, 3])  # which may cancel
-    error, plain_error = (np.abs(conserved(s.q[-1], s.v[-1]) - conserved(x, v)) / terms for s in (kept, plain))
-    assert kept.q.shape == (41, 6, 3)
-    assert error.max() < 1e-14  # rounding
-    assert plain_error[0] > 1e-7
+    assert abs(plain.y[-1] @ plain.y[-1] - small.TURNING @ small.TURNING) > 1e-8
 
 
 @wrappers
 @pytest.mark.parametrize("method", [VelocityVerlet, mi.GaussLegendre1, RadauIIA2])
 def test_reversal_returns_to_the_start_if_and_only_if_the_answer_is_symmetric(wrapper, method):
     on_manifold = wrapper(method, ENERGY)
-    there = run_steps(KEPLER, on_manifold(0.05), KEPLER_START, 40)
-    back = run_steps(KEPLER, on_manifold(-0.05), (there.q[-1], there.v[-1]), 40, t0=2.0)
+    there = run_steps(KEPLER, on_manifold(0.05), KEPLER_START, 15)
+    back = run_steps(KEPLER, on_manifold(-0.05), (there.q[-1], there.v[-1]), 15, t0=0.75)
     distance = np.abs(back.y[-1] - there.y[0]).max()
     assert on_manifold.is_symmetric == (wrapper is not projected and method is not RadauIIA2)
     assert distance < 1e-12 if on_manifold.is_symmetric else distance > 1e-7
@@ -257,11 +208,6 @@ def test_jacobians_by_differences_are_those_in_closed_form():
     y = np.array([0.5, 0.3, -0.4, 1.3])
     for invariants in (Invariants(energy), Invariants(lambda y: energy(y[:2], y[2:]))):
         assert invariants.through(y, (2,)).jacobian(y) == pytest.approx(ENERGY.through(y, (2,)).jacobian(y), abs=1e-12)
-    found, given = (
-        run_until(KEPLER, projected(RadauIIA2, invariants)(0.05), KEPLER_START, PERIOD).y
-        for invariants in (Invariants(energy), ENERGY)
-    )
-    assert np.abs(found - given).max() < 1e-9
 
 
 def test_drivers_with_varying_steps_keep_the_invariants_too():
@@ -273,59 +219,32 @@ def test_drivers_with_varying_steps_keep_the_invariants_too():
         assert np.abs(energy_errors(path)).max() < ROUNDING
 
 
-def test_a_manifold_out_of_reach_is_told_with_the_path_before():
-    impossible = Invariants(lambda q, v: v @ v, value=-1.0)
-    with pytest.raises(md.ConvergenceError, match=r"step 1 .* invariant 0") as caught:
-        run_steps(KEPLER, projected(VelocityVerlet, impossible)(0.05), KEPLER_START, 5)
-    assert (caught.value.solution.q[0] == KEPLER_START[0]).all()
-
-
-# ---- problems changed so that their invariants are kept
-
-
-@pytest.mark.parametrize(("method", "h"), [(VelocityVerlet, 0.02), (RadauIIA2, 0.04), (mi.GaussLegendre2, 0.06)])
+@pytest.mark.parametrize(("method", "h"), [pytest.param(VelocityVerlet, 0.02, marks=slow), (mi.GaussLegendre2, 0.06)])
 def test_the_order_of_a_method_on_the_stabilized_problem_is_its_own(method, h):
     order = small.kepler_slope(method, [h, h / 1.5], stabilized(KEPLER, ENERGY, 1.0))
     assert order == pytest.approx(method.order, abs=0.2)  # truncation
 
 
-@pytest.mark.parametrize(("gamma", "method"), [(0.5, mi.GaussLegendre3), (2.0, mi.RadauIIA3)])
+@pytest.mark.parametrize(("gamma", "method"), [pytest.param(0.5, mi.GaussLegendre3, marks=slow), (2.0, mi.RadauIIA3)])
 def test_a_stabilized_invariant_decays_exponentially(gamma, method):
     """(g − g₀)′ = −γ (g − g₀), whatever the flow along the manifold."""
-    path = run_until(stabilized(KEPLER, Invariants(energy, value=-0.45), gamma), method(0.02), KEPLER_START, 1.0)
+    path = run_until(stabilized(KEPLER, Invariants(energy, value=-0.45), gamma), method(0.02), KEPLER_START, 0.4)
     assert energy_errors(path) - 0.05 == pytest.approx(-0.05 * np.exp(-gamma * path.t), rel=1e-6)  # truncation
 
 
 def test_two_stabilized_invariants_decay_at_the_same_rate():
     g, jacobian = (lambda y: [y @ y, 0.5 * y @ (y / small.INERTIA)]), (lambda y: [2.0 * y, y / small.INERTIA])
     problem = stabilized(small.RIGID_BODY, Invariants(g, jacobian, value=[1.0, 0.26]), 1.5)
-    path = run_until(problem, mi.GaussLegendre3(0.05), small.TURNING, 4.0)
+    path = run_until(problem, mi.GaussLegendre3(0.05), small.TURNING, 2.0)
     defect = np.array([g(y) for y in path.y]) - [1.0, 0.26]
     assert defect == pytest.approx(np.exp(-1.5 * path.t)[:, None] * defect[0], rel=1e-6)  # truncation
 
 
-def test_stabilization_with_one_invariant_is_the_energy_form():
-    """y′ = f − γ (H − H₀) ∇H / |∇H|²."""
-    problem = stabilized(KEPLER, Invariants(energy, small.energy_slope, value=-0.3), 0.7)
-    y = problem.begin(KEPLER_START)
-    gradient = ENERGY.jacobian(y, (2,)).reshape(-1)
-    expected = KEPLER.field(0.0, KEPLER.begin(KEPLER_START)) - 0.7 * (-0.5 + 0.3) * gradient / (gradient @ gradient)
-    assert problem.field(0.0, y) == pytest.approx(expected, abs=ROUNDING)
-    halves = problem.g(0.0, y[:2], y[2:]), problem.f(0.0, y[:2], y[2:])
-    assert np.concatenate(halves) == pytest.approx(expected, abs=ROUNDING)
-
-
-@pytest.mark.slow
-def test_stabilization_bounds_an_energy_that_drifts_otherwise():
-    plain, steadied = (
-        np.abs(energy_errors(run_steps(problem, RadauIIA2(0.05), KEPLER_START, 2000)))
-        for problem in (KEPLER, stabilized(KEPLER, ENERGY, 5.0))
-    )
-    assert steadied[1000:].max() == pytest.approx(steadied[:1000].max(), rel=0.1)
-    assert plain[-1] > 10 * steadied[1000:].max()
-
-
-OF_INDEX_2 = [pytest.param(mi.ImplicitEuler, 0.002, marks=slow), (RadauIIA2, 0.02), (mi.RadauIIA3, 0.05)]
+OF_INDEX_2 = [
+    pytest.param(mi.ImplicitEuler, 0.002, marks=slow),
+    pytest.param(mi.RadauIIA3, 0.05, marks=slow),
+    (RadauIIA2, 0.02),
+]
 
 
 @pytest.mark.parametrize(("method", "h"), OF_INDEX_2)
@@ -333,8 +252,8 @@ def test_the_problem_of_index_2_has_the_solutions_of_the_problem_itself(method, 
     """The energy is a constraint, to rounding; the multiplier vanishes with h, and the error as hᵖ."""
     problem, errors, multipliers = mi.index_two(KEPLER, ENERGY), [], []
     for step in (h, h / 2.0):
-        y, z = problem.parts(run_until(problem, method(step), KEPLER_START, 2.0).y)
-        errors.append(np.linalg.norm(y[-1] - small.kepler_orbit(2.0)))
+        y, z = problem.parts(run_until(problem, method(step), KEPLER_START, 1.0).y)
+        errors.append(np.linalg.norm(y[-1] - small.kepler_orbit(1.0)))
         multipliers.append(np.abs(z).max())
     assert np.log2(errors[0] / errors[1]) == pytest.approx(method.order, abs=0.3)  # truncation
     assert 1e-14 < multipliers[1] < 0.6 * multipliers[0]

@@ -5,7 +5,6 @@ import pytest
 import small_problems as small
 from small_problems import DETERMINISTIC, DRIVEN, GAUSS, ONE_STEP, RADAU, TWISTED_START
 
-import minimd as md
 import minimd.integrators as mi
 from minimd.integrators import SE1, SE2, Partitioned, SecondOrder, VelocityVerlet, run_steps
 
@@ -55,21 +54,6 @@ def test_symplectic_euler_is_explicit_in_the_half_that_comes_last():
     assert [solves(curved, method) for method in (SE1, SE2, VelocityVerlet)] == [False, True, True]
 
 
-def test_evaluations_are_counted_as_the_function_counts_them():
-    """One per step if separable, two if explicit but not separable, more if there is something to solve."""
-    counts = []
-    force, resisted = (lambda t, q: counts.append(t) or -q), (lambda q, v: counts.append(0.0) or -q - v**3)
-    for problem, least, most in (
-        (SecondOrder(force), 51, 51),
-        (Partitioned(drift_in_wind, force), 100, 100),
-        (SecondOrder(resisted), 201, 999),
-    ):
-        counts.clear()
-        solution = run_steps(problem, VelocityVerlet(0.1), ONE, 50)
-        assert solution.nfev == len(counts)
-        assert least <= len(counts) <= most
-
-
 @pytest.mark.parametrize("method", ONE_STEP)
 def test_functions_that_take_more_than_they_need_give_the_same_path(method):
     """The equation of a step that is explicit after all is solved by its first guess."""
@@ -95,12 +79,12 @@ def wrong(q, v):
     return np.zeros((2, 2))  # no harm but more iterations
 
 
-@pytest.mark.parametrize("method", [*EVERY_FEW, mi.GaussLegendre3])
+@pytest.mark.parametrize("method", [*EVERY_FEW[:2], mi.GaussLegendre3])
 def test_jacobians_given_or_found_and_fixed_points_lead_to_the_same_path(method):
-    path = run_steps(DRIVEN, method(0.1), TWISTED_START, 30).y
+    path = run_steps(DRIVEN, method(0.1), TWISTED_START, 15).y
     for more in ({"g_q": g_q, "f_v": f_v}, {"g_q": wrong, "f_v": wrong}, {"solver": mi.FixedPoint()}):
         problem = Partitioned(small.driven_g, small.driven_f, **more)
-        assert run_steps(problem, method(0.1), TWISTED_START, 30).y == pytest.approx(path, abs=1e-13)
+        assert run_steps(problem, method(0.1), TWISTED_START, 15).y == pytest.approx(path, abs=1e-13)
 
 
 @pytest.mark.parametrize("damping", [0.5, 7.0, 15.0])
@@ -127,27 +111,17 @@ def test_units_change_nothing(method):
         assert path(scale) == pytest.approx(unit, abs=1e-12)
 
 
-@pytest.mark.parametrize("method", [*GAUSS, *RADAU])
+SOME = [mi.GaussLegendre2, mi.RadauIIA2]
+OTHERS = [pytest.param(method, marks=pytest.mark.slow) for method in GAUSS + RADAU if method not in SOME]
+
+
+@pytest.mark.parametrize("method", SOME + OTHERS)
 def test_implicit_steps_come_to_rest(method):
     """At rest the slopes are rounding of the state, which is nothing to solve any further."""
     problem = mi.FirstOrder(lambda y: np.array([y[1] - y[0] ** 3 + 0.3, 1.0 - y[1] + 0.1 * np.sin(y[0])]))
-    for timestep in (0.05, 0.5):
+    for timestep in (0.25, 1.0):
         end = run_steps(problem, method(timestep), [0.0, 2.0], round(50.0 / timestep), every=1000).y[-1]
         assert np.abs(problem.field(0.0, end)).max() < 1e-14
-
-
-@pytest.mark.parametrize("solver", [mi.Newton(), mi.FixedPoint()])
-@pytest.mark.parametrize("method", [VelocityVerlet, mi.GaussLegendre2])
-def test_equations_without_a_solution_end_the_run_and_leave_the_path_before(method, solver):
-    """v′ = v² grows without bound at t = 1; before, the step loses its solution."""
-    problem = SecondOrder(lambda q, v: v * v, solver=solver)
-    with np.errstate(all="ignore"), pytest.raises(md.ConvergenceError) as caught:
-        run_steps(problem, method(0.1), ([0.0], [1.0]), 100)
-    path = caught.value.solution
-    assert f"step {len(path.t)} " in str(caught.value) == path.message
-    assert not path.success
-    assert path.v[:6, 0] == pytest.approx(1.0 / (1.0 - path.t[:6]), rel=0.02)
-    assert np.isfinite(path.y).all()
 
 
 D, W = 0.1, np.sqrt(0.99)  # damping, and the frequency of the damped oscillator

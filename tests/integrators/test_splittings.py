@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 from references import load
 from scenes import SCENES
-from scipy.integrate import solve_ivp
-from small_problems import DRIVEN, HENON_HEILES, KEPLER, PERIOD, SPLITTINGS, TWISTED_START, attraction, pericentre
+from small_problems import DRIVEN, HENON_HEILES, KEPLER, SPLITTINGS, TWISTED_START, attraction
 
 import minimd as md
 import minimd.integrators as mi
 from minimd.integrators import SE1, SE2, Drift, Kick, PositionVerlet, VelocityVerlet, compose
 from minimd.integrators.ode.stormer import stormer_summed, stormer_two_step
 from minimd.integrators.splitting.order_conditions import lyndon_words, nystrom_residuals, separable_residuals
-from minimd.integrators.splitting.state import Surroundings
-from minimd.integrators.splitting.substeps import is_palindrome, merged, scaled
+from minimd.integrators.splitting.substeps import is_palindrome
 
 PAPERS = {
     1: "symplectic-euler-1 symplectic-euler-2",
@@ -123,9 +121,6 @@ def test_an_optimal_method_loses_its_order_if_kicks_and_drifts_change_places():
     assert (mi.nystrom_order(row), mi.separable_order(row), mi.nystrom_order(exchanged)) == (4, 3, 3)
 
 
-# ---- compositions
-
-
 def test_candy_rozmus_is_the_triple_jump_over_position_verlet():
     """Forest and Ruth's form: drifts θ/2, (1 − θ)/2, kicks θ, 1 − 2θ, with θ = 1/(2 − ∛2)."""
     forest_ruth = [G / 2, G, (1 - G) / 2, 1 - 2 * G, (1 - G) / 2, G, G / 2]
@@ -155,13 +150,6 @@ def test_symplectic_euler_methods_are_adjoint_to_each_other_and_not_symmetric():
         assert mi.adjoint(method).order == method.order
 
 
-def test_rows_merge_scale_and_drop_what_lasts_no_time():
-    assert merged((Kick(0.5), Drift(0.0), Kick(0.5))) == (Kick(1.0),)
-    assert merged((Kick(0.5), Drift(0.25), Drift(-0.25), Kick(0.5), Drift(1.0))) == (Kick(1.0), Drift(1.0))
-    assert scaled((Kick(0.5), Drift(1.0)), -2.0) == (Kick(-1.0), Drift(-2.0))
-    assert len(mi.KahanLi8.sequence()) == 35
-
-
 REFERENCE = load("geometric/henon_heiles.json")
 
 
@@ -178,9 +166,6 @@ def test_slopes_and_errors_on_henon_heiles_are_those_of_the_reference(name):
     slopes = [np.log2(coarse / fine) for coarse, fine in pairwise(errors)]
     assert slopes == pytest.approx([known["order"]] * 2, abs=0.1)  # truncation
     assert errors == pytest.approx(known["errors"], rel=1e-5, abs=4e-15)  # the reference has 80 bits, we round to 53
-
-
-# ---- the same steps on other roads
 
 
 def springs(q):
@@ -224,7 +209,7 @@ def test_blocks_of_steps_and_single_steps_of_atoms_are_those_of_small_problems(m
 
 
 @pytest.mark.filterwarnings("ignore:timestep 0.01")  # too long for methods of order one
-@pytest.mark.parametrize("method", SPLITTINGS)
+@pytest.mark.parametrize("method", [method for method in SPLITTINGS if method.stages < 7])
 def test_a_simulation_makes_the_steps_of_small_problems(method):
     """On lists, in blocks, with substeps that are backward or longer than the time step; momentum is kept, too."""
     system, laws = SCENES["argon"]()[:2]
@@ -235,8 +220,8 @@ def test_a_simulation_makes_the_steps_of_small_problems(method):
         return md.evaluate(fresh, laws).forces
 
     simulation = md.Simulation(system, laws, method(0.01))
-    record = simulation.run(10, every=5)
-    path = mi.run_steps(mi.SecondOrder(forces), method(0.01), (system.positions, system.velocities), 10, every=10)
+    record = simulation.run(4, every=2)
+    path = mi.run_steps(mi.SecondOrder(forces), method(0.01), (system.positions, system.velocities), 4, every=4)
     assert simulation.positions == pytest.approx(path.q[-1], abs=1e-11)  # rounding, amplified
     assert simulation.velocities == pytest.approx(path.v[-1], abs=1e-9)
     assert np.linalg.norm(record.momentum - record.momentum[0], axis=1).max() < 1e-12 * record.absolute_momentum[0]
@@ -258,20 +243,6 @@ def test_verlet_is_the_composition_of_symplectic_euler_with_its_adjoint(inner, o
 def test_leapfrog_positions_are_those_of_velocity_verlet():
     assert mi.Leapfrog.sequence() == VelocityVerlet.sequence()
     assert mi.Leapfrog.substeps != VelocityVerlet.substeps
-
-
-def test_a_stop_request_ends_at_a_whole_step():
-    s, other, around = bodies(), bodies(), Surroundings()
-
-    def forces(s, with_energy):
-        s.forces[:] = springs(s.positions)
-        around.stop_requested = np.abs(s.positions - other.positions).max() > 0.1
-
-    done = VelocityVerlet(0.01).advance(s, forces, 1000, surroundings=around)
-    VelocityVerlet(0.01).advance(other, lambda s, _: forces(s, False), done)
-    assert done < 500
-    assert s.positions == pytest.approx(other.positions, abs=1e-14)
-    assert s.velocities == pytest.approx(other.velocities, abs=1e-14)
 
 
 @pytest.mark.parametrize("recursion", [stormer_two_step, stormer_summed])
@@ -296,48 +267,3 @@ def test_round_off_of_the_recursion_grows_as_the_square_of_the_steps_and_of_its_
     )
     assert summed < 1e-13
     assert plain > 50 * summed
-
-
-# ---- what accuracy costs on Kepler's ellipse, at the same number of forces
-
-
-def run(method, e, forces_per_period, n_periods):
-    n = forces_per_period * n_periods // method.stages
-    path = mi.run_steps(KEPLER, method(n_periods * PERIOD / n), pericentre(e), n)
-    assert path.nfev <= forces_per_period * n_periods + 1
-    return path
-
-
-def test_blanes_and_moan_are_ten_times_closer_than_candy_and_rozmus_at_the_same_price():
-    """Measured after 100 periods with e = 0.6: 7.8e-6 and 1.5e-3, a factor 198; PEFRL has 5.0e-4, a factor 3."""
-    candy_rozmus, pefrl, blanes_moan = (
-        np.linalg.norm(run(method, 0.6, 1600, 100).q[-1] - pericentre(0.6)[0])
-        for method in (mi.CandyRozmus4, mi.PEFRL, mi.BlanesMoan4)
-    )
-    assert candy_rozmus > 100.0 * blanes_moan
-    assert candy_rozmus > 2.5 * pefrl
-
-
-def energy_error(q, v):
-    return np.abs(0.5 * (v**2).sum(axis=1) - 1.0 / np.linalg.norm(q, axis=1) + 0.5).max()
-
-
-def rk45_energy_error(e, n_periods, **options):
-    y = np.concatenate(pericentre(e))
-    path = solve_ivp(lambda t, y: [*y[2:], *attraction(y[:2])], (0.0, n_periods * PERIOD), y, **options)
-    assert path.nfev <= 200 * n_periods
-    return energy_error(path.y[:2].T, path.y[2:].T)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("e", "rtol", "atol", "beaten"), [(0.4, 4e-6, 4e-8, ()), (0.6, 5e-6, 5e-6, (mi.KahanLi8,))])
-def test_symplectic_methods_keep_the_energy_better_than_rk45_over_1000_periods(e, rtol, atol, beaten):
-    """At 200 forces per period; the tolerances are the best that RK45 can pay for. Equal steps of it do far worse.
-
-    Seventeen forces per step leave Kahan and Li's method of order 8 twelve steps per period: too few for e = 0.6.
-    """
-    adaptive = rk45_energy_error(e, 1000, rtol=rtol, atol=atol)
-    fixed = rk45_energy_error(e, 1000, rtol=1e9, atol=1e9, first_step=PERIOD / 33, max_step=PERIOD / 33)
-    errors = {method: energy_error(path.q, path.v) for method in SPLITTINGS for path in [run(method, e, 200, 1000)]}
-    assert max(errors.values()) < fixed
-    assert tuple(method for method in errors if errors[method] >= adaptive) == beaten

@@ -19,7 +19,7 @@ from minimd.structure.images import nearest_vectors
 
 LJ = md.LennardJones(1.0, 1.0)
 CUT = md.LennardJones(1.0, 1.0, cutoff=2.5, truncation="force-shifted")
-EXCLUDING = md.LennardJones(1.0, 1.0, bonded_scale=(0, 1, 1))
+EXCLUDING = md.LennardJones(1.0, 1.0, cutoff=2.5, truncation="force-shifted", bonded_scale=(0, 1, 1))
 LJ13 = -44.326801  # D. J. Wales, J. P. K. Doye, J. Phys. Chem. A 101, 5111 (1997), table 1
 LARGE_FORCE = 1e-6  # the default tolerance
 
@@ -107,14 +107,14 @@ def test_no_atom_moves_farther_than_allowed():
 
 
 def test_a_liquid_thrown_together_comes_to_rest_and_then_runs():
-    found = md.minimize(random_liquid(500), CUT)
+    found = md.minimize(random_liquid(300), CUT)
     assert found.converged
     assert found.potential_energy_before > 1e9
-    assert found.potential_energy / 500 < -5.0
+    assert found.potential_energy / 300 < -5.0
     simulation = md.Simulation(found.system, CUT, md.VelocityVerlet(0.004))
     simulation.set_temperature(0.7, seed=1)
     record = simulation.run(200, every=10, progress=False)
-    assert np.ptp(record.total_energy) / 500 < 1e-3  # truncation: ε per atom at Δt 0.004
+    assert np.ptp(record.total_energy) / 300 < 1e-3  # truncation: ε per atom at Δt 0.004
 
 
 def test_a_constant_force_is_followed_until_the_steps_are_used_up():
@@ -148,12 +148,11 @@ def test_rigid_bonds_are_kept_and_take_the_forces_along_them():
     positions = np.stack([start.positions, start.positions + arms], axis=1).reshape(-1, 3)
     pairs = np.arange(120).reshape(-1, 2)
     system = md.System(positions, cell=start.cell, bonds=pairs, masses=[1.0, 16.0] * 60)
-    law = md.LennardJones(1.0, 1.0, cutoff=2.5, truncation="force-shifted", bonded_scale=(0, 1, 1))
-    found = md.minimize(system, law, md.DistanceConstraints(pairs))
+    found = md.minimize(system, EXCLUDING, md.DistanceConstraints(pairs))
     assert found.converged
     bonds = found.system.positions[1::2] - found.system.positions[::2]
     assert np.abs(np.linalg.norm(bonds, axis=1) - 0.8).max() < 1e-10
-    forces = md.evaluate(found.system, law).forces
+    forces = md.evaluate(found.system, EXCLUDING).forces
     assert largest(forces) > 0.1
     assert np.abs(np.cross(bonds / 0.8, forces[1::2] - forces[::2])).max() < 4.0 * LARGE_FORCE
     assert np.abs(forces[1::2] + forces[::2]).max() < 4.0 * LARGE_FORCE
@@ -166,8 +165,7 @@ def test_constraints_of_any_shape_are_kept(shape):
     positions, pairs = np.concatenate([one, one + np.array([0.7, 1.5, 1.2])]), np.concatenate([pairs, pairs + len(one)])
     velocities = np.random.default_rng(2).standard_normal(positions.shape)
     system = md.System(positions, masses=np.tile(masses, 2), bonds=pairs, velocities=velocities)
-    law = md.LennardJones(1.0, 1.0, bonded_scale=(0, 0, 1)) if shape in ("water", "rod") else EXCLUDING
-    found = md.minimize(system, law, md.DistanceConstraints(pairs), max_steps=1000)
+    found = md.minimize(system, EXCLUDING, md.DistanceConstraints(pairs), max_steps=1000)
     arrays = found.system.positions, positions, found.system.velocities
     bonds, before, turning = (each[pairs[:, 1]] - each[pairs[:, 0]] for each in arrays)
     np.testing.assert_allclose(np.linalg.norm(bonds, axis=1), np.linalg.norm(before, axis=1), rtol=1e-10)
@@ -178,7 +176,7 @@ def test_constraints_of_any_shape_are_kept(shape):
 @pytest.mark.parametrize("max_steps", [0, 1000])
 def test_lengths_that_are_off_are_put_right(max_steps):
     """Those that are given; those of the start in a simulation, whatever it has become since."""
-    system = md.System([[0.0, 0.0, 0.0], [0.7, 0.0, 0.0], [0.0, 3.0, 0.0]], bonds=[[0, 1]])
+    system = md.System([[0.0, 0.0, 0.0], [0.7, 0.0, 0.0], [0.0, 2.0, 0.0]], bonds=[[0, 1]])
     simulation = md.Simulation(system.copy(), EXCLUDING, md.VelocityVerlet(0.004), md.DistanceConstraints([[0, 1]]))
     simulation.positions[1] += [0.05, 0.0, 0.0]
     given = md.minimize(system, EXCLUDING, md.DistanceConstraints([[0, 1]], 0.5), max_steps=max_steps)
@@ -203,7 +201,7 @@ def test_atoms_on_one_spot_part_in_the_same_way_each_time(n_atoms):
         assert md.minimize(pairs, CUT, force_tolerance=1e-3).converged
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(("n_chains", "n_beads"), [(4, 10), pytest.param(20, 50, marks=pytest.mark.slow)])
 def test_chains_that_cross_come_to_rest_without_breaking(n_chains, n_beads, seed):
     """Random walks thrown into a cell, as melts of Kremer and Grest begin."""
@@ -282,10 +280,9 @@ def test_ctrl_c_ends_after_a_step_with_all_that_was_reached(monkeypatch):
     assert result.potential_energy < result.potential_energy_before
 
 
-@pytest.mark.parametrize("precision", ["double", "mixed"])
-def test_a_simulation_minimizes_in_place(precision):
-    simulation = md.Simulation(random_liquid(500), CUT, md.VelocityVerlet(0.004), precision=precision)
-    simulation.velocities[:] = 0.1 * np.random.default_rng(2).standard_normal((500, 3))
+def test_a_simulation_minimizes_in_place():
+    simulation = md.Simulation(random_liquid(200), CUT, md.VelocityVerlet(0.004))
+    simulation.velocities[:] = 0.1 * np.random.default_rng(2).standard_normal((200, 3))
     velocities = simulation.velocities.copy()
     simulation.step, simulation.time = 7, 0.035
     result = simulation.minimize(force_tolerance=1e-3)
@@ -294,7 +291,7 @@ def test_a_simulation_minimizes_in_place(precision):
     assert (simulation.step, simulation.time) == (7, 0.035)
     assert np.array_equal(simulation.velocities, velocities)
     found = simulation.frame().observables["potential_energy"]
-    assert found == pytest.approx(result.potential_energy, rel=1e-14 if precision == "double" else 1e-6)
+    assert found == pytest.approx(result.potential_energy, rel=1e-14)
 
 
 def test_a_scene_minimizes_first_and_writes_nothing_if_it_is_interrupted(tmp_path, monkeypatch):

@@ -168,6 +168,7 @@ print("parent", same, "child", os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_child_runs_its_own_teams_and_those_it_inherits():
     where = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}

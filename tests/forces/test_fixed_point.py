@@ -140,6 +140,7 @@ def test_any_step_is_made_again_from_a_file_and_from_its_archive(tmp_path):
 ARGON = md.LennardJones(0.0104, 3.4, 5.0, truncation="force-shifted")
 
 
+@pytest.mark.slow
 def test_any_step_of_a_run_in_units_of_ase_is_made_again_and_ases_dynamics_make_the_same_steps(tmp_path):
     """Files have Å/ps; what their rounding changes is less than half a step of the grid."""
     file, atoms = tmp_path / "run.h5md", bulk("Ar", "fcc", 5.4, cubic=True).repeat(2)
@@ -192,10 +193,10 @@ def crystal():
     return md.System(positions, cell=edges, species=["A"] * len(positions))
 
 
-@pytest.mark.parametrize("system", [mixture(), crystal()], ids=["liquid", "crystal"])
-def test_forces_and_energies_are_those_of_float64_to_the_steps_of_the_grid(system, monkeypatch):
+@pytest.mark.parametrize("scene", [mixture, pytest.param(crystal, marks=pytest.mark.slow)])
+def test_forces_and_energies_are_those_of_float64_to_the_steps_of_the_grid(scene, monkeypatch):
     """Each impulse over a unit of time is rounded to p0, each energy to e0, whatever their size."""
-    rounded = simulated(system)
+    rounded = simulated(scene())
     rounded.make_steps(60)
     frame, here = rounded.frame(), rounded.system
     monkeypatch.setattr(PairLaws, "fit_clusters", lambda *_: False)  # compiles less

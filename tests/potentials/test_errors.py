@@ -54,6 +54,7 @@ FIELDS = [
      ValueError, "fixed-point"),
     (lambda: md.Simulation(TWO, steered(), md.VelocityVerlet(0.01)).probe_reversibility(10), ValueError, "time"),
 ]  # fmt: skip
+TABLE = md.Tabulated(R, R, truncation="switched", bonded_scale=(0.5, 1.0, 1.0))
 TABLES = [
     (lambda: md.Tabulated(R[:5], R[:5]), ValueError, "r must", "(5,)"),
     (lambda: md.Tabulated(np.append(R, 2.5), np.append(R, 0.0)), ValueError, "r must increase", "r[10] = 2.5"),
@@ -65,7 +66,7 @@ TABLES = [
     (lambda: md.Tabulated(R, {}), ValueError, "u must", "empty"),
     (lambda: md.Tabulated(R, R, 2.6), ValueError, "cutoff = 2.6", "0.8 to 2.5"),
     (lambda: md.evaluate(TWO, md.Tabulated(R, {("A", "B"): R})), ValueError, "Tabulated", "('A', 'B')"),
-    (lambda: md.evaluate(md.System([[0.0, 0, 0], [0.75, 0, 0]]), md.Tabulated(R, R)),
+    (lambda: md.evaluate(md.System([[0.0, 0, 0], [0.75, 0, 0]], bonds=[[0, 1]]), TABLE),
      md.NonFiniteError, "Tabulated", "atoms 0 and 1, 0.75"),
 ]  # fmt: skip
 
@@ -98,4 +99,4 @@ def test_what_is_wrong_is_named_and_shown(call, error, shown):
 def test_poles_and_fields_that_do_not_fit_the_cell_are_no_errors():
     md.PairPotential(pole, (1.0,), 2.0).table(("X",))
     with pytest.warns(UserWarning, match="periodic along a"):
-        md.evaluate(TALL, md.Field(saddle, (0.8,)))
+        md.Forces(TALL, md.Field(saddle, (0.8,)))

@@ -35,7 +35,10 @@ def test_methods_keep_their_order_in_time_dependent_fields(name):
     assert np.log2(apart[0] / apart[1]) == pytest.approx(method.order, abs=0.3)
 
 
-@pytest.mark.parametrize("method", [md.PositionVerlet(0.03), md.LangevinBAOAB(0.03, 0.5, 1.0, seed=2)])
+FURTHER = pytest.param(md.LangevinBAOAB(0.03, 0.5, 1.0, seed=2), marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("method", [md.PositionVerlet(0.03), FURTHER])
 def test_work_and_time_survive_pauses_copies_and_files(method, tmp_path):
     whole, parts = (pulled(method, start=0.2, end=1.1) for _ in range(2))
     whole.run(60, every=20, progress=False)

@@ -70,6 +70,7 @@ def test_the_points_of_the_table_are_on_the_spline_and_nothing_is_known_before_t
     assert np.isnan(potential.pair_energy(0.75))
 
 
+@pytest.mark.slow
 def test_energy_is_conserved_and_a_copy_goes_on_with_the_same_bits():
     """The table has forty points: its own energy is conserved, however far it is from that of Lennard-Jones."""
     sim = md.Simulation(liquid(3), table(40, truncation="smooth"), md.VelocityVerlet(0.001))

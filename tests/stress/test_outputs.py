@@ -1,5 +1,7 @@
 """Files of runs that go wrong: readable, with the last good frame; wrong outputs are told before the first step."""
 
+import itertools
+
 import ase.io
 import MDAnalysis
 import numpy as np
@@ -29,10 +31,13 @@ def frames_in(file):
     return [ts.positions.copy() for ts in made.trajectory]
 
 
-@pytest.mark.parametrize("suffix", [".h5md", ".dcd", ".xtc", ".trr", ".extxyz", ".traj"])
-@pytest.mark.parametrize(("scene", "every"), [(exploding, 10), (colliding, 1)])
-def test_files_of_a_run_that_blows_up_hold_the_last_good_frame(scene, every, suffix, tmp_path):
-    simulation, file = scene(), tmp_path / f"a{suffix}"
+OUTPUTS = [*itertools.product((exploding, colliding), (".h5md", ".dcd", ".xtc", ".trr", ".extxyz", ".traj"))]
+OUTPUTS = [*OUTPUTS[:2], *(pytest.param(*row, marks=pytest.mark.slow) for row in OUTPUTS[2:])]
+
+
+@pytest.mark.parametrize(("scene", "suffix"), OUTPUTS)
+def test_files_of_a_run_that_blows_up_hold_the_last_good_frame(scene, suffix, tmp_path):
+    simulation, every, file = scene(), 10 if scene is exploding else 1, tmp_path / f"a{suffix}"
     assert_stops(lambda: simulation.run(2000, every=every, trajectory=file), md.NonFiniteError, LAST_GOOD)
     frames = frames_in(file)
     assert len(frames) == len(simulation.record) == simulation.step // every + 1 > 2

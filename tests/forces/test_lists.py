@@ -118,15 +118,6 @@ def test_lists_find_what_brute_force_finds_and_padding_has_no_weight(precision):
         assert (found.filled[: clusters.list.n_clusters].sum(), len(found.column_start)) == (n, 2)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["three species", "exclusions"])
-@given(system=cs.scenes(sizes=[2000, 5000]), atoms=st.sampled_from([40, 800]))
-@settings(max_examples=10)
-def test_clusters_and_pairs_are_the_same_physics_for_thousands(name, system, atoms):
-    with cs.atoms_per_domain(atoms):
-        cs.agree(*cs.both_lists(system, cs.LAWS[name]), system)
-
-
 def test_a_crystal_exactly_on_its_faces_has_no_forces_and_excluded_pairs_may_sit_on_each_other():
     for size in (5, 9):
         system = md.System(1.1 * np.array([*np.ndindex(size, size, size)]), cell=1.1 * size)

@@ -9,7 +9,6 @@ from references import liquid
 import minimd as md
 from minimd.diagnosis.run_report import cutoff_lines
 from minimd.potentials.law import evaluate_law
-from minimd.potentials.tabulated import Table, TabulatedLaw
 
 CUTOFF = 2.5
 LJ = md.LennardJones(1.0, 1.0, CUTOFF)
@@ -96,10 +95,3 @@ def test_the_jump_at_the_cutoff_is_seen_of_a_table_that_begins_late(truncation):
     r = np.linspace(2.4, CUTOFF, 30)
     (line,) = cutoff_lines(md.System([[0.0, 0.0, 0.0]]), [md.Tabulated(r, lennard_jones(r), 2.47, truncation)])
     assert line.verdict.startswith(VERDICTS[truncation])
-
-
-def test_tables_are_equal_only_to_themselves():
-    """They are keys of caches."""
-    one, other = (Table(np.arange(3.0), np.zeros((1, 2, 6)), 1.0) for _ in range(2))
-    assert one != other
-    assert {TabulatedLaw(one): 1}[TabulatedLaw(one)] == 1

@@ -6,7 +6,7 @@ import ase.io
 import MDAnalysis
 import numpy as np
 import pytest
-from stress_scenes import LAST_GOOD, SMOOTH, SPRING, assert_stops, made, solid
+from stress_scenes import LAST_GOOD, SMOOTH, SPRING, assert_stops, made
 
 import minimd as md
 from minimd.files.h5md_reader import read_file
@@ -51,26 +51,3 @@ def test_files_of_a_run_that_blows_up_hold_the_last_good_frame(scene, suffix, tm
         contents = read_file(file)
         assert contents.step == simulation.step
         assert np.array_equal(contents.system.positions, simulation.positions)
-
-
-# fmt: off
-NO_FILES = [
-    ("none/a.h5md", FileNotFoundError, "does not exist"), ("a.pdf", ValueError, "a.pdf"), ("a", ValueError, "suffix"),
-    ("folder.h5md", FileExistsError, "folder.h5md"), ("old.h5md", FileExistsError, "old.h5md"),
-    ("x" * 300 + ".h5md", (OSError, ValueError), "xxx"), ("/dev/full", (OSError, ValueError), None),
-    ("good.h5md", (OSError, ValueError), "good.h5md"),  # the same one twice
-]
-# fmt: on
-
-
-@pytest.mark.parametrize(("name", "error", "words"), NO_FILES)
-def test_outputs_that_cannot_be_are_told_before_the_first_step(name, error, words, tmp_path):
-    (tmp_path / "folder.h5md").mkdir()
-    (tmp_path / "old.h5md").write_text("precious")
-    simulation = made(solid(2), md.LennardJones(1.0, 1.0, 1.6), 0.002)
-    with pytest.raises(error, match=words):
-        simulation.run(10, trajectory=[tmp_path / "good.h5md", tmp_path / name])
-    assert simulation.step == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.h5md", "old.h5md"]
-    assert (tmp_path / "old.h5md").read_text() == "precious"
-    simulation.run(10, progress=False)

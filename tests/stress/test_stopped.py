@@ -3,7 +3,6 @@
 import itertools
 import re
 from functools import partial
-from time import perf_counter
 
 import numpy as np
 import pytest
@@ -14,8 +13,6 @@ from stress_scenes import forces_of, in_a_row, is_finite, made, pair_at, ran, ri
 # isort: on
 
 import minimd as md
-from minimd.neighbors.queries import closest_pair
-from minimd.structure.lattice import crystal
 
 pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
 
@@ -173,20 +170,3 @@ def test_equilibration_does_not_hide_a_blow_up(law, start):
     simulation = made(system, law, 3.0 / 800**0.5, temperature=1.0)
     assert_stops(partial(simulation.equilibrate, 2000, 1.0), md.NonFiniteError, "(kinetic|total) energy has gone")
     assert np.abs(simulation.positions).max() < 100.0
-
-
-@pytest.mark.parametrize("pbc", [(True, True, True), (False, True, False)])
-def test_the_closest_pair_is_the_first_of_all_neighbors_and_found_in_a_crowd_with_one_atom_far_away(pbc):
-    """The words of an error must not take longer than the run."""
-    cell, rng = [[3.0, 0, 0], [40.0, 5.0, 0], [1, -20.0, 7.0]], np.random.default_rng(2)
-    for n_atoms in (1, 2, 3, 20):
-        system = md.System(rng.uniform(-20, 20, (n_atoms, 3)), cell=cell, pbc=pbc)
-        pair, (i, j, d) = closest_pair(system), md.neighbor_list("ijd", system, 60.0)
-        nearest = d < d.min() * 1.000001
-        assert pair.distance == pytest.approx(d.min(), rel=1e-9)
-        assert (pair.first, pair.second) in set(zip(i[nearest].tolist(), j[nearest].tolist(), strict=True))
-    positions, _ = crystal("fcc", [28, 28, 28], 1.68)
-    positions[5], positions[-1] = positions[4] + [0.01, 0, 0], [1e6, 1e6, 1e6]
-    started = perf_counter()
-    assert str(closest_pair(md.System(positions, cell=2e6 if all(pbc) else None))) == "atoms 4 and 5, 0.01 apart"
-    assert perf_counter() - started < 30.0

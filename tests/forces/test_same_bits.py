@@ -40,7 +40,7 @@ def clusters_of(simulation):
 LONG = [pytest.param(name, 1000, [2, 3, 4, 8], marks=pytest.mark.slow) for name in ("melt", "rod", "long chains")]
 
 
-@pytest.mark.parametrize("precision", ["double", "mixed"])
+@pytest.mark.parametrize("precision", ["double", pytest.param("mixed", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("scene", "n_steps", "teams"), [("chains", 100, [2, 8]), *LONG])
 def test_any_number_of_threads_gives_the_same_bits(scene, n_steps, teams, precision):
     one, record = ran(scene, precision, 1, n_steps)

@@ -109,14 +109,6 @@ def test_a_million_cells_away_is_still_here_and_empty_space_costs_nothing():
     assert md.neighbor_list("ij", system, 1.5)[0].tolist() == [0, 1]
 
 
-def test_excluded_pairs_lose_their_nearest_image_only():
-    pair_list, positions = PairList(2, 1.5, 0.0, np.array([[0, 1]])), np.array([[0.0, 0, 0], [0.9, 0, 0]])
-    pair_list.update(positions, Cell.of(2.0))
-    pairs, distances = near(pair_list, 1.5, positions)
-    assert pairs == [[0, 1]]
-    assert distances == pytest.approx([1.1])
-
-
 @given(scenes())
 @settings(max_examples=30)
 def test_closest_pair_is_the_closest(scene):

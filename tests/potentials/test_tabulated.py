@@ -82,16 +82,8 @@ def test_energy_is_conserved_and_a_copy_goes_on_with_the_same_bits():
     assert np.array_equal(sim.positions, twin.positions)
 
 
-VERDICTS = {
-    "truncated": "THE ENERGY JUMPS",
-    "shifted": "the energy is continuous, the",
-    "smooth": "energy and force are",
-}
-
-
-@pytest.mark.parametrize("truncation", VERDICTS)
-def test_the_jump_at_the_cutoff_is_seen_of_a_table_that_begins_late(truncation):
+def test_the_jump_at_the_cutoff_is_seen_of_a_table_that_begins_late():
     """Beyond 0.9 of the cutoff, where the report looks for the size of the law."""
     r = np.linspace(2.4, CUTOFF, 30)
-    (line,) = cutoff_lines(md.System([[0.0, 0.0, 0.0]]), [md.Tabulated(r, lennard_jones(r), 2.47, truncation)])
-    assert line.verdict.startswith(VERDICTS[truncation])
+    (line,) = cutoff_lines(md.System([[0.0, 0.0, 0.0]]), [md.Tabulated(r, lennard_jones(r), 2.47, "truncated")])
+    assert line.verdict.startswith("THE ENERGY JUMPS")

@@ -138,16 +138,6 @@ def million_atoms(precision):
     yield simulation, 1e-3
 
 
-def million_steps():
-    """A cluster bound at T = 0.1: it drifts less than four standard errors."""
-    simulation = ran(solid(2, cell=False, jitter=0.02), SMOOTH, 0.004, 20_000, temperature=0.1)
-    simulation.run(1_000_000, every=100, progress=False)
-    drift = simulation.report().energy_drift
-    assert abs(drift.slope) < 4.0 * drift.error
-    assert momentum_is_kept(simulation)
-    yield simulation, 1e-2
-
-
 def stiff_bond_among_its_resonances(x):
     """A stiff dumbbell in a soft well: no growth of the energy at any Δt ω, nor at the resonances of 1, √2 and √3."""
     positions = np.array([[0.0, 0, 0], [1.02, 0, 0], [0.5, stress.BOTTOM, 0], [0.5, -0.1, 1.2]])
@@ -161,7 +151,6 @@ def stiff_bond_among_its_resonances(x):
 ZIGZAGS = (0.0, 1e-300, 1e-12, 1e-6, 1e-3, 0.1)
 CONSERVED = {
     open_space: [()],
-    million_steps: [()],
     of_table: [(name,) for name in WITHIN],
     rigid: [(100_000, stress.rigid_ring(), 1e-11), *((2000, stress.rigid_chain(z), np.inf) for z in ZIGZAGS)],
     lines_collisions_and_masses: [()],

@@ -4,11 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-
-# isort: off
-from stress_scenes import SMOOTH, assert_stops, is_finite
-from stress_scenes import made, oscillation, pair_at, ran, solid
-# isort: on
+from stress_scenes import SMOOTH, assert_stops, is_finite, made, oscillation, pair_at, ran, solid
 
 import minimd as md
 

@@ -226,16 +226,13 @@ def test_forces_in_a_melt_are_as_good_as_float32_and_push_nobody(melted):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("n_steps", "every"), [(1500, 5), (20_000, 10)])
-def test_energy_drifts_no_more_than_in_double(melted, n_steps, every):
+def test_energy_drifts_no_more_than_in_double(melted):
     """Statistics: four standard errors of the difference. The oscillation differs by 5 % between runs."""
     start, reports = md.Simulation(melted, MELT, md.VelocityVerlet(0.004)), []
     start.run(700)
     for precision in cs.EQUAL:
         simulation = md.Simulation(start.system, MELT, md.VelocityVerlet(0.004), precision=precision)
-        reports.append(conservation_report(simulation.run(n_steps, every=every), angular=False))
-        slope = reports[-1].energy_drift
-        print(f"{precision}: {slope.slope:+.1e} ± {slope.error:.1e}, oscillation {reports[-1].energy_oscillation:.2e}")
+        reports.append(conservation_report(simulation.run(20_000, every=10), angular=False))
     double, mixed = reports
     error = np.hypot(double.energy_drift.error, mixed.energy_drift.error)
     assert abs(double.energy_drift.slope - mixed.energy_drift.slope) < 4.0 * error

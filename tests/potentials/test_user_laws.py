@@ -1,6 +1,7 @@
 """Laws of the user in the cache of compiled code: found again by the next process if nothing they read has changed."""
 
 import copy
+import inspect
 import os
 import pickle
 import subprocess
@@ -54,9 +55,8 @@ CHANGES = {
     "helper of a helper": ("7.0 * x", "3.5 * x", 0.5 * UNCHANGED),
     "global without a digest": ("strength *", "place.x *", 2.5 * UNCHANGED),
 }
-PAIR = md.System([[0, 0, 0], [1, 0, 0]], bonds=[(0, 1)])
-WITH_PAIR = "import minimd as md\npair = md.System([[0, 0, 0], [1, 0, 0]], bonds=[(0, 1)])\n"
 EVALUATE = f"""
+pair = md.System([[0, 0, 0], [1, 0, 0]])
 def energy(source):
     names = {{"__name__": "__main__"}}
     exec(source, names)
@@ -64,21 +64,18 @@ def energy(source):
 LAW, CHANGES = {LAW!r}, {CHANGES!r}
 print(energy(LAW), *(energy(LAW.replace(old, new)) for old, new, _ in CHANGES.values()))
 """
-ON_A_PAIR = "print(md.evaluate(pair, md.PairPotential(law, (1.0,), 3.0)).potential_energy)"
-ON_CLUSTERS_AND_BONDS = """
-points = np.indices((6, 6, 6)).reshape(3, -1).T * 1.1
-forces = md.Forces(md.System(points, cell=6.6), md.PairPotential(law, (1.0,), 2.0))
-forces.compute()
-assert "cluster list" in forces.pair_search
-print(md.evaluate(pair, md.BondPotential(law, (1.0,))).potential_energy, forces.potential_energy)
-"""
 
 
 def answer(code):
     """The numbers that another process prints."""
-    code = WITH_PAIR + code
     environment = {**os.environ, "PYTHONPATH": str(Path(md.__file__).parents[1])}
-    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
+    process = subprocess.run(
+        [sys.executable, "-c", f"import minimd as md\n{code}"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment,
+    )
     assert process.returncode == 0, process.stderr
     return [float(word) for word in process.stdout.split()]
 
@@ -93,34 +90,36 @@ def digest_of(source, file="law.py"):
     return Snapshot(names_of(source, file)["law"]).digest
 
 
-def of_module(name, folder, code):
-    """What a process prints that takes the law from a module, and how much it compiles."""
-    (folder / f"{name}.py").write_text(LAW)
-    recorded = f"""
-import numpy as np, sys
-from numba.core import event
-sys.path.insert(0, {str(folder)!r})
-with event.install_recorder("numba:compile") as recorder:
-    from {name} import law
-    {code.replace(chr(10), chr(10) + "    ")}
-print(len(recorder.buffer))
-"""
-    *found, n_compiled = answer(recorded)
-    return found, n_compiled
+def on_a_pair(md, law):
+    return [md.evaluate(md.System([[0, 0, 0], [1, 0, 0]]), md.PairPotential(law, (1.0,), 3.0)).potential_energy]
 
 
-def test_second_process_compiles_nothing_for_a_law_of_the_user(tmp_path):
+def on_clusters_and_bonds(md, law):
+    points = [[1.1 * i, 1.1 * j, 1.1 * k] for i in range(6) for j in range(6) for k in range(6)]
+    forces, two = (
+        md.Forces(md.System(points, cell=6.6), md.PairPotential(law, (1.0,), 2.0)),
+        md.BondPotential(law, (1.0,)),
+    )
+    forces.compute()
+    assert "cluster list" in forces.pair_search
+    bonded = md.evaluate(md.System([[0, 0, 0], [1, 0, 0]], bonds=[(0, 1)]), two)
+    return [forces.potential_energy, bonded.potential_energy]
+
+
+@pytest.mark.parametrize("run", [on_a_pair, pytest.param(on_clusters_and_bonds, marks=pytest.mark.slow)])
+def test_second_process_compiles_nothing_for_a_law_of_the_user(run, tmp_path):
     """Though its module has another name: kept code must not ask for the one that it was compiled from."""
-    found = md.evaluate(PAIR, md.PairPotential(names_of(LAW)["law"], (1.0,), 3.0)).potential_energy
-    assert of_module("renamed", tmp_path, ON_A_PAIR) == ([found], 0)
-
-
-@pytest.mark.slow
-def test_second_process_compiles_nothing_for_clusters_and_bonds(tmp_path):
-    first, _ = of_module("first", tmp_path, ON_CLUSTERS_AND_BONDS)
-    (tmp_path / "first.py").unlink()
-    assert of_module("second", tmp_path, ON_CLUSTERS_AND_BONDS) == (first, 0)
-    assert first[0] == pytest.approx(UNCHANGED, rel=1e-14)  # rounding
+    (tmp_path / "renamed.py").write_text(LAW)
+    found = run(md, names_of(LAW)["law"])
+    *again, n_compiled = answer(f"""
+import sys
+from numba.core import event
+sys.path.insert(0, {str(tmp_path)!r})
+{inspect.getsource(run)}
+with event.install_recorder("numba:compile") as recorder:
+    from renamed import law
+    print(*{run.__name__}(md, law), len(recorder.buffer))""")
+    assert (again, n_compiled) == (found, 0)
 
 
 @pytest.mark.slow
@@ -187,13 +186,13 @@ def test_a_law_stays_what_it_was_when_the_potential_was_made(source, is_clear, c
     Its shift is computed in Python at each bind, its forces by code that is compiled at the first evaluation; the cache
     must not hold the code of a later state under the digest of an earlier one.
     """
-    names = names_of(source)
+    names, pair = names_of(source), md.System([[0, 0, 0], [1, 0, 0]])
     potential = md.PairPotential(names["law"], (1.0,), 3.0)
     assert is_recognized(potential.law) == is_clear
     found = []
     for _ in range(2):
         exec(change, names)
-        found += [md.evaluate(PAIR, potential).potential_energy, float(potential.pair_energy(1.0))]
+        found += [md.evaluate(pair, potential).potential_energy, float(potential.pair_energy(1.0))]
     assert found == pytest.approx([UNCHANGED * (1.0 - 1.0 / 9.0)] * 4, rel=1e-14)  # rounding
     if is_clear:
         after = md.PairPotential(names["law"], (1.0,), 3.0)

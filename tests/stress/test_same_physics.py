@@ -8,7 +8,6 @@ from math import sqrt
 
 import numpy as np
 import pytest
-from cluster_scenes import atoms_per_domain
 from stress_scenes import BOTH, OPEN, ROUNDING, SMOOTH, forces_of, made, oscillation, ran, scaled, solid
 
 import minimd as md
@@ -60,15 +59,7 @@ def skins(cell, precision):
 
 
 def of_precision(precision):
-    """One to eight: the same bits."""
-    more = {"temperature": 1.5, "precision": precision}
-    with atoms_per_domain(60):
-        one, *others = (ran(solid(6), SMOOTH, 0.004, 100, threads=n, **more) for n in range(1, 9))
-    assert one.engine.interactions.n_builds > 1
-    for other in others:
-        yield other.positions, one.positions, 0.0
-        yield other.record.total_energy, one.record.total_energy, 0.0
-    # One bin holds everything; and around the corner eight corners hold a piece each.
+    """One bin holds everything; around the corner eight corners hold a piece each; atoms exactly on the faces."""
     positions, _ = crystal("fcc", [4, 4, 4], 1.68)
     systems = [md.System(positions - shift, cell=500.0) for shift in (0.0, 3.0)]
     one, other = (ran(system, SMOOTH, 0.004, 100, precision=precision) for system in systems)

@@ -25,8 +25,8 @@ TABLE = [pytest.param(*row, marks=() if row == ("many", "double") else pytest.ma
 
 
 @pytest.mark.parametrize(("name", "precision"), TABLE)
-@given(system=cs.scenes(), seed=st.integers(0, 2**32 - 1), atoms=st.sampled_from([5, 40, 800]))
-@settings(max_examples=30)
+@given(system=cs.scenes([*cs.SIZES, 3000]), seed=st.integers(0, 2**32 - 1), atoms=st.sampled_from([5, 40, 800]))
+@settings(max_examples=40)
 def test_clusters_and_pairs_are_the_same_physics(name, precision, system, seed, atoms):
     """Also after moves of half the skin, for which no list is built, and after moves by lattice vectors."""
     assume(precision == "double" or np.linalg.norm(system.cell.vectors, axis=1).max() < WIDE)

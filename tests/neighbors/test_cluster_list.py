@@ -43,7 +43,7 @@ def test_one_thread_keeps_the_forces_of_few_domains_and_sums_the_same(precision)
     """Forces of a domain take the place of those that are needed no more; mixed precision and two threads keep all."""
     system = cs.rod()
     with cs.atoms_per_domain(40):
-        alone, together = (cs.clustered(system, cs.MANY, precision, threads=n) for n in (1, 2))
+        alone, together = (cs.clustered(system, cs.ONE_SPECIES, precision, threads=n) for n in (1, 2))
         for detail in (TOTALS, PER_ATOM):
             pairs = zip(cs.evaluated(alone, system, detail), cs.evaluated(together, system, detail), strict=True)
             assert all(np.array_equal(a, b) for a, b in pairs)

@@ -58,7 +58,7 @@ def check(pair_list, cell, cutoff, positions):
 
 
 @given(scenes())
-@settings(max_examples=60)
+@settings(max_examples=120)
 def test_neighbor_list_equals_brute_force(scene):
     positions, cell, cutoff = scene
     i, j, shifts, vectors, d = md.neighbor_list("ijSDd", md.System(positions, cell=cell), cutoff)
@@ -69,7 +69,7 @@ def test_neighbor_list_equals_brute_force(scene):
 
 
 @given(scenes(), st.integers(0, 2**32 - 1))
-@settings(max_examples=40)
+@settings(max_examples=60)
 def test_list_misses_no_pair_after_moves_of_half_the_skin_wraps_and_shrinking_cells(scene, seed):
     (positions, cell, cutoff), rng, skin = scene, np.random.default_rng(seed), 0.4
     pair_list = PairList(len(positions), cutoff, skin, NO_PAIRS)

@@ -7,6 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from MDAnalysis.lib.distances import calc_dihedrals
+from scenes import BONDED
 
 import minimd as md
 
@@ -80,8 +81,7 @@ def test_bonds_change_nothing_by_themselves_break_and_may_exclude_pairs_on_one_s
     bent = [[0, 0, 0], [1.1, 0, 0], [1.5, 1.0, 0], [1.4, 1.4, 1.1]]
     free, joined = (md.evaluate(md.System(bent, bonds=bonds), LJ) for bonds in (None, [[0, 1], [1, 2], [2, 3]]))
     assert joined.potential_energy == free.potential_energy
-    excluding = md.LennardJones(1.0, 1.0, bonded_scale=(0, 1, 1))
-    assert np.isfinite(md.evaluate(two(1e-9, [1.5, 0, 0]), excluding).forces).all()
+    assert np.isfinite(md.evaluate(two(1e-9, [1.5, 0, 0]), BONDED).forces).all()
     broken = md.evaluate(two(40.0), md.MorseBond(3.0, 2.0, 1.1))
     assert broken.potential_energy == pytest.approx(3.0, rel=1e-15)
     assert broken.forces == pytest.approx(0.0, abs=1e-30)

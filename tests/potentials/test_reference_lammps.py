@@ -69,7 +69,7 @@ CASES = {
 }
 
 
-SLOW = ("mol-pair-morse", "mol-pair-lj96_cut", "dihedral-opls")  # each compiles a law of its own
+SLOW = ("mol-pair-morse", "mol-pair-lj96_cut", "dihedral-opls", "improper-harmonic")  # each compiles a law of its own
 
 
 @pytest.mark.parametrize("style", [pytest.param(one, marks=pytest.mark.slow if one in SLOW else ()) for one in CASES])

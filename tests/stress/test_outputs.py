@@ -1,4 +1,4 @@
-"""Files of runs that go wrong: readable, with the last good frame; wrong outputs are told before the first step."""
+"""Files of runs that go wrong: readable, with the last good frame."""
 
 import ase.io
 import MDAnalysis

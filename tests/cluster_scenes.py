@@ -42,7 +42,6 @@ LAWS = {
     "three species": [md.LennardJones(KINDS, cutoff=CUTOFF, truncation="switched")],
     "exclusions": [md.LennardJones(KINDS, cutoff=CUTOFF, truncation="force-shifted", **SCALED)],
     "cutoffs by pair": [md.LennardJones({"A": (1, 1), "B": (0.5, 0.9), "C": (1, 1)}, cutoff=CUTOFFS)],
-    "shifted": [md.LennardJones(1.0, 1.0, CUTOFF)],
     "shifted, exclusions": [md.LennardJones(KINDS, cutoff=CUTOFF, **SCALED)],
     "two laws": [md.LennardJones(1.0, 1.0, 1.6), *SOFT],
 }

@@ -34,16 +34,6 @@ def brute_force_pairs(positions, cell, pbc, cutoff):
     return found
 
 
-def brute_force_energy(system, pair_energy, cutoff):
-    """½ Σ u(r) over all pairs and images within the cutoff."""
-    cell = system.cell
-    pairs = brute_force_pairs(system.positions, cell.vectors, cell.pbc, cutoff)
-    distances = [
-        np.linalg.norm(system.positions[j] - system.positions[i] + np.array(s) @ cell.vectors) for i, j, *s in pairs
-    ]
-    return 0.5 * sum(pair_energy(r) for r in distances)
-
-
 def numerical_forces(system, potentials, h=1e-5):
     """−∂U/∂r by central differences."""
     forces = np.zeros_like(system.positions)

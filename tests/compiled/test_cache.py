@@ -45,6 +45,7 @@ def ended(process):
     return out, errors
 
 
+@pytest.mark.slow
 def test_processes_that_start_on_an_empty_cache_compile_once_and_others_nothing(tmp_path):
     one = lambda: started(tmp_path / "script.py", OF_A_LOOP, NUMBA_CACHE_DIR=tmp_path)  # noqa: E731
     misses = sum(int(ended(process)[0].split()[1]) for process in (one(), one()))
@@ -120,7 +121,7 @@ for ending in ("nbc", "nbi"):
 """
 
 
-@pytest.mark.parametrize("n_flipped", [4, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n_flipped", [1, pytest.param(20, marks=pytest.mark.slow)])
 def test_damaged_compiled_code_is_compiled_anew_and_said_once(n_flipped, tmp_path):
     """Machine code in which a bit is flipped would end the process."""
     _, errors = ended(started(tmp_path / "script.py", DAMAGED, n_flipped, NUMBA_CACHE_DIR=tmp_path))

@@ -50,7 +50,8 @@ def test_vectors_of_any_width_give_the_same_physics(monkeypatch, kind, precision
     agree(clustered, PairListTerm(system, laws, Options(skin=0.0)), system, tolerance)
 
 
-@pytest.mark.parametrize("chosen", ["sse", *(pytest.param(one, marks=pytest.mark.slow) for one in ("avx2", "avx512"))])
+@pytest.mark.slow
+@pytest.mark.parametrize("chosen", ["sse", "avx2", "avx512"])
 def test_older_vectors_can_be_chosen_by_their_names(chosen):
     code = "from minimd.compiled.simd.lanes import register_bits, lanes_for; print(register_bits(), lanes_for(64).size)"
     where = os.environ | {"MINIMD_VECTORS": chosen}

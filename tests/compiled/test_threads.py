@@ -138,12 +138,9 @@ def test_an_interrupt_before_the_kernel_leaves_the_team_usable():
 
 
 def test_threads_of_python_take_turns_with_one_team():
-    """Its helpers are shared by all who ask for as many; one thread alone waits for nobody."""
-    for n_threads in (1, 3):
-        assert len(thread_pool(n_threads)._helpers) == n_threads - 1
-        assert (thread_pool(n_threads) is thread_pool(n_threads)) == (n_threads > 1)
-    assert all(helper.daemon for helper in thread_pool(3)._helpers)
+    """Its helpers are shared by all who ask for as many."""
     team = thread_pool(2)
+    assert team is thread_pool(2)
     with ThreadPoolExecutor(3) as pool:
         list(pool.map(lambda n: [counted(team, n) for _ in range(300)], [3, 17, 64]))
 
@@ -168,6 +165,7 @@ print("parent", same, "child", os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_child_runs_its_own_teams_and_those_it_inherits():
     where = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}

@@ -1,7 +1,6 @@
 """Vectors compute, lane by lane, what numpy computes element by element."""
 
 import math
-from collections import namedtuple
 
 import numpy as np
 import pytest
@@ -10,17 +9,12 @@ from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.simd import bits_from_mask, broadcast, convert, fma, lane, load, select, store, total, with_lane
 from minimd.compiled.simd.lanes import Lanes4, Lanes8, count
 
-
-class Lanes16(namedtuple("Lanes16", "")):
-    size = 16
-
-
 TYPES = [np.float64, np.float32, np.int32]
 FLOATS = TYPES[:2]
 VECTORS = [
     pytest.param(kind, lanes, id=f"{lanes.size}-{kind.__name__}", marks=() if is_usual else pytest.mark.slow)
     for kind in TYPES
-    for lanes, is_usual in ((Lanes4(), kind == np.float64), (Lanes8(), True), (Lanes16(), False))
+    for lanes, is_usual in ((Lanes4(), False), (Lanes8(), kind != np.float32))
 ]
 LARGE = [2**31 - 1, -(2**31), 2**24 + 1, 2**24 + 3, -(2**24) - 1, 0, 1, -7]
 
@@ -86,7 +80,7 @@ def test_what_is_done_to_vectors_is_done_lane_by_lane(kind, lanes):
     check(all_types, of_all_types, a, b, lanes)
     if kind in FLOATS:
         check(floats, of_floats, a, b, lanes)
-    if kind == np.float64 and lanes.size == 8:
+    if kind == np.float64 and lanes.size == 4:
         check(doubles, of_doubles, a, b, lanes, rel=1e-15)  # the rounding is the library's
 
 

@@ -23,13 +23,13 @@ def plain(method=None, **options):
     return simulated(mixture(with_bonds=False), method, **options)
 
 
-def there_and_back(simulation, n_steps=120):
+def there_and_back(simulation, n_steps=120, is_closed=True):
     """Steps, and back. The largest way of an atom."""
     simulation.make_steps(0)
     start, total, before = bits(simulation), total_momentum(simulation), simulation.positions.copy()
     simulation.make_steps(n_steps)
     way = np.abs(simulation.positions - before).max()
-    assert total_momentum(simulation) == total
+    assert total_momentum(simulation) == total or not is_closed
     simulation.run_back(n_steps)
     assert (bits(simulation), simulation.step) == (start, 0)
     return way
@@ -49,6 +49,14 @@ def test_symmetric_methods_return_to_the_first_bit_and_keep_momentum(name):
 @pytest.mark.parametrize("pbc", [True, (True, False, True), False])
 def test_bonds_angles_and_every_kind_of_cell_likewise(pbc):
     assert there_and_back(simulated(mixture(pbc))) > 0.3
+
+
+@pytest.mark.slow
+def test_dihedrals_keep_momentum_and_in_fields_that_stay_steps_return():
+    torsions = md.PeriodicDihedral(1.0, 3, 0.4, np.arange(0, 104, 8)[:, None] + np.arange(4))
+    assert there_and_back(simulated(mixture(False), potentials=[LAW, BOND, ANGLE, torsions])) > 0.3
+    fields = [md.Gravity(0.5), md.Wall([0.0, 0.0, -3.0], [0.0, 0.0, 1.0])]
+    assert there_and_back(simulated(mixture(False), potentials=[LAW, BOND, ANGLE, *fields]), is_closed=False) > 0.3
 
 
 def test_atoms_that_are_held_fixed_stay_where_they_are():
@@ -120,18 +128,18 @@ def test_looks_copies_files_and_resumed_runs_have_the_same_bits(reference, tmp_p
 def test_any_step_is_made_again_from_a_file_and_from_its_archive(tmp_path):
     file, small, run, other = tmp_path / "run.h5md", tmp_path / "small.h5md", plain(), plain()
     run.make_steps(3)
-    run.run(97, every=10, trajectory=file)
+    run.run(67, every=10, trajectory=file)
     other.make_steps(47)
     assert bits(md.Simulation.resume(file, LAW, step=47)) == bits(other)
-    made = md.archive(file, small, 50, LAW)
-    assert made.n_frames == (11, 3)  # steps 3, 50 and 100
+    made = md.archive(file, small, 40, LAW)
+    assert made.n_frames == (8, 2)  # of steps 3 and 40
     assert made.n_bytes[1] < made.n_bytes[0]
     check = str(check_file(file))
     assert "exact momentum change of Σ p, in whole steps of the grid: 0, tolerance 0: ok" in check
     assert "momentum       exactly constant" in check
     assert bits(md.Simulation.resume(small, LAW, step=47)) == bits(other)
     assert bits(md.Simulation.resume(small, LAW)) == bits(run)
-    assert_answered(lambda: md.Simulation.resume(small, LAW, step=101), ValueError, "step", "101")
+    assert_answered(lambda: md.Simulation.resume(small, LAW, step=71), ValueError, "step", "71")
     wrong = md.LennardJones(KINDS | {"B": (0.6, 0.9)}, cutoff=1.8, truncation="switched")
     assert_answered(lambda: md.archive(file, tmp_path / "other.h5md", 50, wrong), ValueError, "potentials")
     assert not (tmp_path / "other.h5md").exists()
@@ -140,6 +148,7 @@ def test_any_step_is_made_again_from_a_file_and_from_its_archive(tmp_path):
 ARGON = md.LennardJones(0.0104, 3.4, 5.0, truncation="force-shifted")
 
 
+@pytest.mark.slow
 def test_any_step_of_a_run_in_units_of_ase_is_made_again_and_ases_dynamics_make_the_same_steps(tmp_path):
     """Files have Å/ps; what their rounding changes is less than half a step of the grid."""
     file, atoms = tmp_path / "run.h5md", bulk("Ar", "fcc", 5.4, cubic=True).repeat(2)
@@ -192,10 +201,10 @@ def crystal():
     return md.System(positions, cell=edges, species=["A"] * len(positions))
 
 
-@pytest.mark.parametrize("system", [mixture(), crystal()], ids=["liquid", "crystal"])
-def test_forces_and_energies_are_those_of_float64_to_the_steps_of_the_grid(system, monkeypatch):
+@pytest.mark.parametrize("scene", [mixture, pytest.param(crystal, marks=pytest.mark.slow)])
+def test_forces_and_energies_are_those_of_float64_to_the_steps_of_the_grid(scene, monkeypatch):
     """Each impulse over a unit of time is rounded to p0, each energy to e0, whatever their size."""
-    rounded = simulated(system)
+    rounded = simulated(scene())
     rounded.make_steps(60)
     frame, here = rounded.frame(), rounded.system
     monkeypatch.setattr(PairLaws, "fit_clusters", lambda *_: False)  # compiles less

@@ -5,7 +5,6 @@ import pytest
 from fixed_point_scenes import bits, mixture, simulated, total_momentum
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from references import load
 
 import minimd as md
 from minimd.bench.scenes import melt
@@ -50,16 +49,6 @@ def test_vectors_of_every_width_have_the_same_bits(monkeypatch, kind, reference)
     assert bits(other) == reference
 
 
-def test_twenty_stops_at_random(reference):
-    stopped = simulated(mixture())
-    stops = np.sort(np.random.default_rng(3).choice(np.arange(1, 500), 20, replace=False))
-    for n in np.diff([0, *stops, 500]):
-        stopped.make_steps(int(n))
-        names = ("positions", "masses", "velocities", "species", "cell", "bonds", "angles")
-        stopped = simulated(md.System(**{name: getattr(stopped.system, name) for name in names}))  # the state alone
-    assert bits(stopped) == reference
-
-
 @pytest.mark.parametrize("timestep", [0.008, 0.005, 0.002])
 def test_the_energy_oscillates_as_in_float64(timestep):
     runs = [of_melt(8, one, timestep).run(int(2.0 / timestep), every=1) for one in ("double", "fixed-point")]
@@ -100,15 +89,3 @@ def test_hot_fast_and_far_atoms_are_right_or_stopped(speed, distance, far, times
         message = str(error)
     words = ("beyond the range", "past every neighbor", "would move it", "not finite", "shift them")
     assert any(word in message for word in words), message
-
-
-@pytest.mark.parametrize("name", ["nist_lj/config1.json", "nist_lj/config4.json"])
-def test_nists_configurations(name):
-    data = load(name)
-    for row in data["rows"]:
-        truncation = {"truncated_plus_LRC": "truncated", "linear_force_shift": "force-shifted"}[row["scheme"]]
-        law = md.LennardJones(1.0, 1.0, row["rc"], truncation)
-        system = md.System(data["x"], cell=data["box"])
-        simulation = md.Simulation(system, law, md.VelocityVerlet(0.001), precision="fixed-point")
-        assert simulation.potential_energy == pytest.approx(row["Upair_recomputed"], rel=1e-11)
-        assert np.trace(simulation.engine.interactions.virial) == pytest.approx(row["Wpair_recomputed"], rel=1e-11)

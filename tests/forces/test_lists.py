@@ -21,7 +21,7 @@ from minimd.potentials.term import PER_ATOM
 
 WIDE = 300.0  # the grid of the coordinates in mixed precision is then 1.4e-7 fine, as float32 near 1
 TABLE = [(name, precision) for name in cs.LAWS for precision in cs.EQUAL]
-TABLE = [pytest.param(*row, marks=() if row[0] == "many" else pytest.mark.slow) for row in TABLE]
+TABLE = [pytest.param(*row, marks=() if row == ("many", "double") else pytest.mark.slow) for row in TABLE]
 
 
 @pytest.mark.parametrize(("name", "precision"), TABLE)
@@ -58,7 +58,7 @@ def towards_a_partner(system):
 
 
 @given(system=cs.scenes(sizes=[8, 120, 400]), atoms=st.sampled_from([5, 800]))
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_pairs_that_run_into_each_other_are_not_missed(system, atoms):
     """Half the skin each, on the shortest way: those that were almost beyond the list come just within the cutoff."""
     with cs.atoms_per_domain(atoms):
@@ -106,7 +106,7 @@ def by_hand(system):
 @pytest.mark.parametrize("precision", cs.EQUAL)
 def test_lists_find_what_brute_force_finds_and_padding_has_no_weight(precision):
     """Atoms of one column: 1 to 8 lanes of the last cluster are filled, all others repeat its last atom."""
-    for n, pbc in [(n, pbc) for n in range(1, 20) for pbc in (True, (True, True, False))]:
+    for n, pbc in [(n, pbc) for n in range(1, 10) for pbc in (True, (True, True, False))]:
         positions = np.column_stack([0.4 * (-1.0) ** np.arange(n), np.zeros(n), 0.9 * np.arange(n)])
         system = md.System(positions + 0.3, cell=[2.4, 2.4, max(2.4, 0.9 * n)], pbc=pbc)
         clusters, pairs = cs.both_lists(system, cs.ONE_SPECIES, precision)
@@ -116,15 +116,6 @@ def test_lists_find_what_brute_force_finds_and_padding_has_no_weight(precision):
                 assert a == pytest.approx(b, abs=tolerance * max(1.0, np.abs(b).max()), rel=0)
         found = clusters.list.clusters
         assert (found.filled[: clusters.list.n_clusters].sum(), len(found.column_start)) == (n, 2)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["three species", "exclusions"])
-@given(system=cs.scenes(sizes=[2000, 5000]), atoms=st.sampled_from([40, 800]))
-@settings(max_examples=10)
-def test_clusters_and_pairs_are_the_same_physics_for_thousands(name, system, atoms):
-    with cs.atoms_per_domain(atoms):
-        cs.agree(*cs.both_lists(system, cs.LAWS[name]), system)
 
 
 def test_a_crystal_exactly_on_its_faces_has_no_forces_and_excluded_pairs_may_sit_on_each_other():
@@ -150,7 +141,10 @@ def test_chunks_change_nothing_but_rounding(atoms, pbc):
     assert len(clusters.list.domains.first) >= 5
 
 
-@pytest.mark.parametrize(("skin", "precision"), [(0.05, "double"), (None, "double"), (0.3, "mixed")])
+HOT = [(0.05, "double"), *(pytest.param(*row, marks=pytest.mark.slow) for row in ((None, "double"), (0.3, "mixed")))]
+
+
+@pytest.mark.parametrize(("skin", "precision"), HOT)
 def test_a_hot_run_has_the_energies_of_fresh_lists(skin, precision):
     with cs.atoms_per_domain(100):
         simulation = md.Simulation(
@@ -165,7 +159,7 @@ def test_a_hot_run_has_the_energies_of_fresh_lists(skin, precision):
         energy = abs(running.record.potential_energy[-1] - fresh.potential_energy) / np.abs(fresh.energies).sum()
         seen.append(max(force, energy))
 
-    record = simulation.run(200, every=10, observers=[compare])
+    record = simulation.run(120, every=10, observers=[compare])
     assert simulation.engine.interactions.n_builds > 5
     assert max(seen) < (1e-12 if precision == "double" else 1e-5)
     assert np.ptp(record.total_energy[2:]) < 0.002 * record.kinetic_energy.mean()
@@ -186,6 +180,7 @@ def test_a_calculator_passes_its_choices_on():
     assert 0.0 < np.abs(found[0] - found[1]).max() < 1e-5 * np.abs(found[0]).max()
 
 
+@settings(max_examples=50)
 @given(st.floats(1.001, 3.0), st.floats(0.0, 0.3), st.tuples(*[st.booleans()] * 3), st.booleans())
 def test_a_skin_is_never_wider_than_the_cell_has_room_for(height, stride, pbc, has_excluded):
     rng = np.random.default_rng(1)
@@ -231,16 +226,13 @@ def test_forces_in_a_melt_are_as_good_as_float32_and_push_nobody(melted):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("n_steps", "every"), [(1500, 5), (20_000, 10)])
-def test_energy_drifts_no_more_than_in_double(melted, n_steps, every):
+def test_energy_drifts_no_more_than_in_double(melted):
     """Statistics: four standard errors of the difference. The oscillation differs by 5 % between runs."""
     start, reports = md.Simulation(melted, MELT, md.VelocityVerlet(0.004)), []
     start.run(700)
     for precision in cs.EQUAL:
         simulation = md.Simulation(start.system, MELT, md.VelocityVerlet(0.004), precision=precision)
-        reports.append(conservation_report(simulation.run(n_steps, every=every), angular=False))
-        slope = reports[-1].energy_drift
-        print(f"{precision}: {slope.slope:+.1e} ± {slope.error:.1e}, oscillation {reports[-1].energy_oscillation:.2e}")
+        reports.append(conservation_report(simulation.run(20_000, every=10), angular=False))
     double, mixed = reports
     error = np.hypot(double.energy_drift.error, mixed.energy_drift.error)
     assert abs(double.energy_drift.slope - mixed.energy_drift.slope) < 4.0 * error

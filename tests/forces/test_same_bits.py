@@ -40,7 +40,7 @@ def clusters_of(simulation):
 LONG = [pytest.param(name, 1000, [2, 3, 4, 8], marks=pytest.mark.slow) for name in ("melt", "rod", "long chains")]
 
 
-@pytest.mark.parametrize("precision", ["double", "mixed"])
+@pytest.mark.parametrize("precision", ["double", pytest.param("mixed", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("scene", "n_steps", "teams"), [("chains", 100, [2, 8]), *LONG])
 def test_any_number_of_threads_gives_the_same_bits(scene, n_steps, teams, precision):
     one, record = ran(scene, precision, 1, n_steps)
@@ -91,7 +91,10 @@ IN_A_KERNEL = {  # a method, options, and whether its lists are built in the ker
 }
 
 
-@pytest.mark.parametrize("name", IN_A_KERNEL)
+ROWS = [pytest.param(name, marks=pytest.mark.slow if name == "mixed" else ()) for name in IN_A_KERNEL]
+
+
+@pytest.mark.parametrize("name", ROWS)
 def test_what_one_kernel_does_has_the_bits_of_what_python_does_call_by_call(name, monkeypatch):
     """After the first list the memory becomes so scarce that the next build must be left to Python, too."""
     method, options, builds = IN_A_KERNEL[name]
@@ -134,9 +137,9 @@ def test_another_process_of_a_derived_bath_is_not_left_out():
 
 def test_replicas_in_threads_of_one_process_have_the_bits_of_single_runs():
     def replica(seed):
-        return ended(mixture(bath() if seed % 2 else FREE, seed=seed), 200)
+        return ended(mixture(bath() if seed % 2 else FREE, seed=seed), 100)
 
     with ThreadPoolExecutor(3) as pool:
-        together = list(pool.map(replica, range(6)))
+        together = list(pool.map(replica, range(4)))
     for seed, one in enumerate(together):
         assert_same_bits(one, replica(seed))

@@ -13,12 +13,14 @@ from minimd.neighbors.domains import BLOCKS
 from minimd.potentials.term import PER_ATOM, TOTALS
 from minimd.structure.cell import Cell
 
+FURTHER = [pytest.param(pbc, marks=pytest.mark.slow) for pbc in ((True, True, False), False)]
 
-@pytest.mark.parametrize("pbc", [True, (True, True, False), False])
+
+@pytest.mark.parametrize("pbc", [True, *FURTHER])
 def test_memory_follows_growing_and_shrinking_crowds(pbc):
     """Column by column the padding changes from build to build, and with it the number of clusters and ghosts."""
     rng = np.random.default_rng(4)
-    for n, edge, spreads in ((64, 4.4, rng.uniform(0.3, 1.0, (40, 3))), (600, 40.0, [1.0, 0.1, 1.0, 0.025, 0.5])):
+    for n, edge, spreads in ((64, 4.4, rng.uniform(0.3, 1.0, (20, 3))), (600, 40.0, [1.0, 0.1, 1.0, 0.025, 0.5])):
         system = md.System(rng.uniform(0, edge, (n, 3)), cell=edge, pbc=pbc)
         clusters, pairs = cs.both_lists(system, cs.SOFT)
         numbers = set()
@@ -36,12 +38,12 @@ def test_memory_follows_growing_and_shrinking_crowds(pbc):
         assert len(numbers) > 1 or n == 600
 
 
-@pytest.mark.parametrize("precision", ["double", "mixed"])
+@pytest.mark.parametrize("precision", ["double", pytest.param("mixed", marks=pytest.mark.slow)])
 def test_one_thread_keeps_the_forces_of_few_domains_and_sums_the_same(precision):
     """Forces of a domain take the place of those that are needed no more; mixed precision and two threads keep all."""
     system = cs.rod()
     with cs.atoms_per_domain(40):
-        alone, together = (cs.clustered(system, cs.MANY, precision, threads=n) for n in (1, 2))
+        alone, together = (cs.clustered(system, cs.ONE_SPECIES, precision, threads=n) for n in (1, 2))
         for detail in (TOTALS, PER_ATOM):
             pairs = zip(cs.evaluated(alone, system, detail), cs.evaluated(together, system, detail), strict=True)
             assert all(np.array_equal(a, b) for a, b in pairs)

@@ -78,9 +78,17 @@ CELLS = {
     "small": {"cell": 3.6},
     "tube": {"cell": [9.0, 9.0, 4.8], "pbc": (False, False, True)},
 }
-OF_PAIRS = [*itertools.product(PAIRS, list(CELLS)[:-1])]
-INTERNAL = [*OF_PAIRS, *itertools.product(BONDED, list(CELLS)[:-1])]
-EXTERNAL = [(name, cell) for name, (_, cells) in FIELDS.items() for cell in cells]
+INSIDE = [*CELLS][:-1]
+SLOW = {"soft core", "ryckaert-bellemans", "harmonic impropers", "wall 12-6", "cylinder"}  # the mechanism of another
+
+
+def of(name):
+    return pytest.mark.slow if name in SLOW else ()
+
+
+OF_PAIRS = [pytest.param(*row, marks=of(row[0])) for row in itertools.product(PAIRS, INSIDE)]
+INTERNAL = [*OF_PAIRS, *(pytest.param(*row, marks=of(row[0])) for row in itertools.product(BONDED, INSIDE))]
+EXTERNAL = [pytest.param(name, cell, marks=of(name)) for name, (_, cells) in FIELDS.items() for cell in cells]
 
 
 def chain(cell="open", bonded=True):

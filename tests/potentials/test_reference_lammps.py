@@ -69,7 +69,10 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("style", CASES)
+SLOW = ("mol-pair-morse", "mol-pair-lj96_cut", "dihedral-opls", "improper-harmonic")  # each compiles a law of its own
+
+
+@pytest.mark.parametrize("style", [pytest.param(one, marks=pytest.mark.slow if one in SLOW else ()) for one in CASES])
 def test_energy_forces_and_virial_are_those_of_lammps(style):
     system, table = fourmol()
     reference = load(f"lammps_fourmol/{style}.json")

@@ -103,6 +103,7 @@ def test_slopes_of_108_atoms_are_the_orders(method, truncation, cutoff):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(method.order, abs=0.2)  # truncation
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "timestep"), [(KahanLi6, 0.005), (KahanLi8, 0.01)])
 def test_a_switch_with_two_derivatives_leaves_order_three(method, timestep):
     """Each atom that crosses the kink of u‴ is left with an error of Δt³, whatever the method: too much above order 3.

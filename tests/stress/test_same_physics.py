@@ -8,8 +8,7 @@ from math import sqrt
 
 import numpy as np
 import pytest
-from cluster_scenes import atoms_per_domain
-from stress_scenes import BOTH, OPEN, ROUNDING, SMOOTH, forces_of, gauss, made, oscillation, pair_at, ran, scaled, solid
+from stress_scenes import BOTH, OPEN, ROUNDING, SMOOTH, forces_of, made, oscillation, ran, scaled, solid
 
 import minimd as md
 from minimd.structure.lattice import BASES, crystal
@@ -60,25 +59,7 @@ def skins(cell, precision):
 
 
 def of_precision(precision):
-    """One to eight: the same bits."""
-    more = {"temperature": 1.5, "precision": precision}
-    with atoms_per_domain(60):
-        one, *others = (ran(solid(6), SMOOTH, 0.004, 100, threads=n, **more) for n in range(1, 9))
-    assert one.engine.interactions.n_builds > 1
-    for other in others:
-        yield other.positions, one.positions, 0.0
-        yield other.record.total_energy, one.record.total_energy, 0.0
-    # order of atoms
-    law = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.9)}, cutoff=2.5, truncation="force-shifted")
-    start = made(solid(4, species=["A", "B"] * 128), law, 0.004, temperature=1.0).system
-    order = np.random.default_rng(4).permutation(len(start))
-    given = {"velocities": start.velocities[order], "species": start.species[order], "cell": start.cell}
-    mixed_up = md.System(start.positions[order], **given)
-    other, one = (ran(system, law, 0.004, 100, precision=precision) for system in (mixed_up, start))
-    tolerance = 1e-11 if precision == "double" else 1e-4
-    yield other.positions, one.positions[order], tolerance
-    yield other.record.total_energy, one.record.total_energy, 1e2 * tolerance
-    # One bin holds everything; and around the corner eight corners hold a piece each.
+    """One bin holds everything; around the corner eight corners hold a piece each; atoms exactly on the faces."""
     positions, _ = crystal("fcc", [4, 4, 4], 1.68)
     systems = [md.System(positions - shift, cell=500.0) for shift in (0.0, 3.0)]
     one, other = (ran(system, SMOOTH, 0.004, 100, precision=precision) for system in systems)
@@ -109,32 +90,11 @@ def two_or_many():
     drifting.velocities[:] += velocity
     here, there = (ran(system, SMOOTH, 0.004, 300) for system in (rest, drifting))
     yield there.positions - there.time * velocity, here.positions, 1e-8  # rounding at 60 σ
-    # thousand short runs
-    parts = made(solid(2, cell=False), SMOOTH, 0.004, temperature=0.3)
-    for _ in range(1000):
-        parts.run(1, progress=False)
-    whole = ran(solid(2, cell=False), SMOOTH, 0.004, 1000, temperature=0.3, every=1)
-    yield parts.step, 1000, 0
-    yield parts.positions, whole.positions, 1e-11
     # A law and its negative: forces cancel to rounding, atoms fly straight.
-
     signed = lambda r2, sign: (sign * np.exp(-r2), 2.0 * sign * np.exp(-r2))  # noqa: E731
     both = [md.PairPotential(signed, (sign,), 2.5, "force-shifted") for sign in (1.0, -1.0)]
     simulation = ran(solid(3), both, 0.004, 500, temperature=1.0)
     yield simulation.positions, solid(3).positions + simulation.time * simulation.velocities, 1e-11
-
-
-def pairs_alone():
-    """A bond near half a cell is taken at its nearest image; at the cutoff energy and force go to zero."""
-    for stretch in (0.3, 0.49, 0.51):
-        system = md.System([[0, 0, 0], [stretch * 4.0, 0, 0]], cell=4.0, bonds=[[0, 1]])
-        expected = 0.5 * (abs(stretch - np.rint(stretch)) * 4.0 - 1.0) ** 2
-        yield md.evaluate(system, md.HarmonicBond(1.0, 1.0)).potential_energy, expected, 1e-6 * expected
-    crowd = 50.0 + 5.0 * np.array(list(np.ndindex(5, 5, 4)))
-    for beside, more in product((0.0, 1e-15, -1e-15, 1e-9, -1e-9), (crowd[:0], crowd)):
-        found = md.evaluate(md.System(np.vstack([pair_at(2.5 + beside).positions, more])), SMOOTH)
-        yield found.potential_energy, 0.0, 1e-12
-        yield found.forces, 0.0, 1e-8
 
 
 def far_away(away, precision):
@@ -158,19 +118,6 @@ def far_away(away, precision):
         yield there, here, RELATIVE[precision] * largest(here) + 1e3 * np.spacing(away)
 
 
-def supercell_of_a_small_box(edge, pbc):
-    """All images within the cutoff count."""
-    copies = 1 + 2 * np.array(pbc)
-    small = md.System([[0, 0, 0], [0.45 * edge, 0.4 * edge, 0.3 * edge]], cell=edge, pbc=pbc)
-    shifts = np.array(list(np.ndindex(*copies))) * edge
-    large = md.System((small.positions + shifts[:, None]).reshape(-1, 3), cell=edge * copies, pbc=pbc)
-    law = md.PairPotential(gauss, (), 2.5, "force-shifted")
-    one, many = md.evaluate(small, law), md.evaluate(large, law)
-    expected = len(shifts) * one.potential_energy
-    yield many.potential_energy, expected, 1e-12 * abs(expected)
-    yield many.forces[:2], one.forces, 1e-11 * largest(one.forces)
-
-
 def sites_of_a_crystal(lattice, precision):
     """Forces are zero to rounding; where the lattice is unstable the run is too short for rounding to grow."""
     if lattice == "hcp":
@@ -187,42 +134,15 @@ def sites_of_a_crystal(lattice, precision):
     yield ran(system, SMOOTH, 0.004, n_steps, precision=precision).positions, positions, way
 
 
-def cutoffs_steps_and_looks(n):
-    """A huge cutoff without a cell; how often one looks; a negative time step; no step, a look."""
-    every, law = forces_of(solid(3, cell=False), OPEN).forces, md.LennardJones(1.0, 1.0, 10.0 ** (3 * n), "truncated")
-    yield forces_of(solid(3, cell=False), law).forces, every, 1e-12 * largest(every)
-    looks = 333, (1, 7, 100, 10**9)[n % 4]
-    once, often = (ran(solid(3), SMOOTH, 0.004, 333, temperature=1.0, every=k) for k in looks)
-    yield often.positions, once.positions, 1e-11
-    there = ran(solid(3), SMOOTH, 0.004, 300, temperature=1.0)
-    back = ran(there.system, SMOOTH, -0.004, 300)
-    yield back.positions, solid(3).positions, 1e-10
-    yield back.time, -1.2, 1e-6
-    look = ran(solid(2, cell=False), SMOOTH, 0.004, 0, temperature=1.0)
-    yield np.array([look.step, len(look.record)]), np.array([0, 1]), 0
-
-
-def droplet_in_vacuum(edge):
-    """Whatever surrounds it: the same as without a cell."""
-    inside = md.System(solid(3).positions + 0.25 * edge, cell=edge)
-    boxed, free = (ran(system, SMOOTH, 0.004, 200, temperature=0.5) for system in (inside, solid(3, cell=False)))
-    yield boxed.positions - 0.25 * edge, free.positions, 1e5 * np.spacing(edge)
-    yield oscillation(boxed), 0.0, 1e-2
-
-
 FAR, OF_UNITS = (1e3, 1e6, 1e9), product([*POWERS, SI, (1e-60, 1, 1), (1e60, 1, 1)], (2, 4), ["double"])
 SAME = {
     two_or_many: [()],
     of_precision: [(precision,) for precision in BOTH],
     units: [*OF_UNITS, *product(SINGLE, [4], ["mixed"])],
-    cutoffs_steps_and_looks: [(1,), (10,), (2,), (3,), (4,)],
     chains: POWERS[:4],
     skins: product((True, False), BOTH),
-    pairs_alone: [()],
     far_away: [*product(FAR, BOTH)],
-    supercell_of_a_small_box: product((0.9, 1.3, 2.4), ([True] * 3, [True, False, True], [False, False, True])),
     sites_of_a_crystal: product([*BASES, "hcp"], BOTH),
-    droplet_in_vacuum: [(edge,) for edge in (100.0, 1e4, 1e8)],
 }
 
 

@@ -17,15 +17,7 @@ SCRIPTS, LESSONS = sorted(EXAMPLES.glob("*.py")), sorted(COURSE.glob("*.py"))
 LENGTHS = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 5, "rounds": 2, "every": 10}
 SHORTER = LENGTHS | {"duration": 200, "end": 2.0, "t_end": 3.0}
 IN_FULL = ("own_law", "rigid_ring", "equation_of_state")  # by tests of their own
-# fmt: off
-LONG = [  # kernels of their own, small systems, and long; the gallery of the site runs them
-    "precision", "to_the_last_bit", "viscosity", "constant_pressure", "stretched_chain", "own_force", "rigid_chain",
-    "stiff_spring", "henon_heiles", "smooth_cutoff", "coupled_wells", "mechanism", "three_body",
-    "ensemble_checks", "timestep_gain", "work_precision",
-]
-# fmt: on
-FAST = [path for path in SCRIPTS if path.stem not in IN_FULL and path.stem not in LONG] + LESSONS[:1]
-SLOW = [path for path in SCRIPTS if path.stem in LONG] + LESSONS[1:]
+QUICK = ("kepler", "rigid_nitrogen", "bead_chain", "1_phase_plane")  # the gallery of the site runs the others, too
 
 pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
 
@@ -56,7 +48,8 @@ def run(tmp_path, monkeypatch, capsys):
     return running
 
 
-EACH = [pytest.param(path, marks=[pytest.mark.slow] * (path in SLOW), id=path.name) for path in FAST + SLOW]
+SHORTENED = [path for path in [*SCRIPTS, LESSONS[0]] if path.stem not in IN_FULL]
+EACH = [pytest.param(one, marks=[pytest.mark.slow] * (one.stem not in QUICK), id=one.name) for one in SHORTENED]
 
 
 @pytest.mark.parametrize("path", EACH)
@@ -73,6 +66,7 @@ def test_examples_are_short():
         assert len(path.read_text().splitlines()) <= (40 if path.stem == "equation_of_state" else 60), path
 
 
+@pytest.mark.slow
 def test_a_ring_that_runs_along_itself_keeps_its_shape(run):
     told = run((EXAMPLES / "rigid_ring.py").read_text())
     running, squeezed = map(float, re.findall(r"off its curve by (\d+\.\d+) b", told))
@@ -81,6 +75,7 @@ def test_a_ring_that_runs_along_itself_keeps_its_shape(run):
     assert Path("rigid_ring.png").stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_own_laws_give_what_their_formulas_say(run):
     told = run((EXAMPLES / "own_law.py").read_text())
     frequency, expected, force, difference = map(float, re.findall(r"-?\d+\.\d{3,}", told))

@@ -11,6 +11,7 @@ from minimd import LennardJones
 nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
 pytest.importorskip("ipykernel")
 pytest.importorskip("pandas")
+pytestmark = pytest.mark.slow
 
 REPOSITORY = Path(__file__).parents[2]
 NOTEBOOK = REPOSITORY / "examples" / "notebook.ipynb"

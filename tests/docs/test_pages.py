@@ -40,8 +40,9 @@ SHORTER = {
     "[10, 10, 10]": "[5, 5, 5]", '"melt", 1000, processes=2': '"melt", 40, processes=1',
     "probe_reversibility(200)": "probe_reversibility(50)",
 }
+LONG = ("fixed-point.md", "lists.md", "timestep.md", "observers.md", "pressure.md", "forces.md", "own-laws.md",
+        "view.md", "grade.md", "small-systems.md")  # many kernels, or long runs
 # fmt: on
-LONG = ("fixed-point.md", "lists.md", "timestep.md", "observers.md", "pressure.md", "forces.md")  # many kernels
 ELSEWHERE = ("formats.md", "ensembles.md", "fast-forces.md", "blow-up.md")  # by tests of their own below
 
 
@@ -96,6 +97,7 @@ def test_scripts_of_the_readme_run_as_they_stand(here, capsys):
         assert capsys.readouterr().out.strip()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:timestep 0.02 τ is long")
 def test_the_blow_up_on_its_page_lives_for_some_time_and_names_its_cause(here, capsys):
     names = run("\n".join(blocks(DOCS / "blow-up.md")), "blow-up.md")
@@ -201,6 +203,7 @@ def run_melt(system, n_steps):
     sim.run(n_steps, every=5, trajectory="run.h5md", overwrite=True)
 
 
+@pytest.mark.slow
 def test_scripts_of_the_page_on_formats_run(melt, capsys):
     """In one process, on the file of a run of the melt."""
     if "minimd-h5md" not in ioformats:  # minimd is not installed with its entry points

@@ -70,20 +70,18 @@ def test_labels_that_are_no_elements_come_back_and_another_one_gives_another_ene
     assert np.array_equal(atoms.positions, system.positions)  # reduced units: the numbers are kept
     assert same(atoms.get_momenta(), np.diag([1.0, 2.0, 3.0]), 0.0)
     a, b = species[:2]
-    atoms.calc = Calculator(md.LennardJones({a: (1.0, 1.0), b: (9.0, 1.0)}, cutoff=2.5))
+    atoms.calc = Calculator(md.LennardJones({a: (1.0, 1.0), b: (9.0, 1.0)}, cutoff=2.5, truncation="switched"))
     before = atoms.get_potential_energy()
     atoms.arrays["species_labels"][:] = a
     assert atoms.get_potential_energy() == pytest.approx(before / 3.0, rel=1e-14)
 
 
 QUANTITIES = ("energy", "energies", "forces", "stress", "stresses")
-CHARMM = md.LennardJones(EPSILON, SIGMA, CUTOFF, "charmm", switch_start=0.66 * CUTOFF)
 CRYSTAL, MOLECULE = bulk("Cu", cubic=True) * 2, molecule("CH3CH2OH")
 
 
 AS_ASE = {  # atoms, how much they are shaken, pbc, a calculator, and another that says the same of `QUANTITIES[:n]`
     "liquid": (argon(), 0.0, True, lennard_jones(), ase_lennard_jones(), 5),
-    "smooth": (argon(), 0.0, True, CHARMM, ase_lennard_jones(smooth=True), 5),
     "slab": (argon(2), 0.0, (True, False, True), lennard_jones(), ase_lennard_jones(), 5),
     "slab by ASE": (argon(2), 0.0, (True, False, True), ForcesFromCalculator(ase_lennard_jones()), None, 4),
     "cluster by ASE": (argon(2), 0.0, False, ForcesFromCalculator(ase_lennard_jones()), None, 4),
@@ -107,7 +105,7 @@ def test_energies_forces_and_stress_are_those_of_ase(scene):
         assert pressure == pytest.approx(-mine.get_stress(include_ideal_gas=True)[:3].mean(), rel=1e-12)
 
 
-OTHERS = md.LennardJones({"Ar": (0.02, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)
+OTHERS = md.LennardJones({"Ar": (0.02, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF, truncation="switched")
 # fmt: off
 CHANGES = {
     "positions": lambda atoms: atoms.rattle(0.05, seed=9),
@@ -128,7 +126,7 @@ CHANGES = {
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_results_are_right_after_every_kind_of_change(change):
-    mixture = md.LennardJones({"Ar": (0.0103, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)
+    mixture = md.LennardJones({"Ar": (0.0103, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF, truncation="switched")
     atoms = with_calculator(argon(), Calculator(mixture))
     atoms.set_masses(atoms.get_masses())  # given, so that another element has the same
     before = atoms.get_potential_energy()
@@ -146,7 +144,10 @@ def test_results_are_right_after_every_kind_of_change(change):
 def test_bonded_scene_is_right_when_the_cell_shrinks_below_twice_the_cutoff():
     """Then the nearest image of an excluded pair can change between two builds of the list."""
     bonds = [(0, 1), (1, 2), (2, 3)]
-    potentials = [md.LennardJones(EPSILON, SIGMA, CUTOFF, bonded_scale=(0, 0, 0.5)), md.HarmonicBond(1.0, 4.0)]
+    potentials = [
+        md.LennardJones(EPSILON, SIGMA, CUTOFF, "force-shifted", bonded_scale=(0, 0, 0.5)),
+        md.HarmonicBond(1.0, 4.0),
+    ]
     atoms = Atoms("Ar4", np.arange(4)[:, None] * [3.8, 0.1, 0.2], cell=[40.0] * 3, pbc=True)
     atoms.calc = Calculator(potentials, bonds, skin=2.0)
     atoms.get_forces()
@@ -235,7 +236,9 @@ def test_a_file_of_another_kind_is_refused_and_a_failed_call_leaves_nothing_behi
     (tmp_path / "b.h5md").write_text("none")
     with pytest.raises(ValueError, match=r"b\.h5md"):
         ase.io.read(tmp_path / "b.h5md")
-    atoms = with_calculator(argon(1), Calculator(md.LennardJones({"Ar": (EPSILON, SIGMA)}, cutoff=CUTOFF)))
+    atoms = with_calculator(
+        argon(1), Calculator(md.LennardJones({"Ar": (EPSILON, SIGMA)}, cutoff=CUTOFF, truncation="switched"))
+    )
     before = atoms.get_potential_energy()
     atoms.numbers[0] = 36
     for _ in range(2):

@@ -62,8 +62,8 @@ def test_classes_are_those_of_ase_with_their_arguments_attributes_and_dictionari
 MANY = lambda: liquid(n_cells=3)  # noqa: E731
 COLD, HOT = ({"temperature_K": t, "taut": TIMESTEP} for t in (1.0, 1e5))
 MOTIONS = {  # class, atoms for minimd's, atoms for ASE's, numbers of steps, tolerance, arguments
-    "ASE's calculator": ("VelocityVerlet", MANY, lambda: liquid(ase_lennard_jones(), 3), (100,), 1e-11, {}),
-    "many steps": ("VelocityVerlet", MANY, MANY, (300, 100), 3e-11, {}),
+    "ASE's calculator": ("VelocityVerlet", MANY, lambda: liquid(ase_lennard_jones(), 3), (40,), 1e-11, {}),
+    "many steps": ("VelocityVerlet", MANY, MANY, (60, 20), 1e-11, {}),
     "cold": ("NVTBerendsen", liquid, liquid, (3,), 1e-11, COLD),
     "hot": ("NVTBerendsen", liquid, liquid, (3,), 1e-11, HOT),
 }
@@ -136,7 +136,7 @@ def test_observers_files_and_answers_are_those_of_ase(drive, tmp_path):
     assert words == expected
 
 
-OTHER = {"shifted": lennard_jones("charmm"), "charmm": lennard_jones("shifted")}
+OTHER = {"shifted": lennard_jones("force-shifted"), "force-shifted": lennard_jones("shifted")}
 
 
 MEDDLERS = {

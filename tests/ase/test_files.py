@@ -10,6 +10,7 @@ from argon_atoms import REPOSITORY, define, entry_points
 from ase.calculators.calculator import get_calculator_class
 from h5md_runs import simulation
 from references import liquid
+from scenes import LJ
 from wrong_calls import assert_answered
 
 import minimd as md
@@ -85,6 +86,7 @@ print(*[(p.name, p.implementation.__name__) for p in plugins if p.package == 'mi
 """
 
 
+@pytest.mark.slow
 def test_ase_finds_format_and_calculator_by_the_entry_points(tmp_path, monkeypatch):
     """The format without loading minimd: everybody who imports ase.io would wait for it."""
     place = tmp_path / "site" / "minimd-0.dist-info"  # installed as far as entry points go
@@ -103,7 +105,6 @@ def test_ase_finds_format_and_calculator_by_the_entry_points(tmp_path, monkeypat
     assert get_calculator_class("minimd") is minimd.ase.Calculator
 
 
-LJ = md.LennardJones(1.0, 1.0, 1.85, "switched")
 TWO_ATOMS = "of two types\n\n2 atoms\n2 atom types\n\n0 9 xlo xhi\n0 9 ylo yhi\n0 9 zlo zhi\n\nMasses\n\n1 {}\n2 {}\n"
 TWO_ATOMS += "\nAtoms # atomic\n\n1 1 1.0 1.0 1.0\n2 2 4.0 1.0 1.0\n"
 

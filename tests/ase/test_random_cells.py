@@ -92,7 +92,7 @@ def assert_list_of_ase(atoms, cutoff):
     assert np.abs(found - expected).max(initial=0.0) <= 1e-13 * (np.abs(atoms.positions).max() + far)  # rounding
 
 
-@pytest.mark.parametrize("n", [50, pytest.param(220, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n", [15, pytest.param(220, marks=pytest.mark.slow)])
 def test_laws_and_neighbor_list_are_those_of_ase(n):
 
     @settings(max_examples=n)

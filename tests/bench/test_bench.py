@@ -200,6 +200,7 @@ def test_command_prints_and_writes_the_table_and_other_scenes_run(short, capsys,
         assert (row.speeds > 0.0).all()
 
 
+@pytest.mark.slow
 def test_every_ingredient_runs_and_partners_are_apart(short):
     costs = ingredients.run_ingredients(4, 1).costs
     assert len(costs) == 15

@@ -17,7 +17,7 @@ SCRIPTS, LESSONS = sorted(EXAMPLES.glob("*.py")), sorted(COURSE.glob("*.py"))
 LENGTHS = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 5, "rounds": 2, "every": 10}
 SHORTER = LENGTHS | {"duration": 200, "end": 2.0, "t_end": 3.0}
 IN_FULL = ("own_law", "rigid_ring", "equation_of_state")  # by tests of their own
-QUICK = ("kepler", "rigid_nitrogen", "bead_chain", "1_phase_plane")  # the gallery of the site runs the others, too
+QUICK = ("kepler", "rigid_nitrogen", "1_phase_plane")  # the gallery of the site runs the others, too
 
 pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
 

@@ -38,7 +38,7 @@ SHORTER = {
     **dict.fromkeys(["run(10_000, every=50", "run(4000, every=20", "run(2000, every=10"], "run(200, every=10"),
     "run(2000, every=20": "run(200, every=20", "run(500)": "run(100)", "run_back(500)": "run_back(100)",
     "[10, 10, 10]": "[5, 5, 5]", '"melt", 1000, processes=2': '"melt", 40, processes=1',
-    "probe_reversibility(200)": "probe_reversibility(50)",
+    ".repeat(6)": ".repeat(4)", "probe_reversibility(200)": "probe_reversibility(50)",
 }
 LONG = ("fixed-point.md", "lists.md", "timestep.md", "observers.md", "pressure.md", "forces.md", "own-laws.md",
         "view.md", "grade.md", "small-systems.md")  # many kernels, or long runs

@@ -69,15 +69,6 @@ def test_any_frames_of_an_h5md_file_are_read_and_atoms_are_bonded(written, known
     assert np.array_equal(md.System.from_ase(frames[0]).bonds, system.bonds)
 
 
-def test_angles_of_a_run_come_back_through_ase(tmp_path, known):
-    bonds, angles = [[0, 1], [1, 2], [3, 1]], [[0, 1, 2], [2, 1, 3]]
-    system = md.System(2.0 * np.eye(4, 3), masses=1.0, bonds=bonds, angles=angles, units=md.units.ASE)
-    md.Simulation(system, md.HarmonicBond(1.0, 2.0), md.VelocityVerlet(0.1)).run(0, trajectory=tmp_path / "a.h5md")
-    read = md.System.from_ase(ase.io.read(tmp_path / "a.h5md"))
-    assert read.bonds.tolist() == system.bonds.tolist()
-    assert read.angles.tolist() == system.angles.tolist()
-
-
 ANSWER = """
 import sys, ase.io.formats as f
 print('minimd-h5md' in f.ioformats, f.filetype('run.h5md', read=False), 'minimd' in sys.modules)

@@ -166,20 +166,6 @@ def test_the_energy_that_bussi_has_transferred_is_what_the_atoms_have_more():
     assert kept == pytest.approx([before] * len(kept), abs=2e-4)  # truncation
 
 
-def test_a_chain_is_reversible_and_keeps_its_energy():
-    chain, twice_kinetic, given = Chain(0.03, 12, 0.5, 3, 2), 0.5, 0.0
-    for sign in (1, -1):
-        for _ in range(40):
-            factor = chain.advance(twice_kinetic, sign * 0.05)
-            given += 0.5 * twice_kinetic * (factor**2 - 1.0)
-            twice_kinetic *= factor**2
-        if sign == 1:
-            assert chain.energy == pytest.approx(-given, abs=1e-5)  # truncation
-            assert abs(given) > 0.01
-    assert twice_kinetic == pytest.approx(0.5, rel=1e-10)
-    assert chain.eta == pytest.approx([0.0] * 3, abs=1e-10)
-
-
 def test_a_chain_goes_back_with_a_block_that_is_made_again():
     chain = Chain(0.03, 12, 0.5, 3, 1)
     states = {}

@@ -8,13 +8,13 @@ import re
 import subprocess
 import sys
 import tomllib
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
-from ase.io.formats import define_external_io_format, ioformats
+from argon_atoms import define
+from structure.test_structure_files import write_data, write_pdb, write_psf
 
 import minimd as md
 from minimd.ase import system_from_file
@@ -172,29 +172,9 @@ def test_pages_quote_the_loop_and_numbers_of_atoms_as_they_stand_and_the_readme_
 @pytest.fixture
 def melt(here):
     """Four chains of five beads as LAMMPS data, PDB with CONECT and PSF."""
-    chains = np.arange(20).reshape(4, 5) + 1
-    groups = {n: [chain[k : k + n] for chain in chains for k in range(6 - n)] for n in (2, 3)}
-    places = [(0.5 + i % 5, 0.25 + 1.5 * (i // 5), 0.125 * (i % 2)) for i in range(20)]
-
-    def rows(n, head=""):
-        return [f"{head.format(k)}{' '.join(map(str, group))}" for k, group in enumerate(groups[n], 1)]
-
-    data = ["melt", "", "20 atoms", "16 bonds", "12 angles", "1 atom types", "1 bond types", "1 angle types", ""]
-    data += [f"0 6 {x}lo {x}hi" for x in "xyz"] + ["", "Masses", "", "1 12.011", "", "Atoms # molecular", ""]
-    data += [f"{i} {(i - 1) // 5 + 1} 1 {x} {y} {z}" for i, (x, y, z) in enumerate(places, 1)]
-    data += ["", "Bonds", "", *rows(2, "{} 1 "), "", "Angles", "", *rows(3, "{} 1 ")]
-    pdb = [f"CRYST1{6.0:9.3f}{6.0:9.3f}{6.0:9.3f}  90.00  90.00  90.00 P 1           1"]
-    for i, (x, y, z) in enumerate(places, 1):
-        where = f"{x:8.3f}{y:8.3f}{z:8.3f}"
-        pdb.append(f"ATOM  {i:5d}  C   BEA A{(i - 1) // 5 + 1:4d}    {where}  1.00  0.00           C  ")
-    pdb += [f"CONECT{a:5d}{b:5d}" for pair in groups[2] for a, b in (pair, pair[::-1])] + ["END"]
-    psf = ["PSF", "", "       1 !NTITLE", " REMARKS melt", "", f"{20:8d} !NATOM"]
-    psf += [f"{i:8d} MELT {(i - 1) // 5 + 1:<4d} BEA  C    CT   {0:10.6f}  {12.011:12.4f}  0" for i in range(1, 21)]
-    for n, per_line, name in ((2, 4, "NBOND: bonds"), (3, 3, "NTHETA: angles")):
-        numbers = "".join(f"{i:8d}" for group in groups[n] for i in group)
-        psf += ["", f"{len(groups[n]):8d} !{name}", *re.findall(rf".{{1,{8 * n * per_line}}}", numbers)]
-    for suffix, lines in (("data", data), ("pdb", pdb), ("psf", psf)):
-        (here / f"melt.{suffix}").write_text("\n".join([*lines, ""]))
+    write_data(here / "melt.data")
+    write_pdb(here / "melt.pdb", True)
+    write_psf(here / "melt.psf")
     return here
 
 
@@ -206,8 +186,7 @@ def run_melt(system, n_steps):
 @pytest.mark.slow
 def test_scripts_of_the_page_on_formats_run(melt, capsys):
     """In one process, on the file of a run of the melt."""
-    if "minimd-h5md" not in ioformats:  # minimd is not installed with its entry points
-        define_external_io_format(EntryPoint("minimd-h5md", "minimd_plugin:h5md", "ase.ioformats"))
+    define()
     run_melt(system_from_file("melt.pdb"), 20)
     names, scripts = {}, blocks(DOCS / "formats.md")
     for script in scripts:

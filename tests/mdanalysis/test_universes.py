@@ -10,12 +10,11 @@ from h5md_runs import PER_PICOSECOND, opened, simulation
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.analysis.check import liquid, recompute
+from minimd.analysis.check import liquid
 from minimd.files.claim import Claim
 from minimd.files.h5md_digest import digest_of_block, sign
 from minimd.files.h5md_reader import damage
 from minimd.files.h5md_writer import H5MDWriter
-from minimd.files.turned_cell import as_in_run
 from minimd.mdanalysis import Frames, diffusion_coefficient, mean_square_displacement, radial_distribution, universe
 
 LJ, ASE = md.units.LJ, md.units.ASE
@@ -172,7 +171,7 @@ def test_radial_distribution_equals_counting_all_images(path, monkeypatch, dista
         positions[::2] = positions[1::2] + rng.normal(0.0, 0.6, (n_atoms // 2, 3))  # so that g(r) is not flat
     monkeypatch.setattr("minimd.mdanalysis.universes.RDF_DISTANCES", distances)
     made = md.System(frames[0], masses=1.0, cell=SKEWED @ TURNED, units=ASE)
-    r, g = radial_distribution(written(path, made, frames), n_bins)
+    r, g = radial_distribution(universe(written(path, made, frames)), n_bins)
     edges = np.linspace(1 / n_bins, 1.0, n_bins) * md.Cell.of(TURNED).heights.min() / 2
     images, counts = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), -1).reshape(-1, 3) @ TURNED, 0
     for positions in frames:  # from every so manieth atom to all images of all atoms
@@ -190,7 +189,8 @@ def test_radial_distribution_equals_counting_all_images(path, monkeypatch, dista
 def test_diffusion_of_a_random_walk_is_that_of_its_steps(path, units):
     rng, n_atoms, n_frames, step = np.random.default_rng(6), 500, 50, 0.3
     walk = np.cumsum(rng.normal(0.0, step, (n_frames, n_atoms, 3)), axis=0)
-    found = diffusion_coefficient(written(path, md.System(walk[0], masses=1.0, cell=9.0, units=units), walk))
+    walking = universe(written(path, md.System(walk[0], masses=1.0, cell=9.0, units=units), walk))
+    found = diffusion_coefficient(walking)
     frame_time = 0.5 / (PER_PICOSECOND if units is ASE else 1.0)
     expected = pytest.approx(step**2 / 2.0 / frame_time, rel=0.05)  # <x²> = step² a frame = 2 D t; four standard errors
     assert found.coefficient == expected
@@ -225,16 +225,3 @@ def test_diffusing_liquid_is_told_with_its_peak_and_coefficient(path, tmp_path):
     assert second.startswith("diffusion      D = 0.0")  # D = 0.1² / (2 · 0.5)
     (line,) = liquid(written(tmp_path / "still.h5md", md.System(SITES, cell=5.0), SITES + 0.1 * noise))
     assert float(line.split()[-2]) == pytest.approx(1.0, abs=0.03)  # σ, next neighbors of the crystal
-
-
-@pytest.mark.slow
-def test_analyses_of_one_universe_are_those_of_its_file(path):
-    """In any order, and the universe stays open for more."""
-    frames = np.random.default_rng(4).uniform(0.0, 9.0, (5, 24, 3))
-    made = universe(written(path, md.System(frames[0], cell=SKEWED @ TURNED), frames))
-    for analysis in (mean_square_displacement, radial_distribution, mean_square_displacement):
-        for found, expected in zip(analysis(made), analysis(path), strict=True):
-            np.testing.assert_array_equal(found, expected)
-    assert recompute(made).step.tolist() == list(range(5))
-    assert diffusion_coefficient(made, (0.0, 9.0)).coefficient == diffusion_coefficient(path, (0.0, 9.0)).coefficient
-    np.testing.assert_allclose(as_in_run(made.trajectory[3], made.trajectory[3].positions), frames[3], atol=2e-6)

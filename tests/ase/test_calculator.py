@@ -28,24 +28,6 @@ def test_units_are_those_of_ase():
     assert 1e-3 * a.kg / (1e-2 * a.m) ** 3 == pytest.approx(our.GRAM_PER_CM3, rel=1e-15)
 
 
-def test_atoms_survive_the_round_trip():
-    rng = np.random.default_rng(3)
-    cell = rng.standard_normal((3, 3)) * 9
-    atoms = Atoms("ArKrXeH2", rng.uniform(-50, 50, (5, 3)), cell=cell, pbc=(True, False, True))
-    atoms.set_masses([39.9, 83.8, 131.3, 1.0, 2.0])
-    atoms.set_momenta(rng.standard_normal((5, 3)))
-    system = md.System.from_ase(atoms)
-    back = system.to_ase()
-    assert system.units is md.units.ASE
-    assert system.species.tolist() == ["Ar", "Kr", "Xe", "H", "H"]
-    assert same(system.velocities, atoms.get_velocities(), 1e-15)
-    assert same(back.get_momenta(), atoms.get_momenta(), 1e-15)
-    assert np.array_equal(system.positions, atoms.positions)
-    for name in ("positions", "numbers", "pbc", "cell"):
-        assert np.array_equal(getattr(back, name), getattr(atoms, name)), name
-    assert np.array_equal(back.get_masses(), atoms.get_masses())
-
-
 @pytest.mark.parametrize("species", [["A", "Ar", "A"], [7, 8, 7]])
 def test_labels_that_are_no_elements_come_back_and_another_one_gives_another_energy(species):
     places = np.outer([0.0, 1.1, 5.0], [1, 0, 0])

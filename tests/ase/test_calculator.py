@@ -168,7 +168,8 @@ def held(*constraints):
 
 
 def langevin(atoms=None, rng=1, **options):
-    return ours.Langevin(atoms or held(), TIMESTEP, **{"temperature_K": 90.0, "friction": 0.01, "rng": rng} | options)
+    calm = with_calculator(atoms or argon(1), Calculator(lennard_jones()))
+    return ours.Langevin(calm, TIMESTEP, **{"temperature_K": 90.0, "friction": 0.01, "rng": rng} | options)
 
 
 NOT_YET = (NotImplementedError, "externalstress", "-0.01")

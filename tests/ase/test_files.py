@@ -100,12 +100,14 @@ TWO_ATOMS = "of two types\n\n2 atoms\n2 atom types\n\n0 9 xlo xhi\n0 9 ylo yhi\n
 TWO_ATOMS += "\nAtoms # atomic\n\n1 1 1.0 1.0 1.0\n2 2 4.0 1.0 1.0\n"
 
 
-def test_types_of_lammps_data_are_elements_only_with_their_masses(tmp_path):
+def test_types_of_lammps_data_are_elements_only_with_their_masses_and_unknown_symbols_are_told(tmp_path):
     known = {(12.0, 16.0): ["C", "O"], (15.9994, 1.008): ["O", "H"]}
     known |= {masses: ["1", "2"] for masses in [(14.027, 15.035), (14.0, 13.0), (100.0, 120.0)]}
     for masses, species in known.items():
         (tmp_path / "a.data").write_text(TWO_ATOMS.format(*masses))
         assert system_from_file(tmp_path / "a.data").species.tolist() == species
+    (tmp_path / "ab.xyz").write_text("2\n\nA 0 0 0\nB 1 0 0\n")
+    assert_answered(lambda: system_from_file(tmp_path / "ab.xyz"), ValueError, "chemical symbol", "'A'")
 
 
 @pytest.mark.parametrize("suffix", ["h5md", "traj", "xyz"])
@@ -139,8 +141,3 @@ def test_files_of_reduced_runs_keep_species_masses_and_velocities(tmp_path, suff
     if suffix == "h5md":
         assert system_from_file(file).units is md.units.LJ
         assert_answered(lambda: system_from_file(file, units=md.units.ASE), ValueError, "units", "'LJ'")
-
-
-def test_labels_that_ase_does_not_know_are_told(tmp_path):
-    (tmp_path / "ab.xyz").write_text("2\n\nA 0 0 0\nB 1 0 0\n")
-    assert_answered(lambda: system_from_file(tmp_path / "ab.xyz"), ValueError, "chemical symbol", "'A'")

@@ -73,8 +73,7 @@ def test_the_kinetic_energy_of_all_degrees_of_freedom_is_canonical(name, options
 def test_fixcm_leaves_the_center_alone_and_gives_ases_thermometer_the_temperature():
     atoms = gas(4)
     momentum = atoms.get_momenta().sum(axis=0)
-    # its share of the thermometer [K]
-    of_center = momentum @ momentum / (2.0 * atoms.get_masses().sum()) / (6.0 * ase.units.kB)
+    of_center = momentum @ momentum / (12.0 * atoms.get_masses().sum() * ase.units.kB)  # on the thermometer [K]
     sample = temperatures(made("Langevin", atoms, fixcm=True), 300) - of_center
     assert same(atoms.get_momenta().sum(axis=0), momentum, 1e-10)
     error = 4.0 * 1.3 * KELVIN * np.sqrt(2.0 / 9.0 / len(sample))  # 9 degrees, 12 on the thermometer

@@ -65,11 +65,6 @@ def test_script_runs(path, run):
     assert not [bad for bad in ("nan", "THE TOTAL") if bad in told]  # the verdict of a report that is not content
 
 
-def test_examples_are_short():
-    for path in SCRIPTS:
-        assert len(path.read_text().splitlines()) <= (40 if path.stem == "equation_of_state" else 60), path
-
-
 @pytest.mark.slow
 def test_a_ring_that_runs_along_itself_keeps_its_shape(run):
     told = run((EXAMPLES / "rigid_ring.py").read_text())

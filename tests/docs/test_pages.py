@@ -157,7 +157,7 @@ def test_every_public_name_is_in_the_reference():
             assert is_known or name.startswith("_") or isinstance(item, ModuleType), f"{module.__name__}.{name}"
 
 
-def test_pages_quote_the_loop_and_numbers_of_atoms_as_they_stand_and_the_readme_is_short():
+def test_pages_quote_the_loop_and_numbers_of_atoms_as_they_stand_and_readme_and_examples_are_short():
     lines = {line.strip() for line in text_of(REPOSITORY / "minimd" / "forces" / "cluster_loop.py").splitlines()}
     lists, fast, readme = text_of(DOCS / "lists.md"), text_of(DOCS / "fast-forces.md"), text_of(README)
     assert [line for line in blocks(DOCS / "fast-forces.md")[0].splitlines() if line not in lines] == []
@@ -166,6 +166,7 @@ def test_pages_quote_the_loop_and_numbers_of_atoms_as_they_stand_and_the_readme_
     assert f"A domain has at least {ATOMS_PER_DOMAIN} atoms" in fast
     assert f"- {CLUSTERS_FROM} atoms or more" in fast
     assert readme.count("\n") <= 120  # read in five minutes
+    assert max(text_of(path).count("\n") for path in (REPOSITORY / "examples").glob("*.py")) <= 60
     assert "@" not in readme.replace("@dataclass", "")  # no blanks that were left to fill in
 
 

@@ -4,7 +4,7 @@ from math import exp, sqrt
 
 import numpy as np
 import scenes
-from references import fourmol, liquid, load
+from references import liquid
 from scenes import LJ
 
 import minimd as md
@@ -53,8 +53,6 @@ def morse(r2, depth, alpha, r0):
 
 KOB_ANDERSEN = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}  # cutoffs
 KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=KOB_ANDERSEN, pairs={("A", "B"): (1.5, 0.8)})
-TWO_MORSE = {"A": (1.0, 5.0, 1.1), "B": (0.7, 4.0, 1.0)}
-TWO_MORSE = md.PairPotential(morse, TWO_MORSE, CUTOFF, pairs={("A", "B"): (1.2, 5.0, 1.0)})
 
 
 CHAINS = np.arange(108).reshape(-1, 4)  # atoms of neighboring numbers, which are neighbors in a fresh crystal
@@ -88,21 +86,6 @@ def two_laws():
     third = md.PairPotential(buckingham, (3e4, 0.08, 0.0), 2.0, bonded_scale=(0.0, 0.0, 1.0))
     bonds = md.BondPotential(morse, (10.0, 3.0, 1.1))
     return scene(chain_system(), [scaled(0.0, 1.0, 1.0), second, third, bonds])
-
-
-def springs_at_rest():
-    positions = [[0.1, 0.2, 0.3], [0.7, 0.8, 1.0], [2.0, 2.0, 2.0], [3.0, 3.0, 3.5]]
-    lengths = [np.sqrt(0.36 + 0.36 + 0.49), 1.5]
-    return scene(md.System(positions, cell=SKEWED * 9.0, bonds=[[0, 1], [2, 3]]), md.HarmonicBond(300.0, lengths))
-
-
-def solute():
-    rows = [line.split() for line in load("lammps_fourmol/mol-pair-lj_cut.json")["pair_coeff"]]
-    pairs = {(int(a), int(b)): (float(epsilon), float(sigma)) for a, b, epsilon, sigma, *_ in rows}
-    own = {a: pairs.pop((a, b)) for a, b in list(pairs) if a == b}
-    scale = (0.10, 0.25, 0.50)
-    law = md.LennardJones(own, cutoff=8.0, truncation="truncated", pairs=pairs, mixing="geometric", bonded_scale=scale)
-    return scene(fourmol()[0], [law, md.HarmonicBond(300.0, 1.2)])
 
 
 def water():
@@ -171,7 +154,6 @@ SCENES = {
     **{one: lambda one=one: scene(fluid(), md.LennardJones(1.0, 1.0, CUTOFF, one)) for one in CUT},
     "Kob-Andersen mixture": lambda: scene(fluid(species=TWO_KINDS), KOB_ANDERSEN),
     "own law": lambda: scene(fluid(), md.PairPotential(buckingham, (3e5, 0.08, 2.0), CUTOFF, "force-shifted")),
-    "own law of species": lambda: scene(fluid(species=TWO_KINDS), TWO_MORSE),
     "water": water,
     "chains": chains,
     "torsions": torsions,
@@ -187,7 +169,5 @@ SCENES = {
     "tail": with_a_tail,
     "sheet": lambda: scene(md.System(PLANE, cell=np.diag([10.0, 10.0, 0.0]))),
     "far away": lambda: scene(far_away()),
-    "springs at rest": springs_at_rest,
-    "solute": solute,
     **AT_REST,
 }

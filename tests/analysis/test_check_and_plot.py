@@ -3,7 +3,7 @@
 import h5py
 import numpy as np
 import pytest
-from h5md_runs import PER_PICOSECOND
+from h5md_runs import N_ATOMS, PER_PICOSECOND, simulation
 
 import minimd as md
 from minimd.analysis.check import check_file
@@ -11,52 +11,36 @@ from minimd.analysis.plot import plot_file
 from minimd.engine import record_picture
 
 LJ, ASE = md.units.LJ, md.units.ASE
-BULK, SLAB, CLUSTER = (True, True, True), (True, True, False), (False, False, False)
-
-
-def simulation(units=LJ, pbc=BULK):
-    """A small warm crystal."""
-    sites = 1.1 * np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), -1).reshape(-1, 3)
-    reduced, argon = (1.0, 1.0, 1.0, 0.002, 0.6), (3.4, 0.0104, 39.948, 0.2, 70.0)
-    sigma, epsilon, mass, timestep, temperature = reduced if units is LJ else argon
-    cell = 4.4 * sigma if any(pbc) else None
-    system = md.System(sigma * sites, masses=mass, cell=cell, pbc=pbc, species=["Ar"] * 64, units=units)
-    law = md.LennardJones(epsilon, sigma, 2.0 * sigma, truncation="force-shifted")
-    made = md.Simulation(system, law, md.VelocityVerlet(timestep))
-    made.set_temperature(temperature, seed=8)
-    return made
 
 
 @pytest.fixture(scope="module")
 def run_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("run") / "a.h5md"
-    simulation().run(400, every=20, trajectory=path)
+    simulation().run(100, every=10, trajectory=path)
     return path
 
 
-@pytest.mark.parametrize(("units", "pbc"), [(LJ, BULK), (ASE, SLAB), (ASE, CLUSTER)])
-def test_good_run_passes_with_figures_and_tolerances_and_its_picture_shows_it(tmp_path, monkeypatch, units, pbc):
-    class Drawn(record_picture.Picture):
-        """A figure that can be looked at afterwards."""
+SLAB, OPEN = (pytest.param(ASE, cell, marks=pytest.mark.slow) for cell in ("slab", "open"))
 
-        def __init__(self, *arguments, **keywords):
-            super().__init__(*arguments, **keywords)
-            drawn.append(self)
 
-    drawn, path = [], tmp_path / "a.h5md"
-    record = simulation(units, pbc).run(200, every=10, trajectory=path)
+@pytest.mark.parametrize(("units", "cell"), [(LJ, "cubic"), SLAB, OPEN])
+def test_good_run_passes_with_figures_and_tolerances_and_its_picture_shows_it(tmp_path, monkeypatch, units, cell):
+    drawn, path, picture = [], tmp_path / "a.h5md", record_picture.Picture
+    record = simulation(cell, units).run(200, every=10, trajectory=path)
     found = check_file(path)
     assert found.passed, str(found)
     for words in ("21 frames", "steps 0 to 200", "tolerance 6e-08", "tolerance 1e-06", "check          passed"):
         assert words in str(found)
-    assert ("ang. momentum" in str(found)) == (not any(pbc))
+    assert ("ang. momentum" in str(found)) == (cell == "open")
     assert 0.0 < found.comparisons[0].figure < 1e-6
-    monkeypatch.setattr(record_picture, "Picture", Drawn)
+    monkeypatch.setattr(
+        record_picture, "Picture", lambda *given, **more: drawn.append(picture(*given, **more)) or drawn[0]
+    )
     assert plot_file(path) == tmp_path / "a.png"
     assert (tmp_path / "a.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     panels, length, time = drawn[0].axes, *(("σ", "τ") if units is LJ else ("Å", "ps"))
     displacement = (f"lag  [{time}]", f"⟨|r(t) − r(0)|²⟩  [{length}²]")
-    fourth = (f"r  [{length}]", "g(r)") if all(pbc) else displacement
+    fourth = (f"r  [{length}]", "g(r)") if cell == "cubic" else displacement
     assert [panel.get_xlabel() for panel in panels] == [f"time  [{time}]"] * 3 + [fourth[0]]
     assert panels[3].get_ylabel() == fourth[1]
     times, temperature = panels[1].lines[0].get_data()
@@ -65,7 +49,7 @@ def test_good_run_passes_with_figures_and_tolerances_and_its_picture_shows_it(tm
     change, shape = panels[0].lines[0].get_ydata(), record.total_energy - record.total_energy[0]
     np.testing.assert_allclose(change / change[7], shape / shape[7], rtol=1e-9)
     power = panels[0].get_ylabel().partition("10^{")[2].partition("}")[0]
-    np.testing.assert_allclose(change * 10.0 ** int(power or 0), shape / 64, rtol=1e-12)
+    np.testing.assert_allclose(change * 10.0 ** int(power or 0), shape / N_ATOMS, rtol=1e-12)
     assert units.energy in panels[0].get_ylabel()
 
 
@@ -74,56 +58,50 @@ def scale(name, factor):
 
 
 def push(h5):
-    h5["observables/momentum/value"][17] += [0.0, 2e-7 * h5["observables/absolute_momentum/value"][17], 0.0]
+    h5["observables/momentum/value"][7] += [0.0, 2e-7 * h5["observables/absolute_momentum/value"][7], 0.0]
 
 
 def drift(h5):
     potential, kinetic, total = (h5[f"observables/{name}_energy/value"] for name in ("potential", "kinetic", "total"))
-    potential[...] += np.linspace(0.0, 20.0, 21)
+    potential[...] += np.linspace(0.0, 20.0, 11)
     total[...] = potential[...] + kinetic[...]
 
 
-VALUES, STEPS = "observables/{}/value", "particles/trajectory/position/step"
+def several(h5):
+    scale("particles/trajectory/velocity/value", 1 + 3e-6)(h5)
+    scale(VALUES.format("total_energy"), 1 + 1e-15)(h5)
+    h5["particles/trajectory/position/step"][5] = 1  # a step back
+
+
+VALUES = "observables/{}/value"
 SPOILED = {  # what is done to a file, what fails, and what is said
-    "K": (scale(VALUES.format("kinetic_energy"), 1 + 3e-6), {"kinetic energy"}, "FAILED"),
-    "Σ|mv|": (scale(VALUES.format("absolute_momentum"), 1 + 3e-7), {"Σ|mv|"}, "FAILED"),
-    "E": (scale(VALUES.format("total_energy"), 1 + 1e-15), {"total energy"}, "FAILED"),
-    "v": (scale("particles/trajectory/velocity/value", 1 + 3e-6), {"kinetic energy"}, "FAILED"),
-    "momentum of one frame": (push, {"momentum", "checksums"}, "frames 1 to 20"),  # of one block, with one sum
+    "v, E and a step": (several, {"kinetic energy", "Σ|mv|", "total energy", "steps"}, "FAILED"),
+    "momentum of one frame": (push, {"momentum", "checksums"}, "frames 1 to 10"),  # of one block, with one sum
     "NaN": (lambda h5: h5[VALUES.format("kinetic_energy")].__setitem__(3, np.nan), {"kinetic energy"}, "FAILED"),
-    "a step back": (lambda h5: h5[STEPS].__setitem__(5, 1), {"steps"}, "FAILED"),
     "drift": (drift, {"checksums"}, "DRIFTS"),
 }
 
 
-@pytest.mark.parametrize("what", [*SPOILED, "masses"])
+@pytest.mark.parametrize("what", SPOILED)
 def test_falsified_file_fails_by_name(what, run_file, tmp_path):
-    mass, path = "particles/trajectory/mass", tmp_path / "spoiled.h5md"
-    change, names, shown = SPOILED.get(what) or (scale(mass, 1.000003), None, "is damaged: its description is not")
+    path, (change, names, shown) = tmp_path / "spoiled.h5md", SPOILED[what]
     path.write_bytes(run_file.read_bytes())
     with h5py.File(path, "r+") as h5:
         change(h5)
-    if what == "masses":
-        with pytest.raises(OSError, match=shown):
-            check_file(path)
-        return
     found = check_file(path)
     failed = {one.name for one in found.comparisons if not one.passed}
     assert (not found.passed, shown in str(found), names <= failed) == (True, True, True), str(found)
     assert shown == "FAILED" or failed == names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_frames", [1, 2, 3])
 def test_picture_of_few_frames_and_of_atoms_at_rest_goes_where_it_is_told(tmp_path, n_frames):
-    sim, file = simulation(pbc=CLUSTER), tmp_path / "a.h5md"
+    sim, file = simulation("open"), tmp_path / "a.h5md"
     sim.velocities[:] = 0.0
     sim.run(5 * n_frames - 5, every=5, trajectory=file)
-    assert plot_file(file).stat().st_size > 10_000
     assert plot_file(file, tmp_path / "b.pdf").read_bytes()[:4] == b"%PDF"
-    assert check_file(file).passed is False
     assert f"NOT PASSED: {n_frames} frame" in str(check_file(file))
-    with pytest.raises(OSError, match="nowhere"):
-        plot_file(file, tmp_path / "nowhere" / "b.png")
 
 
 def test_check_knows_a_bond_longer_than_half_the_cell(tmp_path):

@@ -7,7 +7,6 @@ test_langevin_switching is of ASE's subclass of its own Langevin; test_thermosta
 are of ASE's own classes and run along.
 """
 
-import importlib.util
 import os
 import re
 import subprocess
@@ -21,7 +20,6 @@ MD = (
     *("langevinbaoab", "idealgas", "position_distribution", "nose_hoover_chain", "fixrotation"),
 )
 MODULES = [*(f"md.test_{name}" for name in MD), "forcefields.test_rattle", "forcefields.test_rattle_linear"]
-WITH_ASAP = ["md.test_nvt_npt", "md.test_verlet_thermostats_asap", "md.test_CO2linear_Au111_langevin"]
 NOT_OURS = "mtk or barostat or npt_ or masked or isotropic or nptberendsen or melchionna or BAOAB_N or BAOAB_seed"
 KEPT = f"not ({NOT_OURS}) or NVT or nvt or default"
 
@@ -47,9 +45,3 @@ def assert_all_passed(output, at_least):
 @pytest.mark.parametrize("calculator", ["", "1"], ids=["EMT", "ours"])
 def test_ases_own_tests_pass_with_our_classes(calculator, tmp_path):
     assert_all_passed(run_ases_tests(MODULES, calculator, tmp_path), 33)  # 36 with asap3
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(importlib.util.find_spec("asap3") is None, reason="asap3 is not installed")
-def test_ases_long_tests_with_asap_pass_with_our_classes(tmp_path):
-    assert_all_passed(run_ases_tests(WITH_ASAP, "", tmp_path), 6)

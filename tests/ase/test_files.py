@@ -10,6 +10,7 @@ from argon_atoms import REPOSITORY, define, entry_points
 from ase.calculators.calculator import get_calculator_class
 from h5md_runs import simulation
 from references import liquid
+from scenes import LJ
 from wrong_calls import assert_answered
 
 import minimd as md
@@ -68,15 +69,6 @@ def test_any_frames_of_an_h5md_file_are_read_and_atoms_are_bonded(written, known
     assert np.array_equal(md.System.from_ase(frames[0]).bonds, system.bonds)
 
 
-def test_angles_of_a_run_come_back_through_ase(tmp_path, known):
-    bonds, angles = [[0, 1], [1, 2], [3, 1]], [[0, 1, 2], [2, 1, 3]]
-    system = md.System(2.0 * np.eye(4, 3), masses=1.0, bonds=bonds, angles=angles, units=md.units.ASE)
-    md.Simulation(system, md.HarmonicBond(1.0, 2.0), md.VelocityVerlet(0.1)).run(0, trajectory=tmp_path / "a.h5md")
-    read = md.System.from_ase(ase.io.read(tmp_path / "a.h5md"))
-    assert read.bonds.tolist() == system.bonds.tolist()
-    assert read.angles.tolist() == system.angles.tolist()
-
-
 ANSWER = """
 import sys, ase.io.formats as f
 print('minimd-h5md' in f.ioformats, f.filetype('run.h5md', read=False), 'minimd' in sys.modules)
@@ -85,6 +77,7 @@ print(*[(p.name, p.implementation.__name__) for p in plugins if p.package == 'mi
 """
 
 
+@pytest.mark.slow
 def test_ase_finds_format_and_calculator_by_the_entry_points(tmp_path, monkeypatch):
     """The format without loading minimd: everybody who imports ase.io would wait for it."""
     place = tmp_path / "site" / "minimd-0.dist-info"  # installed as far as entry points go
@@ -103,17 +96,18 @@ def test_ase_finds_format_and_calculator_by_the_entry_points(tmp_path, monkeypat
     assert get_calculator_class("minimd") is minimd.ase.Calculator
 
 
-LJ = md.LennardJones(1.0, 1.0, 1.85, "switched")
 TWO_ATOMS = "of two types\n\n2 atoms\n2 atom types\n\n0 9 xlo xhi\n0 9 ylo yhi\n0 9 zlo zhi\n\nMasses\n\n1 {}\n2 {}\n"
 TWO_ATOMS += "\nAtoms # atomic\n\n1 1 1.0 1.0 1.0\n2 2 4.0 1.0 1.0\n"
 
 
-def test_types_of_lammps_data_are_elements_only_with_their_masses(tmp_path):
+def test_types_of_lammps_data_are_elements_only_with_their_masses_and_unknown_symbols_are_told(tmp_path):
     known = {(12.0, 16.0): ["C", "O"], (15.9994, 1.008): ["O", "H"]}
     known |= {masses: ["1", "2"] for masses in [(14.027, 15.035), (14.0, 13.0), (100.0, 120.0)]}
     for masses, species in known.items():
         (tmp_path / "a.data").write_text(TWO_ATOMS.format(*masses))
         assert system_from_file(tmp_path / "a.data").species.tolist() == species
+    (tmp_path / "ab.xyz").write_text("2\n\nA 0 0 0\nB 1 0 0\n")
+    assert_answered(lambda: system_from_file(tmp_path / "ab.xyz"), ValueError, "chemical symbol", "'A'")
 
 
 @pytest.mark.parametrize("suffix", ["h5md", "traj", "xyz"])
@@ -147,8 +141,3 @@ def test_files_of_reduced_runs_keep_species_masses_and_velocities(tmp_path, suff
     if suffix == "h5md":
         assert system_from_file(file).units is md.units.LJ
         assert_answered(lambda: system_from_file(file, units=md.units.ASE), ValueError, "units", "'LJ'")
-
-
-def test_labels_that_ase_does_not_know_are_told(tmp_path):
-    (tmp_path / "ab.xyz").write_text("2\n\nA 0 0 0\nB 1 0 0\n")
-    assert_answered(lambda: system_from_file(tmp_path / "ab.xyz"), ValueError, "chemical symbol", "'A'")

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import minimd as md
-from minimd.ase import Calculator, system_from_atoms
+from minimd.ase import Calculator
 
 SIGMA, EPSILON = 3.405, 0.010325
 # rounding: positions up to 30 cells away (1e-14 of the cell), times the slope of the law, of some hundred pairs
@@ -79,28 +79,13 @@ def assert_law_of_ase(atoms, cutoff, truncation, start, **options):
         assert np.abs(calculator.results[name] - expected).max() <= RELATIVE * size[name], name
 
 
-def in_order(i, j, d, vectors, shifts):
-    order = np.lexsort((*shifts.T, j, i))
-    return np.column_stack([i, j, shifts])[order], np.column_stack([d, vectors])[order]
-
-
-def assert_list_of_ase(atoms, cutoff):
-    pairs, found = in_order(*md.neighbor_list("ijdDS", system_from_atoms(atoms), cutoff))
-    expected_pairs, expected = in_order(*ase.neighborlist.neighbor_list("ijdDS", atoms, cutoff))
-    assert pairs.tolist() == expected_pairs.tolist()
-    far = np.abs(pairs[:, 2:] @ atoms.cell.array).max(initial=0.0)
-    assert np.abs(found - expected).max(initial=0.0) <= 1e-13 * (np.abs(atoms.positions).max() + far)  # rounding
-
-
-@pytest.mark.parametrize("n", [50, pytest.param(220, marks=pytest.mark.slow)])
-def test_laws_and_neighbor_list_are_those_of_ase(n):
-
+@pytest.mark.parametrize("n", [15, pytest.param(220, marks=pytest.mark.slow)])
+def test_laws_are_those_of_ase(n):
     @settings(max_examples=n)
     @given(scenes(), st.floats(1.31, 3.0), st.floats(0.4, 0.95))
     def same_as_ase(atoms, cutoff, start):
         cutoff *= SIGMA
         assert_law_of_ase(atoms, cutoff, "shifted", None)
         assert_law_of_ase(atoms, cutoff, "charmm", start * cutoff, smooth=True)
-        assert_list_of_ase(atoms, cutoff)
 
     same_as_ase()

@@ -1,15 +1,19 @@
-"""Examples and lessons run, shortened; what they print stands beside the known value that they name."""
+"""Examples, lessons and the notebook run; what they print stands beside the known value that they name."""
 
+import os
 import re
 import runpy
 import subprocess
 import sys
 from ast import literal_eval
+from inspect import signature
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+
+from minimd import LennardJones
 
 REPOSITORY = Path(__file__).parents[2]
 EXAMPLES, COURSE = REPOSITORY / "examples", REPOSITORY / "course"
@@ -17,15 +21,7 @@ SCRIPTS, LESSONS = sorted(EXAMPLES.glob("*.py")), sorted(COURSE.glob("*.py"))
 LENGTHS = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 5, "rounds": 2, "every": 10}
 SHORTER = LENGTHS | {"duration": 200, "end": 2.0, "t_end": 3.0}
 IN_FULL = ("own_law", "rigid_ring", "equation_of_state")  # by tests of their own
-# fmt: off
-LONG = [  # kernels of their own, small systems, and long; the gallery of the site runs them
-    "precision", "to_the_last_bit", "viscosity", "constant_pressure", "stretched_chain", "own_force", "rigid_chain",
-    "stiff_spring", "henon_heiles", "smooth_cutoff", "coupled_wells", "mechanism", "three_body",
-    "ensemble_checks", "timestep_gain", "work_precision",
-]
-# fmt: on
-FAST = [path for path in SCRIPTS if path.stem not in IN_FULL and path.stem not in LONG] + LESSONS[:1]
-SLOW = [path for path in SCRIPTS if path.stem in LONG] + LESSONS[1:]
+QUICK = ("kepler", "rigid_nitrogen", "1_phase_plane")  # the gallery of the site runs the others, too
 
 pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
 
@@ -56,7 +52,8 @@ def run(tmp_path, monkeypatch, capsys):
     return running
 
 
-EACH = [pytest.param(path, marks=[pytest.mark.slow] * (path in SLOW), id=path.name) for path in FAST + SLOW]
+SHORTENED = [path for path in [*SCRIPTS, LESSONS[0]] if path.stem not in IN_FULL]
+EACH = [pytest.param(one, marks=[pytest.mark.slow] * (one.stem not in QUICK), id=one.name) for one in SHORTENED]
 
 
 @pytest.mark.parametrize("path", EACH)
@@ -68,11 +65,7 @@ def test_script_runs(path, run):
     assert not [bad for bad in ("nan", "THE TOTAL") if bad in told]  # the verdict of a report that is not content
 
 
-def test_examples_are_short():
-    for path in SCRIPTS:
-        assert len(path.read_text().splitlines()) <= (40 if path.stem == "equation_of_state" else 60), path
-
-
+@pytest.mark.slow
 def test_a_ring_that_runs_along_itself_keeps_its_shape(run):
     told = run((EXAMPLES / "rigid_ring.py").read_text())
     running, squeezed = map(float, re.findall(r"off its curve by (\d+\.\d+) b", told))
@@ -81,6 +74,7 @@ def test_a_ring_that_runs_along_itself_keeps_its_shape(run):
     assert Path("rigid_ring.png").stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_own_laws_give_what_their_formulas_say(run):
     told = run((EXAMPLES / "own_law.py").read_text())
     frequency, expected, force, difference = map(float, re.findall(r"-?\d+\.\d{3,}", told))
@@ -108,3 +102,57 @@ def test_lesson_in_full_finds_the_known_values(path, run):
         first, second = map(float, re.search(r"D = (\S+) by Green and Kubo, (\S+) by", told).groups())
         assert first == pytest.approx(second, rel=0.1)
         assert float(re.search(r"η = (\S+)", told)[1]) == pytest.approx(3.25, rel=0.25)
+
+
+# fmt: off
+TITLES = {  # last line of a cell: the title of its table, and a word in it
+    "system": ("System", "108: 108 X"), "system.cell": ("Cell", "volume"), "lj": ("LennardJones", "switch_start"),
+    "sim": ("Simulation", "VelocityVerlet(timestep=0.003)"), "sim.report()": ("Report", "verdict"),
+    "sim.method": ("VelocityVerlet", "order 2, symmetric, symplectic"), "table": ("Tabulated", "truncation"),
+    "md.advise_timestep(system, lj)": ("StepAdvice", "recommended"),
+    "record": ("Record", "21 entries of 108 atoms, step 0 to 200"),
+    "sim.probe_reversibility(10)": ("Reversibility", "reversible to rounding"),
+    "md.evaluate(sim.system, lj)": ("Evaluation", "virial"),
+    "sim.minimize(max_steps=50)": ("Minimization", "largest force"),
+}
+# fmt: on
+
+
+@pytest.fixture(scope="module")
+def cells():
+    """The outputs of each cell of the notebook, run headless, by its last line."""
+    nbformat, nbclient, *_ = map(pytest.importorskip, ("nbformat", "nbclient", "ipykernel", "pandas"))
+    with pytest.MonkeyPatch.context() as patch:
+        path = filter(None, [str(REPOSITORY), os.environ.get("PYTHONPATH")])
+        patch.setenv("PYTHONPATH", os.pathsep.join(path))
+        patch.delenv("MPLBACKEND", raising=False)
+        notebook = nbformat.read(EXAMPLES / "notebook.ipynb", as_version=4)
+        nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
+    return {cell.source.splitlines()[-1]: cell.outputs for cell in notebook.cells if cell.cell_type == "code"}
+
+
+def shown(outputs):
+    (result,) = [one.data for one in outputs if one.output_type == "execute_result"]
+    return result
+
+
+@pytest.mark.slow
+def test_every_result_is_a_table_and_aligned_text(cells):
+    for line, (title, word) in TITLES.items():
+        html, text = (shown(cells[line])[f"text/{kind}"] for kind in ("html", "plain"))
+        assert f">{title}</caption>" in html, line
+        assert html.count("<tr>") == html.count("</tr>") > 0
+        assert word in html, line
+        assert word in text, line
+        assert "object at 0x" not in text
+    assert all(f">{name}</th>" in shown(cells["lj"])["text/html"] for name in signature(LennardJones).parameters)
+
+
+@pytest.mark.slow
+def test_a_run_shows_one_progress_bar_and_a_record_is_a_picture_and_a_data_frame(cells):
+    texts = [one.data["text/plain"] for one in cells["record"] if one.output_type == "display_data"]
+    texts += [one.text for one in cells["record"] if one.output_type == "stream"]
+    (bar,) = [text for text in texts if "running" in text]
+    assert "running: step" not in bar  # the ten lines of a file
+    assert len(shown(cells["record.plot()"])["image/png"]) > 10_000
+    assert all(word in shown(cells["record.to_pandas()"])["text/html"] for word in ("dataframe", "stress_xy"))

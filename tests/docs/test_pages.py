@@ -8,13 +8,13 @@ import re
 import subprocess
 import sys
 import tomllib
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
-from ase.io.formats import define_external_io_format, ioformats
+from argon_atoms import define
+from structure.test_structure_files import write_data, write_pdb, write_psf
 
 import minimd as md
 from minimd.ase import system_from_file
@@ -38,10 +38,11 @@ SHORTER = {
     **dict.fromkeys(["run(10_000, every=50", "run(4000, every=20", "run(2000, every=10"], "run(200, every=10"),
     "run(2000, every=20": "run(200, every=20", "run(500)": "run(100)", "run_back(500)": "run_back(100)",
     "[10, 10, 10]": "[5, 5, 5]", '"melt", 1000, processes=2': '"melt", 40, processes=1',
-    "probe_reversibility(200)": "probe_reversibility(50)",
+    ".repeat(6)": ".repeat(4)", "probe_reversibility(200)": "probe_reversibility(50)",
 }
+LONG = ("fixed-point.md", "lists.md", "timestep.md", "observers.md", "pressure.md", "forces.md", "own-laws.md",
+        "view.md", "grade.md", "small-systems.md")  # many kernels, or long runs
 # fmt: on
-LONG = ("fixed-point.md", "lists.md", "timestep.md", "observers.md", "pressure.md", "forces.md")  # many kernels
 ELSEWHERE = ("formats.md", "ensembles.md", "fast-forces.md", "blow-up.md")  # by tests of their own below
 
 
@@ -96,6 +97,7 @@ def test_scripts_of_the_readme_run_as_they_stand(here, capsys):
         assert capsys.readouterr().out.strip()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:timestep 0.02 τ is long")
 def test_the_blow_up_on_its_page_lives_for_some_time_and_names_its_cause(here, capsys):
     names = run("\n".join(blocks(DOCS / "blow-up.md")), "blow-up.md")
@@ -155,7 +157,7 @@ def test_every_public_name_is_in_the_reference():
             assert is_known or name.startswith("_") or isinstance(item, ModuleType), f"{module.__name__}.{name}"
 
 
-def test_pages_quote_the_loop_and_numbers_of_atoms_as_they_stand_and_the_readme_is_short():
+def test_pages_quote_the_loop_and_numbers_of_atoms_as_they_stand_and_readme_and_examples_are_short():
     lines = {line.strip() for line in text_of(REPOSITORY / "minimd" / "forces" / "cluster_loop.py").splitlines()}
     lists, fast, readme = text_of(DOCS / "lists.md"), text_of(DOCS / "fast-forces.md"), text_of(README)
     assert [line for line in blocks(DOCS / "fast-forces.md")[0].splitlines() if line not in lines] == []
@@ -164,35 +166,16 @@ def test_pages_quote_the_loop_and_numbers_of_atoms_as_they_stand_and_the_readme_
     assert f"A domain has at least {ATOMS_PER_DOMAIN} atoms" in fast
     assert f"- {CLUSTERS_FROM} atoms or more" in fast
     assert readme.count("\n") <= 120  # read in five minutes
+    assert max(text_of(path).count("\n") for path in (REPOSITORY / "examples").glob("*.py")) <= 60
     assert "@" not in readme.replace("@dataclass", "")  # no blanks that were left to fill in
 
 
 @pytest.fixture
 def melt(here):
     """Four chains of five beads as LAMMPS data, PDB with CONECT and PSF."""
-    chains = np.arange(20).reshape(4, 5) + 1
-    groups = {n: [chain[k : k + n] for chain in chains for k in range(6 - n)] for n in (2, 3)}
-    places = [(0.5 + i % 5, 0.25 + 1.5 * (i // 5), 0.125 * (i % 2)) for i in range(20)]
-
-    def rows(n, head=""):
-        return [f"{head.format(k)}{' '.join(map(str, group))}" for k, group in enumerate(groups[n], 1)]
-
-    data = ["melt", "", "20 atoms", "16 bonds", "12 angles", "1 atom types", "1 bond types", "1 angle types", ""]
-    data += [f"0 6 {x}lo {x}hi" for x in "xyz"] + ["", "Masses", "", "1 12.011", "", "Atoms # molecular", ""]
-    data += [f"{i} {(i - 1) // 5 + 1} 1 {x} {y} {z}" for i, (x, y, z) in enumerate(places, 1)]
-    data += ["", "Bonds", "", *rows(2, "{} 1 "), "", "Angles", "", *rows(3, "{} 1 ")]
-    pdb = [f"CRYST1{6.0:9.3f}{6.0:9.3f}{6.0:9.3f}  90.00  90.00  90.00 P 1           1"]
-    for i, (x, y, z) in enumerate(places, 1):
-        where = f"{x:8.3f}{y:8.3f}{z:8.3f}"
-        pdb.append(f"ATOM  {i:5d}  C   BEA A{(i - 1) // 5 + 1:4d}    {where}  1.00  0.00           C  ")
-    pdb += [f"CONECT{a:5d}{b:5d}" for pair in groups[2] for a, b in (pair, pair[::-1])] + ["END"]
-    psf = ["PSF", "", "       1 !NTITLE", " REMARKS melt", "", f"{20:8d} !NATOM"]
-    psf += [f"{i:8d} MELT {(i - 1) // 5 + 1:<4d} BEA  C    CT   {0:10.6f}  {12.011:12.4f}  0" for i in range(1, 21)]
-    for n, per_line, name in ((2, 4, "NBOND: bonds"), (3, 3, "NTHETA: angles")):
-        numbers = "".join(f"{i:8d}" for group in groups[n] for i in group)
-        psf += ["", f"{len(groups[n]):8d} !{name}", *re.findall(rf".{{1,{8 * n * per_line}}}", numbers)]
-    for suffix, lines in (("data", data), ("pdb", pdb), ("psf", psf)):
-        (here / f"melt.{suffix}").write_text("\n".join([*lines, ""]))
+    write_data(here / "melt.data")
+    write_pdb(here / "melt.pdb", True)
+    write_psf(here / "melt.psf")
     return here
 
 
@@ -201,10 +184,10 @@ def run_melt(system, n_steps):
     sim.run(n_steps, every=5, trajectory="run.h5md", overwrite=True)
 
 
+@pytest.mark.slow
 def test_scripts_of_the_page_on_formats_run(melt, capsys):
     """In one process, on the file of a run of the melt."""
-    if "minimd-h5md" not in ioformats:  # minimd is not installed with its entry points
-        define_external_io_format(EntryPoint("minimd-h5md", "minimd_plugin:h5md", "ase.ioformats"))
+    define()
     run_melt(system_from_file("melt.pdb"), 20)
     names, scripts = {}, blocks(DOCS / "formats.md")
     for script in scripts:

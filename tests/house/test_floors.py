@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -35,10 +36,15 @@ def name_of(path):
 MODULES = {name_of(path): path for path in PACKAGE.rglob("*.py")}
 
 
+@cache
+def nodes_of(path):
+    return [*ast.walk(ast.parse(path.read_text()))]
+
+
 def imports(path, when_imported=False):
     """Modules a file imports, lazily and for type checkers too; with when_imported only what its own import loads."""
-    tree = ast.parse(path.read_text())
-    for node in tree.body if when_imported else ast.walk(tree):
+    nodes = nodes_of(path)
+    for node in nodes[0].body if when_imported else nodes:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -60,7 +66,7 @@ def test_every_package_is_a_floor():
 def test_no_module_reaches_for_the_private_name_of_another():
     reached = []
     for module, path in MODULES.items():
-        nodes = [*ast.walk(ast.parse(path.read_text()))]
+        nodes = nodes_of(path)
         attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
         own = {"_asdict", "_replace", "_fields", "_make"}
         own |= {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}

@@ -7,8 +7,8 @@ import time
 import numpy as np
 import pytest
 from cluster_scenes import atoms_per_domain
-from h5md_runs import assert_same_file, bring_to_disk_every
-from kills import at_work, killed_after
+from h5md_runs import assert_same_file, bring_to_disk_every, resumed, simulation
+from kills import at_work, killed_after, killed_at
 from recorder.runs import KINDS, RESUMES, survey
 from scenes import BONDED, LJ, SCENES, Scene
 
@@ -35,7 +35,7 @@ def few():
 
 RUNS = {"argon": SCENES["argon"], "dumbbells": SCENES["dumbbells"], "springs": springs, "few": few}
 COMMON = ["velocity-verlet", "position-verlet", "langevin-baoab"]  # whose kernels other tests compile, too
-FAST = [(*row, COMMON) for row in (("argon", "mixed", 2), ("dumbbells", "double", 1), ("springs", "double", 2))]
+FAST = [("argon", "mixed", 2, COMMON), ("few", "double", 1, COMMON)]
 SLOW = [(scene, precision, n, NAMES) for scene in RUNS for precision in ("double", "mixed") for n in (1, 2)]
 
 
@@ -46,7 +46,7 @@ def begun(scene, name, threads=1, **options):
     return scene.simulation(method, threads=threads, **options)
 
 
-ROWS = [*FAST, ("few", "double", 1, COMMON), *(pytest.param(*row, marks=pytest.mark.slow) for row in SLOW)]
+ROWS = [*FAST, *(pytest.param(*row, marks=pytest.mark.slow) for row in SLOW)]
 
 
 @pytest.mark.parametrize(("scene", "precision", "threads", "names"), ROWS)
@@ -80,8 +80,17 @@ def test_a_look_between_two_drifts_builds_no_list(n, tmp_path):
     np.testing.assert_array_equal(parts.positions, whole.positions)
 
 
-def test_a_run_goes_on_to_the_same_bits_after_kills_and_power_failures(tmp_path):
-    assert not survey(["formats"], range(2), tmp_path)
+def test_a_run_that_is_killed_before_a_change_of_its_file_goes_on_to_the_same_bits(tmp_path, monkeypatch):
+    bring_to_disk_every(0.0, monkeypatch)
+    path, whole = tmp_path / "a.h5md", tmp_path / "whole.h5md"
+    simulation().run(15, every=5, trajectory=whole)
+    for k in (5, 12):
+        path.unlink(missing_ok=True)
+        assert killed_at(k, lambda: simulation().run(15, every=5, trajectory=path)) is None
+        is_begun = path.exists()
+        sim = resumed(path) if is_begun else simulation()
+        sim.run(until_step=15, every=5, trajectory=path, append=is_begun)
+        assert_same_file(path, whole)
 
 
 @pytest.mark.slow

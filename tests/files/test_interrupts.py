@@ -102,9 +102,9 @@ def test_an_interrupt_inside_a_write_leaves_whole_frames_only(tmp_path, monkeypa
     assert read_file(path).record.step.tolist() == [0, 5]
 
 
-@pytest.mark.parametrize("way", ["limit", "patched"])
+@pytest.mark.parametrize("way", ["patched", pytest.param("limit", marks=pytest.mark.slow)])
 def test_full_disk_is_told_once_and_spoils_nothing(tmp_path, monkeypatch, way):
-    path, sim, most = tmp_path / "a.h5md", simulation(), 500_000
+    path, sim, most = tmp_path / "a.h5md", simulation(), 900_000
     bring_to_disk_every(0.0, monkeypatch)
     writer = H5MDWriter(Claim(path), sim.engine, True)
 

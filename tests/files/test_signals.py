@@ -191,11 +191,6 @@ def assert_stopped_run_goes_on(number, seconds):
     return True
 
 
-def test_a_run_that_is_terminated_goes_on_to_the_same_bits(folder):
-    assert cli.main(["run", "melt.toml", "--quiet", "--out", "whole.h5md"]) == 0
-    assert assert_stopped_run_goes_on(signal.SIGTERM, 0.0)  # SIGHUP is among the slow tests
-
-
 def interrupted_after(seconds, **environment):
     """The exit code of a run that gets SIGINT after so many seconds, and a new place for its file."""
     process = begun(**environment)
@@ -213,6 +208,7 @@ def test_a_signal_during_imports_ends_the_command_in_one_sentence():
         assert (len(told), code) == (1, 128 + number)
 
 
+@pytest.mark.slow
 def test_a_command_that_was_started_deaf_to_signals_stays_so(folder):
     """As nohup does, and shells with what goes on in the background."""
     process = command("run", "melt.toml", "--steps", "10", handler=signal.SIG_IGN)
@@ -233,9 +229,14 @@ def seconds_of_a_run():
 
 
 @pytest.mark.slow
-def test_ctrl_c_at_a_hundred_moments(folder, tmp_path):
+def test_kills_and_ctrl_c_at_a_hundred_moments(folder, tmp_path):
     """Half of them while kernels are compiled, into a cache that the next run goes on with; half with all compiled."""
     draw, cold = random.Random(1), {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    for _ in range(20):
+        process = begun(**cold)
+        time.sleep(1.0 + 4.0 * draw.random())
+        process.kill()
+        process.communicate()
     codes = [interrupted_after(8.0 * draw.random() ** 2, **cold) for _ in range(50)]
     assert sentences(command("run", "melt.toml", "--out", "cold.h5md", **cold)) == ([], 0)
     duration, _ = seconds_of_a_run()
@@ -251,16 +252,3 @@ def test_termination_at_thirty_moments_of_a_run(number, folder):
     while early.count(True) < 30:
         early.append(assert_stopped_run_goes_on(number, draw.random() * duration))
         assert early.count(False) < 30
-
-
-@pytest.mark.slow
-def test_a_cache_survives_kills_while_kernels_are_compiled(folder, tmp_path):
-    draw, cold = random.Random(2), {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    for _ in range(20):
-        process = command("run", "melt.toml", "--out", "killed.h5md", "--overwrite", **cold)
-        time.sleep(1.0 + 4.0 * draw.random())
-        process.kill()
-        process.communicate()
-    for name, environment in (("cold.h5md", cold), ("warm.h5md", {})):
-        assert sentences(command("run", "melt.toml", "--out", name, **environment)) == ([], 0)
-    assert_same_file("cold.h5md", "warm.h5md")

@@ -68,9 +68,7 @@ def test_volume_is_that_of_the_user_s_vectors_and_numbers_have_their_units():
     argon = str(md.System(np.eye(3), masses=40.0, cell=4.0, units=md.units.ASE))
     assert "cell a         (4, 0, 0) Å\n" in argon
     assert "volume         64 Å³\n" in argon
-    for time, words in ((2.5, "2.5 fs"), (-999.9, "-999.9 fs"), (12345600.0, "12345.6 ps")):
-        assert md.units.ASE.shown(time * md.units.fs) == words
-    assert md.units.LJ.shown(0.004) == "0.004 τ"
+    assert md.units.ASE.shown(12345600.0 * md.units.fs) == "12345.6 ps"
 
 
 # fmt: off

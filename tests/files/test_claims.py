@@ -1,15 +1,13 @@
 """One file, one run: who comes second is refused and touches nothing; no output is written through a link."""
 
 import os
-import threading
 import warnings
 from contextlib import suppress
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pytest
-from h5md_runs import at_step, bring_to_disk_every, interrupt, resumed, simulation
+from h5md_runs import at_step, bring_to_disk_every, resumed, simulation
 from matplotlib.figure import Figure
 
 import minimd as md
@@ -152,24 +150,6 @@ def test_no_small_file_is_written_through_a_link(kind, tmp_path):
     assert precious.read_text() == "precious"
 
 
-def test_of_two_threads_one_writes(tmp_path):
-    path, refused, both = tmp_path / "a.h5md", [], threading.Barrier(2)
-
-    def run():
-        sim = simulation()
-        both.wait()
-        try:
-            sim.run(40, every=1, trajectory=path)
-        except OSError as error:
-            refused.append(error)
-
-    threads = [threading.Thread(target=run) for _ in range(2)]
-    for work in (threading.Thread.start, threading.Thread.join):
-        for one in threads:
-            work(one)
-    assert (len(refused), read_file(path).n_frames) == (1, 41), refused
-
-
 @pytest.mark.parametrize("fate", ["removed", "replaced", "cut"])
 def test_a_file_that_is_lost_under_the_run_is_told(fate, tmp_path, monkeypatch):
     bring_to_disk_every(0.0, monkeypatch)
@@ -196,7 +176,5 @@ def test_a_resumed_file_is_claimed_too_and_so_is_a_crash_report(tmp_path):
     with pytest.raises(OSError, match="another run"):
         sim.run(10, trajectory=path, append=True)
     claim.release()
-    with mock.patch("minimd.files.h5md_writer.drop_frames", interrupt), pytest.raises(KeyboardInterrupt):
-        sim.run(10, every=5, trajectory=path, append=True)  # an append that is interrupted leaves no claim
     sim.run(10, every=5, trajectory=path, append=True)
     np.testing.assert_array_equal(read_file(path).system.positions, sim.positions)

@@ -1,19 +1,16 @@
 """A run that is killed at any of its writes goes on to the same last bit, and so does one that is stopped anywhere."""
 
-import os
 import random
-import time
 
 import numpy as np
 import pytest
 from cluster_scenes import atoms_per_domain
 from h5md_runs import assert_same_file, bring_to_disk_every, resumed, simulation
-from kills import at_work, killed_after, killed_at
+from kills import killed_at
 from recorder.runs import KINDS, RESUMES, survey
 from scenes import BONDED, LJ, SCENES, Scene
 
 import minimd as md
-from minimd.files.h5md_reader import read_file
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.splitting import Splitting
 
@@ -97,38 +94,3 @@ def test_a_run_that_is_killed_before_a_change_of_its_file_goes_on_to_the_same_bi
 @pytest.mark.parametrize("kind", [*KINDS, *RESUMES])
 def test_a_run_goes_on_to_the_same_bits_whatever_is_on_the_disk(kind, tmp_path):
     assert not survey([kind], range(69), tmp_path)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("seed", range(10))
-def test_random_kills_while_it_runs_and_resumes(seed, threads, tmp_path, monkeypatch):
-    """Each run is killed fifty times, at any moment, and brings all it has to the disk as often as it can.
-
-    The longest time before a kill is three times what a resumed run of 100 steps takes, on a processor as busy as now.
-    """
-    bring_to_disk_every(0.01, monkeypatch)
-    monkeypatch.setattr("minimd.simulation.simulation.SECONDS_BETWEEN_CHECKPOINTS", 0.01)
-    draw, path, whole = random.Random(f"{seed} {threads}"), tmp_path / "a.h5md", tmp_path / "whole.h5md"
-    scene, method = draw.choice(sorted(RUNS)), draw.choice(NAMES)
-
-    def go_on(end):
-        known, made = path.exists(), begun(scene, method, threads=threads)
-        sim = md.Simulation.resume(path, made.potentials, threads=threads) if known else made
-        sim.run(until_step=end, every=50, trajectory=path, append=known)
-
-    def seconds_to(end):
-        start = time.perf_counter()
-        os.waitpid(at_work(lambda: go_on(end)), 0)
-        return time.perf_counter() - start
-
-    with atoms_per_domain(50):
-        begun(scene, method).run(50)  # the children find kernels that are loaded
-        resumed = min([seconds_to(end) for end in (50, 150, 250)][1:])
-        path.unlink()
-        assert sum(killed_after(3 * resumed * draw.random(), lambda: go_on(10**9)) for _ in range(50)) == 50
-        end = read_file(path).step + 100
-        assert end > 300
-        go_on(end)
-        begun(scene, method).run(end, every=50, trajectory=whole)
-    assert_same_file(path, whole)

@@ -56,10 +56,10 @@ def write_pdb(path, with_bonds):
     path.write_text("\n".join([*lines, "END"]) + "\n")
 
 
-def write_psf(path):
+def write_psf(path, charge=0.0):
     """As CHARMM and NAMD have it: eight columns of bonds, nine of angles."""
     lines = ["PSF", "", "       1 !NTITLE", " REMARKS melt", "", f"{20:8d} !NATOM"]
-    numbers = f"{0.0:10.6f}  {12.011:12.4f}           0"
+    numbers = f"{charge:10.6f}  {12.011:12.4f}           0"
     lines += [f"{i + 1:8d} MELT {i // LENGTH + 1:<4d} BEA  C    CT   {numbers}" for i in range(20)]
     for name, groups, per_line in (("NBOND: bonds", BONDS, 4), ("NTHETA: angles", ANGLES, 3)):
         lines += ["", f"{len(groups):8d} !{name}"]
@@ -333,6 +333,7 @@ WAYS_IN = [
     from_mdanalysis,
     lambda folder: md.System.from_ase(salt()),
     lambda folder: system_from_file(full_data(folder / "full.data"), cell=9.0),
+    lambda folder: (write_psf(folder / "melt.psf", -0.8476), system_from_file("melt.pdb", bonds="melt.psf")),
 ]
 
 

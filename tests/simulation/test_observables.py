@@ -97,11 +97,8 @@ def test_what_nobody_asks_for_is_not_paid_and_what_cannot_be_is_told(two_atoms):
     # fmt: off
     for call, error, *shown in [
         (lambda: record.pressure, AttributeError, "pressure", "volume"),
-        (lambda: record.color, AttributeError, "'color'"), (lambda: sim.stress, ValueError, "volume"),
         (lambda: sim.pressure, ValueError, "pressure", "volume", "pbc = [False"),
-        (lambda: setattr(sim, extra, ("stress",)), ValueError, "stress", "volume"),
         (lambda: setattr(sim, extra, ("heat",)), ValueError, extra, "('heat',)"),
-        (lambda: setattr(sim, "temperature", 1.0), AttributeError, "temperature", "set_temperature"),
         (lambda: register(Observable("pressure", "pressure", abs)), ValueError, "'pressure'"),
         (lambda: register(Observable("fastest", "speed", abs)), ValueError, "unit", "'speed'"),
     ]:

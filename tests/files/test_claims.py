@@ -12,8 +12,6 @@ from matplotlib.figure import Figure
 
 import minimd as md
 from minimd.analysis.picture import save
-from minimd.ensemble.member import Member
-from minimd.ensemble.notes import Note, note_of
 from minimd.files.claim import Claim, write_whole
 from minimd.files.h5md_reader import read_file
 from minimd.files.trajectory import open_trajectories
@@ -111,13 +109,6 @@ def test_a_link_to_nothing_makes_no_file_elsewhere(tmp_path):
     assert not list(elsewhere.iterdir())
 
 
-def note(path):
-    made = Note(Member(0, {}, 1, 10, path))
-    note_of(path).symlink_to(path.parent / "precious")
-    made.write()
-    made.remove()
-
-
 def blow_up(path):
     """A run that fails, and names its report."""
     pair = md.System([[0.0, 0, 0], [0.9, 0, 0]], velocities=[[-5.0, 0, 0], [5.0, 0, 0]])
@@ -130,10 +121,8 @@ def blow_up(path):
 SMALL_FILES = {  # what writes them, given their name
     "a page": View("<html>", Path("a.h5md"), "").save,
     "a picture": lambda path: save(Figure(), path.with_suffix(".png")),
-    "a table": lambda path: simulation().run(5, every=5).to_csv(path, overwrite=False),
     "a table in place of another": lambda path: simulation().run(5, every=5).to_csv(path, overwrite=True),
     "a description": lambda path: write_whole(path, "{}"),
-    "a note": note,
     "a crash report": blow_up,
 }
 

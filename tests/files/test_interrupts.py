@@ -10,10 +10,9 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from damages import in_child, numbers
-from h5md_runs import assert_same_file, at_step, bring_to_disk_every, interrupt, limited, opened, resumed, simulation
+from damages import in_child
+from h5md_runs import assert_same_file, at_step, bring_to_disk_every, limited, opened, resumed, simulation
 
-from minimd.commands import main as cli
 from minimd.files import h5md_writer as h5md
 from minimd.files import journaled_file
 from minimd.files.claim import Claim
@@ -200,20 +199,3 @@ def test_a_journal_that_nobody_wrote_changes_nothing(tmp_path):
         content = path.read_bytes()
         assert read_file(path).n_frames == 3
         assert path.read_bytes() == content, lie
-
-
-@pytest.mark.slow
-def test_a_run_that_ends_before_its_results_are_written_gets_them(tmp_path, monkeypatch, capsys):
-    from recorder.runs import EARLIER, text_of
-
-    monkeypatch.chdir(tmp_path)
-    for name in ("a", "whole"):
-        (tmp_path / f"{name}.toml").write_text(text_of("observers"))
-    assert cli.main(["run", "whole.toml", "--quiet"]) == 0
-    with mock.patch("minimd.files.h5md_writer.write_answers", interrupt):
-        assert cli.main(["run", "a.toml", "--quiet"]) != 0
-    assert numbers("a.h5md", EARLIER) != numbers("whole.h5md", EARLIER)
-    assert cli.main(["resume", "a.h5md", "--quiet"]) == 0
-    assert numbers("a.h5md", EARLIER) == numbers("whole.h5md", EARLIER)
-    assert cli.main(["resume", "a.h5md", "--quiet"]) == 2
-    assert "dynamics.steps = 13" in capsys.readouterr().err

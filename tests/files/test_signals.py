@@ -118,17 +118,6 @@ def test_a_script_that_is_terminated_says_at_which_step_and_what_is_kept(number,
         assert capsys.readouterr().err == ("" if silent else f"minimd: stopped after step {step} {told}{more}\n")
 
 
-@EACH
-def test_a_run_inside_a_run_stops_and_so_does_the_other_and_steps_can_be_made_afterwards(number):
-    outer, inner = simulation(), simulation()
-    nested = at_step(20, lambda: inner.run(100_000, every=10, observers=raising(number, 30)))
-    with ending_of(number, "step"):
-        outer.run(100_000, every=10, observers=[nested])
-    assert (outer.step, inner.step) == (20, 31)
-    inner.make_steps(10)
-    assert inner.step == 41
-
-
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """An empty current folder with the scene in it."""
@@ -136,14 +125,14 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "melt.toml").write_text(SCENE)
 
 
-def command(*arguments, handler=signal.SIG_DFL, **environment):
-    """The command, at its first lines.  handler : of all signals, as it finds them."""
+def command(*arguments, **environment):
+    """The command, at its first lines."""
     process = subprocess.Popen(
         [sys.executable, "-c", READY, *arguments],
         env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        preexec_fn=lambda: [signal.signal(number, handler) for number in SIGNALS],
+        preexec_fn=lambda: [signal.signal(number, signal.SIG_DFL) for number in SIGNALS],
     )
     assert process.stdout.read(1) == b"!"
     return process
@@ -163,15 +152,6 @@ def test_a_signal_during_imports_ends_the_command_in_one_sentence():
         process.send_signal(number)
         told, code = sentences(process)
         assert (len(told), code) == (1, 128 + number)
-
-
-@pytest.mark.slow
-def test_a_command_that_was_started_deaf_to_signals_stays_so(folder):
-    """As nohup does, and shells with what goes on in the background."""
-    process = command("run", "melt.toml", "--steps", "10", handler=signal.SIG_IGN)
-    for number in SIGNALS:
-        process.send_signal(number)
-    assert sentences(process) == ([], 0)
 
 
 def stopped(number, seconds, **environment):

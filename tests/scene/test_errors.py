@@ -11,11 +11,6 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.scene import load_scene, resume_run
 
-SLAB = """
-structure = {{ file = "two.xyz", {} }}
-dynamics = {{ timestep_fs = 5.0, steps = 1 }}
-potential = [{{ type = "lennard-jones", epsilon_K = 120.0, sigma_A = 3.4, cutoff_A = 8.5 }}]
-"""
 # fmt: off
 WRONG = [  # what stands in the scene, what is written there, and what the sentence must contain
     ("timestep = 0.004", "timestep_fs = 4.0", "dynamics", "'timestep_fs' (= 4.0)", "did you mean 'timestep'?", "LJ"),
@@ -61,10 +56,6 @@ NO_TOML = [
     ("\ufeff", "not valid TOML"), (f"{'a.' * 20_000}a = 1", DEEP),
     (f"[{'a . ' * 20_000}a]", DEEP),
 ]
-SLABS = [
-    ("cell_A = [20, 20]", "structure.cell_A", "= [20, 20]", "[20, 20, 0] with pbc"),
-    ("pbc = [true, true]", "structure.pbc", "= [true, true]", "[true, true, false]"),
-]
 ROWS = [(REDUCED, *row) for row in WRONG] + [(ARGON.read_text(), *row) for row in WRONG_ARGON] + WRONG_TABLES
 # fmt: on
 
@@ -87,15 +78,6 @@ def test_what_is_no_table_and_what_is_no_toml_is_told(tmp_path, monkeypatch):
     for content, *shown in NO_TOML:
         Path("a.toml").write_bytes(content if isinstance(content, bytes) else content.encode())
         assert_answered(lambda: load_scene("a.toml"), ValueError, "a.toml", *shown)
-
-
-def test_edges_that_are_not_three_are_answered_with_what_to_write(tmp_path):
-    for entry, *shown in SLABS:
-        assert_answered(lambda: scene_of(SLAB.format(entry)), ValueError, *shown)
-    (tmp_path / "two.xyz").write_text("2\n\nAr 0 0 0\nAr 4 0 0\n")
-    path = tmp_path / "scene.toml"
-    path.write_text(SLAB.format("cell_A = [20, 20, 0], pbc = [true, true, false]"))  # as the message says
-    assert load_scene(path).simulation().system.cell.pbc.tolist() == [True, True, False]
 
 
 def test_all_problems_are_told_at_once():

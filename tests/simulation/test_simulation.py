@@ -163,9 +163,8 @@ def test_what_was_probably_forgotten_is_told():
     for law in (BONDED, md.HarmonicBond(1.0, 1.0)):
         with pytest.warns(UserWarning, match="bonds="):
             made({}, law)
-    with pytest.warns(UserWarning, match=r"FixedAtoms\(1 atoms\) is lost") as told:
+    with pytest.warns(UserWarning, match=r"FixedAtoms\(1 atoms\) is lost"):
         made({"constraints": [fixed]}, LJ, [held])
-    assert told[0].filename == __file__
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         made({"bonds": [[0, 1]]}, BONDED)

@@ -2,14 +2,12 @@
 
 import json
 import warnings
-from itertools import product
 from pathlib import Path
 
 import ase.io
 import MDAnalysis
 import numpy as np
 import pytest
-from MDAnalysis.guesser.default_guesser import DefaultGuesser
 from wrong_calls import assert_answered
 
 import minimd as md
@@ -168,18 +166,6 @@ def test_angles_and_constraints_of_a_file_are_those_named_by_hand(folder):
     same_groups(kept[0].pairs, BONDS)
 
 
-def test_angles_and_dihedrals_that_mdanalysis_finds_are_taken(folder):
-    """A PDB names bonds only."""
-    read = MDAnalysis.Universe("melt.pdb")
-    guesser = DefaultGuesser(read)
-    read.add_TopologyAttr("angles", guesser.guess_angles(read.bonds))
-    read.add_TopologyAttr("dihedrals", guesser.guess_dihedrals(read.angles))
-    system = md.System.from_mdanalysis(read)
-    back = md.System.from_ase(system.to_ase())
-    for made, name in product((system, back), ("bonds", "angles", "dihedrals")):
-        same_groups(getattr(made, name), GROUPS[name])
-
-
 FIELDS = {
     "constant-force": {"force": [0.0, 0.0, -0.1], "atoms": [0]},
     "gravity": {"acceleration": [0.0, 0.0, -0.2]},
@@ -237,15 +223,17 @@ def test_lammps_data_keeps_its_types_velocities_and_bonds(folder):
 
 
 @pytest.mark.parametrize("file", ["a.traj", "a.extxyz", None], ids=str)
-def test_bonds_and_angles_survive_the_way_through_atoms(tmp_path, file):
+def test_bonds_angles_and_dihedrals_survive_the_way_through_atoms(tmp_path, file):
     """In the order of their first atoms; also through a file, but not .traj, which has no place for them."""
-    atoms = md.System(POSITIONS, masses=1.0, bonds=BONDS[::-1], angles=ANGLES, units=md.units.ASE).to_ase()
+    given = {"bonds": BONDS[::-1], "angles": ANGLES, "dihedrals": DIHEDRALS}
+    atoms = md.System(POSITIONS, masses=1.0, units=md.units.ASE, **given).to_ase()
     if file:
         ase.io.write(tmp_path / file, atoms)
         atoms = ase.io.read(tmp_path / file)
     back = md.System.from_ase(atoms)
     assert back.bonds.tolist() == ([] if file == "a.traj" else sorted(map(list, BONDS)))
-    same_groups(back.angles, [] if file == "a.traj" else ANGLES)
+    for name in ("angles", "dihedrals"):
+        same_groups(getattr(back, name), [] if file == "a.traj" else GROUPS[name])
     assert np.array_equal(back.positions, POSITIONS) or file
     assert set(md.System(POSITIONS).to_ase().arrays) == {"numbers", "positions", "masses", "momenta"}
 
@@ -314,14 +302,6 @@ def salt(charges=(0.5, -0.8476)):
     return atoms
 
 
-def full_data(path):
-    """A LAMMPS file with atom_style full."""
-    atoms = "\n".join(f"{k} 1 1 {q} {2.5 * k} 1.0 1.0" for k, q in ((1, 0.5), (2, -0.8476)))
-    box = "\n".join(f"0 8 {x}lo {x}hi" for x in "xyz")
-    path.write_text(f"water\n\n2 atoms\n1 atom types\n\n{box}\n\nMasses\n\n1 16.0\n\nAtoms # full\n\n{atoms}\n")
-    return path
-
-
 def from_mdanalysis(_folder):
     made = MDAnalysis.Universe.empty(2, trajectory=True)
     made.add_TopologyAttr("masses", [23.0, 35.45])
@@ -332,7 +312,6 @@ def from_mdanalysis(_folder):
 WAYS_IN = [
     from_mdanalysis,
     lambda folder: md.System.from_ase(salt()),
-    lambda folder: system_from_file(full_data(folder / "full.data"), cell=9.0),
     lambda folder: (write_psf(folder / "melt.psf", -0.8476), system_from_file("melt.pdb", bonds="melt.psf")),
 ]
 

@@ -117,14 +117,6 @@ def test_an_impossible_choice_is_told_by_name_and_value(door):
         assert message.endswith(f"{option} = {value!r}")
 
 
-def test_the_attributes_of_a_simulation_that_may_be_set_are_set():
-    simulation = type("Mine", (md.Simulation,), {})(system(), LJ, VERLET)
-    simulation.positions += 0.5
-    simulation.step, simulation.method, simulation.note = 7, md.VelocityVerlet(0.001), "kept"
-    assert np.array_equal(simulation.positions, THREE + 0.5)
-    assert (simulation.step, simulation.method.timestep, simulation.note) == (7, 0.001, "kept")
-
-
 def test_a_library_of_pairs_may_know_more_species_than_the_system():
     library = OWN | {"Xe": (3.0, 1.2)}
     more = md.LennardJones(library, cutoff=2.5, pairs={("Kr", "Xe"): (9.0, 1.0)})

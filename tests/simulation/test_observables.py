@@ -94,7 +94,6 @@ def test_what_nobody_asks_for_is_not_paid_and_what_cannot_be_is_told(two_atoms):
     assert {"periodic images", "bond loop", "parameter table", "exclusions"} <= set(sim.report().cost.skipped)
     assert sim.potential_energy < 0.0
     extra = "extra_observables"
-    # fmt: off
     for call, error, *shown in [
         (lambda: record.pressure, AttributeError, "pressure", "volume"),
         (lambda: sim.pressure, ValueError, "pressure", "volume", "pbc = [False"),
@@ -103,7 +102,6 @@ def test_what_nobody_asks_for_is_not_paid_and_what_cannot_be_is_told(two_atoms):
         (lambda: register(Observable("fastest", "speed", abs)), ValueError, "unit", "'speed'"),
     ]:
         assert_answered(call, error, *shown)
-    # fmt: on
     assert sim.extra_observables == ()
     assert "fastest" not in {**OBSERVABLES, **SERIES}
 

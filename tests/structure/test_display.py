@@ -4,16 +4,12 @@ import threading
 import warnings
 from typing import get_args
 
-import numpy as np
-import pytest
-
 import minimd as md
 from minimd.forces.options import Precision
 from minimd.potentials.pair import MIXING, MixingName
 from minimd.potentials.truncation import TRUNCATIONS, TruncationName
 from minimd.structure.display import Displayed
 from minimd.structure.quiet import quiet
-from minimd.structure.units import GRAM_PER_CM3
 
 SPECIES = {"A": (1.0, 1.0), "B": (0.5, 0.88)}
 CUTOFFS = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}
@@ -48,13 +44,6 @@ def test_html_is_escaped():
     assert Odd().display_rows() == [("a <b>", "words & more"), ("", "of the same")]
     assert "a &lt;b&gt;</th>" in Odd()._repr_html_()
     assert "words &amp; more" in Odd()._repr_html_()
-
-
-def test_a_system_shows_its_density():
-    """Argon at 1.374 g/cm³ has 0.0207 atoms/Å³."""
-    edges = [1.0, 1.0, 3 * 39.948 / (1.374 * GRAM_PER_CM3)]
-    assert pytest.approx(0.6022140858549161) == GRAM_PER_CM3  # u/Å³
-    assert "1.374 g/cm³" in str(md.System(np.eye(3), masses=39.948, cell=edges, units=md.units.ASE))
 
 
 def test_names_that_are_offered_are_public_ones_that_exist():

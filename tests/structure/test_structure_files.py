@@ -218,8 +218,6 @@ def test_lammps_data_keeps_its_types_velocities_and_bonds(folder):
     assert md.System.from_ase(atoms, bonds=[[0, 1]]).bonds.tolist() == [[0, 1]]
     Path("melt.unknown").write_text(Path("melt.data").read_text())
     same_groups(system_from_file("melt.unknown", format="lammps-data").bonds, BONDS)
-    scene(folder, "pdb", more='format = "PDB"\nbonds = "file"')
-    same_groups(load_scene(folder / "melt.toml").system().bonds, BONDS)
 
 
 @pytest.mark.parametrize("file", ["a.traj", "a.extxyz", None], ids=str)
@@ -251,7 +249,6 @@ EMPTY = MDAnalysis.Universe.empty(3, trajectory=True)  # of no masses: they are 
 WRONG = {
     "no format": (lambda: system_from_file("melt.unknown"), ValueError, "format"),
     "other atoms": (lambda: system_from_file("small.xyz", bonds="melt.psf"), ValueError, "melt.psf", "20", "7"),
-    "no file": (lambda: system_from_file("small.xyz", bonds="absent.psf"), ValueError, "absent.psf"),
     "no universe": (lambda: md.System.from_mdanalysis("melt.pdb"), TypeError, "str"),
     "no masses": (lambda: md.System.from_mdanalysis(EMPTY), ValueError, "masses"),
 }

@@ -6,9 +6,7 @@ from full_disk import fill_the_disk
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.ase import Calculator
 from minimd.files.h5md_reader import read_file
-from minimd.forces.options import Options
 
 THREE = np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0], [0.0, 1.2, 0.0]])
 NAN, MANY = float("nan"), 10**12
@@ -97,8 +95,6 @@ OTHERS = [  # calls that raise something else, its kind, and what its sentence m
     (lambda: setattr(made(), "timestep", 0.001), AttributeError, "sim.method = VelocityVerlet"),
 ]
 # fmt: on
-CHOICES = {"threads": (0, 1.5, True, "2"), "precision": ("single", None, 64), "skin": (-0.1, np.inf, "0.3", 1j)}
-DOORS = {"Options": Options, "Simulation": made, "Calculator": lambda **option: Calculator(LJ, **option)}
 
 
 WRONG += [(lambda given=given: system(**given), *shown) for given, *shown in SYSTEMS]
@@ -108,13 +104,6 @@ ROWS = [(call, ValueError, *shown) for call, *shown in WRONG] + OTHERS
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row[2]} {row[-1]}")
 def test_a_wrong_value_is_answered_with_its_name_and_itself(row):
     assert_answered(*row)
-
-
-@pytest.mark.parametrize("door", DOORS)
-def test_an_impossible_choice_is_told_by_name_and_value(door):
-    for option, value in [(option, value) for option, values in CHOICES.items() for value in values]:
-        message = assert_answered(lambda: DOORS[door](**{option: value}), ValueError, option)
-        assert message.endswith(f"{option} = {value!r}")
 
 
 def test_a_library_of_pairs_may_know_more_species_than_the_system():

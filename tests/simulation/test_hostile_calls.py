@@ -37,6 +37,7 @@ CHANGES = {  # of an array of good numbers
     "bools": lambda good: good.astype(bool),  "unsigned": lambda good: good.astype(np.uint64),
     "single": lambda good: good.astype(np.float32), "list": lambda good: good.tolist(),
     "deeper": lambda good: good[None],        "longer": lambda good: np.repeat(good, 2, axis=0),
+    "objects": lambda good: good.astype(object),
 }
 # fmt: on
 
@@ -106,19 +107,18 @@ DOORS = [  # a name, a call, and arguments with which it works
     ("Simulation", lambda **some: md.Simulation(**some).make_steps(1), SCENE | {"method": VERLET, "constraints": None}),
     ("Simulation", simulation, {"threads": 1, "precision": "double", "skin": 0.3}),
     ("run", called("run"), {"n_steps": 2, "every": 2, "trajectory": (), "store_forces": False}),
+    ("run", called("run"), {"n_steps": 2, "overwrite": False, "observers": (), "progress": False}),
     ("set_temperature", called("set_temperature"), {"temperature": 1.0, "seed": 1}),
     ("equilibrate", called("equilibrate"), {"n_steps": 2, "temperature": 1.0, "every": 1, "progress": False}),
     ("make_steps", called("make_steps"), {"n_steps": 2}),
-    (
-        "minimize",
-        called("minimize"),
-        {"force_tolerance": 1e-3, "max_steps": 5, "max_step_length": 0.1, "progress": False},
-    ),
+    ("minimize", called("minimize"), {"force_tolerance": 1e-3, "max_steps": 5, "max_step_length": 0.1}),
+    ("minimize", called("minimize"), {"max_steps": 5, "progress": False}),
     ("neighbor_list", md.neighbor_list, {"quantities": "ijd", "system": system(), "cutoff": 2.5}),
     ("advise_timestep", md.advise_timestep, SCENE | {"method": md.VelocityVerlet}),
     ("crystal", md.lattice.crystal, {"lattice": "fcc", "repeat": [2, 2, 2], "lattice_constant": 1.5}),
     ("constant_from_density", md.lattice.constant_from_density, {"lattice": "fcc", "density": 0.8, "mass": 1.0}),
-    ("scene", scene_with, {"timestep": 0.004, "temperature": 1.44, "cutoff": 2.5, "repeat": [4, 4, 4]}),
+    ("scene", scene_with, {"timestep": 0.004, "steps": 20, "temperature": 1.44, "cutoff": 2.5}),
+    ("scene", scene_with, {"repeat": [4, 4, 4], "density": 0.8}),
 ]
 ENDLESS = {"n_steps", "max_steps", "steps"}  # a large one is no mistake, but takes its time
 NUMBERS = (float, int, list, tuple, np.ndarray)

@@ -107,7 +107,7 @@ OTHER_STEPS = {  # the file has the first method, the others take over one after
 }
 
 
-@pytest.mark.parametrize("before", OTHER_STEPS)
+@pytest.mark.parametrize("before", [VERLET, pytest.param(BATH, marks=pytest.mark.slow)])
 def test_a_run_that_goes_on_with_other_steps_says_so(before, tmp_path):
     sim, path = simulation(), tmp_path / "a.h5md"
     sim.method = before

@@ -62,9 +62,8 @@ def test_stress_is_in_record_and_file_where_asked_for_and_in_the_resumed_run(tmp
     resumed = md.Simulation.resume(file, LJ)
     assert tuple(resumed.extra_observables) == ("stress",)
     resumed.run(4, every=2, trajectory=file, append=True, progress=False)
-    other = md.Simulation.resume(file, LJ)
-    other.extra_observables = ()
-    assert_answered(lambda: other.run(2, trajectory=file, append=True), ValueError, "extra_observables", "'stress'")
+    resumed.extra_observables = ()
+    assert_answered(lambda: resumed.run(2, trajectory=file, append=True), ValueError, "extra_observables", "'stress'")
 
 
 def test_stress_holds_the_forces_of_constraints():

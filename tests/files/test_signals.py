@@ -140,7 +140,7 @@ def command(*arguments, **environment):
 
 def sentences(process, most=1):
     """What a process says on standard error, beside how far it is; and its exit code."""
-    _, errors = process.communicate(timeout=120)
+    _, errors = process.communicate(timeout=300)
     told = [line for line in errors.decode().splitlines() if not line.startswith(PROGRESS)]
     assert len(told) <= most, errors.decode()
     assert all(line.startswith("minimd: error: ") for line in told), told

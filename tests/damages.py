@@ -167,17 +167,6 @@ def interrupted_commit(content, rng):
     return content + body + end
 
 
-def interrupted_commit_with_a_damaged_journal(content, rng):
-    before, how = len(content), int(rng.integers(3))
-    content = interrupted_commit(content, rng)
-    place = before + int(rng.integers(len(content) - before))
-    if how == 1:
-        content[place] ^= 1 << int(rng.integers(8))
-    elif how == 2:
-        content[before:] = rng.bytes(len(content) - before)
-    return content if how else content[:place]
-
-
 def _objects(h5):
     found = []
     h5.visit(found.append)
@@ -222,13 +211,6 @@ def change_attribute(h5, rng):
         at.modify(key, value)
 
 
-def swap(h5, rng):
-    """Two datasets have each other's names."""
-    one, other = _one_of(h5, rng), _one_of(h5, rng)
-    for old, new in ((one, "between"), (other, one), ("between", other)) if one != other else ():
-        h5.move(old, new)
-
-
 def resize(h5, rng):
     names = [name for name in _datasets(h5) if h5[name].maxshape[:1] == (None,)]
     for name in names if rng.random() < 0.3 else [str(rng.choice(names))]:
@@ -269,7 +251,6 @@ IN_BYTES = {
     "truncate": lambda content, rng: content[: _anywhere(content, rng)],
     "append": lambda content, rng: content + rng.bytes(_length(rng)),
     "an interrupted commit": interrupted_commit,
-    "an interrupted commit with a damaged journal": interrupted_commit_with_a_damaged_journal,
     "a strange journal": lambda content, rng: content + rng.bytes(44) + MAGIC,
 }
 IN_NUMBERS = {
@@ -278,7 +259,6 @@ IN_NUMBERS = {
     "remove": lambda h5, rng: h5.pop(_one_of(h5, rng, _objects)),
     "remove an attribute": lambda h5, rng: operator.delitem(*_attribute_of(h5, rng)),
     "rename": lambda h5, rng: h5.move(_one_of(h5, rng, _objects), "elsewhere"),
-    "swap": swap,
     "resize": resize,
     "resize all with their checksums": resize_all_with_their_checksums,
     "damage both restarts": damage_both_restarts,

@@ -1,21 +1,17 @@
 """One file, one run: who comes second is refused and touches nothing; no output is written through a link."""
 
 import os
-import threading
 import warnings
 from contextlib import suppress
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pytest
-from h5md_runs import at_step, bring_to_disk_every, interrupt, resumed, simulation
+from h5md_runs import at_step, bring_to_disk_every, resumed, simulation
 from matplotlib.figure import Figure
 
 import minimd as md
 from minimd.analysis.picture import save
-from minimd.ensemble.member import Member
-from minimd.ensemble.notes import Note, note_of
 from minimd.files.claim import Claim, write_whole
 from minimd.files.h5md_reader import read_file
 from minimd.files.trajectory import open_trajectories
@@ -113,13 +109,6 @@ def test_a_link_to_nothing_makes_no_file_elsewhere(tmp_path):
     assert not list(elsewhere.iterdir())
 
 
-def note(path):
-    made = Note(Member(0, {}, 1, 10, path))
-    note_of(path).symlink_to(path.parent / "precious")
-    made.write()
-    made.remove()
-
-
 def blow_up(path):
     """A run that fails, and names its report."""
     pair = md.System([[0.0, 0, 0], [0.9, 0, 0]], velocities=[[-5.0, 0, 0], [5.0, 0, 0]])
@@ -132,10 +121,8 @@ def blow_up(path):
 SMALL_FILES = {  # what writes them, given their name
     "a page": View("<html>", Path("a.h5md"), "").save,
     "a picture": lambda path: save(Figure(), path.with_suffix(".png")),
-    "a table": lambda path: simulation().run(5, every=5).to_csv(path, overwrite=False),
     "a table in place of another": lambda path: simulation().run(5, every=5).to_csv(path, overwrite=True),
     "a description": lambda path: write_whole(path, "{}"),
-    "a note": note,
     "a crash report": blow_up,
 }
 
@@ -150,24 +137,6 @@ def test_no_small_file_is_written_through_a_link(kind, tmp_path):
     with suppress(FileExistsError):
         SMALL_FILES[kind](path)
     assert precious.read_text() == "precious"
-
-
-def test_of_two_threads_one_writes(tmp_path):
-    path, refused, both = tmp_path / "a.h5md", [], threading.Barrier(2)
-
-    def run():
-        sim = simulation()
-        both.wait()
-        try:
-            sim.run(40, every=1, trajectory=path)
-        except OSError as error:
-            refused.append(error)
-
-    threads = [threading.Thread(target=run) for _ in range(2)]
-    for work in (threading.Thread.start, threading.Thread.join):
-        for one in threads:
-            work(one)
-    assert (len(refused), read_file(path).n_frames) == (1, 41), refused
 
 
 @pytest.mark.parametrize("fate", ["removed", "replaced", "cut"])
@@ -196,7 +165,5 @@ def test_a_resumed_file_is_claimed_too_and_so_is_a_crash_report(tmp_path):
     with pytest.raises(OSError, match="another run"):
         sim.run(10, trajectory=path, append=True)
     claim.release()
-    with mock.patch("minimd.files.h5md_writer.drop_frames", interrupt), pytest.raises(KeyboardInterrupt):
-        sim.run(10, every=5, trajectory=path, append=True)  # an append that is interrupted leaves no claim
     sim.run(10, every=5, trajectory=path, append=True)
     np.testing.assert_array_equal(read_file(path).system.positions, sim.positions)

@@ -1,5 +1,7 @@
 """What cannot be read, or cannot go on, is refused with its reason, and stays as it is."""
 
+import copy
+
 import numpy as np
 import pytest
 from h5md_runs import at_step, simulation
@@ -20,28 +22,28 @@ def at_pressure(pressure):
     return md.Simulation(of.system, of.potentials, md.VelocityVerlet(0.004), barostat=rescaling)
 
 
-CONTINUED = {  # what has become of the simulation, options of its run, and what is shown
-    "masses": (lambda sim: object.__setattr__(sim.system, "masses", 7.0 * sim.system.masses), {}, ["masses"]),
-    "a bath": (bath, {}, ["without a thermostat", "langevin-baoab"]),
-    "forces": (lambda sim: None, {"store_forces": True}, ["without forces"]),
-    "the step": (lambda sim: setattr(sim, "step", 0), {}, ["step 10", "step 0"]),
-    "observables": (lambda sim: setattr(sim, "extra_observables", ["stress"]), {}, ["extra_observables"]),
-    "the cell": (lambda sim: simulation("triclinic"), {}, ["the cell"]),
-    "units": (lambda sim: simulation("cubic", md.units.ASE), {}, ["units"]),
-    "a barostat": (lambda sim: at_pressure(2.0), {}, ["no barostat", "pressure=2.0"]),
-}
+CONTINUED = [  # what has become of the simulation, and what is shown
+    (lambda sim: object.__setattr__(sim.system, "masses", 7.0 * sim.system.masses), "masses"),
+    (bath, "without a thermostat", "langevin-baoab"),
+    (lambda sim: setattr(sim, "step", 0), "step 10", "step 0"),
+    (lambda sim: setattr(sim, "extra_observables", ["stress"]), "extra_observables"),
+    (lambda sim: simulation("triclinic"), "the cell"),
+    (lambda sim: simulation("cubic", md.units.ASE), "units"),
+    (lambda sim: at_pressure(2.0), "no barostat", "pressure=2.0"),
+    (lambda sim: None, "without forces"),
+]
 
 
-@pytest.mark.parametrize("what", CONTINUED)
-def test_a_run_of_something_else_cannot_be_appended(what, tmp_path):
-    (change, options, shown), path, sim = CONTINUED[what], tmp_path / "a.h5md", simulation()
-    sim.run(10, every=5, trajectory=path)
+def test_a_run_of_something_else_cannot_be_appended(tmp_path):
+    first, path = simulation(), tmp_path / "a.h5md"
+    first.run(10, every=5, trajectory=path)
     before = path.read_bytes()
-    if made := change(sim):
-        made.step, sim = 10, made
-    call = lambda: sim.run(10, trajectory=path, append=True, **options)  # noqa: E731
-    assert_answered(call, ValueError, "a.h5md", "new file", *shown)
-    assert path.read_bytes() == before
+    for change, *shown in CONTINUED:
+        sim, options = copy.copy(first), {"trajectory": path, "append": True, "store_forces": "without forces" in shown}
+        if made := change(sim):
+            made.step, sim = 10, made
+        assert_answered(lambda run=sim.run, by=options: run(10, **by), ValueError, "a.h5md", "new file", *shown)
+        assert path.read_bytes() == before
 
 
 def append_to_xtc(path):

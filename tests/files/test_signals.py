@@ -118,17 +118,6 @@ def test_a_script_that_is_terminated_says_at_which_step_and_what_is_kept(number,
         assert capsys.readouterr().err == ("" if silent else f"minimd: stopped after step {step} {told}{more}\n")
 
 
-@EACH
-def test_a_run_inside_a_run_stops_and_so_does_the_other_and_steps_can_be_made_afterwards(number):
-    outer, inner = simulation(), simulation()
-    nested = at_step(20, lambda: inner.run(100_000, every=10, observers=raising(number, 30)))
-    with ending_of(number, "step"):
-        outer.run(100_000, every=10, observers=[nested])
-    assert (outer.step, inner.step) == (20, 31)
-    inner.make_steps(10)
-    assert inner.step == 41
-
-
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """An empty current folder with the scene in it."""
@@ -136,14 +125,14 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "melt.toml").write_text(SCENE)
 
 
-def command(*arguments, handler=signal.SIG_DFL, **environment):
-    """The command, at its first lines.  handler : of all signals, as it finds them."""
+def command(*arguments, **environment):
+    """The command, at its first lines."""
     process = subprocess.Popen(
         [sys.executable, "-c", READY, *arguments],
         env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        preexec_fn=lambda: [signal.signal(number, handler) for number in SIGNALS],
+        preexec_fn=lambda: [signal.signal(number, signal.SIG_DFL) for number in SIGNALS],
     )
     assert process.stdout.read(1) == b"!"
     return process
@@ -151,59 +140,11 @@ def command(*arguments, handler=signal.SIG_DFL, **environment):
 
 def sentences(process, most=1):
     """What a process says on standard error, beside how far it is; and its exit code."""
-    _, errors = process.communicate(timeout=120)
+    _, errors = process.communicate(timeout=300)
     told = [line for line in errors.decode().splitlines() if not line.startswith(PROGRESS)]
     assert len(told) <= most, errors.decode()
     assert all(line.startswith("minimd: error: ") for line in told), told
     return told, process.returncode
-
-
-def begun(**environment):
-    """A run that writes out/melt.h5md, in a new folder."""
-    shutil.rmtree("out", ignore_errors=True)
-    Path("out").mkdir()
-    return command("run", "melt.toml", "--out", "out/melt.h5md", **environment)
-
-
-def writing():
-    """The same, when it has begun to write."""
-    process = begun()
-    while not Path("out/melt.h5md").exists():
-        assert process.poll() is None
-        time.sleep(0.002)
-    return process
-
-
-def assert_stopped_run_goes_on(number, seconds):
-    """A signal so many seconds after the run has begun to write; whether it came before the end."""
-    process = writing()
-    time.sleep(seconds)
-    process.send_signal(number)
-    (told, code), step = sentences(process), read_file("out/melt.h5md").step
-    if not any("kept in" in one for one in told):
-        assert (code in (0, 128 + number), step) == (True, END)  # the run was over
-        return False
-    assert "kept in out/melt.h5md" in told[0]
-    assert ("minimd resume out/melt.h5md" in told[0]) == (step < END)
-    if step < END:
-        assert cli.main(["resume", "out/melt.h5md", "--quiet"]) == 0
-    assert_same_file("out/melt.h5md", "whole.h5md")
-    return True
-
-
-def test_a_run_that_is_terminated_goes_on_to_the_same_bits(folder):
-    assert cli.main(["run", "melt.toml", "--quiet", "--out", "whole.h5md"]) == 0
-    assert assert_stopped_run_goes_on(signal.SIGTERM, 0.0)  # SIGHUP is among the slow tests
-
-
-def interrupted_after(seconds, **environment):
-    """The exit code of a run that gets SIGINT after so many seconds, and a new place for its file."""
-    process = begun(**environment)
-    time.sleep(seconds)
-    process.send_signal(signal.SIGINT)
-    told, code = sentences(process)
-    assert (code in (0, 130), len(told)) == (True, code == 130), told
-    return code
 
 
 def test_a_signal_during_imports_ends_the_command_in_one_sentence():
@@ -213,54 +154,35 @@ def test_a_signal_during_imports_ends_the_command_in_one_sentence():
         assert (len(told), code) == (1, 128 + number)
 
 
-def test_a_command_that_was_started_deaf_to_signals_stays_so(folder):
-    """As nohup does, and shells with what goes on in the background."""
-    process = command("run", "melt.toml", "--steps", "10", handler=signal.SIG_IGN)
-    for number in SIGNALS:
-        process.send_signal(number)
-    assert sentences(process) == ([], 0)
-
-
-def seconds_of_a_run():
-    """From its first lines to its end, and of these while it writes out/melt.h5md; a shorter run before it compiles."""
-    assert sentences(command("run", "melt.toml", "--steps", "200", "--out", "first.h5md")) == ([], 0)
-    started = time.monotonic()
-    process = writing()
-    has_begun = time.monotonic()
-    assert sentences(process) == ([], 0)
-    shutil.move("out/melt.h5md", "whole.h5md")
-    return time.monotonic() - started, time.monotonic() - has_begun
+def stopped(number, seconds, **environment):
+    """The exit code of a run that gets a signal after so many seconds; what it has written goes on to the same bits."""
+    shutil.rmtree("out", ignore_errors=True)
+    Path("out").mkdir()
+    process = command("run", "melt.toml", "--out", "out/melt.h5md", **environment)
+    time.sleep(seconds)
+    process.send_signal(number)
+    told, code = sentences(process)
+    ended = -number if number == signal.SIGKILL else 128 + number
+    assert (code in (0, ended), len(told)) == (True, code > 0), told
+    if Path("out/melt.h5md").exists():
+        if read_file("out/melt.h5md").step < END:
+            assert all("kept in out/melt.h5md" in one and "minimd resume out/melt.h5md" in one for one in told)
+            assert cli.main(["resume", "out/melt.h5md", "--quiet"]) == 0
+        assert_same_file("out/melt.h5md", "whole.h5md")
+    return code
 
 
 @pytest.mark.slow
-def test_ctrl_c_at_a_hundred_moments(folder, tmp_path):
-    """Half of them while kernels are compiled, into a cache that the next run goes on with; half with all compiled."""
-    draw, cold = random.Random(1), {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    codes = [interrupted_after(8.0 * draw.random() ** 2, **cold) for _ in range(50)]
+@pytest.mark.parametrize("number", [*SIGNALS, signal.SIGKILL])
+def test_signals_at_thirty_moments_of_a_run(number, folder, tmp_path):
+    """Ten of them while kernels are compiled, into a cache that the next run goes on with."""
+    draw, cold = random.Random(number), {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    for _ in range(2):  # the first one compiles
+        started = time.monotonic()
+        assert sentences(command("run", "melt.toml", "--out", "whole.h5md", "--overwrite")) == ([], 0)
+        duration = time.monotonic() - started
+    codes = [stopped(number, 8.0 * draw.random() ** 2, **cold) for _ in range(10)]
     assert sentences(command("run", "melt.toml", "--out", "cold.h5md", **cold)) == ([], 0)
-    duration, _ = seconds_of_a_run()
-    assert_same_file("cold.h5md", "whole.h5md")  # what the kills left in the cache is sound
-    codes += [interrupted_after((k + draw.random()) / 50 * duration) for k in range(50)]
-    assert codes.count(130) > 50
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", ENDINGS)
-def test_termination_at_thirty_moments_of_a_run(number, folder):
-    draw, early, (_, duration) = random.Random(number), [], seconds_of_a_run()
-    while early.count(True) < 30:
-        early.append(assert_stopped_run_goes_on(number, draw.random() * duration))
-        assert early.count(False) < 30
-
-
-@pytest.mark.slow
-def test_a_cache_survives_kills_while_kernels_are_compiled(folder, tmp_path):
-    draw, cold = random.Random(2), {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    for _ in range(20):
-        process = command("run", "melt.toml", "--out", "killed.h5md", "--overwrite", **cold)
-        time.sleep(1.0 + 4.0 * draw.random())
-        process.kill()
-        process.communicate()
-    for name, environment in (("cold.h5md", cold), ("warm.h5md", {})):
-        assert sentences(command("run", "melt.toml", "--out", name, **environment)) == ([], 0)
-    assert_same_file("cold.h5md", "warm.h5md")
+    assert_same_file("cold.h5md", "whole.h5md")  # what was left in the cache is sound
+    codes += [stopped(number, (k + draw.random()) / 20 * duration) for k in range(20)]
+    assert len(codes) - codes.count(0) > 10

@@ -15,14 +15,11 @@ WAYS = {"pickle": lambda one: pickle.loads(pickle.dumps(one)), "copy": copy.copy
 MINE = md.units.UnitSystem(name="mine", k_B=2.0)
 OBJECTS = [
     md.System(np.eye(3), cell=3.0, species=["A", "B", "A"], bonds=[[0, 1]]),
-    md.System(np.eye(3), cell=3.0).cell,
     md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.9)}, cutoff=2.5, truncation="switched"),
     md.PairPotential(gaussian, (1.0, 2.0), 2.0),
     md.HarmonicBond(1.0, 1.0),
-    md.HarmonicAngle(1.0, 2.0, [[0, 1, 2]]),
     md.LangevinBAOAB(0.1, 1.0, 1.0, seed=2),
     md.DistanceConstraints([[0, 1]], 1.0),
-    md.FixedAtoms([0]),
 ]
 RUNS = {"slab": "position-verlet", "dumbbells": "langevin-baoab", "chain": "leapfrog", "droplet": "velocity-verlet"}
 

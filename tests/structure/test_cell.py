@@ -65,22 +65,19 @@ def test_volume_is_that_of_the_user_s_vectors_and_numbers_have_their_units():
     assert Cell.of([[2, 0, 0], [50, 3, 0], [7, -9, -4]]).volume == pytest.approx(24.0)
     assert Cell.of([2, 3, 4], (True, True, False)).volume is Cell.of(None).volume is None
     assert "(0, 0, 9) σ, open" in str(md.System(np.eye(3), cell=[3.0, 3.0, 9.0], pbc=(True, True, False)))
-    argon = str(md.System(np.eye(3), masses=40.0, cell=4.0, units=md.units.ASE))
-    assert "cell a         (4, 0, 0) Å\n" in argon
-    assert "volume         64 Å³\n" in argon
-    for time, words in ((2.5, "2.5 fs"), (-999.9, "-999.9 fs"), (12345600.0, "12345.6 ps")):
-        assert md.units.ASE.shown(time * md.units.fs) == words
-    assert md.units.LJ.shown(0.004) == "0.004 τ"
+    argon = md.System(np.eye(3), masses=40.0, cell=4.0, units=md.units.ASE)  # 120 u in 64 Å³
+    assert "volume         64 Å³\n" in str(argon)
+    assert "3.11351 g/cm³" in str(argon)
+    assert md.units.ASE.shown(12345600.0 * md.units.fs) == "12345.6 ps"
 
 
-# fmt: off
 CELLS = [
-    ([20, 20, None], None, ["None", SLAB]), ([20, 20], None, ["(2,)", SLAB]),
-    ([20, 20, np.inf], None, ["finite", SLAB]), (SIDE, None, ["linearly independent", SLAB]),
-    ([20, 20, 0], True, ["cell[2]", SLAB]), ([20, 0, 20], [False, True, True], ["pbc=(False, False, True)"]),
-    (md.Cell.of(3.0), True, ["Cell.of(vectors, pbc)"]), ([3, 3, -1], None, ["negative", "-1"]),
+    ([20, 20, None], None, ["None", SLAB]),
+    ([20, 20], None, ["(2,)", SLAB]),
+    (SIDE, None, ["linearly independent", SLAB]),
+    ([20, 20, 0], True, ["cell[2]", SLAB]),
+    ([3, 3, -1], None, ["negative", "-1"]),
 ]
-# fmt: on
 
 
 @pytest.mark.parametrize(("cell", "pbc", "shown"), CELLS)

@@ -1,21 +1,17 @@
 """Molecules from files of others: groups that ASE or MDAnalysis finds are those of the run, or their loss is told."""
 
 import json
-import subprocess
-import sys
 import warnings
-from itertools import product
 from pathlib import Path
 
 import ase.io
 import MDAnalysis
 import numpy as np
 import pytest
-from MDAnalysis.guesser.default_guesser import DefaultGuesser
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.ase import Calculator, VelocityVerlet, system_from_file
+from minimd.ase import system_from_file
 from minimd.files.h5md_reader import read_file
 from minimd.mdanalysis import universe
 from minimd.scene import load_scene, parse_scene, run_scene
@@ -132,7 +128,7 @@ def same_groups(found, expected):
     assert sorted(map(sorted, np.asarray(found).tolist())) == sorted(map(sorted, expected))
 
 
-@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("form", ["data", *(pytest.param(form, marks=pytest.mark.slow) for form in ("pdb", "psf"))])
 def test_melt_from_a_file_runs_with_its_groups_and_ends_as_fragments(folder, form):
     """The end-to-end distance from the file that was written is that of the engine."""
     names = {"data": list(GROUPS), "psf": ["bonds", "angles"], "pdb": ["bonds"]}[form]
@@ -168,18 +164,6 @@ def test_angles_and_constraints_of_a_file_are_those_named_by_hand(folder):
     assert found.potential_energy == pytest.approx(expected.potential_energy, rel=1e-14) != 0.0
     kept = scene(folder, "pdb", laws='[constraints]\npairs = "bonds"\nlengths = 1.0\n').system().constraints
     same_groups(kept[0].pairs, BONDS)
-
-
-def test_angles_and_dihedrals_that_mdanalysis_finds_are_taken(folder):
-    """A PDB names bonds only."""
-    read = MDAnalysis.Universe("melt.pdb")
-    guesser = DefaultGuesser(read)
-    read.add_TopologyAttr("angles", guesser.guess_angles(read.bonds))
-    read.add_TopologyAttr("dihedrals", guesser.guess_dihedrals(read.angles))
-    system = md.System.from_mdanalysis(read)
-    back = md.System.from_ase(system.to_ase())
-    for made, name in product((system, back), ("bonds", "angles", "dihedrals")):
-        same_groups(getattr(made, name), GROUPS[name])
 
 
 FIELDS = {
@@ -219,22 +203,6 @@ def test_bonds_that_are_not_used_are_told(folder, form):
         warnings.simplefilter("error")
         assert len(scene(folder, form, more="bonds = []").system().bonds) == 0
         assert scene(folder, form, more="bonds = [[0, 1]]").system().bonds.tolist() == [[0, 1]]
-    text = Path("melt.data").read_text().replace("1 bond types", "2 bond types").replace("\n3 1 3 4\n", "\n3 2 3 4\n")
-    Path("melt.data").write_text(text)
-    with pytest.warns(UserWarning, match="are of 2 types, which a bond potential does not distinguish"):
-        system_from_file("melt.data")
-
-
-@pytest.mark.slow
-def test_a_command_tells_it_in_words_of_commands(folder):
-    scene(folder, "pdb", more="")
-    arguments = ["minimd", "run", "melt.toml", "--steps", "0"]
-    code = f"import sys, minimd_command; sys.argv = {arguments}; minimd_command.main()"
-    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    told = [line for line in answer.stderr.splitlines() if line.startswith("minimd: warning: ")]
-    assert "has 16 bonds, which are not used" in told[0]
-    assert ".py" not in answer.stderr
-    assert answer.returncode == 0
 
 
 def test_lammps_data_keeps_its_types_velocities_and_bonds(folder):
@@ -248,23 +216,22 @@ def test_lammps_data_keeps_its_types_velocities_and_bonds(folder):
     same_groups(md.System.from_ase(atoms).bonds, BONDS)
     same_groups(md.System.from_ase(atoms).angles, ANGLES)
     assert md.System.from_ase(atoms, bonds=[[0, 1]]).bonds.tolist() == [[0, 1]]
-    assert len(md.Simulation(atoms, md.HarmonicBond(1.0, 1.0), md.VelocityVerlet(0.1)).system.bonds) == len(BONDS)
     Path("melt.unknown").write_text(Path("melt.data").read_text())
     same_groups(system_from_file("melt.unknown", format="lammps-data").bonds, BONDS)
-    scene(folder, "pdb", more='format = "PDB"\nbonds = "file"')
-    same_groups(load_scene(folder / "melt.toml").system().bonds, BONDS)
 
 
 @pytest.mark.parametrize("file", ["a.traj", "a.extxyz", None], ids=str)
-def test_bonds_and_angles_survive_the_way_through_atoms(tmp_path, file):
+def test_bonds_angles_and_dihedrals_survive_the_way_through_atoms(tmp_path, file):
     """In the order of their first atoms; also through a file, but not .traj, which has no place for them."""
-    atoms = md.System(POSITIONS, masses=1.0, bonds=BONDS[::-1], angles=ANGLES, units=md.units.ASE).to_ase()
+    given = {"bonds": BONDS[::-1], "angles": ANGLES, "dihedrals": DIHEDRALS}
+    atoms = md.System(POSITIONS, masses=1.0, units=md.units.ASE, **given).to_ase()
     if file:
         ase.io.write(tmp_path / file, atoms)
         atoms = ase.io.read(tmp_path / file)
     back = md.System.from_ase(atoms)
     assert back.bonds.tolist() == ([] if file == "a.traj" else sorted(map(list, BONDS)))
-    same_groups(back.angles, [] if file == "a.traj" else ANGLES)
+    for name in ("angles", "dihedrals"):
+        same_groups(getattr(back, name), [] if file == "a.traj" else GROUPS[name])
     assert np.array_equal(back.positions, POSITIONS) or file
     assert set(md.System(POSITIONS).to_ase().arrays) == {"numbers", "positions", "masses", "momenta"}
 
@@ -282,7 +249,6 @@ EMPTY = MDAnalysis.Universe.empty(3, trajectory=True)  # of no masses: they are 
 WRONG = {
     "no format": (lambda: system_from_file("melt.unknown"), ValueError, "format"),
     "other atoms": (lambda: system_from_file("small.xyz", bonds="melt.psf"), ValueError, "melt.psf", "20", "7"),
-    "no file": (lambda: system_from_file("small.xyz", bonds="absent.psf"), ValueError, "absent.psf"),
     "no universe": (lambda: md.System.from_mdanalysis("melt.pdb"), TypeError, "str"),
     "no masses": (lambda: md.System.from_mdanalysis(EMPTY), ValueError, "masses"),
 }
@@ -333,14 +299,6 @@ def salt(charges=(0.5, -0.8476)):
     return atoms
 
 
-def full_data(path):
-    """A LAMMPS file with atom_style full."""
-    atoms = "\n".join(f"{k} 1 1 {q} {2.5 * k} 1.0 1.0" for k, q in ((1, 0.5), (2, -0.8476)))
-    box = "\n".join(f"0 8 {x}lo {x}hi" for x in "xyz")
-    path.write_text(f"water\n\n2 atoms\n1 atom types\n\n{box}\n\nMasses\n\n1 16.0\n\nAtoms # full\n\n{atoms}\n")
-    return path
-
-
 def from_mdanalysis(_folder):
     made = MDAnalysis.Universe.empty(2, trajectory=True)
     made.add_TopologyAttr("masses", [23.0, 35.45])
@@ -348,27 +306,11 @@ def from_mdanalysis(_folder):
     return md.System.from_mdanalysis(made)
 
 
-def from_a_psf_beside_a_pdb(folder):
-    write_psf(folder / "melt.psf", -0.8476)
-    return system_from_file("melt.pdb", bonds="melt.psf")
-
-
-def through_a_calculator(_folder):
-    atoms = salt()
-    atoms.calc = Calculator(md.LennardJones(0.01, 2.0, 3.5))
-    VelocityVerlet(atoms, 1.0).run(2)
-    atoms.positions[0] += 0.1
-    atoms.get_forces()
-
-
-# fmt: off
 WAYS_IN = [
-    from_mdanalysis, from_a_psf_beside_a_pdb, through_a_calculator, lambda folder: md.System.from_ase(salt()),
-    lambda folder: md.Simulation(salt(), md.LennardJones(0.01, 2.0, 3.5), md.Leapfrog(0.01)),
-    lambda folder: system_from_file(full_data(folder / "full.data")),
-    lambda folder: system_from_file(full_data(folder / "full.data"), cell=9.0),
+    from_mdanalysis,
+    lambda folder: md.System.from_ase(salt()),
+    lambda folder: (write_psf(folder / "melt.psf", -0.8476), system_from_file("melt.pdb", bonds="melt.psf")),
 ]
-# fmt: on
 
 
 @pytest.mark.parametrize("way", WAYS_IN)

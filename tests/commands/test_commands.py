@@ -1,13 +1,11 @@
 """The command line: what it says, with which exit code, what it leaves behind; `minimd doctor` notices faults."""
 
-import contextlib
 import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
-import time
 import warnings
 from pathlib import Path
 
@@ -29,7 +27,6 @@ from minimd.files.h5md_writer import H5MDWriter
 from minimd.scene import load_scene
 
 SCENE = f'title = "A small melt"\n{SMOOTH}'
-REPOSITORY = str(Path(__file__).parents[2])
 PNG = b"\x89PNG"
 LIGHT = """
 import runpy, sys
@@ -66,31 +63,12 @@ def run(*arguments):
     return cli.main([*map(str, arguments), "--quiet"])
 
 
-def python(*arguments):
-    """A process of its own."""
-    options = {"text": True, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    return subprocess.Popen([sys.executable, *arguments], env=os.environ | {"PYTHONPATH": REPOSITORY}, **options)
-
-
-def wait_for_frames(process, file):
-    """Wait until a running process has written more than one frame; between two flushes the file can be read."""
-    deadline = time.monotonic() + 100.0
-    while time.monotonic() < deadline and process.poll() is None:
-        time.sleep(0.1)
-        with contextlib.suppress(OSError, ValueError):
-            shutil.copy(file, "copy.h5md")
-            if read_file("copy.h5md").n_frames > 1:
-                return
-    pytest.fail(f"{file} has no frames after 100 s; the process ended with {process.poll()}")
-
-
 def test_version_and_help_are_told_without_loading_anything():
-    process = python("-c", LIGHT)
-    out, err = process.communicate()
-    assert (process.returncode, err) == (0, "")
-    told = f"minimd {md.__version__}\n"
-    assert out.startswith(f"{told}usage: minimd [-h] [--version] command ...")
-    assert out.endswith(told)
+    environment, told = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}, f"minimd {md.__version__}\n"
+    ended = subprocess.run([sys.executable, "-c", LIGHT], env=environment, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout.startswith(f"{told}usage: minimd [-h] [--version] command ...")
+    assert ended.stdout.endswith(told)
 
 
 def test_run_tells_what_it_does_and_what_to_do_next_unless_it_is_quiet(folder, capfd):
@@ -241,23 +219,6 @@ def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsy
     assert read_file("melt.h5md").n_frames > 0
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize(("end", "code"), [(signal.SIGKILL, -9), (signal.SIGINT, 130)])
-def test_a_run_that_is_killed_or_interrupted_can_be_resumed(end, code, folder):
-    process = python("-m", "minimd.commands.main", "run", "melt.toml", "--steps", "1000000", "--quiet")
-    wait_for_frames(process, "melt.h5md")
-    process.send_signal(end)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == code
-    assert "Traceback" not in err
-    assert end == signal.SIGKILL or "kept in melt.h5md" in err
-    contents = read_file("melt.h5md")
-    assert contents.n_frames > 1
-    assert run("resume", "melt.h5md", "--steps", 10) == 0
-    assert read_file("melt.h5md").step == contents.step + 10
-
-
 class Careless(md.Simulation):
     def __init__(self, *arguments, threads=None):
         super().__init__(*arguments, threads=threads)
@@ -271,6 +232,7 @@ class Leaking(md.VelocityVerlet):
         return super().advance(state, compute_forces, n_steps, with_energy, surroundings, march)
 
 
+@pytest.mark.slow
 def test_doctor_finds_this_machine_in_order(capsys):
     assert cli.main(["doctor"]) == 0
     told = capsys.readouterr().out
@@ -283,6 +245,7 @@ def test_doctor_finds_this_machine_in_order(capsys):
         numba.threading_layer()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_doctor_outlives_a_test_that_crashes_and_goes_on(capsys, monkeypatch):
     monkeypatch.setattr(doctor, "TESTS", {"crash": os.abort, "cache folder": doctor.cache})

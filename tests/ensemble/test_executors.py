@@ -38,12 +38,15 @@ EXECUTORS = {
     "this process": ThisProcess,
     "threads": partial(ThreadPoolExecutor, 2),
     "fork": partial(ProcessPoolExecutor, 2, mp_context=multiprocessing.get_context("fork")),
-    "spawned": partial(SpawnedProcesses, 2),
+    "spawned": partial(SpawnedProcesses, 1),
     "dask": dask,
 }
 
 
-@pytest.fixture(scope="module", params=[*list(EXECUTORS)[:-1], pytest.param("dask", marks=pytest.mark.slow)])
+KINDS = [pytest.param(kind, marks=[pytest.mark.slow] * (kind != "spawned")) for kind in EXECUTORS]
+
+
+@pytest.fixture(scope="module", params=KINDS)
 def executor(request):
     with EXECUTORS[request.param]() as made:
         made.submit(int).result()  # a process that is forked later keeps the lock of a folder
@@ -61,6 +64,7 @@ def test_any_executor_makes_the_same_bits_and_an_error_costs_one_member(executor
     assert_same(tmp_path, done.folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", ["spawned"], indirect=True)
 def test_a_law_of_the_users_works_in_spawned_workers(executor, tmp_path):
     here = run(tmp_path / "here", build=members.own_law, **ONE)
@@ -68,6 +72,7 @@ def test_a_law_of_the_users_works_in_spawned_workers(executor, tmp_path):
     assert there["pressure_mean"][0] == here["pressure_mean"][0] != 0.0
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_while_it_starts_is_replaced_unless_all_are(done, tmp_path, monkeypatch):
     start, left = Worker.__init__, [np.inf]
 
@@ -101,6 +106,7 @@ def test_if_all_fail_the_first_failure_is_raised_with_its_traceback(tmp_path):
     assert "in broken" in failure.value.__notes__[0]
 
 
+@pytest.mark.slow
 def test_members_that_blow_up_are_told_with_their_crash_files_and_warnings_name_a_few(tmp_path):
     for n_failed in (1, 4):  # the second call makes the first of them anew
         parameters = {"temperature": [0.5, *[0.7] * n_failed]}
@@ -140,7 +146,7 @@ def test_ctrl_c_ends_members_in_threads_after_a_whole_step(tmp_path):
     def told(member):
         if not begun.is_set():
             begun.set()
-            threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+            threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
         return members.liquid(member)
 
     with ThreadPoolExecutor(2) as pool, pytest.raises(Interrupted) as interrupted:
@@ -155,6 +161,7 @@ def started(folder, command, **environment):
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
 
 
+@pytest.mark.slow
 def test_nothing_heavy_is_loaded_and_a_script_without_a_main_is_told_so(tmp_path):
     """A worker imports the script, which would make workers again."""
     (tmp_path / "script.py").write_text(

@@ -36,14 +36,6 @@ def killed(go, _folder, patch, at):
     assert killed_at(at, go) is None
 
 
-def killed_twice_in_the_first_member(go, folder, patch):
-    bring_to_disk_every(0.0, patch)
-    assert killed_at(30, go) is None
-    reached = read_file(folder / FILES[0]).step
-    assert killed_at(70, go) is None
-    assert 0 < reached < read_file(folder / FILES[0]).step < STEPS
-
-
 def cut_off(go, folder, patch):
     """The file of a member that was killed ends early."""
     bring_to_disk_every(0.0, patch)
@@ -142,9 +134,7 @@ def another_ensemble(go, _folder, _patch):
 EVENTS = {  # what happens, the function run, and what is left: members that go on in their files, +, or begin anew, *
     "fewer steps": (lambda go, *_: go(steps=35), PLAIN, "0+1+2+"),
     "fewer members": (lambda go, *_: go(parameters={"temperature": [0.4, 0.5]}), PLAIN, "2*"),
-    "killed": (partial(killed, at=25), PLAIN, None),
-    **{f"killed at {k}": (partial(killed, at=k), PLAIN, None) for k in (3, 7, 12, 20, 31)},
-    "killed twice": (killed_twice_in_the_first_member, BY_HAND, "0+1*2*"),
+    **{f"killed at {k}": (partial(killed, at=k), PLAIN, None) for k in (3, 7, 12, 20, 25, 31)},
     "damaged": (damaged, PLAIN, "0+1*2+"),
     "cut off": (cut_off, BY_HAND, "0*1*2*"),
     "blown up and not noted": (blown_up_and_not_noted, PLAIN, "2*"),
@@ -157,9 +147,9 @@ EVENTS = {  # what happens, the function run, and what is left: members that go 
     "another ensemble": (another_ensemble, PLAIN, ""),
 }
 
-
 # fmt: on
-ALL = [pytest.param(name, marks=[pytest.mark.slow] * name.startswith("killed at")) for name in EVENTS]
+QUICK = "killed at 25", "damaged", "a journal without room"
+ALL = [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in EVENTS]
 
 
 @pytest.mark.parametrize("event", ALL)
@@ -177,6 +167,7 @@ def test_the_next_call_makes_what_is_left_with_the_same_bits(event, done, done_b
     assert sorted(path.name for path in (tmp_path / "0000-0999").iterdir()) == [Path(name).name for name in FILES]
 
 
+@pytest.mark.slow
 def test_a_run_by_hand_in_the_file_of_the_member_is_that_without_it(done, done_by_hand, tmp_path):
     """A function that writes the file itself begins anew."""
     members.assert_same_files(done.folder, done_by_hand.folder)

@@ -120,6 +120,7 @@ def test_a_scan_runs_what_was_set_and_tells_averages(folder, capsys):
     assert "dynamics.temperature" in told
 
 
+@pytest.mark.slow
 def test_the_preparation_of_the_scene_is_made_once(folder):
     Path("melt.toml").write_text(f"{SCENE}\n[equilibration]\nsteps = 20\n")
     for place, steps in (("whole", 40), ("parts", 15), ("parts", 40)):

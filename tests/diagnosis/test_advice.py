@@ -20,9 +20,9 @@ from minimd.integrators.splitting.substeps import repeated
 from minimd.structure.lattice import crystal
 
 OTHERS = md.integrators.PEFRL, md.integrators.Ruth3, md.integrators.KahanLi6, md.PositionVerlet
-SLOW = "mixture", "KahanLi6"
+QUICK = "diatomic", "chain", "ring", "rigid dumbbells", "squeezed, one layer fixed"
 STEPS = [
-    pytest.param(name, one, marks=[pytest.mark.slow] * (name in SLOW or one.__name__ in SLOW))
+    pytest.param(name, one, marks=[pytest.mark.slow] * (name not in QUICK and one is not md.integrators.PEFRL))
     for name, one in [*((name, md.VelocityVerlet) for name in MINIMA), *(("fcc crystal", one) for one in OTHERS)]
 ]
 

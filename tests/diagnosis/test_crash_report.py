@@ -255,19 +255,12 @@ def test_what_is_no_count_or_no_end_is_refused_and_no_steps_are_none(tmp_path):
     record, before = sim.run(0, trajectory=file), sim.positions.copy()
     with pytest.raises(FileExistsError):
         sim.run(10, trajectory=file)
-    for name, make in [
-        ("n_steps", sim.run),
-        ("until_step", lambda n: sim.run(until_step=n)),
-        ("n_steps", sim.make_steps),
-        ("n_steps", lambda n: sim.equilibrate(n, 1.0)),
-        ("max_steps", lambda n: sim.minimize(max_steps=n)),
-    ]:
-        for count in (True, 2.0, -1, "3"):
-            assert_answered(lambda make=make, count=count: make(count), ValueError, name, repr(count))
+    for count in (True, 2.0, -1, "3"):
+        assert_answered(lambda count=count: sim.run(count), ValueError, "n_steps", repr(count))
+        assert_answered(lambda count=count: sim.run(until_step=count), ValueError, "until_step", repr(count))
     for both in ({}, {"n_steps": 5, "until_step": 5}):
         assert_answered(lambda both=both: sim.run(**both), ValueError, "n_steps", "until_step")
     assert sim.record is record
-    sim.make_steps(0)
     assert len(sim.run(np.int64(0))) == 1
     assert sim.step == 0
     assert np.array_equal(sim.positions, before)

@@ -5,7 +5,6 @@ import warnings
 
 import numpy as np
 import pytest
-from ase.build import molecule
 from h5md_runs import simulation
 from references import liquid
 from scenes import LJ, SCENES
@@ -240,23 +239,3 @@ def test_other_potentials_turned_cells_and_changed_time_steps_of_a_file_are_told
     made.run(2, every=1, trajectory=file, append=True)
     with pytest.warns(UserWarning, match="because the time step changed"):
         universe(file).trajectory.close()
-
-
-@pytest.mark.slow
-def test_the_error_is_the_scatter_of_many_runs():
-    """Rigid water, thin, in runs of 1 ps: errors that know nothing of correlation called every second one drifting."""
-    water, corners = molecule("H2O"), 4.0 * np.array(list(np.ndindex(2, 2, 2)))
-    places = (corners[:, None] + water.positions).reshape(-1, 3)
-    pairs = [(3 * i + a, 3 * i + b) for i in range(8) for a, b in ((0, 1), (0, 2), (1, 2))]
-    masses, species = np.tile(water.get_masses(), 8), water.get_chemical_symbols() * 8
-    system = md.System(places, cell=8.5, masses=masses, species=species, units=md.units.ASE)
-    law = md.LennardJones({"O": (0.0067, 3.166), "H": (0.0, 1.0)}, cutoff=4.0, truncation="force-shifted")
-    sim = md.Simulation(system, law, md.VelocityVerlet(2.0 * md.units.fs), md.DistanceConstraints(pairs))
-    sim.set_temperature(200.0, seed=1)
-    reports = []
-    for _ in range(100):
-        sim.run(500, every=10)
-        reports.append(sim.report())
-    drifts = [one.energy_drift for one in reports]
-    assert sum(one.energy_is_conserved is False for one in reports) <= 3  # of 100; 50 before
-    assert 0.5 < np.sqrt(np.mean([(one.slope / one.error) ** 2 for one in drifts])) < 1.5  # 1 expected

@@ -13,7 +13,6 @@ import minimd as md
 from minimd.analysis.check import check_file
 from minimd.commands import main as cli
 from minimd.files.h5md_reader import read_file
-from minimd.files.h5md_writer import H5MDWriter
 from minimd.integrators import SPLITTINGS
 
 OTHERS = [pytest.param(name, marks=pytest.mark.slow) for name in ("position-verlet", "leapfrog")]
@@ -68,24 +67,18 @@ def test_shadow_energy_of_a_liquid_is_conserved_to_the_fourth_order(name):
 
 @pytest.mark.slow
 def test_shadow_energy_changes_nothing_and_shows_a_smaller_error_of_the_drift(tmp_path):
-    (shown, plain), files = (smooth(), smooth()), (tmp_path / "a.h5md", tmp_path / "b.h5md")
+    (shown, plain), file = (smooth(), smooth()), tmp_path / "a.h5md"
     plain.extra_observables = ()
-    for simulation, file in zip((shown, plain), files, strict=True):
-        simulation.run(400, every=10, trajectory=file)
+    plain.run(400, every=10)
+    shown.run(400, every=10, trajectory=file)
     assert np.abs(shown.positions - plain.positions).max() < 1e-9  # rounding, amplified
     report = shown.report()
     assert report.shadow_is_conserved
     assert report.shadow_oscillation < 0.05 * report.energy_oscillation
     assert report.shadow_drift.error < 0.1 * report.energy_drift.error
-    assert ["shadow energy" in str(one) for one in (report, plain.report(), check_file(files[0]))] == [
-        True,
-        False,
-        True,
-    ]
-    np.testing.assert_array_equal(read_file(files[0]).record.shadow_energy, shown.record.shadow_energy)
-    shown.extra_observables = ()
-    with pytest.raises(ValueError, match="extra_observables"):
-        H5MDWriter.append_to(files[0], shown.engine)
+    assert "shadow energy" in str(report)
+    assert "shadow energy" in str(check_file(file))
+    assert "shadow energy" not in str(plain.report())
 
 
 def test_shadow_energy_sees_a_drift_that_the_energy_hides():

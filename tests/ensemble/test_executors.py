@@ -91,15 +91,6 @@ def test_a_worker_that_is_killed_while_it_starts_is_replaced_unless_all_are(done
     assert_same(tmp_path, done.folder)
 
 
-@pytest.mark.slow
-def test_a_killed_worker_costs_its_member_only(done, tmp_path):
-    with pytest.warns(UserWarning, match=r"(?s)1 of 3 members have failed:.member 2 .*WorkerDied: .* SIGKILL"):
-        table = run(tmp_path, members.third_is_killed_once, workers=1)
-    assert table["status"].tolist() == ["done", "done", "failed"]
-    run(tmp_path, members.third_is_killed_once, workers=1)
-    assert_same(tmp_path, done.folder)
-
-
 def test_if_all_fail_the_first_failure_is_raised_with_its_traceback(tmp_path):
     with pytest.raises(EnsembleError, match=r"member 0 .*LookupError: no structure for 0") as failure:
         run(tmp_path, members.broken)

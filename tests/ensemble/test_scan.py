@@ -120,16 +120,6 @@ def test_a_scan_runs_what_was_set_and_tells_averages(folder, capsys):
     assert "dynamics.temperature" in told
 
 
-@pytest.mark.slow
-def test_the_preparation_of_the_scene_is_made_once(folder):
-    Path("melt.toml").write_text(f"{SCENE}\n[equilibration]\nsteps = 20\n")
-    for place, steps in (("whole", 40), ("parts", 15), ("parts", 40)):
-        assert scan("melt.toml", "--workers", 0, "--steps", steps, "--out", place, "--quiet") == 0
-    assert read_file("whole/0000-0999/0000.h5md").restart.equilibrated == 20
-    for name in ("table.csv", "table.json"):
-        assert Path("whole", name).read_bytes() == Path("parts", name).read_bytes()
-
-
 def test_members_that_fail_are_told_and_the_code_is_one(folder, capsys):
     assert scan("melt.toml", "--set", "dynamics.timestep=0.004,0.5", "--workers", 0) == 1
     told, warned = capsys.readouterr()
@@ -151,18 +141,6 @@ def scanned(tmp_path_factory):
 @pytest.fixture
 def copied(scanned, folder):
     shutil.copytree(scanned, "scan")
-
-
-def test_the_status_tells_of_members_that_were_stopped_and_that_run(copied, capsys):
-    """As if more steps had been asked for than were made."""
-    description = Path("scan/ensemble.json")
-    description.write_text(description.read_text().replace('"steps": 5', '"steps": 100'))
-    simulation = parse_scene(SCENE, Path("a.toml")).simulation()
-    look = {"observers": [lambda _: scan("--status", "scan")], "overwrite": True, "progress": False}
-    simulation.run(1, every=5, trajectory="scan/0000-0999/0001.h5md", **look)
-    told = capsys.readouterr().out
-    assert "member 0: stopped after 5 of 100 steps" in told
-    assert "1 members in scan: 1 begun" in told
 
 
 def altered(**changes):

@@ -30,10 +30,11 @@ SCENE = f'title = "A small melt"\n{SMOOTH}'
 PNG = b"\x89PNG"
 LIGHT = """
 import runpy, sys
-for option in ("--version", "--help"):
-    sys.argv = ["minimd", option]
+from minimd.commands.main import main
+sys.argv = ["minimd", "--help"]
+for call in (lambda: main(["--version"]), lambda: runpy.run_module("minimd", None, "__main__")):
     try:
-        runpy.run_module("minimd", None, "__main__")
+        call()
     except SystemExit as end:
         assert end.code == 0
 heavy = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm"} & set(sys.modules)

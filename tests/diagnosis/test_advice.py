@@ -225,7 +225,6 @@ HINTS = {  # scene, and what is said
     "a start off its lengths": (*STIFF, 0.01, md.DistanceConstraints([[0, 1]], 0.9), "was projected"),
     "a step too long for a bond": (*STIFF, 0.18, "timestep 0.18 τ .* the bond of atoms 0 and 1 .* 0.1789 τ"),
     "one that is not": (*STIFF, 0.178, None),
-    "nor for another method": (*STIFF, md.integrators.PEFRL(0.26), None),  # stable up to 2.989/ω
     "a rigid bond": (*STIFF, 0.18, RIGID, None),
     "a bond with one end fixed": (*STIFF, 0.18, md.FixedAtoms([0]), None),  # 2/ω = 0.4
 }

@@ -11,7 +11,6 @@ from scenes import LJ, SCENES
 from scipy.signal import lfilter
 
 import minimd as md
-from minimd.analysis.check import check_file
 from minimd.diagnosis.report import Drift, conservation_report, drift, drift_of_walk
 from minimd.diagnosis.run_report import cutoff_lines
 from minimd.engine.record import SERIES, Record
@@ -50,17 +49,6 @@ def test_the_report_tells_conserved_from_not(conserved):
     cluster = md.Simulation(md.System(liquid(2, jitter=0.0).positions - 1.0), LJ, VERLET)
     cluster.run(500, every=100)  # at rest as a whole: L = 0 is judged by its scale, and rounding is no change
     assert cluster.report().angular_momentum_change < 1e-12
-
-
-def test_the_kinetic_energy_of_a_report_leaves_out_a_drift(tmp_path):
-    """Of rigid water, which has two degrees of freedom for each atom: in a run, and from its file."""
-    file, simulation = tmp_path / "a.h5md", SCENES["water"]().simulation()
-    expected = simulation.engine.kinetic_energy / len(simulation.system)
-    simulation.velocities[:, 0] += 100.0
-    with pytest.warns(UserWarning, match="the center of mass moves"):
-        simulation.run(1, every=1, trajectory=file)
-    for report in (simulation.report(), check_file(file).report):
-        assert report.kinetic_energy == pytest.approx(expected, rel=0.01)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -7,6 +7,7 @@ from references import liquid
 from scenes import LJ
 
 import minimd as md
+from minimd.analysis.check import check_file
 from minimd.diagnosis.timestep import velocity_temperature
 from minimd.mdanalysis import diffusion_coefficient
 from minimd.observers.green_kubo import plateau
@@ -110,8 +111,9 @@ def results(name, velocity, file):
         answers = one.result().columns() | one.result().numbers()
         found |= {f"{one.kind} {key}": values for key, values in answers.items()}
     found |= {key: getattr(record, key) for key in (T, "pressure", "stress", "potential_energy", "total_energy")}
-    found |= {SCALE: sim.report().kinetic_energy, "for advice": velocity_temperature(sim.system)}
+    found["for advice"] = velocity_temperature(sim.system)
     found |= {"file": diffusion_coefficient(file).displacements, "of ase": ase.io.read(file).get_stress()}
+    found[SCALE] = np.array([one.kinetic_energy for one in (sim.report(), check_file(file).report)])
     sim.rescale_temperature(0.8)
     return found | {"rescaled": sim.velocities - sim.drift, "drift": sim.drift}
 

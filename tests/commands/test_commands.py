@@ -77,7 +77,7 @@ def test_run_tells_what_it_does_and_what_to_do_next_unless_it_is_quiet(folder, c
     out, err = capfd.readouterr()
     for words in ("A small melt", "256 atoms", "40 steps = 0.16 τ", "verdict", "melt.h5md", "minimd check melt.h5md"):
         assert words in out
-    assert err.count("running: step") == 4  # no terminal, so lines: one at each of the four observations
+    assert err.count("running: step") == 4  # no terminal, so lines
 
 
 def test_out_takes_the_picture_along_and_spares_pictures_that_were_not_named(folder, capsys):

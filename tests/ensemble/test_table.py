@@ -130,6 +130,3 @@ def test_a_note_that_was_left_behind_is_not_believed(done):
     descriptor = locked(note)
     assert running in status(done.folder)[1]
     os.close(descriptor)
-    with notes.noting(md.Member(2, {}, 0, STEPS, note.with_suffix(".h5md"))):
-        pass
-    assert not note.exists()

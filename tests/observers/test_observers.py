@@ -252,8 +252,6 @@ def test_a_run_that_was_cut_goes_on_to_the_same_answers(tmp_path):
             for name, series in one.result().columns().items():
                 np.testing.assert_array_equal(h5[f"minimd/observers/{one.name}/{name}"][:], series)
         assert h5["minimd/observers/viscosity"].attrs["viscosity"] == whole[3].result().viscosity
-    with pytest.raises(ValueError, match="with the arguments"):
-        again.run(10, trajectory=file, append=True, observers=[observers.Profile(every=7)])
 
 
 @pytest.mark.parametrize("kind", observers.KINDS)
@@ -282,6 +280,8 @@ def test_sums_of_another_convention_do_not_go_on(tmp_path, monkeypatch):
     assert plot_file(file).exists()
     go_on = lambda *many: resumed.run(10, every=10, trajectory=file, append=True, observers=many)  # noqa: E731
     assert_answered(lambda: go_on(*found.values()), ValueError, "mean_square_displacement", "convention 1", "not 2")
+    with pytest.raises(ValueError, match="with the arguments"):
+        go_on(observers.Profile(every=7))
     with pytest.warns(UserWarning, match="which this run does not go on with"):
         go_on()
 

@@ -80,6 +80,7 @@ def test_run_tells_what_it_does_and_what_to_do_next_unless_it_is_quiet(folder, c
     assert err.count("running: step") == 4  # no terminal, so lines
 
 
+@pytest.mark.slow
 def test_out_takes_the_picture_along_and_spares_pictures_that_were_not_named(folder, capsys):
     Path("melt.toml").write_text(SCENE + 'plot = "melt.png"\n')
     for name in ("melt.png", "second.png"):

@@ -286,6 +286,7 @@ def test_sums_of_another_convention_do_not_go_on(tmp_path, monkeypatch):
         go_on()
 
 
+@pytest.mark.slow
 def test_a_scene_has_observers(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     kinds = '[[observer]]\nkind = "radial-distribution"\nevery = 5\nr_max = 2.0\n[[observer]]\nkind = "viscosity"\n'

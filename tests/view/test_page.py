@@ -175,6 +175,7 @@ def test_a_failed_run_shows_its_last_steps_and_marks_the_pair(tmp_path):
     assert alone.about["steps"] == [found.first_step, found.last_good_step]
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_page_and_names_it(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     opened = []

@@ -27,7 +27,6 @@ def test_the_table_holds_parameters_means_with_their_errors_and_files(done):
     assert len(pressure) == 13
     assert (done["pressure_mean"][1], done["pressure_error"][1]) == mean_and_error(pressure)
     assert np.isfinite(done["pressure_error"]).all()
-    assert "3 done" in str(done)
     with EnsembleFolder(done.folder, writes=False) as folder:
         few, more = table_of(folder, folder.asked, 1), table_of(folder, folder.asked._replace(steps=STEPS + 1), 3)
     assert few["pressure_mean"].tolist() == done["pressure_mean"].tolist()[:1]

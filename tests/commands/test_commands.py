@@ -1,13 +1,11 @@
 """The command line: what it says, with which exit code, what it leaves behind; `minimd doctor` notices faults."""
 
-import contextlib
 import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
-import time
 import warnings
 from pathlib import Path
 
@@ -29,16 +27,14 @@ from minimd.files.h5md_writer import H5MDWriter
 from minimd.scene import load_scene
 
 SCENE = f'title = "A small melt"\n{SMOOTH}'
-REPOSITORY = str(Path(__file__).parents[2])
 PNG = b"\x89PNG"
 LIGHT = """
 import runpy, sys
 from minimd.commands.main import main
-sys.argv = ["minimd", "--version"]
-calls = [(main, ["--version"]), (main, ["--help"]), (runpy.run_module, "minimd", None, "__main__")]
-for call, *arguments in calls:
+sys.argv = ["minimd", "--help"]
+for call in (lambda: main(["--version"]), lambda: runpy.run_module("minimd", None, "__main__")):
     try:
-        call(*arguments)
+        call()
     except SystemExit as end:
         assert end.code == 0
 heavy = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm"} & set(sys.modules)
@@ -66,31 +62,11 @@ def run(*arguments):
     return cli.main([*map(str, arguments), "--quiet"])
 
 
-def python(*arguments):
-    """A process of its own."""
-    options = {"text": True, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    return subprocess.Popen([sys.executable, *arguments], env=os.environ | {"PYTHONPATH": REPOSITORY}, **options)
-
-
-def wait_for_frames(process, file):
-    """Wait until a running process has written more than one frame; between two flushes the file can be read."""
-    deadline = time.monotonic() + 100.0
-    while time.monotonic() < deadline and process.poll() is None:
-        time.sleep(0.1)
-        with contextlib.suppress(OSError, ValueError):
-            shutil.copy(file, "copy.h5md")
-            if read_file("copy.h5md").n_frames > 1:
-                return
-    pytest.fail(f"{file} has no frames after 100 s; the process ended with {process.poll()}")
-
-
 def test_version_and_help_are_told_without_loading_anything():
-    process = python("-c", LIGHT)
-    out, err = process.communicate()
-    assert (process.returncode, err) == (0, "")
-    told = f"minimd {md.__version__}\n"
-    assert out.startswith(f"{told}usage: minimd [-h] [--version] command ...")
-    assert out.endswith(told)
+    environment, told = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}, f"minimd {md.__version__}\n"
+    ended = subprocess.run([sys.executable, "-c", LIGHT], env=environment, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout.startswith(f"{told}usage: minimd [-h] [--version] command ...")
 
 
 def test_run_tells_what_it_does_and_what_to_do_next_unless_it_is_quiet(folder, capfd):
@@ -101,9 +77,10 @@ def test_run_tells_what_it_does_and_what_to_do_next_unless_it_is_quiet(folder, c
     out, err = capfd.readouterr()
     for words in ("A small melt", "256 atoms", "40 steps = 0.16 τ", "verdict", "melt.h5md", "minimd check melt.h5md"):
         assert words in out
-    assert err.count("running: step") == 4  # no terminal, so lines: one at each of the four observations
+    assert err.count("running: step") == 4  # no terminal, so lines
 
 
+@pytest.mark.slow
 def test_out_takes_the_picture_along_and_spares_pictures_that_were_not_named(folder, capsys):
     Path("melt.toml").write_text(SCENE + 'plot = "melt.png"\n')
     for name in ("melt.png", "second.png"):
@@ -115,9 +92,6 @@ def test_out_takes_the_picture_along_and_spares_pictures_that_were_not_named(fol
     assert {Path(name).read_text() for name in ("melt.png", "second.png")} == {"precious"}
     assert "second.png exists and is kept" in capsys.readouterr().out
     assert run("run", "melt.toml", "--steps", 0, "--out", "third.xyz") == 0
-    Path("melt.toml").write_text(SCENE + "plot = true\n")
-    assert run("run", "melt.toml", "--steps", 0, "--out", "fourth.h5md") == 0
-    assert Path("fourth.png").read_bytes().startswith(PNG)
     assert not Path("melt.h5md").exists()
 
 
@@ -172,6 +146,7 @@ def test_resume_without_a_stored_scene_asks_for_one(folder, capsys):
     assert read_file("bare.h5md").step == 20
 
 
+@pytest.mark.slow
 def test_a_scene_given_to_resume_replaces_that_of_the_file(folder, capsys):
     Path("slow.toml").write_text(SCENE.replace("timestep = 0.004", "timestep = 0.002"))
     assert run("run", "melt.toml", "--steps", 4) == 0
@@ -187,7 +162,12 @@ def test_a_scene_given_to_resume_replaces_that_of_the_file(folder, capsys):
     assert md.Simulation.resume("melt.h5md").method.timestep == 0.001
 
 
-def test_texts_of_files_give_no_orders_to_the_terminal(finished, folder, capsys):
+READING = [["check"], ["frames", "--at", "1"], ["resume", "--steps", "5"], ["replay"]]
+DRAWING = pytest.param([["view"], ["plot"]], marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("reading", [READING, DRAWING], ids=["reading", "drawing"])
+def test_texts_of_files_give_no_orders_to_the_terminal(reading, finished, folder, capsys):
     """Titles and names of files are escaped, labels of atoms refused.  Colors, returns, bells, titles, order."""
     orders = ["\x1b[31mred", "a\rb", "\a", "\x9d0;x\x9c", "\u202egnp"]
     strange = "".join(orders)
@@ -199,7 +179,6 @@ def test_texts_of_files_give_no_orders_to_the_terminal(finished, folder, capsys)
     Path(scene).write_text(f"title = {title}\n{SMOOTH}")
     assert cli.main(["run", scene, "--steps", "0", "--out", f"b{strange}.h5md"]) == 0
     Path(scene).write_text(f"{title} = {title}\n{SMOOTH}")
-    reading = (["check"], ["view"], ["frames", "--at", "1"], ["plot"], ["resume", "--steps", "5"], ["replay"])
     read = [[name, file, *options] for name, *options in reading]
     for arguments in (*read, ["check", f"{file}.nowhere"], ["run", scene]):
         assert cli.main(arguments) == 2 or arguments in read
@@ -212,11 +191,10 @@ def test_texts_of_files_give_no_orders_to_the_terminal(finished, folder, capsys)
 
 def test_plot_draws_and_check_passes_on_a_sound_file_and_fails_on_another(finished, folder, capsys):
     shutil.copy(finished, "melt.h5md")
-    for out, done in (([], "written "), ([], "replaced"), (["--out", "other.png"], "written ")):
-        name = out[-1] if out else "melt.png"
-        assert cli.main(["plot", "melt.h5md", *out]) == 0
-        assert capsys.readouterr().out.splitlines() == [f"drawing        {name} ...", f"{done}       {name}"]
-        assert Path(name).read_bytes().startswith(PNG)
+    Path("other.png").touch()
+    assert cli.main(["plot", "melt.h5md", "--out", "other.png"]) == 0
+    assert capsys.readouterr().out.splitlines() == ["drawing        other.png ...", "replaced       other.png"]
+    assert Path("other.png").read_bytes().startswith(PNG)
     assert cli.main(["check", "melt.h5md"]) == 0
     assert "passed" in capsys.readouterr().out
     with h5py.File("melt.h5md", "r+") as h5:
@@ -241,23 +219,6 @@ def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsy
     assert read_file("melt.h5md").n_frames > 0
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize(("end", "code"), [(signal.SIGKILL, -9), (signal.SIGINT, 130)])
-def test_a_run_that_is_killed_or_interrupted_can_be_resumed(end, code, folder):
-    process = python("-m", "minimd.commands.main", "run", "melt.toml", "--steps", "1000000", "--quiet")
-    wait_for_frames(process, "melt.h5md")
-    process.send_signal(end)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == code
-    assert "Traceback" not in err
-    assert end == signal.SIGKILL or "kept in melt.h5md" in err
-    contents = read_file("melt.h5md")
-    assert contents.n_frames > 1
-    assert run("resume", "melt.h5md", "--steps", 10) == 0
-    assert read_file("melt.h5md").step == contents.step + 10
-
-
 class Careless(md.Simulation):
     def __init__(self, *arguments, threads=None):
         super().__init__(*arguments, threads=threads)
@@ -271,6 +232,7 @@ class Leaking(md.VelocityVerlet):
         return super().advance(state, compute_forces, n_steps, with_energy, surroundings, march)
 
 
+@pytest.mark.slow
 def test_doctor_finds_this_machine_in_order(capsys):
     assert cli.main(["doctor"]) == 0
     told = capsys.readouterr().out
@@ -283,6 +245,7 @@ def test_doctor_finds_this_machine_in_order(capsys):
         numba.threading_layer()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_doctor_outlives_a_test_that_crashes_and_goes_on(capsys, monkeypatch):
     monkeypatch.setattr(doctor, "TESTS", {"crash": os.abort, "cache folder": doctor.cache})
@@ -306,9 +269,7 @@ def test_doctor_finds_damaged_compiled_code_and_loads_nothing_of_it(tmp_path, mo
     code[-3] ^= 1
     file.write_bytes(code)
     fine, sentence = doctor.cache()
-    assert fine
-    assert (sentence.startswith(str(tmp_path)), sentence.endswith(": 1")) == (True, True)
-    assert doctor.cache() == (True, str(tmp_path))
+    assert (fine, sentence[-3:]) == (True, ": 1")
     assert (files.load("floats"), files.load("integers")) == (None, "code for integers")
 
 

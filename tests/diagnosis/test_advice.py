@@ -20,9 +20,9 @@ from minimd.integrators.splitting.substeps import repeated
 from minimd.structure.lattice import crystal
 
 OTHERS = md.integrators.PEFRL, md.integrators.Ruth3, md.integrators.KahanLi6, md.PositionVerlet
-SLOW = "mixture", "KahanLi6"
+QUICK = "diatomic", "chain", "ring", "rigid dumbbells", "squeezed, one layer fixed"
 STEPS = [
-    pytest.param(name, one, marks=[pytest.mark.slow] * (name in SLOW or one.__name__ in SLOW))
+    pytest.param(name, one, marks=[pytest.mark.slow] * (name not in QUICK and one is not md.integrators.PEFRL))
     for name, one in [*((name, md.VelocityVerlet) for name in MINIMA), *(("fcc crystal", one) for one in OTHERS)]
 ]
 
@@ -66,6 +66,7 @@ def test_limits_and_recommendations_that_are_known():
 K = np.arange(40)
 ROW = md.System(np.column_stack([K, 0 * K, 0 * K]), masses=2.0, bonds=np.column_stack([K[:-1], K[1:]]))
 DIMER = md.System([[0.0, 0.0, 0.0], [2 ** (1 / 6), 0.0, 0.0]], masses=[1.0, 3.0])
+ALL_PAIRS = [[0, 1], [1, 2], [0, 2]]
 TRIANGLE = md.System(np.array([[0.0, 0, 0], [0.9, 0, 0], [0.45, 0.78, 0]]))
 # length 1, a spring of rest length ½ to an anchor at distance 2: its tension stiffens, ω² = 1.5 k (1 + 1/2)/m
 PULLED = md.System([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.0, 0.0]], masses=[1.0, 2.0, 1.0])
@@ -76,7 +77,8 @@ KNOWN = {  # scene and frequency; what cannot oscillate, however hard its atoms 
     "row of beads": (ROW, md.HarmonicBond(50.0, 1.0), (), 2.0 * np.sqrt(50.0 / 2.0) * np.cos(np.pi / 80.0)),
     "dimer": (DIMER, OPEN, (), np.sqrt(4.0 * (156 * 2 ** (-14 / 6) - 42 * 2 ** (-8 / 6)) * 4.0 / 3.0)),  # √(u″(r₀)/μ)
     "pulled pendulum": (PULLED, md.HarmonicBond(40.0, 0.5, pairs=[[1, 2]]), HELD, np.sqrt(60.0 * 1.5 / 2.0)),
-    "rigid triangle": (TRIANGLE, OPEN, md.DistanceConstraints([[0, 1], [1, 2], [0, 2]]), 0.0),
+    "rigid triangle": (TRIANGLE, OPEN, md.DistanceConstraints(ALL_PAIRS), 0.0),
+    "rigid rod": (md.System(np.outer([0.0, 0.4, 1.0], [1.0, 0, 0])), OPEN, md.DistanceConstraints(ALL_PAIRS), 0.0),
     "two free atoms": (md.System(np.outer(np.arange(2), [5.0, 0.0, 0.0])), LJ, (), 0.0),
     "64 free atoms": (md.System(np.outer(np.arange(64), [5.0, 0.0, 0.0])), LJ, (), 0.0),
 }
@@ -94,11 +96,8 @@ def test_frequencies_are_the_closed_forms(name):
         assert "nothing oscillates" in str(advice)
 
 
-def reduced_frequency(system, law, quadratic, linear):
-    """The highest frequency of M^−1/2 (∇²U − Σ λ ∇²g) M^−1/2 on the null space of all ∇g, by dense algebra.
-
-    quadratic : pairs (i, j), each with g = ½ (r_ij² − d²).  linear : rows (3N,) whose product with r is constant.
-    """
+def reduced_frequency(system, law, pairs):
+    """Of M^−1/2 (∇²U − Σ λ ∇²g) M^−1/2, the highest one on the null space of all ∇g, where g = ½ (r_ij² − d²)."""
     n, x = 3 * len(system), system.positions.ravel().copy()
 
     def forces(y):
@@ -106,33 +105,26 @@ def reduced_frequency(system, law, quadratic, linear):
 
     hessian = np.array([forces(x - 1e-6 * e) - forces(x + 1e-6 * e) for e in np.eye(n)]) / 2e-6
     curvatures = []
-    for i, j in quadratic:
+    for i, j in pairs:
         b = np.zeros((3, n))
         b[:, 3 * j : 3 * j + 3], b[:, 3 * i : 3 * i + 3] = np.eye(3), -np.eye(3)
         curvatures.append(b.T @ b)
-    gradients = np.array([*(g @ x for g in curvatures), *linear])
+    gradients = np.array([g @ x for g in curvatures])
     root = 1.0 / np.sqrt(np.repeat(system.masses, 3))
     at_rest = np.linalg.lstsq((gradients * root).T, -forces(x) * root, rcond=None)[0]  # M⁻¹(F + λ ∇g) keeps g
-    lagrangian = hessian - np.einsum("k,kab->ab", at_rest[: len(curvatures)], np.array(curvatures))
+    lagrangian = hessian - np.einsum("k,kab->ab", at_rest, np.array(curvatures))
     allowed = scipy.linalg.null_space(gradients * root)
     return np.sqrt(np.linalg.eigvalsh(allowed.T @ (root[:, None] * lagrangian * root) @ allowed)[-1])
 
 
-@pytest.mark.parametrize("shape", ["water", "chain", "ring", "cube", "rod"])
+@pytest.mark.parametrize("shape", ["water", "chain", "ring", "cube"])
 def test_frequencies_with_constraints_are_those_of_the_reduced_problem(shape):
     one, pairs, masses = GRAPHS[shape]
     one, pairs, masses = (one[:9], pairs[:8], masses[:9]) if shape == "chain" else (one, pairs, masses)
     positions, pairs = np.concatenate([one, one + np.array([0.7, 1.5, 1.2])]), np.concatenate([pairs, pairs + len(one)])
-    system = md.System(positions, masses=np.tile(masses, 2), bonds=pairs)
-    law, quadratic, linear = md.LennardJones(1.0, 0.9), pairs.tolist(), []
-    if shape == "rod":  # its ends are atoms 0 and 2, the middle one lies at 1.16 of 2.5 between them
-        quadratic = [[0, 2], [3, 5]]
-        for start, c in np.ndindex(2, 3):
-            row = np.zeros(18)
-            row[3 * (3 * start + np.arange(3)) + c] = 1.16 / 2.5 - 1.0, 1.0, -1.16 / 2.5
-            linear.append(row)
+    system, law = md.System(positions, masses=np.tile(masses, 2), bonds=pairs), md.LennardJones(1.0, 0.9)
     frequency = md.advise_timestep(system, law, md.DistanceConstraints(pairs)).frequency
-    assert frequency == pytest.approx(reduced_frequency(system, law, quadratic, linear), rel=1e-4)  # ACCURACY
+    assert frequency == pytest.approx(reduced_frequency(system, law, pairs.tolist()), rel=1e-4)  # ACCURACY
 
 
 def test_rigid_bonds_do_not_oscillate_and_of_others_the_stiffest_is_named():
@@ -225,17 +217,14 @@ HINTS = {  # scene, and what is said
     "lengths in another unit": (SPARSE, LJ, "no two atoms are within the cutoff, 1.8 σ: .*3.82 σ apart"),
     "a step that is short enough": (LIQUID, LJ, 0.018, None),
     "a long step": (LIQUID, LJ, 0.022, "well up to .*; see advise_timestep"),
-    "a step long for lighter atoms": (like(LIQUID, masses=4.0), LJ, 0.022, None),
     "a step in seconds": (*argon_crystal(), 5e-15, r"check its unit, such as 5 \* md.units.fs"),
     "a center that moves": (FLOWING, LJ, "center of mass.*0.5 σ/τ"),
     "a depth in K": (*with_depth(120.0), r"^epsilon = 120 eV .* 0.0103 eV, epsilon=120 \* md.units.ASE.k_B"),
-    "a depth in kJ/mol": (*with_depth(0.997), "^epsilon = 0.997 eV .* 0.0103 eV, epsilon=0.997 / md.units.KJ_"),
     "the right depth": (*with_depth(0.0103), None),
     "one that is thermal": (FLOWING, LJ, BATH, None),
     "a start off its lengths": (*STIFF, 0.01, md.DistanceConstraints([[0, 1]], 0.9), "was projected"),
     "a step too long for a bond": (*STIFF, 0.18, "timestep 0.18 τ .* the bond of atoms 0 and 1 .* 0.1789 τ"),
     "one that is not": (*STIFF, 0.178, None),
-    "nor for another method": (*STIFF, md.integrators.PEFRL(0.26), None),  # stable up to 2.989/ω
     "a rigid bond": (*STIFF, 0.18, RIGID, None),
     "a bond with one end fixed": (*STIFF, 0.18, md.FixedAtoms([0]), None),  # 2/ω = 0.4
 }
@@ -260,10 +249,7 @@ def test_a_skin_that_does_not_fit_is_clamped_and_said():
 @pytest.mark.slow
 def test_the_first_step_compiles_all_that_the_next_ones_need():
     offset, start = 1e-30 * time_ns(), compile_clock.seconds
-
-    def spring(r2):  # no cache holds it: the offset is a part of its code
-        return (3.24 - r2) ** 2 + offset, 4.0 * (3.24 - r2)
-
+    spring = lambda r2: ((3.24 - r2) ** 2 + offset, 4.0 * (3.24 - r2))  # noqa: E731  the offset keeps it out of caches
     sim = md.Simulation(liquid(3), md.PairPotential(spring, (), 1.8), md.VelocityVerlet(0.004))
     sim.run(1)
     before = compile_clock.seconds

@@ -5,14 +5,12 @@ import warnings
 
 import numpy as np
 import pytest
-from ase.build import molecule
 from h5md_runs import simulation
 from references import liquid
 from scenes import LJ, SCENES
 from scipy.signal import lfilter
 
 import minimd as md
-from minimd.analysis.check import check_file
 from minimd.diagnosis.report import Drift, conservation_report, drift, drift_of_walk
 from minimd.diagnosis.run_report import cutoff_lines
 from minimd.engine.record import SERIES, Record
@@ -51,17 +49,6 @@ def test_the_report_tells_conserved_from_not(conserved):
     cluster = md.Simulation(md.System(liquid(2, jitter=0.0).positions - 1.0), LJ, VERLET)
     cluster.run(500, every=100)  # at rest as a whole: L = 0 is judged by its scale, and rounding is no change
     assert cluster.report().angular_momentum_change < 1e-12
-
-
-def test_the_kinetic_energy_of_a_report_leaves_out_a_drift(tmp_path):
-    """Of rigid water, which has two degrees of freedom for each atom: in a run, and from its file."""
-    file, simulation = tmp_path / "a.h5md", SCENES["water"]().simulation()
-    expected = simulation.engine.kinetic_energy / len(simulation.system)
-    simulation.velocities[:, 0] += 100.0
-    with pytest.warns(UserWarning, match="the center of mass moves"):
-        simulation.run(1, every=1, trajectory=file)
-    for report in (simulation.report(), check_file(file).report):
-        assert report.kinetic_energy == pytest.approx(expected, rel=0.01)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -130,7 +117,7 @@ def correlated(correlation, n, rng):
     return lfilter([1.0], [1.0, -correlation], rng.normal(size=n + 400))[400:]
 
 
-CORRELATIONS = (0.0, 51, 0.01), (0.5, 51, 0.02), (0.8, 51, 0.03), (0.8, 501, 0.02), (0.95, 501, 0.02)
+CORRELATIONS = (0.0, 51, 0.01), (0.8, 51, 0.03), (0.95, 501, 0.02)
 
 
 @pytest.mark.parametrize(("correlation", "n", "most"), CORRELATIONS)
@@ -158,19 +145,12 @@ def test_a_drift_that_is_there_is_found():
 def test_the_error_of_a_walk_that_fluctuates_is_its_scatter(noise):
     """The energy without that of a bath wanders, and the error of the energy fluctuates. Few runs seem to drift."""
     rng, t = np.random.default_rng(3), np.arange(50.0)
-    found = [drift_of_walk(t, rng.normal(size=50).cumsum() + noise * rng.normal(size=50)) for _ in range(N_SERIES)]
+    walks = [rng.normal(size=50).cumsum() + noise * rng.normal(size=50) for _ in range(N_SERIES)]
+    found = [drift_of_walk(t, walk) for walk in walks]
     slopes, errors = np.array([(one.slope, one.error) for one in found]).T
     assert 0.85 < np.sqrt((errors**2).mean()) / slopes.std() < 1.3
     assert np.mean([one.is_significant for one in found]) < 0.03  # 0.003 if the error were known exactly
-
-
-def test_the_drift_of_a_long_walk_is_found_where_a_line_cannot_tell():
-    rng, t = np.random.default_rng(0), np.linspace(0.0, 100.0, 4001)
-    walks = np.cumsum(rng.normal(size=(300, t.size)), axis=1)
-    misses = sum(abs(one.slope) > 2.0 * one.error for one in (drift_of_walk(t, walk) for walk in walks))
-    assert misses < 35  # 5 % expected, with few blocks 6
-    assert sum(drift(t, walk).is_too_short for walk in walks) > 150
-    assert all(drift_of_walk(t, walk + 10.0 * np.sqrt(t.size) / 100.0 * t).is_significant for walk in walks)
+    assert all(drift_of_walk(t, walk + 10.0 * t).is_significant for walk in walks)
 
 
 def test_slow_changes_that_the_energy_hides_are_seen_in_the_kinetic_energy():
@@ -204,8 +184,6 @@ def test_jumps_at_the_cutoff_are_told_of_the_worst_pair_of_species_and_at_its_cu
         assert line.is_good == is_good
     assert jump(md.LennardJones(1.0, 1.0, 2 ** (1 / 6))).verdict == "energy and force are continuous"
     pair = md.System([[0, 0, 0], [1.2, 0, 0]], species=["A", "B"])
-    two = md.LennardJones({"A": (1.0, 1.0), "B": (5.0, 1.0)}, cutoff=2.5, truncation="truncated")
-    assert jump(two, pair).summary.startswith("energy 8.2e-02")
     own, cutoffs = {"A": (1.0, 1.0), "B": (0.5, 0.88)}, {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}
     mixture = md.LennardJones(own, cutoff=cutoffs, pairs={("A", "B"): (1.5, 0.8)}, truncation="truncated")
     assert jump(mixture, pair).summary.endswith("ε/σ at 2 σ")
@@ -240,23 +218,3 @@ def test_other_potentials_turned_cells_and_changed_time_steps_of_a_file_are_told
     made.run(2, every=1, trajectory=file, append=True)
     with pytest.warns(UserWarning, match="because the time step changed"):
         universe(file).trajectory.close()
-
-
-@pytest.mark.slow
-def test_the_error_is_the_scatter_of_many_runs():
-    """Rigid water, thin, in runs of 1 ps: errors that know nothing of correlation called every second one drifting."""
-    water, corners = molecule("H2O"), 4.0 * np.array(list(np.ndindex(2, 2, 2)))
-    places = (corners[:, None] + water.positions).reshape(-1, 3)
-    pairs = [(3 * i + a, 3 * i + b) for i in range(8) for a, b in ((0, 1), (0, 2), (1, 2))]
-    masses, species = np.tile(water.get_masses(), 8), water.get_chemical_symbols() * 8
-    system = md.System(places, cell=8.5, masses=masses, species=species, units=md.units.ASE)
-    law = md.LennardJones({"O": (0.0067, 3.166), "H": (0.0, 1.0)}, cutoff=4.0, truncation="force-shifted")
-    sim = md.Simulation(system, law, md.VelocityVerlet(2.0 * md.units.fs), md.DistanceConstraints(pairs))
-    sim.set_temperature(200.0, seed=1)
-    reports = []
-    for _ in range(100):
-        sim.run(500, every=10)
-        reports.append(sim.report())
-    drifts = [one.energy_drift for one in reports]
-    assert sum(one.energy_is_conserved is False for one in reports) <= 3  # of 100; 50 before
-    assert 0.5 < np.sqrt(np.mean([(one.slope / one.error) ** 2 for one in drifts])) < 1.5  # 1 expected

@@ -11,7 +11,6 @@ import time
 from contextlib import suppress
 from functools import partial, wraps
 from pathlib import Path
-from unittest.mock import DEFAULT, Mock
 
 import members
 import numpy as np
@@ -23,7 +22,6 @@ from members import FILES, STEPS, assert_same, run
 
 import minimd as md
 from minimd.ensemble.running import EnsembleError
-from minimd.ensemble.workers import ThisProcess
 from minimd.files.h5md_reader import read_file
 from minimd.structure.errors import Interrupted
 
@@ -34,14 +32,6 @@ def killed(go, _folder, patch, at):
     """At this change of a file."""
     patch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.0)
     assert killed_at(at, go) is None
-
-
-def killed_twice_in_the_first_member(go, folder, patch):
-    bring_to_disk_every(0.0, patch)
-    assert killed_at(30, go) is None
-    reached = read_file(folder / FILES[0]).step
-    assert killed_at(70, go) is None
-    assert 0 < reached < read_file(folder / FILES[0]).step < STEPS
 
 
 def cut_off(go, folder, patch):
@@ -92,16 +82,6 @@ def interrupted(go, folder, _patch, workers):
     assert read_file(folder / FILES[1]).step < STEPS
 
 
-def an_executor_that_takes_no_more(go, folder, patch):
-    executor = ThisProcess()
-    outcomes = [DEFAULT, DEFAULT, MemoryError("a worker is gone")]
-    patch.setattr(executor, "submit", Mock(wraps=executor.submit, side_effect=outcomes))
-    with pytest.raises(EnsembleError, match=r"member 2 .*MemoryError: a worker is gone") as broken:
-        go(executor=executor)
-    assert isinstance(broken.value.__cause__, MemoryError)
-    assert json.loads((folder / "table.json").read_text())["columns"]["status"] == ["done", "done", "missing"]
-
-
 def a_full_disk(go, folder, patch):
     """In the middle of the first member. Those behind it cannot begin, and there is no room for a table either."""
     fill_the_disk(patch, 12)
@@ -142,24 +122,21 @@ def another_ensemble(go, _folder, _patch):
 EVENTS = {  # what happens, the function run, and what is left: members that go on in their files, +, or begin anew, *
     "fewer steps": (lambda go, *_: go(steps=35), PLAIN, "0+1+2+"),
     "fewer members": (lambda go, *_: go(parameters={"temperature": [0.4, 0.5]}), PLAIN, "2*"),
-    "killed": (partial(killed, at=25), PLAIN, None),
-    **{f"killed at {k}": (partial(killed, at=k), PLAIN, None) for k in (3, 7, 12, 20, 31)},
-    "killed twice": (killed_twice_in_the_first_member, BY_HAND, "0+1*2*"),
+    **{f"killed at {k}": (partial(killed, at=k), PLAIN, None) for k in (3, 7, 12, 20, 25, 31)},
     "damaged": (damaged, PLAIN, "0+1*2+"),
     "cut off": (cut_off, BY_HAND, "0*1*2*"),
     "blown up and not noted": (blown_up_and_not_noted, PLAIN, "2*"),
     "failed after the run": (failed_after_the_run, BY_HAND, "2"),
     "Ctrl-C": (partial(interrupted, workers=0), PLAIN, "1+2*"),
     "Ctrl-C with a worker": (partial(interrupted, workers=1), PLAIN, "1+2*"),
-    "an executor that takes no more": (an_executor_that_takes_no_more, PLAIN, "2*"),
     "a full disk": (a_full_disk, BY_HAND, "0+1*2*"),
     "a journal without room": (a_journal_without_room, BY_HAND, "12*"),
     "another ensemble": (another_ensemble, PLAIN, ""),
 }
 
-
 # fmt: on
-ALL = [pytest.param(name, marks=[pytest.mark.slow] * name.startswith("killed at")) for name in EVENTS]
+QUICK = "killed at 25", "damaged"
+ALL = [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in EVENTS]
 
 
 @pytest.mark.parametrize("event", ALL)
@@ -177,6 +154,7 @@ def test_the_next_call_makes_what_is_left_with_the_same_bits(event, done, done_b
     assert sorted(path.name for path in (tmp_path / "0000-0999").iterdir()) == [Path(name).name for name in FILES]
 
 
+@pytest.mark.slow
 def test_a_run_by_hand_in_the_file_of_the_member_is_that_without_it(done, done_by_hand, tmp_path):
     """A function that writes the file itself begins anew."""
     members.assert_same_files(done.folder, done_by_hand.folder)
@@ -207,23 +185,21 @@ SCRIPT = """
 import sys
 from members import in_own_file, run
 if __name__ == "__main__":
-    by = {"plain": None, "own": in_own_file}[sys.argv[1]]
-    run(sys.argv[2], run=by, steps=20_000, every=100, workers=2)
+    run(sys.argv[1], run=in_own_file, steps=20_000, every=100, workers=2)
 """
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-@pytest.mark.parametrize("kind", ["plain", "own"])
 @pytest.mark.parametrize("victims", ["parent", "worker", "both"])
-def test_a_scan_that_is_killed_again_and_again_has_the_same_table(kind, victims, tmp_path):
+def test_a_scan_that_is_killed_again_and_again_has_the_same_table(victims, tmp_path):
     """kill -9 when files grow, and the next call at once."""
     (tmp_path / "script.py").write_text(SCRIPT)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, Path(__file__).parents[1:3]))}
     rng = np.random.default_rng(1)
 
     def begun(folder):
-        return subprocess.Popen([sys.executable, "script.py", kind, folder], cwd=tmp_path, env=environment)
+        return subprocess.Popen([sys.executable, "script.py", folder], cwd=tmp_path, env=environment)
 
     def size():
         return sum(file.stat().st_size for file in tmp_path.glob("killed/*/*.h5md*"))

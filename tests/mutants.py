@@ -72,7 +72,7 @@ neighbors/verlet_list.py: engine/test_barostat forces/test_same_bits neighbors/t
     compute_uv=False)[-1] => compute_uv=False)[0]
 neighbors/pair_list.py: neighbors/test_pair_list forces/test_lists neighbors/test_cluster_list
     np.triu_indices(n, k=1) => np.triu_indices(n, k=0)
-neighbors/pair_list.py: engine/test_barostat
+neighbors/pair_list.py: neighbors/test_pair_list engine/test_barostat
     before.follow(cell, self.pairs.translations) => before.follow(cell, self.offsets)
 neighbors/cluster_search.py: neighbors/test_pair_list forces/test_lists neighbors/test_cluster_list
     low, high = bottom[i] - along, top[i] + along => low, high = bottom[i] - along, top[i]

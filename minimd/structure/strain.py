@@ -28,7 +28,7 @@ def follow_lattice(translations: NDArray[np.float64], before: NDArray[np.float64
 
 def as_blocks(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """A contiguous (n, 3) or (n, 3, m) array as (n, 3, m)."""
-    return vectors.reshape(len(vectors), 3, -1)
+    return vectors if vectors.ndim == 3 else vectors[:, :, np.newaxis]
 
 
 @kernel

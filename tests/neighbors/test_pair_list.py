@@ -70,7 +70,7 @@ def test_neighbor_list_equals_brute_force(scene):
 
 @given(scenes(), st.integers(0, 2**32 - 1))
 @settings(max_examples=60)
-def test_list_misses_no_pair_after_moves_of_half_the_skin_wraps_and_shrinking_cells(scene, seed):
+def test_list_misses_no_pair_after_moves_of_half_the_skin_wraps_and_strains(scene, seed):
     (positions, cell, cutoff), rng, skin = scene, np.random.default_rng(seed), 0.4
     pair_list = PairList(len(positions), cutoff, skin, NO_PAIRS)
     direction = rng.normal(size=positions.shape)
@@ -82,6 +82,12 @@ def test_list_misses_no_pair_after_moves_of_half_the_skin_wraps_and_shrinking_ce
     wrapped = positions + cells_away @ cell.vectors
     pair_list.update(wrapped, cell)
     check(pair_list, cell, cutoff, wrapped)
+    for share in (0.99, 0.5):  # the list follows the cell; the second strain may be too much for it
+        strained = Cell.of(share * cell.vectors, cell.pbc)
+        moved = wrapped @ cell.inverse @ strained.lattice
+        pair_list.follow(strained)
+        pair_list.update(moved, strained)
+        check(pair_list, strained, cutoff, moved)
     smaller = Cell.of(0.6 * cell.vectors, cell.pbc)
     assert pair_list.update(0.6 * wrapped, smaller)
     check(pair_list, smaller, cutoff, 0.6 * wrapped)

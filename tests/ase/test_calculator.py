@@ -109,6 +109,7 @@ def test_results_are_right_after_every_kind_of_change(change):
             assert atoms.get_potential_energy() != before
 
 
+@pytest.mark.slow
 def test_bonded_scene_is_right_when_the_cell_shrinks_below_twice_the_cutoff():
     """Then the nearest image of an excluded pair can change between two builds of the list."""
     bonds = [(0, 1), (1, 2), (2, 3)]

@@ -69,7 +69,7 @@ def test_neighbor_list_equals_brute_force(scene):
 
 
 @given(scenes(), st.integers(0, 2**32 - 1))
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_list_misses_no_pair_after_moves_of_half_the_skin_wraps_and_strains(scene, seed):
     (positions, cell, cutoff), rng, skin = scene, np.random.default_rng(seed), 0.4
     pair_list = PairList(len(positions), cutoff, skin, NO_PAIRS)

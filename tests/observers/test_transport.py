@@ -118,7 +118,8 @@ def results(name, velocity, file):
     return found | {"rescaled": sim.velocities - sim.drift, "drift": sim.drift}
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name != "barostat")) for name in RUNS])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RUNS)
 def test_a_drift_changes_nothing_that_is_thermal(name, tmp_path):
     """Galilei: before rounding has grown, a liquid that moves has the results of one at rest."""
     rest, moving = (results(name, velocity, tmp_path / f"{velocity[0]}.h5md") for velocity in (0.0 * DRIFT, DRIFT))

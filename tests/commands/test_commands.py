@@ -92,6 +92,9 @@ def test_out_takes_the_picture_along_and_spares_pictures_that_were_not_named(fol
     assert {Path(name).read_text() for name in ("melt.png", "second.png")} == {"precious"}
     assert "second.png exists and is kept" in capsys.readouterr().out
     assert run("run", "melt.toml", "--steps", 0, "--out", "third.xyz") == 0
+    Path("melt.toml").write_text(SCENE + "plot = true\n")
+    assert run("run", "melt.toml", "--steps", 0, "--out", "fourth.h5md") == 0
+    assert Path("fourth.png").read_bytes().startswith(PNG)
     assert not Path("melt.h5md").exists()
 
 

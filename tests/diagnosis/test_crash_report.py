@@ -21,6 +21,7 @@ import minimd as md
 from minimd.ase import Calculator, ForcesFromCalculator, VelocityVerlet
 from minimd.commands import main as cli
 from minimd.diagnosis.crash_report import examine
+from minimd.diagnosis.run_guard import BLOCK
 from minimd.files.crash_file import read_crash_report
 from minimd.files.h5md_digest import sign
 from minimd.files.h5md_reader import read_file
@@ -290,7 +291,7 @@ def test_a_calculator_of_others_fails_at_its_step_for_its_cause():
 
 @pytest.mark.filterwarnings("ignore:the calculator is EMT")
 def test_what_others_do_between_two_steps_is_no_runaway():
-    """Atoms that are pushed, a calculator that is another from now on, a run of its own."""
+    """Atoms that are pushed, a calculator that is another from now on, a run of its own; a heat that was asked for."""
     atoms = copper(LennardJones(sigma=2.3, epsilon=1e-6, rc=5.0))
     atoms.set_momenta(1e-3 * atoms.get_momenta())
     run = VelocityVerlet(atoms, 1.0 * units.fs)
@@ -300,6 +301,11 @@ def test_what_others_do_between_two_steps_is_no_runaway():
     atoms.set_momenta(1e3 * atoms.get_momenta())
     run.run(2)
     assert run.nsteps == 14
+    simulation = nitrogen(1.0)
+    simulation.run(10)
+    simulation.set_temperature(3e8, seed=1)
+    simulation.make_steps(2 * BLOCK)
+    assert simulation.step == 10 + 2 * BLOCK
 
 
 @pytest.mark.filterwarnings("ignore:timestep")

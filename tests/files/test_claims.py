@@ -1,6 +1,7 @@
 """One file, one run: who comes second is refused and touches nothing; no output is written through a link."""
 
 import os
+import threading
 import warnings
 from contextlib import suppress
 from pathlib import Path
@@ -167,3 +168,21 @@ def test_a_resumed_file_is_claimed_too_and_so_is_a_crash_report(tmp_path):
     claim.release()
     sim.run(10, every=5, trajectory=path, append=True)
     np.testing.assert_array_equal(read_file(path).system.positions, sim.positions)
+
+
+def test_of_two_threads_one_writes(tmp_path):
+    path, refused, both = tmp_path / "a.h5md", [], threading.Barrier(2)
+
+    def run():
+        sim = simulation()
+        both.wait()
+        try:
+            sim.run(40, every=1, trajectory=path)
+        except OSError as error:
+            refused.append(error)
+
+    threads = [threading.Thread(target=run) for _ in range(2)]
+    for work in (threading.Thread.start, threading.Thread.join):
+        for one in threads:
+            work(one)
+    assert (len(refused), read_file(path).n_frames) == (1, 41), refused

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from references import brute_force_pairs
+from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.neighbors.pair_list import PairList
@@ -103,6 +104,14 @@ def test_list_sees_a_cell_that_only_changes_its_periodicity_and_grows_and_shrink
         positions = rng.uniform(0, spread, (60, 3))
         pair_list.update(positions, cell)
         check(pair_list, cell, 1.5, positions)
+
+
+@pytest.mark.parametrize("cutoff", [1.0, np.inf])
+def test_a_position_that_is_no_number_is_seen_by_a_list_that_was_right(cutoff):
+    positions, pair_list = np.eye(3), PairList(3, cutoff, 0.1, NO_PAIRS)
+    pair_list.update(positions, Cell.of(None))
+    positions[1, 2] = np.nan
+    assert_answered(lambda: pair_list.update(positions, Cell.of(None)), md.NonFiniteError, "1 atoms", "atom 1")
 
 
 def test_a_million_cells_away_is_still_here_and_empty_space_costs_nothing():

@@ -46,6 +46,15 @@ def test_symmetric_methods_return_to_the_first_bit_and_keep_momentum(name):
         assert total_momentum(simulation) == total
 
 
+def test_a_run_is_that_of_float64_but_for_the_steps_of_the_grid():
+    one, other = plain(), plain(precision="double", grid=None)
+    start = one.positions.copy()
+    for simulation in (one, other):
+        simulation.make_steps(60)
+    assert np.abs(one.positions - start).max() > 0.2
+    assert one.positions == pytest.approx(other.positions, abs=1e-10)
+
+
 @pytest.mark.parametrize("pbc", [True, (True, False, True), False])
 def test_bonds_angles_and_every_kind_of_cell_likewise(pbc):
     assert there_and_back(simulated(mixture(pbc))) > 0.3

@@ -47,6 +47,14 @@ def test_a_record_has_the_start_and_every_few_steps_and_looking_changes_no_bit(a
     assert np.array_equal(one.positions, other.positions)
 
 
+def test_momenta_of_a_record_are_sums_over_the_atoms(small_molecule):
+    sim = small_molecule.simulation()
+    sim.velocities[:] = np.random.default_rng(3).normal(0.0, 0.1, sim.velocities.shape)
+    record, momenta = sim.run(4, every=4, progress=False), sim.system.masses[:, None] * sim.velocities
+    assert record.momentum[-1] == pytest.approx(momenta.sum(axis=0), abs=1e-12)
+    assert record.angular_momentum[-1] == pytest.approx(np.cross(sim.positions, momenta).sum(axis=0))
+
+
 def test_stress_is_in_record_and_file_where_asked_for_and_in_the_resumed_run(tmp_path, argon):
     sim, file = argon.simulation(), tmp_path / "a.h5md"
     assert "stress" not in sim.run(2, every=1, progress=False)

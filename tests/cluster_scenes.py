@@ -20,6 +20,7 @@ CUTOFF, SKIN = 2.0, 0.3
 JUST_HIGH_ENOUGH = (CUTOFF + SKIN) * (1.0 + 1e-9)
 PERIODICITIES = list(itertools.product([True, False], repeat=3))
 EQUAL = {"double": 1e-13, "mixed": 1e-5}  # of the largest force; rounding of sums in another order, of r⁻¹⁴ in float32
+PRECISIONS = ["double", pytest.param("mixed", marks=pytest.mark.slow)]  # a width of its own, compiled anew
 SIZES = [2, 3, 7, 8, 9, 30, 120, 400, 1500]
 KINDS = {"A": (1.0, 1.0), "B": (0.5, 0.88), "C": (0.2, 1.2)}
 SCALED = {"bonded_scale": (0.0, 0.3, 0.8)}

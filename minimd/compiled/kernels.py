@@ -7,6 +7,7 @@ and any writable place will do.
 """
 
 import functools
+import gc
 import hashlib
 import os
 import re
@@ -23,11 +24,11 @@ from typing import Any
 
 import llvmlite
 import numba
+import numba.extending
 import numpy
 from numba import types
 from numba.core import event
 from numba.core.registry import CPUDispatcher
-from numba.extending import overload
 
 from minimd.compiled.code_cache import FailedCompilations, KernelCache
 from minimd.compiled.features import NEWEST, restrict_features
@@ -35,7 +36,8 @@ from minimd.compiled.part_library import PartCompiler
 
 restrict_features(os.environ.get("MINIMD_VECTORS", NEWEST))
 
-DECORATED = rb"^from minimd\.compiled\.kernels import (\([^)]*)?.*\b(\w*kernel|inlined|scalar|by_type|type_of)\b"
+DECORATORS = rb"(\w*kernel|inlined|scalar|by_type|overload|type_of)"
+DECORATED = rb"^from minimd\.compiled\.kernels import (\([^)]*)?.*\b" + DECORATORS + rb"\b"
 HOLDS_KERNELS = re.compile(DECORATED + rb"|^from numba\b", re.M)
 IMPORTED = re.compile(r"^from (minimd[\w.]*) import (\([^)]*\)|.*)", re.M)
 WAIT_BEFORE_TELLING = 1.0  # seconds of compiling before the user is told
@@ -168,9 +170,15 @@ def by_type(choose: Callable) -> Callable:
     def compiled_only(*arguments):
         raise NotImplementedError(f"{choose.__name__} runs in kernels only")
 
-    options: Any = {"no_cfunc_wrapper": True, "pipeline_class": PartCompiler}
-    overload(compiled_only, jit_options=options)(choose)
+    overload(compiled_only)(choose)
     return compiled_only
+
+
+def overload(function: Callable) -> Callable[[Callable], Callable]:
+    """numba.extending.overload, whose implementations are parts of kernels: without the wrapper for calls from C,
+    and not compiled to their end, which took a tenth of the time of compilation."""
+    options: Any = {"no_cfunc_wrapper": True, "pipeline_class": PartCompiler}
+    return numba.extending.overload(function, jit_options=options)
 
 
 def type_of(formula: Callable, python: Callable | None = None) -> Callable[[type], type]:
@@ -232,21 +240,22 @@ def without_cache(dispatcher):
 
 class CompileClock(event.Listener, threading.local):
     """Counts the seconds that each thread spends compiling, which are no part of its steps;
-    announces long compilations if asked to."""
+    announces long compilations if asked to. Meanwhile Python's search for garbage rests, which took a tenth of them."""
 
     was_told = False
 
     def __init__(self) -> None:
         self.seconds = 0.0
         self.is_to_tell = False
-        self._depth, self._started = 0, 0.0
+        self._depth, self._started, self._collects = 0, 0.0, False
         self._timer: threading.Timer | None = None
 
     def on_start(self, _event: event.Event) -> None:
         """Called by Numba; compilations nest."""
         self._depth += 1
         if self._depth == 1:
-            self._started = perf_counter()
+            self._started, self._collects = perf_counter(), gc.isenabled()
+            gc.disable()
         if self._depth == 1 and self.is_to_tell:
             self._timer = threading.Timer(WAIT_BEFORE_TELLING, _tell_of_compilation)
             self._timer.daemon = True
@@ -257,6 +266,8 @@ class CompileClock(event.Listener, threading.local):
         self._depth -= 1
         if self._depth == 0:
             self.seconds += perf_counter() - self._started
+            if self._collects:
+                gc.enable()
             if self._timer is not None:
                 self._timer.cancel()
 

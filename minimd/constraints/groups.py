@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 from numba.core import types
-from numba.extending import overload
 
-from minimd.compiled.kernels import DirectCalls, shared_kernel
+from minimd.compiled.kernels import DirectCalls, overload, shared_kernel
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take, thread_pool
 from minimd.constraints.graph import Floats, Graph, Ints, graph_of
 from minimd.constraints.linear_triatomic import DriftLinear, ProjectLinear
@@ -211,7 +210,7 @@ class LinearTriatomics(Networks):
         beta = np.sqrt(lengths2[sides[:, 0]] / lengths2[self.ends])
         shapes = np.column_stack([1.0 - beta, beta, lengths2[self.ends]])
         self.known = (
-            Molecules(corners[:, [1, 0, 2]], offsets, shapes),
+            Molecules(np.ascontiguousarray(corners[:, [1, 0, 2]]), offsets, shapes),
         )  # the middle atom is the corner opposite the longest side
 
     def check(self, positions: Floats) -> None:

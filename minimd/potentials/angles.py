@@ -155,7 +155,7 @@ class AngleTerm(OwnTerm):
     """Harmonic angles, each arm taken at its nearest image."""
 
     def __init__(self, triples: NDArray[np.int64], k: NDArray[np.float64], angle: NDArray[np.float64]) -> None:
-        first, middle, last = (np.ascontiguousarray(triples[:, k]) for k in range(3))
+        first, middle, last = (np.array(triples[:, k]) for k in range(3))
         translations = np.zeros((2, len(triples), 3))
         self._angles = Angles(first, middle, last, translations[0], translations[1], k, np.sin(angle), np.cos(angle))
 

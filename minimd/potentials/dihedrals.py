@@ -299,8 +299,8 @@ class DihedralTerm(OwnTerm):
 
     def __init__(self, quadruples: NDArray[np.int64], law: tuple, columns: tuple[Array, ...]) -> None:
         translations = np.zeros((3, len(quadruples), 3))
-        self._dihedrals = Dihedrals(np.ascontiguousarray(quadruples), translations[0], translations[1], translations[2])
-        self._ends = [np.ascontiguousarray(quadruples[:, k]) for k in range(4)]
+        self._dihedrals = Dihedrals(np.array(quadruples, order="C"), translations[0], translations[1], translations[2])
+        self._ends = [np.array(quadruples[:, k]) for k in range(4)]
         self._law, self._parameters = law, ByPair(columns)
         self._loop = add_dihedral_forces if is_recognized(law) else without_cache(add_dihedral_forces)
 

@@ -39,4 +39,4 @@ def columns_of(things: str, parameters: Mapping[str, Array], n: int) -> tuple[Ar
             raise ValueError(
                 f"{name} must be one number or {n}, one for each of the {things}; its shape is {array.shape}"
             )
-    return tuple(np.ascontiguousarray(np.broadcast_to(array, n)) for array in parameters.values())
+    return tuple(np.array(np.broadcast_to(array, n)) for array in parameters.values())  # all of one type for kernels

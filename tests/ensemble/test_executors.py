@@ -43,7 +43,7 @@ EXECUTORS = {
 }
 
 
-KINDS = [pytest.param(kind, marks=[pytest.mark.slow] * (kind != "spawned")) for kind in EXECUTORS]
+KINDS = [pytest.param(kind, marks=[pytest.mark.slow] * (kind != "threads")) for kind in EXECUTORS]
 
 
 @pytest.fixture(scope="module", params=KINDS)

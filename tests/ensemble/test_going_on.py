@@ -135,8 +135,7 @@ EVENTS = {  # what happens, the function run, and what is left: members that go 
 }
 
 # fmt: on
-QUICK = "killed at 25", "damaged"
-ALL = [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in EVENTS]
+ALL = [pytest.param(name, marks=[pytest.mark.slow] * (name != "killed at 25")) for name in EVENTS]
 
 
 @pytest.mark.parametrize("event", ALL)

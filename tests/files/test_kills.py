@@ -32,7 +32,7 @@ def few():
 
 RUNS = {"argon": SCENES["argon"], "dumbbells": SCENES["dumbbells"], "springs": springs, "few": few}
 COMMON = ["velocity-verlet", "position-verlet", "langevin-baoab"]  # whose kernels other tests compile, too
-FAST = [("argon", "mixed", 2, COMMON), ("few", "double", 1, COMMON)]
+FAST = [("argon", "double", 2, COMMON), ("few", "double", 1, COMMON)]
 SLOW = [(scene, precision, n, NAMES) for scene in RUNS for precision in ("double", "mixed") for n in (1, 2)]
 
 

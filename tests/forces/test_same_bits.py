@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from cluster_scenes import MANY, SKIN, atoms_per_domain, rod
+from cluster_scenes import MANY, PRECISIONS, SKIN, atoms_per_domain, rod
 from references import melt
 from scenes import LJ, SCENES, TWO_KINDS
 
@@ -40,7 +40,7 @@ def clusters_of(simulation):
 LONG = [pytest.param(name, 1000, [2, 3, 4, 8], marks=pytest.mark.slow) for name in ("melt", "rod", "long chains")]
 
 
-@pytest.mark.parametrize("precision", ["double", pytest.param("mixed", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize(("scene", "n_steps", "teams"), [("chains", 100, [2, 8]), *LONG])
 def test_any_number_of_threads_gives_the_same_bits(scene, n_steps, teams, precision):
     one, record = ran(scene, precision, 1, n_steps)

@@ -19,7 +19,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "ase": (1044, 7, 524),
     "bench": (2048, 12, 1098),
     "commands": (829, 5, 450),
-    "compiled": (2008, 16, 1008),
+    "compiled": (2020, 16, 1016),
     "constraints": (1381, 10, 770),
     "diagnosis": (2352, 11, 1247),
     "engine": (1430, 10, 740),
@@ -38,17 +38,20 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "simulation": (778, 6, 369),
     "structure": (2788, 24, 1379),
     "view": (558, 5, 245),
-    "road of a step": (5991, 25),
-    "tests": (19910,),
+    "road of a step": (6002, 25),
+    "tests": (19960,),
 }
 # fmt: on
 
 
-parsed = cache(ast.parse)
+@cache
+def nodes_of(text):
+    return [*ast.walk(ast.parse(text))]
 
 
+@cache
 def statements(text):
-    found = [node for node in ast.walk(parsed(text)) if isinstance(node, ast.stmt)]
+    found = [node for node in nodes_of(text) if isinstance(node, ast.stmt)]
     return sum(not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant)) for one in found)
 
 
@@ -85,7 +88,7 @@ def test_lines_files_and_functions_keep_to_their_size():
     assert [place for place, text in texts.items() if max(map(len, text.splitlines()), default=0) > WIDEST] == []
     assert [place for place, text in sources("minimd", "tests").items() if text.count("\n") > LONGEST_FILE] == []
     for place, text in sources("minimd").items():
-        for node in ast.walk(parsed(text)):
+        for node in nodes_of(text):
             if isinstance(node, ast.FunctionDef):
                 body = node.body[1:] if ast.get_docstring(node) else node.body
                 length = body[-1].end_lineno - body[0].lineno + 1 if body else 0

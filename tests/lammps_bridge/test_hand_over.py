@@ -76,6 +76,7 @@ def test_a_run_that_was_brought_back_passes_the_check_and_goes_on_also_without_m
     assert [step for step, _ in frames(done.folder / "frames.bin", 108)] == list(range(0, 201, 10))
 
 
+@pytest.mark.slow
 def test_frames_of_mixed_precision_may_differ_by_its_rounding(tmp_path):
     done = handed_over(scene(fluid(), precision="mixed"), tmp_path / "run")
     assert done.verification.worst < AT_STEP_0

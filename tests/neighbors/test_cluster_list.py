@@ -38,7 +38,7 @@ def test_memory_follows_growing_and_shrinking_crowds(pbc):
         assert len(numbers) > 1 or n == 600
 
 
-@pytest.mark.parametrize("precision", ["double", pytest.param("mixed", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("precision", cs.PRECISIONS)
 def test_one_thread_keeps_the_forces_of_few_domains_and_sums_the_same(precision):
     """Forces of a domain take the place of those that are needed no more; mixed precision and two threads keep all."""
     system = cs.rod()

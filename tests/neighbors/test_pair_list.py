@@ -59,7 +59,7 @@ def check(pair_list, cell, cutoff, positions):
 
 
 @given(scenes())
-@settings(max_examples=120)
+@settings(max_examples=80)
 def test_neighbor_list_equals_brute_force(scene):
     positions, cell, cutoff = scene
     i, j, shifts, vectors, d = md.neighbor_list("ijSDd", md.System(positions, cell=cell), cutoff)

@@ -49,7 +49,6 @@ FIELDS = [
      ValueError, "fixed-point"),
     (lambda: md.Simulation(TWO, steered(), md.VelocityVerlet(0.01)).probe_reversibility(10), ValueError, "time"),
 ]  # fmt: skip
-TABLE = md.Tabulated(R, R, truncation="switched", bonded_scale=(0.5, 1.0, 1.0))
 TABLES = [
     (lambda: md.Tabulated(R[:5], R[:5]), ValueError, "r must", "(5,)"),
     (lambda: md.Tabulated(np.append(R, 2.5), np.append(R, 0.0)), ValueError, "r must increase", "r[10] = 2.5"),
@@ -58,7 +57,7 @@ TABLES = [
     (lambda: md.Tabulated(R, {("A", "B"): R[1:]}), ValueError, "u of ('A', 'B')", "(9,)"),
     (lambda: md.Tabulated(R, R, 2.6), ValueError, "cutoff = 2.6", "0.8 to 2.5"),
     (lambda: md.evaluate(TWO, md.Tabulated(R, {("A", "B"): R})), ValueError, "Tabulated", "('A', 'B')"),
-    (lambda: md.evaluate(md.System([[0.0, 0, 0], [0.75, 0, 0]], bonds=[[0, 1]]), TABLE),
+    (lambda: md.evaluate(md.System([[0.0, 0, 0], [0.75, 0, 0]]), md.Tabulated(R, R)),
      md.NonFiniteError, "Tabulated", "atoms 0 and 1, 0.75"),
 ]  # fmt: skip
 

@@ -23,7 +23,7 @@ minimization = {max_steps = 2, force_tolerance = 0.1}
 equilibration = {steps = 2, rescale_every = 1}
 output = {every = 5, trajectory = ["a.h5md", "a.xtc"], plot = "a.png", forces = true, stress = true}
 dynamics = {method = "langevin-baoab", timestep = 0.004, steps = 20, temperature = 1.44, relaxation_time = 2.0, \
-            seed = 3, precision = "mixed"}
+            seed = 3, precision = "double"}
 """
 ARGON = """
 title = "argon and krypton"

@@ -4,13 +4,13 @@ from functools import partial
 
 import numpy as np
 import pytest
+from cluster_scenes import PRECISIONS
 from stress_scenes import SMOOTH, assert_stops, is_finite, made, oscillation, pair_at, ran, solid
 
 import minimd as md
 
 NAN = float("nan")
 TWO_KINDS = {"species": ["A", "B"] * 128}
-PRECISIONS = ["double", pytest.param("mixed", marks=pytest.mark.slow)]
 
 
 CHANGES = {

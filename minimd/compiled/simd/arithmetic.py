@@ -5,8 +5,9 @@ import operator
 
 import numpy as np
 from numba import types
-from numba.extending import intrinsic, overload
+from numba.extending import intrinsic
 
+from minimd.compiled.kernels import overload
 from minimd.compiled.simd.vector import Vector, broadcast, call, lane, with_lane
 
 FLOAT_OPERATORS = {

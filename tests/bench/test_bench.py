@@ -139,6 +139,7 @@ def test_peer_with_another_energy_is_refused_and_one_that_blows_up_is_no_disagre
         assert all(word in err.splitlines()[-1] for word in words)
 
 
+@pytest.mark.slow  # compiles the law of the melt
 def test_peer_with_another_time_step_is_refused(monkeypatch):
     right = engines.Minimd(scenes.melt(4))
     monkeypatch.setattr(engines, "TIMESTEP", 0.00505)

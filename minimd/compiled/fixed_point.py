@@ -14,9 +14,9 @@ from collections import namedtuple
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 
-from minimd.compiled.kernels import by_type, overload
+from minimd.compiled.kernels import by_type
 from minimd.compiled.simd import fma
 from minimd.compiled.simd.vector import Vector, convert
 

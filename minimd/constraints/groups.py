@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 from numba.core import types
+from numba.extending import overload
 
-from minimd.compiled.kernels import DirectCalls, overload, shared_kernel
+from minimd.compiled.kernels import DirectCalls, shared_kernel
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take, thread_pool
 from minimd.constraints.graph import Floats, Graph, Ints, graph_of
 from minimd.constraints.linear_triatomic import DriftLinear, ProjectLinear
@@ -209,9 +210,8 @@ class LinearTriatomics(Networks):
         offsets = np.stack([-arms[:, 0], arms[:, 1] - arms[:, 0]], axis=1)
         beta = np.sqrt(lengths2[sides[:, 0]] / lengths2[self.ends])
         shapes = np.column_stack([1.0 - beta, beta, lengths2[self.ends]])
-        self.known = (
-            Molecules(np.ascontiguousarray(corners[:, [1, 0, 2]]), offsets, shapes),
-        )  # the middle atom is the corner opposite the longest side
+        middle_first = np.ascontiguousarray(corners[:, [1, 0, 2]])  # the corner opposite the longest side
+        self.known = (Molecules(middle_first, offsets, shapes),)
 
     def check(self, positions: Floats) -> None:
         """Do nothing: these constraints depend on each other, and their solver takes this into account."""

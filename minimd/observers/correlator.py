@@ -18,9 +18,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numba.extending import overload
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import kernel, overload, scalar, type_of
+from minimd.compiled.kernels import kernel, scalar, type_of
 
 Array = NDArray[np.float64]
 RATIO = 2  # of the spacings of two levels

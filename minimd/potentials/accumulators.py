@@ -3,9 +3,9 @@ to which only numbers rounded to a grid are added."""
 
 import numpy as np
 from numba import types
+from numba.extending import overload
 
 from minimd.compiled.fixed_point import MOST, GridSums, on_grid, whole_product
-from minimd.compiled.kernels import overload
 
 LIMIT2 = MOST**2  # square of the largest impulse, in steps of momentum: below it, whole_product is right
 

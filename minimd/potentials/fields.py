@@ -316,4 +316,4 @@ def vector_columns(name: str, vectors: Array, n: int) -> tuple[Array, ...]:
         raise ValueError(
             f"{name} must be three numbers or ({n}, 3), one row for each atom; its shape is {vectors.shape}"
         )
-    return tuple(np.array(np.broadcast_to(vectors[..., c], n)) for c in range(3))
+    return tuple(np.array(np.broadcast_to(vectors[..., c], n)) for c in range(3))  # as columns_of

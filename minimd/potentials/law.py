@@ -12,8 +12,9 @@ from math import isfinite, nan
 from typing import Any
 
 from numba.core import types
+from numba.extending import overload
 
-from minimd.compiled.kernels import overload, type_of
+from minimd.compiled.kernels import type_of
 from minimd.potentials.user_laws import UserLaw, user_law
 
 STEP = 1e-5  # of a central difference, relative to the distance

@@ -5,9 +5,10 @@ from collections import namedtuple
 from typing import Any
 
 import numpy as np
+from numba.extending import overload
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import by_type, kernel, overload, without_cache
+from minimd.compiled.kernels import by_type, kernel, without_cache
 from minimd.compiled.simd import fma
 from minimd.neighbors.pair_list import fixed_pairs
 from minimd.potentials.accumulators import force_along, in_steps, no_force, watch

@@ -1,6 +1,7 @@
 """The cache of compiled code: found again, never stale, in any place that can be written."""
 
 import contextlib
+import gc
 import os
 import subprocess
 import sys
@@ -228,3 +229,24 @@ def test_a_common_sticky_folder_may_lie_on_the_way_but_not_be_the_cache(tmp_path
         is_theirs = lambda path, theirs=theirs: theirs if path.name == "own" else stat(path)  # noqa: E731
         monkeypatch.setattr(Path, "stat", is_theirs)
         assert kernels.open_to_others(tmp_path / "own" / "cache") == tmp_path / "own"
+
+
+@pytest.mark.parametrize("fails", [False, True])
+@pytest.mark.parametrize("collects", [False, True])
+def test_the_search_for_garbage_rests_while_a_kernel_is_compiled_and_then_is_as_it_was(collects, fails):
+    seen = []
+
+    @kernels.by_type
+    def looking(x):
+        seen.append(gc.isenabled())
+        return None if fails else lambda x: x
+
+    try:
+        (gc.enable if collects else gc.disable)()
+        with pytest.raises(numba.TypingError) if fails else contextlib.nullcontext():
+            numba.njit(lambda x: looking(x))(1.0)
+        assert gc.isenabled() == collects
+    finally:
+        gc.enable()
+    assert not any(seen)
+    assert seen

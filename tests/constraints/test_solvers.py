@@ -2,6 +2,7 @@
 
 from itertools import product
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -194,6 +195,18 @@ def test_random_connected_graphs_are_kept_to_rounding_or_refused(n_atoms, seed):
         motion.step(1, 1e-3)
         assert motion.bonds.violation(motion.positions).max() <= limit
         assert np.isfinite(motion.velocities).all()
+
+
+@pytest.mark.parametrize("third", [(2.0, 0.0, 0.0), (1.0, 1.0, 0.0)], ids=["rod", "water"])
+def test_one_molecule_and_two_are_of_one_type_for_the_compiler(third):
+    """Else their kernels are compiled for each."""
+    one, kinds = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), third]), []
+    for n in (1, 2):
+        pairs = [(3 * k + a, 3 * k + b) for k in range(n) for a, b in ((0, 1), (1, 2), (0, 2))]
+        system = md.System(np.vstack([one + 5.0 * k for k in range(n)]))
+        rigid = md.Simulation(system, [], md.VelocityVerlet(0.01), DistanceConstraints(pairs)).engine.constraint_set
+        kinds.append([str(numba.typeof(group.known)) for group in rigid.bonds.groups])
+    assert kinds[0] == kinds[1]
 
 
 @pytest.mark.parametrize("name", [*SMALL, "chain", "cube"])

@@ -19,8 +19,8 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "ase": (1044, 7, 524),
     "bench": (2048, 12, 1098),
     "commands": (829, 5, 450),
-    "compiled": (2020, 16, 1016),
-    "constraints": (1381, 10, 770),
+    "compiled": (2012, 16, 1012),
+    "constraints": (1380, 10, 771),
     "diagnosis": (2352, 11, 1247),
     "engine": (1430, 10, 740),
     "ensemble": (1797, 10, 1005),
@@ -38,8 +38,8 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "simulation": (778, 6, 369),
     "structure": (2788, 24, 1379),
     "view": (558, 5, 245),
-    "road of a step": (6002, 25),
-    "tests": (19932,),
+    "road of a step": (5995, 25),
+    "tests": (19967,),
 }
 # fmt: on
 

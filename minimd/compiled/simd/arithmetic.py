@@ -5,9 +5,8 @@ import operator
 
 import numpy as np
 from numba import types
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 
-from minimd.compiled.kernels import overload
 from minimd.compiled.simd.vector import Vector, broadcast, call, lane, with_lane
 
 FLOAT_OPERATORS = {

@@ -32,7 +32,6 @@ def few():
 
 RUNS = {"argon": SCENES["argon"], "dumbbells": SCENES["dumbbells"], "springs": springs, "few": few}
 COMMON = ["velocity-verlet", "position-verlet", "langevin-baoab"]  # whose kernels other tests compile, too
-FAST = [("argon", "double", 2, COMMON), ("few", "double", 1, COMMON)]
 SLOW = [(scene, precision, n, NAMES) for scene in RUNS for precision in ("double", "mixed") for n in (1, 2)]
 
 
@@ -43,7 +42,7 @@ def begun(scene, name, threads=1, **options):
     return scene.simulation(method, threads=threads, **options)
 
 
-ROWS = [*FAST, *(pytest.param(*row, marks=pytest.mark.slow) for row in SLOW)]
+ROWS = [("argon", "double", 2, COMMON), *(pytest.param(*row, marks=pytest.mark.slow) for row in SLOW)]
 
 
 @pytest.mark.parametrize(("scene", "precision", "threads", "names"), ROWS)

@@ -13,10 +13,9 @@ from minimd.neighbors.domains import BLOCKS
 from minimd.potentials.term import PER_ATOM, TOTALS
 from minimd.structure.cell import Cell
 
-FURTHER = [pytest.param(pbc, marks=pytest.mark.slow) for pbc in ((True, True, False), False)]
 
-
-@pytest.mark.parametrize("pbc", [True, *FURTHER])
+@pytest.mark.slow  # compiles a law for both lists
+@pytest.mark.parametrize("pbc", [True, (True, True, False), False])
 def test_memory_follows_growing_and_shrinking_crowds(pbc):
     """Column by column the padding changes from build to build, and with it the number of clusters and ghosts."""
     rng = np.random.default_rng(4)

@@ -38,7 +38,7 @@ def test_labels_that_are_no_elements_come_back_and_another_one_gives_another_ene
     assert np.array_equal(atoms.positions, system.positions)  # reduced units: the numbers are kept
     assert same(atoms.get_momenta(), np.diag([1.0, 2.0, 3.0]), 0.0)
     a, b = species[:2]
-    atoms.calc = Calculator(md.LennardJones({a: (1.0, 1.0), b: (9.0, 1.0)}, cutoff=2.5, truncation="switched"))
+    atoms.calc = Calculator(md.LennardJones({a: (1.0, 1.0), b: (9.0, 1.0)}, cutoff=2.5))
     before = atoms.get_potential_energy()
     atoms.arrays["species_labels"][:] = a
     assert atoms.get_potential_energy() == pytest.approx(before / 3.0, rel=1e-14)
@@ -73,7 +73,7 @@ def test_energies_forces_and_stress_are_those_of_ase(scene):
         assert pressure == pytest.approx(-mine.get_stress(include_ideal_gas=True)[:3].mean(), rel=1e-12)
 
 
-OTHERS = md.LennardJones({"Ar": (0.02, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF, truncation="switched")
+OTHERS = md.LennardJones({"Ar": (0.02, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)
 # fmt: off
 CHANGES = {
     "positions": lambda atoms: atoms.rattle(0.05, seed=9),
@@ -94,7 +94,7 @@ CHANGES = {
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_results_are_right_after_every_kind_of_change(change):
-    mixture = md.LennardJones({"Ar": (0.0103, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF, truncation="switched")
+    mixture = md.LennardJones({"Ar": (0.0103, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)
     atoms = with_calculator(argon(), Calculator(mixture))
     atoms.set_masses(atoms.get_masses())  # given, so that another element has the same
     before = atoms.get_potential_energy()
@@ -199,9 +199,7 @@ def test_wrong_calls_are_answered(row):
 
 
 def test_a_failed_call_leaves_nothing_behind():
-    atoms = with_calculator(
-        argon(1), Calculator(md.LennardJones({"Ar": (EPSILON, SIGMA)}, cutoff=CUTOFF, truncation="switched"))
-    )
+    atoms = with_calculator(argon(1), Calculator(md.LennardJones({"Ar": (EPSILON, SIGMA)}, cutoff=CUTOFF)))
     before = atoms.get_potential_energy()
     atoms.numbers[0] = 36
     for _ in range(2):

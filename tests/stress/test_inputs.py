@@ -4,7 +4,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from cluster_scenes import PRECISIONS
 from stress_scenes import SMOOTH, assert_stops, is_finite, made, oscillation, pair_at, ran, solid
 
 import minimd as md
@@ -68,7 +67,8 @@ def test_positions_set_as_a_whole_are_those_that_move():
     assert np.abs(set_once.positions - solid(3).positions).max() > 0.1
 
 
-@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.slow  # compiles two laws
+@pytest.mark.parametrize("precision", ["double", "mixed"])
 def test_cutoffs_may_be_ten_times_apart_and_species_without_interaction_fly_through(precision):
     kinds = {("A", "A"): 2.5, ("A", "B"): 1.2, ("B", "B"): 0.25}
     law = md.LennardJones({"A": (1.0, 1.0), "B": (1.0, 0.1)}, cutoff=kinds, truncation="force-shifted")

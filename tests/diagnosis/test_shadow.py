@@ -55,7 +55,6 @@ def test_shadow_energy_of_the_oscillator_is_its_closed_form():
     assert md.shadow_energy(simulation) == pytest.approx(expected, rel=1e-10)  # rounding, over the nudge
 
 
-@pytest.mark.slow
 @VERLETS
 def test_shadow_energy_of_a_liquid_is_conserved_to_the_fourth_order(name):
     spreads = []

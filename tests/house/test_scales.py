@@ -39,7 +39,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "structure": (2788, 24, 1379),
     "view": (558, 5, 245),
     "road of a step": (5995, 25),
-    "tests": (19966,),
+    "tests": (19965,),
 }
 # fmt: on
 

@@ -28,7 +28,7 @@ WEIGHTS = (_OUTER, 1.0 - 2.0 * _OUTER, _OUTER)  # of order 4: H. Yoshida, Phys. 
 KEPT_STEPS = 1000  # steps whose states a chain keeps: many more than in a block, which is repeated if it fails
 
 
-class LangevinBath(LangevinBAOAB):
+class LangevinBath(Thermostat):
     """LangevinBAOAB with temperatures and frictions that may differ from atom to atom,
     and optionally without a bath for the center of mass.
 
@@ -39,14 +39,18 @@ class LangevinBath(LangevinBAOAB):
     Raises ValueError for a temperature or a friction below zero or not finite.
     """
 
+    name, source = LangevinBAOAB.name, LangevinBAOAB.source
+    substeps: ClassVar[Substeps] = LangevinBAOAB.substeps
+    conserves_momentum = False
+
     def __init__(self, timestep: float, temperature: Any, friction: Any, seed: int, keeps_center: bool = False) -> None:
-        super().__init__(timestep, 0.0, 0.0, seed)
+        super().__init__(timestep, 0.0, seed)
         self.temperatures, self.frictions = _checked("temperature", temperature), _checked("friction", friction)
         self.keeps_center = keeps_center
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The time step only: it decides whether a block of steps can go on from the open end of the previous one."""
+        """The time step only: the others may be arrays."""
         return {"timestep": self.timestep}
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:

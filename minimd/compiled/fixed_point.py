@@ -25,6 +25,7 @@ BIAS = int(np.float64(MAGIC).view(np.int64))
 MOST = (
     2.0**50
 )  # steps in a momentum or in the impulse of a pair: the rounding of v = p/m and p = m v leads back to the same p
+FARTHEST = 2.0**52  # steps of length: sums of two positions are still exact
 
 
 @intrinsic
@@ -77,15 +78,6 @@ class Steps(namedtuple("Steps", "per_force length momentum energy limit2")):
         duration / momentum [length/energy].
     length, momentum, energy : the steps [length], [mass length/time], [energy].
     limit2 : square of what the forces on an atom may be, divided by its distances, in these impulses [1/length²].
-    """
-
-
-class GridSums(namedtuple("GridSums", "impulses energies virials steps faults")):
-    """What terms add to, in fixed-point arithmetic.
-
-    impulses : (N, 3) int64, in steps of momentum.  energies : (N,), virials : (N, 6),
-        multiples of the step of energies.
-    steps : Steps.  faults : (1,) int64, to be set to 1 by a force too large for its range.
     """
 
 

@@ -161,6 +161,11 @@ def called_kernel(function):
     return _cached(CalledKernel(function, targetoptions={**NOT_FROM_OUTSIDE, "_nrt": False}))
 
 
+def filling_kernel(function):
+    """A called kernel that may make arrays."""
+    return _cached(CalledKernel(function, targetoptions=NOT_FROM_OUTSIDE))
+
+
 def by_type(choose: Callable) -> Callable:
     """Decorator of a function for kernels only: it takes the Numba types of the arguments,
     and returns the function to compile for them."""

@@ -1,7 +1,7 @@
 """Normal random numbers in compiled code: those of numpy, to the last bit.
 
-If n is about a hundred, numpy.random.Generator(Philox(key, counter)).standard_normal(n) takes longer to set up than to
-draw the numbers; here there is nothing to set up, and Python's lock is not needed.
+numpy.random.Generator(Philox(key, counter)).standard_normal(3) takes much longer to set up than to draw the numbers;
+here there is nothing to set up, so that each atom can have a counter of its own: its noise does not depend on others.
 
 Philox4x64-10, four words for each value of a counter: J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, Random
 numbers: as easy as 1, 2, 3, SC11 (2011). The ziggurat, 256 layers of equal area under the curve: G. Marsaglia, W. W.
@@ -17,7 +17,7 @@ from numba import types
 from numba.extending import intrinsic
 from numba.np.random import _constants as numpys
 
-from minimd.compiled.kernels import kernel, scalar, shared_kernel
+from minimd.compiled.kernels import inlined, kernel, scalar
 
 FIRST, SECOND = np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157)  # multipliers of Philox4x64
 GOLDEN, ROOT = (
@@ -36,19 +36,22 @@ class Stream(namedtuple("Stream", "key counter words place")):
     how many of them were used."""
 
 
-@shared_kernel
-def normal_numbers(key, step, contact, numbers):
-    """numbers (n, M) = normal random numbers, row k those of Philox(key, counter=[0, 0, contact, step + k]).  key :
-    (2,) uint64."""
-    stream = Stream(key, np.zeros(4, dtype=np.uint64), np.zeros(4, dtype=np.uint64), np.zeros(1, dtype=np.int64))
-    for k in range(numbers.shape[0]):
-        stream.counter[0], stream.counter[2], stream.counter[3], stream.place[0] = 0, contact, np.uint64(step + k), 4
-        for m in range(numbers.shape[1]):
-            numbers[k, m] = _normal(stream)
+@scalar
+def start_stream(stream, atom, contact, step):
+    """Begin with the numbers of Philox(key, counter=[0, atom, contact, step])."""
+    stream.counter[0], stream.counter[1], stream.counter[2], stream.counter[3] = 0, atom, contact, np.uint64(step)
+    stream.place[0] = 4
+
+
+@inlined
+def new_stream(key):
+    """A stream with this key, (2,) uint64."""
+    return Stream(key, np.zeros(4, dtype=np.uint64), np.zeros(4, dtype=np.uint64), np.zeros(1, dtype=np.int64))
 
 
 @scalar
-def _normal(stream):
+def normal(stream):
+    """The next normal number."""
     while True:
         word = _next(stream)
         layer, mantissa = word & LAYERS, word >> np.uint64(9) & MANTISSA

@@ -1,20 +1,13 @@
-"""Threads that work on one task together: each takes the next chunk of it until none is left.
+"""Programs of operations, run by threads that share each of them: every thread takes the next chunk until none is left.
 
-    phase = begin(worker, task)
-    chunk = take(worker, phase, n)
-    while chunk >= 0:
-        ...                                            # the work of this chunk, of n
-        chunk = finish_and_take(worker, phase, n)
-    phase = barrier(worker, phase)                     # returns when all n chunks are finished, whoever did them
+An operation is a compiled function of its data and the number of a chunk. It is cut into chunks by the size of the
+scene, never by the number of threads, and no two chunks of it write to the same memory. So the result is the same, to
+the last bit, for any number of threads, and whichever thread did which chunk.
 
-A task is cut into chunks by its size, never by the number of threads, and no two chunks of a phase write to the same
-memory. So the result is the same, to the last bit, for any number of threads, and whichever thread did which chunk.
-
-A barrier waits for chunks, not for threads. The calling thread starts at once; the others, which sleep if no task comes
-for a millisecond, join when they are awake (some 10 to 80 µs later), or not at all if the machine is busy: they can
-make a task faster, never delay it. The work of a chunk must not raise: no other thread would finish that chunk. It may
-call stop: after the phase, was_stopped tells all threads. In every task each thread begins with the same chunks, whose
-memory is then in its cache, and then helps with the others.
+The next operation begins when all chunks are finished, whoever did them: threads wait for chunks, not for threads. The
+calling thread starts at once; the others, which sleep if no program comes for a millisecond, join when they are awake
+(some 10 to 80 µs later), or not at all if the machine is busy: they can make a program faster, never delay it. In each
+operation a thread begins with the same chunks, whose memory is then in its cache, and then helps with the others.
 """
 
 import functools
@@ -23,26 +16,27 @@ import threading
 from collections import namedtuple
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 from numba import types
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
+from minimd.compiled.call_by_address import call_at
 from minimd.compiled.kernels import DirectCalls, kernel, scalar, shared_kernel
 
-OPEN, STOPPED, FINISHED, CLAIMS = (
-    0,
-    4,
-    8,
-    16,
-)  # shared counters: the open phase, the last phase in which stop was called, the
-# finished chunks of the open phase, and for each chunk the last phase it was taken in
+# shared counters: the open phase, see _word; the program it belongs to; the finished chunks of the open phase; what its
+# operation has answered; and for each chunk the last phase in which it was taken
+OPEN, TASK, FINISHED, ANSWER, CLAIMS = 0, 1, 8, 9, 16
 MOST_CHUNKS = 1024
-PHASES = 1 << 20  # a task has fewer
+BITS = 12  # of the number of an operation, and of its chunks, in the word of a phase
+MOST_OPERATIONS = (1 << BITS) - 1
+CODE, DATA, CHUNKS, THEN, OTHERWISE = range(5)  # columns of the table of operations
+AT = 0  # place in a course: the next operation
+GO_ON, JUMP, PYTHON = 0, -1, 1  # answers: go on with the operation THEN, or OTHERWISE; Python is wanted
 PATIENCE = 2000  # reads of a counter before a waiting thread lets others run
 # times that a helper lets others run, about a millisecond, before it goes to sleep: waking it takes as long as a small
-# task
+# program
 LINGERING = 1000
 
 HAS_AFFINITY = hasattr(os, "sched_setaffinity")
@@ -64,9 +58,9 @@ class ThreadPool:
         self.n_threads = n_threads
         self._counters = np.zeros(CLAIMS + MOST_CHUNKS, dtype=np.int64)
         self._worker = Worker(self._counters, 0, n_threads)
-        self._busy = threading.Lock()
+        self._busy, self._calls = threading.Lock(), DirectCalls()
         self._task: tuple = ()
-        self._n_tasks, self._core = 0, -1
+        self._core = -1
         self._wake = [threading.Lock() for _ in range(n_threads - 1)]
         self._helpers = [
             threading.Thread(target=self._help, args=(k, wake), daemon=True)
@@ -76,44 +70,25 @@ class ThreadPool:
             wake.acquire()
             helper.start()
 
-    def run(self, kernel: Callable, *arguments: object, calls: DirectCalls | None = None, n_tasks: int = 1) -> Any:
-        """kernel(worker, task, *arguments) on this thread, and on the others as soon as they are awake;
-        returns what it returns on this one.
-
-        calls : of a caller who always gives this kernel arguments of the same types.
-        n_tasks : of a kernel that calls others, one after the other, with the numbers from task on;
-            only in a pool of one thread.
-        The kernel must call begin and share as described above, and release Python's lock (shared_kernel).
-        """
-        if calls is not None:
-            kernel = calls.code(kernel, self._worker, 0, *arguments)
+    def run(self, operations: NDArray[np.int64], course: NDArray[np.int64]) -> int:
+        """run_operations on this thread, and on the others as soon as they are awake; returns what it returns."""
+        code = self._calls.code(run_operations, self._worker, 0, operations, course)
         with self._busy:
-            first, self._n_tasks = self._n_tasks + 1, self._n_tasks + n_tasks
-            self._task = (first, kernel, arguments)
+            first = (int(self._counters[OPEN]) >> 2 * BITS) + 1  # the number of the program: that of its first phase
+            self._task = first, code, operations, course
             if self._helpers and HAS_AFFINITY:
                 self._keep_off_callers_core()
             for wake in self._wake:
                 if wake.locked():
                     wake.release()
             try:
-                return kernel(self._worker, first, *arguments)
+                return int(code(self._worker, first, operations, course))
             finally:
                 self._task = ()
-                self._counters[OPEN] = (
-                    self._n_tasks + 1
-                ) * PHASES - 1  # nobody waits for this task, even if it has failed
-
-    def address(self, kernel: Callable, *arguments: object, calls: DirectCalls) -> int:
-        """The address of a kernel for these arguments, for call_at."""
-        return calls.address(kernel, self._worker, 0, *arguments)
-
-    def compile(self, kernel: Callable, *arguments: object, calls: DirectCalls) -> None:
-        """Compile a kernel as run would do."""
-        calls.code(kernel, self._worker, 0, *arguments)
 
     def _keep_off_callers_core(self) -> None:
         """Keep helpers off this core: Linux tends to wake a thread on the core of the one that wakes it,
-        where it would wait for the task to end."""
+        where it would wait for the program to end."""
         core = _current_core()
         if core != self._core:
             self._core, cores = core, os.sched_getaffinity(0)
@@ -127,9 +102,9 @@ class ThreadPool:
         while True:
             wake.acquire()
             if current := self._task:  # else it is too late
-                task, kernel, arguments = current
-                kernel(worker, task, *arguments)
-                del current, kernel, arguments
+                task, code, operations, course = current
+                code(worker, task, operations, course)
+                del current, code, operations, course
                 _linger(self._counters, task)
 
 
@@ -150,73 +125,105 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_shared_pool.cache_clear)  # a child process has none of its parent's threads
 
 
-@scalar
-def begin(worker, task):
-    """The first phase of a task; the calling thread opens it, and the others wait for that.
+@shared_kernel
+def run_operations(worker, task, operations, course):
+    """Run operations, from course[AT] on, until one of them answers with a number above 0, or there is none left.
 
-    So no thread is ever ahead of the open phase.
+    Returns that answer, or 0; course[AT] is then the operation that gave it, or the number of all operations.
+
+    operations : (n, 5) int64; of each its code (an address), its data (an address), the number of its chunks (0 where
+        Python is wanted), and the operations to go on with if it answers GO_ON or JUMP.
+    The chunks of an operation answer GO_ON; those that do not must all give the same answer.
     """
-    phase = task * PHASES
+    counters = worker.counters
+    if worker.n_threads == 1:
+        return _run_alone(operations, course)
     if worker.thread == 0:
-        _exchange(worker.counters, OPEN, phase)
-    reads = 0
-    while _read(worker.counters, OPEN) < phase:
-        reads += 1
-        if reads > PATIENCE:
-            _let_others_run()
-    return phase
+        _exchange(counters, TASK, task)
+        _open(counters, task, operations, course, course[AT], GO_ON)
+    word, reads = _read(counters, OPEN), 0
+    while word >> 2 * BITS < task:  # a helper may be faster than the calling thread
+        word, reads = _read(counters, OPEN), _waited(reads)
+    while True:
+        at, n = word >> BITS & MOST_OPERATIONS, word & MOST_OPERATIONS
+        if at == MOST_OPERATIONS or _read(counters, TASK) != task:  # read after the word: which is then of this task
+            return _read(counters, ANSWER)
+        chunk = _take(worker, word, n)
+        while chunk >= 0:
+            answer = call_at(operations[at, CODE], (operations[at, DATA], chunk))
+            if answer != GO_ON:
+                _exchange(counters, ANSWER, answer)
+            if _add(counters, FINISHED, 1) == n - 1:
+                _finish(counters, word, operations, course)
+                break
+            chunk = _take(worker, word, n)
+        before, reads = word, 0
+        while word == before:
+            word, reads = _read(counters, OPEN), _waited(reads)
 
 
 @scalar
-def take(worker, phase, n):
+def _run_alone(operations, course):
+    """See run_operations: on one thread."""
+    at, answer = course[AT], GO_ON
+    while answer <= GO_ON and at < operations.shape[0]:
+        answer = PYTHON if operations[at, CHUNKS] == 0 else GO_ON
+        for chunk in range(operations[at, CHUNKS]):
+            given = call_at(operations[at, CODE], (operations[at, DATA], chunk))
+            answer = given if given != GO_ON else answer
+        if answer <= GO_ON:
+            at = operations[at, THEN if answer == GO_ON else OTHERWISE]
+    course[AT] = at
+    return max(answer, GO_ON)
+
+
+@scalar
+def _finish(counters, word, operations, course):
+    """What the thread does that finishes the last chunk of a phase: it opens the next one."""
+    answer, at = _read(counters, ANSWER), word >> BITS & MOST_OPERATIONS
+    if answer <= GO_ON:
+        at = operations[at, THEN if answer == GO_ON else OTHERWISE]
+    _open(counters, (word >> 2 * BITS) + 1, operations, course, at, max(answer, GO_ON))
+
+
+@scalar
+def _open(counters, phase, operations, course, at, answer):
+    """Open a phase: that of an operation, or the end of the program.
+
+    The word of a phase holds its number, that of its operation and that of its chunks, so that threads read all three
+    at once: a chunk can be taken only as long as the phase is open, since only then some have not been taken in it.
+    """
+    n = 0
+    if at < operations.shape[0] and answer == GO_ON:
+        n = operations[at, CHUNKS]
+        answer = PYTHON if n == 0 else GO_ON
+    if n == 0:
+        course[AT] = at
+        at = MOST_OPERATIONS
+    _exchange(counters, FINISHED, 0)
+    _exchange(counters, ANSWER, answer)
+    _exchange(counters, OPEN, (phase << BITS | at) << BITS | n)
+
+
+@scalar
+def _take(worker, word, n):
     """The number of a chunk of this phase that no thread has taken yet; −1 if there is none."""
     first = worker.thread * n // worker.n_threads
-    if _read(worker.counters, OPEN) == phase:
+    if _read(worker.counters, OPEN) == word:
         for k in range(n):
             chunk = first + k if first + k < n else first + k - n
             taken = _read(worker.counters, CLAIMS + chunk)
-            if taken < phase and _replace(worker.counters, CLAIMS + chunk, taken, phase) == taken:
+            if taken < word and _replace(worker.counters, CLAIMS + chunk, taken, word) == taken:
                 return chunk
     return -1
 
 
 @scalar
-def finish_and_take(worker, phase, n):
-    """Count a chunk as finished, and take the next. The thread that finishes the last chunk opens the next phase."""
-    if _add(worker.counters, FINISHED, 1) == n - 1:
-        _exchange(worker.counters, FINISHED, 0)
-        _exchange(worker.counters, OPEN, phase + 1)
-        return -1
-    return take(worker, phase, n)
-
-
-@scalar
-def barrier(worker, phase):
-    """Wait as long as this phase is open, then return the next phase.
-
-    If another phase is open, a helper does not wait.
-    """
-    reads = 0
-    while _read(worker.counters, OPEN) == phase:
-        reads += 1
-        if reads > PATIENCE:
-            _let_others_run()
-    return phase + 1
-
-
-@scalar
-def stop(worker, phase):
-    """Called in a chunk: the work of the task ends with this phase, see was_stopped."""
-    _exchange(worker.counters, STOPPED, phase)
-
-
-@scalar
-def was_stopped(worker, phase):
-    """Whether a chunk of this phase called stop.
-
-    Asked after its barrier, it gives all threads the same answer, however late they are.
-    """
-    return _read(worker.counters, STOPPED) == phase
+def _waited(reads):
+    """One more read of a counter; others may run after every PATIENCE of them."""
+    if reads > PATIENCE:
+        _let_others_run()
+    return reads + 1
 
 
 def _at(counters, emit: Callable) -> Callable:
@@ -262,9 +269,9 @@ def _replace(_context, counters, place, expected, number):
 
 @shared_kernel
 def _linger(counters, task):
-    """Stay awake for a moment after a task: in a run of steps the next one begins soon."""
+    """Stay awake for a moment after a program: in a run of steps the next one begins soon."""
     reads = 0
-    while reads < LINGERING * PATIENCE and _read(counters, OPEN) < (task + 1) * PHASES:
+    while reads < LINGERING * PATIENCE and _read(counters, TASK) == task:
         reads += 1
         if reads % PATIENCE == 0:
             _let_others_run()

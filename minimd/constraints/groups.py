@@ -6,15 +6,17 @@ marker, a NamedTuple class that type_of(solver) ties to it,
 so that the next process finds the compiled kernel in the cache.
 """
 
-from collections import defaultdict
+from collections import defaultdict, namedtuple
 from typing import Any
 
 import numpy as np
 from numba.core import types
 from numba.extending import overload
 
-from minimd.compiled.kernels import DirectCalls, shared_kernel
-from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, barrier, begin, finish_and_take, take, thread_pool
+from minimd.compiled.by_address import ByAddress
+from minimd.compiled.kernels import DirectCalls, filling_kernel
+from minimd.compiled.program import CANNOT_KEEP, GO_ON, Operation, operation
+from minimd.compiled.threads import MOST_CHUNKS
 from minimd.constraints.graph import Floats, Graph, Ints, graph_of
 from minimd.constraints.linear_triatomic import DriftLinear, ProjectLinear
 from minimd.constraints.networks import (
@@ -36,53 +38,25 @@ CONSTRAINTS_IN_A_CHUNK = 500  # least number: about ten microseconds of work, mo
 ALIKE = 1e-12  # relative: masses and squared lengths that differ by less are equal
 
 
-class SolverPool:
-    """Runs solvers on the components of a group, cut into chunks whose number follows from the constraints alone,
-    on several threads."""
+class Solving(
+    ByAddress, namedtuple("Solving", "solver positions vectors inverse_masses n answers most arguments")
+):
+    """A solver on the n components of a group, in as many chunks as there are answers.
 
-    def __init__(self, n_components: int, n_constraints: int, most_threads: int) -> None:
-        self.n_components, n_chunks = (
-            n_components,
-            max(1, min(n_components, n_constraints // CONSTRAINTS_IN_A_CHUNK, MOST_CHUNKS)),
-        )
-        self._threads: ThreadPool = thread_pool(min(most_threads, n_chunks))
-        self._answers = np.zeros(n_chunks, dtype=np.int64)
-        self._calls: defaultdict[type, DirectCalls] = defaultdict(DirectCalls)
-
-    def run(self, solver: tuple, atoms: tuple, *arguments: Any) -> int:
-        """The worst answer of a solver: the first negative one, if components failed, or else the largest.
-
-        atoms : the fields of Atoms, of which compiled code makes one.  arguments :
-            always of the same types for a solver.
-        """
-        are_plain = all(array.flags.carray and array.dtype == np.float64 for array in atoms)
-        calls = self._calls[type(solver)] if are_plain else None
-        return int(
-            self._threads.run(run_chunks, self._answers, solver, self.n_components, atoms, arguments, calls=calls)
-        )
-
-
-@shared_kernel
-def run_chunks(me, task, answers, solver, n, atoms, arguments):
-    """answers[k] = what the solver returns for the k-th chunk of n components.
-
-    Returns the first that is negative, or else the largest.
+    positions, vectors, inverse_masses : of Atoms.  arguments : of the solver.
+    answers : (chunks,) output, see vectors.  most : (chunks,) the largest so far.
     """
-    n_chunks = answers.size
-    phase = begin(me, task)
-    chunk = take(me, phase, n_chunks)
-    while chunk >= 0:
-        answers[chunk] = solve_some(
-            solver, chunk * n // n_chunks, (chunk + 1) * n // n_chunks, Atoms(*atoms), arguments
-        )
-        chunk = finish_and_take(me, phase, n_chunks)
-    barrier(me, phase)
-    worst = 0
-    for answer in answers:
-        if answer < 0:
-            return answer
-        worst = max(worst, answer)
-    return worst
+
+
+@filling_kernel
+def solve_chunk(solving, chunk):
+    """The solver on some components.  CANNOT_KEEP if a constraint cannot be kept."""
+    n, n_chunks = solving.n, solving.answers.size
+    atoms = Atoms(solving.positions, solving.vectors, solving.inverse_masses)
+    first, last = chunk * n // n_chunks, (chunk + 1) * n // n_chunks
+    answer = solve_some(solving.solver, first, last, atoms, solving.arguments)
+    solving.answers[chunk], solving.most[chunk] = answer, max(answer, solving.most[chunk])
+    return GO_ON if answer >= 0 else CANNOT_KEEP
 
 
 def solve_some(solver, first, last, atoms, arguments):
@@ -100,7 +74,6 @@ def _solve_some(solver, first, last, atoms, arguments):
 
 class Networks:
     """Components of any shape.  every : the ConstraintSolver.  order : (K,) which of its constraints are here.
-    multipliers : (K,), the last ones.
 
     Other shapes drift with other solvers: drifter is the marker of the solver, known are its arguments after the atoms,
     n_each is the number of constraints of one molecule, if the solver counts molecules.
@@ -113,12 +86,19 @@ class Networks:
         self.n_constraints = graph.order.size
         offsets = np.ascontiguousarray(every.offsets[graph.order])
         self.bonds = Bonds(graph.first, graph.second, offsets, every.lengths[graph.order] ** 2, every.tolerance)
-        self.pool = SolverPool(graph.components.starts.size - 1, graph.order.size, every.threads)
+        self.n_components = graph.components.starts.size - 1
+        n_chunks = max(1, min(self.n_components, graph.order.size // CONSTRAINTS_IN_A_CHUNK, MOST_CHUNKS))
+        self.answers, self.most = np.zeros((2, n_chunks), dtype=np.int64)
+        self._calls: defaultdict[Any, DirectCalls] = defaultdict(DirectCalls)
         k, n = graph.order.size, graph.components.coupling.size
         self.memory = Memory(np.empty((k, 3)), np.empty((k, 3)), np.empty(k), np.empty(k), np.empty(n), np.empty(n))
-        self.multipliers = self.memory.total
         self.known: tuple = graph.components, self.bonds, self.memory
         self.check(positions)
+
+    @property
+    def multipliers(self) -> Floats:
+        """(K,), the last ones."""
+        return self.memory.total
 
     def offsets(self) -> list[Floats]:
         """All arrays (…, 3) of lattice translations that its solvers read."""
@@ -134,24 +114,26 @@ class Networks:
                 "leave it out"
             )
 
-    def drift(self, positions: Floats, velocities: Floats, duration: float) -> int:
-        """Drift of the atoms of the group.
+    def drift(self, positions: Floats, velocities: Floats, duration: float) -> Operation:
+        """Drift of the atoms of the group."""
+        return self._solve(self.drifter, positions, velocities, (*self.known, float(duration)))
 
-        Returns a number of iterations, or −1 − the constraint, within the group, that cannot be kept.
-        """
-        answer = self.pool.run(self.drifter, (positions, velocities, self.masses), *self.known, float(duration))
-        return answer if answer >= 0 else self.n_each * (answer + 1) - 1  # the first constraint of the molecule
+    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
+        """r_ij · x_ij = targets for the vectors x."""
+        arguments = self.graph.components, self.bonds, self.memory, targets
+        return self._solve(ProjectComponents(), positions, vectors, arguments)
 
-    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
-        """r_ij · x_ij = targets for the vectors x. Returns as drift."""
-        return self.pool.run(
-            ProjectComponents(),
-            (positions, vectors, self.masses),
-            self.graph.components,
-            self.bonds,
-            self.memory,
-            targets,
+    def _solve(self, solver: tuple, positions: Floats, vectors: Floats, arguments: tuple[Any, ...]) -> Operation:
+        solving = Solving(
+            solver, positions, vectors, self.masses, self.n_components, self.answers, self.most, arguments
         )
+        calls = self._calls[type(solver), positions.flags.carray, vectors.flags.carray]
+        return operation(calls, solve_chunk, solving, len(self.answers))
+
+    def failed(self, of_drift: bool) -> int:
+        """After CANNOT_KEEP: the constraint, within the group, that cannot be kept."""
+        molecule = -1 - int(self.answers[self.answers < 0][0])
+        return molecule * (self.n_each if of_drift else 1)  # the first constraint of the molecule
 
 
 class Pairs(Networks):
@@ -163,9 +145,9 @@ class Pairs(Networks):
         super().__init__(every, graph, positions)
         self.known = (self.bonds,)
 
-    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
+    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
         """See Networks."""
-        return self.pool.run(ProjectPairs(), (positions, vectors, self.masses), self.bonds, targets, self.multipliers)
+        return self._solve(ProjectPairs(), positions, vectors, (self.bonds, targets, self.multipliers))
 
 
 class Sweeps(Networks):
@@ -173,11 +155,11 @@ class Sweeps(Networks):
 
     shape, drifter = "networks, by sweeps", SweepDrift()
 
-    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
+    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
         """See Networks; by sweeps, as RATTLE does, if all targets are zero."""
         if targets.any():
             return super().project(positions, vectors, targets)
-        return self.pool.run(SweepVelocities(), (positions, vectors, self.masses), self.graph.components, self.bonds)
+        return self._solve(SweepVelocities(), positions, vectors, (self.graph.components, self.bonds))
 
 
 class Triangles(Networks):
@@ -211,20 +193,22 @@ class LinearTriatomics(Networks):
         beta = np.sqrt(lengths2[sides[:, 0]] / lengths2[self.ends])
         shapes = np.column_stack([1.0 - beta, beta, lengths2[self.ends]])
         middle_first = np.ascontiguousarray(corners[:, [1, 0, 2]])  # the corner opposite the longest side
-        self.known = (Molecules(middle_first, offsets, shapes),)
+        self.known, self._of_ends = (Molecules(middle_first, offsets, shapes),), np.zeros(len(self.ends))
 
     def check(self, positions: Floats) -> None:
         """Do nothing: these constraints depend on each other, and their solver takes this into account."""
 
-    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> int:
+    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
         """See Networks."""
-        multipliers = np.empty(len(self.ends))
-        answer = self.pool.run(
-            ProjectLinear(), (positions, vectors, self.masses), *self.known, targets[self.ends], multipliers
-        )
-        self.multipliers[:] = 0.0
-        self.multipliers[self.ends] = multipliers
-        return answer
+        arguments = *self.known, targets[self.ends], self._of_ends
+        return self._solve(ProjectLinear(), positions, vectors, arguments)
+
+    @property
+    def multipliers(self) -> Floats:
+        """See Networks."""
+        found = np.zeros(len(self.order))
+        found[self.ends] = self._of_ends
+        return found
 
 
 def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:

@@ -7,17 +7,39 @@ everything else            Newton within an envelope        networks
 solver="shake"             sweeps, for all but the lines    networks
 """
 
+from collections import namedtuple
+from collections.abc import Iterable, Iterator
+from functools import partial
+from typing import Any
+
 import numpy as np
 
+from minimd.compiled.by_address import ByAddress
+from minimd.compiled.kernels import DirectCalls, called_kernel
 from minimd.compiled.machine import EPS
+from minimd.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation
+from minimd.compiled.threads import thread_pool
 from minimd.constraints.graph import Floats, Ints
-from minimd.constraints.groups import groups_of
+from minimd.constraints.groups import CONSTRAINTS_IN_A_CHUNK, groups_of
 from minimd.constraints.vectors import drift_some
 from minimd.structure.cell import Cell
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.errors import ConstraintError
 
 ROUNDINGS = 20.0  # rounding errors of the largest coordinate: no length can be kept more accurately
+
+
+class Free(ByAddress, namedtuple("Free", "positions velocities atoms duration n_chunks")):
+    """The drift of atoms without constraints.  positions, velocities : (N, 3).  atoms : (F,).  duration : [time]."""
+
+
+@called_kernel
+def drift_free(free, chunk):
+    """positions += duration · velocities, of some of the atoms."""
+    positions, velocities, atoms, duration, n_chunks = free
+    first, last = chunk * atoms.size // n_chunks, (chunk + 1) * atoms.size // n_chunks
+    drift_some(positions, velocities, atoms[first:last], duration)
+    return GO_ON
 
 
 class ConstraintSolver:
@@ -55,7 +77,7 @@ class ConstraintSolver:
         offsets = np.zeros((len(constraints.pairs), 3)) if offsets is None else offsets
         lengths = _checked_lengths(constraints, positions, inverse_masses, offsets)
         self.pairs, self.lengths, self.offsets = constraints.pairs, lengths, offsets
-        self.inverse_masses, self.threads = inverse_masses, threads
+        self.inverse_masses, self.threads = inverse_masses, max(1, min(threads, len(self.pairs) // CONSTRAINTS_IN_A_CHUNK))
         rounding = ROUNDINGS * EPS * float(np.abs(positions).max()) / float(lengths.min())
         self.tolerance = max(constraints.tolerance, rounding) if tolerance is None else tolerance
         self.accuracy = self.tolerance * float(lengths.max()) if constraints.solver == "shake" else 0.0
@@ -64,7 +86,7 @@ class ConstraintSolver:
         constrained[self.pairs] = True
         self.free_atoms = np.flatnonzero(~constrained)
         self.n_constraints = sum(group.n_constraints for group in self.groups)
-        self.iterations = 0  # largest number of any drift so far
+        self._calls = DirectCalls()
 
     def __repr__(self) -> str:
         return f"ConstraintSolver({len(self.lengths)} lengths: {self.summary}; kept to {self.tolerance:.1g})"
@@ -79,7 +101,17 @@ class ConstraintSolver:
         for offsets in (self.offsets, *(array for group in self.groups for array in group.offsets())):
             before.follow(cell, offsets)
 
-    def drift(self, positions: Floats, velocities: Floats, duration: float) -> None:
+    @property
+    def iterations(self) -> int:
+        """The largest number of any drift so far; it can be set to zero."""
+        return max((int(group.most.max()) for group in self.groups), default=0)
+
+    @iterations.setter
+    def iterations(self, iterations: int) -> None:
+        for group in self.groups:
+            group.most[:] = iterations
+
+    def drifts(self, positions: Floats, velocities: Floats, duration: float) -> Iterator[Operation]:
         """positions += duration · velocities, projected along the old gradients; velocities are changed accordingly.
         Both arrays are (N, 3).
 
@@ -88,19 +120,29 @@ class ConstraintSolver:
         ConstraintError : if a length cannot be kept; positions and velocities are then undefined.
         """
         if self.free_atoms.size:
-            drift_some(positions, velocities, self.free_atoms, duration)
+            n_chunks = n_chunks_of(self.free_atoms.size)
+            free = Free(positions, velocities, self.free_atoms, float(duration), n_chunks)
+            yield operation(self._calls, drift_free, free, n_chunks)
         for group in self.groups:
-            answer = group.drift(positions, velocities, duration)
-            if answer < 0:
-                self._fail(group.order[-1 - answer], positions, velocities, duration)
-            self.iterations = max(self.iterations, answer)
+            fail = partial(self._fail_in, group, positions, velocities, duration)
+            yield group.drift(positions, velocities, duration)._replace(python=fail)
 
-    def project_velocities(self, velocities: Floats, positions: Floats) -> None:
+    def projections(self, positions: Floats, velocities: Floats) -> Iterator[Operation]:
         """Project velocities in place so that r_ij · v_ij = 0 for all constraints.  Both arrays are (N, 3)."""
         for group in self.groups:
-            answer = group.project(positions, velocities, np.zeros(len(group.order)))
-            if answer < 0:
-                self._fail(group.order[-1 - answer], positions, velocities, 0.0)
+            fail = partial(self._fail_in, group, positions, velocities, 0.0)
+            yield group.project(positions, velocities, np.zeros(len(group.order)))._replace(python=fail)
+
+    def drift(self, positions: Floats, velocities: Floats, duration: float) -> None:
+        """The operations drifts, at once."""
+        self._run(self.drifts(positions, velocities, duration))
+
+    def project_velocities(self, velocities: Floats, positions: Floats) -> None:
+        """The operations projections, at once."""
+        self._run(self.projections(positions, velocities))
+
+    def _run(self, operations: Iterable[Operation]) -> None:
+        Program(lambda: operations, lambda: 0, thread_pool(self.threads)).run()
 
     def project_positions(self, positions: Floats) -> None:
         """Move positions (N, 3) along their present bonds, with mass weights, until all lengths are kept."""
@@ -118,7 +160,9 @@ class ConstraintSolver:
         found = []
         for group in self.groups:
             turning = velocities[self.pairs[group.order, 1]] - velocities[self.pairs[group.order, 0]]
-            group.project(positions, accelerations, -np.einsum("ij,ij->i", turning, turning))
+            targets = -np.einsum("ij,ij->i", turning, turning)
+            fail = partial(self._fail_in, group, positions, accelerations, 0.0)
+            self._run([group.project(positions, accelerations, targets)._replace(python=fail)])
             found.append((group.order, group.multipliers.copy()))
         return found
 
@@ -146,6 +190,12 @@ class ConstraintSolver:
         return np.abs(np.einsum("ij,ij->i", self.bonds(positions), turning)) / (
             self.lengths * np.where(speeds > 0.0, speeds, 1.0)
         )
+
+    def _fail_in(
+        self, group: Any, positions: Floats, velocities: Floats, duration: float, _answer: int
+    ) -> None:
+        """See _fail, for the first constraint of a group that cannot be kept."""
+        self._fail(group.order[group.failed(duration != 0.0)], positions, velocities, duration)
 
     def _fail(self, constraint: int, positions: Floats, velocities: Floats, duration: float) -> None:
         """Raise ConstraintError with the larger violation: closed forms fail before they move atoms,

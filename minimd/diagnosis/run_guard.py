@@ -115,7 +115,7 @@ class RunGuard:
         if not goes_on:
             engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(engine.method.timestep))
         engine.evaluate()
-        engine.interactions.prepare()
+        engine.prepare()
         if is_same_run and self._is_another_energy():
             self.forget()
         if not goes_on:
@@ -150,7 +150,7 @@ class RunGuard:
         self._before = None
         if is_due:
             del self._snapshots[: max(0, len(self._snapshots) + 1 - kept)]  # makes room for the new one
-        self._before = before = engine.closed_snapshot()
+        self._before = before = engine.snapshot()
         if is_due:
             self._snapshots.append(before)
         is_whole, engine.is_whole = engine.is_whole, False  # until the steps are counted

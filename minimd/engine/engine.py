@@ -15,21 +15,21 @@ from minimd.constraints.graph import bodies_of
 from minimd.engine.arguments import checked_method, warn_of_dropped
 from minimd.engine.cell_rescaling import CellRescaling, rescaling_of
 from minimd.engine.center import check_center, holds_center
+from minimd.compiled.program import Operation, Program, in_python
 from minimd.engine.snapshots import Checkpoint, Snapshot
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import FIXED_POINT, Options
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import Bath, GridState, State, Surroundings
-from minimd.integrators.splitting.substeps import Kick
+from minimd.integrators.splitting.steps import Evaluation, Moment, Steps
+from minimd.integrators.splitting.substeps import Drift, mechanical
 from minimd.potentials.term import FORCES, TOTALS
 from minimd.structure.constraints import Constraint
 from minimd.structure.grid import Grid
 from minimd.structure.observables import Array, center, kinetic_energy, leaves_out_center
 from minimd.structure.quiet import quiet
 from minimd.structure.system import AnySystem, System
-
-DIGITS_OF_PHASE = 12  # so that coefficients that add up to one are one
 
 
 class Engine:
@@ -73,8 +73,10 @@ class Engine:
         self._state = self._laid_out()
         self._fit_grid()
         self._bath = Bath(k_B=self.system.units.k_B)
-        self.surroundings = Surroundings(self.constraint_set.bonds, self._bath, keeps_open_end=True)
+        self.surroundings = Surroundings(self.constraint_set.bonds, self._bath)
         self._left: tuple[int, ...] | None = None
+        self._steps: Steps | None = None
+        self._steps_of: tuple[Any, ...] = ()
         self._describe_bath()
         self.barostat = barostat
         self._rescaling = rescaling_of(
@@ -111,8 +113,39 @@ class Engine:
         if grid is None or not isinstance(state, GridState):
             return
         interactions.grid = state.grid = grid
-        kick = next(substep for substep in self.method.sequence() if isinstance(substep, Kick))
-        interactions.unit = state.unit = self.method.units([kick])[kick] * self.method.timestep
+        interactions.unit = state.unit = self._steps_now.unit()
+
+    @property
+    def _steps_now(self) -> Steps:
+        """The steps of the method, made anew if anything else than the state is another one."""
+        constraints, grid = self.surroundings.constraints, self.interactions.grid
+        made_of = self._method, self._method.timestep, constraints, grid
+        if self._steps is None or any(a is not b for a, b in zip(made_of, self._steps_of, strict=True)):
+            forces = self.interactions
+            power = (lambda: forces.power) if forces.depend_on_time else None
+            source = Evaluation(self._forces_at, lambda: forces.version, lambda: forces.pool, self._running, power, self._taken)
+            self._steps, self._steps_of = Steps(self._method, self._state, self.surroundings, source), made_of
+        return self._steps
+
+    def _forces_at(self, with_energy: bool, moment: Moment) -> Iterator[Operation]:
+        """The operations of forces at a moment of a step."""
+        interactions = self.interactions
+        if interactions.depend_on_time:
+            yield in_python(lambda: setattr(interactions, "time", self._time_at(moment.time - self.noise_shift)))
+        target = interactions.target(TOTALS if with_energy else FORCES, moment.unit)
+        if with_energy:
+            self._target = target
+        yield from interactions.operations(target)
+
+    @contextmanager
+    def _running(self, program: Program) -> Iterator[None]:
+        self.interactions.follow_cell()
+        with self.interactions.running(program):
+            yield
+
+    def _taken(self, with_energy: bool, unit: float) -> None:
+        interactions = self.interactions
+        interactions.taken(self._target if with_energy else interactions.target(FORCES, unit), unit)
 
     def advance(self, n_steps: int, with_energy: bool = True) -> int:
         """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many.
@@ -128,11 +161,10 @@ class Engine:
         while step < end:
             at = end if rescaling is None else min(end, rescaling.next_step(step))
             is_due = rescaling is not None and rescaling.is_due(at)
-            self._bath.step, self._bath.contact = step + self.noise_shift, 0
-            wants_energy, march = is_due or (with_energy and at == end), self.interactions.march
-            step += self.method.advance(
-                self._state, self._compute_forces, at - step, wants_energy, self.surroundings, march
-            )
+            wants_energy, steps = is_due or (with_energy and at == end), self._steps_now
+            made = steps.advance(at - step, wants_energy, step + self.noise_shift)
+            self.interactions.n_evaluations += made * steps.n_evaluations
+            step += made
             if rescaling is not None and is_due and step == at:
                 self._rescale_cell(rescaling, at)
             if self.surroundings.stop_requested:
@@ -152,15 +184,9 @@ class Engine:
         self._evaluate(step)
         rescaling.apply(self.method, step + self.noise_shift, self._bath, forces_follow)
 
-    def _compute_forces(self, state: State, with_energy: bool) -> None:
-        if self.interactions.depend_on_time:
-            step = self._bath.step - self.noise_shift  # the one that is being made
-            phase = round(self.surroundings.phase, DIGITS_OF_PHASE)
-            self.interactions.time = self._time_at(
-                step + phase
-            )  # at the end of a step, to the last bit that of evaluate
-        self.interactions.compute(TOTALS if with_energy else FORCES, state.unit)
-        self.surroundings.power = self.interactions.power
+    def prepare(self) -> None:
+        """Compile what steps need."""
+        self._steps_now.prepare()
 
     def begin(self) -> None:
         """Prepare a run from the present state: choose images of rigid bonds, project onto the constraints,
@@ -178,8 +204,8 @@ class Engine:
         self.turned()
 
     def turned(self) -> None:
-        """Let the next block begin anew. To be called after velocities were changed."""
-        self.surroundings.open_end, self._left = None, None
+        """Forget what leave has remembered. To be called after velocities were changed."""
+        self._left = None
 
     def catch_up(self) -> None:
         """If anything was changed since leave, mark the forces as outdated and choose the
@@ -210,8 +236,8 @@ class Engine:
     def _evaluate(self, step: int) -> None:
         if self._state.forces_are_current and self.interactions.has_energy:
             return
-        end = self.surroundings.open_end
-        is_aside = end is not None and end.drifts_next  # the run itself needs no forces here
+        # the run itself needs no forces here if its next step begins with a drift
+        is_aside = isinstance(mechanical(self.method.substeps)[0], Drift)
         before, n_builds = self.interactions.lists_built() if is_aside else (), self.interactions.n_builds
         self.interactions.time = self._time_at(step)
         self.interactions.compute(TOTALS, self._state.unit)
@@ -241,16 +267,11 @@ class Engine:
 
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""
-        end = self.surroundings.open_end
-        return self.closed_snapshot()._replace(open_end=None if end is None else end.copy())
-
-    def closed_snapshot(self) -> Snapshot:
-        """The same without the open end of the last block, whose velocities would be as many numbers more."""
         arrays, cell = (
             (self.positions.copy(), self.velocities.copy()),
             None if self.barostat is None else self.system.cell,
         )
-        return Snapshot(self.step, self.time, *arrays, self.reservoir_energy, None, self._clock, self.work, cell)
+        return Snapshot(self.step, self.time, *arrays, self.reservoir_energy, self._clock, self.work, cell)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Restore the state of a snapshot."""
@@ -261,7 +282,6 @@ class Engine:
             self.positions[:],
             self.velocities[:],
             self.reservoir_energy,
-            self.surroundings.open_end,
             clock,
             self.work,
             cell,

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-from minimd.integrators.splitting.state import OpenEnd
 from minimd.neighbors.verlet_list import Built
 from minimd.structure.cell import Cell
 from minimd.structure.grid import Grid
@@ -11,7 +10,6 @@ from minimd.structure.observables import Array
 
 class Snapshot(NamedTuple):
     """A stored state, see Engine.restore.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy].
-    open_end : see Surroundings.
 
     clock : a step and its time, from which the times of other steps are counted.  work :
         done by forces that depend on time [energy].
@@ -23,7 +21,6 @@ class Snapshot(NamedTuple):
     positions: Array
     velocities: Array
     reservoir_energy: float
-    open_end: OpenEnd | None = None
     clock: tuple[int, float] | None = None
     work: float = 0.0
     cell: Cell | None = None

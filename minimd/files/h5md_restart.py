@@ -16,7 +16,6 @@ import h5py
 import numpy as np
 
 from minimd.engine.snapshots import Checkpoint, Snapshot
-from minimd.integrators.splitting.state import OpenEnd
 from minimd.neighbors.verlet_list import Built
 from minimd.structure.cell import Cell
 from minimd.structure.grid import Grid
@@ -29,8 +28,6 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
     """A checkpoint as named arrays and numbers. Arrays that it does not have are left out."""
     state, images = checkpoint.state, checkpoint.images
     arrays: dict[str, np.ndarray | None] = {"positions": state.positions, "velocities": state.velocities}
-    if state.open_end is not None:
-        arrays |= {"open_positions": state.open_end.positions, "open_velocities": state.open_end.velocities}
     arrays["images"] = None if images is None else images[0]
     arrays |= {f"list_{k}": one.positions for k, one in enumerate(checkpoint.lists)}
     for name, cell in [
@@ -45,8 +42,7 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
         "displacement": checkpoint.displacement,
     }
     clock = state.clock or (state.step, state.time)
-    numbers["drifts_next"] = int(state.open_end is not None and state.open_end.drifts_next)
-    numbers |= {"work": state.work, "open_work": 0.0 if state.open_end is None else state.open_end.work}
+    numbers["work"] = state.work
     numbers |= {"clock_step": clock[0], "clock_time": clock[1], "equilibrated": checkpoint.equilibrated}
     numbers |= {
         "skins": np.array([one.skin for one in checkpoint.lists]),
@@ -59,14 +55,6 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
 
 def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Checkpoint:
     """The checkpoint with these flattened arrays and numbers."""
-    end = None
-    if "open_velocities" in arrays:
-        end = OpenEnd(
-            arrays["open_velocities"],
-            arrays.get("open_positions"),
-            bool(numbers["drifts_next"]),
-            float(numbers.get("open_work", 0.0)),
-        )
     step, time, energy = int(numbers["step"]), float(numbers["time"]), float(numbers["reservoir_energy"])
     lists = tuple(
         Built(float(skin), arrays.get(f"list_{k}"), _cell(arrays, f"cell_of_list_{k}"))
@@ -77,7 +65,7 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
         (arrays["positions"], arrays["velocities"]),
     )
     return Checkpoint(
-        state=Snapshot(step, time, *moving, energy, end, clock, float(numbers.get("work", 0.0)), _cell(arrays, "cell")),
+        state=Snapshot(step, time, *moving, energy, clock, float(numbers.get("work", 0.0)), _cell(arrays, "cell")),
         displacement=float(numbers["displacement"]),
         lists=lists,
         images=(arrays["images"], float(numbers["tolerance"])) if "images" in arrays else None,

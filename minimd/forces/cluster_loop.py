@@ -26,7 +26,8 @@ from minimd.potentials.tabulated import reads_table
 from minimd.potentials.term import PER_ATOM
 from minimd.potentials.user_laws import is_recognized, is_user_law
 
-LANE_SUMS = 7  # accumulators of a lane with PER_ATOM: energy, and six of the virial
+VIRIAL = 6  # components
+LANE_SUMS = 1 + VIRIAL  # accumulators of a lane with PER_ATOM: energy and virial
 
 
 class ByLane(ByAddress, namedtuple("ByLane", "columns species slots table of_atoms")):
@@ -98,33 +99,55 @@ class Work(ByAddress, namedtuple("Work", "laws sums")):
 
 
 @called_kernel
-def add_forces_of_laws(domain, arrays, work, steps, which):
-    """add_cluster_forces for each law of a Work."""
-    _add_forces_of(domain, arrays, work.laws, work.sums, steps, which)
+def add_forces_of_laws(domain, arrays, work, steps):
+    """add_cluster_forces for each law of a Work; its energies and virials begin with zero."""
+    _start_energies(domain, arrays, work.sums)
+    _add_forces_of(domain, arrays, work.laws, work.sums, steps)
 
 
 @by_type
-def _add_forces_of(domain, arrays, laws, sums, steps, which):
+def _start_energies(domain, arrays, sums):
+    """Energies and virials of a domain = 0, where they are wanted."""
+    if sums.instance_class is ForceSums:
+        return lambda domain, arrays, sums: None
+
+    def start(domain, arrays, sums):
+        n_lanes, domains = count(arrays.clusters.lanes), arrays.domains
+        n = n_lanes if sums.detail == PER_ATOM else 1
+        for k in range(arrays.domain_start[domain] * n, arrays.domain_start[domain + 1] * n):
+            sums.energies[k] = 0.0
+            for c in range(VIRIAL):
+                sums.virials[k, c] = 0.0
+        if sums.detail == PER_ATOM:
+            per_ghost = LANE_SUMS * n_lanes
+            for k in range(domains.window[domain] * per_ghost, domains.window[domain + 1] * per_ghost):
+                sums.lane_sums[k] = 0.0
+
+    return start
+
+
+@by_type
+def _add_forces_of(domain, arrays, laws, sums, steps):
     """Unrolled by the compiler."""
     if len(laws) == 0:
-        return lambda domain, arrays, laws, sums, steps, which: None
+        return lambda domain, arrays, laws, sums, steps: None
 
-    def add(domain, arrays, laws, sums, steps, which):
-        add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums, steps, which)
-        _add_forces_of(domain, arrays, laws[1:], sums, steps, which)
+    def add(domain, arrays, laws, sums, steps):
+        add_cluster_forces(domain, arrays, laws[0][0], laws[0][1], sums, steps)
+        _add_forces_of(domain, arrays, laws[1:], sums, steps)
 
     return add
 
 
 @scalar
-def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
+def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
     """Forces between the atoms of a domain and the clusters of their rows.
 
         r_ij = r_j − r_i,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= Σ f r_ij,   W += f r_ij ⊗ r_ij
 
     arrays : ClusterArrays.  law : law type.  parameters : SameForAll or ByLane.
     sums : with TOTALS each pair is added to the cluster of its atom i, with PER_ATOM half of it to each atom.
-    steps : () or, in fixed-point arithmetic, Steps.  which : of its kicks.
+    steps : () or, in fixed-point arithmetic, Steps.
     Indices in the inner loop are unsigned: the compiler need not check for those that count from the end.
     """
     rows, homes, memory, lanes = arrays.rows, arrays.ghosts.home, arrays.memory, arrays.clusters.lanes
@@ -133,8 +156,9 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
     coordinates = memory.coordinates[first * block :]  # of this window, as the forces
     forces = sums.forces[arrays.domains.place[domain] * block :]
     nothing, like = broadcast(0.0, load(forces, 0, lanes)), load(coordinates, 0, lanes)
+    reader = memory.far, memory.unit[0]
     zero = convert(nothing, 0.0)
-    own_share, scale = 0.5 if sums.detail == PER_ATOM else 1.0, scale_of(steps, which, like)
+    own_share, scale = 0.5 if sums.detail == PER_ATOM else 1.0, scale_of(steps, like)
     limit2, stops = limit_of(steps), rows.stops[rows.layers[0] - 1]
     energy = xx = yy = zz = yz = xz = xy = zero
     for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
@@ -143,15 +167,15 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
         x, y, z = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
         at = broadcast(x, like), broadcast(y, like), broadcast(z, like)
         after = rows.entries[np.uintp(rows.start[slot])]
-        ahead = separations(coordinates, memory, after, at, lanes)
+        ahead = separations(coordinates, reader, after, at, lanes)
         fx, fy, fz, size2 = nothing, nothing, nothing, zero
         for entry in range(np.uintp(rows.start[slot]), np.uintp(stops[slot])):
             if looks_ahead(nothing):
                 now, (dx, dy, dz, r2), after = after, ahead, rows.entries[entry + np.uintp(1)]
-                ahead = separations(coordinates, memory, after, at, lanes)
+                ahead = separations(coordinates, reader, after, at, lanes)
             else:
                 now = rows.entries[entry]
-                dx, dy, dz, r2 = separations(coordinates, memory, now, at, lanes)
+                dx, dy, dz, r2 = separations(coordinates, reader, now, at, lanes)
             ghost = np.uintp(now & GHOST_BITS)
             numbers = parameters_of_lanes(parameters, (first + home) * n_lanes + lane, first + np.intp(ghost), lanes)
             near = r2 < numbers[0]
@@ -188,19 +212,19 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps, which):
 
 
 @scalar
-def separations(coordinates, memory, entry, at, lanes):
+def separations(coordinates, reader, entry, at, lanes):
     """r_j − r_i = (dx, dy, dz) and r² from a position x, y, z to the lanes of an entry,
     ∞ for those that do not count [length].
 
-    coordinates : of the ghosts in the window.
+    coordinates : of the ghosts in the window.  reader : Memory.far, and the unit of the coordinates.
     """
-    n_lanes, unit = np.uintp(count(lanes)), memory.unit
+    n_lanes, (far, unit) = np.uintp(count(lanes)), reader
     x = np.uintp(entry & GHOST_BITS) * np.uintp(DIMENSIONS) * n_lanes
     y, z = x + n_lanes, x + n_lanes + n_lanes
     dx, dy = separation(coordinates, x, at[0], unit, lanes), separation(coordinates, y, at[1], unit, lanes)
     dz = separation(coordinates, z, at[2], unit, lanes)
-    far = load(memory.far, np.uintp(entry >> LANES_FROM) * n_lanes, lanes)
-    return dx, dy, dz, fma(dx, dx, fma(dy, dy, fma(dz, dz, far)))
+    apart = load(far, np.uintp(entry >> LANES_FROM) * n_lanes, lanes)
+    return dx, dy, dz, fma(dx, dx, fma(dy, dy, fma(dz, dz, apart)))
 
 
 @by_type
@@ -213,17 +237,15 @@ def separation(coordinates, place, x, unit, lanes):
     if isinstance(coordinates.dtype, types.Float):
         return lambda coordinates, place, x, unit, lanes: load(coordinates, place, lanes) - x
     return lambda coordinates, place, x, unit, lanes: (
-        convert(load(coordinates, place, lanes) - x, np.float32(0.0)) * unit
+        convert(load(coordinates, place, lanes) - x, np.float32(0.0)) * np.float32(unit)
     )
 
 
 @by_type
-def scale_of(steps, which, like):
+def scale_of(steps, like):
     """What makes impulses of forces, in steps of momentum, in all lanes; () where forces are summed as they are."""
     return (
-        (lambda steps, which, like: broadcast(steps.per_force[which], like))
-        if is_fixed(steps)
-        else lambda steps, which, like: ()
+        (lambda steps, like: broadcast(steps.per_force[0], like)) if is_fixed(steps) else lambda steps, like: ()
     )
 
 
@@ -248,7 +270,7 @@ def without_bias(total, n, lanes):
     return lambda total, n, lanes: total - n * count(lanes) * BIAS
 
 
-@kernel
+@called_kernel
 def prepare_loop(arrays, work):
     """To be called after a list build, and after each change of the layers in use:
     what the loop needs beside the list."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections import namedtuple
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -12,24 +13,53 @@ import numpy as np
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
-from minimd.compiled.fixed_point import GridSums
-from minimd.compiled.kernels import announce_compilation
+from minimd.compiled.by_address import ByAddress
+from minimd.compiled.kernels import DirectCalls, announce_compilation, called_kernel
+from minimd.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation
+from minimd.compiled.threads import ThreadPool, thread_pool
 from minimd.forces.options import FIXED_POINT, Options
 from minimd.forces.pair_laws import deepest
 from minimd.forces.planning import plan
-from minimd.integrators.splitting.state import Cycle, State, steps_of
 from minimd.neighbors.verlet_list import Built, VerletList
-from minimd.potentials.term import BOND_LOOP, FORCES, TOTALS, Potential, Term, as_potentials, bound, check_force
+from minimd.potentials.links import LinkedTerm, Slots
+from minimd.potentials.term import (
+    BOND_LOOP,
+    FORCES,
+    PER_ATOM,
+    TOTALS,
+    OwnTerm,
+    Potential,
+    Target,
+    Term,
+    as_potentials,
+    bound,
+    check_force,
+)
+from minimd.structure.cell import Images
 from minimd.structure.console import outside_minimd
 from minimd.structure.errors import RangeError, why_not_compiled
-from minimd.structure.grid import TOO_LARGE, Grid
+from minimd.structure.grid import TOO_LARGE, Grid, steps_of
 from minimd.structure.system import System, check_resolution
 
 CHANGED_SPEED = (
     2.0  # the skin is chosen anew when atoms have become faster or slower by this factor: its optimum is flat
 )
-KNOWN = nullcontext()
 VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # places of xx yy zz yz xz xy in a (3, 3) tensor
+
+
+class Clearing(ByAddress, namedtuple("Clearing", "forces n_chunks")):
+    """Forces (N, 3) to be set to zero, in chunks."""
+
+
+@called_kernel
+def clear_forces(clearing, chunk):
+    """Forces = 0."""
+    forces, n_chunks = clearing
+    n = forces.shape[0]
+    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+        for c in range(3):
+            forces[i, c] = 0
+    return GO_ON
 
 
 class Forces:
@@ -64,6 +94,9 @@ class Forces:
         self.terms: list[Term] = []
         self.n_evaluations, self._builds_before, self.displacement, self.time = 0, 0, 0.0, 0.0
         self.grid: Grid | None = None
+        self.forces = np.zeros_like(system.positions)
+        self.impulses, self.unit = np.zeros((0, 3), dtype=np.int64), 1.0
+        self._images, self._calls, self._n_plans = Images.of(system.cell), DirectCalls(), 0
         self._bind()
         self.check_resolution()
         for term in self._bound:
@@ -75,9 +108,7 @@ class Forces:
                 f"skin {self.options.skin:g} {system.units.length} does not fit, {widest:.3g} is used: {why}",
                 stacklevel=outside_minimd(),
             )
-        self.forces = np.zeros_like(system.positions)
         self._energies, self._virials, self._detail = np.zeros(0), np.zeros((0, 6)), FORCES
-        self.impulses, self.unit = np.zeros((0, 3), dtype=np.int64), 1.0
 
     def _bind(self) -> None:
         """Bind the potentials to the system, as it is in its present cell, and plan the terms."""
@@ -90,7 +121,18 @@ class Forces:
         self._builds_before += _n_builds(self.terms) - _n_builds(terms)
         self.terms, self._bound, self._planned_for = terms, terms_bound, self.system.cell
         self._timed = [term for term in terms if term.depends_on_time]
-        self._compiled: set[int] = set()  # details that the terms have been computed with
+        self._images.take(self.system.cell)
+        linked = [term for term in terms if isinstance(term, LinkedTerm)]
+        of_pairs = [term for term in terms if term.list is not None]
+        others = [term for term in terms if term not in linked and term not in of_pairs]
+        for k, term in enumerate(of_pairs):
+            term.is_first = k == 0
+        self._in_order = of_pairs, linked, others
+        self._slots, n_chunks = Slots(linked), n_chunks_of(len(self.system))
+        self._slot_forces = np.zeros((self._slots.size, 3), dtype=np.float64 if self.grid is None else np.int64)
+        self._clearing = Clearing(self.forces if self.grid is None else self.impulses, n_chunks)
+        self._programs: dict[Any, tuple[Program, Target]] = {}
+        self._n_plans += 1
 
     def _is_in_double(self) -> bool:
         """Whether arithmetic is float64 although fixed-point was asked for:
@@ -142,6 +184,7 @@ class Forces:
         compute binds them again."""
         if sum(not term.follow(self.system) for term in self.terms) == 0:
             self._planned_for = self.system.cell
+            self._images.take(self.system.cell)
 
     def lists_built(self) -> tuple[Built, ...]:
         """What build_lists needs to rebuild the lists that are in use."""
@@ -183,61 +226,88 @@ class Forces:
         NonFiniteError : if a position is not finite.  RangeError : if an impulse leaves the range of a grid.
         ValueError : as Forces, if the cell has changed and no longer fits.
         """
-        if not self.system.cell.same_as(self._planned_for):
-            self._bind()
-        if detail != FORCES:
-            self._clear_accumulators(detail)
-        with KNOWN if detail in self._compiled else self._compiling(detail):
-            unit = self.unit if unit is None else unit
-            sums = self._sums(unit)
-            sums[0][:] = 0
-            for term in self._timed:
-                term.time = self.time
-            for term in self.terms:
-                term.add_to(self.system, detail, sums)
-            self._take(sums, unit)
+        self.follow_cell()
+        key = detail, self.unit if unit is None else unit
+        if key not in self._programs or detail == PER_ATOM:
+            target = self.target(*key)
+            make = lambda: self.operations(target)  # noqa: E731
+            self._programs[key] = Program(make, lambda: self.version, self.pool), target
+        program, target = self._programs[key]
+        with self.running(program):
+            program.run()
+        self.taken(target, key[1])
         self.n_evaluations += 1
-        self._detail = detail
         return self.forces
 
-    def _sums(self, unit: float) -> tuple[Any, ...]:
-        """What terms add to: forces, energies and virials; or, on a grid, impulses over a unit of time."""
-        if self.grid is None:
-            return self.forces, self._energies, self._virials
-        return GridSums(
-            self.impulses, self._energies, self._virials, steps_of(self.grid, (unit,)), np.zeros(1, dtype=np.int64)
-        )
+    def follow_cell(self) -> None:
+        """Bind the potentials again if the cell was changed."""
+        if not self.system.cell.same_as(self._planned_for):
+            self._bind()
 
-    def _take(self, sums: tuple[Any, ...], unit: float) -> None:
-        """The forces of impulses over a unit of time.  Raises RangeError if one is out of range."""
-        if self.grid is None or not isinstance(sums, GridSums):
-            return
-        if sums.faults[0]:
-            raise RangeError(TOO_LARGE)
-        np.multiply(self.impulses, self.grid.momentum / unit, out=self.forces)
+    def target(self, detail: int, unit: float = 1.0) -> Target:
+        """What operations(target) work on, for one detail, and one unit of impulses [time]."""
+        n = 1 if detail == TOTALS and all(term.needs_one_accumulator for term in self.terms) else len(self.system)
+        energies, virials = (np.empty(0), np.empty((0, 6))) if detail == FORCES else (np.empty(n), np.empty((n, 6)))
+        steps = () if self.grid is None else steps_of(self.grid, (unit,))
+        forces = self.forces if self.grid is None else self.impulses
+        return Target(detail, forces, energies, virials, self._slot_forces, self._images, steps)
 
-    def prepare(self) -> None:
-        """Compile all that steps need, before the first of them.  Raises as compute."""
-        if FORCES not in self._compiled and self.system.cell.same_as(self._planned_for):
-            with self._compiling(FORCES):
-                steps = () if self.grid is None else steps_of(self.grid, (self.unit,))
-                for term in self.terms:
-                    term.prepare(
-                        self.system, self.forces if self.grid is None else self.impulses, steps, len(self.terms) == 1
-                    )
+    def operations(self, target: Target) -> Iterator[Operation]:
+        """The operations of one evaluation: of pairs, of links and their sums, of all other terms."""
+        of_pairs, linked, others = self._in_order
+        if not (of_pairs and of_pairs[0].assigns):
+            yield operation(self._calls, clear_forces, self._clearing, self._clearing.n_chunks)
+        for term in (*of_pairs, *linked):
+            yield from self._of(term, target)
+        yield from self._slots.operations(target)
+        for term in others:
+            yield from self._of(term, target)
 
-    def march(self, state: State, cycle: Cycle, n: int) -> int:
-        """See March in integrators.splitting; for scenes with one term that can.  Raises as compute."""
-        if len(self.terms) != 1 or not self.terms[0].marches or not self.system.cell.same_as(self._planned_for):
-            return 0
-        with KNOWN if FORCES in self._compiled else self._compiling(FORCES):
-            made = self.terms[0].march(self.system, state, cycle, n)
-        self.n_evaluations += made * len(cycle.durations)
-        return made
+    def _of(self, term: Term, target: Target) -> Iterator[Operation]:
+        for one in term.operations(self.system, target):
+            yield one._replace(python=_refuse) if one.python is None else one
 
     @contextmanager
-    def _compiling(self, detail: int) -> Iterator[None]:
-        """Context of the first compute with a detail.  Raises TypeError if a user's law does not compile."""
+    def running(self, program: Program) -> Iterator[None]:
+        """Context in which a program with operations of this evaluation runs; compiles what is not compiled yet.
+
+        Raises TypeError if a user's law does not compile.
+        """
+        for term in self._in_order[0]:
+            term.ready(self.system)
+        try:
+            if program.is_outdated:
+                with self._compiling():
+                    program.prepare()
+            yield
+        finally:
+            for one in _lists(self.terms):
+                one.settle()
+
+    def taken(self, target: Target, unit: float) -> None:
+        """After the operations of an evaluation: energies and virials, and forces of impulses over a unit of time."""
+        if target.detail != FORCES:
+            target.energies[:], target.virials[:] = 0.0, 0.0
+        for term in self.terms:
+            term.collect(target)
+        self._energies, self._virials, self._detail = target.energies, target.virials, target.detail
+        if self.grid is not None:
+            np.multiply(self.impulses, self.grid.momentum / unit, out=self.forces)
+
+    @property
+    def version(self) -> tuple[int, ...]:
+        """Of the memory that operations work on."""
+        return self._n_plans, *(term.version for term in self._in_order[0])
+
+    @property
+    def pool(self) -> ThreadPool:
+        """The threads for this scene."""
+        pools = [pool for term in self.terms if (pool := getattr(term, "pool", None)) is not None]
+        return max(pools, key=lambda pool: pool.n_threads) if pools else thread_pool(1)
+
+    @contextmanager
+    def _compiling(self) -> Iterator[None]:
+        """Context of a compilation.  Raises TypeError if a user's law does not compile."""
         try:
             with announce_compilation():
                 yield
@@ -247,15 +317,6 @@ class Forces:
                 f"a law of {laws} does not compile; laws must be arithmetic on numbers that numba.njit accepts: "
                 f"{reason}"
             ) from error
-        self._compiled.add(detail)
-
-    def _clear_accumulators(self, detail: int) -> None:
-        """Set energies and virials to zero: one element for each atom,
-        or a single one for TOTALS if all terms support it."""
-        n = 1 if detail == TOTALS and all(term.needs_one_accumulator for term in self.terms) else len(self.system)
-        if len(self._energies) != n:
-            self._energies, self._virials = np.empty(n), np.empty((n, 6))
-        self._energies[:], self._virials[:] = 0.0, 0.0
 
     @contextmanager
     def set_aside(self) -> Iterator[None]:
@@ -264,10 +325,11 @@ class Forces:
         Afterwards forces, energies and virials are restored.
         """
         forces, energies, virials, detail = self.forces.copy(), self._energies, self._virials, self._detail
-        self._energies, self._virials = np.zeros(0), np.zeros((0, 6))
+        self._programs, programs = {}, self._programs  # others, that have accumulators of their own
         try:
             yield
         finally:
+            self._programs = programs
             self.forces[:] = forces
             self._energies, self._virials, self._detail = energies, virials, detail
 
@@ -279,23 +341,23 @@ class Forces:
     @property
     def potential_energy(self) -> float:
         """U [energy] of the last compute with TOTALS or PER_ATOM, tail corrections included."""
-        return float(self._energies.sum()) + self._tail_corrections()[0]
+        return float(self._energies.sum()) + self.tail_corrections()[0]
 
     @property
     def virial(self) -> NDArray[np.float64]:
         """W = Σ f r_ij ⊗ r_ij [energy], (3, 3), of the last compute with TOTALS or PER_ATOM,
         tail corrections included."""
-        return self._virials.sum(axis=0)[VOIGT] + np.eye(3) * self._tail_corrections()[1] / 3.0
+        return self._virials.sum(axis=0)[VOIGT] + np.eye(3) * self.tail_corrections()[1] / 3.0
 
     @property
     def energies(self) -> NDArray[np.float64]:
         """Each atom's share of U [energy], (N,), of the last compute with PER_ATOM; the tail in equal shares."""
-        return self._energies + self._tail_corrections()[0] / len(self.system)
+        return self._energies + self.tail_corrections()[0] / len(self.system)
 
     @property
     def virials(self) -> NDArray[np.float64]:
         """Each atom's share of W [energy], (N, 6) as xx yy zz yz xz xy, of the last compute with PER_ATOM."""
-        return self._virials + np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * self._tail_corrections()[1] / 3.0 / len(
+        return self._virials + np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * self.tail_corrections()[1] / 3.0 / len(
             self.system
         )
 
@@ -346,10 +408,14 @@ class Forces:
         absent += [BOND_LOOP] if all(term.ingredient != BOND_LOOP for term in self.terms) else []
         return absent + [what for term in self.terms for what in term.skipped()]
 
-    def _tail_corrections(self) -> tuple[float, float]:
+    def tail_corrections(self) -> tuple[float, float]:
         """Energy and virial trace of all tails."""
         tails = [term.tail(self.system) for term in self._bound]
         return sum(u for u, _ in tails), sum(w for _, w in tails)
+
+
+def _refuse(_answer: int) -> None:
+    raise RangeError(TOO_LARGE)
 
 
 def _lists(terms: Sequence[Term]) -> list[VerletList]:

@@ -10,7 +10,7 @@ from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws
 from minimd.forces.pair_list_term import PairListTerm
 from minimd.potentials.laws import Scaled
-from minimd.potentials.pair_loop import FixedPairs
+from minimd.potentials.links import FixedPairs
 from minimd.potentials.term import Term
 from minimd.structure.system import System
 
@@ -46,4 +46,4 @@ def scaled_terms(system: System, laws: PairLaws) -> Iterator[Term]:
                 rows = np.column_stack(
                     [rows[:, 0], np.full(len(rows), factor), rows[:, 1:]]
                 )  # the factor is the first parameter of Scaled
-                yield FixedPairs(system, pairs, Scaled(one.law), rows)
+                yield FixedPairs(pairs, Scaled(one.law), rows)

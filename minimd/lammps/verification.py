@@ -20,6 +20,7 @@ from minimd.potentials.term import PER_ATOM, bound
 from minimd.structure.cell import Cell
 from minimd.structure.errors import HandOverError, NonFiniteError
 from minimd.structure.observables import longest
+from minimd.structure.quiet import quiet
 from minimd.structure.system import System
 
 TOLERANCE = 1e-10  # of the largest; a scene that differs by more is not handed over
@@ -108,7 +109,7 @@ class Evaluated(NamedTuple):
     """For each atom: energies (N,) [energy], forces (N, 3) [energy/length], virials (N, 6) [energy],
     as xx yy zz yz xz xy.
 
-    length : the largest cutoff [length], or 1.  n_idle : number of terms without any energy.
+    length : the largest cutoff [length], or 1.  n_idle : number of potentials without any energy.
     """
 
     energies: Array
@@ -120,18 +121,20 @@ class Evaluated(NamedTuple):
 
 def evaluated(engine: Engine, system: System) -> Evaluated:
     """What minimd computes for single atoms of a system, in double precision, without tail corrections."""
-    n, forces = (
-        len(system),
-        Forces(system, engine.interactions.potentials, Options(skin=0.0, threads=engine.interactions.options.threads)),
-    )
-    length = forces.largest_cutoff if np.isfinite(forces.largest_cutoff) else 1.0
-    energies, sums, n_idle = np.zeros(n), (np.zeros((n, 3)), np.zeros(n), np.zeros((n, 6))), 0
-    for term in forces.terms:
-        sums[1][:] = 0.0
-        term.add_to(system, PER_ATOM, sums)
-        energies += sums[1]
-        n_idle += not sums[1].any()
-    return Evaluated(energies, sums[0], sums[2], length, n_idle)
+    n, options = len(system), Options(skin=0.0, threads=engine.interactions.options.threads)
+    energies, each, virials, lengths, n_idle = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 6)), [], 0
+    for potential in engine.interactions.potentials:
+        with quiet():
+            alone = Forces(system, potential, options)
+        alone.compute(PER_ATOM)
+        own, tail = alone.energies, alone.tail_corrections()
+        energies += own - tail[0] / n
+        each += alone.forces
+        virials += alone.virials - np.repeat([tail[1] / (3.0 * n), 0.0], 3)
+        lengths.append(alone.largest_cutoff)
+        n_idle += not (own != tail[0] / n).any()
+    length = max((one for one in lengths if np.isfinite(one)), default=1.0)
+    return Evaluated(energies, each, virials, length, n_idle)
 
 
 def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple[Evaluated, Evaluated]]:

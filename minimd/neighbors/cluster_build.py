@@ -1,95 +1,160 @@
-"""The build of a cluster list as one kernel: sort, cut, find rows, in memory that is already there."""
+"""The operations that keep a cluster list valid: atoms to their clusters and ghosts; is the list still valid; if not,
+sort, cut, find rows, in memory that is already there."""
 
 from collections import namedtuple
 
+import numpy as np
+
 from minimd.compiled.by_address import ByAddress
-from minimd.compiled.kernels import scalar, shared_kernel
-from minimd.compiled.threads import MOST_CHUNKS, barrier, begin, finish_and_take, take
-from minimd.neighbors.cluster_search import LAYERS, find_rows, make_work
-from minimd.neighbors.clusters import DIMENSIONS, fill_clusters, sort_into_columns
+from minimd.compiled.kernels import called_kernel, filling_kernel
+from minimd.compiled.program import GO_ON, JUMP, NEEDS_ROOM, NOT_FINITE, OUT_OF_RANGE
+from minimd.compiled.simd import bits_from_mask
+from minimd.compiled.simd.lanes import count
+from minimd.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, exclude_partners, find_rows, find_slots, make_work
+from minimd.neighbors.clusters import DIMENSIONS, fill_clusters, gathered, loaded, sort_into_columns
+from minimd.neighbors.cluster_memory import lay_grid, place
 from minimd.neighbors.domains import BLOCKS, GHOSTS, cut_into_domains, fill_ghosts, fill_shifts, sort_ghosts
+from minimd.neighbors.verlet_list import count_not_finite
 
 
-class Building(ByAddress, namedtuple("Building", "binned layout rows n_blocks goes_along entry_start needed")):
-    """Memory for a build.  binned, layout, rows : Binned, Layout, Rows, all of them outputs but for layout.columns.
+class Building(
+    ByAddress,
+    namedtuple(
+        "Building",
+        "positions arrays binned layout n_blocks n_chunks goes_along entry_start needed excluded slot_of images widths",
+    ),
+):
+    """What the operations work on.
 
-    n_blocks : of forces for which there is room.  goes_along : see cut_into_domains.
+    positions : (N, 3) [length].  arrays : ClusterArrays, an output, as binned : Binned, and layout : Layout, but for its
+        columns.
+    n_blocks : of forces for which there is room.  n_chunks : into which columns are cut.  goes_along : see
+        cut_into_domains.
     entry_start : (K + 1,) int, first entry of each domain.
     needed : (K,) int, output, entries that each domain needs, which may be more than there is room for.
+    excluded : partners of each atom, see find_pairs, and slot_of : (N,) int, output, slot of each atom, where pairs are
+        excluded.
+    images : Images.  widths : cutoff and skin [length], and the coarsest unit of mixed precision [length].
     """
 
 
-@shared_kernel
-def build_clusters(worker, task, positions, building):
-    """Clusters, domains, ghosts and rows of atoms at positions (N, 3). Returns 1, or 0 if there is too little room.
-
-    How much is needed is then in layout.domains, and, if there is room for all ghosts, in needed.
-    """
-    binned, (columns, clusters, domains, ghosts, _, _), _, n_blocks, goes_along, entry_start, needed = building
-    phase = begin(worker, task)
-    chunk = take(worker, phase, 1)
-    while chunk >= 0:
-        sort_into_columns(positions, columns, binned, clusters)
-        chunk = finish_and_take(worker, phase, 1)
-    phase, n = barrier(worker, phase), min(columns.counts[0], MOST_CHUNKS)
-    chunk = take(worker, phase, n)
-    while chunk >= 0:
-        fill_clusters(chunk, n, positions, columns, binned, clusters)
-        chunk = finish_and_take(worker, phase, n)
-    phase = barrier(worker, phase)
-    chunk = take(worker, phase, 1)
-    while chunk >= 0:
-        cut_into_domains(clusters, columns, domains, goes_along)
-        fill_shifts(columns, building.layout.shifts)
-        _forget_strain(columns, clusters.wrapping, building.rows)
-        chunk = finish_and_take(worker, phase, 1)
-    phase = barrier(worker, phase)
-    if not _has_room(domains, ghosts, n_blocks) or entry_start.size != domains.column.size:
-        return 0
-    chunk = take(worker, phase, needed.size)
-    while chunk >= 0:
-        fill_ghosts(chunk, building.layout)
-        chunk = finish_and_take(worker, phase, needed.size)
-    phase = barrier(worker, phase)
-    work = make_work(building.layout)
-    chunk = take(worker, phase, needed.size)
-    while chunk >= 0:
-        needed[chunk] = find_rows(
-            chunk, building.layout, building.rows, (entry_start[chunk], entry_start[chunk + 1]), work
-        )
-        chunk = finish_and_take(worker, phase, needed.size)
-    phase = barrier(worker, phase)
-    chunk = take(worker, phase, 1)
-    while chunk >= 0:
-        sort_ghosts(domains, ghosts)
-        chunk = finish_and_take(worker, phase, 1)
-    barrier(worker, phase)
-    return 1 if _is_enough(entry_start, needed) else 0
+@called_kernel
+def place_atoms(building, domain):
+    """Positions of the atoms of a domain to all their ghosts; memory.layers[domain] = how many layers of the rows are
+    needed, LAYERS + 1 if the list is no longer valid, as for a position that is not a number."""
+    arrays = building.arrays
+    clusters, rows, n_lanes = arrays.clusters, arrays.rows, count(arrays.clusters.lanes)
+    n_layers = 1
+    if rows.layers[IN_USE] == 0:  # there is no list
+        return GO_ON
+    for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
+        at = gathered(k, clusters, building.positions)
+        was = loaded(clusters.positions, np.uintp(k) * np.uintp(DIMENSIONS * n_lanes), clusters.lanes)
+        dx, dy, dz = at[0] - was[0], at[1] - was[1], at[2] - was[2]
+        moved2 = dx * dx + dy * dy + dz * dz  # padding moves with the last atom
+        while n_layers <= LAYERS and bits_from_mask(moved2 <= rows.limits2[n_layers - 1]) != (1 << n_lanes) - 1:
+            n_layers += 1
+        place(k, arrays, at)
+    arrays.memory.layers[domain] = n_layers
+    return GO_ON
 
 
-@scalar
-def _forget_strain(columns, wrapping, rows):
-    """The cell of the clusters is the one in which they are made."""
-    for a in range(DIMENSIONS):
+@called_kernel
+def is_valid(building, _chunk):
+    """JUMP if the list is valid, with the layers that are needed in use; else there is none from now on."""
+    arrays = building.arrays
+    layers = arrays.rows.layers
+    if layers[IN_USE] > 0:
+        for domain in range(arrays.memory.layers.size):
+            layers[IN_USE] = max(layers[IN_USE], arrays.memory.layers[domain])
+        if layers[IN_USE] <= LAYERS:
+            return JUMP
+    layers[IN_USE] = 0
+    return NOT_FINITE if count_not_finite(building.positions)[0] > 0 else GO_ON
+
+
+@called_kernel
+def sort_atoms(building, _chunk):
+    """Atoms into columns."""
+    columns, clusters = building.layout.columns, building.layout.clusters
+    sort_into_columns(building.positions, columns, building.binned, clusters)
+    return GO_ON
+
+
+@called_kernel
+def cut_columns(building, chunk):
+    """Columns into clusters."""
+    columns, clusters = building.layout.columns, building.layout.clusters
+    fill_clusters(chunk, building.n_chunks, building.positions, columns, building.binned, clusters)
+    return GO_ON
+
+
+@called_kernel
+def find_domains(building, _chunk):
+    """Clusters into domains.  NEEDS_ROOM if there is too little: how much is needed is then in layout.domains."""
+    columns, clusters, domains, ghosts, _, shifts = building.layout
+    rows, wrapping = building.arrays.rows, clusters.wrapping
+    cut_into_domains(clusters, columns, domains, building.goes_along)
+    fill_shifts(columns, shifts)
+    for a in range(DIMENSIONS):  # the cell of the clusters is the one in which they are made
         for b in range(DIMENSIONS):
             wrapping.inverse[a, b], wrapping.lattice[a, b] = columns.inverse[a, b], columns.lattice[a, b]
     for layer in range(LAYERS):
         rows.limits2[layer] = rows.limits2_at_build[layer]
-
-
-@scalar
-def _has_room(domains, ghosts, n_blocks):
-    """Whether there is room for all ghosts, and for the forces on them."""
-    is_enough = (
-        domains.numbers[GHOSTS] <= ghosts.owner.size and domains.window[domains.window.size - 1] <= ghosts.parts.size
+    has_room = (
+        domains.numbers[GHOSTS] <= ghosts.owner.size
+        and domains.window[domains.window.size - 1] <= ghosts.parts.size
+        and domains.numbers[BLOCKS] <= building.n_blocks
+        and building.entry_start.size == domains.column.size
     )
-    return is_enough and domains.numbers[BLOCKS] <= n_blocks
+    return GO_ON if has_room else NEEDS_ROOM
 
 
-@scalar
-def _is_enough(entry_start, needed):
-    """Whether each domain had room for its entries."""
-    answer = True
-    for d in range(needed.size):
-        answer &= needed[d] <= entry_start[d + 1] - entry_start[d]
-    return answer
+@called_kernel
+def place_ghosts(building, domain):
+    """The ghosts that a domain sees."""
+    fill_ghosts(domain, building.layout)
+    return GO_ON
+
+
+@filling_kernel
+def list_rows(building, domain):
+    """The rows of a domain.  NEEDS_ROOM if there is too little: how much is needed is then in needed."""
+    first, last = building.entry_start[domain], building.entry_start[domain + 1]
+    needed = find_rows(domain, building.layout, building.arrays.rows, (first, last), make_work(building.layout))
+    building.needed[domain] = needed
+    return GO_ON if needed <= last - first else NEEDS_ROOM
+
+
+@called_kernel
+def finish_list(building, _chunk):
+    """Which ghosts are used. There is a list now."""
+    sort_ghosts(building.layout.domains, building.layout.ghosts)
+    layers = building.arrays.rows.layers
+    layers[IN_USE], layers[BUILDS] = 1, layers[BUILDS] + 1
+    return GO_ON
+
+
+@called_kernel
+def number_slots(building, domain):
+    """The slot of each atom of a domain."""
+    find_slots(domain, building.layout, building.slot_of)
+    return GO_ON
+
+
+@called_kernel
+def exclude_pairs(building, domain):
+    """Clear the lanes of excluded partners, at their nearest images, in the rows of a domain."""
+    excluded, slot_of, (lattice, inverse, pbc, safe_distance2) = building.excluded, building.slot_of, building.images
+    image = lattice, inverse, pbc, safe_distance2[0]
+    exclude_partners(domain, building.layout, image, excluded, slot_of, building.arrays.rows)
+    return GO_ON
+
+
+@called_kernel
+def lay_mixed_grid(building, _chunk):
+    """The grid of mixed precision.  OUT_OF_RANGE if it would be too coarse."""
+    arrays, (cutoff, skin, coarsest) = building.arrays, building.widths
+    boxes, shifts = arrays.ghosts.boxes, building.layout.shifts
+    lay_grid(arrays.domains.numbers[GHOSTS], boxes, shifts, cutoff + skin, skin, arrays.memory)
+    return GO_ON if arrays.memory.unit[0] <= coarsest else OUT_OF_RANGE

@@ -1,40 +1,35 @@
-"""The cluster list with a skin: rows of clusters for the vector loop, and the memory that the loop works on."""
+"""The cluster list with a skin: rows of clusters for the vector loop, in memory that is used again."""
 
-from collections import namedtuple
+from collections.abc import Iterator
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
-from minimd.compiled.by_address import ByAddress
-from minimd.compiled.kernels import DirectCalls, by_type, kernel, scalar
-from minimd.compiled.simd import broadcast, convert, lane, load, store, with_lane
-from minimd.compiled.simd.lanes import DOUBLE, MIXED, count, lanes_for
-from minimd.compiled.threads import ThreadPool
+from minimd.compiled.kernels import DirectCalls
+from minimd.compiled.program import Operation, Program, in_python, operation
+from minimd.compiled.simd.lanes import DOUBLE, MIXED, lanes_for
+from minimd.compiled.threads import MOST_CHUNKS, ThreadPool
+from minimd.neighbors import cluster_build
 from minimd.neighbors.binning import Binned
 from minimd.neighbors.buffers import HALF_A_PAGE, SPARE, Buffers, with_room
-from minimd.neighbors.cluster_build import Building, build_clusters
-from minimd.neighbors.cluster_search import AHEAD, GHOST_BITS, LAYERS, Rows, exclude_pairs
+from minimd.neighbors.cluster_build import Building
+from minimd.neighbors.cluster_memory import GRID, ClusterArrays, Memory
+from minimd.neighbors.cluster_search import AHEAD, BUILDS, GHOST_BITS, IN_USE, LAYERS, Rows
 from minimd.neighbors.clusters import (
     DIMENSIONS,
     Clusters,
     Columns,
-    any_moved_from_clusters,
     bins_for_sort,
     clusters_for_build,
     covered,
-    gathered,
-    loaded,
     make_clusters,
     make_columns,
     most_clusters,
     moved_columns,
-    offsets_of,
 )
 from minimd.neighbors.domains import (
     BLOCKS,
     IMAGES,
-    SIDES,
     Domains,
     GhostClusters,
     Layout,
@@ -42,32 +37,13 @@ from minimd.neighbors.domains import (
     make_domains,
     make_ghosts,
 )
-from minimd.neighbors.verlet_list import VerletList, partners
-from minimd.structure.cell import Cell
+from minimd.neighbors.verlet_list import VerletList, partners, raise_not_finite
+from minimd.structure.cell import Cell, Images
 from minimd.structure.strain import strained
 
+NO_PARTNERS = np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64)
 ENTRIES_GUESSED = 12  # for each atom, at first
-GRID = 2.0**31  # steps of the coordinates in mixed precision, from one end of the scene to the other
 COARSEST = 1e-6  # of the cutoff: on a coarser grid, coordinates are rounded more than float32 rounds their differences
-
-
-class Memory(ByAddress, namedtuple("Memory", "coordinates shift origin unit forces first_sum far net")):
-    """What the loop reads and writes; coordinates are in the precision of the pair arithmetic,
-    see separation in cluster_loop.
-
-    coordinates, forces : flat, a block for each ghost, and for each ghost in a window.
-    shift : (IMAGES, 3) of each image, as the coordinates.  origin : (3,) [length] and unit [length]:
-        coordinate = (x − origin) / unit.
-    first_sum : (W,) int64, what sums of forces begin with in fixed-point arithmetic, filled by the loop; else empty.
-    far : flat, n numbers for each set of lanes: 0 for lanes in it, ∞ for others,
-        which are then infinitely far [length²].
-    net : (K, 3); in mixed precision the sum of the forces on the atoms of each domain [energy/length]; in fixed-point
-        arithmetic not zero where a force (first column) or a momentum (second) of the domain has left its range.
-    """
-
-
-class ClusterArrays(ByAddress, namedtuple("ClusterArrays", "clusters domain_start domains ghosts rows memory")):
-    """What the loop over clusters gets from the list.  domain_start : (K + 1,) int, first cluster of each domain."""
 
 
 class ClusterList(VerletList):
@@ -81,9 +57,9 @@ class ClusterList(VerletList):
     cutoff, skin : see VerletList.  excluded : (P, 2) int, pairs whose nearest image is left out.
     precision : see Options.  pool : the threads that build it.
     lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.  n_domains :
-        number of chunks of a task.
+        number of chunks of an operation.
     arrays : what the loop needs of them. They have room for more, and are the same arrays until it is used up.
-    n_arranged : how often they were replaced.  building : what build_clusters needs.
+    n_arranged : how often they were replaced.  building : what operations need.
     idle : flat, a block for each cluster, memory that is free between two builds.
     """
 
@@ -105,6 +81,7 @@ class ClusterList(VerletList):
     ) -> None:
         super().__init__(cutoff, skin)
         self._excluded = partners(excluded, n_atoms) if len(excluded) else None
+        self._slot_of = np.zeros(n_atoms if len(excluded) else 0, dtype=np.int64)
         self._widths = (
             self.skin * np.arange(1, LAYERS + 1) / LAYERS
         )  # how much farther than the cutoff the layers reach
@@ -115,7 +92,10 @@ class ClusterList(VerletList):
             precision == "fixed-point",
         )
         self._columns_of: Cell | None = None
-        self._calls = DirectCalls()
+        self._images: Images | None = None
+        self._positions = np.zeros((n_atoms, DIMENSIONS))  # where the operations find them
+        self._calls, self._program = DirectCalls(), Program(self.operations, lambda: self.n_arranged, pool)
+        self._layers, self._unit, self._origin = np.zeros(3, dtype=np.int64), np.ones(1), np.zeros(DIMENSIONS)
         self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
         self._room: tuple[int, ...] = (0, 0, 0)
         self._entry_start, self._shifts = np.zeros(1, dtype=np.int64), np.zeros((IMAGES, DIMENSIONS))
@@ -124,13 +104,101 @@ class ClusterList(VerletList):
         self._far = self._memory.array("far", np.float32 if self._is_mixed else np.float64, len(sets))
         self._far[:] = sets
 
+    def operations(self) -> Iterator[Operation]:
+        """Atoms to their clusters and ghosts; a new list where it is due; see cluster_build.  Memory must be ready."""
+        n, is_open = self.n_domains, not bool(self._columns.pbc.all())
+        n_columns = self.building.n_chunks
+        kinds = [(cluster_build.sort_atoms, 1), (cluster_build.cut_columns, n_columns), (cluster_build.find_domains, 1)]
+        kinds += [(cluster_build.place_ghosts, n), (cluster_build.list_rows, n), (cluster_build.finish_list, 1)]
+        if self._excluded is not None:
+            kinds += [(cluster_build.number_slots, n), (cluster_build.exclude_pairs, n)]
+        if self._is_mixed:
+            kinds += [(cluster_build.lay_mixed_grid, 1)]
+        own = {"is_kept": True}
+        yield operation(self._calls, cluster_build.place_atoms, self.building, n, **own)
+        after = 1 + is_open + len(kinds)
+        yield operation(self._calls, cluster_build.is_valid, self.building, otherwise=after, python=self._refuse, **own)
+        if is_open:
+            yield in_python(self._lay_columns)
+        for k, (kernel, n_chunks) in enumerate(kinds, start=2 + is_open):
+            then = 1 if k < len(kinds) + 1 + is_open else -k
+            remedy = self._refuse_grid if kernel is cluster_build.lay_mixed_grid else self._make_room
+            yield operation(self._calls, kernel, self.building, n_chunks, then=then, python=remedy, again=2 - k, **own)
+
+    def ready(self, positions: NDArray[np.float64], cell: Cell) -> None:
+        """Memory for operations on these positions in this cell. Without a list of this cell, they build one."""
+        is_same = self._cell is not None and (cell is self._cell or cell.same_as(self._cell))
+        if not is_same or (cell.pbc.all() and not self._are_columns_of(cell)):
+            self._take(positions, cell)
+        elif positions is not self._positions:
+            self._positions = positions
+            self._arrange_building()
+
+    def _take(self, positions: NDArray[np.float64], cell: Cell) -> None:
+        """Memory for a new list of atoms at these positions."""
+        self._positions, self._cell, self._built_in, self._stretch = positions, cell, cell, 1.0
+        self._layers[IN_USE] = 0
+        if self._images is None:
+            self._images = Images.of(cell)
+        self._images.take(cell)
+        if not self._are_columns_of(cell):
+            self._lay_columns()
+        elif self.building.positions is not positions:
+            self._arrange_building()
+
+    def _lay_columns(self) -> None:
+        """Columns in the present cell, where atoms are."""
+        cell, reach = self._cell, self.cutoff + self.skin
+        if cell is None:
+            raise RuntimeError("there is no cell")
+        columns = make_columns(cell, self._n_atoms, reach, self.lanes, *covered(cell, self._positions, reach))
+        if self._columns_of is None or not moved_columns(self._columns, columns):
+            self._columns = columns
+            self._make_clusters()
+        elif self.building.positions is not self._positions:
+            self._arrange_building()
+        self._columns_of = cell
+
+    def settle(self) -> None:
+        """After operations: what they have done to the list."""
+        built = int(self._layers[BUILDS])
+        if built:
+            self.n_builds, self._layers[BUILDS] = self.n_builds + built, 0
+            self._built_in, self._stretch = self._cell, 1.0
+        if self._layers[IN_USE] == 0:
+            self._cell = None
+
+    def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
+        """See VerletList."""
+        before = self.n_builds
+        self.ready(positions, cell)
+        try:
+            self._program.run()
+        finally:
+            self.settle()
+        return self.n_builds != before
+
+    def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
+        before = self._positions
+        self._take(positions, cell)
+        self._program.run()
+        self._layers[BUILDS] = 0  # counted by the caller
+        self._positions = before
+        self._arrange_building()
+
+    def _refuse(self, _answer: int) -> None:
+        raise_not_finite(self._positions)
+
+    def _refuse_grid(self, _answer: int) -> None:
+        width, limit = self._unit[0] * GRID, COARSEST * self.cutoff
+        self._layers[IN_USE] = 0
+        raise ValueError(
+            f"precision='mixed' resolves {self._unit[0]:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take "
+            "precision='double'"
+        )
+
     def _has_moved(self, positions: NDArray[np.float64]) -> bool:
-        layers = self.rows.layers
-        while self._calls(any_moved_from_clusters, positions, self.clusters, self.rows.limits2[layers[0] - 1]):
-            if layers[0] == LAYERS:
-                return True
-            layers[0] += 1
-        return False
+        raise NotImplementedError("operations of a cluster list find this out")
 
     def _built_at(self) -> NDArray[np.float64]:
         clusters, n_lanes, n = self.clusters, self.lanes.size, self.n_clusters
@@ -152,30 +220,16 @@ class ClusterList(VerletList):
         """Number of their ghosts."""
         return int(self.domains.ghost[-1])
 
-    @property
-    def can_be_renewed(self) -> bool:
-        """Whether a kernel can do what update does: on one thread, with columns that stay where they are, and with
-        nothing that a build does after build_clusters.
-        """
-        stays = self._cell is not None and self._are_columns_of(self._cell)
-        return stays and self._pool.n_threads == 1 and self._excluded is None and not self._is_mixed
-
-    def renewed(self, n: int) -> None:
-        """So many lists were built by a kernel. rows.layers is zero if it has left none that can be used."""
-        self.n_builds += n
-        if n > 0:
-            self._built_in, self._stretch = self._cell, 1.0
-        if self.rows.layers[0] == 0:
-            self._cell = None
-
     def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
         if self.clusters.origins is self.clusters.positions:
             self._keep_origins()
         strained(self._blocks(self.clusters.origins), strain, self._blocks(self.clusters.positions))
+        if self._images is not None:
+            self._images.take(cell)
         self.clusters.wrapping.lattice[:] = cell.lattice
         before.follow(cell, self._shifts)
         if self._is_mixed:
-            self.memory.shift[:] = np.rint(self._shifts / self.memory.unit)
+            self.memory.shift[:] = np.rint(self._shifts / self._unit)
         self.rows.limits2[:] = [self._limit2(width) for width in self._widths]
         if moved_columns(self._columns, make_columns(cell, self._n_atoms, self.cutoff + self.skin, self.lanes)):
             self._columns_of = cell
@@ -185,36 +239,11 @@ class ClusterList(VerletList):
         origins = self._memory.array("origins", np.float64, len(self.clusters.positions))
         origins[:] = self.clusters.positions
         self.clusters = self.clusters._replace(origins=origins)
-        self.building = self.building._replace(layout=self.building.layout._replace(clusters=self.clusters))
-        self.arrays = self.arrays._replace(clusters=self.clusters)
+        self._arrange_building()
 
     def _are_columns_of(self, cell: Cell) -> bool:
         """Whether columns are where they should be for a build; where a cell is open, they go along with the atoms."""
         return self._columns_of is not None and bool(cell.pbc.all()) and cell.same_as(self._columns_of)
-
-    def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        if not self._are_columns_of(cell):
-            reach = self.cutoff + self.skin
-            columns = make_columns(cell, self._n_atoms, reach, self.lanes, *covered(cell, positions, reach))
-            if self._columns_of is None or not moved_columns(self._columns, columns):
-                self._columns = columns
-                self._make_clusters()
-            self._columns_of = cell
-        while not self._pool.run(build_clusters, positions, self.building, calls=self._calls):
-            self._columns_of = None  # what follows may fail: there must be a whole list or none
-            self._make_room()
-            self._columns_of = cell
-        if self._is_mixed:
-            self._lay_grid()
-        if self._excluded is not None:
-            slot_of, image = (
-                self._memory.array("slot of", np.int64, len(positions)),
-                (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2),
-            )
-            self._pool.run(
-                exclude_pairs, self.building.layout, image, self._excluded, slot_of, self.rows, calls=self._calls
-            )
-        self.rows.layers[0] = 1
 
     def _make_clusters(self) -> None:
         """Memory for other columns."""
@@ -223,8 +252,9 @@ class ClusterList(VerletList):
         self._needed = np.zeros(self.n_domains, dtype=np.int64)
         self._arrange()
 
-    def _make_room(self) -> None:
+    def _make_room(self, _answer: int = 0) -> None:
         """More memory, after a build that has found how much it needs."""
+        self._columns_of, columns_of = None, self._columns_of  # what follows may fail: there must be a whole list or none
         window = self.domains.window
         needed = self.n_ghosts, int(window[-1]), int(self.domains.numbers[BLOCKS])
         widest, is_enough = (
@@ -242,6 +272,7 @@ class ClusterList(VerletList):
         elif is_enough:
             self._make_entries(np.maximum(np.diff(self._entry_start), [with_room(n) for n in self._needed.tolist()]))
         self._arrange()
+        self._columns_of = columns_of
 
     def _make_entries(self, room: NDArray[np.int64]) -> None:
         """Room for so many entries of each domain."""
@@ -266,7 +297,7 @@ class ClusterList(VerletList):
         start = self._memory.array("row start", np.int32, len(self.clusters.atom), spare=self._spare)
         stops = self._memory.array("row stops", np.int32, LAYERS * len(start), spare=self._spare).reshape(LAYERS, -1)
         reaches2, limits2 = (self.cutoff + self._widths) ** 2, (0.5 * self._widths) ** 2
-        self.rows = Rows(start, stops, self._entries, reaches2, np.zeros(LAYERS), limits2, np.zeros(1, dtype=np.int64))
+        self.rows = Rows(start, stops, self._entries, reaches2, np.zeros(LAYERS), limits2, self._layers)
         number, n_block = (
             np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64,
             self.lanes.size * DIMENSIONS,
@@ -283,14 +314,25 @@ class ClusterList(VerletList):
                 self._memory.array("grid", np.int32, len(self._exact), spare=1.0),
                 np.zeros((IMAGES, 3), dtype=np.int32),
             )
-        layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, self._exact, self._shifts)
-        goes_along = self._pool.n_threads == 1 and not (self._is_mixed or self._is_fixed)
-        self.building = Building(
-            self._bins, layout, self.rows, self._room[2], int(goes_along), self._entry_start, self._needed
+        needed = np.zeros(self.n_domains, dtype=np.int64)
+        self.memory = Memory(
+            coordinates, shift, self._origin, self._unit, forces, first_sum, self._far, net, needed
         )
-        self.memory = Memory(coordinates, shift, np.zeros(3), 1.0, forces, first_sum, self._far, net)
+        self._arrange_building()
+
+    def _arrange_building(self) -> None:
+        """What operations and the loop get."""
         self.arrays = ClusterArrays(
             self.clusters, self.domains.cluster, self.domains, self.ghosts, self.rows, self.memory
+        )
+        layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, self._exact, self._shifts)
+        goes_along = self._pool.n_threads == 1 and not (self._is_mixed or self._is_fixed)
+        n_columns = min(int(self._columns.counts[0]), MOST_CHUNKS)
+        parts = self._positions, self.arrays, self._bins, layout, self._room[2], n_columns, int(goes_along)
+        excluded = NO_PARTNERS if self._excluded is None else self._excluded
+        widths = self.cutoff, self.skin, COARSEST * self.cutoff
+        self.building = Building(
+            *parts, self._entry_start, self._needed, excluded, self._slot_of, self._images, widths
         )
         self.n_arranged += 1
 
@@ -329,149 +371,8 @@ class ClusterList(VerletList):
         self.clusters = make_clusters(n_clusters, self._columns, self.lanes, (bottom, top, boxes), memory, spare)
         self.ghosts = make_ghosts(n_clusters, n_ghosts, n_in_windows, for_search, memory)
 
-    def _lay_grid(self) -> None:
-        """The grid of mixed precision."""
-        origin, in_units = self.memory.origin, self.memory.shift
-        unit = self._calls(
-            lay_grid,
-            self.n_ghosts,
-            self.ghosts.boxes,
-            self._shifts,
-            self.cutoff + self.skin,
-            self.skin,
-            origin,
-            in_units,
-        )
-        if unit > COARSEST * self.cutoff:
-            width, limit = unit * GRID, COARSEST * self.cutoff
-            raise ValueError(
-                f"precision='mixed' resolves {unit:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take "
-                "precision='double'"
-            )
-        self.memory = self.memory._replace(unit=unit)
-        self.arrays = self.arrays._replace(memory=self.memory)
-
 
 def far(n_lanes: int) -> NDArray[np.float64]:
     """Memory.far for all sets of n lanes; bit k of the number of a set stands for lane k."""
     sets = np.arange(1 << n_lanes)[:, None] >> np.arange(n_lanes) & 1
     return np.where(sets, 0.0, np.inf).ravel()
-
-
-@kernel
-def lay_grid(n, boxes, shifts, reach, skin, origin, in_units):
-    """The grid of mixed precision: its origin (3,) and shifts (IMAGES, 3) in units are written, the unit is returned.
-    boxes : of n ghosts."""
-    unit, stride = 0.0, boxes.size // SIDES
-    for c in range(3):
-        low, high = np.inf, -np.inf
-        for m in range(n):
-            low, high = min(low, boxes[c * stride + m]), max(high, boxes[(c + 3) * stride + m])
-        origin[c] = 0.5 * (low + high) * reach
-        unit = max(unit, ((high - low) * reach + 2.0 * skin) / GRID)
-    for image in range(IMAGES):
-        for c in range(3):
-            in_units[image, c] = np.int32(np.rint(shifts[image, c] / unit))
-    return unit
-
-
-@scalar
-def gather(k, clusters, of_atoms, block, start):
-    """Three numbers of each atom of cluster k, from (N, 3) to a flat array of blocks, from index start on."""
-    for c, x in enumerate(gathered(k, clusters, of_atoms)):
-        store(block, start + c * count(clusters.lanes), x)
-
-
-@scalar
-def place(k, arrays, at):
-    """Positions of the atoms of cluster k, vectors x, y, z [length], to all its ghosts.
-
-    Indices are unsigned: none counts from the end.
-    """
-    ghosts, memory, lanes, n_lanes = (
-        arrays.ghosts,
-        arrays.memory,
-        arrays.clusters.lanes,
-        np.uintp(count(arrays.clusters.lanes)),
-    )
-    like, block = load(memory.coordinates, 0, lanes), np.uintp(DIMENSIONS) * n_lanes
-    x, y, z = offsets_of(np.uintp(k) * block, arrays.clusters)
-    x = coordinate(at[0] + x, memory.origin[0], memory.unit, like)
-    y = coordinate(at[1] + y, memory.origin[1], memory.unit, like)
-    z = coordinate(at[2] + z, memory.origin[2], memory.unit, like)
-    for p in range(np.uintp(ghosts.start[k]), np.uintp(ghosts.start[k + 1])):
-        m = np.uintp(ghosts.of[p])
-        image = np.uintp(ghosts.image[m])
-        store(memory.coordinates, m * block, x + memory.shift[image, 0])
-        store(memory.coordinates, m * block + n_lanes, y + memory.shift[image, 1])
-        store(memory.coordinates, m * block + n_lanes + n_lanes, z + memory.shift[image, 2])
-
-
-@by_type
-def coordinate(x, origin, unit, like):
-    """A vector of coordinates x [length] as an array of coordinates holds it, see Memory; like :
-    a vector from that array."""
-    if like.is_float:
-        return lambda x, origin, unit, like: x
-    lanes = x.lanes
-
-    def on_grid(x, origin, unit, like):
-        for k in range(lanes):
-            like = with_lane(like, k, np.int32(np.rint((lane(x, k) - origin) / unit)))
-        return like
-
-    return on_grid
-
-
-@scalar
-def clear(domain, arrays):
-    """Forces on all ghosts in the window of a domain = 0, or first_sum.
-
-    Who adds to them does so, and has them in its cache then.
-    """
-    lanes, n_lanes, forces, domains = (
-        arrays.clusters.lanes,
-        count(arrays.clusters.lanes),
-        arrays.memory.forces,
-        arrays.domains,
-    )
-    first = domains.place[domain]
-    for block in range(first, first + domains.window[domain + 1] - domains.window[domain]):
-        nothing = broadcast(_first_sum(block, arrays.memory.first_sum, forces), load(forces, 0, lanes))
-        for c in range(DIMENSIONS):
-            store(forces, (block * DIMENSIONS + c) * n_lanes, nothing)
-
-
-@by_type
-def _first_sum(block, first_sum, forces):
-    """What the sum of the forces in a block begins with."""
-    if isinstance(forces.dtype, types.Float):
-        return lambda block, first_sum, forces: 0.0
-    return lambda block, first_sum, forces: first_sum[block]
-
-
-@scalar
-def collected(k, arrays):
-    """The forces on the atoms of cluster k, sums of those on its ghosts in all windows: vectors x, y,
-    z in double precision, or of int64."""
-    ghosts, forces, lanes = arrays.ghosts, arrays.memory.forces, arrays.clusters.lanes
-    block, first = np.uintp(DIMENSIONS * count(lanes)), np.uintp(ghosts.part_start[k])
-    x, y, z = loaded(forces, np.uintp(ghosts.parts[first]) * block, lanes)
-    x, y, z = in_full(x), in_full(y), in_full(z)
-    for p in range(first + np.uintp(1), np.uintp(ghosts.part_start[k + 1])):
-        more_x, more_y, more_z = loaded(forces, np.uintp(ghosts.parts[p]) * block, lanes)
-        x, y, z = x + in_full(more_x), y + in_full(more_y), z + in_full(more_z)
-    return x, y, z
-
-
-@by_type
-def in_full(force):
-    """A vector of forces in double precision; whole numbers as they are."""
-    return (lambda force: convert(force, 0.0)) if force.is_float else lambda force: force
-
-
-@by_type
-def is_mixed(arrays):
-    """Whether the pair arithmetic is float32, as a constant for the compiler."""
-    answer = arrays[-1].types[-2].dtype == types.float32
-    return lambda arrays: answer

@@ -18,10 +18,9 @@ from collections import namedtuple
 import numpy as np
 
 from minimd.compiled.by_address import ByAddress
-from minimd.compiled.kernels import inlined, scalar, shared_kernel
+from minimd.compiled.kernels import inlined, scalar
 from minimd.compiled.simd import bits_from_mask, broadcast, fma, load, select, store, trailing_zeros
 from minimd.compiled.simd.lanes import count
-from minimd.compiled.threads import barrier, begin, finish_and_take, take
 from minimd.neighbors.clusters import DIMENSIONS, loaded
 from minimd.neighbors.domains import BOXES, HOME, SIDES, first_run
 from minimd.structure.cell import minimum_image
@@ -29,6 +28,7 @@ from minimd.structure.cell import minimum_image
 LANES_FROM = 24  # the bits of an entry below this one number a ghost, those above it stand for lanes
 GHOST_BITS = (1 << LANES_FROM) - 1
 LAYERS = 2  # of each row; with more, a build costs as much more as steps cost less
+IN_USE, BUILDS, PREPARED_FOR = 0, 1, 2  # places in Rows.layers
 AHEAD = 2 * BOXES  # see Rows
 WORD = 64  # candidates, one for each bit of a number
 AT_A_TIME = 4  # entries written without a branch
@@ -50,7 +50,8 @@ class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 l
     reaches2 : (LAYERS,) squared, from the shortest to the longest [length²].
     limits2 : (LAYERS,) squared distances that an atom may move before another layer is needed, or a new list [length²].
     limits2_at_build : the same as long as the cell has not been strained since.
-    layers : (1,) int, how many layers are in use.
+    layers : (3,) int: how many layers are IN_USE, 0 if there is no list; the number of BUILDS so far; and, for the loop
+        over clusters, for which of them, see prepare_loop, it is prepared.
     After the last entry there is memory for AHEAD more, because some read ahead. The loop reads one of them,
     which must name a ghost.
     """
@@ -251,30 +252,9 @@ def _find_near(k, n, domain, layout, reaches2, work):
             store(work.near, (first // WORD * LAYERS + layer) * n_lanes, near)
 
 
-@shared_kernel
-def exclude_pairs(worker, task, layout, image, partners, slot_of, rows):
-    """Clear the lane of each excluded partner, at its nearest image, in the row where the pair is listed;
-    each domain is a chunk.
-
-    image : lattice, inverse, pbc, safe_distance2 of Cell.  partners : see find_pairs.  slot_of : (N,) int, output,
-        slot of each atom.
-    """
-    n = layout.domains.cluster.size - 1
-    phase = begin(worker, task)
-    chunk = take(worker, phase, n)
-    while chunk >= 0:
-        _find_slots(chunk, layout, slot_of)
-        chunk = finish_and_take(worker, phase, n)
-    phase = barrier(worker, phase)
-    chunk = take(worker, phase, n)
-    while chunk >= 0:
-        _exclude_partners(chunk, layout, image, partners, slot_of, rows)
-        chunk = finish_and_take(worker, phase, n)
-    barrier(worker, phase)
-
-
 @scalar
-def _find_slots(domain, layout, slot_of):
+def find_slots(domain, layout, slot_of):
+    """slot_of : (N,) int, output, the slot of each atom of a domain."""
     clusters, domain_start, n_lanes = layout.clusters, layout.domains.cluster, count(layout.clusters.lanes)
     for slot in range(domain_start[domain] * n_lanes, domain_start[domain + 1] * n_lanes):
         if slot % n_lanes < clusters.filled[slot // n_lanes]:
@@ -282,7 +262,11 @@ def _find_slots(domain, layout, slot_of):
 
 
 @scalar
-def _exclude_partners(domain, layout, image, partners, slot_of, rows):
+def exclude_partners(domain, layout, image, partners, slot_of, rows):
+    """Clear the lane of each excluded partner, at its nearest image, in the row where the pair is listed.
+
+    image : lattice, inverse, pbc, safe_distance2 of Cell.  partners : see find_pairs.  slot_of : see find_slots.
+    """
     clusters, domain_start, (start, values) = layout.clusters, layout.domains.cluster, partners
     n_lanes = count(clusters.lanes)
     for k in range(domain_start[domain], domain_start[domain + 1]):

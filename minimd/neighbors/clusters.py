@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
-from minimd.compiled.kernels import kernel, scalar
-from minimd.compiled.simd import bits_from_mask, load, with_lane
+from minimd.compiled.kernels import scalar
+from minimd.compiled.simd import load, with_lane
 from minimd.compiled.simd.lanes import Lanes, count
 from minimd.neighbors.binning import FLATTEST, WIDER, counting_sort, into_cell
 from minimd.neighbors.buffers import Buffers, Fields
@@ -224,28 +224,6 @@ def _fill_column(column, positions, columns, binned, clusters):
                     max(clusters.boxes[cluster, c + 3], x),
                 )
         cluster += 1
-
-
-@scalar
-def n_clusters(clusters):
-    """C of Clusters."""
-    return clusters.column_start[clusters.column_start.size - 1]
-
-
-@kernel
-def any_moved_from_clusters(positions, clusters, limit2):
-    """True if an atom is farther than √limit2 from where it was when the clusters were made,
-    or if its position is NaN."""
-    lanes = clusters.lanes
-    for k in range(n_clusters(clusters)):
-        x, y, z = gathered(k, clusters, positions)
-        was_x, was_y, was_z = loaded(clusters.positions, np.uintp(k) * np.uintp(DIMENSIONS * count(lanes)), lanes)
-        dx, dy, dz = x - was_x, y - was_y, z - was_z
-        if (
-            bits_from_mask(dx * dx + dy * dy + dz * dz <= limit2) != (1 << count(lanes)) - 1
-        ):  # padding moves with the last atom
-            return True
-    return False
 
 
 @scalar

@@ -5,6 +5,9 @@ from collections import namedtuple
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.compiled.by_address import ByAddress
+from minimd.compiled.kernels import called_kernel
+from minimd.compiled.program import GO_ON, NEEDS_ROOM
 from minimd.neighbors.binning import make_grid, sort_into_bins
 from minimd.neighbors.buffers import SPARE
 from minimd.neighbors.search import bins_of, find_pairs
@@ -16,6 +19,7 @@ from minimd.structure.system import System, number_density
 MOST_PAIRS = 2**30  # 8 bytes each
 MOST_OF_AN_ATOM = 2**18  # pairs, in the mean: a reach of some 40 atoms
 MOST_IMAGES = 2**22  # 72 bytes each
+NEVER = -1.0  # no squared distance is so small
 
 
 class Pairs(namedtuple("Pairs", "start second image translations")):
@@ -24,6 +28,16 @@ class Pairs(namedtuple("Pairs", "start second image translations")):
     start : (N+1,) int.  second : (P,) int, the atoms j.  image : (P,) int, row of translations to add to r_j − r_i.
     translations : (T, 3) [length]; with no rows, no pair is shifted and image is not read.
     """
+
+
+class Reach(ByAddress, namedtuple("Reach", "positions reference limit2")):
+    """Whether a list is valid: see any_moved.  limit2 : (1,), NEVER if there is none."""
+
+
+@called_kernel
+def is_in_reach(reach, _chunk):
+    """NEEDS_ROOM if a new list is needed."""
+    return NEEDS_ROOM if any_moved(reach.positions, reach.reference, reach.limit2[0]) else GO_ON
 
 
 class PairList(VerletList):
@@ -41,6 +55,14 @@ class PairList(VerletList):
         super().__init__(cutoff, skin)
         self._excluded, self._reference = partners(excluded, n_atoms), np.empty((n_atoms, 3))
         self._original: NDArray[np.float64] | None = None  # positions at the last build, if the cell was strained since
+        self.reach = Reach(np.zeros((n_atoms, 3)), self._reference, np.full(1, NEVER))
+
+    def ready(self, positions: NDArray[np.float64], cell: Cell) -> None:
+        """What is_in_reach needs for these positions in this cell."""
+        if positions is not self.reach.positions:
+            self.reach = self.reach._replace(positions=positions)
+        is_same = self._cell is not None and (cell is self._cell or cell.same_as(self._cell))
+        self.reach.limit2[0] = self.limit2 if is_same else NEVER
 
     def _has_moved(self, positions: NDArray[np.float64]) -> bool:
         return any_moved(positions, self._reference, self.limit2)
@@ -81,16 +103,6 @@ class PairList(VerletList):
         apart[np.repeat(np.arange(n), np.diff(self._excluded[0])), self._excluded[1]] = False
         first, second = first[apart[first, second]], second[apart[first, second]]
         self.pairs = Pairs(starts(first, n), second.astype(np.uint32), np.empty(0, dtype=np.uint32), np.zeros((0, 3)))
-
-
-def fixed_pairs(pairs: NDArray[np.int64], n_atoms: int, periodic: bool) -> tuple[Pairs, NDArray[np.int64]]:
-    """Pairs that never change, such as bonds, and their order: row p holds pairs[order[p]].
-
-    In a periodic cell each pair has a translation of its own, to be filled with that of its nearest image.
-    """
-    order, n_shifted = np.argsort(pairs[:, 0], kind="stable"), len(pairs) if periodic else 0
-    second, image = pairs[order, 1].astype(np.uint32), np.arange(n_shifted, dtype=np.uint32)
-    return Pairs(starts(pairs[:, 0], n_atoms), second, image, np.zeros((n_shifted, 3))), order
 
 
 def check_size(system: System, cutoff: float, skin: float) -> None:

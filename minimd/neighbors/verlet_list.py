@@ -136,6 +136,9 @@ class VerletList(ABC):
         self._build(positions, cell)
         self._cell, self._built_in, self.n_builds = cell, cell, self.n_builds + 1
 
+    def settle(self) -> None:
+        """After operations: take note of what they have done to the list."""
+
     def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
         """Build the list anew if it may miss a pair; True if it was built.
 
@@ -145,9 +148,7 @@ class VerletList(ABC):
         if is_same and not self._has_moved(positions):
             return False
         self._cell = None  # no list until the new one is whole
-        n_bad, first = count_not_finite(positions)
-        if n_bad:
-            raise NonFiniteError(f"positions of {n_bad} atoms are not finite, the first is atom {first}")
+        raise_not_finite(positions)
         self._build_in(cell, positions)
         return True
 
@@ -175,6 +176,13 @@ def count_not_finite(positions):
             first = i if n_bad == 0 else first
             n_bad += 1
     return n_bad, first
+
+
+def raise_not_finite(positions: NDArray[np.float64]) -> None:
+    """Raise NonFiniteError if positions (N, 3) are not all finite."""
+    n_bad, first = count_not_finite(positions)
+    if n_bad:
+        raise NonFiniteError(f"positions of {n_bad} atoms are not finite, the first is atom {first}")
 
 
 def partners(pairs: NDArray[np.int64], n_atoms: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -1,65 +1,40 @@
-"""What the scalar loops add to: the float64 arrays forces, energies, virials; or GridSums,
-to which only numbers rounded to a grid are added."""
+"""What scalar loops add: float64 numbers, or, in fixed-point arithmetic, numbers rounded to a grid.
+
+steps : Steps of the grid, () without one.
+"""
 
 import numpy as np
-from numba import types
-from numba.extending import overload
 
-from minimd.compiled.fixed_point import MOST, GridSums, on_grid, whole_product
+from minimd.compiled.fixed_point import MOST, is_fixed, on_grid, whole_product
+from minimd.compiled.kernels import by_type
 
 LIMIT2 = MOST**2  # square of the largest impulse, in steps of momentum: below it, whole_product is right
 
 
-def no_force(sums):
+@by_type
+def no_force(steps):
     """Zero, of the type of the forces."""
-    return 0 if isinstance(sums, GridSums) else 0.0
+    return (lambda steps: np.int64(0)) if is_fixed(steps) else lambda steps: 0.0
 
 
-def force_along(f, x, sums):
-    """The component f x of a force; for GridSums as an impulse, a whole number of steps of momentum."""
-    return whole_product(f * sums.steps.per_force[0], x) if isinstance(sums, GridSums) else f * x
+@by_type
+def force_along(f, x, steps):
+    """The component f x of a force; on a grid as an impulse, a whole number of steps of momentum."""
+    if is_fixed(steps):
+        return lambda f, x, steps: whole_product(f * steps.per_force[0], x)
+    return lambda f, x, steps: f * x
 
 
-def in_steps(u, sums):
-    """An energy; for GridSums rounded to a multiple of its step."""
-    return on_grid(u, sums.steps.energy) if isinstance(sums, GridSums) else u
+@by_type
+def in_steps(u, steps):
+    """An energy; on a grid rounded to a multiple of its step."""
+    return (lambda u, steps: on_grid(u, steps.energy)) if is_fixed(steps) else lambda u, steps: u
 
 
-def watch(size2, sums):
-    """For GridSums, record a fault if one of several forces may be too large.  size2 :
+@by_type
+def is_too_large(size2, steps):
+    """Whether one of several forces may be too large for a grid.  size2 :
     sum of their squares [energy²/length²]."""
-    if isinstance(sums, GridSums) and not size2 * sums.steps.per_force[0] ** 2 <= LIMIT2:
-        sums.faults[0] = 1
-
-
-def _is_grid(sums: types.Type) -> bool:
-    return getattr(sums, "instance_class", None) is GridSums
-
-
-@overload(no_force)
-def _no_force(sums):
-    return (lambda sums: np.int64(0)) if _is_grid(sums) else lambda sums: 0.0
-
-
-@overload(force_along)
-def _force_along(f, x, sums):
-    if _is_grid(sums):
-        return lambda f, x, sums: whole_product(f * sums.steps.per_force[0], x)
-    return lambda f, x, sums: f * x
-
-
-@overload(in_steps)
-def _in_steps(u, sums):
-    return (lambda u, sums: on_grid(u, sums.steps.energy)) if _is_grid(sums) else lambda u, sums: u
-
-
-@overload(watch)
-def _watch(size2, sums):
-    if not _is_grid(sums):
-        return lambda size2, sums: None
-
-    def watch_steps(size2, sums):
-        if not size2 * sums.steps.per_force[0] ** 2 <= LIMIT2:
-            sums.faults[0] = 1
-
-    return watch_steps
+    if is_fixed(steps):
+        return lambda size2, steps: not size2 * steps.per_force[0] ** 2 <= LIMIT2
+    return lambda size2, steps: False

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.potentials.law import checked_law
 from minimd.potentials.laws import FENELaw, HarmonicLaw, MorseLaw
-from minimd.potentials.pair_loop import FixedPairs
+from minimd.potentials.links import FixedPairs
 from minimd.potentials.term import NoTerm, OwnPotential, Term, no_bonds
 from minimd.structure.bond_graph import checked_pairs
 from minimd.structure.checks import checked_numbers, shown
@@ -66,7 +66,7 @@ class BondPotential(OwnPotential):
         pairs = self.pairs_in(system)
         table = self.table(len(pairs))
         if len(pairs):
-            return FixedPairs(system, pairs, self.law, table)
+            return FixedPairs(pairs, self.law, table)
         return NoTerm(no_bonds(repr(self)) if self.pairs is None else "")
 
     def pairs_in(self, system: System) -> NDArray[np.int64]:

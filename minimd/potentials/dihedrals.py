@@ -3,7 +3,6 @@ k, l."""
 
 from __future__ import annotations
 
-from collections import namedtuple
 from collections.abc import Callable, Sequence
 from math import pi
 from typing import Any, ClassVar
@@ -11,19 +10,16 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.compiled.kernels import kernel, without_cache
-from minimd.potentials.accumulators import force_along, in_steps, watch
+from minimd.compiled.kernels import inlined
 from minimd.potentials.each import Array, checked_each, columns_of
 from minimd.potentials.law import checked_law, evaluate_law
-from minimd.potentials.pair_loop import ByPair, parameters_of_pair
-from minimd.potentials.term import FORCES, PER_ATOM, NoTerm, OwnPotential, OwnTerm, Term, no_bonds
+from minimd.potentials.links import LinkedTerm, link_shape
+from minimd.potentials.term import NoTerm, OwnPotential, Term, no_bonds
 from minimd.potentials.torsion_laws import HarmonicTorsionLaw, PeriodicLaw, RyckaertBellemansLaw
-from minimd.potentials.user_laws import is_recognized
 from minimd.structure.bond_graph import checked_groups
-from minimd.structure.cell import minimum_image_translations
 from minimd.structure.checks import shown
 from minimd.structure.system import System
-from minimd.structure.vectors import cross, dot, separation
+from minimd.structure.vectors import combined, cross, dot
 
 # the smallest sin² of the angle between two neighboring bonds by which forces are divided: its rounding error
 STRAIGHT2 = 1e-16
@@ -96,7 +92,8 @@ class DihedralPotential(OwnPotential):
         quadruples = self.quadruples_in(system)
         columns = self.columns(len(quadruples))
         if len(quadruples):
-            return DihedralTerm(quadruples, self.law, columns)
+            i, j, k, l = quadruples.T
+            return LinkedTerm(([j, k, k], [i, j, l]), quadruples, Torsion(), self.law, columns)
         return NoTerm(no_bonds(repr(self), self.groups) if self.quadruples is None else "")
 
 
@@ -232,93 +229,25 @@ class HarmonicImproper(DihedralPotential):
         return dict(self.parameters)
 
 
-class Dihedrals(namedtuple("Dihedrals", "atoms first middle last")):
-    """atoms : (D, 4) int, i, j, k, l.  first, middle, last : (D, 3) [length], added to r_i − r_j,
-    r_j − r_k and r_l − r_k."""
-
-
-@kernel
-def add_dihedral_forces(positions, dihedrals, law, parameters, detail, sums):
-    """Add a law of dihedral angles, without a division by sin φ.
+@inlined
+def _pull_planes(arms, law, numbers):
+    """A law of the dihedral angle, without a division by sin φ.
 
         F = r_i − r_j,  G = r_j − r_k,  H = r_l − r_k,  A = F × G,  B = H × G
         cos φ = A·B/(|A||B|),   sin φ = (B × A)·G/(|A||B||G|)
         F_i = u′ |G|/A² A,   F_l = −u′ |G|/B² B,   S = u′ (F·G/(A²|G|) A − H·G/(B²|G|) B),
         F_j = −F_i − S,   F_k = −F_l + S
 
-    positions : (N, 3) [length].  dihedrals : Dihedrals.  law : law type.  parameters : see parameters_of_pair.
-        detail : see Term.add.
-    sums : its accumulators forces, energies and virials; or GridSums.
-    The virial F ⊗ F_i − G ⊗ S + H ⊗ F_l is symmetric because dihedrals feel no torque. TOTALS adds a dihedral to its
-    second atom, PER_ATOM a quarter of it to each atom.  A. Blondel, M. Karplus, J. Comput. Chem. 17, 1132 (1996), eq.
-    6, 27.
+    A. Blondel, M. Karplus, J. Comput. Chem. 17, 1132 (1996), eq. 6, 27.
     """
-    forces, energies, virials = sums[0], sums[1], sums[2]
-    for t in range(dihedrals.atoms.shape[0]):
-        i, j, k, l = dihedrals.atoms[t]
-        f = separation(positions, j, i, dihedrals.first[t])
-        g = separation(positions, k, j, dihedrals.middle[t])
-        h = separation(positions, k, l, dihedrals.last[t])
-        a, b = cross(f, g), cross(h, g)
-        g2, fg, hg, a2, b2 = dot(g, g), dot(f, g), dot(h, g), dot(a, a), dot(b, b)
-        length = g2**0.5
-        phi = np.arctan2(dot(g, cross(b, a)) / length, dot(a, b))
-        u, slope = evaluate_law(law, phi, parameters_of_pair(parameters, t, 0, 0))
-        a2, b2 = max(a2, STRAIGHT2 * g2 * dot(f, f)), max(b2, STRAIGHT2 * g2 * dot(h, h))
-        size2 = 0.0
-        for c in range(3):
-            force_i, force_l = slope * length / a2 * a[c], -slope * length / b2 * b[c]
-            shared = slope * (fg / (a2 * length) * a[c] - hg / (b2 * length) * b[c])
-            on_i, on_l, between = (
-                force_along(force_i, 1.0, sums),
-                force_along(force_l, 1.0, sums),
-                force_along(shared, 1.0, sums),
-            )
-            forces[i, c] += on_i
-            forces[j, c] -= on_i + between
-            forces[k, c] -= on_l - between
-            forces[l, c] += on_l
-            size2 += force_i * force_i + force_l * force_l + shared * shared
-            for d in range(c, 3 if detail != FORCES else c):
-                w, component = f[d] * force_i - g[d] * shared + h[d] * force_l, c if c == d else 6 - c - d
-                if detail == PER_ATOM:
-                    for atom in (i, j, k, l):
-                        virials[atom, component] += in_steps(0.25 * w, sums)
-                else:
-                    virials[j, component] += in_steps(w, sums)
-        watch(size2, sums)
-        if detail == PER_ATOM:
-            for atom in (i, j, k, l):
-                energies[atom] += in_steps(0.25 * u, sums)
-        elif detail != FORCES:
-            energies[j] += in_steps(u, sums)
+    f, g, h = arms[0][0], arms[1][0], arms[2][0]
+    a, b = cross(f, g), cross(h, g)
+    g2, fg, hg, a2, b2 = dot(g, g), dot(f, g), dot(h, g), dot(a, a), dot(b, b)
+    length = g2**0.5
+    u, slope = evaluate_law(law, np.arctan2(dot(g, cross(b, a)) / length, dot(a, b)), numbers)
+    a2, b2 = max(a2, STRAIGHT2 * g2 * dot(f, f)), max(b2, STRAIGHT2 * g2 * dot(h, h))
+    force_i, force_l = combined(slope * length / a2, a, 0.0, a), combined(-slope * length / b2, b, 0.0, b)
+    return u, (force_i, combined(-slope * fg / (a2 * length), a, slope * hg / (b2 * length), b), force_l)
 
 
-class DihedralTerm(OwnTerm):
-    """A law of dihedral angles, each bond of their chains taken at its nearest image."""
-
-    def __init__(self, quadruples: NDArray[np.int64], law: tuple, columns: tuple[Array, ...]) -> None:
-        translations = np.zeros((3, len(quadruples), 3))
-        self._dihedrals = Dihedrals(np.array(quadruples, order="C"), translations[0], translations[1], translations[2])
-        self._ends = [np.array(quadruples[:, k]) for k in range(4)]
-        self._law, self._parameters = law, ByPair(columns)
-        self._loop = add_dihedral_forces if is_recognized(law) else without_cache(add_dihedral_forces)
-
-    def follow(self, system: System) -> bool:
-        """See Term; images are looked for again."""
-        for translations in self._dihedrals[1:]:
-            translations[:] = 0.0
-        return True
-
-    def add_to(self, system: System, detail: int, sums: Any) -> None:
-        """See Term."""
-        cell, (i, j, k, l) = system.cell, self._ends
-        if cell.is_periodic:
-            lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
-            for first, second, translations in (
-                (j, i, self._dihedrals.first),
-                (k, j, self._dihedrals.middle),
-                (k, l, self._dihedrals.last),
-            ):
-                minimum_image_translations(system.positions, first, second, *lattice, translations)
-        self._loop(system.positions, self._dihedrals, self._law, self._parameters, detail, sums)
+Torsion = link_shape("Torsion", _pull_planes, 3)

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections import namedtuple
+from collections.abc import Iterator
 from math import inf
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.compiled.kernels import by_type, kernel, without_cache
-from minimd.potentials.accumulators import force_along, in_steps, watch
+from minimd.compiled.by_address import ByAddress
+from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, without_cache
+from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, in_python, n_chunks_of, operation
+from minimd.potentials.accumulators import force_along, in_steps, is_too_large
 from minimd.potentials.each import Array
 from minimd.potentials.field_laws import ConstantLaw, RestraintLaw
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.pair_loop import ByPair, parameters_of_pair
-from minimd.potentials.term import FORCES, OwnPotential, OwnTerm, Term
+from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, OwnPotential, OwnTerm, Target, Term
 from minimd.potentials.user_laws import is_recognized
 from minimd.structure.cell import minimum_image
 from minimd.structure.checks import checked_indices, checked_number, checked_numbers, shown
@@ -24,12 +27,20 @@ from minimd.structure.system import System
 NOWHERE = np.zeros((0, 3))
 
 
-class Sites(namedtuple("Sites", "atoms anchors lattice inverse pbc safe_distance2")):
-    """Where a field acts.
+class Sites(
+    ByAddress,
+    namedtuple(
+        "Sites", "positions images atoms anchors law parameters time forces steps detail totals powers energies"
+    ),
+):
+    """Where a field acts, and what on.
 
-    atoms : (n,) int.  anchors : (n, 3) points from which positions are counted, to the nearest image [length]; (0, 3)
-        for the origin, and none.
-    lattice, inverse, pbc, safe_distance2 : of the Cell.
+    positions : (N, 3) [length].  images : Images.  atoms : (n,) int, all different.
+    anchors : (n, 3) points from which positions are counted, to the nearest image [length]; (0, 3) for the origin, and
+        none.
+    law : law type.  parameters : see parameters_of_pair, of each site.  time : (1,) t [time].
+    forces, steps, detail : see Target.  totals, powers : (chunks,) output, Σ u [energy] and Σ ∂u/∂t [energy/time].
+    energies : (N,), to which PER_ATOM adds.
     """
 
 
@@ -39,42 +50,43 @@ def _rate(found):
     return (lambda found: found[4]) if len(found) > 4 else lambda found: 0.0
 
 
-@kernel
-def add_field_forces(positions, sites, law, parameters, time, detail, sums):
-    """Add the forces and energies of a field u(x, y, z, t), and return Σ ∂u/∂t [energy/time].
+@called_kernel
+def add_field(sites, chunk):
+    """Add the forces and energies of a field u(x, y, z, t).  OUT_OF_RANGE if a force is beyond the range of a grid.
 
     The virial is left out: fields act from outside.
-
-    positions : (N, 3) [length].  sites : Sites.  law : law type.  parameters : see parameters_of_pair, of each site.
-        time : t [time].
-    detail : see Term.add.  sums : its accumulators forces and energies; or GridSums.
     """
-    forces, energies = sums[0], sums[1]
-    power, relative = 0.0, sites.anchors.shape[0] > 0
-    for n in range(sites.atoms.size):
-        i = sites.atoms[n]
+    positions, images, atoms, anchors, law, parameters, time, forces, steps, detail, totals, powers, energies = sites
+    lattice, inverse, pbc, safe_distance2 = images
+    n_chunks, total, power, is_out = totals.size, 0.0, 0.0, False
+    for n in range(chunk * atoms.size // n_chunks, (chunk + 1) * atoms.size // n_chunks):
+        i = atoms[n]
         x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
-        if relative:
-            x, y, z = x - sites.anchors[n, 0], y - sites.anchors[n, 1], z - sites.anchors[n, 2]
-            a, b, c = minimum_image(x, y, z, sites.lattice, sites.inverse, sites.pbc, sites.safe_distance2)
-            x += a * sites.lattice[0, 0] + b * sites.lattice[1, 0] + c * sites.lattice[2, 0]
-            y += a * sites.lattice[0, 1] + b * sites.lattice[1, 1] + c * sites.lattice[2, 1]
-            z += a * sites.lattice[0, 2] + b * sites.lattice[1, 2] + c * sites.lattice[2, 2]
-        found = evaluate_law(law, x, (y, z, time) + parameters_of_pair(parameters, n, i, i))
-        forces[i, 0] += force_along(found[1], 1.0, sums)
-        forces[i, 1] += force_along(found[2], 1.0, sums)
-        forces[i, 2] += force_along(found[3], 1.0, sums)
+        if anchors.shape[0] > 0:
+            x, y, z = x - anchors[n, 0], y - anchors[n, 1], z - anchors[n, 2]
+            a, b, c = minimum_image(x, y, z, lattice, inverse, pbc, safe_distance2[0])
+            x += a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0]
+            y += a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1]
+            z += a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
+        found = evaluate_law(law, x, (y, z, time[0]) + parameters_of_pair(parameters, n, i, i))
+        forces[i, 0] += force_along(found[1], 1.0, steps)
+        forces[i, 1] += force_along(found[2], 1.0, steps)
+        forces[i, 2] += force_along(found[3], 1.0, steps)
         power += _rate(found)
-        watch(found[1] * found[1] + found[2] * found[2] + found[3] * found[3], sums)
+        is_out |= is_too_large(found[1] * found[1] + found[2] * found[2] + found[3] * found[3], steps)
         if detail != FORCES:
-            energies[i] += in_steps(found[0], sums)
-    return power
+            total += in_steps(found[0], steps)
+        if detail == PER_ATOM:
+            energies[i] += in_steps(found[0], steps)
+    totals[chunk], powers[chunk] = total, power
+    return OUT_OF_RANGE if is_out else GO_ON
 
 
 class FieldTerm(OwnTerm):
     """A field on some atoms.
 
-    atoms : (n,) int.  columns : (n,) numbers of each, for each parameter of the law.  anchors : see Sites.
+    atoms : (n,) int, all different.  columns : (n,) numbers of each, for each parameter of the law.  anchors : see
+        Sites.
     """
 
     acts_from_outside = True
@@ -88,14 +100,38 @@ class FieldTerm(OwnTerm):
         warning: str = "",
     ) -> None:
         self._atoms, self._law, self.anchors, self.warning = atoms, law, np.ascontiguousarray(anchors), warning
-        self.columns = columns
-        self._loop = add_field_forces if is_recognized(law) else without_cache(add_field_forces)
+        self.columns, self._time = columns, np.zeros(1)
+        n_chunks = n_chunks_of(len(atoms))
+        self._totals, self._powers = np.zeros(n_chunks), np.zeros(n_chunks)
+        self._loop = add_field if is_recognized(law) else without_cache(add_field)
+        self._calls = DirectCalls()
 
-    def add_to(self, system: System, detail: int, sums: Any) -> None:
+    def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
-        cell = system.cell
-        sites = Sites(self._atoms, self.anchors, cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
-        self.power = self._loop(system.positions, sites, self._law, ByPair(self.columns), self.time, detail, sums)
+        sums = target.detail, self._totals, self._powers, target.energies
+        acting = self._atoms, self.anchors, self._law, ByPair(self.columns), self._time, target.forces, target.steps
+        yield operation(
+            self._calls, self._loop, Sites(system.positions, target.images, *acting, *sums), len(self._totals)
+        )
+
+    def collect(self, target: Target) -> None:
+        """See Term."""
+        if target.detail == TOTALS:
+            target.energies[0] += self._totals.sum()
+
+    @property
+    def time(self) -> float:  # type: ignore[override]
+        """See Term."""
+        return float(self._time[0])
+
+    @time.setter
+    def time(self, time: float) -> None:
+        self._time[0] = time
+
+    @property
+    def power(self) -> float:  # type: ignore[override]
+        """See Term."""
+        return float(self._powers.sum())
 
 
 class OwnField(OwnPotential):
@@ -272,14 +308,17 @@ class _SteeredTerm(FieldTerm):
         columns = tuple(np.full(len(atoms), one) for one in numbers.tolist())
         super().__init__(atoms, RestraintLaw(), columns, np.stack(self._starts, axis=-1))
 
-    def add_to(self, system: System, detail: int, sums: Any) -> None:
+    def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
+        yield in_python(self._move_points)
+        yield from super().operations(system, target)
+
+    def _move_points(self) -> None:
         spring = self._spring
         self.anchors[:] = spring.points_at(self.time)
         moves = spring.start <= self.time < spring.end
         for column, v in zip(self.columns[3:], spring.velocity.tolist(), strict=True):
             column[:] = v if moves else 0.0
-        super().add_to(system, detail, sums)
 
 
 def checked_atoms(atoms: ArrayLike | None) -> NDArray[np.int64] | None:

@@ -1,5 +1,4 @@
-"""The plain loop over pairs: the one place where a pair law becomes forces, energies and virial;
-bonds run through it too."""
+"""The plain loop over pairs: the one place where a pair law of one pair at a time becomes forces, energies and virial."""
 
 from collections import namedtuple
 from typing import Any
@@ -8,15 +7,14 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import by_type, kernel, without_cache
+from minimd.compiled.by_address import ByAddress
+from minimd.compiled.kernels import by_type, called_kernel, without_cache
+from minimd.compiled.program import GO_ON, OUT_OF_RANGE
 from minimd.compiled.simd import fma
-from minimd.neighbors.pair_list import fixed_pairs
-from minimd.potentials.accumulators import force_along, in_steps, no_force, watch
+from minimd.potentials.accumulators import force_along, in_steps, is_too_large, no_force
 from minimd.potentials.law import evaluate_law
-from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, OwnTerm
+from minimd.potentials.term import FORCES, PER_ATOM
 from minimd.potentials.user_laws import is_recognized
-from minimd.structure.cell import minimum_image_translations
-from minimd.structure.system import System
 
 
 class SameForAll(namedtuple("SameForAll", "numbers")):
@@ -70,23 +68,29 @@ def from_table(table: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
     return tuple(np.ascontiguousarray(table[..., k]) for k in range(table.shape[-1]))
 
 
-@kernel
-def add_pair_forces(positions, pairs, law, parameters, detail, sums):
-    """Add the forces of a pair law on pairs within its cutoff.
-
-        r_ij = r_j − r_i + translation,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= f r_ij,   W += f r_ij ⊗ r_ij
+class PairWork(ByAddress, namedtuple("PairWork", "positions pairs law parameters steps detail sums")):
+    """What the loop works on.
 
     positions : (N, 3) [length].  pairs : Pairs.  law : law type.  parameters : see parameters_of_pair.
+    steps : Steps, or ().
     detail : with FORCES only forces are changed. TOTALS adds each pair to energies and virials of its first atom, so
         that their sums are right; PER_ATOM adds half of it to both atoms.
-    sums : the accumulators forces, energies and virials, see Term.add; or GridSums.
+    sums : forces (N, 3), int64 impulses in fixed-point arithmetic; energies (N,), virials (N, 6).
     """
-    forces, energies, virials = sums[0], sums[1], sums[2]
+
+
+@called_kernel
+def add_pair_forces(work, _chunk):
+    """Add the forces of a pair law on pairs within its cutoff.  OUT_OF_RANGE if one is beyond the range of a grid.
+
+    r_ij = r_j − r_i + translation,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= f r_ij,   W += f r_ij ⊗ r_ij
+    """
+    positions, pairs, law, parameters, steps, detail, (forces, energies, virials) = work
     shifted = pairs.translations.shape[0] > 0
-    own_share = 0.5 if detail == PER_ATOM else 1.0
+    own_share, is_out = 0.5 if detail == PER_ATOM else 1.0, False
     for i in range(pairs.start.size - 1):
         x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
-        fx = fy = fz = no_force(sums)
+        fx = fy = fz = no_force(steps)
         energy = xx = yy = zz = yz = xz = xy = size2 = 0.0
         for p in range(
             np.uintp(pairs.start[i]), np.uintp(pairs.start[i + 1])
@@ -100,7 +104,7 @@ def add_pair_forces(positions, pairs, law, parameters, detail, sums):
             numbers = parameters_of_pair(parameters, p, i, j)
             if r2 < numbers[0]:
                 u, f = evaluate_law(law, r2, numbers[1:])
-                gx, gy, gz = force_along(f, dx, sums), force_along(f, dy, sums), force_along(f, dz, sums)
+                gx, gy, gz = force_along(f, dx, steps), force_along(f, dy, steps), force_along(f, dz, steps)
                 fx, fy, fz = fx - gx, fy - gy, fz - gz
                 forces[j, 0] += gx
                 forces[j, 1] += gy
@@ -109,12 +113,12 @@ def add_pair_forces(positions, pairs, law, parameters, detail, sums):
                 if detail != FORCES:
                     hx, hy, hz = f * dx, f * dy, f * dz
                     u, wxx, wyy, wzz = (
-                        in_steps(u, sums),
-                        in_steps(hx * dx, sums),
-                        in_steps(hy * dy, sums),
-                        in_steps(hz * dz, sums),
+                        in_steps(u, steps),
+                        in_steps(hx * dx, steps),
+                        in_steps(hy * dy, steps),
+                        in_steps(hz * dz, steps),
                     )
-                    wyz, wxz, wxy = in_steps(hy * dz, sums), in_steps(hx * dz, sums), in_steps(hx * dy, sums)
+                    wyz, wxz, wxy = in_steps(hy * dz, steps), in_steps(hx * dz, steps), in_steps(hx * dy, steps)
                     energy += u
                     xx, yy, zz, yz, xz, xy = xx + wxx, yy + wyy, zz + wzz, yz + wyz, xz + wxz, xy + wxy
                     if detail == PER_ATOM:
@@ -123,41 +127,14 @@ def add_pair_forces(positions, pairs, law, parameters, detail, sums):
                             virials[j, c] += 0.5 * w
         for c, g in enumerate((fx, fy, fz)):
             forces[i, c] += g
-        watch(size2, sums)
+        is_out |= is_too_large(size2, steps)
         if detail != FORCES:
             energies[i] += own_share * energy
             for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
                 virials[i, c] += own_share * w
+    return OUT_OF_RANGE if is_out else GO_ON
 
 
 def pair_loop_for(law: tuple):
     """add_pair_forces; not cached on disk for laws of the user's that the cache cannot recognize."""
     return add_pair_forces if is_recognized(law) else without_cache(add_pair_forces)
-
-
-class FixedPairs(OwnTerm):
-    """A law on pairs that never change, each taken at its nearest image.
-
-    pairs : (P, 2) int.  law : law type.  table : (P, 1 + n) numbers of each pair, the squared cutoff first.
-    """
-
-    ingredient = BOND_LOOP
-
-    def __init__(self, system: System, pairs: NDArray[np.int64], law: tuple, table: NDArray[np.float64]) -> None:
-        self._pairs, order = fixed_pairs(pairs, len(system), system.cell.is_periodic)
-        self._first, self._second = pairs[order, 0], pairs[order, 1]
-        self._law, self._loop = law, pair_loop_for(law)
-        self._parameters = ByPair(from_table(table[order]))
-
-    def follow(self, system: System) -> bool:
-        """See Term; images are looked for again."""
-        self._pairs.translations[:] = 0.0
-        return True
-
-    def add_to(self, system: System, detail: int, sums: Any) -> None:
-        """See Term."""
-        cell = system.cell
-        if cell.is_periodic:
-            lattice = (cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2)
-            minimum_image_translations(system.positions, self._first, self._second, *lattice, self._pairs.translations)
-        self._loop(system.positions, self._pairs, self._law, self._parameters, detail, sums)

@@ -1,7 +1,7 @@
 """The interface of all forces: a potential has bind(system), which returns a Term;
 a Term adds its forces to the sum."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import deepcopy
 from math import inf
 from typing import Any, NamedTuple, Protocol
@@ -9,9 +9,11 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.compiled.program import Operation, in_python
 from minimd.neighbors.queries import closest_pair
 from minimd.neighbors.verlet_list import VerletList
 from minimd.potentials.law import agree
+from minimd.structure.cell import Images
 from minimd.structure.checks import shown
 from minimd.structure.display import Displayed, Rows, as_text, call_of
 from minimd.structure.system import System
@@ -44,6 +46,25 @@ class PairLaw(NamedTuple):
     table: NDArray
     cutoff: float
     bonded_scale: tuple[float, ...]
+
+
+class Target(NamedTuple):
+    """What the operations of an evaluation work on.
+
+    detail : FORCES, TOTALS or PER_ATOM.  forces : (N, 3) output [energy/length].
+    energies, virials : to which TOTALS and PER_ATOM add, (N,) and (N, 6); or (1,) and (1, 6) if that is enough for all
+        terms and TOTALS.
+    slots : (S, 3), of LinkedTerm.  images : Images of the cell.
+    steps : Steps, in fixed-point arithmetic, where forces and slots are impulses, int64 in steps of momentum; else ().
+    """
+
+    detail: int
+    forces: NDArray
+    energies: NDArray
+    virials: NDArray
+    slots: NDArray
+    images: Images
+    steps: Any = ()
 
 
 class Term:
@@ -79,14 +100,15 @@ class Term:
         given once.
     acts_from_outside : whether its forces need not add up to zero, as those of fields and walls:
         the total momentum is then not constant.
-    needs_one_accumulator : whether add with TOTALS adds to the first elements of energies and virials only.
+    needs_one_accumulator : whether TOTALS needs the first elements of energies and virials only.
     depends_on_time : whether its forces depend on time. Its attribute time [time] is then set before each evaluation,
         and it must set power to ∂U/∂t of its energy [energy/time],
         from which the work that is done from outside is counted.
-    marches : whether march does anything.
     is_checked : whether the first run compares its force with its energy, see check_force. False for a force that is no
         gradient, such as friction beside an energy. A term without any energy is not checked.
-    fits_grid : whether its add_to takes GridSums, for precision="fixed-point".
+    fits_grid : whether it can add impulses, for precision="fixed-point".
+    version : of the memory that its operations work on.  assigns : whether they set all forces, if told that they are
+        the first.  n_slots, first_slot : see LinkedTerm.
     """
 
     pair_law: PairLaw | None = None
@@ -102,9 +124,12 @@ class Term:
     depends_on_time: bool = False
     time: float = 0.0
     power: float = 0.0
-    marches: bool = False
     is_checked: bool = True
     fits_grid: bool = False
+    version: int = 0
+    assigns: bool = False
+    n_slots: int = 0
+    first_slot: int = 0
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """Add to forces (N, 3), and unless detail is FORCES to energies (N,) and virials (N, 6), xx yy zz yz xz xy.
@@ -113,26 +138,21 @@ class Term:
         """
         raise NotImplementedError(f"{type(self).__name__} has no add")
 
-    def add_to(self, system: System, detail: int, sums: Any) -> None:
-        """Add to the accumulators of Forces: forces, energies and virials; or GridSums, if fits_grid."""
-        self.add(system, detail, *sums)
+    def operations(self, system: System, target: Target) -> Iterable[Operation]:
+        """The operations that add the forces of this term to a target."""
+        parts = target.detail, target.forces, target.energies, target.virials
+        yield in_python(lambda: self.add(system, *parts))
 
-    def prepare(self, system: System, forces: NDArray, steps: Any = (), is_alone: bool = True) -> None:
-        """After add: compile what only steps need, the kernels of add with FORCES and of march.
+    def ready(self, system: System) -> None:
+        """Before operations: take memory that they need, for this cell."""
 
-        Nothing is added, no list is built.
-
-        is_alone : whether it is the only term of its scene, and so may march.
-        """
+    def collect(self, target: Target) -> None:
+        """After operations: add energies and virials that they have left elsewhere to those of the target."""
 
     def follow(self, system: System) -> bool:
         """After atoms and cell were strained together: True if the term now stands for the strained system,
         False if it must be bound again."""
         return False
-
-    def march(self, system: System, state: Any, cycle: Any, n: int) -> int:
-        """See March in integrators.splitting; for a term that is the only one of its scene."""
-        return 0
 
     def skipped(self) -> Iterable[str]:
         """What this term does not need in this scene, for the report."""
@@ -144,17 +164,13 @@ class Term:
 
 
 class OwnTerm(Term):
-    """Base class of minimd's own terms, which define add_to."""
+    """Base class of minimd's own terms, which are compiled."""
 
-    fits_grid, is_checked = True, False
+    fits_grid, is_checked, needs_one_accumulator = True, False, True
 
-    def add_to(self, system: System, detail: int, sums: Any) -> None:
-        """Add to sums: forces, energies, virials, see Term.add; or GridSums."""
-        raise NotImplementedError(f"{type(self).__name__} has no add_to")
-
-    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+    def operations(self, system: System, target: Target) -> Iterable[Operation]:
         """See Term."""
-        self.add_to(system, detail, (forces, energies, virials))
+        raise NotImplementedError(f"{type(self).__name__} has no operations")
 
 
 class NoTerm(OwnTerm):
@@ -167,8 +183,9 @@ class NoTerm(OwnTerm):
     def __init__(self, warning: str = "") -> None:
         self.warning = warning
 
-    def add_to(self, system: System, detail: int, sums: Any) -> None:
+    def operations(self, system: System, target: Target) -> Iterable[Operation]:
         """See Term."""
+        return ()
 
 
 class Potential(Protocol):

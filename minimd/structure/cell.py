@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.machine import EPS
 from minimd.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers, shown
@@ -145,6 +148,25 @@ class Cell(Displayed):
     def same_as(self, other: Cell) -> bool:
         """True if vectors and periodicity are equal to the last bit."""
         return self is other or (np.array_equal(self.vectors, other.vectors) and np.array_equal(self.pbc, other.pbc))
+
+
+class Images(ByAddress, namedtuple("Images", "lattice inverse pbc safe_distance2")):
+    """What kernels need to know about a cell to find images: attributes of Cell, the last of them as an array (1,).
+
+    The arrays stay the same when the scene gets another cell, see take.
+    """
+
+    @classmethod
+    def of(cls, cell: Cell) -> Self:
+        """Those of a cell."""
+        images = cls(np.empty((3, 3)), np.empty((3, 3)), np.empty(3, dtype=np.bool_), np.empty(1))
+        images.take(cell)
+        return images
+
+    def take(self, cell: Cell) -> None:
+        """Those of another cell."""
+        for name, array in zip(self._fields, self, strict=True):
+            array[:] = getattr(cell, name)
 
 
 @scalar

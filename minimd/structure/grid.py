@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from math import frexp, isfinite, ldexp, log2
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from minimd.compiled.fixed_point import MOST
+from minimd.compiled.fixed_point import FARTHEST, MOST, Steps
 from minimd.structure.cell import Cell
 from minimd.structure.checks import shown
 from minimd.structure.display import Displayed, Rows
@@ -16,7 +16,6 @@ from minimd.structure.errors import RangeError
 from minimd.structure.observables import largest_component
 from minimd.structure.system import System
 
-FARTHEST = 2.0**52  # steps of length: sums of two positions are still exact
 TRAVEL, FAR_TRAVEL = 64.0, 4096.0  # times the size of the scene: how far atoms can go; in scenes with an open direction
 FASTER = 8.0  # times the momentum of the fastest atom, or of one that falls into DEEP wells: how fast atoms can become
 DEEP = 10.0
@@ -157,6 +156,11 @@ class Grid(Displayed):
                 f"atom {atom} is {largest:.3g} from the origin, beyond the range of fixed-point numbers, {most:.3g}: "
                 f"give grid=minimd.Grid(...) with a larger step of length than {self.length:.3g}; or, {hint}"
             )
+
+
+def steps_of(grid: Grid, units: ArrayLike) -> Steps:
+    """Steps for a kernel.  units : the time over which impulses are computed [time]."""
+    return Steps(np.asarray(units) / grid.momentum, grid.length, grid.momentum, grid.energy, 0.0)
 
 
 def _power_of_two(x: float) -> float:

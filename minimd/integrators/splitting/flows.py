@@ -1,11 +1,17 @@
 """The two flows of a splitting, kick and drift: for numbers, for SIMD vectors, and for all atoms;
 in float64 and in fixed-point arithmetic."""
 
+from collections import namedtuple
+
 import numpy as np
 
-from minimd.compiled.fixed_point import MAGIC, MOST, as_float
-from minimd.compiled.kernels import kernel, scalar
+from minimd.compiled.by_address import ByAddress
+from minimd.compiled.fixed_point import FARTHEST, MAGIC, MOST, as_float, is_fixed
+from minimd.compiled.kernels import by_type, called_kernel, scalar
+from minimd.compiled.program import GO_ON, OUT_OF_RANGE
 from minimd.compiled.simd import fma, select
+
+KICK, DRIFT = 0.0, 1.0  # kinds of flows
 
 
 @scalar
@@ -24,24 +30,6 @@ def drifted(position, velocity, duration):
 def mixed(velocity, noise, kept, scale):
     """kept · v + scale · ξ, the Ornstein-Uhlenbeck process, with scale = √(k_B T (1 − kept²)/m)."""
     return kept * velocity + scale * noise
-
-
-@kernel
-def kick(velocities, forces, inverse_masses, duration):
-    """velocities += duration · forces / m.  (N, 3) [length/time], (N, 3) [energy/length], (N,) [1/mass], [time]."""
-    for i in range(velocities.shape[0]):
-        velocities[i, 0] = kicked(velocities[i, 0], forces[i, 0], inverse_masses[i], duration)
-        velocities[i, 1] = kicked(velocities[i, 1], forces[i, 1], inverse_masses[i], duration)
-        velocities[i, 2] = kicked(velocities[i, 2], forces[i, 2], inverse_masses[i], duration)
-
-
-@kernel
-def drift(positions, velocities, duration):
-    """positions += duration · velocities.  (N, 3) [length], (N, 3) [length/time], [time]."""
-    for i in range(positions.shape[0]):
-        positions[i, 0] = drifted(positions[i, 0], velocities[i, 0], duration)
-        positions[i, 1] = drifted(positions[i, 1], velocities[i, 1], duration)
-        positions[i, 2] = drifted(positions[i, 2], velocities[i, 2], duration)
 
 
 @scalar
@@ -73,12 +61,54 @@ def drifted_on_grid(position, momentum, inverse_mass, unit, times, steps):
     return position + times * (fma(momentum, steps.momentum * unit * inverse_mass, rounder) - rounder)
 
 
-@kernel
-def kick_on_grid(velocities, impulses, inverse_masses, times, steps):
-    """Momenta += times · impulses.  (N, 3) [length/time], (N, 3) int64 in steps, (N,) [1/mass].
-    Returns whether a momentum left its range."""
-    is_out = False
-    for i in range(velocities.shape[0]):
+class Moving(ByAddress, namedtuple("Moving", "positions velocities forces inverse_masses flows steps n_chunks")):
+    """What kicks and drifts work on.
+
+    positions, velocities, forces : (N, 3) [length], [length/time], [energy/length].  inverse_masses : (N,) [1/mass],
+        zero for atoms that are held fixed.
+    flows : (F, 3), one after the other: KICK or DRIFT, its duration, and, on a grid, the unit [time] of which the duration
+        is a whole multiple: the change over one unit is rounded.
+    steps : Steps in fixed-point arithmetic, where forces are int64 impulses over the unit; else ().
+    """
+
+
+@called_kernel
+def move_atoms(moving, chunk):
+    """Kicks and drifts of the atoms of a chunk, all of them in one pass over memory.
+
+    OUT_OF_RANGE if a momentum or a position leaves its range, in fixed-point arithmetic.
+    """
+    n, n_chunks, is_out = moving.positions.shape[0], moving.n_chunks, False
+    first, last = np.uintp(chunk * n // n_chunks), np.uintp((chunk + 1) * n // n_chunks)
+    for k in range(moving.flows.shape[0]):
+        kind, duration, unit = moving.flows[k, 0], moving.flows[k, 1], moving.flows[k, 2]
+        if kind == KICK:
+            is_out |= _kick(moving, first, last, duration, unit, moving.steps)
+        else:
+            is_out |= _drift(moving, first, last, duration, unit, moving.steps)
+    return OUT_OF_RANGE if is_out else GO_ON
+
+
+@by_type
+def _kick(moving, first, last, duration, unit, steps):
+    """velocities += duration · forces / m, for numbers; momenta += times · impulses, on a grid."""
+    return _kick_on_grid if is_fixed(steps) else _kick_floats
+
+
+def _kick_floats(moving, first, last, duration, unit, steps):
+    velocities, forces, inverse_masses = moving.velocities, moving.forces, moving.inverse_masses
+    for i in range(first, last):
+        w = inverse_masses[i]
+        velocities[i, 0] = kicked(velocities[i, 0], forces[i, 0], w, duration)
+        velocities[i, 1] = kicked(velocities[i, 1], forces[i, 1], w, duration)
+        velocities[i, 2] = kicked(velocities[i, 2], forces[i, 2], w, duration)
+    return False
+
+
+def _kick_on_grid(moving, first, last, duration, unit, steps):
+    velocities, impulses, inverse_masses = moving.velocities, moving.forces, moving.inverse_masses
+    times, is_out = np.rint(duration / unit), False
+    for i in range(first, last):
         for c in range(3):
             momentum = momentum_in_steps(velocities[i, c], inverse_masses[i], steps)
             momentum = kicked_on_grid(momentum, impulses[i, c], inverse_masses[i], times)
@@ -87,11 +117,27 @@ def kick_on_grid(velocities, impulses, inverse_masses, times, steps):
     return is_out
 
 
-@kernel
-def drift_on_grid(positions, velocities, inverse_masses, unit, times, steps):
-    """positions += times · (unit · velocities), with the brackets rounded to steps.  (N, 3) [length], (N, 3)
-    [length/time], (N,), [time]."""
-    for i in range(positions.shape[0]):
+@by_type
+def _drift(moving, first, last, duration, unit, steps):
+    """positions += duration · velocities; on a grid displacements over the unit are rounded."""
+    return _drift_on_grid if is_fixed(steps) else _drift_floats
+
+
+def _drift_floats(moving, first, last, duration, unit, steps):
+    positions, velocities = moving.positions, moving.velocities
+    for i in range(first, last):
+        positions[i, 0] = drifted(positions[i, 0], velocities[i, 0], duration)
+        positions[i, 1] = drifted(positions[i, 1], velocities[i, 1], duration)
+        positions[i, 2] = drifted(positions[i, 2], velocities[i, 2], duration)
+    return False
+
+
+def _drift_on_grid(moving, first, last, duration, unit, steps):
+    positions, velocities, inverse_masses = moving.positions, moving.velocities, moving.inverse_masses
+    times, farthest, is_out = np.rint(duration / unit), FARTHEST * steps.length, False
+    for i in range(first, last):
         for c in range(3):
             momentum = momentum_in_steps(velocities[i, c], inverse_masses[i], steps)
             positions[i, c] = drifted_on_grid(positions[i, c], momentum, inverse_masses[i], unit, times, steps)
+            is_out |= not abs(positions[i, c]) <= farthest
+    return is_out

@@ -10,29 +10,14 @@ sequence equals its reverse. E. Hairer, C. Lubich, G. Wanner, Geometric Numerica
 from collections.abc import Callable, Iterable
 from typing import ClassVar
 
-import numpy as np
-
+from minimd.compiled.program import Operation, in_python
 from minimd.integrators.method import ClassProperty, Method, Problem, Step
 from minimd.integrators.splitting.order_conditions import nystrom_order
-from minimd.integrators.splitting.state import Cycle, State, Surroundings
-from minimd.integrators.splitting.substeps import (
-    Drift,
-    Kick,
-    Substep,
-    Substeps,
-    Thermalize,
-    is_palindrome,
-    mechanical,
-    merged,
-)
+from minimd.integrators.splitting.state import State, Surroundings
+from minimd.integrators.splitting.steps import Evaluation, Moment, Steps
+from minimd.integrators.splitting.substeps import Kick, Substeps, is_palindrome, mechanical, merged
 
 __all__ = ["Splitting"]
-
-ComputeForces = Callable[[State, bool], None]  # fills state.forces; with True, evaluates the energy too
-
-# (state, cycle, n): repeats a cycle up to n times; returns how many times, 0 if it cannot. Afterwards the forces are
-# outdated.
-March = Callable[[State, Cycle, int], int]
 
 
 def stages(method: "type[Splitting]") -> int:
@@ -45,11 +30,10 @@ def stages(method: "type[Splitting]") -> int:
 class Splitting(Method):
     """A splitting method, given by its sequence of substeps.
 
-    If the first and the last substep are of one kind, the two are merged between steps: within a block of steps
-    velocity Verlet makes one kick and one drift per step, as leapfrog does. Forces are computed when a kick needs them
-    and positions have moved since. With constraints every drift is projected. Velocities are projected only at the end
-    of a block, because a constrained drift does not depend on the component that a projection removes. A block can
-    continue from the open end of the previous one, see Surroundings: two blocks then give the same bits as one.
+    Forces are computed when a kick needs them and positions have moved since. With constraints every drift is
+    projected, and at the end of each step velocities are. So a state between two steps is all that the next step needs:
+    n steps and then m have the same bits as n + m. Where kicks and drifts follow each other, also those of two steps,
+    they are made in one pass over memory, each with its own rounding: velocity Verlet costs what leapfrog costs.
 
     Parameters, Raises : as Method.
 
@@ -57,7 +41,6 @@ class Splitting(Method):
     -------------------------
     name, substeps, source : key in METHODS; kicks and drifts of one step; literature.
     conserves_momentum : true unless a bath acts on each atom separately.  is_thermostat : whether a bath acts at all.
-    opening, closing : substeps before the first and after the last step of a block, for velocities at half steps.
 
     Attributes computed from them
     -----------------------------
@@ -66,8 +49,6 @@ class Splitting(Method):
     """
 
     substeps: ClassVar[Substeps]
-    opening: ClassVar[Substeps] = ()
-    closing: ClassVar[Substeps] = ()
     is_symplectic: ClassVar[bool] = True
     is_explicit: ClassVar[bool] = True
     conserves_momentum: ClassVar[bool] = True
@@ -78,8 +59,8 @@ class Splitting(Method):
 
     @classmethod
     def sequence(cls) -> Substeps:
-        """One step from opening to closing, neighbors of one kind merged."""
-        return merged((*cls.opening, *cls.substeps, *cls.closing))
+        """One step, neighbors of one kind merged."""
+        return merged(cls.substeps)
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
@@ -98,121 +79,46 @@ class Splitting(Method):
     def advance(
         self,
         state: State,
-        compute_forces: ComputeForces,
+        compute_forces: Callable[[State, bool], None],
         n_steps: int,
         with_energy: bool = True,
         surroundings: Surroundings | None = None,
-        march: March | None = None,
     ) -> int:
         """Make n_steps steps, or fewer (at least one) if surroundings.stop_requested becomes true;
         return how many were made.
 
+        compute_forces : fills state.forces; if called with True, evaluates the energy, too.
         with_energy : evaluate the energy together with the forces of the last step.  surroundings :
             constraints and bath, if there are any.
-        march : makes many steps at once where it can; see March.
 
         Raises
         ------
         ConstraintError : if a constrained length cannot be kept.  ValueError : from a thermostat without a bath.
         """
+
+        def evaluation(with_energy: bool, _moment: Moment) -> Iterable[Operation]:
+            yield in_python(lambda: compute_forces(state, with_energy))
+
         around = Surroundings() if surroundings is None else surroundings
-        start, cycle, end = self._grouped(may_merge_drifts=around.constraints is None)
-        first_kick = next((k for k, substep in enumerate(cycle) if isinstance(substep, Kick)), 0)
-        repeated = (
-            None
-            if march is None or around.constraints is not None
-            else self.repeated(cycle[first_kick:] + cycle[:first_kick], around)
-        )
-        units = self.units({*start, *cycle, *end})
-        step, goes_on = 0, around.take_up(state)
-        behind = sum(
-            substep.coefficient for substep in end if isinstance(substep, Drift)
-        )  # of the drifts in an open end, in time steps
-        while step <= n_steps:
-            substeps = end if step == n_steps else start if step == 0 and not goes_on else cycle
-            if step == n_steps:
-                around.leave_open(state, end, cycle)
-            around.phase = -behind if step > 0 or goes_on else 0.0
-            for k, substep in enumerate(substeps):
-                if (
-                    march is not None
-                    and repeated is not None
-                    and substeps is cycle
-                    and k == first_kick
-                    and not state.forces_are_current
-                ):
-                    while not around.stop_requested and (made := march(state, repeated, n_steps - step - (k > 0))) > 0:
-                        step += made
-                        around.count(made)
-                    if step == n_steps:
-                        break
-                duration, unit = substep.coefficient * self.timestep, units[substep] * self.timestep
-                if isinstance(substep, Kick):
-                    if not state.has_forces_over(unit):
-                        is_last = k == len(substeps) - 1 and step == (n_steps if end else n_steps - 1)
-                        compute_forces(state, with_energy and is_last)
-                        state.forces_are_current = True
-                    state.kick(duration, unit)
-                    around.work += duration * around.power
-                elif isinstance(substep, Thermalize):
-                    self.thermalize(state, duration, around)
-                    state.settle()
-                else:
-                    around.drift(state, duration, unit)
-                    around.phase += substep.coefficient
-                    state.forces_are_current = False
-            else:
-                if step < n_steps:
-                    around.count(1)
-                step += 1
-                if around.stop_requested:
-                    n_steps = min(n_steps, step)
-        around.project(state)
-        return n_steps
+        made = Steps(self, state, around, Evaluation(evaluation)).advance(n_steps, with_energy)
+        if around.bath is not None:
+            around.bath.step += made
+        return made
+
+    def contact(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterable[Operation]:
+        """Contact with the bath over a duration, at a moment: the operations of a substep Thermalize."""
+
+        def thermalize() -> None:
+            if around.bath is not None:
+                around.bath.step, around.bath.contact = moment.step, moment.contact
+            self.thermalize(state, duration, around)
+            state.settle()
+
+        yield in_python(thermalize)
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
-        """Contact with the bath over a duration: what a substep Thermalize does.
+        """The same, made once, by Python.
 
         Methods without a bath have no such substep.
         """
         raise NotImplementedError(f"{self.name} has no thermostat")
-
-    def _grouped(self, may_merge_drifts: bool) -> tuple[Substeps, Substeps, Substeps]:
-        """Substeps of the first step of a block, of every other step, and after the last one:
-        half a kick or drift if the two ends are of one kind.
-
-        Two contacts with a bath are not merged, nor are two constrained drifts.
-        """
-        first, last = self.substeps[0], self.substeps[-1]
-        may_merge = isinstance(first, Kick) or (may_merge_drifts and isinstance(first, Drift))
-        if len(self.substeps) == 1 or type(first) is not type(last) or not may_merge:
-            return self.opening + self.substeps, self.substeps, self.closing
-        body, both = self.substeps[1:-1], type(first)(first.coefficient + last.coefficient)
-        return (*self.opening, first, *body), (both, *body), (last, *self.closing)
-
-    @classmethod
-    def units(cls, substeps: Iterable[Substep]) -> dict[Substep, float]:
-        """For each substep its unit: a coefficient of which its own is a whole multiple.
-
-        On a grid, the change over one unit is rounded.
-
-        The unit is the coefficient of the first or last substep of a step where the substep is a whole multiple of it:
-        two merged half kicks then give the same bits as two half kicks.
-        """
-        sequence = cls.sequence()
-        ends = {type(end): end.coefficient for end in (sequence[-1], sequence[0])}
-
-        def unit(substep: Substep) -> float:
-            end = ends.get(type(substep), substep.coefficient)
-            return end if substep.coefficient % end == 0.0 else substep.coefficient
-
-        return {substep: unit(substep) for substep in substeps}
-
-    def repeated(self, cycle: Substeps, around: Surroundings) -> Cycle | None:
-        """A cycle that begins with a kick, for a March; None unless kicks and drifts alternate."""
-        if [type(substep) for substep in cycle] != [Kick, Drift] * (len(cycle) // 2):
-            return None
-        units = self.units(cycle)
-        return Cycle(
-            self.timestep * np.array([(substep.coefficient, units[substep]) for substep in cycle]).reshape(-1, 2, 2)
-        )

@@ -7,25 +7,33 @@ This difference drifts if Δt is large. G. Bussi, M. Parrinello, Phys. Rev. E 75
 Chodera, G. E. Crooks, Phys. Rev. X 3, 011007 (2013).
 """
 
+from collections import namedtuple
+from collections.abc import Iterator
 from math import exp, sqrt
 from typing import Self
 
 import numpy as np
 
-from minimd.compiled.kernels import kernel
-from minimd.compiled.normal_numbers import normal_numbers
-from minimd.integrators.method import Array, Problem, Step
-from minimd.integrators.splitting.flows import mixed
+from minimd.compiled.by_address import ByAddress
+from minimd.compiled.fixed_point import is_fixed, on_grid
+from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, filling_kernel, kernel, scalar
+from minimd.compiled.normal_numbers import new_stream, normal, start_stream
+from minimd.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation
+from minimd.compiled.threads import thread_pool
+from minimd.integrators.method import Problem, Step
+from minimd.integrators.splitting.flows import mixed, momentum_in_steps, velocity_of
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.integrators.splitting.state import Bath, Contact, Cycle, State, Surroundings
-from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize
+from minimd.integrators.splitting.state import Bath, State, Surroundings
+from minimd.integrators.splitting.steps import FIRST, MADE, Moment, projected
+from minimd.integrators.splitting.substeps import Drift, Kick, Thermalize
 from minimd.structure.checks import checked_count, checked_number
-from minimd.structure.observables import thermal_energy
+from minimd.structure.observables import kinetic_energy_of, thermal_energy
 
 __all__ = ["LangevinBAOAB", "StochasticVelocityRescaling"]
 
 SEEDS = 2**128  # keys of numpy's Philox
 STEPS = 2**64  # numbers of steps are taken modulo this; those of an equilibration, before step 0, are negative
+CALLS = {False: DirectCalls(), True: DirectCalls()}  # by whether there is a grid
 
 
 class Thermostat(Splitting):
@@ -112,49 +120,110 @@ class LangevinBAOAB(Thermostat):
             timestep, temperature, 1.0 / checked_number("relaxation_time", relaxation_time, "positive and finite"), seed
         )
 
-    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
-        """The Ornstein-Uhlenbeck process over a duration."""
-        bath = bath_of(around)
-        kept, spread = self._process(duration, bath)
-        around.project(state)
-        before = state.kinetic_energy()
-        noise = self._noise(1, len(state.velocities), bath)[0]
-        bath.contact += 1
-        mix(state.velocities, noise, state.inverse_masses, kept, spread)
-        around.project(state)
-        state.settle()
-        bath.energy += state.kinetic_energy() - before
+    def contact(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
+        """The Ornstein-Uhlenbeck process over a duration, between two projections onto the constraints.
 
-    def repeated(self, cycle: Substeps, around: Surroundings) -> Cycle | None:
-        """See Splitting: a kick and a drift, the contact, and the other drift."""
-        is_own = (
-            getattr(self.thermalize, "__func__", None) is LangevinBAOAB.thermalize
-        )  # a derived class may have another process
-        if (
-            around.bath is None
-            or not is_own
-            or [type(substep) for substep in cycle] != [Kick, Drift, Thermalize, Drift]
-        ):
-            return None
-        first, bath = super().repeated(cycle[:2], around), around.bath
-        kept, spread = self._process(cycle[2].coefficient * self.timestep, bath)
-        contact = Contact(
-            kept, spread, cycle[3].coefficient * self.timestep, bath, lambda n, n_atoms: self._noise(n, n_atoms, bath)
-        )
-        return None if first is None else first._replace(contact=contact)
-
-    def _process(self, duration: float, bath: Bath) -> tuple[float, float]:
-        """e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy]."""
-        return exp(-self.friction * duration), sqrt(
-            bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration)
-        )
-
-    def _noise(self, n_steps: int, n_atoms: int, bath: Bath) -> Array:
-        """ξ of n_steps steps, (n, N, 3): the same numbers as from Thermostat.noise, drawn in compiled code."""
+        The noise of an atom depends on seed, step, contact and the number of the atom."""
+        bath, n_chunks, is_held = bath_of(around), n_chunks_of(len(state.velocities)), around.constraints is not None
+        kept = exp(-self.friction * duration)
+        spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
         key = np.array([self.seed % 2**64, self.seed >> 64], dtype=np.uint64)
-        numbers = np.empty((n_steps, n_atoms * 3))
-        normal_numbers(key, bath.step, bath.contact, numbers)
-        return numbers.reshape(n_steps, n_atoms, 3)
+        atoms = state.velocities, state.inverse_masses, state.masses
+        noise = key, moment.count, FIRST, moment.begun, moment.contact
+        touch = Touch(*atoms, kept, spread, *noise, np.zeros(n_chunks), bath.heat, int(is_held), state.steps)
+        calls = CALLS[bool(state.steps)]
+        yield from projected(state, around)
+        yield operation(calls, touch_atoms, touch, n_chunks)
+        yield from projected(state, around)
+        if is_held:
+            yield operation(calls, add_kinetic, touch, n_chunks)
+        yield operation(calls, count_heat, touch)
+
+    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
+        """The same, at once."""
+        bath = bath_of(around)
+        moment = Moment(np.array([0, 0, 0, bath.step]), 0, 0.0, bath.contact, 0.0)
+        Program(lambda: self.contact(state, duration, around, moment), lambda: 0, thread_pool(1)).run()
+        bath.contact += 1
+
+
+class Touch(
+    ByAddress,
+    namedtuple(
+        "Touch",
+        "velocities inverse_masses masses kept spread key count first begun contact parts heat is_held steps",
+    ),
+):
+    """The contact of atoms with a bath, see LangevinBAOAB.
+
+    velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
+    kept, spread : e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy].  key : (2,) uint64 of Philox.
+    count, first, begun, contact : see Moment; they select the noise.
+    parts : (chunks,) output, heat of each chunk [energy].  heat : (1,), to which it is added.
+    is_held : whether constraints follow, before the kinetic energy afterwards is known.  steps : of a grid, or ().
+    """
+
+
+@filling_kernel
+def touch_atoms(touch, chunk):
+    """v ← kept · v + spread √(1/m) ξ."""
+    velocities, masses, n_chunks = touch.velocities, touch.masses, touch.parts.size
+    n, stream = masses.size, new_stream(touch.key)
+    step, given = touch.count[touch.first] + touch.count[MADE] + touch.begun, 0.0
+    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+        if touch.inverse_masses[i] > 0.0:
+            start_stream(stream, i, touch.contact, step)
+            given -= kinetic_energy_at(velocities, masses, i, touch.steps)
+            scale = touch.spread * sqrt(touch.inverse_masses[i])
+            for c in range(3):
+                v = mixed(velocities[i, c], normal(stream), touch.kept, scale)
+                velocities[i, c] = settled(v, touch.inverse_masses[i], touch.steps)
+            if not touch.is_held:
+                given += kinetic_energy_at(velocities, masses, i, touch.steps)
+    touch.parts[chunk] = given
+    return GO_ON
+
+
+@called_kernel
+def add_kinetic(touch, chunk):
+    """The heat of a chunk += its kinetic energy now."""
+    n, n_chunks = touch.masses.size, touch.parts.size
+    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
+        touch.parts[chunk] += kinetic_energy_at(touch.velocities, touch.masses, i, touch.steps)
+    return GO_ON
+
+
+@called_kernel
+def count_heat(touch, _chunk):
+    """The heat of all chunks."""
+    given = 0.0
+    for part in touch.parts:
+        given += part
+    touch.heat[0] += given
+    return GO_ON
+
+
+@scalar
+def kinetic_energy_at(velocities, masses, i, steps):
+    """½ m v² of atom i [energy]; on a grid rounded to it."""
+    energy = kinetic_energy_of(masses[i], velocities[i, 0], velocities[i, 1], velocities[i, 2])
+    return rounded(energy, steps)
+
+
+@by_type
+def rounded(energy, steps):
+    """An energy, rounded to its grid if there is one."""
+    return (lambda energy, steps: on_grid(energy, steps.energy)) if is_fixed(steps) else lambda energy, steps: energy
+
+
+@by_type
+def settled(velocity, inverse_mass, steps):
+    """A velocity, rounded to its grid if there is one."""
+    if not is_fixed(steps):
+        return lambda velocity, inverse_mass, steps: velocity
+    return lambda velocity, inverse_mass, steps: velocity_of(
+        momentum_in_steps(velocity, inverse_mass, steps), inverse_mass, steps
+    )
 
 
 class StochasticVelocityRescaling(Thermostat):
@@ -216,15 +285,6 @@ def bath_of(around: Surroundings) -> Bath:
             "n_dof))"
         )
     return around.bath
-
-
-@kernel
-def mix(velocities, noise, inverse_masses, kept, spread):
-    """velocities = kept · velocities + spread √(1/m) · noise.  (N, 3), (N, 3), (N,), dimensionless, √energy."""
-    for i in range(velocities.shape[0]):
-        scale = spread * sqrt(inverse_masses[i])
-        for x in range(3):
-            velocities[i, x] = mixed(velocities[i, x], noise[i, x], kept, scale)
 
 
 @kernel

@@ -39,19 +39,17 @@ class PositionVerlet(Splitting):
 
 
 class Leapfrog(Splitting):
-    """Leapfrog: velocities are half a step behind positions.
+    """Leapfrog: velocities at half steps.
 
         v(t+Δt/2) = v(t−Δt/2) + Δt F(t)/m           kick
         r(t+Δt)   = r(t) + Δt v(t+Δt/2)             drift
 
-    A run begins with half a kick backwards and ends with half a kick forwards, so that velocities, energies and files
-    always show v(t) together with r(t). The positions are those of velocity Verlet.
+    The kick is made as two halves, so that velocities, energies and files show v(t) together with r(t), at any step:
+    to the last bit this is velocity Verlet.
     """
 
     name = "leapfrog"
-    opening = (Kick(-0.5),)
-    substeps = (Kick(1.0), Drift(1.0))
-    closing = (Kick(0.5),)
+    substeps = (Kick(0.5), Drift(1.0), Kick(0.5))
     source = "R. W. Hockney, J. W. Eastwood, Computer Simulation Using Particles (1981), 4-3-1"
 
 

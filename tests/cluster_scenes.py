@@ -9,12 +9,14 @@ from hypothesis import strategies as st
 from references import liquid
 
 import minimd as md
+from minimd.compiled.program import Program
+from minimd.compiled.threads import thread_pool
 from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws
 from minimd.forces.pair_list_term import PairListTerm
-from minimd.potentials.term import FORCES, PER_ATOM, TOTALS
-from minimd.structure.cell import Cell
+from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Target
+from minimd.structure.cell import Cell, Images
 
 CUTOFF, SKIN = 2.0, 0.3
 JUST_HIGH_ENOUGH = (CUTOFF + SKIN) * (1.0 + 1e-9)
@@ -116,9 +118,18 @@ def both_lists(system, potentials, precision="double", skin=SKIN):
 
 
 def evaluated(term, system, detail=TOTALS):
-    forces, energies, virials = np.zeros((len(system), 3)), np.zeros(len(system)), np.zeros((len(system), 6))
-    term.add(system, detail, forces, energies, virials)
-    return forces, energies, virials
+    sums = np.zeros((len(system), 3)), np.zeros(len(system)), np.zeros((len(system), 6))
+    term.is_first = True
+    target = Target(detail, *sums, np.zeros((0, 3)), Images.of(system.cell))
+    term.ready(system)
+    try:
+        pool = getattr(term, "pool", thread_pool(1))
+        Program(lambda: term.operations(system, target), lambda: term.version, pool).run()
+    finally:
+        term.list.settle()
+    term.collect(target)
+    term._made = {}  # of this target
+    return sums
 
 
 def summed(term, system, detail=TOTALS):

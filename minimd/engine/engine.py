@@ -22,7 +22,7 @@ from minimd.forces.options import FIXED_POINT, Options
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import Bath, GridState, State, Surroundings
-from minimd.integrators.splitting.steps import Evaluation, Moment, Steps
+from minimd.integrators.splitting.steps import Evaluation, Moment, Steps, first_unit
 from minimd.integrators.splitting.substeps import Drift, mechanical
 from minimd.potentials.term import FORCES, TOTALS
 from minimd.structure.constraints import Constraint
@@ -113,7 +113,7 @@ class Engine:
         if grid is None or not isinstance(state, GridState):
             return
         interactions.grid = state.grid = grid
-        interactions.unit = state.unit = self._steps_now.unit()
+        interactions.unit = state.unit = first_unit(self.method)
 
     @property
     def _steps_now(self) -> Steps:
@@ -132,10 +132,7 @@ class Engine:
         interactions = self.interactions
         if interactions.depend_on_time:
             yield in_python(lambda: setattr(interactions, "time", self._time_at(moment.time - self.noise_shift)))
-        target = interactions.target(TOTALS if with_energy else FORCES, moment.unit)
-        if with_energy:
-            self._target = target
-        yield from interactions.operations(target)
+        yield from interactions.operations(interactions.target(TOTALS if with_energy else FORCES, moment.unit))
 
     @contextmanager
     def _running(self, program: Program) -> Iterator[None]:
@@ -144,8 +141,7 @@ class Engine:
             yield
 
     def _taken(self, with_energy: bool, unit: float) -> None:
-        interactions = self.interactions
-        interactions.taken(self._target if with_energy else interactions.target(FORCES, unit), unit)
+        self.interactions.taken(self.interactions.target(TOTALS if with_energy else FORCES, unit))
 
     def advance(self, n_steps: int, with_energy: bool = True) -> int:
         """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many.

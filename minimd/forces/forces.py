@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import DirectCalls, announce_compilation, called_kernel
-from minimd.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation
+from minimd.compiled.program import GO_ON, Operation, Program, in_python, n_chunks_of, operation
 from minimd.compiled.threads import ThreadPool, thread_pool
 from minimd.forces.options import FIXED_POINT, Options
 from minimd.forces.pair_laws import deepest
@@ -131,7 +131,8 @@ class Forces:
         self._slots, n_chunks = Slots(linked), n_chunks_of(len(self.system))
         self._slot_forces = np.zeros((self._slots.size, 3), dtype=np.float64 if self.grid is None else np.int64)
         self._clearing = Clearing(self.forces if self.grid is None else self.impulses, n_chunks)
-        self._programs: dict[Any, tuple[Program, Target]] = {}
+        self._targets: dict[tuple[int, float], Target] = {}
+        self._programs: dict[int, Program] = {}  # by the id of their target
         self._n_plans += 1
 
     def _is_in_double(self) -> bool:
@@ -227,15 +228,15 @@ class Forces:
         ValueError : as Forces, if the cell has changed and no longer fits.
         """
         self.follow_cell()
-        key = detail, self.unit if unit is None else unit
-        if key not in self._programs or detail == PER_ATOM:
-            target = self.target(*key)
-            make = lambda: self.operations(target)  # noqa: E731
-            self._programs[key] = Program(make, lambda: self.version, self.pool), target
-        program, target = self._programs[key]
+        target = self.target(detail, self.unit if unit is None else unit)
+        program = self._programs.get(id(target))
+        if program is None:
+            program = Program(lambda: self.operations(target), lambda: self.version, self.pool)
+            if detail != PER_ATOM:
+                self._programs[id(target)] = program
         with self.running(program):
             program.run()
-        self.taken(target, key[1])
+        self.taken(target)
         self.n_evaluations += 1
         return self.forces
 
@@ -246,15 +247,25 @@ class Forces:
 
     def target(self, detail: int, unit: float = 1.0) -> Target:
         """What operations(target) work on, for one detail, and one unit of impulses [time]."""
+        key = detail, unit if self.grid is not None else 1.0
+        if key in self._targets:
+            return self._targets[key]
         n = 1 if detail == TOTALS and all(term.needs_one_accumulator for term in self.terms) else len(self.system)
         energies, virials = (np.empty(0), np.empty((0, 6))) if detail == FORCES else (np.empty(n), np.empty((n, 6)))
         steps = () if self.grid is None else steps_of(self.grid, (unit,))
         forces = self.forces if self.grid is None else self.impulses
-        return Target(detail, forces, energies, virials, self._slot_forces, self._images, steps)
+        target = Target(detail, forces, energies, virials, self._slot_forces, self._images, steps)
+        if detail != PER_ATOM:  # whose accumulators are large
+            self._targets[key] = target
+        return target
 
     def operations(self, target: Target) -> Iterator[Operation]:
         """The operations of one evaluation: of pairs, of links and their sums, of all other terms."""
         of_pairs, linked, others = self._in_order
+        if self._timed:
+            yield in_python(self._tell_time)
+        if target.detail != FORCES:
+            yield in_python(lambda: (target.energies.fill(0.0), target.virials.fill(0.0)))
         if not (of_pairs and of_pairs[0].assigns):
             yield operation(self._calls, clear_forces, self._clearing, self._clearing.n_chunks)
         for term in (*of_pairs, *linked):
@@ -262,6 +273,10 @@ class Forces:
         yield from self._slots.operations(target)
         for term in others:
             yield from self._of(term, target)
+
+    def _tell_time(self) -> None:
+        for term in self._timed:
+            term.time = self.time
 
     def _of(self, term: Term, target: Target) -> Iterator[Operation]:
         for one in term.operations(self.system, target):
@@ -284,15 +299,13 @@ class Forces:
             for one in _lists(self.terms):
                 one.settle()
 
-    def taken(self, target: Target, unit: float) -> None:
-        """After the operations of an evaluation: energies and virials, and forces of impulses over a unit of time."""
-        if target.detail != FORCES:
-            target.energies[:], target.virials[:] = 0.0, 0.0
+    def taken(self, target: Target) -> None:
+        """After the operations of an evaluation: take energies and virials, and forces of impulses."""
         for term in self.terms:
             term.collect(target)
         self._energies, self._virials, self._detail = target.energies, target.virials, target.detail
         if self.grid is not None:
-            np.multiply(self.impulses, self.grid.momentum / unit, out=self.forces)
+            np.divide(self.impulses, target.steps.per_force[0], out=self.forces)
 
     @property
     def version(self) -> tuple[int, ...]:
@@ -325,11 +338,11 @@ class Forces:
         Afterwards forces, energies and virials are restored.
         """
         forces, energies, virials, detail = self.forces.copy(), self._energies, self._virials, self._detail
-        self._programs, programs = {}, self._programs  # others, that have accumulators of their own
+        self._programs, self._targets, before = {}, {}, (self._programs, self._targets)  # with other accumulators
         try:
             yield
         finally:
-            self._programs = programs
+            self._programs, self._targets = before
             self.forces[:] = forces
             self._energies, self._virials, self._detail = energies, virials, detail
 

@@ -9,7 +9,7 @@ import pytest
 
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import kernel
-from minimd.compiled.normal_numbers import normal_numbers
+from minimd.compiled.normal_numbers import new_stream, normal, start_stream
 
 COPIES = [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one)), lambda one: one._replace(whole=7)]
 
@@ -47,12 +47,22 @@ def test_a_kernel_reads_what_python_reads_and_a_copy_has_its_own_address(copied)
     assert read(first) == before + (1000.0 if second.inner is first.inner else 0.0)
 
 
+@kernel
+def draw(key, contact, step, numbers):
+    """numbers (n, M) : in row k those of atom k."""
+    stream = new_stream(key)
+    for k in range(numbers.shape[0]):
+        start_stream(stream, k, contact, step)
+        for m in range(numbers.shape[1]):
+            numbers[k, m] = normal(stream)
+
+
 def test_noise_has_the_bits_of_numpy():
     """Its rare branches too: numbers at the edges of layers and in the tail."""
     seed, step, contact, numbers = 2**100 + 12345678901234567, -3, 2, np.empty((5, 200_000))
-    normal_numbers(np.array([seed % 2**64, seed >> 64], dtype=np.uint64), step, contact, numbers)
+    draw(np.array([seed % 2**64, seed >> 64], dtype=np.uint64), contact, step, numbers)
     for k, row in enumerate(numbers):
-        counter = np.array([0, 0, contact, (step + k) % 2**64], dtype=np.uint64)
+        counter = np.array([0, k, contact, step % 2**64], dtype=np.uint64)
         expected = np.random.Generator(np.random.Philox(key=seed, counter=counter)).standard_normal(row.size)
         assert np.array_equal(row, expected)
     assert np.abs(numbers).max() > 3.66  # in the tail

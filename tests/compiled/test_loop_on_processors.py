@@ -20,6 +20,7 @@ from minimd.compiled.simd.lanes import Lanes4, Lanes8
 from minimd.forces.cluster_loop import add_cluster_forces
 from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
+from minimd.potentials.term import FORCES
 from minimd.forces.pair_list_term import PairListTerm
 from minimd.neighbors import cluster_list
 
@@ -67,12 +68,13 @@ def code(kind, precision):
 
     @numba.njit(error_model="numpy")
     def loop(arrays, law, parameters, sums):
-        add_cluster_forces(0, arrays, law, parameters, sums, (), 0)
+        add_cluster_forces(0, arrays, law, parameters, sums, ())
 
     system = liquid(3)
     term = ClusterTerm(system, pair_laws(system, [LAW]), Options(precision=precision, threads=1))
-    term._update(system)
-    ((law, parameters),), sums, arrays = *term._work, term.list.arrays
+    term.ready(system)
+    term._arrange(system)
+    ((law, parameters),), sums, arrays = *term._work_of(FORCES), term.list.arrays
     arrays = arrays._replace(clusters=arrays.clusters._replace(lanes=kind()))
     loop.compile(tuple(map(numba.typeof, (arrays, law, parameters, sums))))
     return loop.inspect_llvm(loop.signatures[-1])

@@ -1,87 +1,100 @@
-"""A team does each share of a task once, whoever comes to help, and nobody can hold it up."""
+"""A team makes each chunk of an operation once, whoever comes to help, and nobody can hold it up."""
 
 import os
 import subprocess
 import sys
 import threading
 import time
+from collections import namedtuple
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
-from minimd.compiled import threads
-from minimd.compiled.kernels import shared_kernel
-from minimd.compiled.threads import MOST_CHUNKS, ThreadPool, Worker, thread_pool
+from minimd.compiled.by_address import ByAddress
+from minimd.compiled.kernels import DirectCalls, called_kernel
+from minimd.compiled.program import GO_ON, JUMP, Program, in_python, operation
+from minimd.compiled.threads import AT, MOST_CHUNKS, ThreadPool, Worker, run_operations, thread_pool
 
-N_PHASES = 4
-
-
-@shared_kernel
-def count_shares(me, task, n, done, early):
-    """done (threads, phases, n) += 1 for each share; early (threads,) += shares begun before a phase had ended."""
-    phase = threads.begin(me, task)
-    for p in range(done.shape[1]):
-        share = threads.take(me, phase, n)
-        while share >= 0:
-            for s in range(n if p > 0 else 0):
-                times = 0
-                for thread in range(done.shape[0]):
-                    times += done[thread, p - 1, s]
-                early[me.thread] += times != 1
-            done[me.thread, p, share] += 1
-            share = threads.finish_and_take(me, phase, n)
-        phase = threads.barrier(me, phase)
+N_PHASES, STOPPED = 4, 7
+CALLS = DirectCalls()
 
 
-def counts(n_threads, n, n_phases=N_PHASES):
-    return np.zeros((n_threads, n_phases, n), dtype=np.int64), np.zeros(n_threads, dtype=np.int64)
+class Counts(ByAddress, namedtuple("Counts", "phase done early waits")):
+    """done (phases, n) += 1 for each chunk; early (n,) += chunks begun before a phase had ended.
+
+    waits : reads that chunk 0 waits for the last one."""
+
+
+@called_kernel
+def count_chunk(counts, chunk):
+    phase, done, early, waits = counts
+    for k in range(done.shape[1] if phase > 0 else 0):
+        early[chunk] += done[phase - 1, k] != 1
+    reads = 0
+    while chunk == 0 and reads < waits and done[phase, done.shape[1] - 1] == 0:
+        reads += 1 + done[phase, 0]
+    early[chunk] -= 1000 * (waits > 0 and chunk == 0 and reads < waits)
+    done[phase, chunk] += 1
+    return GO_ON
+
+
+def program(team, n, n_phases=N_PHASES, waits=0):
+    done, early = np.zeros((n_phases, n), dtype=np.int64), np.zeros(n, dtype=np.int64)
+    made = [operation(CALLS, count_chunk, Counts(phase, done, early, waits), n) for phase in range(n_phases)]
+    return Program(lambda: made, lambda: 0, team), done, early
 
 
 def counted(team, n, n_phases=N_PHASES):
-    done, early = counts(team.n_threads, n, n_phases)
-    team.run(count_shares, n, done, early)
+    found, done, early = program(team, n, n_phases)
+    found.run()
     assert not early.any()
-    assert np.all(done.sum(axis=0) == 1)
-    return done
+    assert np.all(done == 1)
 
 
-@shared_kernel
-def walk(me, task, n, most, last, place, after):
-    """Up to most steps of all n shares, and their number; the first share stops it at step last. One more phase."""
-    phase, made = threads.begin(me, task), 0
-    while True:
-        share = threads.take(me, phase, n)
-        while share >= 0:
-            place[share] += 1
-            if share == 0 and place[share] == last:
-                threads.stop(me, phase)
-            share = threads.finish_and_take(me, phase, n)
-        walked, phase = phase, threads.barrier(me, phase)
-        made += 1
-        if made == most or threads.was_stopped(me, walked):
-            break
-    share = threads.take(me, phase, n)
-    while share >= 0:
-        after[share] = place[share]
-        share = threads.finish_and_take(me, phase, n)
-    threads.barrier(me, phase)
-    return made
+class Walk(ByAddress, namedtuple("Walk", "place last most")):
+    """place (n,) : steps of each chunk."""
+
+
+@called_kernel
+def walk(walk, chunk):
+    walk.place[chunk] += 1
+    return GO_ON
+
+
+@called_kernel
+def is_there(walk, _chunk):
+    """Another step, or the end, or Python at a certain step."""
+    if walk.place[0] == walk.last:
+        return STOPPED
+    return JUMP if walk.place[0] < walk.most else GO_ON
 
 
 @pytest.mark.parametrize("n_threads", [1, 2, pytest.param(4, marks=pytest.mark.slow), 8])
-def test_a_stopped_task_ends_at_the_same_step_for_all_threads(n_threads):
+def test_a_program_loops_and_stops_at_the_same_step_for_all_threads(n_threads):
     """More threads than cores: some are late by whole phases, the calling one too."""
-    team, rng = thread_pool(n_threads), np.random.default_rng(2)
+    team, rng, asked = thread_pool(n_threads), np.random.default_rng(2), []
     for n, last in rng.integers(1, (20, 60), (1000, 2)):
-        place, after = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-        assert team.run(walk, n, 50, last, place, after) == min(50, last)
-        assert np.all(place == min(50, last))
-        assert np.array_equal(after, place)
+        data = Walk(np.zeros(n, dtype=np.int64), int(last), 50)
+
+        def answer(given, place=data.place):
+            asked.append((given, place.copy()))
+            place += 1  # what Python does
+
+        step = operation(CALLS, walk, data, int(n))
+        check = operation(CALLS, is_there, data, otherwise=-1, python=answer)
+        Program(lambda made=(step, check, in_python(lambda: asked.append(None))): made, lambda: 0, team).run()
+        assert asked.pop() is None
+        if last <= 50:
+            given, place = asked.pop()
+            assert given == STOPPED
+            assert np.all(place == last)
+        assert asked == []
+        assert np.all(data.place == max(50, last + 1 if last <= 50 else 0))
 
 
 @pytest.mark.parametrize("n_threads", [1, 2, 3, 8])
-def test_each_share_is_done_once_in_each_phase(n_threads):
+def test_each_chunk_is_made_once_in_each_phase(n_threads):
     team = thread_pool(n_threads)
     for n in (1, 2, 3, 7, 8, 9, 64, 1000, MOST_CHUNKS):
         for n_phases in (1, 3, 7):
@@ -90,18 +103,26 @@ def test_each_share_is_done_once_in_each_phase(n_threads):
         counted(team, int(n))
 
 
+def is_helped(team):
+    found, done, early = program(team, 16, 1, waits=10**6)
+    found.run()
+    assert np.all(done == 1)
+    return early[0] < 0
+
+
 def test_helpers_help_when_they_come_and_hold_nobody_up_before(monkeypatch):
     """Nor do those that died."""
     awake, help_as_it_should = threading.Event(), ThreadPool._help
     monkeypatch.setattr(ThreadPool, "_help", lambda *of: awake.wait() and help_as_it_should(*of))
     team = ThreadPool(4)
     for n in (1, 5, 100):
-        assert not counted(team, n)[1:].any()
+        counted(team, n)
+    assert not is_helped(team)
     awake.set()
-    until, is_helped = time.monotonic() + 30.0, False
-    while not is_helped and time.monotonic() < until:
-        is_helped = counted(team, MOST_CHUNKS)[1:].any()
-    assert is_helped
+    until = time.monotonic() + 30.0
+    while not (helped := is_helped(team)) and time.monotonic() < until:
+        pass
+    assert helped
     monkeypatch.setattr(ThreadPool, "_help", lambda self, thread, wake: None)
     team = ThreadPool(3)
     for helper in team._helpers:
@@ -110,29 +131,35 @@ def test_helpers_help_when_they_come_and_hold_nobody_up_before(monkeypatch):
 
 
 @pytest.mark.parametrize("n", [1, 4, MOST_CHUNKS])
-def test_a_helper_that_comes_after_its_task_finds_nothing_to_do(n):
-    team = ThreadPool(1)
+def test_a_helper_that_comes_after_its_program_finds_nothing_to_do(n):
+    team = ThreadPool(2)
+    for helper, wake in zip(team._helpers, team._wake, strict=True):
+        team._task = ()
+        wake.release()
+        helper.join(0.01)
     for _ in range(3):
-        done, early = counts(2, n)
-        team.run(count_shares, n, done, early)
-        late = Worker(team._counters, 1, 2)
-        for task in range(team._n_tasks + 1):
-            count_shares(late, task, n, done, early)
-        assert np.all(done.sum(axis=0) == 1)
-        assert not done[1].any()
+        found, done, early = program(team, n)
+        found.run()
+        late, rows = Worker(team._counters, 1, 2), found._rows
+        for task in range(1, int(team._counters[1]) + 1):
+            run_operations(late, task, rows, np.zeros(1, dtype=np.int64))
+        assert np.all(done == 1)
+        assert not early.any()
 
 
-def test_an_interrupt_before_the_kernel_leaves_the_team_usable():
-    def interrupted(me, task, *arguments):
-        if me.thread == 0:
-            raise KeyboardInterrupt
-        count_shares(me, task, *arguments)
-
+def test_an_interrupt_before_the_kernel_leaves_the_team_usable(monkeypatch):
     team = ThreadPool(3)
+    counted(team, 9)
+
+    def interrupted(worker, task, operations, course):
+        raise KeyboardInterrupt
+
     for _ in range(50):
-        done, early = counts(3, 5)
-        with pytest.raises(KeyboardInterrupt):
-            team.run(interrupted, 5, done, early)
+        found, done, _ = program(team, 5)
+        with monkeypatch.context() as broken:
+            broken.setattr(team._calls, "code", lambda *of: interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                found.run()
         counted(team, 9)
         assert not done.any()
 
@@ -145,6 +172,22 @@ def test_threads_of_python_take_turns_with_one_team():
         list(pool.map(lambda n: [counted(team, n) for _ in range(300)], [3, 17, 64]))
 
 
+def test_a_program_is_made_anew_when_its_memory_was_replaced():
+    version, made, seen = [0], [], []
+
+    def make():
+        made.append(version[0])
+        yield in_python(lambda: (seen.append(len(made)), version.__setitem__(0, 1)))
+        yield in_python(lambda: seen.append(len(made)))
+
+    found = Program(make, lambda: version[0], thread_pool(1))
+    found.run()
+    assert (made, seen) == ([0, 1], [1, 2])
+    found.run(1)
+    assert (made, seen) == ([0, 1], [1, 2, 2])
+    assert found._course[AT] == 2
+
+
 FORKED = """
 import os, sys, warnings
 import numpy as np
@@ -154,7 +197,7 @@ warnings.simplefilter("ignore")
 simulation = lambda: Scene(liquid(8), [LJ]).simulation(threads=2)
 before = simulation()
 before.run(20)
-assert before.engine.interactions.terms[0]._pool.n_threads == 2
+assert before.engine.interactions.pool.n_threads == 2
 child = os.fork()
 fresh = simulation()
 for run in (fresh, fresh, before):

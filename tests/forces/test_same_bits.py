@@ -1,4 +1,4 @@
-"""What changes no bit: the number of threads, and whether kernels or Python make steps and lists."""
+"""What changes no bit: the number of threads, how many steps are made at a time, and where memory ends."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -9,7 +9,6 @@ from references import melt
 from scenes import LJ, SCENES, TWO_KINDS
 
 import minimd as md
-from minimd.forces.cluster_term import ClusterTerm
 from minimd.integrators.methods import METHODS
 from minimd.neighbors.cluster_list import ClusterList
 
@@ -48,7 +47,7 @@ def test_any_number_of_threads_gives_the_same_bits(scene, n_steps, teams, precis
     assert clusters_of(one).list.n_builds > 1
     for threads in teams:
         other, same = ran(scene, precision, threads, n_steps)
-        assert clusters_of(other)._pool.n_threads == threads
+        assert clusters_of(other).pool.n_threads == threads
         for name in ("positions", "velocities", "forces"):
             assert np.array_equal(getattr(other, name), getattr(one, name))
         assert all(np.array_equal(getattr(same, name), getattr(record, name)) for name in SERIES)
@@ -81,44 +80,45 @@ def bath():
 
 FREE = md.VelocityVerlet(0.004)
 RESCALED = md.StochasticCellRescaling(3.0, 0.1, 0.2, seed=2, every=7, coupling="triclinic")  # few cells need no list
-IN_A_KERNEL = {  # a method, options, and whether its lists are built in the kernel, too
-    "free": (lambda: FREE, {}, True),
-    "bath": (bath, {}, True),
-    "fixed-point": (lambda: FREE, {"precision": "fixed-point"}, True),
-    "strained": (bath, {"barostat": RESCALED}, True),
-    "two threads": (lambda: METHODS["position-verlet"](0.004), {"threads": 2, "is_open": True}, False),
-    "mixed": (lambda: METHODS["ruth-3"](0.004), {"precision": "mixed", "is_open": True}, False),
+ON_THE_ROAD = {  # a method, and options
+    "free": (lambda: FREE, {}),
+    "bath": (bath, {}),
+    "fixed-point": (lambda: FREE, {"precision": "fixed-point"}),
+    "strained": (bath, {"barostat": RESCALED}),
+    "two threads": (lambda: METHODS["position-verlet"](0.004), {"threads": 2, "is_open": True}),
+    "mixed": (lambda: METHODS["ruth-3"](0.004), {"precision": "mixed", "is_open": True}),
 }
-
-
-ROWS = [pytest.param(name, marks=pytest.mark.slow if name == "mixed" else ()) for name in IN_A_KERNEL]
+ROWS = [pytest.param(name, marks=pytest.mark.slow if name == "mixed" else ()) for name in ON_THE_ROAD]
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_what_one_kernel_does_has_the_bits_of_what_python_does_call_by_call(name, monkeypatch):
-    """After the first list the memory becomes so scarce that the next build must be left to Python, too."""
-    method, options, builds = IN_A_KERNEL[name]
-    ends, in_python, enlarged, (build, make_room) = [], [], [], (ClusterList._build, ClusterList._make_room)
-    monkeypatch.setattr(ClusterList, "_build", lambda self, *at: in_python.append(1) or build(self, *at))
-    monkeypatch.setattr(ClusterList, "_make_room", lambda self: enlarged.append(self.n_builds) or make_room(self))
-    for owner, attribute in ((ClusterList, ""), (ClusterList, "can_be_renewed"), (ClusterTerm, "marches")):
-        with monkeypatch.context() as patch, atoms_per_domain(50 if "threads" in options else 800):
-            if attribute:
-                patch.setattr(owner, attribute, False)
+def test_scarce_memory_and_single_steps_change_no_bit(name, monkeypatch):
+    """After the first list the memory becomes so scarce that Python must make room in the midst of a step."""
+    method, options = ON_THE_ROAD[name]
+    ends, enlarged, make_room = [], [], ClusterList._make_room
+    monkeypatch.setattr(ClusterList, "_make_room", lambda self, *of: enlarged.append(self.n_builds) or make_room(self))
+    for kind in ("block", "scarce", "single"):
+        with atoms_per_domain(50 if "threads" in options else 800):
             simulation = mixture(method(), **options)
             simulation.run(1, progress=False)
-            if not attribute and builds:
+            if kind == "scarce":
                 found = clusters_of(simulation).list
                 found._entry_start[-1] = found._needed[-1] + found._entry_start[-2]
-            ends.append((ended(simulation), len(in_python), max(enlarged)))
-            in_python.clear()
-    for end, *_ in ends[1:]:
-        assert_same_bits(ends[0][0], end)
-    (*_, energy, counts), n_in_python, n_at_last_enlarged = ends[0]
-    assert (n_in_python < ends[1][1]) == builds
-    assert n_at_last_enlarged > 0 or not builds
-    assert counts[1] > 3  # lists
-    assert (energy != 0.0) == (name in ("bath", "strained"))
+            if kind == "single":
+                simulation.guard.make_steps(1)
+                for _ in range(98):
+                    simulation.engine.advance(1)
+                    simulation.engine.count(1)
+                simulation.engine.evaluate()
+                vectors = simulation.positions, simulation.velocities, simulation.system.cell.vectors
+                ends.append((*vectors, simulation.reservoir_energy))
+            else:
+                ends.append(ended(simulation, 99)[:-1])
+    for end in ends[1:]:
+        assert_same_bits(ends[0], end)
+    assert max(enlarged) > 0
+    assert simulation.engine.interactions.n_builds > 3
+    assert (ends[0][-1] != 0.0) == (name in ("bath", "strained"))
     anew, error = md.evaluate(simulation.system, simulation.potentials).forces, 1e-5 if name == "mixed" else 1e-10
     assert simulation.forces == pytest.approx(anew, abs=error * np.abs(anew).max(), rel=0)
 

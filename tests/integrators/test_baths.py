@@ -9,7 +9,6 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.analysis.check import check_file
 from minimd.files.h5md_writer import H5MDWriter
-from minimd.forces.cluster_term import ClusterTerm
 from minimd.integrators import THERMOSTATS, Drift, Kick, State, adjoint, compose
 from minimd.integrators.splitting.state import Bath, Surroundings
 from minimd.integrators.splitting.substeps import Thermalize
@@ -191,9 +190,8 @@ def test_a_run_in_two_parts_or_resumed_is_the_run_in_one(method, tmp_path):
         H5MDWriter.append_to(file, without.engine)
 
 
-def test_each_equilibration_has_noise_of_its_own_and_the_same_in_each_repetition(monkeypatch):
+def test_each_equilibration_has_noise_of_its_own_and_the_same_in_each_repetition():
     """Two of them, and one after a run: none meets the noise of another, or that of the run."""
-    monkeypatch.setattr(ClusterTerm, "marches", False)  # thermalize is called at each step
     seen, ends = [], []
 
     class Noted(md.LangevinBAOAB):

@@ -57,7 +57,7 @@ def test_a_build_that_failed_leaves_no_list_behind(monkeypatch):
     system.positions[:] += np.random.default_rng(1).uniform(-cs.SKIN, cs.SKIN, system.positions.shape)
     clusters.list._entry_start[-1] = 0  # no room for entries
     with monkeypatch.context() as broken:
-        broken.setattr(ClusterList, "_arrange", lambda found: (_ for _ in ()).throw(MemoryError))
+        broken.setattr(ClusterList, "_arrange", lambda *of: (_ for _ in ()).throw(MemoryError))
         with pytest.raises(MemoryError):
             cs.summed(clusters, system)
     cs.agree(clusters, pairs, system)

@@ -23,7 +23,7 @@ from minimd.compiled.program import BREATHE, GO_ON, JUMP, Operation, Program, in
 from minimd.compiled.threads import ThreadPool, thread_pool
 from minimd.integrators.splitting.flows import DRIFT, KICK, Moving, move_atoms
 from minimd.integrators.splitting.state import GridState, State, Surroundings
-from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Thermalize, merged
+from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, Thermalize, merged
 
 if TYPE_CHECKING:
     from minimd.integrators.splitting.splitting import Splitting
@@ -107,6 +107,21 @@ def count_step(counting, _chunk):
     return JUMP if count[MADE] >= count[TO_MAKE] else GO_ON
 
 
+def unit_of(row: Substeps, one: Kick | Drift) -> float:
+    """The coefficient over which a kick or a drift is rounded on a grid: that of its kind at an end of the step, if it is
+    a whole multiple of it; two half kicks then are one kick."""
+    for end in (row[0], row[-1]):
+        if type(end) is type(one) and one.coefficient % end.coefficient == 0.0:
+            return end.coefficient
+    return one.coefficient
+
+
+def first_unit(method: "Splitting") -> float:
+    """Of the first kick of a step [time]."""
+    row = merged(method.substeps)
+    return unit_of(row, next((one for one in row if isinstance(one, Kick)), Kick(1.0))) * method.timestep
+
+
 class Steps:
     """The steps of a method on a state.
 
@@ -188,19 +203,8 @@ class Steps:
         first = next((k for k, one in enumerate(events) if isinstance(one, Force)), len(events))
         return tuple(events[:first]), tuple(events[first:])
 
-    def _unit_of(self, kick: Kick) -> float:
-        """The coefficient over which impulses are rounded, for a kick: that of its kind at an end of the step, if the kick
-        is a whole multiple of it; two half kicks then are one kick."""
-        row = merged(self._method.substeps)
-        for end in (row[0], row[-1]):
-            if isinstance(end, Kick) and kick.coefficient % end.coefficient == 0.0:
-                return end.coefficient
-        return kick.coefficient
-
-    def unit(self) -> float:
-        """Of the first kick of a step [time]."""
-        kick = next((one for one in merged(self._method.substeps) if isinstance(one, Kick)), Kick(1.0))
-        return self._unit_of(kick) * self._method.timestep
+    def _unit_of(self, one: Kick | Drift) -> float:
+        return unit_of(merged(self._method.substeps), one)
 
     def _operations(self, needs_forces: bool, with_energy: bool) -> Iterator[Operation]:
         """All operations of a block: head, loop, rest of the last step."""
@@ -250,7 +254,7 @@ class Steps:
             elif isinstance(one, Drift):
                 duration = one.coefficient * self._method.timestep
                 if self._around.constraints is None:
-                    flows.append((DRIFT, duration, self._unit_of_drift(one) * self._method.timestep))
+                    flows.append((DRIFT, duration, self._unit_of(one) * self._method.timestep))
                 else:
                     yield from self._passed(flows)
                     yield from self._constrained(duration)
@@ -272,14 +276,6 @@ class Steps:
             sum((one.coefficient for one in events if isinstance(one, Drift)), 0.0),
             sum(isinstance(one, Thermalize) for one in events),
         )
-
-    def _unit_of_drift(self, drift: Drift) -> float:
-        """As _unit_of."""
-        row = merged(self._method.substeps)
-        for end in (row[0], row[-1]):
-            if isinstance(end, Drift) and drift.coefficient % end.coefficient == 0.0:
-                return end.coefficient
-        return drift.coefficient
 
     def _passed(self, flows: list[tuple[float, float, float]]) -> Iterator[Operation]:
         """Kicks and drifts in one pass over memory; flows is empty afterwards."""

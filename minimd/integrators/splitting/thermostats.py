@@ -123,7 +123,12 @@ class LangevinBAOAB(Thermostat):
     def contact(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
         """The Ornstein-Uhlenbeck process over a duration, between two projections onto the constraints.
 
-        The noise of an atom depends on seed, step, contact and the number of the atom."""
+        The noise of an atom depends on seed, step, contact and the number of the atom. A derived class that has another
+        thermalize is asked for that.
+        """
+        if type(self).thermalize is not LangevinBAOAB.thermalize:
+            yield from super().contact(state, duration, around, moment)
+            return
         bath, n_chunks, is_held = bath_of(around), n_chunks_of(len(state.velocities)), around.constraints is not None
         kept = exp(-self.friction * duration)
         spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))

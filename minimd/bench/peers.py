@@ -139,9 +139,11 @@ class Peers:
         return head + [line for rows in self.sizes for line in ["", *_table(rows, self.texts[rows[0].scene])]]
 
     def fastest(self) -> list[tuple[EngineSpeed, EngineSpeed]]:
-        """For each scene and size with peers on one thread, the rows of minimd, double, and of the fastest of them."""
-        able = [(rows[0], [row for row in rows if not row.is_minimd and row.threads == 1]) for rows in self.sizes]
-        return [(own, max(rows, key=lambda row: float(np.median(row.speeds)))) for own, rows in able if rows]
+        """For each scene and size, on one thread: the row of minimd, double, and that of the fastest peer,
+        or minimd's again without peers."""
+        peers = [[row for row in rows if not row.is_minimd and row.threads == 1] or [rows[0]] for rows in self.sizes]
+        best = [max(rows, key=lambda row: float(np.median(row.speeds))) for rows in peers]
+        return list(zip([rows[0] for rows in self.sizes], best, strict=True))
 
     def _summary(self) -> list[str]:
         titles = {"scene": str, "atoms": float, "minimd": float, "fastest peer, one thread": str, "its speed": float}

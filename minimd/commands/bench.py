@@ -104,6 +104,7 @@ def bench(name: str, arguments: argparse.Namespace) -> None:
 
 def _outcome(name: str, given: argparse.Namespace, repeats: int) -> "Outcome":
     if name == "peers":
+        from minimd.bench.engines import PEERS
         from minimd.bench.peers import BESIDE_SCENES, PeersOptions, run_peers
         from minimd.bench.scenes import SCENES
 
@@ -111,8 +112,8 @@ def _outcome(name: str, given: argparse.Namespace, repeats: int) -> "Outcome":
         options = PeersOptions((given.scene,), cells, given.threads, given.precision, given.peers, repeats)
         if given.scenes is not None:
             scenes, cells = tuple(dict.fromkeys(given.scenes or SCENES)), given.cells or (10,)
-            peers, threads = given.peers or BESIDE_SCENES, given.threads or (1,)
-            options = options._replace(scenes=scenes, cells=cells, peers=peers, threads=threads)
+            peers = given.peers or tuple(name for name in BESIDE_SCENES if {*scenes} & {*PEERS[name].scenes})
+            options = options._replace(scenes=scenes, cells=cells, threads=given.threads or (1,), peers=peers)
         return run_peers(options)
     if name == "work-precision":
         from minimd.bench.work_precision import run_work_precision

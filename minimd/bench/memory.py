@@ -2,11 +2,10 @@
 
 import subprocess
 import sys
-from collections.abc import Callable
 from math import nan
 
-from minimd.bench.engines import SKIN_LAMMPS, Minimd, Precision, preload_mpi
-from minimd.bench.scenes import CUTOFF, MELT_DENSITY, MELT_TEMPERATURE, SCENES, SEED, TIMESTEP
+from minimd.bench.engines import Minimd, Precision
+from minimd.bench.scenes import SCENES
 from minimd.compiled.machine import STATUS, peak_memory
 
 FROM_ATOMS = 256_000  # with fewer atoms, the memory of Python and of the kernels hides that of the atoms
@@ -20,18 +19,10 @@ def bytes_per_atom(scene: str, n: int, threads: int, precision: str) -> float | 
 
     None if the operating system does not give the peak, or the measurement fails.
     """
-    return _in_a_process(f"peak_per_atom(minimd_peak({scene!r}, {threads}, {precision!r}), {n})")
-
-
-def bytes_per_atom_lammps(n: int) -> float | None:
-    """The same for LAMMPS and the melt, built by its own commands; None also if LAMMPS is not installed."""
-    return _in_a_process(f"peak_per_atom(lammps_peak, {n})")
-
-
-def _in_a_process(call: str) -> float | None:
     if not STATUS.exists():
         return None
-    code = f"from minimd.bench.memory import lammps_peak, minimd_peak, peak_per_atom; print(); print({call})"
+    call = f"growth({scene!r}, {n}, {threads}, {precision!r})"
+    code = f"from minimd.bench.memory import growth; print(); print({call})"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     if answer.returncode:
         print(
@@ -41,38 +32,17 @@ def _in_a_process(call: str) -> float | None:
     return float(answer.stdout.splitlines()[-1])
 
 
-def peak_per_atom(run: Callable[[int], int], n: int) -> float:
-    """As bytes_per_atom, in this process, which must be new.  run :
-    function of a size that runs it and returns the number of atoms."""
-    few, before = run(SMALL), peak_memory() or nan
-    many, after = run(n), peak_memory() or nan
+def growth(scene: str, n: int, threads: int, precision: Precision) -> float:
+    """As bytes_per_atom, in this process, which must be new."""
+    few, before = _run(scene, SMALL, threads, precision), peak_memory() or nan
+    many, after = _run(scene, n, threads, precision), peak_memory() or nan
     return (after - before) / (many - few)
 
 
-def minimd_peak(scene: str, threads: int, precision: Precision) -> Callable[[int], int]:
-    """A function that builds a scene and runs it in minimd."""
-
-    def run(n: int) -> int:
-        loaded = SCENES[scene](n)
-        n_atoms, engine = len(loaded.system), Minimd(loaded, threads, precision)
-        del loaded  # the simulation has its own copy
-        engine.run(STEPS)
-        return n_atoms
-
-    return run
-
-
-def lammps_peak(n: int) -> int:
-    """Build the melt with LAMMPS' own commands and run it; returns the number of atoms."""
-    preload_mpi()
-    from lammps import lammps
-
-    engine = lammps(cmdargs=["-log", "none", "-screen", "none", "-sf", "opt"])
-    engine.commands_string(
-        f"units lj\nlattice fcc {MELT_DENSITY}\nregion box block 0 {n} 0 {n} 0 {n}\ncreate_box 1 box\ncreate_atoms 1 "
-        "box\nmass 1 1.0\n"
-        f"velocity all create {MELT_TEMPERATURE} {SEED}\npair_style lj/cut {CUTOFF}\npair_coeff 1 1 1.0 1.0 "
-        f"{CUTOFF}\nneighbor {SKIN_LAMMPS} bin\n"
-        f"neigh_modify delay 0 every 20 check no\nfix 1 all nve\ntimestep {TIMESTEP}\nrun {STEPS}"
-    )
-    return int(engine.get_natoms())
+def _run(scene: str, n: int, threads: int, precision: Precision) -> int:
+    """Build a scene and run it; returns the number of its atoms."""
+    loaded = SCENES[scene](n)
+    n_atoms, engine = len(loaded.system), Minimd(loaded, threads, precision)
+    del loaded  # the simulation has its own copy
+    engine.run(STEPS)
+    return n_atoms

@@ -159,6 +159,19 @@ def new_figure(height: float, width: float = WIDTH) -> "Figure":
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def bars(ratios: Mapping[str, NDArray[np.float64]], label: str) -> "Figure":
+    """Bars for the medians of ratios, with the ranges of their rounds, and a line at 1.  label : of the axis."""
+    figure = new_figure(max(2.0, 0.3 * len(ratios)))
+    axes = figure.subplots()
+    middle = np.array([np.median(ratio) for ratio in ratios.values()])
+    ends = np.abs(np.array([[ratio.min(), ratio.max()] for ratio in ratios.values()]) - middle[:, None]).T
+    axes.barh(list(ratios), middle, xerr=ends, color="tab:blue", ecolor="gray")
+    axes.axvline(1.0, color="black", lw=0.8)
+    axes.invert_yaxis()
+    axes.set(xlabel=label, title="median and range of all rounds")
+    return figure
+
+
 def name_curves(panel: "Axes", ends: Mapping[str, End]) -> None:
     """Write the name of each curve to the right of the panel, in its color,
     at the height of its end or as near as other names allow.

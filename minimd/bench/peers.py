@@ -1,6 +1,6 @@
-"""`minimd bench peers`: the same scene in minimd and in other installed engines."""
+"""`minimd bench peers`: the same scene in minimd and in other installed engines, or many scenes beside LAMMPS."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -9,8 +9,19 @@ from numpy.typing import NDArray
 
 from minimd.bench.engines import PEERS, Minimd, Precision, TimedEngine
 from minimd.bench.memory import FROM_ATOMS, bytes_per_atom
-from minimd.bench.outcome import MOST_CURVES, End, name_curves, new_figure, spread, summary, table, tell, threads_text
-from minimd.bench.scenes import CUTOFF, MELT, SCENES, TIMESTEP, BenchScene, equilibrated
+from minimd.bench.outcome import (
+    MOST_CURVES,
+    End,
+    bars,
+    name_curves,
+    new_figure,
+    spread,
+    summary,
+    table,
+    tell,
+    threads_text,
+)
+from minimd.bench.scenes import MELT, SCENES, BenchScene, equilibrated
 from minimd.bench.turns import check_agreement, take_turns, warm_up
 from minimd.compiled.machine import available_cores
 
@@ -20,6 +31,7 @@ if TYPE_CHECKING:
 MINIMD = "minimd"
 PRECISIONS = ("double", "mixed")
 NO_PEERS = ("none",)
+BESIDE_SCENES = ("lammps-checked", "lammps-tuned", "lammps-shake")  # whose lists miss no pair
 
 
 class EngineSpeed(NamedTuple):
@@ -74,7 +86,7 @@ class PeersOptions(NamedTuple):
         "none" for no peer.
     """
 
-    scene: str = MELT
+    scenes: tuple[str, ...] = (MELT,)
     cells: tuple[int, ...] = (5, 10, 20)
     threads: tuple[int, ...] = ()
     precisions: tuple[Precision, ...] = ("double",)
@@ -92,24 +104,22 @@ class PeersOptions(NamedTuple):
 
 
 def run_peers(options: PeersOptions) -> "Peers":
-    """Measure one size after the other; progress is printed to standard error.
+    """Measure one scene and one size after the other; progress is printed to standard error.
 
     Raises ValueError for options that do not fit, or if a peer does not start.  DisagreementError as check_agreement.
     """
     check_options(options)
-    peers, text = _peers(options), SCENES[options.scene](min(options.cells)).text
-    sizes = [_beside_peers(n, options, peers) for n in options.cells]
-    return Peers(
-        options.scene, text, options.repeats, tuple(dict.fromkeys(PEERS[name].package for name in peers)), sizes
-    )
+    peers, texts = _peers(options), {name: SCENES[name](min(options.cells)).text for name in options.scenes}
+    sizes = [_beside_peers(name, n, options, peers) for name in options.scenes for n in options.cells]
+    return Peers(texts, options.repeats, tuple(dict.fromkeys(PEERS[name].package for name in peers)), sizes)
 
 
 @dataclass(frozen=True)
 class Peers:
-    """The rows of each size.  scene : name.  text : its description.  packages : of the peers that took part."""
+    """The rows of each scene and size.  texts : descriptions of the scenes, by name.  packages : of the peers that took
+    part."""
 
-    scene: str
-    text: str
+    texts: Mapping[str, str]
     repeats: int
     packages: Sequence[str]
     sizes: Sequence[Sequence[EngineSpeed]]
@@ -122,28 +132,49 @@ class Peers:
             f"{self.repeats} rounds (least to most)."
         )
         head = [
-            f"{self.text}.",
-            "",
             speeds,
             "In each round all engines run once, in one process; ratios are computed within a round.",
+            *(["", *self._summary()] if len(self.texts) > 1 else []),
         ]
-        return head + [line for rows in self.sizes for line in _table(rows)]
+        return head + [line for rows in self.sizes for line in ["", *_table(rows, self.texts[rows[0].scene])]]
+
+    def fastest(self) -> list[tuple[EngineSpeed, EngineSpeed]]:
+        """For each scene and size, on one thread: the row of minimd, double, and that of the fastest peer,
+        or minimd's again without peers."""
+        peers = [[row for row in rows if not row.is_minimd and row.threads == 1] or [rows[0]] for rows in self.sizes]
+        best = [max(rows, key=lambda row: float(np.median(row.speeds))) for rows in peers]
+        return list(zip([rows[0] for rows in self.sizes], best, strict=True))
+
+    def _summary(self) -> list[str]:
+        titles = {"scene": str, "atoms": float, "minimd": float, "fastest peer, one thread": str, "its speed": float}
+        cells = []
+        for own, peer in self.fastest():
+            speeds = [spread(own.speeds / 1e6), peer.engine, spread(peer.speeds / 1e6)]
+            cells.append([own.scene, str(own.n_atoms), *speeds, spread(own.speeds / peer.speeds)])
+        return table(titles | {"minimd is faster by": float}, cells)
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
-        sizes = [{"n_atoms": rows[-1].n_atoms, "rows": [_as_mapping(rows, row) for row in rows]} for rows in self.sizes]
-        return {"scene": self.scene, "text": self.text, "repeats": self.repeats, "sizes": sizes}
+        sizes = [
+            {"scene": rows[0].scene, "n_atoms": rows[0].n_atoms, "rows": [_as_mapping(rows, row) for row in rows]}
+            for rows in self.sizes
+        ]
+        return {"texts": dict(self.texts), "repeats": self.repeats, "sizes": sizes}
 
     def figure(self) -> "Figure":
         """Speed against the number of atoms, with a panel for each number of threads;
-        at most the six fastest engines are drawn."""
+        at most the six fastest engines are drawn. For several scenes, how much faster minimd is than the fastest peer.
+        """
+        if len(self.texts) > 1:
+            ratios = {f"{own.scene}, {own.n_atoms}": own.speeds / peer.speeds for own, peer in self.fastest()}
+            return bars(ratios, "speed of minimd, double, one thread, divided by that of the fastest peer")
         all_threads = sorted({row.threads for rows in self.sizes for row in rows})
         figure = new_figure(3.8 * len(all_threads))
         panels = figure.subplots(len(all_threads), sharex=True, sharey=True, squeeze=False)[:, 0]
         ends = []
         for panel, threads in zip(panels, all_threads, strict=True):
             ends.append(_draw(panel, [row for rows in self.sizes for row in rows if row.threads == threads]))
-            panel.set_title(f"{self.scene}, {threads_text(threads)}")
+            panel.set_title(f"{self.sizes[0][0].scene}, {threads_text(threads)}")
         for panel, named in zip(panels, ends, strict=True):
             name_curves(panel, named)
         panels[-1].set_xlabel("atoms")
@@ -171,7 +202,7 @@ def _draw(panel: Any, rows: Sequence[EngineSpeed]) -> dict[str, End]:
 def check_options(options: PeersOptions) -> None:
     """Raise ValueError unless the options fit together, and fit this machine."""
     for name, value, allowed in (
-        ("scene", (options.scene,), SCENES),
+        ("scene", options.scenes, SCENES),
         ("precision", options.precisions, PRECISIONS),
         ("peers", options.peers, (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS),
     ):
@@ -183,23 +214,24 @@ def check_options(options: PeersOptions) -> None:
             f"--threads {max(options.threads)} is more than the {available_cores()} cores that this process may use"
         )
     smallest = min(options.cells)
-    if SCENES[options.scene](smallest).edges.min() < 2.0 * CUTOFF:
-        raise ValueError(
-            f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {options.scene!r}; give a "
-            "larger number"
-        )
-    for name in options.peers:
-        if name not in NO_PEERS and options.scene not in PEERS[name].scenes:
+    for name in options.scenes:
+        scene = SCENES[name](smallest)
+        if scene.edges.min() < 2.0 * scene.law.cutoff:
             raise ValueError(
-                f"--peers {name} cannot run the scene {options.scene!r}; it runs {', '.join(PEERS[name].scenes)}"
+                f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {name!r}; give a larger "
+                "number"
             )
-        if name not in NO_PEERS and not PEERS[name].is_installed:
+    for name in () if options.peers == NO_PEERS else options.peers:
+        if not set(options.scenes) & set(PEERS[name].scenes):
+            wrong = f"cannot run the scene {options.scenes[0]!r}; it runs {', '.join(PEERS[name].scenes)}"
+            raise ValueError(f"--peers {name} {wrong}")
+        if not PEERS[name].is_installed:
             raise ValueError(f"{PEERS[name].package} is not installed; {PEERS[name].installer} installs it")
 
 
 def _peers(options: PeersOptions) -> tuple[str, ...]:
     """Names of the peers that take part; peers that are not installed are named on standard error."""
-    able = [name for name, peer in PEERS.items() if options.scene in peer.scenes]
+    able = [name for name, peer in PEERS.items() if set(options.scenes) & set(peer.scenes)]
     if not able or options.peers == NO_PEERS:
         return ()
     missing = {PEERS[name].package: PEERS[name].installer for name in able if not PEERS[name].is_installed}
@@ -209,19 +241,20 @@ def _peers(options: PeersOptions) -> tuple[str, ...]:
     return tuple(name for name in options.peers or able if PEERS[name].package not in missing)
 
 
-def _beside_peers(n: int, options: PeersOptions, peers: Sequence[str]) -> list[EngineSpeed]:
-    scene = SCENES[options.scene](n)
-    if options.scene != MELT:  # the melt is equilibrated while the engines warm up
+def _beside_peers(scene_name: str, n: int, options: PeersOptions, peers: Sequence[str]) -> list[EngineSpeed]:
+    scene = SCENES[scene_name](n)
+    if scene_name != MELT:  # the melt is equilibrated while the engines warm up
         scene = equilibrated(scene)
     engines: list[TimedEngine] = [Minimd(scene, *kind) for kind in options.kinds()]
     n_atoms = len(scene.system)
-    for name in peers:
+    for name in (name for name in peers if scene_name in PEERS[name].scenes):
         if name in options.peers or n_atoms <= PEERS[name].most_atoms:
             counts = {"one": (1,), "each": options.all_threads(), "most": (max(options.all_threads()),)}[
                 PEERS[name].threads
             ]
             engines.extend(_load(name, scene, threads) for threads in counts)
-    check_agreement(engines, n_atoms)
+    check_agreement(engines, n_atoms, scene.scatter)
+    tell(f"{scene_name}: the energies agree")
     speeds = n_atoms * take_turns(engines, warm_up(engines, n_atoms), options.repeats, n_atoms)
     rows = [EngineSpeed(e.name, e.threads, e.precision, scene.name, n_atoms, speeds[k]) for k, e in enumerate(engines)]
     for k, row in enumerate(rows):
@@ -234,7 +267,7 @@ def _beside_peers(n: int, options: PeersOptions, peers: Sequence[str]) -> list[E
 def _load(name: str, scene: BenchScene, threads: int) -> TimedEngine:
     """A peer that has loaded the scene.  Raises ValueError for any failure of the peer."""
     try:
-        return PEERS[name].load(scene, threads, TIMESTEP)
+        return PEERS[name].load(scene, threads, scene.method.timestep)
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(
@@ -242,7 +275,7 @@ def _load(name: str, scene: BenchScene, threads: int) -> TimedEngine:
         ) from error
 
 
-def _table(rows: Sequence[EngineSpeed]) -> list[str]:
+def _table(rows: Sequence[EngineSpeed], text: str) -> list[str]:
     titles: dict[str, type] = {"engine": str, "threads": float, "precision": str, "speed": float}
     titles |= {"minimd double, same threads, is faster by": float, "ratio to minimd double, 1 thread": float}
     cells = []
@@ -256,7 +289,7 @@ def _table(rows: Sequence[EngineSpeed]) -> list[str]:
             [*line, "" if row.bytes_per_atom is None else f"{row.bytes_per_atom:.0f}"]
             for line, row in zip(cells, rows, strict=True)
         ]
-    return ["", f"## {rows[0].n_atoms} atoms", "", *table(titles, cells)]
+    return [f"## {rows[0].scene}, {rows[0].n_atoms} atoms", "", f"{text}.", "", *table(titles, cells)]
 
 
 def _as_mapping(rows: Sequence[EngineSpeed], row: EngineSpeed) -> dict[str, Any]:

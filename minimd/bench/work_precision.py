@@ -176,7 +176,7 @@ def _scene_case(name: str, quick: bool, repeats: int) -> Case:
     scene, words = equilibrated(SCENES[name if name in SCENES else "melt"](CELLS_QUICK if quick else CELLS)), ""
     if name == "argon":
         scene, words = (
-            _with_law(scene, "shifted")._replace(is_shifted=True),
+            _with_law(scene, "shifted"),
             "cut at 2.5 σ and shifted, as in the peers",
         )
     elif name == "argon-smooth":

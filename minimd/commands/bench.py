@@ -10,7 +10,8 @@ if TYPE_CHECKING:
     from minimd.bench.outcome import Outcome
 
 REPEATS, REPEATS_QUICK = 7, 3
-PEER_NAMES = "lammps, lammps-checked, lammps-shake, lammps-plain, lammps-omp, gromacs, openmm, ase, asap3"
+PEER_NAMES = "lammps, lammps-checked, lammps-tuned, lammps-shake, lammps-plain, lammps-omp, gromacs, openmm, ase, asap3"
+SCENE_NAMES = "melt, cutoff-4, wca, kob-andersen, gas, droplet, slab, npt, chains, chain, decane, dumbbells, triangles"
 
 
 def add(commands: Any) -> None:
@@ -26,7 +27,14 @@ def add(commands: Any) -> None:
     peers.add_argument(
         "--scene",
         default="melt",
-        help="melt (default), chains (bead-spring), dumbbells (rigid), kob-andersen (minimd only)",
+        help=f"{SCENE_NAMES} (default: melt)",
+    )
+    peers.add_argument(
+        "--scenes",
+        nargs="*",
+        metavar="NAME",
+        help="several scenes (default: all) beside LAMMPS with its list checked, in one table (default of --cells: 10, "
+        "of --threads: 1)",
     )
     peers.add_argument(
         "--cells", type=counts, metavar="N,...", help="sizes: 4 N³ atoms, or about as many (default: 5,10,20,40)"
@@ -96,10 +104,17 @@ def bench(name: str, arguments: argparse.Namespace) -> None:
 
 def _outcome(name: str, given: argparse.Namespace, repeats: int) -> "Outcome":
     if name == "peers":
-        from minimd.bench.peers import PeersOptions, run_peers
+        from minimd.bench.engines import PEERS
+        from minimd.bench.peers import BESIDE_SCENES, PeersOptions, run_peers
+        from minimd.bench.scenes import SCENES
 
         cells = given.cells or ((5, 10) if given.quick else (5, 10, 20, 40))
-        return run_peers(PeersOptions(given.scene, cells, given.threads, given.precision, given.peers, repeats))
+        options = PeersOptions((given.scene,), cells, given.threads, given.precision, given.peers, repeats)
+        if given.scenes is not None:
+            scenes, cells = tuple(dict.fromkeys(given.scenes or SCENES)), given.cells or (10,)
+            peers = given.peers or tuple(name for name in BESIDE_SCENES if {*scenes} & {*PEERS[name].scenes})
+            options = options._replace(scenes=scenes, cells=cells, threads=given.threads or (1,), peers=peers)
+        return run_peers(options)
     if name == "work-precision":
         from minimd.bench.work_precision import run_work_precision
 

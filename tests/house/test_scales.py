@@ -17,8 +17,8 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "minimd": (373, 3, 154),
     "analysis": (395, 4, 190),
     "ase": (1044, 7, 524),
-    "bench": (2048, 12, 1098),
-    "commands": (829, 5, 450),
+    "bench": (2191, 12, 1186),
+    "commands": (844, 5, 459),
     "compiled": (2012, 16, 1012),
     "constraints": (1380, 10, 771),
     "diagnosis": (2352, 11, 1247),
@@ -39,7 +39,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "structure": (2788, 24, 1379),
     "view": (558, 5, 245),
     "road of a step": (5995, 25),
-    "tests": (19965,),
+    "tests": (20008,),
 }
 # fmt: on
 

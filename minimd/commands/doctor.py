@@ -3,6 +3,7 @@
 import os
 import platform
 import tempfile
+from collections import namedtuple
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from time import perf_counter
@@ -13,9 +14,11 @@ import numpy as np
 
 import minimd as md
 from minimd.compiled import kernels as compiling
+from minimd.compiled.by_address import ByAddress
 from minimd.compiled.code_cache import is_damaged
 from minimd.compiled.machine import MISSING, available_cores, processor_name, version
-from minimd.compiled.threads import barrier, begin, finish_and_take, take, thread_pool
+from minimd.compiled.program import GO_ON, Program, operation
+from minimd.compiled.threads import thread_pool
 from minimd.ensemble.workers import SpawnedProcesses
 from minimd.structure.errors import HandOverError, sentence
 from minimd.structure.lattice import constant_from_density, crystal
@@ -136,7 +139,7 @@ def conservation() -> Finding:
 
 def same_bits() -> Finding:
     """Whether a run of the liquid ends in the same positions, to the last bit, on different numbers of threads;
-    and the time of an empty task."""
+    and the time of an empty program."""
     numbers = sorted({1, 2, available_cores()})
     ends = [_moved(threads).positions for threads in numbers]
     different = [n for n, end in zip(numbers, ends, strict=True) if not np.array_equal(end, ends[0])]
@@ -145,28 +148,29 @@ def same_bits() -> Finding:
         return False, f"positions differ {on}: those on {' and '.join(map(str, different))} from 1"
     return (
         True,
-        f"positions are equal to the last bit {on}; a task for all threads starts and ends in "
+        f"positions are equal to the last bit {on}; a program for all threads starts and ends in "
         f"{_microseconds_of_a_task():.1f} µs",
     )
 
 
 def _microseconds_of_a_task() -> float:
-    """Median time of a task with two empty shares, on all cores [µs]."""
-    pool, times = thread_pool(available_cores()), [perf_counter()]
+    """Median time of a program of one operation with two empty chunks, on all cores [µs]."""
+    rows = [operation(compiling.DirectCalls(), _nothing, _Nothing(0), 2)]
+    program, times = Program(lambda: rows, lambda: 0, thread_pool(available_cores())), [perf_counter()]
     for _ in range(TASKS_TIMED):
-        pool.run(_nothing, 2)
+        program.run()
         times.append(perf_counter())
     return 1e6 * float(np.median(np.diff(times)))
 
 
-@compiling.shared_kernel
-def _nothing(me, task, n):
-    """A task of n empty shares."""
-    phase = begin(me, task)
-    share = take(me, phase, n)
-    while share >= 0:
-        share = finish_and_take(me, phase, n)
-    barrier(me, phase)
+class _Nothing(ByAddress, namedtuple("_Nothing", "nothing")):
+    """No data."""
+
+
+@compiling.called_kernel
+def _nothing(_data, _chunk):
+    """An empty chunk."""
+    return GO_ON
 
 
 def speed() -> Finding:

@@ -3,6 +3,7 @@
 It advances the state, and can go back to an earlier one.
 """
 
+import operator
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -119,11 +120,13 @@ class Engine:
     def _steps_now(self) -> Steps:
         """The steps of the method, made anew if anything else than the state is another one."""
         constraints, grid = self.surroundings.constraints, self.interactions.grid
-        made_of = self._method, self._method.timestep, constraints, grid
-        if self._steps is None or any(a is not b for a, b in zip(made_of, self._steps_of, strict=True)):
+        made_of = self._method, constraints, grid, *vars(self._method).values()
+        is_same = len(made_of) == len(self._steps_of) and all(map(operator.is_, made_of, self._steps_of))
+        if self._steps is None or not is_same:
             forces = self.interactions
             power = (lambda: forces.power) if forces.depend_on_time else None
-            source = Evaluation(self._forces_at, lambda: forces.version, lambda: forces.pool, self._running, power, self._taken)
+            work = lambda: forces.version, lambda: forces.pool  # noqa: E731
+            source = Evaluation(self._forces_at, *work, self._running, power, self._taken)
             self._steps, self._steps_of = Steps(self._method, self._state, self.surroundings, source), made_of
         return self._steps
 

@@ -47,7 +47,7 @@ class ClusterTerm(OwnTerm):
         self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
         self._arranged_for = 0  # which arrays of the list
         self._memory, self.is_first = Buffers(), False
-        self._made: dict[tuple[int, float], tuple[Evaluation, Work]] = {}
+        self._made: dict[tuple[Any, ...], tuple[Evaluation, Work]] = {}
 
     def follow(self, system: System) -> bool:
         """See Term; a cell without room for the list needs another one."""
@@ -166,5 +166,5 @@ class ClusterTerm(OwnTerm):
         return ByLane(tuple(values.reshape(table.shape[-1], -1)), species, slots, table, species_index)
 
 
-def _key(target: Target) -> tuple[int, float]:
-    return target.detail, float(target.steps.per_force[0]) if target.steps else 0.0
+def _key(target: Target) -> tuple[Any, ...]:
+    return target.detail, *((float(target.steps.per_force[0]), *target.steps[1:]) if target.steps else ())

@@ -93,7 +93,7 @@ class Forces:
         self.potentials = as_potentials(potentials)
         self.terms: list[Term] = []
         self.n_evaluations, self._builds_before, self.displacement, self.time = 0, 0, 0.0, 0.0
-        self.grid: Grid | None = None
+        self._grid: Grid | None = None
         self.forces = np.zeros_like(system.positions)
         self.impulses, self.unit = np.zeros((0, 3), dtype=np.int64), 1.0
         self._images, self._calls, self._n_plans = Images.of(system.cell), DirectCalls(), 0
@@ -140,9 +140,20 @@ class Forces:
         there is no grid if no splitting moves the atoms."""
         return self.grid is None and self.options.precision == FIXED_POINT
 
+    @property
+    def grid(self) -> Grid | None:
+        """See the class; after lay_grid it can be replaced by another one."""
+        return self._grid
+
+    @grid.setter
+    def grid(self, grid: Grid) -> None:
+        if grid != self._grid:
+            self._grid, self._targets, self._programs = grid, {}, {}
+            self._n_plans += 1
+
     def lay_grid(self, grid: Grid) -> None:
         """Compute impulses on a grid from now on.  Raises ValueError for a term that cannot."""
-        self.grid, self.impulses = grid, np.zeros(self.forces.shape, dtype=np.int64)
+        self._grid, self.impulses = grid, np.zeros(self.forces.shape, dtype=np.int64)
         self._plan(self._bound)
         for term in self.terms:
             if not term.fits_grid:

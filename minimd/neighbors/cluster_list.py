@@ -95,6 +95,7 @@ class ClusterList(VerletList):
         self._images: Images | None = None
         self._positions = np.zeros((n_atoms, DIMENSIONS))  # where the operations find them
         self._calls, self._program = DirectCalls(), Program(self.operations, lambda: self.n_arranged, pool)
+        self._n_counted = 0  # builds
         self._layers, self._unit, self._origin = np.zeros(3, dtype=np.int64), np.ones(1), np.zeros(DIMENSIONS)
         self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
         self._room: tuple[int, ...] = (0, 0, 0)
@@ -161,9 +162,9 @@ class ClusterList(VerletList):
 
     def settle(self) -> None:
         """After operations: what they have done to the list."""
-        built = int(self._layers[BUILDS])
+        built = int(self._layers[BUILDS]) - self._n_counted
         if built:
-            self.n_builds, self._layers[BUILDS] = self.n_builds + built, 0
+            self.n_builds, self._n_counted = self.n_builds + built, self._n_counted + built
             self._built_in, self._stretch = self._cell, 1.0
         if self._layers[IN_USE] == 0:
             self._cell = None
@@ -182,7 +183,7 @@ class ClusterList(VerletList):
         before = self._positions
         self._take(positions, cell)
         self._program.run()
-        self._layers[BUILDS] = 0  # counted by the caller
+        self._n_counted = int(self._layers[BUILDS])  # the caller counts
         self._positions = before
         self._arrange_building()
 

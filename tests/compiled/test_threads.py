@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from minimd.compiled import threads
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import DirectCalls, called_kernel
 from minimd.compiled.program import GO_ON, JUMP, Program, in_python, operation
@@ -20,28 +21,29 @@ N_PHASES, STOPPED = 4, 7
 CALLS = DirectCalls()
 
 
-class Counts(ByAddress, namedtuple("Counts", "phase done early waits")):
+class Counts(ByAddress, namedtuple("Counts", "phase done early last waits")):
     """done (phases, n) += 1 for each chunk; early (n,) += chunks begun before a phase had ended.
 
-    waits : reads that chunk 0 waits for the last one."""
+    last : (1,), whether the last chunk was made.  waits : reads that chunk 0 waits for it."""
 
 
 @called_kernel
 def count_chunk(counts, chunk):
-    phase, done, early, waits = counts
+    phase, done, early, last, waits = counts
     for k in range(done.shape[1] if phase > 0 else 0):
         early[chunk] += done[phase - 1, k] != 1
     reads = 0
-    while chunk == 0 and reads < waits and done[phase, done.shape[1] - 1] == 0:
-        reads += 1 + done[phase, 0]
-    early[chunk] -= 1000 * (waits > 0 and chunk == 0 and reads < waits)
+    while chunk == 0 and reads < waits and threads._read(last, 0) == 0:
+        reads += 1
+    early[chunk] -= waits > 0 and chunk == 0 and reads < waits
     done[phase, chunk] += 1
+    last[0] = chunk == done.shape[1] - 1
     return GO_ON
 
 
 def program(team, n, n_phases=N_PHASES, waits=0):
-    done, early = np.zeros((n_phases, n), dtype=np.int64), np.zeros(n, dtype=np.int64)
-    made = [operation(CALLS, count_chunk, Counts(phase, done, early, waits), n) for phase in range(n_phases)]
+    done, early, last = (np.zeros(shape, dtype=np.int64) for shape in ((n_phases, n), n, 1))
+    made = [operation(CALLS, count_chunk, Counts(phase, done, early, last, waits), n) for phase in range(n_phases)]
     return Program(lambda: made, lambda: 0, team), done, early
 
 

@@ -28,7 +28,7 @@ from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps
 if TYPE_CHECKING:
     from minimd.integrators.splitting.splitting import Splitting
 
-MADE, TO_MAKE, UNTIL_BREATH, FIRST = range(4)  # places in a count
+MADE, TO_MAKE, FIRST, UNTIL_BREATH, BREATH = range(5)  # places in a count
 ATOM_STEPS = 8_000_000  # in a breath, about a second
 DIGITS_OF_PHASE = 12  # so that coefficients that add up to one are one
 
@@ -89,9 +89,8 @@ class Projection(NamedTuple):
 Event = Substep | Force | Projection
 
 
-class Counting(ByAddress, namedtuple("Counting", "count breath")):
-    """count : (4,) int, steps MADE and TO_MAKE, UNTIL_BREATH so many more, number of the FIRST step.
-    breath : steps between two of them."""
+class Counting(ByAddress, namedtuple("Counting", "count")):
+    """count : (5,) int, steps MADE and TO_MAKE, the number of the FIRST; how many more UNTIL_BREATH, each BREATH steps."""
 
 
 @called_kernel
@@ -100,7 +99,7 @@ def count_step(counting, _chunk):
     before it is counted."""
     count = counting.count
     if count[UNTIL_BREATH] == 0:
-        count[UNTIL_BREATH] = counting.breath
+        count[UNTIL_BREATH] = count[BREATH]
         return BREATHE
     count[UNTIL_BREATH] -= 1
     count[MADE] += 1
@@ -130,9 +129,8 @@ class Steps:
 
     def __init__(self, method: "Splitting", state: State, around: Surroundings, forces: Evaluation) -> None:
         self._method, self._state, self._around, self._forces = method, state, around, forces
-        breath = max(1, ATOM_STEPS // max(1, len(state.positions)))
-        self.count = np.zeros(4, dtype=np.int64)
-        self._counting, self._calls = Counting(self.count, breath), DirectCalls()
+        self.count = np.zeros(5, dtype=np.int64)
+        self._counting, self._calls = Counting(self.count), DirectCalls()
         self._head, self._rest = self._events()
         self._programs: dict[tuple[bool, bool], Program] = {}
 
@@ -146,7 +144,8 @@ class Steps:
         if n_steps <= 0:
             return 0
         bath = around.bath
-        count[:] = 0, n_steps, self._counting.breath, (bath.step if bath else 0) if first is None else first
+        count[:FIRST] = 0, n_steps
+        count[FIRST] = (bath.step if bath else 0) if first is None else first
         needs_forces = not state.forces_are_current and any(isinstance(one, Kick) for one in self._head)
         with_energy &= self._ends_with_forces
         program = self._program(needs_forces, with_energy)
@@ -211,10 +210,10 @@ class Steps:
         head = list(self._made_of(self._head, (), needs_forces, False))
         again = list(self._made_of(self._rest, self._head, False, False))
         last = list(self._made_of(self._rest, (), False, with_energy))
+        is_slow = any(one.code == 0 for one in again)  # there may be much time in a call of Python
+        self.count[[UNTIL_BREATH, BREATH]] = 1 if is_slow else max(1, ATOM_STEPS // max(1, len(self._state.positions)))
         yield from head
-        yield operation(
-            self._calls, count_step, self._counting, otherwise=1 + len(again), python=self._breathe
-        )
+        yield operation(self._calls, count_step, self._counting, otherwise=1 + len(again), python=self._breathe)
         for k, one in enumerate(again):
             yield one._replace(then=one.then - len(again) - 1) if k == len(again) - 1 and one.then == 1 else one
         yield from last

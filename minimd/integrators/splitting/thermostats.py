@@ -126,9 +126,12 @@ class LangevinBAOAB(Thermostat):
         The noise of an atom depends on seed, step, contact and the number of the atom. A derived class that has another
         thermalize is asked for that.
         """
-        if type(self).thermalize is not LangevinBAOAB.thermalize:
+        if type(self).thermalize is LangevinBAOAB.thermalize:
+            yield from self._touch(state, duration, around, moment)
+        else:
             yield from super().contact(state, duration, around, moment)
-            return
+
+    def _touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
         bath, n_chunks, is_held = bath_of(around), n_chunks_of(len(state.velocities)), around.constraints is not None
         kept = exp(-self.friction * duration)
         spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
@@ -147,8 +150,8 @@ class LangevinBAOAB(Thermostat):
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The same, at once."""
         bath = bath_of(around)
-        moment = Moment(np.array([0, 0, 0, bath.step]), 0, 0.0, bath.contact, 0.0)
-        Program(lambda: self.contact(state, duration, around, moment), lambda: 0, thread_pool(1)).run()
+        moment = Moment(np.array([0, 0, bath.step]), 0, 0.0, bath.contact, 0.0)
+        Program(lambda: self._touch(state, duration, around, moment), lambda: 0, thread_pool(1)).run()
         bath.contact += 1
 
 

@@ -32,7 +32,8 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
     if state.open_end is not None:
         arrays |= {"open_positions": state.open_end.positions, "open_velocities": state.open_end.velocities}
     arrays["images"] = None if images is None else images[0]
-    arrays |= {f"list_{k}": one.positions for k, one in enumerate(checkpoint.lists)}
+    for k, one in enumerate(checkpoint.lists):
+        arrays |= {f"list_{k}": one.positions, f"region_of_list_{k}": one.region}
     for name, cell in [
         ("cell", state.cell),
         *((f"cell_of_list_{k}", one.cell) for k, one in enumerate(checkpoint.lists)),
@@ -69,7 +70,9 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
         )
     step, time, energy = int(numbers["step"]), float(numbers["time"]), float(numbers["reservoir_energy"])
     lists = tuple(
-        Built(float(skin), arrays.get(f"list_{k}"), _cell(arrays, f"cell_of_list_{k}"))
+        Built(
+            float(skin), arrays.get(f"list_{k}"), _cell(arrays, f"cell_of_list_{k}"), arrays.get(f"region_of_list_{k}")
+        )
         for k, skin in enumerate(numbers["skins"])
     )
     clock, moving = (

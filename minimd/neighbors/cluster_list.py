@@ -22,7 +22,7 @@ from minimd.neighbors.clusters import (
     any_moved_from_clusters,
     bins_for_sort,
     clusters_for_build,
-    covered,
+    columns_fit,
     gathered,
     loaded,
     make_clusters,
@@ -30,6 +30,7 @@ from minimd.neighbors.clusters import (
     most_clusters,
     moved_columns,
     offsets_of,
+    region_of,
 )
 from minimd.neighbors.domains import (
     BLOCKS,
@@ -114,7 +115,7 @@ class ClusterList(VerletList):
             precision == "mixed",
             precision == "fixed-point",
         )
-        self._columns_of: Cell | None = None
+        self._columns_of: tuple[Cell, NDArray[np.float64]] | None = None
         self._calls = DirectCalls()
         self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
         self._room: tuple[int, ...] = (0, 0, 0)
@@ -157,7 +158,8 @@ class ClusterList(VerletList):
         """Whether a kernel can do what update does: on one thread, with columns that stay where they are, and with
         nothing that a build does after build_clusters.
         """
-        stays = self._cell is not None and self._are_columns_of(self._cell)
+        stays = self._cell is not None and self._columns_of is not None and self._cell.same_as(self._columns_of[0])
+        stays = stays and bool(self._columns.is_crossed.all())
         return stays and self._pool.n_threads == 1 and self._excluded is None and not self._is_mixed
 
     def renewed(self, n: int) -> None:
@@ -177,8 +179,8 @@ class ClusterList(VerletList):
         if self._is_mixed:
             self.memory.shift[:] = np.rint(self._shifts / self.memory.unit)
         self.rows.limits2[:] = [self._limit2(width) for width in self._widths]
-        if moved_columns(self._columns, make_columns(cell, self._n_atoms, self.cutoff + self.skin, self.lanes)):
-            self._columns_of = cell
+        if self._region is not None and moved_columns(self._columns, self._columns_in(cell, self._region)):
+            self._columns_of = cell, self._region
 
     def _keep_origins(self) -> None:
         """Memory of their own for the origins of clusters, of which the positions so far are a copy."""
@@ -188,22 +190,28 @@ class ClusterList(VerletList):
         self.building = self.building._replace(layout=self.building.layout._replace(clusters=self.clusters))
         self.arrays = self.arrays._replace(clusters=self.clusters)
 
-    def _are_columns_of(self, cell: Cell) -> bool:
-        """Whether columns are where they should be for a build; where a cell is open, they go along with the atoms."""
-        return self._columns_of is not None and bool(cell.pbc.all()) and cell.same_as(self._columns_of)
+    def _columns_in(self, cell: Cell, region: NDArray[np.float64]) -> Columns:
+        return make_columns(cell, self._n_atoms, self.cutoff + self.skin, self.lanes, region)
 
-    def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        if not self._are_columns_of(cell):
-            reach = self.cutoff + self.skin
-            columns = make_columns(cell, self._n_atoms, reach, self.lanes, *covered(cell, positions, reach))
-            if self._columns_of is None or not moved_columns(self._columns, columns):
+    def _lay_columns(self, cell: Cell, region: NDArray[np.float64]) -> None:
+        of = self._columns_of
+        if of is None or not (cell.same_as(of[0]) and np.array_equal(region, of[1])):
+            columns = self._columns_in(cell, region)
+            if of is None or not moved_columns(self._columns, columns):
                 self._columns = columns
                 self._make_clusters()
-            self._columns_of = cell
+            self._columns_of = cell, region
+        self._region = region
+
+    def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
+        reach = self.cutoff + self.skin
+        self._lay_columns(cell, region_of(cell, positions, reach) if self._region is None else self._region)
+        if not self._calls(columns_fit, positions, self._columns):
+            self._lay_columns(cell, region_of(cell, positions, reach))
         while not self._pool.run(build_clusters, positions, self.building, calls=self._calls):
-            self._columns_of = None  # what follows may fail: there must be a whole list or none
+            columns_of, self._columns_of = self._columns_of, None  # what follows may fail: a whole list or none
             self._make_room()
-            self._columns_of = cell
+            self._columns_of = columns_of
         if self._is_mixed:
             self._lay_grid()
         if self._excluded is not None:
@@ -297,8 +305,8 @@ class ClusterList(VerletList):
     @property
     def _spare(self) -> float:
         """Room to spare where there is enough for all atoms, however they stand: for other columns,
-        as cells have them that are open on a side."""
-        return 1.0 if self._columns.pbc.all() else SPARE
+        which are needed where columns go along with the atoms."""
+        return 1.0 if self._columns.is_crossed.all() else SPARE
 
     def _share_memory(self) -> None:
         """Arrays of clusters and ghosts, and the entries of rows. What only the search needs shares memory with idle.

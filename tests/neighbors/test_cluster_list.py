@@ -8,7 +8,7 @@ from references import liquid
 import minimd as md
 from minimd.compiled.threads import MOST_CHUNKS, thread_pool
 from minimd.neighbors.cluster_list import ClusterList
-from minimd.neighbors.clusters import covered, make_columns
+from minimd.neighbors.clusters import make_columns, region_of
 from minimd.neighbors.domains import BLOCKS
 from minimd.potentials.term import PER_ATOM, TOTALS
 from minimd.structure.cell import Cell
@@ -69,7 +69,7 @@ def test_chunks_are_never_more_than_a_team_can_share_out(n):
     with cs.atoms_per_domain(1):
         found = ClusterList(n, 1.8, 0.2, np.zeros((0, 2), dtype=np.int64), "double", thread_pool(2))
         found.update(positions, cell)
-    columns = make_columns(cell, n, 2.0, found.lanes, *covered(cell, positions, 2.0))
+    columns = make_columns(cell, n, 2.0, found.lanes, region_of(cell, positions, 2.0))
     chunks = found.domains
     assert len(chunks.column) - 1 == min(MOST_CHUNKS, columns.counts[0] // columns.reach[0])
     assert np.all(np.diff(chunks.column) >= columns.reach[0])

@@ -6,7 +6,7 @@ from minimd.compiled.fixed_point import is_fixed
 from minimd.compiled.kernels import by_type, shared_kernel
 from minimd.forces.cluster_kernel import MADE, TO_MAKE
 from minimd.neighbors.cluster_search import LAYERS
-from minimd.neighbors.clusters import any_moved_from_clusters
+from minimd.neighbors.clusters import any_moved_from_clusters, columns_fit
 from minimd.neighbors.verlet_list import count_not_finite
 
 TASKS_PER_MOVE = 2  # at most: an evaluation with its kick and drift, and a list build
@@ -19,7 +19,7 @@ def march_clusters(worker, task, evaluate, evaluation, build, building):
     Returns the number of list builds.
 
     It makes fewer if positions are not finite, if something has left the range of fixed-point arithmetic, or if a list
-    needs more memory; then there is no list, and rows.layers is zero.
+    needs other columns or more memory; then there is no list, and rows.layers is zero.
 
     evaluate, build : addresses of evaluate_clusters and build_clusters.  evaluation, building : their arguments,
         but for worker and task.
@@ -35,7 +35,9 @@ def march_clusters(worker, task, evaluate, evaluation, build, building):
             rows.layers[0] += 1
             if rows.layers[0] > LAYERS:
                 rows.layers[0] = 0
-                if count_not_finite(positions)[0] > 0 or call_at(build, (worker, task) + building) == 0:
+                if count_not_finite(positions)[0] > 0 or not columns_fit(positions, building[1].layout.columns):
+                    return n_builds
+                if call_at(build, (worker, task) + building) == 0:
                     return n_builds
                 rows.layers[0], task, n_builds = 1, task + 1, n_builds + 1
         if loop.prepare != 0:

@@ -155,11 +155,10 @@ class ClusterList(VerletList):
 
     @property
     def can_be_renewed(self) -> bool:
-        """Whether a kernel can do what update does: on one thread, with columns that stay where they are, and with
-        nothing that a build does after build_clusters.
+        """Whether a kernel can do what update does: on one thread, in columns that there are, and with nothing that
+        a build does after build_clusters.
         """
         stays = self._cell is not None and self._columns_of is not None and self._cell.same_as(self._columns_of[0])
-        stays = stays and bool(self._columns.is_crossed.all())
         return stays and self._pool.n_threads == 1 and self._excluded is None and not self._is_mixed
 
     def renewed(self, n: int) -> None:

@@ -28,7 +28,6 @@ from minimd.neighbors.buffers import Buffers, Fields
 from minimd.structure.cell import Cell
 from minimd.structure.system import local_density
 
-ATOMS_PER_COLUMN = 4.0  # at least, in the mean: empty columns cost time and memory
 N_FIXED = 5  # fields of Columns that stay as the cell is strained
 DIMENSIONS = 3  # numbers of an atom; a cluster of n atoms is a block of 3 n numbers in memory: n x, n y, n z
 
@@ -117,7 +116,7 @@ def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: N
     origin, extent, filled = region[:3], region[3:6], float(region[6] * region[3:6].prod())
     is_crossed, widths, n_lanes = cell.pbc & (extent == 1.0), cell.heights * extent, lanes.size
     cube = (n_lanes * widths.prod() / filled) ** (1.0 / 3.0)
-    most = max(1.0, min(filled / n_lanes, n_atoms / ATOMS_PER_COLUMN))  # a flat scene has few
+    most = max(1.0, min(filled, n_atoms) / n_lanes)  # a flat scene has few; many that are empty would cost time
     across = np.clip(widths[:2] / cube, 1.0, most)
     across = np.maximum(1.0, np.rint(across * min(1.0, (most / across.prod()) ** 0.5)))
     bins = max(1.0, min(filled, n_atoms / ATOMS_PER_BIN) / across.prod())

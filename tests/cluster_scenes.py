@@ -73,7 +73,10 @@ def in_chains(positions, rng, **options):
 
 @st.composite
 def scenes(draw, sizes=SIZES, densities=(0.01, 0.3, 1.0)):
-    """Gas to dense, with gaps and chains, in cells from just high enough to long and thin, skewed, left-handed."""
+    """Gas to dense, with gaps and chains, in cells from just high enough to long and thin, skewed, left-handed.
+
+    In wider cells they are slabs, rods and droplets, about faces, edges and corners.
+    """
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     n, pbc = draw(st.sampled_from(sizes)), np.array(draw(st.sampled_from(PERIODICITIES)))
     edges = _edges(draw, n / draw(st.sampled_from(densities)), rng)
@@ -82,8 +85,8 @@ def scenes(draw, sizes=SIZES, densities=(0.01, 0.3, 1.0)):
     cell = tilts @ np.diag(edges) @ turn
     cell *= max(1.0, (JUST_HIGH_ENOUGH / Cell.of(cell, pbc).heights[pbc]).max(initial=0.0))
     positions = _jittered(n, cell, edges, rng)
-    if draw(st.booleans()):
-        cell[draw(st.integers(0, 2))] *= 1.7
+    positions -= rng.uniform(0, 1, 3) @ cell
+    cell *= np.array(draw(st.tuples(*[st.sampled_from([1.0, 1.7, 4.0])] * 3)))[:, None]
     positions += (rng.integers(-2, 3, (n, 3)) * pbc) @ cell
     return in_chains(positions, rng, cell=Cell.of(cell, pbc))
 

@@ -25,7 +25,7 @@ class Operation(NamedTuple):
     python : what Python does at an operation of its own, called without arguments; or, called with an answer above 0,
         about that answer.
     again : the operation to go on with after the latter, counted from this one.
-    is_kept : whether its maker keeps the data as long as the version of the program stays the same; else the program does.
+    is_kept : whether its maker keeps the data, as long as the version of the program stays the same; else it does.
     """
 
     code: int
@@ -59,9 +59,7 @@ class Program:
     make : returns them: always as many, in the same order.  version : of that memory.  pool : the threads.
     """
 
-    def __init__(
-        self, make: Callable[[], Iterable[Operation]], version: Callable[[], Any], pool: ThreadPool
-    ) -> None:
+    def __init__(self, make: Callable[[], Iterable[Operation]], version: Callable[[], Any], pool: ThreadPool) -> None:
         self._make, self._version, self._pool = make, version, pool
         self._made_for: Any = None
         self._course = np.zeros(1, dtype=np.int64)

@@ -38,9 +38,7 @@ CONSTRAINTS_IN_A_CHUNK = 500  # least number: about ten microseconds of work, mo
 ALIKE = 1e-12  # relative: masses and squared lengths that differ by less are equal
 
 
-class Solving(
-    ByAddress, namedtuple("Solving", "solver positions vectors inverse_masses n answers most arguments")
-):
+class Solving(ByAddress, namedtuple("Solving", "solver positions vectors inverse_masses n answers most arguments")):
     """A solver on the n components of a group, in as many chunks as there are answers.
 
     positions, vectors, inverse_masses : of Atoms.  arguments : of the solver.

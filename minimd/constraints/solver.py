@@ -77,7 +77,10 @@ class ConstraintSolver:
         offsets = np.zeros((len(constraints.pairs), 3)) if offsets is None else offsets
         lengths = _checked_lengths(constraints, positions, inverse_masses, offsets)
         self.pairs, self.lengths, self.offsets = constraints.pairs, lengths, offsets
-        self.inverse_masses, self.threads = inverse_masses, max(1, min(threads, len(self.pairs) // CONSTRAINTS_IN_A_CHUNK))
+        self.inverse_masses, self.threads = (
+            inverse_masses,
+            max(1, min(threads, len(self.pairs) // CONSTRAINTS_IN_A_CHUNK)),
+        )
         rounding = ROUNDINGS * EPS * float(np.abs(positions).max()) / float(lengths.min())
         self.tolerance = max(constraints.tolerance, rounding) if tolerance is None else tolerance
         self.accuracy = self.tolerance * float(lengths.max()) if constraints.solver == "shake" else 0.0
@@ -191,9 +194,7 @@ class ConstraintSolver:
             self.lengths * np.where(speeds > 0.0, speeds, 1.0)
         )
 
-    def _fail_in(
-        self, group: Any, positions: Floats, velocities: Floats, duration: float, _answer: int
-    ) -> None:
+    def _fail_in(self, group: Any, positions: Floats, velocities: Floats, duration: float, _answer: int) -> None:
         """See _fail, for the first constraint of a group that cannot be kept."""
         self._fail(group.order[group.failed(duration != 0.0)], positions, velocities, duration)
 

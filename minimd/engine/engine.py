@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from minimd.compiled.program import Operation, Program, in_python
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.constraints.graph import bodies_of
 from minimd.engine.arguments import checked_method, warn_of_dropped
 from minimd.engine.cell_rescaling import CellRescaling, rescaling_of
 from minimd.engine.center import check_center, holds_center
-from minimd.compiled.program import Operation, Program, in_python
 from minimd.engine.snapshots import Checkpoint, Snapshot
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import FIXED_POINT, Options
@@ -125,17 +125,17 @@ class Engine:
         if self._steps is None or not is_same:
             forces = self.interactions
             power = (lambda: forces.power) if forces.depend_on_time else None
-            work = lambda: forces.version, lambda: forces.pool  # noqa: E731
+            work = lambda: forces.version, lambda: forces.pool
             source = Evaluation(self._forces_at, *work, self._running, power, self._taken)
             self._steps, self._steps_of = Steps(self._method, self._state, self.surroundings, source), made_of
         return self._steps
 
-    def _forces_at(self, with_energy: bool, moment: Moment) -> Iterator[Operation]:
+    def _forces_at(self, with_energy: bool, unit: float, moment: Moment) -> Iterator[Operation]:
         """The operations of forces at a moment of a step."""
         interactions = self.interactions
         if interactions.depend_on_time:
             yield in_python(lambda: setattr(interactions, "time", self._time_at(moment.time - self.noise_shift)))
-        yield from interactions.operations(interactions.target(TOTALS if with_energy else FORCES, moment.unit))
+        yield from interactions.operations(interactions.target(TOTALS if with_energy else FORCES, unit))
 
     @contextmanager
     def _running(self, program: Program) -> Iterator[None]:

@@ -29,7 +29,8 @@ def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, 
     state, images = checkpoint.state, checkpoint.images
     arrays: dict[str, np.ndarray | None] = {"positions": state.positions, "velocities": state.velocities}
     arrays["images"] = None if images is None else images[0]
-    arrays |= {f"list_{k}": one.positions for k, one in enumerate(checkpoint.lists)}
+    for k, one in enumerate(checkpoint.lists):
+        arrays |= {f"list_{k}": one.positions, f"region_of_list_{k}": one.region}
     for name, cell in [
         ("cell", state.cell),
         *((f"cell_of_list_{k}", one.cell) for k, one in enumerate(checkpoint.lists)),
@@ -57,7 +58,9 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
     """The checkpoint with these flattened arrays and numbers."""
     step, time, energy = int(numbers["step"]), float(numbers["time"]), float(numbers["reservoir_energy"])
     lists = tuple(
-        Built(float(skin), arrays.get(f"list_{k}"), _cell(arrays, f"cell_of_list_{k}"))
+        Built(
+            float(skin), arrays.get(f"list_{k}"), _cell(arrays, f"cell_of_list_{k}"), arrays.get(f"region_of_list_{k}")
+        )
         for k, skin in enumerate(numbers["skins"])
     )
     clock, moving = (

@@ -1,4 +1,4 @@
-"""The operations of pair laws on the cluster list: the loop over the clusters of a domain, and the sums of its forces."""
+"""The operations of pair laws on the cluster list: the loop over the clusters of a domain, the sums of its forces."""
 
 from collections import namedtuple
 
@@ -20,8 +20,8 @@ class Evaluation(ByAddress, namedtuple("Evaluation", "arrays add prepare work fo
     """What the operations work on.
 
     arrays : ClusterArrays.
-    add, prepare : addresses of add_forces_of_laws and, if the loop needs it after a list build, of prepare_loop, else 0.
-        They differ from law to law: so the kernels of this file are the same for all laws.
+    add, prepare : addresses of add_forces_of_laws and, if the loop needs it after a list build, of prepare_loop, or 0;
+        compiled for each law, so that the kernels of this file are the same for all laws.
     work : address of their Work.
     forces : (N, 3) output [energy/length]; int64 impulses in fixed-point arithmetic, where steps : Steps, else ().
     is_first : whether there is nothing to add to: forces = and not forces +=.

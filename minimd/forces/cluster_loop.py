@@ -244,9 +244,7 @@ def separation(coordinates, place, x, unit, lanes):
 @by_type
 def scale_of(steps, like):
     """What makes impulses of forces, in steps of momentum, in all lanes; () where forces are summed as they are."""
-    return (
-        (lambda steps, like: broadcast(steps.per_force[0], like)) if is_fixed(steps) else lambda steps, like: ()
-    )
+    return (lambda steps, like: broadcast(steps.per_force[0], like)) if is_fixed(steps) else lambda steps, like: ()
 
 
 @by_type

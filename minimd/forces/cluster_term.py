@@ -116,7 +116,7 @@ class ClusterTerm(OwnTerm):
         self._made.clear()
 
     def _work_of(self, detail: int) -> Work:
-        """Work with accumulators: none, or of each cluster, in idle memory, or of each slot and each lane of a ghost."""
+        """Work with accumulators: none; of each cluster, in idle memory; or of each slot and each lane of a ghost."""
         forces, n_lanes, c = self.list.memory.forces, self.list.lanes.size, len(self.list.clusters.filled)
         if detail == FORCES:
             return Work(self._laws, ForceSums(forces, NONE, np.zeros((0, 6)), NONE, FORCES))

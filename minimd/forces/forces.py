@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections import namedtuple
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numba.core.errors import NumbaError
@@ -27,7 +26,6 @@ from minimd.potentials.term import (
     FORCES,
     PER_ATOM,
     TOTALS,
-    OwnTerm,
     Potential,
     Target,
     Term,
@@ -276,7 +274,7 @@ class Forces:
         if self._timed:
             yield in_python(self._tell_time)
         if target.detail != FORCES:
-            yield in_python(lambda: (target.energies.fill(0.0), target.virials.fill(0.0)))
+            yield in_python(lambda: clear(target))
         if not (of_pairs and of_pairs[0].assigns):
             yield operation(self._calls, clear_forces, self._clearing, self._clearing.n_chunks)
         for term in (*of_pairs, *linked):
@@ -436,6 +434,11 @@ class Forces:
         """Energy and virial trace of all tails."""
         tails = [term.tail(self.system) for term in self._bound]
         return sum(u for u, _ in tails), sum(w for _, w in tails)
+
+
+def clear(target: Target) -> None:
+    """Energies and virials = 0."""
+    target.energies[:], target.virials[:] = 0.0, 0.0
 
 
 def _refuse(_answer: int) -> None:

@@ -12,7 +12,7 @@ from minimd.neighbors.verlet_list import LEAST_SKIN, best_skin
 from minimd.potentials.law import law_at
 from minimd.potentials.term import PairLaw
 from minimd.structure.bond_graph import pairs_by_bonds_apart
-from minimd.structure.system import System, number_density
+from minimd.structure.system import System, local_density
 
 CLUSTERS_FROM = 32  # atoms: with fewer, the pair list is as fast
 ROUNDED_DOWN = 1.0 - 1e-9
@@ -93,7 +93,8 @@ def skin_for(system: System, laws: PairLaws, options: Options, displacement: flo
     """
     cutoff, cell, widest, skin = laws.cutoff, system.cell, widest_skin(system, laws), options.skin
     if skin is None:
-        skin = best_skin(cutoff, number_density(system, cutoff), displacement, len(system), layers)
+        density = local_density(system.positions, cell, cutoff)
+        skin = best_skin(cutoff, density, displacement, len(system), layers)
         room = ROUNDED_DOWN * (cell.heights[cell.pbc].min(initial=np.inf) - cutoff)
         skin = min(skin, room) if room > LEAST_SKIN * cutoff else skin
     return min(skin, widest)

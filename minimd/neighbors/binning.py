@@ -45,29 +45,29 @@ class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
 
 
 @scalar
-def into_cell(positions, i, inverse, pbc, d):
-    """Fractional coordinate of atom i along lattice vector d, in the cell,
+def into_cell(positions, i, inverse, pbc, origin, d):
+    """Fractional coordinate of atom i along lattice vector d, in the cell that begins at an origin (3,),
     and the number of lattice vectors that brought it there."""
     s = positions[i, 0] * inverse[0, d] + positions[i, 1] * inverse[1, d] + positions[i, 2] * inverse[2, d]
-    cells = -np.floor(s) if pbc[d] else 0.0
+    cells = -np.floor(s - origin[d]) if pbc[d] else 0.0
     return s + cells, cells
 
 
 @scalar
 def counting_sort(positions, inverse, pbc, grid, binned):
     """Sort atoms into the bins of a grid (counts, origin, extent), the last direction running fastest, in linear time:
-    fills Binned."""
+    fills Binned. Atoms outside what is covered are in the outermost bins."""
     counts, origin, extent = grid.counts, grid.origin, grid.extent
     for b in range(binned.bin_start.size):
         binned.bin_start[b] = 0
     for i in range(positions.shape[0]):
         index, s = 0, 0.0
         for d in range(3):
-            s, cells = into_cell(positions, i, inverse, pbc, d)
+            s, cells = into_cell(positions, i, inverse, pbc, origin, d)
             if binned.cells.shape[0] > 0:
                 binned.cells[i, d] = cells
-            along = int((s - origin[d]) / extent[d] * counts[d])
-            index = index * counts[d] + max(0, min(counts[d] - 1, along))
+            along = (s - origin[d]) / extent[d] * counts[d]
+            index = index * counts[d] + int(max(0.0, min(counts[d] - 1.0, along)))
         binned.bins[i], binned.height[i] = index, s
         binned.bin_start[index + 1] += 1
     for b in range(binned.bin_start.size - 1):

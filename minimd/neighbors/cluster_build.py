@@ -10,9 +10,9 @@ from minimd.compiled.kernels import called_kernel, filling_kernel
 from minimd.compiled.program import GO_ON, JUMP, NEEDS_ROOM, NOT_FINITE, OUT_OF_RANGE
 from minimd.compiled.simd import bits_from_mask
 from minimd.compiled.simd.lanes import count
-from minimd.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, exclude_partners, find_rows, find_slots, make_work
-from minimd.neighbors.clusters import DIMENSIONS, fill_clusters, gathered, loaded, sort_into_columns
 from minimd.neighbors.cluster_memory import lay_grid, place
+from minimd.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, exclude_partners, find_rows, find_slots, make_work
+from minimd.neighbors.clusters import DIMENSIONS, columns_fit, fill_clusters, gathered, loaded, sort_into_columns
 from minimd.neighbors.domains import BLOCKS, GHOSTS, cut_into_domains, fill_ghosts, fill_shifts, sort_ghosts
 from minimd.neighbors.verlet_list import count_not_finite
 
@@ -26,7 +26,7 @@ class Building(
 ):
     """What the operations work on.
 
-    positions : (N, 3) [length].  arrays : ClusterArrays, an output, as binned : Binned, and layout : Layout, but for its
+    positions : (N, 3) [length].  Outputs are arrays : ClusterArrays, binned : Binned, and layout : Layout, but for its
         columns.
     n_blocks : of forces for which there is room.  n_chunks : into which columns are cut.  goes_along : see
         cut_into_domains.
@@ -71,6 +71,12 @@ def is_valid(building, _chunk):
             return JUMP
     layers[IN_USE] = 0
     return NOT_FINITE if count_not_finite(building.positions)[0] > 0 else GO_ON
+
+
+@called_kernel
+def find_columns(building, _chunk):
+    """NEEDS_ROOM if the atoms have left the columns."""
+    return GO_ON if columns_fit(building.positions, building.layout.columns) else NEEDS_ROOM
 
 
 @called_kernel

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import DirectCalls
-from minimd.compiled.program import Operation, Program, in_python, operation
+from minimd.compiled.program import Operation, Program, operation
 from minimd.compiled.simd.lanes import DOUBLE, MIXED, lanes_for
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool
 from minimd.neighbors import cluster_build
@@ -21,11 +21,11 @@ from minimd.neighbors.clusters import (
     Columns,
     bins_for_sort,
     clusters_for_build,
-    covered,
     make_clusters,
     make_columns,
     most_clusters,
     moved_columns,
+    region_of,
 )
 from minimd.neighbors.domains import (
     BLOCKS,
@@ -91,7 +91,7 @@ class ClusterList(VerletList):
             precision == "mixed",
             precision == "fixed-point",
         )
-        self._columns_of: Cell | None = None
+        self._columns_of: tuple[Cell, NDArray[np.float64]] | None = None
         self._images: Images | None = None
         self._positions = np.zeros((n_atoms, DIMENSIONS))  # where the operations find them
         self._calls, self._program = DirectCalls(), Program(self.operations, lambda: self.n_arranged, pool)
@@ -107,29 +107,26 @@ class ClusterList(VerletList):
 
     def operations(self) -> Iterator[Operation]:
         """Atoms to their clusters and ghosts; a new list where it is due; see cluster_build.  Memory must be ready."""
-        n, is_open = self.n_domains, not bool(self._columns.pbc.all())
-        n_columns = self.building.n_chunks
-        kinds = [(cluster_build.sort_atoms, 1), (cluster_build.cut_columns, n_columns), (cluster_build.find_domains, 1)]
-        kinds += [(cluster_build.place_ghosts, n), (cluster_build.list_rows, n), (cluster_build.finish_list, 1)]
+        n, make_room = self.n_domains, self._make_room
+        build = [(cluster_build.find_columns, 1, self._refit), (cluster_build.sort_atoms, 1, None)]
+        build += [(cluster_build.cut_columns, self.building.n_chunks, None)]
+        build += [(cluster_build.find_domains, 1, make_room), (cluster_build.place_ghosts, n, None)]
+        build += [(cluster_build.list_rows, n, make_room), (cluster_build.finish_list, 1, None)]
         if self._excluded is not None:
-            kinds += [(cluster_build.number_slots, n), (cluster_build.exclude_pairs, n)]
+            build += [(cluster_build.number_slots, n, None), (cluster_build.exclude_pairs, n, None)]
         if self._is_mixed:
-            kinds += [(cluster_build.lay_mixed_grid, 1)]
-        own = {"is_kept": True}
+            build += [(cluster_build.lay_mixed_grid, 1, self._refuse_grid)]
+        own, after = {"is_kept": True}, 1 + len(build)
         yield operation(self._calls, cluster_build.place_atoms, self.building, n, **own)
-        after = 1 + is_open + len(kinds)
         yield operation(self._calls, cluster_build.is_valid, self.building, otherwise=after, python=self._refuse, **own)
-        if is_open:
-            yield in_python(self._lay_columns)
-        for k, (kernel, n_chunks) in enumerate(kinds, start=2 + is_open):
-            then = 1 if k < len(kinds) + 1 + is_open else -k
-            remedy = self._refuse_grid if kernel is cluster_build.lay_mixed_grid else self._make_room
-            yield operation(self._calls, kernel, self.building, n_chunks, then=then, python=remedy, again=2 - k, **own)
+        for k, (kernel, n_chunks, remedy) in enumerate(build, start=2):
+            then, again = 1 if k < after else -k, 3 - k  # in the end to place_atoms; after a remedy to sort_atoms
+            yield operation(self._calls, kernel, self.building, n_chunks, then=then, python=remedy, again=again, **own)
 
     def ready(self, positions: NDArray[np.float64], cell: Cell) -> None:
         """Memory for operations on these positions in this cell. Without a list of this cell, they build one."""
         is_same = self._cell is not None and (cell is self._cell or cell.same_as(self._cell))
-        if not is_same or (cell.pbc.all() and not self._are_columns_of(cell)):
+        if not is_same or self._columns_of is None or not cell.same_as(self._columns_of[0]):
             self._take(positions, cell)
         elif positions is not self._positions:
             self._positions = positions
@@ -142,23 +139,31 @@ class ClusterList(VerletList):
         if self._images is None:
             self._images = Images.of(cell)
         self._images.take(cell)
-        if not self._are_columns_of(cell):
-            self._lay_columns()
-        elif self.building.positions is not positions:
+        self._lay_columns(cell, self._region_now(cell) if self._region is None else self._region)
+        if self.building.positions is not positions:
             self._arrange_building()
 
-    def _lay_columns(self) -> None:
-        """Columns in the present cell, where atoms are."""
-        cell, reach = self._cell, self.cutoff + self.skin
-        if cell is None:
-            raise RuntimeError("there is no cell")
-        columns = make_columns(cell, self._n_atoms, reach, self.lanes, *covered(cell, self._positions, reach))
-        if self._columns_of is None or not moved_columns(self._columns, columns):
-            self._columns = columns
-            self._make_clusters()
-        elif self.building.positions is not self._positions:
-            self._arrange_building()
-        self._columns_of = cell
+    def _region_now(self, cell: Cell) -> NDArray[np.float64]:
+        return region_of(cell, self._positions, self.cutoff + self.skin)
+
+    def _columns_in(self, cell: Cell, region: NDArray[np.float64]) -> Columns:
+        return make_columns(cell, self._n_atoms, self.cutoff + self.skin, self.lanes, region)
+
+    def _lay_columns(self, cell: Cell, region: NDArray[np.float64]) -> None:
+        """Columns of a region of a cell."""
+        of = self._columns_of
+        if of is None or not (cell.same_as(of[0]) and np.array_equal(region, of[1])):
+            columns = self._columns_in(cell, region)
+            if of is None or not moved_columns(self._columns, columns):
+                self._columns = columns
+                self._make_clusters()
+            self._columns_of = cell, region
+        self._region = region
+
+    def _refit(self, _answer: int) -> None:
+        """Columns where the atoms are now."""
+        if self._cell is not None:
+            self._lay_columns(self._cell, self._region_now(self._cell))
 
     def settle(self) -> None:
         """After operations: what they have done to the list."""
@@ -194,8 +199,8 @@ class ClusterList(VerletList):
         width, limit = self._unit[0] * GRID, COARSEST * self.cutoff
         self._layers[IN_USE] = 0
         raise ValueError(
-            f"precision='mixed' resolves {self._unit[0]:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; take "
-            "precision='double'"
+            f"precision='mixed' resolves {self._unit[0]:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; "
+            "take precision='double'"
         )
 
     def _has_moved(self, positions: NDArray[np.float64]) -> bool:
@@ -232,8 +237,8 @@ class ClusterList(VerletList):
         if self._is_mixed:
             self.memory.shift[:] = np.rint(self._shifts / self._unit)
         self.rows.limits2[:] = [self._limit2(width) for width in self._widths]
-        if moved_columns(self._columns, make_columns(cell, self._n_atoms, self.cutoff + self.skin, self.lanes)):
-            self._columns_of = cell
+        if self._region is not None and moved_columns(self._columns, self._columns_in(cell, self._region)):
+            self._columns_of = cell, self._region
 
     def _keep_origins(self) -> None:
         """Memory of their own for the origins of clusters, of which the positions so far are a copy."""
@@ -241,10 +246,6 @@ class ClusterList(VerletList):
         origins[:] = self.clusters.positions
         self.clusters = self.clusters._replace(origins=origins)
         self._arrange_building()
-
-    def _are_columns_of(self, cell: Cell) -> bool:
-        """Whether columns are where they should be for a build; where a cell is open, they go along with the atoms."""
-        return self._columns_of is not None and bool(cell.pbc.all()) and cell.same_as(self._columns_of)
 
     def _make_clusters(self) -> None:
         """Memory for other columns."""
@@ -255,7 +256,10 @@ class ClusterList(VerletList):
 
     def _make_room(self, _answer: int = 0) -> None:
         """More memory, after a build that has found how much it needs."""
-        self._columns_of, columns_of = None, self._columns_of  # what follows may fail: there must be a whole list or none
+        self._columns_of, columns_of = (
+            None,
+            self._columns_of,
+        )  # what follows may fail: there must be a whole list or none
         window = self.domains.window
         needed = self.n_ghosts, int(window[-1]), int(self.domains.numbers[BLOCKS])
         widest, is_enough = (
@@ -316,9 +320,7 @@ class ClusterList(VerletList):
                 np.zeros((IMAGES, 3), dtype=np.int32),
             )
         needed = np.zeros(self.n_domains, dtype=np.int64)
-        self.memory = Memory(
-            coordinates, shift, self._origin, self._unit, forces, first_sum, self._far, net, needed
-        )
+        self.memory = Memory(coordinates, shift, self._origin, self._unit, forces, first_sum, self._far, net, needed)
         self._arrange_building()
 
     def _arrange_building(self) -> None:
@@ -332,16 +334,14 @@ class ClusterList(VerletList):
         parts = self._positions, self.arrays, self._bins, layout, self._room[2], n_columns, int(goes_along)
         excluded = NO_PARTNERS if self._excluded is None else self._excluded
         widths = self.cutoff, self.skin, COARSEST * self.cutoff
-        self.building = Building(
-            *parts, self._entry_start, self._needed, excluded, self._slot_of, self._images, widths
-        )
+        self.building = Building(*parts, self._entry_start, self._needed, excluded, self._slot_of, self._images, widths)
         self.n_arranged += 1
 
     @property
     def _spare(self) -> float:
         """Room to spare where there is enough for all atoms, however they stand: for other columns,
-        as cells have them that are open on a side."""
-        return 1.0 if self._columns.pbc.all() else SPARE
+        which are needed where columns go along with the atoms."""
+        return 1.0 if self._columns.is_crossed.all() else SPARE
 
     def _share_memory(self) -> None:
         """Arrays of clusters and ghosts, and the entries of rows. What only the search needs shares memory with idle.

@@ -1,4 +1,4 @@
-"""The memory on which the loop over clusters works: positions of ghosts, forces on them, and copying to and from them."""
+"""The memory on which the loop over clusters works: positions of ghosts, forces on them, copies to and from them."""
 
 from collections import namedtuple
 

@@ -119,7 +119,7 @@ def _candidates(k, n_ahead, layout, work):
     """
     ghosts, along, limit2, ahead, candidates = (
         layout.ghosts,
-        layout.columns.along[0],
+        layout.columns.along[2],
         np.float32(ROUNDED_UP),
         work.ahead,
         work.candidates,

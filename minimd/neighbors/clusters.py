@@ -20,28 +20,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
-from minimd.compiled.kernels import scalar
+from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.simd import load, with_lane
 from minimd.compiled.simd.lanes import Lanes, count
-from minimd.neighbors.binning import FLATTEST, WIDER, counting_sort, into_cell
+from minimd.neighbors.binning import ATOMS_PER_BIN, WIDER, counting_sort, into_cell
 from minimd.neighbors.buffers import Buffers, Fields
 from minimd.structure.cell import Cell
+from minimd.structure.system import local_density
 
-ZEROS, ONES = np.zeros(3), np.ones(3)
-N_FIXED = 4  # fields of Columns that stay as the cell is strained
+N_FIXED = 5  # fields of Columns that stay as the cell is strained
 DIMENSIONS = 3  # numbers of an atom; a cluster of n atoms is a block of 3 n numbers in memory: n x, n y, n z
 
 
-class Columns(ByAddress, namedtuple("Columns", "counts distance reach pbc along origin extent lattice inverse")):
-    """A cell divided into columns along its third lattice vector.
+class Columns(
+    ByAddress, namedtuple("Columns", "counts distance reach pbc is_crossed along origin extent lattice inverse")
+):
+    """The part of a cell where there are atoms, divided into columns along the third lattice vector.
+
+    Atoms outside it are in the outermost columns. Between two atoms there are never more columns than if the columns
+    went on: so no pair is missed, as long as none can meet across a face that is not crossed, see columns_fit.
 
     What changes as the cell is strained, from along on, is in arrays.
 
     counts : (3,) int, columns along the first two lattice vectors, and bins along the third, for sorting.
     distance : within which pairs are searched [length].  reach : (2,) int, the same in columns on each side.
-    pbc, lattice, inverse : of the Cell.  along : (1,) distance as a fraction of the
-        height along the third lattice vector.
-    origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions.
+    pbc, lattice, inverse : of the Cell.  along : (3,) distance as a fraction of its heights.
+    is_crossed : (3,) bool, whether atoms may meet those beyond the faces across a lattice vector.
+    origin, extent : (3,) fractional coordinates of that part; 0 and 1 where is_crossed. In periodic directions
+        atoms are in the cell that begins at the origin.
     """
 
 
@@ -63,13 +69,13 @@ class Clusters(
     """
 
 
-class Wrapping(namedtuple("Wrapping", "inverse periodic lattice")):
+class Wrapping(namedtuple("Wrapping", "inverse periodic lattice origin")):
     """How atoms are brought into the cell: by as many lattice vectors as for their origins.
 
     These are computed, not kept: memory is slower.
 
     inverse : (3, 3) of the cell in which clusters were made [1/length], and periodic : (3,) 1.0 where it was, else 0.0.
-    lattice : (3, 3) of the cell as it is now [length].
+    lattice : (3, 3) of the cell as it is now [length].  origin : (3,) of Columns.
     """
 
 
@@ -77,58 +83,71 @@ class Wrapping(namedtuple("Wrapping", "inverse periodic lattice")):
 def offsets_of(start, clusters):
     """Lattice vectors that bring the atoms of a cluster into the cell: vectors x, y, z [length].  start :
     of its block."""
-    (inverse, periodic, lattice), (x, y, z) = clusters.wrapping, loaded(clusters.origins, start, clusters.lanes)
-    a = -np.floor(x * inverse[0, 0] + y * inverse[1, 0] + z * inverse[2, 0]) * periodic[0]
-    b = -np.floor(x * inverse[0, 1] + y * inverse[1, 1] + z * inverse[2, 1]) * periodic[1]
-    c = -np.floor(x * inverse[0, 2] + y * inverse[1, 2] + z * inverse[2, 2]) * periodic[2]
+    (inverse, periodic, lattice, origin), (x, y, z) = clusters.wrapping, loaded(clusters.origins, start, clusters.lanes)
+    a = -np.floor(x * inverse[0, 0] + y * inverse[1, 0] + z * inverse[2, 0] - origin[0]) * periodic[0]
+    b = -np.floor(x * inverse[0, 1] + y * inverse[1, 1] + z * inverse[2, 1] - origin[1]) * periodic[1]
+    c = -np.floor(x * inverse[0, 2] + y * inverse[1, 2] + z * inverse[2, 2] - origin[2]) * periodic[2]
     x = a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0]
     y = a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1]
     return x, y, a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
 
 
-def covered(
-    cell: Cell, positions: NDArray[np.float64], reach: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where atoms are, as Columns has it: origin and extent."""
-    origin, extent = np.zeros(3), np.ones(3)
-    for k in np.flatnonzero(~cell.pbc):
-        along = np.einsum("ij,j->i", positions, cell.inverse[:, k])  # not @: see observables
-        origin[k], extent[k] = along.min(), max(np.ptp(along), FLATTEST * reach / cell.heights[k])
-    return origin, extent
+def region_of(cell: Cell, positions: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
+    """Where atoms are: (7,) origin and extent of Columns; and how many atoms the cell would have,
+    were it everywhere as dense as around them.
+
+    On both sides there is room for half the reach. A periodic direction is crossed and covered as a whole, unless there
+    is a gap in it that leaves a reach between the two ends of the region.
+    """
+    origin, extent, margin = np.zeros(3), np.ones(3), WIDER * reach / cell.heights
+    for k, s in enumerate(np.einsum("ij,jk->ki", positions, cell.inverse)):  # not @: see observables
+        s = np.sort(s - np.floor(s) if cell.pbc[k] else s)
+        gaps = np.diff(s, append=s[0] + 1.0 if cell.pbc[k] else np.inf)
+        widest = int(np.argmax(gaps)) if cell.pbc[k] else len(s) - 1
+        first, width = s[(widest + 1) % len(s)], 1.0 - gaps[widest] if cell.pbc[k] else s[-1] - s[0]
+        if not cell.pbc[k] or width + 2.0 * margin[k] <= 1.0:
+            origin[k], extent[k] = first - 0.5 * margin[k], width + margin[k]
+    filled = local_density(positions, cell, reach) * abs(np.linalg.det(cell.lattice))
+    return np.array([*origin, *extent, filled])
 
 
-def make_columns(
-    cell: Cell,
-    n_atoms: int,
-    reach: float,
-    lanes: Lanes,
-    origin: NDArray[np.float64] = ZEROS,
-    extent: NDArray[np.float64] = ONES,
-) -> Columns:
-    """Columns so wide that the atoms of a cluster fill about a cube of them.  origin, extent : see covered;
-    the whole cell if left out."""
-    widths, n_lanes = cell.heights * extent, lanes.size
-    cube = (n_lanes * widths.prod() / n_atoms) ** (1.0 / 3.0)
-    across = np.maximum(1.0, np.minimum(widths[:2] / cube, n_atoms))
-    across = np.maximum(
-        1.0, np.rint(across * min(1.0, (n_atoms / (n_lanes * across.prod())) ** 0.5))
-    )  # a flat scene has few
-    bins = max(1.0, n_atoms / across.prod())
+def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: NDArray[np.float64]) -> Columns:
+    """Columns so wide that the atoms of a cluster fill about a cube of them.  region : see region_of."""
+    origin, extent, filled = region[:3], region[3:6], float(region[6] * region[3:6].prod())
+    is_crossed, widths, n_lanes = cell.pbc & (extent == 1.0), cell.heights * extent, lanes.size
+    cube = (n_lanes * widths.prod() / filled) ** (1.0 / 3.0)
+    most = max(1.0, min(filled, n_atoms) / n_lanes)  # a flat scene has few; many that are empty would cost time
+    across = np.clip(widths[:2] / cube, 1.0, most)
+    across = np.maximum(1.0, np.rint(across * min(1.0, (most / across.prod()) ** 0.5)))
+    bins = max(1.0, min(filled, n_atoms / ATOMS_PER_BIN) / across.prod())
     needed = np.ceil(WIDER * reach * across / widths[:2])
-    needed = np.minimum(needed, np.where(cell.pbc[:2], across, across - 1.0))
+    needed = np.minimum(needed, np.where(is_crossed[:2], across, across - 1.0))
     counts = np.array([*across, bins]).astype(np.int64)
-    along_z = np.array([WIDER * reach / cell.heights[2]])
-    return Columns(
-        counts,
-        reach,
-        needed.astype(np.int64),
-        cell.pbc,
-        along_z,
-        origin.copy(),
-        extent.copy(),
-        cell.lattice.copy(),
-        cell.inverse.copy(),
-    )
+    along, in_columns = WIDER * reach / cell.heights, needed.astype(np.int64)
+    moving = along, origin.copy(), extent.copy(), cell.lattice.copy(), cell.inverse.copy()
+    return Columns(counts, reach, in_columns, cell.pbc, is_crossed, *moving)
+
+
+@kernel
+def columns_fit(positions, columns):
+    """Whether atoms at positions (N, 3) are still where columns are: else some pairs may be missed,
+    or the search is slow.
+
+    In each direction that is not crossed, they fill the region up to a reach at most on either side; where it is
+    periodic, its ends are a reach apart through the gap.
+    """
+    for d in range(DIMENSIONS):
+        if columns.is_crossed[d]:
+            continue
+        low, high, origin, extent, margin = np.inf, -np.inf, columns.origin[d], columns.extent[d], columns.along[d]
+        for i in range(positions.shape[0]):
+            s, _ = into_cell(positions, i, columns.inverse, columns.pbc, columns.origin, d)
+            low, high = min(low, s - origin), max(high, s - origin)
+        if not (0.0 <= low <= margin and extent - margin <= high <= extent):
+            return False
+        if columns.pbc[d] and extent + margin > 1.0:
+            return False
+    return True
 
 
 def moved_columns(columns: Columns, to: Columns) -> bool:
@@ -155,7 +174,7 @@ def make_clusters(
     column_start = array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1)
     atom, filled = array("atom", np.int32, n_slots), array("filled", np.int32, n_clusters)
     at = array("positions", np.float64, n_slots * DIMENSIONS)
-    wrapping = Wrapping(columns.inverse.copy(), columns.pbc.astype(np.float64), columns.lattice.copy())
+    wrapping = Wrapping(columns.inverse.copy(), columns.pbc.astype(np.float64), columns.lattice.copy(), columns.origin)
     return Clusters(lanes, atom, filled, at, at, wrapping, column_start, *for_build)
 
 
@@ -212,9 +231,9 @@ def _fill_column(column, positions, columns, binned, clusters):
         for k in range(n_lanes):
             i = order[p + min(k, n - 1)]
             clusters.atom[cluster * n_lanes + k] = i
-            _, a = into_cell(positions, i, columns.inverse, columns.pbc, 0)
-            _, b = into_cell(positions, i, columns.inverse, columns.pbc, 1)
-            _, d = into_cell(positions, i, columns.inverse, columns.pbc, 2)
+            _, a = into_cell(positions, i, columns.inverse, columns.pbc, columns.origin, 0)
+            _, b = into_cell(positions, i, columns.inverse, columns.pbc, columns.origin, 1)
+            _, d = into_cell(positions, i, columns.inverse, columns.pbc, columns.origin, 2)
             for c in range(3):
                 place = (cluster * DIMENSIONS + c) * n_lanes + k
                 clusters.positions[place] = clusters.origins[place] = positions[i, c]

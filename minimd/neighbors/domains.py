@@ -201,16 +201,20 @@ def first_run(x, columns):
 def _seen(run_x, run_y, image_z, clusters, columns):
     """Clusters first to last of a column, inside the cell or beyond its faces, whose image can be seen from it;
     the image's code."""
-    counts, pbc = columns.counts, columns.pbc
+    counts, is_crossed = columns.counts, columns.is_crossed
     image_x, image_y = run_x // counts[0], run_y // counts[1]
     image = (image_x + 1) * 9 + (image_y + 1) * 3 + image_z + 1
-    if (image_x != 0 and not pbc[0]) or (image_y != 0 and not pbc[1]) or (image_z != 0 and not pbc[2]):
+    if (
+        (image_x != 0 and not is_crossed[0])
+        or (image_y != 0 and not is_crossed[1])
+        or (image_z != 0 and not is_crossed[2])
+    ):
         return 0, 0, image
     column = (run_x - image_x * counts[0]) * counts[1] + run_y - image_y * counts[1]
     first, last = clusters.column_start[column], clusters.column_start[column + 1]
-    while image_z > 0 and last > first and clusters.bottom[last - 1] > columns.along[0]:
+    while image_z > 0 and last > first and clusters.bottom[last - 1] > columns.along[2]:
         last -= 1
-    while image_z < 0 and last > first and clusters.top[first] < 1.0 - columns.along[0]:
+    while image_z < 0 and last > first and clusters.top[first] < 1.0 - columns.along[2]:
         first += 1
     return first, last, image
 

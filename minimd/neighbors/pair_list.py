@@ -14,7 +14,7 @@ from minimd.neighbors.search import bins_of, find_pairs
 from minimd.neighbors.verlet_list import VerletList, any_moved, partners, starts
 from minimd.structure.cell import Cell
 from minimd.structure.strain import strained
-from minimd.structure.system import System, number_density
+from minimd.structure.system import System, local_density
 
 MOST_PAIRS = 2**30  # 8 bytes each
 MOST_OF_AN_ATOM = 2**18  # pairs, in the mean: a reach of some 40 atoms
@@ -111,7 +111,7 @@ def check_size(system: System, cutoff: float, skin: float) -> None:
     n_atoms, reach, cell = len(system), cutoff + skin, system.cell
     n_pairs = 0.5 * n_atoms**2
     if reach < np.inf:
-        in_reach = 0.5 * n_atoms * number_density(system, reach) * 4.0 / 3.0 * np.pi * reach**3
+        in_reach = 0.5 * n_atoms * local_density(system.positions, cell, reach) * 4.0 / 3.0 * np.pi * reach**3
         n_pairs = in_reach if cell.is_periodic else min(n_pairs, in_reach)
     n_images = np.prod(2.0 * np.ceil(reach / cell.heights[cell.pbc]) + 1.0)
     sizes: dict[str, tuple[float, int]] = {

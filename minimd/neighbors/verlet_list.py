@@ -47,11 +47,13 @@ class Built(NamedTuple):
 
     skin : [length].  positions : (N, 3) when it was built [length], a copy; None if there is no list that can be used.
     cell : Cell in which it was built, if that has been strained since.
+    region : (7,) of its columns, see region_of in clusters; None if it has none.
     """
 
     skin: float
     positions: NDArray[np.float64] | None
     cell: Cell | None = None
+    region: NDArray[np.float64] | None = None
 
 
 class VerletList(ABC):
@@ -74,6 +76,7 @@ class VerletList(ABC):
         self._cell: Cell | None = None
         self._built_in: Cell | None = None
         self._stretch = 1.0  # s
+        self._region: NDArray[np.float64] | None = None
         self.limit2 = self._limit2(skin)
 
     def _limit2(self, margin: float) -> float:
@@ -121,11 +124,12 @@ class VerletList(ABC):
             self.skin,
             None if self._cell is None else self._built_at(),
             None if self._cell is self._built_in else self._built_in,
+            self._region,
         )
 
     def build_again(self, built: Built, cell: Cell) -> None:
         """Build a list again; it must have the same skin."""
-        self._cell = None
+        self._cell, self._region = None, built.region
         if built.positions is not None:
             self._build_in(cell if built.cell is None else built.cell, built.positions)
             if built.cell is not None:
@@ -136,7 +140,7 @@ class VerletList(ABC):
         self._build(positions, cell)
         self._cell, self._built_in, self.n_builds = cell, cell, self.n_builds + 1
 
-    def settle(self) -> None:
+    def settle(self) -> None:  # noqa: B027 - there may be nothing to do
         """After operations: take note of what they have done to the list."""
 
     def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:

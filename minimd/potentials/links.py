@@ -52,7 +52,8 @@ class Links(
 def link_shape(name: str, formula: Any, n_links: int) -> Any:
     """The shape of terms: formula(arms, law, numbers) returns u [energy] and a force f_l for each link.
 
-    arms : for each link r_l, and what rounding has left out of it.  name : of the variable in the module of the formula.
+    arms : for each link r_l, and what rounding has left out of it.  name : of the variable, in the module of the
+        formula.
     """
     kind: Any = type_of(formula)(namedtuple(name, (), module=formula.py_func.__module__))
     kind.n_links = n_links
@@ -133,10 +134,10 @@ def _arms(shape, links, t):
 def _arm(links, l, t):
     """r_l to the nearest image, rounded, and what rounding has left out [length]."""
     translation = links.translations[l, t]
-    x, y, z = arm = _difference(links, l, t, translation)
+    x, y, z = _difference(links, l, t, translation)
     if not x[0] * x[0] + y[0] * y[0] + z[0] * z[0] <= links.images.safe_distance2[0]:
         _find_image(links, l, t, translation)
-        x, y, z = arm = _difference(links, l, t, translation)
+        x, y, z = _difference(links, l, t, translation)
     return (x[0], y[0], z[0]), (x[1], y[1], z[1])
 
 
@@ -218,7 +219,7 @@ class LinkedTerm(OwnTerm):
     """Terms of one shape, each link taken at its nearest image.
 
     first, second : (L, T) int, atoms of each link.  sites : (T, L + 1) int.  shape : from link_shape.  law : law type.
-    columns : (T,) numbers of each term, for each parameter.
+    columns : (T,) numbers of each term, for each parameter.  n_slots, first_slot : its slots, see Slots.
     """
 
     def __init__(self, links: tuple[Any, Any], sites: Any, shape: tuple, law: tuple, columns: tuple[Any, ...]) -> None:
@@ -226,7 +227,7 @@ class LinkedTerm(OwnTerm):
         self._sites, self._shape, self._law, self._columns = np.array(sites), shape, law, ByPair(columns)
         self._translations = np.zeros((*self.first.shape, 3))
         self._loop = add_links if is_recognized(law) else without_cache(add_links)
-        self._calls, self.n_slots = DirectCalls(), self.first.size
+        self._calls, self.n_slots, self.first_slot = DirectCalls(), self.first.size, 0
         self._totals = np.zeros((n_chunks_of(self.first.shape[1]), 1 + VIRIAL))
 
     def follow(self, system: System) -> bool:
@@ -264,7 +265,7 @@ class FixedPairs(LinkedTerm):
 
 
 class Gathering(ByAddress, namedtuple("Gathering", "atoms start slot slots forces n_chunks")):
-    """The sums of slots.  atoms : (A,) int32, that have any.  start : (A + 1,) int32, where those of each begin in slot.
+    """The sums of slots.  atoms : (A,) int32, that have any.  start : (A + 1,) int32, where those of each begin.
 
     slot : the number s of a slot, whose force acts on the atom, or −1 − s if its opposite does.  slots : (S, 3).
         forces : (N, 3).
@@ -297,7 +298,10 @@ class Slots:
         ends, self.size = [np.zeros((0, 3), dtype=np.int64)], 0
         for term in terms:
             term.first_slot, numbers = self.size, self.size + np.arange(term.n_slots)
-            ends += [np.column_stack([term.second.ravel(), numbers]), np.column_stack([term.first.ravel(), -1 - numbers])]
+            ends += [
+                np.column_stack([term.second.ravel(), numbers]),
+                np.column_stack([term.first.ravel(), -1 - numbers]),
+            ]
             self.size += term.n_slots
         atom, slot = np.concatenate([one[:, :2] for one in ends]).T
         order = np.argsort(atom, kind="stable")

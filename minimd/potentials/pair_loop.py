@@ -1,7 +1,6 @@
-"""The plain loop over pairs: the one place where a pair law of one pair at a time becomes forces, energies and virial."""
+"""The plain loop over pairs: the one place where a law of one pair at a time becomes forces, energies and virial."""
 
 from collections import namedtuple
-from typing import Any
 
 import numpy as np
 from numba.extending import overload

@@ -1,7 +1,7 @@
 """The interface of all forces: a potential has bind(system), which returns a Term;
 a Term adds its forces to the sum."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
 from math import inf
 from typing import Any, NamedTuple, Protocol
@@ -107,8 +107,8 @@ class Term:
     is_checked : whether the first run compares its force with its energy, see check_force. False for a force that is no
         gradient, such as friction beside an energy. A term without any energy is not checked.
     fits_grid : whether it can add impulses, for precision="fixed-point".
-    version : of the memory that its operations work on.  assigns : whether they set all forces, if told that they are
-        the first.  n_slots, first_slot : see LinkedTerm.
+    version : of the memory that its operations work on.  assigns : whether they set all forces and do not add to them,
+        if it is_first, as Forces tells it.
     """
 
     pair_law: PairLaw | None = None
@@ -128,8 +128,7 @@ class Term:
     fits_grid: bool = False
     version: int = 0
     assigns: bool = False
-    n_slots: int = 0
-    first_slot: int = 0
+    is_first: bool = False
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """Add to forces (N, 3), and unless detail is FORCES to energies (N,) and virials (N, 6), xx yy zz yz xz xy.

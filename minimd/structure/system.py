@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 AnySystem: TypeAlias = "System | ase.Atoms"
 READ_ONLY = ("masses", "species_names", "species_index", *GROUPS, "units")
+MOST_BINS = 2**20  # along a lattice vector: their numbers are int64
 RESOLVED = 1e-6  # of a length: the largest rounding error of separations that is allowed
 
 
@@ -316,13 +317,22 @@ def check_resolution(system: System, length: float, name: str) -> None:
         raise ValueError(f"positions must be below {most:.1e} here; {given}: shift them towards the origin")
 
 
-def number_density(system: System, thickness: float) -> float:
-    """N / V [1/length³]; open directions count with the width of the scene,
-    or with a thickness [length] if that is more."""
-    cell = system.cell
-    fractional = np.einsum("ij,jk->ik", system.positions, cell.inverse)  # not @: see observables
-    widths = np.where(cell.pbc, cell.heights, np.maximum(thickness, np.ptp(fractional, axis=0) * cell.heights))
-    return len(system) / float(widths.prod())
+def local_density(positions: NDArray[np.float64], cell: Cell, width: float) -> float:
+    """The density around an atom, in the mean over all atoms, at least N/V [1/length³].
+
+        ρ = Σ n (n − 1) / (N V_b)   over bins of volume V_b with n atoms: −1, because no atom is its own neighbor
+
+    positions : (N, 3) [length].  width : of a bin, or somewhat less than that of it [length].
+    Open directions count as far as there are atoms, or with the width if that is more.
+    """
+    s = np.einsum("ij,jk->ik", positions, cell.inverse)  # not @: see observables
+    s -= np.where(cell.pbc, np.floor(s), s.min(axis=0))
+    extent = np.where(cell.pbc, 1.0, np.maximum(width / cell.heights, s.max(axis=0)))
+    counts = np.clip(np.floor(extent * cell.heights / width), 1, MOST_BINS).astype(np.int64)
+    bins = np.minimum((s / extent * counts).astype(np.int64), counts - 1)
+    n = np.unique((bins[:, 0] * counts[1] + bins[:, 1]) * counts[2] + bins[:, 2], return_counts=True)[1]
+    around = float((n * (n - 1)).sum()) / len(s) * float(counts.prod())
+    return max(len(s), around) / float(abs(np.linalg.det(cell.lattice)) * extent.prod())
 
 
 def _with_unit(name: str, words: str, units: UnitSystem) -> str:

@@ -20,9 +20,9 @@ from minimd.compiled.simd.lanes import Lanes4, Lanes8
 from minimd.forces.cluster_loop import add_cluster_forces
 from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
-from minimd.potentials.term import FORCES
 from minimd.forces.pair_list_term import PairListTerm
 from minimd.neighbors import cluster_list
+from minimd.potentials.term import FORCES
 
 LAW = md.LennardJones(1.0, 1.0, 2.5, "truncated")
 X86, ARM = "x86_64-unknown-linux-gnu", "aarch64-unknown-linux-gnu"

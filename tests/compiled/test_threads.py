@@ -85,7 +85,8 @@ def test_a_program_loops_and_stops_at_the_same_step_for_all_threads(n_threads):
 
         step = operation(CALLS, walk, data, int(n))
         check = operation(CALLS, is_there, data, otherwise=-1, python=answer)
-        Program(lambda made=(step, check, in_python(lambda: asked.append(None))): made, lambda: 0, team).run()
+        end = in_python(lambda: asked.append(None))
+        Program(lambda made=(step, check, end): made, lambda: 0, team).run()
         assert asked.pop() is None
         if last <= 50:
             given, place = asked.pop()

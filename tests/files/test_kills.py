@@ -30,7 +30,13 @@ def few():
     return Scene(md.System(of.positions[:27], velocities=of.velocities[:27]), [LJ])
 
 
-RUNS = {"argon": SCENES["argon"], "dumbbells": SCENES["dumbbells"], "springs": springs, "few": few}
+def bursting():
+    """A hot droplet about a corner of a wide cell."""
+    of = SCENES["argon"]().system
+    return Scene(md.System(of.positions - 2.5, velocities=3.0 * of.velocities, cell=40.0), [LJ])
+
+
+RUNS = {name: SCENES[name] for name in ("argon", "dumbbells")} | {"springs": springs, "few": few, "bursting": bursting}
 COMMON = ["velocity-verlet", "position-verlet", "langevin-baoab"]  # whose kernels other tests compile, too
 SLOW = [(scene, precision, n, NAMES) for scene in RUNS for precision in ("double", "mixed") for n in (1, 2)]
 
@@ -42,7 +48,8 @@ def begun(scene, name, threads=1, **options):
     return scene.simulation(method, threads=threads, **options)
 
 
-ROWS = [("argon", "double", 2, COMMON), *(pytest.param(*row, marks=pytest.mark.slow) for row in SLOW)]
+ROWS = [("argon", "double", 2, COMMON), ("bursting", "double", 1, COMMON[:1])]
+ROWS += [pytest.param(*row, marks=pytest.mark.slow) for row in SLOW]
 
 
 @pytest.mark.parametrize(("scene", "precision", "threads", "names"), ROWS)

@@ -137,11 +137,11 @@ def test_looks_copies_files_and_resumed_runs_have_the_same_bits(reference, tmp_p
 def test_any_step_is_made_again_from_a_file_and_from_its_archive(tmp_path):
     file, small, run, other = tmp_path / "run.h5md", tmp_path / "small.h5md", plain(), plain()
     run.make_steps(3)
-    run.run(67, every=5, trajectory=file)
+    run.run(67, every=1, trajectory=file)
     other.make_steps(47)
     assert bits(md.Simulation.resume(file, LAW, step=47)) == bits(other)
     made = md.archive(file, small, 40, LAW)
-    assert made.n_frames == (15, 2)  # of steps 3 and 40
+    assert made.n_frames == (68, 2)  # of steps 3 and 40
     assert made.n_bytes[1] < made.n_bytes[0]
     check = str(check_file(file))
     assert "exact momentum change of Σ p, in whole steps of the grid: 0, tolerance 0: ok" in check

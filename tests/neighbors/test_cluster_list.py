@@ -1,17 +1,21 @@
 """The cluster list in its memory: layers, domains, columns, and what a build that failed leaves behind."""
 
+import itertools
+
 import cluster_scenes as cs
 import numpy as np
 import pytest
 from references import liquid
 
 import minimd as md
+from minimd.compiled.simd.lanes import DOUBLE, lanes_for
 from minimd.compiled.threads import MOST_CHUNKS, thread_pool
 from minimd.neighbors.cluster_list import ClusterList
-from minimd.neighbors.clusters import covered, make_columns
+from minimd.neighbors.clusters import columns_fit, make_columns, region_of
 from minimd.neighbors.domains import BLOCKS
 from minimd.potentials.term import PER_ATOM, TOTALS
 from minimd.structure.cell import Cell
+from minimd.structure.system import local_density
 
 
 @pytest.mark.slow  # compiles a law for both lists
@@ -69,8 +73,81 @@ def test_chunks_are_never_more_than_a_team_can_share_out(n):
     with cs.atoms_per_domain(1):
         found = ClusterList(n, 1.8, 0.2, np.zeros((0, 2), dtype=np.int64), "double", thread_pool(2))
         found.update(positions, cell)
-    columns = make_columns(cell, n, 2.0, found.lanes, *covered(cell, positions, 2.0))
+    columns = make_columns(cell, n, 2.0, found.lanes, region_of(cell, positions, 2.0))
     chunks = found.domains
     assert len(chunks.column) - 1 == min(MOST_CHUNKS, columns.counts[0] // columns.reach[0])
     assert np.all(np.diff(chunks.column) >= columns.reach[0])
     assert (chunks.column[0], chunks.column[-1], chunks.cluster[-1]) == (0, columns.counts[0], found.n_clusters)
+
+
+def lump(edge, pbc=True):
+    """A liquid cube of 256 atoms, 6.7 wide, about a corner of a wide cell."""
+    return md.System(liquid(4).positions - 3.3, cell=edge, pbc=pbc)
+
+
+@pytest.mark.parametrize("pbc", [True, (True, False, True), False])
+def test_columns_cover_a_droplet_and_go_along_with_it(pbc):
+    """Rarely: not with each list. Not across the faces, until an atom stands in the gap."""
+    system = lump(40.0, pbc)
+    clusters, pairs = cs.both_lists(system, cs.ONE_SPECIES)
+    found, laid, velocity = clusters.list, [], np.array([0.21, -0.17, 0.08])
+    for _ in range(60):
+        system.positions += velocity
+        cs.agree(clusters, pairs, system)
+        laid.append(found._columns_of[1])
+    columns, starts = found._columns, len({region.tobytes() for region in laid})
+    assert found.n_builds == 60
+    assert 60 * 0.21 / (cs.CUTOFF + cs.SKIN) < starts < 15
+    assert found.n_ghosts == found.n_clusters
+    assert np.all(columns.extent * system.cell.heights < 6.7 + 2.0 * (cs.CUTOFF + cs.SKIN))
+    assert set(columns.counts[:2].tolist()) <= {3, 4}
+    system.positions[0] = system.positions[1:].mean(axis=0) + np.array([20.0, 17.0, 18.5])
+    cs.agree(clusters, pairs, system)
+
+
+def test_columns_fit_atoms_that_are_a_reach_from_their_ends_at_most():
+    """The region ends half a reach, 1, beyond the atoms."""
+    ends = np.array([[0.0, 0.0, 0.0], [9.0, 9.0, 9.0]])
+    for cell in (Cell.of(30.0), Cell.of(30.0, (False, True, True)), Cell.of(None)):
+        columns = make_columns(cell, 2, 2.0, lanes_for(DOUBLE), region_of(cell, ends, 2.0))
+        assert columns.extent * cell.heights == pytest.approx([11.0] * 3, rel=1e-6)
+        for below, above in itertools.product((-1.1, -0.9, 0.0, 0.9, 1.1), repeat=2):
+            for lattice_vectors in (0.0, 60.0 * cell.pbc):
+                moved = ends + np.array([[below, 0.0, 0.0], [above, 0.0, 0.0]]) + lattice_vectors
+                assert columns_fit(moved, columns) == (max(abs(below), abs(above)) < 1.0)
+
+
+def test_a_gap_that_closes_as_the_cell_is_strained_is_crossed():
+    """At first it is a little more than twice as wide as the reach, in the end a little less than once."""
+    positions = 1.9 * liquid(4).positions
+    system = md.System(positions, cell=np.ptp(positions, axis=0) + 2.04 * (cs.CUTOFF + cs.SKIN))
+    clusters, pairs = cs.both_lists(system, cs.ONE_SPECIES)
+    for share, is_crossed in ((1.0, False), (0.9, False), (0.52, True)):
+        system.positions[:], system.cell = system.positions * share, md.Cell.of(system.cell.vectors * share)
+        clusters.list.follow(system.cell)
+        cs.agree(clusters, pairs, system)
+        assert set(clusters.list._columns.is_crossed) == {is_crossed}
+
+
+def test_a_list_that_is_built_again_has_the_columns_of_the_first():
+    """They may be where atoms were some lists ago, and decide the order of sums."""
+    system = lump(40.0)
+    first, other, fresh = (cs.clustered(system, cs.ONE_SPECIES) for _ in range(3))
+    cs.evaluated(first, system)
+    system.positions += 0.3
+    cs.evaluated(first, system)
+    other.list.build_again(first.list.built(), system.cell)
+    results = [cs.evaluated(term, system)[0] for term in (first, other, fresh)]
+    assert np.array_equal(results[0], results[1])
+    assert not np.array_equal(results[0], results[2])
+
+
+def test_local_density_is_that_of_the_liquid_wherever_it_is():
+    system, rng = lump(6.72), np.random.default_rng(1)
+    assert local_density(system.positions, system.cell, 2.5) == pytest.approx(0.8442, rel=0.02)
+    for edge in (14.0, 40.0, 1e4):
+        for pbc in (True, False, (True, False, True)):
+            density = local_density(system.positions, Cell.of(edge, pbc), 2.5)
+            assert 0.4 * 0.8442 < density < 1.4 * 0.8442  # surfaces cut bins, and open scenes end at the last atom
+    gas = rng.uniform(0, 100.0, (20_000, 3))
+    assert local_density(gas, Cell.of(100.0), 2.5) == pytest.approx(0.02, rel=0.04)  # statistics: pairs of one bin

@@ -90,6 +90,8 @@ def test_energy_is_evaluated_only_where_somebody_looks(every, chain):
         def bind(self, system):
             return self
 
+        is_checked = False
+
         def add(self, system, detail, forces, energies, virials):
             asked.append(detail)
 

@@ -66,8 +66,8 @@ class Moving(ByAddress, namedtuple("Moving", "positions velocities forces invers
 
     positions, velocities, forces : (N, 3) [length], [length/time], [energy/length].  inverse_masses : (N,) [1/mass],
         zero for atoms that are held fixed.
-    flows : (F, 3), one after the other: KICK or DRIFT, its duration, and, on a grid, the unit [time] of which the duration
-        is a whole multiple: the change over one unit is rounded.
+    flows : (F, 3), one after the other: KICK or DRIFT, its duration, and, on a grid, the unit [time] of which the
+        duration is a whole multiple: the change over one unit is rounded.
     steps : Steps in fixed-point arithmetic, where forces are int64 impulses over the unit; else ().
     """
 

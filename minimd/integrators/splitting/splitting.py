@@ -96,11 +96,12 @@ class Splitting(Method):
         ConstraintError : if a constrained length cannot be kept.  ValueError : from a thermostat without a bath.
         """
 
-        def evaluation(with_energy: bool, _moment: Moment) -> Iterable[Operation]:
+        def evaluation(with_energy: bool, _unit: float, _moment: Moment) -> Iterable[Operation]:
             yield in_python(lambda: compute_forces(state, with_energy))
 
         around = Surroundings() if surroundings is None else surroundings
-        made = Steps(self, state, around, Evaluation(evaluation)).advance(n_steps, with_energy)
+        first = 0 if around.bath is None else around.bath.step
+        made = Steps(self, state, around, Evaluation(evaluation)).advance(n_steps, with_energy, first)
         if around.bath is not None:
             around.bath.step += made
         return made

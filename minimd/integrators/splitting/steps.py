@@ -10,9 +10,10 @@ whether another one follows.
 """
 
 from collections import namedtuple
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import partial
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,6 @@ from minimd.integrators.splitting.flows import DRIFT, KICK, Moving, move_atoms
 from minimd.integrators.splitting.state import GridState, State, Surroundings
 from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, Thermalize, merged
 
-if TYPE_CHECKING:
-    from minimd.integrators.splitting.splitting import Splitting
-
 MADE, TO_MAKE, FIRST, UNTIL_BREATH, BREATH = range(5)  # places in a count
 ATOM_STEPS = 8_000_000  # in a breath, about a second
 DIGITS_OF_PHASE = 12  # so that coefficients that add up to one are one
@@ -36,39 +34,56 @@ DIGITS_OF_PHASE = 12  # so that coefficients that add up to one are one
 class Moment(NamedTuple):
     """A moment of a program.
 
-    count : see Counting.  begun : how many of its steps have begun before the present one: count[MADE] + begun.
+    counts : see Counting.  begun : how many steps have begun before the present one: counts[MADE] + begun.
     phase : time since the beginning of that step, in time steps; only drifts advance it.
-    contact : number of contacts with a bath in that step before.  unit : of a kick that follows [time].
+    contact : number of contacts with a bath in that step before.
     """
 
-    count: NDArray[np.int64]
-    begun: int
-    phase: float
-    contact: int
-    unit: float
+    counts: NDArray[np.int64]
+    begun: int = 0
+    phase: float = 0.0
+    contact: int = 0
 
     @property
     def step(self) -> int:
         """The number of the present step."""
-        return int(self.count[FIRST] + self.count[MADE]) + self.begun
+        return int(self.counts[FIRST] + self.counts[MADE]) + self.begun
 
     @property
     def time(self) -> float:
-        """The time since the step count[FIRST], in time steps."""
+        """The same with the time since its beginning, in time steps."""
         return self.step + round(self.phase, DIGITS_OF_PHASE)
+
+    def after(self, event: "Event") -> "Moment":
+        """The moment after an event."""
+        if isinstance(event, Beginning):
+            return Moment(self.counts, self.begun + 1)
+        if isinstance(event, Drift):
+            return self._replace(phase=self.phase + event.coefficient)
+        return self._replace(contact=self.contact + isinstance(event, Thermalize))
+
+
+class Row(Protocol):
+    """A method: its time step and its substeps; see Splitting."""
+
+    timestep: float
+    substeps: ClassVar[Any]
+
+    def contact(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterable[Operation]:
+        """The operations of a contact with a bath."""
 
 
 class Evaluation(NamedTuple):
     """Where forces come from.
 
-    operations : those that evaluate the forces at a moment, with the energy or without.
+    operations : those that evaluate them, with the energy or without, over a unit of time [time], at a moment.
     version : of the memory that they work on.  pool : the threads.
-    running : context for the run of a program with such operations.  power : ∂U/∂t of the last evaluation [energy/time],
-        if forces depend on time.
+    running : context for the run of a program with such operations.
+    power : ∂U/∂t of the last evaluation [energy/time], if forces depend on time.
     taken : called after a run, with whether the last evaluation had the energy, and its unit [time].
     """
 
-    operations: Callable[[bool, Moment], Iterable[Operation]]
+    operations: Callable[[bool, float, Moment], Iterable[Operation]]
     version: Callable[[], Any] = lambda: 0
     pool: Callable[[], ThreadPool] = lambda: thread_pool(1)
     running: Callable[[Program], AbstractContextManager] = lambda _program: nullcontext()
@@ -77,45 +92,51 @@ class Evaluation(NamedTuple):
 
 
 class Force(NamedTuple):
-    """New forces, for kicks of one unit, a multiple of the time step."""
+    """New forces.  unit : of the kicks that follow, see unit_of.  with_energy : and the energy."""
 
     unit: float
+    with_energy: bool = False
 
 
 class Projection(NamedTuple):
     """Velocities projected onto the constraints."""
 
 
-Event = Substep | Force | Projection
+class Beginning(NamedTuple):
+    """The beginning of the next step."""
 
 
-class Counting(ByAddress, namedtuple("Counting", "count")):
-    """count : (5,) int, steps MADE and TO_MAKE, the number of the FIRST; how many more UNTIL_BREATH, each BREATH steps."""
+Event = Substep | Force | Projection | Beginning
+Events = tuple[Event, ...]
+
+
+class Counting(ByAddress, namedtuple("Counting", "counts")):
+    """counts : (5,) int, steps MADE and TO_MAKE, the number of the FIRST; those UNTIL_BREATH, and in each BREATH."""
 
 
 @called_kernel
 def count_step(counting, _chunk):
-    """Another step is made but for what follows its last forces; JUMP if it is the last one.  BREATHE if it is time to,
-    before it is counted."""
-    count = counting.count
-    if count[UNTIL_BREATH] == 0:
-        count[UNTIL_BREATH] = count[BREATH]
+    """One more step has come to its last forces; JUMP if it is the last one.  BREATHE when it is time to,
+    before the step is counted."""
+    counts = counting.counts
+    if counts[UNTIL_BREATH] == 0:
+        counts[UNTIL_BREATH] = counts[BREATH]
         return BREATHE
-    count[UNTIL_BREATH] -= 1
-    count[MADE] += 1
-    return JUMP if count[MADE] >= count[TO_MAKE] else GO_ON
+    counts[UNTIL_BREATH] -= 1
+    counts[MADE] += 1
+    return JUMP if counts[MADE] >= counts[TO_MAKE] else GO_ON
 
 
 def unit_of(row: Substeps, one: Kick | Drift) -> float:
-    """The coefficient over which a kick or a drift is rounded on a grid: that of its kind at an end of the step, if it is
-    a whole multiple of it; two half kicks then are one kick."""
+    """The coefficient over which a kick or a drift is rounded on a grid: that of its kind at an end of the step,
+    if it is a whole multiple of it; two half kicks then are one kick."""
     for end in (row[0], row[-1]):
         if type(end) is type(one) and one.coefficient % end.coefficient == 0.0:
             return end.coefficient
     return one.coefficient
 
 
-def first_unit(method: "Splitting") -> float:
+def first_unit(method: Row) -> float:
     """Of the first kick of a step [time]."""
     row = merged(method.substeps)
     return unit_of(row, next((one for one in row if isinstance(one, Kick)), Kick(1.0))) * method.timestep
@@ -127,183 +148,159 @@ class Steps:
     around : Surroundings.  forces : Evaluation.
     """
 
-    def __init__(self, method: "Splitting", state: State, around: Surroundings, forces: Evaluation) -> None:
+    def __init__(self, method: Row, state: State, around: Surroundings, forces: Evaluation) -> None:
         self._method, self._state, self._around, self._forces = method, state, around, forces
-        self.count = np.zeros(5, dtype=np.int64)
-        self._counting, self._calls = Counting(self.count), DirectCalls()
-        self._head, self._rest = self._events()
+        self.counts, self._calls = np.zeros(5, dtype=np.int64), DirectCalls()
+        self._counting, self._row = Counting(self.counts), merged(method.substeps)
+        self._head, self._rest = self._cut()
+        self._last = next((one for one in self._rest[::-1] if isinstance(one, Force | Drift)), None)
         self._programs: dict[tuple[bool, bool], Program] = {}
 
-    def advance(self, n_steps: int, with_energy: bool = False, first: int | None = None) -> int:
+    def advance(self, n_steps: int, with_energy: bool = False, first: int = 0) -> int:
         """Make n_steps steps, or fewer (at least one) if a stop is requested; return how many were made.
 
         with_energy : evaluate the energy with the last forces, if they are those of the last positions.
-        first : number of the first of them; if not given, that of the bath.
+        first : number of the first of them.
         """
-        state, around, count = self._state, self._around, self.count
         if n_steps <= 0:
             return 0
-        bath = around.bath
-        count[:FIRST] = 0, n_steps
-        count[FIRST] = (bath.step if bath else 0) if first is None else first
+        state, last = self._state, self._last
+        self.counts[:UNTIL_BREATH] = 0, 1 if self._around.stop_requested else n_steps, first
         needs_forces = not state.forces_are_current and any(isinstance(one, Kick) for one in self._head)
-        with_energy &= self._ends_with_forces
+        with_energy &= isinstance(last, Force)
         program = self._program(needs_forces, with_energy)
         state.forces_are_current = False
-        if around.stop_requested:
-            count[TO_MAKE] = 1
         with self._forces.running(program):
             program.run()
-        last = [one for one in self._rest if isinstance(one, Force)][-1:]
-        for one in last:
-            self._forces.taken(with_energy, one.unit * self._method.timestep)
-        state.forces_are_current = self._ends_with_forces
-        return int(count[MADE])
+        if isinstance(last, Force):
+            self._forces.taken(with_energy, last.unit * self._method.timestep)
+            state.forces_are_current = True
+        return int(self.counts[MADE])
 
     def prepare(self) -> None:
         """Compile what steps need."""
         with self._forces.running(self._program(False, False)):
             pass
 
-    def _program(self, *key: bool) -> Program:
-        """key : arguments of _operations."""
-        if key not in self._programs:
-            make = lambda: self._operations(*key)  # noqa: E731
-            self._programs[key] = Program(make, self._forces.version, self._forces.pool())
-        return self._programs[key]
-
-    @property
-    def _ends_with_forces(self) -> bool:
-        """Whether the last forces of a step are those of its last positions."""
-        decisive = [one for one in self._rest if isinstance(one, Force | Drift)]
-        return bool(decisive) and isinstance(decisive[-1], Force)
-
     @property
     def n_evaluations(self) -> int:
         """Of each step, in a run of them."""
-        return sum(isinstance(one, Force) for one in (*self._head, *self._rest))
+        return sum(isinstance(one, Force) for one in self._rest)
 
-    def _events(self) -> tuple[Sequence[Event], Sequence[Event]]:
-        """The substeps of a step before its first evaluation of forces, and all from there on, as they are in a run."""
-        substeps: list[Event] = list(merged(self._method.substeps))
-        if self._around.constraints is not None and not isinstance(substeps[-1], Thermalize):
-            substeps.append(Projection())
+    def _cut(self) -> tuple[Events, Events]:
+        """The events of a step in a run of them: those before its first evaluation of forces, and all from there on."""
+        row: list[Event] = list(self._row)
+        if self._around.constraints is not None and not isinstance(row[-1], Thermalize):
+            row.append(Projection())
         unit, is_current, events = 0.0, False, list[Event]()
-        for turn in range(2):  # the second time forces may be those of the step before
-            events = []
-            for one in substeps:
+        for _ in range(2):  # the second time the first kick may have the forces of the step before
+            events.clear()
+            for one in row:
                 if isinstance(one, Kick):
-                    own = self._unit_of(one)
+                    own = unit_of(self._row, one)
                     if not is_current or (own != unit and isinstance(self._state, GridState)):
                         events.append(Force(own))
                     unit, is_current = own, True
                 is_current &= not isinstance(one, Drift)
                 events.append(one)
-        first = next((k for k, one in enumerate(events) if isinstance(one, Force)), len(events))
-        return tuple(events[:first]), tuple(events[first:])
+        n = next((k for k, one in enumerate(events) if isinstance(one, Force)), len(events))
+        return tuple(events[:n]), tuple(events[n:])
 
-    def _unit_of(self, one: Kick | Drift) -> float:
-        return unit_of(merged(self._method.substeps), one)
+    def _program(self, needs_forces: bool, with_energy: bool) -> Program:
+        """See _operations."""
+        key = needs_forces, with_energy
+        if key not in self._programs:
+            make = lambda: self._operations(*key)  # noqa: E731
+            self._programs[key] = Program(make, self._forces.version, self._forces.pool())
+        return self._programs[key]
 
     def _operations(self, needs_forces: bool, with_energy: bool) -> Iterator[Operation]:
-        """All operations of a block: head, loop, rest of the last step."""
-        head = list(self._made_of(self._head, (), needs_forces, False))
-        again = list(self._made_of(self._rest, self._head, False, False))
-        last = list(self._made_of(self._rest, (), False, with_energy))
+        """Head, loop, and the rest of the last step.  needs_forces : whether the first kick needs new forces.
+        with_energy : whether the last forces come with the energy."""
+        start, rest, head = Moment(self.counts), self._rest, self._head
+        in_rest = Moment(self.counts, -1)
+        for one in head:
+            in_rest = in_rest.after(one)
+        first = next((k for k, one in enumerate(head) if isinstance(one, Kick)), 0)
+        new = (Force(unit_of(self._row, head[first])),) if needs_forces else ()  # type: ignore[arg-type]
+        again = list(self._made_of((*rest, Beginning(), *head), in_rest))
         is_slow = any(one.code == 0 for one in again)  # there may be much time in a call of Python
-        self.count[[UNTIL_BREATH, BREATH]] = 1 if is_slow else max(1, ATOM_STEPS // max(1, len(self._state.positions)))
-        yield from head
+        breath = 1 if is_slow else max(1, ATOM_STEPS // max(1, len(self._state.positions)))
+        self.counts[UNTIL_BREATH:] = breath
+        yield from self._made_of((*head[:first], *new, *head[first:]), start)
         yield operation(self._calls, count_step, self._counting, otherwise=1 + len(again), python=self._breathe)
-        for k, one in enumerate(again):
-            yield one._replace(then=one.then - len(again) - 1) if k == len(again) - 1 and one.then == 1 else one
-        yield from last
+        yield from again[:-1]
+        yield again[-1]._replace(then=-len(again))
+        if with_energy:
+            k = max(k for k, one in enumerate(rest) if one is self._last)
+            rest = *rest[:k], self._last._replace(with_energy=True), *rest[k + 1 :]  # type: ignore[union-attr]
+        yield from self._made_of(rest, in_rest)
 
     def _breathe(self, _answer: int) -> None:
         """Python looks whether to go on."""
         if self._around.stop_requested:
-            self.count[TO_MAKE] = self.count[MADE] + 1
+            self.counts[TO_MAKE] = self.counts[MADE] + 1
 
-    def _made_of(
-        self, rest: Sequence[Event], head: Sequence[Event], needs_forces: bool, with_energy: bool
-    ) -> Iterator[Operation]:
-        """The operations of the rest of a step, or the head of a first one, and of the head of the next."""
-        is_first = rest is self._head
-        moment = Moment(self.count, 0 if is_first else -1, *self._after(() if is_first else self._head), 1.0)
+    def _made_of(self, events: Events, moment: Moment) -> Iterator[Operation]:
+        """The operations of events, from a moment on; kicks and drifts in a row are one of them."""
         flows: list[tuple[float, float, float]] = []
-        last_force = max((k for k, one in enumerate(rest) if isinstance(one, Force)), default=-1)
-        for k, one in enumerate((*rest, *head)):
-            if k == len(rest):
-                moment = moment._replace(begun=0, phase=0.0, contact=0)
-            if isinstance(one, Kick) and needs_forces:
-                unit, needs_forces = self._unit_of(one) * self._method.timestep, False
-                yield from self._passed(flows)
-                yield from self._forces.operations(False, moment._replace(unit=unit))
-                yield from self._noting_power()
-            if isinstance(one, Force):
-                yield from self._passed(flows)
-                moment = moment._replace(unit=one.unit * self._method.timestep)
-                yield from self._forces.operations(with_energy and k == last_force, moment)
-                yield from self._noting_power()
-            elif isinstance(one, Kick):
-                duration = one.coefficient * self._method.timestep
-                flows.append((KICK, duration, self._unit_of(one) * self._method.timestep))
-                if self._forces.power is not None:
-                    yield from self._passed(flows)
-                    yield in_python(lambda duration=duration: self._work(duration))
-            elif isinstance(one, Drift):
-                duration = one.coefficient * self._method.timestep
-                if self._around.constraints is None:
-                    flows.append((DRIFT, duration, self._unit_of(one) * self._method.timestep))
-                else:
-                    yield from self._passed(flows)
-                    yield from self._constrained(duration)
-                moment = moment._replace(phase=moment.phase + one.coefficient)
-            elif isinstance(one, Projection):
-                yield from self._passed(flows)
-                yield from projected(self._state, self._around)
-            else:
-                yield from self._passed(flows)
-                duration = one.coefficient * self._method.timestep
-                yield from self._method.contact(self._state, duration, self._around, moment)
-                moment = moment._replace(contact=moment.contact + 1)
-        yield from self._passed(flows)
-
-    @staticmethod
-    def _after(events: Sequence[Event]) -> tuple[float, int]:
-        """The phase and the number of contacts after some events of a step."""
-        return (
-            sum((one.coefficient for one in events if isinstance(one, Drift)), 0.0),
-            sum(isinstance(one, Thermalize) for one in events),
-        )
-
-    def _passed(self, flows: list[tuple[float, float, float]]) -> Iterator[Operation]:
-        """Kicks and drifts in one pass over memory; flows is empty afterwards."""
+        for one in events:
+            if isinstance(one, Kick) or (isinstance(one, Drift) and self._around.constraints is None):
+                unit = unit_of(self._row, one) * self._method.timestep
+                flows.append((KICK if isinstance(one, Kick) else DRIFT, one.coefficient * self._method.timestep, unit))
+            elif flows and not isinstance(one, Beginning):
+                yield self._passed(flows)
+                flows = []
+            yield from self._made_of_one(one, moment)
+            moment = moment.after(one)
         if flows:
-            state, n_chunks = self._state, n_chunks_of(len(self._state.positions))
-            parts = state.positions, state.velocities, state.pushes, state.inverse_masses
-            moving = Moving(*parts, np.array(flows), state.steps, n_chunks)
-            flows.clear()
-            yield operation(self._calls, move_atoms, moving, n_chunks, python=lambda _answer: state.check_range())
+            yield self._passed(flows)
 
-    def _constrained(self, duration: float) -> Iterator[Operation]:
-        """A drift that keeps constrained lengths."""
-        state, around = self._state, self._around
-        if isinstance(state, GridState) or around.constraints is None:
-            yield in_python(lambda: around.drift(state, duration))
-        else:
-            yield from around.constraints.drifts(state.positions, state.velocities, duration)
+    def _made_of_one(self, one: Event, moment: Moment) -> Iterator[Operation]:
+        """The operations of an event that is no part of a pass."""
+        state, around, forces = self._state, self._around, self._forces
+        if isinstance(one, Force):
+            yield from forces.operations(one.with_energy, one.unit * self._method.timestep, moment)
+            if forces.power is not None:
+                yield in_python(self._note_power)
+        elif isinstance(one, Kick) and forces.power is not None:
+            yield in_python(partial(self._work, one.coefficient * self._method.timestep))
+        elif isinstance(one, Drift) and around.constraints is not None:
+            yield from drifted_with_constraints(state, around, one.coefficient * self._method.timestep)
+        elif isinstance(one, Projection):
+            yield from projected(state, around)
+        elif isinstance(one, Thermalize):
+            yield from self._method.contact(state, one.coefficient * self._method.timestep, around, moment)
 
-    def _noting_power(self) -> Iterator[Operation]:
+    def _passed(self, flows: list[tuple[float, float, float]]) -> Operation:
+        """Kicks and drifts in one pass over memory."""
+        state, n_chunks = self._state, n_chunks_of(len(self._state.positions))
+        parts = state.positions, state.velocities, state.pushes, state.inverse_masses
+        moving = Moving(*parts, np.array(flows), state.steps, n_chunks)
+        return operation(self._calls, move_atoms, moving, n_chunks, python=self._check_range)
+
+    def _check_range(self, _answer: int) -> None:
+        self._state.check_range()
+
+    def _note_power(self) -> None:
         if self._forces.power is not None:
-            yield in_python(lambda: setattr(self._around, "power", self._forces.power()))
+            self._around.power = self._forces.power()
 
     def _work(self, duration: float) -> None:
         self._around.work += duration * self._around.power
 
 
+def drifted_with_constraints(state: State, around: Surroundings, duration: float) -> Iterator[Operation]:
+    """A drift that keeps constrained lengths."""
+    if isinstance(state, GridState):
+        yield in_python(partial(around.drift, state, duration))
+    elif around.constraints is not None:
+        yield from around.constraints.drifts(state.positions, state.velocities, duration)
+
+
 def projected(state: State, around: Surroundings) -> Iterator[Operation]:
     """Velocities projected, so that they change no constrained length."""
     if isinstance(state, GridState):
-        yield in_python(lambda: around.project(state))
+        yield in_python(partial(around.project, state))
     elif around.constraints is not None:
         yield from around.constraints.projections(state.positions, state.velocities)

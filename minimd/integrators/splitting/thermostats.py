@@ -137,7 +137,7 @@ class LangevinBAOAB(Thermostat):
         spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
         key = np.array([self.seed % 2**64, self.seed >> 64], dtype=np.uint64)
         atoms = state.velocities, state.inverse_masses, state.masses
-        noise = key, moment.count, FIRST, moment.begun, moment.contact
+        noise = key, moment.counts, FIRST, moment.begun, moment.contact
         touch = Touch(*atoms, kept, spread, *noise, np.zeros(n_chunks), bath.heat, int(is_held), state.steps)
         calls = CALLS[bool(state.steps)]
         yield from projected(state, around)
@@ -150,7 +150,7 @@ class LangevinBAOAB(Thermostat):
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The same, at once."""
         bath = bath_of(around)
-        moment = Moment(np.array([0, 0, bath.step]), 0, 0.0, bath.contact, 0.0)
+        moment = Moment(np.array([0, 0, bath.step]), contact=bath.contact)
         Program(lambda: self._touch(state, duration, around, moment), lambda: 0, thread_pool(1)).run()
         bath.contact += 1
 
@@ -159,14 +159,14 @@ class Touch(
     ByAddress,
     namedtuple(
         "Touch",
-        "velocities inverse_masses masses kept spread key count first begun contact parts heat is_held steps",
+        "velocities inverse_masses masses kept spread key counts first begun contact parts heat is_held steps",
     ),
 ):
     """The contact of atoms with a bath, see LangevinBAOAB.
 
     velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
     kept, spread : e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy].  key : (2,) uint64 of Philox.
-    count, first, begun, contact : see Moment; they select the noise.
+    counts, first, begun, contact : see Moment; they select the noise.
     parts : (chunks,) output, heat of each chunk [energy].  heat : (1,), to which it is added.
     is_held : whether constraints follow, before the kinetic energy afterwards is known.  steps : of a grid, or ().
     """
@@ -177,7 +177,7 @@ def touch_atoms(touch, chunk):
     """v ← kept · v + spread √(1/m) ξ."""
     velocities, masses, n_chunks = touch.velocities, touch.masses, touch.parts.size
     n, stream = masses.size, new_stream(touch.key)
-    step, given = touch.count[touch.first] + touch.count[MADE] + touch.begun, 0.0
+    step, given = touch.counts[touch.first] + touch.counts[MADE] + touch.begun, 0.0
     for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
         if touch.inverse_masses[i] > 0.0:
             start_stream(stream, i, touch.contact, step)

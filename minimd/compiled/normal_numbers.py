@@ -36,13 +36,6 @@ class Stream(namedtuple("Stream", "key counter words place")):
     how many of them were used."""
 
 
-@scalar
-def start_stream(stream, atom, contact, step):
-    """Begin with the numbers of Philox(key, counter=[0, atom, contact, step])."""
-    stream.counter[0], stream.counter[1], stream.counter[2], stream.counter[3] = 0, atom, contact, np.uint64(step)
-    stream.place[0] = 4
-
-
 @inlined
 def new_stream(key):
     """A stream with this key, (2,) uint64."""
@@ -50,19 +43,44 @@ def new_stream(key):
 
 
 @scalar
+def three_normals(stream, atom, contact, step):
+    """The first three normal numbers of Philox(key, counter=[0, atom, contact, step])."""
+    counter = np.uint64(1), np.uint64(atom), np.uint64(contact), np.uint64(step)
+    a, b, c, _ = _philox(counter, stream.key)
+    (x, is_x), (y, is_y), (z, is_z) = _inside(a), _inside(b), _inside(c)
+    if is_x and is_y and is_z:  # 97 of 100
+        return x, y, z
+    start_stream(stream, atom, contact, step)
+    x, y = normal(stream), normal(stream)
+    return x, y, normal(stream)
+
+
+@scalar
+def start_stream(stream, atom, contact, step):
+    """Begin with the numbers of Philox(key, counter=[0, atom, contact, step])."""
+    stream.counter[0], stream.counter[1], stream.counter[2], stream.counter[3] = 0, atom, contact, np.uint64(step)
+    stream.place[0] = 4
+
+
+@scalar
 def normal(stream):
     """The next normal number."""
     while True:
         word = _next(stream)
-        layer, mantissa = word & LAYERS, word >> np.uint64(9) & MANTISSA
-        x = mantissa * WIDTHS[layer]
-        if word >> np.uint64(8) & np.uint64(1):
-            x = -x
-        if mantissa < INSIDE[layer]:  # 99 of 100
+        x, is_inside = _inside(word)
+        if is_inside:
             return x
-        x, is_under_curve = _at_edge(x, layer, mantissa, stream)
+        x, is_under_curve = _at_edge(x, word & LAYERS, word >> np.uint64(9) & MANTISSA, stream)
         if is_under_curve:
             return x
+
+
+@scalar
+def _inside(word):
+    """The number that a word stands for, and whether it lies inside its layer, as 99 of 100 do."""
+    layer, mantissa = word & LAYERS, word >> np.uint64(9) & MANTISSA
+    x = mantissa * WIDTHS[layer]
+    return (-x if word >> np.uint64(8) & np.uint64(1) else x), mantissa < INSIDE[layer]
 
 
 @kernel

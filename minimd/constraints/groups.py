@@ -28,7 +28,7 @@ from minimd.constraints.networks import (
     dependent_constraint,
 )
 from minimd.constraints.pairs import DriftPairs, ProjectPairs
-from minimd.constraints.settle import DriftTriangles
+from minimd.constraints.settle import DriftTriangles, ProjectTriangles
 from minimd.constraints.vectors import Atoms, Bonds, Molecules
 
 # relative: a triangle whose longest side is the sum of the others to this accuracy is a line; files have about nine
@@ -170,7 +170,16 @@ class Triangles(Networks):
         lengths2 = self.bonds.lengths2
         base = _equal_sides(graph, graph.components.starts[:-1], lengths2, self.masses)
         corners, arms, sides = _corners(graph, base, self.bonds.offsets)
-        self.known = (Molecules(corners, arms, np.sqrt(np.column_stack([lengths2[sides[:, 0]], lengths2[base]]))),)
+        half, (heavy, light) = 0.5 * np.sqrt(lengths2[base]), 1.0 / self.masses[corners[:, :2]].T
+        height, share = np.sqrt(lengths2[sides[:, 0]] - half * half), light / (heavy + 2.0 * light)
+        shapes = np.column_stack([2.0 * share * height, (1.0 - 2.0 * share) * height, half, share])
+        self.known = (Molecules(corners, arms, shapes),)
+        self._sides = np.column_stack([sides, base])
+
+    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
+        """See Networks."""
+        arguments = *self.known, self._sides, targets, self.multipliers
+        return self._solve(ProjectTriangles(), positions, vectors, arguments)
 
 
 class LinearTriatomics(Networks):

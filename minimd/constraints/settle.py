@@ -72,17 +72,14 @@ def impulses(b0, c0, drifted, r_a, r_b, r_c):
 def drift_triangles(first, last, atoms, triangles, duration):
     """Drift of triangles first to last − 1.
 
-    Atoms; Molecules with shapes (T, 2): |ab|, |bc| [length]; [time]. Returns 1,
-    or −1 − the triangle that cannot be kept.
+    Atoms; Molecules with shapes (T, 4): r_a, r_b, r_c [length] and the share of b, and of c, in the mass; [time].
+    Returns 1, or −1 − the triangle that cannot be kept.
     """
     positions, velocities, inverse_masses = atoms
+    push = 1.0 / duration
     for t in range(first, last):
         a, b, c = triangles.atoms[t]
-        side, half = triangles.shapes[t, 0], 0.5 * triangles.shapes[t, 1]
-        total = 1.0 / inverse_masses[a] + 2.0 / inverse_masses[b]
-        fraction = 1.0 / (inverse_masses[b] * total)  # of b, and of c, in the mass
-        height = sqrt(side * side - half * half)
-        r_a = 2.0 * fraction * height
+        r_a, r_b, half, fraction = triangles.shapes[t]
         b0, c0 = (
             separation(positions, a, b, triangles.offsets[t, 0]),
             separation(positions, a, c, triangles.offsets[t, 1]),
@@ -90,10 +87,10 @@ def drift_triangles(first, last, atoms, triangles, duration):
         p, q = moved(b0, velocities, a, b, duration), moved(c0, velocities, a, c, duration)
         a1 = combined(-fraction, p, -fraction, q)
         b1, c1 = combined(1.0, a1, 1.0, p), combined(1.0, a1, 1.0, q)
-        ab, ac, bc, exists = impulses(b0, c0, (a1, b1, c1), r_a, height - r_a, half)
+        ab, ac, bc, exists = impulses(b0, c0, (a1, b1, c1), r_a, r_b, half)
         if not exists:
             return NOTHING - t
-        push, recoil = 1.0 / duration, -inverse_masses[a] / inverse_masses[b] / duration
+        recoil = -fraction / (1.0 - 2.0 * fraction) * push
         for x in range(3):
             along = bc * (c0[x] - b0[x])
             for i, change in (
@@ -107,4 +104,51 @@ def drift_triangles(first, last, atoms, triangles, duration):
     return 1
 
 
+@inlined
+def project_triangles(first, last, atoms, triangles, sides, targets, multipliers):
+    """Vectors of triangles first to last − 1, given a component along each side: r · (x_j − x_i) = target.
+
+    A λ = targets − r · x, with A_kl = ±(r_k · r_l)/m of the shared atom, by the inverse of A; projected twice,
+    to remove the rounding of the first projection.
+
+    sides : (T, 3) int, the constraints ab, ac, bc.  Other arguments, returns : as drift_triangles, project_pairs.
+    """
+    positions, vectors, inverse_masses = atoms
+    for t in range(first, last):
+        a, b, c = triangles.atoms[t]
+        ab, ac = (
+            separation(positions, a, b, triangles.offsets[t, 0]),
+            separation(positions, a, c, triangles.offsets[t, 1]),
+        )
+        bc = ac[0] - ab[0], ac[1] - ab[1], ac[2] - ab[2]
+        u, v, w = inverse_masses[a], inverse_masses[b], inverse_masses[c]
+        g, h, k = dot(ab, ab), dot(ac, ac), dot(ab, ac)
+        xx, yy, zz = (u + v) * g, (u + w) * h, (v + w) * (g + h - k - k)
+        xy, xz, yz = u * k, v * (g - k), w * (h - k)
+        minor_x, minor_y, minor_z = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+        scale = 1.0 / (xx * minor_x + xy * minor_y + xz * minor_z)
+        at_ab, at_ac, at_bc = sides[t]
+        for correction in range(2):
+            p, q = _between(vectors, a, b), _between(vectors, a, c)
+            x, y = targets[at_ab] - dot(ab, p), targets[at_ac] - dot(ac, q)
+            z = targets[at_bc] - (bc[0] * (q[0] - p[0]) + bc[1] * (q[1] - p[1]) + bc[2] * (q[2] - p[2]))
+            on_ab = scale * (minor_x * x + minor_y * y + minor_z * z)
+            on_ac = scale * (minor_y * x + (xx * zz - xz * xz) * y + (xy * xz - xx * yz) * z)
+            on_bc = scale * (minor_z * x + (xy * xz - xx * yz) * y + (xx * yy - xy * xy) * z)
+            for d in range(3):
+                vectors[a, d] -= u * (on_ab * ab[d] + on_ac * ac[d])
+                vectors[b, d] += v * (on_ab * ab[d] - on_bc * bc[d])
+                vectors[c, d] += w * (on_ac * ac[d] + on_bc * bc[d])
+            multipliers[at_ab] = on_ab + (multipliers[at_ab] if correction else 0.0)
+            multipliers[at_ac] = on_ac + (multipliers[at_ac] if correction else 0.0)
+            multipliers[at_bc] = on_bc + (multipliers[at_bc] if correction else 0.0)
+    return 1
+
+
+@inlined
+def _between(vectors, i, j):
+    return vectors[j, 0] - vectors[i, 0], vectors[j, 1] - vectors[i, 1], vectors[j, 2] - vectors[i, 2]
+
+
 DriftTriangles = type_of(drift_triangles)(namedtuple("DriftTriangles", ()))
+ProjectTriangles = type_of(project_triangles)(namedtuple("ProjectTriangles", ()))

@@ -9,7 +9,7 @@ import pytest
 
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import kernel
-from minimd.compiled.normal_numbers import new_stream, normal, start_stream
+from minimd.compiled.normal_numbers import new_stream, normal, start_stream, three_normals
 
 COPIES = [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one)), lambda one: one._replace(whole=7)]
 
@@ -57,6 +57,14 @@ def draw(key, contact, step, numbers):
             numbers[k, m] = normal(stream)
 
 
+@kernel
+def draw_three(key, contact, step, numbers):
+    """The same, the first three of many atoms."""
+    stream = new_stream(key)
+    for k in range(numbers.shape[0]):
+        numbers[k, 0], numbers[k, 1], numbers[k, 2] = three_normals(stream, k, contact, step)
+
+
 def test_noise_has_the_bits_of_numpy():
     """Its rare branches too: numbers at the edges of layers and in the tail."""
     seed, step, contact, numbers = 2**100 + 12345678901234567, -3, 2, np.empty((5, 200_000))
@@ -66,3 +74,7 @@ def test_noise_has_the_bits_of_numpy():
         expected = np.random.Generator(np.random.Philox(key=seed, counter=counter)).standard_normal(row.size)
         assert np.array_equal(row, expected)
     assert np.abs(numbers).max() > 3.66  # in the tail
+    key, one, three = np.array([seed % 2**64, seed >> 64], dtype=np.uint64), np.empty((9999, 3)), np.empty((9999, 3))
+    draw(key, contact, step, one)
+    draw_three(key, contact, step, three)
+    assert np.array_equal(one, three)

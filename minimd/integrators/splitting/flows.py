@@ -61,11 +61,13 @@ def drifted_on_grid(position, momentum, inverse_mass, unit, times, steps):
     return position + times * (fma(momentum, steps.momentum * unit * inverse_mass, rounder) - rounder)
 
 
-class Moving(ByAddress, namedtuple("Moving", "positions velocities forces inverse_masses flows steps n_chunks")):
+class Moving(
+    ByAddress, namedtuple("Moving", "positions velocities forces inverse_masses flows steps n_chunks are_alike")
+):
     """What kicks and drifts work on.
 
-    positions, velocities, forces : (N, 3) [length], [length/time], [energy/length].  inverse_masses : (N,) [1/mass],
-        zero for atoms that are held fixed.
+    positions, velocities, forces : (3 N,) flat [length], [length/time], [energy/length].
+    inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.  are_alike : whether all are the same.
     flows : (F, 3), one after the other: KICK or DRIFT, its duration, and, on a grid, the unit [time] of which the
         duration is a whole multiple: the change over one unit is rounded.
     steps : Steps in fixed-point arithmetic, where forces are int64 impulses over the unit; else ().
@@ -78,7 +80,7 @@ def move_atoms(moving, chunk):
 
     OUT_OF_RANGE if a momentum or a position leaves its range, in fixed-point arithmetic.
     """
-    n, n_chunks, is_out = moving.positions.shape[0], moving.n_chunks, False
+    n, n_chunks, is_out = moving.inverse_masses.size, moving.n_chunks, False
     first, last = np.uintp(chunk * n // n_chunks), np.uintp((chunk + 1) * n // n_chunks)
     for k in range(moving.flows.shape[0]):
         kind, duration, unit = moving.flows[k, 0], moving.flows[k, 1], moving.flows[k, 2]
@@ -96,23 +98,27 @@ def _kick(moving, first, last, duration, unit, steps):
 
 
 def _kick_floats(moving, first, last, duration, unit, steps):
-    velocities, forces, inverse_masses = moving.velocities, moving.forces, moving.inverse_masses
+    v, f, inverse_masses = moving.velocities, moving.forces, moving.inverse_masses
+    if moving.are_alike:
+        w = inverse_masses[0]
+        for k in range(np.uintp(3) * first, np.uintp(3) * last):
+            v[k] = kicked(v[k], f[k], w, duration)
+        return False
     for i in range(first, last):
-        w = inverse_masses[i]
-        velocities[i, 0] = kicked(velocities[i, 0], forces[i, 0], w, duration)
-        velocities[i, 1] = kicked(velocities[i, 1], forces[i, 1], w, duration)
-        velocities[i, 2] = kicked(velocities[i, 2], forces[i, 2], w, duration)
+        w, k = inverse_masses[i], np.uintp(3) * i
+        for x in range(np.uintp(3)):
+            v[k + x] = kicked(v[k + x], f[k + x], w, duration)
     return False
 
 
 def _kick_on_grid(moving, first, last, duration, unit, steps):
-    velocities, impulses, inverse_masses = moving.velocities, moving.forces, moving.inverse_masses
+    v, impulses = moving.velocities, moving.forces
     times, is_out = np.rint(duration / unit), False
     for i in range(first, last):
-        for c in range(3):
-            momentum = momentum_in_steps(velocities[i, c], inverse_masses[i], steps)
-            momentum = kicked_on_grid(momentum, impulses[i, c], inverse_masses[i], times)
-            velocities[i, c] = velocity_of(momentum, inverse_masses[i], steps)
+        w = moving.inverse_masses[i]
+        for k in range(np.uintp(3) * i, np.uintp(3) * i + np.uintp(3)):
+            momentum = kicked_on_grid(momentum_in_steps(v[k], w, steps), impulses[k], w, times)
+            v[k] = velocity_of(momentum, w, steps)
             is_out |= not abs(momentum) <= MOST
     return is_out
 
@@ -124,20 +130,18 @@ def _drift(moving, first, last, duration, unit, steps):
 
 
 def _drift_floats(moving, first, last, duration, unit, steps):
-    positions, velocities = moving.positions, moving.velocities
-    for i in range(first, last):
-        positions[i, 0] = drifted(positions[i, 0], velocities[i, 0], duration)
-        positions[i, 1] = drifted(positions[i, 1], velocities[i, 1], duration)
-        positions[i, 2] = drifted(positions[i, 2], velocities[i, 2], duration)
+    r, v = moving.positions, moving.velocities
+    for k in range(np.uintp(3) * first, np.uintp(3) * last):
+        r[k] = drifted(r[k], v[k], duration)
     return False
 
 
 def _drift_on_grid(moving, first, last, duration, unit, steps):
-    positions, velocities, inverse_masses = moving.positions, moving.velocities, moving.inverse_masses
+    r, v = moving.positions, moving.velocities
     times, farthest, is_out = np.rint(duration / unit), FARTHEST * steps.length, False
     for i in range(first, last):
-        for c in range(3):
-            momentum = momentum_in_steps(velocities[i, c], inverse_masses[i], steps)
-            positions[i, c] = drifted_on_grid(positions[i, c], momentum, inverse_masses[i], unit, times, steps)
-            is_out |= not abs(positions[i, c]) <= farthest
+        w = moving.inverse_masses[i]
+        for k in range(np.uintp(3) * i, np.uintp(3) * i + np.uintp(3)):
+            r[k] = drifted_on_grid(r[k], momentum_in_steps(v[k], w, steps), w, unit, times, steps)
+            is_out |= not abs(r[k]) <= farthest
     return is_out

@@ -275,8 +275,9 @@ class Steps:
     def _passed(self, flows: list[tuple[float, float, float]]) -> Operation:
         """Kicks and drifts in one pass over memory."""
         state, n_chunks = self._state, n_chunks_of(len(self._state.positions))
-        parts = state.positions, state.velocities, state.pushes, state.inverse_masses
-        moving = Moving(*parts, np.array(flows), state.steps, n_chunks)
+        parts = (part.reshape(-1) for part in (state.positions, state.velocities, state.pushes))
+        are_alike = int((state.inverse_masses == state.inverse_masses[0]).all())
+        moving = Moving(*parts, state.inverse_masses, np.array(flows), state.steps, n_chunks, are_alike)
         return operation(self._calls, move_atoms, moving, n_chunks, python=self._check_range)
 
     def _check_range(self, _answer: int) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import is_fixed, on_grid
 from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, filling_kernel, kernel, scalar
-from minimd.compiled.normal_numbers import new_stream, normal, start_stream
+from minimd.compiled.normal_numbers import new_stream, three_normals
 from minimd.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation
 from minimd.compiled.threads import thread_pool
 from minimd.integrators.method import Problem, Step
@@ -180,11 +180,10 @@ def touch_atoms(touch, chunk):
     step, given = touch.counts[touch.first] + touch.counts[MADE] + touch.begun, 0.0
     for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
         if touch.inverse_masses[i] > 0.0:
-            start_stream(stream, i, touch.contact, step)
             given -= kinetic_energy_at(velocities, masses, i, touch.steps)
             scale = touch.spread * sqrt(touch.inverse_masses[i])
-            for c in range(3):
-                v = mixed(velocities[i, c], normal(stream), touch.kept, scale)
+            for c, noise in enumerate(three_normals(stream, i, touch.contact, step)):
+                v = mixed(velocities[i, c], noise, touch.kept, scale)
                 velocities[i, c] = settled(v, touch.inverse_masses[i], touch.steps)
             if not touch.is_held:
                 given += kinetic_energy_at(velocities, masses, i, touch.steps)

@@ -9,7 +9,7 @@ Tsang, J. Stat. Softw. 5, 8 (2000).
 """
 
 from collections import namedtuple
-from math import exp, log1p
+from math import exp, log, log1p
 
 import numpy as np
 from llvmlite import ir
@@ -73,6 +73,25 @@ def normal(stream):
         x, is_under_curve = _at_edge(x, word & LAYERS, word >> np.uint64(9) & MANTISSA, stream)
         if is_under_curve:
             return x
+
+
+@inlined
+def sum_of_squares(stream, n):
+    """The sum of the squares of n normal numbers, for n > 2 twice a gamma variate.
+
+    G. Marsaglia, W. W. Tsang, ACM Trans. Math. Softw. 26, 363 (2000).
+    """
+    total = 0.0
+    if n < 3:
+        for _ in range(n):
+            total += normal(stream) ** 2
+        return total
+    d = 0.5 * n - 1.0 / 3.0
+    while True:
+        x = normal(stream)
+        v = (1.0 + x / (9.0 * d) ** 0.5) ** 3
+        if v > 0.0 and log(1.0 - _uniform(stream)) < 0.5 * x * x + d * (1.0 - v + log(v)):
+            return 2.0 * d * v
 
 
 @scalar

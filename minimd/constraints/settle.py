@@ -75,7 +75,7 @@ def drift_triangles(first, last, atoms, triangles, duration):
     Atoms; Molecules with shapes (T, 4): r_a, r_b, r_c [length] and the share of b, and of c, in the mass; [time].
     Returns 1, or −1 − the triangle that cannot be kept.
     """
-    positions, velocities, inverse_masses = atoms
+    positions, velocities = atoms.positions, atoms.vectors
     push = 1.0 / duration
     for t in range(first, last):
         a, b, c = triangles.atoms[t]

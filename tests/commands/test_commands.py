@@ -229,10 +229,10 @@ class Careless(md.Simulation):
 
 
 class Leaking(md.VelocityVerlet):
-    def advance(self, state, compute_forces, n_steps, with_energy, surroundings, march):
+    substeps = (*md.VelocityVerlet.substeps, Thermalize(1.0))
+
+    def thermalize(self, state, duration, around):
         state.velocities[:] *= 0.9999
-        surroundings.open_end = None
-        return super().advance(state, compute_forces, n_steps, with_energy, surroundings, march)
 
 
 @pytest.mark.slow

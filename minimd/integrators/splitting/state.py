@@ -133,12 +133,31 @@ class Bath:
     conserves_momentum : whether the total momentum is constant;
         the motion of the center of mass is then not a thermal degree of freedom.
     step, contact : the number of the step, and of the contact within it; both select the noise.
-    energy : given to the system since the start, the reservoir energy [energy].  heat : (1,) the same, for kernels.
+    energy : given to the system since the start, the reservoir energy [energy].
+    heat, thermal : (1,) energy, and (2,) int, n_dof and conserves_momentum, for kernels.
     """
 
     def __init__(self, k_B: float = 1.0, n_dof: int = 0, conserves_momentum: bool = False, step: int = 0) -> None:
-        self.k_B, self.n_dof, self.conserves_momentum = k_B, n_dof, conserves_momentum
-        self.step, self.contact, self.heat = step, 0, np.zeros(1)
+        self.k_B, self.step, self.contact = k_B, step, 0
+        self.heat, self.thermal = np.zeros(1), np.array([n_dof, conserves_momentum], dtype=np.int64)
+
+    @property
+    def n_dof(self) -> int:
+        """See the class."""
+        return int(self.thermal[0])
+
+    @n_dof.setter
+    def n_dof(self, n_dof: int) -> None:
+        self.thermal[0] = n_dof
+
+    @property
+    def conserves_momentum(self) -> bool:
+        """See the class."""
+        return bool(self.thermal[1])
+
+    @conserves_momentum.setter
+    def conserves_momentum(self, conserves_momentum: bool) -> None:
+        self.thermal[1] = conserves_momentum
 
     @property
     def energy(self) -> float:

@@ -149,6 +149,10 @@ class Steps:
     """
 
     def __init__(self, method: Row, state: State, around: Surroundings, forces: Evaluation) -> None:
+        if not all(part.flags.carray for part in (state.positions, state.velocities, state.pushes)):
+            raise ValueError(
+                "positions, velocities and forces of a State must be contiguous arrays that can be written"
+            )
         self._method, self._state, self._around, self._forces = method, state, around, forces
         self.counts, self._calls = np.zeros(5, dtype=np.int64), DirectCalls()
         self._counting, self._row = Counting(self.counts), merged(method.substeps)
@@ -275,9 +279,9 @@ class Steps:
     def _passed(self, flows: list[tuple[float, float, float]]) -> Operation:
         """Kicks and drifts in one pass over memory."""
         state, n_chunks = self._state, n_chunks_of(len(self._state.positions))
-        parts = (part.reshape(-1) for part in (state.positions, state.velocities, state.pushes))
+        r, v, f = (part.reshape(-1) for part in (state.positions, state.velocities, state.pushes))
         are_alike = int((state.inverse_masses == state.inverse_masses[0]).all())
-        moving = Moving(*parts, state.inverse_masses, np.array(flows), state.steps, n_chunks, are_alike)
+        moving = Moving(r, v, f, state.inverse_masses, np.array(flows), state.steps, n_chunks, are_alike)
         return operation(self._calls, move_atoms, moving, n_chunks, python=self._check_range)
 
     def _check_range(self, _answer: int) -> None:

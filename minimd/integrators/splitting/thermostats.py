@@ -16,8 +16,8 @@ import numpy as np
 
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import is_fixed, on_grid
-from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, filling_kernel, kernel, scalar
-from minimd.compiled.normal_numbers import new_stream, three_normals
+from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, filling_kernel, scalar
+from minimd.compiled.normal_numbers import new_stream, normal, start_stream, sum_of_squares, three_normals
 from minimd.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation
 from minimd.compiled.threads import thread_pool
 from minimd.integrators.method import Problem, Step
@@ -27,13 +27,23 @@ from minimd.integrators.splitting.state import Bath, State, Surroundings
 from minimd.integrators.splitting.steps import FIRST, MADE, Moment, projected
 from minimd.integrators.splitting.substeps import Drift, Kick, Thermalize
 from minimd.structure.checks import checked_count, checked_number
-from minimd.structure.observables import kinetic_energy_of, thermal_energy
+from minimd.structure.observables import AT_REST, kinetic_energy_of
 
 __all__ = ["LangevinBAOAB", "StochasticVelocityRescaling"]
 
 SEEDS = 2**128  # keys of numpy's Philox
 STEPS = 2**64  # numbers of steps are taken modulo this; those of an equilibration, before step 0, are negative
 CALLS = {False: DirectCalls(), True: DirectCalls()}  # by whether there is a grid
+
+
+class Noise(ByAddress, namedtuple("Noise", "key counts begun contact")):
+    """What selects noise.  key : (2,) uint64 of Philox.  counts, begun, contact : of a Moment."""
+
+
+@scalar
+def step_of(noise):
+    """The number of the present step, see Moment."""
+    return noise.counts[FIRST] + noise.counts[MADE] + noise.begun
 
 
 class Thermostat(Splitting):
@@ -71,6 +81,29 @@ class Thermostat(Splitting):
     def on(cls, problem: Problem) -> Step:
         """Raises TypeError: a bath needs masses and a unit of temperature, which small problems do not have."""
         raise TypeError(f"{cls.name} runs in a Simulation, where atoms have masses and a temperature has a unit")
+
+    def contact(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
+        """See Splitting; a derived class that has another thermalize is asked for that."""
+        if type(self).thermalize is Thermostat.thermalize:
+            yield from self.touch(state, duration, around, moment)
+        else:
+            yield from super().contact(state, duration, around, moment)
+
+    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
+        """The operations of touch, at once."""
+        bath = bath_of(around)
+        moment = Moment(np.array([0, 0, bath.step]), contact=bath.contact)
+        Program(lambda: self.touch(state, duration, around, moment), lambda: 0, thread_pool(1)).run()
+        bath.contact += 1
+
+    def noise_at(self, moment: Moment) -> "Noise":
+        """What selects the noise of a contact."""
+        key = np.array([self.seed % 2**64, self.seed >> 64], dtype=np.uint64)
+        return Noise(key, moment.counts, moment.begun, moment.contact)
+
+    def touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
+        """The operations of a contact with the bath over a duration."""
+        raise NotImplementedError(f"{self.name} has neither touch nor thermalize")
 
     def noise(self, bath: Bath) -> np.random.Generator:
         """The generator of random numbers for one contact with the bath: for this step,
@@ -120,25 +153,16 @@ class LangevinBAOAB(Thermostat):
             timestep, temperature, 1.0 / checked_number("relaxation_time", relaxation_time, "positive and finite"), seed
         )
 
-    def contact(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
+    def touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
         """The Ornstein-Uhlenbeck process over a duration, between two projections onto the constraints.
 
-        The noise of an atom depends on seed, step, contact and the number of the atom. A derived class that has another
-        thermalize is asked for that.
+        The noise of an atom depends on seed, step, contact and the number of the atom.
         """
-        if type(self).thermalize is LangevinBAOAB.thermalize:
-            yield from self._touch(state, duration, around, moment)
-        else:
-            yield from super().contact(state, duration, around, moment)
-
-    def _touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
         bath, n_chunks, is_held = bath_of(around), n_chunks_of(len(state.velocities)), around.constraints is not None
         kept = exp(-self.friction * duration)
         spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
-        key = np.array([self.seed % 2**64, self.seed >> 64], dtype=np.uint64)
-        atoms = state.velocities, state.inverse_masses, state.masses
-        noise = key, moment.counts, FIRST, moment.begun, moment.contact
-        touch = Touch(*atoms, kept, spread, *noise, np.zeros(n_chunks), bath.heat, int(is_held), state.steps)
+        atoms, noise = (state.velocities, state.inverse_masses, state.masses), self.noise_at(moment)
+        touch = Touch(*atoms, kept, spread, noise, np.zeros(n_chunks), bath.heat, int(is_held), state.steps)
         calls = CALLS[bool(state.steps)]
         yield from projected(state, around)
         yield operation(calls, touch_atoms, touch, n_chunks)
@@ -147,26 +171,18 @@ class LangevinBAOAB(Thermostat):
             yield operation(calls, add_kinetic, touch, n_chunks)
         yield operation(calls, count_heat, touch)
 
-    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
-        """The same, at once."""
-        bath = bath_of(around)
-        moment = Moment(np.array([0, 0, bath.step]), contact=bath.contact)
-        Program(lambda: self._touch(state, duration, around, moment), lambda: 0, thread_pool(1)).run()
-        bath.contact += 1
-
 
 class Touch(
     ByAddress,
     namedtuple(
         "Touch",
-        "velocities inverse_masses masses kept spread key counts first begun contact parts heat is_held steps",
+        "velocities inverse_masses masses kept spread noise parts heat is_held steps",
     ),
 ):
     """The contact of atoms with a bath, see LangevinBAOAB.
 
     velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
-    kept, spread : e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy].  key : (2,) uint64 of Philox.
-    counts, first, begun, contact : see Moment; they select the noise.
+    kept, spread : e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy].  noise : Noise.
     parts : (chunks,) output, heat of each chunk [energy].  heat : (1,), to which it is added.
     is_held : whether constraints follow, before the kinetic energy afterwards is known.  steps : of a grid, or ().
     """
@@ -176,14 +192,14 @@ class Touch(
 def touch_atoms(touch, chunk):
     """v ← kept · v + spread √(1/m) ξ."""
     velocities, masses, n_chunks = touch.velocities, touch.masses, touch.parts.size
-    n, stream = masses.size, new_stream(touch.key)
-    step, given = touch.counts[touch.first] + touch.counts[MADE] + touch.begun, 0.0
+    n, stream, noise, given = masses.size, new_stream(touch.noise.key), touch.noise, 0.0
+    step = step_of(noise)
     for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks):
         if touch.inverse_masses[i] > 0.0:
             given -= kinetic_energy_at(velocities, masses, i, touch.steps)
             scale = touch.spread * sqrt(touch.inverse_masses[i])
-            for c, noise in enumerate(three_normals(stream, i, touch.contact, step)):
-                v = mixed(velocities[i, c], noise, touch.kept, scale)
+            for c, xi in enumerate(three_normals(stream, i, noise.contact, step)):
+                v = mixed(velocities[i, c], xi, touch.kept, scale)
                 velocities[i, c] = settled(v, touch.inverse_masses[i], touch.steps)
             if not touch.is_held:
                 given += kinetic_energy_at(velocities, masses, i, touch.steps)
@@ -221,6 +237,14 @@ def kinetic_energy_at(velocities, masses, i, steps):
 def rounded(energy, steps):
     """An energy, rounded to its grid if there is one."""
     return (lambda energy, steps: on_grid(energy, steps.energy)) if is_fixed(steps) else lambda energy, steps: energy
+
+
+@by_type
+def on_steps(momentum, steps):
+    """A momentum, rounded to its grid if there is one."""
+    if is_fixed(steps):
+        return lambda momentum, steps: on_grid(momentum, steps.momentum)
+    return lambda momentum, steps: momentum
 
 
 @by_type
@@ -268,20 +292,83 @@ class StochasticVelocityRescaling(Thermostat):
         """See Thermostat."""
         return cls(timestep, temperature, relaxation_time, seed)
 
-    def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
+    def touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
         """The exact change of the kinetic energy over a duration."""
-        bath = bath_of(around)
-        around.project(state)
-        drift = state.momentum() / state.masses.sum() if bath.conserves_momentum else np.zeros(3)
-        kinetic = thermal_energy(state.kinetic_energy(), drift, state.masses)
-        if kinetic == 0.0:
-            return
-        noise, kept = self.noise(bath), exp(-duration / self.relaxation_time)
-        one, others = noise.standard_normal(), 2.0 * noise.standard_gamma(0.5 * (bath.n_dof - 1))
-        share = (1.0 - kept) * 0.5 * bath.k_B * self.temperature / kinetic
-        scale = sqrt(max(kept + share * (others + one * one) + 2.0 * one * sqrt(kept * share), 0.0))
-        rescale(state.velocities, drift, -scale if share > 0.0 and one < -sqrt(kept / share) else scale)
-        bath.energy += kinetic * (scale * scale - 1.0)
+        bath, n_chunks, calls = bath_of(around), n_chunks_of(len(state.velocities)), CALLS[bool(state.steps)]
+        numbers = exp(-duration / self.relaxation_time), bath.k_B * self.temperature, float(state.masses.sum())
+        atoms, memory = (state.velocities, state.inverse_masses, state.masses), (np.zeros((n_chunks, 4)), np.zeros(4))
+        rescaling = Rescaling(*atoms, *numbers, bath.thermal, self.noise_at(moment), *memory, bath.heat, state.steps)
+        yield from projected(state, around)
+        yield operation(calls, sum_motion, rescaling, n_chunks)
+        yield operation(calls, draw_scale, rescaling)
+        yield operation(calls, rescale_atoms, rescaling, n_chunks)
+
+
+class Rescaling(
+    ByAddress,
+    namedtuple(
+        "Rescaling",
+        "velocities inverse_masses masses kept thermal_energy mass thermal noise parts motion heat steps",
+    ),
+):
+    """The contact of all atoms with a bath, see StochasticVelocityRescaling.
+
+    velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
+    kept : e^(−Δt/τ).  thermal_energy : k_B T [energy].  mass : of all atoms.  thermal : of Bath.  noise : Noise.
+    parts : (chunks, 4) output, momentum and kinetic energy of each chunk.
+    motion : (4,) output, V, and √(K′/K) with its sign.  heat : (1,), to which the heat is added.  steps : of a grid.
+    """
+
+
+@called_kernel
+def sum_motion(rescaling, chunk):
+    """Momentum and kinetic energy of a chunk."""
+    v, masses, steps, n_chunks = rescaling.velocities, rescaling.masses, rescaling.steps, rescaling.parts.shape[0]
+    x = y = z = energy = 0.0
+    for i in range(chunk * masses.size // n_chunks, (chunk + 1) * masses.size // n_chunks):
+        x, y = x + on_steps(masses[i] * v[i, 0], steps), y + on_steps(masses[i] * v[i, 1], steps)
+        z, energy = z + on_steps(masses[i] * v[i, 2], steps), energy + kinetic_energy_at(v, masses, i, steps)
+    for c, part in enumerate((x, y, z, energy)):
+        rescaling.parts[chunk, c] = part
+    return GO_ON
+
+
+@filling_kernel
+def draw_scale(rescaling, _chunk):
+    """V, and the factor for the velocities relative to it; and the heat."""
+    (n_dof, leaves_out_center), motion, kept = rescaling.thermal, rescaling.motion, rescaling.kept
+    for c in range(4):
+        motion[c] = 0.0
+        for part in rescaling.parts[:, c]:
+            motion[c] += part
+    kinetic = total = motion[3]
+    for c in range(3):
+        motion[c] = motion[c] / rescaling.mass if leaves_out_center else 0.0
+        kinetic -= 0.5 * rescaling.mass * motion[c] * motion[c]
+    motion[3] = 1.0
+    if kinetic <= AT_REST * total:  # rounding
+        return GO_ON
+    stream = new_stream(rescaling.noise.key)
+    start_stream(stream, 0, rescaling.noise.contact, step_of(rescaling.noise))
+    one = normal(stream)
+    share = (1.0 - kept) * 0.5 * rescaling.thermal_energy / kinetic
+    squares = sum_of_squares(stream, n_dof - 1) + one * one
+    square = max(kept + share * squares + 2.0 * one * sqrt(kept * share), 0.0)
+    motion[3] = -sqrt(square) if share > 0.0 and one < -sqrt(kept / share) else sqrt(square)
+    rescaling.heat[0] += kinetic * (square - 1.0)
+    return GO_ON
+
+
+@called_kernel
+def rescale_atoms(rescaling, chunk):
+    """velocities = V + scale · (velocities − V)."""
+    v, motion, n, n_chunks = rescaling.velocities, rescaling.motion, rescaling.masses.size, rescaling.parts.shape[0]
+    scale = motion[3]
+    for i in range(chunk * n // n_chunks, (chunk + 1) * n // n_chunks if scale != 1.0 else 0):
+        for c in range(3):
+            moved = (1.0 - scale) * motion[c] + scale * v[i, c]
+            v[i, c] = settled(moved, rescaling.inverse_masses[i], rescaling.steps)
+    return GO_ON
 
 
 def bath_of(around: Surroundings) -> Bath:
@@ -292,13 +379,3 @@ def bath_of(around: Surroundings) -> Bath:
             "n_dof))"
         )
     return around.bath
-
-
-@kernel
-def rescale(velocities, drift, scale):
-    """velocities = V + scale · (velocities − V), with V = drift.  (N, 3), (3,) [length/time], dimensionless."""
-    x, y, z = (1.0 - scale) * drift[0], (1.0 - scale) * drift[1], (1.0 - scale) * drift[2]
-    for i in range(velocities.shape[0]):
-        velocities[i, 0] = x + scale * velocities[i, 0]
-        velocities[i, 1] = y + scale * velocities[i, 1]
-        velocities[i, 2] = z + scale * velocities[i, 2]

@@ -24,6 +24,7 @@ from minimd.compiled.code_cache import CodeFiles
 from minimd.files.h5md_digest import sign
 from minimd.files.h5md_reader import read_file
 from minimd.files.h5md_writer import H5MDWriter
+from minimd.integrators.splitting.substeps import Thermalize
 from minimd.scene import load_scene
 
 SCENE = f'title = "A small melt"\n{SMOOTH}'

@@ -26,6 +26,12 @@ def force_along(f, x, steps):
 
 
 @by_type
+def as_force(f, steps):
+    """A component of a force from force_along."""
+    return (lambda f, steps: f / steps.per_force[0]) if is_fixed(steps) else lambda f, steps: f
+
+
+@by_type
 def in_steps(u, steps):
     """An energy; on a grid rounded to a multiple of its step."""
     return (lambda u, steps: on_grid(u, steps.energy)) if is_fixed(steps) else lambda u, steps: u

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from minimd.compiled.kernels import inlined
+from minimd.compiled.kernels import inlined, scalar
 from minimd.compiled.simd import fma
 from minimd.potentials.each import checked_each, columns_of
-from minimd.potentials.links import LinkedTerm, link_shape
+from minimd.potentials.links import LinkedTerm, arm, link_shape, push
 from minimd.potentials.term import NoTerm, OwnPotential, Term, no_bonds
 from minimd.structure.bond_graph import checked_groups
 from minimd.structure.checks import shown
@@ -75,8 +75,8 @@ def _normal(a, b, lost_a, lost_b):
     return combined(1.0, n, 1.0, combined(1.0, cross(lost_a, b), 1.0, cross(a, lost_b)))
 
 
-@inlined
-def _pull_arms(arms, _law, numbers):
+@scalar
+def _bend(links, t, _law, numbers):
     """Harmonic angles u = ½ k (θ − θ₀)², with a = r_i − r_j, b = r_k − r_j, n = a × b.
 
         tan(θ − θ₀) = (|n| cos θ₀ − a·b sin θ₀)/(a·b cos θ₀ + |n| sin θ₀)
@@ -85,17 +85,14 @@ def _pull_arms(arms, _law, numbers):
     numbers : k [energy/rad²], sin θ₀, cos θ₀.
     θ near 0 and π, and θ − θ₀ if θ₀ is 0 or π, have all their digits.
     """
-    (a, lost_a), (b, lost_b) = arms
-    k, sine, cosine = numbers
+    (a, lost_a), (b, lost_b), (k, sine, cosine) = arm(links, 0, t), arm(links, 1, t), numbers
     n = _normal(a, b, lost_a, lost_b)
     size, ab = dot(n, n) ** 0.5, dot(a, b)
     stretch = np.arctan2(size * cosine - ab * sine, ab * cosine + size * sine)
     slope = k * stretch
     s = slope / size if size > 0.0 else 0.0
-    return 0.5 * slope * stretch, (
-        combined(s / dot(a, a), cross(n, a), 0.0, a),
-        combined(s / dot(b, b), cross(b, n), 0.0, b),
-    )
+    is_beyond = push(links, 0, t, combined(s / dot(a, a), cross(n, a), 0.0, a))
+    return 0.5 * slope * stretch, push(links, 1, t, combined(s / dot(b, b), cross(b, n), 0.0, b)) or is_beyond
 
 
-Bend = link_shape("Bend", _pull_arms, 2)
+Bend = link_shape("Bend", _bend)

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.compiled.kernels import inlined
+from minimd.compiled.kernels import scalar
 from minimd.potentials.each import Array, checked_each, columns_of
 from minimd.potentials.law import checked_law, evaluate_law
-from minimd.potentials.links import LinkedTerm, link_shape
+from minimd.potentials.links import LinkedTerm, arm, link_shape, push
 from minimd.potentials.term import NoTerm, OwnPotential, Term, no_bonds
 from minimd.potentials.torsion_laws import HarmonicTorsionLaw, PeriodicLaw, RyckaertBellemansLaw
 from minimd.structure.bond_graph import checked_groups
@@ -229,8 +229,8 @@ class HarmonicImproper(DihedralPotential):
         return dict(self.parameters)
 
 
-@inlined
-def _pull_planes(arms, law, numbers):
+@scalar
+def _turn(links, t, law, numbers):
     """A law of the dihedral angle, without a division by sin φ.
 
         F = r_i − r_j,  G = r_j − r_k,  H = r_l − r_k,  A = F × G,  B = H × G
@@ -240,14 +240,15 @@ def _pull_planes(arms, law, numbers):
 
     A. Blondel, M. Karplus, J. Comput. Chem. 17, 1132 (1996), eq. 6, 27.
     """
-    f, g, h = arms[0][0], arms[1][0], arms[2][0]
+    (f, _), (g, _), (h, _) = arm(links, 0, t), arm(links, 1, t), arm(links, 2, t)
     a, b = cross(f, g), cross(h, g)
     g2, fg, hg, a2, b2 = dot(g, g), dot(f, g), dot(h, g), dot(a, a), dot(b, b)
     length = g2**0.5
     u, slope = evaluate_law(law, np.arctan2(dot(g, cross(b, a)) / length, dot(a, b)), numbers)
     a2, b2 = max(a2, STRAIGHT2 * g2 * dot(f, f)), max(b2, STRAIGHT2 * g2 * dot(h, h))
-    force_i, force_l = combined(slope * length / a2, a, 0.0, a), combined(-slope * length / b2, b, 0.0, b)
-    return u, (force_i, combined(-slope * fg / (a2 * length), a, slope * hg / (b2 * length), b), force_l)
+    on_i = push(links, 0, t, combined(slope * length / a2, a, 0.0, a))
+    between = push(links, 1, t, combined(-slope * fg / (a2 * length), a, slope * hg / (b2 * length), b))
+    return u, push(links, 2, t, combined(-slope * length / b2, b, 0.0, b)) or on_i or between
 
 
-Torsion = link_shape("Torsion", _pull_planes, 3)
+Torsion = link_shape("Torsion", _turn)

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
-from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, inlined, scalar, type_of, without_cache
+from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, scalar, type_of, without_cache
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, n_chunks_of, operation
 from minimd.compiled.simd import fma
-from minimd.potentials.accumulators import force_along, in_steps, is_too_large
+from minimd.potentials.accumulators import as_force, force_along, in_steps, is_too_large
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.pair_loop import ByPair, from_table, parameters_of_pair
 from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, OwnTerm, Target
@@ -49,89 +49,29 @@ class Links(
     """
 
 
-def link_shape(name: str, formula: Any, n_links: int) -> Any:
-    """The shape of terms: formula(arms, law, numbers) returns u [energy] and a force f_l for each link.
+def link_shape(name: str, formula: Any) -> Any:
+    """The shape of terms: formula(links, t, law, numbers) takes each arm of term t, pushes its end, and returns
+    u [energy] and whether a force is beyond the range of a grid.
 
-    arms : for each link r_l, and what rounding has left out of it.  name : of the variable, in the module of the
-        formula.
+    name : of the variable that it is assigned to, in the module of the formula.
     """
-    kind: Any = type_of(formula)(namedtuple(name, (), module=formula.py_func.__module__))
-    kind.n_links = n_links
-    return kind
+    return type_of(formula)(namedtuple(name, (), module=formula.py_func.__module__))
 
 
-@inlined
-def _pull_pair(arms, law, numbers):
+@scalar
+def _stretch(links, t, law, numbers):
     """A law of the distance: f = −u′(r)/r r_ij within the cutoff, whose square is the first number."""
-    dx, dy, dz = arms[0][0]
+    (dx, dy, dz), _ = arm(links, 0, t)
     r2 = fma(dx, dx, fma(dy, dy, dz * dz))
-    if not r2 < numbers[0]:
-        return 0.0, ((0.0, 0.0, 0.0),)
-    u, f = evaluate_law(law, r2, numbers[1:])
-    return u, ((f * dx, f * dy, f * dz),)
+    u, f = evaluate_law(law, r2, numbers[1:]) if r2 < numbers[0] else (0.0, 0.0)
+    return u, push(links, 0, t, (f * dx, f * dy, f * dz))
 
 
-Stretch = link_shape("Stretch", _pull_pair, 1)
-
-
-@called_kernel
-def add_links(links, chunk):
-    """Forces to slots; energies and virials.  OUT_OF_RANGE if a force is beyond the range of a grid."""
-    n, n_chunks, shape, steps = links.first.shape[1], links.totals.shape[0], links.shape, links.steps
-    is_out, energy, w = False, 0.0, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    for t in range(np.uintp(chunk * n // n_chunks), np.uintp((chunk + 1) * n // n_chunks)):
-        arms = _arms(shape, links, t)
-        u, pulls = _pulled(shape, arms, links.law, parameters_of_pair(links.parameters, t, 0, 0))
-        is_out |= is_too_large(_put(shape, links, t, pulls), steps)
-        if links.detail != FORCES:
-            u, moment = in_steps(u, steps), _moment(shape, arms, pulls)
-            of_term = (
-                in_steps(moment[0], steps),
-                in_steps(moment[1], steps),
-                in_steps(moment[2], steps),
-                in_steps(moment[3], steps),
-                in_steps(moment[4], steps),
-                in_steps(moment[5], steps),
-            )
-            if links.detail == PER_ATOM:
-                _share(links, t, u, of_term)
-            energy += u
-            w = _sum(w, of_term)
-    links.totals[chunk, 0] = energy
-    for c in range(VIRIAL):
-        links.totals[chunk, 1 + c] = w[c]
-    return OUT_OF_RANGE if is_out else GO_ON
+Stretch = link_shape("Stretch", _stretch)
 
 
 @scalar
-def _share(links, t, u, w):
-    """Equal shares of a term for its atoms."""
-    (energies, virials), steps = links.each, links.steps
-    share = 1.0 / links.sites.shape[1]
-    for s in range(links.sites.shape[1]):
-        i = links.sites[t, s]
-        energies[i] += in_steps(share * u, steps)
-        for c in range(VIRIAL):
-            virials[i, c] += in_steps(share * w[c], steps)
-
-
-@by_type
-def _pulled(shape, arms, law, numbers):
-    formula = shape.instance_class.formula
-    return lambda shape, arms, law, numbers: formula(arms, law, numbers)
-
-
-@by_type
-def _arms(shape, links, t):
-    """r_l of all links of a term, see link_shape."""
-    one = lambda shape, links, t: (_arm(links, 0, t),)  # noqa: E731 - the compiler takes it as a function
-    two = lambda shape, links, t: (_arm(links, 0, t), _arm(links, 1, t))  # noqa: E731
-    three = lambda shape, links, t: (_arm(links, 0, t), _arm(links, 1, t), _arm(links, 2, t))  # noqa: E731
-    return (one, two, three)[shape.instance_class.n_links - 1]
-
-
-@scalar
-def _arm(links, l, t):
+def arm(links, l, t):
     """r_l to the nearest image, rounded, and what rounding has left out [length]."""
     translation = links.translations[l, t]
     x, y, z = _difference(links, l, t, translation)
@@ -142,9 +82,60 @@ def _arm(links, l, t):
 
 
 @scalar
+def push(links, l, t, force):
+    """f_l to its slot; returns whether it is beyond the range of a grid."""
+    (x, y, z), slots, steps = force, links.slots, links.steps
+    slots[l, t, 0], slots[l, t, 1] = force_along(x, 1.0, steps), force_along(y, 1.0, steps)
+    slots[l, t, 2] = force_along(z, 1.0, steps)
+    return is_too_large(x * x + y * y + z * z, steps)
+
+
+@called_kernel
+def add_links(links, chunk):
+    """Forces to slots; energies and virials.  OUT_OF_RANGE if a force is beyond the range of a grid."""
+    n, n_chunks, is_out = links.first.shape[1], links.totals.shape[0], False
+    for c in range(1 + VIRIAL):
+        links.totals[chunk, c] = 0.0
+    for t in range(np.uintp(chunk * n // n_chunks), np.uintp((chunk + 1) * n // n_chunks)):
+        u, is_beyond = _acting(links.shape, links, t, links.law, parameters_of_pair(links.parameters, t, 0, 0))
+        is_out |= is_beyond
+        if links.detail != FORCES:
+            _count(links, t, links.totals[chunk], in_steps(u, links.steps))
+    return OUT_OF_RANGE if is_out else GO_ON
+
+
+@by_type
+def _acting(shape, links, t, law, numbers):
+    formula = shape.instance_class.formula
+    return lambda shape, links, t, law, numbers: formula(links, t, law, numbers)
+
+
+@scalar
+def _count(links, t, total, u):
+    """total (7,) += energy and virial of a term; and with PER_ATOM equal shares of them to its atoms."""
+    (energies, virials), steps, sites = links.each, links.steps, links.sites
+    n_sites = sites.shape[1] if links.detail == PER_ATOM else 0
+    xx = yy = zz = yz = xz = xy = 0.0
+    for l in range(links.slots.shape[0]):
+        (x, y, z), _ = arm(links, l, t)
+        fx, fy, fz = (
+            as_force(links.slots[l, t, 0], steps),
+            as_force(links.slots[l, t, 1], steps),
+            as_force(links.slots[l, t, 2], steps),
+        )
+        xx, yy, zz, yz, xz, xy = xx + x * fx, yy + y * fy, zz + z * fz, yz + z * fy, xz + z * fx, xy + y * fx
+    total[0] += u
+    for s in range(n_sites):
+        energies[sites[t, s]] += in_steps(u / n_sites, steps)
+    for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
+        total[1 + c] += in_steps(w, steps)
+        for s in range(n_sites):
+            virials[sites[t, s], c] += in_steps(w / n_sites, steps)
+
+
+@scalar
 def _difference(links, l, t, translation):
-    i, j = np.uintp(links.first[l, t]), np.uintp(links.second[l, t])
-    positions = links.positions
+    i, j, positions = np.uintp(links.first[l, t]), np.uintp(links.second[l, t]), links.positions
     return (
         _component(positions[j, 0], positions[i, 0], translation[0]),
         _component(positions[j, 1], positions[i, 1], translation[1]),
@@ -172,47 +163,6 @@ def _find_image(links, l, t, translation):
     a, b, c = minimum_image(x, y, z, lattice, inverse, pbc, safe_distance2[0])
     for k in range(3):
         translation[k] = a * lattice[0, k] + b * lattice[1, k] + c * lattice[2, k]
-
-
-@by_type
-def _put(shape, links, t, pulls):
-    """Forces to the slots of a term; returns the sum of their squares [energy²/length²]."""
-    one = lambda shape, links, t, pulls: _put_one(links, 0, t, pulls[0])  # noqa: E731
-    two = lambda shape, links, t, pulls: _put_one(links, 0, t, pulls[0]) + _put_one(links, 1, t, pulls[1])  # noqa: E731
-    three = lambda shape, links, t, pulls: (  # noqa: E731
-        _put_one(links, 0, t, pulls[0]) + _put_one(links, 1, t, pulls[1]) + _put_one(links, 2, t, pulls[2])
-    )
-    return (one, two, three)[shape.instance_class.n_links - 1]
-
-
-@scalar
-def _put_one(links, l, t, pull):
-    x, y, z = pull
-    slots, steps = links.slots, links.steps
-    slots[l, t, 0], slots[l, t, 1] = force_along(x, 1.0, steps), force_along(y, 1.0, steps)
-    slots[l, t, 2] = force_along(z, 1.0, steps)
-    return x * x + y * y + z * z
-
-
-@by_type
-def _moment(shape, arms, pulls):
-    """Σ r_l ⊗ f_l of a term [energy]: xx yy zz yz xz xy."""
-    one = lambda shape, arms, pulls: _product(arms[0][0], pulls[0])  # noqa: E731
-    two = lambda shape, arms, pulls: _sum(_product(arms[0][0], pulls[0]), _product(arms[1][0], pulls[1]))  # noqa: E731
-    three = lambda shape, arms, pulls: _sum(  # noqa: E731
-        _sum(_product(arms[0][0], pulls[0]), _product(arms[1][0], pulls[1])), _product(arms[2][0], pulls[2])
-    )
-    return (one, two, three)[shape.instance_class.n_links - 1]
-
-
-@scalar
-def _product(r, f):
-    return r[0] * f[0], r[1] * f[1], r[2] * f[2], r[2] * f[1], r[2] * f[0], r[1] * f[0]
-
-
-@scalar
-def _sum(v, w):
-    return v[0] + w[0], v[1] + w[1], v[2] + w[2], v[3] + w[3], v[4] + w[4], v[5] + w[5]
 
 
 class LinkedTerm(OwnTerm):

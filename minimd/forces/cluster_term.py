@@ -10,12 +10,10 @@ from minimd.compiled.fixed_point import MOST
 from minimd.compiled.kernels import DirectCalls, without_cache
 from minimd.compiled.program import Operation, operation
 from minimd.compiled.simd.lanes import DOUBLE, MIXED
-from minimd.compiled.threads import thread_pool
 from minimd.forces.cluster_kernel import Evaluation, add_domain, collect_domain, prepare_laws, sum_domain
 from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, Work, add_forces_of_laws, prepare_loop
-from minimd.forces.options import FIXED_POINT, Options, described
+from minimd.forces.options import FIXED_POINT, Options, described, pool_for
 from minimd.forces.pair_laws import PairLaws, skin_for, widest_skin
-from minimd.neighbors import domains
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_list import ClusterList
 from minimd.neighbors.cluster_search import LAYERS
@@ -34,7 +32,7 @@ class ClusterTerm(OwnTerm):
     assigns = True
 
     def __init__(self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0) -> None:
-        self.pool = thread_pool(max(1, min(options.most_threads, len(system) // domains.ATOMS_PER_DOMAIN)))
+        self.pool = pool_for(options, len(system))
         self._is_mixed, self._precision = options.precision == "mixed", options.precision
         if self._is_mixed:
             laws.check_single_precision()

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import DirectCalls, announce_compilation, called_kernel
 from minimd.compiled.program import GO_ON, Operation, Program, in_python, n_chunks_of, operation
-from minimd.compiled.threads import ThreadPool, thread_pool
-from minimd.forces.options import FIXED_POINT, Options
+from minimd.forces.options import FIXED_POINT, Options, pool_for
 from minimd.forces.pair_laws import deepest
 from minimd.forces.planning import plan
 from minimd.neighbors.verlet_list import Built, VerletList
@@ -76,7 +75,7 @@ class Forces:
     grid : of fixed-point arithmetic, see lay_grid; None in float64.  impulses : (N, 3) int64 in its steps of momentum,
         of the last compute.
     unit : of time, over which they are computed if compute is given no other [time].
-    time : at which forces that depend on it are evaluated [time].
+    time : at which forces that depend on it are evaluated [time].  pool : the threads for this scene.
 
     Raises
     ------
@@ -88,6 +87,7 @@ class Forces:
         self, system: System, potentials: Potential | Sequence[Potential], options: Options | None = None
     ) -> None:
         self.system, self.options = system, options or Options()
+        self.pool = pool_for(self.options, len(system))
         self.potentials = as_potentials(potentials)
         self.terms: list[Term] = []
         self.n_evaluations, self._builds_before, self.displacement, self.time = 0, 0, 0.0, 0.0
@@ -320,12 +320,6 @@ class Forces:
     def version(self) -> tuple[int, ...]:
         """Of the memory that operations work on."""
         return self._n_plans, *(term.version for term in self._in_order[0])
-
-    @property
-    def pool(self) -> ThreadPool:
-        """The threads for this scene."""
-        pools = [pool for term in self.terms if (pool := getattr(term, "pool", None)) is not None]
-        return max(pools, key=lambda pool: pool.n_threads) if pools else thread_pool(1)
 
     @contextmanager
     def _compiling(self) -> Iterator[None]:

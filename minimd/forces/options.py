@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from minimd.compiled.machine import default_threads
+from minimd.compiled.threads import ThreadPool, thread_pool
+from minimd.neighbors import domains
 from minimd.structure.checks import checked_choice, checked_count, checked_number, shown
 from minimd.structure.grid import Grid
 
@@ -47,6 +49,11 @@ class Options:
     def most_threads(self) -> int:
         """The number of threads given, or default_threads()."""
         return self.threads or default_threads()
+
+
+def pool_for(options: Options, n_atoms: int) -> ThreadPool:
+    """The threads for a scene of so many atoms: with few for each of them, they would cost more than they gain."""
+    return thread_pool(max(1, min(options.most_threads, n_atoms // domains.ATOMS_PER_DOMAIN)))
 
 
 def described(precision: Precision) -> str:

@@ -186,11 +186,14 @@ def _prune(k, n, domain, layout, rows, room, work):
         return n_entries + most + 1
     _find_near(k, n, domain, layout, rows.reaches2, work)
     home, end = layout.ghosts.home[k], np.uintp(n_entries)  # unsigned: no check for indices that count from the end
-    own = home - layout.domains.first[domain]
+    own, is_compact = home - layout.domains.first[domain], _is_compact(layout.ghosts.boxes, home)
     for lane in range(n_lanes):
         rows.start[k * n_lanes + lane] = end
-        rows.entries[end] = own | (layout.ghosts.lanes[home] >> (lane + 1) << (lane + 1)) << LANES_FROM
-        end += np.uintp(lane < filled - 1)
+        later = layout.ghosts.lanes[home] >> (lane + 1) << (lane + 1)
+        rows.entries[end] = own | later << LANES_FROM
+        if not is_compact:
+            later &= _own_lanes_near(home, lane, layout, rows.reaches2[LAYERS - 1])
+        end += np.uintp(later != 0)
         for layer in range(LAYERS):
             for first in range(0, n if lane < filled else 0, WORD):
                 end = _append(
@@ -198,6 +201,28 @@ def _prune(k, n, domain, layout, rows, room, work):
                 )
             rows.stops[layer, k * n_lanes + lane] = end
     return np.int64(end)
+
+
+@scalar
+def _is_compact(boxes, i):
+    """Whether the atoms of a cluster are certainly within reach of each other."""
+    stride, square = boxes.size // SIDES, np.float32(0.0)
+    for c in range(DIMENSIONS):
+        side = boxes[i + (c + DIMENSIONS) * stride] - boxes[i + c * stride]
+        square += side * side
+    return square < 1.0
+
+
+@scalar
+def _own_lanes_near(home, lane, layout, reach2):
+    """The lanes of a cluster, as bits, whose atoms are within reach of the atom in one of them."""
+    lanes, n_lanes = layout.clusters.lanes, count(layout.clusters.lanes)
+    start = home * DIMENSIONS * n_lanes
+    x, y, z = loaded(layout.coordinates, np.uintp(start), lanes)
+    at = start + lane
+    dx, dy = x - layout.coordinates[at], y - layout.coordinates[at + n_lanes]
+    dz = z - layout.coordinates[at + 2 * n_lanes]
+    return bits_from_mask(fma(dx, dx, fma(dy, dy, dz * dz)) < reach2)
 
 
 @scalar

@@ -117,7 +117,7 @@ class Engine:
         interactions.unit = state.unit = first_unit(self.method)
 
     @property
-    def _steps_now(self) -> Steps:
+    def _own_steps(self) -> Steps:
         """The steps of the method, made anew if anything else than the state is another one."""
         constraints, grid = self.surroundings.constraints, self.interactions.grid
         made_of = self._method, constraints, grid, *vars(self._method).values()
@@ -160,7 +160,7 @@ class Engine:
         while step < end:
             at = end if rescaling is None else min(end, rescaling.next_step(step))
             is_due = rescaling is not None and rescaling.is_due(at)
-            wants_energy, steps = is_due or (with_energy and at == end), self._steps_now
+            wants_energy, steps = is_due or (with_energy and at == end), self._own_steps
             made = steps.advance(at - step, wants_energy, step + self.noise_shift)
             self.interactions.n_evaluations += made * steps.n_evaluations
             step += made
@@ -185,7 +185,7 @@ class Engine:
 
     def prepare(self) -> None:
         """Compile what steps need."""
-        self._steps_now.prepare()
+        self._own_steps.prepare()
 
     def begin(self) -> None:
         """Prepare a run from the present state: choose images of rigid bonds, project onto the constraints,

@@ -168,7 +168,9 @@ class Steps:
         """
         if n_steps <= 0:
             return 0
-        state, last = self._state, self._last
+        state, last, unit = self._state, self._last, first_unit(self._method)
+        if isinstance(state, GridState) and state.unit != unit:  # impulses over another time are none for these kicks
+            state.forces_are_current, state.unit = False, unit
         self.counts[:UNTIL_BREATH] = 0, 1 if self._around.stop_requested else n_steps, first
         needs_forces = not state.forces_are_current and any(isinstance(one, Kick) for one in self._head)
         with_energy &= isinstance(last, Force)

@@ -143,5 +143,6 @@ def in_full(force):
 @by_type
 def is_mixed(arrays):
     """Whether the pair arithmetic is float32, as a constant for the compiler."""
-    answer = arrays[-1].types[-2].dtype == types.float32
+    memory = arrays[-1]
+    answer = memory.types[memory.fields.index("far")].dtype == types.float32
     return lambda arrays: answer

@@ -188,7 +188,7 @@ def test_free_rigid_molecules_have_the_temperature_of_the_bath_at_any_timestep(n
     bonds.project_velocities(velocities, positions)
     state, around = State(positions, velocities, np.zeros_like(positions), 1.0 / m[:, 0]), Surroundings(bonds, Bath())
     method = md.LangevinBAOAB(timestep, 1.0, friction=2.0, seed=3)
-    for _ in range(90):
+    for _ in range(200):
         method.advance(state, lambda state, with_energy: None, max(1, round(0.4 / timestep)), surroundings=around)
         translation = ((m * velocities).reshape(n, size, 3).sum(axis=1) ** 2).sum() / mass
         rotation = (m * velocities**2).sum() - translation

@@ -31,6 +31,7 @@ OPEN, TASK, FINISHED, ANSWER, CLAIMS = 0, 1, 8, 9, 16
 MOST_CHUNKS = 1024
 BITS = 12  # of the number of an operation, and of its chunks, in the word of a phase
 MOST_OPERATIONS = (1 << BITS) - 1
+MOST_PHASES = 1 << 38  # of one set of counters: the word of a phase has 63 bits
 CODE, DATA, CHUNKS, THEN, OTHERWISE = range(5)  # columns of the table of operations
 AT = 0  # place in a course: the next operation
 GO_ON, JUMP, PYTHON = 0, -1, 1  # answers: go on with the operation THEN, or OTHERWISE; Python is wanted
@@ -51,14 +52,17 @@ class Worker(namedtuple("Worker", "counters thread n_threads")):
     """
 
 
+def no_counts() -> NDArray[np.int64]:
+    """Counters at zero."""
+    return np.zeros(CLAIMS + MOST_CHUNKS, dtype=np.int64)
+
+
 class ThreadPool:
     """The calling thread and n_threads − 1 helpers."""
 
     def __init__(self, n_threads: int) -> None:
         self.n_threads = n_threads
-        self._counters = np.zeros(CLAIMS + MOST_CHUNKS, dtype=np.int64)
-        self._worker = Worker(self._counters, 0, n_threads)
-        self._busy, self._calls = threading.Lock(), DirectCalls()
+        self._busy, self._calls, self._counters = threading.Lock(), DirectCalls(), no_counts()
         self._task: tuple = ()
         self._core = -1
         self._wake = [threading.Lock() for _ in range(n_threads - 1)]
@@ -72,17 +76,20 @@ class ThreadPool:
 
     def run(self, operations: NDArray[np.int64], course: NDArray[np.int64]) -> int:
         """run_operations on this thread, and on the others as soon as they are awake; returns what it returns."""
-        code = self._calls.code(run_operations, self._worker, 0, operations, course)
+        code = self._calls.code(run_operations, Worker(self._counters, 0, self.n_threads), 0, operations, course)
         with self._busy:
             first = (int(self._counters[OPEN]) >> 2 * BITS) + 1  # the number of the program: that of its first phase
-            self._task = first, code, operations, course
+            if first > MOST_PHASES:
+                self._counters, first = no_counts(), 1
+            worker = Worker(self._counters, 0, self.n_threads)
+            self._task = self._counters, first, code, operations, course
             if self._helpers and HAS_AFFINITY:
                 self._keep_off_callers_core()
             for wake in self._wake:
                 if wake.locked():
                     wake.release()
             try:
-                return int(code(self._worker, first, operations, course))
+                return int(code(worker, first, operations, course))
             finally:
                 self._task = ()
 
@@ -98,14 +105,13 @@ class ThreadPool:
                         os.sched_setaffinity(helper.native_id, cores - {core} or cores)
 
     def _help(self, thread: int, wake: threading.Lock) -> None:
-        worker = Worker(self._counters, thread, self.n_threads)
         while True:
             wake.acquire()
             if current := self._task:  # else it is too late
-                task, code, operations, course = current
-                code(worker, task, operations, course)
+                counters, task, code, operations, course = current
+                code(Worker(counters, thread, self.n_threads), task, operations, course)
                 del current, code, operations, course
-                _linger(self._counters, task)
+                _linger(counters, task)
 
 
 def thread_pool(n_threads: int) -> ThreadPool:

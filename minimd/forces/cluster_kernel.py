@@ -45,6 +45,8 @@ def add_domain(evaluation, domain):
     once: while they are in the cache."""
     arrays = evaluation.arrays
     clear(domain, arrays)
+    if domain < arrays.memory.net.shape[0]:
+        arrays.memory.net[domain, 0] = 0.0
     run_at(evaluation.add, (domain, arrays, evaluation.work, evaluation.steps))
     if domain >= arrays.domains.numbers[LATE]:
         _collect(domain, evaluation, (0.0, 0.0, 0.0))

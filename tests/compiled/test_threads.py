@@ -175,6 +175,16 @@ def test_threads_of_python_take_turns_with_one_team():
         list(pool.map(lambda n: [counted(team, n) for _ in range(300)], [3, 17, 64]))
 
 
+@pytest.mark.parametrize("n_threads", [1, 2])
+def test_counters_begin_anew_before_they_overflow(n_threads):
+    team = ThreadPool(n_threads)
+    counted(team, 5)
+    team._counters[threads.OPEN] = (threads.MOST_PHASES << threads.BITS | threads.MOST_OPERATIONS) << threads.BITS
+    for n in (5, 3, 64):
+        counted(team, n)
+    assert team._counters[threads.OPEN] >> 2 * threads.BITS < 100
+
+
 def test_a_program_is_made_anew_when_its_memory_was_replaced():
     version, made, seen = [0], [], []
 

@@ -154,6 +154,20 @@ def test_any_step_is_made_again_from_a_file_and_from_its_archive(tmp_path):
     assert not (tmp_path / "other.h5md").exists()
 
 
+def test_a_scene_goes_on_after_a_force_beyond_its_range():
+    simulation = plain()
+    simulation.run(2)
+    good = simulation.snapshot()
+    simulation.positions[1] = simulation.positions[0] + 0.001
+    with pytest.raises(md.RangeError):
+        simulation.run(1)
+    simulation.restore(good)
+    simulation.run(3)
+    other = plain()
+    other.make_steps(5)
+    assert np.array_equal(simulation.positions, other.positions)
+
+
 ARGON = md.LennardJones(0.0104, 3.4, 5.0, truncation="force-shifted")
 
 

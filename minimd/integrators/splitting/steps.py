@@ -25,6 +25,8 @@ from minimd.compiled.threads import ThreadPool, thread_pool
 from minimd.integrators.splitting.flows import DRIFT, KICK, Moving, move_atoms
 from minimd.integrators.splitting.state import GridState, State, Surroundings
 from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, Thermalize, merged
+from minimd.structure.errors import RangeError
+from minimd.structure.grid import TOO_LARGE
 
 MADE, TO_MAKE, FIRST, UNTIL_BREATH, BREATH = range(5)  # places in a count
 ATOM_STEPS = 8_000_000  # in a breath, about a second
@@ -195,7 +197,7 @@ class Steps:
 
     def _cut(self) -> tuple[Events, Events]:
         """The events of a step in a run of them: those before its first evaluation of forces, and all from there on."""
-        row: list[Event] = list(self._row)
+        row: list[Event] = list(self._method.substeps)
         if self._around.constraints is not None and not isinstance(row[-1], Thermalize):
             row.append(Projection())
         unit, is_current, events = 0.0, False, list[Event]()
@@ -288,6 +290,7 @@ class Steps:
 
     def _check_range(self, _answer: int) -> None:
         self._state.check_range()
+        raise RangeError(TOO_LARGE)  # it has come back
 
     def _note_power(self) -> None:
         if self._forces.power is not None:

@@ -111,7 +111,7 @@ integrators/splitting/splitting.py: potentials/test_laws potentials/test_fields 
     around.work += duration * around.power => around.work -= duration * around.power
 integrators/splitting/splitting.py: integrators/test_splittings integrators/test_laws
     type(first)(first.coefficient + last.coefficient) => type(first)(first.coefficient)
-constraints/settle.py: constraints/test_solvers constraints/test_references
+constraints/closed_forms.py: constraints/test_solvers constraints/test_references
     r_a = 2.0 * fraction * height => r_a = fraction * height
     gamma = xb0 * yb1 - xb1 * yb0 => gamma = xb0 * yb1 + xb1 * yb0
     recoil = 1.0 / duration, -inverse_masses[a] => recoil = 1.0 / duration, -2.0 * inverse_masses[a]

@@ -7,13 +7,13 @@ Solvers return the largest number of iterations; a negative number n says that t
 from typing import Any, NamedTuple
 
 from minimd.compiled.kernels import inlined, kernel
+from minimd.structure.vectors import combined
 
 NOTHING = -1
 
 
 class Atoms(NamedTuple):
-    """positions : (N, 3) [length].  vectors : (N, 3) velocities [length/time], or accelerations.  inverse_masses : (N,)
-    [1/mass]."""
+    """positions : (N, 3) [length].  vectors : (N, 3) velocities or accelerations.  inverse_masses : (N,) [1/mass]."""
 
     positions: Any
     vectors: Any
@@ -40,13 +40,15 @@ class Molecules(NamedTuple):
 
 
 @inlined
+def between(vectors, i, j):
+    """x_j − x_i."""
+    return vectors[j, 0] - vectors[i, 0], vectors[j, 1] - vectors[i, 1], vectors[j, 2] - vectors[i, 2]
+
+
+@inlined
 def moved(s, velocities, i, j, duration):
     """s + Δt (v_j − v_i), a separation after the drift."""
-    return (
-        s[0] + duration * (velocities[j, 0] - velocities[i, 0]),
-        s[1] + duration * (velocities[j, 1] - velocities[i, 1]),
-        s[2] + duration * (velocities[j, 2] - velocities[i, 2]),
-    )
+    return combined(1.0, s, duration, between(velocities, i, j))
 
 
 @inlined

@@ -1,4 +1,4 @@
-"""The operations that keep a cluster list valid: atoms to their clusters and ghosts; is the list still valid; if not,
+"""The operations that keep a cluster list valid: atoms to their clusters and ghosts; where it is not valid any more,
 sort, cut, find rows, in memory that is already there."""
 
 from collections import namedtuple
@@ -12,7 +12,7 @@ from minimd.compiled.simd import bits_from_mask
 from minimd.compiled.simd.lanes import count
 from minimd.neighbors.cluster_memory import lay_grid, place
 from minimd.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, exclude_partners, find_rows, find_slots, make_work
-from minimd.neighbors.clusters import DIMENSIONS, columns_fit, fill_clusters, gathered, loaded, sort_into_columns
+from minimd.neighbors.clusters import DIMENSIONS, columns_fit, fill_column, gathered, loaded, sort_into_columns
 from minimd.neighbors.domains import BLOCKS, GHOSTS, cut_into_domains, fill_ghosts, fill_shifts, sort_ghosts
 from minimd.neighbors.verlet_list import count_not_finite
 
@@ -26,14 +26,11 @@ class Building(
 ):
     """What the operations work on.
 
-    positions : (N, 3) [length].  Outputs are arrays : ClusterArrays, binned : Binned, and layout : Layout, but for its
-        columns.
-    n_blocks : of forces for which there is room.  n_chunks : into which columns are cut.  goes_along : see
-        cut_into_domains.
+    positions : (N, 3) [length].  Outputs: arrays : ClusterArrays, binned : Binned, and layout : Layout but its columns.
+    n_blocks : of forces, as there is room.  n_chunks : of columns.  goes_along : see cut_into_domains.
     entry_start : (K + 1,) int, first entry of each domain.
     needed : (K,) int, output, entries that each domain needs, which may be more than there is room for.
-    excluded : partners of each atom, see find_pairs, and slot_of : (N,) int, output, slot of each atom, where pairs are
-        excluded.
+    excluded : partners of each atom, see find_pairs; if there are any, slot_of : (N,) int, output, slot of each atom.
     images : Images.  widths : cutoff and skin [length], and the coarsest unit of mixed precision [length].
     """
 
@@ -89,9 +86,11 @@ def sort_atoms(building, _chunk):
 
 @called_kernel
 def cut_columns(building, chunk):
-    """Columns into clusters."""
-    columns, clusters = building.layout.columns, building.layout.clusters
-    fill_clusters(chunk, building.n_chunks, building.positions, columns, building.binned, clusters)
+    """Columns into clusters: a chunk is some rows of them along the second lattice vector."""
+    columns, clusters, n = building.layout.columns, building.layout.clusters, building.n_chunks
+    counts = columns.counts
+    for column in range(chunk * counts[0] // n * counts[1], (chunk + 1) * counts[0] // n * counts[1]):
+        fill_column(column, building.positions, columns, building.binned, clusters)
     return GO_ON
 
 

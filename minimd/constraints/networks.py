@@ -99,18 +99,6 @@ def solve(components, start, end, lower, upper, x):
 
 
 @inlined
-def worst_violation(r, lengths2, start, end, x):
-    """x_k = (d² − r²)/2, and the constraint with the largest |r² − d²|/d², and that value."""
-    worst, where = 0.0, start
-    for k in range(start, end):
-        x[k] = 0.5 * (lengths2[k] - dot(r[k], r[k]))
-        violation = abs(2.0 * x[k]) / lengths2[k]
-        if not violation <= worst:
-            worst, where = violation, k
-    return worst, where
-
-
-@inlined
 def restore_lengths(atoms, components, bonds, c, memory):
     """λ of component c by Newton's method, from positions that have drifted: memory.total. Returns the iterations."""
     start, end = components.starts[c], components.starts[c + 1]
@@ -119,7 +107,12 @@ def restore_lengths(atoms, components, bonds, c, memory):
         total[k] = 0.0
     for iteration in range(MAX_ITERATIONS):
         find_separations(atoms.positions, bonds, start, end, r)
-        worst, where = worst_violation(r, bonds.lengths2, start, end, x)
+        worst, where = 0.0, start
+        for k in range(start, end):
+            x[k] = 0.5 * (bonds.lengths2[k] - dot(r[k], r[k]))
+            violation = abs(2.0 * x[k]) / bonds.lengths2[k]
+            if not violation <= worst:
+                worst, where = violation, k
         if worst <= ROUNDING:
             return iteration
         assemble(components, start, end, r, s, lower, upper)

@@ -214,7 +214,7 @@ def rescaling_of(
     method: Splitting,
     holds_center: bool,
 ) -> CellRescaling | None:
-    """A barostat on the parts of an engine, or None.  Raises TypeError for anything else, ValueError as CellRescaling."""
+    """A barostat on the parts of an engine, or None.  Raises TypeError for another object, ValueError as that."""
     if barostat is None:
         return None
     if not isinstance(barostat, StochasticCellRescaling):

@@ -62,27 +62,17 @@ def picture_of(record: Series) -> Picture:
     times, unit = record.time * record.units.to_picosecond, record.units.shown_time
     for draw, panel in zip((draw_energy, draw_temperature, draw_momentum, draw_pressure), panels, strict=True):
         draw(panel, times, record)
-        finish(panel, unit)
+        panel.set_xlabel(f"time  [{unit}]")
+        panel.margins(x=0.01)
+        panel.title.set_fontsize(10)
     return figure
-
-
-def finish(panel: Axes, unit: str) -> None:
-    """The axis of time, and sizes.  unit : of time."""
-    panel.set_xlabel(f"time  [{unit}]")
-    panel.margins(x=0.01)
-    panel.title.set_fontsize(10)
-
-
-def energy_of(record: Series) -> tuple[Array, str, str]:
-    """The energy that should be constant, (T,), with a bath minus its heat Q; its name; the formula of its change."""
-    if "conserved_energy" in record:
-        return record.conserved_energy, "total energy − heat", "(E − Q − E₀)"
-    return record.total_energy, "total energy", "(E − E₀)"
 
 
 def draw_energy(panel: Axes, times: Array, record: Series) -> Array:
     """Change of the total energy per atom since the start, minus heat of a bath; returned in the unit of the axis."""
-    energy, name, formula = energy_of(record)
+    energy, name, formula = record.total_energy, "total energy", "(E − E₀)"
+    if "conserved_energy" in record:
+        energy, name, formula = record.conserved_energy, "total energy − heat", "(E − Q − E₀)"
     change, factor = scaled((energy - energy[0]) / record.n_atoms)
     panel.plot(times, change, color=ENERGY, label=name, **STYLE)
     panel.set_ylabel(f"{formula} / N  [{factor}{record.units.energy}]")

@@ -14,29 +14,9 @@ from minimd.neighbors.buffers import HALF_A_PAGE, SPARE, Buffers, with_room
 from minimd.neighbors.cluster_build import Building
 from minimd.neighbors.cluster_memory import GRID, ClusterArrays, Memory
 from minimd.neighbors.cluster_search import AHEAD, BUILDS, GHOST_BITS, IN_USE, LAYERS, Rows
-from minimd.neighbors.clusters import (
-    DIMENSIONS,
-    Clusters,
-    Columns,
-    bins_for_sort,
-    clusters_for_build,
-    make_clusters,
-    make_columns,
-    most_clusters,
-    moved_columns,
-    region_of,
-)
-from minimd.neighbors.domains import (
-    BLOCKS,
-    IMAGES,
-    Domains,
-    GhostClusters,
-    Layout,
-    ghosts_for_search,
-    make_domains,
-    make_ghosts,
-)
-from minimd.neighbors.search import Binned
+from minimd.neighbors.clusters import DIMENSIONS, Clusters, Columns, make_clusters, make_columns, region_of
+from minimd.neighbors.domains import BLOCKS, IMAGES, GhostClusters, Layout, ghosts_for_search, make_domains, make_ghosts
+from minimd.neighbors.search import Binned, bins_for_sort
 from minimd.neighbors.verlet_list import VerletList, partners, raise_not_finite
 from minimd.structure.cell import Cell, Images
 from minimd.structure.strain import strained
@@ -63,17 +43,13 @@ class ClusterList(VerletList):
     """
 
     clusters: Clusters
-    domains: Domains
     ghosts: GhostClusters
     rows: Rows
     memory: Memory
-    arrays: ClusterArrays
-    building: Building
     _columns: Columns
     _bins: Binned
     _entries: NDArray[np.uint32]
     _exact: NDArray[np.float64]
-    idle: NDArray[np.float64]
 
     def __init__(
         self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, pool: ThreadPool
@@ -146,9 +122,11 @@ class ClusterList(VerletList):
         of = self._columns_of
         if of is None or not (cell.same_as(of[0]) and np.array_equal(region, of[1])):
             columns = self._columns_in(cell, region)
-            if of is None or not moved_columns(self._columns, columns):
-                self._columns = columns
-                self._make_clusters()
+            if of is None or not self._columns.move_to(columns):
+                self._columns, self.domains = columns, make_domains(columns, self._n_atoms)
+                self.n_domains = len(self.domains.first)
+                self._needed = np.zeros(self.n_domains, dtype=np.int64)
+                self._arrange()
             self._columns_of = cell, region
         self._region = region
 
@@ -213,8 +191,11 @@ class ClusterList(VerletList):
         return int(self.domains.ghost[-1])
 
     def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
-        if self.clusters.origins is self.clusters.positions:
-            self._keep_origins()
+        if self.clusters.origins is self.clusters.positions:  # from now on they are not the same
+            origins = self._memory.array("origins", np.float64, len(self.clusters.positions))
+            origins[:] = self.clusters.positions
+            self.clusters = self.clusters._replace(origins=origins)
+            self._arrange_building()
         strained(self._blocks(self.clusters.origins), strain, self._blocks(self.clusters.positions))
         if self._images is not None:
             self._images.take(cell)
@@ -223,22 +204,8 @@ class ClusterList(VerletList):
         if self._is_mixed:
             self.memory.shift[:] = np.rint(self._shifts / self._unit)
         self.rows.limits2[:] = [self._limit2(width) for width in self._widths]
-        if self._region is not None and moved_columns(self._columns, self._columns_in(cell, self._region)):
+        if self._region is not None and self._columns.move_to(self._columns_in(cell, self._region)):
             self._columns_of = cell, self._region
-
-    def _keep_origins(self) -> None:
-        """Memory of their own for the origins of clusters, of which the positions so far are a copy."""
-        origins = self._memory.array("origins", np.float64, len(self.clusters.positions))
-        origins[:] = self.clusters.positions
-        self.clusters = self.clusters._replace(origins=origins)
-        self._arrange_building()
-
-    def _make_clusters(self) -> None:
-        """Memory for other columns."""
-        self.domains = make_domains(self._columns, self._n_atoms)
-        self.n_domains = len(self.domains.first)
-        self._needed = np.zeros(self.n_domains, dtype=np.int64)
-        self._arrange()
 
     def _make_room(self, _answer: int = 0) -> None:
         """More memory, after a build that has found how much it needs."""
@@ -310,17 +277,21 @@ class ClusterList(VerletList):
         Atoms are sorted where the entries are written afterwards.
         """
         memory, spare, (n_ghosts, n_in_windows, _) = self._memory, self._spare, self._room
-        n_clusters, n_block = most_clusters(self._n_atoms, self._columns, self.lanes), self.lanes.size * DIMENSIONS
-        own = (np.float64, (n_clusters * n_block,))
+        n_lanes, n_block = self.lanes.size, self.lanes.size * DIMENSIONS
+        n_columns = int(self._columns.counts[0] * self._columns.counts[1])  # each may have a cluster that is not full
+        n_clusters = (self._n_atoms + n_columns * (n_lanes - 1)) // n_lanes
+        own, heights, boxes = (
+            (np.float64, shape) for shape in ((n_clusters * n_block,), (n_clusters,), (n_clusters, 6))
+        )
         exact = (np.float64, (n_ghosts * n_block if self._is_mixed else 0,))
-        search = *clusters_for_build(n_clusters), *ghosts_for_search(n_ghosts, n_in_windows), exact
+        search = heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows), exact
         found, (self.idle,) = memory.overlaid("scratch", search, (own,), spare=spare)
-        bottom, top, boxes, *for_search, self._exact = found
+        bottom, top, boxes_now, *for_search, self._exact = found
         if not self._is_mixed:
             self._exact = memory.array("coordinates", np.float64, n_ghosts * n_block, spare=1.0)
-        n_entries = max(int(self._entry_start[-1]), n_clusters * self.lanes.size * ENTRIES_GUESSED) + AHEAD
-        sort, entries = bins_for_sort(self._n_atoms, self._columns), ((np.uint32, (n_entries,)),)
+        n_entries = max(int(self._entry_start[-1]), n_clusters * n_lanes * ENTRIES_GUESSED) + AHEAD
+        sort, entries = bins_for_sort(self._n_atoms, self._columns.counts), ((np.uint32, (n_entries,)),)
         bins, (self._entries,) = memory.overlaid("entries", sort, entries, spare=1.0)
         self._bins = Binned(*bins)
-        self.clusters = make_clusters(n_clusters, self._columns, self.lanes, (bottom, top, boxes), memory, spare)
+        self.clusters = make_clusters(n_clusters, self._columns, self.lanes, (bottom, top, boxes_now), memory, spare)
         self.ghosts = make_ghosts(n_clusters, n_ghosts, n_in_windows, for_search, memory)

@@ -105,32 +105,25 @@ def _candidates(k, n_ahead, layout, work):
     along, limit2 = layout.columns.along[2], np.float32(ROUNDED_UP)
     boxes, bottom, top, i = ghosts.boxes, ghosts.bottom, ghosts.top, ghosts.home[k]
     low, high = bottom[i] - along, top[i] + along
-    own, stride = _box(boxes, i), boxes.size // SIDES
-    n = 0
+    n, stride, like = 0, boxes.size // SIDES, load(boxes, 0, BOXES)
+    x_low, x_high = broadcast(boxes[i], like), broadcast(boxes[i + 3 * stride], like)
+    y_low, y_high = broadcast(boxes[i + stride], like), broadcast(boxes[i + 4 * stride], like)
+    z_low, z_high = broadcast(boxes[i + 2 * stride], like), broadcast(boxes[i + 5 * stride], like)
     for run in range(n_ahead):
         j, last = ahead[run, 0], ahead[run, 1]
         while j < last and top[j] < low:
             j += 1
         ahead[run, 0] = j
         while j < last and bottom[j] <= high:
-            x = _gap(boxes, j, stride, own[0], own[3])
-            y = _gap(boxes, j + stride, stride, own[1], own[4])
-            z = _gap(boxes, j + 2 * stride, stride, own[2], own[5])
+            x = _gap(boxes, j, stride, x_low, x_high)
+            y = _gap(boxes, j + stride, stride, y_low, y_high)
+            z = _gap(boxes, j + 2 * stride, stride, z_low, z_high)
             near = bits_from_mask(fma(x, x, fma(y, y, z * z)) < limit2) & (1 << min(BOXES, last - j)) - 1
             numbers = load(SET_BITS, near * BOXES, BOXES)
             store(candidates, n, numbers + j)
             n += HOW_MANY[near]
             j += BOXES
     return n
-
-
-@scalar
-def _box(boxes, i):
-    """The six sides of box i, each in all lanes of a vector."""
-    like, n = load(boxes, 0, BOXES), boxes.size // SIDES
-    x, y, z = broadcast(boxes[i], like), broadcast(boxes[i + n], like), broadcast(boxes[i + 2 * n], like)
-    i += 3 * n
-    return x, y, z, broadcast(boxes[i], like), broadcast(boxes[i + n], like), broadcast(boxes[i + 2 * n], like)
 
 
 @scalar
@@ -205,32 +198,8 @@ def _find_near(k, n, domain, layout, reaches2, work):
 
 
 @scalar
-def find_slots(domain, layout, slot_of):
-    """slot_of : (N,) int, output, the slot of each atom of a domain."""
-    clusters, domain_start, n_lanes = layout.clusters, layout.domains.cluster, count(layout.clusters.lanes)
-    for slot in range(domain_start[domain] * n_lanes, domain_start[domain + 1] * n_lanes):
-        if slot % n_lanes < clusters.filled[slot // n_lanes]:
-            slot_of[clusters.atom[slot]] = slot
-
-
-@scalar
-def exclude_partners(domain, layout, image, partners, slot_of, rows):
-    """Clear the lane of each excluded partner, at its nearest image, in the row where the pair is listed.
-
-    image : lattice, inverse, pbc, safe_distance2 of Cell.  partners : see find_pairs.  slot_of : see find_slots.
-    """
-    clusters, domain_start, (start, values) = layout.clusters, layout.domains.cluster, partners
-    n_lanes = count(clusters.lanes)
-    for k in range(domain_start[domain], domain_start[domain + 1]):
-        for slot in range(k * n_lanes, k * n_lanes + clusters.filled[k]):
-            i = clusters.atom[slot]
-            for p in range(np.uintp(start[i]), np.uintp(start[i + 1])):  # unsigned: none counts from the end
-                _exclude(domain, slot, slot_of[np.uintp(values[p])], layout, image, rows)
-
-
-@scalar
-def _exclude(domain, slot, other, layout, image, rows):
-    """Clear the lane of the atom in slot other in the row of a slot, if it is there."""
+def exclude(domain, slot, other, layout, image, rows):
+    """Clear the lane of the atom in slot other in the row of a slot, if it is there.  image : see minimum_image."""
     ghosts, coordinates, n_lanes = layout.ghosts, layout.coordinates, count(layout.clusters.lanes)
     cluster, lane = other // n_lanes, np.uint32(other % n_lanes)
     own, home = ghosts.home[slot // n_lanes], ghosts.home[cluster]

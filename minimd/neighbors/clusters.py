@@ -23,8 +23,8 @@ from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.simd import load, with_lane
 from minimd.compiled.simd.lanes import Lanes, count
-from minimd.neighbors.buffers import Buffers, Fields
-from minimd.neighbors.search import ATOMS_PER_BIN, WIDER, counting_sort, into_cell
+from minimd.neighbors.buffers import Buffers
+from minimd.neighbors.search import ATOMS_PER_BIN, WIDER, into_cell
 from minimd.structure.cell import Cell
 from minimd.structure.system import local_density
 
@@ -49,6 +49,14 @@ class Columns(
     origin, extent : (3,) fractional coordinates of that part; 0 and 1 where is_crossed. In periodic directions
         atoms are in the cell that begins at the origin.
     """
+
+    def move_to(self, to: "Columns") -> bool:
+        """Whether there are as many columns in another cell, or elsewhere; then they move there, in the same arrays."""
+        if not all(np.array_equal(a, b) for a, b in zip(self[:N_FIXED], to[:N_FIXED], strict=True)):
+            return False
+        for a, b in zip(self[N_FIXED:], to[N_FIXED:], strict=True):
+            a[:] = b
+        return True
 
 
 class Clusters(
@@ -147,53 +155,16 @@ def columns_fit(positions, columns):
     return True
 
 
-def moved_columns(columns: Columns, to: Columns) -> bool:
-    """Whether there are as many columns in another cell, or elsewhere; then they are moved, in the same arrays."""
-    stay, move = columns[:N_FIXED], columns[N_FIXED:]
-    if not all(np.array_equal(a, b) for a, b in zip(stay, to[:N_FIXED], strict=True)):
-        return False
-    for a, b in zip(move, to[N_FIXED:], strict=True):
-        a[:] = b
-    return True
-
-
-def most_clusters(n_atoms: int, columns: Columns, lanes: Lanes) -> int:
-    """Clusters of so many atoms, however they stand: each column may have one that is not full."""
-    return (n_atoms + int(columns.counts[0] * columns.counts[1]) * (lanes.size - 1)) // lanes.size
-
-
 def make_clusters(
     n_clusters: int, columns: Columns, lanes: Lanes, for_build: Sequence[NDArray], memory: Buffers, spare: float
 ) -> Clusters:
-    """Arrays with room for so many.  for_build : those of clusters_for_build.  spare : see Buffers.array."""
+    """Arrays with room for so many.  for_build : bottom, top, boxes.  spare : see Buffers.array."""
     n_slots, array = n_clusters * lanes.size, partial(memory.array, spare=spare)
     column_start = array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1)
     atom, filled = array("atom", np.int32, n_slots), array("filled", np.int32, n_clusters)
     at = array("positions", np.float64, n_slots * DIMENSIONS)
     wrapping = Wrapping(columns.inverse.copy(), columns.pbc.astype(np.float64), columns.lattice.copy(), columns.origin)
     return Clusters(lanes, atom, filled, at, at, wrapping, column_start, *for_build)
-
-
-def clusters_for_build(n_clusters: int) -> Fields:
-    """Those arrays of Clusters that are needed for a build only: bottom, top, boxes."""
-    return (np.float64, (n_clusters,)), (np.float64, (n_clusters,)), (np.float64, (n_clusters, 6))
-
-
-def bins_for_sort(n_atoms: int, columns: Columns) -> Fields:
-    """The arrays of Binned to sort so many atoms with. Its cells are left out: they are computed again."""
-    each, of_bins = (np.int32, (n_atoms,)), (np.int32, (int(columns.counts.prod()) + 1,))
-    return each, each, of_bins, of_bins, (np.float64, (0, 3)), (np.float64, (n_atoms,))
-
-
-@scalar
-def sort_into_columns(positions, columns, binned, clusters):
-    """Atoms into the bins of all columns; the first cluster of each, the second lattice direction running faster."""
-    counts, column_start, n_lanes = columns.counts, clusters.column_start, count(clusters.lanes)
-    counting_sort(positions, columns.inverse, columns.pbc, columns, binned)
-    column_start[0] = 0
-    for column in range(counts[0] * counts[1]):
-        n = binned.bin_start[(column + 1) * counts[2]] - binned.bin_start[column * counts[2]]
-        column_start[column + 1] = column_start[column] + (n + n_lanes - 1) // n_lanes
 
 
 @scalar

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel, scalar
+from minimd.neighbors.buffers import Fields
 from minimd.structure.cell import Cell, minimum_image
 
 ATOMS_PER_BIN = 0.25  # a grid never has more than 1/0.25 = 4 bins for each atom, so that empty space costs nothing
@@ -45,6 +46,12 @@ class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
     cells : (N, 3) numbers of lattice vectors that bring each atom into the cell; (0, 3) where nobody asks for them.
     height : (N,) fractional coordinate along the third lattice vector, in the cell.
     """
+
+
+def bins_for_sort(n_atoms: int, counts: NDArray[np.int64]) -> Fields:
+    """Arrays of Binned for so many atoms and bins. Its cells are left out: they are computed again."""
+    each, of_bins = (np.int32, (n_atoms,)), (np.int32, (int(counts.prod()) + 1,))
+    return each, each, of_bins, of_bins, (np.float64, (0, 3)), (np.float64, (n_atoms,))
 
 
 @scalar

@@ -15,7 +15,6 @@ SHAKE and RATTLE sweep: one constraint after the other, repeatedly, until all ar
 
 from collections import namedtuple
 from math import sqrt
-from typing import Any, NamedTuple
 
 from minimd.compiled.kernels import inlined, kernel, type_of
 from minimd.compiled.machine import EPS
@@ -29,18 +28,8 @@ LAST = 1e-9
 DEPENDENT = 1e-10  # relative to its diagonal: a smaller pivot is rounding
 
 
-class Memory(NamedTuple):
-    """Scratch arrays.
-
-    r, s : (K, 3) separations.  x, total : (K,) multipliers.  lower, upper : factors, in the envelope.
-    """
-
-    r: Any
-    s: Any
-    x: Any
-    total: Any
-    lower: Any
-    upper: Any
+class Memory(namedtuple("Memory", "r s x total lower upper")):
+    """Scratch: r, s : (K, 3) separations.  x, total : (K,) multipliers.  lower, upper : factors, in the envelope."""
 
 
 @inlined

@@ -190,8 +190,7 @@ class ConstraintSolver:
         self._fail(group.order[group.failed(duration != 0.0)], positions, velocities, duration)
 
     def _fail(self, constraint: int, positions: Floats, velocities: Floats, duration: float) -> None:
-        """Raise ConstraintError with the larger violation: closed forms fail before they move atoms,
-        iterations afterwards."""
+        """Raise ConstraintError with the larger violation: closed forms fail before they move atoms, others after."""
         i, j = self.pairs[constraint].tolist()
         off = max(self.violation(positions)[constraint], self.violation(positions + duration * velocities)[constraint])
         what = f"drift of {duration:g}" if duration else "projection of velocities"

@@ -61,7 +61,7 @@ potentials/angles.py: potentials/test_laws potentials/test_truncation potentials
 neighbors/search.py: neighbors/test_pair_list forces/test_lists neighbors/test_cluster_list
     within[len(within) // 2 + 1 :] => within[len(within) // 2 + 2 :]
     first_atom, row = i + 1 if => first_atom, row = i if
-    if nearest == row: => if nearest != row:
+    + crossed[2] == row: => + crossed[2] != row:
     -(-grid.reach // grid.counts) => (grid.reach // grid.counts)
     (cell_z != 0 and not pbc[2]) => (cell_z != 0 and not pbc[1])
 neighbors/verlet_list.py: neighbors/test_pair_list forces/test_lists neighbors/test_cluster_list
@@ -111,18 +111,18 @@ integrators/splitting/splitting.py: potentials/test_laws potentials/test_fields 
     around.work += duration * around.power => around.work -= duration * around.power
 integrators/splitting/splitting.py: integrators/test_splittings integrators/test_laws
     type(first)(first.coefficient + last.coefficient) => type(first)(first.coefficient)
-constraints/settle.py: constraints/test_solvers constraints/test_references
+constraints/closed_forms.py: constraints/test_solvers constraints/test_references
     r_a = 2.0 * fraction * height => r_a = fraction * height
     gamma = xb0 * yb1 - xb1 * yb0 => gamma = xb0 * yb1 + xb1 * yb0
     recoil = 1.0 / duration, -inverse_masses[a] => recoil = 1.0 / duration, -2.0 * inverse_masses[a]
-constraints/pairs.py: constraints/test_solvers constraints/test_references
+constraints/closed_forms.py: constraints/test_solvers constraints/test_references
     w * w * dot(s, s), w * dot(p, s) => w * dot(s, s), w * dot(p, s)
     (targets[k] - along) => (targets[k] + along)
 constraints/networks.py: constraints/test_solvers constraints/test_references
-    bonds.second[k], total[k] / duration, s[k] => bonds.second[k], total[k], s[k]
-    x[k] = 0.5 * (lengths2[k] => x[k] = 0.25 * (lengths2[k]
+    i, j, total[k] / duration, s[k] => i, j, total[k], s[k]
+    x[k] = 0.5 * (bonds.lengths2[k] => x[k] = 0.25 * (bonds.lengths2[k]
     scale = gap / (2.0 * (atoms => scale = gap / (1.0 * (atoms
-constraints/linear_triatomic.py: constraints/test_solvers constraints/test_references
+constraints/closed_forms.py: constraints/test_solvers constraints/test_references
     kappa = alpha * inverse_masses[a] - beta => kappa = alpha * inverse_masses[a] + beta
 structure/observables.py: simulation/test_observables simulation/test_simulation
     return 0.5 * mass * (vx**2 => return mass * (vx**2
@@ -144,7 +144,7 @@ engine/observation.py: integrators/test_baths simulation/test_observables
     look.total_energy - look.engine.reservoir_energy => look.total_energy + look.engine.reservoir_energy
 engine/cell_rescaling.py: engine/test_barostat
     tensor += thermal * np.eye(3) - np.outer => tensor += np.eye(3) - np.outer
-    return step % self.barostat.every == 0 => return step % self.barostat.every == 1
+    self.barostat.every - step % => self.barostat.every + step %
     virial = virial - self._inner_virial() => virial = virial + self._inner_virial()
 files/h5md_restart.py: files/test_h5md files/test_trajectories files/test_interrupts simulation/test_observables
     "clock_step": clock[0] => "clock_step": clock[0] + 1

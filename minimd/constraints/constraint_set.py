@@ -16,9 +16,7 @@ from minimd.structure.images import images_of_length, nearest_images
 from minimd.structure.observables import degrees_of_freedom
 from minimd.structure.system import System, check_resolution
 
-# relative violation, exceeded for example in files of single precision, above which the projection of an initial state
-# causes a warning
-TOLD = 1e-8
+TOLD = 1e-8  # relative violation above which one is warned of a projection: files of single precision have more
 
 
 class ConstraintSet:
@@ -26,8 +24,8 @@ class ConstraintSet:
 
     Attributes
     ----------
-    inverse_masses : (N,) [1/mass], zero for fixed atoms.  bonds : ConstraintSolver, or None.  n_constraints, n_fixed :
-        int.
+    inverse_masses : (N,) [1/mass], zero for fixed atoms.  bonds : ConstraintSolver, or None.
+    n_constraints, n_fixed : int.
     kept : the same constraints, with the lengths that are kept; at most one of each kind.
     """
 
@@ -42,19 +40,16 @@ class ConstraintSet:
                 raise TypeError(f"constraints must be DistanceConstraints or FixedAtoms; got {shown(constraint)}")
         distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
         if len(distances) > 1:
-            raise ValueError(
-                "all pairs must be given in one DistanceConstraints: those that share atoms are solved together"
-            )
+            why = "those that share atoms are solved together"
+            raise ValueError(f"all pairs must be given in one DistanceConstraints: {why}")
         self._threads, self._cell = threads, system.cell  # the cell for which the images of bonds were found
         self.n_fixed = int((self.inverse_masses == 0.0).sum())
         self.kept: tuple[Any, ...] = (FixedAtoms(self.inverse_masses == 0.0),) if self.n_fixed else ()
         self.bonds, self.n_constraints = None, 0
         if distances:
             self.bonds = self._solver(system, distances[0])
-            self.n_constraints = self.bonds.n_constraints
-            self.kept += (
-                DistanceConstraints(self.bonds.pairs, self.bonds.lengths, distances[0].tolerance, distances[0].solver),
-            )
+            self.n_constraints, how = self.bonds.n_constraints, (distances[0].tolerance, distances[0].solver)
+            self.kept += (DistanceConstraints(self.bonds.pairs, self.bonds.lengths, *how),)
 
     def _solver(self, system: System, distances: DistanceConstraints) -> ConstraintSolver:
         pairs, lengths, place = distances.pairs, distances.lengths, (system.positions, system.cell)
@@ -71,8 +66,7 @@ class ConstraintSet:
         return degrees_of_freedom(n_atoms, self.n_constraints, conserves_momentum and not self.n_fixed)
 
     def fit(self, system: System) -> None:
-        """Choose the image of each bond that has its length,
-        after atoms were moved by lattice vectors or the cell was changed."""
+        """Choose images of bonds with the right lengths, after atoms moved by lattice vectors or the cell changed."""
         if self.bonds is None:
             return
         off = self.bonds.violation(system.positions) > self.bonds.tolerance
@@ -94,12 +88,9 @@ class ConstraintSet:
         self._cell = cell
 
     def restore(self, system: System, offsets: NDArray[np.float64], tolerance: float) -> None:
-        """Take over the solver of another set with the same constraints: images of its bonds, (K, 3) [length],
-        and its tolerance."""
-        self.bonds = ConstraintSolver(
-            self.kept[-1], system.positions, self.inverse_masses, offsets, self._threads, tolerance
-        )
-        self._cell = system.cell
+        """Take over images of bonds, (K, 3) [length], and the tolerance of another set with the same constraints."""
+        place = system.positions, self.inverse_masses, offsets
+        self.bonds, self._cell = ConstraintSolver(self.kept[-1], *place, self._threads, tolerance), system.cell
 
     def with_equal_masses(self, system: System) -> "ConstraintSet":
         """The same constraints and lengths on atoms of mass 1: projections are then the shortest moves."""
@@ -113,8 +104,7 @@ class ConstraintSet:
             self.bonds.project_velocities(velocities, positions)
 
     def begin(self, system: System) -> None:
-        """Project positions and velocities that violate a constraint;
-        a warning says by how much if it is more than rounding."""
+        """Project positions and velocities that violate a constraint; a warning says by how much."""
         self.fit(system)
         system.velocities[self.inverse_masses == 0.0] = 0.0
         if self.bonds is None:

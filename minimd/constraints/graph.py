@@ -71,18 +71,15 @@ def bodies_of(pairs: Ints, inverse_masses: Floats) -> Bodies:
 
 
 def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
-    """The graph of (K, 2) pairs of atoms, with (N,) 1/mass, zero for atoms that are held fixed.  ids : (K,)
-    numbers of the pairs."""
+    """The graph of (K, 2) pairs of atoms, with (N,) 1/mass, zero for fixed atoms.  ids : (K,) numbers of the pairs."""
     from scipy.sparse import coo_array  # loaded only if there are constraints
     from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
     n = len(inverse_masses)
-    bodies = np.where(
-        inverse_masses[pairs] > 0.0, pairs, n + np.arange(pairs.size).reshape(-1, 2)
-    )  # a fixed atom does not couple its constraints
-    component = connected_components(
-        coo_array((np.ones(len(pairs)), bodies.T), shape=(n + pairs.size,) * 2), directed=False
-    )[1]
+    apart = n + np.arange(pairs.size).reshape(-1, 2)  # a fixed atom does not couple its constraints
+    bodies = np.where(inverse_masses[pairs] > 0.0, pairs, apart)
+    graph = coo_array((np.ones(len(pairs)), bodies.T), shape=(n + pairs.size,) * 2)
+    component = connected_components(graph, directed=False)[1]
     k, sides = np.repeat(np.arange(len(pairs)), 2), bodies.reshape(-1)
     incidence = coo_array((np.tile([-1.0, 1.0], len(pairs)), (k, sides)), shape=(len(pairs), n + pairs.size)).tocsr()
     weights = np.concatenate([inverse_masses, np.zeros(pairs.size)])

@@ -1,9 +1,8 @@
-"""Groups of constraints of one shape, each with the solver that suits it, on several threads:
-no two components share an atom.
+"""Groups of constraints of one shape, each with the solver that suits it, on several threads: no two components share
+an atom.
 
 A solver is a function solver(first, last, *arguments) that treats components first to last − 1. It is named by a
-marker, a NamedTuple class that type_of(solver) ties to it,
-so that the next process finds the compiled kernel in the cache.
+marker, a NamedTuple class that type_of(solver) ties to it, so that the next process finds the compiled kernel.
 """
 
 from collections import defaultdict, namedtuple
@@ -17,8 +16,15 @@ from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import DirectCalls, filling_kernel
 from minimd.compiled.program import CANNOT_KEEP, GO_ON, Operation, operation
 from minimd.compiled.threads import MOST_CHUNKS
+from minimd.constraints.closed_forms import (
+    DriftLinear,
+    DriftPairs,
+    DriftTriangles,
+    ProjectLinear,
+    ProjectPairs,
+    ProjectTriangles,
+)
 from minimd.constraints.graph import Floats, Graph, Ints, graph_of
-from minimd.constraints.linear_triatomic import DriftLinear, ProjectLinear
 from minimd.constraints.networks import (
     DriftComponents,
     Memory,
@@ -27,13 +33,9 @@ from minimd.constraints.networks import (
     SweepVelocities,
     dependent_constraint,
 )
-from minimd.constraints.pairs import DriftPairs, ProjectPairs
-from minimd.constraints.settle import DriftTriangles, ProjectTriangles
 from minimd.constraints.vectors import Atoms, Bonds, Molecules
 
-# relative: a triangle whose longest side is the sum of the others to this accuracy is a line; files have about nine
-# digits
-STRAIGHT = 1e-9
+STRAIGHT = 1e-9  # relative: a triangle with a side as long as the others together is a line; files have nine digits
 CONSTRAINTS_IN_A_CHUNK = 500  # least number: about ten microseconds of work, more than the time to wake a thread
 ALIKE = 1e-12  # relative: masses and squared lengths that differ by less are equal
 
@@ -106,11 +108,8 @@ class Networks:
         """Raise ValueError if a constraint depends on the others."""
         k = dependent_constraint(positions, self.graph.components, self.bonds, self.memory)
         if k >= 0:
-            i, j = self.graph.first[k], self.graph.second[k]
-            raise ValueError(
-                f"constraint {self.order[k]} (atoms {i}-{j}) follows from the other constraints or contradicts them; "
-                "leave it out"
-            )
+            which = f"constraint {self.order[k]} (atoms {self.graph.first[k]}-{self.graph.second[k]})"
+            raise ValueError(f"{which} follows from the other constraints or contradicts them; leave it out")
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> Operation:
         """Drift of the atoms of the group."""
@@ -118,13 +117,11 @@ class Networks:
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
         """r_ij · x_ij = targets for the vectors x."""
-        arguments = self.graph.components, self.bonds, self.memory, targets
-        return self._solve(ProjectComponents(), positions, vectors, arguments)
+        return self._solve(ProjectComponents(), positions, vectors, (*self.known, targets))
 
     def _solve(self, solver: tuple, positions: Floats, vectors: Floats, arguments: tuple[Any, ...]) -> Operation:
-        solving = Solving(
-            solver, positions, vectors, self.masses, self.n_components, self.answers, self.most, arguments
-        )
+        room = self.n_components, self.answers, self.most
+        solving = Solving(solver, positions, vectors, self.masses, *room, arguments)
         calls = self._calls[type(solver), positions.flags.carray, vectors.flags.carray]
         return operation(calls, solve_chunk, solving, len(self.answers))
 
@@ -178,13 +175,13 @@ class Triangles(Networks):
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
         """See Networks."""
-        arguments = *self.known, self._sides, targets, self.multipliers
-        return self._solve(ProjectTriangles(), positions, vectors, arguments)
+        return self._solve(
+            ProjectTriangles(), positions, vectors, (*self.known, self._sides, targets, self.multipliers)
+        )
 
 
 class LinearTriatomics(Networks):
-    """Three atoms in a line with three constraints: the distance of the outer atoms is kept,
-    and the position of the middle one between them."""
+    """Three atoms in a line: the distance of the outer ones is kept, and the place of the middle one between them."""
 
     shape, drifter, n_each = "linear molecules", DriftLinear(), 3
 
@@ -192,9 +189,7 @@ class LinearTriatomics(Networks):
         super().__init__(every, graph, positions)
         self.n_constraints = 4 * (graph.order.size // 3)
         lengths2, sides = self.bonds.lengths2, graph.components.starts[:-1, None] + np.arange(3)
-        self.ends = np.take_along_axis(sides, np.argmax(lengths2[sides], axis=1)[:, None], axis=1)[
-            :, 0
-        ]  # the longest side of each
+        self.ends = sides[np.arange(len(sides)), np.argmax(lengths2[sides], axis=1)]  # the longest side of each
         corners, arms, sides = _corners(graph, self.ends, self.bonds.offsets)
         offsets = np.stack([-arms[:, 0], arms[:, 1] - arms[:, 0]], axis=1)
         beta = np.sqrt(lengths2[sides[:, 0]] / lengths2[self.ends])
@@ -207,8 +202,7 @@ class LinearTriatomics(Networks):
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
         """See Networks."""
-        arguments = *self.known, targets[self.ends], self._of_ends
-        return self._solve(ProjectLinear(), positions, vectors, arguments)
+        return self._solve(ProjectLinear(), positions, vectors, (*self.known, targets[self.ends], self._of_ends))
 
     @property
     def multipliers(self) -> Floats:
@@ -228,10 +222,8 @@ def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
     starts = graph.components.starts[:-1][sizes == 3]
     closed = [np.unique(every.pairs[graph.order[start : start + 3]]).size == 3 for start in starts]
     starts = starts[np.array(closed, dtype=bool)]
-    lengths2 = every.lengths[graph.order] ** 2
-    for start, kind in zip(
-        starts, _kinds_of_triangles(graph, starts, lengths2, every.inverse_masses, solver), strict=True
-    ):
+    of_triangles = _kinds_of_triangles(graph, starts, every.lengths[graph.order] ** 2, every.inverse_masses, solver)
+    for start, kind in zip(starts, of_triangles, strict=True):
         kinds[start : start + 3] = kind or kinds[start]
     members = [(kind, graph.order[kinds == kind]) for kind in dict.fromkeys(kinds)]
     graphs = [graph_of(every.pairs[ids], every.inverse_masses, ids) for _, ids in members]
@@ -242,31 +234,22 @@ def _kinds_of_triangles(
     graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats, solver: str
 ) -> list[type[Networks] | None]:
     """LinearTriatomics, Triangles, or None for those without a special solver."""
-    lengths = np.sqrt(lengths2[starts[:, None] + np.arange(3)])
+    sides = starts[:, None] + np.arange(3)
+    lengths = np.sqrt(lengths2[sides])
     excess = 2.0 * lengths.max(axis=1, initial=0.0) - lengths.sum(axis=1)
     if (excess > STRAIGHT * lengths.sum(axis=1)).any():
-        k = starts[np.argmax(excess)]
-        sides = graph.order[k : k + 3].tolist()
-        raise ValueError(
-            f"the lengths of constraints {sides}, which form a triangle, contradict each other: one is longer than the "
-            "sum of the other two"
-        )
+        which = graph.order[sides[np.argmax(excess)]].tolist()
+        why = "which form a triangle, contradict each other: one is longer than the sum of the other two"
+        raise ValueError(f"the lengths of constraints {which}, {why}")
     is_straight = excess >= -STRAIGHT * lengths.sum(axis=1)
-    base = _equal_sides(graph, starts, lengths2, inverse_masses)
-    moves = [
-        (inverse_masses[graph.first[s : s + 3]] > 0.0).all() and (inverse_masses[graph.second[s : s + 3]] > 0.0).all()
-        for s in starts
-    ]
-    water = (base >= 0) & np.array(moves, dtype=bool) & (solver == "auto")
-    return [
-        LinearTriatomics if straight else Triangles if settles else None
-        for straight, settles in zip(is_straight, water, strict=True)
-    ]
+    moves = ((inverse_masses[graph.first[sides]] > 0.0) & (inverse_masses[graph.second[sides]] > 0.0)).all(axis=1)
+    water = (_equal_sides(graph, starts, lengths2, inverse_masses) >= 0) & moves & (solver == "auto")
+    both = zip(is_straight, water, strict=True)
+    return [LinearTriatomics if straight else Triangles if settles else None for straight, settles in both]
 
 
 def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats) -> Ints:
-    """For each triangle the constraint whose ends have equal masses and equal distances from the third atom;
-    −1 if there is none."""
+    """Of each triangle the constraint whose ends have equal masses, equally far from the third atom; −1 if none has."""
     answer = np.full(len(starts), -1)
     for k in range(3):
         base = starts + k
@@ -278,16 +261,14 @@ def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: F
 
 
 def _corners(graph: Graph, base: Ints, offsets: Floats) -> tuple[Ints, Floats, Ints]:
-    """Of each triangle: atoms (apex, b, c) with b-c the base, offsets of b and c from the apex (T, 2, 3),
-    and the two other constraints (T, 2)."""
-    sides = graph.components.starts[:-1, None] + np.arange(3)
+    """Of each triangle: atoms (apex, b, c) with b-c the base; offsets of b and c from the apex (T, 2, 3); the two other
+    constraints (T, 2)."""
+    starts = graph.components.starts[:-1]
+    sides = starts[:, None] + np.arange(3)
     first, second = graph.first[sides], graph.second[sides]
     b, c = graph.first[base], graph.second[base]
     apex = (first.sum(axis=1) + second.sum(axis=1)) // 2 - b - c
-    at_apex = (first == apex[:, None]) | (second == apex[:, None])
-    arms = [
-        np.argmax(at_apex & ((first == end[:, None]) | (second == end[:, None])), axis=1) + graph.components.starts[:-1]
-        for end in (b, c)
-    ]
+    is_of = [(first == atom[:, None]) | (second == atom[:, None]) for atom in (apex, b, c)]
+    arms = [np.argmax(is_of[0] & is_of_end, axis=1) + starts for is_of_end in is_of[1:]]
     shifts = [np.where((graph.first[arm] == apex)[:, None], 1.0, -1.0) * offsets[arm] for arm in arms]
     return np.column_stack([apex, b, c]), np.ascontiguousarray(np.stack(shifts, axis=1)), np.column_stack(arms)

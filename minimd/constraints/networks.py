@@ -1,5 +1,4 @@
-"""Distance constraints of any shape, by Newton's method on all constraints of a component, within an envelope,
-or by sweeps.
+"""Distance constraints of any shape: Newton's method on all of a component, within an envelope, or sweeps.
 
     drift        r′ = r + Δt v + M⁻¹ Gᵀ λ,  |r′_ij|² = d²,  v′ = (r′ − r)/Δt        G : rows s_k = r_ij before the drift
     velocities   v′ = v + M⁻¹ Gᵀ μ,  r_ij · v′_ij = 0                                G : rows r_k = r_ij now
@@ -16,11 +15,10 @@ SHAKE and RATTLE sweep: one constraint after the other, repeatedly, until all ar
 
 from collections import namedtuple
 from math import sqrt
-from typing import Any, NamedTuple
 
 from minimd.compiled.kernels import inlined, kernel, type_of
 from minimd.compiled.machine import EPS
-from minimd.constraints.vectors import NOTHING, add_opposite, drift_some
+from minimd.constraints.vectors import NOTHING, add_opposite, between, drift_some
 from minimd.structure.vectors import dot, separation
 
 MAX_ITERATIONS, MAX_SWEEPS = 50, 10_000
@@ -30,18 +28,8 @@ LAST = 1e-9
 DEPENDENT = 1e-10  # relative to its diagonal: a smaller pivot is rounding
 
 
-class Memory(NamedTuple):
-    """Scratch arrays.
-
-    r, s : (K, 3) separations.  x, total : (K,) multipliers.  lower, upper : factors, in the envelope.
-    """
-
-    r: Any
-    s: Any
-    x: Any
-    total: Any
-    lower: Any
-    upper: Any
+class Memory(namedtuple("Memory", "r s x total lower upper")):
+    """Scratch: r, s : (K, 3) separations.  x, total : (K,) multipliers.  lower, upper : factors, in the envelope."""
 
 
 @inlined
@@ -55,8 +43,7 @@ def find_separations(positions, bonds, start, end, out):
 
 @inlined
 def assemble(components, start, end, r, s, lower, upper):
-    """A_kl = c_kl r_k · s_l within the envelope: row k left of the diagonal into lower,
-    column k down to it into upper."""
+    """A_kl = c_kl r_k · s_l within the envelope: row k left of the diagonal to lower, column k down to it to upper."""
     for k in range(start, end):
         at = components.begins[k] - components.lowest[k]
         for l in range(components.lowest[k], k + 1):
@@ -101,30 +88,20 @@ def solve(components, start, end, lower, upper, x):
 
 
 @inlined
-def worst_violation(r, lengths2, start, end, x):
-    """x_k = (d² − r²)/2, and the constraint with the largest |r² − d²|/d², and that value."""
-    worst, where = 0.0, start
-    for k in range(start, end):
-        x[k] = 0.5 * (lengths2[k] - dot(r[k], r[k]))
-        violation = abs(2.0 * x[k]) / lengths2[k]
-        if not violation <= worst:
-            worst, where = violation, k
-    return worst, where
-
-
-@inlined
 def restore_lengths(atoms, components, bonds, c, memory):
-    """Newton's method for the λ of component c, from positions that have drifted: memory.total.
-
-    Returns the number of iterations.
-    """
+    """λ of component c by Newton's method, from positions that have drifted: memory.total. Returns the iterations."""
     start, end = components.starts[c], components.starts[c + 1]
     r, s, x, total, lower, upper = memory
     for k in range(start, end):
         total[k] = 0.0
     for iteration in range(MAX_ITERATIONS):
         find_separations(atoms.positions, bonds, start, end, r)
-        worst, where = worst_violation(r, bonds.lengths2, start, end, x)
+        worst, where = 0.0, start
+        for k in range(start, end):
+            x[k] = 0.5 * (bonds.lengths2[k] - dot(r[k], r[k]))
+            violation = abs(2.0 * x[k]) / bonds.lengths2[k]
+            if not violation <= worst:
+                worst, where = violation, k
         if worst <= ROUNDING:
             return iteration
         assemble(components, start, end, r, s, lower, upper)
@@ -141,8 +118,7 @@ def restore_lengths(atoms, components, bonds, c, memory):
 
 
 def drift_with(restore_lengths):
-    """The drift of components of any shape, given a solver that restores their lengths afterwards,
-    such as restore_lengths."""
+    """The drift of components of any shape, with a solver that restores their lengths, such as restore_lengths."""
 
     @inlined
     def drift_components(first, last, atoms, components, bonds, memory, duration):
@@ -151,19 +127,14 @@ def drift_with(restore_lengths):
         for c in range(first, last):
             start, end = components.starts[c], components.starts[c + 1]
             find_separations(atoms.positions, bonds, start, end, s)
-            drift_some(
-                atoms.positions,
-                atoms.vectors,
-                components.atoms[components.atom_starts[c] : components.atom_starts[c + 1]],
-                duration,
-            )
+            atoms_of_it = components.atoms[components.atom_starts[c] : components.atom_starts[c + 1]]
+            drift_some(atoms.positions, atoms.vectors, atoms_of_it, duration)
             n_iterations = restore_lengths(atoms, components, bonds, c, memory)
             if n_iterations < 0:
                 return n_iterations
             for k in range(start, end):
-                add_opposite(
-                    atoms.vectors, atoms.inverse_masses, bonds.first[k], bonds.second[k], total[k] / duration, s[k]
-                )
+                i, j = bonds.first[k], bonds.second[k]
+                add_opposite(atoms.vectors, atoms.inverse_masses, i, j, total[k] / duration, s[k])
             most = max(most, n_iterations)
         return most
 
@@ -200,8 +171,7 @@ def project_components(first, last, atoms, components, bonds, memory, targets):
 
 @kernel
 def dependent_constraint(positions, components, bonds, memory):
-    """A constraint whose pivot vanishes relative to its diagonal: it follows from others or contradicts them.
-    −1 if there is none."""
+    """A constraint whose pivot vanishes relative to its diagonal: others imply or contradict it; else −1."""
     r, total, lower, upper = memory.r, memory.total, memory.lower, memory.upper
     for c in range(components.starts.size - 1):
         start, end = components.starts[c], components.starts[c + 1]
@@ -260,17 +230,12 @@ def sweep_velocities(first, last, atoms, components, bonds):
             for k in range(start, end):
                 i, j = bonds.first[k], bonds.second[k]
                 r = separation(atoms.positions, i, j, bonds.offsets[k])
-                v = (
-                    velocities[j, 0] - velocities[i, 0],
-                    velocities[j, 1] - velocities[i, 1],
-                    velocities[j, 2] - velocities[i, 2],
-                )
+                v = between(velocities, i, j)
                 along, r2, v2 = dot(r, v), dot(r, r), dot(v, v)
                 if along != 0.0 and not abs(along) <= worst * sqrt(r2 * v2):
                     worst, where = abs(along) / sqrt(r2 * v2), k
-                add_opposite(
-                    velocities, inverse_masses, i, j, -along / ((inverse_masses[i] + inverse_masses[j]) * r2), r
-                )
+                scale = -along / ((inverse_masses[i] + inverse_masses[j]) * r2)
+                add_opposite(velocities, inverse_masses, i, j, scale, r)
         most = max(most, sweeps)
     return most
 

@@ -1,10 +1,8 @@
 """Distance constraints on any bond graph: sorted by shape, each shape with the solver that suits it.
 
-bonds that share no atom   closed form                      pairs
-three atoms in a line      closed form                      linear_triatomic
-triangles such as water    closed form                      settle
-everything else            Newton within an envelope        networks
-solver="shake"             sweeps, for all but the lines    networks
+bonds that share no atom, three atoms in a line, triangles such as water    closed_forms
+everything else: Newton within an envelope                                  networks
+solver="shake": sweeps, for all but the lines                               networks
 """
 
 from collections import namedtuple
@@ -77,10 +75,8 @@ class ConstraintSolver:
         offsets = np.zeros((len(constraints.pairs), 3)) if offsets is None else offsets
         lengths = _checked_lengths(constraints, positions, inverse_masses, offsets)
         self.pairs, self.lengths, self.offsets = constraints.pairs, lengths, offsets
-        self.inverse_masses, self.threads = (
-            inverse_masses,
-            max(1, min(threads, len(self.pairs) // CONSTRAINTS_IN_A_CHUNK)),
-        )
+        self.inverse_masses = inverse_masses
+        self.threads = max(1, min(threads, len(self.pairs) // CONSTRAINTS_IN_A_CHUNK))
         rounding = ROUNDINGS * EPS * float(np.abs(positions).max()) / float(lengths.min())
         self.tolerance = max(constraints.tolerance, rounding) if tolerance is None else tolerance
         self.accuracy = self.tolerance * float(lengths.max()) if constraints.solver == "shake" else 0.0
@@ -115,12 +111,9 @@ class ConstraintSolver:
             group.most[:] = iterations
 
     def drifts(self, positions: Floats, velocities: Floats, duration: float) -> Iterator[Operation]:
-        """positions += duration · velocities, projected along the old gradients; velocities are changed accordingly.
-        Both arrays are (N, 3).
+        """positions += duration · velocities, (N, 3) both, projected along the old gradients; velocities fit then.
 
-        Raises
-        ------
-        ConstraintError : if a length cannot be kept; positions and velocities are then undefined.
+        Raises ConstraintError if a length cannot be kept; positions and velocities are then undefined.
         """
         if self.free_atoms.size:
             n_chunks = n_chunks_of(self.free_atoms.size)
@@ -158,8 +151,7 @@ class ConstraintSolver:
         self._fail(int(np.argmax(self.violation(positions))), positions, at_rest, 1.0)
 
     def multipliers(self, positions: Floats, velocities: Floats, accelerations: Floats) -> list[tuple[Ints, Floats]]:
-        """For each group its constraints and their λ [energy/length²]: the constraint force on j is λ r_ij;
-        accelerations are projected."""
+        """Constraints of each group, and their λ [energy/length²]: the force on j is λ r_ij. Projects accelerations."""
         found = []
         for group in self.groups:
             turning = velocities[self.pairs[group.order, 1]] - velocities[self.pairs[group.order, 0]]
@@ -190,24 +182,21 @@ class ConstraintSolver:
         """|r · (v_j − v_i)|/(d v), (K,), v the speed of the faster end; zero where nothing moves."""
         turning = velocities[self.pairs[:, 1]] - velocities[self.pairs[:, 0]]
         speeds = np.linalg.norm(velocities, axis=1)[self.pairs].max(axis=1)
-        return np.abs(np.einsum("ij,ij->i", self.bonds(positions), turning)) / (
-            self.lengths * np.where(speeds > 0.0, speeds, 1.0)
-        )
+        along = np.abs(np.einsum("ij,ij->i", self.bonds(positions), turning))
+        return along / (self.lengths * np.where(speeds > 0.0, speeds, 1.0))
 
     def _fail_in(self, group: Any, positions: Floats, velocities: Floats, duration: float, _answer: int) -> None:
         """See _fail, for the first constraint of a group that cannot be kept."""
         self._fail(group.order[group.failed(duration != 0.0)], positions, velocities, duration)
 
     def _fail(self, constraint: int, positions: Floats, velocities: Floats, duration: float) -> None:
-        """Raise ConstraintError with the larger violation: closed forms fail before they move atoms,
-        iterations afterwards."""
-        i, j = self.pairs[constraint]
+        """Raise ConstraintError with the larger violation: closed forms fail before they move atoms, others after."""
+        i, j = self.pairs[constraint].tolist()
         off = max(self.violation(positions)[constraint], self.violation(positions + duration * velocities)[constraint])
         what = f"drift of {duration:g}" if duration else "projection of velocities"
-        error = ConstraintError(
-            f"constraint {constraint} (atoms {i}-{j}) cannot be kept in a {what}: the relative error of r² is {off:.1e}"
-        )
-        error.atoms = int(i), int(j)
+        why = f"cannot be kept in a {what}: the relative error of r² is {off:.1e}"
+        error = ConstraintError(f"constraint {constraint} (atoms {i}-{j}) {why}")
+        error.atoms = i, j
         raise error
 
 
@@ -226,7 +215,6 @@ def _checked_lengths(
     lengths = np.linalg.norm(bonds, axis=1) if constraints.lengths is None else constraints.lengths
     if not (lengths > 0.0).all():
         k = int(np.argmin(lengths > 0.0))
-        raise ValueError(
-            f"constraint {k} has length 0: atoms {pairs[k, 0]} and {pairs[k, 1]} are at the same place; give lengths"
-        )
+        i, j = pairs[k]
+        raise ValueError(f"constraint {k} has length 0: atoms {i} and {j} are at the same place; give lengths")
     return lengths

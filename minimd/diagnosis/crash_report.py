@@ -8,8 +8,7 @@ import numpy as np
 
 from minimd.diagnosis.timestep import StepAdvice, advice_at, strange_depth
 from minimd.engine.cell_rescaling import EVAPORATED
-from minimd.engine.engine import Engine
-from minimd.engine.snapshots import Snapshot
+from minimd.engine.engine import Engine, Snapshot
 from minimd.forces.contacts import Contact, contacts
 from minimd.integrators.splitting.linear_stability import stability_limit
 from minimd.neighbors.queries import ClosestPair, closest_pair

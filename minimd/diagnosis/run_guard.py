@@ -12,10 +12,9 @@ from minimd.compiled.kernels import compile_clock
 from minimd.diagnosis.crash_report import Failure, examine
 from minimd.diagnosis.faults import GROWTH, RUNAWAY, fault_at_start, fault_of, runaway
 from minimd.diagnosis.first_hints import hints
-from minimd.engine.engine import Engine
+from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.observation import observe
 from minimd.engine.record import Frame
-from minimd.engine.snapshots import Snapshot
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.term import PER_ATOM
 from minimd.structure.console import outside_minimd

@@ -1,5 +1,4 @@
-"""A barostat acting on an engine: it strains cell, positions and velocities every few steps,
-and counts the energy it gives."""
+"""A barostat acting on an engine: every few steps it strains cell, positions, velocities, and counts the energy."""
 
 from collections.abc import Callable
 from typing import Any
@@ -21,13 +20,11 @@ from minimd.structure.strain import strained
 from minimd.structure.system import System
 
 LARGEST_STRAIN = 0.2  # of the cell at once: a bath that strains it more does not act slowly
-# times the volume at the start, all lengths doubled: a liquid grows by a factor of some 3 up to its critical point
-EVAPORATED = 8.0
+EVAPORATED = 8.0  # times the volume at the start: a liquid grows by a factor of some 3 up to its critical point
 
 
 class Molecules:
-    """The bodies that move as a whole when the cell is strained: atoms tied together by rigid lengths,
-    and single atoms.
+    """The bodies that move as a whole when the cell is strained: atoms tied by rigid lengths, and single atoms.
 
     bodies : Bodies.  masses : (B,) of the bodies [mass].
     """
@@ -47,8 +44,7 @@ class Molecules:
         return np.column_stack([self._sums(weighted[:, c]) for c in range(3)]) / self.masses[:, None]
 
     def whole(self, bonds: Any) -> Array:
-        """Lattice translations of the present cell, (N, 3) [length],
-        that join the atoms of each body as its rigid bonds do."""
+        """Lattice translations of the present cell, (N, 3) [length], that join the atoms of each body."""
         cell = self._system.cell
         if bonds is not self._of:
             self._translations, self._of, self._cell = self._joined(bonds), bonds, cell
@@ -65,12 +61,9 @@ class Molecules:
         translations = np.zeros_like(self._system.positions)
         if not bonds.offsets.any():
             return translations
-        n, (first, second) = len(translations), bonds.pairs.T
-        number = np.arange(1, len(first) + 1)
-        graph = coo_array(
-            (np.concatenate([number, -number]), (np.concatenate([first, second]), np.concatenate([second, first]))),
-            shape=(n, n),
-        ).tocsr()
+        number, both_ways = np.arange(1, len(bonds.pairs) + 1), np.concatenate([bonds.pairs, bonds.pairs[:, ::-1]])
+        values, shape = np.concatenate([number, -number]), (len(translations), len(translations))
+        graph = coo_array((values, both_ways.T), shape=shape).tocsr()
         for body in np.unique(self.bodies.label[bonds.pairs[bonds.offsets.any(axis=1), 0]]):
             order, parent = breadth_first_order(graph, int(self.bodies.last[body]), directed=True)
             for atom in order[1:]:
@@ -100,30 +93,18 @@ class CellRescaling:
         self._first_volume = float(system.volume or 0.0)
 
     def temperature(self, method: Splitting) -> float:
-        """T of the bath.  Raises ValueError if neither barostat nor thermostat has one, the two differ,
-        or time runs backwards."""
+        """T of the bath.  Raises ValueError if neither barostat nor thermostat has it, they differ, or timestep < 0."""
         own, theirs = self.barostat.temperature, getattr(method, "temperature", None) if method.is_thermostat else None
         if method.timestep < 0.0:
             raise ValueError(f"time cannot run backwards with a barostat; timestep = {method.timestep!r}")
         if own is None and theirs is None:
-            raise ValueError(
-                f"a barostat with {method.name}, which has no temperature, needs temperature=... for its noise"
-            )
+            why = "which has no temperature, needs temperature=... for its noise"
+            raise ValueError(f"a barostat with {method.name}, {why}")
         if own is not None and theirs is not None and own != theirs:
-            raise ValueError(
-                f"barostat and thermostat must have the same temperature; they have {own} and {theirs}: leave out that "
-                "of the barostat"
-            )
+            they = f"they have {own} and {theirs}: leave out that of the barostat"
+            raise ValueError(f"barostat and thermostat must have the same temperature; {they}")
         found: Any = theirs if own is None else own
         return float(found)
-
-    def check_cell(self) -> None:
-        """Raise ValueError if the cell no longer has a volume."""
-        check_cell(self._system)
-
-    def is_due(self, step: int) -> bool:
-        """Whether the cell is strained at the end of a step."""
-        return step % self.barostat.every == 0
 
     def next_step(self, step: int) -> int:
         """The first step after this one at which the cell is strained."""
@@ -132,21 +113,17 @@ class CellRescaling:
     def apply(self, method: Splitting, noise_number: int, bath: Bath, forces_follow: Callable[[], None]) -> None:
         """Strain the whole scene once; its forces, energy and virial must be current.
 
-        noise_number : selects the noise.  forces_follow : called after cell and positions have changed, to make forces,
-            energy and virial current.
+        noise_number : selects the noise.  forces_follow : called after cell and positions changed, to compute them.
 
-        Raises RangeError if the strain is too large, or if nothing holds the cell together any more.
-        ValueError if there is no virial.
+        Raises RangeError for a strain too large, or a cell that nothing holds together; ValueError without a virial.
         """
         duration, thermal = self.barostat.every * method.timestep, self._system.units.k_B * self.temperature(method)
         before = self._thermodynamic_state(thermal, bath)
         strain = self.barostat.strain(before, duration, noise_number)
         largest = float(np.abs(strain).max())
         if not largest <= LARGEST_STRAIN:
-            why = (
-                f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {self.barostat.pressure:.3g} "
-                f"{self._system.units.pressure}"
-            )
+            target = f"{self.barostat.pressure:.3g} {self._system.units.pressure}"
+            why = f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {target}"
             cure = "equilibrate first, take a longer relaxation_time, or look at the unit of the pressure"
             raise RangeError(f"the barostat would strain the cell by {largest:.1e} at once ({why}): {cure}")
         if self.barostat.pressure <= 0.0 and before.volume > EVAPORATED * self._first_volume:
@@ -159,26 +136,21 @@ class CellRescaling:
     def _growth(self, state: ThermodynamicState) -> str:
         volume, pressure = self._system.units.volume, self._system.units.pressure
         grown = f"the cell has grown from {self._first_volume:.4g} to {state.volume:.4g} {volume}"
-        why = (
-            f"at pressure {self.barostat.pressure:.3g} {pressure} there is no gas at rest, and what was dense has "
-            "evaporated"
-        )
-        return f"{grown}: {why}; take a pressure above zero, at which the atoms stay together, or a lower temperature"
+        why = f"at pressure {self.barostat.pressure:.3g} {pressure} there is no gas at rest"
+        cure = "take a pressure above zero, at which the atoms stay together, or a lower temperature"
+        return f"{grown}: {why}, and what was dense has evaporated; {cure}"
 
     def _thermodynamic_state(self, thermal: float, bath: Bath, back: Array | None = None) -> ThermodynamicState:
         """The present state.  back : (3, 3) rotation applied to its tensors.
 
-        If the total momentum is constant, it is no part of the thermal motion,
-        and its degrees of freedom contribute k_B T/V to the pressure.
+        If the total momentum is constant, it is no thermal motion; its degrees of freedom add k_B T/V.
         """
         system, volume = self._system, float(self._system.volume or 0.0)
         moving, masses = system.velocities, system.masses
         virial = self._interactions.virial
         if not np.isfinite(virial).all() and np.isfinite(self._interactions.forces).all():
-            raise ValueError(
-                "a barostat needs the virial, but a potential gives none: take one that does, such as a calculator "
-                "with a stress"
-            )
+            cure = "take one that does, such as a calculator with a stress"
+            raise ValueError(f"a barostat needs the virial, but a potential gives none: {cure}")
         if self._molecules is not None:
             virial = virial - self._inner_virial()
             moving, masses = self._molecules.centers(moving), self._molecules.masses
@@ -191,16 +163,14 @@ class CellRescaling:
         return ThermodynamicState(tensor / volume, volume, energy, thermal)
 
     def _inner_virial(self) -> Array:
-        """Σ (r − R) ⊗ F [energy], (3, 3): the virial of atoms minus that of molecules,
-        to which rigid bonds do not contribute."""
+        """Σ (r − R) ⊗ F [energy], (3, 3): the virial of atoms minus that of molecules, without rigid bonds."""
         molecules: Any = self._molecules
         whole = self._system.positions + molecules.whole(self._constraints.bonds)
         inner = whole - molecules.centers(whole)[molecules.bodies.label]
         return np.einsum("ia,ib->ab", inner, self._interactions.forces)
 
     def _move(self, stretch: Array, bath: Bath) -> Array | None:
-        """Strain cell, positions and velocities by a symmetric (3, 3) matrix; returns the rotation that followed,
-        or None."""
+        """Strain cell, positions, velocities by a symmetric (3, 3) matrix; returns the rotation after it, or None."""
         system, before, rotation = self._system, self._system.cell, None
         vectors = before.vectors @ stretch
         if self.barostat.coupling == "triclinic":
@@ -244,16 +214,14 @@ def rescaling_of(
     method: Splitting,
     holds_center: bool,
 ) -> CellRescaling | None:
-    """A barostat acting on the parts of an engine, or None without one.  Raises TypeError for any other object,
-    and ValueError as CellRescaling."""
+    """A barostat on the parts of an engine, or None.  Raises TypeError for another object, ValueError as that."""
     if barostat is None:
         return None
     if not isinstance(barostat, StochasticCellRescaling):
         raise TypeError(f"barostat must be a StochasticCellRescaling; got {shown(barostat)}")
     if holds_center:
-        raise ValueError(
-            "atoms.constraints holds FixCom, but a barostat moves the center of mass with the cell: remove FixCom"
-        )
+        why = "a barostat moves the center of mass with the cell: remove FixCom"
+        raise ValueError(f"atoms.constraints holds FixCom, but {why}")
     return CellRescaling(barostat, system, interactions, constraints, method)
 
 
@@ -261,25 +229,18 @@ def check(system: System, interactions: Forces, constraints: ConstraintSet) -> N
     """Raise ValueError for a scene that cannot be at constant pressure."""
     check_cell(system)
     if constraints.n_fixed:
-        raise ValueError(
-            f"a barostat moves all atoms, but {constraints.n_fixed} are held fixed: hold them with springs instead"
-        )
+        held = f"{constraints.n_fixed} are held fixed: hold them with springs instead"
+        raise ValueError(f"a barostat moves all atoms, but {held}")
     if interactions.act_from_outside:
-        raise ValueError(
-            "a barostat needs the virial of all forces, but external forces, such as fields and walls, have none: "
-            "remove them"
-        )
+        why = "external forces, such as fields and walls, have none: remove them"
+        raise ValueError(f"a barostat needs the virial of all forces, but {why}")
     if interactions.options.precision == FIXED_POINT:
-        raise ValueError(
-            "precision='fixed-point' needs a constant cell, whose vectors lie on its grid; with a barostat take "
-            "precision='double'"
-        )
+        why = "needs a constant cell, whose vectors lie on its grid; with a barostat take precision='double'"
+        raise ValueError(f"precision='fixed-point' {why}")
 
 
 def check_cell(system: System) -> None:
     """Raise ValueError for a cell without a volume."""
     if system.volume is None:
-        raise ValueError(
-            "a barostat needs a cell that is periodic in all three directions (for a slab, with empty space); pbc = "
-            f"{system.cell.pbc.tolist()}"
-        )
+        what = "periodic in all three directions (for a slab, with empty space)"
+        raise ValueError(f"a barostat needs a cell that is {what}; pbc = {system.cell.pbc.tolist()}")

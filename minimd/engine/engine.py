@@ -1,53 +1,82 @@
-"""The engine: one system, its forces, its constraints and one method.
-
-It advances the state, and can go back to an earlier one.
-"""
+"""The engine: one system, its forces, its constraints and one method. It advances, stores and restores a state."""
 
 import operator
+import warnings
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from minimd.compiled.program import Operation, Program, in_python
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.constraints.graph import bodies_of
-from minimd.engine.arguments import checked_method, warn_of_dropped
-from minimd.engine.cell_rescaling import CellRescaling, rescaling_of
-from minimd.engine.center import check_center, holds_center
-from minimd.engine.snapshots import Checkpoint, Snapshot
+from minimd.engine.cell_rescaling import CellRescaling, check_cell, rescaling_of
 from minimd.forces.forces import Forces, Potential
-from minimd.forces.options import FIXED_POINT, Options
+from minimd.forces.options import FIXED_POINT, Options, described
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import Bath, GridState, State, Surroundings
 from minimd.integrators.splitting.steps import Evaluation, Moment, Steps, first_unit
 from minimd.integrators.splitting.substeps import Drift, mechanical
+from minimd.neighbors.verlet_list import Built
 from minimd.potentials.term import FORCES, TOTALS
+from minimd.structure.cell import Cell
+from minimd.structure.checks import shown
+from minimd.structure.console import outside_minimd
 from minimd.structure.constraints import Constraint
+from minimd.structure.display import Rows
 from minimd.structure.grid import Grid
 from minimd.structure.observables import Array, center, kinetic_energy, leaves_out_center
 from minimd.structure.quiet import quiet
 from minimd.structure.system import AnySystem, System
 
 
+class Snapshot(NamedTuple):
+    """A stored state, see Engine.restore.  positions, velocities : (N, 3), copies.  reservoir_energy : [energy].
+
+    clock : a step and its time, from which the times of other steps are counted.  cell : with a barostat, else None.
+    work : done by forces that depend on time [energy].
+    """
+
+    step: int
+    time: float
+    positions: Array
+    velocities: Array
+    reservoir_energy: float
+    clock: tuple[int, float] | None = None
+    work: float = 0.0
+    cell: Cell | None = None
+
+
+class Checkpoint(NamedTuple):
+    """What determines the bits of the steps to come, besides system, potentials, method, constraints and options.
+
+    displacement : of the fastest atom in a step, for which skins were chosen [length].  lists : of neighbors.
+    images : (K, 3) lattice vectors of rigid bonds [length], and their tolerance; None without.
+    equilibrated : of the engine.  grid : of fixed-point arithmetic; None without.
+    """
+
+    state: Snapshot
+    displacement: float
+    lists: tuple[Built, ...]
+    images: tuple[Array, float] | None
+    equilibrated: int
+    grid: Grid | None = None
+
+
 class Engine:
     """One system, its forces, its constraints and one method; see Simulation for the parameters.
 
     system : System, the state; its arrays can be changed.  step : number of steps made.  time : [time].
-    interactions : Forces, the sum of all terms.  constraint_set : ConstraintSet.  surroundings :
-        Surroundings of the method.
-    noise_shift : step n has the noise with number n + noise_shift.  extra_observables :
-        names of additional observables.
-    is_whole : whether a checkpoint has the bits of the run; false after a failure, when an earlier state was restored,
-        but not its lists.
+    interactions : Forces, the sum of all terms.  constraint_set : ConstraintSet.  barostat : or None.
+    surroundings : of the method.  noise_shift : step n has the noise with number n + noise_shift.
+    extra_observables : names of additional observables.  notes : title and scene, texts for files.
+    is_whole : whether a checkpoint has the bits of the run; false after a state was restored without its lists.
     holds_center : whether the center of mass must not move, because atoms with FixCom of ASE were given.
     counts_center : whether it counts as a degree of freedom although nothing moves it, as in ASE's dynamics.
-    barostat : StochasticCellRescaling, or None.
-    equilibrated : steps of equilibrations so far: none of them has the noise of another.  notes : title and scene,
-        texts for files.
+    equilibrated : steps of equilibrations so far: none of them has the noise of another.
     """
 
     def __init__(
@@ -59,18 +88,18 @@ class Engine:
         options: Options | None = None,
         barostat: StochasticCellRescaling | None = None,
     ) -> None:
-        self._method = checked_method(method)
+        self._method = _checked_method(method)
         self._system = system.copy() if isinstance(system, System) else System.from_ase(system)
-        self.holds_center, self.counts_center = holds_center(system), False
+        self.holds_center, self.counts_center = _holds_center(system), False
         self._step, self._clock, self.noise_shift = 0, (0, 0.0), 0
         self.equilibrated, self.is_whole, self.notes = 0, True, {"title": "", "scene": ""}
         self.extra_observables: Sequence[str] = ()
         self.interactions = Forces(self.system, potentials, options)
-        warn_of_dropped(self.system.constraints, constraints)
+        _warn_of_dropped(self.system.constraints, constraints)
         held = self.system.constraints if constraints is None else constraints
         self.constraint_set = ConstraintSet(self.system, held, self.interactions.options.most_threads)
         self.system.constraints = self.constraint_set.kept
-        check_center(self.holds_center, self._is_still_under(method), method)
+        _check_center(self.holds_center, self._is_still_under(method), method)
         self._state = self._laid_out()
         self._fit_grid()
         self._bath = Bath(k_B=self.system.units.k_B)
@@ -79,10 +108,8 @@ class Engine:
         self._steps: Steps | None = None
         self._steps_of: tuple[Any, ...] = ()
         self._describe_bath()
-        self.barostat = barostat
-        self._rescaling = rescaling_of(
-            barostat, self.system, self.interactions, self.constraint_set, method, self.holds_center
-        )
+        parts = self.system, self.interactions, self.constraint_set, method, self.holds_center
+        self.barostat, self._rescaling = barostat, rescaling_of(barostat, *parts)
 
     def _laid_out(self) -> State:
         """The state; in fixed-point arithmetic on a grid."""
@@ -96,15 +123,13 @@ class Engine:
         return GridState(*parts, impulses=interactions.impulses, bodies=bodies)
 
     def _fit_grid(self) -> None:
-        """In fixed-point arithmetic, after the state was changed: larger steps of the grid if it needs them,
-        and the state rounded to it."""
+        """In fixed-point arithmetic, after changes: larger steps of the grid if needed, and the state rounded to it."""
         interactions, state = self.interactions, self._state
         if interactions.grid is None or not isinstance(state, GridState):
             return
         if interactions.options.grid is None and not interactions.grid.has_room_for(self.system):
-            interactions.grid = interactions.grid.widened(
-                Grid.of_scene(self.system, self.method.timestep, interactions.depth())
-            )
+            scene = self.system, self.method.timestep, interactions.depth()
+            interactions.grid = interactions.grid.widened(Grid.of_scene(*scene))
         self._lay(interactions.grid)
         state.grid.take(self.system, state.inverse_masses)
 
@@ -149,23 +174,20 @@ class Engine:
     def advance(self, n_steps: int, with_energy: bool = True) -> int:
         """Make n_steps steps, fewer if surroundings.stop_requested becomes true; return how many.
 
-        step and time stay as they are.
+        step and time stay as they are. Blocks of any size have the same bits as one, if nothing is changed in between.
 
-        Blocks of any size have the same bits as one, if nothing is changed in between.
-
-        Raises NonFiniteError, ConstraintError if a step fails; the state is then invalid,
-        and a snapshot must be restored.
+        Raises NonFiniteError, ConstraintError if a step fails; then the state is invalid: restore a snapshot.
         """
         rescaling, step, end = self._rescaling, self.step, self.step + n_steps
         while step < end:
-            at = end if rescaling is None else min(end, rescaling.next_step(step))
-            is_due = rescaling is not None and rescaling.is_due(at)
-            wants_energy, steps = is_due or (with_energy and at == end), self._own_steps
+            due = None if rescaling is None else rescaling.next_step(step)
+            at = end if due is None else min(end, due)
+            wants_energy, steps = at == due or (with_energy and at == end), self._own_steps
             made = steps.advance(at - step, wants_energy, step + self.noise_shift)
             self.interactions.n_evaluations += made * steps.n_evaluations
             step += made
-            if rescaling is not None and is_due and step == at:
-                self._rescale_cell(rescaling, at)
+            if rescaling is not None and step == due:
+                self._rescale_cell(rescaling, step)
             if self.surroundings.stop_requested:
                 break
         return step - self.step
@@ -178,7 +200,7 @@ class Engine:
             self.interactions.follow()
             self._evaluate(step)
 
-        rescaling.check_cell()
+        check_cell(self.system)
         self.turned()
         self._evaluate(step)
         rescaling.apply(self.method, step + self.noise_shift, self._bath, forces_follow)
@@ -188,8 +210,7 @@ class Engine:
         self._own_steps.prepare()
 
     def begin(self) -> None:
-        """Prepare a run from the present state: choose images of rigid bonds, project onto the constraints,
-        mark the forces as outdated."""
+        """Prepare a run: choose images of rigid bonds, project onto the constraints, mark the forces as outdated."""
         self.moved()
         self.is_whole = True
         self._describe_bath()
@@ -207,8 +228,7 @@ class Engine:
         self._left = None
 
     def catch_up(self) -> None:
-        """If anything was changed since leave, mark the forces as outdated and choose the
-        images of rigid bonds again."""
+        """If anything was changed since leave, mark forces as outdated and choose images of rigid bonds again."""
         if not self.is_as_left:
             self.moved()
             self.fit_images()
@@ -228,8 +248,7 @@ class Engine:
         return tuple(zlib.crc32(np.ascontiguousarray(array).data) for array in arrays)
 
     def evaluate(self) -> None:
-        """Compute forces, energy and virial, unless they are current;
-        this does not change the bits of the steps to come."""
+        """Compute forces, energy and virial, unless they are current; no bit of the steps to come changes."""
         self._evaluate(self.step)
 
     def _evaluate(self, step: int) -> None:
@@ -251,10 +270,7 @@ class Engine:
 
     @contextmanager
     def coasted(self, duration: float) -> Iterator[Array]:
-        """Context in which atoms, and the clock of the forces, have gone on for a duration [time] at constant velocity.
-
-        Yields the forces there, (N, 3). Afterwards the state is as before.
-        """
+        """Context in which atoms, and the clock of forces, have coasted for a duration [time]; yields (N, 3) forces."""
         here, now = self.positions.copy(), self.interactions.time
         with self.interactions.set_aside():
             self.positions[:] += duration * self.velocities
@@ -266,25 +282,15 @@ class Engine:
 
     def snapshot(self) -> Snapshot:
         """A copy of the present state, for restore."""
-        arrays, cell = (
-            (self.positions.copy(), self.velocities.copy()),
-            None if self.barostat is None else self.system.cell,
-        )
+        arrays = self.positions.copy(), self.velocities.copy()
+        cell = None if self.barostat is None else self.system.cell
         return Snapshot(self.step, self.time, *arrays, self.reservoir_energy, self._clock, self.work, cell)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Restore the state of a snapshot."""
         self.moved()
-        (
-            self._step,
-            time,
-            self.positions[:],
-            self.velocities[:],
-            self.reservoir_energy,
-            clock,
-            self.work,
-            cell,
-        ) = snapshot
+        self._step, time, self.positions[:], self.velocities[:] = snapshot[:4]
+        self.reservoir_energy, clock, self.work, cell = snapshot[4:]
         if cell is not None and cell is not self.system.cell:
             self.constraint_set.follow(self.system.cell, cell)
             self.system.cell = cell
@@ -296,18 +302,11 @@ class Engine:
         """A copy of all that determines the bits of the steps to come, for go_on_from."""
         bonds, interactions = self.constraint_set.bonds, self.interactions
         images = None if bonds is None else (bonds.offsets.copy(), bonds.tolerance)
-        return Checkpoint(
-            self.snapshot(),
-            interactions.displacement,
-            interactions.lists_built(),
-            images,
-            self.equilibrated,
-            interactions.grid,
-        )
+        lists = interactions.displacement, interactions.lists_built()
+        return Checkpoint(self.snapshot(), *lists, images, self.equilibrated, interactions.grid)
 
     def go_on_from(self, checkpoint: Checkpoint) -> None:
-        """Go on in place of the engine of a checkpoint:
-        the next steps have the same bits as the next steps of that engine."""
+        """Go on in place of the engine of a checkpoint: the next steps have the same bits as its next steps."""
         self.restore(checkpoint.state)
         self._lay(checkpoint.grid)
         self.equilibrated, self.is_whole = checkpoint.equilibrated, True
@@ -319,21 +318,10 @@ class Engine:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For pickle and copy: a copy makes the steps that this engine would make, to the last bit."""
-        scene = (
-            self.system,
-            self.interactions.potentials,
-            self.method,
-            self.constraints,
-            self.interactions.options,
-            self.barostat,
-        )
-        more = {
-            "noise_shift": self.noise_shift,
-            "extra_observables": self.extra_observables,
-            "notes": dict(self.notes),
-            "is_whole": self.is_whole,
-        }
-        more |= {"holds_center": self.holds_center, "counts_center": self.counts_center}
+        interactions, names = self.interactions, ("noise_shift", "extra_observables", "is_whole")
+        scene = self.system, interactions.potentials, self.method, self.constraints, interactions.options, self.barostat
+        more = {name: getattr(self, name) for name in (*names, "holds_center", "counts_center")}
+        more["notes"] = dict(self.notes)
         return _copied, (scene, self.checkpoint(), self.is_as_left, self.interactions.counts, more)
 
     @property
@@ -379,10 +367,9 @@ class Engine:
 
     @method.setter
     def method(self, method: Splitting) -> None:
-        self.constraint_set.degrees_of_freedom(
-            checked_method(method).conserves_momentum and not self.interactions.act_from_outside
-        )
-        check_center(self.holds_center, self._is_still_under(method), method)
+        is_alone = _checked_method(method).conserves_momentum and not self.interactions.act_from_outside
+        self.constraint_set.degrees_of_freedom(is_alone)
+        _check_center(self.holds_center, self._is_still_under(method), method)
         if self._rescaling is not None:
             self._rescaling.temperature(method)
         if type(method) is not type(self._method) or method.parameters != self._method.parameters:
@@ -413,8 +400,7 @@ class Engine:
 
     @property
     def conserves_momentum(self) -> bool:
-        """Whether momentum is constant: no fixed atoms, no force from outside, no bath that acts on each atom,
-        and no counts_center."""
+        """Whether momentum is constant: no fixed atoms, no outside force, no bath of each atom, no counts_center."""
         return self._is_still_under(self.method)
 
     def _is_still_under(self, method: Splitting) -> bool:
@@ -423,10 +409,7 @@ class Engine:
 
     @property
     def reservoir_energy(self) -> float:
-        """Energy given to the system by thermostat and barostat since the start [energy].
-
-        It is set when a run is resumed.
-        """
+        """Energy given to the system by thermostat and barostat since the start [energy]; set when a run is resumed."""
         return self._bath.energy
 
     @reservoir_energy.setter
@@ -435,10 +418,7 @@ class Engine:
 
     @property
     def work(self) -> float:
-        """Work done on the system since the start by forces that depend on time, ∫ ∂U/∂t dt [energy].
-
-        It is set when a run is resumed.
-        """
+        """∫ ∂U/∂t dt, work of forces that depend on time, since the start [energy]; set when a run is resumed."""
         return self.surroundings.work
 
     @work.setter
@@ -470,6 +450,20 @@ class Engine:
         """K [energy]."""
         return kinetic_energy(self.velocities, self.system.masses)
 
+    def display_rows(self) -> Rows:
+        """What makes up a simulation, and where it stands. Nothing is computed."""
+        options, units = self.interactions.options, self.system.units
+        chosen = {"threads": options.threads, "skin": options.skin}
+        words = [f"{name} {value:g}" for name, value in chosen.items() if value is not None]
+        rows = [("system", repr(self.system)), *(("potential", repr(one)) for one in self.interactions.potentials)]
+        rows += [("method", repr(self.method)), *(("constraint", repr(one)) for one in self.constraints)]
+        rows += [("barostat", repr(self.barostat))] if self.barostat is not None else []
+        rows += [("observed too", ", ".join(self.extra_observables))] if self.extra_observables else []
+        rows += [("options", ", ".join([described(options.precision), *words]))]
+        if grid := self.interactions.grid:
+            rows += [("grid", f"{grid!r}: positions, lattice vectors and momenta are rounded to it")]
+        return [*rows, ("at", f"step {self.step}, {units.shown(self.time)}")]
+
 
 def _copied(
     scene: tuple[Any, ...], checkpoint: Checkpoint, is_as_left: bool, counts: tuple[int, int], more: dict[str, Any]
@@ -484,3 +478,42 @@ def _copied(
     for name, value in more.items():
         setattr(engine, name, value)
     return engine
+
+
+def _checked_method(method: Splitting) -> Splitting:
+    """The method.  Raises TypeError for anything but a splitting with its time step."""
+    if not isinstance(method, Splitting):
+        such = "an integrator with its time step, such as VelocityVerlet(0.005)"
+        raise TypeError(f"method must be {such}; got {shown(method)}")
+    return method
+
+
+def _warn_of_dropped(those_of_system: Sequence[Constraint], given: Constraint | Sequence[Constraint] | None) -> None:
+    """Warn if the given constraints replace those of the system and one kind of the latter is missing."""
+    if given is None:
+        return
+    kinds = {type(one) for one in (given if isinstance(given, Sequence) else [given])}
+    dropped = [repr(one) for one in those_of_system if type(one) not in kinds]
+    if kinds and dropped:
+        lost = f"the constraints given replace those of the system, and {', '.join(dropped)} is lost"
+        warnings.warn(lost, stacklevel=outside_minimd())
+
+
+def _holds_center(system: AnySystem) -> bool:
+    """Whether the system is an ase.Atoms with FixCom; a System never has it."""
+    if isinstance(system, System):
+        return False
+    from minimd.structure.ase_atoms import fixes_center  # loads ase
+
+    return fixes_center(system)
+
+
+def _check_center(is_held: bool, stays: bool, method: Splitting) -> None:
+    """Raise ValueError for atoms with FixCom whose center of mass would move."""
+    if stays or not is_held:
+        return
+    cause = "a force from outside or a fixed atom moves the center of mass: remove one of them"
+    if not method.conserves_momentum:
+        cure = "take StochasticVelocityRescaling or minimd.ase.Langevin, or remove FixCom"
+        cause = f"{method.name} moves the center of mass: {cure}"
+    raise ValueError(f"atoms.constraints holds FixCom, but {cause}")

@@ -40,6 +40,11 @@ class Look:
         """U + K [energy]."""
         return self.potential_energy + self.kinetic_energy
 
+    @property
+    def momentum(self) -> Any:
+        """(3,)."""
+        return observables.momentum(*self.motion, self.grid.momentum if self.grid else 0.0)
+
     @cached_property
     def drift(self) -> Any:
         """See Engine."""
@@ -51,6 +56,11 @@ class Look:
         return observables.thermal_energy(self.kinetic_energy, self.drift, self.system.masses)
 
     @property
+    def temperature(self) -> float:
+        """T, of the thermal energy."""
+        return observables.temperature(self.thermal_energy, self.engine.n_dof, self.system.units.k_B)
+
+    @property
     def volume(self) -> float:
         """[length³].  Raises ValueError if the cell has none."""
         check_has_volume(self.engine)
@@ -60,11 +70,9 @@ class Look:
     def virial(self) -> Any:
         """(3, 3) [energy], of forces and constraint forces."""
         engine, virial = self.engine, self.engine.interactions.virial
-        return (
-            virial
-            if self.bonds is None
-            else virial + self.bonds.virial(engine.positions, engine.velocities, engine.forces)
-        )
+        if self.bonds is None:
+            return virial
+        return virial + self.bonds.virial(engine.positions, engine.velocities, engine.forces)
 
     @property
     def stress(self) -> Any:
@@ -78,8 +86,7 @@ class Observable:
 
     name : in record and file.  unit : the attribute of UnitSystem that names its unit, empty for a pure number.
     measure : its value, from a Look.  exists : whether it is defined for an engine.
-    demand : for an observable that is recorded only if extra_observables names it:
-        raises ValueError for an engine that cannot have it.
+    demand : for one recorded only if extra_observables names it: raises ValueError for an engine that cannot have it.
     """
 
     name: str
@@ -104,10 +111,8 @@ def register(observable: Observable) -> None:
     if observable.name in OBSERVABLES:
         raise ValueError(f"an observable must have a name of its own; {observable.name!r} is already in use")
     if observable.unit and observable.unit not in UnitSystem.__dataclass_fields__:
-        raise ValueError(
-            f"the unit of {observable.name} must be empty or an attribute of UnitSystem, such as 'energy'; unit = "
-            f"{observable.unit!r}"
-        )
+        what = "empty or an attribute of UnitSystem, such as 'energy'"
+        raise ValueError(f"the unit of {observable.name} must be {what}; unit = {observable.unit!r}")
     OBSERVABLES[observable.name] = observable
     SERIES[observable.name] = observable.unit
 
@@ -116,25 +121,16 @@ def check_has_volume(engine: Engine) -> None:
     """Raise ValueError if the cell has no volume."""
     if engine.system.volume is None:
         pbc = engine.system.cell.pbc.tolist()
-        raise ValueError(
-            f"pressure and stress need a volume: a cell that is periodic in all three directions; its pbc = {pbc}"
-        )
+        what = "a cell that is periodic in all three directions"
+        raise ValueError(f"pressure and stress need a volume: {what}; its pbc = {pbc}")
 
 
 for _observable in (
     Observable("potential_energy", "energy", lambda look: look.potential_energy),
     Observable("kinetic_energy", "energy", lambda look: look.kinetic_energy),
     Observable("total_energy", "energy", lambda look: look.total_energy),
-    Observable(
-        "temperature",
-        "temperature",
-        lambda look: observables.temperature(look.thermal_energy, look.engine.n_dof, look.system.units.k_B),
-    ),
-    Observable(
-        "momentum",
-        "momentum",
-        lambda look: observables.momentum(*look.motion, look.grid.momentum if look.grid else 0.0),
-    ),
+    Observable("temperature", "temperature", lambda look: look.temperature),
+    Observable("momentum", "momentum", lambda look: look.momentum),
     Observable("angular_momentum", "angular_momentum", lambda look: observables.angular_momentum(*look.path)),
     Observable("absolute_momentum", "momentum", lambda look: observables.absolute_momentum(*look.motion)),
     Observable(
@@ -176,33 +172,22 @@ def observe(engine: Engine) -> Frame:
     engine.evaluate()
     look = Look(engine)
     values = {name: OBSERVABLES[name].measure(look) for name in recorded(engine)}
-    return Frame(
-        engine.step,
-        engine.time,
-        engine.positions,
-        engine.velocities,
-        engine.forces,
-        values,
-        engine.reservoir_energy,
-        engine.system.cell,
-    )
+    state = engine.step, engine.time, engine.positions, engine.velocities, engine.forces
+    return Frame(*state, values, engine.reservoir_energy, engine.system.cell)
 
 
 def measure(engine: Engine, name: str) -> Any:
-    """One observable of the present state, evaluated as in observe.
-    Raises ValueError for a pressure or stress without a volume."""
+    """One observable of the present state, as in observe.  Raises ValueError for a stress without volume."""
     engine.evaluate()
     return OBSERVABLES[name].measure(Look(engine))
 
 
 def check_extras(engine: Engine) -> None:
-    """Raise ValueError unless extra_observables of the engine names only observables that
-    can be recorded besides the usual ones."""
+    """Raise ValueError unless extra_observables of the engine names only what can be recorded besides the usual."""
     names, known = engine.extra_observables, [name for name, one in OBSERVABLES.items() if one.demand is not None]
     if isinstance(names, str) or not set(names) <= set(known):
-        raise ValueError(
-            f"extra_observables must be a tuple with any of {listed(known)}, or empty; it is {shown(names)}"
-        )
+        what = f"a tuple with any of {listed(known)}, or empty"
+        raise ValueError(f"extra_observables must be {what}; it is {shown(names)}")
     for name in names:
         if (demand := OBSERVABLES[name].demand) is not None:
             demand(engine)

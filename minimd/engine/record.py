@@ -19,17 +19,14 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-SERIES: dict[
-    str, str
-] = {}  # name in record and file: attribute of UnitSystem that names its unit; see observation.register
+SERIES: dict[str, str] = {}  # name: attribute of UnitSystem that names its unit; see observation.register
 
 
 class Frame(NamedTuple):
     """The observed state at one step. Arrays are those of the running simulation; copy them to keep their values.
 
     step, time [time].  positions, velocities, forces : (N, 3).  observables : name in SERIES to number or (3,) array;
-    pressure is missing unless the cell has a volume.  reservoir_energy :
-    given by thermostat and barostat since the start [energy].  cell : Cell.
+    pressure only if the cell has a volume.  reservoir_energy : given by thermostat and barostat so far [energy].
     """
 
     step: int
@@ -49,9 +46,8 @@ class Record(Displayed):
     ----------
     step : (T,) int.  time : (T,) [time].
     potential_energy, kinetic_energy, total_energy : (T,) [energy].  temperature : (T,).
-    conserved_energy : (T,) [energy], total energy minus reservoir energy and work,
-        only with a thermostat or a barostat.
-    work : (T,) [energy], done since the start by forces that depend on time, ∫ ∂U/∂t dt, only with such forces.
+    conserved_energy : (T,) [energy], total energy minus reservoir energy and work, only with a bath.
+    work : (T,) [energy], ∫ ∂U/∂t dt since the start, only with forces that depend on time.
     volume, cell : (T,) [length³], (T, 3, 3) lattice vectors as rows [length], only with a barostat.
     shadow_energy : (T,) [energy], only if asked for: see minimd.shadow_energy.
     constraint_violation : (T,) largest |r² − d²|/d², only with lengths held fixed.
@@ -94,10 +90,8 @@ class Record(Displayed):
         if name in series:
             return np.array(series[name])
         if name == "pressure":
-            raise AttributeError(
-                "pressure was not recorded: the cell has no volume; it must be periodic in all three directions, pbc = "
-                "(True, True, True)"
-            )
+            what = "it must be periodic in all three directions, pbc = (True, True, True)"
+            raise AttributeError(f"pressure was not recorded: the cell has no volume; {what}")
         raise AttributeError(f"a record has no {name!r}; it has {', '.join(series)}")
 
     def __dir__(self) -> list[str]:
@@ -113,8 +107,7 @@ class Record(Displayed):
         return self.units.time if name == "time" else str(getattr(self.units, SERIES.get(name) or "", ""))
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """All series as columns of numbers, (T,) each: vectors as momentum_x, momentum_y, momentum_z,
-        tensors as stress_xx, stress_xy, …"""
+        """All series as columns of numbers, (T,) each: vectors as momentum_x, …, tensors as stress_xx, stress_xy, …"""
         made = {}
         for name in self._series:
             series = getattr(self, name)
@@ -140,9 +133,8 @@ class Record(Displayed):
     def to_csv(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write columns() as text with commas, names in the first line, numbers with all their digits; return the path.
 
-        A file or link that is replaced stays until the new one is whole.
-        Raises FileExistsError if the file exists and overwrite is false.  OSError if it cannot be written,
-        or a device would be replaced.
+        A file or link that is replaced stays until the new one is whole. Raises FileExistsError if the file exists and
+        overwrite is false; OSError if it cannot be written, or a device would be replaced.
         """
         columns, path = self.columns(), Path(path)
         place = path.with_name(f"{path.name}.part") if overwrite else path
@@ -155,17 +147,14 @@ class Record(Displayed):
             with place.open("x", encoding="utf-8") as file:
                 file.write("\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""]))
         except FileExistsError:
-            raise FileExistsError(
-                f"output {str(place)!r} exists; choose another name, or pass overwrite=True"
-            ) from None
+            cure = "choose another name, or pass overwrite=True"
+            raise FileExistsError(f"output {str(place)!r} exists; {cure}") from None
         return place.replace(path)
 
     def plot(self) -> Figure:
-        """A figure of the run: change of the total energy per atom, temperature, change of the momentum,
-        and pressure or potential energy.
+        """A figure of the run: changes of total energy per atom and momentum, temperature, pressure or U per atom.
 
-        In a notebook it appears in the cell; .savefig(path) writes it to a file.
-        Raises ValueError if there are no entries.
+        In a notebook it appears in the cell; .savefig(path) writes a file. Raises ValueError if there are no entries.
         """
         from minimd.engine.record_picture import picture_of  # matplotlib takes its time to load
 
@@ -175,22 +164,17 @@ class Record(Displayed):
         """See Displayed."""
         if not len(self):
             return [("record", "no entries")]
-        step, time = self.step, [self.units.shown(one) for one in (self.time[0], self.time[-1])]
-        rows = [
-            (
-                "record",
-                f"{len(self)} entries of {self.n_atoms} atoms, step {step[0]} to {step[-1]}, {time[0]} to {time[1]}",
-            )
-        ]
+        step, (first, last) = self.step, [self.units.shown(one) for one in (self.time[0], self.time[-1])]
+        what = f"{len(self)} entries of {self.n_atoms} atoms, step {step[0]} to {step[-1]}, {first} to {last}"
+        rows = [("record", what)]
         for name in (one for one in self._series if one not in ("step", "time")):
             series = getattr(self, name)
             if series.ndim > 1:
                 told = f"change at most {np.abs(series - series[0]).max():.2g}"
             else:
                 mean = with_error(*mean_and_error(series)) if series.std() > 0.0 else f"{series.mean():.8g}"
-                told = (
-                    f"first {series[0]:.8g}, last {series[-1]:.8g}, mean {mean}, standard deviation {series.std():.2g}"
-                )
+                ends = f"first {series[0]:.8g}, last {series[-1]:.8g}"
+                told = f"{ends}, mean {mean}, standard deviation {series.std():.2g}"
             rows.append((name.replace("_", " "), f"{told} {self.unit(name)}".rstrip()))
         return rows
 

@@ -62,37 +62,22 @@ def picture_of(record: Series) -> Picture:
     times, unit = record.time * record.units.to_picosecond, record.units.shown_time
     for draw, panel in zip((draw_energy, draw_temperature, draw_momentum, draw_pressure), panels, strict=True):
         draw(panel, times, record)
-        finish(panel, unit)
+        panel.set_xlabel(f"time  [{unit}]")
+        panel.margins(x=0.01)
+        panel.title.set_fontsize(10)
     return figure
 
 
-def finish(panel: Axes, unit: str) -> None:
-    """The axis of time, and sizes.  unit : of time."""
-    panel.set_xlabel(f"time  [{unit}]")
-    panel.margins(x=0.01)
-    panel.title.set_fontsize(10)
-
-
-def energy_of(record: Series) -> tuple[Array, str, str]:
-    """The energy that should be constant, (T,); its name; and the formula of its change.  With a bath,
-    heat Q is subtracted."""
-    if "conserved_energy" in record:
-        return record.conserved_energy, "total energy − heat", "(E − Q − E₀)"
-    return record.total_energy, "total energy", "(E − E₀)"
-
-
 def draw_energy(panel: Axes, times: Array, record: Series) -> Array:
-    """Change of the total energy per atom, minus heat if there is a bath, since the start.
-
-    Returns what was drawn, in the unit of the axis.
-    """
-    energy, name, formula = energy_of(record)
+    """Change of the total energy per atom since the start, minus heat of a bath; returned in the unit of the axis."""
+    energy, name, formula = record.total_energy, "total energy", "(E − E₀)"
+    if "conserved_energy" in record:
+        energy, name, formula = record.conserved_energy, "total energy − heat", "(E − Q − E₀)"
     change, factor = scaled((energy - energy[0]) / record.n_atoms)
     panel.plot(times, change, color=ENERGY, label=name, **STYLE)
     panel.set_ylabel(f"{formula} / N  [{factor}{record.units.energy}]")
-    panel.set_title(
-        f"{name} per atom   (kinetic energy: {record.kinetic_energy.mean() / record.n_atoms:.3g} {record.units.energy})"
-    )
+    kinetic = f"{record.kinetic_energy.mean() / record.n_atoms:.3g} {record.units.energy}"
+    panel.set_title(f"{name} per atom   (kinetic energy: {kinetic})")
     return change
 
 
@@ -121,16 +106,13 @@ def draw_pressure(panel: Axes, times: Array, record: Series) -> None:
         name, values, unit = "pressure", record.pressure, record.units.pressure
     panel.plot(times, values, color=STRUCTURE, **STYLE)
     panel.axhline(values.mean(), color=ACCENT, lw=1.0, ls="--")
-    panel.set(
-        ylabel=f"{'P' if name == 'pressure' else 'U / N'}  [{unit}]",
-        title=f"{name}   (mean: {values.mean():.4g} {unit})",
-    )
+    symbol = "P" if name == "pressure" else "U / N"
+    panel.set(ylabel=f"{symbol}  [{unit}]", title=f"{name}   (mean: {values.mean():.4g} {unit})")
     panel.ticklabel_format(axis="y", useOffset=False)
 
 
 def scaled(values: Array) -> tuple[Array, str]:
-    """Values divided by a power of ten, and that power as part of a unit; unchanged if they are zero,
-    or between 0.01 and 1000."""
+    """Values over a power of ten, and that power as part of a unit; unchanged if zero, or between 0.01 and 1000."""
     size = float(np.abs(values).max())
     power = int(np.floor(np.log10(size))) if 0.0 < size < np.inf else 0
     return (values, "") if -2 <= power <= 2 else (values / 10.0**power, f"$10^{{{power}}}$ ")

@@ -19,8 +19,8 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 from minimd.diagnosis.crash_report import CrashReport
 from minimd.diagnosis.faults import RUNAWAY
 from minimd.diagnosis.run_guard import RunGuard
+from minimd.engine.engine import Snapshot
 from minimd.engine.observation import observe
-from minimd.engine.snapshots import Snapshot
 from minimd.files.trajectory import named_files
 from minimd.forces.contacts import Contact
 from minimd.integrators.splitting.barostats import StochasticCellRescaling

@@ -11,8 +11,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.engine.engine import Checkpoint
 from minimd.engine.record import SERIES, Record
-from minimd.engine.snapshots import Checkpoint
 from minimd.files.first_look import looked_at
 from minimd.files.h5md_constraints import read_constraints
 from minimd.files.h5md_digest import damaged_frames, is_signed, n_whole_frames

@@ -15,7 +15,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from minimd.engine.snapshots import Checkpoint, Snapshot
+from minimd.engine.engine import Checkpoint, Snapshot
 from minimd.neighbors.verlet_list import Built
 from minimd.structure.cell import Cell
 from minimd.structure.grid import Grid

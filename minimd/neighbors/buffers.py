@@ -1,5 +1,4 @@
-"""Memory that is used again at each build: new pages from the operating system would cost
-more time than writing to them."""
+"""Memory that is used again at each build: new pages from the operating system cost more time than writing to them."""
 
 from collections.abc import Sequence
 from itertools import accumulate
@@ -11,8 +10,7 @@ from numpy.typing import NDArray
 
 SPARE = 1.05  # room for this much more than was asked for: from build to build of a liquid sizes change by less
 CACHE_LINE = 64  # bytes; vectors that straddle two cost twice
-PAGE = 4096  # bytes
-HALF_A_PAGE = PAGE // 2
+PAGE, HALF_A_PAGE = 4096, 2048  # bytes
 DEVIATIONS = 16.0  # of a number that is a sum of independent ones
 
 Fields = Sequence[tuple[type, tuple[int, ...]]]  # types and shapes of arrays
@@ -27,8 +25,7 @@ class Buffers:
     """Arrays by name, each as large as it ever was; their contents are what was left in them.
 
     Processors take a load for one of what was just stored if the two addresses agree in the lower twelve bits, and
-    wait. Where a loop loads from one array and stores to another,
-    the two should therefore begin at different places in a page of memory.
+    wait. So an array from which a loop loads and one to which it stores should begin at different places in a page.
     """
 
     def __init__(self) -> None:
@@ -37,8 +34,7 @@ class Buffers:
     def array(self, name: str, dtype: type, n: int, *more: int, in_page: int = 0, spare: float = SPARE) -> NDArray[Any]:
         """An array of shape (n, *more); the next one of the same name takes its place.
 
-        in_page : where in a page it begins, a multiple of 64.  spare : memory in units of what was asked for,
-            if there is none yet.
+        in_page : where in a page it begins, a multiple of 64.  spare : memory in units of what was asked for, at first.
         """
         if name not in self._all or n > len(self._all[name]):
             self._all.pop(name, None)  # first: the old one is not needed beside the new one
@@ -50,27 +46,25 @@ class Buffers:
         return self._all[name][:n]
 
     def overlaid(self, name: str, *uses: Fields, spare: float = SPARE) -> list[list[NDArray[Any]]]:
-        """For each of several uses of one piece of memory the arrays, one after the other:
-        only one of the uses can be made at a time.
+        """For each of several uses of one piece of memory, one at a time, the arrays, one after the other.
 
         Uses that begin with the same fields share these.
         """
-        piece = self.array(name, np.uint8, max(_starts(fields)[-1] for fields in uses), spare=spare)
+        piece = self.array(
+            name, np.uint8, max(sum(_padded(*field) for field in fields) for fields in uses), spare=spare
+        )
         return [_cut(piece, fields) for fields in uses]
 
 
-def _starts(fields: Fields) -> list[int]:
-    """Where each array begins if they stand one after the other, and the end [bytes]."""
-    sizes = (prod(shape) * np.dtype(dtype).itemsize for dtype, shape in fields)
-    return [0, *accumulate(-(-size // CACHE_LINE) * CACHE_LINE for size in sizes)]
+def _bytes(dtype: type, shape: tuple[int, ...]) -> int:
+    return prod(shape) * np.dtype(dtype).itemsize
+
+
+def _padded(dtype: type, shape: tuple[int, ...]) -> int:
+    return -(-_bytes(dtype, shape) // CACHE_LINE) * CACHE_LINE
 
 
 def _cut(piece: NDArray[np.uint8], fields: Fields) -> list[NDArray[Any]]:
-    ends = [
-        start + prod(shape) * np.dtype(dtype).itemsize
-        for start, (dtype, shape) in zip(_starts(fields), fields, strict=False)
-    ]
-    return [
-        piece[a:b].view(dtype).reshape(shape)
-        for a, b, (dtype, shape) in zip(_starts(fields), ends, fields, strict=False)
-    ]
+    starts = accumulate((_padded(*field) for field in fields), initial=0)
+    uses = [(start, start + _bytes(*field), *field) for start, field in zip(starts, fields, strict=False)]
+    return [piece[start:end].view(dtype).reshape(shape) for start, end, dtype, shape in uses]

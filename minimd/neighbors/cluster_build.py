@@ -1,4 +1,4 @@
-"""The operations that keep a cluster list valid: atoms to their clusters and ghosts; is the list still valid; if not,
+"""The operations that keep a cluster list valid: atoms to their clusters and ghosts; where it is not valid any more,
 sort, cut, find rows, in memory that is already there."""
 
 from collections import namedtuple
@@ -11,9 +11,10 @@ from minimd.compiled.program import GO_ON, JUMP, NEEDS_ROOM, NOT_FINITE, OUT_OF_
 from minimd.compiled.simd import bits_from_mask
 from minimd.compiled.simd.lanes import count
 from minimd.neighbors.cluster_memory import lay_grid, place
-from minimd.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, exclude_partners, find_rows, find_slots, make_work
-from minimd.neighbors.clusters import DIMENSIONS, columns_fit, fill_clusters, gathered, loaded, sort_into_columns
+from minimd.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, exclude, find_rows, make_work
+from minimd.neighbors.clusters import DIMENSIONS, columns_fit, fill_column, gathered, loaded
 from minimd.neighbors.domains import BLOCKS, GHOSTS, cut_into_domains, fill_ghosts, fill_shifts, sort_ghosts
+from minimd.neighbors.search import counting_sort
 from minimd.neighbors.verlet_list import count_not_finite
 
 
@@ -26,14 +27,11 @@ class Building(
 ):
     """What the operations work on.
 
-    positions : (N, 3) [length].  Outputs are arrays : ClusterArrays, binned : Binned, and layout : Layout, but for its
-        columns.
-    n_blocks : of forces for which there is room.  n_chunks : into which columns are cut.  goes_along : see
-        cut_into_domains.
+    positions : (N, 3) [length].  Outputs: arrays : ClusterArrays, binned : Binned, and layout : Layout but its columns.
+    n_blocks : of forces, as there is room.  n_chunks : of columns.  goes_along : see cut_into_domains.
     entry_start : (K + 1,) int, first entry of each domain.
     needed : (K,) int, output, entries that each domain needs, which may be more than there is room for.
-    excluded : partners of each atom, see find_pairs, and slot_of : (N,) int, output, slot of each atom, where pairs are
-        excluded.
+    excluded : partners of each atom, see find_pairs; if there are any, slot_of : (N,) int, output, slot of each atom.
     images : Images.  widths : cutoff and skin [length], and the coarsest unit of mixed precision [length].
     """
 
@@ -81,17 +79,24 @@ def find_columns(building, _chunk):
 
 @called_kernel
 def sort_atoms(building, _chunk):
-    """Atoms into columns."""
-    columns, clusters = building.layout.columns, building.layout.clusters
-    sort_into_columns(building.positions, columns, building.binned, clusters)
+    """Atoms into the bins of all columns; the first cluster of each, the second lattice direction running faster."""
+    columns, clusters, binned = building.layout.columns, building.layout.clusters, building.binned
+    counts, column_start, n_lanes = columns.counts, clusters.column_start, count(clusters.lanes)
+    counting_sort(building.positions, columns.inverse, columns.pbc, columns, binned)
+    column_start[0] = 0
+    for column in range(counts[0] * counts[1]):
+        n = binned.bin_start[(column + 1) * counts[2]] - binned.bin_start[column * counts[2]]
+        column_start[column + 1] = column_start[column] + (n + n_lanes - 1) // n_lanes
     return GO_ON
 
 
 @called_kernel
 def cut_columns(building, chunk):
-    """Columns into clusters."""
-    columns, clusters = building.layout.columns, building.layout.clusters
-    fill_clusters(chunk, building.n_chunks, building.positions, columns, building.binned, clusters)
+    """Columns into clusters: a chunk is some rows of them along the second lattice vector."""
+    columns, clusters, n = building.layout.columns, building.layout.clusters, building.n_chunks
+    counts = columns.counts
+    for column in range(chunk * counts[0] // n * counts[1], (chunk + 1) * counts[0] // n * counts[1]):
+        fill_column(column, building.positions, columns, building.binned, clusters)
     return GO_ON
 
 
@@ -144,16 +149,25 @@ def finish_list(building, _chunk):
 @called_kernel
 def number_slots(building, domain):
     """The slot of each atom of a domain."""
-    find_slots(domain, building.layout, building.slot_of)
+    clusters, domain_start = building.layout.clusters, building.layout.domains.cluster
+    n_lanes = count(clusters.lanes)
+    for slot in range(domain_start[domain] * n_lanes, domain_start[domain + 1] * n_lanes):
+        if slot % n_lanes < clusters.filled[slot // n_lanes]:
+            building.slot_of[clusters.atom[slot]] = slot
     return GO_ON
 
 
 @called_kernel
 def exclude_pairs(building, domain):
-    """Clear the lanes of excluded partners, at their nearest images, in the rows of a domain."""
-    excluded, slot_of, (lattice, inverse, pbc, safe_distance2) = building.excluded, building.slot_of, building.images
-    image = lattice, inverse, pbc, safe_distance2[0]
-    exclude_partners(domain, building.layout, image, excluded, slot_of, building.arrays.rows)
+    """Clear the lane of each excluded partner, at its nearest image, in the row of a domain that has it."""
+    layout, slot_of, (start, values) = building.layout, building.slot_of, building.excluded
+    clusters, (lattice, inverse, pbc, safe_distance2) = layout.clusters, building.images
+    image, n_lanes = (lattice, inverse, pbc, safe_distance2[0]), count(clusters.lanes)
+    for k in range(layout.domains.cluster[domain], layout.domains.cluster[domain + 1]):
+        for slot in range(k * n_lanes, k * n_lanes + clusters.filled[k]):
+            i = clusters.atom[slot]
+            for p in range(np.uintp(start[i]), np.uintp(start[i + 1])):  # unsigned: none counts from the end
+                exclude(domain, slot, slot_of[np.uintp(values[p])], layout, image, building.arrays.rows)
     return GO_ON
 
 

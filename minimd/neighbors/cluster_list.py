@@ -10,33 +10,13 @@ from minimd.compiled.program import Operation, Program, operation
 from minimd.compiled.simd.lanes import DOUBLE, MIXED, lanes_for
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool
 from minimd.neighbors import cluster_build
-from minimd.neighbors.binning import Binned
 from minimd.neighbors.buffers import HALF_A_PAGE, SPARE, Buffers, with_room
 from minimd.neighbors.cluster_build import Building
 from minimd.neighbors.cluster_memory import GRID, ClusterArrays, Memory
 from minimd.neighbors.cluster_search import AHEAD, BUILDS, GHOST_BITS, IN_USE, LAYERS, Rows
-from minimd.neighbors.clusters import (
-    DIMENSIONS,
-    Clusters,
-    Columns,
-    bins_for_sort,
-    clusters_for_build,
-    make_clusters,
-    make_columns,
-    most_clusters,
-    moved_columns,
-    region_of,
-)
-from minimd.neighbors.domains import (
-    BLOCKS,
-    IMAGES,
-    Domains,
-    GhostClusters,
-    Layout,
-    ghosts_for_search,
-    make_domains,
-    make_ghosts,
-)
+from minimd.neighbors.clusters import DIMENSIONS, Clusters, Columns, make_clusters, make_columns, region_of
+from minimd.neighbors.domains import BLOCKS, IMAGES, GhostClusters, Layout, ghosts_for_search, make_domains, make_ghosts
+from minimd.neighbors.search import Binned, bins_for_sort
 from minimd.neighbors.verlet_list import VerletList, partners, raise_not_finite
 from minimd.structure.cell import Cell, Images
 from minimd.structure.strain import strained
@@ -55,26 +35,21 @@ class ClusterList(VerletList):
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
 
     cutoff, skin : see VerletList.  excluded : (P, 2) int, pairs whose nearest image is left out.
-    precision : see Options.  pool : the threads that build it.
-    lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.  n_domains :
-        number of chunks of an operation.
+    precision : see Options.  pool : the threads that build it.  n_domains : number of chunks of an operation.
+    lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.
     arrays : what the loop needs of them. They have room for more, and are the same arrays until it is used up.
     n_arranged : how often they were replaced.  building : what operations need.
     idle : flat, a block for each cluster, memory that is free between two builds.
     """
 
     clusters: Clusters
-    domains: Domains
     ghosts: GhostClusters
     rows: Rows
     memory: Memory
-    arrays: ClusterArrays
-    building: Building
     _columns: Columns
     _bins: Binned
     _entries: NDArray[np.uint32]
     _exact: NDArray[np.float64]
-    idle: NDArray[np.float64]
 
     def __init__(
         self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, pool: ThreadPool
@@ -82,28 +57,21 @@ class ClusterList(VerletList):
         super().__init__(cutoff, skin)
         self._excluded = partners(excluded, n_atoms) if len(excluded) else None
         self._slot_of = np.zeros(n_atoms if len(excluded) else 0, dtype=np.int64)
-        self._widths = (
-            self.skin * np.arange(1, LAYERS + 1) / LAYERS
-        )  # how much farther than the cutoff the layers reach
-        self._n_atoms, self._pool, self._is_mixed, self._is_fixed = (
-            n_atoms,
-            pool,
-            precision == "mixed",
-            precision == "fixed-point",
-        )
+        self._widths = self.skin * np.arange(1, LAYERS + 1) / LAYERS  # by which the layers reach beyond the cutoff
+        self._n_atoms, self._pool = n_atoms, pool
+        self._is_mixed, self._is_fixed = precision == "mixed", precision == "fixed-point"
         self._columns_of: tuple[Cell, NDArray[np.float64]] | None = None
         self._images: Images | None = None
         self._positions = np.zeros((n_atoms, DIMENSIONS))  # where the operations find them
         self._calls, self._program = DirectCalls(), Program(self.operations, lambda: self.n_arranged, pool)
-        self._n_counted = 0  # builds
+        self._n_counted, self.n_arranged = 0, 0  # builds, and see above
         self._layers, self._unit, self._origin = np.zeros(3, dtype=np.int64), np.ones(1), np.zeros(DIMENSIONS)
         self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
         self._room: tuple[int, ...] = (0, 0, 0)
         self._entry_start, self._shifts = np.zeros(1, dtype=np.int64), np.zeros((IMAGES, DIMENSIONS))
-        self._memory, self.n_arranged = Buffers(), 0
-        sets = far(self.lanes.size)
-        self._far = self._memory.array("far", np.float32 if self._is_mixed else np.float64, len(sets))
-        self._far[:] = sets
+        self._memory, sets = Buffers(), np.arange(1 << self.lanes.size)[:, None] >> np.arange(self.lanes.size) & 1
+        self._far = self._memory.array("far", np.float32 if self._is_mixed else np.float64, sets.size)
+        self._far[:] = np.where(sets, 0.0, np.inf).ravel()
 
     def operations(self) -> Iterator[Operation]:
         """Atoms to their clusters and ghosts; a new list where it is due; see cluster_build.  Memory must be ready."""
@@ -154,9 +122,11 @@ class ClusterList(VerletList):
         of = self._columns_of
         if of is None or not (cell.same_as(of[0]) and np.array_equal(region, of[1])):
             columns = self._columns_in(cell, region)
-            if of is None or not moved_columns(self._columns, columns):
-                self._columns = columns
-                self._make_clusters()
+            if of is None or not self._columns.move_to(columns):
+                self._columns, self.domains = columns, make_domains(columns, self._n_atoms)
+                self.n_domains = len(self.domains.first)
+                self._needed = np.zeros(self.n_domains, dtype=np.int64)
+                self._arrange()
             self._columns_of = cell, region
         self._region = region
 
@@ -196,15 +166,9 @@ class ClusterList(VerletList):
         raise_not_finite(self._positions)
 
     def _refuse_grid(self, _answer: int) -> None:
-        width, limit = self._unit[0] * GRID, COARSEST * self.cutoff
-        self._layers[IN_USE] = 0
-        raise ValueError(
-            f"precision='mixed' resolves {self._unit[0]:.1e} in a scene {width:.3g} wide, coarser than {limit:.1e}; "
-            "take precision='double'"
-        )
-
-    def _has_moved(self, positions: NDArray[np.float64]) -> bool:
-        raise NotImplementedError("operations of a cluster list find this out")
+        unit, self._layers[IN_USE] = self._unit[0], 0
+        why = f"{unit:.1e} in a scene {unit * GRID:.3g} wide, coarser than {COARSEST * self.cutoff:.1e}"
+        raise ValueError(f"precision='mixed' resolves {why}; take precision='double'")
 
     def _built_at(self) -> NDArray[np.float64]:
         clusters, n_lanes, n = self.clusters, self.lanes.size, self.n_clusters
@@ -227,8 +191,11 @@ class ClusterList(VerletList):
         return int(self.domains.ghost[-1])
 
     def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
-        if self.clusters.origins is self.clusters.positions:
-            self._keep_origins()
+        if self.clusters.origins is self.clusters.positions:  # from now on they are not the same
+            origins = self._memory.array("origins", np.float64, len(self.clusters.positions))
+            origins[:] = self.clusters.positions
+            self.clusters = self.clusters._replace(origins=origins)
+            self._arrange_building()
         strained(self._blocks(self.clusters.origins), strain, self._blocks(self.clusters.positions))
         if self._images is not None:
             self._images.take(cell)
@@ -237,41 +204,19 @@ class ClusterList(VerletList):
         if self._is_mixed:
             self.memory.shift[:] = np.rint(self._shifts / self._unit)
         self.rows.limits2[:] = [self._limit2(width) for width in self._widths]
-        if self._region is not None and moved_columns(self._columns, self._columns_in(cell, self._region)):
+        if self._region is not None and self._columns.move_to(self._columns_in(cell, self._region)):
             self._columns_of = cell, self._region
-
-    def _keep_origins(self) -> None:
-        """Memory of their own for the origins of clusters, of which the positions so far are a copy."""
-        origins = self._memory.array("origins", np.float64, len(self.clusters.positions))
-        origins[:] = self.clusters.positions
-        self.clusters = self.clusters._replace(origins=origins)
-        self._arrange_building()
-
-    def _make_clusters(self) -> None:
-        """Memory for other columns."""
-        self.domains = make_domains(self._columns, self._n_atoms)
-        self.n_domains = len(self.domains.first)
-        self._needed = np.zeros(self.n_domains, dtype=np.int64)
-        self._arrange()
 
     def _make_room(self, _answer: int = 0) -> None:
         """More memory, after a build that has found how much it needs."""
-        self._columns_of, columns_of = (
-            None,
-            self._columns_of,
-        )  # what follows may fail: there must be a whole list or none
+        self._columns_of, columns_of = None, self._columns_of  # what follows may fail: a whole list or none
         window = self.domains.window
         needed = self.n_ghosts, int(window[-1]), int(self.domains.numbers[BLOCKS])
-        widest, is_enough = (
-            int(np.diff(window).max()),
-            all(n <= room for n, room in zip(needed, self._room, strict=True)),
-        )
-        if widest > GHOST_BITS:
-            raise ValueError(
-                f"cluster lists hold up to {GHOST_BITS} ghost clusters of a domain, this scene needs {widest}: "
-                "simulate fewer atoms"
-            )
-        self._room = tuple(room if n <= room else with_room(n) for n, room in zip(needed, self._room, strict=True))
+        if (widest := int(np.diff(window).max())) > GHOST_BITS:
+            most = f"{GHOST_BITS} ghost clusters of a domain"
+            raise ValueError(f"cluster lists hold up to {most}, this scene needs {widest}: simulate fewer atoms")
+        room = tuple(room if n <= room else with_room(n) for n, room in zip(needed, self._room, strict=True))
+        is_enough, self._room = room == self._room, room
         if len(self._entry_start) != self.n_domains + 1:
             self._make_entries(np.diff(self.domains.cluster) * self.lanes.size * ENTRIES_GUESSED)
         elif is_enough:
@@ -283,18 +228,10 @@ class ClusterList(VerletList):
         """Room for so many entries of each domain."""
         start, most = np.concatenate([[0], np.cumsum(room)]), np.iinfo(np.int32).max
         if start[-1] > most:
-            raise ValueError(
-                f"cluster lists hold up to {most} entries, this scene needs {start[-1]}: reduce cutoff or skin, or "
-                "simulate fewer atoms"
-            )
+            cure = "reduce cutoff or skin, or simulate fewer atoms"
+            raise ValueError(f"cluster lists hold up to {most} entries, this scene needs {start[-1]}: {cure}")
         self._entry_start = start
-        del (
-            self._entries,
-            self._bins,
-            self.rows,
-            self.arrays,
-            self.building,
-        )  # they hold the old memory, and _arrange takes the new
+        del self._entries, self._bins, self.rows, self.arrays, self.building  # they hold the old memory
 
     def _arrange(self) -> None:
         """All arrays, with the room that there is now."""
@@ -303,44 +240,35 @@ class ClusterList(VerletList):
         stops = self._memory.array("row stops", np.int32, LAYERS * len(start), spare=self._spare).reshape(LAYERS, -1)
         reaches2, limits2 = (self.cutoff + self._widths) ** 2, (0.5 * self._widths) ** 2
         self.rows = Rows(start, stops, self._entries, reaches2, np.zeros(LAYERS), limits2, self._layers)
-        number, n_block = (
-            np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64,
-            self.lanes.size * DIMENSIONS,
-        )
-        forces = self._memory.array("forces", number, self._room[2] * n_block, in_page=HALF_A_PAGE, spare=1.0)
+        number = np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64
+        n_forces = self._room[2] * self.lanes.size * DIMENSIONS
+        forces = self._memory.array("forces", number, n_forces, in_page=HALF_A_PAGE, spare=1.0)
         first_sum = self._memory.array("first sum", np.int64, self._room[1] if self._is_fixed else 0)
-        net, coordinates, shift = (
-            np.zeros((self.n_domains if self._is_mixed or self._is_fixed else 0, 3)),
-            self._exact,
-            self._shifts,
-        )
+        net = np.zeros((self.n_domains if self._is_mixed or self._is_fixed else 0, 3))
+        coordinates, shift = self._exact, self._shifts
         if self._is_mixed:
-            coordinates, shift = (
-                self._memory.array("grid", np.int32, len(self._exact), spare=1.0),
-                np.zeros((IMAGES, 3), dtype=np.int32),
-            )
+            coordinates = self._memory.array("grid", np.int32, len(self._exact), spare=1.0)
+            shift = np.zeros((IMAGES, 3), dtype=np.int32)
         needed = np.zeros(self.n_domains, dtype=np.int64)
         self.memory = Memory(coordinates, shift, self._origin, self._unit, forces, first_sum, self._far, net, needed)
         self._arrange_building()
 
     def _arrange_building(self) -> None:
         """What operations and the loop get."""
-        self.arrays = ClusterArrays(
-            self.clusters, self.domains.cluster, self.domains, self.ghosts, self.rows, self.memory
-        )
+        parts = self.clusters, self.domains.cluster, self.domains, self.ghosts, self.rows, self.memory
+        self.arrays = ClusterArrays(*parts)
         layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, self._exact, self._shifts)
         goes_along = self._pool.n_threads == 1 and not (self._is_mixed or self._is_fixed)
         n_columns = min(int(self._columns.counts[0]), MOST_CHUNKS)
-        parts = self._positions, self.arrays, self._bins, layout, self._room[2], n_columns, int(goes_along)
+        work = self._positions, self.arrays, self._bins, layout, self._room[2], n_columns, int(goes_along)
         excluded = NO_PARTNERS if self._excluded is None else self._excluded
         widths = self.cutoff, self.skin, COARSEST * self.cutoff
-        self.building = Building(*parts, self._entry_start, self._needed, excluded, self._slot_of, self._images, widths)
+        self.building = Building(*work, self._entry_start, self._needed, excluded, self._slot_of, self._images, widths)
         self.n_arranged += 1
 
     @property
     def _spare(self) -> float:
-        """Room to spare where there is enough for all atoms, however they stand: for other columns,
-        which are needed where columns go along with the atoms."""
+        """Room to spare where there is enough for atoms however they stand: for columns that go along with them."""
         return 1.0 if self._columns.is_crossed.all() else SPARE
 
     def _share_memory(self) -> None:
@@ -349,31 +277,21 @@ class ClusterList(VerletList):
         Atoms are sorted where the entries are written afterwards.
         """
         memory, spare, (n_ghosts, n_in_windows, _) = self._memory, self._spare, self._room
-        n_clusters, n_coordinates = (
-            most_clusters(self._n_atoms, self._columns, self.lanes),
-            n_ghosts * self.lanes.size * DIMENSIONS,
+        n_lanes, n_block = self.lanes.size, self.lanes.size * DIMENSIONS
+        n_columns = int(self._columns.counts[0] * self._columns.counts[1])  # each may have a cluster that is not full
+        n_clusters = (self._n_atoms + n_columns * (n_lanes - 1)) // n_lanes
+        own, heights, boxes = (
+            (np.float64, shape) for shape in ((n_clusters * n_block,), (n_clusters,), (n_clusters, 6))
         )
-        own, exact = (
-            (np.float64, (n_clusters * self.lanes.size * DIMENSIONS,)),
-            (np.float64, (n_coordinates if self._is_mixed else 0,)),
-        )
-        always, search = clusters_for_build(n_clusters), (*ghosts_for_search(n_ghosts, n_in_windows), exact)
-        (bottom, top, boxes, *for_search, in_mixed), (self.idle,) = memory.overlaid(
-            "scratch", (*always, *search), (own,), spare=spare
-        )
-        n_entries = max(int(self._entry_start[-1]), n_clusters * self.lanes.size * ENTRIES_GUESSED) + AHEAD
-        bins, (self._entries,) = memory.overlaid(
-            "entries", bins_for_sort(self._n_atoms, self._columns), ((np.uint32, (n_entries,)),), spare=1.0
-        )
-        self._bins, self._exact = (
-            Binned(*bins),
-            in_mixed if self._is_mixed else memory.array("coordinates", np.float64, n_coordinates, spare=1.0),
-        )
-        self.clusters = make_clusters(n_clusters, self._columns, self.lanes, (bottom, top, boxes), memory, spare)
+        exact = (np.float64, (n_ghosts * n_block if self._is_mixed else 0,))
+        search = heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows), exact
+        found, (self.idle,) = memory.overlaid("scratch", search, (own,), spare=spare)
+        bottom, top, boxes_now, *for_search, self._exact = found
+        if not self._is_mixed:
+            self._exact = memory.array("coordinates", np.float64, n_ghosts * n_block, spare=1.0)
+        n_entries = max(int(self._entry_start[-1]), n_clusters * n_lanes * ENTRIES_GUESSED) + AHEAD
+        sort, entries = bins_for_sort(self._n_atoms, self._columns.counts), ((np.uint32, (n_entries,)),)
+        bins, (self._entries,) = memory.overlaid("entries", sort, entries, spare=1.0)
+        self._bins = Binned(*bins)
+        self.clusters = make_clusters(n_clusters, self._columns, self.lanes, (bottom, top, boxes_now), memory, spare)
         self.ghosts = make_ghosts(n_clusters, n_ghosts, n_in_windows, for_search, memory)
-
-
-def far(n_lanes: int) -> NDArray[np.float64]:
-    """Memory.far for all sets of n lanes; bit k of the number of a set stands for lane k."""
-    sets = np.arange(1 << n_lanes)[:, None] >> np.arange(n_lanes) & 1
-    return np.where(sets, 0.0, np.inf).ravel()

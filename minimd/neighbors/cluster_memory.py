@@ -16,15 +16,12 @@ GRID = 2.0**31  # steps of the coordinates in mixed precision, from one end of t
 
 
 class Memory(ByAddress, namedtuple("Memory", "coordinates shift origin unit forces first_sum far net layers")):
-    """What the loop reads and writes; coordinates are in the precision of the pair arithmetic,
-    see separation in cluster_loop.
+    """What the loop reads and writes; coordinates have the precision of the pair arithmetic, see cluster_loop.
 
     coordinates, forces : flat, a block for each ghost, and for each ghost in a window.
-    shift : (IMAGES, 3) of each image, as the coordinates.  origin : (3,) [length] and unit : (1,) [length]:
-        coordinate = (x − origin) / unit.
+    shift : (IMAGES, 3), as the coordinates, which are (x − origin) / unit.  origin : (3,), unit : (1,) [length].
     first_sum : (W,) int64, what sums of forces begin with in fixed-point arithmetic, filled by the loop; else empty.
-    far : flat, n numbers for each set of lanes: 0 for lanes in it, ∞ for others,
-        which are then infinitely far [length²].
+    far : flat, n numbers for each set of lanes, the bits of its number: 0 for those in it, ∞ for others [length²].
     net : (K, 3); in mixed precision the sum of the forces on the atoms of each domain [energy/length]; in fixed-point
         arithmetic not zero where a force of the domain (first column) has left its range.
     layers : (K,) int, how many layers of the rows the atoms of each domain need.
@@ -58,12 +55,8 @@ def place(k, arrays, at):
 
     Indices are unsigned: none counts from the end.
     """
-    ghosts, memory, lanes, n_lanes = (
-        arrays.ghosts,
-        arrays.memory,
-        arrays.clusters.lanes,
-        np.uintp(count(arrays.clusters.lanes)),
-    )
+    ghosts, memory, lanes = arrays.ghosts, arrays.memory, arrays.clusters.lanes
+    n_lanes = np.uintp(count(lanes))
     like, block = load(memory.coordinates, 0, lanes), np.uintp(DIMENSIONS) * n_lanes
     x, y, z = offsets_of(np.uintp(k) * block, arrays.clusters)
     x = coordinate(at[0] + x, memory.origin[0], memory.unit[0], like)
@@ -79,8 +72,7 @@ def place(k, arrays, at):
 
 @by_type
 def coordinate(x, origin, unit, like):
-    """A vector of coordinates x [length] as an array of coordinates holds it, see Memory; like :
-    a vector from that array."""
+    """A vector of coordinates x [length] as an array of coordinates holds it, see Memory; like : a vector of those."""
     if like.is_float:
         return lambda x, origin, unit, like: x
     lanes = x.lanes
@@ -99,17 +91,12 @@ def clear(domain, arrays):
 
     Who adds to them does so, and has them in its cache then.
     """
-    lanes, n_lanes, forces, domains = (
-        arrays.clusters.lanes,
-        count(arrays.clusters.lanes),
-        arrays.memory.forces,
-        arrays.domains,
-    )
+    lanes, forces, domains = arrays.clusters.lanes, arrays.memory.forces, arrays.domains
     first = domains.place[domain]
     for block in range(first, first + domains.window[domain + 1] - domains.window[domain]):
         nothing = broadcast(_first_sum(block, arrays.memory.first_sum, forces), load(forces, 0, lanes))
         for c in range(DIMENSIONS):
-            store(forces, (block * DIMENSIONS + c) * n_lanes, nothing)
+            store(forces, (block * DIMENSIONS + c) * count(lanes), nothing)
 
 
 @by_type
@@ -122,8 +109,7 @@ def _first_sum(block, first_sum, forces):
 
 @scalar
 def collected(k, arrays):
-    """The forces on the atoms of cluster k, sums of those on its ghosts in all windows: vectors x, y,
-    z in double precision, or of int64."""
+    """The forces on the atoms of cluster k, sums over its ghosts in all windows: vectors x, y, z, float64 or int64."""
     ghosts, forces, lanes = arrays.ghosts, arrays.memory.forces, arrays.clusters.lanes
     block, first = np.uintp(DIMENSIONS * count(lanes)), np.uintp(ghosts.part_start[k])
     x, y, z = loaded(forces, np.uintp(ghosts.parts[first]) * block, lanes)

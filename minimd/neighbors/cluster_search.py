@@ -34,34 +34,28 @@ WORD = 64  # candidates, one for each bit of a number
 AT_A_TIME = 4  # entries written without a branch
 SETS = np.arange(1 << BOXES)[:, None] >> np.arange(BOXES) & 1 == 1  # of boxes, row k those whose bits are set in k
 HOW_MANY = SETS.sum(axis=1)
-SET_BITS = (
-    np.argsort(~SETS, axis=1, kind="stable").astype(np.int32).ravel()
-)  # their numbers, in ascending order, and then the others
+SET_BITS = np.argsort(~SETS, axis=1, kind="stable").astype(np.int32).ravel()  # their numbers, and then the others
 ROUNDED_UP = 1.0 + 1e-6  # the squared reach, in units of itself, by the rounding of float32
 
 
 class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 limits2_at_build layers")):
-    """Clusters near each atom, in layers: entries[start[s] : stops[l,
-    s]] are those that have an atom within reach l of the atom in slot s.
+    """Clusters near each atom, in layers: entries[start[s] : stops[l, s]] have an atom within reach l of the one in s.
 
     start : (slots,) int.  stops : (LAYERS, slots) int.
-    entries : (E,) uint32, the number of a ghost in the window of the domain,
-        and above its 24 bits one for each lane that counts.
+    entries : (E,) uint32, the number of a ghost in the window of the domain, and above its 24 bits one for each lane.
     reaches2 : (LAYERS,) squared, from the shortest to the longest [length²].
     limits2 : (LAYERS,) squared distances that an atom may move before another layer is needed, or a new list [length²].
     limits2_at_build : the same as long as the cell has not been strained since.
     layers : (3,) int: how many layers are IN_USE, 0 if there is no list; the number of BUILDS so far; and, for the loop
         over clusters, for which of them, see prepare_loop, it is prepared.
-    After the last entry there is memory for AHEAD more, because some read ahead. The loop reads one of them,
-    which must name a ghost.
+    After the last entry there is memory for AHEAD more: some read ahead. The loop reads one: it must name a ghost.
     """
 
 
 class Work(namedtuple("Work", "ahead candidates entries near")):
     """Memory for the search of one cluster. Ghosts are numbered as in GhostClusters, but for those in entries.
 
-    ahead : (runs, 2) int, first and last ghost of each run ahead.  candidates, entries : (M,) ghosts,
-        and the entries they become.
+    ahead : (runs, 2) int, first and last ghost of each run ahead.  candidates, entries : (M,) ghosts, their entries.
     near : flat int64, for each WORD candidates, each layer and each lane of the cluster a number: bit b is set if
         candidate b stands in that layer of the row of the atom in that lane.
     """
@@ -76,20 +70,13 @@ def make_work(layout):
     for k in range(domains.first.size):
         n = max(n, domains.window[k + 1] - domains.window[k])
     ahead, candidates = np.empty((n_runs, 2), dtype=np.int64), np.empty(n + BOXES, dtype=np.int32)
-    return Work(
-        ahead,
-        candidates,
-        np.empty(n + WORD + 1, dtype=np.uint32),
-        np.empty((n // WORD + 1) * LAYERS * n_lanes, dtype=np.int64),
-    )
+    entries, near = np.empty(n + WORD + 1, dtype=np.uint32), (n // WORD + 1) * LAYERS * n_lanes
+    return Work(ahead, candidates, entries, np.empty(near, dtype=np.int64))
 
 
 @scalar
 def find_rows(domain, layout, rows, room, work):
-    """Write the rows of one domain; return how many entries there are, or more than that if there is not enough room.
-
-    room : first and last of the domain's entries.
-    """
+    """Write the rows of a domain; return how many entries there are, more if there is no room (first, last)."""
     columns, domains, column_start = layout.columns, layout.domains, layout.clusters.column_start
     depth, ahead, (first, last) = columns.reach[1], work.ahead, room
     n_entries = first
@@ -113,30 +100,24 @@ def find_rows(domain, layout, rows, room, work):
 
 @scalar
 def _candidates(k, n_ahead, layout, work):
-    """Ghosts ahead of cluster k whose boxes are within reach; returns how many.
-
-    The first ghost of each run moves up with k.
-    """
-    ghosts, along, limit2, ahead, candidates = (
-        layout.ghosts,
-        layout.columns.along[2],
-        np.float32(ROUNDED_UP),
-        work.ahead,
-        work.candidates,
-    )
+    """Ghosts ahead of cluster k whose boxes are within reach; how many. The first of each run moves up with k."""
+    ghosts, ahead, candidates = layout.ghosts, work.ahead, work.candidates
+    along, limit2 = layout.columns.along[2], np.float32(ROUNDED_UP)
     boxes, bottom, top, i = ghosts.boxes, ghosts.bottom, ghosts.top, ghosts.home[k]
     low, high = bottom[i] - along, top[i] + along
-    own, stride = _box(boxes, i), boxes.size // SIDES
-    n = 0
+    n, stride, like = 0, boxes.size // SIDES, load(boxes, 0, BOXES)
+    x_low, x_high = broadcast(boxes[i], like), broadcast(boxes[i + 3 * stride], like)
+    y_low, y_high = broadcast(boxes[i + stride], like), broadcast(boxes[i + 4 * stride], like)
+    z_low, z_high = broadcast(boxes[i + 2 * stride], like), broadcast(boxes[i + 5 * stride], like)
     for run in range(n_ahead):
         j, last = ahead[run, 0], ahead[run, 1]
         while j < last and top[j] < low:
             j += 1
         ahead[run, 0] = j
         while j < last and bottom[j] <= high:
-            x = _gap(boxes, j, stride, own[0], own[3])
-            y = _gap(boxes, j + stride, stride, own[1], own[4])
-            z = _gap(boxes, j + 2 * stride, stride, own[2], own[5])
+            x = _gap(boxes, j, stride, x_low, x_high)
+            y = _gap(boxes, j + stride, stride, y_low, y_high)
+            z = _gap(boxes, j + 2 * stride, stride, z_low, z_high)
             near = bits_from_mask(fma(x, x, fma(y, y, z * z)) < limit2) & (1 << min(BOXES, last - j)) - 1
             numbers = load(SET_BITS, near * BOXES, BOXES)
             store(candidates, n, numbers + j)
@@ -146,29 +127,8 @@ def _candidates(k, n_ahead, layout, work):
 
 
 @scalar
-def _box(boxes, i):
-    """The six sides of box i, each in all lanes of a vector."""
-    like, stride = load(boxes, 0, BOXES), boxes.size // SIDES
-    x_low, y_low, z_low = (
-        broadcast(boxes[i], like),
-        broadcast(boxes[i + stride], like),
-        broadcast(boxes[i + 2 * stride], like),
-    )
-    i += 3 * stride
-    return (
-        x_low,
-        y_low,
-        z_low,
-        broadcast(boxes[i], like),
-        broadcast(boxes[i + stride], like),
-        broadcast(boxes[i + 2 * stride], like),
-    )
-
-
-@scalar
 def _gap(boxes, j, stride, low, high):
-    """Distances along one axis, in units of the reach, from an interval, low to high, to those of BOXES boxes;
-    0 where they overlap."""
+    """Distances along one axis [reach] from an interval, low to high, to those of BOXES boxes; 0 where they overlap."""
     return max(0.0, max(load(boxes, j, BOXES) - high, low - load(boxes, j + 3 * stride, BOXES)))
 
 
@@ -176,9 +136,7 @@ def _gap(boxes, j, stride, low, high):
 def _prune(k, n, domain, layout, rows, room, work):
     """Write the rows of the atoms of cluster k: k itself, then those of the n candidates that are within reach.
 
-    Returns the end of the entries.
-
-    room : first and last of the entries that are left.
+    room : first and last of the entries that are left.  Returns the end of the entries.
     """
     n_lanes, filled, (n_entries, last) = count(layout.clusters.lanes), layout.clusters.filled[k], room
     most = n_lanes * (n + 1) + AT_A_TIME
@@ -196,9 +154,8 @@ def _prune(k, n, domain, layout, rows, room, work):
         end += np.uintp(later != 0)
         for layer in range(LAYERS):
             for first in range(0, n if lane < filled else 0, WORD):
-                end = _append(
-                    work, first, work.near[(first // WORD * LAYERS + layer) * n_lanes + lane], rows.entries, end
-                )
+                near = work.near[(first // WORD * LAYERS + layer) * n_lanes + lane]
+                end = _append(work, first, near, rows.entries, end)
             rows.stops[layer, k * n_lanes + lane] = end
     return np.int64(end)
 
@@ -227,10 +184,7 @@ def _own_lanes_near(home, lane, layout, reach2):
 
 @scalar
 def _append(work, first, near, entries, end):
-    """Append those of WORD candidates, from the first on, whose bits in near are set.
-
-    Returns the end of the entries.
-    """
+    """Append those of WORD candidates, from the first on, whose bits in near are set; the end of the entries."""
     bits = np.uint64(near)
     while True:
         for _ in range(AT_A_TIME):  # without a branch: what is one too many is overwritten by the next
@@ -243,19 +197,10 @@ def _append(work, first, near, entries, end):
 
 @scalar
 def _find_near(k, n, domain, layout, reaches2, work):
-    """Which of the n candidates stand in which layers of the rows of the atoms of cluster k: work.near; their entries:
-    work.entries."""
-    ghosts, coordinates, lanes, n_lanes = (
-        layout.ghosts,
-        layout.coordinates,
-        layout.clusters.lanes,
-        count(layout.clusters.lanes),
-    )
-    block, first_seen, window = (
-        np.uintp(DIMENSIONS * n_lanes),
-        np.uintp(layout.domains.first[domain]),
-        np.uintp(layout.domains.window[domain]),
-    )
+    """work.near : which of the n candidates stand in which layers of the rows of cluster k; work.entries : of them."""
+    ghosts, coordinates, lanes = layout.ghosts, layout.coordinates, layout.clusters.lanes
+    n_lanes, first_seen = count(lanes), np.uintp(layout.domains.first[domain])
+    block, window = np.uintp(DIMENSIONS * n_lanes), np.uintp(layout.domains.window[domain])
     x, y, z = loaded(coordinates, np.uintp(ghosts.home[k]) * block, lanes)
     none = broadcast(0, load(work.near, 0, lanes))
     for first in range(0, n, WORD):
@@ -278,34 +223,8 @@ def _find_near(k, n, domain, layout, reaches2, work):
 
 
 @scalar
-def find_slots(domain, layout, slot_of):
-    """slot_of : (N,) int, output, the slot of each atom of a domain."""
-    clusters, domain_start, n_lanes = layout.clusters, layout.domains.cluster, count(layout.clusters.lanes)
-    for slot in range(domain_start[domain] * n_lanes, domain_start[domain + 1] * n_lanes):
-        if slot % n_lanes < clusters.filled[slot // n_lanes]:
-            slot_of[clusters.atom[slot]] = slot
-
-
-@scalar
-def exclude_partners(domain, layout, image, partners, slot_of, rows):
-    """Clear the lane of each excluded partner, at its nearest image, in the row where the pair is listed.
-
-    image : lattice, inverse, pbc, safe_distance2 of Cell.  partners : see find_pairs.  slot_of : see find_slots.
-    """
-    clusters, domain_start, (start, values) = layout.clusters, layout.domains.cluster, partners
-    n_lanes = count(clusters.lanes)
-    for k in range(domain_start[domain], domain_start[domain + 1]):
-        for slot in range(k * n_lanes, k * n_lanes + clusters.filled[k]):
-            i = clusters.atom[slot]
-            for p in range(
-                np.uintp(start[i]), np.uintp(start[i + 1])
-            ):  # unsigned: no check for indices that count from the end
-                _exclude(domain, slot, slot_of[np.uintp(values[p])], layout, image, rows)
-
-
-@scalar
-def _exclude(domain, slot, other, layout, image, rows):
-    """Clear the lane of the atom in slot other in the row of a slot, if it is there."""
+def exclude(domain, slot, other, layout, image, rows):
+    """Clear the lane of the atom in slot other in the row of a slot, if it is there.  image : see minimum_image."""
     ghosts, coordinates, n_lanes = layout.ghosts, layout.coordinates, count(layout.clusters.lanes)
     cluster, lane = other // n_lanes, np.uint32(other % n_lanes)
     own, home = ghosts.home[slot // n_lanes], ghosts.home[cluster]
@@ -338,16 +257,11 @@ def _ghost_of(domain, cluster, image, layout):
 
 @scalar
 def _find_entry(rows, slot, ghost):
-    """Where a ghost stands in the row of a slot; −1 if it does not.
-
-    Many entries are compared at a time, for most rows end soon.
-    """
+    """Where a ghost stands in the row of a slot, −1 if nowhere. Many entries are compared at a time."""
     start, stop = np.uintp(rows.start[slot]), np.uintp(rows.stops[LAYERS - 1, slot])
     while start < stop:
-        first, second = (
-            load(rows.entries, start, BOXES) & GHOST_BITS,
-            load(rows.entries, start + np.uintp(BOXES), BOXES) & GHOST_BITS,
-        )
+        first = load(rows.entries, start, BOXES) & GHOST_BITS
+        second = load(rows.entries, start + np.uintp(BOXES), BOXES) & GHOST_BITS
         bits = bits_from_mask(first == ghost) | bits_from_mask(second == ghost) << BOXES
         place = start + trailing_zeros(np.uint64(bits))
         if bits != 0:

@@ -23,8 +23,8 @@ from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.simd import load, with_lane
 from minimd.compiled.simd.lanes import Lanes, count
-from minimd.neighbors.binning import ATOMS_PER_BIN, WIDER, counting_sort, into_cell
-from minimd.neighbors.buffers import Buffers, Fields
+from minimd.neighbors.buffers import Buffers
+from minimd.neighbors.search import ATOMS_PER_BIN, WIDER, into_cell
 from minimd.structure.cell import Cell
 from minimd.structure.system import local_density
 
@@ -49,6 +49,14 @@ class Columns(
     origin, extent : (3,) fractional coordinates of that part; 0 and 1 where is_crossed. In periodic directions
         atoms are in the cell that begins at the origin.
     """
+
+    def move_to(self, to: "Columns") -> bool:
+        """Whether there are as many columns in another cell, or elsewhere; then they move there, in the same arrays."""
+        if not all(np.array_equal(a, b) for a, b in zip(self[:N_FIXED], to[:N_FIXED], strict=True)):
+            return False
+        for a, b in zip(self[N_FIXED:], to[N_FIXED:], strict=True):
+            a[:] = b
+        return True
 
 
 class Clusters(
@@ -81,8 +89,7 @@ class Wrapping(namedtuple("Wrapping", "inverse periodic lattice origin")):
 
 @scalar
 def offsets_of(start, clusters):
-    """Lattice vectors that bring the atoms of a cluster into the cell: vectors x, y, z [length].  start :
-    of its block."""
+    """Lattice vectors that bring the atoms of the block at start into the cell: vectors x, y, z [length]."""
     (inverse, periodic, lattice, origin), (x, y, z) = clusters.wrapping, loaded(clusters.origins, start, clusters.lanes)
     a = -np.floor(x * inverse[0, 0] + y * inverse[1, 0] + z * inverse[2, 0] - origin[0]) * periodic[0]
     b = -np.floor(x * inverse[0, 1] + y * inverse[1, 1] + z * inverse[2, 1] - origin[1]) * periodic[1]
@@ -93,8 +100,7 @@ def offsets_of(start, clusters):
 
 
 def region_of(cell: Cell, positions: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
-    """Where atoms are: (7,) origin and extent of Columns; and how many atoms the cell would have,
-    were it everywhere as dense as around them.
+    """Where atoms are: (7,) origin and extent of Columns; and how many atoms a cell as dense everywhere would have.
 
     On both sides there is room for half the reach. A periodic direction is crossed and covered as a whole, unless there
     is a gap in it that leaves a reach between the two ends of the region.
@@ -130,8 +136,7 @@ def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: N
 
 @kernel
 def columns_fit(positions, columns):
-    """Whether atoms at positions (N, 3) are still where columns are: else some pairs may be missed,
-    or the search is slow.
+    """Whether atoms at positions (N, 3) are where columns are; else pairs are missed, or the search is slow.
 
     In each direction that is not crossed, they fill the region up to a reach at most on either side; where it is
     periodic, its ends are a reach apart through the gap.
@@ -150,26 +155,10 @@ def columns_fit(positions, columns):
     return True
 
 
-def moved_columns(columns: Columns, to: Columns) -> bool:
-    """Whether there are as many columns in another cell, or at other places; then they are moved there,
-    in the same arrays."""
-    stay, move = columns[:N_FIXED], columns[N_FIXED:]
-    if not all(np.array_equal(a, b) for a, b in zip(stay, to[:N_FIXED], strict=True)):
-        return False
-    for a, b in zip(move, to[N_FIXED:], strict=True):
-        a[:] = b
-    return True
-
-
-def most_clusters(n_atoms: int, columns: Columns, lanes: Lanes) -> int:
-    """Clusters of so many atoms, however they stand: each column may have one that is not full."""
-    return (n_atoms + int(columns.counts[0] * columns.counts[1]) * (lanes.size - 1)) // lanes.size
-
-
 def make_clusters(
     n_clusters: int, columns: Columns, lanes: Lanes, for_build: Sequence[NDArray], memory: Buffers, spare: float
 ) -> Clusters:
-    """Arrays with room for so many.  for_build : those of clusters_for_build.  spare : see Buffers.array."""
+    """Arrays with room for so many.  for_build : bottom, top, boxes.  spare : see Buffers.array."""
     n_slots, array = n_clusters * lanes.size, partial(memory.array, spare=spare)
     column_start = array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1)
     atom, filled = array("atom", np.int32, n_slots), array("filled", np.int32, n_clusters)
@@ -178,39 +167,8 @@ def make_clusters(
     return Clusters(lanes, atom, filled, at, at, wrapping, column_start, *for_build)
 
 
-def clusters_for_build(n_clusters: int) -> Fields:
-    """Those arrays of Clusters that are needed for a build only: bottom, top, boxes."""
-    return (np.float64, (n_clusters,)), (np.float64, (n_clusters,)), (np.float64, (n_clusters, 6))
-
-
-def bins_for_sort(n_atoms: int, columns: Columns) -> Fields:
-    """The arrays of Binned to sort so many atoms with. Its cells are left out: they are computed again."""
-    each, of_bins = (np.int32, (n_atoms,)), (np.int32, (int(columns.counts.prod()) + 1,))
-    return each, each, of_bins, of_bins, (np.float64, (0, 3)), (np.float64, (n_atoms,))
-
-
 @scalar
-def sort_into_columns(positions, columns, binned, clusters):
-    """Atoms into the bins of all columns; the first cluster of each column,
-    the second lattice direction running faster than the first."""
-    counts, column_start, n_lanes = columns.counts, clusters.column_start, count(clusters.lanes)
-    counting_sort(positions, columns.inverse, columns.pbc, columns, binned)
-    column_start[0] = 0
-    for column in range(counts[0] * counts[1]):
-        n = binned.bin_start[(column + 1) * counts[2]] - binned.bin_start[column * counts[2]]
-        column_start[column + 1] = column_start[column] + (n + n_lanes - 1) // n_lanes
-
-
-@scalar
-def fill_clusters(chunk, n, positions, columns, binned, clusters):
-    """The clusters of a chunk of n: some rows of columns along the second lattice vector."""
-    counts = columns.counts
-    for column in range(chunk * counts[0] // n * counts[1], (chunk + 1) * counts[0] // n * counts[1]):
-        _fill_column(column, positions, columns, binned, clusters)
-
-
-@scalar
-def _fill_column(column, positions, columns, binned, clusters):
+def fill_column(column, positions, columns, binned, clusters):
     """Sort the atoms of a column by height (they nearly are, being in bins), and cut them into clusters."""
     counts, lattice, order, height = columns.counts, columns.lattice, binned.order, binned.height
     n_lanes = count(clusters.lanes)
@@ -238,10 +196,8 @@ def _fill_column(column, positions, columns, binned, clusters):
                 place = (cluster * DIMENSIONS + c) * n_lanes + k
                 clusters.positions[place] = clusters.origins[place] = positions[i, c]
                 x = positions[i, c] + (a * lattice[0, c] + b * lattice[1, c] + d * lattice[2, c])
-                clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = (
-                    min(clusters.boxes[cluster, c], x),
-                    max(clusters.boxes[cluster, c + 3], x),
-                )
+                clusters.boxes[cluster, c] = min(clusters.boxes[cluster, c], x)
+                clusters.boxes[cluster, c + 3] = max(clusters.boxes[cluster, c + 3], x)
         cluster += 1
 
 
@@ -250,22 +206,15 @@ def gathered(k, clusters, of_atoms):
     """Three numbers of each atom of cluster k, from (N, 3): vectors of the first, of the second and of the third."""
     n_lanes, x = count(clusters.lanes), load(clusters.positions, 0, clusters.lanes)
     y, z = x, x
-    for k_lane in range(n_lanes):
-        i = np.uintp(clusters.atom[k * n_lanes + k_lane])
-        x, y, z = (
-            with_lane(x, k_lane, of_atoms[i, 0]),
-            with_lane(y, k_lane, of_atoms[i, 1]),
-            with_lane(z, k_lane, of_atoms[i, 2]),
-        )
+    for lane in range(n_lanes):
+        i = np.uintp(clusters.atom[k * n_lanes + lane])
+        x, y = with_lane(x, lane, of_atoms[i, 0]), with_lane(y, lane, of_atoms[i, 1])
+        z = with_lane(z, lane, of_atoms[i, 2])
     return x, y, z
 
 
 @scalar
 def loaded(blocks, start, lanes):
     """The vectors x, y, z of the block of a cluster, from index start on."""
-    n_lanes = np.uintp(count(lanes))
-    return (
-        load(blocks, start, lanes),
-        load(blocks, start + n_lanes, lanes),
-        load(blocks, start + n_lanes + n_lanes, lanes),
-    )
+    n = np.uintp(count(lanes))
+    return load(blocks, start, lanes), load(blocks, start + n, lanes), load(blocks, start + n + n, lanes)

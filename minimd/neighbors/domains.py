@@ -52,11 +52,9 @@ ATOMS_PER_DOMAIN = 800  # at least, on average: with fewer, handing out the work
 
 
 class Domains(ByAddress, namedtuple("Domains", "column cluster first window place numbers ghost")):
-    """column : (K + 1,) int, first column of each domain along the first lattice vector.  cluster : (K + 1,) int,
-    its first cluster.
+    """column, cluster : (K + 1,) int, first column of each domain along the first lattice vector, and first cluster.
 
-    first : (K,) int, the first ghost that it sees.  window : (K + 1,) int, how many ghosts the domains before it see,
-        all of them together.
+    first : (K,) int, the first ghost that it sees.  window : (K + 1,) int, how many all domains before it see together.
     place : (K,) int, the block of forces of its first ghost.
     numbers : (3,) int, LATE: how many of the domains, the first ones, wait until all forces are computed; all of them,
         unless one thread goes from domain to domain.  BLOCKS: how many blocks of forces there are.  GHOSTS: M.
@@ -69,8 +67,7 @@ class GhostClusters(
 ):
     """M ghosts of C clusters, and W of them in windows. Arrays have room for more.
 
-    owner : (M,) int, the cluster.  image : (M,) int, code of its image (a, b, c), which is 9 (a + 1) + 3 (b + 1)
-        + c + 1.
+    owner : (M,) int, the cluster.  image : (M,) int, code of its image (a, b, c): 9 (a + 1) + 3 (b + 1) + c + 1.
     bottom, top : (M,) fractional coordinates along the third lattice vector.
     boxes : flat float32, for each of the SIDES a row of at least M + BOXES numbers, in units of Columns.distance:
         any length has room.
@@ -78,8 +75,7 @@ class GhostClusters(
     home : (C,) int, the home of each cluster.
     is_used : (W + M,) bool, window after window, true for ghosts that stand in a row of the domain, and for its homes;
         then for each ghost whether it is used in any of them.
-    of : (U,) int, all ghosts that are used in some window, cluster by cluster, those of cluster k from start[k].
-        start : (C + 1,) int.
+    of : (U,) int, ghosts used in some window, by cluster, those of cluster k from start[k].  start : (C + 1,) int.
     parts : (P,) int, the blocks of the forces on them, likewise, from part_start[k].  part_start : (C + 1,) int.
     bottom, top, boxes, lanes and is_used are needed for a build only; afterwards their memory has other uses.
     """
@@ -93,8 +89,7 @@ class Layout(ByAddress, namedtuple("Layout", "columns clusters domains ghosts co
 
 
 def make_domains(columns: Columns, n_atoms: int) -> Domains:
-    """As many domains as have enough atoms each and are at least as wide as their rows look ahead;
-    the same for any number of threads."""
+    """As many domains, for any number of threads, as have enough atoms and are as wide as their rows look ahead."""
     across = int(columns.counts[0]) // max(1, int(columns.reach[0]))
     n_domains = max(1, min(n_atoms // ATOMS_PER_DOMAIN, across, MOST_CHUNKS))
     n_runs = int((columns.counts[0] + columns.reach[0]) * (columns.counts[1] + 2 * columns.reach[1]))
@@ -104,27 +99,16 @@ def make_domains(columns: Columns, n_atoms: int) -> Domains:
 
 def ghosts_for_search(n_ghosts: int, n_in_windows: int) -> Fields:
     """Those arrays of GhostClusters that are needed for a build only: bottom, top, boxes, lanes, is_used."""
-    heights = (np.float64, (n_ghosts,))
-    return (
-        heights,
-        heights,
-        (np.float32, (SIDES * (n_ghosts + BOXES),)),
-        (np.uint8, (n_ghosts,)),
-        (np.bool_, (n_in_windows + n_ghosts,)),
-    )
+    heights, boxes = (np.float64, (n_ghosts,)), (np.float32, (SIDES * (n_ghosts + BOXES),))
+    return heights, heights, boxes, (np.uint8, (n_ghosts,)), (np.bool_, (n_in_windows + n_ghosts,))
 
 
 def make_ghosts(
     n_clusters: int, n_ghosts: int, n_in_windows: int, for_search: Sequence[NDArray], memory: Buffers
 ) -> GhostClusters:
-    """Arrays with room for so many, to be filled by fill_ghosts and sort_ghosts.  for_search :
-    those of ghosts_for_search."""
+    """Arrays with room for so many, for fill_ghosts and sort_ghosts.  for_search : those of ghosts_for_search."""
     room = functools.partial(memory.array, spare=1.0)
-    owner, of, image = (
-        room("owner", np.int32, n_ghosts),
-        room("of", np.int32, n_ghosts),
-        room("image", np.uint8, n_ghosts),
-    )
+    (owner, of), image = (room(name, np.int32, n_ghosts) for name in ("owner", "of")), room("image", np.uint8, n_ghosts)
     home, start, part_start = (room(name, np.int32, n_clusters + 1) for name in ("home", "start", "part start"))
     parts = room("parts", np.int32, n_in_windows)
     bottom, top, boxes, lanes, is_used = for_search
@@ -135,18 +119,14 @@ def make_ghosts(
 def cut_into_domains(clusters, columns, domains, goes_along):
     """Fill Domains: which columns and clusters each has, and which ghosts it sees.
 
-    goes_along : whether one thread goes from domain to domain;
-        the forces of a window then take the place of those that are needed no more.
+    goes_along : whether one thread goes from domain to domain: forces then take the place of those no longer needed.
     """
     counts, reach, column_start = columns.counts, columns.reach, clusters.column_start
     n_domains, n_clusters = domains.column.size - 1, column_start[counts[0] * counts[1]]
     x = 0
     for d in range(n_domains + 1):
-        while (
-            0 < d
-            and x < counts[0]
-            and (column_start[x * counts[1]] + column_start[(x + 1) * counts[1]]) * n_domains <= 2 * d * n_clusters
-        ):
+        share = 2 * d * n_clusters if d > 0 else -1
+        while x < counts[0] and (column_start[x * counts[1]] + column_start[(x + 1) * counts[1]]) * n_domains <= share:
             x += 1  # to the border nearest to d equal shares
         domains.column[d] = counts[0] if d == n_domains else x
         domains.cluster[d] = column_start[domains.column[d] * counts[1]]
@@ -162,17 +142,15 @@ def cut_into_domains(clusters, columns, domains, goes_along):
             run += 1
     for d in range(n_domains):
         domains.first[d] = domains.ghost[first_run(domains.column[d], columns)]
-        domains.window[d + 1] = (
-            domains.window[d] + domains.ghost[first_run(domains.column[d + 1] + reach[0], columns)] - domains.first[d]
-        )
+        last = domains.ghost[first_run(domains.column[d + 1] + reach[0], columns)]
+        domains.window[d + 1] = domains.window[d] + last - domains.first[d]
     domains.numbers[GHOSTS] = domains.ghost[run]
     _place_windows(columns, domains, goes_along)
 
 
 @scalar
 def _place_windows(columns, domains, goes_along):
-    """Where the forces of each window stand: each in a place of its own,
-    or all but the late ones in the places of those that are done."""
+    """Where the forces of each window stand: each by itself, or all but the late ones where others are done."""
     n, column, reach = domains.first.size, domains.column, columns.reach[0]
     n_late, n_open, widest, behind = 0, 1, 0, 0
     for d in range(n):
@@ -184,9 +162,8 @@ def _place_windows(columns, domains, goes_along):
         n_open = max(n_open, min(d, n - 1) + 1 - behind)
     is_less = goes_along > 0 and (n_late + n_open) * widest < domains.window[n]
     for d in range(n):
-        domains.place[d] = (
-            widest * (d if d < n_late else n_late + (d - n_late) % n_open) if is_less else domains.window[d]
-        )
+        place = d if d < n_late else n_late + (d - n_late) % n_open
+        domains.place[d] = widest * place if is_less else domains.window[d]
     domains.numbers[LATE] = max(1, n_late) if goes_along else n
     domains.numbers[BLOCKS] = (n_late + n_open) * widest if is_less else domains.window[n]
 
@@ -199,16 +176,11 @@ def first_run(x, columns):
 
 @scalar
 def _seen(run_x, run_y, image_z, clusters, columns):
-    """Clusters first to last of a column, inside the cell or beyond its faces, whose image can be seen from it;
-    the image's code."""
+    """Clusters first to last of a column, in the cell or beyond its faces, whose image it can see; the image's code."""
     counts, is_crossed = columns.counts, columns.is_crossed
     image_x, image_y = run_x // counts[0], run_y // counts[1]
     image = (image_x + 1) * 9 + (image_y + 1) * 3 + image_z + 1
-    if (
-        (image_x != 0 and not is_crossed[0])
-        or (image_y != 0 and not is_crossed[1])
-        or (image_z != 0 and not is_crossed[2])
-    ):
+    if (image_x and not is_crossed[0]) or (image_y and not is_crossed[1]) or (image_z and not is_crossed[2]):
         return 0, 0, image
     column = (run_x - image_x * counts[0]) * counts[1] + run_y - image_y * counts[1]
     first, last = clusters.column_start[column], clusters.column_start[column + 1]
@@ -221,10 +193,9 @@ def _seen(run_x, run_y, image_z, clusters, columns):
 
 @scalar
 def fill_ghosts(domain, layout):
-    """Write the ghosts of the columns of one domain, the last one's also those behind the last column;
-    and is_used of its window.
+    """Write the ghosts of the columns of a domain, of the last one also those behind the last column.
 
-    is_used is true for the domain's own clusters only; find_rows sets it for the others.
+    In its window is_used is then true for the domain's own clusters only; find_rows sets it for the others.
     """
     columns, clusters, domains, ghosts, coordinates, shifts = layout
     stride, unit = ghosts.boxes.size // SIDES, columns.distance
@@ -271,8 +242,7 @@ def fill_shifts(columns, shifts):
 
 @scalar
 def sort_ghosts(domains, ghosts):
-    """Fill ghosts.of, start, parts, part_start: what is used, cluster by cluster, window by window,
-    in the order of their numbers."""
+    """Fill ghosts.of, start, parts, part_start: what is used, by cluster, by window, in the order of their numbers."""
     owner, window, is_used = ghosts.owner, domains.window, ghosts.is_used
     n_ghosts, n_domains = domains.numbers[GHOSTS], domains.first.size
     somewhere = window[n_domains]  # behind the windows: whether a ghost is used in any of them

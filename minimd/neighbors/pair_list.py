@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import called_kernel
 from minimd.compiled.program import GO_ON, NEEDS_ROOM
-from minimd.neighbors.binning import make_grid, sort_into_bins
 from minimd.neighbors.buffers import SPARE
-from minimd.neighbors.search import bins_of, find_pairs
-from minimd.neighbors.verlet_list import VerletList, any_moved, partners, starts
+from minimd.neighbors.search import bins_of, find_pairs, make_grid, sort_into_bins
+from minimd.neighbors.verlet_list import VerletList, any_moved, partners, raise_not_finite, starts
 from minimd.structure.cell import Cell
 from minimd.structure.strain import strained
 from minimd.structure.system import System, local_density
@@ -64,8 +63,15 @@ class PairList(VerletList):
         is_same = self._cell is not None and (cell is self._cell or cell.same_as(self._cell))
         self.reach.limit2[0] = self.limit2 if is_same else NEVER
 
-    def _has_moved(self, positions: NDArray[np.float64]) -> bool:
-        return any_moved(positions, self._reference, self.limit2)
+    def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
+        """See VerletList."""
+        is_same = self._cell is not None and (cell is self._cell or cell.same_as(self._cell))
+        if is_same and not any_moved(positions, self._reference, self.limit2):
+            return False
+        self._cell = None  # no list until the new one is whole
+        raise_not_finite(positions)
+        self._build_in(cell, positions)
+        return True
 
     def _built_at(self) -> NDArray[np.float64]:
         return self._reference.copy() if self._original is None else self._original.copy()
@@ -106,20 +112,16 @@ class PairList(VerletList):
 
 
 def check_size(system: System, cutoff: float, skin: float) -> None:
-    """Raise ValueError for more pairs or images than a list can hold: for a huge reach in a small cell,
-    or a huge scene without cutoff."""
+    """Raise ValueError for more pairs or images than a list can hold: a huge reach, or a huge scene without cutoff."""
     n_atoms, reach, cell = len(system), cutoff + skin, system.cell
     n_pairs = 0.5 * n_atoms**2
     if reach < np.inf:
         in_reach = 0.5 * n_atoms * local_density(system.positions, cell, reach) * 4.0 / 3.0 * np.pi * reach**3
         n_pairs = in_reach if cell.is_periodic else min(n_pairs, in_reach)
     n_images = np.prod(2.0 * np.ceil(reach / cell.heights[cell.pbc]) + 1.0)
-    sizes: dict[str, tuple[float, int]] = {
-        "images of the cell": (float(n_images), MOST_IMAGES),
-        "pairs of an atom": (n_pairs / max(n_atoms, 1), MOST_OF_AN_ATOM),
-        "pairs": (n_pairs, MOST_PAIRS),
-    }
-    for name, (number, most) in sizes.items():
+    of_an_atom = ("pairs of an atom", n_pairs / max(n_atoms, 1), MOST_OF_AN_ATOM)
+    sizes = ("images of the cell", float(n_images), MOST_IMAGES), of_an_atom, ("pairs", n_pairs, MOST_PAIRS)
+    for name, number, most in sizes:
         if number > most:
             hint = f"reduce the cutoff ({cutoff:g})" if skin < cutoff else f"reduce the skin ({skin:g})"
             raise ValueError(f"pair lists hold up to {most:.1e} {name}, this scene needs about {number:.1e}: {hint}")

@@ -72,8 +72,7 @@ class ClosestPair(NamedTuple):
 
 
 def closest_pair(system: System) -> ClosestPair | None:
-    """The two atoms that are closest to each other; None for a single atom in an open
-    cell or where no distance is finite.
+    """The two closest atoms; None for a single atom in an open cell or where no distance is finite.
 
     First the closest pair within one cell, in N log N however uneven the atoms; then a closer one through an image,
     near the faces of the cell.
@@ -85,9 +84,8 @@ def closest_pair(system: System) -> ClosestPair | None:
     fractional = np.where(cell.pbc, fractional - np.floor(fractional), fractional)
     here = fractional @ cell.lattice
     best = _closest_of(here)
-    reach = BEYOND * min(
-        best.distance, float(np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf))
-    )  # an atom and its own image
+    own = float(np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf))  # an atom and its own image
+    reach = BEYOND * min(best.distance, own)
     from_faces = (np.minimum(fractional, 1.0 - fractional) * cell.heights)[:, cell.pbc]
     near = np.flatnonzero((from_faces <= reach).any(axis=1))
     if near.size and reach > 0.0:

@@ -23,11 +23,9 @@ def best_skin(cutoff: float, density: float, displacement: float, n_atoms: int, 
 
         cost(s) = step(c̄) + build(c) / n,   c = ρ (r_c + s)³,   n = s/2 / d steps between two builds
 
-    c̄ is the mean of ρ (r_c + s l/L)³ over L layers of a list, l = 1 … L,
-    of which one after the other is taken into use: c if there is one.
+    c̄ is the mean of ρ (r_c + s l/L)³ over the layers l = 1 … L of a list, taken into use one after the other.
 
-    cutoff : r_c [length].  density : ρ [1/length³].  displacement : d, of the fastest atom in a step [length].
-        layers : L.
+    cutoff : r_c [length].  density : ρ [1/length³].  displacement : d, of the fastest atom in a step.  layers : L.
     The costs were measured on the Lennard-Jones liquid with cluster lists; the minimum is flat.
     """
     if not displacement > 0.0:
@@ -36,9 +34,8 @@ def best_skin(cutoff: float, density: float, displacement: float, n_atoms: int, 
     crowd = density * (cutoff + skins) ** 3
     in_use = density * np.mean([(cutoff + skins * (layer / layers)) ** 3 for layer in range(1, layers + 1)], axis=0)
     builds = np.minimum(1.0, 2.0 * displacement / skins)  # in each step
-    cost = (
-        STEP_COST[0] + STEP_COST[1] * in_use + (BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms) * builds
-    )
+    build = BUILD_COST[0] + BUILD_COST[1] * crowd + CALLS_COST / n_atoms
+    cost = STEP_COST[0] + STEP_COST[1] * in_use + build * builds
     return float(skins[np.argmin(cost)])
 
 
@@ -60,8 +57,7 @@ class VerletList(ABC):
     """A list of all pairs within cutoff + skin, kept until an atom has moved by more than skin/2.
 
     Until then no pair that is not listed can have come within the cutoff: two atoms approach each other by at most the
-    skin. Displacements are true ones: an atom moved by a lattice vector has moved.  L. Verlet, Phys. Rev. 159,
-    98 (1967).
+    skin. True displacements count: an atom moved by a lattice vector has moved. L. Verlet, Phys. Rev. 159, 98 (1967).
 
     A list can follow a homogeneous strain F of cell and atoms, r → r F. Pairs that are not listed were farther apart
     than the reach R, so that they are now farther apart than s R, s being the smallest singular value of F. So the list
@@ -91,8 +87,11 @@ class VerletList(ABC):
         """List what is within cutoff + skin."""
 
     @abstractmethod
-    def _has_moved(self, positions: NDArray[np.float64]) -> bool:
-        """Whether an atom is farther than √limit2 from where it was at the last build, or its position is NaN."""
+    def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
+        """Build the list anew if it may miss a pair; True if it was built.
+
+        Raises NonFiniteError if a position is not finite.
+        """
 
     @abstractmethod
     def _built_at(self) -> NDArray[np.float64]:
@@ -100,14 +99,10 @@ class VerletList(ABC):
 
     @abstractmethod
     def _strain(self, strain: NDArray[np.float64], before: Cell, cell: Cell) -> None:
-        """Positions of the last build become r F, with F = strain (3, 3),
-        lattice vectors of the cell before those of a cell; then limit2 is set."""
+        """Positions of the last build become r F, F = strain (3, 3), lattice vectors of a cell new; limit2 is set."""
 
     def follow(self, cell: Cell) -> None:
-        """Adapt the list to a cell that was strained together with all positions.
-
-        The result depends on the cell alone.
-        """
+        """Adapt the list to a cell that was strained with all positions. The result depends on the cell alone."""
         if self._cell is None or self._built_in is None:
             return
         if not np.array_equal(cell.reduction, self._cell.reduction):
@@ -120,12 +115,8 @@ class VerletList(ABC):
 
     def built(self) -> Built:
         """What build_again needs to make the same list."""
-        return Built(
-            self.skin,
-            None if self._cell is None else self._built_at(),
-            None if self._cell is self._built_in else self._built_in,
-            self._region,
-        )
+        built_in = None if self._cell is self._built_in else self._built_in
+        return Built(self.skin, None if self._cell is None else self._built_at(), built_in, self._region)
 
     def build_again(self, built: Built, cell: Cell) -> None:
         """Build a list again; it must have the same skin."""
@@ -143,29 +134,13 @@ class VerletList(ABC):
     def settle(self) -> None:  # noqa: B027 - there may be nothing to do
         """After operations: take note of what they have done to the list."""
 
-    def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
-        """Build the list anew if it may miss a pair; True if it was built.
-
-        Raises NonFiniteError if a position is not finite.
-        """
-        is_same = cell is self._cell or (self._cell is not None and cell.same_as(self._cell))
-        if is_same and not self._has_moved(positions):
-            return False
-        self._cell = None  # no list until the new one is whole
-        raise_not_finite(positions)
-        self._build_in(cell, positions)
-        return True
-
 
 @kernel
 def any_moved(positions, reference, limit2):
     """True if an atom is farther than √limit2 from its reference position, or if its position is NaN."""
     for i in range(positions.shape[0]):
-        dx, dy, dz = (
-            positions[i, 0] - reference[i, 0],
-            positions[i, 1] - reference[i, 1],
-            positions[i, 2] - reference[i, 2],
-        )
+        dx, dy = positions[i, 0] - reference[i, 0], positions[i, 1] - reference[i, 1]
+        dz = positions[i, 2] - reference[i, 2]
         if not dx * dx + dy * dy + dz * dz <= limit2:
             return True
     return False
@@ -190,8 +165,7 @@ def raise_not_finite(positions: NDArray[np.float64]) -> None:
 
 
 def partners(pairs: NDArray[np.int64], n_atoms: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The partners of each atom in pairs (P, 2), as (start, values): those of atom a are values[start[a] :
-    start[a + 1]]."""
+    """Partners of each atom in pairs (P, 2): (start, values), those of atom a are values[start[a] : start[a + 1]]."""
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.argsort(both[:, 0], kind="stable")]
     return starts(both[:, 0], n_atoms), np.ascontiguousarray(both[:, 1])

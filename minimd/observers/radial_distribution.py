@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from minimd.compiled.kernels import kernel
 from minimd.engine.engine import Engine
-from minimd.neighbors.binning import make_grid, sort_into_bins
-from minimd.neighbors.search import atoms_in_reach, bins_of
+from minimd.neighbors.search import atoms_in_reach, bins_of, make_grid, sort_into_bins
 from minimd.observers.accumulator import Accumulator, ObservedRun, Result
 from minimd.observers.blocked_sums import BlockedSums
 from minimd.structure.checks import checked_count, checked_number

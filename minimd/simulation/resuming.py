@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from minimd.engine.engine import Snapshot
 from minimd.engine.observation import extras_in
-from minimd.engine.snapshots import Snapshot
 from minimd.forces.forces import Potential
 from minimd.structure.checks import checked_count
 from minimd.structure.console import outside_minimd

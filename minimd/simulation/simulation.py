@@ -15,11 +15,9 @@ from minimd.diagnosis.report import Report
 from minimd.diagnosis.reversibility import Reversibility, make_steps_back, probe
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.diagnosis.run_report import report_of
-from minimd.engine.engine import Engine
-from minimd.engine.engine_rows import simulation_rows
+from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.observation import check_extras, observe
 from minimd.engine.record import Frame, Record
-from minimd.engine.snapshots import Snapshot
 from minimd.files.crash_file import crash_file_left, crash_file_place
 from minimd.files.trajectory import Writer, first_h5md, open_trajectories
 from minimd.forces.forces import Potential
@@ -151,7 +149,7 @@ class Simulation(Closed, Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        return simulation_rows(self.engine)
+        return self.engine.display_rows()
 
     @classmethod
     def resume(

@@ -62,7 +62,8 @@ class ThreadPool:
 
     def __init__(self, n_threads: int) -> None:
         self.n_threads = n_threads
-        self._busy, self._calls, self._counters = threading.Lock(), DirectCalls(), no_counts()
+        self._code: Callable | None = None  # of run_operations
+        self._busy, self._counters = threading.Lock(), no_counts()
         self._task: tuple = ()
         self._core = -1
         self._wake = [threading.Lock() for _ in range(n_threads - 1)]
@@ -76,20 +77,22 @@ class ThreadPool:
 
     def run(self, operations: NDArray[np.int64], course: NDArray[np.int64]) -> int:
         """run_operations on this thread, and on the others as soon as they are awake; returns what it returns."""
-        code = self._calls.code(run_operations, Worker(self._counters, 0, self.n_threads), 0, operations, course)
+        if self._code is None:
+            worker = Worker(self._counters, 0, self.n_threads)
+            self._code = DirectCalls().code(run_operations, worker, 0, operations, course)
         with self._busy:
             first = (int(self._counters[OPEN]) >> 2 * BITS) + 1  # the number of the program: that of its first phase
             if first > MOST_PHASES:
                 self._counters, first = no_counts(), 1
             worker = Worker(self._counters, 0, self.n_threads)
-            self._task = self._counters, first, code, operations, course
+            self._task = self._counters, first, self._code, operations, course
             if self._helpers and HAS_AFFINITY:
                 self._keep_off_callers_core()
             for wake in self._wake:
                 if wake.locked():
                     wake.release()
             try:
-                return int(code(worker, first, operations, course))
+                return int(self._code(worker, first, operations, course))
             finally:
                 self._task = ()
 

@@ -160,7 +160,7 @@ def test_an_interrupt_before_the_kernel_leaves_the_team_usable(monkeypatch):
     for _ in range(50):
         found, done, _ = program(team, 5)
         with monkeypatch.context() as broken:
-            broken.setattr(team._calls, "code", lambda *of: interrupted)
+            broken.setattr(team, "_code", interrupted)
             with pytest.raises(KeyboardInterrupt):
                 found.run()
         counted(team, 9)

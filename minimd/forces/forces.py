@@ -251,7 +251,8 @@ class Forces:
 
     def follow_cell(self) -> None:
         """Bind the potentials again if the cell was changed."""
-        if not self.system.cell.same_as(self._planned_for):
+        cell = self.system.cell
+        if cell is not self._planned_for and not cell.same_as(self._planned_for):
             self._bind()
 
     def target(self, detail: int, unit: float = 1.0) -> Target:

@@ -158,6 +158,7 @@ class Steps:
         self._method, self._state, self._around, self._forces = method, state, around, forces
         self.counts, self._calls = np.zeros(5, dtype=np.int64), DirectCalls()
         self._counting, self._row = Counting(self.counts), merged(method.substeps)
+        self._first_unit = first_unit(method)
         self._head, self._rest = self._cut()
         self._last = next((one for one in self._rest[::-1] if isinstance(one, Force | Drift)), None)
         self._programs: dict[tuple[bool, bool], Program] = {}
@@ -170,7 +171,7 @@ class Steps:
         """
         if n_steps <= 0:
             return 0
-        state, last, unit = self._state, self._last, first_unit(self._method)
+        state, last, unit = self._state, self._last, self._first_unit
         if isinstance(state, GridState) and state.unit != unit:  # impulses over another time are none for these kicks
             state.forces_are_current, state.unit = False, unit
         self.counts[:UNTIL_BREATH] = 0, 1 if self._around.stop_requested else n_steps, first

@@ -156,8 +156,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
     coordinates = memory.coordinates[first * block :]  # of this window, as the forces
     forces = sums.forces[arrays.domains.place[domain] * block :]
     nothing, like = broadcast(0.0, load(forces, 0, lanes)), load(coordinates, 0, lanes)
-    reader = memory.far, memory.unit[0]
-    zero = convert(nothing, 0.0)
+    reader, zero = (memory.far, memory.unit[0]), convert(nothing, 0.0)
     own_share, scale = 0.5 if sums.detail == PER_ATOM else 1.0, scale_of(steps, like)
     limit2, stops = limit_of(steps), rows.stops[rows.layers[0] - 1]
     energy = xx = yy = zz = yz = xz = xy = zero

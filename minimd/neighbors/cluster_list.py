@@ -93,8 +93,8 @@ class ClusterList(VerletList):
 
     def ready(self, positions: NDArray[np.float64], cell: Cell) -> None:
         """Memory for operations on these positions in this cell. Without a list of this cell, they build one."""
-        is_same = self._cell is not None and (cell is self._cell or cell.same_as(self._cell))
-        if not is_same or self._columns_of is None or not cell.same_as(self._columns_of[0]):
+        of = (self._cell, None if self._columns_of is None else self._columns_of[0])
+        if not all(one is cell or (one is not None and cell.same_as(one)) for one in of):
             self._take(positions, cell)
         elif positions is not self._positions:
             self._positions = positions

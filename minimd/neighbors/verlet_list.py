@@ -115,7 +115,7 @@ class VerletList(ABC):
 
     def built(self) -> Built:
         """What build_again needs to make the same list."""
-        built_in = None if self._cell is self._built_in else self._built_in
+        built_in = None if self._cell is None or self._cell is self._built_in else self._built_in
         return Built(self.skin, None if self._cell is None else self._built_at(), built_in, self._region)
 
     def build_again(self, built: Built, cell: Cell) -> None:

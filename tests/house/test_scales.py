@@ -25,7 +25,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "engine": (1264, 6, 769),
     "ensemble": (1797, 10, 1005),
     "files": (3256, 20, 1798),
-    "forces": (1758, 11, 1001),
+    "forces": (1757, 11, 1000),
     "grade": (3168, 14, 1774),
     "integrators": (5444, 34, 2594),
     "lammps": (1984, 11, 1113),
@@ -38,7 +38,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "simulation": (776, 6, 367),
     "structure": (2824, 24, 1396),
     "view": (558, 5, 245),
-    "road of a step": (3914, 14),
+    "road of a step": (3913, 14),
     "tests": (20211,),
 }
 # fmt: on

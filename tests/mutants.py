@@ -36,7 +36,7 @@ potentials/pair_loop.py: forces/test_lists potentials/test_laws
     if r2 < numbers[0]: => if r2 <= 0.99 * numbers[0]:
     dx, dy, dz = dx + pairs.translations[t, 0] => dx, dy, dz = dx - pairs.translations[t, 0]
     energies[j] += 0.5 * u => energies[j] += u
-    in_steps(hy * dz, sums), in_steps(hx * dz, sums) => in_steps(hx * dz, sums), in_steps(hy * dz, sums)
+    in_steps(hy * dz, steps), in_steps(hx * dz, steps) => in_steps(hx * dz, steps), in_steps(hy * dz, steps)
 potentials/laws.py: potentials/test_laws potentials/test_truncation potentials/test_reference_lammps
     (2.0 * scale * s6 - scale) * (s6 * s2) => (2.0 * scale * s6 + scale) * (s6 * s2)
     -0.5 * k * longest * longest * log(rest), -k / rest => -0.5 * k * longest * longest * log(rest), -0.5 * k / rest
@@ -51,11 +51,11 @@ potentials/truncation.py: potentials/test_laws potentials/test_truncation potent
     c * f - 2.0 * slope * u => c * f - slope * u
     s * f - 2.0 * slope * u => s * f + 2.0 * slope * u
 potentials/fields.py: potentials/test_laws potentials/test_fields potentials/test_formulas
-    anchors[n, 0], y - sites.anchors[n, 1] => anchors[n, 0], y + sites.anchors[n, 1]
+    anchors[n, 0], y - anchors[n, 1] => anchors[n, 0], y + anchors[n, 1]
     power += _rate(found) => power = _rate(found)
     moves = spring.start <= self.time < spring.end => moves = spring.start < self.time <= spring.end
-potentials/dihedrals.py: potentials/test_laws
-    in_steps(0.25 * u, sums) => in_steps(u, sums)
+potentials/links.py: potentials/test_laws
+    in_steps(u / n_sites, steps) => in_steps(u, steps)
 potentials/angles.py: potentials/test_laws potentials/test_truncation potentials/test_reference_lammps
     size * cosine - ab * sine, ab * cosine => size * cosine + ab * sine, ab * cosine
 neighbors/search.py: neighbors/test_pair_list forces/test_lists neighbors/test_cluster_list
@@ -77,13 +77,13 @@ neighbors/pair_list.py: neighbors/test_pair_list engine/test_barostat
 neighbors/cluster_search.py: neighbors/test_pair_list forces/test_lists neighbors/test_cluster_list
     low, high = bottom[i] - along, top[i] + along => low, high = bottom[i] - along, top[i]
     while j < last and top[j] < low: => while j < last and bottom[j] < low:
-    (lane + 1) << (lane + 1)) << LANES_FROM => lane << lane) << LANES_FROM
+    (lane + 1) << (lane + 1) => lane << lane
     if ghost == home and other < slot: => if ghost == home and other > slot:
     HOME + int(9.0 * a + 3.0 * b + c) => HOME - int(9.0 * a + 3.0 * b + c)
     -depth if run_x > 0 else 0, depth + 1 => -depth if run_x > 0 else 0, depth
 neighbors/domains.py: neighbors/test_pair_list forces/test_lists neighbors/test_cluster_list
-    < 1.0 - columns.along[0] => < 1.0
-    (image_y != 0 and not pbc[1]) => (image_y != 0 and not pbc[0])
+    < 1.0 - columns.along[2] => < 1.0
+    (image_y and not is_crossed[1]) => (image_y and not is_crossed[0])
     low - OUTWARD * abs(low) => low + 1e5 * OUTWARD * abs(low)
 integrators/splitting/flows.py: integrators/test_splittings integrators/test_laws
     return velocity + duration * inverse_mass * force => return velocity - duration * inverse_mass * force
@@ -92,29 +92,29 @@ integrators/splitting/flows.py: forces/test_fixed_point
     momentum + times * select => momentum + 2.0 * times * select
 integrators/splitting/verlet.py: integrators/test_splittings integrators/test_laws
     substeps = (Drift(0.5), Kick(1.0), Drift(0.5)) => substeps = (Drift(0.5), Kick(1.0), Drift(0.4))
-    opening = (Kick(-0.5),) => opening = (Kick(0.5),)
 integrators/splitting/compositions.py: integrators/test_splittings integrators/test_laws
     -1.17767998417887100695 => 1.17767998417887100695
     -0.0390563049223486 => -0.0390563049323486
     0.18453964097831570709 => 0.18453964197831570709
 integrators/splitting/thermostats.py: integrators/test_baths forces/test_fixed_point
     -np.expm1(-2.0 * self.friction * duration) => -np.expm1(-self.friction * duration)
-    2.0 * noise.standard_gamma(0.5 * (bath.n_dof - 1)) => 2.0 * noise.standard_gamma(0.5 * bath.n_dof)
+    sum_of_squares(stream, n_dof - 1) => sum_of_squares(stream, n_dof)
     2.0 * one * sqrt(kept * share) => one * sqrt(kept * share)
-    bath.energy += kinetic * (scale * scale - 1.0) => bath.energy += kinetic * (scale - 1.0)
+    rescaling.heat[0] += kinetic * (square - 1.0) => rescaling.heat[0] += kinetic * square
     bath.contact, bath.step % STEPS] => bath.contact, 0]
 integrators/splitting/barostats.py: engine/test_barostat
     0.5 * state.thermal / state.volume => state.thermal / state.volume
     2.0 / 3.0 * log(larger) => 1.0 / 3.0 * log(larger)
     (1.0 + 0.5 * n_free) * entropy => (0.5 * n_free) * entropy
-integrators/splitting/splitting.py: potentials/test_laws potentials/test_fields potentials/test_formulas
-    around.work += duration * around.power => around.work -= duration * around.power
-integrators/splitting/splitting.py: integrators/test_splittings integrators/test_laws
-    type(first)(first.coefficient + last.coefficient) => type(first)(first.coefficient)
+integrators/splitting/steps.py: potentials/test_laws potentials/test_fields potentials/test_formulas
+    self._around.work += duration => self._around.work -= duration
+integrators/splitting/substeps.py: integrators/test_splittings integrators/test_laws
+    (sequence.pop().coefficient + substep.coefficient) => (sequence.pop().coefficient)
 constraints/closed_forms.py: constraints/test_solvers constraints/test_references
-    r_a = 2.0 * fraction * height => r_a = fraction * height
     gamma = xb0 * yb1 - xb1 * yb0 => gamma = xb0 * yb1 + xb1 * yb0
-    recoil = 1.0 / duration, -inverse_masses[a] => recoil = 1.0 / duration, -2.0 * inverse_masses[a]
+    recoil = -fraction / (1.0 - => recoil = -2.0 * fraction / (1.0 -
+constraints/groups.py: constraints/test_solvers constraints/test_references
+    2.0 * share * height => share * height
 constraints/closed_forms.py: constraints/test_solvers constraints/test_references
     w * w * dot(s, s), w * dot(p, s) => w * dot(s, s), w * dot(p, s)
     (targets[k] - along) => (targets[k] + along)
@@ -135,9 +135,9 @@ structure/observables.py: simulation/test_observables
 engine/engine.py: forces/test_same_bits simulation/test_simulation simulation/test_observables
     return time + (step - first) * self.method.timestep => return time + step * self.method.timestep
 engine/engine.py: engine/test_barostat
-    wants_energy, march = is_due or (with_energy and at == end) => wants_energy, march = (with_energy and at == end)
+    at == due or (with_energy and at == end) => (with_energy and at == end)
 engine/engine.py: integrators/test_baths simulation/test_simulation simulation/test_observables
-    step + self.noise_shift, 0 => step, 0
+    wants_energy, step + self.noise_shift) => wants_energy, step)
 engine/engine.py: potentials/test_laws potentials/test_fields potentials/test_formulas simulation/test_observables
     self.surroundings.power = True, self.interactions.power => self.surroundings.power = True, 0.0
 engine/observation.py: integrators/test_baths simulation/test_observables

@@ -152,6 +152,5 @@ def agree(term, other, system, tolerance=EQUAL["double"]):
     worst = max(np.abs(got - expected).max() / max(largest, np.abs(expected).max()) for got, expected in pairs)
     steep = 14.0 * (largest / 48.0) ** (1.0 / 13.0)
     unit = term.list._unit[0] if getattr(term.list, "_is_mixed", False) else 0.0
-    rounding = np.spacing(np.abs(system.positions).max()) + unit
-    assert worst <= tolerance + steep * rounding
+    assert worst <= tolerance + steep * (np.spacing(np.abs(system.positions).max()) + unit)
     assert np.array_equal(evaluated(term, system, FORCES)[0], evaluated(term, system)[0])

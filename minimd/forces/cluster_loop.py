@@ -391,7 +391,7 @@ def sum_over_lanes(law, distances2, parameters, lanes):
 
 @functools.cache
 def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
-    """Whether a law compiles for vectors: all but tables of minimd's, and a user's if it does not branch on its arguments."""
+    """Whether a law compiles for vectors: minimd's do, but for tables; one that branches on its arguments does not."""
     if reads_table(law):
         return False
     if not is_user_law(law):

@@ -76,9 +76,7 @@ def collect_domain(evaluation, domain):
 
 @by_type
 def _is_in_range(net, domain, steps):
-    if is_fixed(steps):
-        return lambda net, domain, steps: net[domain, 0] == 0.0
-    return lambda net, domain, steps: True
+    return (lambda net, domain, steps: net[domain, 0] == 0.0) if is_fixed(steps) else lambda net, domain, steps: True
 
 
 @scalar

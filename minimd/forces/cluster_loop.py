@@ -41,8 +41,7 @@ class ByLane(ByAddress, namedtuple("ByLane", "columns species slots table of_ato
 
 @by_type
 def parameters_of_lanes(source, slot, cluster, lanes):
-    """Parameters of the pairs of the atom in a slot with the lanes of a cluster: numbers,
-    or vectors if species differ."""
+    """Parameters of pairs of the atom in a slot with the lanes of a cluster: numbers, or vectors if species differ."""
     if source.instance_class is SameForAll:
         return lambda source, slot, cluster, lanes: source.numbers
     return lambda source, slot, cluster, lanes: _loaded(
@@ -86,16 +85,14 @@ def with_energy(sums):
 def looks_ahead(vector):
     """Whether the loop computes separations one entry ahead, so that the processor has work while it waits for the law.
 
-    It does with vectors of 512 bits: processors that have them have the 32 registers that this needs,
-    and gain a twentieth.
+    It does with vectors of 512 bits: processors that have them have the 32 registers it needs, and gain a twentieth.
     """
     answer = vector.lanes * vector.element.bitwidth == 512
     return lambda vector: answer
 
 
 class Work(ByAddress, namedtuple("Work", "laws sums")):
-    """What the loop does.  laws : tuple of pairs, a law type and its parameters, SameForAll or ByLane.  sums :
-    Sums or ForceSums."""
+    """What the loop does.  laws : tuple of (law type, SameForAll or ByLane).  sums : Sums or ForceSums."""
 
 
 @called_kernel
@@ -214,8 +211,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
 
 @scalar
 def separations(coordinates, reader, entry, at, lanes):
-    """r_j − r_i = (dx, dy, dz) and r² from a position x, y, z to the lanes of an entry,
-    ∞ for those that do not count [length].
+    """r_j − r_i = (dx, dy, dz) and r² from a position to the lanes of an entry, ∞ for those that do not count [length].
 
     coordinates : of the ghosts in the window.  reader : Memory.far, and the unit of the coordinates.
     """
@@ -271,16 +267,14 @@ def without_bias(total, n, lanes):
 
 @called_kernel
 def prepare_loop(arrays, work):
-    """To be called after a list build, and after each change of the layers in use:
-    what the loop needs beside the list."""
+    """What the loop needs beside the list, to be made after each list build and each change of the layers in use."""
     fill_lanes(arrays, work.laws)
     start_sums(arrays, len(work.laws), arrays.memory.first_sum, arrays.memory.forces)
 
 
 @by_type
 def fill_lanes(arrays, laws):
-    """Columns and species of each law with a table, see ByLane, in the slots of all ghosts;
-    unrolled by the compiler."""
+    """Columns and species of each law with a table, see ByLane, for slots of all ghosts; unrolled by the compiler."""
     if len(laws) == 0:
         return lambda arrays, laws: None
 
@@ -349,11 +343,9 @@ def in_steps(u, steps):
 @by_type
 def plus_virial(g, x, to, steps):
     """to + g x, a component of the virial [energy]."""
-    return (
-        (lambda g, x, to, steps: to + on_grid(g * x, steps.energy))
-        if is_fixed(steps)
-        else lambda g, x, to, steps: fma(g, x, to)
-    )
+    if is_fixed(steps):
+        return lambda g, x, to, steps: to + on_grid(g * x, steps.energy)
+    return lambda g, x, to, steps: fma(g, x, to)
 
 
 @by_type
@@ -364,8 +356,7 @@ def summed_squares(f, to, steps):
 
 @by_type
 def lanes_beyond(size2, limit2):
-    """The lanes, as bits, whose squares are beyond a limit or no numbers; none if limit2 is (),
-    as where nothing is limited."""
+    """The lanes, as bits, whose squares are beyond a limit or no numbers; none if nothing is limited: limit2 is ()."""
     if not isinstance(limit2, types.Float):
         return lambda size2, limit2: 0
     all_lanes = (1 << size2.lanes) - 1
@@ -392,18 +383,14 @@ def push(forces, ghost, f, separation):
 
 @kernel
 def sum_over_lanes(law, distances2, parameters, lanes):
-    """Σ (u + f) of a law at squared distances [length²], as many as there are lanes:
-    compiles only if the law runs on vectors."""
+    """Σ (u + f) of a law at as many squared distances [length²] as lanes: compiles only if it runs on vectors."""
     u, f = evaluate_law(law, load(distances2, 0, lanes), parameters)
     return total(u) + total(f)
 
 
 @functools.cache
 def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
-    """Whether a law compiles for vectors.
-
-    Those of minimd do, but for tables; a law of the user's that branches on its arguments does not.
-    """
+    """Whether a law compiles for vectors: minimd's do, but for tables; one that branches on its arguments does not."""
     if reads_table(law):
         return False
     if not is_user_law(law):

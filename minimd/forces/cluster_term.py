@@ -105,10 +105,9 @@ class ClusterTerm(OwnTerm):
 
     def _arrange(self, system: System) -> None:
         """Arrays that go with those of the list."""
-        of_lanes = [self._by_lane(k, one.table, system.species_index) for k, one in enumerate(self._pair_laws.members)]
-        self._laws: tuple[Any, ...] = tuple(
-            (one.law, parameters) for one, parameters in zip(self._pair_laws.members, of_lanes, strict=True)
-        )
+        members = self._pair_laws.members
+        of_lanes = [self._by_lane(k, one.table, system.species_index) for k, one in enumerate(members)]
+        self._laws: tuple[Any, ...] = tuple(zip((one.law for one in members), of_lanes, strict=True))
         self._needs_preparation = self._precision == FIXED_POINT or any(isinstance(one, ByLane) for one in of_lanes)
         self._arranged_for = self.list.n_arranged
         self._made.clear()
@@ -131,14 +130,10 @@ class ClusterTerm(OwnTerm):
         atom, real = clusters.atom[: n * n_lanes], (np.arange(n_lanes) < clusters.filled[:n, None]).ravel()
         energies[atom[real]] += sums.energies[: n * n_lanes][real]
         virials[atom[real]] += sums.virials[: n * n_lanes][real]
-        of_lanes, (first, window) = (
-            sums.lane_sums.reshape(-1, LANE_SUMS, n_lanes)[: int(self.list.domains.window[-1])],
-            (self.list.domains.first, self.list.domains.window),
-        )
-        owner = np.concatenate(
-            [self.list.ghosts.owner[a : a + size] for a, size in zip(first, np.diff(window), strict=True)]
-        )
-        atoms = atom.reshape(-1, n_lanes)[owner]
+        first, window, owner = self.list.domains.first, self.list.domains.window, self.list.ghosts.owner
+        of_lanes = sums.lane_sums.reshape(-1, LANE_SUMS, n_lanes)[: int(window[-1])]
+        owners = np.concatenate([owner[a : a + size] for a, size in zip(first, np.diff(window), strict=True)])
+        atoms = atom.reshape(-1, n_lanes)[owners]
         np.add.at(energies, atoms, of_lanes[:, 0])
         np.add.at(virials, atoms, of_lanes[:, 1:].transpose(0, 2, 1))
 

@@ -1,5 +1,4 @@
-"""The contacts of single atoms: how far away their neighbors are, how strong and how stiff each pair is,
-and which law gives no finite number."""
+"""Contacts of single atoms: how far, how strong and how stiff each pair is, and which law gives no finite number."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -33,15 +32,13 @@ STEP = 1e-5  # of a central difference, relative to the distance
 class Contact:
     """What one law does to one pair.
 
-    first, second : atoms.  law : name of the potential.  is_bond : whether the pair is bonded.  is_users :
-        whether the law is a user's, or a table.
-    distance : r [length], of the nearest image.  ratio : r/σ, or r/r₀ of a harmonic bond;
-        None if the law has no length of its own.
-    energy, force : u(r), −u′(r) [energy], [energy/length]; positive where the pair repels.  frequency : √(u″/μ)
-        [1/time], None where u″ ≤ 0.
+    first, second : atoms.  law : name of the potential.  is_bond : whether the pair is bonded.
+    is_users : whether the law is a user's, or a table.  distance : r [length], of the nearest image.
+    ratio : r/σ, or r/r₀ of a harmonic bond; None if the law has no length of its own.
+    energy, force : u(r), −u′(r) [energy], [energy/length]; positive where the pair repels.
+    frequency : √(u″/μ) [1/time], None where u″ ≤ 0.
     rest_frequency : √(u″/μ) at the minimum [1/time], of Lennard-Jones pairs and harmonic bonds; None of others.
-    sinks : whether the pair attracts, and the energy still falls at half the distance:
-        nothing keeps the two atoms apart.
+    sinks : whether the pair attracts, and the energy still falls at half the distance: nothing keeps the atoms apart.
     longest : R of a FENE bond [length]; None of others.
     """
 
@@ -98,16 +95,14 @@ def why_not_finite(system: System, potentials: Sequence[Any]) -> str:
     return "every potential by itself is finite here"
 
 
-Pair = tuple[
-    int, int, float, float, tuple[float, ...]
-]  # two atoms, their distance, the factor on the law, and its numbers
+# two atoms, their distance, the factor on the law, and its numbers
+Pair = tuple[int, int, float, float, tuple[float, ...]]
 
 
 def contacts(
     system: System, potentials: Sequence[Any], inverse_masses: NDArray[np.float64], atoms: Iterable[int]
 ) -> list[Contact]:
-    """The contacts of some atoms with their nearest neighbors, by pair potentials and bonds;
-    other potentials have none.
+    """The contacts of some atoms with their nearest neighbors, by pair potentials and bonds; others have none.
 
     inverse_masses : (N,) [1/mass], zero for atoms held fixed.  atoms : finite in their positions.
     """
@@ -127,11 +122,8 @@ def contacts(
 def bonded_scales(potential: PairPotential, system: System) -> dict[frozenset[int], float]:
     """The factor on the law for each pair of atoms up to three bonds apart."""
     by_bonds = pairs_by_bonds_apart(system.bonds) if len(system.bonds) else ()
-    return {
-        frozenset(pair): factor
-        for pairs, factor in zip(by_bonds, potential.bonded_scale, strict=False)
-        for pair in pairs.tolist()
-    }
+    with_factors = zip(by_bonds, potential.bonded_scale, strict=False)
+    return {frozenset(pair): factor for pairs, factor in with_factors for pair in pairs.tolist()}
 
 
 def _near_pairs(potential: PairPotential, system: System, atoms: list[int]) -> Iterator[Pair]:
@@ -140,10 +132,8 @@ def _near_pairs(potential: PairPotential, system: System, atoms: list[int]) -> I
     scales = bonded_scales(potential, system)
     for atom in atoms:
         others = np.delete(np.arange(len(system)), atom)
-        distances = np.linalg.norm(
-            nearest_vectors(system.positions, system.cell, np.column_stack([np.full_like(others, atom), others])),
-            axis=1,
-        )
+        pairs = np.column_stack([np.full_like(others, atom), others])
+        distances = np.linalg.norm(nearest_vectors(system.positions, system.cell, pairs), axis=1)
         for k in np.argsort(distances)[:NEAREST]:
             other, r = int(others[k]), float(distances[k])
             pair = frozenset((atom, other))
@@ -174,13 +164,10 @@ def _contact(potential: PairPotential | BondPotential, pair: Pair, inverse_mass:
         rest = curvature_at_minimum(epsilon, length)
     elif isinstance(potential.law, HarmonicLaw):
         rest, length = numbers
-    kind = (
-        type(potential).__name__,
-        isinstance(potential, BondPotential),
-        is_user_law(potential.law) or reads_table(potential.law),
-    )
+    is_bond, is_users = isinstance(potential, BondPotential), is_user_law(potential.law) or reads_table(potential.law)
+    kind = type(potential).__name__, is_bond, is_users
     frequency, at_rest = (sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest))
     deeper, pull = law_at(potential.law, 0.5 * r, numbers)
-    sinks = scale > 0.0 and f < 0.0 and pull < 0.0 and deeper < u and not kind[1]
+    sinks = scale > 0.0 and f < 0.0 and pull < 0.0 and deeper < u and not is_bond
     ratio, longest = r / length if length else None, numbers[1] if isinstance(potential.law, FENELaw) else None
     return Contact(first, second, *kind, r, ratio, scale * u, scale * f * r, frequency, at_rest, bool(sinks), longest)

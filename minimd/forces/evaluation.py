@@ -44,12 +44,8 @@ class Evaluation(Displayed):
         virial = [" ".join(f"{x:>14.6g}" for x in row) for row in self.virial]
         energies = f"of single atoms: least {self.energies.min():.6g}, largest {self.energies.max():.6g}"
         energy, largest = f"{self.potential_energy:.10g}", f"{force:.4g}, on atom {atom}"
-        return [
-            ("energy", energy),
-            ("", energies),
-            ("largest force", largest),
-            *zip(("virial", "", ""), virial, strict=True),
-        ]
+        rows = [("energy", energy), ("", energies), ("largest force", largest)]
+        return [*rows, *zip(("virial", "", ""), virial, strict=True)]
 
 
 @names_keywords
@@ -58,8 +54,7 @@ def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potent
 
     Raises
     ------
-    NonFiniteError : if a force or an energy is not finite, as for two atoms at the same place;
-        it names them and the law.
+    NonFiniteError : if a force or an energy is not finite, as for two atoms at one place; it names them and the law.
     ValueError, TypeError : as Forces.
     """
     system = system if isinstance(system, System) else System.from_ase(system)

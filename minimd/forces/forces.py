@@ -38,9 +38,7 @@ from minimd.structure.errors import RangeError, why_not_compiled
 from minimd.structure.grid import TOO_LARGE, Grid, steps_of
 from minimd.structure.system import System, check_resolution
 
-CHANGED_SPEED = (
-    2.0  # the skin is chosen anew when atoms have become faster or slower by this factor: its optimum is flat
-)
+CHANGED_SPEED = 2.0  # the skin is chosen anew when atoms are faster or slower by this factor: its optimum is flat
 VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # places of xx yy zz yz xz xy in a (3, 3) tensor
 
 
@@ -102,10 +100,8 @@ class Forces:
                 warnings.warn(term.warning, stacklevel=outside_minimd())
         if self.options.skin is not None and self.options.skin > (widest := min(self.widest_skins, default=np.inf)):
             why = "where bonded pairs are left out or scaled, cutoff + skin can be at most half the height of the cell"
-            warnings.warn(
-                f"skin {self.options.skin:g} {system.units.length} does not fit, {widest:.3g} is used: {why}",
-                stacklevel=outside_minimd(),
-            )
+            what = f"skin {self.options.skin:g} {system.units.length} does not fit, {widest:.3g} is used"
+            warnings.warn(f"{what}: {why}", stacklevel=outside_minimd())
         self._energies, self._virials, self._detail = np.zeros(0), np.zeros((0, 6)), FORCES
 
     def _bind(self) -> None:
@@ -114,7 +110,8 @@ class Forces:
 
     def _plan(self, terms_bound: list[Term], skins: Sequence[float] = ()) -> None:
         """Choose lists, and skins unless they are given; both depend on the cell and on how fast the atoms move."""
-        options = replace(self.options, precision="double", grid=None) if self._is_in_double() else self.options
+        is_in_double = self.grid is None and self.options.precision == FIXED_POINT  # no splitting moves the atoms
+        options = replace(self.options, precision="double", grid=None) if is_in_double else self.options
         terms = plan(terms_bound, self.system, options, self.displacement, skins)
         self._builds_before += _n_builds(self.terms) - _n_builds(terms)
         self.terms, self._bound, self._planned_for = terms, terms_bound, self.system.cell
@@ -132,11 +129,6 @@ class Forces:
         self._targets: dict[tuple[int, float], Target] = {}
         self._programs: dict[int, Program] = {}  # by the id of their target
         self._n_plans += 1
-
-    def _is_in_double(self) -> bool:
-        """Whether arithmetic is float64 although fixed-point was asked for:
-        there is no grid if no splitting moves the atoms."""
-        return self.grid is None and self.options.precision == FIXED_POINT
 
     @property
     def grid(self) -> Grid | None:
@@ -156,10 +148,8 @@ class Forces:
         for term in self.terms:
             if not term.fits_grid:
                 kinds = "laws u(r) of pairs and bonds, angles, dihedrals, and fields that stay the same"
-                raise ValueError(
-                    f"precision='fixed-point' is for {kinds}; {type(term).__name__} cannot round its forces: take "
-                    "precision='double'"
-                )
+                why = f"{type(term).__name__} cannot round its forces"
+                raise ValueError(f"precision='fixed-point' is for {kinds}; {why}: take precision='double'")
 
     def depth(self) -> float:
         """Depth of the deepest well of all pair laws [energy], see pair_laws.deepest."""
@@ -182,10 +172,8 @@ class Forces:
     def fit_skin(self, displacement: float) -> None:
         """Choose the skin anew if the displacement of the fastest atom in a step [length] has changed much,
         unless the user gave a skin."""
-        if (
-            self.options.skin is None
-            and not self.displacement / CHANGED_SPEED <= displacement <= self.displacement * CHANGED_SPEED
-        ):
+        slow, fast = self.displacement / CHANGED_SPEED, self.displacement * CHANGED_SPEED
+        if self.options.skin is None and not slow <= displacement <= fast:
             self.displacement = displacement
             self._plan(self._bound)
 
@@ -206,8 +194,7 @@ class Forces:
             one.build_again(as_it_was, self.system.cell)
 
     def go_on_with(self, displacement: float, built: Sequence[Built]) -> None:
-        """Take over the skins and lists of other Forces of the same scene;
-        choose new ones if the number of lists differs."""
+        """Take over skins and lists of other Forces of the same scene; choose new ones if their number differs."""
         self.displacement = displacement
         self._plan(self._bound, [one.skin for one in built] if len(built) == len(_lists(self.terms)) else ())
         if len(built) == len(_lists(self.terms)):
@@ -330,17 +317,12 @@ class Forces:
                 yield
         except NumbaError as error:
             laws, reason = ", ".join(map(repr, self.potentials)), why_not_compiled(str(error))
-            raise TypeError(
-                f"a law of {laws} does not compile; laws must be arithmetic on numbers that numba.njit accepts: "
-                f"{reason}"
-            ) from error
+            needed = "laws must be arithmetic on numbers that numba.njit accepts"
+            raise TypeError(f"a law of {laws} does not compile; {needed}: {reason}") from error
 
     @contextmanager
     def set_aside(self) -> Iterator[None]:
-        """Context in which compute may be called at displaced positions.
-
-        Afterwards forces, energies and virials are restored.
-        """
+        """Context for calls of compute at displaced positions; then forces, energies and virials are restored."""
         forces, energies, virials, detail = self.forces.copy(), self._energies, self._virials, self._detail
         self._programs, self._targets, before = {}, {}, (self._programs, self._targets)  # with other accumulators
         try:
@@ -362,8 +344,7 @@ class Forces:
 
     @property
     def virial(self) -> NDArray[np.float64]:
-        """W = Σ f r_ij ⊗ r_ij [energy], (3, 3), of the last compute with TOTALS or PER_ATOM,
-        tail corrections included."""
+        """W = Σ f r_ij ⊗ r_ij [energy], (3, 3), of the last compute with TOTALS or PER_ATOM, tails included."""
         return self._virials.sum(axis=0)[VOIGT] + np.eye(3) * self.tail_corrections()[1] / 3.0
 
     @property
@@ -374,14 +355,12 @@ class Forces:
     @property
     def virials(self) -> NDArray[np.float64]:
         """Each atom's share of W [energy], (N, 6) as xx yy zz yz xz xy, of the last compute with PER_ATOM."""
-        return self._virials + np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * self.tail_corrections()[1] / 3.0 / len(
-            self.system
-        )
+        tail = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * self.tail_corrections()[1] / 3.0
+        return self._virials + tail / len(self.system)
 
     @property
     def largest_cutoff(self) -> float:
-        """The largest finite cutoff [length]: an atom that moves farther in one step may
-        pass another without interacting."""
+        """The largest finite cutoff [length]: an atom moving farther in a step may pass another without interacting."""
         return max((term.cutoff for term in self._bound if np.isfinite(term.cutoff)), default=np.inf)
 
     @property

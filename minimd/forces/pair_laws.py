@@ -31,9 +31,8 @@ class PairLaws:
 
     def __init__(self, system: System, members: Sequence[PairLaw]) -> None:
         by_bonds, scale = pairs_by_bonds_apart(system.bonds), members[0].bonded_scale
-        self.special = [
-            (pairs, factor) for pairs, factor in zip(by_bonds, scale, strict=True) if factor != 1.0 and len(pairs)
-        ]
+        with_factors = zip(by_bonds, scale, strict=True)
+        self.special = [(pairs, factor) for pairs, factor in with_factors if factor != 1.0 and len(pairs)]
         self.excluded = np.concatenate([np.zeros((0, 2), dtype=np.int64), *(pairs for pairs, _ in self.special)])
         self.members, self.cutoff = members, max(one.cutoff for one in members)
 
@@ -57,32 +56,20 @@ class PairLaws:
         for one in self.members:
             for cutoff2, *numbers in one.table.reshape(-1, one.table.shape[-1]).tolist():
                 tried = np.abs([law_at(one.law, x * cutoff2**0.5, tuple(numbers)) for x in TRIED_AT])
-                largest = np.where(np.isfinite(tried), tried, 0.0).max(
-                    axis=0
-                )  # a law of the user's may end before the cutoff
-                sizes = [
-                    size
-                    for size in (TRIED_AT[0] ** 2 * cutoff2, cutoff2, *largest.tolist())
-                    if size > 0.0 and isfinite(size)
-                ]
+                largest = np.where(np.isfinite(tried), tried, 0.0).max(axis=0)  # a user's law may end before the cutoff
+                numbers_used = TRIED_AT[0] ** 2 * cutoff2, cutoff2, *largest.tolist()
+                sizes = [size for size in numbers_used if size > 0.0 and isfinite(size)]
                 if min(sizes) < SINGLE[0] or max(sizes) > SINGLE[1]:
-                    room = (
-                        f"precision='mixed' has room for squared distances, energies and forces from {SINGLE[0]:g} "
-                        f"to {SINGLE[1]:g}"
-                    )
+                    room = f"room for squared distances, energies and forces from {SINGLE[0]:g} to {SINGLE[1]:g}"
                     found = f"those of {one.name} go from {min(sizes):.1e} to {max(sizes):.1e}"
-                    raise ValueError(f"{room}; {found}: take other units, or precision='double'")
+                    raise ValueError(f"precision='mixed' has {room}; {found}: take other units, or precision='double'")
 
 
 def deepest(one: PairLaw) -> float:
     """The depth of the deepest well of a law, for any pair of species, at some distances below the cutoff [energy]."""
-    rows = one.table.reshape(-1, one.table.shape[-1]).tolist()
-    energies = [
-        law_at(one.law, x * cutoff2**0.5, tuple(numbers))[0]
-        for cutoff2, *numbers in rows
-        for x in SOUGHT_AT
-        if cutoff2 < np.inf
-    ]
+    rows = [row for row in one.table.reshape(-1, one.table.shape[-1]).tolist() if row[0] < np.inf]
+    sought = ((x * cutoff2**0.5, tuple(numbers)) for cutoff2, *numbers in rows for x in SOUGHT_AT)
+    energies = [law_at(one.law, r, numbers)[0] for r, numbers in sought]
     return max((-u for u in energies if isfinite(u)), default=0.0)
 
 
@@ -103,8 +90,6 @@ def skin_for(system: System, laws: PairLaws, options: Options, displacement: flo
 def widest_skin(system: System, laws: PairLaws) -> float:
     """The widest skin with which nearest images of laws.excluded cannot change while the list is in use [length];
     infinite without such pairs."""
-    return (
-        max(0.0, ROUNDED_DOWN * (float(np.sqrt(system.cell.safe_distance2)) - laws.cutoff))
-        if len(laws.excluded)
-        else np.inf
-    )
+    if len(laws.excluded) == 0:
+        return np.inf
+    return max(0.0, ROUNDED_DOWN * (float(np.sqrt(system.cell.safe_distance2)) - laws.cutoff))

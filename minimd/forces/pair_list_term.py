@@ -96,11 +96,9 @@ class PairListTerm(OwnTerm):
         sums = np.zeros_like(target.forces), self._energies, self._virials
         local = Local(system.positions, target.forces, self.list.order, self.list.offsets, self._positions, sums)
         species = system.species_index[self.list.order]
-        works = [
-            PairWork(self._positions, self.list.pairs, one.law, by_species(one.table, species), target.steps,
-                     target.detail, sums)
-            for one in self._laws.members
-        ]  # fmt: skip
+        laws = [(one.law, by_species(one.table, species)) for one in self._laws.members]
+        pairs, output = (self._positions, self.list.pairs), (target.steps, target.detail, sums)
+        works = [PairWork(*pairs, *law, *output) for law in laws]
         first = self._calls[0]
         yield operation(first, is_in_reach, self.list.reach, python=update)
         yield operation(first, gather_atoms, local)

@@ -43,7 +43,6 @@ def scaled_terms(system: System, laws: PairLaws) -> Iterator[Term]:
             if factor != 0.0:
                 species = system.species_index[pairs] if len(one.table) > 1 else np.zeros_like(pairs)
                 rows = one.table[species[:, 0], species[:, 1]]
-                rows = np.column_stack(
-                    [rows[:, 0], np.full(len(rows), factor), rows[:, 1:]]
-                )  # the factor is the first parameter of Scaled
+                factors = np.full(len(rows), factor)  # the first parameter of Scaled
+                rows = np.column_stack([rows[:, 0], factors, rows[:, 1:]])
                 yield FixedPairs(pairs, Scaled(one.law), rows)

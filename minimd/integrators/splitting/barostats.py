@@ -71,13 +71,11 @@ class StochasticCellRescaling(Displayed):
     pressure : P₀ [energy/length³].
     compressibility : β, isothermal [length³/energy]; a rough value is enough, since only β/τ matters;
         4.6e-5 bar⁻¹ for water.
-    relaxation_time : τ of the volume, > 0 [time]; at least 10 nΔt.
-        With one free axis the volume takes three times as long.
+    relaxation_time : τ of the volume, > 0 [time]; at least 10 nΔt. With one free axis it takes three times as long.
     seed : int ≥ 0 of the noise, below 2¹²⁸.
     temperature : T ≥ 0; that of the thermostat if not given.
     coupling : "isotropic", "triclinic", or axes that change each by itself, such as "z" or "xy".
-    every : n, the number of steps between two strains. Each strain costs as much as several steps:
-        it needs energy and virial twice.
+    every : n, number of steps between two strains. Each costs as much as several steps: energy and virial twice.
 
     Raises
     ------
@@ -114,10 +112,8 @@ class StochasticCellRescaling(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        return [
-            ("barostat", "stochastic cell rescaling"),
-            *((name, as_text(value)) for name, value in self.parameters.items() if value is not None),
-        ]
+        given = [(name, as_text(value)) for name, value in self.parameters.items() if value is not None]
+        return [("barostat", "stochastic cell rescaling"), *given]
 
     @property
     def parameters(self) -> dict[str, float | int | str | None]:
@@ -127,17 +123,14 @@ class StochasticCellRescaling(Displayed):
 
     def strain(self, state: ThermodynamicState, duration: float, number: int) -> Array:
         """ε, (3, 3).  duration : h [time].  number : of the step; it selects the noise."""
-        noise = np.random.Generator(
-            np.random.Philox(key=self.seed, counter=np.array([0, OWN_STREAM, 0, number % STEPS], dtype=np.uint64))
-        )
-        white = noise.standard_normal((3, 3))
+        counter = np.array([0, OWN_STREAM, 0, number % STEPS], dtype=np.uint64)
+        white = np.random.Generator(np.random.Philox(key=self.seed, counter=counter)).standard_normal((3, 3))
         if self.coupling == "isotropic":
             spread = sqrt(0.5 * state.thermal * self.compressibility * duration / self.relaxation_time)
             larger = 1.0 + (self._drift_of_root(state, duration) + spread * white[0, 0]) / sqrt(state.volume)  # λ′/λ
             return np.diag(np.full(3, 2.0 / 3.0 * log(larger) if larger > 0.0 else -inf))
-        spread = sqrt(
-            2.0 * state.thermal * self.compressibility * duration / (3.0 * state.volume * self.relaxation_time)
-        )
+        slowness = 3.0 * state.volume * self.relaxation_time
+        spread = sqrt(2.0 * state.thermal * self.compressibility * duration / slowness)
         return self._drift_of_strain(state, duration) + spread * self.mask * 0.5 * (white + white.T)
 
     def change_of_conserved(
@@ -149,18 +142,14 @@ class StochasticCellRescaling(Displayed):
         each times that of the state it starts from.
         """
         work = after.energy - before.energy + self.pressure * (after.volume - before.volume)
-        entropy, rate = (
-            before.thermal * log(after.volume / before.volume),
-            self.relaxation_time / (self.compressibility * duration),
-        )
+        entropy = before.thermal * log(after.volume / before.volume)
+        rate = self.relaxation_time / (self.compressibility * duration)
         if self.coupling == "isotropic":
             change = sqrt(after.volume) - sqrt(before.volume)
             back, there = change + self._drift_of_root(after, duration), change - self._drift_of_root(before, duration)
             return work - 0.5 * entropy + rate * (back**2 - there**2)
-        returned, gone = (
-            strain + self._drift_of_strain(after, duration),
-            strain - self._drift_of_strain(before, duration),
-        )
+        returned = strain + self._drift_of_strain(after, duration)
+        gone = strain - self._drift_of_strain(before, duration)
         n_free = 6 if self.coupling == "triclinic" else len(self.coupling)
         gaussian = after.volume * np.square(returned).sum() - before.volume * np.square(gone).sum()
         return float(work - (1.0 + 0.5 * n_free) * entropy + 0.75 * rate * gaussian)
@@ -172,13 +161,8 @@ class StochasticCellRescaling(Displayed):
 
     def _drift_of_strain(self, state: ThermodynamicState, duration: float) -> Array:
         """m = −(βh/3τ) 𝒫[P₀ 1 − P], (3, 3)."""
-        return (
-            self.compressibility
-            * duration
-            / (3.0 * self.relaxation_time)
-            * self.mask
-            * (state.pressure - self.pressure * np.eye(3))
-        )
+        factor = self.compressibility * duration / (3.0 * self.relaxation_time)
+        return factor * self.mask * (state.pressure - self.pressure * np.eye(3))
 
 
 def exponential(strain: Array) -> Array:

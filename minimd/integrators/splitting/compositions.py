@@ -1,5 +1,4 @@
-"""Methods made from other methods, and splittings of higher order: one sequence of substeps each,
-from the paper or its closed form.
+"""Methods made of others, and splittings of higher order: one sequence of substeps each, of a paper or a closed form.
 
 No sequence of positive coefficients has an order above 2, so those here have a negative coefficient (Q. Sheng, IMA J.
 Numer. Anal. 9, 199 (1989); M. Suzuki, J. Math. Phys. 32, 400 (1991)). All of them take timestep : Δt [time]. Surveys:
@@ -26,19 +25,8 @@ from minimd.integrators.splitting.substeps import (
 from minimd.integrators.splitting.verlet import VelocityVerlet
 from minimd.structure.checks import shown
 
-__all__ = [
-    "PEFRL",
-    "BlanesMoan4",
-    "CandyRozmus4",
-    "KahanLi6",
-    "KahanLi8",
-    "McLachlanAtela4",
-    "Ruth3",
-    "Suzuki4",
-    "Yoshida6",
-    "adjoint",
-    "compose",
-]
+__all__ = ["PEFRL", "BlanesMoan4", "CandyRozmus4", "KahanLi6", "KahanLi8", "McLachlanAtela4", "Ruth3", "Suzuki4",
+           "Yoshida6", "adjoint", "compose"]  # fmt: skip
 
 CBRT2, CBRT4 = 2.0 ** (1.0 / 3.0), 4.0 ** (1.0 / 3.0)
 Part = Substep | type[Splitting]
@@ -63,30 +51,23 @@ def compose(*parts: Part, weights: Sequence[float] | None = None) -> type[Splitt
     """
     for part in parts:
         if not isinstance(part, (Kick, Drift)) and not (isinstance(part, type) and issubclass(part, Splitting)):
-            raise TypeError(
-                f"parts must be methods, such as VelocityVerlet, or flows, such as Kick(0.5); got {shown(part)}"
-            )
+            kinds = "methods, such as VelocityVerlet, or flows, such as Kick(0.5)"
+            raise TypeError(f"parts must be {kinds}; got {shown(part)}")
         _refuse_bath(part)
     if weights is None:
         n_methods = sum(isinstance(part, type) for part in parts)
         if 0 < n_methods < len(parts):
-            raise TypeError(
-                "methods and flows can be mixed only if weights are given: the fraction of the time step for each part"
-            )
+            needed = "weights are given: the fraction of the time step for each part"
+            raise TypeError(f"methods and flows can be mixed only if {needed}")
         weights = [1.0 / n_methods if n_methods else 1.0] * len(parts)
     if len(weights) != len(parts) or not parts:
-        raise ValueError(
-            f"there must be at least one part, and as many weights as parts; got {len(parts)} parts, {len(weights)} "
-            "weights"
-        )
-    sequences = [
-        scaled(part.sequence() if isinstance(part, type) else (part,), weight)
-        for part, weight in zip(parts, weights, strict=True)
-    ]
+        given = f"{len(parts)} parts, {len(weights)} weights"
+        raise ValueError(f"there must be at least one part, and as many weights as parts; got {given}")
+    rows = (part.sequence() if isinstance(part, type) else (part,) for part in parts)
+    sequences = [scaled(row, weight) for row, weight in zip(rows, weights, strict=True)]
     title = " ∘ ".join(part.name if isinstance(part, type) else repr(part) for part in parts)
-    return _method(
-        f"compose({title})", merged(chain.from_iterable(reversed(sequences))), f"composition of its parts, {title}"
-    )
+    substeps = merged(chain.from_iterable(reversed(sequences)))
+    return _method(f"compose({title})", substeps, f"composition of its parts, {title}")
 
 
 def adjoint(method: type[Splitting]) -> type[Splitting]:
@@ -108,9 +89,8 @@ def _refuse_bath(part: Part) -> None:
 
 
 def _method(name: str, substeps: Substeps, source: str) -> type[Splitting]:
-    return type(
-        "Composition", (Splitting,), {"name": name, "substeps": substeps, "source": source, "__doc__": f"{name}."}
-    )
+    members = {"name": name, "substeps": substeps, "source": source, "__doc__": f"{name}."}
+    return type("Composition", (Splitting,), members)
 
 
 class Ruth3(Splitting):
@@ -145,9 +125,8 @@ class Suzuki4(Splitting):
     """
 
     name = "suzuki-4"
-    substeps = repeated(
-        VelocityVerlet.substeps, palindrome((1.0 / (4.0 - CBRT4), 1.0 / (4.0 - CBRT4), -CBRT4 / (4.0 - CBRT4)))
-    )
+    _g1, _g3 = 1.0 / (4.0 - CBRT4), -CBRT4 / (4.0 - CBRT4)
+    substeps = repeated(VelocityVerlet.substeps, palindrome((_g1, _g1, _g3)))
     source = "M. Suzuki, Phys. Lett. A 146, 319 (1990)"
 
 
@@ -172,9 +151,8 @@ class PEFRL(Splitting):
 
     name = "pefrl"
     _xi, _lambda, _chi = 0.1786178958448091, -0.2123418310626054, -0.06626458266981849
-    substeps = alternating(
-        Drift, palindrome((_xi, (1.0 - 2.0 * _lambda) / 2.0, _chi, _lambda, 1.0 - 2.0 * (_chi + _xi)))
-    )
+    _half = (_xi, (1.0 - 2.0 * _lambda) / 2.0, _chi, _lambda, 1.0 - 2.0 * (_chi + _xi))
+    substeps = alternating(Drift, palindrome(_half))
     source = "I. P. Omelyan, I. M. Mryglod, R. Folk, Comput. Phys. Commun. 146, 188 (2002)"
 
 
@@ -182,16 +160,14 @@ class BlanesMoan4(Splitting):
     """Blanes and Moan's Nyström method SRKN₆ᵇ: order 4, six kicks,
     the smallest error per force evaluation of order 4 here.
 
-    Its free parameters are chosen so that the error terms of order 5 that remain for
-    quadratic kinetic energy are small.
+    Its free parameters are chosen so that the error terms of order 5 left for quadratic kinetic energy are small.
     """
 
     name = "blanes-moan-rkn-4"
     _a1, _a2 = 0.245298957184271, 0.604872665711080
     _b1, _b2, _b3 = 0.0829844064174052, 0.396309801498368, -0.0390563049223486
-    substeps = alternating(
-        Kick, palindrome((_b1, _a1, _b2, _a2, _b3, 0.5 - (_a1 + _a2), 1.0 - 2.0 * (_b1 + _b2 + _b3)))
-    )
+    _half = (_b1, _a1, _b2, _a2, _b3, 0.5 - (_a1 + _a2), 1.0 - 2.0 * (_b1 + _b2 + _b3))
+    substeps = alternating(Kick, palindrome(_half))
     source = "S. Blanes, P. C. Moan, J. Comput. Appl. Math. 142, 313 (2002), table 3"
 
 
@@ -208,13 +184,8 @@ class KahanLi6(Splitting):
     """Kahan and Li's s9odr6a: order 6 from nine steps of velocity Verlet, smaller errors than with seven."""
 
     name = "kahan-li-6"
-    _w = (
-        0.39216144400731413928,
-        0.33259913678935943860,
-        -0.70624617255763935981,
-        0.08221359629355080023,
-        0.79854399093482996340,
-    )
+    _w = (0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981,
+          0.08221359629355080023, 0.79854399093482996340)  # fmt: skip
     substeps = repeated(VelocityVerlet.substeps, palindrome(_w))
     source = "W. Kahan, R.-C. Li, Math. Comput. 66, 1089 (1997), s9odr6a"
 

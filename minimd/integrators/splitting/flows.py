@@ -1,5 +1,4 @@
-"""The two flows of a splitting, kick and drift: for numbers, for SIMD vectors, and for all atoms;
-in float64 and in fixed-point arithmetic."""
+"""The two flows of a splitting, kick and drift: for numbers, SIMD vectors and all atoms, in float64 and fixed-point."""
 
 from collections import namedtuple
 
@@ -34,10 +33,7 @@ def mixed(velocity, noise, kept, scale):
 
 @scalar
 def momentum_in_steps(velocity, inverse_mass, steps):
-    """Momentum of an atom in steps: exactly the one from which its velocity was made, if it was.
-
-    For numbers. Zero for a fixed atom.
-    """
+    """Momentum in steps, for numbers: exactly the one its velocity was made from, if it was; zero for a fixed atom."""
     return np.rint(velocity / (steps.momentum * inverse_mass)) if inverse_mass > 0.0 else 0.0
 
 

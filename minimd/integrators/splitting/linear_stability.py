@@ -17,9 +17,7 @@ from minimd.integrators.splitting.substeps import Kick, Substeps, mechanical
 __all__ = ["accurate_step", "energy_oscillation", "stability_limit"]
 
 ROUNDING = 1e-12  # of tr M: a product of some forty matrices with entries of order one
-REAL = (
-    1e-6  # relative imaginary part that rounding may leave of a double root: about the square root of its own rounding
-)
+REAL = 1e-6  # relative imaginary part that rounding may leave of a double root: about the square root of rounding
 SCANNED = 101  # lengths of a step, scanned for the first that is too long
 BISECTIONS = 50  # halvings of an interval, down to rounding
 
@@ -64,8 +62,7 @@ def trace_polynomial(substeps: Substeps) -> Polynomial:
 
 
 def energy_oscillation(substeps: Substeps, h: float) -> float:
-    """Relative amplitude with which the energy of an oscillator varies: (E_max − E_min)/(E_max + E_min);
-    infinite if unstable.
+    """Relative amplitude of the energy of an oscillator: (E_max − E_min)/(E_max + E_min); infinite if unstable.
 
     A stable step M = (a b; c d) conserves the quadratic form −c q² + (a − d) q v + b v². States lie on an ellipse; on
     its axes the energy (q² + v²)/2 is largest and smallest. Velocity Verlet has h²/(8 − h²):
@@ -81,8 +78,7 @@ def energy_oscillation(substeps: Substeps, h: float) -> float:
 
 @cache
 def accurate_step(substeps: Substeps, oscillation: float) -> float:
-    """The largest ωΔt, at most half the stability limit,
-    up to which the energy oscillation of an oscillator stays within this fraction."""
+    """The largest ωΔt, at most half the stability limit, up to which energy_oscillation stays within a fraction."""
     steps = np.linspace(0.0, 0.5 * stability_limit(substeps), SCANNED)
     too_long = [energy_oscillation(substeps, h) > oscillation for h in steps[1:]]
     if not any(too_long):

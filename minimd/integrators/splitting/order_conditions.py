@@ -98,10 +98,8 @@ def nystrom_residuals(substeps: Substeps, order: int) -> list[float]:
     b, c, a = nystrom_tableau(substeps)
     one, branches = np.ones_like(c), [Branch(1, c, 1.0)]
     for power in range(1, order + 1):
-        trees = [
-            (np.prod([one, *(t.values for t in tree)], axis=0), prod(t.kappa for t in tree))
-            for tree in bunches(branches, power - 1)
-        ]
+        found = bunches(branches, power - 1)
+        trees = [(np.prod([one, *(t.values for t in tree)], axis=0), prod(t.kappa for t in tree)) for tree in found]
         branches += [Branch(power + 1, a @ values, kappa / (power * (power + 1))) for values, kappa in trees]
     residuals = [float(b @ values - kappa / order) for values, kappa in trees]
     return residuals if order > 1 else [*residuals, drifts_sum(substeps) - 1.0]

@@ -66,9 +66,8 @@ class Splitting(Method):
     def on(cls, problem: Problem) -> Step:
         """The step on a problem with q and v, see Partitioned.sequence_step.  Raises TypeError for other problems."""
         if not hasattr(problem, "sequence_step"):
-            raise TypeError(
-                f"{cls.name} needs a problem with q and v, SecondOrder or Partitioned; got {type(problem).__name__}"
-            )
+            needed = "a problem with q and v, SecondOrder or Partitioned"
+            raise TypeError(f"{cls.name} needs {needed}; got {type(problem).__name__}")
         return problem.sequence_step(cls.sequence())
 
     @classmethod
@@ -88,8 +87,7 @@ class Splitting(Method):
         return how many were made.
 
         compute_forces : fills state.forces; if called with True, evaluates the energy, too.
-        with_energy : evaluate the energy together with the forces of the last step.  surroundings :
-            constraints and bath, if there are any.
+        with_energy : evaluate the energy, too, with the last forces.  surroundings : constraints and bath, if any.
 
         Raises
         ------
@@ -118,8 +116,5 @@ class Splitting(Method):
         yield in_python(thermalize)
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
-        """The same, made once, by Python.
-
-        Methods without a bath have no such substep.
-        """
+        """The same, made once, by Python.  Methods without a bath have no such substep."""
         raise NotImplementedError(f"{self.name} has no thermostat")

@@ -130,8 +130,7 @@ class Bath:
     """What a thermostat needs to know about its system, and the energy it has given to the system.
 
     k_B : [energy/temperature].  n_dof : degrees of freedom that share the kinetic energy.
-    conserves_momentum : whether the total momentum is constant;
-        the motion of the center of mass is then not a thermal degree of freedom.
+    conserves_momentum : of all atoms; then the motion of the center of mass is not a thermal degree of freedom.
     step, contact : the number of the step, and of the contact within it; both select the noise.
     energy : given to the system since the start, the reservoir energy [energy].
     heat, thermal : (1,) energy, and (2,) int, n_dof and conserves_momentum, for kernels.
@@ -175,10 +174,9 @@ class Surroundings:
 
     constraints : solver for the lengths that drifts keep, or None.  bath : of a thermostat, or None.
     stop_requested : set it to True to end a run of steps after the present one.
-    power : ∂U/∂t with the forces of the next kick [energy/time].  work : its integral,
-        Σ duration · power over all kicks [energy]. Time is treated
-    as a coordinate with momentum −work, and this larger system is split:
-    total energy minus work is conserved as well as an energy is.
+    power : ∂U/∂t with the forces of the next kick [energy/time].
+    work : its integral, Σ duration · power over all kicks [energy]. Time is treated as a coordinate with momentum
+        −work, and this larger system is split: total energy minus work is conserved as well as an energy is.
     """
 
     constraints: ConstraintSolver | None = None

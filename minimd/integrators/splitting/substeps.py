@@ -1,5 +1,4 @@
-"""Substeps (kicks, drifts and contacts with a bath), and sequences of them in the order
-in which a step applies them."""
+"""Substeps (kicks, drifts and contacts with a bath), and sequences of them in the order in which a step makes them."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -27,10 +26,7 @@ class Kick:
 
 @dataclass(frozen=True, slots=True)
 class Thermalize:
-    """Contact with a bath over coefficient · Δt: velocities change at random, positions are constant.
-
-    See thermostats.
-    """
+    """Contact with a bath over coefficient · Δt: velocities change at random, positions do not. See thermostats."""
 
     coefficient: float
 

@@ -64,18 +64,15 @@ class Thermostat(Splitting):
         super().__init__(timestep)
         if self.timestep < 0.0:
             raise ValueError(f"time cannot run backwards with a thermostat; timestep = {timestep!r}")
-        self.temperature, self.seed = (
-            checked_number("temperature", temperature, "finite and not negative"),
-            checked_count("seed", seed, 0, SEEDS),
-        )
+        self.temperature = checked_number("temperature", temperature, "finite and not negative")
+        self.seed = checked_count("seed", seed, 0, SEEDS)
 
     @classmethod
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
         """The thermostat with this relaxation time, τ > 0 [time]; scene files know no other parameter.
         Other arguments : see Thermostat."""
-        raise NotImplementedError(
-            f"{cls.name} cannot be used in a scene, because it has no with_relaxation_time; run it from a script"
-        )
+        why = "because it has no with_relaxation_time"
+        raise NotImplementedError(f"{cls.name} cannot be used in a scene, {why}; run it from a script")
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
@@ -106,8 +103,7 @@ class Thermostat(Splitting):
         raise NotImplementedError(f"{self.name} has neither touch nor thermalize")
 
     def noise(self, bath: Bath) -> np.random.Generator:
-        """The generator of random numbers for one contact with the bath: for this step,
-        and the place of the contact within it."""
+        """The generator of random numbers for one contact with the bath: for this step and its place within it."""
         counter = np.array([0, 0, bath.contact, bath.step % STEPS], dtype=np.uint64)
         bath.contact += 1
         return np.random.Generator(np.random.Philox(key=self.seed, counter=counter))
@@ -125,8 +121,7 @@ class LangevinBAOAB(Thermostat):
     Averages have errors of order 2. For harmonic forces, averages of positions are exact at any stable Δt, and those of
     v² are too low by the fraction (ωΔt)²/4: a kinetic temperature below that of the bath by O(Δt²) is an error of the
     time step, not of the bath. This also holds for rigid molecules; without forces they have the temperature of the
-    bath. Momentum is not conserved, so all 3N degrees of freedom are thermal.
-    Without friction the method is velocity Verlet.
+    bath. Momentum is not conserved, so all 3N degrees of freedom are thermal. Without friction this is velocity Verlet.
 
     Parameters
     ----------
@@ -149,9 +144,8 @@ class LangevinBAOAB(Thermostat):
     @classmethod
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
         """See Thermostat; γ = 1/τ."""
-        return cls(
-            timestep, temperature, 1.0 / checked_number("relaxation_time", relaxation_time, "positive and finite"), seed
-        )
+        tau = checked_number("relaxation_time", relaxation_time, "positive and finite")
+        return cls(timestep, temperature, 1.0 / tau, seed)
 
     def touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
         """The Ornstein-Uhlenbeck process over a duration, between two projections onto the constraints.
@@ -173,11 +167,7 @@ class LangevinBAOAB(Thermostat):
 
 
 class Touch(
-    ByAddress,
-    namedtuple(
-        "Touch",
-        "velocities inverse_masses masses kept spread noise parts heat is_held steps",
-    ),
+    ByAddress, namedtuple("Touch", "velocities inverse_masses masses kept spread noise parts heat is_held steps")
 ):
     """The contact of atoms with a bath, see LangevinBAOAB.
 
@@ -258,8 +248,7 @@ def settled(velocity, inverse_mass, steps):
 
 
 class StochasticVelocityRescaling(Thermostat):
-    """Velocity Verlet, then all velocities times one factor,
-    drawn so that the kinetic energy has its canonical distribution.
+    """Velocity Verlet, then velocities times one factor, drawn so that kinetic energy has its canonical distribution.
 
         dK = (K̄ − K) dt/τ + 2 √(K K̄/n_dof) dW/√τ,  K̄ = n_dof k_B T/2
 
@@ -307,8 +296,7 @@ class StochasticVelocityRescaling(Thermostat):
 class Rescaling(
     ByAddress,
     namedtuple(
-        "Rescaling",
-        "velocities inverse_masses masses kept thermal_energy mass thermal noise parts motion heat steps",
+        "Rescaling", "velocities inverse_masses masses kept thermal_energy mass thermal noise parts motion heat steps"
     ),
 ):
     """The contact of all atoms with a bath, see StochasticVelocityRescaling.
@@ -374,8 +362,6 @@ def rescale_atoms(rescaling, chunk):
 def bath_of(around: Surroundings) -> Bath:
     """The bath that a thermostat needs.  Raises ValueError if there is none."""
     if around.bath is None:
-        raise ValueError(
-            "a thermostat needs a bath to count the energy it gives: pass surroundings=Surroundings(bath=Bath(k_B, "
-            "n_dof))"
-        )
+        remedy = "pass surroundings=Surroundings(bath=Bath(k_B, n_dof))"
+        raise ValueError(f"a thermostat needs a bath to count the energy it gives: {remedy}")
     return around.bath

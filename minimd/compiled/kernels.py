@@ -115,8 +115,8 @@ def shared_kernel(function):
 
 
 class CalledKernel(CPUDispatcher):
-    """A function that only compiled code calls; in Python it runs as Python. Numba's wrappers for calls from Python and
-    from C are left out: they took a quarter of the time of compilation."""
+    """A function that only compiled code calls; in Python it runs as Python.
+    Numba's wrappers for calls from Python and from C are left out: they took a quarter of the time of compilation."""
 
     def __call__(self, *arguments: object) -> Any:
         """The function of Python."""

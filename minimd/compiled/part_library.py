@@ -7,8 +7,8 @@ from numba.core.compiler import Compiler
 
 
 class PartLibrary(JITCodeLibrary):
-    """The code of a part of a kernel, for the library of the kernel to link. Nobody can call it. Numba would optimize
-    each part as a whole, and again as a part of what calls it, and so on up to the kernel."""
+    """The code of a part of a kernel, for the library of the kernel to link. Nobody can call it.
+    Numba would optimize each part as a whole, and again as a part of what calls it, and so on up to the kernel."""
 
     def _optimize_final_module(self) -> None:
         """Left to the kernel."""

@@ -108,8 +108,8 @@ class ThreadPool:
 
 
 def thread_pool(n_threads: int) -> ThreadPool:
-    """A pool with this number of threads. All simulations of a process share its helpers, and wait for each other,
-    unless there is one thread."""
+    """A pool with this number of threads.
+    All simulations of a process share its helpers, and wait for each other, unless there is one thread."""
     return ThreadPool(1) if n_threads == 1 else _shared_pool(n_threads)
 
 

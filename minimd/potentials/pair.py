@@ -241,7 +241,7 @@ class PairPotential(OwnPotential):
         return by_label, by_pair
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
-        """Parameters of one law.  of : a species, a pair; None for all.  Raises ValueError for what is no finite number."""
+        """Parameters of one law.  of : a species, a pair; None for all.  Raises ValueError unless they are finite."""
         values = checked_numbers("parameters", numbers, "a tuple of finite numbers")
         if values.ndim != 1 or not np.isfinite(values).all():
             whose = "of all atoms" if of is None else f"of {of!r}"

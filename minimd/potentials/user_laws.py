@@ -22,7 +22,7 @@ CLASS_NAME = "UserLaw_{}"  # a digest, or a random number
 
 class UserLaw(namedtuple("UserLaw", "")):
     """Law type of a user's law; each law has a class of its own.
-    is_recognized : whether the disk cache may hold its loops; False for laws without a digest, see compiled.snapshot."""
+    is_recognized : whether the disk cache may hold its loops; not of laws without a digest, see compiled.snapshot."""
 
     __slots__ = ()
     is_recognized = True

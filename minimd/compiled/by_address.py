@@ -1,5 +1,4 @@
-"""Named tuples that kernels get by their address, one number, instead of each array with its sizes:
-they compile in half the time."""
+"""Named tuples that kernels get by one address, not array by array with all sizes: they compile in half the time."""
 
 import functools
 from hashlib import sha256
@@ -9,17 +8,9 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import extending, types
 from numba.core import cgutils
-from numba.extending import (
-    NativeValue,
-    lower_builtin,
-    lower_getattr_generic,
-    models,
-    register_model,
-    typeof_impl,
-    unbox,
-)
+from numba.extending import NativeValue, models, typeof_impl
 
 WORD = 8  # bytes of a number, an address or a size
 
@@ -33,8 +24,7 @@ class ByAddress:
 
     @functools.cached_property
     def words(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """What kernels read, field by field: of an array its address, shape and strides; a number;
-        an address of a ByAddress."""
+        """What kernels read, field by field: address, shape and strides of an array; a number; a ByAddress' address."""
         return np.array(_words_of(tuple(self)), dtype=np.int64)  # type: ignore[arg-type, call-overload]
 
     @functools.cached_property
@@ -86,7 +76,7 @@ def _typeof(value, context):
     return AddressType(tuple(typeof_impl(one, context) for one in value), type(value))
 
 
-@register_model(AddressType)
+@extending.register_model(AddressType)
 class AddressModel(models.PrimitiveModel):
     """An address is a number."""
 
@@ -94,7 +84,7 @@ class AddressModel(models.PrimitiveModel):
         super().__init__(manager, fe_type, ir.IntType(8 * WORD))
 
 
-@unbox(AddressType)
+@extending.unbox(AddressType)
 def _unboxed(_kind, value, c):
     number = c.pyapi.object_getattr_string(value, "address")
     address = c.pyapi.long_as_longlong(number)
@@ -102,19 +92,17 @@ def _unboxed(_kind, value, c):
     return NativeValue(address, is_error=cgutils.is_not_null(c.builder, c.pyapi.err_occurred()))
 
 
-@lower_getattr_generic(AddressType)
+@extending.lower_getattr_generic(AddressType)
 def _field(context, builder, kind, address, name):
-    return _read_item(context, builder, kind, address, kind.fields.index(name))
+    k = kind.fields.index(name)
+    return _read(context, builder, kind[k], address, kind.places[k])
 
 
-@lower_builtin("static_getitem", AddressType, types.IntegerLiteral)
+@extending.lower_builtin("static_getitem", AddressType, types.IntegerLiteral)
 def _item(context, builder, signature, arguments):
     (kind, _), (address, index) = signature.args, arguments
-    return _read_item(context, builder, kind, address, index % len(kind))
-
-
-def _read_item(context, builder, kind, address, index):
-    return _read(context, builder, kind[index], address, kind.places[index])
+    k = index % len(kind)
+    return _read(context, builder, kind[k], address, kind.places[k])
 
 
 def _read(context, builder, kind, address, place):
@@ -123,20 +111,17 @@ def _read(context, builder, kind, address, place):
         return _array(context, builder, kind, address, place)
     if _is_word_by_word(kind):
         places = accumulate((_n_words(one) for one in kind.types), initial=place)
-        return context.make_tuple(
-            builder, kind, [_read(context, builder, one, address, at) for one, at in zip(kind, places, strict=False)]
-        )
+        each = [_read(context, builder, one, address, at) for one, at in zip(kind, places, strict=False)]
+        return context.make_tuple(builder, kind, each)
     return _word(builder, context.get_value_type(kind), address, place)
 
 
 def _array(context, builder, kind, address, place):
     """An array that owns nothing."""
     model, word, element = context.data_model_manager[kind], ir.IntType(8 * WORD), context.get_data_type(kind.dtype)
-    itemsize = word(context.get_abi_sizeof(element))
-    shape, strides = (
-        [_word(builder, word, address, place + first + k) for k in range(kind.ndim)] for first in (1, 1 + kind.ndim)
-    )
-    if kind.ndim == 1 and kind.layout == "C":
+    itemsize, n = word(context.get_abi_sizeof(element)), kind.ndim
+    shape, strides = ([_word(builder, word, address, place + at + k) for k in range(n)] for at in (1, 1 + n))
+    if n == 1 and kind.layout == "C":
         strides = [itemsize]
     parts = {
         "nitems": functools.reduce(builder.mul, shape),

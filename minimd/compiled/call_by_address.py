@@ -6,11 +6,8 @@ from numba.extending import intrinsic
 
 
 def _call(returned: types.Type):
-    """An intrinsic (address, arguments): calls a kernel that returns this.
-
-    The arguments, a tuple, must be of the types that DirectCalls.address
-    was given; for a ByAddress its address will do.
-    """
+    """An intrinsic (address, arguments): calls a kernel that returns this. The arguments, a tuple, must be of the types
+    that DirectCalls.address was given; for a ByAddress its address will do."""
 
     @intrinsic
     def call(_context, address, arguments):
@@ -28,7 +25,5 @@ def _call(returned: types.Type):
     return call
 
 
-call_at, run_at = (
-    _call(types.int64),
-    _call(types.none),
-)  # of a kernel that returns a whole number, and of one that returns nothing
+# of a kernel that returns a whole number, and of one that returns nothing
+call_at, run_at = _call(types.int64), _call(types.none)

@@ -1,5 +1,4 @@
-"""The files of compiled kernels: a process loads what it finds there; while one process compiles a kernel,
-the others wait for it."""
+"""The files of compiled kernels: a process loads what it finds; while one compiles a kernel, the others wait for it."""
 
 import os
 import pickle
@@ -20,9 +19,8 @@ CHECKSUM = 32  # bytes at the beginning of each file, of SHA-256
 class CodeFiles(IndexDataCacheFile):
     """The files of a kernel in Numba's cache: an index, and one file for the machine code of each signature.
 
-    Numba numbers the files, and writes the index first. A process that is killed in between, or two at once, may leave
-    an index that names the machine code of another signature. Here each file has a unique name,
-    and the index names it only after it was written.
+    Numba numbers the files, and writes the index first: a process killed in between, or two at once, may leave one that
+    names the code of another signature. Here each file has a unique name, which the index gets after it was written.
 
     Numba executes what it finds. Here each file begins with a checksum of the rest. A file that does not agree with
     it, such as after a power failure, is removed, and its kernel compiled anew; standard error says so once.
@@ -77,16 +75,14 @@ class CodeFiles(IndexDataCacheFile):
 
 
 def sound_content(path: str | Path) -> bytes | None:
-    """What a file of the cache holds behind its checksum, as bytes; None if it is damaged.
-    Raises OSError if it cannot be read."""
+    """What a file of the cache holds behind its checksum; None if it is damaged.  OSError if it cannot be read."""
     with open(path, "rb") as file:
         checksum, content = file.read(CHECKSUM), file.read()
     return content if sha256(content).digest() == checksum else None
 
 
 def is_damaged(path: str | Path) -> bool:
-    """Whether a file of the cache does not agree with its checksum; one that is gone, or cannot be read,
-    is not called damaged."""
+    """Whether a file of the cache does not agree with its checksum; False for one that is gone, or cannot be read."""
     try:
         return sound_content(path) is None
     except OSError:
@@ -94,10 +90,7 @@ def is_damaged(path: str | Path) -> bool:
 
 
 class KernelCache(FunctionCache):
-    """Numba's cache of the compiled forms of a kernel.
-
-    If several processes want one at the same moment, one compiles it while the others wait.
-    """
+    """Numba's cache of a kernel's compiled forms; if processes want one at once, one compiles it, the others wait."""
 
     compiling: ClassVar[dict[Callable, "KernelCache"]] = {}  # for which others wait, by function
 
@@ -108,10 +101,7 @@ class KernelCache(FunctionCache):
         self._lock = -1
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Called by Numba before a compilation: the compiled code, if there is any.
-
-        None if this process must compile, and others wait for it.
-        """
+        """Called by Numba before a compilation: the compiled code; None if this process must compile it."""
         found = super().load_overload(sig, target_context)
         if found is None and self._lock < 0:
             self._wait_for_others()

@@ -1,7 +1,4 @@
-"""The processor's features that Numba may use.
-
-MINIMD_VECTORS in the environment leaves out those of newer vectors, to compare or to test.
-"""
+"""The processor's features that Numba may use; MINIMD_VECTORS leaves out those of newer vectors, to compare or test."""
 
 import llvmlite.binding as llvm
 import numba
@@ -15,12 +12,8 @@ WIDER = {  # beginnings of names of the features that each choice does without
 
 
 def restrict_features(choice: str) -> None:
-    """Let Numba compile for the vectors of an older processor: avx512, avx2 or sse.
-
-    It has an effect only before anything is compiled.
-
-    Raises ValueError for another word.
-    """
+    """Let Numba compile for the vectors of an older processor, avx512, avx2 or sse; only before anything is compiled.
+    Raises ValueError for another word."""
     if choice not in WIDER:
         raise ValueError(f"MINIMD_VECTORS must be one of {', '.join(WIDER)}; it is {choice!r}")
     if WIDER[choice]:

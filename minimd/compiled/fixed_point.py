@@ -1,5 +1,4 @@
-"""Arithmetic on grids: numbers that are whole multiples of a step, so that their sums have no rounding error,
-in any order.
+"""Arithmetic on grids: numbers that are whole multiples of a step, so that sums in any order have no rounding error.
 
 A step is a power of two. Up to 2⁵³ steps, its multiples are float64 numbers, and adding two of them is exact. Forces of
 pairs are summed as int64: all sums are right modulo 2⁶⁴, so the final one is right if it is in range.
@@ -22,9 +21,8 @@ from minimd.compiled.simd.vector import Vector, convert
 
 MAGIC = 1.5 * 2.0**52
 BIAS = int(np.float64(MAGIC).view(np.int64))
-MOST = (
-    2.0**50
-)  # steps in a momentum or in the impulse of a pair: the rounding of v = p/m and p = m v leads back to the same p
+# steps in a momentum or in the impulse of a pair: the rounding of v = p/m and p = m v leads back to the same p
+MOST = 2.0**50
 FARTHEST = 2.0**52  # steps of length: sums of two positions are still exact
 
 
@@ -53,10 +51,7 @@ def _whole_product(a, b):
 
 
 def on_grid(x, step):
-    """x rounded to a multiple of a step, a power of two; for |x| < 2⁵¹ steps.
-
-    Unchanged if step = 0. For numbers or vectors.
-    """
+    """x rounded to a multiple of step, a power of 2; for |x| < 2⁵¹ steps, numbers or vectors; x itself if step = 0."""
     return (x + MAGIC * step) - MAGIC * step
 
 
@@ -74,8 +69,7 @@ def as_float(whole):
 class Steps(namedtuple("Steps", "per_force length momentum energy limit2")):
     """The steps of a grid for a kernel.
 
-    per_force : (P,) impulses of P kicks, in steps of momentum, for a unit of force:
-        duration / momentum [length/energy].
+    per_force : (P,) impulses of P kicks, in steps of momentum, per unit of force: duration / momentum [length/energy].
     length, momentum, energy : the steps [length], [mass length/time], [energy].
     limit2 : square of what the forces on an atom may be, divided by its distances, in these impulses [1/length²].
     """

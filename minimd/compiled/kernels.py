@@ -2,8 +2,7 @@
 
 Numba's own cache does not notice that a function of *another* file has changed, and fails when neither the installation
 nor the home folder can be written. Compiled kernels therefore live in a folder named after a hash of all sources that
-kernels depend on: edited sources never meet yesterday's machine code, other edits compile nothing,
-and any writable place will do.
+kernels depend on: edited sources never meet old machine code, other edits compile nothing, any writable place will do.
 """
 
 import functools
@@ -44,8 +43,7 @@ WAIT_BEFORE_TELLING = 1.0  # seconds of compiling before the user is told
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """The folder for compiled code, one per state of the kernels' sources; None if there is none,
-    and each process compiles anew.
+    """The folder for compiled code, one per state of the kernels' sources; None, where each process compiles anew.
 
     It lies in the first of $NUMBA_CACHE_DIR, the user's cache folder and the temporary folder that can be written, and
     that nobody else can change: what is in it will be executed. Warns of one that others can change.
@@ -58,14 +56,11 @@ def cache_folder() -> Path | None:
                 for part in (*reversed(folder.parents), folder):
                     if not part.is_dir():
                         part.mkdir(mode=0o700, exist_ok=True)  # for this user alone
-            if opened := open_to_others(
-                folder
-            ):  # perhaps only now: somebody else may have been faster in a common folder
-                warnings.warn(
-                    f"compiled code is not kept in {base}, because other users can change {opened}; "
-                    "take that permission from them, or set NUMBA_CACHE_DIR to a folder of your own",
-                    stacklevel=2,
-                )
+            # perhaps only now: somebody else may have been faster in a common folder
+            if opened := open_to_others(folder):
+                hint = "take that permission from them, or set NUMBA_CACHE_DIR to a folder of your own"
+                words = f"compiled code is not kept in {base}, because other users can change {opened}; {hint}"
+                warnings.warn(words, stacklevel=2)
                 continue
             with tempfile.TemporaryFile(dir=folder):
                 return folder
@@ -75,13 +70,12 @@ def cache_folder() -> Path | None:
 
 
 def open_to_others(folder: Path) -> Path | None:
-    """The first folder, of this one and its parents from the root down,
-    that users other than this one and root can change; None if there is none.
+    """The first of a folder and its parents, from the root down, that others than this user and root can change.
 
     Whoever can write to a folder can exchange the folders in it, unless it is sticky, as /tmp is: then only their
     owners can. Folders that do not exist yet belong to nobody. Windows keeps the folders of users apart by other means.
 
-    Raises OSError if the permissions cannot be read.
+    None if there is no such folder.  Raises OSError if the permissions cannot be read.
     """
     if not hasattr(os, "getuid"):
         return None
@@ -122,9 +116,7 @@ def shared_kernel(function):
 
 class CalledKernel(CPUDispatcher):
     """A function that only compiled code calls; in Python it runs as Python.
-
-    Numba's wrappers for calls from Python and from C are left out: they took a quarter of the time of compilation.
-    """
+    Numba's wrappers for calls from Python and from C are left out: they took a quarter of the time of compilation."""
 
     def __call__(self, *arguments: object) -> Any:
         """The function of Python."""
@@ -147,11 +139,8 @@ def inlined(function):
 
 
 def scalar(function):
-    """Compile a function that only kernels call; the compiler puts it into the kernel.
-
-    It must not create arrays. It then needs no reference counts for the arrays it is given,
-    which would cost more than a small function.
-    """
+    """Compile a function that only kernels call; the compiler puts it into the kernel. It must not create arrays:
+    then it needs no reference counts for those it is given, which would cost more than a small function."""
     return PartOfKernel(function, targetoptions={**NOT_FROM_OUTSIDE, "forceinline": True, "_nrt": False})
 
 
@@ -167,8 +156,7 @@ def filling_kernel(function):
 
 
 def by_type(choose: Callable) -> Callable:
-    """Decorator of a function for kernels only: it takes the Numba types of the arguments,
-    and returns the function to compile for them."""
+    """Decorator of a function for kernels only: given the Numba types of arguments, it returns what to compile."""
 
     @functools.wraps(choose)
     def compiled_only(*arguments):
@@ -180,8 +168,7 @@ def by_type(choose: Callable) -> Callable:
 
 
 def type_of(formula: Callable, python: Callable | None = None) -> Callable[[type], type]:
-    """Decorator of a NamedTuple class whose instances stand for a compiled function: kernels, and the cache,
-    choose the function by this type.
+    """Decorator of a NamedTuple class that stands for a compiled function, which kernels, and the cache, choose by it.
 
     python : the same function for Python; if not given, the one that was compiled.
     """
@@ -195,11 +182,8 @@ def type_of(formula: Callable, python: Callable | None = None) -> Callable[[type
 
 
 class DirectCalls:
-    """Calls of kernels by a caller that always passes arguments of the same types, and arrays of the same layout.
-
-    Numba examines the types of all arguments in each call, which takes 14 µs for 40 arrays in named tuples.
-    Here this happens once.
-    """
+    """Calls of kernels by a caller that always passes arguments of the same types, and arrays of the same layout: their
+    types are examined once; Numba does it in each call, which takes 14 µs for 40 arrays in named tuples."""
 
     def __init__(self) -> None:
         self._codes: dict[Callable, Callable] = {}
@@ -231,8 +215,7 @@ class DirectCalls:
 
 @functools.cache
 def without_cache(dispatcher):
-    """The same kernel, shared or not, compiled anew in each process:
-    for a user's laws that the cache cannot recognize."""
+    """The same kernel, compiled anew in each process: for a user's laws that the cache cannot recognize."""
     return type(dispatcher)(dispatcher.py_func, targetoptions=dict(dispatcher.targetoptions))
 
 

@@ -54,8 +54,7 @@ def processor_name() -> str:
 
 
 def peak_memory() -> int | None:
-    """Bytes of memory that this process has held at most so far; None where the operating system does not tell,
-    as on Windows."""
+    """Bytes of memory that this process has held at most so far; None where the system does not tell, as on Windows."""
     with suppress(OSError):
         for line in STATUS.read_text().splitlines():
             if line.startswith("VmHWM:"):  # "VmHWM:   178012 kB"

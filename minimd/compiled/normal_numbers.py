@@ -20,10 +20,8 @@ from numba.np.random import _constants as numpys
 from minimd.compiled.kernels import inlined, kernel, scalar
 
 FIRST, SECOND = np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157)  # multipliers of Philox4x64
-GOLDEN, ROOT = (
-    np.uint64(0x9E3779B97F4A7C15),
-    np.uint64(0xBB67AE8584CAA73B),
-)  # what its key grows by: fractions of (√5 − 1)/2 and of √3 − 1
+# what its key grows by: fractions of (√5 − 1)/2 and of √3 − 1
+GOLDEN, ROOT = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B)
 ROUNDS = 10
 LAYERS, MANTISSA = np.uint64(255), np.uint64((1 << 52) - 1)
 INSIDE, WIDTHS, HEIGHTS = numpys.ki_double, numpys.wi_double, numpys.fi_double  # of the layers
@@ -32,8 +30,7 @@ UNIT = 2.0**-53
 
 
 class Stream(namedtuple("Stream", "key counter words place")):
-    """Random words.  key : (2,), counter : (4,), words : (4,) uint64, those of the counter.  place : (1,) int,
-    how many of them were used."""
+    """Random words.  key : (2,), counter : (4,), words : (4,) uint64, of it.  place : (1,) int, how many are used."""
 
 
 @inlined
@@ -78,9 +75,7 @@ def normal(stream):
 @inlined
 def sum_of_squares(stream, n):
     """The sum of the squares of n normal numbers, for n > 2 twice a gamma variate.
-
-    G. Marsaglia, W. W. Tsang, ACM Trans. Math. Softw. 26, 363 (2000).
-    """
+    G. Marsaglia, W. W. Tsang, ACM Trans. Math. Softw. 26, 363 (2000)."""
     total = 0.0
     if n < 3:
         for _ in range(n):

@@ -1,5 +1,4 @@
-"""How Numba compiles functions that only kernels call: neither to their end nor to machine code,
-since the kernel around them is."""
+"""How Numba compiles what only kernels call: neither to its end nor to machine code, since the kernel around it is."""
 
 from typing import Any
 
@@ -9,9 +8,7 @@ from numba.core.compiler import Compiler
 
 class PartLibrary(JITCodeLibrary):
     """The code of a part of a kernel, for the library of the kernel to link. Nobody can call it.
-
-    Numba would optimize each part as a whole, and again as a part of what calls it, and so on up to the kernel.
-    """
+    Numba would optimize each part as a whole, and again as a part of what calls it, and so on up to the kernel."""
 
     def _optimize_final_module(self) -> None:
         """Left to the kernel."""

@@ -55,9 +55,7 @@ def n_chunks_of(n: int) -> int:
 
 class Program:
     """Operations that are made anew when the memory of their data was replaced.
-
-    make : returns them: always as many, in the same order.  version : of that memory.  pool : the threads.
-    """
+    make : returns them: always as many, in the same order.  version : of that memory.  pool : the threads."""
 
     def __init__(self, make: Callable[[], Iterable[Operation]], version: Callable[[], Any], pool: ThreadPool) -> None:
         self._make, self._version, self._pool = make, version, pool

@@ -1,5 +1,4 @@
-"""Snapshots of functions: a copy that later changes do not reach,
-and a digest by which the cache of compiled code recognizes it.
+"""Snapshots of functions: copies that later changes do not reach, and digests by which the cache recognizes them.
 
 What a compiled function does is decided by its bytecode, its constants and defaults, the globals and closure cells it
 reads, the compiled functions it calls, and its compile options. All of this enters the digest; names of files and
@@ -25,14 +24,8 @@ from minimd.compiled.kernels import PartOfKernel
 
 NUMBERS = (bool, int, float, complex, str, bytes, type(None))
 NUMBER_KINDS = "biufc"  # of NumPy: truth values, integers, floats, complex numbers
-TRUSTED = {
-    "builtins",
-    "math",
-    "cmath",
-    "numpy",
-    "numba",
-    "minimd",
-}  # modules known by their versions, minimd by its sources
+# modules known by their versions, minimd by its sources
+TRUSTED = {"builtins", "math", "cmath", "numpy", "numba", "minimd"}
 LARGEST_ARRAY = 10**6  # bytes: Numba does not cache code that reads a larger one
 CODE_FIELDS = ("co_code", "co_exceptiontable", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_flags")
 COUNTS = ("co_argcount", "co_posonlyargcount", "co_kwonlyargcount")
@@ -48,8 +41,7 @@ class Snapshot:
     Attributes
     ----------
     function : the copy, of the same kind, with the same compile options.
-    python : the copy as a plain function; the functions that it calls are plain too,
-        but for those with fixed signatures.
+    python : the copy as a plain function; it calls plain functions, too, but for those with fixed signatures.
     digest : 32 hexadecimal digits; the same for functions that compile to the same code. Empty for a function that
         imports modules, or reads anything but numbers, strings, tuples and small arrays of numbers, functions compiled
         without fixed signatures, and names from math, cmath, numpy, numba and minimd.
@@ -61,9 +53,8 @@ class Snapshot:
         self._note(sys.version, numba.__version__, np.__version__)
         self.function: Any
         self.python: FunctionType
-        self.function, self.python = (
-            self._plain(function) if isinstance(function, FunctionType) else self._compiled(function)
-        )
+        copy_it = self._plain if isinstance(function, FunctionType) else self._compiled
+        self.function, self.python = copy_it(function)
         self.digest = self._hash.hexdigest()[:32] if self._is_clear else ""
 
     def _note(self, *words: Any) -> None:
@@ -87,7 +78,10 @@ class Snapshot:
         elif isinstance(value, np.generic) and value.dtype.kind in NUMBER_KINDS:
             self._note("number", value.dtype.str, value.tobytes())
         elif type(value) is np.ndarray and value.dtype.kind in NUMBER_KINDS and value.nbytes <= LARGEST_ARRAY:
-            return self._array(value)
+            if not (value.flags.c_contiguous or value.flags.f_contiguous):
+                self._is_clear = False  # Numba reads an array with gaps from its place in memory
+            self._note("array", value.dtype.str, value.shape, value.flags.c_contiguous, value.tobytes())
+            value = value.copy(order="K")
         elif type(value) is tuple:
             self._note("tuple", len(value))
             copies = [self._value(one) for one in value]
@@ -95,13 +89,6 @@ class Snapshot:
         else:
             self._is_clear, value = False, _copied(value)
         return value, value
-
-    def _array(self, array: Any) -> tuple[Any, Any]:
-        if not (array.flags.c_contiguous or array.flags.f_contiguous):
-            self._is_clear = False  # Numba reads an array with gaps from its place in memory
-        self._note("array", array.dtype.str, array.shape, array.flags.c_contiguous, array.tobytes())
-        array = array.copy(order="K")
-        return array, array
 
     def _compiled(self, function: Any) -> tuple[Any, Any]:
         """Copies of a function that Numba compiles; if it was met before, as in a recursion, it is only noted again."""
@@ -177,8 +164,7 @@ class Snapshot:
 
 
 def _copied(value: Any) -> Any:
-    """A copy that later changes do not reach, as far as possible: the copy of a module has its names,
-    but not copies of what they hold."""
+    """A copy that later changes do not reach, if possible; a module's has its names, not copies of what they hold."""
     if isinstance(value, ModuleType):
         module = ModuleType(f"{value.__name__}, copy {uuid4().hex}")  # Numba tells modules apart by their names
         module.__dict__.update(vars(value), __name__=module.__name__, __spec__=None)

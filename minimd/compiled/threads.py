@@ -36,8 +36,7 @@ CODE, DATA, CHUNKS, THEN, OTHERWISE = range(5)  # columns of the table of operat
 AT = 0  # place in a course: the next operation
 GO_ON, JUMP, PYTHON = 0, -1, 1  # answers: go on with the operation THEN, or OTHERWISE; Python is wanted
 PATIENCE = 2000  # reads of a counter before a waiting thread lets others run
-# times that a helper lets others run, about a millisecond, before it goes to sleep: waking it takes as long as a small
-# program
+# times that a helper lets others run, about a millisecond, before it sleeps: waking it takes as long as a small program
 LINGERING = 1000
 
 HAS_AFFINITY = hasattr(os, "sched_setaffinity")
@@ -46,10 +45,7 @@ _let_others_run = types.ExternalFunction("SwitchToThread" if os.name == "nt" els
 
 
 class Worker(namedtuple("Worker", "counters thread n_threads")):
-    """One thread of a pool.
-
-    counters : shared.  thread : its number; 0 is the calling thread.  n_threads : of the pool.
-    """
+    """One thread of a pool.  counters : shared.  thread : its number, 0 of the caller.  n_threads : of the pool."""
 
 
 def no_counts() -> NDArray[np.int64]:
@@ -67,10 +63,8 @@ class ThreadPool:
         self._task: tuple = ()
         self._core = -1
         self._wake = [threading.Lock() for _ in range(n_threads - 1)]
-        self._helpers = [
-            threading.Thread(target=self._help, args=(k, wake), daemon=True)
-            for k, wake in enumerate(self._wake, start=1)
-        ]
+        named = enumerate(self._wake, start=1)
+        self._helpers = [threading.Thread(target=self._help, args=one, daemon=True) for one in named]
         for wake, helper in zip(self._wake, self._helpers, strict=True):
             wake.acquire()
             helper.start()
@@ -97,8 +91,7 @@ class ThreadPool:
                 self._task = ()
 
     def _keep_off_callers_core(self) -> None:
-        """Keep helpers off this core: Linux tends to wake a thread on the core of the one that wakes it,
-        where it would wait for the program to end."""
+        """Keep helpers off this core: Linux tends to wake a thread on its waker's, where it would wait for its end."""
         core = _current_core()
         if core != self._core:
             self._core, cores = core, os.sched_getaffinity(0)
@@ -119,16 +112,11 @@ class ThreadPool:
 
 def thread_pool(n_threads: int) -> ThreadPool:
     """A pool with this number of threads.
-
-    All simulations of a process share its helpers, and wait for each other, unless there is one thread.
-    """
+    All simulations of a process share its helpers, and wait for each other, unless there is one thread."""
     return ThreadPool(1) if n_threads == 1 else _shared_pool(n_threads)
 
 
-@functools.cache
-def _shared_pool(n_threads: int) -> ThreadPool:
-    return ThreadPool(n_threads)
-
+_shared_pool = functools.cache(ThreadPool)
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_shared_pool.cache_clear)  # a child process has none of its parent's threads
@@ -262,17 +250,14 @@ _add, _exchange = _atomic("add"), _atomic("xchg")
 @intrinsic
 def _read(_context, counters, place):
     """The present number of a counter, whichever thread wrote it."""
-    return types.int64(counters, types.intp), _at(
-        counters, lambda builder, address: builder.load_atomic(address, "seq_cst", 8)
-    )
+    emit = _at(counters, lambda builder, address: builder.load_atomic(address, "seq_cst", 8))
+    return types.int64(counters, types.intp), emit
 
 
 @intrinsic
 def _replace(_context, counters, place, expected, number):
     """Write a number if the counter still has the expected one; returns what it was."""
-    emit = _at(
-        counters, lambda builder, *values: builder.extract_value(builder.cmpxchg(*values, "seq_cst", "seq_cst"), 0)
-    )
+    emit = _at(counters, lambda code, *values: code.extract_value(code.cmpxchg(*values, "seq_cst", "seq_cst"), 0))
     return types.int64(counters, types.intp, types.int64, types.int64), emit
 
 

@@ -17,30 +17,7 @@ from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
 from minimd.potentials.user_fields import Field
 from minimd.potentials.walls import CylinderWall, SphereWall, Wall
 
-__all__ = [
-    "FORCES",
-    "PER_ATOM",
-    "TOTALS",
-    "BondPotential",
-    "ConstantForce",
-    "CylinderWall",
-    "DihedralPotential",
-    "FENEBond",
-    "Field",
-    "Gravity",
-    "HarmonicAngle",
-    "HarmonicBond",
-    "HarmonicImproper",
-    "LennardJones",
-    "MorseBond",
-    "OPLSDihedral",
-    "PairPotential",
-    "PeriodicDihedral",
-    "Restraint",
-    "RyckaertBellemans",
-    "SphereWall",
-    "SteeredSpring",
-    "Tabulated",
-    "Term",
-    "Wall",
-]
+__all__ = ["FORCES", "PER_ATOM", "TOTALS", "BondPotential", "ConstantForce", "CylinderWall", "DihedralPotential"]
+__all__ += ["FENEBond", "Field", "Gravity", "HarmonicAngle", "HarmonicBond", "HarmonicImproper", "LennardJones"]
+__all__ += ["MorseBond", "OPLSDihedral", "PairPotential", "PeriodicDihedral", "Restraint", "RyckaertBellemans"]
+__all__ += ["SphereWall", "SteeredSpring", "Tabulated", "Term", "Wall"]

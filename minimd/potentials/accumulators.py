@@ -39,8 +39,7 @@ def in_steps(u, steps):
 
 @by_type
 def is_too_large(size2, steps):
-    """Whether one of several forces may be too large for a grid.  size2 :
-    sum of their squares [energy²/length²]."""
+    """Whether one of several forces may be too large for a grid.  size2 : sum of their squares [energy²/length²]."""
     if is_fixed(steps):
         return lambda size2, steps: not size2 * steps.per_force[0] ** 2 <= LIMIT2
     return lambda size2, steps: False

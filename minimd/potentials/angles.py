@@ -50,8 +50,7 @@ class HarmonicAngle(OwnPotential):
 
         Raises
         ------
-        ValueError : if a triple names a missing atom, or an array of k or angle has
-            another length than the list of angles.
+        ValueError : if a triple names a missing atom, or an array of k or angle has another length than that list.
         """
         triples = system.angles if self.triples is None else checked_groups("triples", self.triples, 3, len(system))
         k, angle = columns_of("angles", {"k": self.k, "angle": self.angle}, len(triples))
@@ -82,8 +81,7 @@ def _bend(links, t, _law, numbers):
         tan(θ − θ₀) = (|n| cos θ₀ − a·b sin θ₀)/(a·b cos θ₀ + |n| sin θ₀)
         F_i = u′(θ) n × a/(a²|n|),   F_k = u′(θ) b × n/(b²|n|),   all zero if n = 0
 
-    numbers : k [energy/rad²], sin θ₀, cos θ₀.
-    θ near 0 and π, and θ − θ₀ if θ₀ is 0 or π, have all their digits.
+    numbers : k [energy/rad²], sin θ₀, cos θ₀. θ near 0 and π, and θ − θ₀ if θ₀ is 0 or π, have all their digits.
     """
     (a, lost_a), (b, lost_b), (k, sine, cosine) = arm(links, 0, t), arm(links, 1, t), numbers
     n = _normal(a, b, lost_a, lost_b)

@@ -36,14 +36,10 @@ class BondPotential(OwnPotential):
         self.law = checked_law(law)
         self.pairs = None if pairs is None else checked_pairs("pairs", pairs)
         if not isinstance(parameters, Sequence):
-            raise TypeError(
-                "parameters of bonds must be a tuple with one entry for each parameter of the law; parameters = "
-                f"{shown(parameters)}"
-            )
-        self.parameters = tuple(
-            checked_numbers("bond parameters", parameter, "one number, or one for each bond")
-            for parameter in parameters
-        )
+            wanted = "a tuple with one entry for each parameter of the law"
+            raise TypeError(f"parameters of bonds must be {wanted}; parameters = {shown(parameters)}")
+        wanted = "one number, or one for each bond"
+        self.parameters = tuple(checked_numbers("bond parameters", one, wanted) for one in parameters)
         for parameter in self.parameters:
             if not np.isfinite(parameter).all():
                 raise ValueError(f"bond parameters must be finite; they are {parameter.tolist()}")
@@ -82,10 +78,8 @@ class BondPotential(OwnPotential):
         """
         for parameter in self.parameters:
             if parameter.shape not in ((), (n_bonds,)):
-                raise ValueError(
-                    f"a bond parameter must be one number or {n_bonds}, one for each bond; its shape is "
-                    f"{parameter.shape}"
-                )
+                wanted = f"one number or {n_bonds}, one for each bond"
+                raise ValueError(f"a bond parameter must be {wanted}; its shape is {parameter.shape}")
         return np.stack([np.broadcast_to(column, n_bonds) for column in (np.array(np.inf), *self.parameters)], axis=-1)
 
 
@@ -99,8 +93,7 @@ class OwnBond(BondPotential):
         return dict(zip(self.names, self.parameters, strict=True))
 
     def _check(self, what: str, negative: tuple[str, ...] = (), not_positive: tuple[str, ...] = ()) -> None:
-        """Raise ValueError if a parameter is negative or not positive.  negative, not_positive :
-        names of those that must not be so."""
+        """Raise ValueError if a parameter is negative, or not positive.  negative, not_positive : those to test."""
         for name, values in self.law_arguments().items():
             if name in negative and np.any(values < 0.0):
                 raise ValueError(f"{name} of {what} must not be negative; {name} = {values.tolist()}")

@@ -1,5 +1,4 @@
-"""Dihedrals and impropers: a law of the angle between two planes, the one through atoms i, j, k and the one through j,
-k, l."""
+"""Dihedrals and impropers: a law of the angle between the planes through atoms i, j, k and through atoms j, k, l."""
 
 from __future__ import annotations
 
@@ -33,8 +32,7 @@ class DihedralPotential(OwnPotential):
     ----------
     law : function law(phi, *parameters) of the angle [rad], −π < φ ≤ π, zero for cis and ±π for trans, that returns u
         [energy] and u′(φ) [energy/rad]; plain Python of numbers, or already compiled by numba.njit.
-    parameters : one entry for each parameter of the law: a number for all dihedrals,
-        or an array with one number for each.
+    parameters : one entry for each parameter of the law: a number for all, or an array with one number for each.
     quadruples : (D, 4) int; system.dihedrals if not given.
 
     Each bond of the chain i, j, k, l runs to the nearest image of its partner. Raises ValueError for parameters that
@@ -48,10 +46,8 @@ class DihedralPotential(OwnPotential):
         self, law: Callable | tuple, parameters: Sequence[ArrayLike] = (), quadruples: ArrayLike | None = None
     ) -> None:
         if not isinstance(parameters, Sequence) or isinstance(parameters, str):
-            raise TypeError(
-                "parameters must be a tuple with one entry for each parameter of the law; parameters = "
-                f"{shown(parameters)}"
-            )
+            wanted = "a tuple with one entry for each parameter of the law"
+            raise TypeError(f"parameters must be {wanted}; parameters = {shown(parameters)}")
         self._hold(checked_law(law), {f"parameter {k}": values for k, values in enumerate(parameters)}, quadruples)
 
     def _hold(
@@ -71,11 +67,10 @@ class DihedralPotential(OwnPotential):
 
     def quadruples_in(self, system: System) -> NDArray[np.int64]:
         """(D, 4) int, those on which it acts in a system.  Raises ValueError if they name atoms that do not exist."""
-        given = self.quadruples
-        found: NDArray[np.int64] = (
-            getattr(system, self.groups) if given is None else checked_groups("quadruples", given, 4, len(system))
-        )
-        return found
+        if self.quadruples is None:
+            own: NDArray[np.int64] = getattr(system, self.groups)
+            return own
+        return checked_groups("quadruples", self.quadruples, 4, len(system))
 
     def columns(self, n: int) -> tuple[Array, ...]:
         """The parameters of each of n dihedrals, (n,) each.  Raises ValueError for an array of another length."""
@@ -86,8 +81,7 @@ class DihedralPotential(OwnPotential):
 
         Raises
         ------
-        ValueError : if a quadruple names a missing atom,
-            or an array of parameters has another length than the list of quadruples.
+        ValueError : if a quadruple names a missing atom, or an array of parameters has another length than their list.
         """
         quadruples = self.quadruples_in(system)
         columns = self.columns(len(quadruples))
@@ -106,8 +100,7 @@ class PeriodicDihedral(DihedralPotential):
     ----------
     k : half the barrier [energy].  n : minima in a turn, whole numbers from 0 on.  phase : φ₀ [rad]. One number each,
         or one for each dihedral.
-    quadruples : (D, 4) int; system.dihedrals if not given. A quadruple may be given several times,
-        for a sum of such terms.
+    quadruples : (D, 4) int; system.dihedrals if not given. One that is given several times has a sum of terms.
 
     Raises
     ------
@@ -117,9 +110,8 @@ class PeriodicDihedral(DihedralPotential):
     def __init__(self, k: ArrayLike, n: ArrayLike, phase: ArrayLike = 0.0, quadruples: ArrayLike | None = None) -> None:
         self._hold(PeriodicLaw(), {"k": k, "n": n, "phase": phase}, quadruples, not_negative=("n",))
         if (np.rint(self.parameters["n"]) != self.parameters["n"]).any():
-            raise ValueError(
-                f"n, the number of minima in a turn, must be a whole number; n = {shown(self.parameters['n'].tolist())}"
-            )
+            given = shown(self.parameters["n"].tolist())
+            raise ValueError(f"n, the number of minima in a turn, must be a whole number; n = {given}")
 
     def law_arguments(self) -> dict[str, Any]:
         """See DihedralPotential."""
@@ -131,8 +123,7 @@ class RyckaertBellemans(DihedralPotential):
 
     Parameters
     ----------
-    coefficients : c₀ … c₅ [energy], up to six, each one number or an array with one for each dihedral;
-        missing ones are 0.
+    coefficients : c₀ … c₅ [energy], up to six, each one number or one for each dihedral; missing ones are 0.
     quadruples : (D, 4) int; system.dihedrals if not given.
 
     LAMMPS' `dihedral_style nharmonic` has powers of cos φ: A₁ = c₀, A₂ = −c₁, A₃ = c₂, A₄ = −c₃ …
@@ -146,16 +137,12 @@ class RyckaertBellemans(DihedralPotential):
         try:
             given = list(coefficients)
         except TypeError:
-            raise TypeError(
-                f"coefficients must be a list, c0 to c5 at most; coefficients = {shown(coefficients)}"
-            ) from None
+            told = f"coefficients = {shown(coefficients)}"
+            raise TypeError(f"coefficients must be a list, c0 to c5 at most; {told}") from None
         if len(given) > N_COEFFICIENTS:
             raise ValueError(f"coefficients must be at most {N_COEFFICIENTS}, c0 to c5; there are {len(given)}")
-        self._hold(
-            RyckaertBellemansLaw(),
-            {f"c{k}": given[k] if k < len(given) else 0.0 for k in range(N_COEFFICIENTS)},
-            quadruples,
-        )
+        numbers = {f"c{k}": given[k] if k < len(given) else 0.0 for k in range(N_COEFFICIENTS)}
+        self._hold(RyckaertBellemansLaw(), numbers, quadruples)
 
     def law_arguments(self) -> dict[str, Any]:
         """See DihedralPotential."""
@@ -163,10 +150,9 @@ class RyckaertBellemans(DihedralPotential):
 
 
 class OPLSDihedral(DihedralPotential):
-    """OPLS torsion u(φ) = ½ [k₁ (1 + cos φ) + k₂ (1 − cos 2φ) + k₃ (1 + cos 3φ) + k₄ (1 − cos 4φ)],
-    as LAMMPS' `dihedral_style opls`.
+    """OPLS torsion u(φ) = ½ [k₁ (1 + cos φ) + k₂ (1 − cos 2φ) + k₃ (1 + cos 3φ) + k₄ (1 − cos 4φ)].
 
-    It is computed as the polynomial of Ryckaert and Bellemans that equals it.
+    LAMMPS' `dihedral_style opls`. It is computed as the polynomial of Ryckaert and Bellemans that equals it.
 
     Parameters
     ----------
@@ -185,11 +171,9 @@ class OPLSDihedral(DihedralPotential):
     ) -> None:
         self.barriers = checked_each(self.groups, {"k1": k1, "k2": k2, "k3": k3, "k4": k4})
         one, two, three, four = self.barriers.values()
-        if len({each.shape for each in self.barriers.values()} - {()}) > 1:
-            raise ValueError(
-                "k1 to k4 must have the same length; their shapes are "
-                f"{[each.shape for each in self.barriers.values()]}"
-            )
+        shapes = [each.shape for each in self.barriers.values()]
+        if len({*shapes} - {()}) > 1:
+            raise ValueError(f"k1 to k4 must have the same length; their shapes are {shapes}")
         c = (two + 0.5 * (one + three), 0.5 * (3.0 * three - one), 4.0 * four - two, -2.0 * three, -4.0 * four, 0.0)
         self._hold(RyckaertBellemansLaw(), {f"c{k}": each for k, each in enumerate(c)}, quadruples)
 
@@ -220,9 +204,8 @@ class HarmonicImproper(DihedralPotential):
     def __init__(self, k: ArrayLike, angle: ArrayLike = 0.0, quadruples: ArrayLike | None = None) -> None:
         self._hold(HarmonicTorsionLaw(), {"k": k, "angle": angle}, quadruples, not_negative=("k",))
         if (np.abs(self.parameters["angle"]) > pi).any():
-            raise ValueError(
-                f"angle must lie between -pi and pi (radians); angle = {shown(self.parameters['angle'].tolist())}"
-            )
+            given = shown(self.parameters["angle"].tolist())
+            raise ValueError(f"angle must lie between -pi and pi (radians); angle = {given}")
 
     def law_arguments(self) -> dict[str, Any]:
         """See DihedralPotential."""

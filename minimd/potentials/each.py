@@ -1,5 +1,4 @@
-"""Parameters of laws that act on a list of things, such as bonds, dihedrals or atoms: one number for all,
-or an array with one for each."""
+"""Parameters of laws on lists of things, such as bonds, dihedrals or atoms: one number for all, or one for each."""
 
 from collections.abc import Mapping
 
@@ -15,9 +14,7 @@ def checked_each(
     things: str, parameters: Mapping[str, ArrayLike], not_negative: tuple[str, ...] = ()
 ) -> dict[str, Array]:
     """Parameters by name: finite numbers, or (n,) arrays.  things : what there is one for each of, such as "dihedrals".
-
-    Raises ValueError for anything else, and for negative numbers of those named in not_negative.
-    """
+    Raises ValueError for anything else, and for negative numbers of those named in not_negative."""
     found = {}
     for name, values in parameters.items():
         array = checked_numbers(name, values, f"one number, or one for each of the {things}")
@@ -36,7 +33,6 @@ def columns_of(things: str, parameters: Mapping[str, Array], n: int) -> tuple[Ar
     Raises ValueError for an array of another length."""
     for name, array in parameters.items():
         if array.shape not in ((), (n,)):
-            raise ValueError(
-                f"{name} must be one number or {n}, one for each of the {things}; its shape is {array.shape}"
-            )
+            wanted = f"one number or {n}, one for each of the {things}"
+            raise ValueError(f"{name} must be {wanted}; its shape is {array.shape}")
     return tuple(np.array(np.broadcast_to(array, n)) for array in parameters.values())  # all of one type for kernels

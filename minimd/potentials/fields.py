@@ -53,9 +53,7 @@ def _rate(found):
 @called_kernel
 def add_field(sites, chunk):
     """Add the forces and energies of a field u(x, y, z, t).  OUT_OF_RANGE if a force is beyond the range of a grid.
-
-    The virial is left out: fields act from outside.
-    """
+    The virial is left out: fields act from outside."""
     positions, images, atoms, anchors, law, parameters, time, forces, steps, detail, totals, powers, energies = sites
     lattice, inverse, pbc, safe_distance2 = images
     n_chunks, total, power, is_out = totals.size, 0.0, 0.0, False
@@ -110,9 +108,8 @@ class FieldTerm(OwnTerm):
         """See Term."""
         sums = target.detail, self._totals, self._powers, target.energies
         acting = self._atoms, self.anchors, self._law, ByPair(self.columns), self._time, target.forces, target.steps
-        yield operation(
-            self._calls, self._loop, Sites(system.positions, target.images, *acting, *sums), len(self._totals)
-        )
+        sites = Sites(system.positions, target.images, *acting, *sums)
+        yield operation(self._calls, self._loop, sites, len(self._totals))
 
     def collect(self, target: Target) -> None:
         """See Term."""
@@ -144,16 +141,13 @@ class OwnField(OwnPotential):
         if self.atoms is None:
             return np.arange(len(system))
         if self.atoms.max(initial=-1) >= len(system):
-            raise ValueError(
-                f"atoms of {type(self).__name__} must be atoms 0 to {len(system) - 1}; they name atom "
-                f"{self.atoms.max()}"
-            )
+            name, last = type(self).__name__, len(system) - 1
+            raise ValueError(f"atoms of {name} must be atoms 0 to {last}; they name atom {self.atoms.max()}")
         return self.atoms
 
 
 class ConstantForce(OwnField):
-    """A constant force F on atoms, u = −F·r; r is never wrapped,
-    so the energy changes steadily as an atom is pulled through the cells.
+    """A constant force F on atoms, u = −F·r; r is never wrapped: u changes steadily as an atom is pulled through cells.
 
     Parameters
     ----------
@@ -172,8 +166,7 @@ class ConstantForce(OwnField):
         return {"force": self.force, "atoms": self.atoms}
 
     def bind(self, system: System) -> Term:
-        """The term of this force in a system.  Raises ValueError if atoms do not exist,
-        or do not have one force each."""
+        """The term of this force in a system.  Raises ValueError if atoms, or their forces, are missing."""
         atoms = self.atoms_in(system)
         return FieldTerm(atoms, ConstantLaw(), vector_columns("force", self.force, len(atoms)))
 
@@ -195,9 +188,8 @@ class Gravity(OwnField):
         self.acceleration = checked_vectors("acceleration", [0.0, 0.0, -float(given)] if given.ndim == 0 else given)
         self.atoms = checked_atoms(atoms)
         if self.acceleration.ndim != 1:
-            raise ValueError(
-                f"acceleration must be one number, downwards, or three; its shape is {self.acceleration.shape}"
-            )
+            shape = self.acceleration.shape
+            raise ValueError(f"acceleration must be one number, downwards, or three; its shape is {shape}")
 
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
@@ -231,8 +223,7 @@ class Restraint(OwnField):
         return {"k": self.k, "points": self.points, "atoms": self.atoms}
 
     def bind(self, system: System) -> Term:
-        """The term of these springs in a system.  Raises ValueError if atoms do not exist,
-        or do not have one point each."""
+        """The term of these springs in a system.  Raises ValueError if atoms, or their points, are missing."""
         atoms = self.atoms_in(system)
         points = np.stack(vector_columns("points", self.points, len(atoms)), axis=-1)
         numbers = np.concatenate([np.broadcast_to(self.k, 3), np.zeros(3)])
@@ -240,8 +231,7 @@ class Restraint(OwnField):
 
 
 class SteeredSpring(Restraint):
-    """Harmonic springs from atoms to points that move, p(t) = p + v (t' − start),
-    where t' is t limited to the time from start to end.
+    """Harmonic springs from atoms to moving points, p(t) = p + v (t' − start), with t' = t limited to [start, end].
 
     The work that moving the points does on the atoms, W = ∫ ∂u/∂t dt, is counted, and recorded as `work`.
 
@@ -269,21 +259,12 @@ class SteeredSpring(Restraint):
         self.velocity, self.start = checked_vectors("velocity", velocity), checked_number("start", start)
         self.end = inf if isinstance(end, float) and end == inf else checked_number("end", end)
         if self.velocity.ndim != 1 or not self.end > self.start:
-            raise ValueError(
-                f"velocity must be three numbers, and end after start; velocity = {shown(velocity)}, start = "
-                f"{start!r}, end = {end!r}"
-            )
+            given = f"velocity = {shown(velocity)}, start = {start!r}, end = {end!r}"
+            raise ValueError(f"velocity must be three numbers, and end after start; {given}")
 
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
-        return {
-            "k": self.k,
-            "points": self.points,
-            "velocity": self.velocity,
-            "atoms": self.atoms,
-            "start": self.start,
-            "end": self.end,
-        }
+        return {name: getattr(self, name) for name in ("k", "points", "velocity", "atoms", "start", "end")}
 
     def points_at(self, time: float) -> Array:
         """p(t), of the shape of points [length]."""
@@ -352,7 +333,6 @@ def checked_stiffness(k: ArrayLike) -> Array:
 def vector_columns(name: str, vectors: Array, n: int) -> tuple[Array, ...]:
     """The components of vectors for each of n atoms, (n,) each.  Raises ValueError for another number of vectors."""
     if vectors.shape not in ((3,), (n, 3)):
-        raise ValueError(
-            f"{name} must be three numbers or ({n}, 3), one row for each atom; its shape is {vectors.shape}"
-        )
+        wanted = f"three numbers or ({n}, 3), one row for each atom"
+        raise ValueError(f"{name} must be {wanted}; its shape is {vectors.shape}")
     return tuple(np.array(np.broadcast_to(vectors[..., c], n)) for c in range(3))  # as columns_of

@@ -22,8 +22,7 @@ ACCURACY, BESIDE_U = 1e-4, 1e-9  # of that difference: relative to itself, and t
 
 
 def law_type(name: str, formula: Callable) -> Any:
-    """The law type of a compiled law, formula(r2, *parameters), or of one around another law, formula(r2, law,
-    parameters).
+    """The law type of a compiled law, formula(r2, *parameters), or of one around another, formula(r2, law, parameters).
 
     name : of the variable that it is assigned to in the module of the formula; there the cache and pickles find it.
     """
@@ -38,11 +37,8 @@ def checked_law(law: Any) -> Any:
 
 
 def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, float]:
-    """u(r) [energy] and −u′(r)/r [energy/length²] of a law at a distance r [length];
-    NaN where the law gives no real number.
-
-    Raises TypeError if a user's law does not take these parameters or does not return two numbers.
-    """
+    """u(r) [energy] and −u′(r)/r [energy/length²] of a law at a distance r [length]; NaN where the law gives no real
+    number. Raises TypeError if a user's law does not take these parameters or does not return two numbers."""
     try:
         u, f = evaluate_law(law, r * r, parameters)
         return (nan, nan) if isinstance(u, complex) or isinstance(f, complex) else (float(u), float(f))
@@ -51,9 +47,8 @@ def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, 
             raise TypeError(f"the law {_name(law)} must return two numbers, u and -u'(r)/r: {error}") from None
         return nan, nan
     except (TypeError, NameError, AttributeError, LookupError) as error:
-        raise TypeError(
-            f"the law {_name(law)} must take r² and {len(parameters)} parameters and return u and -u'(r)/r: {error}"
-        ) from None
+        wanted = f"take r² and {len(parameters)} parameters and return u and -u'(r)/r"
+        raise TypeError(f"the law {_name(law)} must {wanted}: {error}") from None
 
 
 def _name(law: tuple) -> str:
@@ -61,11 +56,8 @@ def _name(law: tuple) -> str:
 
 
 def check_user_law(law: tuple, parameters: tuple[float, ...], distances: Iterable[float]) -> None:
-    """Try a user's law at some distances [length]: does it return u and −u′(r)/r?
-
-    Raises TypeError as law_at; ValueError if, at more than half of the distances,
-    the second number is not −u′(r)/r by central differences.
-    """
+    """Try a user's law at some distances [length]: does it return u and −u′(r)/r? Raises TypeError as law_at;
+    ValueError if, at more than half of the distances, the second number is not −u′(r)/r by central differences."""
     tried, wrong = 0, []
     for r in distances:
         u, f = law_at(law, r, parameters)
@@ -81,17 +73,13 @@ def check_user_law(law: tuple, parameters: tuple[float, ...], distances: Iterabl
 
 def agree(said: float, slope: float, u: float, rough: float = 0.0) -> bool:
     """Whether a force is a slope by central difference; also if they cannot be compared, because one is not finite.
-
-    u : the energy, in the unit of the slope.  rough : by how much the slope may be wrong besides.
-    """
+    u : the energy, in the unit of the slope.  rough : by how much the slope may be wrong besides."""
     return not abs(said - slope) > ACCURACY * max(abs(said), abs(slope)) + BESIDE_U * abs(u) + rough
 
 
 def evaluate_law(law, r2, parameters):
     """u(r) [energy] and −u′(r)/r [energy/length²] of one pair at r² = r2.
-
-    law : law type.  r2 : [length²].  parameters : tuple of numbers, those of the truncation first.
-    """
+    law : law type.  r2 : [length²].  parameters : tuple of numbers, those of the truncation first."""
     formula = type(law).python  # type: ignore[attr-defined]
     return formula(r2, law[0], parameters) if law else formula(r2, *parameters)
 

@@ -30,9 +30,8 @@ def harmonic(r2, k, length):
         u(r)     = ½ k (r − r₀)²
         −u′(r)/r = −k (r − r₀)/r, and −k for r₀ = 0, where two atoms may be at the same place
 
-    r2 : squared distance, > 0, or ≥ 0 for r₀ = 0 [length²].  k : stiffness [energy/length²].  length : r₀,
-        distance of the minimum [length].
-    Returns u [energy], −u′/r [energy/length²].
+    r2 : squared distance, > 0, or ≥ 0 for r₀ = 0 [length²].  k : stiffness [energy/length²].  length : r₀, at the
+    minimum [length].  Returns u [energy], −u′/r [energy/length²].
     """
     r = sqrt(r2)
     stretch = r - length
@@ -47,9 +46,8 @@ def morse(r2, depth, a, length):
         −u′(r)/r = −2 a D (1 − x) x / r
 
     r2 : squared distance, > 0 [length²].  depth : D, energy that breaks the bond [energy].  a : its width [1/length];
-        the stiffness at rest is
-    2 a² D.  length : r₀, distance of the minimum [length].  Returns u [energy], −u′/r [energy/length²].
-    P. M. Morse, Phys. Rev. 34, 57 (1929).
+    the stiffness at rest is 2 a² D.  length : r₀, distance of the minimum [length].  Returns u [energy], −u′/r
+    [energy/length²].  P. M. Morse, Phys. Rev. 34, 57 (1929).
     """
     r = sqrt(r2)
     x = exp(-a * (r - length))
@@ -63,11 +61,9 @@ def fene(r2, k, longest, epsilon, sigma):
         u(r)     = −½ k R² ln(1 − (r/R)²) + [4ε ((σ/r)¹² − (σ/r)⁶) + ε below r = 2^(1/6) σ]
         −u′(r)/r = −k / (1 − (r/R)²)      + [24ε/r² (2(σ/r)¹² − (σ/r)⁶)          likewise]
 
-    r2 : squared distance, > 0 [length²].  k : stiffness [energy/length²].  longest : R,
-        length that the bond cannot reach [length].
-    epsilon, sigma : ε [energy] and σ [length] of the repulsion.  Returns u [energy], −u′/r [energy/length²];
-        NaN from R on.
-    K. Kremer, G. S. Grest, J. Chem. Phys. 92, 5057 (1990).
+    r2 : squared distance, > 0 [length²].  k : stiffness [energy/length²].  longest : R, which the bond cannot reach
+    [length].  epsilon, sigma : ε [energy] and σ [length] of the repulsion.  Returns u [energy], −u′/r [energy/length²];
+    NaN from R on.  K. Kremer, G. S. Grest, J. Chem. Phys. 92, 5057 (1990).
     """
     rest = 1.0 - r2 / (longest * longest)
     if rest <= 0.0:
@@ -87,8 +83,7 @@ def lennard_jones_93(r2, epsilon, sigma):
         −u′(r)/r = ε/r² [6/5 (σ/r)⁹ − 3 (σ/r)³]
 
     r2 : squared distance, > 0 [length²].  epsilon : ε; the well is √10/3 ε deep, at r = (2/5)^(1/6) σ [energy].
-        sigma : [length].
-    Returns u [energy], −u′/r [energy/length²].  W. A. Steele, Surf. Sci. 36, 317 (1973).
+    sigma : [length].  Returns u [energy], −u′/r [energy/length²].  W. A. Steele, Surf. Sci. 36, 317 (1973).
     """
     s3 = (sigma * sigma / r2) * sqrt(sigma * sigma / r2)
     s9 = s3 * s3 * s3
@@ -98,17 +93,12 @@ def lennard_jones_93(r2, epsilon, sigma):
 @scalar
 def scaled(r2, law, parameters):
     """A law times a constant factor, the first of its parameters [dimensionless]: for pairs a few bonds apart.
-
-    parameters : (factor, *parameters of law).
-    """
+    parameters : (factor, *parameters of law)."""
     u, f = evaluate_law(law, r2, parameters[1:])
     return parameters[0] * u, parameters[0] * f
 
 
 LennardJonesLaw, HarmonicLaw = law_type("LennardJonesLaw", lennard_jones), law_type("HarmonicLaw", harmonic)
-MorseLaw, FENELaw, LennardJones93Law = (
-    law_type("MorseLaw", morse),
-    law_type("FENELaw", fene),
-    law_type("LennardJones93Law", lennard_jones_93),
-)
+MorseLaw, FENELaw = law_type("MorseLaw", morse), law_type("FENELaw", fene)
+LennardJones93Law = law_type("LennardJones93Law", lennard_jones_93)
 Scaled = law_type("Scaled", scaled)

@@ -15,8 +15,7 @@ from minimd.structure.checks import checked_number, shown
 
 
 def curvature_at_minimum(epsilon: Any, sigma: Any) -> Any:
-    """u″ of the Lennard-Jones law at its minimum, r = 2^(1/6) σ: 72 ε / (2^(1/3) σ²) [energy/length²].  epsilon,
-    sigma : numbers or arrays."""
+    """u″ of the Lennard-Jones law at its minimum, r = 2^(1/6) σ: 72 ε / (2^(1/3) σ²) [energy/length²]; or arrays."""
     return 72.0 * epsilon / (2.0 ** (1.0 / 3.0) * sigma * sigma)
 
 
@@ -49,9 +48,8 @@ class LennardJones(PairPotential):
         tail_correction: bool = False,
     ) -> None:
         if isinstance(epsilon, Mapping) == (sigma is not None):
-            raise ValueError(
-                "give LennardJones either epsilon and sigma, or one mapping from species to (epsilon, sigma)"
-            )
+            wanted = "either epsilon and sigma, or one mapping from species to (epsilon, sigma)"
+            raise ValueError(f"give LennardJones {wanted}")
         parameters: Any = epsilon if isinstance(epsilon, Mapping) else (epsilon, sigma)
         super().__init__(
             LennardJonesLaw(),
@@ -67,11 +65,9 @@ class LennardJones(PairPotential):
 
     def law_arguments(self) -> dict[str, Any]:
         """See PairPotential."""
-        return (
-            {"epsilon": self.parameters}
-            if isinstance(self.parameters, dict)
-            else dict(zip(("epsilon", "sigma"), self.parameters, strict=True))
-        )
+        if isinstance(self.parameters, dict):
+            return {"epsilon": self.parameters}
+        return dict(zip(("epsilon", "sigma"), self.parameters, strict=True))
 
     @property
     def shortest_length(self) -> float:

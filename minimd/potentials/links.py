@@ -118,11 +118,8 @@ def _count(links, t, total, u):
     xx = yy = zz = yz = xz = xy = 0.0
     for l in range(links.slots.shape[0]):
         (x, y, z), _ = arm(links, l, t)
-        fx, fy, fz = (
-            as_force(links.slots[l, t, 0], steps),
-            as_force(links.slots[l, t, 1], steps),
-            as_force(links.slots[l, t, 2], steps),
-        )
+        gx, gy, gz = links.slots[l, t, 0], links.slots[l, t, 1], links.slots[l, t, 2]
+        fx, fy, fz = as_force(gx, steps), as_force(gy, steps), as_force(gz, steps)
         xx, yy, zz, yz, xz, xy = xx + x * fx, yy + y * fy, zz + z * fz, yz + z * fy, xz + z * fx, xy + y * fx
     total[0] += u
     for s in range(n_sites):
@@ -203,10 +200,8 @@ class LinkedTerm(OwnTerm):
 
 
 class FixedPairs(LinkedTerm):
-    """A law on pairs that never change.
-
-    pairs : (P, 2) int.  law : law type.  table : (P, 1 + n) numbers of each pair, the squared cutoff first.
-    """
+    """A law on pairs that never change.  pairs : (P, 2) int.  law : law type.
+    table : (P, 1 + n) numbers of each pair, the squared cutoff first."""
 
     ingredient = BOND_LOOP
 
@@ -248,10 +243,8 @@ class Slots:
         ends, self.size = [np.zeros((0, 3), dtype=np.int64)], 0
         for term in terms:
             term.first_slot, numbers = self.size, self.size + np.arange(term.n_slots)
-            ends += [
-                np.column_stack([term.second.ravel(), numbers]),
-                np.column_stack([term.first.ravel(), -1 - numbers]),
-            ]
+            both = (term.second.ravel(), numbers), (term.first.ravel(), -1 - numbers)
+            ends += [np.column_stack(one) for one in both]
             self.size += term.n_slots
         atom, slot = np.concatenate([one[:, :2] for one in ends]).T
         order = np.argsort(atom, kind="stable")

@@ -19,10 +19,8 @@ from minimd.structure.checks import checked_choice, checked_flag, checked_number
 from minimd.structure.system import System
 
 SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff
-ACCURACY, CONVERGED = (
-    1e-12,
-    1e-8,
-)  # relative errors of tail integrals: the one requested, and the one above which an integral counts as divergent
+# relative errors of tail integrals: the one requested, and the one above which an integral counts as divergent
+ACCURACY, CONVERGED = 1e-12, 1e-8
 TRIED_AT = (0.47, 0.71, 0.93)  # of the cutoff: where a user's laws are tried
 UNSCALED = (1.0, 1.0, 1.0)
 MIXED = 1e-9  # relative difference between mixed parameters of a pair and of the reverse pair that rounding can explain
@@ -100,10 +98,8 @@ class PairPotential(OwnPotential):
         self.bonded_scale = _checked_scale(bonded_scale)
         self.tail_correction = checked_flag("tail_correction", tail_correction)
         if tail_correction and (truncation not in ("truncated", *SWITCHES) or self.cutoff == inf):
-            needed, given = (
-                f"a cutoff and truncation 'truncated', {listed(SWITCHES)}",
-                f"cutoff = {self.cutoff}, truncation = {truncation!r}",
-            )
+            needed = f"a cutoff and truncation 'truncated', {listed(SWITCHES)}"
+            given = f"cutoff = {self.cutoff}, truncation = {truncation!r}"
             raise ValueError(f"tail_correction needs {needed}; there is no tail with {given}")
 
     def bind(self, system: System) -> PairTerm:
@@ -135,8 +131,7 @@ class PairPotential(OwnPotential):
 
     @property
     def shortest_length(self) -> float:
-        """The smallest cutoff, with which rounding errors of separations are compared [length];
-        infinite without one."""
+        """The smallest cutoff, with which rounding errors of separations are compared [length]; inf without one."""
         return min(self._cutoffs.values()) if isinstance(self._cutoffs, dict) else self._cutoffs
 
     @property
@@ -151,34 +146,16 @@ class PairPotential(OwnPotential):
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
         mixing = next((name for name, rule in MIXING.items() if rule is self.mixing), self.mixing)
-        cutoff = (
-            None
-            if self.cutoff == inf
-            else _one_order(self._cutoffs)
-            if isinstance(self._cutoffs, dict)
-            else self._cutoffs
-        )
-        arguments = {
-            "cutoff": cutoff,
-            "truncation": self.truncation,
-            "mixing": mixing,
-            "pairs": _one_order(self.pairs) or None,
-        }
-        arguments |= {
-            "switch_start": self.switch_start,
-            "bonded_scale": self.bonded_scale,
-            "tail_correction": self.tail_correction,
-        }
-        return self.law_arguments() | {
-            name: value for name, value in arguments.items() if name in signature(type(self)).parameters
-        }
+        cutoff = _one_order(self._cutoffs) if isinstance(self._cutoffs, dict) else self._cutoffs
+        told = {"cutoff": None if self.cutoff == inf else cutoff, "truncation": self.truncation, "mixing": mixing}
+        told |= {"pairs": _one_order(self.pairs) or None, "switch_start": self.switch_start}
+        told |= {"bonded_scale": self.bonded_scale, "tail_correction": self.tail_correction}
+        taken = signature(type(self)).parameters
+        return self.law_arguments() | {name: value for name, value in told.items() if name in taken}
 
     def pair_energy(self, r: ArrayLike, first: Label | None = None, second: Label | None = None) -> NDArray[np.float64]:
         """u [energy] of two atoms of given species at distances r > 0 [length], truncation included;
-        an array of r's shape.
-
-        Raises ValueError for distances that are not positive, and as table.
-        """
+        an array of r's shape. Raises ValueError for distances that are not positive, and as table."""
         cutoff2, *numbers = self._numbers(first, second)
         distances = checked_numbers("r", r, "positive distances")
         if not (distances > 0.0).all():
@@ -207,19 +184,16 @@ class PairPotential(OwnPotential):
         extra = TRUNCATIONS[self.truncation].numbers(self.plain_law, parameters, cutoff, self._switch_start_for(cutoff))
         if not all(map(isfinite, extra)) and self.truncation not in SWITCHES:
             hint = "a cutoff" if cutoff == inf else f"another cutoff than {cutoff:g}"
-            raise ValueError(
-                f"the law must be finite at the cutoff, where it is {self.truncation}; it is {extra[0]}: give {hint}, "
-                "or 'truncated'"
-            )
+            where = f"at the cutoff, where it is {self.truncation}; it is {extra[0]}"
+            raise ValueError(f"the law must be finite {where}: give {hint}, or 'truncated'")
         return (cutoff * cutoff, *extra, *parameters)
 
     def _cutoff_of(self, a: Any, b: Any) -> float:
         if not isinstance(self._cutoffs, dict):
             return self.cutoff
         if (a, b) not in self._cutoffs:
-            raise ValueError(
-                f"cutoff has no entry for the pair of species {a!r}, {b!r}; it has {listed(self._cutoffs)}"
-            )
+            pair = f"the pair of species {a!r}, {b!r}"
+            raise ValueError(f"cutoff has no entry for {pair}; it has {listed(self._cutoffs)}")
         return self._cutoffs[a, b]
 
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
@@ -227,68 +201,47 @@ class PairPotential(OwnPotential):
             return self.parameters
         if (a, b) in self.pairs:
             return self.pairs[a, b]
+        own, lacking = self.parameters, f"{type(self).__name__} has no parameters for"
         for name in (a, b):
-            if name not in self.parameters:
-                raise ValueError(
-                    f"{type(self).__name__} has no parameters for species {name!r}; it has {listed(self.parameters)}"
-                )
+            if name not in own:
+                raise ValueError(f"{lacking} species {name!r}; it has {listed(own)}")
         if a == b:
-            return self.parameters[a]
+            return own[a]
         if self.mixing is None:
-            raise ValueError(
-                f"{type(self).__name__} has no parameters for the pair {a!r}, {b!r}; give them in pairs, or a mixing "
-                "rule"
-            )
-        mixed, reverse = (
-            self._checked_numbers(self.mixing(self.parameters[x], self.parameters[y]), (x, y))
-            for x, y in ((a, b), (b, a))
-        )
-        if not len(mixed) == len(reverse) == len(self.parameters[a]) or not all(
-            map(partial(isclose, rel_tol=MIXED), mixed, reverse)
-        ):
-            raise ValueError(
-                f"mixing must give all parameters, the same for {a!r}, {b!r} as for {b!r}, {a!r}; it gives {mixed} and "
-                f"{reverse}"
-            )
+            raise ValueError(f"{lacking} the pair {a!r}, {b!r}; give them in pairs, or a mixing rule")
+        mixed, reverse = (self._checked_numbers(self.mixing(own[x], own[y]), (x, y)) for x, y in ((a, b), (b, a)))
+        is_same = all(map(partial(isclose, rel_tol=MIXED), mixed, reverse))
+        if not (len(mixed) == len(reverse) == len(own[a]) and is_same):
+            wanted = f"all parameters, the same for {a!r}, {b!r} as for {b!r}, {a!r}"
+            raise ValueError(f"mixing must give {wanted}; it gives {mixed} and {reverse}")
         return mixed
 
     def _check_species_of_pairs(self, species_names: Sequence[Label]) -> None:
         """Raise ValueError if pairs name a species that appears nowhere else, unless only pairs have parameters."""
-        known = (
-            [*self.parameters, *(name for name in species_names if name not in self.parameters)]
-            if isinstance(self.parameters, dict)
-            else []
-        )
+        own = self.parameters if isinstance(self.parameters, dict) else {}
+        known = [*own, *(name for name in species_names if name not in own)]
         for name in (name for pair in self.pairs for name in pair):
             if self.parameters and name not in known:
-                raise ValueError(
-                    f"pairs of {type(self).__name__} must be of known species, {listed(known)}; they name "
-                    f"{name!r}{near(name, known)}"
-                )
+                wanted = f"of known species, {listed(known)}; they name {name!r}{near(name, known)}"
+                raise ValueError(f"pairs of {type(self).__name__} must be {wanted}")
 
     def _checked_parameters(self, given: Any, pairs: Any) -> tuple[Parameters | dict[Label, Parameters], dict]:
         """Parameters of all atoms or of each species, and those of pairs in both orders."""
         if not isinstance(given, Mapping):
             if pairs is not None and len(pairs):
-                raise ValueError(
-                    f"pairs of {type(self).__name__} need parameters that are a mapping from species; parameters = "
-                    f"{shown(given)}"
-                )
+                wanted = "parameters that are a mapping from species"
+                raise ValueError(f"pairs of {type(self).__name__} need {wanted}; parameters = {shown(given)}")
             return self._checked_numbers(given, None), {}
         by_label = {label: self._checked_numbers(numbers, label) for label, numbers in given.items()}
-        by_pair = {
-            pair: self._checked_numbers(numbers, pair)
-            for pair, numbers in _symmetric("pairs", {} if pairs is None else pairs).items()
-        }
+        both_orders = _symmetric("pairs", {} if pairs is None else pairs)
+        by_pair = {pair: self._checked_numbers(numbers, pair) for pair, numbers in both_orders.items()}
         if len({len(numbers) for numbers in (*by_label.values(), *by_pair.values())}) > 1:
-            raise ValueError(
-                f"all species and pairs must have the same number of parameters; they are {shown(by_label | by_pair)}"
-            )
+            told = shown(by_label | by_pair)
+            raise ValueError(f"all species and pairs must have the same number of parameters; they are {told}")
         return by_label, by_pair
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
-        """The parameters of one law.  of : the species or the pair that has them; None for all.
-        Raises ValueError unless they are finite numbers."""
+        """Parameters of one law.  of : a species, a pair; None for all.  Raises ValueError unless they are finite."""
         values = checked_numbers("parameters", numbers, "a tuple of finite numbers")
         if values.ndim != 1 or not np.isfinite(values).all():
             whose = "of all atoms" if of is None else f"of {of!r}"
@@ -305,11 +258,8 @@ class PairPotential(OwnPotential):
             inside = evaluate_law(self.law, r * r, tuple(numbers))[k] if x < 1.0 else 0.0
             return cutoff * (evaluate_law(self.plain_law, r * r, parameters)[k] - inside) * r ** (2 + 2 * k)
 
-        ranges = (
-            [(1.0, inf)]
-            if self.truncation == "truncated"
-            else [(self._switch_start_for(cutoff) / cutoff, 1.0), (1.0, inf)]
-        )
+        switched = [] if self.truncation == "truncated" else [(self._switch_start_for(cutoff) / cutoff, 1.0)]
+        ranges = [*switched, (1.0, inf)]
         return np.array([sum(_integral(partial(left_out, k), *limits) for limits in ranges) for k in (0, 1)])
 
     def _switch_start_for(self, cutoff: float) -> float:
@@ -323,9 +273,8 @@ class PairPotential(OwnPotential):
         if self.truncation not in SWITCHES:
             raise ValueError(f"switch_start is for truncation {listed(SWITCHES)}; truncation = {self.truncation!r}")
         if not 0.0 < checked_number("switch_start", start) < self.shortest_length:
-            raise ValueError(
-                f"switch_start must lie between 0 and the cutoff {self.shortest_length}; switch_start = {start}"
-            )
+            limits = f"0 and the cutoff {self.shortest_length}"
+            raise ValueError(f"switch_start must lie between {limits}; switch_start = {start}")
         return float(start)
 
 
@@ -334,10 +283,9 @@ class PairTerm(OwnTerm):
 
     def __init__(self, potential: PairPotential, system: System) -> None:
         table = potential.table(system.species_names)
-        self.pair_law = PairLaw(
-            type(potential).__name__, potential.law, table, potential.cutoff, potential.bonded_scale
-        )
-        self.cutoff, self.shortest_length, self._potential = potential.cutoff, potential.shortest_length, potential
+        name, cutoff = type(potential).__name__, potential.cutoff
+        self.pair_law = PairLaw(name, potential.law, table, cutoff, potential.bonded_scale)
+        self.cutoff, self.shortest_length, self._potential = cutoff, potential.shortest_length, potential
         self._species = np.bincount(system.species_index, minlength=len(system.species_names)), system.species_names
         if potential.bonded_scale != UNSCALED and not len(system.bonds):
             self.warning = no_bonds(f"bonded_scale of {potential!r}")
@@ -366,9 +314,8 @@ def _integral(function: Callable[[float], float], low: float, high: float) -> fl
 
     value, error = quad(function, low, high, epsabs=0.0, epsrel=ACCURACY, full_output=1)[:2]
     if not error <= CONVERGED * abs(value):
-        raise ValueError(
-            f"tail_correction needs a law that falls off faster than 1/r³; its integral is {value:.3g} ± {error:.1g}"
-        )
+        told = f"its integral is {value:.3g} ± {error:.1g}"
+        raise ValueError(f"tail_correction needs a law that falls off faster than 1/r³; {told}")
     return value
 
 
@@ -380,10 +327,8 @@ def _checked_cutoffs(cutoff: Any) -> float | dict[tuple[Label, Label], float]:
         return checked_number("cutoff", cutoff, "positive and finite")
     if not cutoff:
         raise ValueError("cutoff must be a number, or a mapping with an entry for each pair of species; it is empty")
-    return _symmetric(
-        "cutoff",
-        {pair: checked_number(f"cutoff of {pair!r}", value, "positive and finite") for pair, value in cutoff.items()},
-    )
+    checked = {pair: checked_number(f"cutoff of {pair!r}", one, "positive and finite") for pair, one in cutoff.items()}
+    return _symmetric("cutoff", checked)
 
 
 def _checked_scale(bonded_scale: Sequence[float]) -> tuple[float, ...]:
@@ -397,9 +342,8 @@ def _checked_scale(bonded_scale: Sequence[float]) -> tuple[float, ...]:
 def _symmetric(name: str, by_pair: Any) -> dict:
     """The same mapping with each pair of species in both orders."""
     if not isinstance(by_pair, Mapping) or not all(isinstance(pair, tuple) and len(pair) == 2 for pair in by_pair):
-        raise ValueError(
-            f"{name} must be a mapping from pairs of species, such as ('A', 'B'); {name} = {shown(by_pair)}"
-        )
+        wanted = "a mapping from pairs of species, such as ('A', 'B')"
+        raise ValueError(f"{name} must be {wanted}; {name} = {shown(by_pair)}")
     for (a, b), value in by_pair.items():
         if np.any(by_pair.get((b, a), value) != value):
             raise ValueError(f"the pair {a!r}, {b!r} must be given once; it has {value} and {by_pair[b, a]}")

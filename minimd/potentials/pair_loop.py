@@ -91,9 +91,8 @@ def add_pair_forces(work, _chunk):
         x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
         fx = fy = fz = no_force(steps)
         energy = xx = yy = zz = yz = xz = xy = size2 = 0.0
-        for p in range(
-            np.uintp(pairs.start[i]), np.uintp(pairs.start[i + 1])
-        ):  # unsigned: no check for indices that count from the end
+        # unsigned: no check for indices that count from the end
+        for p in range(np.uintp(pairs.start[i]), np.uintp(pairs.start[i + 1])):
             j = np.uintp(pairs.second[p])
             dx, dy, dz = positions[j, 0] - x, positions[j, 1] - y, positions[j, 2] - z
             if shifted:
@@ -111,12 +110,8 @@ def add_pair_forces(work, _chunk):
                 size2 += f * f * r2
                 if detail != FORCES:
                     hx, hy, hz = f * dx, f * dy, f * dz
-                    u, wxx, wyy, wzz = (
-                        in_steps(u, steps),
-                        in_steps(hx * dx, steps),
-                        in_steps(hy * dy, steps),
-                        in_steps(hz * dz, steps),
-                    )
+                    u, wxx = in_steps(u, steps), in_steps(hx * dx, steps)
+                    wyy, wzz = in_steps(hy * dy, steps), in_steps(hz * dz, steps)
                     wyz, wxz, wxy = in_steps(hy * dz, steps), in_steps(hx * dz, steps), in_steps(hx * dy, steps)
                     energy += u
                     xx, yy, zz, yz, xz, xy = xx + wxx, yy + wyy, zz + wzz, yz + wyz, xz + wxz, xy + wxy

@@ -1,5 +1,4 @@
-"""Pair potentials from a table u(rᵢ): a spline through its points,
-and the force that is exactly the derivative of the spline."""
+"""Pair potentials from a table u(rᵢ): a spline through its points, and the force that is exactly its derivative."""
 
 from __future__ import annotations
 
@@ -109,21 +108,17 @@ class Tabulated(PairPotential):
         if not self.u:
             raise ValueError("u must be energies, or a mapping with an entry for each pair of species; it is empty")
         pairs: Any = {pair: (float(k),) for k, pair in enumerate(self.u) if pair is not None}
+        law = TabulatedLaw(_table(self.r, np.array([*self.u.values()])))
+        numbers: Any = {} if pairs else (0.0,)
+        reach = float(self.r[-1]) if cutoff is None else cutoff
         super().__init__(
-            TabulatedLaw(_table(self.r, np.array([*self.u.values()]))),
-            {} if pairs else (0.0,),
-            float(self.r[-1]) if cutoff is None else cutoff,
-            truncation,
-            pairs=pairs or None,
-            switch_start=switch_start,
-            bonded_scale=bonded_scale,
+            law, numbers, reach, truncation, pairs=pairs or None, switch_start=switch_start, bonded_scale=bonded_scale
         )
         if not self.r[0] < self.shortest_length <= self.cutoff <= self.r[-1]:
             wrong = self.cutoff if self.cutoff > self.r[-1] else self.shortest_length
             ends = f"which goes from r = {self.r[0]:g} to {self.r[-1]:g}"
-            raise ValueError(
-                f"cutoff must lie within the table, {ends}; cutoff = {wrong:g}: give another cutoff, or a longer table"
-            )
+            hint = "give another cutoff, or a longer table"
+            raise ValueError(f"cutoff must lie within the table, {ends}; cutoff = {wrong:g}: {hint}")
 
     def law_arguments(self) -> dict[str, Any]:
         """See PairPotential."""
@@ -138,18 +133,16 @@ class Tabulated(PairPotential):
 def _checked_distances(r: Any) -> NDArray[np.float64]:
     distances = checked_numbers("r", r, "increasing distances")
     if distances.ndim != 1 or len(distances) < FEWEST:
-        raise ValueError(
-            f"r must be at least {FEWEST} distances, for a spline of degree {DEGREE}; its shape is {distances.shape}"
-        )
+        wanted = f"at least {FEWEST} distances, for a spline of degree {DEGREE}"
+        raise ValueError(f"r must be {wanted}; its shape is {distances.shape}")
     wrong = np.flatnonzero(~(np.isfinite(distances) & (distances >= 0.0)))
     if wrong.size:
         raise ValueError(f"r must be finite and not negative; r[{wrong[0]}] = {distances[wrong[0]]:g}")
     wrong = np.flatnonzero(np.diff(distances) <= 0.0)
     if wrong.size:
-        k = wrong[0]
+        k, hint = wrong[0], "sort the table, each r once"
         raise ValueError(
-            f"r must increase; r[{k + 1}] = {distances[k + 1]:g} follows r[{k}] = {distances[k]:g}: sort the table, "
-            "each r once"
+            f"r must increase; r[{k + 1}] = {distances[k + 1]:g} follows r[{k}] = {distances[k]:g}: {hint}"
         )
     return distances
 
@@ -162,10 +155,8 @@ def _checked_energies(u: Any, r: NDArray[np.float64], pair: Any) -> NDArray[np.f
         raise ValueError(f"{name} must be {len(r)} energies, one for each r; its shape is {energies.shape}")
     wrong = np.flatnonzero(~np.isfinite(energies))
     if wrong.size:
-        raise ValueError(
-            f"{name} must be finite; it is {shown(energies[wrong[0]].item())} at r[{wrong[0]}] = {r[wrong[0]]:g}: "
-            "leave such points out"
-        )
+        where = f"{shown(energies[wrong[0]].item())} at r[{wrong[0]}] = {r[wrong[0]]:g}"
+        raise ValueError(f"{name} must be finite; it is {where}: leave such points out")
     return energies
 
 

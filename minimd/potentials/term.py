@@ -1,5 +1,4 @@
-"""The interface of all forces: a potential has bind(system), which returns a Term;
-a Term adds its forces to the sum."""
+"""The interface of all forces: a potential has bind(system), which returns a Term; a Term adds its forces to a sum."""
 
 from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
@@ -20,25 +19,20 @@ from minimd.structure.system import System
 
 FORCES, TOTALS, PER_ATOM = 0, 1, 2  # the detail of an evaluation; each includes the ones before
 BOND_LOOP = "bond loop"
-TRIES, SHAKEN, STEP = (
-    3,
-    1e-2,
-    1e-4,
-)  # comparisons of force and energy; from where, and how far atoms move, see _length_of
+# comparisons of force and energy; from where, and how far atoms move, see _length_of
+TRIES, SHAKEN, STEP = 3, 1e-2, 1e-4
 ROUGH = 10.0  # of a slope: relative to the difference of two of them
 CLOSE = 1e-2  # the closest distance that counts, relative to the mean spacing of atoms
-INTERPRETERS: list[
-    Callable[[Any], Sequence[Any] | None]
-] = []  # for objects that are no potentials; minimd/__init__ adds those of the bridges
+# for objects that are no potentials; minimd/__init__ adds those of the bridges
+INTERPRETERS: list[Callable[[Any], Sequence[Any] | None]] = []
 
 
 class PairLaw(NamedTuple):
-    """A law on all pairs within a cutoff, as the planner needs it to find a list of neighbors;
-    laws with one bonded_scale share a list.
+    """A law on all pairs within a cutoff, as the planner needs it to find a list of neighbors.
 
     name : of the potential, for messages.  law : law type, truncation included.  cutoff : the largest [length].
     table : (S, S, 1 + P) numbers of each pair of species, the squared cutoff first; S = 1 if all atoms are alike.
-    bonded_scale : factors for pairs one, two and three bonds apart.
+    bonded_scale : factors for pairs one, two and three bonds apart; laws with the same ones share a list.
     """
 
     name: str
@@ -149,8 +143,7 @@ class Term:
         """After operations: add energies and virials that they have left elsewhere to those of the target."""
 
     def follow(self, system: System) -> bool:
-        """After atoms and cell were strained together: True if the term now stands for the strained system,
-        False if it must be bound again."""
+        """Whether the term, after a strain of atoms and cell, stands for the system; else it must be bound again."""
         return False
 
     def skipped(self) -> Iterable[str]:
@@ -191,13 +184,11 @@ class Potential(Protocol):
     """What a Simulation takes: minimd's potentials, and any object with bind."""
 
     def bind(self, system: System) -> Any:
-        """The Term for this system, or another object with add, and perhaps skipped,
-        acts_from_outside and is_checked."""
+        """The Term for this system, or another object with add, and perhaps skipped, acts_from_outside, is_checked."""
 
 
 class OwnPotential(Displayed):
-    """Base class of minimd's own potentials; type checkers see a list of several
-    different ones as a list of this class."""
+    """Base class of minimd's own potentials; type checkers see a list of several different ones as a list of it."""
 
     def bind(self, system: System) -> Term:
         """See Potential."""
@@ -212,35 +203,26 @@ class OwnPotential(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        return [
-            ("potential", type(self).__name__),
-            *((name, as_text(value)) for name, value in self.arguments().items()),
-        ]
+        told = ((name, as_text(value)) for name, value in self.arguments().items())
+        return [("potential", type(self).__name__), *told]
 
 
 def as_potentials(given: Any) -> tuple[Any, ...]:
-    """One potential or several as a tuple; objects of other kinds are replaced by the
-    potentials that an INTERPRETER has for them."""
+    """One potential or several as a tuple; other objects become the potentials that an INTERPRETER has for them."""
     potentials: list[Any] = []
     for one in given if isinstance(given, list | tuple) else (given,):
-        found = (
-            None
-            if hasattr(one, "bind")
-            else next((own for interpret in INTERPRETERS if (own := interpret(one)) is not None), None)
-        )
+        answers = (interpret(one) for interpret in INTERPRETERS)
+        found = None if hasattr(one, "bind") else next((own for own in answers if own is not None), None)
         potentials.extend([one] if found is None else found)
     return tuple(potentials)
 
 
 def bound(potential: Any, system: System) -> Term:
     """The term of a potential on a system.
-
-    Raises TypeError for something that is no potential, or binds to something that is no term.
-    """
+    Raises TypeError for something that is no potential, or binds to something that is no term."""
     if not hasattr(potential, "bind"):
-        raise TypeError(
-            f"potentials must be potentials of minimd, such as LennardJones or HarmonicBond; got {shown(potential)}"
-        )
+        wanted = "potentials of minimd, such as LennardJones or HarmonicBond"
+        raise TypeError(f"potentials must be {wanted}; got {shown(potential)}")
     term = potential.bind(system)
     if isinstance(term, Term):
         return term
@@ -248,13 +230,8 @@ def bound(potential: Any, system: System) -> Term:
         wanted = "an object with add(system, detail, forces, energies, virials)"
         raise TypeError(f"bind must return a term, {wanted}; that of {shown(potential)} is {shown(term)}")
     completed = Term()  # what the object has, and the defaults of a Term
-    completed.__dict__.update(
-        {
-            name: getattr(term, name)
-            for name in ("add", "skipped", "acts_from_outside", "is_checked")
-            if hasattr(term, name)
-        }
-    )
+    names = ("add", "skipped", "acts_from_outside", "is_checked")
+    completed.__dict__.update({name: getattr(term, name) for name in names if hasattr(term, name)})
     return completed
 
 
@@ -272,9 +249,8 @@ def check_force(potential: Any, system: System, time: float) -> None:
         return
     term, rng, length = bound(potential, system), np.random.default_rng(1), _length_of(system)
     term.time, n_compared, wrong = time, 0, []
-    here = system.positions + SHAKEN * length * rng.standard_normal(
-        system.positions.shape
-    )  # where no force is zero by symmetry
+    # where no force is zero by symmetry
+    here = system.positions + SHAKEN * length * rng.standard_normal(system.positions.shape)
 
     def at(displacement: NDArray | float) -> tuple[NDArray, NDArray]:
         forces, energies, virials = np.zeros_like(here), np.zeros(len(here)), np.zeros((len(here), 6))
@@ -285,22 +261,18 @@ def check_force(potential: Any, system: System, time: float) -> None:
     forces, energies = at(0.0)
     for way in rng.standard_normal((TRIES, *here.shape)) if energies.any() else ():
         force = float((forces * way).sum())
-        slope, other = (
-            float((at(-h * way)[1] - at(h * way)[1]).sum()) / (2.0 * h) for h in (STEP * length, 2.0 * STEP * length)
-        )
+        steps = STEP * length, 2.0 * STEP * length
+        slope, other = (float((at(-h * way)[1] - at(h * way)[1]).sum()) / (2.0 * h) for h in steps)
         n_compared += bool(np.isfinite([force, slope, other]).all())
         if not agree(force, slope, np.abs(energies).sum() / length, ROUGH * abs(slope - other)):
             wrong.append(f"for a displacement w of all atoms F·w = {force:.6g}, but -dU/dw = {slope:.6g}")
     if 2 * len(wrong) > n_compared:
-        why_not = "a term whose force is no gradient sets is_checked = False"
-        raise ValueError(
-            f"the force of {shown(potential)} must be minus the gradient of its energy; {wrong[0]}; {why_not}"
-        )
+        fault = f"{wrong[0]}; a term whose force is no gradient sets is_checked = False"
+        raise ValueError(f"the force of {shown(potential)} must be minus the gradient of its energy; {fault}")
 
 
 def _length_of(system: System) -> float:
-    """A length by which atoms can move a little: the closest distance,
-    within bounds if atoms overlap or are far from each other [length]."""
+    """A length by which atoms can move: the closest distance, within bounds if they overlap or are far off [length]."""
     cell, positions, pair = system.cell, system.positions, closest_pair(system)
     sizes = cell.heights[cell.pbc].min(initial=inf), np.ptp(positions, axis=0).max(), np.abs(positions).max(), 1.0
     spacing = next(size for size in sizes if 0.0 < size < inf) / len(system) ** (1.0 / 3.0)

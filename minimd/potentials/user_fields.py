@@ -34,8 +34,7 @@ class Field(OwnField):
     ----------
     law : function law(x, y, z, t, *parameters) of the position of an atom, which is never wrapped [length], and the
         time [time]. It returns u [energy] and the force, three numbers [energy/length]; and, if u depends on t, ∂u/∂t
-        [energy/time] as a fifth number, from which the work is counted. Plain Python with numbers,
-        or already compiled by numba.njit.
+        [energy/time] as a fifth number, from which the work is counted. Plain Python, or compiled by numba.njit.
     parameters : one entry for each parameter of the law: a number for all atoms, or an array with one number for each.
     atoms : indices of the atoms on which it acts; all if not given.
 
@@ -48,10 +47,8 @@ class Field(OwnField):
 
     def __init__(self, law: Callable, parameters: Sequence[ArrayLike] = (), atoms: ArrayLike | None = None) -> None:
         if not isinstance(parameters, Sequence) or isinstance(parameters, str):
-            raise TypeError(
-                "parameters must be a tuple with one entry for each parameter of the law; parameters = "
-                f"{shown(parameters)}"
-            )
+            wanted = "a tuple with one entry for each parameter of the law"
+            raise TypeError(f"parameters must be {wanted}; parameters = {shown(parameters)}")
         self.law = checked_law(law)
         self.parameters = checked_each("atoms", {f"parameter {k}": values for k, values in enumerate(parameters)})
         self.atoms = checked_atoms(atoms)
@@ -65,9 +62,7 @@ class Field(OwnField):
         atoms = self.atoms_in(system)
         columns = columns_of("atoms", self.parameters, len(atoms))
         some = np.unique(np.linspace(0, len(atoms) - 1, TRIED).astype(int)) if len(atoms) else ()
-        tried = [
-            _Tried(self.law, system.positions[atoms[k]], tuple(column[k].item() for column in columns)) for k in some
-        ]
+        tried = [_Tried(self.law, system.positions[atoms[k]], tuple(one[k].item() for one in columns)) for k in some]
         faults = [fault for one in tried for time in TIMES for fault in one.wrong(time)]
         for k, sentence in faults:
             if 2 * sum(other == k for other, _ in faults) > len(tried) * len(TIMES):
@@ -118,10 +113,8 @@ class _Tried:
                     fifth = "the law must return ∂u/∂t as its fifth number, because u depends on t"
                     yield k, f"{fifth}; {at} it is {slope:.6g}"
                 else:
-                    yield (
-                        k,
-                        f"the law must return u, -∇u and ∂u/∂t; {at} it returns {said:.6g} where {what} is {slope:.6g}",
-                    )
+                    wanted = "the law must return u, -∇u and ∂u/∂t"
+                    yield k, f"{wanted}; {at} it returns {said:.6g} where {what} is {slope:.6g}"
 
     def repeats(self, system: System) -> str:
         """A warning if the force is another one lattice vector away; empty if not."""
@@ -129,8 +122,6 @@ class _Tried:
         for k in np.flatnonzero(system.cell.pbc):
             there = self.at(TIMES[0], system.cell.vectors[k])[1:4]
             if not np.allclose(here, there, rtol=ACCURACY, atol=ACCURACY * np.abs(here).max()):
-                return (
-                    f"the cell is periodic along {'abc'[k]}, but the field is not: an atom and its image feel "
-                    "different forces"
-                )
+                where = f"the cell is periodic along {'abc'[k]}, but the field is not"
+                return f"{where}: an atom and its image feel different forces"
         return ""

@@ -1,5 +1,4 @@
-"""Law types of a user's laws: one class for each law, named after a digest,
-so that the next process finds its compiled loops.
+"""Law types of a user's laws: a class for each, named after a digest, by which the next process finds compiled loops.
 
 The index of Numba's cache holds the law types of earlier runs. It is read with pickle, which looks for their classes in
 this module; a class that no law of this process needs stays without a formula.
@@ -23,9 +22,7 @@ CLASS_NAME = "UserLaw_{}"  # a digest, or a random number
 
 class UserLaw(namedtuple("UserLaw", "")):
     """Law type of a user's law; each law has a class of its own.
-
-    is_recognized : whether the disk cache may hold its loops. False for laws without a digest, see compiled.snapshot.
-    """
+    is_recognized : whether the disk cache may hold its loops; not of laws without a digest, see compiled.snapshot."""
 
     __slots__ = ()
     is_recognized = True
@@ -61,9 +58,8 @@ def user_law(function: Callable) -> UserLaw:
     TypeError if it is not a function.
     """
     if not isinstance(function, FunctionType | Dispatcher):
-        raise TypeError(
-            f"a law must be a function law(r2, *parameters) that returns u and -u'(r)/r; it is {shown(function)}"
-        )
+        wanted = "a function law(r2, *parameters) that returns u and -u'(r)/r"
+        raise TypeError(f"a law must be {wanted}; it is {shown(function)}")
     if function in _unrecognized:  # a copy of a law type asks for it again
         return _unrecognized[function]()
     snapshot = Snapshot(function)
@@ -82,11 +78,9 @@ def is_user_law(law: tuple) -> bool:
 
 def is_recognized(law: tuple) -> bool:
     """False if the law type, or the one inside it, is that of a user's law that the disk cache cannot recognize."""
-    return (
-        law.is_recognized
-        if isinstance(law, UserLaw)
-        else all(is_recognized(inner) for inner in law if isinstance(inner, tuple))
-    )
+    if isinstance(law, UserLaw):
+        return law.is_recognized
+    return all(is_recognized(inner) for inner in law if isinstance(inner, tuple))
 
 
 def _unrecognized_law(snapshot: Snapshot) -> UserLaw:

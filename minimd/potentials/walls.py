@@ -26,10 +26,9 @@ ALONG = 1e-9  # of a lattice vector: one that leaves the plane of a wall by less
 class OwnWall(OwnField):
     """Base class of walls.
 
-    epsilon : ε [energy], sigma : σ [length], one number each, or one for each atom.  cutoff :
-        distance beyond which there is no force [length];
-    None for none. The energy is shifted to be zero there.  law : "9-3", ε [2/15 (σ/d)⁹ − (σ/d)³], or "12-6",
-    4ε [(σ/d)¹² − (σ/d)⁶].
+    epsilon : ε [energy], sigma : σ [length], one number each, or one for each atom.  cutoff : distance beyond which
+    there is no force [length]; None for none. The energy is shifted to be zero there.
+    law : "9-3", ε [2/15 (σ/d)⁹ − (σ/d)³], or "12-6", 4ε [(σ/d)¹² − (σ/d)⁶].
     """
 
     around: ClassVar[Any]  # Planar or Curved
@@ -79,12 +78,8 @@ class OwnWall(OwnField):
         rows, of_each = np.unique(np.stack(own, axis=-1), axis=0, return_inverse=True)
         at_cutoff = np.array([0.0 if reach == inf else law_at(law, reach, tuple(row.tolist()))[0] for row in rows])
         direction, place = self._place()
-        numbers = [*direction.tolist(), place, reach]
-        columns = (
-            *(np.full(len(atoms), one) for one in numbers),
-            np.ascontiguousarray(at_cutoff[of_each.reshape(-1)]),
-            *own,
-        )
+        numbers = (np.full(len(atoms), one) for one in (*direction.tolist(), place, reach))
+        columns = (*numbers, np.ascontiguousarray(at_cutoff[of_each.reshape(-1)]), *own)
         return FieldTerm(atoms, self.around(Shifted(law)), columns, self._anchors(len(atoms)))
 
 
@@ -95,8 +90,7 @@ class Wall(OwnWall):
 
     Parameters
     ----------
-    point : p, a point of the plane, three numbers [length].  normal : n, three numbers of any length,
-        towards the atoms.
+    point : p, a point of the plane, three numbers [length].  normal : n, of any length, towards the atoms.
     epsilon : ε [energy], sigma : σ [length], one number each, or one for each atom.
     cutoff : distance beyond which there is no force [length]; None for none. The energy is shifted to be zero there.
     law : "9-3", u = ε [2/15 (σ/d)⁹ − (σ/d)³], of a half-space of atoms; or "12-6", u = 4ε [(σ/d)¹² − (σ/d)⁶],
@@ -132,10 +126,8 @@ class Wall(OwnWall):
         crossed = np.abs((vectors * self.normal).sum(axis=1)) > ALONG * np.linalg.norm(vectors, axis=1)
         if crossed.any():
             name = "abc"[np.flatnonzero(system.cell.pbc)[np.argmax(crossed)]]
-            raise ValueError(
-                f"a Wall must lie along all periodic directions; it crosses {name}: set pbc to False there, or turn "
-                "the wall"
-            )
+            hint = "set pbc to False there, or turn the wall"
+            raise ValueError(f"a Wall must lie along all periodic directions; it crosses {name}: {hint}")
         distances: Array = ((positions - self.point) * self.normal).sum(axis=1)
         return distances
 
@@ -164,8 +156,7 @@ class CylinderWall(RoundWall):
     Parameters
     ----------
     point : on the axis, three numbers [length].  axis : direction, three numbers of any length.  radius : R [length].
-    epsilon, sigma, cutoff, law, atoms : as for Wall. The law is that of a flat wall;
-        its distance is that to the nearest point of this wall.
+    epsilon, sigma, cutoff, law, atoms : as for Wall. The law is that of a flat wall at the nearest point.
 
     Positions count relative to the nearest image of the point.
 
@@ -237,9 +228,8 @@ def _vector(name: str, values: ArrayLike) -> Array:
 def _unit_vector(name: str, values: ArrayLike) -> Array:
     array = _vector(name, values)
     largest = float(np.abs(array).max())
-    length = (
-        largest * float(np.linalg.norm(array / largest)) if largest > 0.0 else 0.0
-    )  # no square leaves the range of floats
+    # no square leaves the range of floats
+    length = largest * float(np.linalg.norm(array / largest)) if largest > 0.0 else 0.0
     if not 0.0 < length < inf:
         raise ValueError(f"{name} must not be zero, nor of infinite length; {name} = {array.tolist()}")
     return array / length

@@ -144,9 +144,7 @@ def volume_of(atoms: Atoms) -> float:
 
 def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
     """The constraints of atoms: lengths, linear molecules and fixed atoms. FixCom is left out: see fixes_center.
-
-    Raises ValueError for a constraint of another kind, by name.
-    """
+    Raises ValueError for a constraint of another kind, by name."""
     lengths: list[Pairs] = []
     tolerances: list[float] = []
     fixed: list[int] = []
@@ -169,10 +167,8 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
                 f"atoms.constraints may hold {UNDERSTOOD}; it holds {name}: remove it, or use ASE's dynamics"
             )
     if fixed and fixes_center(atoms):
-        raise ValueError(
-            "atoms.constraints holds FixCom and FixAtoms: with fixed atoms the center of mass does not stay by itself; "
-            "remove one"
-        )
+        why_not = "with fixed atoms the center of mass does not stay by itself; remove one"
+        raise ValueError(f"atoms.constraints holds FixCom and FixAtoms: {why_not}")
     answer: list[Constraint] = [FixedAtoms(np.unique(fixed))] if fixed else []
     if lengths:
         pairs, values = (np.concatenate(part) for part in zip(*lengths, strict=True))
@@ -196,10 +192,8 @@ def ases_constraints_of(system: Any) -> list[FixConstraint]:
 
 
 def fixes_center(atoms: Atoms) -> bool:
-    """Whether the center of mass is held.
-
-    If momentum is conserved, it is enough that it is zero at the start; Engine refuses all other cases.
-    """
+    """Whether the center of mass is held. If momentum is conserved, it is enough that it is zero at the start;
+    Engine refuses all other cases."""
     return any(isinstance(constraint, FixCom) for constraint in atoms.constraints)
 
 

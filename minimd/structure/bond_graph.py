@@ -40,9 +40,8 @@ def checked_pairs(name: str, pairs: ArrayLike, n_atoms: int | None = None) -> ND
     array = checked_groups(name, pairs, 2, n_atoms)
     _, first, counts = np.unique(np.sort(array, axis=1), axis=0, return_index=True, return_counts=True)
     if (counts > 1).any():
-        row, times = min(
-            zip(first[counts > 1].tolist(), counts[counts > 1].tolist(), strict=True)
-        )  # the one that is given first, as it is given
+        # the one that is given first, as it is given
+        row, times = min(zip(first[counts > 1].tolist(), counts[counts > 1].tolist(), strict=True))
         raise ValueError(
             f"{name} must name each pair once; {name}[{row}] = {array[row].tolist()} is given {times} times"
         )
@@ -58,9 +57,7 @@ def among(pairs: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.boo
 
 def checked_groups(name: str, groups: ArrayLike, size: int, n_atoms: int | None = None) -> NDArray[np.int64]:
     """Groups of size different atoms as a (G, size) int array; see checked_pairs.
-
-    Raises ValueError if the shape is wrong, an atom does not exist, or an atom appears twice in a group.
-    """
+    Raises ValueError if the shape is wrong, an atom does not exist, or an atom appears twice in a group."""
     array = checked_indices(name, groups, f"an (n, {size}) array of atom indices")
     if array.size == 0:
         return np.zeros((0, size), dtype=np.int64)

@@ -23,9 +23,8 @@ OPEN = (
     "False) of a slab"
 )
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
-COMBINED = np.array(
-    [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)]
-)  # combinations of vectors that could be shorter
+# combinations of vectors that could be shorter
+COMBINED = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
 
 
 @dataclass(frozen=True, repr=False)
@@ -152,9 +151,7 @@ class Cell(Displayed):
 
 class Images(ByAddress, namedtuple("Images", "lattice inverse pbc safe_distance2")):
     """What kernels need to know about a cell to find images: attributes of Cell, the last of them as an array (1,).
-
-    The arrays stay the same when the scene gets another cell, see take.
-    """
+    The arrays stay the same when the scene gets another cell, see take."""
 
     @classmethod
     def of(cls, cell: Cell) -> Self:
@@ -265,15 +262,11 @@ def _check_independent(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> 
         return
     largest = np.abs(rows).max(axis=1)
     if largest.min() < SMALLEST or largest.max() > LARGEST:
-        raise ValueError(
-            f"lattice vectors must be between {SMALLEST:g} and {LARGEST:g} long; take other units: they are "
-            f"{rows.tolist()}"
-        )
+        wanted = f"between {SMALLEST:g} and {LARGEST:g} long"
+        raise ValueError(f"lattice vectors must be {wanted}; take other units: they are {rows.tolist()}")
     if EPS * largest.max() > largest.min():
-        raise ValueError(
-            f"lengths of lattice vectors must not differ by more than a factor of {1.0 / EPS:.1g}; they are "
-            f"{rows.tolist()}"
-        )
+        most = f"a factor of {1.0 / EPS:.1g}"
+        raise ValueError(f"lengths of lattice vectors must not differ by more than {most}; they are {rows.tolist()}")
     unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     if np.linalg.svd(unit, compute_uv=False).min() < FLAT:
         raise ValueError(f"the periodic lattice vectors must be linearly independent; they are {rows.tolist()}: {OPEN}")

@@ -27,11 +27,8 @@ PLAIN = {bool: "b", int: "i", float: "f"}
 
 
 def checked_count(name: str, value: Any, least: int = 1, limit: int = COUNTS) -> int:
-    """The value as an int.
-
-    Raises ValueError unless it is an int or an integer of NumPy, not a bool, not less than least, and below limit;
-    name is used in the message.
-    """
+    """The value as an int. Raises ValueError unless it is an int or an integer of NumPy, not a bool, not less than
+    least, and below limit; name is used in the message."""
     if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) < limit:
         most = f" and below {limit:.3g}" if isinstance(value, Integral) and int(value) >= limit else ""
         raise ValueError(f"{name} must be a whole number, at least {least}{most}; {name} = {shown(value)}")
@@ -82,10 +79,8 @@ def checked_indices(name: str, values: Any, expected: str) -> NDArray[np.int64]:
     Raises ValueError as checked_array, or if one is too large."""
     array = checked_array(name, values, expected, "i")
     if array.size and not -MOST_ATOMS <= array.min() <= array.max() < MOST_ATOMS:
-        raise ValueError(
-            f"{name} must be {expected}: they go from {array.min()} to {array.max()}, but at most {MOST_ATOMS} atoms "
-            "are allowed"
-        )
+        told = f"they go from {array.min()} to {array.max()}, but at most {MOST_ATOMS} atoms are allowed"
+        raise ValueError(f"{name} must be {expected}: {told}")
     return np.array(array, dtype=np.int64, order="C")
 
 

@@ -17,13 +17,10 @@ from minimd.structure.checks import checked_flag
 
 NO_ELECTROSTATICS = "minimd has no electrostatics yet"
 TENTHS = 10
-SIGNALS = [
-    number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None
-]  # Windows has no SIGHUP
-DEFAULT_HANDLERS: list[Any] = [
-    signal.SIG_DFL,
-    signal.default_int_handler,
-]  # handlers that nobody has set; the command `minimd` adds its own
+# Windows has no SIGHUP
+SIGNALS = [number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None]
+# handlers that nobody has set; the command `minimd` adds its own
+DEFAULT_HANDLERS: list[Any] = [signal.SIG_DFL, signal.default_int_handler]
 
 
 @contextmanager

@@ -97,10 +97,8 @@ class FixedAtoms:
     def check_size(self, n_atoms: int) -> None:
         """Raise ValueError if the indices or the bools do not fit a system of n_atoms atoms."""
         if self._n_bools not in (None, n_atoms):
-            raise ValueError(
-                f"fixed atoms must be given as indices, or as one bool for each of {n_atoms} atoms; got "
-                f"{self._n_bools} bools"
-            )
+            wanted = f"as indices, or as one bool for each of {n_atoms} atoms"
+            raise ValueError(f"fixed atoms must be given {wanted}; got {self._n_bools} bools")
         if self.atoms.max(initial=-1) >= n_atoms:
             raise ValueError(f"fixed atoms must be among 0 to {n_atoms - 1}; they name atom {self.atoms.max()}")
 

@@ -59,14 +59,8 @@ def sentence(error: BaseException) -> str:
 def why_not_compiled(message: str) -> str:
     """The line of a message of Numba that names what it cannot compile; else its first line."""
     lines = [line.strip().removeprefix("- ") for line in message.splitlines() if line.strip()]
-    telling = (
-        "Untyped global name",
-        "Unknown attribute",
-        "No implementation of function",
-        "Use of unsupported",
-        "cannot be compiled",
-        "Unsupported",
-    )
+    of_names = "Untyped global name", "Unknown attribute", "No implementation of function"
+    telling = (*of_names, "Use of unsupported", "cannot be compiled", "Unsupported")
     told = next(
         (line for words in telling for line in lines if words in line), lines[0] if lines else "Numba gives no reason"
     )

@@ -64,10 +64,8 @@ class Grid(Displayed):
 
     @classmethod
     def of_scene(cls, system: System, timestep: float, depth: float) -> Grid:
-        """Steps that leave room for the motion of this scene, and round as little as they can.
-
-        timestep : [time].  depth : of the deepest well of a pair [energy].
-        """
+        """Steps that leave room for the motion of this scene, and round as little as they can. timestep : [time].
+        depth : of the deepest well of a pair [energy]."""
         cell = system.cell
         lengths = np.linalg.norm(cell.vectors[cell.pbc], axis=1)
         size = max(
@@ -138,10 +136,8 @@ class Grid(Displayed):
             atom = int(np.argmax(np.abs(momenta).max(axis=1)))
             largest, most = np.abs(momenta).max() * self.momentum, MOST * self.momentum
             hint = f"grid=minimd.Grid(...) with a larger step of momentum than {self.momentum:.3g}"
-            raise RangeError(
-                f"the momentum of atom {atom} is {largest:.3g}, beyond the range of fixed-point numbers, {most:.3g}: "
-                f"give {hint}"
-            )
+            told = f"the momentum of atom {atom} is {largest:.3g}"
+            raise RangeError(f"{told}, beyond the range of fixed-point numbers, {most:.3g}: give {hint}")
 
     def check_positions(self, positions: Array) -> None:
         """Raise RangeError if a position is beyond the range of the grid."""

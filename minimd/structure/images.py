@@ -28,21 +28,16 @@ def nearest_vectors(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> A
 
 
 def images_of_length(positions: Array, cell: Cell, pairs: NDArray[np.int64], lengths: Array) -> Array:
-    """(K, 3) lattice vectors [length] for which |r_j − r_i| of each pair is closest to its length.
-
-    Up to half the cell these are the nearest images. Raises ValueError for a length that
-    reaches over more than MOST_IMAGES.
-    """
+    """(K, 3) lattice vectors [length] for which |r_j − r_i| of each pair is closest to its length. Up to half the cell
+    these are the nearest images. Raises ValueError for a length that reaches over more than MOST_IMAGES."""
     translations = nearest_images(positions, cell, pairs)
     for k in np.flatnonzero(lengths**2 >= cell.safe_distance2):
         nearest = positions[pairs[k, 1]] - positions[pairs[k, 0]] + translations[k]
         reach = np.where(cell.pbc, (lengths[k] + np.linalg.norm(nearest)) // cell.heights + 1, 0)
         n_images = np.prod(2.0 * reach + 1.0)
         if n_images > MOST_IMAGES:
-            given = (
-                f"that of constraint {k} is {lengths[k]:g} and reaches over {n_images:.1e} in a cell "
-                f"{cell.heights[cell.pbc].min():.3g} high"
-            )
+            where = f"in a cell {cell.heights[cell.pbc].min():.3g} high"
+            given = f"that of constraint {k} is {lengths[k]:g} and reaches over {n_images:.1e} {where}"
             raise ValueError(f"lengths must reach over at most {MOST_IMAGES} images of the cell; {given}: reduce it")
         others = (
             np.stack(np.meshgrid(*(np.arange(-n, n + 1) for n in reach), indexing="ij"), axis=-1).reshape(-1, 3)

@@ -85,9 +85,7 @@ def _entries(atoms: Any, name: str, form: re.Pattern[str]) -> list[tuple[int, tu
 
 def texts(groups: Mapping[str, Indices], n_atoms: int) -> dict[str, NDArray[np.str_]]:
     """The arrays "bonds", "angles", "dihedrals" and "impropers" for an ase.Atoms, without empty ones; all of type 1.
-
-    groups : (G, n) int, by these names.
-    """
+    groups : (G, n) int, by these names."""
     found = {}
     for name, members in groups.items():
         words: list[list[str]] = [[] for _ in range(n_atoms)]

@@ -41,11 +41,8 @@ def names_keywords(function: Callable[P, R], elsewhere: Callable[[str], str] = l
 
 
 def name_keywords(kinds: Iterable[Any]) -> None:
-    """Apply names_keywords to the constructors of classes, also to those inherited in minimd,
-    and to their own methods that have defaults.
-
-    What is no class is passed over.
-    """
+    """Apply names_keywords to the constructors of classes, also to those inherited in minimd, and to their own methods
+    that have defaults. What is no class is passed over."""
     for kind in kinds:
         if isinstance(kind, type):
             for base in kind.__mro__:

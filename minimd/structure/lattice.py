@@ -36,10 +36,8 @@ def crystal(
     counts = checked_indices("repeat", repeat, "three numbers of unit cells")
     if counts.shape != (3,) or counts.min() < 1:
         raise ValueError(f"repeat must be three numbers of unit cells, each at least 1; repeat = {shown(repeat)}")
-    n_atoms, lattice_constant = (
-        len(basis) * prod(counts.tolist()),
-        checked_number("lattice_constant", lattice_constant, "positive and finite"),
-    )
+    n_atoms = len(basis) * prod(counts.tolist())
+    lattice_constant = checked_number("lattice_constant", lattice_constant, "positive and finite")
     if n_atoms > MOST_ATOMS:
         raise ValueError(
             f"repeat must make at most {MOST_ATOMS} atoms; repeat = {shown(repeat)} makes {n_atoms:.1e} of them"
@@ -51,12 +49,7 @@ def crystal(
 
 def constant_from_density(lattice: str, density: float, mass: float = 1.0) -> float:
     """Edge a = (n m/ρ)^(1/3) of a unit cell of n atoms [length].  density : ρ [mass/length³].  mass : m of one atom.
-
-    Raises ValueError for an unknown lattice, a density or a mass that is not positive.
-    """
+    Raises ValueError for an unknown lattice, a density or a mass that is not positive."""
     n_atoms = len(BASES[checked_choice("lattice", lattice, BASES)])
-    return cbrt(
-        n_atoms
-        * checked_number("mass", mass, "positive and finite")
-        / checked_number("density", density, "positive and finite")
-    )
+    mass = checked_number("mass", mass, "positive and finite")
+    return cbrt(n_atoms * mass / checked_number("density", density, "positive and finite"))

@@ -44,9 +44,7 @@ def leaves_out_center(n_atoms: int, conserves_momentum: bool) -> bool:
 
 def degrees_of_freedom(n_atoms: int, n_constraints: int = 0, conserves_momentum: bool = True) -> int:
     """3N − 3 − n_constraints if leaves_out_center, else 3N − n_constraints.  n_atoms : without those held fixed.
-
-    Raises ValueError if none is left.
-    """
+    Raises ValueError if none is left."""
     n_dof = 3 * n_atoms - (3 if leaves_out_center(n_atoms, conserves_momentum) else 0) - n_constraints
     if n_dof <= 0:
         raise ValueError(f"no degree of freedom is left for {n_atoms} atoms with {n_constraints} constraints")
@@ -74,9 +72,7 @@ def temperature(kinetic: float, n_dof: int, k_B: float = 1.0) -> float:
 
 def pressure(kinetic: float, virial: Array, volume: float) -> float:
     """P = (2K + tr W) / 3V [energy/length³], with W = Σ f r_ij ⊗ r_ij, (3, 3).
-
-    M. P. Allen, D. J. Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), eq. 2.60-2.61.
-    """
+    M. P. Allen, D. J. Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), eq. 2.60-2.61."""
     return (2.0 * kinetic + float(np.trace(virial))) / (3.0 * volume)
 
 
@@ -123,9 +119,7 @@ def absolute_momentum(velocities, masses):
 @kernel
 def longest(vectors):
     """Index and length of the longest of (N, 3) vectors.
-
-    If vectors are not finite: index of the first of them, and infinity.
-    """
+    If vectors are not finite: index of the first of them, and infinity."""
     where, longest2 = 0, -1.0
     for i in range(vectors.shape[0]):
         length2 = vectors[i, 0] ** 2 + vectors[i, 1] ** 2 + vectors[i, 2] ** 2
@@ -156,9 +150,8 @@ def angular_momentum(positions, velocities, masses):
 
 def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array) -> float:
     """Σ m |r − r_cm| |v| [mass length²/time]: the scale with which a change of the angular momentum is compared."""
-    return _absolute_moments(
-        positions, velocities, masses, momentum(positions, masses) / masses.sum()
-    )  # r_cm = Σ m r / Σ m: the same sum
+    center = momentum(positions, masses) / masses.sum()  # r_cm = Σ m r / Σ m: the same sum
+    return _absolute_moments(positions, velocities, masses, center)
 
 
 @kernel

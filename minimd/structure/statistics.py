@@ -14,18 +14,11 @@ Array = NDArray[np.float64]
 Weighted = Callable[[int], list[tuple[float, Array]]]
 FEW = 4  # entries or blocks: from fewer, no error can be estimated
 MOST_BLOCKS = 32  # at this number, blocks are joined in pairs: a long run always has 16 to 31
-TIMES, SHARES = (
-    (0.02, 0.05, 0.12, 0.3),
-    (0.7, 0.9, 0.97, 1.0),
-)  # of slow correlations, in parts of the run and of the variance of the mean
+# of slow correlations, in parts of the run and of the variance of the mean
+TIMES, SHARES = (0.02, 0.05, 0.12, 0.3), (0.7, 0.9, 0.97, 1.0)
 NONE = 0.8  # weight of no correlation; the weights of the 16 correlations add up to the rest
-WALKS = {
-    0.0: 1.0,
-    0.3: 1.0,
-    0.6: 1.0,
-    0.9: 1.0,
-    1.0: 3.0,
-}  # parts of a random walk in the variance of the mean of its steps, and their weights
+# parts of a random walk in the variance of the mean of its steps, and their weights
+WALKS = {0.0: 1.0, 0.3: 1.0, 0.6: 1.0, 0.9: 1.0, 1.0: 3.0}
 
 
 def mean_and_error(series: Any) -> tuple[float, float]:
@@ -35,9 +28,8 @@ def mean_and_error(series: Any) -> tuple[float, float]:
     if len(values) < FEW:
         return float(values.mean()) if len(values) else np.nan, np.nan
     mean, length = float(values.mean()), len(values) // MOST_BLOCKS + 1
-    blocks = (
-        (values - mean)[: len(values) // length * length].reshape(-1, length).mean(axis=1)
-    )  # without the mean, whose rounding would hide them
+    # without the mean, whose rounding would hide them
+    blocks = (values - mean)[: len(values) // length * length].reshape(-1, length).mean(axis=1)
     return mean, float(standard_error(blocks))
 
 

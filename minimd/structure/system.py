@@ -90,10 +90,8 @@ class System(Displayed):
         self.species_names, self.species_index = _species(species, len(self))
         self.bonds = checked_pairs("bonds", () if bonds is None else bonds, len(self))
         self.angles = _groups("angles", angles, len(self))
-        self.dihedrals, self.impropers = (
-            _groups("dihedrals", dihedrals, len(self)),
-            _groups("impropers", impropers, len(self)),
-        )
+        self.dihedrals = _groups("dihedrals", dihedrals, len(self))
+        self.impropers = _groups("impropers", impropers, len(self))
         self.__setstate__({})
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -104,9 +102,7 @@ class System(Displayed):
 
     def __setattr__(self, name: str, value: Any) -> None:
         """New positions and velocities are copied into the existing arrays, which a running simulation uses.
-
-        Raises AttributeError for a read-only attribute.  TypeError for a cell that is no Cell.
-        """
+        Raises AttributeError for a read-only attribute.  TypeError for a cell that is no Cell."""
         if name in ("positions", "velocities") and name in self.__dict__:
             self.__dict__[name][:] = _vectors(name, value, len(self))
         elif name in READ_ONLY and name in self.__dict__:
@@ -123,10 +119,8 @@ class System(Displayed):
 
     def __repr__(self) -> str:
         names = ", ".join(str(name) for name in self.species_names)
-        return (
-            f"System({len(self)} atoms of {names}; {self._joined}; periodic {self.cell.pbc.tolist()}; "
-            f"{self.units.name} units)"
-        )
+        where = f"periodic {self.cell.pbc.tolist()}; {self.units.name} units"
+        return f"System({len(self)} atoms of {names}; {self._joined}; {where})"
 
     @property
     def _joined(self) -> str:

@@ -27,11 +27,8 @@ def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int 
 
 
 def rescaled(velocities: Array, masses: Array, target: float, k_B: float, n_dof: int, drift: Array) -> Array:
-    """V + √(T_target/T) (v − V): kinetic temperature exactly the target, (N, 3).  drift : V; scaled, too,
-    if only rounding.
-
-    Raises ValueError if the target is negative or not finite, or nothing moves, except all atoms alike.
-    """
+    """V + √(T_target/T) (v − V): kinetic temperature exactly the target, (N, 3).  drift : V; scaled, too, if only
+    rounding. Raises ValueError if the target is negative or not finite, or nothing moves, except all atoms alike."""
     target = checked_number("temperature", target, "finite and not negative")
     kinetic = kinetic_energy(velocities, masses)
     thermal = thermal_energy(kinetic, drift, masses)

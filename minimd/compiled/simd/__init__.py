@@ -9,14 +9,12 @@
 
 To Numba such a variable has the type Vector(element, lanes); its value is a vector of LLVM, the compiler beneath Numba.
 LLVM knows `fadd <8 x double>` as it knows `fadd double`, and translates it to the widest instructions of the processor
-at hand: one for AVX-512, two for AVX2, four for NEON. So a law written for numbers
-compiles for vectors from the same source.
+at hand: one for AVX-512, two for AVX2, four for NEON. So a law for numbers compiles for vectors from the same source.
 
 How to add an operation. If LLVM has an instruction or a function for it, make an intrinsic with `_instruction` or
 `_function`, see arithmetic.py, or write an `@intrinsic`: it gets the Numba types of its arguments, and returns the
 signature `result(arguments)` and a function that emits instructions with llvmlite's IRBuilder. Bind it to the Python
-name that laws use with `_bind` or `@overload`. If there is no instruction, apply the function lane by lane:
-see `_bind_one`.
+name that laws use with `_bind` or `@overload`. Without an instruction, apply a function lane by lane: see `_bind_one`.
 """
 
 from minimd.compiled.simd.arithmetic import fma, select
@@ -32,16 +30,5 @@ from minimd.compiled.simd.vector import (
     with_lane,
 )
 
-__all__ = [
-    "bits_from_mask",
-    "broadcast",
-    "convert",
-    "fma",
-    "lane",
-    "load",
-    "select",
-    "store",
-    "total",
-    "trailing_zeros",
-    "with_lane",
-]
+__all__ = ["bits_from_mask", "broadcast", "convert", "fma", "lane", "load"]
+__all__ += ["select", "store", "total", "trailing_zeros", "with_lane"]

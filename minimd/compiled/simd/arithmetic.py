@@ -7,55 +7,23 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic, overload
 
-from minimd.compiled.simd.vector import Vector, broadcast, call, lane, with_lane
+from minimd.compiled.simd.vector import Vector, broadcast, call, emitting, lane, with_lane
 
-FLOAT_OPERATORS = {
-    operator.add: "fadd",
-    operator.sub: "fsub",
-    operator.mul: "fmul",
-    operator.truediv: "fdiv",
-}  # methods of IRBuilder
-INTEGER_OPERATORS = {
-    operator.add: "add",
-    operator.sub: "sub",
-    operator.mul: "mul",
-    operator.and_: "and_",
-    operator.or_: "or_",
-}
-COMPARISONS = {
-    operator.lt: "<",
-    operator.le: "<=",
-    operator.gt: ">",
-    operator.ge: ">=",
-    operator.eq: "==",
-    operator.ne: "!=",
-}
-LANE_BY_LANE = (
-    math.exp,
-    math.log,
-    math.sin,
-    math.cos,
-    math.tanh,
-    math.erf,
-    math.erfc,
-    np.exp,
-    np.log,
-    np.sin,
-    np.cos,
-    np.tanh,
-)
+# methods of IRBuilder; those for integers have the names of the operators
+FLOAT_OPERATORS = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}
+INTEGER_OPERATORS = {getattr(operator, name): name for name in ("add", "sub", "mul", "and_", "or_")}
+COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}  # by names in operator
+OF_NUMPY = np.exp, np.log, np.sin, np.cos, np.tanh
+LANE_BY_LANE = (math.exp, math.log, math.sin, math.cos, math.tanh, math.erf, math.erfc, *OF_NUMPY)
 
 
 def _instruction(of_floats: str, of_integers: str, *sign: str):
-    """An intrinsic for two vectors of one type: IRBuilder's methods for floats and for integers,
-    and the sign of a comparison."""
+    """An intrinsic for two vectors of one type: IRBuilder's methods for floats and integers, a comparison's sign."""
 
     @intrinsic
     def operation(_context, a, b):
         method = of_floats if a.is_float else of_integers
-        return (a.mask if sign else a)(a, b), lambda context, builder, signature, arguments: getattr(builder, method)(
-            *sign, *arguments
-        )
+        return (a.mask if sign else a)(a, b), emitting(lambda builder, *pair: getattr(builder, method)(*sign, *pair))
 
     return operation
 
@@ -65,9 +33,7 @@ def _function(name: str):
 
     @intrinsic
     def one(_context, a):
-        return a(a), lambda context, builder, signature, arguments: call(
-            builder, f"llvm.{name}.{a.suffix}", arguments[0].type, arguments
-        )
+        return a(a), emitting(lambda builder, x: call(builder, f"llvm.{name}.{a.suffix}", x.type, [x]))
 
     return one
 
@@ -78,14 +44,11 @@ _square_root, _magnitude, _floor = _function("sqrt"), _function("fabs"), _functi
 @intrinsic
 def _multiply_add(_context, a, b, c):
     suffix = a.suffix if isinstance(a, Vector) else f"f{a.bitwidth}"
-    return a(a, b, c), lambda context, builder, signature, arguments: call(
-        builder, f"llvm.fmuladd.{suffix}", arguments[0].type, arguments
-    )
+    return a(a, b, c), emitting(lambda builder, *abc: call(builder, f"llvm.fmuladd.{suffix}", abc[0].type, abc))
 
 
 def fma(a, b, c):
-    """a · b + c for three numbers or three vectors of one type,
-    rounded once where the processor has an instruction for it; c may be a number."""
+    """a · b + c of numbers, or of vectors of one type (c may be a number); rounded once where the processor can."""
     return a * b + c
 
 
@@ -98,7 +61,7 @@ def _fma(a, b, c):
 
 @intrinsic
 def _choose(_context, mask, a, b):
-    return a(mask, a, b), lambda context, builder, signature, arguments: builder.select(*arguments)
+    return a(mask, a, b), emitting(lambda builder, *values: builder.select(*values))
 
 
 def select(mask, a, b):
@@ -114,18 +77,15 @@ def _select(mask, a, b):
 
 
 def _bind(function, operation) -> None:
-    """Let a Python operator of two arguments do an operation where one of them is a
-    vector and the other a vector or a number."""
+    """Let a Python operator do an operation where one argument is a vector and the other a vector or a number."""
 
     @overload(function)
     def of_vectors(a, b):
         if isinstance(a, Vector) and (a == b or isinstance(b, types.Number)):
             return lambda a, b: operation(a, broadcast(b, a))
-        return (
-            (lambda a, b: operation(broadcast(a, b), b))
-            if isinstance(b, Vector) and isinstance(a, types.Number)
-            else None
-        )
+        if isinstance(b, Vector) and isinstance(a, types.Number):
+            return lambda a, b: operation(broadcast(a, b), b)
+        return None
 
 
 def _bind_choice(function, beats) -> None:
@@ -140,8 +100,8 @@ def _bind_choice(function, beats) -> None:
 
 for _operator in FLOAT_OPERATORS | INTEGER_OPERATORS:
     _bind(_operator, _instruction(FLOAT_OPERATORS.get(_operator, ""), INTEGER_OPERATORS.get(_operator, "")))
-for _operator, _sign in COMPARISONS.items():
-    _bind(_operator, _instruction("fcmp_ordered", "icmp_signed", _sign))
+for _name, _sign in COMPARISONS.items():
+    _bind(getattr(operator, _name), _instruction("fcmp_ordered", "icmp_signed", _sign))
 _bind_choice(max, operator.gt)
 _bind_choice(min, operator.lt)
 
@@ -153,10 +113,7 @@ def _negative(x):
 
 @overload(operator.pow)
 def _power(x, exponent):
-    """The powers that laws are written with; the compiler picks one where the exponent is a constant.
-
-    Others lane by lane.
-    """
+    """The powers that laws use, one of which the compiler picks for a constant exponent; others lane by lane."""
     if not (isinstance(x, Vector) and isinstance(exponent, types.Number)):
         return None
     lanes = x.lanes
@@ -196,12 +153,6 @@ def _bind_one(function, operation=None) -> None:
         return each
 
 
-_FUNCTIONS = {
-    math.sqrt: _square_root,
-    np.sqrt: _square_root,
-    abs: _magnitude,
-    np.floor: _floor,
-    **dict.fromkeys(LANE_BY_LANE),
-}
-for _one, _operation in _FUNCTIONS.items():
+_FUNCTIONS = {math.sqrt: _square_root, np.sqrt: _square_root, abs: _magnitude, np.floor: _floor}
+for _one, _operation in {**_FUNCTIONS, **dict.fromkeys(LANE_BY_LANE)}.items():
     _bind_one(_one, _operation)

@@ -1,5 +1,4 @@
-"""How many lanes a vector has, as a type: kernels are compiled for the number that suits
-the processor and the precision."""
+"""How many lanes a vector has, as a type: kernels are compiled for the number that suits processor and precision."""
 
 import functools
 import re
@@ -43,8 +42,7 @@ def count(lanes):
 
 @functools.cache
 def register_bits() -> int:
-    """Width of the registers in which vectors are added, from the compiler's output:
-    Numba may compile for another processor than this one."""
+    """Width of the registers in which Numba's compiler adds vectors, perhaps for another processor than this one."""
     triple, name, features = cpu_target.target_context.codegen().magic_tuple()
     machine = llvm.Target.from_triple(triple).create_target_machine(cpu=name, features=features)
     assembly = machine.emit_assembly(llvm.parse_assembly(PROBE))
@@ -53,6 +51,5 @@ def register_bits() -> int:
 
 @functools.cache
 def lanes_for(bits: int) -> Lanes:
-    """Lanes for numbers of this many bits: eight if they fit into one register, else four,
-    with which the inner loop needs 16 registers."""
+    """Lanes for numbers of so many bits: eight if they fit one register, else four, which take 16 in the inner loop."""
     return Lanes8() if 8 * bits <= register_bits() else Lanes4()

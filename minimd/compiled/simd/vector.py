@@ -32,10 +32,14 @@ class VectorModel(models.PrimitiveModel):
     """A Vector is an LLVM vector; the lanes of a mask are single bits."""
 
     def __init__(self, manager, fe_type):
-        element = (
-            ir.IntType(1) if fe_type.element == types.boolean else manager.lookup(fe_type.element).get_value_type()
-        )
+        is_mask = fe_type.element == types.boolean
+        element = ir.IntType(1) if is_mask else manager.lookup(fe_type.element).get_value_type()
         super().__init__(manager, fe_type, ir.VectorType(element, fe_type.lanes))
+
+
+def emitting(emit):
+    """The code generator of an intrinsic that emits what emit(builder, *values) does."""
+    return lambda context, builder, signature, arguments: emit(builder, *arguments)
 
 
 @intrinsic
@@ -58,23 +62,19 @@ def broadcast(_context, number, like):
 def bits_from_mask(_context, mask):
     """A mask as an int64 whose bit k is lane k; zero if no lane is set."""
     bits, int64 = ir.IntType(mask.lanes), ir.IntType(64)
-    return types.int64(mask), lambda context, builder, signature, arguments: builder.zext(
-        builder.bitcast(arguments[0], bits), int64
-    )
+    return types.int64(mask), emitting(lambda builder, value: builder.zext(builder.bitcast(value, bits), int64))
 
 
 @intrinsic
 def trailing_zeros(_context, bits):
     """The number of the lowest bit of an uint64 that is set; 64 if none is."""
-    return types.uint64(types.uint64), lambda context, builder, signature, arguments: builder.cttz(
-        arguments[0], ir.Constant(ir.IntType(1), 0)
-    )
+    zero_is_defined = ir.Constant(ir.IntType(1), 0)
+    return types.uint64(types.uint64), emitting(lambda builder, value: builder.cttz(value, zero_is_defined))
 
 
 @intrinsic
 def convert(_context, vector, like):
-    """A vector of float64, float32 or int32 with the element type of like,
-    a vector or a number of float64 or float32."""
+    """A vector of float64, float32 or int32 with the element type of like, a vector or a float64 or float32."""
     element = like.element if isinstance(like, Vector) else like
     kind = Vector(element, vector.lanes)
 
@@ -107,7 +107,7 @@ def total(_context, vector):
 @intrinsic
 def lane(_context, vector, k):
     """The number in lane k."""
-    return vector.element(vector, k), lambda context, builder, signature, arguments: builder.extract_element(*arguments)
+    return vector.element(vector, k), emitting(lambda builder, *values: builder.extract_element(*values))
 
 
 @intrinsic
@@ -115,17 +115,15 @@ def with_lane(_context, vector, k, number):
     """The vector with another number in lane k."""
 
     def generate(context, builder, signature, arguments):
-        return builder.insert_element(
-            arguments[0], context.cast(builder, arguments[2], number, vector.element), arguments[1]
-        )
+        one = context.cast(builder, arguments[2], number, vector.element)
+        return builder.insert_element(arguments[0], one, arguments[1])
 
     return vector(vector, k, number), generate
 
 
 @intrinsic(prefer_literal=True)
 def load(_context, array, index, lanes):
-    """Contiguous elements of a one-dimensional array, from index.  lanes : how many, a literal or one of simd.lanes;
-    or a vector of as many."""
+    """Contiguous elements of a one-dimensional array, from index.  lanes : literal, one of simd.lanes, or a vector."""
     kind = Vector(array.dtype, n_lanes(lanes))
 
     def generate(context, builder, signature, arguments):
@@ -141,9 +139,8 @@ def store(_context, array, index, vector):
     """Write a vector to contiguous elements of a one-dimensional array, from index."""
 
     def generate(context, builder, signature, arguments):
-        builder.store(arguments[2], _pointer_to(context, builder, array, arguments, vector)).align = (
-            array.dtype.bitwidth // 8
-        )
+        written = builder.store(arguments[2], _pointer_to(context, builder, array, arguments, vector))
+        written.align = array.dtype.bitwidth // 8
         return context.get_dummy_value()
 
     return types.void(array, types.intp, vector), generate
@@ -171,7 +168,6 @@ def call(builder, name, result, arguments):
 
 
 def _pointer_to(context, builder, kind, arguments, vector):
-    """The address of an element of an array, as that of a vector.  arguments : values of the array, of type kind,
-    and of the index."""
+    """The address of an element, as that of a vector.  arguments : an array of type kind, and an index, as values."""
     data = context.make_array(kind)(context, builder, arguments[0]).data
     return builder.bitcast(builder.gep(data, [arguments[1]]), context.get_value_type(vector).as_pointer())

@@ -11,13 +11,12 @@ of the sum. −x is rounded to the opposite of what x is rounded to: so a force 
 from collections import namedtuple
 
 import numpy as np
-from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, overload
+from numba.extending import overload
 
 from minimd.compiled.kernels import by_type
 from minimd.compiled.simd import fma
-from minimd.compiled.simd.vector import Vector, convert
+from minimd.compiled.simd.vector import Vector, bits_of, convert
 
 MAGIC = 1.5 * 2.0**52
 BIAS = int(np.float64(MAGIC).view(np.int64))
@@ -26,18 +25,10 @@ MOST = 2.0**50
 FARTHEST = 2.0**52  # steps of length: sums of two positions are still exact
 
 
-@intrinsic
-def _bits(_context, x):
-    """The bits of a float64, or of a vector of them, as int64."""
-    kind = Vector(types.int64, x.lanes) if isinstance(x, Vector) else types.int64
-    llvm = ir.VectorType(ir.IntType(64), x.lanes) if isinstance(x, Vector) else ir.IntType(64)
-    return kind(x), lambda context, builder, signature, arguments: builder.bitcast(arguments[0], llvm)
-
-
 @by_type
 def biased_product(a, b):
     """whole_product + BIAS: one instruction less for loops that know how many of them they add."""
-    return lambda a, b: _bits(fma(a, b, MAGIC))
+    return lambda a, b: bits_of(fma(a, b, MAGIC))
 
 
 def whole_product(a, b):
@@ -78,3 +69,9 @@ class Steps(namedtuple("Steps", "per_force length momentum energy limit2")):
 def is_fixed(steps: types.Type) -> bool:
     """Whether a type is that of Steps, not of () where there is no grid."""
     return isinstance(steps, types.BaseNamedTuple)
+
+
+@by_type
+def in_steps(energy, steps):
+    """An energy; on a grid rounded to a multiple of its step."""
+    return (lambda energy, steps: on_grid(energy, steps.energy)) if is_fixed(steps) else lambda energy, steps: energy

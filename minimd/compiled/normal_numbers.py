@@ -132,18 +132,21 @@ def _philox(counter, key):
     a, b, c, d = counter[0], counter[1], counter[2], counter[3]
     k, m = key[0], key[1]
     for _ in range(ROUNDS):
-        a, b, c, d = _high_word(SECOND, c) ^ b ^ k, SECOND * c, _high_word(FIRST, a) ^ d ^ m, FIRST * a
+        (high, low), (high_2, low_2) = _words(FIRST, a), _words(SECOND, c)
+        a, b, c, d = high_2 ^ b ^ k, low_2, high ^ d ^ m, low
         k, m = k + GOLDEN, m + ROOT
     return a, b, c, d
 
 
 @intrinsic
-def _high_word(_context, a, b):
-    """The upper 64 of the 128 bits of a product of two words."""
+def _words(_context, a, b):
+    """The upper and the lower 64 of the 128 bits of a product of two words: one instruction."""
+    kind = types.UniTuple(types.uint64, 2)
 
-    def generate(_context, builder, _signature, values):
-        wide = ir.IntType(128)
+    def generate(context, builder, _signature, values):
+        wide, word = ir.IntType(128), ir.IntType(64)
         product = builder.mul(*(builder.zext(value, wide) for value in values))
-        return builder.trunc(builder.lshr(product, wide(64)), ir.IntType(64))
+        words = builder.trunc(builder.lshr(product, wide(64)), word), builder.trunc(product, word)
+        return context.make_tuple(builder, kind, words)
 
-    return types.uint64(types.uint64, types.uint64), generate
+    return kind(types.uint64, types.uint64), generate

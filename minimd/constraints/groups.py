@@ -15,6 +15,7 @@ from numba.extending import overload
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import DirectCalls, filling_kernel
 from minimd.compiled.program import CANNOT_KEEP, GO_ON, Operation, operation
+from minimd.compiled.simd.lanes import DOUBLE, lanes_for
 from minimd.compiled.threads import MOST_CHUNKS
 from minimd.constraints.closed_forms import (
     DriftLinear,
@@ -40,10 +41,12 @@ CONSTRAINTS_IN_A_CHUNK = 500  # least number: about ten microseconds of work, mo
 ALIKE = 1e-12  # relative: masses and squared lengths that differ by less are equal
 
 
-class Solving(ByAddress, namedtuple("Solving", "solver positions vectors inverse_masses n answers most arguments")):
+class Solving(
+    ByAddress, namedtuple("Solving", "solver positions vectors inverse_masses lanes n answers most arguments")
+):
     """A solver on the n components of a group, in as many chunks as there are answers.
 
-    positions, vectors, inverse_masses : of Atoms.  arguments : of the solver.
+    positions, vectors, inverse_masses, lanes : of Atoms.  arguments : of the solver.
     answers : (chunks,) output, see vectors.  most : (chunks,) the largest so far.
     """
 
@@ -52,7 +55,7 @@ class Solving(ByAddress, namedtuple("Solving", "solver positions vectors inverse
 def solve_chunk(solving, chunk):
     """The solver on some components.  CANNOT_KEEP if a constraint cannot be kept."""
     n, n_chunks = solving.n, solving.answers.size
-    atoms = Atoms(solving.positions, solving.vectors, solving.inverse_masses)
+    atoms = Atoms(solving.positions, solving.vectors, solving.inverse_masses, solving.lanes)
     first, last = chunk * n // n_chunks, (chunk + 1) * n // n_chunks
     answer = solve_some(solving.solver, first, last, atoms, solving.arguments)
     solving.answers[chunk], solving.most[chunk] = answer, max(answer, solving.most[chunk])
@@ -102,7 +105,10 @@ class Networks:
 
     def offsets(self) -> list[Floats]:
         """All arrays (…, 3) of lattice translations that its solvers read."""
-        return [self.bonds.offsets, *(one.offsets.reshape(-1, 3) for one in self.known if isinstance(one, Molecules))]
+        return [
+            self.bonds.offsets,
+            *(offsets for one in self.known if isinstance(one, Molecules) for offsets in one.offsets),
+        ]
 
     def check(self, positions: Floats) -> None:
         """Raise ValueError if a constraint depends on the others."""
@@ -120,8 +126,8 @@ class Networks:
         return self._solve(ProjectComponents(), positions, vectors, (*self.known, targets))
 
     def _solve(self, solver: tuple, positions: Floats, vectors: Floats, arguments: tuple[Any, ...]) -> Operation:
-        room = self.n_components, self.answers, self.most
-        solving = Solving(solver, positions, vectors, self.masses, *room, arguments)
+        atoms, room = (positions, vectors, self.masses, lanes_for(DOUBLE)), (self.n_components, self.answers, self.most)
+        solving = Solving(solver, *atoms, *room, arguments)
         calls = self._calls[type(solver), positions.flags.carray, vectors.flags.carray]
         return operation(calls, solve_chunk, solving, len(self.answers))
 
@@ -167,11 +173,10 @@ class Triangles(Networks):
         lengths2 = self.bonds.lengths2
         base = _equal_sides(graph, graph.components.starts[:-1], lengths2, self.masses)
         corners, arms, sides = _corners(graph, base, self.bonds.offsets)
-        half, (heavy, light) = 0.5 * np.sqrt(lengths2[base]), 1.0 / self.masses[corners[:, :2]].T
+        half, heavy, light = 0.5 * np.sqrt(lengths2[base]), 1.0 / self.masses[corners[0]], 1.0 / self.masses[corners[1]]
         height, share = np.sqrt(lengths2[sides[:, 0]] - half * half), light / (heavy + 2.0 * light)
-        shapes = np.column_stack([2.0 * share * height, (1.0 - 2.0 * share) * height, half, share])
-        self.known = (Molecules(corners, arms, shapes),)
-        self._sides = np.column_stack([sides, base])
+        shapes = 2.0 * share * height, (1.0 - 2.0 * share) * height, half, share
+        self.known, self._sides = (Molecules(corners, arms, shapes),), (*columns(sides), base)
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
         """See Networks."""
@@ -191,11 +196,13 @@ class LinearTriatomics(Networks):
         lengths2, sides = self.bonds.lengths2, graph.components.starts[:-1, None] + np.arange(3)
         self.ends = sides[np.arange(len(sides)), np.argmax(lengths2[sides], axis=1)]  # the longest side of each
         corners, arms, sides = _corners(graph, self.ends, self.bonds.offsets)
-        offsets = np.stack([-arms[:, 0], arms[:, 1] - arms[:, 0]], axis=1)
+        offsets = -arms[0], arms[1] - arms[0]
         beta = np.sqrt(lengths2[sides[:, 0]] / lengths2[self.ends])
-        shapes = np.column_stack([1.0 - beta, beta, lengths2[self.ends]])
-        middle_first = np.ascontiguousarray(corners[:, [1, 0, 2]])  # the corner opposite the longest side
-        self.known, self._of_ends = (Molecules(middle_first, offsets, shapes),), np.zeros(len(self.ends))
+        shapes, (middle, b, c) = (
+            (1.0 - beta, beta, lengths2[self.ends]),
+            corners,
+        )  # the corner opposite the longest side
+        self.known, self._of_ends = (Molecules((b, middle, c), offsets, shapes),), np.zeros(len(self.ends))
 
     def check(self, positions: Floats) -> None:
         """Do nothing: these constraints depend on each other, and their solver takes this into account."""
@@ -260,9 +267,9 @@ def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: F
     return answer
 
 
-def _corners(graph: Graph, base: Ints, offsets: Floats) -> tuple[Ints, Floats, Ints]:
-    """Of each triangle: atoms (apex, b, c) with b-c the base; offsets of b and c from the apex (T, 2, 3); the two other
-    constraints (T, 2)."""
+def _corners(graph: Graph, base: Ints, offsets: Floats) -> tuple[tuple[Ints, ...], tuple[Floats, ...], Ints]:
+    """Of each triangle: atoms apex, b, c with b-c the base; offsets of b and c from the apex, (T, 3) each; the two
+    other constraints (T, 2)."""
     starts = graph.components.starts[:-1]
     sides = starts[:, None] + np.arange(3)
     first, second = graph.first[sides], graph.second[sides]
@@ -271,4 +278,9 @@ def _corners(graph: Graph, base: Ints, offsets: Floats) -> tuple[Ints, Floats, I
     is_of = [(first == atom[:, None]) | (second == atom[:, None]) for atom in (apex, b, c)]
     arms = [np.argmax(is_of[0] & is_of_end, axis=1) + starts for is_of_end in is_of[1:]]
     shifts = [np.where((graph.first[arm] == apex)[:, None], 1.0, -1.0) * offsets[arm] for arm in arms]
-    return np.column_stack([apex, b, c]), np.ascontiguousarray(np.stack(shifts, axis=1)), np.column_stack(arms)
+    return (apex, b, c), tuple(shifts), np.column_stack(arms)
+
+
+def columns(table: Ints) -> tuple[Ints, ...]:
+    """Those of a table, each in memory of its own."""
+    return tuple(np.ascontiguousarray(column) for column in table.T)

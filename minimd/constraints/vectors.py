@@ -1,18 +1,24 @@
-"""Atoms, bonds and molecules in the form that constraint solvers use, and operations on their vectors.
+"""Atoms, bonds and molecules in the form that constraint solvers use, one at a time or as many as a vector has lanes.
 
 Solvers return the largest number of iterations; n < 0 says that the constraint (or molecule) −1 − n could not be kept.
 """
 
 from collections import namedtuple
 
-from minimd.compiled.kernels import inlined, kernel
+import numpy as np
+from numba import types
+
+from minimd.compiled.kernels import by_type, inlined, kernel, scalar
+from minimd.compiled.simd import lane, with_lane, zeros
+from minimd.compiled.simd.lanes import count
 from minimd.structure.vectors import combined
 
 NOTHING = -1
 
 
-class Atoms(namedtuple("Atoms", "positions vectors inverse_masses")):
-    """positions : (N, 3) [length].  vectors : (N, 3) velocities or accelerations.  inverse_masses : (N,) [1/mass]."""
+class Atoms(namedtuple("Atoms", "positions vectors inverse_masses lanes")):
+    """positions : (N, 3) [length].  vectors : (N, 3) velocities or accelerations.  inverse_masses : (N,) [1/mass].
+    lanes : Lanes."""
 
 
 class Bonds(namedtuple("Bonds", "first second offsets lengths2 tolerance")):
@@ -21,7 +27,66 @@ class Bonds(namedtuple("Bonds", "first second offsets lengths2 tolerance")):
 
 
 class Molecules(namedtuple("Molecules", "atoms offsets shapes")):
-    """atoms : (M, 3) a, b, c.  offsets : (M, 2, 3) of b and c from a [length].  shapes : (M, …) see each solver."""
+    """atoms : three of (M,), a, b, c.  offsets : two of (M, 3), of b and c from a [length].  shapes : some of (M,),
+    see each solver."""
+
+
+# Where the lanes of a vector are: (at, k, end, lanes), those of at[k], at[k + 1], … before at[end], or, if at is (),
+# of k, k + 1, …; lanes beyond the end repeat the last one.
+
+
+@by_type
+def _place(where, n):
+    if isinstance(where[0], types.Array):
+        return lambda where, n: np.uintp(where[0][min(where[1] + n, where[2] - 1)])
+    return lambda where, n: np.uintp(min(where[1] + n, where[2] - 1))
+
+
+@scalar
+def numbers(values, where):
+    """A vector of some of the values (N,)."""
+    x = zeros(where[3])
+    for n in range(count(where[3])):
+        x = with_lane(x, n, values[_place(where, n)])
+    return x
+
+
+@scalar
+def rows(values, where):
+    """Vectors x, y, z of some of the values (N, 3)."""
+    x = y = z = zeros(where[3])
+    for n in range(count(where[3])):
+        i = _place(where, n)
+        x, y, z = with_lane(x, n, values[i, 0]), with_lane(y, n, values[i, 1]), with_lane(z, n, values[i, 2])
+    return x, y, z
+
+
+@scalar
+def put_numbers(values, where, x):
+    """Write the lanes of a vector to some of the values (N,)."""
+    for n in range(count(where[3])):
+        values[_place(where, n)] = lane(x, n)
+
+
+@scalar
+def put_rows(values, where, xyz):
+    """Write vectors x, y, z to some of the values (N, 3)."""
+    x, y, z = xyz
+    for n in range(count(where[3])):
+        i = _place(where, n)
+        values[i, 0], values[i, 1], values[i, 2] = lane(x, n), lane(y, n), lane(z, n)
+
+
+@inlined
+def plus(u, v):
+    """u + v."""
+    return u[0] + v[0], u[1] + v[1], u[2] + v[2]
+
+
+@inlined
+def minus(u, v):
+    """u − v."""
+    return u[0] - v[0], u[1] - v[1], u[2] - v[2]
 
 
 @inlined

@@ -5,26 +5,22 @@ belongs to one atom i and lists the clusters j with atoms within its reach.
 Lanes that do not count are infinitely far from it, see Memory.far.
 """
 
-import functools
 from collections import namedtuple
 
 import numpy as np
 from numba import types
-from numba.core.errors import NumbaError
 
 from minimd.compiled.by_address import ByAddress
-from minimd.compiled.fixed_point import BIAS, biased_product, is_fixed, on_grid
-from minimd.compiled.kernels import by_type, called_kernel, kernel, scalar, without_cache
+from minimd.compiled.fixed_point import BIAS, biased_product, in_steps, is_fixed, on_grid
+from minimd.compiled.kernels import by_type, called_kernel, scalar
 from minimd.compiled.simd import bits_from_mask, broadcast, convert, fma, load, select, store, total
-from minimd.compiled.simd.lanes import DOUBLE, count, lanes_for
+from minimd.compiled.simd.lanes import count
 from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.neighbors.clusters import DIMENSIONS
 from minimd.neighbors.domains import GHOSTS
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.pair_loop import SameForAll
-from minimd.potentials.tabulated import reads_table
 from minimd.potentials.term import PER_ATOM
-from minimd.potentials.user_laws import is_recognized, is_user_law
 
 VIRIAL = 6  # components
 LANE_SUMS = 1 + VIRIAL  # accumulators of a lane with PER_ATOM: energy and virial
@@ -335,12 +331,6 @@ def start_sums(arrays, n_laws, first_sum, forces):
 
 
 @by_type
-def in_steps(u, steps):
-    """An energy; in fixed-point arithmetic rounded to a multiple of its step."""
-    return (lambda u, steps: on_grid(u, steps.energy)) if is_fixed(steps) else lambda u, steps: u
-
-
-@by_type
 def plus_virial(g, x, to, steps):
     """to + g x, a component of the virial [energy]."""
     if is_fixed(steps):
@@ -379,26 +369,3 @@ def push(forces, ghost, f, separation):
     store(forces, x, plus_product(f, dx, load(forces, x, f)))
     store(forces, y, plus_product(f, dy, load(forces, y, f)))
     store(forces, z, plus_product(f, dz, load(forces, z, f)))
-
-
-@kernel
-def sum_over_lanes(law, distances2, parameters, lanes):
-    """Σ (u + f) of a law at as many squared distances [length²] as lanes: compiles only if it runs on vectors."""
-    u, f = evaluate_law(law, load(distances2, 0, lanes), parameters)
-    return total(u) + total(f)
-
-
-@functools.cache
-def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
-    """Whether a law compiles for vectors: minimd's do, but for tables; one that branches on its arguments does not."""
-    if reads_table(law):
-        return False
-    if not is_user_law(law):
-        return True
-    lanes = lanes_for(DOUBLE)
-    attempt = sum_over_lanes if is_recognized(law) else without_cache(sum_over_lanes)
-    try:
-        attempt(law, np.ones(lanes.size), (1.0,) * n_parameters, lanes)
-    except NumbaError:
-        return False
-    return True

@@ -124,7 +124,7 @@ class Forces:
             term.is_first = k == 0
         self._in_order = of_pairs, linked, others
         self._slots, n_chunks = Slots(linked), n_chunks_of(len(self.system))
-        self._slot_forces = np.zeros((self._slots.size, 3), dtype=np.float64 if self.grid is None else np.int64)
+        self._slot_forces = np.zeros(3 * self._slots.size, dtype=np.float64 if self.grid is None else np.int64)
         self._clearing = Clearing(self.forces if self.grid is None else self.impulses, n_chunks)
         self._targets: dict[tuple[int, float], Target] = {}
         self._programs: dict[int, Program] = {}  # by the id of their target

@@ -5,10 +5,10 @@ from math import isfinite
 
 import numpy as np
 
-from minimd.forces.cluster_loop import runs_on_vectors
 from minimd.forces.options import Options
 from minimd.neighbors.cluster_search import LAYERS
 from minimd.neighbors.verlet_list import LEAST_SKIN, best_skin
+from minimd.potentials.lanewise import runs_on_vectors
 from minimd.potentials.law import law_at
 from minimd.potentials.term import PairLaw
 from minimd.structure.bond_graph import pairs_by_bonds_apart

@@ -82,6 +82,10 @@ def sort_atoms(building, _chunk):
     """Atoms into the bins of all columns; the first cluster of each, the second lattice direction running faster."""
     columns, clusters, binned = building.layout.columns, building.layout.clusters, building.binned
     counts, column_start, n_lanes = columns.counts, clusters.column_start, count(clusters.lanes)
+    for a in range(DIMENSIONS):  # the cell of the clusters is the one in which they are made
+        for b in range(DIMENSIONS):
+            clusters.wrapping.inverse[a, b] = columns.inverse[a, b]
+            clusters.wrapping.lattice[a, b] = columns.lattice[a, b]
     counting_sort(building.positions, columns.inverse, columns.pbc, columns, binned)
     column_start[0] = 0
     for column in range(counts[0] * counts[1]):
@@ -104,12 +108,9 @@ def cut_columns(building, chunk):
 def find_domains(building, _chunk):
     """Clusters into domains.  NEEDS_ROOM if there is too little: how much is needed is then in layout.domains."""
     columns, clusters, domains, ghosts, _, shifts = building.layout
-    rows, wrapping = building.arrays.rows, clusters.wrapping
+    rows = building.arrays.rows
     cut_into_domains(clusters, columns, domains, building.goes_along)
     fill_shifts(columns, shifts)
-    for a in range(DIMENSIONS):  # the cell of the clusters is the one in which they are made
-        for b in range(DIMENSIONS):
-            wrapping.inverse[a, b], wrapping.lattice[a, b] = columns.inverse[a, b], columns.lattice[a, b]
     for layer in range(LAYERS):
         rows.limits2[layer] = rows.limits2_at_build[layer]
     has_room = (

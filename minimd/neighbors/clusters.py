@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import kernel, scalar
-from minimd.compiled.simd import load, with_lane
+from minimd.compiled.simd import lane, load, store, with_lane, zeros
 from minimd.compiled.simd.lanes import Lanes, count
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.search import ATOMS_PER_BIN, WIDER, into_cell
@@ -170,7 +170,7 @@ def make_clusters(
 @scalar
 def fill_column(column, positions, columns, binned, clusters):
     """Sort the atoms of a column by height (they nearly are, being in bins), and cut them into clusters."""
-    counts, lattice, order, height = columns.counts, columns.lattice, binned.order, binned.height
+    counts, order, height = columns.counts, binned.order, binned.height
     n_lanes = count(clusters.lanes)
     first, last = binned.bin_start[column * counts[2]], binned.bin_start[(column + 1) * counts[2]]
     for p in range(first, last):
@@ -184,32 +184,29 @@ def fill_column(column, positions, columns, binned, clusters):
         n = min(n_lanes, last - p)
         clusters.filled[cluster] = n
         clusters.bottom[cluster], clusters.top[cluster] = height[order[p]], height[order[p + n - 1]]
-        for c in range(3):
-            clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = np.inf, -np.inf
         for k in range(n_lanes):
-            i = order[p + min(k, n - 1)]
-            clusters.atom[cluster * n_lanes + k] = i
-            _, a = into_cell(positions, i, columns.inverse, columns.pbc, columns.origin, 0)
-            _, b = into_cell(positions, i, columns.inverse, columns.pbc, columns.origin, 1)
-            _, d = into_cell(positions, i, columns.inverse, columns.pbc, columns.origin, 2)
-            for c in range(3):
-                place = (cluster * DIMENSIONS + c) * n_lanes + k
-                clusters.positions[place] = clusters.origins[place] = positions[i, c]
-                x = positions[i, c] + (a * lattice[0, c] + b * lattice[1, c] + d * lattice[2, c])
-                clusters.boxes[cluster, c] = min(clusters.boxes[cluster, c], x)
-                clusters.boxes[cluster, c + 3] = max(clusters.boxes[cluster, c + 3], x)
+            clusters.atom[cluster * n_lanes + k] = order[p + min(k, n - 1)]
+        start, at = np.uintp(cluster * DIMENSIONS * n_lanes), gathered(cluster, clusters, positions)
+        for c, x in enumerate(at):
+            store(clusters.positions, start + np.uintp(c * n_lanes), x)
+            store(clusters.origins, start + np.uintp(c * n_lanes), x)
+        offsets = offsets_of(start, clusters)
+        for c, x in enumerate((at[0] + offsets[0], at[1] + offsets[1], at[2] + offsets[2])):
+            low = high = lane(x, 0)
+            for k in range(1, n_lanes):
+                low, high = min(low, lane(x, k)), max(high, lane(x, k))
+            clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = low, high
         cluster += 1
 
 
 @scalar
 def gathered(k, clusters, of_atoms):
     """Three numbers of each atom of cluster k, from (N, 3): vectors of the first, of the second and of the third."""
-    n_lanes, x = count(clusters.lanes), load(clusters.positions, 0, clusters.lanes)
+    n_lanes, x = count(clusters.lanes), zeros(clusters.lanes)
     y, z = x, x
-    for lane in range(n_lanes):
-        i = np.uintp(clusters.atom[k * n_lanes + lane])
-        x, y = with_lane(x, lane, of_atoms[i, 0]), with_lane(y, lane, of_atoms[i, 1])
-        z = with_lane(z, lane, of_atoms[i, 2])
+    for n in range(n_lanes):
+        i = np.uintp(clusters.atom[k * n_lanes + n])
+        x, y, z = with_lane(x, n, of_atoms[i, 0]), with_lane(y, n, of_atoms[i, 1]), with_lane(z, n, of_atoms[i, 2])
     return x, y, z
 
 

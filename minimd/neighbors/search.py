@@ -66,7 +66,8 @@ def into_cell(positions, i, inverse, pbc, origin, d):
 def counting_sort(positions, inverse, pbc, grid, binned):
     """Fill Binned: atoms into the bins of a grid (counts, origin, extent), the last direction running fastest. Atoms
     outside what is covered are in the outermost bins."""
-    counts, origin, extent = grid.counts, grid.origin, grid.extent
+    counts, origin = grid.counts, grid.origin
+    per_bin = counts[0] / grid.extent[0], counts[1] / grid.extent[1], counts[2] / grid.extent[2]
     for b in range(binned.bin_start.size):
         binned.bin_start[b] = 0
     for i in range(positions.shape[0]):
@@ -75,7 +76,7 @@ def counting_sort(positions, inverse, pbc, grid, binned):
             s, cells = into_cell(positions, i, inverse, pbc, origin, d)
             if binned.cells.shape[0] > 0:
                 binned.cells[i, d] = cells
-            along = (s - origin[d]) / extent[d] * counts[d]
+            along = (s - origin[d]) * per_bin[d]
             index = index * counts[d] + int(max(0.0, min(counts[d] - 1.0, along)))
         binned.bins[i], binned.height[i] = index, s
         binned.bin_start[index + 1] += 1

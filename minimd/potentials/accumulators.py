@@ -1,12 +1,14 @@
-"""What scalar loops add: float64 numbers, or, in fixed-point arithmetic, numbers rounded to a grid.
+"""What loops add: float64 numbers (or vectors of them), or, in fixed-point arithmetic, numbers rounded to a grid.
 
 steps : Steps of the grid, () without one.
 """
 
 import numpy as np
 
-from minimd.compiled.fixed_point import MOST, is_fixed, on_grid, whole_product
+from minimd.compiled.fixed_point import MOST, as_float, is_fixed, whole_product
 from minimd.compiled.kernels import by_type
+from minimd.compiled.simd import bits_from_mask
+from minimd.compiled.simd.vector import Vector
 
 LIMIT2 = MOST**2  # square of the largest impulse, in steps of momentum: below it, whole_product is right
 
@@ -28,18 +30,15 @@ def force_along(f, x, steps):
 @by_type
 def as_force(f, steps):
     """A component of a force from force_along."""
-    return (lambda f, steps: f / steps.per_force[0]) if is_fixed(steps) else lambda f, steps: f
-
-
-@by_type
-def in_steps(u, steps):
-    """An energy; on a grid rounded to a multiple of its step."""
-    return (lambda u, steps: on_grid(u, steps.energy)) if is_fixed(steps) else lambda u, steps: u
+    return (lambda f, steps: as_float(f) / steps.per_force[0]) if is_fixed(steps) else lambda f, steps: f
 
 
 @by_type
 def is_too_large(size2, steps):
     """Whether one of several forces may be too large for a grid.  size2 : sum of their squares [energy²/length²]."""
-    if is_fixed(steps):
+    if not is_fixed(steps):
+        return lambda size2, steps: False
+    if not isinstance(size2, Vector):
         return lambda size2, steps: not size2 * steps.per_force[0] ** 2 <= LIMIT2
-    return lambda size2, steps: False
+    all_lanes = (1 << size2.lanes) - 1
+    return lambda size2, steps: bits_from_mask(size2 * steps.per_force[0] ** 2 <= LIMIT2) != all_lanes

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.compiled.kernels import inlined, scalar
-from minimd.compiled.simd import fma
+from minimd.compiled.simd import fma, select
 from minimd.potentials.each import checked_each, columns_of
 from minimd.potentials.links import LinkedTerm, arm, link_shape, push
 from minimd.potentials.term import NoTerm, OwnPotential, Term, no_bonds
@@ -75,7 +75,7 @@ def _normal(a, b, lost_a, lost_b):
 
 
 @scalar
-def _bend(links, t, _law, numbers):
+def _bend(links, block, _law, numbers):
     """Harmonic angles u = ½ k (θ − θ₀)², with a = r_i − r_j, b = r_k − r_j, n = a × b.
 
         tan(θ − θ₀) = (|n| cos θ₀ − a·b sin θ₀)/(a·b cos θ₀ + |n| sin θ₀)
@@ -83,14 +83,14 @@ def _bend(links, t, _law, numbers):
 
     numbers : k [energy/rad²], sin θ₀, cos θ₀. θ near 0 and π, and θ − θ₀ if θ₀ is 0 or π, have all their digits.
     """
-    (a, lost_a), (b, lost_b), (k, sine, cosine) = arm(links, 0, t), arm(links, 1, t), numbers
+    (a, lost_a), (b, lost_b), (k, sine, cosine) = arm(links, 0, block), arm(links, 1, block), numbers
     n = _normal(a, b, lost_a, lost_b)
     size, ab = dot(n, n) ** 0.5, dot(a, b)
     stretch = np.arctan2(size * cosine - ab * sine, ab * cosine + size * sine)
     slope = k * stretch
-    s = slope / size if size > 0.0 else 0.0
-    is_beyond = push(links, 0, t, combined(s / dot(a, a), cross(n, a), 0.0, a))
-    return 0.5 * slope * stretch, push(links, 1, t, combined(s / dot(b, b), cross(b, n), 0.0, b)) or is_beyond
+    s = select(size > 0.0, slope / size, 0.0)
+    is_beyond = push(links, 0, block, combined(s / dot(a, a), cross(n, a), 0.0, a))
+    return 0.5 * slope * stretch, push(links, 1, block, combined(s / dot(b, b), cross(b, n), 0.0, b)) or is_beyond
 
 
 Bend = link_shape("Bend", _bend)

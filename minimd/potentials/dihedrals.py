@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.kernels import scalar
 from minimd.potentials.each import Array, checked_each, columns_of
+from minimd.potentials.lanewise import on_vectors
 from minimd.potentials.law import checked_law, evaluate_law
 from minimd.potentials.links import LinkedTerm, arm, link_shape, push
 from minimd.potentials.term import NoTerm, OwnPotential, Term, no_bonds
@@ -87,7 +88,9 @@ class DihedralPotential(OwnPotential):
         columns = self.columns(len(quadruples))
         if len(quadruples):
             i, j, k, l = quadruples.T
-            return LinkedTerm(([j, k, k], [i, j, l]), quadruples, Torsion(), self.law, columns)
+            return LinkedTerm(
+                ([j, k, k], [i, j, l]), quadruples, Torsion(), on_vectors(self.law, len(columns)), columns
+            )
         return NoTerm(no_bonds(repr(self), self.groups) if self.quadruples is None else "")
 
 
@@ -213,7 +216,7 @@ class HarmonicImproper(DihedralPotential):
 
 
 @scalar
-def _turn(links, t, law, numbers):
+def _turn(links, block, law, numbers):
     """A law of the dihedral angle, without a division by sin φ.
 
         F = r_i − r_j,  G = r_j − r_k,  H = r_l − r_k,  A = F × G,  B = H × G
@@ -223,15 +226,15 @@ def _turn(links, t, law, numbers):
 
     A. Blondel, M. Karplus, J. Comput. Chem. 17, 1132 (1996), eq. 6, 27.
     """
-    (f, _), (g, _), (h, _) = arm(links, 0, t), arm(links, 1, t), arm(links, 2, t)
+    (f, _), (g, _), (h, _) = arm(links, 0, block), arm(links, 1, block), arm(links, 2, block)
     a, b = cross(f, g), cross(h, g)
     g2, fg, hg, a2, b2 = dot(g, g), dot(f, g), dot(h, g), dot(a, a), dot(b, b)
     length = g2**0.5
     u, slope = evaluate_law(law, np.arctan2(dot(g, cross(b, a)) / length, dot(a, b)), numbers)
     a2, b2 = max(a2, STRAIGHT2 * g2 * dot(f, f)), max(b2, STRAIGHT2 * g2 * dot(h, h))
-    on_i = push(links, 0, t, combined(slope * length / a2, a, 0.0, a))
-    between = push(links, 1, t, combined(-slope * fg / (a2 * length), a, slope * hg / (b2 * length), b))
-    return u, push(links, 2, t, combined(-slope * length / b2, b, 0.0, b)) or on_i or between
+    on_i = push(links, 0, block, combined(slope * length / a2, a, 0.0, a))
+    between = push(links, 1, block, combined(-slope * fg / (a2 * length), a, slope * hg / (b2 * length), b))
+    return u, push(links, 2, block, combined(-slope * length / b2, b, 0.0, b)) or on_i or between
 
 
 Torsion = link_shape("Torsion", _turn)

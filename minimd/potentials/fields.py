@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.by_address import ByAddress
+from minimd.compiled.fixed_point import in_steps
 from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, without_cache
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, in_python, n_chunks_of, operation
-from minimd.potentials.accumulators import force_along, in_steps, is_too_large
+from minimd.potentials.accumulators import force_along, is_too_large
 from minimd.potentials.each import Array
 from minimd.potentials.field_laws import ConstantLaw, RestraintLaw
 from minimd.potentials.law import evaluate_law

@@ -3,6 +3,7 @@
 from math import exp, log, nan, sqrt
 
 from minimd.compiled.kernels import scalar
+from minimd.compiled.simd import select
 from minimd.potentials.law import evaluate_law, law_type
 
 
@@ -35,7 +36,7 @@ def harmonic(r2, k, length):
     """
     r = sqrt(r2)
     stretch = r - length
-    return 0.5 * k * stretch * stretch, -k if length == 0.0 else -k * stretch / r
+    return 0.5 * k * stretch * stretch, select(length == 0.0, -k, -k * stretch / r)
 
 
 @scalar
@@ -66,13 +67,11 @@ def fene(r2, k, longest, epsilon, sigma):
     NaN from R on.  K. Kremer, G. S. Grest, J. Chem. Phys. 92, 5057 (1990).
     """
     rest = 1.0 - r2 / (longest * longest)
-    if rest <= 0.0:
-        return nan, nan
-    u, f = -0.5 * k * longest * longest * log(rest), -k / rest
-    if 2.0 * (sigma * sigma / r2) ** 3 > 1.0:
-        repulsion, push = lennard_jones(r2, epsilon, sigma)
-        u, f = u + repulsion + epsilon, f + push
-    return u, f
+    rest = select(rest > 0.0, rest, nan)
+    repulsion, push = lennard_jones(r2, epsilon, sigma)
+    is_near = 2.0 * (sigma * sigma / r2) ** 3 > 1.0
+    u = -0.5 * k * longest * longest * log(rest) + select(is_near, repulsion + epsilon, 0.0)
+    return u, -k / rest + select(is_near, push, 0.0)
 
 
 @scalar

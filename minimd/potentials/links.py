@@ -6,8 +6,10 @@ A term is a chain or a star of links. Link l of term t leads from atom first[l, 
 
     bond      i → j                  angle     i ← j → k                 dihedral  i ← j ← k → l
 
-Each f_l goes to a slot of its own; then each atom sums its slots, in a fixed order: the same bits for any number of
-threads. The translation of a link is that of the nearest image, and stays as long as it certainly is that.
+Terms are computed in blocks of as many as a vector has lanes; the last block is filled up with its last term. Each f_l
+goes to a slot of its own; then each atom sums its slots, in a fixed order: the same bits for any number of threads.
+The translation of a link is that of the nearest image, and stays as long as it certainly is that. Translations and
+slots of a block lie together: all x, all y, all z.
 """
 
 from collections import namedtuple
@@ -18,39 +20,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
+from minimd.compiled.fixed_point import in_steps
 from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, scalar, type_of, without_cache
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, n_chunks_of, operation
-from minimd.compiled.simd import fma
-from minimd.potentials.accumulators import as_force, force_along, in_steps, is_too_large
+from minimd.compiled.simd import bits_from_mask, fma, lane, load, select, store, with_lane
+from minimd.compiled.simd.lanes import DOUBLE, count, lanes_for
+from minimd.potentials.accumulators import as_force, force_along, is_too_large
+from minimd.potentials.lanewise import on_vectors
 from minimd.potentials.law import evaluate_law
-from minimd.potentials.pair_loop import ByPair, from_table, parameters_of_pair
+from minimd.potentials.pair_loop import from_table
 from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, OwnTerm, Target
 from minimd.potentials.user_laws import is_recognized
 from minimd.structure.cell import minimum_image
 from minimd.structure.system import System
 
 VIRIAL = 6  # components: xx yy zz yz xz xy
+DIMENSIONS = 3
 
 
 class Links(
     ByAddress,
     namedtuple(
-        "Links", "positions images first second sites translations shape law parameters slots steps detail totals each"
+        "Links",
+        "positions images first second sites translations shape law columns slots steps detail totals each lanes",
     ),
 ):
-    """What the loop over T terms of L links works on.
+    """What the loop over T terms of L links, in B blocks of n lanes, works on.
 
-    positions : (N, 3) [length].  images : Images.  first, second : (L, T) int32.  sites : (T, L + 1) int, their atoms.
-    translations : (L, T, 3) [length], kept.
-    shape : how the links make a force, see link_shape.  law : law type.  parameters : see parameters_of_pair.
-    slots : (L, T, 3) output, f_l; int64 impulses in fixed-point arithmetic, where steps : Steps, else ().
+    positions : (N, 3) [length].  images : Images.  first, second : (L, B n) int32, atoms.  sites : (T, L + 1) int.
+    translations : (3 L B n,) [length], kept.
+    shape : how the links make a force, see link_shape.  law : law type.  columns : (B n,) numbers for each parameter.
+    slots : (3 L B n,) output, f_l; int64 impulses in fixed-point arithmetic, where steps : Steps, else ().
     detail : see term.  totals : (chunks, 1 + 6) output of TOTALS, energies and virials of each chunk.
     each : energies (N,) and virials (N, 6), to which PER_ATOM adds equal shares of the atoms of a term; in one chunk.
     """
 
 
 def link_shape(name: str, formula: Any) -> Any:
-    """The shape of terms: formula(links, t, law, numbers) takes each arm of term t, pushes its end, and returns
+    """The shape of terms: formula(links, b, law, numbers) takes each arm of block b, pushes its end, and returns
     u [energy] and whether a force is beyond the range of a grid.
 
     name : of the variable that it is assigned to, in the module of the formula.
@@ -59,85 +66,122 @@ def link_shape(name: str, formula: Any) -> Any:
 
 
 @scalar
-def _stretch(links, t, law, numbers):
+def _stretch(links, b, law, numbers):
     """A law of the distance: f = −u′(r)/r r_ij within the cutoff, whose square is the first number."""
-    (dx, dy, dz), _ = arm(links, 0, t)
+    (dx, dy, dz), _ = arm(links, 0, b)
     r2 = fma(dx, dx, fma(dy, dy, dz * dz))
-    u, f = evaluate_law(law, r2, numbers[1:]) if r2 < numbers[0] else (0.0, 0.0)
-    return u, push(links, 0, t, (f * dx, f * dy, f * dz))
+    u, f = evaluate_law(law, min(r2, numbers[0]), numbers[1:])
+    is_near = r2 < numbers[0]
+    f = select(is_near, f, 0.0)
+    return select(is_near, u, 0.0), push(links, 0, b, (f * dx, f * dy, f * dz))
 
 
 Stretch = link_shape("Stretch", _stretch)
 
 
 @scalar
-def arm(links, l, t):
+def block_of(links, l, b):
+    """Where block b of link l begins, in translations and slots."""
+    return np.uintp(l * links.first.shape[1] + b * count(links.lanes)) * np.uintp(DIMENSIONS)
+
+
+@scalar
+def arm(links, l, b):
     """r_l to the nearest image, rounded, and what rounding has left out [length]."""
-    translation = links.translations[l, t]
-    x, y, z = _difference(links, l, t, translation)
-    if not x[0] * x[0] + y[0] * y[0] + z[0] * z[0] <= links.images.safe_distance2[0]:
-        _find_image(links, l, t, translation)
-        x, y, z = _difference(links, l, t, translation)
+    x, y, z = _difference(links, l, b)
+    is_near = bits_from_mask(x[0] * x[0] + y[0] * y[0] + z[0] * z[0] <= links.images.safe_distance2[0])
+    if is_near != (1 << count(links.lanes)) - 1:
+        for k in range(count(links.lanes)):
+            if not is_near >> k & 1:
+                _find_image(links, l, b * count(links.lanes) + k, block_of(links, l, b) + np.uintp(k))
+        x, y, z = _difference(links, l, b)
     return (x[0], y[0], z[0]), (x[1], y[1], z[1])
 
 
 @scalar
-def push(links, l, t, force):
-    """f_l to its slot; returns whether it is beyond the range of a grid."""
-    (x, y, z), slots, steps = force, links.slots, links.steps
-    slots[l, t, 0], slots[l, t, 1] = force_along(x, 1.0, steps), force_along(y, 1.0, steps)
-    slots[l, t, 2] = force_along(z, 1.0, steps)
+def push(links, l, b, force):
+    """f_l to its slots; returns whether one is beyond the range of a grid."""
+    (x, y, z), at, n, steps = force, block_of(links, l, b), np.uintp(count(links.lanes)), links.steps
+    store(links.slots, at, force_along(x, 1.0, steps))
+    store(links.slots, at + n, force_along(y, 1.0, steps))
+    store(links.slots, at + n + n, force_along(z, 1.0, steps))
     return is_too_large(x * x + y * y + z * z, steps)
 
 
 @called_kernel
 def add_links(links, chunk):
     """Forces to slots; energies and virials.  OUT_OF_RANGE if a force is beyond the range of a grid."""
-    n, n_chunks, is_out = links.first.shape[1], links.totals.shape[0], False
+    n_lanes = count(links.lanes)
+    n_blocks, n_chunks, is_out = links.first.shape[1] // n_lanes, links.totals.shape[0], False
     for c in range(1 + VIRIAL):
         links.totals[chunk, c] = 0.0
-    for t in range(np.uintp(chunk * n // n_chunks), np.uintp((chunk + 1) * n // n_chunks)):
-        u, is_beyond = _acting(links.shape, links, t, links.law, parameters_of_pair(links.parameters, t, 0, 0))
+    for b in range(chunk * n_blocks // n_chunks, (chunk + 1) * n_blocks // n_chunks):
+        u, is_beyond = _acting(links.shape, links, b, links.law, _loaded(links.columns, b * n_lanes, links.lanes))
         is_out |= is_beyond
         if links.detail != FORCES:
-            _count(links, t, links.totals[chunk], in_steps(u, links.steps))
+            _count(links, b, links.totals[chunk], u)
     return OUT_OF_RANGE if is_out else GO_ON
 
 
 @by_type
-def _acting(shape, links, t, law, numbers):
+def _acting(shape, links, b, law, numbers):
     formula = shape.instance_class.formula
-    return lambda shape, links, t, law, numbers: formula(links, t, law, numbers)
+    return lambda shape, links, b, law, numbers: formula(links, b, law, numbers)
+
+
+@by_type
+def _loaded(columns, start, lanes):
+    """A vector of each column, from an index on; unrolled by the compiler."""
+    if len(columns) == 0:
+        return lambda columns, start, lanes: ()
+    return lambda columns, start, lanes: (load(columns[0], start, lanes),) + _loaded(columns[1:], start, lanes)
 
 
 @scalar
-def _count(links, t, total, u):
-    """total (7,) += energy and virial of a term; and with PER_ATOM equal shares of them to its atoms."""
-    (energies, virials), steps, sites = links.each, links.steps, links.sites
+def _count(links, b, total, u):
+    """total (7,) += energy and virial of a block; and with PER_ATOM equal shares of them to its atoms."""
+    (energies, virials), steps, sites, n_lanes = links.each, links.steps, links.sites, count(links.lanes)
     n_sites = sites.shape[1] if links.detail == PER_ATOM else 0
-    xx = yy = zz = yz = xz = xy = 0.0
-    for l in range(links.slots.shape[0]):
-        (x, y, z), _ = arm(links, l, t)
-        gx, gy, gz = links.slots[l, t, 0], links.slots[l, t, 1], links.slots[l, t, 2]
+    xx = yy = zz = yz = xz = xy = 0.0 * u
+    for l in range(links.first.shape[0]):
+        (x, y, z), _ = arm(links, l, b)
+        gx, gy, gz = _slots_of(links, l, b, links.slots)
         fx, fy, fz = as_force(gx, steps), as_force(gy, steps), as_force(gz, steps)
         xx, yy, zz, yz, xz, xy = xx + x * fx, yy + y * fy, zz + z * fz, yz + z * fy, xz + z * fx, xy + y * fx
-    total[0] += u
-    for s in range(n_sites):
-        energies[sites[t, s]] += in_steps(u / n_sites, steps)
-    for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
-        total[1 + c] += in_steps(w, steps)
+    for k in range(min(n_lanes, sites.shape[0] - b * n_lanes)):
+        total[0] += in_steps(lane(u, k), steps)
         for s in range(n_sites):
-            virials[sites[t, s], c] += in_steps(w / n_sites, steps)
+            energies[sites[b * n_lanes + k, s]] += in_steps(lane(u, k) / n_sites, steps)
+        for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
+            total[1 + c] += in_steps(lane(w, k), steps)
+            for s in range(n_sites):
+                virials[sites[b * n_lanes + k, s], c] += in_steps(lane(w, k) / n_sites, steps)
 
 
 @scalar
-def _difference(links, l, t, translation):
-    i, j, positions = np.uintp(links.first[l, t]), np.uintp(links.second[l, t]), links.positions
+def _slots_of(links, l, b, blocks):
+    """The vectors x, y, z of a block of links, in slots or translations."""
+    at, n = block_of(links, l, b), np.uintp(count(links.lanes))
+    return load(blocks, at, links.lanes), load(blocks, at + n, links.lanes), load(blocks, at + n + n, links.lanes)
+
+
+@scalar
+def _difference(links, l, b):
+    positions, first, second, start = links.positions, links.first, links.second, b * count(links.lanes)
+    x, y, z = _slots_of(links, l, b, links.translations)
     return (
-        _component(positions[j, 0], positions[i, 0], translation[0]),
-        _component(positions[j, 1], positions[i, 1], translation[1]),
-        _component(positions[j, 2], positions[i, 2], translation[2]),
+        _component(_of_atoms(positions, second, l, start, 0, x), _of_atoms(positions, first, l, start, 0, x), x),
+        _component(_of_atoms(positions, second, l, start, 1, y), _of_atoms(positions, first, l, start, 1, y), y),
+        _component(_of_atoms(positions, second, l, start, 2, z), _of_atoms(positions, first, l, start, 2, z), z),
     )
+
+
+@scalar
+def _of_atoms(positions, atoms, l, start, c, like):
+    """A vector of component c of positions of the atoms of a block."""
+    for k in range(count(like)):
+        like = with_lane(like, k, positions[np.uintp(atoms[l, start + k]), c])
+    return like
 
 
 @scalar
@@ -152,30 +196,36 @@ def _component(x, y, translation):
 
 
 @scalar
-def _find_image(links, l, t, translation):
-    """translation : (3,) output, that of the nearest image."""
-    i, j, positions = links.first[l, t], links.second[l, t], links.positions
+def _find_image(links, l, t, at):
+    """The translation of link l of term t, in place: that of the nearest image.  at : of its x in the translations."""
+    i, j, positions, n = links.first[l, t], links.second[l, t], links.positions, np.uintp(count(links.lanes))
     lattice, inverse, pbc, safe_distance2 = links.images
     x, y, z = positions[j, 0] - positions[i, 0], positions[j, 1] - positions[i, 1], positions[j, 2] - positions[i, 2]
     a, b, c = minimum_image(x, y, z, lattice, inverse, pbc, safe_distance2[0])
-    for k in range(3):
-        translation[k] = a * lattice[0, k] + b * lattice[1, k] + c * lattice[2, k]
+    for k in range(DIMENSIONS):
+        links.translations[at + np.uintp(k) * n] = a * lattice[0, k] + b * lattice[1, k] + c * lattice[2, k]
 
 
 class LinkedTerm(OwnTerm):
     """Terms of one shape, each link taken at its nearest image.
 
-    first, second : (L, T) int, atoms of each link.  sites : (T, L + 1) int.  shape : from link_shape.  law : law type.
-    columns : (T,) numbers of each term, for each parameter.  n_slots, first_slot : its slots, see Slots.
+    first, second : (L, T) int, atoms of each link.  sites : (T, L + 1) int.  shape : from link_shape.
+    law : law type, which runs on vectors.  columns : (T,) numbers of each term, for each parameter.
+    n_slots, first_slot : its slots, see Slots.
     """
 
+    fits_grid = True
+
     def __init__(self, links: tuple[Any, Any], sites: Any, shape: tuple, law: tuple, columns: tuple[Any, ...]) -> None:
-        self.first, self.second = (np.ascontiguousarray(ends, dtype=np.int32) for ends in links)
-        self._sites, self._shape, self._law, self._columns = np.array(sites), shape, law, ByPair(columns)
-        self._translations = np.zeros((*self.first.shape, 3))
+        self.lanes, self._sites, self.n_terms = lanes_for(DOUBLE), np.array(sites), len(sites)
+        n_terms = self.n_terms
+        full = np.minimum(np.arange(-(-n_terms // self.lanes.size) * self.lanes.size), n_terms - 1)
+        self.first, self.second = (np.array(ends, dtype=np.int32)[:, full] for ends in links)
+        self._shape, self._law, self._columns = shape, law, tuple(column[full] for column in columns)
+        self._translations = np.zeros(DIMENSIONS * self.first.size)
         self._loop = add_links if is_recognized(law) else without_cache(add_links)
         self._calls, self.n_slots, self.first_slot = DirectCalls(), self.first.size, 0
-        self._totals = np.zeros((n_chunks_of(self.first.shape[1]), 1 + VIRIAL))
+        self._totals = np.zeros((n_chunks_of(n_terms), 1 + VIRIAL))
 
     def follow(self, system: System) -> bool:
         """See Term; images are looked for again."""
@@ -185,10 +235,10 @@ class LinkedTerm(OwnTerm):
     def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
         totals = self._totals[:1] if target.detail == PER_ATOM else self._totals
-        slots = target.slots[self.first_slot : self.first_slot + self.n_slots].reshape(*self.first.shape, 3)
+        slots = target.slots[DIMENSIONS * self.first_slot : DIMENSIONS * (self.first_slot + self.n_slots)]
         place = system.positions, target.images, self.first, self.second, self._sites, self._translations
         what = self._shape, self._law, self._columns, slots, target.steps, target.detail
-        links = Links(*place, *what, totals, (target.energies, target.virials))
+        links = Links(*place, *what, totals, (target.energies, target.virials), self.lanes)
         yield operation(self._calls, self._loop, links, len(totals))
 
     def collect(self, target: Target) -> None:
@@ -206,32 +256,34 @@ class FixedPairs(LinkedTerm):
     ingredient = BOND_LOOP
 
     def __init__(self, pairs: NDArray[np.int64], law: tuple, table: NDArray[np.float64]) -> None:
+        law = on_vectors(law, table.shape[1] - 1)
         super().__init__((pairs[:, :1].T, pairs[:, 1:].T), pairs, Stretch(), law, from_table(table))
 
 
-class Gathering(ByAddress, namedtuple("Gathering", "atoms start slot slots forces n_chunks")):
+class Gathering(ByAddress, namedtuple("Gathering", "atoms start place slots forces n_chunks lanes")):
     """The sums of slots.  atoms : (A,) int32, that have any.  start : (A + 1,) int32, where those of each begin.
 
-    slot : the number s of a slot, whose force acts on the atom, or −1 − s if its opposite does.  slots : (S, 3).
-        forces : (N, 3).
+    place : where in slots the x of a force is that acts on the atom, or −1 − that, if its opposite does.
+        slots : (3 S,).  forces : (N, 3).
     """
 
 
 @called_kernel
 def sum_slots(gathering, chunk):
     """forces += Σ of the slots of each atom of a chunk, in their order."""
-    atoms, start, slot, slots, forces, n_chunks = gathering
+    atoms, start, place, slots, forces, n_chunks, lanes = gathering
+    y_after_x, z_after_x = np.uintp(count(lanes)), np.uintp(2 * count(lanes))
     for a in range(np.uintp(chunk * atoms.size // n_chunks), np.uintp((chunk + 1) * atoms.size // n_chunks)):
         i = np.uintp(atoms[a])
         x, y, z = forces[i, 0], forces[i, 1], forces[i, 2]
         for p in range(np.uintp(start[a]), np.uintp(start[a + np.uintp(1)])):
-            s = slot[p]
-            if s >= 0:
-                k = np.uintp(s)
-                x, y, z = x + slots[k, 0], y + slots[k, 1], z + slots[k, 2]
+            at = place[p]
+            if at >= 0:
+                k = np.uintp(at)
+                x, y, z = x + slots[k], y + slots[k + y_after_x], z + slots[k + z_after_x]
             else:
-                k = np.uintp(-1 - s)
-                x, y, z = x - slots[k, 0], y - slots[k, 1], z - slots[k, 2]
+                k = np.uintp(-1 - at)
+                x, y, z = x - slots[k], y - slots[k + y_after_x], z - slots[k + z_after_x]
         forces[i, 0], forces[i, 1], forces[i, 2] = x, y, z
     return GO_ON
 
@@ -240,22 +292,26 @@ class Slots:
     """The slots of the terms of a scene.  size : their number."""
 
     def __init__(self, terms: list[LinkedTerm]) -> None:
-        ends, self.size = [np.zeros((0, 3), dtype=np.int64)], 0
+        self._lanes = lanes_for(DOUBLE)
+        ends, self.size, n_lanes = [np.zeros((0, 2), dtype=np.int64)], 0, self._lanes.size
         for term in terms:
-            term.first_slot, numbers = self.size, self.size + np.arange(term.n_slots)
-            both = (term.second.ravel(), numbers), (term.first.ravel(), -1 - numbers)
-            ends += [np.column_stack(one) for one in both]
+            term.first_slot = self.size
+            slots = self.size + np.arange(term.n_slots).reshape(term.first.shape)[:, : term.n_terms]
+            places = (slots // n_lanes * DIMENSIONS * n_lanes + slots % n_lanes).ravel()
+            ends.append(np.column_stack([term.second[:, : term.n_terms].ravel(), places]))
+            ends.append(np.column_stack([term.first[:, : term.n_terms].ravel(), -1 - places]))
             self.size += term.n_slots
-        atom, slot = np.concatenate([one[:, :2] for one in ends]).T
+        atom, place = np.concatenate(ends).T
         order = np.argsort(atom, kind="stable")
         self._atoms, start = np.unique(atom[order], return_index=True)
         self._start = np.append(start, len(atom)).astype(np.int32)
-        self._slot, self._atoms = slot[order].astype(np.int32), self._atoms.astype(np.int32)
+        self._place, self._atoms = place[order].astype(np.int32), self._atoms.astype(np.int32)
         self._calls = DirectCalls()
 
     def operations(self, target: Target) -> Iterator[Operation]:
         """The sums of the slots of all atoms."""
         if self.size:
             n_chunks = n_chunks_of(len(self._atoms))
-            made = Gathering(self._atoms, self._start, self._slot, target.slots, target.forces, n_chunks)
+            where = self._atoms, self._start, self._place
+            made = Gathering(*where, target.slots, target.forces, n_chunks, self._lanes)
             yield operation(self._calls, sum_slots, made, n_chunks)

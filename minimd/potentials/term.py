@@ -48,7 +48,7 @@ class Target(NamedTuple):
     detail : FORCES, TOTALS or PER_ATOM.  forces : (N, 3) output [energy/length].
     energies, virials : to which TOTALS and PER_ATOM add, (N,) and (N, 6); or (1,) and (1, 6) if that is enough for all
         terms and TOTALS.
-    slots : (S, 3), of LinkedTerm.  images : Images of the cell.
+    slots : (3 S,), of LinkedTerm.  images : Images of the cell.
     steps : Steps, in fixed-point arithmetic, where forces and slots are impulses, int64 in steps of momentum; else ().
     """
 

@@ -5,7 +5,9 @@
 IUPAC's convention.
 """
 
-from math import cos, floor, pi, sin
+from math import cos, pi, sin
+
+import numpy as np
 
 from minimd.compiled.kernels import scalar
 from minimd.potentials.law import law_type
@@ -51,7 +53,7 @@ def harmonic_torsion(phi, k, angle):
     phi : dihedral angle [rad].  k : stiffness [energy/rad²].  angle : φ₀ [rad].  Returns u [energy], u′ [energy/rad].
     """
     x = phi - angle
-    x -= 2.0 * pi * floor(x / (2.0 * pi) + 0.5)
+    x -= 2.0 * pi * np.floor(x / (2.0 * pi) + 0.5)
     return 0.5 * k * x * x, k * x
 
 

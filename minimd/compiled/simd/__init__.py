@@ -14,10 +14,11 @@ at hand: one for AVX-512, two for AVX2, four for NEON. So a law for numbers comp
 How to add an operation. If LLVM has an instruction or a function for it, make an intrinsic with `_instruction` or
 `_function`, see arithmetic.py, or write an `@intrinsic`: it gets the Numba types of its arguments, and returns the
 signature `result(arguments)` and a function that emits instructions with llvmlite's IRBuilder. Bind it to the Python
-name that laws use with `_bind` or `@overload`. Without an instruction, apply a function lane by lane: see `_bind_one`.
+name that laws use with `_bind` or `@overload`. Without an instruction, apply a function lane by lane: see `bind_one`.
 """
 
 from minimd.compiled.simd.arithmetic import fma, select
+from minimd.compiled.simd.functions import arctangent, cosine, sine
 from minimd.compiled.simd.vector import (
     bits_from_mask,
     broadcast,
@@ -28,7 +29,8 @@ from minimd.compiled.simd.vector import (
     total,
     trailing_zeros,
     with_lane,
+    zeros,
 )
 
-__all__ = ["bits_from_mask", "broadcast", "convert", "fma", "lane", "load"]
-__all__ += ["select", "store", "total", "trailing_zeros", "with_lane"]
+__all__ = ["arctangent", "bits_from_mask", "broadcast", "convert", "cosine", "fma", "lane", "load"]
+__all__ += ["select", "sine", "store", "total", "trailing_zeros", "with_lane", "zeros"]

@@ -12,9 +12,9 @@ from minimd.compiled.simd.vector import Vector, broadcast, call, emitting, lane,
 # methods of IRBuilder; those for integers have the names of the operators
 FLOAT_OPERATORS = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}
 INTEGER_OPERATORS = {getattr(operator, name): name for name in ("add", "sub", "mul", "and_", "or_")}
+INTEGER_OPERATORS |= {operator.lshift: "shl", operator.rshift: "ashr"}
 COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}  # by names in operator
-OF_NUMPY = np.exp, np.log, np.sin, np.cos, np.tanh
-LANE_BY_LANE = (math.exp, math.log, math.sin, math.cos, math.tanh, math.erf, math.erfc, *OF_NUMPY)
+LANE_BY_LANE = math.tanh, math.erf, math.erfc, np.tanh
 
 
 def _instruction(of_floats: str, of_integers: str, *sign: str):
@@ -48,14 +48,14 @@ def _multiply_add(_context, a, b, c):
 
 
 def fma(a, b, c):
-    """a · b + c of numbers, or of vectors of one type (c may be a number); rounded once where the processor can."""
+    """a · b + c of numbers, or of vectors (b and c may be numbers); rounded once where the processor can."""
     return a * b + c
 
 
 @overload(fma)
 def _fma(a, b, c):
     if isinstance(a, Vector):
-        return lambda a, b, c: _multiply_add(a, b, broadcast(c, a))
+        return lambda a, b, c: _multiply_add(a, broadcast(b, a), broadcast(c, a))
     return lambda a, b, c: _multiply_add(a, b, c)
 
 
@@ -65,15 +65,23 @@ def _choose(_context, mask, a, b):
 
 
 def select(mask, a, b):
-    """Lane by lane: a where the mask is set, b elsewhere; b may be a number. For numbers: a if mask else b."""
+    """Lane by lane: a where the mask is set, b elsewhere; one of them may be a number. a if mask else b for a bool."""
     return a if mask else b
 
 
 @overload(select)
 def _select(mask, a, b):
     if isinstance(mask, Vector):
-        return lambda mask, a, b: _choose(mask, a, broadcast(b, a))
-    return lambda mask, a, b: a if mask else b
+        if isinstance(a, Vector):
+            return lambda mask, a, b: _choose(mask, a, broadcast(b, a))
+        return lambda mask, a, b: _choose(mask, broadcast(a, b), b)
+    if isinstance(a, Vector):
+        return lambda mask, a, b: a if mask else broadcast(b, a)
+    return (
+        (lambda mask, a, b: broadcast(a, b) if mask else b)
+        if isinstance(b, Vector)
+        else lambda mask, a, b: a if mask else b
+    )
 
 
 def _bind(function, operation) -> None:
@@ -134,7 +142,7 @@ def _power(x, exponent):
     return power
 
 
-def _bind_one(function, operation=None) -> None:
+def bind_one(function, operation=None) -> None:
     """Let a function of one number act on vectors: by an operation, or lane by lane if there is none."""
 
     @overload(function)
@@ -155,4 +163,4 @@ def _bind_one(function, operation=None) -> None:
 
 _FUNCTIONS = {math.sqrt: _square_root, np.sqrt: _square_root, abs: _magnitude, np.floor: _floor}
 for _one, _operation in {**_FUNCTIONS, **dict.fromkeys(LANE_BY_LANE)}.items():
-    _bind_one(_one, _operation)
+    bind_one(_one, _operation)

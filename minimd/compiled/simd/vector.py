@@ -59,6 +59,13 @@ def broadcast(_context, number, like):
 
 
 @intrinsic
+def zeros(_context, lanes):
+    """Zeros in all lanes, float64.  lanes : one of simd.lanes."""
+    kind = Vector(types.float64, n_lanes(lanes))
+    return kind(lanes), lambda context, builder, _, values: context.get_value_type(kind)(None)
+
+
+@intrinsic
 def bits_from_mask(_context, mask):
     """A mask as an int64 whose bit k is lane k; zero if no lane is set."""
     bits, int64 = ir.IntType(mask.lanes), ir.IntType(64)
@@ -87,6 +94,20 @@ def convert(_context, vector, like):
         return resize(arguments[0], context.get_value_type(kind))
 
     return kind(vector, like), generate
+
+
+def _with_bits_of(other: types.Number):
+    """An intrinsic for the number, or the vector, of another type of 64 bits that has the same bits."""
+
+    @intrinsic
+    def one(_context, x):
+        kind = Vector(other, x.lanes) if isinstance(x, Vector) else other
+        return kind(x), lambda context, builder, _, values: builder.bitcast(values[0], context.get_value_type(kind))
+
+    return one
+
+
+bits_of, float_of = _with_bits_of(types.int64), _with_bits_of(types.float64)
 
 
 @intrinsic

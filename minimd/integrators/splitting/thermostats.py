@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from minimd.compiled.by_address import ByAddress
-from minimd.compiled.fixed_point import is_fixed, on_grid
+from minimd.compiled.fixed_point import in_steps, is_fixed, on_grid
 from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, filling_kernel, scalar
 from minimd.compiled.normal_numbers import new_stream, normal, start_stream, sum_of_squares, three_normals
 from minimd.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation
@@ -220,13 +220,7 @@ def count_heat(touch, _chunk):
 def kinetic_energy_at(velocities, masses, i, steps):
     """½ m v² of atom i [energy]; on a grid rounded to it."""
     energy = kinetic_energy_of(masses[i], velocities[i, 0], velocities[i, 1], velocities[i, 2])
-    return rounded(energy, steps)
-
-
-@by_type
-def rounded(energy, steps):
-    """An energy, rounded to its grid if there is one."""
-    return (lambda energy, steps: on_grid(energy, steps.energy)) if is_fixed(steps) else lambda energy, steps: energy
+    return in_steps(energy, steps)
 
 
 @by_type

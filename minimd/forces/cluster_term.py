@@ -1,6 +1,6 @@
 """Pair laws on the cluster list: eight pairs at a time, on a pool of threads."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,32 +13,32 @@ from minimd.compiled.simd.lanes import DOUBLE, MIXED
 from minimd.forces.cluster_kernel import Evaluation, add_domain, collect_domain, prepare_laws, sum_domain
 from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, Work, add_forces_of_laws, prepare_loop
 from minimd.forces.options import FIXED_POINT, Options, described, pool_for
-from minimd.forces.pair_laws import PairLaws, skin_for, widest_skin
+from minimd.forces.pair_laws import ListTerm, PairLaws, skin_for
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_list import ClusterList
 from minimd.neighbors.cluster_search import LAYERS
 from minimd.potentials.pair_loop import SameForAll
-from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, OwnTerm, Target
+from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Target
 from minimd.potentials.user_laws import is_recognized
 from minimd.structure.system import System
 
 NONE = np.zeros(0)
 
 
-class ClusterTerm(OwnTerm):
+class ClusterTerm(ListTerm):
     """Laws on all pairs within their cutoffs, eight at a time, found with one cluster list."""
 
     list: ClusterList
     assigns = True
 
     def __init__(self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0) -> None:
+        super().__init__(system, laws)
         self.pool = pool_for(options, len(system))
         self._is_mixed, self._precision = options.precision == "mixed", options.precision
         if self._is_mixed:
             laws.check_single_precision()
         skin = skin_for(system, laws, options, displacement, LAYERS)
         self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, options.precision, self.pool)
-        self._pair_laws, self.widest_skin = laws, widest_skin(system, laws)
         are_recognized = all(is_recognized(one.law) for one in laws.members)
         kernels = (add_forces_of_laws, prepare_loop)
         self._add_forces, self._prepare_loop = kernels if are_recognized else map(without_cache, kernels)
@@ -47,26 +47,13 @@ class ClusterTerm(OwnTerm):
         self._memory, self.is_first = Buffers(), False
         self._made: dict[tuple[Any, ...], tuple[Evaluation, Work]] = {}
 
-    def follow(self, system: System) -> bool:
-        """See Term; a cell without room for the list needs another one."""
-        self.widest_skin = widest_skin(system, self._pair_laws)
-        if self.list.skin > self.widest_skin or system.cell.heights.min() < self.list.cutoff + self.list.skin:
-            return False
-        self.list.follow(system.cell)
-        return True
-
-    def ready(self, system: System) -> None:
-        """See Term."""
-        self.list.ready(system.positions, system.cell)
-
-    @property
-    def version(self) -> int:  # type: ignore[override]
-        """See Term."""
-        return self.list.n_arranged
+    def suits(self, system: System) -> bool:
+        """See ListTerm: a cell without room for the list needs another one."""
+        return bool(system.cell.heights.min() >= self.list.cutoff + self.list.skin)
 
     def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
-        if self._arranged_for != self.list.n_arranged:
+        if self._arranged_for != self.list.version:
             self._arrange(system)
         evaluation, n, calls = self._evaluation(target), self.list.n_domains, self._calls[FORCES]
         yield from self.list.operations()
@@ -109,7 +96,7 @@ class ClusterTerm(OwnTerm):
         of_lanes = [self._by_lane(k, one.table, system.species_index) for k, one in enumerate(members)]
         self._laws: tuple[Any, ...] = tuple(zip((one.law for one in members), of_lanes, strict=True))
         self._needs_preparation = self._precision == FIXED_POINT or any(isinstance(one, ByLane) for one in of_lanes)
-        self._arranged_for = self.list.n_arranged
+        self._arranged_for = self.list.version
         self._made.clear()
 
     def _work_of(self, detail: int) -> Work:
@@ -144,10 +131,6 @@ class ClusterTerm(OwnTerm):
         threads = f"{n} thread{'s' if n > 1 else ''}"
         vectors = f"vectors of {self.list.lanes.size} × {MIXED if self._is_mixed else DOUBLE} bits"
         return f"cluster list (skin {self.list.skin:.3g}, {threads}, {described(self._precision)}) on {vectors}"
-
-    def skipped(self) -> Iterable[str]:
-        """See Term."""
-        return self._pair_laws.skipped()
 
     def _by_lane(self, k: int, table: NDArray[np.float64], species_index: NDArray[np.int64]) -> SameForAll | ByLane:
         """Parameters of law k, from a table (S, S, 1 + P)."""

@@ -1,16 +1,16 @@
-"""Pair laws that share one list of neighbors: largest cutoff, excluded pairs, skin, and the choice of the list."""
+"""Pair laws that share a list of neighbors: largest cutoff, excluded pairs, skin, the choice of the list, its term."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from math import isfinite
 
 import numpy as np
 
 from minimd.forces.options import Options
 from minimd.neighbors.cluster_search import LAYERS
-from minimd.neighbors.verlet_list import LEAST_SKIN, best_skin
+from minimd.neighbors.verlet_list import LEAST_SKIN, VerletList, best_skin
 from minimd.potentials.lanewise import runs_on_vectors
 from minimd.potentials.law import law_at
-from minimd.potentials.term import PairLaw
+from minimd.potentials.term import OwnTerm, PairLaw
 from minimd.structure.bond_graph import pairs_by_bonds_apart
 from minimd.structure.system import System, local_density
 
@@ -63,6 +63,41 @@ class PairLaws:
                     room = f"room for squared distances, energies and forces from {SINGLE[0]:g} to {SINGLE[1]:g}"
                     found = f"those of {one.name} go from {min(sizes):.1e} to {max(sizes):.1e}"
                     raise ValueError(f"precision='mixed' has {room}; {found}: take other units, or precision='double'")
+
+
+class ListTerm(OwnTerm):
+    """Laws on all pairs within their cutoffs, found with one list."""
+
+    list: VerletList
+    fits_grid = True
+
+    def __init__(self, system: System, laws: PairLaws) -> None:
+        self._pair_laws, self.widest_skin = laws, widest_skin(system, laws)
+
+    def suits(self, system: System) -> bool:
+        """Whether such a list is what the system needs in its present cell."""
+        raise NotImplementedError
+
+    def follow(self, system: System) -> bool:
+        """See Term."""
+        self.widest_skin = widest_skin(system, self._pair_laws)
+        if self.list.skin > self.widest_skin or not self.suits(system):
+            return False
+        self.list.follow(system.cell)
+        return True
+
+    def ready(self, system: System) -> None:
+        """See Term."""
+        self.list.ready(system.positions, system.cell)
+
+    @property
+    def version(self) -> int:  # type: ignore[override]
+        """See Term."""
+        return self.list.version
+
+    def skipped(self) -> Iterable[str]:
+        """See Term."""
+        return self._pair_laws.skipped()
 
 
 def deepest(one: PairLaw) -> float:

@@ -10,10 +10,10 @@ from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import DirectCalls, called_kernel
 from minimd.compiled.program import GO_ON, Operation, operation
 from minimd.forces.options import Options
-from minimd.forces.pair_laws import PairLaws, skin_for, widest_skin
+from minimd.forces.pair_laws import ListTerm, PairLaws, skin_for
 from minimd.neighbors.pair_list import PairList, check_size, is_in_reach
 from minimd.potentials.pair_loop import PairWork, by_species, pair_loop_for
-from minimd.potentials.term import PER_ATOM, TOTALS, OwnTerm, Target
+from minimd.potentials.term import PER_ATOM, TOTALS, Target
 from minimd.structure.system import System
 
 ALL_PAIRS_UP_TO = 100  # atoms: up to this, an open scene is faster without a list that has to be rebuilt
@@ -50,40 +50,27 @@ def scatter_forces(local, _chunk):
     return GO_ON
 
 
-class PairListTerm(OwnTerm):
+class PairListTerm(ListTerm):
     """Laws on all pairs within their cutoffs, found with one pair list."""
 
     list: PairList
 
     def __init__(self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0) -> None:
+        super().__init__(system, laws)
         n, cutoff = len(system), laws.cutoff
         if not system.cell.is_periodic and n <= ALL_PAIRS_UP_TO:
             cutoff = np.inf
         skin = skin_for(system, laws, options, displacement) if cutoff < np.inf else 0.0
         check_size(system, cutoff, skin)
         self.summary = "all pairs" if cutoff == np.inf else f"pair list (skin {skin:.3g})"
-        self.list, self.widest_skin = PairList(n, cutoff, skin, laws.excluded), widest_skin(system, laws)
-        self._options = replace(options, skin=skin)
-        self._laws, self._loops = laws, [pair_loop_for(one.law) for one in laws.members]
+        self.list, self._options = PairList(n, cutoff, skin, laws.excluded), replace(options, skin=skin)
+        self._loops = [pair_loop_for(one.law) for one in laws.members]
         self._positions, self._energies, self._virials = np.empty((n, 3)), np.empty(n), np.empty((n, 6))
         self._calls = [DirectCalls() for _ in self._loops]
 
-    def follow(self, system: System) -> bool:
-        """See Term; a cell that now has room for clusters, or no longer has room for the list, needs another list."""
-        self.widest_skin = widest_skin(system, self._laws)
-        if self.list.skin > self.widest_skin or self._laws.fit_clusters(system, self._options, 0.0):
-            return False
-        self.list.follow(system.cell)
-        return True
-
-    def ready(self, system: System) -> None:
-        """See Term."""
-        self.list.ready(system.positions, system.cell)
-
-    @property
-    def version(self) -> int:  # type: ignore[override]
-        """See Term."""
-        return self.list.n_builds
+    def suits(self, system: System) -> bool:
+        """See ListTerm: a cell that now has room for clusters has another list."""
+        return not self._pair_laws.fit_clusters(system, self._options, 0.0)
 
     def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
@@ -96,7 +83,7 @@ class PairListTerm(OwnTerm):
         sums = np.zeros_like(target.forces), self._energies, self._virials
         local = Local(system.positions, target.forces, self.list.order, self.list.offsets, self._positions, sums)
         species = system.species_index[self.list.order]
-        laws = [(one.law, by_species(one.table, species)) for one in self._laws.members]
+        laws = [(one.law, by_species(one.table, species)) for one in self._pair_laws.members]
         pairs, output = (self._positions, self.list.pairs), (target.steps, target.detail, sums)
         works = [PairWork(*pairs, *law, *output) for law in laws]
         first = self._calls[0]
@@ -121,4 +108,4 @@ class PairListTerm(OwnTerm):
 
     def skipped(self) -> Iterable[str]:
         """See Term."""
-        return (["neighbor list (all pairs)"] if self.list.cutoff == np.inf else []) + self._laws.skipped()
+        return [*(["neighbor list (all pairs)"] if self.list.cutoff == np.inf else []), *super().skipped()]

@@ -38,7 +38,7 @@ class ClusterList(VerletList):
     precision : see Options.  pool : the threads that build it.  n_domains : number of chunks of an operation.
     lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.
     arrays : what the loop needs of them. They have room for more, and are the same arrays until it is used up.
-    n_arranged : how often they were replaced.  building : what operations need.
+    version : how often they were replaced.  building : what operations need.
     idle : flat, a block for each cluster, memory that is free between two builds.
     """
 
@@ -63,8 +63,8 @@ class ClusterList(VerletList):
         self._columns_of: tuple[Cell, NDArray[np.float64]] | None = None
         self._images: Images | None = None
         self._positions = np.zeros((n_atoms, DIMENSIONS))  # where the operations find them
-        self._calls, self._program = DirectCalls(), Program(self.operations, lambda: self.n_arranged, pool)
-        self._n_counted, self.n_arranged = 0, 0  # builds, and see above
+        self._calls, self._program = DirectCalls(), Program(self.operations, lambda: self.version, pool)
+        self._n_counted = 0  # builds
         self._layers, self._unit, self._origin = np.zeros(3, dtype=np.int64), np.ones(1), np.zeros(DIMENSIONS)
         self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
         self._room: tuple[int, ...] = (0, 0, 0)
@@ -92,7 +92,7 @@ class ClusterList(VerletList):
             yield operation(self._calls, kernel, self.building, n_chunks, then=then, python=remedy, again=again, **own)
 
     def ready(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        """Memory for operations on these positions in this cell. Without a list of this cell, they build one."""
+        """See VerletList: memory; without a list of this cell, the operations build one."""
         of = (self._cell, None if self._columns_of is None else self._columns_of[0])
         if not all(one is cell or (one is not None and cell.same_as(one)) for one in of):
             self._take(positions, cell)
@@ -264,7 +264,7 @@ class ClusterList(VerletList):
         excluded = NO_PARTNERS if self._excluded is None else self._excluded
         widths = self.cutoff, self.skin, COARSEST * self.cutoff
         self.building = Building(*work, self._entry_start, self._needed, excluded, self._slot_of, self._images, widths)
-        self.n_arranged += 1
+        self.version += 1
 
     @property
     def _spare(self) -> float:

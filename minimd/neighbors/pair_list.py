@@ -57,7 +57,7 @@ class PairList(VerletList):
         self.reach = Reach(np.zeros((n_atoms, 3)), self._reference, np.full(1, NEVER))
 
     def ready(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        """What is_in_reach needs for these positions in this cell."""
+        """See VerletList: what is_in_reach needs."""
         if positions is not self.reach.positions:
             self.reach = self.reach._replace(positions=positions)
         is_same = self._cell is not None and (cell is self._cell or cell.same_as(self._cell))
@@ -85,6 +85,7 @@ class PairList(VerletList):
 
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         self._reference[:], self._original, self.limit2 = positions, None, self._limit2(self.skin)
+        self.version += 1
         if self.cutoff == np.inf:
             return self._list_all_pairs(positions)
         reach = self.cutoff + self.skin

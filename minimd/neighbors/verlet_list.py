@@ -63,12 +63,12 @@ class VerletList(ABC):
     than the reach R, so that they are now farther apart than s R, s being the smallest singular value of F. So the list
     holds until an atom has moved, beside the strain, by more than (s R − r_c)/2.
 
-    cutoff : [length].  skin : [length], ≥ 0.  n_builds : how often it was built.
+    cutoff : [length].  skin : [length], ≥ 0.  n_builds : how often it was built.  version : of the memory it lies in.
     limit2 : square of the distance that an atom may move before the list is outdated [length²].
     """
 
     def __init__(self, cutoff: float, skin: float) -> None:
-        self.cutoff, self.skin, self.n_builds = cutoff, skin, 0
+        self.cutoff, self.skin, self.n_builds, self.version = cutoff, skin, 0, 0
         self._cell: Cell | None = None
         self._built_in: Cell | None = None
         self._stretch = 1.0  # s
@@ -85,6 +85,10 @@ class VerletList(ABC):
     @abstractmethod
     def _build(self, positions: NDArray[np.float64], cell: Cell) -> None:
         """List what is within cutoff + skin."""
+
+    @abstractmethod
+    def ready(self, positions: NDArray[np.float64], cell: Cell) -> None:
+        """Before operations on these positions in this cell."""
 
     @abstractmethod
     def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:

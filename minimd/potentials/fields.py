@@ -88,7 +88,7 @@ class FieldTerm(OwnTerm):
         Sites.
     """
 
-    acts_from_outside = True
+    acts_from_outside = fits_grid = True
 
     def __init__(
         self,

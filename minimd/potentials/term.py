@@ -156,9 +156,9 @@ class Term:
 
 
 class OwnTerm(Term):
-    """Base class of minimd's own terms, which are compiled."""
+    """Base class of terms that are compiled, as minimd's own are; those that add with force_along set fits_grid."""
 
-    fits_grid, is_checked, needs_one_accumulator = True, False, True
+    is_checked, needs_one_accumulator = False, True
 
     def operations(self, system: System, target: Target) -> Iterable[Operation]:
         """See Term."""
@@ -167,6 +167,8 @@ class OwnTerm(Term):
 
 class NoTerm(OwnTerm):
     """The term of a potential in a system where it has nothing to act on."""
+
+    fits_grid = True
 
     def follow(self, system: System) -> bool:
         """See Term."""

@@ -15,6 +15,7 @@ import minimd.ase
 from minimd.analysis.check import check_file
 from minimd.forces.pair_laws import PairLaws
 from minimd.integrators.methods import SPLITTINGS
+from minimd.potentials.term import OwnTerm
 from minimd.structure.grid import Grid
 from minimd.structure.images import nearest_vectors
 
@@ -279,12 +280,17 @@ class Pull(md.Term):
         return self
 
 
+class CompiledPull(Pull, OwnTerm):
+    """Nor does it say that it fits a grid."""
+
+
 WRONG = [
     (lambda: plain(SPLITTINGS["symplectic-euler-1"](0.004)).run_back(1), ValueError, "symplectic-euler-1", "symmetric"),
     (lambda: plain(precision="double", grid=None).run_back(1), ValueError, "precision", "double"),
     (lambda: one_step_with("velocities", 1e4), md.RangeError, "momentum of atom 7", "1e+04", "64"),
     (lambda: one_step_with("positions", 1e4), md.RangeError, "atom 7", "1e+04 from the origin", "1.02e+03"),
     (lambda: simulated(mixture(), potentials=[LAW, Pull()]), ValueError, "precision", "fixed-point"),
+    (lambda: simulated(mixture(), potentials=[LAW, CompiledPull()]), ValueError, "CompiledPull", "fixed-point"),
     (lambda: simulated(mixture(), precision="double"), ValueError, "grid", "double"),
     (lambda: md.Grid(1e-12, 2.0**-44, 2.0**-36), ValueError, "length", "1e-12"),
 ]

@@ -63,23 +63,29 @@ from minimd.structure.vectors import combined, cross, dot, unit
 def drift_pairs(start, end, atoms, bonds, duration):
     """Drift of bonds start to end − 1: a λ² + 2 b λ + c = 0, a = w² s², b = w p · s, c = p² − d².  duration [time]."""
     positions, velocities, inverse_masses, lanes = atoms
+    i, j = bonds.first, bonds.second
     for k in range(start, end, count(lanes)):
-        first, second, own = (bonds.first, k, end, lanes), (bonds.second, k, end, lanes), ((), k, end, lanes)
-        r, q, u, v = rows(positions, first), rows(positions, second), rows(velocities, first), rows(velocities, second)
-        wi, wj = numbers(inverse_masses, first), numbers(inverse_masses, second)
-        s = plus(minus(q, r), rows(bonds.offsets, own))
+        block = k, end, lanes
+        x, y, u, v = (
+            rows(positions, i, block),
+            rows(positions, j, block),
+            rows(velocities, i, block),
+            rows(velocities, j, block),
+        )
+        wi, wj = numbers(inverse_masses, i, block), numbers(inverse_masses, j, block)
+        s = plus(minus(y, x), rows(bonds.offsets, (), block))
         p, w = combined(1.0, s, duration, minus(v, u)), wi + wj
-        a, b, c = w * w * dot(s, s), w * dot(p, s), dot(p, p) - numbers(bonds.lengths2, own)
+        a, b, c = w * w * dot(s, s), w * dot(p, s), dot(p, p) - numbers(bonds.lengths2, (), block)
         discriminant = b * b - a * c
         n_kept = n_without_failure(select(b > 0.0, discriminant, -1.0))
         if n_kept < count(lanes):
             return NOTHING - k - n_kept
         scale = -c / (b + sqrt(discriminant)) / duration
         u, v = combined(1.0, u, -scale * wi, s), combined(1.0, v, scale * wj, s)
-        put_rows(velocities, first, u)
-        put_rows(velocities, second, v)
-        put_rows(positions, first, combined(1.0, r, duration, u))
-        put_rows(positions, second, combined(1.0, q, duration, v))
+        put_rows(velocities, i, block, u)
+        put_rows(velocities, j, block, v)
+        put_rows(positions, i, block, combined(1.0, x, duration, u))
+        put_rows(positions, j, block, combined(1.0, y, duration, v))
     return 1
 
 
@@ -96,54 +102,44 @@ def project_pairs(start, end, atoms, bonds, targets, multipliers):
     Velocities with targets 0 keep the lengths; accelerations with −v². multipliers : (K,), x_j gains multiplier r/m_j.
     """
     positions, vectors, inverse_masses, lanes = atoms
+    i, j = bonds.first, bonds.second
     for k in range(start, end, count(lanes)):
-        first, second, own = (bonds.first, k, end, lanes), (bonds.second, k, end, lanes), ((), k, end, lanes)
-        r = plus(minus(rows(positions, second), rows(positions, first)), rows(bonds.offsets, own))
-        u, v = rows(vectors, first), rows(vectors, second)
-        wi, wj = numbers(inverse_masses, first), numbers(inverse_masses, second)
-        scale = (numbers(targets, own) - dot(r, minus(v, u))) / ((wi + wj) * dot(r, r))
-        put_numbers(multipliers, own, scale)
-        put_rows(vectors, first, combined(1.0, u, -scale * wi, r))
-        put_rows(vectors, second, combined(1.0, v, scale * wj, r))
+        block = k, end, lanes
+        r = plus(minus(rows(positions, j, block), rows(positions, i, block)), rows(bonds.offsets, (), block))
+        u, v = rows(vectors, i, block), rows(vectors, j, block)
+        wi, wj = numbers(inverse_masses, i, block), numbers(inverse_masses, j, block)
+        scale = (numbers(targets, (), block) - dot(r, minus(v, u))) / ((wi + wj) * dot(r, r))
+        put_numbers(multipliers, (), block, scale)
+        put_rows(vectors, i, block, combined(1.0, u, -scale * wi, r))
+        put_rows(vectors, j, block, combined(1.0, v, scale * wj, r))
     return 1
 
 
 @scalar
-def corners(values, molecules, m, last, lanes):
+def corners(values, atoms, block):
     """The rows of values (N, 3) that belong to the atoms a, b, c of molecules."""
-    a, b, c = molecules.atoms
-    return rows(values, (a, m, last, lanes)), rows(values, (b, m, last, lanes)), rows(values, (c, m, last, lanes))
+    return rows(values, atoms[0], block), rows(values, atoms[1], block), rows(values, atoms[2], block)
 
 
 @scalar
-def put_corners(values, molecules, m, last, lanes, xyz):
+def put_corners(values, atoms, block, xyz):
     """Write them."""
-    a, b, c = molecules.atoms
-    put_rows(values, (a, m, last, lanes), xyz[0])
-    put_rows(values, (b, m, last, lanes), xyz[1])
-    put_rows(values, (c, m, last, lanes), xyz[2])
+    put_rows(values, atoms[0], block, xyz[0])
+    put_rows(values, atoms[1], block, xyz[1])
+    put_rows(values, atoms[2], block, xyz[2])
 
 
 @scalar
-def masses_of(inverse_masses, molecules, m, last, lanes):
-    """The inverse masses of the atoms a, b, c of molecules."""
-    a, b, c = molecules.atoms
-    of_a, of_b = numbers(inverse_masses, (a, m, last, lanes)), numbers(inverse_masses, (b, m, last, lanes))
-    return of_a, of_b, numbers(inverse_masses, (c, m, last, lanes))
+def three(values, at, block):
+    """The numbers at three places, of each molecule of a block."""
+    return numbers(values, at[0], block), numbers(values, at[1], block), numbers(values, at[2], block)
 
 
 @scalar
-def arms(positions, molecules, m, last, lanes):
+def arms(here, offsets, block):
     """r_b − r_a and r_c − r_a of molecules, from the positions of their atoms."""
-    (a, b, c), own, (to_b, to_c) = positions, ((), m, last, lanes), molecules.offsets
-    return plus(minus(b, a), rows(to_b, own)), plus(minus(c, a), rows(to_c, own))
-
-
-@scalar
-def of_shape(molecules, m, last, lanes):
-    """α, β, κ, Q and W of linear molecules, and d² [length²]."""
-    own, (alpha, beta, length2) = ((), m, last, lanes), molecules.shapes
-    return numbers(alpha, own), numbers(beta, own), numbers(length2, own)
+    a, b, c = here
+    return plus(minus(b, a), rows(offsets[0], (), block)), plus(minus(c, a), rows(offsets[1], (), block))
 
 
 @scalar
@@ -163,6 +159,13 @@ def pushed(vectors, masses, alpha, beta, mu, along):
 
 
 @scalar
+def moved(here, duration, velocities):
+    """Positions of a, b, c after a drift."""
+    (a, b, c), (u, v, w) = here, velocities
+    return combined(1.0, a, duration, u), combined(1.0, b, duration, v), combined(1.0, c, duration, w)
+
+
+@scalar
 def drift_linear(first, last, atoms, molecules, duration):
     """Drift of molecules first to last − 1.
 
@@ -170,20 +173,21 @@ def drift_linear(first, last, atoms, molecules, duration):
     or −1 − the molecule that cannot be kept.
     """
     positions, velocities, inverse_masses, lanes = atoms
+    abc, offsets, shapes = molecules
     for m in range(first, last, count(lanes)):
-        here, masses = (
-            corners(positions, molecules, m, last, lanes),
-            masses_of(inverse_masses, molecules, m, last, lanes),
+        block = m, last, lanes
+        here, moving, masses = (
+            corners(positions, abc, block),
+            corners(velocities, abc, block),
+            three(inverse_masses, abc, block),
         )
-        moving, (alpha, beta, length2) = (
-            corners(velocities, molecules, m, last, lanes),
-            of_shape(molecules, m, last, lanes),
+        alpha, beta, length2 = (
+            numbers(shapes[0], (), block),
+            numbers(shapes[1], (), block),
+            numbers(shapes[2], (), block),
         )
-        kappa, q, w = inertia(masses, alpha, beta)
-        _, s = arms(here, molecules, m, last, lanes)
-        (a, b, c), (u, v, x) = here, moving
-        there = combined(1.0, a, duration, u), combined(1.0, b, duration, v), combined(1.0, c, duration, x)
-        to_b, p = arms(there, molecules, m, last, lanes)
+        (kappa, q, w), there = inertia(masses, alpha, beta), moved(here, duration, moving)
+        (_, s), (to_b, p) = arms(here, offsets, block), arms(there, offsets, block)
         e = combined(1.0, to_b, -beta, p)
         p = combined(1.0, p, -kappa / q, e)
         along, square, gap = w * dot(p, s), w * w * dot(s, s), dot(p, p) - length2
@@ -195,8 +199,8 @@ def drift_linear(first, last, atoms, molecules, duration):
         mu = combined(-1.0 / q, e, -scale * kappa / q, s)
         there = pushed(there, masses, alpha, beta, mu, combined(scale, s, 0.0, s))
         mu, push = combined(1.0 / duration, mu, 0.0, mu), combined(scale / duration, s, 0.0, s)
-        put_corners(positions, molecules, m, last, lanes, there)
-        put_corners(velocities, molecules, m, last, lanes, pushed(moving, masses, alpha, beta, mu, push))
+        put_corners(positions, abc, block, there)
+        put_corners(velocities, abc, block, pushed(moving, masses, alpha, beta, mu, push))
     return 1
 
 
@@ -207,21 +211,18 @@ def project_linear(first, last, atoms, molecules, targets, multipliers):
     Arguments as drift_linear, project_pairs.
     """
     positions, vectors, inverse_masses, lanes = atoms
+    abc, offsets, shapes = molecules
     for m in range(first, last, count(lanes)):
-        here, masses = (
-            corners(positions, molecules, m, last, lanes),
-            masses_of(inverse_masses, molecules, m, last, lanes),
-        )
-        (a, b, c), (alpha, beta, _) = corners(vectors, molecules, m, last, lanes), of_shape(molecules, m, last, lanes)
-        (kappa, q, w), own = inertia(masses, alpha, beta), ((), m, last, lanes)
-        _, r = arms(here, molecules, m, last, lanes)
+        block = m, last, lanes
+        (a, b, c), masses = corners(vectors, abc, block), three(inverse_masses, abc, block)
+        alpha, beta = numbers(shapes[0], (), block), numbers(shapes[1], (), block)
+        (kappa, q, w), (_, r) = inertia(masses, alpha, beta), arms(corners(positions, abc, block), offsets, block)
         e = minus(b, combined(alpha, a, beta, c))
         along = dot(r, combined(1.0, minus(c, a), -kappa / q, e))
-        scale = (numbers(targets, own) - along) / (w * dot(r, r))
-        put_numbers(multipliers, own, scale)
+        scale = (numbers(targets, (), block) - along) / (w * dot(r, r))
+        put_numbers(multipliers, (), block, scale)
         mu = combined(-1.0 / q, e, -scale * kappa / q, r)
-        turned = pushed((a, b, c), masses, alpha, beta, mu, combined(scale, r, 0.0, r))
-        put_corners(vectors, molecules, m, last, lanes, turned)
+        put_corners(vectors, abc, block, pushed((a, b, c), masses, alpha, beta, mu, combined(scale, r, 0.0, r)))
     return 1
 
 
@@ -269,29 +270,25 @@ def drift_triangles(first, last, atoms, triangles, duration):
     Returns 1, or −1 − the triangle that cannot be kept.
     """
     positions, velocities, _, lanes = atoms
-    push = 1.0 / duration
+    (abc, offsets, shapes), push = triangles, 1.0 / duration
     for t in range(first, last, count(lanes)):
-        own, (r_a, r_b, half, fraction) = ((), t, last, lanes), triangles.shapes
-        here, (u, v, w) = corners(positions, triangles, t, last, lanes), corners(velocities, triangles, t, last, lanes)
-        b0, c0 = arms(here, triangles, t, last, lanes)
+        block = t, last, lanes
+        here, (u, v, w) = corners(positions, abc, block), corners(velocities, abc, block)
+        b0, c0 = arms(here, offsets, block)
         p, q = combined(1.0, b0, duration, minus(v, u)), combined(1.0, c0, duration, minus(w, u))
-        share = numbers(fraction, own)
+        r_a, r_b, r_c = numbers(shapes[0], (), block), numbers(shapes[1], (), block), numbers(shapes[2], (), block)
+        share = numbers(shapes[3], (), block)
         a1 = combined(-share, p, -share, q)
-        drifted, sides = (a1, plus(a1, p), plus(a1, q)), (numbers(r_a, own), numbers(r_b, own), numbers(half, own))
-        ab, ac, bc, exist = impulses(b0, c0, drifted, *sides)
+        ab, ac, bc, exist = impulses(b0, c0, (a1, plus(a1, p), plus(a1, q)), r_a, r_b, r_c)
         n_kept = n_without_failure(exist)
         if n_kept < count(lanes):
             return NOTHING - t - n_kept
-        recoil, across = -share / (1.0 - 2.0 * share) * push, combined(bc, minus(c0, b0), 0.0, b0)
-        u = combined(1.0, u, recoil, combined(ab, b0, ac, c0))
-        v, w = (
-            combined(1.0, v, push, combined(ab, b0, -1.0, across)),
-            combined(1.0, w, push, combined(ac, c0, 1.0, across)),
-        )
-        a, b, c = here
-        moved = combined(1.0, a, duration, u), combined(1.0, b, duration, v), combined(1.0, c, duration, w)
-        put_corners(velocities, triangles, t, last, lanes, (u, v, w))
-        put_corners(positions, triangles, t, last, lanes, moved)
+        on_bc = combined(bc, minus(c0, b0), 0.0, b0)
+        u = combined(1.0, u, -share / (1.0 - 2.0 * share) * push, combined(ab, b0, ac, c0))
+        v = combined(1.0, v, push, combined(ab, b0, -1.0, on_bc))
+        w = combined(1.0, w, push, combined(ac, c0, 1.0, on_bc))
+        put_corners(velocities, abc, block, (u, v, w))
+        put_corners(positions, abc, block, moved(here, duration, (u, v, w)))
     return 1
 
 
@@ -305,17 +302,17 @@ def project_triangles(first, last, atoms, triangles, sides, targets, multipliers
     sides : three of (T,) int, the constraints ab, ac, bc.  Others, returns : as drift_triangles, project_pairs.
     """
     positions, vectors, inverse_masses, lanes = atoms
+    abc, offsets, _ = triangles
     for t in range(first, last, count(lanes)):
-        ab, ac = arms(corners(positions, triangles, t, last, lanes), triangles, t, last, lanes)
-        bc, (u, v, w) = minus(ac, ab), masses_of(inverse_masses, triangles, t, last, lanes)
+        block = t, last, lanes
+        ab, ac = arms(corners(positions, abc, block), offsets, block)
+        bc, (u, v, w) = minus(ac, ab), three(inverse_masses, abc, block)
         g, h, k = dot(ab, ab), dot(ac, ac), dot(ab, ac)
         xx, yy, zz = (u + v) * g, (u + w) * h, (v + w) * (g + h - k - k)
         xy, xz, yz = u * k, v * (g - k), w * (h - k)
         minor_x, minor_y, minor_z = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
         scale = 1.0 / (xx * minor_x + xy * minor_y + xz * minor_z)
-        at_ab, at_ac, at_bc = (sides[0], t, last, lanes), (sides[1], t, last, lanes), (sides[2], t, last, lanes)
-        of_ab, of_ac, of_bc = numbers(targets, at_ab), numbers(targets, at_ac), numbers(targets, at_bc)
-        a, b, c = corners(vectors, triangles, t, last, lanes)
+        (of_ab, of_ac, of_bc), (a, b, c) = three(targets, sides, block), corners(vectors, abc, block)
         sum_ab = sum_ac = sum_bc = 0.0 * scale
         for _ in range(2):
             x, y, z = of_ab - dot(ab, minus(b, a)), of_ac - dot(ac, minus(c, a)), of_bc - dot(bc, minus(c, b))
@@ -323,15 +320,13 @@ def project_triangles(first, last, atoms, triangles, sides, targets, multipliers
             on_ac = scale * (minor_y * x + (xx * zz - xz * xz) * y + (xy * xz - xx * yz) * z)
             on_bc = scale * (minor_z * x + (xy * xz - xx * yz) * y + (xx * yy - xy * xy) * z)
             a = combined(1.0, a, -u, combined(on_ab, ab, on_ac, ac))
-            b, c = (
-                combined(1.0, b, v, combined(on_ab, ab, -on_bc, bc)),
-                combined(1.0, c, w, combined(on_ac, ac, on_bc, bc)),
-            )
+            b = combined(1.0, b, v, combined(on_ab, ab, -on_bc, bc))
+            c = combined(1.0, c, w, combined(on_ac, ac, on_bc, bc))
             sum_ab, sum_ac, sum_bc = sum_ab + on_ab, sum_ac + on_ac, sum_bc + on_bc
-        put_corners(vectors, triangles, t, last, lanes, (a, b, c))
-        put_numbers(multipliers, at_ab, sum_ab)
-        put_numbers(multipliers, at_ac, sum_ac)
-        put_numbers(multipliers, at_bc, sum_bc)
+        put_corners(vectors, abc, block, (a, b, c))
+        put_numbers(multipliers, sides[0], block, sum_ab)
+        put_numbers(multipliers, sides[1], block, sum_ac)
+        put_numbers(multipliers, sides[2], block, sum_bc)
     return 1
 
 

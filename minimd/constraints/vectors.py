@@ -11,7 +11,6 @@ from numba import types
 from minimd.compiled.kernels import by_type, inlined, kernel, scalar
 from minimd.compiled.simd import lane, with_lane, zeros
 from minimd.compiled.simd.lanes import count
-from minimd.structure.vectors import combined
 
 NOTHING = -1
 
@@ -31,49 +30,49 @@ class Molecules(namedtuple("Molecules", "atoms offsets shapes")):
     see each solver."""
 
 
-# Where the lanes of a vector are: (at, k, end, lanes), those of at[k], at[k + 1], … before at[end], or, if at is (),
-# of k, k + 1, …; lanes beyond the end repeat the last one.
+# The lanes of a vector belong to a block (k, end, lanes): those of at[k], at[k + 1], … or, if at is (), of k, k + 1, …;
+# lanes from the end on repeat the last one before.
 
 
 @by_type
-def _place(where, n):
-    if isinstance(where[0], types.Array):
-        return lambda where, n: np.uintp(where[0][min(where[1] + n, where[2] - 1)])
-    return lambda where, n: np.uintp(min(where[1] + n, where[2] - 1))
+def _place(at, block, n):
+    if isinstance(at, types.Array):
+        return lambda at, block, n: np.uintp(at[min(block[0] + n, block[1] - 1)])
+    return lambda at, block, n: np.uintp(min(block[0] + n, block[1] - 1))
 
 
 @scalar
-def numbers(values, where):
+def numbers(values, at, block):
     """A vector of some of the values (N,)."""
-    x = zeros(where[3])
-    for n in range(count(where[3])):
-        x = with_lane(x, n, values[_place(where, n)])
+    x = zeros(block[2])
+    for n in range(count(block[2])):
+        x = with_lane(x, n, values[_place(at, block, n)])
     return x
 
 
 @scalar
-def rows(values, where):
+def rows(values, at, block):
     """Vectors x, y, z of some of the values (N, 3)."""
-    x = y = z = zeros(where[3])
-    for n in range(count(where[3])):
-        i = _place(where, n)
+    x = y = z = zeros(block[2])
+    for n in range(count(block[2])):
+        i = _place(at, block, n)
         x, y, z = with_lane(x, n, values[i, 0]), with_lane(y, n, values[i, 1]), with_lane(z, n, values[i, 2])
     return x, y, z
 
 
 @scalar
-def put_numbers(values, where, x):
+def put_numbers(values, at, block, x):
     """Write the lanes of a vector to some of the values (N,)."""
-    for n in range(count(where[3])):
-        values[_place(where, n)] = lane(x, n)
+    for n in range(count(block[2])):
+        values[_place(at, block, n)] = lane(x, n)
 
 
 @scalar
-def put_rows(values, where, xyz):
+def put_rows(values, at, block, xyz):
     """Write vectors x, y, z to some of the values (N, 3)."""
     x, y, z = xyz
-    for n in range(count(where[3])):
-        i = _place(where, n)
+    for n in range(count(block[2])):
+        i = _place(at, block, n)
         values[i, 0], values[i, 1], values[i, 2] = lane(x, n), lane(y, n), lane(z, n)
 
 
@@ -93,12 +92,6 @@ def minus(u, v):
 def between(vectors, i, j):
     """x_j − x_i."""
     return vectors[j, 0] - vectors[i, 0], vectors[j, 1] - vectors[i, 1], vectors[j, 2] - vectors[i, 2]
-
-
-@inlined
-def moved(s, velocities, i, j, duration):
-    """s + Δt (v_j − v_i), a separation after the drift."""
-    return combined(1.0, s, duration, between(velocities, i, j))
 
 
 @inlined

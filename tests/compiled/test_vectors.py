@@ -40,10 +40,7 @@ def of_floats(x, y):
 
 @scalar
 def of_doubles(x, y):
-    return (
-        *(math.exp(x) + np.exp(y), math.log(x) + np.log(y), math.sin(x) + np.sin(y), math.cos(x) + np.cos(y)),
-        *(math.tanh(x) + np.tanh(y), x**0.5, x**2, x**3, x**-1, x**2.0, x**1.5, x**-3),
-    )
+    return (*(math.tanh(x) + np.tanh(y), x**0.5, x**2, x**3, x**-1, x**2.0, x**1.5, x**-3),)
 
 
 @scalar
@@ -82,6 +79,33 @@ def test_what_is_done_to_vectors_is_done_lane_by_lane(kind, lanes):
         check(floats, of_floats, a, b, lanes)
     if kind == np.float64 and lanes.size == 4:
         check(doubles, of_doubles, a, b, lanes, rel=1e-15)  # the rounding is the library's
+
+
+@kernel
+def elementary(x, y, out):
+    for k in range(0, x.size, 8):
+        a, b = load(x, k, 8), load(y, k, 8)
+        finite = select(abs(a) < np.inf, a, 2.0)
+        for row, found in enumerate((np.sin(a), math.cos(a), np.exp(a), math.log(a), np.arctan2(b, finite))):
+            store(out, row * x.size + k, found)
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 40.0, 1e5])
+def test_elementary_functions_have_all_their_digits_and_end_as_those_of_numpy_do(scale):
+    """To two units in the last place, numpy's own included to three; of angles only those of finite numbers."""
+    rng, special = np.random.default_rng(0), [0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 710.0, -746.0]
+    x, y = scale * rng.uniform(-1.0, 1.0, (2, 4000))
+    x[:8], y[:8] = special, [0.0, -1.0, 0.0, 1.0, 1.0, 1.0, np.nan, 1e-300]
+    out = np.zeros((5, x.size))
+    elementary(x, y, out.reshape(-1))
+    with np.errstate(all="ignore"):
+        expected = np.array(
+            [np.sin(x), np.cos(x), np.exp(x), np.log(x), np.arctan2(y, np.where(np.abs(x) < np.inf, x, 2.0))]
+        )
+        far = np.abs(out - expected) > 3.0 * np.spacing(np.abs(expected))
+    assert np.array_equal(np.isnan(out), np.isnan(expected))
+    assert (out == expected)[~np.isfinite(expected) & ~np.isnan(expected)].all()
+    assert not far.any()
 
 
 @kernel

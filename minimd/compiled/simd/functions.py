@@ -67,7 +67,7 @@ def cosine(x):
 
 @scalar
 def arctangent(y, x):
-    """The angle of (x, y) to the x axis, from −π to π; 0 for (0, 0)."""
+    """The angle of (x, y), both finite, to the x axis, from −π to π; 0 for (0, 0)."""
     is_steep = abs(y) > abs(x)
     rise, run = select(is_steep, abs(x), abs(y)), select(is_steep, abs(y), abs(x))
     is_wide, is_middle = rise > MIDDLE[1] * run, rise > MIDDLE[0] * run

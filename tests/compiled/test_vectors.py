@@ -26,7 +26,11 @@ def numbers(kind, n, seed=0):
 
 @scalar
 def of_all_types(x, y):
-    return x + y, x - y * y, x * y - x
+    z = x
+    z += y
+    z -= y * y
+    z *= x
+    return x + y, x - y * y, x * y - x, z
 
 
 @scalar

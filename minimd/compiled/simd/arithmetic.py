@@ -107,7 +107,9 @@ def _bind_choice(function, beats) -> None:
 
 
 for _operator in FLOAT_OPERATORS | INTEGER_OPERATORS:
-    _bind(_operator, _instruction(FLOAT_OPERATORS.get(_operator, ""), INTEGER_OPERATORS.get(_operator, "")))
+    _operation = _instruction(FLOAT_OPERATORS.get(_operator, ""), INTEGER_OPERATORS.get(_operator, ""))
+    _bind(_operator, _operation)
+    _bind(getattr(operator, f"i{_operator.__name__.rstrip('_')}"), _operation)  # a += b
 for _name, _sign in COMPARISONS.items():
     _bind(getattr(operator, _name), _instruction("fcmp_ordered", "icmp_signed", _sign))
 _bind_choice(max, operator.gt)

@@ -255,7 +255,7 @@ class Engine:
         if self._state.forces_are_current and self.interactions.has_energy:
             return
         # the run itself needs no forces here if its next step begins with a drift
-        is_aside = isinstance(mechanical(self.method.substeps)[0], Drift)
+        is_aside = isinstance(next(iter(mechanical(self.method.substeps)), None), Drift)
         before, n_builds = self.interactions.lists_built() if is_aside else (), self.interactions.n_builds
         self.interactions.time = self._time_at(step)
         self.interactions.compute(TOTALS, self._state.unit)

@@ -35,6 +35,12 @@ class OBABO(md.LangevinBAOAB):
     substeps = (Thermalize(0.5), Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(0.5))
 
 
+class Noise(md.LangevinBAOAB):
+    """A row without kicks and drifts."""
+
+    name, substeps = "noise", (Thermalize(1.0),)
+
+
 def simulation(method, seed=3):
     sim = SCENES["argon"]().simulation(method)
     sim.set_temperature(1.3, seed)
@@ -51,6 +57,14 @@ def test_the_bath_of_langevin_is_the_ornstein_uhlenbeck_process():
         assert v.mean() == pytest.approx(0.8 * kept, abs=4.0 * np.sqrt(variance / v.size))  # statistics
         assert v.var() == pytest.approx(variance, rel=4.0 * np.sqrt(2.0 / v.size))
         assert stats.kstest((v - 0.8 * kept) / np.sqrt(variance), "norm").pvalue > 1e-3
+
+
+def test_a_bath_alone_is_a_method():
+    sim, kept = simulation(Noise(0.01, 0.0, friction=2.0, seed=5)), np.exp(-2.0 * 0.03)
+    before, places = sim.velocities.copy(), sim.positions.copy()
+    sim.run(3)
+    assert sim.velocities == pytest.approx(kept * before, rel=1e-12)
+    assert np.array_equal(sim.positions, places)
 
 
 def rescaled_energies(kinetic, n_dof, duration, n):

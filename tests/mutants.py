@@ -31,6 +31,10 @@ forces/cluster_loop.py: forces/test_lists potentials/test_laws
     at_c, lanes) + 0.5 * in_steps => at_c, lanes) + 1.0 * in_steps
 forces/cluster_loop.py: forces/test_fixed_point
     -= n_laws * BIAS => += n_laws * BIAS
+compiled/simd/functions.py: compiled/test_vectors
+    k + 1.0, k), select(is_large, 0.5 * m => k, k), select(is_large, 0.5 * m
+    fma(k, -REST_OF_PI, fma(k, -HALF_PI, x)) => fma(k, -HALF_PI, x)
+    select(y < 0.0, -angle, angle) => angle
 potentials/pair_loop.py: forces/test_lists potentials/test_laws
     fx, fy, fz = fx - gx, fy - gy, fz - gz => fx, fy, fz = fx - gx, fy - gy, fz + gz
     if r2 < numbers[0]: => if r2 <= 0.99 * numbers[0]:
@@ -39,7 +43,7 @@ potentials/pair_loop.py: forces/test_lists potentials/test_laws
     in_steps(hy * dz, steps), in_steps(hx * dz, steps) => in_steps(hx * dz, steps), in_steps(hy * dz, steps)
 potentials/laws.py: potentials/test_laws potentials/test_truncation potentials/test_reference_lammps
     (2.0 * scale * s6 - scale) * (s6 * s2) => (2.0 * scale * s6 + scale) * (s6 * s2)
-    -0.5 * k * longest * longest * log(rest), -k / rest => -0.5 * k * longest * longest * log(rest), -0.5 * k / rest
+    return u, -k / rest + select => return u, -0.5 * k / rest + select
 potentials/laws.py: potentials/test_laws potentials/test_fields potentials/test_formulas
     (1.2 * s9 - 3.0 * s3) => (1.2 * s9 - s3)
 potentials/laws.py: potentials/test_laws
@@ -55,7 +59,7 @@ potentials/fields.py: potentials/test_laws potentials/test_fields potentials/tes
     power += _rate(found) => power = _rate(found)
     moves = spring.start <= self.time < spring.end => moves = spring.start < self.time <= spring.end
 potentials/links.py: potentials/test_laws
-    in_steps(u / n_sites, steps) => in_steps(u, steps)
+    in_steps(lane(u, k) / n_sites, steps) => in_steps(lane(u, k), steps)
 potentials/angles.py: potentials/test_laws potentials/test_truncation potentials/test_reference_lammps
     size * cosine - ab * sine, ab * cosine => size * cosine + ab * sine, ab * cosine
 neighbors/search.py: neighbors/test_pair_list forces/test_lists neighbors/test_cluster_list
@@ -112,18 +116,18 @@ integrators/splitting/substeps.py: integrators/test_splittings integrators/test_
     (sequence.pop().coefficient + substep.coefficient) => (sequence.pop().coefficient)
 constraints/closed_forms.py: constraints/test_solvers constraints/test_references
     gamma = xb0 * yb1 - xb1 * yb0 => gamma = xb0 * yb1 + xb1 * yb0
-    recoil = -fraction / (1.0 - => recoil = -2.0 * fraction / (1.0 -
+    -share / (1.0 - 2.0 * share) * push => -2.0 * share / (1.0 - 2.0 * share) * push
 constraints/groups.py: constraints/test_solvers constraints/test_references
     2.0 * share * height => share * height
 constraints/closed_forms.py: constraints/test_solvers constraints/test_references
     w * w * dot(s, s), w * dot(p, s) => w * dot(s, s), w * dot(p, s)
-    (targets[k] - along) => (targets[k] + along)
+    (numbers(targets, (), block) - dot(r, minus(v, u))) => (numbers(targets, (), block) + dot(r, minus(v, u)))
 constraints/networks.py: constraints/test_solvers constraints/test_references
     i, j, total[k] / duration, s[k] => i, j, total[k], s[k]
     x[k] = 0.5 * (bonds.lengths2[k] => x[k] = 0.25 * (bonds.lengths2[k]
     scale = gap / (2.0 * (atoms => scale = gap / (1.0 * (atoms
 constraints/closed_forms.py: constraints/test_solvers constraints/test_references
-    kappa = alpha * inverse_masses[a] - beta => kappa = alpha * inverse_masses[a] + beta
+    kappa, q = alpha * wa - beta * wc => kappa, q = alpha * wa + beta * wc
 structure/observables.py: simulation/test_observables simulation/test_simulation
     return 0.5 * mass * (vx**2 => return mass * (vx**2
 structure/observables.py: constraints/test_runs integrators/test_baths

@@ -18,8 +18,7 @@ SPRING, STIFF = md.HarmonicBond(1.0, 1.0), md.HarmonicBond(400.0, 1.0)
 FREQUENCY = sqrt(2.0)  # of two unit masses on a spring with k = 1
 BOTTOM = 2.0 ** (1.0 / 6.0)  # of the well [σ]
 CURVATURE = 72.0 / 2.0 ** (1.0 / 3.0)  # u″ there [ε/σ²]
-BOTH = ("double", "mixed")
-ROUNDING = {"double": 1e-12, "mixed": 1e-5}  # of sums over some thousand pairs, relative to the largest
+ROUNDING = 1e-12  # of sums over some thousand pairs, relative to the largest
 LAST_GOOD = r"The system holds the last good state, that of step \d+"
 
 

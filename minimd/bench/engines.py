@@ -36,7 +36,6 @@ from minimd.bench.scenes import (
 from minimd.lammps.model import Model
 from minimd.lammps.script import write_atoms
 
-Precision = Literal["double", "mixed"]  # of minimd
 SHAKE_TOLERANCE = 1e-12  # of LAMMPS
 SKINS: Mapping[str, float] = {"chain": 0.4}  # σ, of LAMMPS' benchmark, where it is not that of the melt
 TUNED_SKINS: Mapping[str, float] = {"wca": 0.6, "gas": 1.5, "chain": 0.8, "decane": 0.1} | dict.fromkeys(
@@ -74,16 +73,14 @@ class Minimd:
         self,
         scene: BenchScene,
         threads: int = 1,
-        precision: Precision = "double",
         method: md.integrators.Splitting | None = None,
         every: int | None = None,
         trajectory: Path | None = None,
     ) -> None:
-        self.name, self.threads = "minimd", threads
-        self.precision: str = precision
+        self.name, self.threads, self.precision = "minimd", threads, "double"
         self._every, self._trajectory = every, trajectory
         given = scene.system, scene.potentials, method or scene.method, scene.constraints
-        self._simulation = md.Simulation(*given, threads=threads, precision=precision, barostat=scene.barostat)
+        self._simulation = md.Simulation(*given, threads=threads, barostat=scene.barostat)
 
     @property
     def positions(self) -> NDArray[np.float64]:

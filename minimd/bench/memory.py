@@ -4,7 +4,7 @@ import subprocess
 import sys
 from math import nan
 
-from minimd.bench.engines import Minimd, Precision
+from minimd.bench.engines import Minimd
 from minimd.bench.scenes import SCENES
 from minimd.compiled.machine import STATUS, peak_memory
 
@@ -13,7 +13,7 @@ SMALL = 20  # a first scene of 32 000 atoms loads the kernels
 STEPS = 120  # enough for the snapshots to which a failed run goes back
 
 
-def bytes_per_atom(scene: str, n: int, threads: int, precision: str) -> float | None:
+def bytes_per_atom(scene: str, n: int, threads: int) -> float | None:
     """Growth of minimd's peak memory per additional atom, from a scene of 32 000 atoms to one of about 4 n³;
     both are built and run.
 
@@ -21,7 +21,7 @@ def bytes_per_atom(scene: str, n: int, threads: int, precision: str) -> float | 
     """
     if not STATUS.exists():
         return None
-    call = f"growth({scene!r}, {n}, {threads}, {precision!r})"
+    call = f"growth({scene!r}, {n}, {threads})"
     code = f"from minimd.bench.memory import growth; print(); print({call})"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     if answer.returncode:
@@ -32,17 +32,17 @@ def bytes_per_atom(scene: str, n: int, threads: int, precision: str) -> float | 
     return float(answer.stdout.splitlines()[-1])
 
 
-def growth(scene: str, n: int, threads: int, precision: Precision) -> float:
+def growth(scene: str, n: int, threads: int) -> float:
     """As bytes_per_atom, in this process, which must be new."""
-    few, before = _run(scene, SMALL, threads, precision), peak_memory() or nan
-    many, after = _run(scene, n, threads, precision), peak_memory() or nan
+    few, before = _run(scene, SMALL, threads), peak_memory() or nan
+    many, after = _run(scene, n, threads), peak_memory() or nan
     return (after - before) / (many - few)
 
 
-def _run(scene: str, n: int, threads: int, precision: Precision) -> int:
+def _run(scene: str, n: int, threads: int) -> int:
     """Build a scene and run it; returns the number of its atoms."""
     loaded = SCENES[scene](n)
-    n_atoms, engine = len(loaded.system), Minimd(loaded, threads, precision)
+    n_atoms, engine = len(loaded.system), Minimd(loaded, threads)
     del loaded  # the simulation has its own copy
     engine.run(STEPS)
     return n_atoms

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.bench.engines import PEERS, Minimd, Precision, TimedEngine
+from minimd.bench.engines import PEERS, Minimd, TimedEngine
 from minimd.bench.memory import FROM_ATOMS, bytes_per_atom
 from minimd.bench.outcome import (
     MOST_CURVES,
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MINIMD = "minimd"
-PRECISIONS = ("double", "mixed")
 NO_PEERS = ("none",)
 BESIDE_SCENES = ("lammps-checked", "lammps-tuned", "lammps-shake")  # whose lists miss no pair
 
@@ -68,15 +67,8 @@ def beside_one_thread(rows: Sequence[EngineSpeed], row: EngineSpeed) -> NDArray[
 
 
 def _double(rows: Sequence[EngineSpeed], threads: int, scene: str) -> EngineSpeed | None:
-    """The row of minimd in double precision on this number of threads."""
-    return next(
-        (
-            row
-            for row in rows
-            if row.is_minimd and (row.threads, row.precision, row.scene) == (threads, "double", scene)
-        ),
-        None,
-    )
+    """The row of minimd on this number of threads."""
+    return next((row for row in rows if row.is_minimd and (row.threads, row.scene) == (threads, scene)), None)
 
 
 class PeersOptions(NamedTuple):
@@ -89,14 +81,8 @@ class PeersOptions(NamedTuple):
     scenes: tuple[str, ...] = (MELT,)
     cells: tuple[int, ...] = (5, 10, 20)
     threads: tuple[int, ...] = ()
-    precisions: tuple[Precision, ...] = ("double",)
     peers: tuple[str, ...] = ()
     repeats: int = 7
-
-    def kinds(self) -> list[tuple[int, Precision]]:
-        """Numbers of threads and precisions of minimd: the reference, double on one thread,
-        and those that are asked for."""
-        return list(dict.fromkeys([(1, "double"), *((t, p) for t in self.all_threads() for p in self.precisions)]))
 
     def all_threads(self) -> tuple[int, ...]:
         """Numbers of threads, without repetition."""
@@ -185,7 +171,7 @@ def _draw(panel: Any, rows: Sequence[EngineSpeed]) -> dict[str, End]:
     """Draw median speeds of engines and their ranges; returns the ends of the curves."""
     curves, ends = dict[str, list[EngineSpeed]](), {}
     for row in rows:
-        curves.setdefault(f"{row.engine}{', mixed' if row.precision == 'mixed' else ''}", []).append(row)
+        curves.setdefault(row.engine, []).append(row)
     fastest = sorted(curves.items(), key=lambda curve: -np.median(curve[1][-1].speeds))[:MOST_CURVES]
     for k, (name, points) in enumerate(fastest):
         n, speeds = [point.n_atoms for point in points], np.array([point.speeds for point in points]) / 1e6
@@ -203,7 +189,6 @@ def check_options(options: PeersOptions) -> None:
     """Raise ValueError unless the options fit together, and fit this machine."""
     for name, value, allowed in (
         ("scene", options.scenes, SCENES),
-        ("precision", options.precisions, PRECISIONS),
         ("peers", options.peers, (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS),
     ):
         unknown = [word for word in value if word not in allowed]
@@ -245,7 +230,7 @@ def _beside_peers(scene_name: str, n: int, options: PeersOptions, peers: Sequenc
     scene = SCENES[scene_name](n)
     if scene_name != MELT:  # the melt is equilibrated while the engines warm up
         scene = equilibrated(scene)
-    engines: list[TimedEngine] = [Minimd(scene, *kind) for kind in options.kinds()]
+    engines: list[TimedEngine] = [Minimd(scene, n) for n in dict.fromkeys((1, *options.all_threads()))]
     n_atoms = len(scene.system)
     for name in (name for name in peers if scene_name in PEERS[name].scenes):
         if name in options.peers or n_atoms <= PEERS[name].most_atoms:
@@ -259,8 +244,8 @@ def _beside_peers(scene_name: str, n: int, options: PeersOptions, peers: Sequenc
     rows = [EngineSpeed(e.name, e.threads, e.precision, scene.name, n_atoms, speeds[k]) for k, e in enumerate(engines)]
     for k, row in enumerate(rows):
         if row.is_minimd and 4 * n**3 >= FROM_ATOMS:  # large enough to measure its memory
-            tell(f"{row.n_atoms} atoms: memory of minimd, {row.precision}, {threads_text(row.threads)}")
-            rows[k] = row._replace(bytes_per_atom=bytes_per_atom(row.scene, n, row.threads, row.precision))
+            tell(f"{row.n_atoms} atoms: memory of minimd, {threads_text(row.threads)}")
+            rows[k] = row._replace(bytes_per_atom=bytes_per_atom(row.scene, n, row.threads))
     return rows
 
 
@@ -277,7 +262,7 @@ def _load(name: str, scene: BenchScene, threads: int) -> TimedEngine:
 
 def _table(rows: Sequence[EngineSpeed], text: str) -> list[str]:
     titles: dict[str, type] = {"engine": str, "threads": float, "precision": str, "speed": float}
-    titles |= {"minimd double, same threads, is faster by": float, "ratio to minimd double, 1 thread": float}
+    titles |= {"minimd, same threads, is faster by": float, "ratio to minimd, 1 thread": float}
     cells = []
     for row in rows:
         name = f"**{row.engine}**" if row.is_minimd else row.engine

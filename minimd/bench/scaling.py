@@ -106,4 +106,4 @@ def run_scaling(threads: Sequence[int], quick: bool, repeats: int) -> Scaling:
         speeds = take_turns(engines, warm_up(engines, n_atoms), repeats, n_atoms)
         sizes.append(Size(n_atoms, {t: 1.0 / speeds[k] for k, t in enumerate(kinds)}))
     n = MEMORY_OF_QUICK if quick else MEMORY_OF
-    return Scaling(sizes, bytes_per_atom(MELT, n, 1, "double"), 4 * n**3, repeats)
+    return Scaling(sizes, bytes_per_atom(MELT, n, 1), 4 * n**3, repeats)

@@ -202,16 +202,14 @@ def _dynamics(name: str, scene: BenchScene, words: str, quick: bool, repeats: in
     start, reference = scene.system.positions, _path(scene, SPLITTINGS[REFERENCE], REFERENCE_COST)
     points = []
     for method in (SPLITTINGS[name] for name in methods):
-        for precision in ("double", "mixed") if method is md.VelocityVerlet else ("double",):
-            for cost in costs:
-                steps = _steps(method, cost)
-                tell(f"{name}: {method.name}, {precision}, Δt = {DURATION / steps:.3g}")
-                make: MakeEngine = lambda: engines.Minimd(scene, 1, precision, method(DURATION / steps))  # noqa: E731
-                path = _path(scene, method, cost, precision)
-                distance = (
-                    np.nan if path is None or reference is None else float(np.sqrt(np.mean((path - reference) ** 2)))
-                )
-                points.append(_point(f"minimd, {precision}", scene, method, steps, make, repeats, distance))
+        for cost in costs:
+            steps = _steps(method, cost)
+            tell(f"{name}: {method.name}, Δt = {DURATION / steps:.3g}")
+            make: MakeEngine = lambda: engines.Minimd(scene, 1, method(DURATION / steps))  # noqa: E731
+            path = _path(scene, method, cost)
+            is_lost = path is None or reference is None
+            distance = np.nan if is_lost else float(np.sqrt(np.mean((path - reference) ** 2)))  # type: ignore[operator]
+            points.append(_point("minimd", scene, method, steps, make, repeats, distance))
     peers = () if name == "argon-smooth" else PEER_NAMES  # no peer has this potential
     for peer in (engines.PEERS[name] for name in peers if engines.PEERS[name].is_installed):
         for cost in costs:
@@ -228,12 +226,10 @@ def _steps(method: type[Splitting], cost: float) -> int:
     return OBSERVATIONS * max(1, round(cost * DURATION / method.stages / OBSERVATIONS))
 
 
-def _path(
-    scene: BenchScene, method: type[Splitting], cost: float, precision: engines.Precision = "double"
-) -> NDArray[np.float64] | None:
+def _path(scene: BenchScene, method: type[Splitting], cost: float) -> NDArray[np.float64] | None:
     """Positions after a short time; None if the run fails."""
     steps = max(1, round(cost * SHORT / method.stages))
-    engine = engines.Minimd(scene, 1, precision, method(SHORT / steps))
+    engine = engines.Minimd(scene, 1, method(SHORT / steps))
     try:
         engine.run(steps)
     except ArithmeticError:
@@ -298,7 +294,7 @@ def _draw(panel: Any, case: Case, error: str = "oscillation") -> None:
         panel.loglog(
             seconds, errors, marker="os^vD<"[k], ms=4, lw=2.5 if ours else 1.5, ls="-" if ours else "--", color=f"C{k}"
         )
-        ends[f"{method}{', mixed' if 'mixed' in who else ''}" if ours else who] = End(seconds[-1], errors[-1], f"C{k}")
+        ends[method if ours else who] = End(seconds[-1], errors[-1], f"C{k}")
     panel.set(xlabel="seconds", ylabel=f"{error} of the energy", title=f"{case.name}: time of a run of {case.duration}")
     panel.xaxis.set_minor_formatter("")  # minor labels would overlap
     panel.grid(alpha=0.3)
@@ -307,8 +303,8 @@ def _draw(panel: Any, case: Case, error: str = "oscillation") -> None:
 
 def _shown(curves: dict[tuple[str, str], list[Point]], front: Sequence[Point]) -> list[tuple[str, str]]:
     """The curves to draw, six at most: velocity Verlet, peers, and the other methods with most points on the front."""
-    first = [one for one in curves if one[1] == md.VelocityVerlet.name and "mixed" not in one[0]]
-    others = [one for one in curves if one not in first and "mixed" not in one[0]]
+    first = [one for one in curves if one[1] == md.VelocityVerlet.name]
+    others = [one for one in curves if one not in first]
     on_front = {one: sum((p.who, p.method) == one for p in front) for one in others}
     best = sorted(others, key=lambda one: (-on_front[one], min(p.oscillation for p in curves[one])))
     return first[:MOST_CURVES] + best[: max(0, MOST_CURVES - len(first))]

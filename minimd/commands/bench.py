@@ -47,16 +47,13 @@ def add(commands: Any) -> None:
         help="numbers of threads, for engines that can use several (default: 1 and all cores)",
     )
     peers.add_argument(
-        "--precision", type=words, default=("double",), metavar="P,...", help="of minimd: double (default), mixed"
-    )
-    peers.add_argument(
         "--peers",
         type=words,
         default=(),
         metavar="NAME,...",
         help=f"{PEER_NAMES}, or none (default: all that are installed)",
     )
-    errors = _add(benchmarks, "work-precision", "run time against error: every method, time step and precision")
+    errors = _add(benchmarks, "work-precision", "run time against error: every method and time step")
     errors.add_argument(
         "scenes", nargs="*", metavar="SCENE", help="argon, argon-smooth, chains, dumbbells, kepler (default: all)"
     )
@@ -109,7 +106,7 @@ def _outcome(name: str, given: argparse.Namespace, repeats: int) -> "Outcome":
         from minimd.bench.scenes import SCENES
 
         cells = given.cells or ((5, 10) if given.quick else (5, 10, 20, 40))
-        options = PeersOptions((given.scene,), cells, given.threads, given.precision, given.peers, repeats)
+        options = PeersOptions((given.scene,), cells, given.threads, given.peers, repeats)
         if given.scenes is not None:
             scenes, cells = tuple(dict.fromkeys(given.scenes or SCENES)), given.cells or (10,)
             peers = given.peers or tuple(name for name in BESIDE_SCENES if {*scenes} & {*PEERS[name].scenes})

@@ -16,7 +16,7 @@ from numba.extending import overload
 
 from minimd.compiled.kernels import by_type
 from minimd.compiled.simd import fma
-from minimd.compiled.simd.vector import Vector, bits_of, convert
+from minimd.compiled.simd.vector import Vector, as_floats, bits_of
 
 MAGIC = 1.5 * 2.0**52
 BIAS = int(np.float64(MAGIC).view(np.int64))
@@ -54,7 +54,7 @@ def _on_grid(x, step):
 @by_type
 def as_float(whole):
     """An int64, or a vector of them, as float64."""
-    return (lambda whole: convert(whole, 0.0)) if isinstance(whole, Vector) else lambda whole: np.float64(whole)
+    return (lambda whole: as_floats(whole)) if isinstance(whole, Vector) else lambda whole: np.float64(whole)
 
 
 class Steps(namedtuple("Steps", "per_force length momentum energy limit2")):

@@ -15,7 +15,7 @@ from numba.extending import overload
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import DirectCalls, filling_kernel
 from minimd.compiled.program import CANNOT_KEEP, GO_ON, Operation, operation
-from minimd.compiled.simd.lanes import DOUBLE, lanes_for
+from minimd.compiled.simd.lanes import lanes_for
 from minimd.compiled.threads import MOST_CHUNKS
 from minimd.constraints.closed_forms import (
     DriftLinear,
@@ -126,7 +126,7 @@ class Networks:
         return self._solve(ProjectComponents(), positions, vectors, (*self.known, targets))
 
     def _solve(self, solver: tuple, positions: Floats, vectors: Floats, arguments: tuple[Any, ...]) -> Operation:
-        atoms, room = (positions, vectors, self.masses, lanes_for(DOUBLE)), (self.n_components, self.answers, self.most)
+        atoms, room = (positions, vectors, self.masses, lanes_for()), (self.n_components, self.answers, self.most)
         solving = Solving(solver, *atoms, *room, arguments)
         calls = self._calls[type(solver), positions.flags.carray, vectors.flags.carray]
         return operation(calls, solve_chunk, solving, len(self.answers))

@@ -16,7 +16,7 @@ from minimd.structure.console import stop_on_signals
 from minimd.structure.display import Displayed, Rows
 from minimd.structure.observables import longest
 
-ROUNDING = {"double": 2.0**-52, "mixed": 2.0**-23, "fixed-point": 2.0**-52}  # of the forces
+ROUNDING = 2.0**-52  # of the forces
 AMPLIFIED = 1e3  # rounding errors by which the turning point is displaced, so that their growth stands out
 # times what one rounding grows to, times the square root of the steps: up to this, a distance is due to rounding
 ENOUGH = 3.0
@@ -144,20 +144,16 @@ def _probed(guard: RunGuard, n_steps: int) -> Reversibility:
     engine.restore(turning)
     # the turning point is displaced by some roundings of random sign: of coordinates (or the tolerance of a solver),
     # forces and velocities
-    random, shape, moving = (
-        np.random.default_rng(1),
-        engine.positions.shape,
-        engine.constraint_set.inverse_masses[:, None],
-    )
-    precision, exact = AMPLIFIED * ROUNDING[engine.interactions.options.precision], AMPLIFIED * ROUNDING["double"]
+    random, shape = np.random.default_rng(1), engine.positions.shape
+    moving, amplified = engine.constraint_set.inverse_masses[:, None], AMPLIFIED * ROUNDING
     kicks = np.abs(forces) * moving * abs(engine.method.timestep)
     swept = 0.0 if engine.constraint_set.bonds is None else engine.constraint_set.bonds.accuracy
     engine.positions[:] += (
-        random.choice([-1.0, 1.0], shape) * (AMPLIFIED * swept + exact * np.abs(engine.positions)) * (moving > 0.0)
+        random.choice([-1.0, 1.0], shape) * (AMPLIFIED * swept + amplified * np.abs(engine.positions)) * (moving > 0.0)
     )
-    engine.velocities[:] += random.choice([-1.0, 1.0], shape) * (precision * kicks + exact * np.abs(engine.velocities))
+    engine.velocities[:] += random.choice([-1.0, 1.0], shape) * amplified * (kicks + np.abs(engine.velocities))
     guard.make_steps(n_steps)
     growth = longest(engine.positions - returned)[1]
-    one = max(growth / AMPLIFIED, ROUNDING["double"] * way)  # two roundings may undo each other, as where nothing acts
+    one = max(growth / AMPLIFIED, ROUNDING * way)  # two roundings may undo each other, as where nothing acts
     rounding = one * (2.0 * n_steps) ** 0.5 if growth <= CHAOS * way else np.inf
     return Reversibility(n_steps, longest(returned - start.positions)[1], way, rounding, engine.system.units.length)

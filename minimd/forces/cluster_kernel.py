@@ -6,12 +6,11 @@ import numpy as np
 
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.call_by_address import run_at
-from minimd.compiled.fixed_point import is_fixed
-from minimd.compiled.kernels import by_type, called_kernel, scalar
+from minimd.compiled.kernels import called_kernel, scalar
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE
-from minimd.compiled.simd import lane, total
+from minimd.compiled.simd import lane
 from minimd.compiled.simd.lanes import count
-from minimd.neighbors.cluster_memory import clear, collected, is_mixed
+from minimd.neighbors.cluster_memory import clear, collected
 from minimd.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, PREPARED_FOR
 from minimd.neighbors.domains import LATE
 
@@ -45,23 +44,11 @@ def add_domain(evaluation, domain):
     once: while they are in the cache."""
     arrays = evaluation.arrays
     clear(domain, arrays)
-    if domain < arrays.memory.net.shape[0]:
-        arrays.memory.net[domain, 0] = 0.0
+    if domain < arrays.memory.is_out.size:
+        arrays.memory.is_out[domain] = 0
     run_at(evaluation.add, (domain, arrays, evaluation.work, evaluation.steps))
     if domain >= arrays.domains.numbers[LATE]:
-        _collect(domain, evaluation, (0.0, 0.0, 0.0))
-    return GO_ON
-
-
-@called_kernel
-def sum_domain(evaluation, domain):
-    """In mixed precision: the net force on the atoms of a domain: without padding, on which no forces act."""
-    arrays = evaluation.arrays
-    net, x, y, z = arrays.memory.net, 0.0, 0.0, 0.0
-    for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
-        fx, fy, fz = collected(k, arrays)
-        x, y, z = x + total(fx), y + total(fy), z + total(fz)
-    net[domain, 0], net[domain, 1], net[domain, 2] = x, y, z
+        _collect(domain, evaluation)
     return GO_ON
 
 
@@ -70,39 +57,20 @@ def collect_domain(evaluation, domain):
     """The forces on the atoms of a domain that were not taken before.  OUT_OF_RANGE if one of a pair was, in
     fixed-point arithmetic."""
     if domain < evaluation.arrays.domains.numbers[LATE]:
-        _collect(domain, evaluation, _excess(evaluation.arrays, evaluation.forces))
-    return GO_ON if _is_in_range(evaluation.arrays.memory.net, domain, evaluation.steps) else OUT_OF_RANGE
-
-
-@by_type
-def _is_in_range(net, domain, steps):
-    return (lambda net, domain, steps: net[domain, 0] == 0.0) if is_fixed(steps) else lambda net, domain, steps: True
+        _collect(domain, evaluation)
+    is_out = evaluation.arrays.memory.is_out
+    return OUT_OF_RANGE if is_out.size > 0 and is_out[domain] else GO_ON
 
 
 @scalar
-def _excess(arrays, forces):
-    """Σ F / N (x, y, z) in mixed precision, if finite; else 0.
-
-    The net force of pairs is only rounding; without it momentum is conserved.
-    """
-    net, x, y, z = arrays.memory.net, 0.0, 0.0, 0.0
-    for d in range(net.shape[0] if is_mixed(arrays) else 0):
-        x, y, z = x + net[d, 0], y + net[d, 1], z + net[d, 2]
-    if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
-        return 0.0, 0.0, 0.0
-    return x / forces.shape[0], y / forces.shape[0], z / forces.shape[0]
-
-
-@scalar
-def _collect(domain, evaluation, excess):
-    """forces (N, 3) = or += those on the atoms of a domain, less the excess."""
+def _collect(domain, evaluation):
+    """forces (N, 3) = or += those on the atoms of a domain."""
     arrays, forces, clusters = evaluation.arrays, evaluation.forces, evaluation.arrays.clusters
     n_lanes = count(clusters.lanes)
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
         x, y, z = collected(k, arrays)
-        x, y, z, filled = less(x, excess[0]), less(y, excess[1]), less(z, excess[2]), clusters.filled[k]
         for k_lane in range(n_lanes):
-            if k_lane < filled:
+            if k_lane < clusters.filled[k]:
                 i = np.uintp(clusters.atom[k * n_lanes + k_lane])
                 if evaluation.is_first:
                     forces[i, 0], forces[i, 1], forces[i, 2] = lane(x, k_lane), lane(y, k_lane), lane(z, k_lane)
@@ -110,9 +78,3 @@ def _collect(domain, evaluation, excess):
                     forces[i, 0] += lane(x, k_lane)
                     forces[i, 1] += lane(y, k_lane)
                     forces[i, 2] += lane(z, k_lane)
-
-
-@by_type
-def less(force, excess):
-    """A vector of forces, less the excess; whole numbers as they are."""
-    return (lambda force, excess: force - excess) if force.is_float else lambda force, excess: force

@@ -13,7 +13,7 @@ from numba import types
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import BIAS, biased_product, in_steps, is_fixed, on_grid
 from minimd.compiled.kernels import by_type, called_kernel, scalar
-from minimd.compiled.simd import bits_from_mask, broadcast, convert, fma, load, select, store, total
+from minimd.compiled.simd import bits_from_mask, broadcast, fma, load, select, store, total, zeros
 from minimd.compiled.simd.lanes import count
 from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.neighbors.clusters import DIMENSIONS
@@ -148,9 +148,8 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
     first, window, block = arrays.domains.first[domain], arrays.domains.window[domain], DIMENSIONS * n_lanes
     coordinates = memory.coordinates[first * block :]  # of this window, as the forces
     forces = sums.forces[arrays.domains.place[domain] * block :]
-    nothing, like = broadcast(0.0, load(forces, 0, lanes)), load(coordinates, 0, lanes)
-    reader, zero = (memory.far, memory.unit[0]), convert(nothing, 0.0)
-    own_share, scale = 0.5 if sums.detail == PER_ATOM else 1.0, scale_of(steps, like)
+    nothing, zero = broadcast(0, load(forces, 0, lanes)), zeros(lanes)
+    own_share, scale = 0.5 if sums.detail == PER_ATOM else 1.0, scale_of(steps, zero)
     limit2, stops = limit_of(steps), rows.stops[rows.layers[0] - 1]
     energy = xx = yy = zz = yz = xz = xy = zero
     for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
@@ -159,17 +158,17 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
         home, lane = homes[slot // n_lanes] - first, slot % n_lanes
         place = home * DIMENSIONS * n_lanes + lane
         x, y, z = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
-        at = broadcast(x, like), broadcast(y, like), broadcast(z, like)
+        at = broadcast(x, zero), broadcast(y, zero), broadcast(z, zero)
         after = rows.entries[np.uintp(rows.start[slot])]
-        ahead = separations(coordinates, reader, after, at, lanes)
+        ahead = separations(coordinates, memory.far, after, at, lanes)
         fx, fy, fz, size2 = nothing, nothing, nothing, zero
         for entry in range(np.uintp(rows.start[slot]), np.uintp(stops[slot])):
             if looks_ahead(nothing):
                 now, (dx, dy, dz, r2), after = after, ahead, rows.entries[entry + np.uintp(1)]
-                ahead = separations(coordinates, reader, after, at, lanes)
+                ahead = separations(coordinates, memory.far, after, at, lanes)
             else:
                 now = rows.entries[entry]
-                dx, dy, dz, r2 = separations(coordinates, reader, now, at, lanes)
+                dx, dy, dz, r2 = separations(coordinates, memory.far, now, at, lanes)
             ghost = np.uintp(now & GHOST_BITS)
             numbers = parameters_of_lanes(parameters, (first + home) * n_lanes + lane, first + np.intp(ghost), lanes)
             near = r2 < numbers[0]
@@ -180,9 +179,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
             fx, fy, fz = plus_product(g, dx, fx), plus_product(g, dy, fy), plus_product(g, dz, fz)
             push(forces, ghost, g, (dx, dy, dz))
             if with_energy(sums):
-                u, f = convert(select(near, u, 0.0), 0.0), convert(f, 0.0)
-                dx, dy, dz = convert(dx, 0.0), convert(dy, 0.0), convert(dz, 0.0)
-                gx, gy, gz, u = f * dx, f * dy, f * dz, in_steps(u, steps)
+                gx, gy, gz, u = f * dx, f * dy, f * dz, in_steps(select(near, u, 0.0), steps)
                 energy = energy + u
                 xx, xy = plus_virial(gx, dx, xx, steps), plus_virial(gx, dy, xy, steps)
                 yy, yz = plus_virial(gy, dy, yy, steps), plus_virial(gy, dz, yz, steps)
@@ -196,7 +193,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
         forces[place + n_lanes] -= without_bias(total(fy), n_entries, lanes)
         forces[place + 2 * n_lanes] -= without_bias(total(fz), n_entries, lanes)
         if lanes_beyond(size2, limit2):
-            memory.net[domain, 0] = 1.0
+            memory.is_out[domain] = 1
         if with_energy(sums) and (sums.detail == PER_ATOM or lane == n_lanes - 1):
             k = slot if sums.detail == PER_ATOM else slot // n_lanes
             sums.energies[k] += own_share * total(energy)
@@ -206,32 +203,18 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
 
 
 @scalar
-def separations(coordinates, reader, entry, at, lanes):
+def separations(coordinates, far, entry, at, lanes):
     """r_j − r_i = (dx, dy, dz) and r² from a position to the lanes of an entry, ∞ for those that do not count [length].
 
-    coordinates : of the ghosts in the window.  reader : Memory.far, and the unit of the coordinates.
+    coordinates : of the ghosts in the window.  far : of Memory.
     """
-    n_lanes, (far, unit) = np.uintp(count(lanes)), reader
+    n_lanes = np.uintp(count(lanes))
     x = np.uintp(entry & GHOST_BITS) * np.uintp(DIMENSIONS) * n_lanes
     y, z = x + n_lanes, x + n_lanes + n_lanes
-    dx, dy = separation(coordinates, x, at[0], unit, lanes), separation(coordinates, y, at[1], unit, lanes)
-    dz = separation(coordinates, z, at[2], unit, lanes)
+    dx, dy = load(coordinates, x, lanes) - at[0], load(coordinates, y, lanes) - at[1]
+    dz = load(coordinates, z, lanes) - at[2]
     apart = load(far, np.uintp(entry >> LANES_FROM) * n_lanes, lanes)
     return dx, dy, dz, fma(dx, dx, fma(dy, dy, fma(dz, dz, apart)))
-
-
-@by_type
-def separation(coordinates, place, x, unit, lanes):
-    """A vector of coordinates from a place on, minus x [length].
-
-    In double precision coordinates are float64 [length]. In mixed precision they are int32 in units of a length; their
-    difference has no rounding error, however far the atoms are from the origin, and becomes float32.
-    """
-    if isinstance(coordinates.dtype, types.Float):
-        return lambda coordinates, place, x, unit, lanes: load(coordinates, place, lanes) - x
-    return lambda coordinates, place, x, unit, lanes: (
-        convert(load(coordinates, place, lanes) - x, np.float32(0.0)) * np.float32(unit)
-    )
 
 
 @by_type

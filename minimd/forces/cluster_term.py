@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from minimd.compiled.fixed_point import MOST
 from minimd.compiled.kernels import DirectCalls, without_cache
 from minimd.compiled.program import Operation, operation
-from minimd.compiled.simd.lanes import DOUBLE, MIXED
-from minimd.forces.cluster_kernel import Evaluation, add_domain, collect_domain, prepare_laws, sum_domain
+from minimd.compiled.simd.lanes import BITS
+from minimd.forces.cluster_kernel import Evaluation, add_domain, collect_domain, prepare_laws
 from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, Work, add_forces_of_laws, prepare_loop
 from minimd.forces.options import FIXED_POINT, Options, described, pool_for
 from minimd.forces.pair_laws import ListTerm, PairLaws, skin_for
@@ -34,11 +34,11 @@ class ClusterTerm(ListTerm):
     def __init__(self, system: System, laws: PairLaws, options: Options, displacement: float = 0.0) -> None:
         super().__init__(system, laws)
         self.pool = pool_for(options, len(system))
-        self._is_mixed, self._precision = options.precision == "mixed", options.precision
-        if self._is_mixed:
-            laws.check_single_precision()
+        self._precision = options.precision
         skin = skin_for(system, laws, options, displacement, LAYERS)
-        self.list = ClusterList(len(system), laws.cutoff, skin, laws.excluded, options.precision, self.pool)
+        self.list = ClusterList(
+            len(system), laws.cutoff, skin, laws.excluded, options.precision == FIXED_POINT, self.pool
+        )
         are_recognized = all(is_recognized(one.law) for one in laws.members)
         kernels = (add_forces_of_laws, prepare_loop)
         self._add_forces, self._prepare_loop = kernels if are_recognized else map(without_cache, kernels)
@@ -60,8 +60,6 @@ class ClusterTerm(ListTerm):
         if self._needs_preparation:
             yield operation(calls, prepare_laws, evaluation, is_kept=True)
         yield operation(calls, add_domain, evaluation, n, is_kept=True)
-        if self._is_mixed:
-            yield operation(calls, sum_domain, evaluation, n, is_kept=True)
         yield operation(calls, collect_domain, evaluation, n, is_kept=True)
 
     def _evaluation(self, target: Target) -> Evaluation:
@@ -129,15 +127,15 @@ class ClusterTerm(ListTerm):
         """The list, for the report."""
         n = min(self.pool.n_threads, self.list.n_domains) if self.list.n_builds else self.pool.n_threads
         threads = f"{n} thread{'s' if n > 1 else ''}"
-        vectors = f"vectors of {self.list.lanes.size} × {MIXED if self._is_mixed else DOUBLE} bits"
+        vectors = f"vectors of {self.list.lanes.size} × {BITS} bits"
         return f"cluster list (skin {self.list.skin:.3g}, {threads}, {described(self._precision)}) on {vectors}"
 
     def _by_lane(self, k: int, table: NDArray[np.float64], species_index: NDArray[np.int64]) -> SameForAll | ByLane:
         """Parameters of law k, from a table (S, S, 1 + P)."""
         if len(table) == 1:
             return SameForAll(tuple(table[0, 0].tolist()))
-        slots, number = len(self.list.ghosts.owner) * self.list.lanes.size, np.float32 if self._is_mixed else np.float64
-        values = self._memory.array(f"parameters of law {k}", number, table.shape[-1] * len(table) * slots)
+        slots = len(self.list.ghosts.owner) * self.list.lanes.size
+        values = self._memory.array(f"parameters of law {k}", np.float64, table.shape[-1] * len(table) * slots)
         species = self._memory.array(f"species of law {k}", np.int64, slots)
         return ByLane(tuple(values.reshape(table.shape[-1], -1)), species, slots, table, species_index)
 

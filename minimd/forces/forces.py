@@ -285,8 +285,8 @@ class Forces:
 
         Raises TypeError if a user's law does not compile.
         """
-        for term in self._in_order[0]:
-            term.ready(self.system)
+        for one in _lists(self.terms):
+            one.ready(self.system.positions, self.system.cell)
         try:
             if program.is_outdated:
                 with self._compiling():
@@ -307,7 +307,7 @@ class Forces:
     @property
     def version(self) -> tuple[int, ...]:
         """Of the memory that operations work on."""
-        return self._n_plans, *(term.version for term in self._in_order[0])
+        return self._n_plans, *(one.version for one in _lists(self.terms))
 
     @contextmanager
     def _compiling(self) -> Iterator[None]:

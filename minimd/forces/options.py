@@ -9,7 +9,7 @@ from minimd.neighbors import domains
 from minimd.structure.checks import checked_choice, checked_count, checked_number, shown
 from minimd.structure.grid import Grid
 
-Precision = Literal["double", "mixed", "fixed-point"]
+Precision = Literal["double", "fixed-point"]
 FIXED_POINT: Precision = "fixed-point"
 
 
@@ -18,10 +18,8 @@ class Options:
     """Options of the computation of forces.
 
     threads : maximum number; all cores of the process if not given. The result has the same bits for any number.
-    precision : "double": all arithmetic in float64. "mixed": pairs of cluster lists, and the sums of their forces
-        within a domain, in float32; positions, velocities, energies, virials and the sums over ghosts in float64.
-        "fixed-point": positions, momenta and the impulse of each pair are whole multiples of the steps of a grid,
-        so that all sums are exact.
+    precision : "double": all arithmetic in float64. "fixed-point": positions, momenta and the impulse of each pair are
+        whole multiples of the steps of a grid, so that all sums are exact.
     skin : of the lists of neighbors [length]; chosen by neighbors.verlet_list.best_skin if not given.
     grid : of fixed-point arithmetic; chosen by Grid.of_scene if not given.
 

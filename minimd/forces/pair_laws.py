@@ -16,8 +16,6 @@ from minimd.structure.system import System, local_density
 
 CLUSTERS_FROM = 32  # atoms: with fewer, the pair list is as fast
 ROUNDED_DOWN = 1.0 - 1e-9
-SINGLE = (1e-34, 1e30)  # float32 ends at 1e-38 and 3e38; intermediate products of a law need more room than its results
-TRIED_AT = (0.3, 0.5, 0.7, 0.9)  # of the cutoff
 SOUGHT_AT = np.geomspace(0.2, 1.0, 60).tolist()  # of the cutoff, for the deepest well
 
 
@@ -50,20 +48,6 @@ class PairLaws:
         high_enough = bool(np.all(system.cell.heights[system.cell.pbc] >= reach))
         return high_enough and all(runs_on_vectors(one.law, one.table.shape[-1] - 1) for one in self.members)
 
-    def check_single_precision(self) -> None:
-        """Raise ValueError if float32 has no room for squared distances, energies or forces of a law,
-        as in units far from those of atoms."""
-        for one in self.members:
-            for cutoff2, *numbers in one.table.reshape(-1, one.table.shape[-1]).tolist():
-                tried = np.abs([law_at(one.law, x * cutoff2**0.5, tuple(numbers)) for x in TRIED_AT])
-                largest = np.where(np.isfinite(tried), tried, 0.0).max(axis=0)  # a user's law may end before the cutoff
-                numbers_used = TRIED_AT[0] ** 2 * cutoff2, cutoff2, *largest.tolist()
-                sizes = [size for size in numbers_used if size > 0.0 and isfinite(size)]
-                if min(sizes) < SINGLE[0] or max(sizes) > SINGLE[1]:
-                    room = f"room for squared distances, energies and forces from {SINGLE[0]:g} to {SINGLE[1]:g}"
-                    found = f"those of {one.name} go from {min(sizes):.1e} to {max(sizes):.1e}"
-                    raise ValueError(f"precision='mixed' has {room}; {found}: take other units, or precision='double'")
-
 
 class ListTerm(OwnTerm):
     """Laws on all pairs within their cutoffs, found with one list."""
@@ -85,15 +69,6 @@ class ListTerm(OwnTerm):
             return False
         self.list.follow(system.cell)
         return True
-
-    def ready(self, system: System) -> None:
-        """See Term."""
-        self.list.ready(system.positions, system.cell)
-
-    @property
-    def version(self) -> int:  # type: ignore[override]
-        """See Term."""
-        return self.list.version
 
     def skipped(self) -> Iterable[str]:
         """See Term."""

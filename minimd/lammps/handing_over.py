@@ -33,10 +33,7 @@ from minimd.structure.errors import HandOverError, sentence
 
 TRAJECTORY = "run.h5md"
 BYTES_PER_ATOM, BYTES_PER_FRAME = 450, 130  # of the input and of step 0; of a frame in the files of LAMMPS and minimd
-DISAGREEMENT = {
-    "double": 1e-8,
-    "mixed": 1e-5,
-}  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
+DISAGREEMENT = 1e-8  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
 MOST_STEPS = 2**31  # one run of LAMMPS makes fewer
 
 Tell = Callable[[str], object]
@@ -99,7 +96,7 @@ def not_carried_over(simulation: Simulation) -> list[str]:
     if len(engine.extra_observables):
         told.append(f"{', '.join(engine.extra_observables)}: computed by minimd for each frame, not by LAMMPS")
     if engine.interactions.options.precision != "double":
-        told.append("mixed precision: LAMMPS computes in double precision")
+        told.append("fixed-point arithmetic: LAMMPS computes in double precision")
     if engine.constraint_set.bonds is not None:
         told.append(f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration")
     return [
@@ -351,11 +348,7 @@ class Job:
     def _judge(self, failure: HandOverError | None, brought: Brought, log: Log) -> None:
         """Raise HandOverError if LAMMPS has failed, or frames are missing or wrong;
         KeyboardInterrupt if the run was stopped."""
-        words, different, allowed = (
-            "",
-            brought.energy_difference,
-            DISAGREEMENT[self.engine.interactions.options.precision],
-        )
+        words, different, allowed = "", brought.energy_difference, DISAGREEMENT
         if failure is not None:
             words = str(failure)
         elif self.stop_requested:

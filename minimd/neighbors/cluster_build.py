@@ -7,10 +7,10 @@ import numpy as np
 
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import called_kernel, filling_kernel
-from minimd.compiled.program import GO_ON, JUMP, NEEDS_ROOM, NOT_FINITE, OUT_OF_RANGE
+from minimd.compiled.program import GO_ON, JUMP, NEEDS_ROOM, NOT_FINITE
 from minimd.compiled.simd import bits_from_mask
 from minimd.compiled.simd.lanes import count
-from minimd.neighbors.cluster_memory import lay_grid, place
+from minimd.neighbors.cluster_memory import place
 from minimd.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, exclude, find_rows, make_work
 from minimd.neighbors.clusters import DIMENSIONS, columns_fit, fill_column, gathered, loaded
 from minimd.neighbors.domains import BLOCKS, GHOSTS, cut_into_domains, fill_ghosts, fill_shifts, sort_ghosts
@@ -22,7 +22,7 @@ class Building(
     ByAddress,
     namedtuple(
         "Building",
-        "positions arrays binned layout n_blocks n_chunks goes_along entry_start needed excluded slot_of images widths",
+        "positions arrays binned layout n_blocks n_chunks goes_along entry_start needed excluded slot_of images",
     ),
 ):
     """What the operations work on.
@@ -32,7 +32,7 @@ class Building(
     entry_start : (K + 1,) int, first entry of each domain.
     needed : (K,) int, output, entries that each domain needs, which may be more than there is room for.
     excluded : partners of each atom, see find_pairs; if there are any, slot_of : (N,) int, output, slot of each atom.
-    images : Images.  widths : cutoff and skin [length], and the coarsest unit of mixed precision [length].
+    images : Images.
     """
 
 
@@ -170,12 +170,3 @@ def exclude_pairs(building, domain):
             for p in range(np.uintp(start[i]), np.uintp(start[i + 1])):  # unsigned: none counts from the end
                 exclude(domain, slot, slot_of[np.uintp(values[p])], layout, image, building.arrays.rows)
     return GO_ON
-
-
-@called_kernel
-def lay_mixed_grid(building, _chunk):
-    """The grid of mixed precision.  OUT_OF_RANGE if it would be too coarse."""
-    arrays, (cutoff, skin, coarsest) = building.arrays, building.widths
-    boxes, shifts = arrays.ghosts.boxes, building.layout.shifts
-    lay_grid(arrays.domains.numbers[GHOSTS], boxes, shifts, cutoff + skin, skin, arrays.memory)
-    return GO_ON if arrays.memory.unit[0] <= coarsest else OUT_OF_RANGE

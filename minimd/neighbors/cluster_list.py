@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from minimd.compiled.kernels import DirectCalls
 from minimd.compiled.program import Operation, Program, operation
-from minimd.compiled.simd.lanes import DOUBLE, MIXED, lanes_for
+from minimd.compiled.simd.lanes import lanes_for
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool
 from minimd.neighbors import cluster_build
 from minimd.neighbors.buffers import HALF_A_PAGE, SPARE, Buffers, with_room
 from minimd.neighbors.cluster_build import Building
-from minimd.neighbors.cluster_memory import GRID, ClusterArrays, Memory
+from minimd.neighbors.cluster_memory import ClusterArrays, Memory
 from minimd.neighbors.cluster_search import AHEAD, BUILDS, GHOST_BITS, IN_USE, LAYERS, Rows
 from minimd.neighbors.clusters import DIMENSIONS, Clusters, Columns, make_clusters, make_columns, region_of
 from minimd.neighbors.domains import BLOCKS, IMAGES, GhostClusters, Layout, ghosts_for_search, make_domains, make_ghosts
@@ -23,7 +23,6 @@ from minimd.structure.strain import strained
 
 NO_PARTNERS = np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64)
 ENTRIES_GUESSED = 12  # for each atom, at first
-COARSEST = 1e-6  # of the cutoff: on a coarser grid, coordinates are rounded more than float32 rounds their differences
 
 
 class ClusterList(VerletList):
@@ -35,8 +34,9 @@ class ClusterList(VerletList):
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
 
     cutoff, skin : see VerletList.  excluded : (P, 2) int, pairs whose nearest image is left out.
-    precision : see Options.  pool : the threads that build it.  n_domains : number of chunks of an operation.
-    lanes : of its vectors.  clusters, domains, ghosts, rows, memory : see there.
+    is_fixed : whether forces are summed as whole numbers.  pool : the threads that build it.
+    n_domains : number of chunks of an operation.  lanes : of its vectors.
+    clusters, domains, ghosts, rows, memory : see there.
     arrays : what the loop needs of them. They have room for more, and are the same arrays until it is used up.
     version : how often they were replaced.  building : what operations need.
     idle : flat, a block for each cluster, memory that is free between two builds.
@@ -49,28 +49,25 @@ class ClusterList(VerletList):
     _columns: Columns
     _bins: Binned
     _entries: NDArray[np.uint32]
-    _exact: NDArray[np.float64]
 
     def __init__(
-        self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], precision: str, pool: ThreadPool
+        self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_fixed: bool, pool: ThreadPool
     ) -> None:
         super().__init__(cutoff, skin)
         self._excluded = partners(excluded, n_atoms) if len(excluded) else None
         self._slot_of = np.zeros(n_atoms if len(excluded) else 0, dtype=np.int64)
         self._widths = self.skin * np.arange(1, LAYERS + 1) / LAYERS  # by which the layers reach beyond the cutoff
-        self._n_atoms, self._pool = n_atoms, pool
-        self._is_mixed, self._is_fixed = precision == "mixed", precision == "fixed-point"
+        self._n_atoms, self._is_fixed, self._pool = n_atoms, is_fixed, pool
         self._columns_of: tuple[Cell, NDArray[np.float64]] | None = None
         self._images: Images | None = None
         self._positions = np.zeros((n_atoms, DIMENSIONS))  # where the operations find them
         self._calls, self._program = DirectCalls(), Program(self.operations, lambda: self.version, pool)
         self._n_counted = 0  # builds
-        self._layers, self._unit, self._origin = np.zeros(3, dtype=np.int64), np.ones(1), np.zeros(DIMENSIONS)
-        self.lanes = lanes_for(MIXED if self._is_mixed else DOUBLE)
+        self._layers, self.lanes = np.zeros(3, dtype=np.int64), lanes_for()
         self._room: tuple[int, ...] = (0, 0, 0)
         self._entry_start, self._shifts = np.zeros(1, dtype=np.int64), np.zeros((IMAGES, DIMENSIONS))
         self._memory, sets = Buffers(), np.arange(1 << self.lanes.size)[:, None] >> np.arange(self.lanes.size) & 1
-        self._far = self._memory.array("far", np.float32 if self._is_mixed else np.float64, sets.size)
+        self._far = self._memory.array("far", np.float64, sets.size)
         self._far[:] = np.where(sets, 0.0, np.inf).ravel()
 
     def operations(self) -> Iterator[Operation]:
@@ -82,8 +79,6 @@ class ClusterList(VerletList):
         build += [(cluster_build.list_rows, n, make_room), (cluster_build.finish_list, 1, None)]
         if self._excluded is not None:
             build += [(cluster_build.number_slots, n, None), (cluster_build.exclude_pairs, n, None)]
-        if self._is_mixed:
-            build += [(cluster_build.lay_mixed_grid, 1, self._refuse_grid)]
         own, after = {"is_kept": True}, 1 + len(build)
         yield operation(self._calls, cluster_build.place_atoms, self.building, n, **own)
         yield operation(self._calls, cluster_build.is_valid, self.building, otherwise=after, python=self._refuse, **own)
@@ -165,11 +160,6 @@ class ClusterList(VerletList):
     def _refuse(self, _answer: int) -> None:
         raise_not_finite(self._positions)
 
-    def _refuse_grid(self, _answer: int) -> None:
-        unit, self._layers[IN_USE] = self._unit[0], 0
-        why = f"{unit:.1e} in a scene {unit * GRID:.3g} wide, coarser than {COARSEST * self.cutoff:.1e}"
-        raise ValueError(f"precision='mixed' resolves {why}; take precision='double'")
-
     def _built_at(self) -> NDArray[np.float64]:
         clusters, n_lanes, n = self.clusters, self.lanes.size, self.n_clusters
         positions, real = np.empty((self._n_atoms, DIMENSIONS)), np.arange(n_lanes) < clusters.filled[:n, None]
@@ -201,8 +191,6 @@ class ClusterList(VerletList):
             self._images.take(cell)
         self.clusters.wrapping.lattice[:] = cell.lattice
         before.follow(cell, self._shifts)
-        if self._is_mixed:
-            self.memory.shift[:] = np.rint(self._shifts / self._unit)
         self.rows.limits2[:] = [self._limit2(width) for width in self._widths]
         if self._region is not None and self._columns.move_to(self._columns_in(cell, self._region)):
             self._columns_of = cell, self._region
@@ -240,30 +228,24 @@ class ClusterList(VerletList):
         stops = self._memory.array("row stops", np.int32, LAYERS * len(start), spare=self._spare).reshape(LAYERS, -1)
         reaches2, limits2 = (self.cutoff + self._widths) ** 2, (0.5 * self._widths) ** 2
         self.rows = Rows(start, stops, self._entries, reaches2, np.zeros(LAYERS), limits2, self._layers)
-        number = np.float32 if self._is_mixed else np.int64 if self._is_fixed else np.float64
+        number = np.int64 if self._is_fixed else np.float64
         n_forces = self._room[2] * self.lanes.size * DIMENSIONS
         forces = self._memory.array("forces", number, n_forces, in_page=HALF_A_PAGE, spare=1.0)
         first_sum = self._memory.array("first sum", np.int64, self._room[1] if self._is_fixed else 0)
-        net = np.zeros((self.n_domains if self._is_mixed or self._is_fixed else 0, 3))
-        coordinates, shift = self._exact, self._shifts
-        if self._is_mixed:
-            coordinates = self._memory.array("grid", np.int32, len(self._exact), spare=1.0)
-            shift = np.zeros((IMAGES, 3), dtype=np.int32)
-        needed = np.zeros(self.n_domains, dtype=np.int64)
-        self.memory = Memory(coordinates, shift, self._origin, self._unit, forces, first_sum, self._far, net, needed)
+        is_out, needed = (np.zeros(n, dtype=np.int64) for n in (self.n_domains * self._is_fixed, self.n_domains))
+        self.memory = Memory(self._coordinates, self._shifts, forces, first_sum, self._far, is_out, needed)
         self._arrange_building()
 
     def _arrange_building(self) -> None:
         """What operations and the loop get."""
         parts = self.clusters, self.domains.cluster, self.domains, self.ghosts, self.rows, self.memory
         self.arrays = ClusterArrays(*parts)
-        layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, self._exact, self._shifts)
-        goes_along = self._pool.n_threads == 1 and not (self._is_mixed or self._is_fixed)
+        layout = Layout(self._columns, self.clusters, self.domains, self.ghosts, self._coordinates, self._shifts)
+        goes_along = self._pool.n_threads == 1 and not self._is_fixed
         n_columns = min(int(self._columns.counts[0]), MOST_CHUNKS)
         work = self._positions, self.arrays, self._bins, layout, self._room[2], n_columns, int(goes_along)
         excluded = NO_PARTNERS if self._excluded is None else self._excluded
-        widths = self.cutoff, self.skin, COARSEST * self.cutoff
-        self.building = Building(*work, self._entry_start, self._needed, excluded, self._slot_of, self._images, widths)
+        self.building = Building(*work, self._entry_start, self._needed, excluded, self._slot_of, self._images)
         self.version += 1
 
     @property
@@ -283,12 +265,10 @@ class ClusterList(VerletList):
         own, heights, boxes = (
             (np.float64, shape) for shape in ((n_clusters * n_block,), (n_clusters,), (n_clusters, 6))
         )
-        exact = (np.float64, (n_ghosts * n_block if self._is_mixed else 0,))
-        search = heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows), exact
+        search = heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows)
         found, (self.idle,) = memory.overlaid("scratch", search, (own,), spare=spare)
-        bottom, top, boxes_now, *for_search, self._exact = found
-        if not self._is_mixed:
-            self._exact = memory.array("coordinates", np.float64, n_ghosts * n_block, spare=1.0)
+        bottom, top, boxes_now, *for_search = found
+        self._coordinates = memory.array("coordinates", np.float64, n_ghosts * n_block, spare=1.0)
         n_entries = max(int(self._entry_start[-1]), n_clusters * n_lanes * ENTRIES_GUESSED) + AHEAD
         sort, entries = bins_for_sort(self._n_atoms, self._columns.counts), ((np.uint32, (n_entries,)),)
         bins, (self._entries,) = memory.overlaid("entries", sort, entries, spare=1.0)

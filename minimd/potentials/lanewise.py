@@ -7,7 +7,7 @@ from numba.core.errors import NumbaError
 
 from minimd.compiled.kernels import by_type, kernel, scalar, without_cache
 from minimd.compiled.simd import lane, load, total, with_lane
-from minimd.compiled.simd.lanes import DOUBLE, count, lanes_for
+from minimd.compiled.simd.lanes import count, lanes_for
 from minimd.potentials.law import evaluate_law, law_type
 from minimd.potentials.tabulated import reads_table
 from minimd.potentials.user_laws import is_recognized, is_user_law
@@ -53,7 +53,7 @@ def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
         return False
     if not is_user_law(law):
         return True
-    lanes = lanes_for(DOUBLE)
+    lanes = lanes_for()
     attempt = sum_over_lanes if is_recognized(law) else without_cache(sum_over_lanes)
     try:
         attempt(law, np.ones(lanes.size), (1.0,) * n_parameters, lanes)

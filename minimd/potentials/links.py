@@ -24,7 +24,7 @@ from minimd.compiled.fixed_point import in_steps
 from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, scalar, type_of, without_cache
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, n_chunks_of, operation
 from minimd.compiled.simd import bits_from_mask, fma, lane, load, select, store, with_lane
-from minimd.compiled.simd.lanes import DOUBLE, count, lanes_for
+from minimd.compiled.simd.lanes import count, lanes_for
 from minimd.potentials.accumulators import as_force, force_along, is_too_large
 from minimd.potentials.lanewise import on_vectors
 from minimd.potentials.law import evaluate_law
@@ -217,7 +217,7 @@ class LinkedTerm(OwnTerm):
     fits_grid = True
 
     def __init__(self, links: tuple[Any, Any], sites: Any, shape: tuple, law: tuple, columns: tuple[Any, ...]) -> None:
-        self.lanes, self._sites, self.n_terms = lanes_for(DOUBLE), np.array(sites), len(sites)
+        self.lanes, self._sites, self.n_terms = lanes_for(), np.array(sites), len(sites)
         n_terms = self.n_terms
         full = np.minimum(np.arange(-(-n_terms // self.lanes.size) * self.lanes.size), n_terms - 1)
         self.first, self.second = (np.array(ends, dtype=np.int32)[:, full] for ends in links)
@@ -292,7 +292,7 @@ class Slots:
     """The slots of the terms of a scene.  size : their number."""
 
     def __init__(self, terms: list[LinkedTerm]) -> None:
-        self._lanes = lanes_for(DOUBLE)
+        self._lanes = lanes_for()
         ends, self.size, n_lanes = [np.zeros((0, 2), dtype=np.int64)], 0, self._lanes.size
         for term in terms:
             term.first_slot = self.size

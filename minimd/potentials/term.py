@@ -101,8 +101,7 @@ class Term:
     is_checked : whether the first run compares its force with its energy, see check_force. False for a force that is no
         gradient, such as friction beside an energy. A term without any energy is not checked.
     fits_grid : whether it can add impulses, for precision="fixed-point".
-    version : of the memory that its operations work on.  assigns : whether they set all forces and do not add to them,
-        if it is_first, as Forces tells it.
+    assigns : whether its operations set all forces and do not add to them, if it is_first, as Forces tells it.
     """
 
     pair_law: PairLaw | None = None
@@ -120,7 +119,6 @@ class Term:
     power: float = 0.0
     is_checked: bool = True
     fits_grid: bool = False
-    version: int = 0
     assigns: bool = False
     is_first: bool = False
 
@@ -135,9 +133,6 @@ class Term:
         """The operations that add the forces of this term to a target."""
         parts = target.detail, target.forces, target.energies, target.virials
         yield in_python(lambda: self.add(system, *parts))
-
-    def ready(self, system: System) -> None:
-        """Before operations: take memory that they need, for this cell."""
 
     def collect(self, target: Target) -> None:
         """After operations: add energies and virials that they have left elsewhere to those of the target."""

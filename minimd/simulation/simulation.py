@@ -53,8 +53,7 @@ class Simulation(Closed, Displayed):
     constraints : DistanceConstraints, FixedAtoms, or both, in place of those of the system; () for none.
     threads : their largest number; all cores of the process if not given. Results are the same, to the last bit,
         for any number.
-    precision : "double"; "mixed": pairs in float32, their sums in float64; or "fixed-point": all sums exact,
-        see docs/fixed-point.md.
+    precision : "double", or "fixed-point": all sums exact, see docs/fixed-point.md.
     skin : of neighbor lists [length]; the best one if not given.  grid : Grid of fixed-point arithmetic;
         chosen from the scene if not given.
     barostat : StochasticCellRescaling, which keeps the pressure; None for a constant cell.

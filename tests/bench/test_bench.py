@@ -16,7 +16,7 @@ from minimd.commands import main as cli
 
 N_ATOMS = 256  # four cells along each edge
 PEER_SECONDS, ASE_SECONDS = 0.015, 0.35  # a step of a fake peer on one thread; more than 5 s in all the steps of a turn
-OWN_SECONDS = {(1, "double"): 0.003, (1, "mixed"): 0.002, (2, "double"): 0.0018, (2, "mixed"): 0.0012}
+OWN_SECONDS = {1: 0.003, 2: 0.0018}
 ONE_PEER = ["bench", "peers", "--cells", "4", "--threads", "1"]
 ONCE = PeersOptions(cells=(4,), threads=(1,), repeats=1)
 COMPILED = {"kob-andersen", "npt", "chain", "decane", "triangles"}  # scenes with kernels of their own
@@ -55,7 +55,7 @@ def fakes(monkeypatch):
     monkeypatch.setattr(peers, "available_cores", lambda: 2)
     monkeypatch.setattr(peers, "equilibrated", lambda scene: scene)
     monkeypatch.setattr(engines.Peer, "is_installed", True)
-    own = lambda _, threads, kind: FakeEngine("minimd", threads, kind, OWN_SECONDS[threads, kind])  # noqa: E731
+    own = lambda _, threads: FakeEngine("minimd", threads, "double", OWN_SECONDS[threads])  # noqa: E731
     monkeypatch.setattr(peers, "Minimd", own)
     fast = engines.Peer("fast", lambda _, n, __: FakeEngine("fast", n, "single", PEER_SECONDS / n), threads="each")
     slow = engines.Peer("slow", lambda *_: FakeEngine("slow (serial)", 1, "double", ASE_SECONDS), most_atoms=N_ATOMS)
@@ -76,9 +76,8 @@ def cells_of(table):
 
 
 # fmt: off
-RATIOS = [  # 256 atoms / seconds of a step; peers are beside double on as many threads, minimd beside double on one
-    ["minimd", "1", "double", "0.0853", "", "1"],    ["minimd", "1", "mixed", "0.128", "", "1.50"],
-    ["minimd", "2", "double", "0.142", "", "1.67"],  ["minimd", "2", "mixed", "0.213", "", "2.50"],
+RATIOS = [  # 256 atoms / seconds of a step; peers are beside minimd on as many threads, minimd beside itself on one
+    ["minimd", "1", "double", "0.0853", "", "1"],    ["minimd", "2", "double", "0.142", "", "1.67"],
     ["fast", "1", "single", "0.0171", "5.00", ""],   ["fast", "2", "single", "0.0341", "4.17", ""],
     ["slow", "1", "double", "0.000731", "117", ""],
 ]
@@ -86,7 +85,7 @@ RATIOS = [  # 256 atoms / seconds of a step; peers are beside double on as many 
 
 
 def test_ratios_of_the_table(fakes):
-    options = PeersOptions(cells=(4,), threads=(1, 2), precisions=("double", "mixed"), repeats=2)
+    options = PeersOptions(cells=(4,), threads=(1, 2), repeats=2)
     table = cells_of(markdown(run_peers(options)))
     assert [[cell.split(" (")[0] for cell in row] for row in table] == RATIOS
 

@@ -43,7 +43,6 @@ WRONG = [  # arguments, exit code, words in the sentence
     ("plot none.h5md", 2, "'none.h5md' does not exist"), ("bench peers --threads 1,100000", 2, "--threads 100000"),
     ("bench peers --scene ice", 2, "--scene", bench.SCENE_NAMES, "'ice'"),
     ("bench peers --scenes gas ice", 2, "--scene", bench.SCENE_NAMES, "'ice'"),
-    ("bench peers --precision double,half", 2, "--precision", "double, mixed", "'half'"),
     ("bench peers --peers namd", 2, "--peers", bench.PEER_NAMES, "'namd'"),
     ("bench peers --peers none,ase", 2, "--peers", "'none'"),
     ("bench peers --cells 10,2", 2, "--cells 2", "twice the cutoff", "'melt'"),

@@ -38,7 +38,7 @@ def bursting():
 
 RUNS = {name: SCENES[name] for name in ("argon", "dumbbells")} | {"springs": springs, "few": few, "bursting": bursting}
 COMMON = ["velocity-verlet", "position-verlet", "langevin-baoab"]  # whose kernels other tests compile, too
-SLOW = [(scene, precision, n, NAMES) for scene in RUNS for precision in ("double", "mixed") for n in (1, 2)]
+SLOW = [(scene, n, NAMES) for scene in RUNS for n in (1, 2)]
 
 
 def begun(scene, name, threads=1, **options):
@@ -48,20 +48,20 @@ def begun(scene, name, threads=1, **options):
     return scene.simulation(method, threads=threads, **options)
 
 
-ROWS = [("argon", "double", 2, COMMON), ("bursting", "double", 1, COMMON[:1])]
+ROWS = [("argon", 2, COMMON), ("bursting", 1, COMMON[:1])]
 ROWS += [pytest.param(*row, marks=pytest.mark.slow) for row in SLOW]
 
 
-@pytest.mark.parametrize(("scene", "precision", "threads", "names"), ROWS)
-def test_n_steps_and_m_steps_are_n_plus_m(scene, precision, threads, names, tmp_path):
+@pytest.mark.parametrize(("scene", "threads", "names"), ROWS)
+def test_n_steps_and_m_steps_are_n_plus_m(scene, threads, names, tmp_path):
     """In one process and through a file, stopped anywhere, for some methods drawn at random."""
-    draw, options = random.Random(f"{scene} {precision} {threads}"), {"precision": precision, "threads": threads}
+    draw = random.Random(f"{scene} {threads}")
     for k in range(2):
         name, n, m = draw.choice(names), draw.randrange(60), draw.randrange(1, 60)
         every, skin = draw.choice([1, 7, 10, 50, 1000]), draw.choice([None, 0.05])  # thin: lists where it stops
         file, path = tmp_path / f"{k}.h5md", tmp_path / f"{k} in parts.h5md"
         with atoms_per_domain(50):
-            whole, parts = (begun(scene, name, skin=skin, **options) for _ in range(2))
+            whole, parts = (begun(scene, name, threads, skin=skin) for _ in range(2))
             whole.run(n + m, every=every, trajectory=file)
             parts.run(n, every=every, trajectory=path)
             if k % 2:

@@ -4,45 +4,41 @@ import cluster_scenes as cs
 import numpy as np
 import pytest
 from ase.build import bulk
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from references import brute_force_pairs, liquid
-from scenes import BONDED, LJ, SCENES
+from scenes import BONDED, LJ
 from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.ase import Calculator, VelocityVerlet
-from minimd.diagnosis.report import conservation_report
 from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import skin_for
 from minimd.forces.pair_list_term import PairListTerm
 from minimd.potentials.term import PER_ATOM
 
-WIDE = 300.0  # the grid of the coordinates in mixed precision is then 1.4e-7 fine, as float32 near 1
-TABLE = [(name, precision) for name in cs.LAWS for precision in cs.EQUAL]
-TABLE = [pytest.param(*row, marks=() if row == ("many", "double") else pytest.mark.slow) for row in TABLE]
+TABLE = [pytest.param(name, marks=() if name == "many" else pytest.mark.slow) for name in cs.LAWS]
 
 
-@pytest.mark.parametrize(("name", "precision"), TABLE)
+@pytest.mark.parametrize("name", TABLE)
 @given(system=cs.scenes([*cs.SIZES, 3000]), seed=st.integers(0, 2**32 - 1), atoms=st.sampled_from([5, 40, 800]))
 @settings(max_examples=40)
-def test_clusters_and_pairs_are_the_same_physics(name, precision, system, seed, atoms):
+def test_clusters_and_pairs_are_the_same_physics(name, system, seed, atoms):
     """Also after moves of half the skin, for which no list is built, and after moves by lattice vectors."""
-    assume(precision == "double" or np.linalg.norm(system.cell.vectors, axis=1).max() < WIDE)
     with cs.atoms_per_domain(atoms):
-        clusters, pairs = cs.both_lists(system, cs.LAWS[name], precision)
-        cs.agree(clusters, pairs, system, cs.EQUAL[precision])
+        clusters, pairs = cs.both_lists(system, cs.LAWS[name])
+        cs.agree(clusters, pairs, system)
         rng, n_builds = np.random.default_rng(seed), clusters.list.n_builds
         step = rng.normal(size=system.positions.shape)
         step *= 0.249 * clusters.list.skin / np.linalg.norm(step, axis=1, keepdims=True)
         for _layer in range(2):
             system.positions += step
-            cs.agree(clusters, pairs, system, cs.EQUAL[precision])
+            cs.agree(clusters, pairs, system)
         assert clusters.list.n_builds == n_builds
         moved = rng.random(len(system)) < 0.3
         system.positions[moved] += (rng.integers(-2, 3, (moved.sum(), 3)) * system.cell.pbc) @ system.cell.vectors
-        cs.agree(clusters, pairs, system, cs.EQUAL[precision])
+        cs.agree(clusters, pairs, system)
 
 
 def towards_a_partner(system):
@@ -103,17 +99,16 @@ def by_hand(system):
     return forces, energies, virials
 
 
-@pytest.mark.parametrize("precision", cs.PRECISIONS)
-def test_lists_find_what_brute_force_finds_and_padding_has_no_weight(precision):
+def test_lists_find_what_brute_force_finds_and_padding_has_no_weight():
     """Atoms of one column: 1 to 8 lanes of the last cluster are filled, all others repeat its last atom."""
     for n, pbc in [(n, pbc) for n in range(1, 10) for pbc in (True, (True, True, False))]:
         positions = np.column_stack([0.4 * (-1.0) ** np.arange(n), np.zeros(n), 0.9 * np.arange(n)])
         system = md.System(positions + 0.3, cell=[2.4, 2.4, max(2.4, 0.9 * n)], pbc=pbc)
-        clusters, pairs = cs.both_lists(system, cs.ONE_SPECIES, precision)
+        clusters, pairs = cs.both_lists(system, cs.ONE_SPECIES)
         expected = by_hand(system)
-        for term, tolerance in ((clusters, cs.EQUAL[precision]), (pairs, cs.EQUAL["double"])):
+        for term in (clusters, pairs):
             for a, b in zip(cs.evaluated(term, system, PER_ATOM), expected, strict=True):
-                assert a == pytest.approx(b, abs=tolerance * max(1.0, np.abs(b).max()), rel=0)
+                assert a == pytest.approx(b, abs=cs.EQUAL * max(1.0, np.abs(b).max()), rel=0)
         found = clusters.list.clusters
         assert (found.filled[: clusters.list.n_clusters].sum(), len(found.column_start)) == (n, 2)
 
@@ -141,15 +136,10 @@ def test_chunks_change_nothing_but_rounding(atoms, pbc):
     assert len(clusters.list.domains.first) >= 5
 
 
-HOT = [(0.05, "double"), *(pytest.param(*row, marks=pytest.mark.slow) for row in ((None, "double"), (0.3, "mixed")))]
-
-
-@pytest.mark.parametrize(("skin", "precision"), HOT)
-def test_a_hot_run_has_the_energies_of_fresh_lists(skin, precision):
+@pytest.mark.parametrize("skin", [0.05, pytest.param(None, marks=pytest.mark.slow)])
+def test_a_hot_run_has_the_energies_of_fresh_lists(skin):
     with cs.atoms_per_domain(100):
-        simulation = md.Simulation(
-            cs.rod(), cs.MANY, md.VelocityVerlet(0.002), skin=skin, precision=precision, threads=2
-        )
+        simulation = md.Simulation(cs.rod(), cs.MANY, md.VelocityVerlet(0.002), skin=skin, threads=2)
     simulation.set_temperature(8.0, 5)
     seen = []
 
@@ -161,13 +151,13 @@ def test_a_hot_run_has_the_energies_of_fresh_lists(skin, precision):
 
     record = simulation.run(120, every=10, observers=[compare])
     assert simulation.engine.interactions.n_builds > 5
-    assert max(seen) < (1e-12 if precision == "double" else 1e-5)
+    assert max(seen) < 1e-12
     assert np.ptp(record.total_energy[2:]) < 0.002 * record.kinetic_energy.mean()
 
 
 def test_a_calculator_passes_its_choices_on():
     atoms = bulk("Ar", "fcc", a=5.4, cubic=True) * 2
-    for precision in ("double", "mixed"):  # of a pair list, which is always in double precision
+    for precision in ("double", "fixed-point"):
         chosen = {"threads": 2, "precision": precision, "skin": 1.25}
         atoms.calc = Calculator(md.LennardJones(0.0103, 3.405, 6.2, "force-shifted"), **chosen)
         atoms.get_forces()
@@ -192,68 +182,11 @@ def test_a_skin_is_never_wider_than_the_cell_has_room_for(height, stride, pbc, h
         assert laws.cutoff + skin <= 0.5 * narrowest
 
 
-SINGLE = cs.EQUAL["mixed"]
-MELT = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
-
-
-@pytest.fixture(scope="module")
-def melted():
-    simulation = SCENES["melt"]().simulation()
-    simulation.run(300)
-    return simulation.system
-
-
-@pytest.mark.slow
-def test_forces_in_a_melt_are_as_good_as_float32_and_push_nobody(melted):
-    """Σ F = 0 to the rounding of the sum in float64, though each pair of forces in mixed precision is rounded."""
-    exact, mixed = (cs.evaluated(cs.clustered(melted, [LJ], precision), melted) for precision in cs.EQUAL)
-    error = np.linalg.norm(mixed[0] - exact[0], axis=1)
-    rms = np.sqrt((error**2).mean() / (exact[0] ** 2).sum(axis=1).mean())
-    # rounding: r⁻¹⁴ of two close pairs, each r to half an ulp of float32
-    assert error.max() < 0.2 * SINGLE * np.linalg.norm(exact[0], axis=1).max()
-    assert 1e-9 < rms < 1e-6
-    assert mixed[1].sum() == pytest.approx(exact[1].sum(), rel=1e-6)
-    assert mixed[2].sum(axis=0) == pytest.approx(exact[2].sum(axis=0), rel=1e-5, abs=1e-6 * np.abs(exact[2]).sum())
-    for forces in (exact[0], mixed[0]):
-        assert np.abs(forces.sum(axis=0)).max() < 1e-14 * np.abs(forces).sum()
-
-
-@pytest.mark.slow
-def test_energy_drifts_no_more_than_in_double(melted):
-    """Statistics: four standard errors of the difference. The oscillation differs by 5 % between runs."""
-    start, reports = md.Simulation(melted, MELT, md.VelocityVerlet(0.004)), []
-    start.run(700)
-    for precision in cs.EQUAL:
-        simulation = md.Simulation(start.system, MELT, md.VelocityVerlet(0.004), precision=precision)
-        reports.append(conservation_report(simulation.run(20_000, every=10), angular=False))
-    double, mixed = reports
-    error = np.hypot(double.energy_drift.error, mixed.energy_drift.error)
-    assert abs(double.energy_drift.slope - mixed.energy_drift.slope) < 4.0 * error
-    assert mixed.energy_oscillation == pytest.approx(double.energy_oscillation, rel=0.2)
-
-
-@pytest.mark.slow
-def test_a_scene_too_wide_for_the_grid_is_refused():
-    """The grid has 2³² points across the scene; 2000 cutoffs wide, they are a millionth of a cutoff apart."""
-    places = np.random.default_rng(1).uniform(0, 1, (200, 3))
-    fits, wide = (md.System(width * places, cell=width) for width in (1000.0 * cs.CUTOFF, 2300.0 * cs.CUTOFF))
-    assert not cs.evaluated(cs.clustered(fits, cs.ONE_SPECIES, "mixed"), fits)[0].any()
-    assert not cs.evaluated(cs.clustered(wide, cs.ONE_SPECIES), wide)[0].any()
-    assert_answered(
-        lambda: cs.evaluated(cs.clustered(wide, cs.ONE_SPECIES, "mixed"), wide), ValueError, "precision", "mixed"
-    )
-
-
-FAR = [("double", 1e-9, True), *(pytest.param("mixed", SINGLE, kind, marks=pytest.mark.slow) for kind in (True, False))]
-
-
-@pytest.mark.parametrize(("precision", "tolerance", "has_cell"), FAR)
-def test_atoms_far_from_the_origin_feel_the_same(precision, tolerance, has_cell):
-    """Thousands of cells away, or all together in open space: far coordinates are rounded."""
+def test_atoms_far_from_the_origin_feel_the_same():
+    """Thousands of cells away: far coordinates are rounded."""
     near = liquid(4)
     moves = np.random.default_rng(2).integers(-4096, 4097, near.positions.shape) @ near.cell.vectors
-    cell = near.cell if has_cell else None
-    near, far = (md.System(near.positions + move, cell=cell) for move in (0.0, moves if has_cell else 1e6))
-    a, b = (cs.evaluated(cs.clustered(system, cs.ONE_SPECIES, precision), system) for system in (near, far))
-    assert b[0] == pytest.approx(a[0], abs=tolerance * np.abs(a[0]).max(), rel=0)
+    far = md.System(near.positions + moves, cell=near.cell)
+    a, b = (cs.evaluated(cs.clustered(system, cs.ONE_SPECIES), system) for system in (near, far))
+    assert b[0] == pytest.approx(a[0], abs=1e-9 * np.abs(a[0]).max(), rel=0)
     assert b[1].sum() == pytest.approx(a[1].sum(), rel=1e-6)

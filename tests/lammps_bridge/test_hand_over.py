@@ -76,13 +76,6 @@ def test_a_run_that_was_brought_back_passes_the_check_and_goes_on_also_without_m
     assert [step for step, _ in frames(done.folder / "frames.bin", 108)] == list(range(0, 201, 10))
 
 
-@pytest.mark.slow
-def test_frames_of_mixed_precision_may_differ_by_its_rounding(tmp_path):
-    done = handed_over(scene(fluid(), precision="mixed"), tmp_path / "run")
-    assert done.verification.worst < AT_STEP_0
-    assert 1e-10 < done.energy_difference < 1e-6
-
-
 @pytest.mark.parametrize("bath", [md.LangevinBAOAB, md.StochasticVelocityRescaling])
 def test_the_energy_that_a_bath_gives_is_counted(bath, tmp_path):
     """Total energy changes by hundreds of ε, total minus reservoir energy by a thousandth of that."""

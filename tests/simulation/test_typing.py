@@ -24,7 +24,7 @@ def look(sim: md.Simulation) -> None:
 system = md.System(np.arange(6.0).reshape(2, 3), cell=10.0, species=["Ar", "Ar"], bonds=[(0, 1)], units=md.units.LJ)
 lj = md.LennardJones(1.0, 1.0, cutoff=2.5, truncation="force-shifted")
 potentials = [lj, md.HarmonicBond(100.0, 1.0), md.Tabulated(np.arange(1.0, 7.0), {("Ar", "Ar"): np.ones(6)})]
-sim = md.Simulation(system, potentials, md.VelocityVerlet(0.005), precision="mixed")
+sim = md.Simulation(system, potentials, md.VelocityVerlet(0.005), precision="fixed-point")
 other = md.Simulation(system, [lj, Gravity()], md.LangevinBAOAB(0.005, 1.0, 1.0, seed=1))
 record = sim.run(100, every=10, observers=[look], progress=False)
 energies: Array = record.total_energy

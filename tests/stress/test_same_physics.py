@@ -8,7 +8,7 @@ from math import sqrt
 
 import numpy as np
 import pytest
-from stress_scenes import BOTH, OPEN, ROUNDING, SMOOTH, forces_of, made, oscillation, ran, scaled, solid
+from stress_scenes import OPEN, ROUNDING, SMOOTH, forces_of, made, oscillation, ran, scaled, solid
 
 import minimd as md
 from minimd.structure.lattice import BASES, crystal
@@ -17,19 +17,17 @@ pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs 
 
 POWERS = [(1e-30, 1, 1), (1e30, 1, 1), (1, 1e-30, 1), (1, 1e30, 1), (1, 1, 1e-30), (1, 1, 1e30), (1e-30, 1e30, 1e-30)]
 SI = (3.4e-10, 1.65e-21, 6.63e-26)  # m, J, kg: argon
-SINGLE = [SI, (1e-12, 1e-21, 1e-26), (1e8, 1, 1), (1, 1e-27, 1), (1, 1, 1e30)]
-RELATIVE = {"double": 1e-12, "mixed": 1e-4}  # of forces
+RELATIVE = 1e-12  # of forces
 
 
 def largest(difference):
     return np.abs(difference).max()
 
 
-def units(scales, n_cells, precision):
-    tolerance = 1e-11 if precision == "double" else 1e-5
+def units(scales, n_cells):
     reference = scaled(1.0, 1.0, 1.0, n_cells)
-    for found, expected in zip(scaled(*scales, n_cells, precision=precision), reference, strict=True):
-        yield found, expected, tolerance * largest(expected)
+    for found, expected in zip(scaled(*scales, n_cells), reference, strict=True):
+        yield found, expected, 1e-11 * largest(expected)
 
 
 def soft_and_rigid(length, energy):
@@ -48,33 +46,30 @@ def chains(length, energy, _mass):
     yield soft_and_rigid(length, energy), soft_and_rigid(1.0, 1.0), 1e-11
 
 
-def skins(cell, precision):
-    widths = [0.3, 0.0, 1e-300, 1.5, 4.2] + [1e6] * (not cell and precision == "double")
-    one, *others = (
-        ran(solid(cell=cell), SMOOTH, 0.004, 100, temperature=1.0, skin=skin, precision=precision) for skin in widths
-    )
+def skins(cell):
+    widths = [0.3, 0.0, 1e-300, 1.5, 4.2] + [1e6] * (not cell)
+    one, *others = (ran(solid(cell=cell), SMOOTH, 0.004, 100, temperature=1.0, skin=skin) for skin in widths)
     assert others[0].engine.interactions.n_builds >= 99
     for other in others:
-        yield other.positions, one.positions, ROUNDING[precision]
+        yield other.positions, one.positions, ROUNDING
 
 
-def of_precision(precision):
+def of_places():
     """One bin holds everything; around the corner eight corners hold a piece each; atoms exactly on the faces."""
     positions, _ = crystal("fcc", [4, 4, 4], 1.68)
     systems = [md.System(positions - shift, cell=500.0) for shift in (0.0, 3.0)]
-    one, other = (ran(system, SMOOTH, 0.004, 100, precision=precision) for system in systems)
-    yield one.positions - 3.0, other.positions, 1e-11 if precision == "double" else 1e-4
+    one, other = (ran(system, SMOOTH, 0.004, 100) for system in systems)
+    yield one.positions - 3.0, other.positions, 1e-11
     # On 0, on the edge, one ulp beside both, and negative zero.
     positions, edges = crystal("fcc", [4, 4, 4], 1.68)
-    expected = forces_of(md.System(positions, cell=edges), SMOOTH, precision=precision).potential_energy
+    expected = forces_of(md.System(positions, cell=edges), SMOOTH).potential_energy
     rng, edge = np.random.default_rng(2), edges[0]
     faces = [0.0, -0.0, edge, -edge, np.nextafter(0, -1), np.nextafter(edge, 9)]
-    force, energy = (1e-11, 1e-12) if precision == "double" else (1e-3, 1e-6)
     for _ in range(5):
         moved = np.where(positions == 0.0, rng.choice(faces, positions.shape), positions)
-        found = forces_of(md.System(moved, cell=edges), SMOOTH, precision=precision)
-        yield found.forces, 0.0, force
-        yield found.potential_energy, expected, energy * abs(expected)
+        found = forces_of(md.System(moved, cell=edges), SMOOTH)
+        yield found.forces, 0.0, 1e-11
+        yield found.potential_energy, expected, 1e-12 * abs(expected)
 
 
 def two_or_many():
@@ -97,7 +92,7 @@ def two_or_many():
     yield simulation.positions, solid(3).positions + simulation.time * simulation.velocities, 1e-11
 
 
-def far_away(away, precision):
+def far_away(away):
     """Images of an atom; an atom without a cell; the whole scene, with a cell and without one."""
     near, far = solid(3, cell=False), solid(3, cell=False)
     near.positions[7] += 100.0
@@ -107,18 +102,18 @@ def far_away(away, precision):
     near = solid(3)
     far = near.copy()
     far.positions[7] += np.array([1, -1, 1]) * round(away / 5.04) * near.cell.vectors[0, 0]
-    here, there = (forces_of(system, SMOOTH, precision=precision).forces for system in (near, far))
-    yield there, here, 1e3 * np.spacing(largest(far.positions)) + RELATIVE[precision] * largest(here)
+    here, there = (forces_of(system, SMOOTH).forces for system in (near, far))
+    yield there, here, 1e3 * np.spacing(largest(far.positions)) + RELATIVE * largest(here)
     for cell in (True, False):
         near = solid(3, cell=cell)
         near.positions += away  # rounds the coordinates, once
         home = near.copy()
         home.positions -= away
-        there, here = (forces_of(system, SMOOTH, precision=precision).forces for system in (near, home))
-        yield there, here, RELATIVE[precision] * largest(here) + 1e3 * np.spacing(away)
+        there, here = (forces_of(system, SMOOTH).forces for system in (near, home))
+        yield there, here, RELATIVE * largest(here) + 1e3 * np.spacing(away)
 
 
-def sites_of_a_crystal(lattice, precision):
+def sites_of_a_crystal(lattice):
     """Forces are zero to rounding; where the lattice is unstable the run is too short for rounding to grow."""
     if lattice == "hcp":
         basis = np.array([[0, 0, 0], [0.5, 0.5, 0], [0.5, 5 / 6, 0.5], [0, 1 / 3, 0.5]])
@@ -129,20 +124,19 @@ def sites_of_a_crystal(lattice, precision):
         spacing, n_cells = {"sc": (1.1, 5), "bcc": (1.26, 5), "fcc": (1.56, 5), "diamond": (2.54, 3)}[lattice]
         positions, edges = crystal(lattice, [n_cells] * 3, spacing)
     system, n_steps = md.System(positions, cell=edges), 50 if lattice in ("sc", "bcc", "diamond") else 1000
-    force, way = (1e-11, 1e-10) if precision == "double" else (1e-3, 1e-3)
-    yield forces_of(system, SMOOTH, precision=precision).forces, 0.0, force
-    yield ran(system, SMOOTH, 0.004, n_steps, precision=precision).positions, positions, way
+    yield forces_of(system, SMOOTH).forces, 0.0, 1e-11
+    yield ran(system, SMOOTH, 0.004, n_steps).positions, positions, 1e-10
 
 
-FAR, OF_UNITS = (1e3, 1e6, 1e9), product([*POWERS, SI, (1e-60, 1, 1), (1e60, 1, 1)], (2, 4), ["double"])
+FAR, OF_UNITS = (1e3, 1e6, 1e9), product([*POWERS, SI, (1e-60, 1, 1), (1e60, 1, 1)], (2, 4))
 SAME = {
     two_or_many: [()],
-    of_precision: [(precision,) for precision in BOTH],
-    units: [*OF_UNITS, *product(SINGLE, [4], ["mixed"])],
+    of_places: [()],
+    units: OF_UNITS,
     chains: POWERS[:4],
-    skins: product((True, False), BOTH),
-    far_away: [*product(FAR, BOTH)],
-    sites_of_a_crystal: product([*BASES, "hcp"], BOTH),
+    skins: product((True, False)),
+    far_away: product(FAR),
+    sites_of_a_crystal: product([*BASES, "hcp"]),
 }
 
 

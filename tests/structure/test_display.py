@@ -51,7 +51,7 @@ def test_names_that_are_offered_are_public_ones_that_exist():
     assert names == sorted(md.__all__)
     assert all(hasattr(md, name) for name in names)
     assert not {"Any", "dataclass", "math"} & set(dir(md.units))
-    precisions = ["double", "mixed", "fixed-point"]
+    precisions = ["double", "fixed-point"]
     for words, known in ((TruncationName, TRUNCATIONS), (MixingName, MIXING), (Precision, precisions)):
         assert set(get_args(words)) == set(known)
 

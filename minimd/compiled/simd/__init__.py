@@ -20,9 +20,9 @@ name that laws use with `_bind` or `@overload`. Without an instruction, apply a 
 from minimd.compiled.simd.arithmetic import fma, select
 from minimd.compiled.simd.functions import arctangent, cosine, sine
 from minimd.compiled.simd.vector import (
+    as_floats,
     bits_from_mask,
     broadcast,
-    convert,
     lane,
     load,
     store,
@@ -32,5 +32,5 @@ from minimd.compiled.simd.vector import (
     zeros,
 )
 
-__all__ = ["arctangent", "bits_from_mask", "broadcast", "convert", "cosine", "fma", "lane", "load"]
+__all__ = ["arctangent", "as_floats", "bits_from_mask", "broadcast", "cosine", "fma", "lane", "load"]
 __all__ += ["select", "sine", "store", "total", "trailing_zeros", "with_lane", "zeros"]

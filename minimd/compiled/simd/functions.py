@@ -10,15 +10,13 @@ the Elementary Functions (1980)): r has all its digits for |x| up to some 10⁹.
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
-from numba import types
 from numba.extending import overload
 
 from minimd.compiled.kernels import by_type, scalar
 from minimd.compiled.simd.arithmetic import bind_one, fma, select
-from minimd.compiled.simd.vector import Vector, bits_of, broadcast, convert, float_of
+from minimd.compiled.simd.vector import Vector, as_floats, bits_of, broadcast, float_of
 
 HALF_PI, REST_OF_PI = 0.5 * math.pi, 6.123233995736766e-17  # their sum is π/2
 LN_2, REST_OF_LN_2 = math.log(2.0), 2.3190468138462996e-17  # their sum is ln 2
@@ -101,7 +99,7 @@ def _power_of_two(k):
 def logarithm(x):
     """ln x; −∞ for 0, no number for x < 0."""
     bits = bits_of(x)
-    k, m = convert((bits >> 52) - BIAS, 0.0), float_of((bits & MANTISSA) | ONE)
+    k, m = as_floats((bits >> 52) - BIAS), float_of((bits & MANTISSA) | ONE)
     is_large = m > math.sqrt(2.0)
     k, m = select(is_large, k + 1.0, k), select(is_large, 0.5 * m, m)
     s = (m - 1.0) / (m + 1.0)
@@ -110,27 +108,13 @@ def logarithm(x):
     return select(x >= LEAST, select(x <= MOST, log, x), select(x >= 0.0, broadcast(-math.inf, x), math.nan))
 
 
-def _bind_in_double(function: Callable, operation: Callable) -> None:
-    """Let a function act on vectors of float64 by an operation, and on those of float32 by the same in float64."""
-
-    @scalar
-    def in_double(x):
-        return convert(operation(convert(x, 0.0)), x)
-
-    bind_one(function, in_double)
-
-
 _OPERATIONS = {"sin": sine, "cos": cosine, "exp": exponential, "log": logarithm}
 for _name, _operation in _OPERATIONS.items():
     for _module in (math, np):
-        _bind_in_double(getattr(_module, _name), _operation)
+        bind_one(getattr(_module, _name), _operation)
 
 
 @overload(math.atan2)
 @overload(np.arctan2)
 def _arctangent(y, x):
-    if not (isinstance(y, Vector) and y == x):
-        return None
-    if y.element == types.float64:
-        return lambda y, x: arctangent(y, x)
-    return lambda y, x: convert(arctangent(convert(y, 0.0), convert(x, 0.0)), x)
+    return (lambda y, x: arctangent(y, x)) if isinstance(y, Vector) and y == x else None

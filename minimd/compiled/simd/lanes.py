@@ -10,7 +10,7 @@ from numba.core.registry import cpu_target
 from minimd.compiled.kernels import by_type
 from minimd.compiled.simd.vector import n_lanes
 
-DOUBLE, MIXED = 64, 32  # bits of a number of the pair arithmetic
+BITS = 64  # of a number
 REGISTERS = {"zmm": 512, "ymm": 256}  # names in assembly of registers with more than 128 bits
 PROBE = (
     "define <8 x double> @sum(<8 x double> %a, <8 x double> %b) {\n  %c = fadd <8 x double> %a, %b\n  ret <8 x "
@@ -50,6 +50,6 @@ def register_bits() -> int:
 
 
 @functools.cache
-def lanes_for(bits: int) -> Lanes:
-    """Lanes for numbers of so many bits: eight if they fit one register, else four, which take 16 in the inner loop."""
-    return Lanes8() if 8 * bits <= register_bits() else Lanes4()
+def lanes_for() -> Lanes:
+    """Lanes for float64: eight if they fit one register, else four, which take 16 registers in the inner loop."""
+    return Lanes8() if register_bits() >= BITS * Lanes8.size else Lanes4()

@@ -9,7 +9,7 @@ INT32 = ir.IntType(32)
 
 
 class Vector(types.Type):
-    """The Numba type of `lanes` numbers of type `element`: float64, float32, int32, or boolean for a mask."""
+    """The Numba type of `lanes` numbers of type `element`: float64, float32, an integer, or boolean for a mask."""
 
     def __init__(self, element: types.Integer | types.Float | types.Boolean, lanes: int) -> None:
         self.element, self.lanes = element, lanes
@@ -80,20 +80,10 @@ def trailing_zeros(_context, bits):
 
 
 @intrinsic
-def convert(_context, vector, like):
-    """A vector of float64, float32 or int32 with the element type of like, a vector or a float64 or float32."""
-    element = like.element if isinstance(like, Vector) else like
-    kind = Vector(element, vector.lanes)
-
-    def generate(context, builder, signature, arguments):
-        if vector.element == element:
-            return arguments[0]
-        if isinstance(vector.element, types.Integer):
-            return builder.sitofp(arguments[0], context.get_value_type(kind))
-        resize = builder.fpext if element.bitwidth > vector.element.bitwidth else builder.fptrunc
-        return resize(arguments[0], context.get_value_type(kind))
-
-    return kind(vector, like), generate
+def as_floats(_context, whole):
+    """A vector of int64 as one of float64."""
+    kind = Vector(types.float64, whole.lanes)
+    return kind(whole), lambda context, builder, _, values: builder.sitofp(values[0], context.get_value_type(kind))
 
 
 def _with_bits_of(other: types.Number):

@@ -126,7 +126,7 @@ def evaluated(term, system, detail=TOTALS):
     term.list.ready(system.positions, system.cell)
     try:
         pool = getattr(term, "pool", thread_pool(1))
-        Program(lambda: term.operations(system, target), lambda: term.version, pool).run()
+        Program(lambda: term.operations(system, target), lambda: term.list.version, pool).run()
     finally:
         term.list.settle()
     term.collect(target)

@@ -91,7 +91,7 @@ class Engine:
         self._method = _checked_method(method)
         self._system = system.copy() if isinstance(system, System) else System.from_ase(system)
         self.holds_center, self.counts_center = _holds_center(system), False
-        self._step, self._clock, self.noise_shift = 0, (0, 0.0), 0
+        self._step, self._clock, self._pace, self.noise_shift = 0, (0, 0.0), method.timestep, 0
         self.equilibrated, self.is_whole, self.notes = 0, True, {"title": "", "scene": ""}
         self.extra_observables: Sequence[str] = ()
         self.interactions = Forces(self.system, potentials, options)
@@ -178,6 +178,7 @@ class Engine:
 
         Raises NonFiniteError, ConstraintError if a step fails; then the state is invalid: restore a snapshot.
         """
+        self._keep_pace()
         rescaling, step, end = self._rescaling, self.step, self.step + n_steps
         while step < end:
             due = None if rescaling is None else rescaling.next_step(step)
@@ -294,7 +295,7 @@ class Engine:
         if cell is not None and cell is not self.system.cell:
             self.constraint_set.follow(self.system.cell, cell)
             self.system.cell = cell
-        self._clock, self.is_whole = clock or (snapshot.step, time), False
+        self._clock, self._pace, self.is_whole = clock or (snapshot.step, time), self.method.timestep, False
         if self.time != time:  # counted with the time step of another method
             self.time = time
 
@@ -345,7 +346,12 @@ class Engine:
 
     def _time_at(self, step: float) -> float:
         first, time = self._clock
-        return time + (step - first) * self.method.timestep
+        return time + (step - first) * self._pace
+
+    def _keep_pace(self) -> None:
+        """Count the time of further steps with the time step that the method has now; also if it was changed in place."""
+        if self._pace != self._method.timestep:
+            self._clock, self._pace = (self._step, self.time), self._method.timestep
 
     def count(self, n_steps: int) -> None:
         """Count n_steps more steps."""
@@ -373,9 +379,9 @@ class Engine:
         if self._rescaling is not None:
             self._rescaling.temperature(method)
         if type(method) is not type(self._method) or method.parameters != self._method.parameters:
-            self._clock = self.step, self.time
             self.turned()
         self._method = method
+        self._keep_pace()
         self._describe_bath()
 
     def _describe_bath(self) -> None:

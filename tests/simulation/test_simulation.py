@@ -79,6 +79,21 @@ def test_another_method_is_checked_and_counts_its_degrees_of_freedom(argon):
     assert sim.n_dof == sim.engine.surroundings.bath.n_dof == 3 * n_atoms
 
 
+@pytest.mark.parametrize("in_place", [True, False])
+def test_another_time_step_leaves_the_time_before_it_as_it_was(argon, in_place):
+    sim = argon.simulation(md.VelocityVerlet(0.004))
+    sim.run(10)
+    if in_place:
+        sim.method.timestep = 0.001
+    else:
+        sim.method = md.VelocityVerlet(0.001)
+    assert sim.time == pytest.approx(0.04, rel=1e-14)
+    sim.run(5)
+    assert sim.time == pytest.approx(0.045, rel=1e-14)
+    sim.restore(sim.snapshot())
+    assert sim.time == pytest.approx(0.045, rel=1e-14)
+
+
 def test_simulation_works_on_a_copy_and_what_is_fixed_cannot_be_changed(argon):
     system, sim = argon.system, argon.simulation()
     before = system.positions.copy()

@@ -42,7 +42,7 @@ def reference():
 
 @pytest.mark.parametrize("kind", [Lanes4, Lanes8])
 def test_vectors_of_every_width_have_the_same_bits(monkeypatch, kind, reference):
-    monkeypatch.setattr(cluster_list, "lanes_for", lambda bits: kind())
+    monkeypatch.setattr(cluster_list, "lanes_for", lambda: kind())
     other = simulated(mixture())
     other.make_steps(500)
     assert kind in [type(term.list.lanes) for term in other.engine.interactions.terms if term.list is not None]

@@ -50,37 +50,29 @@ def difference(file: Sequence[Constraint], simulation: Sequence[Constraint], pos
     positions : (N, 3) [length]; the largest coordinate sets the rounding of lengths that were measured in positions.
     """
     theirs, ours = (
-        [atom for one in both if isinstance(one, FixedAtoms) for atom in one.atoms.tolist()]
+        {atom for one in both if isinstance(one, FixedAtoms) for atom in one.atoms.tolist()}
         for both in (file, simulation)
     )
-    if only := set(theirs) ^ set(ours):
+    if only := theirs ^ ours:
         return f"atom {min(only)} is fixed in the {'file' if min(only) in theirs else 'simulation'} alone"
     before, now = (
         next((one for one in both if isinstance(one, DistanceConstraints)), None) for both in (file, simulation)
     )
-    if before and now:
-        return _difference_of_lengths(before, now, positions)
-    alone = before or now
-    return f"the {'file' if before else 'simulation'} alone keeps lengths, {len(alone.pairs)} of them" if alone else ""
-
-
-def _difference_of_lengths(
-    file: DistanceConstraints, simulation: DistanceConstraints, positions: NDArray[np.float64]
-) -> str:
-    theirs, ours = _by_pair(file), _by_pair(simulation)
-    if only := set(theirs) ^ set(ours):
-        i, j = min(only)
-        return f"the length of atoms {i}-{j} is kept in the {'file' if (i, j) in theirs else 'simulation'} alone"
+    if not (before and now):
+        alone = before or now
+        where = "file" if before else "simulation"
+        return f"the {where} alone keeps lengths, {len(alone.pairs)} of them" if alone else ""
+    was, kept = _by_pair(before), _by_pair(now)
+    if several := was.keys() ^ kept.keys():
+        i, j = min(several)
+        return f"the length of atoms {i}-{j} is kept in the {'file' if (i, j) in was else 'simulation'} alone"
     rounding = ROUNDINGS * EPS * float(np.abs(positions).max())
-    for (i, j), length in theirs.items():
-        if abs(ours[i, j] - length) > file.tolerance * length + rounding:
-            return f"the length of atoms {i}-{j} is {length:.17g} in the file and {ours[i, j]:.17g} in the simulation"
+    for (i, j), length in was.items():
+        if abs(kept[i, j] - length) > before.tolerance * length + rounding:
+            return f"the length of atoms {i}-{j} is {length:.17g} in the file and {kept[i, j]:.17g} in the simulation"
     for name in ("tolerance", "solver"):
-        if getattr(file, name) != getattr(simulation, name):
-            return (
-                f"the {name} of lengths is {getattr(file, name)!r} in the file and {getattr(simulation, name)!r} in "
-                "the simulation"
-            )
+        if (a := getattr(before, name)) != (b := getattr(now, name)):
+            return f"the {name} of lengths is {a!r} in the file and {b!r} in the simulation"
     return ""
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from minimd.files.h5md_restart import arrays_of_restart
+from minimd.files.h5md_digest import arrays_of_restart
 from minimd.observers import KINDS
 from minimd.observers.accumulator import Accumulator
 from minimd.structure.checks import listed, shown
@@ -88,9 +88,7 @@ def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
             {"n_looks": one.n_looks, "last_step": one.last_step, "units": result.scene.units, **result.numbers()}
         )
         for name, series in result.columns().items():
-            group[name.replace("/", "_")] = (
-                series  # the name of a species may contain a slash, which HDF5 does not allow in names
-            )
+            group[name.replace("/", "_")] = series  # HDF5 allows no slash in names, that of a species may contain one
 
 
 def lack_results(h5: h5py.File, observers: Mapping[str, Accumulator]) -> bool:

@@ -62,9 +62,8 @@ def admitted(h5: h5py.File, path: str | Path) -> h5py.File:
         with damage_told(path):
             problem = _strange_thing(h5)
         if problem:
-            raise OSError(
-                f"file {str(path)!r} is refused: {problem}; minimd writes no such thing, do not use this file"
-            )
+            remedy = "minimd writes no such thing, do not use this file"
+            raise OSError(f"file {str(path)!r} is refused: {problem}; {remedy}")
     except BaseException:
         h5.close()
         raise
@@ -80,9 +79,8 @@ def _strange_thing(h5: h5py.File) -> str:
     while groups:
         path, group = groups.pop()
         links: list[tuple[bytes, int]] = []
-        group.links.iterate(
-            lambda key, info, links=links: links.append((key, info.type)), info=True
-        )  # h5py uses one info for all
+        # h5py uses one info for all
+        group.links.iterate(lambda key, info, links=links: links.append((key, info.type)), info=True)
         for key, kind in links:
             name = f"{path}{key.decode(errors='replace')}"
             if kind != h5l.TYPE_HARD:
@@ -97,10 +95,10 @@ def _strange_thing(h5: h5py.File) -> str:
             if not is_second:
                 words, n_bytes = _strange_in(item, name)
                 room -= n_bytes
-                if words or room < 0:
-                    return (
-                        f"{name!r} {words or f'with what precedes it would be larger than the file, by {-room} bytes'}"
-                    )
+                if room < 0 and not words:
+                    words = f"with what precedes it would be larger than the file, by {-room} bytes"
+                if words:
+                    return f"{name!r} {words}"
     return ""
 
 
@@ -112,27 +110,27 @@ def _strange_in(item: Any, name: str) -> tuple[str, int]:
     h5a.iterate(item, keys.append)
     attributes = [h5a.open(item, key) for key in keys]
     for key, one in zip(keys, attributes, strict=True):
-        if one.get_type().get_class() not in TEXTS and key != REFERENCE:
-            return f"has the attribute {key.decode(errors='replace')!r} that is neither numbers nor texts", 0
-        if (
-            prod(one.shape) > MOST_TEXTS and one.get_type().get_class() == h5t.STRING
-        ):  # each of them could be as long as the file
-            return f"has the attribute {key.decode(errors='replace')!r} of {prod(one.shape)} texts", 0
+        kind, named = one.get_type().get_class(), f"has the attribute {key.decode(errors='replace')!r}"
+        if kind not in TEXTS and key != REFERENCE:
+            return f"{named} that is neither numbers nor texts", 0
+        if prod(one.shape) > MOST_TEXTS and kind == h5t.STRING:  # each of them could be as long as the file
+            return f"{named} of {prod(one.shape)} texts", 0
     n_bytes = sum(prod(one.shape) * one.get_type().get_size() for one in attributes)
     if isinstance(item, h5g.GroupID):
         return "", n_bytes
     if not isinstance(item, h5d.DatasetID):
         return "is neither a group nor a dataset", 0
-    made, kind = item.get_create_plist(), item.get_type()
-    if made.get_external_count():
-        return "is a dataset whose numbers lie in other files", 0
-    if made.get_layout() not in LAYOUTS:
-        return "is a dataset that consists of parts of others", 0
-    if made.get_nfilters():
-        return "is a dataset whose numbers pass through filters", 0
-    if kind.get_class() not in (TEXTS if name in MAY_BE_TEXTS else NUMBERS):
-        return "is a dataset of other things than numbers", 0
-    return "", n_bytes + prod(item.get_space().get_simple_extent_dims()) * kind.get_size()
+    made, holds = item.get_create_plist(), item.get_type()
+    strange = {
+        "whose numbers lie in other files": made.get_external_count() > 0,
+        "that consists of parts of others": made.get_layout() not in LAYOUTS,
+        "whose numbers pass through filters": made.get_nfilters() > 0,
+        "of other things than numbers": holds.get_class() not in (TEXTS if name in MAY_BE_TEXTS else NUMBERS),
+    }
+    for words, is_so in strange.items():
+        if is_so:
+            return f"is a dataset {words}", 0
+    return "", n_bytes + prod(item.get_space().get_simple_extent_dims()) * holds.get_size()
 
 
 @contextmanager

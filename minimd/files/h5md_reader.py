@@ -15,10 +15,9 @@ from minimd.engine.engine import Checkpoint
 from minimd.engine.record import SERIES, Record
 from minimd.files.first_look import looked_at
 from minimd.files.h5md_constraints import read_constraints
-from minimd.files.h5md_digest import damaged_frames, is_signed, n_whole_frames
+from minimd.files.h5md_digest import damaged_frames, damaged_restart, is_signed, n_whole_frames, read_restart
 from minimd.files.h5md_observers import lack_results, observers_of
 from minimd.files.h5md_opening import damage_told, opened
-from minimd.files.h5md_restart import damaged_restart, read_restart
 from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.barostats import StochasticCellRescaling

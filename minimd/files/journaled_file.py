@@ -39,10 +39,7 @@ class JournaledFile:
         self._claim = claim
         _finish(claim.descriptor)
         self._committed = self.size = os.fstat(claim.descriptor).st_size
-        self._tail, self._n_tail = (
-            bytearray(),
-            0,
-        )  # bytes beyond the committed end: the first ones in memory that is reused
+        self._tail, self._n_tail = bytearray(), 0  # beyond the committed end: the first bytes of memory that is reused
         self._pieces: Pieces = []  # replacements of committed bytes, in order
         self._at = 0
 
@@ -112,7 +109,9 @@ class JournaledFile:
         it is then as it was.
         """
         descriptor = self._claim.descriptor
-        self._check()
+        self._claim.check()
+        if (n_bytes := os.fstat(descriptor).st_size) < self._committed:
+            raise OSError(errno.EIO, f"it was cut to {n_bytes} of {self._committed} bytes while the run was writing it")
         is_changed = bool(self._pieces) or self.size < self._committed
         tail = memoryview(self._tail)[: self._n_tail]
         rest = bytes(max(0, self.size - self._committed - self._n_tail))  # of the file, which HDF5 has not written
@@ -137,12 +136,6 @@ class JournaledFile:
     def close(self) -> None:
         """Release the file, as it was at the last commit. A new file without a commit is removed."""
         self._claim.release()
-
-    def _check(self) -> None:
-        self._claim.check()
-        n_bytes = os.fstat(self._claim.descriptor).st_size
-        if n_bytes < self._committed:
-            raise OSError(errno.EIO, f"it was cut to {n_bytes} of {self._committed} bytes while the run was writing it")
 
 
 def repair(path: str | Path) -> bool:

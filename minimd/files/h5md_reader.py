@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from minimd.engine.engine import Checkpoint
 from minimd.engine.record import SERIES, Record
 from minimd.files.first_look import looked_at
-from minimd.files.h5md_constraints import read_constraints
 from minimd.files.h5md_digest import damaged_frames, damaged_restart, is_signed, n_whole_frames, read_restart
 from minimd.files.h5md_observers import lack_results, observers_of
 from minimd.files.h5md_opening import damage_told, opened
-from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY
+from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY, read_constraints
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
@@ -84,19 +83,15 @@ class H5MDContents(Displayed):
         rows += [("system", repr(self.system)), ("method", f"{self.method}, timestep {shown(self.timestep)}")]
         rows += [("potential", one) for one in self.potentials]
         rows += [("frames", f"{self.n_frames}, {'with' if self.has_forces else 'without'} forces")]
-        rows += [
-            ("restart", f"step {self.step}, {shown(self.time)}"),
-            ("scene", "stored" if self.scene else "none stored"),
-        ]
+        rows += [("restart", f"step {self.step}, {shown(self.time)}")]
+        rows += [("scene", "stored" if self.scene else "none stored")]
         return rows + ([("repaired", self.repaired)] if self.repaired else [])
 
     def integrator(self) -> Splitting:
         """The method with its time step.  Raises ValueError if it is not a method of minimd."""
         if self.method not in METHODS:
-            raise ValueError(
-                f"the run was made with the method {self.method!r}, which minimd does not have; pass the method of "
-                "that run"
-            )
+            made_with = f"the run was made with the method {self.method!r}, which minimd does not have"
+            raise ValueError(f"{made_with}; pass the method of that run")
         made: Any = METHODS[self.method](**self.parameters)
         return made
 
@@ -179,9 +174,8 @@ def damage(path: str | Path) -> str:
 def verify_frames(path: str | Path) -> None:
     """Raise OSError unless all frames of a minimd file are as they were written.  Raises as read_file, too."""
     if which := looked_at(path, partial(_damage, path))[0]:
-        raise OSError(
-            f"file {str(path)!r} is damaged: {which} are not those that were written; copy it again, or run again"
-        )
+        words = f"{which} are not those that were written"
+        raise OSError(f"file {str(path)!r} is damaged: {words}; copy it again, or run again")
 
 
 def _damage(path: str | Path) -> tuple[str, str]:

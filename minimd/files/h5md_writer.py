@@ -24,7 +24,6 @@ from minimd.engine.record import Frame
 from minimd.files import h5md_schema as layout
 from minimd.files.claim import Claim
 from minimd.files.first_look import looked_at
-from minimd.files.h5md_constraints import difference
 from minimd.files.h5md_digest import (
     BLOCKS,
     add_block,
@@ -98,16 +97,17 @@ class H5MDWriter:
     Raises OSError if the file cannot be created or has no room.
     """
 
-    _h5: h5py.File
-    _last_step: int
-    _store_forces: bool
-    _next_flush: float
-    _n_frames: int
     _n_expected: int | None = None
     marks: list[bytes]  # of other trajectories, in the restart from which a file is continued
     _pending: FrameBlock | None
-    _columns: list[layout.Column]
     _every: int | None  # None for a continued file that does not hold it
+
+    def _begin(self, claim: Claim, engine: Engine, store_forces: bool, mode: Any) -> None:
+        self.claim, self._engine, self._method, self._store_forces = claim, engine, engine.method, store_forces
+        self._disk = JournaledFile(claim)
+        self._h5 = admitted(h5py.File(self._disk, mode), claim.name)
+        self._pending, self._n_frames = None, 0  # frames that are not yet in the file, and the number of those that are
+        self._last_step, self._next_flush = -1, -np.inf  # step of the frame taken last; time of the next flush [s]
 
     def __init__(
         self,
@@ -252,13 +252,6 @@ class H5MDWriter:
             finally:
                 self._shut()
 
-    def _begin(self, claim: Claim, engine: Engine, store_forces: bool, mode: Any) -> None:
-        self.claim, self._engine, self._method, self._store_forces = claim, engine, engine.method, store_forces
-        self._disk = JournaledFile(claim)
-        self._h5 = admitted(h5py.File(self._disk, mode), claim.name)
-        self._pending, self._n_frames = None, 0  # frames that are not yet in the file, and the number of those that are
-        self._last_step, self._next_flush = -1, -np.inf  # step of the frame taken last; time of the next flush [s]
-
     def _add(self, pending: dict[str, np.ndarray], n_frames: int) -> None:
         """Add the pending frames to the series, and their digest; repeated after an error, this gives the same file."""
         for column in self._columns:
@@ -287,11 +280,9 @@ class H5MDWriter:
         except (OSError, RuntimeError) as error:
             self._pending = None
             self._give_up()
+            failed = f"trajectory {self.claim.name!r} could not {what}"
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-            raise OSError(
-                f"trajectory {self.claim.name!r} could not {what}: {reason}; the {self._n_frames} frames before it are "
-                "valid"
-            ) from error
+            raise OSError(f"{failed}: {reason}; the {self._n_frames} frames before it are valid") from error
 
     def _give_up(self) -> None:
         self._h5.close()
@@ -386,7 +377,7 @@ def _obstacle(contents: H5MDContents, engine: Engine, store_forces: bool) -> str
     }
     if differ := [name for name, is_same in same.items() if not is_same]:
         return f"holds another system: {differ[0]} of file and simulation differ; write to a new file"
-    if held := difference(theirs.constraints, engine.constraints, theirs.positions):
+    if held := layout.other_constraints(theirs.constraints, engine.constraints, theirs.positions):
         return f"holds a run with other constraints: {held}; use the constraints of the file, or write to a new file"
     if engine.step != contents.step:
         steps = f"continues from step {contents.step}, but the simulation is at step {engine.step}"

@@ -88,9 +88,8 @@ class Claim:
         try:
             os.fsync(self.descriptor)
         except OSError as error:
-            raise OSError(
-                error.errno, f"trajectory {self.name!r} could not be brought to the disk: {error.strerror}"
-            ) from None
+            words = f"trajectory {self.name!r} could not be brought to the disk: {error.strerror}"
+            raise OSError(error.errno, words) from None
 
     @property
     def stream(self) -> Path:
@@ -212,9 +211,8 @@ def is_locked(path: Path) -> bool:
     try:
         if fcntl is not None:
             fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        return fcntl is None
     except OSError:
         return True
-    else:
-        return fcntl is None
     finally:
         os.close(descriptor)

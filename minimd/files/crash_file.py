@@ -68,10 +68,8 @@ def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path |
         return several[0].with_suffix(SUFFIX) if crash_report and several else None
     [place] = named_files("crash_report", [crash_report])
     if place.resolve() in [file.resolve() for file in several]:
-        raise ValueError(
-            f"crash_report must be a file of its own; {str(crash_report)!r} is a trajectory of the run: choose another "
-            "name"
-        )
+        words = f"{str(crash_report)!r} is a trajectory of the run: choose another name"
+        raise ValueError(f"crash_report must be a file of its own; {words}")
     return place
 
 
@@ -176,10 +174,8 @@ def read_crash_report(path: str | Path) -> CrashFile:
             for part in (findings, pair, closest):
                 _check_types(part, len(system))
     options = {name: getattr(contents, name) for name in ("precision", "skin", "potentials", "scene", "barostat")}
-    judgment = told.get("first"), told.get("growth", RUNAWAY)  # older files have none
-    return CrashFile(
-        findings, system, start, contents.integrator(), noise_shift=told["noise_shift"], judgment=judgment, **options
-    )
+    options["judgment"] = told.get("first"), told.get("growth", RUNAWAY)  # older files have none
+    return CrashFile(findings, system, start, contents.integrator(), noise_shift=told["noise_shift"], **options)
 
 
 def _printable(found: dict[str, Any]) -> dict[str, Any]:

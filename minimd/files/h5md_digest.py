@@ -17,7 +17,7 @@ import zlib
 from collections.abc import Iterator
 from functools import reduce
 from itertools import count
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -30,6 +30,17 @@ from minimd.structure.grid import Grid
 RESTART, EARLIER, SPARE = "minimd/restart", "minimd/earlier_restart", "minimd/spare"
 BLOCKS, DIGEST = "minimd/blocks", "digest"
 FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")  # groups; but for the above, they do not change
+
+
+class Restart(NamedTuple):
+    """A restart that is intact.  n_frames : in the file at that time.  arrays : all of it, with those that are kept
+    beside the checkpoint.  is_earlier : whether it is the earlier restart, because the newest is damaged.
+    """
+
+    checkpoint: Checkpoint
+    n_frames: int
+    arrays: dict[str, np.ndarray]
+    is_earlier: bool
 
 
 def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -89,23 +100,12 @@ def write_restart(
     h5.move(SPARE, RESTART)
 
 
-def read_restart(h5: h5py.File) -> tuple[Checkpoint, int, bool]:
-    """The newest restart that is intact, the number of frames in the file at that time,
-    and whether it is the earlier restart.
-
-    Raises ValueError if both restarts are damaged.
-    """
+def read_restart(h5: h5py.File) -> Restart:
+    """The newest restart that is intact.  Raises ValueError if both are damaged."""
     for name in (RESTART, EARLIER):
         if (found := _whole(h5, name)) is not None:
-            return *found, name == EARLIER
+            return found
     raise ValueError("its restart is damaged")
-
-
-def arrays_of_restart(h5: h5py.File) -> dict[str, np.ndarray]:
-    """All arrays of the restart that read_restart finds, with those that are kept with it;
-    none if both restarts are damaged."""
-    name = next((name for name in (RESTART, EARLIER) if _whole(h5, name) is not None), None)
-    return {} if name is None else read_group(h5[name])[0]
 
 
 def damaged_restart(h5: h5py.File) -> str:
@@ -122,11 +122,11 @@ def set_aside_damaged(h5: h5py.File) -> None:
             h5.move(name, next(free for k in count(1) if h5.get(free := f"{name}_damaged_{k}", getlink=True) is None))
 
 
-def _whole(h5: h5py.File, name: str) -> tuple[Checkpoint, int] | None:
-    """A restart, and the number of frames in the file at that time; None if it is damaged."""
+def _whole(h5: h5py.File, name: str) -> Restart | None:
+    """The restart of a name; None if it is damaged."""
     try:
         arrays, numbers = read_group(h5[name])
-        return unflattened(arrays, numbers), int(numbers["n_frames"])
+        return Restart(unflattened(arrays, numbers), int(numbers["n_frames"]), arrays, name == EARLIER)
     except MemoryError:
         raise
     except Exception:  # HDF5 and h5py raise almost anything for bytes they do not expect

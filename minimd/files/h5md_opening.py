@@ -20,10 +20,8 @@ from minimd.structure.errors import sentence
 
 NUMBERS = (h5t.INTEGER, h5t.FLOAT, h5t.ENUM)  # bools and species are enumerations
 TEXTS = (*NUMBERS, h5t.STRING)
-MAY_BE_TEXTS = (
-    "minimd/species_names",
-    *(f"minimd/crash_report/{name}" for name in ("findings", "words", "simulation")),
-)
+CRASH_TEXTS = ("findings", "words", "simulation")
+MAY_BE_TEXTS = ("minimd/species_names", *(f"minimd/crash_report/{name}" for name in CRASH_TEXTS))
 REFERENCE = b"particles_group"  # the only attribute that refers to an object
 LAYOUTS = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
 MOST_TEXTS = 256  # attributes of an object, and texts in an attribute; minimd has some 30

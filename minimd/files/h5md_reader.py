@@ -113,14 +113,12 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
     check_description(h5, path)
     with damage_told(path):
         n_frames, group = n_whole_frames(h5), h5["minimd"]
-        restart, _, is_earlier = read_restart(h5)
+        (restart, _, _, is_earlier), repaired = read_restart(h5), ""
         observers = observers_of(h5)
         system, at = _system(group, restart), group.attrs
-        repaired = (
-            f"the newest restart in {path} is damaged; the one before it is used, of step {restart.state.step}"
-            if is_earlier
-            else ""
-        )
+        if is_earlier:
+            step = restart.state.step
+            repaired = f"the newest restart in {path} is damaged; the one before it is used, of step {step}"
         return H5MDContents(
             record=_record(h5, system, n_frames),
             system=system,
@@ -183,7 +181,7 @@ def _damage(path: str | Path) -> tuple[str, str]:
     with opened(path) as h5:
         check_description(h5, path)
         with damage_told(path):
-            n_frames, found = read_restart(h5)[1], n_whole_frames(h5)
+            n_frames, found = read_restart(h5).n_frames, n_whole_frames(h5)
             return damaged_frames(h5) or (f"frames from {found} on" if found < n_frames else ""), damaged_restart(h5)
 
 

@@ -143,10 +143,8 @@ def potentials_in_words(potentials: Sequence[Any]) -> list[str]:
 def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
     """How the potentials in a file differ from those with which its run goes on, in words;
     empty if they are the same."""
-    before, now = (
-        sorted(re.sub(r" at 0x[0-9a-fA-F]+", "", one) for one in several)
-        for several in (stored, potentials_in_words(potentials))
-    )
+    both = stored, potentials_in_words(potentials)
+    before, now = (sorted(re.sub(r" at 0x[0-9a-fA-F]+", "", one) for one in several) for several in both)
     if before == now:
         return ""
     was, becomes = ([one for one in several if one not in others] for several, others in ((before, now), (now, before)))
@@ -215,9 +213,8 @@ def read_constraints(group: h5py.Group) -> tuple[Constraint, ...]:
     found: list[Constraint] = [FixedAtoms(stored["fixed"][:])] if "fixed" in stored else []
     if "pairs" in stored:
         solver: Any = str(stored.attrs["solver"])
-        found.append(
-            DistanceConstraints(stored["pairs"][:], stored["lengths"][:], float(stored.attrs["tolerance"]), solver)
-        )
+        pairs, lengths, tolerance = stored["pairs"][:], stored["lengths"][:], float(stored.attrs["tolerance"])
+        found.append(DistanceConstraints(pairs, lengths, tolerance, solver))
     return tuple(found)
 
 
@@ -229,30 +226,28 @@ def other_constraints(
 
     positions : (N, 3) [length]; the largest coordinate sets the rounding of lengths that were measured in positions.
     """
+    both = file, simulation
     theirs, ours = (
-        {atom for one in both if isinstance(one, FixedAtoms) for atom in one.atoms.tolist()}
-        for both in (file, simulation)
+        {atom for one in several if isinstance(one, FixedAtoms) for atom in one.atoms.tolist()} for several in both
     )
     if only := theirs ^ ours:
         return f"atom {min(only)} is fixed in the {'file' if min(only) in theirs else 'simulation'} alone"
-    before, now = (
-        next((one for one in both if isinstance(one, DistanceConstraints)), None) for both in (file, simulation)
-    )
+    before, now = (next((one for one in several if isinstance(one, DistanceConstraints)), None) for several in both)
     if not (before and now):
         alone = before or now
         where = "file" if before else "simulation"
         return f"the {where} alone keeps lengths, {len(alone.pairs)} of them" if alone else ""
     was, kept = _by_pair(before), _by_pair(now)
-    if several := was.keys() ^ kept.keys():
-        i, j = min(several)
+    if unlike := was.keys() ^ kept.keys():
+        i, j = min(unlike)
         return f"the length of atoms {i}-{j} is kept in the {'file' if (i, j) in was else 'simulation'} alone"
     rounding = ROUNDINGS * EPS * float(np.abs(positions).max())
     for (i, j), length in was.items():
         if abs(kept[i, j] - length) > before.tolerance * length + rounding:
             return f"the length of atoms {i}-{j} is {length:.17g} in the file and {kept[i, j]:.17g} in the simulation"
     for name in ("tolerance", "solver"):
-        if (a := getattr(before, name)) != (b := getattr(now, name)):
-            return f"the {name} of lengths is {a!r} in the file and {b!r} in the simulation"
+        if (first := getattr(before, name)) != (second := getattr(now, name)):
+            return f"the {name} of lengths is {first!r} in the file and {second!r} in the simulation"
     return ""
 
 

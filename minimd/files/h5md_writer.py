@@ -27,7 +27,6 @@ from minimd.files.first_look import looked_at
 from minimd.files.h5md_digest import (
     BLOCKS,
     add_block,
-    arrays_of_restart,
     drop_frames,
     read_restart,
     set_aside_damaged,
@@ -174,7 +173,7 @@ class H5MDWriter:
         with self._telling("be continued"):
             self._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
             self._last_step = int(contents.record.step[self._n_frames - 1])
-            kept = arrays_of_restart(self._h5).items()
+            kept = read_restart(self._h5).arrays.items()
             self.marks = [array.tobytes() for name, array in kept if name.startswith(BESIDE)]
             self._bring_others = lambda claim: []
             set_aside_damaged(self._h5)
@@ -351,7 +350,7 @@ def rehearse(claim: Claim) -> None:
         contents_of(h5, claim.name)
     with damage_told(claim.name), h5py.File(JournaledFile(claim), "r+") as h5:
         set_aside_damaged(h5)
-        restart, n_frames, _ = read_restart(h5)
+        restart, n_frames, _, _ = read_restart(h5)
         drop_frames(h5, n_frames)
         last = {name: h5[name][-1:] for name in h5[BLOCKS].attrs["series"]}
         for name, entry in last.items():

@@ -71,10 +71,8 @@ def system_from_file(
         source = _source(path, form, units or ASE)
         system = _system(source, units or ASE, form)
     if isinstance(source, System) and units not in (None, source.units):
-        raise ValueError(
-            f"file {str(path)!r} states units = {source.units.name!r}; it cannot be read with units = "
-            f"{units and units.name!r}"
-        )
+        states = f"file {str(path)!r} states units = {source.units.name!r}"
+        raise ValueError(f"{states}; it cannot be read with units = {units and units.name!r}")
     if cell is not None or pbc is not None:
         placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
         if isinstance(source, Atoms):  # lengths of constraints are measured in the new cell
@@ -105,9 +103,7 @@ def system_from_file(
 def changed(system: System, **changes: Any) -> System:
     """A copy of a system with other arguments."""
     names = ("masses", "velocities", "cell", "species", *GROUPS, "units", "constraints")
-    return System(
-        system.positions, **{name: changes[name] if name in changes else getattr(system, name) for name in names}
-    )
+    return System(system.positions, **{name: getattr(system, name) for name in names} | changes)
 
 
 def _source(path: Path, form: str | None, units: UnitSystem) -> Any:

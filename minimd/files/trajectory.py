@@ -230,9 +230,8 @@ def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] 
     if not file.absolute().parent.is_dir():
         raise FileNotFoundError(f"output folder {str(file.absolute().parent)!r} does not exist; make it first")
     if file.exists() and not file.is_file():
-        raise ValueError(
-            f"output {str(file)!r} must be a regular file, but it is a folder or a device; choose another name"
-        )
+        words = "it is a folder or a device; choose another name"
+        raise ValueError(f"output {str(file)!r} must be a regular file, but {words}")
     if not os.access(file if file.exists() else file.absolute().parent, os.W_OK):
         raise PermissionError(f"output {str(file)!r} cannot be written: {os.strerror(errno.EACCES)}")
     return file

@@ -52,9 +52,8 @@ class Turn:
     @property
     def is_needed(self) -> bool:
         """False if MDAnalysis takes the cell as it is."""
-        return not np.array_equal(self.combination, np.eye(3)) or bool(
-            np.abs(self.of(self._vectors)[0] - np.eye(3)).max() > SEEN
-        )
+        turned = float(np.abs(self.of(self._vectors)[0] - np.eye(3)).max())
+        return turned > SEEN or not np.array_equal(self.combination, np.eye(3))
 
     def of(self, vectors: Array) -> tuple[Array, NDArray[np.float32]]:
         """R (3, 3), and the lengths and angles in MDAnalysis [Å, °],

@@ -37,9 +37,8 @@ ATOMS = ("first", "second", "pushed", "fastest")  # in findings, by index
 class CrashFile(NamedTuple):
     """The contents of a crash file.
 
-    findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.  method :
-        of the run.
-    precision, skin, noise_shift : of the engine.  judgment : of the run guard.
+    findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.
+    method : of the run.  precision, skin, noise_shift : of the engine.  judgment : of the run guard.
     potentials : in words.  scene : text, empty if the run came from a script.  barostat : StochasticCellRescaling,
         or None.
     """

@@ -85,8 +85,10 @@ def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
 
 
 def lack_results(h5: h5py.File, observers: Mapping[str, Accumulator]) -> bool:
-    """Whether observers have looked since their results were written, as in a killed run.  observers :
-    as observers_of."""
+    """Whether observers have looked since their results were written, as in a killed run.
+
+    observers : as observers_of.
+    """
     return any(one.n_looks > h5[f"{GROUP}/{name}"].attrs.get("n_looks", 0) for name, one in observers.items())
 
 

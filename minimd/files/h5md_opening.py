@@ -26,6 +26,10 @@ REFERENCE = b"particles_group"  # the only attribute that refers to an object
 LAYOUTS = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
 MOST_TEXTS = 256  # attributes of an object, and texts in an attribute; minimd has some 30
 DEEPEST = 8  # groups in groups; minimd has 5
+REASONS = {  # why a file cannot be opened, by the words of HDF5
+    "unable to lock file": "another run is writing it",
+    "truncated file": "it is damaged, it ends before its data do; copy it again, or run again",
+}
 
 
 def opened(path: str | Path) -> h5py.File:
@@ -42,7 +46,9 @@ def opened(path: str | Path) -> h5py.File:
             raise ValueError(f"file {str(path)!r} is not an HDF5 file; give the .h5md file of a run")
         h5 = h5py.File(path, "r")
     except (OSError, RuntimeError) as error:
-        raise OSError(f"file {str(path)!r} cannot be opened: {_reason(error)}") from error
+        words = sentence(error)
+        reason = next((told for sign, told in REASONS.items() if sign in words), words.splitlines()[0])
+        raise OSError(f"file {str(path)!r} cannot be opened: {reason}") from error
     with damage_told(path):
         is_ours = h5.id.links.exists(b"minimd")
     if not is_ours:
@@ -141,13 +147,3 @@ def damage_told(path: str | Path) -> Iterator[None]:
     except Exception as error:  # HDF5 and h5py raise almost anything for bytes they do not expect
         reason = printable(" ".join(str(error).split())) or type(error).__name__
         raise OSError(f"file {str(path)!r} is damaged: {reason}; copy it again, or run again") from error
-
-
-def _reason(error: Exception) -> str:
-    """Why a file cannot be opened, in words."""
-    words = sentence(error)
-    if "unable to lock file" in words:
-        return "another run is writing it"
-    if "truncated file" in words:
-        return "it is damaged, it ends before its data do; copy it again, or run again"
-    return words.splitlines()[0]

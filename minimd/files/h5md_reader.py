@@ -34,16 +34,14 @@ from minimd.structure.units import SYSTEMS
 class H5MDContents(Displayed):
     """The contents of a minimd file, apart from its frames.
 
-    record : Record, one entry for each frame.  system : System at the restart, to the last bit,
-        with the constraints of the run.
-    restart : Checkpoint.  step, time : int, [time], of the restart.  timestep : [time].  method :
-        its name in integrators.METHODS.
-    barostat : StochasticCellRescaling, or None.  too_long_a_step :
-        the warning of a Report that the time step is too long, or empty.
-    parameters : arguments with which the method can be made again.  precision, skin : of the options.  potentials :
-        in words.
-    reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.  conserves_momentum :
-        whether the run did.
+    record : Record, one entry for each frame.
+    system : System at the restart, to the last bit, with the constraints of the run.
+    restart : Checkpoint.  step, time : int, [time], of the restart.  timestep : [time].
+    method : its name in integrators.METHODS.  parameters : arguments with which it can be made again.
+    barostat : StochasticCellRescaling, or None.  precision, skin : of the options.  potentials : in words.
+    too_long_a_step : the warning of a Report that the time step is too long, or empty.
+    reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.
+    conserves_momentum : whether the run did.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
     observers : of minimd.observers, by name, in their state at the restart, see observers_of.  lacks_results : whether
         they have looked since their results were written.

@@ -58,27 +58,19 @@ class FrameBlock:
     def __init__(self, columns: list[layout.Column], frame: Frame) -> None:
         entries = {column.path: np.asarray(column.entry(frame)) for column in columns}
         capacity = int(np.clip(BLOCK_BYTES // sum(entry.nbytes for entry in entries.values()), 1, MOST_FRAMES))
-        self.n_frames, self._columns, self._capacity = 0, columns, capacity
+        self.n_frames, self.columns, self._capacity = 0, columns, capacity
         self._entries = {path: np.empty((capacity, *entry.shape), entry.dtype) for path, entry in entries.items()}
 
-    @property
-    def is_full(self) -> bool:
-        """Whether there is no room for another frame."""
-        return self.n_frames == self._capacity
-
-    def take(self, frame: Frame) -> None:
-        """Copy the entries of a frame."""
-        for column in self._columns:
+    def take(self, frame: Frame) -> bool:
+        """Copy the entries of a frame; returns whether there is no room for another one."""
+        for column in self.columns:
             self._entries[column.path][self.n_frames] = column.entry(frame)
         self.n_frames += 1
+        return self.n_frames == self._capacity
 
     def entries(self) -> dict[str, np.ndarray]:
         """(n_frames, ...) for each series, by its path."""
         return {path: entries[: self.n_frames] for path, entries in self._entries.items()}
-
-    def clear(self) -> None:
-        """Remove all frames."""
-        self.n_frames = 0
 
 
 class H5MDWriter:
@@ -86,9 +78,8 @@ class H5MDWriter:
 
     Its restart is the state of the engine at the last flush, checkpoint or close.
 
-    claim : on the file.  engine : whose frames are written.  store_forces : also write forces.  every :
-        steps between two frames.
-    n_frames : number of frames expected, None if it is not known.
+    claim : on the file.  engine : whose frames are written.  store_forces : also write forces.
+    every : steps between two frames.  n_frames : number of frames expected, None if it is not known.
     observers : of the run; their state is kept with each restart, and their results are written at the end of the run.
     bring_others : brings other trajectories to the disk before a restart;
         the marks that it returns are kept until the end of the run.
@@ -196,11 +187,10 @@ class H5MDWriter:
             return
         if self._pending is None:
             spacing = None if self._every is None else self._every * self._engine.method.timestep
-            self._columns = layout.columns(self._engine.system, list(frame.observables), self._store_forces, spacing)
-            self._pending = FrameBlock(self._columns, frame)
-        self._pending.take(frame)
-        self._last_step = frame.step
-        if self._pending.is_full or monotonic() >= self._next_flush:
+            columns = layout.columns(self._engine.system, list(frame.observables), self._store_forces, spacing)
+            self._pending = FrameBlock(columns, frame)
+        is_full, self._last_step = self._pending.take(frame), frame.step
+        if is_full or monotonic() >= self._next_flush:
             self.checkpoint()
 
     def checkpoint(self) -> None:
@@ -214,8 +204,8 @@ class H5MDWriter:
         is_restart = self._engine.is_whole or self._n_frames == 0
         marks = enumerate(self._bring_others(self.claim) if is_restart else [])
         with self._telling(f"take the frame of step {step}"), uninterrupted():
-            if n_frames > self._n_frames:
-                self._add(pending, n_frames)
+            if self._pending and n_frames > self._n_frames:
+                self._add(self._pending.columns, pending, n_frames)
             if self._method is not self._engine.method:
                 self._describe_method()
             if is_restart:
@@ -224,7 +214,7 @@ class H5MDWriter:
             self._commit()
             self._n_frames = n_frames
             if self._pending:
-                self._pending.clear()
+                self._pending.n_frames = 0
         now = monotonic()
         self._next_flush = now + max(SECONDS_BETWEEN_FLUSHES, MOST_OFTEN * (now - started))
 
@@ -251,9 +241,9 @@ class H5MDWriter:
             finally:
                 self._shut()
 
-    def _add(self, pending: dict[str, np.ndarray], n_frames: int) -> None:
+    def _add(self, columns: list[layout.Column], pending: dict[str, np.ndarray], n_frames: int) -> None:
         """Add the pending frames to the series, and their digest; repeated after an error, this gives the same file."""
-        for column in self._columns:
+        for column in columns:
             series = layout.series_of(self._h5, column, pending[column.path][0], self._n_expected)
             series.resize(n_frames, axis=0)
             series[self._n_frames :] = pending[column.path]

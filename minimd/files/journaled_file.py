@@ -168,8 +168,10 @@ def _finish(descriptor: int) -> bool:
 
 
 def _journal(before: int, size: int, pieces: Pieces, checksum: int) -> bytes:
-    """The journal of a commit.  before, size : of the file before and after it.  checksum :
-    of the new bytes before it."""
+    """The journal of a commit.
+
+    before, size : of the file before and after it.  checksum : of the new bytes before it.
+    """
     body = b"".join([PIECE.pack(place, len(data)) + data for place, data in pieces])
     end = END.pack(before, size, len(body), 0, MAGIC)
     return body + END.pack(before, size, len(body), zlib.crc32(end, zlib.crc32(body, checksum)), MAGIC)
@@ -218,7 +220,11 @@ def _write_all(descriptor: int, data: bytes | memoryview, place: int) -> None:
     done = 0
     with memoryview(data) as view:
         while done < len(view):
-            done += _write_at(descriptor, view[done:], place + done)
+            if hasattr(os, "pwrite"):
+                done += os.pwrite(descriptor, view[done:], place + done)
+            else:  # Windows
+                os.lseek(descriptor, place + done, os.SEEK_SET)
+                done += os.write(descriptor, view[done:])
 
 
 def read_at(descriptor: int, n_bytes: int, place: int) -> bytes:
@@ -235,10 +241,3 @@ def _read_some(descriptor: int, n_bytes: int, place: int) -> bytes:
         return os.pread(descriptor, n_bytes, place)
     os.lseek(descriptor, place, os.SEEK_SET)  # Windows has no pread
     return os.read(descriptor, n_bytes)
-
-
-def _write_at(descriptor: int, data: memoryview, place: int) -> int:
-    if hasattr(os, "pwrite"):
-        return os.pwrite(descriptor, data, place)
-    os.lseek(descriptor, place, os.SEEK_SET)
-    return os.write(descriptor, data)

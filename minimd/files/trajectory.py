@@ -35,8 +35,8 @@ class Writer(Protocol):
         """Finish the file, which then is valid with any number of frames."""
 
 
-CONTINUED = ("store_forces", "every", "observers")  # options of a file that is continued
-H5MD = ("minimd.files.h5md_writer", "H5MDWriter", (*CONTINUED, "n_frames", "bring_others"))
+FOR_H5MD = ("store_forces", "every", "observers", "n_frames", "bring_others")
+H5MD = ("minimd.files.h5md_writer", "H5MDWriter", FOR_H5MD)
 MDANALYSIS = ("minimd.files.mdanalysis_writer", "MDAnalysisWriter", ())
 ASE = ("minimd.files.ase_writer", "ASEWriter", ("store_forces",))
 # suffix: module and class of its writer, imported when needed, and the options that it takes besides claim and engine
@@ -83,7 +83,12 @@ def open_trajectories(
         writers: list[Writer] = []
         options["bring_others"] = partial(_brought_to_disk, writers)
         for file in sorted(files, key=_is_h5md):  # last: it tells how far the others are
-            writers.append(_continued(file, engine, options) if append else _new(file, engine, options, overwrite))
+            if append:
+                from minimd.files.h5md_writer import H5MDWriter
+
+                writers.append(H5MDWriter.append_to(file, engine, store_forces, every, observers))
+            else:
+                writers.append(_new(file, engine, options, overwrite))
             closing.callback(writers[-1].close)
             if append:
                 _cut_others_back(writers[-1])
@@ -106,12 +111,6 @@ def _new(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -
         claim.release()
         raise
     return made
-
-
-def _continued(file: Path, engine: Engine, options: dict[str, Any]) -> Writer:
-    from minimd.files.h5md_writer import H5MDWriter
-
-    return H5MDWriter.append_to(file, engine, **{one: options[one] for one in CONTINUED})
 
 
 def _cut_others_back(writer: Any) -> None:
@@ -167,9 +166,10 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
         raise ValueError("it is no trajectory")
     with open(locked(path), "r+b") as file:
         there = file.fileno()
-        found, ends = os.fstat(there).st_size, zip(last, read_at(there, *_last_bytes(size)), strict=False)
+        found = os.fstat(there).st_size
         is_ours = (os.fstat(h5md).st_ino, os.fstat(there).st_ino) == (own, inode) and found >= size
-        if not is_ours or any(was not in (0, now) for was, now in ends):
+        now = read_at(there, *_last_bytes(size)) if is_ours else b""  # a strange mark may have any size
+        if not is_ours or any(was not in (0, byte) for was, byte in zip(last, now, strict=False)):
             raise ValueError("it, or the file with the restart, is a copy or was changed")
         file.write(first[:size])
         file.truncate(size)

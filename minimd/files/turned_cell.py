@@ -71,8 +71,10 @@ class Turn:
         return ts
 
     def in_words(self, what: str, way_back: str) -> str:
-        """A sentence on what is done to positions and cell.  what : to which they belong.  way_back :
-        where R is found."""
+        """A sentence on what is done to positions and cell.
+
+        what : to which they belong.  way_back : where R is found.
+        """
         rows = np.array2string(self.of(self._vectors)[0], separator=", ", precision=6, suppress_small=True)
         rows, reason = rows.replace("\n", ""), ""
         if not self._is_reduced:

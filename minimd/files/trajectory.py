@@ -167,7 +167,7 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
     with open(locked(path), "r+b") as file:
         there = file.fileno()
         found = os.fstat(there).st_size
-        is_ours = (os.fstat(h5md).st_ino, os.fstat(there).st_ino) == (own, inode) and found >= size
+        is_ours = _has_inode(h5md, own) and _has_inode(there, inode) and found >= size
         now = read_at(there, *_last_bytes(size)) if is_ours else b""  # a strange mark may have any size
         if not is_ours or any(was not in (0, byte) for was, byte in zip(last, now, strict=False)):
             raise ValueError("it, or the file with the restart, is a copy or was changed")
@@ -177,6 +177,10 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
             path.unlink()
             return f"of {found} bytes was removed: it had no frame at the restart"
     return f"was cut from {found} to {size} bytes, as it was at the restart" if found > size else ""
+
+
+def _has_inode(descriptor: int, inode: int) -> bool:
+    return os.fstat(descriptor).st_ino == inode
 
 
 def _last_bytes(size: int) -> tuple[int, int]:

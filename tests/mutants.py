@@ -150,11 +150,11 @@ engine/cell_rescaling.py: engine/test_barostat
     tensor += thermal * np.eye(3) - np.outer => tensor += np.eye(3) - np.outer
     self.barostat.every - step % => self.barostat.every + step %
     virial = virial - self._inner_virial() => virial = virial + self._inner_virial()
-files/h5md_restart.py: files/test_h5md files/test_trajectories files/test_interrupts simulation/test_observables
+files/h5md_digest.py: files/test_h5md files/test_trajectories files/test_interrupts simulation/test_observables
     "clock_step": clock[0] => "clock_step": clock[0] + 1
     for name in (RESTART, EARLIER): => for name in (EARLIER, RESTART):
-    return {} if name is None else read_group => return {} if name is not None else read_group
-files/frame_block.py: files/test_h5md simulation/test_observables
+    int(numbers["n_frames"]), arrays, name == EARLIER => int(numbers["n_frames"]), {}, name == EARLIER
+files/h5md_writer.py: files/test_h5md simulation/test_observables
     self._entries[column.path][self.n_frames] = => self._entries[column.path][self.n_frames - 1] =
 files/journaled_file.py: files/test_h5md simulation/test_observables files/test_kills
     max(start, self._committed) => min(start, self._committed)

@@ -21,19 +21,16 @@ IN_USE = (
     "another run is writing it, or a program has it open; if a universe in this process reads it, close that "
     "first: universe.trajectory.close()"
 )
-NO_LINK = (
-    getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-)  # and no waiting for what is a pipe
+# and no waiting for what is a pipe
+NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 UNLOCKABLE = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of file systems without locks
 
 
 class Claim:
     """A file that only this run writes.
 
-
-
-    path : links are followed, as the user gave it.  is_new : begin a new file.  overwrite :
-        a new file may replace one that exists.
+    path : as the user gave it; links are followed.  is_new : begin a new file.  overwrite : a new file may replace
+        one that exists.
     place : where to write: the path, or the temporary name of a new file.  descriptor : of the file, locked.
     replaced : descriptor of the file that will be replaced, locked; −1 if there is none.
 
@@ -66,9 +63,24 @@ class Claim:
         if self.replaced >= 0:
             os.replace(self.place, self.path)
         else:
-            _rename(self.place, self.path)
+            try:
+                os.link(self.place, self.path)  # unlike a rename, it fails if the name is taken
+            except FileExistsError:
+                taken = "another run has made it meanwhile; choose another name"
+                raise FileExistsError(errno.EEXIST, taken) from None
+            except OSError:  # a file system without links
+                if self.path.exists():
+                    raise
+                os.rename(self.place, self.path)
+            else:
+                self.place.unlink()
         self.place, self._is_new = self.path, False
-        _sync_folder(self.path.parent)
+        with suppress(OSError):  # not every system can write a folder to the disk, and with it new names of files
+            folder = os.open(self.path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
         self._release_replaced()
 
     def sync(self) -> None:
@@ -76,9 +88,8 @@ class Claim:
         try:
             os.fsync(self.descriptor)
         except OSError as error:
-            raise OSError(
-                error.errno, f"trajectory {self.name!r} could not be brought to the disk: {error.strerror}"
-            ) from None
+            words = f"trajectory {self.name!r} could not be brought to the disk: {error.strerror}"
+            raise OSError(error.errno, words) from None
 
     @property
     def stream(self) -> Path:
@@ -90,7 +101,7 @@ class Claim:
     def check(self) -> None:
         """Raise OSError if the file was removed or replaced by another program."""
         try:
-            is_there = _is_same(os.lstat(self.place), os.fstat(self.descriptor))
+            is_there = os.path.samestat(os.lstat(self.place), os.fstat(self.descriptor))
         except FileNotFoundError:
             raise OSError(errno.ENOENT, "it was removed while the run was writing it") from None
         if not is_there:
@@ -181,7 +192,7 @@ def _locked(descriptor: int, path: Path) -> int:
     try:
         if fcntl is not None:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if not _is_same(os.fstat(descriptor), os.lstat(path)):
+        if not os.path.samestat(os.fstat(descriptor), os.lstat(path)):
             raise BlockingIOError
     except (BlockingIOError, FileNotFoundError):
         os.close(descriptor)
@@ -200,37 +211,8 @@ def is_locked(path: Path) -> bool:
     try:
         if fcntl is not None:
             fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        return fcntl is None
     except OSError:
         return True
-    else:
-        return fcntl is None
     finally:
         os.close(descriptor)
-
-
-def _rename(old: Path, new: Path) -> None:
-    """Rename a file.  Raises FileExistsError if the new name is taken."""
-    try:
-        os.link(old, new)  # unlike a rename, it fails if the name is taken
-    except FileExistsError:
-        raise FileExistsError(errno.EEXIST, "another run has made it meanwhile; choose another name") from None
-    except OSError:  # a file system without links
-        if new.exists():
-            raise
-        os.rename(old, new)
-    else:
-        old.unlink()
-
-
-def _is_same(one: os.stat_result, other: os.stat_result) -> bool:
-    return (one.st_dev, one.st_ino) == (other.st_dev, other.st_ino)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Write a folder to the disk, and with it new names of files. Not every system can do this."""
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)

@@ -37,9 +37,8 @@ ATOMS = ("first", "second", "pushed", "fastest")  # in findings, by index
 class CrashFile(NamedTuple):
     """The contents of a crash file.
 
-    findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.  method :
-        of the run.
-    precision, skin, noise_shift : of the engine.  judgment : of the run guard.
+    findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.
+    method : of the run.  precision, skin, noise_shift : of the engine.  judgment : of the run guard.
     potentials : in words.  scene : text, empty if the run came from a script.  barostat : StochasticCellRescaling,
         or None.
     """
@@ -68,10 +67,8 @@ def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path |
         return several[0].with_suffix(SUFFIX) if crash_report and several else None
     [place] = named_files("crash_report", [crash_report])
     if place.resolve() in [file.resolve() for file in several]:
-        raise ValueError(
-            f"crash_report must be a file of its own; {str(crash_report)!r} is a trajectory of the run: choose another "
-            "name"
-        )
+        words = f"{str(crash_report)!r} is a trajectory of the run: choose another name"
+        raise ValueError(f"crash_report must be a file of its own; {words}")
     return place
 
 
@@ -108,7 +105,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     Raises OSError if it cannot be written.
     """
     from minimd.files.claim import Claim  # h5py is slow to load
-    from minimd.files.h5md_restart import flattened, write_group
+    from minimd.files.h5md_digest import flattened, write_group
     from minimd.files.h5md_writer import H5MDWriter, edit
 
     part = path.with_name(f"{path.name}.part")  # so that no incomplete file has the final name
@@ -134,11 +131,8 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
         def add(h5: Any) -> None:
             group = h5.create_group("minimd/crash_report")
             write_group(group.create_group("start"), *flattened(last._replace(state=start)))
-            group["findings"], group["words"], group["simulation"] = (
-                json.dumps(asdict(findings)),
-                str(findings),
-                json.dumps(known),
-            )
+            texts = {"findings": json.dumps(asdict(findings)), "words": str(findings), "simulation": json.dumps(known)}
+            group.update(texts)
 
         edit(part, add)
         os.replace(part, path)
@@ -159,9 +153,9 @@ def is_crash_file(path: str | Path) -> bool:
 def read_crash_report(path: str | Path) -> CrashFile:
     """The contents of a crash file.  Raises FileNotFoundError, OSError, ValueError as read_file,
     and ValueError for another file of minimd."""
+    from minimd.files.h5md_digest import read_group, unflattened
     from minimd.files.h5md_opening import damage_told, opened
     from minimd.files.h5md_reader import read_file
-    from minimd.files.h5md_restart import read_group, unflattened
 
     contents = read_file(path)
     with opened(path) as h5:
@@ -169,30 +163,18 @@ def read_crash_report(path: str | Path) -> CrashFile:
             raise ValueError(f"file {str(path)!r} holds no crash report; give the {SUFFIX} file of a run that failed")
         group, system = h5["minimd/crash_report"], contents.system
         with damage_told(path):
-            told, found = (
-                json.loads(group[name].asstr()[()], object_hook=_printable) for name in ("simulation", "findings")
-            )
+            texts = (group[name].asstr()[()] for name in ("simulation", "findings"))
+            told, found = (json.loads(text, object_hook=_printable) for text in texts)
             start = unflattened(*read_group(group["start"])).state
             system.positions, system.velocities = start.positions, start.velocities
-            pair, closest = (
-                found["pair"] and Contact(**found["pair"]),
-                found["closest"] and ClosestPair(*found["closest"]),
-            )
+            pair = found["pair"] and Contact(**found["pair"])
+            closest = found["closest"] and ClosestPair(*found["closest"])
             findings = CrashReport(**found | {"pair": pair, "closest": closest})
             for part in (findings, pair, closest):
                 _check_types(part, len(system))
-    options: dict[str, Any] = {
-        "precision": contents.precision,
-        "skin": contents.skin,
-        "potentials": contents.potentials,
-        "scene": contents.scene,
-    }
-    options["barostat"] = contents.barostat
-    options |= {
-        "noise_shift": told["noise_shift"],
-        "judgment": (told.get("first"), told.get("growth", RUNAWAY)),
-    }  # older files have no judgment
-    return CrashFile(findings, system, start, contents.integrator(), **options)
+    options = {name: getattr(contents, name) for name in ("precision", "skin", "potentials", "scene", "barostat")}
+    options["judgment"] = told.get("first"), told.get("growth", RUNAWAY)  # older files have none
+    return CrashFile(findings, system, start, contents.integrator(), noise_shift=told["noise_shift"], **options)
 
 
 def _printable(found: dict[str, Any]) -> dict[str, Any]:
@@ -204,10 +186,7 @@ def _check_types(part: Any, n_atoms: int) -> None:
     and its atoms are among n_atoms."""
     for name, declared in get_type_hints(type(part)).items() if part else ():
         value, kinds = getattr(part, name), get_args(declared) or (declared,)
-        is_in_range = (
-            (0 if name in ATOMS else -COUNTS) <= value < (n_atoms if name in ATOMS else COUNTS)
-            if type(value) is int
-            else True
-        )
-        if not (type(value) in kinds or (type(value) is int and float in kinds)) or not is_in_range:
+        least, limit = (0, n_atoms) if name in ATOMS else (-COUNTS, COUNTS)
+        is_of_kind = type(value) in kinds or (type(value) is int and float in kinds)
+        if not is_of_kind or (type(value) is int and not least <= value < limit):
             raise ValueError(f"its findings have {name} = {shown(value)}")

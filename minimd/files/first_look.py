@@ -18,10 +18,8 @@ Found = TypeVar("Found")
 
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 SECONDS, BYTES_PER_SECOND = 10, 10_000_000  # of processor time that a look may take; reading needs a hundredth of it
-MEMORY, SIZES = (
-    2**32,
-    4,
-)  # bytes that a look may take, and besides so many times those of the file: texts of a file may claim the same bytes
+# bytes that a look may take, and besides so many times those of the file: texts of a file may claim the same bytes
+MEMORY, SIZES = 2**32, 4
 
 
 def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
@@ -49,21 +47,16 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
         os.kill(child, signal.SIGKILL)
         raise
     finally:
-        status = _status_of(child)
+        try:
+            status = os.waitpid(child, 0)[1]
+        except ChildProcessError:  # not known, because this process ignores the ends of its children
+            status = 0
     if status or not answer:
         raise OSError(f"file {str(path)!r} is damaged: HDF5 crashes on it; copy it again, or run again")
     found, error = pickle.loads(answer)
     if error is not None:
         raise error
     return found
-
-
-def _status_of(child: int) -> int:
-    """The exit status of a child; 0 if it is not known, because this process ignores the ends of its children."""
-    try:
-        return os.waitpid(child, 0)[1]
-    except ChildProcessError:
-        return 0
 
 
 def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> NoReturn:
@@ -78,13 +71,8 @@ def _tell(parent: int, pipe: int, path: str | Path, look: Callable[[], Any]) -> 
         try:
             answer = look(), None
         except MemoryError:
-            answer = (
-                None,
-                OSError(
-                    f"file {str(path)!r} is damaged: to read it takes more memory than {MEMORY / 1e9:.2g} GB; copy it, "
-                    "or run, again"
-                ),
-            )
+            much = f"to read it takes more memory than {MEMORY / 1e9:.2g} GB"
+            answer = None, OSError(f"file {str(path)!r} is damaged: {much}; copy it, or run, again")
         except Exception as error:
             answer = None, error
         with open(pipe, "wb") as told:

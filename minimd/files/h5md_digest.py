@@ -1,8 +1,12 @@
-"""Checksums in a minimd file, which show whether its numbers are those that were written.
+"""Restart, frames and description of a minimd file, each with a checksum that shows whether its numbers are those
+that were written.
 
+minimd/restart            all that the next steps depend on, to the last bit: the arrays and numbers of flattened() as
+                          datasets and attributes, the number n_frames of frames, and the CRC-32 of them all
+minimd/earlier_restart    the restart before it. The older of the two is overwritten, then the two exchange their names:
+                          if one is damaged, the run goes on from the other
 minimd/blocks             (B, 2) a row for each block of frames: the number of frames up to its end, and the CRC-32 of
                           the block; the attribute series names the datasets that grow with the frames
-minimd/restart, ...       see h5md_restart
 minimd, attribute digest  the CRC-32 of everything that does not change: names, types, attributes, and arrays
                           that do not grow
 
@@ -11,43 +15,175 @@ Types are part of every checksum: the same bytes in another order are other numb
 
 import zlib
 from collections.abc import Iterator
+from functools import reduce
+from itertools import count
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 
-from minimd.files.h5md_restart import DIGEST, EARLIER, RESTART, SPARE, digest_of_array
+from minimd.engine.engine import Checkpoint, Snapshot
+from minimd.neighbors.verlet_list import Built
+from minimd.structure.cell import Cell
+from minimd.structure.grid import Grid
 
-BLOCKS = "minimd/blocks"
-FIXED = (
-    "h5md",
-    "particles",
-    "observables",
-    "connectivity",
-    "minimd",
-)  # groups that, apart from series and restarts, do not change
+RESTART, EARLIER, SPARE = "minimd/restart", "minimd/earlier_restart", "minimd/spare"
+BLOCKS, DIGEST = "minimd/blocks", "digest"
+FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")  # groups; but for the above, they do not change
+
+
+class Restart(NamedTuple):
+    """A restart that is intact.  n_frames : in the file at that time.  arrays : all of it, with those that are kept
+    beside the checkpoint.  is_earlier : whether it is the earlier restart, because the newest is damaged.
+    """
+
+    checkpoint: Checkpoint
+    n_frames: int
+    arrays: dict[str, np.ndarray]
+    is_earlier: bool
+
+
+def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """A checkpoint as named arrays and numbers. Arrays that it does not have are left out."""
+    state, clock = checkpoint.state, checkpoint.state.clock or (checkpoint.state.step, checkpoint.state.time)
+    images, tolerance = checkpoint.images or (None, 0.0)
+    arrays: dict[str, Any] = {"positions": state.positions, "velocities": state.velocities, "images": images}
+    cells = {"cell": state.cell}
+    for k, one in enumerate(checkpoint.lists):
+        arrays |= {f"list_{k}": one.positions, f"region_of_list_{k}": one.region}
+        cells[f"cell_of_list_{k}"] = one.cell
+    for name, cell in cells.items():
+        arrays |= {} if cell is None else {name: cell.vectors, f"{name}_reduction": cell.reduction}
+    numbers = {name: getattr(state, name) for name in ("step", "time", "reservoir_energy", "work")}
+    numbers |= {"displacement": checkpoint.displacement, "equilibrated": checkpoint.equilibrated}
+    numbers |= {"clock_step": clock[0], "clock_time": clock[1], "tolerance": tolerance}
+    numbers["skins"] = np.array([one.skin for one in checkpoint.lists])
+    if (grid := checkpoint.grid) is not None:
+        numbers["grid"] = np.array([grid.length, grid.momentum, grid.energy])
+    return {name: array for name, array in arrays.items() if array is not None}, numbers
+
+
+def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Checkpoint:
+    """The checkpoint with these flattened arrays and numbers."""
+
+    def cell(name: str) -> Cell | None:
+        return Cell.of_reduction(arrays[name], arrays[f"{name}_reduction"]) if name in arrays else None
+
+    whole = {name: int(numbers[name]) for name in ("step", "clock_step", "equilibrated")}
+    real = {name: float(numbers[name]) for name in ("time", "clock_time", "reservoir_energy", "displacement")}
+    moving, clock = (arrays["positions"], arrays["velocities"]), (whole["clock_step"], real["clock_time"])
+    energy, work = real["reservoir_energy"], float(numbers.get("work", 0.0))
+    return Checkpoint(
+        state=Snapshot(whole["step"], real["time"], *moving, energy, clock, work, cell("cell")),
+        displacement=real["displacement"],
+        lists=tuple(
+            Built(float(skin), arrays.get(f"list_{k}"), cell(f"cell_of_list_{k}"), arrays.get(f"region_of_list_{k}"))
+            for k, skin in enumerate(numbers["skins"])
+        ),
+        images=(arrays["images"], float(numbers["tolerance"])) if "images" in arrays else None,
+        equilibrated=whole["equilibrated"],
+        grid=Grid(*map(float, numbers["grid"])) if "grid" in numbers else None,
+    )
+
+
+def write_restart(
+    h5: h5py.File, checkpoint: Checkpoint, n_frames: int, beside: dict[str, np.ndarray] | None = None
+) -> None:
+    """Write the newest restart; the one before becomes the earlier restart.  beside : arrays that are kept with it."""
+    older = EARLIER if EARLIER in h5 else SPARE
+    arrays, numbers = flattened(checkpoint)
+    write_group(h5.require_group(older), arrays | (beside or {}), numbers | {"n_frames": n_frames})
+    if older != SPARE:
+        h5.move(older, SPARE)
+    if RESTART in h5:
+        h5.move(RESTART, EARLIER)
+    h5.move(SPARE, RESTART)
+
+
+def read_restart(h5: h5py.File) -> Restart:
+    """The newest restart that is intact.  Raises ValueError if both are damaged."""
+    for name in (RESTART, EARLIER):
+        if (found := _whole(h5, name)) is not None:
+            return found
+    raise ValueError("its restart is damaged")
+
+
+def damaged_restart(h5: h5py.File) -> str:
+    """The damaged restart in words; empty if there is none. After a single commit a file has no earlier restart."""
+    if _whole(h5, RESTART) is None:
+        return "numbers of the newest restart"
+    return "numbers of the restart before the newest" if EARLIER in h5 and _whole(h5, EARLIER) is None else ""
+
+
+def set_aside_damaged(h5: h5py.File) -> None:
+    """Rename damaged restarts. They are not deleted: the bytes that they claim as theirs may belong to other data."""
+    for name in (RESTART, EARLIER, SPARE):
+        if h5.get(name, getlink=True) is not None and _whole(h5, name) is None:
+            h5.move(name, next(free for k in count(1) if h5.get(free := f"{name}_damaged_{k}", getlink=True) is None))
+
+
+def _whole(h5: h5py.File, name: str) -> Restart | None:
+    """The restart of a name; None if it is damaged."""
+    try:
+        arrays, numbers = read_group(h5[name])
+        return Restart(unflattened(arrays, numbers), int(numbers["n_frames"]), arrays, name == EARLIER)
+    except MemoryError:
+        raise
+    except Exception:  # HDF5 and h5py raise almost anything for bytes they do not expect
+        return None
+
+
+def write_group(group: h5py.Group, arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> None:
+    """Write arrays, numbers and their digest into a group, in place of its contents."""
+    for name in [name for name in group if name not in arrays]:
+        del group[name]
+    for name, array in arrays.items():
+        if name in group and group[name].shape != array.shape:
+            del group[name]
+        group.require_dataset(name, array.shape, array.dtype)[...] = array
+    for name, number in numbers.items():
+        value = np.asarray(number, dtype=np.int64 if isinstance(number, int) else np.float64)
+        if name in group.attrs and group.attrs[name].shape == value.shape:
+            group.attrs.modify(name, value)
+        else:
+            group.attrs[name] = value
+    group.attrs[DIGEST] = np.uint32(digest_of(arrays, numbers))
+
+
+def read_group(group: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays and numbers as write_group wrote them.  Raises ValueError if their digest is wrong."""
+    arrays, numbers = {name: group[name][()] for name in group}, dict(group.attrs)
+    if digest_of(arrays, numbers) != numbers.pop(DIGEST, None):
+        raise ValueError(f"{group.name} is damaged")
+    return arrays, numbers
+
+
+def digest_of(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> int:
+    """CRC-32 of the names, types, shapes and bytes of arrays, and of the names and bytes of numbers."""
+    digest = 0
+    for name, array in sorted(arrays.items()):
+        digest = zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), digest)
+        digest = zlib.crc32(np.ascontiguousarray(array).data, digest)
+    for name in sorted(set(numbers) - {DIGEST}):
+        digest = zlib.crc32(np.asarray(numbers[name], dtype=np.float64).tobytes(), zlib.crc32(name.encode(), digest))
+    return digest
+
+
+def digest_of_block(entries: dict[str, np.ndarray]) -> int:
+    """CRC-32 of the entries of some frames, by the paths of their series."""
+    return digest_of(entries, {})
 
 
 def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> None:
     """Append the row of a block: n_frames frames are now in the file; entries : of the frames of the block,
     by the paths of their series."""
     if BLOCKS not in h5:
-        h5.create_dataset(BLOCKS, (0, 2), np.int64, maxshape=(None, 2), chunks=(64, 2)).attrs["series"] = sorted(
-            entries
-        )
+        blocks = h5.create_dataset(BLOCKS, (0, 2), np.int64, maxshape=(None, 2), chunks=(64, 2))
+        blocks.attrs["series"] = sorted(entries)
     blocks = h5[BLOCKS]
-    row = (
-        int(np.searchsorted(blocks[:, 0], n_frames)) if len(blocks) else 0
-    )  # a block that is written again replaces its row
+    row = int(np.searchsorted(blocks[:, 0], n_frames))  # a block that is written again replaces its row
     blocks.resize(row + 1, axis=0)
     blocks[row] = n_frames, digest_of_block(entries)
-
-
-def digest_of_block(entries: dict[str, np.ndarray]) -> int:
-    """CRC-32 of the entries of some frames, by the paths of their series."""
-    digest = 0
-    for path in sorted(entries):
-        digest = digest_of_array(path, entries[path], digest)
-    return digest
 
 
 def damaged_frames(h5: h5py.File) -> str:
@@ -92,10 +228,7 @@ def is_signed(h5: h5py.File) -> bool:
 
 
 def _digest_of_description(h5: h5py.File) -> int:
-    digest = 0
-    for words in _description(h5):
-        digest = zlib.crc32(words, digest)
-    return digest
+    return reduce(lambda digest, words: zlib.crc32(words, digest), _description(h5), 0)
 
 
 def _description(h5: h5py.File) -> Iterator[bytes]:
@@ -104,9 +237,8 @@ def _description(h5: h5py.File) -> Iterator[bytes]:
     for group in FIXED:
         items[group] = h5[group]
         h5[group].visit_links(lambda name, group=group: items.update({f"{group}/{name}": None}))
-        h5[group].visititems(
-            lambda name, item, group=group: items.update({f"{group}/{name}": item})
-        )  # visititems stops if the function returns anything but None
+        # visititems stops if the function returns anything but None
+        h5[group].visititems(lambda name, item, group=group: items.update({f"{group}/{name}": item}))
     for name, item in sorted(items.items()):
         if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):
             continue

@@ -19,7 +19,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from minimd.files.h5md_restart import arrays_of_restart
+from minimd.files.h5md_digest import read_restart
 from minimd.observers import KINDS
 from minimd.observers.accumulator import Accumulator
 from minimd.structure.checks import listed, shown
@@ -46,29 +46,23 @@ def restore_observers(h5: h5py.File, file: str | Path, observers: Sequence[Accum
     Raises ValueError if the file holds an observer of the same name with other arguments, or in a state of another
     convention. Warns of observers in the file that the run does not have.
     """
-    known = h5.get(GROUP, {})
-    states = _states(arrays_of_restart(h5)) if len(known) else {}
+    known, states = h5.get(GROUP, {}), _states_in(h5)
     for one in observers:
         if one.name in known:
             if (was := json.loads(known[one.name].attrs["arguments"])) != json.loads(json.dumps(one.made_with())):
-                raise ValueError(
-                    f"file {str(file)!r} holds the observer {one.name} with the arguments {was}; use the same "
-                    "arguments, or pass another name="
-                )
+                holds = f"file {str(file)!r} holds the observer {one.name} with the arguments {was}"
+                raise ValueError(f"{holds}; use the same arguments, or pass another name=")
             if not one.n_looks:
                 one.restore(states.get(one.name, {}))
     if left := set(known) - {one.name for one in observers}:
-        warnings.warn(
-            f"file {str(file)!r} holds {listed(sorted(left))}, which this run does not go on with; to go on with them, "
-            "pass observers=",
-            stacklevel=outside_minimd(),
-        )
+        words = f"file {str(file)!r} holds {listed(sorted(left))}, which this run does not go on with"
+        warnings.warn(f"{words}; to go on with them, pass observers=", stacklevel=outside_minimd())
 
 
-def _states(arrays: dict[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
-    """The state of each observer, by its name."""
+def _states_in(h5: h5py.File) -> dict[str, dict[str, np.ndarray]]:
+    """The state of each observer at the restart, by its name."""
     found: dict[str, dict[str, np.ndarray]] = {}
-    for name, array in arrays.items():
+    for name, array in read_restart(h5).arrays.items() if len(h5.get(GROUP, {})) else ():
         if name.startswith(MARK):
             _, observer, key = name.split(".")
             found.setdefault(observer, {})[key] = array
@@ -84,25 +78,24 @@ def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
         if not one.n_looks:
             continue
         result = one.result()
-        group.attrs.update(
-            {"n_looks": one.n_looks, "last_step": one.last_step, "units": result.scene.units, **result.numbers()}
-        )
+        looks = {"n_looks": one.n_looks, "last_step": one.last_step}
+        group.attrs.update({**looks, "units": result.scene.units, **result.numbers()})
         for name, series in result.columns().items():
-            group[name.replace("/", "_")] = (
-                series  # the name of a species may contain a slash, which HDF5 does not allow in names
-            )
+            group[name.replace("/", "_")] = series  # HDF5 allows no slash in names, that of a species may contain one
 
 
 def lack_results(h5: h5py.File, observers: Mapping[str, Accumulator]) -> bool:
-    """Whether observers have looked since their results were written, as in a killed run.  observers :
-    as observers_of."""
+    """Whether observers have looked since their results were written, as in a killed run.
+
+    observers : as observers_of.
+    """
     return any(one.n_looks > h5[f"{GROUP}/{name}"].attrs.get("n_looks", 0) for name, one in observers.items())
 
 
 def observers_of(h5: h5py.File) -> dict[str, Accumulator]:
     """The observers in an open file, by name, in their state at the restart;
     new ones where the convention of the state is another."""
-    states, found = _states(arrays_of_restart(h5)) if GROUP in h5 else {}, {}
+    states, found = _states_in(h5), {}
     for name, group in h5.get(GROUP, {}).items():
         arguments: dict[str, Any] = json.loads(group.attrs["arguments"])
         try:

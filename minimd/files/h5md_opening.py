@@ -20,14 +20,16 @@ from minimd.structure.errors import sentence
 
 NUMBERS = (h5t.INTEGER, h5t.FLOAT, h5t.ENUM)  # bools and species are enumerations
 TEXTS = (*NUMBERS, h5t.STRING)
-MAY_BE_TEXTS = (
-    "minimd/species_names",
-    *(f"minimd/crash_report/{name}" for name in ("findings", "words", "simulation")),
-)
+CRASH_TEXTS = ("findings", "words", "simulation")
+MAY_BE_TEXTS = ("minimd/species_names", *(f"minimd/crash_report/{name}" for name in CRASH_TEXTS))
 REFERENCE = b"particles_group"  # the only attribute that refers to an object
 LAYOUTS = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
 MOST_TEXTS = 256  # attributes of an object, and texts in an attribute; minimd has some 30
 DEEPEST = 8  # groups in groups; minimd has 5
+REASONS = {  # why a file cannot be opened, by the words of HDF5
+    "unable to lock file": "another run is writing it",
+    "truncated file": "it is damaged, it ends before its data do; copy it again, or run again",
+}
 
 
 def opened(path: str | Path) -> h5py.File:
@@ -44,7 +46,9 @@ def opened(path: str | Path) -> h5py.File:
             raise ValueError(f"file {str(path)!r} is not an HDF5 file; give the .h5md file of a run")
         h5 = h5py.File(path, "r")
     except (OSError, RuntimeError) as error:
-        raise OSError(f"file {str(path)!r} cannot be opened: {_reason(error)}") from error
+        words = sentence(error)
+        reason = next((told for sign, told in REASONS.items() if sign in words), words.splitlines()[0])
+        raise OSError(f"file {str(path)!r} cannot be opened: {reason}") from error
     with damage_told(path):
         is_ours = h5.id.links.exists(b"minimd")
     if not is_ours:
@@ -62,9 +66,8 @@ def admitted(h5: h5py.File, path: str | Path) -> h5py.File:
         with damage_told(path):
             problem = _strange_thing(h5)
         if problem:
-            raise OSError(
-                f"file {str(path)!r} is refused: {problem}; minimd writes no such thing, do not use this file"
-            )
+            remedy = "minimd writes no such thing, do not use this file"
+            raise OSError(f"file {str(path)!r} is refused: {problem}; {remedy}")
     except BaseException:
         h5.close()
         raise
@@ -80,9 +83,8 @@ def _strange_thing(h5: h5py.File) -> str:
     while groups:
         path, group = groups.pop()
         links: list[tuple[bytes, int]] = []
-        group.links.iterate(
-            lambda key, info, links=links: links.append((key, info.type)), info=True
-        )  # h5py uses one info for all
+        # h5py uses one info for all
+        group.links.iterate(lambda key, info, links=links: links.append((key, info.type)), info=True)
         for key, kind in links:
             name = f"{path}{key.decode(errors='replace')}"
             if kind != h5l.TYPE_HARD:
@@ -97,10 +99,10 @@ def _strange_thing(h5: h5py.File) -> str:
             if not is_second:
                 words, n_bytes = _strange_in(item, name)
                 room -= n_bytes
-                if words or room < 0:
-                    return (
-                        f"{name!r} {words or f'with what precedes it would be larger than the file, by {-room} bytes'}"
-                    )
+                if room < 0 and not words:
+                    words = f"with what precedes it would be larger than the file, by {-room} bytes"
+                if words:
+                    return f"{name!r} {words}"
     return ""
 
 
@@ -112,27 +114,27 @@ def _strange_in(item: Any, name: str) -> tuple[str, int]:
     h5a.iterate(item, keys.append)
     attributes = [h5a.open(item, key) for key in keys]
     for key, one in zip(keys, attributes, strict=True):
-        if one.get_type().get_class() not in TEXTS and key != REFERENCE:
-            return f"has the attribute {key.decode(errors='replace')!r} that is neither numbers nor texts", 0
-        if (
-            prod(one.shape) > MOST_TEXTS and one.get_type().get_class() == h5t.STRING
-        ):  # each of them could be as long as the file
-            return f"has the attribute {key.decode(errors='replace')!r} of {prod(one.shape)} texts", 0
+        kind, named = one.get_type().get_class(), f"has the attribute {key.decode(errors='replace')!r}"
+        if kind not in TEXTS and key != REFERENCE:
+            return f"{named} that is neither numbers nor texts", 0
+        if prod(one.shape) > MOST_TEXTS and kind == h5t.STRING:  # each of them could be as long as the file
+            return f"{named} of {prod(one.shape)} texts", 0
     n_bytes = sum(prod(one.shape) * one.get_type().get_size() for one in attributes)
     if isinstance(item, h5g.GroupID):
         return "", n_bytes
     if not isinstance(item, h5d.DatasetID):
         return "is neither a group nor a dataset", 0
-    made, kind = item.get_create_plist(), item.get_type()
-    if made.get_external_count():
-        return "is a dataset whose numbers lie in other files", 0
-    if made.get_layout() not in LAYOUTS:
-        return "is a dataset that consists of parts of others", 0
-    if made.get_nfilters():
-        return "is a dataset whose numbers pass through filters", 0
-    if kind.get_class() not in (TEXTS if name in MAY_BE_TEXTS else NUMBERS):
-        return "is a dataset of other things than numbers", 0
-    return "", n_bytes + prod(item.get_space().get_simple_extent_dims()) * kind.get_size()
+    made, holds = item.get_create_plist(), item.get_type()
+    strange = {
+        "whose numbers lie in other files": made.get_external_count() > 0,
+        "that consists of parts of others": made.get_layout() not in LAYOUTS,
+        "whose numbers pass through filters": made.get_nfilters() > 0,
+        "of other things than numbers": holds.get_class() not in (TEXTS if name in MAY_BE_TEXTS else NUMBERS),
+    }
+    for words, is_so in strange.items():
+        if is_so:
+            return f"is a dataset {words}", 0
+    return "", n_bytes + prod(item.get_space().get_simple_extent_dims()) * holds.get_size()
 
 
 @contextmanager
@@ -145,13 +147,3 @@ def damage_told(path: str | Path) -> Iterator[None]:
     except Exception as error:  # HDF5 and h5py raise almost anything for bytes they do not expect
         reason = printable(" ".join(str(error).split())) or type(error).__name__
         raise OSError(f"file {str(path)!r} is damaged: {reason}; copy it again, or run again") from error
-
-
-def _reason(error: Exception) -> str:
-    """Why a file cannot be opened, in words."""
-    words = sentence(error)
-    if "unable to lock file" in words:
-        return "another run is writing it"
-    if "truncated file" in words:
-        return "it is damaged, it ends before its data do; copy it again, or run again"
-    return words.splitlines()[0]

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from minimd.engine.engine import Checkpoint
 from minimd.engine.record import SERIES, Record
 from minimd.files.first_look import looked_at
-from minimd.files.h5md_constraints import read_constraints
-from minimd.files.h5md_digest import damaged_frames, is_signed, n_whole_frames
+from minimd.files.h5md_digest import damaged_frames, damaged_restart, is_signed, n_whole_frames, read_restart
 from minimd.files.h5md_observers import lack_results, observers_of
 from minimd.files.h5md_opening import damage_told, opened
-from minimd.files.h5md_restart import damaged_restart, read_restart
-from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY
+from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY, read_constraints
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
@@ -36,16 +34,14 @@ from minimd.structure.units import SYSTEMS
 class H5MDContents(Displayed):
     """The contents of a minimd file, apart from its frames.
 
-    record : Record, one entry for each frame.  system : System at the restart, to the last bit,
-        with the constraints of the run.
-    restart : Checkpoint.  step, time : int, [time], of the restart.  timestep : [time].  method :
-        its name in integrators.METHODS.
-    barostat : StochasticCellRescaling, or None.  too_long_a_step :
-        the warning of a Report that the time step is too long, or empty.
-    parameters : arguments with which the method can be made again.  precision, skin : of the options.  potentials :
-        in words.
-    reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.  conserves_momentum :
-        whether the run did.
+    record : Record, one entry for each frame.
+    system : System at the restart, to the last bit, with the constraints of the run.
+    restart : Checkpoint.  step, time : int, [time], of the restart.  timestep : [time].
+    method : its name in integrators.METHODS.  parameters : arguments with which it can be made again.
+    barostat : StochasticCellRescaling, or None.  precision, skin : of the options.  potentials : in words.
+    too_long_a_step : the warning of a Report that the time step is too long, or empty.
+    reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.
+    conserves_momentum : whether the run did.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
     observers : of minimd.observers, by name, in their state at the restart, see observers_of.  lacks_results : whether
         they have looked since their results were written.
@@ -85,19 +81,15 @@ class H5MDContents(Displayed):
         rows += [("system", repr(self.system)), ("method", f"{self.method}, timestep {shown(self.timestep)}")]
         rows += [("potential", one) for one in self.potentials]
         rows += [("frames", f"{self.n_frames}, {'with' if self.has_forces else 'without'} forces")]
-        rows += [
-            ("restart", f"step {self.step}, {shown(self.time)}"),
-            ("scene", "stored" if self.scene else "none stored"),
-        ]
+        rows += [("restart", f"step {self.step}, {shown(self.time)}")]
+        rows += [("scene", "stored" if self.scene else "none stored")]
         return rows + ([("repaired", self.repaired)] if self.repaired else [])
 
     def integrator(self) -> Splitting:
         """The method with its time step.  Raises ValueError if it is not a method of minimd."""
         if self.method not in METHODS:
-            raise ValueError(
-                f"the run was made with the method {self.method!r}, which minimd does not have; pass the method of "
-                "that run"
-            )
+            made_with = f"the run was made with the method {self.method!r}, which minimd does not have"
+            raise ValueError(f"{made_with}; pass the method of that run")
         made: Any = METHODS[self.method](**self.parameters)
         return made
 
@@ -119,14 +111,12 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
     check_description(h5, path)
     with damage_told(path):
         n_frames, group = n_whole_frames(h5), h5["minimd"]
-        restart, _, is_earlier = read_restart(h5)
+        (restart, _, _, is_earlier), repaired = read_restart(h5), ""
         observers = observers_of(h5)
         system, at = _system(group, restart), group.attrs
-        repaired = (
-            f"the newest restart in {path} is damaged; the one before it is used, of step {restart.state.step}"
-            if is_earlier
-            else ""
-        )
+        if is_earlier:
+            step = restart.state.step
+            repaired = f"the newest restart in {path} is damaged; the one before it is used, of step {step}"
         return H5MDContents(
             record=_record(h5, system, n_frames),
             system=system,
@@ -180,9 +170,8 @@ def damage(path: str | Path) -> str:
 def verify_frames(path: str | Path) -> None:
     """Raise OSError unless all frames of a minimd file are as they were written.  Raises as read_file, too."""
     if which := looked_at(path, partial(_damage, path))[0]:
-        raise OSError(
-            f"file {str(path)!r} is damaged: {which} are not those that were written; copy it again, or run again"
-        )
+        words = f"{which} are not those that were written"
+        raise OSError(f"file {str(path)!r} is damaged: {words}; copy it again, or run again")
 
 
 def _damage(path: str | Path) -> tuple[str, str]:
@@ -190,7 +179,7 @@ def _damage(path: str | Path) -> tuple[str, str]:
     with opened(path) as h5:
         check_description(h5, path)
         with damage_told(path):
-            n_frames, found = read_restart(h5)[1], n_whole_frames(h5)
+            n_frames, found = read_restart(h5).n_frames, n_whole_frames(h5)
             return damaged_frames(h5) or (f"frames from {found} on" if found < n_frames else ""), damaged_restart(h5)
 
 

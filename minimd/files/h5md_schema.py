@@ -4,8 +4,10 @@
     connectivity/bonds      pairs of bonded atoms; likewise angles, dihedrals and impropers, if there are any
     observables/<name>      the numbers of the record, to the last bit, in the units of the simulation
     observables/dt          the time between observations [ps], for each frame: MDAnalysis looks for it only here
-    minimd                  data without a place in H5MD: units, cell, pbc, timestep, method, constraints, exact times,
-                            restarts, digests
+    minimd                  data without a place in H5MD: units, cell, pbc, timestep, method, exact times, restarts,
+                            digests
+    minimd/constraints      pairs (K, 2), their lengths (K,), with the attributes tolerance and solver; fixed (F,)
+                            atoms; without what the run does not have
 
 Numbers in reduced units are written unchanged with the same labels, because MDAnalysis refuses a file without units;
 the attribute units of the group minimd is then "LJ". For MDAnalysis a box with edges is periodic in all directions, and
@@ -22,23 +24,23 @@ from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
-from minimd.compiled.machine import version
+from minimd.compiled.machine import EPS, version
+from minimd.constraints.solver import ROUNDINGS
 from minimd.diagnosis.first_hints import too_long_a_step
 from minimd.engine.engine import Engine
 from minimd.engine.record import SERIES, Frame
-from minimd.files.h5md_constraints import describe_constraints
 from minimd.structure.cell import Cell
+from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 from minimd.structure.display import as_text
 from minimd.structure.system import System
 
 CHUNK_BYTES = 64 * 1024  # of one series; a larger entry is a chunk of its own
-CHUNK_ROWS, FEW_ROWS = (
-    512,
-    16,
-)  # largest number of rows, and the smallest for a file with few frames, because more may be appended
+CHUNK_ROWS, FEW_ROWS = 512, 16  # the most rows, and the fewest for a file with few frames: more may be appended
 LARGEST_ENUMERATION = 1000  # so many labels fit into the header of a dataset, 64 KiB
 TRAJECTORY = "particles/trajectory"
+CONSTRAINTS = "constraints"
 STEPS, TIMES = f"{TRAJECTORY}/position/step", f"{TRAJECTORY}/position/time"
 # the name in Timestep.data that MDAnalysis' Timestep.dt reads first; its H5MD reader fills data from observables
 SPACING = "dt"
@@ -60,37 +62,25 @@ def columns(system: System, observables: list[str], store_forces: bool, spacing:
     """
     units = system.units
     per_time, force = units.to_angstrom / units.to_picosecond, units.to_kj_per_mol / units.to_angstrom
-    return [
+    angstrom, picosecond = units.to_angstrom, units.to_picosecond
+    series = [
         Column("minimd/time", units.time, lambda frame: frame.time),
         Column(STEPS, "", lambda frame: frame.step),
-        Column(TIMES, "ps", lambda frame: frame.time * units.to_picosecond),
-        *(
-            Column(f"observables/{name}/value", getattr(units, SERIES.get(name) or "", ""), partial(observable, name))
-            for name in observables
-        ),
-        *(
-            [Column(f"observables/{SPACING}/value", "ps", lambda _: spacing * units.to_picosecond)]
-            if spacing is not None
-            else []
-        ),
-        *(
-            [Column(f"{TRAJECTORY}/box/edges/value", "Angstrom", partial(_edges, system))]
-            if has_edges(system.cell)
-            else []
-        ),
-        Column(f"{TRAJECTORY}/velocity/value", "Angstrom ps-1", lambda frame: frame.velocities * per_time),
-        *(
-            [Column(f"{TRAJECTORY}/force/value", "kJ mol-1 Angstrom-1", lambda frame: frame.forces * force)]
-            if store_forces
-            else []
-        ),
-        Column(f"{TRAJECTORY}/position/value", "Angstrom", lambda frame: frame.positions * units.to_angstrom),
+        Column(TIMES, "ps", lambda frame: frame.time * picosecond),
     ]
-
-
-def _edges(system: System, frame: Frame) -> Any:
-    """The lattice vectors of a frame, as rows [Å]."""
-    return (frame.cell or system.cell).vectors * system.units.to_angstrom
+    for name in observables:
+        unit = getattr(units, SERIES.get(name) or "", "")
+        series.append(Column(f"observables/{name}/value", unit, partial(observable, name)))
+    if spacing is not None:
+        series.append(Column(f"observables/{SPACING}/value", "ps", lambda _: spacing * picosecond))
+    for name, unit, is_kept, entry in (
+        ("box/edges", "Angstrom", has_edges(system.cell), lambda at: (at.cell or system.cell).vectors * angstrom),
+        ("velocity", "Angstrom ps-1", True, lambda at: at.velocities * per_time),
+        ("force", "kJ mol-1 Angstrom-1", store_forces, lambda at: at.forces * force),
+        ("position", "Angstrom", True, lambda at: at.positions * angstrom),
+    ):
+        series += [Column(f"{TRAJECTORY}/{name}/value", unit, entry)] if is_kept else []
+    return series
 
 
 def observable(name: str, frame: Frame) -> Any:
@@ -104,8 +94,10 @@ def has_edges(cell: Cell) -> bool:
 
 
 def chunk_rows(entry: np.ndarray, n_frames: int | None = None) -> int:
-    """The number of entries in a chunk of a series; a chunk takes its full size on the disk.  n_frames :
-    expected in the file, if known."""
+    """The number of entries in a chunk of a series; a chunk takes its full size on the disk.
+
+    n_frames : expected in the file, if known.
+    """
     expected = CHUNK_ROWS if n_frames is None else max(FEW_ROWS, n_frames)
     return int(np.clip(CHUNK_BYTES // entry.nbytes, 1, min(CHUNK_ROWS, expected)))
 
@@ -134,15 +126,8 @@ def describe(h5: h5py.File, engine: Engine) -> None:
     _describe_standard(h5, system)
     group = h5.create_group("minimd")
     title = engine.notes["title"] or f"{len(system)} atoms of {', '.join(str(name) for name in system.species_names)}"
-    group.attrs.update(
-        {
-            "version": version("minimd"),
-            "units": system.units.name,
-            "pbc": system.cell.pbc,
-            "title": title,
-            "scene": engine.notes["scene"],
-        }
-    )
+    group.attrs.update({"version": version("minimd"), "units": system.units.name, "pbc": system.cell.pbc})
+    group.attrs.update({"title": title, "scene": engine.notes["scene"]})
     describe_method(group, engine)
     describe_constraints(group, engine.constraints)
     names = system.species_names
@@ -160,10 +145,8 @@ def potentials_in_words(potentials: Sequence[Any]) -> list[str]:
 def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
     """How the potentials in a file differ from those with which its run goes on, in words;
     empty if they are the same."""
-    before, now = (
-        sorted(re.sub(r" at 0x[0-9a-fA-F]+", "", one) for one in several)
-        for several in (stored, potentials_in_words(potentials))
-    )
+    both = stored, potentials_in_words(potentials)
+    before, now = (sorted(re.sub(r" at 0x[0-9a-fA-F]+", "", one) for one in several) for several in both)
     if before == now:
         return ""
     was, becomes = ([one for one in several if one not in others] for several, others in ((before, now), (now, before)))
@@ -178,10 +161,10 @@ def other_method(name: str, parameters: Mapping[str, Any], precision: str, engin
         return ""
     before, now = (
         f"{one}({', '.join(f'{key}={as_text(value)}' for key, value in given.items())})"
-        for one, given in ((name, parameters), ours[:2])
+        + ("" if ours[2] == precision else f" in {its} precision")
+        for one, given, its in ((name, parameters, precision), ours)
     )
-    in_precision = ("", "") if ours[2] == precision else (f" in {precision} precision", f" in {ours[2]} precision")
-    return f"{before}{in_precision[0]} before, {now}{in_precision[1]} now"
+    return f"{before} before, {now} now"
 
 
 def describe_method(group: h5py.Group, engine: Engine) -> None:
@@ -213,3 +196,64 @@ def _describe_standard(h5: h5py.File, system: System) -> None:
         if len(groups) or name == "bonds":
             h5[f"connectivity/{name}"] = groups
             h5[f"connectivity/{name}"].attrs["particles_group"] = particles.ref
+
+
+def describe_constraints(group: h5py.Group, constraints: Sequence[Constraint]) -> None:
+    """Write the constraints of a simulation, lengths included, into the group of minimd."""
+    made = group.create_group(CONSTRAINTS) if constraints else group
+    for one in constraints:
+        if isinstance(one, FixedAtoms):
+            made["fixed"] = one.atoms
+        else:
+            made["pairs"], made["lengths"] = one.pairs, one.lengths
+            made.attrs.update({"tolerance": one.tolerance, "solver": one.solver})
+
+
+def read_constraints(group: h5py.Group) -> tuple[Constraint, ...]:
+    """The constraints that describe_constraints wrote, to the last bit."""
+    stored = group.get(CONSTRAINTS, {})
+    found: list[Constraint] = [FixedAtoms(stored["fixed"][:])] if "fixed" in stored else []
+    if "pairs" in stored:
+        solver: Any = str(stored.attrs["solver"])
+        pairs, lengths, tolerance = stored["pairs"][:], stored["lengths"][:], float(stored.attrs["tolerance"])
+        found.append(DistanceConstraints(pairs, lengths, tolerance, solver))
+    return tuple(found)
+
+
+def other_constraints(
+    file: Sequence[Constraint], simulation: Sequence[Constraint], positions: NDArray[np.float64]
+) -> str:
+    """The first difference between the constraints of file and simulation, in words;
+    empty if they agree within tolerance and rounding.
+
+    positions : (N, 3) [length]; the largest coordinate sets the rounding of lengths that were measured in positions.
+    """
+    both = file, simulation
+    theirs, ours = (
+        {atom for one in several if isinstance(one, FixedAtoms) for atom in one.atoms.tolist()} for several in both
+    )
+    if only := theirs ^ ours:
+        return f"atom {min(only)} is fixed in the {'file' if min(only) in theirs else 'simulation'} alone"
+    before, now = (next((one for one in several if isinstance(one, DistanceConstraints)), None) for several in both)
+    if not (before and now):
+        alone = before or now
+        where = "file" if before else "simulation"
+        return f"the {where} alone keeps lengths, {len(alone.pairs)} of them" if alone else ""
+    was, kept = _by_pair(before), _by_pair(now)
+    if unlike := was.keys() ^ kept.keys():
+        i, j = min(unlike)
+        return f"the length of atoms {i}-{j} is kept in the {'file' if (i, j) in was else 'simulation'} alone"
+    rounding = ROUNDINGS * EPS * float(np.abs(positions).max())
+    for (i, j), length in was.items():
+        if abs(kept[i, j] - length) > before.tolerance * length + rounding:
+            return f"the length of atoms {i}-{j} is {length:.17g} in the file and {kept[i, j]:.17g} in the simulation"
+    for name in ("tolerance", "solver"):
+        if (first := getattr(before, name)) != (second := getattr(now, name)):
+            return f"the {name} of lengths is {first!r} in the file and {second!r} in the simulation"
+    return ""
+
+
+def _by_pair(constraints: DistanceConstraints) -> dict[tuple[int, int], float]:
+    """The length of each pair, the lower atom first."""
+    lengths = [] if constraints.lengths is None else constraints.lengths.tolist()
+    return {(i, j): length for (i, j), length in zip(np.sort(constraints.pairs, axis=1).tolist(), lengths, strict=True)}

@@ -39,10 +39,7 @@ class JournaledFile:
         self._claim = claim
         _finish(claim.descriptor)
         self._committed = self.size = os.fstat(claim.descriptor).st_size
-        self._tail, self._n_tail = (
-            bytearray(),
-            0,
-        )  # bytes beyond the committed end: the first ones in memory that is reused
+        self._tail, self._n_tail = bytearray(), 0  # beyond the committed end: the first bytes of memory that is reused
         self._pieces: Pieces = []  # replacements of committed bytes, in order
         self._at = 0
 
@@ -112,7 +109,9 @@ class JournaledFile:
         it is then as it was.
         """
         descriptor = self._claim.descriptor
-        self._check()
+        self._claim.check()
+        if (n_bytes := os.fstat(descriptor).st_size) < self._committed:
+            raise OSError(errno.EIO, f"it was cut to {n_bytes} of {self._committed} bytes while the run was writing it")
         is_changed = bool(self._pieces) or self.size < self._committed
         tail = memoryview(self._tail)[: self._n_tail]
         rest = bytes(max(0, self.size - self._committed - self._n_tail))  # of the file, which HDF5 has not written
@@ -137,12 +136,6 @@ class JournaledFile:
     def close(self) -> None:
         """Release the file, as it was at the last commit. A new file without a commit is removed."""
         self._claim.release()
-
-    def _check(self) -> None:
-        self._claim.check()
-        n_bytes = os.fstat(self._claim.descriptor).st_size
-        if n_bytes < self._committed:
-            raise OSError(errno.EIO, f"it was cut to {n_bytes} of {self._committed} bytes while the run was writing it")
 
 
 def repair(path: str | Path) -> bool:
@@ -175,8 +168,10 @@ def _finish(descriptor: int) -> bool:
 
 
 def _journal(before: int, size: int, pieces: Pieces, checksum: int) -> bytes:
-    """The journal of a commit.  before, size : of the file before and after it.  checksum :
-    of the new bytes before it."""
+    """The journal of a commit.
+
+    before, size : of the file before and after it.  checksum : of the new bytes before it.
+    """
     body = b"".join([PIECE.pack(place, len(data)) + data for place, data in pieces])
     end = END.pack(before, size, len(body), 0, MAGIC)
     return body + END.pack(before, size, len(body), zlib.crc32(end, zlib.crc32(body, checksum)), MAGIC)
@@ -225,7 +220,11 @@ def _write_all(descriptor: int, data: bytes | memoryview, place: int) -> None:
     done = 0
     with memoryview(data) as view:
         while done < len(view):
-            done += _write_at(descriptor, view[done:], place + done)
+            if hasattr(os, "pwrite"):
+                done += os.pwrite(descriptor, view[done:], place + done)
+            else:  # Windows
+                os.lseek(descriptor, place + done, os.SEEK_SET)
+                done += os.write(descriptor, view[done:])
 
 
 def read_at(descriptor: int, n_bytes: int, place: int) -> bytes:
@@ -242,10 +241,3 @@ def _read_some(descriptor: int, n_bytes: int, place: int) -> bytes:
         return os.pread(descriptor, n_bytes, place)
     os.lseek(descriptor, place, os.SEEK_SET)  # Windows has no pread
     return os.read(descriptor, n_bytes)
-
-
-def _write_at(descriptor: int, data: memoryview, place: int) -> int:
-    if hasattr(os, "pwrite"):
-        return os.pwrite(descriptor, data, place)
-    os.lseek(descriptor, place, os.SEEK_SET)
-    return os.write(descriptor, data)

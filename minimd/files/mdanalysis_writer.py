@@ -28,8 +28,6 @@ class MDAnalysisWriter:
 
     A cell in an orientation that MDAnalysis does not hold is turned, with positions and velocities: see Turn.
 
-
-
     TRR and NCDF hold velocities; DCD and XTC, whose positions are rounded to 0.001 Å, do not. A DCD file states the
     time between frames at its beginning; therefore it is begun when the second frame comes,
     or at the end of a run with one frame.
@@ -89,10 +87,8 @@ class MDAnalysisWriter:
             except (OSError, RuntimeError) as error:
                 with suppress(OSError, RuntimeError):
                     self._shut()
-                reason = getattr(error, "strerror", None) or error
-                raise OSError(
-                    f"trajectory {self.claim.name!r} could not take the frame of step {frame.step}: {reason}"
-                ) from error
+                words = f"trajectory {self.claim.name!r} could not take the frame of step {frame.step}"
+                raise OSError(f"{words}: {getattr(error, 'strerror', None) or error}") from error
 
     def _shut(self) -> None:
         writer, self._writer = self._writer, None
@@ -102,17 +98,9 @@ class MDAnalysisWriter:
     def _opened(self, waiting: list[Frame]) -> Any:
         steps = waiting[1].step - waiting[0].step if len(waiting) > 1 else 1  # between frames
         spacing = {"nsavc": steps, "dt": steps * self._timestep, "istart": waiting[0].step}
-        options: dict[str, dict[str, Any]] = {
-            "XTC": {"precision": XTC_DECIMALS},
-            "NCDF": {"velocities": True},
-            "DCD": spacing,
-        }
-        return MDAnalysis.Writer(
-            str(self.claim.stream),
-            n_atoms=len(self._universe.atoms),
-            format=self._format,
-            **options.get(self._format, {}),
-        )
+        options: dict[str, Any] = {"XTC": {"precision": XTC_DECIMALS}, "NCDF": {"velocities": True}, "DCD": spacing}
+        its, n_atoms = options.get(self._format, {}), len(self._universe.atoms)
+        return MDAnalysis.Writer(str(self.claim.stream), n_atoms=n_atoms, format=self._format, **its)
 
     def _place(self, frame: Frame) -> None:
         ts = self._universe.trajectory.ts

@@ -12,7 +12,7 @@ import numpy as np
 from ase import Atoms
 from ase.data import atomic_masses, atomic_numbers
 from ase.io.formats import UnknownFileTypeError, ioformats
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
@@ -23,13 +23,8 @@ from minimd.structure.system import System
 from minimd.structure.units import ASE, LJ, UnitSystem
 
 LAMMPS = "lammps-data"
-SUFFIXES = {
-    ".data": LAMMPS,
-    ".lmp": LAMMPS,
-    ".mol2": "MOL2",
-    ".gsd": "GSD",
-    ".txyz": "TXYZ",
-}  # formats that ASE does not find by suffix
+# formats that ASE does not find by suffix
+SUFFIXES = {".data": LAMMPS, ".lmp": LAMMPS, ".mol2": "MOL2", ".gsd": "GSD", ".txyz": "TXYZ"}
 XYZ = (".xyz", ".extxyz")
 NAMES_BONDS = ("PDB", "ENT")  # formats whose atoms are read by ASE, and whose bonds by MDAnalysis
 STATE_MASSES = ("DATA", "GSD")  # formats read by MDAnalysis that state masses, in their own units
@@ -52,8 +47,6 @@ def system_from_file(
 
     Parameters
     ----------
-
-
     cell, pbc : in place of those of the file, as for System; if only cell is given,
         the directions with a vector are periodic.
     format : ASE's name of the format ("lammps-data"), or MDAnalysis' name ("GRO"); if not given,
@@ -78,10 +71,8 @@ def system_from_file(
         source = _source(path, form, units or ASE)
         system = _system(source, units or ASE, form)
     if isinstance(source, System) and units not in (None, source.units):
-        raise ValueError(
-            f"file {str(path)!r} states units = {source.units.name!r}; it cannot be read with units = "
-            f"{units and units.name!r}"
-        )
+        states = f"file {str(path)!r} states units = {source.units.name!r}"
+        raise ValueError(f"{states}; it cannot be read with units = {units and units.name!r}")
     if cell is not None or pbc is not None:
         placed = Cell.of(system.cell.vectors if cell is None else cell, pbc)
         if isinstance(source, Atoms):  # lengths of constraints are measured in the new cell
@@ -94,28 +85,25 @@ def system_from_file(
         return changed(system, **NOTHING | {"bonds": bonds})
     if bonds is None:
         with suppress(ValueError):  # bonds were not asked for, so that it does not matter if they cannot be read
-            _tell_unused(path, _joined_in(path, form, source, system))
+            if found := _joined_in(path, form, source, system):
+                use = 'use them with bonds = "file", in a scene under [structure], or leave them out with bonds = []'
+                words = f"file {str(path)!r} has {found}, which are not used; {use}"
+                warnings.warn(words, stacklevel=outside_minimd())
         return changed(system, **NOTHING)
-    found = (
-        _joined_in(path, form, source, system) if bonds == "file" else _joined_beside(path.parent / bonds, len(system))
-    )
+    is_own = bonds == "file"
+    found = _joined_in(path, form, source, system) if is_own else _joined_beside(path.parent / bonds, len(system))
     for name, n_types in found.n_types.items():
         groups = {"bonds": "pairs", "angles": "triples"}.get(name, "quadruples")
         one = f"{'an' if name[0] in 'ai' else 'a'} {name[:-1]} potential"
-        words = (
-            f"the {name} of {str(path)!r} are of {n_types} types, which {one} does not distinguish; give it "
-            f"{groups}, or arrays of parameters"
-        )
-        warnings.warn(words, stacklevel=outside_minimd())
+        words = f"the {name} of {str(path)!r} are of {n_types} types, which {one} does not distinguish"
+        warnings.warn(f"{words}; give it {groups}, or arrays of parameters", stacklevel=outside_minimd())
     return changed(system, **found.groups)
 
 
 def changed(system: System, **changes: Any) -> System:
     """A copy of a system with other arguments."""
     names = ("masses", "velocities", "cell", "species", *GROUPS, "units", "constraints")
-    return System(
-        system.positions, **{name: changes[name] if name in changes else getattr(system, name) for name in names}
-    )
+    return System(system.positions, **{name: getattr(system, name) for name in names} | changes)
 
 
 def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
@@ -134,10 +122,8 @@ def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
     atoms = read if isinstance(read, Atoms) else read[-1]
     if form == LAMMPS:
         _add_impropers(path, atoms)
-    if "id" in atoms.arrays:
-        atoms.arrays["id"] = np.arange(
-            1, len(atoms) + 1
-        )  # these are all atoms of the file in its order, whatever ids they have there
+    if "id" in atoms.arrays:  # these are all atoms of the file in its order, whatever ids they have there
+        atoms.arrays["id"] = np.arange(1, len(atoms) + 1)
     return atoms
 
 
@@ -147,9 +133,8 @@ def _add_impropers(path: Path, atoms: Atoms) -> None:
     from MDAnalysis.topology.LAMMPSParser import DATAParser
 
     with quiet(), DATAParser(str(path)) as parser:
-        rows = np.array(
-            [line.split()[1:6] for line in parser.grab_datafile()[1].get("Impropers", ())], dtype=np.int64
-        ).reshape(-1, 5)
+        lines = parser.grab_datafile()[1].get("Impropers", ())
+    rows = np.array([line.split()[1:6] for line in lines], dtype=np.int64).reshape(-1, 5)
     if len(rows):
         place = {number: k for k, number in enumerate(atoms.arrays["id"].tolist())}
         words: list[list[str]] = [[] for _ in place]
@@ -177,9 +162,8 @@ def _system(source: Any, units: UnitSystem, form: str | None) -> System:
     system = System.from_ase(source) if isinstance(source, Atoms) else System.from_mdanalysis(source, units=units)
     types = [str(kind) for kind in source.arrays["type"].tolist()] if is_lammps else system.species
     if units is LJ:
-        states_masses = (
-            is_lammps or str(form).upper() in STATE_MASSES or (isinstance(source, Atoms) and source.has("masses"))
-        )
+        has_masses = isinstance(source, Atoms) and source.has("masses")
+        states_masses = is_lammps or has_masses or str(form).upper() in STATE_MASSES
         own: dict[str, Any] = {} if states_masses else {"masses": None, "velocities": None}
         return changed(system, units=LJ, species=types, **own)
     return changed(system, species=types) if is_lammps and not _are_elements(system, types) else system
@@ -209,10 +193,8 @@ def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joi
         made = _universe(path, name)
         positions, found = np.asarray(made.atoms.positions, dtype=np.float64), _joined_of(made)
     if positions.shape != source.positions.shape or np.abs(positions - source.positions).max() > NEAR:
-        raise ValueError(
-            f"file {str(path)!r} is read in different orders by ASE and by MDAnalysis, which reads its bonds; give the "
-            "bonds as pairs"
-        )
+        why = f"file {str(path)!r} is read in different orders by ASE and by MDAnalysis, which reads its bonds"
+        raise ValueError(f"{why}; give the bonds as pairs")
     return found
 
 
@@ -233,20 +215,11 @@ def _joined_beside(path: Path, n_atoms: int) -> Joined:
 
 
 def _joined_of(universe: Any) -> Joined:
-    def indices(name: str, size: int) -> NDArray[np.int64]:
-        groups = getattr(universe, name, None)  # a universe lacks the attribute if its file has no such groups
-        return np.asarray([] if groups is None else groups.indices, dtype=np.int64).reshape(-1, size)
-
-    return Joined({name: indices(name, size) for name, size in GROUPS.items()})
-
-
-def _tell_unused(path: Path, found: Joined) -> None:
-    if found:
-        warnings.warn(
-            f'file {str(path)!r} has {found}, which are not used; use them with bonds = "file", in a scene under '
-            "[structure], or leave them out with bonds = []",
-            stacklevel=outside_minimd(),
-        )
+    indices = {name: np.zeros((0, size), np.int64) for name, size in GROUPS.items()}
+    for name, size in GROUPS.items():
+        if hasattr(universe, name):  # its file has such groups
+            indices[name] = np.asarray(getattr(universe, name).indices, dtype=np.int64).reshape(-1, size)
+    return Joined(indices)
 
 
 @contextmanager
@@ -259,15 +232,11 @@ def _read_as(path: Path, what: str, form: str | None) -> Iterator[None]:
     except Exception as error:
         if form is None and isinstance(error, StopIteration | UnknownFileTypeError):
             reason = "its suffix and content do not show its format; give it as format, such as 'lammps-data'"
-        elif (
-            isinstance(error, KeyError)
-            and str(path.suffix).lower() in XYZ
-            and (label := error.args[0]) not in atomic_numbers
-        ):
+        elif isinstance(error, KeyError) and path.suffix.lower() in XYZ and error.args[0] not in atomic_numbers:
             reason = (
-                f"{label!r} is not a chemical symbol, which ASE expects in this format; name the atoms X, and give "
-                "their species to System or in the "
-                "scene under [structure], or write LAMMPS data, whose types may have any name"
+                f"{error.args[0]!r} is not a chemical symbol, which ASE expects in this format; name the atoms X, and "
+                "give their species to System or in the scene under [structure], or write LAMMPS data, whose types may "
+                "have any name"
             )
         else:
             reason = f"{type(error).__name__}: {' '.join(str(error).split()) or 'the reader gives no reason'}"

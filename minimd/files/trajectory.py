@@ -35,17 +35,15 @@ class Writer(Protocol):
         """Finish the file, which then is valid with any number of frames."""
 
 
+FOR_H5MD = ("store_forces", "every", "observers", "n_frames", "bring_others")
+H5MD = ("minimd.files.h5md_writer", "H5MDWriter", FOR_H5MD)
+MDANALYSIS = ("minimd.files.mdanalysis_writer", "MDAnalysisWriter", ())
+ASE = ("minimd.files.ase_writer", "ASEWriter", ("store_forces",))
 # suffix: module and class of its writer, imported when needed, and the options that it takes besides claim and engine
-FORMATS = {
-    ".h5md": (
-        "minimd.files.h5md_writer",
-        "H5MDWriter",
-        ("store_forces", "every", "observers", "n_frames", "bring_others"),
-    ),
-    **dict.fromkeys(
-        (".xtc", ".dcd", ".trr", ".ncdf", ".nc"), ("minimd.files.mdanalysis_writer", "MDAnalysisWriter", ())
-    ),
-    **dict.fromkeys((".xyz", ".extxyz", ".traj"), ("minimd.files.ase_writer", "ASEWriter", ("store_forces",))),
+FORMATS: dict[str, tuple[str, str, tuple[str, ...]]] = {
+    ".h5md": H5MD,
+    **dict.fromkeys((".xtc", ".dcd", ".trr", ".ncdf", ".nc"), MDANALYSIS),
+    **dict.fromkeys((".xyz", ".extxyz", ".traj"), ASE),
 }
 N_FIRST, N_LAST = 128, 256
 MARK = struct.Struct(f"<QQQ{N_FIRST}s{N_LAST}s")
@@ -77,17 +75,20 @@ def open_trajectories(
     folder that does not exist or cannot be written.  OSError if another run writes the file.
     """
     several = named_files("trajectory", paths)
-    _check_are_different(several)
-    files = [_appendable(path) if append else checked_output(path, overwrite) for path in several]
+    _check_several(several, append)
+    files = several if append else [checked_output(path, overwrite) for path in several]
     options: dict[str, Any] = {"store_forces": store_forces, "every": every, "observers": observers}
     options["n_frames"] = None if n_steps is None else n_steps // every + 2
     with ExitStack() as closing:
         writers: list[Writer] = []
         options["bring_others"] = partial(_brought_to_disk, writers)
-        for file in sorted(
-            files, key=lambda file: file.suffix.lower() == ".h5md"
-        ):  # last: it tells how far the others are
-            writers.append(_continued(file, engine, options) if append else _new(file, engine, options, overwrite))
+        for file in sorted(files, key=_is_h5md):  # last: it tells how far the others are
+            if append:
+                from minimd.files.h5md_writer import H5MDWriter
+
+                writers.append(H5MDWriter.append_to(file, engine, store_forces, every, observers))
+            else:
+                writers.append(_new(file, engine, options, overwrite))
             closing.callback(writers[-1].close)
             if append:
                 _cut_others_back(writers[-1])
@@ -105,21 +106,11 @@ def _new(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -
     except OSError as error:
         raise type(error)(f"output {str(file)!r} cannot be written: {error.strerror}") from None
     try:
-        writer: Writer = getattr(import_module(module), name)(
-            claim, engine, **{option: options[option] for option in takes}
-        )
+        made: Writer = getattr(import_module(module), name)(claim, engine, **{one: options[one] for one in takes})
     except BaseException:
         claim.release()
         raise
-    return writer
-
-
-def _continued(file: Path, engine: Engine, options: dict[str, Any]) -> Writer:
-    from minimd.files.h5md_writer import H5MDWriter
-
-    return H5MDWriter.append_to(
-        file, engine, **{name: options[name] for name in ("store_forces", "every", "observers")}
-    )
+    return made
 
 
 def _cut_others_back(writer: Any) -> None:
@@ -133,9 +124,8 @@ def _cut_others_back(writer: Any) -> None:
         except FileNotFoundError:
             words = ""
         except (OSError, ValueError, struct.error) as error:
-            words = (
-                f"may hold frames after the restart and is left as it is: {getattr(error, 'strerror', None) or error}"
-            )
+            reason = getattr(error, "strerror", None) or error
+            words = f"may hold frames after the restart and is left as it is: {reason}"
         told += [f"trajectory {str(path)!r} {words}"] if words else []
     for sentence in told:
         warnings.warn(sentence, stacklevel=outside_minimd())
@@ -153,7 +143,7 @@ def _brought_to_disk(writers: list[Writer], claim: Claim) -> list[bytes]:
     marks, own = [], os.fstat(claim.descriptor).st_ino
     for one in writers:
         path, file = one.claim.path, one.claim.descriptor
-        if path.suffix.lower() != ".h5md":
+        if not _is_h5md(path):
             try:
                 one.checkpoint()
             except OSError:
@@ -175,11 +165,11 @@ def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: byt
     if path.suffix.lower() not in set(FORMATS) - {".h5md"}:
         raise ValueError("it is no trajectory")
     with open(locked(path), "r+b") as file:
-        found = os.fstat(file.fileno()).st_size
-        is_ours = _has_inode(h5md, own) and _has_inode(file.fileno(), inode) and found >= size
-        if not is_ours or any(
-            a not in (0, b) for a, b in zip(last, read_at(file.fileno(), *_last_bytes(size)), strict=False)
-        ):
+        there = file.fileno()
+        found = os.fstat(there).st_size
+        is_ours = _has_inode(h5md, own) and _has_inode(there, inode) and found >= size
+        now = read_at(there, *_last_bytes(size)) if is_ours else b""  # a strange mark may have any size
+        if not is_ours or any(was not in (0, byte) for was, byte in zip(last, now, strict=False)):
             raise ValueError("it, or the file with the restart, is a copy or was changed")
         file.write(first[:size])
         file.truncate(size)
@@ -198,24 +188,21 @@ def _last_bytes(size: int) -> tuple[int, int]:
     return min(N_LAST, max(0, size - N_FIRST)), max(N_FIRST, size - N_LAST)
 
 
-def _appendable(file: Path) -> Path:
-    if file.suffix.lower() != ".h5md":
-        raise ValueError(
-            "only .h5md files can be appended to, because they hold the state from which a run goes on; the file is "
-            f"{str(file)!r}"
-        )
-    return file
+def _is_h5md(file: Path) -> bool:
+    return file.suffix.lower() == ".h5md"
 
 
-def _check_are_different(paths: Sequence[Path]) -> None:
-    """Raise ValueError if two paths lead to the same file."""
+def _check_several(paths: Sequence[Path], append: bool) -> None:
+    """Raise ValueError if two paths lead to the same file, or one that cannot be appended to is to be."""
     seen: dict[str, Path] = {}
     for path in paths:
         if (first := seen.setdefault(os.path.realpath(path), path)) is not path:
-            raise ValueError(
-                f"each trajectory must be a file of its own; {str(first)!r} and {str(path)!r} are the same file: name "
-                "it once"
-            )
+            both = f"{str(first)!r} and {str(path)!r} are the same file"
+            raise ValueError(f"each trajectory must be a file of its own; {both}: name it once")
+    for path in paths:
+        if append and not _is_h5md(path):
+            why = "only .h5md files can be appended to, because they hold the state from which a run goes on"
+            raise ValueError(f"{why}; the file is {str(path)!r}")
 
 
 def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Path]:
@@ -231,7 +218,7 @@ def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Pat
 
 def first_h5md(paths: str | Path | Sequence[str | Path]) -> Path | None:
     """The first H5MD file among the trajectories of a run, or None.  Raises TypeError as named_files."""
-    return next((file for file in named_files("trajectory", paths) if file.suffix.lower() == ".h5md"), None)
+    return next((file for file in named_files("trajectory", paths) if _is_h5md(file)), None)
 
 
 def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:
@@ -247,9 +234,8 @@ def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] 
     if not file.absolute().parent.is_dir():
         raise FileNotFoundError(f"output folder {str(file.absolute().parent)!r} does not exist; make it first")
     if file.exists() and not file.is_file():
-        raise ValueError(
-            f"output {str(file)!r} must be a regular file, but it is a folder or a device; choose another name"
-        )
+        words = "it is a folder or a device; choose another name"
+        raise ValueError(f"output {str(file)!r} must be a regular file, but {words}")
     if not os.access(file if file.exists() else file.absolute().parent, os.W_OK):
         raise PermissionError(f"output {str(file)!r} cannot be written: {os.strerror(errno.EACCES)}")
     return file

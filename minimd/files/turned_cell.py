@@ -42,10 +42,8 @@ class Turn:
 
     def __init__(self, cell: Cell, to_angstrom: float = 1.0) -> None:
         if not has_edges(cell):
-            raise ValueError(
-                "only a cell with three independent vectors, periodic in some direction, can be turned; cell = "
-                f"{cell!r}"
-            )
+            can = "only a cell with three independent vectors, periodic in some direction, can be turned"
+            raise ValueError(f"{can}; cell = {cell!r}")
         self._vectors, self._to_angstrom = cell.vectors, to_angstrom
         self._is_reduced = finds_all_images(cell)
         basis = np.eye(3, dtype=np.int64) if self._is_reduced else cell.reduction
@@ -54,9 +52,8 @@ class Turn:
     @property
     def is_needed(self) -> bool:
         """False if MDAnalysis takes the cell as it is."""
-        return not np.array_equal(self.combination, np.eye(3)) or bool(
-            np.abs(self.of(self._vectors)[0] - np.eye(3)).max() > SEEN
-        )
+        turned = float(np.abs(self.of(self._vectors)[0] - np.eye(3)).max())
+        return turned > SEEN or not np.array_equal(self.combination, np.eye(3))
 
     def of(self, vectors: Array) -> tuple[Array, NDArray[np.float32]]:
         """R (3, 3), and the lengths and angles in MDAnalysis [Å, °],
@@ -74,17 +71,15 @@ class Turn:
         return ts
 
     def in_words(self, what: str, way_back: str) -> str:
-        """A sentence on what is done to positions and cell.  what : to which they belong.  way_back :
-        where R is found."""
-        rows = np.array2string(self.of(self._vectors)[0], separator=", ", precision=6, suppress_small=True).replace(
-            "\n", ""
-        )
-        reason = ""
+        """A sentence on what is done to positions and cell.
+
+        what : to which they belong.  way_back : where R is found.
+        """
+        rows = np.array2string(self.of(self._vectors)[0], separator=", ", precision=6, suppress_small=True)
+        rows, reason = rows.replace("\n", ""), ""
         if not self._is_reduced:
-            reason = (
-                "; the cell is so skewed that MDAnalysis would miss nearest images, and is replaced by its "
-                "shortest vectors"
-            )
+            images = "the cell is so skewed that MDAnalysis would miss nearest images"
+            reason = f"; {images}, and is replaced by its shortest vectors"
         elif self.combination[0, 0] < 0:
             reason = "; the cell is left-handed, and is given as -a, -b, -c, which repeat the same lattice"
         return (

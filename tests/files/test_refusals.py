@@ -87,7 +87,7 @@ def test_too_little_memory_is_no_damage_and_a_file_without_a_frame_leaves_nothin
     H5MDWriter(Claim(tmp_path / "empty.h5md"), simulation().engine, False).close()
     assert list(tmp_path.iterdir()) == []
     simulation().run(10, every=5, trajectory=tmp_path / "a.h5md")
-    monkeypatch.setattr("minimd.files.h5md_restart.unflattened", lambda *_: np.empty(10**15))
+    monkeypatch.setattr("minimd.files.h5md_digest.unflattened", lambda *_: np.empty(10**15))
     with pytest.raises(MemoryError):
         read_file(tmp_path / "a.h5md")
 

@@ -22,9 +22,9 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "compiled": (2142, 18, 1214),
     "constraints": (1438, 8, 856),
     "diagnosis": (2346, 11, 1245),
-    "engine": (1264, 6, 769),
+    "engine": (1270, 6, 773),
     "ensemble": (1797, 10, 1005),
-    "files": (3256, 20, 1798),
+    "files": (2932, 16, 1789),
     "forces": (1568, 11, 951),
     "grade": (3168, 14, 1774),
     "integrators": (5354, 34, 2613),
@@ -38,8 +38,8 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "simulation": (775, 6, 367),
     "structure": (2747, 24, 1409),
     "view": (558, 5, 245),
-    "road of a step": (3700, 14),
-    "tests": (20146,),
+    "road of a step": (3706, 14),
+    "tests": (20161,),
 }
 # fmt: on
 

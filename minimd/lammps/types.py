@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from minimd.engine.engine import Engine
 from minimd.structure.constraints import FixedAtoms
 
 MOST_TYPES = 500  # of atoms: LAMMPS' tables grow with their square
+Style = tuple[str, str]  # of a type of groups: the style of LAMMPS, and its numbers
 
 
 class AtomTypes(NamedTuple):
@@ -56,16 +58,21 @@ class Groups:
     """
 
     def __init__(self, size: int) -> None:
-        self.size, self.coefficients = size, list[tuple[str, str]]()
+        self.size, self.coefficients = size, list[Style]()
         self.atoms, self.types = np.zeros((0, size), dtype=np.int64), np.zeros(0, dtype=np.int64)
 
-    def add(self, atoms: NDArray[np.int64], of_each: NDArray[np.int64], coefficients: list[tuple[str, str]]) -> range:
-        """Add groups with new types, one for each of the coefficients, and return the new types.  of_each : (G,)
-        index of a group's coefficients."""
+    def add(
+        self, atoms: NDArray[np.int64], parameters: NDArray[np.float64], written: Callable[[list[float]], Style]
+    ) -> range:
+        """Add groups, with a new type for each of the different rows of parameters, and return the new types.
+
+        atoms : (G, size).  parameters : (G, P).  written : called with P numbers, gives the coefficients of a type.
+        """
         first = len(self.coefficients)
+        rows, of_each = np.unique(parameters, axis=0, return_inverse=True)
         self.atoms = np.concatenate([self.atoms, atoms.reshape(-1, self.size)])
-        self.types = np.concatenate([self.types, np.broadcast_to(of_each, len(atoms)) + first])
-        self.coefficients += coefficients
+        self.types = np.concatenate([self.types, of_each.reshape(-1) + first])
+        self.coefficients += map(written, rows.tolist())
         return range(first, len(self.coefficients))
 
     def commands(self, word: str) -> list[str]:

@@ -78,7 +78,7 @@ class HandOver(Displayed):
 
 def not_carried_over(simulation: Simulation) -> list[str]:
     """The promises of minimd that a run by LAMMPS does not keep, one sentence each."""
-    engine, method = simulation.engine, simulation.method
+    engine, method, extra = simulation.engine, simulation.method, simulation.engine.extra_observables
     rows = {  # sentence: whether it applies
         "exact restart: bits depend on the number of processes, and on where LAMMPS ended; minimd goes on from "
         "positions and velocities only": True,
@@ -86,13 +86,10 @@ def not_carried_over(simulation: Simulation) -> list[str]:
         "of processes": method.is_thermostat,
         "order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, and its errors "
         "of order Δt² differ": isinstance(method, LangevinBAOAB),
-        f"{', '.join(engine.extra_observables)}: computed by minimd for each frame, not by LAMMPS": len(
-            engine.extra_observables
-        ),
+        f"{', '.join(extra)}: computed by minimd for each frame, not by LAMMPS": len(extra) > 0,
         "mixed precision: LAMMPS computes in double precision": engine.interactions.options.precision != "double",
-        f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration": (
-            engine.constraint_set.bonds is not None
-        ),
+        f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration": engine.constraint_set.bonds
+        is not None,
         "observers, crash reports and the run guard: a run of LAMMPS that fails ends with LAMMPS' own error, and the "
         "frames before it are kept": True,
     }
@@ -300,7 +297,9 @@ class Job:
                 failure = error
         log.read_on()
         with self.phase("reading back"):
-            record, difference, n_missing = self._bring_back(log, store_forces, failure is None)
+            record, difference, n_missing = self._bring_back(
+                log, store_forces, failure is None and not self.stop_requested
+            )
         self._judge(failure, record, difference, n_missing, log)
         done = HandOver(
             self.folder,
@@ -340,14 +339,15 @@ class Job:
         if words:
             raise KeyboardInterrupt(words) if self.stop_requested else HandOverError(words)
 
-    def _bring_back(self, log: Log, store_forces: bool, succeeded: bool) -> tuple[Record, float, int]:
+    def _bring_back(self, log: Log, store_forces: bool, is_whole: bool) -> tuple[Record, float, int]:
         """Write the frames, observed by minimd, into the H5MD file; the simulation is then in the last state.
 
         Returns the record of the frames, the energy difference (see HandOver), and the number of frames that are
-        missing. If LAMMPS has not reached its end, the frames that exist are kept if there is one after the first.
+        missing.  is_whole : whether LAMMPS has reached its end. If not, the frames that exist are kept if there is one
+        after the first.
         """
-        path, n_atoms, is_whole = self.folder / script.FRAMES, len(self.engine.system), not self.stop_requested
-        record, is_whole = Record(self.engine.system.units, n_atoms, self.trajectory), is_whole and succeeded
+        path, n_atoms = self.folder / script.FRAMES, len(self.engine.system)
+        record = Record(self.engine.system.units, n_atoms, self.trajectory)
         found = (one for one in frames(path, n_atoms) if one[0] > self.first_step) if path.is_file() else iter(())
         first = next(found, None)
         self.keeps_frames = first is not None

@@ -15,7 +15,6 @@ from minimd.engine.engine import Engine
 from minimd.lammps.box import Box
 from minimd.lammps.expression import energy_expression
 from minimd.lammps.rigid import Rigid
-from minimd.lammps.types import AtomTypes, Groups, Style
 from minimd.potentials import BondPotential, DihedralPotential, HarmonicAngle, PairPotential
 from minimd.potentials.laws import FENELaw, HarmonicLaw, LennardJonesLaw, MorseLaw
 from minimd.potentials.pair import UNSCALED
@@ -24,21 +23,18 @@ from minimd.potentials.truncation import ForceShifted, Shifted
 from minimd.structure.bond_graph import among
 from minimd.structure.cell import Cell
 from minimd.structure.checks import shown
-from minimd.structure.constraints import DistanceConstraints
+from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.structure.images import nearest_vectors
 
+Style = tuple[str, str]  # of a type of bonds, angles or dihedrals: the style of LAMMPS, and its numbers
+MOST_TYPES = 500  # of atoms: LAMMPS' tables grow with their square
 FAR = 100.0  # extents of the scene: the cutoff of a law without one
 SKIN = 0.12  # of the smallest cutoff, or longest bond
 REACH = 2.0  # in longest bonds: the distance up to which LAMMPS finds partners of an atom on other processes
-SPECIAL = (
-    0.5  # a factor, neither 0 nor 1, for which LAMMPS keeps the pairs and marks them, if styles have different factors
-)
-LJ_STYLES = {
-    LennardJonesLaw: "lj/cut",
-    Shifted: "lj/cut",
-    ForceShifted: "lj/smooth/linear",
-}  # the styles of LAMMPS with the same truncation
-GROUP_STYLES: dict[type, tuple[str, Callable[..., tuple[float, ...]]]] = {  # by law: the style of LAMMPS, its numbers
+SPECIAL = 0.5  # a factor, neither 0 nor 1, with which LAMMPS keeps the pairs and marks them, if those of styles differ
+# by truncation: the style of LAMMPS with the same
+LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smooth/linear"}
+GROUP_STYLES: dict[type, tuple[str, Callable[..., tuple[float, ...]]]] = {  # by law: the style, and its numbers
     HarmonicLaw: ("harmonic", lambda k, length: (0.5 * k, length)),
     MorseLaw: ("morse", lambda *same: same),
     FENELaw: ("fene", lambda *same: same),
@@ -49,6 +45,78 @@ GROUP_STYLES: dict[type, tuple[str, Callable[..., tuple[float, ...]]]] = {  # by
         lambda *powers: (len(powers), *(-c if n % 2 else c for n, c in enumerate(powers))),
     ),
 }
+
+
+class AtomTypes(NamedTuple):
+    """One type for each combination of species, mass, and whether an atom is held fixed.
+
+    of_atom : (N,) type of each atom, from 0 on.  species : (T,) index of the species of a type.  masses : (T,) [mass].
+        is_fixed : (T,) bool.
+    """
+
+    of_atom: NDArray[np.int64]
+    species: NDArray[np.int64]
+    masses: NDArray[np.float64]
+    is_fixed: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, engine: Engine) -> AtomTypes:
+        """The types of atoms of an engine.  Raises ValueError for more than MOST_TYPES."""
+        system, fixed = engine.system, np.zeros(len(engine.system), dtype=bool)
+        for one in engine.constraints:
+            if isinstance(one, FixedAtoms):
+                fixed[one.atoms] = True
+        keys = np.column_stack([system.species_index, system.masses, fixed])
+        rows, of_atom = np.unique(keys, axis=0, return_inverse=True)
+        if len(rows) > MOST_TYPES:
+            raise ValueError(
+                f"LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs {len(rows)}, "
+                f"allowed are {MOST_TYPES}"
+            )
+        return cls(
+            of_atom.reshape(-1), rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
+        )
+
+    def named(self, numbers: NDArray[np.bool_]) -> str:
+        """The types for which numbers is true, as text for LAMMPS' commands."""
+        return " ".join(str(k + 1) for k in np.flatnonzero(numbers))
+
+
+class Groups:
+    """Bonds, angles or dihedrals, with their types.
+
+    size : atoms in a group.  coefficients : of each type, style and numbers.  atoms : (G, size).  types : (G,)
+        from 0 on.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.size, self.coefficients = size, list[Style]()
+        self.atoms, self.types = np.zeros((0, size), dtype=np.int64), np.zeros(0, dtype=np.int64)
+
+    def add(
+        self, atoms: NDArray[np.int64], parameters: NDArray[np.float64], written: Callable[[list[float]], Style]
+    ) -> range:
+        """Add groups, with a new type for each of the different rows of parameters, and return the new types.
+
+        atoms : (G, size).  parameters : (G, P).  written : called with P numbers, gives the coefficients of a type.
+        """
+        first = len(self.coefficients)
+        rows, of_each = np.unique(parameters, axis=0, return_inverse=True)
+        self.atoms = np.concatenate([self.atoms, atoms.reshape(-1, self.size)])
+        self.types = np.concatenate([self.types, of_each.reshape(-1) + first])
+        self.coefficients += map(written, rows.tolist())
+        return range(first, len(self.coefficients))
+
+    def commands(self, word: str) -> list[str]:
+        """Styles and coefficients as commands.  word : bond, angle or dihedral."""
+        styles = list(dict.fromkeys(style for style, _ in self.coefficients))
+        if not styles:
+            return []
+        several = len(styles) > 1
+        lines = [f"{word}_style {'hybrid ' if several else ''}{' '.join(styles)}"]
+        for k, (style, numbers) in enumerate(self.coefficients, start=1):
+            lines.append(f"{word}_coeff {k} {f'{style.split()[0]} ' if several else ''}{numbers}")
+        return lines
 
 
 class PairStyle(NamedTuple):

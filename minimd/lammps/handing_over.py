@@ -272,11 +272,10 @@ class Job:
                     f"LAMMPS runs on {log.processes} process instead of {self.processes}; {self.program.lmp} was "
                     f"probably built without MPI, or for another mpiexec than {self.program.mpiexec}: {INSTALL}"
                 )
-            found = [frames(self.folder / name, len(copy)) for name in script.STEP_0.values()]
             theirs = (
                 script.per_atom(columns, place)
-                for one, place in zip(found, (self.model.box, box), strict=True)
-                for _, columns in one
+                for name, place in zip(script.STEP_0.values(), (self.model.box, box), strict=True)
+                for _, columns in frames(self.folder / name, len(copy))
             )
             verification = compare(ours, theirs)
             verification.check(self.engine)

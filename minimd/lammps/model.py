@@ -138,8 +138,8 @@ class Model:
 
     Attributes
     ----------
-    box : Box.  types : AtomTypes.  bonds, angles, dihedrals : Groups.  rigid_bonds, rigid_angles :
-        the types that fix shake holds.
+    box : Box.  types : AtomTypes.  bonds, angles, dihedrals : Groups.  joined : these three, by LAMMPS' word for one.
+    rigid_bonds, rigid_angles : the types that fix shake holds.
     pair_styles : list of PairStyle.  cutoff, skin : [length], of lists.  reach : [length],
         of the communication between processes.
     search : how lists are built.
@@ -152,7 +152,8 @@ class Model:
     def __init__(self, engine: Engine) -> None:
         system = engine.system
         self.box, self.types = Box(system), AtomTypes.of(engine)
-        self.bonds, self.angles, self.dihedrals = Groups(2), Groups(3), Groups(4)
+        self.joined = {"bond": Groups(2), "angle": Groups(3), "dihedral": Groups(4)}
+        self.bonds, self.angles, self.dihedrals = self.joined.values()
         self.rigid_bonds, self.rigid_angles = range(0), range(0)
         self._extent = float(np.ptp(system.positions, axis=0).max(initial=1.0))
         self.pair_styles: list[PairStyle] = []
@@ -169,11 +170,6 @@ class Model:
         self.skin = SKIN * (self.smallest_cutoff if self.smallest_cutoff < np.inf else bonded)
         self.reach = max(self.cutoff + self.skin, REACH * bonded + self.skin)
         self.box.make_room(self.reach)
-
-    @property
-    def joined(self) -> dict[str, Groups]:
-        """Bonds, angles and dihedrals, by LAMMPS' word for one of them."""
-        return {"bond": self.bonds, "angle": self.angles, "dihedral": self.dihedrals}
 
     @property
     def atom_style(self) -> str:

@@ -349,7 +349,7 @@ class Engine:
         return time + (step - first) * self._pace
 
     def _keep_pace(self) -> None:
-        """Count the time of further steps with the time step that the method has now; also if it was changed in place."""
+        """Count further time with the time step that the method has now; it may have been changed in place."""
         if self._pace != self._method.timestep:
             self._clock, self._pace = (self._step, self.time), self._method.timestep
 

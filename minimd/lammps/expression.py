@@ -13,6 +13,7 @@ import math
 import operator
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import reduce
 from types import CellType, CodeType, FunctionType, SimpleNamespace
 from typing import Any
 
@@ -23,37 +24,24 @@ from minimd.potentials.law import evaluate_law
 from minimd.potentials.tabulated import reads_table
 
 MOST_DECISIONS = 8  # conditions that a call of a law may evaluate one after the other
-FUNCTIONS = {  # names in math and numpy: in Lepton
-    **{
-        name: name
-        for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "erf", "erfc", "floor", "ceil")
-    },
-    **dict(zip(("arcsin", "arccos", "arctan", "asin", "acos", "atan"), ("asin", "acos", "atan") * 2, strict=True)),
-    **dict.fromkeys(("abs", "fabs", "absolute"), "abs"),
+SAME = "sqrt exp log sin cos tan asin acos atan sinh cosh tanh erf erfc floor ceil abs"  # names in both
+FUNCTIONS = {name: name for name in SAME.split()}  # names in math and numpy: in Lepton
+FUNCTIONS |= {"arcsin": "asin", "arccos": "acos", "arctan": "atan", "fabs": "abs", "absolute": "abs"}
+FUNCTIONS |= {"maximum": "max", "minimum": "min", "where": "select"}
+COMPUTED: dict[str, Callable[..., Any]] = {  # names in math and numpy: by operators and other functions
+    **dict.fromkeys(("divide", "true_divide"), operator.truediv),
+    **dict.fromkeys(("power", "float_power", "pow"), operator.pow),
+    "square": lambda x: x * x,
+    "reciprocal": lambda x: 1.0 / x,
+    "expm1": lambda x: x.of("exp", x) - 1.0,
+    "log1p": lambda x: x.of("log", 1.0 + x),
+    "log10": lambda x: x.of("log", x) / math.log(10.0),
+    "log2": lambda x: x.of("log", x) / math.log(2.0),
+    "cbrt": lambda x: x ** (1.0 / 3.0),
 }
-OPERATORS: dict[str, Callable[[Any, Any], Any]] = {  # of numpy
-    **dict(
-        zip(
-            ("add", "subtract", "multiply", "power"),
-            (operator.add, operator.sub, operator.mul, operator.pow),
-            strict=True,
-        )
-    ),
-    **dict(
-        zip(
-            ("divide", "true_divide", "float_power", "pow"),
-            (operator.truediv, operator.truediv, operator.pow, operator.pow),
-            strict=True,
-        )
-    ),
-    **dict(
-        zip(
-            ("less", "greater", "less_equal", "greater_equal"),
-            (operator.lt, operator.gt, operator.le, operator.ge),
-            strict=True,
-        )
-    ),
-}
+COMPUTED |= {"add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "negative": operator.neg}
+COMPUTED |= {"less": operator.lt, "greater": operator.gt, "less_equal": operator.le, "greater_equal": operator.ge}
+LEAVES = {"r": "r", "r2": "(r*r)"}  # symbols without arguments, as they are written
 
 
 class UnwritableError(ValueError):
@@ -68,18 +56,11 @@ class Undecided(Exception):  # noqa: N818 - not an error: it is always caught in
         self.condition = condition
 
 
-def _methods(operation: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
-    """The methods of Symbol for an operator: with the symbol on its left, and on its right."""
-    return lambda self, other: self.of(operation, self, other), lambda self, other: self.of(operation, other, self)
-
-
 class Symbol:
     """An unknown number: an operation, and its arguments, which are symbols and numbers.
 
     decisions : truth values for the conditions in this call of a law, in their order.
     """
-
-    __hash__ = object.__hash__
 
     def __init__(self, operation: str, arguments: tuple[Any, ...], decisions: Iterator[bool]) -> None:
         self.operation, self.arguments, self.decisions = operation, arguments, decisions
@@ -95,39 +76,6 @@ class Symbol:
             if operation == "^" and isinstance(arguments[1], float) and arguments[1] % 1.0 == 0.5:
                 return self.of("^", self.of("r"), 2.0 * arguments[1])
         return Symbol(operation, arguments, self.decisions)
-
-    __add__, __radd__ = _methods("+")
-    __sub__, __rsub__ = _methods("-")
-    __mul__, __rmul__ = _methods("*")
-    __truediv__, __rtruediv__ = _methods("/")
-    __pow__, __rpow__ = _methods("^")
-
-    def __neg__(self) -> Symbol:
-        return self.of("-", 0.0, self)
-
-    def __pos__(self) -> Symbol:
-        return self
-
-    def __abs__(self) -> Symbol:
-        return self.of("abs", self)
-
-    def __lt__(self, other: Any) -> Symbol:
-        return self.of("-", 1.0, self.of("step", self - other))
-
-    def __gt__(self, other: Any) -> Symbol:
-        return self.of("-", 1.0, self.of("step", other - self))
-
-    def __le__(self, other: Any) -> Symbol:
-        return self.of("step", other - self)
-
-    def __ge__(self, other: Any) -> Symbol:
-        return self.of("step", self - other)
-
-    def __eq__(self, other: object) -> Any:
-        return self.of("delta", self - other)
-
-    def __ne__(self, other: object) -> Any:
-        return self.of("-", 1.0, self == other)
 
     def __bool__(self) -> bool:
         decision = next(self.decisions, None)
@@ -153,30 +101,36 @@ class Symbol:
         return applied(function.__name__, *inputs)
 
 
+def _sides(sign: str) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """An operator with the symbol a on its left, and on its right."""
+    return lambda a, b: a.of(sign, a, b), lambda a, b: a.of(sign, b, a)
+
+
+OPERATORS: dict[str, Callable[..., Any]] = {  # of Python, by their names in operator; a is a symbol
+    "neg": lambda a: 0.0 - a,
+    "pos": lambda a: a,
+    "abs": lambda a: a.of("abs", a),
+    "lt": lambda a, b: 1.0 - (a >= b),
+    "gt": lambda a, b: 1.0 - (a <= b),
+    "le": lambda a, b: a.of("step", b - a),
+    "ge": lambda a, b: a.of("step", a - b),
+    "eq": lambda a, b: a.of("delta", a - b),
+    "ne": lambda a, b: 1.0 - (a == b),
+}
+for _name, _sign in {"add": "+", "sub": "-", "mul": "*", "truediv": "/", "pow": "^"}.items():
+    OPERATORS[_name], OPERATORS[f"r{_name}"] = _sides(_sign)
+for _name, _operation in OPERATORS.items():
+    setattr(Symbol, f"__{_name}__", _operation)
+
+
 def applied(name: str, *inputs: Any) -> Any:
     """Apply a function of math or numpy, given by name, to symbols and numbers.
     Raises UnwritableError if Lepton does not have it."""
-    first = next(one for one in inputs if isinstance(one, Symbol))
-    if name in OPERATORS:
-        return OPERATORS[name](*(x if isinstance(x, Symbol) else float(x) for x in inputs))
-    if name in FUNCTIONS:
-        return first.of(FUNCTIONS[name], *inputs)
-    special: dict[str, Callable[[], Any]] = {
-        "maximum": lambda: first.of("max", *inputs),
-        "minimum": lambda: first.of("min", *inputs),
-        "where": lambda: first.of("select", *inputs),
-        "square": lambda: first * first,
-        "negative": lambda: -first,
-        "reciprocal": lambda: 1.0 / first,
-        "expm1": lambda: first.of("exp", first) - 1.0,
-        "log1p": lambda: first.of("log", 1.0 + first),
-        "log10": lambda: first.of("log", first) / math.log(10.0),
-        "log2": lambda: first.of("log", first) / math.log(2.0),
-        "cbrt": lambda: first ** (1.0 / 3.0),
-    }
-    if name not in special:
+    if name in COMPUTED:
+        return COMPUTED[name](*(x if isinstance(x, Symbol) else float(x) for x in inputs))
+    if name not in FUNCTIONS:
         raise UnwritableError(f"it uses {name}, which Lepton does not have")
-    return special[name]()
+    return next(one for one in inputs if isinstance(one, Symbol)).of(FUNCTIONS[name], *inputs)
 
 
 def energy_expression(law: tuple, parameters: tuple[float, ...]) -> str:
@@ -235,7 +189,8 @@ class Rewritten:
             return SimpleNamespace(**{name: self._value(one) for name, one in vars(math).items()})
         if getattr(value, "__module__", None) == "math" or value in (max, min, abs):
             return _taking_symbols(value)
-        return self._function(value) if isinstance(value, FunctionType) and not _is_library(value) else value
+        is_own = isinstance(value, FunctionType) and value.__module__.split(".")[0] not in ("numpy", "numba")
+        return self._function(value) if is_own else value
 
     def _function(self, function: FunctionType) -> Callable:
         if id(function) not in self._copies:
@@ -252,10 +207,6 @@ class Rewritten:
         return self._copies[id(function)]
 
 
-def _is_library(function: FunctionType) -> bool:
-    return function.__module__.split(".")[0] in ("numpy", "numba")
-
-
 def _names(code: CodeType) -> set[str]:
     """The names that a code reads, also in functions defined in it."""
     inner = (_names(constant) for constant in code.co_consts if isinstance(constant, CodeType))
@@ -269,55 +220,39 @@ def _taking_symbols(function: Callable) -> Callable:
     def called(*inputs: Any) -> Any:
         if not any(isinstance(one, Symbol) for one in inputs):
             return function(*inputs)
-        if name in ("max", "min"):
-            result = inputs[0]
-            for one in inputs[1:]:
-                both = (result, one)
-                result = applied(f"{name}imum", *both) if any(isinstance(x, Symbol) for x in both) else function(*both)
-            return result
-        return applied(name, *inputs)
+        if name not in ("max", "min"):
+            return applied(name, *inputs)
+        return applied(f"{name}imum", *inputs) if len(inputs) == 2 else reduce(called, inputs)
 
     return called
 
 
 def written(expression: Any) -> str:
     """A symbol as an expression for Lepton; parts that occur more than once get names, defined after semicolons."""
-    if not isinstance(expression, Symbol):
-        return _number(expression)
     uses: Counter[int] = Counter()
-    _count(expression, uses)
     texts: dict[int, str] = {}
     named: list[str] = []
-    whole = _text(expression, uses, texts, named)
-    return ";".join([whole, *reversed(named)])
 
+    def count(one: Any) -> None:
+        uses[id(one)] += 1
+        if isinstance(one, Symbol) and uses[id(one)] == 1:
+            for argument in one.arguments:
+                count(argument)
 
-def _count(symbol: Symbol, uses: Counter[int]) -> None:
-    uses[id(symbol)] += 1
-    if uses[id(symbol)] == 1:
-        for one in symbol.arguments:
-            if isinstance(one, Symbol):
-                _count(one, uses)
+    def text(one: Any) -> str:
+        if not isinstance(one, Symbol):
+            return _number(one)
+        if id(one) not in texts:
+            arguments, operation = [text(argument) for argument in one.arguments], one.operation
+            whole = f"({operation.join(arguments)})" if operation in "+-*/^" else f"{operation}({','.join(arguments)})"
+            if uses[id(one)] > 1 and arguments:
+                named.append(f"t{len(named) + 1}={whole}")
+                whole = f"t{len(named)}"
+            texts[id(one)] = LEAVES.get(operation, whole)
+        return texts[id(one)]
 
-
-def _text(one: Any, uses: Counter[int], texts: dict[int, str], named: list[str]) -> str:
-    if not isinstance(one, Symbol):
-        return _number(one)
-    if id(one) not in texts:
-        arguments = [_text(x, uses, texts, named) for x in one.arguments]
-        if one.operation in ("r", "r2"):
-            text = "r" if one.operation == "r" else "(r*r)"
-        else:
-            text = (
-                f"({one.operation.join(arguments)})"
-                if one.operation in "+-*/^"
-                else f"{one.operation}({','.join(arguments)})"
-            )
-            if uses[id(one)] > 1:
-                named.append(f"t{len(named) + 1}={text}")
-                text = f"t{len(named)}"
-        texts[id(one)] = text
-    return texts[id(one)]
+    count(expression)
+    return ";".join([text(expression), *reversed(named)])
 
 
 def _number(value: Any) -> str:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple
 from uuid import uuid4
 
 import numpy as np
@@ -78,32 +77,23 @@ class HandOver(Displayed):
 
 def not_carried_over(simulation: Simulation) -> list[str]:
     """The promises of minimd that a run by LAMMPS does not keep, one sentence each."""
-    engine, method = simulation.engine, simulation.method
-    told = [
+    engine, method, extra = simulation.engine, simulation.method, simulation.engine.extra_observables
+    rows = {  # sentence: whether it applies
         "exact restart: bits depend on the number of processes, and on where LAMMPS ended; minimd goes on from "
-        "positions and velocities only"
-    ]
-    if method.is_thermostat:
-        told.append(
-            f"noise: its bath is LAMMPS' {script.BATHS[type(method)]}, with random numbers that depend on the number "
-            "of processes"
-        )
-    if isinstance(method, LangevinBAOAB):
-        told.append(
-            "order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, and its errors "
-            "of order Δt² differ"
-        )
-    if len(engine.extra_observables):
-        told.append(f"{', '.join(engine.extra_observables)}: computed by minimd for each frame, not by LAMMPS")
-    if engine.interactions.options.precision != "double":
-        told.append("fixed-point arithmetic: LAMMPS computes in double precision")
-    if engine.constraint_set.bonds is not None:
-        told.append(f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration")
-    return [
-        *told,
+        "positions and velocities only": True,
+        f"noise: its bath is LAMMPS' {script.BATHS.get(type(method))}, with random numbers that depend on the number "
+        "of processes": method.is_thermostat,
+        "order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, and its errors "
+        "of order Δt² differ": isinstance(method, LangevinBAOAB),
+        f"{', '.join(extra)}: computed by minimd for each frame, not by LAMMPS": len(extra) > 0,
+        "fixed-point arithmetic: LAMMPS computes in double precision": engine.interactions.options.precision
+        != "double",
+        f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration": engine.constraint_set.bonds
+        is not None,
         "observers, crash reports and the run guard: a run of LAMMPS that fails ends with LAMMPS' own error, and the "
-        "frames before it are kept",
-    ]
+        "frames before it are kept": True,
+    }
+    return [sentence for sentence, applies in rows.items() if applies]
 
 
 def hand_over(
@@ -167,15 +157,6 @@ def check_hand_over(
     Model(job.engine)
 
 
-class Brought(NamedTuple):
-    """record : of the frames that were read back.  energy_difference : see HandOver.  missing :
-    number of frames that are missing."""
-
-    record: Record
-    energy_difference: float
-    missing: int
-
-
 class Job:
     """One hand-over; see hand_over for the arguments.  stop_requested : by a signal, see minimd.structure.console."""
 
@@ -194,12 +175,8 @@ class Job:
                 "a run with a barostat cannot be handed over to LAMMPS, which has other barostats than minimd; run it "
                 "with minimd"
             )
-        self.simulation, self.engine, self.folder, self.trajectory = (
-            simulation,
-            simulation.engine,
-            folder,
-            folder / TRAJECTORY,
-        )
+        self.simulation, self.engine = simulation, simulation.engine
+        self.folder, self.trajectory = folder, folder / TRAJECTORY
         self.steps, self.every = checked_count("steps", steps, limit=MOST_STEPS), checked_count("every", every)
         self.processes = checked_count("processes", processes)
         self.progress, self.tell = progress, tell
@@ -229,8 +206,8 @@ class Job:
             if not self.keeps_frames:
                 shutil.rmtree(self.folder, ignore_errors=True)
                 self.engine.restore(before)
-            if old is not None and not self.keeps_frames:
-                old.rename(self.folder)
+                if old is not None:
+                    old.rename(self.folder)
             if isinstance(error, OSError) and error.strerror:
                 raise type(error)(f"the hand-over to LAMMPS failed: {sentence(error)}") from None
             raise
@@ -252,17 +229,11 @@ class Job:
         if not self.folder.absolute().parent.is_dir():
             raise FileNotFoundError(f"folder {str(self.folder.absolute().parent)!r} does not exist; make it first")
         n_atoms, n_frames = len(self.simulation.system), 2 + self.steps // self.every
-        needed, free = (
-            n_atoms * (BYTES_PER_ATOM + BYTES_PER_FRAME * n_frames),
-            shutil.disk_usage(self.folder.absolute().parent).free,
-        )
-        if needed > free:
-            sizes = (
-                f"{needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the disk has "
-                f"{free / 1e9:.2g} GB left"
-            )
+        needed = n_atoms * (BYTES_PER_ATOM + BYTES_PER_FRAME * n_frames)
+        if needed > (free := shutil.disk_usage(self.folder.absolute().parent).free):
             raise OSError(
-                f"the hand-over needs {sizes}; free some space, or write frames less often (every = {self.every})"
+                f"the hand-over needs {needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the disk has "
+                f"{free / 1e9:.2g} GB left; free some space, or write frames less often (every = {self.every})"
             )
 
     def _remove_raw(self) -> None:
@@ -297,18 +268,14 @@ class Job:
             if self.stop_requested:
                 raise KeyboardInterrupt("stopped before the run of LAMMPS")
             if log.processes != self.processes:
-                why = (
-                    f"{self.program.lmp} was probably built without MPI, or for another mpiexec than "
-                    f"{self.program.mpiexec}"
-                )
                 raise HandOverError(
-                    f"LAMMPS runs on {log.processes} process instead of {self.processes}; {why}: {INSTALL}"
+                    f"LAMMPS runs on {log.processes} process instead of {self.processes}; {self.program.lmp} was "
+                    f"probably built without MPI, or for another mpiexec than {self.program.mpiexec}: {INSTALL}"
                 )
-            found = [frames(self.folder / name, len(copy)) for name in script.STEP_0.values()]
             theirs = (
                 script.per_atom(columns, place)
-                for one, place in zip(found, (self.model.box, box), strict=True)
-                for _, columns in one
+                for name, place in zip(script.STEP_0.values(), (self.model.box, box), strict=True)
+                for _, columns in frames(self.folder / name, len(copy))
             )
             verification = compare(ours, theirs)
             verification.check(self.engine)
@@ -329,14 +296,16 @@ class Job:
                 failure = error
         log.read_on()
         with self.phase("reading back"):
-            brought = self._bring_back(log, store_forces, is_whole=failure is None and not self.stop_requested)
-        self._judge(failure, brought, log)
+            record, difference, n_missing = self._bring_back(
+                log, store_forces, failure is None and not self.stop_requested
+            )
+        self._judge(failure, record, difference, n_missing, log)
         done = HandOver(
             self.folder,
             self.trajectory,
-            brought.record,
+            record,
             verification,
-            brought.energy_difference,
+            difference,
             self.seconds,
             self.program.version,
             self.processes,
@@ -345,45 +314,49 @@ class Job:
             self.tell(line)
         return done
 
-    def _judge(self, failure: HandOverError | None, brought: Brought, log: Log) -> None:
+    def _judge(
+        self, failure: HandOverError | None, record: Record, difference: float, n_missing: int, log: Log
+    ) -> None:
         """Raise HandOverError if LAMMPS has failed, or frames are missing or wrong;
         KeyboardInterrupt if the run was stopped."""
-        words, different, allowed = "", brought.energy_difference, DISAGREEMENT
+        words, allowed = "", DISAGREEMENT
         if failure is not None:
             words = str(failure)
         elif self.stop_requested:
             words = "the run of LAMMPS was stopped"
-        elif brought.missing:
-            words = f"LAMMPS has made all steps, but {brought.missing} frames are not on the disk; is the disk full?"
-        elif not different <= allowed:
-            why = f"its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the time step"
+        elif n_missing:
+            words = f"LAMMPS has made all steps, but {n_missing} frames are not on the disk; is the disk full?"
+        elif not difference <= allowed:
             words = (
-                f"potential energies of a frame differ by {different:.1e} of Σ|e_i| or N k_B T, allowed is "
-                f"{allowed:g}; {why}"
+                f"potential energies of a frame differ by {difference:.1e} of Σ|e_i| or N k_B T, allowed is "
+                f"{allowed:g}; its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the "
+                "time step"
             )
         if words and self.keeps_frames:
-            kept = f"{len(brought.record)} frames up to step {self.engine.step} are kept in {self.trajectory}"
+            kept = f"{len(record)} frames up to step {self.engine.step} are kept in {self.trajectory}"
             words = f"{kept}; {words}" if self.stop_requested else f"{words}; {kept}"  # the name of the signal follows
         if words:
             raise KeyboardInterrupt(words) if self.stop_requested else HandOverError(words)
 
-    def _bring_back(self, log: Log, store_forces: bool, is_whole: bool) -> Brought:
+    def _bring_back(self, log: Log, store_forces: bool, is_whole: bool) -> tuple[Record, float, int]:
         """Write the frames, observed by minimd, into the H5MD file; the simulation is then in the last state.
 
-        is_whole : whether LAMMPS has reached its end. If not,
-            the frames that exist are kept if there is one after the first.
+        Returns the record of the frames, the energy difference (see HandOver), and the number of frames that are
+        missing.  is_whole : whether LAMMPS has reached its end. If not, the frames that exist are kept if there is one
+        after the first.
         """
-        path, n_atoms, k_b = self.folder / script.FRAMES, len(self.engine.system), self.engine.system.units.k_B
+        path, n_atoms = self.folder / script.FRAMES, len(self.engine.system)
         record = Record(self.engine.system.units, n_atoms, self.trajectory)
         found = (one for one in frames(path, n_atoms) if one[0] > self.first_step) if path.is_file() else iter(())
         first = next(found, None)
         self.keeps_frames = first is not None
         if first is None and not is_whole:
-            return Brought(record, 0.0, 0)
-        start, tail = self.engine.reservoir_energy, float(tails_of(self.engine)[0])
-        theirs = {step: row[0] for step, row in zip(log.steps, log.rows, strict=True)}
-        baths = {step: start - row[1] for step, row in zip(log.steps, log.rows, strict=True) if len(row) > 1}
-        apart = []
+            return record, 0.0, 0
+        start, tail, differences, n_missing = self.engine.reservoir_energy, float(tails_of(self.engine)[0]), [], 0
+
+        def reservoir_energy(step: int) -> float:
+            return start - sum(log.rows.get(step, ())[1:])  # a second number if there is a bath
+
         opened = open_trajectories(
             self.trajectory,
             self.engine,
@@ -395,19 +368,19 @@ class Job:
         with self._titled(), opened as writers:
             for step, columns in chain([(self.first_step, None)], [first] if first else [], found):
                 if columns is not None:
-                    self._stand(step, columns, baths.get(step, start))
+                    self._stand(step, columns, reservoir_energy(step))
                 frame = observe(self.engine)
                 record.append(frame)
                 for writer in writers:
                     writer.write(frame)
-                energy, heat = (
-                    float(frame.observables["potential_energy"]) - tail,
-                    n_atoms * k_b * float(frame.observables["temperature"]),
-                )
-                apart.append(abs(theirs.get(step, np.nan) - energy) / max(self._scale, abs(energy), heat, LEAST))
-            n_missing = self._end(baths.get(self.first_step + self.steps, start), len(record)) if is_whole else 0
+                energy = float(frame.observables["potential_energy"]) - tail
+                heat = n_atoms * self.engine.system.units.k_B * float(frame.observables["temperature"])
+                theirs = log.rows.get(step, (np.nan,))[0]
+                differences.append(abs(theirs - energy) / max(self._scale, abs(energy), heat, LEAST))
+            if is_whole:
+                n_missing = self._end(reservoir_energy(self.first_step + self.steps), len(record))
         self.simulation.record = record
-        return Brought(record, float(np.max(apart)), n_missing)
+        return record, float(np.max(differences)), n_missing
 
     @contextmanager
     def _titled(self) -> Iterator[None]:
@@ -439,22 +412,17 @@ class Job:
             )
         half = 0.5 * (step - engine.step) * engine.method.timestep
         if (most := np.abs(box.crossed(half * (velocities - engine.velocities))).max()) > IMAGES / 2:
-            why = (
-                f"the change of their velocities since step {engine.step} amounts to {most:.3g} cells, and LAMMPS "
-                f"counts {IMAGES // 2}"
-            )
             raise HandOverError(
-                f"the images of atoms at step {step} are unknown: {why}; bring frames back more often (every = "
-                f"{self.every})"
+                f"the images of atoms at step {step} are unknown: the change of their velocities since step "
+                f"{engine.step} amounts to {most:.3g} cells, and LAMMPS counts {IMAGES // 2}; bring frames back more "
+                f"often (every = {self.every})"
             )
-        engine.positions[:] = box.positions_back(
-            columns[:, :3], engine.positions + half * (velocities + engine.velocities)
-        )
+        expected = engine.positions + half * (velocities + engine.velocities)
+        engine.positions[:] = box.positions_back(columns[:, :3], expected)
         engine.velocities[:] = velocities
         engine.count(step - engine.step)
         engine.reservoir_energy = reservoir_energy
         engine.moved()
         engine.fit_images()
-        engine.constraint_set.project(
-            engine.velocities, engine.positions
-        )  # velocities of SHAKE have a component along the bonds
+        # velocities of SHAKE have a component along the bonds
+        engine.constraint_set.project(engine.velocities, engine.positions)

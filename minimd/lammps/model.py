@@ -3,6 +3,9 @@ errors for all that LAMMPS does not have."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache, partial
+from itertools import combinations_with_replacement
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +15,6 @@ from minimd.engine.engine import Engine
 from minimd.lammps.box import Box
 from minimd.lammps.expression import energy_expression
 from minimd.lammps.rigid import Rigid
-from minimd.lammps.types import AtomTypes, Groups
 from minimd.potentials import BondPotential, DihedralPotential, HarmonicAngle, PairPotential
 from minimd.potentials.laws import FENELaw, HarmonicLaw, LennardJonesLaw, MorseLaw
 from minimd.potentials.pair import UNSCALED
@@ -21,22 +23,100 @@ from minimd.potentials.truncation import ForceShifted, Shifted
 from minimd.structure.bond_graph import among
 from minimd.structure.cell import Cell
 from minimd.structure.checks import shown
-from minimd.structure.constraints import DistanceConstraints
+from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.structure.images import nearest_vectors
 
+Style = tuple[str, str]  # of a type of bonds, angles or dihedrals: the style of LAMMPS, and its numbers
+MOST_TYPES = 500  # of atoms: LAMMPS' tables grow with their square
 FAR = 100.0  # extents of the scene: the cutoff of a law without one
 SKIN = 0.12  # of the smallest cutoff, or longest bond
 REACH = 2.0  # in longest bonds: the distance up to which LAMMPS finds partners of an atom on other processes
-SPECIAL = (
-    0.5  # a factor, neither 0 nor 1, for which LAMMPS keeps the pairs and marks them, if styles have different factors
-)
-LJ_STYLES = {
-    LennardJonesLaw: "lj/cut",
-    Shifted: "lj/cut",
-    ForceShifted: "lj/smooth/linear",
-}  # the styles of LAMMPS with the same truncation
+SPECIAL = 0.5  # a factor, neither 0 nor 1, with which LAMMPS keeps the pairs and marks them, if those of styles differ
+# by truncation: the style of LAMMPS with the same
+LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smooth/linear"}
+GROUP_STYLES: dict[type, tuple[str, Callable[..., tuple[float, ...]]]] = {  # by law: the style, and its numbers
+    HarmonicLaw: ("harmonic", lambda k, length: (0.5 * k, length)),
+    MorseLaw: ("morse", lambda *same: same),
+    FENELaw: ("fene", lambda *same: same),
+    HarmonicAngle: ("harmonic", lambda k, angle: (0.5 * k, np.degrees(angle))),
+    PeriodicLaw: ("fourier", lambda k, n, phase: (1, k, n, np.degrees(phase))),
+    RyckaertBellemansLaw: (  # powers of −cos φ in minimd, of cos φ in LAMMPS
+        "nharmonic",
+        lambda *powers: (len(powers), *(-c if n % 2 else c for n, c in enumerate(powers))),
+    ),
+}
 
-BOND_STYLES = {MorseLaw: "morse", FENELaw: "fene"}  # the styles with the same parameters as minimd's law
+
+class AtomTypes(NamedTuple):
+    """One type for each combination of species, mass, and whether an atom is held fixed.
+
+    of_atom : (N,) type of each atom, from 0 on.  species : (T,) index of the species of a type.  masses : (T,) [mass].
+        is_fixed : (T,) bool.
+    """
+
+    of_atom: NDArray[np.int64]
+    species: NDArray[np.int64]
+    masses: NDArray[np.float64]
+    is_fixed: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, engine: Engine) -> AtomTypes:
+        """The types of atoms of an engine.  Raises ValueError for more than MOST_TYPES."""
+        system, fixed = engine.system, np.zeros(len(engine.system), dtype=bool)
+        for one in engine.constraints:
+            if isinstance(one, FixedAtoms):
+                fixed[one.atoms] = True
+        keys = np.column_stack([system.species_index, system.masses, fixed])
+        rows, of_atom = np.unique(keys, axis=0, return_inverse=True)
+        if len(rows) > MOST_TYPES:
+            raise ValueError(
+                f"LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs {len(rows)}, "
+                f"allowed are {MOST_TYPES}"
+            )
+        return cls(
+            of_atom.reshape(-1), rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
+        )
+
+    def named(self, numbers: NDArray[np.bool_]) -> str:
+        """The types for which numbers is true, as text for LAMMPS' commands."""
+        return " ".join(str(k + 1) for k in np.flatnonzero(numbers))
+
+
+class Groups:
+    """Bonds, angles or dihedrals, with their types.
+
+    size : atoms in a group.  coefficients : of each type, style and numbers.  atoms : (G, size).  types : (G,)
+        from 0 on.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.size, self.coefficients = size, list[Style]()
+        self.atoms, self.types = np.zeros((0, size), dtype=np.int64), np.zeros(0, dtype=np.int64)
+
+    def add(
+        self, atoms: NDArray[np.int64], parameters: NDArray[np.float64], written: Callable[[list[float]], Style]
+    ) -> range:
+        """Add groups, with a new type for each of the different rows of parameters, and return the new types.
+
+        atoms : (G, size).  parameters : (G, P).  written : called with P numbers, gives the coefficients of a type.
+        """
+        first = len(self.coefficients)
+        rows, of_each = np.unique(parameters, axis=0, return_inverse=True)
+        self.atoms = np.concatenate([self.atoms, atoms.reshape(-1, self.size)])
+        self.types = np.concatenate([self.types, of_each.reshape(-1) + first])
+        self.coefficients += map(written, rows.tolist())
+        return range(first, len(self.coefficients))
+
+    def commands(self, word: str) -> list[str]:
+        """Styles and coefficients as commands.  word : bond, angle or dihedral."""
+        styles = list(dict.fromkeys(style for style, _ in self.coefficients))
+        if not styles:
+            return []
+        several = len(styles) > 1
+        lines = [f"{word}_style {'hybrid ' if several else ''}{' '.join(styles)}"]
+        for k, (style, numbers) in enumerate(self.coefficients, start=1):
+            lines.append(f"{word}_coeff {k} {f'{style.split()[0]} ' if several else ''}{numbers}")
+        return lines
 
 
 class PairStyle(NamedTuple):
@@ -58,8 +138,8 @@ class Model:
 
     Attributes
     ----------
-    box : Box.  types : AtomTypes.  bonds, angles, dihedrals : Groups.  rigid_bonds, rigid_angles :
-        the types that fix shake holds.
+    box : Box.  types : AtomTypes.  bonds, angles, dihedrals : Groups.  joined : these three, by LAMMPS' word for one.
+    rigid_bonds, rigid_angles : the types that fix shake holds.
     pair_styles : list of PairStyle.  cutoff, skin : [length], of lists.  reach : [length],
         of the communication between processes.
     search : how lists are built.
@@ -72,7 +152,8 @@ class Model:
     def __init__(self, engine: Engine) -> None:
         system = engine.system
         self.box, self.types = Box(system), AtomTypes.of(engine)
-        self.bonds, self.angles, self.dihedrals = Groups(2), Groups(3), Groups(4)
+        self.joined = {"bond": Groups(2), "angle": Groups(3), "dihedral": Groups(4)}
+        self.bonds, self.angles, self.dihedrals = self.joined.values()
         self.rigid_bonds, self.rigid_angles = range(0), range(0)
         self._extent = float(np.ptp(system.positions, axis=0).max(initial=1.0))
         self.pair_styles: list[PairStyle] = []
@@ -91,11 +172,6 @@ class Model:
         self.box.make_room(self.reach)
 
     @property
-    def joined(self) -> dict[str, Groups]:
-        """Bonds, angles and dihedrals, by LAMMPS' word for one of them."""
-        return {"bond": self.bonds, "angle": self.angles, "dihedral": self.dihedrals}
-
-    @property
     def atom_style(self) -> str:
         """LAMMPS' style of atoms: atomic, or with bonds and angles, or also with dihedrals."""
         if len(self.dihedrals.atoms):
@@ -110,63 +186,40 @@ class Model:
             self.search = "nsq" if potential.cutoff == np.inf else self.search
         elif isinstance(potential, BondPotential):
             pairs = system.bonds if potential.pairs is None else potential.pairs
-            rows, of_each = np.unique(
-                potential.table(len(pairs)), axis=0, return_inverse=True
-            )  # the first column is an infinite cutoff
-            self.bonds.add(pairs, of_each.reshape(-1), [_bond_coefficients(potential.law, row[1:]) for row in rows])
+            numbers = potential.table(len(pairs))[:, 1:]  # the first column is an infinite cutoff
+            self.bonds.add(pairs, numbers, partial(_coefficients, potential))
         elif isinstance(potential, HarmonicAngle):
             triples = system.angles if potential.triples is None else potential.triples
             each = np.column_stack([np.broadcast_to(values, len(triples)) for values in (potential.k, potential.angle)])
-            rows, of_each = np.unique(each, axis=0, return_inverse=True)
-            self.angles.add(
-                triples,
-                of_each.reshape(-1),
-                [("harmonic", f"{0.5 * k:.17g} {np.degrees(angle):.17g}") for k, angle in rows],
-            )
+            self.angles.add(triples, each, partial(_coefficients, potential))
         elif isinstance(potential, DihedralPotential):
             quadruples = potential.quadruples_in(system)
-            rows, of_each = np.unique(np.column_stack(potential.columns(len(quadruples))), axis=0, return_inverse=True)
-            self.dihedrals.add(
-                quadruples, of_each.reshape(-1), [_dihedral_coefficients(potential, row.tolist()) for row in rows]
-            )
+            each = np.column_stack(potential.columns(len(quadruples)))
+            self.dihedrals.add(quadruples, each, partial(_coefficients, potential))
         else:
-            known = "pair potentials, bonds, harmonic angles and dihedrals"
-            raise ValueError(
-                f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd"
-            )
+            raise _outside(potential, "pair potentials, bonds, harmonic angles and dihedrals")
 
     def _pair_style(self, potential: PairPotential, species_names: tuple) -> PairStyle:
         """The style of a pair potential: a Lennard-Jones style of LAMMPS if there is one,
         else its law as an expression for Lepton."""
-        table = potential.table(species_names)
+        table, species = potential.table(species_names), self.types.species
         is_own = isinstance(potential.plain_law, LennardJonesLaw) and type(potential.law) in LJ_STYLES
-        name = LJ_STYLES[type(potential.law)] if is_own else "lepton"
-        texts: dict[tuple[float, ...], str] = {}
-        coefficients = []
-        for first, second, row in self._rows(table):
-            key = tuple(row.tolist())
-            if key not in texts:
-                cutoff = self._finite(key[0] ** 0.5)
-                numbers = (
-                    f"{key[-2]:.17g} {key[-1]:.17g}" if is_own else f'"{energy_expression(potential.law, key[1:])}"'
-                )
-                texts[key] = f"{numbers} {cutoff:.17g}"
-            coefficients.append((f"{first} {second}", texts[key]))
-        cutoff = self._finite(float(np.sqrt(table[:, :, 0].max())))
-        return PairStyle(
-            name, cutoff, is_own and isinstance(potential.law, Shifted), potential.bonded_scale, coefficients
-        )
 
-    def _rows(self, table: NDArray[np.float64]) -> list[tuple[str, str, NDArray[np.float64]]]:
-        """Pairs of types, and the parameters of their law."""
-        if len(table) == 1:
-            return [("*", "*", table[0, 0])]
-        species = self.types.species
-        return [
-            (str(i + 1), str(j + 1), table[species[i], species[j]])
-            for i in range(len(species))
-            for j in range(i, len(species))
-        ]
+        @cache
+        def numbers(squared_cutoff: float, *parameters: float) -> str:
+            own = words(*parameters[-2:]) if is_own else f'"{energy_expression(potential.law, parameters)}"'
+            return f"{own} {words(self._finite(squared_cutoff**0.5))}"
+
+        pairs = combinations_with_replacement(range(len(species)), 2)
+        return PairStyle(
+            LJ_STYLES[type(potential.law)] if is_own else "lepton",
+            self._finite(float(np.sqrt(table[:, :, 0].max()))),
+            is_own and isinstance(potential.law, Shifted),
+            potential.bonded_scale,
+            [("* *", numbers(*table[0, 0].tolist()))]
+            if len(table) == 1
+            else [(f"{i + 1} {j + 1}", numbers(*table[species[i], species[j]].tolist())) for i, j in pairs],
+        )
 
     def _finite(self, cutoff: float) -> float:
         return cutoff if cutoff < np.inf else FAR * self._extent
@@ -180,13 +233,11 @@ class Model:
                 "scene with minimd"
             )
         rigid = Rigid.of(constraints, len(is_fixed))
-        lengths, of_each = np.unique(rigid.lengths, return_inverse=True)
         self.rigid_bonds = self.bonds.add(
-            rigid.bonds, of_each, [("harmonic", f"0 {length:.17g}") for length in lengths]
+            rigid.bonds, rigid.lengths[:, None], lambda row: ("harmonic", words(0.0, *row))
         )
-        kinds, of_each = np.unique(rigid.openings, return_inverse=True)
         self.rigid_angles = self.angles.add(
-            rigid.angles, of_each, [("harmonic", f"0 {np.degrees(angle):.17g}") for angle in kinds]
+            rigid.angles, rigid.openings[:, None], lambda row: ("harmonic", words(0.0, *np.degrees(row)))
         )
 
     def _complete_graph(self, bonds: NDArray[np.int64]) -> None:
@@ -201,7 +252,7 @@ class Model:
             )
         missing = bonds[~among(bonds, known)] if len(known) else bonds
         if len(missing):
-            self.bonds.add(missing, np.zeros(len(missing), dtype=np.int64), [("harmonic", "0 1")])
+            self.bonds.add(missing, np.zeros((len(missing), 1)), lambda _: ("harmonic", "0 1"))
 
     def special_bonds(self) -> tuple[float, ...]:
         """Factors for pairs one, two and three bonds apart, common to all styles, or SPECIAL if styles differ."""
@@ -213,38 +264,36 @@ class Model:
         if not self.pair_styles:
             return [f"pair_style zero {self.cutoff:.17g}", "pair_coeff * *"]
         several, names = len(self.pair_styles) > 1, [style.name for style in self.pair_styles]
-        words = [f"{style.name} {style.cutoff:.17g}" for style in self.pair_styles]
-        lines = [f"pair_style {'hybrid/overlay ' if several else ''}{' '.join(words)}"]
+        styles = " ".join(f"{style.name} {words(style.cutoff)}" for style in self.pair_styles)
+        lines = [f"pair_style {'hybrid/overlay ' if several else ''}{styles}"]
         for k, style in enumerate(self.pair_styles):
             place = f" {names[: k + 1].count(style.name)}" if names.count(style.name) > 1 else ""
             label = f"{style.name}{place} " if several else ""
             lines += [f"pair_coeff {types} {label}{numbers}" for types, numbers in style.coefficients]
             lines += [f"pair_modify {f'pair {label}' if several else ''}shift yes"] if style.shift else []
             if style.scale != self.special_bonds():
-                lines.append(
-                    f"pair_modify pair {label}special lj/coul {' '.join(f'{factor:.17g}' for factor in style.scale)}"
-                )
+                lines.append(f"pair_modify pair {label}special lj/coul {words(*style.scale)}")
         return lines
 
 
-def _bond_coefficients(law: tuple, row: NDArray[np.float64]) -> tuple[str, str]:
-    """Style and numbers of a bond; LAMMPS' K of harmonic bonds is k/2."""
-    if isinstance(law, HarmonicLaw):
-        return "harmonic", f"{0.5 * row[0]:.17g} {row[1]:.17g}"
-    if type(law) in BOND_STYLES:
-        return BOND_STYLES[type(law)], " ".join(f"{number:.17g}" for number in row.tolist())
-    return "lepton no_offset", f'0 "{energy_expression(law, tuple(row.tolist()))}"'
+def words(*numbers: float) -> str:
+    """Numbers with all their digits, as LAMMPS reads them."""
+    return " ".join(f"{number:.17g}" for number in numbers)
 
 
-def _dihedral_coefficients(potential: DihedralPotential, row: list[float]) -> tuple[str, str]:
-    """Style and numbers of a dihedral.  Raises ValueError for a law that LAMMPS does not have."""
-    if isinstance(potential.law, PeriodicLaw):
-        k, n, phase = row
-        return "fourier", f"1 {k:.17g} {n:.0f} {np.degrees(phase):.17g}"
-    if isinstance(potential.law, RyckaertBellemansLaw):  # powers of −cos φ in minimd, of cos φ in LAMMPS
-        return "nharmonic", " ".join([str(len(row)), *(f"{-c if n % 2 else c:.17g}" for n, c in enumerate(row))])
-    known = "periodic, OPLS and Ryckaert-Bellemans dihedrals"
-    raise ValueError(
+def _coefficients(potential: BondPotential | HarmonicAngle | DihedralPotential, row: list[float]) -> Style:
+    """Style and numbers of a bond, an angle or a dihedral.  Raises ValueError for a law that LAMMPS does not have."""
+    law = potential if isinstance(potential, HarmonicAngle) else potential.law
+    if type(law) in GROUP_STYLES:
+        style, numbers = GROUP_STYLES[type(law)]
+        return style, words(*numbers(*row))
+    if isinstance(potential, BondPotential):
+        return "lepton no_offset", f'0 "{energy_expression(potential.law, tuple(row))}"'
+    raise _outside(potential, "periodic, OPLS and Ryckaert-Bellemans dihedrals")
+
+
+def _outside(potential: Any, known: str) -> ValueError:
+    return ValueError(
         f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd"
     )
 

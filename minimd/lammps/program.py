@@ -142,8 +142,8 @@ def run(
         while child.poll() is None:
             sleep(SECONDS_BETWEEN_LOOKS)
             reading.read_on()
-            if reading.steps:
-                tell(reading.steps[-1])
+            if reading.rows:
+                tell(next(reversed(reading.rows)))
             if stop.stop_requested:
                 return reading
         reading.read_on()
@@ -155,33 +155,30 @@ def run(
 def _failure(code: int, log: Log, output: str) -> str:
     """Why a run ended, in words."""
     lines = [line for line in (*log.lines_of_errors, *output.splitlines()) if "ERROR" in line]
-    where = f" after step {log.steps[-1]}" if log.steps else " before its first step"
+    where = f"after step {next(reversed(log.rows))}" if log.rows else "before its first step"
     if lines:
-        reason = re.sub(
-            r" \(src.*\)$", "", lines[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process")
-        )
+        words = lines[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process")
+        reason = re.sub(r" \(src.*\)$", "", words)
     elif ended := re.search(r"EXIT STRING: (.+)", output):  # printed by mpich if one of several processes ends
         reason = f"one of its processes ended: {ended[1].strip()}"
     elif code < 0:
         reason = f"killed by {signal.Signals(-code).name}"
     else:
         reason = f"exit code {code}; {' '.join(output.split())[-200:]}".rstrip("; ")
-    return f"LAMMPS ended{where}: {reason}"
+    return f"LAMMPS ended {where}: {reason}"
 
 
 class Log:
     """The log of a run of LAMMPS, read while it grows.
 
-    columns : names.  steps, rows : step and numbers of each line.  dangerous_builds : of lists.  processes :
-        that LAMMPS uses, 0 until it says so.
+    columns : names.  rows : the other numbers of each step, in the order of the lines.  dangerous_builds : of lists.
+    processes : that LAMMPS uses, 0 until it says so.
     """
 
     def __init__(self, path: Path) -> None:
         self._path, self._place, self._rest = path, 0, ""
-        self.columns: list[str] = []
-        self.steps: list[int] = []
-        self.rows: list[list[float]] = []
-        self.lines_of_errors: list[str] = []
+        self.columns, self.lines_of_errors = list[str](), list[str]()
+        self.rows: dict[int, list[float]] = {}
         self.dangerous_builds = self.processes = 0
 
     def read_on(self) -> None:
@@ -206,13 +203,6 @@ class Log:
             self.columns = words
         elif line.startswith("Dangerous builds ="):
             self.dangerous_builds = int(words[-1])
-        elif self.columns and len(words) == len(self.columns) and _are_numbers(words):
-            self.steps.append(int(words[0]))
-            self.rows.append([float(word) for word in words[1:]])
-
-
-def _are_numbers(words: list[str]) -> bool:
-    try:
-        return all(isinstance(float(word), float) for word in words)
-    except ValueError:
-        return False
+        elif self.columns and len(words) == len(self.columns):
+            with suppress(ValueError):  # words that are not numbers
+                self.rows[int(words[0])] = [float(word) for word in words[1:]]

@@ -59,9 +59,7 @@ def _opened(
     indices of pairs."""
     sides = lengths[triangles]
     differences = np.abs(sides - np.roll(sides, -1, axis=1)) / sides.max(axis=1, keepdims=True, initial=1.0)
-    equal = np.argmin(
-        differences, axis=1
-    )  # the index of the first of two equal sides; the second follows it, cyclically
+    equal = np.argmin(differences, axis=1)  # the first of two equal sides; the second follows it, cyclically
     rows = np.arange(len(triangles))
     if (differences[rows, equal] > EQUAL).any():
         raise ValueError(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from minimd.engine.engine import Engine
 from minimd.integrators import LangevinBAOAB, Leapfrog, Splitting, StochasticVelocityRescaling, VelocityVerlet
 from minimd.lammps.box import Box
-from minimd.lammps.model import Model
+from minimd.lammps.model import Model, words
 from minimd.lammps.verification import Evaluated
 
 ATOMS, FORCES, VERIFY, RUN, LOG = "atoms.data", "forces.lmp", "verify.lmp", "run.lmp", "run.log"
@@ -88,11 +88,7 @@ def forces_script(model: Model) -> str:
         f"atom_style {model.atom_style}",
         f"boundary {model.box.boundary()}",
         "box tilt large",
-        *(
-            [f"special_bonds lj/coul {' '.join(f'{factor:.17g}' for factor in model.special_bonds())}"]
-            if is_bonded
-            else []
-        ),
+        *([f"special_bonds lj/coul {words(*model.special_bonds())}"] if is_bonded else []),
         f"comm_modify cutoff {model.reach:.17g}",
         "read_data ${atoms}",
         *model.pair_commands(),

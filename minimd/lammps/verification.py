@@ -60,22 +60,19 @@ class Verification:
     def __str__(self) -> str:
         if self.scale == 0.0:
             return "nothing was compared: no term has an energy at step 0, nor when all distances are made smaller"
-        figures = (
-            f"{self.energy:.1e} in the energy",
-            f"{self.energies:.1e} in those of atoms",
-            f"{self.forces:.1e} in forces",
+        return (
+            f"step 0 agrees within {self.energy:.1e} in the energy, {self.energies:.1e} in those of atoms, "
+            f"{self.forces:.1e} in forces, {self.virials:.1e} in virials"
         )
-        return f"step 0 agrees within {', '.join(figures)}, {self.virials:.1e} in virials"
 
     def check(self, engine: Engine) -> None:
         """Raise HandOverError if LAMMPS and minimd differ by more than TOLERANCE."""
         if not self.worst <= TOLERANCE:
-            where = (
-                f"energies of atoms by {self.energies:.1e}, forces by {self.forces:.1e} (atom {self.atom}), "
-                f"virials by {self.virials:.1e}"
+            raise HandOverError(
+                f"LAMMPS and minimd differ at step 0: energies of atoms by {self.energies:.1e}, forces by "
+                f"{self.forces:.1e} (atom {self.atom}), virials by {self.virials:.1e} of the largest, allowed is "
+                f"{TOLERANCE:g}; the run was not started{on_a_cutoff(engine)}"
             )
-            why = f"of the largest, allowed is {TOLERANCE:g}; the run was not started{on_a_cutoff(engine)}"
-            raise HandOverError(f"LAMMPS and minimd differ at step 0: {where} {why}")
 
 
 def on_a_cutoff(engine: Engine) -> str:
@@ -84,24 +81,18 @@ def on_a_cutoff(engine: Engine) -> str:
     system = engine.system
     for one in engine.interactions.potentials:
         if isinstance(one, PairPotential) and one.truncation in ("truncated", "shifted") and one.cutoff < np.inf:
-            cutoffs, species = (
-                np.sqrt(one.table(system.species_names)[:, :, 0]),
-                system.species_index if one.depends_on_species else 0 * system.species_index,
-            )
+            cutoffs = np.sqrt(one.table(system.species_names)[:, :, 0])
+            species = system.species_index * one.depends_on_species
             first, second, distances = neighbor_list("ijd", system, float(cutoffs.max()) * (1.0 + TOLERANCE))
             at = cutoffs[species[first], species[second]]
             scales = bonded_scales(one, system)
             for k in np.flatnonzero(np.abs(distances - at) <= TOLERANCE * at).tolist():
-                if scales.get(frozenset((int(first[k]), int(second[k]))), 1.0) == 0.0:
-                    continue
-                pair = (
-                    f"atoms {first[k]} and {second[k]} are {distances[k]:.10g} apart, on the cutoff of "
-                    f"{type(one).__name__}"
-                )
-                return (
-                    f"; {pair}, where rounding decides whether they interact: change the cutoff, or take "
-                    "truncation='force-shifted'"
-                )
+                if scales.get(frozenset((int(first[k]), int(second[k]))), 1.0) != 0.0:
+                    return (
+                        f"; atoms {first[k]} and {second[k]} are {distances[k]:.10g} apart, on the cutoff of "
+                        f"{type(one).__name__}, where rounding decides whether they interact: change the cutoff, or "
+                        "take truncation='force-shifted'"
+                    )
     return ""
 
 
@@ -178,20 +169,13 @@ def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> V
         if (there := next(theirs, None)) is None:
             raise HandOverError("LAMMPS has not written step 0; is the disk full?")
         least = [part * _largest(numbers) for numbers in ours[1][:3]]
-        energy, atom = max(_largest(here.energies), least[0], LEAST), longest(there.forces - here.forces)[0]
+        energy = max(_largest(here.energies), least[0], LEAST)
         virial = max(_largest(here.virials), least[2], energy)
         force = max(_largest(here.forces), least[1], virial / here.length)
         whole = abs(float(there.energies.sum() - here.energies.sum())) / max(float(np.abs(here.energies).sum()), energy)
-        rows.append(
-            (
-                whole,
-                *(
-                    _largest(b - a) / most
-                    for a, b, most in zip(here[:3], there[:3], (energy, force, virial), strict=True)
-                ),
-            )
-        )
-        atoms.append(atom)
+        kinds = zip(here[:3], there[:3], (energy, force, virial), strict=True)
+        rows.append([whole, *(_largest(found - known) / most for known, found, most in kinds)])
+        atoms.append(longest(there.forces - here.forces)[0])
     whole, energies, forces, virials = np.max(rows, axis=0).tolist()
     scale = max(float(np.abs(ours[0].energies).sum()), PART * float(np.abs(ours[1].energies).sum()))
     return Verification(whole, energies, forces, virials, int(atoms[np.argmax(rows, axis=0)[2]]), scale)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.observers.accumulator import ObservedRun, Result
+from minimd.observers.accumulator import ObservedRun, Result, Series
 from minimd.observers.diffusion import finite_size_correction, slope
 from minimd.observers.green_kubo import Plateau
 from minimd.structure.display import Rows
@@ -34,14 +34,13 @@ def diffusion_words(coefficient: float, error: float, units: UnitSystem) -> str:
     return f"{with_error(mean, uncertain)} Å²/ps = {mean * CM2_PER_S:.4g} cm²/s"
 
 
-def _series(name: str, scene: ObservedRun, times: Array, means: Array, errors: Array) -> dict[str, Array]:
-    """Columns of means over all atoms, over each species if there are several, and along each direction."""
-    made = {"time": times, name: means[0], f"{name}_error": errors[0]}
-    n = len(scene.species)
-    for k, label in enumerate([*(scene.species if n > 1 else []), *AXES]):
-        row = (1 if n > 1 else 1 + n) + k
-        made |= {f"{name}_{label}": means[row], f"{name}_{label}_error": errors[row]}
-    return made
+def _series(name: str, scene: ObservedRun, times: Array, means: Array, errors: Array) -> Series:
+    """Series of means over all atoms, over each species if there are several, and along each direction."""
+    names = [name, *(f"{name}_{label}" for label in (*scene.species, *AXES))]
+    found = list(zip(names, means, errors, strict=True))
+    if len(scene.species) == 1:
+        del found[1]  # the same as of all atoms
+    return [("time", times, None), *found]
 
 
 @dataclass(frozen=True, repr=False)
@@ -71,6 +70,7 @@ class DisplacementResult(Result):
     infinite: float = np.nan
     window: tuple[float, float] = (np.nan, np.nan)
     title: ClassVar[str] = "mean-square displacement"
+    coefficients: ClassVar[tuple[str, ...]] = ("diffusion", "diffusion_error")
 
     @property
     def msd(self) -> Array:
@@ -105,8 +105,8 @@ class DisplacementResult(Result):
             diffusion=float(coefficients[0]),
             diffusion_error=error,
             diffusion_of_species=tuple(coefficients[1:].tolist()),
+            window=(float(times[0]), float(times[-1])),
         )
-        made = replace(made, window=(float(times[0]), float(times[-1])))
         return made if viscosity is None else replace(made, infinite=made.diffusion + self._correction(viscosity))
 
     def _own_window(self, longest: float) -> tuple[float, float]:
@@ -127,44 +127,28 @@ class DisplacementResult(Result):
             self.scene.unit_system.k_B * self.temperature, viscosity, self.volume ** (1.0 / 3.0)
         )
 
-    def columns(self) -> dict[str, Array]:
+    def series(self) -> Series:
         """See Result."""
         return _series("msd", self.scene, self.times, self.means, self.errors)
 
     def numbers(self) -> dict[str, float]:
         """See Result."""
-        return {
-            "diffusion": self.diffusion,
-            "diffusion_error": self.diffusion_error,
-            "diffusion_infinite": self.infinite,
-        }
+        return {**super().numbers(), "diffusion_infinite": self.infinite}
 
     def display_rows(self) -> Rows:
         """See Displayed."""
         units, (start, end) = self.scene.unit_system, self.window
         if np.isnan(self.diffusion):
-            return [
-                (
-                    "diffusion",
-                    f"unknown: the atoms have not left their places in lags up to {units.shown(self.times[-1])}",
-                )
-            ]
+            said = f"unknown: the atoms have not left their places in lags up to {units.shown(self.times[-1])}"
+            return [("diffusion", said)]
         words = diffusion_words(self.diffusion, self.diffusion_error, units)
         rows = [("diffusion", f"D = {words}, from lags of {units.shown(start)} to {units.shown(end)}, in this cell")]
         if np.isfinite(self.infinite):
-            return [
-                *rows,
-                (
-                    "",
-                    f"D = {diffusion_words(self.infinite, self.infinite_error, units)} in an infinite cell (Yeh and "
-                    "Hummer)",
-                ),
-            ]
-        return (
-            [*rows, ("", "in a larger cell D is larger: result(viscosity=...) corrects for this")]
-            if self.is_cubic
-            else rows
-        )
+            words = diffusion_words(self.infinite, self.infinite_error, units)
+            rows.append(("", f"D = {words} in an infinite cell (Yeh and Hummer)"))
+        elif self.is_cubic:
+            rows.append(("", "in a larger cell D is larger: result(viscosity=...) corrects for this"))
+        return rows
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
@@ -202,6 +186,7 @@ class VelocityResult(Result):
     plateau: Plateau
     n_atoms: int
     title: ClassVar[str] = "velocity autocorrelation"
+    coefficients: ClassVar[tuple[str, ...]] = ("diffusion", "diffusion_error")
 
     @property
     def vacf(self) -> Array:
@@ -219,29 +204,16 @@ class VelocityResult(Result):
         """Its standard error."""
         return self.plateau.error
 
-    def columns(self) -> dict[str, Array]:
+    def series(self) -> Series:
         """See Result."""
-        return _series("vacf", self.scene, self.times, self.means, self.errors) | {
-            "integral": self.integral,
-            "integral_error": self.integral_error,
-        }
-
-    def numbers(self) -> dict[str, float]:
-        """See Result."""
-        return {"diffusion": self.diffusion, "diffusion_error": self.diffusion_error}
+        found = _series("vacf", self.scene, self.times, self.means, self.errors)
+        return [*found, ("integral", self.integral, self.integral_error)]
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        units, (start, end) = self.scene.unit_system, self.plateau.window
-        where = f"{units.shown(start)} to {units.shown(end)}"
-        said = (
-            f"plateau of its integral, {where}"
-            if self.plateau.is_reached
-            else f"NO PLATEAU of its integral, taken from {where}"
-        )
-        return [
-            ("velocities", f"D = {diffusion_words(self.diffusion, self.diffusion_error, units)}, in this cell; {said}")
-        ]
+        units = self.scene.unit_system
+        words = diffusion_words(self.diffusion, self.diffusion_error, units)
+        return [("velocities", f"D = {words}, in this cell; {self.plateau.said(units)}")]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""

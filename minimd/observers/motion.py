@@ -15,8 +15,7 @@ from minimd.engine.engine import Engine
 from minimd.engine.observation import Look
 from minimd.observers.accumulator import ObservedRun
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
-from minimd.observers.diffusion import is_cubic
-from minimd.observers.motion_results import DisplacementResult, VelocityResult
+from minimd.observers.diffusion import DisplacementResult, VelocityResult, is_cubic
 from minimd.observers.time_correlation import COUNT, HEAD, TEMPERATURE, VOLUME, TimeCorrelation
 from minimd.structure.cell import Cell
 from minimd.structure.checks import checked_count

@@ -46,19 +46,15 @@ class ObservedRun:
     def of(cls, engine: Engine, every: int) -> ObservedRun:
         """The properties of the run of an engine."""
         system, barostat = engine.system, engine.barostat
-        temperature, pressure = engine.method.parameters.get("temperature"), None
-        if barostat is not None:
-            temperature, pressure = barostat.temperature if temperature is None else temperature, barostat.pressure
-        numbers = np.bincount(system.species_index, minlength=len(system.species_names)).tolist()
-        spacing = every * engine.method.timestep
+        temperature = engine.method.parameters.get("temperature")
         return cls(
-            system.units.name,
-            [str(one) for one in system.species_names],
-            numbers,
-            spacing,
-            engine.n_dof,
-            temperature,
-            pressure,
+            units=system.units.name,
+            species=[str(one) for one in system.species_names],
+            numbers=np.bincount(system.species_index, minlength=len(system.species_names)).tolist(),
+            spacing=every * engine.method.timestep,
+            n_dof=engine.n_dof,
+            bath_temperature=barostat.temperature if barostat is not None and temperature is None else temperature,
+            bath_pressure=barostat.pressure if barostat is not None else None,
         )
 
     @property
@@ -72,19 +68,33 @@ class ObservedRun:
         return sum(self.numbers)
 
 
+Series = list[tuple[str, Array, Array | None]]  # names, values and standard errors, the abscissa first
+
+
 class Result(Displayed):
-    """The result of an observer. Its numbers are in the units of the simulation, see columns and numbers."""
+    """The result of an observer: series over an abscissa, and single numbers, in the units of the simulation.
+
+    Columns, data frame, file and repr follow from series, coefficients and display_rows.
+    """
 
     scene: ObservedRun
     title: ClassVar[str] = ""
+    coefficients: ClassVar[tuple[str, ...]] = ()  # names of the attributes that are its single numbers
 
-    @abstractmethod
+    def series(self) -> Series:
+        """Its series, all of the same length; none if it has single numbers only."""
+        return []
+
     def columns(self) -> dict[str, Array]:
-        """Its series by name, all of the same length, the abscissa first; empty if it has single numbers only."""
+        """Its series by name, the abscissa first, each followed by its standard errors."""
+        made: dict[str, Array] = {}
+        for name, values, errors in self.series():
+            made |= {name: values} if errors is None else {name: values, f"{name}_error": errors}
+        return made
 
     def numbers(self) -> dict[str, float]:
         """Its single numbers by name."""
-        return {}
+        return {name: getattr(self, name) for name in self.coefficients}
 
     def to_pandas(self) -> pandas.DataFrame:
         """A data frame of columns(), with the numbers in its attrs.
@@ -98,6 +108,13 @@ class Result(Displayed):
     @abstractmethod
     def draw(self, panel: Axes) -> None:
         """Draw the result into axes of matplotlib."""
+
+    def draw_curves(self, panel: Axes, x: Array, curves: dict[str, Array]) -> None:
+        """Draw curves over x, (B,), with a legend if there are several."""
+        for name, values in curves.items():
+            panel.plot(x, values, lw=1.1, label=name)
+        if len(curves) > 1:
+            panel.legend(frameon=False, fontsize=8)
 
     def plot(self) -> Figure:
         """A figure, which a notebook shows; .savefig(path) writes it to a file."""
@@ -132,6 +149,7 @@ class Accumulator(ABC, Displayed):
 
     kind: ClassVar[str]  # its name in scene files and H5MD files
     arguments: ClassVar[tuple[str, ...]] = ("every",)  # with which, and with its name, it can be made again
+    settled: ClassVar[tuple[str, ...]] = ()  # attributes that the first run sets: numbers and lists for JSON
     needs_energy: ClassVar[bool] = False  # whether it needs energies or the virial
     convention: ClassVar[int] = 1  # of its sums; those of another cannot go on
     sums: BlockedSums
@@ -172,7 +190,8 @@ class Accumulator(ABC, Displayed):
         scene = ObservedRun.of(engine, self.every)
         if self.scene is None:
             self._begin(engine)
-            self._set_up(scene)
+            self.scene = scene
+            self._laid_out(scene)
         elif self.scene != scene:
             raise ValueError(
                 f"{self!r} has observed another system, or one with another time step or bath; make a new observer for "
@@ -210,7 +229,7 @@ class Accumulator(ABC, Displayed):
         return self.scene
 
     def _begin(self, engine: Engine) -> None:
-        """Set the attributes that depend on the first run."""
+        """Check the first run, and set the attributes named in settled."""
 
     @abstractmethod
     def _laid_out(self, scene: ObservedRun) -> None:
@@ -223,14 +242,6 @@ class Accumulator(ABC, Displayed):
     @abstractmethod
     def result(self) -> Any:
         """The result.  Raises ValueError before the first look."""
-
-    def _set_up(self, scene: ObservedRun) -> None:
-        self.scene = scene
-        self._laid_out(scene)
-
-    def _settled(self) -> dict[str, Any]:
-        """The attributes that _begin has set, as numbers and lists for JSON."""
-        return {}
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays, other than the sums, on which the next looks depend."""
@@ -246,7 +257,7 @@ class Accumulator(ABC, Displayed):
         words = json.dumps(
             {
                 "scene": asdict(self.scene),
-                "settled": self._settled(),
+                "settled": {name: getattr(self, name) for name in self.settled},
                 "last_step": self.last_step,
                 "convention": self.convention,
             }
@@ -274,9 +285,10 @@ class Accumulator(ABC, Displayed):
                 f"observer {self.name} cannot go on: {was}; go on without it, or with one of another name, which "
                 "begins anew"
             )
-        for name in self._settled():  # no other attribute, whatever a file says
+        for name in self.settled:  # no other attribute, whatever a file says
             setattr(self, name, words["settled"][name])
-        self._set_up(ObservedRun(**words["scene"]))
+        self.scene = ObservedRun(**words["scene"])
+        self._laid_out(self.scene)
         self.last_step = words["last_step"]
         self.sums.restore(state)
         self._take_arrays(state)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from itertools import chain
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,14 +55,12 @@ class Fluctuations(Accumulator):
 
     kind = "fluctuations"
     needs_energy = True
+    settled = ("reference",)
     convention = 2  # thermal energy, not kinetic energy
 
     def __init__(self, every: int = 20, name: str = "") -> None:
         super().__init__(every, name)
         self.reference: list[float] = []
-
-    def _settled(self) -> dict[str, Any]:
-        return {"reference": self.reference}
 
     def _laid_out(self, scene: ObservedRun) -> None:
         self.sums = BlockedSums(1 + N_SERIES + N_SERIES**2)  # number of looks, sums, sums of products
@@ -86,10 +85,13 @@ class Fluctuations(Accumulator):
         errors = np.where(wider == values, errors, np.maximum(JACKKNIFE * errors, np.abs(wider - values)))
         volume_is_constant = self.sums.total[1 + VOLUME] == 0.0 and self.sums.total[-1] == 0.0
         ensemble = "constant energy" if scene.bath_temperature is None else "constant temperature"
-        if not volume_is_constant:
-            ensemble = "constant pressure"
         return FluctuationResult(
-            scene, ensemble, values, errors, self.n_looks, float(np.fmin.reduce(times[fluctuating]))
+            scene,
+            ensemble if volume_is_constant else "constant pressure",
+            values,
+            errors,
+            self.n_looks,
+            float(np.fmin.reduce(times[fluctuating])),
         )
 
 
@@ -164,22 +166,14 @@ class FluctuationResult(Result):
         "compressibility",
         "expansion",
     )
+    coefficients: ClassVar[tuple[str, ...]] = tuple(chain.from_iterable((name, f"{name}_error") for name in names))
 
     def __getattr__(self, name: str) -> float:
         names = type(self).names
-        if name in names:
-            return float(self.values[names.index(name)])
-        if name.removesuffix("_error") in names:
-            return float(self.errors[names.index(name.removesuffix("_error"))])
-        raise AttributeError(f"fluctuations have no {name!r}; they have {', '.join(names)}, each also with _error")
-
-    def columns(self) -> dict[str, Array]:
-        """See Result: there are none."""
-        return {}
-
-    def numbers(self) -> dict[str, float]:
-        """See Result."""
-        return {f"{name}{ending}": getattr(self, f"{name}{ending}") for name in self.names for ending in ("", "_error")}
+        if (coefficient := name.removesuffix("_error")) not in names:
+            raise AttributeError(f"fluctuations have no {name!r}; they have {', '.join(names)}, each also with _error")
+        numbers = self.values if name == coefficient else self.errors
+        return float(numbers[names.index(coefficient)])
 
     def display_rows(self) -> Rows:
         """See Displayed."""

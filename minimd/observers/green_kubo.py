@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.structure.statistics import spread
+from minimd.structure.units import UnitSystem
 
 Array = NDArray[np.float64]
 SLOWER = 1.5  # S: ratio of the slowest correlation time to the mean time of the integral; Wolff's value
@@ -23,6 +24,11 @@ class Plateau(NamedTuple):
     error: float
     window: tuple[float, float]
     is_reached: bool
+
+    def said(self, units: UnitSystem) -> str:
+        """Where the value is from, in words."""
+        where = f"{units.shown(self.window[0])} to {units.shown(self.window[1])}"
+        return f"{'plateau of its integral,' if self.is_reached else 'NO PLATEAU of its integral, taken from'} {where}"
 
 
 def running_integral(times: Array, correlation: Array) -> Array:

@@ -15,8 +15,7 @@ from minimd.engine.engine import Engine
 from minimd.engine.observation import Look
 from minimd.observers.accumulator import ObservedRun
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
-from minimd.observers.diffusion import is_cubic
-from minimd.observers.motion_results import DisplacementResult, VelocityResult
+from minimd.observers.diffusion import DisplacementResult, VelocityResult, is_cubic
 from minimd.observers.time_correlation import COUNT, HEAD, TEMPERATURE, VOLUME, TimeCorrelation
 from minimd.structure.cell import Cell
 from minimd.structure.checks import checked_count
@@ -30,26 +29,21 @@ class _OfAtoms(TimeCorrelation):
     """A correlation of a vector of each atom, relative to the center of mass of all atoms if n_dof leaves it out."""
 
     arguments = ("every", "n_levels", "most_atoms")
+    settled = ("chosen", "is_cubic", "numbers")
     law: ClassVar[tuple]  # of the correlator
 
     def __init__(self, every: int = 10, n_levels: int = 10, most_atoms: int = 4096, name: str = "") -> None:
         super().__init__(every, name)
-        self.n_levels, self.most_atoms = (
-            checked_count("n_levels", n_levels, 1, 40),
-            checked_count("most_atoms", most_atoms),
-        )
+        self.n_levels = checked_count("n_levels", n_levels, 1, 40)
+        self.most_atoms = checked_count("most_atoms", most_atoms)
         self.is_cubic, self.chosen, self.numbers = False, [0], [1]
 
     def _begin(self, engine: Engine) -> None:
         system = engine.system
         some = np.arange(0, len(system), ceil(len(system) / self.most_atoms))
         self.chosen = some[np.argsort(system.species_index[some], kind="stable")].tolist()
-        self._groups = system.species_index[some]
         self.is_cubic = is_cubic(system.cell)
-        self.numbers = np.bincount(self._groups, minlength=len(system.species_names)).tolist()
-
-    def _settled(self) -> dict[str, Any]:
-        return {"chosen": self.chosen, "is_cubic": self.is_cubic, "numbers": self.numbers}
+        self.numbers = np.bincount(system.species_index[some], minlength=len(system.species_names)).tolist()
 
     def _laid_out(self, scene: ObservedRun) -> None:
         starts = np.concatenate([[0], np.cumsum(self.numbers)])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
-from minimd.observers.accumulator import Accumulator, ObservedRun, Result
+from minimd.observers.accumulator import Accumulator, ObservedRun, Result, Series
 from minimd.observers.blocked_sums import BlockedSums
 from minimd.structure.checks import checked_choice, checked_count, checked_number, shown
 from minimd.structure.display import Rows
@@ -19,11 +19,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 AXES = "abc"
-FRAMES, EXTENT, HEAD = (
-    0,
-    1,
-    2,
-)  # places in the sums, before the densities of each species, and Σ m v² of the atoms in each bin
+# places in the sums, before the densities of each species, and Σ m v² of the atoms in each bin
+FRAMES, EXTENT, HEAD = range(3)
 
 
 class Profile(Accumulator):
@@ -145,12 +142,11 @@ class ProfileResult(Result):
         found: Array = self.densities.sum(axis=0)
         return found
 
-    def columns(self) -> dict[str, Array]:
+    def series(self) -> Series:
         """See Result."""
-        made = {"z": self.z, "temperature": self.temperature, "temperature_error": self.temperature_error}
-        for name, density, error in zip(self.scene.species, self.densities, self.density_errors, strict=True):
-            made |= {f"density_{name}": density, f"density_{name}_error": error}
-        return made
+        names = [f"density_{one}" for one in self.scene.species]
+        densities = zip(names, self.densities, self.density_errors, strict=True)
+        return [("z", self.z, None), ("temperature", self.temperature, self.temperature_error), *densities]
 
     def display_rows(self) -> Rows:
         """See Displayed."""
@@ -166,11 +162,8 @@ class ProfileResult(Result):
     def draw(self, panel: Axes) -> None:
         """See Result."""
         length = self.scene.unit_system.length
-        for name, density in zip(self.scene.species, self.densities, strict=True):
-            panel.plot(self.z, density, lw=1.1, label=name)
+        self.draw_curves(panel, self.z, dict(zip(self.scene.species, self.densities, strict=True)))
         title = f"{self.title}, {self.n_frames} looks"
         panel.set(
             xlabel=f"along {self.axis}  [{length}]", ylabel=f"density  [1/{length}³]", ylim=(0.0, None), title=title
         )
-        if len(self.densities) > 1:
-            panel.legend(frameon=False, fontsize=8)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from minimd.compiled.kernels import kernel
 from minimd.engine.engine import Engine
 from minimd.neighbors.search import atoms_in_reach, bins_of, make_grid, sort_into_bins
-from minimd.observers.accumulator import Accumulator, ObservedRun, Result
+from minimd.observers.accumulator import Accumulator, ObservedRun, Result, Series
 from minimd.observers.blocked_sums import BlockedSums
 from minimd.structure.checks import checked_count, checked_number
 from minimd.structure.display import Rows
@@ -75,6 +75,7 @@ class RadialDistribution(Accumulator):
 
     kind = "radial-distribution"
     arguments = ("r_max", "n_bins", "every")
+    settled = ("reach",)
 
     def __init__(self, r_max: float | None = None, n_bins: int = 200, every: int = 100, name: str = "") -> None:
         super().__init__(every, name)
@@ -89,9 +90,6 @@ class RadialDistribution(Accumulator):
                 f"g(r) needs at least two atoms, and a cell that is periodic in all directions; this run has {system!r}"
             )
         self.reach = self.r_max or float(system.cell.heights.min() / 2.0)
-
-    def _settled(self) -> dict[str, Any]:
-        return {"reach": self.reach}
 
     def _laid_out(self, scene: ObservedRun) -> None:
         n = len(scene.numbers)
@@ -154,13 +152,11 @@ class RadialDistributionResult(Result):
     n_frames: int
     title: ClassVar[str] = "radial distribution"
 
-    def columns(self) -> dict[str, Array]:
+    def series(self) -> Series:
         """See Result."""
-        made = {"r": self.r, "g": self.g, "g_error": self.error}
-        if len(self.pairs) > 1:
-            for name, g, error in zip(self.pairs, self.g_of_pairs, self.errors_of_pairs, strict=True):
-                made |= {f"g_{name}": g, f"g_{name}_error": error}
-        return made
+        names = [f"g_{pair}" for pair in self.pairs]
+        of_pairs = list(zip(names, self.g_of_pairs, self.errors_of_pairs, strict=True))
+        return [("r", self.r, None), ("g", self.g, self.error), *(of_pairs if len(names) > 1 else [])]
 
     def display_rows(self) -> Rows:
         """See Displayed."""
@@ -171,15 +167,11 @@ class RadialDistributionResult(Result):
     def draw(self, panel: Axes) -> None:
         """See Result."""
         panel.axhline(1.0, color="0.7", lw=0.8)
-        for name, g in zip(self.pairs, self.g_of_pairs, strict=True):
-            panel.plot(self.r, g, lw=1.1, label=name)
-        length = self.scene.unit_system.length
+        self.draw_curves(panel, self.r, dict(zip(self.pairs, self.g_of_pairs, strict=True)))
         panel.set(
-            xlabel=f"r  [{length}]",
+            xlabel=f"r  [{self.scene.unit_system.length}]",
             ylabel="g(r)",
             title=f"{self.title}, {self.n_frames} looks",
             xlim=(0.0, self.r[-1]),
             ylim=(0.0, None),
         )
-        if len(self.pairs) > 1:
-            panel.legend(frameon=False, fontsize=8)

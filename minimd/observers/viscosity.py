@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
 from minimd.engine.observation import Look, check_has_volume
-from minimd.observers.accumulator import ObservedRun, Result
+from minimd.observers.accumulator import ObservedRun, Result, Series
 from minimd.observers.correlator import MultipleTau, Product
 from minimd.observers.green_kubo import Plateau
 from minimd.observers.time_correlation import HEAD, TEMPERATURE, VOLUME, TimeCorrelation
@@ -112,6 +112,7 @@ class ViscosityResult(Result):
     integral_error: Array
     plateau: Plateau
     title: ClassVar[str] = "viscosity"
+    coefficients: ClassVar[tuple[str, ...]] = ("viscosity", "viscosity_error")
 
     @property
     def viscosity(self) -> float:
@@ -123,32 +124,18 @@ class ViscosityResult(Result):
         """Its standard error."""
         return self.plateau.error
 
-    def columns(self) -> dict[str, Array]:
+    def series(self) -> Series:
         """See Result."""
-        made = {
-            "time": self.times,
-            "autocorrelation": self.autocorrelation,
-            "autocorrelation_error": self.autocorrelation_error,
-        }
-        return made | {"integral": self.integral, "integral_error": self.integral_error}
-
-    def numbers(self) -> dict[str, float]:
-        """See Result."""
-        return {"viscosity": self.viscosity, "viscosity_error": self.viscosity_error}
+        autocorrelation = ("autocorrelation", self.autocorrelation, self.autocorrelation_error)
+        return [("time", self.times, None), autocorrelation, ("integral", self.integral, self.integral_error)]
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        units, (start, end) = self.scene.unit_system, self.plateau.window
+        units = self.scene.unit_system
         words = f"{with_error(self.viscosity, self.viscosity_error)} {units.pressure} {units.time}"
         if units.name == "ASE":
             words = f"{with_error(self.viscosity * MPA_S, self.viscosity_error * MPA_S)} mPa s"
-        where = f"{units.shown(start)} to {units.shown(end)}"
-        said = (
-            f"plateau of its integral, {where}"
-            if self.plateau.is_reached
-            else f"NO PLATEAU of its integral, taken from {where}"
-        )
-        return [("viscosity", f"η = {words}; {said}")]
+        return [("viscosity", f"η = {words}; {self.plateau.said(units)}")]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""

@@ -43,6 +43,8 @@ class Hessenberg(DifferentialAlgebraic):
     functions: ClassVar[tuple[str, ...]]  # of the user, one for each part
     chain: ClassVar[tuple[str, ...]]  # what is zero, from g on; the last one determines the algebraic variables
     regular: ClassVar[str]  # the matrix that must have full rank for this
+    f: Any  # of y′ and of the constraints, with arguments in order
+    g: Any
     _slices: tuple[slice, ...] = ()
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
@@ -76,7 +78,13 @@ class Hessenberg(DifferentialAlgebraic):
 
     def constraint(self, k: int, t: float, *parts: Array) -> Array:
         """dᵏg/dtᵏ along the solution, from central differences: zero on solutions."""
-        raise NotImplementedError
+        y = parts[0]
+        if k == 0:
+            return self.g(t, y)
+        rate = self.f(t, *parts[:2])
+        second = self._highest_derivative(t, *parts) if k == 2 else np.zeros_like(rate)
+        unit = unit_of_time(y, rate, second)
+        return time_derivative(lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), k, unit)
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
         """1 for the differential variables, 0 for the algebraic ones."""
@@ -206,14 +214,6 @@ class Hessenberg2(Hessenberg):
         super().__init__(solver)
         self.f, self.g = taking(f, ("t", "y", "z"), "f"), taking(g, ("t", "y"), "g")
 
-    def constraint(self, k: int, t: float, *parts: Array) -> Array:
-        """g or dg/dt."""
-        y = parts[0]
-        if k == 0:
-            return self.g(t, y)
-        f = self.f(t, *parts)
-        return time_derivative(lambda e: self.g(t + e, y + e * f), 1, unit_of_time(y, f))
-
     def _highest_derivative(self, t: float, *parts: Array) -> Array:
         return self.f(t, *parts)
 
@@ -240,19 +240,6 @@ class Hessenberg3(Hessenberg):
             taking(f, ("t", "y", "z"), "f"),
             taking(k, ("t", "y", "z", "u"), "k"),
             taking(g, ("t", "y"), "g"),
-        )
-
-    def constraint(self, k: int, t: float, *parts: Array) -> Array:
-        """g, dg/dt or d²g/dt²."""
-        y, z = parts[:2]
-        if k == 0:
-            return self.g(t, y)
-        rate = self.f(t, y, z)
-        if k == 1:
-            return time_derivative(lambda e: self.g(t + e, y + e * rate), 1, unit_of_time(y, rate))
-        second = self._highest_derivative(t, *parts)
-        return time_derivative(
-            lambda e: self.g(t + e, y + e * rate + e * e / 2.0 * second), 2, unit_of_time(y, rate, second)
         )
 
     def _answers(self, t: float, *parts: Array) -> Parts:

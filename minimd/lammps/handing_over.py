@@ -319,17 +319,17 @@ class Job:
     ) -> None:
         """Raise HandOverError if LAMMPS has failed, or frames are missing or wrong;
         KeyboardInterrupt if the run was stopped."""
-        words, allowed = "", DISAGREEMENT
+        words = ""
         if failure is not None:
             words = str(failure)
         elif self.stop_requested:
             words = "the run of LAMMPS was stopped"
         elif n_missing:
             words = f"LAMMPS has made all steps, but {n_missing} frames are not on the disk; is the disk full?"
-        elif not difference <= allowed:
+        elif not difference <= DISAGREEMENT:
             words = (
                 f"potential energies of a frame differ by {difference:.1e} of Σ|e_i| or N k_B T, allowed is "
-                f"{allowed:g}; its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the "
+                f"{DISAGREEMENT:g}; its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the "
                 "time step"
             )
         if words and self.keeps_frames:

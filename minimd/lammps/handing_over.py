@@ -329,8 +329,8 @@ class Job:
         elif not difference <= DISAGREEMENT:
             words = (
                 f"potential energies of a frame differ by {difference:.1e} of Σ|e_i| or N k_B T, allowed is "
-                f"{DISAGREEMENT:g}; its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the "
-                "time step"
+                f"{DISAGREEMENT:g}; its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce "
+                "the time step"
             )
         if words and self.keeps_frames:
             kept = f"{len(record)} frames up to step {self.engine.step} are kept in {self.trajectory}"

@@ -137,7 +137,7 @@ structure/observables.py: potentials/test_reference_lammps engine/test_barostat
 structure/observables.py: simulation/test_observables
     ly += masses[i] * (z * vx - x * vz) => ly += masses[i] * (x * vz - z * vx)
 engine/engine.py: forces/test_same_bits simulation/test_simulation simulation/test_observables
-    return time + (step - first) * self.method.timestep => return time + step * self.method.timestep
+    return time + (step - first) * self._pace => return time + step * self.method.timestep
 engine/engine.py: engine/test_barostat
     at == due or (with_energy and at == end) => (with_energy and at == end)
 engine/engine.py: integrators/test_baths simulation/test_simulation simulation/test_observables

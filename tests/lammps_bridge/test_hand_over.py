@@ -76,6 +76,13 @@ def test_a_run_that_was_brought_back_passes_the_check_and_goes_on_also_without_m
     assert [step for step, _ in frames(done.folder / "frames.bin", 108)] == list(range(0, 201, 10))
 
 
+@pytest.mark.slow
+def test_a_run_in_fixed_point_arithmetic_is_handed_over(tmp_path):
+    done = handed_over(scene(fluid(), precision="fixed-point"), tmp_path / "run")
+    assert done.verification.worst < AT_STEP_0
+    assert done.energy_difference < 1e-8
+
+
 @pytest.mark.parametrize("bath", [md.LangevinBAOAB, md.StochasticVelocityRescaling])
 def test_the_energy_that_a_bath_gives_is_counted(bath, tmp_path):
     """Total energy changes by hundreds of ε, total minus reservoir energy by a thousandth of that."""

@@ -39,7 +39,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "structure": (2747, 24, 1409),
     "view": (558, 5, 245),
     "road of a step": (3706, 14),
-    "tests": (20168,),
+    "tests": (20169,),
 }
 # fmt: on
 

@@ -70,7 +70,8 @@ def test_order_conditions_hold_up_to_the_order_and_no_further(method):
     assert worst_condition(method.tableau, method.order + 1) > 1e-7
     assert method.is_symplectic == method.is_symmetric == (method in GAUSS)
     defect = np.abs(method.tableau.symplecticity_defect).max()
-    assert defect < 2e-17 if method in GAUSS else defect > 1e-3
+    # two roundings of products of at most 1/8; which of them are made depends on the library that multiplies
+    assert defect <= 2.0**-55 if method in GAUSS else defect > 1e-3
 
 
 @pytest.mark.parametrize("method", ORDERS)

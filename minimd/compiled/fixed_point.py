@@ -16,9 +16,8 @@ from numba.extending import overload
 
 from minimd.compiled.kernels import by_type
 from minimd.compiled.simd import fma
-from minimd.compiled.simd.vector import Vector, as_floats, bits_of
+from minimd.compiled.simd.vector import MAGIC, Vector, as_floats, bits_of
 
-MAGIC = 1.5 * 2.0**52
 BIAS = int(np.float64(MAGIC).view(np.int64))
 # steps in a momentum or in the impulse of a pair: the rounding of v = p/m and p = m v leads back to the same p
 MOST = 2.0**50

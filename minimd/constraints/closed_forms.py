@@ -55,8 +55,8 @@ import numpy as np
 from minimd.compiled.kernels import scalar, type_of
 from minimd.compiled.simd import bits_from_mask, select, trailing_zeros
 from minimd.compiled.simd.lanes import count
-from minimd.constraints.vectors import NOTHING, minus, numbers, plus, put_numbers, put_rows, rows
-from minimd.structure.vectors import combined, cross, dot, unit
+from minimd.constraints.vectors import NOTHING, numbers, put_numbers, put_rows, rows
+from minimd.structure.vectors import combined, cross, dot, minus, plus, times, unit
 
 
 @scalar
@@ -197,8 +197,8 @@ def drift_linear(first, last, atoms, molecules, duration):
             return NOTHING - m - n_kept
         scale = -gap / (along + sqrt(discriminant))
         mu = combined(-1.0 / q, e, -scale * kappa / q, s)
-        there = pushed(there, masses, alpha, beta, mu, combined(scale, s, 0.0, s))
-        mu, push = combined(1.0 / duration, mu, 0.0, mu), combined(scale / duration, s, 0.0, s)
+        there = pushed(there, masses, alpha, beta, mu, times(scale, s))
+        mu, push = times(1.0 / duration, mu), times(scale / duration, s)
         put_corners(positions, abc, block, there)
         put_corners(velocities, abc, block, pushed(moving, masses, alpha, beta, mu, push))
     return 1
@@ -222,7 +222,7 @@ def project_linear(first, last, atoms, molecules, targets, multipliers):
         scale = (numbers(targets, (), block) - along) / (w * dot(r, r))
         put_numbers(multipliers, (), block, scale)
         mu = combined(-1.0 / q, e, -scale * kappa / q, r)
-        put_corners(vectors, abc, block, pushed((a, b, c), masses, alpha, beta, mu, combined(scale, r, 0.0, r)))
+        put_corners(vectors, abc, block, pushed((a, b, c), masses, alpha, beta, mu, times(scale, r)))
     return 1
 
 
@@ -283,7 +283,7 @@ def drift_triangles(first, last, atoms, triangles, duration):
         n_kept = n_without_failure(exist)
         if n_kept < count(lanes):
             return NOTHING - t - n_kept
-        on_bc = combined(bc, minus(c0, b0), 0.0, b0)
+        on_bc = times(bc, minus(c0, b0))
         u = combined(1.0, u, -share / (1.0 - 2.0 * share) * push, combined(ab, b0, ac, c0))
         v = combined(1.0, v, push, combined(ab, b0, -1.0, on_bc))
         w = combined(1.0, w, push, combined(ac, c0, 1.0, on_bc))

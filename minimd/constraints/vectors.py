@@ -77,18 +77,6 @@ def put_rows(values, at, block, xyz):
 
 
 @inlined
-def plus(u, v):
-    """u + v."""
-    return u[0] + v[0], u[1] + v[1], u[2] + v[2]
-
-
-@inlined
-def minus(u, v):
-    """u − v."""
-    return u[0] - v[0], u[1] - v[1], u[2] - v[2]
-
-
-@inlined
 def between(vectors, i, j):
     """x_j − x_i."""
     return vectors[j, 0] - vectors[i, 0], vectors[j, 1] - vectors[i, 1], vectors[j, 2] - vectors[i, 2]

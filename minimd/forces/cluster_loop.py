@@ -14,6 +14,7 @@ from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import BIAS, biased_product, in_steps, is_fixed, on_grid
 from minimd.compiled.kernels import by_type, called_kernel, scalar
 from minimd.compiled.simd import bits_from_mask, broadcast, fma, load, select, store, total, zeros
+from minimd.compiled.simd.blocks import loaded_columns
 from minimd.compiled.simd.lanes import count
 from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.neighbors.clusters import DIMENSIONS
@@ -40,17 +41,9 @@ def parameters_of_lanes(source, slot, cluster, lanes):
     """Parameters of pairs of the atom in a slot with the lanes of a cluster: numbers, or vectors if species differ."""
     if source.instance_class is SameForAll:
         return lambda source, slot, cluster, lanes: source.numbers
-    return lambda source, slot, cluster, lanes: _loaded(
+    return lambda source, slot, cluster, lanes: loaded_columns(
         source.columns, source.species[slot] * source.slots + cluster * count(lanes), lanes
     )
-
-
-@by_type
-def _loaded(columns, start, lanes):
-    """A vector of each column, starting at an index; unrolled by the compiler."""
-    if len(columns) == 1:
-        return lambda columns, start, lanes: (load(columns[0], start, lanes),)
-    return lambda columns, start, lanes: (load(columns[0], start, lanes),) + _loaded(columns[1:], start, lanes)
 
 
 class Sums(ByAddress, namedtuple("Sums", "forces energies virials lane_sums detail")):

@@ -60,7 +60,7 @@ class ListTerm(OwnTerm):
 
     def suits(self, system: System) -> bool:
         """Whether such a list is what the system needs in its present cell."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} has no suits")
 
     def follow(self, system: System) -> bool:
         """See Term."""

@@ -9,10 +9,11 @@ from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import called_kernel, filling_kernel
 from minimd.compiled.program import GO_ON, JUMP, NEEDS_ROOM, NOT_FINITE
 from minimd.compiled.simd import bits_from_mask
+from minimd.compiled.simd.blocks import gathered, loaded
 from minimd.compiled.simd.lanes import count
 from minimd.neighbors.cluster_memory import place
 from minimd.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, exclude, find_rows, make_work
-from minimd.neighbors.clusters import DIMENSIONS, columns_fit, fill_column, gathered, loaded
+from minimd.neighbors.clusters import DIMENSIONS, columns_fit, fill_column
 from minimd.neighbors.domains import BLOCKS, GHOSTS, cut_into_domains, fill_ghosts, fill_shifts, sort_ghosts
 from minimd.neighbors.search import counting_sort
 from minimd.neighbors.verlet_list import count_not_finite
@@ -46,7 +47,7 @@ def place_atoms(building, domain):
     if rows.layers[IN_USE] == 0:  # there is no list
         return GO_ON
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
-        at = gathered(k, clusters, building.positions)
+        at = gathered(building.positions, clusters.atom, k * n_lanes, clusters.lanes)
         was = loaded(clusters.positions, np.uintp(k) * np.uintp(DIMENSIONS * n_lanes), clusters.lanes)
         dx, dy, dz = at[0] - was[0], at[1] - was[1], at[2] - was[2]
         moved2 = dx * dx + dy * dy + dz * dz  # padding moves with the last atom

@@ -8,8 +8,9 @@ from numba import types
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import by_type, scalar
 from minimd.compiled.simd import broadcast, load, store
+from minimd.compiled.simd.blocks import loaded
 from minimd.compiled.simd.lanes import count
-from minimd.neighbors.clusters import DIMENSIONS, loaded, offsets_of
+from minimd.neighbors.clusters import DIMENSIONS, offsets_of
 
 
 class Memory(ByAddress, namedtuple("Memory", "coordinates shifts forces first_sum far is_out layers")):

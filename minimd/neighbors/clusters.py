@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import kernel, scalar
-from minimd.compiled.simd import lane, load, store, with_lane, zeros
+from minimd.compiled.simd import lane
+from minimd.compiled.simd.blocks import gathered, loaded, stored
 from minimd.compiled.simd.lanes import Lanes, count
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.search import ATOMS_PER_BIN, WIDER, into_cell
@@ -186,10 +187,10 @@ def fill_column(column, positions, columns, binned, clusters):
         clusters.bottom[cluster], clusters.top[cluster] = height[order[p]], height[order[p + n - 1]]
         for k in range(n_lanes):
             clusters.atom[cluster * n_lanes + k] = order[p + min(k, n - 1)]
-        start, at = np.uintp(cluster * DIMENSIONS * n_lanes), gathered(cluster, clusters, positions)
-        for c, x in enumerate(at):
-            store(clusters.positions, start + np.uintp(c * n_lanes), x)
-            store(clusters.origins, start + np.uintp(c * n_lanes), x)
+        start = np.uintp(cluster * DIMENSIONS * n_lanes)
+        at = gathered(positions, clusters.atom, cluster * n_lanes, clusters.lanes)
+        stored(clusters.positions, start, at)
+        stored(clusters.origins, start, at)
         offsets = offsets_of(start, clusters)
         for c, x in enumerate((at[0] + offsets[0], at[1] + offsets[1], at[2] + offsets[2])):
             low = high = lane(x, 0)
@@ -197,21 +198,3 @@ def fill_column(column, positions, columns, binned, clusters):
                 low, high = min(low, lane(x, k)), max(high, lane(x, k))
             clusters.boxes[cluster, c], clusters.boxes[cluster, c + 3] = low, high
         cluster += 1
-
-
-@scalar
-def gathered(k, clusters, of_atoms):
-    """Three numbers of each atom of cluster k, from (N, 3): vectors of the first, of the second and of the third."""
-    n_lanes, x = count(clusters.lanes), zeros(clusters.lanes)
-    y, z = x, x
-    for n in range(n_lanes):
-        i = np.uintp(clusters.atom[k * n_lanes + n])
-        x, y, z = with_lane(x, n, of_atoms[i, 0]), with_lane(y, n, of_atoms[i, 1]), with_lane(z, n, of_atoms[i, 2])
-    return x, y, z
-
-
-@scalar
-def loaded(blocks, start, lanes):
-    """The vectors x, y, z of the block of a cluster, from index start on."""
-    n = np.uintp(count(lanes))
-    return load(blocks, start, lanes), load(blocks, start + n, lanes), load(blocks, start + n + n, lanes)

@@ -38,10 +38,11 @@ from numpy.typing import NDArray
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import scalar
 from minimd.compiled.simd import store
+from minimd.compiled.simd.blocks import loaded
 from minimd.compiled.simd.lanes import count
 from minimd.compiled.threads import MOST_CHUNKS
 from minimd.neighbors.buffers import Buffers, Fields
-from minimd.neighbors.clusters import DIMENSIONS, Columns, loaded, offsets_of
+from minimd.neighbors.clusters import DIMENSIONS, Columns, offsets_of
 
 SIDES = 6  # of a box: smallest x, y, z, and largest
 BOXES = 8  # compared at a time

@@ -16,7 +16,7 @@ from minimd.potentials.term import NoTerm, OwnPotential, Term, no_bonds
 from minimd.structure.bond_graph import checked_groups
 from minimd.structure.checks import shown
 from minimd.structure.system import System
-from minimd.structure.vectors import combined, cross, dot
+from minimd.structure.vectors import combined, cross, dot, times
 
 
 class HarmonicAngle(OwnPotential):
@@ -89,8 +89,8 @@ def _bend(links, block, _law, numbers):
     stretch = np.arctan2(size * cosine - ab * sine, ab * cosine + size * sine)
     slope = k * stretch
     s = select(size > 0.0, slope / size, 0.0)
-    is_beyond = push(links, 0, block, combined(s / dot(a, a), cross(n, a), 0.0, a))
-    return 0.5 * slope * stretch, push(links, 1, block, combined(s / dot(b, b), cross(b, n), 0.0, b)) or is_beyond
+    is_beyond = push(links, 0, block, times(s / dot(a, a), cross(n, a)))
+    return 0.5 * slope * stretch, push(links, 1, block, times(s / dot(b, b), cross(b, n))) or is_beyond
 
 
 Bend = link_shape("Bend", _bend)

@@ -19,7 +19,7 @@ from minimd.potentials.torsion_laws import HarmonicTorsionLaw, PeriodicLaw, Ryck
 from minimd.structure.bond_graph import checked_groups
 from minimd.structure.checks import shown
 from minimd.structure.system import System
-from minimd.structure.vectors import combined, cross, dot
+from minimd.structure.vectors import combined, cross, dot, times
 
 # the smallest sin² of the angle between two neighboring bonds by which forces are divided: its rounding error
 STRAIGHT2 = 1e-16
@@ -232,9 +232,9 @@ def _turn(links, block, law, numbers):
     length = g2**0.5
     u, slope = evaluate_law(law, np.arctan2(dot(g, cross(b, a)) / length, dot(a, b)), numbers)
     a2, b2 = max(a2, STRAIGHT2 * g2 * dot(f, f)), max(b2, STRAIGHT2 * g2 * dot(h, h))
-    on_i = push(links, 0, block, combined(slope * length / a2, a, 0.0, a))
+    on_i = push(links, 0, block, times(slope * length / a2, a))
     between = push(links, 1, block, combined(-slope * fg / (a2 * length), a, slope * hg / (b2 * length), b))
-    return u, push(links, 2, block, combined(-slope * length / b2, b, 0.0, b)) or on_i or between
+    return u, push(links, 2, block, times(-slope * length / b2, b)) or on_i or between
 
 
 Torsion = link_shape("Torsion", _turn)

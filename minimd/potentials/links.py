@@ -23,8 +23,10 @@ from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import in_steps
 from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, scalar, type_of, without_cache
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, n_chunks_of, operation
-from minimd.compiled.simd import bits_from_mask, fma, lane, load, select, store, with_lane
+from minimd.compiled.simd import bits_from_mask, fma, lane, select
+from minimd.compiled.simd.blocks import gathered, loaded, loaded_columns, stored
 from minimd.compiled.simd.lanes import count, lanes_for
+from minimd.neighbors.clusters import DIMENSIONS
 from minimd.potentials.accumulators import as_force, force_along, is_too_large
 from minimd.potentials.lanewise import on_vectors
 from minimd.potentials.law import evaluate_law
@@ -35,7 +37,6 @@ from minimd.structure.cell import minimum_image
 from minimd.structure.system import System
 
 VIRIAL = 6  # components: xx yy zz yz xz xy
-DIMENSIONS = 3
 
 
 class Links(
@@ -101,10 +102,9 @@ def arm(links, l, b):
 @scalar
 def push(links, l, b, force):
     """f_l to its slots; returns whether one is beyond the range of a grid."""
-    (x, y, z), at, n, steps = force, block_of(links, l, b), np.uintp(count(links.lanes)), links.steps
-    store(links.slots, at, force_along(x, 1.0, steps))
-    store(links.slots, at + n, force_along(y, 1.0, steps))
-    store(links.slots, at + n + n, force_along(z, 1.0, steps))
+    (x, y, z), steps = force, links.steps
+    on_ends = force_along(x, 1.0, steps), force_along(y, 1.0, steps), force_along(z, 1.0, steps)
+    stored(links.slots, block_of(links, l, b), on_ends)
     return is_too_large(x * x + y * y + z * z, steps)
 
 
@@ -116,7 +116,8 @@ def add_links(links, chunk):
     for c in range(1 + VIRIAL):
         links.totals[chunk, c] = 0.0
     for b in range(chunk * n_blocks // n_chunks, (chunk + 1) * n_blocks // n_chunks):
-        u, is_beyond = _acting(links.shape, links, b, links.law, _loaded(links.columns, b * n_lanes, links.lanes))
+        numbers = loaded_columns(links.columns, b * n_lanes, links.lanes)
+        u, is_beyond = _acting(links.shape, links, b, links.law, numbers)
         is_out |= is_beyond
         if links.detail != FORCES:
             _count(links, b, links.totals[chunk], u)
@@ -129,14 +130,6 @@ def _acting(shape, links, b, law, numbers):
     return lambda shape, links, b, law, numbers: formula(links, b, law, numbers)
 
 
-@by_type
-def _loaded(columns, start, lanes):
-    """A vector of each column, from an index on; unrolled by the compiler."""
-    if len(columns) == 0:
-        return lambda columns, start, lanes: ()
-    return lambda columns, start, lanes: (load(columns[0], start, lanes),) + _loaded(columns[1:], start, lanes)
-
-
 @scalar
 def _count(links, b, total, u):
     """total (7,) += energy and virial of a block; and with PER_ATOM equal shares of them to its atoms."""
@@ -145,7 +138,7 @@ def _count(links, b, total, u):
     xx = yy = zz = yz = xz = xy = 0.0 * u
     for l in range(links.first.shape[0]):
         (x, y, z), _ = arm(links, l, b)
-        gx, gy, gz = _slots_of(links, l, b, links.slots)
+        gx, gy, gz = loaded(links.slots, block_of(links, l, b), links.lanes)
         fx, fy, fz = as_force(gx, steps), as_force(gy, steps), as_force(gz, steps)
         xx, yy, zz, yz, xz, xy = xx + x * fx, yy + y * fy, zz + z * fz, yz + z * fy, xz + z * fx, xy + y * fx
     for k in range(min(n_lanes, sites.shape[0] - b * n_lanes)):
@@ -159,29 +152,13 @@ def _count(links, b, total, u):
 
 
 @scalar
-def _slots_of(links, l, b, blocks):
-    """The vectors x, y, z of a block of links, in slots or translations."""
-    at, n = block_of(links, l, b), np.uintp(count(links.lanes))
-    return load(blocks, at, links.lanes), load(blocks, at + n, links.lanes), load(blocks, at + n + n, links.lanes)
-
-
-@scalar
 def _difference(links, l, b):
-    positions, first, second, start = links.positions, links.first, links.second, b * count(links.lanes)
-    x, y, z = _slots_of(links, l, b, links.translations)
-    return (
-        _component(_of_atoms(positions, second, l, start, 0, x), _of_atoms(positions, first, l, start, 0, x), x),
-        _component(_of_atoms(positions, second, l, start, 1, y), _of_atoms(positions, first, l, start, 1, y), y),
-        _component(_of_atoms(positions, second, l, start, 2, z), _of_atoms(positions, first, l, start, 2, z), z),
-    )
-
-
-@scalar
-def _of_atoms(positions, atoms, l, start, c, like):
-    """A vector of component c of positions of the atoms of a block."""
-    for k in range(count(like)):
-        like = with_lane(like, k, positions[np.uintp(atoms[l, start + k]), c])
-    return like
+    start, lanes = b * count(links.lanes), links.lanes
+    end = gathered(links.positions, links.second[l], start, lanes)
+    begin = gathered(links.positions, links.first[l], start, lanes)
+    shift = loaded(links.translations, block_of(links, l, b), lanes)
+    x, y = _component(end[0], begin[0], shift[0]), _component(end[1], begin[1], shift[1])
+    return x, y, _component(end[2], begin[2], shift[2])
 
 
 @scalar

@@ -38,3 +38,21 @@ def unit(u):
 def combined(x, u, y, v):
     """x u + y v."""
     return x * u[0] + y * v[0], x * u[1] + y * v[1], x * u[2] + y * v[2]
+
+
+@inlined
+def plus(u, v):
+    """u + v."""
+    return u[0] + v[0], u[1] + v[1], u[2] + v[2]
+
+
+@inlined
+def minus(u, v):
+    """u − v."""
+    return u[0] - v[0], u[1] - v[1], u[2] - v[2]
+
+
+@inlined
+def times(x, u):
+    """x u."""
+    return x * u[0], x * u[1], x * u[2]

@@ -93,7 +93,7 @@ def elementary(x, y, out):
             store(out, row * x.size + k, found)
 
 
-@pytest.mark.parametrize("scale", [1e-9, 1.0, 40.0, 1e5])
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 40.0, 1e5, 1e9])
 def test_elementary_functions_have_all_their_digits_and_end_as_those_of_numpy_do(scale):
     """To two units in the last place, numpy's own included to three; of angles only those of finite numbers."""
     rng, special = np.random.default_rng(0), [0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 710.0, -746.0]
@@ -109,6 +109,13 @@ def test_elementary_functions_have_all_their_digits_and_end_as_those_of_numpy_do
     assert np.array_equal(np.isnan(out), np.isnan(expected))
     assert (out == expected)[~np.isfinite(expected) & ~np.isnan(expected)].all()
     assert not far.any()
+
+
+def test_what_is_too_small_counts_as_zero():
+    out = np.zeros((5, 8))
+    elementary(np.array([1e-310, -709.0] * 4), np.ones(8), out.reshape(-1))
+    assert np.array_equal(out[3, ::2], np.full(4, -np.inf))
+    assert np.array_equal(out[2, 1::2], np.zeros(4))
 
 
 @kernel

@@ -17,8 +17,8 @@ signature `result(arguments)` and a function that emits instructions with llvmli
 name that laws use with `_bind` or `@overload`. Without an instruction, apply a function lane by lane: see `bind_one`.
 """
 
+import minimd.compiled.simd.functions  # noqa: F401 - lets those of math and numpy act on vectors
 from minimd.compiled.simd.arithmetic import fma, select
-from minimd.compiled.simd.functions import arctangent, cosine, sine
 from minimd.compiled.simd.vector import (
     as_floats,
     bits_from_mask,
@@ -32,5 +32,5 @@ from minimd.compiled.simd.vector import (
     zeros,
 )
 
-__all__ = ["arctangent", "as_floats", "bits_from_mask", "broadcast", "cosine", "fma", "lane", "load"]
-__all__ += ["select", "sine", "store", "total", "trailing_zeros", "with_lane", "zeros"]
+__all__ = ["as_floats", "bits_from_mask", "broadcast", "fma", "lane", "load"]
+__all__ += ["select", "store", "total", "trailing_zeros", "with_lane", "zeros"]

@@ -16,7 +16,7 @@ from numba.extending import overload
 
 from minimd.compiled.kernels import by_type, scalar
 from minimd.compiled.simd.arithmetic import bind_one, fma, select
-from minimd.compiled.simd.vector import Vector, as_floats, bits_of, broadcast, float_of
+from minimd.compiled.simd.vector import MAGIC, Vector, as_floats, bits_of, broadcast, float_of
 
 HALF_PI, REST_OF_PI = 0.5 * math.pi, 6.123233995736766e-17  # their sum is π/2
 LN_2, REST_OF_LN_2 = math.log(2.0), 2.3190468138462996e-17  # their sum is ln 2
@@ -29,7 +29,6 @@ EIGHTH, MIDDLE = math.tan(math.pi / 8.0), (math.tan(math.pi / 16.0), math.tan(3.
 LEAST, MOST = float(np.finfo(np.float64).tiny), float(np.finfo(np.float64).max)
 # float64: the exponent follows on 52 bits of the mantissa, and is that of a number from 1 to 2 if it is 1023
 MANTISSA, ONE, BIAS = (1 << 52) - 1, 1023 << 52, 1023
-ROUNDER = 1.5 * 2.0**52  # plus a small whole number, which is then in the lowest bits
 
 
 @by_type
@@ -92,7 +91,7 @@ def exponential(x):
 
 @scalar
 def _power_of_two(k):
-    return float_of((bits_of(k + ROUNDER) + BIAS) << 52)
+    return float_of((bits_of(k + MAGIC) + BIAS) << 52)
 
 
 @scalar

@@ -6,6 +6,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic, models, register_model
 
 INT32 = ir.IntType(32)
+MAGIC = 1.5 * 2.0**52  # plus a small whole number, which is then in the lowest bits
 
 
 class Vector(types.Type):

@@ -5,10 +5,11 @@ from collections import namedtuple
 import numpy as np
 
 from minimd.compiled.by_address import ByAddress
-from minimd.compiled.fixed_point import FARTHEST, MAGIC, MOST, as_float, is_fixed
+from minimd.compiled.fixed_point import FARTHEST, MOST, as_float, is_fixed
 from minimd.compiled.kernels import by_type, called_kernel, scalar
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE
 from minimd.compiled.simd import fma, select
+from minimd.compiled.simd.vector import MAGIC
 
 KICK, DRIFT = 0.0, 1.0  # kinds of flows
 

@@ -6,7 +6,7 @@ The codes are those of shells: 130 after Ctrl-C, 143 after SIGTERM, 129 after SI
 This file is beside the package, because Python loads a package, and with it NumPy and Numba, before any of its modules.
 A KeyboardInterrupt is not enough: while a compiled module is loaded or a kernel is compiled, it may become another
 error, a traceback or nothing. Only a run has something to save; it replaces the handler by its own,
-see minimd.structure.console.
+see minimd.console.signals.
 """
 
 import _signal  # loaded at once, unlike the module signal
@@ -33,7 +33,7 @@ def main() -> None:
         if _signal.getsignal(number) == _signal.SIG_DFL:  # not on import, which workers do: their runs end by SIGTERM
             _signal.signal(number, end_at_once)
     from minimd.commands.main import main as run_command
-    from minimd.structure.console import DEFAULT_HANDLERS
+    from minimd.console.signals import DEFAULT_HANDLERS
 
     DEFAULT_HANDLERS.append(end_at_once)
     try:

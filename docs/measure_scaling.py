@@ -212,7 +212,7 @@ def main(arguments: list[str]) -> None:
     if arguments[:1] in (["--hand-over"], ["--table"]):
         {"--hand-over": one_hand_over, "--table": one_table}[arguments[0]](*map(int, arguments[1:]))
         return
-    from minimd.bench.outcome import machine
+    from minimd_bench.outcome import machine
 
     parts, texts = {"machine": lambda: iter([f"{machine()['text']}."])} | PARTS, dict[str, str]()
     for name in [one for one in arguments if one != "--write"] or parts:

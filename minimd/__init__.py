@@ -58,7 +58,6 @@ from minimd.structure.cell import Cell
 from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.structure.errors import ConstraintError, ConvergenceError, NonFiniteError, RangeError
 from minimd.structure.grid import Grid
-from minimd.structure.keywords import name_keywords, names_keywords
 from minimd.structure.system import System
 from minimd.view import view, view_record
 
@@ -133,9 +132,6 @@ __all__ = [
     "units",
     "view",
 ]
-name_keywords(
-    one for one in [*map(globals().get, __all__), *vars(observers).values()] if one not in (Forces, Term)
-)  # which a step calls
 
 
 def __getattr__(name: str) -> ModuleType:
@@ -145,7 +141,6 @@ def __getattr__(name: str) -> ModuleType:
     raise AttributeError(f"module 'minimd' has no attribute {name!r}")
 
 
-@names_keywords
 def read_observers(path: str | Path) -> dict[str, observers.Accumulator]:
     """The observers in an H5MD file by name, in their state at its restart:
     read_observers("run.h5md")["viscosity"].result().

@@ -15,7 +15,6 @@ from minimd.forces.forces import Potential
 from minimd.neighbors.queries import closest_pair
 from minimd.simulation.simulation import Simulation
 from minimd.structure.errors import ConstraintError, NonFiniteError
-from minimd.structure.keywords import names_keywords
 from minimd.structure.observables import longest
 from minimd.structure.units import LJ, SYSTEMS, UnitSystem
 
@@ -94,7 +93,6 @@ class Replay:
         return "\n".join([HEAD, named, *shown, self.ending])
 
 
-@names_keywords
 def replay(
     file: str | Path,
     potentials: Potential | Sequence[Potential] | None = None,

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.display import Displayed
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.diagnosis.run_report import pressure_lines
@@ -19,7 +20,6 @@ from minimd.files.turned_cell import as_in_run
 from minimd.integrators import LangevinBAOAB
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
 from minimd.structure.constraints import DistanceConstraints
-from minimd.structure.display import Displayed
 from minimd.structure.images import images_of_length, lengths_of
 from minimd.structure.observables import absolute_momentum, kinetic_energy, momentum
 from minimd.structure.system import System

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from minimd.ase.calculator import Calculator
 from minimd.ase.foreign import ForcesOnAtoms, calculators_said
+from minimd.console.quiet import outside_minimd, quiet
+from minimd.console.signals import stop_on_signals
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.engine.engine import Engine
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.verlet import VelocityVerlet as Method
 from minimd.structure.ase_atoms import same_scene
-from minimd.structure.console import outside_minimd, stop_on_signals
-from minimd.structure.quiet import quiet
 from minimd.structure.system import System
 from minimd.structure.units import ASE
 

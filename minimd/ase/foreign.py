@@ -11,10 +11,10 @@ from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import NDArray
 
 from minimd.ase.calculator import Calculator
+from minimd.console.quiet import outside_minimd
+from minimd.console.words import shown
 from minimd.potentials.term import FORCES, PER_ATOM, OwnPotential, Potential, as_potentials
 from minimd.structure.ase_atoms import atoms_from_system, fixes_center, volume_of
-from minimd.structure.checks import shown
-from minimd.structure.console import outside_minimd
 from minimd.structure.system import System
 
 

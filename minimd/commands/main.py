@@ -5,20 +5,20 @@ import sys
 import warnings
 from collections.abc import Sequence
 from contextlib import redirect_stdout, suppress
+from importlib.metadata import entry_points
 from typing import Any
 
-from minimd.bench.outcome import DisagreementError
-from minimd.commands import bench, doctor, runs
+from minimd.commands import doctor, runs
 from minimd.compiled.machine import version
+from minimd.console.signals import Terminated, endings_are_told
+from minimd.console.words import printable
 from minimd.ensemble.running import EnsembleError
-from minimd.structure.checks import printable
-from minimd.structure.console import Terminated, endings_are_told
 from minimd.structure.errors import ConstraintError, HandOverError, NonFiniteError, sentence
 
 OK, FAILED, WRONG_INPUT, BLOWN_UP, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
 CODES: dict[type[BaseException], int] = dict.fromkeys((OSError, ValueError, TypeError), WRONG_INPUT)
 CODES |= {KeyboardInterrupt: INTERRUPTED, NonFiniteError: BLOWN_UP, ConstraintError: BLOWN_UP}
-CODES |= dict.fromkeys((DisagreementError, EnsembleError, HandOverError), FAILED)
+CODES |= dict.fromkeys((EnsembleError, HandOverError), FAILED)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -32,7 +32,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--version", action="version", version=f"minimd {version('minimd')}")
     commands = parser.add_subparsers(metavar="command", title="commands")
-    for module in (runs, bench, doctor):
+    others = entry_points(group="minimd.commands")  # such as minimd_bench
+    for module in (runs, *(one.load() for one in others), doctor):
         module.add(commands)
     arguments = parser.parse_args(argv)
     if "command" not in arguments:

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.quiet import outside_minimd
+from minimd.console.words import shown
 from minimd.constraints.solver import ConstraintSolver
 from minimd.structure.cell import Cell
-from minimd.structure.checks import shown
-from minimd.structure.console import outside_minimd
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 from minimd.structure.images import images_of_length, nearest_images
 from minimd.structure.observables import degrees_of_freedom

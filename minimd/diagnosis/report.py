@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.display import Displayed
 from minimd.engine.record import SERIES, Record
-from minimd.structure.display import Displayed
 from minimd.structure.statistics import (
     FEW,
     block_means,

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from minimd.console.display import Displayed, Rows
+from minimd.console.signals import stop_on_signals
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.engine.engine import Engine
-from minimd.structure.console import stop_on_signals
-from minimd.structure.display import Displayed, Rows
 from minimd.structure.observables import longest
 
 ROUNDING = 2.0**-52  # of the forces

@@ -9,6 +9,7 @@ from time import perf_counter
 from typing import Any, NoReturn
 
 from minimd.compiled.kernels import compile_clock
+from minimd.console.quiet import outside_minimd
 from minimd.diagnosis.crash_report import Failure, examine
 from minimd.diagnosis.faults import GROWTH, RUNAWAY, fault_at_start, fault_of, runaway
 from minimd.diagnosis.first_hints import hints
@@ -17,7 +18,6 @@ from minimd.engine.observation import observe
 from minimd.engine.record import Frame
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.term import PER_ATOM
-from minimd.structure.console import outside_minimd
 from minimd.structure.errors import ConstraintError, NonFiniteError, RangeError
 from minimd.structure.observables import Array, longest
 

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.display import Displayed
+from minimd.console.words import shown
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.diagnosis.hessian import Curvature, stiffest_bond
 from minimd.engine.engine import Engine
@@ -24,11 +26,8 @@ from minimd.potentials.bonded import BondPotential
 from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.lennard_jones import curvature_at_minimum
 from minimd.potentials.pair import PairPotential
-from minimd.structure.checks import shown
 from minimd.structure.constraints import Constraint
-from minimd.structure.display import Displayed
 from minimd.structure.errors import NonFiniteError
-from minimd.structure.keywords import names_keywords
 from minimd.structure.observables import center, kinetic_energy, temperature, thermal_energy
 from minimd.structure.system import AnySystem, System
 from minimd.structure.units import ASE, BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_EV, UnitSystem
@@ -140,7 +139,6 @@ class StepAdvice(Displayed):
         ]
 
 
-@names_keywords
 def advise_timestep(
     system: AnySystem,
     potentials: Potential | Sequence[Potential],

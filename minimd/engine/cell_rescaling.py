@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from minimd.console.words import shown
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.constraints.graph import bodies_of
 from minimd.forces.forces import Forces
@@ -13,7 +14,6 @@ from minimd.integrators.splitting.barostats import StochasticCellRescaling, Ther
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import Bath
 from minimd.structure.cell import Cell
-from minimd.structure.checks import shown
 from minimd.structure.errors import RangeError
 from minimd.structure.observables import Array, center, kinetic_energy, momentum, momentum_flux
 from minimd.structure.strain import strained

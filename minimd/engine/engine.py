@@ -10,6 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from minimd.compiled.program import Operation, Program, in_python
+from minimd.console.display import Rows
+from minimd.console.quiet import outside_minimd, quiet
+from minimd.console.words import shown
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.constraints.graph import bodies_of
 from minimd.engine.cell_rescaling import CellRescaling, check_cell, rescaling_of
@@ -23,13 +26,9 @@ from minimd.integrators.splitting.substeps import Drift, mechanical
 from minimd.neighbors.verlet_list import Built
 from minimd.potentials.term import FORCES, TOTALS
 from minimd.structure.cell import Cell
-from minimd.structure.checks import shown
-from minimd.structure.console import outside_minimd
 from minimd.structure.constraints import Constraint
-from minimd.structure.display import Rows
 from minimd.structure.grid import Grid
 from minimd.structure.observables import Array, center, kinetic_energy, leaves_out_center
-from minimd.structure.quiet import quiet
 from minimd.structure.system import AnySystem, System
 
 

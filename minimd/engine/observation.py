@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from minimd.console.words import listed, shown
 from minimd.engine.engine import Engine
 from minimd.engine.record import SERIES, Frame, Record
 from minimd.structure import observables
-from minimd.structure.checks import listed, shown
 from minimd.structure.units import UnitSystem
 
 

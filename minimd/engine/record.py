@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.display import Displayed, Rows
 from minimd.structure.cell import Cell
-from minimd.structure.display import Displayed, Rows
 from minimd.structure.statistics import mean_and_error, with_error
 from minimd.structure.units import UnitSystem
 

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from minimd.console.words import listed, shown
 from minimd.engine.record import Record
 from minimd.ensemble.own_file import run_in_file
 from minimd.simulation.simulation import Simulation
-from minimd.structure.checks import checked_count, listed, shown
+from minimd.structure.checks import checked_count
 
 Value = bool | int | float | str
 OWN_COLUMNS = ("index", "status", "n_steps", "n_atoms", "n_members", "file", "message")  # of tables

@@ -16,24 +16,18 @@ from typing import Any
 from uuid import uuid4
 
 from minimd.compiled.machine import available_cores
+from minimd.console.progress import progress_of
+from minimd.console.quiet import outside_minimd
+from minimd.console.signals import Terminated, endings_are_told, raising_on_signals, stop_runs_of_threads, tell_ending
+from minimd.console.words import shown
 from minimd.ensemble.folder import Asked, EnsembleFolder, entropy_of, is_done, name_of
 from minimd.ensemble.member import Member, checked_parameters
 from minimd.ensemble.table import EnsembleTable, table_of
 from minimd.ensemble.work import FAILED, Plan, Row, work
 from minimd.ensemble.workers import SpawnedProcesses, ThisProcess, WorkerNeverBegan
 from minimd.simulation.simulation import Simulation
-from minimd.structure.checks import checked_count, checked_flag, shown
-from minimd.structure.console import (
-    Terminated,
-    endings_are_told,
-    outside_minimd,
-    progress_of,
-    raising_on_signals,
-    stop_runs_of_threads,
-    tell_ending,
-)
+from minimd.structure.checks import checked_count, checked_flag
 from minimd.structure.errors import Interrupted, sentence
-from minimd.structure.keywords import names_keywords
 
 MOST_WAITING = 4096  # members submitted at a time to an executor that the caller brings
 TOLD = 3  # failures that a warning names
@@ -53,7 +47,6 @@ class EnsembleError(RuntimeError):
 Parameters = int | Mapping[str, Sequence[Any]] | Sequence[Mapping[str, Any]]
 
 
-@names_keywords
 def ensemble(
     build: Callable[[Member], Simulation],
     parameters: Parameters,

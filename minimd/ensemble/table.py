@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.display import Displayed, Rows
+from minimd.console.words import listed, near
 from minimd.engine.record import SERIES
 from minimd.ensemble.folder import DESCRIPTION, Asked, EnsembleFolder, is_done
 from minimd.ensemble.member import file_of
 from minimd.ensemble.notes import SUFFIX, read_note
 from minimd.ensemble.work import BEGUN, DONE, FAILED, MISSING, Row
 from minimd.files.claim import write_whole
-from minimd.structure.checks import listed, near
-from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import sentence
 from minimd.structure.statistics import with_error
 from minimd.structure.units import SYSTEMS, UnitSystem

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from minimd.compiled.machine import threads_by_default
+from minimd.console.words import shown
 from minimd.engine.record import Record
 from minimd.ensemble.member import Member
 from minimd.ensemble.notes import Note, noting
 from minimd.ensemble.own_file import set_aside, stopped_file
 from minimd.files.crash_file import crash_file_place
 from minimd.simulation.simulation import Simulation
-from minimd.structure.checks import shown
 from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
 from minimd.structure.statistics import mean_and_error
 

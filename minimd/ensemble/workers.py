@@ -15,8 +15,8 @@ from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecu
 from contextlib import suppress
 from typing import Any
 
+from minimd.console.signals import endings_are_told
 from minimd.files.first_look import end_with
-from minimd.structure.console import endings_are_told
 
 READY = b"ready"
 STARTS = 3  # attempts to start a worker process; if all of them are killed, the next would be, too

@@ -16,6 +16,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_type_hints
 
+from minimd.console.words import printable, shown
 from minimd.diagnosis.crash_report import CrashReport
 from minimd.diagnosis.faults import RUNAWAY
 from minimd.diagnosis.run_guard import RunGuard
@@ -26,7 +27,7 @@ from minimd.forces.contacts import Contact
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.neighbors.queries import ClosestPair
-from minimd.structure.checks import COUNTS, printable, shown
+from minimd.structure.checks import COUNTS
 from minimd.structure.errors import ConstraintError, NonFiniteError
 from minimd.structure.system import System
 

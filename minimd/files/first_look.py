@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
-from minimd.structure.quiet import quiet
+from minimd.console.quiet import quiet
 
 Found = TypeVar("Found")
 

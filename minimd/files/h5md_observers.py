@@ -19,11 +19,11 @@ from typing import Any
 import h5py
 import numpy as np
 
+from minimd.console.quiet import outside_minimd
+from minimd.console.words import listed, shown
 from minimd.files.h5md_digest import read_restart
 from minimd.observers import KINDS
 from minimd.observers.accumulator import Accumulator
-from minimd.structure.checks import listed, shown
-from minimd.structure.console import outside_minimd
 
 GROUP, MARK = "minimd/observers", "observer."
 

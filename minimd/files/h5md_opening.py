@@ -14,8 +14,8 @@ from typing import Any
 import h5py
 from h5py import h5a, h5d, h5g, h5l, h5o, h5t
 
+from minimd.console.words import printable
 from minimd.files.journaled_file import repair
-from minimd.structure.checks import printable
 from minimd.structure.errors import sentence
 
 NUMBERS = (h5t.INTEGER, h5t.FLOAT, h5t.ENUM)  # bools and species are enumerations

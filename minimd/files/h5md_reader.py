@@ -11,6 +11,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.display import Displayed, Rows
+from minimd.console.words import printable
 from minimd.engine.engine import Checkpoint
 from minimd.engine.record import SERIES, Record
 from minimd.files.first_look import looked_at
@@ -24,8 +26,6 @@ from minimd.integrators.splitting.splitting import Splitting
 from minimd.observers import Accumulator
 from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
-from minimd.structure.checks import printable
-from minimd.structure.display import Displayed, Rows
 from minimd.structure.system import System
 from minimd.structure.units import SYSTEMS
 

@@ -27,13 +27,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.machine import EPS, version
+from minimd.console.display import as_text
 from minimd.constraints.solver import ROUNDINGS
 from minimd.diagnosis.first_hints import too_long_a_step
 from minimd.engine.engine import Engine
 from minimd.engine.record import SERIES, Frame
 from minimd.structure.cell import Cell
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
-from minimd.structure.display import as_text
 from minimd.structure.system import System
 
 CHUNK_BYTES = 64 * 1024  # of one series; a larger entry is a chunk of its own

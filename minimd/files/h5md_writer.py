@@ -18,6 +18,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from minimd.console.quiet import outside_minimd
+from minimd.console.words import listed
 from minimd.engine.engine import Engine
 from minimd.engine.observation import extras_in, recorded
 from minimd.engine.record import Frame
@@ -38,8 +40,6 @@ from minimd.files.h5md_opening import admitted, damage_told, opened
 from minimd.files.h5md_reader import H5MDContents, check_description, contents_of
 from minimd.files.journaled_file import JournaledFile
 from minimd.observers.accumulator import Accumulator
-from minimd.structure.checks import listed
-from minimd.structure.console import outside_minimd
 
 SECONDS_BETWEEN_FLUSHES = 1.0
 # shortest time between flushes, in durations of a flush: 2 % of the time; less if the block of frames is full

@@ -10,12 +10,11 @@ from typing import Any
 
 import MDAnalysis
 
+from minimd.console.quiet import outside_minimd, quiet
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files.claim import Claim
 from minimd.files.turned_cell import cell_dimensions, turn_of
-from minimd.structure.console import outside_minimd
-from minimd.structure.quiet import quiet
 
 FORMATS = {".nc": "NCDF"}  # suffixes that are not the name of their format
 XTC_DECIMALS = 4  # of a nanometer, one more than usual, because σ = 1 of reduced units is written as 0.1 nm

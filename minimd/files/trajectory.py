@@ -11,13 +11,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
+from minimd.console.quiet import outside_minimd
+from minimd.console.words import shown
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files.claim import Claim, locked
 from minimd.files.journaled_file import read_at
 from minimd.observers.accumulator import Accumulator
-from minimd.structure.checks import shown
-from minimd.structure.console import outside_minimd
 
 
 class Writer(Protocol):

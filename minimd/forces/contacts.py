@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.quiet import quiet
+from minimd.console.words import shown
 from minimd.forces.forces import Forces
 from minimd.forces.options import Options
 from minimd.potentials.bonded import BondPotential
@@ -19,9 +21,7 @@ from minimd.potentials.tabulated import reads_table
 from minimd.potentials.term import PER_ATOM
 from minimd.potentials.user_laws import is_user_law
 from minimd.structure.bond_graph import pairs_by_bonds_apart
-from minimd.structure.checks import shown
 from minimd.structure.images import nearest_vectors
-from minimd.structure.quiet import quiet
 from minimd.structure.system import System
 
 NEAREST = 16  # neighbors of each atom that are examined: more than the 12 to 14 of a dense shell in a liquid

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.display import Displayed, Rows
 from minimd.forces.contacts import why_not_finite
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import Options
 from minimd.potentials.term import PER_ATOM
-from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import NonFiniteError
-from minimd.structure.keywords import names_keywords
 from minimd.structure.observables import longest
 from minimd.structure.system import System
 
@@ -48,7 +47,6 @@ class Evaluation(Displayed):
         return [*rows, *zip(("virial", "", ""), virial, strict=True)]
 
 
-@names_keywords
 def evaluate(system: System | ase.Atoms, potentials: Potential | Sequence[Potential]) -> Evaluation:
     """Potential energy, forces, virial and energies per atom of a System, or of ase.Atoms, as they stand.
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import DirectCalls, announce_compilation, called_kernel
 from minimd.compiled.program import GO_ON, Operation, Program, in_python, n_chunks_of, operation
+from minimd.console.quiet import outside_minimd
 from minimd.forces.options import FIXED_POINT, Options, pool_for
 from minimd.forces.pair_laws import deepest
 from minimd.forces.planning import plan
@@ -33,7 +34,6 @@ from minimd.potentials.term import (
     check_force,
 )
 from minimd.structure.cell import Images
-from minimd.structure.console import outside_minimd
 from minimd.structure.errors import RangeError, why_not_compiled
 from minimd.structure.grid import TOO_LARGE, Grid, steps_of
 from minimd.structure.system import System, check_resolution

@@ -5,8 +5,9 @@ from typing import Literal, get_args
 
 from minimd.compiled.machine import default_threads
 from minimd.compiled.threads import ThreadPool, thread_pool
+from minimd.console.words import shown
 from minimd.neighbors import domains
-from minimd.structure.checks import checked_choice, checked_count, checked_number, shown
+from minimd.structure.checks import checked_choice, checked_count, checked_number
 from minimd.structure.grid import Grid
 
 Precision = Literal["double", "fixed-point"]

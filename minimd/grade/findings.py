@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
 
-from minimd.structure.display import Displayed, Rows
+from minimd.console.display import Displayed, Rows
 
 TICKS = {True: "✓", False: "✗", None: "?"}
 EXACT = 1e-5  # coefficients that differ by less are taken as equal

@@ -7,8 +7,8 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.display import Displayed, Rows, as_text, call_of
 from minimd.structure.checks import checked_number
-from minimd.structure.display import Displayed, Rows, as_text, call_of
 
 __all__ = ["Method"]
 

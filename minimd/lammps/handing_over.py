@@ -13,6 +13,9 @@ from uuid import uuid4
 
 import numpy as np
 
+from minimd.console.display import Displayed, Rows
+from minimd.console.progress import progress_of
+from minimd.console.signals import stop_on_signals
 from minimd.engine.observation import check_extras, observe
 from minimd.engine.record import Record
 from minimd.files.claim import write_whole
@@ -26,8 +29,6 @@ from minimd.lammps.program import INSTALL, OUTPUT, Log, Program, find_program, r
 from minimd.lammps.verification import LEAST, Verification, compare, in_both, tails_of
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag
-from minimd.structure.console import progress_of, stop_on_signals
-from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import HandOverError, sentence
 
 TRAJECTORY = "run.h5md"
@@ -158,7 +159,7 @@ def check_hand_over(
 
 
 class Job:
-    """One hand-over; see hand_over for the arguments.  stop_requested : by a signal, see minimd.structure.console."""
+    """One hand-over; see hand_over for the arguments.  stop_requested : by a signal, see minimd.console.signals."""
 
     def __init__(
         self,

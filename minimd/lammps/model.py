@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.words import shown
 from minimd.engine.engine import Engine
 from minimd.lammps.box import Box
 from minimd.lammps.expression import energy_expression
@@ -22,7 +23,6 @@ from minimd.potentials.torsion_laws import PeriodicLaw, RyckaertBellemansLaw
 from minimd.potentials.truncation import ForceShifted, Shifted
 from minimd.structure.bond_graph import among
 from minimd.structure.cell import Cell
-from minimd.structure.checks import shown
 from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.structure.images import nearest_vectors
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.quiet import quiet
 from minimd.engine.engine import Engine
 from minimd.forces.contacts import bonded_scales, why_not_finite
 from minimd.forces.forces import Forces
@@ -20,7 +21,6 @@ from minimd.potentials.term import PER_ATOM, bound
 from minimd.structure.cell import Cell
 from minimd.structure.errors import HandOverError, NonFiniteError
 from minimd.structure.observables import longest
-from minimd.structure.quiet import quiet
 from minimd.structure.system import System
 
 TOLERANCE = 1e-10  # of the largest; a scene that differs by more is not handed over

@@ -18,6 +18,8 @@ from MDAnalysis.analysis.msd import EinsteinMSD
 from MDAnalysis.analysis.rdf import InterRDF
 from numpy.typing import NDArray
 
+from minimd.console.display import Displayed, Rows
+from minimd.console.quiet import outside_minimd, quiet
 from minimd.files.h5md_opening import damage_told
 from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.files.h5md_schema import has_edges
@@ -27,10 +29,7 @@ from minimd.mdanalysis.topology import bare_universe
 from minimd.observers.diffusion import finite_size_correction, is_cubic
 from minimd.simulation.simulation import Simulation
 from minimd.structure.cell import Cell
-from minimd.structure.console import outside_minimd
-from minimd.structure.display import Displayed, Rows
 from minimd.structure.observables import center
-from minimd.structure.quiet import quiet
 from minimd.structure.statistics import FEW, with_error
 from minimd.structure.system import System
 from minimd.structure.units import ASE

@@ -8,16 +8,16 @@ from math import inf, isfinite
 
 import numpy as np
 
+from minimd.console.display import Displayed
+from minimd.console.progress import progress_of
+from minimd.console.signals import stop_on_signals
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.forces import Forces, Potential
 from minimd.minimization.fire import FIRE
 from minimd.potentials.term import TOTALS
 from minimd.structure.checks import checked_count, checked_number
-from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
-from minimd.structure.display import Displayed
 from minimd.structure.errors import Interrupted
-from minimd.structure.keywords import names_keywords
 from minimd.structure.system import AnySystem, System
 
 FORCE_TOLERANCE = 1e-6  # [energy/length], in reduced units and in eV/Å
@@ -59,7 +59,6 @@ class Minimization(Displayed):
         )
 
 
-@names_keywords
 def minimize(
     system: AnySystem,
     potentials: Potential | Sequence[Potential],

@@ -7,16 +7,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.words import shown
 from minimd.neighbors.pair_list import PairList, check_size
-from minimd.structure.checks import LARGEST, checked_number, shown
-from minimd.structure.keywords import names_keywords
+from minimd.structure.checks import LARGEST, checked_number
 from minimd.structure.system import System
 
 QUANTITIES = "ijdDS"
 BEYOND = 1.0 + 1e-9  # of a distance: the reach that finds a pair at this distance
 
 
-@names_keywords
 def neighbor_list(quantities: str, system: System, cutoff: float) -> tuple[NDArray, ...] | NDArray:
     """Neighbors within a cutoff, each pair in both directions, sorted by the first atom.
 

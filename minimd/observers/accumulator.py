@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.display import Displayed, Rows, call_of
+from minimd.console.words import shown
 from minimd.engine.engine import Engine
 from minimd.observers.blocked_sums import BlockedSums
-from minimd.structure.checks import checked_count, shown
-from minimd.structure.display import Displayed, Rows, call_of
+from minimd.structure.checks import checked_count
 from minimd.structure.units import SYSTEMS, UnitSystem
 
 if TYPE_CHECKING:

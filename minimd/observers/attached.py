@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from minimd.console.quiet import outside_minimd
+from minimd.console.words import shown
 from minimd.engine.engine import Engine
 from minimd.observers.accumulator import Accumulator
-from minimd.structure.checks import shown
-from minimd.structure.console import outside_minimd
 from minimd.structure.errors import ConstraintError, NonFiniteError
 
 

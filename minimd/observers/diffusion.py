@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.display import Rows
 from minimd.observers.accumulator import ObservedRun, Result, Series
 from minimd.observers.green_kubo import Plateau
 from minimd.structure.cell import Cell
-from minimd.structure.display import Rows
 from minimd.structure.statistics import spread, with_error
 from minimd.structure.units import UnitSystem
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.display import Rows
 from minimd.engine.engine import Engine
 from minimd.engine.observation import Look
 from minimd.observers.accumulator import Accumulator, ObservedRun, Result
 from minimd.observers.blocked_sums import BlockedSums
-from minimd.structure.display import Rows
 from minimd.structure.statistics import standard_error, with_error
 
 if TYPE_CHECKING:

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.display import Rows
+from minimd.console.words import shown
 from minimd.engine.engine import Engine
 from minimd.observers.accumulator import Accumulator, ObservedRun, Result, Series
 from minimd.observers.blocked_sums import BlockedSums
-from minimd.structure.checks import checked_choice, checked_count, checked_number, shown
-from minimd.structure.display import Rows
+from minimd.structure.checks import checked_choice, checked_count, checked_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

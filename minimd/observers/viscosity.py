@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.display import Rows
 from minimd.engine.engine import Engine
 from minimd.engine.observation import Look, check_has_volume
 from minimd.observers.accumulator import ObservedRun, Result, Series
@@ -15,7 +16,6 @@ from minimd.observers.correlator import MultipleTau, Product
 from minimd.observers.green_kubo import Plateau
 from minimd.observers.time_correlation import HEAD, TEMPERATURE, VOLUME, TimeCorrelation
 from minimd.structure.checks import checked_count
-from minimd.structure.display import Rows
 from minimd.structure.statistics import with_error
 from minimd.structure.units import BAR, PICOSECOND
 

@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike
 
 from minimd.compiled.kernels import inlined, scalar
 from minimd.compiled.simd import fma, select
+from minimd.console.words import shown
 from minimd.potentials.each import checked_each, columns_of
 from minimd.potentials.links import LinkedTerm, arm, link_shape, push
 from minimd.potentials.term import NoTerm, OwnPotential, Term, no_bonds
 from minimd.structure.bond_graph import checked_groups
-from minimd.structure.checks import shown
 from minimd.structure.system import System
 from minimd.structure.vectors import combined, cross, dot, times
 

@@ -8,12 +8,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from minimd.console.words import shown
 from minimd.potentials.law import checked_law
 from minimd.potentials.laws import FENELaw, HarmonicLaw, MorseLaw
 from minimd.potentials.links import FixedPairs
 from minimd.potentials.term import NoTerm, OwnPotential, Term, no_bonds
 from minimd.structure.bond_graph import checked_pairs
-from minimd.structure.checks import checked_numbers, shown
+from minimd.structure.checks import checked_numbers
 from minimd.structure.system import System
 
 

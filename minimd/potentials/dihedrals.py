@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.kernels import scalar
+from minimd.console.words import shown
 from minimd.potentials.each import Array, checked_each, columns_of
 from minimd.potentials.lanewise import on_vectors
 from minimd.potentials.law import checked_law, evaluate_law
@@ -17,7 +18,6 @@ from minimd.potentials.links import LinkedTerm, arm, link_shape, push
 from minimd.potentials.term import NoTerm, OwnPotential, Term, no_bonds
 from minimd.potentials.torsion_laws import HarmonicTorsionLaw, PeriodicLaw, RyckaertBellemansLaw
 from minimd.structure.bond_graph import checked_groups
-from minimd.structure.checks import shown
 from minimd.structure.system import System
 from minimd.structure.vectors import combined, cross, dot, times
 

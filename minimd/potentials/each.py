@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.structure.checks import checked_numbers, shown
+from minimd.console.words import shown
+from minimd.structure.checks import checked_numbers
 
 Array = NDArray[np.float64]
 

@@ -14,6 +14,7 @@ from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import in_steps
 from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, without_cache
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, in_python, n_chunks_of, operation
+from minimd.console.words import shown
 from minimd.potentials.accumulators import force_along, is_too_large
 from minimd.potentials.each import Array
 from minimd.potentials.field_laws import ConstantLaw, RestraintLaw
@@ -22,7 +23,7 @@ from minimd.potentials.pair_loop import ByPair, parameters_of_pair
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, OwnPotential, OwnTerm, Target, Term
 from minimd.potentials.user_laws import is_recognized
 from minimd.structure.cell import minimum_image
-from minimd.structure.checks import checked_indices, checked_number, checked_numbers, shown
+from minimd.structure.checks import checked_indices, checked_number, checked_numbers
 from minimd.structure.system import System
 
 NOWHERE = np.zeros((0, 3))

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from minimd.console.words import shown
 from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.pair import UNSCALED, ByPairOfLabels, Label, MixingName, PairPotential, Parameters
 from minimd.potentials.truncation import TruncationName
-from minimd.structure.checks import checked_number, shown
+from minimd.structure.checks import checked_number
 
 
 def curvature_at_minimum(epsilon: Any, sigma: Any) -> Any:

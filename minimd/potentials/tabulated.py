@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.kernels import scalar, type_of
+from minimd.console.words import listed, shown
 from minimd.potentials.pair import UNSCALED, Label, PairPotential, Parameters
 from minimd.potentials.truncation import TruncationName
-from minimd.structure.checks import checked_numbers, listed, shown
+from minimd.structure.checks import checked_numbers
 
 DEGREE = 5  # of the pieces: four continuous derivatives of u, so that methods up to order 4 keep their order
 FEWEST = DEGREE + 1  # points that one piece goes through

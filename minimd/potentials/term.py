@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.program import Operation, in_python
+from minimd.console.display import Displayed, Rows, as_text, call_of
+from minimd.console.words import shown
 from minimd.neighbors.queries import closest_pair
 from minimd.neighbors.verlet_list import VerletList
 from minimd.potentials.law import agree
 from minimd.structure.cell import Images
-from minimd.structure.checks import shown
-from minimd.structure.display import Displayed, Rows, as_text, call_of
 from minimd.structure.system import System
 
 FORCES, TOTALS, PER_ATOM = 0, 1, 2  # the detail of an evaluation; each includes the ones before

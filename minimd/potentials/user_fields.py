@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from minimd.console.words import shown
 from minimd.potentials.each import Array, checked_each, columns_of
 from minimd.potentials.fields import FieldTerm, OwnField, checked_atoms
 from minimd.potentials.law import ACCURACY, agree, checked_law, evaluate_law
 from minimd.potentials.term import Term
-from minimd.structure.checks import shown
 from minimd.structure.system import System
 
 TRIED = 5  # atoms at which a law is tried

@@ -15,7 +15,7 @@ from numba.core.dispatcher import Dispatcher
 
 from minimd.compiled.kernels import scalar, type_of
 from minimd.compiled.snapshot import Snapshot
-from minimd.structure.checks import shown
+from minimd.console.words import shown
 
 CLASS_NAME = "UserLaw_{}"  # a digest, or a random number
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from minimd.console.words import shown
 from minimd.potentials.each import Array, checked_each, columns_of
 from minimd.potentials.field_laws import Curved, Planar
 from minimd.potentials.fields import NOWHERE, FieldTerm, OwnField, checked_atoms, checked_vectors
@@ -15,7 +16,7 @@ from minimd.potentials.law import law_at
 from minimd.potentials.laws import LennardJones93Law, LennardJonesLaw
 from minimd.potentials.term import Term
 from minimd.potentials.truncation import Shifted
-from minimd.structure.checks import checked_choice, checked_number, shown
+from minimd.structure.checks import checked_choice, checked_number
 from minimd.structure.system import System
 
 WALL_LAWS: dict[str, Any] = {"9-3": LennardJones93Law(), "12-6": LennardJonesLaw()}

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from minimd.console.signals import Terminated
 from minimd.files.crash_file import crash_file_place
 from minimd.files.h5md_reader import read_file, verify_frames
 from minimd.files.h5md_schema import other_potentials
@@ -20,7 +21,6 @@ from minimd.potentials import PairPotential
 from minimd.scene.document import Scene, h5md_files, stored_scene
 from minimd.scene.sections import PLOT_SUFFIXES
 from minimd.simulation.simulation import Simulation
-from minimd.structure.console import Terminated
 from minimd.structure.constraints import FixedAtoms
 from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
 from minimd.structure.system import System

@@ -12,9 +12,9 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from pydantic import Field, FiniteFloat
 
+from minimd.console.quiet import quiet
 from minimd.potentials.tabulated import FEWEST
 from minimd.scene.section import KEY_UNITS, Dimension, Section
-from minimd.structure.quiet import quiet
 
 COLUMNS = 2
 Column = Annotated[list[FiniteFloat], Field(min_length=FEWEST)]

@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from minimd.console.display import Displayed
 from minimd.engine.observation import observe
 from minimd.files.trajectory import open_trajectories
 from minimd.simulation.resuming import Potentials, check_is_fixed, go_to
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count
-from minimd.structure.display import Displayed
-from minimd.structure.keywords import names_keywords
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,6 @@ class Archive(Displayed):
         return f"{what}\nany step       minimd frames {self.file} --at STEP"
 
 
-@names_keywords
 def archive(
     file: str | Path, out: str | Path, every: int, potentials: Potentials = None, overwrite: bool = False
 ) -> Archive:

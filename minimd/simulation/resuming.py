@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from minimd.console.quiet import outside_minimd
 from minimd.engine.engine import Snapshot
 from minimd.engine.observation import extras_in
 from minimd.forces.forces import Potential
 from minimd.structure.checks import checked_count
-from minimd.structure.console import outside_minimd
 
 if TYPE_CHECKING:
     from minimd.files.h5md_reader import H5MDContents

@@ -9,6 +9,9 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, ClassVar, Self
 
+from minimd.console.display import Displayed, Rows
+from minimd.console.progress import progress_of
+from minimd.console.signals import stop_on_signals
 from minimd.constraints.solver import ConstraintSolver
 from minimd.diagnosis.faults import RUNAWAY
 from minimd.diagnosis.report import Report
@@ -30,9 +33,7 @@ from minimd.observers.attached import Attached
 from minimd.simulation.engine_attribute import Closed, EngineAttribute, Measured
 from minimd.simulation.resuming import last_step, resumed
 from minimd.structure.checks import checked_count, checked_flag, checked_number
-from minimd.structure.console import progress_of, stop_on_signals
 from minimd.structure.constraints import Constraint
-from minimd.structure.display import Displayed, Rows
 from minimd.structure.grid import Grid
 from minimd.structure.observables import Array
 from minimd.structure.system import AnySystem, System

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
-from minimd.structure.console import warn_of_charges
+from minimd.structure.charges import warn_of_charges
 from minimd.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms
 from minimd.structure.images import lengths_of
 from minimd.structure.joined import joined_in, texts

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.machine import EPS
-from minimd.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers, shown
-from minimd.structure.display import Displayed, Rows, as_text
+from minimd.console.display import Displayed, Rows, as_text
+from minimd.console.words import shown
+from minimd.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers
 from minimd.structure.strain import follow_lattice
 
 FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent

@@ -1,8 +1,7 @@
 """Checks of input: a value is returned in the form that the rest of minimd expects, or refused in one sentence,
 before memory is allocated for it."""
 
-from collections.abc import Collection, Iterable, Sequence
-from difflib import get_close_matches
+from collections.abc import Collection, Sequence
 from math import inf, nan
 from numbers import Integral, Real
 from typing import Any
@@ -10,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.words import listed, shown
+
 SMALLEST, LARGEST = 1e-75, 1e75  # of positive quantities: their fourth powers are still numbers
 MOST_ATOMS = 2**27  # 3 GB of positions
 MOST_NUMBERS = 3 * MOST_ATOMS  # in an array
 COUNTS = 2**63  # whole numbers in arrays and files are below it
-SHOWN = 80  # characters of a value in a message
-SIMILAR = 0.5  # of the letters are the same, as of Ar and Al
 DEMANDS = {
     "finite": lambda number: abs(number) < inf,
     "finite and not zero": lambda number: 0.0 < abs(number) < inf,
@@ -138,30 +137,3 @@ def _as_float(value: Any) -> float:
         return float(value)
     except OverflowError:
         return inf
-
-
-def near(name: Any, known: Iterable[Any]) -> str:
-    """The words "did you mean ...?" with the most similar of the known names; empty if none is similar."""
-    texts = [one for one in known if isinstance(one, str)]
-    found = get_close_matches(name, texts, n=1, cutoff=SIMILAR) if isinstance(name, str) else []
-    return f"; did you mean {found[0]!r}?" if found else ""
-
-
-def listed(names: Iterable[Any]) -> str:
-    """The names, with commas between them."""
-    return ", ".join(repr(name) for name in names)
-
-
-def printable(text: str) -> str:
-    """A text of a file, with escapes in place of characters that a terminal would obey, or that reorder others;
-    ends of lines are kept."""
-    return "".join(one if one.isprintable() or one == "\n" else one.encode("unicode_escape").decode() for one in text)
-
-
-def shown(value: Any) -> str:
-    """A value as Python writes it, in one line, shortened."""
-    try:
-        text = " ".join(repr(value).split())
-    except Exception:  # whatever an object of the user's raises, or an integer of more digits than Python writes
-        text = f"an object of type {type(value).__name__}"
-    return text if len(text) <= SHOWN else text[: SHOWN - 4] + " ..."

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from minimd.console.words import shown
 from minimd.structure.bond_graph import checked_pairs
 from minimd.structure.checks import (
     LARGEST,
@@ -16,7 +17,6 @@ from minimd.structure.checks import (
     checked_choice,
     checked_number,
     checked_numbers,
-    shown,
 )
 
 SolverName = Literal["auto", "newton", "shake"]

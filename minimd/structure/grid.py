@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.fixed_point import FARTHEST, MOST, Steps
+from minimd.console.display import Displayed, Rows
+from minimd.console.words import shown
 from minimd.structure.cell import Cell
-from minimd.structure.checks import shown
-from minimd.structure.display import Displayed, Rows
 from minimd.structure.errors import RangeError
 from minimd.structure.observables import largest_component
 from minimd.structure.system import System

@@ -6,8 +6,8 @@ from math import cbrt, prod
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.structure.checks import MOST_ATOMS, checked_choice, checked_indices, checked_number, shown
-from minimd.structure.keywords import names_keywords
+from minimd.console.words import shown
+from minimd.structure.checks import MOST_ATOMS, checked_choice, checked_indices, checked_number
 
 __all__ = ["BASES", "constant_from_density", "crystal"]
 _FCC = ((0.0, 0.0, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5), (0.5, 0.5, 0.0))
@@ -19,7 +19,6 @@ BASES = {  # atoms of the cubic unit cell, in units of its edge
 }
 
 
-@names_keywords
 def crystal(
     lattice: str, repeat: Sequence[int], lattice_constant: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.machine import EPS
+from minimd.console.display import Displayed, Rows
+from minimd.console.words import shown
 from minimd.structure import units as unit_systems
 from minimd.structure.bond_graph import GROUPS, checked_groups, checked_pairs
 from minimd.structure.cell import Cell
-from minimd.structure.checks import LARGEST, MOST_ATOMS, SMALLEST, checked_numbers, shown
+from minimd.structure.checks import LARGEST, MOST_ATOMS, SMALLEST, checked_numbers
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
-from minimd.structure.display import Displayed, Rows
 from minimd.structure.observables import largest_component
 from minimd.structure.units import UnitSystem
 

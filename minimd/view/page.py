@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.machine import version
-from minimd.structure.display import Rows
+from minimd.console.display import Rows
 from minimd.view.motion import Motion
 from minimd.view.stories import Story
 

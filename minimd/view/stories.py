@@ -11,12 +11,12 @@ from matplotlib.figure import Figure
 
 from minimd.analysis.check import checked
 from minimd.analysis.plot import drawn
+from minimd.console.display import Rows
 from minimd.diagnosis.crash_report import CrashReport
 from minimd.files.crash_file import read_crash_report
 from minimd.files.h5md_reader import H5MDContents, read_file
 from minimd.forces.forces import Potential
 from minimd.mdanalysis.universes import RunUniverse, universe_of
-from minimd.structure.display import Rows
 from minimd.structure.units import ASE
 from minimd.view.motion import Motion, motion_of
 

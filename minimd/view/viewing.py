@@ -9,7 +9,6 @@ from minimd.engine.record import Record
 from minimd.files.claim import write_whole
 from minimd.forces.forces import Potential
 from minimd.structure.checks import checked_count
-from minimd.structure.keywords import names_keywords
 
 FRAMES = 200  # largest number of frames if not given
 HEIGHT = 720  # of the page in a notebook [pixels]
@@ -49,7 +48,6 @@ class View:
         )
 
 
-@names_keywords
 def view(file: str | Path, *, frames: int = FRAMES, potentials: Potential | Sequence[Potential] | None = None) -> View:
     """A run as a page: its report, its pictures, and its atoms in motion with cell, bonds and species.
 

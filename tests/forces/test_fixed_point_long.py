@@ -7,9 +7,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import minimd as md
-from minimd.bench.scenes import melt
 from minimd.compiled.simd.lanes import Lanes4, Lanes8
 from minimd.neighbors import cluster_list
+from minimd_bench.scenes import melt
 
 pytestmark = pytest.mark.slow
 LJ = md.LennardJones(1.0, 1.0, cutoff=2.5)

@@ -19,13 +19,14 @@ PACKAGE = REPOSITORY / "minimd"
 INSTALLED = Path(minimd.__file__).parent  # or the same folder
 PAGE = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
 BEGIN_WITH = dict(re.findall(r"^\| `(\w+)` \| .* \| `([\w/.]+)` \|$", PAGE, re.M))
-FLOORS = ["minimd" if name == "minimd" else f"minimd.{name}" for name in BEGIN_WITH]
+TOP = {"minimd", "minimd_bench"}
+FLOORS = [name if name in TOP else f"minimd.{name}" for name in BEGIN_WITH]
 STRANGERS = {"minimd.integrators", "minimd.potentials"}  # never import each other
 BRIDGES = {  # folders and modules that may import ase or MDAnalysis when they are imported
-    *("ase", "bench", "mdanalysis", "structure/ase_atoms.py", "structure/mdanalysis_atoms.py"),
+    *("ase", "mdanalysis", "structure/ase_atoms.py", "structure/mdanalysis_atoms.py"),
     *("files/ase_writer.py", "files/structure_file.py", "files/mdanalysis_writer.py", "files/turned_cell.py"),
 }
-FOREIGN = {"minimd.bench.engines"}  # reaches for private names of OpenMM and LAMMPS
+FOREIGN = {"minimd_bench.engines"}  # reaches for private names of OpenMM and LAMMPS
 HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "minimd.lammps"}
 
 
@@ -33,7 +34,7 @@ def name_of(path):
     return ".".join(path.relative_to(REPOSITORY).with_suffix("").parts).removesuffix(".__init__")
 
 
-MODULES = {name_of(path): path for path in PACKAGE.rglob("*.py")}
+MODULES = {name_of(path): path for name in TOP for path in (REPOSITORY / name).rglob("*.py")}
 
 
 @cache
@@ -58,9 +59,10 @@ def floor_of(module):
 
 def test_every_package_is_a_floor():
     packages = {place.parent.name for place in PACKAGE.glob("*/__init__.py")}
-    assert set(BEGIN_WITH) == packages | {"minimd", "replay"}
+    assert set(BEGIN_WITH) == packages | TOP | {"replay"}
     for name, file in BEGIN_WITH.items():
-        assert (PACKAGE / ("" if name in ("minimd", "replay") else name) / file).exists()
+        folder = REPOSITORY / name if name in TOP else PACKAGE / ("" if name == "replay" else name)
+        assert (folder / file).exists()
 
 
 def test_no_module_reaches_for_the_private_name_of_another():
@@ -96,7 +98,7 @@ def test_imports_go_down_the_floors_and_not_in_circles():
     imported = {module: {*imports(path)} for module, path in MODULES.items()}
     for module, others in imported.items():
         for other in others:
-            if other.split(".")[0] == "minimd" and (here := floor_of(module)) != (there := floor_of(other)):
+            if other.split(".")[0] in TOP and (here := floor_of(module)) != (there := floor_of(other)):
                 assert FLOORS.index(there) > FLOORS.index(here), f"{module} -> {other}"
                 assert {here, there} != STRANGERS, f"{module} -> {other}"
     try:

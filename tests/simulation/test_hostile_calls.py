@@ -9,7 +9,7 @@ from answers import answer_of, assert_right
 from scene_texts import REDUCED, everything_of
 
 import minimd as md
-from minimd.structure.checks import shown
+from minimd.console.words import shown
 
 SECONDS = 2.0  # for one call; none needs a hundredth of it once the kernels are compiled
 THREE = np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0], [0.0, 1.2, 0.0]])

@@ -5,11 +5,11 @@ import warnings
 from typing import get_args
 
 import minimd as md
+from minimd.console.display import Displayed
+from minimd.console.quiet import quiet
 from minimd.forces.options import Precision
 from minimd.potentials.pair import MIXING, MixingName
 from minimd.potentials.truncation import TRUNCATIONS, TruncationName
-from minimd.structure.display import Displayed
-from minimd.structure.quiet import quiet
 
 SPECIES = {"A": (1.0, 1.0), "B": (0.5, 0.88)}
 CUTOFFS = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}

@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from minimd.console.words import shown
 from minimd.integrators.dae.consistent_start import KEPT, REFUSED, WIDE, are_independent, nearest_root, unit_of_time
 from minimd.integrators.method import Array
 from minimd.integrators.ode.differences import (
@@ -28,7 +29,6 @@ from minimd.integrators.ode.differences import (
 from minimd.integrators.ode.functions import Function, taking
 from minimd.integrators.ode.newton import Newton, Solver
 from minimd.integrators.ode.problems import DifferentialAlgebraic
-from minimd.structure.checks import shown
 
 __all__ = ["Hessenberg1", "Hessenberg2", "Hessenberg3", "Mechanical"]
 

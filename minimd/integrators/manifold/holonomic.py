@@ -18,6 +18,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from minimd.console.quiet import outside_minimd
 from minimd.integrators.dae.consistent_start import unit_of_time
 from minimd.integrators.method import Array, Step
 from minimd.integrators.ode.differences import accurate_differences, remark_on_differences, time_derivative
@@ -26,7 +27,6 @@ from minimd.integrators.ode.newton import Iteration, Newton, Solver
 from minimd.integrators.ode.partitioned import SecondOrder, SequenceStep, push
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substeps
-from minimd.structure.console import outside_minimd
 from minimd.structure.errors import ConvergenceError
 
 __all__ = ["Holonomic"]

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 
 from minimd.compiled.machine import EPS
+from minimd.console.words import shown
 from minimd.integrators.dae.hessenberg import Hessenberg2
 from minimd.integrators.manifold.invariants import Invariants, Manifold, check_invariants, corrected
 from minimd.integrators.method import Array, Method, Problem, Step
 from minimd.integrators.ode.partitioned import Partitioned
 from minimd.integrators.ode.problems import FirstOrder
-from minimd.structure.checks import shown
 from minimd.structure.errors import ConvergenceError
 
 __all__ = ["index_two", "projected", "symmetrically_projected", "with_multipliers"]

@@ -9,9 +9,10 @@ from typing import Any, Self
 
 import numpy as np
 
+from minimd.console.display import Displayed, Rows
+from minimd.console.words import shown
 from minimd.integrators.method import Array, Method, Problem
-from minimd.structure.checks import checked_count, checked_number, shown
-from minimd.structure.display import Displayed, Rows
+from minimd.structure.checks import checked_count, checked_number
 from minimd.structure.errors import ConvergenceError, NonFiniteError
 
 __all__ = ["Solution", "run_steps", "run_until"]

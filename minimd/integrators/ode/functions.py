@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from minimd.console.words import shown
 from minimd.integrators.method import Array
-from minimd.structure.checks import shown
 
 Function = Callable[..., Any]
 

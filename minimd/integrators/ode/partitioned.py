@@ -25,12 +25,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.compiled.kernels import kernel
+from minimd.console.words import shown
 from minimd.integrators.method import Array, Step
 from minimd.integrators.ode.functions import Field, Function, check_finite
 from minimd.integrators.ode.newton import Iteration, Newton, Solver, checked_solver
 from minimd.integrators.splitting.order_conditions import nystrom_order, separable_order
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substep, Substeps
-from minimd.structure.checks import shown
 
 __all__ = ["Partitioned", "SecondOrder"]
 

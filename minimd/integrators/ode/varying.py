@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.compiled.machine import EPS
+from minimd.console.words import shown
 from minimd.integrators.method import Array, Method, Problem
 from minimd.integrators.ode.drivers import (
     LEFTOVER,
@@ -40,7 +41,7 @@ from minimd.integrators.ode.drivers import (
 )
 from minimd.integrators.ode.partitioned import Partitioned
 from minimd.integrators.ode.problems import DifferentialAlgebraic
-from minimd.structure.checks import checked_count, checked_number, checked_numbers, shown
+from minimd.structure.checks import checked_count, checked_number, checked_numbers
 from minimd.structure.errors import ConvergenceError, NonFiniteError
 
 __all__ = ["DensityControl", "StepControl", "run_adaptive", "run_reversible"]

@@ -10,9 +10,9 @@ from math import inf, log, sqrt
 
 import numpy as np
 
+from minimd.console.display import Displayed, Rows, as_text
 from minimd.integrators.method import Array
 from minimd.structure.checks import checked_choice, checked_count, checked_number
-from minimd.structure.display import Displayed, Rows, as_text
 
 __all__ = ["StochasticCellRescaling"]
 

@@ -9,6 +9,7 @@ Geometric Numerical Integration (2006), V.3.
 from collections.abc import Sequence
 from itertools import chain
 
+from minimd.console.words import shown
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.substeps import (
     Drift,
@@ -23,7 +24,6 @@ from minimd.integrators.splitting.substeps import (
     scaled,
 )
 from minimd.integrators.splitting.verlet import VelocityVerlet
-from minimd.structure.checks import shown
 
 __all__ = ["PEFRL", "BlanesMoan4", "CandyRozmus4", "KahanLi6", "KahanLi8", "McLachlanAtela4", "Ruth3", "Suzuki4",
            "Yoshida6", "adjoint", "compose"]  # fmt: skip

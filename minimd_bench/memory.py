@@ -4,9 +4,9 @@ import subprocess
 import sys
 from math import nan
 
-from minimd.bench.engines import Minimd
-from minimd.bench.scenes import SCENES
 from minimd.compiled.machine import STATUS, peak_memory
+from minimd_bench.engines import Minimd
+from minimd_bench.scenes import SCENES
 
 FROM_ATOMS = 256_000  # with fewer atoms, the memory of Python and of the kernels hides that of the atoms
 SMALL = 20  # a first scene of 32 000 atoms loads the kernels
@@ -22,7 +22,7 @@ def bytes_per_atom(scene: str, n: int, threads: int) -> float | None:
     if not STATUS.exists():
         return None
     call = f"growth({scene!r}, {n}, {threads})"
-    code = f"from minimd.bench.memory import growth; print(); print({call})"
+    code = f"from minimd_bench.memory import growth; print(); print({call})"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     if answer.returncode:
         print(

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.bench.engines import Minimd
-from minimd.bench.memory import bytes_per_atom
-from minimd.bench.outcome import End, name_curves, new_figure, spread, summary, table, threads_text
-from minimd.bench.scenes import MELT, melt
-from minimd.bench.turns import take_turns, warm_up
 from minimd.compiled.machine import available_cores
+from minimd_bench.engines import Minimd
+from minimd_bench.memory import bytes_per_atom
+from minimd_bench.outcome import End, name_curves, new_figure, spread, summary, table, threads_text
+from minimd_bench.scenes import MELT, melt
+from minimd_bench.turns import take_turns, warm_up
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

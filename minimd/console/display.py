@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from minimd.structure.checks import shown
+from minimd.console.words import shown
 
 NAME_WIDTH = 14  # letters of a name, at least; the words begin one further
 LEFT = 'style="text-align: left; vertical-align: top"'

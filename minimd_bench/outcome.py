@@ -36,10 +36,6 @@ BETWEEN_NAMES = 0.22  # inches, from one name to the next
 Ratios = NDArray[np.float64] | None
 
 
-class DisagreementError(ArithmeticError):
-    """Two engines have different energies in the same scene, so no times are measured."""
-
-
 class Outcome(Protocol):
     """The outcome of one benchmark."""
 

@@ -1,8 +1,9 @@
-"""Warnings passed over in one thread alone.
+"""Warnings: the line to which one points, and those passed over in one thread alone.
 
 warnings.catch_warnings changes the filters of all threads, and may leave them changed.
 """
 
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -38,3 +39,15 @@ def quiet() -> Iterator[None]:
         yield
     finally:
         IS_QUIET.reset(before)
+
+
+def outside_minimd() -> int:
+    """The stacklevel with which a warning of the calling function points to the first
+    frame outside minimd and contextlib."""
+    frame, level = sys._getframe(1), 1
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in (
+        "minimd",
+        "contextlib",
+    ):
+        frame, level = frame.f_back, level + 1
+    return level

@@ -6,8 +6,9 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.bench.engines import TimedEngine
-from minimd.bench.outcome import DisagreementError, tell, threads_text
+from minimd.structure.errors import HandOverError
+from minimd_bench.engines import TimedEngine
+from minimd_bench.outcome import tell, threads_text
 
 # allowed relative difference of energies at step 0: rounding of single precision; GROMACS sums 32 000 atoms to 2e-5
 SAME_START = 5e-5
@@ -30,7 +31,7 @@ def check_agreement(engines: Sequence[TimedEngine], n_atoms: int, scatter: float
 
     The total energy alone does not show a wrong time step, because it is conserved. The potential energy of a melting
     crystal does. scatter : further difference allowed after these steps, for engines with random numbers of their own
-    [ε per atom]. Raises DisagreementError if an engine differs from the first.
+    [ε per atom]. Raises HandOverError if an engine differs from the first.
     """
     _compare("potential energy at step 0", [(e, e.potential_energy()) for e in engines], relative=SAME_START)
     for engine in engines:
@@ -89,7 +90,7 @@ def _compare(
     first, expected = energies[0]
     for engine, energy in energies[1:]:
         if not abs(energy - expected) <= relative * abs(expected) + absolute:
-            raise DisagreementError(f"{quantity}: {label(first)} has {expected:.8g}, {label(engine)} has {energy:.8g}")
+            raise HandOverError(f"{quantity}: {label(first)} has {expected:.8g}, {label(engine)} has {energy:.8g}")
 
 
 def _seconds(engine: TimedEngine, n_steps: int) -> float:

@@ -1,62 +1,18 @@
-"""Where a run meets its user: the progress bar, Ctrl-C between steps, the line of a warning, and that of charges."""
+"""Signals during a run: Ctrl-C, SIGTERM and SIGHUP stop it between two steps."""
 
 import signal
 import sys
 import threading
-import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn, Protocol
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from minimd.structure.checks import checked_flag
-
-NO_ELECTROSTATICS = "minimd has no electrostatics yet"
-TENTHS = 10
 # Windows has no SIGHUP
 SIGNALS = [number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None)) is not None]
 # handlers that nobody has set; the command `minimd` adds its own
 DEFAULT_HANDLERS: list[Any] = [signal.SIG_DFL, signal.default_int_handler]
-
-
-@contextmanager
-def progress_of(
-    n_steps: int, label: str, show: bool | None = None, unit: str = "step"
-) -> Iterator[Callable[[int], Any]]:
-    """Show on standard error, or in a notebook, how much of n_steps is done;
-    yields a function to be called with the number of steps made.
-
-    unit : what is counted, if not steps.
-    show : True for a bar on a terminal or in a notebook, and ten lines elsewhere; False for nothing; None for a bar
-        where one is possible. Raises ValueError for anything else.
-    """
-    if show is not None:
-        checked_flag("progress", show)
-    has_bar, told = (sys.stderr is not None and sys.stderr.isatty()) or in_notebook(), 0
-
-    def tell_tenths(done: int) -> None:
-        nonlocal told
-        if show and done * TENTHS // n_steps > told:
-            told = done * TENTHS // n_steps
-            print(f"{label}: {unit} {done} of {n_steps}", file=sys.stderr, flush=True)
-
-    if show is False or not has_bar:
-        yield tell_tenths
-        return
-    from tqdm.auto import tqdm
-
-    with tqdm(total=n_steps, desc=label, unit=unit, unit_scale=True, file=sys.stderr) as bar:
-        yield lambda done: bar.update(done - bar.n)
-
-
-def in_notebook() -> bool:
-    """Whether this is the process of a notebook, where IPython talks to its user through a kernel."""
-    ipython = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
-    return hasattr(ipython, "kernel")
 
 
 class Stoppable(Protocol):
@@ -225,22 +181,3 @@ def raise_terminated(number: int, _frame: FrameType | None) -> NoReturn:
 
 
 DEFAULT_HANDLERS.append(raise_terminated)
-
-
-def outside_minimd() -> int:
-    """The stacklevel with which a warning of the calling function points to the first
-    frame outside minimd and contextlib."""
-    frame, level = sys._getframe(1), 1
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in (
-        "minimd",
-        "contextlib",
-    ):
-        frame, level = frame.f_back, level + 1
-    return level
-
-
-def warn_of_charges(charges: ArrayLike) -> None:
-    """Warn that the charges of atoms [e] are not used, unless all are zero."""
-    if (largest := np.abs(charges).max(initial=0.0)) > 0.0:
-        words = f"the charges of the atoms, up to {largest:.4g} e, are not used: {NO_ELECTROSTATICS}"
-        warnings.warn(words, stacklevel=outside_minimd())

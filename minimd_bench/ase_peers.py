@@ -11,14 +11,14 @@ from ase import Atoms
 from ase.calculators.lj import LennardJones
 from ase.md.verlet import VelocityVerlet
 
-from minimd.bench.scenes import CUTOFF, SHIFT, BenchScene, pairs_in_range
 from minimd.structure.ase_atoms import atoms_from_system
+from minimd_bench.scenes import CUTOFF, SHIFT, BenchScene, pairs_in_range
 
 ARGON = 18  # asap3 needs a chemical element; the masses are those of the scene
 
 
 class OnASE:
-    """An engine on ASE's atoms and dynamics; see minimd.bench.engines.TimedEngine."""
+    """An engine on ASE's atoms and dynamics; see minimd_bench.engines.TimedEngine."""
 
     threads, precision = 1, "double"
 

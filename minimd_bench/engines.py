@@ -21,7 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import minimd as md
-from minimd.bench.scenes import (
+from minimd.lammps.model import Model
+from minimd.lammps.script import write_atoms
+from minimd_bench.scenes import (
     BOND_CONSTANT,
     BOND_LENGTH,
     CUTOFF,
@@ -33,8 +35,6 @@ from minimd.bench.scenes import (
     BenchScene,
     pairs_in_range,
 )
-from minimd.lammps.model import Model
-from minimd.lammps.script import write_atoms
 
 SHAKE_TOLERANCE = 1e-12  # of LAMMPS
 SKINS: Mapping[str, float] = {"chain": 0.4}  # σ, of LAMMPS' benchmark, where it is not that of the melt
@@ -288,13 +288,13 @@ class Peer(NamedTuple):
 
 
 def _on_ase(name: str, scene: BenchScene, _threads: int, timestep: float) -> TimedEngine:
-    from minimd.bench.ase_peers import ENGINES
+    from minimd_bench.ase_peers import ENGINES
 
     return ENGINES[name](scene, timestep)
 
 
 def _gromacs(scene: BenchScene, threads: int, timestep: float) -> TimedEngine:
-    from minimd.bench.gromacs import Gromacs
+    from minimd_bench.gromacs import Gromacs
 
     return Gromacs(scene, threads, timestep)
 

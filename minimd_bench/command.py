@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from minimd.commands.runs import at_least_one
 
 if TYPE_CHECKING:
-    from minimd.bench.outcome import Outcome
+    from minimd_bench.outcome import Outcome
 
 REPEATS, REPEATS_QUICK = 7, 3
 PEER_NAMES = "lammps, lammps-checked, lammps-tuned, lammps-shake, lammps-plain, lammps-omp, gromacs, openmm, ase, asap3"
@@ -89,7 +89,7 @@ def _add(benchmarks: Any, name: str, text: str) -> argparse.ArgumentParser:
 
 def bench(name: str, arguments: argparse.Namespace) -> None:
     """Run a benchmark, print its outcome, and write it with --out.  Raises as the benchmark."""
-    from minimd.bench.outcome import markdown, write
+    from minimd_bench.outcome import markdown, write
 
     if arguments.out:
         arguments.out.mkdir(parents=True, exist_ok=True)
@@ -101,9 +101,9 @@ def bench(name: str, arguments: argparse.Namespace) -> None:
 
 def _outcome(name: str, given: argparse.Namespace, repeats: int) -> "Outcome":
     if name == "peers":
-        from minimd.bench.engines import PEERS
-        from minimd.bench.peers import BESIDE_SCENES, PeersOptions, run_peers
-        from minimd.bench.scenes import SCENES
+        from minimd_bench.engines import PEERS
+        from minimd_bench.peers import BESIDE_SCENES, PeersOptions, run_peers
+        from minimd_bench.scenes import SCENES
 
         cells = given.cells or ((5, 10) if given.quick else (5, 10, 20, 40))
         options = PeersOptions((given.scene,), cells, given.threads, given.peers, repeats)
@@ -113,14 +113,14 @@ def _outcome(name: str, given: argparse.Namespace, repeats: int) -> "Outcome":
             options = options._replace(scenes=scenes, cells=cells, threads=given.threads or (1,), peers=peers)
         return run_peers(options)
     if name == "work-precision":
-        from minimd.bench.work_precision import run_work_precision
+        from minimd_bench.work_precision import run_work_precision
 
         return run_work_precision(given.scenes, given.quick, repeats)
     if name == "scene":
-        from minimd.bench.ingredients import run_ingredients
+        from minimd_bench.ingredients import run_ingredients
 
         return run_ingredients(given.cells, repeats)
-    from minimd.bench.scaling import run_scaling
+    from minimd_bench.scaling import run_scaling
 
     return run_scaling(given.threads, given.quick, repeats)
 

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.bench.engines import PEERS, Minimd, TimedEngine
-from minimd.bench.memory import FROM_ATOMS, bytes_per_atom
-from minimd.bench.outcome import (
+from minimd.compiled.machine import available_cores
+from minimd_bench.engines import PEERS, Minimd, TimedEngine
+from minimd_bench.memory import FROM_ATOMS, bytes_per_atom
+from minimd_bench.outcome import (
     MOST_CURVES,
     End,
     bars,
@@ -21,9 +22,8 @@ from minimd.bench.outcome import (
     tell,
     threads_text,
 )
-from minimd.bench.scenes import MELT, SCENES, BenchScene, equilibrated
-from minimd.bench.turns import check_agreement, take_turns, warm_up
-from minimd.compiled.machine import available_cores
+from minimd_bench.scenes import MELT, SCENES, BenchScene, equilibrated
+from minimd_bench.turns import check_agreement, take_turns, warm_up
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -92,7 +92,7 @@ class PeersOptions(NamedTuple):
 def run_peers(options: PeersOptions) -> "Peers":
     """Measure one scene and one size after the other; progress is printed to standard error.
 
-    Raises ValueError for options that do not fit, or if a peer does not start.  DisagreementError as check_agreement.
+    Raises ValueError for options that do not fit, or if a peer does not start.  HandOverError as check_agreement.
     """
     check_options(options)
     peers, texts = _peers(options), {name: SCENES[name](min(options.cells)).text for name in options.scenes}

@@ -15,7 +15,7 @@ import numpy as np
 from MDAnalysis import Universe
 
 import minimd as md
-from minimd.bench.scenes import CUTOFF, BenchScene
+from minimd_bench.scenes import CUTOFF, BenchScene
 
 PROGRAM = "gmx"
 # kJ/mol/ps, the drift that GROMACS allows from its list; with the default, 0.005, it drifts a thousand times more than
@@ -62,7 +62,7 @@ A {n_atoms}
 
 class Gromacs:
     """GROMACS' leapfrog in mixed precision, with a list that is as safe as minimd's;
-    see minimd.bench.engines.TimedEngine."""
+    see minimd_bench.engines.TimedEngine."""
 
     precision = "mixed"
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import minimd as md
-from minimd.bench.engines import Minimd
-from minimd.bench.outcome import bars, spread, summary, table, tell
-from minimd.bench.scenes import (
+from minimd_bench.engines import Minimd
+from minimd_bench.outcome import bars, spread, summary, table, tell
+from minimd_bench.scenes import (
     CUTOFF,
     MELT_TEMPERATURE,
     SCENES,
@@ -23,7 +23,7 @@ from minimd.bench.scenes import (
     melt,
     pairs_in_range,
 )
-from minimd.bench.turns import take_turns, warm_up
+from minimd_bench.turns import take_turns, warm_up
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

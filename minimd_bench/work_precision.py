@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import minimd as md
-from minimd.bench import engines
-from minimd.bench.outcome import MOST_CURVES, End, name_curves, new_figure, table, tell
-from minimd.bench.scenes import CUTOFF, SCENES, BenchScene, equilibrated
 from minimd.integrators.methods import IMPLICIT, SPLITTINGS
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.potentials.truncation import TruncationName
 from minimd.structure.errors import ConvergenceError
+from minimd_bench import engines
+from minimd_bench.outcome import MOST_CURVES, End, name_curves, new_figure, table, tell
+from minimd_bench.scenes import CUTOFF, SCENES, BenchScene, equilibrated
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

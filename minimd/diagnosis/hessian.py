@@ -50,8 +50,8 @@ def stiffest_bond(system: System, potentials: Sequence[Any], constraint_set: Con
     found: list[StiffBond] = []
     for potential in potentials:
         if isinstance(potential, HarmonicBond):
-            pairs = potential.pairs_in(system)
-            squares = potential.parameters[0] * constraint_set.inverse_masses[pairs].sum(axis=1)
+            pairs = potential.groups_in(system)
+            squares = potential.numbers()["k"] * constraint_set.inverse_masses[pairs].sum(axis=1)
             squares[among(pairs, constraint_set.bonds.pairs if constraint_set.bonds else pairs[:0])] = 0.0
             found += [
                 StiffBond(int(pairs[b, 0]), int(pairs[b, 1]), float(squares[b]))

@@ -22,7 +22,7 @@ from minimd.forces.forces import Forces, Potential
 from minimd.integrators.splitting.linear_stability import accurate_step, stability_limit
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.verlet import VelocityVerlet
-from minimd.potentials.bonded import BondPotential
+from minimd.potentials.bonded import Bond
 from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.lennard_jones import curvature_at_minimum
 from minimd.potentials.pair import PairPotential
@@ -247,9 +247,7 @@ def _stretched(
     curvature: Curvature, system: System, potentials: Sequence[Potential], mode: NDArray[np.float64]
 ) -> tuple[int, int] | None:
     """The bond whose stretching by itself makes up more than half of the mode, if there is one."""
-    pairs = np.concatenate(
-        [system.bonds, *(one.pairs_in(system) for one in potentials if isinstance(one, BondPotential))]
-    )
+    pairs = np.concatenate([system.bonds, *(one.groups_in(system) for one in potentials if isinstance(one, Bond))])
     at_most = np.argsort(-np.einsum("ij,ij->i", mode, mode))[:SHOWN_ATOMS]
     near = pairs[np.isin(pairs, at_most).all(axis=1)]
     parts = np.einsum("bij,ij->b", curvature.stretching(near), mode) ** 2

@@ -12,7 +12,7 @@ from minimd.console.quiet import quiet
 from minimd.console.words import shown
 from minimd.forces.forces import Forces
 from minimd.forces.options import Options
-from minimd.potentials.bonded import BondPotential
+from minimd.potentials.bonded import Bond
 from minimd.potentials.law import law_at
 from minimd.potentials.laws import FENELaw, HarmonicLaw, LennardJonesLaw
 from minimd.potentials.lennard_jones import curvature_at_minimum
@@ -109,7 +109,7 @@ def contacts(
     found: list[Contact] = []
     known = sorted(set(atoms))
     for potential in potentials:
-        if isinstance(potential, (PairPotential, BondPotential)):
+        if isinstance(potential, (PairPotential, Bond)):
             pairs = (
                 _near_pairs(potential, system, known)
                 if isinstance(potential, PairPotential)
@@ -144,16 +144,17 @@ def _near_pairs(potential: PairPotential, system: System, atoms: list[int]) -> I
                 yield atom, other, r, scale, tuple(numbers)
 
 
-def _bonds(potential: BondPotential, system: System, atoms: list[int]) -> Iterator[Pair]:
+def _bonds(potential: Bond, system: System, atoms: list[int]) -> Iterator[Pair]:
     """The bonds of some atoms."""
-    pairs = potential.pairs_in(system)
+    pairs = potential.groups_in(system)
     rows = np.flatnonzero(np.isin(pairs, atoms).any(axis=1))
     distances = np.linalg.norm(nearest_vectors(system.positions, system.cell, pairs[rows]), axis=1)
-    for (i, j), r, numbers in zip(pairs[rows].tolist(), distances, potential.table(len(pairs))[rows, 1:], strict=True):
-        yield i, j, float(r), 1.0, tuple(numbers.tolist())
+    numbers = [column[rows].tolist() for column in potential.columns("bonds", len(pairs))]
+    for (i, j), r, *own in zip(pairs[rows].tolist(), distances.tolist(), *numbers, strict=True):
+        yield i, j, r, 1.0, tuple(own)
 
 
-def _contact(potential: PairPotential | BondPotential, pair: Pair, inverse_mass: float) -> Contact:
+def _contact(potential: PairPotential | Bond, pair: Pair, inverse_mass: float) -> Contact:
     first, second, r, scale, numbers = pair
     u, f = law_at(potential.law, r, numbers)
     high, low = (-(1.0 + h) * law_at(potential.law, r * (1.0 + h), numbers)[1] for h in (STEP, -STEP))
@@ -164,7 +165,7 @@ def _contact(potential: PairPotential | BondPotential, pair: Pair, inverse_mass:
         rest = curvature_at_minimum(epsilon, length)
     elif isinstance(potential.law, HarmonicLaw):
         rest, length = numbers
-    is_bond, is_users = isinstance(potential, BondPotential), is_user_law(potential.law) or reads_table(potential.law)
+    is_bond, is_users = isinstance(potential, Bond), is_user_law(potential.law) or reads_table(potential.law)
     kind = type(potential).__name__, is_bond, is_users
     frequency, at_rest = (sqrt(k * inverse_mass) if 0.0 < k < inf else None for k in (scale * curvature, scale * rest))
     deeper, pull = law_at(potential.law, 0.5 * r, numbers)

@@ -11,6 +11,7 @@ from minimd.forces.pair_laws import PairLaws
 from minimd.forces.pair_list_term import PairListTerm
 from minimd.potentials.laws import Scaled
 from minimd.potentials.links import FixedPairs
+from minimd.potentials.pair_loop import from_table
 from minimd.potentials.term import Term
 from minimd.structure.system import System
 
@@ -45,4 +46,4 @@ def scaled_terms(system: System, laws: PairLaws) -> Iterator[Term]:
                 rows = one.table[species[:, 0], species[:, 1]]
                 factors = np.full(len(rows), factor)  # the first parameter of Scaled
                 rows = np.column_stack([rows[:, 0], factors, rows[:, 1:]])
-                yield FixedPairs(pairs, Scaled(one.law), rows)
+                yield FixedPairs(pairs, Scaled(one.law), from_table(rows))

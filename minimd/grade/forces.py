@@ -226,11 +226,11 @@ def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
     Bonds without pairs join the two atoms if there are two.  Raises ValueError if there are more.
     """
     from minimd.forces.evaluation import evaluate
-    from minimd.potentials.bonded import BondPotential
+    from minimd.potentials.bonded import Bond
     from minimd.structure.system import System
 
     bonds = None
-    if isinstance(potential, BondPotential) and potential.pairs is None:
+    if isinstance(potential, Bond) and potential.arguments()["pairs"] is None:
         if len(x) != 2:
             raise ValueError(f"{potential!r} does not say which of the {len(x)} atoms are bonded: give it pairs, such "
                              "as pairs=[[0, 1]], or "

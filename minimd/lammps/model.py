@@ -16,10 +16,10 @@ from minimd.engine.engine import Engine
 from minimd.lammps.box import Box
 from minimd.lammps.expression import energy_expression
 from minimd.lammps.rigid import Rigid
-from minimd.potentials import BondPotential, DihedralPotential, HarmonicAngle, PairPotential
-from minimd.potentials.laws import FENELaw, HarmonicLaw, LennardJonesLaw, MorseLaw
+from minimd.potentials import PairPotential
+from minimd.potentials.bonded import Bonded
+from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.pair import UNSCALED
-from minimd.potentials.torsion_laws import PeriodicLaw, RyckaertBellemansLaw
 from minimd.potentials.truncation import ForceShifted, Shifted
 from minimd.structure.bond_graph import among
 from minimd.structure.cell import Cell
@@ -34,17 +34,6 @@ REACH = 2.0  # in longest bonds: the distance up to which LAMMPS finds partners 
 SPECIAL = 0.5  # a factor, neither 0 nor 1, with which LAMMPS keeps the pairs and marks them, if those of styles differ
 # by truncation: the style of LAMMPS with the same
 LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smooth/linear"}
-GROUP_STYLES: dict[type, tuple[str, Callable[..., tuple[float, ...]]]] = {  # by law: the style, and its numbers
-    HarmonicLaw: ("harmonic", lambda k, length: (0.5 * k, length)),
-    MorseLaw: ("morse", lambda *same: same),
-    FENELaw: ("fene", lambda *same: same),
-    HarmonicAngle: ("harmonic", lambda k, angle: (0.5 * k, np.degrees(angle))),
-    PeriodicLaw: ("fourier", lambda k, n, phase: (1, k, n, np.degrees(phase))),
-    RyckaertBellemansLaw: (  # powers of −cos φ in minimd, of cos φ in LAMMPS
-        "nharmonic",
-        lambda *powers: (len(powers), *(-c if n % 2 else c for n, c in enumerate(powers))),
-    ),
-}
 
 
 class AtomTypes(NamedTuple):
@@ -184,18 +173,11 @@ class Model:
             self.pair_styles.append(self._pair_style(potential, system.species_names))
             self.smallest_cutoff = min(self.smallest_cutoff, potential.shortest_length)
             self.search = "nsq" if potential.cutoff == np.inf else self.search
-        elif isinstance(potential, BondPotential):
-            pairs = system.bonds if potential.pairs is None else potential.pairs
-            numbers = potential.table(len(pairs))[:, 1:]  # the first column is an infinite cutoff
-            self.bonds.add(pairs, numbers, partial(_coefficients, potential))
-        elif isinstance(potential, HarmonicAngle):
-            triples = system.angles if potential.triples is None else potential.triples
-            each = np.column_stack([np.broadcast_to(values, len(triples)) for values in (potential.k, potential.angle)])
-            self.angles.add(triples, each, partial(_coefficients, potential))
-        elif isinstance(potential, DihedralPotential):
-            quadruples = potential.quadruples_in(system)
-            each = np.column_stack(potential.columns(len(quadruples)))
-            self.dihedrals.add(quadruples, each, partial(_coefficients, potential))
+        elif isinstance(potential, Bonded) and potential.acts_on != "impropers":
+            found = potential.groups_in(system)
+            groups = {"bonds": self.bonds, "angles": self.angles, "dihedrals": self.dihedrals}[potential.acts_on]
+            each = np.column_stack(potential.columns(potential.acts_on, len(found)))
+            groups.add(found, each, partial(_coefficients, potential))
         else:
             raise _outside(potential, "pair potentials, bonds, harmonic angles and dihedrals")
 
@@ -281,13 +263,11 @@ def words(*numbers: float) -> str:
     return " ".join(f"{number:.17g}" for number in numbers)
 
 
-def _coefficients(potential: BondPotential | HarmonicAngle | DihedralPotential, row: list[float]) -> Style:
+def _coefficients(potential: Bonded, row: list[float]) -> Style:
     """Style and numbers of a bond, an angle or a dihedral.  Raises ValueError for a law that LAMMPS does not have."""
-    law = potential if isinstance(potential, HarmonicAngle) else potential.law
-    if type(law) in GROUP_STYLES:
-        style, numbers = GROUP_STYLES[type(law)]
-        return style, words(*numbers(*row))
-    if isinstance(potential, BondPotential):
+    if potential.lammps is not None:
+        return potential.lammps.name, words(*potential.lammps.numbers(*row))
+    if potential.acts_on == "bonds":
         return "lepton no_offset", f'0 "{energy_expression(potential.law, tuple(row))}"'
     raise _outside(potential, "periodic, OPLS and Ryckaert-Bellemans dihedrals")
 

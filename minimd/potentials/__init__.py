@@ -1,10 +1,13 @@
 """Laws u(r), their truncation and mixing, bonded terms, and the plain loops that apply them."""
 
-from minimd.potentials.angles import HarmonicAngle
-from minimd.potentials.bonded import BondPotential, FENEBond, HarmonicBond, MorseBond
-from minimd.potentials.dihedrals import (
+from minimd.potentials.bonded import (
+    BondPotential,
     DihedralPotential,
+    FENEBond,
+    HarmonicAngle,
+    HarmonicBond,
     HarmonicImproper,
+    MorseBond,
     OPLSDihedral,
     PeriodicDihedral,
     RyckaertBellemans,

@@ -14,16 +14,26 @@ from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import in_steps
 from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, without_cache
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, in_python, n_chunks_of, operation
-from minimd.console.words import shown
 from minimd.potentials.accumulators import force_along, is_too_large
-from minimd.potentials.each import Array
-from minimd.potentials.field_laws import ConstantLaw, RestraintLaw
+from minimd.potentials.declared import (
+    NOT_NEGATIVE,
+    Array,
+    Declared,
+    atoms,
+    declared,
+    number,
+    points,
+    stiffness,
+    vector,
+    vectors,
+    weight,
+)
 from minimd.potentials.law import evaluate_law
+from minimd.potentials.laws import ConstantLaw, RestraintLaw
 from minimd.potentials.pair_loop import ByPair, parameters_of_pair
-from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, OwnPotential, OwnTerm, Target, Term
+from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, OwnTerm, Target, Term
 from minimd.potentials.user_laws import is_recognized
 from minimd.structure.cell import minimum_image
-from minimd.structure.checks import checked_indices, checked_number, checked_numbers
 from minimd.structure.system import System
 
 NOWHERE = np.zeros((0, 3))
@@ -133,22 +143,21 @@ class FieldTerm(OwnTerm):
         return float(self._powers.sum())
 
 
-class OwnField(OwnPotential):
-    """Base class of fields.  atoms : (n,) int, those on which it acts; all if not given."""
-
-    atoms: NDArray[np.int64] | None
+class OnAtoms(Declared):
+    """Base class of fields, which act on some atoms."""
 
     def atoms_in(self, system: System) -> NDArray[np.int64]:
         """(n,) int, those on which it acts in a system.  Raises ValueError if they name missing atoms."""
-        if self.atoms is None:
+        own: NDArray[np.int64] | None = getattr(self, "atoms", None)
+        if own is None:
             return np.arange(len(system))
-        if self.atoms.max(initial=-1) >= len(system):
+        if own.max(initial=-1) >= len(system):
             name, last = type(self).__name__, len(system) - 1
-            raise ValueError(f"atoms of {name} must be atoms 0 to {last}; they name atom {self.atoms.max()}")
-        return self.atoms
+            raise ValueError(f"atoms of {name} must be atoms 0 to {last}; they name atom {own.max()}")
+        return own
 
 
-class ConstantForce(OwnField):
+class ConstantForce(OnAtoms):
     """A constant force F on atoms, u = −F·r; r is never wrapped: u changes steadily as an atom is pulled through cells.
 
     Parameters
@@ -160,20 +169,16 @@ class ConstantForce(OwnField):
     ValueError : if a number is not finite, or shapes do not fit.
     """
 
-    def __init__(self, force: ArrayLike, atoms: ArrayLike | None = None) -> None:
-        self.force, self.atoms = checked_vectors("force", force), checked_atoms(atoms)
-
-    def arguments(self) -> dict[str, Any]:
-        """See OwnPotential."""
-        return {"force": self.force, "atoms": self.atoms}
+    force: ArrayLike = declared(vectors, "force")
+    atoms: ArrayLike | None = declared(atoms, default=None)
 
     def bind(self, system: System) -> Term:
         """The term of this force in a system.  Raises ValueError if atoms, or their forces, are missing."""
-        atoms = self.atoms_in(system)
-        return FieldTerm(atoms, ConstantLaw(), vector_columns("force", self.force, len(atoms)))
+        acting = self.atoms_in(system)
+        return FieldTerm(acting, ConstantLaw(), (*rows_of("force", self.force, len(acting)).T,))
 
 
-class Gravity(OwnField):
+class Gravity(OnAtoms):
     """Weight, F = m g, u = −m g·r.
 
     Parameters
@@ -185,26 +190,24 @@ class Gravity(OwnField):
     ValueError : if a number is not finite, or shapes do not fit.
     """
 
-    def __init__(self, acceleration: ArrayLike, atoms: ArrayLike | None = None) -> None:
-        given = checked_numbers("acceleration", acceleration, "one number, downwards, or three")
-        self.acceleration = checked_vectors("acceleration", [0.0, 0.0, -float(given)] if given.ndim == 0 else given)
-        self.atoms = checked_atoms(atoms)
-        if self.acceleration.ndim != 1:
-            shape = self.acceleration.shape
-            raise ValueError(f"acceleration must be one number, downwards, or three; its shape is {shape}")
-
-    def arguments(self) -> dict[str, Any]:
-        """See OwnPotential."""
-        return {"acceleration": self.acceleration, "atoms": self.atoms}
+    acceleration: ArrayLike = declared(weight, "acceleration")
+    atoms: ArrayLike | None = declared(atoms, default=None)
 
     def bind(self, system: System) -> Term:
         """The term of the weight of a system.  Raises ValueError if atoms do not exist."""
-        atoms = self.atoms_in(system)
-        weights = system.masses[atoms, None] * self.acceleration
-        return FieldTerm(atoms, ConstantLaw(), vector_columns("force", weights, len(atoms)))
+        acting = self.atoms_in(system)
+        return FieldTerm(acting, ConstantLaw(), (*np.outer(np.asarray(self.acceleration), system.masses[acting]),))
 
 
-class Restraint(OwnField):
+class Springs(OnAtoms):
+    """Base class of harmonic springs from atoms to points."""
+
+    def bind(self, system: System) -> Term:
+        """The term of these springs in a system.  Raises ValueError if atoms, or their points, are missing."""
+        return SpringTerm(self, self.atoms_in(system))
+
+
+class Restraint(Springs):
     """Harmonic springs from atoms to points, u = ½ Σ k_c (r − p)_c², c = x, y, z; r − p is that of the nearest image.
 
     Parameters
@@ -217,22 +220,12 @@ class Restraint(OwnField):
     ValueError : if k is negative, a number is not finite, or shapes do not fit.
     """
 
-    def __init__(self, k: ArrayLike, points: ArrayLike, atoms: ArrayLike | None = None) -> None:
-        self.k, self.points, self.atoms = checked_stiffness(k), checked_vectors("points", points), checked_atoms(atoms)
-
-    def arguments(self) -> dict[str, Any]:
-        """See OwnPotential."""
-        return {"k": self.k, "points": self.points, "atoms": self.atoms}
-
-    def bind(self, system: System) -> Term:
-        """The term of these springs in a system.  Raises ValueError if atoms, or their points, are missing."""
-        atoms = self.atoms_in(system)
-        points = np.stack(vector_columns("points", self.points, len(atoms)), axis=-1)
-        numbers = np.concatenate([np.broadcast_to(self.k, 3), np.zeros(3)])
-        return FieldTerm(atoms, RestraintLaw(), tuple(np.full(len(atoms), one) for one in numbers.tolist()), points)
+    k: ArrayLike = declared(stiffness, "stiffness", NOT_NEGATIVE)
+    points: ArrayLike = declared(points, "length")
+    atoms: ArrayLike | None = declared(atoms, default=None)
 
 
-class SteeredSpring(Restraint):
+class SteeredSpring(Springs):
     """Harmonic springs from atoms to moving points, p(t) = p + v (t' − start), with t' = t limited to [start, end].
 
     The work that moving the points does on the atoms, W = ∫ ∂u/∂t dt, is counted, and recorded as `work`.
@@ -247,49 +240,46 @@ class SteeredSpring(Restraint):
     ValueError : as Restraint, or if end is not after start.
     """
 
-    def __init__(
-        self,
-        k: ArrayLike,
-        points: ArrayLike,
-        velocity: ArrayLike,
-        atoms: ArrayLike | None = None,
-        *,
-        start: float = 0.0,
-        end: float = inf,
-    ) -> None:
-        super().__init__(k, points, atoms)
-        self.velocity, self.start = checked_vectors("velocity", velocity), checked_number("start", start)
-        self.end = inf if isinstance(end, float) and end == inf else checked_number("end", end)
-        if self.velocity.ndim != 1 or not self.end > self.start:
-            given = f"velocity = {shown(velocity)}, start = {start!r}, end = {end!r}"
-            raise ValueError(f"velocity must be three numbers, and end after start; {given}")
+    k: ArrayLike = declared(stiffness, "stiffness", NOT_NEGATIVE)
+    points: ArrayLike = declared(points, "length")
+    velocity: ArrayLike = declared(vector, "velocity")
+    atoms: ArrayLike | None = declared(atoms, default=None)
+    start: float = declared(number, "time", default=0.0, kw_only=True)
+    end: float = declared(number, "time", of=inf, default=inf, kw_only=True)
 
-    def arguments(self) -> dict[str, Any]:
-        """See OwnPotential."""
-        return {name: getattr(self, name) for name in ("k", "points", "velocity", "atoms", "start", "end")}
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.end > self.start:
+            raise ValueError(f"end must be after start; start = {self.start!r}, end = {self.end!r}")
 
     def points_at(self, time: float) -> Array:
         """p(t), of the shape of points [length]."""
-        moved: Array = self.points + self.velocity * (min(max(time, self.start), self.end) - self.start)
-        return moved
+        moved: Array = np.asarray(self.velocity) * (min(max(time, self.start), self.end) - self.start)
+        return np.asarray(self.points) + moved
 
     def bind(self, system: System) -> Term:
         """See Restraint."""
-        return _SteeredTerm(self, system)
+        return SteeredTerm(self, self.atoms_in(system))
 
 
-class _SteeredTerm(FieldTerm):
-    """A steered spring: before each evaluation its points move to where they are at that time."""
+class SpringTerm(FieldTerm):
+    """Springs on atoms, (n,) int."""
+
+    def __init__(self, springs: Any, acting: NDArray[np.int64]) -> None:
+        numbers = np.concatenate([np.broadcast_to(springs.k, 3), np.zeros(3)])  # the points are at rest
+        columns = (*np.repeat(numbers[:, None], len(acting), axis=1),)
+        super().__init__(acting, RestraintLaw(), columns, rows_of("points", springs.points, len(acting)))
+
+
+class SteeredTerm(SpringTerm):
+    """Steered springs: before each evaluation their points move to where they are at that time."""
 
     depends_on_time = True
     fits_grid = False  # its work is no whole number of steps
 
-    def __init__(self, spring: SteeredSpring, system: System) -> None:
-        atoms = spring.atoms_in(system)
-        self._spring, self._starts = spring, vector_columns("points", spring.points, len(atoms))
-        numbers = np.concatenate([np.broadcast_to(spring.k, 3), np.zeros(3)])
-        columns = tuple(np.full(len(atoms), one) for one in numbers.tolist())
-        super().__init__(atoms, RestraintLaw(), columns, np.stack(self._starts, axis=-1))
+    def __init__(self, spring: SteeredSpring, acting: NDArray[np.int64]) -> None:
+        super().__init__(spring, acting)
+        self._spring = spring
 
     def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
@@ -300,41 +290,13 @@ class _SteeredTerm(FieldTerm):
         spring = self._spring
         self.anchors[:] = spring.points_at(self.time)
         moves = spring.start <= self.time < spring.end
-        for column, v in zip(self.columns[3:], spring.velocity.tolist(), strict=True):
+        for column, v in zip(self.columns[3:], np.asarray(spring.velocity), strict=True):
             column[:] = v if moves else 0.0
 
 
-def checked_atoms(atoms: ArrayLike | None) -> NDArray[np.int64] | None:
-    """(n,) int, different atoms; None for None.  Raises ValueError for anything else."""
-    if atoms is None:
-        return None
-    found = checked_indices("atoms", atoms, "a list of atoms")
-    if found.ndim != 1 or found.min(initial=0) < 0 or len(np.unique(found)) < len(found):
-        raise ValueError(f"atoms must be a list of different atoms, from 0 on; atoms = {shown(found.tolist())}")
-    return found
-
-
-def checked_vectors(name: str, values: ArrayLike) -> Array:
-    """(3,) or (n, 3) finite numbers.  Raises ValueError for anything else."""
-    array = checked_numbers(name, values, "three numbers, or three for each atom")
-    if array.shape != (3,) and (array.ndim != 2 or array.shape[1] != 3):
-        raise ValueError(f"{name} must be three numbers, or three for each atom; its shape is {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite; {name} = {shown(array.tolist())}")
-    return array
-
-
-def checked_stiffness(k: ArrayLike) -> Array:
-    """One number or three, not negative.  Raises ValueError for anything else."""
-    array = checked_numbers("k", k, "one number, or three")
-    if array.shape not in ((), (3,)) or not (np.isfinite(array) & (array >= 0.0)).all():
-        raise ValueError(f"k must be one number or three, finite and not negative; k = {shown(array.tolist())}")
-    return array
-
-
-def vector_columns(name: str, vectors: Array, n: int) -> tuple[Array, ...]:
-    """The components of vectors for each of n atoms, (n,) each.  Raises ValueError for another number of vectors."""
+def rows_of(name: str, vectors: Any, n: int) -> Array:
+    """Vectors for each of n atoms, (n, 3).  Raises ValueError for another number of vectors."""
     if vectors.shape not in ((3,), (n, 3)):
         wanted = f"three numbers or ({n}, 3), one row for each atom"
         raise ValueError(f"{name} must be {wanted}; its shape is {vectors.shape}")
-    return tuple(np.array(np.broadcast_to(vectors[..., c], n)) for c in range(3))  # as columns_of
+    return np.array(np.broadcast_to(vectors, (n, 3)))

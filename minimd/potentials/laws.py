@@ -1,6 +1,16 @@
-"""The laws u(r), each written once, as a function of r² and its parameters."""
+"""The laws, each written once, as a function of its variable and its parameters.
 
-from math import exp, log, nan, sqrt
+    law(r2, …)         of a distance: u [energy] and −u′(r)/r [energy/length²]
+    law(phi, …)        of a dihedral angle [rad]: u [energy] and u′(φ) [energy/rad]
+    law(x, y, z, t, …) of fields: u [energy], the force on the atom [energy/length] and ∂u/∂t [energy/time]
+
+φ is zero where the first and the last atom lie on one side (cis), and π or −π where they lie on opposite sides (trans):
+IUPAC's convention. Laws of walls hold a law u(r) of the distance from the wall inside.
+"""
+
+from math import cos, exp, log, nan, pi, sin, sqrt
+
+import numpy as np
 
 from minimd.compiled.kernels import scalar
 from minimd.compiled.simd import select
@@ -97,7 +107,116 @@ def scaled(r2, law, parameters):
     return parameters[0] * u, parameters[0] * f
 
 
+@scalar
+def periodic(phi, k, n, phase):
+    """Periodic torsion.
+
+        u(φ)  = k [1 + cos(nφ − φ₀)]
+        u′(φ) = −n k sin(nφ − φ₀)
+
+    phi : dihedral angle [rad].  k : half the barrier [energy].  n : number of minima in a turn.  phase : φ₀ [rad].
+    Returns u [energy], u′ [energy/rad].
+    """
+    x = n * phi - phase
+    return k * (1.0 + cos(x)), -n * k * sin(x)
+
+
+@scalar
+def ryckaert_bellemans(phi, c0, c1, c2, c3, c4, c5):
+    """Torsion as a polynomial in the cosine of ψ = φ − π, which is zero if the chain is stretched (trans).
+
+        u(φ)  = Σ cₙ xⁿ,  x = cos ψ = −cos φ
+        u′(φ) = (Σ n cₙ xⁿ⁻¹) sin φ
+
+    phi : dihedral angle [rad].  c0 … c5 : [energy].  Returns u [energy], u′ [energy/rad].
+    J.-P. Ryckaert, A. Bellemans, Chem. Phys. Lett. 30, 123 (1975).
+    """
+    x = -cos(phi)
+    u = c0 + x * (c1 + x * (c2 + x * (c3 + x * (c4 + x * c5))))
+    slope = c1 + x * (2.0 * c2 + x * (3.0 * c3 + x * (4.0 * c4 + x * 5.0 * c5)))
+    return u, slope * sin(phi)
+
+
+@scalar
+def harmonic_torsion(phi, k, angle):
+    """Harmonic improper.
+
+        u(φ)  = ½ k x²,  x = φ − φ₀ minus the nearest multiple of 2π
+        u′(φ) = k x
+
+    phi : dihedral angle [rad].  k : stiffness [energy/rad²].  angle : φ₀ [rad].  Returns u [energy], u′ [energy/rad].
+    """
+    x = phi - angle
+    x -= 2.0 * pi * np.floor(x / (2.0 * pi) + 0.5)
+    return 0.5 * k * x * x, k * x
+
+
+@scalar
+def constant(x, y, z, _t, fx, fy, fz):
+    """Constant force: u = −F·r.  x, y, z : position [length].  fx, fy, fz : F [energy/length]."""
+    return -(fx * x + fy * y + fz * z), fx, fy, fz, 0.0
+
+
+@scalar
+def restraint(x, y, z, _t, kx, ky, kz, vx, vy, vz):
+    """Harmonic spring to a point that may move.
+
+        u = ½ (kₓ x² + k_y y² + k_z z²),   F = −(kₓ x, k_y y, k_z z),   ∂u/∂t = F·v
+
+    x, y, z : position relative to the point [length].  kx, ky, kz : stiffness [energy/length²].  vx, vy, vz :
+        velocity of the point [length/time].
+    """
+    fx, fy, fz = -kx * x, -ky * y, -kz * z
+    return -0.5 * (fx * x + fy * y + fz * z), fx, fy, fz, fx * vx + fy * vy + fz * vz
+
+
+@scalar
+def planar(x, law, rest):
+    """Wall in a plane: u(d) of the distance d = n·r − p, for 0 < d < reach; NaN on the wall and behind it.
+
+    x : first coordinate [length].  law : of d.  rest : (y, z, t, n, p, reach, *parameters of law); n is a unit vector,
+        three numbers.
+    """
+    y, z, nx, ny, nz, reach = rest[0], rest[1], rest[3], rest[4], rest[5], rest[7]
+    d = nx * x + ny * y + nz * z - rest[6]
+    if d >= reach:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    if not d > 0.0:
+        return nan, nan, nan, nan, 0.0
+    u, f = evaluate_law(law, d * d, rest[8:])
+    return u, f * d * nx, f * d * ny, f * d * nz, 0.0
+
+
+@scalar
+def curved(x, law, rest):
+    """Wall of a cylinder or a sphere, with atoms inside: u(d) of the distance d = R − ρ, for 0 < d < reach;
+    NaN on the wall and outside.
+
+    ρ = |r − (a·r) a| with r relative to a point on the axis; a = 0 makes it a sphere. The force points inwards,
+    along −(r − (a·r) a)/ρ.
+
+    x : first coordinate relative to the point [length].  law : of d.  rest : (y, z, t, a, R, reach,
+        *parameters of law); a is a unit vector or 0.
+    """
+    y, z, ax, ay, az, reach = rest[0], rest[1], rest[3], rest[4], rest[5], rest[7]
+    along = ax * x + ay * y + az * z
+    px, py, pz = x - along * ax, y - along * ay, z - along * az
+    rho = sqrt(px * px + py * py + pz * pz)
+    d = rest[6] - rho
+    if d >= reach:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    if not d > 0.0:
+        return nan, nan, nan, nan, 0.0
+    u, f = evaluate_law(law, d * d, rest[8:])
+    g = -f * d / rho if rho > 0.0 else 0.0
+    return u, g * px, g * py, g * pz, 0.0
+
+
 LennardJonesLaw, HarmonicLaw = law_type("LennardJonesLaw", lennard_jones), law_type("HarmonicLaw", harmonic)
 MorseLaw, FENELaw = law_type("MorseLaw", morse), law_type("FENELaw", fene)
 LennardJones93Law = law_type("LennardJones93Law", lennard_jones_93)
 Scaled = law_type("Scaled", scaled)
+PeriodicLaw, HarmonicTorsionLaw = law_type("PeriodicLaw", periodic), law_type("HarmonicTorsionLaw", harmonic_torsion)
+RyckaertBellemansLaw = law_type("RyckaertBellemansLaw", ryckaert_bellemans)
+ConstantLaw, RestraintLaw = law_type("ConstantLaw", constant), law_type("RestraintLaw", restraint)
+Planar, Curved = law_type("Planar", planar), law_type("Curved", curved)

@@ -30,7 +30,6 @@ from minimd.neighbors.clusters import DIMENSIONS
 from minimd.potentials.accumulators import as_force, force_along, is_too_large
 from minimd.potentials.lanewise import on_vectors
 from minimd.potentials.law import evaluate_law
-from minimd.potentials.pair_loop import from_table
 from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, OwnTerm, Target
 from minimd.potentials.user_laws import is_recognized
 from minimd.structure.cell import minimum_image
@@ -186,18 +185,18 @@ def _find_image(links, l, t, at):
 class LinkedTerm(OwnTerm):
     """Terms of one shape, each link taken at its nearest image.
 
-    first, second : (L, T) int, atoms of each link.  sites : (T, L + 1) int.  shape : from link_shape.
-    law : law type, which runs on vectors.  columns : (T,) numbers of each term, for each parameter.
-    n_slots, first_slot : its slots, see Slots.
+    sites : (T, L + 1) int, atoms of each term.  links : the columns of sites from which and to which each link leads.
+    shape : from link_shape.  law : law type, which runs on vectors.  columns : (T,) numbers of each term, for each
+    parameter.  n_slots, first_slot : its slots, see Slots.
     """
 
     fits_grid = True
 
-    def __init__(self, links: tuple[Any, Any], sites: Any, shape: tuple, law: tuple, columns: tuple[Any, ...]) -> None:
+    def __init__(self, sites: NDArray, links: Any, shape: tuple, law: tuple, columns: tuple[NDArray, ...]) -> None:
         self.lanes, self._sites, self.n_terms = lanes_for(), np.array(sites), len(sites)
         n_terms = self.n_terms
         full = np.minimum(np.arange(-(-n_terms // self.lanes.size) * self.lanes.size), n_terms - 1)
-        self.first, self.second = (np.array(ends, dtype=np.int32)[:, full] for ends in links)
+        self.first, self.second = (sites.T[list(ends)][:, full].astype(np.int32) for ends in zip(*links, strict=True))
         self._shape, self._law, self._columns = shape, law, tuple(column[full] for column in columns)
         self._translations = np.zeros(DIMENSIONS * self.first.size)
         self._loop = add_links if is_recognized(law) else without_cache(add_links)
@@ -228,13 +227,12 @@ class LinkedTerm(OwnTerm):
 
 class FixedPairs(LinkedTerm):
     """A law on pairs that never change.  pairs : (P, 2) int.  law : law type.
-    table : (P, 1 + n) numbers of each pair, the squared cutoff first."""
+    columns : (P,) numbers of each pair, the squared cutoff first."""
 
     ingredient = BOND_LOOP
 
-    def __init__(self, pairs: NDArray[np.int64], law: tuple, table: NDArray[np.float64]) -> None:
-        law = on_vectors(law, table.shape[1] - 1)
-        super().__init__((pairs[:, :1].T, pairs[:, 1:].T), pairs, Stretch(), law, from_table(table))
+    def __init__(self, pairs: NDArray[np.int64], law: tuple, columns: tuple[NDArray, ...]) -> None:
+        super().__init__(pairs, [(0, 1)], Stretch(), on_vectors(law, len(columns) - 1), columns)
 
 
 class Gathering(ByAddress, namedtuple("Gathering", "atoms start place slots forces n_chunks lanes")):

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from minimd.console.words import shown
-from minimd.potentials.each import Array, checked_each, columns_of
-from minimd.potentials.fields import FieldTerm, OwnField, checked_atoms
-from minimd.potentials.law import ACCURACY, agree, checked_law, evaluate_law
+from minimd.potentials.declared import Array, atoms, declared, own_law, own_parameters
+from minimd.potentials.fields import FieldTerm, OnAtoms
+from minimd.potentials.law import ACCURACY, agree, evaluate_law
 from minimd.potentials.term import Term
 from minimd.structure.system import System
 
@@ -22,7 +21,7 @@ TIMED = 5  # numbers that a law returns if its u depends on time
 STEP = 1e-5  # of a central difference, of the units of length and time
 
 
-class Field(OwnField):
+class Field(OnAtoms):
     """A user's field, u(x, y, z, t).
 
         def trap(x, y, z, t, k):
@@ -45,30 +44,23 @@ class Field(OwnField):
         or a u that changes with time where ∂u/∂t is not returned.
     """
 
-    def __init__(self, law: Callable, parameters: Sequence[ArrayLike] = (), atoms: ArrayLike | None = None) -> None:
-        if not isinstance(parameters, Sequence) or isinstance(parameters, str):
-            wanted = "a tuple with one entry for each parameter of the law"
-            raise TypeError(f"parameters must be {wanted}; parameters = {shown(parameters)}")
-        self.law = checked_law(law)
-        self.parameters = checked_each("atoms", {f"parameter {k}": values for k, values in enumerate(parameters)})
-        self.atoms = checked_atoms(atoms)
-
-    def arguments(self) -> dict[str, Any]:
-        """See OwnPotential."""
-        return {"law": type(self.law).python, "parameters": tuple(self.parameters.values()), "atoms": self.atoms}
+    law: Callable = declared(own_law)
+    parameters: Sequence[ArrayLike] = declared(own_parameters, default=())
+    atoms: ArrayLike | None = declared(atoms, default=None)
 
     def bind(self, system: System) -> Term:
         """The term of this field in a system.  Raises ValueError, TypeError as the class says."""
-        atoms = self.atoms_in(system)
-        columns = columns_of("atoms", self.parameters, len(atoms))
-        some = np.unique(np.linspace(0, len(atoms) - 1, TRIED).astype(int)) if len(atoms) else ()
-        tried = [_Tried(self.law, system.positions[atoms[k]], tuple(one[k].item() for one in columns)) for k in some]
+        acting = self.atoms_in(system)
+        columns = self.columns("atoms", len(acting))
+        law: Any = self.law
+        some = np.unique(np.linspace(0, len(acting) - 1, TRIED).astype(int)) if len(acting) else ()
+        tried = [_Tried(law, system.positions[acting[k]], tuple(one[k].item() for one in columns)) for k in some]
         faults = [fault for one in tried for time in TIMES for fault in one.wrong(time)]
         for k, sentence in faults:
             if 2 * sum(other == k for other, _ in faults) > len(tried) * len(TIMES):
                 raise ValueError(sentence)
         warning = next((words for one in tried if (words := one.repeats(system))), "")
-        term = FieldTerm(atoms, self.law, columns, warning=warning)
+        term = FieldTerm(acting, law, columns, warning=warning)
         term.depends_on_time = any(one.is_timed for one in tried)
         term.fits_grid = not term.depends_on_time  # its work is no whole number of steps
         return term

@@ -1,14 +1,20 @@
-"""The sections of a scene file for bonds, angles, dihedrals, impropers, fields, springs and walls:
-one row for each type of [[potential]]."""
+"""The sections of a scene file for declared laws: bonds, angles, dihedrals, impropers, fields, springs and walls.
+
+The type of a section is the name of the class, as harmonic-bond; its keys are the arguments. A length, an energy or
+another quantity that is not zero by default must be given, since units differ between scenes.
+"""
 
 import functools
 import operator
+import re
+from dataclasses import MISSING, fields
+from math import inf
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat, NonNegativeInt, create_model
 
 from minimd import potentials
-from minimd.potentials.walls import WallLaw
+from minimd.potentials import declared as law
 from minimd.scene.section import (
     Atoms,
     Dimension,
@@ -21,91 +27,31 @@ from minimd.scene.section import (
     Vector,
 )
 
-FieldOfSection = tuple[Any, Any]  # its type, and its default; ... if it must be given
-
-
-def quantity(kind: Any, dimension: str, default: Any = ...) -> FieldOfSection:
-    """A field for a quantity with this dimension."""
-    return Annotated[kind, Dimension(dimension)], default
-
-
-def stiffness(dimension: str) -> FieldOfSection:
-    """A field for a quantity that is not negative."""
-    return quantity(NotNegative, dimension)
-
-
-ENERGY, LENGTH, SIZE = stiffness("energy"), stiffness("length"), quantity(Positive, "length")
-PHASE, POINT = quantity(FiniteFloat, "angle", 0.0), quantity(Vector, "length")
-POINTS = quantity(Annotated[list[Vector], Field(min_length=1)], "length")
-PAIRS, TRIPLES = {"pairs": (list[PairOfAtoms] | None, None)}, {"triples": (list[TripleOfAtoms] | None, None)}
-QUADRUPLES, ATOMS = {"quadruples": (list[QuadrupleOfAtoms] | None, None)}, {"atoms": (Atoms | None, None)}
-WALL = {
-    "epsilon": ENERGY,
-    "sigma": SIZE,
-    "cutoff": quantity(Positive | None, "length", None),
-    "law": (WallLaw, "9-3"),
-    **ATOMS,
+NUMBERS = {law.NOT_NEGATIVE: NotNegative, law.POSITIVE: Positive, law.WHOLE: NonNegativeInt, law.ANGLE: NotNegative}
+GROUPS: dict[int, Any] = {2: list[PairOfAtoms], 3: list[TripleOfAtoms], 4: list[QuadrupleOfAtoms]}
+KINDS: dict[Any, Any] = dict.fromkeys((law.vector, law.vectors, law.weight, law.direction), Vector) | {
+    law.points: Annotated[list[Vector], Field(min_length=1)],
+    law.coefficients: Annotated[list[FiniteFloat], Field(min_length=1, max_length=law.MOST_COEFFICIENTS)],
+    law.atoms: Atoms,
 }
-SPRING = {"k": stiffness("stiffness"), "points": POINTS}
-COEFFICIENT, COEFFICIENTS = (
-    quantity(FiniteFloat, "energy"),
-    Annotated[list[FiniteFloat], Field(min_length=1, max_length=6)],
-)
-TIMES = {"start": quantity(FiniteFloat, "time", 0.0), "end": quantity(FiniteFloat | None, "time", None)}
 
-ROWS: dict[
-    str, tuple[type, dict[str, FieldOfSection]]
-] = {  # type in the scene: class of the potential, and fields, named as its arguments
-    "harmonic-bond": (potentials.HarmonicBond, {"k": stiffness("stiffness"), "length": LENGTH, **PAIRS}),
-    "morse-bond": (
-        potentials.MorseBond,
-        {"depth": ENERGY, "a": quantity(Positive, "inverse length"), "length": LENGTH, **PAIRS},
-    ),
-    "fene-bond": (
-        potentials.FENEBond,
-        {"k": stiffness("stiffness"), "longest": SIZE, "epsilon": ENERGY, "sigma": SIZE, **PAIRS},
-    ),
-    "harmonic-angle": (
-        potentials.HarmonicAngle,
-        {"k": stiffness("angular stiffness"), "angle": stiffness("angle"), **TRIPLES},
-    ),
-    "periodic-dihedral": (
-        potentials.PeriodicDihedral,
-        {"k": COEFFICIENT, "n": (NonNegativeInt, ...), "phase": PHASE, **QUADRUPLES},
-    ),
-    "opls-dihedral": (
-        potentials.OPLSDihedral,
-        {
-            "k1": COEFFICIENT,
-            "k2": COEFFICIENT,
-            "k3": COEFFICIENT,
-            "k4": quantity(FiniteFloat, "energy", 0.0),
-            **QUADRUPLES,
-        },
-    ),
-    "ryckaert-bellemans": (
-        potentials.RyckaertBellemans,
-        {"coefficients": quantity(COEFFICIENTS, "energy"), **QUADRUPLES},
-    ),
-    "harmonic-improper": (
-        potentials.HarmonicImproper,
-        {"k": stiffness("angular stiffness"), "angle": PHASE, **QUADRUPLES},
-    ),
-    "constant-force": (potentials.ConstantForce, {"force": quantity(Vector, "force"), **ATOMS}),
-    "gravity": (potentials.Gravity, {"acceleration": quantity(Vector, "acceleration"), **ATOMS}),
-    "restraint": (potentials.Restraint, {**SPRING, **ATOMS}),
-    "steered-spring": (
-        potentials.SteeredSpring,
-        {**SPRING, "velocity": quantity(Vector, "velocity"), **ATOMS, **TIMES},
-    ),
-    "wall": (potentials.Wall, {"point": POINT, "normal": (Vector, ...), **WALL}),
-    "cylinder-wall": (potentials.CylinderWall, {"point": POINT, "axis": (Vector, ...), "radius": SIZE, **WALL}),
-    "sphere-wall": (potentials.SphereWall, {"point": POINT, "radius": SIZE, **WALL}),
-}
+
+def key(asked: law.Parameter, default: Any) -> tuple[Any, Any]:
+    """Type and default of a field of a section; the default is ... if the key must be given."""
+    kind: Any = KINDS.get(asked.kind) or (NUMBERS.get(asked.demand, FiniteFloat))
+    if asked.kind is law.groups:
+        kind = GROUPS[asked.of]
+    elif asked.kind is law.choice:
+        kind = Literal[tuple(asked.of)]
+    if default in (None, inf):
+        kind, default = kind | None, None
+    elif default is MISSING or (asked.dimension and default != 0.0):
+        default = ...
+    return Annotated[kind, Dimension(asked.dimension)] if asked.dimension else kind, default
 
 
 class OfForces(Section):
-    """[[potential]] of one of the types in ROWS."""
+    """[[potential]] with one of the types in MADE."""
 
     def potential(self) -> Any:
         """The potential that the section describes."""
@@ -116,15 +62,24 @@ class OfForces(Section):
         }
         if len(given.get("points", ())) == 1:  # for all atoms
             given["points"] = given["points"][0]
-        return ROWS[self.type][0](**given)  # type: ignore[attr-defined]
+        return MADE[self.type](**given)  # type: ignore[attr-defined]
 
 
+MADE: dict[str, type[law.Declared]] = {  # by type
+    re.sub("(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", name).lower(): made
+    for name, made in vars(potentials).items()
+    if isinstance(made, type) and issubclass(made, law.Declared) and law.own_law not in made.kinds()
+}
 ForceSection = functools.reduce(
     operator.or_,
     (
-        create_model(
-            f"{made.__name__}Section", __base__=OfForces, __module__=__name__, type=(Literal[kind], ...), **fields
-        )  # type: ignore[call-overload]
-        for kind, (made, fields) in ROWS.items()
+        create_model(  # type: ignore[call-overload]
+            f"{made.__name__}Section",
+            __base__=OfForces,
+            __module__=__name__,
+            type=(Literal[kind], ...),
+            **{one.name: key(one.metadata["parameter"], one.default) for one in fields(made)},  # type: ignore[arg-type]
+        )
+        for kind, made in MADE.items()
     ),
 )

@@ -23,8 +23,8 @@ def saddle(x, y, z, t, k):
 
 
 BONDED = [
-    (lambda: md.FENEBond(-1.0, 1.5), ValueError, "k of a FENE bond", "-1.0"),
-    (lambda: md.PeriodicDihedral(1.0, 1.5), ValueError, "n,", "1.5"),
+    (lambda: md.FENEBond(-1.0, 1.5), ValueError, "k must", "-1.0"),
+    (lambda: md.PeriodicDihedral(1.0, 1.5), ValueError, "n must", "1.5"),
     (lambda: md.RyckaertBellemans([1.0] * 7), ValueError, "coefficients", "at most 6", "7"),
     (lambda: md.HarmonicImproper(1.0, 4.0), ValueError, "angle", "4.0"),
     (lambda: md.evaluate(LINE, md.PeriodicDihedral([1.0, 2.0], 1, 0.0, CHAINS)), ValueError, "k must", "7", "2"),

@@ -14,8 +14,7 @@ from minimd.constraints.constraint_set import ConstraintSet
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.diagnosis.run_report import pressure_lines
 from minimd.engine.record import SERIES, Record
-from minimd.files.h5md_opening import damage_told
-from minimd.files.h5md_reader import damage, velocities_of
+from minimd.files.h5md_reader import damage, damage_told, velocities_of
 from minimd.files.turned_cell import as_in_run
 from minimd.integrators import LangevinBAOAB
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of

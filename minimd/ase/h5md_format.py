@@ -10,8 +10,7 @@ import h5py
 from ase import Atoms
 from ase.calculators.singlepoint import SinglePointCalculator
 
-from minimd.files.h5md_opening import opened
-from minimd.files.h5md_reader import H5MDContents, read_file
+from minimd.files.h5md_reader import H5MDContents, opened, read_file
 from minimd.files.h5md_schema import STEPS, TRAJECTORY
 from minimd.structure.ase_atoms import atoms_from_system, calculators_stress
 

@@ -28,7 +28,7 @@ import stat
 import struct
 import sys
 import zlib
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 try:
@@ -64,16 +64,15 @@ class Claim:
     """
 
     def __init__(self, path: str | Path, is_new: bool = True, overwrite: bool = False) -> None:
-        self.name, self.path, self.is_new = str(path), Path(os.path.realpath(path)), is_new
-        self.place, is_there = (
-            self.path.with_name(f"{self.path.name}.begun") if is_new else self.path,
-            self.path.exists(),
-        )
+        self.name, self.path, self.is_new, self._replaced = str(path), Path(os.path.realpath(path)), is_new, -1
+        self.place, is_there = self.path, self.path.exists()
         if is_new and Path(path).is_symlink() and not is_there:
             raise OSError(errno.ENOENT, "it is a link to a file that does not exist; remove it, or choose another name")
         if is_new and is_there and not overwrite:
             raise FileExistsError(errno.EEXIST, "it exists; choose another name, or pass overwrite=True")
-        self.descriptor, self._replaced = new_file(self.place) if is_new else locked(self.place), -1
+        if is_new:
+            self.place = self.path.with_name(f"{self.path.name}.begun")
+        self.descriptor = new_file(self.place) if is_new else locked(self.place)
         try:
             if is_new and self.path.exists():
                 self._replaced = locked(self.path)
@@ -82,10 +81,7 @@ class Claim:
             raise
 
     def appear(self) -> None:
-        """Give a new file its name, unless it has it already.
-
-        Raises FileExistsError if another file took the name meanwhile.
-        """
+        """Give a new file its name, unless it has it already.  Raises FileExistsError if another file has taken it."""
         if not self.is_new:
             return
         os.fsync(self.descriptor)
@@ -158,13 +154,10 @@ def locked(path: Path, create: bool = False) -> int:
 def new_file(path: Path) -> int:
     """A descriptor of a new and empty regular file, locked. A link in its place is removed, and so is a file that a
     killed run has left.  Raises OSError as locked, and if another run is faster."""
-    with suppress(FileNotFoundError):
-        left = -1 if path.is_symlink() else locked(path)
-        try:
-            path.unlink()  # while it is locked, so that nobody else takes it for left
-        finally:
-            if left >= 0:
-                os.close(left)
+    with suppress(FileNotFoundError), ExitStack() as left:
+        if not path.is_symlink():
+            left.callback(os.close, locked(path))
+        path.unlink()  # while it is locked, so that nobody else takes it for left
     try:
         return _locked(os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | NO_LINK, 0o666), path)
     except FileExistsError:
@@ -192,10 +185,8 @@ def write_whole(file: Path, content: str | bytes) -> None:
 
 
 def regular(path: str | Path, flags: int) -> int:
-    """A descriptor of a regular file, also for open(path, opener=regular).
-
-    Raises OSError if it is anything else: a link is not followed, and a pipe is not waited for.
-    """
+    """A descriptor of a regular file, also for open(path, opener=regular).  Raises OSError if it is anything else:
+    a link is not followed, and a pipe is not waited for."""
     with suppress(FileNotFoundError):
         if not stat.S_ISREG(os.lstat(path).st_mode):
             raise OSError(errno.EINVAL, "it is not a regular file", str(path))
@@ -219,10 +210,8 @@ def _locked(descriptor: int, path: Path) -> int:
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a process holds the lock of a file; True also where this cannot be found out.
-
-    Raises OSError if the file cannot be opened.
-    """
+    """Whether a process holds the lock of a file; True also where this cannot be found out.  Raises OSError if the file
+    cannot be opened."""
     descriptor = os.open(path, os.O_RDONLY | NO_LINK)
     try:
         if fcntl is not None:
@@ -327,14 +316,14 @@ class JournaledFile(io.RawIOBase):
         self._committed, self._n_tail, self._pieces = self.size, 0, []
 
 
-def repair(path: str | Path) -> bool:
-    """Finish the last commit of a file, if it was interrupted; True if the file was changed.
+def repair(path: str | Path) -> None:
+    """Finish the last commit of a file, if it was interrupted.
 
     Raises OSError if a run is writing the file, or this process is not allowed to.
     """
     with open(path, "rb") as file:
         if _read_journal(file.fileno()) is None:
-            return False
+            return
     try:
         descriptor = locked(Path(os.path.realpath(path)))
     except OSError as error:
@@ -342,18 +331,14 @@ def repair(path: str | Path) -> bool:
             raise
         why = f"its last commit was interrupted, and cannot be finished here ({error.strerror})"
         raise OSError(error.errno, f"{why}; copy it to a folder of your own, and make the copy writable") from None
-    try:
-        return _finish(descriptor)
-    finally:
-        os.close(descriptor)
+    with open(descriptor, "rb"):
+        _finish(descriptor)
 
 
-def _finish(descriptor: int) -> bool:
-    """Carry out a complete journal at the end of a file; True if there was one."""
-    if (found := _read_journal(descriptor)) is None:
-        return False
-    _apply(descriptor, *found)
-    return True
+def _finish(descriptor: int) -> None:
+    """Carry out a complete journal at the end of a file, if there is one."""
+    if (found := _read_journal(descriptor)) is not None:
+        _apply(descriptor, *found)
 
 
 def _end(before: int, size: int, n_bytes: int, checksum: int) -> bytes:

@@ -109,7 +109,7 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     energies = {name: value for name, value in (first or {}).items() if name.endswith("energy")}
     known = {"noise_shift": engine.noise_shift, "first": energies or None, "growth": growth}
 
-    def describe(h5: Any) -> None:
+    def add(h5: Any) -> None:
         group = h5.create_group("minimd/crash_report")
         write_group(group.create_group("start"), *flattened(last._replace(state=start)))
         texts = {"findings": json.dumps(asdict(findings)), "words": str(findings), "simulation": json.dumps(known)}
@@ -120,8 +120,9 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
     try:
         if claim.path.name != part.name:
             raise OSError(f"{str(part)!r} is a link to another file; remove it")
-        writer = H5MDWriter(claim, engine, store_forces=True, every=every, n_frames=2, describe=describe)
+        writer = H5MDWriter(claim, engine, store_forces=True, every=every, n_frames=2)
         try:
+            writer.describe(add)
             for snapshot in (start, last.state):
                 engine.restore(snapshot)
                 engine.fit_images()

@@ -47,6 +47,7 @@ OBSERVERS, MARK = "minimd/observers", "observer."
 BLOCKS, DIGEST = "minimd/blocks", "digest"
 FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")  # groups; but for the above, they do not change
 NOTHING: Mapping[str, Any] = MappingProxyType({})
+STATE = {"step": int, "time": float, "reservoir_energy": float}  # numbers of a state; older files have no work
 
 
 class Restart(NamedTuple):
@@ -70,19 +71,19 @@ class Restart(NamedTuple):
 
 def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """A checkpoint as named arrays and numbers. Arrays that it does not have are left out."""
-    state, grid, lists = checkpoint.state, checkpoint.grid, checkpoint.lists
-    clock, (images, tolerance) = state.clock or (state.step, state.time), checkpoint.images or (None, 0.0)
+    state, lists, (images, tolerance) = checkpoint.state, checkpoint.lists, checkpoint.images or (None, 0.0)
+    clock = state.clock or (state.step, state.time)
     arrays: dict[str, Any] = {"positions": state.positions, "velocities": state.velocities, "images": images}
     cells = {"cell": state.cell} | {f"cell_of_list_{k}": one.cell for k, one in enumerate(lists)}
     for name, cell in cells.items():
         arrays |= {} if cell is None else {name: cell.vectors, f"{name}_reduction": cell.reduction}
     for k, one in enumerate(lists):
         arrays |= {f"list_{k}": one.positions, f"region_of_list_{k}": one.region}
-    numbers = {name: getattr(state, name) for name in ("step", "time", "reservoir_energy", "work")}
-    numbers |= {"displacement": checkpoint.displacement, "equilibrated": checkpoint.equilibrated}
+    numbers = {name: getattr(state, name) for name in (*STATE, "work")}
+    numbers |= {name: getattr(checkpoint, name) for name in ("displacement", "equilibrated")}
     numbers |= {"clock_step": clock[0], "clock_time": clock[1], "tolerance": tolerance}
     numbers |= {"skins": np.array([one.skin for one in lists])}
-    numbers |= {} if grid is None else {"grid": np.array([grid.length, grid.momentum, grid.energy])}
+    numbers |= {} if checkpoint.grid is None else {"grid": np.array([*vars(checkpoint.grid).values()])}
     return {name: array for name, array in arrays.items() if array is not None}, numbers
 
 
@@ -92,21 +93,21 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
     def cell(name: str) -> Cell | None:
         return Cell.of_reduction(arrays[name], arrays[f"{name}_reduction"]) if name in arrays else None
 
-    whole = {name: int(numbers[name]) for name in ("step", "clock_step", "equilibrated")}
-    real = {name: float(numbers[name]) for name in ("time", "clock_time", "reservoir_energy", "displacement")}
-    moving, clock = (arrays["positions"], arrays["velocities"]), (whole["clock_step"], real["clock_time"])
-    energy, work = real["reservoir_energy"], float(numbers.get("work", 0.0))
-    return Checkpoint(
-        state=Snapshot(whole["step"], real["time"], *moving, energy, clock, work, cell("cell")),
-        displacement=real["displacement"],
-        lists=tuple(
-            Built(float(skin), arrays.get(f"list_{k}"), cell(f"cell_of_list_{k}"), arrays.get(f"region_of_list_{k}"))
-            for k, skin in enumerate(numbers["skins"])
-        ),
-        images=(arrays["images"], float(numbers["tolerance"])) if "images" in arrays else None,
-        equilibrated=whole["equilibrated"],
-        grid=Grid(*map(float, numbers["grid"])) if "grid" in numbers else None,
+    def built(k: int, skin: float) -> Built:
+        return Built(skin, arrays.get(f"list_{k}"), cell(f"cell_of_list_{k}"), arrays.get(f"region_of_list_{k}"))
+
+    state = Snapshot(
+        **{name: kind(numbers[name]) for name, kind in STATE.items()},
+        positions=arrays["positions"],
+        velocities=arrays["velocities"],
+        clock=(int(numbers["clock_step"]), float(numbers["clock_time"])),
+        work=float(numbers.get("work", 0.0)),
+        cell=cell("cell"),
     )
+    lists = tuple(built(k, float(skin)) for k, skin in enumerate(numbers["skins"]))
+    images = (arrays["images"], float(numbers["tolerance"])) if "images" in arrays else None
+    grid = Grid(*map(float, numbers["grid"])) if "grid" in numbers else None
+    return Checkpoint(state, float(numbers["displacement"]), lists, images, int(numbers["equilibrated"]), grid)
 
 
 def write_restart(
@@ -295,9 +296,10 @@ def sign(h5: h5py.File) -> None:
     h5["minimd"].attrs[DIGEST] = np.uint32(_digest_of_description(h5))
 
 
-def is_signed(h5: h5py.File) -> bool:
-    """Whether the description is the one that was signed."""
-    return h5["minimd"].attrs.get(DIGEST) == _digest_of_description(h5)
+def check_description(h5: h5py.File) -> None:
+    """Raise ValueError unless the description is the one that was signed."""
+    if h5["minimd"].attrs.get(DIGEST) != _digest_of_description(h5):
+        raise ValueError("its description is not the one that was written")
 
 
 def _digest_of_description(h5: h5py.File) -> int:

@@ -33,9 +33,9 @@ from minimd.engine.record import SERIES, Record
 from minimd.files.claim import end_with, repair
 from minimd.files.h5md_digest import (
     OBSERVERS,
+    check_description,
     damaged_frames,
     damaged_restart,
-    is_signed,
     n_whole_frames,
     observers_of,
     read_restart,
@@ -128,19 +128,18 @@ def _strange_thing(h5: h5py.File) -> str:
             if kind != h5l.TYPE_HARD:
                 return f"{name!r} is a link by name, which may lead into another file"
             item = h5o.open(group, key)
-            is_second = (address := h5o.get_info(item).addr) in seen
+            is_group, is_second = isinstance(item, h5g.GroupID), (address := h5o.get_info(item).addr) in seen
+            if is_group and (is_second or name.count("/") >= DEEPEST):
+                return f"{name!r} is a group with a second name, or in more than {DEEPEST} others"
+            if is_second:
+                continue
             seen.add(address)
-            if isinstance(item, h5g.GroupID):
-                groups.append((f"{name}/", item))
-                if is_second or name.count("/") >= DEEPEST:
-                    return f"{name!r} is a group with a second name, or in more than {DEEPEST} others"
-            if not is_second:
-                words, n_bytes = _strange_in(item, name)
-                room -= n_bytes
-                if room < 0 and not words:
-                    words = f"with what precedes it would be larger than the file, by {-room} bytes"
-                if words:
-                    return f"{name!r} {words}"
+            groups += [(f"{name}/", item)] if is_group else []
+            words, n_bytes = _strange_in(item, name)
+            room -= n_bytes
+            if words or room < 0:
+                too_large = f"with what precedes it would be larger than the file, by {-room} bytes"
+                return f"{name!r} {words or too_large}"
     return ""
 
 
@@ -320,9 +319,7 @@ class H5MDContents(Displayed):
 
 
 def read_file(path: str | Path) -> H5MDContents:
-    """Read record, restart and description of a minimd file.
-
-    Checksums of description and restart are verified, those of frames in verify_frames.
+    """Read record, restart and description of a minimd file, and verify their checksums; see verify_frames for frames.
 
     Raises FileNotFoundError, OSError as opened, and OSError if it is damaged.  ValueError if it is not HDF5,
     or not written by minimd.
@@ -334,7 +331,7 @@ def read_file(path: str | Path) -> H5MDContents:
 def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
     """Record, restart and description of an open minimd file.  path : for messages.  Raises as read_file."""
     with damage_told(path):
-        _check_description(h5)
+        check_description(h5)
         n_frames, group, found = n_whole_frames(h5), h5["minimd"], read_restart(h5)
         state, at, observers = found.checkpoint.state, group.attrs, observers_of(h5, found)
         told = f"the newest restart in {path} is damaged; the one before it is used, of step {state.step}"
@@ -382,11 +379,8 @@ def velocities_of(path: str | Path, n_frames: int) -> Iterator[NDArray[np.float6
 
 
 def damage(path: str | Path) -> str:
-    """The frames, or else the restart, of a minimd file that are not as they were written, in words;
-    empty if there are none.
-
-    The whole file is read in a child process, which damaged bytes may crash.  Raises as read_file.
-    """
+    """The frames, or else the restart, of a minimd file that are not as they were written, in words; empty if there are
+    none. The whole file is read in a child process, which damaged bytes may crash.  Raises as read_file."""
     frames, restart = looked_at(path, partial(_damage, path))
     return frames or restart
 
@@ -401,14 +395,9 @@ def verify_frames(path: str | Path) -> None:
 def _damage(path: str | Path) -> tuple[str, str]:
     """The damaged frames and the damaged restart, in words; see damage."""
     with opened(path) as h5, damage_told(path):
-        _check_description(h5)
+        check_description(h5)
         n_frames, found = read_restart(h5).n_frames, n_whole_frames(h5)
         return damaged_frames(h5) or (f"frames from {found} on" if found < n_frames else ""), damaged_restart(h5)
-
-
-def _check_description(h5: h5py.File) -> None:
-    if not is_signed(h5):
-        raise ValueError("its description is not the one that was written")
 
 
 def _system(group: h5py.Group, restart: Checkpoint) -> System:

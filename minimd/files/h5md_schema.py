@@ -63,7 +63,6 @@ def columns(system: System, observables: list[str], store_forces: bool, spacing:
     """
     units = system.units
     angstrom, ps, kj_per_mol = units.to_angstrom, units.to_picosecond, units.to_kj_per_mol
-    seen = partial(partial, lambda name, at: at.observables[name])
     named = {name: getattr(units, SERIES.get(name) or "", "") for name in observables}
     at_edges = (lambda at: (at.cell or system.cell).vectors * angstrom) if has_edges(system.cell) else None
     at_forces = (lambda at: at.forces * (kj_per_mol / angstrom)) if store_forces else None
@@ -71,7 +70,7 @@ def columns(system: System, observables: list[str], store_forces: bool, spacing:
         ("minimd/time", units.time, lambda at: at.time),
         (STEPS, "", lambda at: at.step),
         (TIMES, "ps", lambda at: at.time * ps),
-        *((f"observables/{name}/value", unit, seen(name)) for name, unit in named.items()),
+        *((f"observables/{name}/value", unit, partial(_observed, name)) for name, unit in named.items()),
         (f"observables/{SPACING}/value", "ps", None if spacing is None else lambda _: spacing * ps),
         (f"{TRAJECTORY}/box/edges/value", "Angstrom", at_edges),
         (f"{TRAJECTORY}/velocity/value", "Angstrom ps-1", lambda at: at.velocities * (angstrom / ps)),
@@ -79,6 +78,10 @@ def columns(system: System, observables: list[str], store_forces: bool, spacing:
         (f"{TRAJECTORY}/position/value", "Angstrom", lambda at: at.positions * angstrom),
     ]
     return [Column(path, unit, entry) for path, unit, entry in rows if entry is not None]
+
+
+def _observed(name: str, at: Frame) -> Any:
+    return at.observables[name]
 
 
 def has_edges(cell: Cell) -> bool:

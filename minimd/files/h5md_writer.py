@@ -35,31 +35,6 @@ BLOCK_BYTES, MOST_FRAMES = 32 * 1024**2, 4096  # of a block of frames
 BESIDE = "beside."  # in the names of arrays that are kept with a restart
 
 
-class FrameBlock:
-    """Entries of the series of a file for frames that wait to be written, in memory that is reused:
-    allocating new memory would take longer than copying the frames.
-
-    columns : of the file.  frame : an example of the frames to come.  n_frames : number of frames in the block.
-    """
-
-    def __init__(self, columns: list[layout.Column], frame: Frame) -> None:
-        entries = {column.path: np.asarray(column.entry(frame)) for column in columns}
-        capacity = int(np.clip(BLOCK_BYTES // sum(entry.nbytes for entry in entries.values()), 1, MOST_FRAMES))
-        self.n_frames, self.columns, self._capacity = 0, columns, capacity
-        self._entries = {path: np.empty((capacity, *entry.shape), entry.dtype) for path, entry in entries.items()}
-
-    def take(self, frame: Frame) -> bool:
-        """Copy the entries of a frame; returns whether there is no room for another one."""
-        for column in self.columns:
-            self._entries[column.path][self.n_frames] = column.entry(frame)
-        self.n_frames += 1
-        return self.n_frames == self._capacity
-
-    def entries(self) -> dict[str, np.ndarray]:
-        """(n_frames, ...) for each series, by its path."""
-        return {path: entries[: self.n_frames] for path, entries in self._entries.items()}
-
-
 class H5MDWriter:
     """An H5MD file that takes frames: a new one, or one that goes on from its restart, see append_to.
 
@@ -70,7 +45,6 @@ class H5MDWriter:
     observers : of the run; their state is kept with each restart, and their results are written at the end of the run.
     bring_others : brings other trajectories to the disk before a restart;
         the marks that it returns are kept until the end of the run.
-    describe : writes what else the file holds, from its first commit on.
 
     Raises OSError if the file cannot be created or has no room.
     """
@@ -84,28 +58,32 @@ class H5MDWriter:
         observers: Sequence[Accumulator] = (),
         n_frames: int | None = None,
         bring_others: Callable[[Claim], list[bytes]] = lambda claim: [],
-        describe: Callable[[h5py.File], None] = lambda h5: None,
     ) -> None:
         self.claim, self._engine, self._method, self._store_forces = claim, engine, engine.method, store_forces
         self._observers, self._n_expected, self._bring_others = observers, n_frames, bring_others
         self._every: int | None = every  # None for a continued file that does not hold it
         self.marks: list[bytes] = []  # of other trajectories, in the restart from which a file is continued
-        self._pending: FrameBlock | None = None  # frames that are not yet in the file
-        self._n_frames = 0  # number of those that are
+        self._columns: list[layout.Column] = []
+        # of frames that wait to be written, by path: it is reused, because new memory would take longer than copying
+        self._room: dict[str, np.ndarray] = {}
+        self._n_frames, self._n_waiting = 0, 0  # in the file, and in memory
         self._last_step, self._next_flush = -1, -np.inf  # step of the frame taken last; time of the next flush [s]
         self._disk = JournaledFile(claim)
         self._h5 = admitted(h5py.File(self._disk, "w" if claim.is_new else "r+"), claim.name)
         try:
-            if not claim.is_new:
+            if claim.is_new:
+                self.describe(partial(layout.describe, engine=engine))
+                self.describe(partial(digest.describe_observers, observers=observers))
+            else:
                 self._continue()
-                return
-            with self._telling("begin"):
-                layout.describe(self._h5, engine)
-                digest.describe_observers(self._h5, observers)
-                describe(self._h5)
         except BaseException:
             self._give_up()
             raise
+
+    def describe(self, write: Callable[[h5py.File], None]) -> None:
+        """Let a function write what does not change into a file that has no frame yet.  Raises OSError as write."""
+        with self._telling("begin"):
+            write(self._h5)
 
     @classmethod
     def append_to(
@@ -175,69 +153,72 @@ class H5MDWriter:
             raise ValueError(f"trajectory {self.claim.name!r} is closed; it cannot take the frame of step {frame.step}")
         if frame.step == self._last_step:
             return
-        if self._pending is None:
+        if not self._room:
             spacing = None if self._every is None else self._every * self._engine.method.timestep
-            columns = layout.columns(self._engine.system, list(frame.observables), self._store_forces, spacing)
-            self._pending = FrameBlock(columns, frame)
-        is_full, self._last_step = self._pending.take(frame), frame.step
-        if is_full or monotonic() >= self._next_flush:
+            self._columns = layout.columns(self._engine.system, list(frame.observables), self._store_forces, spacing)
+            entries = {column.path: np.asarray(column.entry(frame)) for column in self._columns}
+            n_rows = int(np.clip(BLOCK_BYTES // sum(entry.nbytes for entry in entries.values()), 1, MOST_FRAMES))
+            self._room = {path: np.empty((n_rows, *entry.shape), entry.dtype) for path, entry in entries.items()}
+        for column in self._columns:
+            self._room[column.path][self._n_waiting] = column.entry(frame)
+        self._n_waiting, self._last_step = self._n_waiting + 1, frame.step
+        if self._n_waiting == len(self._room[layout.STEPS]) or monotonic() >= self._next_flush:
             self.checkpoint()
 
     def checkpoint(self) -> None:
-        """Write all frames, and the present state of the engine as the restart, to the disk.
-        Raises OSError as write."""
-        block, first = self._pending, self._n_frames
-        entries = block.entries() if block else {}
-        n_frames = first + (block.n_frames if block else 0)
+        """Write all frames, and the present state of the engine as the restart, to the disk.  Raises as write."""
+        first, n_frames = self._n_frames, self._n_frames + self._n_waiting
         if not self._h5 or n_frames == 0:
             return
-        started, step = monotonic(), entries[layout.STEPS][0] if n_frames > first else self._engine.step
+        entries = {path: room[: self._n_waiting] for path, room in self._room.items()} if n_frames > first else {}
+        started, step = monotonic(), entries[layout.STEPS][0] if entries else self._engine.step
         is_restart = self._engine.is_whole or first == 0
         marks = self._bring_others(self.claim) if is_restart else []
         with self._telling(f"take the frame of step {step}"), uninterrupted():
-            for column in block.columns if block and n_frames > first else ():  # repeated after an error: the same file
+            for column in self._columns if entries else ():  # repeated after an error, this gives the same file
                 series = layout.series_of(self._h5, column, entries[column.path][0], self._n_expected)
                 series.resize(n_frames, axis=0)
                 series[first:] = entries[column.path]
-            if n_frames > first:
+            if entries:
                 digest.add_block(self._h5, n_frames, entries)
-                if first == 0:
-                    digest.sign(self._h5)  # now that the series exist
+            if entries and first == 0:
+                digest.sign(self._h5)  # now that the series exist
             if self._method is not self._engine.method:
                 self._describe_method()
             if is_restart:
                 beside = {f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in enumerate(marks)}
                 beside |= digest.states_of(self._observers)
                 digest.write_restart(self._h5, self._engine.checkpoint(), n_frames, beside)
-            self._commit()
-            self._n_frames = n_frames
-            if block:
-                block.n_frames = 0
+            self._h5.flush()
+            self._disk.commit()
+            self._n_frames, self._n_waiting = n_frames, 0
         now = monotonic()
         self._next_flush = now + max(SECONDS_BETWEEN_FLUSHES, MOST_OFTEN * (now - started))
 
     def close(self) -> None:
         """Write the remaining frames, the restart of the present state and results of observers; close the file.
 
-        Nothing if it is closed or failed.
-
-        Raises OSError if they cannot be written.
+        Nothing if it is closed or failed.  Raises OSError if they cannot be written.
         """
+        if not self._h5:
+            return
         # whole files have no marks: nothing is to be cut off
         others, self._bring_others = self._bring_others, lambda claim: []
         try:
-            if self._h5:
-                others(self.claim)
+            others(self.claim)
         finally:
             try:
                 self.checkpoint()
-                if self._h5 and self._n_frames and self._observers:
+                if self._n_frames and self._observers:
                     with self._telling("take the answers of the observers"), uninterrupted():
                         digest.write_answers(self._h5, self._observers)
                         digest.sign(self._h5)
-                        self._commit()
+                        self._h5.flush()
+                        self._disk.commit()
             finally:
-                self._shut()
+                if self._h5:
+                    with self._telling("be closed"), uninterrupted():
+                        self._shut()
 
     def _describe_method(self) -> None:
         """Describe the method again: it may have been replaced."""
@@ -245,17 +226,12 @@ class H5MDWriter:
         digest.sign(self._h5)
         self._method = self._engine.method
 
-    def _commit(self) -> None:
-        self._h5.flush()
-        self._disk.commit()
-
     @contextmanager
     def _telling(self, what: str) -> Iterator[None]:
         """Turn an error into one sentence and close the file, which then is as it was at the last commit."""
         try:
             yield
         except (OSError, RuntimeError) as error:
-            self._pending = None
             self._give_up()
             failed = f"trajectory {self.claim.name!r} could not {what}"
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
@@ -267,15 +243,12 @@ class H5MDWriter:
 
     def _shut(self) -> None:
         """Close the file, for which HDF5 writes its tables, and commit them."""
-        if not self._h5:
-            return
-        with self._telling("be closed"), uninterrupted():
-            try:
-                self._h5.close()
-                if self._n_frames:
-                    self._disk.commit()
-            finally:
-                self.claim.release()
+        try:
+            self._h5.close()
+            if self._n_frames:
+                self._disk.commit()
+        finally:
+            self.claim.release()
 
 
 @contextmanager

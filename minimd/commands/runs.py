@@ -224,7 +224,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 def tell_next(files: Iterable[Path]) -> None:
     """Print the commands that check and show the files of a run."""
-    from minimd.scene.document import h5md_files
+    from minimd.document.document import h5md_files
 
     for file in h5md_files(files):
         print(

@@ -20,6 +20,7 @@ from minimd.forces.options import FIXED_POINT, Options, pool_for
 from minimd.forces.pair_laws import deepest
 from minimd.forces.planning import plan
 from minimd.neighbors.verlet_list import Built, VerletList
+from minimd.potentials.calculators import as_potentials
 from minimd.potentials.links import LinkedTerm, Slots
 from minimd.potentials.term import (
     BOND_LOOP,
@@ -29,7 +30,6 @@ from minimd.potentials.term import (
     Potential,
     Target,
     Term,
-    as_potentials,
     bound,
     check_force,
 )

@@ -8,9 +8,9 @@
         length: ArrayLike = declared(each, "length", NOT_NEGATIVE)
         pairs: ArrayLike | None = declared(groups, of=2, default=None)
 
-From it follow the constructor and its checks, repr, the section of a scene file (minimd.scene.force_sections) and its
-page, and the style of LAMMPS. The kinds of parameters are the functions below: each returns the value that is kept,
-or raises ValueError.
+From it follow the constructor and its checks, repr, the section of a scene file with its page
+(minimd.document.force_sections), and the style of LAMMPS. The kinds of parameters are the functions below: each returns
+the value that is kept, or raises ValueError.
 """
 
 from __future__ import annotations

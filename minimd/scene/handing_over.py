@@ -4,8 +4,8 @@ from pathlib import Path
 
 from minimd.diagnosis.report import conservation_report
 from minimd.lammps import HandOver, check_hand_over, hand_over
-from minimd.scene.document import Scene
 from minimd.scene.running import Tell, description, equilibrate, minimize
+from minimd.scene.scene import Scene
 
 
 def hand_over_scene(

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from minimd.console.signals import Terminated
+from minimd.document.document import h5md_files, stored
+from minimd.document.sections import PLOT_SUFFIXES
 from minimd.files.crash_file import crash_file_place
 from minimd.files.h5md_reader import read_file, verify_frames
 from minimd.files.h5md_schema import other_potentials
@@ -18,8 +20,7 @@ from minimd.files.trajectory import FORMATS, checked_output
 from minimd.integrators import StochasticCellRescaling
 from minimd.observers import Accumulator
 from minimd.potentials import PairPotential
-from minimd.scene.document import Scene, h5md_files, stored_scene
-from minimd.scene.sections import PLOT_SUFFIXES
+from minimd.scene.scene import Scene
 from minimd.simulation.simulation import Simulation
 from minimd.structure.constraints import FixedAtoms
 from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
@@ -118,8 +119,8 @@ def resume_run(
     """
     verify_frames(file)
     path, contents = Path(file), read_file(file)
-    stored = stored_scene(contents.scene, path) if contents.scene else None
-    given, scene = scene, scene or stored
+    known = stored(Scene, contents.scene, path) if contents.scene else None
+    given, scene = scene, scene or known
     if scene is None:
         resumed = f"sim = minimd.Simulation.resume({str(file)!r}, potentials)"
         raise ValueError(
@@ -134,7 +135,7 @@ def resume_run(
             f"the run in {str(file)!r} has reached the end of its scene: it is at step {contents.step}, dynamics.steps "
             f"= {end}; give the number of further steps with --steps"
         )
-    if stored is not None and (other := differences(stored, scene)):
+    if known is not None and (other := differences(known, scene)):
         tell("NOTE           the scene given replaces that of the run so far; frames before and after differ")
         tell("               in what is listed here:")
         for line in other:

@@ -93,6 +93,26 @@ def test_only_the_bridges_import_ase_and_mdanalysis():
             assert not roots & {"ase", "MDAnalysis"}, path
 
 
+def test_nobody_assigns_to_a_name_of_a_lower_floor():
+    """Neither to an attribute of what is imported from there nor by appending to a list of it."""
+    reached = []
+    for module, path in MODULES.items():
+        nodes = nodes_of(path)
+        imported = {
+            alias.asname or alias.name: node.module
+            for node in nodes
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in TOP
+            for alias in node.names
+            if floor_of(node.module) != floor_of(module)
+        }
+        for node in nodes:
+            is_set = isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store | ast.Del)
+            is_changed = isinstance(node, ast.Attribute) and node.attr in ("append", "extend", "insert", "update")
+            if (is_set or is_changed) and isinstance(node.value, ast.Name) and node.value.id in imported:
+                reached.append(f"{module}: {ast.unparse(node)}")
+    assert reached == []
+
+
 def test_imports_go_down_the_floors_and_not_in_circles():
     """Lazy and TYPE_CHECKING imports count; nobody is exempt."""
     imported = {module: {*imports(path)} for module, path in MODULES.items()}

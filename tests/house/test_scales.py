@@ -15,18 +15,19 @@ WIDEST, LONGEST_FILE, LONGEST_FUNCTION = 120, 600, 60
 ROAD, TESTS = "road of a step", "tests"
 # fmt: off
 ROWS = {  # lines, files, statements; what is not there is not weighed
-    "minimd": (366, 3, 151),
+    "minimd": (348, 3, 142),
     "analysis": (395, 4, 190),
-    "ase": (1049, 7, 528),
+    "ase": (945, 7, 475),
     "commands": (711, 4, 394),
     "compiled": (2182, 19, 1235),
     "console": (401, 6, 207),
     "constraints": (1426, 8, 852),
     "diagnosis": (2342, 11, 1244),
+    "document": (1084, 7, 560),
     "engine": (1269, 6, 772),
     "ensemble": (1792, 10, 1009),
     "files": (2932, 16, 1789),
-    "forces": (1562, 11, 950),
+    "forces": (1562, 11, 951),
     "grade": (3167, 14, 1774),
     "integrators": (5346, 34, 2611),
     "lammps": (1798, 10, 1032),
@@ -34,14 +35,14 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "minimization": (432, 3, 232),
     "neighbors": (1985, 12, 1220),
     "observers": (1983, 13, 1059),
-    "potentials": (3219, 18, 1599),
-    "scene": (1512, 9, 783),
-    "simulation": (774, 6, 367),
+    "potentials": (3334, 19, 1658),
+    "scene": (463, 4, 237),
+    "simulation": (753, 5, 358),
     "structure": (2299, 21, 1169),
-    "view": (556, 5, 244),
+    "view": (551, 5, 243),
     "minimd_bench": (2301, 13, 1246),
-    "road of a step": (3820, 14),
-    "tests": (20114,),
+    "road of a step": (3817, 14),
+    "tests": (20135,),
 }
 # fmt: on
 

@@ -14,8 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, FiniteFloat, NonNegativeInt, create_model
 
 from minimd import potentials
-from minimd.potentials import declared as law
-from minimd.scene.section import (
+from minimd.document.section import (
     Atoms,
     Dimension,
     NotNegative,
@@ -26,6 +25,7 @@ from minimd.scene.section import (
     TripleOfAtoms,
     Vector,
 )
+from minimd.potentials import declared as law
 
 NUMBERS = {law.NOT_NEGATIVE: NotNegative, law.POSITIVE: Positive, law.WHOLE: NonNegativeInt, law.ANGLE: NotNegative}
 GROUPS: dict[int, Any] = {2: list[PairOfAtoms], 3: list[TripleOfAtoms], 4: list[QuadrupleOfAtoms]}

@@ -1,4 +1,4 @@
-"""Running a scene from start to report, with a line about each stage."""
+"""Running a scene from start to report, with a line about each stage; or handing it over to LAMMPS for the run."""
 
 import json
 import tomllib
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from minimd.console.signals import Terminated
+from minimd.diagnosis.report import conservation_report
 from minimd.document.document import h5md_files, stored
 from minimd.document.sections import PLOT_SUFFIXES
 from minimd.files.crash_file import crash_file_place
@@ -18,6 +19,7 @@ from minimd.files.h5md_reader import read_file, verify_frames
 from minimd.files.h5md_schema import other_potentials
 from minimd.files.trajectory import FORMATS, checked_output
 from minimd.integrators import StochasticCellRescaling
+from minimd.lammps import HandOver, check_hand_over, hand_over
 from minimd.observers import Accumulator
 from minimd.potentials import PairPotential
 from minimd.scene.scene import Scene
@@ -340,3 +342,50 @@ def _how_to_go_on(written: Sequence[Path], end: int) -> str:
             left = end - read_file(file).step
             return f"; resume with: minimd resume {file} --steps {left}" if left > 0 else ""
     return ""
+
+
+def hand_over_scene(
+    scene: Scene,
+    folder: Path,
+    *,
+    steps: int | None = None,
+    processes: int = 1,
+    overwrite: bool = False,
+    progress: bool | None = None,
+    tell: Tell = print,
+) -> HandOver:
+    """Build a scene, minimize and equilibrate it, and let LAMMPS run it.
+
+    folder : for all files.  steps : in place of those of the scene.
+        Other arguments and errors are those of minimd.lammps.hand_over.
+    Raises ValueError, OSError also for a scene that cannot be built.
+    """
+    output, n_steps = scene.sections.output, scene.sections.dynamics.steps if steps is None else steps
+    simulation = scene.simulation()
+    for line in description(scene, simulation, n_steps):
+        tell(line)
+    check_hand_over(
+        simulation, folder, n_steps, processes=processes, every=output.every, overwrite=overwrite
+    )  # before the minimization begins
+    if scene.sections.observer:
+        tell(
+            "NOTE           the observers of the scene are not used: they work in runs of minimd only, and LAMMPS "
+            "makes this run"
+        )
+    minimize(scene, simulation, progress, tell)
+    equilibrate(scene, simulation, progress, tell)
+    done = hand_over(
+        simulation,
+        folder,
+        n_steps,
+        processes=processes,
+        every=output.every,
+        store_forces=output.forces,
+        overwrite=overwrite,
+        progress=progress,
+        tell=tell,
+    )
+    is_free = simulation.conserves_momentum
+    angular = is_free and not simulation.system.cell.is_periodic
+    tell(str(conservation_report(done.record, linear=is_free, angular=angular, n_dof=simulation.n_dof)))
+    return done

@@ -162,18 +162,9 @@ class OnAtoms(Declared):
 
 
 class ConstantForce(OnAtoms):
-    """A constant force F on atoms, u = −F·r; r is never wrapped: u changes steadily as an atom is pulled through cells.
+    """A constant force F on atoms, u = −F·r. r is never wrapped: u changes steadily as an atom is pulled along."""
 
-    Parameters
-    ----------
-    force : F, three numbers [energy/length], the same for all atoms, or (n, 3).  atoms : indices; all if not given.
-
-    Raises
-    ------
-    ValueError : if a number is not finite, or shapes do not fit.
-    """
-
-    force: ArrayLike = declared(vectors, "force")
+    force: ArrayLike = declared(vectors, "on each atom", "force")
     atoms: ArrayLike | None = declared(atoms, default=None)
 
     def bind(self, system: System) -> Term:
@@ -183,18 +174,9 @@ class ConstantForce(OnAtoms):
 
 
 class Gravity(OnAtoms):
-    """Weight, F = m g, u = −m g·r.
+    """Weight, F = m g, u = −m g·r."""
 
-    Parameters
-    ----------
-    acceleration : g, three numbers [length/time²]; or one, downwards along z.  atoms : indices; all if not given.
-
-    Raises
-    ------
-    ValueError : if a number is not finite, or shapes do not fit.
-    """
-
-    acceleration: ArrayLike = declared(weight, "acceleration")
+    acceleration: ArrayLike = declared(weight, "of free fall", "acceleration")
     atoms: ArrayLike | None = declared(atoms, default=None)
 
     def bind(self, system: System) -> Term:
@@ -212,20 +194,13 @@ class Springs(OnAtoms):
 
 
 class Restraint(Springs):
-    """Harmonic springs from atoms to points, u = ½ Σ k_c (r − p)_c², c = x, y, z; r − p is that of the nearest image.
+    """Harmonic springs from atoms to points, u = ½ Σ k_c (r − p)_c², c = x, y, z; r − p to the nearest image.
 
-    Parameters
-    ----------
-    k : stiffness [energy/length²], one number or three, one for each direction; 0 leaves a direction free.
-    points : p, (3,) one for all atoms, or (n, 3) [length].  atoms : indices; all if not given.
-
-    Raises
-    ------
-    ValueError : if k is negative, a number is not finite, or shapes do not fit.
+    k = 0 leaves a direction free.
     """
 
-    k: ArrayLike = declared(stiffness, "stiffness", NOT_NEGATIVE)
-    points: ArrayLike = declared(points, "length")
+    k: ArrayLike = declared(stiffness, "u = k (r − point)²/2", "stiffness", NOT_NEGATIVE)
+    points: ArrayLike = declared(points, "one for all atoms, or one for each", "length")
     atoms: ArrayLike | None = declared(atoms, default=None)
 
 
@@ -233,23 +208,15 @@ class SteeredSpring(Springs):
     """Harmonic springs from atoms to moving points, p(t) = p + v (t' − start), with t' = t limited to [start, end].
 
     The work that moving the points does on the atoms, W = ∫ ∂u/∂t dt, is counted, and recorded as `work`.
-
-    Parameters
-    ----------
-    k, points, atoms : as for Restraint; the points are those at the start.
-    velocity : v, three numbers [length/time].  start, end : of the motion [time], by the clock of the simulation.
-
-    Raises
-    ------
-    ValueError : as Restraint, or if end is not after start.
+    start and end are by the clock of the simulation.
     """
 
-    k: ArrayLike = declared(stiffness, "stiffness", NOT_NEGATIVE)
-    points: ArrayLike = declared(points, "length")
-    velocity: ArrayLike = declared(vector, "velocity")
+    k: ArrayLike = declared(stiffness, "u = k (r − point)²/2", "stiffness", NOT_NEGATIVE)
+    points: ArrayLike = declared(points, "at the start; one for all atoms, or one for each", "length")
+    velocity: ArrayLike = declared(vector, "of the points", "velocity")
     atoms: ArrayLike | None = declared(atoms, default=None)
-    start: float = declared(number, "time", default=0.0, kw_only=True)
-    end: float = declared(number, "time", of=inf, default=inf, kw_only=True)
+    start: float = declared(number, "of the motion of the points", "time", default=0.0, kw_only=True)
+    end: float = declared(number, "of it; never if not given", "time", of=inf, default=inf, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -320,22 +287,14 @@ class Field(OnAtoms):
 
         md.Field(trap, (2.0,))
 
-    Parameters
-    ----------
-    law : function law(x, y, z, t, *parameters) of the position of an atom, which is never wrapped [length], and the
-        time [time]. It returns u [energy] and the force, three numbers [energy/length]; and, if u depends on t, ∂u/∂t
-        [energy/time] as a fifth number, from which the work is counted. Plain Python, or compiled by numba.njit.
-    parameters : one entry for each parameter of the law: a number for all atoms, or an array with one number for each.
-    atoms : indices of the atoms on which it acts; all if not given.
-
-    Raises
-    ------
-    TypeError : for a law that is not a function, or does not return such numbers.  ValueError : for parameters that are
-        not finite or do not fit, and, when it is bound to a system, for a force that is not −∇u,
-        or a u that changes with time where ∂u/∂t is not returned.
+    law(x, y, z, t, *parameters) of the position of an atom, which is never wrapped [length], and the time [time]
+    returns u [energy] and the force, three numbers [energy/length]; and, if u depends on t, ∂u/∂t [energy/time] as a
+    fifth number, from which the work is counted. It is plain Python, or compiled by numba.njit. bind raises TypeError
+    for a law that does not return such numbers, ValueError for a force that is not −∇u, or a u that changes with time
+    where ∂u/∂t is not returned.
     """
 
-    law: Callable = declared(own_law)
+    law: Callable = declared(own_law, "law(x, y, z, t, *parameters)")
     parameters: Sequence[ArrayLike] = declared(own_parameters, default=())
     atoms: ArrayLike | None = declared(atoms, default=None)
 

@@ -23,7 +23,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "console": (401, 6, 207),
     "constraints": (1411, 6, 841),
     "diagnosis": (2341, 11, 1243),
-    "document": (1084, 7, 560),
+    "document": (1091, 7, 567),
     "engine": (1266, 6, 770),
     "ensemble": (1792, 10, 1009),
     "files": (2932, 16, 1789),
@@ -35,14 +35,14 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "minimization": (432, 3, 232),
     "neighbors": (1980, 12, 1215),
     "observers": (1983, 13, 1059),
-    "potentials": (3260, 16, 1611),
+    "potentials": (3122, 16, 1626),
     "scene": (457, 3, 234),
     "simulation": (753, 5, 358),
     "structure": (2299, 21, 1169),
     "view": (551, 5, 243),
     "minimd_bench": (2301, 13, 1246),
     "road of a step": (3845, 13),
-    "tests": (20135,),
+    "tests": (20165,),
 }
 # fmt: on
 

@@ -1,4 +1,4 @@
-"""Writes docs/scenes.md: every key of a scene file, with its unit and its default, from minimd/scene/sections.py.
+"""Writes docs/scenes.md: every key of a scene file, with its unit and its default, from minimd/document/sections.py.
 
     python docs/write_scenes.py
 
@@ -14,12 +14,12 @@ from pathlib import Path
 from annotated_types import Ge, Gt, MaxLen
 from pydantic_core import PydanticUndefined
 
+from minimd.document.section import KEY_UNITS, Dimension, Section
+from minimd.document.sections import METHODS, PLOT_SUFFIXES, SceneSections
 from minimd.integrators.splitting.barostats import COUPLINGS
 from minimd.observers import KINDS
 from minimd.potentials.pair import MIXING
 from minimd.potentials.truncation import TRUNCATIONS
-from minimd.scene.section import KEY_UNITS, Dimension, Section
-from minimd.scene.sections import METHODS, PLOT_SUFFIXES, SceneSections
 from minimd.structure.lattice import BASES
 
 PAGE = Path(__file__).parent / "scenes.md"
@@ -103,115 +103,6 @@ MEANINGS = {
         "truncation": "how the law goes to zero at the cutoff",
         "switch_start": 'where `"switched"`, `"charmm"` and `"smooth"` begin; 0.8 of the cutoff if not given',
         "bonded_scale": "factors for pairs one, two and three bonds apart",
-    },
-    "potential, harmonic-bond": {
-        "type": "of the potential",
-        "k": "u = k (r − length)²/2",
-        "length": "at rest",
-        "pairs": "of atoms; the bonds of the structure if not given",
-    },
-    "potential, harmonic-angle": {
-        "type": "of the potential",
-        "k": "u = k (θ − angle)²/2",
-        "angle": "at rest",
-        "triples": "of atoms, the middle one second; the angles of the structure file if not given",
-    },
-    "potential, morse-bond": {
-        "type": "of the potential",
-        "depth": "u = depth (1 − exp(−a (r − length)))²",
-        "a": "inverse width",
-        "length": "at rest",
-        "pairs": "of atoms; the bonds of the structure if not given",
-    },
-    "potential, fene-bond": {
-        "type": "of the potential",
-        "k": "u = −k longest² ln(1 − (r/longest)²)/2, and the repulsion",
-        "longest": "length that a bond cannot reach",
-        "epsilon": "of the repulsion, Lennard-Jones cut at its minimum; 0 for none",
-        "sigma": "of the repulsion",
-        "pairs": "of atoms; the bonds of the structure if not given",
-    },
-    "potential, periodic-dihedral": {
-        "type": "of the potential",
-        "k": "u = k (1 + cos(n φ − phase))",
-        "n": "minima in a turn",
-        "phase": "see k",
-        "quadruples": "of atoms; the dihedrals of the structure file if not given",
-    },
-    "potential, opls-dihedral": {
-        "type": "of the potential",
-        "k1": "u = k1 (1 + cos φ)/2 + …",
-        "k2": "… + k2 (1 − cos 2φ)/2 + …",
-        "k3": "… + k3 (1 + cos 3φ)/2 + …",
-        "k4": "… + k4 (1 − cos 4φ)/2",
-        "quadruples": "of atoms; the dihedrals of the structure file if not given",
-    },
-    "potential, ryckaert-bellemans": {
-        "type": "of the potential",
-        "coefficients": "c₀ to c₅ of u = Σ cₙ cosⁿ(φ − 180°)",
-        "quadruples": "of atoms; the dihedrals of the structure file if not given",
-    },
-    "potential, harmonic-improper": {
-        "type": "of the potential",
-        "k": "u = k (φ − angle)²/2",
-        "angle": "at rest, with its sign",
-        "quadruples": "of atoms; the impropers of the structure file if not given",
-    },
-    "potential, constant-force": {
-        "type": "of the potential",
-        "force": "on each atom",
-        "atoms": "on which it acts; all if not given",
-    },
-    "potential, gravity": {
-        "type": "of the potential",
-        "acceleration": "of free fall",
-        "atoms": "on which it acts; all if not given",
-    },
-    "potential, restraint": {
-        "type": "of the potential",
-        "k": "u = k (r − point)²/2",
-        "points": "one for all atoms, or one for each",
-        "atoms": "on which it acts; all if not given",
-    },
-    "potential, steered-spring": {
-        "type": "of the potential",
-        "k": "u = k (r − point)²/2",
-        "points": "at the start; one for all atoms, or one for each",
-        "velocity": "of the points",
-        "atoms": "on which it acts; all if not given",
-        "start": "of the motion of the points",
-        "end": "of it; never if not given",
-    },
-    "potential, wall": {
-        "type": "of the potential",
-        "point": "of the plane",
-        "normal": "of the plane, towards the atoms, of any length",
-        "epsilon": "strength of the wall",
-        "sigma": "range of the wall",
-        "cutoff": "distance from the wall from which on there is no force; none if not given",
-        "law": "of the distance d: ε [2/15 (σ/d)⁹ − (σ/d)³], or 4ε [(σ/d)¹² − (σ/d)⁶]; shifted to 0 at the cutoff",
-        "atoms": "on which it acts; all if not given",
-    },
-    "potential, cylinder-wall": {
-        "type": "of the potential",
-        "point": "on the axis",
-        "axis": "direction, of any length",
-        "radius": "of the cylinder; atoms are inside",
-        "epsilon": "strength of the wall",
-        "sigma": "range of the wall",
-        "cutoff": "distance from the wall from which on there is no force; none if not given",
-        "law": "of the distance d: ε [2/15 (σ/d)⁹ − (σ/d)³], or 4ε [(σ/d)¹² − (σ/d)⁶]; shifted to 0 at the cutoff",
-        "atoms": "on which it acts; all if not given",
-    },
-    "potential, sphere-wall": {
-        "type": "of the potential",
-        "point": "the center",
-        "radius": "of the sphere; atoms are inside",
-        "epsilon": "strength of the wall",
-        "sigma": "range of the wall",
-        "cutoff": "distance from the wall from which on there is no force; none if not given",
-        "law": "of the distance d: ε [2/15 (σ/d)⁹ − (σ/d)³], or 4ε [(σ/d)¹² − (σ/d)⁶]; shifted to 0 at the cutoff",
-        "atoms": "on which it acts; all if not given",
     },
     "dynamics": {
         "method": "of integration",
@@ -416,11 +307,12 @@ def rows(name: str, section: type[Section]) -> Iterator[str]:
             if dimension == "angle":
                 reduced = f"`{field}_degree`, {reduced}"
         kind = what(field, info.annotation, list(info.metadata))
-        if field not in MEANINGS[name]:
+        meaning = info.description or MEANINGS.get(name, {"type": "of the potential"}).get(field)
+        if meaning is None:
             raise KeyError(f"docs/write_scenes.py has no meaning for the key {field!r} of [{name}]; give it one there")
         cells = [
             " or ".join(f"`{key}`" for key in keys),
-            MEANINGS[name][field],
+            meaning,
             kind,
             units,
             reduced,

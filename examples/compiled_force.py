@@ -6,10 +6,9 @@ import numpy as np
 
 import minimd as md
 from minimd.compiled.by_address import ByAddress
-from minimd.compiled.fixed_point import in_steps
+from minimd.compiled.fixed_point import force_along, in_steps
 from minimd.compiled.kernels import DirectCalls, called_kernel
 from minimd.compiled.program import GO_ON, n_chunks_of, operation
-from minimd.potentials.accumulators import force_along
 from minimd.potentials.term import PER_ATOM, TOTALS, OwnTerm
 
 

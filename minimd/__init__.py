@@ -48,10 +48,9 @@ from minimd.potentials import (
     Tabulated,
     Wall,
 )
-from minimd.potentials.term import INTERPRETERS, Potential, Term
-from minimd.replay import potentials_of_scene, replay
+from minimd.potentials.term import Potential, Term
+from minimd.replay import replay
 from minimd.simulation.archiving import archive
-from minimd.simulation.calculators import interpret_calculator
 from minimd.simulation.simulation import Simulation
 from minimd.structure import lattice, units
 from minimd.structure.cell import Cell
@@ -59,12 +58,9 @@ from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.structure.errors import ConstraintError, ConvergenceError, NonFiniteError, RangeError
 from minimd.structure.grid import Grid
 from minimd.structure.system import System
-from minimd.view import view, view_record
+from minimd.view import view
 
 __version__ = version("minimd")
-Simulation.potentials_of_scene = staticmethod(potentials_of_scene)
-INTERPRETERS.append(interpret_calculator)
-Record.view = view_record
 __all__ = [
     "BondPotential",
     "Cell",

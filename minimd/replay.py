@@ -116,6 +116,8 @@ def replay(
     FileNotFoundError, OSError, ValueError : if the file is not a crash file, if it has no scene and no potentials are
         given, or if outputs exist or cannot be written.
     """
+    from minimd.document.document import potentials_of_scene  # pydantic is slow to load
+
     past = read_crash_report(file)
     frames, drawing = (
         _output(trajectory, Path(file), ".replay.h5md", overwrite),
@@ -162,22 +164,6 @@ def _output(wanted: str | Path | bool, file: Path, suffix: str, overwrite: bool)
             "the command"
         )
     return path
-
-
-def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Potential]:
-    """The potentials of the text of a scene.  words : the potentials of the run, for the message.
-    Raises ValueError if there is no scene."""
-    if not scene:
-        pass_them = (
-            "pass those of the script, as in minimd.replay(file, [...]), or give the command a scene that has "
-            "them with --scene"
-        )
-        raise ValueError(
-            f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; {pass_them}"
-        )
-    from minimd.scene.document import stored_scene
-
-    return stored_scene(scene, file).potentials()
 
 
 def _draw(rows: list[ReplayedStep], findings: CrashReport, units: UnitSystem, picture: Path) -> None:

@@ -155,10 +155,10 @@ files/h5md_digest.py: files/test_h5md files/test_trajectories files/test_interru
     for name in (RESTART, EARLIER): => for name in (EARLIER, RESTART):
     int(numbers["n_frames"]), arrays, name == EARLIER => int(numbers["n_frames"]), {}, name == EARLIER
 files/h5md_writer.py: files/test_h5md simulation/test_observables
-    self._entries[column.path][self.n_frames] = => self._entries[column.path][self.n_frames - 1] =
-files/journaled_file.py: files/test_h5md simulation/test_observables files/test_kills
-    max(start, self._committed) => min(start, self._committed)
-    is_changed = bool(self._pieces) or => is_changed = bool(self._pieces) and
+    self._room[column.path][self._n_waiting] = => self._room[column.path][self._n_waiting - 1] =
+files/claim.py: files/test_h5md simulation/test_observables files/test_kills
+    low, high = max(place, start), => low, high = min(place, start),
+    is_changed = bool(pieces) or => is_changed = bool(pieces) and
 observers/correlator.py: observers/test_observers
     past = (slot + p - j) % p => past = (slot + j) % p
     counts[level, first:n_kept] += 1.0 => counts[level, :n_kept] += 1.0

@@ -79,6 +79,11 @@ class Calculator(ASECalculator):
         self.reset()
 
     @property
+    def own_potentials(self) -> Potential | Sequence[Potential] | None:
+        """For minimd, which asks in place of this calculator; None if it has bonds of its own."""
+        return self._potentials if self.bonds is None else None
+
+    @property
     def n_builds(self) -> int:
         """How often a pair list was built since the atoms or potentials were last replaced by others."""
         return self._plan[1].n_builds if self._plan else 0

@@ -224,7 +224,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 def tell_next(files: Iterable[Path]) -> None:
     """Print the commands that check and show the files of a run."""
-    from minimd.scene.document import h5md_files
+    from minimd.document.document import h5md_files
 
     for file in h5md_files(files):
         print(
@@ -302,7 +302,7 @@ def lammps(arguments: argparse.Namespace) -> None:
     """Hand a scene over.  Raises as hand_over_scene."""
     from minimd.lammps.handing_over import TRAJECTORY
     from minimd.scene import load_scene
-    from minimd.scene.handing_over import hand_over_scene
+    from minimd.scene.running import hand_over_scene
 
     scene, quiet = load_scene(arguments.scene), arguments.quiet
     folder = arguments.out or Path(f"{scene.path.stem}-lammps")

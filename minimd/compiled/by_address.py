@@ -1,4 +1,7 @@
-"""Named tuples that kernels get by one address, not array by array with all sizes: they compile in half the time."""
+"""Named tuples that kernels get by one address, not array by array with all sizes: they compile in half the time.
+
+A kernel can call another one by its address, too, and does not contain it: that one is compiled only once.
+"""
 
 import functools
 from hashlib import sha256
@@ -10,7 +13,7 @@ import numpy as np
 from llvmlite import ir
 from numba import extending, types
 from numba.core import cgutils
-from numba.extending import NativeValue, models, typeof_impl
+from numba.extending import NativeValue, intrinsic, models, typeof_impl
 
 WORD = 8  # bytes of a number, an address or a size
 
@@ -142,3 +145,27 @@ def _word(builder, kind, address, place):
     read = builder.load(builder.inttoptr(at, kind.as_pointer()))
     read.set_metadata("invariant.load", builder.module.add_metadata([]))
     return read
+
+
+def _call(returned: types.Type):
+    """An intrinsic (address, arguments): calls a kernel that returns this. The arguments, a tuple, must be of the types
+    that DirectCalls.address was given; for a ByAddress its address will do."""
+
+    @intrinsic
+    def call(_context, address, arguments):
+        def generate(context, builder, signature, values):
+            kinds, convention = signature.args[1].types, context.call_conv
+            code = builder.inttoptr(values[0], convention.get_function_type(returned, kinds).as_pointer())
+            each = cgutils.unpack_tuple(builder, values[1], len(kinds))
+            status, result = convention.call_function(builder, code, returned, kinds, each)
+            with cgutils.if_unlikely(builder, status.is_error):
+                convention.return_status_propagate(builder, status)
+            return result
+
+        return returned(types.intp, arguments), generate
+
+    return call
+
+
+# of a kernel that returns a whole number, and of one that returns nothing
+call_at, run_at = _call(types.int64), _call(types.none)

@@ -6,6 +6,8 @@ pairs are summed as int64: all sums are right modulo 2⁶⁴, so the final one i
 Rounding uses the spacing of float64: from 2⁵² to 2⁵³ they are the whole numbers. Adding 1.5 · 2⁵² to a number between
 −2⁵¹ and 2⁵¹ rounds it to a whole number (of two equally near ones, to the even one), which is then in the lowest bits
 of the sum. −x is rounded to the opposite of what x is rounded to: so a force and its reaction stay opposite.
+
+Loops add float64 numbers (or vectors of them) where `steps` is (), and numbers rounded to a grid where it is Steps.
 """
 
 from collections import namedtuple
@@ -15,7 +17,7 @@ from numba import types
 from numba.extending import overload
 
 from minimd.compiled.kernels import by_type
-from minimd.compiled.simd import fma
+from minimd.compiled.simd import bits_from_mask, fma
 from minimd.compiled.simd.vector import MAGIC, Vector, as_floats, bits_of
 
 BIAS = int(np.float64(MAGIC).view(np.int64))
@@ -74,3 +76,37 @@ def is_fixed(steps: types.Type) -> bool:
 def in_steps(energy, steps):
     """An energy; on a grid rounded to a multiple of its step."""
     return (lambda energy, steps: on_grid(energy, steps.energy)) if is_fixed(steps) else lambda energy, steps: energy
+
+
+LIMIT2 = MOST**2  # square of the largest impulse, in steps of momentum: below it, whole_product is right
+
+
+@by_type
+def no_force(steps):
+    """Zero, of the type of the forces."""
+    return (lambda steps: np.int64(0)) if is_fixed(steps) else lambda steps: 0.0
+
+
+@by_type
+def force_along(f, x, steps):
+    """The component f x of a force; on a grid as an impulse, a whole number of steps of momentum."""
+    if is_fixed(steps):
+        return lambda f, x, steps: whole_product(f * steps.per_force[0], x)
+    return lambda f, x, steps: f * x
+
+
+@by_type
+def as_force(f, steps):
+    """A component of a force from force_along."""
+    return (lambda f, steps: as_float(f) / steps.per_force[0]) if is_fixed(steps) else lambda f, steps: f
+
+
+@by_type
+def is_too_large(size2, steps):
+    """Whether one of several forces may be too large for a grid.  size2 : sum of their squares [energy²/length²]."""
+    if not is_fixed(steps):
+        return lambda size2, steps: False
+    if not isinstance(size2, Vector):
+        return lambda size2, steps: not size2 * steps.per_force[0] ** 2 <= LIMIT2
+    all_lanes = (1 << size2.lanes) - 1
+    return lambda size2, steps: bits_from_mask(size2 * steps.per_force[0] ** 2 <= LIMIT2) != all_lanes

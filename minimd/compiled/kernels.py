@@ -26,12 +26,45 @@ import numba
 import numpy
 from numba import types
 from numba.core import event
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 from numba.extending import overload
 
 from minimd.compiled.code_cache import FailedCompilations, KernelCache
-from minimd.compiled.features import NEWEST, restrict_features
-from minimd.compiled.part_library import PartCompiler
+from minimd.compiled.machine import NEWEST, restrict_features
+
+
+class PartLibrary(JITCodeLibrary):
+    """The code of a part of a kernel, for the library of the kernel to link. Nobody can call it.
+    Numba would optimize each part as a whole, and again as a part of what calls it, and so on up to the kernel."""
+
+    def _optimize_final_module(self) -> None:
+        """Left to the kernel."""
+
+    def _finalize_final_module(self) -> None:
+        """Without machine code."""
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """None."""
+        return 0
+
+    @property
+    def codegen(self) -> Any:
+        """For the executable that Numba makes of any function: this one needs nothing."""
+        return self
+
+    def set_env(self, name: str, environment: object) -> None:
+        """There is no machine code that could read it."""
+
+
+class PartCompiler(Compiler):
+    """Numba's compiler, for parts of kernels."""
+
+    def __init__(self, typingctx: Any, targetctx: Any, library: Any, *arguments: Any) -> None:
+        super().__init__(typingctx, targetctx, library or PartLibrary(targetctx.codegen(), "part"), *arguments)
+
 
 restrict_features(os.environ.get("MINIMD_VECTORS", NEWEST))
 

@@ -1,4 +1,7 @@
-"""The machine and what is installed on it: cores, processor, versions, the rounding of its numbers."""
+"""The machine and what is installed on it: cores, processor, versions, rounding of numbers, vectors.
+
+MINIMD_VECTORS leaves out the processor's features of newer vectors, to compare or test.
+"""
 
 import os
 import platform
@@ -8,6 +11,8 @@ from contextvars import ContextVar
 from importlib import metadata
 from pathlib import Path
 
+import llvmlite.binding as llvm
+import numba
 import numpy as np
 
 EPS = float(np.finfo(float).eps)  # of 1: the relative spacing of numbers
@@ -64,3 +69,23 @@ def peak_memory() -> int | None:
     from resource import RUSAGE_SELF, getrusage  # which Windows does not have
 
     return getrusage(RUSAGE_SELF).ru_maxrss  # in bytes there
+
+
+NEWEST = "avx512"
+WIDER = {  # beginnings of names of the features that each choice does without
+    NEWEST: (),
+    "avx2": ("avx512", "avx10"),
+    "sse": ("avx", "fma", "f16c", "vaes", "vpclmulqdq", "xop"),
+}
+
+
+def restrict_features(choice: str) -> None:
+    """Let Numba compile for the vectors of an older processor, avx512, avx2 or sse; only before anything is compiled.
+    Raises ValueError for another word."""
+    if choice not in WIDER:
+        raise ValueError(f"MINIMD_VECTORS must be one of {', '.join(WIDER)}; it is {choice!r}")
+    if WIDER[choice]:
+        has = llvm.get_host_cpu_features()
+        signs = ("-" if name.startswith(WIDER[choice]) or not has[name] else "+" for name in has)
+        wanted = ",".join(sign + name for sign, name in zip(signs, has, strict=True))
+        numba.config.CPU_FEATURES = wanted  # type: ignore[attr-defined]

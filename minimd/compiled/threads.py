@@ -22,7 +22,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from minimd.compiled.call_by_address import call_at
+from minimd.compiled.by_address import call_at
 from minimd.compiled.kernels import DirectCalls, kernel, scalar, shared_kernel
 
 # shared counters: the open phase, see _word; the program it belongs to; the finished chunks of the open phase; what its

@@ -18,7 +18,7 @@ from math import sqrt
 
 from minimd.compiled.kernels import inlined, kernel, type_of
 from minimd.compiled.machine import EPS
-from minimd.constraints.vectors import NOTHING, add_opposite, between, drift_some
+from minimd.constraints.closed_forms import NOTHING, add_opposite, between, drift_some
 from minimd.structure.vectors import dot, separation
 
 MAX_ITERATIONS, MAX_SWEEPS = 50, 10_000

@@ -17,9 +17,8 @@ from minimd.compiled.kernels import DirectCalls, called_kernel
 from minimd.compiled.machine import EPS
 from minimd.compiled.program import GO_ON, Operation, Program, n_chunks_of, operation
 from minimd.compiled.threads import thread_pool
-from minimd.constraints.graph import Floats, Ints
-from minimd.constraints.groups import CONSTRAINTS_IN_A_CHUNK, groups_of
-from minimd.constraints.vectors import drift_some
+from minimd.constraints.closed_forms import drift_some
+from minimd.constraints.groups import CONSTRAINTS_IN_A_CHUNK, Floats, Ints, groups_of
 from minimd.structure.cell import Cell
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.errors import ConstraintError

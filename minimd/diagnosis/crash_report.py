@@ -10,7 +10,7 @@ from minimd.diagnosis.timestep import StepAdvice, advice_at, strange_depth
 from minimd.engine.cell_rescaling import EVAPORATED
 from minimd.engine.engine import Engine, Snapshot
 from minimd.forces.contacts import Contact, contacts
-from minimd.integrators.splitting.linear_stability import stability_limit
+from minimd.integrators.splitting.order_conditions import stability_limit
 from minimd.neighbors.queries import ClosestPair, closest_pair
 from minimd.structure.bond_graph import among
 from minimd.structure.checks import LARGEST

@@ -7,7 +7,7 @@ import numpy as np
 from minimd.diagnosis.hessian import unstable_bond
 from minimd.diagnosis.timestep import OSCILLATION, collision_frequency, strange_depth
 from minimd.engine.engine import Engine
-from minimd.integrators.splitting.linear_stability import accurate_step
+from minimd.integrators.splitting.order_conditions import accurate_step
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.pair import PairPotential
 from minimd.structure.observables import absolute_momentum

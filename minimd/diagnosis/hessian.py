@@ -12,7 +12,7 @@ from minimd.compiled.machine import EPS
 from minimd.constraints.constraint_set import ConstraintSet
 from minimd.engine.engine import Engine
 from minimd.forces.forces import Forces
-from minimd.integrators.splitting.linear_stability import stability_limit
+from minimd.integrators.splitting.order_conditions import stability_limit
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.bonded import HarmonicBond
 from minimd.structure.bond_graph import among

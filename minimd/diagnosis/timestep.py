@@ -19,13 +19,12 @@ from minimd.diagnosis.hessian import Curvature, stiffest_bond
 from minimd.engine.engine import Engine
 from minimd.forces.contacts import why_not_finite
 from minimd.forces.forces import Forces, Potential
-from minimd.integrators.splitting.linear_stability import accurate_step, stability_limit
+from minimd.integrators.splitting.order_conditions import accurate_step, stability_limit
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.verlet import VelocityVerlet
 from minimd.potentials.bonded import Bond
 from minimd.potentials.laws import LennardJonesLaw
-from minimd.potentials.lennard_jones import curvature_at_minimum
-from minimd.potentials.pair import PairPotential
+from minimd.potentials.pair import PairPotential, curvature_at_minimum
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import NonFiniteError
 from minimd.structure.observables import center, kinetic_energy, temperature, thermal_energy

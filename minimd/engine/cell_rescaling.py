@@ -7,7 +7,7 @@ import numpy as np
 
 from minimd.console.words import shown
 from minimd.constraints.constraint_set import ConstraintSet
-from minimd.constraints.graph import bodies_of
+from minimd.constraints.groups import bodies_of
 from minimd.forces.forces import Forces
 from minimd.forces.options import FIXED_POINT
 from minimd.integrators.splitting.barostats import StochasticCellRescaling, ThermodynamicState, exponential, turned_back

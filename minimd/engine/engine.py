@@ -14,7 +14,7 @@ from minimd.console.display import Rows
 from minimd.console.quiet import outside_minimd, quiet
 from minimd.console.words import shown
 from minimd.constraints.constraint_set import ConstraintSet
-from minimd.constraints.graph import bodies_of
+from minimd.constraints.groups import bodies_of
 from minimd.engine.cell_rescaling import CellRescaling, check_cell, rescaling_of
 from minimd.forces.forces import Forces, Potential
 from minimd.forces.options import FIXED_POINT, Options, described

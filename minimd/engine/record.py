@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,8 +57,6 @@ class Record(Displayed):
     units : the UnitSystem of all of them.  n_atoms : N.
     trajectory : the first .h5md file of the run, with the frames of these entries, or None.
     """
-
-    view: ClassVar[Callable[[Record], Any]]  # set by minimd/__init__, because pages are on a higher floor
 
     def __init__(self, units: UnitSystem, n_atoms: int, trajectory: Path | None = None) -> None:
         self.units, self.n_atoms, self.trajectory = units, n_atoms, trajectory

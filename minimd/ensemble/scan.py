@@ -16,8 +16,8 @@ from minimd.ensemble.running import ensemble
 from minimd.ensemble.table import EnsembleTable
 from minimd.files.claim import regular, write_whole
 from minimd.files.crash_file import crash_file_place
-from minimd.scene.document import Scene, load_scene, parse_scene
 from minimd.scene.running import equilibrate, minimize
+from minimd.scene.scene import Scene, load_scene, parse_scene
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count
 

@@ -14,8 +14,7 @@ from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import BIAS, biased_product, in_steps, is_fixed, on_grid
 from minimd.compiled.kernels import by_type, called_kernel, scalar
 from minimd.compiled.simd import bits_from_mask, broadcast, fma, load, select, store, total, zeros
-from minimd.compiled.simd.blocks import loaded_columns
-from minimd.compiled.simd.lanes import count
+from minimd.compiled.simd.vector import count, loaded_columns
 from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.neighbors.clusters import DIMENSIONS
 from minimd.neighbors.domains import GHOSTS

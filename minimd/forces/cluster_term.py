@@ -1,26 +1,99 @@
-"""Pair laws on the cluster list: eight pairs at a time, on a pool of threads."""
+"""Pair laws on the cluster list: eight pairs at a time, on a pool of threads.
 
+Its operations are the loop over the clusters of a domain, and the sums of its forces.
+"""
+
+from collections import namedtuple
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.compiled.by_address import ByAddress, run_at
 from minimd.compiled.fixed_point import MOST
-from minimd.compiled.kernels import DirectCalls, without_cache
-from minimd.compiled.program import Operation, operation
-from minimd.compiled.simd.lanes import BITS
-from minimd.forces.cluster_kernel import Evaluation, add_domain, collect_domain, prepare_laws
+from minimd.compiled.kernels import DirectCalls, called_kernel, scalar, without_cache
+from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, operation
+from minimd.compiled.simd import lane
+from minimd.compiled.simd.vector import BITS, count
 from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, Work, add_forces_of_laws, prepare_loop
 from minimd.forces.options import FIXED_POINT, Options, described, pool_for
 from minimd.forces.pair_laws import ListTerm, PairLaws, skin_for
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.cluster_list import ClusterList
-from minimd.neighbors.cluster_search import LAYERS
+from minimd.neighbors.cluster_memory import clear, collected
+from minimd.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, PREPARED_FOR
+from minimd.neighbors.domains import LATE
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Target
 from minimd.potentials.user_laws import is_recognized
 from minimd.structure.system import System
+
+
+class Evaluation(ByAddress, namedtuple("Evaluation", "arrays add prepare work forces steps is_first")):
+    """What the operations work on.
+
+    arrays : ClusterArrays.
+    add, prepare : addresses of add_forces_of_laws and, if the loop needs it after a list build, of prepare_loop, or 0;
+        compiled for each law, so that the kernels of this file are the same for all laws.
+    work : address of their Work.
+    forces : (N, 3) output [energy/length]; int64 impulses in fixed-point arithmetic, where steps : Steps, else ().
+    is_first : whether there is nothing to add to: forces = and not forces +=.
+    """
+
+
+@called_kernel
+def prepare_laws(evaluation, _chunk):
+    """What the loop needs of a new list, or of other layers of one."""
+    layers = evaluation.arrays.rows.layers
+    now = layers[BUILDS] * (LAYERS + 1) + layers[IN_USE]
+    if layers[PREPARED_FOR] != now:
+        layers[PREPARED_FOR] = now
+        run_at(evaluation.prepare, (evaluation.arrays, evaluation.work))
+    return GO_ON
+
+
+@called_kernel
+def add_domain(evaluation, domain):
+    """Forces between the atoms of a domain and all that it sees. On one thread the sums of what is whole are taken at
+    once: while they are in the cache."""
+    arrays = evaluation.arrays
+    clear(domain, arrays)
+    if domain < arrays.memory.is_out.size:
+        arrays.memory.is_out[domain] = 0
+    run_at(evaluation.add, (domain, arrays, evaluation.work, evaluation.steps))
+    if domain >= arrays.domains.numbers[LATE]:
+        _collect(domain, evaluation)
+    return GO_ON
+
+
+@called_kernel
+def collect_domain(evaluation, domain):
+    """The forces on the atoms of a domain that were not taken before.  OUT_OF_RANGE if one of a pair was, in
+    fixed-point arithmetic."""
+    if domain < evaluation.arrays.domains.numbers[LATE]:
+        _collect(domain, evaluation)
+    is_out = evaluation.arrays.memory.is_out
+    return OUT_OF_RANGE if is_out.size > 0 and is_out[domain] else GO_ON
+
+
+@scalar
+def _collect(domain, evaluation):
+    """forces (N, 3) = or += those on the atoms of a domain."""
+    arrays, forces, clusters = evaluation.arrays, evaluation.forces, evaluation.arrays.clusters
+    n_lanes = count(clusters.lanes)
+    for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
+        x, y, z = collected(k, arrays)
+        for k_lane in range(n_lanes):
+            if k_lane < clusters.filled[k]:
+                i = np.uintp(clusters.atom[k * n_lanes + k_lane])
+                if evaluation.is_first:
+                    forces[i, 0], forces[i, 1], forces[i, 2] = lane(x, k_lane), lane(y, k_lane), lane(z, k_lane)
+                else:
+                    forces[i, 0] += lane(x, k_lane)
+                    forces[i, 1] += lane(y, k_lane)
+                    forces[i, 2] += lane(z, k_lane)
+
 
 NONE = np.zeros(0)
 

@@ -15,8 +15,7 @@ from minimd.forces.options import Options
 from minimd.potentials.bonded import Bond
 from minimd.potentials.law import law_at
 from minimd.potentials.laws import FENELaw, HarmonicLaw, LennardJonesLaw
-from minimd.potentials.lennard_jones import curvature_at_minimum
-from minimd.potentials.pair import PairPotential
+from minimd.potentials.pair import PairPotential, curvature_at_minimum
 from minimd.potentials.tabulated import reads_table
 from minimd.potentials.term import PER_ATOM
 from minimd.potentials.user_laws import is_user_law

@@ -1,4 +1,4 @@
-"""Forces: the sum of all terms of a scene at each step, with energies and virial on request."""
+"""Forces: which terms of a scene run, on which list, and their sum at each step, with energies and virial if asked."""
 
 from __future__ import annotations
 
@@ -16,11 +16,15 @@ from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import DirectCalls, announce_compilation, called_kernel
 from minimd.compiled.program import GO_ON, Operation, Program, in_python, n_chunks_of, operation
 from minimd.console.quiet import outside_minimd
+from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import FIXED_POINT, Options, pool_for
-from minimd.forces.pair_laws import deepest
-from minimd.forces.planning import plan
+from minimd.forces.pair_laws import PairLaws, deepest
+from minimd.forces.pair_list_term import PairListTerm
 from minimd.neighbors.verlet_list import Built, VerletList
-from minimd.potentials.links import LinkedTerm, Slots
+from minimd.potentials.calculators import as_potentials
+from minimd.potentials.laws import Scaled
+from minimd.potentials.links import FixedPairs, LinkedTerm, Slots
+from minimd.potentials.pair_loop import from_table
 from minimd.potentials.term import (
     BOND_LOOP,
     FORCES,
@@ -29,7 +33,6 @@ from minimd.potentials.term import (
     Potential,
     Target,
     Term,
-    as_potentials,
     bound,
     check_force,
 )
@@ -37,6 +40,40 @@ from minimd.structure.cell import Images
 from minimd.structure.errors import RangeError, why_not_compiled
 from minimd.structure.grid import TOO_LARGE, Grid, steps_of
 from minimd.structure.system import System, check_resolution
+
+
+def plan(
+    terms_bound: Sequence[Term], system: System, options: Options, displacement: float, skins: Sequence[float] = ()
+) -> list[Term]:
+    """The terms to run: those that add their forces themselves,
+    and one term with a list for all pair laws of one bonded_scale.
+
+    terms_bound : the terms that the potentials were bound to.  displacement : of the fastest atom in a step [length],
+        0 if unknown.
+    skins : of the lists [length], if they are known.
+    """
+    terms = [term for term in terms_bound if term.pair_law is None]
+    pair_laws = [term.pair_law for term in terms_bound if term.pair_law is not None]
+    for k, scale in enumerate(dict.fromkeys(one.bonded_scale for one in pair_laws)):
+        known = replace(options, skin=skins[k]) if skins else options
+        laws = PairLaws(system, [one for one in pair_laws if one.bonded_scale == scale])
+        with_list = ClusterTerm if laws.fit_clusters(system, known, displacement) else PairListTerm
+        terms.append(with_list(system, laws, known, displacement))
+        terms.extend(scaled_terms(system, laws))
+    return terms
+
+
+def scaled_terms(system: System, laws: PairLaws) -> Iterator[Term]:
+    """Terms for the pairs one, two and three bonds apart, which the list leaves out: each law times its factor."""
+    for one in laws.members:
+        for pairs, factor in laws.special:
+            if factor != 0.0:
+                species = system.species_index[pairs] if len(one.table) > 1 else np.zeros_like(pairs)
+                rows = one.table[species[:, 0], species[:, 1]]
+                factors = np.full(len(rows), factor)  # the first parameter of Scaled
+                rows = np.column_stack([rows[:, 0], factors, rows[:, 1:]])
+                yield FixedPairs(pairs, Scaled(one.law), from_table(rows))
+
 
 CHANGED_SPEED = 2.0  # the skin is chosen anew when atoms are faster or slower by this factor: its optimum is flat
 VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # places of xx yy zz yz xz xy in a (3, 3) tensor

@@ -18,7 +18,6 @@ from minimd.integrators.ode.stormer import *
 from minimd.integrators.ode.varying import *
 from minimd.integrators.splitting.barostats import *
 from minimd.integrators.splitting.compositions import *
-from minimd.integrators.splitting.linear_stability import *
 from minimd.integrators.splitting.order_conditions import *
 from minimd.integrators.splitting.splitting import *
 from minimd.integrators.splitting.state import *

@@ -9,8 +9,7 @@ from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import called_kernel, filling_kernel
 from minimd.compiled.program import GO_ON, JUMP, NEEDS_ROOM, NOT_FINITE
 from minimd.compiled.simd import bits_from_mask
-from minimd.compiled.simd.blocks import gathered, loaded
-from minimd.compiled.simd.lanes import count
+from minimd.compiled.simd.vector import count, gathered, loaded
 from minimd.neighbors.cluster_memory import place
 from minimd.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, exclude, find_rows, make_work
 from minimd.neighbors.clusters import DIMENSIONS, columns_fit, fill_column

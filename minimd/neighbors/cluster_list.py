@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from minimd.compiled.kernels import DirectCalls
 from minimd.compiled.program import Operation, Program, operation
-from minimd.compiled.simd.lanes import lanes_for
+from minimd.compiled.simd.vector import lanes_for
 from minimd.compiled.threads import MOST_CHUNKS, ThreadPool
 from minimd.neighbors import cluster_build
 from minimd.neighbors.buffers import HALF_A_PAGE, SPARE, Buffers, with_room

@@ -8,8 +8,7 @@ from numba import types
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import by_type, scalar
 from minimd.compiled.simd import broadcast, load, store
-from minimd.compiled.simd.blocks import loaded
-from minimd.compiled.simd.lanes import count
+from minimd.compiled.simd.vector import count, loaded
 from minimd.neighbors.clusters import DIMENSIONS, offsets_of
 
 

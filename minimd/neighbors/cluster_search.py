@@ -20,8 +20,7 @@ import numpy as np
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import inlined, scalar
 from minimd.compiled.simd import bits_from_mask, broadcast, fma, load, select, store, trailing_zeros
-from minimd.compiled.simd.blocks import loaded
-from minimd.compiled.simd.lanes import count
+from minimd.compiled.simd.vector import count, loaded
 from minimd.neighbors.clusters import DIMENSIONS
 from minimd.neighbors.domains import BOXES, HOME, SIDES, first_run
 from minimd.structure.cell import minimum_image

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.simd import lane
-from minimd.compiled.simd.blocks import gathered, loaded, stored
-from minimd.compiled.simd.lanes import Lanes, count
+from minimd.compiled.simd.vector import Lanes, count, gathered, loaded, stored
 from minimd.neighbors.buffers import Buffers
 from minimd.neighbors.search import ATOMS_PER_BIN, WIDER, into_cell
 from minimd.structure.cell import Cell

@@ -38,8 +38,7 @@ from numpy.typing import NDArray
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import scalar
 from minimd.compiled.simd import store
-from minimd.compiled.simd.blocks import loaded
-from minimd.compiled.simd.lanes import count
+from minimd.compiled.simd.vector import count, loaded
 from minimd.compiled.threads import MOST_CHUNKS
 from minimd.neighbors.buffers import Buffers, Fields
 from minimd.neighbors.clusters import DIMENSIONS, Columns, offsets_of

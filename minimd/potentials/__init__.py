@@ -12,12 +12,10 @@ from minimd.potentials.bonded import (
     PeriodicDihedral,
     RyckaertBellemans,
 )
-from minimd.potentials.fields import ConstantForce, Gravity, Restraint, SteeredSpring
-from minimd.potentials.lennard_jones import LennardJones
-from minimd.potentials.pair import PairPotential
+from minimd.potentials.fields import ConstantForce, Field, Gravity, Restraint, SteeredSpring
+from minimd.potentials.pair import LennardJones, PairPotential
 from minimd.potentials.tabulated import Tabulated
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
-from minimd.potentials.user_fields import Field
 from minimd.potentials.walls import CylinderWall, SphereWall, Wall
 
 __all__ = ["FORCES", "PER_ATOM", "TOTALS", "BondPotential", "ConstantForce", "CylinderWall", "DihedralPotential"]

@@ -42,6 +42,8 @@ from minimd.structure.bond_graph import GROUPS, checked_groups, checked_pairs
 from minimd.structure.system import System
 from minimd.structure.vectors import combined, cross, dot, times
 
+STRETCH = "u = −k longest² ln(1 − (r/longest)²)/2, and the repulsion"
+REPULSION = "of the repulsion, Lennard-Jones cut at its minimum; 0 for none"
 ARGUMENTS = {2: "pairs", 3: "triples", 4: "quadruples"}
 # the smallest sin² of the angle between two neighboring bonds by which forces are divided: its rounding error
 STRAIGHT2 = 1e-16
@@ -89,61 +91,29 @@ class Bond(Bonded):
 
 
 class BondPotential(Bond):
-    """A law u(r) along bonds, whatever their length.
+    """A law u(r) along bonds, whatever their length. Each bond runs to the nearest image of its partner."""
 
-    Parameters
-    ----------
-    law : function law(r2, *parameters) as for PairPotential.
-    parameters : one entry for each parameter of the law: a number for all bonds, or an array with one number for each.
-    pairs : (B, 2) int, the bonded atoms; system.bonds if not given.
-
-    Each bond runs to the nearest image of its partner. Raises ValueError for parameters that are not finite numbers, or
-    invalid pairs; TypeError for a law that is not a function, or parameters that are not a tuple.
-    """
-
-    law: Callable | tuple = declared(own_law)  # type: ignore[misc]
+    law: Callable | tuple = declared(own_law, "law(r2, *parameters), as for PairPotential")  # type: ignore[misc]
     parameters: Sequence[ArrayLike] = declared(own_parameters, default=())
     pairs: ArrayLike | None = declared(groups, of=2, default=None)
 
 
 class HarmonicBond(Bond):
-    """Harmonic bond u(r) = ½ k (r − r₀)².
-
-    Parameters
-    ----------
-    k : stiffness [energy/length²], one number or one for each bond.
-    length : r₀ [length], one number or one for each bond.
-    pairs : (B, 2) int, the bonded atoms; system.bonds if not given.
-
-    Raises
-    ------
-    ValueError : if k or a length is negative, or one of them is not finite.
-    """
+    """Harmonic bond u(r) = ½ k (r − r₀)²."""
 
     law, lammps = HarmonicLaw(), LammpsStyle("harmonic", lambda k, length: (0.5 * k, length))
-    k: ArrayLike = declared(each, "stiffness", NOT_NEGATIVE)
-    length: ArrayLike = declared(each, "length", NOT_NEGATIVE)
+    k: ArrayLike = declared(each, "u = k (r − length)²/2", "stiffness", NOT_NEGATIVE)
+    length: ArrayLike = declared(each, "at rest", "length", NOT_NEGATIVE)
     pairs: ArrayLike | None = declared(groups, of=2, default=None)
 
 
 class MorseBond(Bond):
-    """Morse bond u(r) = D (1 − exp[−a (r − r₀)])², which breaks when it is pulled.
-
-    Parameters
-    ----------
-    depth : D [energy].  a : [1/length]; the stiffness at rest is 2 a² D.  length : r₀ [length]. One number each,
-        or one for each bond.
-    pairs : (B, 2) int, the bonded atoms; system.bonds if not given.
-
-    Raises
-    ------
-    ValueError : if depth or length is negative, a is not positive, or one of them is not finite.
-    """
+    """Morse bond u(r) = D (1 − exp[−a (r − r₀)])², which breaks when it is pulled; its stiffness at rest is 2 a² D."""
 
     law, lammps = MorseLaw(), LammpsStyle("morse")
-    depth: ArrayLike = declared(each, "energy", NOT_NEGATIVE)
-    a: ArrayLike = declared(each, "inverse length", POSITIVE)
-    length: ArrayLike = declared(each, "length", NOT_NEGATIVE)
+    depth: ArrayLike = declared(each, "u = depth (1 − exp(−a (r − length)))²", "energy", NOT_NEGATIVE)
+    a: ArrayLike = declared(each, "inverse width", "inverse length", POSITIVE)
+    length: ArrayLike = declared(each, "at rest", "length", NOT_NEGATIVE)
     pairs: ArrayLike | None = declared(groups, of=2, default=None)
 
 
@@ -153,23 +123,15 @@ class FENEBond(Bond):
 
     Exclude bonded pairs from the potential between all beads with bonded_scale=(0, 1, 1), as LAMMPS' `special_bonds
     fene` does. The energy of a bond of length R or more is not finite: the run ends with NonFiniteError.
-
-    Parameters
-    ----------
-    k : stiffness [energy/length²].  longest : R [length].  epsilon, sigma : of the repulsion [energy], [length];
-        epsilon = 0 for none. One number each, or one for each bond.
-    pairs : (B, 2) int, the bonded atoms; system.bonds if not given.
-
-    Raises
-    ------
-    ValueError : if k or epsilon is negative, a length is not positive, or one of them is not finite.
     """
 
     law, lammps = FENELaw(), LammpsStyle("fene")
-    k: ArrayLike = declared(each, "stiffness", NOT_NEGATIVE)
-    longest: ArrayLike = declared(each, "length", POSITIVE)
-    epsilon: ArrayLike = declared(each, "energy", NOT_NEGATIVE, default=1.0)
-    sigma: ArrayLike = declared(each, "length", POSITIVE, default=1.0)
+    k: ArrayLike = declared(
+        each, "u = −k longest² ln(1 − (r/longest)²)/2, and the repulsion", "stiffness", NOT_NEGATIVE
+    )
+    longest: ArrayLike = declared(each, "length that a bond cannot reach", "length", POSITIVE)
+    epsilon: ArrayLike = declared(each, REPULSION, "energy", NOT_NEGATIVE, default=1.0)
+    sigma: ArrayLike = declared(each, "of the repulsion", "length", POSITIVE, default=1.0)
     pairs: ArrayLike | None = declared(groups, of=2, default=None)
 
 
@@ -177,22 +139,12 @@ class HarmonicAngle(Bonded):
     """Harmonic angle u(θ) = ½ k (θ − θ₀)² at the middle atom of each triple.
 
     Where θ is exactly 0 or π, the force has no direction; it is then zero.
-
-    Parameters
-    ----------
-    k : stiffness [energy/rad²], one number or one for each angle.
-    angle : θ₀ [rad], between 0 and π, one number or one for each angle.
-    triples : (A, 3) int, atoms i, j, k with j in the middle; system.angles if not given.
-
-    Raises
-    ------
-    ValueError : if a number is not finite or out of range, or shapes do not fit.
     """
 
     acts_on, lammps = "angles", LammpsStyle("harmonic", lambda k, angle: (0.5 * k, np.degrees(angle)))
-    k: ArrayLike = declared(each, "angular stiffness", NOT_NEGATIVE)
-    angle: ArrayLike = declared(each, "angle", ANGLE)
-    triples: ArrayLike | None = declared(groups, of=3, default=None)
+    k: ArrayLike = declared(each, "u = k (θ − angle)²/2", "angular stiffness", NOT_NEGATIVE)
+    angle: ArrayLike = declared(each, "at rest", "angle", ANGLE)
+    triples: ArrayLike | None = declared(groups, "the middle one second", of=3, default=None)
 
     def term(self, found: NDArray[np.int64], columns: tuple[Array, ...]) -> Term:
         """See Bonded."""
@@ -213,19 +165,12 @@ class Dihedral(Bonded):
 class DihedralPotential(Dihedral):
     """A law u(φ) of the dihedral angles of quadruples of atoms i, j, k, l, about the axis from j to k.
 
-    Parameters
-    ----------
-    law : function law(phi, *parameters) of the angle [rad], −π < φ ≤ π, zero for cis and ±π for trans, that returns u
-        [energy] and u′(φ) [energy/rad]; plain Python of numbers, or already compiled by numba.njit.
-    parameters : one entry for each parameter of the law: a number for all, or an array with one number for each.
-    quadruples : (D, 4) int; system.dihedrals if not given.
-
-    Each bond of the chain i, j, k, l runs to the nearest image of its partner. Raises ValueError for parameters that
-    are not finite numbers, or invalid quadruples; TypeError for a law that is not a function,
-    or parameters that are not a tuple.
+    law(phi, *parameters) of the angle [rad], −π < φ ≤ π, zero for cis and ±π for trans, returns u [energy] and u′(φ)
+    [energy/rad]; it is plain Python of numbers, or already compiled by numba.njit. Each bond of the chain i, j, k, l
+    runs to the nearest image of its partner.
     """
 
-    law: Callable | tuple = declared(own_law)  # type: ignore[misc]
+    law: Callable | tuple = declared(own_law, "law(phi, *parameters)")  # type: ignore[misc]
     parameters: Sequence[ArrayLike] = declared(own_parameters, default=())
     quadruples: ArrayLike | None = declared(groups, of=4, default=None)
 
@@ -233,44 +178,26 @@ class DihedralPotential(Dihedral):
 class PeriodicDihedral(Dihedral):
     """Periodic torsion u(φ) = k [1 + cos(nφ − φ₀)], as in CHARMM and AMBER.
 
+    A quadruple that is given several times has a sum of terms.
     LAMMPS' `dihedral_style harmonic`, K [1 + d cos(nφ)], is k = K with the phase 0 for d = 1 and π for d = −1.
-
-    Parameters
-    ----------
-    k : half the barrier [energy].  n : minima in a turn, whole numbers from 0 on.  phase : φ₀ [rad]. One number each,
-        or one for each dihedral.
-    quadruples : (D, 4) int; system.dihedrals if not given. One that is given several times has a sum of terms.
-
-    Raises
-    ------
-    ValueError : if a number is not finite, n is not whole, or shapes do not fit.
     """
 
     law, lammps = PeriodicLaw(), LammpsStyle("fourier", lambda k, n, phase: (1, k, n, np.degrees(phase)))
-    k: ArrayLike = declared(each, "energy")
-    n: ArrayLike = declared(each, "", WHOLE)
-    phase: ArrayLike = declared(each, "angle", default=0.0)
+    k: ArrayLike = declared(each, "u = k (1 + cos(n φ − phase))", "energy")
+    n: ArrayLike = declared(each, "minima in a turn", "", WHOLE)
+    phase: ArrayLike = declared(each, "φ₀, see k", "angle", default=0.0)
     quadruples: ArrayLike | None = declared(groups, of=4, default=None)
 
 
 class RyckaertBellemans(Dihedral):
     """Ryckaert-Bellemans torsion u(φ) = Σ cₙ cosⁿ(φ − π), n = 0 … 5.
 
-    Parameters
-    ----------
-    coefficients : c₀ … c₅ [energy], up to six, each one number or one for each dihedral; missing ones are 0.
-    quadruples : (D, 4) int; system.dihedrals if not given.
-
     LAMMPS' `dihedral_style nharmonic` has powers of cos φ: A₁ = c₀, A₂ = −c₁, A₃ = c₂, A₄ = −c₃ …
-
-    Raises
-    ------
-    ValueError : if a number is not finite, there are more than six, or shapes do not fit.
     """
 
     law = RyckaertBellemansLaw()
     lammps = LammpsStyle("nharmonic", lambda *c: (len(c), *(-one if n % 2 else one for n, one in enumerate(c))))
-    coefficients: Sequence[ArrayLike] = declared(coefficients, "energy")
+    coefficients: Sequence[ArrayLike] = declared(coefficients, "c₀ to c₅ of u = Σ cₙ cosⁿ(φ − 180°)", "energy")
     quadruples: ArrayLike | None = declared(groups, of=4, default=None)
 
     def numbers(self) -> dict[str, Array]:
@@ -283,23 +210,14 @@ class OPLSDihedral(Dihedral):
 
     LAMMPS' `dihedral_style opls`. It is computed as the polynomial of Ryckaert and Bellemans that equals it.
 
-    Parameters
-    ----------
-    k1, k2, k3, k4 : [energy], one number each, or one for each dihedral.  quadruples : (D, 4) int;
-        system.dihedrals if not given.
-
     W. L. Jorgensen, D. S. Maxwell, J. Tirado-Rives, J. Am. Chem. Soc. 118, 11225 (1996).
-
-    Raises
-    ------
-    ValueError : if a number is not finite, or shapes do not fit.
     """
 
     law, lammps = RyckaertBellemans.law, RyckaertBellemans.lammps
-    k1: ArrayLike = declared(each, "energy")
-    k2: ArrayLike = declared(each, "energy")
-    k3: ArrayLike = declared(each, "energy")
-    k4: ArrayLike = declared(each, "energy", default=0.0)
+    k1: ArrayLike = declared(each, "u = k1 (1 + cos φ)/2 + …", "energy")
+    k2: ArrayLike = declared(each, "… + k2 (1 − cos 2φ)/2 + …", "energy")
+    k3: ArrayLike = declared(each, "… + k3 (1 + cos 3φ)/2 + …", "energy")
+    k4: ArrayLike = declared(each, "… + k4 (1 − cos 4φ)/2", "energy", default=0.0)
     quadruples: ArrayLike | None = declared(groups, of=4, default=None)
 
     def __post_init__(self) -> None:
@@ -321,20 +239,11 @@ class HarmonicImproper(Dihedral):
     φ is the dihedral angle of the four atoms in the order in which they are given, with its sign: φ₀ = 0 keeps them in
     a plane, another φ₀ keeps the chirality of a center.
     LAMMPS' `improper_style harmonic` takes the same angle without its sign, and K = k/2.
-
-    Parameters
-    ----------
-    k : stiffness [energy/rad²].  angle : φ₀ [rad], between −π and π. One number each, or one for each improper.
-    quadruples : (I, 4) int; system.impropers if not given.
-
-    Raises
-    ------
-    ValueError : if a number is not finite or out of range, or shapes do not fit.
     """
 
     acts_on, law = "impropers", HarmonicTorsionLaw()
-    k: ArrayLike = declared(each, "angular stiffness", NOT_NEGATIVE)
-    angle: ArrayLike = declared(each, "angle", SIGNED_ANGLE, default=0.0)
+    k: ArrayLike = declared(each, "u = k (φ − angle)²/2", "angular stiffness", NOT_NEGATIVE)
+    angle: ArrayLike = declared(each, "at rest, with its sign", "angle", SIGNED_ANGLE, default=0.0)
     quadruples: ArrayLike | None = declared(groups, of=4, default=None)
 
 

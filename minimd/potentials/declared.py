@@ -4,19 +4,20 @@
         \"\"\"Harmonic bond u(r) = ½ k (r − r₀)².\"\"\"
 
         law, lammps = HarmonicLaw(), LammpsStyle("harmonic", lambda k, length: (0.5 * k, length))
-        k: ArrayLike = declared(each, "stiffness", NOT_NEGATIVE)
-        length: ArrayLike = declared(each, "length", NOT_NEGATIVE)
+        k: ArrayLike = declared(each, "u = k (r − length)²/2", "stiffness", NOT_NEGATIVE)
+        length: ArrayLike = declared(each, "at rest", "length", NOT_NEGATIVE)
         pairs: ArrayLike | None = declared(groups, of=2, default=None)
 
-From it follow the constructor and its checks, repr, the section of a scene file (minimd.scene.force_sections) and its
-page, and the style of LAMMPS. The kinds of parameters are the functions below: each returns the value that is kept,
-or raises ValueError.
+From it follow the constructor and its checks, the sections Parameters and Raises of its docstring, repr, the section of
+a scene file with its page (minimd.document.force_sections), and the style of LAMMPS. The kinds of parameters are the
+functions below: each returns the value that is kept, or raises ValueError.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
+from inspect import cleandoc
 from math import inf, pi
 from typing import Any, ClassVar, NamedTuple, dataclass_transform
 
@@ -40,19 +41,33 @@ DEMANDS: Mapping[str, Callable[[Array], Any]] = {  # of finite numbers
     ANGLE: lambda x: (x >= 0.0) & (x <= pi),
     SIGNED_ANGLE: lambda x: np.abs(x) <= pi,
 }
+UNITS = {  # by dimension
+    "energy": "energy", "length": "length", "time": "time", "force": "energy/length", "angle": "rad",
+    "stiffness": "energy/length²", "angular stiffness": "energy/rad²", "inverse length": "1/length",
+    "velocity": "length/time", "acceleration": "length/time²",
+}  # fmt: skip
+RAISES = "ValueError, TypeError : for numbers that are not finite or out of range, and for other shapes or kinds."
 MOST_COEFFICIENTS = 6  # of the polynomial of Ryckaert and Bellemans
 
 
 class Parameter(NamedTuple):
-    """What is declared of an argument.  kind : one of the functions below.  dimension : of a key of scene files.
+    """What is declared of an argument.  kind : one of the functions below.  words : what it is.
 
-    demand : one of DEMANDS.  of : atoms in a group, or names to choose from.
+    dimension : a key of UNITS.  demand : one of DEMANDS.  of : atoms in a group, names to choose from, or what stands
+    for no number.
     """
 
     kind: Callable[[str, Any, Parameter], Any]
+    words: str = ""
     dimension: str = ""
     demand: str = FINITE
     of: Any = None
+
+    def told(self, name: str) -> str:
+        """A line of a docstring."""
+        unit, what = UNITS.get(self.dimension, ""), (self.kind.__doc__ or "").partition(".")[0]
+        what = what.format(of=" or ".join(map(repr, self.of)) if isinstance(self.of, Mapping) else self.of)
+        return f"{name} : {what[:1].lower()}{what[1:]}{unit and f' [{unit}]'}{self.words and '; '}{self.words}."
 
 
 class LammpsStyle(NamedTuple):
@@ -63,10 +78,17 @@ class LammpsStyle(NamedTuple):
 
 
 def declared(
-    kind: Callable, dimension: str = "", demand: str = FINITE, *, of: Any = None, default: Any = MISSING, kw_only=False
+    kind: Callable,
+    words: str = "",
+    dimension: str = "",
+    demand: str = FINITE,
+    *,
+    of: Any = None,
+    default: Any = MISSING,
+    kw_only: bool = False,
 ) -> Any:
     """A field of a Declared.  See Parameter."""
-    parameter = Parameter(kind, dimension, demand, of)
+    parameter = Parameter(kind, words, dimension, demand, of)
     return field(default=default, kw_only=kw_only, metadata={"parameter": parameter})
 
 
@@ -79,6 +101,9 @@ class Declared(OwnPotential):
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         dataclass(eq=False, repr=False)(cls)
+        if told := [one.told(name) for name, one in cls.parameters_of().items()]:
+            sections = ["", "Parameters", "----------", *told, "", "Raises", "------", RAISES]
+            cls.__doc__ = "\n".join([cleandoc(cls.__doc__ or ""), *sections])
 
     def __post_init__(self) -> None:
         for name, asked in self.parameters_of().items():
@@ -127,7 +152,7 @@ def checked_values(name: str, values: Any, words: str, fits: Callable[[tuple], b
 
 
 def each(name: str, values: Any, asked: Parameter) -> Array:
-    """One number for all, or an array with one for each."""
+    """One number, or one for each."""
     return checked_values(name, values, "one number, or one for each", lambda shape: len(shape) < 2, asked.demand)
 
 
@@ -137,7 +162,7 @@ def vector(name: str, values: Any, _asked: Parameter) -> Array:
 
 
 def direction(name: str, values: Any, asked: Parameter) -> Array:
-    """Three numbers of any length, which becomes 1."""
+    """Three numbers.  Returns them with the length 1."""
     array = vector(name, values, asked)
     largest = float(np.abs(array).max())
     # no square leaves the range of floats
@@ -157,7 +182,7 @@ def vectors(name: str, values: Any, _asked: Parameter) -> Array:
 
 
 def points(name: str, values: Any, asked: Parameter) -> Array:
-    """As vectors; a scene file lists them."""
+    """Three numbers, or (n, 3).  A scene file lists them."""
     return vectors(name, values, asked)
 
 
@@ -198,18 +223,18 @@ def own_parameters(name: str, values: Any, asked: Parameter) -> tuple[Array, ...
 
 
 def number(name: str, value: Any, asked: Parameter) -> float | None:
-    """One number, or its default, None or infinity."""
+    """One number."""
     is_none = value is None or (isinstance(value, float) and value == inf)
     return value if is_none and value == asked.of else checked_number(name, value, asked.demand)
 
 
 def choice(name: str, value: Any, asked: Parameter) -> str:
-    """One of some names."""
+    """One of {of}."""
     return checked_choice(name, value, asked.of)
 
 
 def atoms(name: str, values: Any, _asked: Parameter) -> NDArray[np.int64] | None:
-    """Indices of different atoms; None for all."""
+    """Indices of different atoms; all if not given."""
     if values is None:
         return None
     found = checked_indices(name, values, "a list of atoms")
@@ -219,7 +244,7 @@ def atoms(name: str, values: Any, _asked: Parameter) -> NDArray[np.int64] | None
 
 
 def groups(name: str, values: Any, asked: Parameter) -> NDArray[np.int64] | None:
-    """(G, n) int, groups of atoms; None for those of the system.  Pairs must be different."""
+    """Groups of {of} atoms; those of the system if not given.  Returns (G, n) int, or None."""
     if values is None:
         return None
     return checked_pairs(name, values) if asked.of == 2 else checked_groups(name, values, asked.of)

@@ -1,20 +1,22 @@
-"""Fields: external forces on each atom, functions of its position and the time."""
+"""Fields: external forces on each atom, functions of its position and the time.
+
+A user's field, its force and its change with time are checked before they are trusted.
+"""
 
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Iterator
-from math import inf
+from collections.abc import Callable, Iterator, Sequence
+from math import inf, isfinite, nan
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.by_address import ByAddress
-from minimd.compiled.fixed_point import in_steps
+from minimd.compiled.fixed_point import force_along, in_steps, is_too_large
 from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, without_cache
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, in_python, n_chunks_of, operation
-from minimd.potentials.accumulators import force_along, is_too_large
 from minimd.potentials.declared import (
     NOT_NEGATIVE,
     Array,
@@ -22,13 +24,15 @@ from minimd.potentials.declared import (
     atoms,
     declared,
     number,
+    own_law,
+    own_parameters,
     points,
     stiffness,
     vector,
     vectors,
     weight,
 )
-from minimd.potentials.law import evaluate_law
+from minimd.potentials.law import ACCURACY, agree, evaluate_law
 from minimd.potentials.laws import ConstantLaw, RestraintLaw
 from minimd.potentials.pair_loop import ByPair, parameters_of_pair
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, OwnTerm, Target, Term
@@ -158,18 +162,9 @@ class OnAtoms(Declared):
 
 
 class ConstantForce(OnAtoms):
-    """A constant force F on atoms, u = −F·r; r is never wrapped: u changes steadily as an atom is pulled through cells.
+    """A constant force F on atoms, u = −F·r. r is never wrapped: u changes steadily as an atom is pulled along."""
 
-    Parameters
-    ----------
-    force : F, three numbers [energy/length], the same for all atoms, or (n, 3).  atoms : indices; all if not given.
-
-    Raises
-    ------
-    ValueError : if a number is not finite, or shapes do not fit.
-    """
-
-    force: ArrayLike = declared(vectors, "force")
+    force: ArrayLike = declared(vectors, "on each atom", "force")
     atoms: ArrayLike | None = declared(atoms, default=None)
 
     def bind(self, system: System) -> Term:
@@ -179,18 +174,9 @@ class ConstantForce(OnAtoms):
 
 
 class Gravity(OnAtoms):
-    """Weight, F = m g, u = −m g·r.
+    """Weight, F = m g, u = −m g·r."""
 
-    Parameters
-    ----------
-    acceleration : g, three numbers [length/time²]; or one, downwards along z.  atoms : indices; all if not given.
-
-    Raises
-    ------
-    ValueError : if a number is not finite, or shapes do not fit.
-    """
-
-    acceleration: ArrayLike = declared(weight, "acceleration")
+    acceleration: ArrayLike = declared(weight, "of free fall", "acceleration")
     atoms: ArrayLike | None = declared(atoms, default=None)
 
     def bind(self, system: System) -> Term:
@@ -208,20 +194,13 @@ class Springs(OnAtoms):
 
 
 class Restraint(Springs):
-    """Harmonic springs from atoms to points, u = ½ Σ k_c (r − p)_c², c = x, y, z; r − p is that of the nearest image.
+    """Harmonic springs from atoms to points, u = ½ Σ k_c (r − p)_c², c = x, y, z; r − p to the nearest image.
 
-    Parameters
-    ----------
-    k : stiffness [energy/length²], one number or three, one for each direction; 0 leaves a direction free.
-    points : p, (3,) one for all atoms, or (n, 3) [length].  atoms : indices; all if not given.
-
-    Raises
-    ------
-    ValueError : if k is negative, a number is not finite, or shapes do not fit.
+    k = 0 leaves a direction free.
     """
 
-    k: ArrayLike = declared(stiffness, "stiffness", NOT_NEGATIVE)
-    points: ArrayLike = declared(points, "length")
+    k: ArrayLike = declared(stiffness, "u = k (r − point)²/2", "stiffness", NOT_NEGATIVE)
+    points: ArrayLike = declared(points, "one for all atoms, or one for each", "length")
     atoms: ArrayLike | None = declared(atoms, default=None)
 
 
@@ -229,23 +208,15 @@ class SteeredSpring(Springs):
     """Harmonic springs from atoms to moving points, p(t) = p + v (t' − start), with t' = t limited to [start, end].
 
     The work that moving the points does on the atoms, W = ∫ ∂u/∂t dt, is counted, and recorded as `work`.
-
-    Parameters
-    ----------
-    k, points, atoms : as for Restraint; the points are those at the start.
-    velocity : v, three numbers [length/time].  start, end : of the motion [time], by the clock of the simulation.
-
-    Raises
-    ------
-    ValueError : as Restraint, or if end is not after start.
+    start and end are by the clock of the simulation.
     """
 
-    k: ArrayLike = declared(stiffness, "stiffness", NOT_NEGATIVE)
-    points: ArrayLike = declared(points, "length")
-    velocity: ArrayLike = declared(vector, "velocity")
+    k: ArrayLike = declared(stiffness, "u = k (r − point)²/2", "stiffness", NOT_NEGATIVE)
+    points: ArrayLike = declared(points, "at the start; one for all atoms, or one for each", "length")
+    velocity: ArrayLike = declared(vector, "of the points", "velocity")
     atoms: ArrayLike | None = declared(atoms, default=None)
-    start: float = declared(number, "time", default=0.0, kw_only=True)
-    end: float = declared(number, "time", of=inf, default=inf, kw_only=True)
+    start: float = declared(number, "of the motion of the points", "time", default=0.0, kw_only=True)
+    end: float = declared(number, "of it; never if not given", "time", of=inf, default=inf, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -300,3 +271,99 @@ def rows_of(name: str, vectors: Any, n: int) -> Array:
         wanted = f"three numbers or ({n}, 3), one row for each atom"
         raise ValueError(f"{name} must be {wanted}; its shape is {vectors.shape}")
     return np.array(np.broadcast_to(vectors, (n, 3)))
+
+
+TRIED = 5  # atoms at which a law is tried
+TIMES = (0.0, 0.37, 1.9)  # at which it is tried
+TIMED = 5  # numbers that a law returns if its u depends on time
+STEP = 1e-5  # of a central difference, of the units of length and time
+
+
+class Field(OnAtoms):
+    """A user's field, u(x, y, z, t).
+
+        def trap(x, y, z, t, k):
+            return 0.5 * k * (x * x + y * y), -k * x, -k * y, 0.0
+
+        md.Field(trap, (2.0,))
+
+    law(x, y, z, t, *parameters) of the position of an atom, which is never wrapped [length], and the time [time]
+    returns u [energy] and the force, three numbers [energy/length]; and, if u depends on t, ∂u/∂t [energy/time] as a
+    fifth number, from which the work is counted. It is plain Python, or compiled by numba.njit. bind raises TypeError
+    for a law that does not return such numbers, ValueError for a force that is not −∇u, or a u that changes with time
+    where ∂u/∂t is not returned.
+    """
+
+    law: Callable = declared(own_law, "law(x, y, z, t, *parameters)")
+    parameters: Sequence[ArrayLike] = declared(own_parameters, default=())
+    atoms: ArrayLike | None = declared(atoms, default=None)
+
+    def bind(self, system: System) -> Term:
+        """The term of this field in a system.  Raises ValueError, TypeError as the class says."""
+        acting = self.atoms_in(system)
+        columns = self.columns("atoms", len(acting))
+        law: Any = self.law
+        some = np.unique(np.linspace(0, len(acting) - 1, TRIED).astype(int)) if len(acting) else ()
+        tried = [_Tried(law, system.positions[acting[k]], tuple(one[k].item() for one in columns)) for k in some]
+        faults = [fault for one in tried for time in TIMES for fault in one.wrong(time)]
+        for k, sentence in faults:
+            if 2 * sum(other == k for other, _ in faults) > len(tried) * len(TIMES):
+                raise ValueError(sentence)
+        warning = next((words for one in tried if (words := one.repeats(system))), "")
+        term = FieldTerm(acting, law, columns, warning=warning)
+        term.depends_on_time = any(one.is_timed for one in tried)
+        term.fits_grid = not term.depends_on_time  # its work is no whole number of steps
+        return term
+
+
+class _Tried:
+    """A user's law at the position of an atom."""
+
+    def __init__(self, law: tuple, place: Array, numbers: tuple[float, ...]) -> None:
+        self.law, self.place, self.numbers = law, place, numbers
+        self.is_timed = len(self.at(TIMES[0])) == TIMED
+
+    def at(self, time: float, shift: Array | float = 0.0) -> tuple[float, ...]:
+        """What the law returns.  Raises TypeError unless that is four or five numbers."""
+        name = type(self.law).python.__name__  # type: ignore[attr-defined]
+        x, y, z = (self.place + shift).tolist()
+        wanted = "u, three forces, and ∂u/∂t if it depends on t"
+        try:
+            found = tuple(float(one) for one in evaluate_law(self.law, x, (y, z, time, *self.numbers)))
+        except ArithmeticError:
+            return (nan,) * 4
+        except Exception as error:  # whatever a law of the user's raises
+            taken = f"x, y, z, t and {len(self.numbers)} parameters"
+            raise TypeError(f"the law {name} must take {taken}, and return {wanted}: {error}") from None
+        if len(found) not in (4, TIMED):
+            raise TypeError(f"the law {name} must return {wanted}; it returns {len(found)} numbers")
+        return found
+
+    def slopes(self, time: float) -> Array:
+        """−∇u and ∂u/∂t by central differences, (4,)."""
+        steps = [(h, 0.0) for h in STEP * np.eye(3)] + [(np.zeros(3), STEP)]
+        return np.array([(self.at(time - dt, h)[0] - self.at(time + dt, -h)[0]) / (-2.0 * STEP) for h, dt in steps])
+
+    def wrong(self, time: float) -> Iterator[tuple[int, str]]:
+        """What is wrong: the index of a wrong number among those after u, and a sentence."""
+        u, *told = self.at(time)
+        for k, (said, slope) in enumerate(zip((*told, 0.0)[:4], self.slopes(time).tolist(), strict=True)):
+            if isfinite(said) and isfinite(slope) and not agree(said, slope, u):
+                at = f"at ({', '.join(f'{c:.4g}' for c in self.place)}), t = {time:g}"
+                what = f"-∂u/∂{'xyz'[k]}" if k < len("xyz") else "∂u/∂t"
+                if k == len(told):
+                    fifth = "the law must return ∂u/∂t as its fifth number, because u depends on t"
+                    yield k, f"{fifth}; {at} it is {slope:.6g}"
+                else:
+                    wanted = "the law must return u, -∇u and ∂u/∂t"
+                    yield k, f"{wanted}; {at} it returns {said:.6g} where {what} is {slope:.6g}"
+
+    def repeats(self, system: System) -> str:
+        """A warning if the force is another one lattice vector away; empty if not."""
+        here = np.array(self.at(TIMES[0])[1:4])
+        for k in np.flatnonzero(system.cell.pbc):
+            there = self.at(TIMES[0], system.cell.vectors[k])[1:4]
+            if not np.allclose(here, there, rtol=ACCURACY, atol=ACCURACY * np.abs(here).max()):
+                where = f"the cell is periodic along {'abc'[k]}, but the field is not"
+                return f"{where}: an atom and its image feel different forces"
+        return ""

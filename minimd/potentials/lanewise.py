@@ -7,7 +7,7 @@ from numba.core.errors import NumbaError
 
 from minimd.compiled.kernels import by_type, kernel, scalar, without_cache
 from minimd.compiled.simd import lane, load, total, with_lane
-from minimd.compiled.simd.lanes import count, lanes_for
+from minimd.compiled.simd.vector import count, lanes_for
 from minimd.potentials.law import evaluate_law, law_type
 from minimd.potentials.tabulated import reads_table
 from minimd.potentials.user_laws import is_recognized, is_user_law

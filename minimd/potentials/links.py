@@ -20,14 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
-from minimd.compiled.fixed_point import in_steps
+from minimd.compiled.fixed_point import as_force, force_along, in_steps, is_too_large
 from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, scalar, type_of, without_cache
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, n_chunks_of, operation
 from minimd.compiled.simd import bits_from_mask, fma, lane, select
-from minimd.compiled.simd.blocks import gathered, loaded, loaded_columns, stored
-from minimd.compiled.simd.lanes import count, lanes_for
+from minimd.compiled.simd.vector import count, gathered, lanes_for, loaded, loaded_columns, stored
 from minimd.neighbors.clusters import DIMENSIONS
-from minimd.potentials.accumulators import as_force, force_along, is_too_large
 from minimd.potentials.lanewise import on_vectors
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, OwnTerm, Target

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.console.words import listed, near, shown
 from minimd.potentials.law import check_user_law, checked_law, evaluate_law, law_at
+from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.term import OwnPotential, OwnTerm, PairLaw, no_bonds
 from minimd.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
 from minimd.potentials.user_laws import UserLaw
@@ -354,3 +355,74 @@ def _symmetric(name: str, by_pair: Any) -> dict:
 def _one_order(by_pair: Mapping[tuple[Label, Label], Any]) -> dict[tuple[Label, Label], Any]:
     """A symmetric mapping reduced to one entry for each pair of species, the one that came first."""
     return {pair: value for k, (pair, value) in enumerate(by_pair.items()) if pair[::-1] not in [*by_pair][:k]}
+
+
+def curvature_at_minimum(epsilon: Any, sigma: Any) -> Any:
+    """u″ of the Lennard-Jones law at its minimum, r = 2^(1/6) σ: 72 ε / (2^(1/3) σ²) [energy/length²]; or arrays."""
+    return 72.0 * epsilon / (2.0 ** (1.0 / 3.0) * sigma * sigma)
+
+
+class LennardJones(PairPotential):
+    """Lennard-Jones 12-6 potential u(r) = 4ε [(σ/r)¹² − (σ/r)⁶].
+
+    Parameters
+    ----------
+    epsilon : ε, depth of the well [energy]; or a mapping from species to (ε, σ), and no sigma.
+    sigma : σ, distance where u = 0 [length].
+    cutoff, truncation, pairs, switch_start, bonded_scale, tail_correction : as for PairPotential.
+    mixing : "lorentz-berthelot" (default), "geometric", or a function of two (ε, σ), for unlike pairs not in pairs.
+
+    Raises
+    ------
+    ValueError : if ε is negative or σ not positive, and as PairPotential does.
+    """
+
+    def __init__(
+        self,
+        epsilon: float | Mapping[Label, tuple[float, float]],
+        sigma: float | None = None,
+        cutoff: float | Mapping[tuple[Label, Label], float] | None = None,
+        truncation: TruncationName = "shifted",
+        *,
+        mixing: MixingName | Callable[[Parameters, Parameters], Parameters] | None = "lorentz-berthelot",
+        pairs: ByPairOfLabels | None = None,
+        switch_start: float | None = None,
+        bonded_scale: Sequence[float] = UNSCALED,
+        tail_correction: bool = False,
+    ) -> None:
+        if isinstance(epsilon, Mapping) == (sigma is not None):
+            wanted = "either epsilon and sigma, or one mapping from species to (epsilon, sigma)"
+            raise ValueError(f"give LennardJones {wanted}")
+        parameters: Any = epsilon if isinstance(epsilon, Mapping) else (epsilon, sigma)
+        super().__init__(
+            LennardJonesLaw(),
+            parameters,
+            cutoff,
+            truncation,
+            mixing=mixing,
+            pairs=pairs,
+            switch_start=switch_start,
+            bonded_scale=bonded_scale,
+            tail_correction=tail_correction,
+        )
+
+    def law_arguments(self) -> dict[str, Any]:
+        """See PairPotential."""
+        if isinstance(self.parameters, dict):
+            return {"epsilon": self.parameters}
+        return dict(zip(("epsilon", "sigma"), self.parameters, strict=True))
+
+    @property
+    def shortest_length(self) -> float:
+        """See PairPotential; without a cutoff the smallest σ [length]."""
+        if self.cutoff < inf:
+            return super().shortest_length
+        parameters = self.parameters.values() if isinstance(self.parameters, dict) else [self.parameters]
+        return min((sigma for _, sigma in (*parameters, *self.pairs.values())), default=inf)
+
+    def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
+        if not isinstance(numbers, Sequence | np.ndarray) or len(numbers) != 2:
+            raise ValueError(f"Lennard-Jones parameters are (epsilon, sigma); those of {of!r} are {shown(numbers)}")
+        whose = "" if of is None else f" of {of!r}"
+        epsilon = checked_number(f"epsilon{whose}", numbers[0], "finite and not negative")
+        return epsilon, checked_number(f"sigma{whose}", numbers[1], "positive and finite")

@@ -7,11 +7,10 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
-from minimd.compiled.fixed_point import in_steps
+from minimd.compiled.fixed_point import force_along, in_steps, is_too_large, no_force
 from minimd.compiled.kernels import by_type, called_kernel, without_cache
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE
 from minimd.compiled.simd import fma
-from minimd.potentials.accumulators import force_along, is_too_large, no_force
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.term import FORCES, PER_ATOM
 from minimd.potentials.user_laws import is_recognized

@@ -1,6 +1,6 @@
 """The interface of all forces: a potential has bind(system), which returns a Term; a Term adds its forces to a sum."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from copy import deepcopy
 from math import inf
 from typing import Any, NamedTuple, Protocol
@@ -23,8 +23,6 @@ BOND_LOOP = "bond loop"
 TRIES, SHAKEN, STEP = 3, 1e-2, 1e-4
 ROUGH = 10.0  # of a slope: relative to the difference of two of them
 CLOSE = 1e-2  # the closest distance that counts, relative to the mean spacing of atoms
-# for objects that are no potentials; minimd/__init__ adds those of the bridges
-INTERPRETERS: list[Callable[[Any], Sequence[Any] | None]] = []
 
 
 class PairLaw(NamedTuple):
@@ -202,16 +200,6 @@ class OwnPotential(Displayed):
         """See Displayed."""
         told = ((name, as_text(value)) for name, value in self.arguments().items())
         return [("potential", type(self).__name__), *told]
-
-
-def as_potentials(given: Any) -> tuple[Any, ...]:
-    """One potential or several as a tuple; other objects become the potentials that an INTERPRETER has for them."""
-    potentials: list[Any] = []
-    for one in given if isinstance(given, list | tuple) else (given,):
-        answers = (interpret(one) for interpret in INTERPRETERS)
-        found = None if hasattr(one, "bind") else next((own for own in answers if own is not None), None)
-        potentials.extend([one] if found is None else found)
-    return tuple(potentials)
 
 
 def bound(potential: Any, system: System) -> Term:

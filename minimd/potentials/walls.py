@@ -29,6 +29,8 @@ from minimd.structure.system import System
 
 WALL_LAWS: dict[str, Any] = {"9-3": LennardJones93Law(), "12-6": LennardJonesLaw()}
 WallLaw = Literal["9-3", "12-6"]  # the keys of WALL_LAWS
+REACH = "distance from the wall from which on there is no force; none if not given"
+OF_DISTANCE = "of the distance d: ε [2/15 (σ/d)⁹ − (σ/d)³], or 4ε [(σ/d)¹² − (σ/d)⁶]; shifted to 0 at the cutoff"
 ALONG = 1e-9  # of a lattice vector: one that leaves the plane of a wall by less counts as parallel to it
 
 
@@ -74,29 +76,15 @@ class Wall(OwnWall):
     """A flat wall, u(d) of the distance d = n·(r − p) of an atom; atoms are on the side to which the normal n points.
 
     The plane must lie along all periodic directions, in which it has no end. LAMMPS: `fix wall/lj93`, `fix wall/lj126`.
-
-    Parameters
-    ----------
-    point : p, a point of the plane, three numbers [length].  normal : n, of any length, towards the atoms.
-    epsilon : ε [energy], sigma : σ [length], one number each, or one for each atom.
-    cutoff : distance beyond which there is no force [length]; None for none. The energy is shifted to be zero there.
-    law : "9-3", u = ε [2/15 (σ/d)⁹ − (σ/d)³], of a half-space of atoms; or "12-6", u = 4ε [(σ/d)¹² − (σ/d)⁶],
-        of a layer.
-    atoms : indices; all if not given.
-
-    Raises
-    ------
-    ValueError : if a number is not finite or out of range, or shapes do not fit; and, when it is bound to a system, for
-        atoms on the wall or behind it.
     """
 
     around = Planar
-    point: ArrayLike = declared(vector, "length")
-    normal: ArrayLike = declared(direction)
-    epsilon: ArrayLike = declared(each, "energy", NOT_NEGATIVE, default=1.0)
-    sigma: ArrayLike = declared(each, "length", POSITIVE, default=1.0)
-    cutoff: float | None = declared(number, "length", POSITIVE, default=None)
-    law: WallLaw = declared(choice, of=WALL_LAWS, default="9-3")
+    point: ArrayLike = declared(vector, "of the plane", "length")
+    normal: ArrayLike = declared(direction, "of the plane, towards the atoms, of any length")
+    epsilon: ArrayLike = declared(each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
+    sigma: ArrayLike = declared(each, "range of the wall", "length", POSITIVE, default=1.0)
+    cutoff: float | None = declared(number, REACH, "length", POSITIVE, default=None)
+    law: WallLaw = declared(choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
     atoms: ArrayLike | None = declared(atoms, default=None)
 
     def place(self) -> tuple[Any, float]:
@@ -134,25 +122,16 @@ class RoundWall(OwnWall):
 class CylinderWall(RoundWall):
     """The wall of a cylinder with atoms inside: u(d) of the distance d = R − ρ from it.
 
-    Parameters
-    ----------
-    point : on the axis, three numbers [length].  axis : direction, three numbers of any length.  radius : R [length].
-    epsilon, sigma, cutoff, law, atoms : as for Wall. The law is that of a flat wall at the nearest point.
-
     Positions count relative to the nearest image of the point.
-
-    Raises
-    ------
-    ValueError : as Wall, and for a radius that is not positive.
     """
 
-    point: ArrayLike = declared(vector, "length")
-    axis: ArrayLike = declared(direction)
-    radius: float = declared(number, "length", POSITIVE)
-    epsilon: ArrayLike = declared(each, "energy", NOT_NEGATIVE, default=1.0)
-    sigma: ArrayLike = declared(each, "length", POSITIVE, default=1.0)
-    cutoff: float | None = declared(number, "length", POSITIVE, default=None)
-    law: WallLaw = declared(choice, of=WALL_LAWS, default="9-3")
+    point: ArrayLike = declared(vector, "on the axis", "length")
+    axis: ArrayLike = declared(direction, "direction, of any length")
+    radius: float = declared(number, "of the cylinder; atoms are inside", "length", POSITIVE)
+    epsilon: ArrayLike = declared(each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
+    sigma: ArrayLike = declared(each, "range of the wall", "length", POSITIVE, default=1.0)
+    cutoff: float | None = declared(number, REACH, "length", POSITIVE, default=None)
+    law: WallLaw = declared(choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
     atoms: ArrayLike | None = declared(atoms, default=None)
 
     def place(self) -> tuple[Any, float]:
@@ -161,24 +140,14 @@ class CylinderWall(RoundWall):
 
 
 class SphereWall(RoundWall):
-    """The wall of a sphere with atoms inside: u(d) of the distance d = R − |r − p| from it.
+    """The wall of a sphere with atoms inside: u(d) of the distance d = R − |r − p| from it."""
 
-    Parameters
-    ----------
-    point : p, the center, three numbers [length].  radius : R [length].  epsilon, sigma, cutoff, law, atoms :
-        as for CylinderWall.
-
-    Raises
-    ------
-    ValueError : as CylinderWall.
-    """
-
-    point: ArrayLike = declared(vector, "length")
-    radius: float = declared(number, "length", POSITIVE)
-    epsilon: ArrayLike = declared(each, "energy", NOT_NEGATIVE, default=1.0)
-    sigma: ArrayLike = declared(each, "length", POSITIVE, default=1.0)
-    cutoff: float | None = declared(number, "length", POSITIVE, default=None)
-    law: WallLaw = declared(choice, of=WALL_LAWS, default="9-3")
+    point: ArrayLike = declared(vector, "the center", "length")
+    radius: float = declared(number, "of the sphere; atoms are inside", "length", POSITIVE)
+    epsilon: ArrayLike = declared(each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
+    sigma: ArrayLike = declared(each, "range of the wall", "length", POSITIVE, default=1.0)
+    cutoff: float | None = declared(number, REACH, "length", POSITIVE, default=None)
+    law: WallLaw = declared(choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
     atoms: ArrayLike | None = declared(atoms, default=None)
 
     def place(self) -> tuple[Any, float]:

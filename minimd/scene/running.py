@@ -1,4 +1,4 @@
-"""Running a scene from start to report, with a line about each stage."""
+"""Running a scene from start to report, with a line about each stage; or handing it over to LAMMPS for the run."""
 
 import json
 import tomllib
@@ -11,15 +11,18 @@ from typing import Any
 import numpy as np
 
 from minimd.console.signals import Terminated
+from minimd.diagnosis.report import conservation_report
+from minimd.document.document import h5md_files, stored
+from minimd.document.sections import PLOT_SUFFIXES
 from minimd.files.crash_file import crash_file_place
 from minimd.files.h5md_reader import read_file, verify_frames
 from minimd.files.h5md_schema import other_potentials
 from minimd.files.trajectory import FORMATS, checked_output
 from minimd.integrators import StochasticCellRescaling
+from minimd.lammps import HandOver, check_hand_over, hand_over
 from minimd.observers import Accumulator
 from minimd.potentials import PairPotential
-from minimd.scene.document import Scene, h5md_files, stored_scene
-from minimd.scene.sections import PLOT_SUFFIXES
+from minimd.scene.scene import Scene
 from minimd.simulation.simulation import Simulation
 from minimd.structure.constraints import FixedAtoms
 from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
@@ -118,8 +121,8 @@ def resume_run(
     """
     verify_frames(file)
     path, contents = Path(file), read_file(file)
-    stored = stored_scene(contents.scene, path) if contents.scene else None
-    given, scene = scene, scene or stored
+    known = stored(Scene, contents.scene, path) if contents.scene else None
+    given, scene = scene, scene or known
     if scene is None:
         resumed = f"sim = minimd.Simulation.resume({str(file)!r}, potentials)"
         raise ValueError(
@@ -134,7 +137,7 @@ def resume_run(
             f"the run in {str(file)!r} has reached the end of its scene: it is at step {contents.step}, dynamics.steps "
             f"= {end}; give the number of further steps with --steps"
         )
-    if stored is not None and (other := differences(stored, scene)):
+    if known is not None and (other := differences(known, scene)):
         tell("NOTE           the scene given replaces that of the run so far; frames before and after differ")
         tell("               in what is listed here:")
         for line in other:
@@ -339,3 +342,50 @@ def _how_to_go_on(written: Sequence[Path], end: int) -> str:
             left = end - read_file(file).step
             return f"; resume with: minimd resume {file} --steps {left}" if left > 0 else ""
     return ""
+
+
+def hand_over_scene(
+    scene: Scene,
+    folder: Path,
+    *,
+    steps: int | None = None,
+    processes: int = 1,
+    overwrite: bool = False,
+    progress: bool | None = None,
+    tell: Tell = print,
+) -> HandOver:
+    """Build a scene, minimize and equilibrate it, and let LAMMPS run it.
+
+    folder : for all files.  steps : in place of those of the scene.
+        Other arguments and errors are those of minimd.lammps.hand_over.
+    Raises ValueError, OSError also for a scene that cannot be built.
+    """
+    output, n_steps = scene.sections.output, scene.sections.dynamics.steps if steps is None else steps
+    simulation = scene.simulation()
+    for line in description(scene, simulation, n_steps):
+        tell(line)
+    check_hand_over(
+        simulation, folder, n_steps, processes=processes, every=output.every, overwrite=overwrite
+    )  # before the minimization begins
+    if scene.sections.observer:
+        tell(
+            "NOTE           the observers of the scene are not used: they work in runs of minimd only, and LAMMPS "
+            "makes this run"
+        )
+    minimize(scene, simulation, progress, tell)
+    equilibrate(scene, simulation, progress, tell)
+    done = hand_over(
+        simulation,
+        folder,
+        n_steps,
+        processes=processes,
+        every=output.every,
+        store_forces=output.forces,
+        overwrite=overwrite,
+        progress=progress,
+        tell=tell,
+    )
+    is_free = simulation.conserves_momentum
+    angular = is_free and not simulation.system.cell.is_periodic
+    tell(str(conservation_report(done.record, linear=is_free, angular=angular, n_dof=simulation.n_dof)))
+    return done

@@ -29,7 +29,9 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
     verify_frames(file)  # a child process reads it first
     contents = read_file(file)
     if potentials is None:
-        potentials = kind.potentials_of_scene(contents.scene, contents.potentials, Path(file))
+        from minimd.document.document import potentials_of_scene  # pydantic is slow to load
+
+        potentials = potentials_of_scene(contents.scene, contents.potentials, Path(file))
     options = {
         "threads": threads,
         "precision": contents.precision,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from minimd.console.display import Displayed, Rows
 from minimd.console.progress import progress_of
@@ -70,9 +70,6 @@ class Simulation(Closed, Displayed):
     """
 
     own = ("engine", "guard", "record", "reversibility")
-    potentials_of_scene: ClassVar[
-        Callable[[str, Sequence[str], Path], list[Potential]]
-    ]  # set by minimd/__init__: scenes are a floor above
     system = EngineAttribute[System]("The state; its arrays can be changed, not replaced by those of another system.")
     method = EngineAttribute[Splitting](
         "The integrator with its time step; another one takes over with the next step. See Engine.method."

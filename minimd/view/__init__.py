@@ -1,5 +1,5 @@
 """A run as a page in the browser: its report, its pictures, and its atoms in motion."""
 
-from minimd.view.viewing import View, view, view_record
+from minimd.view.viewing import View, view
 
-__all__ = ["View", "view", "view_record"]
+__all__ = ["View", "view"]

@@ -48,7 +48,9 @@ class View:
         )
 
 
-def view(file: str | Path, *, frames: int = FRAMES, potentials: Potential | Sequence[Potential] | None = None) -> View:
+def view(
+    file: str | Path | Record, *, frames: int = FRAMES, potentials: Potential | Sequence[Potential] | None = None
+) -> View:
     """A run as a page: its report, its pictures, and its atoms in motion with cell, bonds and species.
 
     For a failed run (.crash.h5md) the page shows the last steps, made again one by one,
@@ -56,7 +58,7 @@ def view(file: str | Path, *, frames: int = FRAMES, potentials: Potential | Sequ
 
     Parameters
     ----------
-    file : .h5md file of a run, or .crash.h5md that a failed run left.
+    file : .h5md file of a run, or .crash.h5md that a failed run left; or the record of a run that wrote a file.
     frames : largest number of frames, evenly chosen from those in the file; fewer are shown if there are many atoms.
     potentials : for a failed run only; if not given, those of the scene that is stored in the file. Without both, the
         page shows the two states in the file.
@@ -65,9 +67,14 @@ def view(file: str | Path, *, frames: int = FRAMES, potentials: Potential | Sequ
     ------
     FileNotFoundError, OSError, ValueError : as md.replay for a failed run, else as minimd.mdanalysis.universe.
         ValueError also if potentials are given for a run that did not fail,
-        or if frames is not a whole number of at least 2.
+        if frames is not a whole number of at least 2, and for the record of a run that wrote no .h5md file.
     """
-    frames, path = checked_count("frames", frames, least=2), Path(file)
+    frames, place = checked_count("frames", frames, least=2), file.trajectory if isinstance(file, Record) else file
+    if place is None:
+        raise ValueError(
+            "a page needs the frames of the run, but the run wrote no .h5md file; run with trajectory='run.h5md'"
+        )
+    path = Path(place)
     from minimd.files.crash_file import is_crash_file  # these load h5py, MDAnalysis and matplotlib
     from minimd.files.h5md_reader import verify_frames
     from minimd.view.page import page
@@ -83,15 +90,3 @@ def view(file: str | Path, *, frames: int = FRAMES, potentials: Potential | Sequ
     else:
         story = run_story(path, frames)
     return View(page(story), path, story.summary)
-
-
-def view_record(record: Record) -> View:
-    """The page of the run to which a record belongs, from the .h5md file of the run.
-
-    Raises ValueError if the run wrote no such file.  Others as view.
-    """
-    if record.trajectory is None:
-        raise ValueError(
-            "a page needs the frames of the run, but the run wrote no .h5md file; run with trajectory='run.h5md'"
-        )
-    return view(record.trajectory)

@@ -14,9 +14,9 @@ from references import liquid
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.compiled.features import restrict_features
-from minimd.compiled.simd import lanes
-from minimd.compiled.simd.lanes import Lanes4, Lanes8
+from minimd.compiled.machine import restrict_features
+from minimd.compiled.simd import vector as lanes
+from minimd.compiled.simd.vector import Lanes4, Lanes8
 from minimd.forces.cluster_loop import add_cluster_forces
 from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
@@ -52,7 +52,7 @@ def test_vectors_of_any_width_give_the_same_physics(monkeypatch, kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("chosen", ["sse", "avx2", "avx512"])
 def test_older_vectors_can_be_chosen_by_their_names(chosen):
-    code = "from minimd.compiled.simd.lanes import register_bits, lanes_for; print(register_bits(), lanes_for().size)"
+    code = "from minimd.compiled.simd.vector import register_bits, lanes_for; print(register_bits(), lanes_for().size)"
     where = os.environ | {"MINIMD_VECTORS": chosen}
     told = subprocess.run([sys.executable, "-c", code], env=where, capture_output=True, text=True, check=True)
     bits, n_lanes = map(int, told.stdout.split())

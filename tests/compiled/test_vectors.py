@@ -7,7 +7,7 @@ import pytest
 
 from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.simd import bits_from_mask, broadcast, fma, lane, load, select, store, total, with_lane
-from minimd.compiled.simd.lanes import Lanes4, Lanes8, count
+from minimd.compiled.simd.vector import Lanes4, Lanes8, count
 
 TYPES = [np.float64, np.float32, np.int32]
 FLOATS = TYPES[:2]

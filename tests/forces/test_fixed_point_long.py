@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import minimd as md
-from minimd.compiled.simd.lanes import Lanes4, Lanes8
+from minimd.compiled.simd.vector import Lanes4, Lanes8
 from minimd.neighbors import cluster_list
 from minimd_bench.scenes import melt
 

@@ -24,7 +24,7 @@ FLOORS = [name if name in TOP else f"minimd.{name}" for name in BEGIN_WITH]
 STRANGERS = {"minimd.integrators", "minimd.potentials"}  # never import each other
 BRIDGES = {  # folders and modules that may import ase or MDAnalysis when they are imported
     *("ase", "mdanalysis", "structure/ase_atoms.py", "structure/mdanalysis_atoms.py"),
-    *("files/ase_writer.py", "files/structure_file.py", "files/mdanalysis_writer.py", "files/turned_cell.py"),
+    *("files/structure_file.py", "files/turned_cell.py"),
 }
 FOREIGN = {"minimd_bench.engines"}  # reaches for private names of OpenMM and LAMMPS
 HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "minimd.lammps"}
@@ -91,6 +91,26 @@ def test_only_the_bridges_import_ase_and_mdanalysis():
         if not BRIDGES & {place.as_posix(), place.parts[0]}:
             roots = {module.split(".")[0] for module in imports(path, when_imported=True)}
             assert not roots & {"ase", "MDAnalysis"}, path
+
+
+def test_nobody_assigns_to_a_name_of_a_lower_floor():
+    """Neither to an attribute of what is imported from there nor by appending to a list of it."""
+    reached = []
+    for module, path in MODULES.items():
+        nodes = nodes_of(path)
+        imported = {
+            alias.asname or alias.name: node.module
+            for node in nodes
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in TOP
+            for alias in node.names
+            if floor_of(node.module) != floor_of(module)
+        }
+        for node in nodes:
+            is_set = isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store | ast.Del)
+            is_changed = isinstance(node, ast.Attribute) and node.attr in ("append", "extend", "insert", "update")
+            if (is_set or is_changed) and isinstance(node.value, ast.Name) and node.value.id in imported:
+                reached.append(f"{module}: {ast.unparse(node)}")
+    assert reached == []
 
 
 def test_imports_go_down_the_floors_and_not_in_circles():

@@ -8,7 +8,7 @@ import pytest
 from references import liquid
 
 import minimd as md
-from minimd.compiled.simd.lanes import lanes_for
+from minimd.compiled.simd.vector import lanes_for
 from minimd.compiled.threads import MOST_CHUNKS, thread_pool
 from minimd.neighbors.cluster_list import ClusterList
 from minimd.neighbors.clusters import columns_fit, make_columns, region_of

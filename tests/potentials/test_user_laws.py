@@ -11,11 +11,14 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from references import liquid
 from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.compiled.snapshot import Snapshot
+from minimd.potentials.bonded import Bond
+from minimd.potentials.declared import NOT_NEGATIVE, POSITIVE, declared, each, groups
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.truncation import Shifted
 from minimd.potentials.user_laws import is_recognized, is_user_law, user_law
@@ -230,3 +233,30 @@ def test_a_law_without_a_digest_runs_on_the_cluster_list():
         forces.compute()
         assert "cluster list" in forces.pair_search
     np.testing.assert_allclose(unclear.forces, clear.forces, rtol=1e-12, atol=1e-8)  # rounding
+
+
+def quartic(r2, k, length):
+    stretch = np.sqrt(r2) - length
+    return k * stretch**4, -4.0 * k * stretch**3 / np.sqrt(r2)
+
+
+class QuarticBond(Bond):
+    """A bond that is soft at rest, u(r) = k (r − length)⁴."""
+
+    law = user_law(quartic)
+    k: ArrayLike = declared(each, "u = k (r − length)⁴", "energy", NOT_NEGATIVE)
+    length: ArrayLike = declared(each, "at rest", "length", POSITIVE, default=1.0)
+    pairs: ArrayLike | None = declared(groups, of=2, default=None)
+
+
+def test_a_law_is_declared_once_and_has_constructor_checks_words_and_forces():
+    assert [*inspect.signature(QuarticBond).parameters] == ["k", "length", "pairs"]
+    assert "k : one number, or one for each [energy]; u = k (r − length)⁴." in QuarticBond.__doc__
+    assert repr(QuarticBond(2.0, pairs=[[0, 1]])) == "QuarticBond(k=2.0, length=1.0, pairs=[[0, 1]])"
+    for wrong, *shown in ((-1.0, "k", "-1.0"), (np.nan, "k", "nan"), ("soft", "k"), ([[1.0]], "k", "(1, 1)")):
+        assert_answered(lambda wrong=wrong: QuarticBond(wrong), ValueError, *shown)
+    system = md.System([[0, 0, 0], [1.3, 0, 0], [2.4, 0, 0]], bonds=[[0, 1], [1, 2]])
+    found = md.evaluate(system, QuarticBond([2.0, 3.0]))
+    assert found.potential_energy == pytest.approx(2.0 * 0.3**4 + 3.0 * 0.1**4, rel=1e-12)  # rounding
+    np.testing.assert_allclose(found.forces[2, 0], -4.0 * 3.0 * 0.1**3, rtol=1e-12)
+    assert_answered(lambda: md.evaluate(system, QuarticBond([1.0, 2.0, 3.0])), ValueError, "k", "2", "(3,)")

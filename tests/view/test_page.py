@@ -146,10 +146,10 @@ def test_a_view_is_shown_in_a_notebook_and_saved(run, tmp_path):
     assert seen.save() == run.file.with_suffix(".html")
     for frames in (1, 2.5, "all"):
         assert_answered(partial(md.view, run.file, frames=frames), ValueError, "frames", repr(frames))
-    assert_answered(skewed_chains().run(0).view, ValueError, ".h5md", "trajectory=")
+    assert_answered(lambda: md.view(skewed_chains().run(0)), ValueError, ".h5md", "trajectory=")
     still = md.Simulation(md.System([[0.0, 0.0, 0.0]]), LJ, md.VelocityVerlet(0.004))
     still = still.run(0, trajectory=[tmp_path / "a.xyz", tmp_path / "a.h5md"])  # one frame, of one atom
-    assert Parts(still.view().html).counts.shape == (1, 1, 3)
+    assert Parts(md.view(still).html).counts.shape == (1, 1, 3)
 
 
 @pytest.mark.filterwarnings("ignore:timestep 0.05 τ is longer than the bond")

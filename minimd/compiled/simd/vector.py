@@ -1,9 +1,21 @@
-"""The vector type; vectors from numbers and memory, and back."""
+"""The vector type; vectors from numbers and memory, and back; the number of lanes that suits the processor.
 
+Memory is in blocks, where all x of some atoms stand together, then all y, all z; or in rows of tables.
+"""
+
+import functools
+import re
+from collections import namedtuple
+
+import llvmlite.binding as llvm
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
+from numba.core.registry import cpu_target
 from numba.extending import intrinsic, models, register_model
+
+from minimd.compiled.kernels import by_type, scalar
 
 INT32 = ir.IntType(32)
 MAGIC = 1.5 * 2.0**52  # plus a small whole number, which is then in the lowest bits
@@ -183,3 +195,82 @@ def _pointer_to(context, builder, kind, arguments, vector):
     """The address of an element, as that of a vector.  arguments : an array of type kind, and an index, as values."""
     data = context.make_array(kind)(context, builder, arguments[0]).data
     return builder.bitcast(builder.gep(data, [arguments[1]]), context.get_value_type(vector).as_pointer())
+
+
+@scalar
+def loaded(blocks, start, lanes):
+    """The vectors x, y, z of a block, from index start on."""
+    n = np.uintp(count(lanes))
+    return load(blocks, start, lanes), load(blocks, start + n, lanes), load(blocks, start + n + n, lanes)
+
+
+@scalar
+def stored(blocks, start, xyz):
+    """Write the vectors x, y, z of a block."""
+    (x, y, z), n = xyz, np.uintp(count(xyz[0]))
+    store(blocks, start, x)
+    store(blocks, start + n, y)
+    store(blocks, start + n + n, z)
+
+
+@scalar
+def gathered(table, numbers, start, lanes):
+    """The vectors x, y, z of the rows numbers[start], numbers[start + 1], … of a table (N, 3)."""
+    x = y = z = zeros(lanes)
+    for k in range(count(lanes)):
+        i = np.uintp(numbers[start + k])
+        x, y, z = with_lane(x, k, table[i, 0]), with_lane(y, k, table[i, 1]), with_lane(z, k, table[i, 2])
+    return x, y, z
+
+
+@by_type
+def loaded_columns(columns, start, lanes):
+    """A vector of each of a tuple of columns, from index start on; unrolled by the compiler."""
+    if len(columns) == 0:
+        return lambda columns, start, lanes: ()
+    return lambda columns, start, lanes: (load(columns[0], start, lanes),) + loaded_columns(columns[1:], start, lanes)
+
+
+BITS = 64  # of a number
+REGISTERS = {"zmm": 512, "ymm": 256}  # names in assembly of registers with more than 128 bits
+PROBE = (
+    "define <8 x double> @sum(<8 x double> %a, <8 x double> %b) {\n  %c = fadd <8 x double> %a, %b\n  ret <8 x "
+    "double> %c\n}"
+)
+
+
+class Lanes4(namedtuple("Lanes4", "")):
+    """Vectors of four numbers."""
+
+    size = 4
+
+
+class Lanes8(namedtuple("Lanes8", "")):
+    """Vectors of eight numbers."""
+
+    size = 8
+
+
+Lanes = Lanes4 | Lanes8
+
+
+@by_type
+def count(lanes):
+    """The number of lanes, of one of Lanes or of a vector, as a constant for the compiler."""
+    number = n_lanes(lanes)
+    return lambda lanes: number
+
+
+@functools.cache
+def register_bits() -> int:
+    """Width of the registers in which Numba's compiler adds vectors, perhaps for another processor than this one."""
+    triple, name, features = cpu_target.target_context.codegen().magic_tuple()
+    machine = llvm.Target.from_triple(triple).create_target_machine(cpu=name, features=features)
+    assembly = machine.emit_assembly(llvm.parse_assembly(PROBE))
+    return next((bits for register, bits in REGISTERS.items() if re.search(rf"%{register}\d", assembly)), 128)
+
+
+@functools.cache
+def lanes_for() -> Lanes:
+    """Lanes for float64: eight if they fit one register, else four, which take 16 registers in the inner loop."""
+    return Lanes8() if register_bits() >= BITS * Lanes8.size else Lanes4()

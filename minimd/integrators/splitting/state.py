@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.constraints.graph import Bodies
+from minimd.constraints.groups import Bodies
 from minimd.constraints.solver import ConstraintSolver
 from minimd.integrators.method import Array
 from minimd.structure.grid import Grid, steps_of

@@ -7,6 +7,9 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
 
 from minimd.console.words import printable
+from minimd.document.force_sections import ForceSection
+from minimd.document.section import Dimension, NotNegative, PairOfAtoms, Positive, Section, Three, one_of, reading_of
+from minimd.document.tables import Numbers, TableSection
 from minimd.forces.options import Precision
 from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting, StochasticCellRescaling
 from minimd.integrators.splitting.barostats import COUPLINGS
@@ -15,9 +18,6 @@ from minimd.observers import KINDS, Accumulator
 from minimd.potentials import LennardJones, Tabulated
 from minimd.potentials.pair import MIXING, ByPairOfLabels, Label
 from minimd.potentials.truncation import TRUNCATIONS
-from minimd.scene.force_sections import ForceSection
-from minimd.scene.section import Dimension, NotNegative, PairOfAtoms, Positive, Section, Three, one_of, reading_of
-from minimd.scene.tables import Numbers, TableSection
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
 from minimd.structure.lattice import BASES
 

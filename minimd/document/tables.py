@@ -13,8 +13,8 @@ import numpy as np
 from pydantic import Field, FiniteFloat
 
 from minimd.console.quiet import quiet
+from minimd.document.section import KEY_UNITS, Dimension, Section
 from minimd.potentials.tabulated import FEWEST
-from minimd.scene.section import KEY_UNITS, Dimension, Section
 
 COLUMNS = 2
 Column = Annotated[list[FiniteFloat], Field(min_length=FEWEST)]

@@ -1,31 +1,31 @@
-"""Reading and checking a scene file, and building the simulation that it describes."""
+"""A scene file: its text, checked, and what it describes: atoms, potentials, method, bath, observers, files."""
 
 import re
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from minimd.document.problems import problems
+from minimd.document.section import Reading
+from minimd.document.sections import SceneSections, TabulatedSection
+from minimd.document.tables import Numbers, as_sections, read_table
 from minimd.integrators import Splitting, StochasticCellRescaling
 from minimd.observers import Accumulator
-from minimd.scene.problems import problems
-from minimd.scene.section import Reading
-from minimd.scene.sections import SceneSections, TabulatedSection
-from minimd.scene.tables import Numbers, as_sections, read_table
-from minimd.simulation.simulation import Simulation
 from minimd.structure import units
 from minimd.structure.lattice import constant_from_density, crystal
 from minimd.structure.system import System
 
+D = TypeVar("D", bound="Document")
 DEEP_KEY = re.compile(r"(?:[\w\"'-]+\s*\.\s*){64}")  # of tables in tables, for which tomllib would take gigabytes
 
 
 @dataclass(frozen=True)
-class Scene:
+class Document:
     """A checked scene file.
 
     path : the file; paths of structure files are relative to its folder.  text : of the file.
@@ -47,15 +47,15 @@ class Scene:
         Raises ValueError, OSError, with the name of the file, for a structure that cannot be read or is impossible,
         or for impossible constraints.
         """
-        with _blamed_on(f"{self.path}: structure"):
+        with blamed_on(f"{self.path}: structure"):
             system = self._from_lattice() if self.sections.structure.file is None else self._from_file()
-        return self._constrained(system)
+        return self.constrained(system)
 
     def potentials(self) -> list[Any]:
         """The potentials, in the order of the file.  Raises ValueError with the name of the file and the entry."""
         made = []
         for index, section in enumerate(self.sections.potential):
-            with _blamed_on(f"{self.path}: potential[{index}]"):
+            with blamed_on(f"{self.path}: potential[{index}]"):
                 made.append(
                     section.potential(self._table) if isinstance(section, TabulatedSection) else section.potential()
                 )
@@ -66,7 +66,7 @@ class Scene:
         for a table that cannot be read."""
         found: dict[str, Numbers] = {}
         for index, section in enumerate(self.sections.potential):
-            with _blamed_on(f"{self.path}: potential[{index}]"):
+            with blamed_on(f"{self.path}: potential[{index}]"):
                 found |= {
                     name: self._table(name) for name in (section.files if isinstance(section, TabulatedSection) else ())
                 }
@@ -80,36 +80,13 @@ class Scene:
     def method(self) -> Splitting:
         """The integrator with its time step, and its bath if it has one.  Raises ValueError, with the name of the file,
         for bad numbers."""
-        with _blamed_on(f"{self.path}: dynamics"):
+        with blamed_on(f"{self.path}: dynamics"):
             return self.sections.dynamics.integrator()
 
     def barostat(self) -> StochasticCellRescaling | None:
         """The barostat of the scene, or None."""
         section, temperature = self.sections.barostat, self.sections.dynamics.temperature
         return None if section is None or temperature is None else section.barostat(temperature)
-
-    def simulation(self, system: System | None = None) -> Simulation:
-        """The simulation at its start; if the scene gives a temperature, velocities are drawn at it.
-
-        system : a state from which to go on, with its velocities, in place of the structure of the scene; its
-            constraints are kept unless the scene has a section [constraints].
-        """
-        dynamics, start = self.sections.dynamics, self.system() if system is None else self._constrained(system.copy())
-        potentials, method = self.potentials(), self.method()
-        with _blamed_on(str(self.path)):
-            options: dict[str, Any] = {
-                "threads": dynamics.threads,
-                "precision": dynamics.precision,
-                "barostat": self.barostat(),
-            }
-            simulation = Simulation(start, potentials, method, **options)
-        simulation.engine.notes.update(title=self.sections.title or "", scene=self.whole_text())
-        for name in self.sections.output.extra_observables:
-            with _blamed_on(f"{self.path}: output.{name}"):
-                simulation.extra_observables = (*simulation.extra_observables, name)
-        if system is None and dynamics.temperature is not None:
-            simulation.set_temperature(dynamics.temperature, dynamics.seed)
-        return simulation
 
     def observers(self) -> list[Accumulator]:
         """New observers as described in the scene.  Raises ValueError, with the name of the file,
@@ -156,11 +133,11 @@ class Scene:
         inside = self.sections.tables.get(name)
         return read_table(self.path.parent / name) if inside is None else Numbers(inside.r, inside.u)
 
-    def _constrained(self, system: System) -> System:
+    def constrained(self, system: System) -> System:
         """The system, with the constraints of the scene if it has a section for them."""
         section = self.sections.constraints
         if section is not None:
-            with _blamed_on(f"{self.path}: constraints"):
+            with blamed_on(f"{self.path}: constraints"):
                 system.constraints = section.constraints(system.bonds.tolist(), system.constraints)
         return system
 
@@ -202,48 +179,44 @@ def h5md_files(files: Iterable[Path]) -> list[Path]:
     return [file for file in files if file.suffix.lower() == ".h5md"]
 
 
-def load_scene(path: str | Path) -> Scene:
-    """Read and check a scene file.
-
-    Raises
-    ------
-    OSError : if it cannot be read.  ValueError : if it is not valid TOML, or wrong: one line for each problem, with the
-        file, the place, the value and what is expected.
-    """
-    file = Path(path)
-    try:
-        return parse_scene(file.read_text(encoding="utf-8"), file)
-    except FileNotFoundError:
-        raise FileNotFoundError(f"scene file {str(file)!r} does not exist") from None
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{file}: a scene file must be UTF-8 text: {error}") from None
-    except OSError as error:
-        raise OSError(f"scene file {str(file)!r} cannot be read: {error.strerror}") from None
-
-
-def stored_scene(text: str, file: Path) -> Scene:
+def stored(kind: type[D], text: str, file: Path) -> D:
     """The scene in the file of a run, which others may have made: no other file is read for it.
 
-    Raises ValueError as load_scene, and if it names a table that is not in it.
+    Raises ValueError as parsed, and if it names a table that is not in it.
     """
-    scene = parse_scene(text, file)
-    for index, section in enumerate(scene.sections.potential):
+    document = parsed(kind, text, file)
+    for index, section in enumerate(document.sections.potential):
         for name in section.files if isinstance(section, TabulatedSection) else ():
-            if name not in scene.sections.tables:
+            if name not in document.sections.tables:
                 raise ValueError(
                     f"{file}: potential[{index}] of the stored scene must have its table in the scene; it names "
                     f"{name!r}"
                 )
-    return scene
+    return document
 
 
-def parse_scene(text: str, path: Path) -> Scene:
-    """Check the text of a scene file.  path : see Scene.  Raises ValueError as load_scene."""
+def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Any]:
+    """The potentials of the text of a scene.  words : the potentials of the run, for the message.
+    Raises ValueError if there is no scene."""
+    if scene:
+        return stored(Document, scene, file).potentials()
+    pass_them = (
+        "pass those of the script, as in minimd.replay(file, [...]), or give the command a scene that has "
+        "them with --scene"
+    )
+    raise ValueError(
+        f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; {pass_them}"
+    )
+
+
+def parsed(kind: type[D], text: str, path: Path) -> D:
+    """Check the text of a scene file.  kind : Document, or Scene.  path : see Document.
+    Raises ValueError, with one line for each problem: the file, the place, the value and what is expected."""
     try:
         if DEEP_KEY.search(text):
             raise RecursionError
         reading = Reading(tomllib.loads(text))
-        return Scene(path, text, SceneSections.model_validate(reading.document, context=reading))
+        return kind(path, text, SceneSections.model_validate(reading.document, context=reading))
     except tomllib.TOMLDecodeError as error:
         place = re.search(r"at line (\d+)", str(error))  # without it the message says "at end of document"
         line = text.split("\n")[int(place[1]) - 1] if place else text.rstrip().rpartition("\n")[2]
@@ -255,7 +228,7 @@ def parse_scene(text: str, path: Path) -> Scene:
 
 
 @contextmanager
-def _blamed_on(place: str) -> Iterator[None]:
+def blamed_on(place: str) -> Iterator[None]:
     """Begin the message of an error with the place in the scene that caused it."""
     try:
         yield

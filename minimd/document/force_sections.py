@@ -14,8 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, FiniteFloat, NonNegativeInt, create_model
 
 from minimd import potentials
-from minimd.potentials import declared as law
-from minimd.scene.section import (
+from minimd.document.section import (
     Atoms,
     Dimension,
     NotNegative,
@@ -26,6 +25,8 @@ from minimd.scene.section import (
     TripleOfAtoms,
     Vector,
 )
+from minimd.potentials import declared as law
+from minimd.potentials.bonded import Bonded
 
 NUMBERS = {law.NOT_NEGATIVE: NotNegative, law.POSITIVE: Positive, law.WHOLE: NonNegativeInt, law.ANGLE: NotNegative}
 GROUPS: dict[int, Any] = {2: list[PairOfAtoms], 3: list[TripleOfAtoms], 4: list[QuadrupleOfAtoms]}
@@ -36,18 +37,24 @@ KINDS: dict[Any, Any] = dict.fromkeys((law.vector, law.vectors, law.weight, law.
 }
 
 
-def key(asked: law.Parameter, default: Any) -> tuple[Any, Any]:
-    """Type and default of a field of a section; the default is ... if the key must be given."""
-    kind: Any = KINDS.get(asked.kind) or (NUMBERS.get(asked.demand, FiniteFloat))
-    if asked.kind is law.groups:
-        kind = GROUPS[asked.of]
+def key(one: Any, made: type[law.Declared]) -> tuple[Any, Any]:
+    """Type and default of a field of a section, from one of a class; the default is ... if the key must be given."""
+    asked, default = one.metadata["parameter"], one.default
+    kind: Any = KINDS.get(asked.kind) or NUMBERS.get(asked.demand, FiniteFloat)
+    words = asked.words
+    if issubclass(made, Bonded) and asked.kind is law.groups:
+        kind, words = GROUPS[asked.of], f"of atoms{words and ', '}{words}; the {made.acts_on} of the structure"
+        words += " if not given" if made.acts_on == "bonds" else " file if not given"
+    elif asked.kind is law.atoms:
+        words = "on which it acts; all if not given"
     elif asked.kind is law.choice:
         kind = Literal[tuple(asked.of)]
     if default in (None, inf):
         kind, default = kind | None, None
     elif default is MISSING or (asked.dimension and default != 0.0):
         default = ...
-    return Annotated[kind, Dimension(asked.dimension)] if asked.dimension else kind, default
+    told = Field(description=words)
+    return Annotated[kind, told, Dimension(asked.dimension)] if asked.dimension else Annotated[kind, told], default
 
 
 class OfForces(Section):
@@ -78,7 +85,7 @@ ForceSection = functools.reduce(
             __base__=OfForces,
             __module__=__name__,
             type=(Literal[kind], ...),
-            **{one.name: key(one.metadata["parameter"], one.default) for one in fields(made)},  # type: ignore[arg-type]
+            **{one.name: key(one, made) for one in fields(made)},  # type: ignore[arg-type]
         )
         for kind, made in MADE.items()
     ),

@@ -6,7 +6,7 @@ from typing import Any, get_args
 
 from pydantic import ValidationError
 
-from minimd.scene.section import UNKNOWN, Keys, Reading, Section, sections_below
+from minimd.document.section import UNKNOWN, Keys, Reading, Section, sections_below
 
 PLAIN = {  # words of pydantic: words of minimd
     "Input should be": "must be",

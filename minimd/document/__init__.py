@@ -1,0 +1,1 @@
+"""Scene files (TOML), checked by pydantic: what they describe, without running it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -123,15 +123,15 @@ def replay(
         _output(trajectory, Path(file), ".replay.h5md", overwrite),
         _output(picture, Path(file), ".replay.png", overwrite),
     )
-    acting = potentials_of_scene(past.scene, past.potentials, Path(file)) if potentials is None else potentials
-    simulation = Simulation(
-        past.system, acting, past.method, precision=past.precision, skin=past.skin, barostat=past.barostat
-    )
+    run = past.run
+    acting = potentials_of_scene(run.scene, run.potentials, Path(file)) if potentials is None else potentials
+    options = {"precision": run.precision, "skin": run.skin, "barostat": run.barostat}
+    simulation = Simulation(run.system, acting, run.integrator(), **options)
     simulation.restore(past.start)
     simulation.engine.noise_shift = past.noise_shift
     simulation.guard.judge_by(*past.judgment)
     rows: list[ReplayedStep] = []
-    options: dict[str, Any] = {"trajectory": () if frames is None else frames, "store_forces": True, "overwrite": True}
+    options = {"trajectory": () if frames is None else frames, "store_forces": True, "overwrite": True}
     options |= {"observers": [lambda now: rows.append(ReplayedStep.of(now))], "progress": False, "crash_report": False}
     step, failed_at = past.findings.step, None
     try:

@@ -24,12 +24,9 @@ from minimd.engine.engine import Snapshot
 from minimd.engine.observation import observe
 from minimd.files.trajectory import named_files
 from minimd.forces.contacts import Contact
-from minimd.integrators.splitting.barostats import StochasticCellRescaling
-from minimd.integrators.splitting.splitting import Splitting
 from minimd.neighbors.queries import ClosestPair
 from minimd.structure.checks import COUNTS
 from minimd.structure.errors import ConstraintError, NonFiniteError
-from minimd.structure.system import System
 
 SUFFIX = ".crash.h5md"
 ATOMS = ("first", "second", "pushed", "fastest")  # in findings, by index
@@ -38,23 +35,15 @@ ATOMS = ("first", "second", "pushed", "fastest")  # in findings, by index
 class CrashFile(NamedTuple):
     """The contents of a crash file.
 
-    findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.
-    method : of the run.  precision, skin, noise_shift : of the engine.  judgment : of the run guard.
-    potentials : in words.  scene : text, empty if the run came from a script.  barostat : StochasticCellRescaling,
-        or None.
+    findings : CrashReport.  run : H5MDContents, with the system in the earlier state.  start : that state.
+    noise_shift : of the engine.  judgment : of the run guard.
     """
 
     findings: CrashReport
-    system: System
+    run: Any
     start: Snapshot
-    method: Splitting
-    precision: Any
-    skin: float | None
     noise_shift: int
     judgment: tuple[dict[str, float] | None, float]
-    potentials: list[str]
-    scene: str
-    barostat: StochasticCellRescaling | None
 
 
 def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
@@ -165,9 +154,8 @@ def read_crash_report(path: str | Path) -> CrashFile:
             findings = CrashReport(**found | {"pair": pair, "closest": closest})
             for part in (findings, pair, closest):
                 _check_types(part, len(system))
-    options = {name: getattr(contents, name) for name in ("precision", "skin", "potentials", "scene", "barostat")}
-    options["judgment"] = told.get("first"), told.get("growth", RUNAWAY)  # older files have none
-    return CrashFile(findings, system, start, contents.integrator(), noise_shift=told["noise_shift"], **options)
+    judgment = told.get("first"), told.get("growth", RUNAWAY)  # older files have none
+    return CrashFile(findings, contents, start, told["noise_shift"], judgment)
 
 
 def _printable(found: dict[str, Any]) -> dict[str, Any]:

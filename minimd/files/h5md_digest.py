@@ -111,11 +111,16 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
 
 
 def write_restart(
-    h5: h5py.File, checkpoint: Checkpoint, n_frames: int, beside: Mapping[str, np.ndarray] = NOTHING
+    h5: h5py.File,
+    checkpoint: Checkpoint,
+    n_frames: int,
+    observers: Sequence[Accumulator] = (),
+    beside: Mapping[str, np.ndarray] = NOTHING,
 ) -> None:
     """Write the newest restart; the one before becomes the earlier restart.  beside : arrays that are kept with it."""
     older = EARLIER if EARLIER in h5 else SPARE
     arrays, numbers = flattened(checkpoint)
+    arrays |= {f"{MARK}{one.name}.{key}": np.asarray(part) for one in observers for key, part in one.state().items()}
     write_group(h5.require_group(older), {**arrays, **beside}, numbers | {"n_frames": n_frames})
     if older != SPARE:
         h5.move(older, SPARE)
@@ -196,11 +201,6 @@ def describe_observers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
     for one in observers:
         group = h5.require_group(f"{OBSERVERS}/{one.name}")
         group.attrs.update({"kind": one.kind, "arguments": json.dumps(one.made_with())})
-
-
-def states_of(observers: Sequence[Accumulator]) -> dict[str, np.ndarray]:
-    """The arrays of the observers' states, to be kept with a restart."""
-    return {f"{MARK}{one.name}.{key}": np.asarray(array) for one in observers for key, array in one.state().items()}
 
 
 def restore_observers(h5: h5py.File, file: str | Path, restart: Restart, observers: Sequence[Accumulator]) -> None:

@@ -8,7 +8,6 @@ a child process.
 """
 
 import faulthandler
-import json
 import os
 import pickle
 import signal
@@ -30,17 +29,9 @@ from minimd.console.quiet import quiet
 from minimd.console.words import printable
 from minimd.engine.engine import Checkpoint
 from minimd.engine.record import SERIES, Record
+from minimd.files import h5md_digest as digest
 from minimd.files.claim import end_with, repair
-from minimd.files.h5md_digest import (
-    OBSERVERS,
-    check_description,
-    damaged_frames,
-    damaged_restart,
-    n_whole_frames,
-    observers_of,
-    read_restart,
-)
-from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY, read_constraints
+from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY, read_constraints, read_method
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
@@ -331,9 +322,9 @@ def read_file(path: str | Path) -> H5MDContents:
 def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
     """Record, restart and description of an open minimd file.  path : for messages.  Raises as read_file."""
     with damage_told(path):
-        check_description(h5)
-        n_frames, group, found = n_whole_frames(h5), h5["minimd"], read_restart(h5)
-        state, at, observers = found.checkpoint.state, group.attrs, observers_of(h5, found)
+        digest.check_description(h5)
+        n_frames, group, found = digest.n_whole_frames(h5), h5["minimd"], digest.read_restart(h5)
+        state, at, observers = found.checkpoint.state, group.attrs, digest.observers_of(h5, found)
         told = f"the newest restart in {path} is damaged; the one before it is used, of step {state.step}"
         system = _system(group, found.checkpoint)
         return H5MDContents(
@@ -343,24 +334,18 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
             step=state.step,
             time=state.time,
             timestep=float(at["timestep"]),
-            method=printable(str(at["method"])),
             reservoir_energy=state.reservoir_energy,
-            conserves_momentum=bool(at["conserves_momentum"]),
             n_frames=n_frames,
             has_forces=f"{TRAJECTORY}/force" in h5,
             title=printable(str(at["title"])),
             scene=str(at["scene"]),
-            parameters=json.loads(at["parameters"]),
-            precision=str(at["precision"]),
-            skin=None if np.isnan(at["skin"]) else float(at["skin"]),
-            potentials=[printable(one) for one in at["potentials"]],
             repaired=told if found.is_earlier else "",
             observers=observers,
             lacks_results=any(
-                one.n_looks > h5[f"{OBSERVERS}/{name}"].attrs.get("n_looks", 0) for name, one in observers.items()
+                one.n_looks > h5[f"{digest.OBSERVERS}/{name}"].attrs.get("n_looks", 0)
+                for name, one in observers.items()
             ),
-            barostat=StochasticCellRescaling(**json.loads(text)) if (text := at.get("barostat", "")) else None,
-            too_long_a_step=printable(str(at.get("too_long_a_step", ""))),
+            **read_method(group),
         )
 
 
@@ -395,9 +380,11 @@ def verify_frames(path: str | Path) -> None:
 def _damage(path: str | Path) -> tuple[str, str]:
     """The damaged frames and the damaged restart, in words; see damage."""
     with opened(path) as h5, damage_told(path):
-        check_description(h5)
-        n_frames, found = read_restart(h5).n_frames, n_whole_frames(h5)
-        return damaged_frames(h5) or (f"frames from {found} on" if found < n_frames else ""), damaged_restart(h5)
+        digest.check_description(h5)
+        n_frames, found = digest.read_restart(h5).n_frames, digest.n_whole_frames(h5)
+        return digest.damaged_frames(h5) or (
+            f"frames from {found} on" if found < n_frames else ""
+        ), digest.damaged_restart(h5)
 
 
 def _system(group: h5py.Group, restart: Checkpoint) -> System:

@@ -28,10 +28,12 @@ from numpy.typing import NDArray
 
 from minimd.compiled.machine import EPS, version
 from minimd.console.display import as_text
+from minimd.console.words import printable
 from minimd.constraints.solver import ROUNDINGS
 from minimd.diagnosis.first_hints import too_long_a_step
 from minimd.engine.engine import Engine
 from minimd.engine.record import SERIES, Frame
+from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.structure.cell import Cell
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 from minimd.structure.system import System
@@ -155,13 +157,13 @@ def describe(h5: h5py.File, engine: Engine) -> None:
 
 def describe_method(group: h5py.Group, engine: Engine) -> None:
     """Write method and time step of the frames that come next, and the options with which they are computed."""
-    options, method = engine.interactions.options, engine.method
-    told = {"method": method.name, "conserves_momentum": engine.conserves_momentum, "precision": options.precision}
-    told |= {"skin": np.nan if options.skin is None else options.skin, "too_long_a_step": too_long_a_step(engine) or ""}
-    told["potentials"] = potentials_in_words(engine.interactions.potentials)
-    told["barostat"] = "" if engine.barostat is None else json.dumps(engine.barostat.parameters)
-    told["parameters"] = json.dumps(method.parameters)  # a seed may be larger than the integers of HDF5
-    group.attrs.update(told | {name: value for name, value in method.parameters.items() if isinstance(value, float)})
+    group.attrs.update({name: told(engine) for name, (told, _) in METHOD.items()})
+    group.attrs.update({name: value for name, value in engine.method.parameters.items() if isinstance(value, float)})
+
+
+def read_method(group: h5py.Group) -> dict[str, Any]:
+    """What describe_method wrote, by the names of H5MDContents; older files have no barostat."""
+    return {name: read(group.attrs.get(name, "")) for name, (_, read) in METHOD.items()}
 
 
 def read_constraints(group: h5py.Group) -> tuple[Constraint, ...]:
@@ -178,6 +180,32 @@ def read_constraints(group: h5py.Group) -> tuple[Constraint, ...]:
 def potentials_in_words(potentials: Sequence[Any]) -> list[str]:
     """The class of each potential, and the call that makes it again."""
     return [f"{type(one).__name__}: {one!r}" for one in potentials]
+
+
+def _text(stored: Any) -> str:
+    return printable(str(stored))
+
+
+METHOD: dict[str, tuple[Callable[[Engine], Any], Callable[[Any], Any]]] = {  # attribute: as written, and as read
+    "method": (lambda of: of.method.name, _text),
+    # a seed may be larger than the integers of HDF5
+    "parameters": (lambda of: json.dumps(of.method.parameters), json.loads),
+    "conserves_momentum": (lambda of: of.conserves_momentum, bool),
+    "precision": (lambda of: of.interactions.options.precision, str),
+    "skin": (
+        lambda of: np.nan if of.interactions.options.skin is None else of.interactions.options.skin,
+        lambda stored: None if np.isnan(stored) else float(stored),
+    ),
+    "potentials": (
+        lambda of: potentials_in_words(of.interactions.potentials),
+        lambda stored: [printable(one) for one in stored],
+    ),
+    "too_long_a_step": (lambda of: too_long_a_step(of) or "", _text),
+    "barostat": (
+        lambda of: "" if of.barostat is None else json.dumps(of.barostat.parameters),
+        lambda stored: StochasticCellRescaling(**json.loads(stored)) if stored else None,
+    ),
+}
 
 
 def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:

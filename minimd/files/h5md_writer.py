@@ -187,8 +187,7 @@ class H5MDWriter:
                 self._describe_method()
             if is_restart:
                 beside = {f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in enumerate(marks)}
-                beside |= digest.states_of(self._observers)
-                digest.write_restart(self._h5, self._engine.checkpoint(), n_frames, beside)
+                digest.write_restart(self._h5, self._engine.checkpoint(), n_frames, self._observers, beside)
             self._h5.flush()
             self._disk.commit()
             self._n_frames, self._n_waiting = n_frames, 0

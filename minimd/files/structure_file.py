@@ -2,7 +2,7 @@
 masses of chemical elements; trajectories that ASE writes."""
 
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -165,17 +165,12 @@ def _system(source: Any, units: UnitSystem, form: str | None) -> System:
         states_masses = is_lammps or (is_ases and source.has("masses")) or str(form).upper() in STATE_MASSES
         own: dict[str, Any] = {} if states_masses else {"masses": None, "velocities": None}
         return changed(system, units=LJ, species=types, **own)
-    return changed(system, species=types) if is_lammps and not _are_elements(system, types) else system
-
-
-def _are_elements(system: System, types: Iterable[str]) -> bool:
-    """Whether the types of LAMMPS data are as many chemical elements, judged by their masses:
-    that of a united atom such as CH₂ differs."""
-    symbols = set(system.species_names)
-    if "X" in symbols or len(symbols) < len(set(types)):
-        return False
-    standard = np.array([atomic_mass(str(symbol)) for symbol in system.species])
-    return bool((np.abs(system.masses - standard) <= MASS_OF_ELEMENT * standard).all())
+    symbols, has_types = set(system.species_names), is_lammps
+    if is_lammps and "X" not in symbols and len(symbols) >= len(set(types)):
+        # types are elements if all masses are: that of a united atom such as CH₂ differs
+        standard = np.array([atomic_mass(str(symbol)) for symbol in system.species])
+        has_types = bool((np.abs(system.masses - standard) > MASS_OF_ELEMENT * standard).any())
+    return changed(system, species=types) if has_types else system
 
 
 def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joined:

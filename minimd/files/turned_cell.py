@@ -207,8 +207,8 @@ class MDAnalysisWriter:
         steps = waiting[1].step - waiting[0].step if len(waiting) > 1 else 1  # between frames
         spacing = {"nsavc": steps, "dt": steps * self._timestep, "istart": waiting[0].step}
         options: dict[str, Any] = {"XTC": {"precision": XTC_DECIMALS}, "NCDF": {"velocities": True}, "DCD": spacing}
-        its, n_atoms = options.get(self._format, {}), len(self._universe.atoms)
-        return MDAnalysis.Writer(str(self.claim.stream), n_atoms=n_atoms, format=self._format, **its)
+        its = options.get(self._format, {}) | {"n_atoms": len(self._universe.atoms), "format": self._format}
+        return MDAnalysis.Writer(str(self.claim.stream), **its)
 
     def _place(self, frame: Frame) -> None:
         ts, cell = self._universe.trajectory.ts, frame.cell or self._cell

@@ -144,10 +144,8 @@ class Claim:
 
 
 def locked(path: Path, create: bool = False) -> int:
-    """A descriptor of a regular file, locked: no other run can lock the file while it is open.
-
-    Raises OSError if another run holds the lock, or it is not a regular file; a link is none.
-    """
+    """A descriptor of a regular file, locked: no other run can lock the file while it is open.  Raises OSError if
+    another run holds the lock, or it is not a regular file; a link is none."""
     return _locked(regular(path, os.O_RDWR | (os.O_CREAT if create else 0)), path)
 
 
@@ -317,10 +315,8 @@ class JournaledFile(io.RawIOBase):
 
 
 def repair(path: str | Path) -> None:
-    """Finish the last commit of a file, if it was interrupted.
-
-    Raises OSError if a run is writing the file, or this process is not allowed to.
-    """
+    """Finish the last commit of a file, if it was interrupted.  Raises OSError if a run is writing the file, or this
+    process is not allowed to."""
     with open(path, "rb") as file:
         if _read_journal(file.fileno()) is None:
             return

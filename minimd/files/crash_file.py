@@ -33,11 +33,8 @@ ATOMS = ("first", "second", "pushed", "fastest")  # in findings, by index
 
 
 class CrashFile(NamedTuple):
-    """The contents of a crash file.
-
-    findings : CrashReport.  run : H5MDContents, with the system in the earlier state.  start : that state.
-    noise_shift : of the engine.  judgment : of the run guard.
-    """
+    """The contents of a crash file.  findings : CrashReport.  run : H5MDContents, with the system in the earlier state.
+    start : that state.  noise_shift : of the engine.  judgment : of the run guard."""
 
     findings: CrashReport
     run: Any
@@ -47,11 +44,8 @@ class CrashFile(NamedTuple):
 
 
 def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
-    """Where a run leaves its crash file: the path given, or for True beside its first trajectory;
-    None if there is no such place.
-
-    Raises ValueError for the path of a trajectory, which the crash file would replace.
-    """
+    """Where a run leaves its crash file: the path given, or for True beside its first trajectory; None if there is no
+    such place.  Raises ValueError for the path of a trajectory, which the crash file would replace."""
     several = named_files("trajectory", trajectories)
     if isinstance(crash_report, bool):
         return several[0].with_suffix(SUFFIX) if crash_report and several else None
@@ -86,9 +80,7 @@ def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iter
 
 def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> None:
     """Write the crash file of a run that has just failed; its engine is in the last good state, before and afterwards.
-
-    Raises OSError if it cannot be written.
-    """
+    Raises OSError if it cannot be written."""
     from minimd.files.claim import Claim  # h5py is slow to load
     from minimd.files.h5md_digest import flattened, write_group
     from minimd.files.h5md_writer import H5MDWriter

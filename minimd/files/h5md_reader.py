@@ -87,10 +87,8 @@ def opened(path: str | Path) -> h5py.File:
 
 
 def admitted(h5: h5py.File, path: str | Path) -> h5py.File:
-    """The file, if all of it is of the kinds that minimd writes, lies in the file, and is not larger than it.
-
-    path : for messages.  Raises OSError, with the name of the first thing that is not, and closes the file.
-    """
+    """The file, if all of it is of the kinds that minimd writes, lies in the file, and is not larger than it.  path :
+    for messages.  Raises OSError, with the name of the first thing that is not, and closes the file."""
     try:
         with damage_told(path):
             problem = _strange_thing(h5)
@@ -104,10 +102,8 @@ def admitted(h5: h5py.File, path: str | Path) -> h5py.File:
 
 
 def _strange_thing(h5: h5py.File) -> str:
-    """The first thing that minimd does not write, in words; empty if there is none.
-
-    No link out of the file is followed, and no number read.
-    """
+    """The first thing that minimd does not write, in words; empty if there is none.  No link out of the file is
+    followed, and no number read."""
     room, seen, groups = h5.id.get_filesize(), {h5o.get_info(h5.id).addr}, [("", h5.id)]
     while groups:
         path, group = groups.pop()
@@ -176,9 +172,7 @@ def damage_told(path: str | Path) -> Iterator[None]:
 
 def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
     """Return or raise what look() does; it is called in a child process if the system can fork, else in this one.
-
-    Raises OSError if the child crashes, or takes more time or memory than reading could take.
-    """
+    Raises OSError if the child crashes, or takes more time or memory than reading could take."""
     if not hasattr(os, "fork"):
         return look()
     parent, (listening, telling) = os.getpid(), os.pipe()

@@ -59,10 +59,8 @@ class Column(NamedTuple):
 
 
 def columns(system: System, observables: list[str], store_forces: bool, spacing: float | None) -> list[Column]:
-    """All series of a file, positions last: for MDAnalysis their length is the number of frames.
-
-    spacing : time between observations [time]; None for a file that does not hold it.
-    """
+    """All series of a file, positions last: for MDAnalysis their length is the number of frames.  spacing : time
+    between observations [time]; None for a file that does not hold it."""
     units = system.units
     angstrom, ps, kj_per_mol = units.to_angstrom, units.to_picosecond, units.to_kj_per_mol
     named = {name: getattr(units, SERIES.get(name) or "", "") for name in observables}
@@ -92,19 +90,15 @@ def has_edges(cell: Cell) -> bool:
 
 
 def chunk_rows(entry: np.ndarray, n_frames: int | None = None) -> int:
-    """The number of entries in a chunk of a series; a chunk takes its full size on the disk.
-
-    n_frames : expected in the file, if known.
-    """
+    """The number of entries in a chunk of a series; a chunk takes its full size on the disk.  n_frames : expected in
+    the file, if known."""
     expected = CHUNK_ROWS if n_frames is None else max(FEW_ROWS, n_frames)
     return int(np.clip(CHUNK_BYTES // entry.nbytes, 1, min(CHUNK_ROWS, expected)))
 
 
 def series_of(h5: h5py.File, column: Column, like: np.ndarray, n_frames: int | None = None) -> h5py.Dataset:
-    """The series of a column; if it does not exist, an empty one for entries like this one.
-
-    Series of H5MD share one step and one time.  n_frames : as for chunk_rows.
-    """
+    """The series of a column; if it does not exist, an empty one for entries like this one.  Series of H5MD share one
+    step and one time.  n_frames : as for chunk_rows."""
     if column.path in h5:
         return h5[column.path]
     growing = {"maxshape": (None, *like.shape), "chunks": (chunk_rows(like, n_frames), *like.shape)}

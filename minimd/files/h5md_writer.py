@@ -196,9 +196,7 @@ class H5MDWriter:
 
     def close(self) -> None:
         """Write the remaining frames, the restart of the present state and results of observers; close the file.
-
-        Nothing if it is closed or failed.  Raises OSError if they cannot be written.
-        """
+        Nothing if it is closed or failed.  Raises OSError if they cannot be written."""
         if not self._h5:
             return
         # whole files have no marks: nothing is to be cut off

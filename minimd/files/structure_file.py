@@ -174,10 +174,8 @@ def _system(source: Any, units: UnitSystem, form: str | None) -> System:
 
 
 def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joined:
-    """The bonds in the file that was read.  system : made from it.
-
-    Raises ValueError if they cannot be read, or if MDAnalysis and ASE read the atoms in different orders.
-    """
+    """The bonds in the file that was read.  system : made from it.  Raises ValueError if they cannot be read, or if
+    MDAnalysis and ASE read the atoms in different orders."""
     if not isinstance(source, Atoms):
         return Joined(system.groups())
     name = {"proteindatabank": "PDB"}.get(form or "", form or path.suffix[1:]).upper()

@@ -215,10 +215,8 @@ def first_h5md(paths: str | Path | Sequence[str | Path]) -> Path | None:
 
 
 def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:
-    """The path, if a new file with one of the suffixes can be written there; no file is created.
-
-    Raises as open_trajectories.
-    """
+    """The path, if a new file with one of the suffixes can be written there; no file is created.  Raises as
+    open_trajectories."""
     file = Path(path)
     if file.suffix.lower() not in suffixes:
         raise ValueError(f"the suffix of a trajectory must be one of {', '.join(suffixes)}; the file is {str(file)!r}")

@@ -13,7 +13,7 @@ from minimd.console.display import Displayed, Rows
 from minimd.console.progress import progress_of
 from minimd.console.signals import stop_on_signals
 from minimd.constraints.solver import ConstraintSolver
-from minimd.diagnosis.faults import RUNAWAY
+from minimd.diagnosis.judge import RUNAWAY
 from minimd.diagnosis.report import Report
 from minimd.diagnosis.reversibility import Reversibility, make_steps_back, probe
 from minimd.diagnosis.run_guard import RunGuard

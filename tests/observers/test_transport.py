@@ -8,7 +8,7 @@ from scenes import LJ
 
 import minimd as md
 from minimd.analysis.check import check_file
-from minimd.diagnosis.timestep import velocity_temperature
+from minimd.diagnosis.stiffness import velocity_temperature
 from minimd.mdanalysis import diffusion_coefficient
 from minimd.observers.correlator import MultipleTau, Product
 from minimd.observers.green_kubo import plateau, running_integral

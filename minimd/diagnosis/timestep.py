@@ -17,8 +17,8 @@ from minimd.engine.engine import Engine
 from minimd.forces.contacts import why_not_finite
 from minimd.forces.forces import Forces, Potential
 from minimd.integrators.splitting.order_conditions import accurate_step, stability_limit
+from minimd.integrators.splitting.rows import VelocityVerlet
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.integrators.splitting.verlet import VelocityVerlet
 from minimd.potentials.bonded import Bond
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import NonFiniteError

@@ -15,10 +15,9 @@ from ase.io.formats import UnknownFileTypeError, ioformats
 from numpy.typing import ArrayLike
 
 from minimd.console.quiet import outside_minimd, quiet
-from minimd.structure.bond_graph import GROUPS
+from minimd.structure.bond_graph import GROUPS, Joined, joined_in
 from minimd.structure.cell import Cell
-from minimd.structure.charges import warn_of_charges
-from minimd.structure.joined import Joined, joined_in
+from minimd.structure.checks import warn_of_charges
 from minimd.structure.system import System
 from minimd.structure.units import ASE, LJ, UnitSystem
 

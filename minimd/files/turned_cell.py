@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from minimd.files.h5md_schema import has_edges
 from minimd.structure.cell import COMBINED, Cell
-from minimd.structure.upright import handedness, upright
+from minimd.structure.vectors import handedness, upright
 
 Array = NDArray[np.float64]
 ROTATION = "rotation"  # the name in Timestep.data

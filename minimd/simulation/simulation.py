@@ -35,9 +35,8 @@ from minimd.simulation.resuming import last_step, resumed
 from minimd.structure.checks import checked_count, checked_flag, checked_number
 from minimd.structure.constraints import Constraint
 from minimd.structure.grid import Grid
-from minimd.structure.observables import Array
+from minimd.structure.observables import Array, maxwell_boltzmann, rescaled
 from minimd.structure.system import AnySystem, System
-from minimd.structure.velocities import maxwell_boltzmann, rescaled
 
 SECONDS_BETWEEN_CHECKPOINTS = 5.0  # for any value of every: no more is lost when the process is killed
 Observer = Callable[["Simulation"], None] | Accumulator

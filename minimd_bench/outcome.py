@@ -73,7 +73,7 @@ def as_json(outcome: Outcome) -> str:
 
 def write(outcome: Outcome, folder: Path) -> None:
     """Write bench_NAME.md, .json and .png into a folder; files of these names are replaced."""
-    from minimd.analysis.picture import save  # matplotlib is slow to load
+    from minimd.analysis.plot import save  # matplotlib is slow to load
 
     stem = folder / f"bench_{outcome.name.replace('-', '_')}"
     write_whole(stem.with_suffix(".md"), markdown(outcome) + "\n")

@@ -18,7 +18,7 @@ import minimd as md
 from minimd.forces.forces import Potential
 from minimd.potentials.pair import Label
 from minimd.structure.lattice import constant_from_density, crystal
-from minimd.structure.velocities import maxwell_boltzmann
+from minimd.structure.observables import maxwell_boltzmann
 
 MELT = "melt"
 SEED = 87287

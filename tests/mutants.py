@@ -94,7 +94,7 @@ integrators/splitting/flows.py: integrators/test_splittings integrators/test_law
     return position + duration * velocity => return position + 0.5 * duration * velocity
 integrators/splitting/flows.py: forces/test_fixed_point
     momentum + times * select => momentum + 2.0 * times * select
-integrators/splitting/verlet.py: integrators/test_splittings integrators/test_laws
+integrators/splitting/rows.py: integrators/test_splittings integrators/test_laws
     substeps = (Drift(0.5), Kick(1.0), Drift(0.5)) => substeps = (Drift(0.5), Kick(1.0), Drift(0.4))
 integrators/splitting/compositions.py: integrators/test_splittings integrators/test_laws
     -1.17767998417887100695 => 1.17767998417887100695

@@ -1,15 +1,27 @@
 """A run in one picture: energy, temperature, momentum, structure."""
 
+from io import BytesIO
 from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from minimd.analysis.picture import four_panels, save
 from minimd.diagnosis.report import drift
 from minimd.engine.record import Record
-from minimd.engine.record_picture import ACCENT, STRUCTURE, STYLE, Array, draw_energy, draw_momentum, draw_temperature
+from minimd.engine.record_picture import (
+    ACCENT,
+    STRUCTURE,
+    STYLE,
+    Array,
+    draw_energy,
+    draw_momentum,
+    draw_temperature,
+    four_panels,
+)
+from minimd.files.claim import write_whole
 from minimd.mdanalysis.universes import RunUniverse, mean_square_displacement, radial_distribution, universe_of
+
+__all__ = ["four_panels", "save"]
 
 
 def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
@@ -93,3 +105,12 @@ def _structure(panel: Axes, made: RunUniverse) -> None:
             transform=panel.transAxes,
             color="0.4",
         )
+
+
+def save(figure: Figure, picture: Path) -> Path:
+    """Write a picture, in place of a file or link of its name, and return this name.
+    Raises OSError if it cannot be written."""
+    drawn = BytesIO()
+    figure.savefig(drawn, format=picture.suffix[1:] or None)
+    write_whole(picture, drawn.getvalue())
+    return picture

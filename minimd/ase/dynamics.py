@@ -17,8 +17,8 @@ from minimd.console.quiet import outside_minimd, quiet
 from minimd.console.signals import stop_on_signals
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.engine.engine import Engine
+from minimd.integrators.splitting.rows import VelocityVerlet as Method
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.integrators.splitting.verlet import VelocityVerlet as Method
 from minimd.potentials.calculators import calculators_said
 from minimd.structure.ase_atoms import same_scene
 from minimd.structure.system import System

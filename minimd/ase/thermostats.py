@@ -23,8 +23,8 @@ from ase.md.md import MolecularDynamics
 from minimd.ase.baths import AndersenBath, BerendsenBath, BussiBath, Chain, LangevinBath, NoseHooverBath
 from minimd.ase.dynamics import MinimdSteps
 from minimd.console.words import shown
+from minimd.integrators.splitting.rows import VelocityVerlet
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.integrators.splitting.verlet import VelocityVerlet
 from minimd.structure.ase_atoms import fixes_center
 
 

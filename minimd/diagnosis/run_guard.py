@@ -10,9 +10,8 @@ from typing import Any, NoReturn
 
 from minimd.compiled.kernels import compile_clock
 from minimd.console.quiet import outside_minimd
-from minimd.diagnosis.crash_report import Failure, examine
-from minimd.diagnosis.faults import GROWTH, RUNAWAY, fault_at_start, fault_of, runaway
-from minimd.diagnosis.first_hints import hints
+from minimd.diagnosis.crash_report import examine
+from minimd.diagnosis.judge import GROWTH, RUNAWAY, START, Failure, fault_of, hints, runaway
 from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.observation import observe
 from minimd.engine.record import Frame
@@ -123,7 +122,7 @@ class RunGuard:
             self._checked_timestep = engine.method.timestep
             for hint in hints(engine):
                 warnings.warn(hint, stacklevel=outside_minimd())
-        if fault := fault_at_start(engine):
+        if fault := fault_of(engine, START):
             raise self._failure(fault, engine.step)
 
     def make_steps(self, n_steps: int, with_energy: bool = False) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from minimd.compiled.machine import peak_memory
-from minimd.diagnosis.first_hints import too_long_a_step
+from minimd.diagnosis.judge import too_long_a_step
 from minimd.diagnosis.report import Cost, Line, Report, conservation_report
 from minimd.diagnosis.reversibility import Reversibility
 from minimd.diagnosis.run_guard import RunGuard

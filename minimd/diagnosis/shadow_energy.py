@@ -23,8 +23,8 @@ import numpy as np
 
 from minimd.engine.engine import Engine
 from minimd.engine.observation import Observable, register
+from minimd.integrators.splitting.rows import PositionVerlet, VelocityVerlet
 from minimd.integrators.splitting.substeps import Substeps
-from minimd.integrators.splitting.verlet import PositionVerlet, VelocityVerlet
 
 
 class HasEngine(Protocol):

@@ -1,63 +1,36 @@
-"""Advice on the time step: the stiffest mode of a state and collisions of its atoms,
-and how long a time step they allow."""
+"""Advice on the time step: the stiffest mode of a state and collisions of its atoms, and what they allow."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nan, pi
 from time import perf_counter
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.console.display import Displayed
 from minimd.console.words import shown
 from minimd.constraints.constraint_set import ConstraintSet
-from minimd.diagnosis.hessian import Curvature, stiffest_bond
+from minimd.diagnosis.stiffness import COLDEST, Array, Curvature, Stiffness, velocity_temperature
 from minimd.engine.engine import Engine
 from minimd.forces.contacts import why_not_finite
 from minimd.forces.forces import Forces, Potential
 from minimd.integrators.splitting.order_conditions import accurate_step, stability_limit
+from minimd.integrators.splitting.rows import VelocityVerlet
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.integrators.splitting.verlet import VelocityVerlet
 from minimd.potentials.bonded import Bond
-from minimd.potentials.laws import LennardJonesLaw
-from minimd.potentials.pair import PairPotential, curvature_at_minimum
 from minimd.structure.constraints import Constraint
 from minimd.structure.errors import NonFiniteError
-from minimd.structure.observables import center, kinetic_energy, temperature, thermal_energy
 from minimd.structure.system import AnySystem, System
-from minimd.structure.units import ASE, BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_EV, UnitSystem
+from minimd.structure.units import UnitSystem
 
-OSCILLATION = (
-    1.0 / 80.0
-)  # of the energy of the stiffest mode at the recommended step: 20 velocity Verlet steps a period
+# of the energy of the stiffest mode at the recommended step: 20 velocity Verlet steps a period
+OSCILLATION = 1.0 / 80.0
 EVALUATIONS = 200  # of the forces: as many mostly suffice to find the stiffest mode of many atoms
 SHOWN_ATOMS = 4  # of the stiffest mode, at most
 HALF = 0.5  # of a mode: a bond is named if its stretching makes up more
 SHOWN_SHARE = 0.05  # of its kinetic energy, at least
-# ω of the stiffest mode of a liquid, divided by that of a pair at rest; the modes: 4.8 at T* 0.7, ρ* 0.85; 5.8 at 1.44,
-# 0.8442
-CROWDED = 5.0
-CROWDED_COLD, CROWDED_HEAT = (
-    15.0,
-    12.2,
-)  # (ω/ω_pair)² = cold + heat T*^(7/6) through these two; u″ ∝ u^(7/6) where a wall r⁻¹² stops an atom
-COLDEST = ((CROWDED**2 - CROWDED_COLD) / CROWDED_HEAT) ** (6.0 / 7.0)  # T* below which the floor of CROWDED counts
-DEEP, DEEPEST, WIDE = (
-    0.5,
-    2.0,
-    2.7,
-)  # eV, eV, Å: ε of no atom that is wider than WIDE, and of no atom at all; metals: W 1.07 eV, 2.56 Å
-SHALLOW, LIKELY = 5e-4, 0.05  # eV: ε of helium is 9e-4, that of xenon 0.02
-READINGS = (  # of an ε in another unit: its name, its size in eV, and the factor in words
-    ("K", BOLTZMANN_EV_PER_K, "* md.units.ASE.k_B"),
-    ("kJ/mol", 1.0 / KJ_PER_MOL_PER_EV, "/ md.units.KJ_PER_MOL_PER_EV"),
-    ("kcal/mol", 4.184 / KJ_PER_MOL_PER_EV, "* 4.184 / md.units.KJ_PER_MOL_PER_EV"),
-    ("meV", 1e-3, "/ 1000"),
-)
 
 
 @dataclass(frozen=True)
@@ -201,16 +174,21 @@ def advice_at(engine: Engine, seconds: float) -> StepAdvice | None:
 
 def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | type[Splitting]) -> StepAdvice:
     system = forces.system
-    curvature = Curvature(forces, constraint_set)
-    square, mode = _stiffest_mode(curvature, system, forces.potentials, constraint_set)
-    frequency = float(np.sqrt(max(square, 0.0)))
-    row, shares = method.sequence(), np.einsum("ij,ij->i", mode, mode)
+    stiffness, curvature = Stiffness(system, forces.potentials, constraint_set), Curvature(forces, constraint_set)
+    square, mode = nan, np.zeros_like(system.positions)
+    if curvature.is_finite:
+        square, mode = curvature.stiffest(curvature.guess(stiffness.bond))
+    if not np.isfinite(square):
+        why = why_not_finite(system, forces.potentials)
+        raise NonFiniteError(f"the forces around this state are not finite: {why}")
+    if not square > curvature.rounding:
+        square, mode = 0.0, np.zeros_like(mode)
+    frequency, row, shares = square**0.5, method.sequence(), np.einsum("ij,ij->i", mode, mode)
     atoms = [int(i) for i in np.argsort(-shares, kind="stable")[:SHOWN_ATOMS] if shares[i] >= SHOWN_SHARE]
     step = accurate_step(row, OSCILLATION)
     harmonic = step / frequency if frequency else inf
-    held = constraint_set.bonds.pairs if constraint_set.bonds else system.bonds[:0]
     collides = len(system) > 1 and (frequency > 0.0 or system.velocities.any())
-    colliding = collision_frequency(system, forces.potentials, held) if collides else 0.0
+    colliding = stiffness.collisions() if collides else 0.0
     collision = step / colliding if colliding else inf
     return StepAdvice(
         frequency=frequency,
@@ -231,19 +209,8 @@ def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | t
     )
 
 
-def _stiffest_mode(
-    curvature: Curvature, system: System, potentials: Sequence[Potential], held: ConstraintSet
-) -> tuple[float, NDArray[np.float64]]:
-    """ω² and the mode, (N, 3) mass-weighted.  Raises NonFiniteError if the forces are not finite."""
-    if curvature.is_finite:
-        square, mode = curvature.stiffest(curvature.guess(stiffest_bond(system, potentials, held)))
-        if np.isfinite(square):
-            return (square, mode) if square > curvature.rounding else (0.0, np.zeros_like(mode))
-    raise NonFiniteError(f"the forces around this state are not finite: {why_not_finite(system, potentials)}")
-
-
 def _stretched(
-    curvature: Curvature, system: System, potentials: Sequence[Potential], mode: NDArray[np.float64]
+    curvature: Curvature, system: System, potentials: Sequence[Potential], mode: Array
 ) -> tuple[int, int] | None:
     """The bond whose stretching by itself makes up more than half of the mode, if there is one."""
     pairs = np.concatenate([system.bonds, *(one.groups_in(system) for one in potentials if isinstance(one, Bond))])
@@ -251,66 +218,3 @@ def _stretched(
     near = pairs[np.isin(pairs, at_most).all(axis=1)]
     parts = np.einsum("bij,ij->b", curvature.stretching(near), mode) ** 2
     return tuple(near[np.argmax(parts)].tolist()) if parts.max(initial=0.0) > HALF else None
-
-
-def collision_frequency(
-    system: System, potentials: Sequence[Any], held: NDArray[np.int64], at_rest: bool = False
-) -> float:
-    """ω of Lennard-Jones atoms that collide in a liquid [1/time]; 0 if there are none.
-
-        ω² = u″(r_min)/μ · max(5², 15 + 12.2 T*^(7/6)),   T* = k_B T/ε of the velocities
-
-    This is the largest ω of all pairs of species. An atom bonded to a heavier one moves with it, and does not count.
-    held : (C, 2), pairs at a fixed distance.  at_rest : whether the velocities are left out.
-    """
-    masses, bonds = system.masses, np.concatenate([system.bonds, held])
-    carried = bonds[np.arange(len(bonds)), np.argmin(masses[bonds], axis=1)][masses[bonds[:, 0]] != masses[bonds[:, 1]]]
-    inverse = 1.0 / masses
-    inverse[carried] = 0.0
-    fastest = np.zeros(len(system.species_names))
-    np.maximum.at(fastest, system.species_index, inverse)
-    thermal = 0.0 if at_rest else system.units.k_B * velocity_temperature(system)
-    square = 0.0
-    for table in _tables(system, potentials):
-        each = fastest if len(table) > 1 else fastest.max(keepdims=True)
-        epsilon = table[..., -2]
-        with np.errstate(over="ignore"):  # in a run that has blown up
-            heat = np.divide(thermal, epsilon, out=np.zeros_like(epsilon), where=epsilon > 0.0) ** (7.0 / 6.0)
-            both = np.where((each[:, None] > 0.0) & (each > 0.0), each[:, None] + each, 0.0)
-            stiffness = curvature_at_minimum(epsilon, table[..., -1]) * both
-            square = max(square, float((stiffness * np.maximum(CROWDED**2, CROWDED_COLD + CROWDED_HEAT * heat)).max()))
-    return square**0.5
-
-
-def strange_depth(system: System, potentials: Sequence[Any]) -> str | None:
-    """A clause if an ε in eV is larger than that of any atom, as a number in kelvin or kJ/mol would be; else None."""
-    if system.units != ASE:
-        return None
-    for table in _tables(system, potentials):
-        epsilon, sigma = table[..., -2], table[..., -1]
-        strange = epsilon * ((epsilon > DEEPEST) | ((epsilon > DEEP) & (sigma > WIDE)))
-        if (worst := float(strange.max())) > 0.0:
-            fits = [one for one in READINGS if SHALLOW <= worst * one[1] <= LIKELY]
-            told = [
-                f"in {unit} it would be {worst * size:.3g} eV, epsilon={worst:.6g} {words}"
-                for unit, size, words in fits
-            ]
-            return (
-                f"epsilon = {worst:.6g} eV is far deeper than the well of any such atom (noble gases 0.001 to 0.02 eV, "
-                f"metals up to 1 eV); {'; '.join(told) or 'check its unit'}"
-            )
-    return None
-
-
-def _tables(system: System, potentials: Sequence[Any]) -> Iterator[NDArray[np.float64]]:
-    """The numbers of each Lennard-Jones potential for pairs of species: (S, S, ...), ε and σ last."""
-    for potential in potentials:
-        if isinstance(potential, PairPotential) and isinstance(potential.plain_law, LennardJonesLaw):
-            yield potential.table(system.species_names)
-
-
-def velocity_temperature(system: System) -> float:
-    """T of the velocities relative to the center of mass [temperature], with all 3N degrees of freedom; 0 at rest."""
-    velocities, masses = system.velocities, system.masses
-    thermal = thermal_energy(kinetic_energy(velocities, masses), center(velocities, masses), masses)
-    return temperature(thermal, velocities.size, system.units.k_B)

@@ -12,8 +12,7 @@ from pydantic import ValidationError
 
 from minimd.document.problems import problems
 from minimd.document.section import Reading
-from minimd.document.sections import SceneSections, TabulatedSection
-from minimd.document.tables import Numbers, as_sections, read_table
+from minimd.document.sections import Numbers, SceneSections, TabulatedSection, as_sections, read_table
 from minimd.integrators import Splitting, StochasticCellRescaling
 from minimd.observers import Accumulator
 from minimd.structure import units

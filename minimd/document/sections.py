@@ -1,15 +1,32 @@
-"""The sections of a scene file: one class for each section, one line for each key."""
+"""The sections of a scene file: one class for each section, one line for each key.
 
+Tables of tabulated laws are files with two columns, or the same numbers in the scene itself. A scene that is stored in
+the file of its run needs no other files: [tables."argon.dat"] at its end holds the numbers of argon.dat.
+"""
+
+import json
 from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, Literal, Self
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
+import numpy as np
 from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
 
+from minimd.console.quiet import quiet
 from minimd.console.words import printable
 from minimd.document.force_sections import ForceSection
-from minimd.document.section import Dimension, NotNegative, PairOfAtoms, Positive, Section, Three, one_of, reading_of
-from minimd.document.tables import Numbers, TableSection
+from minimd.document.section import (
+    KEY_UNITS,
+    Dimension,
+    NotNegative,
+    PairOfAtoms,
+    Positive,
+    Section,
+    Three,
+    one_of,
+    reading_of,
+)
 from minimd.forces.options import Precision
 from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting, StochasticCellRescaling
 from minimd.integrators.splitting.barostats import COUPLINGS
@@ -17,9 +34,63 @@ from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, M
 from minimd.observers import KINDS, Accumulator
 from minimd.potentials import LennardJones, Tabulated
 from minimd.potentials.pair import MIXING, ByPairOfLabels, Label
+from minimd.potentials.tabulated import FEWEST
 from minimd.potentials.truncation import TRUNCATIONS
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
 from minimd.structure.lattice import BASES
+
+COLUMNS = 2
+Column = Annotated[list[FiniteFloat], Field(min_length=FEWEST)]
+
+
+class Numbers(NamedTuple):
+    """r : distances [length].  u : energies [energy], one for each distance."""
+
+    r: list[float]
+    u: list[float]
+
+
+class TableSection(Section):
+    """[tables.NAME]: a table in the scene, in place of a file with this name."""
+
+    r: Annotated[Column, Dimension("length")]
+    u: Annotated[Column, Dimension("energy")]
+
+
+def read_table(path: Path) -> Numbers:
+    """The two columns of a text file, in the units of the scene; '#' begins a comment.  Raises ValueError,
+    with the path, for anything else."""
+    if path.exists() and not path.is_file():
+        raise ValueError(f"table {str(path)!r} is not a regular file")
+    try:
+        with quiet():  # NumPy warns of an empty file, which is refused
+            columns = np.loadtxt(path, ndmin=2, encoding="utf-8")
+    except FileNotFoundError:
+        raise ValueError(f"table {str(path)!r} does not exist; its path is taken relative to the scene file") from None
+    except OSError as error:
+        raise ValueError(f"table {str(path)!r} cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u: {error}") from None
+    if columns.shape[1:] != (COLUMNS,) or not len(columns):
+        raise ValueError(
+            f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} lines of "
+            f"{columns.shape[1]}"
+        )
+    return Numbers(*columns.T.tolist())
+
+
+def as_sections(tables: Mapping[str, Numbers], units: str) -> str:
+    """The text that adds these tables to a scene, to the last bit.  units : of the scene, "ASE" or "LJ"."""
+    (length, *_), (*_, energy) = (
+        KEY_UNITS[units]["length"],
+        KEY_UNITS[units]["energy"],
+    )  # the units of the engine, of size 1: the first of lengths, the last of energies
+    lines = [
+        f"\n[tables.{json.dumps(name, ensure_ascii=False)}]\nr{length} = {one.r}\nu{energy} = {one.u}\n"
+        for name, one in tables.items()
+    ]
+    return "".join(lines)
+
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 OBSERVER_ARGUMENTS = ("every", "name", "r_max", "n_bins", "n_levels", "most_atoms", "axis", "extent")

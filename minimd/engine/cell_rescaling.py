@@ -16,8 +16,8 @@ from minimd.integrators.splitting.state import Bath
 from minimd.structure.cell import Cell
 from minimd.structure.errors import RangeError
 from minimd.structure.observables import Array, center, kinetic_energy, momentum, momentum_flux
-from minimd.structure.strain import strained
 from minimd.structure.system import System
+from minimd.structure.vectors import strained
 
 LARGEST_STRAIN = 0.2  # of the cell at once: a bath that strains it more does not act slowly
 EVAPORATED = 8.0  # times the volume at the start: a liquid grows by a factor of some 3 up to its critical point

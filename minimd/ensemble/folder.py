@@ -25,10 +25,9 @@ from typing import Any, NamedTuple
 
 from minimd.compiled.machine import version
 from minimd.console.words import shown
-from minimd.ensemble.member import Value, checked_parameters, file_of
-from minimd.ensemble.notes import SUFFIX as NOTE
-from minimd.ensemble.own_file import stopped_file
+from minimd.ensemble.member import Value, checked_parameters, file_of, stopped_file
 from minimd.ensemble.work import DONE, FAILED, Row
+from minimd.ensemble.work import SUFFIX as NOTE
 from minimd.files.claim import locked, regular, write_whole
 from minimd.files.crash_file import crash_file_place
 from minimd.structure.checks import COUNTS, checked_count

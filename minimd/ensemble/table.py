@@ -18,8 +18,7 @@ from minimd.console.words import listed, near
 from minimd.engine.record import SERIES
 from minimd.ensemble.folder import DESCRIPTION, Asked, EnsembleFolder, is_done
 from minimd.ensemble.member import file_of
-from minimd.ensemble.notes import SUFFIX, read_note
-from minimd.ensemble.work import BEGUN, DONE, FAILED, MISSING, Row
+from minimd.ensemble.work import BEGUN, DONE, FAILED, MISSING, SUFFIX, Row, read_note
 from minimd.files.claim import write_whole
 from minimd.structure.errors import sentence
 from minimd.structure.statistics import with_error
@@ -356,7 +355,7 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
 def save_picture(table: EnsembleTable, quantity: str | None = None, out: Path | None = None) -> Path:
     """Save the figure to out, or to a file in the folder named after the quantity.
     Raises ValueError as picture_of_scan, OSError."""
-    from minimd.analysis.picture import save
+    from minimd.analysis.plot import save
 
     place = out or table.folder / f"{drawn_quantity(table, quantity)}.png"
     return save(picture_of_scan(table, quantity), place)

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 
 from minimd.console.words import printable, shown
 from minimd.diagnosis.crash_report import CrashReport
-from minimd.diagnosis.faults import RUNAWAY
+from minimd.diagnosis.judge import RUNAWAY
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.engine.engine import Snapshot
 from minimd.engine.observation import observe

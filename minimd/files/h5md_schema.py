@@ -30,7 +30,7 @@ from minimd.compiled.machine import EPS, version
 from minimd.console.display import as_text
 from minimd.console.words import printable
 from minimd.constraints.solver import ROUNDINGS
-from minimd.diagnosis.first_hints import too_long_a_step
+from minimd.diagnosis.judge import too_long_a_step
 from minimd.engine.engine import Engine
 from minimd.engine.record import SERIES, Frame
 from minimd.integrators.splitting.barostats import StochasticCellRescaling

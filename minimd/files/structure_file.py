@@ -21,10 +21,9 @@ from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files.claim import Claim
 from minimd.structure.ase_atoms import atoms_from_system, calculators_stress, label_by_tags
-from minimd.structure.bond_graph import GROUPS
+from minimd.structure.bond_graph import GROUPS, Joined, joined_in
 from minimd.structure.cell import Cell
-from minimd.structure.charges import warn_of_charges
-from minimd.structure.joined import Joined, joined_in
+from minimd.structure.checks import warn_of_charges
 from minimd.structure.system import System
 from minimd.structure.units import ASE, LJ, UnitSystem
 

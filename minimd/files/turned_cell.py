@@ -25,7 +25,7 @@ from minimd.engine.record import Frame
 from minimd.files.claim import Claim
 from minimd.files.h5md_schema import has_edges
 from minimd.structure.cell import COMBINED, Cell
-from minimd.structure.upright import handedness, upright
+from minimd.structure.vectors import handedness, upright
 
 Array = NDArray[np.float64]
 ROTATION = "rotation"  # the name in Timestep.data

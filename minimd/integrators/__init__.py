@@ -14,13 +14,11 @@ from minimd.integrators.ode.newton import *
 from minimd.integrators.ode.partitioned import *
 from minimd.integrators.ode.problems import *
 from minimd.integrators.ode.runge_kutta import *
-from minimd.integrators.ode.stormer import *
 from minimd.integrators.ode.varying import *
 from minimd.integrators.splitting.barostats import *
-from minimd.integrators.splitting.compositions import *
 from minimd.integrators.splitting.order_conditions import *
+from minimd.integrators.splitting.rows import *
 from minimd.integrators.splitting.splitting import *
 from minimd.integrators.splitting.state import *
 from minimd.integrators.splitting.substeps import *
 from minimd.integrators.splitting.thermostats import *
-from minimd.integrators.splitting.verlet import *

@@ -5,7 +5,7 @@ from typing import Any
 
 from minimd.integrators.method import Method
 from minimd.integrators.ode import bdf, runge_kutta
-from minimd.integrators.splitting import compositions, thermostats, verlet
+from minimd.integrators.splitting import rows, thermostats
 
 __all__ = ["METHODS", "SPLITTINGS", "THERMOSTATS"]
 
@@ -38,7 +38,7 @@ def _methods_of(*modules: ModuleType) -> dict[str, Any]:
     return {method.name: method for method in classes if hasattr(method, "name")}
 
 
-SPLITTINGS = _methods_of(verlet, compositions)
+SPLITTINGS = _methods_of(rows)
 THERMOSTATS = _methods_of(thermostats)
 IMPLICIT = _methods_of(runge_kutta, bdf)
 METHODS = MethodTable({**SPLITTINGS, **THERMOSTATS, **IMPLICIT})

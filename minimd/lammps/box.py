@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.structure.system import System
-from minimd.structure.upright import handedness, upright
+from minimd.structure.vectors import handedness, upright
 
 IMAGES = 1024  # LAMMPS counts images with ten bits
 

@@ -19,7 +19,7 @@ from minimd.neighbors.domains import BLOCKS, IMAGES, GhostClusters, Layout, ghos
 from minimd.neighbors.search import Binned, bins_for_sort
 from minimd.neighbors.verlet_list import VerletList, partners, raise_not_finite
 from minimd.structure.cell import Cell, Images
-from minimd.structure.strain import strained
+from minimd.structure.vectors import strained
 
 NO_PARTNERS = np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64)
 ENTRIES_GUESSED = 12  # for each atom, at first

@@ -12,8 +12,8 @@ from minimd.neighbors.buffers import SPARE
 from minimd.neighbors.search import bins_of, find_pairs, make_grid, sort_into_bins
 from minimd.neighbors.verlet_list import VerletList, any_moved, partners, raise_not_finite, starts
 from minimd.structure.cell import Cell
-from minimd.structure.strain import strained
 from minimd.structure.system import System, local_density
+from minimd.structure.vectors import strained
 
 MOST_PAIRS = 2**30  # 8 bytes each
 MOST_OF_AN_ATOM = 2**18  # pairs, in the mean: a reach of some 40 atoms

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from minimd.console.display import Rows
 from minimd.observers.accumulator import ObservedRun, Result, Series
-from minimd.observers.green_kubo import Plateau
+from minimd.observers.time_correlation import Plateau
 from minimd.structure.cell import Cell
 from minimd.structure.statistics import spread, with_error
 from minimd.structure.units import UnitSystem

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from minimd.console.display import Rows
 from minimd.engine.engine import Engine
 from minimd.engine.observation import Look
-from minimd.observers.accumulator import Accumulator, ObservedRun, Result
-from minimd.observers.blocked_sums import BlockedSums
+from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result
 from minimd.structure.statistics import standard_error, with_error
 
 if TYPE_CHECKING:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from minimd.console.display import Rows
 from minimd.console.words import shown
 from minimd.engine.engine import Engine
-from minimd.observers.accumulator import Accumulator, ObservedRun, Result, Series
-from minimd.observers.blocked_sums import BlockedSums
+from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.structure.checks import checked_choice, checked_count, checked_number
 
 if TYPE_CHECKING:

@@ -12,8 +12,7 @@ from minimd.compiled.kernels import kernel
 from minimd.console.display import Rows
 from minimd.engine.engine import Engine
 from minimd.neighbors.search import atoms_in_reach, bins_of, make_grid, sort_into_bins
-from minimd.observers.accumulator import Accumulator, ObservedRun, Result, Series
-from minimd.observers.blocked_sums import BlockedSums
+from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.structure.checks import checked_count, checked_number
 from minimd.structure.statistics import with_error
 

@@ -13,8 +13,7 @@ from minimd.engine.engine import Engine
 from minimd.engine.observation import Look, check_has_volume
 from minimd.observers.accumulator import ObservedRun, Result, Series
 from minimd.observers.correlator import MultipleTau, Product
-from minimd.observers.green_kubo import Plateau
-from minimd.observers.time_correlation import HEAD, TEMPERATURE, VOLUME, TimeCorrelation
+from minimd.observers.time_correlation import HEAD, TEMPERATURE, VOLUME, Plateau, TimeCorrelation
 from minimd.structure.checks import checked_count
 from minimd.structure.statistics import with_error
 from minimd.structure.units import BAR, PICOSECOND

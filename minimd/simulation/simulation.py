@@ -13,7 +13,7 @@ from minimd.console.display import Displayed, Rows
 from minimd.console.progress import progress_of
 from minimd.console.signals import stop_on_signals
 from minimd.constraints.solver import ConstraintSolver
-from minimd.diagnosis.faults import RUNAWAY
+from minimd.diagnosis.judge import RUNAWAY
 from minimd.diagnosis.report import Report
 from minimd.diagnosis.reversibility import Reversibility, make_steps_back, probe
 from minimd.diagnosis.run_guard import RunGuard
@@ -35,9 +35,8 @@ from minimd.simulation.resuming import last_step, resumed
 from minimd.structure.checks import checked_count, checked_flag, checked_number
 from minimd.structure.constraints import Constraint
 from minimd.structure.grid import Grid
-from minimd.structure.observables import Array
+from minimd.structure.observables import Array, maxwell_boltzmann, rescaled
 from minimd.structure.system import AnySystem, System
-from minimd.structure.velocities import maxwell_boltzmann, rescaled
 
 SECONDS_BETWEEN_CHECKPOINTS = 5.0  # for any value of every: no more is lost when the process is killed
 Observer = Callable[["Simulation"], None] | Accumulator

@@ -12,12 +12,11 @@ from ase.geometry import find_mic
 from ase.stress import full_3x3_to_voigt_6_stress
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.structure.bond_graph import GROUPS
+from minimd.structure.bond_graph import GROUPS, joined_in, texts
 from minimd.structure.cell import Cell
-from minimd.structure.charges import warn_of_charges
+from minimd.structure.checks import warn_of_charges
 from minimd.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms
 from minimd.structure.images import lengths_of
-from minimd.structure.joined import joined_in, texts
 from minimd.structure.observables import center, momentum
 from minimd.structure.observables import stress as kinetic_stress
 from minimd.structure.units import ASE

@@ -16,7 +16,7 @@ from minimd.compiled.machine import EPS
 from minimd.console.display import Displayed, Rows, as_text
 from minimd.console.words import shown
 from minimd.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers
-from minimd.structure.strain import follow_lattice
+from minimd.structure.vectors import follow_lattice
 
 FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
 OPEN = (

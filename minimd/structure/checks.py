@@ -1,14 +1,16 @@
 """Checks of input: a value is returned in the form that the rest of minimd expects, or refused in one sentence,
 before memory is allocated for it."""
 
+import warnings
 from collections.abc import Collection, Sequence
 from math import inf, nan
 from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from minimd.console.quiet import outside_minimd
 from minimd.console.words import listed, shown
 
 SMALLEST, LARGEST = 1e-75, 1e75  # of positive quantities: their fourth powers are still numbers
@@ -137,3 +139,13 @@ def _as_float(value: Any) -> float:
         return float(value)
     except OverflowError:
         return inf
+
+
+NO_ELECTROSTATICS = "minimd has no electrostatics yet"
+
+
+def warn_of_charges(charges: ArrayLike) -> None:
+    """Warn that the charges of atoms [e] are not used, unless all are zero."""
+    if (largest := np.abs(charges).max(initial=0.0)) > 0.0:
+        words = f"the charges of the atoms, up to {largest:.4g} e, are not used: {NO_ELECTROSTATICS}"
+        warnings.warn(words, stacklevel=outside_minimd())

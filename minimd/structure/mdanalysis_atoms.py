@@ -9,7 +9,7 @@ from MDAnalysis.lib.mdamath import triclinic_vectors
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.structure.bond_graph import GROUPS
-from minimd.structure.charges import warn_of_charges
+from minimd.structure.checks import warn_of_charges
 from minimd.structure.units import LJ, UnitSystem
 
 

@@ -12,7 +12,7 @@ from h5md_runs import at_step, bring_to_disk_every, resumed, simulation
 from matplotlib.figure import Figure
 
 import minimd as md
-from minimd.analysis.picture import save
+from minimd.analysis.plot import save
 from minimd.files.claim import Claim, write_whole
 from minimd.files.h5md_reader import read_file
 from minimd.files.trajectory import open_trajectories

@@ -18,7 +18,7 @@ from wrong_calls import assert_answered
 
 import minimd.integrators as mi
 from minimd.integrators import RadauIIA3, StepControl, run_adaptive, run_steps
-from minimd.integrators.ode.differences import accurate_differences, error_of_differences, time_derivative
+from minimd.integrators.ode.functions import accurate_differences, error_of_differences, time_derivative
 from minimd.integrators.ode.runge_kutta import StageStep
 from minimd.structure.errors import ConvergenceError
 

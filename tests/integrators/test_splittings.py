@@ -13,7 +13,7 @@ from small_problems import DRIVEN, HENON_HEILES, KEPLER, SPLITTINGS, TWISTED_STA
 import minimd as md
 import minimd.integrators as mi
 from minimd.integrators import SE1, SE2, Drift, Kick, PositionVerlet, VelocityVerlet, compose
-from minimd.integrators.ode.stormer import stormer_summed, stormer_two_step
+from minimd.integrators.ode.drivers import stormer_summed, stormer_two_step
 from minimd.integrators.splitting.order_conditions import lyndon_words, nystrom_residuals, separable_residuals
 from minimd.integrators.splitting.substeps import is_palindrome
 

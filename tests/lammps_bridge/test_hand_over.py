@@ -13,8 +13,7 @@ import minimd as md
 from minimd.analysis.check import check_file
 from minimd.commands import main as cli
 from minimd.lammps import script
-from minimd.lammps.dump import frames
-from minimd.lammps.handing_over import Job
+from minimd.lammps.handing_over import Job, frames
 from minimd.lammps.model import Model
 from minimd.lammps.program import find_program, run
 from minimd.potentials.term import PER_ATOM

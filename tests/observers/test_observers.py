@@ -15,8 +15,7 @@ from minimd import observers
 from minimd.analysis.check import check_file
 from minimd.analysis.plot import plot_file
 from minimd.files.h5md_digest import observers_of, read_restart
-from minimd.observers.accumulator import ObservedRun
-from minimd.observers.blocked_sums import BlockedSums
+from minimd.observers.accumulator import BlockedSums, ObservedRun
 from minimd.observers.fluctuations import FEWEST, correlation_times
 from minimd.scene import parse_scene, resume_run, run_scene
 

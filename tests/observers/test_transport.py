@@ -8,10 +8,10 @@ from scenes import LJ
 
 import minimd as md
 from minimd.analysis.check import check_file
-from minimd.diagnosis.timestep import velocity_temperature
+from minimd.diagnosis.stiffness import velocity_temperature
 from minimd.mdanalysis import diffusion_coefficient
 from minimd.observers.correlator import MultipleTau, Product
-from minimd.observers.green_kubo import plateau, running_integral
+from minimd.observers.time_correlation import plateau, running_integral
 from minimd.structure.statistics import replicas
 
 VISCOSITY, DIFFUSION, N_PUBLISHED = 3.258, 0.0325, 1372  # K. Meier et al., J. Chem. Phys. 121, 3671 and 9526 (2004)

@@ -13,7 +13,7 @@ import numpy as np
 
 from minimd.compiled.machine import EPS
 from minimd.integrators.method import Array
-from minimd.integrators.ode.differences import CENTRAL, central_differences
+from minimd.integrators.ode.functions import CENTRAL, central_differences
 
 DEPENDENT = 1e-8  # ratio of singular values below which constraints count as dependent on each other
 MAX_ITERATIONS = 50

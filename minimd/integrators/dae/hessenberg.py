@@ -19,14 +19,15 @@ from numpy.typing import ArrayLike
 from minimd.console.words import shown
 from minimd.integrators.dae.consistent_start import KEPT, REFUSED, WIDE, are_independent, nearest_root, unit_of_time
 from minimd.integrators.method import Array
-from minimd.integrators.ode.differences import (
+from minimd.integrators.ode.functions import (
     CENTRAL,
+    Function,
     accurate_differences,
     forward_differences,
     remark_on_differences,
+    taking,
     time_derivative,
 )
-from minimd.integrators.ode.functions import Function, taking
 from minimd.integrators.ode.newton import Newton, Solver
 from minimd.integrators.ode.problems import DifferentialAlgebraic
 

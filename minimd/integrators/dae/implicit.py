@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike
 from minimd.console.words import shown
 from minimd.integrators.dae.consistent_start import WIDE, nearest_root, unit_of_time
 from minimd.integrators.method import Array
-from minimd.integrators.ode.differences import CENTRAL, central_differences, time_derivative
-from minimd.integrators.ode.functions import Function, taking
+from minimd.integrators.ode.functions import CENTRAL, Function, central_differences, taking, time_derivative
 from minimd.integrators.ode.newton import Newton, Solver
 from minimd.integrators.ode.problems import DifferentialAlgebraic
 

@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike
 from minimd.console.quiet import outside_minimd
 from minimd.integrators.dae.consistent_start import unit_of_time
 from minimd.integrators.method import Array, Step
-from minimd.integrators.ode.differences import accurate_differences, remark_on_differences, time_derivative
-from minimd.integrators.ode.functions import Function
+from minimd.integrators.ode.functions import Function, accurate_differences, remark_on_differences, time_derivative
 from minimd.integrators.ode.newton import Iteration, Newton, Solver
 from minimd.integrators.ode.partitioned import SecondOrder, SequenceStep, push
 from minimd.integrators.splitting.order_conditions import nystrom_order

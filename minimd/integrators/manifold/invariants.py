@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike
 
 from minimd.console.words import shown
 from minimd.integrators.method import Array, Problem
-from minimd.integrators.ode.differences import accurate_differences
-from minimd.integrators.ode.functions import Field, Function, argument_names
+from minimd.integrators.ode.functions import Field, Function, accurate_differences, argument_names
 from minimd.integrators.ode.partitioned import Partitioned
 from minimd.integrators.ode.problems import FirstOrder
 from minimd.structure.checks import checked_number

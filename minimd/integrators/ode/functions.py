@@ -1,9 +1,18 @@
-"""Functions of the user: which arguments they take, and their answers as arrays.
+"""Functions of the user: which arguments they take, their answers as arrays, and their derivatives by differences.
 
 A function is written with the arguments it needs, under the names that the problem gives them. It cannot depend on an
 argument that it does not take, and from this a method knows which steps are explicit. A function that takes all
 arguments may depend on all of them: its steps are solved as implicit ones,
 in one iteration where they turn out to be explicit.
+
+    forward_differences      order 1, some 8 digits     matrices of Newton's method, whose errors vanish with it
+    central_differences      order 2, some 11 digits     the same where ranks are judged too
+    accurate_differences     order 6, some 13 digits    derivatives in the equations themselves, as G in −Gᵀ λ
+    time_derivative          order 6, some 12 digits     along a path
+    second time_derivative   order 6, some 10 digits
+
+Of order 6:  f′ = (45 Δ₁ − 9 Δ₂ + Δ₃)/(60 s) + O(s⁶),  Δ_j = f(js) − f(−js).  The one of order 4, (8 Δ₁ − Δ₂)/(12 s),
+estimates the error. B. Fornberg, Math. Comput. 51, 699 (1988), table 1.
 """
 
 import inspect
@@ -13,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from minimd.compiled.machine import EPS
 from minimd.console.words import shown
 from minimd.integrators.method import Array
 
@@ -134,3 +144,118 @@ def taking(function: Function, names: tuple[str, ...], label: str) -> Function:
         )
     chosen = [names.index(name) for name in takes]
     return lambda *values: np.array(function(*(values[k] for k in chosen)), dtype=float).reshape(-1)
+
+
+CENTRAL = EPS ** (
+    1.0 / 3.0
+)  # step of central differences relative to a variable: truncation and rounding are then alike, some 1e-11
+FORWARD = EPS**0.5  # the same of forward differences: some 1e-8
+LEAST = 1e-3  # smallest size of a variable for its step, relative to the largest one
+LEAST_WIDE = 0.125  # the same for accurate differences, which narrow a step that is too wide
+OFFSETS = np.array([-3, -2, -1, 1, 2, 3])  # of the points, in spacings; differences from the value at 0 are weighted
+WEIGHTS = {  # for the first and second derivative: formulas of order 6 and 4
+    1: (np.array([-1, 9, -45, 45, -9, 1]) / 60.0, np.array([0, 1, -8, 8, -1, 0]) / 12.0),
+    2: (np.array([2, -27, 270, 270, -27, 2]) / 180.0, np.array([0, -1, 16, 16, -1, 0]) / 12.0),
+}
+NOISE = 10.0 * EPS  # rounding of a function, relative to its change over the widest spacing
+SPACINGS = 0.1 / 3.0 ** np.arange(12)  # in units of the time in which a path changes by its size
+NARROWING = 2.0**-8 / 4.0 ** np.arange(12)  # in units of a variable: powers of two, so that x ± s has no rounding
+GROWN, NEAR = (
+    16.0,
+    0.03,
+    # an error that has grown by this factor, of a derivative this near the best one, is noise: it grows with spacing
+)
+ENOUGH = 1e-9  # relative error of the formula of order 4 with which the search ends: that of order 6 is then some 1e-13
+
+
+def forward_differences(function: Callable[[Array], Array], x: Array, at_x: Array) -> Array:
+    """∂function/∂x, one column per variable: half the evaluations of central differences, and fewer digits.  at_x :
+    function(x)."""
+    jacobian = np.empty((at_x.size, x.size))
+    steps = FORWARD * np.maximum(np.abs(x), LEAST * (np.abs(x).max() or 1.0))
+    for k in range(x.size):
+        moved = x.copy()
+        moved[k] += steps[k]
+        jacobian[:, k] = (function(moved) - at_x) / (moved[k] - x[k])
+    return jacobian
+
+
+def central_differences(
+    function: Callable[[Array], Array], x: Array, step: float = CENTRAL, size: float = 0.0
+) -> Array:
+    """∂function/∂x, one column per variable.
+
+    step : relative to each variable; wide for noisy functions.  size : of the largest variable,
+        where x may be smaller by chance.
+    """
+    steps = step * np.maximum(np.abs(x), LEAST * (max(np.abs(x).max(), size) or 1.0))
+    columns = []
+    for k in range(x.size):
+        ahead, behind = x.copy(), x.copy()
+        ahead[k] += steps[k]
+        behind[k] -= steps[k]
+        columns.append((function(ahead) - function(behind)) / (ahead[k] - behind[k]))
+    return np.stack(columns, axis=-1)
+
+
+def accurate_differences(function: Callable[[Array], Array], x: Array, narrowed: float = 1.0) -> Array:
+    """∂function/∂x, one column per variable, to some 1e-13, at worst 1e-12 of the terms of the function:
+    six evaluations of it for a variable.
+
+    Spacings are up to 1/256 of a variable, and are narrowed while the formulas of order 6 and 4 differ,
+    or the function has no value there.
+    narrowed : factor of all spacings.  The result is NaN where no spacing gives one.
+    """
+    here, sizes = function(x), np.maximum(np.abs(x), LEAST_WIDE * (np.abs(x).max() or 1.0))
+    units = narrowed * np.exp2(np.floor(np.log2(sizes)))
+
+    def along_each(e: float) -> Array:
+        return np.array([function(x + step) for step in np.diag(e * units)])
+
+    return (_derivative(along_each, np.tile(here, (x.size, 1)), 1, NARROWING.tolist(), ENOUGH) / units[:, None]).T
+
+
+def error_of_differences(function: Callable[[Array], Array], x: Array) -> float:
+    """Relative error of accurate_differences, estimated from those with half the spacing."""
+    wide, narrow = accurate_differences(function, x), accurate_differences(function, x, 0.5)
+    return float(np.abs(wide - narrow).max() / (np.abs(wide).max() or 1.0))
+
+
+def remark_on_differences(name: str, function: Callable[[Array], Array], x: Array) -> str:
+    """Says that a derivative is found by accurate_differences, with their error at x."""
+    return (
+        f"{name} by differences, with a relative error of {max(error_of_differences(function, x), EPS):.0e} at the "
+        "start"
+    )
+
+
+def time_derivative(path: Callable[[float], Array], order: int, unit: float) -> Array:
+    """The first or second derivative of a path at 0.  unit : time in which the path changes by its size [time]."""
+    return _derivative(path, path(0.0), order, (unit * SPACINGS).tolist())
+
+
+def _derivative(
+    path: Callable[[float], Array], here: Array, order: int, spacings: list[float], enough: float = 0.0
+) -> Array:
+    """A derivative at 0, each element from the spacing with its least estimated error: |order 6 − order 4| + rounding.
+
+    here : path(0).  spacings : widest first.  enough : relative error with which an element is settled.
+    """
+    best, least, largest = np.full(here.shape, np.nan), np.full(here.shape, np.inf), np.zeros(here.shape)
+    for spacing in spacings:
+        try:
+            with np.errstate(all="ignore"):
+                values = np.array([path(k * spacing) for k in OFFSETS]) - here
+        except (ValueError, ArithmeticError):  # outside the domain of a function such as math.sqrt
+            continue
+        sixth, fourth = (np.tensordot(weights, values, 1) / spacing**order for weights in WEIGHTS[order])
+        changes = np.abs(values).max(axis=0)
+        largest = np.fmax(largest, changes)
+        error = np.abs(sixth - fourth) + NOISE * largest / spacing**order
+        better = error < least
+        best[better], least[better] = sixth[better], error[better]
+        is_noise = (error > GROWN * least) & (np.abs(sixth - best) < NEAR * np.abs(best))
+        least[is_noise | (error <= enough * changes / spacing**order)] = 0.0
+        if not least.any():
+            break
+    return best

@@ -19,7 +19,7 @@ import scipy  # its parts are loaded when they are used
 from minimd.compiled.machine import EPS
 from minimd.console.words import shown
 from minimd.integrators.method import Array
-from minimd.integrators.ode.differences import forward_differences
+from minimd.integrators.ode.functions import forward_differences
 from minimd.structure.checks import checked_count
 from minimd.structure.errors import ConvergenceError
 

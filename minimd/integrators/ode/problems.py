@@ -11,8 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array, Problem
-from minimd.integrators.ode.differences import forward_differences
-from minimd.integrators.ode.functions import Function, check_finite, checked_values, of_time_and_state
+from minimd.integrators.ode.functions import (
+    Function,
+    check_finite,
+    checked_values,
+    forward_differences,
+    of_time_and_state,
+)
 from minimd.integrators.ode.newton import FixedPoint, Newton, Solver, checked_solver
 
 __all__ = ["FirstOrder"]

@@ -21,7 +21,7 @@ from numpy.polynomial.legendre import Legendre
 from numpy.typing import ArrayLike
 
 from minimd.integrators.method import Array, ClassProperty, Method, Problem, Step
-from minimd.integrators.ode.differences import forward_differences
+from minimd.integrators.ode.functions import forward_differences
 from minimd.integrators.ode.problems import DifferentialAlgebraic, FirstOrder
 from minimd.structure.errors import ConvergenceError
 

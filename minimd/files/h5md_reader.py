@@ -11,7 +11,7 @@ import faulthandler
 import os
 import pickle
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -22,13 +22,12 @@ from typing import Any, NoReturn, TypeVar
 import h5py
 import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5t
-from numpy.typing import NDArray
 
 from minimd.console.display import Displayed, Rows
 from minimd.console.quiet import quiet
 from minimd.console.words import printable
 from minimd.engine.engine import Checkpoint
-from minimd.engine.record import SERIES, Record
+from minimd.engine.record import SERIES, Frame, Record
 from minimd.files import h5md_digest as digest
 from minimd.files.claim import end_with, repair
 from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY, read_constraints, read_method
@@ -40,7 +39,7 @@ from minimd.structure.bond_graph import GROUPS
 from minimd.structure.cell import Cell
 from minimd.structure.errors import sentence
 from minimd.structure.system import System
-from minimd.structure.units import SYSTEMS
+from minimd.structure.units import SYSTEMS, UnitSystem
 
 Found = TypeVar("Found")
 
@@ -343,18 +342,25 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
         )
 
 
-def frame_arrays(path: str | Path, frame: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Positions and velocities of a frame, (N, 3) float64.  Raises as opened."""
+def frames_of(
+    path: str | Path, numbers: Iterable[int], units: UnitSystem, observables: Iterable[str] = ()
+) -> Iterator[Frame]:
+    """Frames of a minimd file in its units, converted to rounding; with forces (else None), cell and the observables of
+    these names if the file has them.  Raises as opened."""
+    per_time, force = units.to_angstrom / units.to_picosecond, units.to_kj_per_mol / units.to_angstrom
+    factors = {"positions": units.to_angstrom, "velocities": per_time, "forces": force}
     with opened(path) as h5, damage_told(path):
-        positions, velocities = (h5[f"{TRAJECTORY}/{name}/value"][frame] for name in ("position", "velocity"))
-        return positions, velocities
-
-
-def velocities_of(path: str | Path, n_frames: int) -> Iterator[NDArray[np.float64]]:
-    """The velocities of each frame in turn, (N, 3) float64.  Raises as opened."""
-    with opened(path) as h5, damage_told(path):
-        for frame in range(n_frames):
-            yield h5[f"{TRAJECTORY}/velocity/value"][frame]
+        places = {f"{name}s": h5[TRAJECTORY].get(f"{name}/value") for name in ("position", "force")}
+        places["velocities"], known = h5[TRAJECTORY]["velocity/value"], h5["observables"]
+        seen = {name: known[f"{name}/value"] for name in ("cell", *observables) if name in known}
+        for k in numbers:
+            arrays: dict[str, Any] = {
+                name: None if at is None else at[k] / factors[name] for name, at in places.items()
+            }
+            values = {name: series[k] for name, series in seen.items()}
+            cell = Cell(values["cell"], np.ones(3, bool)) if "cell" in values else None
+            step, time = int(h5[STEPS][k]), float(h5["minimd/time"][k])
+            yield Frame(step, time, **arrays, observables=values, cell=cell)
 
 
 def damage(path: str | Path) -> str:

@@ -244,6 +244,20 @@ def atomic_mass(element: str) -> float:
     return float(atomic_masses[atomic_numbers[element]])
 
 
+def atoms_of_frame(template: Atoms, frame: Frame, forces: Any, conserves_momentum: bool) -> Atoms:
+    """A copy of ASE's atoms in the state of a frame, with step and time in info, and energy, forces and stress, where
+    they are known, as results of a calculator.  conserves_momentum : whether the run did."""
+    atoms, seen = template.copy(), frame.observables
+    atoms.positions[:] = frame.positions
+    if frame.cell is not None:
+        atoms.cell[:] = frame.cell.vectors
+    atoms.set_momenta(frame.velocities * atoms.get_masses()[:, None], apply_constraint=False)
+    atoms.info.update(step=frame.step, time=frame.time)
+    stress = calculators_stress(seen["stress"], atoms, conserves_momentum) if "stress" in seen else None
+    atoms.calc = SinglePointCalculator(atoms, energy=float(seen["potential_energy"]), forces=forces, stress=stress)
+    return atoms
+
+
 class ASEWriter:
     """A trajectory written by ASE, in the units of the system: .traj in float64, .xyz and .extxyz as extended XYZ,
     with 8 decimals.
@@ -267,15 +281,8 @@ class ASEWriter:
 
     def write(self, frame: Frame) -> None:
         """Append one frame."""
-        atoms, seen = self._template.copy(), frame.observables
-        atoms.positions[:] = frame.positions
-        if frame.cell is not None:
-            atoms.cell[:] = frame.cell.vectors
-        atoms.set_momenta(frame.velocities * atoms.get_masses()[:, None], apply_constraint=False)
-        atoms.info.update(step=frame.step, time=frame.time)
-        stress = calculators_stress(seen["stress"], atoms, self._conserves_momentum) if "stress" in seen else None
-        results = {"energy": seen["potential_energy"], "forces": frame.forces if self._store_forces else None}
-        atoms.calc = SinglePointCalculator(atoms, **results, stress=stress)
+        forces = frame.forces if self._store_forces else None
+        atoms = atoms_of_frame(self._template, frame, forces, self._conserves_momentum)
         if isinstance(self._output, TrajectoryWriter):
             self._output.write(atoms)
         else:

@@ -111,3 +111,12 @@ def test_check_knows_a_bond_longer_than_half_the_cell(tmp_path):
     with pytest.warns(UserWarning, match="velocities along bonds"):
         simulation.run(20, every=5, trajectory=tmp_path / "a.h5md")
     assert [one.passed for one in check_file(tmp_path / "a.h5md").comparisons if one.name == "lengths"] == [True]
+
+
+@pytest.mark.parametrize("units", [LJ, ASE])
+def test_the_momentum_of_a_run_in_fixed_point_arithmetic_is_constant_in_its_file_too(units, tmp_path):
+    """Whatever the units of the file are."""
+    of, path = simulation("cubic", units), tmp_path / "a.h5md"
+    exact = md.Simulation(of.system, of.potentials, of.method, precision="fixed-point")
+    exact.run(20, every=5, trajectory=path)
+    assert [one.passed for one in check_file(path).comparisons if one.name == "exact momentum"] == [True]

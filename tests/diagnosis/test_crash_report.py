@@ -13,7 +13,6 @@ from ase import units
 from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
 from ase.md.velocitydistribution import thermalize_momenta
-from minimd.diagnosis.crash_report import examine
 from references import melt_scene
 from scenes import LJ, SCENES
 from wrong_calls import assert_answered
@@ -21,6 +20,7 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.ase import Calculator, ForcesFromCalculator, VelocityVerlet
 from minimd.commands import main as cli
+from minimd.diagnosis.crash_report import examine
 from minimd.diagnosis.run_guard import BLOCK
 from minimd.files.crash_file import read_crash_report
 from minimd.files.h5md_digest import sign

@@ -20,10 +20,11 @@ from damages import FAILED, PASSED, RESTARTS, SENTENCE, WAYS, in_child, numbers,
 from h5md_runs import simulation
 from wrong_calls import assert_answered
 
+import minimd as md
 from minimd.commands import main as cli
 from minimd.files import h5md_reader
 from minimd.files.h5md_digest import sign
-from minimd.files.h5md_reader import damage, looked_at, read_file, velocities_of, verify_frames
+from minimd.files.h5md_reader import damage, frames_of, looked_at, read_file, verify_frames
 from minimd.files.h5md_writer import H5MDWriter
 from minimd.files.structure_file import system_from_file
 from minimd.mdanalysis import universe
@@ -239,7 +240,7 @@ READERS = {
     "resume": lambda file: cli.main(["resume", file, "--steps", "5"]),
     "frames": lambda file: cli.main(["frames", file, "--at", "5"]),
     "append": lambda file: H5MDWriter.append_to(file, simulation().engine),
-    "frame by frame": lambda file: list(velocities_of(file, 1)),
+    "frame by frame": lambda file: list(frames_of(file, [0], md.units.LJ)),
     "universe": universe,
     "ase": ase.io.read,
     "structure": system_from_file,

@@ -175,12 +175,12 @@ def lennard_jones_fault(f: Powers) -> tuple[str, list[str]]:
             words = "the repulsive term has 24 where 48 = 4 · 12 is needed: 48 r^−13 − 24 r^−7 with ε = σ = 1"
             faults.append(Fault(Kind.OF_UNITS, f"{words}; a factor 2 is missing"))
         elif is_near(sigma6, 1.0) and not is_near(epsilon, 1.0):
-            size, why = coefficient(epsilon), "a factor is wrong, unless this ε is meant"
+            times, why = coefficient(epsilon), "a factor is wrong, unless this ε is meant"
             if is_near(epsilon, 2.0):
                 why = "pairs are counted twice, or a factor ½ is missing"
             elif is_near(epsilon, 0.5):
                 why = "a factor 2 is missing"
-            words = f"with ε = σ = 1 the force is {size} times 48 r^−13 − 24 r^−7, as for ε = {size}: {why}"
+            words = f"with ε = σ = 1 the force is {times} times 48 r^−13 − 24 r^−7, as for ε = {times}: {why}"
             faults.append(Fault(Kind.OF_UNITS, words))
         elif sum((is_near(abs(c[0]), 48.0), is_near(abs(c[1]), 24.0))) == 1:
             which, size, right = (
@@ -228,7 +228,8 @@ def cutoff_findings(f: Law, u: Law | None, cutoff: float | None, farthest: float
     where they jump."""
     r = np.linspace(NEAREST, farthest, GRID)
     steps = [("force", jumps(f, r))] + ([("energy", jumps(u, r))] if u is not None else [])
-    findings, faults = [], []
+    findings: list[Finding] = []
+    faults: list[str] = []
     if cutoff is not None and cutoff < farthest:
         beyond = float(np.abs([f(x) for x in np.linspace(1.001 * cutoff, farthest, 20)]).max())
         kept = beyond == 0.0

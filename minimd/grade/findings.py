@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from enum import Enum
 from fractions import Fraction
 
 from minimd.console.display import Displayed, Rows
@@ -11,6 +12,32 @@ from minimd.console.display import Displayed, Rows
 TICKS = {True: "✓", False: "✗", None: "?"}
 EXACT = 1e-5  # coefficients that differ by less are taken as equal
 DENOMINATOR = 24  # the largest in fractions for coefficients
+
+
+class Kind(Enum):
+    """Kinds of faults that do not count beside others."""
+
+    OF_UNITS = "a Lennard-Jones force with other numbers than those for ε = σ = 1"
+    BESIDE_MINIMD = "a difference from minimd's force"
+    JUMP = "a jump of the energy at the cutoff"
+    CUTOFF = "a cutoff that is not applied"
+
+
+class Fault(str):
+    """A fault in words, of a kind."""
+
+    kind: Kind
+
+    def __new__(cls, kind: Kind, words: str) -> Fault:
+        """A text."""
+        made = super().__new__(cls, words)
+        made.kind = kind
+        return made
+
+
+def without(faults: Iterable[str], kind: Kind) -> list[str]:
+    """The faults that are not of a kind."""
+    return [fault for fault in faults if getattr(fault, "kind", None) != kind]
 
 
 @dataclass(frozen=True)

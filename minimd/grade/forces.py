@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from minimd.grade.bodies import Bodies
-from minimd.grade.findings import Finding, Grade, coefficient
+from minimd.grade.findings import Fault, Finding, Grade, Kind, coefficient, without
 from minimd.grade.force_calling import START, Array, StudentForce, checked_positions, edges
 from minimd.grade.parameters import places_of_epsilon_and_sigma, without_effect
 from minimd.grade.profile import (
@@ -120,14 +120,14 @@ def _of_parameters(
             force, pair, np.linspace(NEAREST + 0.05, min(0.9 * (cutoff or 2.5), 2.2), POINTS)
         )
         if places is not None:
-            faults = [fault for fault in faults if "ε = σ = 1" not in fault]
+            faults = without(faults, Kind.OF_UNITS)
             wrong += places
         if places == []:
             findings[:] = [
                 replace(one, passed=True) if one.name == "powers of r" and one.passed is False else one
                 for one in findings
             ]
-    return wrong + [fault for fault in faults if not (wrong and "minimd's by" in fault)]
+    return wrong + (without(faults, Kind.BESIDE_MINIMD) if wrong else faults)
 
 
 def profile_findings(
@@ -180,14 +180,18 @@ def profile_findings(
         findings.append(Finding("as minimd's", ok, said, off))
         if not ok:
             faults += [fault] if fault else (lennard_jones_fault(own)[1] if own is not None else [])
-            faults += [] if faults else [f"the force differs from minimd's by {off:.1%} of the largest"]
+            faults += (
+                []
+                if faults
+                else [Fault(Kind.BESIDE_MINIMD, f"the force differs from minimd's by {off:.1%} of the largest")]
+            )
     elif len(values) and values[0] < 0.0 and not faults:
         findings.append(Finding("sign", None, f"attractive at r = {r[0]:.2f}: {values[0]:.3g}", float(values[0])))
     more, wrong = cutoff_findings(f, u, cutoff, farthest)
     if getattr(potential, "truncation", "") == "truncated":  # minimd's energy jumps, too, as the user has chosen
         jumps = [finding.name == "energy continuous" and not finding.passed for finding in more]
         more = [replace(one, passed=None) if jump else one for one, jump in zip(more, jumps, strict=True)]
-        wrong = [fault for fault in wrong if "the energy jumps" not in fault]
+        wrong = without(wrong, Kind.JUMP)
     return findings + more, faults + wrong, law, remarks
 
 
@@ -264,7 +268,7 @@ def _of_bodies(
             faults = [
                 "the cutoff acts on the components, not on the distance: pairs in a cube with half the edge "
                 f"{cube:.4g} interact. Compare dx² + dy² + dz² with the square of the cutoff",
-                *[s for s in faults if "is not applied" not in s],
+                *without(faults, Kind.CUTOFF),
             ]
     if not bodies.is_broken:
         pair = bodies.of_a_pair if bodies.takes_pairs and not bodies.is_field else None
@@ -306,7 +310,8 @@ def _beside(bodies: Bodies, potential: Any, lengths: Array | None) -> tuple[Find
         else []
     )
     if off > SAME_FORCE and not fault:
-        fault = [f"the forces of {len(own)} atoms differ from minimd's by {off:.1%} of the largest"]
+        words = f"the forces of {len(own)} atoms differ from minimd's by {off:.1%} of the largest"
+        fault = [Fault(Kind.BESIDE_MINIMD, words)]
     energy = float(np.asarray(bodies.u(bodies.x)))
     if bodies.force.has_energy and not np.isclose(energy, answer.potential_energy, rtol=1e-9):
         fault.append(

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from minimd.grade.findings import Finding, coefficient, is_near
+from minimd.grade.findings import Fault, Finding, Kind, coefficient, is_near
 from minimd.grade.force_calling import Array
 
 POWERS = range(1, 21)
@@ -172,27 +172,22 @@ def lennard_jones_fault(f: Powers) -> tuple[str, list[str]]:
                 "σ⁶/r⁷"
             )
         if is_near(abs(c[0]), 24.0) and is_near(abs(c[1]), 24.0):
-            faults.append(
-                "the repulsive term has 24 where 48 = 4 · 12 is needed: 48 r^−13 − 24 r^−7 with ε = σ = 1; a factor 2 "
-                "is missing"
-            )
+            words = "the repulsive term has 24 where 48 = 4 · 12 is needed: 48 r^−13 − 24 r^−7 with ε = σ = 1"
+            faults.append(Fault(Kind.OF_UNITS, f"{words}; a factor 2 is missing"))
         elif is_near(sigma6, 1.0) and not is_near(epsilon, 1.0):
-            faults.append(
-                f"with ε = σ = 1 the force is {coefficient(epsilon)} times 48 r^−13 − 24 r^−7, as for ε = "
-                f"{coefficient(epsilon)}: "
-                + (
-                    "pairs are counted twice, or a factor ½ is missing"
-                    if is_near(epsilon, 2.0)
-                    else "a factor 2 is missing"
-                    if is_near(epsilon, 0.5)
-                    else "a factor is wrong, unless this ε is meant"
-                )
-            )
+            times, why = coefficient(epsilon), "a factor is wrong, unless this ε is meant"
+            if is_near(epsilon, 2.0):
+                why = "pairs are counted twice, or a factor ½ is missing"
+            elif is_near(epsilon, 0.5):
+                why = "a factor 2 is missing"
+            words = f"with ε = σ = 1 the force is {times} times 48 r^−13 − 24 r^−7, as for ε = {times}: {why}"
+            faults.append(Fault(Kind.OF_UNITS, words))
         elif sum((is_near(abs(c[0]), 48.0), is_near(abs(c[1]), 24.0))) == 1:
             which, size, right = (
                 ("attractive", abs(c[1]), 24) if is_near(abs(c[0]), 48.0) else ("repulsive", abs(c[0]), 48)
             )
-            faults.append(f"with ε = σ = 1 the {which} term has {size:.6g} where {right} is needed: 48 r^−13 − 24 r^−7")
+            words = f"with ε = σ = 1 the {which} term has {size:.6g} where {right} is needed: 48 r^−13 − 24 r^−7"
+            faults.append(Fault(Kind.OF_UNITS, words))
         return name, faults
     told = f"F = {f}; −du/dr of Lennard-Jones has r^−13 and r^−7"
     if n == (14, 8):
@@ -233,7 +228,8 @@ def cutoff_findings(f: Law, u: Law | None, cutoff: float | None, farthest: float
     where they jump."""
     r = np.linspace(NEAREST, farthest, GRID)
     steps = [("force", jumps(f, r))] + ([("energy", jumps(u, r))] if u is not None else [])
-    findings, faults = [], []
+    findings: list[Finding] = []
+    faults: list[str] = []
     if cutoff is not None and cutoff < farthest:
         beyond = float(np.abs([f(x) for x in np.linspace(1.001 * cutoff, farthest, 20)]).max())
         kept = beyond == 0.0
@@ -241,17 +237,15 @@ def cutoff_findings(f: Law, u: Law | None, cutoff: float | None, farthest: float
         if not kept:
             seen = [one.r for one in steps[0][1] if one.above == 0.0]
             where = f"; the force ends at {seen[0]:.6g} instead" if seen else ""
-            faults.append(
-                f"the cutoff {cutoff:g} is not applied: at r = {1.001 * cutoff:.4g} the force is "
-                f"{f(1.001 * cutoff):.3g}{where}"
-            )
+            at = f"at r = {1.001 * cutoff:.4g} the force is {f(1.001 * cutoff):.3g}{where}"
+            faults.append(Fault(Kind.CUTOFF, f"the cutoff {cutoff:g} is not applied: {at}"))
     faults += _other_cutoff(steps[0][1], cutoff)
     for name, found in steps:
         words = "; ".join(f"jumps by {one.height:+.4g} at r = {one.r:.6g}" for one in found[:3]) or "continuous"
         passed = (None if name == "force" else False) if found else True
         findings.append(Finding(f"{name} continuous", passed, words, float(found[0].height) if found else 0.0))
         if found and name == "energy":
-            faults.append(f"the energy jumps at the cutoff by {found[0].height:+.4g} (r = {found[0].r:.6g}): each pair "
-                          f"that crosses it changes the total "
-                          f"energy; subtract u(r_c) = {found[0].below:.4g} from the energy of every pair")  # fmt: skip
+            jump = f"the energy jumps at the cutoff by {found[0].height:+.4g} (r = {found[0].r:.6g})"
+            cure = f"subtract u(r_c) = {found[0].below:.4g} from the energy of every pair"
+            faults.append(Fault(Kind.JUMP, f"{jump}: each pair that crosses it changes the total energy; {cure}"))
     return findings, faults

@@ -53,7 +53,7 @@ def test_a_step_is_counted_before_a_restart_is_written(tmp_path, monkeypatch):
     bring_to_disk_every(0.0, monkeypatch)
     path, looks = tmp_path / "a.h5md", []
 
-    def interrupted(engine):
+    def interrupted(engine, *when):
         looks.append(engine.step)
         if len(looks) == 3:
             raise KeyboardInterrupt

@@ -118,15 +118,15 @@ def replay(
     """
     from minimd.document.document import potentials_of_scene  # pydantic is slow to load
 
-    past = read_crash_report(file)
+    run = (past := read_crash_report(file)).run
     frames, drawing = (
         _output(trajectory, Path(file), ".replay.h5md", overwrite),
         _output(picture, Path(file), ".replay.png", overwrite),
     )
-    run = past.run
     acting = potentials_of_scene(run.scene, run.potentials, Path(file)) if potentials is None else potentials
-    options = {"precision": run.precision, "skin": run.skin, "barostat": run.barostat}
-    simulation = Simulation(run.system, acting, run.integrator(), **options)
+    simulation = Simulation(
+        run.system, acting, run.integrator(), precision=run.precision, skin=run.skin, barostat=run.barostat
+    )
     simulation.restore(past.start)
     simulation.engine.noise_shift = past.noise_shift
     simulation.guard.judge_by(*past.judgment)

@@ -17,8 +17,6 @@ from minimd.files.h5md_writer import H5MDWriter
 KJ_PER_MOL = 96.48533288249877  # of eV, as ASE's documentation has it
 LJ, ASE = md.units.LJ, md.units.ASE
 RUNS = [*((cell, LJ) for cell in CELLS), ("cubic", ASE), ("triclinic", ASE), ("open", ASE)]
-
-
 Run = namedtuple("Run", "cell units path sim record seen")  # seen: step, time, r, v and F at each frame
 
 

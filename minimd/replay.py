@@ -131,7 +131,7 @@ def replay(
     simulation.engine.noise_shift = past.noise_shift
     simulation.guard.judge_by(*past.judgment)
     rows: list[ReplayedStep] = []
-    options = {"trajectory": () if frames is None else frames, "store_forces": True, "overwrite": True}
+    options: dict[str, Any] = {"trajectory": () if frames is None else frames, "store_forces": True, "overwrite": True}
     options |= {"observers": [lambda now: rows.append(ReplayedStep.of(now))], "progress": False, "crash_report": False}
     step, failed_at = past.findings.step, None
     try:

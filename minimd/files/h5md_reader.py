@@ -30,7 +30,7 @@ from minimd.engine.engine import Checkpoint
 from minimd.engine.record import SERIES, Frame, Record
 from minimd.files import h5md_digest as digest
 from minimd.files.claim import end_with, repair
-from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY, read_constraints, read_method
+from minimd.files.h5md_schema import SPACING, STEPS, TRAJECTORY, factors, read_constraints, read_method
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
@@ -347,16 +347,13 @@ def frames_of(
 ) -> Iterator[Frame]:
     """Frames of a minimd file in its units, converted to rounding; with forces (else None), cell and the observables of
     these names if the file has them.  Raises as opened."""
-    per_time, force = units.to_angstrom / units.to_picosecond, units.to_kj_per_mol / units.to_angstrom
-    factors = {"positions": units.to_angstrom, "velocities": per_time, "forces": force}
+    by = factors(units)
     with opened(path) as h5, damage_told(path):
         places = {f"{name}s": h5[TRAJECTORY].get(f"{name}/value") for name in ("position", "force")}
         places["velocities"], known = h5[TRAJECTORY]["velocity/value"], h5["observables"]
         seen = {name: known[f"{name}/value"] for name in ("cell", *observables) if name in known}
         for k in numbers:
-            arrays: dict[str, Any] = {
-                name: None if at is None else at[k] / factors[name] for name, at in places.items()
-            }
+            arrays: dict[str, Any] = {name: None if at is None else at[k] / by[name] for name, at in places.items()}
             values = {name: series[k] for name, series in seen.items()}
             cell = Cell(values["cell"], np.ones(3, bool)) if "cell" in values else None
             step, time = int(h5[STEPS][k]), float(h5["minimd/time"][k])

@@ -37,6 +37,7 @@ from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.structure.cell import Cell
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 from minimd.structure.system import System
+from minimd.structure.units import UnitSystem
 
 CHUNK_BYTES = 64 * 1024  # of one series; a larger entry is a chunk of its own
 CHUNK_ROWS, FEW_ROWS = 512, 16  # the most rows, and the fewest for a file with few frames: more may be appended
@@ -61,11 +62,10 @@ class Column(NamedTuple):
 def columns(system: System, observables: list[str], store_forces: bool, spacing: float | None) -> list[Column]:
     """All series of a file, positions last: for MDAnalysis their length is the number of frames.  spacing : time
     between observations [time]; None for a file that does not hold it."""
-    units = system.units
-    angstrom, ps, kj_per_mol = units.to_angstrom, units.to_picosecond, units.to_kj_per_mol
+    units, to, ps = system.units, factors(system.units), system.units.to_picosecond
     named = {name: getattr(units, SERIES.get(name) or "", "") for name in observables}
-    at_edges = (lambda at: (at.cell or system.cell).vectors * angstrom) if has_edges(system.cell) else None
-    at_forces = (lambda at: at.forces * (kj_per_mol / angstrom)) if store_forces else None
+    at_edges = (lambda at: (at.cell or system.cell).vectors * to["positions"]) if has_edges(system.cell) else None
+    at_forces = (lambda at: at.forces * to["forces"]) if store_forces else None
     rows: list[tuple[str, str, Callable[[Frame], Any] | None]] = [  # path, unit, entry; None: the file does not hold it
         ("minimd/time", units.time, lambda at: at.time),
         (STEPS, "", lambda at: at.step),
@@ -73,15 +73,21 @@ def columns(system: System, observables: list[str], store_forces: bool, spacing:
         *((f"observables/{name}/value", unit, partial(_observed, name)) for name, unit in named.items()),
         (f"observables/{SPACING}/value", "ps", None if spacing is None else lambda _: spacing * ps),
         (f"{TRAJECTORY}/box/edges/value", "Angstrom", at_edges),
-        (f"{TRAJECTORY}/velocity/value", "Angstrom ps-1", lambda at: at.velocities * (angstrom / ps)),
+        (f"{TRAJECTORY}/velocity/value", "Angstrom ps-1", lambda at: at.velocities * to["velocities"]),
         (f"{TRAJECTORY}/force/value", "kJ mol-1 Angstrom-1", at_forces),
-        (f"{TRAJECTORY}/position/value", "Angstrom", lambda at: at.positions * angstrom),
+        (f"{TRAJECTORY}/position/value", "Angstrom", lambda at: at.positions * to["positions"]),
     ]
     return [Column(path, unit, entry) for path, unit, entry in rows if entry is not None]
 
 
 def _observed(name: str, at: Frame) -> Any:
     return at.observables[name]
+
+
+def factors(units: UnitSystem) -> dict[str, float]:
+    """By what positions, velocities and forces of a system are multiplied in a file [Å, Å/ps, kJ/mol/Å]."""
+    per_time, force = units.to_angstrom / units.to_picosecond, units.to_kj_per_mol / units.to_angstrom
+    return {"positions": units.to_angstrom, "velocities": per_time, "forces": force}
 
 
 def has_edges(cell: Cell) -> bool:

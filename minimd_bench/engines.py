@@ -222,9 +222,8 @@ class OpenMM:
             self._context = openmm.Context(system, self._integrator, platform, {"Threads": str(threads)})
         self._context.setPositions(scene.system.positions)
         forces = self._context.getState(getForces=True).getForces(asNumpy=True)._value
-        self._context.setVelocities(
-            scene.system.velocities - 0.5 * timestep * forces
-        )  # leapfrog: velocities half a step earlier
+        # leapfrog: velocities half a step earlier
+        self._context.setVelocities(scene.system.velocities - 0.5 * timestep * forces)
         if scene.constraints:
             self._context.applyVelocityConstraints(1e-6)
 

@@ -83,15 +83,13 @@ class Gromacs:
         """See TimedEngine."""
         potential, kinetic = self._energies()
         last = max(Path(self._folder.name).glob("last.part*.gro"))
-        positions = (
-            Universe(str(last)).atoms.positions / 10.0
-        )  # in nm; the three decimals of the file are enough for the small term below
+        # in nm; the three decimals of the file are enough for the small term below
+        positions = Universe(str(last)).atoms.positions / 10.0
         forces = md.evaluate(
             md.System(positions, cell=self._scene.edges, species=self._scene.system.species), self._scene.potentials
         ).forces
-        return (
-            potential + kinetic - 0.125 * self._timestep**2 * float(np.sum(forces**2))
-        )  # GROMACS' K is the mean of those half a step before and after
+        # GROMACS' K is the mean of those half a step before and after
+        return potential + kinetic - 0.125 * self._timestep**2 * float(np.sum(forces**2))
 
     def run(self, n_steps: int) -> float:
         """Make n_steps steps; returns the seconds that they took by GROMACS' own clock,

@@ -189,9 +189,8 @@ def _beads(n: int, density: float) -> md.System:
     edge = cbrt(n_beads / density)
     first = np.arange(n_beads - 1)
     first = first[(first + 1) % BEADS != 0]
-    z, y, x = np.unravel_index(
-        np.arange(width**3), (width,) * 3
-    )  # a winding path: each site is the nearest neighbor of the one before
+    # a winding path: each site is the nearest neighbor of the one before
+    z, y, x = np.unravel_index(np.arange(width**3), (width,) * 3)
     y, row = np.where(z % 2 == 0, y, width - 1 - y), np.arange(width**3) // width
     path = np.column_stack([np.where(row % 2 == 0, x, width - 1 - x), y, z]).astype(np.float64)
     positions, bonds = path[:n_beads] * (edge / width), np.column_stack([first, first + 1])

@@ -12,18 +12,15 @@ from minimd_bench.outcome import tell, threads_text
 
 # allowed relative difference of energies at step 0: rounding of single precision; GROMACS sums 32 000 atoms to 2e-5
 SAME_START = 5e-5
-STEPS_COMPARED = (
-    10  # so few that trajectories do not diverge, enough for the potential energy to change by half an ε per atom
-)
+# so few that trajectories do not diverge, enough for the potential energy to change by half an ε per atom
+STEPS_COMPARED = 10
 # ε per atom, allowed difference after these steps, in single precision; a time step 1 % longer makes a larger one
 SAME_COURSE = 1e-3
 WARM_UP, SECONDS_WARM_UP = 200, 5.0  # steps or seconds, whichever ends first: melts the lattice, fills caches
 # much longer than the resolution of the clock, much shorter than the minutes in which machines change their speed
 SECONDS_A_TURN = 0.5
-STEPS_A_TURN, LONGEST_TURN = (
-    40,
-    5.0,
-)  # least number of steps in a turn, so that it has two new lists, unless they take longer than so many seconds
+# least number of steps in a turn, so that it has two new lists, unless they take longer than so many seconds
+STEPS_A_TURN, LONGEST_TURN = 40, 5.0
 
 
 def check_agreement(engines: Sequence[TimedEngine], n_atoms: int, scatter: float = 0.0) -> None:

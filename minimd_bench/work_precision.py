@@ -348,9 +348,8 @@ def kepler_runs(
     problem = md.integrators.SecondOrder(njit(attraction))
     for method in (*SPLITTINGS.values(), *(method for method in IMPLICIT.values() if method.is_symmetric)):
         for cost in costs:
-            n = PERIODS * max(
-                1, round(cost / method.stages * END / PERIODS / 10)
-            )  # a tenth of the forces: orbits are slow
+            # a tenth of the forces: orbits are slow
+            n = PERIODS * max(1, round(cost / method.stages * END / PERIODS / 10))
             seconds = np.inf
             try:
                 for _ in range(repeats):

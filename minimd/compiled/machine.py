@@ -72,11 +72,8 @@ def peak_memory() -> int | None:
 
 
 NEWEST = "avx512"
-WIDER = {  # beginnings of names of the features that each choice does without
-    NEWEST: (),
-    "avx2": ("avx512", "avx10"),
-    "sse": ("avx", "fma", "f16c", "vaes", "vpclmulqdq", "xop"),
-}
+# beginnings of names of the features that each choice does without
+WIDER = {NEWEST: (), "avx2": ("avx512", "avx10"), "sse": ("avx", "fma", "f16c", "vaes", "vpclmulqdq", "xop")}
 
 
 def restrict_features(choice: str) -> None:

@@ -304,10 +304,8 @@ class LinearTriatomics(Networks):
         corners, arms, sides = _corners(graph, self.ends, self.bonds.offsets)
         offsets = -arms[0], arms[1] - arms[0]
         beta = np.sqrt(lengths2[sides[:, 0]] / lengths2[self.ends])
-        shapes, (middle, b, c) = (
-            (1.0 - beta, beta, lengths2[self.ends]),
-            corners,
-        )  # the corner opposite the longest side
+        # the corner opposite the longest side
+        shapes, (middle, b, c) = (1.0 - beta, beta, lengths2[self.ends]), corners
         self.known, self._of_ends = (Molecules((b, middle, c), offsets, shapes),), np.zeros(len(self.ends))
 
     def check(self, positions: Floats) -> None:

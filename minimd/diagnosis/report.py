@@ -28,22 +28,18 @@ INDEPENDENT = 4.0  # entries: with fewer, a series is too short to judge
 LARGEST_RANGE = 0.5  # of the kinetic energy
 RANGE_OF_ROUNDING = 1e-11  # of the potential energy
 NEGLIGIBLE_DRIFT = 1e-6  # of the kinetic energy, in each ps or τ
-AT_REST = (
-    1e-20  # of the potential energy: a smaller kinetic energy comes from rounding of the forces, and is of its square
-)
+# of the potential energy: a smaller kinetic energy comes from rounding of the forces, and is of its square
+AT_REST = 1e-20
 QUIET = 0.01  # of the kinetic energy, by which the energy of a short run may vary
 MOMENTUM_KEPT = 1e-13  # of Σ|mv|, change of the total momentum that rounding explains in 10⁴ steps; it grows as √steps
 ANGULAR_MOMENTUM_KEPT = 1e-12  # of Σ m|r||v|, likewise of the angular momentum, whose terms are larger
-KEPT_ON_A_GRID = (
-    1e-9  # likewise where momentum is exactly constant: displacements are rounded to some 2⁻⁴⁰ of the scene
-)
-SETTLING = (
-    0.1  # of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
-)
+# likewise where momentum is exactly constant: displacements are rounded to some 2⁻⁴⁰ of the scene
+KEPT_ON_A_GRID = 1e-9
+# of the temperature: a change between the first and the last fifth of a run that fluctuations seldom explain
+SETTLING = 0.1
 SWELLING = 0.05  # of the volume, likewise; of 100 atoms of a liquid it fluctuates by 0.03
-LENGTHS_KEPT = (
-    1e-8  # of |r² − d²|/d²: a rigid length is then off by 5e-9 of itself, far below the thermal motion of any bond
-)
+# of |r² − d²|/d²: a rigid length is then off by 5e-9 of itself, far below the thermal motion of any bond
+LENGTHS_KEPT = 1e-8
 
 KEPT = {True: "conserved", False: "NOT CONSERVED"}
 

@@ -22,10 +22,8 @@ from minimd.structure.observables import Array, longest
 
 # steps between two checks, at most: a check costs two passes over the atoms, repeating a block half a block on average
 BLOCK = 100
-SMALL, LONGEST_BLOCK = (
-    50_000,
-    500,
-)  # atoms times steps of a block of few atoms, and its steps, at most: its checks cost as much as 30 steps
+# atoms times steps of a block of few atoms, and its steps, at most: its checks cost as much as 30 steps
+SMALL, LONGEST_BLOCK = 50_000, 500
 RUN_BEGAN, FAILED_AS_BLOCK = "the run began", "a block of steps failed, although its steps succeeded one by one"
 MOST_SNAPSHOTS, ROOM = 16, 10**6  # numbers of snapshots kept, at least one, and of atoms in all of them
 SNAPSHOTS_APART = 40  # steps between two snapshots that are kept, at least
@@ -50,9 +48,8 @@ class RunGuard:
         self._first: Mapping[str, Any] | None = None  # observables at the first look of a run
         self._growth, self._since = RUNAWAY, RUN_BEGAN  # with which energies have run away, and since when
         self._seen: tuple[int, float] = (0, 0.0)  # step of the last look, and the total energy then
-        self._reason: NonFiniteError | ConstraintError | None = (
-            None  # why the last block failed, if something was raised
-        )
+        # why the last block failed, if something was raised
+        self._reason: NonFiniteError | ConstraintError | None = None
         self._before: Snapshot | None = None  # the start of the last block
         self._snapshots: list[Snapshot] = []  # at least SNAPSHOTS_APART steps apart
         self._first_step = 0  # of the present run

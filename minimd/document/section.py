@@ -43,9 +43,8 @@ KEY_UNITS: dict[
     },
 }
 KEY_UNITS["LJ"] = {dimension: {"": 1.0} for dimension in KEY_UNITS["ASE"]} | {"angle": {"_degree": DEGREE}}
-Keys = dict[
-    str, tuple[str, float | None]
-]  # key: its field, and the factor by which its numbers are multiplied, None if it is not a quantity
+# key: its field, and the factor by which its numbers are multiplied, None if it is not a quantity
+Keys = dict[str, tuple[str, float | None]]
 # types of values that several sections use
 Three = Field(min_length=3, max_length=3)
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
@@ -135,9 +134,8 @@ def _multiplied(value: Any, size: float | None) -> Any:
     if isinstance(value, list):
         return [_multiplied(entry, size) for entry in value]
     is_quantity = size is not None and isinstance(value, int | float) and not isinstance(value, bool)
-    return (
-        value * size if size is not None and is_quantity and abs(value) < LARGEST else value
-    )  # larger numbers are refused later, as they are written
+    # larger numbers are refused later, as they are written
+    return value * size if size is not None and is_quantity and abs(value) < LARGEST else value
 
 
 def one_of(allowed: Collection[str]) -> AfterValidator:

@@ -81,10 +81,8 @@ def read_table(path: Path) -> Numbers:
 
 def as_sections(tables: Mapping[str, Numbers], units: str) -> str:
     """The text that adds these tables to a scene, to the last bit.  units : of the scene, "ASE" or "LJ"."""
-    (length, *_), (*_, energy) = (
-        KEY_UNITS[units]["length"],
-        KEY_UNITS[units]["energy"],
-    )  # the units of the engine, of size 1: the first of lengths, the last of energies
+    # the units of the engine, of size 1: the first of lengths, the last of energies
+    (length, *_), (*_, energy) = KEY_UNITS[units]["length"], KEY_UNITS[units]["energy"]
     lines = [
         f"\n[tables.{json.dumps(name, ensure_ascii=False)}]\nr{length} = {one.r}\nu{energy} = {one.u}\n"
         for name, one in tables.items()

@@ -36,14 +36,8 @@ DESCRIPTION, JOURNAL = "ensemble.json", "members.jsonl"
 BYTES_AT_ONCE = 2**20  # of the journal, read in one piece
 ENTROPIES = 2**128  # seeds are below it
 FOLDER = re.compile(r"\d{4,}-\d{4,}")  # of members
-KINDS = {
-    "index": int,
-    "n_steps": int,
-    "n_atoms": int,
-    "means": dict,
-    "errors": dict,
-    "is_blown_up": bool,
-}  # in a row; all others are texts
+# in a row; all others are texts
+KINDS = {"index": int, "n_steps": int, "n_atoms": int, "means": dict, "errors": dict, "is_blown_up": bool}
 NEEDED = {DONE: ("n_steps", "means", "errors"), FAILED: ("message", "traceback")}  # in a row with this status
 
 

@@ -35,9 +35,8 @@ OUTSIDE = (
     "If the script calls md.ensemble outside of functions, put that call below the line: if __name__ == '__main__':"
 )
 ANOTHER = "Call md.ensemble again to go on, with a new executor or none: some give up when one of their processes dies"
-BETWEEN_REQUESTS = (
-    0.02  # seconds between requests to stop, repeated because a member that is between two runs does not notice one
-)
+# seconds between requests to stop, repeated because a member that is between two runs does not notice one
+BETWEEN_REQUESTS = 0.02
 
 
 class EnsembleError(RuntimeError):

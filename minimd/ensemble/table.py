@@ -30,11 +30,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 SHOWN_FAILURES = 3
-TOLD = (
-    "temperature",
-    "potential_energy",
-    "pressure",
-)  # observables listed as text; if none of them exists, all are listed
+# observables listed as text; if none of them exists, all are listed
+TOLD = "temperature", "potential_energy", "pressure"
 MOST_LINES = 100
 MOST_TOLD = 10  # members that are listed as running, and as begun
 DRAWN = ("pressure", "potential_energy")
@@ -190,9 +187,8 @@ def _joined(means: Floats, errors: Floats, groups: NDArray[np.int64], n: NDArray
     """Means of the means of the n members of each group, and their errors, (G,); see EnsembleTable.averaged."""
 
     def summed(numbers: Floats) -> Floats:
-        return np.bincount(groups, numbers, minlength=len(n)).astype(
-            np.float64
-        )  # without members, bincount returns integers
+        # without members, bincount returns integers
+        return np.bincount(groups, numbers, minlength=len(n)).astype(np.float64)
 
     joined, inner = summed(means) / n, np.sqrt(summed(errors**2)) / n
     scatter = np.full(len(n), np.nan)

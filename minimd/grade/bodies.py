@@ -18,11 +18,8 @@ ROUNDING = 1e-9
 PROBE = 1.25  # distance of two atoms across a boundary
 LONGEST = 40.0  # largest distance at which a period is searched
 WHERE = np.array([0.31, 0.47, 0.23])
-ALONG = {
-    1: np.array([1.0]),
-    2: np.array([0.6, 0.8]),
-    3: np.array([0.6, 0.48, 0.64]),
-}  # direction of a pair, by the number of dimensions
+# direction of a pair, by the number of dimensions
+ALONG = {1: np.array([1.0]), 2: np.array([0.6, 0.8]), 3: np.array([0.6, 0.48, 0.64])}
 AXES = "xyz"
 
 
@@ -231,9 +228,8 @@ class Bodies:
         return Finding("exchange", off < ROUNDING, f"forces of renumbered atoms differ by {off:.1e}", off)
 
     def _translation(self, forces: Array, scale: float) -> Finding:
-        shifts = np.array([[0.013, -0.007, 0.021], [0.002, 0.001, 0.003]])[
-            :, : self.d
-        ]  # the smaller difference counts: the other shift may take a pair across a jump
+        # the smaller difference counts: the other shift may take a pair across a jump
+        shifts = np.array([[0.013, -0.007, 0.021], [0.002, 0.001, 0.003]])[:, : self.d]
         off = min(float(np.abs(self.f(self.x + shift) - forces).max()) / scale for shift in shifts)
         return Finding("translation", off < 1e-8, f"forces of shifted atoms differ by {off:.1e}", off)
 

@@ -150,9 +150,8 @@ def energy(step: StudentStep, where: Problem) -> Finding:
         float(np.sqrt(np.sum((means - line) ** 2) / (BLOCKS - 2) / (BLOCKS * (BLOCKS**2 - 1) / 12.0))) * BLOCKS / LONG
     )
     oscillation = float(np.std(series - np.polyval(np.polyfit(np.arange(LONG), series, 1), np.arange(LONG)))) / k
-    drifts = (
-        abs(slope) > SIGNIFICANT * rest and abs(slope) * LONG > max(1e-9, oscillation) * k
-    )  # slow oscillations look like less
+    # slow oscillations look like less
+    drifts = abs(slope) > SIGNIFICANT * rest and abs(slope) * LONG > max(1e-9, oscillation) * k
     verb = (
         ("grows" if slope > 0 else "falls") + f" by {abs(slope) / k:.1e} of the kinetic energy per step"
         if drifts

@@ -19,12 +19,8 @@ from minimd.grade.variants import FEW, NOT_SYMPLECTIC, nearest_method, recognize
 HIGH = 2.5  # a step of a higher measured order has the right terms up to dt², and need not be symmetric
 ROUNDING = 1e-9  # smaller relative differences are rounding
 SINGLE = 1e-8  # a step with more noise uses float32
-STATES = {
-    (5, 3): 4,
-    (5, 2): 5,
-    (5,): 8,
-    (): 24,
-}  # by the shape of x: the number of states needed to distinguish all terms
+# by the shape of x: the number of states needed to distinguish all terms
+STATES = {(5, 3): 4, (5, 2): 5, (5,): 8, (): 24}
 SHORT = 1e-7  # a time step so short that nothing should change
 CHANGED = 1e-4
 FASTER = (1.0, 30.0)  # factors by which velocities are multiplied to find a limit

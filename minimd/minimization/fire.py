@@ -27,28 +27,18 @@ from minimd.structure.errors import ConstraintError, NonFiniteError, RangeError
 from minimd.structure.images import nearest_vectors
 from minimd.structure.observables import Array, longest
 
-DELAY, FASTER, SLOWER, MIXING, LESS_MIXING = (
-    20,
-    1.1,
-    0.5,
-    0.25,
-    0.99,
-)  # N_delay, f_inc, f_dec, α_start, f_α: Guénolé et al., table 2
-FIRST, LONGEST = (
-    0.3,
-    1.0,
-)  # √κ Δt at the start, and at most; symplectic Euler is unstable above 2, and κ may be underestimated
+# N_delay, f_inc, f_dec, α_start, f_α: Guénolé et al., table 2
+DELAY, FASTER, SLOWER, MIXING, LESS_MIXING = 20, 1.1, 0.5, 0.25, 0.99
+# √κ Δt at the start, and at most; symplectic Euler is unstable above 2, and κ may be underestimated
+FIRST, LONGEST = 0.3, 1.0
 PROBE = 1e-3  # of the longest step: displacements for measuring the curvature
-PROBES, PROBE_EVERY = (
-    5,
-    50,
-)  # displacements, each along the change of the forces in the one before; steps between two such series
+# displacements, each along the change of the forces in the one before; steps between two such series
+PROBES, PROBE_EVERY = 5, 50
 FIRST_SERIES = 4  # number of such series at the start
 SEED = 1  # of the first displacement
 FALLING = 0.9  # the largest force must fall by this factor in a step of steepest descent
-LARGEST = (
-    1e100  # of a force: if one is larger, all are scaled down by the same factor, so that their squares are finite
-)
+# of a force: if one is larger, all are scaled down by the same factor, so that their squares are finite
+LARGEST = 1e100
 PUSHES = 100  # largest number of pushes that separate pairs with infinite forces
 REFUSALS = 50  # largest number of successive steps taken back, each shorter than the one before
 
@@ -180,9 +170,8 @@ class FIRE:
                 timestep, mixing, downhill = timestep * SLOWER, MIXING, 0  # Δt ← ½ Δt, α ← ¼
                 self._velocities[:] = 0.0  # v ← 0
             timestep = min(timestep, LONGEST / np.sqrt(self._curvature))
-            steer(
-                self._velocities, self._forces, timestep, mixing, self._longest
-            )  # v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|
+            # v ← v + Δt F, v ← (1 − α) v + α |v| F/|F|
+            steer(self._velocities, self._forces, timestep, mixing, self._longest)
             has_moved = self._moved(self._velocities, timestep)  # r ← r + Δt v
             if has_moved and self._evaluate():
                 self._count()

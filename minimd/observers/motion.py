@@ -125,9 +125,8 @@ class MeanSquareDisplacement(_OfAtoms):
             return old @ strain - old
         if self._molecules is None:
             self._molecules = Molecules(engine.system, engine.constraint_set)
-        images = self._molecules.whole(
-            bonds
-        )  # translations that join the atoms of a molecule; they change with the cell
+        # translations that join the atoms of a molecule; they change with the cell
+        images = self._molecules.whole(bonds)
         images_before = images.copy()
         cell.follow(was, images_before)
         whole = old + images_before

@@ -364,9 +364,8 @@ def hand_over_scene(
     simulation = scene.simulation()
     for line in description(scene, simulation, n_steps):
         tell(line)
-    check_hand_over(
-        simulation, folder, n_steps, processes=processes, every=output.every, overwrite=overwrite
-    )  # before the minimization begins
+    # before the minimization begins
+    check_hand_over(simulation, folder, n_steps, processes=processes, every=output.every, overwrite=overwrite)
     if scene.sections.observer:
         tell(
             "NOTE           the observers of the scene are not used: they work in runs of minimd only, and LAMMPS "

@@ -8,9 +8,8 @@ from typing import Any, ClassVar, Generic, TypeVar
 from minimd.engine.observation import measure
 
 T = TypeVar("T")
-HINTS = {
-    "timestep": "the time step is that of its method; take another: sim.method = VelocityVerlet(0.001)"
-}  # for names that are not misspelt
+# for names that are not misspelt
+HINTS = {"timestep": "the time step is that of its method; take another: sim.method = VelocityVerlet(0.001)"}
 ARRAYS = ("positions", "velocities", "forces")
 
 

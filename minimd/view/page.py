@@ -28,16 +28,8 @@ ELEMENTS = {  # the colors of Corey, Pauling and Koltun
     "Cu": "#c77b3f",
     "Ar": "#4fa7b8",
 }
-OTHERS = (
-    "#4a7fc1",
-    "#d98032",
-    "#3f9f6f",
-    "#b0599f",
-    "#c9a227",
-    "#7a6fc9",
-    "#4fa7b8",
-    "#a3504a",
-)  # in turns, for species without a usual color
+# in turns, for species without a usual color
+OTHERS = "#4a7fc1", "#d98032", "#3f9f6f", "#b0599f", "#c9a227", "#7a6fc9", "#4fa7b8", "#a3504a"
 
 
 def page(story: Story) -> str:

@@ -24,10 +24,8 @@ from minimd.integrators.ode.problems import DifferentialAlgebraic
 __all__ = ["Implicit", "pencil_index"]
 
 ABSENT = 1e-12  # relative to the largest ∂F/∂y′: smaller ones count as zero
-RANK, NOISY_RANK = (
-    1e-7,
-    1e-4,
-)  # relative singular values that count as zero, of matrices from differences and from differences of differences
+# relative singular values that count as zero, of matrices from differences and from differences of differences
+RANK, NOISY_RANK = 1e-7, 1e-4
 PENCIL_RANK = 1e-10  # singular values of scaled matrices below this are rounding
 LEAST_MOBILITY = 0.1  # mobility of variables whose derivative occurs in F, relative to that of the others
 SOLVED, NEGLIGIBLE = 1e-7, 1e-12  # what may be left of an equation, relative to its terms and to its largest variable
@@ -244,10 +242,8 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
     if not (np.isfinite(m).all() and np.isfinite(a).all()):
         raise ValueError("M and A must be finite")
     n = len(m)
-    m, a = (
-        m / (np.abs(m).max() or 1.0),
-        a / (np.abs(a).max() or 1.0),
-    )  # in a unit of time of its own, on which the index does not depend
+    # in a unit of time of its own, on which the index does not depend
+    m, a = m / (np.abs(m).max() or 1.0), a / (np.abs(a).max() or 1.0)
     for index in range(n + 1):
         left, sizes, _ = np.linalg.svd(m)
         rank = int((sizes > tolerance * max(sizes[0], np.abs(a).max())).sum())

@@ -146,9 +146,8 @@ def taking(function: Function, names: tuple[str, ...], label: str) -> Function:
     return lambda *values: np.array(function(*(values[k] for k in chosen)), dtype=float).reshape(-1)
 
 
-CENTRAL = EPS ** (
-    1.0 / 3.0
-)  # step of central differences relative to a variable: truncation and rounding are then alike, some 1e-11
+# step of central differences relative to a variable: truncation and rounding are then alike, some 1e-11
+CENTRAL = EPS ** (1.0 / 3.0)
 FORWARD = EPS**0.5  # the same of forward differences: some 1e-8
 LEAST = 1e-3  # smallest size of a variable for its step, relative to the largest one
 LEAST_WIDE = 0.125  # the same for accurate differences, which narrow a step that is too wide
@@ -160,10 +159,10 @@ WEIGHTS = {  # for the first and second derivative: formulas of order 6 and 4
 NOISE = 10.0 * EPS  # rounding of a function, relative to its change over the widest spacing
 SPACINGS = 0.1 / 3.0 ** np.arange(12)  # in units of the time in which a path changes by its size
 NARROWING = 2.0**-8 / 4.0 ** np.arange(12)  # in units of a variable: powers of two, so that x ± s has no rounding
+# an error that has grown by this factor, of a derivative this near the best one, is noise: it grows with spacing
 GROWN, NEAR = (
     16.0,
     0.03,
-    # an error that has grown by this factor, of a derivative this near the best one, is noise: it grows with spacing
 )
 ENOUGH = 1e-9  # relative error of the formula of order 4 with which the search ends: that of order 6 is then some 1e-13
 

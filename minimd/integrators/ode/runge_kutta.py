@@ -119,9 +119,8 @@ def gauss(n_stages: int) -> Tableau:
             np.array([[0.25, 0.25 - r], [0.25 + r, 0.25]]), np.array([0.5, 0.5]), np.array([0.5 - r, 0.5 + r])
         )
     rounded = collocation((1.0 + np.polynomial.legendre.leggauss(n_stages)[0]) / 2.0)
-    beta = rounded.beta - rounded.symplecticity_defect / (
-        2.0 * rounded.weights[:, None]
-    )  # else invariants drift with the rounding of M
+    # else invariants drift with the rounding of M
+    beta = rounded.beta - rounded.symplecticity_defect / (2.0 * rounded.weights[:, None])
     return Tableau(beta, rounded.weights, rounded.nodes)
 
 
@@ -139,9 +138,8 @@ def _lagrange_integrals(nodes: Array, end: float) -> Array:
     ℓ_j is one on node j and zero on the others."""
     x, w = np.polynomial.legendre.leggauss(nodes.size)
     x, w = end * (1.0 + x) / 2.0, end * w / 2.0
-    factors = (x[:, None, None] - nodes) / np.where(
-        np.eye(nodes.size, dtype=bool), 1.0, nodes[:, None] - nodes
-    )  # of ℓ_j at x_k, for [k, j]
+    # of ℓ_j at x_k, for [k, j]
+    factors = (x[:, None, None] - nodes) / np.where(np.eye(nodes.size, dtype=bool), 1.0, nodes[:, None] - nodes)
     factors[:, np.arange(nodes.size), np.arange(nodes.size)] = 1.0
     return w @ factors.prod(axis=2)
 

@@ -46,17 +46,13 @@ from minimd.structure.errors import ConvergenceError, NonFiniteError
 
 __all__ = ["DensityControl", "StepControl", "run_adaptive", "run_reversible"]
 
-SAFETY, SHRINK, GROW = (
-    0.9,
-    0.2,
-    5.0,
-)  # factor of the proposed step; bounds of its change from one step to the next: Hairer et al., II.4
+# factor of the proposed step; bounds of its change from one step to the next: Hairer et al., II.4
+SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
 Rate = Callable[[float, Array, Array], float]
 Start = tuple[ArrayLike, ArrayLike]
 EXPONENT = 0.75  # ρ ∝ |f|^¾: around a mass ρ ∝ r^(−3/2), so that steps are proportional to the free-fall time
-DIFFERENCE = (
-    1e-5  # of the time in which q changes by its size: truncation and rounding of d ln |f|/dt are then alike, 1e-10
-)
+# of the time in which q changes by its size: truncation and rounding of d ln |f|/dt are then alike, 1e-10
+DIFFERENCE = 1e-5
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,10 @@
 """`minimd bench`: its benchmarks and their options. A benchmark is imported only when it runs."""
 
 import argparse
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
-from minimd.commands.runs import at_least_one
+from minimd.commands.table import Argument, Command, at_least_one, flag, written_to
 
 if TYPE_CHECKING:
     from minimd_bench.outcome import Outcome
@@ -14,77 +14,21 @@ PEER_NAMES = "lammps, lammps-checked, lammps-tuned, lammps-shake, lammps-plain, 
 SCENE_NAMES = "melt, cutoff-4, wca, kob-andersen, gas, droplet, slab, npt, chains, chain, decane, dumbbells, triangles"
 
 
-def add(commands: Any) -> None:
-    """Add the command, with all benchmarks and their options, to the subparsers of `minimd`."""
-    text = "measure the speed of minimd: compared with other engines, and run time against error"
-    parser = commands.add_parser("bench", help=text, description=f"{text[0].upper()}{text[1:]}.")
-    benchmarks = parser.add_subparsers(metavar="benchmark", title="benchmarks", required=True)
-    peers = _add(benchmarks, "peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3")
-    peers.description = (
-        "Time whole runs of minimd and of other installed engines, in turns, after a check that all "
-        "compute the same energies."
-    )
-    peers.add_argument(
-        "--scene",
-        default="melt",
-        help=f"{SCENE_NAMES} (default: melt)",
-    )
-    peers.add_argument(
-        "--scenes",
-        nargs="*",
-        metavar="NAME",
-        help="several scenes (default: all) beside LAMMPS with its list checked, in one table (default of --cells: 10, "
-        "of --threads: 1)",
-    )
-    peers.add_argument(
-        "--cells", type=counts, metavar="N,...", help="sizes: 4 N³ atoms, or about as many (default: 5,10,20,40)"
-    )
-    peers.add_argument(
-        "--threads",
-        type=counts,
-        default=(),
-        metavar="T,...",
-        help="numbers of threads, for engines that can use several (default: 1 and all cores)",
-    )
-    peers.add_argument(
-        "--peers",
-        type=words,
-        default=(),
-        metavar="NAME,...",
-        help=f"{PEER_NAMES}, or none (default: all that are installed)",
-    )
-    errors = _add(benchmarks, "work-precision", "run time against error: every method and time step")
-    errors.add_argument(
-        "scenes", nargs="*", metavar="SCENE", help="argon, argon-smooth, chains, dumbbells, kepler (default: all)"
-    )
-    scene = _add(
-        benchmarks,
-        "scene",
-        "the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing",
-    )
-    scene.add_argument("--cells", type=at_least_one, default=10, metavar="N", help="size: 4 N³ atoms (default: 10)")
-    scaling = _add(benchmarks, "scaling", "time and memory against the number of atoms and threads")
-    scaling.add_argument("--threads", type=counts, default=(), metavar="T,...", help="default: 1 and all cores")
+QUICK = flag("--quick", "take only a few minutes: fewer sizes, methods and rounds")
 
 
-def _add(benchmarks: Any, name: str, text: str) -> argparse.ArgumentParser:
-    """Add one benchmark, with the options that all benchmarks have."""
-    parser = benchmarks.add_parser(
-        name, help=text, description=text[0].upper() + text[1:] + ".", epilog="Let no other program run meanwhile."
-    )
-    parser.add_argument("--quick", action="store_true", help="take only a few minutes: fewer sizes, methods and rounds")
-    parser.add_argument(
-        "--repeats",
-        type=at_least_one,
-        metavar="R",
-        help=f"rounds; every engine runs once in each (default: {REPEATS}, quick {REPEATS_QUICK})",
-    )
+def benchmark(name: str, text: str, *arguments: Argument, description: str = "") -> Command:
+    """One benchmark, with the options that all benchmarks have."""
+    rounds = f"rounds; every engine runs once in each (default: {REPEATS}, quick {REPEATS_QUICK})"
     files = f"bench_{name.replace('-', '_')}.md, .json and .png"
-    parser.add_argument(
-        "--out", type=Path, metavar="FOLDER", help=f"write {files} into this folder; older files are replaced"
+    shared = (
+        QUICK,
+        Argument("--repeats", rounds, at_least_one, "R"),
+        written_to("FOLDER", f"write {files} into this folder; older files are replaced"),
     )
-    parser.set_defaults(command=lambda arguments: bench(name, arguments))
-    return parser
+    told = description or f"{text[0].upper()}{text[1:]}."
+    run = partial(bench, name)
+    return Command(name, text, told, (*shared, *arguments), run, epilog="Let no other program run meanwhile.")
 
 
 def bench(name: str, arguments: argparse.Namespace) -> None:
@@ -133,3 +77,37 @@ def counts(text: str) -> tuple[int, ...]:
 def words(text: str) -> tuple[str, ...]:
     """Words separated by commas; repeated ones count once."""
     return tuple(dict.fromkeys(word.strip() for word in text.split(",")))
+
+
+PEERS_TEXT = """Time whole runs of minimd and of other installed engines, in turns, after a check that all compute the
+same energies."""
+PRECISE = "argon, argon-smooth, chains, dumbbells, kepler (default: all)"
+SEVERAL = """several scenes (default: all) beside LAMMPS with its list checked, in one table (default of --cells: 10, of
+--threads: 1)"""
+THREADS = "numbers of threads, for engines that can use several (default: 1 and all cores)"
+INGREDIENTS = "the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing"
+ABOUT = "measure the speed of minimd: compared with other engines, and run time against error"
+COMMAND = Command("bench", ABOUT, f"{ABOUT[0].upper()}{ABOUT[1:]}.", below=(
+    benchmark(
+        "peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3",
+        Argument("--scene", f"{SCENE_NAMES} (default: melt)", more={"default": "melt"}),
+        Argument("--scenes", SEVERAL, None, "NAME", {"nargs": "*"}),
+        Argument("--cells", "sizes: 4 N³ atoms, or about as many (default: 5,10,20,40)", counts, "N,..."),
+        Argument("--threads", THREADS, counts, "T,...", {"default": ()}),
+        Argument("--peers", f"{PEER_NAMES}, or none (default: all that are installed)", words, "NAME,...",
+                 {"default": ()}),
+        description=PEERS_TEXT,
+    ),
+    benchmark(
+        "work-precision", "run time against error: every method and time step",
+        Argument("scenes", PRECISE, None, "SCENE", {"nargs": "*"}),
+    ),
+    benchmark(
+        "scene", INGREDIENTS,
+        Argument("--cells", "size: 4 N³ atoms (default: 10)", at_least_one, "N", {"default": 10}),
+    ),
+    benchmark(
+        "scaling", "time and memory against the number of atoms and threads",
+        Argument("--threads", "default: 1 and all cores", counts, "T,...", {"default": ()}),
+    ),
+))  # fmt: skip

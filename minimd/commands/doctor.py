@@ -7,12 +7,12 @@ from collections import namedtuple
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import llvmlite.binding
 import numpy as np
 
 import minimd as md
+from minimd.commands.table import Command
 from minimd.compiled import kernels as compiling
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.code_cache import is_damaged
@@ -36,13 +36,6 @@ STEPS_HANDED_OVER = 20
 STEPS_TIMED, TURNS, TASKS_TIMED = 200, 3, 1000  # a turn takes half a second on a slow machine
 
 Finding = tuple[bool, str]  # whether the test passed, and a sentence
-
-
-def add(commands: Any) -> None:
-    """Add the command to the subparsers of `minimd`."""
-    text = "Describe this machine, and test minimd on it: forces, conservation laws, equal bits on all threads, speed."
-    parser = commands.add_parser("doctor", help="describe this machine and test minimd on it", description=text)
-    parser.set_defaults(command=lambda _: examine())
 
 
 def examine(tell: Callable[[str], None] = print) -> bool:
@@ -236,3 +229,6 @@ TESTS = {
     "LAMMPS": lammps,
     "speed": speed,
 }
+
+TEXT = "Describe this machine, and test minimd on it: forces, conservation laws, equal bits on all threads, speed."
+COMMAND = Command("doctor", "describe this machine and test minimd on it", TEXT, run=lambda _: examine())

@@ -9,6 +9,7 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from minimd.commands import doctor, runs
+from minimd.commands.table import add
 from minimd.compiled.machine import version
 from minimd.console.signals import Terminated, endings_are_told
 from minimd.console.words import printable
@@ -32,9 +33,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--version", action="version", version=f"minimd {version('minimd')}")
     commands = parser.add_subparsers(metavar="command", title="commands")
-    others = entry_points(group="minimd.commands")  # such as minimd_bench
-    for module in (runs, *(one.load() for one in others), doctor):
-        module.add(commands)
+    for one in (*runs.COMMANDS, *(other.load() for other in entry_points(group="minimd.commands")), doctor.COMMAND):
+        add(commands, one)
     arguments = parser.parse_args(argv)
     if "command" not in arguments:
         parser.print_help()

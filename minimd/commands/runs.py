@@ -3,188 +3,30 @@
 import argparse
 import io
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from minimd.commands.table import (
+    OVERWRITE,
+    QUIET,
+    STEPS,
+    Argument,
+    Command,
+    at_least_one,
+    flag,
+    whole_number,
+    written_to,
+)
 from minimd.view.viewing import FRAMES
 
-SCENE_FILE, RUN_FILE = ("scene", "scene file (TOML)"), ("file", "trajectory (.h5md)")
-OTHER_SCENE = """use this scene, from now on, in place of the one stored in the run: potentials, method, time step,
-bath, output; structure, minimization and equilibration, which concern only the start, are not used"""
-SCAN = """Run a scene with different values of its keys, each run with its own file, and average. The same command goes
-on where it was stopped; with more replicas or steps it adds to the runs that are there. Example:
-minimd scan argon.toml --set dynamics.temperature_K=80:120:5 --replicas 4 --workers 2 --out scan"""
-OPTIONS: dict[str, dict[str, Any]] = {  # options of several commands, as arguments for argparse
-    "--overwrite": {"action": "store_true", "help": "replace files that exist"},
-    "--quiet": {"action": "store_true", "help": "print only errors"},
-    "--scene": {
-        "metavar": "TOML",
-        "help": "take the potentials from this scene file, not from the scene stored in the run",
-    },
-}
-
-
-def whole_number(text: str, least: int = 0) -> int:
-    """A whole number, for argparse.  Raises ArgumentTypeError for any other text, or a number that is too small."""
-    digits = text.replace("_", "")
-    if not digits.isdecimal() or int(digits) < least:
-        raise argparse.ArgumentTypeError(f"must be a whole number, at least {least}; it is {text!r}")
-    return int(digits)
-
-
-at_least_one = partial(whole_number, least=1)
-
-
-def add(commands: Any) -> None:
-    """Add the commands to the subparsers of `minimd`."""
-    for add_some in (_add_new_runs, _add_further_runs, _add_readers):
-        add_some(commands)
-
-
-def add_command(
-    commands: Any, run: Callable[..., Any], text: str, file: tuple[str, str], *shared: str, **more: Any
-) -> argparse.ArgumentParser:
-    """Add a command, named after the function that runs it, to the subparsers of `minimd`.
-
-    text : its help.  file : name and help of its required argument.  shared : options from OPTIONS.  more :
-        arguments for argparse.
-    """
-    described = {"description": f"{text[0].upper()}{text[1:]}.", **more}
-    parser: argparse.ArgumentParser = commands.add_parser(run.__name__, help=text, **described)
-    parser.add_argument(file[0], type=Path, help=file[1])
-    for name in shared:
-        parser.add_argument(name, **OPTIONS[name])
-    parser.set_defaults(command=run)
-    return parser
-
-
-def _add_new_runs(commands: Any) -> None:
-    text = "Build a scene, run it, and write its files."
-    parser = add_command(commands, run, "run a scene file", SCENE_FILE, "--overwrite", "--quiet", description=text)
-    parser.add_argument(
-        "--steps", type=whole_number, metavar="N", help="number of steps, in place of that in the scene"
-    )
-    told = "one trajectory file, in place of those in the scene; the picture is written beside it"
-    parser.add_argument("--out", type=Path, metavar="FILE", help=told)
-    parser = commands.add_parser("scan", help="run a scene with many values of its keys", description=SCAN)
-    parser.add_argument("scene", type=Path, nargs="?", help="scene file (TOML)")
-    values = "values for a key of the scene: 80:120:5 is 80, 85, ..., 120; several --set give all combinations"
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=FROM:TO:STEP",
-        dest="settings",
-        help=f"{values}; or KEY=VALUE,VALUE,...",
-    )
-    replicas = "number of runs for each set of values, with different random numbers"
-    parser.add_argument("--replicas", type=at_least_one, default=1, metavar="N", help=replicas)
-    parser.add_argument(
-        "--steps", type=whole_number, metavar="N", help="number of steps, in place of that in the scene"
-    )
-    workers = "number of processes, one for each core if not given; 0 for this process only"
-    parser.add_argument("--workers", type=whole_number, metavar="N", help=workers)
-    parser.add_argument(
-        "--seed", type=whole_number, default=0, metavar="N", help="seed of all random numbers (default: 0)"
-    )
-    parser.add_argument(
-        "--out", type=Path, default=Path("scan"), metavar="FOLDER", help="folder for all files (default: scan)"
-    )
-    parser.add_argument("--plot", metavar="NAME", help="quantity in the picture (default: pressure)")
-    parser.add_argument(
-        "--status", type=Path, metavar="FOLDER", help="show the state of the scan in a folder, and run nothing"
-    )
-    for name in ("--overwrite", "--quiet"):
-        parser.add_argument(name, **OPTIONS[name])
-    parser.set_defaults(command=scan)
-
-
-def _add_further_runs(commands: Any) -> None:
-    text, file = (
-        "Continue the run in an H5MD file and append to it.",
-        ("file", "trajectory (.h5md) of a run from a scene file"),
-    )
-    parser = add_command(commands, resume, "go on with a run", file, "--quiet", description=text)
-    parser.add_argument("--scene", metavar="TOML", help=OTHER_SCENE)
-    parser.add_argument(
-        "--steps",
-        type=whole_number,
-        metavar="N",
-        help="number of further steps; if not given, up to the number in the scene",
-    )
-    text, file = (
-        "Make the last steps of a failed run again, one by one.",
-        ("file", "file (.crash.h5md) that the run left"),
-    )
-    parser = add_command(
-        commands,
-        replay,
-        "make the last steps of a failed run again",
-        file,
-        "--scene",
-        "--overwrite",
-        "--quiet",
-        description=text,
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="trajectory of the steps (.h5md); the picture is written beside it"
-    )
-    text = "Build a scene, let LAMMPS run it under MPI, and bring the result back as a file of minimd."
-    parser = add_command(
-        commands, lammps, "let LAMMPS run a scene file", SCENE_FILE, "--overwrite", "--quiet", description=text
-    )
-    parser.add_argument(
-        "--processes", type=at_least_one, default=1, metavar="P", help="number of MPI processes, 1 if not given"
-    )
-    parser.add_argument(
-        "--steps", type=at_least_one, metavar="N", help="number of steps, in place of that in the scene"
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="FOLDER", help="folder for all files; named after the scene if not given"
-    )
-
-
-def _add_readers(commands: Any) -> None:
-    add_command(commands, check, "check a run for its conservation laws", RUN_FILE)
-    parser = add_command(commands, plot, "draw the energies, the temperature and the structure of a run", RUN_FILE)
-    parser.add_argument(
-        "--out", type=Path, metavar="PNG", help="file of the picture; named after the trajectory if not given"
-    )
-    text = (
-        "Write a run as one HTML page: its report, its pictures, its atoms in motion. For a failed run it shows the "
-        "last steps and marks the pair."
-    )
-    file = ("file", "trajectory (.h5md), or file (.crash.h5md) that a failed run left")
-    parser = add_command(
-        commands, view, "show the atoms of a run in motion, in the browser", file, "--scene", description=text
-    )
-    parser.add_argument("--out", type=Path, metavar="HTML", help="file of the page; named after the run if not given")
-    told = f"largest number of frames, evenly chosen (default: {FRAMES})"
-    parser.add_argument("--frames", type=partial(whole_number, least=2), metavar="N", default=FRAMES, help=told)
-    parser.add_argument("--open", action="store_true", help="show the page in the browser")
-    text, shared = (
-        "Make steps of a run with precision='fixed-point' again, from the frame before them.",
-        ("--scene", "--overwrite"),
-    )
-    parser = add_command(
-        commands, frames, "make any step of a run again", RUN_FILE, *shared, "--quiet", description=text
-    )
-    parser.add_argument("--at", type=whole_number, nargs="+", required=True, metavar="STEP", help="steps to make again")
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="file to write; for several steps, the step is added to the name"
-    )
-    text = (
-        "Keep few frames of a run with precision='fixed-point'. All steps in between can be made again from them, "
-        "to the last bit."
-    )
-    parser = add_command(commands, archive, "make a run's file small", RUN_FILE, *shared, description=text)
-    parser.add_argument(
-        "--every", type=whole_number, required=True, metavar="N", help="keep the frames whose step is a multiple of N"
-    )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="the archive (.h5md); beside the file if not given")
+SCENE_FILE = Argument("scene", "scene file (TOML)", Path)
+RUN_FILE = Argument("file", "trajectory (.h5md)", Path)
+SCENE = Argument(
+    "--scene", "take the potentials from this scene file, not from the scene stored in the run", metavar="TOML"
+)
 
 
 def scene_of(arguments: argparse.Namespace) -> Any:
@@ -387,3 +229,77 @@ def archive(arguments: argparse.Namespace) -> None:
     scene, file = scene_of(arguments), arguments.file
     out = arguments.out or file.with_name(f"{file.stem}.archive.h5md")
     print(md.archive(file, out, arguments.every, scene and scene.potentials(), arguments.overwrite))
+
+
+OTHER_SCENE = """use this scene, from now on, in place of the one stored in the run: potentials, method, time step,
+bath, output; structure, minimization and equilibration, which concern only the start, are not used"""
+SCAN = """Run a scene with different values of its keys, each run with its own file, and average. The same command goes
+on where it was stopped; with more replicas or steps it adds to the runs that are there. Example:
+minimd scan argon.toml --set dynamics.temperature_K=80:120:5 --replicas 4 --workers 2 --out scan"""
+REPLICAS = "number of runs for each set of values, with different random numbers"
+SETTINGS = """values for a key of the scene: 80:120:5 is 80, 85, ..., 120; several --set give all combinations; or
+KEY=VALUE,VALUE,..."""
+VIEW = """Write a run as one HTML page: its report, its pictures, its atoms in motion. For a failed run it shows the
+last steps and marks the pair."""
+ARCHIVE = """Keep few frames of a run with precision='fixed-point'. All steps in between can be made again from them, to
+the last bit."""
+LAMMPS = "Build a scene, let LAMMPS run it under MPI, and bring the result back as a file of minimd."
+MOST = f"largest number of frames, evenly chosen (default: {FRAMES})"
+PICTURE = "draw the energies, the temperature and the structure of a run"
+AGAIN = "Make steps of a run with precision='fixed-point' again, from the frame before them."
+COMMANDS = (
+    Command("run", "run a scene file", "Build a scene, run it, and write its files.", (
+        SCENE_FILE, OVERWRITE, QUIET, STEPS,
+        written_to("FILE", "one trajectory file, in place of those in the scene; the picture is written beside it"),
+    ), run),
+    Command("scan", "run a scene with many values of its keys", SCAN, (
+        SCENE_FILE._replace(more={"nargs": "?"}),
+        Argument("--set", SETTINGS, None, "KEY=FROM:TO:STEP", {"action": "append", "default": [], "dest": "settings"}),
+        Argument("--replicas", REPLICAS, at_least_one, "N", {"default": 1}),
+        STEPS,
+        Argument("--workers", "number of processes, one for each core if not given; 0 for this process only",
+                 whole_number, "N"),
+        Argument("--seed", "seed of all random numbers (default: 0)", whole_number, "N", {"default": 0}),
+        written_to("FOLDER", "folder for all files (default: scan)", default=Path("scan")),
+        Argument("--plot", "quantity in the picture (default: pressure)", None, "NAME"),
+        Argument("--status", "show the state of the scan in a folder, and run nothing", Path, "FOLDER"),
+        OVERWRITE, QUIET,
+    ), scan),
+    Command("resume", "go on with a run", "Continue the run in an H5MD file and append to it.", (
+        RUN_FILE._replace(help="trajectory (.h5md) of a run from a scene file"), QUIET,
+        SCENE._replace(help=OTHER_SCENE),
+        STEPS._replace(help="number of further steps; if not given, up to the number in the scene"),
+    ), resume),
+    Command("replay", "make the last steps of a failed run again",
+            "Make the last steps of a failed run again, one by one.", (
+        RUN_FILE._replace(help="file (.crash.h5md) that the run left"), SCENE, OVERWRITE, QUIET,
+        written_to("FILE", "trajectory of the steps (.h5md); the picture is written beside it"),
+    ), replay),
+    Command("lammps", "let LAMMPS run a scene file", LAMMPS, (
+        SCENE_FILE, OVERWRITE, QUIET,
+        Argument("--processes", "number of MPI processes, 1 if not given", at_least_one, "P", {"default": 1}),
+        STEPS._replace(kind=at_least_one),
+        written_to("FOLDER", "folder for all files; named after the scene if not given"),
+    ), lammps),
+    Command("check", "check a run for its conservation laws", "Check a run for its conservation laws.", (RUN_FILE,),
+            check),
+    Command("plot", PICTURE, "Draw the energies, the temperature and the structure of a run.", (
+        RUN_FILE, written_to("PNG", "file of the picture; named after the trajectory if not given"),
+    ), plot),
+    Command("view", "show the atoms of a run in motion, in the browser", VIEW, (
+        RUN_FILE._replace(help="trajectory (.h5md), or file (.crash.h5md) that a failed run left"), SCENE,
+        written_to("HTML", "file of the page; named after the run if not given"),
+        Argument("--frames", MOST, partial(whole_number, least=2), "N", {"default": FRAMES}),
+        flag("--open", "show the page in the browser"),
+    ), view),
+    Command("frames", "make any step of a run again", AGAIN, (
+        RUN_FILE, SCENE, OVERWRITE, QUIET,
+        Argument("--at", "steps to make again", whole_number, "STEP", {"nargs": "+", "required": True}),
+        written_to("FILE", "file to write; for several steps, the step is added to the name"),
+    ), frames),
+    Command("archive", "make a run's file small", ARCHIVE, (
+        RUN_FILE, SCENE, OVERWRITE,
+        Argument("--every", "keep the frames whose step is a multiple of N", whole_number, "N", {"required": True}),
+        written_to("FILE", "the archive (.h5md); beside the file if not given"),
+    ), archive),
+)  # fmt: skip

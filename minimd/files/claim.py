@@ -106,14 +106,6 @@ class Claim:
                 os.close(folder)
         self._unlock("_replaced")
 
-    def sync(self) -> None:
-        """Bring the file to the disk.  Raises OSError with its name."""
-        try:
-            os.fsync(self.descriptor)
-        except OSError as error:
-            words = f"trajectory {self.name!r} could not be brought to the disk: {error.strerror}"
-            raise OSError(error.errno, words) from None
-
     @property
     def stream(self) -> Path:
         """A name under which a library may open the claimed file for writing, whatever its other names lead to."""

@@ -20,6 +20,7 @@ from minimd.console.quiet import outside_minimd, quiet
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files.claim import Claim
+from minimd.files.trajectory import Writer
 from minimd.structure.ase_atoms import atoms_from_system, calculators_stress, label_by_tags
 from minimd.structure.bond_graph import GROUPS, Joined, joined_in
 from minimd.structure.cell import Cell
@@ -258,7 +259,7 @@ def atoms_of_frame(template: Atoms, frame: Frame, forces: Any, conserves_momentu
     return atoms
 
 
-class ASEWriter:
+class ASEWriter(Writer):
     """A trajectory written by ASE, in the units of the system: .traj in float64, .xyz and .extxyz as extended XYZ,
     with 8 decimals.
 
@@ -290,10 +291,6 @@ class ASEWriter:
             self._output.flush()  # a killed run leaves whole frames
         self.claim.check()
         self.claim.appear()
-
-    def checkpoint(self) -> None:
-        """Bring all frames taken so far to the disk."""
-        self.claim.sync()
 
     def close(self) -> None:
         """Finish the file."""

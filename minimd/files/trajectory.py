@@ -29,6 +29,11 @@ class Writer(Protocol):
 
     def checkpoint(self) -> None:
         """Bring all frames taken so far to the disk; an H5MD file also keeps the present state as its restart."""
+        try:
+            os.fsync(self.claim.descriptor)
+        except OSError as error:
+            words = f"trajectory {self.claim.name!r} could not be brought to the disk: {error.strerror}"
+            raise OSError(error.errno, words) from None
 
     def close(self) -> None:
         """Finish the file, which then is valid with any number of frames."""

@@ -24,6 +24,7 @@ from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
 from minimd.files.claim import Claim
 from minimd.files.h5md_schema import has_edges
+from minimd.files.trajectory import Writer
 from minimd.structure.cell import COMBINED, Cell
 from minimd.structure.vectors import handedness, upright
 
@@ -31,7 +32,8 @@ Array = NDArray[np.float64]
 ROTATION = "rotation"  # the name in Timestep.data
 SEEN = 1e-7  # a smaller rotation is lost in the rounding of float32
 FARTHEST = 1.0 + 1e-9  # in lattice vectors: MDAnalysis misses nearest images that are farther away
-XTC_DECIMALS = 4  # of a nanometer, one more than usual, because σ = 1 of reduced units is written as 0.1 nm
+# of writers, by format; decimals of a nanometer, one more than usual, because σ = 1 of reduced units is 0.1 nm
+OPTIONS: dict[str, dict[str, Any]] = {"XTC": {"precision": 4}, "NCDF": {"velocities": True}}
 ROOM = 2**18  # bytes that must be free besides those of a frame, for the buffers of C libraries
 
 
@@ -131,7 +133,7 @@ def finds_all_images(cell: Cell) -> bool:
     return all(-linprog(-part, neighbors, halves, bounds=(None, None)).fun <= FARTHEST for part in parts.T)
 
 
-class MDAnalysisWriter:
+class MDAnalysisWriter(Writer):
     """Frames to .xtc, .dcd, .trr or .ncdf (.nc) through MDAnalysis: float32, positions unwrapped,
     Å and ps or reduced numbers.
 
@@ -166,10 +168,6 @@ class MDAnalysisWriter:
         if self._format != "DCD" or self._writer is not None or len(self._waiting) > 1:
             self._write_waiting()
 
-    def checkpoint(self) -> None:
-        """Bring all frames taken so far to the disk, except a first one in a DCD file."""
-        self.claim.sync()
-
     def close(self) -> None:
         """Finish the file; do nothing if it has failed."""
         try:
@@ -180,12 +178,17 @@ class MDAnalysisWriter:
 
     def _write_waiting(self) -> None:
         waiting, self._waiting = self._waiting, []
+        steps = waiting[1].step - waiting[0].step if len(waiting) > 1 else 1  # between frames
         for frame in waiting:
             try:
                 if disk_usage(self.claim.place.parent).free < frame.positions.nbytes + ROOM:
                     raise OSError(ENOSPC, "no room on the disk")  # not every format notices that writing failed
                 with quiet():
-                    self._writer = self._writer or self._opened(waiting)
+                    if self._writer is None:
+                        spacing = {"nsavc": steps, "dt": steps * self._timestep, "istart": frame.step}
+                        options = OPTIONS | {"DCD": spacing}
+                        its = options.get(self._format, {}) | {"n_atoms": len(frame.positions), "format": self._format}
+                        self._writer = MDAnalysis.Writer(str(self.claim.stream), **its)
                     self._place(frame)
                     self._writer.write(self._universe)
                 if os.name == "posix":
@@ -202,13 +205,6 @@ class MDAnalysisWriter:
         writer, self._writer = self._writer, None
         if writer:
             writer.close()
-
-    def _opened(self, waiting: list[Frame]) -> Any:
-        steps = waiting[1].step - waiting[0].step if len(waiting) > 1 else 1  # between frames
-        spacing = {"nsavc": steps, "dt": steps * self._timestep, "istart": waiting[0].step}
-        options: dict[str, Any] = {"XTC": {"precision": XTC_DECIMALS}, "NCDF": {"velocities": True}, "DCD": spacing}
-        its = options.get(self._format, {}) | {"n_atoms": len(self._universe.atoms), "format": self._format}
-        return MDAnalysis.Writer(str(self.claim.stream), **its)
 
     def _place(self, frame: Frame) -> None:
         ts, cell = self._universe.trajectory.ts, frame.cell or self._cell

@@ -29,7 +29,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "files": (2931, 16, 1788),
     "forces": (1541, 9, 933),
     "grade": (3184, 14, 1801),
-    "integrators": (5302, 30, 2585),
+    "integrators": (5294, 30, 2580),
     "lammps": (1785, 8, 1021),
     "mdanalysis": (546, 3, 284),
     "minimization": (421, 3, 232),

@@ -206,7 +206,7 @@ def longer_than_collisions(evidence: Evidence) -> Verdict | None:
     if not fastest * evidence.timestep > TOO_LONG * OSCILLATION**0.5:
         return None  # spares usual steps the search for what the method can do
     step = accurate_step(method.sequence(), OSCILLATION)
-    if evidence.timestep <= TOO_LONG * step / fastest:
+    if step == 0.0 or evidence.timestep <= TOO_LONG * step / fastest:  # 0: of a method without kicks
         return None
     is_long = f"timestep {shown(evidence.timestep)} is long for Lennard-Jones atoms as light as these"
     recommended = shown(step / evidence.stiffness.collisions())

@@ -220,6 +220,8 @@ def _taking_symbols(function: Callable) -> Callable:
     def called(*inputs: Any) -> Any:
         if not any(isinstance(one, Symbol) for one in inputs):
             return function(*inputs)
+        if name == "log" and len(inputs) == 2:  # of math, with a base
+            return called(inputs[0]) / called(inputs[1])
         if name not in ("max", "min"):
             return applied(name, *inputs)
         return applied(f"{name}imum", *inputs) if len(inputs) == 2 else reduce(called, inputs)

@@ -39,7 +39,7 @@ def test_laws_are_followed_through_decisions_and_functions_of_numpy():
         elif r <= 1.5:
             u = r2**1.5 - r**0.5 - np.maximum(r, 1.2) * (r >= 1.3)
         else:
-            u = -np.log(r) + np.minimum(2.0, r) + 2.0**-r
+            u = -math.log(r, 2.5) + np.minimum(2.0, r) + 2.0**-r
         return u, 0.0
 
     text = energy_expression(checked_law(law), (0.3,))

@@ -23,7 +23,7 @@ from minimd.integrators.dae.consistent_start import unit_of_time
 from minimd.integrators.method import Array, Step
 from minimd.integrators.ode.functions import Function, accurate_differences, remark_on_differences, time_derivative
 from minimd.integrators.ode.newton import Iteration, Newton, Solver
-from minimd.integrators.ode.partitioned import SecondOrder, SequenceStep, push
+from minimd.integrators.ode.partitioned import SecondOrder, SequenceStep
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substeps
 from minimd.structure.errors import ConvergenceError
@@ -134,25 +134,14 @@ class RattleStep(SequenceStep):
         super().__init__(problem, substeps)
         self._iteration = problem.solver.iteration()
 
-    def __call__(self, t: float, y: Array, h: float) -> Array:
-        """y(t+h)."""
-        problem, n = self._problem, y.size // 2
-        force = self._known[1] if self._known[0] is y else None
-        q, v = y[:n].copy(), y[n:].copy()
-        for is_kick, coefficient in self._substeps:
-            duration = coefficient * h
-            if is_kick:
-                if force is None:
-                    force = problem.f(t, q.reshape(problem.shape), v)
-                    self.nfev += 1
-                push(v, duration, force)
-            else:
-                new = projected(problem, q, q + duration * v, self._iteration)
-                q, v, force = new, (new - q) / duration, None
-                t += duration
-        y = np.concatenate([q, tangent(problem, q, v)])
-        self._known = y, force
-        return y
+    def _drift(self, t: float, q: Array, v: Array, duration: float) -> None:
+        """A constrained drift."""
+        new = projected(self._problem, q, q + duration * v, self._iteration)
+        v[:], q[:] = (new - q) / duration, new
+
+    def _end(self, q: Array, v: Array) -> None:
+        """The projection of velocities."""
+        v[:] = tangent(self._problem, q, v)
 
 
 def is_made_of_verlet(substeps: Substeps) -> bool:

@@ -85,6 +85,30 @@ class Solution(Displayed):
         return self.y[:, k * n : (k + 1) * n].reshape(-1, *self.shape)
 
 
+class Path:
+    """The states that are kept of a run: every so many, and the last one."""
+
+    def __init__(self, problem: Problem, t: float, y: Array, every: int = 1) -> None:
+        check_problem(problem)
+        self.problem, self.t, self.y, self.n, self._every = problem, t, y, 0, checked_count("every", every)
+        self.kept = [(t, y)]
+
+    def keep(self, t: float, y: Array) -> None:
+        """The state after one more step."""
+        if self.n % self._every != 0:
+            del self.kept[-1]  # it was the last one, and its number is no multiple of every
+        self.t, self.y, self.n = t, y, self.n + 1
+        self.kept.append((t, y))
+
+    def solution(self, nfev: int, n_rejected: int = 0) -> Solution:
+        """Of a run that has reached its end."""
+        t, y = zip(*self.kept, strict=True)
+        message = f"{REACHED}; {self.problem.remark}" if self.problem.remark else REACHED
+        found = Solution(np.array(t), np.array(y), nfev, self.problem.shape, message=message)
+        found.n_rejected = n_rejected
+        return found
+
+
 def with_path(error: ConvergenceError | NonFiniteError, path: Solution) -> ConvergenceError | NonFiniteError:
     """The error of a run with the path before it, error.solution."""
     error.solution = path.ended(str(error))
@@ -145,28 +169,19 @@ def _fixed(
     t_end: float | None = None,
 ) -> Solution:
     check_problem(problem)
-    checked_count("every", every)
-    y = problem.begin(start, t0)
+    path = Path(problem, t0, problem.begin(start, t0), every)
     step = type(method).on(problem)
-    t, n, times, states = t0, 0, [t0], [y]
-
-    def path() -> Solution:
-        return Solution(np.array(times), np.array(states), step.nfev, problem.shape, message=end_message(problem))
-
-    try:
-        for n, h in enumerate(steps, start=1):
-            y = step(t, y, h)
-            t = t0 + n * method.timestep
-            if (n - 1) % every != 0:
-                del times[-1], states[-1]  # it was the last one, and its number is no multiple of every
-            times.append(t)
-            states.append(y)
-    except ConvergenceError as reason:
-        error = ConvergenceError(f"step {n} from t = {t:g} with timestep {h:g}: {reason}; reduce the timestep")
-        raise with_path(error, path()) from None
+    for h in steps:
+        try:
+            y = step(path.t, path.y, h)
+        except ConvergenceError as reason:
+            words = f"step {path.n + 1} from t = {path.t:g} with timestep {h:g}: {reason}; reduce the timestep"
+            raise with_path(ConvergenceError(words), path.solution(step.nfev)) from None
+        path.keep(t0 + (path.n + 1) * method.timestep, y)
+    solution = path.solution(step.nfev)
     if t_end is not None:
-        times[-1] = t_end
-    return _finite(path(), method.timestep)
+        solution.t[-1] = t_end
+    return _finite(solution, method.timestep)
 
 
 def _finite(solution: Solution, h: float) -> Solution:
@@ -178,11 +193,6 @@ def _finite(solution: Solution, h: float) -> Solution:
                            f"{solution.t[first - 1]:g}; "
                            f"reduce the timestep ({h:g}), or look for a singularity of the problem")  # fmt: skip
     raise with_path(error, Solution(solution.t[:first], solution.y[:first], solution.nfev, solution.shape))
-
-
-def end_message(problem: Problem) -> str:
-    """What is said of a run that reached its end."""
-    return f"{REACHED}; {problem.remark}" if problem.remark else REACHED
 
 
 def check_problem(problem: Problem) -> None:

@@ -167,11 +167,20 @@ class SequenceStep:
                     self.nfev += 1
                 push(v, duration, force)
             else:
-                push(q, duration, v if problem.g_is_v else problem.g(t, q_shaped, v_shaped))
+                self._drift(t, q, v, duration)
                 t += duration
                 force = None
+        self._end(q, v)
         self._known = y, force
         return y
+
+    def _drift(self, t: float, q: Array, v: Array, duration: float) -> None:
+        """q += duration · q′, in place."""
+        problem = self._problem
+        push(q, duration, v if problem.g_is_v else problem.g(t, q.reshape(problem.shape), v.reshape(problem.shape)))
+
+    def _end(self, q: Array, v: Array) -> None:
+        """What follows the last substep, in place."""
 
 
 class EulerStep:

@@ -32,11 +32,11 @@ from minimd.console.words import shown
 from minimd.integrators.method import Array, Method, Problem
 from minimd.integrators.ode.drivers import (
     LEFTOVER,
+    Path,
     Solution,
     check_ahead,
     check_method,
     check_problem,
-    end_message,
     with_path,
 )
 from minimd.integrators.ode.partitioned import Partitioned
@@ -171,18 +171,17 @@ class _AdaptivePath:
     def __init__(self, problem: Problem, method: type[Method], y: Array, t0: float, control: StepControl) -> None:
         self.problem, self.control, self.order = problem, control, method.order_on(problem)
         self.coarse, self.fine = method.on(problem), method.on(problem)  # each remembers its own last state
-        self.times, self.states, self.n_rejected = [t0], [y], 0
+        self.path, self.n_rejected = Path(problem, t0, y), 0
 
     def to(self, t_end: float) -> Solution:
-        control, t0 = self.control, self.times[0]
+        control, path, t0 = self.control, self.path, self.path.t
         direction, span = copysign(1.0, t_end - t0), abs(t_end - t0)
-        h = control.first(self.problem.field(t0, self.states[0]), self.states[0], span, control.shortest(t0, span))
-        while (rest := abs(t_end - self.times[-1])) > 0.0:
-            t, is_last, h = self.times[-1], h >= rest * (1.0 - LEFTOVER), min(h, rest)
+        h = control.first(self.problem.field(t0, path.y), path.y, span, control.shortest(t0, span))
+        while (rest := abs(t_end - path.t)) > 0.0:
+            t, is_last, h = path.t, h >= rest * (1.0 - LEFTOVER), min(h, rest)
             y, error, why = self._tried(direction * h)
             if error <= 1.0:
-                self.times.append(t_end if is_last else t + direction * h)
-                self.states.append(y)
+                path.keep(t_end if is_last else t + direction * h, y)
             elif h <= control.shortest(t, span):
                 why = (
                     f"a step of {h:.1e} is too long, {why}, and shorter ones are not allowed (min_step = "
@@ -191,17 +190,17 @@ class _AdaptivePath:
                 return self.solution().ended(f"stopped at t = {t:g}: {why}")
             else:
                 self.n_rejected += 1
-            tried = len(self.times) - 1 + self.n_rejected
-            if tried >= control.max_steps and self.times[-1] != t_end:
+            tried = path.n + self.n_rejected
+            if tried >= control.max_steps and path.t != t_end:
                 what = f"after {tried} steps, the last of {h:.1e}; loosen rtol and atol, or raise max_steps"
-                return self.solution().ended(f"stopped at t = {self.times[-1]:g} {what}")
+                return self.solution().ended(f"stopped at t = {path.t:g} {what}")
             h = control.after(h, error, self.order)
         return self.solution()
 
     def _tried(self, h: float) -> tuple[Array, float, str]:
         """The next state, after two steps of h/2, its error divided by the allowed one,
         and a description of the error."""
-        t, y = self.times[-1], self.states[-1]
+        t, y = self.path.t, self.path.y
         try:
             one = self.coarse(t, y, h)
             two = self.fine(t + 0.5 * h, self.fine(t, y, 0.5 * h), 0.5 * h)
@@ -212,15 +211,7 @@ class _AdaptivePath:
         return two, error, f"its error is {error:.1e} times what is allowed"
 
     def solution(self) -> Solution:
-        nfev, message = self.coarse.nfev + self.fine.nfev, end_message(self.problem)
-        return Solution(
-            np.array(self.times),
-            np.array(self.states),
-            nfev,
-            self.problem.shape,
-            message=message,
-            n_rejected=self.n_rejected,
-        )
+        return self.path.solution(self.coarse.nfev + self.fine.nfev, self.n_rejected)
 
 
 @dataclass
@@ -290,65 +281,58 @@ def run_reversible(
         raise ValueError(f"reversible steps need a symmetric method, such as VelocityVerlet; {method.name} is not")
     if (t_end - t0) * method.timestep < 0.0:
         raise ValueError(f"t_end must lie ahead; t0 = {t0!r}, t_end = {t_end!r}, {method!r}")
-    return _ReversiblePath(problem, method, problem.begin(start, t0), t0, control).to(t_end, every)
+    return _ReversiblePath(problem, method, Path(problem, t0, problem.begin(start, t0), every), control).to(t_end)
 
 
 class _ReversiblePath:
     """State, time and density, and those that are kept for the solution."""
 
-    def __init__(self, problem: Partitioned, method: Method, y: Array, t0: float, control: DensityControl) -> None:
-        self.problem, self.epsilon, self.max_steps, self.y, self.t = problem, method.timestep, control.max_steps, y, t0
+    def __init__(self, problem: Partitioned, method: Method, path: Path, control: DensityControl) -> None:
+        self.problem, self.epsilon, self.max_steps, self.path = problem, method.timestep, control.max_steps, path
         self.step = type(method).on(problem)
         self.rate = control.rate or _Fall(problem, abs(method.timestep))
         self.rho = control.density  # at the last state: between the density of the last step and that of the next one
-        self.kept: list[tuple[float, Array, float]] = [(t0, y, self.rho)]
+        self.densities = {path.t: self.rho}
 
-    def to(self, t_end: float, every: int) -> ReversibleSolution:
-        n, direction, change = 0, copysign(1.0, self.epsilon), self._change()
+    def to(self, t_end: float) -> ReversibleSolution:
+        path, direction, change = self.path, copysign(1.0, self.epsilon), self._change()
         try:
-            while (t_end - self.t) * direction > 0.0 and n < self.max_steps:
-                n += 1
+            while (t_end - path.t) * direction > 0.0 and path.n < self.max_steps:
                 change = self._advance(t_end, change)
-                if (n - 1) % every != 0:
-                    del self.kept[-1]  # it was the last one, and its number is no multiple of every
-                self.kept.append((self.t, self.y, self.rho))
+                self.densities[path.t] = self.rho
         except (ConvergenceError, NonFiniteError) as reason:
-            error = type(reason)(f"step {n} from t = {self.t:g}: {reason}; reduce the timestep ({self.epsilon:g})")
-            raise with_path(error, self.solution()) from None
-        if self.t != t_end:
-            return self.solution().ended(
-                f"stopped at t = {self.t:g} after {n} steps, where ρ = {self.rho:.1e}; raise max_steps or the timestep"
-            )
-        return self.solution()
+            words = f"step {path.n + 1} from t = {path.t:g}: {reason}; reduce the timestep ({self.epsilon:g})"
+            raise with_path(type(reason)(words), self.solution()) from None
+        if path.t == t_end:
+            return self.solution()
+        stopped = f"stopped at t = {path.t:g} after {path.n} steps, where ρ = {self.rho:.1e}"
+        return self.solution().ended(f"{stopped}; raise max_steps or the timestep")
 
     def _advance(self, t_end: float, change: float) -> float:
         """One step.
 
         change : ε G at its start; returns ε G at its end. Half of each is added to ρ, before and after the step.
         """
-        rho = self.rho + 0.5 * change
-        if not rho > 0.0 or self.t + self.epsilon / rho == self.t:
+        rho, t = self.rho + 0.5 * change, self.path.t
+        if not rho > 0.0 or t + self.epsilon / rho == t:
             raise ConvergenceError(f"the density of steps {'fell' if rho <= 0.0 else 'grew'} to {rho:.1e}")
-        h, rest = self.epsilon / rho, t_end - self.t
-        is_last = abs(h) >= abs(rest) - LEFTOVER * max(abs(self.t), abs(t_end))
-        y = self.step(self.t, self.y, rest if is_last else h)
+        h, rest = self.epsilon / rho, t_end - t
+        is_last = abs(h) >= abs(rest) - LEFTOVER * max(abs(t), abs(t_end))
+        y = self.step(t, self.path.y, rest if is_last else h)
         if not np.isfinite(y).all():
             raise NonFiniteError("the state is no longer finite")
-        self.t, self.y = (t_end if is_last else self.t + h), y
+        self.path.keep(t_end if is_last else t + h, y)
         change = self._change()
         self.rho = rho + 0.5 * change
         return change
 
     def _change(self) -> float:
         """ε G at the present state."""
-        return self.epsilon * float(self.rate(self.t, *self.problem.halves(self.y)))
+        return self.epsilon * float(self.rate(self.path.t, *self.problem.halves(self.path.y)))
 
     def solution(self) -> ReversibleSolution:
-        t, y, rho = zip(*self.kept, strict=True)
-        nfev = self.step.nfev + getattr(self.rate, "nfev", 0)
-        return ReversibleSolution(
-            np.array(t), np.array(y), nfev, self.problem.shape, message=end_message(self.problem), density=np.array(rho)
-        )
+        found = self.path.solution(self.step.nfev + getattr(self.rate, "nfev", 0))
+        return ReversibleSolution(**vars(found), density=np.array([self.densities[t] for t in found.t.tolist()]))
 
 
 class _Fall:

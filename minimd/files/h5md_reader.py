@@ -64,7 +64,7 @@ def opened(path: str | Path) -> h5py.File:
     """Open a minimd file for reading. A commit that was interrupted is finished first.
 
     Raises FileNotFoundError if it does not exist.  ValueError if it is not HDF5, or not written by minimd.  OSError if
-    it is damaged, as admitted, or if a run is writing it.
+    it is damaged, as admitted.  BlockingIOError if a run is writing it.
     """
     if not Path(path).is_file():
         raise FileNotFoundError(f"file {str(path)!r} does not exist; give the .h5md file of a run")
@@ -76,7 +76,8 @@ def opened(path: str | Path) -> h5py.File:
     except (OSError, RuntimeError) as error:
         words = sentence(error)
         reason = next((told for sign, told in REASONS.items() if sign in words), words.splitlines()[0])
-        raise OSError(f"file {str(path)!r} cannot be opened: {reason}") from error
+        kind = BlockingIOError if isinstance(error, BlockingIOError) else OSError
+        raise kind(f"file {str(path)!r} cannot be opened: {reason}") from error
     with damage_told(path):
         is_ours = h5.id.links.exists(b"minimd")
     if not is_ours:

@@ -26,7 +26,7 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5t
 from minimd.console.display import Displayed, Rows
 from minimd.console.quiet import quiet
 from minimd.console.words import printable
-from minimd.engine.engine import Checkpoint
+from minimd.engine.engine import Checkpoint, scene_in_words
 from minimd.engine.record import SERIES, Frame, Record
 from minimd.files import h5md_digest as digest
 from minimd.files.claim import end_with, repair
@@ -285,14 +285,17 @@ class H5MDContents(Displayed):
         shown = self.system.units.shown
         return [
             *([("title", self.title)] if self.title else []),
-            ("system", repr(self.system)),
-            ("method", f"{self.method}, timestep {shown(self.timestep)}"),
-            *(("potential", one) for one in self.potentials),
+            *self.scene_in_words(),
             ("frames", f"{self.n_frames}, {'with' if self.has_forces else 'without'} forces"),
             ("restart", f"step {self.step}, {shown(self.time)}"),
             ("scene", "stored" if self.scene else "none stored"),
             *([("repaired", self.repaired)] if self.repaired else []),
         ]
+
+    def scene_in_words(self) -> Rows:
+        """System, potentials, method and barostat."""
+        potentials = (one.partition(": ")[2] for one in self.potentials)
+        return scene_in_words(self.system, potentials, self.method, self.parameters, self.barostat)
 
     def integrator(self) -> Splitting:
         """The method with its time step.  Raises ValueError if it is not a method of minimd."""

@@ -61,16 +61,14 @@ class Hessenberg(DifferentialAlgebraic):
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, its algebraic variables solved for.
 
-        start : the parts one after the other, such as (q, v); algebraic variables may be left out; if given they are a
-            first guess.
-        Raises ValueError for a start that violates a constraint, given or hidden; problem.corrected gives one that
-        does not.
+        start : the parts, such as (q, v); algebraic variables may be left out; if given they are a first guess.
+        Raises ValueError for a start that violates a constraint, given or hidden; corrected gives one that does not.
         """
-        return self._consistent(start, t0, self._refused)
+        return self._consistent(start, t0, KEPT, REFUSED)
 
     def corrected(self, start: Any, t0: float = 0.0) -> Array:
         """The consistent state nearest to a start, found part by part."""
-        return self._consistent(start, t0, lambda k, t, parts, root: root)
+        return self._consistent(start, t0, 0.0, np.inf)
 
     def parts(self, y: ArrayLike) -> Parts:
         """Views of the parts of a state, or of many: y may be (n,), or (n_times, n) as in a solution."""
@@ -102,35 +100,34 @@ class Hessenberg(DifferentialAlgebraic):
         n_differential = self._slices[-1].start
         return np.diag(np.repeat([1.0, 0.0], [n_differential, y.size - n_differential]))
 
-    def _consistent(self, start: Any, t: float, judged: Any) -> Array:
+    def _consistent(self, start: Any, t: float, kept: float, refused: float) -> Array:
+        """The state whose parts are roots of the constraints that determine them.  kept, refused : moves of a part,
+        relative to its size, up to which it stays as it is, and above which the start is refused."""
         parts = self._begun(start, t)
-        first, last = len(parts) - len(self.chain), len(self.chain) - 1
-        for k in range(last + 1):
-            i, step = first + k, WIDE if k > 0 else CENTRAL
+        last = len(self.chain) - 1
+        for k, chained in enumerate(self.chain):
+            i, step = len(parts) - len(self.chain) + k, WIDE if k > 0 else CENTRAL
 
             def violation(x: Array) -> Array:
                 return self.constraint(k, t, *parts[:i], x, *parts[i + 1 :])
 
-            size = self._size_of_algebraic(t, parts) if k == last else _size(parts[i], parts)
-            if not are_independent(violation, parts[i], step, size):
-                what = f"the constraints 0 = {self.chain[k]} do not determine {self.names[i]}"
+            own = self._size_of_algebraic(t, parts) if k == last else _size(parts[i], parts)
+            if not are_independent(violation, parts[i], step, own):
+                what = f"the constraints 0 = {chained} do not determine {self.names[i]}"
                 when = f"at the start, t = {t:g}, or the index is higher than {self.index}"
                 raise ValueError(f"{self.regular} must have full rank {when}: {what}")
-            root = nearest_root(violation, parts[i], step, size=size)
-            parts[i] = root if k == last else judged(k, t, parts, root)
+            root = nearest_root(violation, parts[i], step, size=own)
+            move, size = np.abs(root - parts[i]).max(), max(own, np.abs(root).max())
+            if k < last and move > refused * size:
+                off = violation(parts[i])
+                worst = int(np.argmax(np.abs(off)))
+                found = f"its element {worst} is {off[worst]:.2e} at t = {t:g}"
+                needed = f"{self.names[i]} would have to move by {move:.1e}"
+                name = f"{'hidden ' if k else ''}constraint 0 = {chained}"
+                raise ValueError(f"the start violates the {name}: {found}, and {needed}; {ADVICE}")
+            if k == last or move > kept * size:
+                parts[i] = root
         return np.concatenate(parts)
-
-    def _refused(self, k: int, t: float, parts: list[Array], root: Array) -> Array:
-        """The part that the k-th constraint determines: its root, or the part itself where they agree to rounding."""
-        i = len(parts) - len(self.chain) + k
-        move, size = np.abs(root - parts[i]).max(), max(_size(parts[i], parts), np.abs(root).max())
-        if move > REFUSED * size:
-            violation, name = self.constraint(k, t, *parts), f"{'hidden ' if k else ''}constraint 0 = {self.chain[k]}"
-            worst = int(np.argmax(np.abs(violation)))
-            off = f"its element {worst} is {violation[worst]:.2e} at t = {t:g}"
-            needed = f"{self.names[i]} would have to move by {move:.1e}"
-            raise ValueError(f"the start violates the {name}: {off}, and {needed}; {ADVICE}")
-        return root if move > KEPT * size else parts[i]
 
     def _size_of_algebraic(self, t: float, parts: list[Array]) -> float:
         """Size of algebraic variables that would change the highest derivative of the path by its own size."""

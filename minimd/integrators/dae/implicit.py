@@ -164,19 +164,16 @@ class Implicit(DifferentialAlgebraic):
         guess = np.concatenate([y[is_free] / mobility[is_free], *known])
         step, dependent = (CENTRAL, RANK) if order == 1 else (WIDE, NOISY_RANK)
         x = nearest_root(array, guess, step, dependent, size)
-        self._check_solved(t, array(x), np.abs(central_differences(array, x, step, size)), x, unit, size)
-        moved, derivatives = taken(x)
-        return moved, derivatives[0]
-
-    def _check_solved(self, t: float, left: Array, terms: Array, x: Array, unit: float, size: float) -> None:
-        """ValueError if an equation of the derivative array could not be made zero."""
+        left, terms = array(x), np.abs(central_differences(array, x, step, size))
         allowed = SOLVED * (terms @ np.abs(x)) + NEGLIGIBLE * terms.max(axis=1) * max(np.abs(x).max(), size)
         k = int(np.argmax(np.abs(left) - allowed))
         if not abs(left[k]) <= allowed[k]:
-            order, equation = divmod(k, self._slope.size)
-            stays = f"{ORDINALS[order]}equation {equation} stays at {left[k] / unit**order:.2e} at t = {t:g}"
-            raise ValueError(f"the start violates F(t, y, y′) = 0: {stays}, whatever y′ and the variables without one "
-                             f"are; {ADVICE}")  # fmt: skip
+            n, equation = divmod(k, y.size)
+            stays = f"{ORDINALS[n]}equation {equation} stays at {left[k] / unit**n:.2e} at t = {t:g}"
+            why = f"{stays}, whatever y′ and the variables without one are"
+            raise ValueError(f"the start violates F(t, y, y′) = 0: {why}; {ADVICE}")
+        moved, derivatives = taken(x)
+        return moved, derivatives[0]
 
 
 def _taylor(coefficients: list[Array], e: float) -> Array:

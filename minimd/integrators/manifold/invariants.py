@@ -120,28 +120,15 @@ def check_invariants(invariants: Invariants) -> None:
         raise TypeError(f"invariants must be Invariants(g), with a function g(y) or g(q, v); got {shown(invariants)}")
 
 
-def corrected(
-    problem: Problem, correction: Map, begun: Callable[[Array, Shape], None]
-) -> CorrectedPartitioned | CorrectedFirstOrder:
-    """A problem of the same kind with a term added to y′; one with q and v is then Partitioned, and its steps implicit.
-
-    correction : (n,) of the state.  begun : called with the start of each run and the shape of q and v.
-    Raises TypeError for problems of other kinds.
-    """
-    if isinstance(problem, Partitioned):
-        return CorrectedPartitioned(problem, correction, begun)
-    if isinstance(problem, FirstOrder):
-        return CorrectedFirstOrder(problem, correction, begun)
-    kinds = "SecondOrder, Partitioned and FirstOrder problems"
-    raise TypeError(f"y′ can be corrected in {kinds}; got {type(problem).__name__}")
+Begun = Callable[[Array, Shape], None]
 
 
 class Corrected(Problem):
-    """What corrected problems have in common: where they begin, and y′ with the correction."""
+    """A problem with a correction of y′, a function of the state.  begun : called with each start and its shape."""
 
-    _problem: Any
-    _correction: Map
-    _begun: Callable[[Array, Shape], None]
+    def keep(self, problem: Any, correction: Map, begun: Begun) -> None:
+        """What is corrected."""
+        self._problem, self._correction, self._begun, self.shape = problem, correction, begun, problem.shape
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state."""
@@ -158,22 +145,37 @@ class Corrected(Problem):
 class CorrectedPartitioned(Corrected, Partitioned):
     """q′ = g + c_q, v′ = f + c_v with a correction c(q, v)."""
 
-    def __init__(self, problem: Partitioned, correction: Map, begun: Callable[[Array, Shape], None]) -> None:
+    def __init__(self, problem: Partitioned, correction: Map, begun: Begun) -> None:
         def of(q: Array, v: Array) -> Array:
             return correction(np.concatenate([q.reshape(-1), v.reshape(-1)]))
 
-        g = lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size]  # noqa: E731
-        f = lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :]  # noqa: E731
-        super().__init__(g, f, solver=problem.solver)
-        self._problem, self._correction, self._begun, self.shape = problem, correction, begun, problem.shape
+        super().__init__(
+            lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size],
+            lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :],
+            solver=problem.solver,
+        )
+        self.keep(problem, correction, begun)
 
 
 class CorrectedFirstOrder(Corrected, FirstOrder):
     """y′ = f + c(y)."""
 
-    def __init__(self, problem: FirstOrder, correction: Map, begun: Callable[[Array, Shape], None]) -> None:
+    def __init__(self, problem: FirstOrder, correction: Map, begun: Begun) -> None:
         super().__init__(problem.field, solver=problem.solver)
-        self._problem, self._correction, self._begun = problem, correction, begun
+        self.keep(problem, correction, begun)
+
+
+def corrected(problem: Problem, correction: Map, begun: Begun) -> CorrectedPartitioned | CorrectedFirstOrder:
+    """A problem of the same kind with a term added to y′; one with q and v is then Partitioned, and its steps implicit.
+
+    Raises TypeError for problems of other kinds.
+    """
+    if isinstance(problem, Partitioned):
+        return CorrectedPartitioned(problem, correction, begun)
+    if isinstance(problem, FirstOrder):
+        return CorrectedFirstOrder(problem, correction, begun)
+    kinds = "SecondOrder, Partitioned and FirstOrder problems"
+    raise TypeError(f"y′ can be corrected in {kinds}; got {type(problem).__name__}")
 
 
 def stabilized(problem: Problem, invariants: Invariants, gamma: float) -> CorrectedPartitioned | CorrectedFirstOrder:
@@ -268,12 +270,9 @@ def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: type
 
 
 class ManifoldStep:
-    """A step that begins and ends on the manifold through the first state of the run.
+    """A step that begins and ends on the manifold through the first state of the run."""
 
-    is_symmetric : whether it keeps the symmetry of the method.
-    """
-
-    is_symmetric = True
+    is_symmetric = True  # whether it keeps the symmetry of the method
 
     def __init__(self, problem: Problem, method: type[Method], invariants: Invariants) -> None:
         self._shape, self._invariants = problem.shape, invariants
@@ -432,11 +431,9 @@ def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:
         raise TypeError(f"{name} must not depend on t; invariants are functions of y, or of q and v")
 
     def answer(y: Array, shape: Shape) -> Array:
-        n, halves = y.size // 2, (y, y)
         if takes_halves and shape is None:
             raise TypeError(f"{name} takes q and v, but the problem has none; write it as a function of y")
-        if takes_halves:
-            halves = y[:n].reshape(shape), y[n:].reshape(shape)
+        halves = y.reshape(2, *shape) if takes_halves and shape is not None else (y, y)
         return checked_values(call(0.0, y, *halves), None, name)
 
     return answer

@@ -506,10 +506,12 @@ def stormer_two_step(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: fl
     ------
     ValueError : if the time step is zero or not finite, n_steps below 1, or the shapes of q0, v0 and f(q0) differ.
     """
-    q, _ = _start(f, q0, v0, timestep, n_steps)
-    for n in range(1, n_steps + 1):
-        q[n + 1] = 2.0 * q[n] - q[n - 1] + timestep**2 * np.asarray(f(q[n]))
-    return _solution(q, q[1:] - q[:-1], v0, timestep)
+
+    def advance(q: Array, increments: Array, n: int, push: Array) -> None:
+        q[n + 1] = 2.0 * q[n] - q[n - 1] + push
+        increments[n - 1 : n + 1] = q[n : n + 2] - q[n - 1 : n + 1]
+
+    return _stormer(f, q0, v0, timestep, n_steps, advance)
 
 
 def stormer_summed(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> Solution:
@@ -517,34 +519,33 @@ def stormer_summed(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: floa
 
     Parameters, Raises : as stormer_two_step.
     """
-    q, d = _start(f, q0, v0, timestep, n_steps)
-    increments = np.empty_like(q[1:])
-    increments[0] = d
-    for n in range(1, n_steps + 1):
-        increments[n] = increments[n - 1] + timestep**2 * np.asarray(f(q[n]))
+
+    def advance(q: Array, increments: Array, n: int, push: Array) -> None:
+        increments[n] = increments[n - 1] + push
         q[n + 1] = q[n] + increments[n]
-    return _solution(q, increments, v0, timestep)
+
+    return _stormer(f, q0, v0, timestep, n_steps, advance)
 
 
-def _start(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> tuple[Array, Array]:
-    """Memory for q₀ … q_{n+1} with q₀ and q₁ filled in, and the first increment."""
+def _stormer(
+    f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int, advance: Callable[..., None]
+) -> Solution:
+    """The path without the position after the end, which is needed for the last velocity only.
+
+    advance : finds q_{n+1} and the increments from q_{n−1}, q_n and Δt² f(q_n).
+    """
     q0, v0 = np.asarray(q0, dtype=float), np.asarray(v0, dtype=float)
     checked_number("timestep", timestep, "finite and not zero")
     checked_count("n_steps", n_steps)
     a0 = np.asarray(f(q0), dtype=float)
     if not q0.shape == v0.shape == a0.shape:
         raise ValueError(f"q0, v0 and f(q0) must have the same shape; got {q0.shape}, {v0.shape} and {a0.shape}")
-    q, d = np.empty((n_steps + 2, *q0.shape)), timestep * v0 + 0.5 * timestep**2 * a0
-    q[0], q[1] = q0, q0 + d
-    return q, d
-
-
-def _solution(q: Array, increments: Array, v0: ArrayLike, timestep: float) -> Solution:
-    """The path without the position after the end, which is needed for the last velocity only."""
-    n_steps = len(q) - 2
-    v = np.empty_like(q[:-1])
-    v[0] = v0
+    q, increments, v = (np.empty((n_steps + n, *q0.shape)) for n in (2, 1, 1))
+    increments[0] = timestep * v0 + 0.5 * timestep**2 * a0
+    q[0], q[1], v[0] = q0, q0 + increments[0], v0
+    for n in range(1, n_steps + 1):
+        advance(q, increments, n, timestep**2 * np.asarray(f(q[n])))
     v[1:] = (increments[1:] + increments[:-1]) / (2.0 * timestep)
     t = np.linspace(0.0, n_steps * timestep, n_steps + 1)
     y = np.concatenate([part.reshape(len(t), -1) for part in (q[:-1], v)], axis=1)
-    return Solution(t, y, nfev=n_steps + 1, shape=q.shape[1:])
+    return Solution(t, y, nfev=n_steps + 1, shape=q0.shape)

@@ -27,6 +27,7 @@ II (1996), VI and VII.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -307,10 +308,10 @@ class EulerStep:
         guess = moved(x0)
         if ("v" if field is self._problem.f else "q") not in field.takes:
             return guess
-        given = jacobian and (
+        slope: Any = jacobian and (
             lambda x: np.eye(x.size) - duration * self._value(jacobian, *place(x)).reshape(x.size, x.size)
         )
-        return iteration.solve(lambda x: x - moved(x), guess, given, duration, np.abs(x0).max())
+        return iteration.solve(lambda x: x - moved(x), guess, slope, duration, np.abs(x0).max())
 
 
 Place = Callable[[Array], tuple[float, Array, Array]]

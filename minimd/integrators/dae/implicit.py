@@ -56,8 +56,8 @@ class Implicit(DifferentialAlgebraic):
     ) -> None:
         super().__init__(solver)
         self._F, self._slope = taking(F, "t y slope", "F"), np.zeros(0)
-        self._F_y = None if F_y is None else taking(F_y, "t y slope", "F_y")
-        self._F_slope = None if F_slope is None else taking(F_slope, "t y slope", "F_slope")
+        self.given_state_jacobian = None if F_y is None else taking(F_y, "t y slope", "F_y")
+        self.given_slope_jacobian = None if F_slope is None else taking(F_slope, "t y slope", "F_slope")
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, with variables whose derivative does not occur in F solved for; field(t0, y) is its y′.
@@ -81,16 +81,6 @@ class Implicit(DifferentialAlgebraic):
     def field(self, t: float, y: Array) -> Array:
         """The y′ nearest to that of the start with F = 0, in least squares."""
         return nearest_root(lambda slope: self.residual(t, y, slope), self._slope)
-
-    def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
-        """∂F/∂y, (n, n)."""
-        given = self._F_y
-        return super().state_jacobian(t, y, slope) if given is None else given(t, y, slope).reshape(y.size, y.size)
-
-    def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
-        """∂F/∂y′, (n, n)."""
-        given = self._F_slope
-        return super().slope_jacobian(t, y, slope) if given is None else given(t, y, slope).reshape(y.size, y.size)
 
     def _begun(self, start: Any, t: float) -> tuple[Array, Array]:
         """y and y′ of the start; y′ is zero if it is not given."""

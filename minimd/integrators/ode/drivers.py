@@ -123,6 +123,8 @@ class Path:
     """
 
     def __init__(self, problem: Problem, start: Any, t0: float, every: int = 1) -> None:
+        if not hasattr(problem, "begin"):
+            raise TypeError(f"problem must be a differential equation, such as SecondOrder(f); got {shown(problem)}")
         self.problem: Any = problem
         self._every = checked_count("every", every)
         self.t, self.y, self.n, self.n_rejected, self.stopped = t0, problem.begin(start, t0), 0, 0, ""
@@ -187,7 +189,7 @@ def run_steps(problem: Problem, method: Method, start: Any, n_steps: int, t0: fl
     check_method(method)
     checked_count("n_steps", n_steps)
     checked_number("t0", t0)
-    return _fixed(problem, method, start, t0, every, repeat(method.timestep, n_steps))
+    return _fixed(Path(problem, start, t0, every), method, repeat(method.timestep, n_steps))
 
 
 def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: float = 0.0, every: int = 1) -> Solution:
@@ -203,23 +205,13 @@ def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: fl
     whole = int(n_steps * (1.0 + LEFTOVER) + LEFTOVER)
     rest = t_end - (t0 + whole * h)
     lengths = [h] * whole + ([rest] if rest / h > LEFTOVER * n_steps else [])
-    return _fixed(problem, method, start, t0, every, lengths, t_end)
+    return _fixed(Path(problem, start, t0, every), method, lengths, t_end)
 
 
-def _fixed(
-    problem: Problem,
-    method: Method,
-    start: Any,
-    t0: float,
-    every: int,
-    lengths: Iterable[float],
-    t_end: float | None = None,
-) -> Solution:
+def _fixed(path: Path, method: Method, lengths: Iterable[float], t_end: float | None = None) -> Solution:
     """Steps of these lengths.  The states are looked at once they are all there; those before the first that is not
     finite are the solution of the NonFiniteError."""
-    check_problem(problem)
-    path, h = Path(problem, start, t0, every), method.timestep
-    step = path.step(type(method))
+    t0, h, step = path.t, method.timestep, path.step(type(method))
     found = path.through(((t0 + (path.n + 1) * h, step(path.t, path.y, length)) for length in lengths), h)
     if t_end is not None:
         found.t[-1] = t_end
@@ -229,12 +221,6 @@ def _fixed(
     why = (f"the state is not finite at t = {found.t[first]:g}; the last finite one is at t = {found.t[first - 1]:g}; "
            f"reduce the timestep ({h:g}), or look for a singularity of the problem")  # fmt: skip
     raise failed(NonFiniteError, Solution(found.t[:first], found.y[:first], found.nfev, found.shape, False, why))
-
-
-def check_problem(problem: Problem) -> None:
-    """TypeError for anything but a problem."""
-    if not hasattr(problem, "begin"):
-        raise TypeError(f"problem must be a differential equation, such as SecondOrder(f); got {shown(problem)}")
 
 
 def check_method(method: Method) -> None:
@@ -342,7 +328,6 @@ def run_adaptive(
     A run that needs too many steps, or steps below min_step or the spacing of numbers at t, ends early:
     solution.success is False.
     """
-    check_problem(problem)
     check_ahead(t0, t_end)
     if not (isinstance(method, type) and issubclass(method, Method)):
         raise TypeError(f"method must be a method without a time step, such as VelocityVerlet; got {shown(method)}")
@@ -436,7 +421,6 @@ def run_reversible(
     ConvergenceError, NonFiniteError : as run_steps, or if ρ is no longer positive.
     A run that needs too many steps ends early: solution.success is False.
     """
-    check_problem(problem)
     check_method(method)
     check_ahead(t0, t_end)
     checked_count("every", every)

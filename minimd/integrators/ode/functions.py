@@ -151,25 +151,23 @@ ENOUGH = 1e-9  # relative error of the formula of order 4 with which the search 
 
 def forward_differences(function: Map, x: Array, at_x: Array) -> Array:
     """∂function/∂x, one column per variable: half the evaluations of central differences.  at_x : function(x)."""
-    jacobian = np.empty((at_x.size, x.size))
-    steps = FORWARD * np.maximum(np.abs(x), LEAST * (np.abs(x).max() or 1.0))
-    for k in range(x.size):
-        moved = x.copy()
-        moved[k] += steps[k]
-        jacobian[:, k] = (function(moved) - at_x) / (moved[k] - x[k])
-    return jacobian
+    return _differences(function, x, FORWARD * np.maximum(np.abs(x), LEAST * (np.abs(x).max() or 1.0)), at_x)
 
 
 def central_differences(function: Map, x: Array, step: float = CENTRAL, size: float = 0.0) -> Array:
     """∂function/∂x, one column per variable.  step : relative to each variable; wide for noisy functions.
     size : of the largest variable, where x may be smaller by chance."""
-    steps = step * np.maximum(np.abs(x), LEAST * (max(np.abs(x).max(), size) or 1.0))
+    return _differences(function, x, step * np.maximum(np.abs(x), LEAST * (max(np.abs(x).max(), size) or 1.0)))
+
+
+def _differences(function: Map, x: Array, steps: Array, at_x: Array | None = None) -> Array:
+    """Those between x + step and x − step, or x itself if the value there is given."""
     columns = []
-    for k in range(x.size):
+    for k, step in enumerate(steps):
         ahead, behind = x.copy(), x.copy()
-        ahead[k] += steps[k]
-        behind[k] -= steps[k]
-        columns.append((function(ahead) - function(behind)) / (ahead[k] - behind[k]))
+        ahead[k] += step
+        behind[k] -= step if at_x is None else 0.0
+        columns.append((function(ahead) - (function(behind) if at_x is None else at_x)) / (ahead[k] - behind[k]))
     return np.stack(columns, axis=-1)
 
 

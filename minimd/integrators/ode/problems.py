@@ -204,6 +204,8 @@ class DifferentialAlgebraic(Problem):
     shape = None
     index: int
     levels: Array
+    given_state_jacobian: Function | None = None  # of t, y, slope
+    given_slope_jacobian: Function | None = None
 
     def __init__(self, solver: Newton) -> None:
         if not isinstance(solver, Newton) or isinstance(solver, FixedPoint):
@@ -212,11 +214,15 @@ class DifferentialAlgebraic(Problem):
         self.solver = solver
 
     def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
-        """∂F/∂y, (n, n)."""
+        """∂F/∂y, (n, n): as given, or by differences."""
+        if self.given_state_jacobian is not None:
+            return self.given_state_jacobian(t, y, slope).reshape(y.size, y.size)
         return forward_differences(lambda x: self.residual(t, x, slope), y, self.residual(t, y, slope))
 
     def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
-        """∂F/∂y′, (n, n)."""
+        """∂F/∂y′, (n, n): as given, or by differences."""
+        if self.given_slope_jacobian is not None:
+            return self.given_slope_jacobian(t, y, slope).reshape(y.size, y.size)
         return forward_differences(lambda x: self.residual(t, y, x), slope, self.residual(t, y, slope))
 
     def error_weights(self, h: float) -> Array:

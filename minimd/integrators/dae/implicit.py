@@ -207,28 +207,22 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
         raise ValueError(f"M and A must be square matrices of the same size; got shapes {m.shape} and {a.shape}")
     if not (np.isfinite(m).all() and np.isfinite(a).all()):
         raise ValueError("M and A must be finite")
-    n = len(m)
+    n, index = len(m), 0
     # in a unit of time of its own, on which the index does not depend
     m, a = m / (np.abs(m).max() or 1.0), a / (np.abs(a).max() or 1.0)
-    for index in range(n + 1):
+    while True:
         left, sizes, _ = np.linalg.svd(m)
         rank = int((sizes > tolerance * max(sizes[0], np.abs(a).max())).sum())
         if rank == n:
             return index
         constraints = left[:, rank:].T @ a
         independent = np.linalg.svd(constraints, compute_uv=False)
-        if not independent[-1] > tolerance:
-            raise ValueError(_singular(n - rank, index, independent))
+        if not independent[-1] > tolerance or index == n:
+            what = f"after {index} differentiations {n - rank} equations without y′ depend on each other"
+            spread = f"singular values from {independent[0]:.1e} to {independent[-1]:.1e}"
+            why = f"det(λM − A) = 0 for all λ: {what} ({spread}), so that some variable is not determined"
+            raise ValueError(f"the pencil is singular, {why}")
         m = np.vstack([left[:, :rank].T @ m, constraints])
         a = np.vstack([left[:, :rank].T @ a, np.zeros_like(constraints)])
         sizes = np.linalg.norm(m, axis=1)
-        m, a = m / sizes[:, None], a / sizes[:, None]
-    raise ValueError(_singular(n - rank, n, independent))
-
-
-def _singular(n_constraints: int, index: int, sizes: Any) -> str:
-    what = f"after {index} differentiations {n_constraints} equations without y′ depend on each other"
-    spread = f"singular values from {sizes[0]:.1e} to {sizes[-1]:.1e}"
-    return (
-        f"the pencil is singular, det(λM − A) = 0 for all λ: {what} ({spread}), so that some variable is not determined"
-    )
+        m, a, index = m / sizes[:, None], a / sizes[:, None], index + 1

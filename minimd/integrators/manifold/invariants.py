@@ -28,7 +28,7 @@ from minimd.compiled.machine import EPS
 from minimd.console.words import shown
 from minimd.integrators.dae.hessenberg import Hessenberg2
 from minimd.integrators.method import Array, Method, Problem, Step
-from minimd.integrators.ode.functions import Function, Map, arguments, checked_values, choosing, derivative
+from minimd.integrators.ode.functions import Function, Map, checked_values, derivative, reading
 from minimd.integrators.ode.problems import FirstOrder, Partitioned
 from minimd.structure.checks import checked_number
 from minimd.structure.errors import ConvergenceError
@@ -425,8 +425,8 @@ def _gram(manifold: Manifold, y: Array) -> Array:
 
 def _of_state(function: Function, name: str) -> Callable[[Array, Shape], Array]:
     """The function as one of the state and the shape of q and v, with fresh flat answers."""
-    taken = arguments(function, "t y q v", name, "q v", "a function of y, or of q and v", unknown="y")
-    call, takes_halves = choosing(function, "t y q v", taken), bool({"q", "v"} & set(taken))
+    taken, call = reading(function, "t y q v", name, "q v", "a function of y, or of q and v", unknown="y")
+    takes_halves = bool({"q", "v"} & set(taken))
     if "t" in taken:
         raise TypeError(f"{name} must not depend on t; invariants are functions of y, or of q and v")
 

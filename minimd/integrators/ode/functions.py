@@ -31,18 +31,12 @@ Path = Callable[[float], Array]
 
 
 def arguments(
-    function: Function,
-    names: str,
-    label: str,
-    usual: str | None = None,
-    wanted: str = "a function",
-    unknown: str | None = None,
+    function: Function, names: str, label: str, usual: str | None, wanted: str, unknown: str
 ) -> tuple[str, ...]:
     """Which of the named arguments a function takes: by their names and in their order, else by their number, if it
     takes all of them or the usual ones.
 
     names, usual : separated by blanks.  unknown : what a function takes that cannot be asked, if not the usual.
-
     Raises TypeError for anything else; label is its name in the message, wanted what it should be.
     """
     every = tuple(names.split())
@@ -52,7 +46,7 @@ def arguments(
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):  # written in C, such as numpy.sin
-        return most if unknown is None else (unknown,)
+        return (unknown,) if unknown else most
     taken = tuple(
         f"*{p.name}" if p.kind is p.VAR_POSITIONAL else p.name
         for p in parameters
@@ -70,23 +64,19 @@ def arguments(
     raise TypeError(f"{label} must take {needed}; it takes ({', '.join(taken)})")
 
 
-def choosing(function: Function, names: str, taken: tuple[str, ...]) -> Function:
-    """A function of some of the named arguments as one of all of them."""
+def reading(
+    function: Function, names: str, label: str, usual: str | None = None, wanted: str = "a function", unknown: str = ""
+) -> tuple[tuple[str, ...], Function]:
+    """Which of the named arguments a function takes, and the function as one of all of them.  See arguments."""
+    taken = arguments(function, names, label, usual, wanted, unknown)
     # written out, as a named tuple does it: a call through *values takes longer than many a force
-    return eval(f"lambda {', '.join(names.split())}: function({', '.join(taken)})", {"function": function})
+    return taken, eval(f"lambda {', '.join(names.split())}: function({', '.join(taken)})", {"function": function})
 
 
 def taking(function: Function, names: str, label: str) -> Function:
-    """The function as one of all the named arguments, of which it may take some; its answer is flat.  Raises TypeError
-    as arguments."""
-    taken = arguments(function, names, label, wanted=f"a function of {', '.join(names.split())}")
-    answer = choosing(function, names, taken)
+    """The function as one of all the named arguments, of which it may take some; its answer is flat."""
+    _, answer = reading(function, names, label, wanted=f"a function of {', '.join(names.split())}")
     return lambda *values: np.array(answer(*values), dtype=float).reshape(-1)
-
-
-def of_time_and_state(function: Function, label: str) -> Function:
-    """A function of y, or of t and y, as one of t and y.  Raises TypeError for anything else."""
-    return choosing(function, "t y", arguments(function, "t y", label, "y"))
 
 
 class Field:
@@ -96,9 +86,9 @@ class Field:
     """
 
     def __init__(self, function: Function, usual: str, name: str) -> None:
-        self.takes, self.name = arguments(function, "t q v", name, usual), name
+        self.name = name
+        self.takes, self._call = reading(function, "t q v", name, usual)
         self.shape: tuple[int, ...] | None = None  # of its answers, known once there is a start
-        self._call = choosing(function, "t q v", self.takes)
 
     def __call__(self, t: float, q: Array, v: Array) -> Array:
         """(n,) values of the function."""

@@ -41,7 +41,7 @@ from minimd.integrators.ode.functions import (
     check_finite,
     checked_values,
     forward_differences,
-    of_time_and_state,
+    reading,
 )
 from minimd.integrators.ode.newton import FixedPoint, Iteration, Newton, checked_solver
 from minimd.integrators.splitting.order_conditions import nystrom_order, separable_order
@@ -65,8 +65,8 @@ class FirstOrder(Problem):
         return f"{type(self).__name__}(f)"
 
     def __init__(self, f: Function, jacobian: Function | None = None, solver: Newton = Newton()) -> None:
-        self._f = of_time_and_state(f, "f")
-        self.jacobian = jacobian if jacobian is None else of_time_and_state(jacobian, "jacobian")
+        self._f = reading(f, "t y", "f", "y")[1]
+        self.jacobian = jacobian if jacobian is None else reading(jacobian, "t y", "jacobian", "y")[1]
         self.solver = checked_solver(solver)
 
     def begin(self, start: ArrayLike, t0: float = 0.0) -> Array:

@@ -118,14 +118,14 @@ def replay(
     """
     from minimd.document.document import potentials_of_scene  # pydantic is slow to load
 
-    past = read_crash_report(file)
+    run = (past := read_crash_report(file)).run
     frames, drawing = (
         _output(trajectory, Path(file), ".replay.h5md", overwrite),
         _output(picture, Path(file), ".replay.png", overwrite),
     )
-    acting = potentials_of_scene(past.scene, past.potentials, Path(file)) if potentials is None else potentials
+    acting = potentials_of_scene(run.scene, run.potentials, Path(file)) if potentials is None else potentials
     simulation = Simulation(
-        past.system, acting, past.method, precision=past.precision, skin=past.skin, barostat=past.barostat
+        run.system, acting, run.integrator(), precision=run.precision, skin=run.skin, barostat=run.barostat
     )
     simulation.restore(past.start)
     simulation.engine.noise_shift = past.noise_shift

@@ -17,7 +17,7 @@ import numpy as np
 from references import melt_scene
 
 from minimd.commands import main as cli
-from minimd.files.journaled_file import MAGIC
+from minimd.files.claim import MAGIC
 
 BATH = 'method = "langevin-baoab"\nrelaxation_time = 1.0\n'
 SCENES = {

@@ -60,7 +60,7 @@ potentials/fields.py: potentials/test_laws potentials/test_fields potentials/tes
     moves = spring.start <= self.time < spring.end => moves = spring.start < self.time <= spring.end
 potentials/links.py: potentials/test_laws
     in_steps(lane(u, k) / n_sites, steps) => in_steps(lane(u, k), steps)
-potentials/angles.py: potentials/test_laws potentials/test_truncation potentials/test_reference_lammps
+potentials/bonded.py: potentials/test_laws potentials/test_truncation potentials/test_reference_lammps
     size * cosine - ab * sine, ab * cosine => size * cosine + ab * sine, ab * cosine
 neighbors/search.py: neighbors/test_pair_list forces/test_lists neighbors/test_cluster_list
     within[len(within) // 2 + 1 :] => within[len(within) // 2 + 2 :]
@@ -96,7 +96,7 @@ integrators/splitting/flows.py: forces/test_fixed_point
     momentum + times * select => momentum + 2.0 * times * select
 integrators/splitting/rows.py: integrators/test_splittings integrators/test_laws
     substeps = (Drift(0.5), Kick(1.0), Drift(0.5)) => substeps = (Drift(0.5), Kick(1.0), Drift(0.4))
-integrators/splitting/compositions.py: integrators/test_splittings integrators/test_laws
+integrators/splitting/rows.py: integrators/test_splittings integrators/test_laws
     -1.17767998417887100695 => 1.17767998417887100695
     -0.0390563049223486 => -0.0390563049323486
     0.18453964097831570709 => 0.18453964197831570709
@@ -155,10 +155,10 @@ files/h5md_digest.py: files/test_h5md files/test_trajectories files/test_interru
     for name in (RESTART, EARLIER): => for name in (EARLIER, RESTART):
     int(numbers["n_frames"]), arrays, name == EARLIER => int(numbers["n_frames"]), {}, name == EARLIER
 files/h5md_writer.py: files/test_h5md simulation/test_observables
-    self._entries[column.path][self.n_frames] = => self._entries[column.path][self.n_frames - 1] =
-files/journaled_file.py: files/test_h5md simulation/test_observables files/test_kills
-    max(start, self._committed) => min(start, self._committed)
-    is_changed = bool(self._pieces) or => is_changed = bool(self._pieces) and
+    self._room[column.path][self._n_waiting] = => self._room[column.path][self._n_waiting - 1] =
+files/claim.py: files/test_h5md simulation/test_observables files/test_kills
+    low, high = max(place, start), => low, high = min(place, start),
+    is_changed = bool(pieces) or => is_changed = bool(pieces) and
 observers/correlator.py: observers/test_observers
     past = (slot + p - j) % p => past = (slot + j) % p
     counts[level, first:n_kept] += 1.0 => counts[level, :n_kept] += 1.0

@@ -14,8 +14,7 @@ from minimd.constraints.constraint_set import ConstraintSet
 from minimd.diagnosis.report import Report, conservation_report
 from minimd.diagnosis.run_report import pressure_lines
 from minimd.engine.record import SERIES, Record
-from minimd.files.h5md_opening import damage_told
-from minimd.files.h5md_reader import damage, velocities_of
+from minimd.files.h5md_reader import damage, damage_told, frames_of
 from minimd.files.turned_cell import as_in_run
 from minimd.integrators import LangevinBAOAB
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
@@ -232,8 +231,8 @@ def exact_momenta(made: RunUniverse) -> list[Comparison]:
         return []
     inverse_masses = 1.0 / made.system.masses
     totals = [
-        grid.momenta(one, inverse_masses).astype(np.int64).sum(axis=0)
-        for one in velocities_of(made.trajectory.filename, contents.n_frames)
+        grid.momenta(one.velocities, inverse_masses).astype(np.int64).sum(axis=0)
+        for one in frames_of(made.trajectory.filename, range(contents.n_frames), made.system.units)
     ]
     changed = float(np.abs(np.array(totals) - totals[0]).max())
     return [Comparison("exact momentum", changed, EXACT, "change of Σ p, in whole steps of the grid")]

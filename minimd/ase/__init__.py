@@ -10,8 +10,7 @@ from ase.calculators.calculator import external_calculators
 from minimd.ase.calculator import Calculator
 from minimd.ase.dynamics import VelocityVerlet
 from minimd.ase.thermostats import Andersen, Bussi, Langevin, LangevinBAOAB, NoseHooverChainNVT, NVTBerendsen
-from minimd.files.ase_writer import ASEWriter
-from minimd.files.structure_file import atomic_mass, system_from_file
+from minimd.files.structure_file import ASEWriter, atomic_mass, system_from_file
 from minimd.potentials.calculators import ForcesFromCalculator
 from minimd.structure.ase_atoms import atoms_from_system
 from minimd.structure.system import System

@@ -16,7 +16,7 @@ from contextlib import suppress
 from typing import Any
 
 from minimd.console.signals import endings_are_told
-from minimd.files.first_look import end_with
+from minimd.files.claim import end_with
 
 READY = b"ready"
 STARTS = 3  # attempts to start a worker process; if all of them are killed, the next would be, too

@@ -24,45 +24,28 @@ from minimd.engine.engine import Snapshot
 from minimd.engine.observation import observe
 from minimd.files.trajectory import named_files
 from minimd.forces.contacts import Contact
-from minimd.integrators.splitting.barostats import StochasticCellRescaling
-from minimd.integrators.splitting.splitting import Splitting
 from minimd.neighbors.queries import ClosestPair
 from minimd.structure.checks import COUNTS
 from minimd.structure.errors import ConstraintError, NonFiniteError
-from minimd.structure.system import System
 
 SUFFIX = ".crash.h5md"
 ATOMS = ("first", "second", "pushed", "fastest")  # in findings, by index
 
 
 class CrashFile(NamedTuple):
-    """The contents of a crash file.
-
-    findings : CrashReport.  system : System in the earlier state, with its constraints.  start : that state.
-    method : of the run.  precision, skin, noise_shift : of the engine.  judgment : of the run guard.
-    potentials : in words.  scene : text, empty if the run came from a script.  barostat : StochasticCellRescaling,
-        or None.
-    """
+    """The contents of a crash file.  findings : CrashReport.  run : H5MDContents, with the system in the earlier state.
+    start : that state.  noise_shift : of the engine.  judgment : of the run guard."""
 
     findings: CrashReport
-    system: System
+    run: Any
     start: Snapshot
-    method: Splitting
-    precision: Any
-    skin: float | None
     noise_shift: int
     judgment: tuple[dict[str, float] | None, float]
-    potentials: list[str]
-    scene: str
-    barostat: StochasticCellRescaling | None
 
 
 def crash_file_place(crash_report: str | Path | bool, trajectories: str | Path | Sequence[str | Path]) -> Path | None:
-    """Where a run leaves its crash file: the path given, or for True beside its first trajectory;
-    None if there is no such place.
-
-    Raises ValueError for the path of a trajectory, which the crash file would replace.
-    """
+    """Where a run leaves its crash file: the path given, or for True beside its first trajectory; None if there is no
+    such place.  Raises ValueError for the path of a trajectory, which the crash file would replace."""
     several = named_files("trajectory", trajectories)
     if isinstance(crash_report, bool):
         return several[0].with_suffix(SUFFIX) if crash_report and several else None
@@ -81,7 +64,9 @@ def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iter
         yield
     except (NonFiniteError, ConstraintError) as error:
         if path is not None and error.crash_report is not None:
-            file = path if overwrite else _free_name(path)
+            suffix = SUFFIX if path.name.endswith(SUFFIX) else path.suffix
+            numbered = (path.with_name(f"{path.name.removesuffix(suffix)}-{number}{suffix}") for number in count(2))
+            file = next(free for free in chain([path], numbered) if overwrite or not os.path.lexists(free))
             try:
                 write_crash_report(file, guard, error.crash_report)
                 error.file = file
@@ -93,31 +78,32 @@ def crash_file_left(path: Path | None, guard: RunGuard, overwrite: bool) -> Iter
         raise
 
 
-def _free_name(path: Path) -> Path:
-    """The path or, if there is a file already, the first path with a number that is free."""
-    suffix = SUFFIX if path.name.endswith(SUFFIX) else path.suffix
-    numbered = (path.with_name(f"{path.name.removesuffix(suffix)}-{number}{suffix}") for number in count(2))
-    return next(free for free in chain([path], numbered) if not os.path.lexists(free))
-
-
 def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> None:
     """Write the crash file of a run that has just failed; its engine is in the last good state, before and afterwards.
-
-    Raises OSError if it cannot be written.
-    """
+    Raises OSError if it cannot be written."""
     from minimd.files.claim import Claim  # h5py is slow to load
     from minimd.files.h5md_digest import flattened, write_group
-    from minimd.files.h5md_writer import H5MDWriter, edit
+    from minimd.files.h5md_writer import H5MDWriter
+
+    engine, last = guard.engine, guard.engine.checkpoint()
+    start, (first, growth) = guard.failed_from or last.state, guard.judgment
+    energies = {name: value for name, value in (first or {}).items() if name.endswith("energy")}
+    known = {"noise_shift": engine.noise_shift, "first": energies or None, "growth": growth}
+
+    def add(h5: Any) -> None:
+        group = h5.create_group("minimd/crash_report")
+        write_group(group.create_group("start"), *flattened(last._replace(state=start)))
+        texts = {"findings": json.dumps(asdict(findings)), "words": str(findings), "simulation": json.dumps(known)}
+        group.update(texts)
 
     part = path.with_name(f"{path.name}.part")  # so that no incomplete file has the final name
-    engine, last = guard.engine, guard.engine.checkpoint()
-    start = guard.failed_from or last.state
-    claim = Claim(part, overwrite=True)
+    claim, every = Claim(part, overwrite=True), max(1, last.state.step - start.step)
     try:
         if claim.path.name != part.name:
             raise OSError(f"{str(part)!r} is a link to another file; remove it")
-        writer = H5MDWriter(claim, engine, store_forces=True, every=max(1, last.state.step - start.step), n_frames=2)
+        writer = H5MDWriter(claim, engine, store_forces=True, every=every, n_frames=2)
         try:
+            writer.describe(add)
             for snapshot in (start, last.state):
                 engine.restore(snapshot)
                 engine.fit_images()
@@ -125,17 +111,6 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
         finally:
             engine.go_on_from(last)
             writer.close()
-        first, growth = guard.judgment
-        energies = {name: value for name, value in (first or {}).items() if name.endswith("energy")}
-        known = {"noise_shift": engine.noise_shift, "first": energies or None, "growth": growth}
-
-        def add(h5: Any) -> None:
-            group = h5.create_group("minimd/crash_report")
-            write_group(group.create_group("start"), *flattened(last._replace(state=start)))
-            texts = {"findings": json.dumps(asdict(findings)), "words": str(findings), "simulation": json.dumps(known)}
-            group.update(texts)
-
-        edit(part, add)
         os.replace(part, path)
     finally:
         claim.release()
@@ -143,9 +118,8 @@ def write_crash_report(path: Path, guard: RunGuard, findings: CrashReport) -> No
 
 
 def is_crash_file(path: str | Path) -> bool:
-    """Whether a file is a crash file.  Raises FileNotFoundError, OSError,
-    ValueError as minimd.files.h5md_opening.opened."""
-    from minimd.files.h5md_opening import opened
+    """Whether a file is a crash file.  Raises FileNotFoundError, OSError, ValueError as h5md_reader.opened."""
+    from minimd.files.h5md_reader import opened
 
     with opened(path) as h5:
         return "minimd/crash_report" in h5
@@ -155,8 +129,7 @@ def read_crash_report(path: str | Path) -> CrashFile:
     """The contents of a crash file.  Raises FileNotFoundError, OSError, ValueError as read_file,
     and ValueError for another file of minimd."""
     from minimd.files.h5md_digest import read_group, unflattened
-    from minimd.files.h5md_opening import damage_told, opened
-    from minimd.files.h5md_reader import read_file
+    from minimd.files.h5md_reader import damage_told, opened, read_file
 
     contents = read_file(path)
     with opened(path) as h5:
@@ -173,9 +146,8 @@ def read_crash_report(path: str | Path) -> CrashFile:
             findings = CrashReport(**found | {"pair": pair, "closest": closest})
             for part in (findings, pair, closest):
                 _check_types(part, len(system))
-    options = {name: getattr(contents, name) for name in ("precision", "skin", "potentials", "scene", "barostat")}
-    options["judgment"] = told.get("first"), told.get("growth", RUNAWAY)  # older files have none
-    return CrashFile(findings, system, start, contents.integrator(), noise_shift=told["noise_shift"], **options)
+    judgment = told.get("first"), told.get("growth", RUNAWAY)  # older files have none
+    return CrashFile(findings, contents, start, told["noise_shift"], judgment)
 
 
 def _printable(found: dict[str, Any]) -> dict[str, Any]:

@@ -1,65 +1,89 @@
-"""Restart, frames and description of a minimd file, each with a checksum that shows whether its numbers are those
-that were written.
+"""Restart, observers, frames and description of a minimd file, each with a checksum that shows whether its numbers are
+those that were written.
 
 minimd/restart            all that the next steps depend on, to the last bit: the arrays and numbers of flattened() as
-                          datasets and attributes, the number n_frames of frames, and the CRC-32 of them all
+                          datasets and attributes, the number n_frames of frames, and the CRC-32 of them all;
+                          observer.<name>.* are the arrays of the state of an observer
 minimd/earlier_restart    the restart before it. The older of the two is overwritten, then the two exchange their names:
                           if one is damaged, the run goes on from the other
+minimd/observers/<name>   attributes kind and arguments (JSON); at the end of a run the result: a dataset for each
+                          series and for its standard error, and single numbers as attributes, in the units of the
+                          simulation (attribute units)
 minimd/blocks             (B, 2) a row for each block of frames: the number of frames up to its end, and the CRC-32 of
                           the block; the attribute series names the datasets that grow with the frames
 minimd, attribute digest  the CRC-32 of everything that does not change: names, types, attributes, and arrays
                           that do not grow
 
 Types are part of every checksum: the same bytes in another order are other numbers.
+
+H5MD keeps averages that do not depend on time as groups in observables. The reader of MDAnalysis takes everything there
+for series with an entry for each frame, and refuses a file in which that is not so. Therefore minimd keeps the results
+of observers in its own group.
 """
 
+import json
+import warnings
 import zlib
-from collections.abc import Iterator
-from functools import reduce
+from collections.abc import Mapping, Sequence
 from itertools import count
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 
+from minimd.console.quiet import outside_minimd
+from minimd.console.words import listed, shown
 from minimd.engine.engine import Checkpoint, Snapshot
 from minimd.neighbors.verlet_list import Built
+from minimd.observers import KINDS
+from minimd.observers.accumulator import Accumulator
 from minimd.structure.cell import Cell
 from minimd.structure.grid import Grid
 
 RESTART, EARLIER, SPARE = "minimd/restart", "minimd/earlier_restart", "minimd/spare"
+OBSERVERS, MARK = "minimd/observers", "observer."
 BLOCKS, DIGEST = "minimd/blocks", "digest"
 FIXED = ("h5md", "particles", "observables", "connectivity", "minimd")  # groups; but for the above, they do not change
+NOTHING: Mapping[str, Any] = MappingProxyType({})
+STATE = {"step": int, "time": float, "reservoir_energy": float}  # numbers of a state; older files have no work
 
 
 class Restart(NamedTuple):
     """A restart that is intact.  n_frames : in the file at that time.  arrays : all of it, with those that are kept
-    beside the checkpoint.  is_earlier : whether it is the earlier restart, because the newest is damaged.
-    """
+    beside the checkpoint.  is_earlier : whether it is the earlier restart, because the newest is damaged."""
 
     checkpoint: Checkpoint
     n_frames: int
     arrays: dict[str, np.ndarray]
     is_earlier: bool
 
+    def states(self) -> dict[str, dict[str, np.ndarray]]:
+        """The state of each observer, by its name."""
+        found: dict[str, dict[str, np.ndarray]] = {}
+        for name, array in self.arrays.items():
+            if name.startswith(MARK):
+                _, observer, key = name.split(".")
+                found.setdefault(observer, {})[key] = array
+        return found
+
 
 def flattened(checkpoint: Checkpoint) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """A checkpoint as named arrays and numbers. Arrays that it does not have are left out."""
-    state, clock = checkpoint.state, checkpoint.state.clock or (checkpoint.state.step, checkpoint.state.time)
-    images, tolerance = checkpoint.images or (None, 0.0)
+    state, lists, (images, tolerance) = checkpoint.state, checkpoint.lists, checkpoint.images or (None, 0.0)
+    clock = state.clock or (state.step, state.time)
     arrays: dict[str, Any] = {"positions": state.positions, "velocities": state.velocities, "images": images}
-    cells = {"cell": state.cell}
-    for k, one in enumerate(checkpoint.lists):
-        arrays |= {f"list_{k}": one.positions, f"region_of_list_{k}": one.region}
-        cells[f"cell_of_list_{k}"] = one.cell
+    cells = {"cell": state.cell} | {f"cell_of_list_{k}": one.cell for k, one in enumerate(lists)}
     for name, cell in cells.items():
         arrays |= {} if cell is None else {name: cell.vectors, f"{name}_reduction": cell.reduction}
-    numbers = {name: getattr(state, name) for name in ("step", "time", "reservoir_energy", "work")}
-    numbers |= {"displacement": checkpoint.displacement, "equilibrated": checkpoint.equilibrated}
+    for k, one in enumerate(lists):
+        arrays |= {f"list_{k}": one.positions, f"region_of_list_{k}": one.region}
+    numbers = {name: getattr(state, name) for name in (*STATE, "work")}
+    numbers |= {name: getattr(checkpoint, name) for name in ("displacement", "equilibrated")}
     numbers |= {"clock_step": clock[0], "clock_time": clock[1], "tolerance": tolerance}
-    numbers["skins"] = np.array([one.skin for one in checkpoint.lists])
-    if (grid := checkpoint.grid) is not None:
-        numbers["grid"] = np.array([grid.length, grid.momentum, grid.energy])
+    numbers |= {"skins": np.array([one.skin for one in lists])}
+    numbers |= {} if checkpoint.grid is None else {"grid": np.array([*vars(checkpoint.grid).values()])}
     return {name: array for name, array in arrays.items() if array is not None}, numbers
 
 
@@ -69,30 +93,35 @@ def unflattened(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> Check
     def cell(name: str) -> Cell | None:
         return Cell.of_reduction(arrays[name], arrays[f"{name}_reduction"]) if name in arrays else None
 
-    whole = {name: int(numbers[name]) for name in ("step", "clock_step", "equilibrated")}
-    real = {name: float(numbers[name]) for name in ("time", "clock_time", "reservoir_energy", "displacement")}
-    moving, clock = (arrays["positions"], arrays["velocities"]), (whole["clock_step"], real["clock_time"])
-    energy, work = real["reservoir_energy"], float(numbers.get("work", 0.0))
-    return Checkpoint(
-        state=Snapshot(whole["step"], real["time"], *moving, energy, clock, work, cell("cell")),
-        displacement=real["displacement"],
-        lists=tuple(
-            Built(float(skin), arrays.get(f"list_{k}"), cell(f"cell_of_list_{k}"), arrays.get(f"region_of_list_{k}"))
-            for k, skin in enumerate(numbers["skins"])
-        ),
-        images=(arrays["images"], float(numbers["tolerance"])) if "images" in arrays else None,
-        equilibrated=whole["equilibrated"],
-        grid=Grid(*map(float, numbers["grid"])) if "grid" in numbers else None,
+    def built(k: int, skin: float) -> Built:
+        return Built(skin, arrays.get(f"list_{k}"), cell(f"cell_of_list_{k}"), arrays.get(f"region_of_list_{k}"))
+
+    state = Snapshot(
+        **{name: kind(numbers[name]) for name, kind in STATE.items()},
+        positions=arrays["positions"],
+        velocities=arrays["velocities"],
+        clock=(int(numbers["clock_step"]), float(numbers["clock_time"])),
+        work=float(numbers.get("work", 0.0)),
+        cell=cell("cell"),
     )
+    lists = tuple(built(k, float(skin)) for k, skin in enumerate(numbers["skins"]))
+    images = (arrays["images"], float(numbers["tolerance"])) if "images" in arrays else None
+    grid = Grid(*map(float, numbers["grid"])) if "grid" in numbers else None
+    return Checkpoint(state, float(numbers["displacement"]), lists, images, int(numbers["equilibrated"]), grid)
 
 
 def write_restart(
-    h5: h5py.File, checkpoint: Checkpoint, n_frames: int, beside: dict[str, np.ndarray] | None = None
+    h5: h5py.File,
+    checkpoint: Checkpoint,
+    n_frames: int,
+    observers: Sequence[Accumulator] = (),
+    beside: Mapping[str, np.ndarray] = NOTHING,
 ) -> None:
     """Write the newest restart; the one before becomes the earlier restart.  beside : arrays that are kept with it."""
     older = EARLIER if EARLIER in h5 else SPARE
     arrays, numbers = flattened(checkpoint)
-    write_group(h5.require_group(older), arrays | (beside or {}), numbers | {"n_frames": n_frames})
+    arrays |= {f"{MARK}{one.name}.{key}": np.asarray(part) for one in observers for key, part in one.state().items()}
+    write_group(h5.require_group(older), {**arrays, **beside}, numbers | {"n_frames": n_frames})
     if older != SPARE:
         h5.move(older, SPARE)
     if RESTART in h5:
@@ -133,13 +162,11 @@ def _whole(h5: h5py.File, name: str) -> Restart | None:
         return None
 
 
-def write_group(group: h5py.Group, arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> None:
+def write_group(group: h5py.Group, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> None:
     """Write arrays, numbers and their digest into a group, in place of its contents."""
-    for name in [name for name in group if name not in arrays]:
+    for name in [name for name in group if name not in arrays or group[name].shape != arrays[name].shape]:
         del group[name]
     for name, array in arrays.items():
-        if name in group and group[name].shape != array.shape:
-            del group[name]
         group.require_dataset(name, array.shape, array.dtype)[...] = array
     for name, number in numbers.items():
         value = np.asarray(number, dtype=np.int64 if isinstance(number, int) else np.float64)
@@ -158,7 +185,7 @@ def read_group(group: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, Any]
     return arrays, numbers
 
 
-def digest_of(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> int:
+def digest_of(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any] = NOTHING) -> int:
     """CRC-32 of the names, types, shapes and bytes of arrays, and of the names and bytes of numbers."""
     digest = 0
     for name, array in sorted(arrays.items()):
@@ -169,9 +196,58 @@ def digest_of(arrays: dict[str, np.ndarray], numbers: dict[str, Any]) -> int:
     return digest
 
 
-def digest_of_block(entries: dict[str, np.ndarray]) -> int:
-    """CRC-32 of the entries of some frames, by the paths of their series."""
-    return digest_of(entries, {})
+def describe_observers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
+    """Write the arguments of the observers, replacing those that the file has for the same names."""
+    for one in observers:
+        group = h5.require_group(f"{OBSERVERS}/{one.name}")
+        group.attrs.update({"kind": one.kind, "arguments": json.dumps(one.made_with())})
+
+
+def restore_observers(h5: h5py.File, file: str | Path, restart: Restart, observers: Sequence[Accumulator]) -> None:
+    """Give observers that have not looked yet the state that the file holds for them.
+
+    Raises ValueError if the file holds an observer of the same name with other arguments, or in a state of another
+    convention. Warns of observers in the file that the run does not have.
+    """
+    known, states = h5.get(OBSERVERS, {}), restart.states()
+    for one in observers:
+        if one.name in known:
+            if (was := json.loads(known[one.name].attrs["arguments"])) != json.loads(json.dumps(one.made_with())):
+                holds = f"file {str(file)!r} holds the observer {one.name} with the arguments {was}"
+                raise ValueError(f"{holds}; use the same arguments, or pass another name=")
+            if not one.n_looks:
+                one.restore(states.get(one.name, {}))
+    if left := set(known) - {one.name for one in observers}:
+        words = f"file {str(file)!r} holds {listed(sorted(left))}, which this run does not go on with"
+        warnings.warn(f"{words}; to go on with them, pass observers=", stacklevel=outside_minimd())
+
+
+def write_answers(h5: h5py.File, observers: Sequence[Accumulator]) -> None:
+    """Write the results of the observers that have looked, in place of those in the file."""
+    for one in observers:
+        group = h5[f"{OBSERVERS}/{one.name}"]
+        for name in list(group):
+            del group[name]
+        if one.n_looks:
+            result, looks = one.result(), {"n_looks": one.n_looks, "last_step": one.last_step}
+            group.attrs.update({**looks, "units": result.scene.units, **result.numbers()})
+            # HDF5 allows no slash in names, that of a species may contain one
+            group.update({name.replace("/", "_"): series for name, series in result.columns().items()})
+
+
+def observers_of(h5: h5py.File, restart: Restart) -> dict[str, Accumulator]:
+    """The observers in an open file, by name, in their state at the restart;
+    new ones where the convention of the state is another."""
+    states, found = restart.states(), {}
+    for name, group in h5.get(OBSERVERS, {}).items():
+        arguments: dict[str, Any] = json.loads(group.attrs["arguments"])
+        try:
+            found[name] = KINDS[group.attrs["kind"]](**arguments)
+            if found[name].can_restore(state := states.get(name, {})):
+                found[name].restore(state)
+        except MemoryError:
+            raise ValueError(f"observer {name} asks for more memory than there is, by {shown(arguments)}") from None
+    return found
 
 
 def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> None:
@@ -183,7 +259,7 @@ def add_block(h5: h5py.File, n_frames: int, entries: dict[str, np.ndarray]) -> N
     blocks = h5[BLOCKS]
     row = int(np.searchsorted(blocks[:, 0], n_frames))  # a block that is written again replaces its row
     blocks.resize(row + 1, axis=0)
-    blocks[row] = n_frames, digest_of_block(entries)
+    blocks[row] = n_frames, digest_of(entries)
 
 
 def damaged_frames(h5: h5py.File) -> str:
@@ -191,10 +267,8 @@ def damaged_frames(h5: h5py.File) -> str:
     series, first = {one: h5[one] for one in h5[BLOCKS].attrs["series"]}, 0
     lengths = {len(one) for one in series.values()}
     for last, digest in h5[BLOCKS][:].tolist():
-        if (
-            not first < last <= min(lengths)
-            or digest_of_block({path: one[first:last] for path, one in series.items()}) != digest
-        ):
+        is_there = first < last <= min(lengths)
+        if not is_there or digest_of({path: one[first:last] for path, one in series.items()}) != digest:
             return f"frames {first} to {last - 1}"
         first = last
     return "" if lengths == {first} else f"frames from {first} on"
@@ -222,35 +296,32 @@ def sign(h5: h5py.File) -> None:
     h5["minimd"].attrs[DIGEST] = np.uint32(_digest_of_description(h5))
 
 
-def is_signed(h5: h5py.File) -> bool:
-    """Whether the description is the one that was signed."""
-    return h5["minimd"].attrs.get(DIGEST) == _digest_of_description(h5)
+def check_description(h5: h5py.File) -> None:
+    """Raise ValueError unless the description is the one that was signed."""
+    if h5["minimd"].attrs.get(DIGEST) != _digest_of_description(h5):
+        raise ValueError("its description is not the one that was written")
 
 
 def _digest_of_description(h5: h5py.File) -> int:
-    return reduce(lambda digest, words: zlib.crc32(words, digest), _description(h5), 0)
-
-
-def _description(h5: h5py.File) -> Iterator[bytes]:
-    """Names, attributes and contents of everything that does not change, in order."""
+    """CRC-32 of names, attributes and contents of everything that does not change, in order."""
     items: dict[str, h5py.HLObject | None] = {}  # None for a second name of an item that is visited under another
     for group in FIXED:
         items[group] = h5[group]
         h5[group].visit_links(lambda name, group=group: items.update({f"{group}/{name}": None}))
         # visititems stops if the function returns anything but None
         h5[group].visititems(lambda name, item, group=group: items.update({f"{group}/{name}": item}))
+    digest = 0
     for name, item in sorted(items.items()):
         if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):
             continue
-        yield name.encode()
-        if item is None:
-            continue
-        for key in sorted(item.attrs):
-            if key not in (DIGEST, "particles_group"):
-                yield repr((key, np.asarray(item.attrs[key]).tolist())).encode()
+        words, attributes = [name.encode()], {} if item is None else item.attrs
+        for key in sorted(set(attributes) - {DIGEST, "particles_group"}):
+            words.append(repr((key, np.asarray(attributes[key]).tolist())).encode())
         if isinstance(item, h5py.Dataset):
             grows = item.maxshape[:1] == (None,)
-            yield repr((item.shape[grows:], item.dtype.str)).encode()
+            words.append(repr((item.shape[grows:], item.dtype.str)).encode())
             if not grows:
                 content = np.asarray(item[()])
-                yield repr(content.tolist()).encode() if item.dtype.kind == "O" else content.tobytes()
+                words.append(repr(content.tolist()).encode() if item.dtype.kind == "O" else content.tobytes())
+        digest = zlib.crc32(b"".join(words), digest)
+    return digest

@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from time import monotonic
-from typing import Any
 
 import h5py
 import numpy as np
@@ -23,22 +22,10 @@ from minimd.console.words import listed
 from minimd.engine.engine import Engine
 from minimd.engine.observation import extras_in, recorded
 from minimd.engine.record import Frame
+from minimd.files import h5md_digest as digest
 from minimd.files import h5md_schema as layout
-from minimd.files.claim import Claim
-from minimd.files.first_look import looked_at
-from minimd.files.h5md_digest import (
-    BLOCKS,
-    add_block,
-    drop_frames,
-    read_restart,
-    set_aside_damaged,
-    sign,
-    write_restart,
-)
-from minimd.files.h5md_observers import describe_observers, restore_observers, states_of, write_answers
-from minimd.files.h5md_opening import admitted, damage_told, opened
-from minimd.files.h5md_reader import H5MDContents, check_description, contents_of
-from minimd.files.journaled_file import JournaledFile
+from minimd.files.claim import Claim, JournaledFile
+from minimd.files.h5md_reader import H5MDContents, admitted, contents_of, damage_told, looked_at, opened
 from minimd.observers.accumulator import Accumulator
 
 SECONDS_BETWEEN_FLUSHES = 1.0
@@ -48,33 +35,8 @@ BLOCK_BYTES, MOST_FRAMES = 32 * 1024**2, 4096  # of a block of frames
 BESIDE = "beside."  # in the names of arrays that are kept with a restart
 
 
-class FrameBlock:
-    """Entries of the series of a file for frames that wait to be written, in memory that is reused:
-    allocating new memory would take longer than copying the frames.
-
-    columns : of the file.  frame : an example of the frames to come.  n_frames : number of frames in the block.
-    """
-
-    def __init__(self, columns: list[layout.Column], frame: Frame) -> None:
-        entries = {column.path: np.asarray(column.entry(frame)) for column in columns}
-        capacity = int(np.clip(BLOCK_BYTES // sum(entry.nbytes for entry in entries.values()), 1, MOST_FRAMES))
-        self.n_frames, self.columns, self._capacity = 0, columns, capacity
-        self._entries = {path: np.empty((capacity, *entry.shape), entry.dtype) for path, entry in entries.items()}
-
-    def take(self, frame: Frame) -> bool:
-        """Copy the entries of a frame; returns whether there is no room for another one."""
-        for column in self.columns:
-            self._entries[column.path][self.n_frames] = column.entry(frame)
-        self.n_frames += 1
-        return self.n_frames == self._capacity
-
-    def entries(self) -> dict[str, np.ndarray]:
-        """(n_frames, ...) for each series, by its path."""
-        return {path: entries[: self.n_frames] for path, entries in self._entries.items()}
-
-
 class H5MDWriter:
-    """A new H5MD file that takes frames.
+    """An H5MD file that takes frames: a new one, or one that goes on from its restart, see append_to.
 
     Its restart is the state of the engine at the last flush, checkpoint or close.
 
@@ -87,18 +49,6 @@ class H5MDWriter:
     Raises OSError if the file cannot be created or has no room.
     """
 
-    _n_expected: int | None = None
-    marks: list[bytes]  # of other trajectories, in the restart from which a file is continued
-    _pending: FrameBlock | None
-    _every: int | None  # None for a continued file that does not hold it
-
-    def _begin(self, claim: Claim, engine: Engine, store_forces: bool, mode: Any) -> None:
-        self.claim, self._engine, self._method, self._store_forces = claim, engine, engine.method, store_forces
-        self._disk = JournaledFile(claim)
-        self._h5 = admitted(h5py.File(self._disk, mode), claim.name)
-        self._pending, self._n_frames = None, 0  # frames that are not yet in the file, and the number of those that are
-        self._last_step, self._next_flush = -1, -np.inf  # step of the frame taken last; time of the next flush [s]
-
     def __init__(
         self,
         claim: Claim,
@@ -109,12 +59,31 @@ class H5MDWriter:
         n_frames: int | None = None,
         bring_others: Callable[[Claim], list[bytes]] = lambda claim: [],
     ) -> None:
-        self._begin(claim, engine, store_forces, "w")
-        self._every, self._observers, self._n_expected = every, observers, n_frames
-        self._bring_others = bring_others
+        self.claim, self._engine, self._method, self._store_forces = claim, engine, engine.method, store_forces
+        self._observers, self._n_expected, self._bring_others = observers, n_frames, bring_others
+        self._every: int | None = every  # None for a continued file that does not hold it
+        self.marks: list[bytes] = []  # of other trajectories, in the restart from which a file is continued
+        self._columns: list[layout.Column] = []
+        # of frames that wait to be written, by path: it is reused, because new memory would take longer than copying
+        self._room: dict[str, np.ndarray] = {}
+        self._n_frames, self._n_waiting = 0, 0  # in the file, and in memory
+        self._last_step, self._next_flush = -1, -np.inf  # step of the frame taken last; time of the next flush [s]
+        self._disk = JournaledFile(claim)
+        self._h5 = admitted(h5py.File(self._disk, "w" if claim.is_new else "r+"), claim.name)
+        try:
+            if claim.is_new:
+                self.describe(partial(layout.describe, engine=engine))
+                self.describe(partial(digest.describe_observers, observers=observers))
+            else:
+                self._continue()
+        except BaseException:
+            self._give_up()
+            raise
+
+    def describe(self, write: Callable[[h5py.File], None]) -> None:
+        """Let a function write what does not change into a file that has no frame yet.  Raises OSError as write."""
         with self._telling("begin"):
-            layout.describe(self._h5, engine)
-            describe_observers(self._h5, observers)
+            write(self._h5)
 
     @classmethod
     def append_to(
@@ -136,43 +105,42 @@ class H5MDWriter:
         it has no forces and store_forces asks for them, or if the simulation is not at the step of the restart.
         OSError if the file cannot be written, or is damaged.
         """
-        claim, writer = _claimed(file), cls.__new__(cls)
+        opened(file).close()
+        try:
+            claim = Claim(file, is_new=False)
+        except OSError as error:
+            raise OSError(f"file {str(file)!r} cannot be changed: {error.strerror}") from None
         try:
             looked_at(claim.path, partial(rehearse, claim))
-            writer._begin(claim, engine, store_forces, "r+")
+            return cls(claim, engine, store_forces, every, observers)
         except BaseException:
             claim.release()
             raise
-        try:
-            writer._continue(file, every, observers)
-        except BaseException:
-            writer._give_up()
-            raise
-        return writer
 
-    def _continue(self, file: str | Path, every: int, observers: Sequence[Accumulator]) -> None:
+    def _continue(self) -> None:
         """Continue the file from its restart.  Raises as append_to."""
-        contents = contents_of(self._h5, file)
+        h5, file = self._h5, self.claim.name
+        contents = contents_of(h5, file)
         if words := _obstacle(contents, self._engine, self._store_forces):
-            raise ValueError(f"trajectory {str(file)!r} {words}")
+            raise ValueError(f"trajectory {file!r} {words}")
         if other := layout.other_method(contents.method, contents.parameters, contents.precision, self._engine):
-            goes_on = f"the run in {str(file)!r} goes on with other steps: {other}"
+            goes_on = f"the run in {file!r} goes on with other steps: {other}"
             warnings.warn(f"{goes_on}; frames before and after belong to different runs", stacklevel=outside_minimd())
-        restore_observers(self._h5, file, observers)
-        self._observers, self._store_forces = observers, contents.has_forces
-        self._every = every if f"observables/{layout.SPACING}" in self._h5 else None
+        restart = digest.read_restart(h5)
+        digest.restore_observers(h5, file, restart, self._observers)
+        self._store_forces = contents.has_forces
+        if f"observables/{layout.SPACING}" not in h5:
+            self._every = None
         with self._telling("be continued"):
             self._n_frames = int(np.searchsorted(contents.record.step, contents.step, side="right"))
             self._last_step = int(contents.record.step[self._n_frames - 1])
-            kept = read_restart(self._h5).arrays.items()
-            self.marks = [array.tobytes() for name, array in kept if name.startswith(BESIDE)]
-            self._bring_others = lambda claim: []
-            set_aside_damaged(self._h5)
-            drop_frames(self._h5, self._n_frames)
-            describe_observers(self._h5, observers)
+            self.marks = [array.tobytes() for name, array in restart.arrays.items() if name.startswith(BESIDE)]
+            digest.set_aside_damaged(h5)
+            digest.drop_frames(h5, self._n_frames)
+            digest.describe_observers(h5, self._observers)
             if scene := self._engine.notes["scene"]:  # the scene with which the run goes on
                 title = self._engine.notes["title"] or contents.title
-                self._h5["minimd"].attrs.update({"scene": scene, "title": title})
+                h5["minimd"].attrs.update({"scene": scene, "title": title})
             self._describe_method()
 
     def write(self, frame: Frame) -> None:
@@ -185,81 +153,75 @@ class H5MDWriter:
             raise ValueError(f"trajectory {self.claim.name!r} is closed; it cannot take the frame of step {frame.step}")
         if frame.step == self._last_step:
             return
-        if self._pending is None:
+        if not self._room:
             spacing = None if self._every is None else self._every * self._engine.method.timestep
-            columns = layout.columns(self._engine.system, list(frame.observables), self._store_forces, spacing)
-            self._pending = FrameBlock(columns, frame)
-        is_full, self._last_step = self._pending.take(frame), frame.step
-        if is_full or monotonic() >= self._next_flush:
+            self._columns = layout.columns(self._engine.system, list(frame.observables), self._store_forces, spacing)
+            entries = {column.path: np.asarray(column.entry(frame)) for column in self._columns}
+            n_rows = int(np.clip(BLOCK_BYTES // sum(entry.nbytes for entry in entries.values()), 1, MOST_FRAMES))
+            self._room = {path: np.empty((n_rows, *entry.shape), entry.dtype) for path, entry in entries.items()}
+        for column in self._columns:
+            self._room[column.path][self._n_waiting] = column.entry(frame)
+        self._n_waiting, self._last_step = self._n_waiting + 1, frame.step
+        if self._n_waiting == len(self._room[layout.STEPS]) or monotonic() >= self._next_flush:
             self.checkpoint()
 
     def checkpoint(self) -> None:
-        """Write all frames, and the present state of the engine as the restart, to the disk.
-        Raises OSError as write."""
-        pending = self._pending.entries() if self._pending else {}
-        n_frames = self._n_frames + len(pending.get(layout.STEPS, ()))
+        """Write all frames, and the present state of the engine as the restart, to the disk.  Raises as write."""
+        first, n_frames = self._n_frames, self._n_frames + self._n_waiting
         if not self._h5 or n_frames == 0:
             return
-        started, step = monotonic(), pending[layout.STEPS][0] if n_frames > self._n_frames else self._engine.step
-        is_restart = self._engine.is_whole or self._n_frames == 0
-        marks = enumerate(self._bring_others(self.claim) if is_restart else [])
+        entries = {path: room[: self._n_waiting] for path, room in self._room.items()} if n_frames > first else {}
+        started, step = monotonic(), entries[layout.STEPS][0] if entries else self._engine.step
+        is_restart = self._engine.is_whole or first == 0
+        marks = self._bring_others(self.claim) if is_restart else []
         with self._telling(f"take the frame of step {step}"), uninterrupted():
-            if self._pending and n_frames > self._n_frames:
-                self._add(self._pending.columns, pending, n_frames)
+            for column in self._columns if entries else ():  # repeated after an error, this gives the same file
+                series = layout.series_of(self._h5, column, entries[column.path][0], self._n_expected)
+                series.resize(n_frames, axis=0)
+                series[first:] = entries[column.path]
+            if entries:
+                digest.add_block(self._h5, n_frames, entries)
+            if entries and first == 0:
+                digest.sign(self._h5)  # now that the series exist
             if self._method is not self._engine.method:
                 self._describe_method()
             if is_restart:
-                beside = {f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in marks}
-                write_restart(self._h5, self._engine.checkpoint(), n_frames, states_of(self._observers) | beside)
-            self._commit()
-            self._n_frames = n_frames
-            if self._pending:
-                self._pending.n_frames = 0
+                beside = {f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in enumerate(marks)}
+                digest.write_restart(self._h5, self._engine.checkpoint(), n_frames, self._observers, beside)
+            self._h5.flush()
+            self._disk.commit()
+            self._n_frames, self._n_waiting = n_frames, 0
         now = monotonic()
         self._next_flush = now + max(SECONDS_BETWEEN_FLUSHES, MOST_OFTEN * (now - started))
 
     def close(self) -> None:
         """Write the remaining frames, the restart of the present state and results of observers; close the file.
-
-        Nothing if it is closed or failed.
-
-        Raises OSError if they cannot be written.
-        """
+        Nothing if it is closed or failed.  Raises OSError if they cannot be written."""
+        if not self._h5:
+            return
         # whole files have no marks: nothing is to be cut off
         others, self._bring_others = self._bring_others, lambda claim: []
         try:
-            if self._h5:
-                others(self.claim)
+            others(self.claim)
         finally:
             try:
                 self.checkpoint()
-                if self._h5 and self._n_frames and self._observers:
+                if self._n_frames and self._observers:
                     with self._telling("take the answers of the observers"), uninterrupted():
-                        write_answers(self._h5, self._observers)
-                        sign(self._h5)
-                        self._commit()
+                        digest.write_answers(self._h5, self._observers)
+                        digest.sign(self._h5)
+                        self._h5.flush()
+                        self._disk.commit()
             finally:
-                self._shut()
-
-    def _add(self, columns: list[layout.Column], pending: dict[str, np.ndarray], n_frames: int) -> None:
-        """Add the pending frames to the series, and their digest; repeated after an error, this gives the same file."""
-        for column in columns:
-            series = layout.series_of(self._h5, column, pending[column.path][0], self._n_expected)
-            series.resize(n_frames, axis=0)
-            series[self._n_frames :] = pending[column.path]
-        add_block(self._h5, n_frames, pending)
-        if self._n_frames == 0:
-            sign(self._h5)  # now that the series exist
+                if self._h5:
+                    with self._telling("be closed"), uninterrupted():
+                        self._shut()
 
     def _describe_method(self) -> None:
         """Describe the method again: it may have been replaced."""
         layout.describe_method(self._h5["minimd"], self._engine)
-        sign(self._h5)
+        digest.sign(self._h5)
         self._method = self._engine.method
-
-    def _commit(self) -> None:
-        self._h5.flush()
-        self._disk.commit()
 
     @contextmanager
     def _telling(self, what: str) -> Iterator[None]:
@@ -267,7 +229,6 @@ class H5MDWriter:
         try:
             yield
         except (OSError, RuntimeError) as error:
-            self._pending = None
             self._give_up()
             failed = f"trajectory {self.claim.name!r} could not {what}"
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
@@ -275,19 +236,16 @@ class H5MDWriter:
 
     def _give_up(self) -> None:
         self._h5.close()
-        self._disk.close()
+        self.claim.release()
 
     def _shut(self) -> None:
         """Close the file, for which HDF5 writes its tables, and commit them."""
-        if not self._h5:
-            return
-        with self._telling("be closed"), uninterrupted():
-            try:
-                self._h5.close()
-                if self._n_frames:
-                    self._disk.commit()
-            finally:
-                self._disk.close()
+        try:
+            self._h5.close()
+            if self._n_frames:
+                self._disk.commit()
+        finally:
+            self.claim.release()
 
 
 @contextmanager
@@ -303,32 +261,6 @@ def uninterrupted() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def edit(path: str | Path, change: Any) -> None:
-    """Change a minimd file in one commit.  change : function that is called with the h5py.File.
-
-    Raises as read_file, and OSError if a run is writing the file.
-    """
-    claim = _claimed(path)
-    try:
-        disk = JournaledFile(claim)
-        with admitted(h5py.File(disk, "r+"), path) as h5:
-            check_description(h5, path)
-            change(h5)
-            sign(h5)
-        disk.commit()
-    finally:
-        claim.release()
-
-
-def _claimed(path: str | Path) -> Claim:
-    """The claim on an HDF5 file that exists.  Raises as opened, and OSError if another run writes it."""
-    opened(path).close()
-    try:
-        return Claim(path, is_new=False)
-    except OSError as error:
-        raise OSError(f"file {str(path)!r} cannot be changed: {error.strerror}") from None
-
-
 def rehearse(claim: Claim) -> None:
     """Do in memory what a run will do with a claimed minimd file that it continues: add the last frame once more,
     and two restarts. Nothing is committed.
@@ -339,18 +271,18 @@ def rehearse(claim: Claim) -> None:
     with admitted(h5py.File(JournaledFile(claim), "r+"), claim.name) as h5:
         contents_of(h5, claim.name)
     with damage_told(claim.name), h5py.File(JournaledFile(claim), "r+") as h5:
-        set_aside_damaged(h5)
-        restart, n_frames, _, _ = read_restart(h5)
-        drop_frames(h5, n_frames)
-        last = {name: h5[name][-1:] for name in h5[BLOCKS].attrs["series"]}
+        digest.set_aside_damaged(h5)
+        restart, n_frames, _, _ = digest.read_restart(h5)
+        digest.drop_frames(h5, n_frames)
+        last = {name: h5[name][-1:] for name in h5[digest.BLOCKS].attrs["series"]}
         for name, entry in last.items():
             h5[name].resize(n_frames + 1, axis=0)
             h5[name][n_frames:] = entry
-        add_block(h5, n_frames + 1, last)
+        digest.add_block(h5, n_frames + 1, last)
         for _ in range(2):
-            write_restart(h5, restart, n_frames + 1)
+            digest.write_restart(h5, restart, n_frames + 1)
             h5.flush()
-        sign(h5)
+        digest.sign(h5)
 
 
 def _obstacle(contents: H5MDContents, engine: Engine, store_forces: bool) -> str:
@@ -366,26 +298,30 @@ def _obstacle(contents: H5MDContents, engine: Engine, store_forces: bool) -> str
     }
     if differ := [name for name, is_same in same.items() if not is_same]:
         return f"holds another system: {differ[0]} of file and simulation differ; write to a new file"
-    if held := layout.other_constraints(theirs.constraints, engine.constraints, theirs.positions):
-        return f"holds a run with other constraints: {held}; use the constraints of the file, or write to a new file"
-    if engine.step != contents.step:
-        steps = f"continues from step {contents.step}, but the simulation is at step {engine.step}"
-        return f"{steps}; take the state of the file with minimd.Simulation.resume, or write to a new file"
-    if engine.barostat != contents.barostat:
-        before, now = ("no barostat" if bath is None else repr(bath) for bath in (contents.barostat, engine.barostat))
-        return f"holds a run with {before}; the simulation has {now}: write to a new file"
-    if engine.has_bath != ("conserved_energy" in contents.record):
-        bath = f"was written {'without' if engine.method.is_thermostat else 'with'} a thermostat"
-        return f"{bath}; it cannot be continued with {engine.method.name}: write to a new file"
-    if set(wanted := extras_in(contents.record)) != set(engine.extra_observables):
-        return f"was begun with simulation.extra_observables = {wanted}; set the same, or write to a new file"
-    records = recorded(engine)  # each observable in a file has an entry for every frame
-    if new := [name for name in records if name not in contents.record.names]:
-        why = f"was begun without {listed(new)}, which this run records: a file has the same observables in all frames"
-        return f"{why}; append before you register others, or write to a new file"
-    if missing := [name for name in contents.record.names if name not in ("step", "time", *records)]:
-        why = f"holds {listed(missing)}, which this run does not record"
-        return f"{why}; register what is missing, or write to a new file"
-    if store_forces and not contents.has_forces:
-        return "was begun without forces; continue it without store_forces, or write to a new file"
-    return ""
+    held = layout.other_constraints(theirs.constraints, engine.constraints, theirs.positions)
+    baths = ("no barostat" if bath is None else repr(bath) for bath in (contents.barostat, engine.barostat))
+    made, has_bath = f"was written {'without' if engine.method.is_thermostat else 'with'} a thermostat", engine.has_bath
+    wanted, records, names = extras_in(contents.record), recorded(engine), contents.record.names
+    new = [name for name in records if name not in names]
+    missing = [name for name in names if name not in ("step", "time", *records)]
+    begun = f"was begun without {listed(new)}, which this run records: a file has the same observables in all frames"
+    obstacles = [  # whether it is there, what it is, what can be done
+        (held, f"holds a run with other constraints: {held}", "use the constraints of the file"),
+        (
+            engine.step != contents.step,
+            f"continues from step {contents.step}, but the simulation is at step {engine.step}",
+            "take the state of the file with minimd.Simulation.resume",
+        ),
+        (engine.barostat != contents.barostat, "holds a run with {}; the simulation has {}".format(*baths), ""),
+        (has_bath != ("conserved_energy" in names), f"{made}; it cannot be continued with {engine.method.name}", ""),
+        (
+            set(wanted) != set(engine.extra_observables),
+            f"was begun with simulation.extra_observables = {wanted}",
+            "set the same",
+        ),
+        (new, begun, "append before you register others"),
+        (missing, f"holds {listed(missing)}, which this run does not record", "register what is missing"),
+        (store_forces and not contents.has_forces, "was begun without forces", "continue it without store_forces"),
+    ]
+    first = ((what, cure) for is_there, what, cure in obstacles if is_there)
+    return next((f"{what}; {f'{cure}, or ' if cure else ''}write to a new file" for what, cure in first), "")

@@ -1,8 +1,8 @@
 """Structures, and the bonds, angles and dihedrals in them, from files that ASE or MDAnalysis reads;
-masses of chemical elements."""
+masses of chemical elements; trajectories that ASE writes."""
 
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -10,11 +10,18 @@ from typing import Any
 import ase.io
 import numpy as np
 from ase import Atoms
+from ase.calculators.singlepoint import SinglePointCalculator
 from ase.data import atomic_masses, atomic_numbers
 from ase.io.formats import UnknownFileTypeError, ioformats
+from ase.io.trajectory import TrajectoryWriter
 from numpy.typing import ArrayLike
 
 from minimd.console.quiet import outside_minimd, quiet
+from minimd.engine.engine import Engine
+from minimd.engine.record import Frame
+from minimd.files.claim import Claim
+from minimd.files.trajectory import Writer
+from minimd.structure.ase_atoms import atoms_from_system, calculators_stress, label_by_tags
 from minimd.structure.bond_graph import GROUPS, Joined, joined_in
 from minimd.structure.cell import Cell
 from minimd.structure.checks import warn_of_charges
@@ -89,8 +96,7 @@ def system_from_file(
                 words = f"file {str(path)!r} has {found}, which are not used; {use}"
                 warnings.warn(words, stacklevel=outside_minimd())
         return changed(system, **NOTHING)
-    is_own = bonds == "file"
-    found = _joined_in(path, form, source, system) if is_own else _joined_beside(path.parent / bonds, len(system))
+    found = _joined_in(path, form, source, system) if bonds == "file" else _joined_beside(path.parent / bonds, system)
     for name, n_types in found.n_types.items():
         groups = {"bonds": "pairs", "angles": "triples"}.get(name, "quadruples")
         one = f"{'an' if name[0] in 'ai' else 'a'} {name[:-1]} potential"
@@ -108,7 +114,8 @@ def changed(system: System, **changes: Any) -> System:
 def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
     """The System in an .h5md file, a universe for a format of MDAnalysis, else ASE's atoms.
 
-    With LJ, numbers of LAMMPS data are unchanged.
+    With LJ, numbers of LAMMPS data are unchanged. Impropers of LAMMPS data, which ASE does not read, are added in the
+    form in which ASE adds dihedrals: see structure.joined.
     """
     if form is not None and form not in ioformats:
         return _universe(path, form)
@@ -120,27 +127,21 @@ def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
     read = ase.io.read(path, format=form, **options)
     atoms = read if isinstance(read, Atoms) else read[-1]
     if form == LAMMPS:
-        _add_impropers(path, atoms)
+        from MDAnalysis.topology.LAMMPSParser import DATAParser
+
+        with quiet(), DATAParser(str(path)) as parser:
+            lines = parser.grab_datafile()[1].get("Impropers", ())
+        place = {number: k for k, number in enumerate(atoms.arrays["id"].tolist())}
+        words: list[list[str]] = [[] for _ in place]
+        for line in lines:
+            kind, *members = map(int, line.split()[1:6])
+            first, second, third, fourth = (place[one] for one in members)
+            words[first].append(f"{second}-{third}-{fourth}({kind})")
+        if lines:
+            atoms.arrays["impropers"] = np.array([",".join(each) or "_" for each in words])
     if "id" in atoms.arrays:  # these are all atoms of the file in its order, whatever ids they have there
         atoms.arrays["id"] = np.arange(1, len(atoms) + 1)
     return atoms
-
-
-def _add_impropers(path: Path, atoms: Atoms) -> None:
-    """Add the impropers of LAMMPS data, which ASE does not read, in the form in which ASE adds dihedrals:
-    see structure.joined."""
-    from MDAnalysis.topology.LAMMPSParser import DATAParser
-
-    with quiet(), DATAParser(str(path)) as parser:
-        lines = parser.grab_datafile()[1].get("Impropers", ())
-    rows = np.array([line.split()[1:6] for line in lines], dtype=np.int64).reshape(-1, 5)
-    if len(rows):
-        place = {number: k for k, number in enumerate(atoms.arrays["id"].tolist())}
-        words: list[list[str]] = [[] for _ in place]
-        for kind, *members in rows.tolist():
-            first, *others = (place[one] for one in members)
-            words[first].append(f"{'-'.join(map(str, others))}({kind})")
-        atoms.arrays["impropers"] = np.array([",".join(each) or "_" for each in words])
 
 
 def _universe(path: Path, form: str | None, topology_only: bool = False) -> Any:
@@ -157,32 +158,24 @@ def _universe(path: Path, form: str | None, topology_only: bool = False) -> Any:
 def _system(source: Any, units: UnitSystem, form: str | None) -> System:
     if isinstance(source, System):
         return source.copy()
-    is_lammps = form == LAMMPS
-    system = System.from_ase(source) if isinstance(source, Atoms) else System.from_mdanalysis(source, units=units)
+    is_ases, is_lammps = isinstance(source, Atoms), form == LAMMPS
+    system = System.from_ase(source) if is_ases else System.from_mdanalysis(source, units=units)
     types = [str(kind) for kind in source.arrays["type"].tolist()] if is_lammps else system.species
     if units is LJ:
-        has_masses = isinstance(source, Atoms) and source.has("masses")
-        states_masses = is_lammps or has_masses or str(form).upper() in STATE_MASSES
+        states_masses = is_lammps or (is_ases and source.has("masses")) or str(form).upper() in STATE_MASSES
         own: dict[str, Any] = {} if states_masses else {"masses": None, "velocities": None}
         return changed(system, units=LJ, species=types, **own)
-    return changed(system, species=types) if is_lammps and not _are_elements(system, types) else system
-
-
-def _are_elements(system: System, types: Iterable[str]) -> bool:
-    """Whether the types of LAMMPS data are as many chemical elements, judged by their masses:
-    that of a united atom such as CH₂ differs."""
-    symbols = set(system.species_names)
-    if "X" in symbols or len(symbols) < len(set(types)):
-        return False
-    standard = np.array([atomic_mass(str(symbol)) for symbol in system.species])
-    return bool((np.abs(system.masses - standard) <= MASS_OF_ELEMENT * standard).all())
+    symbols, has_types = set(system.species_names), is_lammps
+    if is_lammps and "X" not in symbols and len(symbols) >= len(set(types)):
+        # types are elements if all masses are: that of a united atom such as CH₂ differs
+        standard = np.array([atomic_mass(str(symbol)) for symbol in system.species])
+        has_types = bool((np.abs(system.masses - standard) > MASS_OF_ELEMENT * standard).any())
+    return changed(system, species=types) if has_types else system
 
 
 def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joined:
-    """The bonds in the file that was read.  system : made from it.
-
-    Raises ValueError if they cannot be read, or if MDAnalysis and ASE read the atoms in different orders.
-    """
+    """The bonds in the file that was read.  system : made from it.  Raises ValueError if they cannot be read, or if
+    MDAnalysis and ASE read the atoms in different orders."""
     if not isinstance(source, Atoms):
         return Joined(system.groups())
     name = {"proteindatabank": "PDB"}.get(form or "", form or path.suffix[1:]).upper()
@@ -197,7 +190,7 @@ def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joi
     return found
 
 
-def _joined_beside(path: Path, n_atoms: int) -> Joined:
+def _joined_beside(path: Path, system: System) -> Joined:
     """The bonds in a file other than that of the atoms.  Raises ValueError if it cannot be read,
     or has another number of atoms."""
     with _read_as(path, "bonds", None):
@@ -208,17 +201,15 @@ def _joined_beside(path: Path, n_atoms: int) -> Joined:
             made = _universe(path, None, topology_only=True)
             n_there, found, charges = len(made.atoms), _joined_of(made), getattr(made.atoms, "charges", ())
     warn_of_charges(charges)
-    if n_there != n_atoms:
-        raise ValueError(f"file {str(path)!r} with the bonds has {n_there} atoms; the structure has {n_atoms}")
+    if n_there != len(system):
+        raise ValueError(f"file {str(path)!r} with the bonds has {n_there} atoms; the structure has {len(system)}")
     return found
 
 
 def _joined_of(universe: Any) -> Joined:
-    indices = {name: np.zeros((0, size), np.int64) for name, size in GROUPS.items()}
-    for name, size in GROUPS.items():
-        if hasattr(universe, name):  # its file has such groups
-            indices[name] = np.asarray(getattr(universe, name).indices, dtype=np.int64).reshape(-1, size)
-    return Joined(indices)
+    """The bonds in a universe; its file may have none."""
+    found = {name: getattr(universe, name).indices if hasattr(universe, name) else () for name in GROUPS}
+    return Joined({name: np.array(found[name], np.int64).reshape(-1, size) for name, size in GROUPS.items()})
 
 
 @contextmanager
@@ -252,3 +243,58 @@ def atomic_mass(element: str) -> float:
     if element not in atomic_numbers:
         raise ValueError(f"element must be a chemical symbol, such as 'Ar'; element = {element!r}")
     return float(atomic_masses[atomic_numbers[element]])
+
+
+def atoms_of_frame(template: Atoms, frame: Frame, forces: Any, conserves_momentum: bool) -> Atoms:
+    """A copy of ASE's atoms in the state of a frame, with step and time in info, and energy, forces and stress, where
+    they are known, as results of a calculator.  conserves_momentum : whether the run did."""
+    atoms, seen = template.copy(), frame.observables
+    atoms.positions[:] = frame.positions
+    if frame.cell is not None:
+        atoms.cell[:] = frame.cell.vectors
+    atoms.set_momenta(frame.velocities * atoms.get_masses()[:, None], apply_constraint=False)
+    atoms.info.update(step=frame.step, time=frame.time)
+    stress = calculators_stress(seen["stress"], atoms, conserves_momentum) if "stress" in seen else None
+    atoms.calc = SinglePointCalculator(atoms, energy=float(seen["potential_energy"]), forces=forces, stress=stress)
+    return atoms
+
+
+class ASEWriter(Writer):
+    """A trajectory written by ASE, in the units of the system: .traj in float64, .xyz and .extxyz as extended XYZ,
+    with 8 decimals.
+
+    Each frame holds positions (not wrapped), momenta, masses, cell, constraints (in .traj all, but without lengths;
+    else only fixed atoms), bonds and angles as texts (not in .traj), the potential energy as the result of a
+    calculator, forces if they are to be stored, the stress if it is observed, and step and time in info. Species that
+    are not elements are stored as labels; in .traj, their names are in info, and the tag of each atom is the index of
+    its name.
+
+    claim : on the file, which gets its name with its first frame.
+    """
+
+    def __init__(self, claim: Claim, engine: Engine, store_forces: bool) -> None:
+        self.claim, self._template, self._store_forces = claim, atoms_from_system(engine.system), store_forces
+        self._conserves_momentum = engine.conserves_momentum
+        is_binary = claim.path.suffix.lower() == ".traj"
+        if is_binary:
+            label_by_tags(self._template, engine.system)
+        self._output = TrajectoryWriter(claim.stream, "w") if is_binary else claim.stream.open("w", encoding="utf-8")
+
+    def write(self, frame: Frame) -> None:
+        """Append one frame."""
+        forces = frame.forces if self._store_forces else None
+        atoms = atoms_of_frame(self._template, frame, forces, self._conserves_momentum)
+        if isinstance(self._output, TrajectoryWriter):
+            self._output.write(atoms)
+        else:
+            ase.io.write(self._output, atoms, format="extxyz")
+            self._output.flush()  # a killed run leaves whole frames
+        self.claim.check()
+        self.claim.appear()
+
+    def close(self) -> None:
+        """Finish the file."""
+        try:
+            self._output.close()
+        finally:
+            self.claim.release()

@@ -15,8 +15,7 @@ from minimd.console.quiet import outside_minimd
 from minimd.console.words import shown
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
-from minimd.files.claim import Claim, locked
-from minimd.files.journaled_file import read_at
+from minimd.files.claim import Claim, locked, read_at
 from minimd.observers.accumulator import Accumulator
 
 
@@ -30,6 +29,11 @@ class Writer(Protocol):
 
     def checkpoint(self) -> None:
         """Bring all frames taken so far to the disk; an H5MD file also keeps the present state as its restart."""
+        try:
+            os.fsync(self.claim.descriptor)
+        except OSError as error:
+            words = f"trajectory {self.claim.name!r} could not be brought to the disk: {error.strerror}"
+            raise OSError(error.errno, words) from None
 
     def close(self) -> None:
         """Finish the file, which then is valid with any number of frames."""
@@ -37,8 +41,8 @@ class Writer(Protocol):
 
 FOR_H5MD = ("store_forces", "every", "observers", "n_frames", "bring_others")
 H5MD = ("minimd.files.h5md_writer", "H5MDWriter", FOR_H5MD)
-MDANALYSIS = ("minimd.files.mdanalysis_writer", "MDAnalysisWriter", ())
-ASE = ("minimd.files.ase_writer", "ASEWriter", ("store_forces",))
+MDANALYSIS = ("minimd.files.turned_cell", "MDAnalysisWriter", ())
+ASE = ("minimd.files.structure_file", "ASEWriter", ("store_forces",))
 # suffix: module and class of its writer, imported when needed, and the options that it takes besides claim and engine
 FORMATS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ".h5md": H5MD,
@@ -74,14 +78,22 @@ def open_trajectories(
     appended to. FileExistsError for a file that exists, unless overwrite.  FileNotFoundError, PermissionError for a
     folder that does not exist or cannot be written.  OSError if another run writes the file.
     """
-    several = named_files("trajectory", paths)
-    _check_several(several, append)
-    files = several if append else [checked_output(path, overwrite) for path in several]
-    options: dict[str, Any] = {"store_forces": store_forces, "every": every, "observers": observers}
+    files = named_files("trajectory", paths)
+    for k, path in enumerate(files):
+        if same := [one for one in files[:k] if os.path.realpath(one) == os.path.realpath(path)]:
+            both = f"{str(same[0])!r} and {str(path)!r} are the same file"
+            raise ValueError(f"each trajectory must be a file of its own; {both}: name it once")
+    for path in files:
+        if append and not _is_h5md(path):
+            why = "only .h5md files can be appended to, because they hold the state from which a run goes on"
+            raise ValueError(f"{why}; the file is {str(path)!r}")
+        if not append:
+            checked_output(path, overwrite)
+    writers: list[Writer] = []
+    options = {"store_forces": store_forces, "every": every, "observers": observers}
     options["n_frames"] = None if n_steps is None else n_steps // every + 2
+    options["bring_others"] = partial(_brought_to_disk, writers)
     with ExitStack() as closing:
-        writers: list[Writer] = []
-        options["bring_others"] = partial(_brought_to_disk, writers)
         for file in sorted(files, key=_is_h5md):  # last: it tells how far the others are
             if append:
                 from minimd.files.h5md_writer import H5MDWriter
@@ -113,6 +125,30 @@ def _new(file: Path, engine: Engine, options: dict[str, Any], overwrite: bool) -
     return made
 
 
+def _brought_to_disk(writers: list[Writer], claim: Claim) -> list[bytes]:
+    """Bring trajectories to the disk that are not H5MD; returns marks of those beside the claimed H5MD file,
+    for its restart.
+
+    A kill may leave a part of a frame, which the usual readers refuse; a resumed run cuts off what came after the
+    restart.
+
+    Raises OSError for a trajectory that cannot be brought to the disk; it is not tried again.
+    """
+    marks, own = [], os.fstat(claim.descriptor).st_ino
+    for one in [writer for writer in writers if not _is_h5md(writer.claim.path)]:
+        path, file = one.claim.path, one.claim.descriptor
+        try:
+            one.checkpoint()
+        except OSError:
+            writers.remove(one)
+            raise
+        if path.parent == claim.path.parent:
+            now = os.fstat(file)
+            ends = read_at(file, N_FIRST, 0), read_at(file, *_last_bytes(now.st_size))
+            marks.append(MARK.pack(own, now.st_ino, now.st_size, *ends) + os.fsencode(path.name))
+    return marks
+
+
 def _cut_others_back(writer: Any) -> None:
     """Cut the other trajectories of a continued H5MD file to what they were at its restart; warns of what was cut,
     and what could not be."""
@@ -129,31 +165,6 @@ def _cut_others_back(writer: Any) -> None:
         told += [f"trajectory {str(path)!r} {words}"] if words else []
     for sentence in told:
         warnings.warn(sentence, stacklevel=outside_minimd())
-
-
-def _brought_to_disk(writers: list[Writer], claim: Claim) -> list[bytes]:
-    """Bring trajectories to the disk that are not H5MD; returns marks of those beside the claimed H5MD file,
-    for its restart.
-
-    A kill may leave a part of a frame, which the usual readers refuse;
-    a resumed run cuts off what came after the restart.
-
-    Raises OSError for a trajectory that cannot be brought to the disk; it is not tried again.
-    """
-    marks, own = [], os.fstat(claim.descriptor).st_ino
-    for one in writers:
-        path, file = one.claim.path, one.claim.descriptor
-        if not _is_h5md(path):
-            try:
-                one.checkpoint()
-            except OSError:
-                writers.remove(one)
-                raise
-            if path.parent == claim.path.parent:
-                now = os.fstat(file)
-                ends = read_at(file, N_FIRST, 0), read_at(file, *_last_bytes(now.st_size))
-                marks.append(MARK.pack(own, now.st_ino, now.st_size, *ends) + os.fsencode(path.name))
-    return marks
 
 
 def _cut_back(path: Path, h5md: int, own: int, inode: int, size: int, first: bytes, last: bytes) -> str:
@@ -192,19 +203,6 @@ def _is_h5md(file: Path) -> bool:
     return file.suffix.lower() == ".h5md"
 
 
-def _check_several(paths: Sequence[Path], append: bool) -> None:
-    """Raise ValueError if two paths lead to the same file, or one that cannot be appended to is to be."""
-    seen: dict[str, Path] = {}
-    for path in paths:
-        if (first := seen.setdefault(os.path.realpath(path), path)) is not path:
-            both = f"{str(first)!r} and {str(path)!r} are the same file"
-            raise ValueError(f"each trajectory must be a file of its own; {both}: name it once")
-    for path in paths:
-        if append and not _is_h5md(path):
-            why = "only .h5md files can be appended to, because they hold the state from which a run goes on"
-            raise ValueError(f"{why}; the file is {str(path)!r}")
-
-
 def named_files(name: str, paths: str | Path | Sequence[str | Path]) -> list[Path]:
     """The paths of one file or several.  name : of the argument, for messages.
     Raises TypeError for anything that is not a path."""
@@ -222,10 +220,8 @@ def first_h5md(paths: str | Path | Sequence[str | Path]) -> Path | None:
 
 
 def checked_output(path: str | Path, overwrite: bool, suffixes: Collection[str] = FORMATS) -> Path:
-    """The path, if a new file with one of the suffixes can be written there; no file is created.
-
-    Raises as open_trajectories.
-    """
+    """The path, if a new file with one of the suffixes can be written there; no file is created.  Raises as
+    open_trajectories."""
     file = Path(path)
     if file.suffix.lower() not in suffixes:
         raise ValueError(f"the suffix of a trajectory must be one of {', '.join(suffixes)}; the file is {str(file)!r}")

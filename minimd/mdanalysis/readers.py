@@ -9,7 +9,7 @@ from MDAnalysis.coordinates.memory import MemoryReader
 from MDAnalysis.lib.util import store_init_arguments
 from numpy.typing import NDArray
 
-from minimd.files.h5md_opening import admitted
+from minimd.files.h5md_reader import admitted
 from minimd.files.turned_cell import ROTATION, Turn, cell_dimensions, turn_of
 from minimd.simulation.simulation import Simulation
 from minimd.structure.system import System

@@ -23,8 +23,7 @@ from scipy.sparse.csgraph import connected_components
 
 from minimd.console.display import Displayed, Rows
 from minimd.console.quiet import outside_minimd, quiet
-from minimd.files.h5md_opening import damage_told
-from minimd.files.h5md_reader import H5MDContents, read_file
+from minimd.files.h5md_reader import H5MDContents, damage_told, read_file
 from minimd.files.h5md_schema import has_edges
 from minimd.files.turned_cell import Turn, turn_of
 from minimd.mdanalysis.readers import Frames, RecordedReader, RunReader

@@ -46,7 +46,7 @@ def archive(
     Raises ValueError for a run with another precision, or if energies or positions differ.
     OSError as open_trajectories.
     """
-    from minimd.files.h5md_reader import frame_arrays, read_file
+    from minimd.files.h5md_reader import frames_of, read_file
 
     every, simulation, contents = checked_count("every", every), Simulation.resume(file, potentials), read_file(file)
     check_is_fixed(file, contents)
@@ -55,7 +55,8 @@ def archive(
     if len(kept) > 1:
         again = Simulation.resume(file, potentials, step=int(steps[kept[0]]))
         again.make_steps(int(steps[kept[1]] - steps[kept[0]]))
-        if not np.array_equal(again.positions, frame_arrays(file, kept[1])[0]):
+        [second] = frames_of(file, [kept[1]], again.system.units)
+        if not np.array_equal(again.positions, second.positions):
             raise ValueError(
                 f"step {steps[kept[1]]} of {str(file)!r} is not the same, to the last bit, when it is made again: give "
                 "the potentials of the run"

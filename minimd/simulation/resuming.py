@@ -83,15 +83,14 @@ def go_to(simulation: Any, file: str | Path, contents: H5MDContents, frame: int)
 
     In fixed-point arithmetic this is all that the steps to come depend on.
     """
-    from minimd.files.h5md_reader import frame_arrays
+    from minimd.files.h5md_reader import frames_of
 
     record, engine = contents.record, simulation.engine
     reservoir = (
         float(record.total_energy[frame] - record.conserved_energy[frame]) if "conserved_energy" in record else 0.0
     )
-    (positions, velocities), units = frame_arrays(file, frame), engine.system.units
-    moving = positions / units.to_angstrom, velocities / (units.to_angstrom / units.to_picosecond)
-    engine.restore(Snapshot(int(record.step[frame]), float(record.time[frame]), *moving, reservoir))
+    [at] = frames_of(file, [frame], engine.system.units)
+    engine.restore(Snapshot(at.step, at.time, at.positions, at.velocities, reservoir))
     if (grid := engine.interactions.grid) is not None:
         grid.take(engine.system, engine.constraint_set.inverse_masses)  # takes off the rounding of the units of files
     engine.is_whole = True

@@ -76,7 +76,7 @@ def failure_story(path: Path, frames: int, potentials: Potential | Sequence[Pote
         if found.pair
         else (found.closest[:2] if found.closest else (found.fastest,))
     )
-    tell = _steps if potentials is not None or past.scene else _states
+    tell = _steps if potentials is not None or past.run.scene else _states
     contents, motion, *shown = tell(
         path, found, potentials, partial(motion_of, most=frames, marked=marked, latest=True)
     )

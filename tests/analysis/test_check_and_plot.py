@@ -111,3 +111,10 @@ def test_check_knows_a_bond_longer_than_half_the_cell(tmp_path):
     with pytest.warns(UserWarning, match="velocities along bonds"):
         simulation.run(20, every=5, trajectory=tmp_path / "a.h5md")
     assert [one.passed for one in check_file(tmp_path / "a.h5md").comparisons if one.name == "lengths"] == [True]
+
+
+@pytest.mark.parametrize("units", [LJ, ASE])
+def test_momentum_in_fixed_point_arithmetic_is_constant_in_files_of_all_units(units, tmp_path):
+    of, path = simulation("cubic", units), tmp_path / "a.h5md"
+    md.Simulation(of.system, of.potentials, of.method, precision="fixed-point").run(20, every=5, trajectory=path)
+    assert [one.passed for one in check_file(path).comparisons if one.name == "exact momentum"] == [True]

@@ -13,7 +13,6 @@ from ase import units
 from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
 from ase.md.velocitydistribution import thermalize_momenta
-from minimd.diagnosis.crash_report import examine
 from references import melt_scene
 from scenes import LJ, SCENES
 from wrong_calls import assert_answered
@@ -21,6 +20,7 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.ase import Calculator, ForcesFromCalculator, VelocityVerlet
 from minimd.commands import main as cli
+from minimd.diagnosis.crash_report import examine
 from minimd.diagnosis.run_guard import BLOCK
 from minimd.files.crash_file import read_crash_report
 from minimd.files.h5md_digest import sign
@@ -200,8 +200,8 @@ def test_findings_come_back_and_a_replay_fails_again_at_the_same_step_on_the_sam
     found, seen = error.crash_report, md.replay(error.file, simulation.potentials, picture=make is chain)
     past = read_crash_report(error.file)
     assert (past.findings, str(past.findings)) == (found, str(found))
-    assert (past.method.name, past.method.parameters) == (simulation.method.name, simulation.method.parameters)
-    assert len(past.system.constraints) == len(simulation.constraints)
+    assert (past.run.method, past.run.parameters) == (simulation.method.name, simulation.method.parameters)
+    assert len(past.run.system.constraints) == len(simulation.constraints)
     assert seen.failed_at == found.step
     assert [row.step for row in seen.rows] == list(range(found.first_step, found.last_good_step + 1))
     assert seen.rows[-1].energy == pytest.approx(read_file(error.file).record.total_energy[-1], rel=1e-6)

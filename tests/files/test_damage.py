@@ -17,14 +17,15 @@ import h5py
 import numpy as np
 import pytest
 from damages import FAILED, PASSED, RESTARTS, SENTENCE, WAYS, in_child, numbers, outcome, run_command
+from h5md_runs import simulation
 from wrong_calls import assert_answered
 
+import minimd as md
 from minimd.commands import main as cli
-from minimd.files import first_look
-from minimd.files.first_look import looked_at
+from minimd.files import h5md_reader
 from minimd.files.h5md_digest import sign
-from minimd.files.h5md_reader import damage, read_file, velocities_of, verify_frames
-from minimd.files.h5md_writer import edit
+from minimd.files.h5md_reader import damage, frames_of, looked_at, read_file, verify_frames
+from minimd.files.h5md_writer import H5MDWriter
 from minimd.files.structure_file import system_from_file
 from minimd.mdanalysis import universe
 from minimd.mdanalysis.readers import RunReader
@@ -238,8 +239,8 @@ READERS = {
     **{name: lambda file, name=name: cli.main([name, file]) for name in ("check", "plot", "view", "replay")},
     "resume": lambda file: cli.main(["resume", file, "--steps", "5"]),
     "frames": lambda file: cli.main(["frames", file, "--at", "5"]),
-    "append": lambda file: edit(file, lambda h5: None),
-    "frame by frame": lambda file: list(velocities_of(file, 1)),
+    "append": lambda file: H5MDWriter.append_to(file, simulation().engine),
+    "frame by frame": lambda file: list(frames_of(file, [0], md.units.LJ)),
     "universe": universe,
     "ase": ase.io.read,
     "structure": system_from_file,
@@ -276,7 +277,7 @@ def test_a_file_that_leads_elsewhere_is_refused_wherever_it_is_opened(way, reade
 def test_a_first_look_needs_no_more_than_it_has(path):
     def look():
         resource.setrlimit(resource.RLIMIT_CPU, (1000, 1000))  # little time, and children are ignored
-        with mock.patch.object(first_look, "SECONDS", 10_000):
+        with mock.patch.object(h5md_reader, "SECONDS", 10_000):
             verify_frames(path)
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)
         verify_frames(path)
@@ -285,22 +286,18 @@ def test_a_first_look_needs_no_more_than_it_has(path):
     assert in_child(look) == "right"
 
 
-def endless():
-    while True:
-        pass
-
-
-LOOKS = [os.abort, lambda: os._exit(0), lambda: os._exit(7), pytest.param(endless, marks=pytest.mark.slow)]
+ENDLESS = pytest.param(lambda: any(iter(int, 1)), marks=pytest.mark.slow)
+LOOKS = [os.abort, lambda: os._exit(0), lambda: os._exit(7), ENDLESS]
 
 
 @pytest.mark.parametrize("look", LOOKS)
 def test_a_look_that_crashes_or_never_ends_is_a_sentence(look, tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr(first_look, "SECONDS", 1)
+    monkeypatch.setattr(h5md_reader, "SECONDS", 1)
     children = lambda: sorted(one.read_text() for one in Path("/proc/self/task").glob("*/children"))  # noqa: E731
     path, before = tmp_path / "a.h5md", children()
     path.write_bytes(b"something")
     with pytest.raises(OSError, match=r"a\.h5md' is damaged: to read it takes more memory"):
-        looked_at(path, lambda: np.zeros(first_look.MEMORY // 4))
+        looked_at(path, lambda: np.zeros(h5md_reader.MEMORY // 4))
     with pytest.raises(OSError, match=r"a\.h5md' is damaged: HDF5 crashes"):
         looked_at(path, look)
     assert looked_at(path, lambda: (1, "two")) == (1, "two")

@@ -12,13 +12,11 @@ import minimd as md
 from minimd.engine.record import SERIES
 from minimd.files.h5md_reader import read_file
 from minimd.files.h5md_schema import chunk_rows
-from minimd.files.h5md_writer import edit
+from minimd.files.h5md_writer import H5MDWriter
 
 KJ_PER_MOL = 96.48533288249877  # of eV, as ASE's documentation has it
 LJ, ASE = md.units.LJ, md.units.ASE
 RUNS = [*((cell, LJ) for cell in CELLS), ("cubic", ASE), ("triclinic", ASE), ("open", ASE)]
-
-
 Run = namedtuple("Run", "cell units path sim record seen")  # seen: step, time, r, v and F at each frame
 
 
@@ -154,7 +152,7 @@ def test_a_file_that_is_being_written_is_not_changed_by_others(tmp_path):
 
     def meddle(_sim):
         with pytest.raises(OSError, match=r"a\.h5md") as failure:
-            edit(path, lambda h5: h5["minimd"].attrs.update(title="mine"))
+            H5MDWriter.append_to(path, simulation().engine)
         told.append(failure)
 
     simulation().run(4, every=2, trajectory=path, observers=[meddle])

@@ -13,8 +13,8 @@ import pytest
 from damages import in_child
 from h5md_runs import assert_same_file, at_step, bring_to_disk_every, limited, opened, resumed, simulation
 
+from minimd.files import claim
 from minimd.files import h5md_writer as h5md
-from minimd.files import journaled_file
 from minimd.files.claim import Claim
 from minimd.files.h5md_reader import read_file
 from minimd.files.h5md_writer import H5MDWriter
@@ -148,7 +148,7 @@ def killed_in_a_commit(tmp_path_factory):
         raise KeyboardInterrupt
 
     simulation().run(10, every=5, trajectory=path)
-    with mock.patch("minimd.files.journaled_file._apply", half), pytest.raises(KeyboardInterrupt):
+    with mock.patch("minimd.files.claim._apply", half), pytest.raises(KeyboardInterrupt):
         resumed(path).run(10, every=5, trajectory=path, append=True)
     return path.read_bytes()
 
@@ -185,14 +185,14 @@ def test_a_journal_that_cannot_be_carried_out_is_told(killed_in_a_commit):
 
 def test_a_journal_that_nobody_wrote_changes_nothing(tmp_path):
     """Its checksum is right, its numbers are not."""
-    path, pack, magic = tmp_path / "a.h5md", journaled_file.END.pack, journaled_file.MAGIC
+    path, pack, magic = tmp_path / "a.h5md", claim.END.pack, claim.MAGIC
     simulation().run(10, every=5, trajectory=path)
     sound, n = path.read_bytes(), path.stat().st_size
     # place and length of the piece, size of the file before and after; None: a body shorter than a head
     places = [(0, -16, n, n), (0, 5, n, n), (-8, 4, n, n), (n, 4, n, n)]
     for lie in (*places, (0, 4, 2**40, n), (0, 4, n, -1), (0, 4, n, 2**40), None):
         place, length, before, after = lie or (0, 4, n, n)
-        body = (journaled_file.PIECE.pack(place, length) + b"evil")[: None if lie else 1]
+        body = (claim.PIECE.pack(place, length) + b"evil")[: None if lie else 1]
         head = pack(before, after, len(body), 0, magic)
         head = pack(before, after, len(body), zlib.crc32(head, zlib.crc32(body)), magic)
         path.write_bytes(sound + body + head)

@@ -100,9 +100,7 @@ def test_refused_or_failed_output_leaves_nothing_of_the_others(tmp_path, monkeyp
     with pytest.raises(FileExistsError, match=r"b\.xyz' exists"):
         simulation().run(5, trajectory=[tmp_path / "a.h5md", tmp_path / "b.xyz"])
     closed = []
-    monkeypatch.setattr(
-        "minimd.files.mdanalysis_writer.MDAnalysisWriter.close", lambda of: closed.append(of.claim.release())
-    )
+    monkeypatch.setattr("minimd.files.turned_cell.MDAnalysisWriter.close", lambda of: closed.append(of.claim.release()))
     monkeypatch.setattr("minimd.files.h5md_writer.H5MDWriter.__init__", fails)
     with pytest.raises(OSError, match="no more files"):
         simulation().run(5, trajectory=[tmp_path / "a.h5md", tmp_path / "c.xtc"])

@@ -13,7 +13,7 @@ import pytest
 from h5md_runs import PER_PICOSECOND, at_step, bring_to_disk_every, lengths_and_angles, opened, resumed, simulation
 
 import minimd as md
-from minimd.files import mdanalysis_writer
+from minimd.files import turned_cell
 from minimd.files.h5md_reader import read_file
 
 FORMATS = {"xtc": 0.5e-3, "dcd": 0.0, "trr": 0.0, "ncdf": 0.0}  # error of a position beyond float32 [Å]
@@ -132,7 +132,7 @@ def test_a_mark_is_read_from_the_file_that_was_claimed(tmp_path, monkeypatch):
 
     bring_to_disk_every(0.0, monkeypatch)
     (secret := tmp_path / "secret").write_text("precious")
-    monkeypatch.setattr(mdanalysis_writer.MDAnalysisWriter, "checkpoint", swap)
+    monkeypatch.setattr(turned_cell.MDAnalysisWriter, "checkpoint", swap)
     with pytest.raises(OSError, match="it was replaced"):
         simulation().run(8, every=2, trajectory=[tmp_path / "a.h5md", tmp_path / "a.xtc"])
     assert b"precious" not in (tmp_path / "a.h5md").read_bytes()
@@ -156,8 +156,8 @@ def test_a_trajectory_whose_disk_fails_is_named_and_the_h5md_file_is_whole(tmp_p
 
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_full_disk_is_told_by_every_format(tmp_path, monkeypatch, suffix):
-    usage, path = mdanalysis_writer.disk_usage, tmp_path / f"a.{suffix}"
-    full = mdanalysis_writer, "disk_usage", lambda folder: usage(folder)._replace(free=1000)
+    usage, path = turned_cell.disk_usage, tmp_path / f"a.{suffix}"
+    full = turned_cell, "disk_usage", lambda folder: usage(folder)._replace(free=1000)
     with pytest.raises(OSError, match=rf"a\.{suffix}' .*step 6"):
         simulation().run(20, every=2, trajectory=path, observers=[at_step(4, lambda: monkeypatch.setattr(*full))])
     assert len(opened(path).trajectory) == 3

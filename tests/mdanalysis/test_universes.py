@@ -12,7 +12,7 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.analysis.check import liquid
 from minimd.files.claim import Claim
-from minimd.files.h5md_digest import digest_of_block, sign
+from minimd.files.h5md_digest import digest_of, sign
 from minimd.files.h5md_reader import damage
 from minimd.files.h5md_writer import H5MDWriter
 from minimd.mdanalysis import Frames, diffusion_coefficient, mean_square_displacement, radial_distribution, universe
@@ -74,7 +74,7 @@ def test_dt_of_a_file_that_does_not_hold_it_is_found_in_its_times(path):
         series = [name for name in blocks.attrs["series"] if "/dt/" not in name]
         ends = [0, *blocks[:, 0].astype(int)]
         for row, (first, last) in enumerate(itertools.pairwise(ends)):
-            blocks[row] = last, digest_of_block({name: h5[name][first:last] for name in series})
+            blocks[row] = last, digest_of({name: h5[name][first:last] for name in series})
         blocks.attrs["series"] = series
         sign(h5)
     with opened(path).trajectory as trajectory:

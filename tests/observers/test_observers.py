@@ -14,7 +14,7 @@ import minimd as md
 from minimd import observers
 from minimd.analysis.check import check_file
 from minimd.analysis.plot import plot_file
-from minimd.files.h5md_observers import observers_of
+from minimd.files.h5md_digest import observers_of, read_restart
 from minimd.observers.accumulator import BlockedSums, ObservedRun
 from minimd.observers.fluctuations import FEWEST, correlation_times
 from minimd.scene import parse_scene, resume_run, run_scene
@@ -341,7 +341,7 @@ def of_a_file_that_asks_for_too_much(folder):
     with h5py.File(folder / "a.h5md", "r+") as h5:
         group = h5["minimd/observers/radial_distribution"]
         group.attrs["arguments"] = json.dumps(json.loads(group.attrs["arguments"]) | {"n_bins": 10**12})
-        observers_of(h5)
+        observers_of(h5, read_restart(h5))
 
 
 WRONG = [

@@ -39,9 +39,9 @@ from references import melt_scene
 from minimd.commands import main as cli
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.files import h5md_schema, h5md_writer, trajectory
+from minimd.files.claim import repair
 from minimd.files.crash_file import read_crash_report
 from minimd.files.h5md_reader import read_file
-from minimd.files.journaled_file import repair
 from minimd.simulation import simulation
 
 HEAD = struct.Struct("<iiiiqqqq")  # what, process, parent, descriptor, offset, value, bytes of the path, of the data

@@ -287,14 +287,12 @@ class EulerStep:
         for kind, weight, iteration in self._factors:
             duration = weight * h
             if kind is Kick:
-                place = lambda x: (t, q, x)  # noqa: E731
-                v = self._solved(problem.f, problem.f_v, v, place, duration, iteration)
+                v = self._solved(problem.f, problem.f_v, v, lambda x: (t, q, x), duration, iteration)
                 q = q + duration * self._value(problem.g, t, q, v)
                 t += duration
             else:
                 t += duration
-                place = lambda x: (t, x, v)  # noqa: E731
-                q = self._solved(problem.g, problem.g_q, q, place, duration, iteration)
+                q = self._solved(problem.g, problem.g_q, q, lambda x: (t, x, v), duration, iteration)
                 v = v + duration * self._value(problem.f, t, q, v)
         return np.concatenate([q, v])
 

@@ -59,12 +59,8 @@ class Cell(Displayed):
 
     def _complete(self, lattice: NDArray[np.float64], reduction: NDArray[np.int64]) -> None:
         inverse = np.linalg.inv(lattice)
-        made = {
-            "lattice": lattice,
-            "reduction": reduction,
-            "inverse": inverse,
-            "heights": 1.0 / np.linalg.norm(inverse, axis=0),
-        }
+        made = {"lattice": lattice, "reduction": reduction, "inverse": inverse}
+        made["heights"] = 1.0 / np.linalg.norm(inverse, axis=0)
         self.__setstate__(self.__dict__ | {name: np.ascontiguousarray(array) for name, array in made.items()})
 
     def __setstate__(self, state: dict) -> None:
@@ -76,13 +72,10 @@ class Cell(Displayed):
 
     @classmethod
     def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> Cell:
-        """A cell from one length, three lengths or a (3, 3) array of rows;
-        pbc defaults to True where a vector is given.
+        """A cell from one length, three lengths or a (3, 3) array of rows; by default pbc is True where one is given.
 
-        Raises
-        ------
-        ValueError : if the shape is wrong, a number is masked, complex or not finite, pbc is neither one bool nor
-            three, a periodic direction has no vector, or the periodic vectors are linearly dependent.
+        Raises ValueError if the shape is wrong, a number is masked, complex or not finite, pbc is neither one bool nor
+        three, a periodic direction has no vector, or the periodic vectors are linearly dependent.
         """
         matrix = _as_matrix(vectors)
         given = np.any(matrix != 0.0, axis=1)
@@ -97,8 +90,7 @@ class Cell(Displayed):
         return cell
 
     def strained(self, vectors: NDArray[np.float64]) -> Cell:
-        """The cell after a small change of its vectors, all periodic;
-        the reduction stays the same as long as it reduces them."""
+        """The cell after a small change of its vectors, all periodic; the reduction stays the same while it is one."""
         cell = Cell.of_reduction(vectors, self.reduction)
         length2, combined = (cell.lattice**2).sum(axis=1), ((COMBINED @ cell.lattice) ** 2).sum(axis=1)
         is_reduced = (combined[:, None] >= SHORTER * length2)[COMBINED != 0].all()
@@ -111,11 +103,13 @@ class Cell(Displayed):
         """See Displayed."""
         if not (self.is_periodic or self.vectors.any()):
             return [("cell", "none")]
-        rows = zip(("cell a", "b", "c"), self.vectors, self.pbc, strict=True)
-        vectors = [
-            (name, f"{as_text(tuple(row.tolist()))}{'' if repeats else ', open'}") for name, row, repeats in rows
+        words = [
+            as_text(tuple(row.tolist())) + ("" if repeats else ", open")
+            for row, repeats in zip(self.vectors, self.pbc, strict=True)
         ]
-        return vectors + ([] if self.volume is None else [("volume", f"{self.volume:.10g}")])
+        return [*zip(("cell a", "b", "c"), words, strict=True)] + (
+            [] if self.volume is None else [("volume", f"{self.volume:.10g}")]
+        )
 
     @property
     def is_periodic(self) -> bool:
@@ -129,20 +123,17 @@ class Cell(Displayed):
 
     @property
     def safe_distance2(self) -> float:
-        """Squared length below which a vector is certainly its own minimum image:
-        (half the smallest height)² [length²]."""
+        """Squared length below which a vector is certainly its own minimum image: (smallest height/2)² [length²]."""
         return float((0.5 * self.heights[self.pbc].min()) ** 2) if self.is_periodic else np.inf
 
     def wrapped(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Positions moved by lattice vectors into the cell spanned by vectors, in its periodic directions;
-        a new array."""
+        """Positions moved by lattice vectors into the cell spanned by vectors, where it is periodic; a new array."""
         full = np.where(self.pbc[:, None], self.vectors, self.lattice)
         cells = np.floor(positions @ np.linalg.inv(full))
         return positions - np.where(self.pbc, cells, 0.0) @ full
 
     def follow(self, cell: Cell, translations: NDArray[np.float64]) -> None:
-        """Lattice vectors, (n, 3) or in blocks (n, 3, m),
-        become in place the same multiples of the vectors of another cell."""
+        """Lattice vectors, (n, 3) or in blocks (n, 3, m), become the same multiples of those of a cell, in place."""
         follow_lattice(translations, self.vectors, cell.vectors)
 
     def same_as(self, other: Cell) -> bool:
@@ -229,15 +220,14 @@ def _as_matrix(vectors: ArrayLike | None) -> NDArray[np.float64]:
         return np.zeros((3, 3))
     if isinstance(vectors, list | tuple) and any(one is None for one in vectors):
         raise ValueError(f"cell must hold numbers; cell = {shown(vectors)}: {OPEN}")
-    array = checked_numbers("cell", vectors, "one length, three lengths or a (3, 3) array of rows")
+    wanted = "one length, three lengths or a (3, 3) array of rows"
+    array = checked_numbers("cell", vectors, wanted)
     if array.ndim == 0 or array.shape == (3,):
         if (array < 0.0).any():
             raise ValueError(f"lengths of a cell must not be negative; cell = {array.tolist()}")
         array = np.diag(np.broadcast_to(array, 3)).copy()
     if array.shape != (3, 3):
-        raise ValueError(
-            f"cell must be one length, three lengths or a (3, 3) array of rows; its shape is {array.shape}: {OPEN}"
-        )
+        raise ValueError(f"cell must be {wanted}; its shape is {array.shape}: {OPEN}")
     if not np.isfinite(array).all():
         raise ValueError(f"cell must be finite; cell = {array.tolist()}: {OPEN}")
     return array
@@ -252,12 +242,10 @@ def _as_flags(pbc: ArrayLike) -> NDArray[np.bool_]:
 
 
 def _check_independent(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> None:
-    missing = np.flatnonzero(pbc & ~vectors.any(axis=1))
-    if missing.size:
-        raise ValueError(
-            f"pbc[{missing[0]}] is True but cell[{missing[0]}] is zero; give a lattice vector there, or leave it open: "
-            f"pbc={tuple((pbc & vectors.any(axis=1)).tolist())}"
-        )
+    given = vectors.any(axis=1)
+    for k in np.flatnonzero(pbc & ~given):
+        leave = f"leave it open: pbc={tuple((pbc & given).tolist())}"
+        raise ValueError(f"pbc[{k}] is True but cell[{k}] is zero; give a lattice vector there, or {leave}")
     rows = vectors[pbc]
     if rows.size == 0:
         return
@@ -277,8 +265,8 @@ def _reduced(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> tuple[NDAr
     """Minkowski-reduced periodic rows, completed to three dimensions; and the integers that make them from vectors."""
     periodic = np.flatnonzero(pbc)
     steps = np.eye(len(periodic), dtype=np.int64)
-    while _shorten_once(steps, vectors[periodic]):
-        pass
+    while (shorter := _shorter(steps, vectors[periodic])) is not None:
+        steps[shorter[0]] = shorter[1]
     lattice, reduction = np.zeros((3, 3)), np.zeros((3, 3), dtype=np.int64)
     reduction[np.ix_(periodic, periodic)] = steps
     lattice[periodic] = steps @ vectors[periodic]
@@ -288,26 +276,18 @@ def _reduced(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> tuple[NDAr
     return lattice, reduction
 
 
-def _shorten_once(steps: NDArray[np.int64], rows: NDArray[np.float64]) -> bool:
-    """Replace one vector of steps @ rows by a shorter one of the same lattice; False if there is none."""
+def _shorter(steps: NDArray[np.int64], rows: NDArray[np.float64]) -> tuple[int, NDArray[np.int64]] | None:
+    """Which vector of steps @ rows can be replaced by a shorter one of the same lattice, and its steps; or None.
+    Candidates: the vector plus multiples of the others, once the rounded projection (Gauss), then all of −1, 0, 1
+    (Minkowski's conditions)."""
     current = steps @ rows
     length2 = (current**2).sum(axis=1)
-    for i in np.argsort(-length2):
-        for candidate in _neighbors(i, steps, current, length2):
+    for i in np.argsort(-length2).tolist():
+        near, gauss = [steps[i].copy()], []
+        for j in (j for j in range(len(steps)) if j != i):
+            gauss.append(steps[i] - int(np.rint(current[i] @ current[j] / length2[j])) * steps[j])
+            near = [step + a * steps[j] for step in near for a in (-1, 0, 1)]
+        for candidate in gauss + near:
             if ((candidate @ rows) ** 2).sum() < SHORTER * length2[i]:
-                steps[i] = candidate
-                return True
-    return False
-
-
-def _neighbors(
-    i: int, steps: NDArray[np.int64], current: NDArray[np.float64], length2: NDArray[np.float64]
-) -> list[NDArray[np.int64]]:
-    """Vector i plus multiples of the others: once the rounded projection (Gauss), then all of −1, 0,
-    1 (Minkowski's conditions)."""
-    others = [j for j in range(len(steps)) if j != i]
-    gauss = [steps[i] - int(np.rint(current[i] @ current[j] / length2[j])) * steps[j] for j in others]
-    near = [steps[i].copy()]
-    for j in others:
-        near = [step + a * steps[j] for step in near for a in (-1, 0, 1)]
-    return gauss + near
+                return i, candidate
+    return None

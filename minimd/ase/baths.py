@@ -109,9 +109,7 @@ class AndersenBath(Thermostat):
     substeps = AFTER
     source = "H. C. Andersen, J. Chem. Phys. 72, 2384 (1980)"
 
-    def __init__(
-        self, timestep: float, temperature: float, probability: float, seed: int, keeps_center: bool = False
-    ) -> None:
+    def __init__(self, timestep: float, temperature: float, probability: float, seed: int, keeps_center: bool) -> None:
         super().__init__(timestep, temperature, seed)
         self.probability = checked_number("andersen_prob", probability, "finite and not negative")
         self.keeps_center = keeps_center
@@ -138,8 +136,8 @@ class BerendsenBath(Splitting):
 
         v ← λ v,   λ² = 1 + (T/T′ − 1) Δt/τ,   0.9 ≤ λ ≤ 1.1
 
-    n_dof : degrees of freedom in T′.  keeps_center : whether the total momentum is removed, in equal shares from all
-    atoms.  H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984).
+    tau : τ [time], not 0.  n_dof : degrees of freedom in T′.  keeps_center : whether the total momentum is removed, in
+    equal shares from all atoms.  H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984).
     """
 
     name = "berendsen"
@@ -147,12 +145,10 @@ class BerendsenBath(Splitting):
     source = "H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984)"
     order, is_symmetric, is_symplectic, is_thermostat = 1, False, False, True
 
-    def __init__(
-        self, timestep: float, temperature: float, relaxation_time: float, n_dof: int, keeps_center: bool = False
-    ) -> None:
+    def __init__(self, timestep: float, temperature: float, tau: float, n_dof: int, keeps_center: bool) -> None:
         super().__init__(timestep)
         self.temperature = checked_number("temperature", temperature, "finite and not negative")
-        self.relaxation_time = checked_number("taut", relaxation_time, "finite and not zero")
+        self.relaxation_time = checked_number("taut", tau, "finite and not zero")
         self.n_dof, self.keeps_center = n_dof, keeps_center
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:

@@ -93,17 +93,15 @@ class Calculator(ASECalculator):
         """Fill results. The atoms themselves decide whether the list is kept, because system_changes includes neither
         masses nor failed calls."""
         super().calculate(atoms, list(properties), list(system_changes))
-        per_atom = bool({"energies", "stresses"} & set(properties))
-        forces = self._forces_at(self.atoms)
+        per_atom, forces = bool({"energies", "stresses"} & set(properties)), self._forces_at(self.atoms)
         forces.compute(PER_ATOM if per_atom else TOTALS)
         if not (np.isfinite(forces.potential_energy) and np.isfinite(forces.forces).all()):
             why = why_not_finite(forces.system, forces.potentials)
             raise NonFiniteError(f"forces or energies are not finite: {why}")
-        self.results, volume = _results(self.atoms, forces), volume_of(self.atoms)
+        self.results = _results(self.atoms, forces)
         if per_atom:
-            self.results["energies"] = forces.energies
-        if volume and per_atom:
-            self.results["stresses"] = -forces.virials / volume
+            volume = volume_of(self.atoms)
+            self.results |= {"energies": forces.energies} | ({"stresses": -forces.virials / volume} if volume else {})
 
     def check_state(self, atoms: Atoms, tol: float = 1e-15) -> list[str]:
         """ASE's list of changes; a changed label counts as a changed atomic number."""

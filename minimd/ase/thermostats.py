@@ -97,10 +97,11 @@ class LangevinBAOAB(MinimdSteps, Noisy, ase.md.langevinbaoab.LangevinBAOAB):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         if self.externalstress is not None:
-            raise NotImplementedError(
-                f"externalstress = {shown(self.externalstress)}: this class needs a constant cell; use "
+            others = (
                 "ase.md.langevinbaoab.LangevinBAOAB, or minimd.Simulation with barostat=StochasticCellRescaling(...)"
             )
+            given = f"externalstress = {shown(self.externalstress)}"
+            raise NotImplementedError(f"{given}: this class needs a constant cell; use {others}")
 
     def method(self) -> Splitting:
         """BAOAB, or velocity Verlet."""

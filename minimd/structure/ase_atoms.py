@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.structure.bond_graph import GROUPS, joined_in, texts
 from minimd.structure.cell import Cell
 from minimd.structure.checks import warn_of_charges
-from minimd.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms
-from minimd.structure.images import lengths_of
+from minimd.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms, lengths_of
 from minimd.structure.observables import center, momentum
 from minimd.structure.observables import stress as kinetic_stress
 from minimd.structure.units import ASE
@@ -24,13 +23,12 @@ from minimd.structure.units import ASE
 LABELS = "species_labels"  # the array of an ase.Atoms for species that are not chemical elements
 # in the info of atoms from a .traj, which keeps no such array: the names of species; tags are indices into them
 NAMES = "species_names"
+Given = ArrayLike | None
 Pairs = tuple[NDArray[np.int64], NDArray[np.float64]]
 UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCom"
 
 
-def system_arguments(
-    atoms: Atoms, bonds: ArrayLike | None = None, constraints: bool = True, **others: ArrayLike | None
-) -> dict[str, Any]:
+def system_arguments(atoms: Atoms, bonds: Given = None, constraints: bool = True, **others: Given) -> dict[str, Any]:
     """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and
     constraints. Species are the chemical symbols, or labels that atoms_from_system or label_by_tags stored in them.
 
@@ -72,10 +70,9 @@ def atoms_from_system(system: Any) -> Atoms:
     out or sorted; it gives the groups back in the order of their first atoms.
     """
     symbols = [label if label in atomic_numbers else "X" for label in system.species.tolist()]
-    momenta = system.velocities * system.masses[:, None]
-    atoms = Atoms(
-        symbols, system.positions, momenta=momenta, masses=system.masses, cell=system.cell.vectors, pbc=system.cell.pbc
-    )
+    masses, cell = system.masses, system.cell
+    momenta = system.velocities * masses[:, None]
+    atoms = Atoms(symbols, system.positions, momenta=momenta, masses=masses, cell=cell.vectors, pbc=cell.pbc)
     if not set(system.species_names) <= set(atomic_numbers):
         atoms.set_array(LABELS, system.species)
     if named := texts(system.groups(), len(atoms)):

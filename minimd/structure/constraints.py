@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.console.words import shown
 from minimd.structure.bond_graph import checked_pairs
+from minimd.structure.cell import Array, Cell, nearest_vectors
 from minimd.structure.checks import (
     MOST_ATOMS,
     checked_array,
@@ -49,7 +50,7 @@ class DistanceConstraints:
         self.pairs = checked_pairs("pairs", pairs)
         if not len(self.pairs):
             raise ValueError("pairs of DistanceConstraints must name at least one pair; there is none")
-        self.lengths: NDArray[np.float64] | None = None
+        self.lengths: Array | None = None
         if lengths is not None:
             given = checked_numbers("lengths", lengths, "one number, or one for each pair")
             given = given.reshape(()) if given.shape == (1,) else given
@@ -95,3 +96,9 @@ class FixedAtoms:
 
 
 Constraint = DistanceConstraints | FixedAtoms
+
+
+def lengths_of(positions: Array, cell: Cell, constraints: DistanceConstraints) -> Array:
+    """(K,) [length], as given; else the present distances to the nearest image."""
+    given = constraints.lengths
+    return np.linalg.norm(nearest_vectors(positions, cell, constraints.pairs), axis=1) if given is None else given

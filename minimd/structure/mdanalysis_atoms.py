@@ -47,10 +47,9 @@ def _masses(atoms: AtomGroup, units: UnitSystem) -> NDArray[np.float64] | None:
         return None
     if not (masses > 0.0).all():
         first = int(np.argmin(masses > 0.0))
-        raise ValueError(
-            f"masses must be positive; MDAnalysis has {masses[first]} for atom {first}, as for all types that it does "
-            "not know: set universe.atoms.masses, or call universe.add_TopologyAttr('masses', values)"
-        )
+        given = f"MDAnalysis has {masses[first]} for atom {first}, as for all types that it does not know"
+        remedy = "set universe.atoms.masses, or call universe.add_TopologyAttr('masses', values)"
+        raise ValueError(f"masses must be positive; {given}: {remedy}")
     return masses
 
 

@@ -56,9 +56,9 @@ class LangevinBath(Thermostat):
         super().__init__(timestep, 0.0, seed)
         self.temperatures, self.frictions = np.asarray(temperature, float), np.asarray(friction, float)
         self.keeps_center = keeps_center
-        for name, values in (("temperature", self.temperatures), ("friction", self.frictions)):
-            if not (np.isfinite(values).all() and (values >= 0.0).all()):
-                raise ValueError(f"{name} must be finite and not negative; {name} = {shown(values)}")
+        for name, given in (("temperature", temperature), ("friction", friction)):
+            if not ((0.0 <= np.asarray(given)) & (np.asarray(given) < np.inf)).all():
+                raise ValueError(f"{name} must be finite and not negative; {name} = {shown(given)}")
 
     @property
     def parameters(self) -> dict[str, Any]:

@@ -68,10 +68,9 @@ class EnsembleFolder:
             try:
                 self._lock = locked(path / JOURNAL, create=True)
             except OSError as error:
-                is_running = "another run" in str(error.strerror)
                 advice = (
                     ": an ensemble is running there; wait for its end, or choose another folder"
-                    if is_running
+                    if isinstance(error, BlockingIOError)
                     else "; choose another folder"
                 )
                 raise OSError(f"folder {str(path)!r} cannot be used: {error.strerror}{advice}") from None

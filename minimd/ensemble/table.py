@@ -274,7 +274,7 @@ def _progress(file: str, steps: int) -> str:
         contents = read_file(file)
         return f"stopped after {contents.step - int(contents.record.step[0])} of {steps} steps"
     except (OSError, ValueError) as error:
-        return "running" if "another run is writing it" in str(error) else sentence(error)
+        return "running" if isinstance(error, BlockingIOError) else sentence(error)
 
 
 def told_averages(table: EnsembleTable) -> Iterator[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from minimd.console.display import Displayed, Rows
+from minimd.console.display import NAME_WIDTH, Displayed, Rows
 from minimd.engine.record import SERIES, Record
 from minimd.structure import statistics
 from minimd.structure.observables import Array
@@ -290,6 +290,9 @@ class Report(Displayed):
         """Whether the energy stays within a hundredth of the kinetic energy, in a run too short to tell a drift."""
         is_open = self.energy_is_conserved is None and self.n_frames >= FEW
         return is_open and self.energy_range < QUIET * self.kinetic_energy
+
+    def __str__(self) -> str:
+        return "\n".join(f"{name:<{NAME_WIDTH}} {words}" for name, words in self.display_rows())
 
     def display_rows(self) -> Rows:
         """See Displayed."""

@@ -122,6 +122,6 @@ class Splitting(Method):
         yield in_python(thermalize)
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
-        """The same, made once, by Python: velocities are changed in place. They are projected onto constraints before and
-        after, and what a thermostat gives to the kinetic energy is counted as heat."""
+        """The same, made once, by Python: velocities are changed in place. They are projected onto constraints before
+        and after, and what a thermostat gives to the kinetic energy is counted as heat."""
         raise NotImplementedError(f"{self.name} has no thermostat")

@@ -6,8 +6,6 @@ of mass that stays at rest (fixcm), degrees of freedom counted as by Atoms.get_n
 ValueError for a parameter out of range. k_B T is `bath.k_B` times the temperature [K].
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from math import exp, sqrt
 from typing import Any, ClassVar
 
@@ -15,7 +13,7 @@ import numpy as np
 
 from minimd.console.words import shown
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.integrators.splitting.state import Bath, State, Surroundings
+from minimd.integrators.splitting.state import State, Surroundings
 from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize
 from minimd.integrators.splitting.thermostats import LangevinBAOAB, StochasticVelocityRescaling, Thermostat, bath_of
 from minimd.structure.checks import checked_number
@@ -28,16 +26,6 @@ LEAST_SCALE, MOST_SCALE = 0.9, 1.1  # of velocities in one step of Berendsen's b
 _OUTER = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
 WEIGHTS = (_OUTER, 1.0 - 2.0 * _OUTER, _OUTER)  # of order 4: H. Yoshida, Phys. Lett. A 150, 262 (1990); M. Suzuki
 KEPT_STEPS = 1000  # steps whose states a chain keeps: many more than in a block, which is repeated if it fails
-
-
-@contextmanager
-def counted(state: State, around: Surroundings) -> Iterator[Bath]:
-    """Context of a change of velocities that fit the constraints before: the energy that it adds is counted."""
-    bath = bath_of(around)
-    around.project(state)
-    before = kinetic_energy(state.velocities, state.masses)
-    yield bath
-    bath.energy += kinetic_energy(state.velocities, state.masses) - before
 
 
 class LangevinBath(Thermostat):
@@ -57,7 +45,7 @@ class LangevinBath(Thermostat):
         self.temperatures, self.frictions = np.asarray(temperature, float), np.asarray(friction, float)
         self.keeps_center = keeps_center
         for name, given in (("temperature", temperature), ("friction", friction)):
-            if not ((0.0 <= np.asarray(given)) & (np.asarray(given) < np.inf)).all():
+            if not ((np.asarray(given) >= 0.0) & (np.asarray(given) < np.inf)).all():
                 raise ValueError(f"{name} must be finite and not negative; {name} = {shown(given)}")
 
     @property
@@ -67,14 +55,12 @@ class LangevinBath(Thermostat):
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The Ornstein-Uhlenbeck process over a duration, see LangevinBAOAB."""
-        with counted(state, around) as bath:
-            kept = np.exp(-self.frictions * duration)
-            spread = np.sqrt(bath.k_B * self.temperatures * (1.0 - kept * kept) * state.inverse_masses[:, None])
-            new = kept * state.velocities + spread * self.noise(bath).standard_normal(state.velocities.shape)
-            if self.keeps_center:
-                new -= momentum(new - state.velocities, state.masses) / state.masses.sum()
-            state.velocities[:] = new
-            around.project(state)
+        bath, kept = bath_of(around), np.exp(-self.frictions * duration)
+        spread = np.sqrt(bath.k_B * self.temperatures * (1.0 - kept * kept) * state.inverse_masses[:, None])
+        new = kept * state.velocities + spread * self.noise(bath).standard_normal(state.velocities.shape)
+        if self.keeps_center:
+            new -= momentum(new - state.velocities, state.masses) / state.masses.sum()
+        state.velocities[:] = new
 
 
 class BussiBath(StochasticVelocityRescaling):
@@ -118,16 +104,14 @@ class AndersenBath(Thermostat):
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The collisions of one step."""
-        velocities = state.velocities
-        with counted(state, around) as bath:
-            noise, thermal = self.noise(bath), bath.k_B * self.temperature
-            if self.keeps_center:
-                velocities += sqrt(thermal / state.masses.sum()) * noise.standard_normal(3)
-            fresh = np.sqrt(thermal * state.inverse_masses[:, None]) * noise.standard_normal(velocities.shape)
-            np.copyto(velocities, fresh, where=noise.random(velocities.shape) < self.probability)
-            if self.keeps_center:
-                velocities -= momentum(velocities, state.masses) / state.masses.sum()
-            around.project(state)
+        bath, velocities = bath_of(around), state.velocities
+        noise, thermal = self.noise(bath), bath.k_B * self.temperature
+        if self.keeps_center:
+            velocities += sqrt(thermal / state.masses.sum()) * noise.standard_normal(3)
+        fresh = np.sqrt(thermal * state.inverse_masses[:, None]) * noise.standard_normal(velocities.shape)
+        np.copyto(velocities, fresh, where=noise.random(velocities.shape) < self.probability)
+        if self.keeps_center:
+            velocities -= momentum(velocities, state.masses) / state.masses.sum()
 
 
 class BerendsenBath(Splitting):
@@ -136,7 +120,7 @@ class BerendsenBath(Splitting):
 
         v ← λ v,   λ² = 1 + (T/T′ − 1) Δt/τ,   0.9 ≤ λ ≤ 1.1
 
-    tau : τ [time], not 0.  n_dof : degrees of freedom in T′.  keeps_center : whether the total momentum is removed, in
+    relaxation_time : τ, not 0.  n_dof : degrees of freedom in T′.  keeps_center : whether the total momentum is removed, in
     equal shares from all atoms.  H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984).
     """
 
@@ -145,23 +129,24 @@ class BerendsenBath(Splitting):
     source = "H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984)"
     order, is_symmetric, is_symplectic, is_thermostat = 1, False, False, True
 
-    def __init__(self, timestep: float, temperature: float, tau: float, n_dof: int, keeps_center: bool) -> None:
+    def __init__(
+        self, timestep: float, temperature: float, relaxation_time: float, n_dof: int, keeps_center: bool
+    ) -> None:
         super().__init__(timestep)
         self.temperature = checked_number("temperature", temperature, "finite and not negative")
-        self.relaxation_time = checked_number("taut", tau, "finite and not zero")
+        self.relaxation_time = checked_number("taut", relaxation_time, "finite and not zero")
         self.n_dof, self.keeps_center = n_dof, keeps_center
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """Rescale the velocities, see the class; atoms at rest stay at rest."""
-        velocities, masses = state.velocities, state.masses
-        with counted(state, around) as bath:
-            if (kinetic := kinetic_energy(velocities, masses)) == 0.0:
-                return
-            ratio = 0.5 * self.n_dof * bath.k_B * self.temperature / kinetic
-            square = max(1.0 + (ratio - 1.0) * duration / self.relaxation_time, 0.0)
-            velocities *= min(max(sqrt(square), LEAST_SCALE), MOST_SCALE)
-            if self.keeps_center:
-                velocities -= momentum(velocities, masses) / len(velocities) * state.inverse_masses[:, None]
+        velocities, kinetic = state.velocities, kinetic_energy(state.velocities, state.masses)
+        if kinetic == 0.0:
+            return
+        ratio = 0.5 * self.n_dof * bath_of(around).k_B * self.temperature / kinetic
+        scale = sqrt(max(1.0 + (ratio - 1.0) * duration / self.relaxation_time, 0.0))
+        velocities *= min(max(scale, LEAST_SCALE), MOST_SCALE)
+        if self.keeps_center:
+            velocities -= momentum(velocities, state.masses) / len(velocities) * state.inverse_masses[:, None]
 
 
 class Chain:
@@ -239,8 +224,4 @@ class NoseHooverBath(Splitting):
         if bath.contact == 0:
             self.chain.begin(bath.step)
         bath.contact += 1
-        around.project(state)
-        kinetic = kinetic_energy(state.velocities, state.masses)
-        factor = self.chain.advance(2.0 * kinetic, duration)
-        state.velocities *= factor
-        bath.energy += kinetic * (factor * factor - 1.0)
+        state.velocities *= self.chain.advance(2.0 * kinetic_energy(state.velocities, state.masses), duration)

@@ -120,7 +120,7 @@ class BerendsenBath(Splitting):
 
         v ← λ v,   λ² = 1 + (T/T′ − 1) Δt/τ,   0.9 ≤ λ ≤ 1.1
 
-    relaxation_time : τ, not 0.  n_dof : degrees of freedom in T′.  keeps_center : whether the total momentum is removed, in
+    relaxation_time : τ, not 0.  n_dof : degrees of freedom in T′.  keeps_center : whether total momentum is removed, in
     equal shares from all atoms.  H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984).
     """
 

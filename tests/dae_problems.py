@@ -41,7 +41,6 @@ def pendulum(length=1.0, time=1.0):
 
 def implicit_pendulum():
     """q′ = v, v′ = −λ q − g, 0 = (q² − 1)/2, as F alone."""
-
     return mi.Implicit(
         lambda y, slope: [*slope[:2] - y[2:4], *slope[2:4] + y[4] * y[:2] + [0, GRAVITY], (y[:2] @ y[:2] - 1) / 2]
     )
@@ -49,7 +48,6 @@ def implicit_pendulum():
 
 def stabilized_pendulum():
     """Index 2: q′ = v − q μ, v′ = −q λ − g, 0 = g = G v (C. W. Gear, B. Leimkuhler, G. K. Gupta (1985))."""
-
     return mi.Hessenberg2(
         lambda y, z: [*y[2:] - y[:2] * z[1], *-y[:2] * z[0] - [0, GRAVITY]],
         lambda y: [(y[:2] @ y[:2] - 1) / 2, y[:2] @ y[2:]],

@@ -60,7 +60,7 @@ potentials/fields.py: potentials/test_laws potentials/test_fields potentials/tes
     moves = spring.start <= self.time < spring.end => moves = spring.start < self.time <= spring.end
 potentials/links.py: potentials/test_laws
     in_steps(lane(u, k) / n_sites, steps) => in_steps(lane(u, k), steps)
-potentials/angles.py: potentials/test_laws potentials/test_truncation potentials/test_reference_lammps
+potentials/bonded.py: potentials/test_laws potentials/test_truncation potentials/test_reference_lammps
     size * cosine - ab * sine, ab * cosine => size * cosine + ab * sine, ab * cosine
 neighbors/search.py: neighbors/test_pair_list forces/test_lists neighbors/test_cluster_list
     within[len(within) // 2 + 1 :] => within[len(within) // 2 + 2 :]
@@ -96,7 +96,7 @@ integrators/splitting/flows.py: forces/test_fixed_point
     momentum + times * select => momentum + 2.0 * times * select
 integrators/splitting/rows.py: integrators/test_splittings integrators/test_laws
     substeps = (Drift(0.5), Kick(1.0), Drift(0.5)) => substeps = (Drift(0.5), Kick(1.0), Drift(0.4))
-integrators/splitting/compositions.py: integrators/test_splittings integrators/test_laws
+integrators/splitting/rows.py: integrators/test_splittings integrators/test_laws
     -1.17767998417887100695 => 1.17767998417887100695
     -0.0390563049223486 => -0.0390563049323486
     0.18453964097831570709 => 0.18453964197831570709

@@ -3,7 +3,7 @@
 import operator
 import warnings
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -455,19 +455,48 @@ class Engine:
         """K [energy]."""
         return kinetic_energy(self.velocities, self.system.masses)
 
+    def scene_in_words(self) -> Rows:
+        """What makes up a simulation."""
+        potentials = map(repr, self.interactions.potentials)
+        return scene_in_words(self.system, potentials, self.method.name, self.method.parameters, self.barostat)
+
     def display_rows(self) -> Rows:
         """What makes up a simulation, and where it stands. Nothing is computed."""
         options, units = self.interactions.options, self.system.units
         chosen = {"threads": options.threads, "skin": options.skin}
         words = [f"{name} {value:g}" for name, value in chosen.items() if value is not None]
-        rows = [("system", repr(self.system)), *(("potential", repr(one)) for one in self.interactions.potentials)]
-        rows += [("method", repr(self.method)), *(("constraint", repr(one)) for one in self.constraints)]
-        rows += [("barostat", repr(self.barostat))] if self.barostat is not None else []
+        rows = self.scene_in_words()
         rows += [("observed too", ", ".join(self.extra_observables))] if self.extra_observables else []
         rows += [("options", ", ".join([described(options.precision), *words]))]
         if grid := self.interactions.grid:
             rows += [("grid", f"{grid!r}: positions, lattice vectors and momenta are rounded to it")]
         return [*rows, ("at", f"step {self.step}, {units.shown(self.time)}")]
+
+
+def scene_in_words(
+    system: System,
+    potentials: Iterable[str],
+    method: str,
+    parameters: Mapping[str, Any],
+    barostat: StochasticCellRescaling | None,
+) -> Rows:
+    """What is simulated, the same for a simulation, a file, and the lines and the page of a run.  method : its name."""
+    units, cell = system.units, "none, open in all directions"
+    if system.cell.is_periodic:
+        lengths = " × ".join(f"{length:.4g}" for length in np.linalg.norm(system.cell.vectors, axis=1))
+        cell = f"{lengths} {units.length}, periodic along {' '.join(np.array(list('abc'))[system.cell.pbc])}"
+    joined = "".join(f"; {len(group)} {name}" for name, group in system.groups().items() if len(group))
+    shown = {
+        "timestep": units.shown,
+        "temperature": lambda value: f"{value:.10g} {units.temperature}",
+        "friction": lambda value: f"{value / units.to_picosecond:.10g} / {units.shown_time}",
+        "relaxation_time": units.shown,
+    }
+    told = (f"{name.replace('_', ' ')} {shown.get(name, str)(value)}" for name, value in parameters.items())
+    rows = [("system", f"{len(system)} atoms ({system.composition}){joined}"), ("cell", cell)]
+    rows += [("constraints", ", ".join(map(repr, system.constraints)))] if system.constraints else []
+    rows += [*(("potential", one) for one in potentials), ("method", ", ".join((method, *told)))]
+    return rows + ([("barostat", repr(barostat))] if barostat is not None else [])
 
 
 def _copied(

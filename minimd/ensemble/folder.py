@@ -12,7 +12,6 @@ that it is writing.
 
 from __future__ import annotations
 
-import errno
 import functools
 import json
 import os
@@ -84,7 +83,7 @@ class EnsembleFolder:
                 self._lock = locked(path / JOURNAL, create=True)
             except OSError as error:
                 advice = "choose another folder"
-                if error.errno == errno.EBUSY:
+                if isinstance(error, BlockingIOError):
                     advice = f"an ensemble is running there: wait for its end, or {advice}"
                 raise OSError(f"folder {str(path)!r} cannot be used: {error.strerror}; {advice}") from None
         try:

@@ -6,7 +6,6 @@ import csv
 import io
 import json
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ from minimd.console.words import listed, near
 from minimd.engine.record import SERIES
 from minimd.ensemble.folder import DESCRIPTION, Asked, EnsembleFolder
 from minimd.ensemble.member import BEGUN, DONE, FAILED, MISSING, NOTE, STATES, file_of, read_note
-from minimd.files.claim import is_locked, write_whole
+from minimd.files.claim import write_whole
 from minimd.structure.errors import sentence
 from minimd.structure.statistics import with_error
 from minimd.structure.units import SYSTEMS, UnitSystem
@@ -218,17 +217,14 @@ def status(folder: Path) -> tuple[EnsembleTable, list[str]]:
 
 
 def _progress(file: str, steps: int) -> str:
-    """The progress of a member in words. A file that is being written cannot be read, but its lock tells so."""
+    """The progress of a member in words. A file that is being written cannot be read."""
     from minimd.files.h5md_reader import read_file
 
     try:
         contents = read_file(file)
         return f"stopped after {contents.step - int(contents.record.step[0])} of {steps} steps"
     except (OSError, ValueError) as error:
-        with suppress(OSError):
-            if is_locked(Path(file)):
-                return "running"
-        return sentence(error)
+        return "running" if isinstance(error, BlockingIOError) else sentence(error)
 
 
 def told_averages(table: EnsembleTable) -> Iterator[str]:

@@ -59,8 +59,8 @@ class Claim:
     overwrite : a new file may replace one that exists.
     place : where to write: the path, or the temporary name of a new file.  descriptor : of the file, locked.
 
-    Raises FileExistsError if a new file would replace one and may not.  OSError if another run writes the file,
-    or it is not a regular file.
+    Raises FileExistsError if a new file would replace one and may not.  BlockingIOError if another run writes it,
+    OSError if it is not a regular file.
     """
 
     def __init__(self, path: str | Path, is_new: bool = True, overwrite: bool = False) -> None:
@@ -151,7 +151,7 @@ def new_file(path: Path) -> int:
     try:
         return _locked(os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | NO_LINK, 0o666), path)
     except FileExistsError:
-        raise OSError(errno.EBUSY, IN_USE) from None
+        raise BlockingIOError(errno.EAGAIN, IN_USE) from None
 
 
 def write_whole(file: Path, content: str | bytes) -> None:
@@ -191,7 +191,7 @@ def _locked(descriptor: int, path: Path) -> int:
             raise BlockingIOError
     except (BlockingIOError, FileNotFoundError):
         os.close(descriptor)
-        raise OSError(errno.EBUSY, IN_USE) from None
+        raise BlockingIOError(errno.EAGAIN, IN_USE) from None
     except OSError as error:
         if error.errno not in UNLOCKABLE:
             os.close(descriptor)

@@ -26,7 +26,7 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5t
 from minimd.console.display import Displayed, Rows
 from minimd.console.quiet import quiet
 from minimd.console.words import printable
-from minimd.engine.engine import Checkpoint
+from minimd.engine.engine import Checkpoint, scene_in_words
 from minimd.engine.record import SERIES, Frame, Record
 from minimd.files import h5md_digest as digest
 from minimd.files.claim import end_with, repair
@@ -64,7 +64,7 @@ def opened(path: str | Path) -> h5py.File:
     """Open a minimd file for reading. A commit that was interrupted is finished first.
 
     Raises FileNotFoundError if it does not exist.  ValueError if it is not HDF5, or not written by minimd.  OSError if
-    it is damaged, as admitted, or if a run is writing it.
+    it is damaged, as admitted.  BlockingIOError if a run is writing it.
     """
     if not Path(path).is_file():
         raise FileNotFoundError(f"file {str(path)!r} does not exist; give the .h5md file of a run")
@@ -76,7 +76,8 @@ def opened(path: str | Path) -> h5py.File:
     except (OSError, RuntimeError) as error:
         words = sentence(error)
         reason = next((told for sign, told in REASONS.items() if sign in words), words.splitlines()[0])
-        raise OSError(f"file {str(path)!r} cannot be opened: {reason}") from error
+        kind = BlockingIOError if isinstance(error, BlockingIOError) else OSError
+        raise kind(f"file {str(path)!r} cannot be opened: {reason}") from error
     with damage_told(path):
         is_ours = h5.id.links.exists(b"minimd")
     if not is_ours:
@@ -284,14 +285,17 @@ class H5MDContents(Displayed):
         shown = self.system.units.shown
         return [
             *([("title", self.title)] if self.title else []),
-            ("system", repr(self.system)),
-            ("method", f"{self.method}, timestep {shown(self.timestep)}"),
-            *(("potential", one) for one in self.potentials),
+            *self.scene_in_words(),
             ("frames", f"{self.n_frames}, {'with' if self.has_forces else 'without'} forces"),
             ("restart", f"step {self.step}, {shown(self.time)}"),
             ("scene", "stored" if self.scene else "none stored"),
             *([("repaired", self.repaired)] if self.repaired else []),
         ]
+
+    def scene_in_words(self) -> Rows:
+        """System, potentials, method and barostat."""
+        potentials = (one.partition(": ")[2] for one in self.potentials)
+        return scene_in_words(self.system, potentials, self.method, self.parameters, self.barostat)
 
     def integrator(self) -> Splitting:
         """The method with its time step.  Raises ValueError if it is not a method of minimd."""

@@ -19,8 +19,7 @@ class Problem(Protocol):
     """y′ = f(t, y) or F(t, y, y′) = 0, with initial values. States are one-dimensional arrays.
 
     solver : Newton() or FixedPoint(), for implicit steps.  shape : of q and of v, None for problems without them.
-    remark : what limits the accuracy of solutions beyond method and rounding, if anything does;
-        known once initial values are given.
+    remark : what limits the accuracy of solutions beyond method and rounding, if anything does; known after begin.
     """
 
     solver: Any
@@ -35,13 +34,13 @@ class Problem(Protocol):
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """F(t, y, y′), zero on a solution; y′ − f(t, y) if the problem is explicit."""
+        return slope - self.field(t, y)
 
 
 class Step(Protocol):
     """One step of a method on a problem: y(t) → y(t+h). It never changes y, and counts its evaluations in nfev.
 
-    A step may remember what it knows about the state it returned last (its force, say);
-    it recognizes the state as the same array object.
+    A step may remember what it knows about the state it returned last, its force say, and know it as the same array.
     """
 
     @property
@@ -98,8 +97,7 @@ class Method(Displayed):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The constructor arguments that recreate this method, by name:
-        its attributes with the names of constructor arguments."""
+        """The constructor arguments that recreate this method, by name: its attributes with the names of arguments."""
         return {name: getattr(self, name) for name in signature(type(self)).parameters if hasattr(self, name)}
 
     def display_rows(self) -> Rows:

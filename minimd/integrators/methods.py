@@ -17,19 +17,10 @@ class MethodTable(dict[str, type[Method]]):
         rows: list[tuple[str, ...]] = [("name", "order", "stages", "symmetric", "symplectic", "explicit", "source")]
         for method in self.values():
             answers = (method.is_symmetric, method.is_symplectic, method.is_explicit)
-            rows.append(
-                (
-                    method.name,
-                    str(method.order),
-                    str(method.stages),
-                    *("yes" if answer else "no" for answer in answers),
-                    method.source,
-                )
-            )
+            known = ("yes" if answer else "no" for answer in answers)
+            rows.append((method.name, str(method.order), str(method.stages), *known, method.source))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        return "\n".join(
-            "  ".join(entry.ljust(width) for entry, width in zip(row, widths, strict=True)).rstrip() for row in rows
-        )
+        return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
 
 
 def _methods_of(*modules: ModuleType) -> dict[str, Any]:

@@ -8,8 +8,7 @@ from pathlib import Path
 from time import time
 from typing import Any
 
-import numpy as np
-
+from minimd.console.display import NAME_WIDTH
 from minimd.console.signals import Terminated
 from minimd.diagnosis.report import conservation_report
 from minimd.document.document import h5md_files, stored
@@ -18,16 +17,11 @@ from minimd.files.crash_file import crash_file_place
 from minimd.files.h5md_reader import read_file, verify_frames
 from minimd.files.h5md_schema import other_potentials
 from minimd.files.trajectory import FORMATS, checked_output
-from minimd.integrators import StochasticCellRescaling
 from minimd.lammps import HandOver, check_hand_over, hand_over
 from minimd.observers import Accumulator
-from minimd.potentials import PairPotential
 from minimd.scene.scene import Scene
 from minimd.simulation.simulation import Simulation
-from minimd.structure.constraints import FixedAtoms
 from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
-from minimd.structure.system import System
-from minimd.structure.units import UnitSystem
 
 Tell = Callable[[str], None]
 OF_THE_START = ("structure.", "minimization.", "equilibration.")
@@ -247,64 +241,12 @@ def equilibrate(
 
 def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]:
     """Lines about what has been built and will be run."""
-    units, system = scene.units, simulation.system
-    joined = "".join(f"; {len(group)} {name}" for name, group in system.groups().items() if len(group))
-    species = ", ".join(
-        f"{n} {name}" for n, name in zip(np.bincount(system.species_index), system.species_names, strict=True)
-    )
-    fixed = [f"atoms fixed: {len(one.atoms)}" for one in simulation.constraints if isinstance(one, FixedAtoms)]
-    lengths = [f"lengths kept: {len(one.pairs)}" for one in simulation.constraints if not isinstance(one, FixedAtoms)]
-    held = ", ".join(lengths + fixed)
-    return [
-        f"scene          {scene.path}" + (f": {scene.sections.title}" if scene.sections.title else ""),
-        f"system         {len(system)} atoms ({species}){joined}",
-        f"cell           {_cell(system)}",
-        *([f"constraints    {held}; {simulation.n_dof} degrees of freedom"] if held else []),
-        *(f"potential      {_potential(potential, units)}" for potential in scene.potentials()),
-        f"method         {_method(scene, simulation)}",
-        *([f"barostat       {_barostat(simulation.barostat, units)}"] if simulation.barostat is not None else []),
-        f"run            {n_steps} steps = {units.shown(n_steps * simulation.method.timestep)}, observed every "
-        f"{scene.sections.output.every}",
-    ]
-
-
-def _method(scene: Scene, simulation: Simulation) -> str:
-    dynamics, units = scene.sections.dynamics, scene.units
-    if simulation.method.parameters != scene.method().parameters or simulation.method.name != scene.method().name:
-        return repr(simulation.method)  # the method of a script that went on with the run
-    relaxation = dynamics.relaxation_time
-    bath = (
-        f", bath at {dynamics.temperature:g} {units.temperature}, relaxation time {units.shown(relaxation)}"
-        if relaxation
-        else ""
-    )
-    return f"{dynamics.method}, timestep {units.shown(dynamics.timestep)}{bath}"
-
-
-def _barostat(barostat: StochasticCellRescaling, units: UnitSystem) -> str:
-    relaxation = f"relaxation time {units.shown(barostat.relaxation_time)}"
-    return (
-        f"stochastic cell rescaling, {barostat.coupling}, {barostat.pressure:.6g} {units.pressure}, {relaxation}, "
-        f"every {barostat.every} steps"
-    )
-
-
-def _cell(system: System) -> str:
-    if not system.cell.is_periodic:
-        return "none, open in all directions"
-    lengths = " × ".join(f"{length:.4g}" for length in np.linalg.norm(system.cell.vectors, axis=1))
-    return f"{lengths} {system.units.length}, periodic along {' '.join(np.array(list('abc'))[system.cell.pbc])}"
-
-
-def _potential(potential: object, units: UnitSystem) -> str:
-    name = type(potential).__name__
-    if not isinstance(potential, PairPotential):
-        return name
-    return f"{name}, " + (
-        "no cutoff"
-        if np.isinf(potential.cutoff)
-        else f"cutoff {potential.cutoff:g} {units.length}, {potential.truncation}"
-    )
+    run = f"{n_steps} steps = {scene.units.shown(n_steps * simulation.method.timestep)}"
+    rows = [("scene", f"{scene.path}" + (f": {scene.sections.title}" if scene.sections.title else ""))]
+    rows += simulation.engine.scene_in_words()
+    rows += [("n_dof", f"{simulation.n_dof} degrees of freedom")] if simulation.constraints else []
+    rows += [("run", f"{run}, observed every {scene.sections.output.every}")]
+    return [f"{name:<{NAME_WIDTH}} {words}" for name, words in rows]
 
 
 @contextmanager

@@ -124,6 +124,12 @@ class System(Displayed):
         return f"System({len(self)} atoms of {names}; {self._joined}; {where})"
 
     @property
+    def composition(self) -> str:
+        """How many atoms there are of each species, in words."""
+        counts = zip(np.bincount(self.species_index), self.species_names, strict=True)
+        return ", ".join(f"{n} {name}" for n, name in counts)
+
+    @property
     def _joined(self) -> str:
         """The numbers of bonds, and of angles, dihedrals and impropers if there are any, as text."""
         return ", ".join(f"{len(one)} {name}" for name, one in self.groups().items() if name == "bonds" or len(one))
@@ -134,8 +140,7 @@ class System(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        units, counts = self.units, zip(np.bincount(self.species_index), self.species_names, strict=True)
-        rows = [("atoms", f"{len(self)}: {', '.join(f'{n} {name}' for n, name in counts)}")]
+        units, rows = self.units, [("atoms", f"{len(self)}: {self.composition}")]
         rows += [(name, _with_unit(name, words, units)) for name, words in self.cell.display_rows()]
         if self.volume is not None:
             density = len(self) / self.volume

@@ -143,18 +143,9 @@ def parameters(contents: H5MDContents) -> Rows:
     words = (
         f"lengths in {units.length}, energies in {units.energy}, masses in {mass}, times in {units.time}{picosecond}"
     )
+    told = {"system", "cell", "constraints"}  # by the rows of the system
     rows = [row for row in system.display_rows() if row[0] != "units"]
-    rows += [("method", contents.method), ("time step", units.shown(contents.timestep))]
-    shown = {
-        "temperature": lambda value: f"{value:.10g} {units.temperature}",
-        "friction": lambda value: f"{value / units.to_picosecond:.10g} / {units.shown_time}",
-        "relaxation_time": units.shown,
-    }
-    for name, value in contents.parameters.items():
-        if name != "timestep":
-            rows.append((name.replace("_", " "), shown.get(name, str)(value)))
-    rows += [("barostat", repr(contents.barostat))] if contents.barostat is not None else []
-    rows += [("potential", one.partition(": ")[2]) for one in contents.potentials]
+    rows += [row for row in contents.scene_in_words() if row[0] not in told]
     return [*rows, ("units", f"{words}, temperatures in {units.temperature}")]
 
 

@@ -60,6 +60,7 @@ GROUPS = [  # function, error, argument, and several of (what the function is ca
     (lambda g: mi.Partitioned(g, lambda q: q), T, "g must be a function", (1.0, "1.0")),
     (lambda f: mi.Hessenberg2(f, lambda t, y: y - t), T, "f must take some of t, y, z", (lambda x: x, "(x)")),
     (lambda g: mi.Hessenberg2(lambda z: z, g), T, "g must be a function of t, y", (3.0, "3.0")),
+    (lambda g: mi.Hessenberg2(lambda z: z, g), T, "g must take some of t, y", (lambda y, t: y, "(y, t)")),
     (mi.Invariants, T, "g must", (3.0, "3.0"), (lambda t, q, v: q[0], "not depend on t")),
     (lambda f: mi.Holonomic(f, circle), V, "f", (lambda q, v: -v, "f takes v")),
     # starts

@@ -11,56 +11,64 @@ reason. E. Hairer, G. Wanner, Solving ODEs II (1996), VI.1, VII.1.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.console.words import shown
-from minimd.integrators.dae.consistent_start import KEPT, REFUSED, WIDE, are_independent, nearest_root, unit_of_time
+from minimd.integrators.dae.implicit import ADVICE
 from minimd.integrators.method import Array
 from minimd.integrators.ode.functions import (
     CENTRAL,
     Function,
-    accurate_differences,
+    derivative,
     forward_differences,
     remark_on_differences,
     taking,
     time_derivative,
+    unit_of_time,
 )
-from minimd.integrators.ode.newton import Newton, Solver
+from minimd.integrators.ode.newton import WIDE, Newton, are_independent, nearest_root
 from minimd.integrators.ode.problems import DifferentialAlgebraic
 
 __all__ = ["Hessenberg1", "Hessenberg2", "Hessenberg3", "Mechanical"]
 
 Parts = tuple[Array, ...]
+KEPT = 1e-11  # relative moves below which a start is left as it is: the accuracy of the derivatives
+REFUSED = 1e-8  # and above which it is refused as inconsistent; moves between the two are made without a warning
 
 
 class Hessenberg(DifferentialAlgebraic):
-    """What the forms have in common: parts of the state, and a chain of constraints,
-    each of which determines one of the last parts."""
+    """What the forms have in common: parts of the state, and a chain of constraints, each of which determines one of
+    the last parts.  functions : of the user, in the order in which they are named, each of t and of its first parts."""
 
     names: ClassVar[tuple[str, ...]]  # of the parts
-    functions: ClassVar[tuple[str, ...]]  # of the user, one for each part
+    functions: ClassVar[tuple[tuple[str, int], ...]]  # one for each part: its name, of how many parts it is a function
     chain: ClassVar[tuple[str, ...]]  # what is zero, from g on; the last one determines the algebraic variables
     regular: ClassVar[str]  # the matrix that must have full rank for this
-    f: Any  # of y′ and of the constraints, with arguments in order
-    g: Any
     _slices: tuple[slice, ...] = ()
+
+    def __init__(self, solver: Newton, *functions: Function) -> None:
+        super().__init__(solver)
+        self._functions = [
+            taking(function, " ".join(("t", *self.names[:n])), name)
+            for function, (name, n) in zip(functions, self.functions, strict=True)
+        ]
+        self.f, self.g = self._functions[0], self._functions[-1]
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, its algebraic variables solved for.
 
-        start : the parts one after the other, such as (q, v); algebraic variables may be left out;
-            if given they are a first guess.
-        Raises ValueError for a start that violates a constraint, given or hidden;
-        problem.corrected gives one that does not.
+        start : the parts, such as (q, v); algebraic variables may be left out; if given they are a first guess.
+        Raises ValueError for a start that violates a constraint, given or hidden; corrected gives one that does not.
         """
-        return self._consistent(start, t0, self._refused)
+        return self._consistent(start, t0, KEPT, REFUSED)
 
     def corrected(self, start: Any, t0: float = 0.0) -> Array:
         """The consistent state nearest to a start, found part by part."""
-        return self._consistent(start, t0, lambda k, t, parts, root: root)
+        return self._consistent(start, t0, 0.0, np.inf)
 
     def parts(self, y: ArrayLike) -> Parts:
         """Views of the parts of a state, or of many: y may be (n,), or (n_times, n) as in a solution."""
@@ -81,7 +89,7 @@ class Hessenberg(DifferentialAlgebraic):
         """dᵏg/dtᵏ along the solution, from central differences: zero on solutions."""
         y = parts[0]
         if k == 0:
-            return self.g(t, y)
+            return self.g(t, *parts[: self.functions[-1][1]])
         rate = self.f(t, *parts[:2])
         second = self._highest_derivative(t, *parts) if k == 2 else np.zeros_like(rate)
         unit = unit_of_time(y, rate, second)
@@ -92,38 +100,34 @@ class Hessenberg(DifferentialAlgebraic):
         n_differential = self._slices[-1].start
         return np.diag(np.repeat([1.0, 0.0], [n_differential, y.size - n_differential]))
 
-    def _consistent(self, start: Any, t: float, judged: Any) -> Array:
+    def _consistent(self, start: Any, t: float, kept: float, refused: float) -> Array:
+        """The state whose parts are roots of the constraints that determine them.  kept, refused : moves of a part,
+        relative to its size, up to which it stays as it is, and above which the start is refused."""
         parts = self._begun(start, t)
-        first, last = len(parts) - len(self.chain), len(self.chain) - 1
-        for k in range(last + 1):
-            i, step = first + k, WIDE if k > 0 else CENTRAL
+        last = len(self.chain) - 1
+        for k, chained in enumerate(self.chain):
+            i, step = len(parts) - len(self.chain) + k, WIDE if k > 0 else CENTRAL
 
             def violation(x: Array) -> Array:
                 return self.constraint(k, t, *parts[:i], x, *parts[i + 1 :])
 
-            size = self._size_of_algebraic(t, parts) if k == last else _size(parts[i], parts)
-            if not are_independent(violation, parts[i], step, size):
-                raise ValueError(f"{self.regular} must have full rank at the start, t = {t:g}, or the index is higher "
-                                 f"than {self.index}: "
-                                 f"the constraints 0 = {self.chain[k]} do not determine {self.names[i]}")  # fmt: skip
-            root = nearest_root(violation, parts[i], step, size=size)
-            parts[i] = root if k == last else judged(k, t, parts, root)
+            own = self._size_of_algebraic(t, parts) if k == last else _size(parts[i], parts)
+            if not are_independent(violation, parts[i], step, own):
+                what = f"the constraints 0 = {chained} do not determine {self.names[i]}"
+                when = f"at the start, t = {t:g}, or the index is higher than {self.index}"
+                raise ValueError(f"{self.regular} must have full rank {when}: {what}")
+            root = nearest_root(violation, parts[i], step, size=own)
+            move, size = np.abs(root - parts[i]).max(), max(own, np.abs(root).max())
+            if k < last and move > refused * size:
+                off = violation(parts[i])
+                worst = int(np.argmax(np.abs(off)))
+                found = f"its element {worst} is {off[worst]:.2e} at t = {t:g}"
+                needed = f"{self.names[i]} would have to move by {move:.1e}"
+                name = f"{'hidden ' if k else ''}constraint 0 = {chained}"
+                raise ValueError(f"the start violates the {name}: {found}, and {needed}; {ADVICE}")
+            if k == last or move > kept * size:
+                parts[i] = root
         return np.concatenate(parts)
-
-    def _refused(self, k: int, t: float, parts: list[Array], root: Array) -> Array:
-        """The part that the k-th constraint determines: its root,
-        or the part itself where the two agree to rounding."""
-        i = len(parts) - len(self.chain) + k
-        name, part = self.names[i], parts[i]
-        move, size = np.abs(root - part).max(), max(_size(part, parts), np.abs(root).max())
-        if move > REFUSED * size:
-            violation = self.constraint(k, t, *parts)
-            worst = int(np.argmax(np.abs(violation)))
-            raise ValueError(f"the start violates the {'hidden ' if k else ''}constraint 0 = {self.chain[k]}: its "
-                             f"element {worst} is "
-                             f"{violation[worst]:.2e} at t = {t:g}, and {name} would have to move by {move:.1e}; "
-                             "give consistent values, or take them from problem.corrected(start, t0)")  # fmt: skip
-        return root if move > KEPT * size else part
 
     def _size_of_algebraic(self, t: float, parts: list[Array]) -> float:
         """Size of algebraic variables that would change the highest derivative of the path by its own size."""
@@ -134,41 +138,33 @@ class Hessenberg(DifferentialAlgebraic):
         return float(wanted / response) if wanted > 0.0 < response else 1.0
 
     def _highest_derivative(self, t: float, *parts: Array) -> Array:
-        """The derivative of y that occurs in the last constraint of the chain and depends
-        on the algebraic variables."""
+        """The derivative of y in the last constraint of the chain: it depends on the algebraic variables."""
         return parts[-1]
 
     def _begun(self, start: Any, t: float) -> list[Array]:
         """The parts of a start, with zeros for algebraic variables that are not given; sizes are remembered."""
-        if not isinstance(start, tuple) or len(start) not in (len(self.names) - 1, len(self.names)):
-            raise ValueError(
-                f"the start must be a tuple of {', '.join(self.names)}, of which {self.names[-1]} may be left out; got "
-                f"{shown(start)}"
-            )
+        names, is_guess_needed = self.names, self.functions[-1][1] == len(self.names)  # as g depends on it
+        if not isinstance(start, tuple) or not len(names) - (not is_guess_needed) <= len(start) <= len(names):
+            last = f"{names[-1]} {'a guess, for g depends on it' if is_guess_needed else 'may be left out'}"
+            raise ValueError(f"the start must be a tuple of {', '.join(names)} ({last}); got {shown(start)}")
         parts = [np.array(part, dtype=float).reshape(-1) for part in start]
-        if len(parts) < len(self.names):
-            parts.append(np.zeros(self._n_multipliers(t, *parts)))
-        for name, part in zip(self.names, parts, strict=True):
+        if len(parts) < len(names):
+            parts.append(np.zeros(self.constraint(0, t, *parts).size))
+        for name, part in zip(names, parts, strict=True):
             if part.size == 0 or not np.isfinite(part).all():
                 raise ValueError(f"{name} of the start must have at least one element, and finite ones; got {part}")
         sizes = [part.size for part in parts]
         self._slices = tuple(slice(end - size, end) for end, size in zip(np.cumsum(sizes).tolist(), sizes, strict=True))
         self.levels = np.repeat(np.maximum(np.arange(len(parts)) + self.index - len(parts), 0), sizes)
-        for name, answer, part in zip(self.functions, self._answers(t, *parts), parts, strict=True):
+        for (name, _), answer, part in zip(self.functions, self._answers(t, *parts), parts, strict=True):
             if answer.size != part.size:
-                raise ValueError(
-                    f"{name} must answer with as many numbers as it has variables, {part.size} as in the start; got "
-                    f"{answer.size}"
-                )
+                needed = f"as many numbers as it has variables, {part.size} as in the start"
+                raise ValueError(f"{name} must answer with {needed}; got {answer.size}")
         return parts
 
     def _answers(self, t: float, *parts: Array) -> Parts:
         """The values of the functions, in the order of the parts."""
-        raise NotImplementedError
-
-    def _n_multipliers(self, t: float, *parts: Array) -> int:
-        """Number of algebraic variables."""
-        return self.constraint(0, t, *parts).size
+        return tuple(f(t, *parts[:n]) for f, (_, n) in zip(self._functions, self.functions, strict=True))
 
 
 class Hessenberg1(Hessenberg):
@@ -181,21 +177,10 @@ class Hessenberg1(Hessenberg):
     The start is (y, z), with a guess of z.
     """
 
-    index, names, functions, chain, regular = 1, ("y", "z"), ("f", "g"), ("g",), "g_z"
+    index, names, functions, chain, regular = 1, ("y", "z"), (("f", 2), ("g", 2)), ("g",), "g_z"
 
-    def __init__(self, f: Function, g: Function, solver: Solver = Newton()) -> None:
-        super().__init__(solver)
-        self.f, self.g = taking(f, ("t", "y", "z"), "f"), taking(g, ("t", "y", "z"), "g")
-
-    def constraint(self, k: int, t: float, *parts: Array) -> Array:
-        """g."""
-        return self.g(t, *parts)
-
-    def _answers(self, t: float, *parts: Array) -> Parts:
-        return self.f(t, *parts), self.g(t, *parts)
-
-    def _n_multipliers(self, t: float, *parts: Array) -> int:
-        raise ValueError("the start must be a tuple of y and a guess of z, for g(t, y, z) depends on both")
+    def __init__(self, f: Function, g: Function, solver: Newton = Newton()) -> None:
+        super().__init__(solver, f, g)
 
 
 class Hessenberg2(Hessenberg):
@@ -208,18 +193,14 @@ class Hessenberg2(Hessenberg):
     The start is (y,), or (y, z) with a guess of z.
     """
 
-    index, names, functions, regular = 2, ("y", "z"), ("f", "g"), "g_y f_z"
+    index, names, functions, regular = 2, ("y", "z"), (("f", 2), ("g", 1)), "g_y f_z"
     chain = ("g", "dg/dt = g_t + g_y f")
 
-    def __init__(self, f: Function, g: Function, solver: Solver = Newton()) -> None:
-        super().__init__(solver)
-        self.f, self.g = taking(f, ("t", "y", "z"), "f"), taking(g, ("t", "y"), "g")
+    def __init__(self, f: Function, g: Function, solver: Newton = Newton()) -> None:
+        super().__init__(solver, f, g)
 
     def _highest_derivative(self, t: float, *parts: Array) -> Array:
         return self.f(t, *parts)
-
-    def _answers(self, t: float, *parts: Array) -> Parts:
-        return self.f(t, *parts), self.g(t, parts[0])
 
 
 class Hessenberg3(Hessenberg):
@@ -232,19 +213,12 @@ class Hessenberg3(Hessenberg):
     The start is (y, z), or (y, z, u) with a guess of u.
     """
 
-    index, names, functions, regular = 3, ("y", "z", "u"), ("f", "k", "g"), "g_y f_z k_u"
+    index, names, functions, regular = 3, ("y", "z", "u"), (("f", 2), ("k", 3), ("g", 1)), "g_y f_z k_u"
     chain = ("g", "dg/dt = g_t + g_y f", "d²g/dt²")
 
-    def __init__(self, f: Function, k: Function, g: Function, solver: Solver = Newton()) -> None:
-        super().__init__(solver)
-        self.f, self.k, self.g = (
-            taking(f, ("t", "y", "z"), "f"),
-            taking(k, ("t", "y", "z", "u"), "k"),
-            taking(g, ("t", "y"), "g"),
-        )
-
-    def _answers(self, t: float, *parts: Array) -> Parts:
-        return self.f(t, *parts[:2]), self.k(t, *parts), self.g(t, parts[0])
+    def __init__(self, f: Function, k: Function, g: Function, solver: Newton = Newton()) -> None:
+        super().__init__(solver, f, k, g)
+        self.k = self._functions[1]
 
     def _highest_derivative(self, t: float, *parts: Array) -> Array:
         """y″ = f_t + f_y f + f_z k."""
@@ -260,7 +234,7 @@ def _size(part: Array, parts: list[Array]) -> float:
     return own if own > KEPT * all_parts else all_parts
 
 
-class Mechanical(Hessenberg3):
+class Mechanical(Hessenberg):
     """Constrained mechanics, for methods that solve its equations together: index 3.
 
         q′ = v        M(q) v′ = f(t, q, v) − G(t, q)ᵀ λ        0 = g(t, q)        G = ∂g/∂q
@@ -273,14 +247,14 @@ class Mechanical(Hessenberg3):
     ----------
     mass : number, (n,) diagonal, (n, n) matrix, or a function of q that answers with one of them [mass].
     force : function of t, q, v, or of some of them under these names [force].
-    g : (m,) constraints, function of t, q.  gradient : (m, n) G = ∂g/∂q, a function of the same;
-        by differences of order 6 if not given.
+    g : (m,) constraints, function of t, q.  gradient : (m, n) G = ∂g/∂q, a function of the same; by differences of
+        order 6 if not given.
 
     The start is (q, v), or (q, v, λ) with a guess of λ; the force of the constraints is −Gᵀ λ. An error of G is one of
     this force: for all digits of λ and v′ give the gradient. The message of a solution says how large the error is.
     """
 
-    names, functions, regular = ("q", "v", "λ"), ("q′", "force", "g"), "G M⁻¹ Gᵀ"
+    index, names, functions, regular = 3, ("q", "v", "λ"), (("q′", 2), ("force", 2), ("g", 1)), "G M⁻¹ Gᵀ"
     chain = ("g", "dg/dt = G v + g_t", "d²g/dt²")
 
     def __init__(
@@ -289,35 +263,25 @@ class Mechanical(Hessenberg3):
         force: Function,
         g: Function,
         gradient: Function | None = None,
-        solver: Solver = Newton(),
+        solver: Newton = Newton(),
     ) -> None:
-        of_time_and_q = taking(g, ("t", "q"), "g")
-        super().__init__(
-            lambda t, y, z: z,
-            lambda t, y, z, u: self._highest_derivative(t, y, z, u),
-            lambda t, y: of_time_and_q(t, y),
-            solver,
-        )
-        self._force = taking(force, ("t", "q", "v"), "force")
-        self._gradient = gradient if gradient is None else taking(gradient, ("t", "q"), "gradient")
-        self._mass = (
-            taking(mass, ("q",), "mass") if callable(mass) else lambda q: np.array(mass, dtype=float).reshape(-1)
-        )
+        super().__init__(solver, lambda v: v, force, g)
+        self._force = self._functions[1]
+        self._gradient = gradient if gradient is None else taking(gradient, "t q", "gradient")
+        self._mass = taking(mass if callable(mass) else lambda: mass, "q", "mass")
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """See Hessenberg."""
         y = super().begin(start, t0)
-        q = self.parts(y)[0]
-        self.remark = remark_on_differences("G = ∂g/∂q", lambda x: self.g(t0, x), q) if self._gradient is None else ""
+        self.remark = remark_on_differences("G = ∂g/∂q", partial(self.g, t0), self._gradient, self.parts(y)[0])
         return y
 
     def residual(self, t: float, y: Array, slope: Array) -> Array:
         """q′ − v, M v′ − f + Gᵀ λ and g."""
         q, v, multipliers = self.parts(y)
         q_slope, v_slope, _ = self.parts(slope)
-        return np.concatenate(
-            [q_slope - v, np.dot(self.mass(q), v_slope) - self._pull(t, q, v, multipliers), self.g(t, q)]
-        )
+        momentum = np.dot(self.mass(q), v_slope) - self._pull(t, q, v, multipliers)
+        return np.concatenate([q_slope - v, momentum, self.g(t, q)])
 
     def field(self, t: float, y: Array) -> Array:
         """v, M⁻¹ (f − Gᵀ λ), and zero for λ."""
@@ -360,22 +324,13 @@ class Mechanical(Hessenberg3):
         """M(q), (n, n)."""
         mass, n = self._mass(q), q.size
         if mass.size not in (1, n, n * n):
-            raise ValueError(
-                f"mass must be one number, {n} or {n} × {n}, as q has {n} elements; got {mass.size} numbers"
-            )
+            needed = f"one number, {n} or {n} × {n}, as q has {n} elements"
+            raise ValueError(f"mass must be {needed}; got {mass.size} numbers")
         return mass.reshape(n, n) if mass.size == n * n else np.eye(n) * mass
 
     def gradient(self, t: float, q: Array) -> Array:
         """G(t, q), (m, n)."""
-        return (
-            accurate_differences(lambda x: self.g(t, x), q)
-            if self._gradient is None
-            else self._gradient(t, q).reshape(-1, q.size)
-        )
-
-    def _answers(self, t: float, *parts: Array) -> tuple[Array, ...]:
-        q, v, _ = parts
-        return v, self._force(t, q, v), self.g(t, q)
+        return derivative(partial(self.g, t), self._gradient and partial(self._gradient, t), q)
 
     def _pull(self, t: float, q: Array, v: Array, multipliers: Array) -> Array:
         return self._force(t, q, v) - multipliers @ self.gradient(t, q)

@@ -15,10 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.console.words import shown
-from minimd.integrators.dae.consistent_start import WIDE, nearest_root, unit_of_time
 from minimd.integrators.method import Array
-from minimd.integrators.ode.functions import CENTRAL, Function, central_differences, taking, time_derivative
-from minimd.integrators.ode.newton import Newton, Solver
+from minimd.integrators.ode.functions import (
+    CENTRAL,
+    Function,
+    central_differences,
+    taking,
+    time_derivative,
+    unit_of_time,
+)
+from minimd.integrators.ode.newton import WIDE, Newton, nearest_root
 from minimd.integrators.ode.problems import DifferentialAlgebraic
 
 __all__ = ["Implicit", "pencil_index"]
@@ -30,6 +36,7 @@ PENCIL_RANK = 1e-10  # singular values of scaled matrices below this are roundin
 LEAST_MOBILITY = 0.1  # mobility of variables whose derivative occurs in F, relative to that of the others
 SOLVED, NEGLIGIBLE = 1e-7, 1e-12  # what may be left of an equation, relative to its terms and to its largest variable
 HIGHEST_INDEX = 3
+ADVICE = "give consistent values, or take them from problem.corrected(start, t0)"
 ORDINALS = ("", "the first time derivative of ", "the second time derivative of ")
 
 
@@ -41,29 +48,22 @@ class Implicit(DifferentialAlgebraic):
     F : (n,) function of t, y, slope, or of some of them under these names.
     F_y, F_slope : (n, n) ∂F/∂y and ∂F/∂y′, functions of the same; by finite differences if not given.
 
-    The start is y, or (y, y′) with a guess of y′. Variables whose derivative does not
-    occur in F are taken for a guess as well.
+    The start is y, or (y, y′) with a guess of y′. Variables whose derivative does not occur in F are guesses as well.
     """
 
     def __init__(
-        self,
-        F: Function,
-        F_y: Function | None = None,
-        F_slope: Function | None = None,
-        solver: Solver = Newton(),
+        self, F: Function, F_y: Function | None = None, F_slope: Function | None = None, solver: Newton = Newton()
     ) -> None:
         super().__init__(solver)
-        names = "t", "y", "slope"
-        self._F, self._slope = taking(F, names, "F"), np.zeros(0)
-        self._F_y = F_y if F_y is None else taking(F_y, names, "F_y")
-        self._F_slope = F_slope if F_slope is None else taking(F_slope, names, "F_slope")
+        self._F, self._slope = taking(F, "t y slope", "F"), np.zeros(0)
+        self.given_state_jacobian = None if F_y is None else taking(F_y, "t y slope", "F_y")
+        self.given_slope_jacobian = None if F_slope is None else taking(F_slope, "t y slope", "F_slope")
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
-        """The start as a state, with variables whose derivative does not occur in F solved for; field(t0, y)
-        is then its y′.
+        """The start as a state, with variables whose derivative does not occur in F solved for; field(t0, y) is its y′.
 
-        Raises ValueError if F, or a time derivative of it, cannot be zero there; if the index is above 3,
-        or solutions are not unique.
+        Raises ValueError if F, or a time derivative of it, cannot be zero there; if the index is above 3, or solutions
+        are not unique.
         """
         return self._consistent(start, t0, 0.0)
 
@@ -82,38 +82,14 @@ class Implicit(DifferentialAlgebraic):
         """The y′ nearest to that of the start with F = 0, in least squares."""
         return nearest_root(lambda slope: self.residual(t, y, slope), self._slope)
 
-    def state_jacobian(self, t: float, y: Array, slope: Array) -> Array:
-        """∂F/∂y, (n, n)."""
-        return (
-            super().state_jacobian(t, y, slope) if self._F_y is None else self._F_y(t, y, slope).reshape(y.size, y.size)
-        )
-
-    def slope_jacobian(self, t: float, y: Array, slope: Array) -> Array:
-        """∂F/∂y′, (n, n)."""
-        return (
-            super().slope_jacobian(t, y, slope)
-            if self._F_slope is None
-            else self._F_slope(t, y, slope).reshape(y.size, y.size)
-        )
-
     def _begun(self, start: Any, t: float) -> tuple[Array, Array]:
         """y and y′ of the start; y′ is zero if it is not given."""
-        y, slope = (
-            start
-            if isinstance(start, tuple) and len(start) == 2 and np.ndim(start[0]) == 1
-            else (start, np.zeros(np.shape(start)))
-        )
-        y, slope = np.array(y, dtype=float), np.array(slope, dtype=float)
-        if (
-            y.ndim != 1
-            or y.size == 0
-            or y.shape != slope.shape
-            or not (np.isfinite(y).all() and np.isfinite(slope).all())
-        ):
-            raise ValueError(
-                "the start must be y, or (y, y′), one-dimensional arrays of the same length with finite elements; got "
-                f"{shown(start)}"
-            )
+        is_pair = isinstance(start, tuple) and len(start) == 2 and np.ndim(start[0]) == 1
+        y, slope = (np.array(part, float) for part in (start if is_pair else (start, np.zeros(np.shape(start)))))
+        is_finite = np.isfinite(y).all() and np.isfinite(slope).all()
+        if y.ndim != 1 or y.size == 0 or y.shape != slope.shape or not is_finite:
+            needed = "y, or (y, y′), one-dimensional arrays of the same length with finite elements"
+            raise ValueError(f"the start must be {needed}; got {shown(start)}")
         n_equations = self.residual(t, y, slope).size
         if n_equations != y.size:
             raise ValueError(f"there must be as many equations as variables; F has {n_equations}, y has {y.size}")
@@ -121,8 +97,10 @@ class Implicit(DifferentialAlgebraic):
         return y, slope
 
     def _consistent(self, start: Any, t: float, least: float) -> Array:
-        """y, after solving F = 0 and its derivatives up to the index minus one.  least :
-        mobility of variables whose derivative occurs in F."""
+        """y, after solving F = 0 and its derivatives up to the index minus one.
+
+        least : mobility of variables whose derivative occurs in F.
+        """
         y, slope = self._begun(start, t)
         derivatives = np.abs(self.slope_jacobian(t, y, slope))
         mobility = np.where(derivatives.max(axis=0) <= ABSENT * derivatives.max(), 1.0, least)
@@ -144,9 +122,8 @@ class Implicit(DifferentialAlgebraic):
 
     def _pencil(self, t: float, y: Array, slope: Array) -> tuple[Array, Array]:
         """F_y′ and F_y, to some eleven digits."""
-        return central_differences(lambda x: self.residual(t, y, x), slope), central_differences(
-            lambda x: self.residual(t, x, slope), y
-        )
+        of_slope = central_differences(lambda x: self.residual(t, y, x), slope)
+        return of_slope, central_differences(lambda x: self.residual(t, x, slope), y)
 
     def _solved(
         self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float, size: float
@@ -173,28 +150,20 @@ class Implicit(DifferentialAlgebraic):
 
             return np.concatenate([path(0.0), *(unit**k * time_derivative(path, k, unit) for k in range(1, order))])
 
-        guess = np.concatenate(
-            [
-                y[is_free] / mobility[is_free],
-                *(scale * derivative for scale, derivative in zip(scales, jet, strict=True)),
-            ]
-        )
+        known = [scale * derivative for scale, derivative in zip(scales, jet, strict=True)]
+        guess = np.concatenate([y[is_free] / mobility[is_free], *known])
         step, dependent = (CENTRAL, RANK) if order == 1 else (WIDE, NOISY_RANK)
         x = nearest_root(array, guess, step, dependent, size)
-        self._check_solved(t, array(x), np.abs(central_differences(array, x, step, size)), x, unit, size)
-        moved, derivatives = taken(x)
-        return moved, derivatives[0]
-
-    def _check_solved(self, t: float, left: Array, terms: Array, x: Array, unit: float, size: float) -> None:
-        """ValueError if an equation of the derivative array could not be made zero."""
+        left, terms = array(x), np.abs(central_differences(array, x, step, size))
         allowed = SOLVED * (terms @ np.abs(x)) + NEGLIGIBLE * terms.max(axis=1) * max(np.abs(x).max(), size)
         k = int(np.argmax(np.abs(left) - allowed))
         if not abs(left[k]) <= allowed[k]:
-            order, equation = divmod(k, self._slope.size)
-            raise ValueError(f"the start violates F(t, y, y′) = 0: {ORDINALS[order]}equation {equation} stays at "
-                             f"{left[k] / unit**order:.2e} "
-                             f"at t = {t:g}, whatever y′ and the variables without one are; "
-                             "give consistent values, or take them from problem.corrected(start, t0)")  # fmt: skip
+            n, equation = divmod(k, y.size)
+            stays = f"{ORDINALS[n]}equation {equation} stays at {left[k] / unit**n:.2e} at t = {t:g}"
+            why = f"{stays}, whatever y′ and the variables without one are"
+            raise ValueError(f"the start violates F(t, y, y′) = 0: {why}; {ADVICE}")
+        moved, derivatives = taken(x)
+        return moved, derivatives[0]
 
 
 def _taylor(coefficients: list[Array], e: float) -> Array:
@@ -206,32 +175,29 @@ def _taylor(coefficients: list[Array], e: float) -> Array:
 
 
 def _levels(of_slope: Array, of_state: Array) -> Array:
-    """(n,) powers of 1/h by which errors of equations are amplified in each variable: 0, 1 or 2,
-    from (F_y′/h + F_y)⁻¹ at two small h."""
+    """(n,) powers of 1/h by which errors of equations are amplified in each variable, 0, 1 or 2: from (F_y′/h + F_y)⁻¹
+    at two small h."""
     m, a = of_slope / (np.abs(of_slope).max() or 1.0), of_state / (np.abs(of_state).max() or 1.0)
     long, short = (np.abs(np.linalg.inv(m / h + a)).max(axis=1) for h in (1e-3, 1e-4))
     return np.clip(np.round(np.log10(short / long)), 0, HIGHEST_INDEX - 1).astype(int)
 
 
 def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> int:
-    """Index ν of the pencil λM − A: how often equations of M y′ = A y must be differentiated to give y′.
-    0 if M is regular.
+    """Index ν of the pencil λM − A: how often M y′ = A y must be differentiated to give y′. 0 if M is regular.
 
         P M Q = diag(1, N),  P A Q = diag(C, 1)          Weierstrass' form; the index is that of N: Nᵛ = 0 ≠ Nᵛ⁻¹
 
     Shuffle algorithm: orthogonal row operations bring M to (M₁; 0) with M₁ of full rank and A to (A₁; A₂); the
-    equations 0 = A₂ y are differentiated, 0 = A₂ y′, and become rows of M. It ends when M is regular;
-    the number of rounds is the index.
+    equations 0 = A₂ y are differentiated, 0 = A₂ y′, and become rows of M. It ends when M is regular; the number of
+    rounds is the index.
 
     Parameters
     ----------
-    M, A : (n, n).  tolerance : singular values below this part of the largest one count as zero;
-        rows and time are scaled first.
+    M, A : (n, n).  tolerance : singular values below this part of the largest one are zero; rows and time are scaled.
 
     Raises
     ------
-    ValueError : for matrices of other shapes, or a singular pencil, det(λM − A) = 0 for all λ:
-        its solutions are not determined.
+    ValueError : for other shapes, or a singular pencil, det(λM − A) = 0 for all λ: its solutions are not determined.
 
     F. R. Gantmacher, The Theory of Matrices, vol. 2 (1959), XII; D. G. Luenberger, Automatica 14, 473 (1978);
     ranks by singular values: P. Van Dooren, Linear Algebra Appl. 27, 103 (1979).
@@ -241,29 +207,22 @@ def pencil_index(M: ArrayLike, A: ArrayLike, tolerance: float = PENCIL_RANK) -> 
         raise ValueError(f"M and A must be square matrices of the same size; got shapes {m.shape} and {a.shape}")
     if not (np.isfinite(m).all() and np.isfinite(a).all()):
         raise ValueError("M and A must be finite")
-    n = len(m)
+    n, index = len(m), 0
     # in a unit of time of its own, on which the index does not depend
     m, a = m / (np.abs(m).max() or 1.0), a / (np.abs(a).max() or 1.0)
-    for index in range(n + 1):
+    while True:
         left, sizes, _ = np.linalg.svd(m)
         rank = int((sizes > tolerance * max(sizes[0], np.abs(a).max())).sum())
         if rank == n:
             return index
         constraints = left[:, rank:].T @ a
         independent = np.linalg.svd(constraints, compute_uv=False)
-        if not independent[-1] > tolerance:
-            raise ValueError(_singular(n - rank, index, independent))
+        if not independent[-1] > tolerance or index == n:
+            what = f"after {index} differentiations {n - rank} equations without y′ depend on each other"
+            spread = f"singular values from {independent[0]:.1e} to {independent[-1]:.1e}"
+            why = f"det(λM − A) = 0 for all λ: {what} ({spread}), so that some variable is not determined"
+            raise ValueError(f"the pencil is singular, {why}")
         m = np.vstack([left[:, :rank].T @ m, constraints])
         a = np.vstack([left[:, :rank].T @ a, np.zeros_like(constraints)])
         sizes = np.linalg.norm(m, axis=1)
-        m, a = m / sizes[:, None], a / sizes[:, None]
-    raise ValueError(_singular(n - rank, n, independent))
-
-
-def _singular(n_constraints: int, index: int, sizes: Any) -> str:
-    return (
-        f"the pencil is singular, det(λM − A) = 0 for all λ: after {index} differentiations {n_constraints} "
-        "equations without y′ "
-        f"depend on each other (singular values from {sizes[0]:.1e} to {sizes[-1]:.1e}), so that some variable is "
-        "not determined"
-    )
+        m, a, index = m / sizes[:, None], a / sizes[:, None], index + 1

@@ -1,5 +1,4 @@
-"""Constrained mechanics of small systems: q″ = f(t, q) − M⁻¹ G(q)ᵀ λ with 0 = g(q),
-the differential-algebraic equation of index 3.
+"""Constrained mechanics of small systems, of index 3: q″ = f(t, q) − M⁻¹ G(q)ᵀ λ with 0 = g(q).
 
     drift     q₁ = q₀ + h v − M⁻¹ G(q₀)ᵀ λ  with  g(q₁) = 0,      v ← (q₁ − q₀)/h
     end       v ← v − M⁻¹ G(q₁)ᵀ μ          with  G(q₁) v = 0
@@ -19,11 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from minimd.console.quiet import outside_minimd
-from minimd.integrators.dae.consistent_start import unit_of_time
-from minimd.integrators.method import Array, Step
-from minimd.integrators.ode.functions import Function, accurate_differences, remark_on_differences, time_derivative
-from minimd.integrators.ode.newton import Iteration, Newton, Solver
-from minimd.integrators.ode.partitioned import SecondOrder, SequenceStep
+from minimd.integrators.method import Array
+from minimd.integrators.ode.functions import Function, derivative, remark_on_differences, time_derivative, unit_of_time
+from minimd.integrators.ode.newton import Iteration, Newton
+from minimd.integrators.ode.problems import SecondOrder
 from minimd.integrators.splitting.order_conditions import nystrom_order
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substeps
 from minimd.structure.errors import ConvergenceError
@@ -52,13 +50,15 @@ class Holonomic(SecondOrder):
     ValueError : if f takes v, or constraints depend on each other at the start.
     """
 
+    drifts_on_lines = False
+
     def __init__(
         self,
         f: Function,
         g: Function,
         jacobian: Function | None = None,
         masses: ArrayLike = 1.0,
-        solver: Solver = Newton(),
+        solver: Newton = Newton(),
     ) -> None:
         super().__init__(f, solver=solver)
         if "v" in self.f.takes:
@@ -71,19 +71,23 @@ class Holonomic(SecondOrder):
 
     def gradient(self, q: Array) -> Array:
         """G(q), (m, n)."""
-        if self._jacobian is None:
-            return accurate_differences(self.violation, q)
-        return np.array(self._jacobian(q.reshape(self.shape)), dtype=float).reshape(-1, q.size)
+        given = self._jacobian
+        return derivative(self.violation, None if given is None else lambda x: given(x.reshape(self.shape)), q)
 
     def directions(self, gradient: Array) -> Array:
         """M⁻¹ Gᵀ, (n, m), of a gradient G."""
-        masses = np.broadcast_to(self._masses, self.shape).reshape(-1)
-        return gradient.T / masses[:, None]
+        return gradient.T / np.broadcast_to(self._masses, self.shape).reshape(-1)[:, None]
 
     def begin(self, start: tuple[ArrayLike, ArrayLike], t0: float = 0.0) -> Array:
         """(q, v) as one state, projected onto the manifold."""
         q, v = np.split(super().begin(start), 2)
-        self._check_independent(q)
+        masses = np.broadcast_to(self._masses, self.shape).reshape(-1)
+        if not (masses > 0.0).all():
+            raise ValueError(f"masses must be positive; the smallest is {masses.min()}")
+        sizes = np.linalg.svd(self.gradient(q) / np.sqrt(masses), compute_uv=False)
+        if sizes.size > q.size or not sizes[-1] > DEPENDENT * sizes[0]:
+            spread = f"singular values of G M^(-1/2) from {sizes[0]:.1e} to {sizes[-1]:.1e}"
+            raise ValueError(f"the gradients of g must be independent at the start; {spread}")
         off = float(np.abs(self.violation(q)).max())
         q1 = projected(self, q, q) if off > 0.0 else q
         v1 = tangent(self, q1, v)
@@ -91,62 +95,34 @@ class Holonomic(SecondOrder):
         if moved > KEPT * np.abs(q).max() or turned > KEPT * max(np.abs(v).max(), np.finfo(float).tiny):
             moves = f"q by {moved:.1e} (g was {off:.1e}), v by {turned:.1e}"
             warnings.warn(f"the start was projected onto the constraints: {moves}", stacklevel=outside_minimd())
-        self.remark = remark_on_differences("G = ∂g/∂q", self.violation, q1) if self._jacobian is None else ""
+        self.remark = remark_on_differences("G = ∂g/∂q", self.violation, self._jacobian, q1)
         return np.concatenate([q1, v1])
 
-    def sequence_step(self, substeps: Substeps) -> Step:
-        """The substeps, with constrained drifts."""
-        return RattleStep(self, substeps)
+    def drift(self, t: float, q: Array, v: Array, duration: float, iteration: Iteration) -> None:
+        """A constrained drift, in place."""
+        new = projected(self, q, q + duration * v, iteration)
+        v[:], q[:] = (new - q) / duration, new
+
+    def settle(self, q: Array, v: Array) -> None:
+        """The projection of velocities, in place."""
+        v[:] = tangent(self, q, v)
 
     def sequence_order(self, substeps: Substeps) -> int:
-        """Compositions of velocity Verlet keep their order, because each of their steps is a RATTLE step;
-        all others have order 2 at most."""
+        """Compositions of velocity Verlet keep their order, as each of their steps is a RATTLE step; others have 2 at
+        most."""
         return nystrom_order(substeps) if is_made_of_verlet(substeps) else min(nystrom_order(substeps), 2)
 
     def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
         """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
         q, v = np.asarray(q, dtype=float).reshape(-1), np.asarray(v, dtype=float).reshape(-1)
-        gradient, turning = (
-            self.gradient(q),
-            time_derivative(lambda e: self.gradient(q + e * v) @ v, 1, unit_of_time(q, v)),
-        )
+        gradient, unit = self.gradient(q), unit_of_time(q, v)
+        turning = time_derivative(lambda e: self.gradient(q + e * v) @ v, 1, unit)
         force = self.f(t, q.reshape(self.shape), v.reshape(self.shape))
         return np.asarray(np.linalg.solve(gradient @ self.directions(gradient), gradient @ force + turning))
 
-    def _check_independent(self, q: Array) -> None:
-        masses = np.broadcast_to(self._masses, self.shape).reshape(-1)
-        if not (masses > 0.0).all():
-            raise ValueError(f"masses must be positive; the smallest is {masses.min()}")
-        sizes = np.linalg.svd(self.gradient(q) / np.sqrt(masses), compute_uv=False)
-        if sizes.size > q.size or not sizes[-1] > DEPENDENT * sizes[0]:
-            spread = f"from {sizes[0]:.1e} to {sizes[-1]:.1e}"
-            raise ValueError(
-                f"the gradients of g must be independent at the start; singular values of G M^(-1/2) {spread}"
-            )
-
-
-class RattleStep(SequenceStep):
-    """One step of a splitting on a Holonomic problem."""
-
-    _problem: Holonomic
-
-    def __init__(self, problem: Holonomic, substeps: Substeps) -> None:
-        super().__init__(problem, substeps)
-        self._iteration = problem.solver.iteration()
-
-    def _drift(self, t: float, q: Array, v: Array, duration: float) -> None:
-        """A constrained drift."""
-        new = projected(self._problem, q, q + duration * v, self._iteration)
-        v[:], q[:] = (new - q) / duration, new
-
-    def _end(self, q: Array, v: Array) -> None:
-        """The projection of velocities."""
-        v[:] = tangent(self._problem, q, v)
-
 
 def is_made_of_verlet(substeps: Substeps) -> bool:
-    """Whether these are steps of velocity Verlet: kick w₁/2, drift w₁, kick (w₁ + w₂)/2, drift w₂,
-    … with neighboring kicks merged."""
+    """Whether these are steps of velocity Verlet: kick w₁/2, drift w₁, kick (w₁ + w₂)/2, drift w₂, …"""
     kicks, drifts = substeps[::2], (0.0, *(substep.coefficient for substep in substeps[1::2]), 0.0)
     if not isinstance(substeps[0], Kick) or len(kicks) != len(drifts) - 1:
         return False
@@ -159,10 +135,8 @@ def is_made_of_verlet(substeps: Substeps) -> bool:
 def projected(problem: Holonomic, q0: Array, q: Array, iteration: Iteration | None = None) -> Array:
     """The point q + M⁻¹ G(q0)ᵀ λ with g = 0.  Raises ConvergenceError if there is none near q."""
     directions = problem.directions(problem.gradient(q0))
-    residual, jacobian = (
-        lambda x: problem.violation(q + directions @ x),
-        lambda x: problem.gradient(q + directions @ x) @ directions,
-    )
+    residual = lambda x: problem.violation(q + directions @ x)  # noqa: E731
+    jacobian = lambda x: problem.gradient(q + directions @ x) @ directions  # noqa: E731
     solve, scale = (iteration or problem.solver.iteration()).solve, np.abs(q).max() / np.abs(directions).max()
     return q + directions @ solve(residual, np.zeros(directions.shape[1]), jacobian, scale=scale)
 
@@ -176,7 +150,6 @@ def tangent(problem: Holonomic, q: Array, v: Array) -> Array:
         for _ in range(2):
             v = v - directions @ np.linalg.solve(matrix, gradient @ v)
     except np.linalg.LinAlgError:
-        raise ConvergenceError(
-            "the gradients of the constraints depend on each other here, their forces are not determined"
-        ) from None
+        why = "the gradients of the constraints depend on each other here, their forces are not determined"
+        raise ConvergenceError(why) from None
     return np.asarray(v)

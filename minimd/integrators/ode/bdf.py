@@ -1,15 +1,12 @@
-"""Backward differentiation formulas: the polynomial through the last k states and the new
-one satisfies the equation at the new time.
+"""Backward differentiation formulas: the polynomial through the last k states and the new one obeys the equation.
 
     F(t₁, y₁, K) = 0,      K = (1/h) Σ_{j=0}^{k} α_j y_{1−j},      α_j = ℓ_j′(t₁) h
     α = (1, −1)    (3/2, −2, 1/2)    (11/6, −3, 3/2, −1/3)    …                            for equal steps
 
-The α follow from the times of the last states, so that a shortened last step has the order of the others. The first k −
-1 steps are made by Radau IIA with k stages, whose order is at least k in every variable that enters the formula.
-C. F. Curtiss, J. O. Hirschfelder, Proc. Natl. Acad. Sci. 38, 235 (1952); C. W. Gear, IEEE Trans. Circuit Theory 18, 89
-(1971). Order k for problems of index 1 and 2, and of index 3 with equal steps after the first k + 1 (K. E. Brenan, S.
-L. Campbell, L. R. Petzold, Numerical Solution of Initial-Value Problems in Differential-Algebraic Equations (1989),
-3.2).
+The α follow from the times of the last states, so that a shortened last step has the order of the others. The first
+k − 1 steps are made by Radau IIA with k stages, whose order is at least k in every variable that enters the formula.
+Order k for problems of index 1 and 2, and of index 3 with equal steps after the first k + 1 (K. E. Brenan, S. L.
+Campbell, L. R. Petzold, Numerical Solution of Initial-Value Problems in Differential-Algebraic Equations (1989), 3.2).
 """
 
 from collections import deque
@@ -32,10 +29,8 @@ class BDF(Method):
     """
 
     n_past: ClassVar[int]
-    source = (
-        "C. F. Curtiss, J. O. Hirschfelder, Proc. Natl. Acad. Sci. 38, 235 (1952); C. W. Gear, IEEE Trans. "
-        "Circuit Theory 18, 89 (1971)"
-    )
+    source = ("C. F. Curtiss, J. O. Hirschfelder, Proc. Natl. Acad. Sci. 38, 235 (1952); C. W. Gear, IEEE Trans. "
+              "Circuit Theory 18, 89 (1971)")  # fmt: skip
     order = ClassProperty(lambda method: method.n_past)
     stages = 1
     is_symmetric = is_symplectic = is_explicit = False
@@ -66,12 +61,10 @@ class BDFStep:
         if not self._states or self._k == 1:
             self._states.appendleft(y)
         if self._states[0] is not y:
-            raise TypeError(
-                f"bdf-{self._k} looks back at {self._k} states of its own path and cannot start anew at "
-                "every step, as step doubling, "
-                "reversible steps and projections want; use run_steps or run_until, or a one-step method "
-                "such as RadauIIA3"
-            )
+            why = f"looks back at {self._k} states of its own path and cannot start anew at every step"
+            wanted = "as step doubling, reversible steps and projections want"
+            advice = "use run_steps or run_until, or a one-step method such as RadauIIA3"
+            raise TypeError(f"bdf-{self._k} {why}, {wanted}; {advice}")
         y_new = self._start(t, y, h) if len(self._states) < self._k else self._formula(t, h)
         self._states.appendleft(y_new)
         self._steps.appendleft(h)
@@ -98,12 +91,7 @@ def slope_weights(nodes: Array) -> Array:
     return np.asarray(alpha)
 
 
-def _bdf(k: int, steps: str) -> type[BDF]:
-    return type(f"BDF{k}", (BDF,), {"__doc__": f"BDF with {steps}: order {k}.", "name": f"bdf-{k}", "n_past": k})
-
-
-BDF1 = _bdf(1, "one step, implicit Euler")
-BDF2 = _bdf(2, "two steps")
-BDF3 = _bdf(3, "three steps")
-BDF4 = _bdf(4, "four steps")
-BDF5 = _bdf(5, "five steps")
+BDF1, BDF2, BDF3, BDF4, BDF5 = (
+    type(f"BDF{k}", (BDF,), {"__doc__": f"BDF with {steps}: order {k}.", "name": f"bdf-{k}", "n_past": k})
+    for k, steps in enumerate(("one step, implicit Euler", "two steps", "three steps", "four steps", "five steps"), 1)
+)

@@ -1,7 +1,8 @@
-"""Solving the equations of an implicit step, down to rounding.
+"""Solving the equations of an implicit step and of a start, down to rounding.
 
     x ← x − J⁻¹ r(x),   J ≈ ∂r/∂x        simplified Newton: J is kept, and renewed when progress is slow
     x ← x − r(x)                          fixed point: the same with J = 1, for r(x) = x − φ(x)
+    x ← x − C⁺ c(x),    C = ∂c/∂x        Gauss-Newton, C⁺ pseudo-inverse of C: the nearest root of fewer equations
 
 An iteration has converged when the correction is at rounding, or is small and no longer shrinks although J is new: with
 a looser tolerance symmetric and symplectic methods would drift. Where each unknown has its own size, the columns of J
@@ -10,7 +11,6 @@ of h. E. Hairer, R. I. McLachlan, A. Razakarivony, BIT Numer. Math. 48, 231 (200
 Solving ODEs II (1996), IV.8, VII.4.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,21 +19,21 @@ import scipy  # its parts are loaded when they are used
 from minimd.compiled.machine import EPS
 from minimd.console.words import shown
 from minimd.integrators.method import Array
-from minimd.integrators.ode.functions import forward_differences
+from minimd.integrators.ode.functions import CENTRAL, Map, central_differences, forward_differences
 from minimd.structure.checks import checked_count
 from minimd.structure.errors import ConvergenceError
 
 __all__ = ["FixedPoint", "Newton"]
 
-Residual = Callable[[Array], Array]
-Jacobian = Callable[[Array], Array] | None
 Sizes = Array | float
 SLOW = 0.3  # the Jacobian is renewed if a correction is more than this part of the one before
 NEAR = 16.0 * EPS  # corrections, relative to the unknowns, that are taken for rounding once they shrink slowly
 STALLED = 0.5  # corrections that shrink by less than this factor with a new Jacobian no longer shrink
-# corrections, relative to the unknowns, that are taken for rounding once they no longer shrink: about the square root
-# of EPS
-SMALL = 1e-8
+SMALL = 1e-8  # corrections, relative to the unknowns, that are rounding once they no longer shrink: about √EPS
+SMALL_OF_NOISY = 1e-6  # the same where functions may be numerical derivatives
+DEPENDENT = 1e-8  # ratio of singular values below which equations count as dependent on each other
+MAX_ITERATIONS = 50
+WIDE = 1e-3  # relative step for differences of functions that are numerical derivatives themselves
 
 
 class Newton:
@@ -61,7 +61,7 @@ class Newton:
         """An iteration that keeps its own Jacobian."""
         return Iteration(self)
 
-    def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Jacobian, sizes: Sizes) -> Any:
+    def factorized(self, residual: Map, x: Array, r: Array, jacobian: Map | None, sizes: Sizes) -> Any:
         """LU factors of ∂r/∂x at x; where sizes are given, columns are scaled by them and rows to one."""
         matrix = forward_differences(residual, x, r) if jacobian is None else jacobian(x)
         if not np.isfinite(matrix).all():
@@ -73,9 +73,8 @@ class Newton:
             matrix *= rows[:, None]
         factors, pivots, zero_pivot = scipy.linalg.lapack.dgetrf(matrix)
         if zero_pivot:
-            raise ConvergenceError(
-                f"the equations of the step are singular: unknown {zero_pivot - 1} is not determined"
-            )
+            unknown = f"unknown {zero_pivot - 1} is not determined"
+            raise ConvergenceError(f"the equations of the step are singular: {unknown}")
         return factors, pivots, sizes, rows
 
     def correction(self, factors: Any, r: Array) -> Array:
@@ -86,15 +85,14 @@ class Newton:
 
 
 class FixedPoint(Newton):
-    """Fixed-point iteration x ← φ(x), without a Jacobian; it converges for short steps only.  Parameters, Raises :
-    as for Newton."""
+    """Fixed-point iteration x ← φ(x), without a Jacobian; for short steps only.  Parameters, Raises : as Newton."""
 
     slow = 1.0  # there is no Jacobian to renew
 
     def __init__(self, max_iterations: int = 200, small: float = SMALL) -> None:
         super().__init__(max_iterations, small)
 
-    def factorized(self, residual: Residual, x: Array, r: Array, jacobian: Jacobian, sizes: Sizes) -> Any:
+    def factorized(self, residual: Map, x: Array, r: Array, jacobian: Map | None, sizes: Sizes) -> Any:
         """None: the Jacobian is taken for 1."""
 
     def correction(self, factors: Any, r: Array) -> Array:
@@ -102,10 +100,7 @@ class FixedPoint(Newton):
         return r
 
 
-Solver = Newton
-
-
-def checked_solver(solver: Solver) -> Solver:
+def checked_solver(solver: Newton) -> Newton:
     """TypeError for anything but a solver."""
     if not isinstance(solver, Newton):
         raise TypeError(f"solver must be Newton() or FixedPoint(); got {shown(solver)}")
@@ -115,28 +110,28 @@ def checked_solver(solver: Solver) -> Solver:
 class Iteration:
     """Solves r(x) = 0 repeatedly, for equations that change little between solutions."""
 
-    def __init__(self, solver: Solver) -> None:
+    _factors: Any = None
+    _key: Any = None
+
+    def __init__(self, solver: Newton) -> None:
         self.solver = solver
-        self._factors: Any = None
-        self._key: Any = None
 
     def solve(
         self,
-        residual: Residual,
+        residual: Map,
         x: Array,
-        jacobian: Jacobian = None,
+        jacobian: Map | None = None,
         key: Any = None,
         scale: Sizes = 0.0,
         floor: Sizes | None = None,
-        nothing=0.0,
+        nothing: float = 0.0,
     ) -> Array:
-        """x with residual(x) = 0, to rounding.  Raises ConvergenceError with the largest residual.
+        """x with residual(x) = 0, to rounding, from a first guess.  Raises ConvergenceError with the largest residual.
 
-        residual : function of x.  x : first guess.  jacobian : ∂residual/∂x, a function of x.
-        key : what J depends on beside x, such as the time step; J is renewed when it changes.
-        scale : least sizes of the unknowns for relative errors, one number or an array;
-            the equations are scaled by an array too.
-        floor : the same for corrections that no longer shrink; scale if not given.
+        jacobian : ∂residual/∂x, a function of x.  key : what J depends on beside x, such as the time step; J is renewed
+            when it changes.
+        scale : least sizes of the unknowns for relative errors, one number or an array; the equations are scaled by an
+            array too.  floor : the same for corrections that no longer shrink; scale if not given.
         nothing : corrections up to this size end the iteration, whatever the unknowns.
         """
         before, last, slow = np.inf, np.inf, self.solver.slow
@@ -169,3 +164,34 @@ def _relative_size(dx: Array, x: Array, scale: Sizes) -> float:
     """Largest |Δx| relative to |x|, or to scale where that is larger; without a scale, relative to the largest |x|."""
     floor = np.maximum(np.abs(x), scale if np.any(scale) else np.abs(x).max())
     return float(np.max(np.abs(dx) / np.maximum(floor, np.finfo(float).tiny)))
+
+
+def nearest_root(
+    function: Map, x: Array, step: float = CENTRAL, dependent: float = DEPENDENT, size: float = 0.0
+) -> Array:
+    """A root of the function near the guess, by Gauss-Newton: each correction is the smallest that solves the
+    linearized equations.
+
+    step : of central differences, relative to x; WIDE for functions that are numerical derivatives themselves.
+    dependent : ratio of singular values below which equations count as dependent.
+    size : of the largest variable, where x may be smaller by chance.
+    """
+    best, least, size = x, np.inf, max(size, np.abs(x).max())
+    for _ in range(MAX_ITERATIONS):
+        c = function(x)
+        if not (c.any() and np.isfinite(c).all()):
+            return best if c.any() else x
+        dx = np.linalg.lstsq(central_differences(function, x, step, size), -c, rcond=dependent)[0]
+        move, largest = float(np.abs(dx).max()), float(max(size, np.abs(x + dx).max()))
+        if move > 0.5 * least and move <= SMALL_OF_NOISY * largest:
+            return best
+        x, best, least = x + dx, x + dx, move
+        if move <= EPS * largest:
+            return x
+    return best
+
+
+def are_independent(function: Map, x: Array, step: float = CENTRAL, size: float = 0.0) -> bool:
+    """Whether the Jacobian of the function has full row rank."""
+    sizes = np.linalg.svd(central_differences(function, x, step, size), compute_uv=False)
+    return bool(function(x).size <= x.size and sizes[-1] > DEPENDENT * sizes[0])

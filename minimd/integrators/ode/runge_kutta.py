@@ -63,8 +63,7 @@ class Tableau:
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether β_{s+1−i,s+1−j} + β_ij = w_j: the method is its own adjoint (stages in
-        rising order of their nodes)."""
+        """Whether β_{s+1−i,s+1−j} + β_ij = w_j: the method is its own adjoint (stages in order of their nodes)."""
         return bool(np.abs(self.beta[::-1, ::-1] + self.beta - self.weights).max() < TABLEAU_ROUNDING)
 
     @property
@@ -85,8 +84,8 @@ class Tableau:
 
     @property
     def order(self) -> int:
-        """Largest p whose simplifying assumptions B(p), C(η), D(ζ)
-        with p ≤ η + ζ + 1 and p ≤ 2η + 2 hold (Butcher 1964): a lower bound of the order.
+        """Largest p whose simplifying assumptions B(p), C(η), D(ζ) with p ≤ η + ζ + 1 and p ≤ 2η + 2 hold (Butcher
+        1964): a lower bound of the order.
 
         B(p): Σ w_i c_iᵏ⁻¹ = 1/k;  C(η): Σ_j β_ij c_jᵏ⁻¹ = c_iᵏ/k;  D(ζ): Σ_i w_i c_iᵏ⁻¹ β_ij = w_j (1 − c_jᵏ)/k.
         """
@@ -98,8 +97,7 @@ class Tableau:
 
 
 def _first_failure(defects: Array, axis: int = 0) -> int:
-    """How many conditions hold before the first that fails; conditions along the last axis,
-    or along the first if axis is 1."""
+    """How many conditions, along the other axis, hold before the first that fails."""
     worst = np.abs(np.atleast_2d(defects)).max(axis=axis)
     return int(np.argmax(worst > TABLEAU_ROUNDING)) if (worst > TABLEAU_ROUNDING).any() else worst.size
 
@@ -111,13 +109,14 @@ def collocation(nodes: ArrayLike) -> Tableau:
 
 
 def gauss(n_stages: int) -> Tableau:
-    """Gauss-Legendre nodes, the zeros of P_s(2c − 1): order 2s, symplectic and symmetric.  J. C. Butcher, Math. Comput.
-    18, 50 (1964)."""
+    """Gauss-Legendre nodes, the zeros of P_s(2c − 1): order 2s, symplectic and symmetric.
+
+    J. C. Butcher, Math. Comput. 18, 50 (1964).
+    """
     if n_stages == 2:
         r = np.sqrt(3.0) / 6.0
-        return Tableau(
-            np.array([[0.25, 0.25 - r], [0.25 + r, 0.25]]), np.array([0.5, 0.5]), np.array([0.5 - r, 0.5 + r])
-        )
+        beta = np.array([[0.25, 0.25 - r], [0.25 + r, 0.25]])
+        return Tableau(beta, np.array([0.5, 0.5]), np.array([0.5 - r, 0.5 + r]))
     rounded = collocation((1.0 + np.polynomial.legendre.leggauss(n_stages)[0]) / 2.0)
     # else invariants drift with the rounding of M
     beta = rounded.beta - rounded.symplecticity_defect / (2.0 * rounded.weights[:, None])
@@ -134,8 +133,7 @@ def radau_iia(n_stages: int) -> Tableau:
 
 
 def _lagrange_integrals(nodes: Array, end: float) -> Array:
-    """∫₀^end ℓ_j for all j, by a Gauss quadrature that is exact for them;
-    ℓ_j is one on node j and zero on the others."""
+    """∫₀^end ℓ_j for all j, by a Gauss quadrature that is exact for them; ℓ_j is one on node j, zero on the others."""
     x, w = np.polynomial.legendre.leggauss(nodes.size)
     x, w = end * (1.0 + x) / 2.0, end * w / 2.0
     # of ℓ_j at x_k, for [k, j]
@@ -145,10 +143,7 @@ def _lagrange_integrals(nodes: Array, end: float) -> Array:
 
 
 class RungeKutta(Method):
-    """An implicit Runge-Kutta method, given by its tableau : Tableau.
-
-    Order, symmetry and symplecticity are computed from it.
-    """
+    """An implicit Runge-Kutta method, given by its tableau, from which order, symmetry and symplecticity follow."""
 
     tableau: ClassVar[Tableau]
     is_explicit = False
@@ -165,15 +160,14 @@ class RungeKutta(Method):
         where errors of the multipliers do not shrink with the time step.
         """
         if isinstance(problem, DifferentialAlgebraic) and problem.index > 2 and not cls.tableau.is_stiffly_accurate:
-            raise TypeError(f"{cls.name} does not converge on problems of index {problem.index}, whose multipliers "
-                            "stay wrong however short "
-                            "the steps; take RadauIIA3 or BDF3, or a Holonomic problem with a splitting")  # fmt: skip
+            why = f"does not converge on problems of index {problem.index}, whose multipliers stay wrong however short"
+            advice = "take RadauIIA3 or BDF3, or a Holonomic problem with a splitting"
+            raise TypeError(f"{cls.name} {why} the steps; {advice}")
         return StageStep(problem, cls.tableau)
 
     @classmethod
     def order_on(cls, problem: Problem) -> int:
-        """Order of the error estimate: that of algebraic variables, weighted by h for index 2 and h² for index 3,
-        where it is lower."""
+        """Order of the error estimate: that of algebraic variables, weighted as in error_weights, where it is lower."""
         if not isinstance(problem, DifferentialAlgebraic) or (problem.index <= 1 and cls.tableau.is_stiffly_accurate):
             return cls.order
         return cls.tableau.stage_order
@@ -197,8 +191,7 @@ class StageEquations:
     def slopes(self, times: Array, base: Array, weights: Array, guess: Array, h: float) -> Array:
         """(s, n) K with F(t_i, b_i + Σ_j weights_ij K_j, K_i) = 0.  Raises ConvergenceError with the largest residual.
 
-        times : (s,).  base : (n,) b, the same for all stages.  weights : (s, s) h β.  guess : (s, n).  h :
-            the step [time].
+        times : (s,).  base : (n,) b, the same for all stages.  weights : (s, s) h β.  guess : (s, n).  h : [time].
         """
 
         def residual(unknowns: Array) -> Array:
@@ -215,9 +208,9 @@ class StageEquations:
                 rows[:, i * n : (i + 1) * n] += of_slope
             return matrix
 
-        return self._iteration.solve(
-            residual, guess.reshape(-1), jacobian, (h, *weights[0]), *self._sizes(base, guess, h)
-        ).reshape(guess.shape)
+        sizes = self._sizes(base, guess, h)
+        found = self._iteration.solve(residual, guess.reshape(-1), jacobian, (h, *weights[0]), *sizes)
+        return found.reshape(guess.shape)
 
     def _residual(self, t: float, y: Array, slope: Array) -> Array:
         self.nfev += 1
@@ -271,8 +264,7 @@ class StageStep(StageEquations):
         return y_new
 
     def _all_slopes(self, t: float, y: Array, h: float) -> Array:
-        """(s, n) slopes of all stages; the guess is the polynomial through those of the last step,
-        or y′ if that is far or fails."""
+        """(s, n) slopes; the guess is the polynomial through the last ones, or y′ if that is far or fails."""
         times, weights = t + self._tableau.nodes * h, h * self._tableau.beta
         if self._last is not None:
             t_last, h_last, slopes = self._last
@@ -284,35 +276,22 @@ class StageStep(StageEquations):
         return self.slopes(times, y, weights, np.tile(self._problem.field(t, y), (times.size, 1)), h)
 
 
-def _method(title: str, doc: str, name: str, tableau: Tableau, source: str) -> type[RungeKutta]:
+def _method(title: str, name: str, tableau: Tableau, source: str, doc: str) -> type[RungeKutta]:
     return type(title, (RungeKutta,), {"__doc__": doc, "name": name, "tableau": tableau, "source": source})
 
 
-def _gauss_legendre(s: int, stages: str) -> type[RungeKutta]:
-    doc = f"Gauss-Legendre with {stages}: order {2 * s}, symplectic, symmetric."
-    return _method(
-        f"GaussLegendre{s}", doc, f"gauss-legendre-{s}", gauss(s), "J. C. Butcher, Math. Comput. 18, 50 (1964)"
-    )
-
-
-def _radau(s: int, stages: str) -> type[RungeKutta]:
-    doc = f"Radau IIA with {stages}: order {2 * s - 1}, stiffly accurate."
-    return _method(
-        f"RadauIIA{s}",
-        doc,
-        f"radau-iia-{s}",
-        radau_iia(s),
-        "B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5",
-    )
-
-
-GaussLegendre1 = _gauss_legendre(1, "one stage, the implicit midpoint rule")
-GaussLegendre2 = _gauss_legendre(2, "two stages")
-GaussLegendre3 = _gauss_legendre(3, "three stages")
-GaussLegendre4 = _gauss_legendre(4, "four stages")
+BUTCHER = "J. C. Butcher, Math. Comput. 18, 50 (1964)"
+BOOK = "E. Hairer, G. Wanner, Solving ODEs II (1996)"
+GaussLegendre1, GaussLegendre2, GaussLegendre3, GaussLegendre4 = (
+    _method(f"GaussLegendre{s}", f"gauss-legendre-{s}", gauss(s), BUTCHER,
+            f"Gauss-Legendre with {stages}: order {2 * s}, symplectic, symmetric.")
+    for s, stages in enumerate(
+        ("one stage, the implicit midpoint rule", "two stages", "three stages", "four stages"), start=1)
+)  # fmt: skip
 EULER = "Implicit Euler, Radau IIA with one stage: order 1, stiffly accurate."
-ImplicitEuler = _method(
-    "ImplicitEuler", EULER, "implicit-euler", radau_iia(1), "E. Hairer, G. Wanner, Solving ODEs II (1996), IV.3"
-)
-RadauIIA2 = _radau(2, "two stages")
-RadauIIA3 = _radau(3, "three stages")
+ImplicitEuler = _method("ImplicitEuler", "implicit-euler", radau_iia(1), f"{BOOK}, IV.3", EULER)
+RadauIIA2, RadauIIA3 = (
+    _method(f"RadauIIA{s}", f"radau-iia-{s}", radau_iia(s), f"B. L. Ehle (1969); {BOOK}, IV.5",
+            f"Radau IIA with {stages}: order {2 * s - 1}, stiffly accurate.")
+    for s, stages in ((2, "two stages"), (3, "three stages"))
+)  # fmt: skip

@@ -77,18 +77,16 @@ class EnsembleTable(Displayed):
         standard error that follows from the scatter of their means. Sets without a member that is done are left out.
         """
         rows, sets = self.array[self.done], dict[tuple, int]()  # the number of each set, in the order of their members
-        keys = (
-            zip(*(rows[name].tolist() for name in self.parameters), strict=True)
-            if self.parameters
-            else [()] * len(rows)
-        )
+        kinds_of = [np.unique(rows[name], return_inverse=True)[1].tolist() for name in self.parameters]
+        keys = zip(*kinds_of, strict=True) if kinds_of else [()] * len(rows)
         groups = np.array([sets.setdefault(key, len(sets)) for key in keys], dtype=np.int64)
+        first = np.unique(groups, return_index=True)[1]
         kinds: list[tuple[str, Any]] = [(name, rows.dtype[name]) for name in self.parameters]
         kinds += [("n_members", np.int64)]
         kinds += [(name + ending, np.float64) for name in self.observables for ending in ("_mean", "_error")]
         made = np.zeros(len(sets), dtype=kinds)
-        for name, values in zip(self.parameters, zip(*sets, strict=True), strict=False):
-            made[name] = values
+        for name in self.parameters:
+            made[name] = rows[name][first]
         n = made["n_members"] = np.bincount(groups, minlength=len(sets))
         for name in self.observables:
             means, errors, scatter = rows[f"{name}_mean"], rows[f"{name}_error"], np.full(len(sets), np.nan)
@@ -177,10 +175,13 @@ def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTa
     states = [row.get("status", BEGUN if file else MISSING) for row, file in zip(rows, is_there, strict=True)]
     columns["status"] = np.array(states)
     columns |= {name: np.array([row.get(name, 0) for row in rows], dtype=np.int64) for name in ("n_steps", "n_atoms")}
-    observables = dict.fromkeys(name for row in rows for name in row.get("means", ()))
+    names = list(dict.fromkeys(name for row in rows for name in row.get("means", ())))
+    nothing = dict.fromkeys(names, np.nan)
     for ending, key in (("_mean", "means"), ("_error", "errors")):
-        several = [row.get(key, {}) for row in rows]
-        columns |= {name + ending: np.array([one.get(name, np.nan) for one in several]) for name in observables}
+        several = [row.get(key, nothing) for row in rows]
+        alike = [one if list(one) == names else nothing | one for one in several]
+        numbers = np.array([list(one.values()) for one in alike], dtype=np.float64).reshape(n_members, len(names))
+        columns |= {f"{name}{ending}": numbers[:, k] for k, name in enumerate(names)}
     files = [str(folder.path / place) if file else "" for place, file in zip(places, is_there, strict=True)]
     columns |= {"file": np.array(files, object), "message": np.array([row.get("message", "") for row in rows], object)}
     array = np.empty(n_members, dtype=[(name, column.dtype) for name, column in columns.items()])

@@ -84,8 +84,7 @@ def torsions():
 def two_laws():
     second = md.LennardJones(0.5, 0.9, 2.0, bonded_scale=(1.0, 0.5, 1.0))
     third = md.PairPotential(buckingham, (3e4, 0.08, 0.0), 2.0, bonded_scale=(0.0, 0.0, 1.0))
-    bonds = md.BondPotential(morse, (10.0, 3.0, 1.1))
-    return scene(chain_system(), [scaled(0.0, 1.0, 1.0), second, third, bonds])
+    return scene(chain_system(), [scaled(0.0, 1.0, 1.0), second, third, md.BondPotential(morse, (10.0, 3.0, 1.1))])
 
 
 def water():

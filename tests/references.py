@@ -27,8 +27,7 @@ def brute_force_pairs(positions, cell, pbc, cutoff):
     reach = np.where(pbc, np.ceil(cutoff * np.linalg.norm(reciprocal, axis=0)) + 1, 0).astype(int)
     found = set()
     for shift in itertools.product(*(range(-r, r + 1) for r in reach)):
-        distances = np.linalg.norm(vectors + np.array(shift) @ cell, axis=-1)
-        for i, j in np.argwhere(distances < cutoff):
+        for i, j in np.argwhere(np.linalg.norm(vectors + np.array(shift) @ cell, axis=-1) < cutoff):
             if i != j or shift != (0, 0, 0):
                 found.add((int(i), int(j), *(int(s) for s in shift - home[j] + home[i])))
     return found
@@ -70,11 +69,10 @@ def melt():
 def fourmol(masses=None):
     """The 29-atom system: LAMMPS' types as species, bonds from the table; (System, table)."""
     table = load("lammps_fourmol/system.json")
-    by_type = np.array(table["masses_by_type"])[np.array(table["type"]) - 1]
     system = md.System(
         table["x"],
         velocities=table["v"],
-        masses=by_type if masses is None else masses,
+        masses=np.array(table["masses_by_type"])[np.array(table["type"]) - 1] if masses is None else masses,
         cell=np.array(table["box_hi"]) - np.array(table["box_lo"]),
         species=table["type"],
         bonds=np.array(table["bonds"])[:, 1:] - 1,

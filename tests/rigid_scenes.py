@@ -52,8 +52,7 @@ def diatomics(n_molecules, spread=3.0):
 
 def rod():
     """Like CO₂, if its arms were unequal."""
-    direction = np.array([1.0, 2.0, -0.5]) / np.sqrt(5.25)
-    return np.outer([0.0, 1.16, 2.5], direction), np.array([[2, 0], [0, 1], [1, 2]])
+    return np.outer([0.0, 1.16, 2.5], np.array([1.0, 2.0, -0.5]) / np.sqrt(5.25)), np.array([[2, 0], [0, 1], [1, 2]])
 
 
 SCENES = {

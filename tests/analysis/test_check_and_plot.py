@@ -39,8 +39,7 @@ def test_good_run_passes_with_figures_and_tolerances_and_its_picture_shows_it(tm
     assert plot_file(path) == tmp_path / "a.png"
     assert (tmp_path / "a.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     panels, length, time = drawn[0].axes, *(("σ", "τ") if units is LJ else ("Å", "ps"))
-    displacement = (f"lag  [{time}]", f"⟨|r(t) − r(0)|²⟩  [{length}²]")
-    fourth = (f"r  [{length}]", "g(r)") if cell == "cubic" else displacement
+    fourth = (f"r  [{length}]", "g(r)") if cell == "cubic" else (f"lag  [{time}]", f"⟨|r(t) − r(0)|²⟩  [{length}²]")
     assert [panel.get_xlabel() for panel in panels] == [f"time  [{time}]"] * 3 + [fourth[0]]
     assert panels[3].get_ylabel() == fourth[1]
     times, temperature = panels[1].lines[0].get_data()

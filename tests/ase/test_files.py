@@ -43,8 +43,7 @@ def is_near(found, expected, tolerance):
 @pytest.mark.parametrize("name", FILES)
 def test_ase_reads_the_frames_of_a_run(name, written, known):
     folder, system, record, seen, has_forces = written
-    formats = {"xyz": "extxyz", "raj": "traj"}.get(name[-3:].lower())
-    frames = ase.io.read(folder / name, ":", format=formats)
+    frames = ase.io.read(folder / name, ":", format={"xyz": "extxyz", "raj": "traj"}.get(name[-3:].lower()))
     assert len(frames) == len(seen) == 5
     for atoms, energy, looked in zip(frames, record.potential_energy, seen, strict=True):
         step, time, positions, velocities, forces = looked

@@ -85,15 +85,13 @@ RATIOS = [  # 256 atoms / seconds of a step; peers are beside minimd on as many 
 
 
 def test_ratios_of_the_table(fakes):
-    options = PeersOptions(cells=(4,), threads=(1, 2), repeats=2)
-    table = cells_of(markdown(run_peers(options)))
+    table = cells_of(markdown(run_peers(PeersOptions(cells=(4,), threads=(1, 2), repeats=2))))
     assert [[cell.split(" (")[0] for cell in row] for row in table] == RATIOS
 
 
 def test_several_scenes_are_in_one_table_beside_the_fastest_peer(fakes, tmp_path):
     outcome = run_peers(ONCE._replace(scenes=("melt", "chains")))
-    rows = [[cell.split(" (")[0] for cell in row] for row in cells_of(markdown(outcome))[:2]]
-    assert rows == [
+    assert [[cell.split(" (")[0] for cell in row] for row in cells_of(markdown(outcome))[:2]] == [
         ["melt", "256", "0.0853", "fast", "0.0171", "5.00"],
         ["chains", "200", "0.0667", "fast", "0.0133", "5.00"],
     ]
@@ -285,8 +283,7 @@ def test_pairs_in_range_are_those_of_the_neighbor_list(name):
     i, j, d = md.neighbor_list("ijd", scene.system, scene.law.cutoff)
     kind = scene.system.species_index * scene.law.depends_on_species
     in_range = d < np.sqrt(scene.law.table(scene.system.species_names)[kind[i], kind[j], 0])
-    expected = in_range.sum() // 2 - len(scene.system.bonds)
-    assert scenes.pairs_in_range(scene, scene.system.positions) == expected
+    assert scenes.pairs_in_range(scene, scene.system.positions) == in_range.sum() // 2 - len(scene.system.bonds)
 
 
 def test_the_front_of_work_precision_is_what_nothing_beats():

@@ -77,8 +77,7 @@ def test_a_wrong_command_is_answered_with_one_sentence_and_leaves_no_files(row, 
     assert cli.main(arguments.split()) == code
     message = only_error(capsys, 2 if code == 3 else 1)
     assert [word for word in shown if word not in message] == [], message
-    left = {path.name for path in folder.iterdir()} - set(FILES)
-    assert not left or code == 3
+    assert not {path.name for path in folder.iterdir()} - set(FILES) or code == 3
     assert all((folder / name).read_text() == content for name, content in FILES.items())
 
 

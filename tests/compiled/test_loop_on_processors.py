@@ -45,8 +45,7 @@ def test_vectors_of_any_width_give_the_same_physics(monkeypatch, kind):
     monkeypatch.setattr(cluster_list, "lanes_for", lambda: kind())
     system = liquid(5)
     laws = pair_laws(system, [LAW])
-    clustered = ClusterTerm(system, laws, Options(threads=1))
-    agree(clustered, PairListTerm(system, laws, Options(skin=0.0)), system)
+    agree(ClusterTerm(system, laws, Options(threads=1)), PairListTerm(system, laws, Options(skin=0.0)), system)
 
 
 @pytest.mark.slow

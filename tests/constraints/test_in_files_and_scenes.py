@@ -146,11 +146,10 @@ def constraints_of_scene(folder, section, *constraints, suffix=".traj"):
 
 
 def test_every_key_of_the_section_arrives(tmp_path):
-    whole = 'pairs = "bonds"\nlengths_A = 1\ntolerance = 1e-9\nsolver = "shake"'
     for section, fixed, *kept in [
         ("pairs = [[0, 2]]\nlengths_A = 2.0", [], ([[0, 2]], [2.0], 1e-12, "auto")),
         ("pairs = [[0, 1], [2, 3]]\nlengths_A = [1.4, 1.5]", [], ([[0, 1], [2, 3]], [1.4, 1.5], 1e-12, "auto")),
-        (whole, [], (BONDS, [1.0] * 4, 1e-9, "shake")),
+        ('pairs = "bonds"\nlengths_A = 1\ntolerance = 1e-9\nsolver = "shake"', [], (BONDS, [1.0] * 4, 1e-9, "shake")),
         ("fixed = [3, 1]", [[1, 3]]),
         ("", []),
     ]:

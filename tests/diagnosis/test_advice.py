@@ -39,8 +39,7 @@ def test_the_longest_stable_step_is_the_one_advised(name, method):
 def test_the_energy_of_an_oscillator_swings_as_told(method):
     """By the matrix of a step, which is linear, along a path."""
     h = 0.4 * stability_limit(method.sequence())
-    starts = ([1.0], [0.0]), ([0.0], [1.0])
-    ends = [run_steps(SecondOrder(lambda q: -q), method(h), start, 1) for start in starts]
+    ends = [run_steps(SecondOrder(lambda q: -q), method(h), start, 1) for start in (([1.0], [0.0]), ([0.0], [1.0]))]
     matrix, path = np.array([[end.q[-1, 0], end.v[-1, 0]] for end in ends]).T, [np.array([1.0, 0.3])]
     for _ in range(5000):
         path.append(matrix @ path[-1])
@@ -204,8 +203,7 @@ def argon_crystal(law=ARGON, constant=5.4):
 
 
 def with_depth(epsilon, sigma=3.4):
-    law = md.LennardJones(epsilon, sigma, 2.2 * sigma, "force-shifted")
-    return *argon_crystal(law, 5.4 * sigma / 3.4), 0.5 * FS
+    return *argon_crystal(md.LennardJones(epsilon, sigma, 2.2 * sigma, "force-shifted"), 5.4 * sigma / 3.4), 0.5 * FS
 
 
 STIFF, LIQUID = diatomic()[:2], liquid(3)  # 2/ω = 0.1789
@@ -233,8 +231,7 @@ HINTS = {  # scene, and what is said
 @pytest.mark.parametrize("name", HINTS)
 def test_what_is_odd_is_told_before_the_first_step(name):
     system, *scene, words = HINTS[name]
-    told = hints_of(system.copy(), *scene)
-    assert [bool(re.search(words, one)) for one in told] == [True] * (words is not None)
+    assert [bool(re.search(words, one)) for one in hints_of(system.copy(), *scene)] == [True] * (words is not None)
 
 
 def test_a_skin_that_does_not_fit_is_clamped_and_said():

@@ -48,8 +48,7 @@ def chain():
 
 def rigid_with_one_fixed():
     scene = SCENES["dumbbells"]()
-    fixed = [*scene.constraints, md.FixedAtoms([2])]
-    return scene._replace(constraints=fixed).simulation(md.VelocityVerlet(0.08))
+    return scene._replace(constraints=[*scene.constraints, md.FixedAtoms([2])]).simulation(md.VelocityVerlet(0.08))
 
 
 def of_two(law, second, timestep, velocities=0.0):

@@ -105,8 +105,7 @@ def test_a_figure_says_how_sure_it_is():
     assert [one.energy_is_conserved, few.energy_is_conserved] == [None, None]
     assert ["±" in str(report).splitlines()[0] for report in (one, few, many)] == [False, False, True]
     for size, quiet in ((0.001, "stays within 0.002 of"), (0.1, "varies")):
-        waves = record_of(1.0 + size * np.sin(np.linspace(0.0, 5.0, 51)))
-        short = conservation_report(waves, angular=False)
+        short = conservation_report(record_of(1.0 + size * np.sin(np.linspace(0.0, 5.0, 51))), angular=False)
         assert short.energy_is_conserved is None
         assert re.search(f"energy {quiet}.* too short to tell whether it drifts", short.verdict)
         assert short.is_quiet is (size == 0.001)

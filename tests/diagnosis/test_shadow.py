@@ -36,8 +36,7 @@ def test_shadow_energy_minus_the_work_of_a_field_is_conserved_to_the_fourth_orde
     spreads, start = [], {"velocities": [[0.2, 0.1, 0], [-0.3, 0, 0.4]], "masses": (1.0, 2.5), "bonds": [[0, 1]]}
     for dt in (0.1, 0.05, 0.025):
         laws = [md.HarmonicBond(1.0, 1.0), md.SteeredSpring(2.0, [0.1, 0, 0], [0.3, 0.2, 0])]
-        system = md.System([[0.3, 0, 0], [1.5, 0.2, 0]], **start)
-        simulation = md.Simulation(system, laws, SPLITTINGS[name](dt))
+        simulation = md.Simulation(md.System([[0.3, 0, 0], [1.5, 0.2, 0]], **start), laws, SPLITTINGS[name](dt))
         simulation.extra_observables = ("shadow_energy",)
         record = simulation.run(round(10.0 / dt), every=1)
         assert np.ptp(record.work) > 0.1

@@ -123,8 +123,7 @@ def cells():
     """The outputs of each cell of the notebook, run headless, by its last line."""
     nbformat, nbclient, *_ = map(pytest.importorskip, ("nbformat", "nbclient", "ipykernel", "pandas"))
     with pytest.MonkeyPatch.context() as patch:
-        path = filter(None, [str(REPOSITORY), os.environ.get("PYTHONPATH")])
-        patch.setenv("PYTHONPATH", os.pathsep.join(path))
+        patch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(REPOSITORY), os.environ.get("PYTHONPATH")])))
         patch.delenv("MPLBACKEND", raising=False)
         notebook = nbformat.read(EXAMPLES / "notebook.ipynb", as_version=4)
         nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()

@@ -46,7 +46,6 @@ def test_a_record_draws_itself_unless_it_has_no_entries(record):
     assert titles == ["total energy per atom", "temperature", "total momentum", "pressure"]
     assert figure._repr_png_().startswith(b"\x89PNG")
     assert np.array_equal(figure.axes[1].lines[0].get_ydata(), record.temperature)
-    empty = md.Record(md.units.LJ, 2)
-    assert_answered(empty.plot, ValueError, "no entries")
+    assert_answered(md.Record(md.units.LJ, 2).plot, ValueError, "no entries")
     scene = SCENES["argon"]()
     assert "of single atoms: least " in str(md.evaluate(scene.system, scene.laws))

@@ -24,8 +24,7 @@ def fluid_at(density, temperature, law, seed, **options):
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"T{row['T']}-rho{row['rho']}")
 def test_energy_and_pressure_are_those_of_nist(row):
-    law = md.LennardJones(1.0, 1.0, 3.0, "truncated", tail_correction=True)
-    fluid = fluid_at(row["rho"], row["T"], law, seed=1)
+    fluid = fluid_at(row["rho"], row["T"], md.LennardJones(1.0, 1.0, 3.0, "truncated", tail_correction=True), seed=1)
     fluid.equilibrate(N_MELT, 2.0 * row["T"])
     fluid.run(N_EQUILIBRATION, every=N_EQUILIBRATION)
     record = fluid.run(LONGER.get(row["rho"], 1) * N_STEPS, every=EVERY)

@@ -34,8 +34,7 @@ def test_the_table_holds_parameters_means_with_their_errors_and_files(done):
 
 
 def test_data_frame_csv_and_json_are_the_table(done):
-    pandas = pytest.importorskip("pandas")
-    read = pandas.read_csv(done.folder / "table.csv").set_index("index")
+    read = pytest.importorskip("pandas").read_csv(done.folder / "table.csv").set_index("index")
     told = json.loads((done.folder / "table.json").read_text())
     for numbers in (done.to_pandas()["pressure_mean"], read["pressure_mean"], told["columns"]["pressure_mean"]):
         assert list(numbers) == done["pressure_mean"].tolist()

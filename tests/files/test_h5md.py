@@ -26,8 +26,7 @@ def run(request, tmp_path_factory):
     (cell, units), seen = request.param, []
     path, sim = tmp_path_factory.mktemp("run") / "a.h5md", simulation(cell, units)
     look = [lambda s: seen.append((s.step, s.time, s.positions.copy(), s.velocities.copy(), s.forces.copy()))]
-    record = sim.run(23, every=5, trajectory=path, store_forces=True, observers=look)
-    return Run(cell, units, path, sim, record, seen)
+    return Run(cell, units, path, sim, sim.run(23, every=5, trajectory=path, store_forces=True, observers=look), seen)
 
 
 def test_trajectory_read_back_by_mdanalysis_is_the_trajectory_written(run):

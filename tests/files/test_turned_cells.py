@@ -66,8 +66,7 @@ def test_universes_and_files_have_the_distances_of_the_run(tmp_path, kind):
         np.testing.assert_allclose(ts.positions @ back, sim.positions, atol=FLOAT32)
         np.testing.assert_allclose(ts.velocities @ back, sim.velocities, atol=FLOAT32)
         np.testing.assert_array_equal(ts.data["momentum"], sim.frame().observables["momentum"])
-    forces = own[0].trajectory[-1].forces @ back
-    np.testing.assert_allclose(forces, sim.forces, atol=1e-6 * np.abs(sim.forces).max())
+    np.testing.assert_allclose(own[0].trajectory[-1].forces @ back, sim.forces, atol=1e-6 * np.abs(sim.forces).max())
 
 
 @pytest.mark.filterwarnings("ignore:.* turned")

@@ -127,8 +127,7 @@ def test_looks_copies_files_and_resumed_runs_have_the_same_bits(reference, tmp_p
     for n in (1, 6, 20, 3):
         looked.make_steps(n)
         assert looked.potential_energy < 0.0
-    copied = pickle.loads(pickle.dumps(looked))
-    copied.run(20, every=7, trajectory=file)
+    pickle.loads(pickle.dumps(looked)).run(20, every=7, trajectory=file)
     resumed = md.Simulation.resume(file, [LAW, BOND, ANGLE], threads=2)
     assert resumed.engine.interactions.grid == GRID
     resumed.run(until_step=150, every=13, trajectory=file, append=True)

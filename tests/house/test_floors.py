@@ -58,8 +58,7 @@ def floor_of(module):
 
 
 def test_every_package_is_a_floor():
-    packages = {place.parent.name for place in PACKAGE.glob("*/__init__.py")}
-    assert set(BEGIN_WITH) == packages | TOP | {"replay"}
+    assert set(BEGIN_WITH) == {place.parent.name for place in PACKAGE.glob("*/__init__.py")} | TOP | {"replay"}
     for name, file in BEGIN_WITH.items():
         folder = REPOSITORY / name if name in TOP else PACKAGE / ("" if name == "replay" else name)
         assert (folder / file).exists()

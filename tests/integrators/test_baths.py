@@ -149,8 +149,7 @@ def test_configurations_of_an_oscillator_are_exact_at_large_timesteps():
     squares = np.array(squares[10:])
     error = squares.std(axis=0, ddof=1) / np.sqrt(len(squares))
     assert error[0] * omega**2 < 0.005
-    exact = 1.0 / omega**2, 1.0 - omega**2 / 4.0
-    assert (np.abs(squares.mean(axis=0) - exact) < 4.0 * error).all()  # statistics
+    assert (np.abs(squares.mean(axis=0) - (1.0 / omega**2, 1.0 - omega**2 / 4.0)) < 4.0 * error).all()  # statistics
 
 
 @EVERY_BATH

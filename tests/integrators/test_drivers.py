@@ -67,8 +67,7 @@ def test_the_error_of_adaptive_runs_falls_with_the_tolerance(method, sign):
     errors = [np.abs(run.y[-1] - exact).max() for run in runs]
     assert all(run.success and run.t[-1] == end for run in runs)
     assert (np.diff(runs[0].t) * sign > 0.0).all()
-    measured = np.log(errors[0] / errors[2]) / np.log(1e4)
-    assert measured == pytest.approx(method.order / (method.order + 1), abs=0.25)
+    assert np.log(errors[0] / errors[2]) / np.log(1e4) == pytest.approx(method.order / (method.order + 1), abs=0.25)
     assert errors[2] < 1e-4
     assert runs[0].nfev < runs[1].nfev < runs[2].nfev
 

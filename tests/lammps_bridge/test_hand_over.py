@@ -115,8 +115,7 @@ def test_atoms_that_cross_many_cells_come_back_in_the_right_image(cell, every, t
     """LAMMPS counts 512 images in each direction; atoms cross 1300 cells, from one frame to the next or in many."""
     simulation = flying(cell)
     start, velocities = simulation.positions.copy(), simulation.velocities.copy()
-    done = handed_over(simulation, tmp_path / "run", 4001, every=every)
-    with h5py.File(done.trajectory) as file:
+    with h5py.File(handed_over(simulation, tmp_path / "run", 4001, every=every).trajectory) as file:
         frame = file["particles/trajectory/position/value"][-1]
     for steps, positions in ((4001, simulation.positions), (4000, frame)):
         assert np.abs(positions - (start + steps * 0.02 * velocities)).max() < 1e-8  # rounding in 4000 steps

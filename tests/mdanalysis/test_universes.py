@@ -48,8 +48,7 @@ def written(path, made, frames, steps=None):
 def test_universe_knows_the_system_and_the_time_between_frames(path, units):
     """Also for those who open the file themselves: the first frame is written before the second is known."""
     sim = simulation("cubic", units)
-    record = sim.run(20, every=5, trajectory=path)
-    times = record.time / (PER_PICOSECOND if units is ASE else 1.0)
+    times = sim.run(20, every=5, trajectory=path).time / (PER_PICOSECOND if units is ASE else 1.0)
     with warnings.catch_warnings(action="error"):
         made, plain, in_memory = universe(path), opened(path), opened(path)
         in_memory.transfer_to_memory()
@@ -72,8 +71,7 @@ def test_dt_of_a_file_that_does_not_hold_it_is_found_in_its_times(path):
         del h5["observables/dt"]
         blocks = h5["minimd/blocks"]
         series = [name for name in blocks.attrs["series"] if "/dt/" not in name]
-        ends = [0, *blocks[:, 0].astype(int)]
-        for row, (first, last) in enumerate(itertools.pairwise(ends)):
+        for row, (first, last) in enumerate(itertools.pairwise([0, *blocks[:, 0].astype(int)])):
             blocks[row] = last, digest_of({name: h5[name][first:last] for name in series})
         blocks.attrs["series"] = series
         sign(h5)
@@ -187,8 +185,7 @@ def test_diffusion_of_a_random_walk_is_that_of_its_steps(path, units):
     expected = pytest.approx(step**2 / 2.0 / frame_time, rel=0.05)  # <x²> = step² a frame = 2 D t; four standard errors
     assert found.coefficient == expected
     assert found.window == pytest.approx((0.1 * 49 * frame_time, 0.5 * 49 * frame_time))
-    in_cm = None if units is LJ else pytest.approx(found.coefficient * 1e-16 / 1e-12)
-    assert found.cm2_per_s == in_cm
+    assert found.cm2_per_s == (None if units is LJ else pytest.approx(found.coefficient * 1e-16 / 1e-12))
     assert diffusion_coefficient(path, (0.0, 10 * frame_time)).coefficient == expected
 
 

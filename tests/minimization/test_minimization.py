@@ -75,8 +75,7 @@ def test_thirteen_atoms_form_an_icosahedron_and_a_minimum_is_left_alone(seed):
 @pytest.mark.parametrize("distance", [0.3, 1e-1, 1e-3, 1e-15, 1e-24, 1e-100, 1.1, 2.0])
 @pytest.mark.parametrize("direction", [[1.0, 0.0, 0.0], [0.36, 0.48, 0.8]])
 def test_a_dimer_finds_its_length_from_anywhere(distance, direction):
-    start = md.System([[0.0, 0.0, 0.0], distance * np.array(direction)], masses=[1.0, 50.0])
-    found = md.minimize(start, LJ)
+    found = md.minimize(md.System([[0.0, 0.0, 0.0], distance * np.array(direction)], masses=[1.0, 50.0]), LJ)
     arm = np.diff(found.system.positions, axis=0)[0]
     assert found.converged
     assert found.potential_energy == pytest.approx(-1.0, abs=1e-13)  # a force of 1e-6 leaves (1e-6)²/2u″
@@ -292,8 +291,7 @@ def test_a_simulation_minimizes_in_place():
     assert result.system is simulation.system
     assert (simulation.step, simulation.time) == (7, 0.035)
     assert np.array_equal(simulation.velocities, velocities)
-    found = simulation.frame().observables["potential_energy"]
-    assert found == pytest.approx(result.potential_energy, rel=1e-14)
+    assert simulation.frame().observables["potential_energy"] == pytest.approx(result.potential_energy, rel=1e-14)
 
 
 def test_a_scene_minimizes_first_and_writes_nothing_if_it_is_interrupted(tmp_path, monkeypatch):

@@ -201,8 +201,7 @@ def test_fluctuations_at_constant_pressure_are_those_of_the_record():
         joint = np.mean((volume - volume.mean()) * enthalpy)
         assert result.ensemble == "constant pressure"
         expected = [enthalpy.var() / thermal**2, volume.var() / (thermal * mean), joint / (thermal**2 * mean)]
-        found = [result.heat_capacity_p, result.compressibility, result.expansion]
-        assert found == pytest.approx(expected, rel=1e-9)
+        assert [result.heat_capacity_p, result.compressibility, result.expansion] == pytest.approx(expected, rel=1e-9)
     sim.method = md.StochasticVelocityRescaling(0.004, thermal, 0.2, 3)  # of the same temperature
     sim.run(5, observers=[looking], progress=False)
     assert_answered(lambda: simulation().run(5, observers=[looking], progress=False), ValueError, "bath")

@@ -184,8 +184,7 @@ def test_replicated_cell_has_replicated_energy(name, cell):
     one, potential, found = scene(name, cell)
     shifts = np.array(list(np.ndindex(2, 3, 1))) @ one.cell.vectors
     positions, species = (one.positions + shifts[:, None, :]).reshape(-1, 3), np.tile(one.species, 6)
-    many = md.System(positions, cell=one.cell.vectors * [[2], [3], [1]], species=species)
-    of_many = md.evaluate(many, potential)
+    of_many = md.evaluate(md.System(positions, cell=one.cell.vectors * [[2], [3], [1]], species=species), potential)
     assert of_many.potential_energy == pytest.approx(6 * found.potential_energy, rel=1e-12)
     assert of_many.forces == pytest.approx(np.tile(found.forces, (6, 1)), rel=1e-11, abs=1e-11)
     assert of_many.virial == pytest.approx(6 * found.virial, rel=1e-12, abs=1e-11)

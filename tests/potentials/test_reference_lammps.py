@@ -29,8 +29,7 @@ def pairs(law, truncation="truncated", **more):
     """A pair potential with the parameters of LAMMPS' lines for the types, and for pairs of unlike types."""
 
     def made(_table, lines):
-        rows = [line.split() for line in lines]
-        numbers = {(int(a), int(b)): tuple(map(float, row)) for a, b, *row in rows}
+        numbers = {(int(a), int(b)): tuple(map(float, row)) for a, b, *row in [line.split() for line in lines]}
         own = {a: row for (a, b), row in numbers.items() if a == b}
         unlike = {(a, b): row for (a, b), row in numbers.items() if a != b}
         options = {"cutoff": 8.0, "truncation": truncation, "pairs": unlike, "bonded_scale": (0.10, 0.25, 0.50)}

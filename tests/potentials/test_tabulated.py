@@ -58,8 +58,7 @@ def test_force_is_the_derivative_of_the_energy_to_rounding(spacing):
             sizes = [abs(before.deriv(d)(0.0)) + abs(piece.deriv(d)(0.0)) + size for d in orders]
             assert np.all(np.abs(meeting) < 1e-9 * np.array(sizes) * width ** (1.0 - orders))
         before = piece
-    last = -piece.deriv()(width) / knots[-1]
-    assert force_over_distance(potential, knots[-1:]) == pytest.approx(last, rel=1e-12)
+    assert force_over_distance(potential, knots[-1:]) == pytest.approx(-piece.deriv()(width) / knots[-1], rel=1e-12)
 
 
 def test_the_points_of_the_table_are_on_the_spline_and_nothing_is_known_before_them():

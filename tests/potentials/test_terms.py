@@ -123,8 +123,7 @@ def test_a_wrong_force_is_found_in_any_unit_among_energies_that_are_no_numbers_a
     """Nine evaluations leave the last of three slopes finite; the others count neither for nor against."""
     start = liquid(2)
     system = md.System(length * start.positions, cell=length * start.cell.vectors)
-    term = Steep(length, without, depends_on_time=time > 0.0)
-    simulation = md.Simulation(system, term, md.VelocityVerlet(0.001))
+    simulation = md.Simulation(system, Steep(length, without, depends_on_time=time > 0.0), md.VelocityVerlet(0.001))
     simulation.engine.time = time
     Steep.seen.clear()
     assert_found_out(Steep, lambda: simulation.run(1))

@@ -71,13 +71,12 @@ print(energy(LAW), *(energy(LAW.replace(old, new)) for old, new, _ in CHANGES.va
 
 def answer(code):
     """The numbers that another process prints."""
-    environment = {**os.environ, "PYTHONPATH": str(Path(md.__file__).parents[1])}
     process = subprocess.run(
         [sys.executable, "-c", f"import minimd as md\n{code}"],
         capture_output=True,
         text=True,
         check=False,
-        env=environment,
+        env={**os.environ, "PYTHONPATH": str(Path(md.__file__).parents[1])},
     )
     assert process.returncode == 0, process.stderr
     return [float(word) for word in process.stdout.split()]

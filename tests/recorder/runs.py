@@ -123,8 +123,7 @@ def _changes(log, root, before):
         elif what == FSYNC and isinstance(files.get(fd), str):
             changes.append(Change("sync folder", name=files[fd]))
         elif what in (WRITE, TRUNCATE, FSYNC) and not isinstance(files.get(fd), str):
-            kind = {WRITE: "write", TRUNCATE: "size", FSYNC: "sync"}[what]
-            changes.append(Change(kind, files[fd], offset, data))
+            changes.append(Change({WRITE: "write", TRUNCATE: "size", FSYNC: "sync"}[what], files[fd], offset, data))
     return changes
 
 

@@ -110,8 +110,7 @@ def test_atoms_moved_by_anybody_are_seen_at_the_next_look_and_in_the_next_kick()
     simulation.run(5, every=5)
     for x, looked in ((1.12, lambda: simulation.potential_energy), (1.3, lambda: simulation.run(0).potential_energy)):
         simulation.positions[:] = [[0, 0, 0], [x, 0, 0]]
-        expected = md.evaluate(simulation.system, LJ).potential_energy
-        assert looked() == pytest.approx(expected, rel=1e-14)
+        assert looked() == pytest.approx(md.evaluate(simulation.system, LJ).potential_energy, rel=1e-14)
 
     def push(sim):
         sim.positions[1, 0] = 1.2 if sim.step == 10 else sim.positions[1, 0]

@@ -90,8 +90,7 @@ def rigid(n_steps, scene, momentum):
 def lines_collisions_and_masses():
     """A row of atoms; two at a hundred times thermal speed; masses a million times apart."""
     for along in ([1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]):
-        row = 1.1 * np.arange(300)[:, None] * along / np.linalg.norm(along)
-        simulation = ran(md.System(row), SMOOTH, 0.004, 300)
+        simulation = ran(md.System(1.1 * np.arange(300)[:, None] * along / np.linalg.norm(along)), SMOOTH, 0.004, 300)
         assert np.abs(np.cross(simulation.positions, along)).max() < 1e-9
         yield simulation, 1e-2
     for timestep, bound in ((2e-5, 2e-4), (5e-6, 2e-5)):
@@ -132,8 +131,7 @@ def springs_below_their_limit(x):
 
 def million_atoms():
     positions, edges = crystal("fcc", [63, 63, 63], 1.68)
-    system = md.System(positions, cell=edges)
-    simulation = ran(system, SMOOTH, 0.004, 10, temperature=1.0, every=5)
+    simulation = ran(md.System(positions, cell=edges), SMOOTH, 0.004, 10, temperature=1.0, every=5)
     assert momentum_is_kept(simulation)
     yield simulation, 1e-3
 

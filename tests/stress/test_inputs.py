@@ -79,8 +79,7 @@ def test_cutoffs_may_be_ten_times_apart_and_species_without_interaction_fly_thro
     assert np.abs(simulation.positions[1] - straight).max() < 1e-10
     assert oscillation(simulation) < 1e-2
     twice = np.vstack([start.positions, start.positions[1:2] + 1e-3])
-    spots = md.System(twice, species=[*start.species, "B"], cell=start.cell)
-    assert is_finite(ran(spots, ghosts, 0.004, 10))
+    assert is_finite(ran(md.System(twice, species=[*start.species, "B"], cell=start.cell), ghosts, 0.004, 10))
 
 
 def test_an_observer_that_heats_is_no_runaway():
@@ -90,6 +89,5 @@ def test_an_observer_that_heats_is_no_runaway():
         if sim.step in (10, 20, 30):
             sim.velocities[:] = np.random.default_rng(sim.step).standard_normal(sim.velocities.shape) * 10.0 * sim.step
 
-    simulation = made(solid(3), SMOOTH, 1e-6)
-    record = simulation.run(40, every=1, observers=[heat], progress=False)
+    record = made(solid(3), SMOOTH, 1e-6).run(40, every=1, observers=[heat], progress=False)
     assert record.kinetic_energy.max() > 1e4 * abs(record.total_energy[0])

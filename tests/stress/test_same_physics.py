@@ -25,8 +25,7 @@ def largest(difference):
 
 
 def units(scales, n_cells):
-    reference = scaled(1.0, 1.0, 1.0, n_cells)
-    for found, expected in zip(scaled(*scales, n_cells), reference, strict=True):
+    for found, expected in zip(scaled(*scales, n_cells), scaled(1.0, 1.0, 1.0, n_cells), strict=True):
         yield found, expected, 1e-11 * largest(expected)
 
 

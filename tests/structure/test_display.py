@@ -31,8 +31,7 @@ CALLS = [  # an object, and the call that makes it again, without what is a defa
 
 def test_repr_is_the_call_with_all_that_is_no_default():
     for one, call in CALLS:
-        again = eval(repr(one), {**vars(md), "None": None})
-        assert repr(again) == repr(one) == (call or repr(one))
+        assert repr(eval(repr(one), {**vars(md), "None": None})) == repr(one) == (call or repr(one))
 
 
 class Odd(Displayed):
@@ -51,8 +50,7 @@ def test_names_that_are_offered_are_public_ones_that_exist():
     assert names == sorted(md.__all__)
     assert all(hasattr(md, name) for name in names)
     assert not {"Any", "dataclass", "math"} & set(dir(md.units))
-    precisions = ["double", "fixed-point"]
-    for words, known in ((TruncationName, TRUNCATIONS), (MixingName, MIXING), (Precision, precisions)):
+    for words, known in ((TruncationName, TRUNCATIONS), (MixingName, MIXING), (Precision, ["double", "fixed-point"])):
         assert set(get_args(words)) == set(known)
 
 

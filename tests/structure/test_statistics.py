@@ -11,8 +11,7 @@ LOW, HIGH = 0.85, 1.3  # of an error bar beside what it should be; found in a sh
 
 def processes(n_series, length, decay, rng):
     """(length, n_series) of unit variance and correlation decayⁿ."""
-    before = 8 * int(1.0 / (1.0 - decay))
-    noise = np.sqrt(1.0 - decay**2) * rng.normal(size=(length + before, n_series))
+    noise = np.sqrt(1.0 - decay**2) * rng.normal(size=(length + 8 * int(1.0 / (1.0 - decay)), n_series))
     return lfilter([1.0], [1.0, -decay], noise, axis=0)[-length:]
 
 

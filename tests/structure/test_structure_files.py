@@ -285,8 +285,7 @@ def test_system_from_a_universe_is_the_one_that_wrote_it(tmp_path, units):
 
 
 def test_group_of_atoms_keeps_the_bonds_within_it(folder):
-    group = MDAnalysis.Universe("melt.psf", "plain.pdb").select_atoms("resid 2 3")[::-1]
-    part = md.System.from_mdanalysis(group)
+    part = md.System.from_mdanalysis(MDAnalysis.Universe("melt.psf", "plain.pdb").select_atoms("resid 2 3")[::-1])
     np.testing.assert_allclose(part.positions, POSITIONS[5:15][::-1], atol=1e-6)
     same_groups(part.bonds, [[9 - i + 5, 9 - j + 5] for i, j in BONDS if 5 <= i < 15])
     assert part.species.tolist() == ["CT"] * 10

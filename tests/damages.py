@@ -6,6 +6,7 @@ import operator
 import os
 import re
 import shutil
+import signal
 import struct
 import traceback
 import zlib
@@ -29,6 +30,8 @@ SCENES = {
 OPTIONS = {"plot": ["--out", "a.png"], "replay": ["--overwrite"]}
 GROUPS = ("h5md", "particles", "observables", "connectivity", "minimd")
 RESTARTS = ("minimd/restart", "minimd/earlier_restart")
+CHANGES = ("pwrite", "fsync", "ftruncate", "replace", "link", "unlink", "open")  # of os, by which minimd changes files
+KILLED = f"died with status {int(signal.SIGKILL)}"
 SENTENCE, PASSED, FAILED, TRACEBACK, CRASH = "a sentence", "passed", "failed", "a traceback", "a crash"
 
 
@@ -66,6 +69,32 @@ def in_child(work):
         answer = told.read()
     status = os.waitpid(child, 0)[1]
     return answer if status == 0 else f"died with status {status}"
+
+
+def killed_at(k, work):
+    """Do work in a process that dies, as by kill -9, before its k-th change of a file: KILLED, or what work does.
+
+    Its children, which only read, live on.
+    """
+
+    def dying():
+        n_changes, process = [0], os.getpid()
+        signal.alarm(300)  # it ends, too, where the tests were ended before it
+
+        def counted(call):
+            def changed(*arguments, **options):
+                n_changes[0] += 1
+                if n_changes[0] == k and os.getpid() == process:
+                    os.kill(process, signal.SIGKILL)
+                return call(*arguments, **options)
+
+            return changed
+
+        for name in CHANGES:
+            setattr(os, name, counted(getattr(os, name)))
+        return work()
+
+    return in_child(dying)
 
 
 def outcome(command, file):

@@ -1,8 +1,11 @@
 """Short runs that write files, and what tests of files look at."""
 
 import contextlib
+import errno
+import os
 import resource
 
+import ase.io
 import MDAnalysis
 import numpy as np
 
@@ -28,15 +31,9 @@ def simulation(cell="cubic", units=md.units.LJ):
     positions = 1.2 * sites + np.random.default_rng(3).normal(0.0, 0.03, (N_ATOMS, 3))
     reduced, argon = (1.0, 1.0, 1.0, 0.004, 0.7), (3.4, 0.0104, 39.9, 0.4, 90.0)
     sigma, epsilon, mass, timestep, temperature = reduced if units is md.units.LJ else argon
-    system = md.System(
-        positions * sigma,
-        masses=np.where(np.arange(N_ATOMS) % 2, mass, 2.1 * mass),
-        cell=None if vectors is None else np.array(vectors) * sigma,
-        pbc=pbc,
-        species=np.where(np.arange(N_ATOMS) % 2, "Ar", "Kr"),
-        bonds=[[0, 1], [1, 2]],
-        units=units,
-    )
+    odd, cell = np.arange(N_ATOMS) % 2, None if vectors is None else np.array(vectors) * sigma
+    atoms = {"masses": np.where(odd, mass, 2.1 * mass), "species": np.where(odd, "Ar", "Kr"), "bonds": [[0, 1], [1, 2]]}
+    system = md.System(positions * sigma, cell=cell, pbc=pbc, units=units, **atoms)
     law = md.LennardJones(epsilon, sigma, 1.6 * sigma, truncation="force-shifted")
     made = md.Simulation(system, law, md.VelocityVerlet(timestep))
     made.set_temperature(temperature, seed=5)
@@ -51,6 +48,14 @@ def resumed(path, cell="cubic"):
 def opened(path, n_atoms=N_ATOMS):
     """What the reader of MDAnalysis makes of a file, without minimd."""
     return MDAnalysis.Universe.empty(n_atoms, trajectory=False).load_new(str(path))
+
+
+def frames_in(path, n_atoms=N_ATOMS):
+    """Positions in all frames of a file, by its usual reader."""
+    if path.suffix in (".extxyz", ".traj"):
+        return np.array([atoms.positions for atoms in ase.io.read(path, ":")])
+    with contextlib.closing(opened(path, n_atoms).trajectory) as read:
+        return np.array([ts.positions.copy() for ts in read])
 
 
 def lengths_and_angles(vectors):
@@ -94,3 +99,16 @@ def bring_to_disk_every(seconds, monkeypatch):
     """Frames do not wait longer than this for the disk; with zero each is brought there when it comes."""
     monkeypatch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", seconds)
     monkeypatch.setattr("minimd.files.h5md_writer.MOST_OFTEN", 0.0)
+
+
+def fill_the_disk(monkeypatch, after):
+    """After so many calls of fsync, three for the first frame and two for each other flush, the disk is full."""
+    left, fsync = iter(range(after)), os.fsync
+
+    def syncing(descriptor):
+        if next(left, None) is None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", syncing)
+    bring_to_disk_every(0.0, monkeypatch)

@@ -33,20 +33,6 @@ def brute_force_pairs(positions, cell, pbc, cutoff):
     return found
 
 
-def numerical_forces(system, potentials, h=1e-5):
-    """−∂U/∂r by central differences."""
-    forces = np.zeros_like(system.positions)
-    for i, c in np.ndindex(*system.positions.shape):
-        here = system.positions[i, c]
-        energies = []
-        for step in (-h, h):
-            system.positions[i, c] = here + step
-            energies.append(md.evaluate(system, potentials).potential_energy)
-        system.positions[i, c] = here
-        forces[i, c] = (energies[0] - energies[1]) / (2.0 * h)
-    return forces
-
-
 def liquid(n_cells=4, density=0.8442, temperature=1.44, seed=1, jitter=0.05):
     """A disordered fcc lattice in reduced units with thermal velocities."""
     a = (4.0 / density) ** (1.0 / 3.0)
@@ -69,15 +55,11 @@ def melt():
 def fourmol(masses=None):
     """The 29-atom system: LAMMPS' types as species, bonds from the table; (System, table)."""
     table = load("lammps_fourmol/system.json")
-    system = md.System(
-        table["x"],
-        velocities=table["v"],
-        masses=np.array(table["masses_by_type"])[np.array(table["type"]) - 1] if masses is None else masses,
-        cell=np.array(table["box_hi"]) - np.array(table["box_lo"]),
-        species=table["type"],
-        bonds=np.array(table["bonds"])[:, 1:] - 1,
-    )
-    return system, table
+    if masses is None:
+        masses = np.array(table["masses_by_type"])[np.array(table["type"]) - 1]
+    cell, bonds = np.array(table["box_hi"]) - np.array(table["box_lo"]), np.array(table["bonds"])[:, 1:] - 1
+    given = {"velocities": table["v"], "masses": masses, "species": table["type"]}
+    return md.System(table["x"], cell=cell, bonds=bonds, **given), table
 
 
 def melt_scene(n_cells, steps, more=""):

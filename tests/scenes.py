@@ -4,11 +4,12 @@ Scenes of one kind share their law and its truncation, so that the suite compile
 """
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
-from references import DATA, fourmol, liquid
+import references
+from references import fourmol, liquid
 
 import minimd as md
 from minimd.structure.lattice import crystal
@@ -30,9 +31,8 @@ class Scene(NamedTuple):
 
     def simulation(self, method=None, **options):
         """A Simulation, by velocity Verlet unless a method is given."""
-        return md.Simulation(
-            self.system, self.laws, method or md.VelocityVerlet(self.timestep), self.constraints, **options
-        )
+        method = method or md.VelocityVerlet(self.timestep)
+        return md.Simulation(self.system, self.laws, method, self.constraints, **options)
 
     def forces(self):
         """(forces, potential energy) of the scene as it stands."""
@@ -42,8 +42,7 @@ class Scene(NamedTuple):
 
 def warm(system, temperature, constraints=(), seed=1):
     """The system with thermal velocities, its momentum zero."""
-    law = md.LennardJones(1.0, 1.0, 0.1)
-    simulation = md.Simulation(system, law, md.VelocityVerlet(0.001), constraints, threads=1)
+    simulation = md.Simulation(system, md.LennardJones(1.0, 1.0, 0.1), md.VelocityVerlet(0.001), constraints, threads=1)
     simulation.set_temperature(temperature, seed=seed)
     return simulation.system
 
@@ -55,8 +54,7 @@ def argon():
 
 def melt():
     """LAMMPS' 4000-atom melt with its own starting velocities."""
-    start = np.load(DATA / "lammps_lj" / "melt4000_start.npz")
-    return Scene(md.System(start["x"], velocities=start["v"], cell=start["box"]), [LJ], timestep=0.005)
+    return Scene(references.melt(), [LJ], timestep=0.005)
 
 
 def mixture():
@@ -65,12 +63,8 @@ def mixture():
     rng = np.random.default_rng(2)
     cell = np.diag(edges) + np.array([[0, 0, 0], [1.3, 0, 0], [-0.4, 0.9, 0]])
     species = rng.permutation(["A"] * 160 + ["B"] * 40)
-    system = md.System(
-        positions @ np.linalg.inv(np.diag(edges)) @ cell + 0.04 * rng.standard_normal(positions.shape),
-        cell=cell,
-        species=species,
-        masses=np.where(species == "A", 1.0, 0.3),
-    )
+    positions = positions @ np.linalg.inv(np.diag(edges)) @ cell + 0.04 * rng.standard_normal(positions.shape)
+    system = md.System(positions, cell=cell, species=species, masses=np.where(species == "A", 1.0, 0.3))
     return Scene(warm(system, 0.9), [TWO_KINDS], timestep=0.003)
 
 
@@ -80,9 +74,8 @@ def water():
     shape = np.array([[0.0, 0.0, 0.0], [0.24, 0.18, 0.0], [-0.24, 0.18, 0.0]])
     turns = np.linalg.qr(np.random.default_rng(3).standard_normal((32, 3, 3)))[0]
     pairs = np.concatenate([np.array([[0, 1], [0, 2], [1, 2]]) + 3 * m for m in range(32)])
-    system = md.System(
-        (centers[:, None] + shape @ turns).reshape(-1, 3), cell=edges, masses=[16.0, 1.0, 1.0] * 32, bonds=pairs
-    )
+    positions = (centers[:, None] + shape @ turns).reshape(-1, 3)
+    system = md.System(positions, cell=edges, masses=[16.0, 1.0, 1.0] * 32, bonds=pairs)
     rigid = [md.DistanceConstraints(pairs)]
     return Scene(warm(system, 1.0, rigid), [BONDED], rigid, timestep=0.002)
 
@@ -136,9 +129,8 @@ def slab():
 
 def two_atoms():
     """Near the bottom of their well, in open space."""
-    return Scene(
-        md.System([[0, 0, 0], [0, 1.2, 0]], velocities=[[0, 0.1, 0.05], [0, -0.05, -0.025]], masses=[1.0, 2.0]), [OPEN]
-    )
+    velocities = [[0, 0.1, 0.05], [0, -0.05, -0.025]]
+    return Scene(md.System([[0, 0, 0], [0, 1.2, 0]], velocities=velocities, masses=[1.0, 2.0]), [OPEN])
 
 
 def small_molecule():
@@ -150,14 +142,8 @@ def small_molecule():
 BUILDERS = [argon, melt, mixture, water, dumbbells, chain, ring, droplet, gas, slab, two_atoms, small_molecule]
 
 
-@cache
-def _built(build):
-    return build()
+def _copied(built):
+    return built()._replace(system=built().system.copy())
 
 
-def _copied(build):
-    scene = _built(build)
-    return scene._replace(system=scene.system.copy())
-
-
-SCENES = {build.__name__: (lambda build=build: _copied(build)) for build in BUILDERS}
+SCENES = {build.__name__: partial(_copied, cache(build)) for build in BUILDERS}

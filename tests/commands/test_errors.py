@@ -4,7 +4,7 @@ import os
 import re
 
 import pytest
-from full_disk import fill_the_disk
+from h5md_runs import fill_the_disk
 from references import melt_scene
 
 import minimd as md

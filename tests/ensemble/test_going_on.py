@@ -15,9 +15,8 @@ from pathlib import Path
 import members
 import numpy as np
 import pytest
-from full_disk import fill_the_disk
-from h5md_runs import bring_to_disk_every
-from kills import killed_at
+from damages import KILLED, killed_at
+from h5md_runs import bring_to_disk_every, fill_the_disk
 from members import FILES, STEPS, assert_same, run
 
 import minimd as md
@@ -31,13 +30,13 @@ PLAIN, BY_HAND = None, members.in_own_file
 def killed(go, _folder, patch, at):
     """At this change of a file."""
     patch.setattr("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.0)
-    assert killed_at(at, go) is None
+    assert killed_at(at, go) == KILLED
 
 
 def cut_off(go, folder, patch):
     """The file of a member that was killed ends early."""
     bring_to_disk_every(0.0, patch)
-    assert killed_at(30, go) is None
+    assert killed_at(30, go) == KILLED
     assert read_file(folder / FILES[0]).step > 0
     os.truncate(folder / FILES[0], 5000)
 

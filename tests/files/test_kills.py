@@ -5,8 +5,8 @@ import random
 import numpy as np
 import pytest
 from cluster_scenes import atoms_per_domain
+from damages import KILLED, killed_at
 from h5md_runs import assert_same_file, bring_to_disk_every, resumed, simulation
-from kills import killed_at
 from recorder.runs import KINDS, RESUMES, survey
 from scenes import BONDED, LJ, SCENES, Scene
 
@@ -87,7 +87,7 @@ def test_a_run_that_is_killed_before_a_change_of_its_file_goes_on_to_the_same_bi
     bring_to_disk_every(0.0, monkeypatch)
     path, whole = tmp_path / "a.h5md", tmp_path / "whole.h5md"
     simulation().run(15, every=5, trajectory=whole)
-    assert killed_at(12, lambda: simulation().run(15, every=5, trajectory=path)) is None
+    assert killed_at(12, lambda: simulation().run(15, every=5, trajectory=path)) == KILLED
     resumed(path).run(until_step=15, every=5, trajectory=path, append=True)
     assert_same_file(path, whole)
 

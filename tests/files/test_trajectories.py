@@ -6,11 +6,14 @@ import shutil
 from collections import Counter
 from pathlib import Path
 
-import ase.io
 import MDAnalysis
 import numpy as np
 import pytest
-from h5md_runs import PER_PICOSECOND, at_step, bring_to_disk_every, lengths_and_angles, opened, resumed, simulation
+
+# isort: off
+from h5md_runs import PER_PICOSECOND, at_step, bring_to_disk_every, frames_in, lengths_and_angles, opened
+from h5md_runs import resumed, simulation
+# isort: on
 
 import minimd as md
 from minimd.files import turned_cell
@@ -19,13 +22,6 @@ from minimd.files.h5md_reader import read_file
 FORMATS = {"xtc": 0.5e-3, "dcd": 0.0, "trr": 0.0, "ncdf": 0.0}  # error of a position beyond float32 [Å]
 ALL = [*FORMATS, "extxyz", "traj"]
 LJ, ASE = md.units.LJ, md.units.ASE
-
-
-def frames_in(path):
-    """Positions in all frames of a file, by its usual reader."""
-    if path.suffix in (".extxyz", ".traj"):
-        return np.array([atoms.positions for atoms in ase.io.read(path, ":")])
-    return np.array([ts.positions.copy() for ts in opened(path).trajectory])
 
 
 @pytest.mark.parametrize(("cell", "units"), [("triclinic", LJ), ("triclinic", ASE), ("open", ASE)])

@@ -25,7 +25,6 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-import ase.io
 import h5py
 import numpy as np
 import pytest
@@ -33,7 +32,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from damages import in_child, numbers
-from h5md_runs import opened
+from h5md_runs import frames_in
 from references import melt_scene
 
 from minimd.commands import main as cli
@@ -311,14 +310,6 @@ def content_of(file):
     return found
 
 
-def others_of(file):
-    """Positions of each frame in a file that is not H5MD."""
-    if file.suffix in (".traj", ".extxyz"):
-        return np.array([atoms.positions for atoms in ase.io.read(file, ":")])
-    with contextlib.closing(opened(file, 108).trajectory) as read:
-        return np.array([ts.positions.copy() for ts in read])
-
-
 def put(files, folder):
     """Put a state of a disk into a folder, repaired; returns a name for what is there now."""
     shutil.rmtree(folder, ignore_errors=True)
@@ -339,7 +330,7 @@ def verdict(kind, folder, known, n_least):
     n_frames = None
     if Path(FILE).exists():
         assert cli.main(["check", FILE]) in (0, 1)
-        n_frames = len(others_of(Path(FILE)))
+        n_frames = len(frames_in(Path(FILE), 108))
         assert n_frames >= n_least, f"{n_frames} frames of {n_least}"
         for name, series in frames_of(FILE).items():
             np.testing.assert_array_equal(series, known.frames[name][: len(series)], strict=True)
@@ -361,7 +352,7 @@ def verdict(kind, folder, known, n_least):
     assert not other, f"other numbers: {other}"
     others = [file for file in Path().glob("run.*") if file.suffix in (".xtc", ".extxyz", ".traj", ".dcd")]
     for file in others:  # up to the restart, or all of a run begun again
-        frames, whole = others_of(file), others_of(known.folder / file)
+        frames, whole = (frames_in(one, 108) for one in (file, known.folder / file))
         n_expected = len(whole) if n_frames is None else n_frames
         assert len(frames) == n_expected, f"{file}: {len(frames)} frames, {n_expected} at the restart"
         np.testing.assert_array_equal(frames, whole[: len(frames)])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from full_disk import fill_the_disk
+from h5md_runs import fill_the_disk
 from wrong_calls import assert_answered
 
 import minimd as md

@@ -18,8 +18,6 @@ import minimd.ase
 PLACES = {"VelocityVerlet": "verlet", "Langevin": "langevin", "LangevinBAOAB": "langevinbaoab", "Bussi": "bussi"}
 PLACES |= {"NoseHooverChainNVT": "nose_hoover_chain", "Andersen": "andersen", "NVTBerendsen": "nvtberendsen"}
 METALS = {"Cu": (0.409, 2.338), "Ag": (0.345, 2.644), "Au": (0.449, 2.637), "Pt": (0.694, 2.542), "Al": (0.392, 2.620)}
-
-
 for name, module in PLACES.items():
     ours = getattr(minimd.ase, name)
     setattr(importlib.import_module(f"ase.md.{module}"), name, ours)

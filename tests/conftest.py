@@ -21,6 +21,5 @@ settings.register_profile("minimd", deadline=None, derandomize=True, max_example
 settings.load_profile("minimd")
 signal.signal(signal.SIGINT, signal.default_int_handler)  # minimd leaves ignored signals alone, and tests raise them
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
-
 for _name, _scene in SCENES.items():
     globals()[_name] = pytest.fixture(_scene, name=_name)

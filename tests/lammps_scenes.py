@@ -53,8 +53,6 @@ def morse(r2, depth, alpha, r0):
 
 KOB_ANDERSEN = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}  # cutoffs
 KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=KOB_ANDERSEN, pairs={("A", "B"): (1.5, 0.8)})
-
-
 CHAINS = np.arange(108).reshape(-1, 4)  # atoms of neighboring numbers, which are neighbors in a fresh crystal
 
 

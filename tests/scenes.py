@@ -4,7 +4,7 @@ Scenes of one kind share their law and its truncation, so that the suite compile
 """
 
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -140,10 +140,7 @@ def small_molecule():
 
 
 BUILDERS = [argon, melt, mixture, water, dumbbells, chain, ring, droplet, gas, slab, two_atoms, small_molecule]
-
-
-def _copied(built):
-    return built()._replace(system=built().system.copy())
-
-
-SCENES = {build.__name__: partial(_copied, cache(build)) for build in BUILDERS}
+_built = cache(lambda build: build())  # once, and copied for each who asks
+SCENES = {
+    build.__name__: lambda build=build: _built(build)._replace(system=_built(build).system.copy()) for build in BUILDERS
+}

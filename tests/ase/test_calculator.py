@@ -46,8 +46,6 @@ def test_labels_that_are_no_elements_come_back_and_another_one_gives_another_ene
 
 QUANTITIES = ("energy", "energies", "forces", "stress", "stresses")
 CRYSTAL, MOLECULE = bulk("Cu", cubic=True) * 2, molecule("CH3CH2OH")
-
-
 AS_ASE = {  # atoms, how much they are shaken, pbc, a calculator, and another that says the same of `QUANTITIES[:n]`
     "liquid": (argon(), 0.0, True, lennard_jones(), ase_lennard_jones(), 5),
     "slab": (argon(2), 0.0, (True, False, True), lennard_jones(), ase_lennard_jones(), 5),

@@ -142,8 +142,6 @@ def test_observers_files_and_answers_are_those_of_ase(drive, tmp_path):
 
 
 OTHER = {"shifted": lennard_jones("force-shifted"), "force-shifted": lennard_jones("shifted")}
-
-
 MEDDLERS = {
     "momenta": lambda d: d.atoms.set_momenta(1.05 * d.atoms.get_momenta()),
     "wrapped": lambda d: d.atoms.wrap(),

@@ -70,8 +70,6 @@ TRIANGLE = md.System(np.array([[0.0, 0, 0], [0.9, 0, 0], [0.45, 0.78, 0]]))
 # length 1, a spring of rest length ½ to an anchor at distance 2: its tension stiffens, ω² = 1.5 k (1 + 1/2)/m
 PULLED = md.System([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.0, 0.0]], masses=[1.0, 2.0, 1.0])
 HELD = [md.DistanceConstraints([[0, 1]]), md.FixedAtoms([0, 2])]
-
-
 KNOWN = {  # scene and frequency; what cannot oscillate, however hard its atoms push each other, has none
     "row of beads": (ROW, md.HarmonicBond(50.0, 1.0), (), 2.0 * np.sqrt(50.0 / 2.0) * np.cos(np.pi / 80.0)),
     "dimer": (DIMER, OPEN, (), np.sqrt(4.0 * (156 * 2 ** (-14 / 6) - 42 * 2 ** (-8 / 6)) * 4.0 / 3.0)),  # √(u″(r₀)/μ)

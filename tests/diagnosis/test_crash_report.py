@@ -68,8 +68,6 @@ def hollow(r2, limit):
 
 
 HOLLOW = md.PairPotential(hollow, (1.0,), 3.0, "truncated")
-
-
 APPROACHING, FAST = [[1.0, 0, 0], [0.0, 0, 0]], [9e74, 0, 0]
 SPRING = md.HarmonicBond(1e-3, 1.0, pairs=[[0, 1]])
 CASES = [  # scene, kind of the cause, what is said

@@ -22,7 +22,6 @@ LENGTHS = {"n_equilibration": 50, "n_steps": 1000, "n_periods": 5, "rounds": 2, 
 SHORTER = LENGTHS | {"duration": 200, "end": 2.0, "t_end": 3.0}
 IN_FULL = ("own_law", "rigid_ring", "equation_of_state")  # by tests of their own
 QUICK = ("kepler", "rigid_nitrogen", "1_phase_plane")  # the gallery of the site runs the others, too
-
 pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
 
 

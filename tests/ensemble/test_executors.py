@@ -41,8 +41,6 @@ EXECUTORS = {
     "spawned": partial(SpawnedProcesses, 1),
     "dask": dask,
 }
-
-
 KINDS = [pytest.param(kind, marks=[pytest.mark.slow] * (kind != "threads")) for kind in EXECUTORS]
 
 

@@ -20,7 +20,6 @@ from minimd.console.signals import SIGNALS, Terminated, endings_are_told, stop_o
 from minimd.files.h5md_reader import read_file
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-
 REPOSITORY = Path(__file__).parents[2]
 END = 3000
 SCENE = SMOOTH.replace("steps = 40", f"steps = {END}")

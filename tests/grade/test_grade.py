@@ -11,8 +11,6 @@ from wrong_functions import W, composed, explicit_euler, pairs, runge_kutta, vel
 import minimd as md
 
 TWO = np.array([[0.0, 0.0, 0.0], [0.9, 0.5, 0.2]])
-
-
 SLOWEST = "no minimum image", "one direction", "du/dr times the vector", "cutoff of components", "wrapped positions"
 
 

@@ -94,8 +94,6 @@ def test_a_start_off_the_manifold_is_projected_and_told():
 
 WRAPPERS = [projected, mi.symmetrically_projected, mi.with_multipliers]
 wrappers = pytest.mark.parametrize("wrapper", WRAPPERS)
-
-
 STEPS = {VelocityVerlet: 0.02, RadauIIA2: 0.03, mi.GaussLegendre2: 0.06, mi.CandyRozmus4: 0.05}
 WRAPPED = [(projected, *row) for row in STEPS.items()] + [(mi.symmetrically_projected, VelocityVerlet, 0.02)]
 WRAPPED += [pytest.param(mi.symmetrically_projected, *row, marks=slow) for row in list(STEPS.items())[1:]]

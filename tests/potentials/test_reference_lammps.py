@@ -66,8 +66,6 @@ CASES = {
     "dihedral-opls": groups("dihedrals", lambda atoms, *parameters: md.OPLSDihedral(*parameters, atoms)),
     "improper-harmonic": groups("impropers", lambda g, k, at: md.HarmonicImproper(2.0 * k, -np.radians(at), g)),
 }
-
-
 SLOW = ("mol-pair-morse", "mol-pair-lj96_cut", "dihedral-opls", "improper-harmonic")  # each compiles a law of its own
 
 

@@ -178,8 +178,6 @@ for _old, _new in (
     ("7.0 * x", "scale[1] * x"),  # an array of a helper
 ):
     UNCLEAR = UNCLEAR.replace(_old, _new)
-
-
 CHANGE_UNCLEAR = "place, params.strength, table[1], scale[1] = Place(5.0), 9.0, 9.0, 9.0"
 STATES = [(LAW, True, "strength, table[1] = 4.0, 30.0"), (UNCLEAR, False, CHANGE_UNCLEAR)]
 

@@ -254,8 +254,6 @@ RESUMES = ("resumed when killed", "resumed when finished")
 COMMANDS = {"appended": [[*RUN, "--steps", "6"], RESUME], RESUMES[0]: [RESUME], RESUMES[1]: [[*RESUME, "--steps", "6"]]}
 EARLIER = ("minimd/earlier_restart", "minimd/blocks")  # other in runs of other parts
 MODELS = ("kill", "torn", *NAMES)
-
-
 Reference = namedtuple("Reference", "folder steps numbers frames")  # what an uninterrupted run has left
 
 

@@ -16,7 +16,6 @@ from minimd.structure.checks import LARGEST, SMALLEST
 from minimd.structure.lattice import crystal
 
 pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
-
 BELOW = [0.1, 0.5, 1.0, 1.5, 1.9, 1.99]  # Δt ω
 WALL = md.PairPotential(lambda r2: (r2**-24, 48.0 * r2**-25), (), 1.5, "force-shifted")  # r⁻⁴⁸, as steep as any
 
@@ -157,8 +156,6 @@ CONSERVED = {
     million_atoms: [()],
     stiff_bond_among_its_resonances: [(x,) for x in (0.1, 0.5, 0.9, 1.3, 1.41, 1.7, 1.8)],
 }
-
-
 CASES = [(scene, given) for scene, rows in CONSERVED.items() for given in rows]
 
 

@@ -13,8 +13,6 @@ from minimd.mdanalysis import universe
 
 NAN = float("nan")
 TWO_KINDS = {"species": ["A", "B"] * 128}
-
-
 CHANGES = {
     "NaN": (lambda sim: sim.positions.__setitem__(3, NAN), md.NonFiniteError, "positions of 1 atoms"),
     "a small cell": (lambda sim: setattr(sim.system, "cell", md.Cell.of(2.0)), md.NonFiniteError, "atoms .* apart"),

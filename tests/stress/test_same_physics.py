@@ -14,7 +14,6 @@ import minimd as md
 from minimd.structure.lattice import BASES, crystal
 
 pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
-
 POWERS = [(1e-30, 1, 1), (1e30, 1, 1), (1, 1e-30, 1), (1, 1e30, 1), (1, 1, 1e-30), (1, 1, 1e30), (1e-30, 1e30, 1e-30)]
 SI = (3.4e-10, 1.65e-21, 6.63e-26)  # m, J, kg: argon
 RELATIVE = 1e-12  # of forces

@@ -14,7 +14,6 @@ from stress_scenes import in_a_row, made, pair_at, ran, rigid_chain, rigid_ring,
 import minimd as md
 
 pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
-
 DUMBBELL = pair_at(1.1, bonded=True)
 GONE = "energy has gone|not finite"
 PAST = "moves .* in one step, past every neighbor"

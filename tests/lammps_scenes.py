@@ -151,11 +151,6 @@ SCENES = {
     **{one: lambda one=one: scene(fluid(), md.LennardJones(1.0, 1.0, CUTOFF, one)) for one in CUT},
     "Kob-Andersen mixture": lambda: scene(fluid(species=TWO_KINDS), KOB_ANDERSEN),
     "own law": lambda: scene(fluid(), md.PairPotential(buckingham, (3e5, 0.08, 2.0), CUTOFF, "force-shifted")),
-    "water": water,
-    "chains": chains,
-    "torsions": torsions,
-    "two laws": two_laws,
-    "stars": stars,
     "turned": in_cell(SKEWED @ ROTATION),
     "left-handed": in_cell(LEFT_HANDED),
     "skewed slab": in_cell(SKEWED @ ROTATION, pbc=[True, False, True]),
@@ -163,8 +158,9 @@ SCENES = {
     "small cell": lambda: scene(liquid(2), scaled(1.0, 1.0, 1.0)),
     "without cutoff": lambda: scene(scenes.droplet().system, scenes.OPEN),
     "fixed atoms": lambda: scene(fluid(masses=HEAVIER), LJ, md.FixedAtoms(np.arange(0, 108, 4))),
-    "tail": with_a_tail,
     "sheet": lambda: scene(md.System(PLANE, cell=np.diag([10.0, 10.0, 0.0]))),
     "far away": lambda: scene(far_away()),
+    "tail": with_a_tail,
     **AT_REST,
 }
+SCENES |= {"water": water, "chains": chains, "torsions": torsions, "two laws": two_laws, "stars": stars}

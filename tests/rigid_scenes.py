@@ -55,19 +55,11 @@ def rod():
     return np.outer([0.0, 1.16, 2.5], np.array([1.0, 2.0, -0.5]) / np.sqrt(5.25)), np.array([[2, 0], [0, 1], [1, 2]])
 
 
-SCENES = {
-    name: (*graph, np.random.default_rng(1).uniform(1.0, 3.0, len(graph[0])) if masses is None else np.array(masses))
-    for name, graph, masses in [
-        ("diatomics", diatomics(5), None),
-        ("water", water(3), [16.0, 1.0, 1.0] * 3),
-        ("triangle of three masses", water(1), [16.0, 1.0, 2.0]),
-        ("chain", chain(100), None),
-        ("ring", ring(6), None),
-        ("cube", cube(), None),
-        ("rod", rod(), [16.0, 12.0, 16.0]),
-        ("sheet", sheet(20), None),
-    ]
-}
+GRAPHS = {"diatomics": diatomics(5), "water": water(3), "triangle of three masses": water(1), "chain": chain(100)}
+GRAPHS |= {"ring": ring(6), "cube": cube(), "rod": rod(), "sheet": sheet(20)}
+MASSES = {name: np.random.default_rng(1).uniform(1.0, 3.0, len(graph[0])) for name, graph in GRAPHS.items()}
+MASSES |= {"water": [16.0, 1.0, 1.0] * 3, "triangle of three masses": [16.0, 1.0, 2.0], "rod": [16.0, 12.0, 16.0]}
+SCENES = {name: (*graph, np.array(MASSES[name])) for name, graph in GRAPHS.items()}
 
 
 def described(constraints):
@@ -79,22 +71,14 @@ def described(constraints):
 
 SQUARE = np.array([[0.0, 0, 0], [1.5, 0, 0], [1.5, 1.5, 0], [0, 1.5, 0]])
 RIGID_RING = """
+potential = [{ type = "harmonic-angle", k_eV_rad2 = 3.0, angle_degree = 80.0, triples = [[0, 1, 2], [2, 3, 0]] }]
+dynamics = { timestep_fs = 1.0, temperature_K = 300.0, steps = 20 }
+output = { every = 10 }
 [structure]
 file = "ring.xyz"
 bonds = [[0, 1], [1, 2], [2, 3], [3, 0]]
-[[potential]]
-type = "harmonic-angle"
-k_eV_rad2 = 3.0
-angle_degree = 80.0
-triples = [[0, 1, 2], [2, 3, 0]]
 [constraints]
 pairs = "bonds"
-[dynamics]
-timestep_fs = 1.0
-temperature_K = 300.0
-steps = 20
-[output]
-every = 10
 """
 
 

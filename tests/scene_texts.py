@@ -18,14 +18,8 @@ TABULATED = TABULATED.replace(LAW, 'type = "tabulated"\nfile = "lj.dat"\ncutoff 
 MIXTURE = """
 structure = { file = "pair.xyz" }
 dynamics = { timestep_fs = 1.0, steps = 0 }
-[[potential]]
-type = "tabulated"
-truncation = "truncated"
-pairs = [
-    { species = ["Ar", "Ar"], file = "like" },
-    { species = ["Kr", "Ar"], file = "unlike" },
-    { species = ["Kr", "Kr"], file = "like" },
-]
+potential = [{ type = "tabulated", truncation = "truncated", pairs = [{ species = ["Ar", "Ar"], file = "like" }, \
+    { species = ["Kr", "Ar"], file = "unlike" }, { species = ["Kr", "Kr"], file = "like" }] }]
 [tables]
 like = { r_A = [2.0, 3.0, 4.0, 5.0, 6.0, 7.0], u_K = [600.0, 500.0, 400.0, 300.0, 200.0, 100.0] }
 [tables.unlike]

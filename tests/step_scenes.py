@@ -32,16 +32,10 @@ def bead_melt():
     return system, [md.HarmonicBond(400.0, 0.97), BONDED], ()
 
 
-MINIMA = {
-    "diatomic": diatomic,
-    "chain": lambda: SCENES["chain"]()[:3],
-    "ring": lambda: SCENES["ring"]()[:3],
-    "LJ dimer": lambda: SCENES["two_atoms"]()[:3],
-    "fcc crystal": fcc,
+NAMED = {one: one for one in ("chain", "ring", "mixture")} | {"LJ dimer": "two_atoms", "rigid dumbbells": "dumbbells"}
+MINIMA = {name: lambda scene=scene: SCENES[scene]()[:3] for name, scene in NAMED.items()}
+MINIMA |= {"diatomic": diatomic, "fcc crystal": fcc, "bead melt": bead_melt} | {
     "fcc of two masses": lambda: fcc(np.where(np.arange(108) % 4 == 0, 1.0, 40.0)),
-    "mixture": lambda: SCENES["mixture"]()[:3],
-    "bead melt": bead_melt,
-    "rigid dumbbells": lambda: SCENES["dumbbells"]()[:3],
     "squeezed, one layer fixed": lambda: fcc(np.geomspace(1.0, 200.0, 108), (1.0, 1.05, 0.93), fixed=True),
 }
 

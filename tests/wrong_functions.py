@@ -120,19 +120,15 @@ def rescaled(x, v, m, dt):
     return x, v * np.sqrt(1.5 * len(x) * 0.5 / kinetic)
 
 WRONG_STEPS = {  # those named first are graded always, the others in slow tests
-    "kick first": (composed(1.0, 1.0), "kick first"),
-    "aliased": (aliased, "uses the new force twice"),
-    "no mass in one half": (kicked(divided=(True, False)), "1/m is missing in a part"),
-    "stale": (stale, "old force"),
+    "kick first": (composed(1.0, 1.0), "kick first"), "aliased": (aliased, "uses the new force twice"),
+    "no mass in one half": (kicked(divided=(True, False)), "1/m is missing in a part"), "stale": (stale, "old force"),
     "hidden noise": (then(lambda x, v, m, dt: (x, v + 0.01 * np.random.normal(size=v.shape))), "random numbers"),
     "last atom forgotten": (last_atom_forgotten, "atom 4, the last, is not moved"),
     "atom after atom": (atom_after_atom, "one after another"),
     "factor close to one": (then(lambda x, v, m, dt: (x, 0.99999 * v)), "multiplied by 0.99999 "),
-    "explicit Euler": (explicit_euler, "old velocity"),
-    "drift first": (composed(0.0, 1.0, 1.0), "drift first"),
+    "explicit Euler": (explicit_euler, "old velocity"), "drift first": (composed(0.0, 1.0, 1.0), "drift first"),
     "old force twice": (kicked(is_old=True), "uses the old force"),
-    "no mass": (kicked(divided=(False, False)), "lacks 1/m"),
-    "half drift": (kicked(drift=0.5), "multiplied by ½"),
+    "no mass": (kicked(divided=(False, False)), "lacks 1/m"), "half drift": (kicked(drift=0.5), "multiplied by ½"),
     "whole kicks": (kicked(1.0, 1.0, 1.0), "2 times too large"),
     "no second kick": (composed(0.5, 1.0), "only half of the kick"),
     "no half in positions": (with_push(lambda dt: dt**2), "factor ½ is missing"),

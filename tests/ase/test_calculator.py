@@ -111,10 +111,8 @@ def test_results_are_right_after_every_kind_of_change(change):
 def test_bonded_scene_is_right_when_the_cell_shrinks_below_twice_the_cutoff():
     """Then the nearest image of an excluded pair can change between two builds of the list."""
     bonds = [(0, 1), (1, 2), (2, 3)]
-    potentials = [
-        md.LennardJones(EPSILON, SIGMA, CUTOFF, "force-shifted", bonded_scale=(0, 0, 0.5)),
-        md.HarmonicBond(1.0, 4.0),
-    ]
+    law = md.LennardJones(EPSILON, SIGMA, CUTOFF, "force-shifted", bonded_scale=(0, 0, 0.5))
+    potentials = [law, md.HarmonicBond(1.0, 4.0)]
     atoms = Atoms("Ar4", np.arange(4)[:, None] * [3.8, 0.1, 0.2], cell=[40.0] * 3, pbc=True)
     atoms.calc = Calculator(potentials, bonds, skin=2.0)
     atoms.get_forces()

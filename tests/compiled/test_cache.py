@@ -163,16 +163,11 @@ def test_a_process_killed_between_two_files_leaves_no_code_of_another_signature(
 IMPORTS = ["compiled.kernels import (\n    cache_folder,\n    scalar,\n)", "numbers import HALF"]
 IMPORTS += ["shapes import (\n    Pair,\n)", "structure import units"]
 SOURCES = {
-    "compiled/kernels.py": "b = 1\n",
-    "law.py": "".join(f"from minimd.{one}\n" for one in IMPORTS),
-    "numbers.py": "from minimd.thirds import THIRD\nHALF = 1.5 * THIRD\n",
-    "thirds.py": "THIRD = 1 / 3\n",
-    "shapes.py": "Pair = None\n",
-    "structure/__init__.py": "",
-    "structure/units.py": "MASS = 1.0\n",
-    "choices.py": "from numba.extending import overload\n",
-    "grade.py": "from minimd.law import law\n",
-}
+    "compiled/kernels.py": "b = 1\n", "law.py": "".join(f"from minimd.{one}\n" for one in IMPORTS),
+    "numbers.py": "from minimd.thirds import THIRD\nHALF = 1.5 * THIRD\n", "thirds.py": "THIRD = 1 / 3\n",
+    "shapes.py": "Pair = None\n", "structure/__init__.py": "", "structure/units.py": "MASS = 1.0\n",
+    "choices.py": "from numba.extending import overload\n", "grade.py": "from minimd.law import law\n",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", SOURCES)

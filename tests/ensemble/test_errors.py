@@ -15,22 +15,18 @@ from minimd.ensemble.running import EnsembleError
 from minimd.ensemble.scan import parsed_setting
 
 WRONG = [  # options, error, what is named and shown
-    ({"build": 3}, TypeError, "build", "3"),
-    ({"parameters": 0}, ValueError, "number of members", "0"),
+    ({"build": 3}, TypeError, "build", "3"), ({"parameters": 0}, ValueError, "number of members", "0"),
     ({"parameters": []}, ValueError, "parameters", "empty"),
-    ({"parameters": [1, 2]}, TypeError, "parameters", "[1, 2]"),
-    ({"parameters": {"a": 3}}, TypeError, "'a'", "3"),
+    ({"parameters": [1, 2]}, TypeError, "parameters", "[1, 2]"), ({"parameters": {"a": 3}}, TypeError, "'a'", "3"),
     ({"parameters": {"a": [1, 2], "b": [1]}}, ValueError, "'a' has 2", "'b' has 1"),
     ({"parameters": [{"a": 1}, {"b": 1}]}, ValueError, "'a'", "'b'"),
     ({"parameters": {"index": [1]}}, ValueError, "parameter", "'index'"),
-    ({"parameters": {"a": [[1]]}}, TypeError, "'a'", "[1]"),
-    ({"steps": -1}, ValueError, "steps", "-1"),
-    ({"seed": -1}, ValueError, "seed", "-1"),
-    ({"workers": -1}, ValueError, "workers", "-1"),
+    ({"parameters": {"a": [[1]]}}, TypeError, "'a'", "[1]"), ({"steps": -1}, ValueError, "steps", "-1"),
+    ({"seed": -1}, ValueError, "seed", "-1"), ({"workers": -1}, ValueError, "workers", "-1"),
     ({"workers": 2, "executor": ThreadPoolExecutor(1)}, ValueError, "workers", "2"),
     ({"executor": "dask"}, TypeError, "executor", "'dask'"),
     ({"workers": 2, "build": lambda member: None}, TypeError, "build", "lambda"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("row", range(len(WRONG)))

@@ -217,12 +217,9 @@ HOSTILE = {  # a file leads elsewhere, or asks for what it does not hold: what i
     "a link to itself": (put(lambda *_: h5py.SoftLink("/minimd/loop")), "minimd/loop"),
     "a group in itself": (put(lambda h5, _: h5["/"]), "minimd/again"),
     "a deep group": (lambda h5, *_: h5.create_group("minimd/" + "/".join("a" * 2000)), "minimd/a/a/a/a/a/a/a/a"),
-    "a compound": (typed(COMPOUND), POSITIONS),
-    "references": (typed(h5py.ref_dtype), "minimd/masses"),
-    "numbers of any length": (typed(ANY_LENGTH), "minimd/cell"),
-    "texts": (typed(TEXT), POSITIONS),
-    "opaque bytes": (typed("V8"), "minimd/masses"),
-    "no numbers": (made(data=h5py.Empty("V8")), "minimd/nothing"),
+    "a compound": (typed(COMPOUND), POSITIONS), "references": (typed(h5py.ref_dtype), "minimd/masses"),
+    "numbers of any length": (typed(ANY_LENGTH), "minimd/cell"), "texts": (typed(TEXT), POSITIONS),
+    "opaque bytes": (typed("V8"), "minimd/masses"), "no numbers": (made(data=h5py.Empty("V8")), "minimd/nothing"),
     "a type": (put(lambda *_: np.dtype("f8")), "minimd/kind"),
     "a filter": (made(data=np.zeros(10), chunks=(10,), compression="gzip"), "minimd/zipped"),
     "numbers that are not there": (made(shape=(10**12,), dtype="f8", chunks=(1,)), "minimd/zeros"),
@@ -234,7 +231,7 @@ HOSTILE = {  # a file leads elsewhere, or asks for what it does not hold: what i
     "an attribute of another kind": (attribute("extra", np.zeros((), COMPOUND), COMPOUND), "minimd"),
     "an attribute of many texts": (attribute("more", ["a"] * 300, TEXT), "minimd"),
     "many attributes": (lambda h5, name, _: [h5[name].attrs.create(f"a{k}", k) for k in range(300)], "minimd"),
-}
+}  # fmt: skip
 READERS = {
     **{name: lambda file, name=name: cli.main([name, file]) for name in ("check", "plot", "view", "replay")},
     "resume": lambda file: cli.main(["resume", file, "--steps", "5"]),

@@ -126,13 +126,10 @@ def folder(tmp_path, monkeypatch):
 
 def command(*arguments, **environment):
     """The command, at its first lines."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", READY, *arguments],
-        env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        preexec_fn=lambda: [signal.signal(number, signal.SIG_DFL) for number in SIGNALS],
-    )
+    where = os.environ | {"PYTHONPATH": str(REPOSITORY)} | environment
+    told = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    as_usual = lambda: [signal.signal(number, signal.SIG_DFL) for number in SIGNALS]  # noqa: E731
+    process = subprocess.Popen([sys.executable, "-c", READY, *arguments], env=where, preexec_fn=as_usual, **told)
     assert process.stdout.read(1) == b"!"
     return process
 

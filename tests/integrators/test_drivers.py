@@ -225,16 +225,12 @@ BUFFER = np.zeros((2, 3))
 FORCES = {
     "default argument": lambda q, stiffness=1.0: -stiffness * q,
     "all three under other names": lambda time, x, velocity: -x,
-    "partial": functools.partial(lambda stiffness, q: -stiffness * q, 1.0),
-    "object": np.poly1d([-1.0, 0.0]),
-    "numpy": np.negative,
-    "numba": numba.njit(lambda q: -q),
-    "numba, elementwise": numba.vectorize(lambda x: -x),
+    "partial": functools.partial(lambda stiffness, q: -stiffness * q, 1.0), "object": np.poly1d([-1.0, 0.0]),
+    "numpy": np.negative, "numba": numba.njit(lambda q: -q), "numba, elementwise": numba.vectorize(lambda x: -x),
     "list": lambda q: [[-x for x in row] for row in q],
     "buffer used again": lambda q: np.negative(q, out=BUFFER if q.shape == BUFFER.shape else None),
-    "transposed memory": lambda q: np.asfortranarray(-q),
-    "long double": lambda q: (-q).astype(np.longdouble),
-}
+    "transposed memory": lambda q: np.asfortranarray(-q), "long double": lambda q: (-q).astype(np.longdouble),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("force", FORCES.values(), ids=FORCES)

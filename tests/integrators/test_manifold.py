@@ -125,12 +125,8 @@ def test_the_energy_is_kept_to_rounding(wrapper, method):
     assert np.abs(energy_errors(kept)).max() < noise * ROUNDING
 
 
-LONG = [
-    (VelocityVerlet, 0.05, 500),
-    pytest.param(VelocityVerlet, 0.05, 10_000, marks=slow),
-    pytest.param(mi.ImplicitEuler, 0.01, 10_000, marks=slow),
-    pytest.param(RadauIIA2, 0.1, 100_000, marks=slow),
-]
+LONG = (VelocityVerlet, 0.05, 10_000), (mi.ImplicitEuler, 0.01, 10_000), (RadauIIA2, 0.1, 100_000)
+LONG = [(VelocityVerlet, 0.05, 500), *(pytest.param(*row, marks=slow) for row in LONG)]
 
 
 @pytest.mark.parametrize(("method", "h", "n_steps"), LONG)
@@ -237,11 +233,8 @@ def test_two_stabilized_invariants_decay_at_the_same_rate():
     assert defect == pytest.approx(np.exp(-1.5 * path.t)[:, None] * defect[0], rel=1e-6)  # truncation
 
 
-OF_INDEX_2 = [
-    pytest.param(mi.ImplicitEuler, 0.002, marks=slow),
-    pytest.param(mi.RadauIIA3, 0.05, marks=slow),
-    (RadauIIA2, 0.02),
-]
+OF_INDEX_2 = (mi.ImplicitEuler, 0.002), (mi.RadauIIA3, 0.05)
+OF_INDEX_2 = [(RadauIIA2, 0.02), *(pytest.param(*row, marks=slow) for row in OF_INDEX_2)]
 
 
 @pytest.mark.parametrize(("method", "h"), OF_INDEX_2)

@@ -240,16 +240,12 @@ PRESSURE = """[barostat]
 pressure = 1.0\ncompressibility = 0.1\nrelaxation_time = 0.1\nevery = 3\ncoupling = "triclinic"
 """
 KINDS = {  # what is added to a melt of 108 atoms
-    "nve": EVERY,
-    "triclinic": BATH + PRESSURE + EVERY,
-    "observers": OBSERVERS + EVERY,
+    "nve": EVERY, "triclinic": BATH + PRESSURE + EVERY, "observers": OBSERVERS + EVERY,
     "rigid": "[constraints]\npairs = [[0, 1], [2, 3]]\n" + EVERY,
-    "fixed-point": 'precision = "fixed-point"\n' + EVERY,
-    "forces": BATH + EVERY + "forces = true\n",
+    "fixed-point": 'precision = "fixed-point"\n' + EVERY, "forces": BATH + EVERY + "forces = true\n",
     "formats": OBSERVERS + EVERY + 'trajectory = ["run.xtc", "run.h5md", "run.extxyz", "run.traj", "run.dcd"]\n',
-    "appended": EVERY,
-    "crash": EVERY,
-}
+    "appended": EVERY, "crash": EVERY,
+}  # fmt: skip
 RESUMES = ("resumed when killed", "resumed when finished")
 COMMANDS = {"appended": [[*RUN, "--steps", "6"], RESUME], RESUMES[0]: [RESUME], RESUMES[1]: [[*RESUME, "--steps", "6"]]}
 EARLIER = ("minimd/earlier_restart", "minimd/blocks")  # other in runs of other parts

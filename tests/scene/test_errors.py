@@ -81,10 +81,8 @@ def test_what_is_no_table_and_what_is_no_toml_is_told(tmp_path, monkeypatch):
 
 
 def test_all_problems_are_told_at_once():
-    two, three = (
-        REDUCED.replace("density", "densty").replace("every", "evry"),
-        "steps = -20\nrelaxation_tim = 0.3\nsed = 2",
-    )
+    two = REDUCED.replace("density", "densty").replace("every", "evry")
+    three = "steps = -20\nrelaxation_tim = 0.3\nsed = 2"
     for text, places in ((two, ["structure", "output"]), (REDUCED.replace("steps = 20", three), 3 * ["dynamics"])):
         with pytest.raises(ValueError, match=r"scene\.toml") as caught:
             scene_of(text)

@@ -16,11 +16,9 @@ MINE = md.units.UnitSystem(name="mine", k_B=2.0)
 OBJECTS = [
     md.System(np.eye(3), cell=3.0, species=["A", "B", "A"], bonds=[[0, 1]]),
     md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.9)}, cutoff=2.5, truncation="switched"),
-    md.PairPotential(gaussian, (1.0, 2.0), 2.0),
-    md.HarmonicBond(1.0, 1.0),
-    md.LangevinBAOAB(0.1, 1.0, 1.0, seed=2),
+    md.PairPotential(gaussian, (1.0, 2.0), 2.0), md.HarmonicBond(1.0, 1.0), md.LangevinBAOAB(0.1, 1.0, 1.0, seed=2),
     md.DistanceConstraints([[0, 1]], 1.0),
-]
+]  # fmt: skip
 RUNS = {"slab": "position-verlet", "dumbbells": "langevin-baoab", "chain": "leapfrog", "droplet": "velocity-verlet"}
 
 

@@ -13,19 +13,14 @@ from minimd.potentials.truncation import TRUNCATIONS, TruncationName
 
 SPECIES = {"A": (1.0, 1.0), "B": (0.5, 0.88)}
 CUTOFFS = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}
-MORE = {"switch_start": 1.5, "bonded_scale": (0.0, 0.0, 0.5), "tail_correction": True}
+MORE = {"switch_start": 1.5, "bonded_scale": (0.0, 0.0, 0.5), "tail_correction": True, "mixing": "geometric"}
+HELD, UNLIKE = md.HarmonicBond(3.0, [1.0, 1.1], [(0, 1), (1, 2)]), {("A", "B"): (1.5, 0.8)}
 CALLS = [  # an object, and the call that makes it again, without what is a default
     (md.LennardJones(0.0104, 3.4, 8.5), "LennardJones(epsilon=0.0104, sigma=3.4, cutoff=8.5, truncation='shifted')"),
     (md.LangevinBAOAB(0.005, 0.7, 2.0, seed=3), "LangevinBAOAB(timestep=0.005, temperature=0.7, friction=2, seed=3)"),
-    (
-        md.HarmonicBond(3.0, [1.0, 1.1], [(0, 1), (1, 2)]),
-        "HarmonicBond(k=3.0, length=[1.0, 1.1], pairs=[[0, 1], [1, 2]])",
-    ),
+    (HELD, "HarmonicBond(k=3.0, length=[1.0, 1.1], pairs=[[0, 1], [1, 2]])"),
     (md.VelocityVerlet(md.units.fs), "VelocityVerlet(timestep=0.09822694788)"),
-    (
-        md.LennardJones(SPECIES, None, CUTOFFS, "switched", mixing="geometric", pairs={("A", "B"): (1.5, 0.8)}, **MORE),
-        None,
-    ),
+    (md.LennardJones(SPECIES, None, CUTOFFS, "switched", pairs=UNLIKE, **MORE), None),
 ]
 
 

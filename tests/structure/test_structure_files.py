@@ -69,27 +69,12 @@ def write_psf(path, charge=0.0):
 FORMATS = {"data": "file", "pdb": "file", "psf": "melt.psf"}  # what is read, and what structure.bonds says
 SCENE = """
 units = "LJ"
+dynamics = {{ timestep = 0.002, steps = 20, temperature = 0.5 }}
+output = {{ every = 5 }}
 [structure]
 file = "{file}"
 {more}
-[[potential]]
-type = "lennard-jones"
-epsilon = 1.0
-sigma = 1.0
-cutoff = 1.8
-bonded_scale = [0.0, 1.0, 1.0]
-[[potential]]
-type = "harmonic-bond"
-k = 50.0
-length = 1.0
-{laws}
-[dynamics]
-timestep = 0.002
-steps = 20
-temperature = 0.5
-[output]
-every = 5
-"""
+{laws}"""
 
 
 def tables(laws):
@@ -101,6 +86,8 @@ def tables(laws):
 
 
 DIHEDRAL, IMPROPER = {"k": 0.5, "n": 3}, {"k": 1.0, "angle_degree": 30.0}
+LJ = {"epsilon": 1.0, "sigma": 1.0, "cutoff": 1.8, "bonded_scale": [0.0, 1.0, 1.0]}
+PAIR_LAWS = tables({"lennard-jones": LJ, "harmonic-bond": {"k": 50.0, "length": 1.0}})
 ANGLE_LAW = tables({"harmonic-angle": {"k": 5.0, "angle_degree": 150.0}})
 GROUP_LAWS = ANGLE_LAW + tables({"periodic-dihedral": DIHEDRAL, "harmonic-improper": IMPROPER})
 
@@ -119,7 +106,8 @@ def folder(tmp_path, monkeypatch):
 def scene(folder, form, more=None, laws=""):
     """A scene of a melt in a format, with the bonds that its files name if nothing else is said."""
     file = {"psf": "plain.pdb"}.get(form, f"melt.{form}")
-    text = SCENE.format(file=file, more=f'bonds = "{FORMATS[form]}"' if more is None else more, laws=laws)
+    more = f'bonds = "{FORMATS[form]}"' if more is None else more
+    text = SCENE.format(file=file, more=more, laws=PAIR_LAWS + laws)
     (folder / "melt.toml").write_text(text)
     return load_scene(folder / "melt.toml")
 

@@ -185,8 +185,11 @@ class StudentStep:
         self.path: list[Array] = []
         self.third: Array | None = None
         self.swapped = self.in_place = self.is_procedure = False
-        self.is_given_forces = any(set(role.split()) & set(FORCES) for role in manner.roles)
-        self.is_scaled = "m" in manner.roles or any("acceleration" in role for role in manner.roles)  # by masses
+        self.is_given_forces, self.is_scaled = self.takes(*FORCES), self.takes("m", "acceleration")  # by masses
+
+    def takes(self, *words: str) -> bool:
+        """Whether one of these words is in the roles of the parameters."""
+        return any(set(words) & set(role.split()) for role in self.manner.roles)
 
     def find_own_force(self) -> None:
         """Find the spring inside a step that takes no force function.  Raises TypeError if its force is not −k x."""

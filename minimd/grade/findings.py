@@ -122,11 +122,16 @@ def is_near(value: float, other: float) -> bool:
     return abs(value - other) < EXACT * max(1.0, abs(other))
 
 
-def all_of(*rows: tuple[bool, str]) -> list[str]:
+def all_of(*rows: tuple[object, str]) -> list[str]:
     """The sentences whose conditions hold."""
     return [sentence for condition, sentence in rows if condition]
 
 
-def first_of(*rows: tuple[bool, str]) -> list[str]:
+def first_of(*rows: tuple[object, str]) -> list[str]:
     """The first sentence whose condition holds; none if no condition does."""
     return all_of(*rows)[:1]
+
+
+def first_of_each(*groups: Iterable[tuple[object, str]]) -> list[str]:
+    """The first sentence of each group whose condition holds."""
+    return [sentence for group in groups for sentence in first_of(*group)]

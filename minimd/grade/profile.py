@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from minimd.grade.calling import OF_FORCES, REST, StudentForce, plain, role_of
-from minimd.grade.findings import Fault, Finding, Kind, all_of, coefficient, first_of, is_near
+from minimd.grade.findings import Fault, Finding, Kind, all_of, coefficient, first_of, first_of_each, is_near
 from minimd.grade.problems import Array, bisected, difference
 
 POWERS = range(1, 21)
@@ -77,32 +77,28 @@ def slope_of(u: Law, r: float) -> float:
     return float(difference(u, r, DELTA)) / DELTA
 
 
-def ratio_of(f: Array, g: Array, r: Array) -> tuple[float, float] | None:
-    """c and k if f = c rᵏ g, from the points where both are large; None if there is no such relation."""
+def ratio_of(f: Array, g: Array, r: Array) -> tuple[float, float]:
+    """c and k if f = c rᵏ g, from the points where both are large; NaN if there is no such relation."""
     large = (np.abs(g) > 1e-3 * np.median(np.abs(g))) & (np.abs(f) > 0.0) & np.isfinite(f) & np.isfinite(g)
-    if large.sum() < 5:
-        return None
-    ratio = f[large] / g[large]
-    if not (np.all(ratio > 0.0) or np.all(ratio < 0.0)):
-        return None
-    k, log_c = np.polyfit(np.log(r[large]), np.log(np.abs(ratio)), 1)
-    if np.abs(np.log(np.abs(ratio)) - k * np.log(r[large]) - log_c).max() > SAME:
-        return None
+    ratio, logs = f[large] / g[large], np.log(r[large])
+    if large.sum() < 5 or not (np.all(ratio > 0.0) or np.all(ratio < 0.0)):
+        return np.nan, np.nan
+    k, log_c = np.polyfit(logs, np.log(np.abs(ratio)), 1)
+    if np.abs(np.log(np.abs(ratio)) - k * logs - log_c).max() > SAME:
+        return np.nan, np.nan
     return float(np.sign(ratio[0]) * np.exp(log_c)), round(float(k), 4)
 
 
-def related(pair: tuple[float, float] | None, other: str, is_law: bool = False) -> tuple[str, str]:
-    """The meaning of f = c rᵏ g: words for a finding, and the fault (empty if there is none).
+def related(c: float, k: float, other: str, is_law: bool = False) -> tuple[str, list[str]]:
+    """The meaning of f = c rᵏ g: words for a finding, and the fault, if it is one.
 
     is_law : whether f may be f/r.
     """
-    if pair is None:
-        return f"not {other}, nor a multiple of it", ""
-    c, k = pair
+    if np.isnan(c):
+        return f"not {other}, nor a multiple of it", []
     size, power = abs(c), "" if k == 0.0 else f" r^{coefficient(k)}"
-    is_same = is_near(size, 1.0)
     words = f"F = {other}" if (is_near(c, 1.0) and k == 0.0) else f"F = {coefficient(c)}{power} × ({other})"
-    faults = (  # the first of each group that holds
+    faults = first_of_each(
         (
             (c < 0.0, f"the force has the wrong sign: it is {coefficient(c)} times {other}, so atoms that should repel "
                       "each other attract each other"),
@@ -119,10 +115,10 @@ def related(pair: tuple[float, float] | None, other: str, is_law: bool = False) 
             (is_near(size, 2.0), f"the force is twice {other}: pairs are counted twice, or a factor ½ is missing"),
             (is_near(size, 0.5), f"the force is half of {other}: a factor 2 is missing, or the energy counts each pair "
                                  "twice"),
-            (not is_same, f"the force is {coefficient(size)} times {other}"),
+            (not is_near(size, 1.0), f"the force is {coefficient(size)} times {other}"),
         ),
     )  # fmt: skip
-    return words, "; ".join(sentence for group in faults for sentence in first_of(*group))
+    return words, ["; ".join(faults)] if faults else []
 
 
 def jumps(law: Law, r: Array) -> list[Jump]:
@@ -149,24 +145,21 @@ def lennard_jones_fault(f: Powers) -> tuple[str, list[str]]:
     """Name and faults of a force of two powers that should be −du/dr of Lennard-Jones, 48 r^−13 − 24 r^−7 with
     ε = σ = 1."""
     n, c = f.exponents, f.coefficients
-    if len(n) != 2:
+    if len(n) != 2 or not (13 in n or 7 in n or (5 <= n[1] <= 9 and 11 <= n[0] <= 15)):
         return "", []
     told, right = f"F = {f}; −du/dr of Lennard-Jones has r^−13 and r^−7", "48 r^−13 − 24 r^−7"
-    if n == (14, 8):
-        return "Lennard-Jones, divided by r", [f"{told}: there is a factor 1/r too many. f/r is multiplied by the "
-                                               "vector r_ij, not by the unit vector"]  # fmt: skip
-    if n == (12, 6):
-        return "Lennard-Jones, times r", [f"{told}: the factor 1/r is missing; these are the exponents of the energy "
-                                          "(du/dr is multiplied by the vector r_ij, "
-                                          "which brings another r)"]  # fmt: skip
-    if n != (13, 7):
-        if not (13 in n or 7 in n or (5 <= n[1] <= 9 and 11 <= n[0] <= 15)):
-            return "", []
-        wrong = [f"r^−{one} where r^−{known} is needed" for one, known in zip(n, (13, 7), strict=True) if one != known]
-        return "Lennard-Jones, with other exponents", [f"wrong exponent: {', '.join(wrong)} ({told})"]
-    if c[0] * c[1] >= 0.0:
-        return "Lennard-Jones, with a wrong sign", [f"F = {f}: both terms have the same sign; repulsion and attraction "
-                                                    f"need opposite ones, {right}"]  # fmt: skip
+    others = [f"r^−{one} where r^−{known} is needed" for one, known in zip(n, (13, 7), strict=True) if one != known]
+    wrong = [(name, [sentence]) for condition, name, sentence in (
+        (n == (14, 8), "divided by r", f"{told}: there is a factor 1/r too many. f/r is multiplied by the vector r_ij, "
+                                       "not by the unit vector"),
+        (n == (12, 6), "times r", f"{told}: the factor 1/r is missing; these are the exponents of the energy (du/dr is "
+                                  "multiplied by the vector r_ij, which brings another r)"),
+        (others, "with other exponents", f"wrong exponent: {', '.join(others)} ({told})"),
+        (c[0] * c[1] >= 0.0, "with a wrong sign", f"F = {f}: both terms have the same sign; repulsion and attraction "
+                                                  f"need opposite ones, {right}"),
+    ) if condition]  # fmt: skip
+    if wrong:
+        return f"Lennard-Jones, {wrong[0][0]}", wrong[0][1]
     sizes = abs(c[0]), abs(c[1])
     sigma6 = abs(c[0] / c[1]) / 2.0
     epsilon, sigma = sizes[1] / 24.0 / sigma6, sigma6 ** (1.0 / 6.0)

@@ -20,6 +20,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -308,7 +309,7 @@ class StudentForce:
     """A student's force function, called in the manner that works.
 
     kind : one of KINDS.  is_squared : whether the law takes r².  has_energy : whether it also returns an energy.
-    options : values for the parameters other than the positions.  takes : which of "box" and "cutoff" it is given.
+    roles : of the parameters other than the positions.  values : those that are given to it.  takes : their roles.
     """
 
     def __init__(
@@ -326,37 +327,37 @@ class StudentForce:
         self.is_squared = bool(re.search(SQUARED, first))
         may_be_pair = len(self.names) > 1 and not self.is_squared and kind != "law"
         self.is_of_two = may_be_pair and all(re.search(ONE_OF_TWO, plain(name)) for name in self.names[:2])
-        self.extra = {name: role_of(name, OF_FORCES) for name in self.names[1 + self.is_of_two :]}
-        if unknown := [name for name, option in self.extra.items() if option not in options]:
+        self.extra = self.names[1 + self.is_of_two :]
+        self.roles = {name: role_of(name, OF_FORCES) for name in (*self.extra, *self.defaults)}
+        if unknown := [name for name in self.extra if self.roles[name] not in options]:
             raise TypeError(f"{self.name} takes ({', '.join(self.names)}), and the meaning of {unknown[0]} is not "
                             f"known; pass a function of positions only, such as lambda x: {self.name}(x, …), or pass "
                             "cell= and cutoff=")  # fmt: skip
-        known = {name: role_of(name, OF_FORCES) for name in self.defaults}
-        given = {name: option for name, option in known.items() if options.get(f"{option} given")}
-        self.options, self.named = options, {name: options[option] for name, option in given.items()}
-        self.takes = {*self.extra.values(), *given.values()}
+        given = {name: role for name, role in self.roles.items() if name in self.extra or options.get(f"{role} given")}
+        self.values, self.takes = {name: options[role] for name, role in given.items()}, set(given.values())
         self.energy_first: bool | None = None
         self.has_energy = self.changes_input = False
         self.dimensions = 3
         self.kind = kind or self._kind(first, positions)
         try:
             self._look(positions)
-        except ValueError as error:  # in three dimensions; then in two
+        except ValueError:  # in three dimensions; then in two
             if self.kind != "forces" or positions is not None:
                 raise
             self.dimensions = 2
-            try:
+            with suppress(ValueError):
                 self._look(None)
-            except ValueError:
-                raise error from error.__cause__
+                return
+            raise
 
     def answer(self, x: Any) -> Any:
         """What the function returns.  x : in the shape of the kind: (N, 3), a distance, or a vector."""
         first = np.array(x, dtype=float)
-        extra = [len(first) if option == "n" else self.options[option] for option in self.extra.values()]
+        extra = [len(first) if self.roles[name] == "n" else self.values[name] for name in self.extra]
+        named = {name: value for name, value in self.values.items() if name not in self.extra}
         args: list[Any] = [first if first.ndim else float(first), *([np.zeros(3)] if self.is_of_two else [])]
         with np.errstate(all="ignore"):
-            answer = self.function(*args, *extra, **self.named)
+            answer = self.function(*args, *extra, **named)
         self.changes_input |= not np.array_equal(first, np.array(x, dtype=float))
         return answer
 
@@ -372,13 +373,8 @@ class StudentForce:
         if self.is_squared or self.is_of_two:
             return "law" if self.is_squared else "pair"
         trial = np.random.default_rng(3).uniform(0.9, 1.3, (4, 3)) if positions is None else positions
-        if re.search(DISTANCE, name):
-            try:
-                if self._is_of_each(trial):
-                    return "law"
-            except Exception:  # it is not a function of positions, or needs a single number
-                if self._shape_at(START) in ((), (2,)):
-                    return "law"
+        if re.search(DISTANCE, name) and self._is_of_each(trial):
+            return "law"
         return "pair" if re.search(SEPARATION, name) and self._shape_at(SEPARATE) == (3,) else "forces"
 
     def _shape_at(self, x: Any) -> tuple[int, ...] | None:
@@ -391,11 +387,13 @@ class StudentForce:
         """Whether an element of the result depends on one element of the argument only."""
         other = x.copy()
         other[0, 0] += 0.05
-        answers = [self.answer(x), self.answer(other)]
-        first, second = (np.asarray(one[-1] if isinstance(one, tuple) else one, dtype=float) for one in answers)
-        if first.shape != x.shape or not np.isfinite(first).all():
-            return False
-        return bool(np.count_nonzero(np.abs(first - second) > 1e-12) <= 1)
+        try:
+            answers = [self.answer(x), self.answer(other)]
+            first, second = (np.asarray(one[-1] if isinstance(one, tuple) else one, dtype=float) for one in answers)
+        except Exception:  # it is not a function of positions, or needs a single number
+            return self._shape_at(START) in ((), (2,))
+        is_one = first.shape == second.shape == x.shape and np.count_nonzero(np.abs(first - second) > 1e-12) <= 1
+        return bool(is_one and np.isfinite(first).all())
 
     def _look(self, positions: Array | None) -> None:
         """Find the place of the energy in the result.  Raises ValueError for results of other shapes."""

@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from minimd.forces.evaluation import evaluate
 from minimd.grade.bodies import Bodies
 from minimd.grade.calling import KINDS, SEPARATE, START, StudentForce
 from minimd.grade.findings import Fault, Finding, Grade, Kind, all_of, coefficient, first_of_each, without
-from minimd.grade.problems import Array
+from minimd.grade.problems import Array, difference
 from minimd.grade.profile import (
+    DELTA,
     FARTHEST,
     NEAREST,
     Law,
@@ -23,9 +25,10 @@ from minimd.grade.profile import (
     powers_of,
     ratio_of,
     related,
-    slope_of,
     without_effect,
 )
+from minimd.potentials.bonded import Bond
+from minimd.structure.system import System
 
 BOX, CUTOFF = 12.0, 2.5  # σ: cell and cutoff for a function that takes them, if the user gives none
 POINTS = 40  # number of distances at which laws are compared
@@ -125,7 +128,7 @@ def of_a_profile(draft: Draft, f: Law, u: Law | None, farthest: float, is_law: b
         draft.faults.append("the force of a pair is not finite at an ordinary distance")
         return
     if u is not None:
-        c, k = ratio_of(values, -np.array([slope_of(u, float(x)) for x in r]), r)
+        c, k = ratio_of(values, -np.array([difference(u, float(x), DELTA) / DELTA for x in r]), r)
         words, wrong = related(c, k, "−du/dr", is_law)
         wrong = [apart(values, r, u)] if np.isnan(c) else wrong
         findings.append(Finding("force = −∇U", not wrong, words, c))
@@ -143,7 +146,8 @@ def of_a_profile(draft: Draft, f: Law, u: Law | None, farthest: float, is_law: b
         findings.append(Finding("powers of r", not suspected if alone and not is_inverse else None, f"F = {own}"))
         faults += suspected if alone else []
     if potential is not None:
-        known = np.array([reference(potential, float(x)) for x in r])
+        pairs = [np.array([[0.0, 0.0, 0.0], [x, 0.0, 0.0]]) for x in r]
+        known = np.array([float(evaluated(pair, potential, None).forces[1, 0]) for pair in pairs])
         c, k = ratio_of(values, known, r)
         if is_law and k == -1.0:
             draft.remarks.append("the law returns f/r: multiply it by the vector r_ij")
@@ -184,20 +188,11 @@ def apart(values: Array, r: Array, u: Law) -> str:
             f"{', '.join(parts)}")  # fmt: skip
 
 
-def reference(potential: Any, r: float) -> float:
-    """minimd's force of a pair at a distance, > 0 for repulsion."""
-    return float(evaluated(np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]]), potential, None).forces[1, 0])
-
-
 def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
     """minimd's forces and energy.
 
     Bonds without pairs join the two atoms if there are two.  Raises ValueError if there are more.
     """
-    from minimd.forces.evaluation import evaluate
-    from minimd.potentials.bonded import Bond
-    from minimd.structure.system import System
-
     bonds = None
     if isinstance(potential, Bond) and potential.arguments()["pairs"] is None:
         if len(x) != 2:

@@ -9,7 +9,7 @@ import numpy as np
 
 from minimd.grade.calling import StudentForce
 from minimd.grade.findings import Finding, all_of, coefficient, first_of
-from minimd.grade.problems import Array, bisected, difference
+from minimd.grade.problems import Array, bisected, difference, multiple_of
 
 SPACING, JITTER = 1.25, 0.12  # of the atoms in the test [σ]: no two are closer than 1.0
 TRIALS = 30  # configurations; the one whose pairs stay farthest from the cutoff is used
@@ -178,10 +178,9 @@ class Bodies:
             words = f"∂F_i/∂x_j − ∂F_j/∂x_i is {off:.1e} of the largest element"
             return Finding("a gradient", off < 1e-4, words, off)
         slopes = -np.array([difference(self.u, self.x, e) for e in steps]).reshape(self.x.shape) / DELTA
-        off = float(np.abs(self.forces - slopes).max() / np.abs(slopes).max())
-        c = float(np.sum(self.forces * slopes) / np.sum(slopes * slopes))
-        words = f"largest difference {off:.1e} of the largest force"
-        if off > EQUAL and float(np.abs(self.forces - c * slopes).max() / np.abs(slopes).max()) < EQUAL:
+        off = float(np.abs(self.forces - slopes).max()) / (float(np.abs(slopes).max()) or 1.0)
+        words, c = f"largest difference {off:.1e} of the largest force", multiple_of(self.forces, slopes, EQUAL)
+        if off > EQUAL and np.isfinite(c):
             self.multiple, words = c, f"F = {coefficient(c)} × (−∇U)"
         return Finding("all forces = −∇U", off < EQUAL, words, off)
 
@@ -195,7 +194,6 @@ class Bodies:
 
     def _images(self, lengths: Array) -> list[Finding]:
         """Test nearest images across each face, in both directions, and atoms in other cells."""
-        answers: list[Finding] = []
         bad: list[tuple[int, bool]] = []  # axes, and whether the force is missing
         for axis, sign in product(range(self.d), (1, -1)) if self.takes_pairs else ():
             unit, edge = sign * self.units[axis], lengths[axis]
@@ -204,16 +202,15 @@ class Bodies:
             across = self.f(np.array([first, first + PROBE * unit - edge * unit]))
             if float(np.abs(across - inside).max() / np.abs(inside).max()) > SAME:
                 bad.append((axis, bool(np.abs(across).max() < 0.2 * np.abs(inside).max())))
-        if self.takes_pairs:
-            if self._wraps_positions(lengths):
-                self.faults.append("positions are wrapped into the cell, but differences are not: two atoms on both "
-                                   "sides of a face of the wrapped cell do not interact; "
-                                   f"{ROUND} for the differences")  # fmt: skip
-                words = "pairs closer than half the cell do not interact across the middle of the cell"
-                return [Finding("nearest image", False, words)]
-            words = f"pairs across {len(bad)} of {2 * self.d} faces do not interact as inside"
-            words = words if bad else "pairs across all faces interact as inside"
-            answers.append(Finding("nearest image", not bad, words, float(len(bad))))
+        if self.takes_pairs and self._wraps_positions(lengths):
+            self.faults.append("positions are wrapped into the cell, but differences are not: two atoms on both sides "
+                               "of a face of the wrapped cell do not interact; "
+                               f"{ROUND} for the differences")  # fmt: skip
+            words = "pairs closer than half the cell do not interact across the middle of the cell"
+            return [Finding("nearest image", False, words)]
+        words = f"pairs across {len(bad)} of {2 * self.d} faces do not interact as inside"
+        words = words if bad else "pairs across all faces interact as inside"
+        answers = [Finding("nearest image", not bad, words, float(len(bad)))] if self.takes_pairs else []
         off = self._off(self.x + np.random.default_rng(6).integers(-1, 2, self.x.shape) * lengths, self.forces)
         axes = sorted({axis for axis, _ in bad})
         verb = f"minimum image {'is missing' if any(missing for _, missing in bad) else 'is wrong'}"
@@ -263,8 +260,8 @@ class Bodies:
                                                                       "the bounds of the loop"),
         )  # fmt: skip
         self.faults += wrong
-        c = float(np.sum(forces * pairs) / np.sum(pairs * pairs))
-        if not wrong and float(np.abs(forces - c * pairs).max()) < SAME * float(np.abs(forces).max()):
+        c = multiple_of(forces, pairs, SAME)
+        if not wrong and np.isfinite(c):
             self.faults.append(f"the forces of {n} atoms are {coefficient(c)} times the sum of those of pairs: they "
                                "are divided or multiplied by a number of atoms or pairs")  # fmt: skip
             return Finding("sum over pairs", False, f"F = {coefficient(c)} × Σ of single pairs", c)

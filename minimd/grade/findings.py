@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 from fractions import Fraction
+from math import isfinite
 
 from minimd.console.display import Displayed, Rows
 
@@ -113,7 +114,7 @@ class Grade(Displayed):
 
 def coefficient(value: float) -> str:
     """A number as a simple fraction, such as 1/2, if it equals one; else with four digits."""
-    near = Fraction(value).limit_denominator(DENOMINATOR)
+    near = Fraction(value if isfinite(value) else 0).limit_denominator(DENOMINATOR)
     return str(near) if abs(value - near) < EXACT * max(1.0, abs(value)) else f"{value:.4g}"
 
 

@@ -13,7 +13,7 @@ from minimd.forces.evaluation import evaluate
 from minimd.grade.bodies import Bodies
 from minimd.grade.calling import KINDS, SEPARATE, START, StudentForce
 from minimd.grade.findings import Fault, Finding, Grade, Kind, all_of, coefficient, first_of_each, without
-from minimd.grade.problems import Array, difference
+from minimd.grade.problems import Array, difference, multiple_of
 from minimd.grade.profile import (
     DELTA,
     FARTHEST,
@@ -244,20 +244,19 @@ def beside(draft: Draft, bodies: Bodies, lengths: Array | None) -> None:
     own, x = bodies.f(bodies.x), np.pad(bodies.x, ((0, 0), (0, 3 - bodies.d)))
     answer = evaluated(x, draft.potential, lengths)
     known = answer.forces[:, : bodies.d]
-    off = float(np.abs(own - known).max() / np.abs(known).max())
-    c = float(np.sum(own * known) / np.sum(known**2))
-    is_multiple = float(np.abs(own - c * known).max()) < 1e-6 * float(np.abs(known).max())
-    energy, right = bodies.u(bodies.x), answer.potential_energy
+    off = float(np.abs(own - known).max()) / (float(np.abs(known).max()) or 1.0)
+    c = multiple_of(own, known, 1e-6)
+    energy, right = bodies.u(bodies.x), np.float64(answer.potential_energy)
     words = f"largest difference of {len(own)} atoms {off:.1e} of the largest force"
     differ = f"the forces of {len(own)} atoms differ from minimd's by {off:.1%} of the largest"
     is_wrong = bodies.force.has_energy and not np.isclose(energy, right, rtol=1e-9)
     faults = first_of_each(
-        ((off > SAME_FORCE and is_multiple, f"the forces of {len(own)} atoms are {coefficient(c)} times minimd's"),
+        ((off > SAME_FORCE and np.isfinite(c), f"the forces of {len(own)} atoms are {coefficient(c)} times minimd's"),
          (off > SAME_FORCE, Fault(Kind.BESIDE_MINIMD, differ))),
         ((is_wrong, f"the energy of {len(own)} atoms is {energy:.8g}, {energy / right:.4g} times minimd's, "
                     f"{right:.8g}"),),
     )  # fmt: skip
-    words = words if off <= SAME_FORCE or is_multiple else differ
+    words = words if off <= SAME_FORCE or np.isfinite(c) else differ
     draft.findings.append(Finding("all atoms as minimd's", off < SAME_FORCE, words, off))
     draft.faults = draft.faults or faults
 

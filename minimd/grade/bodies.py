@@ -21,8 +21,7 @@ LONGEST = 40.0  # largest distance at which a period is searched
 WHERE = np.array([0.31, 0.47, 0.23])
 # direction of a pair, by the number of dimensions
 ALONG = {1: np.array([1.0]), 2: np.array([0.6, 0.8]), 3: np.array([0.6, 0.48, 0.64])}
-
-ROUND = "use dx − L · round(dx/L)"
+ROUND = "use dx − L · round(dx/L)"  # the cure of wrong images
 
 
 class Bodies:

@@ -292,10 +292,11 @@ def _left_out(step: StudentStep, problems: list[Problem]) -> list[str]:
         atoms, axes = np.flatnonzero(still.all(axis=1)), np.flatnonzero(still.all(axis=0))
         last = ", the last," if list(atoms) == [len(still) - 1] else ""
         check = f"is not {verb}: check the bounds of the loop, such as range(N − 1)"
-        faults += first_of(
-            (len(atoms), f"atom {', '.join(map(str, atoms))}{last} {check}"),
-            (len(axes), f"axis {', '.join(map(str, axes))} {check}"),
-        ) if not still.all() else []  # fmt: skip
+        if not still.all():
+            faults += first_of(
+                (len(atoms), f"atom {', '.join(map(str, atoms))}{last} {check}"),
+                (len(axes), f"axis {', '.join(map(str, axes))} {check}"),
+            )
     return faults
 
 
@@ -343,11 +344,11 @@ def _of_substeps(parts: Substeps, reached: float, order: int) -> list[str]:
     """The fault of a sequence of three kicks or more of lower order than expected,
     or than a method with nearly its weights: weights are wrong."""
     kicks, near = sum(isinstance(one, Kick) for one in parts), nearest_method(parts)
-    more = "; print(md.integrators.METHODS) lists those that have more, and md.integrators.CandyRozmus4.substeps their "
     is_low = reached <= (max(order - 0.5, HIGH) if near else order - 0.5)
+    hint = near or ("; print(md.integrators.METHODS) lists those that have more, and "
+                    "md.integrators.CandyRozmus4.substeps their weights")  # fmt: skip
     return all_of((kicks >= FEW and is_low, f"{kicks} kicks in a step, but no more than order {reached:.1f}: the "
-                   f"weights of the substeps are not those of a method of higher order{near or more + 'weights'}")
-                  )  # fmt: skip
+                   f"weights of the substeps are not those of a method of higher order{hint}"))  # fmt: skip
 
 
 def clipped(step: StudentStep, where: Problem) -> list[str]:

@@ -164,7 +164,7 @@ class StudentStep:
     """
 
     def __init__(self, function: Callable[..., Any], manner: Manner) -> None:
-        self.function, self.manner = function, manner
+        self.function, self.manner, self.words = function, manner, set(" ".join(manner.roles).split())
         self.n_evaluations, self.n_steps, self.stiffness = 0, 1, 0.0
         self.path: list[Array] = []
         self.third: Array | None = None
@@ -173,7 +173,7 @@ class StudentStep:
 
     def takes(self, *words: str) -> bool:
         """Whether one of these words is in the roles of the parameters."""
-        return any(set(words) & set(role.split()) for role in self.manner.roles)
+        return not self.words.isdisjoint(words)
 
     def find_own_force(self) -> None:
         """Find the spring inside a step that takes no force function.  Raises TypeError if its force is not −k x."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.console.display import Rows
-from minimd.observers.accumulator import ObservedRun, Result, Series
+from minimd.observers.accumulator import Result, Series
 from minimd.observers.time_correlation import Plateau
 from minimd.structure.cell import Cell
 from minimd.structure.statistics import spread, with_error
@@ -68,37 +68,42 @@ def diffusion_words(coefficient: float, error: float, units: UnitSystem) -> str:
 class MotionResult(Result):
     """Means over atoms as functions of the lag.
 
-    times : (T,) lags [time].  means, errors : (1 + S + 3, T), of all atoms, of those of each species,
-        and along x, y, z.
+    times : (T,) lags [time].
+    means, errors : (1 + S + 3, T), of all atoms, of those of each species, and along x, y, z.
     """
 
-    scene: ObservedRun
     times: Array
     means: Array
     errors: Array
     symbol: ClassVar[str]  # name of the series
-    coefficients: ClassVar[tuple[str, ...]] = ("diffusion", "diffusion_error")
+    coefficients = ("diffusion", "diffusion_error")
 
-    def series(self) -> Series:
+    @property
+    def unit(self) -> str:
+        """The unit of the means."""
+        return f"{self.units.length}²"
+
+    def series(self) -> list[Series]:
         """See Result: means over all atoms, over each species if there are several, and along each direction."""
-        names = [self.symbol, *(f"{self.symbol}_{label}" for label in (*self.scene.species, *AXES))]
-        found = list(zip(names, self.means, self.errors, strict=True))
+        names = ["", *(f"_{label}" for label in (*self.scene.species, *AXES))]
+        rows = zip(names, self.means, self.errors, strict=True)
+        found = [Series(self.symbol + name, self.unit, *row) for name, *row in rows]
         if len(self.scene.species) == 1:
             del found[1]  # the same as of all atoms
-        return [("time", self.times, None), *found]
+        return [Series("time", self.units.time, self.times), *found]
 
 
 @dataclass(frozen=True, repr=False)
 class DisplacementResult(MotionResult):
     """A mean-square displacement, and the self-diffusion that follows from it.
 
-    times : (T,) lags [time].  means, errors : (1 + S + 3, T) [length²], of all atoms, of those of each species,
-        and along x, y, z.
+    times : (T,) lags [time].
+    means, errors : (1 + S + 3, T) [length²], of all atoms, of those of each species, and along x, y, z.
     diffusion, diffusion_error : D in this cell [length²/time]; NaN if the window holds too few lags.
         diffusion_of_species : D of each, (S,).
     infinite, infinite_error : D of an infinite system by Yeh and Hummer; NaN without a viscosity.
-    window : of the straight line [time].  temperature, volume : means.  n_atoms :
-        number of atoms whose displacements were measured.
+    window : of the straight line [time].  temperature, volume : means.
+    n_atoms : number of atoms whose displacements were measured.
     """
 
     is_cubic: bool
@@ -110,8 +115,8 @@ class DisplacementResult(MotionResult):
     diffusion_of_species: tuple[float, ...] = ()
     infinite: float = np.nan
     window: tuple[float, float] = (np.nan, np.nan)
-    title: ClassVar[str] = "mean-square displacement"
-    symbol: ClassVar[str] = "msd"
+    title = "mean-square displacement"
+    symbol = "msd"
 
     @property
     def msd(self) -> Array:
@@ -129,44 +134,31 @@ class DisplacementResult(MotionResult):
     ) -> DisplacementResult:
         """This result with D.  without : (K, 1 + S + 3, T) replicas of the means.  longest : last lag for a fit [time].
         Raises ValueError."""
-        start, end = window or self._own_window(longest)
+        spacing = (self.volume / self.scene.n_atoms) ** (1.0 / 3.0)
+        start, end = window or (0.1 * longest, longest if np.isnan(spacing) else 0.0)
+        has_left = self.msd > (LEFT * spacing) ** 2  # False for all lags without a volume
+        if window is None and has_left.any():
+            start = float(self.times[np.argmax(has_left)])
+            end = min(DECADE * start, longest)
         inside = (self.times >= start) & (self.times <= end) & (self.times > 0.0)
         if inside.sum() < 3:
-            if window is not None:
-                raise ValueError(
-                    f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g}) holds {inside.sum()} "
-                    f"of {len(self.times)}"
-                )
-            return self
+            if window is None:
+                return self
+            held = f"({start:.4g}, {end:.4g}) holds {inside.sum()} of {len(self.times)}"
+            raise ValueError(f"the window of the fit must hold at least 3 lags; {held}")
         times, n = self.times[inside], 1 + len(self.scene.species)
         coefficients = slope(times, self.means[:n, inside]) / 6.0
         error = float(spread(slope(times, without[:, 0, inside]) / 6.0)) if len(without) else np.nan
-        made = replace(
-            self,
-            diffusion=float(coefficients[0]),
-            diffusion_error=error,
-            diffusion_of_species=tuple(coefficients[1:].tolist()),
-            window=(float(times[0]), float(times[-1])),
-        )
-        return made if viscosity is None else replace(made, infinite=made.diffusion + self._correction(viscosity))
-
-    def _own_window(self, longest: float) -> tuple[float, float]:
-        spacing = (self.volume / self.scene.n_atoms) ** (1.0 / 3.0)
-        has_left = self.msd > (LEFT * spacing) ** 2  # False for all lags without a volume
-        if not has_left.any():
-            return 0.1 * longest, longest if np.isnan(spacing) else 0.0
-        start = float(self.times[np.argmax(has_left)])
-        return start, min(DECADE * start, longest)
-
-    def _correction(self, viscosity: float) -> float:
-        if not self.is_cubic:
-            raise ValueError(
-                "the correction of Yeh and Hummer needs a cubic cell that is periodic in all directions; leave "
-                "viscosity out"
-            )
-        return finite_size_correction(
-            self.scene.unit_system.k_B * self.temperature, viscosity, self.volume ** (1.0 / 3.0)
-        )
+        found, *of_species = coefficients.tolist()
+        ends, infinite = (float(times[0]), float(times[-1])), np.nan
+        if viscosity is not None:
+            if not self.is_cubic:
+                needs = "needs a cubic cell that is periodic in all directions; leave viscosity out"
+                raise ValueError(f"the correction of Yeh and Hummer {needs}")
+            thermal_energy, edge = self.units.k_B * self.temperature, self.volume ** (1.0 / 3.0)
+            infinite = found + finite_size_correction(thermal_energy, viscosity, edge)
+        made = {"diffusion": found, "diffusion_error": error, "diffusion_of_species": tuple(of_species)}
+        return replace(self, **made, window=ends, infinite=infinite)
 
     def numbers(self) -> dict[str, float]:
         """See Result."""
@@ -174,7 +166,7 @@ class DisplacementResult(MotionResult):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        units, (start, end) = self.scene.unit_system, self.window
+        units, (start, end) = self.units, self.window
         if np.isnan(self.diffusion):
             said = f"unknown: the atoms have not left their places in lags up to {units.shown(self.times[-1])}"
             return [("diffusion", said)]
@@ -189,37 +181,31 @@ class DisplacementResult(MotionResult):
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
-        units, positive = self.scene.unit_system, self.times > 0.0
-        times = self.times[positive] * units.to_picosecond
-        panel.loglog(times, self.msd[positive], marker="o", ms=2.5, lw=1.0)
+        (times, unit), later = self.abscissa(), self.times > 0.0
+        panel.loglog(times[later], self.msd[later], marker="o", ms=2.5, lw=1.0)
         if np.isfinite(self.diffusion):
-            panel.loglog(
-                times, 6.0 * self.diffusion * self.times[positive], color="0.6", lw=0.8, ls="--", label="6 D t"
-            )
+            line = 6.0 * self.diffusion * self.times[later]
+            panel.loglog(times[later], line, color="0.6", lw=0.8, ls="--", label="6 D t")
             panel.legend(frameon=False, fontsize=8)
-        panel.set(
-            xlabel=f"t  [{units.shown_time}]",
-            ylabel=f"⟨|r(t) − r(0)|²⟩  [{units.length}²]",
-            title="mean-square displacement",
-        )
+        panel.set(xlabel=f"t  [{unit}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{self.unit}]", title=self.title)
 
 
 @dataclass(frozen=True, repr=False)
 class VelocityResult(MotionResult):
     """A velocity autocorrelation, its integral, and the self-diffusion that follows from it.
 
-    times : (T,) lags [time].  means, errors : (1 + S + 3, T) [length²/time²], of all atoms, of those of each species,
-        and along x, y, z.
-    integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].  plateau : of the integral.  n_atoms :
-        number of atoms that were observed.
+    times : (T,) lags [time].
+    means, errors : (1 + S + 3, T) [length²/time²], of all atoms, of those of each species, and along x, y, z.
+    integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].  plateau : of the integral.
+    n_atoms : number of atoms that were observed.
     """
 
     integral: Array
     integral_error: Array
     plateau: Plateau
     n_atoms: int
-    title: ClassVar[str] = "velocity autocorrelation"
-    symbol: ClassVar[str] = "vacf"
+    title = "velocity autocorrelation"
+    symbol = "vacf"
 
     @property
     def vacf(self) -> Array:
@@ -237,25 +223,24 @@ class VelocityResult(MotionResult):
         """Its standard error."""
         return self.plateau.error
 
-    def series(self) -> Series:
+    @property
+    def unit(self) -> str:
+        """The unit of the means."""
+        return f"{self.units.length}²/({self.units.time})²"
+
+    def series(self) -> list[Series]:
         """See Result."""
-        return [*super().series(), ("integral", self.integral, self.integral_error)]
+        unit = f"{self.units.length}²/{self.units.time}"
+        return [*super().series(), Series("integral", unit, self.integral, self.integral_error)]
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        units = self.scene.unit_system
-        words = diffusion_words(self.diffusion, self.diffusion_error, units)
-        return [("velocities", f"D = {words}, in this cell; {self.plateau.said(units)}")]
+        words = diffusion_words(self.diffusion, self.diffusion_error, self.units)
+        return [("velocities", f"D = {words}, in this cell; {self.plateau.said(self.units)}")]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
-        units = self.scene.unit_system
         panel.axhline(0.0, color="0.7", lw=0.8)
-        panel.plot(self.times * units.to_picosecond, self.vacf / self.vacf[0], lw=1.1)
-        last = max(self.plateau.window[1], float(self.times[min(15, len(self.times) - 1)])) * units.to_picosecond
-        panel.set(
-            xlabel=f"t  [{units.shown_time}]",
-            ylabel="⟨v(0) · v(t)⟩ / ⟨v²⟩",
-            xlim=(0.0, last or None),
-            title="velocity autocorrelation",
-        )
+        self.draw_curves(panel, {"": self.vacf / self.vacf[0]}, "t", "⟨v(0) · v(t)⟩ / ⟨v²⟩")
+        last = max(self.plateau.window[1], float(self.times[min(15, len(self.times) - 1)]))
+        panel.set(xlim=(0.0, last * self.units.to_picosecond or None))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from dataclasses import field
 from math import ceil
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,30 +14,30 @@ from numpy.typing import NDArray
 from minimd.engine.cell_rescaling import Molecules
 from minimd.engine.engine import Engine
 from minimd.engine.observation import Look
-from minimd.observers.accumulator import ObservedRun
+from minimd.observers.accumulator import Kept, ObservedRun, State
+from minimd.observers.arguments import argument, count, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
 from minimd.observers.diffusion import DisplacementResult, VelocityResult, is_cubic
-from minimd.observers.time_correlation import COUNT, HEAD, TEMPERATURE, VOLUME, TimeCorrelation
+from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, TimeCorrelation
 from minimd.structure.cell import Cell
-from minimd.structure.checks import checked_count
 from minimd.structure.observables import center
 
 Array = NDArray[np.float64]
 POINTS = 16  # entries on each level of the correlator
+MOST_ATOMS = "largest number of atoms, chosen evenly; time and memory are proportional to it"
 
 
 class _OfAtoms(TimeCorrelation):
     """A correlation of a vector of each atom, relative to the center of mass of all atoms if n_dof leaves it out."""
 
-    arguments = ("every", "n_levels", "most_atoms")
-    settled = ("chosen", "is_cubic", "numbers")
     law: ClassVar[tuple]  # of the correlator
-
-    def __init__(self, every: int = 10, n_levels: int = 10, most_atoms: int = 4096, name: str = "") -> None:
-        super().__init__(every, name)
-        self.n_levels = checked_count("n_levels", n_levels, 1, 40)
-        self.most_atoms = checked_count("most_atoms", most_atoms)
-        self.is_cubic, self.chosen, self.numbers = False, [0], [1]
+    every: int = steps(10)
+    n_levels: int = argument(levels, LEVELS, 10)
+    most_atoms: int = argument(count, MOST_ATOMS, 4096)
+    name: str = label()
+    chosen: list[int] = field(init=False, default_factory=lambda: [0])
+    is_cubic: bool = field(init=False, default=False)
+    numbers: list[int] = field(init=False, default_factory=lambda: [1])  # of chosen atoms of each species
 
     def _begin(self, engine: Engine) -> None:
         system = engine.system
@@ -61,7 +62,7 @@ class _OfAtoms(TimeCorrelation):
         """The vectors of all atoms, (N, 3), and what to subtract from them, (3,)."""
 
     def _means(self, seen: NDArray[np.bool_]) -> Callable[[Array], Array]:
-        """The function of the sums that gives means over all atoms, over those of each species, and along x, y, z;
+        """The function of the sums that gives means over all atoms, over those of each species, and along x, y, z,
         (1 + S + 3, T)."""
         numbers = np.maximum(1, np.array(self.numbers))
 
@@ -73,54 +74,35 @@ class _OfAtoms(TimeCorrelation):
         return law
 
 
-class MeanSquareDisplacement(_OfAtoms):
-    """⟨|r(t₀ + t) − r(t₀)|²⟩ and the coefficient of self-diffusion,
-    by a multiple-tau correlator with lags up to 15 · 2ᵏ⁻¹ · every steps in k levels.
+class CellMotion:
+    """The displacements of atoms that are due to the motion of the cell, which looks take off their positions.
 
-    Every lag is exact: levels are thinned, never averaged. If the cell changes, as with a barostat, the motion of the
-    cell is not counted: from one look to the next each atom, or the center of its rigid molecule, is first moved with
-    the cell, and only the rest is its displacement. S. von Bülow, J. T. Bullerjahn, G. Hummer, J. Chem. Phys. 153,
-    021101 (2020), on why.
-
-    Parameters
-    ----------
-    every : steps between two looks.  n_levels : largest number of levels.  most_atoms : largest number of atoms, chosen
-        evenly; time and memory are proportional to it.
-    name : its name in files, "mean_square_displacement" if not given.
+    From one look to the next each atom is moved with the cell; of a molecule with lengths held fixed the center is, and
+    the molecule turns as the cell does.
     """
 
-    kind = "mean-square-displacement"
-    law = SquaredDifference()
-
-    def _laid_out(self, scene: ObservedRun) -> None:
-        super()._laid_out(scene)
-        self._carried: Array | None = None  # displacements due to the motion of the cell
+    def __init__(self) -> None:
+        self._carried: Array | None = None  # the displacements, (N, 3)
         self._before: tuple[Cell, Array] | None = None  # cell and positions at the last look
         self._molecules: Molecules | None = None
 
-    def _vectors(self, look: Look) -> tuple[Array, Array]:
-        engine = look.engine
+    def taken_off(self, engine: Engine) -> Array:
+        """The present positions without it, (N, 3)."""
         positions, cell = engine.positions, engine.system.cell
-        if self._before is not None and not cell.same_as(self._before[0]):
-            was, old = self._before
-            carried = self._moved_by_cell(engine, was, old)
+        was, old = self._before or (cell, np.empty_like(positions))
+        if not cell.same_as(was):
+            carried = self._moved(engine, was, old)
             self._carried = carried if self._carried is None else self._carried + carried
-        if self._before is None:
-            self._before = cell, np.empty_like(positions)
-        self._before[1][:] = positions
-        self._before = cell, self._before[1]
-        vectors = positions if self._carried is None else positions - self._carried
-        return vectors, center(vectors, engine.system.masses, engine.conserves_momentum)
+        old[:] = positions
+        self._before = cell, old
+        return positions if self._carried is None else positions - self._carried
 
-    def _moved_by_cell(self, engine: Engine, was: Cell, old: Array) -> Array:
-        """Displacements due to the motion of the cell since the last look, (N, 3).  was, old :
-        cell and positions at that look.
-
-        Each atom moves with the cell; of a molecule with lengths held fixed the center does,
-        and the molecule turns as the cell does.
-        """
+    def _moved(self, engine: Engine, was: Cell, old: Array) -> Array:
+        """Displacements since the last look, (N, 3).  was, old : cell and positions at that look."""
         cell, bonds = engine.system.cell, engine.constraint_set.bonds
-        strain = np.linalg.solve(_spanning(was), _spanning(cell))
+        # vectors that span space: those of the cell, and unit vectors in open directions
+        spanning = (np.where(one.pbc[:, None], one.vectors, one.lattice) for one in (was, cell))
+        strain = np.linalg.solve(*spanning)
         if bonds is None:
             return old @ strain - old
         if self._molecules is None:
@@ -135,24 +117,45 @@ class MeanSquareDisplacement(_OfAtoms):
         moved: Array = centers @ (strain - np.eye(3)) + (whole - centers) @ (left @ right - np.eye(3))
         return moved - (images - images_before)
 
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        arrays = super()._arrays()
+    def state(self) -> State:
+        """See Kept."""
+        arrays: State = {}
         if self._before is not None:
-            arrays |= {
-                "cell": self._before[0].vectors,
-                "pbc": self._before[0].pbc.astype(np.int64),
-                "positions": self._before[1],
-            }
-        return arrays if self._carried is None else arrays | {"carried": self._carried}
+            cell, positions = self._before
+            arrays = {"cell": cell.vectors, "pbc": cell.pbc.astype(np.int64), "positions": positions}
+        return arrays if self._carried is None else {**arrays, "carried": self._carried}
 
-    def _take_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
-        super()._take_arrays(arrays)
-        if "positions" in arrays:
-            self._before = (
-                Cell(np.array(arrays["cell"]), np.array(arrays["pbc"], dtype=bool)),
-                np.array(arrays["positions"]),
-            )
-        self._carried = np.array(arrays["carried"]) if "carried" in arrays else None
+    def restore(self, state: State) -> None:
+        """See Kept."""
+        if "positions" in state:
+            cell = Cell(np.array(state["cell"]), np.array(state["pbc"], dtype=bool))
+            self._before = cell, np.array(state["positions"])
+        self._carried = np.array(state["carried"]) if "carried" in state else None
+
+
+class MeanSquareDisplacement(_OfAtoms):
+    """⟨|r(t₀ + t) − r(t₀)|²⟩ and the coefficient of self-diffusion, by a multiple-tau correlator with lags up to
+    15 · 2ᵏ⁻¹ · every steps in k levels.
+
+    Every lag is exact: levels are thinned, never averaged. If the cell changes, as with a barostat, the motion of the
+    cell is not counted: from one look to the next each atom, or the center of its rigid molecule, is first moved with
+    the cell, and only the rest is its displacement. S. von Bülow, J. T. Bullerjahn, G. Hummer, J. Chem. Phys. 153,
+    021101 (2020), on why.
+    """
+
+    kind = "mean-square-displacement"
+    law = SquaredDifference()
+
+    def _laid_out(self, scene: ObservedRun) -> None:
+        super()._laid_out(scene)
+        self._of_cell = CellMotion()
+
+    def _vectors(self, look: Look) -> tuple[Array, Array]:
+        vectors = self._of_cell.taken_off(look.engine)
+        return vectors, center(vectors, look.system.masses, look.engine.conserves_momentum)
+
+    def _parts(self) -> list[Kept]:
+        return [*super()._parts(), self._of_cell]
 
     def result(self, window: tuple[float, float] | None = None, viscosity: float | None = None) -> DisplacementResult:
         """The displacements so far, and D of the atoms, each with its standard error.
@@ -161,22 +164,16 @@ class MeanSquareDisplacement(_OfAtoms):
             half the distance of neighbors, and ends at a quarter of the run at the latest.
         viscosity : η [energy time/length³], for the finite-size correction of Yeh and Hummer, which needs a cubic cell.
 
-        Raises ValueError before the first look, for a window with fewer than 3 lags,
-        or if a viscosity is given and the cell is not cubic.
+        Raises ValueError before the first look, for a window with fewer than 3 lags, or if a viscosity is given and the
+        cell is not cubic.
         """
         scene = self.answered()
         seen, times, longest = self._seen()
         means, errors = self._estimate(times, longest, self._means(seen))
-        head = self.sums.total[:HEAD] / self.sums.total[COUNT]
-        found = DisplacementResult(
-            scene, times, means, errors, self.is_cubic, float(head[TEMPERATURE]), float(head[VOLUME]), sum(self.numbers)
-        )
+        _, temperature, volume = (self.sums.total[:HEAD] / self.sums.total[COUNT]).tolist()
+        n_atoms = sum(self.numbers)
+        found = DisplacementResult(scene, times, means, errors, self.is_cubic, temperature, volume, n_atoms)
         return found.fitted(self.sums.replicas(self._means(seen)), window, longest, viscosity)
-
-
-def _spanning(cell: Cell) -> Array:
-    """Three vectors that span space: those of the cell, and unit vectors in open directions."""
-    return np.where(cell.pbc[:, None], cell.vectors, cell.lattice)
 
 
 class VelocityAutocorrelation(_OfAtoms):
@@ -199,6 +196,5 @@ class VelocityAutocorrelation(_OfAtoms):
         seen, times, longest = self._seen()
         law = self._means(seen)
         values, errors, found = self._integral(times, longest, lambda sums: law(sums)[0] / 3.0)
-        return VelocityResult(
-            scene, times, *self._estimate(times, longest, law), values, errors, found, sum(self.numbers)
-        )
+        means = self._estimate(times, longest, law)
+        return VelocityResult(scene, times, *means, values, errors, found, sum(self.numbers))

@@ -57,15 +57,11 @@ class LangevinBath(Thermostat):
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The Ornstein-Uhlenbeck process over a duration, see LangevinBAOAB."""
         bath, kept = bath_of(around), np.exp(-self.frictions * duration)
-        around.project(state)
-        before = kinetic_energy(state.velocities, state.masses)
         spread = np.sqrt(bath.k_B * self.temperatures * (1.0 - kept * kept) * state.inverse_masses[:, None])
         new = kept * state.velocities + spread * self.noise(bath).standard_normal(state.velocities.shape)
         if self.keeps_center:
             new -= momentum(new - state.velocities, state.masses) / state.masses.sum()
         state.velocities[:] = new
-        around.project(state)
-        bath.energy += kinetic_energy(state.velocities, state.masses) - before
 
 
 class BussiBath(StochasticVelocityRescaling):
@@ -113,26 +109,21 @@ class AndersenBath(Thermostat):
         self, timestep: float, temperature: float, probability: float, seed: int, keeps_center: bool = False
     ) -> None:
         super().__init__(timestep, temperature, seed)
-        self.probability, self.keeps_center = (
-            checked_number("andersen_prob", probability, "finite and not negative"),
-            keeps_center,
-        )
+        self.probability = checked_number("andersen_prob", probability, "finite and not negative")
+        self.keeps_center = keeps_center
         if self.probability > 1.0:
             raise ValueError(f"andersen_prob must be a probability from 0 to 1; andersen_prob = {probability!r}")
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The collisions of one step."""
         bath, velocities = bath_of(around), state.velocities
-        around.project(state)
-        before, noise, thermal = kinetic_energy(velocities, state.masses), self.noise(bath), bath.k_B * self.temperature
+        noise, thermal = self.noise(bath), bath.k_B * self.temperature
         if self.keeps_center:
             velocities += sqrt(thermal / state.masses.sum()) * noise.standard_normal(3)
         fresh = np.sqrt(thermal * state.inverse_masses[:, None]) * noise.standard_normal(velocities.shape)
         np.copyto(velocities, fresh, where=noise.random(velocities.shape) < self.probability)
         if self.keeps_center:
             velocities -= momentum(velocities, state.masses) / state.masses.sum()
-        around.project(state)
-        bath.energy += kinetic_energy(velocities, state.masses) - before
 
 
 class BerendsenBath(Splitting):
@@ -162,18 +153,14 @@ class BerendsenBath(Splitting):
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """Rescale the velocities, see the class; atoms at rest stay at rest."""
-        bath, velocities = bath_of(around), state.velocities
-        around.project(state)
-        before = kinetic_energy(velocities, state.masses)
-        if before == 0.0:
+        velocities, kinetic = state.velocities, kinetic_energy(state.velocities, state.masses)
+        if kinetic == 0.0:
             return
-        ratio = 0.5 * self.n_dof * bath.k_B * self.temperature / before
-        velocities *= min(
-            max(sqrt(max(1.0 + (ratio - 1.0) * duration / self.relaxation_time, 0.0)), LEAST_SCALE), MOST_SCALE
-        )
+        ratio = 0.5 * self.n_dof * bath_of(around).k_B * self.temperature / kinetic
+        scale = sqrt(max(1.0 + (ratio - 1.0) * duration / self.relaxation_time, 0.0))
+        velocities *= min(max(scale, LEAST_SCALE), MOST_SCALE)
         if self.keeps_center:
             velocities -= momentum(velocities, state.masses) / len(velocities) * state.inverse_masses[:, None]
-        bath.energy += kinetic_energy(velocities, state.masses) - before
 
 
 class Chain:
@@ -253,11 +240,7 @@ class NoseHooverBath(Splitting):
         if bath.contact == 0:
             self.chain.begin(bath.step)
         bath.contact += 1
-        around.project(state)
-        kinetic = kinetic_energy(state.velocities, state.masses)
-        factor = self.chain.advance(2.0 * kinetic, duration)
-        state.velocities *= factor
-        bath.energy += kinetic * (factor * factor - 1.0)
+        state.velocities *= self.chain.advance(2.0 * kinetic_energy(state.velocities, state.masses), duration)
 
 
 def _checked(name: str, values: Any) -> Array:

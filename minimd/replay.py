@@ -171,7 +171,8 @@ def _draw(rows: list[ReplayedStep], findings: CrashReport, units: UnitSystem, pi
 
     Raises OSError if the picture cannot be written.
     """
-    from minimd.analysis.plot import four_panels, save  # matplotlib is slow to load
+    from minimd.analysis.plot import save  # matplotlib is slow to load
+    from minimd.engine.record_picture import four_panels
 
     figure, panels = four_panels()
     shown = (units.energy, units.length, f"{units.energy}/{units.length}", f"{units.length}/{units.shown_time}")

@@ -48,10 +48,8 @@ class Comparison:
         return self.figure <= self.tolerance
 
     def __str__(self) -> str:
-        return (
-            f"{self.name:<14} {self.meaning}: {self.figure:.2g}, tolerance {self.tolerance:.2g}: "
-            f"{'ok' if self.passed else 'FAILED'}"
-        )
+        judged = f"{self.figure:.2g}, tolerance {self.tolerance:.2g}: {'ok' if self.passed else 'FAILED'}"
+        return f"{self.name:<14} {self.meaning}: {judged}"
 
 
 @dataclass(frozen=True)
@@ -65,11 +63,8 @@ class FileCheck(Displayed):
 
     @property
     def passed(self) -> bool:
-        """True if all comparisons agree, and energy and momentum are conserved;
-        False also if there are too few frames to judge.
-
-        A run that is too short to show a drift of the energy passes if the energy varies little: see Report.is_quiet.
-        """
+        """True if all comparisons agree, and energy and momentum are conserved; False also if there are too few frames
+        to judge. A run that is too short to show a drift passes if its energy varies little: see Report.is_quiet."""
         report = self.report
         conserved = (report.energy_is_conserved is True or report.is_quiet) and report.momentum_is_conserved
         return conserved and all(one.passed for one in self.comparisons)
@@ -82,20 +77,13 @@ class FileCheck(Displayed):
         return "passed" if self.passed else "FAILED"
 
     def __str__(self) -> str:
-        return "\n".join(
-            [
-                self.heading,
-                *map(str, self.comparisons),
-                *self.structure,
-                str(self.report),
-                f"check          {self.outcome}",
-            ]
-        )
+        parts = (self.heading, *self.comparisons, *self.structure, self.report, f"check          {self.outcome}")
+        return "\n".join(map(str, parts))
 
 
 def check_file(path: str | Path) -> FileCheck:
-    """Read a minimd file through MDAnalysis, compare stored observables with recomputed ones,
-    and judge what should be constant.
+    """Read a minimd file through MDAnalysis, compare stored observables with recomputed ones, and judge what should be
+    constant.
 
     Stored observables are float64. Velocities are read in float32; the tolerances allow for this.
     Raises as minimd.mdanalysis.universe.
@@ -108,28 +96,19 @@ def check_file(path: str | Path) -> FileCheck:
 def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
     """The check of a file with an open universe.  damaged : its damaged frames or restarts,
     see minimd.files.h5md_reader.damage."""
-    written = (
-        f"{damaged} are not those that were written" if damaged else "frames and restarts are those that were written"
-    )
+    written = f"{damaged or 'frames and restarts'} are{' not' if damaged else ''} those that were written"
     sums = Comparison("checksums", float(bool(damaged)), EXACT, written)
     contents, moved, system = made.contents, recompute(made), made.system
-    record, is_free = (
-        Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored}),
-        contents.conserves_momentum,
-    )
+    is_free = contents.conserves_momentum
+    record = Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored})
     lines, angular = tuple(pressure_lines(record, contents.barostat, is_free)), is_free and not system.cell.is_periodic
     n_dof = ConstraintSet(contents.system, contents.system.constraints).degrees_of_freedom(is_free)
     report = conservation_report(record, angular, None, is_free, lines, n_dof, contents.too_long_a_step)
-    several = "s" * (contents.n_frames > 1)
-    frames = (
-        f"{contents.n_frames} frame{several}, steps {moved.step[0]} to {moved.step[-1]}, {contents.method}, "
-        f"{system.units.name} units"
-    )
-    heading = (
-        f"file           {Path(made.trajectory.filename)}: {contents.title}\nread           by MDAnalysis "
-        f"{VERSION}: {frames}"
-    )
-    return FileCheck(heading, [*comparisons(moved), *exact_momenta(made), sums], report, liquid(made))
+    frames = f"{contents.n_frames} frame{'s' * (contents.n_frames > 1)}, steps {moved.step[0]} to {moved.step[-1]}"
+    heading = f"file           {Path(made.trajectory.filename)}: {contents.title}\n"
+    heading += f"read           by MDAnalysis {VERSION}: {frames}, {contents.method}, {system.units.name} units"
+    compared = [*comparisons(moved), *exact_momenta(made), sums]
+    return FileCheck(heading, compared, report, liquid(made))
 
 
 class Recomputed(NamedTuple):
@@ -186,8 +165,13 @@ def comparisons(moved: Recomputed) -> list[Comparison]:
     """Comparisons of recomputed quantities with stored ones."""
     stored, absolute = moved.stored, moved.absolute_momentum
     parts = stored["potential_energy"] + stored["kinetic_energy"]
-    kinetic = _largest(moved.kinetic_energy - stored["kinetic_energy"], stored["kinetic_energy"])
-    not_later = int(np.count_nonzero(np.diff(moved.step) <= 0))
+    of_stored, not_later = "relative to the stored value", int(np.count_nonzero(np.diff(moved.step) <= 0))
+    rows = {
+        "kinetic energy": (moved.kinetic_energy, "kinetic_energy", stored["kinetic_energy"], KINETIC, of_stored),
+        "momentum": (moved.momentum, "momentum", absolute, SINGLE, "relative to Σ|mv|"),
+        "Σ|mv|": (absolute, "absolute_momentum", absolute, SINGLE, of_stored),
+    }
+    total = _largest(parts - stored["total_energy"], stored["total_energy"])
     lengths = Comparison(
         "lengths",
         float(moved.length_error.max()),
@@ -195,25 +179,11 @@ def comparisons(moved: Recomputed) -> list[Comparison]:
         "recomputed − prescribed, relative to the largest coordinate",
     )
     return [
-        Comparison("kinetic energy", kinetic, KINETIC, "recomputed − stored, relative to the stored value"),
-        Comparison(
-            "momentum",
-            _largest(moved.momentum - stored["momentum"], absolute),
-            SINGLE,
-            "recomputed − stored, relative to Σ|mv|",
+        *(
+            Comparison(name, _largest(found - stored[series], scale), tolerance, f"recomputed − stored, {words}")
+            for name, (found, series, scale, tolerance, words) in rows.items()
         ),
-        Comparison(
-            "Σ|mv|",
-            _largest(absolute - stored["absolute_momentum"], absolute),
-            SINGLE,
-            "recomputed − stored, relative to the stored value",
-        ),
-        Comparison(
-            "total energy",
-            _largest(parts - stored["total_energy"], stored["total_energy"]),
-            EXACT,
-            "potential + kinetic − total, relative to the total",
-        ),
+        Comparison("total energy", total, EXACT, "potential + kinetic − total, relative to the total"),
         *([lengths] if "constraint_violation" in stored else []),
         Comparison("steps", not_later, EXACT, "frames that are not later than the one before"),
     ]
@@ -235,23 +205,18 @@ def exact_momenta(made: RunUniverse) -> list[Comparison]:
 
 
 def _largest(differences: NDArray[np.float64], scales: NDArray[np.float64]) -> float:
-    """The largest |difference| / |scale| in all frames; 0 for a zero difference,
-    infinite for any other with a zero scale."""
-    sizes, scales = (
-        np.abs(differences) if differences.ndim == 1 else np.linalg.norm(differences, axis=1),
-        np.abs(scales),
-    )
+    """The largest |difference| / |scale| in all frames; 0 for a zero difference, infinite for any other with a zero
+    scale."""
+    sizes = np.abs(differences) if differences.ndim == 1 else np.linalg.norm(differences, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return float(np.where(sizes == 0.0, 0.0, sizes / scales).max())
+        return float(np.where(sizes == 0.0, 0.0, sizes / np.abs(scales)).max())
 
 
 def liquid(run: str | Path | RunUniverse) -> list[str]:
-    """Lines about a periodic liquid: the first peak of g(r),
-    and D if there are enough frames and the atoms have left their places.
+    """Lines about a periodic liquid: the first peak of g(r), and D if there are enough frames and the atoms have left
+    their places: moved by half the distance of neighbors within the window of the fit.
 
-    They have left their places if they have moved by half the distance of neighbors within the window of the fit. Empty
-    if the cell is not periodic in all directions.
-    run : a file, or its universe.  Raises as universe.
+    Empty if the cell is not periodic in all directions.  run : a file, or its universe.  Raises as universe.
     """
     with universe_of(run) as made:
         contents, units = made.contents, made.contents.system.units
@@ -267,8 +232,7 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
             diffusion = diffusion_coefficient(made)
             moved = float(diffusion.displacements[diffusion.lags <= diffusion.window[1]][-1]) ** 0.5
             if moved > 0.5 * peak * units.to_angstrom:
-                slowed = (
-                    ", of Langevin dynamics, whose friction slows it" if contents.method == LangevinBAOAB.name else ""
-                )
+                is_slowed = contents.method == LangevinBAOAB.name
+                slowed = ", of Langevin dynamics, whose friction slows it" if is_slowed else ""
                 lines.append(f"diffusion      {diffusion}{slowed}")
     return lines

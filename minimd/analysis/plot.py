@@ -7,21 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from minimd.diagnosis.report import drift
+from minimd.engine import record_picture as of_record
 from minimd.engine.record import Record
-from minimd.engine.record_picture import (
-    ACCENT,
-    STRUCTURE,
-    STYLE,
-    Array,
-    draw_energy,
-    draw_momentum,
-    draw_temperature,
-    four_panels,
-)
 from minimd.files.claim import write_whole
 from minimd.mdanalysis.universes import RunUniverse, mean_square_displacement, radial_distribution, universe_of
-
-__all__ = ["four_panels", "save"]
 
 
 def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
@@ -43,8 +32,8 @@ def drawn(made: RunUniverse) -> Figure:
     """The figure of plot_file, for a run whose universe is open; it is not written to a file."""
     contents = made.contents
     answers = [one.result() for one in contents.observers.values() if one.n_looks]
-    figure, panels = four_panels(len(answers))
-    for draw, panel in zip((_energy, draw_temperature, draw_momentum), panels, strict=False):
+    figure, panels = of_record.four_panels(len(answers))
+    for draw, panel in zip((_energy, of_record.draw_temperature, of_record.draw_momentum), panels, strict=False):
         draw(panel, contents.record.time * contents.system.units.to_picosecond, contents.record)
         panel.set_xlabel(f"time  [{contents.system.units.shown_time}]")
     _structure(panels[3], made)
@@ -57,18 +46,11 @@ def drawn(made: RunUniverse) -> Figure:
     return figure
 
 
-def _energy(panel: Axes, times: Array, record: Record) -> None:
-    """Change of the total energy per atom since the start, minus heat Q if there is a bath,
-    with the line of its drift."""
-    change = draw_energy(panel, times, record)
-    panel.plot(
-        times,
-        change.mean() + drift(times, change).slope * (times - times.mean()),
-        color=ACCENT,
-        lw=1.0,
-        ls="--",
-        label="drift",
-    )
+def _energy(panel: Axes, times: of_record.Array, record: Record) -> None:
+    """Change of the total energy per atom since the start, minus heat Q if there is a bath, and its drift."""
+    change = of_record.draw_energy(panel, times, record)
+    line = change.mean() + drift(times, change).slope * (times - times.mean())
+    panel.plot(times, line, color=of_record.ACCENT, lw=1.0, ls="--", label="drift")
     panel.margins(y=0.12)
     panel.legend(frameon=False, fontsize=8, ncols=2, loc="lower right", borderaxespad=0.0)
 
@@ -79,37 +61,21 @@ def _structure(panel: Axes, made: RunUniverse) -> None:
     if system.cell.pbc.all() and len(system) > 1:
         r, g = radial_distribution(made)
         panel.axhline(1.0, color="0.7", lw=0.8)
-        panel.plot(r, g, color=STRUCTURE, **STYLE)
-        panel.set(
-            xlabel=f"r  [{system.units.length}]",
-            ylabel="g(r)",
-            xlim=(0.0, r[-1]),
-            ylim=(0.0, None),
-            title="radial distribution, all atoms",
-        )
+        panel.plot(r, g, color=of_record.STRUCTURE, **of_record.STYLE)
+        panel.set(xlabel=f"r  [{system.units.length}]", ylabel="g(r)", title="radial distribution, all atoms")
+        panel.set(xlim=(0.0, r[-1]), ylim=(0.0, None))
     elif made.contents.n_frames > 1:
         lags, squares = mean_square_displacement(made)
-        panel.plot(lags, squares, color=STRUCTURE, **STYLE)
-        panel.set(
-            xlabel=f"lag  [{system.units.shown_time}]",
-            ylabel=f"⟨|r(t) − r(0)|²⟩  [{system.units.length}²]",
-            title="mean-square displacement",
-        )
+        panel.plot(lags, squares, color=of_record.STRUCTURE, **of_record.STYLE)
+        lag, square = f"lag  [{system.units.shown_time}]", f"⟨|r(t) − r(0)|²⟩  [{system.units.length}²]"
+        panel.set(xlabel=lag, ylabel=square, title="mean-square displacement")
     else:
-        panel.text(
-            0.5,
-            0.5,
-            "one frame only, no displacement",
-            ha="center",
-            va="center",
-            transform=panel.transAxes,
-            color="0.4",
-        )
+        words = panel.text(0.5, 0.5, "one frame only, no displacement", ha="center", va="center", color="0.4")
+        words.set_transform(panel.transAxes)
 
 
 def save(figure: Figure, picture: Path) -> Path:
-    """Write a picture, in place of a file or link of its name, and return this name.
-    Raises OSError if it cannot be written."""
+    """Write a picture, in place of a file or link of its name, and return this name. Raises OSError."""
     drawn = BytesIO()
     figure.savefig(drawn, format=picture.suffix[1:] or None)
     write_whole(picture, drawn.getvalue())

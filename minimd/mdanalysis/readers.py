@@ -29,8 +29,8 @@ class Frames:
     ----------
     system : System, a copy made with the first frame; None before.
     conserves_momentum : whether the simulation does.
-    turn : Turn of a cell in an orientation that MDAnalysis does not hold; positions and velocities are kept turned.
-        Else None.
+    turn : Turn of a cell that MDAnalysis holds in another orientation, in which positions and velocities are kept; or
+        None.
     """
 
     def __init__(self) -> None:
@@ -53,17 +53,14 @@ class Frames:
             self.system, self.turn = system.copy(), turn_of(system.cell, system.units.to_angstrom)
             self.conserves_momentum = simulation.conserves_momentum
         if len(system) != len(self.system):
-            raise ValueError(
-                f"Frames keeps frames of one simulation, of {len(self.system)} atoms; this one has {len(system)}"
-            )
+            these = f"of {len(self.system)} atoms; this one has {len(system)}"
+            raise ValueError(f"Frames keeps frames of one simulation, {these}")
         frame, units = simulation.frame(), system.units
         if self._rows and self._rows[-1]["step"] == frame.step:
             return
         row = {"step": frame.step, "time": frame.time * units.to_picosecond, **frame.observables}
-        positions, velocities = (
-            frame.positions * units.to_angstrom,
-            frame.velocities * (units.to_angstrom / units.to_picosecond),
-        )
+        positions = frame.positions * units.to_angstrom
+        velocities = frame.velocities * (units.to_angstrom / units.to_picosecond)
         dimensions = cell_dimensions(system.cell, units.to_angstrom)
         if self.turn is not None:
             row[ROTATION], dimensions = self.turn.of(system.cell.vectors)
@@ -79,18 +76,13 @@ class Frames:
     def reader_arguments(self, dt: float) -> dict[str, Any]:
         """Arguments for RecordedReader.  dt : time between frames [ps, or τ]."""
         positions, velocities, dimensions = (np.stack(one) for one in zip(*self._moving, strict=True))
-        return {
-            "coordinate_array": positions,
-            "velocities": velocities,
-            "dimensions": dimensions,
-            "dt": dt,
-            "rows": self._rows,
-        }
+        arrays = {"coordinate_array": positions, "velocities": velocities, "dimensions": dimensions}
+        return {**arrays, "dt": dt, "rows": self._rows}
 
 
 class RecordedReader(MemoryReader):
-    """MDAnalysis' reader of arrays, with the recorded times and observables.  rows :
-    for each frame the entries of ts.data, with its time."""
+    """MDAnalysis' reader of arrays, with the recorded times and observables.
+    rows : for each frame the entries of ts.data, with its time."""
 
     def __init__(self, coordinate_array: NDArray, rows: list[dict[str, Any]] | None = None, **options: Any) -> None:
         self._recorded = rows
@@ -104,10 +96,7 @@ class RecordedReader(MemoryReader):
 
 
 class RunReader(H5MDReader):
-    """Frames of a minimd file.  turn : of its cell, or None.
-
-    A transformation could do the same, but it can be set only once.
-    """
+    """Frames of a minimd file.  turn : of its cell, or None; a transformation could be set only once."""
 
     @store_init_arguments
     def __init__(self, filename: str, turn: Turn | None = None, **kwargs: Any) -> None:

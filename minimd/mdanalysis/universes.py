@@ -46,42 +46,35 @@ MOST_COUNTS = 10**7  # of molecules times species
 
 def bare_universe(kind: type[U], system: System) -> U:
     """A universe without a trajectory: masses, types, names, elements if labels are symbols, bonds, angles, dihedrals;
-    each molecule is a residue.
+    each molecule is a residue.  kind : its class.
 
-    kind : its class.  Residues are numbered from 1, in the order of their first atoms;
-        their names are chemical formulas, or "MOL".
+    Residues are numbered from 1, in the order of their first atoms; their names are chemical formulas, or "MOL".
     """
     labels, of_atoms = [str(label) for label in system.species], molecules(system)
     n_molecules = int(of_atoms.max()) + 1
-    made = kind.empty(
-        len(system),
-        n_residues=n_molecules,
-        atom_resindex=of_atoms,
-        residue_segindex=np.zeros(n_molecules, int),
-        trajectory=False,
-    )
-    made.add_TopologyAttr("masses", system.masses)
-    made.add_TopologyAttr("types", labels)
-    made.add_TopologyAttr("names", labels)
+    residues = {"n_residues": n_molecules, "atom_resindex": of_atoms, "residue_segindex": np.zeros(n_molecules, int)}
+    made = kind.empty(len(system), **residues, trajectory=False)
+    attributes = {"masses": system.masses, "types": labels, "names": labels}
     if any(label in SYMB2Z for label in labels):
-        made.add_TopologyAttr("elements", [label if label in SYMB2Z else "" for label in labels])
-    made.add_TopologyAttr("resids", np.arange(1, n_molecules + 1))
-    made.add_TopologyAttr("resnames", _formulas(system, of_atoms))
-    made.add_TopologyAttr("segids", ["SYSTEM"])
-    for name, groups in system.groups().items():
-        if len(groups):
-            made.add_TopologyAttr(name, [tuple(group) for group in groups.tolist()])
+        attributes["elements"] = [label if label in SYMB2Z else "" for label in labels]
+    attributes |= {
+        "resids": np.arange(1, n_molecules + 1),
+        "resnames": _formulas(system, of_atoms),
+        "segids": ["SYSTEM"],
+    }
+    groups = system.groups().items()
+    attributes |= {name: [tuple(one) for one in found.tolist()] for name, found in groups if len(found)}
+    for name, values in attributes.items():
+        made.add_TopologyAttr(name, values)
     return made
 
 
 def molecules(system: System) -> NDArray[np.int64]:
-    """(N,) number of the molecule of each atom, from 0;
-    bonds and lengths held fixed connect the atoms of a molecule."""
+    """(N,) number of the molecule of each atom, from 0; bonds and fixed lengths connect the atoms of a molecule."""
     held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
     i, j = np.concatenate([system.bonds, *held]).T
-    numbers = connected_components(
-        coo_array((np.ones(len(i), bool), (i, j)), shape=(len(system), len(system))), directed=False
-    )[1]
+    connected = coo_array((np.ones(len(i), bool), (i, j)), shape=(len(system), len(system)))
+    numbers = connected_components(connected, directed=False)[1]
     _, first, inverse = np.unique(numbers, return_index=True, return_inverse=True)
     order = np.empty(len(first), np.int64)
     order[np.argsort(first)] = np.arange(len(first))
@@ -102,10 +95,9 @@ def _formulas(system: System, of_atoms: NDArray[np.int64]) -> list[str]:
 
 
 def _formula(counts: dict[str, int]) -> str:
-    """The formula in Hill's order: carbon, hydrogen, then the others by name; without carbon all elements,
-    also hydrogen, by name."""
+    """The formula in Hill's order: carbon, hydrogen, then the others by name; without carbon all by name."""
     present = {name: n for name, n in counts.items() if n}
-    if len(present) == 1 and sum(present.values()) == 1:
+    if [*present.values()] == [1]:
         return next(iter(present))
     if not all(name in SYMB2Z for name in present):
         return MOLECULE
@@ -124,8 +116,7 @@ CM2_PER_S = 1e-4  # per Å²/ps
 
 
 class RunUniverse(MDAnalysis.Universe):
-    """The universe of a run.  system : System.  contents : of its file, apart from frames;
-    a universe in memory has none."""
+    """The universe of a run.  system : System.  contents : of its file, apart from frames; none in memory."""
 
     system: System
     conserves_momentum: bool  # whether the run did
@@ -139,12 +130,6 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
     """A minimd file as an MDAnalysis universe: masses, types, names, elements if labels are symbols, bonds, angles,
     dihedrals, residues.
 
-
-
-
-
-
-
     Each molecule is a residue: the atoms that bonds or fixed lengths connect. Observables are in ts.data.
 
     MDAnalysis places a cell with a along x and b in the xy plane. If the cell of the run has another orientation,
@@ -156,10 +141,7 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
 
     Warns if frames are not evenly spaced, because MDAnalysis' dt is a single number.
 
-    Raises
-    ------
-    FileNotFoundError, OSError, ValueError : as minimd.files.h5md_reader.read_file.  ValueError :
-        for Frames that are empty.
+    Raises FileNotFoundError, OSError, ValueError as minimd.files.h5md_reader.read_file; ValueError for empty Frames.
     """
     if isinstance(run, Simulation):
         frames = Frames()
@@ -171,22 +153,19 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
     system = contents.system
     turn = turn_of(system.cell, system.units.to_angstrom)
     _tell_cell(f"the universe of {str(run)!r}", system.cell, turn)
-    spacing = _spacing(
-        f"the frames of {str(run)!r}", contents.record.step, contents.record.time * system.units.to_picosecond
-    )
+    times = contents.record.time * system.units.to_picosecond
+    spacing = _spacing(f"the frames of {str(run)!r}", contents.record.step, times)
     with quiet():
         made = bare_universe(RunUniverse, system)
         made.contents, made.system, made.conserves_momentum = contents, system, contents.conserves_momentum
         with damage_told(run):
-            made.trajectory = RunReader(
-                str(run), turn=turn, n_atoms=len(system), **({} if spacing is None else {"dt": spacing})
-            )
+            dt = {} if spacing is None else {"dt": spacing}
+            made.trajectory = RunReader(str(run), turn=turn, n_atoms=len(system), **dt)
     return made
 
 
 def _in_memory(frames: Frames, timestep: float = 1.0) -> RunUniverse:
-    """The universe of frames in memory.  timestep : used as the time between frames if there is only one frame [ps,
-    or τ]."""
+    """The universe of frames in memory.  timestep : the time between frames if there is only one [ps, or τ]."""
     if frames.system is None:
         raise ValueError("these Frames are empty; pass them to a run as observers=[frames]")
     _tell_cell("the universe in memory", frames.system.cell, frames.turn)
@@ -203,18 +182,16 @@ def _tell_cell(what: str, cell: Cell, turn: Turn | None) -> None:
     if turn is not None:
         warnings.warn(turn.in_words(what, ": R is ts.data['rotation']"), stacklevel=outside_minimd())
     if cell.is_periodic and not has_edges(cell):
-        warnings.warn(
-            f"{what} has no cell, because MDAnalysis needs three vectors and this cell has fewer: distances are not "
-            "those of nearest images; "
+        advice = (
             "give the open direction a length into which all atoms fit, with pbc, as in cell=[20, 20, 50], pbc=(True, "
-            "True, False)",
-            stacklevel=outside_minimd(),
+            "True, False)"
         )
+        fewer = "MDAnalysis needs three vectors and this cell has fewer: distances are not those of nearest images"
+        warnings.warn(f"{what} has no cell, because {fewer}; {advice}", stacklevel=outside_minimd())
 
 
 def _spacing(what: str, steps: NDArray[np.int64], times: Array) -> float | None:
-    """dt [ps] for MDAnalysis, which has a single spacing of frames: the median, with a warning if spacings differ;
-    None for one frame."""
+    """dt [ps] for MDAnalysis: the median of all spacings, with a warning if they differ; None for one frame."""
     spacings = np.diff(times)
     if not len(spacings):
         return None
@@ -224,11 +201,8 @@ def _spacing(what: str, steps: NDArray[np.int64], times: Array) -> float | None:
         apart = f"{least} to {most} steps apart"
         if least == most:
             apart = f"{spacings.min():.4g} to {spacings.max():.4g} apart in time, because the time step changed"
-        warnings.warn(
-            f"{what} are {apart}, so trajectory.dt and totaltime are not right for all of them; use the time of each "
-            "frame, ts.time",
-            stacklevel=outside_minimd(),
-        )
+        wrong = "so trajectory.dt and totaltime are not right for all of them; use the time of each frame, ts.time"
+        warnings.warn(f"{what} are {apart}, {wrong}", stacklevel=outside_minimd())
     return spacing
 
 
@@ -253,30 +227,23 @@ class RadialDistribution(NamedTuple):
 
     def __repr__(self) -> str:
         k = int(np.argmax(self.g))
-        return (
-            f"RadialDistribution({len(self.r)} distances from {self.r[0]:.4g} to {self.r[-1]:.4g}; highest at "
-            f"{self.r[k]:.4g}, {self.g[k]:.4g})"
-        )
+        distances = f"{len(self.r)} distances from {self.r[0]:.4g} to {self.r[-1]:.4g}"
+        return f"RadialDistribution({distances}; highest at {self.r[k]:.4g}, {self.g[k]:.4g})"
 
 
 def radial_distribution(run: Run, n_bins: int = 200) -> RadialDistribution:
     """g(r) by MDAnalysis' InterRDF, up to half the smallest height of the cell, from evenly chosen frames and atoms.
 
-    Bonded pairs count like all others. If distances between all atoms would take too long,
-    they are measured from some atoms to all atoms.
-    run : an argument of universe, or a universe.
+    Bonded pairs count like all others. If distances between all atoms would take too long, they are measured from some
+    atoms to all atoms.  run : an argument of universe, or a universe.
 
-    Raises
-    ------
-    ValueError : if the cell is not periodic in all directions, or there is only one atom.  Others as universe.
+    Raises ValueError if the cell is not periodic in all directions, or there is only one atom; others as universe.
     """
     with universe_of(run) as made, quiet():
         system = made.system
         if not system.cell.pbc.all() or len(system) < 2:
-            raise ValueError(
-                f"g(r) needs at least two atoms, and a cell that is periodic in all directions; {_name(made)} holds "
-                f"{system!r}"
-            )
+            needs = "at least two atoms, and a cell that is periodic in all directions"
+            raise ValueError(f"g(r) needs {needs}; {_name(made)} holds {system!r}")
         r_max = float(system.cell.heights.min() / 2.0) * system.units.to_angstrom
         stride = ceil(len(made.trajectory) / RDF_FRAMES)
         some = _every(made, RDF_DISTANCES * stride / len(made.trajectory) / len(system))
@@ -329,22 +296,17 @@ class Diffusion(Displayed):
     def __str__(self) -> str:
         unit, time = ("σ²/τ", "τ") if self.cm2_per_s is None else ("Å²/ps", "ps")
         absolute = "" if self.cm2_per_s is None else f" = {self.cm2_per_s:.4g} cm²/s"
-        return (
-            f"D = {with_error(self.coefficient, self.error)} {unit}{absolute}, from lags of {self.window[0]:.4g} to "
-            f"{self.window[1]:.4g} {time}"
-        )
+        lags = f"from lags of {self.window[0]:.4g} to {self.window[1]:.4g} {time}"
+        return f"D = {with_error(self.coefficient, self.error)} {unit}{absolute}, {lags}"
 
 
 def mean_square_displacement(run: Run) -> tuple[Array, Array]:
     """Lags [ps, or τ], (T,), and ⟨|r(t₀ + lag) − r(t₀)|²⟩ [Å², or σ²], (T,), by MDAnalysis' EinsteinMSD.
 
-    They are relative to the center of mass of all atoms if the run conserved the momentum, as its file tells.
-    If there are many frames or atoms, some of them are used, evenly chosen.  run : an argument of universe,
-    or a universe.
+    They are relative to the center of mass of all atoms if the run conserved the momentum, as its file tells. If there
+    are many frames or atoms, some of them are used, evenly chosen.  run : an argument of universe, or a universe.
 
-    Raises
-    ------
-    ValueError : if there is only one frame.  Others as universe.
+    Raises ValueError if there is only one frame; others as universe.
     """
     lags, of_atoms = _displacements(run)
     return lags, of_atoms.mean(axis=1)
@@ -374,15 +336,12 @@ def diffusion_coefficient(
 
     The error is that of the mean over atoms, which move almost independently of each other.
 
-    run : an argument of universe, or a universe.  window : [ps, or τ];
-        from a tenth to half of the duration if not given.
-    viscosity : η [energy time/length³], for the correction of Yeh and Hummer for the size of a cubic cell;
-        see observers.diffusion.
+    run : an argument of universe, or a universe.
+    window : [ps, or τ]; from a tenth to half of the duration if not given.
+    viscosity : η [energy time/length³], for the correction of Yeh and Hummer for the size of a cubic cell.
 
-    Raises
-    ------
-    ValueError : if the window holds fewer than three lags; if a viscosity is given, and the cell is not cubic or the
-        run is in memory. Others as mean_square_displacement.
+    Raises ValueError if the window holds fewer than three lags, and with a viscosity, for a cell that is not cubic or a
+    run in memory; others as mean_square_displacement.
     """
     with universe_of(run) as made:
         (lags, of_atoms), units = _displacements(made), made.system.units
@@ -390,17 +349,14 @@ def diffusion_coefficient(
     start, end = window or (FIT_FROM * lags[-1], FIT_TO * lags[-1])
     chosen = (lags >= start) & (lags <= end)
     if chosen.sum() < 3:
-        raise ValueError(
-            f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g}) holds {chosen.sum()} of "
-            f"{len(lags)}"
-        )
+        held = f"({start:.4g}, {end:.4g}) holds {chosen.sum()} of {len(lags)}"
+        raise ValueError(f"the window of the fit must hold at least 3 lags; {held}")
     coefficient = float(np.polyfit(lags[chosen], squares[chosen], 1)[0]) / 6.0
     each = np.polyfit(lags[chosen], of_atoms[chosen], 1)[0] / 6.0
     error = float(each.std(ddof=1) / np.sqrt(len(each))) if len(each) >= FEW else np.nan
-    infinite, absolute = (
-        None if added is None else coefficient + added,
-        coefficient * CM2_PER_S if units is ASE else None,
-    )
+    infinite, absolute = None if added is None else coefficient + added, None
+    if units is ASE:
+        absolute = coefficient * CM2_PER_S
     return Diffusion(coefficient, absolute, (float(start), float(end)), lags, squares, error, infinite)
 
 
@@ -408,10 +364,8 @@ def _correction(made: RunUniverse, viscosity: float) -> float:
     """The correction of D for the finite size of the cell [Å²/ps, or σ²/τ]."""
     cell, units = made.system.cell, made.system.units
     if not is_cubic(cell) or not hasattr(made, "contents"):
-        raise ValueError(
-            "the correction of Yeh and Hummer needs the file of a run in a cubic cell that is periodic in all "
-            "directions; leave viscosity out"
-        )
+        needs = "the file of a run in a cubic cell that is periodic in all directions; leave viscosity out"
+        raise ValueError(f"the correction of Yeh and Hummer needs {needs}")
     thermal_energy = units.k_B * float(made.contents.record.temperature.mean())
     added = finite_size_correction(thermal_energy, viscosity, float(np.linalg.norm(cell.vectors[0])))
     return added * units.to_angstrom**2 / units.to_picosecond

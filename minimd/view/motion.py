@@ -62,10 +62,10 @@ class Motion(NamedTuple):
 def motion_of(made: RunUniverse, most: int, marked: Sequence[int] = (), latest: bool = False) -> Motion:
     """The motion in a file whose universe is open.
 
-    most : largest number of frames; fewer are used if there are many atoms.  latest : the last frames,
-        in place of evenly chosen ones.
-    marked : atoms that are always shown; all are shifted so that, in the last frame,
-        the first of these is in the middle of the cell.
+    most : largest number of frames; fewer are used if there are many atoms.
+    latest : the last frames, in place of evenly chosen ones.
+    marked : atoms that are always shown; all are shifted so that, in the last frame, the first of these is in the
+        middle of the cell.
     """
     contents, system = made.contents, made.contents.system
     cell, record, atoms = system.cell, contents.record, chosen_atoms(len(system), marked)
@@ -78,21 +78,11 @@ def motion_of(made: RunUniverse, most: int, marked: Sequence[int] = (), latest: 
         middle = 0.5 * cell.vectors.sum(axis=0) @ cell.inverse
         fractions += np.where(cell.pbc, middle - fractions[-1, np.searchsorted(atoms, marked[0])], 0.0)
     counts, low, width = counted(fractions, cell.pbc)
-    return Motion(
-        frames,
-        atoms,
-        counts,
-        low,
-        width,
-        record.step[frames],
-        record.time[frames] * system.units.to_picosecond,
-        record.temperature[frames],
-        bonds_among(atoms, system),
-        neighbor_distances(fractions[0] @ cell.lattice, system.species_index[atoms], len(system.species_names)),
-        cell,
-        contents.n_frames,
-        len(system),
-    )
+    steps, times = record.step[frames], record.time[frames] * system.units.to_picosecond
+    bonds, place = bonds_among(atoms, system), fractions[0] @ cell.lattice
+    apart = neighbor_distances(place, system.species_index[atoms], len(system.species_names))
+    shown = (frames, atoms, counts, low, width, steps, times, record.temperature[frames], bonds, apart)
+    return Motion(*shown, cell, contents.n_frames, len(system))
 
 
 def bonds_among(atoms: NDArray[np.int64], system: System) -> NDArray[np.int64]:
@@ -120,23 +110,18 @@ def chosen_atoms(n_atoms: int, marked: Sequence[int] = ()) -> NDArray[np.int64]:
 def counted(fractions: Array, pbc: NDArray[np.bool_]) -> tuple[NDArray[np.uint16], Array, Array]:
     """q, low and width, (T, A, 3), (T, 3), (T, 3), of coordinates along the lattice, (T, A, 3)."""
     lowest, extent = fractions.min(axis=1), np.ptp(fractions, axis=1)
-    low, width = (
-        np.where(pbc, 0.0, lowest),
-        np.where(pbc, 1.0, np.where(extent > 0.0, extent, 1.0) * LEVELS / (LEVELS - 1)),
-    )
+    open_width = np.where(extent > 0.0, extent, 1.0) * LEVELS / (LEVELS - 1)
+    low, width = np.where(pbc, 0.0, lowest), np.where(pbc, 1.0, open_width)
     counts = np.rint((fractions - low[:, None]) / width[:, None] * LEVELS)
     return (counts % LEVELS).astype(np.uint16), low, width
 
 
 def neighbor_distances(positions: Array, species: NDArray[np.int64], n_species: int) -> Array:
-    """Median distance to the nearest other atom for each species [length], without images;
-    1 if there is no other atom."""
+    """Median distance to the nearest other atom for each species [length], without images; 1 without another atom."""
     some = np.arange(0, len(positions), ceil(len(positions) / SAMPLED))
     if len(positions) < 2:
         return np.ones(n_species)
     nearest = cKDTree(positions).query(positions[some], k=2)[0][:, 1]
-    medians = [
-        np.median(nearest[species[some] == k]) if (species[some] == k).any() else np.median(nearest)
-        for k in range(n_species)
-    ]
+    each = [nearest[species[some] == k] for k in range(n_species)]
+    medians = [np.median(own if len(own) else nearest) for own in each]
     return np.where(np.array(medians) > 0.0, medians, 1.0)

@@ -16,18 +16,11 @@ from minimd.console.display import Rows
 from minimd.view.motion import Motion
 from minimd.view.stories import Story
 
-ELEMENTS = {  # the colors of Corey, Pauling and Koltun
-    "H": "#dcdcdc",
-    "C": "#5f6670",
-    "N": "#3a5fcd",
-    "O": "#d0342c",
-    "F": "#6fbf4b",
-    "Cl": "#2e9e3f",
-    "S": "#d9b310",
-    "P": "#e07b00",
-    "Cu": "#c77b3f",
-    "Ar": "#4fa7b8",
-}
+# of Corey, Pauling and Koltun
+ELEMENTS = {
+    "H": "#dcdcdc", "C": "#5f6670", "N": "#3a5fcd", "O": "#d0342c", "F": "#6fbf4b", "Cl": "#2e9e3f", "S": "#d9b310",
+    "P": "#e07b00", "Cu": "#c77b3f", "Ar": "#4fa7b8",
+}  # fmt: skip
 # in turns, for species without a usual color
 OTHERS = "#4a7fc1", "#d98032", "#3f9f6f", "#b0599f", "#c9a227", "#7a6fc9", "#4fa7b8", "#a3504a"
 
@@ -39,9 +32,8 @@ def page(story: Story) -> str:
         "frames": b64(motion.counts, "<u2"),
         "species": b64(system.species_index[motion.atoms], "<u4"),
         "bonds": b64(motion.bonds, "<u4"),
-        "about": json.dumps(about(story), allow_nan=False, separators=(",", ":")).replace(
-            "<", "\\u003c"
-        ),  # safe inside a script element
+        # safe inside a script element
+        "about": json.dumps(about(story), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
         "picture": f"data:{story.picture[0]};base64,{b64encode(story.picture[1]).decode()}",
         "library": _text("ngl.js").partition("//# sourceMappingURL")[0],  # which developer tools would request
         "library_licenses": html.escape(_text("ngl-licenses.txt")),
@@ -61,21 +53,21 @@ def about(story: Story) -> dict[str, Any]:
     """The data for the program of the page, other than the counts: see motion.js."""
     motion, system, units = story.motion, story.contents.system, story.contents.system.units
     cell, place = motion.cell, {int(atom): k for k, atom in enumerate(motion.atoms)}
-    edges = np.where(cell.pbc[:, None], cell.vectors, cell.lattice)
-    box = cell.vectors[np.any(cell.vectors != 0.0, axis=1)]
-    return {
-        "low": motion.low.tolist(),
-        "width": motion.width.tolist(),
-        "lattice": cell.lattice.tolist(),
-        "edges": edges.tolist(),
-        "reduction": (cell.reduction + np.diag(~cell.pbc)).tolist(),
-        "periodic": cell.pbc.tolist(),
-        "box": box.tolist(),
-        "steps": motion.steps.tolist(),
-        "times": motion.times.tolist(),
+    lists = {
+        "low": motion.low,
+        "width": motion.width,
+        "lattice": cell.lattice,
+        "edges": np.where(cell.pbc[:, None], cell.vectors, cell.lattice),
+        "reduction": cell.reduction + np.diag(~cell.pbc),
+        "periodic": cell.pbc,
+        "box": cell.vectors[np.any(cell.vectors != 0.0, axis=1)],
+        "steps": motion.steps,
+        "times": motion.times,
+        "radii": 0.5 * motion.apart,
+    }
+    return {name: array.tolist() for name, array in lists.items()} | {
         "temperatures": [value if np.isfinite(value) else None for value in motion.temperatures.tolist()],
         "units": {"time": units.shown_time, "temperature": units.temperature, "length": units.length},
-        "radii": (0.5 * motion.apart).tolist(),
         "colors": colors(system.species_names),
         "marked": [place[atom] for atom in story.marked],
         "names": [str(atom) for atom in story.marked],
@@ -89,8 +81,7 @@ def colors(species: Sequence[Any]) -> list[str]:
 
 def legend(motion: Motion, names: Sequence[Any], index: NDArray[np.int64]) -> str:
     """Species, colors and numbers as items of a list."""
-    counts = np.bincount(index, minlength=len(names))
-    rows = zip(names, colors(names), counts, strict=True)
+    rows = zip(names, colors(names), np.bincount(index, minlength=len(names)), strict=True)
     return "".join(
         f'<li><svg viewBox="0 0 10 10" aria-hidden="true"><circle cx="5" cy="5" r="4.5" fill="{color}"/></svg> '
         f"{html.escape(str(name))} ({n})</li>"
@@ -100,9 +91,8 @@ def legend(motion: Motion, names: Sequence[Any], index: NDArray[np.int64]) -> st
 
 def table(rows: Rows) -> str:
     """Names and words as rows of a table."""
-    return "".join(
-        f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(words)}</td></tr>' for name, words in rows
-    )
+    cells = ((html.escape(name), html.escape(words)) for name, words in rows)
+    return "".join(f'<tr><th scope="row">{name}</th><td>{words}</td></tr>' for name, words in cells)
 
 
 def failure(cause: Sequence[str]) -> str:

@@ -26,26 +26,20 @@ class View:
     summary: str
 
     def save(self, page: str | Path | None = None) -> Path:
-        """Write the page and return its name; if not given, that of the run with .html.
-
-        A file or link with this name is replaced.
-
-        Raises OSError if it cannot be written.
-        """
+        """Write the page and return its name; if not given, that of the run with .html. A file or link with this name
+        is replaced. Raises OSError if it cannot be written."""
         path = self.file.with_suffix(".html") if page is None else Path(page)
         write_whole(path, self.html)
         return path
 
     def __repr__(self) -> str:
-        return (
-            f"View({str(self.file)!r}: {self.summary}; {len(self.html.encode()) / 1e6:.1f} MB; write it with .save())"
-        )
+        size = f"{len(self.html.encode()) / 1e6:.1f} MB"
+        return f"View({str(self.file)!r}: {self.summary}; {size}; write it with .save())"
 
     def _repr_html_(self) -> str:
         style = f"width: 100%; height: {HEIGHT}px; border: 0"
-        return (
-            f'<iframe title="{html.escape(str(self.file))}" style="{style}" srcdoc="{html.escape(self.html)}"></iframe>'
-        )
+        title, page = html.escape(str(self.file)), html.escape(self.html)
+        return f'<iframe title="{title}" style="{style}" srcdoc="{page}"></iframe>'
 
 
 def view(
@@ -53,8 +47,8 @@ def view(
 ) -> View:
     """A run as a page: its report, its pictures, and its atoms in motion with cell, bonds and species.
 
-    For a failed run (.crash.h5md) the page shows the last steps, made again one by one,
-    and marks the pair of atoms that caused the failure.
+    For a failed run (.crash.h5md) the page shows the last steps, made again one by one, and marks the pair of atoms
+    that caused the failure.
 
     Parameters
     ----------
@@ -66,14 +60,13 @@ def view(
     Raises
     ------
     FileNotFoundError, OSError, ValueError : as md.replay for a failed run, else as minimd.mdanalysis.universe.
-        ValueError also if potentials are given for a run that did not fail,
-        if frames is not a whole number of at least 2, and for the record of a run that wrote no .h5md file.
+        ValueError also if potentials are given for a run that did not fail, if frames is not a whole number of at least
+        2, and for the record of a run that wrote no .h5md file.
     """
     frames, place = checked_count("frames", frames, least=2), file.trajectory if isinstance(file, Record) else file
     if place is None:
-        raise ValueError(
-            "a page needs the frames of the run, but the run wrote no .h5md file; run with trajectory='run.h5md'"
-        )
+        advice = "run with trajectory='run.h5md'"
+        raise ValueError(f"a page needs the frames of the run, but the run wrote no .h5md file; {advice}")
     path = Path(place)
     from minimd.files.crash_file import is_crash_file  # these load h5py, MDAnalysis and matplotlib
     from minimd.files.h5md_reader import verify_frames
@@ -84,9 +77,8 @@ def view(
     if is_crash_file(path):
         story = failure_story(path, frames, potentials)
     elif potentials is not None:
-        raise ValueError(
-            f"potentials are used for a failed run only; {str(path)!r} holds a run that did not fail: leave them out"
-        )
+        other = f"{str(path)!r} holds a run that did not fail: leave them out"
+        raise ValueError(f"potentials are used for a failed run only; {other}")
     else:
         story = run_story(path, frames)
     return View(page(story), path, story.summary)

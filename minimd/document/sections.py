@@ -46,6 +46,7 @@ from minimd.potentials import LennardJones, Tabulated
 from minimd.potentials.pair import MIXING, ByPairOfLabels, Label
 from minimd.potentials.tabulated import FEWEST
 from minimd.potentials.truncation import TRUNCATIONS
+from minimd.structure.checks import checked_count
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
 from minimd.structure.lattice import BASES
 
@@ -394,7 +395,7 @@ class OfObservers(Section):
 
 
 ARGUMENTS: dict[Any, Any] = {  # of observers, by what they must be
-    arguments.count: PositiveInt,
+    checked_count: PositiveInt,
     arguments.levels: PositiveInt,
     arguments.positive: Positive,
     arguments.identifier: str,

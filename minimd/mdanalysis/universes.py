@@ -27,7 +27,7 @@ from minimd.files.h5md_reader import H5MDContents, damage_told, read_file
 from minimd.files.h5md_schema import has_edges
 from minimd.files.turned_cell import Turn, turn_of
 from minimd.mdanalysis.readers import Frames, RecordedReader, RunReader
-from minimd.observers.diffusion import finite_size_correction, is_cubic
+from minimd.observers.motion import finite_size_correction, is_cubic
 from minimd.simulation.simulation import Simulation
 from minimd.structure.cell import Cell
 from minimd.structure.constraints import DistanceConstraints

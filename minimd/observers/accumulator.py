@@ -1,20 +1,25 @@
-"""The base of observers with results: their arguments, steps, scene, sums with error bars, and results."""
+"""The base of observers with results: steps, scene, sums with error bars, and results; the observers of a run."""
 
 from __future__ import annotations
 
 import json
+import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields
 from inspect import cleandoc
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, dataclass_transform
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.console.display import Displayed, Rows, call_of
+from minimd.console.quiet import outside_minimd
+from minimd.console.words import shown
 from minimd.engine.engine import Engine
 from minimd.observers.arguments import Argument, argument, label, steps
+from minimd.structure.errors import ConstraintError, NonFiniteError
 from minimd.structure.statistics import MOST_BLOCKS, replicas, spread
 from minimd.structure.units import SYSTEMS, UnitSystem
 
@@ -103,15 +108,12 @@ class ObservedRun:
         """The properties of the run of an engine."""
         system, barostat = engine.system, engine.barostat
         temperature = engine.method.parameters.get("temperature")
-        return cls(
-            units=system.units.name,
-            species=[str(one) for one in system.species_names],
-            numbers=np.bincount(system.species_index, minlength=len(system.species_names)).tolist(),
-            spacing=every * engine.method.timestep,
-            n_dof=engine.n_dof,
-            bath_temperature=barostat.temperature if barostat is not None and temperature is None else temperature,
-            bath_pressure=barostat.pressure if barostat is not None else None,
-        )
+        if barostat is not None and temperature is None:
+            temperature = barostat.temperature
+        numbers = np.bincount(system.species_index, minlength=len(system.species_names)).tolist()
+        species, spacing = [str(one) for one in system.species_names], every * engine.method.timestep
+        pressure = None if barostat is None else barostat.pressure
+        return cls(system.units.name, species, numbers, spacing, engine.n_dof, temperature, pressure)
 
     @property
     def unit_system(self) -> UnitSystem:
@@ -165,8 +167,7 @@ class Result(Displayed):
         return {name: getattr(self, name) for name in self.coefficients}
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A data frame of columns(), with the numbers in its attrs.
-        Raises ModuleNotFoundError if pandas is not installed."""
+        """A data frame of columns(), with the numbers in its attrs. Raises ModuleNotFoundError without pandas."""
         from pandas import DataFrame
 
         table = DataFrame(self.columns())
@@ -214,16 +215,6 @@ class Result(Displayed):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.display_rows()[0][1]})"
-
-
-class Kept(Protocol):
-    """A part of an observer on which its next looks depend, with names of its own for its arrays."""
-
-    def state(self) -> State:
-        """The state, for restore."""
-
-    def restore(self, state: State) -> None:
-        """Restore a state, which also holds arrays of other parts."""
 
 
 @dataclass_transform(field_specifiers=(argument, steps, label, field))
@@ -305,10 +296,8 @@ class Accumulator(ABC, Displayed):
             self.scene = scene
             self._laid_out(scene)
         elif self.scene != scene:
-            raise ValueError(
-                f"{self!r} has observed another system, or one with another time step or bath; make a new observer for "
-                "this run"
-            )
+            other = "another system, or one with another time step or bath; make a new observer for this run"
+            raise ValueError(f"{self!r} has observed {other}")
 
     def observe(self, engine: Engine) -> None:
         """Look at the present state, unless the last look was at this step."""
@@ -334,10 +323,8 @@ class Accumulator(ABC, Displayed):
     def answered(self) -> ObservedRun:
         """The scene, which a result needs.  Raises ValueError before the first look."""
         if self.scene is None or not self.n_looks:
-            raise ValueError(
-                f"{self!r} has not looked yet; pass it to a run of {self.every} steps or more: sim.run(n_steps, "
-                "observers=[...])"
-            )
+            advice = f"pass it to a run of {self.every} steps or more: sim.run(n_steps, observers=[...])"
+            raise ValueError(f"{self!r} has not looked yet; {advice}")
         return self.scene
 
     def _begin(self, engine: Engine) -> None:
@@ -355,8 +342,8 @@ class Accumulator(ABC, Displayed):
     def result(self) -> Any:
         """The result.  Raises ValueError before the first look."""
 
-    def _parts(self) -> list[Kept]:
-        """What is kept from look to look."""
+    def _parts(self) -> list[Any]:
+        """What is kept from look to look: each has state and restore, with names of its own for its arrays."""
         return [self.sums]
 
     def state(self) -> State:
@@ -383,10 +370,8 @@ class Accumulator(ABC, Displayed):
         words = json.loads(bytes(state["words"]))
         if not self.can_restore(state):
             other = f"convention {words.get('convention', 1)} of another version of minimd, not {self.convention}"
-            raise ValueError(
-                f"observer {self.name} cannot go on: its sums have {other}; go on without it, or with one of another "
-                "name, which begins anew"
-            )
+            advice = "go on without it, or with one of another name, which begins anew"
+            raise ValueError(f"observer {self.name} cannot go on: its sums have {other}; {advice}")
         for name in self.settled:  # no other attribute, whatever a file says
             setattr(self, name, words["settled"][name])
         self.scene = ObservedRun(**words["scene"])
@@ -394,3 +379,66 @@ class Accumulator(ABC, Displayed):
         self.last_step = words["last_step"]
         for part in self._parts():
             part.restore(state)
+
+
+class Attached:
+    """The observers of a run on one engine, each with its own steps.
+
+    observers : as passed to a run.  functions : the plain functions among them.  accumulators : the others.
+
+    Raises TypeError for anything but a list of observers, ValueError if two have the same name.
+    """
+
+    def __init__(self, observers: Any, engine: Engine) -> None:
+        if not isinstance(observers, list | tuple) or not all(_is_observer(one) for one in observers):
+            kinds = "a list of functions of a simulation, and of observers such as md.observers.RadialDistribution()"
+            raise TypeError(f"observers must be {kinds}; observers = {shown(observers)}")
+        self.accumulators: Sequence[Accumulator] = [one for one in observers if isinstance(one, Accumulator)]
+        self.functions: Sequence[Callable] = [one for one in observers if not isinstance(one, Accumulator)]
+        names = [one.name for one in self.accumulators]
+        if twice := {name for name in names if names.count(name) > 1}:
+            several = f"{min(twice)!r} is the name of several: pass another name= to one of them"
+            raise ValueError(f"observers must have different names; {several}")
+        self._engine = engine
+        if not engine.is_as_left:  # the state was changed since the last run
+            for one in self.accumulators:
+                one.interrupt()
+
+    def begin(self) -> None:
+        """Look at the first state.  Raises ValueError if something cannot be observed."""
+        for one in self.accumulators:
+            one.prepare(self._engine)
+        self.look()
+
+    def steps_to_next(self) -> int | float:
+        """The number of steps to the next look of any of them; infinite without observers."""
+        return min((one.every - self._engine.step % one.every for one in self.accumulators), default=float("inf"))
+
+    def need_energy(self, step: int) -> bool:
+        """Whether an observer that looks at this step needs energy and virial."""
+        return any(one.needs_energy and step % one.every == 0 for one in self.accumulators)
+
+    def look(self) -> None:
+        """Let the observers that are due look at the present state."""
+        for one in self.accumulators:
+            if self._engine.step % one.every == 0:
+                one.observe(self._engine)
+
+    @contextmanager
+    def broken_off(self) -> Iterator[None]:
+        """Context of a run: if it fails, a warning names the observers that have looked after its last good step."""
+        try:
+            yield
+        except (NonFiniteError, ConstraintError):
+            step = self._engine.step
+            for one in self.accumulators:
+                if n_later := one.break_off(step):
+                    failed = f"step {step}, the last good one of a run that failed; its result includes these looks"
+                    warnings.warn(f"{one!r} has looked {n_later} times after {failed}", stacklevel=outside_minimd())
+            raise
+
+
+def _is_observer(one: Any) -> bool:
+    """Whether an object can observe a run; a class of observers cannot, but its objects can."""
+    is_class = isinstance(one, type) and issubclass(one, Accumulator)
+    return isinstance(one, Accumulator) or (callable(one) and not is_class)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import field
+from functools import partial
 from typing import Any, NamedTuple
 
 from minimd.console.words import shown
@@ -15,7 +16,7 @@ AXES = "abc"
 class Argument(NamedTuple):
     """What is declared of an argument.  words : what it is.  dimension : of its numbers; empty without one.
 
-    check : one of the functions below; it returns the value that is kept, or raises ValueError.
+    check : checked_count, or one of the functions below; it returns the value that is kept, or raises ValueError.
     """
 
     check: Callable[[str, Any], Any]
@@ -30,7 +31,7 @@ def argument(check: Callable[[str, Any], Any], words: str, default: Any, dimensi
 
 def steps(default: int) -> Any:
     """The field every."""
-    return argument(count, "steps between two looks", default)
+    return argument(checked_count, "steps between two looks", default)
 
 
 def label() -> Any:
@@ -38,24 +39,9 @@ def label() -> Any:
     return argument(identifier, "under which files store it; the kind if not given", "")
 
 
-def count(name: str, value: Any) -> int:
-    """A whole number, at least 1."""
-    return checked_count(name, value)
-
-
-def levels(name: str, value: Any) -> int:
-    """A number of levels of a correlator, below 40."""
-    return checked_count(name, value, 1, 40)
-
-
-def positive(name: str, value: Any) -> float:
-    """A positive number."""
-    return checked_number(name, value, "positive and finite")
-
-
-def axis_name(name: str, value: Any) -> str:
-    """One of the lattice vectors a, b, c."""
-    return checked_choice(name, value, tuple(AXES))
+levels = partial(checked_count, limit=40)  # of a correlator
+positive = partial(checked_number, demand="positive and finite")
+axis_name = partial(checked_choice, allowed=tuple(AXES))
 
 
 def interval(name: str, value: Any) -> list[float]:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from minimd.console.display import Rows
 from minimd.engine.engine import Engine
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
-from minimd.observers.arguments import AXES, argument, axis_name, count, interval, label, steps
+from minimd.observers.arguments import AXES, argument, axis_name, interval, label, steps
+from minimd.structure.checks import checked_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,7 +38,7 @@ class Profile(Accumulator):
 
     kind = "profile"
     axis: str = argument(axis_name, "a, b or c, the lattice vector", "c")
-    n_bins: int = argument(count, "number of bins", 100)
+    n_bins: int = argument(checked_count, "number of bins", 100)
     every: int = steps(50)
     extent: list[float] | None = argument(interval, EXTENT_WORDS, None, "length")
     name: str = label()
@@ -114,8 +115,7 @@ class ProfileResult(Result):
     @property
     def density(self) -> Array:
         """(B,) of all atoms [1/length³]."""
-        found: Array = self.densities.sum(axis=0)
-        return found
+        return np.asarray(self.densities.sum(axis=0))
 
     def series(self) -> list[Series]:
         """See Result."""

@@ -13,7 +13,8 @@ from minimd.console.display import Rows
 from minimd.engine.engine import Engine
 from minimd.neighbors.search import atoms_in_reach, bins_of, make_grid, sort_into_bins
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
-from minimd.observers.arguments import argument, count, label, positive, steps
+from minimd.observers.arguments import argument, label, positive, steps
+from minimd.structure.checks import checked_count
 from minimd.structure.statistics import with_error
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ class RadialDistribution(Accumulator):
 
     kind = "radial-distribution"
     r_max: float | None = argument(positive, R_MAX, None, "length")
-    n_bins: int = argument(count, "number of bins", 200)
+    n_bins: int = argument(checked_count, "number of bins", 200)
     every: int = steps(100)
     name: str = label()
     reach: float = field(init=False, default=0.0)  # r_max, or half the smallest height of the cell

@@ -6,13 +6,13 @@ Transport coefficients are integrals of time correlations: the plateau of the in
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.engine.observation import Look
-from minimd.observers.accumulator import Accumulator, BlockedSums, Kept
+from minimd.observers.accumulator import Accumulator, BlockedSums
 from minimd.observers.correlator import MultipleTau
 from minimd.structure.cell import Cell
 from minimd.structure.observables import temperature
@@ -88,14 +88,6 @@ LEVELS = "k, largest number of levels of the correlator"
 LONGEST = 0.25  # of the duration: longer lags have too few origins
 
 
-class Integral(NamedTuple):
-    """values, errors : a running integral and its standard errors, (T,).  plateau : of the integral."""
-
-    values: Array
-    errors: Array
-    plateau: Plateau
-
-
 class TimeCorrelation(Accumulator):
     """An observer of a correlation in time: its sums are the number of looks, temperatures, volumes, and those of a
     multiple-tau correlator."""
@@ -121,7 +113,7 @@ class TimeCorrelation(Accumulator):
         sums[:HEAD] += 1.0, temperature(look.thermal_energy, look.engine.n_dof, system.units.k_B), self._volume
         self._correlator.add(entry, sums[HEAD:])
 
-    def _parts(self) -> list[Kept]:
+    def _parts(self) -> list[Any]:
         return [self.sums, self._correlator]
 
     def _seen(self) -> tuple[NDArray[np.bool_], Array, float]:
@@ -138,13 +130,13 @@ class TimeCorrelation(Accumulator):
         errors[..., times > 2.0 * longest] = np.nan
         return values, errors
 
-    def _integral(self, times: Array, longest: float, correlation: Callable[[Array], Array]) -> Integral:
-        """The running integral of a correlation, (T,).  correlation : function of the sums."""
+    def _integral(self, times: Array, longest: float, law: Callable[[Array], Array]) -> tuple[Array, Array, Plateau]:
+        """The running integral of a correlation, (T,), its standard errors, and its plateau.  law : of the sums."""
 
         def integral(sums: Array) -> Array:
-            return running_integral(times, correlation(sums))
+            return running_integral(times, law(sums))
 
         values, errors = self._estimate(times, longest, integral)
         good, without = times <= max(longest, times[min(1, len(times) - 1)]), self.sums.replicas(integral)
-        found = plateau(times[good], values[good], without[:, good] if len(without) else np.zeros((0, good.sum())))
-        return Integral(values, errors, found)
+        without = without[:, good] if len(without) else np.zeros((0, good.sum()))
+        return values, errors, plateau(times[good], values[good], without)

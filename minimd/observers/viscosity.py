@@ -28,8 +28,8 @@ MPA_S = 1e-4 / (BAR * PICOSECOND)  # per eV/Å³ Å √(u/eV): a bar times a pic
 
 
 class Viscosity(TimeCorrelation):
-    """Shear viscosity by Green and Kubo, from all components of the stress without its trace,
-    by a multiple-tau correlator that averages.
+    """Shear viscosity by Green and Kubo, from all components of the stress without its trace, by a multiple-tau
+    correlator that averages.
 
         C(t) = Σ_ab ⟨P_ab(0) P_ab(t)⟩ / 10,   P = −(σ + σᵀ)/2 + tr σ / 3
         η = V / (k_B T) ∫ C(t) dt
@@ -67,8 +67,7 @@ class Viscosity(TimeCorrelation):
         k_B = scene.unit_system.k_B
 
         def correlation(sums: Array) -> Array:
-            found: Array = self._correlator.correlations(sums[HEAD:])[1][seen, 0].sum(axis=1) / WEIGHT
-            return found
+            return np.asarray(self._correlator.correlations(sums[HEAD:])[1][seen, 0].sum(axis=1) / WEIGHT)
 
         def integrand(sums: Array) -> Array:
             return correlation(sums) * (sums[VOLUME] / (k_B * sums[TEMPERATURE]))  # both are sums over the same looks
@@ -78,8 +77,7 @@ class Viscosity(TimeCorrelation):
 
 
 def traceless(tensor: Array) -> Array:
-    """(6,) numbers whose squares add up to Σ_ab P_ab², with P the symmetric part of a tensor (3, 3)
-    without its trace."""
+    """(6,) numbers whose squares add up to Σ_ab P_ab², P being the symmetric part of a tensor (3, 3) without trace."""
     p = 0.5 * (tensor + tensor.T) - np.eye(3) * np.trace(tensor) / 3.0
     root = np.sqrt(2.0)
     return np.array([p[0, 0], p[1, 1], p[2, 2], root * p[1, 2], root * p[0, 2], root * p[0, 1]])

@@ -17,9 +17,10 @@ from minimd.analysis.check import check_file
 from minimd.analysis.plot import plot_file
 from minimd.files.h5md_digest import observers_of, read_restart
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
-from minimd.observers.arguments import argument, count, label, positive, steps
+from minimd.observers.arguments import argument, label, positive, steps
 from minimd.observers.fluctuations import FEWEST, correlation_times
 from minimd.scene import parse_scene, resume_run, run_scene
+from minimd.structure.checks import checked_count
 
 DISPLACEMENT, VELOCITY = "mean-square-displacement", "velocity-autocorrelation"
 NONE = md.LennardJones(1e-12, 1e-3, 0.1, "force-shifted")  # next to no forces
@@ -321,7 +322,7 @@ class Speeds(Accumulator):
 
     kind = "speeds"
     fastest: float = argument(positive, "where the last bin ends", 8.0)
-    n_bins: int = argument(count, "number of bins", 16)
+    n_bins: int = argument(checked_count, "number of bins", 16)
     every: int = steps(2)
     name: str = label()
 

@@ -81,39 +81,41 @@ class Fluctuations(Accumulator):
         return FluctuationResult(scene, ensemble, values, errors, self.n_looks, length)
 
 
+def moments(sums: Array) -> tuple[Array, Array]:
+    """Means, (3,), and covariances, (3, 3), of K, U and V, relative to the reference."""
+    means = sums[1 : 1 + N_SERIES] / sums[0]
+    return means, sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(means, means)
+
+
 def correlation_times(sums: BlockedSums) -> Array:
     """The length of a run in correlation times of K, E and V, (3,): n_c = 2 s²/error², with the variance s² and the
     standard error of the mean; NaN if there are too few blocks, or if the series is constant."""
     parts, weights = sums.parts(), np.array(OF_INTEREST)
-    means = sums.total[1 : 1 + N_SERIES] / sums.total[0]
-    covariance = sums.total[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums.total[0] - np.outer(means, means)
+    _, covariance = moments(sums.total)
     errors = standard_error(parts[:, 1 : 1 + N_SERIES] @ weights.T / parts[:, :1])
     with np.errstate(all="ignore"):
-        found: Array = 2.0 * np.diag(weights @ covariance @ weights.T) / errors**2
-    return np.where(errors > 0.0, found, np.nan)
+        return np.where(errors > 0.0, 2.0 * np.diag(weights @ covariance @ weights.T) / errors**2, np.nan)
 
 
 def _coefficients(sums: Array, reference: Array, scene: ObservedRun, grown: Array) -> Array:
     """T, C_V, C_P, κ_T, α_P; NaN for those that do not follow from the ensemble.
     grown : (3,) factors for the variances of K, E and V."""
-    means, weights = sums[1 : 1 + N_SERIES] / sums[0], np.array(OF_INTEREST) * np.sqrt(grown)[:, None]
-    products = sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0]
-    covariance = weights @ (products - np.outer(means, means)) @ weights.T
+    (means, covariance), weights = moments(sums), np.array(OF_INTEREST) * np.sqrt(grown)[:, None]
+    covariance = weights @ covariance @ weights.T
     means, k_B, f = means + reference, scene.unit_system.k_B, scene.n_dof
-    found = np.full(len(FluctuationResult.names), np.nan)
-    found[0] = 2.0 * means[KINETIC] / (f * k_B)
-    T = found[0] if scene.bath_temperature is None else scene.bath_temperature  # noqa: N806
-    energy, volume = np.eye(N_SERIES)[[ENERGY, VOLUME]]
+    mean_temperature, bath, pressure = 2.0 * means[KINETIC] / (f * k_B), scene.bath_temperature, scene.bath_pressure
+    T = mean_temperature if bath is None else bath  # noqa: N806
+    c_v = c_p = compressibility = expansion = np.nan
     if covariance[VOLUME, VOLUME] > 0.0:
-        enthalpy = energy + (np.nan if scene.bath_pressure is None else scene.bath_pressure) * volume
-        found[2] = enthalpy @ covariance @ enthalpy / (k_B * T**2)
-        found[3] = covariance[VOLUME, VOLUME] / (k_B * T * means[VOLUME])
-        found[4] = enthalpy @ covariance @ volume / (k_B * T**2 * means[VOLUME])
-    elif scene.bath_temperature is None:
-        found[1] = 0.5 * f * k_B / (1.0 - 2.0 * covariance[KINETIC, KINETIC] / (f * k_B**2 * T**2))
+        enthalpy = np.array([0.0, 1.0, np.nan if pressure is None else pressure])
+        c_p = enthalpy @ covariance @ enthalpy / (k_B * T**2)
+        compressibility = covariance[VOLUME, VOLUME] / (k_B * T * means[VOLUME])
+        expansion = enthalpy @ covariance[:, VOLUME] / (k_B * T**2 * means[VOLUME])
+    elif bath is None:
+        c_v = 0.5 * f * k_B / (1.0 - 2.0 * covariance[KINETIC, KINETIC] / (f * k_B**2 * T**2))
     else:
-        found[1] = covariance[ENERGY, ENERGY] / (k_B * T**2)
-    return found
+        c_v = covariance[ENERGY, ENERGY] / (k_B * T**2)
+    return np.array([mean_temperature, c_v, c_p, compressibility, expansion])
 
 
 @dataclass(frozen=True, repr=False)

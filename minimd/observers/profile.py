@@ -29,8 +29,8 @@ class Profile(Accumulator):
         ρ(z) = ⟨n(z) / ΔV⟩,   T(z) = ⟨Σ m v²⟩ / (g k_B ⟨n(z)⟩),   g = n_dof / N
 
     z is the distance along the normal of the two other lattice vectors. If the cell changes, layers of a periodic axis
-    move with it, and z is given in the mean cell. The velocities of a flow count as thermal,
-    but not those of the whole if n_dof leaves them out.
+    move with it, and z is given in the mean cell. The velocities of a flow count as thermal, but not those of the whole
+    if n_dof leaves them out.
 
     Raises ValueError for arguments out of range; when a run begins, if the cell and extent do not define the volume of
     layers: the other two axes must be periodic, and the axis itself without extent.
@@ -46,10 +46,8 @@ class Profile(Accumulator):
     def _begin(self, engine: Engine) -> None:
         pbc, k = engine.system.cell.pbc, AXES.index(self.axis)
         if not np.delete(pbc, k).all():
-            raise ValueError(
-                f"layers across axis {self.axis} need a cell that is periodic along the other two axes; its pbc = "
-                f"{pbc.tolist()}"
-            )
+            needed = f"a cell that is periodic along the other two axes; its pbc = {pbc.tolist()}"
+            raise ValueError(f"layers across axis {self.axis} need {needed}")
         if pbc[k] != (self.extent is None):
             needed = "is periodic: leave extent out" if pbc[k] else "is open: give extent=(lower, upper)"
             raise ValueError(f"axis {self.axis} of this cell {needed}")

@@ -27,11 +27,11 @@ R_MAX = "largest distance; half the smallest height of the cell at the start if 
 
 @kernel
 def count_pairs(positions, species, bins, pair_of_species, width, r_max, counts):
-    """counts[p, k] += number of pairs of kind p = pair_of_species[a, b] with k · width ≤ r < (k + 1) · width,
-    with all images within r_max.
+    """counts[p, k] += number of pairs of kind p = pair_of_species[a, b] with k · width ≤ r < (k + 1) · width, with all
+    images within r_max.
 
-    positions : (N, 3) [length], in the order of the bins and inside the cell.  species : (N,) int, in the same order.
-        bins : see neighbors.search.
+    positions : (N, 3) [length], in the order of the bins and inside the cell.  bins : see neighbors.search.
+    species : (N,) int, in the same order.
     """
     size, bin_start, translations, n_bins = bins.counts, bins.bin_start, bins.translations, counts.shape[1]
     ranges = np.empty((bins.forward.shape[0] + 1, 3), dtype=np.int64)
@@ -76,9 +76,8 @@ class RadialDistribution(Accumulator):
     def _begin(self, engine: Engine) -> None:
         system = engine.system
         if system.volume is None or len(system) < 2:
-            raise ValueError(
-                f"g(r) needs at least two atoms, and a cell that is periodic in all directions; this run has {system!r}"
-            )
+            needs = "at least two atoms, and a cell that is periodic in all directions"
+            raise ValueError(f"g(r) needs {needs}; this run has {system!r}")
         self.reach = self.r_max or float(system.cell.heights.min() / 2.0)
 
     def _laid_out(self, scene: ObservedRun) -> None:

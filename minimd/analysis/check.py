@@ -18,8 +18,8 @@ from minimd.files.h5md_reader import damage, damage_told, frames_of
 from minimd.files.turned_cell import as_in_run
 from minimd.integrators import LangevinBAOAB
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
-from minimd.structure.constraints import DistanceConstraints
-from minimd.structure.images import images_of_length, lengths_of
+from minimd.structure.cell import images_of_length
+from minimd.structure.constraints import DistanceConstraints, lengths_of
 from minimd.structure.observables import absolute_momentum, kinetic_energy, momentum
 from minimd.structure.system import System
 

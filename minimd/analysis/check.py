@@ -27,7 +27,7 @@ from minimd.structure.system import System
 SINGLE = 6e-8
 KINETIC = 1e-6  # K is quadratic in velocities: its error is twice that rounding; the rest is a margin for the sum
 LENGTHS = 2.1e-7  # √12 times that rounding: a length depends on six rounded coordinates
-EXACT = 0.0
+EXACT, TOTAL = 0.0, "potential + kinetic − total, relative to the total"
 OBSERVED = (*SERIES, "constraint_violation")
 ENOUGH_FRAMES = 20  # for a diffusion coefficient: its fit then has eight lags
 
@@ -94,8 +94,7 @@ def check_file(path: str | Path) -> FileCheck:
 
 
 def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
-    """The check of a file with an open universe.  damaged : its damaged frames or restarts,
-    see minimd.files.h5md_reader.damage."""
+    """The check of a file with an open universe.  damaged : its damaged frames or restarts, see files.h5md_reader."""
     written = f"{damaged or 'frames and restarts'} are{' not' if damaged else ''} those that were written"
     sums = Comparison("checksums", float(bool(damaged)), EXACT, written)
     contents, moved, system = made.contents, recompute(made), made.system
@@ -149,8 +148,7 @@ def recompute(run: str | Path | RunUniverse) -> Recomputed:
 
 
 def length_error(system: System) -> float:
-    """The largest | |r| − d | of the constrained lengths, relative to the largest coordinate;
-    0 without such lengths."""
+    """The largest | |r| − d | of the constrained lengths, relative to the largest coordinate; 0 without such lengths."""
     scale = float(np.abs(system.positions).max())
     for one in system.constraints:
         if isinstance(one, DistanceConstraints):
@@ -164,34 +162,24 @@ def length_error(system: System) -> float:
 def comparisons(moved: Recomputed) -> list[Comparison]:
     """Comparisons of recomputed quantities with stored ones."""
     stored, absolute = moved.stored, moved.absolute_momentum
-    parts = stored["potential_energy"] + stored["kinetic_energy"]
-    of_stored, not_later = "relative to the stored value", int(np.count_nonzero(np.diff(moved.step) <= 0))
-    rows = {
-        "kinetic energy": (moved.kinetic_energy, "kinetic_energy", stored["kinetic_energy"], KINETIC, of_stored),
-        "momentum": (moved.momentum, "momentum", absolute, SINGLE, "relative to Σ|mv|"),
-        "Σ|mv|": (absolute, "absolute_momentum", absolute, SINGLE, of_stored),
-    }
-    total = _largest(parts - stored["total_energy"], stored["total_energy"])
-    lengths = Comparison(
-        "lengths",
-        float(moved.length_error.max()),
-        LENGTHS,
-        "recomputed − prescribed, relative to the largest coordinate",
-    )
-    return [
-        *(
-            Comparison(name, _largest(found - stored[series], scale), tolerance, f"recomputed − stored, {words}")
-            for name, (found, series, scale, tolerance, words) in rows.items()
-        ),
-        Comparison("total energy", total, EXACT, "potential + kinetic − total, relative to the total"),
-        *([lengths] if "constraint_violation" in stored else []),
-        Comparison("steps", not_later, EXACT, "frames that are not later than the one before"),
+    kinetic, total, of_stored = stored["kinetic_energy"], stored["total_energy"], "relative to the stored value"
+    rows = [
+        ("kinetic energy", moved.kinetic_energy - kinetic, kinetic, KINETIC, f"recomputed − stored, {of_stored}"),
+        ("momentum", moved.momentum - stored["momentum"], absolute, SINGLE, "recomputed − stored, relative to Σ|mv|"),
+        ("Σ|mv|", absolute - stored["absolute_momentum"], absolute, SINGLE, f"recomputed − stored, {of_stored}"),
+        ("total energy", stored["potential_energy"] + kinetic - total, total, EXACT, TOTAL),
     ]
+    found = [Comparison(name, _largest(change, scale), limit, words) for name, change, scale, limit, words in rows]
+    if "constraint_violation" in stored:
+        words = "recomputed − prescribed, relative to the largest coordinate"
+        found.append(Comparison("lengths", float(moved.length_error.max()), LENGTHS, words))
+    not_later = int(np.count_nonzero(np.diff(moved.step) <= 0))
+    return [*found, Comparison("steps", not_later, EXACT, "frames that are not later than the one before")]
 
 
 def exact_momenta(made: RunUniverse) -> list[Comparison]:
-    """For a run in fixed-point arithmetic: Σ p of each frame, an integer in steps of the grid,
-    compared with that of the first frame."""
+    """For a run in fixed-point arithmetic: Σ p of each frame, an integer in steps of the grid, compared with that of the
+    first frame."""
     contents, grid = made.contents, made.contents.restart.grid
     if grid is None or not contents.conserves_momentum:
         return []

@@ -54,15 +54,12 @@ def about(story: Story) -> dict[str, Any]:
     motion, system, units = story.motion, story.contents.system, story.contents.system.units
     cell, place = motion.cell, {int(atom): k for k, atom in enumerate(motion.atoms)}
     lists = {
-        "low": motion.low,
-        "width": motion.width,
+        **{name: getattr(motion, name) for name in ("low", "width", "steps", "times")},
         "lattice": cell.lattice,
         "edges": np.where(cell.pbc[:, None], cell.vectors, cell.lattice),
         "reduction": cell.reduction + np.diag(~cell.pbc),
         "periodic": cell.pbc,
         "box": cell.vectors[np.any(cell.vectors != 0.0, axis=1)],
-        "steps": motion.steps,
-        "times": motion.times,
         "radii": 0.5 * motion.apart,
     }
     return {name: array.tolist() for name, array in lists.items()} | {

@@ -148,7 +148,7 @@ def recompute(run: str | Path | RunUniverse) -> Recomputed:
 
 
 def length_error(system: System) -> float:
-    """The largest | |r| − d | of the constrained lengths, relative to the largest coordinate; 0 without such lengths."""
+    """The largest | |r| − d | of the constrained lengths, relative to the largest coordinate; 0 without any."""
     scale = float(np.abs(system.positions).max())
     for one in system.constraints:
         if isinstance(one, DistanceConstraints):
@@ -178,8 +178,8 @@ def comparisons(moved: Recomputed) -> list[Comparison]:
 
 
 def exact_momenta(made: RunUniverse) -> list[Comparison]:
-    """For a run in fixed-point arithmetic: Σ p of each frame, an integer in steps of the grid, compared with that of the
-    first frame."""
+    """For a run in fixed-point arithmetic: Σ p of each frame, an integer in steps of the grid, compared with that of
+    the first frame."""
     contents, grid = made.contents, made.contents.restart.grid
     if grid is None or not contents.conserves_momentum:
         return []

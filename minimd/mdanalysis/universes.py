@@ -57,12 +57,8 @@ def bare_universe(kind: type[U], system: System) -> U:
     attributes = {"masses": system.masses, "types": labels, "names": labels}
     if any(label in SYMB2Z for label in labels):
         attributes["elements"] = [label if label in SYMB2Z else "" for label in labels]
-    attributes |= {
-        "resids": np.arange(1, n_molecules + 1),
-        "resnames": _formulas(system, of_atoms),
-        "segids": ["SYSTEM"],
-    }
-    groups = system.groups().items()
+    numbers, groups = np.arange(1, n_molecules + 1), system.groups().items()
+    attributes |= {"resids": numbers, "resnames": _formulas(system, of_atoms), "segids": ["SYSTEM"]}
     attributes |= {name: [tuple(one) for one in found.tolist()] for name, found in groups if len(found)}
     for name, values in attributes.items():
         made.add_TopologyAttr(name, values)
@@ -182,10 +178,8 @@ def _tell_cell(what: str, cell: Cell, turn: Turn | None) -> None:
     if turn is not None:
         warnings.warn(turn.in_words(what, ": R is ts.data['rotation']"), stacklevel=outside_minimd())
     if cell.is_periodic and not has_edges(cell):
-        advice = (
-            "give the open direction a length into which all atoms fit, with pbc, as in cell=[20, 20, 50], pbc=(True, "
-            "True, False)"
-        )
+        advice = "give the open direction a length into which all atoms fit, with pbc, as in cell=[20, 20, 50], "
+        advice += "pbc=(True, True, False)"
         fewer = "MDAnalysis needs three vectors and this cell has fewer: distances are not those of nearest images"
         warnings.warn(f"{what} has no cell, because {fewer}; {advice}", stacklevel=outside_minimd())
 
@@ -208,8 +202,7 @@ def _spacing(what: str, steps: NDArray[np.int64], times: Array) -> float | None:
 
 @contextmanager
 def universe_of(run: Run) -> Iterator[RunUniverse]:
-    """The universe of a run; if run is a universe, it stays open, else the universe is closed at the end.
-    Raises as universe."""
+    """The universe of a run; if run is a universe, it stays open, else it is closed at the end.  Raises as universe."""
     with quiet():  # the analyses here use the time of each frame
         made = run if isinstance(run, RunUniverse) else universe(run)
     try:
@@ -270,8 +263,8 @@ class Diffusion(Displayed):
     coefficient : D in this cell [Å²/ps, or σ²/τ].  cm2_per_s : the same in cm²/s, None in reduced units.
     error : standard error of D, from the scatter of the slopes of the atoms; NaN for fewer than 4 atoms.
     infinite : D in an infinite system, by the correction of Yeh and Hummer; None if no viscosity was given.
-    window : lags of the straight-line fit [ps or τ].  lags, displacements : (T,) [ps or τ], (T,)
-        mean squares [Å² or σ²].
+    window : lags of the straight-line fit [ps or τ].
+    lags, displacements : (T,) [ps or τ], (T,) mean squares [Å² or σ²].
     """
 
     coefficient: float

@@ -40,7 +40,7 @@ class Profile(Accumulator):
     axis: str = argument(axis_name, "a, b or c, the lattice vector", "c")
     n_bins: int = argument(checked_count, "number of bins", 100)
     every: int = steps(50)
-    extent: list[float] | None = argument(interval, EXTENT_WORDS, None, "length")
+    extent: tuple[float, float] | None = argument(interval, EXTENT_WORDS, None, "length")
     name: str = label()
 
     def _begin(self, engine: Engine) -> None:

@@ -34,13 +34,9 @@ def dask():
         yield client
 
 
-EXECUTORS = {
-    "this process": ThisProcess,
-    "threads": partial(ThreadPoolExecutor, 2),
-    "fork": partial(ProcessPoolExecutor, 2, mp_context=multiprocessing.get_context("fork")),
-    "spawned": partial(SpawnedProcesses, 1),
-    "dask": dask,
-}
+EXECUTORS = {"this process": ThisProcess, "threads": partial(ThreadPoolExecutor, 2)}
+EXECUTORS |= {"fork": partial(ProcessPoolExecutor, 2, mp_context=multiprocessing.get_context("fork"))}
+EXECUTORS |= {"spawned": partial(SpawnedProcesses, 1), "dask": dask}
 KINDS = [pytest.param(kind, marks=[pytest.mark.slow] * (kind != "threads")) for kind in EXECUTORS]
 
 

@@ -122,17 +122,14 @@ EVENTS = {  # what happens, the function run, and what is left: members that go 
     "fewer steps": (lambda go, *_: go(steps=35), PLAIN, "0+1+2+"),
     "fewer members": (lambda go, *_: go(parameters={"temperature": [0.4, 0.5]}), PLAIN, "2*"),
     **{f"killed at {k}": (partial(killed, at=k), PLAIN, None) for k in (3, 7, 12, 20, 25, 31)},
-    "damaged": (damaged, PLAIN, "0+1*2+"),
-    "cut off": (cut_off, BY_HAND, "0*1*2*"),
+    "damaged": (damaged, PLAIN, "0+1*2+"),              "cut off": (cut_off, BY_HAND, "0*1*2*"),
     "blown up and not noted": (blown_up_and_not_noted, PLAIN, "2*"),
     "failed after the run": (failed_after_the_run, BY_HAND, "2"),
     "Ctrl-C": (partial(interrupted, workers=0), PLAIN, "1+2*"),
     "Ctrl-C with a worker": (partial(interrupted, workers=1), PLAIN, "1+2*"),
-    "a full disk": (a_full_disk, BY_HAND, "0+1*2*"),
     "a journal without room": (a_journal_without_room, BY_HAND, "12*"),
-    "another ensemble": (another_ensemble, PLAIN, ""),
+    "a full disk": (a_full_disk, BY_HAND, "0+1*2*"),    "another ensemble": (another_ensemble, PLAIN, ""),
 }
-
 # fmt: on
 ALL = [pytest.param(name, marks=[pytest.mark.slow] * (name != "killed at 25")) for name in EVENTS]
 
@@ -143,9 +140,8 @@ def test_the_next_call_makes_what_is_left_with_the_same_bits(event, done, done_b
     go, made, before = partial(run, tmp_path, run=function), [], md.Simulation.run
     with monkeypatch.context() as patch:
         happens(go, tmp_path, patch)
-    monkeypatch.setattr(
-        md.Simulation, "run", lambda *of, **how: (made.append("+" if "append" in how else "*"), before(*of, **how))[1]
-    )
+    noted = lambda *of, **how: (made.append("+" if "append" in how else "*"), before(*of, **how))[1]  # noqa: E731
+    monkeypatch.setattr(md.Simulation, "run", noted)
     go(lambda _, member: made.append(str(member.index)))
     assert left in (None, "".join(made))
     assert_same(tmp_path, (done_by_hand if function else done).folder)

@@ -42,13 +42,9 @@ def folder(tmp_path, monkeypatch):
 
 
 SETTINGS = {
-    "80:120:5": [80, 85, 90, 95, 100, 105, 110, 115, 120],
-    "0.1:0.3:0.1": [0.1, 0.2, 0.3],
-    "1:0.5:-0.25": [1.0, 0.75, 0.5],
-    "1:2:3": [1],
-    "1,2.5,1e-3": [1, 2.5, 0.001],
-    'shifted,"smooth",true': ["shifted", "smooth", True],
-}
+    "80:120:5": [80, 85, 90, 95, 100, 105, 110, 115, 120], 'shifted,"smooth",true': ["shifted", "smooth", True],
+    "0.1:0.3:0.1": [0.1, 0.2, 0.3], "1:0.5:-0.25": [1.0, 0.75, 0.5], "1:2:3": [1], "1,2.5,1e-3": [1, 2.5, 0.001],
+}  # fmt: skip
 
 
 def test_settings_are_read_in_decimals_with_both_ends():

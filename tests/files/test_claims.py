@@ -144,11 +144,8 @@ def test_no_small_file_is_written_through_a_link(kind, tmp_path):
 def test_a_file_that_is_lost_under_the_run_is_told(fate, tmp_path, monkeypatch):
     bring_to_disk_every(0.0, monkeypatch)
     path = tmp_path / "a.h5md"
-    meddle = {
-        "removed": path.unlink,
-        "replaced": lambda: (path.unlink(), path.write_text("mine")),
-        "cut": lambda: os.truncate(path, 1000),
-    }
+    meddle = {"removed": path.unlink, "cut": lambda: os.truncate(path, 1000)}
+    meddle["replaced"] = lambda: (path.unlink(), path.write_text("mine"))
     with pytest.raises(OSError, match=rf"step 15: it was {fate}"):
         simulation().run(30, every=5, trajectory=path, observers=[at_step(10, meddle[fate])])
     assert fate != "replaced" or path.read_text() == "mine"

@@ -15,11 +15,9 @@ from minimd.neighbors.cluster_list import ClusterList
 SERIES = ("potential_energy", "total_energy", "temperature", "pressure", "momentum", "angular_momentum")
 BONDED = [*MANY, md.HarmonicBond(50.0, 1.1)]
 START = {  # as many domains as the cell is long, a team of eight
-    "chains": lambda: (rod(6), BONDED),
-    "melt": lambda: (melt(), [LJ]),
-    "rod": lambda: (rod(6, 5), MANY),
-    "long chains": lambda: (rod(6, 5), BONDED),
-}
+    "chains": lambda: (rod(6), BONDED), "melt": lambda: (melt(), [LJ]),
+    "rod": lambda: (rod(6, 5), MANY),   "long chains": lambda: (rod(6, 5), BONDED),
+}  # fmt: skip
 
 
 def ran(scene, threads, n_steps):

@@ -146,14 +146,11 @@ def stiff_bond_among_its_resonances(x):
 
 
 ZIGZAGS = (0.0, 1e-300, 1e-12, 1e-6, 1e-3, 0.1)
-CONSERVED = {
-    open_space: [()],
+CONSERVED = {scene: [()] for scene in (open_space, lines_collisions_and_masses, million_atoms)} | {
     of_table: [(name,) for name in WITHIN],
     rigid: [(100_000, stress.rigid_ring(), 1e-11), *((2000, stress.rigid_chain(z), np.inf) for z in ZIGZAGS)],
-    lines_collisions_and_masses: [()],
     dimer_below_its_limit: product((OPEN, SMOOTH), (0.1, 0.5, 1.0, 1.5, 1.9)),
     springs_below_their_limit: [(x,) for x in BELOW],
-    million_atoms: [()],
     stiff_bond_among_its_resonances: [(x,) for x in (0.1, 0.5, 0.9, 1.3, 1.41, 1.7, 1.8)],
 }
 CASES = [(scene, given) for scene, rows in CONSERVED.items() for given in rows]

@@ -127,15 +127,8 @@ def sites_of_a_crystal(lattice):
 
 
 FAR, OF_UNITS = (1e3, 1e6, 1e9), product([*POWERS, SI, (1e-60, 1, 1), (1e60, 1, 1)], (2, 4))
-SAME = {
-    two_or_many: [()],
-    of_places: [()],
-    units: OF_UNITS,
-    chains: POWERS[:4],
-    skins: product((True, False)),
-    far_away: product(FAR),
-    sites_of_a_crystal: product([*BASES, "hcp"]),
-}
+SAME = {two_or_many: [()], of_places: [()], units: OF_UNITS, chains: POWERS[:4], skins: product((True, False))}
+SAME |= {far_away: product(FAR), sites_of_a_crystal: product([*BASES, "hcp"])}
 
 
 @pytest.mark.parametrize(("scene", "given"), [(scene, given) for scene, rows in SAME.items() for given in rows])

@@ -26,6 +26,7 @@ SECONDS_BETWEEN_LOOKS = 0.05
 SECONDS_TO_END = 5.0  # for a child to end after SIGTERM, before it is killed
 SECONDS_TO_TRY = 60.0
 OUTPUT = "output.txt"
+LIBRARIES = Path(sys.prefix, "lib")  # those of mpich, if it is installed with Python
 # for sh: when the other end of its input is closed, kill its process group
 GUARD = "trap '' TERM; read -r line; kill -KILL 0"
 
@@ -54,7 +55,7 @@ def environment() -> dict[str, str]:
     and one thread for each process."""
     before = os.environ.get("LD_LIBRARY_PATH", "")
     return os.environ | {
-        "LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(Path(sys.prefix, "lib")), before])),
+        "LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(LIBRARIES), before])),
         "OMP_NUM_THREADS": "1",
     }
 

@@ -130,7 +130,7 @@ def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
         f"timestep {engine.method.timestep:.17g}",
         f"fix motion {moving} nve",
         *bath,
-        *_shake(model),
+        *held(model),
         f"thermo_style custom step pe{' f_bath' if bath else ''}",
         f"thermo {look_every(n_steps, every)}",
         "thermo_modify norm no flush yes format float %.17g",
@@ -141,17 +141,18 @@ def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
     return "\n".join([*lines, ""])
 
 
-def _shake(model: Model) -> list[str]:
+def held(
+    model: Model, fix: str = "shake", tolerance: float = SHAKE_TOLERANCE, most: int = SHAKE_ITERATIONS
+) -> list[str]:
     """Rigid bonds, after all other fixes.
 
-    Fix rattle is not used: that of LAMMPS 22 Jul 2025 moves molecules of three atoms on the border of two processes
-    wrongly, and dumps velocities with a component along the bonds. The positions of SHAKE are those of RATTLE, and so
-    are its velocities after a projection, see Job.
+    Fix rattle is not the default: that of LAMMPS 22 Jul 2025 moves molecules of three atoms on the border of two
+    processes wrongly, and dumps velocities with a component along the bonds. The positions of SHAKE are those of
+    RATTLE, and so are its velocities after a projection, see handing_over.
     """
-    if not len(model.rigid_bonds):
-        return []
-    words = [f"fix rigid all shake {SHAKE_TOLERANCE} {SHAKE_ITERATIONS} 0 b", *(str(k + 1) for k in model.rigid_bonds)]
-    return [" ".join(words + (["a", *(str(k + 1) for k in model.rigid_angles)] if len(model.rigid_angles) else []))]
+    kinds = {"b": model.rigid_bonds, "a": model.rigid_angles}
+    types = [word for key, ones in kinds.items() if ones for word in (key, *(str(k + 1) for k in ones))]
+    return [f"fix rigid all {fix} {tolerance} {most} 0 {' '.join(types)}"] if types else []
 
 
 def _bath(engine: Engine, moving: str) -> list[str]:

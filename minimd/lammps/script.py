@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
+from minimd.files.claim import write_whole
 from minimd.integrators import LangevinBAOAB, Leapfrog, Splitting, StochasticVelocityRescaling, VelocityVerlet
 from minimd.lammps.box import Box
 from minimd.lammps.model import Model, words
@@ -42,6 +43,14 @@ def check_method(engine: Engine) -> None:
         )
     if method.timestep < 0.0:
         raise ValueError(f"the time step must be positive for LAMMPS; timestep = {method.timestep!r}")
+
+
+def write(folder: Path, engine: Engine, model: Model, n_steps: int, every: int) -> None:
+    """All files that a hand-over begins with."""
+    write_atoms(folder / ATOMS, model, model.box, engine.velocities)
+    write_whole(folder / FORCES, forces_script(model))
+    write_whole(folder / VERIFY, verify_script())
+    write_whole(folder / RUN, run_script(engine, model, n_steps, every))
 
 
 def write_atoms(path: Path, model: Model, box: Box, velocities: NDArray[np.float64]) -> None:

@@ -36,43 +36,35 @@ MOST_BONDS = 3  # of a middle atom
 CAN = "fix shake of LAMMPS holds one to three bonds of a middle atom, or triangles with two equal sides"
 
 
-class Rigid(NamedTuple):
-    """bonds : (B, 2) atoms.  lengths : (B,) [length].  angles : (A, 3) atoms, the middle one second.  openings : (A,)
-    [rad]."""
-
-    bonds: NDArray[np.int64]
-    lengths: NDArray[np.float64]
-    angles: NDArray[np.int64]
-    openings: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, constraints: DistanceConstraints, n_atoms: int) -> Rigid:
-        """The bonds and angles that keep these lengths.  Raises ValueError for molecules that LAMMPS cannot hold."""
-        pairs, lengths = constraints.pairs, np.asarray(constraints.lengths)
-        links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n_atoms, n_atoms))
-        n_molecules, molecule = connected_components(links, directed=False)
-        of_pair = molecule[pairs[:, 0]]
-        n_bonds, n_members = np.bincount(of_pair, minlength=n_molecules), np.bincount(molecule, minlength=n_molecules)
-        degree = np.zeros(n_molecules, dtype=np.int64)
-        np.maximum.at(degree, molecule, np.bincount(pairs.ravel(), minlength=n_atoms))
-        is_star = (n_bonds == n_members - 1) & (degree == n_bonds) & (n_bonds <= MOST_BONDS)
-        is_triangle = (n_bonds == 3) & (n_members == 3)
-        wrong = np.flatnonzero(~(is_star | is_triangle | (n_members == 1)))
-        if wrong.size:
-            atoms = np.flatnonzero(molecule == wrong[0])
-            found = f"the rigid molecule of atom {atoms[0]} has {len(atoms)} atoms and {n_bonds[wrong[0]]} lengths"
-            raise ValueError(f"{CAN}; {found}: run this scene with minimd")
-        in_triangle = is_triangle[of_pair]
-        triangles = np.flatnonzero(in_triangle)[np.argsort(of_pair[in_triangle], kind="stable")].reshape(-1, 3)
-        stars = np.flatnonzero(~in_triangle)
-        first, second, angles, openings = _opened(pairs, lengths, triangles)
-        chosen = np.concatenate([stars, first, second])
-        return cls(pairs[chosen], lengths[chosen], angles, openings)
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 
-def _opened(
-    pairs: NDArray[np.int64], lengths: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+def rigid_groups(constraints: DistanceConstraints, n_atoms: int) -> tuple[Indices, Array, Indices, Array]:
+    """The bonds (B, 2) with lengths (B,) [length], and the angles (A, 3), the middle atom second, with openings (A,)
+    [rad], that keep these lengths.  Raises ValueError for molecules that LAMMPS cannot hold."""
+    pairs, lengths = constraints.pairs, np.asarray(constraints.lengths)
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n_atoms, n_atoms))
+    n_molecules, molecule = connected_components(links, directed=False)
+    of_pair = molecule[pairs[:, 0]]
+    n_bonds, n_members = np.bincount(of_pair, minlength=n_molecules), np.bincount(molecule, minlength=n_molecules)
+    degree = np.zeros(n_molecules, dtype=np.int64)
+    np.maximum.at(degree, molecule, np.bincount(pairs.ravel(), minlength=n_atoms))
+    is_star = (n_bonds == n_members - 1) & (degree == n_bonds) & (n_bonds <= MOST_BONDS)
+    is_triangle = (n_bonds == 3) & (n_members == 3)
+    wrong = np.flatnonzero(~(is_star | is_triangle | (n_members == 1)))
+    if wrong.size:
+        atoms = np.flatnonzero(molecule == wrong[0])
+        found = f"the rigid molecule of atom {atoms[0]} has {len(atoms)} atoms and {n_bonds[wrong[0]]} lengths"
+        raise ValueError(f"{CAN}; {found}: run this scene with minimd")
+    in_triangle = is_triangle[of_pair]
+    triangles = np.flatnonzero(in_triangle)[np.argsort(of_pair[in_triangle], kind="stable")].reshape(-1, 3)
+    first, second, angles, openings = _opened(pairs, lengths, triangles)
+    chosen = np.concatenate([np.flatnonzero(~in_triangle), first, second])
+    return pairs[chosen], lengths[chosen], angles, openings
+
+
+def _opened(pairs: Indices, lengths: Array, triangles: Indices) -> tuple[Indices, Indices, Indices, Array]:
     """Two equal sides of each triangle, the atoms of the angle between them, and the angle.  triangles : (A, 3)
     indices of pairs."""
     sides = lengths[triangles]
@@ -90,8 +82,7 @@ def _opened(
     ends, others = pairs[first], pairs[second]
     is_shared = (ends[:, :, None] == others[:, None, :]).any(axis=2)  # of the two ends of the first side
     middle = ends[is_shared]
-    last = others[~(others == middle[:, None])]
-    angles = np.column_stack([ends[~is_shared], middle, last])
+    angles = np.column_stack([ends[~is_shared], middle, others[others != middle[:, None]]])
     return first, second, angles, 2.0 * np.arcsin(0.5 * lengths[third] / lengths[first])
 
 
@@ -112,9 +103,9 @@ class AtomTypes(NamedTuple):
         is_fixed : (T,) bool.
     """
 
-    of_atom: NDArray[np.int64]
-    species: NDArray[np.int64]
-    masses: NDArray[np.float64]
+    of_atom: Indices
+    species: Indices
+    masses: Array
     is_fixed: NDArray[np.bool_]
 
     @classmethod
@@ -135,10 +126,6 @@ class AtomTypes(NamedTuple):
             of_atom.reshape(-1), rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
         )
 
-    def named(self, numbers: NDArray[np.bool_]) -> str:
-        """The types for which numbers is true, as text for LAMMPS' commands."""
-        return " ".join(str(k + 1) for k in np.flatnonzero(numbers))
-
 
 class Groups:
     """Bonds, angles or dihedrals, with their types.
@@ -151,9 +138,7 @@ class Groups:
         self.size, self.coefficients = size, list[Style]()
         self.atoms, self.types = np.zeros((0, size), dtype=np.int64), np.zeros(0, dtype=np.int64)
 
-    def add(
-        self, atoms: NDArray[np.int64], parameters: NDArray[np.float64], written: Callable[[list[float]], Style]
-    ) -> range:
+    def add(self, atoms: Indices, parameters: Array, written: Callable[[list[float]], Style]) -> range:
         """Add groups, with a new type for each of the different rows of parameters, and return the new types.
 
         atoms : (G, size).  parameters : (G, P).  written : called with P numbers, gives the coefficients of a type.
@@ -283,15 +268,12 @@ class Model:
                 f"LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms {pair}: run this "
                 "scene with minimd"
             )
-        rigid = Rigid.of(constraints, len(is_fixed))
-        self.rigid_bonds = self.bonds.add(
-            rigid.bonds, rigid.lengths[:, None], lambda row: ("harmonic", words(0.0, *row))
-        )
-        self.rigid_angles = self.angles.add(
-            rigid.angles, rigid.openings[:, None], lambda row: ("harmonic", words(0.0, *np.degrees(row)))
-        )
+        bonds, lengths, angles, openings = rigid_groups(constraints, len(is_fixed))
+        forceless: Callable[[list[float]], Style] = lambda row: ("harmonic", words(0.0, *row))  # noqa: E731
+        self.rigid_bonds = self.bonds.add(bonds, lengths[:, None], forceless)
+        self.rigid_angles = self.angles.add(angles, np.degrees(openings)[:, None], forceless)
 
-    def _complete_graph(self, bonds: NDArray[np.int64]) -> None:
+    def _complete_graph(self, bonds: Indices) -> None:
         """Add the bonds without a law: LAMMPS counts bonded_scale along all bonds that it knows.
         Raises ValueError if it knows others."""
         known = self.bonds.atoms
@@ -347,7 +329,7 @@ def _outside(potential: Any, known: str) -> ValueError:
     )
 
 
-def _longest(positions: NDArray[np.float64], cell: Cell, joined: list[Groups]) -> float:
+def _longest(positions: Array, cell: Cell, joined: list[Groups]) -> float:
     """The longest present bond, in angles and dihedrals too [length]; 1 if there is none."""
     pairs = np.concatenate([groups.atoms[:, k : k + 2] for groups in joined for k in range(groups.size - 1)])
     if not len(pairs):

@@ -128,7 +128,7 @@ def verify_script() -> str:
 
 def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
     """The commands of the run: integrator, bath, rigid bonds, output."""
-    fixed = model.types.named(model.types.is_fixed)
+    fixed = " ".join(str(k + 1) for k in np.flatnonzero(model.types.is_fixed))
     moving = "mobile" if fixed else "all"
     bath = _bath(engine, moving)
     lines = [

@@ -58,19 +58,14 @@ nstcalcenergy = 1000000000
 GROMACS_TOPOLOGY = """
 [ defaults ]
 1 1 no 1.0 1.0
-
 [ atomtypes ]
 A 18 1.0 0.0 A 4.0 4.0  ; 4 ε σ⁶ and 4 ε σ¹²
-
 [ moleculetype ]
 A 1
-
 [ atoms ]
 1 A 1 A A 1 0.0 1.0
-
 [ system ]
 melt
-
 [ molecules ]
 A {n_atoms}
 """
@@ -95,21 +90,13 @@ class Engine:
 
 
 class Minimd(Engine):
-    """minimd as a user calls it.  method : with its time step; if not given, that of the scene.
-
-    every : steps between observations; if not given, only start and end of a run are observed.  trajectory :
-        file to write, replaced by each run.
-    """
+    """minimd as a user calls it.  every : steps between observations; if not given, only start and end of a run are
+    observed.  trajectory : file to write, replaced by each run."""
 
     def __init__(
-        self,
-        scene: BenchScene,
-        threads: int = 1,
-        method: md.integrators.Splitting | None = None,
-        every: int | None = None,
-        trajectory: Path | None = None,
+        self, scene: BenchScene, threads: int = 1, every: int | None = None, trajectory: Path | None = None
     ) -> None:
-        given = scene.system, scene.potentials, method or scene.method, scene.constraints
+        given = scene.system, scene.potentials, scene.method, scene.constraints
         self.simulation = simulation = md.Simulation(*given, threads=threads, barostat=scene.barostat)
         options: dict[str, Any] = {"trajectory": trajectory or (), "overwrite": True, "progress": False}
         super().__init__(

@@ -116,7 +116,7 @@ def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, tuple[Benc
         "+ bonds": (bonded._replace(potentials=(plain, spring)), {}),
         "+ bonds, exclusions": (bonded._replace(potentials=(excluding, spring)), {}),
         "+ rigid bonds, exclusions": (bonded._replace(potentials=(excluding,), constraints=(rigid,)), {}),
-        "+ Langevin bath": (base, {"method": langevin}),
+        "+ Langevin bath": (base._replace(method=langevin), {}),
         "− periodic boundaries (droplet)": (_with(base, pbc=False), {}),
         "Kob-Andersen mixture": (equilibrated(SCENES["kob-andersen"](n)), {}),
         "chains of 100 beads": (equilibrated(SCENES["chains"](n)), {}),

@@ -183,55 +183,41 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
     if truncation is not None:
         scene = scene._replace(potentials=(md.LennardJones(1.0, 1.0, CUTOFF, truncation),))
     costs, methods = (COSTS_QUICK, QUICK_METHODS) if quick else (COSTS, tuple(SPLITTINGS))
+    names = () if name == "argon-smooth" else PEER_NAMES  # no peer has this potential
+    peers = [engines.PEERS[one] for one in names if engines.PEERS[one].is_installed]
+    runs = [(SPLITTINGS[one], None) for one in methods] + [(md.VelocityVerlet, peer) for peer in peers]
     reference, points = _path(scene, SPLITTINGS[REFERENCE], REFERENCE_COST), []
-    for method in (SPLITTINGS[one] for one in methods):
+    for method, peer in runs:
         for cost in costs:
-            steps = _steps(method, cost)
-            tell(f"{name}: {method.name}, Δt = {DURATION / steps:.3g}")
-            path = _path(scene, method, cost)
-            is_lost = path is None or reference is None
-            distance = np.nan if is_lost else float(np.sqrt(np.mean((path - reference) ** 2)))
-            make: Callable[[], engines.Engine] = partial(
-                engines.Minimd, scene, 1, method(DURATION / steps), steps // OBSERVATIONS
-            )
-            points.append(measured(scene, method, steps, make, repeats, distance))
-    peers = () if name == "argon-smooth" else PEER_NAMES  # no peer has this potential
-    for peer in (engines.PEERS[one] for one in peers if engines.PEERS[one].is_installed):
-        for cost in costs:
-            steps = _steps(md.VelocityVerlet, cost)
-            tell(f"{name}: {peer.package}, Δt = {DURATION / steps:.3g}")
-            make = partial(peer.load, scene, 1, DURATION / steps)
-            points.append(measured(scene, md.VelocityVerlet, steps, make, repeats, np.nan))
+            steps = OBSERVATIONS * max(1, round(cost * DURATION / method.stages / OBSERVATIONS))
+            timestep = DURATION / steps
+            tell(f"{name}: {peer.package if peer else method.name}, Δt = {timestep:.3g}")
+            own = scene._replace(method=method(timestep))
+            if peer is None:
+                distance = float(np.sqrt(np.mean((_path(scene, method, cost) - reference) ** 2)))
+                make = partial(engines.Minimd, own, 1, steps // OBSERVATIONS)
+                points.append(measured(own, steps, make, repeats, distance))
+            else:
+                points.append(measured(own, steps, partial(peer.load, scene, 1, timestep), repeats, np.nan))
     text = f"{scene.text}{'; ' if words else ''}{words}; {len(scene.system)} atoms, one thread, {DURATION:g} τ"
     return Case(name, text, "τ", points)
 
 
-def _steps(method: type[Splitting], cost: float) -> int:
-    """The number of steps with about `cost` force evaluations per τ, divisible by the number of observations."""
-    return OBSERVATIONS * max(1, round(cost * DURATION / method.stages / OBSERVATIONS))
-
-
-def _path(scene: BenchScene, method: type[Splitting], cost: float) -> Any:
-    """Positions (N, 3) after a short time; None if the run fails."""
+def _path(scene: BenchScene, method: type[Splitting], cost: float) -> NDArray[np.float64]:
+    """Positions (N, 3) after a short time; NaN if the run fails."""
     steps = max(1, round(cost * SHORT / method.stages))
-    engine = engines.Minimd(scene, 1, method(SHORT / steps))
+    engine = engines.Minimd(scene._replace(method=method(SHORT / steps)))
     try:
         engine.run(steps)
     except ArithmeticError:
-        return None
+        return np.full_like(engine.positions, np.nan)
     return engine.positions
 
 
-def measured(
-    scene: BenchScene,
-    method: type[Splitting],
-    steps: int,
-    make: Callable[[], engines.Engine],
-    repeats: int,
-    distance: float,
-) -> Point:
+def measured(scene: BenchScene, steps: int, make: Callable[[], engines.Engine], repeats: int, distance: float) -> Point:
     """Measure one run of a new engine; if it fails, its errors are infinite.  The observations count in the time of
     minimd, which makes them in its run, and not in that of a peer."""
+    method = scene.method
     point = Point("", method.name, method.order, DURATION / steps, steps * method.stages / DURATION)
     seconds = np.inf
     for _ in range(repeats):

@@ -166,7 +166,7 @@ def test_peer_with_another_energy_is_refused_and_one_that_blows_up_is_no_disagre
 @pytest.mark.slow  # compiles the law of the melt
 def test_peer_with_another_time_step_is_refused():
     right = engines.Minimd(scenes.melt(4))
-    wrong = engines.Minimd(scenes.melt(4), method=md.VelocityVerlet(0.00505))
+    wrong = engines.Minimd(scenes.melt(4)._replace(method=md.VelocityVerlet(0.00505)))
     with pytest.raises(ArithmeticError, match="potential energy per atom after 10 steps"):
         turns.check_agreement([right, wrong], N_ATOMS)
 
@@ -304,7 +304,7 @@ def test_the_front_of_work_precision_is_what_nothing_beats():
 def test_a_run_that_fails_has_no_finite_error():
     """Not even the distance, which was measured in a run that was shorter."""
     engine = type("Engine", (), {"name": "minimd", "run": lambda *_: 1 // 0})
-    point = work_precision.measured(scenes.SCENES["melt"](3), md.VelocityVerlet, 20, engine, 2, 1e-3)
+    point = work_precision.measured(scenes.SCENES["melt"](3), 20, engine, 2, 1e-3)
     assert (point.seconds, point.oscillation, point.drift, point.distance) == (np.inf,) * 4
 
 

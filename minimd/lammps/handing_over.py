@@ -31,7 +31,8 @@ from minimd.lammps import script
 from minimd.lammps.box import IMAGES, Box
 from minimd.lammps.model import Model
 from minimd.lammps.program import INSTALL, OUTPUT, Log, Program, find_program, run
-from minimd.lammps.verification import LEAST, Verification, compare, in_both, tails_of
+from minimd.lammps.verification import LEAST, Verification, compare, in_both
+from minimd.potentials.term import bound
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag
 from minimd.structure.errors import HandOverError, sentence
@@ -97,11 +98,10 @@ Tell = Callable[[str], object]
 class HandOver(Displayed):
     """The result of a hand-over.
 
-    folder : of all files.  trajectory : the H5MD file, from which Simulation.resume goes on.  record :
-        Record of its frames.
-    verification : of step 0.  energy_difference : largest difference, in all frames, of the potential energies of
-        LAMMPS and minimd, as a fraction of the largest of Verification.scale,
-        the potential energy of the frame and its N k_B T.
+    folder : of all files.  trajectory : the H5MD file, from which Simulation.resume goes on.  record : Record of its
+        frames.  verification : of step 0.
+    energy_difference : largest difference, in all frames, of the potential energies of LAMMPS and minimd, as a fraction
+        of the largest of Verification.scale, the potential energy of the frame and its N k_B T.
     seconds : of each phase.  version : of LAMMPS.  processes : their number.
     """
 
@@ -129,6 +129,8 @@ class HandOver(Displayed):
 def not_carried_over(simulation: Simulation) -> list[str]:
     """The promises of minimd that a run by LAMMPS does not keep, one sentence each."""
     engine, method, extra = simulation.engine, simulation.method, simulation.engine.extra_observables
+    is_fixed_point = engine.interactions.options.precision != "double"
+    is_rigid = engine.constraint_set.bonds is not None
     rows = {  # sentence: whether it applies
         "exact restart: bits depend on the number of processes, and on where LAMMPS ended; minimd goes on from "
         "positions and velocities only": True,
@@ -137,10 +139,8 @@ def not_carried_over(simulation: Simulation) -> list[str]:
         "order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, and its errors "
         "of order Δt² differ": isinstance(method, LangevinBAOAB),
         f"{', '.join(extra)}: computed by minimd for each frame, not by LAMMPS": len(extra) > 0,
-        "fixed-point arithmetic: LAMMPS computes in double precision": engine.interactions.options.precision
-        != "double",
-        f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration": engine.constraint_set.bonds
-        is not None,
+        "fixed-point arithmetic: LAMMPS computes in double precision": is_fixed_point,
+        f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration": is_rigid,
         "observers, crash reports and the run guard: a run of LAMMPS that fails ends with LAMMPS' own error, and the "
         "frames before it are kept": True,
     }
@@ -159,30 +159,26 @@ def hand_over(
     progress: bool | None = None,
     tell: Tell | None = print,
 ) -> HandOver:
-    """Let LAMMPS make the next steps of a simulation.
-
-    Afterwards the simulation is in the state in which LAMMPS ended, and can go on.
+    """Let LAMMPS make the next steps of a simulation, which is then in the state in which LAMMPS ended, and can go on.
 
     The scene is written for LAMMPS from the same laws. LAMMPS evaluates it at step 0; energy, force and virial of each
     atom must agree with those of minimd to 1e-10 of the largest, or nothing is run. Then LAMMPS runs as a child
-    process, under mpiexec for several processes. Its frames are read back, observed by minimd,
-    and written to an H5MD file with a restart.
+    process, under mpiexec for several processes. Its frames are read back, observed by minimd, and written to an H5MD
+    file with a restart.
 
     Parameters
     ----------
-    folder : for all files; it must not exist, or must be empty.  steps : number of steps.  processes :
-        number of MPI processes.
-    every : steps between frames: the first state, and then those whose step is a multiple of every.  store_forces :
-        also write forces.
-    overwrite : replace the folder.  progress : as for Simulation.run.  tell : called with lines about the hand-over;
-        None for silence.
+    folder : for all files; it must not exist, or must be empty.  steps : number of steps.  processes : number of MPI
+        processes.
+    every : steps between frames: the first state, and then those whose step is a multiple of every.
+    store_forces : also write forces.  overwrite : replace the folder.  progress : as for Simulation.run.  tell : called
+        with lines about the hand-over; None for silence.
 
     Raises
     ------
-    FileNotFoundError : if LAMMPS is not found, or mpiexec for several processes.  FileExistsError :
-        for a folder that is not empty.
+    FileNotFoundError : if LAMMPS is not found, or mpiexec for several processes.  FileExistsError : for a folder that
+        is not empty.  OSError : for files.
     ValueError : for a scene that LAMMPS cannot run as minimd does.  HandOverError : if LAMMPS disagrees or fails.
-        OSError : for files.
     The simulation is then in its state before, and the folder is removed. But if LAMMPS fails after it has written
     frames, the complete frames are kept, and the simulation is in the state of the last one.
     """
@@ -211,9 +207,10 @@ def hand_over(
         with phase(job, "reading back"):
             back = _brought_back(job, model, log, verification.scale, with_forces, not (failure or job.stop_requested))
         _judge(job, failure, *back, log.dangerous_builds)
-        record, difference, _ = back
-        version, trajectory = job.program.version, job.folder / TRAJECTORY
-        done = HandOver(job.folder, trajectory, record, verification, difference, job.seconds, version, job.processes)
+        version = job.program.version
+        done = HandOver(
+            job.folder, job.folder / TRAJECTORY, back[0], verification, back[1], job.seconds, version, job.processes
+        )
         for line in str(done).splitlines()[2:]:
             tell(line)
         return done
@@ -228,10 +225,9 @@ def check_hand_over(
     every: int = 100,
     overwrite: bool = False,
 ) -> None:
-    """Raise the errors that hand_over raises before it starts: for a scene that LAMMPS cannot run,
-    if LAMMPS is not found, for the folder."""
-    job = _checked(simulation, Path(folder), steps, processes, every, overwrite)
-    Model(job.engine)
+    """Raise the errors that hand_over raises before it starts: for a scene that LAMMPS cannot run, if LAMMPS is not
+    found, for the folder."""
+    Model(_checked(simulation, Path(folder), steps, processes, every, overwrite).engine)
 
 
 @dataclass
@@ -376,7 +372,9 @@ def _brought_back(
     job.keeps_frames = first is not None
     if first is None and not is_whole:
         return record, 0.0, 0
-    start, tail, title, differences = engine.reservoir_energy, float(tails_of(engine)[0]), notes["title"], []
+    start, title, differences = engine.reservoir_energy, notes["title"], list[float]()
+    # [energy], of tail corrections, which LAMMPS does not compute
+    tail = sum(float(bound(one, engine.system).tail(engine.system)[0]) for one in engine.interactions.potentials)
 
     def stand(step: int, columns: NDArray[np.float64]) -> None:
         _stand(job, model.box, step, columns)

@@ -26,7 +26,6 @@ from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.pair import UNSCALED
 from minimd.potentials.truncation import ForceShifted, Shifted
 from minimd.structure.bond_graph import among
-from minimd.structure.cell import Cell
 from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 from minimd.structure.images import nearest_vectors
 
@@ -183,9 +182,8 @@ class Model:
     ----------
     box : Box.  types : AtomTypes.  bonds, angles, dihedrals : Groups.  joined : these three, by LAMMPS' word for one.
     rigid_bonds, rigid_angles : the types that fix shake holds.
-    pair_styles : list of PairStyle.  cutoff, skin : [length], of lists.  reach : [length],
-        of the communication between processes.
-    search : how lists are built.
+    pair_styles : list of PairStyle.  cutoff, skin : [length], of lists.  search : how these are built.
+    reach : [length], of the communication between processes.
 
     Raises
     ------
@@ -198,7 +196,7 @@ class Model:
         self.joined = {"bond": Groups(2), "angle": Groups(3), "dihedral": Groups(4)}
         self.bonds, self.angles, self.dihedrals = self.joined.values()
         self.rigid_bonds, self.rigid_angles = range(0), range(0)
-        self._extent = float(np.ptp(system.positions, axis=0).max(initial=1.0))
+        self._farthest = FAR * float(np.ptp(system.positions, axis=0).max(initial=1.0))
         self.pair_styles: list[PairStyle] = []
         self.smallest_cutoff, self.search = np.inf, "bin"
         for one in engine.constraints:
@@ -208,7 +206,10 @@ class Model:
             self._take(potential, engine)
         if any(style.scale != UNSCALED for style in self.pair_styles):
             self._complete_graph(system.bonds)
-        bonded = _longest(system.positions, system.cell, list(self.joined.values()))
+        # the longest present bond, in angles and dihedrals too; 1 if there is none
+        pairs = [groups.atoms[:, k : k + 2] for groups in self.joined.values() for k in range(groups.size - 1)]
+        apart = nearest_vectors(system.positions, system.cell, np.concatenate(pairs))
+        bonded = float(np.linalg.norm(apart, axis=1).max(initial=0.0)) or 1.0
         self.cutoff = max((style.cutoff for style in self.pair_styles), default=bonded)
         self.skin = SKIN * (self.smallest_cutoff if self.smallest_cutoff < np.inf else bonded)
         self.reach = max(self.cutoff + self.skin, REACH * bonded + self.skin)
@@ -241,24 +242,23 @@ class Model:
         table, species = potential.table(species_names), self.types.species
         is_own = isinstance(potential.plain_law, LennardJonesLaw) and type(potential.law) in LJ_STYLES
 
+        finite: Callable[[float], float] = lambda cutoff: cutoff if cutoff < np.inf else self._farthest  # noqa: E731
+
         @cache
         def numbers(squared_cutoff: float, *parameters: float) -> str:
             own = words(*parameters[-2:]) if is_own else f'"{energy_expression(potential.law, parameters)}"'
-            return f"{own} {words(self._finite(squared_cutoff**0.5))}"
+            return f"{own} {words(finite(squared_cutoff**0.5))}"
 
         pairs = combinations_with_replacement(range(len(species)), 2)
         return PairStyle(
             LJ_STYLES[type(potential.law)] if is_own else "lepton",
-            self._finite(float(np.sqrt(table[:, :, 0].max()))),
+            finite(float(np.sqrt(table[:, :, 0].max()))),
             is_own and isinstance(potential.law, Shifted),
             potential.bonded_scale,
             [("* *", numbers(*table[0, 0].tolist()))]
             if len(table) == 1
             else [(f"{i + 1} {j + 1}", numbers(*table[species[i], species[j]].tolist())) for i, j in pairs],
         )
-
-    def _finite(self, cutoff: float) -> float:
-        return cutoff if cutoff < np.inf else FAR * self._extent
 
     def _hold(self, constraints: DistanceConstraints, is_fixed: NDArray[np.bool_]) -> None:
         """Add bonds and angles without force, for fix shake."""
@@ -327,11 +327,3 @@ def _outside(potential: Any, known: str) -> ValueError:
     return ValueError(
         f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd"
     )
-
-
-def _longest(positions: Array, cell: Cell, joined: list[Groups]) -> float:
-    """The longest present bond, in angles and dihedrals too [length]; 1 if there is none."""
-    pairs = np.concatenate([groups.atoms[:, k : k + 2] for groups in joined for k in range(groups.size - 1)])
-    if not len(pairs):
-        return 1.0
-    return float(np.linalg.norm(nearest_vectors(positions, cell, pairs), axis=1).max())

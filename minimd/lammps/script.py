@@ -90,64 +90,51 @@ def _rows(row: str, *columns: NDArray[Any]) -> Iterator[str]:
 
 def forces_script(model: Model) -> str:
     """The commands with which both runs begin: units, box, atoms, styles, lists."""
-    is_bonded = model.atom_style != "atomic"
-    lines = [
-        "units lj",
-        "suffix opt",
-        f"atom_style {model.atom_style}",
-        f"boundary {model.box.boundary()}",
-        "box tilt large",
-        *([f"special_bonds lj/coul {words(*model.special_bonds())}"] if is_bonded else []),
-        f"comm_modify cutoff {model.reach:.17g}",
-        "read_data ${atoms}",
-        *model.pair_commands(),
-        *(line for word, groups in model.joined.items() for line in groups.commands(word)),
-        f"neighbor {model.skin:.17g} {model.search}",
-        "neigh_modify every 1 delay 0 check yes",
-    ]
-    return "\n".join([*lines, ""])
+    lines = [f"atom_style {model.atom_style}", f"boundary {model.box.boundary()}", "box tilt large"]
+    if model.atom_style != "atomic":
+        lines.append(f"special_bonds lj/coul {words(*model.special_bonds())}")
+    lines += [f"comm_modify cutoff {model.reach:.17g}", "read_data ${atoms}", *model.pair_commands()]
+    lines += [line for word, groups in model.joined.items() for line in groups.commands(word)]
+    lines.append(f"neighbor {model.skin:.17g} {model.search}")
+    return "\n".join(["units lj", "suffix opt", *lines, "neigh_modify every 1 delay 0 check yes", ""])
 
 
 def verify_script() -> str:
     """The runs of 0 steps: energy, force and virial of each atom, in the scene and in its copy."""
-    lines = [
-        f"variable atoms index {ATOMS} {COPY}",
-        f"include {FORCES}",
-        "compute energies all pe/atom",
-        "compute stresses all stress/atom NULL virial",
-        f"dump step0 all custom 1 ${{atoms}}.bin id {PER_ATOM}",
-        "thermo_style custom step pe",
-        "thermo_modify norm no format float %.17g",
-        "run 0",
-        "clear",
-        "next atoms",
-        "jump SELF",
-    ]
-    return "\n".join([*lines, ""])
+    return f"""variable atoms index {ATOMS} {COPY}
+include {FORCES}
+compute energies all pe/atom
+compute stresses all stress/atom NULL virial
+dump step0 all custom 1 ${{atoms}}.bin id {PER_ATOM}
+thermo_style custom step pe
+thermo_modify norm no format float %.17g
+run 0
+clear
+next atoms
+jump SELF
+"""
 
 
 def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
     """The commands of the run: integrator, bath, rigid bonds, output."""
     fixed = " ".join(str(k + 1) for k in np.flatnonzero(model.types.is_fixed))
     moving = "mobile" if fixed else "all"
-    bath = _bath(engine, moving)
-    lines = [
-        f"variable atoms index {ATOMS}",
-        f"include {FORCES}",
-        *([f"group fixed type {fixed}", "group mobile subtract all fixed"] if fixed else []),
-        f"reset_timestep {engine.step}",
-        f"timestep {engine.method.timestep:.17g}",
-        f"fix motion {moving} nve",
-        *bath,
-        *held(model),
-        f"thermo_style custom step pe{' f_bath' if bath else ''}",
-        f"thermo {look_every(n_steps, every)}",
-        "thermo_modify norm no flush yes format float %.17g",
-        f"dump frames all custom {every} {FRAMES} id xu yu zu vx vy vz",
-        f"run {n_steps}",
-        f"write_dump all custom {LAST} id xu yu zu vx vy vz",
-    ]
-    return "\n".join([*lines, ""])
+    bath, most = _bath(engine, moving), max(1, n_steps // LOOKS)
+    # steps between two lines of the log: the largest divisor of every that gives LOOKS lines or more
+    look_every = max(k for k in range(1, every + 1) if every % k == 0 and (k <= most or k == 1))
+    parts = [f"group fixed type {fixed}", "group mobile subtract all fixed"] if fixed else []
+    steps = [f"reset_timestep {engine.step}", f"timestep {engine.method.timestep:.17g}", f"fix motion {moving} nve"]
+    fixes = "\n".join([*parts, *steps, *bath, *held(model)])
+    return f"""variable atoms index {ATOMS}
+include {FORCES}
+{fixes}
+thermo_style custom step pe{" f_bath" if bath else ""}
+thermo {look_every}
+thermo_modify norm no flush yes format float %.17g
+dump frames all custom {every} {FRAMES} id xu yu zu vx vy vz
+run {n_steps}
+write_dump all custom {LAST} id xu yu zu vx vy vz
+"""
 
 
 def held(
@@ -175,17 +162,8 @@ def _bath(engine: Engine, moving: str) -> list[str]:
         return [f"fix bath {moving} langevin {heat} {heat} {1.0 / method.friction:.17g} {seed} tally yes"]
     style, extra = ("temp/com", 3) if engine.conserves_momentum else ("temp", 0)
     lines = [f"compute heat {moving} {style}", f"compute_modify heat extra/dof {extra}"]
-    return [
-        *lines,
-        f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}",
-        "fix_modify bath temp heat",
-    ]
-
-
-def look_every(n_steps: int, every: int) -> int:
-    """Steps between two lines of the log: the largest divisor of every that gives LOOKS lines or more."""
-    most = max(1, n_steps // LOOKS)
-    return max(k for k in range(1, every + 1) if every % k == 0 and (k <= most or k == 1))
+    lines.append(f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}")
+    return [*lines, "fix_modify bath temp heat"]
 
 
 def per_atom(columns: NDArray[np.float64], box: Box) -> Evaluated:

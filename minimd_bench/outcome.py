@@ -13,7 +13,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from math import floor, log10
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +41,7 @@ class Outcome(Protocol):
     """The outcome of one benchmark.  name : in its files.  packages : whose versions matter, besides minimd, numba and
     numpy."""
 
-    @property
-    def name(self) -> str: ...  # noqa: D102
+    name: ClassVar[str]
 
     @property
     def packages(self) -> Sequence[str]: ...  # noqa: D102
@@ -60,9 +59,8 @@ class Outcome(Protocol):
 def markdown(outcome: Outcome) -> str:
     """The tables, below a description of machine and versions."""
     words = ", ".join(f"{name} {number}" for name, number in versions(outcome.packages).items())
-    return "\n".join(
-        [f"# minimd bench {outcome.name}", "", f"{machine()['text']}.  ", f"{words}.", "", *outcome.lines()]
-    )
+    head = [f"# minimd bench {outcome.name}", "", f"{machine()['text']}.  ", f"{words}.", ""]
+    return "\n".join([*head, *outcome.lines()])
 
 
 def as_json(outcome: Outcome) -> str:
@@ -97,14 +95,10 @@ def versions(packages: Sequence[str]) -> dict[str, str]:
 
 def machine() -> dict[str, str | int]:
     """The machine: processor, cores that this process may use, platform, Python; and all in one line."""
-    processor, cores, system, python = (
-        processor_name(),
-        available_cores(),
-        platform.platform(),
-        platform.python_version(),
-    )
-    text = f"{processor} ({platform.machine()}), {cores} cores for this process; {system}; Python {python}"
-    return {"text": text, "processor": processor, "cores": cores, "platform": system, "python": python}
+    facts: dict[str, str | int] = {"processor": processor_name(), "cores": available_cores()}
+    facts |= {"platform": platform.platform(), "python": platform.python_version()}
+    text = "{processor} ({kind}), {cores} cores for this process; {platform}; Python {python}"
+    return {"text": text.format(kind=platform.machine(), **facts)} | facts
 
 
 def table(titles: Mapping[str, type], cells: Sequence[Sequence[str]]) -> list[str]:

@@ -125,18 +125,13 @@ class Peers:
         panels = figure.subplots(len(all_threads), sharex=True, sharey=True, squeeze=False)[:, 0]
         ends = []
         for panel, threads in zip(panels, all_threads, strict=True):
-            curves = dict[str, list[EngineSpeed]]()
-            for row in rows:
-                if row.threads == threads:
-                    curves.setdefault(row.engine, []).append(row)
+            curves = {one.engine: [row for row in rows if row[:2] == one[:2]] for one in rows if one.threads == threads}
             fastest = sorted(curves.items(), key=lambda curve: -np.median(curve[1][-1].speeds))[: outcome.MOST_CURVES]
-            sizes = {name: [point.n_atoms for point in points] for name, points in fastest}
-            speeds = {name: np.array([point.speeds for point in points]) / 1e6 for name, points in fastest}
-            ends.append(
-                outcome.draw(
-                    panel, {name: (sizes[name], speeds[name], points[0].is_minimd) for name, points in fastest}
-                )
-            )
+            drawn = {}
+            for name, points in fastest:
+                speeds = np.array([point.speeds for point in points]) / 1e6
+                drawn[name] = [point.n_atoms for point in points], speeds, points[0].is_minimd
+            ends.append(outcome.draw(panel, drawn))
             title = f"{self.sizes[0][0].scene}, {threads_text(threads)}"
             panel.set(xscale="log", yscale="log", ylabel="10⁶ atom-steps / s", title=title)
             panel.yaxis.set_major_formatter("{x:g}")

@@ -41,8 +41,6 @@ TRIANGLE_ANGLE = np.radians(75.0)  # between its sides of 1 σ
 # Units of decane are 46 K, 3.95 Å and the mass of CH2.
 DECANE_DENSITY = 0.19  # molecules per σ³: 0.73 g/cm³
 CARBONS, METHYL_MASS, DECANE_BOND, DECANE_ANGLE = 10, 15.035 / 14.027, 1.54 / 3.95, np.radians(114.0)
-DECANE_SPRING, DECANE_BENDING = 9e4, 62500 / 46  # ε/σ², ε/rad²; TraPPE itself holds its bonds fixed
-DECANE_TORSION = (2 * 355.03 / 46, -2 * 68.19 / 46, 2 * 791.32 / 46)  # ε, k₁ to k₃
 
 
 class BenchScene(NamedTuple):
@@ -201,9 +199,9 @@ KOB_ANDERSEN = md.LennardJones(
 )
 DECANE = (
     md.LennardJones({"CH3": (98 / 46, 3.75 / 3.95), "CH2": (1.0, 1.0)}, cutoff=CUTOFF, bonded_scale=(0.0, 0.0, 0.0)),
-    md.HarmonicBond(DECANE_SPRING, DECANE_BOND),
-    md.HarmonicAngle(DECANE_BENDING, DECANE_ANGLE),
-    md.OPLSDihedral(*DECANE_TORSION),
+    md.HarmonicBond(9e4, DECANE_BOND),  # TraPPE itself holds its bonds fixed
+    md.HarmonicAngle(62500 / 46, DECANE_ANGLE),
+    md.OPLSDihedral(2 * 355.03 / 46, -2 * 68.19 / 46, 2 * 791.32 / 46),
 )
 PLANS = {
     # LAMMPS' benchmark
@@ -218,9 +216,7 @@ PLANS = {
         "Kob-Andersen mixture: 80 % A and 20 % B, ρ* 1.2, T* 1.0, r_c 2.5 σ of each pair, shifted, Δt* 0.005, NVE",
         _mixture, (KOB_ANDERSEN,), 1.0,
     ),
-    "gas": Plan(
-        "Gas: fcc at ρ* 0.01, T* 1.44, r_c 2.5 σ, shifted, Δt* 0.005, NVE", partial(_fluid, 0.01), (_lj(),),
-    ),
+    "gas": Plan("Gas: fcc at ρ* 0.01, T* 1.44, r_c 2.5 σ, shifted, Δt* 0.005, NVE", partial(_fluid, 0.01), (_lj(),)),
     "droplet": Plan(
         "Droplet in vacuum: T* 0.75, in a cell of 4 times its diameter, r_c 2.5 σ, shifted, Δt* 0.005, NVE",
         _droplet, (_lj(),), LIQUID_TEMPERATURE,

@@ -90,7 +90,9 @@ def _rows(row: str, *columns: NDArray[Any]) -> Iterator[str]:
 
 def forces_script(model: Model) -> str:
     """The commands with which both runs begin: units, box, atoms, styles, lists."""
-    lines = [f"atom_style {model.atom_style}", f"boundary {model.box.boundary()}", "box tilt large"]
+    # p: periodic; m: an open boundary that follows the atoms but keeps a smallest extent
+    boundary = " ".join("m" if is_open else "p" for is_open in model.box.open)
+    lines = [f"atom_style {model.atom_style}", f"boundary {boundary}", "box tilt large"]
     if model.atom_style != "atomic":
         lines.append(f"special_bonds lj/coul {words(*model.special_bonds())}")
     lines += [f"comm_modify cutoff {model.reach:.17g}", "read_data ${atoms}", *model.pair_commands()]

@@ -167,7 +167,7 @@ def test_peer_with_another_energy_is_refused_and_one_that_blows_up_is_no_disagre
 def test_peer_with_another_time_step_is_refused():
     right = engines.Minimd(scenes.melt(4))
     wrong = engines.Minimd(scenes.melt(4)._replace(method=md.VelocityVerlet(0.00505)))
-    with pytest.raises(ArithmeticError, match="potential energy per atom after 10 steps"):
+    with pytest.raises(md.lammps.HandOverError, match="potential energy per atom after 10 steps"):
         turns.check_agreement([right, wrong], N_ATOMS)
 
 

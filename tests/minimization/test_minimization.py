@@ -11,7 +11,7 @@ from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.forces.forces import Forces
-from minimd.minimization.fire import steer
+from minimd.minimization.minimization import steer
 from minimd.potentials.term import FORCES
 from minimd.scene import parse_scene, run_scene
 from minimd.structure.cell import nearest_vectors

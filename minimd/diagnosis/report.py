@@ -379,8 +379,8 @@ def conservation_report(
 ) -> Report:
     """The report of a record.
 
-    linear, angular : whether the scene conserves momentum (no bath, nothing fixed)
-        and angular momentum (nor anything periodic).  lines, cost, too_long_a_step : see Report.
+    linear, angular : whether momentum is constant (see Engine.conserves_momentum), and angular momentum, too (then
+        nothing is periodic).  lines, cost, too_long_a_step : see Report.
     n_dof : degrees of freedom of the run; if not given, the kinetic energy includes a motion of the center of mass.
     With a thermostat or barostat, total energy minus reservoir energy is judged; with forces that depend on time, the
     total energy and the shadow energy minus their work.

@@ -124,7 +124,8 @@ class Document:
         return read_table(self.path.parent / name) if inside is None else Numbers(inside.r, inside.u)
 
     def constrained(self, system: System) -> System:
-        """The system, with the constraints of the scene if it has a section for them."""
+        """Set the constraints of the scene, if it has a section for them, in place; return the same system.
+        Raises ValueError, with the name of the file, for impossible ones."""
         section = self.sections.constraints
         if section is not None:
             with blamed_on(f"{self.path}: constraints"):
@@ -177,8 +178,8 @@ def stored(kind: type[D], text: str, file: Path) -> D:
 
 
 def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Any]:
-    """The potentials of the text of a scene.  words : the potentials of the run, for the message.
-    Raises ValueError if there is no scene."""
+    """The potentials of a scene, given as its text.  words, file : the potentials of the run in words, and its file,
+    for the messages.  Raises ValueError if there is no scene, or as stored."""
     if scene:
         return stored(Document, scene, file).potentials()
     those, remedy = "; ".join(words), "or give the command a scene that has them with --scene"

@@ -193,16 +193,8 @@ def _liquid(n_cells: int, truncation: Any = "shifted", threads: int | None = Non
     return simulation
 
 
-TESTS = {
-    "cache folder": cache,
-    "known energy": known_energy,
-    "forces": gradient,
-    "dynamics": conservation,
-    "threads": same_bits,
-    "LAMMPS": lammps,
-    "speed": speed,
-}
-
+TESTS = {"cache folder": cache, "known energy": known_energy, "forces": gradient, "dynamics": conservation,
+         "threads": same_bits, "LAMMPS": lammps, "speed": speed}  # fmt: skip
 COMMAND = Command("doctor", "describe this machine and test minimd on it",
                   "Describe this machine, and test minimd on it: forces, conservation laws, equal bits on all threads, "
                   "speed.", run=lambda _: examine())  # fmt: skip

@@ -214,7 +214,7 @@ def frames(arguments: argparse.Namespace) -> None:
             out = out.with_name(f"{out.stem}-{step}{out.suffix}")
         simulation = md.Simulation.resume(file, potentials, step=step)
         record, units = simulation.run(0, trajectory=out, overwrite=arguments.overwrite), simulation.system.units
-        energy = f"total energy {record.total_energy[0]!r} {units.energy}"
+        energy = f"total energy {float(record.total_energy[0])!r} {units.energy}"
         print(f"step {step:<9} t = {units.shown(simulation.time)}, {energy}: written to {out}")
 
 

@@ -166,6 +166,15 @@ def test_a_scene_given_to_resume_replaces_that_of_the_file(folder, capsys):
     assert md.Simulation.resume("melt.h5md").method.timestep == 0.001
 
 
+def test_any_steps_are_made_again_and_their_energies_told(folder, capsys):
+    Path("melt.toml").write_text(SCENE.replace("[output]", 'precision = "fixed-point"\n[output]'))
+    assert run("run", "melt.toml", "--out", "melt.h5md") == 0
+    assert cli.main(["frames", "melt.h5md", "--at", "3", "10", "--out", "a.h5md"]) == 0
+    told = [line.split(" total energy ")[1].split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert [float(one) for one in told] == [read_file(f"a-{step}.h5md").record.total_energy[0] for step in (3, 10)]
+    assert float(told[1]) == read_file("melt.h5md").record.total_energy[1]
+
+
 READING = [["check"], ["frames", "--at", "1"], ["resume", "--steps", "5"], ["replay"]]
 DRAWING = pytest.param([["view"], ["plot"]], marks=pytest.mark.slow)
 

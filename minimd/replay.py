@@ -108,8 +108,7 @@ def replay(
     """
     from minimd.document.document import potentials_of_scene  # pydantic is slow to load
 
-    past = read_crash_report(file)
-    run, found = past.run, past.findings
+    run, found = (past := read_crash_report(file)).run, past.findings
     frames, drawing = (
         _output(one, Path(file), end, overwrite) for one, end in ((trajectory, "h5md"), (picture, "png"))
     )

@@ -148,28 +148,31 @@ def comparisons(made: RunUniverse, record: Record, found: list[Array], damaged: 
     other with a zero scale. In fixed-point arithmetic Σ p is an integer in steps of the grid in each frame."""
     (kinetic, momenta, sizes, lengths), grid = found, made.contents.restart.grid
     energy, relative = record.potential_energy + record.kinetic_energy, "recomputed − stored, relative to"
-    stored, later = f"{relative} the stored value", "frames that are not later than the one before"
-    written = f"{damaged} are not" if damaged else "frames and restarts are"
+    stored, written = f"{relative} the stored value", f"{damaged} are not" if damaged else "frames and restarts are"
     rows: list[tuple[str, Any, Any, float, str]] = [
         ("kinetic energy", kinetic - record.kinetic_energy, record.kinetic_energy, KINETIC, stored),
         ("momentum", np.linalg.norm(momenta - record.momentum, axis=1), sizes, SINGLE, f"{relative} Σ|mv|"),
         ("Σ|mv|", sizes - record.absolute_momentum, sizes, SINGLE, stored),
         ("total energy", energy - record.total_energy, record.total_energy, EXACT,
          "potential + kinetic − total, relative to the total"),
-        ("lengths", lengths, 1.0, LENGTHS, "recomputed − prescribed, relative to the largest coordinate"),
-        ("steps", np.count_nonzero(np.diff(record.step) <= 0), 1.0, EXACT, later),
+        *([("lengths", lengths, 1.0, LENGTHS, "recomputed − prescribed, relative to the largest coordinate")]
+          if "constraint_violation" in record else []),
+        ("steps", np.count_nonzero(np.diff(record.step) <= 0), 1.0, EXACT,
+         "frames that are not later than the one before"),
         ("checksums", bool(damaged), 1.0, EXACT, f"{written} those that were written"),
     ]  # fmt: skip
-    if "constraint_violation" not in record:
-        rows = [row for row in rows if row[0] != "lengths"]
     if grid is not None and made.contents.conserves_momentum:
         frames = frames_of(made.trajectory.filename, range(made.contents.n_frames), made.system.units)
         steps = (grid.momenta(one.velocities, 1.0 / made.system.masses).astype(np.int64) for one in frames)
         totals = np.array([one.sum(axis=0) for one in steps])
         rows.insert(-1, ("exact momentum", totals - totals[0], 1.0, EXACT, "change of Σ p, in whole steps of the grid"))
     with np.errstate(divide="ignore", invalid="ignore"):
-        figures = [float(np.where(row[1] == 0.0, 0.0, np.abs(row[1]) / np.abs(row[2])).max()) for row in rows]
-    return [Comparison(row[0], figure, *row[3:]) for row, figure in zip(rows, figures, strict=True)]
+        return [
+            Comparison(
+                name, float(np.where(figures == 0.0, 0.0, np.abs(figures) / np.abs(scales)).max()), limit, meaning
+            )
+            for name, figures, scales, limit, meaning in rows
+        ]
 
 
 def liquid(run: str | Path | RunUniverse) -> list[str]:

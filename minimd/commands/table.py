@@ -78,8 +78,7 @@ def scene_of(arguments: argparse.Namespace) -> Any:
 
 def potentials_of(arguments: argparse.Namespace) -> Any:
     """The potentials of the file of --scene; None if it is not given."""
-    scene = scene_of(arguments)
-    return scene and scene.potentials()
+    return arguments.scene and scene_of(arguments).potentials()
 
 
 def refuse(what: str, place: Path, run: Path, metavar: str) -> NoReturn:

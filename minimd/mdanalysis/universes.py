@@ -421,29 +421,21 @@ def diffusion_coefficient(
         run is in memory. Others as mean_square_displacement.
     """
     with universe_of(run) as made:
-        (lags, of_atoms), units = _displacements(made), made.system.units
-        added = None if viscosity is None else _correction(made, viscosity)
+        (lags, of_atoms), cell, units = _displacements(made), made.system.cell, made.system.units
     squares, (start, end) = of_atoms.mean(axis=1), window or (FIT_FROM * lags[-1], FIT_TO * lags[-1])
-    chosen = (lags >= start) & (lags <= end)
+    chosen, infinite = (lags >= start) & (lags <= end), None
     if chosen.sum() < 3:
         needs = f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g})"
         raise ValueError(f"{needs} holds {chosen.sum()} of {len(lags)}")
     coefficient = float(np.polyfit(lags[chosen], squares[chosen], 1)[0]) / 6.0
     each = np.polyfit(lags[chosen], of_atoms[chosen], 1)[0] / 6.0
     error = float(each.std(ddof=1) / np.sqrt(len(each))) if len(each) >= FEW else np.nan
-    absolute, infinite = (
-        coefficient * CM2_PER_S if units is ASE else None,
-        None if added is None else coefficient + added,
-    )
+    if viscosity is not None:
+        if not is_cubic(cell) or not hasattr(made, "contents"):
+            needs = "the correction of Yeh and Hummer needs the file of a run in a cubic cell"
+            raise ValueError(f"{needs} that is periodic in all directions; leave viscosity out")
+        thermal_energy = units.k_B * float(made.contents.record.temperature.mean())
+        added = finite_size_correction(thermal_energy, viscosity, float(np.linalg.norm(cell.vectors[0])))
+        infinite = coefficient + added * units.to_angstrom**2 / units.to_picosecond
+    absolute = coefficient * CM2_PER_S if units is ASE else None
     return Diffusion(coefficient, absolute, (float(start), float(end)), lags, squares, error, infinite)
-
-
-def _correction(made: RunUniverse, viscosity: float) -> float:
-    """The correction of D for the finite size of the cell [Å²/ps, or σ²/τ]."""
-    cell, units = made.system.cell, made.system.units
-    if not is_cubic(cell) or not hasattr(made, "contents"):
-        needs = "the correction of Yeh and Hummer needs the file of a run in a cubic cell"
-        raise ValueError(f"{needs} that is periodic in all directions; leave viscosity out")
-    thermal_energy = units.k_B * float(made.contents.record.temperature.mean())
-    added = finite_size_correction(thermal_energy, viscosity, float(np.linalg.norm(cell.vectors[0])))
-    return added * units.to_angstrom**2 / units.to_picosecond

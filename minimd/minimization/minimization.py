@@ -357,5 +357,5 @@ class Descent:
         velocities /= longest(velocities)[1]
         self._constraint_set.project(velocities, positions)
         if not velocities.any() or not self._moved(velocities, 0.5 * self._longest):
-            words += why_not_finite(self._system, self._engine.potentials)
-            raise NonFiniteError(f"{words}, and constraints hold them there")
+            why = why_not_finite(self._system, self._engine.potentials)
+            raise NonFiniteError(f"{words}{why}, and constraints hold them there")

@@ -136,11 +136,10 @@ def _heading(path: Path, contents: H5MDContents) -> str:
 
 def _left_out(motion: Motion, repaired: str = "") -> tuple[str, ...]:
     """Sentences about frames and atoms that are not shown, and about a damaged restart."""
-    shown, n_frames = (len(motion.frames), len(motion.atoms)), motion.contents.n_frames
-    frames = f"{shown[0]} of {n_frames} frames are shown." if shown[0] < n_frames else ""
-    n_atoms = len(motion.contents.system)
-    atoms = f"{shown[1]} of {n_atoms} atoms are shown, evenly chosen." if shown[1] < n_atoms else ""
-    return tuple(words for words in (frames, atoms, repaired and f"{repaired}.") if words)
+    frames = len(motion.frames), motion.contents.n_frames, "frames are shown."
+    atoms = len(motion.atoms), len(motion.contents.system), "atoms are shown, evenly chosen."
+    told = [f"{shown} of {n} {words}" for shown, n, words in (frames, atoms) if shown < n]
+    return (*told, f"{repaired}.") if repaired else tuple(told)
 
 
 def _scalable(figure: Figure) -> tuple[str, bytes]:

@@ -30,7 +30,7 @@ from minimd.console.quiet import outside_minimd, quiet
 from minimd.files.h5md_reader import H5MDContents, admitted, damage_told, read_file
 from minimd.files.h5md_schema import has_edges
 from minimd.files.turned_cell import ROTATION, Turn, cell_dimensions, turn_of
-from minimd.observers.diffusion import finite_size_correction, is_cubic
+from minimd.observers.motion import finite_size_correction, is_cubic
 from minimd.simulation.simulation import Simulation
 from minimd.structure.constraints import DistanceConstraints
 from minimd.structure.observables import Array, center
@@ -413,7 +413,7 @@ def diffusion_coefficient(
     run : an argument of universe, or a universe.
     window : [ps, or τ]; from a tenth to half of the duration if not given.
     viscosity : η [energy time/length³], for the correction of Yeh and Hummer for the size of a cubic cell;
-        see observers.diffusion.
+        see observers.motion.
 
     Raises
     ------

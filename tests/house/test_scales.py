@@ -23,7 +23,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "console": (355, 6, 194),
     "constraints": (1408, 6, 840),
     "diagnosis": (2150, 10, 1317),
-    "document": (1010, 6, 574),
+    "document": (1030, 6, 576),
     "engine": (1295, 6, 783),
     "ensemble": (1509, 7, 937),
     "files": (2646, 10, 1626),
@@ -34,15 +34,15 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "mdanalysis": (545, 3, 283),
     "minimization": (421, 3, 232),
     "neighbors": (1981, 12, 1215),
-    "observers": (1960, 11, 1042),
+    "observers": (1840, 10, 1098),
     "potentials": (3122, 16, 1626),
     "scene": (355, 3, 214),
-    "simulation": (687, 5, 372),
+    "simulation": (686, 5, 371),
     "structure": (2111, 15, 1153),
     "view": (534, 5, 238),
     "minimd_bench": (2271, 13, 1236),
-    "road of a step": (3802, 13),
-    "tests": (20162,),
+    "road of a step": (3801, 13),
+    "tests": (20220,),
 }
 # fmt: on
 

@@ -28,7 +28,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "ensemble": (1509, 7, 937),
     "files": (2646, 10, 1626),
     "forces": (1542, 9, 933),
-    "grade": (2891, 12, 1696),
+    "grade": (2448, 11, 1465),
     "integrators": (4939, 26, 2507),
     "lammps": (1786, 8, 1022),
     "mdanalysis": (545, 3, 283),
@@ -42,7 +42,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "view": (534, 5, 238),
     "minimd_bench": (2271, 13, 1236),
     "road of a step": (3801, 13),
-    "tests": (20220,),
+    "tests": (20228,),
 }
 # fmt: on
 

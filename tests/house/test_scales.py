@@ -38,11 +38,11 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "potentials": (3122, 16, 1626),
     "scene": (355, 3, 214),
     "simulation": (686, 5, 371),
-    "structure": (2111, 15, 1153),
+    "structure": (2110, 15, 1152),
     "view": (376, 3, 209),
     "minimd_bench": (1920, 10, 1095),
     "road of a step": (3801, 13),
-    "tests": (20228,),
+    "tests": (19926,),
 }
 # fmt: on
 

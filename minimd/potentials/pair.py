@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.console.words import listed, near, shown
-from minimd.potentials.law import check_user_law, checked_law, evaluate_law, law_at
+from minimd.potentials.law import UserLaw, check_user_law, checked_law, evaluate_law, law_at
 from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.term import OwnPotential, OwnTerm, PairLaw, no_bonds
 from minimd.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
-from minimd.potentials.user_laws import UserLaw
 from minimd.structure.checks import checked_choice, checked_flag, checked_number, checked_numbers
 from minimd.structure.system import System
 

@@ -66,11 +66,6 @@ def tabulated(r2, table, parameters):
 TabulatedLaw = type_of(tabulated)(namedtuple("TabulatedLaw", "table"))
 
 
-def reads_table(law: tuple) -> bool:
-    """True if the law type, or the one inside it, is a table: vectors cannot look up a place for each lane."""
-    return isinstance(law, TabulatedLaw) or any(reads_table(inner) for inner in law if isinstance(inner, tuple))
-
-
 class Tabulated(PairPotential):
     """A pair potential from a table: the quintic spline through the points (rᵢ, uᵢ), and its exact derivative.
 

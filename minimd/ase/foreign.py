@@ -4,7 +4,7 @@ import numpy as np
 from ase import Atoms
 from numpy.typing import NDArray
 
-from minimd.potentials.calculators import CalculatorTerm
+from minimd.potentials.term import CalculatorTerm
 from minimd.structure.ase_atoms import fixes_center
 from minimd.structure.system import System
 

@@ -33,8 +33,7 @@ from minimd.integrators.splitting.barostats import COUPLINGS
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
 from minimd.observers import KINDS, Accumulator
 from minimd.potentials import LennardJones, Tabulated
-from minimd.potentials.pair import MIXING, ByPairOfLabels, Label
-from minimd.potentials.tabulated import FEWEST
+from minimd.potentials.pair import FEWEST, MIXING, ByPairOfLabels, Label
 from minimd.potentials.truncation import TRUNCATIONS
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
 from minimd.structure.lattice import BASES

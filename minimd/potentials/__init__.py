@@ -22,8 +22,7 @@ from minimd.potentials.fields import (
     SteeredSpring,
     Wall,
 )
-from minimd.potentials.pair import LennardJones, PairPotential
-from minimd.potentials.tabulated import Tabulated
+from minimd.potentials.pair import LennardJones, PairPotential, Tabulated
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
 
 __all__ = ["FORCES", "PER_ATOM", "TOTALS", "BondPotential", "ConstantForce", "CylinderWall", "DihedralPotential"]

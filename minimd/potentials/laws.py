@@ -171,26 +171,31 @@ def restraint(x, y, z, _t, kx, ky, kz, vx, vy, vz):
 
 
 @scalar
+def _in_front(d, law, rest):
+    """u(d) and −u′(d) for 0 < d < reach; zero farther away, NaN on the wall and behind it."""
+    if d >= rest[7]:
+        return 0.0, 0.0
+    if not d > 0.0:
+        return nan, nan
+    u, f = evaluate_law(law, d * d, rest[8:])
+    return u, f * d
+
+
+@scalar
 def planar(x, law, rest):
-    """Wall in a plane: u(d) of the distance d = n·r − p, for 0 < d < reach; NaN on the wall and behind it.
+    """Wall in a plane: u(d) of the distance d = n·r − p, see _in_front.
 
     x : first coordinate [length].  law : of d.  rest : (y, z, t, n, p, reach, *parameters of law); n is a unit vector,
         three numbers.
     """
-    y, z, nx, ny, nz, reach = rest[0], rest[1], rest[3], rest[4], rest[5], rest[7]
-    d = nx * x + ny * y + nz * z - rest[6]
-    if d >= reach:
-        return 0.0, 0.0, 0.0, 0.0, 0.0
-    if not d > 0.0:
-        return nan, nan, nan, nan, 0.0
-    u, f = evaluate_law(law, d * d, rest[8:])
-    return u, f * d * nx, f * d * ny, f * d * nz, 0.0
+    y, z, nx, ny, nz = rest[0], rest[1], rest[3], rest[4], rest[5]
+    u, f = _in_front(nx * x + ny * y + nz * z - rest[6], law, rest)
+    return u, f * nx, f * ny, f * nz, 0.0
 
 
 @scalar
 def curved(x, law, rest):
-    """Wall of a cylinder or a sphere, with atoms inside: u(d) of the distance d = R − ρ, for 0 < d < reach;
-    NaN on the wall and outside.
+    """Wall of a cylinder or a sphere, with atoms inside: u(d) of the distance d = R − ρ, see _in_front.
 
     ρ = |r − (a·r) a| with r relative to a point on the axis; a = 0 makes it a sphere. The force points inwards,
     along −(r − (a·r) a)/ρ.
@@ -198,17 +203,12 @@ def curved(x, law, rest):
     x : first coordinate relative to the point [length].  law : of d.  rest : (y, z, t, a, R, reach,
         *parameters of law); a is a unit vector or 0.
     """
-    y, z, ax, ay, az, reach = rest[0], rest[1], rest[3], rest[4], rest[5], rest[7]
+    y, z, ax, ay, az = rest[0], rest[1], rest[3], rest[4], rest[5]
     along = ax * x + ay * y + az * z
     px, py, pz = x - along * ax, y - along * ay, z - along * az
     rho = sqrt(px * px + py * py + pz * pz)
-    d = rest[6] - rho
-    if d >= reach:
-        return 0.0, 0.0, 0.0, 0.0, 0.0
-    if not d > 0.0:
-        return nan, nan, nan, nan, 0.0
-    u, f = evaluate_law(law, d * d, rest[8:])
-    g = -f * d / rho if rho > 0.0 else 0.0
+    u, f = _in_front(rest[6] - rho, law, rest)
+    g = -f / rho if rho > 0.0 else 0.0
     return u, g * px, g * py, g * pz, 0.0
 
 

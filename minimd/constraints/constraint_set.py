@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from minimd.console.quiet import outside_minimd
 from minimd.console.words import shown
-from minimd.constraints.solver import ConstraintSolver
+from minimd.constraints.solver import ConstraintSolver, check_atoms
 from minimd.structure.cell import Cell
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 from minimd.structure.images import images_of_length, nearest_images
@@ -53,8 +53,7 @@ class ConstraintSet:
 
     def _solver(self, system: System, distances: DistanceConstraints) -> ConstraintSolver:
         pairs, lengths, place = distances.pairs, distances.lengths, (system.positions, system.cell)
-        if pairs.max() >= len(system):
-            raise ValueError(f"constraints must name atoms 0 to {len(system) - 1}; they name atom {pairs.max()}")
+        check_atoms(pairs, len(system))
         images = nearest_images(*place, pairs) if lengths is None else images_of_length(*place, pairs, lengths)
         solver = ConstraintSolver(distances, system.positions, self.inverse_masses, images, self._threads)
         check_resolution(system, float(solver.lengths.min()), "the shortest rigid length")

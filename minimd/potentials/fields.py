@@ -163,13 +163,13 @@ class OnAtoms(Declared):
             raise ValueError(f"atoms of {name} must be atoms 0 to {last}; they name atom {own.max()}")
         return own
 
-    @staticmethod
-    def rows_of(name: str, vectors: Any, n: int) -> Array:
-        """Vectors for each of n atoms, (n, 3).  Raises ValueError for another number of vectors."""
-        if vectors.shape not in ((3,), (n, 3)):
-            wanted = f"three numbers or ({n}, 3), one row for each atom"
-            raise ValueError(f"{name} must be {wanted}; its shape is {vectors.shape}")
-        return np.array(np.broadcast_to(vectors, (n, 3)))
+
+def rows_of(name: str, vectors: Any, n: int) -> Array:
+    """Vectors for each of n atoms, (n, 3).  Raises ValueError for another number of vectors."""
+    if vectors.shape not in ((3,), (n, 3)):
+        wanted = f"three numbers or ({n}, 3), one row for each atom"
+        raise ValueError(f"{name} must be {wanted}; its shape is {vectors.shape}")
+    return np.array(np.broadcast_to(vectors, (n, 3)))
 
 
 class ConstantForce(OnAtoms):
@@ -181,7 +181,7 @@ class ConstantForce(OnAtoms):
     def bind(self, system: System) -> Term:
         """The term of this force in a system.  Raises ValueError if atoms, or their forces, are missing."""
         acting = self.atoms_in(system)
-        return FieldTerm(acting, ConstantLaw(), (*self.rows_of("force", self.force, len(acting)).T,))
+        return FieldTerm(acting, ConstantLaw(), (*rows_of("force", self.force, len(acting)).T,))
 
 
 class Gravity(OnAtoms):
@@ -204,7 +204,7 @@ class Springs(OnAtoms):
         acting, given = self.atoms_in(system), self.arguments()
         numbers = (*np.broadcast_to(given["k"], 3), 0.0, 0.0, 0.0)  # the points are at rest
         columns = tuple(np.full(len(acting), one) for one in numbers)
-        return FieldTerm(acting, RestraintLaw(), columns, self.rows_of("points", given["points"], len(acting)))
+        return FieldTerm(acting, RestraintLaw(), columns, rows_of("points", given["points"], len(acting)))
 
 
 class Restraint(Springs):

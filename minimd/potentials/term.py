@@ -3,8 +3,6 @@
 At the end of the file: what may stand where potentials are expected, and calculators of ASE.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterable
 from copy import deepcopy
@@ -339,7 +337,7 @@ class CalculatorTerm(Term):
 
     is_checked = False  # an evaluation may be dear, and float32 too rough for differences
 
-    def __init__(self, atoms: Atoms) -> None:
+    def __init__(self, atoms: "Atoms") -> None:
         self._atoms = atoms
         self._implemented = getattr(atoms.calc, "implemented_properties", ())
 

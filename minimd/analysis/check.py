@@ -2,7 +2,7 @@
 and conservation laws."""
 
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,8 +18,8 @@ from minimd.files.h5md_reader import damage, damage_told, frames_of
 from minimd.files.turned_cell import as_in_run
 from minimd.integrators import LangevinBAOAB
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
-from minimd.structure.constraints import DistanceConstraints
-from minimd.structure.images import images_of_length, lengths_of
+from minimd.structure.cell import images_of_length
+from minimd.structure.constraints import DistanceConstraints, lengths_of
 from minimd.structure.observables import absolute_momentum, kinetic_energy, momentum
 from minimd.structure.system import System
 
@@ -117,13 +117,9 @@ def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
         Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored}),
         contents.conserves_momentum,
     )
-    lines = tuple(pressure_lines(record, contents.barostat, is_free))
-    angular, n_dof = (
-        is_free and not system.cell.is_periodic,
-        ConstraintSet(contents.system, contents.system.constraints).degrees_of_freedom(is_free),
-    )
-    report = conservation_report(record, linear=is_free, angular=angular, lines=lines, n_dof=n_dof)
-    report = replace(report, too_long_a_step=contents.too_long_a_step)
+    lines, angular = tuple(pressure_lines(record, contents.barostat, is_free)), is_free and not system.cell.is_periodic
+    n_dof = ConstraintSet(contents.system, contents.system.constraints).degrees_of_freedom(is_free)
+    report = conservation_report(record, angular, None, is_free, lines, n_dof, contents.too_long_a_step)
     several = "s" * (contents.n_frames > 1)
     frames = (
         f"{contents.n_frames} frame{several}, steps {moved.step[0]} to {moved.step[-1]}, {contents.method}, "

@@ -1,9 +1,9 @@
-"""The baths of ASE's thermostats as splittings of minimd, with the meaning of ASE's arguments,
-and at the same place in the step as in ASE.
+"""The baths of ASE's thermostats as splittings of minimd, with the meaning of ASE's arguments, and at the same place in
+the step as in ASE.
 
 They differ from the thermostats of minimd.integrators in what users of ASE expect: parameters for each atom, a center
-of mass that stays at rest (fixcm), degrees of freedom counted as by Atoms.get_number_of_degrees_of_freedom.
-k_B T is `bath.k_B` times the temperature [K].
+of mass that stays at rest (fixcm), degrees of freedom counted as by Atoms.get_number_of_degrees_of_freedom. Each raises
+ValueError for a parameter out of range. k_B T is `bath.k_B` times the temperature [K].
 """
 
 from math import exp, sqrt
@@ -12,7 +12,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from minimd.console.words import shown
-from minimd.integrators.method import Array
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.integrators.splitting.state import State, Surroundings
 from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, Thermalize
@@ -30,14 +29,11 @@ KEPT_STEPS = 1000  # steps whose states a chain keeps: many more than in a block
 
 
 class LangevinBath(Thermostat):
-    """LangevinBAOAB with temperatures and frictions that may differ from atom to atom,
-    and optionally without a bath for the center of mass.
+    """LangevinBAOAB with temperatures and frictions that may differ from atom to atom, optionally without a bath
+    for the center of mass.
 
     temperature [K], friction [1/time] : ≥ 0, one number, or an array that broadcasts to (N, 3).
-    keeps_center : whether the bath leaves the velocity of the center of mass unchanged;
-        then 3N − 3 degrees of freedom are thermal.
-
-    Raises ValueError for a temperature or a friction below zero or not finite.
+    keeps_center : whether the bath leaves the velocity of the center of mass unchanged; 3N − 3 degrees are thermal.
     """
 
     name, source = LangevinBAOAB.name, LangevinBAOAB.source
@@ -46,8 +42,11 @@ class LangevinBath(Thermostat):
 
     def __init__(self, timestep: float, temperature: Any, friction: Any, seed: int, keeps_center: bool = False) -> None:
         super().__init__(timestep, 0.0, seed)
-        self.temperatures, self.frictions = _checked("temperature", temperature), _checked("friction", friction)
+        self.temperatures, self.frictions = np.asarray(temperature, float), np.asarray(friction, float)
         self.keeps_center = keeps_center
+        for name, given in (("temperature", temperature), ("friction", friction)):
+            if not ((np.asarray(given) >= 0.0) & (np.asarray(given) < np.inf)).all():
+                raise ValueError(f"{name} must be finite and not negative; {name} = {shown(given)}")
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -57,25 +56,16 @@ class LangevinBath(Thermostat):
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The Ornstein-Uhlenbeck process over a duration, see LangevinBAOAB."""
         bath, kept = bath_of(around), np.exp(-self.frictions * duration)
-        around.project(state)
-        before = kinetic_energy(state.velocities, state.masses)
         spread = np.sqrt(bath.k_B * self.temperatures * (1.0 - kept * kept) * state.inverse_masses[:, None])
         new = kept * state.velocities + spread * self.noise(bath).standard_normal(state.velocities.shape)
         if self.keeps_center:
             new -= momentum(new - state.velocities, state.masses) / state.masses.sum()
         state.velocities[:] = new
-        around.project(state)
-        bath.energy += kinetic_energy(state.velocities, state.masses) - before
 
 
 class BussiBath(StochasticVelocityRescaling):
-    """StochasticVelocityRescaling before the step; the caller counts the degrees of freedom n_dof,
-    and the motion of the center is rescaled, too.
-
-    relaxation_time : τ > 0 [time].  n_dof : degrees of freedom.
-
-    Raises ValueError for a relaxation time that is not positive.
-    """
+    """StochasticVelocityRescaling before the step; the caller counts the degrees of freedom n_dof, and the motion of
+    the center is rescaled, too.  relaxation_time : τ > 0 [time]."""
 
     substeps: ClassVar[Substeps] = BEFORE  # type: ignore[assignment] # mypy takes the row of the base for its type
 
@@ -93,58 +83,45 @@ class BussiBath(StochasticVelocityRescaling):
 
 
 class AndersenBath(Thermostat):
-    """Collisions between the first kick and the drift:
-    each component of a velocity is drawn again with a given probability.
+    """Collisions between the first kick and the drift: each component of a velocity is drawn again at random.
 
         v ← √(k_B T/m) ξ      with probability p in each step; ξ normal
 
-    probability : p in each step, 0 to 1.
-    keeps_center : whether the center of mass stays at rest. It gets a thermal velocity before the collisions,
-        which is removed after them.
-
-    H. C. Andersen, J. Chem. Phys. 72, 2384 (1980).  Raises ValueError for a probability out of range.
+    probability : p in each step, 0 to 1.  keeps_center : whether the center of mass stays at rest; it gets a thermal
+    velocity before the collisions, which is removed after them.  H. C. Andersen, J. Chem. Phys. 72, 2384 (1980).
     """
 
     name = "andersen"
     substeps = AFTER
     source = "H. C. Andersen, J. Chem. Phys. 72, 2384 (1980)"
 
-    def __init__(
-        self, timestep: float, temperature: float, probability: float, seed: int, keeps_center: bool = False
-    ) -> None:
+    def __init__(self, timestep: float, temperature: float, probability: float, seed: int, keeps_center: bool) -> None:
         super().__init__(timestep, temperature, seed)
-        self.probability, self.keeps_center = (
-            checked_number("andersen_prob", probability, "finite and not negative"),
-            keeps_center,
-        )
+        self.probability = checked_number("andersen_prob", probability, "finite and not negative")
+        self.keeps_center = keeps_center
         if self.probability > 1.0:
             raise ValueError(f"andersen_prob must be a probability from 0 to 1; andersen_prob = {probability!r}")
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """The collisions of one step."""
         bath, velocities = bath_of(around), state.velocities
-        around.project(state)
-        before, noise, thermal = kinetic_energy(velocities, state.masses), self.noise(bath), bath.k_B * self.temperature
+        noise, thermal = self.noise(bath), bath.k_B * self.temperature
         if self.keeps_center:
             velocities += sqrt(thermal / state.masses.sum()) * noise.standard_normal(3)
         fresh = np.sqrt(thermal * state.inverse_masses[:, None]) * noise.standard_normal(velocities.shape)
         np.copyto(velocities, fresh, where=noise.random(velocities.shape) < self.probability)
         if self.keeps_center:
             velocities -= momentum(velocities, state.masses) / state.masses.sum()
-        around.project(state)
-        bath.energy += kinetic_energy(velocities, state.masses) - before
 
 
 class BerendsenBath(Splitting):
-    """All velocities are multiplied by one factor before each step,
-    which brings the kinetic temperature T′ closer to T. It samples no ensemble.
+    """All velocities are multiplied by one factor before each step, which brings the kinetic temperature T′ closer to
+    T. It samples no ensemble.
 
         v ← λ v,   λ² = 1 + (T/T′ − 1) Δt/τ,   0.9 ≤ λ ≤ 1.1
 
-    n_dof : degrees of freedom in T′.  keeps_center : whether the total momentum is removed,
-        in equal shares from all atoms.
-
-    H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984).  Raises ValueError for τ = 0.
+    relaxation_time : τ, not 0.  n_dof : degrees of freedom in T′.  keeps_center : whether total momentum is removed, in
+    equal shares from all atoms.  H. J. C. Berendsen et al., J. Chem. Phys. 81, 3684 (1984).
     """
 
     name = "berendsen"
@@ -153,7 +130,7 @@ class BerendsenBath(Splitting):
     order, is_symmetric, is_symplectic, is_thermostat = 1, False, False, True
 
     def __init__(
-        self, timestep: float, temperature: float, relaxation_time: float, n_dof: int, keeps_center: bool = False
+        self, timestep: float, temperature: float, relaxation_time: float, n_dof: int, keeps_center: bool
     ) -> None:
         super().__init__(timestep)
         self.temperature = checked_number("temperature", temperature, "finite and not negative")
@@ -162,18 +139,14 @@ class BerendsenBath(Splitting):
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
         """Rescale the velocities, see the class; atoms at rest stay at rest."""
-        bath, velocities = bath_of(around), state.velocities
-        around.project(state)
-        before = kinetic_energy(velocities, state.masses)
-        if before == 0.0:
+        velocities, kinetic = state.velocities, kinetic_energy(state.velocities, state.masses)
+        if kinetic == 0.0:
             return
-        ratio = 0.5 * self.n_dof * bath.k_B * self.temperature / before
-        velocities *= min(
-            max(sqrt(max(1.0 + (ratio - 1.0) * duration / self.relaxation_time, 0.0)), LEAST_SCALE), MOST_SCALE
-        )
+        ratio = 0.5 * self.n_dof * bath_of(around).k_B * self.temperature / kinetic
+        scale = sqrt(max(1.0 + (ratio - 1.0) * duration / self.relaxation_time, 0.0))
+        velocities *= min(max(scale, LEAST_SCALE), MOST_SCALE)
         if self.keeps_center:
             velocities -= momentum(velocities, state.masses) / len(velocities) * state.inverse_masses[:, None]
-        bath.energy += kinetic_energy(velocities, state.masses) - before
 
 
 class Chain:
@@ -183,8 +156,8 @@ class Chain:
         η̇_j = p_j/Q_j,   ṗ_1 = 2K − n k_B T − p_1 p_2/Q_2,   ṗ_j = p_{j−1}²/Q_{j−1} − k_B T − p_j p_{j+1}/Q_{j+1},
         v̇ = −v p_1/Q_1
 
-    thermal : k_B T [energy].  n_dof : n.  relaxation_time : τ; Q_1 = n k_B T τ², all others k_B T τ².  length : M.
-        loops : substeps of a contact.
+    thermal : k_B T [energy].  n_dof : n.  relaxation_time : τ; Q_1 = n k_B T τ², all others k_B T τ².
+    length : M.  loops : substeps of a contact.
     eta, p : (M,) η_j and p_j.  G. J. Martyna, M. L. Klein, M. E. Tuckerman, J. Chem. Phys. 97, 2635 (1992);
     integrator: G. J. Martyna et al., Mol. Phys. 87, 1117 (1996).
     """
@@ -234,9 +207,7 @@ class Chain:
 
 class NoseHooverBath(Splitting):
     """Velocity Verlet between two half steps of a Nosé-Hoover chain, which the caller keeps; order 2, symmetric.
-
-    chain : Chain, changed in place.
-    """
+    chain : changed in place."""
 
     name = "nose-hoover-chain"
     substeps = (Thermalize(0.5), Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(0.5))
@@ -253,15 +224,4 @@ class NoseHooverBath(Splitting):
         if bath.contact == 0:
             self.chain.begin(bath.step)
         bath.contact += 1
-        around.project(state)
-        kinetic = kinetic_energy(state.velocities, state.masses)
-        factor = self.chain.advance(2.0 * kinetic, duration)
-        state.velocities *= factor
-        bath.energy += kinetic * (factor * factor - 1.0)
-
-
-def _checked(name: str, values: Any) -> Array:
-    array = np.asarray(values, dtype=float)
-    if not (np.isfinite(array).all() and (array >= 0.0).all()):
-        raise ValueError(f"{name} must be finite and not negative; {name} = {shown(values)}")
-    return array
+        state.velocities *= self.chain.advance(2.0 * kinetic_energy(state.velocities, state.masses), duration)

@@ -53,10 +53,7 @@ class Calculator(ASECalculator):
         threads: int | None = None,
         precision: Precision = "double",
     ) -> None:
-        """Potentials of minimd for ASE; see the class.
-
-        ASE's arguments restart, label, directory and atoms do not exist.
-        """
+        """See the class. ASE's arguments restart, label, directory and atoms do not exist."""
         super().__init__()
         self._plan: tuple[Atoms, Forces] | None = None
         self.potentials, self.bonds, self.options = potentials, bonds, Options(threads, precision, skin)
@@ -72,9 +69,8 @@ class Calculator(ASECalculator):
     @potentials.setter
     def potentials(self, potentials: Potential | Sequence[Potential]) -> None:
         self._potentials = potentials
-        self.parameters["potentials"] = [
-            repr(one) for one in (potentials if isinstance(potentials, list | tuple) else [potentials])
-        ]  # for databases
+        several = potentials if isinstance(potentials, list | tuple) else [potentials]
+        self.parameters["potentials"] = [repr(one) for one in several]  # for databases
         self._plan = None
         self.reset()
 
@@ -94,24 +90,18 @@ class Calculator(ASECalculator):
         properties: Sequence[str] = ("energy",),
         system_changes: Sequence[str] = all_changes,
     ) -> None:
-        """Fill results.
-
-        The atoms themselves decide whether the list is kept,
-        because system_changes includes neither masses nor failed calls.
-        """
+        """Fill results. The atoms themselves decide whether the list is kept, because system_changes includes neither
+        masses nor failed calls."""
         super().calculate(atoms, list(properties), list(system_changes))
-        per_atom = bool({"energies", "stresses"} & set(properties))
-        forces = self._forces_at(self.atoms)
+        per_atom, forces = bool({"energies", "stresses"} & set(properties)), self._forces_at(self.atoms)
         forces.compute(PER_ATOM if per_atom else TOTALS)
         if not (np.isfinite(forces.potential_energy) and np.isfinite(forces.forces).all()):
-            raise NonFiniteError(
-                f"forces or energies are not finite: {why_not_finite(forces.system, forces.potentials)}"
-            )
-        self.results, volume = _results(self.atoms, forces), volume_of(self.atoms)
+            why = why_not_finite(forces.system, forces.potentials)
+            raise NonFiniteError(f"forces or energies are not finite: {why}")
+        self.results = _results(self.atoms, forces)
         if per_atom:
-            self.results["energies"] = forces.energies
-        if volume and per_atom:
-            self.results["stresses"] = -forces.virials / volume
+            volume = volume_of(self.atoms)
+            self.results |= {"energies": forces.energies} | ({"stresses": -forces.virials / volume} if volume else {})
 
     def check_state(self, atoms: Atoms, tol: float = 1e-15) -> list[str]:
         """ASE's list of changes; a changed label counts as a changed atomic number."""
@@ -119,14 +109,11 @@ class Calculator(ASECalculator):
         return changes if self.atoms is None or same_labels(self.atoms, atoms) else [*changes, "numbers"]
 
     def adopt(self, atoms: Atoms, forces: Forces) -> None:
-        """Take over energy, forces and stress of these atoms from Forces with the same potentials,
-        which have just been computed."""
-        self.atoms = atoms.copy()
-        self.results = _results(atoms, forces)
+        """Take over energy, forces and stress of these atoms from Forces with the same potentials, just computed."""
+        self.atoms, self.results = atoms.copy(), _results(atoms, forces)
 
     def _forces_at(self, atoms: Atoms) -> Forces:
-        """The Forces on these atoms: those of the last call, with their pair list,
-        if only positions or cell have changed."""
+        """The Forces on these atoms: those of the last call and their list, if only positions or cell have changed."""
         if self._plan and same_scene(self._plan[0], atoms):
             forces = self._plan[1]
             forces.system.positions[:], forces.system.cell = atoms.positions, cell_of(atoms)

@@ -12,22 +12,20 @@ from ase.md.md import MolecularDynamics
 from numpy.typing import NDArray
 
 from minimd.ase.calculator import Calculator
-from minimd.ase.foreign import ForcesOnAtoms
 from minimd.console.quiet import outside_minimd, quiet
 from minimd.console.signals import stop_on_signals
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.engine.engine import Engine
 from minimd.integrators.splitting.rows import VelocityVerlet as Method
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.potentials.term import calculators_said
-from minimd.structure.ase_atoms import same_scene
+from minimd.potentials.term import CalculatorTerm, calculators_said
+from minimd.structure.ase_atoms import fixes_center, same_scene
 from minimd.structure.system import System
 from minimd.structure.units import ASE
 
 
 class MinimdSteps(MolecularDynamics):
-    """A mixin with which a class of ase.md makes its steps with minimd;
-    it is put before that class in the list of bases.
+    """A mixin with which a class of ase.md makes its steps with minimd, put before that class in the list of bases.
 
     run makes all steps between two observations at once, then updates atoms, momenta and the calculator's results
     (energy, forces, stress). Changes between two blocks take effect in the next block: positions, momenta, cell,
@@ -61,9 +59,8 @@ class MinimdSteps(MolecularDynamics):
     def run(self, steps: int = 50) -> bool:
         """Make this many steps. Returns False if an observer lowered max_steps below nsteps, else True."""
         step, log = (getattr(method, "__func__", None) for method in (self.step, self.log))
-        if (
-            step is not MinimdSteps.step or log is not MolecularDynamics.log
-        ):  # one was replaced, as by a log of every step
+        # one was replaced, as by a log of every step
+        if step is not MinimdSteps.step or log is not MolecularDynamics.log:
             return bool(super().run(steps))
         next(self.irun(steps))  # what ASE does before the first step
         while self.nsteps < self.max_steps:
@@ -82,9 +79,7 @@ class MinimdSteps(MolecularDynamics):
 
     def step(self, forces: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
         """Make one step, without changing nsteps; returns the forces after it, (N, 3) [eV/Å].
-
-        forces : at the present positions, as in ASE's classes; they are ignored, because they are already known.
-        """
+        forces : at the present positions, as in ASE's classes; they are ignored, because they are already known."""
         self._advance(1)
         self.nsteps -= 1
         return np.asarray(self.atoms.get_forces(md=True))
@@ -101,8 +96,7 @@ class MinimdSteps(MolecularDynamics):
                 guard.make_steps(n_steps, with_energy=True)
                 guard.observe()
         finally:
-            self.nsteps += engine.step - start
-            self._steps_made += engine.step - start
+            self.nsteps, self._steps_made = self.nsteps + engine.step - start, self._steps_made + engine.step - start
             self._count_heat(engine.reservoir_energy - given)
             atoms.positions[:] = engine.positions
             atoms.set_momenta(_momenta(engine), apply_constraint=False)
@@ -113,25 +107,15 @@ class MinimdSteps(MolecularDynamics):
         """Take notice of the energy [eV] that the bath has given to the atoms."""
 
     def _guard_at(self, atoms: Atoms) -> tuple[RunGuard, bool]:
-        """The guarded engine, with positions and momenta of the atoms;
-        a new one if anything else was changed from outside.
-
-        Also returns whether this continues the run of its last steps, with atoms that were not moved since.
-        """
+        """The guarded engine, with positions and momenta of the atoms; a new one if anything else was changed.
+        Also returns whether this continues the run of its last steps, with atoms that were not moved since."""
         made_for, is_new_run, self._is_new_run = self._made_for, self._is_new_run, False
-        if (
-            made_for is None
-            or not same_scene(made_for, atoms)
-            or not np.array_equal(made_for.cell.array, atoms.cell.array)
-        ):
+        if not (made_for and same_scene(made_for, atoms) and np.array_equal(made_for.cell.array, atoms.cell.array)):
             return self._new_guard(atoms), False
         engine, (potentials, constraints) = self._guard.engine, _essence(atoms)
-        has_moved = not np.array_equal(atoms.positions, engine.positions)  # rigid bonds are measured again then
-        if (
-            potentials is not self._made_with[0]
-            or constraints != self._made_with[1]
-            or (atoms.constraints and has_moved)
-        ):
+        is_known = potentials is self._made_with[0] and constraints == self._made_with[1]
+        # rigid bonds are measured again where atoms have moved
+        if not is_known or (atoms.constraints and not np.array_equal(atoms.positions, engine.positions)):
             return self._new_guard(atoms), False
         engine.positions[:] = atoms.positions
         if not np.array_equal(atoms.get_momenta(), _momenta(engine)):
@@ -148,13 +132,11 @@ class MinimdSteps(MolecularDynamics):
         is_own = isinstance(calculator, Calculator)
         with quiet():  # of charges: our calculator warns of them, another one may use them
             system = System.from_ase(atoms, calculator.bonds if is_own else None)
-        if is_own:
-            engine = Engine(system, calculator.potentials, self.method(), options=calculator.options)
-        else:
-            if not self._is_told:
-                warnings.warn(calculators_said(calculator), stacklevel=outside_minimd())
-                self._is_told = True
-            engine = Engine(system, ForcesOnAtoms(atoms), self.method())
+        if not (is_own or self._is_told):
+            warnings.warn(calculators_said(calculator), stacklevel=outside_minimd())
+            self._is_told = True
+        potentials, options = (calculator.potentials, calculator.options) if is_own else (ForcesOnAtoms(atoms), None)
+        engine = Engine(system, potentials, self.method(), options=options)
         engine.step, engine.counts_center = self.nsteps, True
         self._guard, self._made_for, self._made_with = RunGuard(engine), atoms.copy(), _essence(atoms)
         self._made_for.calc = calculator
@@ -163,9 +145,7 @@ class MinimdSteps(MolecularDynamics):
 
 class VelocityVerlet(MinimdSteps, ase.md.verlet.VelocityVerlet):
     """ase.md.verlet.VelocityVerlet with the steps made by minimd: the same motion, to rounding.
-
-    Parameters, attach, irun, get_time and everything else are those of ASE. Raises : see MinimdSteps.
-    """
+    Parameters, attach, irun, get_time and everything else are those of ASE. Raises : see MinimdSteps."""
 
     def method(self) -> Splitting:
         """Velocity Verlet."""
@@ -180,3 +160,32 @@ def _essence(atoms: Atoms) -> tuple[Any, list[str]]:
     """The potentials of the calculator, if it is minimd's, and the constraints as texts."""
     potentials = atoms.calc.potentials if isinstance(atoms.calc, Calculator) else None
     return potentials, [encode(constraint.todict()) for constraint in atoms.constraints]
+
+
+class ForcesOnAtoms:
+    """A potential for one ase.Atoms: forces and energy from its calculator, which is called with these atoms and all
+    their arrays. Their positions follow those of the system. The virial is NaN: the stress is not needed here."""
+
+    def __init__(self, atoms: Atoms) -> None:
+        self._atoms = atoms
+
+    def __repr__(self) -> str:
+        return f"ForcesOnAtoms({type(self._atoms.calc).__name__})"
+
+    def bind(self, system: System) -> "WithoutVirial":
+        """The term that gets the forces on the atoms from the calculator."""
+        return WithoutVirial(self._atoms)
+
+
+class WithoutVirial(CalculatorTerm):
+    """Forces and energy only. If the atoms have FixCom, the force on their center of mass is removed, in proportion to
+    the masses."""
+
+    def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
+        """See CalculatorTerm."""
+        super().add(system, detail, forces, energies, virials)
+        if fixes_center(self._atoms):
+            forces -= system.masses[:, None] / system.masses.sum() * forces.sum(axis=0)
+
+    def _virial(self, system: System, forces: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.full(6, np.nan)

@@ -1,6 +1,4 @@
-"""ASE's thermostats with the steps made by minimd.
-
-Arguments, defaults, attributes and setters are inherited from ASE's classes.
+"""ASE's thermostats with the steps made by minimd; arguments, defaults, attributes and setters are those of ASE.
 
 The noise is minimd's: paths differ from those of ASE's classes, distributions are the same. Each class draws one seed
 from its rng when the first step is made; equal rngs give equal runs.
@@ -68,14 +66,13 @@ class Noisy(MolecularDynamics):
 
 
 class Langevin(MinimdSteps, Noisy, ase.md.langevin.Langevin):
-    """ase.md.langevin.Langevin with the steps of BAOAB, see minimd.LangevinBAOAB:
-    the same distribution by another scheme.
+    """ase.md.langevin.Langevin with the steps of BAOAB, see minimd.LangevinBAOAB: the same distribution.
 
     temperature_K and friction may be arrays with one value for each atom, (N, 1). With fixcm the bath does not act on
     the center of mass, and the temperature of all other motions is raised by n/(n − 3), n =
     atoms.get_number_of_degrees_of_freedom(), so that the mean of atoms.get_temperature() is temperature_K, as in ASE. A
-    constraint FixCom, which ASE recommends instead, is kept exactly. If atoms are held by FixAtoms,
-    the center of mass is not free, and fixcm has no effect.
+    constraint FixCom, which ASE recommends instead, is kept exactly. If atoms are held by FixAtoms, the center of mass
+    is not free, and fixcm has no effect.
     """
 
     def method(self) -> Splitting:
@@ -84,10 +81,8 @@ class Langevin(MinimdSteps, Noisy, ase.md.langevin.Langevin):
         if self.fix_com and _center_is_free(self.atoms):
             n_dof = self.atoms.get_number_of_degrees_of_freedom()
             if n_dof <= 3:
-                raise ValueError(
-                    f"fixcm = True needs more than 3 degrees of freedom, {len(self.atoms)} atoms have {n_dof}; use "
-                    "fixcm=False"
-                )
+                given = f"{len(self.atoms)} atoms have {n_dof}; use fixcm=False"
+                raise ValueError(f"fixcm = True needs more than 3 degrees of freedom, {given}")
             keeps_center, temperature = True, temperature * n_dof / (n_dof - 3)
         return LangevinBath(self.dt, temperature, self.fr, self.noise_seed(), keeps_center)
 
@@ -102,10 +97,11 @@ class LangevinBAOAB(MinimdSteps, Noisy, ase.md.langevinbaoab.LangevinBAOAB):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         if self.externalstress is not None:
-            raise NotImplementedError(
-                f"externalstress = {shown(self.externalstress)}: this class needs a constant cell; use "
+            others = (
                 "ase.md.langevinbaoab.LangevinBAOAB, or minimd.Simulation with barostat=StochasticCellRescaling(...)"
             )
+            given = f"externalstress = {shown(self.externalstress)}"
+            raise NotImplementedError(f"{given}: this class needs a constant cell; use {others}")
 
     def method(self) -> Splitting:
         """BAOAB, or velocity Verlet."""
@@ -157,9 +153,8 @@ class NoseHooverChainNVT(MinimdSteps, ase.md.nose_hoover_chain.NoseHooverChainNV
         **kwargs: Any,
     ) -> None:
         super().__init__(atoms, timestep, temperature_K, tdamp, tchain, tloop, **kwargs)
-        self._chain = Chain(
-            units.kB * temperature_K, int(atoms.get_number_of_degrees_of_freedom()), tdamp, tchain, tloop
-        )
+        n_dof = int(atoms.get_number_of_degrees_of_freedom())
+        self._chain = Chain(units.kB * temperature_K, n_dof, tdamp, tchain, tloop)
 
     def method(self) -> Splitting:
         """Velocity Verlet between two half steps of the chain."""
@@ -167,35 +162,23 @@ class NoseHooverChainNVT(MinimdSteps, ase.md.nose_hoover_chain.NoseHooverChainNV
 
     def get_conserved_energy(self) -> float:
         """U + K + the energy of the chain [eV]; constant except for the error of the time step."""
-        return float(
-            self.atoms.get_potential_energy(force_consistent=True)
-            + self.atoms.get_kinetic_energy()
-            + self._chain.energy
-        )
+        potential_energy = self.atoms.get_potential_energy(force_consistent=True)
+        return float(potential_energy + self.atoms.get_kinetic_energy() + self._chain.energy)
 
 
 class Andersen(MinimdSteps, Noisy, ase.md.andersen.Andersen):
     """ase.md.andersen.Andersen.
-
-    With fixcm the center of mass comes to rest and stays there, unless atoms are held by FixAtoms.
-    """
+    With fixcm the center of mass comes to rest and stays there, unless atoms are held by FixAtoms."""
 
     def method(self) -> Splitting:
         """Collisions between the first kick and the drift of velocity Verlet."""
-        return AndersenBath(
-            self.dt,
-            self.temp / units.kB,
-            self.andersen_prob,
-            self.noise_seed(),
-            _keeps_center(self.atoms, self.fix_com),
-        )
+        keeps_center, temperature = _keeps_center(self.atoms, self.fix_com), self.temp / units.kB
+        return AndersenBath(self.dt, temperature, self.andersen_prob, self.noise_seed(), keeps_center)
 
 
 class NVTBerendsen(MinimdSteps, ase.md.nvtberendsen.NVTBerendsen):
     """ase.md.nvtberendsen.NVTBerendsen: the same motion, to rounding.
-
-    With fixcm the total momentum is removed, unless atoms are held by FixAtoms.
-    """
+    With fixcm the total momentum is removed, unless atoms are held by FixAtoms."""
 
     def method(self) -> Splitting:
         """One factor for all velocities, then velocity Verlet."""

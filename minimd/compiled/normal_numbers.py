@@ -35,7 +35,7 @@ class Stream(namedtuple("Stream", "key counter words place")):
 
 @inlined
 def new_stream(key):
-    """A stream with this key, (2,) uint64."""
+    """A stream with this key, (2,) uint64; start_stream must be called before its first number."""
     return Stream(key, np.zeros(4, dtype=np.uint64), np.zeros(4, dtype=np.uint64), np.zeros(1, dtype=np.int64))
 
 

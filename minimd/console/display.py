@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from html import escape
-from inspect import Parameter, signature
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -19,12 +19,8 @@ Rows = list[tuple[str, str]]
 
 
 class Displayed:
-    """Base class of objects that a notebook displays.
-
-    A class defines either __str__ or display_rows; here each is defined by the other.
-
-    Inside another object, such as a list, the repr is shown.
-    """
+    """Base class of objects that a notebook displays; inside another object, such as a list, the repr is shown.
+    A class defines either __str__ or display_rows; here each is defined by the other."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -55,12 +51,14 @@ class Displayed:
 def call_of(one: object, arguments: Mapping[str, Any], always: Iterable[str] = ()) -> str:
     """The call that recreates an object, without arguments that have their default values,
     except for those named in always."""
-    parameters, always = signature(type(one)).parameters, set(always)
-    told = [
-        f"{name}={as_text(value)}"
-        for name, value in arguments.items()
-        if name in always or not _is_default(parameters.get(name), value)
-    ]
+    defaults = {name: parameter.default for name, parameter in signature(type(one)).parameters.items()}
+
+    def is_default(name: str, value: Any) -> bool:
+        is_plain = name in defaults and not isinstance(value, np.ndarray | Mapping)
+        return is_plain and bool(defaults[name] == value)
+
+    always = set(always)
+    told = [f"{key}={as_text(one)}" for key, one in arguments.items() if key in always or not is_default(key, one)]
     return f"{type(one).__name__}({', '.join(told)})"
 
 
@@ -77,7 +75,3 @@ def as_text(value: Any) -> str:
     if isinstance(value, Callable):  # type: ignore[arg-type]
         return str(getattr(value, "__name__", shown(value)))
     return repr(value)
-
-
-def _is_default(parameter: Parameter | None, value: Any) -> bool:
-    return parameter is not None and not isinstance(value, np.ndarray | Mapping) and bool(parameter.default == value)

@@ -14,13 +14,9 @@ TENTHS = 10
 def progress_of(
     n_steps: int, label: str, show: bool | None = None, unit: str = "step"
 ) -> Iterator[Callable[[int], Any]]:
-    """Show on standard error, or in a notebook, how much of n_steps is done;
-    yields a function to be called with the number of steps made.
-
-    unit : what is counted, if not steps.
-    show : True for a bar on a terminal or in a notebook, and ten lines elsewhere; False for nothing; None for a bar
-        where one is possible. Raises ValueError for anything else.
-    """
+    """Show on standard error, or in a notebook, how much of n_steps is done; yields a function to be called with the
+    number of steps made.  unit : what is counted, if not steps.  show : True for a bar on a terminal or in a notebook,
+    and ten lines elsewhere; False for nothing; None for a bar where one is possible. ValueError for anything else."""
     if show not in (None, True, False):
         raise ValueError(f"progress must be True or False; progress = {shown(show)}")
     has_bar, told = (sys.stderr is not None and sys.stderr.isatty()) or in_notebook(), 0

@@ -14,8 +14,7 @@ IS_QUIET = ContextVar("is_quiet", default=False)
 
 
 class Here:
-    """In place of the regular expression of a filter: it fits every message of a thread, or asynchronous task,
-    that is quiet."""
+    """In place of the regular expression of a filter: it fits all messages of a quiet thread or asynchronous task."""
 
     def match(self, _message: str) -> bool:
         """Called by the module warnings, in the thread that warns."""
@@ -42,12 +41,9 @@ def quiet() -> Iterator[None]:
 
 
 def outside_minimd() -> int:
-    """The stacklevel with which a warning of the calling function points to the first
-    frame outside minimd and contextlib."""
-    frame, level = sys._getframe(1), 1
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in (
-        "minimd",
-        "contextlib",
-    ):
+    """The stacklevel with which a warning of the calling function points to the first frame outside minimd and
+    contextlib."""
+    frame, level, inside = sys._getframe(1), 1, ("minimd", "contextlib")
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in inside:
         frame, level = frame.f_back, level + 1
     return level

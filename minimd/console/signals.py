@@ -33,42 +33,84 @@ def stop_on_signals(run: Stoppable) -> Iterator[None]:
     exception ends the outer one. Python says nothing as it ends by Terminated: a sentence on standard error does,
     unless a caller tells it, see endings_are_told.
     """
-    requests = StopRequests(run)
+    received: list[int] = []
+    before: dict[int, Any] = {}
+
+    def request(number: int, _frame: FrameType | None) -> None:
+        run.stop_requested = True
+        received.append(number)
+        if number == signal.SIGINT:
+            _give_back(number, request, before)
+
+    of_thread = threading.current_thread() is not threading.main_thread()
+    is_inner, active = bool(_active) and not of_thread, _of_threads if of_thread else _active
+    run.stop_requested, active[id(request)] = False, (run, request)
     try:
-        with _stopping(requests):
-            yield
-    except Terminated as ended:
-        if requests.is_outermost:
-            tell_ending(ended)
-        raise
+        try:
+            with _handled(dict.fromkeys(SIGNALS, request), before, [outer for _, outer in _active.values()]):
+                yield
+        finally:
+            run.stop_requested = False
+            del active[id(request)]
+        if received:
+            raise KeyboardInterrupt("stopped after the last step")
+    except KeyboardInterrupt as stopped:
+        if received[:1] in ([], [signal.SIGINT]):
+            raise
+        ended = Terminated(received[0], str(stopped), getattr(stopped, "kept", ()))
+    except Terminated as of_inner:
+        ended = of_inner
+    else:
+        return
+    if not is_inner:
+        tell_ending(ended)
+    raise ended from None
 
 
 @contextmanager
-def _stopping(requests: "StopRequests") -> Iterator[None]:
-    """The handlers of stop_on_signals, and its exceptions."""
-    try:
-        requests.begin()
+def raising_on_signals() -> Iterator[None]:
+    """While active, Ctrl-C raises KeyboardInterrupt, and SIGTERM and SIGHUP raise Terminated, at once;
+    a run inside stops after a whole step.
+
+    For the main thread of a process whose workers do the work. Handlers that the host has set, and signals that it
+    ignores, are left alone.
+    """
+    with _handled(dict.fromkeys(SIGNALS, raise_terminated) | {signal.SIGINT: signal.default_int_handler}, {}):
         yield
-    except KeyboardInterrupt as stopped:
-        if requests.received and requests.received[0] != signal.SIGINT:
-            raise Terminated(requests.received[0], str(stopped), getattr(stopped, "kept", ())) from None
-        raise
+
+
+@contextmanager
+def _handled(handlers: dict[int, Any], before: dict[int, Any], also: Sequence[Any] = ()) -> Iterator[None]:
+    """Set handlers of signals, in the main thread, in place of the default ones and of those named in also; before :
+    takes the replaced ones. At the end they are set again, that of Ctrl-C last: it may raise."""
+    try:
+        for number in SIGNALS if threading.current_thread() is threading.main_thread() else ():
+            if (handler := signal.getsignal(number)) in (*DEFAULT_HANDLERS, *also):
+                before[number] = handler
+                signal.signal(number, handlers[number])
+        yield
     finally:
-        requests.end()
-    if requests.received:
-        words = "stopped after the last step"
-        raise (
-            KeyboardInterrupt(words)
-            if requests.received[0] == signal.SIGINT
-            else Terminated(requests.received[0], words)
-        )
+        for number in reversed(before):
+            _give_back(number, handlers[number], before)
 
 
-def tell_ending(ended: "Terminated") -> None:
-    """Tell on standard error how runs were ended by a signal, unless a caller does."""
-    if not _callers and sys.stderr is not None:
-        kept = ", ".join(str(file) for file in ended.kept if file.exists())
-        print(f"minimd: {ended}{f'; what was written is kept in {kept}' if kept else ''}", file=sys.stderr, flush=True)
+def _give_back(number: int, handler: Any, before: dict[int, Any]) -> None:
+    if signal.getsignal(number) is handler:  # the host may have set its own meanwhile
+        signal.signal(number, before[number])
+
+
+# (run, its handler) of the runs in the main thread, from the outermost to the innermost; and of those in other threads
+_active: dict[int, tuple[Stoppable, Any]] = {}
+_of_threads: dict[int, tuple[Stoppable, Any]] = {}
+
+
+def stop_runs_of_threads() -> None:
+    """Set stop_requested of all runs outside the main thread: each ends after a whole step with KeyboardInterrupt."""
+    for run, _ in list(_of_threads.values()):
+        run.stop_requested = True
+
+
+_callers: list[None] = []  # those within endings_are_told
 
 
 @contextmanager
@@ -81,90 +123,16 @@ def endings_are_told() -> Iterator[None]:
         _callers.pop()
 
 
-_callers: list[None] = []  # those within endings_are_told
-
-
-def stop_runs_of_threads() -> None:
-    """Set stop_requested of all runs outside the main thread: each ends after a whole step with KeyboardInterrupt."""
-    for run in list(RUNS_OF_THREADS.values()):
-        run.stop_requested = True
-
-
-@contextmanager
-def raising_on_signals() -> Iterator[None]:
-    """While active, Ctrl-C raises KeyboardInterrupt, and SIGTERM and SIGHUP raise Terminated, at once;
-    a run inside stops after a whole step.
-
-    For the main thread of a process whose workers do the work. Handlers that the host has set,
-    and signals that it ignores, are left alone.
-    """
-    before: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        before = {number: handler for number in SIGNALS if (handler := signal.getsignal(number)) in DEFAULT_HANDLERS}
-    for number in before:
-        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else raise_terminated)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-RUNS_OF_THREADS: dict[int, Stoppable] = {}  # by id
-
-
-class StopRequests:
-    """The handler of signals during a run; it replaces the default handlers, and the handler of an enclosing run.
-
-    received : numbers of the signals that came, in order.  is_outermost : whether it is that of a run in no other run.
-    """
-
-    def __init__(self, run: Stoppable) -> None:
-        self._run, self._before = run, dict[int, Any]()
-        self.is_outermost = True
-        self.received: list[int] = []
-
-    def __call__(self, number: int, _frame: FrameType | None) -> None:
-        """Python calls this between two instructions of the main thread."""
-        self._run.stop_requested = True
-        self.received.append(number)
-        if number == signal.SIGINT:
-            self._give_back(number)
-
-    def begin(self) -> None:
-        """Set the handler; outside the main thread, where none can be set,
-        register the run for stop_runs_of_threads."""
-        self._run.stop_requested = False
-        if threading.current_thread() is not threading.main_thread():
-            RUNS_OF_THREADS[id(self._run)] = self._run
-        else:
-            for number in SIGNALS:
-                handler = signal.getsignal(number)
-                self.is_outermost = self.is_outermost and not isinstance(handler, StopRequests)
-                if isinstance(handler, StopRequests) or handler in DEFAULT_HANDLERS:
-                    self._before[number] = handler
-                    signal.signal(number, self)
-
-    def end(self) -> None:
-        """Restore the handlers from before, that of Ctrl-C last: it may raise."""
-        self._run.stop_requested = False
-        RUNS_OF_THREADS.pop(id(self._run), None)
-        for number in reversed(self._before):
-            self._give_back(number)
-
-    def _give_back(self, number: int) -> None:
-        before = self._before[number]
-        if signal.getsignal(number) is self:  # the host may have set its own meanwhile
-            signal.signal(number, before)
+def tell_ending(ended: "Terminated") -> None:
+    """Tell on standard error how runs were ended by a signal, unless a caller does."""
+    if not _callers and sys.stderr is not None:
+        kept = ", ".join(str(file) for file in ended.kept if file.exists())
+        print(f"minimd: {ended}{f'; what was written is kept in {kept}' if kept else ''}", file=sys.stderr, flush=True)
 
 
 class Terminated(SystemExit):
-    """A run was ended by SIGTERM or SIGHUP, after a whole step.
-
-    The exit code is 128 + the number of the signal, as in shells.
-
-    kept : files of the run.
-    """
+    """A run was ended by SIGTERM or SIGHUP, after a whole step. The exit code is 128 + the number of the signal, as in
+    shells.  kept : files of the run."""
 
     def __init__(self, number: int, words: str, kept: Sequence[Path] = ()) -> None:
         super().__init__(128 + number)

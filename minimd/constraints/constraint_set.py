@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from minimd.console.quiet import outside_minimd
 from minimd.console.words import shown
 from minimd.constraints.solver import ConstraintSolver, check_atoms
-from minimd.structure.cell import Cell
+from minimd.structure.cell import Cell, images_of_length, nearest_images
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
-from minimd.structure.images import images_of_length, nearest_images
 from minimd.structure.observables import degrees_of_freedom
 from minimd.structure.system import System, check_resolution
 

@@ -15,13 +15,11 @@ from minimd.structure.units import LJ, SYSTEMS
 class CrashReport:
     """The findings about a failed run. str() puts them into lines.
 
-    fault : what went wrong.  step : in which step.  last_good_step : of the state described.  first_step :
-        from which it can be replayed.
-    kind : "law", "overlap", "barostat", "constraint", "bond", "hot", "step" or "pair".
-    pair, cause, advice : as Verdict.  closest : two atoms and their distance [length], or None.
+    fault : what went wrong.  step : in which step.  last_good_step : of the state described.
+    first_step : from which it can be replayed.  kind : of Rule.  pair, cause, advice : as Verdict.
+    closest : two atoms and their distance [length], or None.
     pushed, largest_force : the atom on which the largest force acts, and its size [energy/length].
-    fastest, displacement : the fastest atom, and how far it moves in a step [length].  timestep : [time].  units :
-        name.
+    fastest, displacement : the fastest atom, and its way in a step [length].  timestep : [time].  units : name.
     """
 
     fault: str
@@ -43,8 +41,8 @@ class CrashReport:
     def __str__(self) -> str:
         pair, units = self.pair, SYSTEMS.get(self.units, LJ)
         force, length = f"{units.energy}/{units.length}", units.length
-        fault, cause, advice = f"{self.fault}, at step {self.step}", self.cause, self.advice
-        lines = [f"fault          {fault}", f"cause          {cause}", f"what to do     {advice}"]
+        lines = [f"fault          {self.fault}, at step {self.step}"]
+        lines += [f"cause          {self.cause}", f"what to do     {self.advice}"]
         if pair is not None:
             what = f"{'bond' if pair.is_bond else 'pair'} of {pair.atoms} ({pair.law}), {pair.apart(length)}"
             lines.append(f"pair           {what}, −u′ {pair.force:.3g} {force}{pair.stiffness(self.timestep)}")

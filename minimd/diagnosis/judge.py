@@ -120,7 +120,7 @@ class Evidence:
 
     @cached_property
     def closest(self) -> ClosestPair | None:
-        """Two atoms and their distance."""
+        """The closest two atoms and their distance; None if there are no two."""
         return closest_pair(self.system)
 
     @cached_property

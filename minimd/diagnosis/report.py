@@ -6,19 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from minimd.console.display import Displayed
+from minimd.console.display import NAME_WIDTH, Displayed, Rows
 from minimd.engine.record import SERIES, Record
-from minimd.structure.statistics import (
-    FEW,
-    block_means,
-    independent,
-    mean_and_error,
-    standard_error,
-    wandering,
-    with_error,
-)
+from minimd.structure import statistics
+from minimd.structure.observables import Array
+from minimd.structure.statistics import FEW, block_means, independent, mean_and_error, with_error
 
 BLOCKS = 40  # averages of the total energy between which the drift is fitted
 BLOCKS_OF_WALK = 20  # the same for a series that wanders like a random walk
@@ -81,20 +74,14 @@ class Drift:
 
     @property
     def is_significant(self) -> bool:
-        """True if chance produces such a slope less than 3 times in 1000, or if it is not a number.
+        """True if chance produces such a slope less than 3 times in 1000, or if it is not a number: it is then larger
+        than three standard errors, or up to six (Student's t) if fluctuations last long compared with the run."""
+        most = SIGNIFICANT
+        if not np.isinf(self.n_independent):
+            from scipy.special import ndtr, stdtrit  # takes its time to load
 
-        It then differs from zero by more than three standard errors, or up to six (Student's t)
-        if fluctuations last long compared with the run.
-        """
-        return not abs(self.slope) <= self._significant * self.error
-
-    @property
-    def _significant(self) -> float:
-        if np.isinf(self.n_independent):
-            return SIGNIFICANT
-        from scipy.special import ndtr, stdtrit  # takes its time to load
-
-        return min(MOST_SIGNIFICANT, float(stdtrit(max(1.0, self.n_independent - 2.0), ndtr(SIGNIFICANT))))
+            most = min(MOST_SIGNIFICANT, float(stdtrit(max(1.0, self.n_independent - 2.0), ndtr(SIGNIFICANT))))
+        return not abs(self.slope) <= most * self.error
 
     @property
     def is_too_short(self) -> bool:
@@ -102,12 +89,7 @@ class Drift:
         return self.is_unsure and not self.is_significant
 
 
-def drift(
-    time: NDArray[np.float64],
-    series: NDArray[np.float64],
-    blocks: int = BLOCKS,
-    beside: NDArray[np.float64] | None = None,
-) -> Drift:
+def drift(time: Array, series: Array, blocks: int = BLOCKS, beside: Array | None = None) -> Drift:
     """Least-squares slope of a series, with the standard error that follows from its correlated fluctuations.
 
         error² = σ² / ((n − 2) Var t),   n = blocks (1 − ρ)/(1 + ρ)
@@ -116,9 +98,8 @@ def drift(
     of them are independent. A short series makes ρ too small by (2 + 4ρ)/blocks, since the line follows it;
     this is corrected.
     time, series : (T,). NaN if one of them is not finite.
-    beside : (T,) another series of the same run, whose n is taken if it is smaller.
-        The energy error of a method depends on the state, and slow
-    changes of the state are plain to see in the kinetic energy, while in the total energy faster changes hide them.
+    beside : (T,) another series of the same run, whose n is taken if it is smaller. The energy error depends on
+        the state, whose slow changes show in the kinetic energy, while in the total energy faster ones hide them.
 
     H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989), on blocks; M. G. Kendall, Biometrika 41, 403 (1954),
     on the bias of ρ.
@@ -140,13 +121,13 @@ def drift(
     return replace(safe, is_unsure=own < INDEPENDENT or one.is_significant)
 
 
-def _line(t: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+def _line(t: Array, y: Array) -> tuple[float, Array]:
     """Slope of the line through points, and their distances from it."""
     slope, at_zero = np.polyfit(t, y, 1)
     return float(slope), y - slope * t - at_zero
 
 
-def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks: int = BLOCKS_OF_WALK) -> Drift:
+def drift_of_walk(time: Array, series: Array, blocks: int = BLOCKS_OF_WALK) -> Drift:
     """Slope of a series that is the sum of a drift, a random walk and fluctuations,
     and the standard error of the slope.
 
@@ -160,7 +141,9 @@ def drift_of_walk(time: NDArray[np.float64], series: NDArray[np.float64], blocks
         return drift(time, series, blocks)
     t, y = block_means(time, blocks), block_means(series, blocks)
     steps, rate = np.diff(y), (blocks - 1.0) / np.ptp(t)
-    return Drift(float(steps.mean() * rate), float(standard_error(steps, wandering)) * rate, blocks / 2.0)
+    return Drift(
+        float(steps.mean() * rate), float(statistics.standard_error(steps, statistics.wandering)) * rate, blocks / 2.0
+    )
 
 
 @dataclass(frozen=True)
@@ -180,17 +163,14 @@ class Cost:
     constraints: str = ""
     peak_memory: int | None = None
 
-    def lines(self) -> list[str]:
-        """Lines of a report."""
+    def rows(self) -> Rows:
+        """Rows of a report."""
         speed = f"{self.n_steps / self.seconds:.4g} steps/s" if self.seconds > 0.0 else "no steps"
-        lines = [
-            f"speed          {speed}; {self.n_evaluations} force evaluations, {self.pair_search}, built "
-            f"{self.list_builds} times"
-        ]
-        lines += [f"constraints    {self.constraints}"] if self.constraints else []
-        if self.peak_memory is not None:
-            lines.append(f"memory         {self.peak_memory / 1e6:.4g} MB at most so far, of the whole process")
-        return lines + ([f"not needed     {', '.join(self.skipped)}"] if self.skipped else [])
+        work = f"{self.n_evaluations} force evaluations, {self.pair_search}, built {self.list_builds} times"
+        held = f"{(self.peak_memory or 0) / 1e6:.4g} MB at most so far, of the whole process"
+        rows = [("speed", f"{speed}; {work}"), ("constraints", self.constraints)]
+        rows += [("memory", held if self.peak_memory is not None else ""), ("not needed", ", ".join(self.skipped))]
+        return [row for row in rows if row[1]]
 
 
 @dataclass(frozen=True)
@@ -209,18 +189,14 @@ class Report(Displayed):
         temperature_error : standard error of the mean.
     duration : [ps or τ].  n_frames : number of observations.  n_steps : from the first to the last.  cost : of the run,
         if known.
-    kinetic_energy : mean per atom [energy]: ½ n_dof k_B T / N,
-        which leaves out a motion of the center of mass that n_dof leaves out.
+    kinetic_energy : mean per atom [energy]: ½ n_dof k_B T / N, without a motion of the center of mass if n_dof is.
     energy_range : largest difference of two total energies per atom beyond rounding [energy].
     shadow_drift, shadow_oscillation : the same for the shadow energy; None and 0 if it was not recorded.
     temperatures, volumes : means of the first and of the last fifth of the run; volumes of zero if they are unknown.
-    not_finite : the first observable with an entry that is NaN or infinite, and its step, in words;
-        empty if there is none.
+    not_finite : the first observable with an entry that is NaN or infinite, and its step, in words; empty if none has.
     lines : results that need no run: see diagnosis.run_report.
-    too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown,
-        as for a file.
-    is_at_rest : whether nothing moves except by rounding; changes of momentum then cannot be judged,
-        for lack of a scale.
+    too_long_a_step : a clause, if the time step of the run is too long; empty if it is not, or if that is unknown.
+    is_at_rest : whether nothing moves except by rounding; changes of momentum then have no scale to be judged by.
     """
 
     energy_drift: Drift
@@ -281,26 +257,23 @@ class Report(Displayed):
 
     @property
     def momentum_is_conserved(self) -> bool:
-        """True if rounding, which adds up like a random walk, explains the change,
-        or if momentum need not be constant."""
-        return not self.not_finite and (
-            self.is_at_rest or (self.momentum_change or 0.0) < MOMENTUM_KEPT * max(1.0, (self.n_steps / 1e4) ** 0.5)
-        )
+        """True if rounding, which adds up like a random walk, explains the change, or if it need not be constant."""
+        return self._is_rounding(self.momentum_change, MOMENTUM_KEPT)
 
     @property
     def angular_momentum_is_conserved(self) -> bool:
         """Likewise."""
-        kept = (ANGULAR_MOMENTUM_KEPT if self.momentum_change else KEPT_ON_A_GRID) * max(
-            1.0, (self.n_steps / 1e4) ** 0.5
-        )
-        return not self.not_finite and (self.is_at_rest or (self.angular_momentum_change or 0.0) < kept)
+        kept = ANGULAR_MOMENTUM_KEPT if self.momentum_change else KEPT_ON_A_GRID
+        return self._is_rounding(self.angular_momentum_change, kept)
+
+    def _is_rounding(self, change: float | None, kept: float) -> bool:
+        most = kept * max(1.0, (self.n_steps / 1e4) ** 0.5)
+        return not self.not_finite and (self.is_at_rest or (change or 0.0) < most)
 
     @property
     def is_settling(self) -> bool:
-        """Whether the temperature of the first and of the last fifth of the run differ much,
-        as after a start that is not in equilibrium."""
-        first, last = self.temperatures
-        return abs(last - first) > SETTLING * max(first, last)
+        """Whether the temperature of the first and of the last fifth of the run differ much, as before equilibrium."""
+        return _differ(self.temperatures, SETTLING)
 
     @property
     def is_far_from_pressure(self) -> bool:
@@ -310,107 +283,45 @@ class Report(Displayed):
     @property
     def swells(self) -> bool:
         """Whether the volume of the first and of the last fifth of the run differ much."""
-        first, last = self.volumes
-        return abs(last - first) > SWELLING * max(first, last)
-
-    def __str__(self) -> str:
-        energy, time, temperature = self.units
-        slope, shadow, per, lines = self.energy_drift, self.shadow_drift, f"{energy} per atom", []
-
-        def tell(name: str, words: str) -> None:
-            lines.append(f"{name:<14} {words}")
-
-        only = self.n_frames == 1
-        drifts = (
-            "drift unknown: one frame"
-            if only
-            else f"drift {slope} {per} per {time}{'' if np.isinf(slope.error) else ' (standard error)'}"
-        )
-        name = (
-            "total energy"
-            if not (self.has_bath or self.has_work)
-            else f"E{' - reservoir' * self.has_bath}{' - work' * self.has_work}"
-        )
-        tell(name, drifts)
-        tell("", f"oscillation {self.energy_oscillation:.2e} {per} (standard deviation)")
-        if shadow is not None:
-            said = {None: "too short to judge", True: "none", False: "IT DRIFTS"}[self.shadow_is_conserved]
-            tell("shadow energy", f"drift {shadow} {per} per {time}: {said}")
-            tell("", f"oscillation {self.shadow_oscillation:.2e} {per}")
-        if self.momentum_change is not None:
-            change = f"change {self.momentum_change:.1e} of the sum of |mv|: {KEPT[self.momentum_is_conserved]}"
-            tell(
-                "momentum",
-                "rounding alone: the atoms are at rest"
-                if self.is_at_rest
-                else change
-                if self.momentum_change
-                else "exactly constant",
-            )
-        if self.angular_momentum_change is not None and not self.is_at_rest:
-            tell(
-                "ang. momentum",
-                f"change {self.angular_momentum_change:.1e} of the sum of m|r||v|: "
-                f"{KEPT[self.angular_momentum_is_conserved]}",
-            )
-        if self.constraint_violation is not None:
-            said = "kept" if self.constraint_violation < LENGTHS_KEPT else "NOT KEPT"
-            tell("lengths", f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}")
-        lines.extend(map(str, self.lines))
-        spread = (
-            "of one frame" if only else f"on average, standard deviation {self.temperature_deviation:.2g} {temperature}"
-        )
-        tell("temperature", f"{with_error(self.mean_temperature, self.temperature_error)} {temperature} {spread}")
-        lines.extend(self.cost.lines() if self.cost is not None else ())
-        tell("verdict", self.verdict)
-        return "\n".join(lines)
+        return _differ(self.volumes, SWELLING)
 
     @property
     def is_quiet(self) -> bool:
-        """Whether the energy stays within a hundredth of the kinetic energy,
-        in a run that is too short to tell a drift from fluctuations."""
-        return (
-            self.energy_is_conserved is None
-            and self.n_frames >= FEW
-            and self.energy_range < QUIET * self.kinetic_energy
-        )
+        """Whether the energy stays within a hundredth of the kinetic energy, in a run too short to tell a drift."""
+        is_open = self.energy_is_conserved is None and self.n_frames >= FEW
+        return is_open and self.energy_range < QUIET * self.kinetic_energy
 
-    @property
-    def _energy_verdict(self) -> str:
-        (first, last), minus = self.temperatures, ["reservoir energy"] * self.has_bath + ["work"] * self.has_work
-        name = " minus ".join(["total energy", *([" and ".join(minus)] if minus else [])])
-        if self.energy_is_conserved is None:
-            within = (
-                f"stays within {self.energy_range / self.kinetic_energy:.1g} of the kinetic energy"
-                if self.is_quiet
-                else "varies"
-            )
-            return (
-                f"the {name} {within}; the run is too short to tell whether it drifts: fluctuations last nearly as long"
-            )
-        if self.energy_is_conserved:
-            return (
-                f"the {name} does not drift, BUT {self.too_long_a_step}"
-                if self.too_long_a_step
-                else f"the {name} is conserved"
-            )
-        settling = (
-            f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}, and the error of the energy "
-            "with it; equilibrate first"
-        )
-        swollen = (
-            f" (the volume changed by {100.0 * (self.volumes[1] / self.volumes[0] - 1.0):+.2g} %)"
-            if self.swells
-            else ""
-        )
-        far = f"the barostat is far from its pressure{swollen}; equilibrate first"
-        causes = (
-            [self.too_long_a_step] * bool(self.too_long_a_step)
-            + [settling] * self.is_settling
-            + [far] * self.is_far_from_pressure
-        )
-        why = "; ".join(causes) or "reduce the time step or smooth the cutoff"
-        return f"THE {name.upper()} DRIFTS: {why}"
+    def __str__(self) -> str:
+        return "\n".join(f"{name:<{NAME_WIDTH}} {words}" for name, words in self.display_rows())
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        energy, time, heat = self.units
+        per, only, slope, shadow = f"{energy} per atom", self.n_frames == 1, self.energy_drift, self.shadow_drift
+        error = "" if np.isinf(slope.error) else " (standard error)"
+        drifts = "drift unknown: one frame" if only else f"drift {slope} {per} per {time}{error}"
+        minus = " - reservoir" * self.has_bath + " - work" * self.has_work
+        rows = [(f"E{minus}" if minus else "total energy", drifts)]
+        rows.append(("", f"oscillation {self.energy_oscillation:.2e} {per} (standard deviation)"))
+        if shadow is not None:
+            said = {None: "too short to judge", True: "none", False: "IT DRIFTS"}[self.shadow_is_conserved]
+            rows.append(("shadow energy", f"drift {shadow} {per} per {time}: {said}"))
+            rows.append(("", f"oscillation {self.shadow_oscillation:.2e} {per}"))
+        if self.momentum_change is not None:
+            change = f"change {self.momentum_change:.1e} of the sum of |mv|: {KEPT[self.momentum_is_conserved]}"
+            moving = change if self.momentum_change else "exactly constant"
+            rows.append(("momentum", "rounding alone: the atoms are at rest" if self.is_at_rest else moving))
+        if self.angular_momentum_change is not None and not self.is_at_rest:
+            said = f"sum of m|r||v|: {KEPT[self.angular_momentum_is_conserved]}"
+            rows.append(("ang. momentum", f"change {self.angular_momentum_change:.1e} of the {said}"))
+        if self.constraint_violation is not None:
+            said = "kept" if self.constraint_violation < LENGTHS_KEPT else "NOT KEPT"
+            rows.append(("lengths", f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}"))
+        rows += [(line.name, f"{line.summary}: {line.verdict}") for line in self.lines]
+        deviation = f"on average, standard deviation {self.temperature_deviation:.2g} {heat}"
+        spread = "of one frame" if only else deviation
+        rows.append(("temperature", f"{with_error(self.mean_temperature, self.temperature_error)} {heat} {spread}"))
+        return [*rows, *(self.cost.rows() if self.cost is not None else ()), ("verdict", self.verdict)]
 
     @property
     def verdict(self) -> str:
@@ -418,18 +329,42 @@ class Report(Displayed):
         if self.not_finite:
             return f"NOTHING IS CONSERVED: {self.not_finite}"
         if self.n_frames < FEW:
-            return (
-                f"{self.n_frames} frame{'s are' if self.n_frames > 1 else ' is'} too few to judge the energy; "
-                "observe more often"
-            )
-        energy = self._energy_verdict
+            are = "frames are" if self.n_frames > 1 else "frame is"
+            return f"{self.n_frames} {are} too few to judge the energy; observe more often"
+        momentum = "THE TOTAL MOMENTUM CHANGES: a force is not pairwise."
         if self.is_at_rest:
-            return f"{energy}; the atoms are at rest: set_temperature gives them velocities."
-        if self.momentum_change is None:
-            return f"{energy}; momentum is not a constant here."
-        if self.momentum_is_conserved:
-            return f"{energy}; momentum is {'conserved to rounding' if self.momentum_change else 'exactly constant'}."
-        return f"{energy}; THE TOTAL MOMENTUM CHANGES: a force is not pairwise."
+            momentum = "the atoms are at rest: set_temperature gives them velocities."
+        elif self.momentum_change is None:
+            momentum = "momentum is not a constant here."
+        elif self.momentum_is_conserved:
+            momentum = f"momentum is {'conserved to rounding' if self.momentum_change else 'exactly constant'}."
+        return f"{self._energy_verdict}; {momentum}"
+
+    @property
+    def _energy_verdict(self) -> str:
+        taken = " and ".join(["reservoir energy"] * self.has_bath + ["work"] * self.has_work)
+        name = f"total energy minus {taken}" if taken else "total energy"
+        if self.energy_is_conserved is None:
+            share = self.energy_range / self.kinetic_energy if self.is_quiet else 0.0
+            within = f"stays within {share:.1g} of the kinetic energy" if self.is_quiet else "varies"
+            short = "the run is too short to tell whether it drifts: fluctuations last nearly as long"
+            return f"the {name} {within}; {short}"
+        if self.energy_is_conserved:
+            but = f"does not drift, BUT {self.too_long_a_step}"
+            return f"the {name} {but if self.too_long_a_step else 'is conserved'}"
+        (first, last), swollen, causes = self.temperatures, "", [self.too_long_a_step] * bool(self.too_long_a_step)
+        if self.is_settling:
+            went = f"the temperature went from {first:.3g} to {last:.3g} {self.units[2]}"
+            causes.append(f"{went}, and the error of the energy with it; equilibrate first")
+        if self.swells:
+            swollen = f" (the volume changed by {100.0 * (self.volumes[1] / self.volumes[0] - 1.0):+.2g} %)"
+        if self.is_far_from_pressure:
+            causes.append(f"the barostat is far from its pressure{swollen}; equilibrate first")
+        return f"THE {name.upper()} DRIFTS: {'; '.join(causes) or 'reduce the time step or smooth the cutoff'}"
+
+
+def _differ(ends: tuple[float, float], share: float) -> bool:
+    return abs(ends[1] - ends[0]) > share * max(ends)
 
 
 @np.errstate(all="ignore")  # the report says what is not finite
@@ -440,54 +375,52 @@ def conservation_report(
     linear: bool = True,
     lines: Sequence[Line] = (),
     n_dof: int | None = None,
+    too_long_a_step: str = "",
 ) -> Report:
     """The report of a record.
 
+    linear, angular : whether momentum is constant (see Engine.conserves_momentum), and angular momentum, too (then
+        nothing is periodic).  lines, cost, too_long_a_step : see Report.
     n_dof : degrees of freedom of the run; if not given, the kinetic energy includes a motion of the center of mass.
-    linear, angular : whether the scene conserves momentum (no bath, nothing fixed)
-        and angular momentum (nor anything periodic).
-    lines : further lines of the report.  With a thermostat or barostat, total energy minus reservoir energy is judged;
-        with forces that depend
-    on time, the total energy and the shadow energy minus their work.
+    With a thermostat or barostat, total energy minus reservoir energy is judged; with forces that depend on time, the
+    total energy and the shadow energy minus their work.
     """
-    units, has_bath = record.units, "conserved_energy" in record
-    thermal = record.kinetic_energy if n_dof is None else 0.5 * n_dof * units.k_B * record.temperature
+    units, has_bath, n, heat = record.units, "conserved_energy" in record, record.n_atoms, record.temperature
+    thermal = record.kinetic_energy if n_dof is None else 0.5 * n_dof * units.k_B * heat
     time, work = record.time * units.to_picosecond, record.work if "work" in record else 0.0
-    energy = (record.conserved_energy if has_bath else record.total_energy - work) / record.n_atoms
+    energy = (record.conserved_energy if has_bath else record.total_energy - work) / n
     slope = drift_of_walk(time, energy) if has_bath else drift(time, energy, beside=record.kinetic_energy)
-    shadow = (record.shadow_energy - work) / record.n_atoms if "shadow_energy" in record else None
-    shadow_slope = None if shadow is None else drift(time, shadow, beside=record.kinetic_energy)
-    fifth = max(1, len(time) // 5)
+    shadow, potential = None, np.abs(record.potential_energy)
+    if "shadow_energy" in record:
+        series = (record.shadow_energy - work) / n
+        shadow = drift(time, series, beside=record.kinetic_energy)
     volume = record.volume if "volume" in record else np.zeros(1)
     return Report(
         energy_drift=slope,
         energy_oscillation=_oscillation(time, energy, slope),
-        momentum_change=_largest_change(record.momentum, record.absolute_momentum) if linear else None,
+        momentum_change=_largest_change(record.momentum, record.absolute_momentum, linear),
+        angular_momentum_change=_largest_change(record.angular_momentum, record.absolute_angular_momentum, angular),
+        mean_temperature=float(heat.mean()),
+        temperature_deviation=float(heat.std()),
+        duration=float(np.ptp(time)),
+        kinetic_energy=float(thermal.mean()) / n,
+        n_frames=len(time),
+        n_steps=int(record.step[-1] - record.step[0]),
+        units=(units.energy, units.shown_time, units.temperature),
         has_bath=has_bath,
         has_work="work" in record,
         constraint_violation=float(record.constraint_violation.max()) if "constraint_violation" in record else None,
-        angular_momentum_change=_largest_change(record.angular_momentum, record.absolute_angular_momentum)
-        if angular
-        else None,
-        mean_temperature=float(record.temperature.mean()),
-        temperature_deviation=float(record.temperature.std()),
-        duration=float(np.ptp(time)),
-        kinetic_energy=float(thermal.mean()) / record.n_atoms,
-        n_frames=len(time),
-        n_steps=int(record.step[-1] - record.step[0]),
         cost=cost,
-        shadow_drift=shadow_slope,
-        shadow_oscillation=0.0 if shadow is None or shadow_slope is None else _oscillation(time, shadow, shadow_slope),
+        shadow_drift=shadow,
+        shadow_oscillation=0.0 if shadow is None else _oscillation(time, series, shadow),
         lines=tuple(lines),
-        units=(units.energy, units.shown_time, units.temperature),
-        temperatures=(float(record.temperature[:fifth].mean()), float(record.temperature[-fifth:].mean())),
-        volumes=(float(volume[:fifth].mean()), float(volume[-fifth:].mean())),
+        energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * (potential / n).max())),
+        temperatures=_ends(heat),
+        volumes=_ends(volume),
         not_finite=_not_finite(record),
-        temperature_error=mean_and_error(record.temperature)[1],
-        is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * np.abs(record.potential_energy).max()),
-        energy_range=max(
-            0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * np.abs(record.potential_energy / record.n_atoms).max())
-        ),
+        temperature_error=mean_and_error(heat)[1],
+        is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * potential.max()),
+        too_long_a_step=too_long_a_step,
     )
 
 
@@ -501,12 +434,20 @@ def _not_finite(record: Record) -> str:
     return ""
 
 
-def _oscillation(time: NDArray[np.float64], series: NDArray[np.float64], slope: Drift) -> float:
+def _ends(series: Array) -> tuple[float, float]:
+    """Means of the first and of the last fifth."""
+    fifth = max(1, len(series) // 5)
+    return float(series[:fifth].mean()), float(series[-fifth:].mean())
+
+
+def _oscillation(time: Array, series: Array, slope: Drift) -> float:
     """Standard deviation about a line."""
     return float((series - series.mean() - slope.slope * (time - time.mean())).std())
 
 
-def _largest_change(vectors: NDArray[np.float64], scales: NDArray[np.float64]) -> float:
-    """max |v(t) − v(0)| over the largest scale; 0 if there is no scale, because nothing moves."""
+def _largest_change(vectors: Array, scales: Array, is_constant: bool) -> float | None:
+    """max |v(t) − v(0)| over the largest scale; 0 if there is no scale, because nothing moves; None if not constant."""
+    if not is_constant:
+        return None
     scale = scales.max()
     return float(np.linalg.norm(vectors - vectors[0], axis=1).max() / scale) if scale > 0.0 else 0.0

@@ -2,8 +2,7 @@
 
 A symmetric method without a bath returns to its start except for rounding, which grows along a chaotic path. This
 growth is measured on the same path: the way back is made twice, the second time from a turning point displaced by some
-rounding errors. A run with forces that depend on the past, a list that misses pairs,
-or a solver that stops early does not return.
+rounding errors. Forces that depend on the past, a list that misses pairs, a solver that stops early do not return.
 """
 
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ AMPLIFIED = 1e3  # rounding errors by which the turning point is displaced, so t
 # times what one rounding grows to, times the square root of the steps: up to this, a distance is due to rounding
 ENOUGH = 3.0
 CHAOS = 0.01  # of the way that atoms went: beyond it, rounding has grown too much to tell
+VERDICTS = {True: "reversible to rounding", None: "too chaotic to tell, take fewer steps", False: "NOT REVERSIBLE"}
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class Reversibility(Displayed):
 
     Attributes
     ----------
-    n_steps : in each direction.  distance : the largest of any atom from its start, at the end [length].  way :
-        the same, at the reversal [length].
+    n_steps : in each direction.  distance, way : the largest of any atom from its start, at the end and at the reversal
+        [length].
     rounding : growth of one rounding error from the turning point to the end, times √(2 n_steps) [length]; infinite if
         too chaotic to tell. Not measured, and 0, if is_exact.
     is_exact : whether all bits of positions and velocities came back.
@@ -51,17 +51,11 @@ class Reversibility(Displayed):
         return None if self.rounding > CHAOS * self.way else self.distance <= ENOUGH * self.rounding
 
     def __str__(self) -> str:
+        back = f"{self.n_steps} steps and back"
         if self.is_exact:
-            return (
-                f"{self.n_steps} steps and back, atoms went up to {self.way:.3g} {self.unit}: returned to the last bit"
-            )
-        words = {
-            True: "reversible to rounding",
-            None: "too chaotic to tell, take fewer steps",
-            False: "NOT REVERSIBLE",
-        }[self.is_reversible]
-        back = f"{self.n_steps} steps and back: {self.distance:.1e} {self.unit} from the start"
-        return f"{back} (rounding grows to {self.rounding:.1e}): {words}"
+            return f"{back}, atoms went up to {self.way:.3g} {self.unit}: returned to the last bit"
+        from_start = f"{self.distance:.1e} {self.unit} from the start (rounding grows to {self.rounding:.1e})"
+        return f"{back}: {from_start}: {VERDICTS[self.is_reversible]}"
 
     def display_rows(self) -> Rows:
         """See Displayed."""
@@ -74,21 +68,15 @@ def make_steps_back(guard: RunGuard, n_steps: int) -> None:
 
     Raises ValueError for an engine whose steps cannot be retraced to the last bit.
     """
-    engine = guard.engine
+    engine, precision = guard.engine, guard.engine.interactions.options.precision
     if engine.interactions.grid is None:
-        raise ValueError(
-            f"only precision='fixed-point' retraces its steps; precision is {engine.interactions.options.precision!r}"
-        )
+        raise ValueError(f"only precision='fixed-point' retraces its steps; precision is {precision!r}")
     if engine.constraint_set.bonds is not None:
-        raise ValueError(
-            "steps with constraints cannot be retraced to the last bit: constraint impulses are rounded after they are "
-            "computed"
-        )
+        rounded = "constraint impulses are rounded after they are computed"
+        raise ValueError(f"steps with constraints cannot be retraced to the last bit: {rounded}")
     if not engine.method.is_symmetric:
-        symmetric = "velocity Verlet, position Verlet, leapfrog and symmetric compositions"
-        raise ValueError(
-            f"steps of {engine.method.name} cannot be retraced, because it is not symmetric: take {symmetric}"
-        )
+        take = "it is not symmetric: take velocity Verlet, position Verlet, leapfrog or symmetric compositions"
+        raise ValueError(f"steps of {engine.method.name} cannot be retraced, because {take}")
     with guard.uncounted(), stop_on_signals(engine.surroundings):
         guard.check_start()
         step, time = engine.step, engine.time
@@ -115,10 +103,8 @@ def probe(guard: RunGuard, n_steps: int) -> Reversibility:
         bath = f"{engine.method.name} is a thermostat" if engine.method.is_thermostat else "there is a barostat"
         raise ValueError(f"{bath}: its noise cannot be undone, so no run with it is reversible")
     if engine.interactions.depend_on_time:
-        raise ValueError(
-            "a run with forces that depend on time has no way back: time goes on while atoms return; probe the scene "
-            "without them"
-        )
+        goes_on = "time goes on while atoms return; probe the scene without them"
+        raise ValueError(f"a run with forces that depend on time has no way back: {goes_on}")
     before = engine.snapshot()
     with guard.uncounted():
         guard.check_start()
@@ -148,9 +134,8 @@ def _probed(guard: RunGuard, n_steps: int) -> Reversibility:
     moving, amplified = engine.constraint_set.inverse_masses[:, None], AMPLIFIED * ROUNDING
     kicks = np.abs(forces) * moving * abs(engine.method.timestep)
     swept = 0.0 if engine.constraint_set.bonds is None else engine.constraint_set.bonds.accuracy
-    engine.positions[:] += (
-        random.choice([-1.0, 1.0], shape) * (AMPLIFIED * swept + amplified * np.abs(engine.positions)) * (moving > 0.0)
-    )
+    sizes = (AMPLIFIED * swept + amplified * np.abs(engine.positions)) * (moving > 0.0)
+    engine.positions[:] += random.choice([-1.0, 1.0], shape) * sizes
     engine.velocities[:] += random.choice([-1.0, 1.0], shape) * amplified * (kicks + np.abs(engine.velocities))
     guard.make_steps(n_steps)
     growth = longest(engine.positions - returned)[1]

@@ -1,5 +1,4 @@
-"""The run guard makes steps in blocks; if a block fails, it is undone and made again step by step,
-and the failure is explained."""
+"""The run guard makes steps in blocks; a block that fails is undone, made again step by step, and explained."""
 
 import warnings
 from collections.abc import Iterator, Mapping
@@ -34,13 +33,12 @@ LEAST_REPLAY = 20  # steps from the snapshot with which a replay begins to the f
 class RunGuard:
     """Makes the steps of an engine, and finds out what went wrong when one fails.
 
-    seconds, n_steps : of the present run, without compilation.  failed_from :
-        Snapshot from which the last failure can be replayed.
+    seconds, n_steps : of the present run, without compilation.
+    failed_from : Snapshot from which the last failure can be replayed.
     """
 
     def __init__(self, engine: Engine) -> None:
-        self.engine = engine
-        self.seconds, self.n_steps = 0.0, 0
+        self.engine, self.seconds, self.n_steps = engine, 0.0, 0
         self.failed_from: Snapshot | None = None
         self._first_volume = engine.system.volume
         self._checked_timestep = 0.0  # none yet
@@ -78,10 +76,7 @@ class RunGuard:
             self.seconds, self.n_steps, interactions.counts = counted
 
     def judge_by(self, first: Mapping[str, Any] | None, growth: float) -> None:
-        """Judge later runs by the energies at the start of another run, of which they are a part.
-
-        See faults.runaway.
-        """
+        """Judge later runs by the energies at the start of another, of which they are a part: see judge.runaway."""
         self._judged_by = first, growth
 
     @property
@@ -90,12 +85,10 @@ class RunGuard:
         return self._first, self._growth
 
     def check_start(self, is_same_run: bool = False) -> None:
-        """Take the state as it is now.
+        """Take the state as it is now; one not changed since the last step continues as if there had been no pause.
 
-        Raise NonFiniteError if the first step would throw atoms across the scene, and as Forces.check_resolution.
-
-        A state that was not changed since the last step continues as if there had been no pause.
         is_same_run : energies and snapshots of earlier steps remain valid, if the energy is still the same.
+        Raises NonFiniteError if the first step would throw atoms across the scene, and as Forces.check_resolution.
         """
         engine = self.engine
         self._reason = self._before = None
@@ -107,12 +100,13 @@ class RunGuard:
         goes_on = engine.is_as_left
         if not goes_on:
             engine.begin()
-        if not goes_on:
             engine.interactions.fit_skin(longest(engine.velocities)[1] * abs(engine.method.timestep))
         engine.evaluate()
         engine.prepare()
-        if is_same_run and self._is_another_energy():
-            self.forget()
+        if is_same_run:
+            kinetic, potential = engine.kinetic_energy, engine.interactions.potential_energy
+            if not abs(kinetic + potential - self._seen[1]) <= SAME_ENERGY * (kinetic + abs(potential)):
+                self.forget()  # another energy than at the last look, although nothing has moved since
         if not goes_on:
             engine.leave()
         if self._checked_timestep != engine.method.timestep:
@@ -123,8 +117,7 @@ class RunGuard:
             raise self._failure(fault, engine.step)
 
     def make_steps(self, n_steps: int, with_energy: bool = False) -> None:
-        """Make steps, in blocks.  with_energy : evaluate the energy with the last forces.
-        Raises as advance and observe."""
+        """Make steps, in blocks.  with_energy : as for advance.  Raises as advance and observe."""
         try:
             for done in range(0, n_steps, self.block):
                 self.advance(min(self.block, n_steps - done), with_energy and done + self.block >= n_steps)
@@ -136,6 +129,7 @@ class RunGuard:
     def advance(self, n_steps: int, with_energy: bool) -> None:
         """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out which step failed and why.
 
+        with_energy : evaluate the energy with the last forces.
         Raises NonFiniteError, ConstraintError if a step fails; the engine is then in the last good state.
         KeyboardInterrupt after Ctrl-C. ValueError if the scene no longer fits the list it needs.
         """
@@ -167,8 +161,9 @@ class RunGuard:
             raise KeyboardInterrupt(f"stopped after step {engine.step}")
 
     def _replay(self, before: Snapshot, n_steps: int, otherwise: str) -> NoReturn:
-        """Repeat failed steps one by one, up to the last good state; raise the error of the next step.  otherwise :
-        the fault if none fails."""
+        """Repeat failed steps one by one, up to the last good state; raise the error of the next step.
+
+        otherwise : the fault if none fails."""
         engine = self.engine
         engine.restore(before)
         for _ in range(n_steps):
@@ -196,10 +191,8 @@ class RunGuard:
         self.n_steps += done
 
     def observe(self) -> Frame:
-        """The present state, checked.
-
-        Raises NonFiniteError if its energy is not finite or has run away; the engine is back in the last good state.
-        """
+        """The present state; NonFiniteError if its energy is not finite or has run away: the engine is then back in
+        the last good state."""
         frame = observe(self.engine)
         if self._first is None:
             self._first = frame.observables
@@ -213,36 +206,25 @@ class RunGuard:
             return "the potential energy is not finite"
         return None if self._first is None else runaway(self.engine, self._first, self._growth, self._since)
 
-    def _is_another_energy(self) -> bool:
-        """Whether the total energy is not that of the last look, although nothing has moved since."""
-        kinetic, potential = self.engine.kinetic_energy, self.engine.interactions.potential_energy
-        return not abs(kinetic + potential - self._seen[1]) <= SAME_ENERGY * (kinetic + abs(potential))
-
     def check_kinetic_energy(self, most: float) -> None:
-        """Raise NonFiniteError if the kinetic energy is larger than most [energy];
-        the engine is then in the last good state of the last block."""
+        """Raise NonFiniteError if the kinetic energy is larger than most [energy]; the engine is then in the last good
+        state of the last block."""
         kinetic, before = self.engine.kinetic_energy, self._before
-        if kinetic > most and before is not None:
+        if not kinetic > most:
+            return
+        if before is not None:
             end = self.engine.snapshot()
             self.engine.restore(before)
-            self._first, self._since, self._seen = (
-                observe(self.engine).observables,
-                f"step {before.step}",
-                (before.step, 0.0),
-            )
+            self._first, self._since = observe(self.engine).observables, f"step {before.step}"
+            self._seen = before.step, 0.0
             self.engine.restore(end)
-        self._fail_if(
-            f"the kinetic energy has gone to {kinetic:.3g} {self.engine.system.units.energy}"
-            if kinetic > most
-            else None
-        )
+        self._fail_if(f"the kinetic energy has gone to {kinetic:.3g} {self.engine.system.units.energy}")
 
     def is_hot(self) -> bool:
         """Whether the kinetic energy alone, which costs nothing, is a reason to check all energies."""
-        first = self._first
-        return first is not None and self.engine.kinetic_energy > RUNAWAY * (
-            first["kinetic_energy"] + abs(first["potential_energy"])
-        )
+        if (first := self._first) is None:
+            return False
+        return self.engine.kinetic_energy > RUNAWAY * (first["kinetic_energy"] + abs(first["potential_energy"]))
 
     def forget(self) -> None:
         """Forget energies and snapshots: the state was changed from outside."""
@@ -250,8 +232,7 @@ class RunGuard:
         self._first, self._growth, self._since, self._seen = None, RUNAWAY, RUN_BEGAN, (self.engine.step, 0.0)
 
     def drop_snapshots(self) -> None:
-        """Drop the snapshots: the velocities were rescaled,
-        and a replay from one of them would not lead to the present state."""
+        """Drop the snapshots: velocities were rescaled, and a replay from one would not lead to the present state."""
         self._snapshots = []
 
     def _fail_if(self, fault: str | None) -> None:
@@ -260,36 +241,32 @@ class RunGuard:
             return
         if self._before is None:
             raise self._failure(fault, self.engine.step, self.engine.positions.copy())
-        end = self.engine.step
-        start = self._good_start(self._before)
-        self.n_steps -= end - start.step
-        self._replay(start, end - start.step, fault)
-
-    def _good_start(self, before: Snapshot) -> Snapshot:
-        """The latest stored state, since the last observation, in which no energy had run away yet;
-        else the state before the last block."""
-        self._growth, growth = min(GROWTH, self._growth), self._growth
-        known = {one.step: one for one in (*self._snapshots, before) if self._seen[0] <= one.step <= before.step}
+        # the latest stored state, since the last observation, in which no energy had run away yet
+        end, start, growth, self._growth = self.engine.step, self._before, self._growth, min(GROWTH, self._growth)
+        known = {one.step: one for one in (*self._snapshots, start) if self._seen[0] <= one.step <= start.step}
         for step in sorted(known, reverse=True):
             self.engine.restore(known[step])
             self.engine.evaluate()
             if not self._fault_of_energy():
-                return known[step]
-        self._growth = growth
-        return before
+                start = known[step]
+                break
+        else:
+            self._growth = growth
+        self.n_steps -= end - start.step
+        self._replay(start, end - start.step, fault)
 
     def _failure(self, fault: str, step: int, at: Array | None = None) -> NonFiniteError | ConstraintError:
-        """The error for a run that failed in a step, with its crash report; the engine is in the last good state.  at :
-        (N, 3), of the failure."""
+        """The error for a run that failed in a step, with its crash report; the engine is in the last good state.
+
+        at : (N, 3), of the failure."""
         engine, reason = self.engine, self._reason
         engine.is_whole = True  # a good state, worth keeping, although runs from it may be rounded differently
         snapshots = self._snapshots or [engine.snapshot()]
-        self.failed_from = start = next(
-            (one for one in reversed(snapshots) if engine.step - one.step >= LEAST_REPLAY), snapshots[0]
-        )
-        kind, fault = (
-            (type(reason), str(reason)) if isinstance(reason, ConstraintError | RangeError) else (NonFiniteError, fault)
-        )
+        early = [one for one in snapshots if engine.step - one.step >= LEAST_REPLAY]
+        self.failed_from = start = early[-1] if early else snapshots[0]
+        kind: type[NonFiniteError | ConstraintError] = NonFiniteError
+        if isinstance(reason, ConstraintError | RangeError):
+            kind, fault = type(reason), str(reason)
         report, why = None, ""
         try:
             engine.interactions.compute(PER_ATOM)
@@ -297,15 +274,12 @@ class RunGuard:
             why = f"There is no crash report: {type(broken).__name__}: {broken}\n"
         else:
             of_barostat = self._first_volume, engine.barostat is not None and isinstance(reason, RangeError)
-            failure = Failure(
-                fault, step, getattr(reason, "atoms", None), at, start, start.step == self._first_step, *of_barostat
-            )
-            report = examine(engine, failure)
+            at_all = start, start.step == self._first_step, *of_barostat
+            report = examine(engine, Failure(fault, step, getattr(reason, "atoms", None), at, *at_all))
             why = "" if isinstance(reason, RangeError) else f"Likely cause: {report.cause}; {report.advice}\n"
         pair = closest_pair(engine.system)
         near = f"; the closest pair before it is {pair.told(engine.system.units.length)}" if pair else ""
-        error = kind(
-            f"{why}At step {step}: {fault}{near}. The system holds the last good state, that of step {engine.step}"
-        )
+        held = f"The system holds the last good state, that of step {engine.step}"
+        error = kind(f"{why}At step {step}: {fault}{near}. {held}")
         error.crash_report = report
         return error

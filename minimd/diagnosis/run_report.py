@@ -4,7 +4,6 @@ They are about jumps at the cutoff, the number of steps that a list lasts, veloc
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -38,20 +37,12 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     engine = guard.engine
     engine.fit_images()
     interactions, bonds, is_free = engine.interactions, engine.constraint_set.bonds, engine.conserves_momentum
-    cost = Cost(
-        n_steps=guard.n_steps,
-        seconds=guard.seconds,
-        list_builds=interactions.n_builds,
-        n_evaluations=interactions.n_evaluations,
-        pair_search=interactions.pair_search,
-        skipped=interactions.skipped(),
-        constraints=f"{bonds.summary}; at most {bonds.iterations} iterations in a drift" if bonds else "",
-        peak_memory=peak_memory(),
-    )
+    solvers = f"{bonds.summary}; at most {bonds.iterations} iterations in a drift" if bonds else ""
+    made, what = (interactions.n_builds, interactions.n_evaluations), (interactions.pair_search, interactions.skipped())
+    cost = Cost(guard.n_steps, guard.seconds, *made, *what, solvers, peak_memory())
     angular, lines = is_free and not engine.system.cell.is_periodic, static_checks(engine, reversibility)
     lines += pressure_lines(record, engine.barostat, is_free)
-    report = conservation_report(record, linear=is_free, angular=angular, cost=cost, lines=lines, n_dof=engine.n_dof)
-    return replace(report, too_long_a_step=too_long_a_step(engine) or "")
+    return conservation_report(record, angular, cost, is_free, lines, engine.n_dof, too_long_a_step(engine) or "")
 
 
 def static_checks(engine: Engine, reversibility: Reversibility | None) -> list[Line]:
@@ -80,11 +71,11 @@ def cutoff_lines(system: System, potentials: Sequence[Any]) -> Iterator[Line]:
     for potential in potentials:
         if not isinstance(potential, PairPotential) or not np.isfinite(potential.cutoff):
             continue
-        rows = potential.table(system.species_names).reshape(-1, potential.table(system.species_names).shape[-1])
+        table = potential.table(system.species_names)
+        rows = table.reshape(-1, table.shape[-1])
         jumps = [_jumps(potential.law, float(row[0]) ** 0.5, tuple(row[1:].tolist())) for row in rows]
-        (energy, at), (force, there) = (
-            max((jump[k], float(row[0]) ** 0.5) for jump, row in zip(jumps, rows, strict=True)) for k in (0, 1)
-        )
+        cutoffs = [float(row[0]) ** 0.5 for row in rows]
+        (energy, at), (force, there) = (max((j[k], r) for j, r in zip(jumps, cutoffs, strict=True)) for k in (0, 1))
         energy_jumps, force_jumps = (any(jump[k] > CONTINUOUS * jump[k + 2] for jump in jumps) for k in (0, 1))
         verdict = "energy and force are continuous"
         if energy_jumps:
@@ -92,11 +83,8 @@ def cutoff_lines(system: System, potentials: Sequence[Any]) -> Iterator[Line]:
         elif force_jumps:
             verdict = "the energy is continuous, the force jumps; smooth it for methods of order above 2"
         where = "" if at == there or energy == 0.0 else f" at {at:g} {units.length}"
-        words = (
-            f"energy {energy:.1e} {units.energy}{where}, force {force:.1e} {units.energy}/{units.length} at "
-            f"{there:g} {units.length}"
-        )
-        yield Line("cutoff jump", words, verdict, not energy_jumps)
+        pull = f"force {force:.1e} {units.energy}/{units.length} at {there:g} {units.length}"
+        yield Line("cutoff jump", f"energy {energy:.1e} {units.energy}{where}, {pull}", verdict, not energy_jumps)
 
 
 def _jumps(law: tuple, cutoff: float, numbers: tuple[float, ...]) -> tuple[float, float, float, float]:
@@ -108,36 +96,23 @@ def _jumps(law: tuple, cutoff: float, numbers: tuple[float, ...]) -> tuple[float
     return float(u), float(f) * cutoff, float(size), float(size) / cutoff
 
 
-def pressure_lines(
-    record: Record, barostat: StochasticCellRescaling | None, conserves_momentum: bool
-) -> Iterator[Line]:
-    """Lines with the mean volume, and the mean pressure compared with the target of the barostat.
-
-    No line without a barostat.
-    """
+def pressure_lines(record: Record, barostat: StochasticCellRescaling | None, is_free: bool) -> Iterator[Line]:
+    """Lines with the mean volume, and the mean pressure compared with the target of the barostat; none without one."""
     if barostat is None or len(record) < ENOUGH or not np.isfinite(record.pressure).all():
         return
     first, last, units = float(record.volume[0]), float(record.volume[-1]), record.units
     if last > EVAPORATED * first:
         grown = f"from {first:.4g} to {last:.4g} {units.volume}"
-        yield Line(
-            "volume",
-            grown,
-            "EVAPORATED: a gas at this pressure and temperature; raise the pressure if it should be dense",
-            False,
-        )
+        verdict = "EVAPORATED: a gas at this pressure and temperature; raise the pressure if it should be dense"
+        yield Line("volume", grown, verdict, False)
         return
-    yield Line(
-        "volume",
-        f"{record.volume.mean():.6g} {units.volume} on average",
-        f"standard deviation {record.volume.std():.2g}",
-        True,
-    )
+    words, spread = f"{record.volume.mean():.6g} {units.volume} on average", f"{record.volume.std():.2g}"
+    yield Line("volume", words, f"standard deviation {spread}", True)
     if barostat.coupling not in ("isotropic", "triclinic"):
         return
-    missing = (
-        units.k_B * record.temperature / record.volume if leaves_out_center(record.n_atoms, conserves_momentum) else 0.0
-    )
+    missing = 0.0
+    if leaves_out_center(record.n_atoms, is_free):
+        missing = units.k_B * record.temperature / record.volume
     mean, error = mean_and_error(record.pressure + missing)
     is_there = abs(mean - barostat.pressure) <= FAR * error
     words = f"{with_error(mean, error)} {units.pressure} on average, {barostat.pressure:.4g} wanted"

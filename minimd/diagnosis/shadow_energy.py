@@ -22,7 +22,7 @@ from typing import Protocol
 import numpy as np
 
 from minimd.engine.engine import Engine
-from minimd.engine.observation import Observable, register
+from minimd.engine.observation import Look, Observable, register
 from minimd.integrators.splitting.rows import PositionVerlet, VelocityVerlet
 from minimd.integrators.splitting.substeps import Substeps
 
@@ -45,10 +45,7 @@ def shadow_energy(simulation: HasEngine) -> float:
 
     It costs three evaluations of the forces; the state stays as it is.
 
-    Raises
-    ------
-    ValueError : for a method other than velocity Verlet, leapfrog and position Verlet, for a thermostat,
-        and for rigid bonds.
+    Raises ValueError for a method other than velocity Verlet, leapfrog and position Verlet, a bath, and rigid bonds.
     """
     engine = simulation.engine
     check_has_shadow(engine)
@@ -76,27 +73,21 @@ def correction(engine: Engine) -> float:
 
 def check_has_shadow(engine: Engine) -> None:
     """Raise ValueError where the shadow energy is not known, as shadow_energy says."""
-    method = engine.method
-    if method.is_thermostat:
-        raise ValueError(
-            "there is no shadow energy with a thermostat, which exchanges energy with the system; the method is "
-            f"{method.name}"
-        )
-    if engine.barostat is not None:
-        raise ValueError("there is no shadow energy with a barostat, which exchanges energy with the system")
-    if method.sequence() not in COEFFICIENTS:
-        raise ValueError(
-            "the shadow energy is known only for velocity-verlet, leapfrog and position-verlet; the method is "
-            f"{method.name}"
-        )
-    if engine.constraint_set.bonds is not None:
-        raise ValueError(
-            "there is no shadow energy for a system with rigid bonds; leave the constraints out, or do not ask for it"
-        )
-
-
-register(
-    Observable(
-        "shadow_energy", "energy", lambda look: look.total_energy + correction(look.engine), demand=check_has_shadow
+    method, none = engine.method, "there is no shadow energy"
+    is_known, with_bath = method.sequence() in COEFFICIENTS, "which exchanges energy with the system"
+    refusals = (
+        (method.is_thermostat, f"{none} with a thermostat, {with_bath}; the method is {method.name}"),
+        (engine.barostat is not None, f"{none} with a barostat, {with_bath}"),
+        (not is_known, f"{none} but for velocity-verlet, leapfrog and position-verlet; the method is {method.name}"),
+        (engine.constraint_set.bonds is not None, f"{none} with rigid bonds; leave them out, or do not ask for it"),
     )
-)
+    for applies, why in refusals:
+        if applies:
+            raise ValueError(why)
+
+
+def _measured(look: Look) -> float:
+    return look.total_energy + correction(look.engine)
+
+
+register(Observable("shadow_energy", "energy", _measured, demand=check_has_shadow))

@@ -15,7 +15,7 @@ from minimd.potentials.bonded import HarmonicBond
 from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.pair import PairPotential, curvature_at_minimum
 from minimd.structure.bond_graph import among
-from minimd.structure.images import nearest_vectors
+from minimd.structure.cell import nearest_vectors
 from minimd.structure.observables import center, kinetic_energy, temperature, thermal_energy
 from minimd.structure.system import System
 from minimd.structure.units import ASE, BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_EV

@@ -9,10 +9,10 @@ from time import perf_counter
 
 import numpy as np
 
-from minimd.console.display import Displayed
+from minimd.console.display import Displayed, Rows
 from minimd.console.words import shown
 from minimd.constraints.constraint_set import ConstraintSet
-from minimd.diagnosis.stiffness import COLDEST, Array, Curvature, Stiffness, velocity_temperature
+from minimd.diagnosis.stiffness import COLDEST, Curvature, Stiffness, velocity_temperature
 from minimd.engine.engine import Engine
 from minimd.forces.contacts import why_not_finite
 from minimd.forces.forces import Forces, Potential
@@ -68,47 +68,39 @@ class StepAdvice(Displayed):
     n_evaluations: int
     units: UnitSystem
 
-    def __str__(self) -> str:
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        units, shown, none = self.units, self.units.shown, "none: nothing oscillates in this state"
         if self.frequency == 0.0 and self.recommended == inf:
-            return "stiffest mode  none: nothing oscillates in this state, so it sets no limit to the time step"
-        shares = ", ".join(
-            f"{atom} ({100.0 * share:.0f} %)" for atom, share in zip(self.atoms, self.shares, strict=True)
-        )
-        motion = f"{f'mostly of atoms {shares}, ' if shares else ''}spread over some {self.n_moving:.3g} atoms"
-        if self.bond is not None:
-            motion = f"the bond of atoms {self.bond[0]} and {self.bond[1]}: {shares} of the kinetic energy"
-        lines = [
-            "stiffest mode  none: nothing oscillates in this state",
-            f"recommended    {self.units.shown(self.recommended)}: set by collisions of Lennard-Jones atoms",
-        ]
+            return [("stiffest mode", f"{none}, so it sets no limit to the time step")]
+        recommended, of_limit = f"{shown(self.recommended)}: ", ""
+        by_heat = "collisions of Lennard-Jones atoms"
+        rows = [("stiffest mode", none), ("recommended", f"{recommended}set by {by_heat}")]
         if self.frequency:
-            lines = self._about_mode(motion)
-        if self.timestep is not None:
-            of_limit = f": {abs(self.timestep) / self.limit:.3g} of the limit" if self.frequency else ""
-            lines.append(f"given          {self.units.shown(self.timestep)}{of_limit}")
-        return "\n".join(lines)
-
-    def _about_mode(self, motion: str) -> list[str]:
-        """Lines about the mode, and about what decides."""
-        by_collisions = self.collision < self.harmonic
-        shown = self.units.shown
-        heat = f"{self.temperature:.3g} {self.units.temperature}" if self.temperature else "rest"
-        holds = f"at k_B T up to {COLDEST:.2g} ε, or at that of the velocities if they are hotter (given: {heat})"
-        why = f"collisions of Lennard-Jones atoms in a liquid {holds}" if by_collisions else "the stiffest mode"
-        alone = (
-            f"               the stiffest mode alone would allow {shown(self.harmonic)}, for vibrations around "
-            "this state only"
-        )
-        return [
-            f"stiffest mode  ω = {self.frequency / self.units.to_picosecond:.4g} / {self.units.shown_time}, period "
-            f"{self.units.shown(self.period)}",
-            f"               {motion}",
-            f"limit          {self.units.shown(self.limit)} for {self.method}: longer steps blow up, and at a "
-            "temperature shorter ones may",
-            f"recommended    {shown(self.recommended)}: {self.period / self.recommended:.3g} steps a period",
-            f"decided by     {why}",
-            *([alone] if by_collisions else []),
-        ]
+            omega, of_limit = (
+                self.frequency / units.to_picosecond,
+                f": {abs(self.timestep or 0) / self.limit:.3g} of the limit",
+            )
+            each = zip(self.atoms, self.shares, strict=True)
+            shares = ", ".join(f"{atom} ({100.0 * share:.0f} %)" for atom, share in each)
+            motion = f"{f'mostly of atoms {shares}, ' if shares else ''}spread over some {self.n_moving:.3g} atoms"
+            if self.bond is not None:
+                motion = f"the bond of atoms {self.bond[0]} and {self.bond[1]}: {shares} of the kinetic energy"
+            blow_up = "longer steps blow up, and at a temperature shorter ones may"
+            rows = [
+                ("stiffest mode", f"ω = {omega:.4g} / {units.shown_time}, period {shown(self.period)}"),
+                ("", motion),
+                ("limit", f"{shown(self.limit)} for {self.method}: {blow_up}"),
+                ("recommended", f"{recommended}{self.period / self.recommended:.3g} steps a period"),
+                ("decided by", "the stiffest mode"),
+            ]
+            if self.collision < self.harmonic:
+                heat = f"{self.temperature:.3g} {units.temperature}" if self.temperature else "rest"
+                hotter = f"or at that of the velocities if they are hotter (given: {heat})"
+                alone = f"the stiffest mode alone would allow {shown(self.harmonic)}"
+                rows[-1] = "decided by", f"{by_heat} in a liquid at k_B T up to {COLDEST:.2g} ε, {hotter}"
+                rows.append(("", f"{alone}, for vibrations around this state only"))
+        return rows if self.timestep is None else [*rows, ("given", f"{shown(self.timestep)}{of_limit}")]
 
 
 def advise_timestep(
@@ -117,16 +109,13 @@ def advise_timestep(
     constraints: Constraint | Sequence[Constraint] | None = None,
     method: Splitting | type[Splitting] = VelocityVerlet,
 ) -> StepAdvice:
-    """How long a time step may be: from the highest frequency of the mass-weighted
-    Hessian M^−1/2 H M^−1/2 of this state.
+    """How long a time step may be: by the highest frequency of the weighted Hessian M^−1/2 H M^−1/2 of this state.
 
         limit = h_max/ω, h_max = 2 for velocity Verlet; recommended = h/ω with (E_max − E_min)/(E_max + E_min) = 1/80
-        for the mode, which velocity Verlet has at h²/8 ≈ 1/80, 20 steps a period.
-        See integrators.stability for other methods.
+        for the mode, which velocity Verlet has at h²/8 ≈ 1/80, 20 steps a period; order_conditions has other methods.
 
     The Hessian is never built: Lanczos iterations need only its products with vectors, central differences of the
-    forces. With constraints the modes are those of the allowed directions,
-    and the curvature of the constraints counts too.
+    forces. With constraints the modes are those of the allowed directions, and their curvature counts too.
 
     In a run at a finite temperature, atoms come closer to each other than in a crystal or at a minimum, and the forces
     are stiffer there. For Lennard-Jones atoms the recommended step therefore is at most h/ω′ of atoms that collide in a
@@ -147,20 +136,17 @@ def advise_timestep(
     NonFiniteError : if the forces are not finite.  TypeError, ValueError : as Simulation.
     """
     if not (isinstance(method, Splitting) or (isinstance(method, type) and issubclass(method, Splitting))):
-        raise TypeError(
-            f"method must be a splitting, such as VelocityVerlet or VelocityVerlet(0.005); got {shown(method)}"
-        )
+        wanted = "a splitting, such as VelocityVerlet or VelocityVerlet(0.005)"
+        raise TypeError(f"method must be {wanted}; got {shown(method)}")
     system = system.copy() if isinstance(system, System) else System.from_ase(system)
     constraint_set = ConstraintSet(system, system.constraints if constraints is None else constraints)
     return _advice(Forces(system, potentials), constraint_set, method)
 
 
 def advice_at(engine: Engine, seconds: float) -> StepAdvice | None:
-    """advise_timestep for the present state of an engine, which is left as it is;
-    None if that would take more than this number of seconds.
+    """advise_timestep for the present state of an engine, which is left as it is; None if that would take longer.
 
-    Raises NonFiniteError as advise_timestep, and whatever a potential raises.
-    """
+    seconds : it may take at most.  Raises NonFiniteError as advise_timestep, and whatever a potential raises."""
     system = engine.system.copy()
     forces = Forces(system, engine.interactions.potentials, engine.interactions.options)
     forces.compute()  # compiles
@@ -179,17 +165,23 @@ def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | t
     if curvature.is_finite:
         square, mode = curvature.stiffest(curvature.guess(stiffness.bond))
     if not np.isfinite(square):
-        why = why_not_finite(system, forces.potentials)
-        raise NonFiniteError(f"the forces around this state are not finite: {why}")
+        raise NonFiniteError(
+            f"the forces around this state are not finite: {why_not_finite(system, forces.potentials)}"
+        )
     if not square > curvature.rounding:
         square, mode = 0.0, np.zeros_like(mode)
     frequency, row, shares = square**0.5, method.sequence(), np.einsum("ij,ij->i", mode, mode)
     atoms = [int(i) for i in np.argsort(-shares, kind="stable")[:SHOWN_ATOMS] if shares[i] >= SHOWN_SHARE]
-    step = accurate_step(row, OSCILLATION)
-    harmonic = step / frequency if frequency else inf
     collides = len(system) > 1 and (frequency > 0.0 or system.velocities.any())
-    colliding = stiffness.collisions() if collides else 0.0
-    collision = step / colliding if colliding else inf
+    step, colliding = accurate_step(row, OSCILLATION), stiffness.collisions() if collides else 0.0
+    harmonic, collision = (step / one if one else inf for one in (frequency, colliding))
+    # the bond whose stretching by itself makes up more than half of the mode
+    pairs = np.concatenate(
+        [system.bonds, *(one.groups_in(system) for one in forces.potentials if isinstance(one, Bond))]
+    )
+    near = pairs[np.isin(pairs, np.argsort(-shares)[:SHOWN_ATOMS]).all(axis=1)]
+    parts = np.einsum("bij,ij->b", curvature.stretching(near), mode) ** 2
+    bond = tuple(near[np.argmax(parts)].tolist()) if parts.max(initial=0.0) > HALF else None
     return StepAdvice(
         frequency=frequency,
         period=2.0 * pi / frequency if frequency else inf,
@@ -203,18 +195,7 @@ def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | t
         atoms=tuple(atoms),
         shares=tuple(float(shares[i]) for i in atoms),
         n_moving=float(1.0 / (shares**2).sum()) if shares.any() else nan,
-        bond=_stretched(curvature, system, forces.potentials, mode),
+        bond=bond,
         n_evaluations=forces.n_evaluations,
         units=system.units,
     )
-
-
-def _stretched(
-    curvature: Curvature, system: System, potentials: Sequence[Potential], mode: Array
-) -> tuple[int, int] | None:
-    """The bond whose stretching by itself makes up more than half of the mode, if there is one."""
-    pairs = np.concatenate([system.bonds, *(one.groups_in(system) for one in potentials if isinstance(one, Bond))])
-    at_most = np.argsort(-np.einsum("ij,ij->i", mode, mode))[:SHOWN_ATOMS]
-    near = pairs[np.isin(pairs, at_most).all(axis=1)]
-    parts = np.einsum("bij,ij->b", curvature.stretching(near), mode) ** 2
-    return tuple(near[np.argmax(parts)].tolist()) if parts.max(initial=0.0) > HALF else None

@@ -1,8 +1,9 @@
 """A scene file: its text, checked, and what it describes: atoms, potentials, method, bath, observers, files."""
 
+import itertools
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from minimd.structure.lattice import constant_from_density, crystal
 from minimd.structure.system import System
 
 D = TypeVar("D", bound="Document")
+Made = TypeVar("Made")
 DEEP_KEY = re.compile(r"(?:[\w\"'-]+\s*\.\s*){64}")  # of tables in tables, for which tomllib would take gigabytes
 
 
@@ -52,24 +54,20 @@ class Document:
 
     def potentials(self) -> list[Any]:
         """The potentials, in the order of the file.  Raises ValueError with the name of the file and the entry."""
-        made = []
-        for index, section in enumerate(self.sections.potential):
-            with blamed_on(f"{self.path}: potential[{index}]"):
-                made.append(
-                    section.potential(self._table) if isinstance(section, TabulatedSection) else section.potential()
-                )
-        return made
+        return list(
+            self._each(lambda one: one.potential(*([self._table] if isinstance(one, TabulatedSection) else [])))
+        )
 
     def tables(self) -> dict[str, Numbers]:
-        """The numbers of all tables of tabulated laws, by name.  Raises ValueError, with the entry,
-        for a table that cannot be read."""
-        found: dict[str, Numbers] = {}
+        """The numbers of all tables of tabulated laws, by name.  Raises ValueError as potentials."""
+        files = self._each(lambda one: [(name, self._table(name)) for name in getattr(one, "files", ())])
+        return dict(itertools.chain.from_iterable(files))
+
+    def _each(self, made: Callable[[Any], Made]) -> Iterator[Made]:
+        """What is made of each section of a potential; errors are blamed on the section."""
         for index, section in enumerate(self.sections.potential):
             with blamed_on(f"{self.path}: potential[{index}]"):
-                found |= {
-                    name: self._table(name) for name in (section.files if isinstance(section, TabulatedSection) else ())
-                }
-        return found
+                yield made(section)
 
     def whole_text(self) -> str:
         """The text of the scene with all tables added to it: no other files are needed to make the potentials again."""
@@ -77,8 +75,7 @@ class Document:
         return self.text + as_sections(elsewhere, self.sections.units)
 
     def method(self) -> Splitting:
-        """The integrator with its time step, and its bath if it has one.  Raises ValueError, with the name of the file,
-        for bad numbers."""
+        """The integrator with its time step and its bath.  Raises ValueError, with the name of the file."""
         with blamed_on(f"{self.path}: dynamics"):
             return self.sections.dynamics.integrator()
 
@@ -88,13 +85,11 @@ class Document:
         return None if section is None or temperature is None else section.barostat(temperature)
 
     def observers(self) -> list[Accumulator]:
-        """New observers as described in the scene.  Raises ValueError, with the name of the file,
-        if two have the same name."""
+        """New observers as described in the scene.  Raises ValueError, with the file, if two have the same name."""
         made = [section.observer() for section in self.sections.observer]
         if len({one.name for one in made}) < len(made):
-            raise ValueError(
-                f"{self.path}: two observers have the same name; give each observer of the same kind another name"
-            )
+            remedy = "give each observer of the same kind another name"
+            raise ValueError(f"{self.path}: two observers have the same name; {remedy}")
         return made
 
     def trajectories(self, instead: Path | None = None) -> list[Path]:
@@ -104,26 +99,22 @@ class Document:
         return [Path(name) for name in several]
 
     def named_outputs(self, instead: Path | None = None) -> list[Path]:
-        """Files that must not exist unless they may be replaced: the trajectories,
-        and the picture if the scene gives its name."""
+        """Files that must not exist unless they may be replaced: trajectories, and a picture whose name is given."""
         plot = self.sections.output.plot
         return self.trajectories(instead) + ([Path(plot)] if isinstance(plot, str) and instead is None else [])
 
     def plot_name(self, trajectories: list[Path], *, beside: bool = False) -> Path | None:
         """The picture that the scene asks for; None if it asks for none.
 
-        beside : the trajectories replace those of the scene.
-            The picture is then named after the first that ends in .h5md; None if none does.
+        beside : the trajectories replace those of the scene; then it is named after the first .h5md, None without one.
         Raises ValueError if no trajectory ends in .h5md, from which a picture is drawn, unless beside.
         """
         plot, drawn = self.sections.output.plot, h5md_files(trajectories)
         if plot is False or (beside and not drawn):
             return None
         if not drawn:
-            raise ValueError(
-                f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = "
-                f"{list(map(str, trajectories))}"
-            )
+            given = f"output.trajectory = {list(map(str, trajectories))}"
+            raise ValueError(f"{self.path}: output.plot needs a trajectory that ends in .h5md; {given}")
         picture = Path(plot) if isinstance(plot, str) else drawn[0].with_suffix(".png")
         return drawn[0].with_suffix(picture.suffix) if beside else picture
 
@@ -133,7 +124,8 @@ class Document:
         return read_table(self.path.parent / name) if inside is None else Numbers(inside.r, inside.u)
 
     def constrained(self, system: System) -> System:
-        """The system, with the constraints of the scene if it has a section for them."""
+        """Set the constraints of the scene, if it has a section for them, in place; return the same system.
+        Raises ValueError, with the name of the file, for impossible ones."""
         section = self.sections.constraints
         if section is not None:
             with blamed_on(f"{self.path}: constraints"):
@@ -141,28 +133,19 @@ class Document:
         return system
 
     def _from_lattice(self) -> System:
-        structure, lattice, element = (
-            self.sections.structure,
-            self.sections.structure.lattice or "",
-            self.sections.structure.element,
-        )
-        mass = 1.0
+        structure = self.sections.structure
+        lattice, element, mass = structure.lattice or "", structure.element, 1.0
         if self.units is units.ASE:
             from minimd.files.structure_file import atomic_mass
 
             mass = atomic_mass(element or "")
         edge = structure.lattice_constant or constant_from_density(lattice, structure.density or 0.0, mass)
         positions, edges = crystal(lattice, structure.repeat or [], edge)
-        species = structure.species or (element and [element] * len(positions))
-        return System(
-            positions,
-            masses=mass,
-            cell=edges,
-            pbc=structure.pbc,
-            species=species,
-            bonds=structure.bonds,
-            units=self.units,
-        )
+        given: dict[str, Any] = {
+            "species": structure.species or (element and [element] * len(positions)),
+            "bonds": structure.bonds,
+        }
+        return System(positions, masses=mass, cell=edges, pbc=structure.pbc, **given, units=self.units)
 
     def _from_file(self) -> System:
         from minimd.files.structure_file import changed, system_from_file
@@ -195,17 +178,13 @@ def stored(kind: type[D], text: str, file: Path) -> D:
 
 
 def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[Any]:
-    """The potentials of the text of a scene.  words : the potentials of the run, for the message.
-    Raises ValueError if there is no scene."""
+    """The potentials of a scene, given as its text.  words, file : the potentials of the run in words, and its file,
+    for the messages.  Raises ValueError if there is no scene, or as stored."""
     if scene:
         return stored(Document, scene, file).potentials()
-    pass_them = (
-        "pass those of the script, as in minimd.replay(file, [...]), or give the command a scene that has "
-        "them with --scene"
-    )
-    raise ValueError(
-        f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; {pass_them}"
-    )
+    those, remedy = "; ".join(words), "or give the command a scene that has them with --scene"
+    remedy = f"pass those of the script, as in minimd.replay(file, [...]), {remedy}"
+    raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials, {those}; {remedy}")
 
 
 def parsed(kind: type[D], text: str, path: Path) -> D:

@@ -20,12 +20,9 @@ PLAIN = {  # words of pydantic: words of minimd
     "items after validation": "entries",
     "Value error, ": "",
 }
+EDGES = "give all three edges, 0 along a direction that does not repeat, as of a slab"
 THREE = {  # lists of the wrong length: what to write
-    (
-        "structure",
-        "cell",
-    ): ": give all three edges, 0 along a direction that does not repeat, as of a slab: [20, 20, 0] with pbc = [true, "
-    "true, false]",
+    ("structure", "cell"): f": {EDGES}: [20, 20, 0] with pbc = [true, true, false]",
     ("structure", "pbc"): ": give one for all directions, or three, as of a slab: [true, true, false]",
 }
 
@@ -42,11 +39,8 @@ def problems(reading: Reading, error: ValidationError) -> list[str]:
             wrong.setdefault(place, []).append(sentence)
     if "units" in wrong:  # then all other keys seem wrong, too
         wrong = {"units": wrong["units"]}
-    return [
-        _joined(sentences)
-        for place, sentences in wrong.items()
-        if not any(other.startswith(place + "[") for other in wrong)
-    ]
+    inside = [place for place in wrong if any(other.startswith(f"{place}[") for other in wrong)]
+    return [_joined(sentences) for place, sentences in wrong.items() if place not in inside]
 
 
 def _told(details: Any, reading: Reading) -> tuple[str, str]:
@@ -60,50 +54,37 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
         path = f"{place}.{keys[0]}".removeprefix(".")
         return path, " or ".join([f"{path} is missing; give it", *keys[1:]])
     if kind == "union_tag_not_found":
-        *kinds, last = (
-            repr(get_args(one.model_fields["type"].annotation)[0])
-            for one in sections_below(Section)
-            if "type" in one.model_fields
-        )
+        types = (one.model_fields["type"] for one in sections_below(Section) if "type" in one.model_fields)
+        *kinds, last = (repr(get_args(one.annotation)[0]) for one in types)
         return place, f"{place}.type is missing; give the kind of the potential: {', '.join(kinds)} or {last}"
     if kind == "union_tag_invalid":
-        return (
-            place,
-            f"{place}.type must be one of {details['ctx']['expected_tags']}; {place}.type = {_shown(value['type'])}",
-        )
+        allowed, given = details["ctx"]["expected_tags"], _shown(value["type"])
+        return place, f"{place}.type must be one of {allowed}; {place}.type = {given}"
     if kind == "model_type" and not isinstance(value, dict):
         section = next(one for one in sections_below(Section) if one.__name__ == details["ctx"]["class_name"])
         wanted = ", ".join(section.keys(reading.units))
         return place, f"{place} must be a table with the keys {wanted}; {place} = {_shown(value)}"
     if place == "potential" and isinstance(value, dict):
-        return (
-            place,
-            "potential must be written [[potential]], with two brackets, because a scene can have several; it is "
-            "[potential]",
-        )
+        why = "with two brackets, because a scene can have several; it is [potential]"
+        return place, f"potential must be written [[potential]], {why}"
     words = details["msg"]
     for theirs, ours in PLAIN.items():
         words = words.replace(theirs, ours)
     words = words.partition(" after validation")[0]
     hint = THREE.get(loc[:2], "") if isinstance(value, list) and len(value) != 3 else ""
-    return place, f"{place} {words}".strip() + (
-        "" if isinstance(value, dict) else f"; {place} = {_shown(value)}"
-    ) + hint
+    given = "" if isinstance(value, dict) else f"; {place} = {_shown(value)}"
+    return place, f"{place} {words}".strip() + given + hint
 
 
 def _about_key(loc: tuple, reading: Reading) -> str:
-    """The sentence about a key that a section does not know, or that gives a quantity for the second time,
-    in another unit."""
+    """The sentence about a key that a section does not know, or that gives a quantity for the second time."""
     place, table, keys = _written(loc, reading)
     key = loc[-1].removeprefix(UNKNOWN)
     if key in keys:
         return f"{place} has {key!r} and the same quantity in another unit; give only one of them"
-    near = _near(loc, reading)[0]
+    near, known = _near(loc, reading)[0], f"Keys in {reading.units} units: {', '.join(keys)}"
     hint = f"did you mean {near!r}? " if near else ""
-    return (
-        f"{place or 'a scene'} has no key {key!r} (= {_shown(table[key])}); {hint}Keys in {reading.units} units: "
-        f"{', '.join(keys)}"
-    )
+    return f"{place or 'a scene'} has no key {key!r} (= {_shown(table[key])}); {hint}{known}"
 
 
 def _near(loc: tuple, reading: Reading) -> tuple[str | None, str | None]:
@@ -115,8 +96,7 @@ def _near(loc: tuple, reading: Reading) -> tuple[str | None, str | None]:
 
 
 def _written(loc: tuple, reading: Reading) -> tuple[str, Any, Keys]:
-    """Path and value at a location of pydantic, as written in the file, as far as the file goes;
-    and the keys allowed there."""
+    """Path and value at a location of pydantic, as written in the file, as far as it goes; the keys allowed there."""
     path, node = "", reading.document
     for step in loc:
         if isinstance(node, list) and isinstance(step, int):
@@ -129,15 +109,11 @@ def _written(loc: tuple, reading: Reading) -> tuple[str, Any, Keys]:
 
 
 def _joined(sentences: list[str]) -> str:
-    """One sentence from several: "x must be a boolean; x = 3", "x must be a list;
-    x = 3" give "x must be a boolean or a list; x = 3"."""
+    """One from several: "x must be a table; x = 3", "x must be a list; x = 3": "x must be a table or a list; x = 3"."""
     first, *others = dict.fromkeys(sentences)
-    for other in others:
-        head, _, tail = first.partition(";")
-        first = (
-            f"{head} or {other.partition(' must be ')[2].partition(';')[0]};{tail}" if " must be " in other else first
-        )
-    return first
+    head, semicolon, tail = first.partition(";")
+    also = (other.partition(" must be ")[2].partition(";")[0] for other in others if " must be " in other)
+    return " or ".join((head, *also)) + semicolon + tail
 
 
 def _shown(value: Any) -> str:

@@ -6,7 +6,7 @@ value is in the units of the engine.
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, Self, cast
 
 from pydantic import (
     AfterValidator,
@@ -22,9 +22,8 @@ from pydantic import (
 from minimd.structure.checks import LARGEST
 from minimd.structure.units import BAR, BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3, PICOSECOND
 
-KEY_UNITS: dict[
-    str, dict[str, dict[str, float]]
-] = {  # unit system: dimension: ending of the key: size of that unit in units of the engine
+# unit system: dimension: ending of the key: size of that unit in units of the engine
+KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {
     "ASE": {
         "length": {"_A": 1.0},
         "time": {"_fs": FEMTOSECOND},
@@ -100,9 +99,19 @@ class Section(BaseModel):
         return keys
 
     @classmethod
-    def key(cls, name: str, info: ValidationInfo) -> str:
-        """The first key for a field in the document that is being read."""
-        return next(key for key, (meant, _) in cls.keys(reading_of(info).units).items() if meant == name)
+    def key(cls, name: str, units: str) -> str:
+        """The first key for a field."""
+        return next(key for key, (meant, _) in cls.keys(units).items() if meant == name)
+
+    def faults(self, units: str) -> Iterator[str]:
+        """What is wrong with its values together, in words that follow its name.  units : of the document."""
+        yield from ()
+
+    @model_validator(mode="after")
+    def _fits_together(self, info: ValidationInfo) -> Self:
+        for fault in self.faults(reading_of(info).units):
+            raise ValueError(fault)
+        return self
 
     @model_validator(mode="before")
     @classmethod

@@ -6,12 +6,12 @@ the file of its run needs no other files: [tables."argon.dat"] at its end holds 
 
 import json
 from collections import ChainMap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt
 
 from minimd.console.quiet import quiet
 from minimd.console.words import printable
@@ -25,7 +25,6 @@ from minimd.document.section import (
     Section,
     Three,
     one_of,
-    reading_of,
 )
 from minimd.forces.options import Precision
 from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting, StochasticCellRescaling
@@ -33,7 +32,7 @@ from minimd.integrators.splitting.barostats import COUPLINGS
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
 from minimd.observers import KINDS, Accumulator
 from minimd.potentials import LennardJones, Tabulated
-from minimd.potentials.pair import FEWEST, MIXING, ByPairOfLabels, Label
+from minimd.potentials.pair import FEWEST, MIXING
 from minimd.potentials.truncation import TRUNCATIONS
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
 from minimd.structure.lattice import BASES
@@ -71,10 +70,8 @@ def read_table(path: Path) -> Numbers:
     except ValueError as error:
         raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u: {error}") from None
     if columns.shape[1:] != (COLUMNS,) or not len(columns):
-        raise ValueError(
-            f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} lines of "
-            f"{columns.shape[1]}"
-        )
+        found = f"it has {len(columns)} lines of {columns.shape[1]}"
+        raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u; {found}")
     return Numbers(*columns.T.tolist())
 
 
@@ -114,32 +111,24 @@ class StructureSection(Section):
     format: str | None = None
     bonds: list[PairOfAtoms] | str | None = None
 
-    @model_validator(mode="after")
-    def _is_complete(self, info: ValidationInfo) -> Self:
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
         if (self.file is None) == (self.lattice is None):
-            raise ValueError("must have either file or lattice")
+            yield "must have either file or lattice"
         forbidden = ("cell", "format") if self.file is None else ("element", "repeat", "density", "lattice_constant")
         for name in forbidden:
             if getattr(self, name) is not None:
-                raise ValueError(f"cannot have {name} together with {'lattice' if self.file is None else 'file'}")
-        if self.file is None and isinstance(self.bonds, str):
-            raise ValueError(
-                "cannot have bonds from a file together with lattice; list the pairs, or give the structure as a file"
-            )
+                yield f"cannot have {name} together with {'lattice' if self.file is None else 'file'}"
         if self.file is not None:
-            return self
-        if self.repeat is None or (self.element is None and reading_of(info).units == "ASE"):
-            raise ValueError(
-                "must have repeat together with lattice"
-                if self.repeat is None
-                else "must have element together with lattice"
-            )
+            return
+        if isinstance(self.bonds, str):
+            yield "cannot have bonds from a file together with lattice; list the pairs, or give the structure as a file"
+        for name in ("repeat", "element") if units == "ASE" else ("repeat",):
+            if getattr(self, name) is None:
+                yield f"must have {name} together with lattice"
         if (self.density is None) == (self.lattice_constant is None):
-            raise ValueError(
-                f"must have either {self.key('density', info)} or {self.key('lattice_constant', info)} together with "
-                "lattice"
-            )
-        return self
+            either = f"{self.key('density', units)} or {self.key('lattice_constant', units)}"
+            yield f"must have either {either} together with lattice"
 
 
 class ConstraintsSection(Section):
@@ -154,17 +143,13 @@ class ConstraintsSection(Section):
     tolerance: Positive | None = None
     solver: SolverName | None = None
 
-    @model_validator(mode="after")
-    def _has_as_many_lengths_as_pairs(self, info: ValidationInfo) -> Self:
-        key = self.key("lengths", info)
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
+        key, n = self.key("lengths", units), len(self.lengths) if isinstance(self.lengths, list) else None
         if self.lengths is not None and not self.pairs:
-            raise ValueError(f"must have pairs together with {key}")
-        if isinstance(self.lengths, list) and isinstance(self.pairs, list) and len(self.lengths) != len(self.pairs):
-            raise ValueError(
-                f"must have one number as {key}, or one for each of its {len(self.pairs)} pairs; it has "
-                f"{len(self.lengths)}"
-            )
-        return self
+            yield f"must have pairs together with {key}"
+        if n is not None and isinstance(self.pairs, list) and n != len(self.pairs):
+            yield f"must have one number as {key}, or one for each of its {len(self.pairs)} pairs; it has {n}"
 
     def constraints(self, bonds: list[list[int]], known: Sequence[Constraint]) -> tuple[Constraint, ...]:
         """The constraints of a system whose file, of structure or run, may hold some already.
@@ -182,18 +167,13 @@ class ConstraintsSection(Section):
             pairs = held.pairs.tolist()
         if not pairs:
             if self.tolerance is not None or self.solver is not None:
-                raise ValueError(
-                    "tolerance and solver are for lengths, and no lengths are held; give pairs, or leave tolerance and "
-                    "solver out"
-                )
+                remedy = "give pairs, or leave tolerance and solver out"
+                raise ValueError(f"tolerance and solver are for lengths, and no lengths are held; {remedy}")
             return tuple(fixed)
         if held is None or held.pairs.tolist() != pairs:
             held = DistanceConstraints(pairs)
-        lengths = held.lengths if self.lengths is None else self.lengths
-        return (
-            *fixed,
-            DistanceConstraints(pairs, lengths, self.tolerance or held.tolerance, self.solver or held.solver),
-        )
+        lengths, solved = held.lengths if self.lengths is None else self.lengths, self.solver or held.solver
+        return (*fixed, DistanceConstraints(pairs, lengths, self.tolerance or held.tolerance, solved))
 
 
 class SpeciesSection(Section):
@@ -224,22 +204,17 @@ class LennardJonesSection(Section):
     bonded_scale: Annotated[list[FiniteFloat], Three] = Field([1.0, 1.0, 1.0])
     tail_correction: bool = False
 
-    @model_validator(mode="after")
-    def _has_parameters(self) -> Self:
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
         if (self.epsilon is None) != (self.sigma is None) or (self.epsilon is None) == (self.species is None):
-            raise ValueError("must have either epsilon and sigma, or a table of species with both")
-        return self
+            yield "must have either epsilon and sigma, or a table of species with both"
 
     def potential(self) -> LennardJones:
         """The potential that the section describes."""
-        by_species: dict[Label, tuple[float, float]] = {
-            name: (one.epsilon, one.sigma) for name, one in (self.species or {}).items()
-        }
-        pairs: ByPairOfLabels = {(one.species[0], one.species[1]): (one.epsilon, one.sigma) for one in self.pairs}
-        others = self.model_dump(
-            include={"sigma", "cutoff", "truncation", "mixing", "switch_start", "bonded_scale", "tail_correction"}
-        )
-        return LennardJones(by_species if self.epsilon is None else self.epsilon, pairs=pairs, **others)
+        species: Any = {name: (one.epsilon, one.sigma) for name, one in (self.species or {}).items()}
+        pairs: Any = {tuple(one.species): (one.epsilon, one.sigma) for one in self.pairs}
+        others = self.model_dump(exclude={"type", "epsilon", "species", "pairs"})
+        return LennardJones(species if self.epsilon is None else self.epsilon, pairs=pairs, **others)
 
 
 class PairTableSection(Section):
@@ -264,11 +239,10 @@ class TabulatedSection(Section):
     switch_start: Annotated[Positive | None, Dimension("length")] = None
     bonded_scale: Annotated[list[FiniteFloat], Three] = Field([1.0, 1.0, 1.0])
 
-    @model_validator(mode="after")
-    def _has_tables(self) -> Self:
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
         if (self.file is None) == (self.pairs is None):
-            raise ValueError("must have either file, the table of all atoms, or pairs, each with its species and file")
-        return self
+            yield "must have either file, the table of all atoms, or pairs, each with its species and file"
 
     @property
     def files(self) -> list[str]:
@@ -282,13 +256,10 @@ class TabulatedSection(Section):
         first = self.files[0]
         for name, table in tables.items():
             if table.r != tables[first].r:
-                raise ValueError(
-                    f"the tables of one potential must have the same r; those of {name!r} and {first!r} differ"
-                )
-        by_pair: dict[tuple[Label, Label], list[float]] = {
-            (one.species[0], one.species[1]): tables[one.file].u for one in self.pairs or ()
-        }
-        others = self.model_dump(include={"cutoff", "truncation", "switch_start", "bonded_scale"})
+                differ = f"those of {name!r} and {first!r} differ"
+                raise ValueError(f"the tables of one potential must have the same r; {differ}")
+        by_pair: Any = {tuple(one.species): tables[one.file].u for one in self.pairs or ()}
+        others = self.model_dump(exclude={"type", "file", "pairs"})
         return Tabulated(tables[first].r, by_pair or tables[first].u, **others)
 
 
@@ -304,26 +275,21 @@ class DynamicsSection(Section):
     threads: PositiveInt | None = None
     precision: Precision = "double"
 
-    @model_validator(mode="after")
-    def _fits_its_method(self, info: ValidationInfo) -> Self:
-        missing = [self.key(name, info) for name in ("temperature", "relaxation_time") if getattr(self, name) is None]
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
+        missing = [self.key(name, units) for name in ("temperature", "relaxation_time") if getattr(self, name) is None]
         if self.method in THERMOSTATS and missing:
-            raise ValueError(f"must have {' and '.join(missing)} with method {self.method!r}")
+            yield f"must have {' and '.join(missing)} with method {self.method!r}"
         if self.method not in THERMOSTATS and self.relaxation_time is not None:
-            key = self.key("relaxation_time", info)
-            raise ValueError(
-                f"cannot have {key} with method {self.method!r}, which has no relaxation time; "
-                f"{', '.join(THERMOSTATS)} have one"
-            )
-        return self
+            key, why = self.key("relaxation_time", units), "which has no relaxation time"
+            yield f"cannot have {key} with method {self.method!r}, {why}; {', '.join(THERMOSTATS)} have one"
 
     def integrator(self) -> Splitting:
         """The method with its time step; a thermostat with its bath."""
-        if self.method in THERMOSTATS:
-            return THERMOSTATS[self.method].with_relaxation_time(
-                self.timestep, self.temperature, self.relaxation_time, self.seed
-            )
-        return SPLITTINGS[self.method](self.timestep)
+        if self.method not in THERMOSTATS:
+            return SPLITTINGS[self.method](self.timestep)
+        bath = self.temperature, self.relaxation_time, self.seed
+        return THERMOSTATS[self.method].with_relaxation_time(self.timestep, *bath)
 
 
 class BarostatSection(Section):
@@ -377,15 +343,14 @@ class ObserverSection(Section):
         None
     )
 
-    @model_validator(mode="after")
-    def _has_what_its_kind_takes(self, info: ValidationInfo) -> Self:
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
         takes = (*KINDS[self.kind].arguments, "name")
         for one in self._given():
             if one not in takes:
-                known = ", ".join(self.key(name, info) for name in OBSERVER_ARGUMENTS if name in takes)
-                raise ValueError(f"cannot have {self.key(one, info)} with kind {self.kind!r}, which takes {known}")
+                known = ", ".join(self.key(name, units) for name in OBSERVER_ARGUMENTS if name in takes)
+                yield f"cannot have {self.key(one, units)} with kind {self.kind!r}, which takes {known}"
         self.observer()  # raises ValueError if the observer refuses its arguments
-        return self
 
     def _given(self) -> dict[str, Any]:
         return {name: value for name in OBSERVER_ARGUMENTS if (value := getattr(self, name)) is not None}
@@ -442,22 +407,15 @@ class SceneSections(Section):
     observer: list[ObserverSection] = Field([])
     output: OutputSection = OutputSection.model_construct()
 
-    @model_validator(mode="after")
-    def _fits_together(self, info: ValidationInfo) -> Self:
+    def faults(self, units: str) -> Iterator[str]:
+        """See Section."""
+        temperature = f"dynamics.{DynamicsSection.key('temperature', units)}"
         if self.equilibration is not None and self.dynamics.temperature is None:
-            raise ValueError(
-                f"equilibration needs dynamics.{DynamicsSection.key('temperature', info)}, at which the first "
-                "velocities are drawn"
-            )
+            yield f"equilibration needs {temperature}, at which the first velocities are drawn"
         if self.barostat is not None and self.dynamics.temperature is None:
-            raise ValueError(
-                f"barostat needs dynamics.{DynamicsSection.key('temperature', info)}, the temperature of its noise"
-            )
+            yield f"barostat needs {temperature}, the temperature of its noise"
         if self.constraints is not None and self.constraints.pairs == "bonds" and not self.structure.bonds:
-            raise ValueError('constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs')
+            yield 'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs'
         named = {name for one in self.potential if isinstance(one, TabulatedSection) for name in one.files}
-        if unused := [name for name in self.tables if name not in named]:
-            raise ValueError(
-                f"no tabulated potential uses tables.{unused[0]!r}; give it as the file of one, or leave it out"
-            )
-        return self
+        for unused in (name for name in self.tables if name not in named):
+            yield f"no tabulated potential uses tables.{unused!r}; give it as the file of one, or leave it out"

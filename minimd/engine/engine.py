@@ -54,7 +54,7 @@ class Checkpoint(NamedTuple):
 
     displacement : of the fastest atom in a step, for which skins were chosen [length].  lists : of neighbors.
     images : (K, 3) lattice vectors of rigid bonds [length], and their tolerance; None without.
-    equilibrated : of the engine.  grid : of fixed-point arithmetic; None without.
+    equilibrated : steps of equilibrations so far.  grid : of fixed-point arithmetic; None without.
     """
 
     state: Snapshot

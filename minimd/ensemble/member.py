@@ -1,26 +1,46 @@
-"""The members of an ensemble: index, parameters, seeds, file, and the run in that file."""
+"""The members of an ensemble: index, parameters, seeds, file, and the run in that file; and the work of a worker,
+which runs one member and returns a row of plain values with its results or its failure.
+
+The progress of a member is in a note beside its file, for `minimd scan --status`. A thread writes the note every two
+seconds; members that take less time have none. The process holds a lock on the note as long as it lives: a note
+without a lock was left behind by a process that was killed.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
+from minimd.compiled.machine import threads_by_default
 from minimd.console.words import listed, shown
 from minimd.engine.record import Record
+from minimd.files.claim import is_locked, new_file, regular
+from minimd.files.crash_file import crash_file_place
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count
+from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
+from minimd.structure.statistics import mean_and_error
 
 Value = bool | int | float | str
+Row = dict[str, Any]
+DONE, FAILED, BEGUN, MISSING = STATES = "done", "failed", "begun", "missing"  # the status of a member
 OWN_COLUMNS = ("index", "status", "n_steps", "n_atoms", "n_members", "file", "message")  # of tables
 OWN_ENDINGS = ("_mean", "_error")
 PER_FOLDER = 1000  # files of members
 MOST_MEMBERS = 10**6  # their table takes some gigabytes
+NOTE, STOPPED = ".running", ".stopped.h5md"  # endings of the note, and of the file of a stopped member that is kept
+SECONDS_BETWEEN_NOTES = 2.0
+LENGTH = 60  # characters of a note, so that each writing replaces the whole note
 
 
 @dataclass(frozen=True)
@@ -45,8 +65,8 @@ class Member:
 
     @cached_property
     def seed_sequence(self) -> np.random.SeedSequence:
-        """The child of SeedSequence(entropy) with the index of the member;
-        it does not depend on the number of members."""
+        """The child of SeedSequence(entropy) with the index of the member; it does not depend on the number of
+        members."""
         return np.random.SeedSequence(self.entropy, spawn_key=(self.index,))
 
     @property
@@ -55,19 +75,41 @@ class Member:
         return int(self.seed_sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
     def run(self, simulation: Simulation, every: int = 100) -> Record:
-        """For use in the function `run` of an ensemble: make the steps of the member, write its file,
-        and return the record of all its frames.
+        """For use in the function `run` of an ensemble: make the steps of the member, write its file, and return the
+        record of all its frames.
 
         If an earlier call was stopped before the end, the simulation takes over the state in the file and makes the
         remaining steps: file and record have the same bits as without the interruption.
 
         every : steps between observations.  Raises as Simulation.run; FileExistsError if it is called twice.
         """
-        return run_in_file(simulation, self.file, self.steps, checked_count("every", every))
+        from minimd.files.h5md_reader import read_file, verify_frames
+
+        every, stopped, contents = checked_count("every", every), self.file.with_suffix(STOPPED), None
+        with suppress(OSError, ValueError):  # there is none, or it is damaged: the member begins anew, to the same bits
+            verify_frames(stopped)
+            contents = read_file(stopped)
+        if contents is None or len(contents.system) != len(simulation.system):
+            return steps_in_file(simulation, self, None, every)
+        simulation.engine.go_on_from(contents.restart)
+        os.replace(stopped, self.file)
+        return steps_in_file(simulation, self, int(contents.record.step[0]), every)
 
     def __str__(self) -> str:
         told = ", ".join(f"{name} = {value}" for name, value in self.parameters.items())
         return f"member {self.index}" + (f" ({told})" if told else "")
+
+
+def steps_in_file(simulation: Simulation, member: Member, first: int | None, every: int) -> Record:
+    """Make the steps of a member, or the remaining ones if its run has begun at the step `first`, and write them to its
+    file; returns the record of all frames.  Raises as Simulation.run."""
+    from minimd.files.h5md_reader import read_file
+
+    if first is None:
+        return simulation.run(member.steps, every=every, trajectory=member.file, progress=False)
+    if simulation.step < (end := first + member.steps):
+        simulation.run(until_step=end, every=every, trajectory=member.file, append=True, progress=False)
+    return read_file(member.file).record
 
 
 def file_of(index: int) -> Path:
@@ -77,19 +119,15 @@ def file_of(index: int) -> Path:
 
 
 def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
-    """The parameters of each member.  parameters : number of members, columns of values,
-    or one mapping for each member.
+    """The parameters of each member.  parameters : number of members, columns of values, or a mapping for each member.
 
     Raises ValueError, TypeError for anything else, no members, columns of different lengths, members with different
     names, values that are neither numbers nor texts, and names that are reserved for columns of the table.
     """
+    is_list = isinstance(parameters, Sequence) and not isinstance(parameters, str)
     if isinstance(parameters, Mapping):
         rows = _from_columns(parameters)
-    elif (
-        isinstance(parameters, Sequence)
-        and not isinstance(parameters, str)
-        and all(isinstance(one, Mapping) for one in parameters)
-    ):
+    elif is_list and all(isinstance(one, Mapping) for one in parameters):
         rows = [dict(one) for one in parameters]
     elif isinstance(parameters, Sequence | np.ndarray) or hasattr(parameters, "columns"):
         raise TypeError(
@@ -100,12 +138,6 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
         rows = [{} for _ in range(checked_count("the number of members", parameters, 1, MOST_MEMBERS + 1))]
     if not rows:
         raise ValueError("an ensemble must have at least one member; parameters is empty")
-    for index, row in enumerate(rows):
-        if row.keys() != rows[0].keys():
-            raise ValueError(
-                f"all members must have the same parameters; member 0 has {listed(rows[0])}, member {index} has "
-                f"{listed(row)}"
-            )
     for name in rows[0]:
         if not isinstance(name, str) or not name or name in OWN_COLUMNS or name.endswith(OWN_ENDINGS):
             taken = f"{listed(OWN_COLUMNS)}, and must not end in {' or '.join(OWN_ENDINGS)}"
@@ -113,78 +145,163 @@ def checked_parameters(parameters: Any) -> list[dict[str, Value]]:
                 f"the name of a parameter must be a text, not one of {taken}: these are columns of the table; it is "
                 f"{shown(name)}"
             )
-    return [{name: _checked_value(name, index, row[name]) for name in rows[0]} for index, row in enumerate(rows)]
+    for index, row in enumerate(rows):
+        if row.keys() != rows[0].keys():
+            names = f"member 0 has {listed(rows[0])}, member {index} has {listed(row)}"
+            raise ValueError(f"all members must have the same parameters; {names}")
+        for name, value in row.items():
+            row[name] = plain = value.item() if isinstance(value, np.generic) else value
+            if not isinstance(plain, bool | int | float | str):
+                where = f"for member {index} it is {shown(value)}"
+                raise TypeError(f"parameter {name!r} must be a number, a text, True or False; {where}")
+    return [{name: row[name] for name in rows[0]} for row in rows]
 
 
 def _from_columns(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
-    lists = {}
     for name, values in columns.items():
         if isinstance(values, str) or not hasattr(values, "__len__"):
             raise TypeError(f"parameter {name!r} must be a list of values, one for each member; it is {shown(values)}")
-        lists[name] = list(values)
-    lengths = {name: len(values) for name, values in lists.items()}
-    if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{name!r} has {length}" for name, length in lengths.items())
+    if len({len(values) for values in columns.values()}) > 1:
+        told = ", ".join(f"{name!r} has {len(values)}" for name, values in columns.items())
         raise ValueError(
             f"all parameters must have as many values as there are members; {told}. For all combinations of values, "
             "give a list of dicts"
         )
-    return [dict(zip(lists, row, strict=True)) for row in zip(*lists.values(), strict=True)]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
-def _checked_value(name: str, index: int, value: Any) -> Value:
-    plain = value.item() if isinstance(value, np.generic) else value
-    if not isinstance(plain, bool | int | float | str):
-        raise TypeError(
-            f"parameter {name!r} must be a number, a text, True or False; for member {index} it is {shown(value)}"
-        )
-    return plain
+@dataclass(frozen=True)
+class Plan:
+    """What is done for every member; see ensemble.  call : unique name of this call; without it dask would return
+    results of an earlier call."""
+
+    build: Callable[[Member], Simulation]
+    prepare: Callable[[Simulation, Member], Any] | None
+    run: Callable[[Simulation, Member], Any] | None
+    every: int
+    call: str
 
 
-STOPPED = ".stopped.h5md"
+@contextmanager
+def noting(member: Member) -> Iterator[list[Any]]:
+    """A note of what the member is doing, which a thread writes as long as this context lasts.
 
-
-def stopped_file(file: Path) -> Path:
-    """The name under which the file of a stopped member is kept."""
-    return file.with_suffix(STOPPED)
-
-
-def set_aside(file: Path) -> None:
-    """Rename the file of a stopped member, so that `run` may write a new file, or go on with the old one."""
-    if file.exists():
-        os.replace(file, stopped_file(file))
-
-
-def run_in_file(simulation: Simulation, file: Path, steps: int, every: int) -> Record:
-    """Make the steps of a member, or the remaining ones if it was stopped, and write them to its file;
-    returns the record of all frames.
-
-    To go on, the simulation takes over the state in the file, to the last bit.  Raises as Simulation.run.
+    Yields a list, for the simulation and the step at which its run begins: empty until then.
     """
+    place, ended, now = member.file.with_suffix(NOTE), threading.Event(), list[Any]()
+
+    def keep() -> None:
+        descriptor = -1
+        while not ended.wait(SECONDS_BETWEEN_NOTES):
+            told = f"at step {now[0].step - now[1]} of {member.steps}" if now else "being prepared"
+            with suppress(OSError):  # a run does not fail because its note cannot be written
+                descriptor = new_file(place) if descriptor < 0 else descriptor
+                os.lseek(descriptor, 0, os.SEEK_SET)
+                os.write(descriptor, f"{told}\n".rjust(LENGTH).encode())
+        if descriptor >= 0:
+            os.close(descriptor)
+
+    thread = threading.Thread(target=keep, daemon=True)
+    thread.start()
+    try:
+        yield now
+    finally:
+        ended.set()
+        thread.join()
+        with suppress(OSError):
+            place.unlink(missing_ok=True)  # also that of a process that was killed
+
+
+def read_note(file: Path) -> str:
+    """What the member with this file is doing now; empty if no process runs it, or if it began less than two seconds
+    ago."""
+    place = file.with_suffix(NOTE)
+    try:
+        with open(place, encoding="utf-8", opener=regular) as note:
+            return note.read().strip() if is_locked(place) else ""
+    except (OSError, UnicodeDecodeError):
+        return ""
+
+
+def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
+    """Run a member and return its row, which also describes an error.
+
+    Its simulation has one thread, unless build says otherwise.
+
+    begins_anew : do not go on from its file, because a run that has blown up would go another way from there.
+    Raises KeyboardInterrupt, SystemExit if it is stopped.
+    """
+    started, row = perf_counter(), {"index": member.index, "parameters": dict(member.parameters)}
+    try:
+        with threads_by_default(1), noting(member) as now:
+            row |= _made(plan, member, begins_anew, now)
+    except Exception as error:  # of build, prepare or run, which are the user's
+        file, message = getattr(error, "file", None), f"{type(error).__name__}: {sentence(error)}"
+        row |= {"status": FAILED, "message": message, "traceback": traceback.format_exc()}
+        row["crash_file"] = "" if file is None else str(file)
+        row["is_blown_up"] = isinstance(error, NonFiniteError | ConstraintError)
+    return row | {"seconds": perf_counter() - started}
+
+
+def _made(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> Row:
     from minimd.files.h5md_reader import read_file
 
-    first = _taken_up(simulation, stopped_file(file))
+    simulation, first, n_steps = plan.build(member), None, member.steps
+    if not isinstance(simulation, Simulation):
+        raise TypeError(f"build must return a Simulation; for {member} it returned {shown(simulation)}")
+    file, stopped = member.file, member.file.with_suffix(STOPPED)
+    crash = crash_file_place(True, file) or file
+    begins_anew |= crash.exists()
+    if not begins_anew and plan.run is None:
+        with suppress(OSError, ValueError):  # there is none, or it is damaged: the member begins anew, to the same bits
+            resumed = Simulation.resume(file, simulation.potentials, threads=simulation.options.threads)
+            simulation, first = resumed, int(read_file(file).record.step[0])
     if first is None:
-        return simulation.run(steps, every=every, trajectory=file, progress=False)
-    os.replace(stopped_file(file), file)
-    if simulation.step < first + steps:
-        simulation.run(until_step=first + steps, every=every, trajectory=file, append=True, progress=False)
-    return read_file(file).record
+        if begins_anew or plan.run is None:
+            stopped.unlink(missing_ok=True)
+        elif file.exists():  # `run` may write a new file, or go on with the old one
+            os.replace(file, stopped)
+        for one in (file, crash):
+            one.unlink(missing_ok=True)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        if plan.prepare is not None:
+            plan.prepare(simulation, member)
+    begun = simulation.step if first is None else first
+    now += (simulation, begun)
+    if plan.run is None:
+        result: Any = steps_in_file(simulation, member, first, plan.every)
+    else:
+        result = plan.run(simulation, member)
+        stopped.unlink(missing_ok=True)
+        n_steps = simulation.step - begun
+    row = {"status": DONE, "n_steps": n_steps, "n_atoms": len(simulation.system), "units": simulation.system.units.name}
+    averages = averages_of(result)
+    return row | {key: {name: pair[k] for name, pair in averages.items()} for k, key in enumerate(("means", "errors"))}
 
 
-def _taken_up(simulation: Simulation, file: Path) -> int | None:
-    """Take over the last state in a file; returns the first step of its run,
-    or None if there is no file or it is damaged or of another system."""
-    from minimd.files.h5md_reader import read_file, verify_frames
+def averages_of(result: Any) -> dict[str, tuple[float, float]]:
+    """Means and errors, by name, of what the function run returned; none for None.
 
-    if not file.exists():
-        return None
-    try:
-        verify_frames(file)
-        contents = read_file(file)
-    except (OSError, ValueError):  # the member begins anew, and has the same bits
-        return None
-    if len(contents.system) != len(simulation.system):
-        return None
-    simulation.engine.go_on_from(contents.restart)
-    return int(contents.record.step[0])
+    result : a Record, or a dict of numbers, of tuples (mean, error) or of series.  Raises TypeError, ValueError for
+    anything else.
+    """
+    if isinstance(result, Record):
+        columns = result.columns().items()
+        return {name: mean_and_error(column) for name, column in columns if name not in ("step", "time")}
+    demand, averages = "run must return a Record, a dict of numbers, of tuples (mean, error) or of series, or None", {}
+    if result is None:
+        return {}
+    if not isinstance(result, Mapping):
+        raise TypeError(f"{demand}; it returned {shown(result)}")
+    for name, value in result.items():
+        if not isinstance(name, str) or not name:
+            raise TypeError(f"{demand}, with texts as names; a name in the dict that it returned is {shown(name)}")
+        array = np.asarray(value)
+        if array.dtype.kind not in "biuf" or array.ndim > 1:
+            raise TypeError(f"{demand}; in the dict that it returned {name} = {shown(value)}")
+        if array.ndim == 0:
+            averages[name] = float(array), np.nan
+        else:
+            is_pair = isinstance(value, tuple) and len(value) == 2
+            averages[name] = (float(array[0]), float(array[1])) if is_pair else mean_and_error(array)
+    return averages

@@ -11,6 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
 from queue import SimpleQueue
+from secrets import randbits
 from time import sleep
 from typing import Any
 from uuid import uuid4
@@ -20,10 +21,9 @@ from minimd.console.progress import progress_of
 from minimd.console.quiet import outside_minimd
 from minimd.console.signals import Terminated, endings_are_told, raising_on_signals, stop_runs_of_threads, tell_ending
 from minimd.console.words import shown
-from minimd.ensemble.folder import Asked, EnsembleFolder, entropy_of, is_done, name_of
-from minimd.ensemble.member import Member, checked_parameters
-from minimd.ensemble.table import EnsembleTable, table_of
-from minimd.ensemble.work import FAILED, Plan, Row, work
+from minimd.ensemble.folder import ENTROPIES, Asked, EnsembleFolder, name_of
+from minimd.ensemble.member import FAILED, Member, Plan, Row, checked_parameters, work
+from minimd.ensemble.table import EnsembleTable, written_table
 from minimd.ensemble.workers import SpawnedProcesses, ThisProcess, WorkerNeverBegan
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag
@@ -31,9 +31,8 @@ from minimd.structure.errors import Interrupted, sentence
 
 MOST_WAITING = 4096  # members submitted at a time to an executor that the caller brings
 TOLD = 3  # failures that a warning names
-OUTSIDE = (
-    "If the script calls md.ensemble outside of functions, put that call below the line: if __name__ == '__main__':"
-)
+BELOW = "put the call below: if __name__ == '__main__':"
+OUTSIDE = f"If the script calls md.ensemble outside of functions, {BELOW}"
 ANOTHER = "Call md.ensemble again to go on, with a new executor or none: some give up when one of their processes dies"
 # seconds between requests to stop, repeated because a member that is between two runs does not notice one
 BETWEEN_REQUESTS = 0.02
@@ -70,22 +69,22 @@ def ensemble(
     Parameters
     ----------
     build : function of a Member that returns its Simulation. It is called again if a member goes on from its file.
-    parameters : number of members; or columns, such as {"temperature": [0.8, 0.9]}; or a list of dicts,
-        one for each member.
+    parameters : number of members; or columns, such as {"temperature": [0.8, 0.9]}; or a list of dicts, one for each
+        member.
     steps : number of steps of each member.
-    prepare : function of simulation and member, such as an equilibration, called before the first step,
-        but not when a member goes on.
+    prepare : function of simulation and member, such as an equilibration, called before the first step, but not when a
+        member goes on.
     run : function of simulation and member that makes the run in place of minimd, and returns a Record, or a dict of
-        numbers, of tuples (mean, error) or of series. A member that was stopped begins anew,
-        unless the function calls member.run, which goes on from the file.
+        numbers, of tuples (mean, error) or of series. A member that was stopped begins anew, unless the function calls
+        member.run, which goes on from the file.
     every : steps between observations.
     executor : any concurrent.futures.Executor, such as client.get_executor() of dask or
-        mpi4py.futures.MPIPoolExecutor(); all its workers must see the folder. If not given,
-        processes are spawned on this machine.
-    workers : number of those processes, one for each core if not given; 0 runs all members in this process,
-        one after the other.
-    seed : entropy of the SeedSequence from which each member gets a child; None for that of the folder,
-        or a random one in a new folder.
+        mpi4py.futures.MPIPoolExecutor(); all its workers must see the folder. If not given, processes are spawned on
+        this machine.
+    workers : number of those processes, one for each core if not given; 0 runs all members in this process, one after
+        the other.
+    seed : entropy of the SeedSequence from which each member gets a child; None for that of the folder, or a random one
+        in a new folder.
     folder : for all files; see minimd.ensemble.folder.  resume : False to replace what is in the folder.
     progress : whether to show a bar that counts members, as for Simulation.run.
 
@@ -93,28 +92,25 @@ def ensemble(
 
     Raises
     ------
-    TypeError, ValueError : for wrong arguments, functions that cannot be sent to a process,
-        a folder with another ensemble.
-    EnsembleError, a RuntimeError : if all members fail or cannot be run; if only some fail,
-        a warning and the table say why.
-    KeyboardInterrupt : after Ctrl-C; finished members are kept, and the next call goes on.  OSError :
-        if the folder cannot be written.
+    TypeError, ValueError : for wrong arguments, functions that cannot be sent to a process, a folder with another
+        ensemble.
+    EnsembleError, a RuntimeError : if all members fail or cannot be run; if only some fail, a warning and the table say
+        why.
+    KeyboardInterrupt : after Ctrl-C; finished members are kept, and the next call goes on.
+    OSError : if the folder cannot be written.
     """
-    _check_functions(build=build, prepare=prepare, run=run)
     rows, place = checked_parameters(parameters), Path(folder)
-    steps, every, resume = (
-        checked_count("steps", steps, 0),
-        checked_count("every", every),
-        checked_flag("resume", resume),
-    )
+    steps, every = checked_count("steps", steps, 0), checked_count("every", every)
+    resume, seed = checked_flag("resume", resume), None if seed is None else checked_count("seed", seed, 0, ENTROPIES)
     plan = Plan(build, prepare, run, every, uuid4().hex)
     n_workers = _check_executor(executor, workers, plan)
     with EnsembleFolder(place, writes=True) as opened:
-        entropy = entropy_of(seed, opened.asked if resume else None)
-        asked = opened.begin(Asked(entropy, steps, every, rows, name_of(build), name_of(prepare), name_of(run)), resume)
-        todo = [index for index in range(len(rows)) if not is_done(opened.rows.get(index), steps, run is not None)]
+        if seed is None:
+            seed = opened.asked.seed if resume and opened.asked is not None else randbits(128)
+        asked = opened.begin(Asked(seed, steps, every, rows, name_of(build), name_of(prepare), name_of(run)), resume)
+        todo = [index for index in range(len(rows)) if not asked.is_done(opened.rows.get(index))]
         jobs = (
-            (Member(k, rows[k], entropy, steps, opened.file(k)), opened.rows.get(k, {}).get("is_blown_up", False))
+            (Member(k, rows[k], seed, steps, opened.file(k)), opened.rows.get(k, {}).get("is_blown_up", False))
             for k in todo
         )
         try:
@@ -129,7 +125,7 @@ def ensemble(
                     opened.take(row)
                     tell(len(rows) - len(todo) + n_made)
         except (KeyboardInterrupt, Terminated) as stopped:
-            table = _written(opened, asked, len(rows))
+            table = written_table(opened, asked, len(rows))
             told = f"{int(table.done.sum())} of {len(rows)} members are done and kept in {place}; the same call goes on"
             if isinstance(stopped, Terminated):
                 stopped.words, stopped.kept = f"{stopped.words}; {told}", ()
@@ -137,9 +133,9 @@ def ensemble(
                 raise
             raise Interrupted(f"interrupted: {told}", table) from None
         except EnsembleError:
-            _written(opened, asked, len(rows))
+            written_table(opened, asked, len(rows))
             raise
-        table = _written(opened, asked, len(rows))
+        table = written_table(opened, asked, len(rows))
     _tell_failures(table, opened.rows)
     return table
 
@@ -172,27 +168,22 @@ def _rows(executor: Executor, plan: Plan, jobs: Iterator[tuple[Member, bool]], m
 
 
 def _row_of(future: Future, members: dict[Future, Member]) -> Row:
-    """The row of a member that has ended, also if its worker died.  Raises EnsembleError if members cannot be run,
-    and KeyboardInterrupt."""
+    """The row of a member that has ended, also if its worker died.  Raises EnsembleError if members cannot be run, and
+    KeyboardInterrupt."""
     member = members.pop(future)
     try:
         row: Row = future.result()
         return row
     except (WorkerNeverBegan, BrokenProcessPool, pickle.PicklingError) as error:
         advice = ANOTHER if isinstance(error, BrokenProcessPool) else OUTSIDE
-        raise EnsembleError(
-            f"{member} could not be run, and neither can the others: {sentence(error)}. {advice}"
-        ) from None
+        words = f"{member} could not be run, and neither can the others: {sentence(error)}. {advice}"
+        raise EnsembleError(words) from None
     except (CancelledError, SystemExit):
         raise KeyboardInterrupt from None
     except Exception as error:  # of a worker that died, or any error of an executor
-        row = {"index": member.index, "parameters": dict(member.parameters), "status": FAILED}
-        return row | {
-            "message": f"{type(error).__name__}: {sentence(error)}",
-            "traceback": "",
-            "crash_file": "",
-            "seconds": 0.0,
-        }
+        message = f"{type(error).__name__}: {sentence(error)}"
+        row = {"index": member.index, "parameters": dict(member.parameters), "status": FAILED, "message": message}
+        return row | {"traceback": "", "crash_file": "", "seconds": 0.0}
 
 
 @contextmanager
@@ -217,82 +208,57 @@ def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Execu
 
 
 def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) -> int:
-    """The number of processes to spawn.  Raises TypeError, ValueError,
-    RuntimeError if executor and functions cannot work together."""
+    """The number of processes to spawn.  Raises TypeError, ValueError, RuntimeError if functions, executor and workers
+    are wrong, or cannot work together."""
+    functions = {"build": plan.build, "prepare": plan.prepare, "run": plan.run}
+    for name, function in functions.items():
+        if not callable(function) and (function is not None or name == "build"):
+            of = " of a member" if name == "build" else ""
+            raise TypeError(f"{name} must be a function{of}; {name} = {shown(function)}")
     if executor is not None and workers is not None:
-        raise ValueError(
-            "workers is the number of minimd's own processes; with an executor leave it out; workers = "
-            f"{shown(workers)}"
-        )
+        words = "workers is the number of minimd's own processes; with an executor leave it out"
+        raise ValueError(f"{words}; workers = {shown(workers)}")
     if executor is not None and not callable(getattr(executor, "submit", None)):
-        raise TypeError(
-            f"executor must have a method submit, like a concurrent.futures.Executor; executor = {shown(executor)}"
-        )
+        words = "executor must have a method submit, like a concurrent.futures.Executor"
+        raise TypeError(f"{words}; executor = {shown(executor)}")
     n_workers = available_cores() if workers is None else checked_count("workers", workers, 0)
     if isinstance(executor, ProcessPoolExecutor) or (executor is None and n_workers):
-        _check_can_be_sent(plan)
+        for name, function in functions.items():
+            _check_can_be_sent(name, function)
         frame = sys._getframe()
         while frame.f_back is not None:
             if frame.f_code.co_name == "<module>" and frame.f_globals.get("__name__") == "__mp_main__":
-                where = "put the call below: if __name__ == '__main__':"
-                raise RuntimeError(f"a worker process imports the script, which calls md.ensemble again; {where}")
+                raise RuntimeError(f"a worker process imports the script, which calls md.ensemble again; {BELOW}")
             frame = frame.f_back
     return n_workers
 
 
-def _check_functions(**functions: Any) -> None:
-    for name, function in functions.items():
-        if not callable(function) and (function is not None or name == "build"):
-            raise TypeError(
-                f"{name} must be a function{' of a member' if name == 'build' else ''}; {name} = {shown(function)}"
-            )
-
-
-def _check_can_be_sent(plan: Plan) -> None:
-    """Raise TypeError unless other processes can find the functions."""
+def _check_can_be_sent(name: str, function: Callable | None) -> None:
+    """Raise TypeError unless other processes can find the function."""
     main = sys.modules.get("__main__")  # a notebook, a prompt or a script
-    for name in ("build", "prepare", "run"):
-        function = getattr(plan, name)
-        try:
-            pickle.dumps(function)
-            is_of_session = (
-                getattr(function, "__module__", None) == "__main__"
-                and main is not None
-                and not hasattr(main, "__file__")
-            )
-            reason = "it was defined in a session, which other processes cannot import" if is_of_session else ""
-        except Exception as error:  # pickle raises errors of many kinds
-            reason = sentence(error)
-        if reason:
-            raise TypeError(
-                f"{name} cannot be sent to worker processes: {reason}. Define it with def at the top level of a file, "
-                "and import it if this is a "
-                "notebook; or pass workers=0 to stay in this process; or use an executor that can send such "
-                "functions, such as that of dask"
-            )
-
-
-def _written(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTable:
-    table = table_of(folder, asked, n_members)
-    table.write()
-    return table
+    is_of_main = getattr(function, "__module__", None) == "__main__" and main is not None
+    try:
+        pickle.dumps(function)
+        reason = "it was defined in a session, which other processes cannot import"
+        if not is_of_main or hasattr(main, "__file__"):
+            return
+    except Exception as error:  # pickle raises errors of many kinds
+        reason = sentence(error)
+    raise TypeError(
+        f"{name} cannot be sent to worker processes: {reason}. Define it with def at the top level of a file, and "
+        "import it if this is a notebook; or pass workers=0 to stay in this process; or use an executor that can send "
+        "such functions, such as that of dask"
+    )
 
 
 def _tell_failures(table: EnsembleTable, rows: dict[int, Row]) -> None:
     """Warn of members that have failed.  Raises EnsembleError if all have failed."""
-    sentences = list(table.failures())
-    if not sentences:
-        return
-    if len(sentences) == len(table):
-        first = next(row["traceback"] for row in rows.values() if row["status"] == FAILED)
-        failure = EnsembleError(f"all {len(table)} members have failed; the first failure was:\n{sentences[0]}")
-        failure.add_note(first)
+    sentences, of = list(table.failures()), f"{len(table)} members have failed"
+    if sentences and len(sentences) == len(table):
+        failure = EnsembleError(f"all {of}; the first failure was:\n{sentences[0]}")
+        failure.add_note(next(row["traceback"] for row in rows.values() if row["status"] == FAILED))
         raise failure
-    more = [f"and {len(sentences) - TOLD} more, see the messages in the table"] if len(sentences) > TOLD else []
-    told = [
-        f"{len(sentences)} of {len(table)} members have failed:",
-        *sentences[:TOLD],
-        *more,
-        "The next call tries them again.",
-    ]
-    warnings.warn("\n".join(told), stacklevel=outside_minimd())
+    if sentences:
+        told, n_more = [f"{len(sentences)} of {of}:", *sentences[:TOLD]], len(sentences) - TOLD
+        told += [f"and {n_more} more, see the messages in the table"] if n_more > 0 else []
+        warnings.warn("\n".join([*told, "The next call tries them again."]), stacklevel=outside_minimd())

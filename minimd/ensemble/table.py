@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from minimd.console.display import Displayed, Rows
 from minimd.console.words import listed, near
 from minimd.engine.record import SERIES
-from minimd.ensemble.folder import DESCRIPTION, Asked, EnsembleFolder, is_done
-from minimd.ensemble.member import file_of
-from minimd.ensemble.work import BEGUN, DONE, FAILED, MISSING, SUFFIX, Row, read_note
+from minimd.ensemble.folder import DESCRIPTION, Asked, EnsembleFolder
+from minimd.ensemble.member import BEGUN, DONE, FAILED, MISSING, NOTE, STATES, file_of, read_note
 from minimd.files.claim import write_whole
 from minimd.structure.errors import sentence
 from minimd.structure.statistics import with_error
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
 SHOWN_FAILURES = 3
 # observables listed as text; if none of them exists, all are listed
 TOLD = "temperature", "potential_energy", "pressure"
@@ -54,9 +52,8 @@ class EnsembleTable(Displayed):
 
     def __init__(self, folder: Path, names: Sequence[str], array: NDArray[Any], units: UnitSystem | None) -> None:
         self.folder, self.parameters, self.array, self.units = folder, tuple(names), array, units
-        self.observables = tuple(
-            name.removesuffix("_mean") for name in array.dtype.names or () if name.endswith("_mean")
-        )
+        means = [name for name in array.dtype.names or () if name.endswith("_mean")]
+        self.observables = tuple(name.removesuffix("_mean") for name in means)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         names = self.array.dtype.names or ()
@@ -79,20 +76,25 @@ class EnsembleTable(Displayed):
         The error of a mean over M ≥ 2 members is the larger of √(Σ σ²) / M, with the error σ of each member, and the
         standard error that follows from the scatter of their means. Sets without a member that is done are left out.
         """
-        rows = self.array[self.done]
-        groups, first = _groups([rows[name] for name in self.parameters], len(rows))
-        kinds: list[tuple[str, Any]] = [(name, rows.dtype[name]) for name in self.parameters] + [
-            ("n_members", np.int64)
-        ]
+        rows, sets = self.array[self.done], dict[tuple, int]()  # the number of each set, in the order of their members
+        kinds_of = [np.unique(rows[name], return_inverse=True)[1].tolist() for name in self.parameters]
+        keys = zip(*kinds_of, strict=True) if kinds_of else [()] * len(rows)
+        groups = np.array([sets.setdefault(key, len(sets)) for key in keys], dtype=np.int64)
+        first = np.unique(groups, return_index=True)[1]
+        kinds: list[tuple[str, Any]] = [(name, rows.dtype[name]) for name in self.parameters]
+        kinds += [("n_members", np.int64)]
         kinds += [(name + ending, np.float64) for name in self.observables for ending in ("_mean", "_error")]
-        made = np.zeros(len(first), dtype=kinds)
+        made = np.zeros(len(sets), dtype=kinds)
         for name in self.parameters:
             made[name] = rows[name][first]
-        made["n_members"] = np.bincount(groups, minlength=len(first))
+        n = made["n_members"] = np.bincount(groups, minlength=len(sets))
         for name in self.observables:
-            made[f"{name}_mean"], made[f"{name}_error"] = _joined(
-                rows[f"{name}_mean"], rows[f"{name}_error"], groups, made["n_members"]
-            )
+            means, errors, scatter = rows[f"{name}_mean"], rows[f"{name}_error"], np.full(len(sets), np.nan)
+            mean = made[f"{name}_mean"] = np.bincount(groups, means, len(sets)) / n
+            squares = np.bincount(groups, (means - mean[groups]) ** 2, len(sets))
+            np.divide(squares, n * (n - 1.0), out=scatter, where=n > 1)
+            inner = np.sqrt(np.bincount(groups, errors**2, len(sets))) / n
+            made[f"{name}_error"] = np.fmax(inner, np.sqrt(scatter))
         return made
 
     def unit(self, name: str) -> str:
@@ -113,13 +115,11 @@ class EnsembleTable(Displayed):
         return DataFrame({name: self.array[name] for name in self.array.dtype.names or ()}).set_index("index")
 
     def write(self) -> None:
-        """Write table.csv and table.json into the folder; numbers have all their digits,
-        paths are relative to the folder.  Raises OSError."""
+        """Write table.csv and table.json into the folder; numbers have all their digits, paths are relative to the
+        folder.  Raises OSError."""
         columns = {name: self.array[name].tolist() for name in self.array.dtype.names or ()}
-        columns["file"] = [
-            file_of(index).as_posix() if file else ""
-            for index, file in zip(columns["index"], columns["file"], strict=True)
-        ]
+        pairs = zip(columns["index"], columns["file"], strict=True)
+        columns["file"] = [file_of(index).as_posix() if file else "" for index, file in pairs]
         stream = io.StringIO()
         lines = csv.writer(stream, lineterminator="\n")
         lines.writerow(columns)
@@ -127,9 +127,8 @@ class EnsembleTable(Displayed):
         write_whole(self.folder / "table.csv", stream.getvalue())
         units = {name: unit for name in self.observables if (unit := self.unit(name))}
         whole = {name: [None if number != number else number for number in values] for name, values in columns.items()}
-        write_whole(
-            self.folder / "table.json", json.dumps({"parameters": self.parameters, "units": units, "columns": whole})
-        )
+        told = {"parameters": self.parameters, "units": units, "columns": whole}
+        write_whole(self.folder / "table.json", json.dumps(told))
 
     def failures(self) -> Iterator[str]:
         """A sentence for each member that has failed."""
@@ -139,7 +138,7 @@ class EnsembleTable(Displayed):
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        counts = {status: int((self["status"] == status).sum()) for status in (DONE, FAILED, BEGUN, MISSING)}
+        counts = {status: int((self["status"] == status).sum()) for status in STATES}
         told = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
         rows = [("ensemble", f"{len(self)} members in {self.folder}: {told}")]
         for name in self.parameters:
@@ -148,7 +147,11 @@ class EnsembleTable(Displayed):
             rows.append((name, f"{len(set(values.tolist()))} values{limits}"))
         averages = self.averaged()
         for name in (one for one in self.observables if "momentum" not in one and len(averages)):
-            limits = _limits(averages[f"{name}_mean"], averages[f"{name}_error"])
+            means, errors, limits = averages[f"{name}_mean"], averages[f"{name}_error"], "not known"
+            if not np.isnan(means).all():
+                ends = dict.fromkeys((int(np.nanargmin(means)), int(np.nanargmax(means))))
+                limits = " to ".join(with_error(means[k], errors[k]) for k in ends)
+                limits = f"from {limits}" if len(ends) > 1 else limits
             rows.append((f"mean {name}".replace("_", " "), f"{limits} {self.unit(name)}".rstrip()))
         several = list(self.failures())
         rows += [("FAILED", told) for told in several[:SHOWN_FAILURES]]
@@ -158,112 +161,60 @@ class EnsembleTable(Displayed):
         return f"EnsembleTable({len(self)} members, {', '.join([*self.parameters, *self.observables])})"
 
 
-def _limits(means: Floats, errors: Floats) -> str:
-    """The lowest and the highest of the means of several sets of parameters, with their errors where these are known;
-    that of one set."""
-    if np.isnan(means).all():
-        return "not known"
-    lowest, highest = int(np.nanargmin(means)), int(np.nanargmax(means))
-    told = [with_error(means[k], errors[k]) for k in (lowest, highest)]
-    return f"from {told[0]} to {told[1]}" if lowest != highest else told[0]
-
-
-def _groups(columns: Sequence[NDArray[Any]], n_rows: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The number of the group of each row, (R,), and the first row of each group, (G,),
-    where rows with the same entries are a group.
-
-    Groups are counted in the order of their first rows.
-    """
-    groups = np.zeros(n_rows, dtype=np.int64)
-    for column in columns:
-        kinds = np.unique(column, return_inverse=True)[1]
-        groups = np.unique(groups * (kinds.max(initial=0) + 1) + kinds, return_inverse=True)[1]
-    _, first, groups = np.unique(groups, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    return np.argsort(order)[groups], first[order]
-
-
-def _joined(means: Floats, errors: Floats, groups: NDArray[np.int64], n: NDArray[np.int64]) -> tuple[Floats, Floats]:
-    """Means of the means of the n members of each group, and their errors, (G,); see EnsembleTable.averaged."""
-
-    def summed(numbers: Floats) -> Floats:
-        # without members, bincount returns integers
-        return np.bincount(groups, numbers, minlength=len(n)).astype(np.float64)
-
-    joined, inner = summed(means) / n, np.sqrt(summed(errors**2)) / n
-    scatter = np.full(len(n), np.nan)
-    np.divide(summed((means - joined[groups]) ** 2), n * (n - 1.0), out=scatter, where=n > 1)
-    return joined, np.fmax(inner, np.sqrt(scatter))
-
-
 def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTable:
     """The table of the first n_members members of a folder.
 
     Results are those of members that have failed, or are done with all steps that are asked for now.
     """
-    rows = [folder.rows.get(index) for index in range(n_members)]
-    is_present = [row and (row["status"] == FAILED or is_done(row, asked.steps, bool(asked.run))) for row in rows]
-    rows = [row if present else None for row, present in zip(rows, is_present, strict=True)]
-    names = list(asked.parameters[0])
-    observables = list(dict.fromkeys(name for row in rows if row is not None for name in row.get("means", ())))
+    found = [folder.rows.get(index) for index in range(n_members)]
+    rows = [row if row and (row["status"] == FAILED or asked.is_done(row)) else {} for row in found]
+    there, places = folder.files(), [file_of(index).as_posix() for index in range(n_members)]
+    is_there = [place in there for place in places]
     columns: dict[str, Any] = {"index": np.arange(n_members)}
-    columns |= {name: np.array([one[name] for one in asked.parameters[:n_members]]) for name in names}
-    there, names_of_files = folder.files(), [file_of(index).as_posix() for index in range(n_members)]
-    columns["status"] = np.array(
-        [
-            row["status"] if row else BEGUN if name in there else MISSING
-            for row, name in zip(rows, names_of_files, strict=True)
-        ]
-    )
-    for name in ("n_steps", "n_atoms"):
-        columns[name] = np.array([(row or {}).get(name, 0) for row in rows], dtype=np.int64)
+    columns |= {name: np.array([one[name] for one in asked.parameters[:n_members]]) for name in asked.parameters[0]}
+    states = [row.get("status", BEGUN if file else MISSING) for row, file in zip(rows, is_there, strict=True)]
+    columns["status"] = np.array(states)
+    columns |= {name: np.array([row.get(name, 0) for row in rows], dtype=np.int64) for name in ("n_steps", "n_atoms")}
+    names = list(dict.fromkeys(name for row in rows for name in row.get("means", ())))
+    nothing = dict.fromkeys(names, np.nan)
     for ending, key in (("_mean", "means"), ("_error", "errors")):
-        numbers = _numbers(rows, key, observables)
-        columns |= {name + ending: numbers[:, k] for k, name in enumerate(observables)}
-    files = [str(folder.path / name) if name in there else "" for name in names_of_files]
-    columns["file"] = np.array(files, dtype=object)
-    columns["message"] = np.array([(row or {}).get("message", "") for row in rows], dtype=object)
+        several = [row.get(key, nothing) for row in rows]
+        alike = [one if list(one) == names else nothing | one for one in several]
+        numbers = np.array([list(one.values()) for one in alike], dtype=np.float64).reshape(n_members, len(names))
+        columns |= {f"{name}{ending}": numbers[:, k] for k, name in enumerate(names)}
+    files = [str(folder.path / place) if file else "" for place, file in zip(places, is_there, strict=True)]
+    columns |= {"file": np.array(files, object), "message": np.array([row.get("message", "") for row in rows], object)}
     array = np.empty(n_members, dtype=[(name, column.dtype) for name, column in columns.items()])
     for name, column in columns.items():
         array[name] = column
-    units = {row["units"] for row in rows if row is not None and "units" in row}
-    return EnsembleTable(folder.path, names, array, SYSTEMS.get(units.pop()) if len(units) == 1 else None)
+    units = {row["units"] for row in rows if "units" in row}
+    known = SYSTEMS.get(units.pop()) if len(units) == 1 else None
+    return EnsembleTable(folder.path, list(asked.parameters[0]), array, known)
 
 
-def _numbers(rows: Sequence[Row | None], key: str, names: list[str]) -> Floats:
-    """The means or errors of these names in all rows, (R, names); NaN where there is none."""
-    numbers = np.full((len(rows), len(names)), np.nan)
-    for k, row in enumerate(rows):
-        found = row.get(key, {}) if row is not None else {}
-        if found:
-            numbers[k] = list(found.values()) if list(found) == names else [found.get(name, np.nan) for name in names]
-    return numbers
+def written_table(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTable:
+    """The same, written into the folder.  Raises OSError."""
+    table = table_of(folder, asked, n_members)
+    table.write()
+    return table
 
 
 def status(folder: Path) -> tuple[EnsembleTable, list[str]]:
-    """The table as it is now, and lines about it.  Raises FileNotFoundError,
-    ValueError for a folder without an ensemble."""
+    """The table as it is now, and lines about it.  Raises FileNotFoundError, ValueError for a folder without an
+    ensemble."""
     with EnsembleFolder(folder, writes=False) as opened:
         if opened.asked is None:
             raise FileNotFoundError(f"folder {str(folder)!r} holds no ensemble: there is no {DESCRIPTION} in it")
-        table = table_of(opened, opened.asked, len(opened.asked.parameters))
-        steps = opened.asked.steps
-        noted = [int(Path(name).stem) for name in opened.files() if name.endswith(SUFFIX)]
+        table, steps = table_of(opened, opened.asked, len(opened.asked.parameters)), opened.asked.steps
+        noted = sorted(int(Path(name).stem) for name in opened.files() if name.endswith(NOTE))
     lines = str(table).splitlines()
-    begun = {index: table["file"][index] for index in np.flatnonzero(table["status"] == BEGUN).tolist()}
-    now = {index: told for index in sorted(noted) if (told := read_note(opened.file(index)))}
-    lines += _some("running", (f"member {index}: {told}" for index, told in now.items()), len(now))
-    stopped = {index: file for index, file in begun.items() if index not in now}
-    lines += _some(
-        "begun", (f"member {index}: {_progress(file, steps)}" for index, file in stopped.items()), len(stopped)
-    )
+    running = {index: told for index in noted if (told := read_note(opened.file(index)))}
+    begun = [index for index in np.flatnonzero(table["status"] == BEGUN).tolist() if index not in running]
+    for word, members in (("running", list(running)), ("begun", begun)):
+        for index in islice(members, MOST_TOLD):
+            lines.append(f"{word:<14} member {index}: {running.get(index) or _progress(table['file'][index], steps)}")
+        lines += [f"{'':<14} and {len(members) - MOST_TOLD} more"] * (len(members) > MOST_TOLD)
     return table, lines
-
-
-def _some(word: str, told: Iterator[str], n: int) -> list[str]:
-    """The first of n lines, each after the word, and how many more there are."""
-    lines = [f"{word:<14} {line}" for line in islice(told, MOST_TOLD)]
-    return lines + ([f"{'':<14} and {n - MOST_TOLD} more"] if n > MOST_TOLD else [])
 
 
 def _progress(file: str, steps: int) -> str:
@@ -278,8 +229,8 @@ def _progress(file: str, steps: int) -> str:
 
 
 def told_averages(table: EnsembleTable) -> Iterator[str]:
-    """A line of names, then the averages over members with the same parameters,
-    a line for each of the first hundred sets."""
+    """A line of names, then the averages over members with the same parameters, a line for each of the first hundred
+    sets."""
     rows = table.averaged()
     names = [name for name in TOLD if name in table.observables] or list(table.observables)
     units = {name: f" [{table.unit(name)}]" if table.unit(name) else "" for name in names}
@@ -302,44 +253,36 @@ def drawn_quantity(table: EnsembleTable, quantity: str | None) -> str:
     if quantity is None:
         return next((name for name in DRAWN if name in table.observables), table.observables[0])
     if quantity not in table.observables:
-        raise ValueError(
-            f"the quantity must be one of {listed(table.observables)}; it is "
-            f"{quantity!r}{near(quantity, table.observables)}"
-        )
+        words = f"the quantity must be one of {listed(table.observables)}"
+        raise ValueError(f"{words}; it is {quantity!r}{near(quantity, table.observables)}")
     return quantity
 
 
 def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure:
-    """One quantity against the first parameter that has several numbers as values, with error bars;
-    a curve for each set of values of the others.
+    """One quantity against the first parameter that has several numbers as values, with error bars; a curve for each
+    set of values of the others.
 
     Raises ValueError if no member is done, or none has such a quantity.
     """
     from minimd.engine.record_picture import Picture
 
     name, rows = drawn_quantity(table, quantity), table.averaged()
-    numbers = [one for one in table.parameters if rows.dtype[one].kind in "if" and len(set(rows[one].tolist())) > 1]
-    others = [one for one in table.parameters if one not in numbers[:1]]
+    several = [one for one in table.parameters if len(set(rows[one].tolist())) > 1]
+    x_name = next((one for one in several if rows.dtype[one].kind in "if"), None)
+    others = [one for one in several if one != x_name]
     figure = Picture(figsize=(7.0, 4.5), dpi=150, layout="constrained")
-    axes = figure.subplots()
-    curves: dict[tuple, list[int]] = {}
+    axes, curves = figure.subplots(), dict[tuple, list[int]]()
     for k, row in enumerate(rows):
         curves.setdefault(tuple(row[one] for one in others), []).append(k)
-    several = {one for one in others if len(set(rows[one].tolist())) > 1}
     for key, members in curves.items():
-        curve = rows[members][np.argsort(rows[members][numbers[0]])] if numbers else rows[members]
-        x = curve[numbers[0]] if numbers else np.arange(len(curve))
-        label = ", ".join(
-            f"{one.rpartition('.')[2]} = {value}" for one, value in zip(others, key, strict=True) if one in several
-        )
-        axes.errorbar(
-            x, curve[f"{name}_mean"], curve[f"{name}_error"], marker="o", ms=3.5, lw=1.0, capsize=2.5, label=label
-        )
+        curve = rows[members] if x_name is None else rows[members][np.argsort(rows[members][x_name])]
+        x = np.arange(len(curve)) if x_name is None else curve[x_name]
+        label = ", ".join(f"{one.rpartition('.')[2]} = {value}" for one, value in zip(others, key, strict=True))
+        bars: dict[str, Any] = {"marker": "o", "ms": 3.5, "lw": 1.0, "capsize": 2.5, "label": label}
+        axes.errorbar(x, curve[f"{name}_mean"], curve[f"{name}_error"], **bars)
     unit = table.unit(name).replace("k_B", "$k_B$")
-    axes.set(
-        xlabel=numbers[0] if numbers else "set of parameters",
-        ylabel=f"mean {name.replace('_', ' ')}" + (f"  [{unit}]" if unit else ""),
-    )
+    words = f"mean {name.replace('_', ' ')}" + (f"  [{unit}]" if unit else "")
+    axes.set(xlabel=x_name or "set of parameters", ylabel=words)
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(alpha=0.25, lw=0.6)
     axes.set_title(f"{int(table.done.sum())} members, bars: one standard error", fontsize=10)
@@ -349,8 +292,8 @@ def picture_of_scan(table: EnsembleTable, quantity: str | None = None) -> Figure
 
 
 def save_picture(table: EnsembleTable, quantity: str | None = None, out: Path | None = None) -> Path:
-    """Save the figure to out, or to a file in the folder named after the quantity.
-    Raises ValueError as picture_of_scan, OSError."""
+    """Save the figure to out, or to a file in the folder named after the quantity.  Raises ValueError as
+    picture_of_scan, OSError."""
     from minimd.analysis.plot import save
 
     place = out or table.folder / f"{drawn_quantity(table, quantity)}.png"

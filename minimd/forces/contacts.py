@@ -18,7 +18,7 @@ from minimd.potentials.laws import FENELaw, HarmonicLaw, LennardJonesLaw
 from minimd.potentials.pair import PairPotential, curvature_at_minimum
 from minimd.potentials.term import PER_ATOM
 from minimd.structure.bond_graph import pairs_by_bonds_apart
-from minimd.structure.images import nearest_vectors
+from minimd.structure.cell import nearest_vectors
 from minimd.structure.system import System
 
 NEAREST = 16  # neighbors of each atom that are examined: more than the 12 to 14 of a dense shell in a liquid

@@ -280,7 +280,7 @@ class Forces:
             self._bind()
 
     def target(self, detail: int, unit: float = 1.0) -> Target:
-        """What operations(target) work on, for one detail, and one unit of impulses [time]."""
+        """What operations(target) write to, for one detail; on a grid, for impulses over a unit of time [time]."""
         key = detail, unit if self.grid is not None else 1.0
         if key in self._targets:
             return self._targets[key]
@@ -318,7 +318,8 @@ class Forces:
 
     @contextmanager
     def running(self, program: Program) -> Iterator[None]:
-        """Context in which a program with operations of this evaluation runs; compiles what is not compiled yet.
+        """Context in which a program with operations of these forces runs: makes lists ready, compiles what is not
+        compiled yet; at the end, takes note of what the operations have done to the lists.
 
         Raises TypeError if a user's law does not compile.
         """

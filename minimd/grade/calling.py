@@ -1,14 +1,18 @@
-"""How a student's step is called: its parameters are recognized by their names, and its results by their shapes.
+"""How a student's step or force function is called: parameters are recognized by their names, results by their shapes.
 
-    x, r, q, pos, positions …           positions                  v, vel …              velocities;  p: momenta
-    force, forces, f, compute_forces    a function of positions    acceleration, a       the same, divided by the masses
-    m, mass, masses                     masses                     dt, h, timestep       time step
-    x_old, x_prev …                     positions a step ago       v_half …              velocities half a step ago
-    state, y                            [x, v] in one              n_steps               1: the last row of a path
+Steps   x, r, q, pos, positions …           positions                  v, vel …           velocities;  p: momenta
+        force, forces, f, compute_forces    a function of positions    acceleration, a    the same over the masses
+        m, mass, masses                     masses                     dt, h, timestep    time step
+        x_old, x_prev …                     positions a step ago       v_half …           velocities half a step ago
+        state, y                            [x, v] in one              n_steps            1: the last row of a path
+Forces  force(positions, box, cutoff)       (N, 3) -> (N, 3), or with the energy: (F, U), (U, F); box, cutoff if needed
+        force(r), law(r2)                   a law of the distance: numbers -> numbers, or (u, f)
+        force(rij), force(ri, rj)           the force of a pair: (3,) -> (3,)
 
-Parameters with other names take the free places in step(x, v, force, m, dt), in this order. Coordinates are tried as
-(N, 3), (N, 2), (N,) and one number; masses as (N,), (N, 1) and one number; force(x) returns F, (F, U) or (U, F). The
-step is called in the first manner in which it returns without an error.
+Parameters with other names take the free places in step(x, v, force, m, dt), in this order. Coordinates of steps are
+tried as (N, 3), (N, 2), (N,) and one number; masses as (N,), (N, 1) and one number; force(x) returns F, (F, U) or
+(U, F). The step is called in the first manner in which it returns without an error. The kind of forces follows from
+the names of the parameters, and from what the function does with arrays: a law treats each element separately.
 """
 
 from __future__ import annotations
@@ -24,48 +28,87 @@ import numpy as np
 from minimd.grade.problems import SHAPES, Array, Problem, problem
 
 PLACES = ("x", "v", "force", "m", "dt")
-NAMES = {  # whole names, in lower case and without underscores; patterns are below
-    "x": ["x", "r", "q", "pos", "xyz", "rs", "xs", "qs", "x0", "r0", "q0", "xn", "rn", "qn"],
-    "v": ["v", "vel", "vs", "v0", "vn", "u", "xdot", "qdot", "rdot"],
-    "p": ["p", "mom", "ps", "p0", "pn"],
-    "force": ["f", "fn", "func", "fs", "f0", "fun", "frc", "frcs"],
-    "acceleration": ["a", "a0", "an", "accel"],
-    "m": ["m", "ms"],
-    "dt": ["dt", "h", "tau", "step", "δt", "δ", "deltat", "dtime", "stepsize"],
-    "time": ["t", "time", "tn", "t0"],
-    "box": ["l", "box", "boxlength", "boxsize", "lbox", "cell"],
-}
-STEPS, STATE = r"^(n|nt|n_?steps?|num_?steps|steps|n_?iter\w*)$", r"^(state|y|s|z|xv|phase\w*|rv)$"
-PATTERNS = (  # the first that fits counts
-    ("old", r"^(x|r|q|pos\w*)_*(old|prev\w*|last|before|minus|m1?)$"),
-    ("old", r"^(old|prev\w*|last)_*(x|r|q|pos\w*)$"),
-    ("half", r"^(v|vel\w*)_*(half|mid\w*|h)$"),
-    ("force", r"^f_*(old|prev\w*|last|now|t|cur\w*)$"),
-    ("acceleration", r"^a_*(old|prev\w*|last|now|t|cur\w*)$"),
-    ("steps", STEPS),
-    ("state", STATE),
+Names = tuple[tuple[str, str], ...]  # role, and pattern of the name in lower case without underscores: the first counts
+OF_STEPS: Names = (
+    ("x", r"^([xrq][s0n]?|pos|xyz)$"),
+    ("v", r"^(v[s0n]?|vel|u|[xqr]dot)$"),
+    ("p", r"^(p[s0n]?|mom)$"),
+    ("force", r"^(f[ns0]?|func?|frcs?)$"),
+    ("acceleration", r"^(a[0n]?|accel)$"),
+    ("m", r"^ms?$"),
+    ("dt", r"^(dt|h|tau|step|δt?|deltat|dtime|stepsize)$"),
+    ("time", r"^(t[n0]?|time)$"),
+    ("box", r"^(l|box|boxlength|boxsize|lbox|cell)$"),
+    ("old", r"^(x|r|q|pos\w*)(old|prev\w*|last|before|minus|m1?)$"),
+    ("old", r"^(old|prev\w*|last)(x|r|q|pos\w*)$"),
+    ("half", r"^(v|vel\w*)(half|mid\w*|h)$"),
+    ("force", r"^f(old|prev\w*|last|now|t|cur\w*)$"),
+    ("acceleration", r"^a(old|prev\w*|last|now|t|cur\w*)$"),
+    ("steps", r"^(n|nt|nsteps?|numsteps|steps|niter\w*)$"),
+    ("state", r"^(state|y|s|z|xv|phase\w*|rv)$"),
     ("gradient", r"grad|^d[uv](dx|dr|dq)?$"),
     ("acceleration", r"acc"),
     ("force", r"force"),
-    ("dt", r"time_?step|step_?size"),
+    ("dt", r"timestep|stepsize"),
     ("v", r"^vel"),
     ("p", r"^moment"),
     ("x", r"^pos|^coord"),
     ("m", r"^mass"),
 )
+OF_FORCES: Names = (
+    ("box", r"^(l|box\w*|cell|lbox|edge|size|side|length|periodic)$"),
+    ("cutoff", r"^(rc|rcut\w*|cut\w*)$"),
+    ("epsilon", r"^(eps|epsilon|ε|depth)$"),
+    ("sigma", r"^(sig|sigma|σ|s)$"),
+    ("n", r"^(n|natoms|nparticles|num\w*)$"),
+    ("stiffness", r"^(k|ks|kb|kbond|kspring)$"),
+    ("strength", r"^(q|charge|de)$"),
+)
+REST = r"^(r0|req|l0|d0|length|rest\w*|b0|x0)$"  # of a bond, if there is also a parameter for the stiffness
+SQUARED = r"^(r2|rsq|rsq\w*|d2|dist2|rsquared|rr)$"
+DISTANCE = r"^(r|d|dist\w*|rij|s)$"
+SEPARATION = r"^(rij|dr|d|dx|rvec|vec\w*|delta|disp\w*|sep\w*|r12)$"
+ONE_OF_TWO = r"^(r|x|q|p|pos\w*|atom|vec)?(i|j|1|2|a|b)$"
 IS_FUNCTION = r"func|fn|compute|calc|get|eval|callable|law|field"
 IS_BEFORE = r"old|prev|last|before|minus|m1"
 KNOWN = "pos, vel, frc, forces, compute_forces, acc, mass, h, timestep, p, x_old, v_half"
 FORCES = ("force", "acceleration", "gradient")
 ANSWERS = ("F", "(F, U)", "(U, F)")
+KINDS = {"forces": "forces on all atoms", "law": "a law of the distance", "pair": "the force of a pair"}
 FAR = 1e6  # edge of the box for a step that has such a parameter
 TINY = 1e-6  # time step of the first call, which shows whether x or v is returned first
+START = 1.1  # σ: the distance in trial calls
+SEPARATE = np.array([START, 0.2, 0.1])  # the vector of a pair in trial calls
+TRIANGLE = np.array([[1.0, 1.0, 1.0], [2.1, 1.2, 1.1], [1.1, 2.3, 1.2]])  # three atoms in trial calls
+
+
+def plain(name: str) -> str:
+    """A name in lower case, without underscores."""
+    return name.lower().replace("_", "")
+
+
+def role_of(name: str, names: Names = OF_STEPS) -> str:
+    """The role of a parameter with this name; empty if the name is not known."""
+    return next((role for role, pattern in names if re.search(pattern, plain(name))), "")
+
+
+def parameters_of(function: Callable[..., Any], example: str, name: str) -> list[inspect.Parameter]:
+    """The parameters of a function.  Raises TypeError if there are none, or for a method without its object."""
+    try:
+        parameters = list(inspect.signature(function).parameters.values())
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"{example.partition('(')[0]} must be a function, such as {example}; got {function!r}"
+        ) from None
+    if parameters and parameters[0].name == "self":
+        raise TypeError(f"{name} is a method without its object (its first parameter is self): pass the method of an "
+                        f"object, as in md.grade(Simulation().{name})")  # fmt: skip
+    return parameters
 
 
 class Manner(NamedTuple):
-    """roles : of the parameters, in their order; "known force" is the force at x as an array,
-    "before force" the one a step earlier.
-    masses, answers : how masses are given, and what force(x) returns; see the module."""
+    """roles : of the parameters, in their order; "known force" is the force at x as an array, "before force" the one a
+    step earlier.  masses, answers : how masses are given, and what force(x) returns; see the module."""
 
     roles: tuple[str, ...]
     names: tuple[str, ...]
@@ -81,32 +124,14 @@ class Manner(NamedTuple):
         return f"{name}({', '.join(f'{one}: {kinds[role]}' if role in kinds else one for one, role in pairs)})"
 
 
-def role_of(name: str) -> str:
-    """The role of a parameter with this name; empty if the name is not known."""
-    plain = name.lower().replace("Δ", "d").strip("_")
-    for role, names in NAMES.items():
-        if plain.replace("_", "") in names:
-            return role
-    return next((role for role, pattern in PATTERNS if re.search(pattern, plain)), "")
-
-
 def roles_of(function: Callable[..., Any]) -> tuple[list[str], list[str]]:
     """Names and roles of the parameters of a step; optional parameters with unknown names are left out.
 
     Raises TypeError for anything that is not a function, and for parameters that do not make a step.
     """
-    try:
-        parameters = list(inspect.signature(function).parameters.values())
-    except (TypeError, ValueError):
-        raise TypeError(f"step must be a function, such as step(x, v, force, m, dt); got {function!r}") from None
-    if parameters and parameters[0].name == "self":
-        raise TypeError(
-            "step is a method without its object (its first parameter is self): pass the method of an object, as in "
-            "md.grade(Simulation().step)"
-        )
     pairs = [
         (one.name, role_of(one.name), one.default is one.empty)
-        for one in parameters
+        for one in parameters_of(function, "step(x, v, force, m, dt)", "step")
         if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)
     ]
     if not any(role in FORCES for _, role, _ in pairs):  # a step with its own force keeps its own mass
@@ -115,21 +140,14 @@ def roles_of(function: Callable[..., Any]) -> tuple[list[str], list[str]]:
     names, roles = [name for name, _, _ in pairs], [role for _, role, _ in pairs]
     have = {"force" if role in FORCES else "v" if role in ("p", "half", "old") else role for role in roles}
     left = [place for place in PLACES if place not in have and not ("state" in roles and place in ("x", "v"))]
-    for k, role in enumerate(roles):
-        if not role and left:
-            roles[k] = left.pop(0)
-    if (
-        "dt" not in roles
-        or not ("state" in roles or ({"v", "p", "half", "old"} & set(roles) and "x" in roles))
-        or "" in roles
-    ):
-        told = ", ".join(names)
+    roles = [role or (left.pop(0) if left else "") for role in roles]
+    has_state = "state" in roles or ("x" in roles and {"v", "p", "half", "old"} & set(roles))
+    if "dt" not in roles or not has_state or "" in roles:
         unknown = [name for name in names if not role_of(name)]
         nobody = f"; the meaning of {' and '.join(unknown)} cannot be seen from the name" if unknown else ""
         raise TypeError("a step takes positions, velocities, a force function, masses and a time step, as step(x, v, "
-                        "force, m, dt); "
-                        f"the parameters of this one are ({told}){nobody}. Give them these names (m may be left out); "
-                        f"also known are {KNOWN}")  # fmt: skip
+                        f"force, m, dt); the parameters of this one are ({', '.join(names)}){nobody}. Give them these "
+                        f"names (m may be left out); also known are {KNOWN}")  # fmt: skip
     return names, roles
 
 
@@ -137,46 +155,38 @@ def manners(function: Callable[..., Any]) -> Iterator[Manner]:
     """The manners in which a step may be called, the most likely first."""
     names, roles = roles_of(function)
     forces = [k for k, role in enumerate(roles) if role in FORCES]
+    choices = [[], forces] if forces else [[]]
     if len(forces) > 1:
-        functions = [k for k in forces if re.search(IS_FUNCTION, names[k].lower())] or [
-            max(forces, key=lambda k: len(names[k]))
-        ]
-        choices = [[k for k in forces if k not in functions[:1]]]
-    else:
-        choices = [[], forces] if forces else [[]]
+        functions = [k for k in forces if re.search(IS_FUNCTION, names[k].lower())]
+        functions = functions or [max(forces, key=lambda k: len(names[k]))]
+        choices = [[k for k in forces if k != functions[0]]]
     masses = ("(N,)", "(N, 1)", "one number") if "m" in roles else ("one number",)
-    for known, shape, mass, answers in product(choices, SHAPES, masses, ANSWERS):
-        if (
-            (shape == () and mass != "one number")
-            or (shape == (5,) and mass == "(N, 1)")
-            or (not forces and answers != "F")
-        ):
+    for known, shape, mass, answers in product(choices, SHAPES, masses, ANSWERS if forces else ANSWERS[:1]):
+        if (shape == () and mass != "one number") or (shape == (5,) and mass == "(N, 1)"):
             continue
-        told = ["known" if k in known else role for k, role in enumerate(roles)]
         before = [k for k in known if len(known) > 1 and re.search(IS_BEFORE, names[k].lower())]
-        told = [
-            f"{'before' if k in before else 'known'} {roles[k]}" if role == "known" else role
-            for k, role in enumerate(told)
-        ]
-        yield Manner(tuple(told), tuple(names), shape, mass, answers)
+        words = ["before " if k in before else "known " if k in known else "" for k in range(len(roles))]
+        told = tuple(word + role for word, role in zip(words, roles, strict=True))
+        yield Manner(told, tuple(names), shape, mass, answers)
 
 
 class StudentStep:
     """A student's step as a map of (x, v) to (x, v).
 
-    n_evaluations : how often it called the force function.  third :
-        the force that it returned last as its third result, or None.
-    swapped, in_place, is_procedure : whether it returns v first; whether it changes x or v in place;
-        whether it changes both.
+    n_evaluations : how often it called the force function.  third : the force that it returned last as its third
+    result, or None.  swapped, in_place, is_procedure : whether it returns v first; whether it changes x or v in place;
+    whether it changes both.  path : positions and velocities of all steps, from a function that returns a path.
+    stiffness : of the oscillator inside a step that takes no force function.
     """
 
     def __init__(self, function: Callable[..., Any], manner: Manner) -> None:
         self.function, self.manner = function, manner
-        self.n_evaluations, self.n_steps = 0, 1
-        self.path: list[Array] = []  # positions and velocities of all steps, from a function that returns a path
+        self.n_evaluations, self.n_steps, self.stiffness = 0, 1, 0.0
+        self.path: list[Array] = []
         self.third: Array | None = None
         self.swapped = self.in_place = self.is_procedure = False
-        self.stiffness = 0.0  # of the oscillator inside a step that takes no force function
+        self.is_given_forces = any(set(role.split()) & set(FORCES) for role in manner.roles)
+        self.is_scaled = "m" in manner.roles or any("acceleration" in role for role in manner.roles)  # by masses
 
     def find_own_force(self) -> None:
         """Find the spring inside a step that takes no force function.  Raises TypeError if its force is not −k x."""
@@ -186,27 +196,14 @@ class StudentStep:
         k = -float(np.sum(rate * where.x) / np.sum(where.x**2))
         if not k > 0.0 or np.abs(rate + k * where.x).max() > 1e-4 * max(k, 1.0):
             raise TypeError("the step takes no force function, and its own force is not that of a spring, −k x: make "
-                            "the force function an argument, "
-                            "as step(x, v, force, m, dt)")  # fmt: skip
+                            "the force function an argument, as step(x, v, force, m, dt)")  # fmt: skip
         self.stiffness = round(k, 5)
-
-    @property
-    def has_masses(self) -> bool:
-        """Whether the step takes masses."""
-        return "m" in self.manner.roles
-
-    @property
-    def is_given_forces(self) -> bool:
-        """Whether the step takes a force or a force function."""
-        return any(set(role.split()) & set(FORCES) for role in self.manner.roles)
 
     def problem(self, seed: int, stiffness: float = 0.0) -> Problem:
         """A state in the shape of the step; masses are 1 if the step takes neither masses nor accelerations."""
-        one = problem(
-            self.manner.shape, seed, self.manner.masses == "one number", stiffness=stiffness or self.stiffness
-        )
-        scaled = self.has_masses or any("acceleration" in role for role in self.manner.roles)
-        return one if scaled else one._replace(m=np.ones_like(one.m))
+        same_mass = self.manner.masses == "one number"
+        one = problem(self.manner.shape, seed, same_mass, stiffness=stiffness or self.stiffness)
+        return one if self.is_scaled else one._replace(m=np.ones_like(one.m))
 
     def __call__(self, where: Problem, x: Array, v: Array, h: float) -> tuple[Array, Array]:
         """One step.  Raises what the function raises, and ValueError for results that are not x and v."""
@@ -227,13 +224,15 @@ class StudentStep:
         if answer is None and not self.in_place:
             raise ValueError("the step returns None and does not change x and v; it must return x, v")
         self.is_procedure |= all(changed)
-        if answer is None or (
-            self.is_procedure and not isinstance(answer, (tuple, list, dict))
-        ):  # changed in place; the result may be the force
+        # changed in place; the result may be the force
+        if answer is None or (self.is_procedure and not isinstance(answer, (tuple, list, dict))):
             answer = (given[of_x], given[of_v], *([] if answer is None else [answer]))
         new = self._parts(answer, x.shape)
-        if "old" in roles:
-            return self._from_recursion(where, new, x, v, h)
+        if "old" in roles:  # v as returned, else the velocity at the half step plus half a kick
+            own = next((part for part in new[1:3] if not np.array_equal(part, x)), None)
+            if own is not None and np.abs(own - v).max() < np.abs(own - x).max():
+                return new[0], own
+            return new[0], (new[0] - x) / h + 0.5 * h * where.force(new[0]) / where.mass
         new_x, new_v = (new[1], new[0]) if self.swapped else (new[0], new[1])
         if roles[of_v] == "p":
             new_v = new_v / where.mass
@@ -244,37 +243,29 @@ class StudentStep:
     def _argument(self, role: str, where: Problem, x: Array, v: Array, half: Array, h: float) -> Any:
         if role in FORCES:
             return self._force(role, where)
-        if role.startswith("known"):
-            return self._scaled(role.split()[1], where, where.force(x))
-        if role.startswith("before"):
-            earlier = x - h * v + 0.5 * h * h * where.force(x) / where.mass
-            return self._scaled(role.split()[1], where, where.force(earlier))
+        if role == "m" and self.manner.masses == "one number":
+            return float(np.ravel(where.m)[0])
+        if role in ("dt", "time", "box", "steps"):
+            return {"dt": h, "time": 0.0, "box": FAR, "steps": self.n_steps}[role]
         if role == "state":
             return [np.array(x), np.array(v)]
-        if role == "m":
-            shapes = {"(N,)": where.m, "(N, 1)": where.m.reshape(-1, 1), "one number": float(np.ravel(where.m)[0])}
-            return np.array(shapes[self.manner.masses]) if self.manner.masses != "one number" else shapes["one number"]
-        arrays = {"x": x, "v": v, "p": where.mass * v, "half": half, "old": x - h * half}
-        return (
-            np.array(arrays[role])
-            if role in arrays
-            else {"dt": h, "time": 0.0, "box": FAR, "steps": self.n_steps}[role]
-        )
-
-    def _scaled(self, role: str, where: Problem, force: Array) -> Array:
-        return {"force": force, "acceleration": force / where.mass, "gradient": -force}[role]
+        when, _, scale = role.partition(" ")
+        if when == "known":
+            return where.scaled(scale, x)
+        if when == "before":
+            return where.scaled(scale, x - h * v + 0.5 * h * h * where.force(x) / where.mass)
+        m = where.m if self.manner.masses == "(N,)" else where.m.reshape(-1, 1)
+        return np.array({"m": m, "x": x, "v": v, "p": where.mass * v, "half": half, "old": x - h * half}[role])
 
     def _force(self, role: str, where: Problem) -> Callable[..., Any]:
         def force(x: Any, *_: Any) -> Any:
             self.n_evaluations += 1
             x = np.array(x, dtype=float)
             if x.size != where.x.size:
-                raise TypeError(
-                    f"the step calls its force with numbers of shape {x.shape}, but positions have shape "
-                    f"{where.x.shape}; f(y, t) of "
-                    "a whole state, as for SciPy, cannot be graded: write step(x, v, force, m, dt)"
-                )
-            scaled = self._scaled(role, where, where.force(x))
+                raise TypeError(f"the step calls its force with numbers of shape {x.shape}, but positions have shape "
+                                f"{where.x.shape}; f(y, t) of a whole state, as for SciPy, cannot be graded: write "
+                                "step(x, v, force, m, dt)")  # fmt: skip
+            scaled = where.scaled(role, x)
             answer: Any = float(scaled) if x.ndim == 0 else scaled
             energy = where.potential(x) if self.manner.answers != "F" else 0.0
             return {"F": answer, "(F, U)": (answer, energy), "(U, F)": (energy, answer)}[self.manner.answers]
@@ -283,11 +274,7 @@ class StudentStep:
 
     def _parts(self, answer: Any, shape: tuple[int, ...]) -> list[Array]:
         if isinstance(answer, dict):
-            answer = sorted(
-                answer.items(),
-                key=lambda item: ("x", "v").index(role_of(item[0])) if role_of(item[0]) in ("x", "v") else 2,
-            )
-            answer = [value for _, value in answer]
+            answer = [answer[key] for key in sorted(answer, key=lambda key: {"x": 0, "v": 1}.get(role_of(key), 2))]
         if not isinstance(answer, (tuple, list, np.ndarray)) or (
             isinstance(answer, np.ndarray) and answer.shape == shape
         ):
@@ -300,32 +287,21 @@ class StudentStep:
             parts = [part[-1] if part.ndim == len(shape) + 1 and part.shape[1:] == shape else part for part in parts]
         for name, part in zip(("x", "v"), parts, strict=False):
             if part.shape != shape:
-                raise ValueError(
-                    f"the step must return {name} in the shape {shape} of its argument; it returned shape {part.shape}"
-                )
+                raise ValueError(f"the step must return {name} in the shape {shape} of its argument; it returned shape "
+                                 f"{part.shape}")  # fmt: skip
         if len(parts) < 2 - ("old" in self.manner.roles):
             raise ValueError(f"the step must return x and v; it returned only {len(parts)} of them")
         self.third = parts[2] if len(parts) > 2 and parts[2].shape == shape else None
         return parts
 
-    def _from_recursion(self, where: Problem, new: list[Array], x: Array, v: Array, h: float) -> tuple[Array, Array]:
-        """x and v of a step that takes two positions: v as returned,
-        else the velocity at the half step plus half a kick."""
-        x1 = new[0]
-        own = next((part for part in new[1:3] if not np.array_equal(part, x)), None)
-        if own is not None and np.abs(own - v).max() < np.abs(own - x).max():
-            return x1, own
-        return x1, (x1 - x) / h + 0.5 * h * where.force(x1) / where.mass
-
 
 def understood(function: Callable[..., Any]) -> StudentStep:
     """The step, called in the first manner that works.
 
-    Raises TypeError for other arguments, and ValueError for a step that fails in every manner,
-    with the first error and its call.
+    Raises TypeError for other arguments, and ValueError for a step that fails in every manner, with the first error
+    and its call.
     """
-    first: tuple[str, str] | None = None
-    cause: Exception | None = None
+    first: tuple[Manner, Exception] | None = None
     for manner in manners(function):
         step = StudentStep(function, manner)
         where = step.problem(0)
@@ -333,17 +309,11 @@ def understood(function: Callable[..., Any]) -> StudentStep:
             with np.errstate(all="ignore"):
                 x, v = step(where, where.x, where.v, TINY)
         except Exception as error:  # whatever a student's function raises
-            if first is None:
-                first, cause = (
-                    (manner.told(getattr(function, "__name__", "step")), f"{type(error).__name__}: {error}"),
-                    error,
-                )
+            first = first or (manner, error)
             continue
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
-            raise ValueError(
-                f"the step returned numbers that are not finite after one step of {TINY:g}, called as "
-                f"{manner.told('step')}"
-            )
+            raise ValueError(f"the step returned numbers that are not finite after one step of {TINY:g}, called as "
+                             f"{manner.told('step')}")  # fmt: skip
         as_told, swapped = (np.abs(a - where.x).max() + np.abs(b - where.v).max() for a, b in ((x, v), (v, x)))
         step.swapped = bool(swapped < 0.01 * as_told) and not {"old", "p"} & set(manner.roles)
         if not step.is_given_forces:
@@ -351,6 +321,140 @@ def understood(function: Callable[..., Any]) -> StudentStep:
         return step
     if first is None:
         raise TypeError("the step cannot be called")
-    raise ValueError(
-        f"the step failed when it was called as {first[0]}, and in every other manner: {first[1]}"
-    ) from cause
+    manner, cause = first
+    raise ValueError(f"the step failed when it was called as {manner.told(getattr(function, '__name__', 'step'))}, and "
+                     f"in every other manner: {type(cause).__name__}: {cause}") from cause  # fmt: skip
+
+
+class StudentForce:
+    """A student's force function, called in the manner that works.
+
+    kind : one of KINDS.  is_squared : whether the law takes r².  has_energy : whether it also returns an energy.
+    options : values for the parameters other than the positions.  takes : which of "box" and "cutoff" it is given.
+    """
+
+    def __init__(
+        self, function: Callable[..., Any], options: dict[str, Any], kind: str | None, positions: Array | None
+    ) -> None:
+        self.function, self.name = function, getattr(function, "__name__", "force")
+        parameters = parameters_of(function, "forces(positions)", self.name)
+        self.defaults = {one.name: one.default for one in parameters if one.default is not one.empty}
+        positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+        self.names = [one.name for one in parameters if one.kind in positional and one.name not in self.defaults]
+        if not self.names:
+            raise TypeError(f"{self.name} has no parameter for the positions; a force function is called as "
+                            "forces(positions)")  # fmt: skip
+        first = plain(self.names[0])
+        self.is_squared = bool(re.search(SQUARED, first))
+        may_be_pair = len(self.names) > 1 and not self.is_squared and kind != "law"
+        self.is_of_two = may_be_pair and all(re.search(ONE_OF_TWO, plain(name)) for name in self.names[:2])
+        self.extra = {name: role_of(name, OF_FORCES) for name in self.names[1 + self.is_of_two :]}
+        if unknown := [name for name, option in self.extra.items() if option not in options]:
+            raise TypeError(f"{self.name} takes ({', '.join(self.names)}), and the meaning of {unknown[0]} is not "
+                            f"known; pass a function of positions only, such as lambda x: {self.name}(x, …), or pass "
+                            "cell= and cutoff=")  # fmt: skip
+        known = {name: role_of(name, OF_FORCES) for name in self.defaults}
+        given = {name: option for name, option in known.items() if options.get(f"{option} given")}
+        self.options, self.named = options, {name: options[option] for name, option in given.items()}
+        self.takes = {*self.extra.values(), *given.values()}
+        self.energy_first: bool | None = None
+        self.has_energy = self.changes_input = False
+        self.dimensions = 3
+        self.kind = kind or self._kind(first, positions)
+        try:
+            self._look(positions)
+        except ValueError as error:  # in three dimensions; then in two
+            if self.kind != "forces" or positions is not None:
+                raise
+            self.dimensions = 2
+            try:
+                self._look(None)
+            except ValueError:
+                raise error from error.__cause__
+
+    def answer(self, x: Any) -> Any:
+        """What the function returns.  x : in the shape of the kind: (N, 3), a distance, or a vector."""
+        first = np.array(x, dtype=float)
+        extra = [len(first) if option == "n" else self.options[option] for option in self.extra.values()]
+        args: list[Any] = [first if first.ndim else float(first), *([np.zeros(3)] if self.is_of_two else [])]
+        with np.errstate(all="ignore"):
+            answer = self.function(*args, *extra, **self.named)
+        self.changes_input |= not np.array_equal(first, np.array(x, dtype=float))
+        return answer
+
+    def __call__(self, x: Any) -> tuple[Array, float | Array]:
+        """F and U (NaN if there is none)."""
+        answer = self.answer(x)
+        if isinstance(answer, (tuple, list)) and len(answer) >= 2 and self.energy_first is not None:
+            u, f = (answer[0], answer[1]) if self.energy_first else (answer[1], answer[0])
+            return np.asarray(f, dtype=float), np.asarray(u, dtype=float)
+        return np.asarray(answer, dtype=float), np.nan
+
+    def _kind(self, name: str, positions: Array | None) -> str:
+        if self.is_squared or self.is_of_two:
+            return "law" if self.is_squared else "pair"
+        trial = np.random.default_rng(3).uniform(0.9, 1.3, (4, 3)) if positions is None else positions
+        if re.search(DISTANCE, name):
+            try:
+                if self._is_of_each(trial):
+                    return "law"
+            except Exception:  # it is not a function of positions, or needs a single number
+                if self._shape_at(START) in ((), (2,)):
+                    return "law"
+        return "pair" if re.search(SEPARATION, name) and self._shape_at(SEPARATE) == (3,) else "forces"
+
+    def _shape_at(self, x: Any) -> tuple[int, ...] | None:
+        try:
+            return self(x)[0].shape
+        except Exception:  # whatever a student's function raises
+            return None
+
+    def _is_of_each(self, x: Array) -> bool:
+        """Whether an element of the result depends on one element of the argument only."""
+        other = x.copy()
+        other[0, 0] += 0.05
+        answers = [self.answer(x), self.answer(other)]
+        first, second = (np.asarray(one[-1] if isinstance(one, tuple) else one, dtype=float) for one in answers)
+        if first.shape != x.shape or not np.isfinite(first).all():
+            return False
+        return bool(np.count_nonzero(np.abs(first - second) > 1e-12) <= 1)
+
+    def _look(self, positions: Array | None) -> None:
+        """Find the place of the energy in the result.  Raises ValueError for results of other shapes."""
+        atoms = TRIANGLE[:, : self.dimensions] if positions is None else positions
+        trial: Any = {"law": START**2 if self.is_squared else START, "pair": SEPARATE}.get(self.kind, atoms)
+        shape = np.shape(trial)
+        given = f"of shape {shape}" if shape else "a number"
+        called = f"{self.name}({', '.join(self.names)}) with {self.names[0]} {given}"
+        needed = f"forces must have the shape of the positions, {shape}"
+        try:
+            answer = self.answer(trial)
+        except Exception as error:
+            raise ValueError(f"{called} raised {type(error).__name__}: {error}; if it needs another number of atoms, "
+                             "give their positions=") from error  # fmt: skip
+        if answer is None:
+            raise ValueError(f"{called} returned None; it must return the forces, or forces and energy")
+        if isinstance(answer, tuple) or (isinstance(answer, list) and shape == ()):
+            shapes = [np.asarray(part).shape for part in answer[:2]]
+            if shape and shape not in shapes:
+                raise ValueError(f"{called} returned parts of shapes {shapes}; {needed}")
+            self.has_energy = len(answer) > 1 and () in shapes if shape else len(answer) > 1
+            self.energy_first = shapes[0] != shape if shape else True
+        elif np.shape(answer) != shape:
+            raise ValueError(f"{called} returned shape {np.shape(answer)}; {needed}. If it is written for a fixed "
+                             "number of atoms, give their positions=")  # fmt: skip
+        if self.kind == "law" and isinstance(answer, (tuple, list)):
+            self.energy_first = self._energy_is_first()
+
+    def _energy_is_first(self) -> bool:
+        """Whether the first of two numbers is the energy: the slope of the energy is proportional to the other one."""
+        grid, h = np.linspace(0.95, 1.6, 12), 1e-4
+        at = np.array([[self(r**2 if self.is_squared else r) for r in grid + e] for e in (-h, 0.0, h)], dtype=float)
+        slopes = (at[2] - at[0]) / (2.0 * h)
+
+        def off(ratio: Array) -> float:
+            logs = np.log(np.abs(ratio[np.isfinite(ratio) & (ratio != 0.0)]))
+            return float(np.median(np.abs(logs - np.median(logs)))) if logs.size else np.inf
+
+        # the columns are force and energy, if the energy is the first of the two numbers
+        return off(at[1, :, 0] / slopes[:, 1]) <= off(at[1, :, 1] / slopes[:, 0])

@@ -46,20 +46,14 @@ SECOND_ORDER = {  # coefficients of Δt² F/m in x, and of Δt² J v in v, times
         0,
     ): "the second half kick uses the old force F(x(t)): the force must be computed again after the positions have "
     "moved; order 1",
-    (
-        1,
-        2,
-    ): "your half step uses the new force twice: velocities are kicked by dt F(x(t+dt))/m, without the old force "
+    (1, 2): "your half step uses the new force twice: velocities are kicked by dt F(x(t+dt))/m, without the old force "
     "F(x(t)). Keep a copy of the old force before it is computed again; order 1",
     (
         2,
         1,
     ): "positions move by dt² F/m in place of ½ dt² F/m: the factor ½ is missing, or the first kick is that of a whole "
     "step",
-    (
-        0,
-        1,
-    ): "positions move with the old velocity, x += dt v(t): the term ½ dt² F/m is missing (the drift must use the "
+    (0, 1): "positions move with the old velocity, x += dt v(t): the term ½ dt² F/m is missing (the drift must use the "
     "velocity at half a step)",
     (
         1,

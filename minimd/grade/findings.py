@@ -120,3 +120,13 @@ def coefficient(value: float) -> str:
 def is_near(value: float, other: float) -> bool:
     """Whether two coefficients are the same number."""
     return abs(value - other) < EXACT * max(1.0, abs(other))
+
+
+def all_of(*rows: tuple[bool, str]) -> list[str]:
+    """The sentences whose conditions hold."""
+    return [sentence for condition, sentence in rows if condition]
+
+
+def first_of(*rows: tuple[bool, str]) -> list[str]:
+    """The first sentence whose condition holds; none if no condition does."""
+    return all_of(*rows)[:1]

@@ -9,9 +9,8 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from minimd.console.words import shown
-from minimd.grade.calling import role_of
+from minimd.grade.calling import KINDS, role_of
 from minimd.grade.findings import Grade
-from minimd.grade.force_calling import KINDS
 from minimd.grade.forces import grade_forces
 from minimd.grade.steps import grade_step
 from minimd.structure.checks import checked_count, checked_number

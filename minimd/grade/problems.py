@@ -11,6 +11,7 @@ also for coordinates of shape (N,).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,19 @@ Array = NDArray[np.float64]
 STIFFNESS, QUARTIC = 0.25, 0.06  # k and g for N particles
 MASSES = np.array([1.0, 1.7, 0.6, 2.3, 1.2])
 SHAPES: tuple[tuple[int, ...], ...] = ((5, 3), (5, 2), (5,), ())
+
+
+def difference(f: Callable[[Any], Any], x: Any, step: Any) -> Any:
+    """step · f′(x) along a step, by a difference of order 6."""
+    return sum(c * (f(x + k * step) - f(x - k * step)) for k, c in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60)))
+
+
+def bisected(is_low: Callable[[float, float, float], bool], low: float, high: float, n: int) -> tuple[float, float]:
+    """An interval after n bisections.  is_low(low, middle, high) : whether the middle is the new lower end."""
+    for _ in range(n):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if is_low(low, middle, high) else (low, middle)
+    return low, high
 
 
 class Problem(NamedTuple):
@@ -40,6 +54,11 @@ class Problem(NamedTuple):
         apart = points[:, None] - points
         r2 = (apart * apart).sum(axis=2, keepdims=True)
         return np.asarray(-((STIFFNESS + QUARTIC * r2) * apart).sum(axis=1)).reshape(x.shape)
+
+    def scaled(self, name: str, x: Array) -> Array:
+        """−∇U as a "force", as an "acceleration", or with the other sign as a "gradient"."""
+        force = self.force(x)
+        return {"force": force, "acceleration": force / self.mass, "gradient": -force}[name]
 
     def potential(self, x: Array) -> float:
         """The potential energy U."""

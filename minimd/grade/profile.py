@@ -1,18 +1,23 @@
-"""The force of one pair as a function of the distance: its powers of r, its ratio to a known law, its sign, its cutoff.
+"""The force of one pair as a function of the distance: its powers of r, its ratio to a known law, its sign, its cutoff,
+and the function's own ε and σ.
 
-f > 0 is repulsion. Whether a law returns f/r, as minimd's laws do, is found by comparing it with the energy.
+f > 0 is repulsion. Whether a law returns f/r, as minimd's laws do, is found by comparing it with the energy. Each
+parameter is increased by 15 %: if the forces are the same, it has no effect. Both terms of a Lennard-Jones force are
+compared with 48 ε σ¹²/r¹³ − 24 ε σ⁶/r⁷.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
-from itertools import combinations
+from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
 
-from minimd.grade.findings import Fault, Finding, Kind, coefficient, is_near
-from minimd.grade.force_calling import Array
+from minimd.grade.calling import OF_FORCES, REST, StudentForce, plain, role_of
+from minimd.grade.findings import Fault, Finding, Kind, all_of, coefficient, first_of, is_near
+from minimd.grade.problems import Array, bisected, difference
 
 POWERS = range(1, 21)
 FITTED = 1e-7  # largest relative rest of a fit of powers that is exact
@@ -21,6 +26,8 @@ NEAREST, FARTHEST = 0.72, 6.0  # σ; a force capped at 1000 ε/σ is capped belo
 GRID = 500
 DELTA = 2e-4
 JUMP = 1e-6  # of the largest |f| or |u| beyond r = 1
+FACTOR = 1.15
+TERMS = (("repulsive", 13, 48.0, 12), ("attractive", 7, -24.0, 6))  # name, exponent of 1/r, factor, power of σ
 Law = Callable[[float], float]
 
 
@@ -44,11 +51,8 @@ class Powers(NamedTuple):
     coefficients: tuple[float, ...]
 
     def __str__(self) -> str:
-        signs = [
-            ("− " if c < 0.0 else "+ " if k else "") + f"{abs(c):.6g} r^−{n}"
-            for k, (n, c) in enumerate(zip(self.exponents, self.coefficients, strict=True))
-        ]
-        return " ".join(signs)
+        terms = [f"{'−' if c < 0.0 else '+'} {abs(c):.6g} r^−{n}" for n, c in zip(*self, strict=True)]
+        return " ".join(terms).removeprefix("+ ")
 
 
 def powers_of(values: Array, r: Array) -> Powers | None:
@@ -57,23 +61,20 @@ def powers_of(values: Array, r: Array) -> Powers | None:
     if not (scale > 0.0).any() or not np.isfinite(values).all():
         return None
     weights = 1.0 / np.maximum(scale, 1e-3 * scale.max())
-    for constant in (False, True):
-        for count in (1, 2):
-            for exponents in combinations(POWERS, count):
-                columns = [r ** float(-n) for n in exponents] + ([np.ones_like(r)] if constant else [])
-                matrix = np.array(columns).T * weights[:, None]
-                sizes = np.linalg.norm(matrix, axis=0)
-                found = np.linalg.lstsq(matrix / sizes, values * weights, rcond=None)[0] / sizes
-                rest = values * weights - matrix @ found
-                if np.abs(rest).max() < FITTED:
-                    order = np.argsort(exponents)[::-1]
-                    return Powers(tuple(exponents[k] for k in order), tuple(float(found[k]) for k in order))
+    for constant, count in product((False, True), (1, 2)):
+        for exponents in combinations(POWERS, count):
+            columns = [r ** float(-n) for n in exponents] + ([np.ones_like(r)] if constant else [])
+            matrix = np.array(columns).T * weights[:, None]
+            sizes = np.linalg.norm(matrix, axis=0)
+            found = np.linalg.lstsq(matrix / sizes, values * weights, rcond=None)[0] / sizes
+            if np.abs(values * weights - matrix @ found).max() < FITTED:
+                return Powers(exponents[::-1], tuple(float(c) for c in found[:count][::-1]))
     return None
 
 
 def slope_of(u: Law, r: float) -> float:
-    """du/dr, by a difference of order 6."""
-    return sum(c * (u(r + k * DELTA) - u(r - k * DELTA)) for k, c in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))) / DELTA
+    """du/dr."""
+    return float(difference(u, r, DELTA)) / DELTA
 
 
 def ratio_of(f: Array, g: Array, r: Array) -> tuple[float, float] | None:
@@ -91,59 +92,53 @@ def ratio_of(f: Array, g: Array, r: Array) -> tuple[float, float] | None:
 
 
 def related(pair: tuple[float, float] | None, other: str, is_law: bool = False) -> tuple[str, str]:
-    """The meaning of f = c rᵏ g: words for a finding, and the fault (empty if there is none).  is_law :
-    whether f may be f/r."""
+    """The meaning of f = c rᵏ g: words for a finding, and the fault (empty if there is none).
+
+    is_law : whether f may be f/r.
+    """
     if pair is None:
         return f"not {other}, nor a multiple of it", ""
     c, k = pair
-    power = "" if k == 0.0 else f" r^{coefficient(k)}"
+    size, power = abs(c), "" if k == 0.0 else f" r^{coefficient(k)}"
+    is_same = is_near(size, 1.0)
     words = f"F = {other}" if (is_near(c, 1.0) and k == 0.0) else f"F = {coefficient(c)}{power} × ({other})"
-    faults = []
-    if c < 0.0:
-        faults.append(
-            f"the force has the wrong sign: it is {coefficient(c)} times {other}, so atoms that should repel each "
-            "other attract each other"
-        )
-    if k == 1.0 and is_law:
-        faults.append(f"the force has one power of r too many: a factor 1/r is missing in {other}")
-    elif k == 1.0:
-        faults.append(
-            "the factor 1/r is missing: du/dr is multiplied by the vector r_ij, but du/dr / r (or the unit vector) is "
-            "needed"
-        )
-    elif k == -1.0 and not is_law:
-        faults.append("there is a factor 1/r too many: the force is divided by r twice")
-    elif k not in (0.0, -1.0):
-        faults.append(
-            f"the force has {coefficient(abs(k))} power{'s' * (abs(k) != 1)} of r too {'many' if k > 0 else 'few'}"
-        )
-    size = abs(c)
-    if is_near(size, 2.0):
-        faults.append(f"the force is twice {other}: pairs are counted twice, or a factor ½ is missing")
-    elif is_near(size, 0.5):
-        faults.append(f"the force is half of {other}: a factor 2 is missing, or the energy counts each pair twice")
-    elif not is_near(size, 1.0):
-        faults.append(f"the force is {coefficient(size)} times {other}")
-    return words, "; ".join(faults)
+    faults = (  # the first of each group that holds
+        (
+            (c < 0.0, f"the force has the wrong sign: it is {coefficient(c)} times {other}, so atoms that should repel "
+                      "each other attract each other"),
+        ),
+        (
+            (k == 1.0 and is_law, f"the force has one power of r too many: a factor 1/r is missing in {other}"),
+            (k == 1.0, "the factor 1/r is missing: du/dr is multiplied by the vector r_ij, but du/dr / r (or the unit "
+                       "vector) is needed"),
+            (k == -1.0 and not is_law, "there is a factor 1/r too many: the force is divided by r twice"),
+            (k not in (0.0, -1.0), f"the force has {coefficient(abs(k))} power{'s' * (abs(k) != 1)} of r too "
+                                   f"{'many' if k > 0 else 'few'}"),
+        ),
+        (
+            (is_near(size, 2.0), f"the force is twice {other}: pairs are counted twice, or a factor ½ is missing"),
+            (is_near(size, 0.5), f"the force is half of {other}: a factor 2 is missing, or the energy counts each pair "
+                                 "twice"),
+            (not is_same, f"the force is {coefficient(size)} times {other}"),
+        ),
+    )  # fmt: skip
+    return words, "; ".join(sentence for group in faults for sentence in first_of(*group))
 
 
 def jumps(law: Law, r: Array) -> list[Jump]:
-    """The jumps of a function of r: between grid points that differ by more than a smooth function would;
-    refined by bisection."""
+    """The jumps of a function of r: between grid points that differ by more than a smooth function would; refined by
+    bisection."""
     values = np.array([law(float(one)) for one in r])
-    scale = np.abs(values[r >= 1.0]).max() if (r >= 1.0).any() else np.abs(values).max()
+    far = r >= 1.0
+    scale = np.abs(values[far] if far.any() else values).max()
     found: list[Jump] = []
     change = np.abs(np.diff(values))
     for k in range(2, len(change) - 2):
         beside = max(change[k - 2], change[k - 1], min(change[k + 1], change[k - 1]))
-        if change[k] > JUMP * scale and change[k] > 3.0 * beside and not (found and k < 3):
-            low, high = float(r[k]), float(r[k + 1])
-            for _ in range(45):
-                middle = 0.5 * (low + high)
-                if abs(law(middle) - law(low)) > abs(law(high) - law(middle)):
-                    high = middle
-                else:
-                    low = middle
+        if change[k] > JUMP * scale and change[k] > 3.0 * beside:
+            low, high = bisected(
+                lambda a, m, b: not abs(law(m) - law(a)) > abs(law(b) - law(m)), float(r[k]), float(r[k + 1]), 45
+            )
             one = Jump(high, law(low), law(high))
             if abs(one.height) > 0.3 * change[k]:
                 found.append(one)
@@ -151,96 +146,76 @@ def jumps(law: Law, r: Array) -> list[Jump]:
 
 
 def lennard_jones_fault(f: Powers) -> tuple[str, list[str]]:
-    """Name and faults of a force of two powers that should be −du/dr of Lennard-Jones,
-    48 r^−13 − 24 r^−7 with ε = σ = 1."""
+    """Name and faults of a force of two powers that should be −du/dr of Lennard-Jones, 48 r^−13 − 24 r^−7 with
+    ε = σ = 1."""
     n, c = f.exponents, f.coefficients
     if len(n) != 2:
         return "", []
-    if n == (13, 7):
-        if c[0] * c[1] >= 0.0:
-            return "Lennard-Jones, with a wrong sign", [
-                f"F = {f}: both terms have the same sign; repulsion and attraction need opposite ones, 48 r^−13 − 24 "
-                "r^−7"
-            ]
-        sigma6 = abs(c[0] / c[1]) / 2.0
-        epsilon, sigma = abs(c[1]) / 24.0 / sigma6, sigma6 ** (1.0 / 6.0)
-        name = f"Lennard-Jones with ε = {epsilon:.6g}, σ = {sigma:.6g}"
-        faults = []
-        if c[0] < 0.0:
-            faults.append(
-                f"the force has the wrong sign: F = {f} attracts at short distances; F = −du/dr = 48ε σ¹²/r¹³ − 24ε "
-                "σ⁶/r⁷"
-            )
-        if is_near(abs(c[0]), 24.0) and is_near(abs(c[1]), 24.0):
-            words = "the repulsive term has 24 where 48 = 4 · 12 is needed: 48 r^−13 − 24 r^−7 with ε = σ = 1"
-            faults.append(Fault(Kind.OF_UNITS, f"{words}; a factor 2 is missing"))
-        elif is_near(sigma6, 1.0) and not is_near(epsilon, 1.0):
-            times, why = coefficient(epsilon), "a factor is wrong, unless this ε is meant"
-            if is_near(epsilon, 2.0):
-                why = "pairs are counted twice, or a factor ½ is missing"
-            elif is_near(epsilon, 0.5):
-                why = "a factor 2 is missing"
-            words = f"with ε = σ = 1 the force is {times} times 48 r^−13 − 24 r^−7, as for ε = {times}: {why}"
-            faults.append(Fault(Kind.OF_UNITS, words))
-        elif sum((is_near(abs(c[0]), 48.0), is_near(abs(c[1]), 24.0))) == 1:
-            which, size, right = (
-                ("attractive", abs(c[1]), 24) if is_near(abs(c[0]), 48.0) else ("repulsive", abs(c[0]), 48)
-            )
-            words = f"with ε = σ = 1 the {which} term has {size:.6g} where {right} is needed: 48 r^−13 − 24 r^−7"
-            faults.append(Fault(Kind.OF_UNITS, words))
-        return name, faults
-    told = f"F = {f}; −du/dr of Lennard-Jones has r^−13 and r^−7"
+    told, right = f"F = {f}; −du/dr of Lennard-Jones has r^−13 and r^−7", "48 r^−13 − 24 r^−7"
     if n == (14, 8):
-        return "Lennard-Jones, divided by r", [
-            f"{told}: there is a factor 1/r too many. f/r is multiplied by the vector r_ij, not by the unit vector"
-        ]
+        return "Lennard-Jones, divided by r", [f"{told}: there is a factor 1/r too many. f/r is multiplied by the "
+                                               "vector r_ij, not by the unit vector"]  # fmt: skip
     if n == (12, 6):
         return "Lennard-Jones, times r", [f"{told}: the factor 1/r is missing; these are the exponents of the energy "
-                                          f"(du/dr is multiplied by the vector r_ij, "
+                                          "(du/dr is multiplied by the vector r_ij, "
                                           "which brings another r)"]  # fmt: skip
-    if 13 in n or 7 in n or (5 <= n[1] <= 9 and 11 <= n[0] <= 15):
-        wrong = [
-            f"r^−{have} where r^−{right} is needed" for have, right in zip(n, (13, 7), strict=True) if have != right
-        ]
+    if n != (13, 7):
+        if not (13 in n or 7 in n or (5 <= n[1] <= 9 and 11 <= n[0] <= 15)):
+            return "", []
+        wrong = [f"r^−{one} where r^−{known} is needed" for one, known in zip(n, (13, 7), strict=True) if one != known]
         return "Lennard-Jones, with other exponents", [f"wrong exponent: {', '.join(wrong)} ({told})"]
-    return "", []
-
-
-def _other_cutoff(seen: list[Jump], cutoff: float | None) -> list[str]:
-    """The fault of a force that ends before the cutoff, for example because r² is compared with it."""
-    ends = [one.r for one in seen if one.above == 0.0]
-    if not ends:
-        return []
-    end, squared = ends[0], ends[0] ** 2
-    if cutoff is not None and end < 0.999 * cutoff:
-        why = ": r² is compared with the cutoff, not with its square" if is_near(squared, cutoff) else ""
-        return [f"the force ends at r = {end:.6g}, before the cutoff {cutoff:g}{why}"]
-    if cutoff is None and is_near(2.0 * squared, round(2.0 * squared)) and not is_near(100.0 * end, round(100.0 * end)):
-        return [
-            f"the force ends at r = {end:.6g}, where r² = {squared:.6g}: is r² compared with a cutoff, not with its "
-            "square?"
-        ]
-    return []
+    if c[0] * c[1] >= 0.0:
+        return "Lennard-Jones, with a wrong sign", [f"F = {f}: both terms have the same sign; repulsion and attraction "
+                                                    f"need opposite ones, {right}"]  # fmt: skip
+    sizes = abs(c[0]), abs(c[1])
+    sigma6 = abs(c[0] / c[1]) / 2.0
+    epsilon, sigma = sizes[1] / 24.0 / sigma6, sigma6 ** (1.0 / 6.0)
+    times, is_48, is_24 = coefficient(epsilon), is_near(sizes[0], 48.0), is_near(sizes[1], 24.0)
+    which, size, needed = ("attractive", sizes[1], 24) if is_48 else ("repulsive", sizes[0], 48)
+    reasons = {2.0: "pairs are counted twice, or a factor ½ is missing", 0.5: "a factor 2 is missing"}
+    why = next((reasons[one] for one in reasons if is_near(epsilon, one)), "a factor is wrong, unless this ε is meant")
+    faults = all_of(
+        (c[0] < 0.0, f"the force has the wrong sign: F = {f} attracts at short distances; F = −du/dr = 48ε σ¹²/r¹³ − "
+                     "24ε σ⁶/r⁷"),
+    )  # fmt: skip
+    of_units = first_of(
+        (is_near(sizes[0], 24.0) and is_24, "the repulsive term has 24 where 48 = 4 · 12 is needed: "
+                                            f"{right} with ε = σ = 1; a factor 2 is missing"),
+        (is_near(sigma6, 1.0) and not is_near(epsilon, 1.0), f"with ε = σ = 1 the force is {times} times {right}, as "
+                                                             f"for ε = {times}: {why}"),
+        (is_48 != is_24, f"with ε = σ = 1 the {which} term has {size:.6g} where {needed} is needed: {right}"),
+    )  # fmt: skip
+    name = f"Lennard-Jones with ε = {epsilon:.6g}, σ = {sigma:.6g}"
+    return name, faults + [Fault(Kind.OF_UNITS, words) for words in of_units]
 
 
 def cutoff_findings(f: Law, u: Law | None, cutoff: float | None, farthest: float) -> tuple[list[Finding], list[str]]:
-    """Whether the force ends at the cutoff, and whether force and energy are continuous; without a cutoff,
-    where they jump."""
+    """Whether the force ends at the cutoff, and whether force and energy are continuous; without a cutoff, where they
+    jump."""
     r = np.linspace(NEAREST, farthest, GRID)
-    steps = [("force", jumps(f, r))] + ([("energy", jumps(u, r))] if u is not None else [])
+    steps = {"force": jumps(f, r)} | ({"energy": jumps(u, r)} if u is not None else {})
     findings: list[Finding] = []
     faults: list[str] = []
+    end = next((one.r for one in steps["force"] if one.above == 0.0), None)
     if cutoff is not None and cutoff < farthest:
         beyond = float(np.abs([f(x) for x in np.linspace(1.001 * cutoff, farthest, 20)]).max())
-        kept = beyond == 0.0
-        findings.append(Finding("cutoff", kept, f"the largest force beyond r = {cutoff:g} is {beyond:.2g}", beyond))
-        if not kept:
-            seen = [one.r for one in steps[0][1] if one.above == 0.0]
-            where = f"; the force ends at {seen[0]:.6g} instead" if seen else ""
+        words = f"the largest force beyond r = {cutoff:g} is {beyond:.2g}"
+        findings.append(Finding("cutoff", beyond == 0.0, words, beyond))
+        if beyond != 0.0:
+            where = f"; the force ends at {end:.6g} instead" if end is not None else ""
             at = f"at r = {1.001 * cutoff:.4g} the force is {f(1.001 * cutoff):.3g}{where}"
             faults.append(Fault(Kind.CUTOFF, f"the cutoff {cutoff:g} is not applied: {at}"))
-    faults += _other_cutoff(steps[0][1], cutoff)
-    for name, found in steps:
+    if end is not None:
+        squared, twice, percents = end**2, 2.0 * end**2, 100.0 * end
+        is_odd = is_near(twice, round(twice)) and not is_near(percents, round(percents))
+        why = ": r² is compared with the cutoff, not with its square" if is_near(squared, cutoff or np.inf) else ""
+        faults += first_of(
+            (cutoff is not None and end < 0.999 * cutoff, f"the force ends at r = {end:.6g}, before the cutoff "
+                                                          f"{cutoff or 0.0:g}{why}"),
+            (cutoff is None and is_odd, f"the force ends at r = {end:.6g}, where r² = {squared:.6g}: is r² compared "
+                                        "with a cutoff, not with its square?"),
+        )  # fmt: skip
+    for name, found in steps.items():
         words = "; ".join(f"jumps by {one.height:+.4g} at r = {one.r:.6g}" for one in found[:3]) or "continuous"
         passed = (None if name == "force" else False) if found else True
         findings.append(Finding(f"{name} continuous", passed, words, float(found[0].height) if found else 0.0))
@@ -249,3 +224,62 @@ def cutoff_findings(f: Law, u: Law | None, cutoff: float | None, farthest: float
             cure = f"subtract u(r_c) = {found[0].below:.4g} from the energy of every pair"
             faults.append(Fault(Kind.JUMP, f"{jump}: each pair that crosses it changes the total energy; {cure}"))
     return findings, faults
+
+
+def values_of(force: StudentForce) -> dict[str, float]:
+    """The values of the function's physical parameters, such as ε and σ, by name."""
+    values = {**force.defaults, **{name: force.options[option] for name, option in force.extra.items()}}
+    roles = {name: role_of(name, OF_FORCES) for name in values}
+    physical = {name for name in values if roles[name] in ("epsilon", "sigma", "stiffness", "strength")}
+    rests = {name for name in values if re.search(REST, plain(name))}
+    physical = physical - rests | (rests if "stiffness" in roles.values() else set())
+    numbers = {name: value for name, value in values.items() if type(value) in (int, float, np.float64)}
+    return {name: float(value) for name, value in numbers.items() if value > 0.0 and name in physical}
+
+
+def without_effect(force: StudentForce, x: Array) -> list[str]:
+    """Faults for physical parameters whose values have no effect on the forces."""
+    faults, own = [], force(x)[0]
+    if not np.isfinite(own).all() or not np.any(own):
+        return []
+    options, named = force.options, force.named
+    for name, value in values_of(force).items():
+        try:
+            if name in force.extra:
+                force.options = {**options, force.extra[name]: FACTOR * value}
+            else:
+                force.named = {**named, name: FACTOR * value}
+            other = force(x)[0]
+        except Exception:  # whatever a student's function raises
+            continue
+        finally:
+            force.options, force.named = options, named
+        if np.array_equal(own, other):
+            hint = ", a bond without rest length: F = −k (r − r0) r_ij/r" if re.search(REST, plain(name)) else ""
+            faults.append(f"the argument {name} is without effect: with {name} = {value:g} and {FACTOR * value:g} the "
+                          f"forces are the same{hint}")  # fmt: skip
+    return faults
+
+
+def places_of_epsilon_and_sigma(force: StudentForce, f: Law, r: Array) -> list[str] | None:
+    """Faults of a Lennard-Jones force with the function's own ε and σ; None if they cannot be determined."""
+    values = {role_of(name, OF_FORCES): value for name, value in values_of(force).items()}
+    own = powers_of(np.array([f(float(one)) for one in r]), r) if {"epsilon", "sigma"} <= set(values) else None
+    if own is None or own.exponents != (13, 7):
+        return None
+    epsilon, sigma = values["epsilon"], values["sigma"]
+    rights = [factor * epsilon * sigma**power for _, _, factor, power in TERMS]
+    ratios = [c / right for c, right in zip(own.coefficients, rights, strict=True)]
+    if abs(ratios[0] / ratios[1] - 1.0) < SAME:
+        return [] if is_near(ratios[0], 1.0) else None
+    faults = []
+    for ratio, c, right, (name, n, factor, power) in zip(ratios, own.coefficients, rights, TERMS, strict=True):
+        missing = first_of(
+            *((sigma != 1.0 and is_near(ratio, sigma**-k), f": σ^{k} is missing") for k in range(power, 0, -1)),
+            (epsilon != 1.0 and is_near(ratio, 1.0 / epsilon), ": ε is missing"),
+            (True, f", {coefficient(ratio)} times as much"),
+        )
+        if abs(ratio - 1.0) >= SAME:
+            faults.append(f"the {name} term is {c:.6g} r^−{n} where {factor:g} ε σ^{power} r^−{n} = {right:.6g} r^−{n} "
+                          f"is needed (with the function's ε = {epsilon:g}, σ = {sigma:g}){missing[0]}")  # fmt: skip
+    return faults

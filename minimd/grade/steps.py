@@ -149,7 +149,7 @@ def _faults(step: StudentStep, problems: list[Problem], noise: float, is_high: b
     )
     faults += clipped(step, problems[0]) if not faults else []
     if not faults and not is_high:
-        scaled = step.has_masses or any("acceleration" in role for role in step.manner.roles)
+        scaled = step.is_scaled
         faults += explained(expansion(step, problems, scaled))
     if step.third is not None and any(role.startswith("known") for role in step.manner.roles):
         where, role = problems[0], next(role.split()[1] for role in step.manner.roles if role.startswith("known"))

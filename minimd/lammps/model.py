@@ -26,9 +26,8 @@ from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.pair import UNSCALED
 from minimd.potentials.truncation import ForceShifted, Shifted
 from minimd.structure.bond_graph import among
-from minimd.structure.cell import Cell
+from minimd.structure.cell import Cell, nearest_vectors
 from minimd.structure.constraints import DistanceConstraints, FixedAtoms
-from minimd.structure.images import nearest_vectors
 
 EQUAL = 1e-12  # largest relative difference of sides of a triangle that count as equal
 FLAT = 1e-6  # a triangle is a line if 1 − third side / sum of the two others is below this

@@ -23,8 +23,8 @@ from minimd.forces.forces import Forces
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.law import is_user_law
 from minimd.potentials.term import FORCES, TOTALS, OwnPotential
+from minimd.structure.cell import nearest_vectors
 from minimd.structure.errors import ConstraintError, NonFiniteError, RangeError
-from minimd.structure.images import nearest_vectors
 from minimd.structure.observables import Array, longest
 
 # N_delay, f_inc, f_dec, α_start, f_α: Guénolé et al., table 2

@@ -49,9 +49,9 @@ def place(k, arrays, at):
 
 @scalar
 def clear(domain, arrays):
-    """Forces on all ghosts in the window of a domain = 0, or first_sum.
+    """Set the forces on all ghosts in the window of a domain to 0; in fixed-point arithmetic to first_sum.
 
-    Who adds to them does so, and has them in its cache then.
+    The thread that adds to them calls it, and so has them in its cache.
     """
     lanes, forces, domains = arrays.clusters.lanes, arrays.memory.forces, arrays.domains
     first = domains.place[domain]

@@ -56,7 +56,8 @@ def bins_for_sort(n_atoms: int, counts: NDArray[np.int64]) -> Fields:
 
 @scalar
 def into_cell(positions, i, inverse, pbc, origin, d):
-    """Fractional coordinate of atom i along lattice vector d, in the cell from origin (3,) on; vectors added."""
+    """Fractional coordinate of atom i along lattice vector d, wrapped into the cell that begins at origin (3,) where
+    pbc[d]; and how many lattice vectors that has added."""
     s = positions[i, 0] * inverse[0, d] + positions[i, 1] * inverse[1, d] + positions[i, 2] * inverse[2, d]
     cells = -np.floor(s - origin[d]) if pbc[d] else 0.0
     return s + cells, cells

@@ -88,7 +88,7 @@ class VerletList(ABC):
 
     @abstractmethod
     def ready(self, positions: NDArray[np.float64], cell: Cell) -> None:
-        """Before operations on these positions in this cell."""
+        """Arrange memory for operations on these positions in this cell; a list of another cell counts no more."""
 
     @abstractmethod
     def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:

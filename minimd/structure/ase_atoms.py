@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.structure.bond_graph import GROUPS, joined_in, texts
 from minimd.structure.cell import Cell
 from minimd.structure.checks import warn_of_charges
-from minimd.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms
-from minimd.structure.images import lengths_of
+from minimd.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms, lengths_of
 from minimd.structure.observables import center, momentum
 from minimd.structure.observables import stress as kinetic_stress
 from minimd.structure.units import ASE
@@ -24,17 +23,14 @@ from minimd.structure.units import ASE
 LABELS = "species_labels"  # the array of an ase.Atoms for species that are not chemical elements
 # in the info of atoms from a .traj, which keeps no such array: the names of species; tags are indices into them
 NAMES = "species_names"
+Given = ArrayLike | None
 Pairs = tuple[NDArray[np.int64], NDArray[np.float64]]
 UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCom"
 
 
-def system_arguments(
-    atoms: Atoms, bonds: ArrayLike | None = None, constraints: bool = True, **others: ArrayLike | None
-) -> dict[str, Any]:
-    """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell,
-    periodicity and constraints.
-
-    Species are the chemical symbols, or the labels that atoms_from_system or label_by_tags stored in the atoms.
+def system_arguments(atoms: Atoms, bonds: Given = None, constraints: bool = True, **others: Given) -> dict[str, Any]:
+    """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and
+    constraints. Species are the chemical symbols, or labels that atoms_from_system or label_by_tags stored in them.
 
     bonds, others : bonds, angles, dihedrals and impropers, as for System; without bonds,
         what the arrays of the atoms name: see joined_in.
@@ -74,10 +70,9 @@ def atoms_from_system(system: Any) -> Atoms:
     out or sorted; it gives the groups back in the order of their first atoms.
     """
     symbols = [label if label in atomic_numbers else "X" for label in system.species.tolist()]
-    momenta = system.velocities * system.masses[:, None]
-    atoms = Atoms(
-        symbols, system.positions, momenta=momenta, masses=system.masses, cell=system.cell.vectors, pbc=system.cell.pbc
-    )
+    masses, cell = system.masses, system.cell
+    momenta = system.velocities * masses[:, None]
+    atoms = Atoms(symbols, system.positions, momenta=momenta, masses=masses, cell=cell.vectors, pbc=cell.pbc)
     if not set(system.species_names) <= set(atomic_numbers):
         atoms.set_array(LABELS, system.species)
     if named := texts(system.groups(), len(atoms)):
@@ -87,20 +82,17 @@ def atoms_from_system(system: Any) -> Atoms:
 
 
 def label_by_tags(atoms: Atoms, system: Any) -> None:
-    """Store species that are not elements where a .traj keeps them: their names in info,
-    and the index of each atom's species in its tag."""
+    """Store species that are not elements where a .traj keeps them: names in info, their indices in tags."""
     if LABELS in atoms.arrays:
         atoms.info[NAMES] = list(system.species_names)
         atoms.set_tags(system.species_index)
 
 
 def _labels(atoms: Atoms) -> Any:
-    """The species of each atom: its label, or else its chemical symbol;
-    an atom with a symbol other than X needs no label."""
-    names = atoms.info.get(NAMES)
+    """The species of each atom: its label, or else its chemical symbol; an atom that is not X needs no label."""
+    names, symbols, tags = atoms.info.get(NAMES), atoms.get_chemical_symbols(), atoms.get_tags().tolist()
     if LABELS in atoms.arrays or names is None:
-        return atoms.arrays.get(LABELS, atoms.get_chemical_symbols())
-    symbols, tags = atoms.get_chemical_symbols(), atoms.get_tags().tolist()
+        return atoms.arrays.get(LABELS, symbols)
     return [
         names[tag] if symbol == "X" and 0 <= tag < len(names) else symbol
         for symbol, tag in zip(symbols, tags, strict=True)
@@ -125,11 +117,9 @@ def same_scene(one: Atoms, other: Atoms) -> bool:
 
 
 def calculators_stress(stress: NDArray[np.float64], atoms: Atoms, conserves_momentum: bool) -> NDArray[np.float64]:
-    """What ASE calls the stress, (6,) as xx yy zz yz xz xy [eV/Å³]: without the kinetic part,
-    which get_stress(include_ideal_gas=True) adds.
-
-    stress : (3, 3), of an engine with the atoms in their present motion.  conserves_momentum : of that engine.
-    """
+    """What ASE calls the stress, (6,) as xx yy zz yz xz xy [eV/Å³]: without the kinetic part, which
+    get_stress(include_ideal_gas=True) adds.  stress : (3, 3), of an engine with the atoms in their present motion.
+    conserves_momentum : of that engine."""
     velocities, masses = atoms.get_velocities(), atoms.get_masses()
     velocities -= center(velocities, masses, conserves_momentum)
     moving = kinetic_stress(velocities, masses, np.zeros((3, 3)), volume_of(atoms))
@@ -161,10 +151,8 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
         elif isinstance(constraint, FixAtoms):
             fixed.extend(np.arange(len(atoms))[constraint.index])
         elif type(constraint) is not FixCom:
-            name = type(constraint).__name__
-            raise ValueError(
-                f"atoms.constraints may hold {UNDERSTOOD}; it holds {name}: remove it, or use ASE's dynamics"
-            )
+            told = f"it holds {type(constraint).__name__}: remove it, or use ASE's dynamics"
+            raise ValueError(f"atoms.constraints may hold {UNDERSTOOD}; {told}")
     if fixed and fixes_center(atoms):
         why_not = "with fixed atoms the center of mass does not stay by itself; remove one"
         raise ValueError(f"atoms.constraints holds FixCom and FixAtoms: {why_not}")
@@ -176,17 +164,14 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
 
 
 def ases_constraints_of(system: Any) -> list[FixConstraint]:
-    """The constraints of a system for an ase.Atoms: FixAtoms, and FixBondLengths with the lengths;
-    ASE has one solver of its own."""
+    """The constraints of a system for an ase.Atoms: FixAtoms, and FixBondLengths with the lengths, for ASE's solver."""
     answer: list[FixConstraint] = []
     for constraint in system.constraints:
         if isinstance(constraint, FixedAtoms):
             answer.append(FixAtoms(indices=constraint.atoms))
         else:
-            lengths = lengths_of(system.positions, system.cell, constraint)
-            answer.append(
-                FixBondLengths(constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths.copy())
-            )
+            lengths = lengths_of(system.positions, system.cell, constraint).copy()
+            answer.append(FixBondLengths(constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths))
     return answer
 
 

@@ -18,11 +18,12 @@ from minimd.console.words import shown
 from minimd.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers
 from minimd.structure.vectors import follow_lattice
 
+Array = NDArray[np.float64]
+
+MOST_IMAGES = 2**16  # images among which one length is searched for: 40 cells in each of three directions
 FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
-OPEN = (
-    "in a direction that does not repeat give length 0, or any length and pbc=False there, such as pbc=(True, True, "
-    "False) of a slab"
-)
+SLAB = "such as pbc=(True, True, False) of a slab"
+OPEN = f"in a direction that does not repeat give length 0, or any length and pbc=False there, {SLAB}"
 SHORTER = 1.0 - 1e-12  # a lattice vector is replaced only by one shorter than rounding can explain
 # combinations of vectors that could be shorter
 COMBINED = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
@@ -45,26 +46,22 @@ class Cell(Displayed):
     heights : (3,) array [length]; distance of the two faces across each direction of lattice.
     """
 
-    vectors: NDArray[np.float64]
+    vectors: Array
     pbc: NDArray[np.bool_]
-    lattice: NDArray[np.float64] = field(init=False)
+    lattice: Array = field(init=False)
     reduction: NDArray[np.int64] = field(init=False)
-    inverse: NDArray[np.float64] = field(init=False)
-    heights: NDArray[np.float64] = field(init=False)
+    inverse: Array = field(init=False)
+    heights: Array = field(init=False)
 
     def __post_init__(self) -> None:
         self.__dict__.update(vectors=_as_matrix(self.vectors), pbc=_as_flags(self.pbc))
         _check_independent(self.vectors, self.pbc)
         self._complete(*_reduced(self.vectors, self.pbc))
 
-    def _complete(self, lattice: NDArray[np.float64], reduction: NDArray[np.int64]) -> None:
+    def _complete(self, lattice: Array, reduction: NDArray[np.int64]) -> None:
         inverse = np.linalg.inv(lattice)
-        made = {
-            "lattice": lattice,
-            "reduction": reduction,
-            "inverse": inverse,
-            "heights": 1.0 / np.linalg.norm(inverse, axis=0),
-        }
+        made = {"lattice": lattice, "reduction": reduction, "inverse": inverse}
+        made["heights"] = 1.0 / np.linalg.norm(inverse, axis=0)
         self.__setstate__(self.__dict__ | {name: np.ascontiguousarray(array) for name, array in made.items()})
 
     def __setstate__(self, state: dict) -> None:
@@ -76,29 +73,25 @@ class Cell(Displayed):
 
     @classmethod
     def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> Cell:
-        """A cell from one length, three lengths or a (3, 3) array of rows;
-        pbc defaults to True where a vector is given.
+        """A cell from one length, three lengths or a (3, 3) array of rows; by default pbc is True where one is given.
 
-        Raises
-        ------
-        ValueError : if the shape is wrong, a number is masked, complex or not finite, pbc is neither one bool nor
-            three, a periodic direction has no vector, or the periodic vectors are linearly dependent.
+        Raises ValueError if the shape is wrong, a number is masked, complex or not finite, pbc is neither one bool nor
+        three, a periodic direction has no vector, or the periodic vectors are linearly dependent.
         """
         matrix = _as_matrix(vectors)
         given = np.any(matrix != 0.0, axis=1)
         return cls(matrix, given if pbc is None else _as_flags(pbc))
 
     @classmethod
-    def of_reduction(cls, vectors: NDArray[np.float64], reduction: NDArray[np.int64]) -> Cell:
+    def of_reduction(cls, vectors: Array, reduction: NDArray[np.int64]) -> Cell:
         """A cell periodic in all directions whose reduced lattice is known: reduction @ vectors."""
         cell = object.__new__(cls)
         cell.__dict__.update(vectors=np.array(vectors), pbc=np.ones(3, dtype=bool))
         cell._complete(reduction @ cell.vectors, np.array(reduction))
         return cell
 
-    def strained(self, vectors: NDArray[np.float64]) -> Cell:
-        """The cell after a small change of its vectors, all periodic;
-        the reduction stays the same as long as it reduces them."""
+    def strained(self, vectors: Array) -> Cell:
+        """The cell after a small change of its vectors, all periodic; the reduction stays the same while it is one."""
         cell = Cell.of_reduction(vectors, self.reduction)
         length2, combined = (cell.lattice**2).sum(axis=1), ((COMBINED @ cell.lattice) ** 2).sum(axis=1)
         is_reduced = (combined[:, None] >= SHORTER * length2)[COMBINED != 0].all()
@@ -111,11 +104,12 @@ class Cell(Displayed):
         """See Displayed."""
         if not (self.is_periodic or self.vectors.any()):
             return [("cell", "none")]
-        rows = zip(("cell a", "b", "c"), self.vectors, self.pbc, strict=True)
-        vectors = [
-            (name, f"{as_text(tuple(row.tolist()))}{'' if repeats else ', open'}") for name, row, repeats in rows
+        words = [as_text(tuple(row)) for row in self.vectors.tolist()]
+        rows = [
+            (name, row if repeats else f"{row}, open")
+            for name, row, repeats in zip(("cell a", "b", "c"), words, self.pbc, strict=True)
         ]
-        return vectors + ([] if self.volume is None else [("volume", f"{self.volume:.10g}")])
+        return rows if self.volume is None else [*rows, ("volume", f"{self.volume:.10g}")]
 
     @property
     def is_periodic(self) -> bool:
@@ -129,20 +123,17 @@ class Cell(Displayed):
 
     @property
     def safe_distance2(self) -> float:
-        """Squared length below which a vector is certainly its own minimum image:
-        (half the smallest height)² [length²]."""
+        """Squared length below which a vector is certainly its own minimum image: (smallest height/2)² [length²]."""
         return float((0.5 * self.heights[self.pbc].min()) ** 2) if self.is_periodic else np.inf
 
-    def wrapped(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Positions moved by lattice vectors into the cell spanned by vectors, in its periodic directions;
-        a new array."""
+    def wrapped(self, positions: Array) -> Array:
+        """Positions moved by lattice vectors into the cell spanned by vectors, where it is periodic; a new array."""
         full = np.where(self.pbc[:, None], self.vectors, self.lattice)
         cells = np.floor(positions @ np.linalg.inv(full))
         return positions - np.where(self.pbc, cells, 0.0) @ full
 
-    def follow(self, cell: Cell, translations: NDArray[np.float64]) -> None:
-        """Lattice vectors, (n, 3) or in blocks (n, 3, m),
-        become in place the same multiples of the vectors of another cell."""
+    def follow(self, cell: Cell, translations: Array) -> None:
+        """Lattice vectors, (n, 3) or in blocks (n, 3, m), become the same multiples of those of a cell, in place."""
         follow_lattice(translations, self.vectors, cell.vectors)
 
     def same_as(self, other: Cell) -> bool:
@@ -224,20 +215,52 @@ def minimum_image_translations(positions, first, second, lattice, inverse, pbc, 
             translations[p, k] = a * lattice[0, k] + b * lattice[1, k] + c * lattice[2, k]
 
 
-def _as_matrix(vectors: ArrayLike | None) -> NDArray[np.float64]:
+def nearest_images(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> Array:
+    """(K, 3) lattice vectors [length] that make r_j − r_i of each pair shortest."""
+    translations = np.zeros((len(pairs), 3))
+    if cell.is_periodic:
+        first, second = np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
+        lattice = cell.lattice, cell.inverse, cell.pbc, cell.safe_distance2
+        minimum_image_translations(positions, first, second, *lattice, translations)
+    return translations
+
+
+def nearest_vectors(positions: Array, cell: Cell, pairs: NDArray[np.int64]) -> Array:
+    """(K, 3) r_j − r_i of each pair, to the nearest image [length]."""
+    return positions[pairs[:, 1]] - positions[pairs[:, 0]] + nearest_images(positions, cell, pairs)
+
+
+def images_of_length(positions: Array, cell: Cell, pairs: NDArray[np.int64], lengths: Array) -> Array:
+    """(K, 3) lattice vectors [length] for which |r_j − r_i| of each pair is closest to its length. Up to half the cell
+    these are the nearest images. Raises ValueError for a length that reaches over more than MOST_IMAGES."""
+    translations = nearest_images(positions, cell, pairs)
+    for k in np.flatnonzero(lengths**2 >= cell.safe_distance2):
+        nearest = positions[pairs[k, 1]] - positions[pairs[k, 0]] + translations[k]
+        reach = np.where(cell.pbc, (lengths[k] + np.linalg.norm(nearest)) // cell.heights + 1, 0)
+        n_images = np.prod(2.0 * reach + 1.0)
+        if n_images > MOST_IMAGES:
+            reached = f"{n_images:.1e} in a cell {cell.heights[cell.pbc].min():.3g} high"
+            given = f"that of constraint {k} is {lengths[k]:g} and reaches over {reached}"
+            raise ValueError(f"lengths must reach over at most {MOST_IMAGES} images of the cell; {given}: reduce it")
+        steps = np.meshgrid(*(np.arange(-n, n + 1) for n in reach), indexing="ij")
+        others = np.stack(steps, axis=-1).reshape(-1, 3) @ cell.lattice
+        translations[k] += others[np.argmin(np.abs(np.linalg.norm(nearest + others, axis=1) - lengths[k]))]
+    return translations
+
+
+def _as_matrix(vectors: ArrayLike | None) -> Array:
     if vectors is None:
         return np.zeros((3, 3))
     if isinstance(vectors, list | tuple) and any(one is None for one in vectors):
         raise ValueError(f"cell must hold numbers; cell = {shown(vectors)}: {OPEN}")
-    array = checked_numbers("cell", vectors, "one length, three lengths or a (3, 3) array of rows")
+    wanted = "one length, three lengths or a (3, 3) array of rows"
+    array = checked_numbers("cell", vectors, wanted)
     if array.ndim == 0 or array.shape == (3,):
         if (array < 0.0).any():
             raise ValueError(f"lengths of a cell must not be negative; cell = {array.tolist()}")
         array = np.diag(np.broadcast_to(array, 3)).copy()
     if array.shape != (3, 3):
-        raise ValueError(
-            f"cell must be one length, three lengths or a (3, 3) array of rows; its shape is {array.shape}: {OPEN}"
-        )
+        raise ValueError(f"cell must be {wanted}; its shape is {array.shape}: {OPEN}")
     if not np.isfinite(array).all():
         raise ValueError(f"cell must be finite; cell = {array.tolist()}: {OPEN}")
     return array
@@ -251,13 +274,11 @@ def _as_flags(pbc: ArrayLike) -> NDArray[np.bool_]:
     return np.array(np.broadcast_to(array.astype(bool), 3))
 
 
-def _check_independent(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> None:
-    missing = np.flatnonzero(pbc & ~vectors.any(axis=1))
-    if missing.size:
-        raise ValueError(
-            f"pbc[{missing[0]}] is True but cell[{missing[0]}] is zero; give a lattice vector there, or leave it open: "
-            f"pbc={tuple((pbc & vectors.any(axis=1)).tolist())}"
-        )
+def _check_independent(vectors: Array, pbc: NDArray[np.bool_]) -> None:
+    given = vectors.any(axis=1)
+    for k in np.flatnonzero(pbc & ~given):
+        leave = f"leave it open: pbc={tuple((pbc & given).tolist())}"
+        raise ValueError(f"pbc[{k}] is True but cell[{k}] is zero; give a lattice vector there, or {leave}")
     rows = vectors[pbc]
     if rows.size == 0:
         return
@@ -273,12 +294,12 @@ def _check_independent(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> 
         raise ValueError(f"the periodic lattice vectors must be linearly independent; they are {rows.tolist()}: {OPEN}")
 
 
-def _reduced(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _reduced(vectors: Array, pbc: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int64]]:
     """Minkowski-reduced periodic rows, completed to three dimensions; and the integers that make them from vectors."""
     periodic = np.flatnonzero(pbc)
     steps = np.eye(len(periodic), dtype=np.int64)
-    while _shorten_once(steps, vectors[periodic]):
-        pass
+    while (shorter := _shorter(steps, vectors[periodic])) is not None:
+        steps[shorter[0]] = shorter[1]
     lattice, reduction = np.zeros((3, 3)), np.zeros((3, 3), dtype=np.int64)
     reduction[np.ix_(periodic, periodic)] = steps
     lattice[periodic] = steps @ vectors[periodic]
@@ -288,26 +309,18 @@ def _reduced(vectors: NDArray[np.float64], pbc: NDArray[np.bool_]) -> tuple[NDAr
     return lattice, reduction
 
 
-def _shorten_once(steps: NDArray[np.int64], rows: NDArray[np.float64]) -> bool:
-    """Replace one vector of steps @ rows by a shorter one of the same lattice; False if there is none."""
+def _shorter(steps: NDArray[np.int64], rows: Array) -> tuple[int, NDArray[np.int64]] | None:
+    """Which vector of steps @ rows can be replaced by a shorter one of the same lattice, and its steps; or None.
+    Candidates: the vector plus multiples of the others, once the rounded projection (Gauss), then all of −1, 0, 1
+    (Minkowski's conditions)."""
     current = steps @ rows
     length2 = (current**2).sum(axis=1)
-    for i in np.argsort(-length2):
-        for candidate in _neighbors(i, steps, current, length2):
+    for i in np.argsort(-length2).tolist():
+        near, gauss = [steps[i].copy()], []
+        for j in (j for j in range(len(steps)) if j != i):
+            gauss.append(steps[i] - int(np.rint(current[i] @ current[j] / length2[j])) * steps[j])
+            near = [step + a * steps[j] for step in near for a in (-1, 0, 1)]
+        for candidate in gauss + near:
             if ((candidate @ rows) ** 2).sum() < SHORTER * length2[i]:
-                steps[i] = candidate
-                return True
-    return False
-
-
-def _neighbors(
-    i: int, steps: NDArray[np.int64], current: NDArray[np.float64], length2: NDArray[np.float64]
-) -> list[NDArray[np.int64]]:
-    """Vector i plus multiples of the others: once the rounded projection (Gauss), then all of −1, 0,
-    1 (Minkowski's conditions)."""
-    others = [j for j in range(len(steps)) if j != i]
-    gauss = [steps[i] - int(np.rint(current[i] @ current[j] / length2[j])) * steps[j] for j in others]
-    near = [steps[i].copy()]
-    for j in others:
-        near = [step + a * steps[j] for step in near for a in (-1, 0, 1)]
-    return gauss + near
+                return i, candidate
+    return None

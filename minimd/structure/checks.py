@@ -42,7 +42,10 @@ def checked_number(name: str, value: Any, demand: str = "finite") -> float:
     Raises ValueError for anything that is not a real number, such as a text or a bool, for what the demand excludes,
     and for numbers whose powers could overflow: above LARGEST or, for positive quantities, below SMALLEST.
     """
-    number = _as_float(value)
+    try:
+        number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan
+    except OverflowError:
+        number = inf
     if not DEMANDS[demand](number):
         raise ValueError(f"{name} must be {demand}; {name} = {shown(value)}")
     if abs(number) > LARGEST or ("positive" in demand and number < SMALLEST):
@@ -75,6 +78,26 @@ def checked_numbers(name: str, values: Any, expected: str) -> NDArray[np.float64
         raise ValueError(f"{name} must be {expected}: {error}") from None
 
 
+def checked_sizes(name: str, values: Any, n: int, each: str) -> NDArray[np.float64]:
+    """Positive numbers (n,), from one number or one for each atom, or whatever the word each says.
+    Raises ValueError as checked_array, for another shape, and as checked_number."""
+    array = checked_numbers(name, values, f"one number, or one for each {each}")
+    if array.shape not in ((), (n,)):
+        raise ValueError(f"{name} must be one number or {n}, one for each {each}; their shape is {array.shape}")
+    array = np.broadcast_to(array, (n,)).copy()
+    check_rows(name, "positive and finite", np.isfinite(array) & (array > 0.0), array)
+    check_rows(name, f"between {SMALLEST:g} and {LARGEST:g}", (array >= SMALLEST) & (array <= LARGEST), array)
+    return array
+
+
+def check_rows(name: str, demand: str, is_good: Any, array: NDArray[Any]) -> None:
+    """Raise ValueError with the first row of an array that is not good, (n,) bool.  demand : what it must be."""
+    bad = np.flatnonzero(~is_good)
+    if bad.size:
+        others = f", and {bad.size - 1} more" if bad.size > 1 else ""
+        raise ValueError(f"{name} must be {demand}; {name}[{bad[0]}] = {array[bad[0]].tolist()}{others}")
+
+
 def checked_indices(name: str, values: Any, expected: str) -> NDArray[np.int64]:
     """A new contiguous array of indices of atoms, of any shape; they may be negative.
     Raises ValueError as checked_array, or if one is too large."""
@@ -86,12 +109,9 @@ def checked_indices(name: str, values: Any, expected: str) -> NDArray[np.int64]:
 
 
 def checked_array(name: str, values: Any, expected: str, kinds: str) -> NDArray[Any]:
-    """The values as an array, the same one if they are one.  expected : words for the message.  kinds :
-    which of KINDS may be in it.
-
-    Raises ValueError for anything else, for masked values, for bools among numbers, for ragged lists,
-    and for more than MOST_NUMBERS values.
-    """
+    """The values as an array, the same one if they are one.  expected : words for the message.  kinds : which of KINDS
+    may be in it.  Raises ValueError for anything else, for masked values, for bools among numbers, for ragged lists,
+    and for more than MOST_NUMBERS values."""
     found: set[str] = set()
     try:
         _find_kinds(values, found)
@@ -108,19 +128,16 @@ def _find_kinds(values: Any, found: set[str]) -> None:
     or too many."""
     if type(values) in PLAIN:
         found.add(PLAIN[type(values)])
-    elif isinstance(values, list | tuple):
+        return
+    if isinstance(values, list | tuple):
         for value in values:
             _find_kinds(value, found)
-    elif isinstance(values, Sequence) and not isinstance(values, str) and len(values) > MOST_NUMBERS:
-        raise ValueError(f"there are {len(values)} values, at most {MOST_NUMBERS} are allowed")
-    else:
-        _find_kinds_of_array(values, np.asanyarray(values), found)
-
-
-def _find_kinds_of_array(values: Any, array: NDArray[Any], found: set[str]) -> None:
+        return
+    is_list = isinstance(values, Sequence) and not isinstance(values, str)
+    array = np.empty(0) if is_list and len(values) > MOST_NUMBERS else np.asanyarray(values)
     kind = array.dtype.kind.replace("u", "i")
-    if array.size > MOST_NUMBERS:
-        raise ValueError(f"there are {array.size} values, at most {MOST_NUMBERS} are allowed")
+    if (size := max(array.size, len(values) if is_list else 0)) > MOST_NUMBERS:
+        raise ValueError(f"there are {size} values, at most {MOST_NUMBERS} are allowed")
     if np.ma.is_masked(array):
         raise ValueError("some are masked; fill them or leave them out")
     if array.dtype == object and array.ndim:
@@ -129,16 +146,6 @@ def _find_kinds_of_array(values: Any, array: NDArray[Any], found: set[str]) -> N
         found.add(kind if kind in KINDS else "i" if isinstance(values, Integral) else "f")
     elif array.size:
         raise ValueError(f"{shown(array.ravel()[:1].tolist()[0])} is not a number")
-
-
-def _as_float(value: Any) -> float:
-    """The value as a float; NaN for anything that is not a real number."""
-    if not isinstance(value, Real) or isinstance(value, bool):
-        return nan
-    try:
-        return float(value)
-    except OverflowError:
-        return inf
 
 
 NO_ELECTROSTATICS = "minimd has no electrostatics yet"

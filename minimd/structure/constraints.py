@@ -5,18 +5,18 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.console.words import shown
 from minimd.structure.bond_graph import checked_pairs
+from minimd.structure.cell import Array, Cell, nearest_vectors
 from minimd.structure.checks import (
-    LARGEST,
     MOST_ATOMS,
-    SMALLEST,
     checked_array,
     checked_choice,
     checked_number,
     checked_numbers,
+    checked_sizes,
 )
 
 SolverName = Literal["auto", "newton", "shake"]
@@ -50,19 +50,11 @@ class DistanceConstraints:
         self.pairs = checked_pairs("pairs", pairs)
         if not len(self.pairs):
             raise ValueError("pairs of DistanceConstraints must name at least one pair; there is none")
-        self.lengths: NDArray[np.float64] | None = None
+        self.lengths: Array | None = None
         if lengths is not None:
-            given, n_pairs = checked_numbers("lengths", lengths, "one number, or one for each pair"), len(self.pairs)
-            if given.shape not in ((), (1,), (n_pairs,)):
-                raise ValueError(
-                    f"lengths must be one number or {n_pairs}, one for each pair; their shape is {given.shape}"
-                )
-            self.lengths = np.broadcast_to(given, (n_pairs,)).copy()
-            wrong = np.flatnonzero(~((self.lengths >= SMALLEST) & (self.lengths <= LARGEST)))
-            if wrong.size:
-                raise ValueError(
-                    f"lengths must be positive and finite; that of constraint {wrong[0]} is {self.lengths[wrong[0]]}"
-                )
+            given = checked_numbers("lengths", lengths, "one number, or one for each pair")
+            given = given.reshape(()) if given.shape == (1,) else given
+            self.lengths = checked_sizes("lengths", given, len(self.pairs), "pair")
         self.tolerance, self.solver = checked_number("tolerance", tolerance), checked_choice("solver", solver, SOLVERS)
         if not 0.0 < self.tolerance < 1.0:
             raise ValueError(f"tolerance, of |r² − d²|/d², must lie between 0 and 1; tolerance = {tolerance!r}")
@@ -104,3 +96,9 @@ class FixedAtoms:
 
 
 Constraint = DistanceConstraints | FixedAtoms
+
+
+def lengths_of(positions: Array, cell: Cell, constraints: DistanceConstraints) -> Array:
+    """(K,) [length], as given; else the present distances to the nearest image."""
+    given = constraints.lengths
+    return np.linalg.norm(nearest_vectors(positions, cell, constraints.pairs), axis=1) if given is None else given

@@ -61,7 +61,5 @@ def why_not_compiled(message: str) -> str:
     lines = [line.strip().removeprefix("- ") for line in message.splitlines() if line.strip()]
     of_names = "Untyped global name", "Unknown attribute", "No implementation of function"
     telling = (*of_names, "Use of unsupported", "cannot be compiled", "Unsupported")
-    told = next(
-        (line for words in telling for line in lines if words in line), lines[0] if lines else "Numba gives no reason"
-    )
-    return re.sub(r"\x1b\[\d*m", "", told)
+    told = [line for words in telling for line in lines if words in line]
+    return re.sub(r"\x1b\[\d*m", "", [*told, *lines, "Numba gives no reason"][0])

@@ -51,9 +51,8 @@ class Grid(Displayed):
     def __post_init__(self) -> None:
         for name, step in vars(self).items():
             if not (isinstance(step, float) and isfinite(step) and step > 0.0 and frexp(step)[0] == 0.5):
-                raise ValueError(
-                    f"the step of {name} of a Grid must be a power of two, such as 2.0**-40; {name} = {shown(step)}"
-                )
+                wanted = f"the step of {name} of a Grid must be a power of two, such as 2.0**-40"
+                raise ValueError(f"{wanted}; {name} = {shown(step)}")
 
     def __repr__(self) -> str:
         return "Grid(" + ", ".join(f"{name}=2.0**{log2(step):.0f}" for name, step in vars(self).items()) + ")"
@@ -67,31 +66,21 @@ class Grid(Displayed):
         """Steps that leave room for the motion of this scene, and round as little as they can. timestep : [time].
         depth : of the deepest well of a pair [energy]."""
         cell = system.cell
-        lengths = np.linalg.norm(cell.vectors[cell.pbc], axis=1)
-        size = max(
-            largest_component(system.positions),
-            float(np.ptp(system.positions, axis=0).max()),
-            float(lengths.max(initial=0.0)),
-        )
-        heaviest, timestep = float(system.masses.max()), abs(timestep)
+        longest = float(np.linalg.norm(cell.vectors[cell.pbc], axis=1).max(initial=0.0))
+        size = max(largest_component(system.positions), float(np.ptp(system.positions, axis=0).max()), longest)
+        heaviest, lightest, timestep = float(system.masses.max()), float(system.masses.min()), abs(timestep)
         fastest = float(np.abs(system.masses[:, None] * system.velocities).max())
         momentum = max(fastest, (2.0 * heaviest * DEEP * depth) ** 0.5) or heaviest * SLOW * (size or 1.0) / timestep
-        energy = len(system) * (DEEP * depth + momentum**2 / float(system.masses.min()))
-        length = (
-            _power_of_two(
-                (size or momentum * timestep / float(system.masses.min())) * (TRAVEL if cell.pbc.all() else FAR_TRAVEL)
-            )
-            / FARTHEST
-        )
+        energy = len(system) * (DEEP * depth + momentum**2 / lightest)
+        reach = (size or momentum * timestep / lightest) * (TRAVEL if cell.pbc.all() else FAR_TRAVEL)
+        length = _power_of_two(reach) / FARTHEST
         return cls(length, _power_of_two(momentum * FASTER) / MOST, _power_of_two(energy * ENERGY_ROOM) / FARTHEST)
 
     def has_room_for(self, system: System) -> bool:
         """Whether positions and momenta of a system are in the inner half of the range."""
         momenta = system.masses[:, None] * system.velocities
-        return bool(
-            largest_component(system.positions) <= 0.5 * FARTHEST * self.length
-            and largest_component(momenta) <= 0.5 * MOST * self.momentum
-        )
+        is_near = largest_component(system.positions) <= 0.5 * FARTHEST * self.length
+        return is_near and largest_component(momenta) <= 0.5 * MOST * self.momentum
 
     def widened(self, other: Grid) -> Grid:
         """The larger steps of two grids."""
@@ -99,11 +88,7 @@ class Grid(Displayed):
 
     def take(self, system: System, inverse_masses: Array) -> None:
         """Round positions, lattice vectors and momenta of a system to the grid, in place.
-
-        inverse_masses : (N,), zero for fixed atoms.
-
-        Raises RangeError if one of them is beyond its range.
-        """
+        inverse_masses : (N,), zero for fixed atoms.  Raises RangeError if one of them is beyond its range."""
         vectors = np.rint(system.cell.vectors / self.length) * self.length
         if not np.array_equal(vectors, system.cell.vectors):
             system.cell = Cell(vectors, system.cell.pbc)
@@ -143,15 +128,11 @@ class Grid(Displayed):
         """Raise RangeError if a position is beyond the range of the grid."""
         if not largest_component(positions) <= FARTHEST * self.length:
             atom = int(np.argmax(np.abs(positions).max(axis=1)))
-            hint = (
-                "in a periodic cell, wrap the positions: simulation.positions[:] = "
-                "simulation.system.cell.wrapped(simulation.positions)"
-            )
             largest, most = np.abs(positions).max(), FARTHEST * self.length
-            raise RangeError(
-                f"atom {atom} is {largest:.3g} from the origin, beyond the range of fixed-point numbers, {most:.3g}: "
-                f"give grid=minimd.Grid(...) with a larger step of length than {self.length:.3g}; or, {hint}"
-            )
+            wrap = "simulation.positions[:] = simulation.system.cell.wrapped(simulation.positions)"
+            hint = f"grid=minimd.Grid(...) with a larger step of length than {self.length:.3g}"
+            told = f"atom {atom} is {largest:.3g} from the origin, beyond the range of fixed-point numbers, {most:.3g}"
+            raise RangeError(f"{told}: give {hint}; or, in a periodic cell, wrap the positions: {wrap}")
 
 
 def steps_of(grid: Grid, units: ArrayLike) -> Steps:

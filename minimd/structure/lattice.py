@@ -10,6 +10,7 @@ from minimd.console.words import shown
 from minimd.structure.checks import MOST_ATOMS, checked_choice, checked_indices, checked_number
 
 __all__ = ["BASES", "constant_from_density", "crystal"]
+Array = NDArray[np.float64]
 _FCC = ((0.0, 0.0, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5), (0.5, 0.5, 0.0))
 BASES = {  # atoms of the cubic unit cell, in units of its edge
     "sc": ((0.0, 0.0, 0.0),),
@@ -19,13 +20,10 @@ BASES = {  # atoms of the cubic unit cell, in units of its edge
 }
 
 
-def crystal(
-    lattice: str, repeat: Sequence[int], lattice_constant: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tuple[Array, Array]:
     """Positions (N, 3) and the three edges of the cell (3,) of a block of cubic unit cells, both [length].
 
-    lattice : name in BASES.
-    repeat : three numbers of unit cells, each at least 1.
+    lattice : name in BASES.  repeat : three numbers of unit cells, each at least 1.
     lattice_constant : edge of the unit cell [length].
 
     Raises ValueError for an unknown lattice, a repeat that is not three positive whole numbers, too many atoms,
@@ -38,9 +36,8 @@ def crystal(
     n_atoms = len(basis) * prod(counts.tolist())
     lattice_constant = checked_number("lattice_constant", lattice_constant, "positive and finite")
     if n_atoms > MOST_ATOMS:
-        raise ValueError(
-            f"repeat must make at most {MOST_ATOMS} atoms; repeat = {shown(repeat)} makes {n_atoms:.1e} of them"
-        )
+        given = f"repeat = {shown(repeat)} makes {n_atoms:.1e} of them"
+        raise ValueError(f"repeat must make at most {MOST_ATOMS} atoms; {given}")
     corners = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 1, 3)
     positions = (corners + np.array(basis)).reshape(-1, 3) * lattice_constant
     return positions, counts.astype(np.float64) * lattice_constant

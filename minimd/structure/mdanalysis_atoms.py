@@ -27,15 +27,13 @@ def universe_arguments(
         raise TypeError(f"an MDAnalysis Universe or AtomGroup is expected; got {type(universe).__name__}")
     atoms = universe.atoms
     warn_of_charges(getattr(atoms, "charges", ()))
-    ts = atoms.universe.trajectory.ts
+    ts, to_length, to_speed = atoms.universe.trajectory.ts, units.to_angstrom, units.to_picosecond / units.to_angstrom
     is_periodic = ts.dimensions is not None and bool(np.all(ts.dimensions[:3] > 0.0))
     return {
-        "positions": atoms.positions.astype(np.float64) / units.to_angstrom,
+        "positions": atoms.positions.astype(np.float64) / to_length,
         "masses": _masses(atoms, units),
-        "velocities": atoms.velocities.astype(np.float64) * (units.to_picosecond / units.to_angstrom)
-        if ts.has_velocities
-        else None,
-        "cell": triclinic_vectors(ts.dimensions, dtype=np.float64) / units.to_angstrom if is_periodic else None,
+        "velocities": atoms.velocities.astype(np.float64) * to_speed if ts.has_velocities else None,
+        "cell": triclinic_vectors(ts.dimensions, dtype=np.float64) / to_length if is_periodic else None,
         "pbc": pbc,
         "species": _species(atoms),
         **{name: _within(atoms, name, GROUPS[name]) if given is None else given for name, given in groups.items()},
@@ -49,10 +47,9 @@ def _masses(atoms: AtomGroup, units: UnitSystem) -> NDArray[np.float64] | None:
         return None
     if not (masses > 0.0).all():
         first = int(np.argmin(masses > 0.0))
-        raise ValueError(
-            f"masses must be positive; MDAnalysis has {masses[first]} for atom {first}, as for all types that it does "
-            "not know: set universe.atoms.masses, or call universe.add_TopologyAttr('masses', values)"
-        )
+        given = f"MDAnalysis has {masses[first]} for atom {first}, as for all types that it does not know"
+        remedy = "set universe.atoms.masses, or call universe.add_TopologyAttr('masses', values)"
+        raise ValueError(f"masses must be positive; {given}: {remedy}")
     return masses
 
 

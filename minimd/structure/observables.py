@@ -26,8 +26,8 @@ def kinetic_energy_of(mass, vx, vy, vz):
 
 @kernel
 def kinetic_energy(velocities, masses, step=0.0):
-    """K = Σ ½ m v² [energy].  step : each atom's share is rounded to a multiple of it,
-    so that their order does not matter; 0 for no rounding."""
+    """K = Σ ½ m v² [energy].  step : each atom's share is rounded to a multiple of it, so that their order does not
+    matter; 0 for no rounding."""
     total = 0.0
     for i in range(velocities.shape[0]):
         total += on_grid(kinetic_energy_of(masses[i], velocities[i, 0], velocities[i, 1], velocities[i, 2]), step)
@@ -35,10 +35,8 @@ def kinetic_energy(velocities, masses, step=0.0):
 
 
 def leaves_out_center(n_atoms: int, conserves_momentum: bool) -> bool:
-    """Whether the center of mass is no degree of freedom: where the total momentum is a constant,
-    but for a single atom.
-
-    What degrees_of_freedom leaves out, all thermal quantities leave out, from temperature to displacements; see center.
+    """Whether the center of mass is no degree of freedom: where the total momentum is constant, but for a single atom.
+    What degrees_of_freedom leaves out, all thermal quantities leave out, from temperature to displacements: see center.
     """
     return conserves_momentum and n_atoms > 1
 
@@ -79,10 +77,7 @@ def pressure(kinetic: float, virial: Array, volume: float) -> float:
 
 def stress(velocities: Array, masses: Array, virial: Array, volume: float) -> Array:
     """σ = −(Σ m v ⊗ v + W) / V [energy/length³], (3, 3), positive under tension; the pressure is −tr σ / 3.
-
-    M. P. Allen, D. J. Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), eq. 2.112,
-    where the sign is that of a pressure.
-    """
+    M. P. Allen, D. J. Tildesley, as for pressure, eq. 2.112, where the sign is that of a pressure."""
     return np.asarray(-(momentum_flux(velocities, masses) + virial) / volume)
 
 
@@ -179,10 +174,8 @@ def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int 
     Raises ValueError if the target is negative or not finite, or the seed is not a whole number.
     """
     target = checked_number("temperature", target, "finite and not negative")
-    draw = np.random.default_rng(None if seed is None else checked_count("seed", seed, 0, SEEDS)).standard_normal(
-        (len(masses), 3)
-    )
-    velocities = draw * np.sqrt(k_B * target / masses)[:, None]
+    generator = np.random.default_rng(None if seed is None else checked_count("seed", seed, 0, SEEDS))
+    velocities = generator.standard_normal((len(masses), 3)) * np.sqrt(k_B * target / masses)[:, None]
     velocities -= center(velocities, masses)
     n_dof = degrees_of_freedom(len(masses))
     return rescaled(velocities, masses, target, k_B, n_dof, np.zeros(3)) if target > 0.0 else velocities
@@ -195,8 +188,6 @@ def rescaled(velocities: Array, masses: Array, target: float, k_B: float, n_dof:
     kinetic = kinetic_energy(velocities, masses)
     thermal = thermal_energy(kinetic, drift, masses)
     if thermal == 0.0:
-        raise ValueError(
-            "velocities are all zero or all the same and cannot be rescaled; draw them with set_temperature"
-        )
+        raise ValueError("velocities are all zero or all alike and cannot be rescaled; draw them with set_temperature")
     factor = np.sqrt(target / temperature(thermal, n_dof, k_B))
     return velocities * factor if thermal == kinetic else drift + (velocities - drift) * factor

@@ -14,8 +14,8 @@ from minimd.console.words import shown
 from minimd.structure import units as unit_systems
 from minimd.structure.bond_graph import GROUPS, checked_groups, checked_pairs
 from minimd.structure.cell import Cell
-from minimd.structure.checks import LARGEST, MOST_ATOMS, SMALLEST, checked_numbers
-from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
+from minimd.structure.checks import LARGEST, MOST_ATOMS, check_rows, checked_numbers, checked_sizes
+from minimd.structure.constraints import Constraint
 from minimd.structure.observables import largest_component
 from minimd.structure.units import UnitSystem
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import MDAnalysis
 
 AnySystem: TypeAlias = "System | ase.Atoms"
+Given: TypeAlias = ArrayLike | None
 READ_ONLY = ("masses", "species_names", "species_index", *GROUPS, "units")
 MOST_BINS = 2**20  # along a lattice vector: their numbers are int64
 RESOLVED = 1e-6  # of a length: the largest rounding error of separations that is allowed
@@ -63,36 +64,39 @@ class System(Displayed):
         self,
         positions: ArrayLike,
         *,
-        masses: ArrayLike | None = None,
-        velocities: ArrayLike | None = None,
+        masses: Given = None,
+        velocities: Given = None,
         cell: ArrayLike | Cell | None = None,
-        pbc: ArrayLike | None = None,
+        pbc: Given = None,
         species: Sequence[str] | Sequence[int] | NDArray | None = None,
-        bonds: ArrayLike | None = None,
-        angles: ArrayLike | None = None,
-        dihedrals: ArrayLike | None = None,
-        impropers: ArrayLike | None = None,
+        bonds: Given = None,
+        angles: Given = None,
+        dihedrals: Given = None,
+        impropers: Given = None,
         units: UnitSystem = unit_systems.LJ,
         constraints: Sequence[Constraint] = (),
     ) -> None:
         if not isinstance(units, UnitSystem):
             raise TypeError(f"units must be minimd.units.LJ or minimd.units.ASE; units = {shown(units)}")
-        self.units, self.constraints = units, _constraints(constraints)
-        self.positions = _vectors("positions", positions)
-        self.masses = _masses(masses, len(self.positions), units)
-        self.velocities = (
-            np.zeros_like(self.positions) if velocities is None else _vectors("velocities", velocities, len(self))
-        )
+        if not isinstance(constraints, list | tuple) or not all(isinstance(one, Constraint) for one in constraints):
+            wanted = "a list of DistanceConstraints and FixedAtoms"
+            raise TypeError(f"constraints of a System must be {wanted}; got {shown(constraints)}")
+        if masses is None and units is not unit_systems.LJ:
+            raise ValueError(f"masses must be given in {units.name} units; only reduced units have a default, 1")
         if isinstance(cell, Cell) and pbc is not None:
-            raise ValueError(
-                "pbc is part of a Cell: Cell.of(vectors, pbc); give pbc to System only together with lattice vectors"
-            )
+            whereas = "give pbc to System only together with lattice vectors"
+            raise ValueError(f"pbc is part of a Cell: Cell.of(vectors, pbc); {whereas}")
+        self.units, self.constraints, self.positions = units, tuple(constraints), _vectors("positions", positions)
+        n_atoms = len(self.positions)
+        self.masses = checked_sizes("masses", 1.0 if masses is None else masses, n_atoms, "atom")
+        at_rest = np.zeros((n_atoms, 3))
+        self.velocities = at_rest if velocities is None else _vectors("velocities", velocities, n_atoms)
         self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
-        self.species_names, self.species_index = _species(species, len(self))
-        self.bonds = checked_pairs("bonds", () if bonds is None else bonds, len(self))
-        self.angles = _groups("angles", angles, len(self))
-        self.dihedrals = _groups("dihedrals", dihedrals, len(self))
-        self.impropers = _groups("impropers", impropers, len(self))
+        self.species_names, self.species_index = _species(species, n_atoms)
+        self.bonds = checked_pairs("bonds", bonds, n_atoms)
+        self.angles = checked_groups("angles", angles, GROUPS["angles"], n_atoms)
+        self.dihedrals = checked_groups("dihedrals", dihedrals, GROUPS["dihedrals"], n_atoms)
+        self.impropers = checked_groups("impropers", impropers, GROUPS["impropers"], n_atoms)
         self.__setstate__({})
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -109,9 +113,7 @@ class System(Displayed):
         elif name in READ_ONLY and name in self.__dict__:
             raise AttributeError(f"{name} of a System cannot be changed; make a new System")
         elif name == "cell" and not isinstance(value, Cell):
-            raise TypeError(
-                f"the cell of a System can be replaced by a Cell, such as Cell.of(10.0); got {shown(value)}"
-            )
+            raise TypeError(f"the cell of a System can be replaced by a Cell, as Cell.of(10.0); got {shown(value)}")
         else:
             super().__setattr__(name, value)
 
@@ -119,20 +121,15 @@ class System(Displayed):
         return len(self.positions)
 
     def __repr__(self) -> str:
-        names = ", ".join(str(name) for name in self.species_names)
-        where = f"periodic {self.cell.pbc.tolist()}; {self.units.name} units"
-        return f"System({len(self)} atoms of {names}; {self._joined}; {where})"
+        names, where = ", ".join(map(str, self.species_names)), f"periodic {self.cell.pbc.tolist()}"
+        joined = ", ".join(f"{len(one)} {name}" for name, one in self.groups().items() if name == "bonds" or len(one))
+        return f"System({len(self)} atoms of {names}; {joined}; {where}; {self.units.name} units)"
 
     @property
     def composition(self) -> str:
         """How many atoms there are of each species, in words."""
         counts = zip(np.bincount(self.species_index), self.species_names, strict=True)
         return ", ".join(f"{n} {name}" for n, name in counts)
-
-    @property
-    def _joined(self) -> str:
-        """The numbers of bonds, and of angles, dihedrals and impropers if there are any, as text."""
-        return ", ".join(f"{len(one)} {name}" for name, one in self.groups().items() if name == "bonds" or len(one))
 
     def groups(self) -> dict[str, NDArray[np.int64]]:
         """Bonds, angles, dihedrals and impropers, by these names."""
@@ -141,16 +138,15 @@ class System(Displayed):
     def display_rows(self) -> Rows:
         """See Displayed."""
         units, rows = self.units, [("atoms", f"{len(self)}: {self.composition}")]
-        rows += [(name, _with_unit(name, words, units)) for name, words in self.cell.display_rows()]
+        rows += [
+            (name, f"{words} {units.volume}" if name == "volume" else words.replace(")", f") {units.length}"))
+            for name, words in self.cell.display_rows()
+        ]
         if self.volume is not None:
-            density = len(self) / self.volume
-            mass = self.masses.sum() / self.volume
-            of_mass = (
-                f"{mass / unit_systems.GRAM_PER_CM3:.6g} g/cm³"
-                if units is unit_systems.ASE
-                else f"{mass:.6g} mass/{units.length}³"
-            )
-            rows.append(("density", f"{density:.6g} atoms/{units.length}³, {of_mass}"))
+            density, is_ase = self.masses.sum() / self.volume, units is unit_systems.ASE
+            in_grams = f"{density / unit_systems.GRAM_PER_CM3:.6g} g/cm³"
+            of_mass = in_grams if is_ase else f"{density:.6g} mass/{units.length}³"
+            rows.append(("density", f"{len(self) / self.volume:.6g} atoms/{units.length}³, {of_mass}"))
         rows += [(name, str(len(one))) for name, one in self.groups().items() if len(one)]
         rows += [("constraints", ", ".join(map(repr, self.constraints)))] if self.constraints else []
         return [*rows, ("units", f"{units.name}: {units.length}, {units.energy}, {units.time}")]
@@ -174,16 +170,15 @@ class System(Displayed):
     def from_ase(
         cls,
         atoms: ase.Atoms,
-        bonds: ArrayLike | None = None,
-        angles: ArrayLike | None = None,
-        dihedrals: ArrayLike | None = None,
-        impropers: ArrayLike | None = None,
+        bonds: Given = None,
+        angles: Given = None,
+        dihedrals: Given = None,
+        impropers: Given = None,
     ) -> System:
         """A system in ASE's units from an ase.Atoms: see minimd.structure.ase_atoms.system_arguments.
 
         bonds, angles, dihedrals, impropers : as for System. If bonds is not given, those that ASE read from a file:
-            atoms.arrays["bonds"] and so
-        on; bonds=() for none of them.
+            atoms.arrays["bonds"] and so on; bonds=() for none of them.
         FixCom sets the total momentum to zero and is then forgotten. To have a Simulation refuse to move the center of
         mass, give it the atoms themselves.
         """
@@ -197,24 +192,21 @@ class System(Displayed):
         universe: MDAnalysis.Universe | MDAnalysis.AtomGroup,
         *,
         units: UnitSystem = unit_systems.ASE,
-        bonds: ArrayLike | None = None,
-        angles: ArrayLike | None = None,
-        dihedrals: ArrayLike | None = None,
-        impropers: ArrayLike | None = None,
-        pbc: ArrayLike | None = None,
+        bonds: Given = None,
+        angles: Given = None,
+        dihedrals: Given = None,
+        impropers: Given = None,
+        pbc: Given = None,
     ) -> System:
         """A system from the present frame of an MDAnalysis universe, or of a group of its atoms: all that System takes,
-        except constraints.
-
-        MDAnalysis holds positions, velocities and cell in float32, the cell as lengths and angles.
+        except constraints. MDAnalysis holds positions, velocities and cell in float32, the cell as lengths and angles.
         Species are its types.
 
         Parameters
         ----------
-        units : minimd.units.ASE, to which Å, Å/ps and u are converted; or minimd.units.LJ,
-            with which numbers are taken unchanged.
-        bonds, angles, dihedrals, impropers : as for System; those of the universe if not given, () for none.  pbc :
-            as for System.
+        units : minimd.units.ASE, to which Å, Å/ps and u are converted; or minimd.units.LJ, for numbers taken unchanged.
+        bonds, angles, dihedrals, impropers : as for System; those of the universe if not given, () for none.
+        pbc : as for System.
 
         Raises
         ------
@@ -240,71 +232,34 @@ def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArra
         raise ValueError(f"{name} must be an (N, 3) array with N > 0, at most {MOST_ATOMS}; its shape is {array.shape}")
     if n_atoms is not None and len(array) != n_atoms:
         raise ValueError(f"{name} must have one row for each of the {n_atoms} atoms; it has {len(array)}")
-    _demand(name, "finite", np.isfinite(array).all(axis=1), array)
+    check_rows(name, "finite", np.isfinite(array).all(axis=1), array)
     if (largest := largest_component(array)) > LARGEST:
         raise ValueError(f"{name} must be below {LARGEST:g}; the largest is {largest:g}: take other units")
     return array
 
 
-def _groups(name: str, groups: ArrayLike | None, n_atoms: int) -> NDArray[np.int64]:
-    return checked_groups(name, () if groups is None else groups, GROUPS[name], n_atoms)
-
-
-def _masses(masses: ArrayLike | None, n_atoms: int, units: UnitSystem) -> NDArray[np.float64]:
-    if masses is None:
-        if units is not unit_systems.LJ:
-            raise ValueError(f"masses must be given in {units.name} units; only reduced units have a default, 1")
-        return np.ones(n_atoms)
-    array = checked_numbers("masses", masses, "one number, or one for each atom")
-    if array.ndim == 0:
-        array = np.full(n_atoms, float(array))
-    if array.shape != (n_atoms,):
-        raise ValueError(f"masses must be one number or {n_atoms}, one for each atom; their shape is {array.shape}")
-    _demand("masses", "positive and finite", np.isfinite(array) & (array > 0.0), array)
-    _demand("masses", f"between {SMALLEST:g} and {LARGEST:g}", (array >= SMALLEST) & (array <= LARGEST), array)
-    return array
-
-
 def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, NDArray[np.int64]]:
+    wanted = f"species must be {n_atoms} labels, one for each atom"
+    one = np.zeros(n_atoms, dtype=np.int64)  # pages of zeros that nobody writes to need no memory
     if species is None:
-        return ("X",), np.zeros(n_atoms, dtype=np.int64)
+        return ("X",), one
     if np.ma.is_masked(species):
         raise ValueError("species must be labels; some are masked: fill them")
     if isinstance(species, np.ndarray) and species.shape != (n_atoms,):
-        raise ValueError(f"species must be {n_atoms} labels, one for each atom; their shape is {species.shape}")
+        raise ValueError(f"{wanted}; their shape is {species.shape}")
     try:
         labels = np.asarray(species, dtype=object)
     except ValueError as error:
-        raise ValueError(f"species must be {n_atoms} labels, one for each atom: {error}") from None
+        raise ValueError(f"{wanted}: {error}") from None
     if labels.shape != (n_atoms,):
-        raise ValueError(f"species must be {n_atoms} labels, one for each atom; their shape is {labels.shape}")
-    if not any(
-        all(isinstance(label, kind) and not isinstance(label, bool) for label in labels)
-        for kind in (str, (int, np.integer))
-    ):
+        raise ValueError(f"{wanted}; their shape is {labels.shape}")
+    kinds = (str, int | np.integer)
+    if not any(all(isinstance(label, kind) and not isinstance(label, bool) for label in labels) for kind in kinds):
         raise ValueError(f"species must be all strings or all whole numbers; they are {shown(labels[:3].tolist())} ...")
     names, index = np.unique(labels.tolist(), return_inverse=True)
     if strange := [name for name in names.tolist() if not str(name).isprintable()]:
         raise ValueError(f"species must be labels of printable characters; one is {shown(strange[0])}")
-    one = np.zeros(n_atoms, dtype=np.int64)  # pages of zeros that nobody writes to need no memory
     return tuple(names.tolist()), one if len(names) == 1 else index.astype(np.int64)
-
-
-def _demand(name: str, what: str, is_good: Any, array: NDArray[np.float64]) -> None:
-    bad = np.flatnonzero(~is_good)
-    if bad.size:
-        others = f", and {bad.size - 1} more" if bad.size > 1 else ""
-        raise ValueError(f"{name} must be {what}; {name}[{bad[0]}] = {array[bad[0]].tolist()}{others}")
-
-
-def _constraints(constraints: Any) -> tuple[Constraint, ...]:
-    if not isinstance(constraints, list | tuple) or not all(
-        isinstance(one, DistanceConstraints | FixedAtoms) for one in constraints
-    ):
-        raise TypeError(
-            f"constraints of a System must be a list of DistanceConstraints and FixedAtoms; got {shown(constraints)}"
-        )
-    return tuple(constraints)
 
 
 def check_resolution(system: System, length: float, name: str) -> None:
@@ -333,8 +288,3 @@ def local_density(positions: NDArray[np.float64], cell: Cell, width: float) -> f
     n = np.unique((bins[:, 0] * counts[1] + bins[:, 1]) * counts[2] + bins[:, 2], return_counts=True)[1]
     around = float((n * (n - 1)).sum()) / len(s) * float(counts.prod())
     return max(len(s), around) / float(abs(np.linalg.det(cell.lattice)) * extent.prod())
-
-
-def _with_unit(name: str, words: str, units: UnitSystem) -> str:
-    """A row of a cell, with the unit behind its numbers."""
-    return f"{words} {units.volume}" if name == "volume" else words.replace(")", f") {units.length}")

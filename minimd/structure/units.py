@@ -19,8 +19,7 @@ DEGREE = math.pi / 180.0  # rad
 
 @dataclass(frozen=True)
 class UnitSystem:
-    """A consistent set of units, and the factors that convert its numbers to Å, ps and kJ/mol;
-    by default reduced units.
+    """A consistent set of units, and the factors that convert its numbers to Å, ps and kJ/mol; default: reduced units.
 
     name : "ASE" or "LJ".
     k_B : Boltzmann constant [energy/temperature].

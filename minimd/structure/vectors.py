@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from minimd.compiled.kernels import inlined, kernel
 
+Array = NDArray[np.float64]
+
 
 @inlined
 def separation(positions, i, j, offset):
@@ -64,24 +66,19 @@ def times(x, u):
 NOWHERE = np.zeros(3)
 
 
-def strained(
-    vectors: NDArray[np.float64],
-    matrix: NDArray[np.float64],
-    out: NDArray[np.float64],
-    shift: NDArray[np.float64] = NOWHERE,
-) -> None:
+def strained(vectors: Array, matrix: Array, out: Array, shift: Array = NOWHERE) -> None:
     """out = vectors @ matrix + shift; both may be one array.  vectors, out : (n, 3) or (n, 3, m).  matrix : (3, 3).
     shift : (3,)."""
     multiply_blocks(as_blocks(vectors), np.ascontiguousarray(matrix), shift, as_blocks(out))
 
 
-def follow_lattice(translations: NDArray[np.float64], before: NDArray[np.float64], after: NDArray[np.float64]) -> None:
+def follow_lattice(translations: Array, before: Array, after: Array) -> None:
     """Translations by lattice vectors, (n, 3) or (n, 3, m), become the same multiples of other ones, in place.  before,
     after : (3, 3) rows."""
     follow_blocks(as_blocks(translations), np.ascontiguousarray(np.linalg.inv(before)), np.ascontiguousarray(after))
 
 
-def as_blocks(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def as_blocks(vectors: Array) -> Array:
     """A contiguous (n, 3) or (n, 3, m) array as (n, 3, m)."""
     return vectors if vectors.ndim == 3 else vectors[:, :, np.newaxis]
 
@@ -107,9 +104,6 @@ def follow_blocks(translations, inverse, vectors):
             c = np.rint(x * inverse[0, 2] + y * inverse[1, 2] + z * inverse[2, 2])
             for d in range(3):
                 translations[i, d, k] = a * vectors[0, d] + b * vectors[1, d] + c * vectors[2, d]
-
-
-Array = NDArray[np.float64]
 
 
 def upright(vectors: Array) -> tuple[Array, Array]:

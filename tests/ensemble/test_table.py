@@ -10,7 +10,7 @@ import pytest
 from members import STEPS, TEMPERATURES, run
 
 import minimd as md
-from minimd.ensemble import work as notes
+from minimd.ensemble import member as notes
 from minimd.ensemble.folder import EnsembleFolder
 from minimd.ensemble.table import status, table_of
 from minimd.files.claim import locked

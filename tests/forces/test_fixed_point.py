@@ -16,8 +16,8 @@ from minimd.analysis.check import check_file
 from minimd.forces.pair_laws import PairLaws
 from minimd.integrators.methods import SPLITTINGS
 from minimd.potentials.term import OwnTerm
+from minimd.structure.cell import nearest_vectors
 from minimd.structure.grid import Grid
-from minimd.structure.images import nearest_vectors
 
 
 def plain(method=None, **options):

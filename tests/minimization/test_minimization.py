@@ -14,8 +14,8 @@ from minimd.forces.forces import Forces
 from minimd.minimization.fire import steer
 from minimd.potentials.term import FORCES
 from minimd.scene import parse_scene, run_scene
+from minimd.structure.cell import nearest_vectors
 from minimd.structure.errors import Interrupted
-from minimd.structure.images import nearest_vectors
 
 LJ = md.LennardJones(1.0, 1.0)
 CUT = md.LennardJones(1.0, 1.0, cutoff=2.5, truncation="force-shifted")

@@ -21,7 +21,7 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.commands import main as cli
 from minimd.mdanalysis.universes import universe_of
-from minimd.structure.images import nearest_vectors
+from minimd.structure.cell import nearest_vectors
 from minimd.view import View
 from minimd.view.motion import ATOMS, bonds_among, chosen_atoms, chosen_frames, motion_of
 from minimd.view.page import page

@@ -50,6 +50,8 @@ class Holonomic(SecondOrder):
     ValueError : if f takes v, or constraints depend on each other at the start.
     """
 
+    drifts_on_lines = False
+
     def __init__(
         self,
         f: Function,

@@ -31,7 +31,7 @@ Methods in ODEs (1962), 6.4; E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import repeat
 from math import copysign, isfinite, log
@@ -127,8 +127,8 @@ class Path:
             raise TypeError(f"problem must be a differential equation, such as SecondOrder(f); got {shown(problem)}")
         self.problem: Any = problem
         self._every = checked_count("every", every)
-        self.t, self.y, self.n, self.n_rejected, self.stopped = t0, problem.begin(start, t0), 0, 0, ""
-        self.kept, self.counts, self.densities = [(t0, self.y)], list[Any](), dict[float, float]()
+        self.times, self.states, self.n_rejected, self.stopped = [t0], [problem.begin(start, t0)], 0, ""
+        self.counts, self.densities = list[Any](), dict[float, float]()
 
     def step(self, method: type[Method]) -> Any:
         """The step of a method, whose evaluations are counted."""
@@ -140,28 +140,30 @@ class Path:
 
         Raises ConvergenceError or NonFiniteError if a step cannot be made; error.solution is the path before.
         """
+        kept_times, kept_states, every, n = self.times, self.states, self._every, 0
         try:
             for t, y in states:
-                if self.n % self._every != 0:
-                    del self.kept[-1]  # it was the last one, and its number is no multiple of every
-                self.t, self.y, self.n = t, y, self.n + 1
-                self.kept.append((t, y))
+                if n % every != 0:  # the last one is kept only if its number is a multiple of every
+                    del kept_times[-1], kept_states[-1]
+                kept_times.append(t)
+                kept_states.append(y)
+                n += 1
         except (ConvergenceError, NonFiniteError) as reason:
             told = "" if timestep is None else f" with timestep {timestep:g}"
             advice = "" if timestep is None else "; reduce the timestep"
-            self.stopped = f"step {self.n + 1} from t = {self.t:g}{told}: {reason}{advice}"
+            self.stopped = f"step {n + 1} from t = {kept_times[-1]:g}{told}: {reason}{advice}"
             raise failed(type(reason), self.solution()) from None
         return self.solution()
 
     def solution(self) -> Solution:
         """Of the states so far."""
-        t, y = (np.array(kept) for kept in zip(*self.kept, strict=True))
         reached = f"{REACHED}; {self.problem.remark}" if self.problem.remark else REACHED
         nfev, message = sum(getattr(one, "nfev", 0) for one in self.counts), self.stopped or reached
-        found = Solution(t, y, nfev, self.problem.shape, not self.stopped, message, self.n_rejected)
+        t = np.array(self.times)
+        found = Solution(t, np.array(self.states), nfev, self.problem.shape, not self.stopped, message, self.n_rejected)
         if not self.densities:
             return found
-        return ReversibleSolution(**vars(found), density=np.array([self.densities[t] for t, _ in self.kept]))
+        return ReversibleSolution(**vars(found), density=np.array([self.densities[t] for t in self.times]))
 
 
 def failed(kind: type[ConvergenceError | NonFiniteError], path: Solution) -> ConvergenceError | NonFiniteError:
@@ -211,8 +213,15 @@ def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: fl
 def _fixed(path: Path, method: Method, lengths: Iterable[float], t_end: float | None = None) -> Solution:
     """Steps of these lengths.  The states are looked at once they are all there; those before the first that is not
     finite are the solution of the NonFiniteError."""
-    t0, h, step = path.t, method.timestep, path.step(type(method))
-    found = path.through(((t0 + (path.n + 1) * h, step(path.t, path.y, length)) for length in lengths), h)
+    h, step = method.timestep, path.step(type(method))
+
+    def states() -> States:
+        [t0], [y] = path.times, path.states
+        for n, length in enumerate(lengths, 1):
+            y = step(t0 + (n - 1) * h, y, length)
+            yield t0 + n * h, y
+
+    found = path.through(states(), h)
     if t_end is not None:
         found.t[-1] = t_end
     if np.isfinite(found.y[-1]).all():
@@ -334,20 +343,20 @@ def run_adaptive(
     if not isinstance(control, StepControl):
         raise TypeError(f"control must be StepControl(rtol, atol); got {shown(control)}")
     path = Path(problem, start, t0)
-    if (given := np.shape(control.atol)) not in ((), path.y.shape):
-        needed = f"a number, or an array of length {path.y.size}, one for each component of y"
+    if (given := np.shape(control.atol)) not in ((), path.states[0].shape):
+        needed = f"a number, or an array of length {path.states[0].size}, one for each component of y"
         raise ValueError(f"atol must be {needed}; got shape {given}")
     return path.through(_adaptive(path, method, t_end, control))
 
 
-def _adaptive(path: Path, method: type[Method], t_end: float, control: StepControl) -> Iterator[tuple[float, Array]]:
+def _adaptive(path: Path, method: type[Method], t_end: float, control: StepControl) -> States:
     """The accepted states, each after two steps of h/2."""
-    problem, order, t0 = path.problem, method.order_on(path.problem), path.t
+    problem, order, n, [t], [y] = path.problem, method.order_on(path.problem), 0, path.times, path.states
     coarse, fine = path.step(method), path.step(method)  # each remembers its own last state
-    direction, span = copysign(1.0, t_end - t0), abs(t_end - t0)
-    h = control.first(problem.field(t0, path.y), path.y, span, control.shortest(t0, span))
-    while (rest := abs(t_end - path.t)) > 0.0:
-        t, y, is_last, h = path.t, path.y, h >= rest * (1.0 - LEFTOVER), min(h, rest)
+    direction, span = copysign(1.0, t_end - t), abs(t_end - t)
+    h = control.first(problem.field(t, y), y, span, control.shortest(t, span))
+    while (rest := abs(t_end - t)) > 0.0:
+        is_last, h = h >= rest * (1.0 - LEFTOVER), min(h, rest)
         signed = direction * h
         try:
             one = coarse(t, y, signed)
@@ -359,17 +368,18 @@ def _adaptive(path: Path, method: type[Method], t_end: float, control: StepContr
             error = control.excess(weights * (two - one) / (2.0**order - 1.0), y, two)
             why = f"its error is {error:.1e} times what is allowed"
         if error <= 1.0:
-            yield t_end if is_last else t + signed, two
+            t, y, n = t_end if is_last else t + signed, two, n + 1
+            yield t, y
         elif h <= control.shortest(t, span):
             limit = f"shorter ones are not allowed (min_step = {control.min_step:g})"
             path.stopped = f"stopped at t = {t:g}: a step of {h:.1e} is too long, {why}, and {limit}"
             return
         else:
             path.n_rejected += 1
-        tried = path.n + path.n_rejected
-        if tried >= control.max_steps and path.t != t_end:
+        tried = n + path.n_rejected
+        if tried >= control.max_steps and t != t_end:
             what = f"after {tried} steps, the last of {h:.1e}; loosen rtol and atol, or raise max_steps"
-            path.stopped = f"stopped at t = {path.t:g} {what}"
+            path.stopped = f"stopped at t = {t:g} {what}"
             return
         h = control.after(h, error, order)
 
@@ -434,27 +444,28 @@ def run_reversible(
     return path.through(_reversible(path, method, t_end, control), method.timestep)
 
 
-def _reversible(path: Path, method: Method, t_end: float, control: DensityControl) -> Iterator[tuple[float, Array]]:
+def _reversible(path: Path, method: Method, t_end: float, control: DensityControl) -> States:
     """States of steps ε/ρ; ρ changes by half of ε G before and after each."""
-    problem, epsilon, step = path.problem, method.timestep, path.step(type(method))
+    problem, epsilon, n, [t], [y] = path.problem, method.timestep, 0, path.times, path.states
+    step = path.step(type(method))
     rate = control.rate or _Fall(problem, abs(epsilon))
     path.counts.append(rate)
-    rho = path.densities[path.t] = control.density  # between the density of the last step and that of the next one
-    change = epsilon * float(rate(path.t, *problem.halves(path.y)))
-    while (t_end - path.t) * copysign(1.0, epsilon) > 0.0 and path.n < control.max_steps:
-        t, rho = path.t, rho + 0.5 * change
+    rho = path.densities[t] = control.density  # between the density of the last step and that of the next one
+    change = epsilon * float(rate(t, *problem.halves(y)))
+    while (t_end - t) * copysign(1.0, epsilon) > 0.0 and n < control.max_steps:
+        rho += 0.5 * change
         if not rho > 0.0 or t + epsilon / rho == t:
             raise ConvergenceError(f"the density of steps {'fell' if rho <= 0.0 else 'grew'} to {rho:.1e}")
         h, rest = epsilon / rho, t_end - t
         is_last = abs(h) >= abs(rest) - LEFTOVER * max(abs(t), abs(t_end))
-        y, t = step(t, path.y, rest if is_last else h), t_end if is_last else t + h
+        y, t, n = step(t, y, rest if is_last else h), t_end if is_last else t + h, n + 1
         if not np.isfinite(y).all():
             raise NonFiniteError("the state is no longer finite")
         change = epsilon * float(rate(t, *problem.halves(y)))
         rho = path.densities[t] = rho + 0.5 * change
         yield t, y
-    if path.t != t_end:
-        stopped = f"stopped at t = {path.t:g} after {path.n} steps, where ρ = {rho:.1e}"
+    if t != t_end:
+        stopped = f"stopped at t = {t:g} after {n} steps, where ρ = {rho:.1e}"
         path.stopped = f"{stopped}; raise max_steps or the timestep"
 
 

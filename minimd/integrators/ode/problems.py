@@ -102,7 +102,7 @@ class Partitioned(Problem):
     TypeError : for anything but functions, or functions whose arguments are called otherwise.
     """
 
-    g_is_v = False
+    drifts_on_lines = False  # q′ = v, and nothing holds q
 
     def __init__(
         self,
@@ -120,7 +120,7 @@ class Partitioned(Problem):
 
     def __repr__(self) -> str:
         g, f = (f"{field.name}({', '.join(field.takes)})" for field in (self.g, self.f))
-        return f"{type(self).__name__}({f if self.g_is_v else f'{g}, {f}'})"
+        return f"{type(self).__name__}({f if isinstance(self, SecondOrder) else f'{g}, {f}'})"
 
     @property
     def is_separable(self) -> bool:
@@ -165,7 +165,7 @@ class Partitioned(Problem):
 
     def drift(self, t: float, q: Array, v: Array, duration: float, _iteration: Iteration) -> None:
         """q += duration · q′, in place.  q, v : (n,).  _iteration : of the step, for drifts that solve equations."""
-        push(q, duration, v if self.g_is_v else self.g(t, q.reshape(self.shape), v.reshape(self.shape)))
+        push(q, duration, self.g(t, q.reshape(self.shape), v.reshape(self.shape)))
 
     def settle(self, q: Array, v: Array) -> None:
         """What follows the last substep, in place."""
@@ -179,7 +179,7 @@ class SecondOrder(Partitioned):
     f : a function of q, of t and q, or of t, q and v.  f_v, solver : as for Partitioned.
     """
 
-    g_is_v = True
+    drifts_on_lines = True
 
     def __init__(self, f: Function, f_v: Function | None = None, solver: Newton = Newton()) -> None:
         super().__init__(lambda v: v, f, f_v=f_v, solver=solver)
@@ -265,10 +265,14 @@ class SequenceStep:
                     self.nfev += 1
                 push(v, duration, force)
             else:
-                problem.drift(t, q, v, duration, self._iteration)
+                if problem.drifts_on_lines:
+                    push(q, duration, v)
+                else:
+                    problem.drift(t, q, v, duration, self._iteration)
                 t += duration
                 force = None
-        problem.settle(q, v)
+        if not problem.drifts_on_lines:
+            problem.settle(q, v)
         self._known = y, force
         return y
 

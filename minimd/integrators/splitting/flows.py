@@ -46,7 +46,7 @@ def velocity_of(momentum, inverse_mass, steps):
 
 @scalar
 def kicked_on_grid(momentum, impulse, inverse_mass, times):
-    """p + times · impulse, in steps: exact.  momentum : float64 whole number.  impulse : int64."""
+    """p + times · impulse, in steps, exact; p if inverse_mass is 0.  momentum : float64 whole.  impulse : int64."""
     return momentum + times * select(inverse_mass > 0.0, as_float(impulse), 0.0)
 
 

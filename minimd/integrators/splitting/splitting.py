@@ -13,9 +13,10 @@ from typing import ClassVar
 from minimd.compiled.program import Operation, in_python
 from minimd.integrators.method import ClassProperty, Method, Problem, Step
 from minimd.integrators.splitting.order_conditions import nystrom_order
-from minimd.integrators.splitting.state import State, Surroundings
+from minimd.integrators.splitting.state import Bath, State, Surroundings
 from minimd.integrators.splitting.steps import Evaluation, Moment, Steps
 from minimd.integrators.splitting.substeps import Kick, Substeps, is_palindrome, mechanical, merged
+from minimd.structure.observables import kinetic_energy
 
 __all__ = ["Splitting"]
 
@@ -108,13 +109,19 @@ class Splitting(Method):
         """Contact with the bath over a duration, at a moment: the operations of a substep Thermalize."""
 
         def thermalize() -> None:
-            if around.bath is not None:
-                around.bath.step, around.bath.contact = moment.step, moment.contact
+            bath = Bath() if around.bath is None else around.bath
+            bath.step, bath.contact, given = moment.step, moment.contact, bath.energy
+            around.project(state)
+            before = kinetic_energy(state.velocities, state.masses)
             self.thermalize(state, duration, around)
+            around.project(state)
+            if self.is_thermostat:
+                bath.energy = given + kinetic_energy(state.velocities, state.masses) - before
             state.settle()
 
         yield in_python(thermalize)
 
     def thermalize(self, state: State, duration: float, around: Surroundings) -> None:
-        """The same, made once, by Python.  Methods without a bath have no such substep."""
+        """The same, made once, by Python: velocities are changed in place. They are projected onto constraints before
+        and after, and what a thermostat gives to the kinetic energy is counted as heat."""
         raise NotImplementedError(f"{self.name} has no thermostat")

@@ -46,7 +46,7 @@ class State:
         return ()
 
     def check_range(self) -> None:
-        """Raise RangeError if a momentum or a position is beyond the range of a grid."""
+        """Raise RangeError if a momentum or a position is beyond the range of a grid, if there is one."""
 
     def settle(self) -> None:
         """Round velocities that a bath has changed to the grid, in place, if there is one."""

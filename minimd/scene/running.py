@@ -64,18 +64,10 @@ def run_scene(
     minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell, crash_file_place(True, files))
     observers = scene.observers()
+    named: dict[str, Any] = {"trajectory": files, "store_forces": output.forces, "overwrite": overwrite}
     with kept(scene, files, n_steps):
-        simulation.run(
-            n_steps,
-            every=output.every,
-            trajectory=files,
-            store_forces=output.forces,
-            overwrite=overwrite,
-            observers=observers,
-            progress=progress,
-        )
-    tell(str(simulation.report()))
-    tell_answers(observers, tell)
+        simulation.run(n_steps, every=output.every, observers=observers, progress=progress, **named)
+    tell_results(simulation, observers, tell)
     drawn = []
     if picture is not None and picture.exists() and not overwrite:
         tell(f"not drawn      {picture} exists and is kept; draw the picture with: minimd plot")
@@ -119,22 +111,18 @@ def resume_run(
     given, scene = scene, scene or known
     if scene is None:
         resumed = f"sim = minimd.Simulation.resume({str(file)!r}, potentials)"
-        raise ValueError(
-            f"file {str(file)!r} holds no scene from which to rebuild its potentials; go on in the script: "
-            f"{resumed}; sim.run(n_steps, trajectory={str(file)!r}, append=True)"
-        )
+        script = f"go on in the script: {resumed}; sim.run(n_steps, trajectory={str(file)!r}, append=True)"
+        raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials; {script}")
     end = scene.sections.dynamics.steps if steps is None else contents.step + steps
-    if steps is None and end <= contents.step and contents.lacks_results:  # killed after its last step
-        end = contents.step
-    elif steps is None and end <= contents.step:
-        raise ValueError(
-            f"the run in {str(file)!r} has reached the end of its scene: it is at step {contents.step}, dynamics.steps "
-            f"= {end}; give the number of further steps with --steps"
-        )
+    if steps is None and end <= contents.step:
+        if not contents.lacks_results:
+            there = f"it is at step {contents.step}, dynamics.steps = {end}"
+            remedy = "give the number of further steps with --steps"
+            raise ValueError(f"the run in {str(file)!r} has reached the end of its scene: {there}; {remedy}")
+        end = contents.step  # it was killed after its last step
     if known is not None and (other := differences(known, scene)):
         tell("NOTE           the scene given replaces that of the run so far; frames before and after differ")
-        tell("               in what is listed here:")
-        for line in other:
+        for line in ("in what is listed here:", *other):
             tell(f"               {line}")
     if contents.repaired:
         tell(f"repaired       {contents.repaired}")
@@ -148,10 +136,8 @@ def resume_run(
         else:
             simulation.engine.moved()
     if given is None and (changed := other_potentials(contents.potentials, simulation.potentials)):
-        tell(
-            "NOTE           the scene in the file has other potentials than the last steps, and the run goes on with "
-            f"those of the scene: {changed}"
-        )
+        those = f"and the run goes on with those of the scene: {changed}"
+        tell(f"NOTE           the scene in the file has other potentials than the last steps, {those}")
     for line in description(scene, simulation, end - contents.step):
         tell(line)
     when = f"at step {contents.step}, {scene.units.shown(contents.time)}, after {contents.n_frames} frames"
@@ -159,27 +145,17 @@ def resume_run(
     if len(scene.trajectories()) > 1:
         tell(f"               only {file} is continued; the other trajectories keep their frames up to this step")
     observers = scene.observers()
+    named: dict[str, Any] = {"every": scene.sections.output.every, "trajectory": path, "append": True}
     with kept(scene, [path], end):
-        simulation.run(
-            until_step=end,
-            every=scene.sections.output.every,
-            trajectory=path,
-            append=True,
-            observers=observers,
-            progress=progress,
-        )
-    tell(str(simulation.report()))
-    tell_answers(observers, tell)
+        simulation.run(until_step=end, observers=observers, progress=progress, **named)
+    tell_results(simulation, observers, tell)
     tell(f"written        {file}")
     return simulation
 
 
-def _short(words: str) -> str:
-    return words if len(words) <= LONGEST_VALUE else f"{words[:LONGEST_VALUE]}..."
-
-
-def tell_answers(observers: Sequence[Accumulator], tell: Tell) -> None:
-    """Tell the results of observers, in one or several lines for each."""
+def tell_results(simulation: Simulation, observers: Sequence[Accumulator], tell: Tell) -> None:
+    """Tell the report of a run, and the results of observers, in one or several lines for each."""
+    tell(str(simulation.report()))
     for one in observers:
         if one.n_looks:
             tell(str(one.result()))
@@ -187,13 +163,13 @@ def tell_answers(observers: Sequence[Accumulator], tell: Tell) -> None:
 
 def differences(one: Scene, other: Scene) -> list[str]:
     """The keys whose values differ in two scenes, with both values as written in the files."""
-    found, missing = [], "not given"
-    before, now = (dict(_entries(tomllib.loads(scene.whole_text()))) for scene in (one, other))
+    found, (before, now) = [], (dict(_entries(tomllib.loads(scene.whole_text()))) for scene in (one, other))
     for key in dict.fromkeys([*before, *now]):
-        was, becomes = before.get(key, missing), now.get(key, missing)
-        if was != becomes:
+        if before.get(key) != now.get(key):
+            values = (scene.get(key, "not given") for scene in (before, now))
+            was, becomes = (v if len(v) <= LONGEST_VALUE else f"{v[:LONGEST_VALUE]}..." for v in values)
             remark = " (no effect: the start is over)" if key.startswith(OF_THE_START) else ""
-            found.append(f"{key}: {_short(was)} before, {_short(becomes)} now{remark}")
+            found.append(f"{key}: {was} before, {becomes} now{remark}")
     return found
 
 
@@ -229,14 +205,10 @@ def equilibrate(
     target = (plan and plan.temperature) or scene.sections.dynamics.temperature
     if plan is None or target is None or plan.steps == 0:  # SceneSections has checked that there is a target
         return
-    tell(
-        f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every "
-        f"{plan.rescale_every}"
-    )
+    every = plan.rescale_every
+    tell(f"equilibration  {plan.steps} steps, rescaled to {target:g} {scene.units.temperature} every {every}")
     with kept(scene, where=" of the equilibration"):
-        simulation.equilibrate(
-            plan.steps, target, every=plan.rescale_every, progress=progress, crash_report=crash_report
-        )
+        simulation.equilibrate(plan.steps, target, every, progress, crash_report)
 
 
 def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]:
@@ -253,8 +225,7 @@ def description(scene: Scene, simulation: Simulation, n_steps: int) -> list[str]
 def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = "") -> Iterator[None]:
     """If a run fails, add to the message which files are kept and, if it was interrupted, how to go on.
 
-    files : of the run; none for a preparation.  end : the step at which the run was to end,
-        for the command that goes on.
+    files : of the run; none for a preparation.  end : the step at which it was to end, for the command that goes on.
     where : words on what was interrupted, such as " of the equilibration".
     """
     begun = time() - CLOCK
@@ -265,11 +236,8 @@ def kept(scene: Scene, files: Sequence[Path] = (), end: int = 0, where: str = ""
         interrupted = isinstance(error, (KeyboardInterrupt, Terminated))
         if not written and not interrupted:
             raise
-        ending = (
-            f"; what was written before is kept in {', '.join(map(str, written))}"
-            if written
-            else f"{where}; nothing was written"
-        )
+        files_kept = f"; what was written before is kept in {', '.join(map(str, written))}"
+        ending = files_kept if written else f"{where}; nothing was written"
         if isinstance(error, Terminated):
             error.words += ending + _how_to_go_on(written, end)
             raise
@@ -309,23 +277,12 @@ def hand_over_scene(
     # before the minimization begins
     check_hand_over(simulation, folder, n_steps, processes=processes, every=output.every, overwrite=overwrite)
     if scene.sections.observer:
-        tell(
-            "NOTE           the observers of the scene are not used: they work in runs of minimd only, and LAMMPS "
-            "makes this run"
-        )
+        why = "they work in runs of minimd only, and LAMMPS makes this run"
+        tell(f"NOTE           the observers of the scene are not used: {why}")
     minimize(scene, simulation, progress, tell)
     equilibrate(scene, simulation, progress, tell)
-    done = hand_over(
-        simulation,
-        folder,
-        n_steps,
-        processes=processes,
-        every=output.every,
-        store_forces=output.forces,
-        overwrite=overwrite,
-        progress=progress,
-        tell=tell,
-    )
+    asked: dict[str, Any] = {"every": output.every, "store_forces": output.forces, "overwrite": overwrite}
+    done = hand_over(simulation, folder, n_steps, processes=processes, progress=progress, tell=tell, **asked)
     is_free = simulation.conserves_momentum
     angular = is_free and not simulation.system.cell.is_periodic
     tell(str(conservation_report(done.record, linear=is_free, angular=angular, n_dof=simulation.n_dof)))

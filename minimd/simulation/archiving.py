@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,11 +15,12 @@ from minimd.simulation.resuming import Potentials, check_is_fixed, go_to
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count
 
+REMEDY = "give the potentials of the run"
+
 
 @dataclass(frozen=True)
 class Archive(Displayed):
-    """The result of archiving a file.  n_frames, n_bytes : before and after.  every :
-    steps between two frames that were kept."""
+    """The result of archiving a file.  n_frames, n_bytes : before and after.  every : steps between kept frames."""
 
     file: Path
     every: int
@@ -57,22 +59,16 @@ def archive(
         again.make_steps(int(steps[kept[1]] - steps[kept[0]]))
         [second] = frames_of(file, [kept[1]], again.system.units)
         if not np.array_equal(again.positions, second.positions):
-            raise ValueError(
-                f"step {steps[kept[1]]} of {str(file)!r} is not the same, to the last bit, when it is made again: give "
-                "the potentials of the run"
-            )
-    n_steps = int(steps[kept[-1]] - steps[kept[0]])
-    with open_trajectories(out, engine, store_forces=False, overwrite=overwrite, every=every, n_steps=n_steps) as (
-        writer,
-    ):
+            what = f"step {steps[kept[1]]} of {str(file)!r} is not the same, to the last bit, when it is made again"
+            raise ValueError(f"{what}: {REMEDY}")
+    made: dict[str, Any] = {"every": every, "n_steps": int(steps[kept[-1]] - steps[kept[0]]), "overwrite": overwrite}
+    with open_trajectories(out, engine, store_forces=False, **made) as [writer]:
         for k in kept:
             go_to(simulation, file, contents, k)
             frame = observe(engine)
             if frame.observables["total_energy"] != energies[k]:
-                raise ValueError(
-                    f"the energy of step {steps[k]} of {str(file)!r} is different when it is computed again: give the "
-                    "potentials of the run"
-                )
+                what = f"the energy of step {steps[k]} of {str(file)!r} is different when it is computed again"
+                raise ValueError(f"{what}: {REMEDY}")
             writer.write(frame)
         engine.go_on_from(contents.restart)
     sizes = Path(file).stat().st_size, Path(out).stat().st_size

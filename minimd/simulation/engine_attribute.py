@@ -31,8 +31,7 @@ class Closed:
 
 
 class EngineAttribute(Generic[T]):
-    """Attribute of a simulation that reads and sets the attribute of its engine with the same name;
-    with a path it is read-only.
+    """Attribute of a simulation that reads and sets the one of its engine with this name; read-only with a path.
 
     check : function of the engine that raises an error for a value that it cannot have; the old value is then restored.
     """
@@ -53,10 +52,9 @@ class EngineAttribute(Generic[T]):
         if self._name in ARRAYS:
             if value is getattr(simulation.engine, self._name):
                 return  # sim.positions += shift
-            computed = (
-                "they are computed" if self._name == "forces" else f"assign into it, sim.{self._name}[:] = values"
-            )
-            raise AttributeError(f"{self._name} of a Simulation is an array that cannot be replaced; {computed}")
+            assign = f"assign into it, sim.{self._name}[:] = values"
+            remedy = "they are computed" if self._name == "forces" else assign
+            raise AttributeError(f"{self._name} of a Simulation is an array that cannot be replaced; {remedy}")
         before = getattr(simulation.engine, self._name)
         setattr(simulation.engine, self._name, value)
         if self._check is not None:
@@ -86,6 +84,5 @@ class Measured(Generic[T]):
         return found
 
     def __set__(self, _simulation: Any, _value: T) -> None:
-        raise AttributeError(
-            f"{self._name} of a Simulation is measured and cannot be set; see set_temperature and system.cell"
-        )
+        see = "see set_temperature and system.cell"
+        raise AttributeError(f"{self._name} of a Simulation is measured and cannot be set; {see}")

@@ -32,31 +32,22 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
         from minimd.document.document import potentials_of_scene  # pydantic is slow to load
 
         potentials = potentials_of_scene(contents.scene, contents.potentials, Path(file))
-    options = {
-        "threads": threads,
-        "precision": contents.precision,
-        "skin": contents.skin,
-        "barostat": contents.barostat,
-    }
-    simulation = kind(contents.system, potentials, contents.integrator(), **options)
+    options = {name: getattr(contents, name) for name in ("precision", "skin", "barostat")}
+    simulation = kind(contents.system, potentials, contents.integrator(), threads=threads, **options)
     simulation.extra_observables = extras_in(contents.record)
     simulation.engine.notes.update(title=contents.title, scene=contents.scene)
     simulation.engine.go_on_from(contents.restart)
     if other := other_potentials(contents.potentials, simulation.potentials):
-        warnings.warn(
-            f"the potentials are not those of the last steps in {str(file)!r}: {other}; energies jump at this step",
-            stacklevel=outside_minimd(),
-        )
+        those = f"those of the last steps in {str(file)!r}: {other}"
+        warnings.warn(f"the potentials are not {those}; energies jump at this step", stacklevel=outside_minimd())
     if contents.repaired:
         warnings.warn(contents.repaired, stacklevel=outside_minimd())
     if step is not None:
         step, steps = checked_count("step", step, 0), contents.record.step
         check_is_fixed(file, contents)
         if not steps[0] <= step <= contents.step:
-            raise ValueError(
-                f"file {str(file)!r} has the steps {steps[0]} to {contents.step}; step must be one of them, but step = "
-                f"{step}"
-            )
+            has = f"file {str(file)!r} has the steps {steps[0]} to {contents.step}"
+            raise ValueError(f"{has}; step must be one of them, but step = {step}")
         frame = int(np.searchsorted(steps, step, side="right")) - 1
         go_to(simulation, file, contents, frame)  # the frame before the step
         simulation.make_steps(step - int(steps[frame]))
@@ -64,18 +55,14 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
 
 
 def check_is_fixed(file: str | Path, contents: H5MDContents) -> None:
-    """Raise ValueError for a run in float64, or with rigid bonds:
-    its steps go on from velocities before they were projected."""
+    """Raise ValueError for a run in float64, or with rigid bonds: its steps go on from velocities before they were
+    projected."""
     if contents.restart.grid is None:
-        why = f"the run in {str(file)!r} was made with precision={contents.precision!r}"
-        raise ValueError(
-            f"only runs with precision='fixed-point' can be made again to the last bit from any of their frames; {why}"
-        )
+        only = "only runs with precision='fixed-point' can be made again to the last bit from any of their frames"
+        raise ValueError(f"{only}; the run in {str(file)!r} was made with precision={contents.precision!r}")
     if contents.restart.images is not None:
-        raise ValueError(
-            f"the run in {str(file)!r} has rigid bonds: its steps cannot be made again to the last bit from a frame, "
-            "only from its restart"
-        )
+        why = "its steps cannot be made again to the last bit from a frame, only from its restart"
+        raise ValueError(f"the run in {str(file)!r} has rigid bonds: {why}")
 
 
 def go_to(simulation: Any, file: str | Path, contents: H5MDContents, frame: int) -> None:
@@ -85,10 +72,9 @@ def go_to(simulation: Any, file: str | Path, contents: H5MDContents, frame: int)
     """
     from minimd.files.h5md_reader import frames_of
 
-    record, engine = contents.record, simulation.engine
-    reservoir = (
-        float(record.total_energy[frame] - record.conserved_energy[frame]) if "conserved_energy" in record else 0.0
-    )
+    record, engine, reservoir = contents.record, simulation.engine, 0.0
+    if "conserved_energy" in record:
+        reservoir = float(record.total_energy[frame] - record.conserved_energy[frame])
     [at] = frames_of(file, [frame], engine.system.units)
     engine.restore(Snapshot(at.step, at.time, at.positions, at.velocities, reservoir))
     if (grid := engine.interactions.grid) is not None:
@@ -100,9 +86,8 @@ def go_to(simulation: Any, file: str | Path, contents: H5MDContents, frame: int)
 def last_step(step: int, n_steps: int | None, until_step: int | None) -> int:
     """The step at which a run ends.  Raises ValueError unless exactly one of n_steps and until_step is given."""
     if (n_steps is None) == (until_step is None):
-        raise ValueError(
-            f"a run needs either n_steps or until_step; n_steps = {n_steps!r}, until_step = {until_step!r}"
-        )
+        given = f"n_steps = {n_steps!r}, until_step = {until_step!r}"
+        raise ValueError(f"a run needs either n_steps or until_step; {given}")
     if n_steps is not None:
         return step + checked_count("n_steps", n_steps, 0)
     return checked_count("until_step", until_step, step)

@@ -131,14 +131,8 @@ class Simulation(Closed, Displayed):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For pickle and copy: nothing is shared, and the copy goes on with the same bits."""
-        return _copied, (
-            type(self),
-            self.engine,
-            self.guard.seconds,
-            self.guard.n_steps,
-            self.record,
-            self.reversibility,
-        )
+        guard = self.guard
+        return _copied, (type(self), self.engine, guard.seconds, guard.n_steps, self.record, self.reversibility)
 
     def __repr__(self) -> str:
         return f"Simulation({self.system!r}, {self.method!r}, step {self.step})"
@@ -191,8 +185,7 @@ class Simulation(Closed, Displayed):
         progress: bool | None = None,
         crash_report: str | Path | bool = True,
     ) -> Record:
-        """Make n_steps steps, or those up to until_step; observe the first state,
-        and then those whose step is a multiple of every.
+        """Make n_steps steps, or those up to until_step; observe the first state, and those at multiples of every.
 
         A run of N steps and one of M steps give the same numbers, to the last bit, as one of N + M steps,
         if nothing is changed in between.
@@ -205,8 +198,8 @@ class Simulation(Closed, Displayed):
         overwrite : replace files that exist.  append : continue the trajectory,
             an H5MD file whose restart is the state of this simulation.
         observers : functions called with this simulation at each observation; and those of minimd.observers, which have
-            their own steps and give results at the end. An H5MD file keeps them,
-            and a run that continues it goes on with them.
+            their own steps and give results at the end. An H5MD file keeps them, and a run that continues it goes on
+            with them.
         progress : show a progress bar; if not given, on a terminal and in a notebook.
         crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at
             a path, or nowhere (False). It holds the last good state and what minimd.replay needs;
@@ -227,10 +220,8 @@ class Simulation(Closed, Displayed):
         attached = Attached(observers, engine)
         check_extras(engine)
         place, start = crash_file_place(crash_report, trajectory), engine.step
-        with (
-            self._running(engine.noise_shift),
-            crash_file_left(place, guard, files["overwrite"]),
-        ):  # written after all others are closed
+        # the crash file is written after all others are closed
+        with self._running(engine.noise_shift), crash_file_left(place, guard, files["overwrite"]):
             guard.check_start()
             with (
                 stop_on_signals(engine.surroundings),
@@ -278,10 +269,8 @@ class Simulation(Closed, Displayed):
                 if not engine.is_as_left:
                     engine.moved()
             if self.record is not None and ("conserved_energy" in self.record) != engine.has_bath:
-                raise ValueError(
-                    f"a bath cannot be switched on or off within a run; {engine.method.name} can only take over in a "
-                    "new run"
-                )
+                later = f"{engine.method.name} can only take over in a new run"
+                raise ValueError(f"a bath cannot be switched on or off within a run; {later}")
             if not engine.is_as_left:
                 self.guard.forget()
                 engine.begin()
@@ -302,12 +291,9 @@ class Simulation(Closed, Displayed):
         progress: bool | None = None,
         crash_report: str | Path | None = None,
     ) -> None:
-        """Run n_steps and rescale the velocities to a temperature every `every` steps.
+        """Run n_steps and rescale the velocities to a temperature every `every` steps; then set step and time to 0.
 
-        At the end step and time are set to 0.
-
-        The noise of a thermostat is that of steps before the start;
-        it differs between the equilibrations of a simulation.
+        The noise of a thermostat is that of steps before the start; it differs between equilibrations.
         crash_report : the crash file to write if it fails, as for run.
 
         Raises
@@ -356,21 +342,13 @@ class Simulation(Closed, Displayed):
         """
         self.engine.moved()
         with self.guard.uncounted():
-            return minimized(
-                self.engine.interactions,
-                self.engine.constraint_set,
-                force_tolerance,
-                max_steps,
-                max_step_length,
-                progress,
-            )
+            scene = self.engine.interactions, self.engine.constraint_set
+            return minimized(*scene, force_tolerance, max_steps, max_step_length, progress)
 
     def probe_reversibility(self, n_steps: int) -> Reversibility:
         """Make n_steps, reverse all velocities, make n_steps again, and measure the distance from the start.
 
-        The state is restored.
-
-        Another n_steps from the reversal measure the distance that rounding alone explains.
+        The state is restored. Another n_steps from the reversal measure the distance that rounding alone explains.
         Later reports include the result.
 
         Raises
@@ -382,9 +360,8 @@ class Simulation(Closed, Displayed):
         return self.reversibility
 
     def run_back(self, n_steps: int) -> None:
-        """Retrace the last n_steps steps, to the last bit: for precision="fixed-point" and a symmetric method.
-
-        step and time go back, too.
+        """Retrace the last n_steps steps, to the last bit, step and time too: for precision="fixed-point" and a
+        symmetric method.
 
         Raises
         ------
@@ -394,12 +371,10 @@ class Simulation(Closed, Displayed):
 
     @contextmanager
     def _running(self, noise_shift: int) -> Iterator[None]:
-        """Context of a run.  noise_shift : of the engine during this run.
-        Raises RuntimeError for a run inside a run."""
+        """Context of a run.  noise_shift : of the engine in it.  Raises RuntimeError for a run inside a run."""
         if self._is_running:
-            raise RuntimeError(
-                "this simulation is running: an observer may read and change its state, but not run or equilibrate it"
-            )
+            may = "an observer may read and change its state, but not run or equilibrate it"
+            raise RuntimeError(f"this simulation is running: {may}")
         before, self._is_running, self.engine.noise_shift = self.engine.noise_shift, True, noise_shift
         try:
             yield
@@ -407,12 +382,7 @@ class Simulation(Closed, Displayed):
             self._is_running, self.engine.noise_shift = False, before
 
     def report(self) -> Report:
-        """How well the last run conserved what it should, and how fast it was.
-
-        Raises
-        ------
-        ValueError : if nothing has run yet.
-        """
+        """How well the last run conserved what it should, and how fast it was.  Raises ValueError before a run."""
         if self.record is None:
             raise ValueError("there is nothing to report yet; call run first")
         return report_of(self.guard, self.record, self.reversibility)
@@ -423,13 +393,8 @@ class Simulation(Closed, Displayed):
         return observe(self.engine)
 
     def set_temperature(self, temperature: float, seed: int | None = None) -> None:
-        """Draw Maxwell-Boltzmann velocities: kinetic temperature exactly this one,
-        total momentum zero (of several free atoms).
-
-        Raises
-        ------
-        ValueError : if the temperature is negative or not finite.
-        """
+        """Draw Maxwell-Boltzmann velocities: kinetic temperature exactly this one, total momentum zero (of several free
+        atoms).  Raises ValueError if the temperature is negative or not finite."""
         system, constraint_set = self.system, self.engine.constraint_set
         system.velocities[:] = maxwell_boltzmann(system.masses, temperature, system.units.k_B, seed)
         self.engine.fit_images()
@@ -456,17 +421,10 @@ class Simulation(Closed, Displayed):
         self.engine.restore(snapshot)
 
 
-def _copied(
-    kind: type[Simulation],
-    engine: Engine,
-    seconds: float,
-    n_steps: int,
-    record: Record | None,
-    reversibility: Reversibility | None,
-) -> Simulation:
-    """The simulation that __reduce__ has described."""
+def _copied(kind: type[Simulation], engine: Engine, seconds: float, n_steps: int, *results: Any) -> Simulation:
+    """The simulation that __reduce__ has described.  results : record, reversibility."""
     simulation = kind.__new__(kind)
     simulation._hold(copy.deepcopy(engine))
     simulation.guard.seconds, simulation.guard.n_steps = seconds, n_steps
-    simulation.record, simulation.reversibility = copy.deepcopy(record), reversibility
+    simulation.record, simulation.reversibility = copy.deepcopy(results)
     return simulation

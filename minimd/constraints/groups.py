@@ -15,12 +15,10 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.core import types
-from numba.extending import overload
 from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
-from minimd.compiled.kernels import DirectCalls, filling_kernel
+from minimd.compiled.kernels import DirectCalls, by_type, filling_kernel
 from minimd.compiled.program import CANNOT_KEEP, GO_ON, Operation, operation
 from minimd.compiled.simd.vector import lanes_for
 from minimd.compiled.threads import MOST_CHUNKS
@@ -163,20 +161,13 @@ def solve_chunk(solving, chunk):
     n, n_chunks = solving.n, solving.answers.size
     atoms = Atoms(solving.positions, solving.vectors, solving.inverse_masses, solving.lanes)
     first, last = chunk * n // n_chunks, (chunk + 1) * n // n_chunks
-    answer = solve_some(solving.solver, first, last, atoms, solving.arguments)
+    answer = _solved(solving.solver, first, last, atoms, solving.arguments)
     solving.answers[chunk], solving.most[chunk] = answer, max(answer, solving.most[chunk])
     return GO_ON if answer >= 0 else CANNOT_KEEP
 
 
-def solve_some(solver, first, last, atoms, arguments):
-    """The answer of the solver that a marker names, for components first to last − 1."""
-    return type(solver).formula.py_func(first, last, atoms, *arguments)
-
-
-@overload(solve_some)
-def _solve_some(solver, first, last, atoms, arguments):
-    if not isinstance(solver, types.BaseNamedTuple):
-        return None
+@by_type
+def _solved(solver, first, last, atoms, arguments):
     function = solver.instance_class.formula
     return lambda solver, first, last, atoms, arguments: function(first, last, atoms, *arguments)
 

@@ -94,7 +94,7 @@ class PairPotential(OwnPotential):
         self.plain_law = checked_law(law)
         self._is_tried = not isinstance(self.plain_law, UserLaw)
         self._cutoffs = _checked_cutoffs(cutoff)
-        self.cutoff = max(self._cutoffs.values()) if isinstance(self._cutoffs, dict) else self._cutoffs
+        self.cutoff = max(self._cutoffs.values())
         self.truncation = checked_choice("truncation", truncation, TRUNCATIONS)
         self.law = TRUNCATIONS[truncation].around(self.plain_law)
         self.mixing = mixing if callable(mixing) or mixing is None else MIXING[checked_choice("mixing", mixing, MIXING)]
@@ -135,12 +135,12 @@ class PairPotential(OwnPotential):
     @property
     def shortest_length(self) -> float:
         """The smallest cutoff, with which rounding errors of separations are compared [length]; inf without one."""
-        return min(self._cutoffs.values()) if isinstance(self._cutoffs, dict) else self._cutoffs
+        return min(self._cutoffs.values())
 
     @property
     def depends_on_species(self) -> bool:
         """False if one tuple of parameters and one cutoff serve all pairs."""
-        return isinstance(self.parameters, dict) or isinstance(self._cutoffs, dict)
+        return isinstance(self.parameters, dict) or None not in self._cutoffs
 
     def law_arguments(self) -> dict[str, Any]:
         """The arguments that belong to the law, by name, for display."""
@@ -149,8 +149,9 @@ class PairPotential(OwnPotential):
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
         mixing = next((name for name, rule in MIXING.items() if rule is self.mixing), self.mixing)
-        cutoff = _one_order(self._cutoffs) if isinstance(self._cutoffs, dict) else self._cutoffs
-        told = {"cutoff": None if self.cutoff == inf else cutoff, "truncation": self.truncation, "mixing": mixing}
+        number = None if self.cutoff == inf else self.cutoff
+        cutoff = number if None in self._cutoffs else _one_order(self._cutoffs)
+        told = {"cutoff": cutoff, "truncation": self.truncation, "mixing": mixing}
         told |= {"pairs": _one_order(self.pairs) or None, "switch_start": self.switch_start}
         told |= {"bonded_scale": self.bonded_scale, "tail_correction": self.tail_correction}
         taken = signature(type(self)).parameters
@@ -180,10 +181,9 @@ class PairPotential(OwnPotential):
 
     def _numbers(self, a: Any, b: Any) -> tuple[float, ...]:
         """The squared cutoff, and the numbers of the truncated law, of a pair of species."""
-        if isinstance(self._cutoffs, dict) and (a, b) not in self._cutoffs:
+        if (cutoff := self._cutoffs.get((a, b), self._cutoffs.get(None))) is None:
             pair = f"the pair of species {a!r}, {b!r}"
             raise ValueError(f"cutoff has no entry for {pair}; it has {listed(self._cutoffs)}")
-        cutoff = self._cutoffs[a, b] if isinstance(self._cutoffs, dict) else self.cutoff
         parameters = self._parameters_of(a, b)
         if not self._is_tried:
             check_user_law(self.plain_law, parameters, [x * (cutoff if isfinite(cutoff) else 1.0) for x in TRIED_AT])
@@ -307,12 +307,10 @@ def _volume(system: System) -> float:
     return system.volume
 
 
-def _checked_cutoffs(cutoff: Any) -> float | dict[tuple[Label, Label], float]:
-    """The cutoff of all pairs, infinite for None, or those of pairs of species in both orders."""
-    if cutoff is None:
-        return inf
+def _checked_cutoffs(cutoff: Any) -> dict[Any, float]:
+    """The cutoffs of pairs of species, in both orders; or of all pairs, infinite if none is given, under None."""
     if not isinstance(cutoff, Mapping):
-        return checked_number("cutoff", cutoff, "positive and finite")
+        return {None: inf if cutoff is None else checked_number("cutoff", cutoff, "positive and finite")}
     if not cutoff:
         raise ValueError("cutoff must be a number, or a mapping with an entry for each pair of species; it is empty")
     checked = {pair: checked_number(f"cutoff of {pair!r}", one, "positive and finite") for pair, one in cutoff.items()}

@@ -145,12 +145,12 @@ def drift_with(restore_lengths):
 def project_components(first, last, atoms, components, bonds, memory, targets, total):
     """As project_pairs, for components of any shape; projected twice, to remove the rounding of the first projection.
     total : (K,), the multipliers.  Returns 1, or −1 − the constraint that depends on others."""
-    vectors, inverse_masses, r, x = atoms.vectors, atoms.inverse_masses, memory.r, memory.x
+    vectors, inverse_masses, (r, _, x, _, lower, upper) = atoms.vectors, atoms.inverse_masses, memory
     for c in range(first, last):
         start, end = components.starts[c], components.starts[c + 1]
         find_separations(atoms.positions, bonds, start, end, r)
-        assemble(components, start, end, r, r, memory.lower, memory.upper)
-        singular = factorize(components, start, end, memory.lower, memory.upper)
+        assemble(components, start, end, r, r, lower, upper)
+        singular = factorize(components, start, end, lower, upper)
         if singular >= 0:
             return NOTHING - singular
         for correction in range(2):
@@ -159,7 +159,7 @@ def project_components(first, last, atoms, components, bonds, memory, targets, t
                 x[k] = targets[k]
                 for d in range(3):
                     x[k] -= r[k, d] * (vectors[j, d] - vectors[i, d])
-            solve(components, start, end, memory.lower, memory.upper, x)
+            solve(components, start, end, lower, upper, x)
             for k in range(start, end):
                 total[k] = x[k] + (total[k] if correction else 0.0)
                 add_opposite(vectors, inverse_masses, bonds.first[k], bonds.second[k], x[k], r[k])

@@ -57,19 +57,13 @@ OF_DISTANCE = "of the distance d: ε [2/15 (σ/d)⁹ − (σ/d)³], or 4ε [(σ/
 ALONG = 1e-9  # of a lattice vector: one that leaves the plane of a wall by less counts as parallel to it
 
 
-class Sites(
-    ByAddress,
-    namedtuple(
-        "Sites", "positions images atoms anchors law parameters time forces steps detail totals powers energies"
-    ),
-):
+class Sites(ByAddress, namedtuple("Sites", "positions images atoms anchors law numbers time forces steps detail sums")):
     """Where a field acts, and what on.
 
     positions : (N, 3) [length].  images : Images.  atoms : (n,) int, all different.
     anchors : (n, 3) points from which positions are counted, to the nearest image [length]; or (0, 3).
-    law : law type.  parameters : see parameters_of_pair, of each site.  time : (1,) t [time].
-    forces, steps, detail : see Target.  totals, powers : (chunks,) output, Σ u [energy] and Σ ∂u/∂t [energy/time].
-    energies : (N,), to which PER_ATOM adds.
+    law : law type.  numbers : see parameters_of_pair, of each site.  time : (1,) t [time].  forces, steps, detail : see
+    Target.  sums : Σ u [energy] and Σ ∂u/∂t [energy/time], (chunks,) output, and energies (N,), to which PER_ATOM adds.
     """
 
 
@@ -83,7 +77,7 @@ def _rate(found):
 def add_field(sites, chunk):
     """Add the forces and energies of a field u(x, y, z, t).  OUT_OF_RANGE if a force is beyond the range of a grid.
     The virial is left out: fields act from outside."""
-    positions, images, atoms, anchors, law, parameters, time, forces, steps, detail, totals, powers, energies = sites
+    positions, images, atoms, anchors, law, numbers, time, forces, steps, detail, (totals, powers, energies) = sites
     lattice, inverse, pbc, safe_distance2 = images
     n_chunks, total, power, is_out = totals.size, 0.0, 0.0, False
     for n in range(chunk * atoms.size // n_chunks, (chunk + 1) * atoms.size // n_chunks):
@@ -95,7 +89,7 @@ def add_field(sites, chunk):
             x += a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0]
             y += a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1]
             z += a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
-        found = evaluate_law(law, x, (y, z, time[0]) + parameters_of_pair(parameters, n, i, i))
+        found = evaluate_law(law, x, (y, z, time[0]) + parameters_of_pair(numbers, n, i, i))
         forces[i, 0] += force_along(found[1], 1.0, steps)
         forces[i, 1] += force_along(found[2], 1.0, steps)
         forces[i, 2] += force_along(found[3], 1.0, steps)
@@ -125,9 +119,9 @@ class FieldTerm(OwnTerm):
         """See Term."""
         if self.prepare is not None:
             yield in_python(self.prepare)
-        sums = target.detail, self._totals, self._powers, target.energies
         acting = self._atoms, self.anchors, self._law, ByPair(self.columns), self._time, target.forces, target.steps
-        sites = Sites(system.positions, target.images, *acting, *sums)
+        sums = self._totals, self._powers, target.energies
+        sites = Sites(system.positions, target.images, *acting, target.detail, sums)
         yield operation(self._calls, self._loop, sites, len(self._totals))
 
     def collect(self, target: Target) -> None:

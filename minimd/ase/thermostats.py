@@ -7,15 +7,10 @@ from its rng when the first step is made; equal rngs give equal runs.
 import functools
 from typing import Any
 
-import ase.md.andersen
-import ase.md.bussi
-import ase.md.langevin
-import ase.md.langevinbaoab
-import ase.md.nose_hoover_chain
-import ase.md.nvtberendsen
 import numpy as np
 from ase import Atoms, units
 from ase.constraints import FixAtoms, FixCom
+from ase.md import andersen, bussi, langevin, langevinbaoab, nose_hoover_chain, nvtberendsen
 from ase.md.md import MolecularDynamics
 
 from minimd.ase.baths import AndersenBath, BerendsenBath, BussiBath, Chain, LangevinBath, NoseHooverBath
@@ -65,7 +60,7 @@ class Noisy(MolecularDynamics):
         return self._seed
 
 
-class Langevin(MinimdSteps, Noisy, ase.md.langevin.Langevin):
+class Langevin(MinimdSteps, Noisy, langevin.Langevin):
     """ase.md.langevin.Langevin with the steps of BAOAB, see minimd.LangevinBAOAB: the same distribution.
 
     temperature_K and friction may be arrays with one value for each atom, (N, 1). With fixcm the bath does not act on
@@ -87,13 +82,13 @@ class Langevin(MinimdSteps, Noisy, ase.md.langevin.Langevin):
         return LangevinBath(self.dt, temperature, self.fr, self.noise_seed(), keeps_center)
 
 
-class LangevinBAOAB(MinimdSteps, Noisy, ase.md.langevinbaoab.LangevinBAOAB):
+class LangevinBAOAB(MinimdSteps, Noisy, langevinbaoab.LangevinBAOAB):
     """ase.md.langevinbaoab.LangevinBAOAB for a constant cell; without temperature_K it is velocity Verlet.
 
     Raises NotImplementedError for externalstress, with which the cell would change.
     """
 
-    @functools.wraps(ase.md.langevinbaoab.LangevinBAOAB.__init__)  # type: ignore[misc] # for the signature
+    @functools.wraps(langevinbaoab.LangevinBAOAB.__init__)  # type: ignore[misc] # for the signature
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         if self.externalstress is not None:
@@ -110,7 +105,7 @@ class LangevinBAOAB(MinimdSteps, Noisy, ase.md.langevinbaoab.LangevinBAOAB):
         return LangevinBath(self.dt, self.temperature_K, self.gamma, self.noise_seed(), fixes_center(self.atoms))
 
 
-class Bussi(MinimdSteps, Noisy, ase.md.bussi.Bussi):
+class Bussi(MinimdSteps, Noisy, bussi.Bussi):
     """ase.md.bussi.Bussi: the kinetic energy of all ndof degrees of freedom has its canonical distribution.
 
     temp, ndof, target_kinetic_energy = ½ ndof temp, and taut may be set between steps.
@@ -135,7 +130,7 @@ class Bussi(MinimdSteps, Noisy, ase.md.bussi.Bussi):
         self.transferred_energy += energy
 
 
-class NoseHooverChainNVT(MinimdSteps, ase.md.nose_hoover_chain.NoseHooverChainNVT):  # type: ignore[misc]
+class NoseHooverChainNVT(MinimdSteps, nose_hoover_chain.NoseHooverChainNVT):  # type: ignore[misc]
     """ase.md.nose_hoover_chain.NoseHooverChainNVT: the same motion, to rounding, and the same get_conserved_energy.
 
     Unlike ASE's class it counts degrees of freedom by atoms.get_number_of_degrees_of_freedom(), which is 3N without
@@ -166,7 +161,7 @@ class NoseHooverChainNVT(MinimdSteps, ase.md.nose_hoover_chain.NoseHooverChainNV
         return float(potential_energy + self.atoms.get_kinetic_energy() + self._chain.energy)
 
 
-class Andersen(MinimdSteps, Noisy, ase.md.andersen.Andersen):
+class Andersen(MinimdSteps, Noisy, andersen.Andersen):
     """ase.md.andersen.Andersen.
     With fixcm the center of mass comes to rest and stays there, unless atoms are held by FixAtoms."""
 
@@ -176,7 +171,7 @@ class Andersen(MinimdSteps, Noisy, ase.md.andersen.Andersen):
         return AndersenBath(self.dt, temperature, self.andersen_prob, self.noise_seed(), keeps_center)
 
 
-class NVTBerendsen(MinimdSteps, ase.md.nvtberendsen.NVTBerendsen):
+class NVTBerendsen(MinimdSteps, nvtberendsen.NVTBerendsen):
     """ase.md.nvtberendsen.NVTBerendsen: the same motion, to rounding.
     With fixcm the total momentum is removed, unless atoms are held by FixAtoms."""
 

@@ -132,19 +132,6 @@ MEANINGS = {
         "temperature": "to which velocities are rescaled; that of `[dynamics]` if not given",
         "rescale_every": "steps between two rescalings",
     },
-    "observer": {
-        "kind": "what is measured during the run, see [observers](observers.md)",
-        "every": "steps between two measurements",
-        "name": "under which files store it; the kind if not given",
-        "r_max": "of `radial-distribution`; half the height of the cell if not given",
-        "n_bins": "of `radial-distribution` and `profile`",
-        "n_levels": "of the correlator, of `mean-square-displacement`, `velocity-autocorrelation` and `viscosity`",
-        "most_atoms": (
-            "largest number of atoms, evenly chosen, for `mean-square-displacement` and `velocity-autocorrelation`"
-        ),
-        "axis": "of `profile`: the lattice vector",
-        "extent": "of `profile` along an open axis: lower and upper end",
-    },
     "output": {
         "trajectory": (
             "a file, or several, of the format that the suffix names; the name of the scene with `.h5md` if not given"

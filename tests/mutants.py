@@ -162,11 +162,11 @@ files/claim.py: files/test_h5md simulation/test_observables files/test_kills
 observers/correlator.py: observers/test_observers
     past = (slot + p - j) % p => past = (slot + j) % p
     counts[level, first:n_kept] += 1.0 => counts[level, :n_kept] += 1.0
-    np.arange(points) * RATIO ** => np.arange(1, points + 1) * RATIO **
+    (entries * RATIO**level) => ((entries + 1) * RATIO**level)
 observers/fluctuations.py: observers/test_observers
-    c_v = 0.5 * f * k_B / (1.0 - 2.0 * => c_v = 0.5 * f * k_B / (1.0 - 1.0 *
+    0.5 * f * k_B / (1.0 - 2.0 * => 0.5 * f * k_B / (1.0 - 1.0 *
 observers/radial_distribution.py: observers/test_observers
-    (scene.numbers[b] - (a == b)) / (1.0 + (a == b)) => (scene.numbers[b]) / (1.0 + (a == b))
+    (n[b] - (a == b)) / (1.0 + (a == b)) => (n[b]) / (1.0 + (a == b))
     t[0], positions[i, 1] - t[1], positions[i, 2] - t[2] => t[0], positions[i, 1] - t[1], positions[i, 2] + t[2]
 """  # file in minimd/: tests that are run first; below it old => new
 

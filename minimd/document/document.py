@@ -86,7 +86,7 @@ class Document:
 
     def observers(self) -> list[Accumulator]:
         """New observers as described in the scene.  Raises ValueError, with the file, if two have the same name."""
-        made = [section.observer() for section in self.sections.observer]
+        made = [section.observer() for section in self.sections.observer]  # type: ignore[attr-defined]
         if len({one.name for one in made}) < len(made):
             remedy = "give each observer of the same kind another name"
             raise ValueError(f"{self.path}: two observers have the same name; {remedy}")

@@ -7,11 +7,12 @@ the file of its run needs no other files: [tables."argon.dat"] at its end holds 
 import json
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt
+from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, PositiveInt, create_model
 
 from minimd.console.quiet import quiet
 from minimd.console.words import printable
@@ -30,10 +31,11 @@ from minimd.forces.options import Precision
 from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting, StochasticCellRescaling
 from minimd.integrators.splitting.barostats import COUPLINGS
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
-from minimd.observers import KINDS, Accumulator
+from minimd.observers import KINDS, Accumulator, arguments
 from minimd.potentials import LennardJones, Tabulated
 from minimd.potentials.pair import FEWEST, MIXING
 from minimd.potentials.truncation import TRUNCATIONS
+from minimd.structure.checks import checked_count
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
 from minimd.structure.lattice import BASES
 
@@ -87,7 +89,6 @@ def as_sections(tables: Mapping[str, Numbers], units: str) -> str:
 
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
-OBSERVER_ARGUMENTS = ("every", "name", "r_max", "n_bins", "n_levels", "most_atoms", "axis", "extent")
 METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
 
 
@@ -327,37 +328,56 @@ class EquilibrationSection(Section):
     rescale_every: PositiveInt = 10
 
 
-class ObserverSection(Section):
-    """[[observer]]: a quantity that is measured during the run by an observer of minimd.observers,
-    with its arguments."""
-
-    kind: Annotated[str, one_of(KINDS)]
-    every: PositiveInt | None = None
-    name: str | None = None
-    r_max: Annotated[Positive | None, Dimension("length")] = None
-    n_bins: PositiveInt | None = None
-    n_levels: PositiveInt | None = None
-    most_atoms: PositiveInt | None = None
-    axis: Annotated[str, one_of("abc")] | None = None
-    extent: Annotated[Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)] | None, Dimension("length")] = (
-        None
-    )
+class OfObservers(Section):
+    """[[observer]]: a quantity that is measured during the run by an observer of minimd.observers, with its
+    arguments."""
 
     def faults(self, units: str) -> Iterator[str]:
         """See Section."""
-        takes = (*KINDS[self.kind].arguments, "name")
+        takes, kind = KINDS[self.kind].declared, self.kind  # type: ignore[attr-defined]
         for one in self._given():
             if one not in takes:
-                known = ", ".join(self.key(name, units) for name in OBSERVER_ARGUMENTS if name in takes)
-                yield f"cannot have {self.key(one, units)} with kind {self.kind!r}, which takes {known}"
+                known = ", ".join(self.key(name, units) for name in type(self).model_fields if name in takes)
+                yield f"cannot have {self.key(one, units)} with kind {kind!r}, which takes {known}"
         self.observer()  # raises ValueError if the observer refuses its arguments
 
     def _given(self) -> dict[str, Any]:
-        return {name: value for name in OBSERVER_ARGUMENTS if (value := getattr(self, name)) is not None}
+        return {name: value for name, value in self if name != "kind" and value is not None}
 
     def observer(self) -> Accumulator:
         """A new observer of this kind.  Raises ValueError if it refuses the arguments."""
-        return KINDS[self.kind](**self._given())
+        return KINDS[self.kind](**self._given())  # type: ignore[attr-defined]
+
+
+ARGUMENTS: dict[Any, Any] = {  # of observers, by what they must be
+    checked_count: PositiveInt,
+    arguments.levels: PositiveInt,
+    arguments.positive: Positive,
+    arguments.identifier: str,
+    arguments.axis_name: Annotated[str, one_of(arguments.AXES)],
+    arguments.interval: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)],
+}
+
+
+def _argument(name: str) -> tuple[Any, None]:
+    """Type and default of a field, from the declaration of the observers that take this argument."""
+    taken = {kind: made.declared[name] for kind, made in KINDS.items() if name in made.declared}
+    check, words, dimension = next(iter(taken.values()))
+    if len(taken) < len(KINDS):
+        words = f"of {', '.join(f'`{kind}`' for kind in taken)}: {words}"
+    marks = [Field(description=words), *([Dimension(dimension)] if dimension else [])]
+    return Annotated[ARGUMENTS[check] | None, *marks], None
+
+
+KIND_OF_OBSERVER = Field(description="what is measured during the run, see [observers](observers.md)")
+ObserverSection = create_model(  # type: ignore[call-overload]
+    "ObserverSection",
+    __base__=OfObservers,
+    __module__=__name__,
+    __doc__=OfObservers.__doc__,
+    kind=(Annotated[str, one_of(KINDS), KIND_OF_OBSERVER], ...),
+    **{one: _argument(one) for one in ("every", "name", *chain(*(made.declared for made in KINDS.values())))},
+)
 
 
 def _plot_name(value: bool | str) -> bool | str:
@@ -404,7 +424,7 @@ class SceneSections(Section):
     minimization: MinimizationSection | None = None
     equilibration: EquilibrationSection | None = None
     tables: dict[str, TableSection] = Field({})
-    observer: list[ObserverSection] = Field([])
+    observer: list[ObserverSection] = Field([])  # type: ignore[valid-type]
     output: OutputSection = OutputSection.model_construct()
 
     def faults(self, units: str) -> Iterator[str]:

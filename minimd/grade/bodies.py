@@ -8,8 +8,8 @@ from itertools import product
 import numpy as np
 
 from minimd.grade.calling import StudentForce
-from minimd.grade.findings import Finding, coefficient
-from minimd.grade.problems import Array, bisected, difference
+from minimd.grade.findings import Finding, all_of, coefficient, first_of
+from minimd.grade.problems import Array, bisected, difference, multiple_of
 
 SPACING, JITTER = 1.25, 0.12  # of the atoms in the test [σ]: no two are closer than 1.0
 TRIALS = 30  # configurations; the one whose pairs stay farthest from the cutoff is used
@@ -21,34 +21,7 @@ LONGEST = 40.0  # largest distance at which a period is searched
 WHERE = np.array([0.31, 0.47, 0.23])
 # direction of a pair, by the number of dimensions
 ALONG = {1: np.array([1.0]), 2: np.array([0.6, 0.8]), 3: np.array([0.6, 0.48, 0.64])}
-
-# what is wrong, by the condition that is measured
-FAULTS = {
-    "not finite": "the forces of {n} atoms are not finite: an atom meets itself (i = j, r = 0), or two atoms coincide",
-    "one of two": "only one of the two atoms of a pair gets the force, the {who} one: what is added to one must be "
-    "subtracted from the other{hint}",
-    "same sign": "both atoms of a pair get the same force: the second one needs the opposite sign",
-    "no gradient": "the forces are not the gradient of any energy: ∂F_i/∂x_j and ∂F_j/∂x_i differ by {off:.1%}; no "
-    "energy can be conserved",
-    "exchange": "the forces depend on the numbering of the atoms, by {off:.1%}: the double loop leaves out pairs, or "
-    "forces are overwritten (=) where they should be added (+=)",
-    "rotation": "the forces do not turn with the atoms: they differ by {off:.1%}. A component is missing, or r is not "
-    "√(x² + y² + z²)",
-    "wrapped": "positions are wrapped into the cell, but differences are not: two atoms on both sides of a face of the "
-    "wrapped cell do not interact; use dx − L · round(dx/L) for the differences",
-    "all images": "minimum image {verb}: atoms on both sides of a face of the cell do not interact as neighbors; use "
-    "dx − L · round(dx/L)",
-    "images of an axis": "minimum image {verb} {where}, but right for the other axes",
-    "images of a side": "minimum image {verb} in one direction {where}: only one of dx > L/2 and dx < −L/2 is treated",
-    "far images": "forces on atoms outside the cell differ, by {off:.1%}: subtract L · round(dx/L), which is right for "
-    "any distance",
-    "overwritten": "each atom feels only one other atom: its force is overwritten (=) in the loop where it should be "
-    "added (+=)",
-    "half of the pairs": "each atom feels only the atoms with a higher number, or only those with a lower number",
-    "last atom": "atom {last}, the last, feels no force: check the bounds of the loop",
-    "multiple": "the forces of {n} atoms are {c} times the sum of those of pairs: they are divided or multiplied by a "
-    "number of atoms or pairs",
-}
+ROUND = "use dx − L · round(dx/L)"  # the cure of wrong images
 
 
 class Bodies:
@@ -64,6 +37,8 @@ class Bodies:
         self.multiple = 1.0  # the forces are this multiple of −∇U
         self.takes_pairs, self.is_broken = self._takes(2), False
         self.is_field = self._takes(1) and bool(np.abs(self.f(self.pair(PROBE)[:1])).max() > 0.0)
+        self.forces = self.f(self.x)
+        self.scale = float(np.abs(self.forces).max()) or 1.0
 
     def f(self, x: Array) -> Array:
         """(N, 3) forces."""
@@ -121,38 +96,30 @@ class Bodies:
 
     def findings(self) -> list[Finding]:
         """Test all laws."""
-        forces = self.f(self.x)
-        n_bad = np.count_nonzero(~np.isfinite(forces))
-        if n_bad:
+        if n_bad := np.count_nonzero(~np.isfinite(self.forces)):
             self.is_broken = True
-            self._tell("not finite", n=len(self.x))
+            self.faults.append(f"the forces of {len(self.x)} atoms are not finite: an atom meets itself (i = j, r = 0)"
+                               ", or two atoms coincide")  # fmt: skip
             return [Finding("finite", False, f"{n_bad} components of forces are not finite")]
-        scale = float(np.abs(forces).max()) or 1.0
         if self.is_field:
             field = Finding("external field", None, "a single atom feels a force")
-            return [field, self._gradient(forces), self._exchange(forces, scale)]
+            return [field, self._gradient(), self._exchange()]
         # of two translations the smaller difference counts: the other one may take a pair across a jump
         shifts = np.array([[0.013, -0.007, 0.021], [0.002, 0.001, 0.003]])[:, : self.d]
-        answers = [
-            self._reaction(forces, scale),
-            self._gradient(forces),
-            self._exchange(forces, scale),
-            self._same("translation", "shifted", min(self._off(self.x + e, forces, scale) for e in shifts)),
-        ]
+        shifted = min(self._off(self.x + e, self.forces) for e in shifts)
+        answers = [self._reaction(), self._gradient(), self._exchange(), self._same("translation", "shifted", shifted)]
         if self.lengths is None:
             turn = np.linalg.qr(np.random.default_rng(4).normal(size=(self.d, self.d)))[0]
-            answers.append(self._same("rotation", "turned", off := self._off(self.x @ turn, forces @ turn, scale)))
-            self._tell("rotation" if off > SAME else "", off=off)
+            off = self._off(self.x @ turn, self.forces @ turn)
+            answers.append(self._same("rotation", "turned", off))
+            self.faults += all_of((off > SAME, f"the forces do not turn with the atoms: they differ by {off:.1%}. A "
+                                   "component is missing, or r is not √(x² + y² + z²)"))  # fmt: skip
         else:
-            answers += self._images(self.lengths, forces, scale)
-        return answers + ([self._sum(forces, scale)] if self.takes_pairs else [])
+            answers += self._images(self.lengths)
+        return answers + ([self._sum()] if self.takes_pairs else [])
 
-    def _tell(self, name: str, **measured: object) -> None:
-        if name:
-            self.faults.append(FAULTS[name].format(**measured))
-
-    def _off(self, x: Array, right: Array, scale: float) -> float:
-        return float(np.abs(self.f(x) - right).max()) / scale
+    def _off(self, x: Array, right: Array) -> float:
+        return float(np.abs(self.f(x) - right).max()) / self.scale
 
     def _same(self, law: str, atoms: str, off: float, limit: float = SAME) -> Finding:
         return Finding(law, off < limit, f"forces of {atoms} atoms differ by {off:.1e}", off)
@@ -183,119 +150,119 @@ class Bodies:
             apart = np.minimum(apart, self.lengths - apart)
         return min(*margins, float(np.abs(np.sqrt((apart**2).sum(axis=1)) - self.cutoff).min()))
 
-    def _reaction(self, forces: Array, scale: float) -> Finding:
-        off = float(np.abs(forces.sum(axis=0)).max()) / scale
+    def _reaction(self) -> Finding:
+        off = float(np.abs(self.forces.sum(axis=0)).max()) / self.scale
         if off > ROUNDING and self.takes_pairs:
             one, two = self.f(self.pair(PROBE))
             sizes = np.linalg.norm(one), np.linalg.norm(two)
-            if min(sizes) < ROUNDING * max(sizes):
-                hint = "" if self.lengths is None else "; or the nearest image is taken with floor in place of round"
-                self._tell("one of two", who="first" if sizes[1] < sizes[0] else "second", hint=hint)
-            elif np.allclose(one, two, rtol=1e-9):
-                self._tell("same sign")
+            who = "first" if sizes[1] < sizes[0] else "second"
+            hint = "" if self.lengths is None else "; or the nearest image is taken with floor in place of round"
+            self.faults += first_of(
+                (min(sizes) < ROUNDING * max(sizes), f"only one of the two atoms of a pair gets the force, the {who} "
+                    f"one: what is added to one must be subtracted from the other{hint}"),
+                (np.allclose(one, two, rtol=1e-9), "both atoms of a pair get the same force: the second one needs the "
+                                                   "opposite sign"),
+            )  # fmt: skip
         return Finding("sum of forces", off < ROUNDING, f"|Σ F| is {off:.1e} of the largest force", off)
 
-    def _gradient(self, forces: Array) -> Finding:
+    def _gradient(self) -> Finding:
         """Compare F with −∇U; without an energy, test whether F can be a gradient at all: ∂F_i/∂x_j = ∂F_j/∂x_i."""
         steps = np.eye(self.x.size).reshape(-1, *self.x.shape) * DELTA
         if not self.force.has_energy:
             some = steps[:24]
             matrix = np.array([np.ravel(difference(self.f, self.x, e)) for e in some])[:, : len(some)] / DELTA
             off = float(np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300))
-            self._tell("no gradient" if off >= 1e-4 else "", off=off)
+            self.faults += all_of((off >= 1e-4, "the forces are not the gradient of any energy: ∂F_i/∂x_j and "
+                                   f"∂F_j/∂x_i differ by {off:.1%}; no energy can be conserved"))  # fmt: skip
             words = f"∂F_i/∂x_j − ∂F_j/∂x_i is {off:.1e} of the largest element"
             return Finding("a gradient", off < 1e-4, words, off)
         slopes = -np.array([difference(self.u, self.x, e) for e in steps]).reshape(self.x.shape) / DELTA
-        off = float(np.abs(forces - slopes).max() / np.abs(slopes).max())
-        c = float(np.sum(forces * slopes) / np.sum(slopes * slopes))
-        words = f"largest difference {off:.1e} of the largest force"
-        if off > EQUAL and float(np.abs(forces - c * slopes).max() / np.abs(slopes).max()) < EQUAL:
+        off = float(np.abs(self.forces - slopes).max()) / (float(np.abs(slopes).max()) or 1.0)
+        words, c = f"largest difference {off:.1e} of the largest force", multiple_of(self.forces, slopes, EQUAL)
+        if off > EQUAL and np.isfinite(c):
             self.multiple, words = c, f"F = {coefficient(c)} × (−∇U)"
         return Finding("all forces = −∇U", off < EQUAL, words, off)
 
-    def _exchange(self, forces: Array, scale: float) -> Finding:
+    def _exchange(self) -> Finding:
         order = np.random.default_rng(2).permutation(len(self.x))
-        off = self._off(self.x[order], forces[order], scale)
-        self._tell("exchange" if off > ROUNDING and not self.faults else "", off=off)
+        off = self._off(self.x[order], self.forces[order])
+        if off > ROUNDING and not self.faults:
+            self.faults.append(f"the forces depend on the numbering of the atoms, by {off:.1%}: the double loop leaves "
+                               "out pairs, or forces are overwritten (=) where they should be added (+=)")  # fmt: skip
         return self._same("exchange", "renumbered", off, ROUNDING)
 
-    def _images(self, lengths: Array, forces: Array, scale: float) -> list[Finding]:
+    def _images(self, lengths: Array) -> list[Finding]:
         """Test nearest images across each face, in both directions, and atoms in other cells."""
-        answers: list[Finding] = []
         bad: list[tuple[int, bool]] = []  # axes, and whether the force is missing
-        if self.takes_pairs:
-            for axis, sign in product(range(self.d), (1, -1)):
-                unit = self.units[axis]
-                first = 0.5 * lengths + (0.5 * lengths[axis] - 0.2) * sign * unit
-                inside = self.f(np.array([0.5 * lengths, 0.5 * lengths + sign * PROBE * unit]))
-                across = self.f(np.array([first, first + sign * PROBE * unit - sign * lengths[axis] * unit]))
-                if float(np.abs(across - inside).max() / np.abs(inside).max()) > SAME:
-                    bad.append((axis, bool(np.abs(across).max() < 0.2 * np.abs(inside).max())))
-            if self._wraps_positions(lengths):
-                self._tell("wrapped")
-                words = "pairs closer than half the cell do not interact across the middle of the cell"
-                return [Finding("nearest image", False, words)]
-            words = f"pairs across {len(bad)} of {2 * self.d} faces do not interact as inside"
-            words = words if bad else "pairs across all faces interact as inside"
-            answers.append(Finding("nearest image", not bad, words, float(len(bad))))
-        if bad:
-            axes = sorted({axis for axis, _ in bad})
-            of_an_axis = len(axes) < self.d and len(bad) == 2 * len(axes)
-            kind = "images of an axis" if of_an_axis else "images of a side"
-            verb = "is missing" if any(missing for _, missing in bad) else "is wrong"
-            where = "along " + ", ".join("xyz"[axis] for axis in axes)
-            self._tell("all images" if len(bad) == 2 * self.d else kind, verb=verb, where=where)
-        random = np.random.default_rng(6).integers(-1, 2, self.x.shape)
-        off = self._off(self.x + random * lengths, forces, scale)
-        self._tell("far images" if off > SAME and not bad else "", off=off)
+        for axis, sign in product(range(self.d), (1, -1)) if self.takes_pairs else ():
+            unit, edge = sign * self.units[axis], lengths[axis]
+            first = 0.5 * lengths + (0.5 * edge - 0.2) * unit
+            inside = self.f(np.array([0.5 * lengths, 0.5 * lengths + PROBE * unit]))
+            across = self.f(np.array([first, first + PROBE * unit - edge * unit]))
+            if float(np.abs(across - inside).max() / np.abs(inside).max()) > SAME:
+                bad.append((axis, bool(np.abs(across).max() < 0.2 * np.abs(inside).max())))
+        if self.takes_pairs and self._wraps_positions(lengths):
+            self.faults.append("positions are wrapped into the cell, but differences are not: two atoms on both sides "
+                               "of a face of the wrapped cell do not interact; "
+                               f"{ROUND} for the differences")  # fmt: skip
+            words = "pairs closer than half the cell do not interact across the middle of the cell"
+            return [Finding("nearest image", False, words)]
+        words = f"pairs across {len(bad)} of {2 * self.d} faces do not interact as inside"
+        words = words if bad else "pairs across all faces interact as inside"
+        answers = [Finding("nearest image", not bad, words, float(len(bad)))] if self.takes_pairs else []
+        off = self._off(self.x + np.random.default_rng(6).integers(-1, 2, self.x.shape) * lengths, self.forces)
+        axes = sorted({axis for axis, _ in bad})
+        verb = f"minimum image {'is missing' if any(missing for _, missing in bad) else 'is wrong'}"
+        where = "along " + ", ".join("xyz"[axis] for axis in axes)
+        self.faults += first_of(
+            (len(bad) == 2 * self.d, f"{verb}: atoms on both sides of a face of the cell do not interact as neighbors; "
+                                     f"{ROUND}"),
+            (bad and len(bad) == 2 * len(axes), f"{verb} {where}, but right for the other axes"),
+            (bad, f"{verb} in one direction {where}: only one of dx > L/2 and dx < −L/2 is treated"),
+            (off > SAME, f"forces on atoms outside the cell differ, by {off:.1%}: subtract L · round(dx/L), which is "
+                         "right for any distance"),
+        )  # fmt: skip
         words = f"forces of atoms moved by whole cells differ by {off:.1e}"
         return [*answers, Finding("periodic", off < SAME, words, off)]
 
     def _wraps_positions(self, lengths: Array) -> bool:
         """Whether pairs interact near the origin and across it, but not across the middle of the cell."""
         for unit, edge in zip(self.units, lengths, strict=True):
-            if edge < 4.0 * PROBE:
-                return False
-            one, across, half = (
-                float(np.abs(self.f(np.array([0.1 * lengths, 0.1 * lengths + PROBE * unit]) + shift * unit)).max())
-                for shift in (0.0, -0.1 * edge - 0.5 * PROBE, 0.4 * edge - 0.5 * PROBE)
-            )
-            if not (one > 0.0 and abs(across - one) < SAME * one and half < 0.2 * one):
+            pair, half = np.array([0.1 * lengths, 0.1 * lengths + PROBE * unit]), 0.5 * PROBE
+            shifts = (0.0, -0.1 * edge - half, 0.4 * edge - half)
+            one, across, middle = (float(np.abs(self.f(pair + shift * unit)).max()) for shift in shifts)
+            if edge < 4.0 * PROBE or not (one > 0.0 and abs(across - one) < SAME * one and middle < 0.2 * one):
                 return False
         return True
 
-    def _sum(self, forces: Array, scale: float) -> Finding:
+    def _sum(self) -> Finding:
         """Compare the forces with the sum, over pairs, of the forces on two atoms alone: other forces are a multiple
         of it, which is a fault, or many-body forces, which may be right."""
-        n = len(self.x)
+        n, forces = len(self.x), self.forces
         parts = np.zeros((n, n, self.d))
         for i, j in zip(*np.triu_indices(n, 1), strict=True):
             parts[i, j], parts[j, i] = self.f(self.x[[i, j]])
         pairs = parts.sum(axis=1)
-        off = float(np.abs(pairs - forces).max()) / scale
+        off = float(np.abs(pairs - forces).max()) / self.scale
         words = f"F − Σ of single pairs is {off:.1e} of the largest force"
         if off <= SAME:
             return Finding("sum over pairs", True, words, off)
-        lower, upper, single = (
-            max(rest(i) for i in range(n)) / scale
-            for rest in (
-                lambda i: np.abs(forces[i] - parts[i, :i].sum(axis=0)).max(),
-                lambda i: np.abs(forces[i] - parts[i, i + 1 :].sum(axis=0)).max(),
-                lambda i: np.abs(forces[i] - parts[i]).max(axis=1)[np.arange(n) != i].min(),
-            )
-        )
-        conditions = (
-            ("overwritten", single < SAME),
-            ("half of the pairs", min(lower, upper) < SAME),
-            ("last atom", float(np.abs(forces[-1]).max()) / scale < 1e-12 and n > 2),
-        )
-        if name := next((name for name, holds in conditions if holds), ""):
-            self._tell(name, last=n - 1)
-            return Finding("sum over pairs", False, words, off)
-        c = float(np.sum(forces * pairs) / np.sum(pairs * pairs))
-        if float(np.abs(forces - c * pairs).max()) < SAME * float(np.abs(forces).max()):
-            self._tell("multiple", n=n, c=coefficient(c))
+        before = np.tri(n, k=-1)[:, :, None]
+        halves = [np.abs(forces - (parts * half).sum(axis=1)).max() for half in (before, before.transpose(1, 0, 2))]
+        single = (np.abs(forces[:, None] - parts).max(axis=2) + np.diag(np.full(n, np.inf))).min(axis=1).max()
+        wrong = first_of(
+            (single < SAME * self.scale, "each atom feels only one other atom: its force is overwritten (=) in the "
+                                         "loop where it should be added (+=)"),
+            (min(halves) < SAME * self.scale, "each atom feels only the atoms with a higher number, or only those with "
+                                              "a lower number"),
+            (np.abs(forces[-1]).max() < 1e-12 * self.scale and n > 2, f"atom {n - 1}, the last, feels no force: check "
+                                                                      "the bounds of the loop"),
+        )  # fmt: skip
+        self.faults += wrong
+        c = multiple_of(forces, pairs, SAME)
+        if not wrong and np.isfinite(c):
+            self.faults.append(f"the forces of {n} atoms are {coefficient(c)} times the sum of those of pairs: they "
+                               "are divided or multiplied by a number of atoms or pairs")  # fmt: skip
             return Finding("sum over pairs", False, f"F = {coefficient(c)} × Σ of single pairs", c)
-        return Finding(
-            "sum over pairs", False if self.faults else None, f"{words}: many-body forces, or pairs left out", off
-        )
+        words += "" if wrong else ": many-body forces, or pairs left out"
+        return Finding("sum over pairs", False if self.faults else None, words, off)

@@ -20,6 +20,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -29,41 +30,26 @@ from minimd.grade.problems import SHAPES, Array, Problem, problem
 
 PLACES = ("x", "v", "force", "m", "dt")
 Names = tuple[tuple[str, str], ...]  # role, and pattern of the name in lower case without underscores: the first counts
+# fmt: off
 OF_STEPS: Names = (
-    ("x", r"^([xrq][s0n]?|pos|xyz)$"),
-    ("v", r"^(v[s0n]?|vel|u|[xqr]dot)$"),
-    ("p", r"^(p[s0n]?|mom)$"),
-    ("force", r"^(f[ns0]?|func?|frcs?)$"),
-    ("acceleration", r"^(a[0n]?|accel)$"),
-    ("m", r"^ms?$"),
-    ("dt", r"^(dt|h|tau|step|δt?|deltat|dtime|stepsize)$"),
-    ("time", r"^(t[n0]?|time)$"),
+    ("x", r"^([xrq][s0n]?|pos|xyz)$"), ("v", r"^(v[s0n]?|vel|u|[xqr]dot)$"), ("p", r"^(p[s0n]?|mom)$"),
+    ("force", r"^(f[ns0]?|func?|frcs?)$"), ("acceleration", r"^(a[0n]?|accel)$"), ("m", r"^ms?$"),
+    ("dt", r"^(dt|h|tau|step|δt?|deltat|dtime|stepsize)$"), ("time", r"^(t[n0]?|time)$"),
     ("box", r"^(l|box|boxlength|boxsize|lbox|cell)$"),
-    ("old", r"^(x|r|q|pos\w*)(old|prev\w*|last|before|minus|m1?)$"),
-    ("old", r"^(old|prev\w*|last)(x|r|q|pos\w*)$"),
+    ("old", r"^(x|r|q|pos\w*)(old|prev\w*|last|before|minus|m1?)$"), ("old", r"^(old|prev\w*|last)(x|r|q|pos\w*)$"),
     ("half", r"^(v|vel\w*)(half|mid\w*|h)$"),
-    ("force", r"^f(old|prev\w*|last|now|t|cur\w*)$"),
-    ("acceleration", r"^a(old|prev\w*|last|now|t|cur\w*)$"),
-    ("steps", r"^(n|nt|nsteps?|numsteps|steps|niter\w*)$"),
-    ("state", r"^(state|y|s|z|xv|phase\w*|rv)$"),
-    ("gradient", r"grad|^d[uv](dx|dr|dq)?$"),
-    ("acceleration", r"acc"),
-    ("force", r"force"),
-    ("dt", r"timestep|stepsize"),
-    ("v", r"^vel"),
-    ("p", r"^moment"),
-    ("x", r"^pos|^coord"),
-    ("m", r"^mass"),
+    ("force", r"^f(old|prev\w*|last|now|t|cur\w*)$"), ("acceleration", r"^a(old|prev\w*|last|now|t|cur\w*)$"),
+    ("steps", r"^(n|nt|nsteps?|numsteps|steps|niter\w*)$"), ("state", r"^(state|y|s|z|xv|phase\w*|rv)$"),
+    ("gradient", r"grad|^d[uv](dx|dr|dq)?$"), ("acceleration", r"acc"), ("force", r"force"),
+    ("dt", r"timestep|stepsize"), ("v", r"^vel"), ("p", r"^moment"), ("x", r"^pos|^coord"), ("m", r"^mass"),
 )
 OF_FORCES: Names = (
-    ("box", r"^(l|box\w*|cell|lbox|edge|size|side|length|periodic)$"),
-    ("cutoff", r"^(rc|rcut\w*|cut\w*)$"),
-    ("epsilon", r"^(eps|epsilon|ε|depth)$"),
-    ("sigma", r"^(sig|sigma|σ|s)$"),
-    ("n", r"^(n|natoms|nparticles|num\w*)$"),
-    ("stiffness", r"^(k|ks|kb|kbond|kspring)$"),
+    ("box", r"^(l|box\w*|cell|lbox|edge|size|side|length|periodic)$"), ("cutoff", r"^(rc|rcut\w*|cut\w*)$"),
+    ("epsilon", r"^(eps|epsilon|ε|depth)$"), ("sigma", r"^(sig|sigma|σ|s)$"),
+    ("n", r"^(n|natoms|nparticles|num\w*)$"), ("stiffness", r"^(k|ks|kb|kbond|kspring)$"),
     ("strength", r"^(q|charge|de)$"),
 )
+# fmt: on
 REST = r"^(r0|req|l0|d0|length|rest\w*|b0|x0)$"  # of a bond, if there is also a parameter for the stiffness
 SQUARED = r"^(r2|rsq|rsq\w*|d2|dist2|rsquared|rr)$"
 DISTANCE = r"^(r|d|dist\w*|rij|s)$"
@@ -74,6 +60,8 @@ IS_BEFORE = r"old|prev|last|before|minus|m1"
 KNOWN = "pos, vel, frc, forces, compute_forces, acc, mass, h, timestep, p, x_old, v_half"
 FORCES = ("force", "acceleration", "gradient")
 ANSWERS = ("F", "(F, U)", "(U, F)")
+VELOCITIES = ("v", "p", "half", "old")  # roles that take the place of velocities
+MASSES_NEED = {"(N,)": 1, "(N, 1)": 2, "one number": 0}  # dimensions of the array of positions
 KINDS = {"forces": "forces on all atoms", "law": "a law of the distance", "pair": "the force of a pair"}
 FAR = 1e6  # edge of the box for a step that has such a parameter
 TINY = 1e-6  # time step of the first call, which shows whether x or v is returned first
@@ -97,13 +85,12 @@ def parameters_of(function: Callable[..., Any], example: str, name: str) -> list
     try:
         parameters = list(inspect.signature(function).parameters.values())
     except (TypeError, ValueError):
-        raise TypeError(
-            f"{example.partition('(')[0]} must be a function, such as {example}; got {function!r}"
-        ) from None
+        kind = example.partition("(")[0]
+        raise TypeError(f"{kind} must be a function, such as {example}; got {function!r}") from None
     if parameters and parameters[0].name == "self":
         raise TypeError(f"{name} is a method without its object (its first parameter is self): pass the method of an "
                         f"object, as in md.grade(Simulation().{name})")  # fmt: skip
-    return parameters
+    return [one for one in parameters if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)]
 
 
 class Manner(NamedTuple):
@@ -129,19 +116,16 @@ def roles_of(function: Callable[..., Any]) -> tuple[list[str], list[str]]:
 
     Raises TypeError for anything that is not a function, and for parameters that do not make a step.
     """
-    pairs = [
-        (one.name, role_of(one.name), one.default is one.empty)
-        for one in parameters_of(function, "step(x, v, force, m, dt)", "step")
-        if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)
-    ]
-    if not any(role in FORCES for _, role, _ in pairs):  # a step with its own force keeps its own mass
-        pairs = [pair for pair in pairs if pair[1] != "m" or pair[2]]
-    pairs = [pair for pair in pairs if pair[1] or pair[2]]
-    names, roles = [name for name, _, _ in pairs], [role for _, role, _ in pairs]
-    have = {"force" if role in FORCES else "v" if role in ("p", "half", "old") else role for role in roles}
-    left = [place for place in PLACES if place not in have and not ("state" in roles and place in ("x", "v"))]
-    roles = [role or (left.pop(0) if left else "") for role in roles]
-    has_state = "state" in roles or ("x" in roles and {"v", "p", "half", "old"} & set(roles))
+    parameters = parameters_of(function, "step(x, v, force, m, dt)", "step")
+    pairs = [(one.name, role_of(one.name)) for one in parameters if one.default is one.empty or role_of(one.name)]
+    if not any(role in FORCES for _, role in pairs):  # a step with its own force keeps its own mass
+        kept = {one.name for one in parameters if one.default is not one.empty}
+        pairs = [(name, role) for name, role in pairs if role != "m" or name not in kept]
+    names, roles = [name for name, _ in pairs], [role for _, role in pairs]
+    have = {"force" if role in FORCES else "v" if role in VELOCITIES else role for role in roles}
+    left = iter([place for place in PLACES if place not in have and not ("state" in roles and place in ("x", "v"))])
+    roles = [role or next(left, "") for role in roles]
+    has_state = "state" in roles or ("x" in roles and set(VELOCITIES) & set(roles))
     if "dt" not in roles or not has_state or "" in roles:
         unknown = [name for name in names if not role_of(name)]
         nobody = f"; the meaning of {' and '.join(unknown)} cannot be seen from the name" if unknown else ""
@@ -155,14 +139,14 @@ def manners(function: Callable[..., Any]) -> Iterator[Manner]:
     """The manners in which a step may be called, the most likely first."""
     names, roles = roles_of(function)
     forces = [k for k, role in enumerate(roles) if role in FORCES]
-    choices = [[], forces] if forces else [[]]
+    choices = [[], forces] if forces else [[]]  # of the parameters that are arrays
     if len(forces) > 1:
         functions = [k for k in forces if re.search(IS_FUNCTION, names[k].lower())]
-        functions = functions or [max(forces, key=lambda k: len(names[k]))]
-        choices = [[k for k in forces if k != functions[0]]]
+        first = functions[0] if functions else max(forces, key=lambda k: len(names[k]))
+        choices = [[k for k in forces if k != first]]
     masses = ("(N,)", "(N, 1)", "one number") if "m" in roles else ("one number",)
     for known, shape, mass, answers in product(choices, SHAPES, masses, ANSWERS if forces else ANSWERS[:1]):
-        if (shape == () and mass != "one number") or (shape == (5,) and mass == "(N, 1)"):
+        if len(shape) < MASSES_NEED[mass]:
             continue
         before = [k for k in known if len(known) > 1 and re.search(IS_BEFORE, names[k].lower())]
         words = ["before " if k in before else "known " if k in known else "" for k in range(len(roles))]
@@ -180,13 +164,16 @@ class StudentStep:
     """
 
     def __init__(self, function: Callable[..., Any], manner: Manner) -> None:
-        self.function, self.manner = function, manner
+        self.function, self.manner, self.words = function, manner, set(" ".join(manner.roles).split())
         self.n_evaluations, self.n_steps, self.stiffness = 0, 1, 0.0
         self.path: list[Array] = []
         self.third: Array | None = None
         self.swapped = self.in_place = self.is_procedure = False
-        self.is_given_forces = any(set(role.split()) & set(FORCES) for role in manner.roles)
-        self.is_scaled = "m" in manner.roles or any("acceleration" in role for role in manner.roles)  # by masses
+        self.is_given_forces, self.is_scaled = self.takes(*FORCES), self.takes("m", "acceleration")  # by masses
+
+    def takes(self, *words: str) -> bool:
+        """Whether one of these words is in the roles of the parameters."""
+        return not self.words.isdisjoint(words)
 
     def find_own_force(self) -> None:
         """Find the spring inside a step that takes no force function.  Raises TypeError if its force is not −k x."""
@@ -208,54 +195,45 @@ class StudentStep:
     def __call__(self, where: Problem, x: Array, v: Array, h: float) -> tuple[Array, Array]:
         """One step.  Raises what the function raises, and ValueError for results that are not x and v."""
         roles, single = self.manner.roles, x.ndim == 0
-        half = v - 0.5 * h * where.force(x) / where.mass if {"half", "old"} & set(roles) else v
-        given = [self._argument(role, where, x, v, half, h) for role in roles]
-        if single:
-            given = [float(one) if isinstance(one, np.ndarray) else one for one in given]
-            given = [list(map(float, one)) if role == "state" else one for role, one in zip(roles, given, strict=True)]
-        before = [one.copy() if isinstance(one, np.ndarray) else one for one in given]
+        copy: Callable[[Any], Any] = float if single else np.array
+        m = np.array(where.m if self.manner.masses == "(N,)" else where.m.reshape(-1, 1))
+        half = v - 0.5 * h * where.force(x) / where.mass if self.takes("half", "old") else v
+        before = x - h * v + 0.5 * h * h * where.force(x) / where.mass if self.takes("before") else x
+        arrays: dict[str, Any] = {"x": x, "v": v, "p": where.mass * v, "half": half, "old": x - h * half}
+        words = [role.split() for role in roles if " " in role]
+        arrays |= {f"{when} {one}": where.scaled(one, before if when == "before" else x) for when, one in words}
+        others: dict[str, Any] = {"dt": h, "time": 0.0, "box": FAR, "steps": self.n_steps, "state": [copy(x), copy(v)]}
+        others |= {"m": float(m[0, 0]) if self.manner.masses == "one number" else m}
+        others |= {role: self._force(role, where) for role in FORCES}
+        given = [copy(arrays[role]) if role in arrays else others[role] for role in roles]
         answer = self.function(**dict(zip(self.manner.names, given, strict=True)))
         if "state" in roles:
-            state = self._parts(given[roles.index("state")] if answer is None else answer, x.shape)
-            return state[0], state[1]  # of a step that takes and returns both in one array or list
-        of_x, of_v = roles.index("x"), next(roles.index(role) for role in ("v", "p", "half", "old") if role in roles)
-        changed = [not single and not np.array_equal(given[k], before[k]) for k in (of_x, of_v)]
+            new = self._parts(given[roles.index("state")] if answer is None else answer, x.shape)
+            return new[0], new[1]  # of a step that takes and returns both in one array or list
+        of_v = next(role for role in VELOCITIES if role in roles)
+        own = [given[roles.index(role)] for role in ("x", of_v)]
+        changed = [
+            not (single or np.array_equal(one, arrays[role])) for one, role in zip(own, ("x", of_v), strict=True)
+        ]
         self.in_place |= any(changed)
+        self.is_procedure |= all(changed)
         if answer is None and not self.in_place:
             raise ValueError("the step returns None and does not change x and v; it must return x, v")
-        self.is_procedure |= all(changed)
         # changed in place; the result may be the force
         if answer is None or (self.is_procedure and not isinstance(answer, (tuple, list, dict))):
-            answer = (given[of_x], given[of_v], *([] if answer is None else [answer]))
+            answer = (*own, *([] if answer is None else [answer]))
         new = self._parts(answer, x.shape)
         if "old" in roles:  # v as returned, else the velocity at the half step plus half a kick
-            own = next((part for part in new[1:3] if not np.array_equal(part, x)), None)
-            if own is not None and np.abs(own - v).max() < np.abs(own - x).max():
-                return new[0], own
-            return new[0], (new[0] - x) / h + 0.5 * h * where.force(new[0]) / where.mass
+            returned = next((part for part in new[1:3] if not np.array_equal(part, x)), x)
+            if np.abs(returned - v).max() < np.abs(returned - x).max():
+                return new[0], returned
+            new = [new[0], (new[0] - x) / h]
         new_x, new_v = (new[1], new[0]) if self.swapped else (new[0], new[1])
-        if roles[of_v] == "p":
-            new_v = new_v / where.mass
-        if roles[of_v] == "half":
+        if of_v == "p":
+            return new_x, new_v / where.mass
+        if of_v == "half" or "old" in roles:
             new_v = new_v + 0.5 * h * where.force(new_x) / where.mass
         return new_x, new_v
-
-    def _argument(self, role: str, where: Problem, x: Array, v: Array, half: Array, h: float) -> Any:
-        if role in FORCES:
-            return self._force(role, where)
-        if role == "m" and self.manner.masses == "one number":
-            return float(np.ravel(where.m)[0])
-        if role in ("dt", "time", "box", "steps"):
-            return {"dt": h, "time": 0.0, "box": FAR, "steps": self.n_steps}[role]
-        if role == "state":
-            return [np.array(x), np.array(v)]
-        when, _, scale = role.partition(" ")
-        if when == "known":
-            return where.scaled(scale, x)
-        if when == "before":
-            return where.scaled(scale, x - h * v + 0.5 * h * h * where.force(x) / where.mass)
-        m = where.m if self.manner.masses == "(N,)" else where.m.reshape(-1, 1)
-        return np.array({"m": m, "x": x, "v": v, "p": where.mass * v, "half": half, "old": x - h * half}[role])
 
     def _force(self, role: str, where: Problem) -> Callable[..., Any]:
         def force(x: Any, *_: Any) -> Any:
@@ -273,23 +251,24 @@ class StudentStep:
         return force
 
     def _parts(self, answer: Any, shape: tuple[int, ...]) -> list[Array]:
+        """The arrays in the result, x and v first; the last rows of a path."""
+        least = 2 - self.takes("old")
         if isinstance(answer, dict):
             answer = [answer[key] for key in sorted(answer, key=lambda key: {"x": 0, "v": 1}.get(role_of(key), 2))]
-        if not isinstance(answer, (tuple, list, np.ndarray)) or (
-            isinstance(answer, np.ndarray) and answer.shape == shape
-        ):
-            if "old" not in self.manner.roles:
+        is_array = isinstance(answer, np.ndarray)
+        if (is_array and answer.shape == shape) or not (is_array or isinstance(answer, (tuple, list))):
+            if least == 2:
                 raise ValueError(f"the step must return x and v; it returned {type(answer).__name__}")
             answer = (answer,)
         parts = [np.array(part, dtype=float) for part in answer]
-        if "steps" in self.manner.roles:  # a path: its last row
-            self.path = [part for part in parts if part.ndim == len(shape) + 1 and part.shape[1:] == shape]
-            parts = [part[-1] if part.ndim == len(shape) + 1 and part.shape[1:] == shape else part for part in parts]
+        if self.takes("steps"):
+            self.path = [part for part in parts if part.ndim and part.shape[1:] == shape]
+            parts = [part[-1] if part.ndim and part.shape[1:] == shape else part for part in parts]
         for name, part in zip(("x", "v"), parts, strict=False):
             if part.shape != shape:
                 raise ValueError(f"the step must return {name} in the shape {shape} of its argument; it returned shape "
                                  f"{part.shape}")  # fmt: skip
-        if len(parts) < 2 - ("old" in self.manner.roles):
+        if len(parts) < least:
             raise ValueError(f"the step must return x and v; it returned only {len(parts)} of them")
         self.third = parts[2] if len(parts) > 2 and parts[2].shape == shape else None
         return parts
@@ -330,7 +309,7 @@ class StudentForce:
     """A student's force function, called in the manner that works.
 
     kind : one of KINDS.  is_squared : whether the law takes r².  has_energy : whether it also returns an energy.
-    options : values for the parameters other than the positions.  takes : which of "box" and "cutoff" it is given.
+    roles : of the parameters other than the positions.  values : those that are given to it.  takes : their roles.
     """
 
     def __init__(
@@ -348,37 +327,37 @@ class StudentForce:
         self.is_squared = bool(re.search(SQUARED, first))
         may_be_pair = len(self.names) > 1 and not self.is_squared and kind != "law"
         self.is_of_two = may_be_pair and all(re.search(ONE_OF_TWO, plain(name)) for name in self.names[:2])
-        self.extra = {name: role_of(name, OF_FORCES) for name in self.names[1 + self.is_of_two :]}
-        if unknown := [name for name, option in self.extra.items() if option not in options]:
+        self.extra = self.names[1 + self.is_of_two :]
+        self.roles = {name: role_of(name, OF_FORCES) for name in (*self.extra, *self.defaults)}
+        if unknown := [name for name in self.extra if self.roles[name] not in options]:
             raise TypeError(f"{self.name} takes ({', '.join(self.names)}), and the meaning of {unknown[0]} is not "
                             f"known; pass a function of positions only, such as lambda x: {self.name}(x, …), or pass "
                             "cell= and cutoff=")  # fmt: skip
-        known = {name: role_of(name, OF_FORCES) for name in self.defaults}
-        given = {name: option for name, option in known.items() if options.get(f"{option} given")}
-        self.options, self.named = options, {name: options[option] for name, option in given.items()}
-        self.takes = {*self.extra.values(), *given.values()}
+        given = {name: role for name, role in self.roles.items() if name in self.extra or options.get(f"{role} given")}
+        self.values, self.takes = {name: options[role] for name, role in given.items()}, set(given.values())
         self.energy_first: bool | None = None
         self.has_energy = self.changes_input = False
         self.dimensions = 3
         self.kind = kind or self._kind(first, positions)
         try:
             self._look(positions)
-        except ValueError as error:  # in three dimensions; then in two
+        except ValueError:  # in three dimensions; then in two
             if self.kind != "forces" or positions is not None:
                 raise
             self.dimensions = 2
-            try:
+            with suppress(ValueError):
                 self._look(None)
-            except ValueError:
-                raise error from error.__cause__
+                return
+            raise
 
     def answer(self, x: Any) -> Any:
         """What the function returns.  x : in the shape of the kind: (N, 3), a distance, or a vector."""
         first = np.array(x, dtype=float)
-        extra = [len(first) if option == "n" else self.options[option] for option in self.extra.values()]
+        extra = [len(first) if self.roles[name] == "n" else self.values[name] for name in self.extra]
+        named = {name: value for name, value in self.values.items() if name not in self.extra}
         args: list[Any] = [first if first.ndim else float(first), *([np.zeros(3)] if self.is_of_two else [])]
         with np.errstate(all="ignore"):
-            answer = self.function(*args, *extra, **self.named)
+            answer = self.function(*args, *extra, **named)
         self.changes_input |= not np.array_equal(first, np.array(x, dtype=float))
         return answer
 
@@ -394,13 +373,8 @@ class StudentForce:
         if self.is_squared or self.is_of_two:
             return "law" if self.is_squared else "pair"
         trial = np.random.default_rng(3).uniform(0.9, 1.3, (4, 3)) if positions is None else positions
-        if re.search(DISTANCE, name):
-            try:
-                if self._is_of_each(trial):
-                    return "law"
-            except Exception:  # it is not a function of positions, or needs a single number
-                if self._shape_at(START) in ((), (2,)):
-                    return "law"
+        if re.search(DISTANCE, name) and self._is_of_each(trial):
+            return "law"
         return "pair" if re.search(SEPARATION, name) and self._shape_at(SEPARATE) == (3,) else "forces"
 
     def _shape_at(self, x: Any) -> tuple[int, ...] | None:
@@ -413,11 +387,13 @@ class StudentForce:
         """Whether an element of the result depends on one element of the argument only."""
         other = x.copy()
         other[0, 0] += 0.05
-        answers = [self.answer(x), self.answer(other)]
-        first, second = (np.asarray(one[-1] if isinstance(one, tuple) else one, dtype=float) for one in answers)
-        if first.shape != x.shape or not np.isfinite(first).all():
-            return False
-        return bool(np.count_nonzero(np.abs(first - second) > 1e-12) <= 1)
+        try:
+            answers = [self.answer(x), self.answer(other)]
+            first, second = (np.asarray(one[-1] if isinstance(one, tuple) else one, dtype=float) for one in answers)
+        except Exception:  # it is not a function of positions, or needs a single number
+            return self._shape_at(START) in ((), (2,))
+        is_one = first.shape == second.shape == x.shape and np.count_nonzero(np.abs(first - second) > 1e-12) <= 1
+        return bool(is_one and np.isfinite(first).all())
 
     def _look(self, positions: Array | None) -> None:
         """Find the place of the energy in the result.  Raises ValueError for results of other shapes."""

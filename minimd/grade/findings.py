@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 from fractions import Fraction
+from math import isfinite
 
 from minimd.console.display import Displayed, Rows
 
@@ -113,7 +114,7 @@ class Grade(Displayed):
 
 def coefficient(value: float) -> str:
     """A number as a simple fraction, such as 1/2, if it equals one; else with four digits."""
-    near = Fraction(value).limit_denominator(DENOMINATOR)
+    near = Fraction(value if isfinite(value) else 0).limit_denominator(DENOMINATOR)
     return str(near) if abs(value - near) < EXACT * max(1.0, abs(value)) else f"{value:.4g}"
 
 
@@ -122,11 +123,16 @@ def is_near(value: float, other: float) -> bool:
     return abs(value - other) < EXACT * max(1.0, abs(other))
 
 
-def all_of(*rows: tuple[bool, str]) -> list[str]:
+def all_of(*rows: tuple[object, str]) -> list[str]:
     """The sentences whose conditions hold."""
     return [sentence for condition, sentence in rows if condition]
 
 
-def first_of(*rows: tuple[bool, str]) -> list[str]:
+def first_of(*rows: tuple[object, str]) -> list[str]:
     """The first sentence whose condition holds; none if no condition does."""
     return all_of(*rows)[:1]
+
+
+def first_of_each(*groups: Iterable[tuple[object, str]]) -> list[str]:
+    """The first sentence of each group whose condition holds."""
+    return [sentence for group in groups for sentence in first_of(*group)]

@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from minimd.forces.evaluation import evaluate
 from minimd.grade.bodies import Bodies
 from minimd.grade.calling import KINDS, SEPARATE, START, StudentForce
-from minimd.grade.findings import Fault, Finding, Grade, Kind, coefficient, without
-from minimd.grade.problems import Array
+from minimd.grade.findings import Fault, Finding, Grade, Kind, all_of, coefficient, first_of_each, without
+from minimd.grade.problems import Array, difference, multiple_of
 from minimd.grade.profile import (
+    DELTA,
     FARTHEST,
     NEAREST,
     Law,
@@ -23,13 +25,15 @@ from minimd.grade.profile import (
     powers_of,
     ratio_of,
     related,
-    slope_of,
     without_effect,
 )
+from minimd.potentials.bonded import Bond
+from minimd.structure.system import System
 
 BOX, CUTOFF = 12.0, 2.5  # σ: cell and cutoff for a function that takes them, if the user gives none
 POINTS = 40  # number of distances at which laws are compared
 SAME_FORCE = 1e-9
+SKEW = np.array([0.9, 0.5, -0.4])  # a vector of a pair that is parallel to no plane of the axes
 
 
 @dataclass
@@ -58,11 +62,10 @@ def grade_forces(
         cutoff = float(potential.cutoff)
     edge = BOX if lengths is None else float(lengths[0])
     box = edge if lengths is None or np.ptp(lengths) == 0.0 else lengths
-    options = {"box": box, "cutoff": cutoff or CUTOFF, "epsilon": 1.0, "sigma": 1.0, "n": 0}
-    options |= {"box given": lengths is not None, "cutoff given": cutoff is not None}
     parameters = getattr(potential, "parameters", None)
-    if isinstance(parameters, tuple) and len(parameters) == 2:
-        options |= {"epsilon": parameters[0], "sigma": parameters[1]}
+    epsilon, sigma = parameters if isinstance(parameters, tuple) and len(parameters) == 2 else (1.0, 1.0)
+    options = {"box": box, "cutoff": cutoff or CUTOFF, "epsilon": epsilon, "sigma": sigma, "n": 0}
+    options |= {"box given": lengths is not None, "cutoff given": cutoff is not None}
     force = StudentForce(function, options, kind, given)
     if "box" in force.takes and lengths is None:
         lengths = np.full(3, BOX)
@@ -72,8 +75,7 @@ def grade_forces(
             of_bodies(draft, force, lengths, given)
         else:
             of_a_law(draft, force)
-    if force.changes_input:
-        draft.faults.append("the function changes the positions that it is given: work on a copy")
+    draft.faults += all_of((force.changes_input, "the function changes the positions that it is given: work on a copy"))
     energy = " and the energy" if force.has_energy else ""
     told = f"{force.name}({', '.join(force.names)}): {KINDS[force.kind]}{energy}"
     faults = tuple(dict.fromkeys(draft.faults))
@@ -82,27 +84,20 @@ def grade_forces(
 
 def of_a_law(draft: Draft, force: StudentForce) -> None:
     """Grade a law f(r) or the force F(r_ij) of a pair."""
-    direction = np.array([0.6, 0.0, 0.8])
+    is_law, along = force.kind == "law", np.array([0.6, 0.0, 0.8])
 
     def at(r: float) -> tuple[float, float]:
-        if force.kind == "law":
-            f, u = force(r * r if force.is_squared else r)
-            return float(f), float(u)
-        f, u = force(r * direction)
-        return float(f @ direction), float(np.asarray(u))
+        f, u = force((r * r if force.is_squared else r) if is_law else r * along)
+        return float(f if is_law else f @ along), float(u)
 
-    def f(r: float) -> float:
-        return at(r)[0]
-
-    if force.kind == "pair":
-        vector, _ = force(np.array([0.9, 0.5, -0.4]))
-        off = float(np.linalg.norm(np.cross(vector, [0.9, 0.5, -0.4])) / np.linalg.norm(vector))
+    if not is_law:
+        vector, _ = force(SKEW)
+        off = float(np.linalg.norm(np.cross(vector, SKEW)) / np.linalg.norm(vector))
         draft.findings.append(Finding("central", off < 1e-9, f"F × r_ij is {off:.1e} of F r", off))
-        if off >= 1e-9:
-            draft.faults.append("the force of the pair does not point along r_ij: the direction must be r_ij/r in all "
-                                "three components")  # fmt: skip
-    of_a_profile(draft, f, (lambda r: at(r)[1]) if force.has_energy else None, FARTHEST, force.kind == "law")
-    of_parameters(draft, force, np.array(1.2 * START) if force.kind == "law" else SEPARATE, f)
+        draft.faults += all_of((off >= 1e-9, "the force of the pair does not point along r_ij: the direction must be "
+                                "r_ij/r in all three components"))  # fmt: skip
+    of_a_profile(draft, lambda r: at(r)[0], (lambda r: at(r)[1]) if force.has_energy else None, FARTHEST, is_law)
+    of_parameters(draft, force, np.array(1.2 * START) if is_law else SEPARATE, lambda r: at(r)[0])
 
 
 def of_parameters(draft: Draft, force: StudentForce, x: Array, pair: Law | None) -> None:
@@ -114,17 +109,15 @@ def of_parameters(draft: Draft, force: StudentForce, x: Array, pair: Law | None)
     if places is not None:
         draft.faults = without(draft.faults, Kind.OF_UNITS)
         wrong += places
-        if not places:
-            draft.findings = [
-                replace(one, passed=True) if one.name == "powers of r" and one.passed is False else one
-                for one in draft.findings
-            ]
+    if places == []:
+        draft.findings = with_passed(draft.findings, "powers of r", True)
     draft.faults = wrong + (without(draft.faults, Kind.BESIDE_MINIMD) if wrong else draft.faults)
 
 
 def of_a_profile(draft: Draft, f: Law, u: Law | None, farthest: float, is_law: bool = False) -> None:
     """Grade the force of a pair as a function of the distance.  f : > 0 for repulsion."""
-    potential, findings, faults = draft.potential, draft.findings, []
+    potential, findings, faults = draft.potential, draft.findings, list[str]()
+    alone = potential is None and u is None
     end = min(farthest, 0.9 * (draft.cutoff or CUTOFF), 2.2)
     ended = [x for x in np.linspace(1.15, end, 60) if f(float(x)) == 0.0]
     r = np.linspace(NEAREST + 0.05, 0.99 * ended[0] if ended else end, POINTS)
@@ -135,49 +128,50 @@ def of_a_profile(draft: Draft, f: Law, u: Law | None, farthest: float, is_law: b
         draft.faults.append("the force of a pair is not finite at an ordinary distance")
         return
     if u is not None:
-        pair = ratio_of(values, -np.array([slope_of(u, float(x)) for x in r]), r)
-        words, fault = related(pair, "−du/dr", is_law)
-        if is_law and pair is not None and pair[1] == -1.0:
+        c, k = ratio_of(values, -np.array([difference(u, float(x), DELTA) / DELTA for x in r]), r)
+        words, wrong = related(c, k, "−du/dr", is_law)
+        wrong = [apart(values, r, u)] if np.isnan(c) else wrong
+        findings.append(Finding("force = −∇U", not wrong, words, c))
+        faults += wrong
+        if is_law and k == -1.0:
             draft.remarks.append("the law returns f = −u′(r)/r, as minimd's laws do: multiply it by the vector r_ij")
             values, f = values * r, (lambda f: lambda x: f(x) * x)(f)
-        size = float("nan") if pair is None else pair[0]
-        findings.append(Finding("force = −∇U", pair is not None and not fault, words, size))
-        faults += [apart(values, r, u)] if pair is None else [fault] if fault else []
-    own = powers_of(values, r)
-    name, suspected = ("", []) if own is None else lennard_jones_fault(own)
-    alone = potential is None and u is None
-    if own is not None and own.exponents == (1,) and alone and not is_law:
-        draft.remarks.append("the force of a pair decreases as r^−1. If q²/r² is meant, a factor 1/r is missing: q² "
-                             "r_ij/r³, not q² r_ij/r²")  # fmt: skip
-        findings.append(Finding("powers of r", None, f"F = {own}"))
-    elif own is not None:
+    name, suspected = "", list[str]()
+    if (own := powers_of(values, r)) is not None:
+        name, suspected = lennard_jones_fault(own)
+        is_inverse = alone and own.exponents == (1,) and not is_law
+        draft.remarks += all_of((is_inverse, "the force of a pair decreases as r^−1. If q²/r² is meant, a factor 1/r "
+                                 "is missing: q² r_ij/r³, not q² r_ij/r²"))  # fmt: skip
         draft.law = name
-        findings.append(Finding("powers of r", not suspected if alone else None, f"F = {own}"))
+        findings.append(Finding("powers of r", not suspected if alone and not is_inverse else None, f"F = {own}"))
         faults += suspected if alone else []
     if potential is not None:
-        known = np.array([reference(potential, float(x)) for x in r])
-        pair = ratio_of(values, known, r)
-        if is_law and pair is not None and pair[1] == -1.0:
+        pairs = [np.array([[0.0, 0.0, 0.0], [x, 0.0, 0.0]]) for x in r]
+        known = np.array([float(evaluated(pair, potential, None).forces[1, 0]) for pair in pairs])
+        c, k = ratio_of(values, known, r)
+        if is_law and k == -1.0:
             draft.remarks.append("the law returns f/r: multiply it by the vector r_ij")
-            pair = pair[0], 0.0
-        words, fault = related(pair, "minimd's force")
+            k = 0.0
+        words, wrong = related(c, k, "minimd's force")
         off = float(np.abs(values - known).max() / np.abs(known).max())
         ok = off < SAME_FORCE
-        said = f"largest difference {off:.1e} of the largest force" if pair is None or ok else words
+        said = f"largest difference {off:.1e} of the largest force" if np.isnan(c) or ok else words
         findings.append(Finding("as minimd's", ok, said, off))
         if not ok:
-            faults += [fault] if fault else suspected
             beside = Fault(Kind.BESIDE_MINIMD, f"the force differs from minimd's by {off:.1%} of the largest")
-            faults = faults or [beside]
+            faults = faults + (wrong or suspected) or [beside]
     elif len(values) and values[0] < 0.0 and not faults:
         findings.append(Finding("sign", None, f"attractive at r = {r[0]:.2f}: {values[0]:.3g}", float(values[0])))
     more, wrong = cutoff_findings(f, u, draft.cutoff, farthest)
     if getattr(potential, "truncation", "") == "truncated":  # minimd's energy jumps, too, as the user has chosen
-        jumps = [finding.name == "energy continuous" and not finding.passed for finding in more]
-        more = [replace(one, passed=None) if jump else one for one, jump in zip(more, jumps, strict=True)]
-        wrong = without(wrong, Kind.JUMP)
+        more, wrong = with_passed(more, "energy continuous", None), without(wrong, Kind.JUMP)
     findings += more
     draft.faults += faults + wrong
+
+
+def with_passed(findings: list[Finding], name: str, passed: bool | None) -> list[Finding]:
+    """The findings, that of one law passed, or open, if it had failed."""
+    return [replace(one, passed=passed) if (one.name, one.passed) == (name, False) else one for one in findings]
 
 
 def apart(values: Array, r: Array, u: Law) -> str:
@@ -185,24 +179,13 @@ def apart(values: Array, r: Array, u: Law) -> str:
     energy, force = powers_of(np.array([u(float(x)) for x in r]), r), powers_of(values, r)
     if energy is None or force is None:
         return "the force is not minus the slope of the energy, nor a multiple of it"
-    right = {n + 1: n * c for n, c in zip(*energy, strict=True)}
-    have = dict(zip(*force, strict=True))
-    parts = [
-        f"{have[n]:.6g} r^−{n} where {right[n]:.6g} r^−{n} is needed"
-        for n in have
-        if n in right and not np.isclose(have[n], right[n], rtol=1e-5)
-    ]
+    right, have = {n + 1: n * c for n, c in zip(*energy, strict=True)}, dict(zip(*force, strict=True))
+    both = [n for n in have if n in right and not np.isclose(have[n], right[n], rtol=1e-5)]
+    parts = [f"{have[n]:.6g} r^−{n} where {right[n]:.6g} r^−{n} is needed" for n in both]
     parts += [f"r^−{n} does not belong in it" for n in have if n not in right]
     parts += [f"{c:.6g} r^−{n} is missing" for n, c in right.items() if n not in have]
-    return (
-        f"the force is not minus the slope of the energy, u = {energy}: wrong exponent or coefficient: "
-        f"{', '.join(parts)}"
-    )
-
-
-def reference(potential: Any, r: float) -> float:
-    """minimd's force of a pair at a distance, > 0 for repulsion."""
-    return float(evaluated(np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]]), potential, None).forces[1, 0])
+    return (f"the force is not minus the slope of the energy, u = {energy}: wrong exponent or coefficient: "
+            f"{', '.join(parts)}")  # fmt: skip
 
 
 def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
@@ -210,10 +193,6 @@ def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
 
     Bonds without pairs join the two atoms if there are two.  Raises ValueError if there are more.
     """
-    from minimd.forces.evaluation import evaluate
-    from minimd.potentials.bonded import Bond
-    from minimd.structure.system import System
-
     bonds = None
     if isinstance(potential, Bond) and potential.arguments()["pairs"] is None:
         if len(x) != 2:
@@ -249,8 +228,8 @@ def of_bodies(draft: Draft, force: StudentForce, lengths: Array | None, given: A
     draft.faults += bodies.faults
     if not bodies.is_broken:
         of_parameters(draft, force, bodies.x, pair)
-    if bodies.multiple != 1.0 and not draft.faults:
-        draft.faults.append(related((bodies.multiple, 0.0), "−∇U")[1])
+    if not draft.faults:
+        draft.faults += related(bodies.multiple, 0.0, "−∇U")[1]
     if lengths is not None and cutoff is None and pair is not None:
         rest = abs(pair(0.4999 * float(lengths.min())))  # where the nearest image changes
         words = f"the force is still {rest:.2g}, and jumps where the nearest image changes: use a cutoff"
@@ -265,19 +244,19 @@ def beside(draft: Draft, bodies: Bodies, lengths: Array | None) -> None:
     own, x = bodies.f(bodies.x), np.pad(bodies.x, ((0, 0), (0, 3 - bodies.d)))
     answer = evaluated(x, draft.potential, lengths)
     known = answer.forces[:, : bodies.d]
-    off = float(np.abs(own - known).max() / np.abs(known).max())
-    c = float(np.sum(own * known) / np.sum(known**2))
-    is_multiple = float(np.abs(own - c * known).max()) < 1e-6 * float(np.abs(known).max())
-    words, faults = f"largest difference of {len(own)} atoms {off:.1e} of the largest force", list[str]()
-    if off > SAME_FORCE and is_multiple:
-        faults.append(f"the forces of {len(own)} atoms are {coefficient(c)} times minimd's")
-    elif off > SAME_FORCE:
-        words = f"the forces of {len(own)} atoms differ from minimd's by {off:.1%} of the largest"
-        faults.append(Fault(Kind.BESIDE_MINIMD, words))
-    energy, right = bodies.u(bodies.x), answer.potential_energy
-    if bodies.force.has_energy and not np.isclose(energy, right, rtol=1e-9):
-        faults.append(f"the energy of {len(own)} atoms is {energy:.8g}, {energy / right:.4g} times minimd's, "
-                      f"{right:.8g}")  # fmt: skip
+    off = float(np.abs(own - known).max()) / (float(np.abs(known).max()) or 1.0)
+    c = multiple_of(own, known, 1e-6)
+    energy, right = bodies.u(bodies.x), np.float64(answer.potential_energy)
+    words = f"largest difference of {len(own)} atoms {off:.1e} of the largest force"
+    differ = f"the forces of {len(own)} atoms differ from minimd's by {off:.1%} of the largest"
+    is_wrong = bodies.force.has_energy and not np.isclose(energy, right, rtol=1e-9)
+    faults = first_of_each(
+        ((off > SAME_FORCE and np.isfinite(c), f"the forces of {len(own)} atoms are {coefficient(c)} times minimd's"),
+         (off > SAME_FORCE, Fault(Kind.BESIDE_MINIMD, differ))),
+        ((is_wrong, f"the energy of {len(own)} atoms is {energy:.8g}, {energy / right:.4g} times minimd's, "
+                    f"{right:.8g}"),),
+    )  # fmt: skip
+    words = words if off <= SAME_FORCE or np.isfinite(c) else differ
     draft.findings.append(Finding("all atoms as minimd's", off < SAME_FORCE, words, off))
     draft.faults = draft.faults or faults
 

@@ -36,6 +36,12 @@ def bisected(is_low: Callable[[float, float, float], bool], low: float, high: fl
     return low, high
 
 
+def multiple_of(f: Array, g: Array, within: float) -> float:
+    """c if f = c g within a fraction of the largest |g|, else NaN."""
+    c = float(np.sum(f * g) / np.sum(g * g))
+    return c if np.abs(f - c * g).max() < within * np.abs(g).max() else np.nan
+
+
 class Problem(NamedTuple):
     """Positions x and velocities v of the same shape, (N, d), (N,) or (), and masses of shape (N,) or ()."""
 

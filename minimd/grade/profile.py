@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from minimd.grade.calling import OF_FORCES, REST, StudentForce, plain, role_of
-from minimd.grade.findings import Fault, Finding, Kind, all_of, coefficient, first_of, is_near
-from minimd.grade.problems import Array, bisected, difference
+from minimd.grade.calling import REST, StudentForce, plain
+from minimd.grade.findings import Fault, Finding, Kind, all_of, coefficient, first_of, first_of_each, is_near
+from minimd.grade.problems import Array, bisected
 
 POWERS = range(1, 21)
 FITTED = 1e-7  # largest relative rest of a fit of powers that is exact
@@ -72,76 +72,60 @@ def powers_of(values: Array, r: Array) -> Powers | None:
     return None
 
 
-def slope_of(u: Law, r: float) -> float:
-    """du/dr."""
-    return float(difference(u, r, DELTA)) / DELTA
-
-
-def ratio_of(f: Array, g: Array, r: Array) -> tuple[float, float] | None:
-    """c and k if f = c rᵏ g, from the points where both are large; None if there is no such relation."""
+def ratio_of(f: Array, g: Array, r: Array) -> tuple[float, float]:
+    """c and k if f = c rᵏ g, from the points where both are large; NaN if there is no such relation."""
     large = (np.abs(g) > 1e-3 * np.median(np.abs(g))) & (np.abs(f) > 0.0) & np.isfinite(f) & np.isfinite(g)
-    if large.sum() < 5:
-        return None
-    ratio = f[large] / g[large]
-    if not (np.all(ratio > 0.0) or np.all(ratio < 0.0)):
-        return None
-    k, log_c = np.polyfit(np.log(r[large]), np.log(np.abs(ratio)), 1)
-    if np.abs(np.log(np.abs(ratio)) - k * np.log(r[large]) - log_c).max() > SAME:
-        return None
+    ratio, logs = f[large] / g[large], np.log(r[large])
+    if large.sum() < 5 or not (np.all(ratio > 0.0) or np.all(ratio < 0.0)):
+        return np.nan, np.nan
+    k, log_c = np.polyfit(logs, np.log(np.abs(ratio)), 1)
+    if np.abs(np.log(np.abs(ratio)) - k * logs - log_c).max() > SAME:
+        return np.nan, np.nan
     return float(np.sign(ratio[0]) * np.exp(log_c)), round(float(k), 4)
 
 
-def related(pair: tuple[float, float] | None, other: str, is_law: bool = False) -> tuple[str, str]:
-    """The meaning of f = c rᵏ g: words for a finding, and the fault (empty if there is none).
+def related(c: float, k: float, other: str, is_law: bool = False) -> tuple[str, list[str]]:
+    """The meaning of f = c rᵏ g: words for a finding, and the fault, if it is one.
 
     is_law : whether f may be f/r.
     """
-    if pair is None:
-        return f"not {other}, nor a multiple of it", ""
-    c, k = pair
+    if np.isnan(c):
+        return f"not {other}, nor a multiple of it", []
     size, power = abs(c), "" if k == 0.0 else f" r^{coefficient(k)}"
-    is_same = is_near(size, 1.0)
     words = f"F = {other}" if (is_near(c, 1.0) and k == 0.0) else f"F = {coefficient(c)}{power} × ({other})"
-    faults = (  # the first of each group that holds
-        (
-            (c < 0.0, f"the force has the wrong sign: it is {coefficient(c)} times {other}, so atoms that should repel "
-                      "each other attract each other"),
-        ),
-        (
-            (k == 1.0 and is_law, f"the force has one power of r too many: a factor 1/r is missing in {other}"),
-            (k == 1.0, "the factor 1/r is missing: du/dr is multiplied by the vector r_ij, but du/dr / r (or the unit "
-                       "vector) is needed"),
-            (k == -1.0 and not is_law, "there is a factor 1/r too many: the force is divided by r twice"),
-            (k not in (0.0, -1.0), f"the force has {coefficient(abs(k))} power{'s' * (abs(k) != 1)} of r too "
-                                   f"{'many' if k > 0 else 'few'}"),
-        ),
-        (
-            (is_near(size, 2.0), f"the force is twice {other}: pairs are counted twice, or a factor ½ is missing"),
-            (is_near(size, 0.5), f"the force is half of {other}: a factor 2 is missing, or the energy counts each pair "
-                                 "twice"),
-            (not is_same, f"the force is {coefficient(size)} times {other}"),
-        ),
+    faults = first_of_each(
+        ((c < 0.0, f"the force has the wrong sign: it is {coefficient(c)} times {other}, so atoms that should repel "
+                   "each other attract each other"),),
+        ((k == 1.0 and is_law, f"the force has one power of r too many: a factor 1/r is missing in {other}"),
+         (k == 1.0, "the factor 1/r is missing: du/dr is multiplied by the vector r_ij, but du/dr / r (or the unit "
+                    "vector) is needed"),
+         (k == -1.0 and not is_law, "there is a factor 1/r too many: the force is divided by r twice"),
+         (k not in (0.0, -1.0), f"the force has {coefficient(abs(k))} power{'s' * (abs(k) != 1)} of r too "
+                                f"{'many' if k > 0 else 'few'}")),
+        ((is_near(size, 2.0), f"the force is twice {other}: pairs are counted twice, or a factor ½ is missing"),
+         (is_near(size, 0.5), f"the force is half of {other}: a factor 2 is missing, or the energy counts each pair "
+                              "twice"),
+         (not is_near(size, 1.0), f"the force is {coefficient(size)} times {other}")),
     )  # fmt: skip
-    return words, "; ".join(sentence for group in faults for sentence in first_of(*group))
+    return words, ["; ".join(faults)] if faults else []
 
 
 def jumps(law: Law, r: Array) -> list[Jump]:
     """The jumps of a function of r: between grid points that differ by more than a smooth function would; refined by
     bisection."""
-    values = np.array([law(float(one)) for one in r])
-    far = r >= 1.0
+
+    def is_low(low: float, middle: float, high: float) -> bool:
+        return not abs(law(middle) - law(low)) > abs(law(high) - law(middle))
+
+    values, found = np.array([law(float(one)) for one in r]), list[Jump]()
+    far, change = r >= 1.0, np.abs(np.diff(values))
     scale = np.abs(values[far] if far.any() else values).max()
-    found: list[Jump] = []
-    change = np.abs(np.diff(values))
     for k in range(2, len(change) - 2):
         beside = max(change[k - 2], change[k - 1], min(change[k + 1], change[k - 1]))
         if change[k] > JUMP * scale and change[k] > 3.0 * beside:
-            low, high = bisected(
-                lambda a, m, b: not abs(law(m) - law(a)) > abs(law(b) - law(m)), float(r[k]), float(r[k + 1]), 45
-            )
+            low, high = bisected(is_low, float(r[k]), float(r[k + 1]), 45)
             one = Jump(high, law(low), law(high))
-            if abs(one.height) > 0.3 * change[k]:
-                found.append(one)
+            found += [one] if abs(one.height) > 0.3 * change[k] else []
     return found
 
 
@@ -149,24 +133,21 @@ def lennard_jones_fault(f: Powers) -> tuple[str, list[str]]:
     """Name and faults of a force of two powers that should be −du/dr of Lennard-Jones, 48 r^−13 − 24 r^−7 with
     ε = σ = 1."""
     n, c = f.exponents, f.coefficients
-    if len(n) != 2:
+    if len(n) != 2 or not (13 in n or 7 in n or (5 <= n[1] <= 9 and 11 <= n[0] <= 15)):
         return "", []
     told, right = f"F = {f}; −du/dr of Lennard-Jones has r^−13 and r^−7", "48 r^−13 − 24 r^−7"
-    if n == (14, 8):
-        return "Lennard-Jones, divided by r", [f"{told}: there is a factor 1/r too many. f/r is multiplied by the "
-                                               "vector r_ij, not by the unit vector"]  # fmt: skip
-    if n == (12, 6):
-        return "Lennard-Jones, times r", [f"{told}: the factor 1/r is missing; these are the exponents of the energy "
-                                          "(du/dr is multiplied by the vector r_ij, "
-                                          "which brings another r)"]  # fmt: skip
-    if n != (13, 7):
-        if not (13 in n or 7 in n or (5 <= n[1] <= 9 and 11 <= n[0] <= 15)):
-            return "", []
-        wrong = [f"r^−{one} where r^−{known} is needed" for one, known in zip(n, (13, 7), strict=True) if one != known]
-        return "Lennard-Jones, with other exponents", [f"wrong exponent: {', '.join(wrong)} ({told})"]
-    if c[0] * c[1] >= 0.0:
-        return "Lennard-Jones, with a wrong sign", [f"F = {f}: both terms have the same sign; repulsion and attraction "
-                                                    f"need opposite ones, {right}"]  # fmt: skip
+    others = [f"r^−{one} where r^−{known} is needed" for one, known in zip(n, (13, 7), strict=True) if one != known]
+    wrong = [(name, [sentence]) for condition, name, sentence in (
+        (n == (14, 8), "divided by r", f"{told}: there is a factor 1/r too many. f/r is multiplied by the vector r_ij, "
+                                       "not by the unit vector"),
+        (n == (12, 6), "times r", f"{told}: the factor 1/r is missing; these are the exponents of the energy (du/dr is "
+                                  "multiplied by the vector r_ij, which brings another r)"),
+        (others, "with other exponents", f"wrong exponent: {', '.join(others)} ({told})"),
+        (c[0] * c[1] >= 0.0, "with a wrong sign", f"F = {f}: both terms have the same sign; repulsion and attraction "
+                                                  f"need opposite ones, {right}"),
+    ) if condition]  # fmt: skip
+    if wrong:
+        return f"Lennard-Jones, {wrong[0][0]}", wrong[0][1]
     sizes = abs(c[0]), abs(c[1])
     sigma6 = abs(c[0] / c[1]) / 2.0
     epsilon, sigma = sizes[1] / 24.0 / sigma6, sigma6 ** (1.0 / 6.0)
@@ -194,17 +175,15 @@ def cutoff_findings(f: Law, u: Law | None, cutoff: float | None, farthest: float
     jump."""
     r = np.linspace(NEAREST, farthest, GRID)
     steps = {"force": jumps(f, r)} | ({"energy": jumps(u, r)} if u is not None else {})
-    findings: list[Finding] = []
-    faults: list[str] = []
+    findings, faults = list[Finding](), list[str]()
     end = next((one.r for one in steps["force"] if one.above == 0.0), None)
     if cutoff is not None and cutoff < farthest:
         beyond = float(np.abs([f(x) for x in np.linspace(1.001 * cutoff, farthest, 20)]).max())
         words = f"the largest force beyond r = {cutoff:g} is {beyond:.2g}"
         findings.append(Finding("cutoff", beyond == 0.0, words, beyond))
-        if beyond != 0.0:
-            where = f"; the force ends at {end:.6g} instead" if end is not None else ""
-            at = f"at r = {1.001 * cutoff:.4g} the force is {f(1.001 * cutoff):.3g}{where}"
-            faults.append(Fault(Kind.CUTOFF, f"the cutoff {cutoff:g} is not applied: {at}"))
+        where = f"; the force ends at {end:.6g} instead" if end is not None else ""
+        at = f"at r = {1.001 * cutoff:.4g} the force is {f(1.001 * cutoff):.3g}{where}"
+        faults += all_of((beyond != 0.0, Fault(Kind.CUTOFF, f"the cutoff {cutoff:g} is not applied: {at}")))
     if end is not None:
         squared, twice, percents = end**2, 2.0 * end**2, 100.0 * end
         is_odd = is_near(twice, round(twice)) and not is_near(percents, round(percents))
@@ -216,54 +195,47 @@ def cutoff_findings(f: Law, u: Law | None, cutoff: float | None, farthest: float
                                         "with a cutoff, not with its square?"),
         )  # fmt: skip
     for name, found in steps.items():
+        first = found[0] if found else Jump(0.0, 0.0, 0.0)
         words = "; ".join(f"jumps by {one.height:+.4g} at r = {one.r:.6g}" for one in found[:3]) or "continuous"
         passed = (None if name == "force" else False) if found else True
-        findings.append(Finding(f"{name} continuous", passed, words, float(found[0].height) if found else 0.0))
-        if found and name == "energy":
-            jump = f"the energy jumps at the cutoff by {found[0].height:+.4g} (r = {found[0].r:.6g})"
-            cure = f"subtract u(r_c) = {found[0].below:.4g} from the energy of every pair"
-            faults.append(Fault(Kind.JUMP, f"{jump}: each pair that crosses it changes the total energy; {cure}"))
+        findings.append(Finding(f"{name} continuous", passed, words, float(first.height)))
+        faults += all_of((passed is False, Fault(
+            Kind.JUMP, f"the energy jumps at the cutoff by {first.height:+.4g} (r = {first.r:.6g}): each pair that "
+            f"crosses it changes the total energy; subtract u(r_c) = {first.below:.4g} from the energy of every "
+            "pair")))  # fmt: skip
     return findings, faults
 
 
 def values_of(force: StudentForce) -> dict[str, float]:
     """The values of the function's physical parameters, such as ε and σ, by name."""
-    values = {**force.defaults, **{name: force.options[option] for name, option in force.extra.items()}}
-    roles = {name: role_of(name, OF_FORCES) for name in values}
-    physical = {name for name in values if roles[name] in ("epsilon", "sigma", "stiffness", "strength")}
+    values = {**force.defaults, **force.values}
+    physical = {name for name in values if force.roles[name] in ("epsilon", "sigma", "stiffness", "strength")}
     rests = {name for name in values if re.search(REST, plain(name))}
-    physical = physical - rests | (rests if "stiffness" in roles.values() else set())
+    physical = physical - rests | (rests if "stiffness" in force.roles.values() else set())
     numbers = {name: value for name, value in values.items() if type(value) in (int, float, np.float64)}
     return {name: float(value) for name, value in numbers.items() if value > 0.0 and name in physical}
 
 
 def without_effect(force: StudentForce, x: Array) -> list[str]:
     """Faults for physical parameters whose values have no effect on the forces."""
-    faults, own = [], force(x)[0]
-    if not np.isfinite(own).all() or not np.any(own):
-        return []
-    options, named = force.options, force.named
-    for name, value in values_of(force).items():
+    faults, given, own = list[str](), force.values, force(x)[0]
+    for name, value in values_of(force).items() if np.isfinite(own).all() and np.any(own) else ():
+        force.values = {**given, name: FACTOR * value}
         try:
-            if name in force.extra:
-                force.options = {**options, force.extra[name]: FACTOR * value}
-            else:
-                force.named = {**named, name: FACTOR * value}
             other = force(x)[0]
         except Exception:  # whatever a student's function raises
             continue
         finally:
-            force.options, force.named = options, named
-        if np.array_equal(own, other):
-            hint = ", a bond without rest length: F = −k (r − r0) r_ij/r" if re.search(REST, plain(name)) else ""
-            faults.append(f"the argument {name} is without effect: with {name} = {value:g} and {FACTOR * value:g} the "
-                          f"forces are the same{hint}")  # fmt: skip
+            force.values = given
+        hint = ", a bond without rest length: F = −k (r − r0) r_ij/r" if re.search(REST, plain(name)) else ""
+        faults += all_of((np.array_equal(own, other), f"the argument {name} is without effect: with {name} = {value:g} "
+                          f"and {FACTOR * value:g} the forces are the same{hint}"))  # fmt: skip
     return faults
 
 
 def places_of_epsilon_and_sigma(force: StudentForce, f: Law, r: Array) -> list[str] | None:
     """Faults of a Lennard-Jones force with the function's own ε and σ; None if they cannot be determined."""
-    values = {role_of(name, OF_FORCES): value for name, value in values_of(force).items()}
+    values = {force.roles[name]: value for name, value in values_of(force).items()}
     own = powers_of(np.array([f(float(one)) for one in r]), r) if {"epsilon", "sigma"} <= set(values) else None
     if own is None or own.exponents != (13, 7):
         return None

@@ -27,7 +27,7 @@ from minimd.files.h5md_reader import H5MDContents, damage_told, read_file
 from minimd.files.h5md_schema import has_edges
 from minimd.files.turned_cell import Turn, turn_of
 from minimd.mdanalysis.readers import Frames, RecordedReader, RunReader
-from minimd.observers.diffusion import finite_size_correction, is_cubic
+from minimd.observers.motion import finite_size_correction, is_cubic
 from minimd.simulation.simulation import Simulation
 from minimd.structure.cell import Cell
 from minimd.structure.constraints import DistanceConstraints
@@ -377,7 +377,7 @@ def diffusion_coefficient(
     run : an argument of universe, or a universe.  window : [ps, or τ];
         from a tenth to half of the duration if not given.
     viscosity : η [energy time/length³], for the correction of Yeh and Hummer for the size of a cubic cell;
-        see observers.diffusion.
+        see observers.motion.
 
     Raises
     ------

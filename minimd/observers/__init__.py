@@ -1,9 +1,8 @@
 """Analysis during a run: observers that keep sums instead of frames, and give results with error bars."""
 
 from minimd.observers.accumulator import Accumulator, Result
-from minimd.observers.diffusion import finite_size_correction
 from minimd.observers.fluctuations import Fluctuations
-from minimd.observers.motion import MeanSquareDisplacement, VelocityAutocorrelation
+from minimd.observers.motion import MeanSquareDisplacement, VelocityAutocorrelation, finite_size_correction
 from minimd.observers.profile import Profile
 from minimd.observers.radial_distribution import RadialDistribution
 from minimd.observers.viscosity import Viscosity

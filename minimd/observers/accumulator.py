@@ -1,19 +1,26 @@
-"""The base of observers with results: their steps, scene, sums with error bars, and the display of results."""
+"""The base of observers with results: steps, scene, sums with error bars, and results; the observers of a run."""
 
 from __future__ import annotations
 
 import json
+import warnings
 from abc import ABC, abstractmethod
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, fields
+from inspect import cleandoc
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.console.display import Displayed, Rows, call_of
+from minimd.console.quiet import outside_minimd
 from minimd.console.words import shown
 from minimd.engine.engine import Engine
-from minimd.structure.checks import checked_count
+from minimd.observers.arguments import Argument, argument, label, steps
+from minimd.structure.errors import ConstraintError, NonFiniteError
+from minimd.structure.statistics import MOST_BLOCKS, replicas, spread
 from minimd.structure.units import SYSTEMS, UnitSystem
 
 if TYPE_CHECKING:
@@ -21,21 +28,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
-from collections.abc import Callable
-
-from minimd.structure.statistics import MOST_BLOCKS, replicas, spread
-
 Array = NDArray[np.float64]
+State = dict[str, NDArray[Any]]
 
 
 class BlockedSums:
-    """Sums of n numbers over the entries of a run.
+    """Sums of n numbers over the entries of a run, and over blocks of it.
 
-
-
-    All blocks have the same length, which grows with the run:
-    they become longer than any correlation that the run is long enough to show.
+    All blocks have the same length, which grows with the run: they become longer than any correlation that the run is
+    long enough to show.
 
     total : (n,), to which entries are added in place.  n_entries : number of complete entries.
     """
@@ -61,8 +62,8 @@ class BlockedSums:
         return np.diff(self._marks[: self._n_marks], axis=0, prepend=0.0)
 
     def replicas(self, law: Callable[[Array], Any]) -> Array:
-        """The result of a law for the sums without one block, (K, ...), for each of K blocks;
-        their spread gives the standard error."""
+        """The result of a law for the sums without one block, (K, ...), for each of K blocks; their spread gives the
+        standard error."""
         with np.errstate(all="ignore"):  # a lag that occurs in one block only has no error
             return replicas(law, self.total, self.parts())
 
@@ -73,12 +74,12 @@ class BlockedSums:
         found = self.replicas(law)
         return value, spread(found) if len(found) else np.full_like(value, np.nan)
 
-    def state(self) -> dict[str, NDArray[Any]]:
+    def state(self) -> State:
         """The state, for restore."""
         numbers = np.array([self.n_entries, self._length, self._n_marks])
         return {"total": self.total, "marks": self._marks[: self._n_marks], "entries": numbers}
 
-    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+    def restore(self, state: State) -> None:
         """Restore a state."""
         self.total[:] = state["total"]
         self.n_entries, self._length, self._n_marks = map(int, state["entries"])
@@ -89,9 +90,9 @@ class BlockedSums:
 class ObservedRun:
     """The properties of a run that results need; they do not change from the first observation to the last.
 
-    units : name of the unit system.  species : labels.  numbers : of atoms of each species.  spacing :
-        time between observations [time].
-    n_dof : degrees of freedom.  bath_temperature, bath_pressure : of thermostat and barostat; None without them.
+    units : name of the unit system.  species : labels.  numbers : of atoms of each species.
+    spacing : time between observations [time].  n_dof : degrees of freedom.
+    bath_temperature, bath_pressure : of thermostat and barostat; None without them.
     """
 
     units: str
@@ -107,15 +108,12 @@ class ObservedRun:
         """The properties of the run of an engine."""
         system, barostat = engine.system, engine.barostat
         temperature = engine.method.parameters.get("temperature")
-        return cls(
-            units=system.units.name,
-            species=[str(one) for one in system.species_names],
-            numbers=np.bincount(system.species_index, minlength=len(system.species_names)).tolist(),
-            spacing=every * engine.method.timestep,
-            n_dof=engine.n_dof,
-            bath_temperature=barostat.temperature if barostat is not None and temperature is None else temperature,
-            bath_pressure=barostat.pressure if barostat is not None else None,
-        )
+        if barostat is not None and temperature is None:
+            temperature = barostat.temperature
+        numbers = np.bincount(system.species_index, minlength=len(system.species_names)).tolist()
+        species, spacing = [str(one) for one in system.species_names], every * engine.method.timestep
+        pressure = None if barostat is None else barostat.pressure
+        return cls(system.units.name, species, numbers, spacing, engine.n_dof, temperature, pressure)
 
     @property
     def unit_system(self) -> UnitSystem:
@@ -128,27 +126,39 @@ class ObservedRun:
         return sum(self.numbers)
 
 
-Series = list[tuple[str, Array, Array | None]]  # names, values and standard errors, the abscissa first
+class Series(NamedTuple):
+    """A series of a result: its name and unit, values, (T,), and their standard errors, (T,) or None."""
+
+    name: str
+    unit: str
+    values: Array
+    errors: Array | None = None
 
 
+@dataclass(frozen=True, repr=False)
 class Result(Displayed):
     """The result of an observer: series over an abscissa, and single numbers, in the units of the simulation.
 
-    Columns, data frame, file and repr follow from series, coefficients and display_rows.
+    A class gives series, coefficients and display_rows; columns, data frame, file, picture and repr follow from them.
     """
 
     scene: ObservedRun
     title: ClassVar[str] = ""
     coefficients: ClassVar[tuple[str, ...]] = ()  # names of the attributes that are its single numbers
 
-    def series(self) -> Series:
-        """Its series, all of the same length; none if it has single numbers only."""
+    @property
+    def units(self) -> UnitSystem:
+        """The units of all numbers."""
+        return self.scene.unit_system
+
+    def series(self) -> list[Series]:
+        """Its series, all of the same length, the abscissa first; none if it has single numbers only."""
         return []
 
     def columns(self) -> dict[str, Array]:
         """Its series by name, the abscissa first, each followed by its standard errors."""
         made: dict[str, Array] = {}
-        for name, values, errors in self.series():
+        for name, _, values, errors in self.series():
             made |= {name: values} if errors is None else {name: values, f"{name}_error": errors}
         return made
 
@@ -157,24 +167,40 @@ class Result(Displayed):
         return {name: getattr(self, name) for name in self.coefficients}
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A data frame of columns(), with the numbers in its attrs.
-        Raises ModuleNotFoundError if pandas is not installed."""
+        """A data frame of columns(), with the numbers in its attrs. Raises ModuleNotFoundError without pandas."""
         from pandas import DataFrame
 
         table = DataFrame(self.columns())
         table.attrs.update(self.numbers())
         return table
 
-    @abstractmethod
-    def draw(self, panel: Axes) -> None:
-        """Draw the result into axes of matplotlib."""
+    def abscissa(self) -> tuple[Array, str]:
+        """The abscissa of pictures, and its unit: a time is in ps, or τ."""
+        x, units = self.series()[0], self.units
+        return (x.values * units.to_picosecond, units.shown_time) if x.unit == units.time else (x.values, x.unit)
 
-    def draw_curves(self, panel: Axes, x: Array, curves: dict[str, Array]) -> None:
-        """Draw curves over x, (B,), with a legend if there are several."""
+    def draw(self, panel: Axes) -> None:
+        """Draw the result into axes of matplotlib: the first series, and those with its unit; or the rows as text."""
+        if found := self.series():
+            x, first, *_ = found
+            curves = {one.name: one.values for one in found[1:] if one.unit == first.unit}
+            return self.draw_curves(panel, curves, x.name, first.name + (first.unit and f"  [{first.unit}]"))
+        panel.axis("off")
+        words = "\n".join(words for _, words in self.display_rows())
+        panel.text(0.0, 1.0, words, va="top", transform=panel.transAxes, fontsize=8, wrap=True)
+        panel.set_title(self.title)
+
+    def draw_curves(self, panel: Axes, curves: dict[str, Array], symbol: str, label: str) -> None:
+        """Draw curves over the abscissa, (T,), by name, with a legend if there are several.
+
+        symbol : of the abscissa.  label : of the other axis.
+        """
+        x, unit = self.abscissa()
         for name, values in curves.items():
             panel.plot(x, values, lw=1.1, label=name)
         if len(curves) > 1:
             panel.legend(frameon=False, fontsize=8)
+        panel.set(xlabel=f"{symbol}  [{unit}]", ylabel=label, title=self.title)
 
     def plot(self) -> Figure:
         """A figure, which a notebook shows; .savefig(path) writes it to a file."""
@@ -191,6 +217,7 @@ class Result(Displayed):
         return f"{type(self).__name__}({self.display_rows()[0][1]})"
 
 
+@dataclass_transform(field_specifiers=(argument, steps, label, field))
 class Accumulator(ABC, Displayed):
     """An observer that looks at a run at regular steps, keeps sums, and computes a result from them.
 
@@ -201,6 +228,10 @@ class Accumulator(ABC, Displayed):
     It looks once at each step that is a multiple of every, and goes on in later runs of the simulation. Correlations in
     time begin anew if steps are missing between two looks, or if the state was changed between two runs.
 
+    A class declares its arguments, and name as the last one, by argument(); constructor, checks, the section Parameters
+    of its docstring, repr and the keys of scene files follow. Other fields, which have init=False, are what the first
+    run settles: numbers and lists for JSON.
+
     Attributes
     ----------
     every : steps between two looks.  name : its name in files.  scene : ObservedRun; None before the first run.
@@ -208,18 +239,30 @@ class Accumulator(ABC, Displayed):
     """
 
     kind: ClassVar[str]  # its name in scene files and H5MD files
-    arguments: ClassVar[tuple[str, ...]] = ("every",)  # with which, and with its name, it can be made again
-    settled: ClassVar[tuple[str, ...]] = ()  # attributes that the first run sets: numbers and lists for JSON
     needs_energy: ClassVar[bool] = False  # whether it needs energies or the virial
     convention: ClassVar[int] = 1  # of its sums; those of another cannot go on
+    declared: ClassVar[dict[str, Argument]]  # all arguments
+    arguments: ClassVar[tuple[str, ...]]  # with which, and with its name, it can be made again
+    settled: ClassVar[tuple[str, ...]]  # attributes that the first run sets
+    every: int
+    name: str
     sums: BlockedSums
 
-    def __init__(self, every: int, name: str) -> None:
-        self.every, self.name = checked_count("every", every), name or self._own_name()
-        if not (isinstance(name, str) and self.name.isidentifier()):
-            raise ValueError(
-                f"the name of an observer must be made of letters, digits and underscores; name = {shown(name)}"
-            )
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        made = fields(dataclass(eq=False, repr=False)(cls))  # type: ignore[arg-type]
+        cls.declared = {one.name: one.metadata["argument"] for one in made if one.init}
+        cls.arguments = tuple(name for name in cls.declared if name != "name")
+        cls.settled = tuple(one.name for one in made if not one.init)
+        told = (f"{name} : {words}{unit and f' [{unit}]'}." for name, (_, words, unit) in cls.declared.items())
+        cls.__doc__ = "\n".join([cleandoc(cls.__doc__ or ""), "", "Parameters", "----------", *told])
+
+    def __post_init__(self) -> None:
+        for name, one in self.declared.items():
+            value = getattr(self, name)
+            if value is not None or getattr(type(self), name) is not None:
+                setattr(self, name, one.check(name, value))
+        self.name = self.name or self._own_name()
         self.scene: ObservedRun | None = None
         self.last_step = -1
 
@@ -245,18 +288,16 @@ class Accumulator(ABC, Displayed):
         return {name: getattr(self, name) for name in (*self.arguments, "name")}
 
     def prepare(self, engine: Engine) -> None:
-        """Prepare for a run of an engine.  Raises ValueError if it cannot be observed,
-        or is another scene than the one observed before."""
+        """Prepare for a run of an engine.  Raises ValueError if it cannot be observed, or is another scene than the one
+        observed before."""
         scene = ObservedRun.of(engine, self.every)
         if self.scene is None:
             self._begin(engine)
             self.scene = scene
             self._laid_out(scene)
         elif self.scene != scene:
-            raise ValueError(
-                f"{self!r} has observed another system, or one with another time step or bath; make a new observer for "
-                "this run"
-            )
+            other = "another system, or one with another time step or bath; make a new observer for this run"
+            raise ValueError(f"{self!r} has observed {other}")
 
     def observe(self, engine: Engine) -> None:
         """Look at the present state, unless the last look was at this step."""
@@ -282,14 +323,12 @@ class Accumulator(ABC, Displayed):
     def answered(self) -> ObservedRun:
         """The scene, which a result needs.  Raises ValueError before the first look."""
         if self.scene is None or not self.n_looks:
-            raise ValueError(
-                f"{self!r} has not looked yet; pass it to a run of {self.every} steps or more: sim.run(n_steps, "
-                "observers=[...])"
-            )
+            advice = f"pass it to a run of {self.every} steps or more: sim.run(n_steps, observers=[...])"
+            raise ValueError(f"{self!r} has not looked yet; {advice}")
         return self.scene
 
     def _begin(self, engine: Engine) -> None:
-        """Check the first run, and set the attributes named in settled."""
+        """Check the first run, and set what it settles."""
 
     @abstractmethod
     def _laid_out(self, scene: ObservedRun) -> None:
@@ -303,32 +342,25 @@ class Accumulator(ABC, Displayed):
     def result(self) -> Any:
         """The result.  Raises ValueError before the first look."""
 
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        """Arrays, other than the sums, on which the next looks depend."""
-        return {}
+    def _parts(self) -> list[Any]:
+        """What is kept from look to look: each has state and restore, with names of its own for its arrays."""
+        return [self.sums]
 
-    def _take_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Restore the arrays of _arrays."""
-
-    def state(self) -> dict[str, NDArray[Any]]:
+    def state(self) -> State:
         """Everything on which later results depend, for restore; empty before the first run."""
         if self.scene is None:
             return {}
-        words = json.dumps(
-            {
-                "scene": asdict(self.scene),
-                "settled": {name: getattr(self, name) for name in self.settled},
-                "last_step": self.last_step,
-                "convention": self.convention,
-            }
-        )
-        return {"words": np.frombuffer(words.encode(), dtype=np.uint8), **self.sums.state(), **self._arrays()}
+        settled = {name: getattr(self, name) for name in self.settled}
+        words = {"scene": asdict(self.scene), "settled": settled, "last_step": self.last_step}
+        coded = json.dumps({**words, "convention": self.convention}).encode()
+        arrays = {name: array for part in self._parts() for name, array in part.state().items()}
+        return {"words": np.frombuffer(coded, dtype=np.uint8), **arrays}
 
-    def can_restore(self, state: dict[str, NDArray[Any]]) -> bool:
+    def can_restore(self, state: State) -> bool:
         """Whether a state has the convention of this observer."""
         return not state or bool(json.loads(bytes(state["words"])).get("convention", 1) == self.convention)
 
-    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+    def restore(self, state: State) -> None:
         """Go on from the state of another observer, which must have been made with the same arguments.
 
         Raises ValueError if its sums have another convention, as those of an older version of minimd may.
@@ -337,18 +369,76 @@ class Accumulator(ABC, Displayed):
             return
         words = json.loads(bytes(state["words"]))
         if not self.can_restore(state):
-            was = (
-                f"its sums have convention {words.get('convention', 1)} of another version of minimd, not "
-                f"{self.convention}"
-            )
-            raise ValueError(
-                f"observer {self.name} cannot go on: {was}; go on without it, or with one of another name, which "
-                "begins anew"
-            )
+            other = f"convention {words.get('convention', 1)} of another version of minimd, not {self.convention}"
+            advice = "go on without it, or with one of another name, which begins anew"
+            raise ValueError(f"observer {self.name} cannot go on: its sums have {other}; {advice}")
         for name in self.settled:  # no other attribute, whatever a file says
             setattr(self, name, words["settled"][name])
         self.scene = ObservedRun(**words["scene"])
         self._laid_out(self.scene)
         self.last_step = words["last_step"]
-        self.sums.restore(state)
-        self._take_arrays(state)
+        for part in self._parts():
+            part.restore(state)
+
+
+class Attached:
+    """The observers of a run on one engine, each with its own steps.
+
+    observers : as passed to a run.  functions : the plain functions among them.  accumulators : the others.
+
+    Raises TypeError for anything but a list of observers, ValueError if two have the same name.
+    """
+
+    def __init__(self, observers: Any, engine: Engine) -> None:
+        if not isinstance(observers, list | tuple) or not all(_is_observer(one) for one in observers):
+            kinds = "a list of functions of a simulation, and of observers such as md.observers.RadialDistribution()"
+            raise TypeError(f"observers must be {kinds}; observers = {shown(observers)}")
+        self.accumulators: Sequence[Accumulator] = [one for one in observers if isinstance(one, Accumulator)]
+        self.functions: Sequence[Callable] = [one for one in observers if not isinstance(one, Accumulator)]
+        names = [one.name for one in self.accumulators]
+        if twice := {name for name in names if names.count(name) > 1}:
+            several = f"{min(twice)!r} is the name of several: pass another name= to one of them"
+            raise ValueError(f"observers must have different names; {several}")
+        self._engine = engine
+        if not engine.is_as_left:  # the state was changed since the last run
+            for one in self.accumulators:
+                one.interrupt()
+
+    def begin(self) -> None:
+        """Look at the first state.  Raises ValueError if something cannot be observed."""
+        for one in self.accumulators:
+            one.prepare(self._engine)
+        self.look()
+
+    def steps_to_next(self) -> int | float:
+        """The number of steps to the next look of any of them; infinite without observers."""
+        return min((one.every - self._engine.step % one.every for one in self.accumulators), default=float("inf"))
+
+    def need_energy(self, step: int) -> bool:
+        """Whether an observer that looks at this step needs energy and virial."""
+        return any(one.needs_energy and step % one.every == 0 for one in self.accumulators)
+
+    def look(self) -> None:
+        """Let the observers that are due look at the present state."""
+        for one in self.accumulators:
+            if self._engine.step % one.every == 0:
+                one.observe(self._engine)
+
+    @contextmanager
+    def broken_off(self) -> Iterator[None]:
+        """Context of a run: if it fails, a warning names the observers that have looked after its last good step."""
+        try:
+            yield
+        except (NonFiniteError, ConstraintError):
+            step = self._engine.step
+            for one in self.accumulators:
+                if n_later := one.break_off(step):
+                    failed = f"step {step}, the last good one of a run that failed; its result includes these looks"
+                    warnings.warn(f"{one!r} has looked {n_later} times after {failed}", stacklevel=outside_minimd())
+            raise
+
+
+def _is_observer(one: Any) -> bool:
+    """Whether an object can observe a run; a class of observers cannot, but its objects can."""
+    is_class = isinstance(one, type) and issubclass(one, Accumulator)
+    return isinstance(one, Accumulator) or (callable(one) and not is_class)

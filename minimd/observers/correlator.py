@@ -5,8 +5,7 @@ with the others, at lags 0, 1, …, p − 1 on level 0, and p/2 to p − 1 of it
 The longest lag grows as 2ᵏ, the number of lags as k.
 
     thinned   a level gets every second entry of the level below: each lag is exact, but has fewer origins
-    averaged  a level gets the means of two entries of the level below: noise is averaged out,
-    at lags of p/2 entries or more
+    averaged  a level gets the means of two entries of the level below: noise is averaged out at lags of p/2 or more
 
 J. Ramírez, S. K. Sukumaran, B. Vorselaars, A. E. Likhtman, J. Chem. Phys. 133, 154103 (2010).
 """
@@ -39,10 +38,8 @@ def squared_difference(a, b):
     return (a - b) * (a - b)
 
 
-Product, SquaredDifference = (
-    type_of(product)(namedtuple("Product", ())),
-    type_of(squared_difference)(namedtuple("SquaredDifference", ())),
-)
+Product = type_of(product)(namedtuple("Product", ()))
+SquaredDifference = type_of(squared_difference)(namedtuple("SquaredDifference", ()))
 
 
 def of_both(law, a, b):
@@ -79,10 +76,8 @@ class MultipleTau:
     """Correlations of C components of n particles in G groups.
 
     law : Product() or SquaredDifference().  starts : (G + 1,) int, first particle of each group.  n_components : C.
-
-
-    points : p, number of entries on a level, even.  n_levels : L, the largest number of levels.  averages :
-        True for averaged levels, else thinned.
+    points : p, number of entries on a level, even.  n_levels : L, the largest number of levels.
+    averages : True for averaged levels, else thinned.
 
     size : of the sums, which the caller keeps: counts (L, p), then sums (L, p, G, C).
     lags : (T,) int, all possible lags in entries, ascending.
@@ -96,11 +91,9 @@ class MultipleTau:
         self._n_counts, n_groups = n_levels * points, len(starts) - 1
         self._sums_shape = (n_levels, points, n_groups, n_components)
         self.size = self._n_counts * (1 + n_groups * n_components)
-        steps = np.arange(points) * RATIO ** np.arange(n_levels)[:, None]
-        self._places = np.flatnonzero(
-            np.arange(points) >= np.where(np.arange(n_levels) > 0, points // RATIO, 0)[:, None]
-        )
-        self.lags = steps.ravel()[self._places]
+        entries, level = np.arange(points), np.arange(n_levels)[:, None]
+        self._places = np.flatnonzero(entries >= np.where(level > 0, points // RATIO, 0))
+        self.lags = (entries * RATIO**level).ravel()[self._places]
         self.interrupt()
 
     def interrupt(self) -> None:
@@ -137,8 +130,8 @@ class MultipleTau:
                 return
 
     def correlations(self, sums: Array) -> tuple[Array, Array]:
-        """Numbers of origins, (T,), and mean products of each group, summed over its particles, (T, G, C);
-        NaN for lags without origins."""
+        """Numbers of origins, (T,), and mean products of each group, summed over its particles, (T, G, C); NaN for lags
+        without origins."""
         counts = sums[: self._n_counts][self._places]
         products = sums[self._n_counts :].reshape(self._n_counts, *self._sums_shape[2:])[self._places]
         with np.errstate(all="ignore"):

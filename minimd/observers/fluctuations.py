@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,8 @@ from minimd.console.display import Rows
 from minimd.engine.engine import Engine
 from minimd.engine.observation import Look
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result
+from minimd.observers.arguments import label, steps
 from minimd.structure.statistics import standard_error, with_error
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 N_SERIES = 3  # K, U, V
@@ -46,20 +44,14 @@ class Fluctuations(Accumulator):
 
     J. L. Lebowitz, J. K. Percus, L. Verlet, Phys. Rev. 153, 250 (1967), on constant energy; M. P. Allen, D. J.
     Tildesley, Computer Simulation of Liquids, 2nd ed. (2017), section 2.5.
-
-    Parameters
-    ----------
-    every : steps between two looks.  name : its name in files, "fluctuations" if not given.
     """
 
     kind = "fluctuations"
     needs_energy = True
-    settled = ("reference",)
     convention = 2  # thermal energy, not kinetic energy
-
-    def __init__(self, every: int = 20, name: str = "") -> None:
-        super().__init__(every, name)
-        self.reference: list[float] = []
+    every: int = steps(20)
+    name: str = label()
+    reference: list[float] = field(init=False, default_factory=list)  # the first K, U, V
 
     def _laid_out(self, scene: ObservedRun) -> None:
         self.sums = BlockedSums(1 + N_SERIES + N_SERIES**2)  # number of looks, sums, sums of products
@@ -82,127 +74,86 @@ class Fluctuations(Accumulator):
         values, errors = self.sums.estimate(lambda sums: _coefficients(sums, reference, scene, 1.0 + missing))
         wider = _coefficients(self.sums.total, reference, scene, (1.0 + missing) * np.exp(missing**0.5))
         errors = np.where(wider == values, errors, np.maximum(JACKKNIFE * errors, np.abs(wider - values)))
-        volume_is_constant = self.sums.total[1 + VOLUME] == 0.0 and self.sums.total[-1] == 0.0
         ensemble = "constant energy" if scene.bath_temperature is None else "constant temperature"
-        return FluctuationResult(
-            scene,
-            ensemble if volume_is_constant else "constant pressure",
-            values,
-            errors,
-            self.n_looks,
-            float(np.fmin.reduce(times[fluctuating])),
-        )
+        if self.sums.total[1 + VOLUME] != 0.0 or self.sums.total[-1] != 0.0:  # the volume is not constant
+            ensemble = "constant pressure"
+        length = float(np.fmin.reduce(times[fluctuating]))
+        return FluctuationResult(scene, ensemble, values, errors, self.n_looks, length)
+
+
+def moments(sums: Array) -> tuple[Array, Array]:
+    """Means, (3,), and covariances, (3, 3), of K, U and V, relative to the reference."""
+    means = sums[1 : 1 + N_SERIES] / sums[0]
+    return means, sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(means, means)
 
 
 def correlation_times(sums: BlockedSums) -> Array:
-    """The length of a run in correlation times of K, E and V, (3,): n_c = 2 s²/error²,
-    with the variance s² and the standard error of the mean.
-
-    NaN if there are too few blocks, or if the series is constant.
-    """
+    """The length of a run in correlation times of K, E and V, (3,): n_c = 2 s²/error², with the variance s² and the
+    standard error of the mean; NaN if there are too few blocks, or if the series is constant."""
     parts, weights = sums.parts(), np.array(OF_INTEREST)
-    means = sums.total[1 : 1 + N_SERIES] / sums.total[0]
-    covariance = sums.total[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums.total[0] - np.outer(means, means)
+    _, covariance = moments(sums.total)
     errors = standard_error(parts[:, 1 : 1 + N_SERIES] @ weights.T / parts[:, :1])
     with np.errstate(all="ignore"):
-        found: Array = 2.0 * np.diag(weights @ covariance @ weights.T) / errors**2
-    return np.where(errors > 0.0, found, np.nan)
+        return np.where(errors > 0.0, 2.0 * np.diag(weights @ covariance @ weights.T) / errors**2, np.nan)
 
 
 def _coefficients(sums: Array, reference: Array, scene: ObservedRun, grown: Array) -> Array:
-    """T, C_V, C_P, κ_T, α_P; NaN for those that do not follow from the ensemble.  grown : (3,)
-    factors for the variances of K, E and V."""
-    means, weights = sums[1 : 1 + N_SERIES] / sums[0], np.array(OF_INTEREST) * np.sqrt(grown)[:, None]
-    covariance = (
-        weights @ (sums[1 + N_SERIES :].reshape(N_SERIES, N_SERIES) / sums[0] - np.outer(means, means)) @ weights.T
-    )
+    """T, C_V, C_P, κ_T, α_P; NaN for those that do not follow from the ensemble.
+    grown : (3,) factors for the variances of K, E and V."""
+    (means, covariance), weights = moments(sums), np.array(OF_INTEREST) * np.sqrt(grown)[:, None]
+    covariance = weights @ covariance @ weights.T
     means, k_B, f = means + reference, scene.unit_system.k_B, scene.n_dof
-    mean_temperature = 2.0 * means[KINETIC] / (f * k_B)
-    T = mean_temperature if scene.bath_temperature is None else scene.bath_temperature  # noqa: N806
-    energy, volume = np.eye(N_SERIES)[[ENERGY, VOLUME]]
+    mean_temperature, bath, pressure = 2.0 * means[KINETIC] / (f * k_B), scene.bath_temperature, scene.bath_pressure
+    T = mean_temperature if bath is None else bath  # noqa: N806
+    c_v = c_p = compressibility = expansion = np.nan
     if covariance[VOLUME, VOLUME] > 0.0:
-        enthalpy = energy + (np.nan if scene.bath_pressure is None else scene.bath_pressure) * volume
+        enthalpy = np.array([0.0, 1.0, np.nan if pressure is None else pressure])
         c_p = enthalpy @ covariance @ enthalpy / (k_B * T**2)
         compressibility = covariance[VOLUME, VOLUME] / (k_B * T * means[VOLUME])
-        return np.array(
-            [
-                mean_temperature,
-                np.nan,
-                c_p,
-                compressibility,
-                enthalpy @ covariance @ volume / (k_B * T**2 * means[VOLUME]),
-            ]
-        )
-    if scene.bath_temperature is None:
+        expansion = enthalpy @ covariance[:, VOLUME] / (k_B * T**2 * means[VOLUME])
+    elif bath is None:
         c_v = 0.5 * f * k_B / (1.0 - 2.0 * covariance[KINETIC, KINETIC] / (f * k_B**2 * T**2))
     else:
         c_v = covariance[ENERGY, ENERGY] / (k_B * T**2)
-    return np.array([mean_temperature, c_v, np.nan, np.nan, np.nan])
+    return np.array([mean_temperature, c_v, c_p, compressibility, expansion])
 
 
 @dataclass(frozen=True, repr=False)
 class FluctuationResult(Result):
-    """Coefficients from fluctuations.
+    """Coefficients from fluctuations; each has its name and, with _error, its standard error.
 
-    ensemble : in words.  values, errors : (5,) mean temperature, C_V and C_P of the whole system [energy/temperature],
-        κ_T [length³/energy], α_P
-    [1/temperature], and their standard errors; NaN for those that do not follow from the ensemble.  n_looks :
-    number of looks.
+    ensemble : in words.  n_looks : number of looks.
+    values, errors : (5,) mean temperature, C_V and C_P of the whole system [energy/temperature], κ_T [length³/energy],
+        α_P [1/temperature], and their standard errors; NaN for those that do not follow from the ensemble.
     correlation_times : length of the run in correlation times of the slowest fluctuation; NaN if unknown.
     """
 
-    scene: ObservedRun
     ensemble: str
     values: Array
     errors: Array
     n_looks: int
     correlation_times: float = np.nan
-    title: ClassVar[str] = "fluctuations"
-    names: ClassVar[tuple[str, ...]] = (
-        "temperature",
-        "heat_capacity_v",
-        "heat_capacity_p",
-        "compressibility",
-        "expansion",
-    )
-    coefficients: ClassVar[tuple[str, ...]] = tuple(chain.from_iterable((name, f"{name}_error") for name in names))
+    title = "fluctuations"
+    names: ClassVar = ("temperature", "heat_capacity_v", "heat_capacity_p", "compressibility", "expansion")
+    coefficients = tuple(chain.from_iterable((name, f"{name}_error") for name in names))
 
     def __getattr__(self, name: str) -> float:
         names = type(self).names
         if (coefficient := name.removesuffix("_error")) not in names:
             raise AttributeError(f"fluctuations have no {name!r}; they have {', '.join(names)}, each also with _error")
-        numbers = self.values if name == coefficient else self.errors
-        return float(numbers[names.index(coefficient)])
+        return float((self.values if name == coefficient else self.errors)[names.index(coefficient)])
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        units, n = self.scene.unit_system, self.scene.n_atoms
-        per_atom = {"heat_capacity_v": "C_V", "heat_capacity_p": "C_P"}
+        units, unit = self.units, self.scene.n_atoms * self.units.k_B
         temperature = with_error(self.temperature, self.temperature_error)
         rows = [("fluctuations", f"at {self.ensemble}, {self.n_looks} looks, T = {temperature} {units.temperature}")]
-        for name, symbol in per_atom.items():
-            if np.isfinite(value := getattr(self, name)):
-                error = getattr(self, name + "_error")
-                rows.append(
-                    ("", f"{symbol} = {with_error(value / (n * units.k_B), error / (n * units.k_B))} k_B per atom")
-                )
-        if np.isfinite(self.compressibility):
-            rows.append(
-                (
-                    "",
-                    f"κ_T = {with_error(self.compressibility, self.compressibility_error)} "
-                    f"{units.length}³/{units.energy}",
-                )
-            )
+        told = [("C_V", 1, unit, "k_B per atom"), ("C_P", 2, unit, "k_B per atom")]
+        for symbol, k, size, words in [*told, ("κ_T", 3, 1.0, f"{units.length}³/{units.energy}")]:
+            if np.isfinite(self.values[k]):
+                rows.append(("", f"{symbol} = {with_error(self.values[k] / size, self.errors[k] / size)} {words}"))
         if self.correlation_times < ENOUGH:
             slowest = "volume or energy" if np.isfinite(self.compressibility) else "energy"
             long = f"the run is only {max(1.0, self.correlation_times):.0f} correlation times of the {slowest} long"
             rows.append(("", f"{long}: THE ERROR BARS ARE LOWER BOUNDS"))
         return rows
-
-    def draw(self, panel: Axes) -> None:
-        """See Result: the numbers as text."""
-        panel.axis("off")
-        words = "\n".join(words for _, words in self.display_rows())
-        panel.text(0.0, 1.0, words, va="top", transform=panel.transAxes, fontsize=8, wrap=True)
-        panel.set_title("fluctuations")

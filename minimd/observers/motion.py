@@ -1,42 +1,91 @@
-"""The motion of atoms: mean-square displacement and velocity autocorrelation, by species and direction."""
+"""The motion of atoms: mean-square displacement and velocity autocorrelation, by species and direction; self-diffusion,
+and its correction for the size of a periodic cell."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from math import ceil
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.display import Rows
 from minimd.engine.cell_rescaling import Molecules
 from minimd.engine.engine import Engine
 from minimd.engine.observation import Look
-from minimd.observers.accumulator import ObservedRun
+from minimd.observers.accumulator import ObservedRun, Result, Series, State
+from minimd.observers.arguments import argument, label, levels, steps
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
-from minimd.observers.diffusion import DisplacementResult, VelocityResult, is_cubic
-from minimd.observers.time_correlation import COUNT, HEAD, TEMPERATURE, VOLUME, TimeCorrelation
+from minimd.observers.time_correlation import COUNT, HEAD, LEVELS, Plateau, TimeCorrelation
 from minimd.structure.cell import Cell
 from minimd.structure.checks import checked_count
 from minimd.structure.observables import center
+from minimd.structure.statistics import spread, with_error
+from minimd.structure.units import UnitSystem
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 POINTS = 16  # entries on each level of the correlator
+MOST_ATOMS = "largest number of atoms, chosen evenly; time and memory are proportional to it"
+XI = 2.837297  # ξ of a cubic cell
+CUBIC = 1e-9  # largest relative deviation of the squares and products of lattice vectors from those of a cube
+DECADE = 10.0  # the window of a fit ends at this multiple of its start
+LEFT = 0.5  # of the distance of neighbors: an atom that has moved by more has left its place
+CM2_PER_S = 1e-4  # per Å²/ps
+AXES = ("x", "y", "z")
+
+
+def is_cubic(cell: Cell) -> bool:
+    """Whether a cell is a cube that is periodic in all directions."""
+    square = cell.vectors @ cell.vectors.T
+    return bool(cell.pbc.all() and np.abs(square - np.eye(3) * square[0, 0]).max() < CUBIC * square[0, 0])
+
+
+def slope(times: Array, squares: Array) -> Array:
+    """Slopes of straight lines through mean squares (..., T) at times (T,), each point weighted by 1/t, because its
+    error grows as t."""
+    weights = 1.0 / times
+    weights = weights**2 / (weights**2).sum()
+    t = times - weights @ times
+    return np.asarray((squares * (weights * t)).sum(axis=-1) / (weights * t * t).sum())
+
+
+def finite_size_correction(thermal_energy: float, viscosity: float, edge: float) -> float:
+    """The correction that is added to D in a cubic periodic cell to get D of an infinite system [length²/time].
+
+        D∞ = D + ξ k_B T / (6π η L),   ξ = 2.837297
+
+    thermal_energy : k_B T [energy].  viscosity : η [energy time/length³].  edge : L [length].
+    I.-C. Yeh, G. Hummer, J. Phys. Chem. B 108, 15873 (2004); B. Dünweg, K. Kremer, J. Chem. Phys. 99, 6983 (1993).
+    """
+    return XI * thermal_energy / (6.0 * np.pi * viscosity * edge)
+
+
+def diffusion_words(coefficient: float, error: float, units: UnitSystem) -> str:
+    """D in words, in Å²/ps and cm²/s, or in reduced units."""
+    if units.name != "ASE":
+        return f"{with_error(coefficient, error)} {units.length}²/{units.time}"
+    per_ps = 1.0 / units.to_picosecond
+    mean, uncertain = coefficient * per_ps, error * per_ps
+    return f"{with_error(mean, uncertain)} Å²/ps = {mean * CM2_PER_S:.4g} cm²/s"
 
 
 class _OfAtoms(TimeCorrelation):
     """A correlation of a vector of each atom, relative to the center of mass of all atoms if n_dof leaves it out."""
 
-    arguments = ("every", "n_levels", "most_atoms")
-    settled = ("chosen", "is_cubic", "numbers")
     law: ClassVar[tuple]  # of the correlator
-
-    def __init__(self, every: int = 10, n_levels: int = 10, most_atoms: int = 4096, name: str = "") -> None:
-        super().__init__(every, name)
-        self.n_levels = checked_count("n_levels", n_levels, 1, 40)
-        self.most_atoms = checked_count("most_atoms", most_atoms)
-        self.is_cubic, self.chosen, self.numbers = False, [0], [1]
+    every: int = steps(10)
+    n_levels: int = argument(levels, LEVELS, 10)
+    most_atoms: int = argument(checked_count, MOST_ATOMS, 4096)
+    name: str = label()
+    chosen: list[int] = field(init=False, default_factory=lambda: [0])
+    is_cubic: bool = field(init=False, default=False)
+    numbers: list[int] = field(init=False, default_factory=lambda: [1])  # of chosen atoms of each species
 
     def _begin(self, engine: Engine) -> None:
         system = engine.system
@@ -61,7 +110,7 @@ class _OfAtoms(TimeCorrelation):
         """The vectors of all atoms, (N, 3), and what to subtract from them, (3,)."""
 
     def _means(self, seen: NDArray[np.bool_]) -> Callable[[Array], Array]:
-        """The function of the sums that gives means over all atoms, over those of each species, and along x, y, z;
+        """The function of the sums that gives means over all atoms, over those of each species, and along x, y, z,
         (1 + S + 3, T)."""
         numbers = np.maximum(1, np.array(self.numbers))
 
@@ -73,54 +122,35 @@ class _OfAtoms(TimeCorrelation):
         return law
 
 
-class MeanSquareDisplacement(_OfAtoms):
-    """⟨|r(t₀ + t) − r(t₀)|²⟩ and the coefficient of self-diffusion,
-    by a multiple-tau correlator with lags up to 15 · 2ᵏ⁻¹ · every steps in k levels.
+class CellMotion:
+    """The displacements of atoms that are due to the motion of the cell, which looks take off their positions.
 
-    Every lag is exact: levels are thinned, never averaged. If the cell changes, as with a barostat, the motion of the
-    cell is not counted: from one look to the next each atom, or the center of its rigid molecule, is first moved with
-    the cell, and only the rest is its displacement. S. von Bülow, J. T. Bullerjahn, G. Hummer, J. Chem. Phys. 153,
-    021101 (2020), on why.
-
-    Parameters
-    ----------
-    every : steps between two looks.  n_levels : largest number of levels.  most_atoms : largest number of atoms, chosen
-        evenly; time and memory are proportional to it.
-    name : its name in files, "mean_square_displacement" if not given.
+    From one look to the next each atom is moved with the cell; of a molecule with lengths held fixed the center is, and
+    the molecule turns as the cell does.
     """
 
-    kind = "mean-square-displacement"
-    law = SquaredDifference()
-
-    def _laid_out(self, scene: ObservedRun) -> None:
-        super()._laid_out(scene)
-        self._carried: Array | None = None  # displacements due to the motion of the cell
+    def __init__(self) -> None:
+        self._carried: Array | None = None  # the displacements, (N, 3)
         self._before: tuple[Cell, Array] | None = None  # cell and positions at the last look
         self._molecules: Molecules | None = None
 
-    def _vectors(self, look: Look) -> tuple[Array, Array]:
-        engine = look.engine
+    def taken_off(self, engine: Engine) -> Array:
+        """The present positions without it, (N, 3)."""
         positions, cell = engine.positions, engine.system.cell
-        if self._before is not None and not cell.same_as(self._before[0]):
-            was, old = self._before
-            carried = self._moved_by_cell(engine, was, old)
+        was, old = self._before or (cell, np.empty_like(positions))
+        if not cell.same_as(was):
+            carried = self._moved(engine, was, old)
             self._carried = carried if self._carried is None else self._carried + carried
-        if self._before is None:
-            self._before = cell, np.empty_like(positions)
-        self._before[1][:] = positions
-        self._before = cell, self._before[1]
-        vectors = positions if self._carried is None else positions - self._carried
-        return vectors, center(vectors, engine.system.masses, engine.conserves_momentum)
+        old[:] = positions
+        self._before = cell, old
+        return positions if self._carried is None else positions - self._carried
 
-    def _moved_by_cell(self, engine: Engine, was: Cell, old: Array) -> Array:
-        """Displacements due to the motion of the cell since the last look, (N, 3).  was, old :
-        cell and positions at that look.
-
-        Each atom moves with the cell; of a molecule with lengths held fixed the center does,
-        and the molecule turns as the cell does.
-        """
+    def _moved(self, engine: Engine, was: Cell, old: Array) -> Array:
+        """Displacements since the last look, (N, 3).  was, old : cell and positions at that look."""
         cell, bonds = engine.system.cell, engine.constraint_set.bonds
-        strain = np.linalg.solve(_spanning(was), _spanning(cell))
+        # vectors that span space: those of the cell, and unit vectors in open directions
+        spanning = (np.where(one.pbc[:, None], one.vectors, one.lattice) for one in (was, cell))
+        strain = np.linalg.solve(*spanning)
         if bonds is None:
             return old @ strain - old
         if self._molecules is None:
@@ -135,24 +165,45 @@ class MeanSquareDisplacement(_OfAtoms):
         moved: Array = centers @ (strain - np.eye(3)) + (whole - centers) @ (left @ right - np.eye(3))
         return moved - (images - images_before)
 
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        arrays = super()._arrays()
+    def state(self) -> State:
+        """See Kept."""
+        arrays: State = {}
         if self._before is not None:
-            arrays |= {
-                "cell": self._before[0].vectors,
-                "pbc": self._before[0].pbc.astype(np.int64),
-                "positions": self._before[1],
-            }
-        return arrays if self._carried is None else arrays | {"carried": self._carried}
+            cell, positions = self._before
+            arrays = {"cell": cell.vectors, "pbc": cell.pbc.astype(np.int64), "positions": positions}
+        return arrays if self._carried is None else {**arrays, "carried": self._carried}
 
-    def _take_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
-        super()._take_arrays(arrays)
-        if "positions" in arrays:
-            self._before = (
-                Cell(np.array(arrays["cell"]), np.array(arrays["pbc"], dtype=bool)),
-                np.array(arrays["positions"]),
-            )
-        self._carried = np.array(arrays["carried"]) if "carried" in arrays else None
+    def restore(self, state: State) -> None:
+        """See Kept."""
+        if "positions" in state:
+            cell = Cell(np.array(state["cell"]), np.array(state["pbc"], dtype=bool))
+            self._before = cell, np.array(state["positions"])
+        self._carried = np.array(state["carried"]) if "carried" in state else None
+
+
+class MeanSquareDisplacement(_OfAtoms):
+    """⟨|r(t₀ + t) − r(t₀)|²⟩ and the coefficient of self-diffusion, by a multiple-tau correlator with lags up to
+    15 · 2ᵏ⁻¹ · every steps in k levels.
+
+    Every lag is exact: levels are thinned, never averaged. If the cell changes, as with a barostat, the motion of the
+    cell is not counted: from one look to the next each atom, or the center of its rigid molecule, is first moved with
+    the cell, and only the rest is its displacement. S. von Bülow, J. T. Bullerjahn, G. Hummer, J. Chem. Phys. 153,
+    021101 (2020), on why.
+    """
+
+    kind = "mean-square-displacement"
+    law = SquaredDifference()
+
+    def _laid_out(self, scene: ObservedRun) -> None:
+        super()._laid_out(scene)
+        self._of_cell = CellMotion()
+
+    def _vectors(self, look: Look) -> tuple[Array, Array]:
+        vectors = self._of_cell.taken_off(look.engine)
+        return vectors, center(vectors, look.system.masses, look.engine.conserves_momentum)
+
+    def _parts(self) -> list[Any]:
+        return [*super()._parts(), self._of_cell]
 
     def result(self, window: tuple[float, float] | None = None, viscosity: float | None = None) -> DisplacementResult:
         """The displacements so far, and D of the atoms, each with its standard error.
@@ -161,22 +212,16 @@ class MeanSquareDisplacement(_OfAtoms):
             half the distance of neighbors, and ends at a quarter of the run at the latest.
         viscosity : η [energy time/length³], for the finite-size correction of Yeh and Hummer, which needs a cubic cell.
 
-        Raises ValueError before the first look, for a window with fewer than 3 lags,
-        or if a viscosity is given and the cell is not cubic.
+        Raises ValueError before the first look, for a window with fewer than 3 lags, or if a viscosity is given and the
+        cell is not cubic.
         """
         scene = self.answered()
         seen, times, longest = self._seen()
         means, errors = self._estimate(times, longest, self._means(seen))
-        head = self.sums.total[:HEAD] / self.sums.total[COUNT]
-        found = DisplacementResult(
-            scene, times, means, errors, self.is_cubic, float(head[TEMPERATURE]), float(head[VOLUME]), sum(self.numbers)
-        )
+        _, temperature, volume = (self.sums.total[:HEAD] / self.sums.total[COUNT]).tolist()
+        n_atoms = sum(self.numbers)
+        found = DisplacementResult(scene, times, means, errors, self.is_cubic, temperature, volume, n_atoms)
         return found.fitted(self.sums.replicas(self._means(seen)), window, longest, viscosity)
-
-
-def _spanning(cell: Cell) -> Array:
-    """Three vectors that span space: those of the cell, and unit vectors in open directions."""
-    return np.where(cell.pbc[:, None], cell.vectors, cell.lattice)
 
 
 class VelocityAutocorrelation(_OfAtoms):
@@ -198,7 +243,186 @@ class VelocityAutocorrelation(_OfAtoms):
         scene = self.answered()
         seen, times, longest = self._seen()
         law = self._means(seen)
-        values, errors, found = self._integral(times, longest, lambda sums: law(sums)[0] / 3.0)
-        return VelocityResult(
-            scene, times, *self._estimate(times, longest, law), values, errors, found, sum(self.numbers)
-        )
+        (values, errors), n_atoms = self._estimate(times, longest, law), sum(self.numbers)
+        integral, error, found = self._integral(times, longest, lambda sums: law(sums)[0] / 3.0)
+        return VelocityResult(scene, times, values, errors, integral, error, found, n_atoms)
+
+
+@dataclass(frozen=True, repr=False)
+class MotionResult(Result):
+    """Means over atoms as functions of the lag.
+
+    times : (T,) lags [time].
+    means, errors : (1 + S + 3, T), of all atoms, of those of each species, and along x, y, z.
+    """
+
+    times: Array
+    means: Array
+    errors: Array
+    symbol: ClassVar[str]  # name of the series
+    coefficients = ("diffusion", "diffusion_error")
+
+    @property
+    def unit(self) -> str:
+        """The unit of the means."""
+        return f"{self.units.length}²"
+
+    def series(self) -> list[Series]:
+        """See Result: means over all atoms, over each species if there are several, and along each direction."""
+        names = ["", *(f"_{label}" for label in (*self.scene.species, *AXES))]
+        rows = zip(names, self.means, self.errors, strict=True)
+        found = [Series(self.symbol + name, self.unit, *row) for name, *row in rows]
+        if len(self.scene.species) == 1:
+            del found[1]  # the same as of all atoms
+        return [Series("time", self.units.time, self.times), *found]
+
+
+@dataclass(frozen=True, repr=False)
+class DisplacementResult(MotionResult):
+    """A mean-square displacement, and the self-diffusion that follows from it.
+
+    times : (T,) lags [time].
+    means, errors : (1 + S + 3, T) [length²], of all atoms, of those of each species, and along x, y, z.
+    diffusion, diffusion_error : D in this cell [length²/time]; NaN if the window holds too few lags.
+        diffusion_of_species : D of each, (S,).
+    infinite, infinite_error : D of an infinite system by Yeh and Hummer; NaN without a viscosity.
+    window : of the straight line [time].  temperature, volume : means.
+    n_atoms : number of atoms whose displacements were measured.
+    """
+
+    is_cubic: bool
+    temperature: float
+    volume: float
+    n_atoms: int
+    diffusion: float = np.nan
+    diffusion_error: float = np.nan
+    diffusion_of_species: tuple[float, ...] = ()
+    infinite: float = np.nan
+    window: tuple[float, float] = (np.nan, np.nan)
+    title = "mean-square displacement"
+    symbol = "msd"
+
+    @property
+    def msd(self) -> Array:
+        """(T,) [length²], of all atoms."""
+        return np.asarray(self.means[0])
+
+    @property
+    def infinite_error(self) -> float:
+        """Standard error of infinite; it does not include the error of the viscosity."""
+        return self.diffusion_error if np.isfinite(self.infinite) else np.nan
+
+    def fitted(
+        self, without: Array, window: tuple[float, float] | None, longest: float, viscosity: float | None
+    ) -> DisplacementResult:
+        """This result with D.  without : (K, 1 + S + 3, T) replicas of the means.  longest : last lag for a fit [time].
+        Raises ValueError."""
+        spacing = (self.volume / self.scene.n_atoms) ** (1.0 / 3.0)
+        start, end = window or (0.1 * longest, longest if np.isnan(spacing) else 0.0)
+        has_left = self.msd > (LEFT * spacing) ** 2  # False for all lags without a volume
+        if window is None and has_left.any():
+            start = float(self.times[np.argmax(has_left)])
+            end = min(DECADE * start, longest)
+        inside = (self.times >= start) & (self.times <= end) & (self.times > 0.0)
+        if inside.sum() < 3:
+            if window is None:
+                return self
+            held = f"({start:.4g}, {end:.4g}) holds {inside.sum()} of {len(self.times)}"
+            raise ValueError(f"the window of the fit must hold at least 3 lags; {held}")
+        times, n = self.times[inside], 1 + len(self.scene.species)
+        coefficients = slope(times, self.means[:n, inside]) / 6.0
+        error = float(spread(slope(times, without[:, 0, inside]) / 6.0)) if len(without) else np.nan
+        found, *of_species = coefficients.tolist()
+        ends, infinite = (float(times[0]), float(times[-1])), np.nan
+        if viscosity is not None:
+            if not self.is_cubic:
+                needs = "needs a cubic cell that is periodic in all directions; leave viscosity out"
+                raise ValueError(f"the correction of Yeh and Hummer {needs}")
+            thermal_energy, edge = self.units.k_B * self.temperature, self.volume ** (1.0 / 3.0)
+            infinite = found + finite_size_correction(thermal_energy, viscosity, edge)
+        made = {"diffusion": found, "diffusion_error": error, "diffusion_of_species": tuple(of_species)}
+        return replace(self, **made, window=ends, infinite=infinite)
+
+    def numbers(self) -> dict[str, float]:
+        """See Result."""
+        return {**super().numbers(), "diffusion_infinite": self.infinite}
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        units, (start, end) = self.units, self.window
+        if np.isnan(self.diffusion):
+            said = f"unknown: the atoms have not left their places in lags up to {units.shown(self.times[-1])}"
+            return [("diffusion", said)]
+        words = diffusion_words(self.diffusion, self.diffusion_error, units)
+        rows = [("diffusion", f"D = {words}, from lags of {units.shown(start)} to {units.shown(end)}, in this cell")]
+        if np.isfinite(self.infinite):
+            words = diffusion_words(self.infinite, self.infinite_error, units)
+            rows.append(("", f"D = {words} in an infinite cell (Yeh and Hummer)"))
+        elif self.is_cubic:
+            rows.append(("", "in a larger cell D is larger: result(viscosity=...) corrects for this"))
+        return rows
+
+    def draw(self, panel: Axes) -> None:
+        """See Result."""
+        (times, unit), later = self.abscissa(), self.times > 0.0
+        panel.loglog(times[later], self.msd[later], marker="o", ms=2.5, lw=1.0)
+        if np.isfinite(self.diffusion):
+            line = 6.0 * self.diffusion * self.times[later]
+            panel.loglog(times[later], line, color="0.6", lw=0.8, ls="--", label="6 D t")
+            panel.legend(frameon=False, fontsize=8)
+        panel.set(xlabel=f"t  [{unit}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{self.unit}]", title=self.title)
+
+
+@dataclass(frozen=True, repr=False)
+class VelocityResult(MotionResult):
+    """A velocity autocorrelation, its integral, and the self-diffusion that follows from it.
+
+    times : (T,) lags [time].
+    means, errors : (1 + S + 3, T) [length²/time²], of all atoms, of those of each species, and along x, y, z.
+    integral, integral_error : (T,) ⅓ ∫₀ᵗ ⟨v · v⟩ [length²/time].  plateau : of the integral.
+    n_atoms : number of atoms that were observed.
+    """
+
+    integral: Array
+    integral_error: Array
+    plateau: Plateau
+    n_atoms: int
+    title = "velocity autocorrelation"
+    symbol = "vacf"
+
+    @property
+    def vacf(self) -> Array:
+        """(T,) [length²/time²], of all atoms."""
+        return np.asarray(self.means[0])
+
+    @property
+    def diffusion(self) -> float:
+        """D in this cell [length²/time]."""
+        return self.plateau.value
+
+    @property
+    def diffusion_error(self) -> float:
+        """Its standard error."""
+        return self.plateau.error
+
+    @property
+    def unit(self) -> str:
+        """The unit of the means."""
+        return f"{self.units.length}²/({self.units.time})²"
+
+    def series(self) -> list[Series]:
+        """See Result."""
+        unit = f"{self.units.length}²/{self.units.time}"
+        return [*super().series(), Series("integral", unit, self.integral, self.integral_error)]
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        words = diffusion_words(self.diffusion, self.diffusion_error, self.units)
+        return [("velocities", f"D = {words}, in this cell; {self.plateau.said(self.units)}")]
+
+    def draw(self, panel: Axes) -> None:
+        """See Result."""
+        panel.axhline(0.0, color="0.7", lw=0.8)
+        self.draw_curves(panel, {"": self.vacf / self.vacf[0]}, "t", "⟨v(0) · v(t)⟩ / ⟨v²⟩")
+        last = max(self.plateau.window[1], float(self.times[min(15, len(self.times) - 1)]))
+        panel.set(xlim=(0.0, last * self.units.to_picosecond or None))

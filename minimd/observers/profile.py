@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd.console.display import Rows
-from minimd.console.words import shown
 from minimd.engine.engine import Engine
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
-from minimd.structure.checks import checked_choice, checked_count, checked_number
+from minimd.observers.arguments import AXES, argument, axis_name, interval, label, steps
+from minimd.structure.checks import checked_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
-AXES = "abc"
+EXTENT_WORDS = "lower and upper end, for an open axis only; atoms outside are not counted"
 # places in the sums, before the densities of each species, and Σ m v² of the atoms in each bin
 FRAMES, EXTENT, HEAD = range(3)
 
@@ -29,48 +29,25 @@ class Profile(Accumulator):
         ρ(z) = ⟨n(z) / ΔV⟩,   T(z) = ⟨Σ m v²⟩ / (g k_B ⟨n(z)⟩),   g = n_dof / N
 
     z is the distance along the normal of the two other lattice vectors. If the cell changes, layers of a periodic axis
-    move with it, and z is given in the mean cell. The velocities of a flow count as thermal,
-    but not those of the whole if n_dof leaves them out.
+    move with it, and z is given in the mean cell. The velocities of a flow count as thermal, but not those of the whole
+    if n_dof leaves them out.
 
-    Parameters
-    ----------
-    axis : "a", "b" or "c", the lattice vector.  n_bins : B layers.  every : steps between two looks.
-    extent : (lower, upper) [length], required for an open axis; atoms outside are not counted.
-        The other two axes must be periodic.
-    name : its name in files, "profile" if not given.
-
-    Raises
-    ------
-    ValueError : for arguments out of range; when a run begins,
-        if the cell and extent do not define the volume of layers.
+    Raises ValueError for arguments out of range; when a run begins, if the cell and extent do not define the volume of
+    layers: the other two axes must be periodic, and the axis itself without extent.
     """
 
     kind = "profile"
-    arguments = ("axis", "n_bins", "every", "extent")
-
-    def __init__(
-        self,
-        axis: str = "c",
-        n_bins: int = 100,
-        every: int = 50,
-        extent: tuple[float, float] | None = None,
-        name: str = "",
-    ) -> None:
-        super().__init__(every, name)
-        self.axis, self.n_bins = checked_choice("axis", axis, tuple(AXES)), checked_count("n_bins", n_bins)
-        if extent is not None and (not isinstance(extent, list | tuple) or len(extent) != 2):
-            raise ValueError(f"extent must be two numbers, lower and upper; extent = {shown(extent)}")
-        self.extent = None if extent is None else [checked_number("extent", one) for one in extent]
-        if self.extent is not None and self.extent[1] <= self.extent[0]:
-            raise ValueError(f"extent must be two numbers, the lower one first; extent = {shown(extent)}")
+    axis: str = argument(axis_name, "a, b or c, the lattice vector", "c")
+    n_bins: int = argument(checked_count, "number of bins", 100)
+    every: int = steps(50)
+    extent: tuple[float, float] | None = argument(interval, EXTENT_WORDS, None, "length")
+    name: str = label()
 
     def _begin(self, engine: Engine) -> None:
         pbc, k = engine.system.cell.pbc, AXES.index(self.axis)
         if not np.delete(pbc, k).all():
-            raise ValueError(
-                f"layers across axis {self.axis} need a cell that is periodic along the other two axes; its pbc = "
-                f"{pbc.tolist()}"
-            )
+            needed = f"a cell that is periodic along the other two axes; its pbc = {pbc.tolist()}"
+            raise ValueError(f"layers across axis {self.axis} need {needed}")
         if pbc[k] != (self.extent is None):
             needed = "is periodic: leave extent out" if pbc[k] else "is open: give extent=(lower, upper)"
             raise ValueError(f"axis {self.axis} of this cell {needed}")
@@ -86,10 +63,8 @@ class Profile(Accumulator):
         heights = np.einsum("ij,j->i", system.positions, normal) / area
         if self.extent is None:
             lower, height = 0.0, abs(float(vectors[k] @ normal)) / area
-            layers = (
-                np.floor(heights * np.sign(vectors[k] @ normal) / height % 1.0 * self.n_bins).astype(np.int64)
-                % self.n_bins
-            )
+            places = np.floor(heights * np.sign(vectors[k] @ normal) / height % 1.0 * self.n_bins)
+            layers = places.astype(np.int64) % self.n_bins
         else:
             lower, height = self.extent[0], self.extent[1] - self.extent[0]
             layers = np.floor((heights - lower) / height * self.n_bins).astype(np.int64)
@@ -121,12 +96,11 @@ class Profile(Accumulator):
 class ProfileResult(Result):
     """Profiles along an axis.
 
-    axis : its name.  z : (B,) middles of the layers [length].  densities, density_errors : (S, B)
-        of each species [1/length³].
+    axis : its name.  z : (B,) middles of the layers [length].
+    densities, density_errors : (S, B) of each species [1/length³].
     temperature, temperature_error : (B,); NaN in layers without atoms.  n_frames : number of looks.
     """
 
-    scene: ObservedRun
     axis: str
     z: Array
     densities: Array
@@ -134,36 +108,28 @@ class ProfileResult(Result):
     temperature: Array
     temperature_error: Array
     n_frames: int
-    title: ClassVar[str] = "profile"
+    title = "profile"
 
     @property
     def density(self) -> Array:
         """(B,) of all atoms [1/length³]."""
-        found: Array = self.densities.sum(axis=0)
-        return found
+        return np.asarray(self.densities.sum(axis=0))
 
-    def series(self) -> Series:
+    def series(self) -> list[Series]:
         """See Result."""
-        names = [f"density_{one}" for one in self.scene.species]
-        densities = zip(names, self.densities, self.density_errors, strict=True)
-        return [("z", self.z, None), ("temperature", self.temperature, self.temperature_error), *densities]
+        units, of_species = self.units, zip(self.scene.species, self.densities, self.density_errors, strict=True)
+        z = Series("z", units.length, self.z)
+        temperature = Series("temperature", units.temperature, self.temperature, self.temperature_error)
+        return [z, temperature, *(Series(f"density_{one}", f"1/{units.length}³", *both) for one, *both in of_species)]
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        length, low, high = self.scene.unit_system.length, self.density.min(), self.density.max()
-        return [
-            (
-                "profile",
-                f"along {self.axis}, {len(self.z)} layers, {self.n_frames} looks; density from {low:.4g} to {high:.4g} "
-                f"/{length}³",
-            )
-        ]
+        layers = f"along {self.axis}, {len(self.z)} layers, {self.n_frames} looks"
+        between = f"from {self.density.min():.4g} to {self.density.max():.4g} /{self.units.length}³"
+        return [("profile", f"{layers}; density {between}")]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
-        length = self.scene.unit_system.length
-        self.draw_curves(panel, self.z, dict(zip(self.scene.species, self.densities, strict=True)))
-        title = f"{self.title}, {self.n_frames} looks"
-        panel.set(
-            xlabel=f"along {self.axis}  [{length}]", ylabel=f"density  [1/{length}³]", ylim=(0.0, None), title=title
-        )
+        curves, label = dict(zip(self.scene.species, self.densities, strict=True)), f"density  [1/{self.units.length}³]"
+        self.draw_curves(panel, curves, f"along {self.axis}", label)
+        panel.set(ylim=(0.0, None), title=f"{self.title}, {self.n_frames} looks")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,8 @@ from minimd.console.display import Rows
 from minimd.engine.engine import Engine
 from minimd.neighbors.search import atoms_in_reach, bins_of, make_grid, sort_into_bins
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
-from minimd.structure.checks import checked_count, checked_number
+from minimd.observers.arguments import argument, label, positive, steps
+from minimd.structure.checks import checked_count
 from minimd.structure.statistics import with_error
 
 if TYPE_CHECKING:
@@ -21,15 +22,16 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 FRAMES, HEAD = 0, 1  # places in the sums: number of frames, then V times the numbers of pairs
+R_MAX = "largest distance; half the smallest height of the cell at the start if not given"
 
 
 @kernel
 def count_pairs(positions, species, bins, pair_of_species, width, r_max, counts):
-    """counts[p, k] += number of pairs of kind p = pair_of_species[a, b] with k · width ≤ r < (k + 1) · width,
-    with all images within r_max.
+    """counts[p, k] += number of pairs of kind p = pair_of_species[a, b] with k · width ≤ r < (k + 1) · width, with all
+    images within r_max.
 
-    positions : (N, 3) [length], in the order of the bins and inside the cell.  species : (N,) int, in the same order.
-        bins : see neighbors.search.
+    positions : (N, 3) [length], in the order of the bins and inside the cell.  bins : see neighbors.search.
+    species : (N,) int, in the same order.
     """
     size, bin_start, translations, n_bins = bins.counts, bins.bin_start, bins.translations, counts.shape[1]
     ranges = np.empty((bins.forward.shape[0] + 1, 3), dtype=np.int64)
@@ -60,34 +62,22 @@ class RadialDistribution(Accumulator):
     n_ab(r) is the number of pairs in a bin, of N_ab = N_a N_b, or N_a (N_a − 1)/2, pairs. V is the volume at each look;
     it may change. Bonded pairs count like all others.
 
-    Parameters
-    ----------
-    r_max : largest distance [length]; half the smallest height of the cell at the start if not given.  n_bins : B.
-        every : steps between two looks.
-    name : its name in files, "radial_distribution" if not given.
-
-    Raises
-    ------
-    ValueError : for arguments out of range; when a run begins, for a cell that is not periodic in all directions,
-        or a single atom.
+    Raises ValueError for arguments out of range; when a run begins, for a cell that is not periodic in all directions,
+    or a single atom.
     """
 
     kind = "radial-distribution"
-    arguments = ("r_max", "n_bins", "every")
-    settled = ("reach",)
-
-    def __init__(self, r_max: float | None = None, n_bins: int = 200, every: int = 100, name: str = "") -> None:
-        super().__init__(every, name)
-        self.r_max = None if r_max is None else checked_number("r_max", r_max, "positive and finite")
-        self.n_bins = checked_count("n_bins", n_bins)
-        self.reach = 0.0  # r_max, or half the smallest height of the cell
+    r_max: float | None = argument(positive, R_MAX, None, "length")
+    n_bins: int = argument(checked_count, "number of bins", 200)
+    every: int = steps(100)
+    name: str = label()
+    reach: float = field(init=False, default=0.0)  # r_max, or half the smallest height of the cell
 
     def _begin(self, engine: Engine) -> None:
         system = engine.system
         if system.volume is None or len(system) < 2:
-            raise ValueError(
-                f"g(r) needs at least two atoms, and a cell that is periodic in all directions; this run has {system!r}"
-            )
+            needs = "at least two atoms, and a cell that is periodic in all directions"
+            raise ValueError(f"g(r) needs {needs}; this run has {system!r}")
         self.reach = self.r_max or float(system.cell.heights.min() / 2.0)
 
     def _laid_out(self, scene: ObservedRun) -> None:
@@ -116,9 +106,8 @@ class RadialDistribution(Accumulator):
         scene = self.answered()
         edges = np.linspace(0.0, self.reach, self.n_bins + 1)
         shells = 4.0 / 3.0 * np.pi * np.diff(edges**3)
-        numbers = np.array(
-            [scene.numbers[a] * (scene.numbers[b] - (a == b)) / (1.0 + (a == b)) for a, b in self._pairs]
-        )
+        n = scene.numbers
+        numbers = np.array([n[a] * (n[b] - (a == b)) / (1.0 + (a == b)) for a, b in self._pairs])
         names = tuple(f"{scene.species[a]}-{scene.species[b]}" for a, b in self._pairs)
 
         def law(sums: Array) -> Array:
@@ -137,11 +126,10 @@ class RadialDistributionResult(Result):
     """g(r).
 
     r : (B,) middles of the bins [length].  g, error : (B,) of all atoms, and its standard error.
-    pairs : names of the pairs of species, P of them.  g_of_pairs, errors_of_pairs : (P, B).  n_frames :
-        number of looks.
+    pairs : names of the pairs of species, P of them.  g_of_pairs, errors_of_pairs : (P, B).
+    n_frames : number of looks.
     """
 
-    scene: ObservedRun
     r: Array
     g: Array
     error: Array
@@ -149,28 +137,22 @@ class RadialDistributionResult(Result):
     g_of_pairs: Array
     errors_of_pairs: Array
     n_frames: int
-    title: ClassVar[str] = "radial distribution"
+    title = "radial distribution"
 
-    def series(self) -> Series:
+    def series(self) -> list[Series]:
         """See Result."""
-        names = [f"g_{pair}" for pair in self.pairs]
-        of_pairs = list(zip(names, self.g_of_pairs, self.errors_of_pairs, strict=True))
-        return [("r", self.r, None), ("g", self.g, self.error), *(of_pairs if len(names) > 1 else [])]
+        of_pairs = zip(self.pairs, self.g_of_pairs, self.errors_of_pairs, strict=True)
+        found = [Series(f"g_{pair}", "", g, error) for pair, g, error in of_pairs] if len(self.pairs) > 1 else []
+        return [Series("r", self.units.length, self.r), Series("g", "", self.g, self.error), *found]
 
     def display_rows(self) -> Rows:
         """See Displayed."""
-        k, length = int(np.argmax(self.g)), self.scene.unit_system.length
+        k, length = int(np.argmax(self.g)), self.units.length
         highest = f"highest at {self.r[k]:.4g} {length}, {with_error(self.g[k], self.error[k])}"
         return [("g(r)", f"{len(self.r)} bins up to {self.r[-1]:.4g} {length}, {self.n_frames} looks; {highest}")]
 
     def draw(self, panel: Axes) -> None:
         """See Result."""
         panel.axhline(1.0, color="0.7", lw=0.8)
-        self.draw_curves(panel, self.r, dict(zip(self.pairs, self.g_of_pairs, strict=True)))
-        panel.set(
-            xlabel=f"r  [{self.scene.unit_system.length}]",
-            ylabel="g(r)",
-            title=f"{self.title}, {self.n_frames} looks",
-            xlim=(0.0, self.r[-1]),
-            ylim=(0.0, None),
-        )
+        self.draw_curves(panel, dict(zip(self.pairs, self.g_of_pairs, strict=True)), "r", "g(r)")
+        panel.set(title=f"{self.title}, {self.n_frames} looks", xlim=(0.0, self.r[-1]), ylim=(0.0, None))

@@ -26,8 +26,8 @@ FEWEST_LAGS = 3  # in a plateau
 
 
 class Plateau(NamedTuple):
-    """value, error : of the integral, in its units.  window : (start, end) [time].  is_reached :
-    whether the integral has a plateau."""
+    """value, error : of the integral, in its units.  window : (start, end) [time].
+    is_reached : whether the integral has a plateau."""
 
     value: float
     error: float
@@ -47,8 +47,8 @@ def running_integral(times: Array, correlation: Array) -> Array:
 
 
 def plateau(times: Array, integral: Array, without: Array) -> Plateau:
-    """The mean of the integral over an octave of times, t to 2t,
-    that begins where the noise grows faster than the missing rest decreases.
+    """The mean of the integral over an octave of times, t to 2t, that begins where the noise grows faster than the
+    missing rest decreases.
 
         A(t) e^(−t/Sτ) ≤ σ(t) Sτ/2t,   τ(t) = ∫₀ᵗ |I(t) − I(s)| ds / A(t),   A(t) = max |I(s)|, s ≤ t,   S = 1.5
 
@@ -63,57 +63,36 @@ def plateau(times: Array, integral: Array, without: Array) -> Plateau:
     C(0); N. Madras, A. D. Sokal, J. Stat. Phys. 50, 109 (1988), on windows that are multiples of τ.
     """
     errors, largest = spread(without), np.maximum.accumulate(np.abs(integral))
-    for i in range(1, len(times)):
-        inside = (times >= times[i]) & (times <= OCTAVE * times[i])
-        if OCTAVE * times[i] > times[-1]:
-            break
+    inside, is_reached = times >= times[-1] / OCTAVE, False
+    for i in range(1, int((OCTAVE * times <= times[-1]).sum())):
+        octave = (times >= times[i]) & (times <= OCTAVE * times[i])
         late = np.trapezoid(np.abs(integral[i] - integral[: i + 1]), times[: i + 1])
         slowest = SLOWER * late / largest[i] if largest[i] > 0.0 else np.inf
-        is_late = (
-            largest[i] * np.exp(-times[i] / slowest) <= errors[i] * slowest / (2.0 * times[i])
-            if slowest > 0.0
-            else True
-        )
-        if inside.sum() >= FEWEST_LAGS and is_late:
-            return _mean_of(times, integral, without, inside, is_reached=True)
-    return _mean_of(times, integral, without, times >= times[-1] / OCTAVE, is_reached=False)
-
-
-def _mean_of(times: Array, integral: Array, without: Array, inside: NDArray[np.bool_], is_reached: bool) -> Plateau:
-    start, end = float(times[inside][0]), float(times[inside][-1])
+        noise = errors[i] * slowest / (2.0 * times[i])
+        is_late = not slowest > 0.0 or largest[i] * np.exp(-times[i] / slowest) <= noise
+        if octave.sum() >= FEWEST_LAGS and is_late:
+            inside, is_reached = octave, True
+            break
+    t = times[inside]
 
     def mean(values: Array) -> Array:
-        return np.asarray(
-            np.trapezoid(values[..., inside], times[inside]) / (end - start)
-            if end > start
-            else values[..., inside].mean(axis=-1)
-        )
+        chosen = values[..., inside]
+        return np.asarray(np.trapezoid(chosen, t) / (t[-1] - t[0]) if t[-1] > t[0] else chosen.mean(axis=-1))
 
-    return Plateau(
-        float(mean(integral)), float(spread(mean(without))) if len(without) else np.nan, (start, end), is_reached
-    )
+    error = float(spread(mean(without))) if len(without) else np.nan
+    return Plateau(float(mean(integral)), error, (float(t[0]), float(t[-1])), is_reached)
 
 
 COUNT, TEMPERATURE, VOLUME, HEAD = 0, 1, 2, 3  # places in the sums, before those of the correlator
+LEVELS = "k, largest number of levels of the correlator"
 LONGEST = 0.25  # of the duration: longer lags have too few origins
 
 
-class Integral(NamedTuple):
-    """values, errors : a running integral and its standard errors, (T,).  plateau : of the integral."""
-
-    values: Array
-    errors: Array
-    plateau: Plateau
-
-
 class TimeCorrelation(Accumulator):
-    """An observer of a correlation in time.
-
-    Its sums are the number of looks, temperatures, volumes, and those of a multiple-tau correlator.
-    """
+    """An observer of a correlation in time: its sums are the number of looks, temperatures, volumes, and those of a
+    multiple-tau correlator."""
 
     convention = 2  # relative to the center of mass where its motion is no degree of freedom
-    _correlator: MultipleTau
 
     def interrupt(self) -> None:
         """See Accumulator."""
@@ -134,34 +113,30 @@ class TimeCorrelation(Accumulator):
         sums[:HEAD] += 1.0, temperature(look.thermal_energy, look.engine.n_dof, system.units.k_B), self._volume
         self._correlator.add(entry, sums[HEAD:])
 
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        return self._correlator.state()
-
-    def _take_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
-        self._correlator.restore(arrays)
+    def _parts(self) -> list[Any]:
+        return [self.sums, self._correlator]
 
     def _seen(self) -> tuple[NDArray[np.bool_], Array, float]:
-        """Whether each lag has origins; the lags that have [time];
-        and the longest lag for fits and integrals [time]."""
+        """Whether each lag has origins; the lags that have [time]; the longest lag for fits and integrals [time]."""
         counts, _ = self._correlator.correlations(self.sums.total[HEAD:])
         seen, spacing = counts > 0.0, self.answered().spacing
         times: Array = self._correlator.lags[seen] * np.float64(spacing)
         return seen, times, LONGEST * (self.n_looks - 1) * spacing
 
     def _estimate(self, times: Array, longest: float, law: Callable[[Array], Array]) -> tuple[Array, Array]:
-        """The result of a law for the sums, (..., T), and its standard errors;
-        NaN for lags that only a small part of the blocks contains."""
+        """The result of a law for the sums, (..., T), and its standard errors; NaN for lags that only a small part of
+        the blocks contains."""
         values, errors = self.sums.estimate(law)
         errors[..., times > 2.0 * longest] = np.nan
         return values, errors
 
-    def _integral(self, times: Array, longest: float, correlation: Callable[[Array], Array]) -> Integral:
-        """The running integral of a correlation, (T,).  correlation : function of the sums."""
+    def _integral(self, times: Array, longest: float, law: Callable[[Array], Array]) -> tuple[Array, Array, Plateau]:
+        """The running integral of a correlation, (T,), its standard errors, and its plateau.  law : of the sums."""
 
         def integral(sums: Array) -> Array:
-            return running_integral(times, correlation(sums))
+            return running_integral(times, law(sums))
 
         values, errors = self._estimate(times, longest, integral)
         good, without = times <= max(longest, times[min(1, len(times) - 1)]), self.sums.replicas(integral)
-        found = plateau(times[good], values[good], without[:, good] if len(without) else np.zeros((0, good.sum())))
-        return Integral(values, errors, found)
+        without = without[:, good] if len(without) else np.zeros((0, good.sum()))
+        return values, errors, plateau(times[good], values[good], without)

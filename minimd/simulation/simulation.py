@@ -28,8 +28,7 @@ from minimd.forces.options import Options, Precision
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
-from minimd.observers.accumulator import Accumulator
-from minimd.observers.attached import Attached
+from minimd.observers.accumulator import Accumulator, Attached
 from minimd.simulation.engine_attribute import Closed, EngineAttribute, Measured
 from minimd.simulation.resuming import last_step, resumed
 from minimd.structure.checks import checked_count, checked_flag, checked_number

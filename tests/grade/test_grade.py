@@ -144,6 +144,14 @@ def test_wrong_forces_are_told_their_fault(name):
     assert any(words in fault for fault in grade.faults) or not words, str(grade)
 
 
+def test_atoms_beyond_the_cutoff_have_neither_forces_nor_energy():
+    far, law = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]]), md.LennardJones(1.0, 1.0, 2.5)
+    grade = md.grade(lambda x: (0.0 * x, 1.0), law, positions=far)
+    assert grade["all atoms as minimd's"].passed
+    assert grade["all forces = −∇U"].passed
+    assert not grade["as minimd's"].passed
+
+
 def test_parameters_of_a_force_are_what_they_say():
     def right(x, eps=0.5, sigma=1.1):
         return pairs(x, lambda r: 24 * eps * (2 * sigma**12 / r**13 - sigma**6 / r**7))

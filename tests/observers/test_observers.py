@@ -1,6 +1,7 @@
 """Observers of a run have the answers of slow twins of theirs; a run that was cut goes on to the same answers."""
 
 import json
+from dataclasses import dataclass
 
 import h5py
 import numpy as np
@@ -15,9 +16,11 @@ from minimd import observers
 from minimd.analysis.check import check_file
 from minimd.analysis.plot import plot_file
 from minimd.files.h5md_digest import observers_of, read_restart
-from minimd.observers.accumulator import BlockedSums, ObservedRun
+from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
+from minimd.observers.arguments import argument, label, positive, steps
 from minimd.observers.fluctuations import FEWEST, correlation_times
 from minimd.scene import parse_scene, resume_run, run_scene
+from minimd.structure.checks import checked_count
 
 DISPLACEMENT, VELOCITY = "mean-square-displacement", "velocity-autocorrelation"
 NONE = md.LennardJones(1e-12, 1e-3, 0.1, "force-shifted")  # next to no forces
@@ -297,6 +300,61 @@ def test_a_scene_has_observers(tmp_path, monkeypatch):
     for old, new, shown in (("r_max = 2.0", 'axis = "c"', "axis"), ('"viscosity"', '"viscous"', "viscous")):
         with pytest.raises(ValueError, match=f"{shown}.*radial-distribution|radial-distribution.*{shown}"):
             parse_scene(text.replace(old, new), tmp_path / "melt.toml")
+
+
+@dataclass(frozen=True, repr=False)
+class SpeedsResult(Result):
+    speeds: np.ndarray
+    shares: np.ndarray
+    errors: np.ndarray
+    title = "distribution of speeds"
+
+    def series(self):
+        unit = f"{self.units.length}/{self.units.time}"
+        return [Series("speed", unit, self.speeds), Series("share", "", self.shares, self.errors)]
+
+    def display_rows(self):
+        return [("speeds", f"most often {self.speeds[np.argmax(self.shares)]:.3g}")]
+
+
+class Speeds(Accumulator):
+    """The distribution of speeds."""
+
+    kind = "speeds"
+    fastest: float = argument(positive, "where the last bin ends", 8.0)
+    n_bins: int = argument(checked_count, "number of bins", 16)
+    every: int = steps(2)
+    name: str = label()
+
+    def _laid_out(self, scene):
+        self.sums = BlockedSums(self.n_bins)
+
+    def _look(self, engine):
+        speeds = np.linalg.norm(engine.velocities, axis=1)
+        self.sums.total += np.histogram(speeds, self.n_bins, (0.0, self.fastest))[0]
+
+    def result(self):
+        shares = self.sums.estimate(lambda sums: sums / sums.sum())
+        return SpeedsResult(self.answered(), (np.arange(self.n_bins) + 0.5) * self.fastest / self.n_bins, *shares)
+
+
+def test_a_new_observer_is_one_class_and_its_series(tmp_path, monkeypatch):
+    monkeypatch.setitem(observers.KINDS, Speeds.kind, Speeds)
+    sim, looking, file = simulation(), Speeds(fastest=10.0), tmp_path / "a.h5md"
+    sim.run(100, every=20, trajectory=file, observers=[looking])
+    (kept,), result = md.read_observers(file).values(), looking.result()
+    assert repr(kept) == repr(looking) == "Speeds(fastest=10, every=2)"
+    assert str(kept) == str(result) == "speeds         " + repr(result)[len("SpeedsResult(") : -1]
+    assert list(result.columns()) == ["speed", "share", "share_error"] == [*result.to_pandas()]
+    assert result.shares.sum() == pytest.approx(1.0)
+    (panel,) = result.plot().axes
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("speed  [σ/τ]", "share")
+    assert panel.get_title() == result.title
+    np.testing.assert_array_equal(panel.lines[0].get_xydata().T, (result.speeds, result.shares))
+    with h5py.File(file) as h5:
+        np.testing.assert_array_equal(h5["minimd/observers/speeds/share_error"], result.errors)
+    assert "fastest : where the last bin ends." in Speeds.__doc__
+    assert_answered(lambda: Speeds(fastest=-1.0), ValueError, "fastest", "-1")
 
 
 def test_looks_after_the_last_good_state_are_told(monkeypatch):

@@ -1,0 +1,62 @@
+"""How an observer declares its arguments: each with its check, what it is, its default, and its dimension."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import field
+from functools import partial
+from typing import Any, NamedTuple
+
+from minimd.console.words import shown
+from minimd.structure.checks import checked_choice, checked_count, checked_number
+
+AXES = "abc"
+
+
+class Argument(NamedTuple):
+    """What is declared of an argument.  words : what it is.  dimension : of its numbers; empty without one.
+
+    check : checked_count, or one of the functions below; it returns the value that is kept, or raises ValueError.
+    """
+
+    check: Callable[[str, Any], Any]
+    words: str
+    dimension: str
+
+
+def argument(check: Callable[[str, Any], Any], words: str, default: Any, dimension: str = "") -> Any:
+    """A field of an Accumulator.  A default of None is not checked.  See Argument."""
+    return field(default=default, metadata={"argument": Argument(check, words, dimension)})
+
+
+def steps(default: int) -> Any:
+    """The field every."""
+    return argument(checked_count, "steps between two looks", default)
+
+
+def label() -> Any:
+    """The field name."""
+    return argument(identifier, "under which files store it; the kind if not given", "")
+
+
+levels = partial(checked_count, limit=40)  # of a correlator
+positive = partial(checked_number, demand="positive and finite")
+axis_name = partial(checked_choice, allowed=tuple(AXES))
+
+
+def interval(name: str, value: Any) -> list[float]:
+    """Two numbers, the lower one first."""
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise ValueError(f"{name} must be two numbers, lower and upper; {name} = {shown(value)}")
+    lower, upper = (checked_number(name, one) for one in value)
+    if upper <= lower:
+        raise ValueError(f"{name} must be two numbers, the lower one first; {name} = {shown(value)}")
+    return [lower, upper]
+
+
+def identifier(name: str, value: Any) -> str:
+    """Letters, digits and underscores, or nothing."""
+    if not (isinstance(value, str) and (value.isidentifier() or not value)):
+        wanted = "must be made of letters, digits and underscores"
+        raise ValueError(f"the {name} of an observer {wanted}; {name} = {shown(value)}")
+    return value

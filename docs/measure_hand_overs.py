@@ -102,20 +102,21 @@ def one_hand_over(cells: int, processes: int) -> None:
     simulation.run(1, progress=False)  # kernels
     with tempfile.TemporaryDirectory() as base:
         folder = Path(base, "melt")
-        job = handing_over.Job(simulation, folder, STEPS, processes, EVERY, False)
-        names, phase = list(PHASES), job.phase
+        names, phase = list(PHASES), handing_over.phase
 
         @contextmanager
-        def timed(name: str) -> Iterator[None]:
+        def timed(job: handing_over.Job, name: str) -> Iterator[None]:
             started, before = time.thread_time(), os.times()
-            with phase(name):
+            with phase(job, name):
                 yield
             minimd[name] = time.thread_time() - started  # without the sampler
             lammps[name] = sum(os.times()[2:4]) - sum(before[2:4])
 
-        job.phase = timed
-        with job.in_folder(False), Sampler(folder, lambda: names[min(len(job.seconds), len(names) - 1)]) as sampler:
-            done = job.run(job.prepare(), False)
+        handing_over.phase = timed
+        with Sampler(folder, lambda: names[min(len(minimd), len(names) - 1)]) as sampler:
+            done = handing_over.hand_over(
+                simulation, folder, STEPS, processes=processes, every=EVERY, progress=False, tell=None
+            )
         loop = next(
             float(line.split()[3])
             for line in (folder / "run.log").read_text().splitlines()

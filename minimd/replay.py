@@ -22,17 +22,13 @@ PATIENCE = 20  # steps after the failure, if it does not occur again at its step
 LAST_ROWS, APART = 12, 10  # rows of the table: all of the last ones, every tenth of the others
 # see ReplayedStep.row
 HEAD = "    step       time  total energy   closest pair  distance largest force      on  fastest      speed"
-SERIES = {"energy": "total energy", "distance": "closest pair", "force": "largest force", "speed": "largest speed"}
-COLORS = ("#1f5fa8", "#1b7f5c", "#c8501e", "#5b3f99")
 WIDE = 50.0  # ratio of the largest to the smallest value above which an axis is logarithmic
 
 
 class ReplayedStep(NamedTuple):
-    """One step.  time : [time].  energy : total [energy].  first, second, distance : the closest pair [length]; −1,
-    −1 and NaN if there is none.
-
-    pushed, force : the atom with the largest force, and this force [energy/length].  fastest, speed :
-        the fastest atom [length/time].
+    """One step.  time : [time].  energy : total [energy].  first, second, distance : the closest pair [length]; −1, −1
+    and NaN if there is none.  pushed, force : the atom with the largest force, and this force [energy/length].
+    fastest, speed : the fastest atom [length/time].
     """
 
     step: int
@@ -51,18 +47,12 @@ class ReplayedStep(NamedTuple):
         """The present step; forces and energy are those of the last observation."""
         record, pair = simulation.record, closest_pair(simulation.system) or (-1, -1, np.nan)
         energy = float(record.total_energy[-1]) if record is not None and len(record) else np.nan
-        return cls(
-            simulation.step,
-            simulation.time,
-            energy,
-            *pair,
-            *longest(simulation.forces),
-            *longest(simulation.velocities),
-        )
+        largest = *longest(simulation.forces), *longest(simulation.velocities)
+        return cls(simulation.step, simulation.time, energy, *pair, *largest)
 
     def row(self, units: UnitSystem) -> str:
-        """A row of the table: time in ps or τ, speed with the same unit of time,
-        and all else in the units of the system."""
+        """A row of the table: time in ps or τ, speed with the same unit of time, and all else in the units of the
+        system."""
         time, speed = self.time * units.to_picosecond, self.speed / units.to_picosecond
         pair = f"{self.first}-{self.second}" if self.first >= 0 else "none"
         energies = f"{self.step:>8}{time:>11.5g}{self.energy:>14.8g}{pair:>15}{self.distance:>10.4g}"
@@ -73,9 +63,9 @@ class ReplayedStep(NamedTuple):
 class Replay:
     """The result of a replay. str() gives a table.
 
-    rows : a ReplayedStep for each step that succeeded.  ending : why it ended, as text.  failed_at : step,
-        or None if it did not fail again.
-    findings : CrashReport of the original failure.  trajectory, picture : paths of the files, or None if not written.
+    rows : a ReplayedStep for each step that succeeded.  ending : why it ended, as text.  failed_at : step, or None if
+    it did not fail again.  findings : CrashReport of the original failure.  trajectory, picture : paths of the files,
+    or None if not written.
     """
 
     rows: list[ReplayedStep]
@@ -118,10 +108,9 @@ def replay(
     """
     from minimd.document.document import potentials_of_scene  # pydantic is slow to load
 
-    run = (past := read_crash_report(file)).run
+    run, found = (past := read_crash_report(file)).run, past.findings
     frames, drawing = (
-        _output(trajectory, Path(file), ".replay.h5md", overwrite),
-        _output(picture, Path(file), ".replay.png", overwrite),
+        _output(one, Path(file), end, overwrite) for one, end in ((trajectory, "h5md"), (picture, "png"))
     )
     acting = potentials_of_scene(run.scene, run.potentials, Path(file)) if potentials is None else potentials
     simulation = Simulation(
@@ -131,55 +120,52 @@ def replay(
     simulation.engine.noise_shift = past.noise_shift
     simulation.guard.judge_by(*past.judgment)
     rows: list[ReplayedStep] = []
-    options: dict[str, Any] = {"trajectory": () if frames is None else frames, "store_forces": True, "overwrite": True}
-    options |= {"observers": [lambda now: rows.append(ReplayedStep.of(now))], "progress": False, "crash_report": False}
-    step, failed_at = past.findings.step, None
+    options: dict[str, Any] = {
+        "trajectory": () if frames is None else frames, "observers": [lambda now: rows.append(ReplayedStep.of(now))],
+        "store_forces": True, "overwrite": True, "progress": False, "crash_report": False,
+    }  # fmt: skip
+    failed_at = None
     try:
-        simulation.run(step - simulation.step + PATIENCE, every=1, **options)
+        simulation.run(found.step - simulation.step + PATIENCE, every=1, **options)
         why = "something that is not in the file, such as an observer, acted on the first run"
         ending = f"it did not fail again up to step {simulation.step}: {why}"
     except (NonFiniteError, ConstraintError) as error:
-        failed_at = step if error.crash_report is None else error.crash_report.step
-        again = "again" if failed_at == step else f"at another step than the first time ({step}): rounding differs"
-        ending = f"failed {again}: {error}"
+        failed_at = found.step if error.crash_report is None else error.crash_report.step
+        other = f"at another step than the first time ({found.step}): rounding differs"
+        ending = f"failed {'again' if failed_at == found.step else other}: {error}"
     rows = rows or [ReplayedStep.of(simulation)]
     if drawing is not None:
-        _draw(rows, past.findings, simulation.system.units, drawing)
-    return Replay(
-        rows, ending, failed_at, past.findings, frames if frames is not None and frames.exists() else None, drawing
-    )
+        _draw(rows, found, simulation.system.units, drawing)
+    return Replay(rows, ending, failed_at, found, frames if frames is not None and frames.exists() else None, drawing)
 
 
-def _output(wanted: str | Path | bool, file: Path, suffix: str, overwrite: bool) -> Path | None:
+def _output(wanted: str | Path | bool, file: Path, end: str, overwrite: bool) -> Path | None:
     if wanted is False:
         return None
-    path = (
-        file.with_name(file.name.removesuffix(SUFFIX).removesuffix(file.suffix) + suffix)
-        if wanted is True
-        else Path(wanted)
-    )
+    own = file.name.removesuffix(SUFFIX).removesuffix(file.suffix)
+    path = file.with_name(f"{own}.replay.{end}") if wanted is True else Path(wanted)
     if path.exists() and not overwrite:
-        raise FileExistsError(
-            f"output {str(path)!r} exists; choose another name, or replace it with overwrite=True, or --overwrite of "
-            "the command"
-        )
+        advice = "choose another name, or replace it with overwrite=True, or --overwrite of the command"
+        raise FileExistsError(f"output {str(path)!r} exists; {advice}")
     return path
 
 
 def _draw(rows: list[ReplayedStep], findings: CrashReport, units: UnitSystem, picture: Path) -> None:
-    """Draw energy, distance of the closest pair, largest force and largest speed against the step.
-
-    Raises OSError if the picture cannot be written.
-    """
-    from minimd.analysis.plot import four_panels, save  # matplotlib is slow to load
+    """Draw energy, distance of the closest pair, largest force and largest speed against the step."""
+    from minimd.analysis.plot import save  # matplotlib is slow to load
+    from minimd.engine.record_picture import four_panels
 
     figure, panels = four_panels()
-    shown = (units.energy, units.length, f"{units.energy}/{units.length}", f"{units.length}/{units.shown_time}")
-    scales = {"speed": 1.0 / units.to_picosecond}
-    for panel, (name, label), unit, color in zip(panels, SERIES.items(), shown, COLORS, strict=True):
-        numbers = np.array([getattr(row, name) for row in rows]) * scales.get(name, 1.0)
+    steps, energies, _, _, distances, _, forces, _, speeds = np.array([(row[0], *row[2:]) for row in rows]).T
+    series = (
+        ("total energy", units.energy, energies, "#1f5fa8"),
+        ("closest pair", units.length, distances, "#1b7f5c"),
+        ("largest force", f"{units.energy}/{units.length}", forces, "#c8501e"),
+        ("largest speed", f"{units.length}/{units.shown_time}", speeds / units.to_picosecond, "#5b3f99"),
+    )
+    for panel, (label, unit, numbers, color) in zip(panels, series, strict=True):
         finite = numbers[np.isfinite(numbers)]
-        panel.plot([row.step for row in rows], numbers, color=color, lw=1.1, marker="o", ms=3.0)
+        panel.plot(steps, numbers, color=color, lw=1.1, marker="o", ms=3.0)
         if finite.size and finite.min() > 0.0 and finite.max() > WIDE * finite.min():
             panel.set_yscale("log")
         panel.axvline(findings.step, color="0.5", lw=1.0, ls="--")

@@ -1,7 +1,7 @@
 """`minimd bench scene`: the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing."""
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -11,26 +11,16 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import minimd as md
+from minimd_bench import scenes
 from minimd_bench.engines import Minimd
 from minimd_bench.outcome import bars, spread, summary, table, tell
-from minimd_bench.scenes import (
-    CUTOFF,
-    MELT_TEMPERATURE,
-    SCENES,
-    TIMESTEP,
-    BenchScene,
-    equilibrated,
-    melt,
-    pairs_in_range,
-)
+from minimd_bench.scenes import SCENES, BenchScene, equilibrated, pairs_in_range
 from minimd_bench.turns import take_turns, warm_up
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PARTNERS = 1.3  # σ: only closer atoms are bonded; this is within the first peak of g(r)
-EVERY = 10  # steps between observations, for ingredients with observations
-BASE = "melt"
 
 
 class IngredientCost(NamedTuple):
@@ -57,29 +47,26 @@ class IngredientCosts:
 
     def lines(self) -> list[str]:
         """See Outcome."""
-        base = self.costs[0]
-        titles = {"scene": str} | dict.fromkeys(
-            ["atoms", "µs per step", "ratio to the melt", "pairs per atom", "ratio per pair"], float
-        )
-        cells = []
+        base, cells = self.costs[0], []
         for cost in self.costs:
             ratio, pairs = self.ratio(cost), cost.n_pairs / cost.n_atoms
-            by_pair = ratio * (base.n_pairs / base.n_atoms) / pairs
-            times = [spread(1e6 * cost.seconds), spread(ratio)]
-            cells.append([cost.name, str(cost.n_atoms), *times, f"{pairs:.1f}", spread(by_pair)])
+            by_pair = spread(ratio * (base.n_pairs / base.n_atoms) / pairs)
+            times = spread(1e6 * cost.seconds), spread(ratio)
+            cells.append([cost.name, str(cost.n_atoms), *times, f"{pairs:.1f}", by_pair])
+        numbers = ("atoms", "µs per step", "ratio to the melt", "pairs per atom", "ratio per pair")
         head = (
             f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); only "
             "pairs in range are counted."
         )
-        return [head, "", *table(titles, cells)]
+        return [head, "", *table({"scene": str} | dict.fromkeys(numbers, float), cells)]
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
-        rows = [
-            {"name": c.name, "n_atoms": c.n_atoms, "n_pairs": c.n_pairs, "seconds_per_step": summary(c.seconds)}
-            for c in self.costs
-        ]
-        return {"repeats": self.repeats, "rows": rows}
+        rows = [cost._asdict() for cost in self.costs]
+        return {
+            "repeats": self.repeats,
+            "rows": [one | {"seconds_per_step": summary(one.pop("seconds"))} for one in rows],
+        }
 
     def figure(self) -> "Figure":
         """A figure of the times relative to that of the melt."""
@@ -89,79 +76,70 @@ class IngredientCosts:
 
 def run_ingredients(n: int, repeats: int) -> IngredientCosts:
     """Measure the time of the melt of 4 n³ atoms, and with one ingredient more or less, in turns."""
+    n_atoms, base = 4 * n**3, equilibrated(SCENES[scenes.MELT](n))
     with tempfile.TemporaryDirectory() as folder:
-        loaded = {name: make() for name, make in _ingredients(equilibrated(melt(n)), n, Path(folder)).items()}
-        engines = [engine for _, engine in loaded.values()]
-        n_atoms = 4 * n**3
+        rows = _ingredients(base, n, Path(folder))
+        engines = [Minimd(scene, **how) for scene, how in rows.values()]
+        loaded = [(scene, engine) for (scene, _), engine in zip(rows.values(), engines, strict=True)]
         n_steps = warm_up(engines, n_atoms)
-        before = [pairs_in_range(scene, engine.positions) for scene, engine in loaded.values()]
-        steps_per_second = take_turns(engines, n_steps, repeats, n_atoms)
-        costs = []
-        for k, (name, (scene, engine)) in enumerate(loaded.items()):
-            n_pairs = 0.5 * (before[k] + pairs_in_range(scene, engine.positions))
-            costs.append(IngredientCost(name, len(scene.system), n_pairs, 1.0 / steps_per_second[k]))
-        tell("done")
-        return IngredientCosts(costs, repeats)
+        before = [pairs_in_range(scene, engine.positions) for scene, engine in loaded]
+        seconds = 1.0 / take_turns(engines, n_steps, repeats, n_atoms)
+        after = [pairs_in_range(scene, engine.positions) for scene, engine in loaded]
+    sizes, n_pairs = [len(scene.system) for scene, _ in loaded], 0.5 * np.add(before, after)
+    tell("done")
+    return IngredientCosts(list(map(IngredientCost, rows, sizes, n_pairs.tolist(), seconds)), repeats)
 
 
-def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, Callable[[], tuple[BenchScene, Minimd]]]:
-    """Functions that make a scene and its engine, by name."""
+def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, tuple[BenchScene, dict[str, Any]]]:
+    """Scenes and the options of their engines, by name."""
     bonds, length = partners(base.system)
     plain, excluding = (
-        md.LennardJones(1.0, 1.0, CUTOFF, "truncated", bonded_scale=scale)
-        for scale in ((1.0, 1.0, 1.0), (0.0, 1.0, 1.0))
+        md.LennardJones(1.0, 1.0, scenes.CUTOFF, "truncated", bonded_scale=(scale, 1.0, 1.0)) for scale in (1.0, 0.0)
     )
     spring, rigid = md.HarmonicBond(400.0, length), md.DistanceConstraints(bonds)
     bonded = _with(base, bonds=bonds)
     labels = np.where(np.arange(len(base.system)) % 2 == 0, "A", "B")
-    two_kinds = md.LennardJones({"A": (1.0, 1.0), "B": (1.0, 1.0)}, cutoff=CUTOFF, truncation="truncated")
-    langevin = md.LangevinBAOAB(TIMESTEP, MELT_TEMPERATURE, friction=1.0, seed=1)
+    two_kinds = md.LennardJones({"A": (1.0, 1.0), "B": (1.0, 1.0)}, cutoff=scenes.CUTOFF, truncation="truncated")
+    langevin = md.LangevinBAOAB(scenes.TIMESTEP, scenes.MELT_TEMPERATURE, friction=1.0, seed=1)
+    often = {"every": 10}  # steps between observations
     return {
-        BASE: lambda: (base, Minimd(base)),
-        "the melt once more": lambda: (base, Minimd(base)),
-        "said to have no bonds, no constraints": lambda: _run(
-            _with(base, bonds=np.zeros((0, 2), dtype=int))._replace(constraints=())
+        "melt": (base, {}),
+        "the melt once more": (base, {}),
+        "said to have no bonds, no constraints": (
+            _with(base, bonds=np.zeros((0, 2), dtype=int))._replace(constraints=()), {},
         ),
-        "+ energy and pressure every 10 steps": lambda: (base, Minimd(base, every=EVERY)),
-        "+ H5MD trajectory every 10 steps": lambda: (base, Minimd(base, every=EVERY, trajectory=folder / "run.h5md")),
-        "+ XTC trajectory every 10 steps": lambda: (base, Minimd(base, every=EVERY, trajectory=folder / "run.xtc")),
-        "+ energy and pressure every step": lambda: (base, Minimd(base, every=1)),
-        "+ second species": lambda: _run(_with(base, species=labels)._replace(potentials=(two_kinds,))),
-        "+ bonds": lambda: _run(bonded._replace(potentials=(plain, spring))),
-        "+ bonds, exclusions": lambda: _run(bonded._replace(potentials=(excluding, spring))),
-        "+ rigid bonds, exclusions": lambda: _run(bonded._replace(potentials=(excluding,), constraints=(rigid,))),
-        "+ Langevin bath": lambda: (base, Minimd(base, method=langevin)),
-        "− periodic boundaries (droplet)": lambda: _run(_with(base, pbc=False)),
-        "Kob-Andersen mixture": lambda: _run(equilibrated(SCENES["kob-andersen"](n))),
-        "chains of 100 beads": lambda: _run(equilibrated(SCENES["chains"](n))),
-    }
-
-
-def _run(scene: BenchScene) -> tuple[BenchScene, Minimd]:
-    return scene, Minimd(scene)
+        "+ energy and pressure every 10 steps": (base, often),
+        "+ H5MD trajectory every 10 steps": (base, often | {"trajectory": folder / "run.h5md"}),
+        "+ XTC trajectory every 10 steps": (base, often | {"trajectory": folder / "run.xtc"}),
+        "+ energy and pressure every step": (base, {"every": 1}),
+        "+ second species": (_with(base, species=labels)._replace(potentials=(two_kinds,)), {}),
+        "+ bonds": (bonded._replace(potentials=(plain, spring)), {}),
+        "+ bonds, exclusions": (bonded._replace(potentials=(excluding, spring)), {}),
+        "+ rigid bonds, exclusions": (bonded._replace(potentials=(excluding,), constraints=(rigid,)), {}),
+        "+ Langevin bath": (base._replace(method=langevin), {}),
+        "− periodic boundaries (droplet)": (_with(base, pbc=False), {}),
+        "Kob-Andersen mixture": (equilibrated(SCENES["kob-andersen"](n)), {}),
+        "chains of 100 beads": (equilibrated(SCENES["chains"](n)), {}),
+    }  # fmt: skip
 
 
 def _with(scene: BenchScene, **changes: Any) -> BenchScene:
     """The scene with other species, bonds or pbc."""
     old = scene.system
-    kept = {"species": old.species, "bonds": old.bonds, "pbc": old.cell.pbc} | changes
-    system = md.System(
-        old.positions, velocities=old.velocities, masses=old.masses, cell=old.cell.vectors, units=old.units, **kept
-    )
+    kept = {"species": old.species, "bonds": old.bonds, "pbc": old.cell.pbc, "cell": old.cell.vectors} | changes
+    system = md.System(old.positions, velocities=old.velocities, masses=old.masses, units=old.units, **kept)
     return scene._replace(system=system)
 
 
 def partners(system: md.System) -> tuple[NDArray[np.int64], float]:
     """Pairs of neighbors, with each atom in at most one pair, (K, 2), and the mean of their distances [σ]."""
     edges = np.diag(system.cell.vectors)
-    wrapped = system.positions % edges
-    wrapped[wrapped >= edges] = 0.0
-    near = cKDTree(wrapped, boxsize=edges).query_pairs(PARTNERS, output_type="ndarray")
+    tree = cKDTree(scenes.wrapped(system.positions, edges), boxsize=edges)
     taken, chosen = np.zeros(len(system), dtype=bool), []
-    for i, j in near:
-        if not (taken[i] or taken[j]):
-            taken[[i, j]] = True
-            chosen.append((i, j))
+    for pair in tree.query_pairs(PARTNERS, output_type="ndarray"):
+        if not taken[pair].any():
+            taken[pair] = True
+            chosen.append(pair)
     pairs = np.array(chosen)
     apart = system.positions[pairs[:, 1]] - system.positions[pairs[:, 0]]
     apart -= np.rint(apart / edges) * edges

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from math import floor, log10
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,22 +30,21 @@ DIGITS = 3  # of a median, because rounds differ by a percent or more
 ALIGN = {str: ":---", float: "---:"}
 DPI = 150
 WIDTH = 7.5  # inches, the width of a page
-MOST_CURVES = 6  # in a panel
+MARKERS = "os^vD<"
+MOST_CURVES = len(MARKERS)  # in a panel
 BETWEEN_NAMES = 0.22  # inches, from one name to the next
 
 Ratios = NDArray[np.float64] | None
 
 
 class Outcome(Protocol):
-    """The outcome of one benchmark."""
+    """The outcome of one benchmark.  name : in its files.  packages : whose versions matter, besides minimd, numba and
+    numpy."""
+
+    name: ClassVar[str]
 
     @property
-    def name(self) -> str:
-        """The name in its files."""
-
-    @property
-    def packages(self) -> Sequence[str]:
-        """Packages whose versions matter, besides minimd, numba and numpy."""
+    def packages(self) -> Sequence[str]: ...  # noqa: D102
 
     def lines(self) -> list[str]:
         """The results as lines of Markdown."""
@@ -60,9 +59,8 @@ class Outcome(Protocol):
 def markdown(outcome: Outcome) -> str:
     """The tables, below a description of machine and versions."""
     words = ", ".join(f"{name} {number}" for name, number in versions(outcome.packages).items())
-    return "\n".join(
-        [f"# minimd bench {outcome.name}", "", f"{machine()['text']}.  ", f"{words}.", "", *outcome.lines()]
-    )
+    head = [f"# minimd bench {outcome.name}", "", f"{machine()['text']}.  ", f"{words}.", ""]
+    return "\n".join([*head, *outcome.lines()])
 
 
 def as_json(outcome: Outcome) -> str:
@@ -84,29 +82,23 @@ def write(outcome: Outcome, folder: Path) -> None:
 
 
 def versions(packages: Sequence[str]) -> dict[str, str]:
-    """Versions of minimd, numba, numpy, and of the packages and programs that took part."""
-    return {"minimd": md.__version__} | {name: _version(name) for name in ("numba", "numpy", *packages)}
-
-
-def _version(name: str) -> str:
-    """Of a package, or of a program on the path, as it says itself."""
-    if (found := version(name)) != MISSING or shutil.which(name) is None:
-        return found
-    told = subprocess.run([name, "--version"], capture_output=True, text=True, check=False).stdout
-    said = re.search(r"version:?[ \t]+(\d\S*)", told, re.IGNORECASE)
-    return said[1] if said else "of unknown version"
+    """Versions of minimd, numba, numpy, and of the packages and programs that took part, as they say themselves."""
+    found = {"minimd": md.__version__}
+    for name in ("numba", "numpy", *packages):
+        found[name] = version(name)
+        if found[name] == MISSING and shutil.which(name) is not None:
+            told = subprocess.run([name, "--version"], capture_output=True, text=True, check=False).stdout
+            said = re.search(r"version:?[ \t]+(\d\S*)", told, re.IGNORECASE)
+            found[name] = said[1] if said else "of unknown version"
+    return found
 
 
 def machine() -> dict[str, str | int]:
     """The machine: processor, cores that this process may use, platform, Python; and all in one line."""
-    processor, cores, system, python = (
-        processor_name(),
-        available_cores(),
-        platform.platform(),
-        platform.python_version(),
-    )
-    text = f"{processor} ({platform.machine()}), {cores} cores for this process; {system}; Python {python}"
-    return {"text": text, "processor": processor, "cores": cores, "platform": system, "python": python}
+    facts: dict[str, str | int] = {"processor": processor_name(), "cores": available_cores()}
+    facts |= {"platform": platform.platform(), "python": platform.python_version()}
+    text = "{processor} ({kind}), {cores} cores for this process; {platform}; Python {python}"
+    return {"text": text.format(kind=platform.machine(), **facts)} | facts
 
 
 def table(titles: Mapping[str, type], cells: Sequence[Sequence[str]]) -> list[str]:
@@ -158,9 +150,9 @@ def new_figure(height: float, width: float = WIDTH) -> "Figure":
 def bars(ratios: Mapping[str, NDArray[np.float64]], label: str) -> "Figure":
     """Bars for the medians of ratios, with the ranges of their rounds, and a line at 1.  label : of the axis."""
     figure = new_figure(max(2.0, 0.3 * len(ratios)))
-    axes = figure.subplots()
-    middle = np.array([np.median(ratio) for ratio in ratios.values()])
-    ends = np.abs(np.array([[ratio.min(), ratio.max()] for ratio in ratios.values()]) - middle[:, None]).T
+    axes, rounds = figure.subplots(), np.array(list(ratios.values()))
+    middle = np.median(rounds, axis=1)
+    ends = np.abs(np.array([rounds.min(axis=1), rounds.max(axis=1)]) - middle)
     axes.barh(list(ratios), middle, xerr=ends, color="tab:blue", ecolor="gray")
     axes.axvline(1.0, color="black", lw=0.8)
     axes.invert_yaxis()
@@ -168,12 +160,26 @@ def bars(ratios: Mapping[str, NDArray[np.float64]], label: str) -> "Figure":
     return figure
 
 
+def draw(panel: "Axes", curves: Mapping[str, tuple[Sequence[float], NDArray[np.float64], bool]]) -> dict[str, End]:
+    """Draw medians of all rounds and their ranges, six curves at most; returns the ends of the curves.
+
+    curves : by name: x (P,), y (P, R), and whether it is minimd's.
+    """
+    ends = {}
+    for k, (name, (x, y, is_own)) in enumerate(curves.items()):
+        middle, color = np.median(y, axis=1), f"C{k}"
+        line, width = ("-", 2.5) if is_own else ("--", 1.5)
+        panel.plot(x, middle, marker=MARKERS[k % MOST_CURVES], ls=line, lw=width, color=color)
+        panel.fill_between(x, y.min(axis=1), y.max(axis=1), alpha=0.15, color=color)
+        ends[name] = End(x[-1], float(middle[-1]), color)
+    return ends
+
+
 def name_curves(panel: "Axes", ends: Mapping[str, End]) -> None:
-    """Write the name of each curve to the right of the panel, in its color,
-    at the height of its end or as near as other names allow.
+    """Write the name of each curve to the right of the panel, in its color, at the height of its end or as near as
+    other names allow; a thin line connects each name with the end of its curve.
 
     All curves must have been drawn, also those of panels that share an axis.
-    A thin line connects each name with the end of its curve.
     """
     to_panel = panel.transData + panel.transAxes.inverted()
     panel.get_ylim()  # fixes limits that matplotlib chooses
@@ -181,12 +187,10 @@ def name_curves(panel: "Axes", ends: Mapping[str, End]) -> None:
     places = {name: to_panel.transform((end.x, end.y)) for name, end in ends.items()}
     height = -1.0
     # If ends have about the same height, the one farthest to the right comes first, so that no line crosses a curve.
-    for name, (_, y) in sorted(
-        places.items(), key=lambda item: (round(item[1][1] / gap), -round(item[1][0], 2), item[1][1])
+    for name in sorted(
+        ends, key=lambda name: (round(places[name][1] / gap), -round(places[name][0], 2), places[name][1])
     ):
-        height, color = max(y, height + gap), ends[name].color
+        height, color = max(places[name][1], height + gap), ends[name].color
         line = {"arrowstyle": "-", "lw": 0.6, "color": color, "alpha": 0.6}
-        text = panel.annotate(
-            name, ends[name][:2], (1.02, height), textcoords="axes fraction", va="center", color=color, arrowprops=line
-        )
-        text.set_annotation_clip(False)
+        style: dict[str, Any] = {"textcoords": "axes fraction", "va": "center", "color": color, "arrowprops": line}
+        panel.annotate(name, ends[name][:2], (1.02, height), annotation_clip=False, **style)

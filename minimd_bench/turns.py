@@ -1,13 +1,15 @@
 """Timing in rounds: engines with the same energies run one after the other, again and again."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.compiled.machine import available_cores
 from minimd.structure.errors import HandOverError
-from minimd_bench.engines import TimedEngine
+from minimd_bench.engines import Engine
 from minimd_bench.outcome import tell, threads_text
 
 # allowed relative difference of energies at step 0: rounding of single precision; GROMACS sums 32 000 atoms to 2e-5
@@ -23,39 +25,48 @@ SECONDS_A_TURN = 0.5
 STEPS_A_TURN, LONGEST_TURN = 40, 5.0
 
 
-def check_agreement(engines: Sequence[TimedEngine], n_atoms: int, scatter: float = 0.0) -> None:
+def check_agreement(engines: Sequence[Engine], n_atoms: int, scatter: float = 0.0) -> None:
     """Check that all engines have loaded the same scene and make the same steps; for this they make some steps.
 
     The total energy alone does not show a wrong time step, because it is conserved. The potential energy of a melting
     crystal does. scatter : further difference allowed after these steps, for engines with random numbers of their own
     [ε per atom]. Raises HandOverError if an engine differs from the first.
     """
-    _compare("potential energy at step 0", [(e, e.potential_energy()) for e in engines], relative=SAME_START)
+
+    def compare(quantity: str, energies: Sequence[float], relative: float, absolute: float) -> None:
+        for engine, energy in zip(engines, energies, strict=True):
+            if not abs(energy - energies[0]) <= relative * abs(energies[0]) + absolute:
+                first, other = f"{label(engines[0])} has {energies[0]:.8g}", f"{label(engine)} has {energy:.8g}"
+                raise HandOverError(f"{quantity}: {first}, {other}")
+
+    compare("potential energy at step 0", [engine.potential_energy() for engine in engines], SAME_START, 0.0)
     for engine in engines:
         engine.run(STEPS_COMPARED)
-    when = f"per atom after {STEPS_COMPARED} steps"
-    allowed = SAME_COURSE + scatter
-    _compare(f"potential energy {when}", [(e, e.potential_energy() / n_atoms) for e in engines], absolute=allowed)
-    _compare(f"total energy {when}", [(e, e.total_energy() / n_atoms) for e in engines], absolute=allowed)
+    when, allowed = f"per atom after {STEPS_COMPARED} steps", SAME_COURSE + scatter
+    compare(f"potential energy {when}", [engine.potential_energy() / n_atoms for engine in engines], 0.0, allowed)
+    compare(f"total energy {when}", [engine.total_energy() / n_atoms for engine in engines], 0.0, allowed)
 
 
-def warm_up(engines: Sequence[TimedEngine], n_atoms: int) -> list[int]:
+def in_turns(engines: Sequence[Engine], repeats: int, n_atoms: int) -> NDArray[np.float64]:
+    """Steps per second of each engine in each turn, (E, repeats), after a warm-up."""
+    return take_turns(engines, warm_up(engines, n_atoms), repeats, n_atoms)
+
+
+def warm_up(engines: Sequence[Engine], n_atoms: int) -> list[int]:
     """Run each engine several times, each twice as long as the one before; returns the number of steps in its turns."""
     n_steps = []
     for engine in engines:
         tell(f"{n_atoms} atoms: warming up {label(engine)}")
         started, done, burst = perf_counter(), 0, 1
-        seconds = _seconds(engine, burst)
+        seconds = timed(engine.run, burst)[1]
         while (done := done + burst) < WARM_UP and perf_counter() - started <= SECONDS_WARM_UP:
             burst *= 2
-            seconds = _seconds(engine, burst)
+            seconds = timed(engine.run, burst)[1]
         n_steps.append(steps_in_a_turn(seconds / burst))
     return n_steps
 
 
-def take_turns(
-    engines: Sequence[TimedEngine], n_steps: Sequence[int], repeats: int, n_atoms: int
-) -> NDArray[np.float64]:
+def take_turns(engines: Sequence[Engine], n_steps: Sequence[int], repeats: int, n_atoms: int) -> NDArray[np.float64]:
     """Steps per second of each engine in each turn, (E, repeats).
 
     The engines take turns because the speed of a machine drifts: so the drift affects all of them.  n_steps : (E,),
@@ -63,34 +74,32 @@ def take_turns(
     """
     speeds = np.empty((len(engines), repeats))
     for turn in range(repeats):
-        for k, engine in enumerate(engines):
-            speeds[k, turn] = n_steps[k] / _seconds(engine, n_steps[k])
+        speeds[:, turn] = [n / timed(engine.run, n)[1] for engine, n in zip(engines, n_steps, strict=True)]
         tell(f"{n_atoms} atoms: turn {turn + 1} of {repeats}")
     return speeds
 
 
 def steps_in_a_turn(seconds_per_step: float) -> int:
-    """The number of steps of a turn: half a second, at least 40 steps, at most 5 seconds,
-    and never less than one step."""
+    """The number of steps of a turn: half a second, at least 40 steps, at most 5 seconds, and never less than one."""
     in_time, at_most = SECONDS_A_TURN / seconds_per_step, LONGEST_TURN / seconds_per_step
     return max(1, int(min(max(in_time, STEPS_A_TURN), at_most)))
 
 
-def label(engine: TimedEngine) -> str:
+def label(engine: Engine) -> str:
     """The description of an engine."""
     return f"{engine.name}, {engine.precision}, {threads_text(engine.threads)}"
 
 
-def _compare(
-    quantity: str, energies: Sequence[tuple[TimedEngine, float]], relative: float = 0.0, absolute: float = 0.0
-) -> None:
-    first, expected = energies[0]
-    for engine, energy in energies[1:]:
-        if not abs(energy - expected) <= relative * abs(expected) + absolute:
-            raise HandOverError(f"{quantity}: {label(first)} has {expected:.8g}, {label(engine)} has {energy:.8g}")
+def thread_numbers(threads: Sequence[int]) -> tuple[int, ...]:
+    """Numbers of threads, without repetition; if none are given, one and all cores.  Raises ValueError for more threads
+    than cores."""
+    if max(threads, default=1) > (cores := available_cores()):
+        raise ValueError(f"--threads {max(threads)} is more than the {cores} cores that this process may use")
+    return tuple(dict.fromkeys(threads or (1, cores)))
 
 
-def _seconds(engine: TimedEngine, n_steps: int) -> float:
-    start = perf_counter()
-    measured = engine.run(n_steps)
-    return perf_counter() - start if measured is None else measured
+def timed(run: Callable[[int], Any], n_steps: int) -> tuple[Any, float]:
+    """What a run returns, and its seconds: that number itself, if it is a float, which an engine's own clock gives."""
+    started = perf_counter()
+    result = run(n_steps)
+    return result, result if isinstance(result, float) else perf_counter() - started

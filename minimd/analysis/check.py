@@ -4,10 +4,9 @@ and conservation laws."""
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.console.display import Displayed
 from minimd.constraints.constraint_set import ConstraintSet
@@ -20,7 +19,7 @@ from minimd.integrators import LangevinBAOAB
 from minimd.mdanalysis.universes import VERSION, RunUniverse, diffusion_coefficient, radial_distribution, universe_of
 from minimd.structure.cell import images_of_length
 from minimd.structure.constraints import DistanceConstraints, lengths_of
-from minimd.structure.observables import absolute_momentum, kinetic_energy, momentum
+from minimd.structure.observables import Array, absolute_momentum, kinetic_energy, momentum
 from minimd.structure.system import System
 
 # 2⁻²⁴, relative rounding of a velocity to float32, and therefore the largest error of a momentum relative to Σ|mv|
@@ -48,10 +47,8 @@ class Comparison:
         return self.figure <= self.tolerance
 
     def __str__(self) -> str:
-        return (
-            f"{self.name:<14} {self.meaning}: {self.figure:.2g}, tolerance {self.tolerance:.2g}: "
-            f"{'ok' if self.passed else 'FAILED'}"
-        )
+        compared = f"{self.meaning}: {self.figure:.2g}, tolerance {self.tolerance:.2g}"
+        return f"{self.name:<14} {compared}: {'ok' if self.passed else 'FAILED'}"
 
 
 @dataclass(frozen=True)
@@ -65,8 +62,8 @@ class FileCheck(Displayed):
 
     @property
     def passed(self) -> bool:
-        """True if all comparisons agree, and energy and momentum are conserved;
-        False also if there are too few frames to judge.
+        """True if all comparisons agree, and energy and momentum are conserved; False also if there are too few frames
+        to judge.
 
         A run that is too short to show a drift of the energy passes if the energy varies little: see Report.is_quiet.
         """
@@ -82,20 +79,13 @@ class FileCheck(Displayed):
         return "passed" if self.passed else "FAILED"
 
     def __str__(self) -> str:
-        return "\n".join(
-            [
-                self.heading,
-                *map(str, self.comparisons),
-                *self.structure,
-                str(self.report),
-                f"check          {self.outcome}",
-            ]
-        )
+        lines = self.heading, *self.comparisons, *self.structure, self.report, f"check          {self.outcome}"
+        return "\n".join(map(str, lines))
 
 
 def check_file(path: str | Path) -> FileCheck:
-    """Read a minimd file through MDAnalysis, compare stored observables with recomputed ones,
-    and judge what should be constant.
+    """Read a minimd file through MDAnalysis, compare stored observables with recomputed ones, and judge what should be
+    constant.
 
     Stored observables are float64. Velocities are read in float32; the tolerances allow for this.
     Raises as minimd.mdanalysis.universe.
@@ -106,169 +96,106 @@ def check_file(path: str | Path) -> FileCheck:
 
 
 def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
-    """The check of a file with an open universe.  damaged : its damaged frames or restarts,
-    see minimd.files.h5md_reader.damage."""
-    written = (
-        f"{damaged} are not those that were written" if damaged else "frames and restarts are those that were written"
-    )
-    sums = Comparison("checksums", float(bool(damaged)), EXACT, written)
-    contents, moved, system = made.contents, recompute(made), made.system
-    record, is_free = (
-        Record.of(system.units, len(system), {"step": moved.step, "time": moved.time, **moved.stored}),
-        contents.conserves_momentum,
-    )
+    """The check of a file with an open universe.  damaged : its damaged frames or restarts, see
+    minimd.files.h5md_reader.damage."""
+    contents, system, is_free = made.contents, made.system, made.contents.conserves_momentum
+    record, found = recomputed(made)
     lines, angular = tuple(pressure_lines(record, contents.barostat, is_free)), is_free and not system.cell.is_periodic
-    n_dof = ConstraintSet(contents.system, contents.system.constraints).degrees_of_freedom(is_free)
+    n_dof = ConstraintSet(system, system.constraints).degrees_of_freedom(is_free)
     report = conservation_report(record, angular, None, is_free, lines, n_dof, contents.too_long_a_step)
-    several = "s" * (contents.n_frames > 1)
-    frames = (
-        f"{contents.n_frames} frame{several}, steps {moved.step[0]} to {moved.step[-1]}, {contents.method}, "
-        f"{system.units.name} units"
-    )
+    frames = f"{contents.n_frames} frame{'s' * (contents.n_frames > 1)}, steps {record.step[0]} to {record.step[-1]}"
     heading = (
-        f"file           {Path(made.trajectory.filename)}: {contents.title}\nread           by MDAnalysis "
-        f"{VERSION}: {frames}"
+        f"file           {Path(made.trajectory.filename)}: {contents.title}\n"
+        f"read           by MDAnalysis {VERSION}: {frames}, {contents.method}, {system.units.name} units"
     )
-    return FileCheck(heading, [*comparisons(moved), *exact_momenta(made), sums], report, liquid(made))
+    return FileCheck(heading, comparisons(made, record, found, damaged), report, liquid(made))
 
 
-class Recomputed(NamedTuple):
-    """Quantities of all frames, recomputed from what MDAnalysis reads, in the units of the simulation.
-
-    step, time : (T,).  stored : observables of the file in float64, not rounded, with the names in OBSERVED.
-    kinetic_energy, momentum, absolute_momentum : (T,), (T, 3), (T,), recomputed from float32 velocities.
-    length_error : (T,), see the function length_error, from float32 positions.
-    """
-
-    step: NDArray[np.int64]
-    time: NDArray[np.float64]
-    stored: dict[str, NDArray[np.float64]]
-    kinetic_energy: NDArray[np.float64]
-    momentum: NDArray[np.float64]
-    absolute_momentum: NDArray[np.float64]
-    length_error: NDArray[np.float64]
-
-
-def recompute(run: str | Path | RunUniverse) -> Recomputed:
-    """Stored observables, and energies and momenta recomputed from velocities and masses, of all frames.
-
-    run : a file, or its universe.  Raises as universe.
-    """
-    with universe_of(run) as made:
-        system, masses, rows = made.system.copy(), made.atoms.masses, []
-        units, names = system.units, [name for name in OBSERVED if name in made.trajectory.ts.data]
-        for ts in made.trajectory:
-            v = as_in_run(ts, ts.velocities) * (units.to_picosecond / units.to_angstrom)
-            moments = (observable(v, masses) for observable in (kinetic_energy, momentum, absolute_momentum))
-            system.positions[:] = as_in_run(ts, ts.positions) / units.to_angstrom
-            if "cell" in ts.data:
-                system.cell = system.cell.strained(ts.data["cell"])
-            stored = (np.array(ts.data[name]) for name in names)
-            rows.append((ts.data["step"], ts.time / units.to_picosecond, *stored, *moments, length_error(system)))
-    step, time, *series = (np.array(column) for column in zip(*rows, strict=True))
-    return Recomputed(step, time, dict(zip(names, series, strict=False)), *series[len(names) :])
+def recomputed(made: RunUniverse) -> tuple[Record, list[Array]]:
+    """What MDAnalysis reads of all frames, in the units of the simulation: the stored observables, in float64; and
+    K, Σ p, Σ|p| and length_error, recomputed from float32 velocities and positions, (T,), (T, 3), (T,), (T,)."""
+    system, masses, units, rows = made.system.copy(), made.atoms.masses, made.system.units, []
+    for ts in made.trajectory:
+        v = as_in_run(ts, ts.velocities) * (units.to_picosecond / units.to_angstrom)
+        system.positions[:] = as_in_run(ts, ts.positions) / units.to_angstrom
+        if "cell" in ts.data:
+            system.cell = system.cell.strained(ts.data["cell"])
+        at = {"step": ts.data["step"], "time": ts.time / units.to_picosecond}
+        at |= {name: np.array(ts.data[name]) for name in OBSERVED if name in ts.data}
+        rows.append(
+            (at, kinetic_energy(v, masses), momentum(v, masses), absolute_momentum(v, masses), length_error(system))
+        )
+    stored, *found = zip(*rows, strict=True)
+    series = {name: np.array([row[name] for row in stored]) for name in stored[0]}
+    return Record.of(units, len(system), series), [np.array(one) for one in found]
 
 
 def length_error(system: System) -> float:
-    """The largest | |r| − d | of the constrained lengths, relative to the largest coordinate;
-    0 without such lengths."""
-    scale = float(np.abs(system.positions).max())
+    """The largest | |r| − d | of the constrained lengths, relative to the largest coordinate; 0 without such
+    lengths."""
+    positions, cell = system.positions, system.cell
     for one in system.constraints:
         if isinstance(one, DistanceConstraints):
-            lengths = lengths_of(system.positions, system.cell, one)
-            images = images_of_length(system.positions, system.cell, one.pairs, lengths)
-            bonds = system.positions[one.pairs[:, 1]] - system.positions[one.pairs[:, 0]] + images
-            return float(np.abs(np.linalg.norm(bonds, axis=1) - lengths).max()) / scale
+            lengths = lengths_of(positions, cell, one)
+            images = images_of_length(positions, cell, one.pairs, lengths)
+            bonds = positions[one.pairs[:, 1]] - positions[one.pairs[:, 0]] + images
+            return float(np.abs(np.linalg.norm(bonds, axis=1) - lengths).max()) / float(np.abs(positions).max())
     return 0.0
 
 
-def comparisons(moved: Recomputed) -> list[Comparison]:
-    """Comparisons of recomputed quantities with stored ones."""
-    stored, absolute = moved.stored, moved.absolute_momentum
-    parts = stored["potential_energy"] + stored["kinetic_energy"]
-    kinetic = _largest(moved.kinetic_energy - stored["kinetic_energy"], stored["kinetic_energy"])
-    not_later = int(np.count_nonzero(np.diff(moved.step) <= 0))
-    lengths = Comparison(
-        "lengths",
-        float(moved.length_error.max()),
-        LENGTHS,
-        "recomputed − prescribed, relative to the largest coordinate",
-    )
-    return [
-        Comparison("kinetic energy", kinetic, KINETIC, "recomputed − stored, relative to the stored value"),
-        Comparison(
-            "momentum",
-            _largest(moved.momentum - stored["momentum"], absolute),
-            SINGLE,
-            "recomputed − stored, relative to Σ|mv|",
-        ),
-        Comparison(
-            "Σ|mv|",
-            _largest(absolute - stored["absolute_momentum"], absolute),
-            SINGLE,
-            "recomputed − stored, relative to the stored value",
-        ),
-        Comparison(
-            "total energy",
-            _largest(parts - stored["total_energy"], stored["total_energy"]),
-            EXACT,
-            "potential + kinetic − total, relative to the total",
-        ),
-        *([lengths] if "constraint_violation" in stored else []),
-        Comparison("steps", not_later, EXACT, "frames that are not later than the one before"),
-    ]
-
-
-def exact_momenta(made: RunUniverse) -> list[Comparison]:
-    """For a run in fixed-point arithmetic: Σ p of each frame, an integer in steps of the grid,
-    compared with that of the first frame."""
-    contents, grid = made.contents, made.contents.restart.grid
-    if grid is None or not contents.conserves_momentum:
-        return []
-    inverse_masses = 1.0 / made.system.masses
-    totals = [
-        grid.momenta(one.velocities, inverse_masses).astype(np.int64).sum(axis=0)
-        for one in frames_of(made.trajectory.filename, range(contents.n_frames), made.system.units)
-    ]
-    changed = float(np.abs(np.array(totals) - totals[0]).max())
-    return [Comparison("exact momentum", changed, EXACT, "change of Σ p, in whole steps of the grid")]
-
-
-def _largest(differences: NDArray[np.float64], scales: NDArray[np.float64]) -> float:
-    """The largest |difference| / |scale| in all frames; 0 for a zero difference,
-    infinite for any other with a zero scale."""
-    sizes, scales = (
-        np.abs(differences) if differences.ndim == 1 else np.linalg.norm(differences, axis=1),
-        np.abs(scales),
-    )
+def comparisons(made: RunUniverse, record: Record, found: list[Array], damaged: str) -> list[Comparison]:
+    """Comparisons of recomputed quantities with stored ones. A figure is 0 for a zero difference, and infinite for any
+    other with a zero scale. In fixed-point arithmetic Σ p is an integer in steps of the grid in each frame."""
+    (kinetic, momenta, sizes, lengths), grid = found, made.contents.restart.grid
+    energy, relative = record.potential_energy + record.kinetic_energy, "recomputed − stored, relative to"
+    stored, written = f"{relative} the stored value", f"{damaged} are not" if damaged else "frames and restarts are"
+    rows: list[tuple[str, Any, Any, float, str]] = [
+        ("kinetic energy", kinetic - record.kinetic_energy, record.kinetic_energy, KINETIC, stored),
+        ("momentum", np.linalg.norm(momenta - record.momentum, axis=1), sizes, SINGLE, f"{relative} Σ|mv|"),
+        ("Σ|mv|", sizes - record.absolute_momentum, sizes, SINGLE, stored),
+        ("total energy", energy - record.total_energy, record.total_energy, EXACT,
+         "potential + kinetic − total, relative to the total"),
+        *([("lengths", lengths, 1.0, LENGTHS, "recomputed − prescribed, relative to the largest coordinate")]
+          if "constraint_violation" in record else []),
+        ("steps", np.count_nonzero(np.diff(record.step) <= 0), 1.0, EXACT,
+         "frames that are not later than the one before"),
+        ("checksums", bool(damaged), 1.0, EXACT, f"{written} those that were written"),
+    ]  # fmt: skip
+    if grid is not None and made.contents.conserves_momentum:
+        frames = frames_of(made.trajectory.filename, range(made.contents.n_frames), made.system.units)
+        steps = (grid.momenta(one.velocities, 1.0 / made.system.masses).astype(np.int64) for one in frames)
+        totals = np.array([one.sum(axis=0) for one in steps])
+        rows.insert(-1, ("exact momentum", totals - totals[0], 1.0, EXACT, "change of Σ p, in whole steps of the grid"))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return float(np.where(sizes == 0.0, 0.0, sizes / scales).max())
+        return [
+            Comparison(
+                name, float(np.where(figures == 0.0, 0.0, np.abs(figures) / np.abs(scales)).max()), limit, meaning
+            )
+            for name, figures, scales, limit, meaning in rows
+        ]
 
 
 def liquid(run: str | Path | RunUniverse) -> list[str]:
-    """Lines about a periodic liquid: the first peak of g(r),
-    and D if there are enough frames and the atoms have left their places.
+    """Lines about a periodic liquid: the first peak of g(r), and D if there are enough frames and the atoms have left
+    their places; empty if the cell is not periodic in all directions.
 
-    They have left their places if they have moved by half the distance of neighbors within the window of the fit. Empty
-    if the cell is not periodic in all directions.
+    They have left their places if they have moved by half the distance of neighbors within the window of the fit.
     run : a file, or its universe.  Raises as universe.
     """
     with universe_of(run) as made:
-        contents, units = made.contents, made.contents.system.units
-        if not contents.system.cell.pbc.all() or len(contents.system) < 2:
+        contents, system = made.contents, made.system
+        if not system.cell.pbc.all() or len(system) < 2:
             return []
         r, g = radial_distribution(made)
         above = np.append(g >= 0.5 * g.max(), False)  # the first interval of this has the first peak
         first = int(np.argmax(above))
-        end = first + int(np.argmin(above[first:]))
-        peak = float(r[first + np.argmax(g[first:end])])
-        lines = [f"g(r)           first peak at {peak:.3g} {units.length}"]
+        peak = float(r[first + np.argmax(g[first : first + int(np.argmin(above[first:]))])])
+        lines = [f"g(r)           first peak at {peak:.3g} {system.units.length}"]
         if contents.n_frames >= ENOUGH_FRAMES:
             diffusion = diffusion_coefficient(made)
             moved = float(diffusion.displacements[diffusion.lags <= diffusion.window[1]][-1]) ** 0.5
-            if moved > 0.5 * peak * units.to_angstrom:
-                slowed = (
-                    ", of Langevin dynamics, whose friction slows it" if contents.method == LangevinBAOAB.name else ""
-                )
+            if moved > 0.5 * peak * system.units.to_angstrom:
+                is_slowed = contents.method == LangevinBAOAB.name
+                slowed = ", of Langevin dynamics, whose friction slows it" if is_slowed else ""
                 lines.append(f"diffusion      {diffusion}{slowed}")
     return lines

@@ -21,8 +21,6 @@ from minimd.engine.record_picture import (
 from minimd.files.claim import write_whole
 from minimd.mdanalysis.universes import RunUniverse, mean_square_displacement, radial_distribution, universe_of
 
-__all__ = ["four_panels", "save"]
-
 
 def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
     """Draw a minimd file and return the name of the picture.
@@ -41,12 +39,12 @@ def plot_file(path: str | Path, out: str | Path | None = None) -> Path:
 
 def drawn(made: RunUniverse) -> Figure:
     """The figure of plot_file, for a run whose universe is open; it is not written to a file."""
-    contents = made.contents
+    contents, record, units = made.contents, made.contents.record, made.system.units
     answers = [one.result() for one in contents.observers.values() if one.n_looks]
     figure, panels = four_panels(len(answers))
     for draw, panel in zip((_energy, draw_temperature, draw_momentum), panels, strict=False):
-        draw(panel, contents.record.time * contents.system.units.to_picosecond, contents.record)
-        panel.set_xlabel(f"time  [{contents.system.units.shown_time}]")
+        draw(panel, record.time * units.to_picosecond, record)
+        panel.set_xlabel(f"time  [{units.shown_time}]")
     _structure(panels[3], made)
     for panel, answer in zip(panels[4:], answers, strict=False):
         answer.draw(panel)
@@ -58,59 +56,41 @@ def drawn(made: RunUniverse) -> Figure:
 
 
 def _energy(panel: Axes, times: Array, record: Record) -> None:
-    """Change of the total energy per atom since the start, minus heat Q if there is a bath,
-    with the line of its drift."""
+    """Change of the total energy per atom since the start, minus heat Q if there is a bath, with the line of its
+    drift."""
     change = draw_energy(panel, times, record)
-    panel.plot(
-        times,
-        change.mean() + drift(times, change).slope * (times - times.mean()),
-        color=ACCENT,
-        lw=1.0,
-        ls="--",
-        label="drift",
-    )
+    drifting = change.mean() + drift(times, change).slope * (times - times.mean())
+    panel.plot(times, drifting, color=ACCENT, lw=1.0, ls="--", label="drift")
     panel.margins(y=0.12)
     panel.legend(frameon=False, fontsize=8, ncols=2, loc="lower right", borderaxespad=0.0)
 
 
 def _structure(panel: Axes, made: RunUniverse) -> None:
     """g(r) if possible, else the mean-square displacement, else a note that there is none."""
-    system = made.contents.system
-    if system.cell.pbc.all() and len(system) > 1:
+    units, title = made.system.units, "mean-square displacement"
+    if made.system.cell.pbc.all() and len(made.system) > 1:
         r, g = radial_distribution(made)
         panel.axhline(1.0, color="0.7", lw=0.8)
         panel.plot(r, g, color=STRUCTURE, **STYLE)
-        panel.set(
-            xlabel=f"r  [{system.units.length}]",
-            ylabel="g(r)",
-            xlim=(0.0, r[-1]),
-            ylim=(0.0, None),
-            title="radial distribution, all atoms",
-        )
+        title = "radial distribution, all atoms"
+        panel.set(xlabel=f"r  [{units.length}]", ylabel="g(r)", title=title, xlim=(0.0, r[-1]), ylim=(0.0, None))
     elif made.contents.n_frames > 1:
-        lags, squares = mean_square_displacement(made)
-        panel.plot(lags, squares, color=STRUCTURE, **STYLE)
-        panel.set(
-            xlabel=f"lag  [{system.units.shown_time}]",
-            ylabel=f"⟨|r(t) − r(0)|²⟩  [{system.units.length}²]",
-            title="mean-square displacement",
-        )
+        panel.plot(*mean_square_displacement(made), color=STRUCTURE, **STYLE)
+        panel.set(xlabel=f"lag  [{units.shown_time}]", ylabel=f"⟨|r(t) − r(0)|²⟩  [{units.length}²]", title=title)
     else:
-        panel.text(
-            0.5,
-            0.5,
-            "one frame only, no displacement",
-            ha="center",
-            va="center",
-            transform=panel.transAxes,
-            color="0.4",
-        )
+        words = "one frame only, no displacement"
+        panel.text(0.5, 0.5, words, ha="center", va="center", transform=panel.transAxes, color="0.4")
+
+
+def rendered(figure: Figure, kind: str | None) -> bytes:
+    """The contents of the file of a picture.  kind : its format, as png or svg."""
+    drawn = BytesIO()
+    figure.savefig(drawn, format=kind)
+    return drawn.getvalue()
 
 
 def save(figure: Figure, picture: Path) -> Path:
-    """Write a picture, in place of a file or link of its name, and return this name.
-    Raises OSError if it cannot be written."""
-    drawn = BytesIO()
-    figure.savefig(drawn, format=picture.suffix[1:] or None)
-    write_whole(picture, drawn.getvalue())
+    """Write a picture, in place of a file or link of its name, and return this name.  Raises OSError if it cannot be
+    written."""
+    write_whole(picture, rendered(figure, picture.suffix[1:] or None))
     return picture

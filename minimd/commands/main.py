@@ -4,12 +4,13 @@ import argparse
 import sys
 import warnings
 from collections.abc import Sequence
-from contextlib import redirect_stdout, suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from importlib.metadata import entry_points
+from io import StringIO
 from typing import Any
 
-from minimd.commands import doctor, runs
-from minimd.commands.table import add
+from minimd.commands import doctor
+from minimd.commands.table import COMMANDS, add
 from minimd.compiled.machine import version
 from minimd.console.signals import Terminated, endings_are_told
 from minimd.console.words import printable
@@ -17,47 +18,49 @@ from minimd.ensemble.running import EnsembleError
 from minimd.structure.errors import ConstraintError, HandOverError, NonFiniteError, sentence
 
 OK, FAILED, WRONG_INPUT, BLOWN_UP, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
-CODES: dict[type[BaseException], int] = dict.fromkeys((OSError, ValueError, TypeError), WRONG_INPUT)
-CODES |= {KeyboardInterrupt: INTERRUPTED, NonFiniteError: BLOWN_UP, ConstraintError: BLOWN_UP}
-CODES |= dict.fromkeys((EnsembleError, HandOverError), FAILED)
+CODES: dict[type[BaseException], int] = {
+    **dict.fromkeys((OSError, ValueError, TypeError), WRONG_INPUT),
+    **dict.fromkeys((NonFiniteError, ConstraintError), BLOWN_UP),
+    **dict.fromkeys((EnsembleError, HandOverError), FAILED),
+    KeyboardInterrupt: INTERRUPTED,
+}
+EXPECTED: tuple[type[BaseException], ...] = (*CODES, Terminated)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
     0 done, 1 a check failed, 2 wrong input, 3 blown up, 130 interrupted, 143 terminated, 129 terminated because the
-    terminal was closed. For an expected error, one sentence for each problem is printed to standard error.
+    terminal was closed. For an expected error, one sentence for each problem is printed to standard error. With --quiet
+    nothing else is printed.
     """
     parser = argparse.ArgumentParser(
         prog="minimd", description="Molecular dynamics from scene files.", epilog="Begin with: minimd doctor"
     )
     parser.add_argument("--version", action="version", version=f"minimd {version('minimd')}")
     commands = parser.add_subparsers(metavar="command", title="commands")
-    for one in (*runs.COMMANDS, *(other.load() for other in entry_points(group="minimd.commands")), doctor.COMMAND):
+    for one in (*COMMANDS, *(other.load() for other in entry_points(group="minimd.commands")), doctor.COMMAND):
         add(commands, one)
     arguments = parser.parse_args(argv)
     if "command" not in arguments:
         parser.print_help()
         return OK
-    printed: Any = sys.stdout and Printable(sys.stdout)  # None if the shell has closed it
+    out, err = (StringIO(), StringIO()) if getattr(arguments, "quiet", False) else (sys.stdout, sys.stderr)
+    printed: Any = out and Printable(out)  # None if the shell has closed it
     try:
-        with (
-            endings_are_told(),
-            redirect_stdout(printed),
-            warnings.catch_warnings(),
-        ):  # for the whole process, which is this command
+        # catch_warnings acts on the whole process, which is this command
+        with endings_are_told(), redirect_stdout(printed), redirect_stderr(err), warnings.catch_warnings():
             warnings.showwarning = _tell
             passed = arguments.command(arguments)  # None for a command without a judgement
         return OK if passed is None or passed else FAILED
-    except tuple(CODES) as error:
-        with suppress(OSError):  # the reader may be gone
+    except EXPECTED as error:
+        with suppress(OSError, AttributeError):  # the reader may be gone
             sys.stdout.flush()
         for line in sentence(error).splitlines():
             print(f"minimd: error: {printable(line)}", file=sys.stderr)
+        if isinstance(error, Terminated):
+            return int(error.code or FAILED)
         return next(code for kind, code in CODES.items() if isinstance(error, kind))
-    except Terminated as error:
-        print(f"minimd: error: {error}", file=sys.stderr)
-        return int(error.code or FAILED)
 
 
 class Printable:

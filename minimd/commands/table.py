@@ -1,13 +1,16 @@
-"""How a command is declared: its function, its help, its arguments, each a row; other packages add theirs.
+"""The commands, each a row: its function, its help, its arguments; and those that make runs or read their files.
 
 A command of another package is a Command that an entry point of the group "minimd.commands" names.
 """
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
+
+import minimd as md
+from minimd.view.viewing import FRAMES
 
 
 class Argument(NamedTuple):
@@ -42,16 +45,15 @@ def add(parsers: Any, command: Command) -> None:
     """Add a command to the subparsers of argparse."""
     words = {"help": command.help, "description": command.description, "epilog": command.epilog}
     parser: argparse.ArgumentParser = parsers.add_parser(command.name, **words)
+    parser.set_defaults(command=command.run)
     for one in command.arguments:
         kind = {"type": one.kind, "metavar": one.metavar}
         given: dict[str, Any] = {name: value for name, value in kind.items() if value is not None}
         parser.add_argument(one.name, help=one.help, **given, **one.more)
-    if not command.below:
-        parser.set_defaults(command=command.run)
-        return
-    more = parser.add_subparsers(metavar=f"{command.name}mark", title=f"{command.name}marks", required=True)
-    for below in command.below:
-        add(more, below)
+    if command.below:
+        more = parser.add_subparsers(metavar=f"{command.name}mark", title=f"{command.name}marks", required=True)
+        for below in command.below:
+            add(more, below)
 
 
 def whole_number(text: str, least: int = 0) -> int:
@@ -62,11 +64,243 @@ def whole_number(text: str, least: int = 0) -> int:
     return int(digits)
 
 
-at_least_one = partial(whole_number, least=1)
-OVERWRITE, QUIET = flag("--overwrite", "replace files that exist"), flag("--quiet", "print only errors")
-STEPS = Argument("--steps", "number of steps, in place of that in the scene", whole_number, "N")
-
-
 def written_to(metavar: str, text: str, **more: Any) -> Argument:
     """Where a command writes."""
     return Argument("--out", text, Path, metavar, more)
+
+
+def scene_of(arguments: argparse.Namespace) -> Any:
+    """The minimd.scene.Scene in the file that is named; None if there is none."""
+    from minimd.scene import load_scene
+
+    return None if arguments.scene is None else load_scene(arguments.scene)
+
+
+def potentials_of(arguments: argparse.Namespace) -> Any:
+    """The potentials of the file of --scene; None if it is not given."""
+    return arguments.scene and scene_of(arguments).potentials()
+
+
+def refuse(what: str, place: Path, run: Path, metavar: str) -> NoReturn:
+    """Raise FileExistsError for an output; it says how to go on with the run in a file, if there is one."""
+    can_go_on = run.suffix.lower() == ".h5md" and run.exists()
+    resume = f", or go on with the run: minimd resume {run}" if can_go_on else ""
+    advice = f"replace it with --overwrite, write elsewhere with --out {metavar}{resume}"
+    raise FileExistsError(f"{what} {str(place)!r} exists; {advice}")
+
+
+def tell_next(files: Iterable[Path]) -> None:
+    """Print the commands that check and show the files of a run."""
+    from minimd.document.document import h5md_files
+
+    for file in h5md_files(files):
+        print(
+            f"next           minimd check {file}\n               minimd plot {file}\n               minimd view {file}"
+        )
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Run a scene.  Raises as run_scene."""
+    from minimd.scene import run_scene
+
+    scene, out, overwrite = scene_of(arguments), arguments.out, arguments.overwrite
+    for file in () if overwrite else scene.named_outputs(out):
+        if file.exists():
+            refuse("output", file, file, "FILE")
+    run_scene(scene, steps=arguments.steps, trajectory=out, overwrite=overwrite, progress=not arguments.quiet)
+    tell_next(scene.trajectories(out))
+
+
+def scan(arguments: argparse.Namespace) -> bool:
+    """Scan a scene, or print the status of a scan, with averages and picture; False if members have failed.  Raises as
+    scan_scene."""
+    from minimd.ensemble.scan import parsed_setting, scan_scene
+    from minimd.ensemble.table import save_picture, status, told_averages
+
+    if arguments.status is not None:
+        table, lines = status(arguments.status)
+    elif arguments.scene is None:
+        raise ValueError("minimd scan needs a scene file, or --status FOLDER to show the state of a scan")
+    else:
+        options: dict[str, Any] = {name: getattr(arguments, name) for name in ("replicas", "steps", "workers", "seed")}
+        options |= {"folder": arguments.out, "resume": not arguments.overwrite, "progress": not arguments.quiet}
+        table = scan_scene(arguments.scene, [parsed_setting(text) for text in arguments.settings], **options)
+        lines = [str(table)]
+    print("\n".join(lines))
+    if table.done.any():
+        print("\n".join(told_averages(table)))
+        picture = save_picture(table, arguments.plot)
+        print(f"written        {table.folder / 'table.csv'}, {table.folder / 'table.json'}, {picture}")
+    return not any(table["status"] == "failed")
+
+
+def resume(arguments: argparse.Namespace) -> None:
+    """Go on with a run.  Raises as resume_run."""
+    from minimd.scene import resume_run
+
+    resume_run(arguments.file, arguments.steps, scene=scene_of(arguments), progress=not arguments.quiet)
+    tell_next([arguments.file])
+
+
+def replay(arguments: argparse.Namespace) -> None:
+    """Print the crash report and make the steps.  Raises as verify_frames and minimd.replay."""
+    from minimd.files.crash_file import read_crash_report
+    from minimd.files.h5md_reader import verify_frames
+
+    verify_frames(arguments.file)
+    potentials, out = potentials_of(arguments), arguments.out
+    names: dict[str, Any] = {} if out is None else {"trajectory": out, "picture": out.with_suffix(".png")}
+    print(read_crash_report(arguments.file).findings, flush=True)
+    seen = md.replay(arguments.file, potentials, overwrite=arguments.overwrite, **names)
+    print(seen)
+    print(f"written        {', '.join(str(file) for file in (seen.trajectory, seen.picture) if file)}")
+
+
+def lammps(arguments: argparse.Namespace) -> None:
+    """Hand a scene over.  Raises as hand_over_scene."""
+    from minimd.lammps.handing_over import TRAJECTORY
+    from minimd.scene.running import hand_over_scene
+
+    scene = scene_of(arguments)
+    folder = arguments.out or Path(f"{scene.path.stem}-lammps")
+    if folder.exists() and not arguments.overwrite:
+        refuse("folder", folder, folder / TRAJECTORY, "FOLDER")
+    options = {name: getattr(arguments, name) for name in ("steps", "processes", "overwrite")}
+    tell_next([hand_over_scene(scene, folder, progress=not arguments.quiet, **options).trajectory])
+
+
+def check(arguments: argparse.Namespace) -> bool:
+    """Print the check of a file; True if it passed.  Raises as check_file."""
+    from minimd.analysis.check import check_file
+
+    result = check_file(arguments.file)
+    print(result)
+    return result.passed
+
+
+def plot(arguments: argparse.Namespace) -> None:
+    """Draw the picture and print its name.  Raises as verify_frames and plot_file."""
+    from minimd.analysis.plot import plot_file
+    from minimd.files.h5md_reader import verify_frames
+
+    verify_frames(arguments.file)
+    picture = arguments.out or arguments.file.with_suffix(".png")
+    word = "replaced" if picture.exists() else "written"
+    print(f"drawing        {picture} ...", flush=True)
+    print(f"{word:<14} {plot_file(arguments.file, picture)}")
+
+
+def view(arguments: argparse.Namespace) -> None:
+    """Write the page and print its name.  Raises as minimd.view."""
+    potentials, page = potentials_of(arguments), arguments.out or arguments.file.with_suffix(".html")
+    word = "replaced" if page.exists() else "written"
+    print(f"drawing        {page} ...", flush=True)
+    seen = md.view(arguments.file, frames=arguments.frames, potentials=potentials)
+    seen.save(page)
+    print(f"{word:<14} {page}: {seen.summary}, {page.stat().st_size / 1e6:.1f} MB")
+    if arguments.open:
+        import webbrowser
+
+        webbrowser.open(page.resolve().as_uri())
+
+
+def frames(arguments: argparse.Namespace) -> None:
+    """Write a file for each step.  Raises as Simulation.resume."""
+    potentials, file = potentials_of(arguments), arguments.file
+    for step in arguments.at:
+        out = arguments.out or file.with_name(f"{file.stem}-{step}.h5md")
+        if arguments.out and len(arguments.at) > 1:
+            out = out.with_name(f"{out.stem}-{step}{out.suffix}")
+        simulation = md.Simulation.resume(file, potentials, step=step)
+        record, units = simulation.run(0, trajectory=out, overwrite=arguments.overwrite), simulation.system.units
+        energy = f"total energy {float(record.total_energy[0])!r} {units.energy}"
+        print(f"step {step:<9} t = {units.shown(simulation.time)}, {energy}: written to {out}")
+
+
+def archive(arguments: argparse.Namespace) -> None:
+    """Write the archive and print its size.  Raises as minimd.archive."""
+    file, every, overwrite = arguments.file, arguments.every, arguments.overwrite
+    out = arguments.out or file.with_name(f"{file.stem}.archive.h5md")
+    print(md.archive(file, out, every, potentials_of(arguments), overwrite))
+
+
+at_least_one = partial(whole_number, least=1)
+OVERWRITE, QUIET = flag("--overwrite", "replace files that exist"), flag("--quiet", "print only errors")
+STEPS = Argument("--steps", "number of steps, in place of that in the scene", whole_number, "N")
+SCENE_FILE = Argument("scene", "scene file (TOML)", Path)
+RUN_FILE = Argument("file", "trajectory (.h5md)", Path)
+SCENE = Argument(
+    "--scene", "take the potentials from this scene file, not from the scene stored in the run", metavar="TOML"
+)
+COMMANDS = (
+    Command("run", "run a scene file", "Build a scene, run it, and write its files.", (
+        SCENE_FILE, OVERWRITE, QUIET, STEPS,
+        written_to("FILE", "one trajectory file, in place of those in the scene; the picture is written beside it"),
+    ), run),
+    Command("scan", "run a scene with many values of its keys",
+            "Run a scene with different values of its keys, each run with its own file, and average. The same command "
+            "goes on where it was stopped; with more replicas or steps it adds to the runs that are there. Example: "
+            "minimd scan argon.toml --set dynamics.temperature_K=80:120:5 --replicas 4 --workers 2 --out scan", (
+        SCENE_FILE._replace(more={"nargs": "?"}),
+        Argument("--set", "values for a key of the scene: 80:120:5 is 80, 85, ..., 120; several --set give all "
+                 "combinations; or KEY=VALUE,VALUE,...", None, "KEY=FROM:TO:STEP",
+                 {"action": "append", "default": [], "dest": "settings"}),
+        Argument("--replicas", "number of runs for each set of values, with different random numbers", at_least_one,
+                 "N", {"default": 1}),
+        STEPS,
+        Argument("--workers", "number of processes, one for each core if not given; 0 for this process only",
+                 whole_number, "N"),
+        Argument("--seed", "seed of all random numbers (default: 0)", whole_number, "N", {"default": 0}),
+        written_to("FOLDER", "folder for all files (default: scan)", default=Path("scan")),
+        Argument("--plot", "quantity in the picture (default: pressure)", None, "NAME"),
+        Argument("--status", "show the state of the scan in a folder, and run nothing", Path, "FOLDER"),
+        OVERWRITE, QUIET,
+    ), scan),
+    Command("resume", "go on with a run", "Continue the run in an H5MD file and append to it.", (
+        RUN_FILE._replace(help="trajectory (.h5md) of a run from a scene file"), QUIET,
+        SCENE._replace(help="use this scene, from now on, in place of the one stored in the run: potentials, method, "
+                       "time step, bath, output; structure, minimization and equilibration, which concern only the "
+                       "start, are not used"),
+        STEPS._replace(help="number of further steps; if not given, up to the number in the scene"),
+    ), resume),
+    Command("replay", "make the last steps of a failed run again",
+            "Make the last steps of a failed run again, one by one.", (
+        RUN_FILE._replace(help="file (.crash.h5md) that the run left"), SCENE, OVERWRITE, QUIET,
+        written_to("FILE", "trajectory of the steps (.h5md); the picture is written beside it"),
+    ), replay),
+    Command("lammps", "let LAMMPS run a scene file",
+            "Build a scene, let LAMMPS run it under MPI, and bring the result back as a file of minimd.", (
+        SCENE_FILE, OVERWRITE, QUIET,
+        Argument("--processes", "number of MPI processes, 1 if not given", at_least_one, "P", {"default": 1}),
+        STEPS._replace(kind=at_least_one),
+        written_to("FOLDER", "folder for all files; named after the scene if not given"),
+    ), lammps),
+    Command("check", "check a run for its conservation laws", "Check a run for its conservation laws.", (RUN_FILE,),
+            check),
+    Command("plot", "draw the energies, the temperature and the structure of a run",
+            "Draw the energies, the temperature and the structure of a run.", (
+        RUN_FILE, written_to("PNG", "file of the picture; named after the trajectory if not given"),
+    ), plot),
+    Command("view", "show the atoms of a run in motion, in the browser",
+            "Write a run as one HTML page: its report, its pictures, its atoms in motion. For a failed run it shows "
+            "the last steps and marks the pair.", (
+        RUN_FILE._replace(help="trajectory (.h5md), or file (.crash.h5md) that a failed run left"), SCENE,
+        written_to("HTML", "file of the page; named after the run if not given"),
+        Argument("--frames", f"largest number of frames, evenly chosen (default: {FRAMES})",
+                 partial(whole_number, least=2), "N", {"default": FRAMES}),
+        flag("--open", "show the page in the browser"),
+    ), view),
+    Command("frames", "make any step of a run again",
+            "Make steps of a run with precision='fixed-point' again, from the frame before them.", (
+        RUN_FILE, SCENE, OVERWRITE, QUIET,
+        Argument("--at", "steps to make again", whole_number, "STEP", {"nargs": "+", "required": True}),
+        written_to("FILE", "file to write; for several steps, the step is added to the name"),
+    ), frames),
+    Command("archive", "make a run's file small",
+            "Keep few frames of a run with precision='fixed-point'. All steps in between can be made again from them, "
+            "to the last bit.", (
+        RUN_FILE, SCENE, OVERWRITE,
+        Argument("--every", "keep the frames whose step is a multiple of N", whole_number, "N", {"required": True}),
+        written_to("FILE", "the archive (.h5md); beside the file if not given"),
+    ), archive),
+)  # fmt: skip

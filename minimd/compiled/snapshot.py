@@ -121,19 +121,17 @@ class Snapshot:
         defaults, keywords = function.__defaults__ or (), function.__kwdefaults__ or {}
         values, keyword_values = self._data(tuple(defaults)), self._data(tuple(keywords.values()))
         self._note(tuple(keywords))
-        shells = []
-        for k in (0, 1):
-            cells = tuple(CellType() for _ in function.__closure__ or ())
-            around = {"__name__": function.__module__, "__builtins__": builtins}
-            shell = FunctionType(function.__code__, around, function.__name__, values[k] or None, cells)
-            shell.__kwdefaults__ = dict(zip(keywords, keyword_values[k], strict=True)) or None
-            shell.__qualname__, shell.__doc__ = function.__qualname__, function.__doc__
-            shells.append(shell)
-        return shells[0], shells[1]
+        first, second = (
+            unread(function, one or None, dict(zip(keywords, each, strict=True)) or None)
+            for one, each in zip(values, keyword_values, strict=True)
+        )
+        return first, second
 
     def _fill(self, function: FunctionType, first: FunctionType, second: FunctionType) -> None:
         """Give the shells copies of the globals and closure cells that the function reads."""
-        for name in self._globals_read(function.__code__):
+        names, imports = globals_read(function.__code__)
+        self._is_clear &= not imports
+        for name in names:
             self._note("global", name)
             if name in function.__globals__:
                 first.__globals__[name], second.__globals__[name] = self._value(function.__globals__[name])
@@ -156,11 +154,21 @@ class Snapshot:
             else:
                 self._data(constant)
 
-    def _globals_read(self, code: CodeType) -> list[str]:
-        """Names of the globals that a code reads, functions defined in it included."""
-        instructions = [one for part in _with_inner(code) for one in dis.get_instructions(part)]
-        self._is_clear &= all(one.opname != "IMPORT_NAME" for one in instructions)
-        return sorted({one.argval for one in instructions if one.opname in ("LOAD_GLOBAL", "LOAD_NAME")})
+
+def unread(function: FunctionType, defaults: tuple | None, keywords: dict[str, Any] | None) -> FunctionType:
+    """A copy of a function with other defaults that reads nothing yet: its globals and its cells are empty."""
+    around = {"__name__": function.__module__, "__builtins__": builtins}
+    cells = tuple(CellType() for _ in function.__closure__ or ())
+    copied = FunctionType(function.__code__, around, function.__name__, defaults, cells)
+    copied.__kwdefaults__, copied.__qualname__, copied.__doc__ = keywords, function.__qualname__, function.__doc__
+    return copied
+
+
+def globals_read(code: CodeType) -> tuple[list[str], bool]:
+    """Names of the globals that a code reads, functions defined in it included, and whether it imports modules."""
+    instructions = [one for part in _with_inner(code) for one in dis.get_instructions(part)]
+    names = sorted({one.argval for one in instructions if one.opname in ("LOAD_GLOBAL", "LOAD_NAME")})
+    return names, any(one.opname == "IMPORT_NAME" for one in instructions)
 
 
 def _copied(value: Any) -> Any:

@@ -75,11 +75,6 @@ class Box:
         turned = self.turn @ full @ self.turn.T
         return turned[:, [0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]]
 
-    def boundary(self) -> str:
-        """The arguments of LAMMPS' command boundary: p (periodic), or m,
-        an open boundary that follows the atoms but keeps a smallest extent."""
-        return " ".join("m" if is_open else "p" for is_open in self.open)
-
     def lines(self) -> list[str]:
         """The lines of a data file about the box."""
         lines = [

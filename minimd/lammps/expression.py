@@ -14,12 +14,13 @@ import operator
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import reduce
-from types import CellType, CodeType, FunctionType, SimpleNamespace
+from types import FunctionType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 
+from minimd.compiled.snapshot import globals_read, unread
 from minimd.potentials.law import evaluate_law, reads_table
 
 MOST_DECISIONS = 8  # conditions that a call of a law may evaluate one after the other
@@ -48,11 +49,7 @@ class UnwritableError(ValueError):
 
 
 class Undecided(Exception):  # noqa: N818 - not an error: it is always caught in this module
-    """A law needs the truth value of a condition on its symbols."""
-
-    def __init__(self, condition: Symbol) -> None:
-        super().__init__()
-        self.condition = condition
+    """A law needs the truth value of a condition on its symbols, its argument."""
 
 
 class Symbol:
@@ -154,12 +151,11 @@ def _followed(law: tuple, parameters: tuple[float, ...], decisions: tuple[bool, 
     if len(decisions) > MOST_DECISIONS:
         raise UnwritableError(f"it evaluates more than {MOST_DECISIONS} conditions one after the other")
     try:
-        r2 = Symbol("r2", (), iter(decisions))
-        u, _f = Rewritten().law(law, r2, parameters)
+        u, _f = Rewritten().law(law, Symbol("r2", (), iter(decisions)), parameters)
         return u
     except Undecided as stopped:
         both = (_followed(law, parameters, (*decisions, outcome)) for outcome in (True, False))
-        return stopped.condition.of("select", stopped.condition, *both)
+        return stopped.args[0].of("select", stopped.args[0], *both)
     except UnwritableError:
         raise
     except (TypeError, ValueError, AttributeError, NotImplementedError, LookupError) as error:
@@ -167,8 +163,7 @@ def _followed(law: tuple, parameters: tuple[float, ...], decisions: tuple[bool, 
 
 
 class Rewritten:
-    """Copies of functions that compute with symbols: in them, functions of math, min,
-    max and others take symbols too."""
+    """Copies of functions that compute with symbols: functions of math, min, max and others take symbols in them."""
 
     def __init__(self) -> None:
         self._copies: dict[int, Callable] = {}
@@ -193,23 +188,15 @@ class Rewritten:
 
     def _function(self, function: FunctionType) -> Callable:
         if id(function) not in self._copies:
-            own = {"__builtins__": builtins, "__name__": function.__module__}
-            cells = tuple(CellType() for _ in function.__closure__ or ())
-            copied = FunctionType(function.__code__, own, function.__name__, function.__defaults__, cells)
-            copied.__kwdefaults__ = function.__kwdefaults__
+            copied = unread(function, function.__defaults__, function.__kwdefaults__)
             self._copies[id(function)] = copied
-            for name in _names(function.__code__):
+            for name in globals_read(function.__code__)[0]:
                 if name in function.__globals__ or hasattr(builtins, name):
-                    own[name] = self._value(function.__globals__.get(name, getattr(builtins, name, None)))
-            for ours, theirs in zip(cells, function.__closure__ or (), strict=True):
+                    value = function.__globals__.get(name, getattr(builtins, name, None))
+                    copied.__globals__[name] = self._value(value)
+            for ours, theirs in zip(copied.__closure__ or (), function.__closure__ or (), strict=True):
                 ours.cell_contents = self._value(theirs.cell_contents)
         return self._copies[id(function)]
-
-
-def _names(code: CodeType) -> set[str]:
-    """The names that a code reads, also in functions defined in it."""
-    inner = (_names(constant) for constant in code.co_consts if isinstance(constant, CodeType))
-    return set(code.co_names).union(*inner)
 
 
 def _taking_symbols(function: Callable) -> Callable:

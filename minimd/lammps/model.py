@@ -26,7 +26,7 @@ from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.pair import UNSCALED
 from minimd.potentials.truncation import ForceShifted, Shifted
 from minimd.structure.bond_graph import among
-from minimd.structure.cell import Cell, nearest_vectors
+from minimd.structure.cell import nearest_vectors
 from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 
 EQUAL = 1e-12  # largest relative difference of sides of a triangle that count as equal
@@ -35,43 +35,35 @@ MOST_BONDS = 3  # of a middle atom
 CAN = "fix shake of LAMMPS holds one to three bonds of a middle atom, or triangles with two equal sides"
 
 
-class Rigid(NamedTuple):
-    """bonds : (B, 2) atoms.  lengths : (B,) [length].  angles : (A, 3) atoms, the middle one second.  openings : (A,)
-    [rad]."""
-
-    bonds: NDArray[np.int64]
-    lengths: NDArray[np.float64]
-    angles: NDArray[np.int64]
-    openings: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, constraints: DistanceConstraints, n_atoms: int) -> Rigid:
-        """The bonds and angles that keep these lengths.  Raises ValueError for molecules that LAMMPS cannot hold."""
-        pairs, lengths = constraints.pairs, np.asarray(constraints.lengths)
-        links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n_atoms, n_atoms))
-        n_molecules, molecule = connected_components(links, directed=False)
-        of_pair = molecule[pairs[:, 0]]
-        n_bonds, n_members = np.bincount(of_pair, minlength=n_molecules), np.bincount(molecule, minlength=n_molecules)
-        degree = np.zeros(n_molecules, dtype=np.int64)
-        np.maximum.at(degree, molecule, np.bincount(pairs.ravel(), minlength=n_atoms))
-        is_star = (n_bonds == n_members - 1) & (degree == n_bonds) & (n_bonds <= MOST_BONDS)
-        is_triangle = (n_bonds == 3) & (n_members == 3)
-        wrong = np.flatnonzero(~(is_star | is_triangle | (n_members == 1)))
-        if wrong.size:
-            atoms = np.flatnonzero(molecule == wrong[0])
-            found = f"the rigid molecule of atom {atoms[0]} has {len(atoms)} atoms and {n_bonds[wrong[0]]} lengths"
-            raise ValueError(f"{CAN}; {found}: run this scene with minimd")
-        in_triangle = is_triangle[of_pair]
-        triangles = np.flatnonzero(in_triangle)[np.argsort(of_pair[in_triangle], kind="stable")].reshape(-1, 3)
-        stars = np.flatnonzero(~in_triangle)
-        first, second, angles, openings = _opened(pairs, lengths, triangles)
-        chosen = np.concatenate([stars, first, second])
-        return cls(pairs[chosen], lengths[chosen], angles, openings)
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 
-def _opened(
-    pairs: NDArray[np.int64], lengths: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+def rigid_groups(constraints: DistanceConstraints, n_atoms: int) -> tuple[Indices, Array, Indices, Array]:
+    """The bonds (B, 2) with lengths (B,) [length], and the angles (A, 3), the middle atom second, with openings (A,)
+    [rad], that keep these lengths.  Raises ValueError for molecules that LAMMPS cannot hold."""
+    pairs, lengths = constraints.pairs, np.asarray(constraints.lengths)
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n_atoms, n_atoms))
+    n_molecules, molecule = connected_components(links, directed=False)
+    of_pair = molecule[pairs[:, 0]]
+    n_bonds, n_members = np.bincount(of_pair, minlength=n_molecules), np.bincount(molecule, minlength=n_molecules)
+    degree = np.zeros(n_molecules, dtype=np.int64)
+    np.maximum.at(degree, molecule, np.bincount(pairs.ravel(), minlength=n_atoms))
+    is_star = (n_bonds == n_members - 1) & (degree == n_bonds) & (n_bonds <= MOST_BONDS)
+    is_triangle = (n_bonds == 3) & (n_members == 3)
+    wrong = np.flatnonzero(~(is_star | is_triangle | (n_members == 1)))
+    if wrong.size:
+        atoms = np.flatnonzero(molecule == wrong[0])
+        found = f"the rigid molecule of atom {atoms[0]} has {len(atoms)} atoms and {n_bonds[wrong[0]]} lengths"
+        raise ValueError(f"{CAN}; {found}: run this scene with minimd")
+    in_triangle = is_triangle[of_pair]
+    triangles = np.flatnonzero(in_triangle)[np.argsort(of_pair[in_triangle], kind="stable")].reshape(-1, 3)
+    first, second, angles, openings = _opened(pairs, lengths, triangles)
+    chosen = np.concatenate([np.flatnonzero(~in_triangle), first, second])
+    return pairs[chosen], lengths[chosen], angles, openings
+
+
+def _opened(pairs: Indices, lengths: Array, triangles: Indices) -> tuple[Indices, Indices, Indices, Array]:
     """Two equal sides of each triangle, the atoms of the angle between them, and the angle.  triangles : (A, 3)
     indices of pairs."""
     sides = lengths[triangles]
@@ -89,8 +81,7 @@ def _opened(
     ends, others = pairs[first], pairs[second]
     is_shared = (ends[:, :, None] == others[:, None, :]).any(axis=2)  # of the two ends of the first side
     middle = ends[is_shared]
-    last = others[~(others == middle[:, None])]
-    angles = np.column_stack([ends[~is_shared], middle, last])
+    angles = np.column_stack([ends[~is_shared], middle, others[others != middle[:, None]]])
     return first, second, angles, 2.0 * np.arcsin(0.5 * lengths[third] / lengths[first])
 
 
@@ -111,9 +102,9 @@ class AtomTypes(NamedTuple):
         is_fixed : (T,) bool.
     """
 
-    of_atom: NDArray[np.int64]
-    species: NDArray[np.int64]
-    masses: NDArray[np.float64]
+    of_atom: Indices
+    species: Indices
+    masses: Array
     is_fixed: NDArray[np.bool_]
 
     @classmethod
@@ -134,10 +125,6 @@ class AtomTypes(NamedTuple):
             of_atom.reshape(-1), rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
         )
 
-    def named(self, numbers: NDArray[np.bool_]) -> str:
-        """The types for which numbers is true, as text for LAMMPS' commands."""
-        return " ".join(str(k + 1) for k in np.flatnonzero(numbers))
-
 
 class Groups:
     """Bonds, angles or dihedrals, with their types.
@@ -150,9 +137,7 @@ class Groups:
         self.size, self.coefficients = size, list[Style]()
         self.atoms, self.types = np.zeros((0, size), dtype=np.int64), np.zeros(0, dtype=np.int64)
 
-    def add(
-        self, atoms: NDArray[np.int64], parameters: NDArray[np.float64], written: Callable[[list[float]], Style]
-    ) -> range:
+    def add(self, atoms: Indices, parameters: Array, written: Callable[[list[float]], Style]) -> range:
         """Add groups, with a new type for each of the different rows of parameters, and return the new types.
 
         atoms : (G, size).  parameters : (G, P).  written : called with P numbers, gives the coefficients of a type.
@@ -197,9 +182,8 @@ class Model:
     ----------
     box : Box.  types : AtomTypes.  bonds, angles, dihedrals : Groups.  joined : these three, by LAMMPS' word for one.
     rigid_bonds, rigid_angles : the types that fix shake holds.
-    pair_styles : list of PairStyle.  cutoff, skin : [length], of lists.  reach : [length],
-        of the communication between processes.
-    search : how lists are built.
+    pair_styles : list of PairStyle.  cutoff, skin : [length], of lists.  search : how these are built.
+    reach : [length], of the communication between processes.
 
     Raises
     ------
@@ -212,7 +196,7 @@ class Model:
         self.joined = {"bond": Groups(2), "angle": Groups(3), "dihedral": Groups(4)}
         self.bonds, self.angles, self.dihedrals = self.joined.values()
         self.rigid_bonds, self.rigid_angles = range(0), range(0)
-        self._extent = float(np.ptp(system.positions, axis=0).max(initial=1.0))
+        self._farthest = FAR * float(np.ptp(system.positions, axis=0).max(initial=1.0))
         self.pair_styles: list[PairStyle] = []
         self.smallest_cutoff, self.search = np.inf, "bin"
         for one in engine.constraints:
@@ -222,7 +206,10 @@ class Model:
             self._take(potential, engine)
         if any(style.scale != UNSCALED for style in self.pair_styles):
             self._complete_graph(system.bonds)
-        bonded = _longest(system.positions, system.cell, list(self.joined.values()))
+        # the longest present bond, in angles and dihedrals too; 1 if there is none
+        pairs = [groups.atoms[:, k : k + 2] for groups in self.joined.values() for k in range(groups.size - 1)]
+        apart = nearest_vectors(system.positions, system.cell, np.concatenate(pairs))
+        bonded = float(np.linalg.norm(apart, axis=1).max(initial=0.0)) or 1.0
         self.cutoff = max((style.cutoff for style in self.pair_styles), default=bonded)
         self.skin = SKIN * (self.smallest_cutoff if self.smallest_cutoff < np.inf else bonded)
         self.reach = max(self.cutoff + self.skin, REACH * bonded + self.skin)
@@ -255,24 +242,23 @@ class Model:
         table, species = potential.table(species_names), self.types.species
         is_own = isinstance(potential.plain_law, LennardJonesLaw) and type(potential.law) in LJ_STYLES
 
+        finite: Callable[[float], float] = lambda cutoff: cutoff if cutoff < np.inf else self._farthest  # noqa: E731
+
         @cache
         def numbers(squared_cutoff: float, *parameters: float) -> str:
             own = words(*parameters[-2:]) if is_own else f'"{energy_expression(potential.law, parameters)}"'
-            return f"{own} {words(self._finite(squared_cutoff**0.5))}"
+            return f"{own} {words(finite(squared_cutoff**0.5))}"
 
         pairs = combinations_with_replacement(range(len(species)), 2)
         return PairStyle(
             LJ_STYLES[type(potential.law)] if is_own else "lepton",
-            self._finite(float(np.sqrt(table[:, :, 0].max()))),
+            finite(float(np.sqrt(table[:, :, 0].max()))),
             is_own and isinstance(potential.law, Shifted),
             potential.bonded_scale,
             [("* *", numbers(*table[0, 0].tolist()))]
             if len(table) == 1
             else [(f"{i + 1} {j + 1}", numbers(*table[species[i], species[j]].tolist())) for i, j in pairs],
         )
-
-    def _finite(self, cutoff: float) -> float:
-        return cutoff if cutoff < np.inf else FAR * self._extent
 
     def _hold(self, constraints: DistanceConstraints, is_fixed: NDArray[np.bool_]) -> None:
         """Add bonds and angles without force, for fix shake."""
@@ -282,15 +268,12 @@ class Model:
                 f"LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms {pair}: run this "
                 "scene with minimd"
             )
-        rigid = Rigid.of(constraints, len(is_fixed))
-        self.rigid_bonds = self.bonds.add(
-            rigid.bonds, rigid.lengths[:, None], lambda row: ("harmonic", words(0.0, *row))
-        )
-        self.rigid_angles = self.angles.add(
-            rigid.angles, rigid.openings[:, None], lambda row: ("harmonic", words(0.0, *np.degrees(row)))
-        )
+        bonds, lengths, angles, openings = rigid_groups(constraints, len(is_fixed))
+        forceless: Callable[[list[float]], Style] = lambda row: ("harmonic", words(0.0, *row))  # noqa: E731
+        self.rigid_bonds = self.bonds.add(bonds, lengths[:, None], forceless)
+        self.rigid_angles = self.angles.add(angles, np.degrees(openings)[:, None], forceless)
 
-    def _complete_graph(self, bonds: NDArray[np.int64]) -> None:
+    def _complete_graph(self, bonds: Indices) -> None:
         """Add the bonds without a law: LAMMPS counts bonded_scale along all bonds that it knows.
         Raises ValueError if it knows others."""
         known = self.bonds.atoms
@@ -344,11 +327,3 @@ def _outside(potential: Any, known: str) -> ValueError:
     return ValueError(
         f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd"
     )
-
-
-def _longest(positions: NDArray[np.float64], cell: Cell, joined: list[Groups]) -> float:
-    """The longest present bond, in angles and dihedrals too [length]; 1 if there is none."""
-    pairs = np.concatenate([groups.atoms[:, k : k + 2] for groups in joined for k in range(groups.size - 1)])
-    if not len(pairs):
-        return 1.0
-    return float(np.linalg.norm(nearest_vectors(positions, cell, pairs), axis=1).max())

@@ -26,6 +26,7 @@ SECONDS_BETWEEN_LOOKS = 0.05
 SECONDS_TO_END = 5.0  # for a child to end after SIGTERM, before it is killed
 SECONDS_TO_TRY = 60.0
 OUTPUT = "output.txt"
+LIBRARIES = Path(sys.prefix, "lib")  # those of mpich, if it is installed with Python
 # for sh: when the other end of its input is closed, kill its process group
 GUARD = "trap '' TERM; read -r line; kill -KILL 0"
 
@@ -54,7 +55,7 @@ def environment() -> dict[str, str]:
     and one thread for each process."""
     before = os.environ.get("LD_LIBRARY_PATH", "")
     return os.environ | {
-        "LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(Path(sys.prefix, "lib")), before])),
+        "LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(LIBRARIES), before])),
         "OMP_NUM_THREADS": "1",
     }
 
@@ -113,20 +114,14 @@ def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
             try:
                 yield child
             finally:
-                _end(child, guard.pid)
+                for number in (signal.SIGTERM, signal.SIGKILL):
+                    if child.poll() is None:
+                        with suppress(ProcessLookupError):
+                            os.killpg(guard.pid, number)
+                        with suppress(subprocess.TimeoutExpired):
+                            child.wait(SECONDS_TO_END)
         finally:
             guard.communicate()  # the shell kills processes that mpiexec has left, and itself
-
-
-def _end(child: subprocess.Popen, group: int) -> None:
-    """End the process and its group, unless they have ended."""
-    for number, seconds in ((signal.SIGTERM, SECONDS_TO_END), (signal.SIGKILL, SECONDS_TO_END)):
-        if child.poll() is not None:
-            break
-        with suppress(ProcessLookupError):
-            os.killpg(group, number)
-        with suppress(subprocess.TimeoutExpired):
-            child.wait(seconds)
 
 
 def run(
@@ -191,18 +186,15 @@ class Log:
             self._place = file.tell()
         *lines, self._rest = text.split("\n")
         for line in lines:
-            self._take(line)
-
-    def _take(self, line: str) -> None:
-        words = line.split()
-        if "ERROR" in line:
-            self.lines_of_errors.append(line)
-        elif line.endswith("MPI processor grid"):
-            self.processes = int(words[0]) * int(words[2]) * int(words[4])
-        elif words[:1] == ["Step"]:
-            self.columns = words
-        elif line.startswith("Dangerous builds ="):
-            self.dangerous_builds = int(words[-1])
-        elif self.columns and len(words) == len(self.columns):
-            with suppress(ValueError):  # words that are not numbers
-                self.rows[int(words[0])] = [float(word) for word in words[1:]]
+            words = line.split()
+            if "ERROR" in line:
+                self.lines_of_errors.append(line)
+            elif line.endswith("MPI processor grid"):
+                self.processes = int(words[0]) * int(words[2]) * int(words[4])
+            elif words[:1] == ["Step"]:
+                self.columns = words
+            elif line.startswith("Dangerous builds ="):
+                self.dangerous_builds = int(words[-1])
+            elif self.columns and len(words) == len(self.columns):
+                with suppress(ValueError):  # words that are not numbers
+                    self.rows[int(words[0])] = [float(word) for word in words[1:]]

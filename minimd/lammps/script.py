@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.engine.engine import Engine
+from minimd.files.claim import write_whole
 from minimd.integrators import LangevinBAOAB, Leapfrog, Splitting, StochasticVelocityRescaling, VelocityVerlet
 from minimd.lammps.box import Box
 from minimd.lammps.model import Model, words
@@ -42,6 +43,14 @@ def check_method(engine: Engine) -> None:
         )
     if method.timestep < 0.0:
         raise ValueError(f"the time step must be positive for LAMMPS; timestep = {method.timestep!r}")
+
+
+def write(folder: Path, engine: Engine, model: Model, n_steps: int, every: int) -> None:
+    """All files that a hand-over begins with."""
+    write_atoms(folder / ATOMS, model, model.box, engine.velocities)
+    write_whole(folder / FORCES, forces_script(model))
+    write_whole(folder / VERIFY, verify_script())
+    write_whole(folder / RUN, run_script(engine, model, n_steps, every))
 
 
 def write_atoms(path: Path, model: Model, box: Box, velocities: NDArray[np.float64]) -> None:
@@ -81,77 +90,67 @@ def _rows(row: str, *columns: NDArray[Any]) -> Iterator[str]:
 
 def forces_script(model: Model) -> str:
     """The commands with which both runs begin: units, box, atoms, styles, lists."""
-    is_bonded = model.atom_style != "atomic"
-    lines = [
-        "units lj",
-        "suffix opt",
-        f"atom_style {model.atom_style}",
-        f"boundary {model.box.boundary()}",
-        "box tilt large",
-        *([f"special_bonds lj/coul {words(*model.special_bonds())}"] if is_bonded else []),
-        f"comm_modify cutoff {model.reach:.17g}",
-        "read_data ${atoms}",
-        *model.pair_commands(),
-        *(line for word, groups in model.joined.items() for line in groups.commands(word)),
-        f"neighbor {model.skin:.17g} {model.search}",
-        "neigh_modify every 1 delay 0 check yes",
-    ]
-    return "\n".join([*lines, ""])
+    # p: periodic; m: an open boundary that follows the atoms but keeps a smallest extent
+    boundary = " ".join("m" if is_open else "p" for is_open in model.box.open)
+    lines = [f"atom_style {model.atom_style}", f"boundary {boundary}", "box tilt large"]
+    if model.atom_style != "atomic":
+        lines.append(f"special_bonds lj/coul {words(*model.special_bonds())}")
+    lines += [f"comm_modify cutoff {model.reach:.17g}", "read_data ${atoms}", *model.pair_commands()]
+    lines += [line for word, groups in model.joined.items() for line in groups.commands(word)]
+    lines.append(f"neighbor {model.skin:.17g} {model.search}")
+    return "\n".join(["units lj", "suffix opt", *lines, "neigh_modify every 1 delay 0 check yes", ""])
 
 
 def verify_script() -> str:
     """The runs of 0 steps: energy, force and virial of each atom, in the scene and in its copy."""
-    lines = [
-        f"variable atoms index {ATOMS} {COPY}",
-        f"include {FORCES}",
-        "compute energies all pe/atom",
-        "compute stresses all stress/atom NULL virial",
-        f"dump step0 all custom 1 ${{atoms}}.bin id {PER_ATOM}",
-        "thermo_style custom step pe",
-        "thermo_modify norm no format float %.17g",
-        "run 0",
-        "clear",
-        "next atoms",
-        "jump SELF",
-    ]
-    return "\n".join([*lines, ""])
+    return f"""variable atoms index {ATOMS} {COPY}
+include {FORCES}
+compute energies all pe/atom
+compute stresses all stress/atom NULL virial
+dump step0 all custom 1 ${{atoms}}.bin id {PER_ATOM}
+thermo_style custom step pe
+thermo_modify norm no format float %.17g
+run 0
+clear
+next atoms
+jump SELF
+"""
 
 
 def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
     """The commands of the run: integrator, bath, rigid bonds, output."""
-    fixed = model.types.named(model.types.is_fixed)
+    fixed = " ".join(str(k + 1) for k in np.flatnonzero(model.types.is_fixed))
     moving = "mobile" if fixed else "all"
-    bath = _bath(engine, moving)
-    lines = [
-        f"variable atoms index {ATOMS}",
-        f"include {FORCES}",
-        *([f"group fixed type {fixed}", "group mobile subtract all fixed"] if fixed else []),
-        f"reset_timestep {engine.step}",
-        f"timestep {engine.method.timestep:.17g}",
-        f"fix motion {moving} nve",
-        *bath,
-        *_shake(model),
-        f"thermo_style custom step pe{' f_bath' if bath else ''}",
-        f"thermo {look_every(n_steps, every)}",
-        "thermo_modify norm no flush yes format float %.17g",
-        f"dump frames all custom {every} {FRAMES} id xu yu zu vx vy vz",
-        f"run {n_steps}",
-        f"write_dump all custom {LAST} id xu yu zu vx vy vz",
-    ]
-    return "\n".join([*lines, ""])
+    bath, most = _bath(engine, moving), max(1, n_steps // LOOKS)
+    # steps between two lines of the log: the largest divisor of every that gives LOOKS lines or more
+    look_every = max(k for k in range(1, every + 1) if every % k == 0 and (k <= most or k == 1))
+    parts = [f"group fixed type {fixed}", "group mobile subtract all fixed"] if fixed else []
+    steps = [f"reset_timestep {engine.step}", f"timestep {engine.method.timestep:.17g}", f"fix motion {moving} nve"]
+    fixes = "\n".join([*parts, *steps, *bath, *held(model)])
+    return f"""variable atoms index {ATOMS}
+include {FORCES}
+{fixes}
+thermo_style custom step pe{" f_bath" if bath else ""}
+thermo {look_every}
+thermo_modify norm no flush yes format float %.17g
+dump frames all custom {every} {FRAMES} id xu yu zu vx vy vz
+run {n_steps}
+write_dump all custom {LAST} id xu yu zu vx vy vz
+"""
 
 
-def _shake(model: Model) -> list[str]:
+def held(
+    model: Model, fix: str = "shake", tolerance: float = SHAKE_TOLERANCE, most: int = SHAKE_ITERATIONS
+) -> list[str]:
     """Rigid bonds, after all other fixes.
 
-    Fix rattle is not used: that of LAMMPS 22 Jul 2025 moves molecules of three atoms on the border of two processes
-    wrongly, and dumps velocities with a component along the bonds. The positions of SHAKE are those of RATTLE, and so
-    are its velocities after a projection, see Job.
+    Fix rattle is not the default: that of LAMMPS 22 Jul 2025 moves molecules of three atoms on the border of two
+    processes wrongly, and dumps velocities with a component along the bonds. The positions of SHAKE are those of
+    RATTLE, and so are its velocities after a projection, see handing_over.
     """
-    if not len(model.rigid_bonds):
-        return []
-    words = [f"fix rigid all shake {SHAKE_TOLERANCE} {SHAKE_ITERATIONS} 0 b", *(str(k + 1) for k in model.rigid_bonds)]
-    return [" ".join(words + (["a", *(str(k + 1) for k in model.rigid_angles)] if len(model.rigid_angles) else []))]
+    kinds = {"b": model.rigid_bonds, "a": model.rigid_angles}
+    types = [word for key, ones in kinds.items() if ones for word in (key, *(str(k + 1) for k in ones))]
+    return [f"fix rigid all {fix} {tolerance} {most} 0 {' '.join(types)}"] if types else []
 
 
 def _bath(engine: Engine, moving: str) -> list[str]:
@@ -165,17 +164,8 @@ def _bath(engine: Engine, moving: str) -> list[str]:
         return [f"fix bath {moving} langevin {heat} {heat} {1.0 / method.friction:.17g} {seed} tally yes"]
     style, extra = ("temp/com", 3) if engine.conserves_momentum else ("temp", 0)
     lines = [f"compute heat {moving} {style}", f"compute_modify heat extra/dof {extra}"]
-    return [
-        *lines,
-        f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}",
-        "fix_modify bath temp heat",
-    ]
-
-
-def look_every(n_steps: int, every: int) -> int:
-    """Steps between two lines of the log: the largest divisor of every that gives LOOKS lines or more."""
-    most = max(1, n_steps // LOOKS)
-    return max(k for k in range(1, every + 1) if every % k == 0 and (k <= most or k == 1))
+    lines.append(f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}")
+    return [*lines, "fix_modify bath temp heat"]
 
 
 def per_atom(columns: NDArray[np.float64], box: Box) -> Evaluated:

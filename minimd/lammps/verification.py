@@ -17,7 +17,7 @@ from minimd.forces.forces import Forces
 from minimd.forces.options import Options
 from minimd.neighbors.queries import closest_pair, neighbor_list
 from minimd.potentials import PairPotential
-from minimd.potentials.term import PER_ATOM, bound
+from minimd.potentials.term import PER_ATOM
 from minimd.structure.cell import Cell
 from minimd.structure.errors import HandOverError, NonFiniteError
 from minimd.structure.observables import longest
@@ -37,12 +37,11 @@ Array = NDArray[np.float64]
 class Verification:
     """The largest differences at step 0, each relative to the largest of its kind; the worse of scene and copy.
 
-    energy : of the whole scene, relative to Σ|e_i| of the atoms.  energies, forces, virials : of single atoms,
-        relative to the largest one;
-    where they vanish or cancel, as in a crystal or a dilute gas, relative to what follows from energies,
-    virials or the copy.
-    atom : the atom whose force differs most.  scale : of energies [energy]: Σ|e_i|,
-        or PART of that of the copy if it is larger.
+    energy : of the whole scene, relative to Σ|e_i| of the atoms.  energies, forces, virials : of single atoms, relative
+        to the largest one; where they vanish or cancel, as in a crystal or a dilute gas, relative to what follows from
+        energies, virials or the copy.
+    atom : the atom whose force differs most.  scale : of energies [energy]: Σ|e_i|, or PART of that of the copy if it
+        is larger.
     """
 
     energy: float
@@ -179,12 +178,6 @@ def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> V
     whole, energies, forces, virials = np.max(rows, axis=0).tolist()
     scale = max(float(np.abs(ours[0].energies).sum()), PART * float(np.abs(ours[1].energies).sum()))
     return Verification(whole, energies, forces, virials, int(atoms[np.argmax(rows, axis=0)[2]]), scale)
-
-
-def tails_of(engine: Engine) -> Array:
-    """Energy and trace of the virial of all tail corrections [energy], (2,); LAMMPS does not compute them."""
-    terms = (bound(one, engine.system) for one in engine.interactions.potentials)
-    return np.sum([term.tail(engine.system) for term in terms], axis=0)
 
 
 def _largest(numbers: Array) -> float:

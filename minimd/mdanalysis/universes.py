@@ -6,32 +6,34 @@ reduced units are not converted: 1 σ becomes 1 Å and 1 τ becomes 1 ps.
 
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from math import ceil
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import MDAnalysis
 import numpy as np
 from MDAnalysis.analysis.msd import EinsteinMSD
 from MDAnalysis.analysis.rdf import InterRDF
+from MDAnalysis.coordinates.H5MD import H5MDReader
+from MDAnalysis.coordinates.memory import MemoryReader
 from MDAnalysis.guesser.tables import SYMB2Z
+from MDAnalysis.lib.util import store_init_arguments
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from minimd.console.display import Displayed, Rows
 from minimd.console.quiet import outside_minimd, quiet
-from minimd.files.h5md_reader import H5MDContents, damage_told, read_file
+from minimd.files.h5md_reader import H5MDContents, admitted, damage_told, read_file
 from minimd.files.h5md_schema import has_edges
-from minimd.files.turned_cell import Turn, turn_of
-from minimd.mdanalysis.readers import Frames, RecordedReader, RunReader
+from minimd.files.turned_cell import ROTATION, Turn, cell_dimensions, turn_of
 from minimd.observers.motion import finite_size_correction, is_cubic
 from minimd.simulation.simulation import Simulation
-from minimd.structure.cell import Cell
 from minimd.structure.constraints import DistanceConstraints
-from minimd.structure.observables import center
+from minimd.structure.observables import Array, center
 from minimd.structure.statistics import FEW, with_error
 from minimd.structure.system import System
 from minimd.structure.units import ASE
@@ -39,83 +41,9 @@ from minimd.structure.units import ASE
 __all__ = ["Diffusion", "Frames", "RadialDistribution", "RunUniverse", "Turn", "diffusion_coefficient",
            "mean_square_displacement", "radial_distribution", "universe"]  # fmt: skip
 
-U = TypeVar("U", bound=MDAnalysis.Universe)
+VERSION = MDAnalysis.__version__
 MOLECULE = "MOL"  # resname of a molecule without a formula
 MOST_COUNTS = 10**7  # of molecules times species
-
-
-def bare_universe(kind: type[U], system: System) -> U:
-    """A universe without a trajectory: masses, types, names, elements if labels are symbols, bonds, angles, dihedrals;
-    each molecule is a residue.
-
-    kind : its class.  Residues are numbered from 1, in the order of their first atoms;
-        their names are chemical formulas, or "MOL".
-    """
-    labels, of_atoms = [str(label) for label in system.species], molecules(system)
-    n_molecules = int(of_atoms.max()) + 1
-    made = kind.empty(
-        len(system),
-        n_residues=n_molecules,
-        atom_resindex=of_atoms,
-        residue_segindex=np.zeros(n_molecules, int),
-        trajectory=False,
-    )
-    made.add_TopologyAttr("masses", system.masses)
-    made.add_TopologyAttr("types", labels)
-    made.add_TopologyAttr("names", labels)
-    if any(label in SYMB2Z for label in labels):
-        made.add_TopologyAttr("elements", [label if label in SYMB2Z else "" for label in labels])
-    made.add_TopologyAttr("resids", np.arange(1, n_molecules + 1))
-    made.add_TopologyAttr("resnames", _formulas(system, of_atoms))
-    made.add_TopologyAttr("segids", ["SYSTEM"])
-    for name, groups in system.groups().items():
-        if len(groups):
-            made.add_TopologyAttr(name, [tuple(group) for group in groups.tolist()])
-    return made
-
-
-def molecules(system: System) -> NDArray[np.int64]:
-    """(N,) number of the molecule of each atom, from 0;
-    bonds and lengths held fixed connect the atoms of a molecule."""
-    held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
-    i, j = np.concatenate([system.bonds, *held]).T
-    numbers = connected_components(
-        coo_array((np.ones(len(i), bool), (i, j)), shape=(len(system), len(system))), directed=False
-    )[1]
-    _, first, inverse = np.unique(numbers, return_index=True, return_inverse=True)
-    order = np.empty(len(first), np.int64)
-    order[np.argsort(first)] = np.arange(len(first))
-    return order[inverse]
-
-
-def _formulas(system: System, of_atoms: NDArray[np.int64]) -> list[str]:
-    """Name of each molecule."""
-    names = [str(name) for name in system.species_names]
-    n_molecules = int(of_atoms.max()) + 1
-    if n_molecules * len(names) > MOST_COUNTS:
-        return [MOLECULE] * n_molecules
-    counts = np.zeros((n_molecules, len(names)), np.int64)
-    np.add.at(counts, (of_atoms, system.species_index), 1)
-    kinds, which = np.unique(counts, axis=0, return_inverse=True)
-    formulas = [_formula(dict(zip(names, row.tolist(), strict=True))) for row in kinds]
-    return [formulas[kind] for kind in which.ravel().tolist()]
-
-
-def _formula(counts: dict[str, int]) -> str:
-    """The formula in Hill's order: carbon, hydrogen, then the others by name; without carbon all elements,
-    also hydrogen, by name."""
-    present = {name: n for name, n in counts.items() if n}
-    if len(present) == 1 and sum(present.values()) == 1:
-        return next(iter(present))
-    if not all(name in SYMB2Z for name in present):
-        return MOLECULE
-    first = ("C", "H") if "C" in present else ()
-    ordered = sorted(present, key=lambda name: (first.index(name) if name in first else len(first), name))
-    return "".join(name + (str(present[name]) if present[name] > 1 else "") for name in ordered)
-
-
-Array = NDArray[np.float64]
-VERSION = MDAnalysis.__version__
 RDF_FRAMES, RDF_DISTANCES = 50, 1e7  # at most, so that g(r) takes half a second
 MSD_FRAMES, MSD_ATOMS = 200, 400  # at most
 FIT_FROM, FIT_TO = 0.1, 0.5  # of the duration: after the ballistic start, and before there are too few pairs of frames
@@ -123,9 +51,107 @@ UNEVEN = 1e-6  # largest relative difference between equal spacings of frames, w
 CM2_PER_S = 1e-4  # per Å²/ps
 
 
+class Frames:
+    """An observer that keeps frames in memory, for universe().
+
+        frames = Frames()
+        sim.run(1000, every=10, observers=[frames])
+        u = universe(frames)
+
+    Positions and velocities are kept in float32, as MDAnalysis uses them, observables in float64: 24 bytes for each
+    atom and frame. A step that is observed twice, at the end of a run and at the start of the next, is kept once.
+
+    Attributes
+    ----------
+    system : System, a copy made with the first frame; None before.
+    conserves_momentum : whether the simulation does.
+    turn : Turn of a cell in an orientation that MDAnalysis does not hold; positions and velocities are kept turned.
+        Else None.
+    """
+
+    def __init__(self) -> None:
+        self.system: System | None = None
+        self.turn: Turn | None = None
+        self.conserves_momentum = False
+        self._rows: list[dict[str, Any]] = []
+        self._moving: list[tuple[NDArray[np.float32], ...]] = []
+
+    def __repr__(self) -> str:
+        return f"Frames({len(self)} frames of {'no' if self.system is None else len(self.system)} atoms)"
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __call__(self, simulation: Simulation) -> None:
+        """Keep the present state.  Raises ValueError for another number of atoms than before."""
+        system, units, frame = simulation.system, simulation.system.units, simulation.frame()
+        if self.system is None:
+            self.system, self.turn = system.copy(), turn_of(system.cell, units.to_angstrom)
+            self.conserves_momentum = simulation.conserves_momentum
+        if len(system) != len(self.system):
+            ours = f"Frames keeps frames of one simulation, of {len(self.system)} atoms"
+            raise ValueError(f"{ours}; this one has {len(system)}")
+        if self._rows and self._rows[-1]["step"] == frame.step:
+            return
+        row = {"step": frame.step, "time": frame.time * units.to_picosecond, **frame.observables}
+        positions = frame.positions * units.to_angstrom
+        velocities = frame.velocities * (units.to_angstrom / units.to_picosecond)
+        box = cell_dimensions(system.cell, units.to_angstrom)
+        if self.turn is not None:
+            row[ROTATION], box = self.turn.of(system.cell.vectors)
+            positions, velocities = positions @ row[ROTATION], velocities @ row[ROTATION]
+        self._rows.append(row)
+        moving = positions, velocities, np.zeros(6) if box is None else box
+        self._moving.append(tuple(np.asarray(one, dtype=np.float32) for one in moving))
+
+    def series(self, name: str) -> NDArray[Any]:
+        """(T, ...) an observable, "step", or "time" [ps, or τ], of all frames."""
+        return np.array([row[name] for row in self._rows])
+
+    def reader_arguments(self, dt: float) -> dict[str, Any]:
+        """Arguments for RecordedReader.  dt : time between frames [ps, or τ]."""
+        names = "coordinate_array", "velocities", "dimensions"
+        arrays = (np.stack(one) for one in zip(*self._moving, strict=True))
+        return dict(zip(names, arrays, strict=True)) | {"dt": dt, "rows": self._rows}
+
+
+class RecordedReader(MemoryReader):
+    """MDAnalysis' reader of arrays, with the recorded times and observables.  rows : for each frame the entries of
+    ts.data, with its time."""
+
+    def __init__(self, coordinate_array: NDArray, rows: list[dict[str, Any]] | None = None, **options: Any) -> None:
+        self._recorded = rows
+        super().__init__(coordinate_array, order="fac", **options)
+
+    def _read_next_timestep(self, ts: Any = None) -> Any:
+        ts = super()._read_next_timestep(ts)
+        if self._recorded is not None:
+            ts.data.update(self._recorded[ts.frame])
+        return ts
+
+
+class RunReader(H5MDReader):
+    """Frames of a minimd file.  turn : of its cell, or None; a transformation, but one that is not the user's, who can
+    set transformations only once."""
+
+    @store_init_arguments
+    def __init__(self, filename: str, turn: Turn | None = None, **kwargs: Any) -> None:
+        self._turn = turn
+        super().__init__(filename, **kwargs)
+
+    def open_trajectory(self) -> None:
+        """Called by MDAnalysis, which opens the file itself; see admitted."""
+        super().open_trajectory()
+        admitted(self._file, self.filename)
+
+    def _read_frame(self, frame: int) -> Any:
+        ts = super()._read_frame(frame)
+        return ts if self._turn is None else self._turn(ts)
+
+
 class RunUniverse(MDAnalysis.Universe):
-    """The universe of a run.  system : System.  contents : of its file, apart from frames;
-    a universe in memory has none."""
+    """The universe of a run.  system : System.  contents : of its file, apart from frames; a universe in memory has
+    none."""
 
     system: System
     conserves_momentum: bool  # whether the run did
@@ -138,12 +164,6 @@ Run = str | Path | Simulation | Frames | RunUniverse
 def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | None = None) -> RunUniverse:
     """A minimd file as an MDAnalysis universe: masses, types, names, elements if labels are symbols, bonds, angles,
     dihedrals, residues.
-
-
-
-
-
-
 
     Each molecule is a residue: the atoms that bonds or fixed lengths connect. Observables are in ts.data.
 
@@ -158,78 +178,97 @@ def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | Non
 
     Raises
     ------
-    FileNotFoundError, OSError, ValueError : as minimd.files.h5md_reader.read_file.  ValueError :
-        for Frames that are empty.
+    FileNotFoundError, OSError, ValueError : as minimd.files.h5md_reader.read_file.  ValueError : for Frames that are
+        empty.
     """
-    if isinstance(run, Simulation):
-        frames = Frames()
-        frames(run)
-        return _in_memory(frames, run.method.timestep * run.system.units.to_picosecond)
-    if isinstance(run, Frames):
-        return _in_memory(run)
-    contents = contents or read_file(run)
-    system = contents.system
-    turn = turn_of(system.cell, system.units.to_angstrom)
-    _tell_cell(f"the universe of {str(run)!r}", system.cell, turn)
-    spacing = _spacing(
-        f"the frames of {str(run)!r}", contents.record.step, contents.record.time * system.units.to_picosecond
-    )
-    with quiet():
-        made = bare_universe(RunUniverse, system)
-        made.contents, made.system, made.conserves_momentum = contents, system, contents.conserves_momentum
-        with damage_told(run):
-            made.trajectory = RunReader(
-                str(run), turn=turn, n_atoms=len(system), **({} if spacing is None else {"dt": spacing})
-            )
-    return made
-
-
-def _in_memory(frames: Frames, timestep: float = 1.0) -> RunUniverse:
-    """The universe of frames in memory.  timestep : used as the time between frames if there is only one frame [ps,
-    or τ]."""
-    if frames.system is None:
-        raise ValueError("these Frames are empty; pass them to a run as observers=[frames]")
-    _tell_cell("the universe in memory", frames.system.cell, frames.turn)
-    spacing = _spacing("the frames in memory", frames.series("step"), frames.series("time")) or timestep
-    with quiet():
-        made = bare_universe(RunUniverse, frames.system)
-        made.system, made.conserves_momentum = frames.system, frames.conserves_momentum
-        made.trajectory = RecordedReader(**frames.reader_arguments(spacing))
-    return made
-
-
-def _tell_cell(what: str, cell: Cell, turn: Turn | None) -> None:
-    """Warn of a cell that is turned for MDAnalysis, or that MDAnalysis cannot hold."""
+    if isinstance(run, str | Path):
+        told: Any = contents or read_file(run)
+        name, times, spacing = f"of {str(run)!r}", told.record.time * told.system.units.to_picosecond, {}
+        reader: Any = partial(RunReader, str(run), n_atoms=len(told.system))
+        steps = told.record.step
+    else:
+        told, spacing = run if isinstance(run, Frames) else Frames(), {"dt": 1.0}
+        if isinstance(run, Simulation):
+            told(run)
+            spacing = {"dt": run.method.timestep * run.system.units.to_picosecond}
+        if told.system is None:
+            raise ValueError("these Frames are empty; pass them to a run as observers=[frames]")
+        name, steps, times = "in memory", told.series("step"), told.series("time")
+        reader = lambda turn, dt: RecordedReader(**told.reader_arguments(dt))  # noqa: E731 - the frames are turned
+    turn = turn_of(told.system.cell, told.system.units.to_angstrom)
     if turn is not None:
-        warnings.warn(turn.in_words(what, ": R is ts.data['rotation']"), stacklevel=outside_minimd())
-    if cell.is_periodic and not has_edges(cell):
-        warnings.warn(
-            f"{what} has no cell, because MDAnalysis needs three vectors and this cell has fewer: distances are not "
-            "those of nearest images; "
-            "give the open direction a length into which all atoms fit, with pbc, as in cell=[20, 20, 50], pbc=(True, "
-            "True, False)",
-            stacklevel=outside_minimd(),
+        words = turn.in_words(f"the universe {name}", ": R is ts.data['rotation']")
+        warnings.warn(words, stacklevel=outside_minimd())
+    if told.system.cell.is_periodic and not has_edges(told.system.cell):
+        words = (
+            f"the universe {name} has no cell, because MDAnalysis needs three vectors and this cell has fewer: "
+            "distances are not those of nearest images; give the open direction a length into which all atoms fit, "
+            "with pbc, as in cell=[20, 20, 50], pbc=(True, True, False)"
         )
+        warnings.warn(words, stacklevel=outside_minimd())
+    if len(times) > 1:
+        spacing = {"dt": _spacing(name, steps, times)}
+    with quiet(), damage_told(run) if isinstance(run, str | Path) else nullcontext():
+        made = _with_topology(told.system)
+        made.system, made.conserves_momentum = told.system, told.conserves_momentum
+        if isinstance(told, H5MDContents):
+            made.contents = told
+        made.trajectory = reader(turn=turn, **spacing)
+    return made
 
 
-def _spacing(what: str, steps: NDArray[np.int64], times: Array) -> float | None:
-    """dt [ps] for MDAnalysis, which has a single spacing of frames: the median, with a warning if spacings differ;
-    None for one frame."""
+def _spacing(name: str, steps: NDArray[np.int64], times: Array) -> float:
+    """dt [ps] for MDAnalysis, which has a single spacing of frames: the median, with a warning if spacings differ."""
     spacings = np.diff(times)
-    if not len(spacings):
-        return None
-    spacing = float(np.median(spacings))
-    if np.ptp(spacings) > UNEVEN * spacing:
+    median = float(np.median(spacings))
+    if np.ptp(spacings) > UNEVEN * median:
         least, most = np.diff(steps)[[spacings.argmin(), spacings.argmax()]]
         apart = f"{least} to {most} steps apart"
         if least == most:
             apart = f"{spacings.min():.4g} to {spacings.max():.4g} apart in time, because the time step changed"
-        warnings.warn(
-            f"{what} are {apart}, so trajectory.dt and totaltime are not right for all of them; use the time of each "
-            "frame, ts.time",
-            stacklevel=outside_minimd(),
-        )
-    return spacing
+        advice = "trajectory.dt and totaltime are not right for all of them; use the time of each frame, ts.time"
+        warnings.warn(f"the frames {name} are {apart}, so {advice}", stacklevel=outside_minimd())
+    return median
+
+
+def _with_topology(system: System) -> RunUniverse:
+    """A universe without a trajectory. Residues are molecules, numbered from 1 in the order of their first atoms;
+    bonds and lengths held fixed connect the atoms of a molecule."""
+    held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
+    i, j = np.concatenate([system.bonds, *held]).T
+    bonded = coo_array((np.ones(len(i), bool), (i, j)), shape=(len(system), len(system)))
+    parts = np.unique(connected_components(bonded, directed=False)[1], return_index=True, return_inverse=True)
+    of_atoms, n_molecules = parts[1].argsort().argsort()[parts[2]], len(parts[0])
+    labels, segments = [str(label) for label in system.species], np.zeros(n_molecules, int)
+    topology = {"masses": system.masses, "types": labels, "names": labels, "resids": np.arange(1, n_molecules + 1)}
+    topology |= {"resnames": _formulas(system, of_atoms, n_molecules), "segids": ["SYSTEM"]}
+    if any(label in SYMB2Z for label in labels):
+        topology["elements"] = [label if label in SYMB2Z else "" for label in labels]
+    topology |= {name: [tuple(row) for row in rows.tolist()] for name, rows in system.groups().items() if len(rows)}
+    made = RunUniverse.empty(len(system), n_molecules, atom_resindex=of_atoms, residue_segindex=segments)
+    for name, values in topology.items():
+        made.add_TopologyAttr(name, values)
+    return made
+
+
+def _formulas(system: System, of_atoms: NDArray[np.int64], n_molecules: int) -> list[str]:
+    """The formula of each molecule in Hill's order: carbon, hydrogen, then the others by name; without carbon all
+    elements by name. A single atom is called by its name, and what has no formula "MOL"."""
+    names = [str(name) for name in system.species_names]
+    if n_molecules * len(names) > MOST_COUNTS:
+        return [MOLECULE] * n_molecules
+    ones = np.ones(len(system), np.int64)
+    counts = coo_array((ones, (of_atoms, system.species_index)), shape=(n_molecules, len(names))).toarray()
+    kinds, which = np.unique(counts, axis=0, return_inverse=True)
+    formulas = []
+    for row in kinds.tolist():
+        present = {name: n for name, n in zip(names, row, strict=True) if n}
+        first = ("C", "H") if "C" in present else ()
+        ordered = sorted(present, key=lambda name: (name not in first, name))
+        has_formula = sum(row) == 1 or present.keys() <= SYMB2Z.keys()
+        formula = "".join(name if present[name] == 1 else f"{name}{present[name]}" for name in ordered)
+        formulas.append(formula if has_formula else MOLECULE)
+    return [formulas[kind] for kind in which.ravel().tolist()]
 
 
 @contextmanager
@@ -253,33 +292,28 @@ class RadialDistribution(NamedTuple):
 
     def __repr__(self) -> str:
         k = int(np.argmax(self.g))
-        return (
-            f"RadialDistribution({len(self.r)} distances from {self.r[0]:.4g} to {self.r[-1]:.4g}; highest at "
-            f"{self.r[k]:.4g}, {self.g[k]:.4g})"
-        )
+        found = f"{len(self.r)} distances from {self.r[0]:.4g} to {self.r[-1]:.4g}"
+        return f"RadialDistribution({found}; highest at {self.r[k]:.4g}, {self.g[k]:.4g})"
 
 
 def radial_distribution(run: Run, n_bins: int = 200) -> RadialDistribution:
     """g(r) by MDAnalysis' InterRDF, up to half the smallest height of the cell, from evenly chosen frames and atoms.
 
-    Bonded pairs count like all others. If distances between all atoms would take too long,
-    they are measured from some atoms to all atoms.
-    run : an argument of universe, or a universe.
+    Bonded pairs count like all others. If distances between all atoms would take too long, they are measured from some
+    atoms to all atoms.  run : an argument of universe, or a universe.
 
     Raises
     ------
     ValueError : if the cell is not periodic in all directions, or there is only one atom.  Others as universe.
     """
     with universe_of(run) as made, quiet():
-        system = made.system
+        system, n_frames = made.system, len(made.trajectory)
         if not system.cell.pbc.all() or len(system) < 2:
-            raise ValueError(
-                f"g(r) needs at least two atoms, and a cell that is periodic in all directions; {_name(made)} holds "
-                f"{system!r}"
-            )
+            needs = "g(r) needs at least two atoms, and a cell that is periodic in all directions"
+            raise ValueError(f"{needs}; {_name(made)} holds {system!r}")
         r_max = float(system.cell.heights.min() / 2.0) * system.units.to_angstrom
-        stride = ceil(len(made.trajectory) / RDF_FRAMES)
-        some = _every(made, RDF_DISTANCES * stride / len(made.trajectory) / len(system))
+        stride = ceil(n_frames / RDF_FRAMES)
+        some = _every(made, RDF_DISTANCES * stride / n_frames / len(system))
         # The range begins after the first bin, so that no atom is its own neighbor; each atom has N − 1 others.
         result = InterRDF(some, made.atoms, nbins=n_bins - 1, range=(r_max / n_bins, r_max)).run(step=stride).results
     return RadialDistribution(result.bins / system.units.to_angstrom, result.rdf * len(system) / (len(system) - 1))
@@ -315,32 +349,34 @@ class Diffusion(Displayed):
     error: float = np.nan
     infinite: float | None = None
 
+    @property
+    def _units(self) -> tuple[str, str]:
+        return ("σ²/τ", "τ") if self.cm2_per_s is None else ("Å²/ps", "ps")
+
     def display_rows(self) -> Rows:
         """See Displayed."""
-        unit, time = ("σ²/τ", "τ") if self.cm2_per_s is None else ("Å²/ps", "ps")
         size = "in a larger cell D is larger: viscosity= corrects for this"
         if self.infinite is not None:
-            size = f"D = {with_error(self.infinite, self.error)} {unit} in an infinite system, by Yeh and Hummer"
-        return [("diffusion", str(self)), ("", size), ("lags", f"{len(self.lags)}, up to {self.lags[-1]:.4g} {time}")]
+            corrected = f"D = {with_error(self.infinite, self.error)} {self._units[0]}"
+            size = f"{corrected} in an infinite system, by Yeh and Hummer"
+        lags = f"{len(self.lags)}, up to {self.lags[-1]:.4g} {self._units[1]}"
+        return [("diffusion", str(self)), ("", size), ("lags", lags)]
 
     def __repr__(self) -> str:
         return f"Diffusion({self})"
 
     def __str__(self) -> str:
-        unit, time = ("σ²/τ", "τ") if self.cm2_per_s is None else ("Å²/ps", "ps")
+        (unit, time), (start, end) = self._units, self.window
         absolute = "" if self.cm2_per_s is None else f" = {self.cm2_per_s:.4g} cm²/s"
-        return (
-            f"D = {with_error(self.coefficient, self.error)} {unit}{absolute}, from lags of {self.window[0]:.4g} to "
-            f"{self.window[1]:.4g} {time}"
-        )
+        mean = f"D = {with_error(self.coefficient, self.error)} {unit}{absolute}"
+        return f"{mean}, from lags of {start:.4g} to {end:.4g} {time}"
 
 
 def mean_square_displacement(run: Run) -> tuple[Array, Array]:
     """Lags [ps, or τ], (T,), and ⟨|r(t₀ + lag) − r(t₀)|²⟩ [Å², or σ²], (T,), by MDAnalysis' EinsteinMSD.
 
-    They are relative to the center of mass of all atoms if the run conserved the momentum, as its file tells.
-    If there are many frames or atoms, some of them are used, evenly chosen.  run : an argument of universe,
-    or a universe.
+    They are relative to the center of mass of all atoms if the run conserved the momentum, as its file tells. If there
+    are many frames or atoms, some of them are used, evenly chosen.  run : an argument of universe, or a universe.
 
     Raises
     ------
@@ -374,8 +410,8 @@ def diffusion_coefficient(
 
     The error is that of the mean over atoms, which move almost independently of each other.
 
-    run : an argument of universe, or a universe.  window : [ps, or τ];
-        from a tenth to half of the duration if not given.
+    run : an argument of universe, or a universe.
+    window : [ps, or τ]; from a tenth to half of the duration if not given.
     viscosity : η [energy time/length³], for the correction of Yeh and Hummer for the size of a cubic cell;
         see observers.motion.
 
@@ -385,33 +421,21 @@ def diffusion_coefficient(
         run is in memory. Others as mean_square_displacement.
     """
     with universe_of(run) as made:
-        (lags, of_atoms), units = _displacements(made), made.system.units
-        squares, added = of_atoms.mean(axis=1), None if viscosity is None else _correction(made, viscosity)
-    start, end = window or (FIT_FROM * lags[-1], FIT_TO * lags[-1])
-    chosen = (lags >= start) & (lags <= end)
+        (lags, of_atoms), cell, units = _displacements(made), made.system.cell, made.system.units
+    squares, (start, end) = of_atoms.mean(axis=1), window or (FIT_FROM * lags[-1], FIT_TO * lags[-1])
+    chosen, infinite = (lags >= start) & (lags <= end), None
     if chosen.sum() < 3:
-        raise ValueError(
-            f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g}) holds {chosen.sum()} of "
-            f"{len(lags)}"
-        )
+        needs = f"the window of the fit must hold at least 3 lags; ({start:.4g}, {end:.4g})"
+        raise ValueError(f"{needs} holds {chosen.sum()} of {len(lags)}")
     coefficient = float(np.polyfit(lags[chosen], squares[chosen], 1)[0]) / 6.0
     each = np.polyfit(lags[chosen], of_atoms[chosen], 1)[0] / 6.0
     error = float(each.std(ddof=1) / np.sqrt(len(each))) if len(each) >= FEW else np.nan
-    infinite, absolute = (
-        None if added is None else coefficient + added,
-        coefficient * CM2_PER_S if units is ASE else None,
-    )
+    if viscosity is not None:
+        if not is_cubic(cell) or not hasattr(made, "contents"):
+            needs = "the correction of Yeh and Hummer needs the file of a run in a cubic cell"
+            raise ValueError(f"{needs} that is periodic in all directions; leave viscosity out")
+        thermal_energy = units.k_B * float(made.contents.record.temperature.mean())
+        added = finite_size_correction(thermal_energy, viscosity, float(np.linalg.norm(cell.vectors[0])))
+        infinite = coefficient + added * units.to_angstrom**2 / units.to_picosecond
+    absolute = coefficient * CM2_PER_S if units is ASE else None
     return Diffusion(coefficient, absolute, (float(start), float(end)), lags, squares, error, infinite)
-
-
-def _correction(made: RunUniverse, viscosity: float) -> float:
-    """The correction of D for the finite size of the cell [Å²/ps, or σ²/τ]."""
-    cell, units = made.system.cell, made.system.units
-    if not is_cubic(cell) or not hasattr(made, "contents"):
-        raise ValueError(
-            "the correction of Yeh and Hummer needs the file of a run in a cubic cell that is periodic in all "
-            "directions; leave viscosity out"
-        )
-    thermal_energy = units.k_B * float(made.contents.record.temperature.mean())
-    added = finite_size_correction(thermal_energy, viscosity, float(np.linalg.norm(cell.vectors[0])))
-    return added * units.to_angstrom**2 / units.to_picosecond

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     import MDAnalysis
 
 AnySystem: TypeAlias = "System | ase.Atoms"
-Given: TypeAlias = ArrayLike | None
 READ_ONLY = ("masses", "species_names", "species_index", *GROUPS, "units")
 MOST_BINS = 2**20  # along a lattice vector: their numbers are int64
 RESOLVED = 1e-6  # of a length: the largest rounding error of separations that is allowed
@@ -64,15 +63,15 @@ class System(Displayed):
         self,
         positions: ArrayLike,
         *,
-        masses: Given = None,
-        velocities: Given = None,
+        masses: ArrayLike | None = None,
+        velocities: ArrayLike | None = None,
         cell: ArrayLike | Cell | None = None,
-        pbc: Given = None,
+        pbc: ArrayLike | None = None,
         species: Sequence[str] | Sequence[int] | NDArray | None = None,
-        bonds: Given = None,
-        angles: Given = None,
-        dihedrals: Given = None,
-        impropers: Given = None,
+        bonds: ArrayLike | None = None,
+        angles: ArrayLike | None = None,
+        dihedrals: ArrayLike | None = None,
+        impropers: ArrayLike | None = None,
         units: UnitSystem = unit_systems.LJ,
         constraints: Sequence[Constraint] = (),
     ) -> None:
@@ -170,10 +169,10 @@ class System(Displayed):
     def from_ase(
         cls,
         atoms: ase.Atoms,
-        bonds: Given = None,
-        angles: Given = None,
-        dihedrals: Given = None,
-        impropers: Given = None,
+        bonds: ArrayLike | None = None,
+        angles: ArrayLike | None = None,
+        dihedrals: ArrayLike | None = None,
+        impropers: ArrayLike | None = None,
     ) -> System:
         """A system in ASE's units from an ase.Atoms: see minimd.structure.ase_atoms.system_arguments.
 
@@ -192,11 +191,11 @@ class System(Displayed):
         universe: MDAnalysis.Universe | MDAnalysis.AtomGroup,
         *,
         units: UnitSystem = unit_systems.ASE,
-        bonds: Given = None,
-        angles: Given = None,
-        dihedrals: Given = None,
-        impropers: Given = None,
-        pbc: Given = None,
+        bonds: ArrayLike | None = None,
+        angles: ArrayLike | None = None,
+        dihedrals: ArrayLike | None = None,
+        impropers: ArrayLike | None = None,
+        pbc: ArrayLike | None = None,
     ) -> System:
         """A system from the present frame of an MDAnalysis universe, or of a group of its atoms: all that System takes,
         except constraints. MDAnalysis holds positions, velocities and cell in float32, the cell as lengths and angles.

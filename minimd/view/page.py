@@ -1,83 +1,278 @@
-"""The page itself: one HTML file that contains style, program, numbers and pictures."""
+"""A page about a run: one HTML file that contains style, program, numbers and pictures, and atoms in motion.
+
+Some frames of a run are shown, as integers of 16 bits:
+
+    r = Σ_k (low_k + width_k q_k / 2¹⁶) lattice_k        k = 1, 2, 3;  q_k = 0 … 2¹⁶ − 1
+
+Along periodic directions of the reduced lattice low is 0 and width is 1: q counts fractions of the lattice vector, a
+sum that overflows leads to the next cell, and the difference of two q, as a signed number, is that of nearest images.
+Along open directions each frame has its own bounds.
+"""
 
 import html
 import json
 from base64 import b64encode
 from collections.abc import Sequence
 from importlib.resources import files
+from math import ceil
+from pathlib import Path
 from string import Template
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from minimd.analysis.check import checked
+from minimd.analysis.plot import drawn, rendered
 from minimd.compiled.machine import version
 from minimd.console.display import Rows
-from minimd.view.motion import Motion
-from minimd.view.stories import Story
+from minimd.files.crash_file import read_crash_report
+from minimd.files.h5md_reader import H5MDContents, read_file
+from minimd.files.turned_cell import as_in_run
+from minimd.forces.forces import Potential
+from minimd.mdanalysis.universes import RunUniverse, universe_of
+from minimd.replay import replay
+from minimd.structure.constraints import DistanceConstraints
+from minimd.structure.observables import Array
+from minimd.structure.system import System
+from minimd.structure.units import ASE
 
-ELEMENTS = {  # the colors of Corey, Pauling and Koltun
-    "H": "#dcdcdc",
-    "C": "#5f6670",
-    "N": "#3a5fcd",
-    "O": "#d0342c",
-    "F": "#6fbf4b",
-    "Cl": "#2e9e3f",
-    "S": "#d9b310",
-    "P": "#e07b00",
-    "Cu": "#c77b3f",
-    "Ar": "#4fa7b8",
-}
+LEVELS = 2**16
+BYTES = 5_000_000  # of all positions, at most: 4000 atoms in 200 frames are 4.8 MB
+ATOMS = 50_000  # at most: the number that the graphics of a laptop draws smoothly
+SAMPLED = 2000  # atoms from which the distance of neighbors is computed
+LARGEST_PICTURE = 1_500_000  # of an SVG in bytes; a larger one is drawn in pixels instead
+ELEMENTS = {"H": "#dcdcdc", "C": "#5f6670", "N": "#3a5fcd", "O": "#d0342c", "F": "#6fbf4b",
+            "Cl": "#2e9e3f", "S": "#d9b310", "P": "#e07b00", "Cu": "#c77b3f",
+            "Ar": "#4fa7b8"}  # fmt: skip # the colors of Corey, Pauling and Koltun
 # in turns, for species without a usual color
 OTHERS = "#4a7fc1", "#d98032", "#3f9f6f", "#b0599f", "#c9a227", "#7a6fc9", "#4fa7b8", "#a3504a"
 
 
+class Motion(NamedTuple):
+    """Some frames of a run.
+
+    contents : of its file.  frames : (T,) int, indices in the file.  atoms : (A,) int, indices in the system.
+    counts : (T, A, 3) uint16, q.  low, width : (T, 3), dimensionless along periodic directions, [length] along open
+    ones.  apart : for each species the distance to the nearest neighbor [length], the median in the first frame shown.
+    """
+
+    contents: H5MDContents
+    frames: NDArray[np.int64]
+    atoms: NDArray[np.int64]
+    counts: NDArray[np.uint16]
+    low: Array
+    width: Array
+    apart: Array
+
+    def positions(self, k: int) -> Array:
+        """(A, 3) [length] of frame k, off by at most half of width/2¹⁶ along each lattice vector, and by any vector of
+        the periodic lattice."""
+        lattice = self.contents.system.cell.lattice
+        positions: Array = (self.low[k] + self.width[k] * self.counts[k] / LEVELS) @ lattice
+        return positions
+
+
+class Story(NamedTuple):
+    """title, heading : texts.  contents : of the file.  motion : Motion.  marked : atoms that caused a failure.
+    cause : of a failure, with advice and fault; both are empty without one.  picture : MIME type and bytes.
+    alternative : the picture in words.  report : text.  notes : sentences about what is not shown.
+    """
+
+    title: str
+    heading: str
+    contents: H5MDContents
+    motion: Motion
+    marked: tuple[int, ...]
+    cause: tuple[str, ...]
+    picture: tuple[str, bytes]
+    alternative: str
+    report: str
+    notes: tuple[str, ...]
+
+
+def run_story(path: Path, frames: int) -> Story:
+    """The check of a run as text, its picture, its atoms.  Raises as minimd.mdanalysis.universe."""
+    with universe_of(path) as made:
+        motion, contents = motion_of(made, frames), made.contents
+        words = "Four pictures: change of the total energy, temperature, change of the momentum, and structure; the "
+        shown = _scalable(drawn(made)), f"{words}report has their figures.", str(checked(made))
+    notes = _left_out(motion, contents.repaired)
+    return Story(contents.title, _heading(path, contents), contents, motion, (), (), *shown, notes)
+
+
+def failure_story(path: Path, frames: int, potentials: Potential | Sequence[Potential] | None) -> Story:
+    """The last steps of a failed run, made again; or, without potentials, the two states in its file.
+    Raises as minimd.replay."""
+    past, contents = read_crash_report(path), read_file(path)
+    found, source, picture = past.findings, path, ("image/svg+xml", b"")
+    closest = found.closest[:2] if found.closest else (found.fastest,)
+    marked = (found.pair.first, found.pair.second) if found.pair else closest
+    report, words = str(found), "Four pictures of the states in the file."
+    advice = f"minimd.view({path.name!r}, potentials=...)."
+    notes: tuple[str, ...] = (f"The steps between these states need the potentials of the script: {advice}",)
+    with TemporaryDirectory() as folder:
+        if potentials is not None or past.run.scene:
+            drawing = Path(folder) / "steps.svg"
+            seen = replay(path, potentials, trajectory=Path(folder) / "steps.h5md", picture=drawing)
+            source, report, notes = seen.trajectory or path, f"{found}\n\n{seen}", ()
+            words = "Four pictures against the step: total energy, distance of the closest pair, largest force, "
+            words, picture = f"{words}largest speed; the report has a table.", (picture[0], drawing.read_bytes())
+        with universe_of(source) as made:
+            motion = motion_of(made, frames, marked, latest=True)
+            picture = picture if picture[1] else _scalable(drawn(made))
+    cause, title = (found.cause, found.advice, f"{found.fault}, at step {found.step}"), f"{contents.title}: failed"
+    told = picture, words, report, (*notes, *_left_out(motion))
+    return Story(title, _heading(path, contents), contents, motion, marked, cause, *told)
+
+
+def _heading(path: Path, contents: H5MDContents) -> str:
+    system, step = contents.system, contents.system.units.shown(contents.timestep)
+    return f"{path.name}: {len(system)} atoms, {contents.method} with Δt = {step}, {system.units.name} units"
+
+
+def _left_out(motion: Motion, repaired: str = "") -> tuple[str, ...]:
+    """Sentences about frames and atoms that are not shown, and about a damaged restart."""
+    frames = len(motion.frames), motion.contents.n_frames, "frames are shown."
+    atoms = len(motion.atoms), len(motion.contents.system), "atoms are shown, evenly chosen."
+    told = [f"{shown} of {n} {words}" for shown, n, words in (frames, atoms) if shown < n]
+    return (*told, f"{repaired}.") if repaired else tuple(told)
+
+
+def _scalable(figure: Figure) -> tuple[str, bytes]:
+    """A figure as SVG, or as PNG if that would be large."""
+    vectors = rendered(figure, "svg")
+    if len(vectors) > LARGEST_PICTURE:
+        return "image/png", rendered(figure, "png")
+    return "image/svg+xml", vectors
+
+
+def motion_of(made: RunUniverse, most: int, marked: Sequence[int] = (), latest: bool = False) -> Motion:
+    """The motion in a file whose universe is open.
+
+    most : largest number of frames; fewer are used if there are many atoms.  latest : the last frames, in place of
+        evenly chosen ones.
+    marked : atoms that are always shown; all are shifted so that, in the last frame, the first of these is in the
+        middle of the cell.
+    """
+    contents, system, cell, record = made.contents, made.system, made.system.cell, made.contents.record
+    atoms = chosen_atoms(len(system), marked)
+    frames = chosen_frames(contents.n_frames, min(most, max(2, BYTES // (6 * len(atoms)))), latest)
+    inverses = np.linalg.inv(cell.reduction @ record.cell[frames]) if "cell" in record else [cell.inverse] * len(frames)
+    looks = (made.trajectory[int(k)] for k in frames)
+    places = (as_in_run(ts, ts.positions[atoms]) / system.units.to_angstrom for ts in looks)
+    fractions = np.array([place @ inverse for place, inverse in zip(places, inverses, strict=True)])
+    if marked:
+        middle = 0.5 * cell.vectors.sum(axis=0) @ cell.inverse
+        fractions += np.where(cell.pbc, middle - fractions[-1, np.searchsorted(atoms, marked[0])], 0.0)
+    extent = np.ptp(fractions, axis=1)
+    low = np.where(cell.pbc, 0.0, fractions.min(axis=1))
+    width = np.where(cell.pbc, 1.0, np.where(extent > 0.0, extent, 1.0) * LEVELS / (LEVELS - 1))
+    counts = np.rint((fractions - low[:, None]) / width[:, None] * LEVELS) % LEVELS
+    apart = neighbor_distances(fractions[0] @ cell.lattice, system.species_index[atoms], len(system.species_names))
+    return Motion(contents, frames, atoms, counts.astype(np.uint16), low, width, apart)
+
+
+def bonds_among(atoms: NDArray[np.int64], system: System) -> NDArray[np.int64]:
+    """(B, 2) pairs of indices in atoms: bonded pairs, and pairs whose length is held fixed, if both atoms are shown;
+    each pair once."""
+    held = [one.pairs for one in system.constraints if isinstance(one, DistanceConstraints)]
+    place = np.full(len(system), -1)
+    place[atoms] = np.arange(len(atoms))
+    pairs = place[np.unique(np.sort(np.concatenate([system.bonds, *held]), axis=1), axis=0)]
+    return pairs[(pairs >= 0).all(axis=1)]
+
+
+def chosen_frames(n_frames: int, most: int, latest: bool = False) -> NDArray[np.int64]:
+    """Indices of at most `most` frames: the last ones, or evenly chosen ones with the first and the last."""
+    if latest:
+        return np.arange(max(0, n_frames - most), n_frames)
+    return np.unique(np.rint(np.linspace(0, n_frames - 1, min(most, n_frames))).astype(np.int64))
+
+
+def chosen_atoms(n_atoms: int, marked: Sequence[int] = ()) -> NDArray[np.int64]:
+    """All atoms, or every n-th and the marked ones."""
+    return np.union1d(np.arange(0, n_atoms, ceil(n_atoms / ATOMS)), np.asarray(marked, dtype=np.int64))
+
+
+def neighbor_distances(positions: Array, species: NDArray[np.int64], n_species: int) -> Array:
+    """Median distance to the nearest other atom for each species [length], without images; 1 if there is no other
+    atom."""
+    if len(positions) < 2:
+        return np.ones(n_species)
+    some = np.arange(0, len(positions), ceil(len(positions) / SAMPLED))
+    nearest, kinds = cKDTree(positions).query(positions[some], k=2)[0][:, 1], species[some]
+    medians = [np.median(nearest[kinds == k] if (kinds == k).any() else nearest) for k in range(n_species)]
+    return np.where(np.array(medians) > 0.0, medians, 1.0)
+
+
 def page(story: Story) -> str:
     """A story as HTML."""
-    motion, system = story.motion, story.contents.system
+    motion, system, rows = story.motion, story.contents.system, parameters(story.contents)
+    about = json.dumps(known_to_the_program(story), allow_nan=False, separators=(",", ":"))
+    failure, counts = "", np.bincount(system.species_index, minlength=len(system.species_names))
+    if story.cause:
+        first, advice, fault = map(html.escape, story.cause)
+        lines = f"<p><strong>{first}</strong></p><p>What to do: {advice}.</p><p>What happened: {fault}.</p>"
+        failure = f'<section class="failure"><h2>Why it failed</h2>{lines}</section>'
+    cells = ((html.escape(name), html.escape(words)) for name, words in rows)
+    circle = '<svg viewBox="0 0 10 10" aria-hidden="true"><circle cx="5" cy="5" r="4.5" fill="{}"/></svg>'
+    legend = zip(map(circle.format, colors(system.species_names)), system.species_names, counts, strict=True)
     known = {
         "frames": b64(motion.counts, "<u2"),
         "species": b64(system.species_index[motion.atoms], "<u4"),
-        "bonds": b64(motion.bonds, "<u4"),
-        "about": json.dumps(about(story), allow_nan=False, separators=(",", ":")).replace(
-            "<", "\\u003c"
-        ),  # safe inside a script element
+        "bonds": b64(bonds_among(motion.atoms, system), "<u4"),
+        "about": about.replace("<", "\\u003c"),  # safe inside a script element
         "picture": f"data:{story.picture[0]};base64,{b64encode(story.picture[1]).decode()}",
         "library": _text("ngl.js").partition("//# sourceMappingURL")[0],  # which developer tools would request
         "library_licenses": html.escape(_text("ngl-licenses.txt")),
         "style": _text("page.css"),
         "program": _text("motion.js") + _text("page.js"),
-        "failure": failure(story.cause),
-        "notes": " ".join(html.escape(words) for words in story.notes),
-        "parameters": table(story.parameters),
-        "species_list": legend(motion, system.species_names, system.species_index),
+        "failure": failure,
+        "notes": " ".join(map(html.escape, story.notes)),
+        "parameters": "".join(f'<tr><th scope="row">{name}</th><td>{words}</td></tr>' for name, words in cells),
+        "species_list": "".join(f"<li>{shown} {html.escape(str(name))} ({n})</li>" for shown, name, n in legend),
         "version": html.escape(version("minimd")),
     }
     words = {name: html.escape(getattr(story, name)) for name in ("title", "heading", "alternative", "report")}
     return Template(_text("page.html")).substitute(known, **words)
 
 
-def about(story: Story) -> dict[str, Any]:
+def parameters(contents: H5MDContents) -> Rows:
+    """System, method and potentials, in the units of the system; times and rates in ps, or τ."""
+    system, units = contents.system, contents.system.units
+    mass, picosecond = ("u", f", of which {units.to_picosecond**-1:.5g} make a ps") if units is ASE else ("m", "")
+    words = (
+        f"lengths in {units.length}, energies in {units.energy}, masses in {mass}, times in {units.time}{picosecond}"
+    )
+    rows = [row for row in system.display_rows() if row[0] != "units"]
+    rows += [row for row in contents.scene_in_words() if row[0] not in {"system", "cell", "constraints"}]  # told above
+    return [*rows, ("units", f"{words}, temperatures in {units.temperature}")]
+
+
+def known_to_the_program(story: Story) -> dict[str, Any]:
     """The data for the program of the page, other than the counts: see motion.js."""
     motion, system, units = story.motion, story.contents.system, story.contents.system.units
-    cell, place = motion.cell, {int(atom): k for k, atom in enumerate(motion.atoms)}
-    edges = np.where(cell.pbc[:, None], cell.vectors, cell.lattice)
-    box = cell.vectors[np.any(cell.vectors != 0.0, axis=1)]
+    record, cell, place = motion.contents.record, motion.contents.system.cell, motion.atoms.tolist().index
+    times, temperatures = record.time[motion.frames] * units.to_picosecond, record.temperature[motion.frames]
     return {
         "low": motion.low.tolist(),
         "width": motion.width.tolist(),
         "lattice": cell.lattice.tolist(),
-        "edges": edges.tolist(),
+        "edges": np.where(cell.pbc[:, None], cell.vectors, cell.lattice).tolist(),
         "reduction": (cell.reduction + np.diag(~cell.pbc)).tolist(),
         "periodic": cell.pbc.tolist(),
-        "box": box.tolist(),
-        "steps": motion.steps.tolist(),
-        "times": motion.times.tolist(),
-        "temperatures": [value if np.isfinite(value) else None for value in motion.temperatures.tolist()],
+        "box": cell.vectors[np.any(cell.vectors != 0.0, axis=1)].tolist(),
+        "steps": record.step[motion.frames].tolist(),
+        "times": times.tolist(),
+        "temperatures": [value if np.isfinite(value) else None for value in temperatures.tolist()],
         "units": {"time": units.shown_time, "temperature": units.temperature, "length": units.length},
         "radii": (0.5 * motion.apart).tolist(),
         "colors": colors(system.species_names),
-        "marked": [place[atom] for atom in story.marked],
+        "marked": [place(atom) for atom in story.marked],
         "names": [str(atom) for atom in story.marked],
     }
 
@@ -85,33 +280,6 @@ def about(story: Story) -> dict[str, Any]:
 def colors(species: Sequence[Any]) -> list[str]:
     """A color for each species: the usual one of an element, else one of the others in turns."""
     return [ELEMENTS.get(str(name), OTHERS[k % len(OTHERS)]) for k, name in enumerate(species)]
-
-
-def legend(motion: Motion, names: Sequence[Any], index: NDArray[np.int64]) -> str:
-    """Species, colors and numbers as items of a list."""
-    counts = np.bincount(index, minlength=len(names))
-    rows = zip(names, colors(names), counts, strict=True)
-    return "".join(
-        f'<li><svg viewBox="0 0 10 10" aria-hidden="true"><circle cx="5" cy="5" r="4.5" fill="{color}"/></svg> '
-        f"{html.escape(str(name))} ({n})</li>"
-        for name, color, n in rows
-    )
-
-
-def table(rows: Rows) -> str:
-    """Names and words as rows of a table."""
-    return "".join(
-        f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(words)}</td></tr>' for name, words in rows
-    )
-
-
-def failure(cause: Sequence[str]) -> str:
-    """The box with the reason why a run failed; empty if it did not fail."""
-    if not cause:
-        return ""
-    first, advice, fault = (html.escape(words) for words in cause)
-    lines = f"<p><strong>{first}</strong></p><p>What to do: {advice}.</p><p>What happened: {fault}.</p>"
-    return f'<section class="failure"><h2>Why it failed</h2>{lines}</section>'
 
 
 def b64(array: NDArray[Any], kind: str) -> str:

@@ -26,26 +26,19 @@ class View:
     summary: str
 
     def save(self, page: str | Path | None = None) -> Path:
-        """Write the page and return its name; if not given, that of the run with .html.
-
-        A file or link with this name is replaced.
-
-        Raises OSError if it cannot be written.
-        """
+        """Write the page and return its name; if not given, that of the run with .html. A file or link with this name
+        is replaced.  Raises OSError if it cannot be written."""
         path = self.file.with_suffix(".html") if page is None else Path(page)
         write_whole(path, self.html)
         return path
 
     def __repr__(self) -> str:
-        return (
-            f"View({str(self.file)!r}: {self.summary}; {len(self.html.encode()) / 1e6:.1f} MB; write it with .save())"
-        )
+        size = f"{len(self.html.encode()) / 1e6:.1f} MB"
+        return f"View({str(self.file)!r}: {self.summary}; {size}; write it with .save())"
 
     def _repr_html_(self) -> str:
-        style = f"width: 100%; height: {HEIGHT}px; border: 0"
-        return (
-            f'<iframe title="{html.escape(str(self.file))}" style="{style}" srcdoc="{html.escape(self.html)}"></iframe>'
-        )
+        style, title = f"width: 100%; height: {HEIGHT}px; border: 0", html.escape(str(self.file))
+        return f'<iframe title="{title}" style="{style}" srcdoc="{html.escape(self.html)}"></iframe>'
 
 
 def view(
@@ -71,22 +64,17 @@ def view(
     """
     frames, place = checked_count("frames", frames, least=2), file.trajectory if isinstance(file, Record) else file
     if place is None:
-        raise ValueError(
-            "a page needs the frames of the run, but the run wrote no .h5md file; run with trajectory='run.h5md'"
-        )
-    path = Path(place)
+        needs = "a page needs the frames of the run, but the run wrote no .h5md file"
+        raise ValueError(f"{needs}; run with trajectory='run.h5md'")
     from minimd.files.crash_file import is_crash_file  # these load h5py, MDAnalysis and matplotlib
     from minimd.files.h5md_reader import verify_frames
-    from minimd.view.page import page
-    from minimd.view.stories import failure_story, run_story
+    from minimd.view.page import failure_story, page, run_story
 
+    path = Path(place)
     verify_frames(path)
-    if is_crash_file(path):
-        story = failure_story(path, frames, potentials)
-    elif potentials is not None:
-        raise ValueError(
-            f"potentials are used for a failed run only; {str(path)!r} holds a run that did not fail: leave them out"
-        )
-    else:
-        story = run_story(path, frames)
-    return View(page(story), path, story.summary)
+    has_failed = is_crash_file(path)
+    if potentials is not None and not has_failed:
+        used = "potentials are used for a failed run only"
+        raise ValueError(f"{used}; {str(path)!r} holds a run that did not fail: leave them out")
+    story = failure_story(path, frames, potentials) if has_failed else run_story(path, frames)
+    return View(page(story), path, f"{len(story.motion.frames)} frames of {len(story.motion.atoms)} atoms")

@@ -33,9 +33,8 @@ def test_good_run_passes_with_figures_and_tolerances_and_its_picture_shows_it(tm
         assert words in str(found)
     assert ("ang. momentum" in str(found)) == (cell == "open")
     assert 0.0 < found.comparisons[0].figure < 1e-6
-    monkeypatch.setattr(
-        record_picture, "Picture", lambda *given, **more: drawn.append(picture(*given, **more)) or drawn[0]
-    )
+    kept = lambda *given, **more: drawn.append(picture(*given, **more)) or drawn[0]  # noqa: E731
+    monkeypatch.setattr(record_picture, "Picture", kept)
     assert plot_file(path) == tmp_path / "a.png"
     assert (tmp_path / "a.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     panels, length, time = drawn[0].axes, *(("σ", "τ") if units is LJ else ("Å", "ps"))

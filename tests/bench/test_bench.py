@@ -10,7 +10,7 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.commands import main as cli
 from minimd_bench import command as bench
-from minimd_bench import engines, ingredients, memory, peers, scaling, scenes, turns, work_precision
+from minimd_bench import engines, ingredients, peers, scaling, scenes, turns, work_precision
 from minimd_bench.outcome import as_json, markdown, write
 from minimd_bench.peers import EngineSpeed, PeersOptions, run_peers
 
@@ -52,7 +52,7 @@ def raising(error):
 def fakes(monkeypatch):
     """Engines of known speed instead of all others."""
     monkeypatch.setattr(turns, "perf_counter", lambda: FakeEngine.clock)
-    monkeypatch.setattr(peers, "available_cores", lambda: 2)
+    monkeypatch.setattr(turns, "available_cores", lambda: 2)
     monkeypatch.setattr(peers, "equilibrated", lambda scene: scene)
     monkeypatch.setattr(engines.Peer, "is_installed", True)
     own = lambda _, threads: FakeEngine("minimd", threads, "double", OWN_SECONDS[threads])  # noqa: E731
@@ -166,8 +166,8 @@ def test_peer_with_another_energy_is_refused_and_one_that_blows_up_is_no_disagre
 @pytest.mark.slow  # compiles the law of the melt
 def test_peer_with_another_time_step_is_refused():
     right = engines.Minimd(scenes.melt(4))
-    wrong = engines.Minimd(scenes.melt(4), method=md.VelocityVerlet(0.00505))
-    with pytest.raises(ArithmeticError, match="potential energy per atom after 10 steps"):
+    wrong = engines.Minimd(scenes.melt(4)._replace(method=md.VelocityVerlet(0.00505)))
+    with pytest.raises(md.lammps.HandOverError, match="potential energy per atom after 10 steps"):
         turns.check_agreement([right, wrong], N_ATOMS)
 
 
@@ -244,11 +244,11 @@ def test_peers_that_are_missing_or_do_not_start_are_told(fakes, monkeypatch, cap
     assert_answered(lambda: run_peers(ONCE), ValueError, "broken", "libmpi.so: not found", "--peers")
 
 
-@pytest.mark.skipif(not memory.STATUS.exists(), reason="Linux tells the peak of a process, others do not")
+@pytest.mark.skipif(not scaling.STATUS.exists(), reason="Linux tells the peak of a process, others do not")
 @pytest.mark.slow
 def test_memory_is_that_of_arrays_and_lists():
     ballast = np.ones(10**8)  # the parent's memory does not count
-    assert 100.0 < memory.bytes_per_atom("melt", 30, 1, "double") < 5000.0
+    assert 100.0 < scaling.bytes_per_atom("melt", 30, 1) < 5000.0
     assert ballast.all()
 
 
@@ -260,7 +260,7 @@ def test_scene_is_the_one_that_lammps_calls_melt():
 
 
 def test_mixture_is_that_of_kob_and_andersen():
-    scene = scenes.kob_andersen(5)
+    scene = scenes.SCENES["kob-andersen"](5)
     assert 500 / scene.system.volume == pytest.approx(1.2, rel=1e-12)
     assert (scene.system.species == "B").sum() == 100
     shift = 4.0 * (2.5**-12 - 2.5**-6)
@@ -270,7 +270,7 @@ def test_mixture_is_that_of_kob_and_andersen():
 
 
 def test_chains_are_whole_and_apart():
-    system = scenes.chains(5).system
+    system = scenes.SCENES["chains"](5).system
     assert (len(system), len(system.bonds)) == (500, 5 * 99)
     assert 500 / system.volume == pytest.approx(0.85, rel=1e-12)
     spacing = np.linalg.norm(system.positions[system.bonds[:, 1]] - system.positions[system.bonds[:, 0]], axis=1)
@@ -303,8 +303,8 @@ def test_the_front_of_work_precision_is_what_nothing_beats():
 
 def test_a_run_that_fails_has_no_finite_error():
     """Not even the distance, which was measured in a run that was shorter."""
-    engine = type("Engine", (), {"run": lambda *_: 1 // 0})
-    point = work_precision._point("minimd", scenes.SCENES["melt"](3), md.VelocityVerlet, 20, engine, 2, 1e-3)
+    engine = type("Engine", (), {"name": "minimd", "run": lambda *_: 1 // 0})
+    point = work_precision.measured(scenes.SCENES["melt"](3), 20, engine, 2, 1e-3)
     assert (point.seconds, point.oscillation, point.drift, point.distance) == (np.inf,) * 4
 
 
@@ -315,7 +315,7 @@ def test_work_precision_of_minimd_falls_with_the_order_of_the_method(monkeypatch
     for name, value in {**settings, "PEER_NAMES": ()}.items():
         monkeypatch.setattr(work_precision, name, value)
     (case,) = work_precision.run_work_precision(["argon-smooth"], True, 1).cases
-    exact = [p for p in case.points if p.who == "minimd, double"]
+    exact = [p for p in case.points if p.who == "minimd"]
     assert np.diff(np.log2([p.distance for p in exact])) == pytest.approx([-2.0, -2.0], abs=0.2)
     assert 8.0 < exact[0].oscillation / exact[2].oscillation < 32.0  # seen at twenty moments only
     assert [p.forces for p in exact] == pytest.approx([100, 200, 400])

@@ -109,8 +109,7 @@ def test_resumed_run_ends_with_the_scene_and_is_the_uninterrupted_one(folder, ca
     assert cli.main(["resume", "melt.h5md"]) == 2
     assert "it is at step 40, dynamics.steps = 40" in capsys.readouterr().err
     whole, parts, start = read_file("whole.h5md"), read_file("melt.h5md"), load_scene("melt.toml").system()
-    assert parts.step == whole.step == 40
-    assert parts.time == pytest.approx(0.16)
+    assert (parts.step, whole.step, parts.time) == (40, 40, pytest.approx(0.16))
     assert set(whole.record.step) <= set(parts.record.step)
     # rounding: other list, other sums; grown over 25 steps in the positions
     assert parts.record.total_energy[-1] == pytest.approx(whole.record.total_energy[-1], rel=1e-13)
@@ -141,9 +140,8 @@ def test_interrupted_run_says_how_to_go_on_or_that_nothing_was_written(folder, c
 
 
 def test_resume_without_a_stored_scene_asks_for_one(folder, capsys):
-    from_scene = load_scene("melt.toml").simulation()
-    simulation = md.Simulation(from_scene.system, from_scene.potentials, from_scene.method)
-    simulation.run(10, every=5, trajectory="bare.h5md")
+    of = load_scene("melt.toml").simulation()
+    md.Simulation(of.system, of.potentials, of.method).run(10, every=5, trajectory="bare.h5md")
     assert cli.main(["resume", "bare.h5md", "--steps", "5"]) == 2
     assert "minimd.Simulation.resume('bare.h5md', potentials)" in capsys.readouterr().err
     assert run("resume", "bare.h5md", "--steps", 10, "--scene", "melt.toml") == 0
@@ -164,6 +162,15 @@ def test_a_scene_given_to_resume_replaces_that_of_the_file(folder, capsys):
     assert cli.main(["resume", "melt.h5md", "--steps", "4"]) == 0
     assert "the last steps were made with VelocityVerlet(timestep=0.001)" in capsys.readouterr().out
     assert md.Simulation.resume("melt.h5md").method.timestep == 0.001
+
+
+def test_any_steps_are_made_again_and_their_energies_told(folder, capsys):
+    Path("melt.toml").write_text(SCENE.replace("[output]", 'precision = "fixed-point"\n[output]'))
+    assert run("run", "melt.toml", "--out", "melt.h5md") == 0
+    assert cli.main(["frames", "melt.h5md", "--at", "3", "10", "--out", "a.h5md"]) == 0
+    energies = read_file("a-3.h5md").record.total_energy[0], read_file("melt.h5md").record.total_energy[1]
+    told = capsys.readouterr().out
+    assert all(f"total energy {float(energy)!r} ε" in told for energy in energies)
 
 
 READING = [["check"], ["frames", "--at", "1"], ["resume", "--steps", "5"], ["replay"]]

@@ -28,7 +28,7 @@ from minimd.files.h5md_reader import damage, frames_of, looked_at, read_file, ve
 from minimd.files.h5md_writer import H5MDWriter
 from minimd.files.structure_file import system_from_file
 from minimd.mdanalysis import universe
-from minimd.mdanalysis.readers import RunReader
+from minimd.mdanalysis.universes import RunReader
 
 RIGHT, WRONG, DESTROYED = "a right result", "passed although changed", "something sound was destroyed"
 GOOD = {SENTENCE, FAILED, RIGHT}  # and not WRONG, DESTROYED, TRACEBACK, CRASH

@@ -14,7 +14,7 @@ from minimd.analysis.check import check_file
 from minimd.files.turned_cell import ROTATION, Turn, finds_all_images
 from minimd.mdanalysis import Frames, universe
 from minimd.structure.cell import Cell
-from minimd.view.motion import motion_of
+from minimd.view.page import motion_of
 
 TRICLINIC = np.array([[5.0, 0.0, 0.0], [1.5, 4.5, 0.0], [-1.0, 1.2, 4.0]])
 SOMEHOW = Rotation.from_euler("xyz", [0.7, -1.1, 2.3]).as_matrix()

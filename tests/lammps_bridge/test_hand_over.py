@@ -12,8 +12,8 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.analysis.check import check_file
 from minimd.commands import main as cli
-from minimd.lammps import script
-from minimd.lammps.handing_over import Job, frames
+from minimd.lammps import handing_over, script
+from minimd.lammps.handing_over import frames
 from minimd.lammps.model import Model
 from minimd.lammps.program import find_program, run
 from minimd.potentials.term import PER_ATOM
@@ -123,14 +123,14 @@ def test_atoms_that_cross_many_cells_come_back_in_the_right_image(cell, every, t
 
 
 def test_images_that_cannot_be_known_are_noticed(tmp_path, monkeypatch):
-    end = Job._end
+    simulation = flying(np.eye(3))
 
-    def slowed(job, *more):
-        job.engine.velocities[0] -= [0.0, 0.0, 90.0]
-        return end(job, *more)
+    def slowed(path, n_atoms):
+        simulation.velocities[0] -= [0.0, 0.0, 90.0 * (path.name == script.LAST)]
+        return frames(path, n_atoms)
 
-    monkeypatch.setattr(Job, "_end", slowed)
-    call = lambda: handed_over(flying(np.eye(3)), tmp_path / "run", 4000, every=5000)  # noqa: E731
+    monkeypatch.setattr(handing_over, "frames", slowed)
+    call = lambda: handed_over(simulation, tmp_path / "run", 4000, every=5000)  # noqa: E731
     assert_answered(call, md.lammps.HandOverError, "images", "600 cells", "every = 5000")
 
 

@@ -23,9 +23,7 @@ from minimd.commands import main as cli
 from minimd.mdanalysis.universes import universe_of
 from minimd.structure.cell import nearest_vectors
 from minimd.view import View
-from minimd.view.motion import ATOMS, bonds_among, chosen_atoms, chosen_frames, motion_of
-from minimd.view.page import page
-from minimd.view.stories import run_story
+from minimd.view.page import ATOMS, bonds_among, chosen_atoms, chosen_frames, motion_of, page, run_story
 
 PAGE = files("minimd.view") / "page"
 URL = re.compile(r"https?:|//\w", re.I)
@@ -81,15 +79,15 @@ def test_the_counts_are_the_positions_of_the_file(tmp_path, pbc):
     width = np.array(shown.width)[:, None]
     assert (np.abs(differences) <= (0.5 + 0.01) * width / LEVELS).all()  # half a step; a hundredth for float32
     assert np.abs(differences).max() > 0.2 * width.min() / LEVELS
-    np.testing.assert_array_equal(shown.steps, record.step)
-    np.testing.assert_array_equal(shown.temperatures, record.temperature)
+    np.testing.assert_array_equal(shown.contents.record.step[shown.frames], record.step)
+    np.testing.assert_array_equal(shown.contents.record.temperature[shown.frames], record.temperature)
 
 
 def test_the_page_holds_these_counts_and_bonds_join_nearest_images(run):
     motion, parts, system = run.story.motion, run.parts, skewed_chains().system
     np.testing.assert_array_equal(parts.counts, motion.counts)
-    assert parts.about["steps"] == motion.steps.tolist() == list(range(0, 601, 20))
-    assert parts.about["temperatures"] == motion.temperatures.tolist()
+    assert parts.about["steps"] == list(range(0, 601, 20))
+    assert parts.about["temperatures"] == motion.contents.record.temperature.tolist()
     np.testing.assert_allclose(parts.positions()[30], motion.positions(30), atol=1e-12)  # rounding
     assert parts.bonds.tolist() == system.bonds.tolist()
     i, j = parts.bonds.T

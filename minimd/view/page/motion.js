@@ -1,5 +1,5 @@
 "use strict";
-// The counts of minimd/view/motion.py, and what they mean: positions and bonds of a frame, in the cell of the user.
+// The counts of minimd/view/page.py, and what they mean: positions and bonds of a frame, in the cell of the user.
 // `about` : low, width (frames × 3); lattice, edges, reduction (3 × 3); periodic (3); radii, colors of species; marked atoms.
 
 const LEVELS = 65536;

@@ -57,10 +57,10 @@ potentials/truncation.py: potentials/test_laws potentials/test_truncation potent
 potentials/fields.py: potentials/test_laws potentials/test_fields potentials/test_formulas
     anchors[n, 0], y - anchors[n, 1] => anchors[n, 0], y + anchors[n, 1]
     power += _rate(found) => power = _rate(found)
-    moves = spring.start <= self.time < spring.end => moves = spring.start < self.time <= spring.end
+    moves = self.start <= term.time < self.end => moves = self.start < term.time <= self.end
 potentials/links.py: potentials/test_laws
     in_steps(lane(u, k) / n_sites, steps) => in_steps(lane(u, k), steps)
-potentials/bonded.py: potentials/test_laws potentials/test_truncation potentials/test_reference_lammps
+potentials/links.py: potentials/test_laws potentials/test_truncation potentials/test_reference_lammps
     size * cosine - ab * sine, ab * cosine => size * cosine + ab * sine, ab * cosine
 neighbors/search.py: neighbors/test_pair_list forces/test_lists neighbors/test_cluster_list
     within[len(within) // 2 + 1 :] => within[len(within) // 2 + 2 :]

@@ -11,7 +11,7 @@ from minimd.ase.calculator import Calculator
 from minimd.ase.dynamics import VelocityVerlet
 from minimd.ase.thermostats import Andersen, Bussi, Langevin, LangevinBAOAB, NoseHooverChainNVT, NVTBerendsen
 from minimd.files.structure_file import ASEWriter, atomic_mass, system_from_file
-from minimd.potentials.calculators import ForcesFromCalculator
+from minimd.potentials.term import ForcesFromCalculator
 from minimd.structure.ase_atoms import atoms_from_system
 from minimd.structure.system import System
 

@@ -18,7 +18,7 @@ from minimd.diagnosis.run_guard import RunGuard
 from minimd.engine.engine import Engine
 from minimd.integrators.splitting.rows import VelocityVerlet as Method
 from minimd.integrators.splitting.splitting import Splitting
-from minimd.potentials.calculators import CalculatorTerm, calculators_said
+from minimd.potentials.term import CalculatorTerm, calculators_said
 from minimd.structure.ase_atoms import fixes_center, same_scene
 from minimd.structure.system import System
 from minimd.structure.units import ASE

@@ -1,7 +1,8 @@
 """Constraints in closed form: bonds that share no atom, linear molecules of three atoms, and triangles such as water.
 
-One at a time, or as many as a vector has lanes. Solvers return the largest number of iterations; n < 0 says that the
-constraint (or molecule) −1 − n could not be kept.
+As many bonds or molecules at a time as a vector has lanes; lanes that are too many repeat the last one, whose atoms
+then are written several times, the same each time. Solvers return the largest number of iterations, here 1; n < 0 says
+that the bond (or molecule) −1 − n could not be kept.
 
 Bonds
 
@@ -45,9 +46,6 @@ r₁, e₀ = c₀ − b₀, plane vectors u × w = x_u y_w − y_u x_w, and λ i
 
     λ_ab = δ_b × e₀/(b₀ × c₀)      λ_ac = δ_c × e₀/(b₀ × c₀)      λ_bc = (δ_b × b₀ − δ_c × c₀)/(2 b₀ × c₀)
     δ_b = λ_ab b₀ − λ_bc e₀        δ_c = λ_ac c₀ + λ_bc e₀        m_a δ_a = −m_b (λ_ab b₀ + λ_ac c₀)
-
-All of them compute as many bonds or molecules at a time as a vector has lanes; lanes that are too many repeat the last
-one, whose atoms then are written several times, the same each time.
 """
 
 from collections import namedtuple
@@ -74,9 +72,9 @@ class Bonds(namedtuple("Bonds", "first second offsets lengths2 tolerance")):
     tolerance : of |r² − d²|/d²."""
 
 
-class Molecules(namedtuple("Molecules", "atoms offsets shapes")):
-    """atoms : three of (M,), a, b, c.  offsets : two of (M, 3), of b and c from a [length].  shapes : some of (M,),
-    see each solver."""
+class Molecules(namedtuple("Molecules", "atoms offsets shapes sides")):
+    """atoms : three of (M,), a, b, c.  offsets : two of (M, 3), of b and c from a [length].  shapes : some of (M,), see
+    each solver.  sides : the constraints with a target and a multiplier, (M,) int or three of them, ab, ac, bc."""
 
 
 # The lanes of a vector belong to a block (k, end, lanes): those of at[k], at[k + 1], … or, if at is (), of k, k + 1, …;
@@ -148,34 +146,19 @@ def drift_some(positions, velocities, atoms, duration):
             positions[i, x] += duration * velocities[i, x]
 
 
-@scalar
-def drift_pairs(start, end, atoms, bonds, duration):
-    """Drift of bonds start to end − 1: a λ² + 2 b λ + c = 0, a = w² s², b = w p · s, c = p² − d².  duration [time]."""
-    positions, velocities, inverse_masses, lanes = atoms
-    i, j = bonds.first, bonds.second
-    for k in range(start, end, count(lanes)):
-        block = k, end, lanes
-        x, y, u, v = (
-            rows(positions, i, block),
-            rows(positions, j, block),
-            rows(velocities, i, block),
-            rows(velocities, j, block),
-        )
-        wi, wj = numbers(inverse_masses, i, block), numbers(inverse_masses, j, block)
-        s = plus(minus(y, x), rows(bonds.offsets, (), block))
-        p, w = combined(1.0, s, duration, minus(v, u)), wi + wj
-        a, b, c = w * w * dot(s, s), w * dot(p, s), dot(p, p) - numbers(bonds.lengths2, (), block)
-        discriminant = b * b - a * c
-        n_kept = n_without_failure(select(b > 0.0, discriminant, -1.0))
-        if n_kept < count(lanes):
-            return NOTHING - k - n_kept
-        scale = -c / (b + sqrt(discriminant)) / duration
-        u, v = combined(1.0, u, -scale * wi, s), combined(1.0, v, scale * wj, s)
-        put_rows(velocities, i, block, u)
-        put_rows(velocities, j, block, v)
-        put_rows(positions, i, block, combined(1.0, x, duration, u))
-        put_rows(positions, j, block, combined(1.0, y, duration, v))
-    return 1
+def in_blocks(treat):
+    """A solver of components first to last − 1, a block of lanes at a time: treat(block, atoms, *arguments) returns how
+    many could be kept; that of lanes or more if all."""
+
+    @scalar
+    def solver(first, last, atoms, *arguments):
+        for k in range(first, last, count(atoms.lanes)):
+            n_kept = treat((k, last, atoms.lanes), atoms, *arguments)
+            if n_kept < count(atoms.lanes):
+                return NOTHING - k - n_kept
+        return 1
+
+    return solver
 
 
 @scalar
@@ -185,23 +168,44 @@ def n_without_failure(least):
 
 
 @scalar
-def project_pairs(start, end, atoms, bonds, targets, multipliers):
-    """Vectors of bonds start to end − 1, given a component along each bond: r · (x_j − x_i) = target.
+def drift_pairs(block, atoms, bonds, duration):
+    """Drift of bonds: a λ² + 2 b λ + c = 0, a = w² s², b = w p · s, c = p² − d².  duration : [time]."""
+    positions, velocities, inverse_masses, _ = atoms
+    i, j = bonds.first, bonds.second
+    x, y = rows(positions, i, block), rows(positions, j, block)
+    u, v = rows(velocities, i, block), rows(velocities, j, block)
+    wi, wj = numbers(inverse_masses, i, block), numbers(inverse_masses, j, block)
+    s = plus(minus(y, x), rows(bonds.offsets, (), block))
+    p, w = combined(1.0, s, duration, minus(v, u)), wi + wj
+    a, b, c = w * w * dot(s, s), w * dot(p, s), dot(p, p) - numbers(bonds.lengths2, (), block)
+    discriminant = b * b - a * c
+    n_kept = n_without_failure(select(b > 0.0, discriminant, -1.0))
+    if n_kept >= count(block[2]):
+        scale = -c / (b + sqrt(discriminant)) / duration
+        u, v = combined(1.0, u, -scale * wi, s), combined(1.0, v, scale * wj, s)
+        put_rows(velocities, i, block, u)
+        put_rows(velocities, j, block, v)
+        put_rows(positions, i, block, combined(1.0, x, duration, u))
+        put_rows(positions, j, block, combined(1.0, y, duration, v))
+    return n_kept
+
+
+@scalar
+def project_pairs(block, atoms, bonds, targets, multipliers):
+    """Vectors of bonds, given a component along each bond: r · (x_j − x_i) = target.
 
     Velocities with targets 0 keep the lengths; accelerations with −v². multipliers : (K,), x_j gains multiplier r/m_j.
     """
-    positions, vectors, inverse_masses, lanes = atoms
+    positions, vectors, inverse_masses, _ = atoms
     i, j = bonds.first, bonds.second
-    for k in range(start, end, count(lanes)):
-        block = k, end, lanes
-        r = plus(minus(rows(positions, j, block), rows(positions, i, block)), rows(bonds.offsets, (), block))
-        u, v = rows(vectors, i, block), rows(vectors, j, block)
-        wi, wj = numbers(inverse_masses, i, block), numbers(inverse_masses, j, block)
-        scale = (numbers(targets, (), block) - dot(r, minus(v, u))) / ((wi + wj) * dot(r, r))
-        put_numbers(multipliers, (), block, scale)
-        put_rows(vectors, i, block, combined(1.0, u, -scale * wi, r))
-        put_rows(vectors, j, block, combined(1.0, v, scale * wj, r))
-    return 1
+    r = plus(minus(rows(positions, j, block), rows(positions, i, block)), rows(bonds.offsets, (), block))
+    u, v = rows(vectors, i, block), rows(vectors, j, block)
+    wi, wj = numbers(inverse_masses, i, block), numbers(inverse_masses, j, block)
+    scale = (numbers(targets, (), block) - dot(r, minus(v, u))) / ((wi + wj) * dot(r, r))
+    put_numbers(multipliers, (), block, scale)
+    put_rows(vectors, i, block, combined(1.0, u, -scale * wi, r))
+    put_rows(vectors, j, block, combined(1.0, v, scale * wj, r))
+    return count(block[2])
 
 
 @scalar
@@ -222,6 +226,12 @@ def put_corners(values, atoms, block, xyz):
 def three(values, at, block):
     """The numbers at three places, of each molecule of a block."""
     return numbers(values, at[0], block), numbers(values, at[1], block), numbers(values, at[2], block)
+
+
+@scalar
+def first_three(shapes, block):
+    """The first three shapes of each molecule of a block."""
+    return numbers(shapes[0], (), block), numbers(shapes[1], (), block), numbers(shapes[2], (), block)
 
 
 @scalar
@@ -255,64 +265,45 @@ def moved(here, duration, velocities):
 
 
 @scalar
-def drift_linear(first, last, atoms, molecules, duration):
-    """Drift of molecules first to last − 1.
-
-    Atoms; Molecules with b in the middle and shapes (M,): α, β, d² [length²]; [time]. Returns 1,
-    or −1 − the molecule that cannot be kept.
-    """
-    positions, velocities, inverse_masses, lanes = atoms
-    abc, offsets, shapes = molecules
-    for m in range(first, last, count(lanes)):
-        block = m, last, lanes
-        here, moving, masses = (
-            corners(positions, abc, block),
-            corners(velocities, abc, block),
-            three(inverse_masses, abc, block),
-        )
-        alpha, beta, length2 = (
-            numbers(shapes[0], (), block),
-            numbers(shapes[1], (), block),
-            numbers(shapes[2], (), block),
-        )
-        (kappa, q, w), there = inertia(masses, alpha, beta), moved(here, duration, moving)
-        (_, s), (to_b, p) = arms(here, offsets, block), arms(there, offsets, block)
-        e = combined(1.0, to_b, -beta, p)
-        p = combined(1.0, p, -kappa / q, e)
-        along, square, gap = w * dot(p, s), w * w * dot(s, s), dot(p, p) - length2
-        discriminant = along * along - square * gap
-        n_kept = n_without_failure(select(along > 0.0, discriminant, -1.0))
-        if n_kept < count(lanes):
-            return NOTHING - m - n_kept
+def drift_linear(block, atoms, molecules, duration):
+    """Drift of molecules with b in the middle and shapes (M,): α, β, d² [length²].  duration : [time]."""
+    positions, velocities, inverse_masses, _ = atoms
+    abc, offsets, shapes, _ = molecules
+    here, moving = corners(positions, abc, block), corners(velocities, abc, block)
+    masses, (alpha, beta, length2) = three(inverse_masses, abc, block), first_three(shapes, block)
+    (kappa, q, w), there = inertia(masses, alpha, beta), moved(here, duration, moving)
+    (_, s), (to_b, p) = arms(here, offsets, block), arms(there, offsets, block)
+    e = combined(1.0, to_b, -beta, p)
+    p = combined(1.0, p, -kappa / q, e)
+    along, square, gap = w * dot(p, s), w * w * dot(s, s), dot(p, p) - length2
+    discriminant = along * along - square * gap
+    n_kept = n_without_failure(select(along > 0.0, discriminant, -1.0))
+    if n_kept >= count(block[2]):
         scale = -gap / (along + sqrt(discriminant))
         mu = combined(-1.0 / q, e, -scale * kappa / q, s)
         there = pushed(there, masses, alpha, beta, mu, times(scale, s))
         mu, push = times(1.0 / duration, mu), times(scale / duration, s)
         put_corners(positions, abc, block, there)
         put_corners(velocities, abc, block, pushed(moving, masses, alpha, beta, mu, push))
-    return 1
+    return n_kept
 
 
 @scalar
-def project_linear(first, last, atoms, molecules, targets, multipliers):
-    """Vectors x of molecules first to last − 1: x_b = α x_a + β x_c, and r · (x_c − x_a) = target.
-
-    Arguments as drift_linear, project_pairs.
-    """
-    positions, vectors, inverse_masses, lanes = atoms
-    abc, offsets, shapes = molecules
-    for m in range(first, last, count(lanes)):
-        block = m, last, lanes
-        (a, b, c), masses = corners(vectors, abc, block), three(inverse_masses, abc, block)
-        alpha, beta = numbers(shapes[0], (), block), numbers(shapes[1], (), block)
-        (kappa, q, w), (_, r) = inertia(masses, alpha, beta), arms(corners(positions, abc, block), offsets, block)
-        e = minus(b, combined(alpha, a, beta, c))
-        along = dot(r, combined(1.0, minus(c, a), -kappa / q, e))
-        scale = (numbers(targets, (), block) - along) / (w * dot(r, r))
-        put_numbers(multipliers, (), block, scale)
-        mu = combined(-1.0 / q, e, -scale * kappa / q, r)
-        put_corners(vectors, abc, block, pushed((a, b, c), masses, alpha, beta, mu, times(scale, r)))
-    return 1
+def project_linear(block, atoms, molecules, targets, multipliers):
+    """Vectors x of molecules: x_b = α x_a + β x_c, and r · (x_c − x_a) = target.  Arguments as drift_linear,
+    project_pairs."""
+    positions, vectors, inverse_masses, _ = atoms
+    abc, offsets, shapes, side = molecules
+    (a, b, c), masses = corners(vectors, abc, block), three(inverse_masses, abc, block)
+    alpha, beta = numbers(shapes[0], (), block), numbers(shapes[1], (), block)
+    (kappa, q, w), (_, r) = inertia(masses, alpha, beta), arms(corners(positions, abc, block), offsets, block)
+    e = minus(b, combined(alpha, a, beta, c))
+    along = dot(r, combined(1.0, minus(c, a), -kappa / q, e))
+    scale = (numbers(targets, side, block) - along) / (w * dot(r, r))
+    put_numbers(multipliers, side, block, scale)
+    mu = combined(-1.0 / q, e, -scale * kappa / q, r)
+    put_corners(vectors, abc, block, pushed((a, b, c), masses, alpha, beta, mu, times(scale, r)))
+    return count(block[2])
 
 
 @scalar
@@ -352,76 +343,64 @@ def impulses(b0, c0, drifted, r_a, r_b, r_c):
 
 
 @scalar
-def drift_triangles(first, last, atoms, triangles, duration):
-    """Drift of triangles first to last − 1.
-
-    Atoms; Molecules with shapes (T,): r_a, r_b, r_c [length] and the share of b, and of c, in the mass; [time].
-    Returns 1, or −1 − the triangle that cannot be kept.
-    """
-    positions, velocities, _, lanes = atoms
-    (abc, offsets, shapes), push = triangles, 1.0 / duration
-    for t in range(first, last, count(lanes)):
-        block = t, last, lanes
-        here, (u, v, w) = corners(positions, abc, block), corners(velocities, abc, block)
-        b0, c0 = arms(here, offsets, block)
-        p, q = combined(1.0, b0, duration, minus(v, u)), combined(1.0, c0, duration, minus(w, u))
-        r_a, r_b, r_c = numbers(shapes[0], (), block), numbers(shapes[1], (), block), numbers(shapes[2], (), block)
-        share = numbers(shapes[3], (), block)
-        a1 = combined(-share, p, -share, q)
-        ab, ac, bc, exist = impulses(b0, c0, (a1, plus(a1, p), plus(a1, q)), r_a, r_b, r_c)
-        n_kept = n_without_failure(exist)
-        if n_kept < count(lanes):
-            return NOTHING - t - n_kept
+def drift_triangles(block, atoms, triangles, duration):
+    """Drift of triangles with shapes (T,): r_a, r_b, r_c [length] and the share of b, and of c, in the mass."""
+    positions, velocities, _, _ = atoms
+    (abc, offsets, shapes, _), push = triangles, 1.0 / duration
+    here, (u, v, w) = corners(positions, abc, block), corners(velocities, abc, block)
+    b0, c0 = arms(here, offsets, block)
+    p, q = combined(1.0, b0, duration, minus(v, u)), combined(1.0, c0, duration, minus(w, u))
+    (r_a, r_b, r_c), share = first_three(shapes, block), numbers(shapes[3], (), block)
+    a1 = combined(-share, p, -share, q)
+    ab, ac, bc, exist = impulses(b0, c0, (a1, plus(a1, p), plus(a1, q)), r_a, r_b, r_c)
+    n_kept = n_without_failure(exist)
+    if n_kept >= count(block[2]):
         on_bc = times(bc, minus(c0, b0))
         u = combined(1.0, u, -share / (1.0 - 2.0 * share) * push, combined(ab, b0, ac, c0))
         v = combined(1.0, v, push, combined(ab, b0, -1.0, on_bc))
         w = combined(1.0, w, push, combined(ac, c0, 1.0, on_bc))
         put_corners(velocities, abc, block, (u, v, w))
         put_corners(positions, abc, block, moved(here, duration, (u, v, w)))
-    return 1
+    return n_kept
 
 
 @scalar
-def project_triangles(first, last, atoms, triangles, sides, targets, multipliers):
-    """Vectors of triangles first to last − 1, given a component along each side: r · (x_j − x_i) = target.
+def project_triangles(block, atoms, triangles, targets, multipliers):
+    """Vectors of triangles, given a component along each side: r · (x_j − x_i) = target.
 
     A λ = targets − r · x, with A_kl = ±(r_k · r_l)/m of the shared atom, by the inverse of A; projected twice,
     to remove the rounding of the first projection.
-
-    sides : three of (T,) int, the constraints ab, ac, bc.  Others, returns : as drift_triangles, project_pairs.
     """
-    positions, vectors, inverse_masses, lanes = atoms
-    abc, offsets, _ = triangles
-    for t in range(first, last, count(lanes)):
-        block = t, last, lanes
-        ab, ac = arms(corners(positions, abc, block), offsets, block)
-        bc, (u, v, w) = minus(ac, ab), three(inverse_masses, abc, block)
-        g, h, k = dot(ab, ab), dot(ac, ac), dot(ab, ac)
-        xx, yy, zz = (u + v) * g, (u + w) * h, (v + w) * (g + h - k - k)
-        xy, xz, yz = u * k, v * (g - k), w * (h - k)
-        minor_x, minor_y, minor_z = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-        scale = 1.0 / (xx * minor_x + xy * minor_y + xz * minor_z)
-        (of_ab, of_ac, of_bc), (a, b, c) = three(targets, sides, block), corners(vectors, abc, block)
-        sum_ab = sum_ac = sum_bc = 0.0 * scale
-        for _ in range(2):
-            x, y, z = of_ab - dot(ab, minus(b, a)), of_ac - dot(ac, minus(c, a)), of_bc - dot(bc, minus(c, b))
-            on_ab = scale * (minor_x * x + minor_y * y + minor_z * z)
-            on_ac = scale * (minor_y * x + (xx * zz - xz * xz) * y + (xy * xz - xx * yz) * z)
-            on_bc = scale * (minor_z * x + (xy * xz - xx * yz) * y + (xx * yy - xy * xy) * z)
-            a = combined(1.0, a, -u, combined(on_ab, ab, on_ac, ac))
-            b = combined(1.0, b, v, combined(on_ab, ab, -on_bc, bc))
-            c = combined(1.0, c, w, combined(on_ac, ac, on_bc, bc))
-            sum_ab, sum_ac, sum_bc = sum_ab + on_ab, sum_ac + on_ac, sum_bc + on_bc
-        put_corners(vectors, abc, block, (a, b, c))
-        put_numbers(multipliers, sides[0], block, sum_ab)
-        put_numbers(multipliers, sides[1], block, sum_ac)
-        put_numbers(multipliers, sides[2], block, sum_bc)
-    return 1
+    positions, vectors, inverse_masses, _ = atoms
+    abc, offsets, _, sides = triangles
+    ab, ac = arms(corners(positions, abc, block), offsets, block)
+    bc, (u, v, w) = minus(ac, ab), three(inverse_masses, abc, block)
+    g, h, k = dot(ab, ab), dot(ac, ac), dot(ab, ac)
+    xx, yy, zz = (u + v) * g, (u + w) * h, (v + w) * (g + h - k - k)
+    xy, xz, yz = u * k, v * (g - k), w * (h - k)
+    minor_x, minor_y, minor_z = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    scale = 1.0 / (xx * minor_x + xy * minor_y + xz * minor_z)
+    (of_ab, of_ac, of_bc), (a, b, c) = three(targets, sides, block), corners(vectors, abc, block)
+    sum_ab = sum_ac = sum_bc = 0.0 * scale
+    for _ in range(2):
+        x, y, z = of_ab - dot(ab, minus(b, a)), of_ac - dot(ac, minus(c, a)), of_bc - dot(bc, minus(c, b))
+        on_ab = scale * (minor_x * x + minor_y * y + minor_z * z)
+        on_ac = scale * (minor_y * x + (xx * zz - xz * xz) * y + (xy * xz - xx * yz) * z)
+        on_bc = scale * (minor_z * x + (xy * xz - xx * yz) * y + (xx * yy - xy * xy) * z)
+        a = combined(1.0, a, -u, combined(on_ab, ab, on_ac, ac))
+        b = combined(1.0, b, v, combined(on_ab, ab, -on_bc, bc))
+        c = combined(1.0, c, w, combined(on_ac, ac, on_bc, bc))
+        sum_ab, sum_ac, sum_bc = sum_ab + on_ab, sum_ac + on_ac, sum_bc + on_bc
+    put_corners(vectors, abc, block, (a, b, c))
+    put_numbers(multipliers, sides[0], block, sum_ab)
+    put_numbers(multipliers, sides[1], block, sum_ac)
+    put_numbers(multipliers, sides[2], block, sum_bc)
+    return count(block[2])
 
 
-DriftPairs = type_of(drift_pairs)(namedtuple("DriftPairs", ()))
-ProjectPairs = type_of(project_pairs)(namedtuple("ProjectPairs", ()))
-DriftLinear = type_of(drift_linear)(namedtuple("DriftLinear", ()))
-ProjectLinear = type_of(project_linear)(namedtuple("ProjectLinear", ()))
-DriftTriangles = type_of(drift_triangles)(namedtuple("DriftTriangles", ()))
-ProjectTriangles = type_of(project_triangles)(namedtuple("ProjectTriangles", ()))
+DriftPairs = type_of(in_blocks(drift_pairs))(namedtuple("DriftPairs", ()))
+ProjectPairs = type_of(in_blocks(project_pairs))(namedtuple("ProjectPairs", ()))
+DriftLinear = type_of(in_blocks(drift_linear))(namedtuple("DriftLinear", ()))
+ProjectLinear = type_of(in_blocks(project_linear))(namedtuple("ProjectLinear", ()))
+DriftTriangles = type_of(in_blocks(drift_triangles))(namedtuple("DriftTriangles", ()))
+ProjectTriangles = type_of(in_blocks(project_triangles))(namedtuple("ProjectTriangles", ()))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from minimd.console.quiet import outside_minimd
 from minimd.console.words import shown
-from minimd.constraints.solver import ConstraintSolver
+from minimd.constraints.solver import ConstraintSolver, check_atoms
 from minimd.structure.cell import Cell, images_of_length, nearest_images
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms
 from minimd.structure.observables import degrees_of_freedom
@@ -45,19 +45,14 @@ class ConstraintSet:
         self.n_fixed = int((self.inverse_masses == 0.0).sum())
         self.kept: tuple[Any, ...] = (FixedAtoms(self.inverse_masses == 0.0),) if self.n_fixed else ()
         self.bonds, self.n_constraints = None, 0
-        if distances:
-            self.bonds = self._solver(system, distances[0])
-            self.n_constraints, how = self.bonds.n_constraints, (distances[0].tolerance, distances[0].solver)
-            self.kept += (DistanceConstraints(self.bonds.pairs, self.bonds.lengths, *how),)
-
-    def _solver(self, system: System, distances: DistanceConstraints) -> ConstraintSolver:
-        pairs, lengths, place = distances.pairs, distances.lengths, (system.positions, system.cell)
-        if pairs.max() >= len(system):
-            raise ValueError(f"constraints must name atoms 0 to {len(system) - 1}; they name atom {pairs.max()}")
-        images = nearest_images(*place, pairs) if lengths is None else images_of_length(*place, pairs, lengths)
-        solver = ConstraintSolver(distances, system.positions, self.inverse_masses, images, self._threads)
-        check_resolution(system, float(solver.lengths.min()), "the shortest rigid length")
-        return solver
+        for one in distances:
+            check_atoms(one.pairs, len(system))
+            place, lengths = (system.positions, system.cell, one.pairs), one.lengths
+            images = nearest_images(*place) if lengths is None else images_of_length(*place, lengths)
+            self.bonds = ConstraintSolver(one, system.positions, self.inverse_masses, images, threads)
+            check_resolution(system, float(self.bonds.lengths.min()), "the shortest rigid length")
+            self.n_constraints = self.bonds.n_constraints
+            self.kept += (DistanceConstraints(self.bonds.pairs, self.bonds.lengths, one.tolerance, one.solver),)
 
     def degrees_of_freedom(self, conserves_momentum: bool) -> int:
         """Degrees of freedom of the atoms that move, see observables. Raises ValueError if none is left."""

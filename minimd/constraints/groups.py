@@ -15,12 +15,10 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.core import types
-from numba.extending import overload
 from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
-from minimd.compiled.kernels import DirectCalls, filling_kernel
+from minimd.compiled.kernels import DirectCalls, by_type, filling_kernel
 from minimd.compiled.program import CANNOT_KEEP, GO_ON, Operation, operation
 from minimd.compiled.simd.vector import lanes_for
 from minimd.compiled.threads import MOST_CHUNKS
@@ -163,20 +161,13 @@ def solve_chunk(solving, chunk):
     n, n_chunks = solving.n, solving.answers.size
     atoms = Atoms(solving.positions, solving.vectors, solving.inverse_masses, solving.lanes)
     first, last = chunk * n // n_chunks, (chunk + 1) * n // n_chunks
-    answer = solve_some(solving.solver, first, last, atoms, solving.arguments)
+    answer = _solved(solving.solver, first, last, atoms, solving.arguments)
     solving.answers[chunk], solving.most[chunk] = answer, max(answer, solving.most[chunk])
     return GO_ON if answer >= 0 else CANNOT_KEEP
 
 
-def solve_some(solver, first, last, atoms, arguments):
-    """The answer of the solver that a marker names, for components first to last − 1."""
-    return type(solver).formula.py_func(first, last, atoms, *arguments)
-
-
-@overload(solve_some)
-def _solve_some(solver, first, last, atoms, arguments):
-    if not isinstance(solver, types.BaseNamedTuple):
-        return None
+@by_type
+def _solved(solver, first, last, atoms, arguments):
     function = solver.instance_class.formula
     return lambda solver, first, last, atoms, arguments: function(first, last, atoms, *arguments)
 
@@ -184,44 +175,41 @@ def _solve_some(solver, first, last, atoms, arguments):
 class Networks:
     """Components of any shape.  every : the ConstraintSolver.  order : (K,) which of its constraints are here.
 
-    Other shapes drift with other solvers: drifter is the marker of the solver, known are its arguments after the atoms,
+    Other shapes have other solvers: drifter, projector are their markers, known are their arguments after the atoms;
     n_each is the number of constraints of one molecule, if the solver counts molecules.
     """
 
-    shape, drifter, n_each = "networks", DriftComponents(), 1
+    shape, n_each = "networks", 1
+    drifter: tuple = DriftComponents()
+    projector: tuple = ProjectComponents()
 
     def __init__(self, every: Any, graph: Graph, positions: Floats) -> None:
         self.order, self.graph, self.masses = graph.order, graph, every.inverse_masses
-        self.n_constraints = graph.order.size
+        k, n = graph.order.size, graph.components.coupling.size
         offsets = np.ascontiguousarray(every.offsets[graph.order])
         self.bonds = Bonds(graph.first, graph.second, offsets, every.lengths[graph.order] ** 2, every.tolerance)
-        self.n_components = graph.components.starts.size - 1
-        n_chunks = max(1, min(self.n_components, graph.order.size // CONSTRAINTS_IN_A_CHUNK, MOST_CHUNKS))
+        self.n_constraints, self.n_components = k, graph.components.starts.size - 1
+        n_chunks = max(1, min(self.n_components, k // CONSTRAINTS_IN_A_CHUNK, MOST_CHUNKS))
         self.answers, self.most = np.zeros((2, n_chunks), dtype=np.int64)
         self._calls: defaultdict[Any, DirectCalls] = defaultdict(DirectCalls)
-        k, n = graph.order.size, graph.components.coupling.size
-        self.memory = Memory(np.empty((k, 3)), np.empty((k, 3)), np.empty(k), np.empty(k), np.empty(n), np.empty(n))
-        self.known: tuple = graph.components, self.bonds, self.memory
-        self.check(positions)
+        self.memory = Memory(np.empty((k, 3)), np.empty((k, 3)), np.empty(k), np.zeros(k), np.empty(n), np.empty(n))
+        self.multipliers = self.memory.total  # (K,), the last ones
+        self.known = self._known(positions)
 
-    @property
-    def multipliers(self) -> Floats:
-        """(K,), the last ones."""
-        return self.memory.total
+    def _known(self, positions: Floats) -> tuple:
+        """The arguments of solvers.  Raises ValueError if a constraint depends on the others."""
+        k = dependent_constraint(positions, self.graph.components, self.bonds, self.memory)
+        if k >= 0:
+            which = f"constraint {self.order[k]} (atoms {self.graph.first[k]}-{self.graph.second[k]})"
+            raise ValueError(f"{which} follows from the other constraints or contradicts them; leave it out")
+        return self.graph.components, self.bonds, self.memory
 
     def offsets(self) -> list[Floats]:
         """All arrays (…, 3) of lattice translations that its solvers read."""
         return [
             self.bonds.offsets,
-            *(offsets for one in self.known if isinstance(one, Molecules) for offsets in one.offsets),
+            *(array for one in self.known if isinstance(one, Molecules) for array in one.offsets),
         ]
-
-    def check(self, positions: Floats) -> None:
-        """Raise ValueError if a constraint depends on the others."""
-        k = dependent_constraint(positions, self.graph.components, self.bonds, self.memory)
-        if k >= 0:
-            which = f"constraint {self.order[k]} (atoms {self.graph.first[k]}-{self.graph.second[k]})"
-            raise ValueError(f"{which} follows from the other constraints or contradicts them; leave it out")
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> Operation:
         """Drift of the atoms of the group."""
@@ -229,122 +217,86 @@ class Networks:
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
         """r_ij · x_ij = targets for the vectors x."""
-        return self._solve(ProjectComponents(), positions, vectors, (*self.known, targets))
+        return self._solve(self.projector, positions, vectors, (*self.known, targets, self.multipliers))
 
     def _solve(self, solver: tuple, positions: Floats, vectors: Floats, arguments: tuple[Any, ...]) -> Operation:
         atoms, room = (positions, vectors, self.masses, lanes_for()), (self.n_components, self.answers, self.most)
-        solving = Solving(solver, *atoms, *room, arguments)
         calls = self._calls[type(solver), positions.flags.carray, vectors.flags.carray]
-        return operation(calls, solve_chunk, solving, len(self.answers))
+        return operation(calls, solve_chunk, Solving(solver, *atoms, *room, arguments), len(self.answers))
 
     def failed(self, of_drift: bool) -> int:
-        """After CANNOT_KEEP: the constraint, within the group, that cannot be kept."""
-        molecule = -1 - int(self.answers[self.answers < 0][0])
-        return molecule * (self.n_each if of_drift else 1)  # the first constraint of the molecule
+        """After CANNOT_KEEP: the constraint, within the group, that cannot be kept; of a molecule its first one."""
+        return (-1 - int(self.answers[self.answers < 0][0])) * (self.n_each if of_drift else 1)
 
 
 class Pairs(Networks):
     """Bonds that share no atom."""
 
-    shape, drifter = "bonds of their own", DriftPairs()
+    shape, drifter, projector = "bonds of their own", DriftPairs(), ProjectPairs()
 
-    def __init__(self, every: Any, graph: Graph, positions: Floats) -> None:
-        super().__init__(every, graph, positions)
-        self.known = (self.bonds,)
-
-    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
-        """See Networks."""
-        return self._solve(ProjectPairs(), positions, vectors, (self.bonds, targets, self.multipliers))
+    def _known(self, positions: Floats) -> tuple:
+        return super()._known(positions)[1:2]
 
 
 class Sweeps(Networks):
-    """Components of any shape, by SHAKE and RATTLE."""
+    """Components of any shape, by SHAKE, and by RATTLE if all targets are zero."""
 
     shape, drifter = "networks, by sweeps", SweepDrift()
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
-        """See Networks; by sweeps, as RATTLE does, if all targets are zero."""
-        if targets.any():
-            return super().project(positions, vectors, targets)
-        return self._solve(SweepVelocities(), positions, vectors, (self.graph.components, self.bonds))
+        """See Networks."""
+        solver = ProjectComponents() if targets.any() else SweepVelocities()
+        return self._solve(solver, positions, vectors, (*self.known, targets, self.multipliers))
 
 
 class Triangles(Networks):
     """Triangles with two equal sides whose outer atoms have equal masses: water."""
 
-    shape, drifter, n_each = "triangles", DriftTriangles(), 3
+    shape, drifter, projector, n_each = "triangles", DriftTriangles(), ProjectTriangles(), 3
 
-    def __init__(self, every: Any, graph: Graph, positions: Floats) -> None:
-        super().__init__(every, graph, positions)
+    def _known(self, positions: Floats) -> tuple:
+        super()._known(positions)
         lengths2 = self.bonds.lengths2
-        base = _equal_sides(graph, graph.components.starts[:-1], lengths2, self.masses)
-        corners, arms, sides = _corners(graph, base, self.bonds.offsets)
+        base = _equal_sides(self.graph, self.graph.components.starts[:-1], lengths2, self.masses)
+        corners, arms, sides = _corners(self.graph, base, self.bonds.offsets)
         half, heavy, light = 0.5 * np.sqrt(lengths2[base]), 1.0 / self.masses[corners[0]], 1.0 / self.masses[corners[1]]
-        height, share = np.sqrt(lengths2[sides[:, 0]] - half * half), light / (heavy + 2.0 * light)
+        height, share = np.sqrt(lengths2[sides[0]] - half * half), light / (heavy + 2.0 * light)
         shapes = 2.0 * share * height, (1.0 - 2.0 * share) * height, half, share
-        self.known, self._sides = (Molecules(corners, arms, shapes),), (*columns(sides), base)
-
-    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
-        """See Networks."""
-        return self._solve(
-            ProjectTriangles(), positions, vectors, (*self.known, self._sides, targets, self.multipliers)
-        )
+        return (Molecules(corners, arms, shapes, (*sides, base)),)
 
 
 class LinearTriatomics(Networks):
-    """Three atoms in a line: the distance of the outer ones is kept, and the place of the middle one between them."""
+    """Three atoms in a line: the distance of the outer ones is kept, and the place of the middle one between them.
+    Their constraints depend on each other, and their solver takes this into account."""
 
-    shape, drifter, n_each = "linear molecules", DriftLinear(), 3
+    shape, drifter, projector, n_each = "linear molecules", DriftLinear(), ProjectLinear(), 3
 
-    def __init__(self, every: Any, graph: Graph, positions: Floats) -> None:
-        super().__init__(every, graph, positions)
-        self.n_constraints = 4 * (graph.order.size // 3)
-        lengths2, sides = self.bonds.lengths2, graph.components.starts[:-1, None] + np.arange(3)
-        self.ends = sides[np.arange(len(sides)), np.argmax(lengths2[sides], axis=1)]  # the longest side of each
-        corners, arms, sides = _corners(graph, self.ends, self.bonds.offsets)
-        offsets = -arms[0], arms[1] - arms[0]
-        beta = np.sqrt(lengths2[sides[:, 0]] / lengths2[self.ends])
-        # the corner opposite the longest side
-        shapes, (middle, b, c) = (1.0 - beta, beta, lengths2[self.ends]), corners
-        self.known, self._of_ends = (Molecules((b, middle, c), offsets, shapes),), np.zeros(len(self.ends))
-
-    def check(self, positions: Floats) -> None:
-        """Do nothing: these constraints depend on each other, and their solver takes this into account."""
-
-    def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
-        """See Networks."""
-        return self._solve(ProjectLinear(), positions, vectors, (*self.known, targets[self.ends], self._of_ends))
-
-    @property
-    def multipliers(self) -> Floats:
-        """See Networks."""
-        found = np.zeros(len(self.order))
-        found[self.ends] = self._of_ends
-        return found
+    def _known(self, positions: Floats) -> tuple:
+        self.n_constraints = 4 * self.n_components
+        lengths2, sides = self.bonds.lengths2, self.graph.components.starts[:-1, None] + np.arange(3)
+        ends = sides[np.arange(len(sides)), np.argmax(lengths2[sides], axis=1)]  # the longest side of each
+        # the middle one is the corner opposite the longest side
+        (middle, b, c), arms, (short, _) = _corners(self.graph, ends, self.bonds.offsets)
+        beta = np.sqrt(lengths2[short] / lengths2[ends])
+        shapes, offsets = (1.0 - beta, beta, lengths2[ends]), (-arms[0], arms[1] - arms[0])
+        return (Molecules((b, middle, c), offsets, shapes, ends),)
 
 
 def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
-    """All constraints, sorted by shape.  solver : as for DistanceConstraints."""
-    graph = graph_of(every.pairs, every.inverse_masses, np.arange(len(every.pairs)))
+    """All constraints, sorted by shape.  solver : as for DistanceConstraints.
+    Raises ValueError for a triangle with a side longer than the others together."""
+    graph, masses = graph_of(every.pairs, every.inverse_masses, np.arange(len(every.pairs))), every.inverse_masses
     kinds = np.full(graph.order.size, Sweeps if solver == "shake" else Networks, dtype=object)
-    sizes = np.diff(graph.components.starts)
+    starts, sizes, lengths2 = (
+        graph.components.starts[:-1],
+        np.diff(graph.components.starts),
+        every.lengths[graph.order] ** 2,
+    )
     if solver == "auto":
-        kinds[graph.components.starts[:-1][sizes == 1]] = Pairs
-    starts = graph.components.starts[:-1][sizes == 3]
+        kinds[starts[sizes == 1]] = Pairs
+    starts = starts[sizes == 3]
     closed = [np.unique(every.pairs[graph.order[start : start + 3]]).size == 3 for start in starts]
     starts = starts[np.array(closed, dtype=bool)]
-    of_triangles = _kinds_of_triangles(graph, starts, every.lengths[graph.order] ** 2, every.inverse_masses, solver)
-    for start, kind in zip(starts, of_triangles, strict=True):
-        kinds[start : start + 3] = kind or kinds[start]
-    members = [(kind, graph.order[kinds == kind]) for kind in dict.fromkeys(kinds)]
-    graphs = [graph_of(every.pairs[ids], every.inverse_masses, ids) for _, ids in members]
-    return [kind(every, part, positions) for (kind, _), part in zip(members, graphs, strict=True)]
-
-
-def _kinds_of_triangles(
-    graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats, solver: str
-) -> list[type[Networks] | None]:
-    """LinearTriatomics, Triangles, or None for those without a special solver."""
     sides = starts[:, None] + np.arange(3)
     lengths = np.sqrt(lengths2[sides])
     excess = 2.0 * lengths.max(axis=1, initial=0.0) - lengths.sum(axis=1)
@@ -352,11 +304,11 @@ def _kinds_of_triangles(
         which = graph.order[sides[np.argmax(excess)]].tolist()
         why = "which form a triangle, contradict each other: one is longer than the sum of the other two"
         raise ValueError(f"the lengths of constraints {which}, {why}")
-    is_straight = excess >= -STRAIGHT * lengths.sum(axis=1)
-    moves = ((inverse_masses[graph.first[sides]] > 0.0) & (inverse_masses[graph.second[sides]] > 0.0)).all(axis=1)
-    water = (_equal_sides(graph, starts, lengths2, inverse_masses) >= 0) & moves & (solver == "auto")
-    both = zip(is_straight, water, strict=True)
-    return [LinearTriatomics if straight else Triangles if settles else None for straight, settles in both]
+    moves = ((masses[graph.first[sides]] > 0.0) & (masses[graph.second[sides]] > 0.0)).all(axis=1)
+    kinds[sides[(_equal_sides(graph, starts, lengths2, masses) >= 0) & moves & (solver == "auto")]] = Triangles
+    kinds[sides[excess >= -STRAIGHT * lengths.sum(axis=1)]] = LinearTriatomics
+    members = [(kind, graph.order[kinds == kind]) for kind in dict.fromkeys(kinds)]
+    return [kind(every, graph_of(every.pairs[ids], masses, ids), positions) for kind, ids in members]
 
 
 def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: Floats) -> Ints:
@@ -371,20 +323,17 @@ def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: F
     return answer
 
 
-def _corners(graph: Graph, base: Ints, offsets: Floats) -> tuple[tuple[Ints, ...], tuple[Floats, ...], Ints]:
+def _corners(
+    graph: Graph, base: Ints, offsets: Floats
+) -> tuple[tuple[Ints, ...], tuple[Floats, ...], tuple[Ints, ...]]:
     """Of each triangle: atoms apex, b, c with b-c the base; offsets of b and c from the apex, (T, 3) each; the two
-    other constraints (T, 2)."""
+    other constraints."""
     starts = graph.components.starts[:-1]
     sides = starts[:, None] + np.arange(3)
     first, second = graph.first[sides], graph.second[sides]
     b, c = graph.first[base], graph.second[base]
     apex = (first.sum(axis=1) + second.sum(axis=1)) // 2 - b - c
     is_of = [(first == atom[:, None]) | (second == atom[:, None]) for atom in (apex, b, c)]
-    arms = [np.argmax(is_of[0] & is_of_end, axis=1) + starts for is_of_end in is_of[1:]]
-    shifts = [np.where((graph.first[arm] == apex)[:, None], 1.0, -1.0) * offsets[arm] for arm in arms]
-    return (apex, b, c), tuple(shifts), np.column_stack(arms)
-
-
-def columns(table: Ints) -> tuple[Ints, ...]:
-    """Those of a table, each in memory of its own."""
-    return tuple(np.ascontiguousarray(column) for column in table.T)
+    arms = tuple(np.argmax(is_of[0] & is_of_end, axis=1) + starts for is_of_end in is_of[1:])
+    shifts = tuple(np.where((graph.first[arm] == apex)[:, None], 1.0, -1.0) * offsets[arm] for arm in arms)
+    return (apex, b, c), shifts, arms

@@ -142,13 +142,10 @@ def drift_with(restore_lengths):
 
 
 @inlined
-def project_components(first, last, atoms, components, bonds, memory, targets):
+def project_components(first, last, atoms, components, bonds, memory, targets, total):
     """As project_pairs, for components of any shape; projected twice, to remove the rounding of the first projection.
-
-    memory.total holds the multipliers. Returns 1, or −1 − the constraint that depends on others.
-    """
-    vectors, inverse_masses = atoms.vectors, atoms.inverse_masses
-    r, x, total, lower, upper = memory.r, memory.x, memory.total, memory.lower, memory.upper
+    total : (K,), the multipliers.  Returns 1, or −1 − the constraint that depends on others."""
+    vectors, inverse_masses, (r, _, x, _, lower, upper) = atoms.vectors, atoms.inverse_masses, memory
     for c in range(first, last):
         start, end = components.starts[c], components.starts[c + 1]
         find_separations(atoms.positions, bonds, start, end, r)
@@ -213,11 +210,9 @@ def sweep_lengths(atoms, components, bonds, c, memory):
 
 
 @inlined
-def sweep_velocities(first, last, atoms, components, bonds):
-    """Velocities of components first to last − 1, by sweeps.
-
-    The tolerance is that of |r · v|/(|r| |v|), v the relative velocity of a bond.
-    """
+def sweep_velocities(first, last, atoms, components, bonds, _memory, _targets, _multipliers):
+    """Velocities of components first to last − 1, by sweeps, if all targets are zero.  The tolerance is that of
+    |r · v|/(|r| |v|), v the relative velocity of a bond."""
     velocities, inverse_masses = atoms.vectors, atoms.inverse_masses
     most = 0
     for c in range(first, last):

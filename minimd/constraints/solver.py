@@ -7,7 +7,6 @@ solver="shake": sweeps, for all but the lines                               netw
 
 from collections import namedtuple
 from collections.abc import Iterable, Iterator
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -44,12 +43,11 @@ class ConstraintSolver:
 
     Parameters
     ----------
-    constraints : DistanceConstraints.  positions : (N, 3) [length].  inverse_masses : (N,) [1/mass],
-        zero for atoms that are held fixed.
+    constraints : DistanceConstraints.  positions : (N, 3) [length].
+    inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
     offsets : (K, 3) [length], added to r_j − r_i: lattice translations of bonds across a periodic boundary.
     threads : maximum number of threads; results have the same bits for any number.
-    tolerance : of relative violations; if not given, that of the constraints,
-        or the rounding of the positions if this is larger.
+    tolerance : of relative violations; if not given, that of the constraints, or the larger rounding of positions.
 
     Attributes
     ----------
@@ -58,8 +56,7 @@ class ConstraintSolver:
 
     Raises
     ------
-    ValueError : for atoms that do not exist, a pair of two fixed atoms, a length of zero,
-        or constraints that depend on each other.
+    ValueError : for atoms that do not exist, a pair of two fixed atoms, a length of zero, or dependent constraints.
     """
 
     def __init__(
@@ -71,20 +68,25 @@ class ConstraintSolver:
         threads: int = 1,
         tolerance: float | None = None,
     ) -> None:
-        offsets = np.zeros((len(constraints.pairs), 3)) if offsets is None else offsets
-        lengths = _checked_lengths(constraints, positions, inverse_masses, offsets)
-        self.pairs, self.lengths, self.offsets = constraints.pairs, lengths, offsets
-        self.inverse_masses = inverse_masses
-        self.threads = max(1, min(threads, len(self.pairs) // CONSTRAINTS_IN_A_CHUNK))
+        self.pairs, self.inverse_masses, self._calls = constraints.pairs, inverse_masses, DirectCalls()
+        self.offsets = np.zeros((len(self.pairs), 3)) if offsets is None else offsets
+        check_atoms(self.pairs, len(positions))
+        stuck = np.flatnonzero((inverse_masses[self.pairs] == 0.0).all(axis=1))
+        if stuck.size:
+            i, j = self.pairs[stuck[0]]
+            why = "connects two atoms that are held fixed; leave it out"
+            raise ValueError(f"constraint {stuck[0]} (atoms {i}-{j}) {why}")
+        lengths = np.linalg.norm(self.bonds(positions), axis=1) if constraints.lengths is None else constraints.lengths
+        if not (lengths > 0.0).all():
+            i, j = self.pairs[k := int(np.argmin(lengths > 0.0))]
+            raise ValueError(f"constraint {k} has length 0: atoms {i} and {j} are at the same place; give lengths")
+        self.lengths, self.threads = lengths, max(1, min(threads, len(self.pairs) // CONSTRAINTS_IN_A_CHUNK))
         rounding = ROUNDINGS * EPS * float(np.abs(positions).max()) / float(lengths.min())
         self.tolerance = max(constraints.tolerance, rounding) if tolerance is None else tolerance
         self.accuracy = self.tolerance * float(lengths.max()) if constraints.solver == "shake" else 0.0
         self.groups = groups_of(self, positions, constraints.solver)
-        constrained = np.zeros(len(positions), dtype=bool)
-        constrained[self.pairs] = True
-        self.free_atoms = np.flatnonzero(~constrained)
+        self.free_atoms = np.setdiff1d(np.arange(len(positions)), self.pairs)
         self.n_constraints = sum(group.n_constraints for group in self.groups)
-        self._calls = DirectCalls()
 
     def __repr__(self) -> str:
         return f"ConstraintSolver({len(self.lengths)} lengths: {self.summary}; kept to {self.tolerance:.1g})"
@@ -119,14 +121,13 @@ class ConstraintSolver:
             free = Free(positions, velocities, self.free_atoms, float(duration), n_chunks)
             yield operation(self._calls, drift_free, free, n_chunks)
         for group in self.groups:
-            fail = partial(self._fail_in, group, positions, velocities, duration)
-            yield group.drift(positions, velocities, duration)._replace(python=fail)
+            yield self._kept(group.drift(positions, velocities, duration), group, positions, velocities, duration)
 
     def projections(self, positions: Floats, velocities: Floats) -> Iterator[Operation]:
         """Project velocities in place so that r_ij · v_ij = 0 for all constraints.  Both arrays are (N, 3)."""
         for group in self.groups:
-            fail = partial(self._fail_in, group, positions, velocities, 0.0)
-            yield group.project(positions, velocities, np.zeros(len(group.order)))._replace(python=fail)
+            project = group.project(positions, velocities, np.zeros(len(group.order)))
+            yield self._kept(project, group, positions, velocities, 0.0)
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> None:
         """The operations drifts, at once."""
@@ -155,8 +156,8 @@ class ConstraintSolver:
         for group in self.groups:
             turning = velocities[self.pairs[group.order, 1]] - velocities[self.pairs[group.order, 0]]
             targets = -np.einsum("ij,ij->i", turning, turning)
-            fail = partial(self._fail_in, group, positions, accelerations, 0.0)
-            self._run([group.project(positions, accelerations, targets)._replace(python=fail)])
+            project = group.project(positions, accelerations, targets)
+            self._run([self._kept(project, group, positions, accelerations, 0.0)])
             found.append((group.order, group.multipliers.copy()))
         return found
 
@@ -184,9 +185,13 @@ class ConstraintSolver:
         along = np.abs(np.einsum("ij,ij->i", self.bonds(positions), turning))
         return along / (self.lengths * np.where(speeds > 0.0, speeds, 1.0))
 
-    def _fail_in(self, group: Any, positions: Floats, velocities: Floats, duration: float, _answer: int) -> None:
-        """See _fail, for the first constraint of a group that cannot be kept."""
-        self._fail(group.order[group.failed(duration != 0.0)], positions, velocities, duration)
+    def _kept(self, one: Operation, group: Any, positions: Floats, velocities: Floats, duration: float) -> Operation:
+        """An operation on a group that fails for the first constraint that cannot be kept."""
+
+        def fail(_answer: int) -> None:
+            self._fail(group.order[group.failed(duration != 0.0)], positions, velocities, duration)
+
+        return one._replace(python=fail)
 
     def _fail(self, constraint: int, positions: Floats, velocities: Floats, duration: float) -> None:
         """Raise ConstraintError with the larger violation: closed forms fail before they move atoms, others after."""
@@ -199,21 +204,7 @@ class ConstraintSolver:
         raise error
 
 
-def _checked_lengths(
-    constraints: DistanceConstraints, positions: Floats, inverse_masses: Floats, offsets: Floats
-) -> Floats:
-    """(K,) [length], as given or as in the positions. Raises ValueError as ConstraintSolver."""
-    pairs = constraints.pairs
-    if pairs.max(initial=-1) >= len(positions):
-        raise ValueError(f"constraints must name atoms 0 to {len(positions) - 1}; they name atom {pairs.max()}")
-    stuck = np.flatnonzero((inverse_masses[pairs] == 0.0).all(axis=1))
-    if stuck.size:
-        i, j = pairs[stuck[0]]
-        raise ValueError(f"constraint {stuck[0]} (atoms {i}-{j}) connects two atoms that are held fixed; leave it out")
-    bonds = positions[pairs[:, 1]] - positions[pairs[:, 0]] + offsets
-    lengths = np.linalg.norm(bonds, axis=1) if constraints.lengths is None else constraints.lengths
-    if not (lengths > 0.0).all():
-        k = int(np.argmin(lengths > 0.0))
-        i, j = pairs[k]
-        raise ValueError(f"constraint {k} has length 0: atoms {i} and {j} are at the same place; give lengths")
-    return lengths
+def check_atoms(pairs: Ints, n_atoms: int) -> None:
+    """Raise ValueError if constraints (K, 2) name atoms that do not exist."""
+    if pairs.max(initial=-1) >= n_atoms:
+        raise ValueError(f"constraints must name atoms 0 to {n_atoms - 1}; they name atom {pairs.max()}")

@@ -33,8 +33,7 @@ from minimd.integrators.splitting.barostats import COUPLINGS
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS
 from minimd.observers import KINDS, Accumulator, arguments
 from minimd.potentials import LennardJones, Tabulated
-from minimd.potentials.pair import MIXING
-from minimd.potentials.tabulated import FEWEST
+from minimd.potentials.pair import FEWEST, MIXING
 from minimd.potentials.truncation import TRUNCATIONS
 from minimd.structure.checks import checked_count
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName

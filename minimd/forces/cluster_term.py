@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress, run_at
 from minimd.compiled.fixed_point import MOST
-from minimd.compiled.kernels import DirectCalls, called_kernel, scalar, without_cache
+from minimd.compiled.kernels import DirectCalls, called_kernel, scalar
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, operation
 from minimd.compiled.simd import lane
 from minimd.compiled.simd.vector import BITS, count
@@ -24,9 +24,9 @@ from minimd.neighbors.cluster_list import ClusterList
 from minimd.neighbors.cluster_memory import clear, collected
 from minimd.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, PREPARED_FOR
 from minimd.neighbors.domains import LATE
+from minimd.potentials.law import loop_for
 from minimd.potentials.pair_loop import SameForAll
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Target
-from minimd.potentials.user_laws import is_recognized
 from minimd.structure.system import System
 
 
@@ -112,9 +112,8 @@ class ClusterTerm(ListTerm):
         self.list = ClusterList(
             len(system), laws.cutoff, skin, laws.excluded, options.precision == FIXED_POINT, self.pool
         )
-        are_recognized = all(is_recognized(one.law) for one in laws.members)
-        kernels = (add_forces_of_laws, prepare_loop)
-        self._add_forces, self._prepare_loop = kernels if are_recognized else map(without_cache, kernels)
+        members = [one.law for one in laws.members]
+        self._add_forces, self._prepare_loop = (loop_for(one, *members) for one in (add_forces_of_laws, prepare_loop))
         self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
         self._arranged_for = 0  # which arrays of the list
         self._memory, self.is_first = Buffers(), False

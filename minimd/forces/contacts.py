@@ -13,12 +13,10 @@ from minimd.console.words import shown
 from minimd.forces.forces import Forces
 from minimd.forces.options import Options
 from minimd.potentials.bonded import Bond
-from minimd.potentials.law import law_at
+from minimd.potentials.law import is_user_law, law_at, reads_table
 from minimd.potentials.laws import FENELaw, HarmonicLaw, LennardJonesLaw
 from minimd.potentials.pair import PairPotential, curvature_at_minimum
-from minimd.potentials.tabulated import reads_table
 from minimd.potentials.term import PER_ATOM
-from minimd.potentials.user_laws import is_user_law
 from minimd.structure.bond_graph import pairs_by_bonds_apart
 from minimd.structure.cell import nearest_vectors
 from minimd.structure.system import System

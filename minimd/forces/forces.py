@@ -21,7 +21,6 @@ from minimd.forces.options import FIXED_POINT, Options, pool_for
 from minimd.forces.pair_laws import PairLaws, deepest
 from minimd.forces.pair_list_term import PairListTerm
 from minimd.neighbors.verlet_list import Built, VerletList
-from minimd.potentials.calculators import as_potentials
 from minimd.potentials.laws import Scaled
 from minimd.potentials.links import FixedPairs, LinkedTerm, Slots
 from minimd.potentials.pair_loop import from_table
@@ -33,6 +32,7 @@ from minimd.potentials.term import (
     Potential,
     Target,
     Term,
+    as_potentials,
     bound,
     check_force,
 )

@@ -8,8 +8,7 @@ import numpy as np
 from minimd.forces.options import Options
 from minimd.neighbors.cluster_search import LAYERS
 from minimd.neighbors.verlet_list import LEAST_SKIN, VerletList, best_skin
-from minimd.potentials.lanewise import runs_on_vectors
-from minimd.potentials.law import law_at
+from minimd.potentials.law import law_at, runs_on_vectors
 from minimd.potentials.term import OwnTerm, PairLaw
 from minimd.structure.bond_graph import pairs_by_bonds_apart
 from minimd.structure.system import System, local_density

@@ -12,7 +12,8 @@ from minimd.compiled.program import GO_ON, Operation, operation
 from minimd.forces.options import Options
 from minimd.forces.pair_laws import ListTerm, PairLaws, skin_for
 from minimd.neighbors.pair_list import PairList, check_size, is_in_reach
-from minimd.potentials.pair_loop import PairWork, by_species, pair_loop_for
+from minimd.potentials.law import loop_for
+from minimd.potentials.pair_loop import PairWork, add_pair_forces, by_species
 from minimd.potentials.term import PER_ATOM, TOTALS, Target
 from minimd.structure.system import System
 
@@ -64,7 +65,7 @@ class PairListTerm(ListTerm):
         check_size(system, cutoff, skin)
         self.summary = "all pairs" if cutoff == np.inf else f"pair list (skin {skin:.3g})"
         self.list, self._options = PairList(n, cutoff, skin, laws.excluded), replace(options, skin=skin)
-        self._loops = [pair_loop_for(one.law) for one in laws.members]
+        self._loops = [loop_for(add_pair_forces, one.law) for one in laws.members]
         self._positions, self._energies, self._virials = np.empty((n, 3)), np.empty(n), np.empty((n, 6))
         self._calls = [DirectCalls() for _ in self._loops]
 

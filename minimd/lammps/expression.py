@@ -21,8 +21,7 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 
 from minimd.compiled.snapshot import globals_read, unread
-from minimd.potentials.law import evaluate_law
-from minimd.potentials.tabulated import reads_table
+from minimd.potentials.law import evaluate_law, reads_table
 
 MOST_DECISIONS = 8  # conditions that a call of a law may evaluate one after the other
 SAME = "sqrt exp log sin cos tan asin acos atan sinh cosh tanh erf erfc floor ceil abs"  # names in both

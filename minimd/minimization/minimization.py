@@ -28,8 +28,8 @@ from minimd.constraints.constraint_set import ConstraintSet
 from minimd.forces.contacts import why_not_finite
 from minimd.forces.forces import Forces, Potential
 from minimd.neighbors.queries import closest_pair
+from minimd.potentials.law import is_user_law
 from minimd.potentials.term import FORCES, TOTALS, OwnPotential
-from minimd.potentials.user_laws import is_user_law
 from minimd.structure.cell import nearest_vectors
 from minimd.structure.checks import checked_count, checked_number
 from minimd.structure.constraints import Constraint

@@ -12,11 +12,18 @@ from minimd.potentials.bonded import (
     PeriodicDihedral,
     RyckaertBellemans,
 )
-from minimd.potentials.fields import ConstantForce, Field, Gravity, Restraint, SteeredSpring
-from minimd.potentials.pair import LennardJones, PairPotential
-from minimd.potentials.tabulated import Tabulated
+from minimd.potentials.fields import (
+    ConstantForce,
+    CylinderWall,
+    Field,
+    Gravity,
+    Restraint,
+    SphereWall,
+    SteeredSpring,
+    Wall,
+)
+from minimd.potentials.pair import LennardJones, PairPotential, Tabulated
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
-from minimd.potentials.walls import CylinderWall, SphereWall, Wall
 
 __all__ = ["FORCES", "PER_ATOM", "TOTALS", "BondPotential", "ConstantForce", "CylinderWall", "DihedralPotential"]
 __all__ += ["FENEBond", "Field", "Gravity", "HarmonicAngle", "HarmonicBond", "HarmonicImproper", "LennardJones"]

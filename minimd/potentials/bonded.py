@@ -8,8 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.compiled.kernels import inlined, scalar
-from minimd.compiled.simd import fma, select
+from minimd.potentials import laws
 from minimd.potentials.declared import (
     ANGLE,
     NOT_NEGATIVE,
@@ -26,34 +25,24 @@ from minimd.potentials.declared import (
     own_law,
     own_parameters,
 )
-from minimd.potentials.lanewise import on_vectors
-from minimd.potentials.law import evaluate_law
-from minimd.potentials.laws import (
-    FENELaw,
-    HarmonicLaw,
-    HarmonicTorsionLaw,
-    MorseLaw,
-    PeriodicLaw,
-    RyckaertBellemansLaw,
-)
-from minimd.potentials.links import FixedPairs, LinkedTerm, arm, link_shape, push
+from minimd.potentials.law import on_vectors
+from minimd.potentials.links import Bend, FixedPairs, LinkedTerm, Torsion
 from minimd.potentials.term import NoTerm, Term, no_bonds
 from minimd.structure.bond_graph import GROUPS, checked_groups, checked_pairs
 from minimd.structure.system import System
-from minimd.structure.vectors import combined, cross, dot, times
 
 STRETCH = "u = −k longest² ln(1 − (r/longest)²)/2, and the repulsion"
 REPULSION = "of the repulsion, Lennard-Jones cut at its minimum; 0 for none"
 ARGUMENTS = {2: "pairs", 3: "triples", 4: "quadruples"}
-# the smallest sin² of the angle between two neighboring bonds by which forces are divided: its rounding error
-STRAIGHT2 = 1e-16
 
 
 class Bonded(Declared):
-    """Base class.  acts_on : the groups of a System on which it acts if none are given.  law : law type."""
+    """Base class.  acts_on : the groups of a System on which it acts if none are given.  law : law type.
+    term : makes the term of groups (G, n), from the columns of their numbers."""
 
     acts_on: ClassVar[str]
     law: ClassVar[Any]
+    term: ClassVar[Callable[..., Term]]
 
     def groups_in(self, system: System) -> NDArray[np.int64]:
         """(G, n) int, those on which it acts in a system.  Raises ValueError if they name atoms that do not exist."""
@@ -63,21 +52,13 @@ class Bonded(Declared):
 
     def bind(self, system: System) -> Term:
         """The term of these groups in a system.
-
-        Raises
-        ------
-        ValueError : if a group names a missing atom, or an array of parameters has another length than their list.
-        """
+        Raises ValueError if they name a missing atom, or an array of parameters has another length than their list."""
         found = self.groups_in(system)
         columns = self.columns(self.acts_on, len(found))
         if len(found):
             return self.term(found, columns)
         is_told = getattr(self, ARGUMENTS[GROUPS[self.acts_on]]) is None
         return NoTerm(no_bonds(repr(self), self.acts_on) if is_told else "")
-
-    def term(self, found: NDArray[np.int64], columns: tuple[Array, ...]) -> Term:
-        """The term of some groups.  columns : the numbers of each."""
-        raise NotImplementedError(f"{type(self).__name__} has no term")
 
 
 class Bond(Bonded):
@@ -101,7 +82,7 @@ class BondPotential(Bond):
 class HarmonicBond(Bond):
     """Harmonic bond u(r) = ½ k (r − r₀)²."""
 
-    law, lammps = HarmonicLaw(), LammpsStyle("harmonic", lambda k, length: (0.5 * k, length))
+    law, lammps = laws.HarmonicLaw(), LammpsStyle("harmonic", lambda k, length: (0.5 * k, length))
     k: ArrayLike = declared(each, "u = k (r − length)²/2", "stiffness", NOT_NEGATIVE)
     length: ArrayLike = declared(each, "at rest", "length", NOT_NEGATIVE)
     pairs: ArrayLike | None = declared(groups, of=2, default=None)
@@ -110,7 +91,7 @@ class HarmonicBond(Bond):
 class MorseBond(Bond):
     """Morse bond u(r) = D (1 − exp[−a (r − r₀)])², which breaks when it is pulled; its stiffness at rest is 2 a² D."""
 
-    law, lammps = MorseLaw(), LammpsStyle("morse")
+    law, lammps = laws.MorseLaw(), LammpsStyle("morse")
     depth: ArrayLike = declared(each, "u = depth (1 − exp(−a (r − length)))²", "energy", NOT_NEGATIVE)
     a: ArrayLike = declared(each, "inverse width", "inverse length", POSITIVE)
     length: ArrayLike = declared(each, "at rest", "length", NOT_NEGATIVE)
@@ -125,10 +106,8 @@ class FENEBond(Bond):
     fene` does. The energy of a bond of length R or more is not finite: the run ends with NonFiniteError.
     """
 
-    law, lammps = FENELaw(), LammpsStyle("fene")
-    k: ArrayLike = declared(
-        each, "u = −k longest² ln(1 − (r/longest)²)/2, and the repulsion", "stiffness", NOT_NEGATIVE
-    )
+    law, lammps = laws.FENELaw(), LammpsStyle("fene")
+    k: ArrayLike = declared(each, STRETCH, "stiffness", NOT_NEGATIVE)
     longest: ArrayLike = declared(each, "length that a bond cannot reach", "length", POSITIVE)
     epsilon: ArrayLike = declared(each, REPULSION, "energy", NOT_NEGATIVE, default=1.0)
     sigma: ArrayLike = declared(each, "of the repulsion", "length", POSITIVE, default=1.0)
@@ -149,7 +128,7 @@ class HarmonicAngle(Bonded):
     def term(self, found: NDArray[np.int64], columns: tuple[Array, ...]) -> Term:
         """See Bonded."""
         k, angle = columns
-        return LinkedTerm(found, [(1, 0), (1, 2)], Bend(), (), (k, np.sin(angle), np.cos(angle)))
+        return LinkedTerm(found, Bend(), (), (k, np.sin(angle), np.cos(angle)))
 
 
 class Dihedral(Bonded):
@@ -159,7 +138,7 @@ class Dihedral(Bonded):
 
     def term(self, found: NDArray[np.int64], columns: tuple[Array, ...]) -> Term:
         """See Bonded."""
-        return LinkedTerm(found, [(1, 0), (2, 1), (2, 3)], Torsion(), on_vectors(self.law, len(columns)), columns)
+        return LinkedTerm(found, Torsion(), on_vectors(self.law, len(columns)), columns)
 
 
 class DihedralPotential(Dihedral):
@@ -182,7 +161,7 @@ class PeriodicDihedral(Dihedral):
     LAMMPS' `dihedral_style harmonic`, K [1 + d cos(nφ)], is k = K with the phase 0 for d = 1 and π for d = −1.
     """
 
-    law, lammps = PeriodicLaw(), LammpsStyle("fourier", lambda k, n, phase: (1, k, n, np.degrees(phase)))
+    law, lammps = laws.PeriodicLaw(), LammpsStyle("fourier", lambda k, n, phase: (1, k, n, np.degrees(phase)))
     k: ArrayLike = declared(each, "u = k (1 + cos(n φ − phase))", "energy")
     n: ArrayLike = declared(each, "minima in a turn", "", WHOLE)
     phase: ArrayLike = declared(each, "φ₀, see k", "angle", default=0.0)
@@ -195,7 +174,7 @@ class RyckaertBellemans(Dihedral):
     LAMMPS' `dihedral_style nharmonic` has powers of cos φ: A₁ = c₀, A₂ = −c₁, A₃ = c₂, A₄ = −c₃ …
     """
 
-    law = RyckaertBellemansLaw()
+    law = laws.RyckaertBellemansLaw()
     lammps = LammpsStyle("nharmonic", lambda *c: (len(c), *(-one if n % 2 else one for n, one in enumerate(c))))
     coefficients: Sequence[ArrayLike] = declared(coefficients, "c₀ to c₅ of u = Σ cₙ cosⁿ(φ − 180°)", "energy")
     quadruples: ArrayLike | None = declared(groups, of=4, default=None)
@@ -241,65 +220,7 @@ class HarmonicImproper(Dihedral):
     LAMMPS' `improper_style harmonic` takes the same angle without its sign, and K = k/2.
     """
 
-    acts_on, law = "impropers", HarmonicTorsionLaw()
+    acts_on, law = "impropers", laws.HarmonicTorsionLaw()
     k: ArrayLike = declared(each, "u = k (φ − angle)²/2", "angular stiffness", NOT_NEGATIVE)
     angle: ArrayLike = declared(each, "at rest, with its sign", "angle", SIGNED_ANGLE, default=0.0)
     quadruples: ArrayLike | None = declared(groups, of=4, default=None)
-
-
-@inlined
-def _minor(a, b, c, d):
-    """a b − c d, right to a few roundings even where the products nearly cancel, if fma rounds once (W. Kahan)."""
-    x, y = a * b, c * d
-    return (x - y) + (fma(a, b, -x) - fma(c, d, -y))
-
-
-@inlined
-def _normal(a, b, lost_a, lost_b):
-    """(a + lost_a) × (b + lost_b), to a few roundings however small the angle between them is."""
-    n = _minor(a[1], b[2], a[2], b[1]), _minor(a[2], b[0], a[0], b[2]), _minor(a[0], b[1], a[1], b[0])
-    return combined(1.0, n, 1.0, combined(1.0, cross(lost_a, b), 1.0, cross(a, lost_b)))
-
-
-@scalar
-def _bend(links, block, _law, numbers):
-    """Harmonic angles u = ½ k (θ − θ₀)², with a = r_i − r_j, b = r_k − r_j, n = a × b.
-
-        tan(θ − θ₀) = (|n| cos θ₀ − a·b sin θ₀)/(a·b cos θ₀ + |n| sin θ₀)
-        F_i = u′(θ) n × a/(a²|n|),   F_k = u′(θ) b × n/(b²|n|),   all zero if n = 0
-
-    numbers : k [energy/rad²], sin θ₀, cos θ₀. θ near 0 and π, and θ − θ₀ if θ₀ is 0 or π, have all their digits.
-    """
-    (a, lost_a), (b, lost_b), (k, sine, cosine) = arm(links, 0, block), arm(links, 1, block), numbers
-    n = _normal(a, b, lost_a, lost_b)
-    size, ab = dot(n, n) ** 0.5, dot(a, b)
-    stretch = np.arctan2(size * cosine - ab * sine, ab * cosine + size * sine)
-    slope = k * stretch
-    s = select(size > 0.0, slope / size, 0.0)
-    is_beyond = push(links, 0, block, times(s / dot(a, a), cross(n, a)))
-    return 0.5 * slope * stretch, push(links, 1, block, times(s / dot(b, b), cross(b, n))) or is_beyond
-
-
-@scalar
-def _turn(links, block, law, numbers):
-    """A law of the dihedral angle, without a division by sin φ.
-
-        F = r_i − r_j,  G = r_j − r_k,  H = r_l − r_k,  A = F × G,  B = H × G
-        cos φ = A·B/(|A||B|),   sin φ = (B × A)·G/(|A||B||G|)
-        F_i = u′ |G|/A² A,   F_l = −u′ |G|/B² B,   S = u′ (F·G/(A²|G|) A − H·G/(B²|G|) B),
-        F_j = −F_i − S,   F_k = −F_l + S
-
-    A. Blondel, M. Karplus, J. Comput. Chem. 17, 1132 (1996), eq. 6, 27.
-    """
-    (f, _), (g, _), (h, _) = arm(links, 0, block), arm(links, 1, block), arm(links, 2, block)
-    a, b = cross(f, g), cross(h, g)
-    g2, fg, hg, a2, b2 = dot(g, g), dot(f, g), dot(h, g), dot(a, a), dot(b, b)
-    length = g2**0.5
-    u, slope = evaluate_law(law, np.arctan2(dot(g, cross(b, a)) / length, dot(a, b)), numbers)
-    a2, b2 = max(a2, STRAIGHT2 * g2 * dot(f, f)), max(b2, STRAIGHT2 * g2 * dot(h, h))
-    on_i = push(links, 0, block, times(slope * length / a2, a))
-    between = push(links, 1, block, combined(-slope * fg / (a2 * length), a, slope * hg / (b2 * length), b))
-    return u, push(links, 2, block, times(-slope * length / b2, b)) or on_i or between
-
-
-Bend, Torsion = link_shape("Bend", _bend), link_shape("Torsion", _turn)

@@ -9,8 +9,7 @@
         pairs: ArrayLike | None = declared(groups, of=2, default=None)
 
 From it follow the constructor and its checks, the sections Parameters and Raises of its docstring, repr, the section of
-a scene file with its page (minimd.document.force_sections), and the style of LAMMPS. The kinds of parameters are the
-functions below: each returns the value that is kept, or raises ValueError.
+a scene file with its page (minimd.document.force_sections), and the style of LAMMPS. The kinds of parameters are below.
 """
 
 from __future__ import annotations
@@ -50,14 +49,19 @@ RAISES = "ValueError, TypeError : for numbers that are not finite or out of rang
 MOST_COEFFICIENTS = 6  # of the polynomial of Ryckaert and Bellemans
 
 
+class Kind(NamedTuple):
+    """What an argument may be.  words : for its docstring and messages, {of} is that of its Parameter.
+    check : (name, value, Parameter) → the value that is kept; raises ValueError or TypeError."""
+
+    words: str
+    check: Callable[[str, Any, Parameter], Any]
+
+
 class Parameter(NamedTuple):
-    """What is declared of an argument.  kind : one of the functions below.  words : what it is.
+    """What is declared of an argument.  words : what it is.  dimension : a key of UNITS.  demand : one of DEMANDS.
+    of : atoms in a group, names to choose from, or what stands for no number."""
 
-    dimension : a key of UNITS.  demand : one of DEMANDS.  of : atoms in a group, names to choose from, or what stands
-    for no number.
-    """
-
-    kind: Callable[[str, Any, Parameter], Any]
+    kind: Kind
     words: str = ""
     dimension: str = ""
     demand: str = FINITE
@@ -65,9 +69,9 @@ class Parameter(NamedTuple):
 
     def told(self, name: str) -> str:
         """A line of a docstring."""
-        unit, what = UNITS.get(self.dimension, ""), (self.kind.__doc__ or "").partition(".")[0]
-        what = what.format(of=" or ".join(map(repr, self.of)) if isinstance(self.of, Mapping) else self.of)
-        return f"{name} : {what[:1].lower()}{what[1:]}{unit and f' [{unit}]'}{self.words and '; '}{self.words}."
+        unit, choices = UNITS.get(self.dimension, ""), self.of
+        what = self.kind.words.format(of=" or ".join(map(repr, choices)) if isinstance(choices, Mapping) else choices)
+        return f"{name} : {what}{unit and f' [{unit}]'}{self.words and '; '}{self.words}."
 
 
 class LammpsStyle(NamedTuple):
@@ -78,7 +82,7 @@ class LammpsStyle(NamedTuple):
 
 
 def declared(
-    kind: Callable,
+    kind: Kind,
     words: str = "",
     dimension: str = "",
     demand: str = FINITE,
@@ -107,7 +111,7 @@ class Declared(OwnPotential):
 
     def __post_init__(self) -> None:
         for name, asked in self.parameters_of().items():
-            setattr(self, name, asked.kind(name, getattr(self, name), asked))
+            setattr(self, name, asked.kind.check(name, getattr(self, name), asked))
 
     @classmethod
     def parameters_of(cls) -> dict[str, Parameter]:
@@ -115,7 +119,7 @@ class Declared(OwnPotential):
         return {one.name: one.metadata["parameter"] for one in fields(cls)}  # type: ignore[arg-type]
 
     @classmethod
-    def kinds(cls) -> set[Callable]:
+    def kinds(cls) -> set[Kind]:
         """The kinds of its parameters."""
         return {one.kind for one in cls.parameters_of().values()}
 
@@ -151,19 +155,16 @@ def checked_values(name: str, values: Any, words: str, fits: Callable[[tuple], b
     return array
 
 
-def each(name: str, values: Any, asked: Parameter) -> Array:
-    """One number, or one for each."""
-    return checked_values(name, values, "one number, or one for each", lambda shape: len(shape) < 2, asked.demand)
+def shaped(
+    words: str, fits: Callable[[tuple], bool], become: Callable[[str, Array], Array] = lambda _, same: same
+) -> Kind:
+    """The kind of arrays with a shape that fits.  become : makes what is kept, from the name and the array."""
+    return Kind(
+        words, lambda name, values, asked: become(name, checked_values(name, values, words, fits, asked.demand))
+    )
 
 
-def vector(name: str, values: Any, _asked: Parameter) -> Array:
-    """Three numbers."""
-    return checked_values(name, values, "three numbers", (3,).__eq__)
-
-
-def direction(name: str, values: Any, asked: Parameter) -> Array:
-    """Three numbers.  Returns them with the length 1."""
-    array = vector(name, values, asked)
+def _unit(name: str, array: Array) -> Array:
     largest = float(np.abs(array).max())
     # no square leaves the range of floats
     length = largest * float(np.linalg.norm(array / largest)) if largest > 0.0 else 0.0
@@ -172,33 +173,15 @@ def direction(name: str, values: Any, asked: Parameter) -> Array:
     return array / length
 
 
-def vectors(name: str, values: Any, _asked: Parameter) -> Array:
-    """Three numbers, or (n, 3)."""
-
-    def fits(shape: tuple) -> bool:
-        return shape == (3,) or (len(shape) == 2 and shape[1] == 3)
-
-    return checked_values(name, values, "three numbers, or three for each atom", fits)
-
-
-def points(name: str, values: Any, asked: Parameter) -> Array:
-    """Three numbers, or (n, 3).  A scene file lists them."""
-    return vectors(name, values, asked)
-
-
-def weight(name: str, values: Any, _asked: Parameter) -> Array:
-    """Three numbers, or one, downwards along z."""
-    given = checked_values(name, values, "one number, downwards, or three", ((), (3,)).__contains__)
+def _downwards(_name: str, given: Array) -> Array:
     return given if given.ndim else np.array([0.0, 0.0, -float(given)])
 
 
-def stiffness(name: str, values: Any, asked: Parameter) -> Array:
-    """One number, or three."""
-    return checked_values(name, values, "one number, or three", ((), (3,)).__contains__, asked.demand)
+def _of_atoms(shape: tuple) -> bool:
+    return shape == (3,) or (len(shape) == 2 and shape[1] == 3)
 
 
-def coefficients(name: str, values: Any, asked: Parameter) -> tuple[Array, ...]:
-    """Up to six, each one number for all or one for each; missing ones are 0.  Raises TypeError for no list."""
+def _coefficients(name: str, values: Any, asked: Parameter) -> tuple[Array, ...]:
     try:
         given = list(values)
     except TypeError:
@@ -206,35 +189,22 @@ def coefficients(name: str, values: Any, asked: Parameter) -> tuple[Array, ...]:
     if len(given) > MOST_COEFFICIENTS:
         raise ValueError(f"{name} must be at most {MOST_COEFFICIENTS}, c0 to c5; there are {len(given)}")
     given += [0.0] * (MOST_COEFFICIENTS - len(given))
-    return tuple(each(f"c{k}", one, asked) for k, one in enumerate(given))
+    return tuple(each.check(f"c{k}", one, asked) for k, one in enumerate(given))
 
 
-def own_law(_name: str, law: Any, _asked: Parameter) -> Any:
-    """A user's function, or a law type.  Raises TypeError for anything else."""
-    return checked_law(law)
-
-
-def own_parameters(name: str, values: Any, asked: Parameter) -> tuple[Array, ...]:
-    """A tuple, each entry one number for all or one for each.  Raises TypeError for no tuple or list."""
+def _own_parameters(name: str, values: Any, asked: Parameter) -> tuple[Array, ...]:
     if not isinstance(values, Sequence) or isinstance(values, str):
         wanted = "a tuple with one entry for each parameter of the law"
         raise TypeError(f"{name} must be {wanted}; {name} = {shown(values)}")
-    return tuple(each(f"parameter {k}", one, asked) for k, one in enumerate(values))
+    return tuple(each.check(f"parameter {k}", one, asked) for k, one in enumerate(values))
 
 
-def number(name: str, value: Any, asked: Parameter) -> float | None:
-    """One number."""
+def _number(name: str, value: Any, asked: Parameter) -> float | None:
     is_none = value is None or (isinstance(value, float) and value == inf)
     return value if is_none and value == asked.of else checked_number(name, value, asked.demand)
 
 
-def choice(name: str, value: Any, asked: Parameter) -> str:
-    """One of {of}."""
-    return checked_choice(name, value, asked.of)
-
-
-def atoms(name: str, values: Any, _asked: Parameter) -> NDArray[np.int64] | None:
-    """Indices of different atoms; all if not given."""
+def _atoms(name: str, values: Any, _asked: Parameter) -> NDArray[np.int64] | None:
     if values is None:
         return None
     found = checked_indices(name, values, "a list of atoms")
@@ -243,8 +213,22 @@ def atoms(name: str, values: Any, _asked: Parameter) -> NDArray[np.int64] | None
     return found
 
 
-def groups(name: str, values: Any, asked: Parameter) -> NDArray[np.int64] | None:
-    """Groups of {of} atoms; those of the system if not given.  Returns (G, n) int, or None."""
+def _groups(name: str, values: Any, asked: Parameter) -> NDArray[np.int64] | None:
     if values is None:
         return None
     return checked_pairs(name, values) if asked.of == 2 else checked_groups(name, values, asked.of)
+
+
+each = shaped("one number, or one for each", lambda shape: len(shape) < 2)
+stiffness = shaped("one number, or three", ((), (3,)).__contains__)
+vector, direction = shaped("three numbers", (3,).__eq__), shaped("three numbers", (3,).__eq__, _unit)
+vectors = shaped("three numbers, or three for each atom", _of_atoms)
+points = shaped("three numbers, or three for each atom", _of_atoms)  # a scene file lists them
+weight = shaped("one number, downwards along z, or three", ((), (3,)).__contains__, _downwards)
+coefficients = Kind("up to six, each one number for all or one for each; missing ones are 0", _coefficients)
+own_law = Kind("a user's function, or a law type", lambda _name, law, _asked: checked_law(law))
+own_parameters = Kind("a tuple, each entry one number for all or one for each", _own_parameters)
+number = Kind("one number", _number)
+choice = Kind("one of {of}", lambda name, value, asked: checked_choice(name, value, asked.of))
+atoms = Kind("indices of different atoms; all if not given", _atoms)
+groups = Kind("groups of {of} atoms; those of the system if not given", _groups)

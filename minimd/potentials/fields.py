@@ -1,4 +1,4 @@
-"""Fields: external forces on each atom, functions of its position and the time.
+"""Fields, springs and walls: external forces on each atom, functions of its position and the time.
 
 A user's field, its force and its change with time are checked before they are trusted.
 """
@@ -7,22 +7,27 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from math import inf, isfinite, nan
-from typing import Any
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import force_along, in_steps, is_too_large
-from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, without_cache
+from minimd.compiled.kernels import DirectCalls, by_type, called_kernel
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, in_python, n_chunks_of, operation
 from minimd.potentials.declared import (
     NOT_NEGATIVE,
+    POSITIVE,
     Array,
     Declared,
     atoms,
+    choice,
     declared,
+    direction,
+    each,
     number,
     own_law,
     own_parameters,
@@ -32,31 +37,33 @@ from minimd.potentials.declared import (
     vectors,
     weight,
 )
-from minimd.potentials.law import ACCURACY, agree, evaluate_law
-from minimd.potentials.laws import ConstantLaw, RestraintLaw
+from minimd.potentials.law import ACCURACY, STEP, agree, evaluate_law, law_at, loop_for
+from minimd.potentials.laws import ConstantLaw, Curved, LennardJones93Law, LennardJonesLaw, Planar, RestraintLaw
 from minimd.potentials.pair_loop import ByPair, parameters_of_pair
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, OwnTerm, Target, Term
-from minimd.potentials.user_laws import is_recognized
+from minimd.potentials.truncation import Shifted
 from minimd.structure.cell import minimum_image
 from minimd.structure.system import System
 
 NOWHERE = np.zeros((0, 3))
+TRIED = 5  # atoms at which a user's law is tried
+TIMES = (0.0, 0.37, 1.9)  # at which it is tried
+TIMED = 5  # numbers that it returns if its u depends on time
+RETURNED = "u, three forces, and ∂u/∂t if it depends on t"
+WALL_LAWS: dict[str, Any] = {"9-3": LennardJones93Law(), "12-6": LennardJonesLaw()}
+WallLaw = Literal["9-3", "12-6"]  # the keys of WALL_LAWS
+REACH = "distance from the wall from which on there is no force; none if not given"
+OF_DISTANCE = "of the distance d: ε [2/15 (σ/d)⁹ − (σ/d)³], or 4ε [(σ/d)¹² − (σ/d)⁶]; shifted to 0 at the cutoff"
+ALONG = 1e-9  # of a lattice vector: one that leaves the plane of a wall by less counts as parallel to it
 
 
-class Sites(
-    ByAddress,
-    namedtuple(
-        "Sites", "positions images atoms anchors law parameters time forces steps detail totals powers energies"
-    ),
-):
+class Sites(ByAddress, namedtuple("Sites", "positions images atoms anchors law numbers time forces steps detail sums")):
     """Where a field acts, and what on.
 
     positions : (N, 3) [length].  images : Images.  atoms : (n,) int, all different.
-    anchors : (n, 3) points from which positions are counted, to the nearest image [length]; (0, 3) for the origin, and
-        none.
-    law : law type.  parameters : see parameters_of_pair, of each site.  time : (1,) t [time].
-    forces, steps, detail : see Target.  totals, powers : (chunks,) output, Σ u [energy] and Σ ∂u/∂t [energy/time].
-    energies : (N,), to which PER_ATOM adds.
+    anchors : (n, 3) points from which positions are counted, to the nearest image [length]; or (0, 3).
+    law : law type.  numbers : see parameters_of_pair, of each site.  time : (1,) t [time].  forces, steps, detail : see
+    Target.  sums : Σ u [energy] and Σ ∂u/∂t [energy/time], (chunks,) output, and energies (N,), to which PER_ATOM adds.
     """
 
 
@@ -70,7 +77,7 @@ def _rate(found):
 def add_field(sites, chunk):
     """Add the forces and energies of a field u(x, y, z, t).  OUT_OF_RANGE if a force is beyond the range of a grid.
     The virial is left out: fields act from outside."""
-    positions, images, atoms, anchors, law, parameters, time, forces, steps, detail, totals, powers, energies = sites
+    positions, images, atoms, anchors, law, numbers, time, forces, steps, detail, (totals, powers, energies) = sites
     lattice, inverse, pbc, safe_distance2 = images
     n_chunks, total, power, is_out = totals.size, 0.0, 0.0, False
     for n in range(chunk * atoms.size // n_chunks, (chunk + 1) * atoms.size // n_chunks):
@@ -82,7 +89,7 @@ def add_field(sites, chunk):
             x += a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0]
             y += a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1]
             z += a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
-        found = evaluate_law(law, x, (y, z, time[0]) + parameters_of_pair(parameters, n, i, i))
+        found = evaluate_law(law, x, (y, z, time[0]) + parameters_of_pair(numbers, n, i, i))
         forces[i, 0] += force_along(found[1], 1.0, steps)
         forces[i, 1] += force_along(found[2], 1.0, steps)
         forces[i, 2] += force_along(found[3], 1.0, steps)
@@ -97,34 +104,24 @@ def add_field(sites, chunk):
 
 
 class FieldTerm(OwnTerm):
-    """A field on some atoms.
-
-    atoms : (n,) int, all different.  columns : (n,) numbers of each, for each parameter of the law.  anchors : see
-        Sites.
-    """
+    """A field on atoms, (n,) int, all different.  columns : (n,) numbers of each, for each parameter of the law.
+    anchors : see Sites.  prepare : called before each evaluation, if given."""
 
     acts_from_outside = fits_grid = True
+    prepare: Callable[[], None] | None = None
 
-    def __init__(
-        self,
-        atoms: NDArray[np.int64],
-        law: tuple,
-        columns: tuple[Array, ...],
-        anchors: Array = NOWHERE,
-        warning: str = "",
-    ) -> None:
-        self._atoms, self._law, self.anchors, self.warning = atoms, law, np.ascontiguousarray(anchors), warning
-        self.columns, self._time = columns, np.zeros(1)
-        n_chunks = n_chunks_of(len(atoms))
-        self._totals, self._powers = np.zeros(n_chunks), np.zeros(n_chunks)
-        self._loop = add_field if is_recognized(law) else without_cache(add_field)
-        self._calls = DirectCalls()
+    def __init__(self, acting: NDArray[np.int64], law: tuple, columns: tuple, anchors: Array = NOWHERE) -> None:
+        self._atoms, self._law, self.anchors, self.columns = acting, law, np.ascontiguousarray(anchors), columns
+        self._time, (self._totals, self._powers) = np.zeros(1), np.zeros((2, n_chunks_of(len(acting))))
+        self._loop, self._calls = loop_for(add_field, law), DirectCalls()
 
     def operations(self, system: System, target: Target) -> Iterator[Operation]:
         """See Term."""
-        sums = target.detail, self._totals, self._powers, target.energies
+        if self.prepare is not None:
+            yield in_python(self.prepare)
         acting = self._atoms, self.anchors, self._law, ByPair(self.columns), self._time, target.forces, target.steps
-        sites = Sites(system.positions, target.images, *acting, *sums)
+        sums = self._totals, self._powers, target.energies
+        sites = Sites(system.positions, target.images, *acting, target.detail, sums)
         yield operation(self._calls, self._loop, sites, len(self._totals))
 
     def collect(self, target: Target) -> None:
@@ -161,6 +158,14 @@ class OnAtoms(Declared):
         return own
 
 
+def rows_of(name: str, vectors: Any, n: int) -> Array:
+    """Vectors for each of n atoms, (n, 3).  Raises ValueError for another number of vectors."""
+    if vectors.shape not in ((3,), (n, 3)):
+        wanted = f"three numbers or ({n}, 3), one row for each atom"
+        raise ValueError(f"{name} must be {wanted}; its shape is {vectors.shape}")
+    return np.array(np.broadcast_to(vectors, (n, 3)))
+
+
 class ConstantForce(OnAtoms):
     """A constant force F on atoms, u = −F·r. r is never wrapped: u changes steadily as an atom is pulled along."""
 
@@ -188,9 +193,12 @@ class Gravity(OnAtoms):
 class Springs(OnAtoms):
     """Base class of harmonic springs from atoms to points."""
 
-    def bind(self, system: System) -> Term:
+    def bind(self, system: System) -> FieldTerm:
         """The term of these springs in a system.  Raises ValueError if atoms, or their points, are missing."""
-        return SpringTerm(self, self.atoms_in(system))
+        acting, given = self.atoms_in(system), self.arguments()
+        numbers = (*np.broadcast_to(given["k"], 3), 0.0, 0.0, 0.0)  # the points are at rest
+        columns = tuple(np.full(len(acting), one) for one in numbers)
+        return FieldTerm(acting, RestraintLaw(), columns, rows_of("points", given["points"], len(acting)))
 
 
 class Restraint(Springs):
@@ -228,55 +236,19 @@ class SteeredSpring(Springs):
         moved: Array = np.asarray(self.velocity) * (min(max(time, self.start), self.end) - self.start)
         return np.asarray(self.points) + moved
 
-    def bind(self, system: System) -> Term:
+    def bind(self, system: System) -> FieldTerm:
         """See Restraint."""
-        return SteeredTerm(self, self.atoms_in(system))
+        term = super().bind(system)
+        term.prepare, term.depends_on_time = partial(self._move_points, term), True
+        term.fits_grid = False  # its work is no whole number of steps
+        return term
 
-
-class SpringTerm(FieldTerm):
-    """Springs on atoms, (n,) int."""
-
-    def __init__(self, springs: Any, acting: NDArray[np.int64]) -> None:
-        numbers = np.concatenate([np.broadcast_to(springs.k, 3), np.zeros(3)])  # the points are at rest
-        columns = (*np.repeat(numbers[:, None], len(acting), axis=1),)
-        super().__init__(acting, RestraintLaw(), columns, rows_of("points", springs.points, len(acting)))
-
-
-class SteeredTerm(SpringTerm):
-    """Steered springs: before each evaluation their points move to where they are at that time."""
-
-    depends_on_time = True
-    fits_grid = False  # its work is no whole number of steps
-
-    def __init__(self, spring: SteeredSpring, acting: NDArray[np.int64]) -> None:
-        super().__init__(spring, acting)
-        self._spring = spring
-
-    def operations(self, system: System, target: Target) -> Iterator[Operation]:
-        """See Term."""
-        yield in_python(self._move_points)
-        yield from super().operations(system, target)
-
-    def _move_points(self) -> None:
-        spring = self._spring
-        self.anchors[:] = spring.points_at(self.time)
-        moves = spring.start <= self.time < spring.end
-        for column, v in zip(self.columns[3:], np.asarray(spring.velocity), strict=True):
+    def _move_points(self, term: FieldTerm) -> None:
+        """Move the points to where they are at the time of the term."""
+        term.anchors[:] = self.points_at(term.time)
+        moves = self.start <= term.time < self.end
+        for column, v in zip(term.columns[3:], np.asarray(self.velocity), strict=True):
             column[:] = v if moves else 0.0
-
-
-def rows_of(name: str, vectors: Any, n: int) -> Array:
-    """Vectors for each of n atoms, (n, 3).  Raises ValueError for another number of vectors."""
-    if vectors.shape not in ((3,), (n, 3)):
-        wanted = f"three numbers or ({n}, 3), one row for each atom"
-        raise ValueError(f"{name} must be {wanted}; its shape is {vectors.shape}")
-    return np.array(np.broadcast_to(vectors, (n, 3)))
-
-
-TRIED = 5  # atoms at which a law is tried
-TIMES = (0.0, 0.37, 1.9)  # at which it is tried
-TIMED = 5  # numbers that a law returns if its u depends on time
-STEP = 1e-5  # of a central difference, of the units of length and time
 
 
 class Field(OnAtoms):
@@ -300,54 +272,48 @@ class Field(OnAtoms):
 
     def bind(self, system: System) -> Term:
         """The term of this field in a system.  Raises ValueError, TypeError as the class says."""
-        acting = self.atoms_in(system)
+        acting, law = self.atoms_in(system), self.law
         columns = self.columns("atoms", len(acting))
-        law: Any = self.law
         some = np.unique(np.linspace(0, len(acting) - 1, TRIED).astype(int)) if len(acting) else ()
         tried = [_Tried(law, system.positions[acting[k]], tuple(one[k].item() for one in columns)) for k in some]
         faults = [fault for one in tried for time in TIMES for fault in one.wrong(time)]
         for k, sentence in faults:
             if 2 * sum(other == k for other, _ in faults) > len(tried) * len(TIMES):
                 raise ValueError(sentence)
-        warning = next((words for one in tried if (words := one.repeats(system))), "")
-        term = FieldTerm(acting, law, columns, warning=warning)
-        term.depends_on_time = any(one.is_timed for one in tried)
+        term: Any = FieldTerm(acting, law, columns)  # type: ignore[arg-type]
+        term.warning = next((words for one in tried if (words := one.repeats(system))), "")
+        term.depends_on_time = any(len(one.at(TIMES[0])) == TIMED for one in tried)
         term.fits_grid = not term.depends_on_time  # its work is no whole number of steps
         return term
 
 
-class _Tried:
-    """A user's law at the position of an atom."""
+class _Tried(NamedTuple):
+    """A user's law at the position of an atom, (3,), with its numbers."""
 
-    def __init__(self, law: tuple, place: Array, numbers: tuple[float, ...]) -> None:
-        self.law, self.place, self.numbers = law, place, numbers
-        self.is_timed = len(self.at(TIMES[0])) == TIMED
+    law: Any
+    place: Array
+    numbers: tuple[float, ...]
 
     def at(self, time: float, shift: Array | float = 0.0) -> tuple[float, ...]:
         """What the law returns.  Raises TypeError unless that is four or five numbers."""
-        name = type(self.law).python.__name__  # type: ignore[attr-defined]
-        x, y, z = (self.place + shift).tolist()
-        wanted = "u, three forces, and ∂u/∂t if it depends on t"
+        name, (x, y, z) = type(self.law).python.__name__, (self.place + shift).tolist()
         try:
             found = tuple(float(one) for one in evaluate_law(self.law, x, (y, z, time, *self.numbers)))
         except ArithmeticError:
             return (nan,) * 4
         except Exception as error:  # whatever a law of the user's raises
             taken = f"x, y, z, t and {len(self.numbers)} parameters"
-            raise TypeError(f"the law {name} must take {taken}, and return {wanted}: {error}") from None
+            raise TypeError(f"the law {name} must take {taken}, and return {RETURNED}: {error}") from None
         if len(found) not in (4, TIMED):
-            raise TypeError(f"the law {name} must return {wanted}; it returns {len(found)} numbers")
+            raise TypeError(f"the law {name} must return {RETURNED}; it returns {len(found)} numbers")
         return found
 
-    def slopes(self, time: float) -> Array:
-        """−∇u and ∂u/∂t by central differences, (4,)."""
-        steps = [(h, 0.0) for h in STEP * np.eye(3)] + [(np.zeros(3), STEP)]
-        return np.array([(self.at(time - dt, h)[0] - self.at(time + dt, -h)[0]) / (-2.0 * STEP) for h, dt in steps])
-
     def wrong(self, time: float) -> Iterator[tuple[int, str]]:
-        """What is wrong: the index of a wrong number among those after u, and a sentence."""
-        u, *told = self.at(time)
-        for k, (said, slope) in enumerate(zip((*told, 0.0)[:4], self.slopes(time).tolist(), strict=True)):
+        """What is wrong, by central differences: the index of a number among those after u, and a sentence."""
+        steps, (u, *told) = [(h, 0.0) for h in STEP * np.eye(3)] + [(np.zeros(3), STEP)], self.at(time)
+        ends = ((self.at(time - dt, h)[0], self.at(time + dt, -h)[0]) for h, dt in steps)
+        slopes = [(u_plus - u_minus) / (-2.0 * STEP) for u_plus, u_minus in ends]  # −∇u and ∂u/∂t
+        for k, (said, slope) in enumerate(zip((*told, 0.0)[:4], slopes, strict=True)):
             if isfinite(said) and isfinite(slope) and not agree(said, slope, u):
                 at = f"at ({', '.join(f'{c:.4g}' for c in self.place)}), t = {time:g}"
                 what = f"-∂u/∂{'xyz'[k]}" if k < len("xyz") else "∂u/∂t"
@@ -367,3 +333,114 @@ class _Tried:
                 where = f"the cell is periodic along {'abc'[k]}, but the field is not"
                 return f"{where}: an atom and its image feel different forces"
         return ""
+
+
+class OwnWall(OnAtoms):
+    """Base class of walls.
+
+    around : Planar or Curved.  place() : normal, three numbers, and the position of the plane along it; or axis and
+    radius [length].  distances(system, positions) : (n,) of atoms from the wall, negative behind it [length].
+    """
+
+    around: ClassVar[Any]
+    place: ClassVar[Callable[..., tuple[Any, float]]]
+    distances: ClassVar[Callable[..., Array]]
+
+    def bind(self, system: System) -> Term:
+        """The term of this wall in a system.  Raises ValueError if atoms are missing or lie on the wall or behind it,
+        or if the wall crosses a periodic direction."""
+        acting, given = self.atoms_in(system), self.arguments()
+        distances = self.distances(system, system.positions[acting])
+        if (behind := np.flatnonzero(~(distances > 0.0))).size:
+            atom, d = int(acting[behind[0]]), float(distances[behind[0]])
+            others = f", and {behind.size - 1} more" if behind.size > 1 else ""
+            where = f"atom {atom} lies {-d:.3g} {system.units.length} behind it{others}"
+            raise ValueError(f"atoms must be in front of a {type(self).__name__}; {where}: move it, or the wall")
+        own = self.columns("atoms", len(acting))
+        law, reach = WALL_LAWS[given["law"]], inf if given["cutoff"] is None else given["cutoff"]
+        rows, of_each = np.unique(np.stack(own, axis=-1), axis=0, return_inverse=True)
+        at_cutoff = np.array([0.0 if reach == inf else law_at(law, reach, tuple(row.tolist()))[0] for row in rows])
+        normal, place = self.place()
+        numbers = (np.full(len(acting), one) for one in (*normal.tolist(), place, reach))
+        columns = (*numbers, np.ascontiguousarray(at_cutoff[of_each.reshape(-1)]), *own)
+        anchors = np.tile(given["point"], (len(acting), 1)) if self.around is Curved else NOWHERE
+        return FieldTerm(acting, self.around(Shifted(law)), columns, anchors)
+
+
+class Wall(OwnWall):
+    """A flat wall, u(d) of the distance d = n·(r − p) of an atom; atoms are on the side to which the normal n points.
+
+    The plane must lie along all periodic directions, in which it has no end. LAMMPS: `fix wall/lj93`, `fix wall/lj126`.
+    """
+
+    around = Planar
+    point: ArrayLike = declared(vector, "of the plane", "length")
+    normal: ArrayLike = declared(direction, "of the plane, towards the atoms, of any length")
+    epsilon: ArrayLike = declared(each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
+    sigma: ArrayLike = declared(each, "range of the wall", "length", POSITIVE, default=1.0)
+    cutoff: float | None = declared(number, REACH, "length", POSITIVE, default=None)
+    law: WallLaw = declared(choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
+    atoms: ArrayLike | None = declared(atoms, default=None)
+
+    def place(self) -> tuple[Any, float]:
+        """See OwnWall."""
+        normal = np.asarray(self.normal)
+        return normal, float((normal * self.point).sum())
+
+    def distances(self, system: System, positions: Array) -> Array:
+        """See OwnWall."""
+        vectors, normal = system.cell.vectors[system.cell.pbc], np.asarray(self.normal)
+        crossed = np.abs((vectors * normal).sum(axis=1)) > ALONG * np.linalg.norm(vectors, axis=1)
+        if crossed.any():
+            name = "abc"[np.flatnonzero(system.cell.pbc)[np.argmax(crossed)]]
+            hint = "set pbc to False there, or turn the wall"
+            raise ValueError(f"a Wall must lie along all periodic directions; it crosses {name}: {hint}")
+        distances: Array = ((positions - np.asarray(self.point)) * normal).sum(axis=1)
+        return distances
+
+
+class RoundWall(OwnWall):
+    """Base class of walls with atoms inside, around a point that stands for all its images."""
+
+    around = Curved
+
+    def place(self) -> tuple[Any, float]:
+        """See OwnWall; without an axis, distances are those from the center."""
+        return getattr(self, "axis", np.zeros(3)), self.arguments()["radius"]
+
+    def distances(self, system: System, positions: Array) -> Array:
+        """See OwnWall."""
+        cell, (axis, radius) = system.cell, self.place()
+        away = positions - self.arguments()["point"]
+        away = away - np.where(cell.pbc, np.rint(np.einsum("ij,jk->ik", away, cell.inverse)), 0.0) @ cell.lattice
+        across = away - (away * axis).sum(axis=1)[:, None] * axis
+        distances: Array = radius - np.linalg.norm(across, axis=1)
+        return distances
+
+
+class CylinderWall(RoundWall):
+    """The wall of a cylinder with atoms inside: u(d) of the distance d = R − ρ from it.
+
+    Positions count relative to the nearest image of the point.
+    """
+
+    point: ArrayLike = declared(vector, "on the axis", "length")
+    axis: ArrayLike = declared(direction, "direction, of any length")
+    radius: float = declared(number, "of the cylinder; atoms are inside", "length", POSITIVE)
+    epsilon: ArrayLike = declared(each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
+    sigma: ArrayLike = declared(each, "range of the wall", "length", POSITIVE, default=1.0)
+    cutoff: float | None = declared(number, REACH, "length", POSITIVE, default=None)
+    law: WallLaw = declared(choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
+    atoms: ArrayLike | None = declared(atoms, default=None)
+
+
+class SphereWall(RoundWall):
+    """The wall of a sphere with atoms inside: u(d) of the distance d = R − |r − p| from it."""
+
+    point: ArrayLike = declared(vector, "the center", "length")
+    radius: float = declared(number, "of the sphere; atoms are inside", "length", POSITIVE)
+    epsilon: ArrayLike = declared(each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
+    sigma: ArrayLike = declared(each, "range of the wall", "length", POSITIVE, default=1.0)
+    cutoff: float | None = declared(number, REACH, "length", POSITIVE, default=None)
+    law: WallLaw = declared(choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
+    atoms: ArrayLike | None = declared(atoms, default=None)

@@ -1,6 +1,6 @@
 """The laws, each written once, as a function of its variable and its parameters.
 
-    law(r2, …)         of a distance: u [energy] and −u′(r)/r [energy/length²]
+    law(r2, …)         of a squared distance, > 0 [length²]: u [energy] and −u′(r)/r [energy/length²]
     law(phi, …)        of a dihedral angle [rad]: u [energy] and u′(φ) [energy/rad]
     law(x, y, z, t, …) of fields: u [energy], the force on the atom [energy/length] and ∂u/∂t [energy/time]
 
@@ -24,8 +24,7 @@ def lennard_jones(r2, epsilon, sigma):
         u(r)     = 4ε [(σ/r)¹² − (σ/r)⁶]
         −u′(r)/r = 24ε/r² [2(σ/r)¹² − (σ/r)⁶]
 
-    r2 : squared distance, > 0 [length²].  epsilon : depth of the well, at r = 2^(1/6) σ [energy].
-    sigma : distance where u = 0 [length].  Returns u [energy], −u′/r [energy/length²].
+    epsilon : depth of the well, at r = 2^(1/6) σ [energy].  sigma : distance where u = 0 [length].
     J. E. Lennard-Jones, Proc. Phys. Soc. 43, 461 (1931).
     """
     s2 = sigma * sigma / r2
@@ -41,8 +40,7 @@ def harmonic(r2, k, length):
         u(r)     = ½ k (r − r₀)²
         −u′(r)/r = −k (r − r₀)/r, and −k for r₀ = 0, where two atoms may be at the same place
 
-    r2 : squared distance, > 0, or ≥ 0 for r₀ = 0 [length²].  k : stiffness [energy/length²].  length : r₀, at the
-    minimum [length].  Returns u [energy], −u′/r [energy/length²].
+    r2 : may be 0 for r₀ = 0.  k : stiffness [energy/length²].  length : r₀, at the minimum [length].
     """
     r = sqrt(r2)
     stretch = r - length
@@ -56,9 +54,8 @@ def morse(r2, depth, a, length):
         u(r)     = D (1 − x)²,  x = exp[−a (r − r₀)]
         −u′(r)/r = −2 a D (1 − x) x / r
 
-    r2 : squared distance, > 0 [length²].  depth : D, energy that breaks the bond [energy].  a : its width [1/length];
-    the stiffness at rest is 2 a² D.  length : r₀, distance of the minimum [length].  Returns u [energy], −u′/r
-    [energy/length²].  P. M. Morse, Phys. Rev. 34, 57 (1929).
+    depth : D, energy that breaks the bond [energy].  a : its inverse width [1/length]; the stiffness at rest is 2 a² D.
+    length : r₀, distance of the minimum [length].  P. M. Morse, Phys. Rev. 34, 57 (1929).
     """
     r = sqrt(r2)
     x = exp(-a * (r - length))
@@ -72,9 +69,8 @@ def fene(r2, k, longest, epsilon, sigma):
         u(r)     = −½ k R² ln(1 − (r/R)²) + [4ε ((σ/r)¹² − (σ/r)⁶) + ε below r = 2^(1/6) σ]
         −u′(r)/r = −k / (1 − (r/R)²)      + [24ε/r² (2(σ/r)¹² − (σ/r)⁶)          likewise]
 
-    r2 : squared distance, > 0 [length²].  k : stiffness [energy/length²].  longest : R, which the bond cannot reach
-    [length].  epsilon, sigma : ε [energy] and σ [length] of the repulsion.  Returns u [energy], −u′/r [energy/length²];
-    NaN from R on.  K. Kremer, G. S. Grest, J. Chem. Phys. 92, 5057 (1990).
+    k : stiffness [energy/length²].  longest : R, which the bond cannot reach [length]; NaN from R on.
+    epsilon, sigma : of the repulsion [energy], [length].  K. Kremer, G. S. Grest, J. Chem. Phys. 92, 5057 (1990).
     """
     rest = 1.0 - r2 / (longest * longest)
     rest = select(rest > 0.0, rest, nan)
@@ -91,8 +87,8 @@ def lennard_jones_93(r2, epsilon, sigma):
         u(r)     = ε [2/15 (σ/r)⁹ − (σ/r)³]
         −u′(r)/r = ε/r² [6/5 (σ/r)⁹ − 3 (σ/r)³]
 
-    r2 : squared distance, > 0 [length²].  epsilon : ε; the well is √10/3 ε deep, at r = (2/5)^(1/6) σ [energy].
-    sigma : [length].  Returns u [energy], −u′/r [energy/length²].  W. A. Steele, Surf. Sci. 36, 317 (1973).
+    epsilon : ε; the well is √10/3 ε deep, at r = (2/5)^(1/6) σ [energy].  sigma : [length].
+    W. A. Steele, Surf. Sci. 36, 317 (1973).
     """
     s3 = (sigma * sigma / r2) * sqrt(sigma * sigma / r2)
     s9 = s3 * s3 * s3
@@ -114,8 +110,7 @@ def periodic(phi, k, n, phase):
         u(φ)  = k [1 + cos(nφ − φ₀)]
         u′(φ) = −n k sin(nφ − φ₀)
 
-    phi : dihedral angle [rad].  k : half the barrier [energy].  n : number of minima in a turn.  phase : φ₀ [rad].
-    Returns u [energy], u′ [energy/rad].
+    k : half the barrier [energy].  n : number of minima in a turn.  phase : φ₀ [rad].
     """
     x = n * phi - phase
     return k * (1.0 + cos(x)), -n * k * sin(x)
@@ -128,8 +123,7 @@ def ryckaert_bellemans(phi, c0, c1, c2, c3, c4, c5):
         u(φ)  = Σ cₙ xⁿ,  x = cos ψ = −cos φ
         u′(φ) = (Σ n cₙ xⁿ⁻¹) sin φ
 
-    phi : dihedral angle [rad].  c0 … c5 : [energy].  Returns u [energy], u′ [energy/rad].
-    J.-P. Ryckaert, A. Bellemans, Chem. Phys. Lett. 30, 123 (1975).
+    c0 … c5 : [energy].  J.-P. Ryckaert, A. Bellemans, Chem. Phys. Lett. 30, 123 (1975).
     """
     x = -cos(phi)
     u = c0 + x * (c1 + x * (c2 + x * (c3 + x * (c4 + x * c5))))
@@ -144,7 +138,7 @@ def harmonic_torsion(phi, k, angle):
         u(φ)  = ½ k x²,  x = φ − φ₀ minus the nearest multiple of 2π
         u′(φ) = k x
 
-    phi : dihedral angle [rad].  k : stiffness [energy/rad²].  angle : φ₀ [rad].  Returns u [energy], u′ [energy/rad].
+    k : stiffness [energy/rad²].  angle : φ₀ [rad].
     """
     x = phi - angle
     x -= 2.0 * pi * np.floor(x / (2.0 * pi) + 0.5)
@@ -163,34 +157,38 @@ def restraint(x, y, z, _t, kx, ky, kz, vx, vy, vz):
 
         u = ½ (kₓ x² + k_y y² + k_z z²),   F = −(kₓ x, k_y y, k_z z),   ∂u/∂t = F·v
 
-    x, y, z : position relative to the point [length].  kx, ky, kz : stiffness [energy/length²].  vx, vy, vz :
-        velocity of the point [length/time].
+    x, y, z : relative to the point [length].  kx … : stiffness [energy/length²].  vx … : velocity of the point.
     """
     fx, fy, fz = -kx * x, -ky * y, -kz * z
     return -0.5 * (fx * x + fy * y + fz * z), fx, fy, fz, fx * vx + fy * vy + fz * vz
 
 
 @scalar
+def _in_front(d, law, rest):
+    """u(d) and −u′(d) for 0 < d < reach; zero farther away, NaN on the wall and behind it."""
+    if d >= rest[7]:
+        return 0.0, 0.0
+    if not d > 0.0:
+        return nan, nan
+    u, f = evaluate_law(law, d * d, rest[8:])
+    return u, f * d
+
+
+@scalar
 def planar(x, law, rest):
-    """Wall in a plane: u(d) of the distance d = n·r − p, for 0 < d < reach; NaN on the wall and behind it.
+    """Wall in a plane: u(d) of the distance d = n·r − p, see _in_front.
 
     x : first coordinate [length].  law : of d.  rest : (y, z, t, n, p, reach, *parameters of law); n is a unit vector,
         three numbers.
     """
-    y, z, nx, ny, nz, reach = rest[0], rest[1], rest[3], rest[4], rest[5], rest[7]
-    d = nx * x + ny * y + nz * z - rest[6]
-    if d >= reach:
-        return 0.0, 0.0, 0.0, 0.0, 0.0
-    if not d > 0.0:
-        return nan, nan, nan, nan, 0.0
-    u, f = evaluate_law(law, d * d, rest[8:])
-    return u, f * d * nx, f * d * ny, f * d * nz, 0.0
+    y, z, nx, ny, nz = rest[0], rest[1], rest[3], rest[4], rest[5]
+    u, f = _in_front(nx * x + ny * y + nz * z - rest[6], law, rest)
+    return u, f * nx, f * ny, f * nz, 0.0
 
 
 @scalar
 def curved(x, law, rest):
-    """Wall of a cylinder or a sphere, with atoms inside: u(d) of the distance d = R − ρ, for 0 < d < reach;
-    NaN on the wall and outside.
+    """Wall of a cylinder or a sphere, with atoms inside: u(d) of the distance d = R − ρ, see _in_front.
 
     ρ = |r − (a·r) a| with r relative to a point on the axis; a = 0 makes it a sphere. The force points inwards,
     along −(r − (a·r) a)/ρ.
@@ -198,17 +196,12 @@ def curved(x, law, rest):
     x : first coordinate relative to the point [length].  law : of d.  rest : (y, z, t, a, R, reach,
         *parameters of law); a is a unit vector or 0.
     """
-    y, z, ax, ay, az, reach = rest[0], rest[1], rest[3], rest[4], rest[5], rest[7]
+    y, z, ax, ay, az = rest[0], rest[1], rest[3], rest[4], rest[5]
     along = ax * x + ay * y + az * z
     px, py, pz = x - along * ax, y - along * ay, z - along * az
     rho = sqrt(px * px + py * py + pz * pz)
-    d = rest[6] - rho
-    if d >= reach:
-        return 0.0, 0.0, 0.0, 0.0, 0.0
-    if not d > 0.0:
-        return nan, nan, nan, nan, 0.0
-    u, f = evaluate_law(law, d * d, rest[8:])
-    g = -f * d / rho if rho > 0.0 else 0.0
+    u, f = _in_front(rest[6] - rho, law, rest)
+    g = -f / rho if rho > 0.0 else 0.0
     return u, g * px, g * py, g * pz, 0.0
 
 

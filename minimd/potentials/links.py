@@ -21,19 +21,20 @@ from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import as_force, force_along, in_steps, is_too_large
-from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, scalar, type_of, without_cache
+from minimd.compiled.kernels import DirectCalls, by_type, called_kernel, inlined, scalar, type_of
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, n_chunks_of, operation
 from minimd.compiled.simd import bits_from_mask, fma, lane, select
 from minimd.compiled.simd.vector import count, gathered, lanes_for, loaded, loaded_columns, stored
 from minimd.neighbors.clusters import DIMENSIONS
-from minimd.potentials.lanewise import on_vectors
-from minimd.potentials.law import evaluate_law
+from minimd.potentials.law import evaluate_law, loop_for, on_vectors
 from minimd.potentials.term import BOND_LOOP, FORCES, PER_ATOM, TOTALS, OwnTerm, Target
-from minimd.potentials.user_laws import is_recognized
 from minimd.structure.cell import minimum_image
 from minimd.structure.system import System
+from minimd.structure.vectors import combined, cross, dot, times
 
 VIRIAL = 6  # components: xx yy zz yz xz xy
+# the smallest sin² of the angle between two neighboring bonds by which forces are divided: its rounding error
+STRAIGHT2 = 1e-16
 
 
 class Links(
@@ -54,13 +55,13 @@ class Links(
     """
 
 
-def link_shape(name: str, formula: Any) -> Any:
-    """The shape of terms: formula(links, b, law, numbers) takes each arm of block b, pushes its end, and returns
-    u [energy] and whether a force is beyond the range of a grid.
-
-    name : of the variable that it is assigned to, in the module of the formula.
-    """
-    return type_of(formula)(namedtuple(name, (), module=formula.py_func.__module__))
+def link_shape(name: str, formula: Any, *ends: tuple[int, int]) -> Any:
+    """The shape of terms, by the name of its variable.  ends : columns of the sites between which each link leads.
+    formula(links, b, law, numbers) takes each arm of block b, pushes its end, and returns u [energy] and whether a
+    force is beyond the range of a grid."""
+    shape: Any = type_of(formula)(namedtuple(name, (), module=__name__))
+    shape.ends = ends
+    return shape
 
 
 @scalar
@@ -74,7 +75,63 @@ def _stretch(links, b, law, numbers):
     return select(is_near, u, 0.0), push(links, 0, b, (f * dx, f * dy, f * dz))
 
 
-Stretch = link_shape("Stretch", _stretch)
+@inlined
+def _minor(a, b, c, d):
+    """a b − c d, right to a few roundings even where the products nearly cancel, if fma rounds once (W. Kahan)."""
+    x, y = a * b, c * d
+    return (x - y) + (fma(a, b, -x) - fma(c, d, -y))
+
+
+@inlined
+def _normal(a, b, lost_a, lost_b):
+    """(a + lost_a) × (b + lost_b), to a few roundings however small the angle between them is."""
+    n = _minor(a[1], b[2], a[2], b[1]), _minor(a[2], b[0], a[0], b[2]), _minor(a[0], b[1], a[1], b[0])
+    return combined(1.0, n, 1.0, combined(1.0, cross(lost_a, b), 1.0, cross(a, lost_b)))
+
+
+@scalar
+def _bend(links, block, _law, numbers):
+    """Harmonic angles u = ½ k (θ − θ₀)², with a = r_i − r_j, b = r_k − r_j, n = a × b.
+
+        tan(θ − θ₀) = (|n| cos θ₀ − a·b sin θ₀)/(a·b cos θ₀ + |n| sin θ₀)
+        F_i = u′(θ) n × a/(a²|n|),   F_k = u′(θ) b × n/(b²|n|),   all zero if n = 0
+
+    numbers : k [energy/rad²], sin θ₀, cos θ₀. θ near 0 and π, and θ − θ₀ if θ₀ is 0 or π, have all their digits.
+    """
+    (a, lost_a), (b, lost_b), (k, sine, cosine) = arm(links, 0, block), arm(links, 1, block), numbers
+    n = _normal(a, b, lost_a, lost_b)
+    size, ab = dot(n, n) ** 0.5, dot(a, b)
+    stretch = np.arctan2(size * cosine - ab * sine, ab * cosine + size * sine)
+    slope = k * stretch
+    s = select(size > 0.0, slope / size, 0.0)
+    is_beyond = push(links, 0, block, times(s / dot(a, a), cross(n, a)))
+    return 0.5 * slope * stretch, push(links, 1, block, times(s / dot(b, b), cross(b, n))) or is_beyond
+
+
+@scalar
+def _turn(links, block, law, numbers):
+    """A law of the dihedral angle, without a division by sin φ.
+
+        F = r_i − r_j,  G = r_j − r_k,  H = r_l − r_k,  A = F × G,  B = H × G
+        cos φ = A·B/(|A||B|),   sin φ = (B × A)·G/(|A||B||G|)
+        F_i = u′ |G|/A² A,   F_l = −u′ |G|/B² B,   S = u′ (F·G/(A²|G|) A − H·G/(B²|G|) B),
+        F_j = −F_i − S,   F_k = −F_l + S
+
+    A. Blondel, M. Karplus, J. Comput. Chem. 17, 1132 (1996), eq. 6, 27.
+    """
+    (f, _), (g, _), (h, _) = arm(links, 0, block), arm(links, 1, block), arm(links, 2, block)
+    a, b = cross(f, g), cross(h, g)
+    g2, fg, hg, a2, b2 = dot(g, g), dot(f, g), dot(h, g), dot(a, a), dot(b, b)
+    length = g2**0.5
+    u, slope = evaluate_law(law, np.arctan2(dot(g, cross(b, a)) / length, dot(a, b)), numbers)
+    a2, b2 = max(a2, STRAIGHT2 * g2 * dot(f, f)), max(b2, STRAIGHT2 * g2 * dot(h, h))
+    on_i = push(links, 0, block, times(slope * length / a2, a))
+    between = push(links, 1, block, combined(-slope * fg / (a2 * length), a, slope * hg / (b2 * length), b))
+    return u, push(links, 2, block, times(-slope * length / b2, b)) or on_i or between
+
+
+Stretch, Bend = link_shape("Stretch", _stretch, (0, 1)), link_shape("Bend", _bend, (1, 0), (1, 2))
+Torsion = link_shape("Torsion", _turn, (1, 0), (2, 1), (2, 3))
 
 
 @scalar
@@ -181,24 +238,23 @@ def _find_image(links, l, t, at):
 
 
 class LinkedTerm(OwnTerm):
-    """Terms of one shape, each link taken at its nearest image.
+    """Terms of one shape, each link taken at its nearest image.  sites : (T, L + 1) int, atoms of each term.
 
-    sites : (T, L + 1) int, atoms of each term.  links : the columns of sites from which and to which each link leads.
     shape : from link_shape.  law : law type, which runs on vectors.  columns : (T,) numbers of each term, for each
     parameter.  n_slots, first_slot : its slots, see Slots.
     """
 
     fits_grid = True
 
-    def __init__(self, sites: NDArray, links: Any, shape: tuple, law: tuple, columns: tuple[NDArray, ...]) -> None:
-        self.lanes, self._sites, self.n_terms = lanes_for(), np.array(sites), len(sites)
-        n_terms = self.n_terms
+    def __init__(self, sites: NDArray, shape: Any, law: tuple, columns: tuple[NDArray, ...]) -> None:
+        self.lanes, self._sites, self.n_terms = lanes_for(), np.array(sites), (n_terms := len(sites))
         full = np.minimum(np.arange(-(-n_terms // self.lanes.size) * self.lanes.size), n_terms - 1)
-        self.first, self.second = (sites.T[list(ends)][:, full].astype(np.int32) for ends in zip(*links, strict=True))
+        ends = zip(*shape.ends, strict=True)
+        self.first, self.second = (sites.T[list(side)][:, full].astype(np.int32) for side in ends)
         self._shape, self._law, self._columns = shape, law, tuple(column[full] for column in columns)
         self._translations = np.zeros(DIMENSIONS * self.first.size)
-        self._loop = add_links if is_recognized(law) else without_cache(add_links)
-        self._calls, self.n_slots, self.first_slot = DirectCalls(), self.first.size, 0
+        self._loop, self._calls = loop_for(add_links, law), DirectCalls()
+        self.n_slots, self.first_slot = self.first.size, 0
         self._totals = np.zeros((n_chunks_of(n_terms), 1 + VIRIAL))
 
     def follow(self, system: System) -> bool:
@@ -230,7 +286,7 @@ class FixedPairs(LinkedTerm):
     ingredient = BOND_LOOP
 
     def __init__(self, pairs: NDArray[np.int64], law: tuple, columns: tuple[NDArray, ...]) -> None:
-        super().__init__(pairs, [(0, 1)], Stretch(), on_vectors(law, len(columns) - 1), columns)
+        super().__init__(pairs, Stretch(), on_vectors(law, len(columns) - 1), columns)
 
 
 class Gathering(ByAddress, namedtuple("Gathering", "atoms start place slots forces n_chunks lanes")):

@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import force_along, in_steps, is_too_large, no_force
-from minimd.compiled.kernels import by_type, called_kernel, without_cache
+from minimd.compiled.kernels import by_type, called_kernel
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE
 from minimd.compiled.simd import fma
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.term import FORCES, PER_ATOM
-from minimd.potentials.user_laws import is_recognized
 
 
 class SameForAll(namedtuple("SameForAll", "numbers")):
@@ -127,8 +126,3 @@ def add_pair_forces(work, _chunk):
             for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
                 virials[i, c] += own_share * w
     return OUT_OF_RANGE if is_out else GO_ON
-
-
-def pair_loop_for(law: tuple):
-    """add_pair_forces; not cached on disk for laws of the user's that the cache cannot recognize."""
-    return add_pair_forces if is_recognized(law) else without_cache(add_pair_forces)

@@ -7,9 +7,8 @@ from scipy.special import betainc
 
 import minimd as md
 from minimd.integrators import BlanesMoan4, KahanLi6, KahanLi8, Ruth3, VelocityVerlet
-from minimd.potentials.law import evaluate_law, law_at
+from minimd.potentials.law import evaluate_law, law_at, user_law
 from minimd.potentials.truncation import TRUNCATIONS
-from minimd.potentials.user_laws import user_law
 
 CUTOFF, START = 2.5, 2.0
 LJ = md.LennardJones(1.0, 1.0, CUTOFF, "truncated")

@@ -19,9 +19,8 @@ import minimd as md
 from minimd.compiled.snapshot import Snapshot
 from minimd.potentials.bonded import Bond
 from minimd.potentials.declared import NOT_NEGATIVE, POSITIVE, declared, each, groups
-from minimd.potentials.law import evaluate_law
+from minimd.potentials.law import evaluate_law, is_recognized, is_user_law, user_law
 from minimd.potentials.truncation import Shifted
-from minimd.potentials.user_laws import is_recognized, is_user_law, user_law
 
 LAW = """
 from collections import namedtuple

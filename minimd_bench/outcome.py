@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 import minimd as md
 from minimd.compiled.machine import MISSING, available_cores, processor_name, version
-from minimd.files.claim import write_whole
+from minimd.console.whole_file import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,6 +6,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from minimd.console.whole_file import write_whole
 from minimd.diagnosis.report import drift
 from minimd.engine.record import Record
 from minimd.engine.record_picture import (
@@ -18,7 +19,6 @@ from minimd.engine.record_picture import (
     draw_temperature,
     four_panels,
 )
-from minimd.files.claim import write_whole
 from minimd.mdanalysis.universes import RunUniverse, mean_square_displacement, radial_distribution, universe_of
 
 

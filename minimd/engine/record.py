@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.console.display import Displayed, Rows
+from minimd.console.whole_file import write_whole
 from minimd.structure.cell import Cell
 from minimd.structure.statistics import mean_and_error, with_error
 from minimd.structure.units import UnitSystem
@@ -134,19 +135,10 @@ class Record(Displayed):
         overwrite is false; OSError if it cannot be written, or a device would be replaced.
         """
         columns, path = self.columns(), Path(path)
-        place = path.with_name(f"{path.name}.part") if overwrite else path
-        if overwrite:
-            if path.exists() and not path.is_file():
-                raise OSError(f"output {str(path)!r} is not a regular file; choose another name")
-            place.unlink(missing_ok=True)
         rows = zip(*(column.tolist() for column in columns.values()), strict=True)
-        try:
-            with place.open("x", encoding="utf-8") as file:
-                file.write("\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""]))
-        except FileExistsError:
-            cure = "choose another name, or pass overwrite=True"
-            raise FileExistsError(f"output {str(place)!r} exists; {cure}") from None
-        return place.replace(path)
+        text = "\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""])
+        write_whole(path, text, overwrite=overwrite)
+        return path
 
     def plot(self) -> Figure:
         """A figure of the run: changes of total energy per atom and momentum, temperature, pressure or U per atom.

@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from minimd.compiled.machine import version
+from minimd.console.whole_file import locked, regular, write_whole
 from minimd.console.words import shown
 from minimd.ensemble.member import DONE, FAILED, NOTE, STOPPED, Row, Value, checked_parameters, file_of
-from minimd.files.claim import locked, regular, write_whole
 from minimd.files.crash_file import crash_file_place
 from minimd.structure.checks import COUNTS, checked_count
 

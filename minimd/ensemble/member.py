@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 
 from minimd.compiled.machine import threads_by_default
+from minimd.console.whole_file import is_locked, new_file, regular
 from minimd.console.words import listed, shown
 from minimd.engine.record import Record
-from minimd.files.claim import is_locked, new_file, regular
 from minimd.files.crash_file import crash_file_place
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count

@@ -11,10 +11,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from minimd.console.whole_file import regular, write_whole
 from minimd.ensemble.member import Member, Value
 from minimd.ensemble.running import ensemble
 from minimd.ensemble.table import EnsembleTable
-from minimd.files.claim import regular, write_whole
 from minimd.files.crash_file import crash_file_place
 from minimd.scene.running import equilibrate, minimize
 from minimd.scene.scene import Scene, load_scene, parse_scene

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from minimd.console.display import Displayed, Rows
+from minimd.console.whole_file import write_whole
 from minimd.console.words import listed, near
 from minimd.engine.record import SERIES
 from minimd.ensemble.folder import DESCRIPTION, Asked, EnsembleFolder
 from minimd.ensemble.member import BEGUN, DONE, FAILED, MISSING, NOTE, STATES, file_of, read_note
-from minimd.files.claim import write_whole
 from minimd.structure.errors import sentence
 from minimd.structure.statistics import with_error
 from minimd.structure.units import SYSTEMS, UnitSystem

@@ -1,9 +1,8 @@
-"""Files that are written whole or not at all: claims on output files, small files, and files that change in commits.
+"""Claims on output files, which appear whole or not at all, and files that change in commits.
 
 A claim holds a lock, so that no other run writes the file, neither in another process nor in this one, under any name
 or link. A new file is written under a temporary name, and gets the name that was asked for when its first frame is on
-the disk: a file that it replaces is kept until then, and a run that does not get the claim changes nothing. Temporary
-names are those of new files, and never followed as links: whoever can write to the folder could have put links there.
+the disk: a file that it replaces is kept until then, and a run that does not get the claim changes nothing.
 
 HDF5 updates its tables in place, one after the other; a process that dies in between leaves a file that cannot be
 opened. Into a JournaledFile it writes in memory, and a commit, on the disk as a whole or not at all, writes
@@ -24,25 +23,14 @@ import errno
 import io
 import os
 import signal
-import stat
 import struct
 import sys
 import zlib
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 
-try:
-    import fcntl
-except ImportError:  # Windows has no such locks
-    fcntl = None  # type: ignore[assignment]
+from minimd.console.whole_file import locked, new_file
 
-IN_USE = (
-    "another run is writing it, or a program has it open; if a universe in this process reads it, close that "
-    "first: universe.trajectory.close()"
-)
-# and no waiting for what is a pipe
-NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-UNLOCKABLE = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # of file systems without locks
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 MAGIC = b"minimd journal 2\n"
 PIECE = struct.Struct("<qq")  # place in the file, number of bytes; they follow
@@ -133,84 +121,6 @@ class Claim:
         if (held := getattr(self, which)) >= 0:
             os.close(held)
         setattr(self, which, -1)
-
-
-def locked(path: Path, create: bool = False) -> int:
-    """A descriptor of a regular file, locked: no other run can lock the file while it is open.  Raises OSError if
-    another run holds the lock, or it is not a regular file; a link is none."""
-    return _locked(regular(path, os.O_RDWR | (os.O_CREAT if create else 0)), path)
-
-
-def new_file(path: Path) -> int:
-    """A descriptor of a new and empty regular file, locked. A link in its place is removed, and so is a file that a
-    killed run has left.  Raises OSError as locked, and if another run is faster."""
-    with suppress(FileNotFoundError), ExitStack() as left:
-        if not path.is_symlink():
-            left.callback(os.close, locked(path))
-        path.unlink()  # while it is locked, so that nobody else takes it for left
-    try:
-        return _locked(os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | NO_LINK, 0o666), path)
-    except FileExistsError:
-        raise BlockingIOError(errno.EAGAIN, IN_USE) from None
-
-
-def write_whole(file: Path, content: str | bytes) -> None:
-    """Write a file under another name, then rename it: nobody sees it half written, and a link is replaced,
-    not followed.  Raises OSError with a message."""
-    part = file.with_name(f"{file.name}.part")
-    try:
-        if file.exists() and not file.is_file():
-            raise OSError(errno.EINVAL, "it is not a regular file")
-        with open(new_file(part), "wb") as whole:
-            try:
-                whole.write(content.encode() if isinstance(content, str) else content)
-                whole.flush()
-                os.fsync(whole.fileno())
-                os.replace(part, file)
-            except BaseException:
-                part.unlink(missing_ok=True)
-                raise
-    except OSError as error:
-        raise OSError(f"{str(file)!r} cannot be written: {error.strerror}") from None
-
-
-def regular(path: str | Path, flags: int) -> int:
-    """A descriptor of a regular file, also for open(path, opener=regular).  Raises OSError if it is anything else:
-    a link is not followed, and a pipe is not waited for."""
-    with suppress(FileNotFoundError):
-        if not stat.S_ISREG(os.lstat(path).st_mode):
-            raise OSError(errno.EINVAL, "it is not a regular file", str(path))
-    return os.open(path, flags | NO_LINK, 0o666)
-
-
-def _locked(descriptor: int, path: Path) -> int:
-    try:
-        if fcntl is not None:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if not os.path.samestat(os.fstat(descriptor), os.lstat(path)):
-            raise BlockingIOError
-    except (BlockingIOError, FileNotFoundError):
-        os.close(descriptor)
-        raise BlockingIOError(errno.EAGAIN, IN_USE) from None
-    except OSError as error:
-        if error.errno not in UNLOCKABLE:
-            os.close(descriptor)
-            raise
-    return descriptor
-
-
-def is_locked(path: Path) -> bool:
-    """Whether a process holds the lock of a file; True also where this cannot be found out.  Raises OSError if the file
-    cannot be opened."""
-    descriptor = os.open(path, os.O_RDONLY | NO_LINK)
-    try:
-        if fcntl is not None:
-            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        return fcntl is None
-    except OSError:
-        return True
-    finally:
-        os.close(descriptor)
 
 
 def end_with(parent: int, number: int = signal.SIGKILL) -> None:

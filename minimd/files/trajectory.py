@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from minimd.console.quiet import outside_minimd
+from minimd.console.whole_file import locked
 from minimd.console.words import shown
 from minimd.engine.engine import Engine
 from minimd.engine.record import Frame
-from minimd.files.claim import Claim, locked, read_at
+from minimd.files.claim import Claim, read_at
 from minimd.observers.accumulator import Accumulator
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.console.whole_file import write_whole
 from minimd.engine.engine import Engine
-from minimd.files.claim import write_whole
 from minimd.integrators import LangevinBAOAB, Leapfrog, Splitting, StochasticVelocityRescaling, VelocityVerlet
 from minimd.lammps.box import Box
 from minimd.lammps.model import Model, words

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from minimd.console.whole_file import write_whole
 from minimd.engine.record import Record
-from minimd.files.claim import write_whole
 from minimd.forces.forces import Potential
 from minimd.structure.checks import checked_count
 

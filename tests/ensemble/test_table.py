@@ -10,10 +10,10 @@ import pytest
 from members import STEPS, TEMPERATURES, run
 
 import minimd as md
+from minimd.console.whole_file import locked
 from minimd.ensemble import member as notes
 from minimd.ensemble.folder import EnsembleFolder
 from minimd.ensemble.table import status, table_of
-from minimd.files.claim import locked
 from minimd.files.h5md_reader import read_file
 from minimd.structure.statistics import mean_and_error, with_error
 

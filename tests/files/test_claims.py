@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 import minimd as md
 from minimd.analysis.plot import save
-from minimd.files.claim import Claim, write_whole
+from minimd.console.whole_file import write_whole
+from minimd.files.claim import Claim
 from minimd.files.h5md_reader import read_file
 from minimd.files.trajectory import open_trajectories
 from minimd.view.viewing import View

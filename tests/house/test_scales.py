@@ -20,13 +20,13 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "ase": (811, 6, 428),
     "commands": (593, 4, 333),
     "compiled": (2214, 14, 1243),
-    "console": (355, 6, 194),
+    "console": (461, 7, 257),
     "constraints": (1317, 6, 791),
     "diagnosis": (2150, 10, 1317),
     "document": (1029, 6, 575),
-    "engine": (1295, 6, 783),
+    "engine": (1287, 6, 776),
     "ensemble": (1509, 7, 937),
-    "files": (2646, 10, 1626),
+    "files": (2557, 10, 1572),
     "forces": (1539, 9, 929),
     "grade": (2448, 11, 1465),
     "integrators": (4939, 26, 2507),
@@ -42,7 +42,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "view": (376, 3, 209),
     "minimd_bench": (1920, 10, 1095),
     "road of a step": (3793, 13),
-    "tests": (19924,),
+    "tests": (19925,),
 }
 # fmt: on
 

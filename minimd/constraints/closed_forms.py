@@ -90,7 +90,7 @@ def _place(at, block, n):
 
 @scalar
 def numbers(values, at, block):
-    """A vector of some of the values (N,)."""
+    """A vector of values (N,): lane n has that of the n-th item of a block."""
     x = zeros(block[2])
     for n in range(count(block[2])):
         x = with_lane(x, n, values[_place(at, block, n)])
@@ -99,7 +99,7 @@ def numbers(values, at, block):
 
 @scalar
 def rows(values, at, block):
-    """Vectors x, y, z of some of the values (N, 3)."""
+    """Vectors x, y, z of values (N, 3): lane n has those of the n-th item of a block."""
     x = y = z = zeros(block[2])
     for n in range(count(block[2])):
         i = _place(at, block, n)
@@ -109,14 +109,14 @@ def rows(values, at, block):
 
 @scalar
 def put_numbers(values, at, block, x):
-    """Write the lanes of a vector to some of the values (N,)."""
+    """The opposite of numbers: values (N,) of the items of a block = the lanes of x."""
     for n in range(count(block[2])):
         values[_place(at, block, n)] = lane(x, n)
 
 
 @scalar
 def put_rows(values, at, block, xyz):
-    """Write vectors x, y, z to some of the values (N, 3)."""
+    """The opposite of rows: values (N, 3) of the items of a block = the lanes of x, y, z."""
     x, y, z = xyz
     for n in range(count(block[2])):
         i = _place(at, block, n)

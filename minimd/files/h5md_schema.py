@@ -242,7 +242,7 @@ def other_constraints(
     """
     was, kept = _held(file), _held(simulation)
     rounding = ROUNDINGS * EPS * float(np.abs(positions).max())
-    for key in was | kept:
+    for key in sorted(was | kept):
         words, *atoms = key
         if key not in was or key not in kept:
             return f"{words.format(*atoms)} in the {'file' if key in was else 'simulation'} alone"

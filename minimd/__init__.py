@@ -28,6 +28,7 @@ from minimd.neighbors import neighbor_list
 from minimd.potentials import (
     BondPotential,
     ConstantForce,
+    Coulomb,
     CylinderWall,
     DihedralPotential,
     FENEBond,
@@ -62,7 +63,7 @@ from minimd.view import view
 
 __version__ = version("minimd")
 __all__ = [
-    "BondPotential", "Cell", "ConstantForce", "ConstraintError", "ConvergenceError", "CylinderWall",
+    "BondPotential", "Cell", "ConstantForce", "ConstraintError", "ConvergenceError", "Coulomb", "CylinderWall",
     "DihedralPotential", "DistanceConstraints", "EnsembleTable", "Evaluation", "FENEBond", "Field", "FixedAtoms",
     "Forces", "Grade", "Gravity", "Grid", "HarmonicAngle", "HarmonicBond", "HarmonicImproper", "LangevinBAOAB",
     "Leapfrog", "LennardJones", "Member", "Minimization", "MorseBond", "NonFiniteError", "OPLSDihedral",

@@ -19,7 +19,7 @@ from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.neighbors.clusters import DIMENSIONS
 from minimd.neighbors.domains import GHOSTS
 from minimd.potentials.law import evaluate_law
-from minimd.potentials.pair_loop import SameForAll
+from minimd.potentials.pair_loop import SameForAll, with_product
 from minimd.potentials.term import PER_ATOM
 
 VIRIAL = 6  # components
@@ -35,11 +35,23 @@ class ByLane(ByAddress, namedtuple("ByLane", "columns species slots table of_ato
     """
 
 
+class ChargesByLane(ByAddress, namedtuple("ChargesByLane", "of_slots of_atoms source")):
+    """The product of charges, and what another source has.
+
+    of_slots : (slots,), those of of_atoms (N,) [√(energy · length)].  source : SameForAll or ByLane.
+    """
+
+
 @by_type
 def parameters_of_lanes(source, slot, cluster, lanes):
     """Parameters of pairs of the atom in a slot with the lanes of a cluster: numbers, or vectors if species differ."""
     if source.instance_class is SameForAll:
         return lambda source, slot, cluster, lanes: source.numbers
+    if source.instance_class is ChargesByLane:
+        return lambda source, slot, cluster, lanes: with_product(
+            parameters_of_lanes(source.source, slot, cluster, lanes),
+            load(source.of_slots, cluster * count(lanes), lanes) * source.of_slots[slot],
+        )
     return lambda source, slot, cluster, lanes: loaded_columns(
         source.columns, source.species[slot] * source.slots + cluster * count(lanes), lanes
     )
@@ -80,7 +92,10 @@ def looks_ahead(vector):
 
 
 class Work(ByAddress, namedtuple("Work", "laws sums")):
-    """What the loop does.  laws : tuple of (law type, SameForAll or ByLane).  sums : Sums or ForceSums."""
+    """What the loop does.
+
+    laws : tuple of (law type, SameForAll, ByLane or ChargesByLane).  sums : Sums or ForceSums.
+    """
 
 
 @called_kernel
@@ -256,15 +271,29 @@ def fill_lanes(arrays, laws):
     return fill
 
 
+@scalar
+def _atom_in(slot, arrays):
+    n_lanes = count(arrays.clusters.lanes)
+    return arrays.clusters.atom[arrays.ghosts.owner[slot // n_lanes] * n_lanes + slot % n_lanes]
+
+
 @by_type
 def _fill_lanes(source, arrays):
     if source.instance_class is SameForAll:
         return lambda source, arrays: None
+    if source.instance_class is ChargesByLane:
+
+        def fill_charges(source, arrays):
+            n_lanes = count(arrays.clusters.lanes)
+            for slot in range(arrays.domains.numbers[GHOSTS] * n_lanes):
+                source.of_slots[slot] = source.of_atoms[_atom_in(slot, arrays)]
+            _fill_lanes(source.source, arrays)
+
+        return fill_charges
 
     def fill(source, arrays):
-        atom, owner, n_lanes = arrays.clusters.atom, arrays.ghosts.owner, count(arrays.clusters.lanes)
-        for slot in range(arrays.domains.numbers[GHOSTS] * n_lanes):
-            b = source.of_atoms[atom[owner[slot // n_lanes] * n_lanes + slot % n_lanes]]
+        for slot in range(arrays.domains.numbers[GHOSTS] * count(arrays.clusters.lanes)):
+            b = source.of_atoms[_atom_in(slot, arrays)]
             source.species[slot] = b
             for a in range(source.table.shape[0]):
                 _fill_columns(source.columns, source.table, a, b, 0, a * source.slots + slot)

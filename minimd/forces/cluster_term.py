@@ -16,7 +16,16 @@ from minimd.compiled.kernels import DirectCalls, called_kernel, scalar
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, operation
 from minimd.compiled.simd import lane
 from minimd.compiled.simd.vector import BITS, count
-from minimd.forces.cluster_loop import LANE_SUMS, ByLane, ForceSums, Sums, Work, add_forces_of_laws, prepare_loop
+from minimd.forces.cluster_loop import (
+    LANE_SUMS,
+    ByLane,
+    ChargesByLane,
+    ForceSums,
+    Sums,
+    Work,
+    add_forces_of_laws,
+    prepare_loop,
+)
 from minimd.forces.options import FIXED_POINT, Options, described, pool_for
 from minimd.forces.pair_laws import ListTerm, PairLaws, skin_for
 from minimd.neighbors.buffers import Buffers
@@ -26,7 +35,7 @@ from minimd.neighbors.cluster_search import BUILDS, IN_USE, LAYERS, PREPARED_FOR
 from minimd.neighbors.domains import LATE
 from minimd.potentials.law import loop_for
 from minimd.potentials.pair_loop import SameForAll
-from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Target
+from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, PairLaw, Target
 from minimd.structure.system import System
 
 
@@ -163,9 +172,11 @@ class ClusterTerm(ListTerm):
     def _arrange(self, system: System) -> None:
         """Arrays that go with those of the list."""
         members = self._pair_laws.members
-        of_lanes = [self._by_lane(k, one.table, system.species_index) for k, one in enumerate(members)]
+        of_lanes = [self._source(k, one, system) for k, one in enumerate(members)]
         self._laws: tuple[Any, ...] = tuple(zip((one.law for one in members), of_lanes, strict=True))
-        self._needs_preparation = self._precision == FIXED_POINT or any(isinstance(one, ByLane) for one in of_lanes)
+        self._needs_preparation = self._precision == FIXED_POINT or any(
+            not isinstance(one, SameForAll) for one in of_lanes
+        )
         self._arranged_for = self.list.version
         self._made.clear()
 
@@ -202,14 +213,18 @@ class ClusterTerm(ListTerm):
         vectors = f"vectors of {self.list.lanes.size} × {BITS} bits"
         return f"cluster list (skin {self.list.skin:.3g}, {threads}, {described(self._precision)}) on {vectors}"
 
-    def _by_lane(self, k: int, table: NDArray[np.float64], species_index: NDArray[np.int64]) -> SameForAll | ByLane:
-        """Parameters of law k, from a table (S, S, 1 + P)."""
-        if len(table) == 1:
-            return SameForAll(tuple(table[0, 0].tolist()))
+    def _source(self, k: int, law: PairLaw, system: System) -> SameForAll | ByLane | ChargesByLane:
+        """Where the loop finds the numbers of law k."""
         slots = len(self.list.ghosts.owner) * self.list.lanes.size
-        values = self._memory.array(f"parameters of law {k}", np.float64, table.shape[-1] * len(table) * slots)
-        species = self._memory.array(f"species of law {k}", np.int64, slots)
-        return ByLane(tuple(values.reshape(table.shape[-1], -1)), species, slots, table, species_index)
+        source: SameForAll | ByLane = SameForAll(tuple(law.table[0, 0].tolist()))
+        if (n := len(law.table)) > 1:
+            values = self._memory.array(f"parameters of law {k}", np.float64, law.table.shape[-1] * n * slots)
+            species = self._memory.array(f"species of law {k}", np.int64, slots)
+            columns = tuple(values.reshape(law.table.shape[-1], -1))
+            source = ByLane(columns, species, slots, law.table, system.species_index)
+        if law.charges is None:
+            return source
+        return ChargesByLane(self._memory.array(f"charges of law {k}", np.float64, slots), law.charges, source)
 
 
 def _key(target: Target) -> tuple[Any, ...]:

@@ -20,7 +20,9 @@ from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import FIXED_POINT, Options, pool_for
 from minimd.forces.pair_laws import PairLaws, deepest
 from minimd.forces.pair_list_term import PairListTerm
+from minimd.forces.wave_sum import WaveSum
 from minimd.neighbors.verlet_list import Built, VerletList
+from minimd.potentials.coulomb import SpecialLaw
 from minimd.potentials.laws import Scaled
 from minimd.potentials.links import FixedPairs, LinkedTerm, Slots
 from minimd.potentials.pair_loop import from_table
@@ -29,6 +31,7 @@ from minimd.potentials.term import (
     FORCES,
     PER_ATOM,
     TOTALS,
+    PairLaw,
     Potential,
     Target,
     Term,
@@ -45,8 +48,8 @@ from minimd.structure.system import System, check_resolution
 def plan(
     terms_bound: Sequence[Term], system: System, options: Options, displacement: float, skins: Sequence[float] = ()
 ) -> list[Term]:
-    """The terms to run: those that add their forces themselves,
-    and one term with a list for all pair laws of one bonded_scale.
+    """The terms to run: those that add their forces themselves, one with a list for all pair laws, others for what
+    the list leaves out, and for sums over waves.
 
     terms_bound : the terms that the potentials were bound to.  displacement : of the fastest atom in a step [length],
         0 if unknown.
@@ -54,25 +57,32 @@ def plan(
     """
     terms = [term for term in terms_bound if term.pair_law is None]
     pair_laws = [term.pair_law for term in terms_bound if term.pair_law is not None]
-    for k, scale in enumerate(dict.fromkeys(one.bonded_scale for one in pair_laws)):
-        known = replace(options, skin=skins[k]) if skins else options
-        laws = PairLaws(system, [one for one in pair_laws if one.bonded_scale == scale])
+    if pair_laws:
+        known = replace(options, skin=skins[0]) if skins else options
+        laws = PairLaws(system, pair_laws)
         with_list = ClusterTerm if laws.fit_clusters(system, known, displacement) else PairListTerm
         terms.append(with_list(system, laws, known, displacement))
-        terms.extend(scaled_terms(system, laws))
+        terms.extend(special_terms(system, pair_laws, laws))
+    terms.extend(WaveSum(system, one.charges, one.split) for one in pair_laws if one.split is not None)
     return terms
 
 
-def scaled_terms(system: System, laws: PairLaws) -> Iterator[Term]:
-    """Terms for the pairs one, two and three bonds apart, which the list leaves out: each law times its factor."""
-    for one in laws.members:
-        for pairs, factor in laws.special:
-            if factor != 0.0:
-                species = system.species_index[pairs] if len(one.table) > 1 else np.zeros_like(pairs)
-                rows = one.table[species[:, 0], species[:, 1]]
-                factors = np.full(len(rows), factor)  # the first parameter of Scaled
-                rows = np.column_stack([rows[:, 0], factors, rows[:, 1:]])
-                yield FixedPairs(pairs, Scaled(one.law), from_table(rows))
+def special_terms(system: System, members: Sequence[PairLaw], laws: PairLaws) -> Iterator[Term]:
+    """Terms for the pairs one, two and three bonds apart that the list leaves out: each law times its factor."""
+    for one in members:
+        for k, pairs in laws.special:
+            factor = one.bonded_scale[k]
+            if factor == 0.0 and one.split is None:
+                continue
+            species = system.species_index[pairs] if len(one.table) > 1 else np.zeros_like(pairs)
+            rows, factors = one.table[species[:, 0], species[:, 1]], np.full(len(pairs), factor)
+            product = [] if one.charges is None else [one.charges[pairs].prod(axis=1)]
+            if one.split is None:
+                columns = np.column_stack([rows[:, 0], factors, *product, rows[:, 1:]])
+                yield FixedPairs(pairs, Scaled(one.law), from_table(columns))
+            else:
+                columns = np.column_stack([np.full(len(pairs), np.inf), *product, factors, rows[:, 0]])
+                yield FixedPairs(pairs, SpecialLaw(one.split.numbers), from_table(columns))
 
 
 CHANGED_SPEED = 2.0  # the skin is chosen anew when atoms are faster or slower by this factor: its optimum is flat

@@ -8,6 +8,7 @@ import numpy as np
 from minimd.forces.options import Options
 from minimd.neighbors.cluster_search import LAYERS
 from minimd.neighbors.verlet_list import LEAST_SKIN, VerletList, best_skin
+from minimd.potentials.coulomb import with_charges
 from minimd.potentials.law import law_at, runs_on_vectors
 from minimd.potentials.term import OwnTerm, PairLaw
 from minimd.structure.bond_graph import pairs_by_bonds_apart
@@ -19,19 +20,23 @@ SOUGHT_AT = np.geomspace(0.2, 1.0, 60).tolist()  # of the cutoff, for the deepes
 
 
 class PairLaws:
-    """Pair laws with one bonded_scale, for one system.
+    """The pair laws of one system.
 
-    members : the laws.  cutoff : their largest cutoff [length].
-    special : pairs (P, 2) with a factor other than 1, and that factor.  excluded : (P, 2) all of them:
-        the list leaves out their nearest images.
+    members : the laws; that of charges is one with the first other law that reaches as far or less.
+    cutoff : their largest cutoff [length].
+    special : numbers k and pairs (P, 2), k + 1 bonds apart, on which a law has a factor other than 1.
+    excluded : (P, 2) all of them: the list leaves out their nearest images.
     """
 
     def __init__(self, system: System, members: Sequence[PairLaw]) -> None:
-        by_bonds, scale = pairs_by_bonds_apart(system.bonds), members[0].bonded_scale
-        with_factors = zip(by_bonds, scale, strict=True)
-        self.special = [(pairs, factor) for pairs, factor in with_factors if factor != 1.0 and len(pairs)]
-        self.excluded = np.concatenate([np.zeros((0, 2), dtype=np.int64), *(pairs for pairs, _ in self.special)])
-        self.members, self.cutoff = members, max(one.cutoff for one in members)
+        by_bonds = enumerate(pairs_by_bonds_apart(system.bonds))
+        is_special = [
+            any(factor != 1.0 for factor in of_laws)
+            for of_laws in zip(*(one.bonded_scale for one in members), strict=True)
+        ]
+        self.special = [(k, pairs) for k, pairs in by_bonds if is_special[k] and len(pairs)]
+        self.excluded = np.concatenate([np.zeros((0, 2), dtype=np.int64), *(pairs for _, pairs in self.special)])
+        self.members, self.cutoff = merged(members), max(one.cutoff for one in members)
 
     def skipped(self) -> list[str]:
         """See Term."""
@@ -45,7 +50,16 @@ class PairLaws:
             return False
         reach = self.cutoff + skin_for(system, self, options, displacement, LAYERS)
         high_enough = bool(np.all(system.cell.heights[system.cell.pbc] >= reach))
-        return high_enough and all(runs_on_vectors(one.law, one.table.shape[-1] - 1) for one in self.members)
+        return high_enough and all(runs_on_vectors(one.law, one.n_parameters) for one in self.members)
+
+
+def merged(members: Sequence[PairLaw]) -> list[PairLaw]:
+    """The laws, that of charges put together with another one: a pass over the pairs less."""
+    charged = next((one for one in members if one.charges is not None), None)
+    other = next((one for one in members if one.charges is None and charged and one.cutoff <= charged.cutoff), None)
+    if charged is None or other is None:
+        return [*members]
+    return [with_charges(other, charged), *(one for one in members if one is not charged and one is not other)]
 
 
 class ListTerm(OwnTerm):
@@ -76,8 +90,9 @@ class ListTerm(OwnTerm):
 
 def deepest(one: PairLaw) -> float:
     """The depth of the deepest well of a law, for any pair of species, at some distances below the cutoff [energy]."""
+    product = () if one.charges is None else (-(float(np.abs(one.charges).max()) ** 2),)
     rows = [row for row in one.table.reshape(-1, one.table.shape[-1]).tolist() if row[0] < np.inf]
-    sought = ((x * cutoff2**0.5, tuple(numbers)) for cutoff2, *numbers in rows for x in SOUGHT_AT)
+    sought = ((x * cutoff2**0.5, (*product, *numbers)) for cutoff2, *numbers in rows for x in SOUGHT_AT)
     energies = [law_at(one.law, r, numbers)[0] for r, numbers in sought]
     return max((-u for u in energies if isfinite(u)), default=0.0)
 

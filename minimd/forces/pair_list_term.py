@@ -13,7 +13,7 @@ from minimd.forces.options import Options
 from minimd.forces.pair_laws import ListTerm, PairLaws, skin_for
 from minimd.neighbors.pair_list import PairList, check_size, is_in_reach
 from minimd.potentials.law import loop_for
-from minimd.potentials.pair_loop import PairWork, add_pair_forces, by_species
+from minimd.potentials.pair_loop import PairWork, add_pair_forces, source_for
 from minimd.potentials.term import PER_ATOM, TOTALS, Target
 from minimd.structure.system import System
 
@@ -83,8 +83,7 @@ class PairListTerm(ListTerm):
 
         sums = np.zeros_like(target.forces), self._energies, self._virials
         local = Local(system.positions, target.forces, self.list.order, self.list.offsets, self._positions, sums)
-        species = system.species_index[self.list.order]
-        laws = [(one.law, by_species(one.table, species)) for one in self._pair_laws.members]
+        laws = [(one.law, source_for(one, system, self.list.order)) for one in self._pair_laws.members]
         pairs, output = (self._positions, self.list.pairs), (target.steps, target.detail, sums)
         works = [PairWork(*pairs, *law, *output) for law in laws]
         first = self._calls[0]

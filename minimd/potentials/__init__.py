@@ -12,6 +12,7 @@ from minimd.potentials.bonded import (
     PeriodicDihedral,
     RyckaertBellemans,
 )
+from minimd.potentials.coulomb import Coulomb
 from minimd.potentials.fields import (
     ConstantForce,
     CylinderWall,
@@ -25,7 +26,17 @@ from minimd.potentials.fields import (
 from minimd.potentials.pair import LennardJones, PairPotential, Tabulated
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
 
-__all__ = ["FORCES", "PER_ATOM", "TOTALS", "BondPotential", "ConstantForce", "CylinderWall", "DihedralPotential"]
-__all__ += ["FENEBond", "Field", "Gravity", "HarmonicAngle", "HarmonicBond", "HarmonicImproper", "LennardJones"]
+__all__ = ["FORCES", "PER_ATOM", "TOTALS", "BondPotential", "ConstantForce", "Coulomb"]
+__all__ += [
+    "CylinderWall",
+    "DihedralPotential",
+    "FENEBond",
+    "Field",
+    "Gravity",
+    "HarmonicAngle",
+    "HarmonicBond",
+    "HarmonicImproper",
+    "LennardJones",
+]
 __all__ += ["MorseBond", "OPLSDihedral", "PairPotential", "PeriodicDihedral", "Restraint", "RyckaertBellemans"]
 __all__ += ["SphereWall", "SteeredSpring", "Tabulated", "Term", "Wall"]

@@ -50,7 +50,7 @@ def evaluate_law(law, r2, parameters):
     """u(r) [energy] and −u′(r)/r [energy/length²] of one pair at r² = r2.
     law : law type.  r2 : [length²].  parameters : tuple of numbers, those of the truncation first."""
     formula = type(law).python  # type: ignore[attr-defined]
-    return formula(r2, law[0], parameters) if law else formula(r2, *parameters)
+    return formula(r2, *law, parameters) if law else formula(r2, *parameters)
 
 
 @overload(evaluate_law)
@@ -58,6 +58,8 @@ def _evaluate_law(law, r2, parameters):
     if not isinstance(law, types.BaseNamedTuple):
         return None
     formula = law.instance_class.formula
+    if len(law) == 2:
+        return lambda law, r2, parameters: formula(r2, law[0], law[1], parameters)
     if len(law) == 1:
         return lambda law, r2, parameters: formula(r2, law[0], parameters)
     return lambda law, r2, parameters: formula(r2, *parameters)
@@ -127,7 +129,7 @@ def checked_law(law: Any) -> Any:
 
 
 def _nested(law: tuple) -> Iterator[tuple]:
-    """A law type, and those inside; of a table also its arrays, a tuple without a formula."""
+    """A law type, and those inside; also tuples of the numbers or arrays of one, which have no formula."""
     yield law
     for inner in law:
         if isinstance(inner, tuple):
@@ -141,7 +143,7 @@ def is_user_law(law: tuple) -> bool:
 
 def reads_table(law: tuple) -> bool:
     """True if the law type, or the one inside it, is a table: vectors cannot look up a place for each lane."""
-    return any(not hasattr(type(one), "formula") for one in _nested(law))
+    return any(isinstance(field, np.ndarray) for one in _nested(law) for field in one)
 
 
 def is_recognized(law: tuple) -> bool:

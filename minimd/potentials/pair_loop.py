@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import force_along, in_steps, is_too_large, no_force
-from minimd.compiled.kernels import by_type, called_kernel
+from minimd.compiled.kernels import by_type, called_kernel, scalar
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE
 from minimd.compiled.simd import fma
 from minimd.potentials.law import evaluate_law
-from minimd.potentials.term import FORCES, PER_ATOM
+from minimd.potentials.term import FORCES, PER_ATOM, PairLaw
+from minimd.structure.system import System
 
 
 class SameForAll(namedtuple("SameForAll", "numbers")):
@@ -27,10 +28,17 @@ class ByPair(namedtuple("ByPair", "columns")):
     """columns : tuple of (P,) arrays, one for each parameter."""
 
 
+class Charges(namedtuple("Charges", "of_atoms source")):
+    """The product of charges, and what another source has.  of_atoms : (N,) [√(energy · length)]."""
+
+
 def parameters_of_pair(source, p, i, j):
     """The parameters of pair p between atoms i and j: a tuple of numbers, the squared cutoff first."""
     if isinstance(source, SameForAll):
         return source.numbers
+    if isinstance(source, Charges):
+        numbers = parameters_of_pair(source.source, p, i, j)
+        return (numbers[0], source.of_atoms[i] * source.of_atoms[j], *numbers[1:])
     if isinstance(source, BySpecies):
         return tuple(column[source.species[i], source.species[j]] for column in source.columns)
     return tuple(column[p] for column in source.columns)
@@ -41,9 +49,19 @@ def _parameters_of_pair(source, p, i, j):
     kind = source.instance_class
     if kind is SameForAll:
         return lambda source, p, i, j: source.numbers
+    if kind is Charges:
+        return lambda source, p, i, j: with_product(
+            parameters_of_pair(source.source, p, i, j), source.of_atoms[i] * source.of_atoms[j]
+        )
     if kind is BySpecies:
         return lambda source, p, i, j: _row(source.columns, (source.species[i], source.species[j]))
     return lambda source, p, i, j: _row(source.columns, p)
+
+
+@scalar
+def with_product(numbers, product):
+    """The squared cutoff, a product of charges, all other numbers."""
+    return (numbers[0], product) + numbers[1:]
 
 
 @by_type
@@ -54,11 +72,12 @@ def _row(columns, index):
     return lambda columns, index: (columns[0][index],) + _row(columns[1:], index)
 
 
-def by_species(table: NDArray[np.float64], species: NDArray[np.int64]) -> SameForAll | BySpecies:
-    """Where the loop finds the numbers of a table (S, S, 1 + P), for atoms of these species (N,)."""
-    if len(table) == 1:
-        return SameForAll(tuple(table[0, 0].tolist()))
-    return BySpecies(from_table(table), species)
+def source_for(law: PairLaw, system: System, order: NDArray[np.int64]) -> SameForAll | BySpecies | Charges:
+    """Where the loop finds the numbers of a law, for atoms in some order (N,)."""
+    source: SameForAll | BySpecies = SameForAll(tuple(law.table[0, 0].tolist()))
+    if len(law.table) > 1:
+        source = BySpecies(from_table(law.table), system.species_index[order])
+    return source if law.charges is None else Charges(law.charges[order], source)
 
 
 def from_table(table: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:

@@ -19,6 +19,7 @@ from minimd.console.words import shown
 from minimd.neighbors.queries import closest_pair
 from minimd.neighbors.verlet_list import VerletList
 from minimd.potentials.law import agree
+from minimd.potentials.prolates import Split
 from minimd.structure.cell import Images
 from minimd.structure.system import System
 
@@ -39,7 +40,10 @@ class PairLaw(NamedTuple):
 
     name : of the potential, for messages.  law : law type, truncation included.  cutoff : the largest [length].
     table : (S, S, 1 + P) numbers of each pair of species, the squared cutoff first; S = 1 if all atoms are alike.
-    bonded_scale : factors for pairs one, two and three bonds apart; laws with the same ones share a list.
+    bonded_scale : factors for pairs one, two and three bonds apart; laws that leave out the same pairs share a list.
+    charges : (N,) of atoms [√(energy · length)], whose product is then the first parameter of the law, and not in the
+        table; None for laws without.
+    split : how 1/r is split, if a sum over waves belongs to the law.
     """
 
     name: str
@@ -47,6 +51,13 @@ class PairLaw(NamedTuple):
     table: NDArray
     cutoff: float
     bonded_scale: tuple[float, ...]
+    charges: NDArray | None = None
+    split: Split | None = None
+
+    @property
+    def n_parameters(self) -> int:
+        """Of the law."""
+        return self.table.shape[-1] - 1 + (self.charges is not None)
 
 
 class Target(NamedTuple):

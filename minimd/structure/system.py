@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import MDAnalysis
 
 AnySystem: TypeAlias = "System | ase.Atoms"
-READ_ONLY = ("masses", "species_names", "species_index", *GROUPS, "units")
+READ_ONLY = ("masses", "charges", "species_names", "species_index", *GROUPS, "units")
 MOST_BINS = 2**20  # along a lattice vector: their numbers are int64
 RESOLVED = 1e-6  # of a length: the largest rounding error of separations that is allowed
 
@@ -36,6 +36,7 @@ class System(Displayed):
     ----------
     positions : (N, 3) [length]. Never wrapped into the cell, here or later.
     masses : (N,) or one number [mass]; 1 in reduced units if not given.
+    charges : (N,) [e]; zero if not given. Coulomb makes forces of them.
     velocities : (N, 3) [length/time]; zero if not given.
     cell : one length, three lengths, or (3, 3) rows = lattice vectors [length]; None for no cell.
     pbc : one bool or three; by default True where a lattice vector is given.
@@ -74,6 +75,7 @@ class System(Displayed):
         impropers: ArrayLike | None = None,
         units: UnitSystem = unit_systems.LJ,
         constraints: Sequence[Constraint] = (),
+        charges: ArrayLike | None = None,
     ) -> None:
         if not isinstance(units, UnitSystem):
             raise TypeError(f"units must be minimd.units.LJ or minimd.units.ASE; units = {shown(units)}")
@@ -88,6 +90,7 @@ class System(Displayed):
         self.units, self.constraints, self.positions = units, tuple(constraints), _vectors("positions", positions)
         n_atoms = len(self.positions)
         self.masses = checked_sizes("masses", 1.0 if masses is None else masses, n_atoms, "atom")
+        self.charges = _charges(charges, n_atoms)
         at_rest = np.zeros((n_atoms, 3))
         self.velocities = at_rest if velocities is None else _vectors("velocities", velocities, n_atoms)
         self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
@@ -101,7 +104,7 @@ class System(Displayed):
     def __setstate__(self, state: dict[str, Any]) -> None:
         """What may not be changed is read-only, in a copy too, where NumPy forgets it."""
         self.__dict__.update(state)
-        for fixed in (self.masses, self.species_index, *self.groups().values()):
+        for fixed in (self.masses, self.charges, self.species_index, *self.groups().values()):
             fixed.setflags(write=False)
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -162,7 +165,7 @@ class System(Displayed):
 
     def copy(self) -> System:
         """An independent copy."""
-        names = ("masses", "velocities", "cell", "species", *GROUPS, "units", "constraints")
+        names = ("masses", "charges", "velocities", "cell", "species", *GROUPS, "units", "constraints")
         return System(self.positions, **{name: getattr(self, name) for name in names})
 
     @classmethod
@@ -235,6 +238,16 @@ def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArra
     if (largest := largest_component(array)) > LARGEST:
         raise ValueError(f"{name} must be below {LARGEST:g}; the largest is {largest:g}: take other units")
     return array
+
+
+def _charges(charges: ArrayLike | None, n_atoms: int) -> NDArray[np.float64]:
+    if charges is None:
+        return np.zeros(n_atoms)
+    checked = checked_numbers("charges", charges, "one number for each atom")
+    if checked.shape != (n_atoms,):
+        raise ValueError(f"charges must be {n_atoms} numbers, one for each atom; their shape is {checked.shape}")
+    check_rows("charges", f"finite and below {LARGEST:g}", np.abs(checked) <= LARGEST, checked)
+    return checked
 
 
 def _species(species: Sequence | NDArray | None, n_atoms: int) -> tuple[tuple, NDArray[np.int64]]:

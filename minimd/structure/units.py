@@ -14,6 +14,7 @@ PICOSECOND = 1000.0 * FEMTOSECOND
 KJ_PER_MOL_PER_EV = 96.48533288249877
 GRAM_PER_CM3 = 0.6022140858549161  # u/Å³
 BAR = 6.241509125883258e-07  # eV/Å³
+COULOMB = 14.399645351950548  # eV Å/e²
 DEGREE = math.pi / 180.0  # rad
 
 
@@ -22,7 +23,7 @@ class UnitSystem:
     """A consistent set of units, and the factors that convert its numbers to Å, ps and kJ/mol; default: reduced units.
 
     name : "ASE" or "LJ".
-    k_B : Boltzmann constant [energy/temperature].
+    k_B : Boltzmann constant [energy/temperature].  coulomb : k_e = 1/(4π ε₀) [energy · length/e²].
     to_angstrom, to_picosecond, to_kj_per_mol : factors for files that must have these units. Reduced numbers are
         written unchanged (1 σ as 1 Å, 1 τ as 1 ps, 1 ε as 1 kJ/mol), as most tools do.
     shown_time : name of the unit of time · to_picosecond, as it is shown.  small_time : the same for time steps, of
@@ -33,6 +34,7 @@ class UnitSystem:
 
     name: str = "LJ"
     k_B: float = 1.0
+    coulomb: float = 1.0
     to_angstrom: float = 1.0
     to_picosecond: float = 1.0
     to_kj_per_mol: float = 1.0
@@ -70,6 +72,7 @@ LJ = UnitSystem()
 ASE = UnitSystem(
     name="ASE",
     k_B=BOLTZMANN_EV_PER_K,
+    coulomb=COULOMB,
     to_angstrom=1.0,
     to_picosecond=1.0 / PICOSECOND,
     to_kj_per_mol=KJ_PER_MOL_PER_EV,

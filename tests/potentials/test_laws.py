@@ -54,6 +54,9 @@ BONDED = {
     "periodic dihedrals": md.PeriodicDihedral(np.linspace(0.5, 2.0, 7), [0, 1, 2, 3, 4, 5, 6], 0.4, CHAINS),
     "ryckaert-bellemans": md.RyckaertBellemans((1.3, 1.4, -1.6, -0.4, 3.1, -3.4), CHAINS),
     "harmonic impropers": md.HarmonicImproper(3.0, np.linspace(-3.1, 3.1, 7), CHAINS),
+    "charges": md.Coulomb(1.7, 1e-6, bonded_scale=(0.0, 0.3, 1.0)),
+    "reaction field": md.Coulomb(CUTOFF, method="reaction-field", bonded_scale=(0.5, 1.0, 0.5)),
+    "charged": [md.LennardJones(TWO_KINDS, cutoff=1.6, bonded_scale=(0.0, 0.0, 0.5)), md.Coulomb(1.7, 1e-7)],
     "several": [PAIRS["lennard-jones"], PAIRS["yukawa"], md.HarmonicBond(30.0, 1.0)],
 }
 EVERYWHERE, STRENGTHS = ("open", "slab", "tube", "triclinic"), np.linspace(0.5, 1.0, 10)
@@ -88,6 +91,9 @@ def of(name):
 
 OF_PAIRS = [pytest.param(*row, marks=of(row[0])) for row in itertools.product(PAIRS, INSIDE)]
 INTERNAL = [*OF_PAIRS, *(pytest.param(*row, marks=of(row[0])) for row in itertools.product(BONDED, INSIDE))]
+INTERNAL = [
+    one for one in INTERNAL if one.values not in {("charges", "slab"), ("charged", "slab"), ("reaction field", "open")}
+]
 EXTERNAL = [pytest.param(name, cell, marks=of(name)) for name, (_, cells) in FIELDS.items() for cell in cells]
 
 
@@ -97,12 +103,13 @@ def chain(cell="open", bonded=True):
     places = np.column_stack([np.cos(k * 0.9), np.sin(k * 0.9), 0.36 * k]) * 1.15
     places += 0.05 * np.random.default_rng(4).normal(size=(10, 3))
     given = {"species": np.where(k % 3, "A", "B"), "masses": np.linspace(1.0, 2.0, 10)}
+    given["charges"] = 3.0 * np.sin(k * k) - 0.2  # a net charge, too
     return md.System(places, bonds=np.column_stack([k[:-1], k[1:]]) if bonded else None, **given, **CELLS[cell])
 
 
 def at(system, positions, cell=None, order=slice(None)):
     """The system at other positions, perhaps in another cell, its atoms perhaps in another order."""
-    given = {"species": system.species[order], "masses": system.masses[order]}
+    given = {name: getattr(system, name)[order] for name in ("species", "masses", "charges")}
     bonds = np.argsort(np.arange(10)[order])[system.bonds]
     return md.System(positions[order], cell=cell or system.cell, bonds=bonds, **given)
 

@@ -48,6 +48,7 @@ from minimd.potentials import (
     SteeredSpring,
     Tabulated,
     Wall,
+    water,
 )
 from minimd.potentials.term import Potential, Term
 from minimd.replay import replay
@@ -71,7 +72,7 @@ __all__ = [
     "Reversibility", "RyckaertBellemans", "Simulation", "SphereWall", "SteeredSpring", "StepAdvice",
     "StochasticCellRescaling", "StochasticVelocityRescaling", "System", "Tabulated", "Term", "VelocityVerlet", "Wall",
     "advise_timestep", "archive", "ensemble", "evaluate", "grade", "integrators", "lammps", "lattice", "minimize",
-    "neighbor_list", "observers", "read_observers", "replay", "shadow_energy", "units", "view",
+    "neighbor_list", "observers", "read_observers", "replay", "shadow_energy", "units", "view", "water",
 ]  # fmt: skip
 
 

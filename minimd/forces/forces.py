@@ -63,8 +63,10 @@ def plan(
         with_list = ClusterTerm if laws.fit_clusters(system, known, displacement) else PairListTerm
         terms.append(with_list(system, laws, known, displacement))
         terms.extend(special_terms(system, pair_laws, laws))
-    terms.extend(WaveSum(system, one.charges, one.split) for one in pair_laws if one.split is not None)
-    return terms
+    return [
+        *terms,
+        *(WaveSum(system, one.charges, one.split) for one in pair_laws if one.split and one.charges is not None),
+    ]
 
 
 def special_terms(system: System, members: Sequence[PairLaw], laws: PairLaws) -> Iterator[Term]:

@@ -25,6 +25,7 @@ from minimd.potentials.fields import (
 )
 from minimd.potentials.pair import LennardJones, PairPotential, Tabulated
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
+from minimd.potentials.water import water
 
 __all__ = ["FORCES", "PER_ATOM", "TOTALS", "BondPotential", "ConstantForce", "Coulomb"]
 __all__ += [
@@ -39,4 +40,4 @@ __all__ += [
     "LennardJones",
 ]
 __all__ += ["MorseBond", "OPLSDihedral", "PairPotential", "PeriodicDihedral", "Restraint", "RyckaertBellemans"]
-__all__ += ["SphereWall", "SteeredSpring", "Tabulated", "Term", "Wall"]
+__all__ += ["SphereWall", "SteeredSpring", "Tabulated", "Term", "Wall", "water"]

@@ -1,0 +1,258 @@
+"""Coulomb's law: sums over all images against closed sums of crystals, a Gaussian Ewald sum, NIST; what is refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from charged_scenes import CRYSTALS, crystal, ewald, rms, salt
+from scipy.special import erfc
+from wrong_calls import assert_answered
+
+import minimd as md
+from minimd.forces.options import Options
+from minimd.forces.pair_laws import PairLaws
+from minimd.potentials.coulomb import ChargedLaw
+from minimd.potentials.prolates import error_of, prolate, split_for
+from minimd.potentials.term import TOTALS
+from minimd.structure.units import ASE, BOLTZMANN_EV_PER_K, COULOMB
+
+SHEAR = ((1, 0, 0), (1, 1, 0), (0, -1, 1))
+TRICLINIC = ((1.0, 0.0, 0.0), (0.4, 1.1, 0.0), (-0.3, 0.2, 1.0))
+NIST = json.loads((Path(__file__).parents[1] / "data" / "nist_spce" / "config1.json").read_text())
+
+
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-8, 1e-13])
+@pytest.mark.parametrize("shear", [np.eye(3, dtype=int), SHEAR], ids=["cube", "sheared"])
+@pytest.mark.parametrize("name", CRYSTALS)
+def test_crystals_have_their_madelung_energies(name, shear, accuracy):
+    """Within the accuracy; below 1e-13 within 30 roundings."""
+    system, n, expected = crystal(name, shear=shear)
+    found = md.evaluate(system, md.Coulomb(1.3, accuracy))
+    assert found.potential_energy / n == pytest.approx(expected, rel=max(accuracy, 30 * 2.0**-53), abs=0.0)
+    assert np.abs(found.forces).max() < max(1e-13, accuracy)  # each ion is in a center of symmetry
+
+
+SCENES = {
+    "salt": lambda: salt(2),
+    "molten": lambda: salt(2, disorder=0.3),
+    "triclinic": lambda: salt(2, cell=TRICLINIC),
+    "slab of charge": lambda: salt(
+        2, cell=np.diag([1.0, 1.0, 3.0]), charges=lambda places: np.sign(places[:, 2] - 1.5)
+    ),
+    "net charge": lambda: salt(2, charges=lambda places: 0.3 + (-1.0) ** places.sum(axis=1)),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_accuracy_that_was_asked_for_is_reached(name):
+    """Never above, and not much below: of the rms force, against a converged sum over Gaussians."""
+    system = SCENES[name]()
+    energy, forces = ewald(system.positions, system.charges, system.cell.vectors, 1.6, 5.5)
+    for accuracy in (1e-3, 1e-5, 1e-6, 1e-8, 1e-10):
+        with pytest.warns(UserWarning, match="net charge") if name == "net charge" else np.errstate():
+            found = md.evaluate(system, md.Coulomb(1.9, accuracy))
+        assert 0.015 < rms(found.forces - forces) / rms(forces) / accuracy < 1.0
+        assert found.potential_energy == pytest.approx(energy, rel=accuracy)
+
+
+def test_a_split_joins_its_parts_smoothly_and_waves_of_its_rest_are_those_of_its_bound():
+    """L and L′ at the cutoff are those of 1/r; L̂(k) is the integral of L (its derivative by difference)."""
+    split = split_for(2.0, 1e-6)
+    scale, values, slopes = split.numbers
+    assert np.polyval(values[::-1], 1.0) == pytest.approx(0.5, rel=1e-9)
+    assert np.polyval(slopes[::-1], 1.0) == pytest.approx(-0.125, rel=1e-6)
+    assert error_of(split.bandwidth) == pytest.approx(1e-6, rel=5e-3)
+    assert np.polyval(values[::-1], -1.0) == split.at_zero
+    # ∫ (1/r − L) exp(ik·r) d³r = 4π/k² − L̂(k), and without the wave
+    x, w = np.polynomial.legendre.leggauss(200)
+    r, w = x + 1.0, w * 1.0
+    short = r * (1.0 - r * np.polyval(values[::-1], scale * r * r - 1.0))
+    assert 4.0 * np.pi * (w * short).sum() == pytest.approx(split.moment, rel=1e-9)
+    for k in (0.5, 3.0, 7.0):
+        of_short = 4.0 * np.pi / k * (w * short / r * np.sin(k * r)).sum()
+        assert 4.0 * np.pi / k**2 - of_short == pytest.approx(
+            split.spectrum(np.array([k * k]))[0][0], rel=1e-6, abs=1e-9
+        )
+        low, high = (split.spectrum(np.array([k * k + h]))[0][0] for h in (-1e-5, 1e-5))
+        assert split.spectrum(np.array([k * k]))[1][0] == pytest.approx((high - low) / 2e-5, rel=1e-6)
+    assert prolate(10.0).series[0] == 1.0
+
+
+def nist_water():
+    """Configuration 1 of NIST's SPC/E water, molecules whole, and its potentials with NIST's numbers."""
+    positions = np.array(NIST["rows"])
+    n, first = len(positions) // 3, 3 * np.arange(len(positions) // 3)[:, None]
+    bonds = (first[:, :, None] + [[0, 1], [0, 2]]).reshape(-1, 2)
+    charges = np.tile([-0.8476, 0.4238, 0.4238], n)
+    return md.System(
+        positions, cell=20.0, charges=charges, bonds=bonds, species=["O", "H", "H"] * n, masses=1.0, units=ASE
+    )
+
+
+def test_spce_of_nist_by_parts_and_against_a_converged_sum():
+    """NIST's Gaussian parts, with its own few waves, by six digits; the total of a converged sum to 1e-10."""
+    system = nist_water()
+    q, box, alpha, kelvin = system.charges, 20.0, 5.6 / 20.0, COULOMB / BOLTZMANN_EV_PER_K
+    r = system.positions[:, None] - system.positions
+    r = np.sqrt(((r - box * np.round(r / box)) ** 2).sum(axis=-1))
+    own = np.arange(len(q)) // 3 == np.arange(len(q))[:, None] // 3
+    inside, products = np.where(own, 1.0, r), np.where(own, 0.0, np.outer(q, q))
+    real = 0.5 * np.where(r < 10.0, products * erfc(alpha * inside) / inside, 0.0).sum()
+    assert real * kelvin == pytest.approx(NIST["expected"]["Ereal"], rel=2e-6)
+    assert -alpha / np.sqrt(np.pi) * (q**2).sum() * kelvin == pytest.approx(NIST["expected"]["Eself"], rel=2e-6)
+    bonded = own & (r > 0.0)
+    within = np.where(bonded, r, 1.0)
+    smooth = 0.5 * np.where(bonded, np.outer(q, q) * (1.0 - erfc(alpha * within)) / within, 0.0).sum()
+    assert -smooth * kelvin == pytest.approx(NIST["expected"]["Eintra"], rel=2e-6)
+    total, _forces = ewald(system.positions, q, system.cell.vectors, 0.35)
+    excluded = 0.5 * np.where(bonded, np.outer(q, q) / within, 0.0).sum()
+    found = md.evaluate(system, md.Coulomb(9.0, 1e-11))
+    assert found.potential_energy == pytest.approx(COULOMB * (total - excluded), rel=1e-10)
+    assert found.energies.sum() == pytest.approx(found.potential_energy, rel=1e-13)
+
+
+def test_charges_and_another_law_are_one_pass_on_both_lists_and_any_number_of_threads(monkeypatch):
+    """Also where the other law reaches farther, and then takes a pass of its own."""
+    system = salt(4, disorder=0.15)
+    charges = md.Coulomb(2.2)
+    for cutoff, is_one in ((2.0, True), (2.4, False)):
+        lj = md.LennardJones({"Na": (0.1, 0.7), "Cl": (0.2, 0.9)}, cutoff=cutoff)
+        alone = [md.evaluate(system, one) for one in (lj, charges)]
+        one, other = (md.Forces(system, [lj, charges], Options(threads=threads)) for threads in (1, 2))
+        for forces in (one, other):
+            forces.compute(TOTALS)
+        assert "cluster list" in one.pair_search
+        assert "sum over" in one.pair_search
+        assert isinstance(one.terms[0]._pair_laws.members[0].law, ChargedLaw) == is_one
+        assert np.array_equal(one.forces, other.forces)
+        assert one.potential_energy == other.potential_energy
+        with monkeypatch.context() as patched:
+            patched.setattr(PairLaws, "fit_clusters", lambda *_: False)
+            listed = md.evaluate(system, [lj, charges])
+        for found in (one, listed):
+            assert found.forces == pytest.approx(alone[0].forces + alone[1].forces, rel=1e-12, abs=1e-12)
+            expected = alone[0].potential_energy + alone[1].potential_energy
+            assert found.potential_energy == pytest.approx(expected, rel=1e-12)
+            assert found.virial == pytest.approx(alone[0].virial + alone[1].virial, rel=1e-11, abs=1e-11)
+
+
+def test_an_open_scene_has_all_pairs_and_a_reaction_field_its_formula():
+    rng = np.random.default_rng(5)
+    positions, charges = rng.random((40, 3)) * 6.0, rng.normal(size=40)
+    distances = np.linalg.norm(positions[:, None] - positions, axis=-1)[np.triu_indices(40, 1)]
+    products = np.outer(charges, charges)[np.triu_indices(40, 1)]
+    system = md.System(positions, charges=charges)
+    for coulomb in (md.Coulomb(), md.Coulomb(2.0)):
+        assert md.evaluate(system, coulomb).potential_energy == pytest.approx((products / distances).sum(), rel=1e-13)
+    near = distances < 2.0
+    field = products * (1.0 / distances + distances**2 / 16.0 - 0.75)
+    found = md.evaluate(system, md.Coulomb(2.0, method="reaction-field"))
+    assert found.potential_energy == pytest.approx(field[near].sum(), rel=1e-13)
+
+
+def test_fixed_point_arithmetic_keeps_momentum_and_returns_with_charges():
+    system = salt(2, disorder=0.05)
+    system.velocities = np.random.default_rng(1).normal(size=(64, 3)) * 0.3
+    lj = md.LennardJones(0.3, 0.8, cutoff=1.8, truncation="switched")
+    sims = [
+        md.Simulation(
+            system.copy(), [lj, md.Coulomb(1.9)], md.VelocityVerlet(0.01), precision=precision, threads=threads
+        )
+        for precision, threads in (("fixed-point", 1), ("fixed-point", 2), ("double", 1))
+    ]
+    sims[0].make_steps(0)
+    start, grid = sims[0].positions.copy(), sims[0].engine.interactions.grid
+    records = [sim.run(60, every=20) for sim in sims]
+    momenta = np.rint(sims[0].system.masses[:, None] * sims[0].velocities / grid.momentum).sum(axis=0)
+    assert np.array_equal(records[0].momentum, np.repeat(records[0].momentum[:1], 4, axis=0))
+    assert np.array_equal(momenta * grid.momentum, records[0].momentum[0])
+    assert np.array_equal(sims[0].positions, sims[1].positions)
+    assert sims[0].positions == pytest.approx(sims[2].positions, abs=1e-9)
+    sims[0].run_back(60)
+    assert np.array_equal(sims[0].positions, start)
+
+
+def test_the_sum_follows_the_cell():
+    """As the barostat strains it: the same as a new scene in that cell, as long as waves have room, and beyond."""
+    system, coulomb = salt(cell=TRICLINIC), md.Coulomb(1.9)
+    forces = md.Forces(system, coulomb)
+    forces.compute(TOTALS)
+    for stretch in (1.01, 1.05, 1.3, 0.8):
+        system.positions[:] *= stretch
+        system.cell = md.Cell.of(system.cell.vectors * stretch)
+        forces.follow()
+        forces.compute(TOTALS)
+        anew = md.Forces(system, coulomb)
+        anew.compute(TOTALS)
+        assert forces.potential_energy == pytest.approx(anew.potential_energy, rel=1e-12)
+        assert forces.forces == pytest.approx(anew.forces, rel=1e-10, abs=1e-11)
+        assert forces.virial == pytest.approx(anew.virial, rel=1e-10, abs=1e-10)
+
+
+@pytest.mark.parametrize("name", ["SPC/E", "TIP3P", "OPC3"])
+def test_water_by_name_is_rigid_neutral_and_has_its_density(name):
+    system, potentials, rigid = md.water(name, 40, density=1.1)
+    assert system.charges.sum() == pytest.approx(0.0, abs=1e-12)
+    assert system.masses.sum() / system.volume == pytest.approx(1.1 * 0.602214, rel=1e-6)
+    arms = np.diff(system.positions[rigid.pairs], axis=1)[:, 0]
+    assert np.linalg.norm(arms, axis=1) == pytest.approx(rigid.lengths, rel=1e-14)
+    oxygen = system.positions[::3, None] - system.positions[::3]
+    oxygen -= system.cell.vectors[0, 0] * np.round(oxygen / system.cell.vectors[0, 0])
+    assert np.sort(np.linalg.norm(oxygen, axis=-1), axis=1)[:, 1].min() > 2.4
+    alone = md.System(system.positions[:3], charges=system.charges[:3], bonds=system.bonds[:2])
+    assert md.evaluate(alone, md.Coulomb()).potential_energy == 0.0  # what is within a molecule is excluded
+    assert [type(one).__name__ for one in potentials] == ["LennardJones", "Coulomb"]
+
+
+def test_water_keeps_its_energy():
+    """125 molecules, minimized, then 0.2 ps: the energy of rigid water oscillates by some µeV per atom."""
+    system, potentials, rigid = md.water("SPC/E", 125)
+    sim = md.Simulation(system, potentials, md.VelocityVerlet(1.0 * md.units.fs), rigid)
+    sim.minimize(force_tolerance=0.05)
+    sim.set_temperature(298.0, seed=1)
+    sim.run(100)
+    record = sim.run(200, every=10)
+    assert np.ptp(record.total_energy) / len(system) < 3e-5
+    assert np.ptp(record.potential_energy) / len(system) > 1e-3  # work is done
+
+
+WRONG = [
+    (lambda: md.Coulomb(-1.0), "cutoff"),
+    (lambda: md.Coulomb(9.0, 1e-20), "accuracy", "1e-20", "1e-13"),
+    (lambda: md.Coulomb(9.0, 0.5), "accuracy", "0.5"),
+    (lambda: md.Coulomb(9.0, method="pme"), "method", "pme", "ewald"),
+    (lambda: md.Coulomb(9.0, bonded_scale=(0, 1)), "bonded_scale"),
+    (lambda: md.System(np.zeros((2, 3)), charges=[1.0]), "charges", "2"),
+    (lambda: md.System(np.eye(3), charges=[1.0, np.nan, 0.0]), "charges", "nan"),
+    (lambda: md.evaluate(md.System(np.eye(3), cell=5.0), md.Coulomb(2.0)), "charges", "zero"),
+    (lambda: md.evaluate(md.System(np.eye(3), cell=5.0, charges=[1, 1, -2]), md.Coulomb()), "cutoff"),
+    (
+        lambda: md.evaluate(md.System(np.eye(3), cell=5.0, pbc=(1, 1, 0), charges=[1, 1, -2]), md.Coulomb(2.0)),
+        "periodic",
+        "reaction-field",
+    ),
+    (lambda: md.water("TIP5P"), "TIP5P", "SPC/E"),
+    (lambda: md.water(n=0), "n"),
+]
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_what_cannot_be_done_is_refused(wrong):
+    call, *words = wrong
+    assert_answered(call, ValueError, *words)
+
+
+def test_ions_at_one_place_are_named():
+    system = md.System([[0, 0, 0], [0, 0, 0.0]], cell=5.0, charges=[1.0, -1.0])
+    assert_answered(lambda: md.evaluate(system, md.Coulomb(2.0)), md.NonFiniteError, "atom")
+
+
+def test_excluded_pairs_across_a_boundary_and_charges_that_cannot_change():
+    system = md.water("SPC/E", 27)[0]
+    whole = md.evaluate(system, md.Coulomb(4.0, 1e-9)).potential_energy
+    system.positions[::3] += system.cell.vectors[0]
+    assert md.evaluate(system, md.Coulomb(4.0, 1e-9)).potential_energy == pytest.approx(whole, rel=1e-11)
+    with pytest.raises(AttributeError, match="charges"):
+        system.charges = np.zeros(81)
+    assert np.array_equal(system.copy().charges, system.charges)

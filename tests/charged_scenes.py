@@ -8,7 +8,7 @@ import minimd as md
 FCC = np.array([(0.0, 0.0, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5), (0.5, 0.5, 0.0)])
 # places and charges in a cube of edge 1, formula units, and their energy for k_e = 1: tests/data/README.md
 CRYSTALS = {
-    "NaCl": ([FCC, [*FCC, 0.5, 0.0, 0.0]], (1, -1), 4, -3.49512918926637),
+    "NaCl": ([FCC, FCC + np.array([0.5, 0.0, 0.0])], (1, -1), 4, -3.49512918926637),
     "CsCl": ([[[0.0, 0.0, 0.0]], [[0.5, 0.5, 0.5]]], (1, -1), 1, -2.0353615094526),
     "ZnS": ([FCC, FCC + 0.25], (1, -1), 4, -3.78292610408578),
     "CaF2": ([FCC, FCC + 0.25, FCC + 0.75], (2, -1, -1), 4, -11.6365752270767),

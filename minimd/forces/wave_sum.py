@@ -348,7 +348,7 @@ class WaveSum(OwnTerm):
         kept = cells[:, 2] < n_cells[place]
         n_cells, firsts = n_cells[n_cells > 0], firsts[n_cells > 0]
         rows = np.column_stack([cells[firsts, :2], np.cumsum(n_cells) - n_cells, n_cells])
-        counts, k2 = counts[kept], k2[kept]
+        self._cells, counts, k2 = cells[kept], counts[kept], k2[kept]
         spectrum, bend = self._split.spectrum(np.where(counts, k2, 1.0))
         volume = float(abs(np.linalg.det(lattice)))
         return rows, np.where(counts, spectrum, 0.0) / volume, np.where(counts, bend, 0.0) / volume
@@ -367,13 +367,10 @@ class WaveSum(OwnTerm):
 
     def _of_atoms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Each atom's share of energy and virial: q Re(Σ w S* exp(i k·r)), and so on; (N,) and (N, 6)."""
-        n_rows, n_all = self._sizes[N_ROWS], self._sizes[N_ALL]
-        a, b, _, n = self._rows[:n_rows].T
-        c = np.concatenate([np.arange(height) for height in n])
-        cells = np.column_stack([np.repeat(a, n), np.repeat(b, n), c])
+        n_all = self._sizes[N_ALL]
         used = self._weights[:n_all] != 0.0
-        waves, weights, bends = (cells[:, None] * SIGNS)[used], self._weights[:n_all][used], self._bends[:n_all][used]
-        k = 2.0 * pi * waves @ self._inverse.T
+        weights, bends = self._weights[:n_all][used], self._bends[:n_all][used]
+        k = 2.0 * pi * (self._cells[:, None] * SIGNS)[used] @ self._inverse.T
         blocks = np.array_split(np.arange(len(self._charges)), -(-len(self._charges) // BLOCK))
         each = [np.exp(1j * self._positions[block] @ k.T) * self._charges[block, None] for block in blocks]
         conjugate = np.conj(sum(one.sum(axis=0) for one in each))

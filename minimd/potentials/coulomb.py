@@ -25,19 +25,21 @@ NO_REST: Numbers = (0.0, (0.0, 0.0), (0.0, 0.0))  # of a split whose L is zero
 NEUTRAL = 1e-9  # net charge, relative to the sum of all sizes: below it is rounding
 
 
-def polynomial(t, coefficients):
-    """Σ coefficients[k] tᵏ of a number or a vector; unrolled by the compiler."""
+def polynomial(t, c):
+    """Σ c[k] tᵏ of a number or a vector; unrolled by the compiler."""
     total = 0.0
-    for one in coefficients[::-1]:
+    for one in c[::-1]:
         total = total * t + one
     return total
 
 
 @overload(polynomial)
-def _polynomial(t, coefficients):
-    if len(coefficients) == 2:
-        return lambda t, coefficients: fma(t, coefficients[1], coefficients[0])
-    return lambda t, coefficients: fma(t, polynomial(t, coefficients[1:]), coefficients[0])
+def _polynomial(t, c):
+    if len(c) == 2:
+        return lambda t, c: fma(t, c[1], c[0])
+    if len(c) > 5:  # four at once: the compiler, which calls itself, must not go too deep
+        return lambda t, c: fma(t, fma(t, fma(t, fma(t, polynomial(t, c[4:]), c[3]), c[2]), c[1]), c[0])
+    return lambda t, c: fma(t, polynomial(t, c[1:]), c[0])
 
 
 @scalar

@@ -90,7 +90,7 @@ def replaced(right, wrong):
 
 
 NO_PACKAGE = (program, "find_spec", lambda name: None)
-NONSENSE = (Model, "pair_commands", lambda self: ["pair_style nonsense"])
+NONSENSE = (Model, "commands", lambda self: ["pair_style nonsense"])
 NO_ROOM = (shutil, "disk_usage", lambda place: SimpleNamespace(free=10**4))
 NO_SPACE = Mock(side_effect=OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
 COPIES = found(shutil.which("nice"))  # like an mpiexec of another MPI it takes -n 2, and starts a program that is alone
@@ -154,7 +154,6 @@ def test_without_mpiexec_one_process_runs_also_on_a_cutoff_where_forces_are_cont
 def test_what_was_there_stays_if_its_replacement_fails(tmp_path, monkeypatch):
     handed_over(scene(fluid()), tmp_path / "run")
     before = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
-    monkeypatch.setattr(Model, "special_bonds", lambda self: (0.0,))
     monkeypatch.setattr(*NONSENSE)
     call = lambda: handed_over(scene(fluid()), tmp_path / "run", overwrite=True)  # noqa: E731
     assert_answered(call, HandOverError, "before its first step", "Unrecognized pair style")

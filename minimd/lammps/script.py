@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -54,26 +54,23 @@ def write(folder: Path, engine: Engine, model: Model, n_steps: int, every: int) 
 
 
 def write_atoms(path: Path, model: Model, box: Box, velocities: NDArray[np.float64]) -> None:
-    """The data file: box, masses, atoms, velocities (N, 3), bonds, angles, dihedrals;
-    all numbers with all their digits."""
-    types, is_bonded = model.types, model.atom_style != "atomic"
+    """The data file, with velocities (N, 3); all numbers have all their digits."""
+    types, joined = model.types, [(word, groups, len(groups.atoms)) for word, groups in model.joined.items()]
+    sections: list[tuple[str, Iterable[str]]] = [
+        ("Masses", (f"{k} {mass:.17g}\n" for k, mass in enumerate(types.masses, start=1))),
+        ("Atoms # full", _rows(f"%d 1 %d{4 * ' %.17g'}\n", types.of_atom + 1, model.charges, box.positions)),
+        ("Velocities", _rows(f"%d{3 * ' %.17g'}\n", box.turned(velocities))),
+    ]
+    for word, groups, n in joined:
+        lines = _rows(f"%d %d{' %d' * groups.size}\n", groups.types + 1, groups.atoms + 1)
+        sections += [(f"{word.capitalize()}s", lines)] * (n > 0)
     with path.open("x", encoding="ascii") as file:
         file.write(f"atoms of a scene of minimd\n\n{len(types.of_atom)} atoms\n{len(types.masses)} atom types\n")
-        for word, groups in model.joined.items():
-            if is_bonded and (word != "dihedral" or len(groups.atoms)):
-                file.write(f"{len(groups.atoms)} {word}s\n{len(groups.coefficients)} {word} types\n")
-        file.write("\n".join(["", *box.lines(), "", "Masses", "", ""]))
-        file.writelines(f"{k} {mass:.17g}\n" for k, mass in enumerate(types.masses, start=1))
-        file.write(f"\nAtoms # {model.atom_style}\n\n")
-        file.writelines(
-            _rows(f"%d{' 1' if is_bonded else ''} %d %.17g %.17g %.17g\n", types.of_atom + 1, box.positions)
-        )
-        file.write("\nVelocities\n\n")
-        file.writelines(_rows("%d %.17g %.17g %.17g\n", box.turned(velocities)))
-        for word, groups in model.joined.items():
-            if len(groups.atoms):
-                file.write(f"\n{word.capitalize()}s\n\n")
-                file.writelines(_rows(f"%d %d{' %d' * groups.size}\n", groups.types + 1, groups.atoms + 1))
+        file.writelines(f"{n} {word}s\n{len(groups.coefficients)} {word} types\n" for word, groups, n in joined)
+        file.write("\n".join(["", *box.lines(), ""]))
+        for title, rows in sections:
+            file.write(f"\n{title}\n\n")
+            file.writelines(rows)
 
 
 def _rows(row: str, *columns: NDArray[Any]) -> Iterator[str]:
@@ -92,13 +89,10 @@ def forces_script(model: Model) -> str:
     """The commands with which both runs begin: units, box, atoms, styles, lists."""
     # p: periodic; m: an open boundary that follows the atoms but keeps a smallest extent
     boundary = " ".join("m" if is_open else "p" for is_open in model.box.open)
-    lines = [f"atom_style {model.atom_style}", f"boundary {boundary}", "box tilt large"]
-    if model.atom_style != "atomic":
-        lines.append(f"special_bonds lj/coul {words(*model.special_bonds())}")
-    lines += [f"comm_modify cutoff {model.reach:.17g}", "read_data ${atoms}", *model.pair_commands()]
-    lines += [line for word, groups in model.joined.items() for line in groups.commands(word)]
-    lines.append(f"neighbor {model.skin:.17g} {model.search}")
-    return "\n".join(["units lj", "suffix opt", *lines, "neigh_modify every 1 delay 0 check yes", ""])
+    lines = ["units lj", "suffix opt", "atom_style full", f"boundary {boundary}", "box tilt large"]
+    lines += [f"special_bonds lj/coul {words(*model.special_bonds())}", f"comm_modify cutoff {model.reach:.17g}"]
+    lines += ["read_data ${atoms}", *model.commands(), f"neighbor {model.skin:.17g} {model.search}"]
+    return "\n".join([*lines, "neigh_modify every 1 delay 0 check yes", ""])
 
 
 def verify_script() -> str:
@@ -163,9 +157,9 @@ def _bath(engine: Engine, moving: str) -> list[str]:
     if isinstance(method, LangevinBAOAB):
         return [f"fix bath {moving} langevin {heat} {heat} {1.0 / method.friction:.17g} {seed} tally yes"]
     style, extra = ("temp/com", 3) if engine.conserves_momentum else ("temp", 0)
-    lines = [f"compute heat {moving} {style}", f"compute_modify heat extra/dof {extra}"]
-    lines.append(f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}")
-    return [*lines, "fix_modify bath temp heat"]
+    bath = f"fix bath {moving} temp/csvr {heat} {heat} {method.relaxation_time:.17g} {seed}"
+    parts = f"compute heat {moving} {style}", f"compute_modify heat extra/dof {extra}"
+    return [*parts, bath, "fix_modify bath temp heat"]
 
 
 def per_atom(columns: NDArray[np.float64], box: Box) -> Evaluated:

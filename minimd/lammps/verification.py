@@ -1,5 +1,4 @@
-"""The verification at step 0: energies, forces and virials of atoms in LAMMPS and minimd,
-in the scene and a smaller copy."""
+"""The verification at step 0: energies, forces, virials of atoms in LAMMPS and minimd, of the scene and a copy."""
 
 from __future__ import annotations
 
@@ -38,8 +37,8 @@ class Verification:
     """The largest differences at step 0, each relative to the largest of its kind; the worse of scene and copy.
 
     energy : of the whole scene, relative to Σ|e_i| of the atoms.  energies, forces, virials : of single atoms, relative
-        to the largest one; where they vanish or cancel, as in a crystal or a dilute gas, relative to what follows from
-        energies, virials or the copy.
+        to the largest one; forces and virials to the larger of both, one being the other at the largest cutoff; where
+        they vanish or cancel, as in a crystal or a dilute gas, to what follows from energies or the copy.
     atom : the atom whose force differs most.  scale : of energies [energy]: Σ|e_i|, or PART of that of the copy if it
         is larger.
     """
@@ -64,19 +63,18 @@ class Verification:
             f"{self.forces:.1e} in forces, {self.virials:.1e} in virials"
         )
 
-    def check(self, engine: Engine) -> None:
-        """Raise HandOverError if LAMMPS and minimd differ by more than TOLERANCE."""
-        if not self.worst <= TOLERANCE:
+    def check(self, engine: Engine, tolerance: float) -> None:
+        """Raise HandOverError if LAMMPS and minimd differ by more than a tolerance."""
+        if not self.worst <= tolerance:
             raise HandOverError(
                 f"LAMMPS and minimd differ at step 0: energies of atoms by {self.energies:.1e}, forces by "
                 f"{self.forces:.1e} (atom {self.atom}), virials by {self.virials:.1e} of the largest, allowed is "
-                f"{TOLERANCE:g}; the run was not started{on_a_cutoff(engine)}"
+                f"{tolerance:g}; the run was not started{on_a_cutoff(engine)}"
             )
 
 
 def on_a_cutoff(engine: Engine) -> str:
-    """A clause about a pair that interacts, on a cutoff at which the energy or the force jumps;
-    empty if there is none."""
+    """A clause about a pair that interacts, on a cutoff at which energy or force jumps; empty if there is none."""
     system = engine.system
     for one in engine.interactions.potentials:
         if isinstance(one, PairPotential) and one.truncation in ("truncated", "shifted") and one.cutoff < np.inf:
@@ -169,10 +167,9 @@ def compare(ours: tuple[Evaluated, Evaluated], theirs: Iterator[Evaluated]) -> V
             raise HandOverError("LAMMPS has not written step 0; is the disk full?")
         least = [part * _largest(numbers) for numbers in ours[1][:3]]
         energy = max(_largest(here.energies), least[0], LEAST)
-        virial = max(_largest(here.virials), least[2], energy)
-        force = max(_largest(here.forces), least[1], virial / here.length)
+        virial = max(_largest(here.virials), least[2], energy, max(_largest(here.forces), least[1]) * here.length)
         whole = abs(float(there.energies.sum() - here.energies.sum())) / max(float(np.abs(here.energies).sum()), energy)
-        kinds = zip(here[:3], there[:3], (energy, force, virial), strict=True)
+        kinds = zip(here[:3], there[:3], (energy, virial / here.length, virial), strict=True)
         rows.append([whole, *(_largest(found - known) / most for known, found, most in kinds)])
         atoms.append(longest(there.forces - here.forces)[0])
     whole, energies, forces, virials = np.max(rows, axis=0).tolist()

@@ -4,12 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from lammps_scenes import SCENES, buckingham
+from lammps_scenes import ROTATION, SCENES, SKEWED, buckingham
 from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.lammps.box import Box
 from minimd.lammps.expression import UnwritableError, energy_expression
+from minimd.lammps.model import Model
+from minimd.lammps.script import write_atoms
 from minimd.potentials.law import checked_law
 
 
@@ -60,6 +62,23 @@ UNWRITABLE = {
 def test_laws_that_lepton_cannot_write_are_refused(why):
     call = lambda: energy_expression(checked_law(UNWRITABLE[why]), (1.0,))  # noqa: E731
     assert_answered(call, UnwritableError, "the law <lambda>", why)
+
+
+def error_of_waves(simulation):
+    words = " ".join(Model(simulation.engine).commands()).split()
+    return float(words[words.index("kspace_style") + 2])
+
+
+def test_charges_and_their_accuracy_as_text(tmp_path):
+    """LAMMPS' units lj have k_e = 1 and errors of forces in energy / length."""
+    simulation, ke = SCENES["skewed salt"](), md.units.ASE.coulomb
+    model, forces = Model(simulation.engine), md.evaluate(simulation.system, md.Coulomb(5.4)).forces
+    write_atoms(tmp_path / "atoms", model, model.box, simulation.velocities)
+    rows = (tmp_path / "atoms").read_text().partition("Atoms # full\n\n")[2].splitlines()[:64]
+    assert [float(row.split()[3]) for row in rows] == pytest.approx(np.sqrt(ke) * simulation.system.charges)
+    assert error_of_waves(simulation) == pytest.approx(1e-5 * np.sqrt((forces**2).sum(axis=1).mean()))
+    simulation.positions[:] = 3.0 * np.array(list(np.ndindex(4, 4, 4))) @ SKEWED @ ROTATION
+    assert error_of_waves(simulation) > 1e-7  # without forces
 
 
 @pytest.mark.parametrize("name", ["argon", "turned"])

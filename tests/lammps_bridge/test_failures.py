@@ -12,7 +12,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from lammps_scenes import AT_REST, LJ, SCENES, TIMESTEP, fluid, scene
+from lammps_scenes import AT_REST, LJ, SCENES, TIMESTEP, fluid, ions, scene
 from wrong_calls import assert_answered
 
 import minimd as md
@@ -42,11 +42,22 @@ def held(n_atoms, *constraints):
 
 OTHER_BONDS = [md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0, 1, 1)), md.HarmonicBond(10.0, 1.1, [[0, 1], [4, 5]])]
 TABLE = md.Tabulated(np.linspace(0.5, 2.5, 100), np.linspace(0.5, 2.5, 100) ** -6.0)
+SALT = ions(4, 3.0, np.eye(3)).system
+
+
+def charged(charges, *how, **more):
+    system = md.System(SALT.positions, cell=SALT.cell, charges=charges)
+    return lambda: scene(system, md.Coulomb(5.0, *how, **more))
+
+
 OUTSIDE = [  # scene, what must be named
     (with_potential(LJ, md.Gravity(1.0)), "dihedrals", "Gravity(acceleration="),
     (with_potential(LJ, md.HarmonicImproper(1.0, 0.0, [[0, 1, 2, 3]])), "dihedrals", "HarmonicImproper(k="),
     (with_potential(TABLE), "Lepton", "the law tabulated"),
     (with_potential(*OTHER_BONDS), "bonded_scale", "[4, 5]"),
+    (charged(SALT.charges, method="reaction-field"), "dihedrals", "method='reaction-field'"),
+    (charged(SALT.charges + 0.25), "charges", "net charge of the cell is 16 e"),
+    (charged(SALT.charges, 1e-8), "accuracy", "at least 1e-07, and is 1e-08"),
     (with_method(md.PositionVerlet(TIMESTEP)), "method", "position-verlet"),
     (with_method(md.VelocityVerlet(-TIMESTEP)), "timestep", "-0.002"),
     (held(5, md.DistanceConstraints([[0, 1], [1, 2], [2, 3], [3, 4]])), "rigid molecule", "5 atoms and 4 lengths"),
@@ -90,7 +101,7 @@ def replaced(right, wrong):
 
 
 NO_PACKAGE = (program, "find_spec", lambda name: None)
-NONSENSE = (Model, "pair_commands", lambda self: ["pair_style nonsense"])
+NONSENSE = (Model, "commands", lambda self: ["pair_style nonsense"])
 NO_ROOM = (shutil, "disk_usage", lambda place: SimpleNamespace(free=10**4))
 NO_SPACE = Mock(side_effect=OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
 COPIES = found(shutil.which("nice"))  # like an mpiexec of another MPI it takes -n 2, and starts a program that is alone
@@ -122,6 +133,8 @@ FAILURES = [  # what is replaced, scene, arguments, error, what must be shown
     ([LARGER], lambda: on_the_cutoff("shifted"), {}, *DIFFER, "1.5 apart, on the cutoff of LennardJones"),
     ([replaced("* * 1 1 ", "* * 1.000000001 1 ")], SCENES["argon"], {}, *DIFFER, "energies of atoms by 1.0e-09"),
     ([replaced("* * 1 1 ", "* * 1 1.000000001 ")], AT_REST["thin gas"], {}, *DIFFER),
+    ([replaced("kspace_style pppm ", "kspace_style pppm 0.1 #")], SCENES["salt"], {}, *DIFFER, "allowed is 0.0001"),
+    ([replaced("read_data", "dielectric 1.0000001\nread_data")], lambda: ions(3, 2.9), {}, *DIFFER, "allowed is 1e-10"),
     ([replaced("50.0", "50.00000005")], AT_REST["soft spheres"], {}, *DIFFER),
     ([replaced("bond_coeff 1 150 ", "bond_coeff 1 150.0000002 ")], AT_REST["chains at rest"], {}, *DIFFER),
     ([replaced("angle_coeff 1 10 ", "angle_coeff 1 10.00002 ")], AT_REST["chains at rest"], {}, *DIFFER),
@@ -154,7 +167,6 @@ def test_without_mpiexec_one_process_runs_also_on_a_cutoff_where_forces_are_cont
 def test_what_was_there_stays_if_its_replacement_fails(tmp_path, monkeypatch):
     handed_over(scene(fluid()), tmp_path / "run")
     before = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
-    monkeypatch.setattr(Model, "special_bonds", lambda self: (0.0,))
     monkeypatch.setattr(*NONSENSE)
     call = lambda: handed_over(scene(fluid()), tmp_path / "run", overwrite=True)  # noqa: E731
     assert_answered(call, HandOverError, "before its first step", "Unrecognized pair style")

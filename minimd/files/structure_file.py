@@ -192,8 +192,10 @@ def _joined_beside(path: Path, system: System) -> Joined:
             atoms = _source(path, LAMMPS, LJ)
             n_there, found = len(atoms), joined_in(atoms)._replace(charges=atoms.get_initial_charges())
         else:
+            from minimd.structure.mdanalysis_atoms import charges_of
+
             made = _universe(path, None, topology_only=True)
-            n_there, found = len(made.atoms), _joined_of(made)._replace(charges=getattr(made.atoms, "charges", None))
+            n_there, found = len(made.atoms), _joined_of(made)._replace(charges=charges_of(made.atoms))
     if n_there != len(system):
         raise ValueError(f"file {str(path)!r} with the bonds has {n_there} atoms; the structure has {len(system)}")
     return found

@@ -29,7 +29,7 @@ def universe_arguments(
     return {
         "positions": atoms.positions.astype(np.float64) / to_length,
         "masses": _masses(atoms, units),
-        "charges": getattr(atoms, "charges", None),
+        "charges": charges_of(atoms),
         "velocities": atoms.velocities.astype(np.float64) * to_speed if ts.has_velocities else None,
         "cell": triclinic_vectors(ts.dimensions, dtype=np.float64) / to_length if is_periodic else None,
         "pbc": pbc,
@@ -49,6 +49,13 @@ def _masses(atoms: AtomGroup, units: UnitSystem) -> NDArray[np.float64] | None:
         remedy = "set universe.atoms.masses, or call universe.add_TopologyAttr('masses', values)"
         raise ValueError(f"masses must be positive; {given}: {remedy}")
     return masses
+
+
+def charges_of(atoms: AtomGroup) -> NDArray[np.float64] | None:
+    """Charges [e], or None. MDAnalysis holds those of some files in float32, whose shortest decimals are those of the
+    file: thus neutral molecules stay neutral."""
+    charges = getattr(atoms, "charges", None)
+    return None if charges is None else charges.astype(str).astype(np.float64)
 
 
 def _species(atoms: AtomGroup) -> list[str] | None:

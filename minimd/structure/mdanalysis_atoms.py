@@ -52,10 +52,13 @@ def _masses(atoms: AtomGroup, units: UnitSystem) -> NDArray[np.float64] | None:
 
 
 def charges_of(atoms: AtomGroup) -> NDArray[np.float64] | None:
-    """Charges [e], or None. MDAnalysis holds those of some files in float32, whose shortest decimals are those of the
-    file: thus neutral molecules stay neutral."""
-    charges = getattr(atoms, "charges", None)
-    return None if charges is None else charges.astype(str).astype(np.float64)
+    """Charges [e], or None. MDAnalysis rounds those of some files to float32; their shortest decimals are those of the
+    file, with which neutral molecules stay neutral."""
+    if (charges := getattr(atoms, "charges", None)) is None:
+        return None
+    charges = np.asarray(charges, dtype=np.float64)
+    rounded = charges.astype(np.float32)
+    return rounded.astype(str).astype(np.float64) if np.array_equal(rounded, charges) else charges
 
 
 def _species(atoms: AtomGroup) -> list[str] | None:

@@ -294,9 +294,8 @@ def salt():
 
 def from_lammps(folder, style):
     """Data of LAMMPS, with a column of charges."""
-    lines = (
-        ("1 1 0.5 1 1 1", "2 2 -0.8476 3.5 1 1") if style == "charge" else ("1 1 1 0.5 1 1 1", "2 1 2 -0.8476 3.5 1 1")
-    )
+    molecule = "" if style == "charge" else "1 "
+    lines = f"1 {molecule}1 0.5 1 1 1", f"2 {molecule}2 -0.8476 3.5 1 1"
     head = "salt\n\n2 atoms\n2 atom types\n0 8 xlo xhi\n0 8 ylo yhi\n0 8 zlo zhi\n\nMasses\n\n1 22.99\n2 35.45\n\n"
     (folder / "salt.data").write_text(f"{head}Atoms # {style}\n\n" + "\n".join(lines) + "\n")
     return folder / "salt.data"

@@ -327,6 +327,10 @@ WAYS_IN = {
     "a file of ASE": lambda folder: (ase.io.write("a.traj", salt()), system_from_file("a.traj"))[1],
     "LAMMPS data, full": lambda folder: system_from_file(from_lammps(folder, "full")),
     "LAMMPS data, charge": lambda folder: system_from_file(from_lammps(folder, "charge"), units=md.units.LJ),
+    "LAMMPS data beside": lambda folder: (
+        ase.io.write("a.xyz", ase.Atoms("NaCl", salt().positions)),
+        system_from_file("a.xyz", bonds=from_lammps(folder, "full").name),
+    )[1],
     "a PSF beside": beside,
     "a PSF": from_psf,
 }

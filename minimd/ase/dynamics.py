@@ -29,8 +29,8 @@ class MinimdSteps(MolecularDynamics):
 
     run makes all steps between two observations at once, then updates atoms, momenta and the calculator's results
     (energy, forces, stress). Changes between two blocks take effect in the next block: positions, momenta, cell,
-    masses, calculator, potentials, constraints, time step, temperature, friction. irun yields after every step,
-    and step makes one step, as in ASE.
+    masses, charges, calculator, potentials, constraints, time step, temperature, friction. irun yields after every
+    step, and step makes one step, as in ASE.
 
     Forces are those of minimd's potentials if the calculator of the atoms is a minimd.ase.Calculator. The forces of any
     other calculator can be used, too, at its speed; a warning says so once.

@@ -258,8 +258,8 @@ class ASEWriter(Writer):
     """A trajectory written by ASE, in the units of the system: .traj in float64, .xyz and .extxyz as extended XYZ,
     with 8 decimals.
 
-    Each frame holds positions (not wrapped), momenta, masses, cell, constraints (in .traj all, but without lengths;
-    else only fixed atoms), bonds and angles as texts (not in .traj), the potential energy as the result of a
+    Each frame holds positions (not wrapped), momenta, masses, charges, cell, constraints (in .traj all, but without
+    lengths; else only fixed atoms), bonds and angles as texts (not in .traj), the potential energy as the result of a
     calculator, forces if they are to be stored, the stress if it is observed, and step and time in info. Species that
     are not elements are stored as labels; in .traj, their names are in info, and the tag of each atom is the index of
     its name.

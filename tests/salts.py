@@ -19,8 +19,8 @@ def salt(net=0.0, **given):
     return md.System(positions, units=md.units.ASE, **kinds, **given)
 
 
-def run_of(system):
+def run_of(system, femtoseconds=1.0):
     """A simulation of ions at 300 K."""
-    made = md.Simulation(system, LAWS, md.VelocityVerlet(md.units.fs))
+    made = md.Simulation(system, LAWS, md.VelocityVerlet(femtoseconds * md.units.fs))
     made.set_temperature(300.0, seed=2)
     return made

@@ -58,10 +58,11 @@ MEANINGS = {
         "cell": "edges, instead of those of the file; 0 in a direction that does not repeat",
         "pbc": "periodic directions, one for all or three; of a slab `[true, true, false]`",
         "species": "a label for each atom, instead of those of the file or the element",
+        "charges": "of all atoms [e], or of each species, as `{ Na = 1.0, Cl = -1.0 }`; instead of those of the file",
         "format": 'of `file`, if its suffix does not tell it, such as `"lammps-data"`',
         "bonds": (
             'pairs of atoms; `"file"` for those that the file names, with its angles and dihedrals; or another file '
-            "that names them"
+            "that names them, from which charges are taken, too, if the first has none"
         ),
     },
     "constraints": {
@@ -207,6 +208,7 @@ NOTES = {
     ),
     "potential.pairs": "One table for each pair, below its `[[potential]]`.",
     "potential, tabulated": "Either `file` or `pairs`.",
+    "potential, coulomb": "The charges are those of `[structure]`: of its `file`, or its key `charges`.",
     "tables": (
         "A table `[tables.X]` is what a file named X would hold: a scene that is stored in the file of its run has "
         "its tables there."
@@ -249,7 +251,7 @@ def classes_in(kind: object) -> Iterator[type[Section]]:
 
 def what(name: str, kind: object, limits: list[object]) -> str:
     """The kind of a value, in words."""
-    if name in CHOICES and "list" not in str(kind):  # the axis of a cylinder is a vector
+    if name in CHOICES and not any(one in str(kind) for one in ("list", "Literal")):  # as the axis of a cylinder
         return " or ".join(f'`"{one}"`' for one in CHOICES[name])
     arguments, origin = typing.get_args(kind), typing.get_origin(kind)
     if origin is typing.Annotated:

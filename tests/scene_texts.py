@@ -26,6 +26,15 @@ like = { r_A = [2.0, 3.0, 4.0, 5.0, 6.0, 7.0], u_K = [600.0, 500.0, 400.0, 300.0
 r_A = [2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
 u_eV = [6.0, 5.0, 4.0, 3.0, 2.0, 1.0]
 """
+SALT = """
+units = "LJ"
+structure = { lattice = "sc", repeat = [2, 2, 2], lattice_constant = 1.4, charges = { A = 0.7, B = -0.7 }, \
+    species = ["A", "B", "B", "A", "B", "A", "A", "B"] }
+dynamics = { timestep = 0.001, steps = 4, temperature = 0.5 }
+output = { every = 2 }
+potential = [{ type = "lennard-jones", epsilon = 1.0, sigma = 1.0, cutoff = 1.3 }, \
+    { type = "coulomb", cutoff = 1.39, accuracy = 1e-4, method = "ewald" }]
+"""
 
 
 def write_tables(scale=1.0):

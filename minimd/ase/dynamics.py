@@ -12,7 +12,7 @@ from ase.md.md import MolecularDynamics
 from numpy.typing import NDArray
 
 from minimd.ase.calculator import Calculator
-from minimd.console.quiet import outside_minimd, quiet
+from minimd.console.quiet import outside_minimd
 from minimd.console.signals import stop_on_signals
 from minimd.diagnosis.run_guard import RunGuard
 from minimd.engine.engine import Engine
@@ -29,8 +29,8 @@ class MinimdSteps(MolecularDynamics):
 
     run makes all steps between two observations at once, then updates atoms, momenta and the calculator's results
     (energy, forces, stress). Changes between two blocks take effect in the next block: positions, momenta, cell,
-    masses, calculator, potentials, constraints, time step, temperature, friction. irun yields after every step,
-    and step makes one step, as in ASE.
+    masses, charges, calculator, potentials, constraints, time step, temperature, friction. irun yields after every
+    step, and step makes one step, as in ASE.
 
     Forces are those of minimd's potentials if the calculator of the atoms is a minimd.ase.Calculator. The forces of any
     other calculator can be used, too, at its speed; a warning says so once.
@@ -130,8 +130,7 @@ class MinimdSteps(MolecularDynamics):
         if calculator is None:
             raise RuntimeError("the atoms have no calculator; set atoms.calc, for example to a minimd.ase.Calculator")
         is_own = isinstance(calculator, Calculator)
-        with quiet():  # of charges: our calculator warns of them, another one may use them
-            system = System.from_ase(atoms, calculator.bonds if is_own else None)
+        system = System.from_ase(atoms, calculator.bonds if is_own else None)
         if not (is_own or self._is_told):
             warnings.warn(calculators_said(calculator), stacklevel=outside_minimd())
             self._is_told = True

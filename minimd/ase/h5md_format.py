@@ -13,7 +13,7 @@ from minimd.structure.ase_atoms import atoms_from_system
 
 
 def read_minimd_h5md(filename: str, index: int | slice = -1) -> Iterator[Atoms]:
-    """Frames of a minimd file: positions (not wrapped), momenta, masses, cell, constraints, bonds, and energy.
+    """Frames of a minimd file: positions (not wrapped), momenta, masses, charges, cell, constraints, bonds, energy.
 
     Positions and energy are those of the run to the last bit; velocities and forces are converted from Å/ps and kJ/mol,
     and right to rounding. Forces are included if the run stored them, the stress if the run observed it. Bonds, angles,

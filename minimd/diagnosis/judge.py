@@ -31,7 +31,7 @@ from minimd.structure.observables import (
     longest,
     temperature,
 )
-from minimd.structure.system import System
+from minimd.structure.system import System, changed
 from minimd.structure.units import ASE, BAR
 
 # before
@@ -175,8 +175,7 @@ class Evidence:
 
     def moved(self, positions: Array) -> System:
         """A system at rest with its atoms elsewhere: the velocities of a failed run may be infinite."""
-        names = ("masses", "cell", "species", "bonds", "units", "constraints")
-        return System(positions, **{name: getattr(self.system, name) for name in names})
+        return changed(self.system, positions=positions, velocities=None)
 
 
 def strongest(found: list[Contact]) -> Contact | None:

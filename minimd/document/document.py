@@ -18,7 +18,7 @@ from minimd.integrators import Splitting, StochasticCellRescaling
 from minimd.observers import Accumulator
 from minimd.structure import units
 from minimd.structure.lattice import constant_from_density, crystal
-from minimd.structure.system import System
+from minimd.structure.system import System, changed
 
 D = TypeVar("D", bound="Document")
 Made = TypeVar("Made")
@@ -50,6 +50,9 @@ class Document:
         """
         with blamed_on(f"{self.path}: structure"):
             system = self._from_lattice() if self.sections.structure.file is None else self._from_file()
+            system = changed(
+                system, **self.sections.structure.model_dump(include={"species", "charges"}, exclude_none=True)
+            )
         return self.constrained(system)
 
     def potentials(self) -> list[Any]:
@@ -141,19 +144,15 @@ class Document:
             mass = atomic_mass(element or "")
         edge = structure.lattice_constant or constant_from_density(lattice, structure.density or 0.0, mass)
         positions, edges = crystal(lattice, structure.repeat or [], edge)
-        given: dict[str, Any] = {
-            "species": structure.species or (element and [element] * len(positions)),
-            "bonds": structure.bonds,
-        }
+        given: dict[str, Any] = {"species": element and [element] * len(positions), "bonds": structure.bonds}
         return System(positions, masses=mass, cell=edges, pbc=structure.pbc, **given, units=self.units)
 
     def _from_file(self) -> System:
-        from minimd.files.structure_file import changed, system_from_file
+        from minimd.files.structure_file import system_from_file
 
         structure = self.sections.structure
         named: dict[str, Any] = {"format": structure.format, "bonds": structure.bonds, "units": self.units}
-        read = system_from_file(self.path.parent / (structure.file or ""), structure.cell, structure.pbc, **named)
-        return changed(read, species=structure.species) if structure.species else read
+        return system_from_file(self.path.parent / (structure.file or ""), structure.cell, structure.pbc, **named)
 
 
 def h5md_files(files: Iterable[Path]) -> list[Path]:

@@ -1,4 +1,4 @@
-"""The sections of a scene file for declared laws: bonds, angles, dihedrals, impropers, fields, springs and walls.
+"""The sections of a scene file for declared laws: charges, bonds, angles, dihedrals, impropers, fields, springs, walls.
 
 The type of a section is the name of the class, as harmonic-bond; its keys are the arguments. A length, an energy or
 another quantity that is not zero by default must be given, since units differ between scenes.
@@ -30,7 +30,7 @@ from minimd.potentials.bonded import Bonded
 
 NUMBERS = {law.NOT_NEGATIVE: NotNegative, law.POSITIVE: Positive, law.WHOLE: NonNegativeInt, law.ANGLE: NotNegative}
 GROUPS: dict[int, Any] = {2: list[PairOfAtoms], 3: list[TripleOfAtoms], 4: list[QuadrupleOfAtoms]}
-KINDS: dict[Any, Any] = dict.fromkeys((law.vector, law.vectors, law.weight, law.direction), Vector) | {
+KINDS: dict[Any, Any] = dict.fromkeys((law.vector, law.vectors, law.weight, law.direction, law.factors), Vector) | {
     law.points: Annotated[list[Vector], Field(min_length=1)],
     law.coefficients: Annotated[list[FiniteFloat], Field(min_length=1, max_length=law.MOST_COEFFICIENTS)],
     law.atoms: Atoms,

@@ -39,7 +39,7 @@ def problems(reading: Reading, error: ValidationError) -> list[str]:
             wrong.setdefault(place, []).append(sentence)
     if "units" in wrong:  # then all other keys seem wrong, too
         wrong = {"units": wrong["units"]}
-    inside = [place for place in wrong if any(other.startswith(f"{place}[") for other in wrong)]
+    inside = [place for place in wrong if any(other.startswith((f"{place}[", f"{place}.")) for other in wrong)]
     return [_joined(sentences) for place, sentences in wrong.items() if place not in inside]
 
 

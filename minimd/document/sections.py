@@ -81,11 +81,10 @@ def as_sections(tables: Mapping[str, Numbers], units: str) -> str:
     """The text that adds these tables to a scene, to the last bit.  units : of the scene, "ASE" or "LJ"."""
     # the units of the engine, of size 1: the first of lengths, the last of energies
     (length, *_), (*_, energy) = KEY_UNITS[units]["length"], KEY_UNITS[units]["energy"]
-    lines = [
+    return "".join(
         f"\n[tables.{json.dumps(name, ensure_ascii=False)}]\nr{length} = {one.r}\nu{energy} = {one.u}\n"
         for name, one in tables.items()
-    ]
-    return "".join(lines)
+    )
 
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
@@ -109,6 +108,7 @@ class StructureSection(Section):
     cell: Annotated[Annotated[list[NotNegative], Three] | None, Dimension("length")] = None
     pbc: bool | Annotated[list[bool], Three] | None = None
     species: list[str] | None = None
+    charges: list[FiniteFloat] | dict[str, FiniteFloat] | None = None
     format: str | None = None
     bonds: list[PairOfAtoms] | str | None = None
 

@@ -393,11 +393,10 @@ def _system(group: h5py.Group, restart: Checkpoint) -> System:
     labels = names.asstr()[:] if h5py.check_string_dtype(names.dtype) else names[:]
     return System(
         restart.state.positions,
-        masses=group["masses"][:],
         velocities=restart.state.velocities,
         cell=restart.state.cell or Cell(group["cell"][:], group.attrs["pbc"].astype(bool)),
         species=np.array(labels.tolist())[group["species_index"][:]],
-        **{name: group[name][:] for name in GROUPS if name in group},
+        **{name: group[name][:] for name in ("masses", "charges", *GROUPS) if name in group},
         units=SYSTEMS[group.attrs["units"]],
         constraints=read_constraints(group),
     )

@@ -1,6 +1,7 @@
 """The layout of a minimd file, which follows H5MD.
 
-    particles/trajectory    box/edges, position, velocity, force [Å, Å/ps, kJ/mol/Å; times in ps], species, mass
+    particles/trajectory    box/edges, position, velocity, force [Å, Å/ps, kJ/mol/Å; times in ps], species, mass,
+                            and charge, if there are charges
     connectivity/bonds      pairs of bonded atoms; likewise angles, dihedrals and impropers, if there are any
     observables/<name>      the numbers of the record, to the last bit, in the units of the simulation
     observables/dt          the time between observations [ps], for each frame: MDAnalysis looks for it only here
@@ -117,7 +118,7 @@ def series_of(h5: h5py.File, column: Column, like: np.ndarray, n_frames: int | N
 
 
 def describe(h5: h5py.File, engine: Engine) -> None:
-    """Write everything that does not change: the program, species, masses, bonds, cell, method, constraints."""
+    """Write all that does not change: the program, species, masses, charges, bonds, cell, method, constraints."""
     system = engine.system
     h5.create_group("h5md").attrs["version"] = np.array([1, 1])
     h5.create_group("h5md/author").attrs["name"] = "N/A"
@@ -128,9 +129,11 @@ def describe(h5: h5py.File, engine: Engine) -> None:
     labels = {str(name): number for number, name in enumerate(names)}
     kind = h5py.enum_dtype(labels, basetype=np.int64) if len(labels) <= LARGEST_ENUMERATION else np.int64
     particles.create_dataset("species", data=system.species_index, dtype=kind)
-    particles["mass"] = system.masses
-    particles["mass"].attrs["unit"] = "u"
     group = h5.create_group("minimd")
+    for name, second, unit in (("mass", "masses", "u"), ("charge", "charges", "e")):
+        if (values := getattr(system, second)).any():
+            particles.create_dataset(name, data=values).attrs["unit"] = unit
+            group[second] = particles[name]
     for name, members in system.groups().items():
         if len(members) or name == "bonds":
             h5[f"connectivity/{name}"] = members
@@ -140,11 +143,7 @@ def describe(h5: h5py.File, engine: Engine) -> None:
     group.attrs.update({"version": version("minimd"), "units": system.units.name, "pbc": system.cell.pbc})
     group.attrs.update({"title": title, "scene": engine.notes["scene"]})
     group["species_names"] = np.array(names, dtype=h5py.string_dtype() if isinstance(names[0], str) else np.int64)
-    group["cell"], group["species_index"], group["masses"] = (
-        system.cell.vectors,
-        system.species_index,
-        particles["mass"],
-    )
+    group["cell"], group["species_index"] = system.cell.vectors, system.species_index
     describe_method(group, engine)
     held = group.create_group("constraints") if engine.constraints else group
     for one in engine.constraints:

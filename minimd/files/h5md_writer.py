@@ -288,12 +288,11 @@ def rehearse(claim: Claim) -> None:
 def _obstacle(contents: H5MDContents, engine: Engine, store_forces: bool) -> str:
     """Why the simulation cannot continue a file, and what to do; empty if it can."""
     ours, theirs = engine.system, contents.system
+    fixed = ("masses", "charges", "species", *ours.groups())
     same = {
         "units": ours.units.name == theirs.units.name,
         "the number of atoms": len(ours) == len(theirs),
-        "masses": np.array_equal(ours.masses, theirs.masses),
-        "species": np.array_equal(ours.species, theirs.species),
-        **{name: np.array_equal(members, theirs.groups()[name]) for name, members in ours.groups().items()},
+        **{name: np.array_equal(getattr(ours, name), getattr(theirs, name)) for name in fixed},
         "the cell": ours.cell.same_as(theirs.cell),
     }
     if differ := [name for name, is_same in same.items() if not is_same]:

@@ -24,8 +24,7 @@ from minimd.files.trajectory import Writer
 from minimd.structure.ase_atoms import atoms_from_system, calculators_stress, label_by_tags
 from minimd.structure.bond_graph import GROUPS, Joined, joined_in
 from minimd.structure.cell import Cell
-from minimd.structure.checks import warn_of_charges
-from minimd.structure.system import System
+from minimd.structure.system import System, changed
 from minimd.structure.units import ASE, LJ, UnitSystem
 
 LAMMPS = "lammps-data"
@@ -62,7 +61,8 @@ def system_from_file(
         masses, as minimd writes them); else masses are 1 and velocities 0. A file .h5md of minimd states its units,
         and is read in no others.
     bonds : "file" for the bonds, angles and dihedrals in the file; the name of another file that holds them, such as a
-        PSF; pairs of atoms; or None for no bonds, with a warning if the file has some.
+        PSF, and with them charges, if the file of the atoms has none; pairs of atoms; or None for no bonds, with a
+        warning if the file has some.
 
     Species of LAMMPS data are its types, unless units are ASE's and the masses are those of as many chemical elements,
     to 0.1 %.
@@ -102,13 +102,7 @@ def system_from_file(
         one = f"{'an' if name[0] in 'ai' else 'a'} {name[:-1]} potential"
         words = f"the {name} of {str(path)!r} are of {n_types} types, which {one} does not distinguish"
         warnings.warn(f"{words}; give it {groups}, or arrays of parameters", stacklevel=outside_minimd())
-    return changed(system, **found.groups)
-
-
-def changed(system: System, **changes: Any) -> System:
-    """A copy of a system with other arguments."""
-    names = ("masses", "velocities", "cell", "species", *GROUPS, "units", "constraints")
-    return System(system.positions, **{name: getattr(system, name) for name in names} | changes)
+    return changed(system, **found.groups, charges=system.charges if system.charges.any() else found.charges)
 
 
 def _source(path: Path, form: str | None, units: UnitSystem) -> Any:
@@ -191,16 +185,17 @@ def _joined_in(path: Path, form: str | None, source: Any, system: System) -> Joi
 
 
 def _joined_beside(path: Path, system: System) -> Joined:
-    """The bonds in a file other than that of the atoms.  Raises ValueError if it cannot be read,
-    or has another number of atoms."""
+    """The bonds, and the charges if it has some, in a file other than that of the atoms.  Raises ValueError if it
+    cannot be read, or has another number of atoms."""
     with _read_as(path, "bonds", None):
         if SUFFIXES.get(path.suffix.lower()) == LAMMPS:
             atoms = _source(path, LAMMPS, LJ)
-            n_there, found, charges = len(atoms), joined_in(atoms), atoms.get_initial_charges()
+            n_there, found = len(atoms), joined_in(atoms)._replace(charges=atoms.get_initial_charges())
         else:
+            from minimd.structure.mdanalysis_atoms import charges_of
+
             made = _universe(path, None, topology_only=True)
-            n_there, found, charges = len(made.atoms), _joined_of(made), getattr(made.atoms, "charges", ())
-    warn_of_charges(charges)
+            n_there, found = len(made.atoms), _joined_of(made)._replace(charges=charges_of(made.atoms))
     if n_there != len(system):
         raise ValueError(f"file {str(path)!r} with the bonds has {n_there} atoms; the structure has {len(system)}")
     return found
@@ -263,8 +258,8 @@ class ASEWriter(Writer):
     """A trajectory written by ASE, in the units of the system: .traj in float64, .xyz and .extxyz as extended XYZ,
     with 8 decimals.
 
-    Each frame holds positions (not wrapped), momenta, masses, cell, constraints (in .traj all, but without lengths;
-    else only fixed atoms), bonds and angles as texts (not in .traj), the potential energy as the result of a
+    Each frame holds positions (not wrapped), momenta, masses, charges, cell, constraints (in .traj all, but without
+    lengths; else only fixed atoms), bonds and angles as texts (not in .traj), the potential energy as the result of a
     calculator, forces if they are to be stored, the stress if it is observed, and step and time in info. Species that
     are not elements are stored as labels; in .traj, their names are in info, and the tag of each atom is the index of
     its name.

@@ -22,7 +22,7 @@ from minimd.forces.pair_laws import PairLaws, deepest
 from minimd.forces.pair_list_term import PairListTerm
 from minimd.forces.wave_sum import WaveSum
 from minimd.neighbors.verlet_list import Built, VerletList
-from minimd.potentials.coulomb import SpecialLaw
+from minimd.potentials.coulomb import CoulombTerm, SpecialLaw
 from minimd.potentials.laws import Scaled
 from minimd.potentials.links import FixedPairs, LinkedTerm, Slots
 from minimd.potentials.pair_loop import from_table
@@ -31,6 +31,7 @@ from minimd.potentials.term import (
     FORCES,
     PER_ATOM,
     TOTALS,
+    OwnTerm,
     PairLaw,
     Potential,
     Target,
@@ -144,9 +145,13 @@ class Forces:
         self._images, self._calls, self._n_plans = Images.of(system.cell), DirectCalls(), 0
         self._bind()
         self.check_resolution()
-        for term in self._bound:
-            if term.warning:
-                warnings.warn(term.warning, stacklevel=outside_minimd())
+        told = [term.warning for term in self._bound if term.warning]
+        if system.charges.any() and all(isinstance(one, OwnTerm) for one in self._bound):  # others may use them
+            largest = f"the charges of the atoms, up to {np.abs(system.charges).max():.4g} e, are not used"
+            is_used = any(isinstance(one, CoulombTerm) for one in self._bound)
+            told += [] if is_used else [f"{largest}: add Coulomb(cutoff) to the potentials"]
+        for words in told:
+            warnings.warn(words, stacklevel=outside_minimd())
         if self.options.skin is not None and self.options.skin > (widest := min(self.widest_skins, default=np.inf)):
             why = "where bonded pairs are left out or scaled, cutoff + skin can be at most half the height of the cell"
             what = f"skin {self.options.skin:g} {system.units.length} does not fit, {widest:.3g} is used"

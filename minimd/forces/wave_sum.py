@@ -29,6 +29,7 @@ from minimd.structure.system import System
 
 BLOCK = 128  # atoms whose tables are made at once
 MOST_SUMS = 16  # chunks of atoms, each with sums of its own
+MOST_CELLS = 100_000  # of four waves each: their sums take half a gigabyte
 ROOM = 1.2  # for waves that come when the cell becomes larger
 SIGNS = np.array([(1, 1, 1), (1, 1, -1), (1, -1, 1), (1, -1, -1)])  # of a, b, c, for the four waves of a cell
 SUMS, AMPLITUDES = 8, 8  # numbers for each cell
@@ -335,7 +336,11 @@ class WaveSum(OwnTerm):
         """rows, weights and bends for the present cell."""
         lattice, largest = system.cell.lattice, self._split.largest_wave
         reciprocal = 2.0 * pi * system.cell.inverse
-        most = np.floor(largest * np.linalg.norm(lattice, axis=1) / (2.0 * pi)).astype(np.int64)
+        ends = np.floor(largest * np.linalg.norm(lattice, axis=1) / (2.0 * pi))
+        if (n := float(np.prod(ends + 1.0))) > MOST_CELLS:
+            needs = f"needs some {2.0 * n:.1g} waves in this cell, at most {2 * MOST_CELLS} are allowed"
+            raise ValueError(f"cutoff of Coulomb must be larger; {self._split.cutoff:.3g} {needs}")
+        most = ends.astype(np.int64)
         cells = np.stack(np.meshgrid(*(np.arange(n + 1) for n in most), indexing="ij"), axis=-1).reshape(-1, 3)
         k2 = ((cells[:, None] * SIGNS @ reciprocal.T) ** 2).sum(axis=-1)  # (C, 4)
         a, b, c = (cells[:, None, d] for d in range(3))

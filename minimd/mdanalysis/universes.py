@@ -162,8 +162,8 @@ Run = str | Path | Simulation | Frames | RunUniverse
 
 
 def universe(run: str | Path | Simulation | Frames, contents: H5MDContents | None = None) -> RunUniverse:
-    """A minimd file as an MDAnalysis universe: masses, types, names, elements if labels are symbols, bonds, angles,
-    dihedrals, residues.
+    """A minimd file as an MDAnalysis universe: masses, charges, types, names, elements if labels are symbols, bonds,
+    angles, dihedrals, residues.
 
     Each molecule is a residue: the atoms that bonds or fixed lengths connect. Observables are in ts.data.
 
@@ -242,8 +242,8 @@ def _with_topology(system: System) -> RunUniverse:
     labels, segments = [str(label) for label in system.species], np.zeros(n_molecules, int)
     topology = {"masses": system.masses, "types": labels, "names": labels, "resids": np.arange(1, n_molecules + 1)}
     topology |= {"resnames": _formulas(system, of_atoms, n_molecules), "segids": ["SYSTEM"]}
-    if any(label in SYMB2Z for label in labels):
-        topology["elements"] = [label if label in SYMB2Z else "" for label in labels]
+    known = {"elements": [label if label in SYMB2Z else "" for label in labels], "charges": system.charges.tolist()}
+    topology |= {name: values for name, values in known.items() if any(values)}
     topology |= {name: [tuple(row) for row in rows.tolist()] for name, rows in system.groups().items() if len(rows)}
     made = RunUniverse.empty(len(system), n_molecules, atom_resindex=of_atoms, residue_segindex=segments)
     for name, values in topology.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import namedtuple
 from collections.abc import Sequence
 from math import inf, sqrt
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numba.extending import overload
@@ -13,16 +13,15 @@ from numba.extending import overload
 from minimd.compiled.kernels import scalar, type_of
 from minimd.compiled.simd import fma, select
 from minimd.console.words import shown
+from minimd.potentials.declared import POSITIVE, Declared, choice, declared, factors, number
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.prolates import LEAST_ACCURATE, MOST_ACCURATE, Numbers, Split, split_for
-from minimd.potentials.term import OwnPotential, OwnTerm, PairLaw
-from minimd.structure.checks import checked_choice, checked_number, checked_numbers
+from minimd.potentials.term import OwnTerm, PairLaw
 from minimd.structure.system import System
 
 MethodName = Literal["ewald", "reaction-field"]
-METHODS = ("ewald", "reaction-field")
+METHODS = {"ewald": "pairs and waves", "reaction-field": "pairs only"}
 NO_REST: Numbers = (0.0, (0.0, 0.0), (0.0, 0.0))  # of a split whose L is zero
-NEUTRAL = 1e-9  # net charge, relative to the sum of all sizes: below it is rounding
 
 
 def polynomial(t, c):
@@ -88,83 +87,68 @@ CoulombLaw, SpecialLaw = (
 ChargedLaw = type_of(charged)(namedtuple("ChargedLaw", "law split"))
 
 
-class Coulomb(OwnPotential):
+class Coulomb(Declared):
     """Coulomb energies U = k_e Σ qᵢ qⱼ / r of the charges of a System, with all periodic images.
 
     In a cell that is periodic in all directions 1/r is split: pairs within the cutoff, and a sum over waves for the
     smooth rest (Ewald's sum with prolate spheroidal wave functions instead of Gaussians: minimd.potentials.prolates).
     Without periodic directions all pairs count, whatever the cutoff. A net charge is balanced by a uniform background.
-
-    Parameters
-    ----------
-    cutoff : r_c [length], of the pairs; a smaller one gives more waves. None only without periodic directions.
-    accuracy : bound of the rms error of forces, divided by the rms force.
-    method : "ewald"; or "reaction-field", pairs only, as in a medium that conducts beyond the cutoff:
-        u = q (1/r + r²/(2 r_c³) − 3/(2 r_c)), an approximation of unknown error.
-    bonded_scale : factors for pairs one, two and three bonds apart, as for PairPotential.
-
-    Raises
-    ------
-    ValueError : for a cutoff that is not positive, an accuracy that is not between 1e-13 and 0.05, an unknown method;
-        at the start for a system without charges, or periodic in some directions only.
+    Method "reaction-field": pairs only, as in a medium that conducts beyond the cutoff,
+    u = q (1/r + r²/(2 r_c³) − 3/(2 r_c)), an approximation of unknown error.
+    Refused at the start: a system without charges, or periodic in some directions only.
     """
 
-    def __init__(
-        self,
-        cutoff: float | None = None,
-        accuracy: float = 1e-5,
-        *,
-        method: MethodName = "ewald",
-        bonded_scale: Sequence[float] = (0.0, 0.0, 1.0),
-    ) -> None:
-        self.cutoff = inf if cutoff is None else checked_number("cutoff", cutoff, "positive and finite")
-        self.accuracy = checked_number("accuracy", accuracy, "positive and finite")
+    cutoff: float | None = declared(
+        number, "r_c of the pairs; a smaller one gives more waves; needed if periodic", "length", POSITIVE, default=None
+    )
+    accuracy: float = declared(
+        number, "bound of the rms error of forces, divided by the rms force", demand=POSITIVE, default=1e-5
+    )
+    method: MethodName = declared(
+        choice, '"reaction-field" is an approximation', of=METHODS, default="ewald", kw_only=True
+    )
+    bonded_scale: Sequence[float] = declared(
+        factors, "factors for pairs one, two and three bonds apart", default=(0.0, 0.0, 1.0), kw_only=True
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if not MOST_ACCURATE <= self.accuracy <= LEAST_ACCURATE:
             limits = f"between {MOST_ACCURATE:g}, which rounding allows, and {LEAST_ACCURATE:g}"
-            raise ValueError(f"accuracy must be {limits}; accuracy = {shown(accuracy)}")
-        self.method = checked_choice("method", method, METHODS)
-        factors = checked_numbers("bonded_scale", bonded_scale, "three finite factors")
-        if factors.shape != (3,) or not np.isfinite(factors).all():
-            expected = "three finite factors, for pairs one, two and three bonds apart"
-            raise ValueError(f"bonded_scale must be {expected}; it is {shown(bonded_scale)}")
-        self.bonded_scale = tuple(factors.tolist())
-
-    def arguments(self) -> dict[str, Any]:
-        """See OwnPotential."""
-        cutoff = None if self.cutoff == inf else self.cutoff
-        return {"cutoff": cutoff, "accuracy": self.accuracy, "method": self.method, "bonded_scale": self.bonded_scale}
+            raise ValueError(f"accuracy must be {limits}; accuracy = {shown(self.accuracy)}")
 
     def bind(self, system: System) -> CoulombTerm:
         """The term of this potential in a system.  Raises ValueError as the class."""
         if not system.charges.any():
-            hint = "System(..., charges=q), or atoms.set_initial_charges(q) of ASE"
+            hint = "System(..., charges=q), atoms.set_initial_charges(q) of ASE, or in a scene file structure.charges"
             raise ValueError(f"Coulomb needs charges; those of the system are all zero: give them as {hint}")
         pbc, is_sum = system.cell.pbc, self.method == "ewald"
         if is_sum and pbc.any() and not pbc.all():
             hint = 'make all of it periodic, with empty space around, or take method="reaction-field"'
             raise ValueError(f"Coulomb needs a cell that is periodic in all directions or in none; pbc = {pbc}: {hint}")
-        if self.cutoff == inf and (pbc.any() or not is_sum):
+        cutoff, is_split = self.cutoff or inf, is_sum and pbc.all()
+        if cutoff == inf and (pbc.any() or not is_sum):
             raise ValueError(
                 "cutoff of Coulomb must be given in a periodic cell and for the reaction field; it is None"
             )
-        return CoulombTerm(self, system, split_for(self.cutoff, self.accuracy) if is_sum and pbc.all() else None)
+        return CoulombTerm(self, system, cutoff, split_for(cutoff, self.accuracy) if is_split else None)
 
 
 class CoulombTerm(OwnTerm):
     """Charges in a system: a law for the planner to run on a list of neighbors, and perhaps with a sum over waves."""
 
-    def __init__(self, potential: Coulomb, system: System, split: Split | None) -> None:
-        self.cutoff = self.shortest_length = inf if split is None and potential.method == "ewald" else potential.cutoff
+    def __init__(self, potential: Coulomb, system: System, cutoff: float, split: Split | None) -> None:
+        self.cutoff = self.shortest_length = inf if split is None and potential.method == "ewald" else cutoff
         numbers = NO_REST if split is None else split.numbers
         if potential.method == "reaction-field":
             third = 1.0 / self.cutoff**3
             numbers = (2.0 / self.cutoff**2, (1.25 / self.cutoff, -0.25 / self.cutoff), (-third, 0.0))
         charges = system.charges * sqrt(system.units.coulomb)
-        total, size = float(system.charges.sum()), float(np.abs(system.charges).sum())
-        if split is not None and abs(total) > NEUTRAL * size:
-            self.warning = f"the net charge of the cell is {total:.6g} e: a uniform background balances it"
+        if split is not None and (net := system.net_charge):
+            self.warning = f"the net charge of the cell is {net:.6g} e: a uniform background balances it"
         name, table = type(potential).__name__, np.full((1, 1, 1), self.cutoff**2)
-        self.pair_law = PairLaw(name, CoulombLaw(numbers), table, self.cutoff, potential.bonded_scale, charges, split)
+        scale = tuple(potential.bonded_scale)
+        self.pair_law = PairLaw(name, CoulombLaw(numbers), table, self.cutoff, scale, charges, split)
 
 
 def with_charges(law: PairLaw, charges: PairLaw) -> PairLaw:

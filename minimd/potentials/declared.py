@@ -156,7 +156,7 @@ def checked_values(name: str, values: Any, words: str, fits: Callable[[tuple], b
 
 
 def shaped(
-    words: str, fits: Callable[[tuple], bool], become: Callable[[str, Array], Array] = lambda _, same: same
+    words: str, fits: Callable[[tuple], bool], become: Callable[[str, Array], Any] = lambda _, same: same
 ) -> Kind:
     """The kind of arrays with a shape that fits.  become : makes what is kept, from the name and the array."""
     return Kind(
@@ -225,6 +225,7 @@ vector, direction = shaped("three numbers", (3,).__eq__), shaped("three numbers"
 vectors = shaped("three numbers, or three for each atom", _of_atoms)
 points = shaped("three numbers, or three for each atom", _of_atoms)  # a scene file lists them
 weight = shaped("one number, downwards along z, or three", ((), (3,)).__contains__, _downwards)
+factors = shaped("three numbers", (3,).__eq__, lambda _, same: tuple(same.tolist()))
 coefficients = Kind("up to six, each one number for all or one for each; missing ones are 0", _coefficients)
 own_law = Kind("a user's function, or a law type", lambda _name, law, _asked: checked_law(law))
 own_parameters = Kind("a tuple, each entry one number for all or one for each", _own_parameters)

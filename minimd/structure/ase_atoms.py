@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.structure.bond_graph import GROUPS, joined_in, texts
 from minimd.structure.cell import Cell
-from minimd.structure.checks import warn_of_charges
 from minimd.structure.constraints import TOLERANCE, Constraint, DistanceConstraints, FixedAtoms, lengths_of
 from minimd.structure.observables import center, momentum
 from minimd.structure.observables import stress as kinetic_stress
@@ -30,18 +29,18 @@ UNDERSTOOD = "FixAtoms, FixBondLengths, FixBondLength, FixLinearTriatomic, FixCo
 
 def system_arguments(atoms: Atoms, bonds: Given = None, constraints: bool = True, **others: Given) -> dict[str, Any]:
     """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and
-    constraints. Species are the chemical symbols, or labels that atoms_from_system or label_by_tags stored in them.
+    constraints. Charges are the initial charges. Species are the chemical symbols, or labels that atoms_from_system or
+    label_by_tags stored in them.
 
     bonds, others : bonds, angles, dihedrals and impropers, as for System; without bonds,
         what the arrays of the atoms name: see joined_in.
     constraints : True to take those of the atoms; False if the caller handles them.
 
     Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, and as
-    joined_in. Warns of charges, which are not used.
+    joined_in.
     """
     if not isinstance(atoms, Atoms):
         raise TypeError(f"a minimd System or an ase.Atoms is expected; got {type(atoms).__name__}")
-    warn_of_charges(atoms.get_initial_charges())
     found = joined_in(atoms) if bonds is None else None
     velocities, masses = atoms.get_velocities(), atoms.get_masses()
     if constraints and fixes_center(atoms):
@@ -49,6 +48,7 @@ def system_arguments(atoms: Atoms, bonds: Given = None, constraints: bool = True
     return {
         "positions": atoms.positions,
         "masses": masses,
+        "charges": atoms.get_initial_charges(),
         "velocities": velocities,
         "cell": cell_of(atoms),
         "species": _labels(atoms),
@@ -61,7 +61,7 @@ def system_arguments(atoms: Atoms, bonds: Given = None, constraints: bool = True
 
 def atoms_from_system(system: Any) -> Atoms:
     """ASE's atoms with the positions (not wrapped), momenta, masses, cell, periodicity, constraints, bonds,
-    angles and dihedrals of a system.
+    angles and dihedrals of a system; its charges as initial charges, unless all are zero.
 
     Species that are chemical symbols become elements. All others become 'X', ASE's symbol for no element, and all
     labels are kept in the array "species_labels", where system_arguments finds them again. Numbers are not converted:
@@ -73,6 +73,8 @@ def atoms_from_system(system: Any) -> Atoms:
     masses, cell = system.masses, system.cell
     momenta = system.velocities * masses[:, None]
     atoms = Atoms(symbols, system.positions, momenta=momenta, masses=masses, cell=cell.vectors, pbc=cell.pbc)
+    if system.charges.any():
+        atoms.set_initial_charges(system.charges)
     if not set(system.species_names) <= set(atomic_numbers):
         atoms.set_array(LABELS, system.species)
     if named := texts(system.groups(), len(atoms)):
@@ -111,9 +113,12 @@ def same_labels(one: Atoms, other: Atoms) -> bool:
 
 def same_scene(one: Atoms, other: Atoms) -> bool:
     """True if only positions, momenta and cell can differ."""
-    arrays = [(one.numbers, other.numbers), (one.get_masses(), other.get_masses()), (one.pbc, other.pbc)]
-    arrays += [(one.arrays.get(name, ()), other.arrays.get(name, ())) for name in GROUPS]
-    return all(np.array_equal(a, b) for a, b in arrays) and same_labels(one, other) and one.calc is other.calc
+    fixed = (
+        [atoms.numbers, atoms.get_masses(), atoms.get_initial_charges(), atoms.pbc]
+        + [atoms.arrays.get(name, ()) for name in (LABELS, *GROUPS)]
+        for atoms in (one, other)
+    )
+    return all(map(np.array_equal, *fixed)) and one.calc is other.calc
 
 
 def calculators_stress(stress: NDArray[np.float64], atoms: Atoms, conserves_momentum: bool) -> NDArray[np.float64]:

@@ -1,16 +1,14 @@
 """Checks of input: a value is returned in the form that the rest of minimd expects, or refused in one sentence,
 before memory is allocated for it."""
 
-import warnings
 from collections.abc import Collection, Sequence
 from math import inf, nan
 from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from minimd.console.quiet import outside_minimd
 from minimd.console.words import listed, shown
 
 SMALLEST, LARGEST = 1e-75, 1e75  # of positive quantities: their fourth powers are still numbers
@@ -146,13 +144,3 @@ def _find_kinds(values: Any, found: set[str]) -> None:
         found.add(kind if kind in KINDS else "i" if isinstance(values, Integral) else "f")
     elif array.size:
         raise ValueError(f"{shown(array.ravel()[:1].tolist()[0])} is not a number")
-
-
-NO_ELECTROSTATICS = "minimd has no electrostatics yet"
-
-
-def warn_of_charges(charges: ArrayLike) -> None:
-    """Warn that the charges of atoms [e] are not used, unless all are zero."""
-    if (largest := np.abs(charges).max(initial=0.0)) > 0.0:
-        words = f"the charges of the atoms, up to {largest:.4g} e, are not used: {NO_ELECTROSTATICS}"
-        warnings.warn(words, stacklevel=outside_minimd())

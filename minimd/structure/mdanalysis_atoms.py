@@ -9,7 +9,6 @@ from MDAnalysis.lib.mdamath import triclinic_vectors
 from numpy.typing import ArrayLike, NDArray
 
 from minimd.structure.bond_graph import GROUPS
-from minimd.structure.checks import warn_of_charges
 from minimd.structure.units import LJ, UnitSystem
 
 
@@ -21,17 +20,16 @@ def universe_arguments(
     groups : bonds, angles, dihedrals and impropers by these names; None for those of the universe.
 
     Raises TypeError for anything else.  ValueError for atoms without masses, where the units have no default.
-    Warns of charges, which are not used.
     """
     if not isinstance(universe, Universe | AtomGroup):
         raise TypeError(f"an MDAnalysis Universe or AtomGroup is expected; got {type(universe).__name__}")
     atoms = universe.atoms
-    warn_of_charges(getattr(atoms, "charges", ()))
     ts, to_length, to_speed = atoms.universe.trajectory.ts, units.to_angstrom, units.to_picosecond / units.to_angstrom
     is_periodic = ts.dimensions is not None and bool(np.all(ts.dimensions[:3] > 0.0))
     return {
         "positions": atoms.positions.astype(np.float64) / to_length,
         "masses": _masses(atoms, units),
+        "charges": charges_of(atoms),
         "velocities": atoms.velocities.astype(np.float64) * to_speed if ts.has_velocities else None,
         "cell": triclinic_vectors(ts.dimensions, dtype=np.float64) / to_length if is_periodic else None,
         "pbc": pbc,
@@ -51,6 +49,16 @@ def _masses(atoms: AtomGroup, units: UnitSystem) -> NDArray[np.float64] | None:
         remedy = "set universe.atoms.masses, or call universe.add_TopologyAttr('masses', values)"
         raise ValueError(f"masses must be positive; {given}: {remedy}")
     return masses
+
+
+def charges_of(atoms: AtomGroup) -> NDArray[np.float64] | None:
+    """Charges [e], or None. MDAnalysis rounds those of some files to float32; their shortest decimals are those of the
+    file, with which neutral molecules stay neutral."""
+    if (charges := getattr(atoms, "charges", None)) is None:
+        return None
+    charges = np.asarray(charges, dtype=np.float64)
+    rounded = charges.astype(np.float32)
+    return rounded.astype(str).astype(np.float64) if np.array_equal(rounded, charges) else charges
 
 
 def _species(atoms: AtomGroup) -> list[str] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.machine import EPS
 from minimd.console.display import Displayed, Rows
-from minimd.console.words import shown
+from minimd.console.words import listed, shown
 from minimd.structure import units as unit_systems
 from minimd.structure.bond_graph import GROUPS, checked_groups, checked_pairs
 from minimd.structure.cell import Cell
@@ -27,6 +27,7 @@ AnySystem: TypeAlias = "System | ase.Atoms"
 READ_ONLY = ("masses", "charges", "species_names", "species_index", *GROUPS, "units")
 MOST_BINS = 2**20  # along a lattice vector: their numbers are int64
 RESOLVED = 1e-6  # of a length: the largest rounding error of separations that is allowed
+NEUTRAL = 1e-9  # net charge, relative to the sum of all sizes: below it is rounding
 
 
 class System(Displayed):
@@ -36,7 +37,7 @@ class System(Displayed):
     ----------
     positions : (N, 3) [length]. Never wrapped into the cell, here or later.
     masses : (N,) or one number [mass]; 1 in reduced units if not given.
-    charges : (N,) [e]; zero if not given. Coulomb makes forces of them.
+    charges : (N,) [e], or one for each species by its label; zero if not given. Coulomb makes forces of them.
     velocities : (N, 3) [length/time]; zero if not given.
     cell : one length, three lengths, or (3, 3) rows = lattice vectors [length]; None for no cell.
     pbc : one bool or three; by default True where a lattice vector is given.
@@ -75,7 +76,7 @@ class System(Displayed):
         impropers: ArrayLike | None = None,
         units: UnitSystem = unit_systems.LJ,
         constraints: Sequence[Constraint] = (),
-        charges: ArrayLike | None = None,
+        charges: ArrayLike | Mapping[Any, float] | None = None,
     ) -> None:
         if not isinstance(units, UnitSystem):
             raise TypeError(f"units must be minimd.units.LJ or minimd.units.ASE; units = {shown(units)}")
@@ -90,11 +91,11 @@ class System(Displayed):
         self.units, self.constraints, self.positions = units, tuple(constraints), _vectors("positions", positions)
         n_atoms = len(self.positions)
         self.masses = checked_sizes("masses", 1.0 if masses is None else masses, n_atoms, "atom")
-        self.charges = _charges(charges, n_atoms)
         at_rest = np.zeros((n_atoms, 3))
         self.velocities = at_rest if velocities is None else _vectors("velocities", velocities, n_atoms)
         self.cell = cell if isinstance(cell, Cell) else Cell.of(cell, pbc)
         self.species_names, self.species_index = _species(species, n_atoms)
+        self.charges = _charges(charges, self.species_names, self.species_index)
         self.bonds = checked_pairs("bonds", bonds, n_atoms)
         self.angles = checked_groups("angles", angles, GROUPS["angles"], n_atoms)
         self.dihedrals = checked_groups("dihedrals", dihedrals, GROUPS["dihedrals"], n_atoms)
@@ -149,6 +150,9 @@ class System(Displayed):
             in_grams = f"{density / unit_systems.GRAM_PER_CM3:.6g} g/cm³"
             of_mass = in_grams if is_ase else f"{density:.6g} mass/{units.length}³"
             rows.append(("density", f"{len(self) / self.volume:.6g} atoms/{units.length}³, {of_mass}"))
+        if self.charges.any():
+            words = f"net charge {self.net_charge:.6g} e, at most {np.abs(self.charges).max():.6g} e on an atom"
+            rows.append(("charges", words))
         rows += [(name, str(len(one))) for name, one in self.groups().items() if len(one)]
         rows += [("constraints", ", ".join(map(repr, self.constraints)))] if self.constraints else []
         return [*rows, ("units", f"{units.name}: {units.length}, {units.energy}, {units.time}")]
@@ -163,10 +167,15 @@ class System(Displayed):
         """Volume of the cell [length³]; None unless all three directions are periodic."""
         return self.cell.volume
 
+    @property
+    def net_charge(self) -> float:
+        """The sum of all charges [e]; 0 if it is rounding."""
+        net = float(self.charges.sum())
+        return net if abs(net) > NEUTRAL * float(np.abs(self.charges).sum()) else 0.0
+
     def copy(self) -> System:
         """An independent copy."""
-        names = ("masses", "charges", "velocities", "cell", "species", *GROUPS, "units", "constraints")
-        return System(self.positions, **{name: getattr(self, name) for name in names})
+        return changed(self)
 
     @classmethod
     def from_ase(
@@ -220,11 +229,17 @@ class System(Displayed):
         return cls(**universe_arguments(universe, units, groups, pbc))
 
     def to_ase(self) -> ase.Atoms:
-        """An ase.Atoms with the same positions, momenta, masses, cell, species, bonds and constraints:
+        """An ase.Atoms with the same positions, momenta, masses, charges, cell, species, bonds and constraints:
         see minimd.ase.atoms_from_system."""
         from minimd.structure.ase_atoms import atoms_from_system
 
         return atoms_from_system(self)
+
+
+def changed(system: System, **changes: Any) -> System:
+    """A copy of a system with other arguments."""
+    names = ("positions", "masses", "charges", "velocities", "cell", "species", *GROUPS, "units", "constraints")
+    return System(**{name: getattr(system, name) for name in names} | changes)
 
 
 def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArray[np.float64]:
@@ -240,9 +255,16 @@ def _vectors(name: str, values: ArrayLike, n_atoms: int | None = None) -> NDArra
     return array
 
 
-def _charges(charges: ArrayLike | None, n_atoms: int) -> NDArray[np.float64]:
+def _charges(charges: Any, species_names: tuple, species_index: NDArray[np.int64]) -> NDArray[np.float64]:
+    n_atoms = len(species_index)
     if charges is None:
         return np.zeros(n_atoms)
+    if isinstance(charges, Mapping):
+        if set(charges) != set(species_names):
+            wanted = f"must have a number for each species, {listed(species_names)}"
+            raise ValueError(f"charges {wanted}; they have one for {listed(charges)}")
+        by_name = checked_numbers("charges", [charges[name] for name in species_names], "one number for each species")
+        charges = by_name[species_index]
     checked = checked_numbers("charges", charges, "one number for each atom")
     if checked.shape != (n_atoms,):
         raise ValueError(f"charges must be {n_atoms} numbers, one for each atom; their shape is {checked.shape}")

@@ -86,6 +86,7 @@ CHANGES = {
     "fewer atoms": lambda atoms: atoms.__delitem__(slice(0, 20)),
     "more atoms": lambda atoms: atoms.extend(Atoms("Kr", [[1.4, 1.4, 1.4]])),
     "potentials": lambda atoms: setattr(atoms.calc, "potentials", OTHERS),
+    "charges": lambda atoms: atoms.set_initial_charges(0.3 * np.cos(np.arange(len(atoms)))),
 }
 # fmt: on
 
@@ -93,7 +94,9 @@ CHANGES = {
 @pytest.mark.parametrize("change", CHANGES)
 def test_results_are_right_after_every_kind_of_change(change):
     mixture = md.LennardJones({"Ar": (0.0103, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)
-    atoms = with_calculator(argon(), Calculator(mixture))
+    charged = [mixture, md.Coulomb(CUTOFF, 1e-3)]
+    atoms = with_calculator(argon(), Calculator(charged if change == "charges" else mixture))
+    atoms.set_initial_charges([0.2, -0.2] * (len(atoms) // 2) if change == "charges" else None)
     atoms.set_masses(atoms.get_masses())  # given, so that another element has the same
     before = atoms.get_potential_energy()
     for redo in (CHANGES[change], lambda atoms: atoms.rattle(0.02, seed=10)):  # and once more with what was kept

@@ -141,6 +141,7 @@ MEDDLERS = {
     "displaced": lambda d: d.atoms.rattle(0.05, seed=11),
     "cell": lambda d: d.atoms.set_cell(d.atoms.cell.array * 1.01, scale_atoms=True),
     "masses": lambda d: d.atoms.set_masses(1.1 * d.atoms.get_masses()),
+    "charges": lambda d: d.atoms.set_initial_charges(1.1 * d.atoms.get_initial_charges()),
     "time step": lambda d: setattr(d, "dt", 0.5 * TIMESTEP),
     "another calculator": lambda d: setattr(d.atoms, "calc", Calculator(OTHER[d.atoms.calc.potentials.truncation])),
     "other potentials": lambda d: setattr(d.atoms.calc, "potentials", OTHER[d.atoms.calc.potentials.truncation]),
@@ -155,6 +156,9 @@ def test_an_observer_may_change_the_atoms(meddler):
         atoms = copper(LennardJones(sigma=2.3, epsilon=0.4, rc=5.0)) if "ASE" in meddler else liquid()
         if meddler == "masses" and by_ase:
             atoms.set_masses(atoms.get_masses())
+        if meddler == "charges":
+            atoms.set_initial_charges([0.2, -0.2] * (len(atoms) // 2))
+            atoms.calc.potentials = [lennard_jones(), md.Coulomb(5.0, 1e-3)]
         dynamics = made("VelocityVerlet", atoms, by_ase=by_ase)
         dynamics.attach(MEDDLERS[meddler], 2 if "ASE" in meddler else 10, dynamics)
         dynamics.run(9 if "ASE" in meddler else 35)

@@ -14,6 +14,7 @@ from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
 from ase.md.velocitydistribution import thermalize_momenta
 from references import melt_scene
+from salts import run_of, salt
 from scenes import LJ, SCENES
 from wrong_calls import assert_answered
 
@@ -187,6 +188,7 @@ FAILING = {  # positions last, too: energies that a method has not evaluated at 
     "rigid and fixed": rigid_with_one_fixed,
     "bonds": chain,
     "positions last": lambda: melt(0.03, md.PositionVerlet),
+    "ions": lambda: run_of(salt(), 40.0),
 }
 
 
@@ -198,6 +200,7 @@ def test_findings_come_back_and_a_replay_fails_again_at_the_same_step_on_the_sam
     past = read_crash_report(error.file)
     assert (past.findings, str(past.findings)) == (found, str(found))
     assert (past.run.method, past.run.parameters) == (simulation.method.name, simulation.method.parameters)
+    assert past.run.system.charges.tolist() == simulation.system.charges.tolist()
     assert len(past.run.system.constraints) == len(simulation.constraints)
     assert seen.failed_at == found.step
     assert [row.step for row in seen.rows] == list(range(found.first_step, found.last_good_step + 1))

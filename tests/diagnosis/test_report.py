@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from h5md_runs import simulation
 from references import liquid
+from salts import EDGE, LAWS, run_of, salt
 from scenes import LJ, SCENES
 from scipy.signal import lfilter
 
@@ -201,6 +202,21 @@ def test_report_tells_of_list_cutoff_constraints_and_angular_momentum():
     droplet.run(200, every=20, observers=[torque])
     assert droplet.report().momentum_is_conserved
     assert not droplet.report().angular_momentum_is_conserved
+
+
+def test_report_tells_of_the_sum_over_waves_and_a_net_charge_is_told_once():
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        sim = run_of(salt(net=0.4))
+        sim.run(4, every=1)
+        sim.system.cell = md.Cell.of(1.01 * EDGE)
+        sim.run(4, every=1)
+        text = str(sim.report())
+    assert ["0.4 e" in str(one.message) for one in told if "net charge" in str(one.message)] == [True]
+    bound, found = LAWS[1].accuracy, re.search(r"sum over (\d+) waves \(relative error of forces at most (\S+)\)", text)
+    assert found
+    assert int(found[1]) > 10
+    assert float(found[2]) == pytest.approx(bound, rel=0.1)
 
 
 def test_other_potentials_turned_cells_and_changed_time_steps_of_a_file_are_told(tmp_path):

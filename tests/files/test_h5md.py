@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 from h5md_runs import CELLS, PER_PICOSECOND, lengths_and_angles, opened, resumed, simulation
+from salts import LAWS, run_of, salt
 
 import minimd as md
 from minimd.engine.record import SERIES
@@ -144,6 +145,23 @@ def test_a_title_a_scene_and_integer_species_are_kept(tmp_path):
     numbered = md.System(np.diag([1.0, 2.0, 3.0]), species=[7, 3, 7])
     md.Simulation(numbered, sim.potentials, sim.method).run(1, trajectory=tmp_path / "b.h5md")
     assert read_file(tmp_path / "b.h5md").system.species.tolist() == [7, 3, 7]
+
+
+def test_charges_are_where_h5md_has_them_and_a_run_of_ions_goes_on_with_the_same_bits(tmp_path):
+    path, whole, sim = tmp_path / "a.h5md", run_of(salt()), run_of(salt())
+    record = whole.run(20, every=5)
+    sim.run(10, every=5, trajectory=path)
+    again = md.Simulation.resume(path, LAWS)
+    again.run(10, every=5, trajectory=path, append=True)
+    np.testing.assert_array_equal(again.positions, whole.positions)
+    np.testing.assert_array_equal(read_file(path).record.total_energy, record.total_energy)
+    with h5py.File(path) as h5:
+        stored = h5["particles/trajectory/charge"]
+        np.testing.assert_array_equal(stored, salt().charges, strict=True)
+        assert stored.attrs["unit"] == "e"
+    simulation().run(0, trajectory=tmp_path / "b.h5md")
+    with h5py.File(tmp_path / "b.h5md") as h5:
+        assert not {"charge", "charges"} & {*h5["particles/trajectory"], *h5["minimd"]}
 
 
 def test_a_file_that_is_being_written_is_not_changed_by_others(tmp_path):

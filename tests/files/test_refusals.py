@@ -24,6 +24,7 @@ def at_pressure(pressure):
 
 CONTINUED = [  # what has become of the simulation, and what is shown
     (lambda sim: object.__setattr__(sim.system, "masses", 7.0 * sim.system.masses), "masses"),
+    (lambda sim: object.__setattr__(sim.system, "charges", sim.system.charges + 0.1), "charges"),
     (bath, "without a thermostat", "langevin-baoab"),
     (lambda sim: setattr(sim, "step", 0), "step 10", "step 0"),
     (lambda sim: setattr(sim, "extra_observables", ["stress"]), "extra_observables"),

@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 from h5md_runs import PER_PICOSECOND, opened, simulation
+from salts import run_of, salt
 from wrong_calls import assert_answered
 
 import minimd as md
@@ -123,6 +124,15 @@ def test_molecules_are_residues_and_labels_that_are_no_symbols_are_no_elements(p
     assert made.residues.resnames.tolist() == ["MOL", "bead", "bead", "Ar", "bead", "bead", "Ar", "bead"]
     assert made.atoms.elements.tolist() == ["", "Ar", ""] * 3
     assert made.atoms.types.tolist() == ["bead", "Ar", "bead"] * 3
+
+
+def test_charges_are_in_every_universe_and_come_back(path):
+    sim, frames = run_of(salt(net=0.4)), Frames()
+    sim.run(2, every=1, trajectory=path, observers=[frames])
+    for made in (universe(path), universe(frames), universe(sim)):
+        np.testing.assert_array_equal(md.System.from_mdanalysis(made).charges, sim.system.charges, strict=True)
+        np.testing.assert_array_equal(md.System.from_mdanalysis(made.atoms[3:5]).charges, sim.system.charges[3:5])
+    assert not hasattr(universe(simulation()).atoms, "charges")
 
 
 @UNITS

@@ -36,6 +36,7 @@ R = np.linspace(0.3, CUTOFF, 60)
 TABLES = {("A", "A"): np.exp(-R), ("A", "B"): np.exp(-2.0 * R), ("B", "B"): 1.0 / R}
 TWO_KINDS, CUTOFFS = {"A": (1.0, 1.0), "B": (0.5, 0.88)}, {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}
 CHAINS = [[k, k + 1, k + 2, k + 3] for k in range(7)]
+pytestmark = pytest.mark.filterwarnings("ignore:the charges of the atoms", "ignore:the net charge")
 PAIRS = {
     "lennard-jones": md.LennardJones(1.0, 1.0, CUTOFF),
     "force-shifted": md.LennardJones(1.0, 1.0, CUTOFF, "force-shifted"),

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from references import liquid, melt_scene
-from scene_texts import ARGON, MIXTURE, REDUCED, TABULATED, everything_of, scene_of, write_tables
+from scene_texts import ARGON, MIXTURE, REDUCED, SALT, TABULATED, everything_of, scene_of, write_tables
 from wrong_calls import assert_answered
 
 import minimd as md
@@ -44,6 +44,13 @@ WRONG_TABLES = [  # of the scene with a table in a file, and of the mixture with
     (MIXTURE, ", 1.0]", "]", "tables.unlike.u_eV", "6"),   (MIXTURE, "[6.0, ", '["6", ', "tables.unlike.u_eV[0]"),
     (MIXTURE, "7.0]\nu_eV", "7.5]\nu_eV", "the same r", "'unlike'", "'like'"),
 ]
+WRONG_SALT = [
+    ("B = -0.7", "C = -0.7", "structure: charges", "'A', 'B'", "'A', 'C'"), ("{ A = 0.7, B = -0.7 }", "[0.7]", "(1,)"),
+    ("B = -0.7", 'B = "x"', "structure.charges.B", '"x"'), ("{ A = 0.7, B = -0.7 }", "0.7", "a list or a table"),
+    ("charges = { A = 0.7, B = -0.7 }, ", "", "structure.charges"), ("1.39, ", "0.001, ", "cutoff", "0.001"),
+    ("1e-4", "0.5", "potential[1]: accuracy", "0.5"), ('"ewald"', '"pme"', "potential[1].method", "'reaction-field'"),
+    ("cutoff = 1.39, ", "", "cutoff", "periodic cell"), ("cutoff = 1.39", "cutof = 1.39", "did you mean 'cutoff'?"),
+]
 NO_TABLES = [  # what stands in the file of a table, None for no file, and what the sentence must contain
     (None, "'lj.dat'", "does not exist"), ("".join(f"{k} nan\n" for k in range(6)), "u must be finite"),
     ("1 a\n", "'lj.dat'", "'a'"), ("1 2\n2 3\n", "r must be", "6"),
@@ -57,6 +64,7 @@ NO_TOML = [
     (f"[{'a . ' * 20_000}a]", DEEP),
 ]
 ROWS = [(REDUCED, *row) for row in WRONG] + [(ARGON.read_text(), *row) for row in WRONG_ARGON] + WRONG_TABLES
+ROWS += [(SALT, *row) for row in WRONG_SALT]
 # fmt: on
 
 

@@ -50,13 +50,14 @@ structure = {{lattice = "bcc", repeat = [2, 2, 2], lattice_constant = 1.38564064
 """
 TABLE = """
 units = "LJ"
-structure = {lattice = "sc", repeat = [2, 2, 2], density = 0.2, species = ["A", "B", "A", "B", "A", "B", "A", "B"]}
+structure = {lattice = "sc", repeat = [2, 2, 2], density = 0.2, species = ["A", "B", "A", "B", "A", "B", "A", "B"], \
+    charges = {A = 0.1, B = -0.1}}
 dynamics = {timestep = 0.002, steps = 20, temperature = 0.5}
 tables.like = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [9.0, 6.0, 3.0, 1.5, 0.7, 0.0]}
 tables.unlike = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [0, 0, 0, 1, 0, 0]}
 potential = [{type = "tabulated", cutoff = 1.6, truncation = "switched", pairs = [ \
     {species = ["A", "A"], file = "like"}, {species = ["A", "B"], file = "unlike"}, \
-    {species = ["B", "B"], file = "like"}]}]
+    {species = ["B", "B"], file = "like"}]}, {type = "coulomb", cutoff = 1.6, bonded_scale = [0.0, 0.0, 1.0]}]
 """
 SCENES = [tomllib.loads(text) for text in (MELT, ARGON, DUMBBELLS, TABLE)]
 SENSELESS = [math.nan, "", "no such thing", {}, {"a": 1}, [[[]]], [{"b": []}], -(2**63), "\0", "1.0", ["1", "2", "3"]]

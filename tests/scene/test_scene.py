@@ -9,7 +9,7 @@ import pytest
 from ase import Atoms
 from ase.io import write
 from references import melt_scene
-from scene_texts import ARGON, MIXTURE, REDUCED, TABULATED, R, U, scene_of, write_tables
+from scene_texts import ARGON, MIXTURE, REDUCED, SALT, TABULATED, R, U, scene_of, write_tables
 
 import minimd as md
 from minimd.document.section import KEY_UNITS, Section, sections_below
@@ -120,6 +120,26 @@ def test_bonds_and_angles_have_the_energy_of_their_formula_in_the_cell_of_the_sc
     assert energy_of(scene) == pytest.approx(expected, rel=1e-12)  # rounding
     assert scene.system().cell.vectors == pytest.approx(np.diag([12.0, 13.0, 14.0]))
     assert scene.system().cell.pbc.tolist() == [True, False, True]
+
+
+def test_charges_of_a_scene_are_those_of_its_species_its_list_or_its_file(folder):
+    """And they are in its run, which goes on from the file alone."""
+    by_species, signs = scene_of(SALT), [1, -1, -1, 1, -1, 1, 1, -1]
+    system = by_species.system()
+    assert system.charges.tolist() == [0.7 * sign for sign in signs]
+    given = md.System(system.positions, cell=2.8, charges=system.charges)
+    laws = [md.LennardJones(1.0, 1.0, 1.3), md.Coulomb(1.39, 1e-4)]
+    assert energy_of(by_species) == pytest.approx(md.evaluate(given, laws).potential_energy, rel=1e-12)
+    by_list = scene_of(SALT.replace("{ A = 0.7, B = -0.7 }", str([0.7 * sign for sign in signs])))
+    assert energy_of(by_list) == energy_of(by_species)
+    atoms = Atoms("Na4Cl4", given.positions, cell=3 * [2.8], pbc=True)
+    atoms.set_initial_charges(system.charges)
+    write("ions.traj", atoms)
+    lattice = SALT[SALT.index("structure") : SALT.index("dynamics")]
+    by_file = scene_of(SALT.replace(lattice, 'structure = { file = "ions.traj" }\n'))
+    assert energy_of(by_file) == pytest.approx(energy_of(by_species), rel=1e-12)
+    run_scene(scene_of(SALT, "ions.toml"))
+    assert resume_run("ions.h5md", 4).system.charges.tolist() == system.charges.tolist()
 
 
 def test_every_registered_thermostat_is_built_from_its_own_parameters(monkeypatch):

@@ -14,7 +14,7 @@ from minimd.integrators.methods import METHODS
 WAYS = {"pickle": lambda one: pickle.loads(pickle.dumps(one)), "copy": copy.copy, "deepcopy": copy.deepcopy}
 MINE = md.units.UnitSystem(name="mine", k_B=2.0)
 OBJECTS = [
-    md.System(np.eye(3), cell=3.0, species=["A", "B", "A"], bonds=[[0, 1]]),
+    md.System(np.eye(3), cell=3.0, species=["A", "B", "A"], bonds=[[0, 1]], charges=[0.5, -1.0, 0.5]), md.Coulomb(1.4),
     md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.9)}, cutoff=2.5, truncation="switched"),
     md.PairPotential(gaussian, (1.0, 2.0), 2.0), md.HarmonicBond(1.0, 1.0), md.LangevinBAOAB(0.1, 1.0, 1.0, seed=2),
     md.DistanceConstraints([[0, 1]], 1.0),
@@ -37,6 +37,7 @@ def test_objects_travel_and_units_stay_the_same_object(way):
         assert type(other) is type(one)
         assert repr(other) == repr(one)
         arrays = {name: array for name, array in vars(one).items() if isinstance(array, np.ndarray)}
+        assert all(np.array_equal(vars(other)[name], array) for name, array in arrays.items())
         assert all(vars(other)[name].flags.writeable == array.flags.writeable for name, array in arrays.items())
     assert WAYS[way](md.units.ASE) is md.units.ASE
     assert WAYS[way](md.System(np.eye(3), masses=40.0, units=md.units.ASE)).units is md.units.ASE

@@ -100,7 +100,8 @@ def test_simulation_works_on_a_copy_and_what_is_fixed_cannot_be_changed(argon):
     sim.run(10)
     assert np.array_equal(system.positions, before)
     assert not np.array_equal(sim.positions, before)
-    for array in (system.masses, system.bonds, system.species_index, system.cell.vectors, system.cell.lattice):
+    fixed = system.masses, system.charges, system.bonds, system.species_index, system.cell.vectors, system.cell.lattice
+    for array in fixed:
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
 

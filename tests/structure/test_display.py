@@ -4,10 +4,14 @@ import threading
 import warnings
 from typing import get_args
 
+import numpy as np
+import pytest
+
 import minimd as md
 from minimd.console.display import Displayed
 from minimd.console.quiet import quiet
 from minimd.forces.options import Precision
+from minimd.potentials.coulomb import METHODS, MethodName
 from minimd.potentials.pair import MIXING, MixingName
 from minimd.potentials.truncation import TRUNCATIONS, TruncationName
 
@@ -20,6 +24,9 @@ CALLS = [  # an object, and the call that makes it again, without what is a defa
     (md.LangevinBAOAB(0.005, 0.7, 2.0, seed=3), "LangevinBAOAB(timestep=0.005, temperature=0.7, friction=2, seed=3)"),
     (HELD, "HarmonicBond(k=3.0, length=[1.0, 1.1], pairs=[[0, 1], [1, 2]])"),
     (md.VelocityVerlet(md.units.fs), "VelocityVerlet(timestep=0.09822694788)"),
+    (md.Coulomb(8.5, 1e-6), "Coulomb(cutoff=8.5, accuracy=1e-06)"),
+    (md.Coulomb(), "Coulomb(cutoff=None)"),
+    (md.Coulomb(9.0, method="reaction-field", bonded_scale=[0, 0.5, 1]), None),
     (md.LennardJones(SPECIES, None, CUTOFFS, "switched", pairs=UNLIKE, **MORE), None),
 ]
 
@@ -34,6 +41,15 @@ class Odd(Displayed):
         return "a <b>          words & more\n               of the same"
 
 
+def test_a_system_tells_its_net_charge_and_takes_rounding_for_none():
+    molecule = [-0.7, 0.4, 0.3]
+    for net, charges in ((0.0, 100 * molecule), (0.25, [*(99 * molecule), -0.45, 0.4, 0.3]), (None, 300 * [0.0])):
+        system = md.System(np.random.default_rng(1).random((300, 3)), charges=charges)
+        told = dict(system.display_rows()).get("charges")
+        assert told == (net if net is None else f"net charge {net:g} e, at most 0.7 e on an atom")
+        assert system.net_charge == pytest.approx(net or 0.0, rel=1e-12, abs=0.0)
+
+
 def test_html_is_escaped():
     assert Odd().display_rows() == [("a <b>", "words & more"), ("", "of the same")]
     assert "a &lt;b&gt;</th>" in Odd()._repr_html_()
@@ -45,7 +61,8 @@ def test_names_that_are_offered_are_public_ones_that_exist():
     assert names == sorted(md.__all__)
     assert all(hasattr(md, name) for name in names)
     assert not {"Any", "dataclass", "math"} & set(dir(md.units))
-    for words, known in ((TruncationName, TRUNCATIONS), (MixingName, MIXING), (Precision, ["double", "fixed-point"])):
+    choices = (TruncationName, TRUNCATIONS), (MixingName, MIXING), (MethodName, METHODS)
+    for words, known in (*choices, (Precision, ["double", "fixed-point"])):
         assert set(get_args(words)) == set(known)
 
 

@@ -8,13 +8,15 @@ import ase.io
 import MDAnalysis
 import numpy as np
 import pytest
+from ase.calculators.lj import LennardJones
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.ase import system_from_file
+from minimd.ase import ForcesFromCalculator, system_from_file
 from minimd.files.h5md_reader import read_file
 from minimd.mdanalysis import universe
 from minimd.scene import load_scene, parse_scene, run_scene
+from minimd.structure.system import changed
 
 N_CHAINS, LENGTH, EDGE = 4, 5, 6.0
 
@@ -211,7 +213,7 @@ def test_lammps_data_keeps_its_types_velocities_and_bonds(folder):
 @pytest.mark.parametrize("file", ["a.traj", "a.extxyz", None], ids=str)
 def test_bonds_angles_and_dihedrals_survive_the_way_through_atoms(tmp_path, file):
     """In the order of their first atoms; also through a file, but not .traj, which has no place for them."""
-    given = {"bonds": BONDS[::-1], "angles": ANGLES, "dihedrals": DIHEDRALS}
+    given = {"bonds": BONDS[::-1], "angles": ANGLES, "dihedrals": DIHEDRALS, "charges": np.linspace(-0.5, 0.8, 20)}
     atoms = md.System(POSITIONS, masses=1.0, units=md.units.ASE, **given).to_ase()
     if file:
         ase.io.write(tmp_path / file, atoms)
@@ -221,6 +223,7 @@ def test_bonds_angles_and_dihedrals_survive_the_way_through_atoms(tmp_path, file
     for name in ("angles", "dihedrals"):
         same_groups(getattr(back, name), [] if file == "a.traj" else GROUPS[name])
     assert np.array_equal(back.positions, POSITIONS) or file
+    np.testing.assert_allclose(back.charges, given["charges"], rtol=0.0, atol=5e-9 if file == "a.extxyz" else 0.0)
     assert set(md.System(POSITIONS).to_ase().arrays) == {"numbers", "positions", "masses", "momenta"}
 
 
@@ -280,31 +283,73 @@ def test_group_of_atoms_keeps_the_bonds_within_it(folder):
     assert len(part.angles) == 6
 
 
-def salt(charges=(0.5, -0.8476)):
+IONS = [0.5, -0.8476]
+
+
+def salt():
     atoms = ase.Atoms("NaCl", [[1.0, 1.0, 1.0], [3.5, 1.0, 1.0]], cell=[8.0] * 3, pbc=True)
-    atoms.set_initial_charges(charges)
+    atoms.set_initial_charges(IONS)
     return atoms
+
+
+def from_lammps(folder, style):
+    """Data of LAMMPS, with a column of charges."""
+    molecule = "" if style == "charge" else "1 "
+    lines = f"1 {molecule}1 0.5 1 1 1", f"2 {molecule}2 -0.8476 3.5 1 1"
+    head = "salt\n\n2 atoms\n2 atom types\n0 8 xlo xhi\n0 8 ylo yhi\n0 8 zlo zhi\n\nMasses\n\n1 22.99\n2 35.45\n\n"
+    (folder / "salt.data").write_text(f"{head}Atoms # {style}\n\n" + "\n".join(lines) + "\n")
+    return folder / "salt.data"
 
 
 def from_mdanalysis(_folder):
     made = MDAnalysis.Universe.empty(2, trajectory=True)
     made.add_TopologyAttr("masses", [23.0, 35.45])
-    made.add_TopologyAttr("charges", [0.5, -0.8476])
+    made.add_TopologyAttr("charges", IONS)
+    made.atoms.positions = [[1.0, 1.0, 1.0], [3.5, 1.0, 1.0]]
     return md.System.from_mdanalysis(made)
 
 
-WAYS_IN = [
-    from_mdanalysis,
-    lambda folder: md.System.from_ase(salt()),
-    lambda folder: (write_psf(folder / "melt.psf", -0.8476), system_from_file("melt.pdb", bonds="melt.psf")),
-]
+def beside(folder):
+    """Charges and bonds of a PSF beside a PDB, which has no charges; those of the structure itself come first."""
+    write_psf(folder / "melt.psf", -0.8476)
+    assert system_from_file(folder / "own.traj", bonds="melt.psf").charges.tolist() == 20 * [0.25]
+    return system_from_file("melt.pdb", bonds="melt.psf")
+
+
+def from_psf(folder):
+    write_psf(folder / "melt.psf", -0.8476)
+    return md.System.from_mdanalysis(MDAnalysis.Universe("melt.psf", "plain.pdb"))
+
+
+WAYS_IN = {
+    "a universe": from_mdanalysis,
+    "atoms": lambda folder: md.System.from_ase(salt()),
+    "a file of ASE": lambda folder: (ase.io.write("a.traj", salt()), system_from_file("a.traj"))[1],
+    "LAMMPS data, full": lambda folder: system_from_file(from_lammps(folder, "full")),
+    "LAMMPS data, charge": lambda folder: system_from_file(from_lammps(folder, "charge"), units=md.units.LJ),
+    "LAMMPS data beside": lambda folder: (
+        ase.io.write("a.xyz", ase.Atoms("NaCl", salt().positions)),
+        system_from_file("a.xyz", bonds=from_lammps(folder, "full").name),
+    )[1],
+    "a PSF beside": beside,
+    "a PSF": from_psf,
+}
 
 
 @pytest.mark.parametrize("way", WAYS_IN)
-def test_charges_are_not_dropped_in_silence(folder, way):
-    """One warning for a structure, which shows the largest; none for charges that are zero."""
+def test_charges_come_with_a_structure_and_a_warning_tells_if_nothing_uses_them(folder, way):
+    """One warning, which shows the largest; none where Coulomb or a calculator may use them, or all are zero."""
+    own = ase.Atoms(20 * "C", POSITIONS)
+    own.set_initial_charges(20 * [0.25])
+    ase.io.write("own.traj", own)
+    system = WAYS_IN[way](folder)
+    assert system.charges.tolist() == (20 * [-0.8476] if "PSF" in way else IONS)
+    law, neutral = md.LennardJones(1e-3, 0.5, 2.6), changed(system, charges=None)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        way(folder)
-        md.System.from_ase(salt([0.0, 0.0]))
-    assert ["0.8476" in str(one.message) for one in told if "charges" in str(one.message)] == [True]
+        md.evaluate(system, [law, md.Coulomb(2.6)])
+        md.evaluate(system, [law, ForcesFromCalculator(LennardJones(rc=2.6))])
+        md.evaluate(neutral, law)
+        assert [one for one in told if "not used" in str(one.message)] == []
+        md.evaluate(system, law)
+    assert ["0.8476 e" in str(one.message) for one in told if "not used" in str(one.message)] == [True]

@@ -55,9 +55,9 @@ BONDED = {
     "periodic dihedrals": md.PeriodicDihedral(np.linspace(0.5, 2.0, 7), [0, 1, 2, 3, 4, 5, 6], 0.4, CHAINS),
     "ryckaert-bellemans": md.RyckaertBellemans((1.3, 1.4, -1.6, -0.4, 3.1, -3.4), CHAINS),
     "harmonic impropers": md.HarmonicImproper(3.0, np.linspace(-3.1, 3.1, 7), CHAINS),
-    "charges": md.Coulomb(1.7, bonded_scale=(0.0, 0.3, 1.0)),
+    "charges": md.Coulomb(1.75, bonded_scale=(0.0, 0.3, 1.0)),
     "reaction field": md.Coulomb(CUTOFF, method="reaction-field", bonded_scale=(0.5, 1.0, 0.5)),
-    "charged": [md.LennardJones(TWO_KINDS, cutoff=1.6, bonded_scale=(0.0, 0.0, 0.5)), md.Coulomb(1.7)],
+    "charged": [md.LennardJones(TWO_KINDS, cutoff=1.6, bonded_scale=(0.0, 0.0, 0.5)), md.Coulomb(1.75)],
     "several": [PAIRS["lennard-jones"], PAIRS["yukawa"], md.HarmonicBond(30.0, 1.0)],
 }
 EVERYWHERE, STRENGTHS = ("open", "slab", "tube", "triclinic"), np.linspace(0.5, 1.0, 10)

@@ -1,7 +1,7 @@
 """SPC/E water at 298 K: density at 1 bar, structure, diffusion and viscosity.
 
-The literature has a density of 0.998 g/cm³, the first peak of g(r) at 2.75 Å, D = 2.7 to 2.8 · 10⁻⁵ cm²/s free of the size
-of the cell, and η = 0.729 ± 0.07 mPa s (S. Tazi et al., J. Phys.: Condens. Matter 24, 284117 (2012)).
+The literature has a density of 0.998 g/cm³, the first peak of g(r) at 2.75 Å, D = 2.7 to 2.8 · 10⁻⁵ cm²/s free of
+the size of the cell, and η = 0.729 ± 0.07 mPa s (S. Tazi et al., J. Phys.: Condens. Matter 24, 284117 (2012)).
 """
 
 import matplotlib.pyplot as plt

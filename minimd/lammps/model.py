@@ -224,7 +224,7 @@ class Model:
 
     def _take(self, potential: Any, engine: Engine) -> None:
         system = engine.system
-        if isinstance(potential, PairPotential):
+        if isinstance(potential, PairPotential) and not len(potential.exclusions):
             self.pair_styles.append(self._pair_style(potential, system.species_names))
             self.smallest_cutoff = min(self.smallest_cutoff, potential.shortest_length)
             self.search = "nsq" if potential.cutoff == np.inf else self.search
@@ -234,7 +234,7 @@ class Model:
             each = np.column_stack(potential.columns(potential.acts_on, len(found)))
             groups.add(found, each, partial(_coefficients, potential))
         else:
-            raise _outside(potential, "pair potentials, bonds, harmonic angles and dihedrals")
+            raise _outside(potential, "pair potentials without exclusions, bonds, harmonic angles and dihedrals")
 
     def _pair_style(self, potential: PairPotential, species_names: tuple) -> PairStyle:
         """The style of a pair potential: a Lennard-Jones style of LAMMPS if there is one,

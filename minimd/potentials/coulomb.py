@@ -9,14 +9,16 @@ from typing import Any, Literal
 
 import numpy as np
 from numba.extending import overload
+from numpy.typing import ArrayLike
 
 from minimd.compiled.kernels import scalar, type_of
 from minimd.compiled.simd import fma, select
 from minimd.console.words import shown
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.prolates import LEAST_ACCURATE, MOST_ACCURATE, Numbers, Split, split_for
-from minimd.potentials.term import OwnPotential, OwnTerm, PairLaw
-from minimd.structure.checks import checked_choice, checked_number, checked_numbers
+from minimd.potentials.term import OwnPotential, OwnTerm, PairLaw, checked_factors
+from minimd.structure.bond_graph import checked_pairs
+from minimd.structure.checks import checked_choice, checked_number
 from minimd.structure.system import System
 
 MethodName = Literal["ewald", "reaction-field"]
@@ -99,14 +101,15 @@ class Coulomb(OwnPotential):
     ----------
     cutoff : r_c [length], of the pairs; a smaller one gives more waves. None only without periodic directions.
     accuracy : bound of the rms error of forces, divided by the rms force.
-    method : "ewald"; or "reaction-field", pairs only, as in a medium that conducts beyond the cutoff:
-        u = q (1/r + r²/(2 r_c³) − 3/(2 r_c)), an approximation of unknown error.
-    bonded_scale : factors for pairs one, two and three bonds apart, as for PairPotential.
+    method : "ewald"; or "reaction-field", pairs only, as in a uniform medium beyond the cutoff, an approximation of
+        unknown error: u = q (1/r + k r² − c), k = (ε − 1)/((2ε + 1) r_c³), c = 3ε/((2ε + 1) r_c).
+    dielectric : ε of the reaction field, 1 or more; infinite for a medium that conducts.
+    bonded_scale, exclusions : as for PairPotential.
 
     Raises
     ------
-    ValueError : for a cutoff that is not positive, an accuracy that is not between 1e-13 and 0.05, an unknown method;
-        at the start for a system without charges, or periodic in some directions only.
+    ValueError : for a cutoff that is not positive, an accuracy that is not between 1e-13 and 0.05, an unknown method,
+        a dielectric constant below 1; at the start for a system without charges, or periodic in some directions only.
     """
 
     def __init__(
@@ -115,7 +118,9 @@ class Coulomb(OwnPotential):
         accuracy: float = 1e-5,
         *,
         method: MethodName = "ewald",
+        dielectric: float = inf,
         bonded_scale: Sequence[float] = (0.0, 0.0, 1.0),
+        exclusions: ArrayLike | None = None,
     ) -> None:
         self.cutoff = inf if cutoff is None else checked_number("cutoff", cutoff, "positive and finite")
         self.accuracy = checked_number("accuracy", accuracy, "positive and finite")
@@ -123,16 +128,17 @@ class Coulomb(OwnPotential):
             limits = f"between {MOST_ACCURATE:g}, which rounding allows, and {LEAST_ACCURATE:g}"
             raise ValueError(f"accuracy must be {limits}; accuracy = {shown(accuracy)}")
         self.method = checked_choice("method", method, METHODS)
-        factors = checked_numbers("bonded_scale", bonded_scale, "three finite factors")
-        if factors.shape != (3,) or not np.isfinite(factors).all():
-            expected = "three finite factors, for pairs one, two and three bonds apart"
-            raise ValueError(f"bonded_scale must be {expected}; it is {shown(bonded_scale)}")
-        self.bonded_scale = tuple(factors.tolist())
+        self.dielectric = inf if dielectric == inf else checked_number("dielectric", dielectric)
+        if self.dielectric < 1.0:
+            raise ValueError(f"dielectric must be 1 (vacuum) or more, inf for a conductor; dielectric = {dielectric}")
+        self.bonded_scale, self.exclusions = checked_factors(bonded_scale), checked_pairs("exclusions", exclusions)
 
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
         cutoff = None if self.cutoff == inf else self.cutoff
-        return {"cutoff": cutoff, "accuracy": self.accuracy, "method": self.method, "bonded_scale": self.bonded_scale}
+        told = {"cutoff": cutoff, "accuracy": self.accuracy, "method": self.method, "dielectric": self.dielectric}
+        left_out = self.exclusions if len(self.exclusions) else None
+        return told | {"bonded_scale": self.bonded_scale, "exclusions": left_out}
 
     def bind(self, system: System) -> CoulombTerm:
         """The term of this potential in a system.  Raises ValueError as the class."""
@@ -157,14 +163,16 @@ class CoulombTerm(OwnTerm):
         self.cutoff = self.shortest_length = inf if split is None and potential.method == "ewald" else potential.cutoff
         numbers = NO_REST if split is None else split.numbers
         if potential.method == "reaction-field":
-            third = 1.0 / self.cutoff**3
-            numbers = (2.0 / self.cutoff**2, (1.25 / self.cutoff, -0.25 / self.cutoff), (-third, 0.0))
+            part = 1.0 / (2.0 + 1.0 / potential.dielectric)
+            k, c = (1.0 - 1.0 / potential.dielectric) * part / self.cutoff, 3.0 * part / self.cutoff
+            numbers = (2.0 / self.cutoff**2, (c - 0.5 * k, -0.5 * k), (-2.0 * k / self.cutoff**2, 0.0))
         charges = system.charges * sqrt(system.units.coulomb)
         total, size = float(system.charges.sum()), float(np.abs(system.charges).sum())
         if split is not None and abs(total) > NEUTRAL * size:
             self.warning = f"the net charge of the cell is {total:.6g} e: a uniform background balances it"
         name, table = type(potential).__name__, np.full((1, 1, 1), self.cutoff**2)
-        self.pair_law = PairLaw(name, CoulombLaw(numbers), table, self.cutoff, potential.bonded_scale, charges, split)
+        law, left_out = CoulombLaw(numbers), checked_pairs("exclusions", potential.exclusions, len(system))
+        self.pair_law = PairLaw(name, law, table, self.cutoff, potential.bonded_scale, charges, split, left_out)
 
 
 def with_charges(law: PairLaw, charges: PairLaw) -> PairLaw:

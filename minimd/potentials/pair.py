@@ -375,8 +375,8 @@ class LennardJones(PairPotential):
             )
         parameters: Any = epsilon if isinstance(epsilon, Mapping) else (epsilon, sigma)
         own = partial(super().__init__, LennardJonesLaw(), parameters, cutoff, truncation, mixing=mixing, pairs=pairs)
-        scales = {"bonded_scale": bonded_scale, "exclusions": exclusions}
-        own(switch_start=switch_start, tail_correction=tail_correction, **scales)
+        own = partial(own, switch_start=switch_start, bonded_scale=bonded_scale)
+        own(tail_correction=tail_correction, exclusions=exclusions)
 
     def law_arguments(self) -> dict[str, Any]:
         """See PairPotential."""

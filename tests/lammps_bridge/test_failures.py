@@ -45,7 +45,7 @@ TABLE = md.Tabulated(np.linspace(0.5, 2.5, 100), np.linspace(0.5, 2.5, 100) ** -
 OUTSIDE = [  # scene, what must be named
     (with_potential(LJ, md.Gravity(1.0)), "dihedrals", "Gravity(acceleration="),
     (with_potential(LJ, md.HarmonicImproper(1.0, 0.0, [[0, 1, 2, 3]])), "dihedrals", "HarmonicImproper(k="),
-    (with_potential(md.LennardJones(1.0, 1.0, 2.5, exclusions=[[0, 1]])), "exclusions", "[[0, 1]]"),
+    (with_potential(md.LennardJones(1.0, 1.0, 2.5, exclusions=[[0, 1]])), "without exclusions", "LennardJones("),
     (with_potential(TABLE), "Lepton", "the law tabulated"),
     (with_potential(*OTHER_BONDS), "bonded_scale", "[4, 5]"),
     (with_method(md.PositionVerlet(TIMESTEP)), "method", "position-verlet"),

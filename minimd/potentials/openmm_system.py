@@ -65,7 +65,7 @@ def from_openmm(
 
         made = openmm.app.ForceField("amber14-all.xml", "amber14/tip3p.xml").createSystem(pdb.topology, …)
         system, potentials, constraints = md.from_openmm(made, pdb.topology, pdb.positions)
-        sim = md.Simulation(system, potentials, md.VelocityVerlet(2.0 * md.units.fs), constraints=constraints)
+        sim = md.Simulation(system, potentials, md.VelocityVerlet(2.0 * md.units.fs), constraints)
 
     Taken: harmonic bonds and angles, periodic and Ryckaert-Bellemans torsions, NonbondedForce, masses, box vectors,
     constraints; CMMotionRemover is left out, because minimd's forces conserve momentum. Species are the elements,
@@ -73,9 +73,9 @@ def from_openmm(
 
     The exceptions of NonbondedForce become exclusions of LennardJones and Coulomb, and, if they have parameters, a
     BondPotential. The law of charges is summed to ewaldErrorTolerance, whatever Ewald parameters or PME grid are given.
-    Energies differ from OpenMM's as follows. Its constant k_e is larger by 9e-10 of it. Its dispersion correction, a
-    mean over N(N + 1)/2 pairs, is that of minimd up to a part of 1/N. Terms act on nearest images, as those of
-    OpenMM do if they are told to use periodic boundary conditions, or if molecules are whole.
+    Energies differ from OpenMM's as follows. Its constant k_e, 138.9354576 kJ nm/(mol e²), is larger by 9e-10 of it. Its
+    dispersion correction is a mean over N (N + 1)/2 pairs, that of minimd one over N²/2. Terms of minimd act on nearest
+    images; those of OpenMM do if they use periodic boundary conditions, or if molecules are whole.
 
     Parameters
     ----------

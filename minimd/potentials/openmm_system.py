@@ -73,8 +73,8 @@ def from_openmm(
 
     The exceptions of NonbondedForce become exclusions of LennardJones and Coulomb, and, if they have parameters, a
     BondPotential. The law of charges is summed to ewaldErrorTolerance, whatever Ewald parameters or PME grid are given.
-    Energies differ from OpenMM's as follows. Its constant k_e, 138.9354576 kJ nm/(mol e²), is larger by 9e-10 of it. Its
-    dispersion correction is a mean over N (N + 1)/2 pairs, that of minimd one over N²/2. Terms of minimd act on nearest
+    Energies differ from those of OpenMM: its constant k_e, 138.9354576 kJ nm/(mol e²), is larger by 9e-10 of it; its
+    dispersion correction is a mean over N (N + 1)/2 pairs, not over N²/2. Terms of minimd act on nearest
     images; those of OpenMM do if they use periodic boundary conditions, or if molecules are whole.
 
     Parameters

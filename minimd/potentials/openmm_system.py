@@ -95,7 +95,7 @@ def from_openmm(
         told = f"they have {n}, {len(elements)} and {len(places)}"
         raise ValueError(f"OpenMM's system, topology and positions must have the same number of atoms; {told}")
     if strange := _strange(openmm_system, forces):
-        hint = "leave them out where OpenMM makes the system; baths and barostats are given to md.Simulation"
+        hint = "baths and barostats are given to md.Simulation; other forces need OpenMM itself, or another force field"
         raise ValueError(f"from_openmm takes {listed(KNOWN)}; it does not take {listed(strange)}: {hint}")
     nonbonded = next((one for one in forces if type(one).__name__ == "NonbondedForce"), None)
     charges, sigma, epsilon = np.zeros((3, n)) if nonbonded is None else _rows(nonbonded, "Particle", 3).T

@@ -48,6 +48,7 @@ from minimd.potentials import (
     SteeredSpring,
     Tabulated,
     Wall,
+    from_openmm,
     water,
 )
 from minimd.potentials.term import Potential, Term
@@ -71,8 +72,8 @@ __all__ = [
     "PairPotential", "PeriodicDihedral", "PositionVerlet", "Potential", "RangeError", "Record", "Report", "Restraint",
     "Reversibility", "RyckaertBellemans", "Simulation", "SphereWall", "SteeredSpring", "StepAdvice",
     "StochasticCellRescaling", "StochasticVelocityRescaling", "System", "Tabulated", "Term", "VelocityVerlet", "Wall",
-    "advise_timestep", "archive", "ensemble", "evaluate", "grade", "integrators", "lammps", "lattice", "minimize",
-    "neighbor_list", "observers", "read_observers", "replay", "shadow_energy", "units", "view", "water",
+    "advise_timestep", "archive", "ensemble", "evaluate", "from_openmm", "grade", "integrators", "lammps", "lattice",
+    "minimize", "neighbor_list", "observers", "read_observers", "replay", "shadow_energy", "units", "view", "water",
 ]  # fmt: skip
 
 
@@ -87,8 +88,7 @@ def read_observers(path: str | Path) -> dict[str, observers.Accumulator]:
     """The observers in an H5MD file by name, in their state at its restart:
     read_observers("run.h5md")["viscosity"].result().
 
-    Raises FileNotFoundError, OSError, ValueError for a file that does not exist, is damaged,
-    or was not written by minimd.
+    Raises OSError, ValueError for a file that does not exist, is damaged, or was not written by minimd.
     """
     from minimd.files.h5md_reader import read_file  # h5py is slow to load
 

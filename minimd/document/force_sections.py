@@ -34,6 +34,7 @@ KINDS: dict[Any, Any] = dict.fromkeys((law.vector, law.vectors, law.weight, law.
     law.points: Annotated[list[Vector], Field(min_length=1)],
     law.coefficients: Annotated[list[FiniteFloat], Field(min_length=1, max_length=law.MOST_COEFFICIENTS)],
     law.atoms: Atoms,
+    law.pairs: list[PairOfAtoms],
 }
 
 

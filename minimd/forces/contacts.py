@@ -117,9 +117,9 @@ def contacts(
 
 
 def bonded_scales(potential: PairPotential, system: System) -> dict[frozenset[int], float]:
-    """The factor on the law for each pair of atoms up to three bonds apart."""
-    by_bonds = pairs_by_bonds_apart(system.bonds) if len(system.bonds) else ()
-    with_factors = zip(by_bonds, potential.bonded_scale, strict=False)
+    """The factor on the law for each pair of atoms up to three bonds apart, and for its exclusions."""
+    pairs_of = *pairs_by_bonds_apart(system.bonds), potential.exclusions
+    with_factors = zip(pairs_of, (*potential.bonded_scale, 0.0), strict=True)
     return {frozenset(pair): factor for pairs, factor in with_factors for pair in pairs.tolist()}
 
 

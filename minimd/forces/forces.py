@@ -71,21 +71,21 @@ def plan(
 
 
 def special_terms(system: System, members: Sequence[PairLaw], laws: PairLaws) -> Iterator[Term]:
-    """Terms for the pairs one, two and three bonds apart that the list leaves out: each law times its factor."""
-    for one in members:
-        for k, pairs in laws.special:
-            factor = one.bonded_scale[k]
-            if factor == 0.0 and one.split is None:
-                continue
-            species = system.species_index[pairs] if len(one.table) > 1 else np.zeros_like(pairs)
-            rows, factors = one.table[species[:, 0], species[:, 1]], np.full(len(pairs), factor)
-            product = [] if one.charges is None else [one.charges[pairs].prod(axis=1)]
-            if one.split is None:
-                columns = np.column_stack([rows[:, 0], factors, *product, rows[:, 1:]])
-                yield FixedPairs(pairs, Scaled(one.law), from_table(columns))
-            else:
-                columns = np.column_stack([np.full(len(pairs), np.inf), *product, factors, rows[:, 0]])
-                yield FixedPairs(pairs, SpecialLaw(one.split.numbers), from_table(columns))
+    """Terms for the pairs that the list leaves out: each law times its factors."""
+    for one, of_law in zip(members, laws.factors, strict=True):
+        acts = (of_law != 0.0) | (one.split is not None)
+        if not acts.any():
+            continue
+        pairs, factors = laws.excluded[acts], of_law[acts]
+        species = system.species_index[pairs] if len(one.table) > 1 else np.zeros_like(pairs)
+        rows = one.table[species[:, 0], species[:, 1]]
+        product = [] if one.charges is None else [one.charges[pairs].prod(axis=1)]
+        if one.split is None:
+            columns = np.column_stack([rows[:, 0], factors, *product, rows[:, 1:]])
+            yield FixedPairs(pairs, Scaled(one.law), from_table(columns))
+        else:
+            columns = np.column_stack([np.full(len(pairs), np.inf), *product, factors, rows[:, 0]])
+            yield FixedPairs(pairs, SpecialLaw(one.split.numbers), from_table(columns))
 
 
 CHANGED_SPEED = 2.0  # the skin is chosen anew when atoms are faster or slower by this factor: its optimum is flat

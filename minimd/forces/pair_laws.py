@@ -11,7 +11,7 @@ from minimd.neighbors.verlet_list import LEAST_SKIN, VerletList, best_skin
 from minimd.potentials.coulomb import with_charges
 from minimd.potentials.law import law_at, runs_on_vectors
 from minimd.potentials.term import OwnTerm, PairLaw
-from minimd.structure.bond_graph import pairs_by_bonds_apart
+from minimd.structure.bond_graph import among, pairs_by_bonds_apart
 from minimd.structure.system import System, local_density
 
 CLUSTERS_FROM = 32  # atoms: with fewer, the pair list is as fast
@@ -24,18 +24,19 @@ class PairLaws:
 
     members : the laws; that of charges is one with the first other law that reaches as far or less.
     cutoff : their largest cutoff [length].
-    special : numbers k and pairs (P, 2), k + 1 bonds apart, on which a law has a factor other than 1.
-    excluded : (P, 2) all of them: the list leaves out their nearest images.
+    excluded : (P, 2) int, pairs on which a law has a factor other than 1: the list leaves out their nearest images.
+    factors : (M, P) of the members on them.
     """
 
     def __init__(self, system: System, members: Sequence[PairLaw]) -> None:
-        by_bonds = enumerate(pairs_by_bonds_apart(system.bonds))
-        is_special = [
-            any(factor != 1.0 for factor in of_laws)
-            for of_laws in zip(*(one.bonded_scale for one in members), strict=True)
-        ]
-        self.special = [(k, pairs) for k, pairs in by_bonds if is_special[k] and len(pairs)]
-        self.excluded = np.concatenate([np.zeros((0, 2), dtype=np.int64), *(pairs for _, pairs in self.special)])
+        by_bonds = pairs_by_bonds_apart(system.bonds)
+        pairs = np.unique(np.sort(np.concatenate([*by_bonds, *(one.exclusions for one in members)])), axis=0)
+        factors = np.ones((len(members), len(pairs)))
+        for of_law, one in zip(factors, members, strict=True):
+            for factor, some in zip((*one.bonded_scale, 0.0), (*by_bonds, one.exclusions), strict=True):
+                of_law[among(pairs, some)] = factor
+        is_special = (factors != 1.0).any(axis=0)
+        self.excluded, self.factors = pairs[is_special], factors[:, is_special]
         self.members, self.cutoff = merged(members), max(one.cutoff for one in members)
 
     def skipped(self) -> list[str]:

@@ -89,6 +89,7 @@ def _opened(pairs: Indices, lengths: Array, triangles: Indices) -> tuple[Indices
 
 Style = tuple[str, str]  # of a type of bonds, angles or dihedrals: the style of LAMMPS, and its numbers
 MOST_TYPES = 500  # of atoms: LAMMPS' tables grow with their square
+KINDS = "pair potentials and charges (ewald) without exclusions, bonds, harmonic angles and dihedrals"
 FAR = 100.0  # extents of the scene: the cutoff of a law without one
 SKIN = 0.12  # of the smallest cutoff, or longest bond
 REACH = 2.0  # in longest bonds: the distance up to which LAMMPS finds partners of an atom on other processes
@@ -222,6 +223,8 @@ class Model:
 
     def _take(self, potential: Any, engine: Engine) -> None:
         system = engine.system
+        if (excluded := getattr(potential, "exclusions", None)) is not None and len(excluded):
+            raise _outside(potential, KINDS)
         if isinstance(potential, PairPotential):
             self.pair_styles.append(self._pair_style(potential, system.species_names))
             self.smallest_cutoff = min(self.smallest_cutoff, potential.shortest_length)
@@ -232,7 +235,7 @@ class Model:
             each = np.column_stack(potential.columns(potential.acts_on, len(found)))
             self.joined[potential.acts_on[:-1]].add(found, each, partial(_coefficients, potential))
         else:
-            raise _outside(potential, "pair potentials, charges (ewald), bonds, harmonic angles and dihedrals")
+            raise _outside(potential, KINDS)
 
     def _pair_style(self, potential: PairPotential, species_names: tuple) -> PairStyle:
         """The style of a pair potential: Lennard-Jones of LAMMPS if there is one, else its law, written for Lepton."""

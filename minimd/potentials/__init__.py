@@ -23,6 +23,7 @@ from minimd.potentials.fields import (
     SteeredSpring,
     Wall,
 )
+from minimd.potentials.openmm_system import from_openmm
 from minimd.potentials.pair import LennardJones, PairPotential, Tabulated
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
 from minimd.potentials.water import water
@@ -40,4 +41,4 @@ __all__ += [
     "LennardJones",
 ]
 __all__ += ["MorseBond", "OPLSDihedral", "PairPotential", "PeriodicDihedral", "Restraint", "RyckaertBellemans"]
-__all__ += ["SphereWall", "SteeredSpring", "Tabulated", "Term", "Wall", "water"]
+__all__ += ["SphereWall", "SteeredSpring", "Tabulated", "Term", "Wall", "from_openmm", "water"]

@@ -9,14 +9,16 @@ from typing import Literal
 
 import numpy as np
 from numba.extending import overload
+from numpy.typing import ArrayLike
 
 from minimd.compiled.kernels import scalar, type_of
 from minimd.compiled.simd import fma, select
 from minimd.console.words import shown
-from minimd.potentials.declared import POSITIVE, Declared, choice, declared, factors, number
+from minimd.potentials.declared import POSITIVE, Declared, choice, declared, factors, number, pairs
 from minimd.potentials.law import evaluate_law
 from minimd.potentials.prolates import LEAST_ACCURATE, MOST_ACCURATE, Numbers, Split, split_for
 from minimd.potentials.term import OwnTerm, PairLaw
+from minimd.structure.bond_graph import checked_pairs
 from minimd.structure.system import System
 
 MethodName = Literal["ewald", "reaction-field"]
@@ -93,8 +95,8 @@ class Coulomb(Declared):
     In a cell that is periodic in all directions 1/r is split: pairs within the cutoff, and a sum over waves for the
     smooth rest (Ewald's sum with prolate spheroidal wave functions instead of Gaussians: minimd.potentials.prolates).
     Without periodic directions all pairs count, whatever the cutoff. A net charge is balanced by a uniform background.
-    Method "reaction-field": pairs only, as in a medium that conducts beyond the cutoff,
-    u = q (1/r + r²/(2 r_c³) − 3/(2 r_c)), an approximation of unknown error.
+    Method "reaction-field": pairs only, as in a uniform medium beyond the cutoff, an approximation of unknown error:
+    u = q (1/r + k r² − c), k = (ε − 1)/((2ε + 1) r_c³), c = 3ε/((2ε + 1) r_c).
     Refused at the start: a system without charges, or periodic in some directions only.
     """
 
@@ -107,8 +109,14 @@ class Coulomb(Declared):
     method: MethodName = declared(
         choice, '"reaction-field" is an approximation', of=METHODS, default="ewald", kw_only=True
     )
+    dielectric: float = declared(
+        number, "ε of the reaction field, 1 or more; infinite: a conductor", of=inf, default=inf, kw_only=True
+    )
     bonded_scale: Sequence[float] = declared(
         factors, "factors for pairs one, two and three bonds apart", default=(0.0, 0.0, 1.0), kw_only=True
+    )
+    exclusions: ArrayLike | None = declared(
+        pairs, "on which it does not act, whatever bonded_scale says", default=None, kw_only=True
     )
 
     def __post_init__(self) -> None:
@@ -116,6 +124,9 @@ class Coulomb(Declared):
         if not MOST_ACCURATE <= self.accuracy <= LEAST_ACCURATE:
             limits = f"between {MOST_ACCURATE:g}, which rounding allows, and {LEAST_ACCURATE:g}"
             raise ValueError(f"accuracy must be {limits}; accuracy = {shown(self.accuracy)}")
+        if self.dielectric < 1.0:
+            least = "1 (vacuum) or more, inf for a conductor"
+            raise ValueError(f"dielectric must be {least}; dielectric = {self.dielectric}")
 
     def bind(self, system: System) -> CoulombTerm:
         """The term of this potential in a system.  Raises ValueError as the class."""
@@ -141,14 +152,16 @@ class CoulombTerm(OwnTerm):
         self.cutoff = self.shortest_length = inf if split is None and potential.method == "ewald" else cutoff
         numbers = NO_REST if split is None else split.numbers
         if potential.method == "reaction-field":
-            third = 1.0 / self.cutoff**3
-            numbers = (2.0 / self.cutoff**2, (1.25 / self.cutoff, -0.25 / self.cutoff), (-third, 0.0))
+            part = 1.0 / (2.0 + 1.0 / potential.dielectric)
+            k, c = (1.0 - 1.0 / potential.dielectric) * part / self.cutoff, 3.0 * part / self.cutoff
+            numbers = (2.0 / self.cutoff**2, (c - 0.5 * k, -0.5 * k), (-2.0 * k / self.cutoff**2, 0.0))
         charges = system.charges * sqrt(system.units.coulomb)
         if split is not None and (net := system.net_charge):
             self.warning = f"the net charge of the cell is {net:.6g} e: a uniform background balances it"
         name, table = type(potential).__name__, np.full((1, 1, 1), self.cutoff**2)
+        law, left_out = CoulombLaw(numbers), checked_pairs("exclusions", potential.exclusions, len(system))
         scale = tuple(potential.bonded_scale)
-        self.pair_law = PairLaw(name, CoulombLaw(numbers), table, self.cutoff, scale, charges, split)
+        self.pair_law = PairLaw(name, law, table, self.cutoff, scale, charges, split, left_out)
 
 
 def with_charges(law: PairLaw, charges: PairLaw) -> PairLaw:

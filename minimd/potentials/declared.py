@@ -230,6 +230,7 @@ coefficients = Kind("up to six, each one number for all or one for each; missing
 own_law = Kind("a user's function, or a law type", lambda _name, law, _asked: checked_law(law))
 own_parameters = Kind("a tuple, each entry one number for all or one for each", _own_parameters)
 number = Kind("one number", _number)
+pairs = Kind("pairs of atoms", lambda name, given, _: None if given is None else checked_pairs(name, given))
 choice = Kind("one of {of}", lambda name, value, asked: checked_choice(name, value, asked.of))
 atoms = Kind("indices of different atoms; all if not given", _atoms)
 groups = Kind("groups of {of} atoms; those of the system if not given", _groups)

@@ -16,8 +16,9 @@ from minimd.compiled.kernels import scalar, type_of
 from minimd.console.words import listed, near, shown
 from minimd.potentials.law import UserLaw, check_user_law, checked_law, evaluate_law, law_at
 from minimd.potentials.laws import LennardJonesLaw
-from minimd.potentials.term import OwnPotential, OwnTerm, PairLaw, no_bonds
+from minimd.potentials.term import OwnPotential, OwnTerm, PairLaw, checked_factors, no_bonds
 from minimd.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
+from minimd.structure.bond_graph import checked_pairs
 from minimd.structure.checks import checked_choice, checked_flag, checked_number, checked_numbers
 from minimd.structure.system import System
 
@@ -70,6 +71,8 @@ class PairPotential(OwnPotential):
         smaller than the cutoff they hold for the nearest image of the pair only.
     tail_correction : add the energy and virial of the pairs that the truncation leaves out, at uniform density
         (g = 1). For "truncated" and the switches.
+    exclusions : (P, 2) int, pairs of atoms on which the law does not act, whatever bonded_scale says; their nearest
+        images, too.
 
     Raises
     ------
@@ -90,6 +93,7 @@ class PairPotential(OwnPotential):
         switch_start: float | None = None,
         bonded_scale: Sequence[float] = UNSCALED,
         tail_correction: bool = False,
+        exclusions: ArrayLike | None = None,
     ) -> None:
         self.plain_law = checked_law(law)
         self._is_tried = not isinstance(self.plain_law, UserLaw)
@@ -100,11 +104,7 @@ class PairPotential(OwnPotential):
         self.mixing = mixing if callable(mixing) or mixing is None else MIXING[checked_choice("mixing", mixing, MIXING)]
         self.parameters, self.pairs = self._checked_parameters(parameters, pairs)
         self.switch_start = self._checked_switch_start(switch_start)
-        expected = "three finite factors, for pairs one, two and three bonds apart"
-        factors = checked_numbers("bonded_scale", bonded_scale, expected)
-        if factors.shape != (3,) or not np.isfinite(factors).all():
-            raise ValueError(f"bonded_scale must be {expected}; it is {shown(bonded_scale)}")
-        self.bonded_scale = tuple(factors.tolist())
+        self.bonded_scale, self.exclusions = checked_factors(bonded_scale), checked_pairs("exclusions", exclusions)
         self.tail_correction = checked_flag("tail_correction", tail_correction)
         if tail_correction and (truncation not in ("truncated", *SWITCHES) or self.cutoff == inf):
             needed = f"a cutoff and truncation 'truncated', {listed(SWITCHES)}"
@@ -154,6 +154,7 @@ class PairPotential(OwnPotential):
         told = {"cutoff": cutoff, "truncation": self.truncation, "mixing": mixing}
         told |= {"pairs": _one_order(self.pairs) or None, "switch_start": self.switch_start}
         told |= {"bonded_scale": self.bonded_scale, "tail_correction": self.tail_correction}
+        told |= {"exclusions": self.exclusions if len(self.exclusions) else None}
         taken = signature(type(self)).parameters
         return self.law_arguments() | {name: value for name, value in told.items() if name in taken}
 
@@ -283,7 +284,8 @@ class PairTerm(OwnTerm):
     def __init__(self, potential: PairPotential, system: System) -> None:
         table = potential.table(system.species_names)
         name, cutoff = type(potential).__name__, potential.cutoff
-        self.pair_law = PairLaw(name, potential.law, table, cutoff, potential.bonded_scale)
+        left_out = checked_pairs("exclusions", potential.exclusions, len(system))
+        self.pair_law = PairLaw(name, potential.law, table, cutoff, potential.bonded_scale, exclusions=left_out)
         self.cutoff, self.shortest_length, self._potential = cutoff, potential.shortest_length, potential
         self._species = np.bincount(system.species_index, minlength=len(system.species_names)), system.species_names
         if potential.bonded_scale != UNSCALED and not len(system.bonds):
@@ -345,7 +347,7 @@ class LennardJones(PairPotential):
     ----------
     epsilon : ε, depth of the well [energy]; or a mapping from species to (ε, σ), and no sigma.
     sigma : σ, distance where u = 0 [length].
-    cutoff, truncation, pairs, switch_start, bonded_scale, tail_correction : as for PairPotential.
+    cutoff, truncation, pairs, switch_start, bonded_scale, tail_correction, exclusions : as for PairPotential.
     mixing : "lorentz-berthelot" (default), "geometric", or a function of two (ε, σ), for unlike pairs not in pairs.
 
     Raises
@@ -365,6 +367,7 @@ class LennardJones(PairPotential):
         switch_start: float | None = None,
         bonded_scale: Sequence[float] = UNSCALED,
         tail_correction: bool = False,
+        exclusions: ArrayLike | None = None,
     ) -> None:
         if isinstance(epsilon, Mapping) == (sigma is not None):
             raise ValueError(
@@ -372,7 +375,8 @@ class LennardJones(PairPotential):
             )
         parameters: Any = epsilon if isinstance(epsilon, Mapping) else (epsilon, sigma)
         own = partial(super().__init__, LennardJonesLaw(), parameters, cutoff, truncation, mixing=mixing, pairs=pairs)
-        own(switch_start=switch_start, bonded_scale=bonded_scale, tail_correction=tail_correction)
+        own = partial(own, switch_start=switch_start, bonded_scale=bonded_scale)
+        own(tail_correction=tail_correction, exclusions=exclusions)
 
     def law_arguments(self) -> dict[str, Any]:
         """See PairPotential."""

@@ -27,7 +27,7 @@ BRIDGES = {  # folders and modules that may import ase or MDAnalysis when they a
     *("files/structure_file.py", "files/turned_cell.py"),
 }
 FOREIGN = {"minimd_bench.engines"}  # reaches for private names of OpenMM and LAMMPS
-HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "minimd.lammps"}
+HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "openmm", "minimd.lammps"}
 
 
 def name_of(path):

@@ -32,6 +32,14 @@ BONDED = [
     (lambda: md.evaluate(md.System([[0, 0, 0], [1.5, 0, 0]], bonds=[[0, 1]]), md.FENEBond(30.0, 1.5)),
      md.NonFiniteError, "FENEBond", "atoms 0 and 1, 1.5"),
 ]  # fmt: skip
+EXCLUDING = md.LennardJones(1.0, 1.0, exclusions=[[0, 2]])
+PAIRS = [
+    (lambda: md.evaluate(TWO, EXCLUDING), ValueError, "exclusions", "[0, 2]"),
+    (lambda: md.PairPotential(lambda r2: (r2, -2.0), exclusions=[[1, 1]]), ValueError, "exclusions", "[1, 1]"),
+    (lambda: md.Coulomb(exclusions=[[0, 1], [1, 0]]), ValueError, "exclusions", "2 times"),
+    (lambda: md.Coulomb(5.0, method="reaction-field", dielectric=0.5), ValueError, "dielectric", "0.5"),
+    (lambda: md.Coulomb(5.0, method="reaction-field", dielectric="water"), ValueError, "dielectric", "water"),
+]
 FIELDS = [
     (lambda: md.evaluate(LINE, md.Wall([0, 0, 2.0], [0, 0, 1])), ValueError, "Wall", "atom 0"),
     (lambda: md.evaluate(TALL, WALL), ValueError, "Wall", "periodic", "crosses c"),
@@ -80,7 +88,9 @@ LAWS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("call", "error", "shown"), [(*row[:2], row[2:]) for row in BONDED + FIELDS + TABLES + LAWS])
+@pytest.mark.parametrize(
+    ("call", "error", "shown"), [(*row[:2], row[2:]) for row in BONDED + PAIRS + FIELDS + TABLES + LAWS]
+)
 def test_what_is_wrong_is_named_and_shown(call, error, shown):
     assert_answered(call, error, *shown)
 

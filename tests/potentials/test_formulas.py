@@ -62,20 +62,21 @@ def test_mixing_rules_and_what_is_given_instead(rule, epsilon, sigma):
 
 @pytest.mark.parametrize("cell", [None, 3.0, [[2.9, 0, 0], [1.2, 3.0, 0], [-0.8, 0.9, 3.3]]])
 def test_scaled_pairs_are_those_along_the_bonds_at_their_nearest_image(cell):
-    """The textbook sum over all images of all pairs: the fourth neighbor counts in full, and so do farther images."""
+    """The textbook sum over all images of all pairs: farther images count in full, and so do fourth neighbors, unless
+    the pair is excluded."""
     positions = np.array([[0.1, 0.2, 0.3], [1.2, 0.4, 0.1], [1.4, 1.6, 0.5], [0.2, 1.5, 1.7], [0.4, 0.3, 1.6]])
     shifts = np.zeros((1, 3)) if cell is None else np.array([*np.ndindex(9, 9, 9)]) - 4
-    scale, cutoff, expected = (0.0, 0.3, 0.7, 1.0), 4.0, 0.0
+    scale, cutoff, expected, excluded = (0.0, 0.3, 0.7, 1.0), 4.0, 0.0, [[4, 0], [0, 2]]
     for i, j in itertools.product(range(5), repeat=2):
         distances = np.sort(np.linalg.norm(positions[j] - positions[i] + shifts @ md.Cell.of(cell).vectors, axis=1))
         distances = distances[int(i == j) :]
         energies = np.where(distances < cutoff, 4.0 * (distances**-12 - distances**-6), 0.0)
         if i != j:
-            energies[0] *= scale[abs(i - j) - 1]
+            energies[0] *= scale[abs(i - j) - 1] * ([i, j] not in excluded and [j, i] not in excluded)
         expected += 0.5 * energies.sum()
     system = md.System(positions, cell=cell, bonds=[[0, 1], [1, 2], [2, 3], [3, 4]])
-    found = md.evaluate(system, md.LennardJones(1.0, 1.0, cutoff, "truncated", bonded_scale=scale[:3]))
-    assert found.potential_energy == pytest.approx(expected, rel=1e-12)
+    law = md.LennardJones(1.0, 1.0, cutoff, "truncated", bonded_scale=scale[:3], exclusions=excluded)
+    assert md.evaluate(system, law).potential_energy == pytest.approx(expected, rel=1e-12)
 
 
 def test_bonds_change_nothing_by_themselves_break_and_may_exclude_pairs_on_one_spot():

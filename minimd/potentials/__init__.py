@@ -28,17 +28,7 @@ from minimd.potentials.pair import LennardJones, PairPotential, Tabulated
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, Term
 from minimd.potentials.water import water
 
-__all__ = ["FORCES", "PER_ATOM", "TOTALS", "BondPotential", "ConstantForce", "Coulomb"]
-__all__ += [
-    "CylinderWall",
-    "DihedralPotential",
-    "FENEBond",
-    "Field",
-    "Gravity",
-    "HarmonicAngle",
-    "HarmonicBond",
-    "HarmonicImproper",
-    "LennardJones",
-]
-__all__ += ["MorseBond", "OPLSDihedral", "PairPotential", "PeriodicDihedral", "Restraint", "RyckaertBellemans"]
-__all__ += ["SphereWall", "SteeredSpring", "Tabulated", "Term", "Wall", "from_openmm", "water"]
+__all__ = ["FORCES", "PER_ATOM", "TOTALS", "BondPotential", "ConstantForce", "Coulomb", "CylinderWall"]
+__all__ += ["DihedralPotential", "FENEBond", "Field", "Gravity", "HarmonicAngle", "HarmonicBond", "HarmonicImproper"]
+__all__ += ["LennardJones", "MorseBond", "OPLSDihedral", "PairPotential", "PeriodicDihedral", "Restraint"]
+__all__ += ["RyckaertBellemans", "SphereWall", "SteeredSpring", "Tabulated", "Term", "Wall", "from_openmm", "water"]

@@ -79,6 +79,17 @@ def test_scaled_pairs_are_those_along_the_bonds_at_their_nearest_image(cell):
     assert md.evaluate(system, law).potential_energy == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.parametrize("n", [2, 5])
+def test_laws_that_leave_out_different_pairs_share_a_list(n):
+    """The pair list and clusters: all laws together give the sum of what each gives alone."""
+    places = 1.1 * np.stack(np.meshgrid(*[np.arange(n)] * 3), axis=-1).reshape(-1, 3)
+    system = md.System(places, charges=np.cos(np.arange(n**3)), cell=[1.1 * n + 0.1] * 3, bonds=[[0, 1], [1, 3]])
+    lj = md.LennardJones(1.0, 1.0, 1.3, bonded_scale=(1.0, 0.5, 1.0), exclusions=[[0, 1], [4, 6]])
+    charges = md.Coulomb(1.3, method="reaction-field", bonded_scale=(0.2, 1.0, 1.0), exclusions=[[3, 2], [4, 5]])
+    energies = [md.evaluate(system, laws).potential_energy for laws in ([lj, charges], lj, charges)]
+    assert energies[0] == pytest.approx(energies[1] + energies[2], rel=1e-13)
+
+
 def test_bonds_change_nothing_by_themselves_break_and_may_exclude_pairs_on_one_spot():
     bent = [[0, 0, 0], [1.1, 0, 0], [1.5, 1.0, 0], [1.4, 1.4, 1.1]]
     free, joined = (md.evaluate(md.System(bent, bonds=bonds), LJ) for bonds in (None, [[0, 1], [1, 2], [2, 3]]))

@@ -22,10 +22,6 @@ ROUNDING = 1e-12  # of sums over some thousand pairs, relative to the largest
 LAST_GOOD = r"The system holds the last good state, that of step \d+"
 
 
-def gauss(r2):
-    return np.exp(-r2), 2.0 * np.exp(-r2)
-
-
 def solid(n_cells=4, jitter=0.05, cell=True, seed=1, **more):
     """An fcc crystal a little out of order: 4 n³ atoms."""
     positions, edges = crystal("fcc", [n_cells] * 3, 1.68)

@@ -136,8 +136,7 @@ def test_a_link_in_the_cache_is_not_written_through(tmp_path):
     for name in ("twice.nbi", "twice.lock"):
         (tmp_path / name).symlink_to(tmp_path / "precious")
     files.save("floats", "code for floats")
-    assert files.load("floats") == "code for floats"
-    assert (tmp_path / "precious").read_text() == "precious"
+    assert (files.load("floats"), (tmp_path / "precious").read_text()) == ("code for floats", "precious")
 
 
 @pytest.mark.parametrize("n_replaced", [0, 1, 2])
@@ -243,5 +242,4 @@ def test_the_search_for_garbage_rests_while_a_kernel_is_compiled_and_then_is_as_
         assert gc.isenabled() == collects
     finally:
         gc.enable()
-    assert not any(seen)
-    assert seen
+    assert {*seen} == {False}

@@ -50,8 +50,7 @@ def program(team, n, n_phases=N_PHASES, waits=0):
 def counted(team, n, n_phases=N_PHASES):
     found, done, early = program(team, n, n_phases)
     found.run()
-    assert not early.any()
-    assert np.all(done == 1)
+    assert (np.all(done == 1), early.any()) == (True, False)
 
 
 class Walk(ByAddress, namedtuple("Walk", "place last most")):
@@ -90,8 +89,7 @@ def test_a_program_loops_and_stops_at_the_same_step_for_all_threads(n_threads):
         assert asked.pop() is None
         if last <= 50:
             given, place = asked.pop()
-            assert given == STOPPED
-            assert np.all(place == last)
+            assert (given, np.all(place == last)) == (STOPPED, True)
         assert asked == []
         assert np.all(data.place == max(50, last + 1 if last <= 50 else 0))
 
@@ -146,8 +144,7 @@ def test_a_helper_that_comes_after_its_program_finds_nothing_to_do(n):
         late, rows = Worker(team._counters, 1, 2), found._rows
         for task in range(1, int(team._counters[1]) + 1):
             run_operations(late, task, rows, np.zeros(1, dtype=np.int64))
-        assert np.all(done == 1)
-        assert not early.any()
+        assert (np.all(done == 1), early.any()) == (True, False)
 
 
 def test_an_interrupt_before_the_kernel_leaves_the_team_usable(monkeypatch):

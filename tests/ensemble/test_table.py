@@ -38,8 +38,7 @@ def test_data_frame_csv_and_json_are_the_table(done):
     told = json.loads((done.folder / "table.json").read_text())
     for numbers in (done.to_pandas()["pressure_mean"], read["pressure_mean"], told["columns"]["pressure_mean"]):
         assert list(numbers) == done["pressure_mean"].tolist()
-    assert told["units"]["pressure"] == "ε/σ³"
-    assert told["columns"]["file"] == members.FILES
+    assert (told["units"]["pressure"], told["columns"]["file"]) == ("ε/σ³", members.FILES)
 
 
 def test_a_run_of_the_users_gives_numbers_pairs_or_series(done, tmp_path):
@@ -103,21 +102,20 @@ def test_the_status_says_at_which_step_each_member_is(tmp_path, monkeypatch):
     monkeypatch.setattr(notes, "SECONDS_BETWEEN_NOTES", 0.01)
     found = {}
 
-    def prepared(simulation, member):
+    def note(member, key, words):
         if member.index == 1:
-            found["prepared"] = told(tmp_path, "being prepared")
+            found[key] = told(tmp_path, words)
+
+    def prepared(simulation, member):
+        note(member, "prepared", "being prepared")
 
     def looked_at(simulation, member):
-        def look(one):
-            if member.index == 1:
-                found[one.step] = told(tmp_path, f"at step {one.step} of 60")
-
+        look = lambda one: note(member, one.step, f"at step {one.step} of 60")  # noqa: E731
         return simulation.run(STEPS, every=20, observers=[look], progress=False)
 
     run(tmp_path, run=looked_at, prepare=prepared, parameters={"temperature": [0.5, 0.6]})
     assert "running        member 1: being prepared" in found["prepared"]
-    assert "running        member 1: at step 40 of 60" in found[40]
-    assert "1 done" in found[40]
+    assert [words for words in ("running        member 1: at step 40 of 60", "1 done") if words not in found[40]] == []
     assert not list(tmp_path.rglob("*.running"))
 
 

@@ -42,13 +42,10 @@ def forests(sizes):
     return [a + b for a in combinations_with_replacement(rooted_trees(sizes[0]), equal) for b in forests(sizes[equal:])]
 
 
-def size(tree):
-    return 1 + sum(map(size, tree))
-
-
-def density(tree):
-    """γ(t): the product of the sizes of all its subtrees."""
-    return size(tree) * prod(map(density, tree))
+def size_and_density(tree):
+    """The number of nodes; and γ(t), the product of the sizes of all its subtrees."""
+    sizes, densities = zip((0, 1), *map(size_and_density, tree), strict=True)
+    return 1 + sum(sizes), (1 + sum(sizes)) * prod(densities)
 
 
 def stage_weights(tableau, tree):
@@ -59,7 +56,9 @@ def stage_weights(tableau, tree):
 
 def worst_condition(tableau, order):
     """Largest |Σ_i w_i Φ_i(t) − 1/γ(t)| over the trees of an order."""
-    return max(abs(tableau.weights @ stage_weights(tableau, t) - 1.0 / density(t)) for t in rooted_trees(order))
+    return max(
+        abs(tableau.weights @ stage_weights(tableau, t) - 1.0 / size_and_density(t)[1]) for t in rooted_trees(order)
+    )
 
 
 @pytest.mark.parametrize("method", ORDERS)

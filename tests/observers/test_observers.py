@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import pytest
 from references import melt_scene
-from scenes import LJ, argon
+from scenes import LJ, SCENES, argon
 from scipy.signal import lfilter
 from wrong_calls import assert_answered
 
@@ -120,12 +120,9 @@ def layers(run):
 
 TWINS = {  # expected attributes of the result
     DISPLACEMENT: lambda run: correlated(run, run.moved, lambda a, b: (b - a) ** 2),
-    VELOCITY: lambda run: correlated(run, run.thermal, lambda a, b: a * b),
-    "radial-distribution": pair_counts,
-    "viscosity": stresses,
-    "fluctuations": heat_capacity,
-    "profile": layers,
-}
+    VELOCITY: lambda run: correlated(run, run.thermal, lambda a, b: a * b), "radial-distribution": pair_counts,
+    "viscosity": stresses, "fluctuations": heat_capacity, "profile": layers,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", observers.KINDS)
@@ -234,14 +231,13 @@ def test_error_bars_of_fluctuations_hold_the_variance_also_of_short_runs(times):
 
 def test_a_run_that_was_cut_goes_on_to_the_same_answers(tmp_path):
     """In one process, and through a file, to the last bit; the steps have the bits of a run without observers."""
-    (whole, cut, resumed), alone, sim = (several() for _ in range(3)), simulation(), simulation()
+    (whole, cut, resumed), file = (several() for _ in range(3)), tmp_path / "a.h5md"
+    alone, watched, in_parts, sim = (simulation() for _ in range(4))
     alone.run(230, every=50)
-    sim.run(230, every=50, observers=whole)
-    assert np.array_equal(sim.positions, alone.positions)
-    sim = simulation()
+    watched.run(230, every=50, observers=whole)
+    assert np.array_equal(watched.positions, alone.positions)
     for n_steps in (103, 127):
-        sim.run(n_steps, every=50, observers=cut)
-    file, sim = tmp_path / "a.h5md", simulation()
+        in_parts.run(n_steps, every=50, observers=cut)
     sim.run(103, every=50, trajectory=file, observers=several())
     again = md.Simulation.resume(file, sim.potentials)
     again.run(until_step=230, every=50, trajectory=file, append=True, observers=resumed)
@@ -262,8 +258,7 @@ def test_a_state_sets_what_its_kind_has_and_nothing_else(kind, run):
     words = json.loads(bytes(state["words"]))
     words["settled"] |= {"every": 7, "result": "not callable"}
     other.restore(state | {"words": np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)})
-    assert (other.every, other.made_with()) == (made.every, made.made_with())
-    assert callable(other.result)
+    assert (other.every, other.made_with(), callable(other.result)) == (made.every, made.made_with(), True)
 
 
 @pytest.mark.slow
@@ -277,8 +272,7 @@ def test_sums_of_another_convention_do_not_go_on(tmp_path, monkeypatch):
         sim.run(20, every=10, trajectory=file, observers=looking)
     found, resumed = md.read_observers(file), md.Simulation.resume(file, sim.potentials)
     assert {name: one.n_looks for name, one in found.items()} == {"mean_square_displacement": 0, "profile": 3}
-    assert check_file(file).comparisons
-    assert plot_file(file).exists()
+    assert all([check_file(file).comparisons, plot_file(file).exists()])
     go_on = lambda *many: resumed.run(10, every=10, trajectory=file, append=True, observers=many)  # noqa: E731
     assert_answered(lambda: go_on(*found.values()), ValueError, "mean_square_displacement", "convention 1", "not 2")
     with pytest.raises(ValueError, match="with the arguments"):
@@ -347,8 +341,7 @@ def test_a_new_observer_is_one_class_and_its_series(tmp_path, monkeypatch):
     assert list(result.columns()) == ["speed", "share", "share_error"] == [*result.to_pandas()]
     assert result.shares.sum() == pytest.approx(1.0)
     (panel,) = result.plot().axes
-    assert (panel.get_xlabel(), panel.get_ylabel()) == ("speed  [σ/τ]", "share")
-    assert panel.get_title() == result.title
+    assert (panel.get_xlabel(), panel.get_ylabel(), panel.get_title()) == ("speed  [σ/τ]", "share", result.title)
     np.testing.assert_array_equal(panel.lines[0].get_xydata().T, (result.speeds, result.shares))
     with h5py.File(file) as h5:
         np.testing.assert_array_equal(h5["minimd/observers/speeds/share_error"], result.errors)
@@ -389,10 +382,6 @@ def with_another_time_step():
     seen_by(looking, sim=sim)
 
 
-def in_open_space(looking):
-    seen_by(looking, sim=md.Simulation(md.System(np.eye(3)), LJ, md.VelocityVerlet(0.001)))
-
-
 def of_a_file_that_asks_for_too_much(folder):
     simulation().run(4, every=2, trajectory=folder / "a.h5md", observers=[observers.RadialDistribution(every=2)])
     with h5py.File(folder / "a.h5md", "r+") as h5:
@@ -409,7 +398,12 @@ WRONG = [
     (lambda _: observers.Profile("d"), ValueError, "axis", "'d'"),
     (lambda _: observers.Viscosity(name="a/b"), ValueError, "name", "'a/b'"),
     (lambda _: seen_by(observers.Profile(extent=(0.0, 1.0))), ValueError, "extent", "axis c"),
-    (lambda _: in_open_space(observers.RadialDistribution()), ValueError, "periodic", "3 atoms"),
+    (
+        lambda _: seen_by(observers.RadialDistribution(), sim=SCENES["chain"]().simulation()),
+        ValueError,
+        "periodic",
+        "12",
+    ),
     (lambda _: with_another_time_step(), ValueError, "time step"),
     (of_a_file_that_asks_for_too_much, ValueError, "radial_distribution", "memory"),
 ]

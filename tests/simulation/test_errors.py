@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from h5md_runs import fill_the_disk
-from wrong_calls import assert_answered
+from wrong_calls import answered, assert_answered
 
 import minimd as md
 from minimd.files.h5md_reader import read_file
@@ -96,15 +96,9 @@ OTHERS = [  # calls that raise something else, its kind, and what its sentence m
     (lambda: setattr(made(), "timestep", 0.001), AttributeError, "sim.method = VelocityVerlet"),
 ]
 # fmt: on
-
-
 WRONG += [(lambda given=given: system(**given), *shown) for given, *shown in SYSTEMS]
 ROWS = [(call, ValueError, *shown) for call, *shown in WRONG] + OTHERS
-
-
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row[2]} {row[-1]}")
-def test_a_wrong_value_is_answered_with_its_name_and_itself(row):
-    assert_answered(*row)
+test_a_wrong_value_is_answered_with_its_name_and_itself = answered(*ROWS)
 
 
 def test_a_library_of_pairs_may_know_more_species_than_the_system():

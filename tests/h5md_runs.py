@@ -10,7 +10,6 @@ import MDAnalysis
 import numpy as np
 
 import minimd as md
-from minimd.engine.record import Record
 from minimd.files.h5md_reader import read_file, verify_frames
 
 PER_PICOSECOND = 98.22694788464064  # of the time unit of ASE, as its documentation has it
@@ -69,7 +68,7 @@ def record_of(total, n_atoms=10, **changes):
     flat, vectors = np.ones(n), np.zeros((n, 3))
     series = dict.fromkeys(("kinetic_energy", "temperature", "absolute_momentum", "absolute_angular_momentum"), flat)
     series |= {"total_energy": total, "potential_energy": total - 1.0, "momentum": vectors, "angular_momentum": vectors}
-    return Record.of(md.units.LJ, n_atoms, {"step": np.arange(n), "time": np.arange(float(n)), **series, **changes})
+    return md.Record.of(md.units.LJ, n_atoms, {"step": np.arange(n), "time": np.arange(float(n)), **series, **changes})
 
 
 def at_step(step, what):

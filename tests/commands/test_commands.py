@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -71,8 +72,7 @@ def test_version_and_help_are_told_without_loading_anything():
 
 
 def test_run_tells_what_it_does_and_what_to_do_next_unless_it_is_quiet(folder, capfd):
-    assert run("run", "melt.toml") == 0
-    assert tuple(capfd.readouterr()) == ("", "")
+    assert (run("run", "melt.toml"), *capfd.readouterr()) == (0, "", "")
     assert read_file("melt.h5md").n_frames == 5
     assert cli.main(["run", "melt.toml", "--overwrite"]) == 0
     out, err = capfd.readouterr()
@@ -127,9 +127,8 @@ def test_interrupted_run_says_how_to_go_on_or_that_nothing_was_written(folder, c
 
     monkeypatch.setattr(md.Simulation, "rescale_temperature", lambda sim, to: stopping(rescale, sim, to))
     Path("warm.toml").write_text(SCENE.replace("[output]", "[equilibration]\nsteps = 40\n[output]"))
-    assert cli.main(["run", "warm.toml"]) == 130
+    assert (cli.main(["run", "warm.toml"]), Path("warm.h5md").exists()) == (130, False)
     assert "of the equilibration; nothing was written" in capsys.readouterr().err
-    assert not Path("warm.h5md").exists()
     monkeypatch.setattr(H5MDWriter, "write", lambda writer, frame: stopping(write, writer, frame))
     assert cli.main(["run", "melt.toml"]) == 130
     assert "resume with: minimd resume melt.h5md --steps 19" in capsys.readouterr().err
@@ -223,10 +222,8 @@ def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsy
     err = capsys.readouterr().err
     note, cause, seen = [line for line in err.splitlines() if line.startswith("minimd: ") and "compiling" not in line]
     assert note.startswith("minimd: warning: timestep 0.025 τ is long for Lennard-Jones atoms")
-    assert cause.startswith("minimd: error: Likely cause:")
-    assert "timestep 0.025 τ too large" in cause
-    assert seen.startswith("minimd: error: At step")
-    assert "kept in melt.h5md" in seen
+    assert re.match("minimd: error: Likely cause:.*timestep 0.025 τ too large", cause)
+    assert re.match("minimd: error: At step.*kept in melt.h5md", seen)
     assert read_file("melt.h5md").n_frames > 0
 
 
@@ -247,8 +244,7 @@ class Leaking(md.VelocityVerlet):
 def test_doctor_finds_this_machine_in_order(capsys):
     assert cli.main(["doctor"]) == 0
     told = capsys.readouterr().out
-    assert "FAILED" not in told
-    assert told.count(" OK ") == len(doctor.TESTS) == 7
+    assert (told.count("FAILED"), told.count(" OK "), len(doctor.TESTS)) == (0, 7, 7)
     for words in (f"minimd         {md.__version__}", "numba ", "equal to the last bit", "million atom-steps/s on one"):
         assert words in told
     doctor.same_bits()
@@ -262,9 +258,7 @@ def test_doctor_outlives_a_test_that_crashes_and_goes_on(capsys, monkeypatch):
     monkeypatch.setattr(doctor, "TESTS", {"crash": os.abort, "cache folder": doctor.cache})
     assert cli.main(["doctor"]) == 1
     crashed, cache, conclusion = capsys.readouterr().out.splitlines()[-3:]
-    assert crashed.startswith("crash          FAILED")
-    assert cache.startswith("cache folder   OK")
-    assert "NOT work" in conclusion
+    assert (crashed[:21], cache[:17], "NOT work" in conclusion) == ("crash          FAILED", "cache folder   OK", True)
 
 
 def test_doctor_finds_damaged_compiled_code_and_loads_nothing_of_it(tmp_path, monkeypatch):

@@ -8,8 +8,7 @@ from wrong_calls import answered
 
 import minimd as md
 from minimd.constraints.solver import ConstraintSolver
-from minimd.integrators import SPLITTINGS, State
-from minimd.integrators.splitting.state import Bath, Surroundings
+from minimd.integrators import SPLITTINGS, Bath, State, Surroundings
 from minimd.structure.statistics import mean_and_error
 
 SPARSE = md.LennardJones(1e-30, 0.01, 0.5, "force-shifted")

@@ -31,7 +31,6 @@ from minimd.scene import load_scene
 REPOSITORY = Path(__file__).parents[2]
 DOCS, README = REPOSITORY / "docs", REPOSITORY / "README.md"
 PAGES = sorted(path for folder in (DOCS, DOCS / "reference") for path in folder.glob("*.md"))
-# fmt: off
 SHORTER = {
     **dict.fromkeys(["equilibrate(4000", "equilibrate(2000", "equilibrate(500"], "equilibrate(100"),
     "run(200_000, every=1000": "run(2000, every=1000", "until_step=400_000": "until_step=2500", "12_000": "300",
@@ -39,10 +38,19 @@ SHORTER = {
     "run(2000, every=20": "run(200, every=20", "run(500)": "run(100)", "run_back(500)": "run_back(100)",
     "[10, 10, 10]": "[5, 5, 5]", '"melt", 1000, processes=2': '"melt", 40, processes=1',
     ".repeat(6)": ".repeat(4)", "probe_reversibility(200)": "probe_reversibility(50)",
-}
-LONG = ("fixed-point.md", "lists.md", "timestep.md", "observers.md", "pressure.md", "forces.md", "own-laws.md",
-        "view.md", "grade.md", "small-systems.md")  # many kernels, or long runs
-# fmt: on
+}  # fmt: skip
+LONG = (
+    "fixed-point.md",
+    "lists.md",
+    "timestep.md",
+    "observers.md",
+    "pressure.md",
+    "forces.md",
+    "own-laws.md",
+    "view.md",
+    "grade.md",
+    "small-systems.md",
+)  # fmt: skip  many kernels, or long runs
 ELSEWHERE = ("formats.md", "ensembles.md", "fast-forces.md", "blow-up.md")  # by tests of their own below
 
 

@@ -17,7 +17,6 @@ from minimd.forces.pair_laws import PairLaws
 from minimd.integrators.methods import SPLITTINGS
 from minimd.potentials.term import OwnTerm
 from minimd.structure.cell import nearest_vectors
-from minimd.structure.grid import Grid
 
 
 def plain(method=None, **options):
@@ -261,7 +260,7 @@ def test_a_grid_is_chosen_from_the_scene_and_widened_with_it():
 
 def test_a_momentum_or_a_force_that_leaves_its_range_stops_the_run():
     """Before anything wraps round: the state is the last good one."""
-    hot = plain(grid=Grid(2.0**-42, 2.0**-47, 2.0**-36))  # momenta up to 8
+    hot = plain(grid=md.Grid(2.0**-42, 2.0**-47, 2.0**-36))  # momenta up to 8
     hot.velocities[:] *= 2.0
     with pytest.raises(md.RangeError, match=r"At step \d+: the momentum of atom \d+ is"):
         hot.make_steps(20_000)

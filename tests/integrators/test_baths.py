@@ -9,8 +9,7 @@ from wrong_calls import answered
 import minimd as md
 from minimd.analysis.check import check_file
 from minimd.files.h5md_writer import H5MDWriter
-from minimd.integrators import THERMOSTATS, Drift, Kick, State, adjoint, compose
-from minimd.integrators.splitting.state import Bath, Surroundings
+from minimd.integrators import THERMOSTATS, Bath, Drift, Kick, State, Surroundings, adjoint, compose
 from minimd.integrators.splitting.substeps import Thermalize
 
 LANGEVIN = md.LangevinBAOAB(0.01, temperature=1.3, friction=2.0, seed=5)
@@ -26,13 +25,6 @@ def state(velocities, masses):
 
 def in_contact(**bath):
     return Surroundings(bath=Bath(**bath))
-
-
-class OBABO(md.LangevinBAOAB):
-    """Two contacts with the bath in a step. G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007)."""
-
-    name = "langevin-obabo"
-    substeps = (Thermalize(0.5), Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(0.5))
 
 
 def simulation(method, seed=3):
@@ -123,9 +115,12 @@ def test_noise_depends_on_seed_step_and_contact_alone():
         drawn.append(s.velocities)
     assert (drawn[1] == drawn[0]).all()
     assert (np.array(drawn[2:]) != drawn[0]).all()
-    # two contacts in a step have two: free atoms from rest have the variance of one long contact, not a larger one
+    # two contacts in a step have two: free atoms from rest have the variance of one long contact, not a larger one;
+    # G. Bussi, M. Parrinello, Phys. Rev. E 75, 056707 (2007)
+    substeps = Thermalize(0.5), Kick(0.5), Drift(1.0), Kick(0.5), Thermalize(0.5)
+    obabo = type("OBABO", (md.LangevinBAOAB,), {"name": "langevin-obabo", "substeps": substeps})
     s, expected = state(np.zeros((20_000, 3)), np.ones(20_000)), 1.3 * (1.0 - np.exp(-1.0))
-    OBABO(1.0, 1.3, 0.5, seed=2).advance(s, lambda s, with_energy: None, 1, surroundings=in_contact())
+    obabo(1.0, 1.3, 0.5, seed=2).advance(s, lambda s, with_energy: None, 1, surroundings=in_contact())
     assert s.velocities.var() == pytest.approx(expected, rel=4.0 * np.sqrt(2.0 / s.velocities.size))  # statistics
 
 

@@ -16,11 +16,11 @@ from references import load
 from small_problems import GAUSS
 from wrong_calls import assert_answered
 
+import minimd as md
 import minimd.integrators as mi
 from minimd.integrators import RadauIIA3, StepControl, run_adaptive, run_steps
 from minimd.integrators.ode.functions import accurate_differences, error_of_differences, time_derivative
 from minimd.integrators.ode.runge_kutta import StageStep
-from minimd.structure.errors import ConvergenceError
 
 slow = pytest.mark.slow
 
@@ -147,7 +147,7 @@ def test_a_fully_implicit_path_is_that_of_the_structured_form():
 def test_equations_that_lose_their_solution_end_the_run_before():
     """y′ = 1 on the circle y² + z² = 1 ends at y = 1."""
     problem = mi.Hessenberg1(lambda: 1.0, lambda y, z: y * y + z * z - 1)
-    with pytest.raises(ConvergenceError, match=r"step \d+ from t = .* with timestep 0\.03") as told:
+    with pytest.raises(md.ConvergenceError, match=r"step \d+ from t = .* with timestep 0\.03") as told:
         run_steps(problem, RadauIIA3(0.03), ([0.0], [1.0]), 40)
     assert told.value.solution.t[-1] > 0.95
     stopped = run_adaptive(problem, RadauIIA3, ([0.0], [1.0]), 2.0, control=StepControl(min_step=1e-4))

@@ -12,7 +12,6 @@ from small_problems import DRIVEN, HENON_HEILES, KEPLER, SPLITTINGS, TWISTED_STA
 import minimd as md
 import minimd.integrators as mi
 from minimd.integrators import SE1, SE2, Drift, Kick, PositionVerlet, VelocityVerlet, compose
-from minimd.integrators.ode.drivers import stormer_summed, stormer_two_step
 from minimd.integrators.splitting.order_conditions import lyndon_words, nystrom_residuals, separable_residuals
 from minimd.integrators.splitting.substeps import is_palindrome
 
@@ -231,7 +230,7 @@ def test_leapfrog_is_velocity_verlet():
     assert mi.Leapfrog.sequence() == VelocityVerlet.sequence()
 
 
-@pytest.mark.parametrize("recursion", [stormer_two_step, stormer_summed])
+@pytest.mark.parametrize("recursion", [mi.stormer_two_step, mi.stormer_summed])
 def test_the_recursions_are_velocity_verlet(recursion):
     start = (0.7, 0.0), (0.0, 1.3)
     solution = recursion(attraction, *map(np.array, start), 0.01, 300)
@@ -247,7 +246,7 @@ def test_round_off_of_the_recursion_grows_as_the_square_of_the_steps_and_of_its_
     """On the oscillator the recursion is solved by cos(nφ), 2 sin(φ/2) = Δt: what differs is rounding."""
     dt, n = 2e-4, 50_000
     exact = np.cos(2.0 * np.arcsin(dt / 2.0) * np.arange(n + 1))
-    paths = (recursion(lambda q: -q, 1.0, 0.0, dt, n) for recursion in (stormer_two_step, stormer_summed))
+    paths = (recursion(lambda q: -q, 1.0, 0.0, dt, n) for recursion in (mi.stormer_two_step, mi.stormer_summed))
     plain, summed = (np.abs(path.q - exact).max() for path in paths)
     assert summed < 1e-13
     assert plain > 50 * summed

@@ -9,7 +9,6 @@ from members import gaussian
 from scenes import SCENES
 
 import minimd as md
-from minimd.integrators.methods import METHODS
 
 WAYS = {"pickle": lambda one: pickle.loads(pickle.dumps(one)), "copy": copy.copy, "deepcopy": copy.deepcopy}
 MINE = md.units.UnitSystem(name="mine", k_B=2.0)
@@ -27,7 +26,7 @@ def simulated(name):
     method = RUNS[name]
     scene, bath = SCENES[name](), {"temperature": 1.0, "friction": 1.0, "seed": 3} if "langevin" in method else {}
     fixed = [md.FixedAtoms([0, 7])] if name == "slab" else scene.constraints
-    return scene._replace(constraints=fixed).simulation(METHODS[method](0.003, **bath), threads=1)
+    return scene._replace(constraints=fixed).simulation(md.integrators.METHODS[method](0.003, **bath), threads=1)
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -10,7 +10,6 @@ import minimd as md
 from minimd.engine.observation import OBSERVABLES, Observable, register
 from minimd.engine.record import SERIES
 from minimd.files.h5md_reader import damage, read_file
-from minimd.potentials.term import Term
 
 
 def test_the_present_state_is_measured_whatever_has_changed(argon):
@@ -84,7 +83,7 @@ def test_stress_holds_the_forces_of_constraints():
 def test_energy_is_evaluated_only_where_somebody_looks(every, chain):
     asked = []
 
-    class Noted(Term):
+    class Noted(md.Term):
         is_checked, bind = False, lambda self, _system: self
 
         def add(self, system, detail, forces, energies, virials):

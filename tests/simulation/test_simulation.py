@@ -151,9 +151,7 @@ def test_blow_up_says_at_which_step_which_atoms_and_keeps_the_last_good_state():
     assert simulation.positions == pytest.approx(twin.positions, abs=1e-9)
 
 
-def test_a_start_that_would_explode_and_a_law_without_numbers_are_refused():
-    near = md.System([[0, 0, 0], [0.01, 0, 0], [3, 3, 3]], cell=10.0)
-    assert_answered(lambda: Scene(near, [LJ]).simulation().run(10), md.NonFiniteError, "atoms 0 and 1", "0.01 σ")
+def test_a_law_whose_energies_are_no_numbers_is_refused():
     broken = lambda r2, a: ((a - r2) ** 0.5, 0.0 if r2 > a else 1.0 / (a - r2) ** 0.5)  # noqa: E731
     law = md.PairPotential(broken, (4.0,), 3.0, "truncated")
     leaving = Scene(pair(1.5, velocities=[[1, 0, 0], [0, 0, 0]]).system, [law], timestep=0.01).simulation()

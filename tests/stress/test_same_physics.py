@@ -11,7 +11,6 @@ import pytest
 from stress_scenes import OPEN, ROUNDING, SMOOTH, forces_of, made, oscillation, ran, scaled, solid
 
 import minimd as md
-from minimd.structure.lattice import BASES
 
 pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
 POWERS = [(1e-30, 1, 1), (1e30, 1, 1), (1, 1e-30, 1), (1, 1e30, 1), (1, 1, 1e-30), (1, 1, 1e30), (1e-30, 1e30, 1e-30)]
@@ -127,7 +126,7 @@ def sites_of_a_crystal(lattice):
 
 FAR, OF_UNITS = (1e3, 1e6, 1e9), product([*POWERS, SI, (1e-60, 1, 1), (1e60, 1, 1)], (2, 4))
 SAME = {two_or_many: [()], of_places: [()], units: OF_UNITS, chains: POWERS[:4], skins: product((True, False))}
-SAME |= {far_away: product(FAR), sites_of_a_crystal: product([*BASES, "hcp"])}
+SAME |= {far_away: product(FAR), sites_of_a_crystal: product([*md.lattice.BASES, "hcp"])}
 
 
 @pytest.mark.parametrize(("scene", "given"), [(scene, given) for scene, rows in SAME.items() for given in rows])

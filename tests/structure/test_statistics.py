@@ -27,10 +27,8 @@ def test_the_error_of_a_mean_is_what_means_scatter_by(decay):
 
 
 def test_few_entries_and_constant_series():
-    assert np.isnan(statistics.mean_and_error([1.0, 2.0])[1])
-    assert np.isnan(statistics.mean_and_error([])[0])
-    assert statistics.mean_and_error([2.0] * 10) == (2.0, 0.0)
-    assert statistics.statistical_inefficiency([2.0] * 10) == 1.0
+    assert np.isnan([statistics.mean_and_error([1.0, 2.0])[1], statistics.mean_and_error([])[0]]).all()
+    assert (*statistics.mean_and_error([2.0] * 10), statistics.statistical_inefficiency([2.0] * 10)) == (2.0, 0.0, 1.0)
     assert (statistics.with_error(1.23456, 0.0123), statistics.with_error(2.0, 0.0)) == ("1.235 ± 0.012", "2")
 
 

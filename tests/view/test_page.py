@@ -61,9 +61,8 @@ def test_the_page_asks_nobody_and_texts_of_a_scene_are_shown_and_not_run(run):
         assert not asks_nobody(run.html.replace("</main>", f"{spoiled}</main>"))
     assert not asks_nobody(run.html.replace("default-src 'none'", "default-src *"))
     made = page(run.story._replace(title='<script>alert("1")</script>', report="</pre><img src=x>"))
-    assert "<script>alert" not in made
     assert html.escape('<script>alert("1")</script>') in made
-    assert "</pre><img" not in made
+    assert not re.search("<script>alert|</pre><img", made)
 
 
 @pytest.mark.parametrize("pbc", [(1, 1, 1), (1, 1, 0)], ids=["bulk", "slab"])
@@ -159,8 +158,7 @@ def test_a_failed_run_shows_its_last_steps_and_marks_the_pair(tmp_path):
     error, found = caught.value, caught.value.crash_report
     made = md.view(error.file, potentials=simulation.potentials, frames=2).html
     parts, pair = Parts(made), (found.pair.first, found.pair.second)
-    assert tuple(parts.about["marked"]) == pair
-    assert parts.about["names"] == [str(atom) for atom in pair]
+    assert (tuple(parts.about["marked"]), parts.about["names"]) == (pair, [str(atom) for atom in pair])
     assert html.escape(found.cause) in made
     assert parts.about["steps"] == [found.last_good_step - 1, found.last_good_step]  # the last ones, of more
     assert found.first_step < parts.about["steps"][0]

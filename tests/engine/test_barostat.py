@@ -1,7 +1,5 @@
 """Stochastic cell rescaling: its equations, what follows the cell, and what files and reports say of it."""
 
-import pickle
-
 import ase.io
 import MDAnalysis
 import numpy as np
@@ -167,21 +165,6 @@ def test_a_pressure_is_reached_within_three_standard_errors():
     for n_atoms, of_center in ((8, 0.5), (1, 0.0)):  # is added where it is left out
         record = record_of(np.full(40, 2.0), n_atoms, volume=np.full(40, 2.0), pressure=np.full(40, 1.25))
         assert f" {with_error(1.25 + of_center, 0.0)} " in str(list(pressure_lines(record, barostat(), True))[1])
-
-
-@pytest.mark.parametrize("kind", ["clusters", "dumbbells"])
-def test_a_run_goes_on_with_the_same_bits(kind, tmp_path):
-    whole, parts = (at_pressure(kind, coupling="triclinic") for _ in range(2))
-    record = whole.run(80, every=10, progress=False)
-    parts.run(33, every=10, progress=False, trajectory=tmp_path / "run.h5md")
-    copy = pickle.loads(pickle.dumps(parts))
-    resumed = md.Simulation.resume(tmp_path / "run.h5md", parts.potentials)
-    assert resumed.barostat == whole.barostat
-    for other in (parts, copy, resumed):
-        other.run(until_step=80, every=20, progress=False)
-        for name in ("positions", "velocities", "reservoir_energy"):
-            assert np.array_equal(getattr(other, name), getattr(whole, name)), name
-        assert np.array_equal(other.system.cell.vectors, record.cell[-1])
 
 
 def test_every_file_has_the_cell_of_every_frame(tmp_path):

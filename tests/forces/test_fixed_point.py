@@ -120,19 +120,6 @@ def test_threads_and_skins_change_no_bit(name, options, reference, monkeypatch):
     assert np.array_equal(found.momentum, np.repeat(found.momentum[:1], len(found), axis=0))
 
 
-def test_looks_copies_files_and_resumed_runs_have_the_same_bits(reference, tmp_path):
-    expected, file = reference[0], tmp_path / "run.h5md"
-    looked = simulated(mixture())
-    for n in (1, 6, 20, 3):
-        looked.make_steps(n)
-        assert looked.potential_energy < 0.0
-    pickle.loads(pickle.dumps(looked)).run(20, every=7, trajectory=file)
-    resumed = md.Simulation.resume(file, [LAW, BOND, ANGLE], threads=2)
-    assert resumed.engine.interactions.grid == GRID
-    resumed.run(until_step=150, every=13, trajectory=file, append=True)
-    assert bits(resumed) == bits(expected)
-
-
 def test_any_step_is_made_again_from_a_file_and_from_its_archive(tmp_path):
     file, small, run, other = tmp_path / "run.h5md", tmp_path / "small.h5md", plain(), plain()
     run.make_steps(3)

@@ -17,9 +17,23 @@ import pytest
 from hypothesis import settings
 from scenes import SCENES
 
+from minimd.commands import main as cli
+
 settings.register_profile("minimd", deadline=None, derandomize=True, max_examples=100)
 settings.load_profile("minimd")
 signal.signal(signal.SIGINT, signal.default_int_handler)  # minimd leaves ignored signals alone, and tests raise them
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 for _name, _scene in SCENES.items():
     globals()[_name] = pytest.fixture(_scene, name=_name)
+
+
+@pytest.fixture
+def told(capsys):
+    """A function that runs a command, which ends with a code, and returns what it prints; of an error, what it says."""
+
+    def telling(*arguments, code=0):
+        capsys.readouterr()
+        assert cli.main([*map(str, arguments)]) == code
+        return capsys.readouterr()[code > 1]
+
+    return telling

@@ -6,9 +6,8 @@ import warnings
 import numpy as np
 import pytest
 from h5md_runs import record_of, simulation
-from references import liquid
+from references import liquid, processes
 from scenes import LJ, SCENES
-from scipy.signal import lfilter
 
 import minimd as md
 from minimd.diagnosis.report import Drift, conservation_report, drift, drift_of_walk
@@ -97,11 +96,6 @@ def test_a_figure_says_how_sure_it_is():
         assert re.search(f"energy {quiet}.* too short to tell whether it drifts", short.verdict)
 
 
-def correlated(correlation, n, rng):
-    """A stationary series whose neighbors resemble each other by so much."""
-    return lfilter([1.0], [1.0, -correlation], rng.normal(size=n + 400))[400:]
-
-
 CORRELATIONS = (0.0, 51, 0.01), (0.8, 51, 0.03), (0.95, 501, 0.02)
 
 
@@ -109,7 +103,7 @@ CORRELATIONS = (0.0, 51, 0.01), (0.8, 51, 0.03), (0.95, 501, 0.02)
 def test_few_correlated_series_seem_to_drift(correlation, n, most):
     """0.003 expected where the correlation is known; an error blind to it finds every third of 51 with 0.8 drifting."""
     rng, t = np.random.default_rng(3), np.arange(float(n))
-    found = [drift(t, correlated(correlation, n, rng)) for _ in range(N_SERIES)]
+    found = [drift(t, one) for one in processes(N_SERIES, n, correlation, rng).T]
     assert np.mean([one.is_significant for one in found]) <= most
     judged = np.array([one.slope / one.error for one in found if not one.is_too_short])
     assert 0.8 < np.sqrt(np.mean(judged**2)) < 1.6  # 1 expected
@@ -117,11 +111,9 @@ def test_few_correlated_series_seem_to_drift(correlation, n, most):
 
 def test_a_drift_that_is_there_is_found():
     rng, t = np.random.default_rng(3), np.arange(51.0)
-    assert all(drift(t, correlated(0.5, 51, rng) + 0.3 * t).is_significant for _ in range(20))
-    assert drift(t, np.exp(0.01 * t)).is_significant  # smooth, and no line
-    assert drift(t, 2.0 * t).is_significant
-    assert not drift(t, np.ones(51)).is_significant
-    assert not Drift(0.0, 0.0).is_significant
+    assert all(drift(t, one + 0.3 * t).is_significant for one in processes(20, 51, 0.5, rng).T)
+    found = drift(t, np.exp(0.01 * t)), drift(t, 2.0 * t), drift(t, np.ones(51)), Drift(0.0, 0.0)
+    assert [one.is_significant for one in found] == [True, True, False, False]  # the first is smooth, and no line
     for slope in (drift, drift_of_walk):
         assert slope(t, np.where(t == 20.0, np.nan, 1.0)).is_significant
 

@@ -74,21 +74,20 @@ WRONG = [  # arguments, and what is shown
 ]  # fmt: skip
 
 
-def test_what_cannot_run_is_refused_before_anything_is_computed(folder, capsys):
+def test_what_cannot_run_is_refused_before_anything_is_computed(folder, told):
     (folder / "other").mkdir()
     (folder / "other" / "scene.toml").write_text("another")
     for arguments, shown in WRONG:
-        assert scan(*arguments) == 2
-        told = capsys.readouterr().err
-        assert (shown in told, told.count("\n") <= 2) == (True, True), told
+        error = told("scan", *arguments, code=2)
+        assert (shown in error, error.count("\n") <= 2) == (True, True), error
     assert not Path("scan").exists()
 
 
-def test_a_scan_runs_what_was_set_and_tells_averages(folder, capsys):
+def test_a_scan_runs_what_was_set_and_tells_averages(folder, told):
     command = ["melt.toml", "--set", "dynamics.temperature=0.5:0.6:0.1", "--workers", 0, "--replicas"]
-    assert scan(*command, 1) == 0
-    told, known = capsys.readouterr().out, ("set            dynamics.temperature = 0.5, 0.6 (2 values)", "2 done", "±")
-    assert [words for words in known if words not in told] == []
+    found = told("scan", *command, 1)
+    for words in ("set            dynamics.temperature = 0.5, 0.6 (2 values)", "2 done", "±"):
+        assert words in found
     assert Path("scan/pressure.png").read_bytes().startswith(b"\x89PNG")
     texts = [read_file(f"scan/0000-0999/{k:04d}.h5md").scene for k in range(2)]
     scenes = [parse_scene(text, Path("a.toml")).sections.dynamics for text in texts]
@@ -101,10 +100,8 @@ def test_a_scan_runs_what_was_set_and_tells_averages(folder, capsys):
     assert scan(*command, 2, "--plot", "temperature", "--quiet") == 0
     assert Path("scan/members.jsonl").read_text().startswith(before)
     assert Path("scan/temperature.png").exists()
-    assert scan(*command, 2, "--plot", "presure") == 2
-    assert "'pressure'" in capsys.readouterr().err
-    assert scan("--status", "scan") == 0
-    assert re.search("(?s)4 members in scan: 4 done.*dynamics.temperature", capsys.readouterr().out)
+    assert "'pressure'" in told("scan", *command, 2, "--plot", "presure", code=2)
+    assert re.search("(?s)4 members in scan: 4 done.*dynamics.temperature", told("scan", "--status", "scan"))
 
 
 def test_members_that_fail_are_told_and_the_code_is_one(folder, capsys):
@@ -143,12 +140,11 @@ ALTERED = [  # the file, and what becomes of its text
 ]  # fmt: skip
 
 
-def test_altered_files_of_a_scan_are_refused_by_name(copied, capsys):
+def test_altered_files_of_a_scan_are_refused_by_name(copied, told):
     for name, change in ALTERED:
         before = Path(name).read_text()
         Path(name).write_text(change(json.dumps(json.loads(before)) if name == DESCRIPTION else before))
-        assert scan("--status", "scan") == 2
-        assert name in capsys.readouterr().err
+        assert name in told("scan", "--status", "scan", code=2)
         Path(name).write_text(before)
 
 
@@ -164,11 +160,10 @@ def test_pipes_and_folders_are_no_files_of_a_scan(name, make, copied, capsys, in
     assert name in told + capsys.readouterr().err
 
 
-def test_no_member_is_written_through_a_link(copied, capsys):
+def test_no_member_is_written_through_a_link(copied, told):
     Path("scan/0000-0999").rename("elsewhere")
     Path("scan/0000-0999").symlink_to(Path("elsewhere").absolute())
     Path("elsewhere/0000.h5md").write_text("precious")
     for command in (["melt.toml", "--workers", 0, "--steps", 5], ["melt.toml", "--overwrite"], ["--status", "scan"]):
-        assert scan(*command) == 2
-        assert "0000-0999" in capsys.readouterr().err
+        assert "0000-0999" in told("scan", *command, code=2)
         assert Path("elsewhere/0000.h5md").read_text() == "precious"

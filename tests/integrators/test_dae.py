@@ -201,9 +201,8 @@ def test_robertson_to_1e11():
     known = load("dae/robertson.json")
     control = StepControl(rtol=1e-9, atol=[1e-15, 1e-19, 1e-9])
     path = run_adaptive(dae.robertson(), RadauIIA3, ([1.0, 0.0], [0.0]), known["T"], control=control)
-    assert path.success
+    assert (path.success, len(path.t) < 500) == (True, True)
     assert path.y[-1] == pytest.approx(known["y"], rel=1e-6)  # truncation
-    assert len(path.t) < 500
 
 
 def test_andrews_mechanism_starts_as_published():

@@ -110,9 +110,8 @@ def test_a_step_that_may_not_be_shorter_ends_the_run_where_it_is():
     assert (run.success, run.t[-1] < 6.0) == (False, True)
     for method in (VelocityVerlet, RadauIIA3):  # y′ = y² from 1: infinite at t = 1
         run = adaptive(method, 2.0, SecondOrder(lambda q, v: v * v), ([0.0], [1.0]), rtol=1e-3, min_step=1e-4)
-        assert not run.success
         assert run.t[-1] == pytest.approx(1.0, abs=5e-3)
-        assert run.message.startswith(f"stopped at t = {run.t[-1]:g}")
+        assert (run.success, run.message.startswith(f"stopped at t = {run.t[-1]:g}")) == (False, True)
 
 
 def test_equations_without_a_solution_reject_the_step():

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import h5py
 import numpy as np
 import pytest
-from references import melt_scene
+from references import melt_scene, processes
 from scenes import LJ, SCENES, argon
-from scipy.signal import lfilter
 from wrong_calls import assert_answered
 
 import minimd as md
@@ -212,9 +211,8 @@ def test_error_bars_of_fluctuations_hold_the_variance_also_of_short_runs(times):
     """Within two errors in 88 % of the runs or more, 0.85 to 1.3 of the scatter; a short run says what it misses."""
     tau, n_runs = 4, 100
     scene = ObservedRun("LJ", ["A"], [1], 1.0, 3, 1.0, 1.0)
-    decay, rng, found, told = np.exp(-1.0 / tau), np.random.default_rng(times), [], []
-    noise = np.sqrt(1.0 - decay**2) * rng.normal(size=((times + 10) * tau, n_runs))
-    for volume in lfilter([1.0], [1.0, -decay], noise, axis=0)[10 * tau :].T:
+    found, told = [], []
+    for volume in processes(n_runs, times * tau, np.exp(-1.0 / tau), np.random.default_rng(times)).T:
         looking = observers.Fluctuations()
         looking.scene, looking.reference, looking.sums = scene, [0.0, 0.0, 100.0], BlockedSums(13)
         for one in volume:

@@ -2,17 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from references import processes
 
 from minimd.structure import statistics
 
 LOW, HIGH = 0.85, 1.3  # of an error bar beside what it should be; found in a short run, it itself scatters
-
-
-def processes(n_series, length, decay, rng):
-    """(length, n_series) of unit variance and correlation decayⁿ."""
-    noise = np.sqrt(1.0 - decay**2) * rng.normal(size=(length + 8 * int(1.0 / (1.0 - decay)), n_series))
-    return lfilter([1.0], [1.0, -decay], noise, axis=0)[-length:]
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.8, 0.95])

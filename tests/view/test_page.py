@@ -19,7 +19,6 @@ from view_pages import LEVELS, Parts, skewed_chains
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.commands import main as cli
 from minimd.mdanalysis.universes import universe_of
 from minimd.structure.cell import nearest_vectors
 from minimd.view import View
@@ -172,16 +171,14 @@ def test_a_failed_run_shows_its_last_steps_and_marks_the_pair(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_page_and_names_it(tmp_path, monkeypatch, capsys):
+def test_the_command_writes_a_page_and_names_it(tmp_path, monkeypatch, told):
     monkeypatch.chdir(tmp_path)
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)
     skewed_chains().run(20, every=10, trajectory="a.h5md")
-    assert cli.main(["view", "a.h5md", "--frames", "2", "--open"]) == 0
-    assert "a.html: 2 frames of 12 atoms" in capsys.readouterr().out
+    assert "a.html: 2 frames of 12 atoms" in told("view", "a.h5md", "--frames", 2, "--open")
     assert "2 of 3 frames are shown." in Path("a.html").read_text(encoding="utf-8")
     assert opened == [Path("a.html").resolve().as_uri()]
     Path("c.toml").write_text(melt_scene(4, 20))
     for arguments, shown in ((["b.h5md"], "'b.h5md'"), (["a.h5md", "--scene", "c.toml"], "did not fail")):
-        assert cli.main(["view", *arguments]) == 2
-        assert shown in capsys.readouterr().err
+        assert shown in told("view", *arguments, code=2)

@@ -28,6 +28,13 @@ for _name, _scene in SCENES.items():
 
 
 @pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty folder, in which the test runs."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
 def told(capsys):
     """A function that runs a command, which ends with a code, and returns what it prints; of an error, what it says."""
 

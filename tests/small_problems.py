@@ -110,8 +110,8 @@ def slope(error, timesteps):
 
 def kepler_slope(method, timesteps, problem=KEPLER):
     """Measured order at t = 2."""
-    ends = [mi.run_until(problem, method(h), KEPLER_START, 2.0).y[-1] for h in timesteps]
-    return np.polyfit(np.log(timesteps), np.log(np.linalg.norm(ends - kepler_orbit(2.0), axis=1)), 1)[0]
+    end = lambda h: mi.run_until(problem, method(h), KEPLER_START, 2.0).y[-1]  # noqa: E731
+    return slope(lambda h: np.linalg.norm(end(h) - kepler_orbit(2.0)), timesteps)
 
 
 def jacobian(problem, method, start, h, t0=0.0):

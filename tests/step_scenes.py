@@ -50,8 +50,7 @@ def is_stable(system, potentials, constraints, method, n_steps=N_STEPS):
     """Whether a displacement of 1e-7 stays small."""
     start = system.copy()
     start.positions += AMPLITUDE * np.random.default_rng(5).standard_normal(start.positions.shape)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that the step is too long, and that lengths are put right
+    with warnings.catch_warnings(action="ignore"):  # that the step is too long, and that lengths are put right
         simulation = md.Simulation(start, potentials, method, constraints)
         simulation.velocities[:] = 0.0
         for _ in range(n_steps // LOOK):

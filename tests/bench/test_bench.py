@@ -29,15 +29,9 @@ class FakeEngine:
     clock = 0.0
 
     def __init__(self, name, threads, precision, seconds, energies=(-1700.0, -1200.0)):
-        self.name, self.threads, self.precision = name, threads, precision
-        self._seconds, self._energies = seconds, energies
+        self.name, self.threads, self.precision, self._seconds = name, threads, precision, seconds
         self.positions, self.steps = np.zeros((N_ATOMS, 3)), []
-
-    def potential_energy(self):
-        return self._energies[0]
-
-    def total_energy(self):
-        return self._energies[1]
+        self.potential_energy, self.total_energy = (lambda energy=energy: energy for energy in energies)
 
     def run(self, n_steps):
         self.steps.append(n_steps)

@@ -5,8 +5,6 @@ import os
 import re
 import shutil
 import signal
-import subprocess
-import sys
 import warnings
 from pathlib import Path
 
@@ -14,6 +12,7 @@ import h5py
 import numba
 import numpy as np
 import pytest
+from processes import ended
 from scene_texts import SMOOTH
 from wrong_calls import assert_answered
 
@@ -45,10 +44,9 @@ assert not heavy, heavy
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "melt.toml").write_text(SCENE)
-    return tmp_path
+def folder(here):
+    (here / "melt.toml").write_text(SCENE)
+    return here
 
 
 @pytest.fixture(scope="module")
@@ -65,10 +63,9 @@ def run(*arguments):
 
 
 def test_version_and_help_are_told_without_loading_anything():
-    environment, told = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}, f"minimd {md.__version__}\n"
-    ended = subprocess.run([sys.executable, "-c", LIGHT], env=environment, capture_output=True, text=True, check=False)
-    assert (ended.returncode, ended.stderr) == (0, "")
-    assert ended.stdout.startswith(f"{told}usage: minimd [-h] [--version] command ...")
+    light = ended("-c", LIGHT)
+    assert (light.returncode, light.stderr) == (0, "")
+    assert light.stdout.startswith(f"minimd {md.__version__}\nusage: minimd [-h] [--version] command ...")
 
 
 def test_run_tells_what_it_does_and_what_to_do_next_unless_it_is_quiet(folder, capfd):
@@ -207,8 +204,7 @@ def test_plot_draws_and_check_passes_on_a_sound_file_and_fails_on_another(finish
 def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsys):
     hot = SCENE.replace("1.44", "50.0").replace("steps = 40", "steps = 4000")
     Path("melt.toml").write_text(hot.replace("timestep = 0.004", "timestep = 0.025"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(action="always"):
         assert cli.main(["run", "melt.toml"]) == 3
     err = capsys.readouterr().err
     note, cause, seen = [line for line in err.splitlines() if line.startswith("minimd: ") and "compiling" not in line]

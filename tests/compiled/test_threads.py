@@ -1,8 +1,6 @@
 """A team makes each chunk of an operation once, whoever comes to help, and nobody can hold it up."""
 
 import os
-import subprocess
-import sys
 import threading
 import time
 from collections import namedtuple
@@ -10,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from processes import ended
 
 from minimd.compiled import threads
 from minimd.compiled.by_address import ByAddress
@@ -221,6 +220,5 @@ print("parent", same, "child", os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_child_runs_its_own_teams_and_those_it_inherits():
-    where = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    answer = subprocess.run([sys.executable, "-c", FORKED], capture_output=True, text=True, env=where, check=False)
+    answer = ended("-c", FORKED)
     assert answer.stdout == "parent True child 0\n", answer.stderr

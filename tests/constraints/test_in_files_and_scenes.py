@@ -167,10 +167,9 @@ def test_constraints_of_the_structure_file_hold_unless_the_section_says_otherwis
 
 
 @pytest.mark.slow
-def test_a_scene_makes_its_bonds_rigid_and_resumed_it_is_the_uninterrupted_one(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_scene_makes_its_bonds_rigid_and_resumed_it_is_the_uninterrupted_one(here):
     text = RIGID_RING.replace(OF_BONDS, OF_BONDS + "fixed = [2]\n")
-    scene, quiet = parse_scene(text, ring_in(tmp_path)), {"tell": lambda _: None}
+    scene, quiet = parse_scene(text, ring_in(here)), {"tell": lambda _: None}
     whole = run_scene(scene, progress=False, trajectory=Path("whole.h5md"), **quiet)
     assert described(whole.constraints) == ([[2]], [(BONDS, [1.5] * 4, 1e-12, "auto")])
     assert whole.n_dof == 12 - 3 - 4
@@ -178,10 +177,10 @@ def test_a_scene_makes_its_bonds_rigid_and_resumed_it_is_the_uninterrupted_one(t
     assert np.abs(whole.positions - SQUARE).max() > 1e-3
     run_scene(scene, progress=False, trajectory=Path("parts.h5md"), steps=10, **quiet)
     texts = (text.replace('pairs = "bonds"\nfixed = [2]\n', section) for section in ("pairs = [[0, 1]]\n", ""))
-    other, silent = (parse_scene(one, tmp_path / "scene.toml") for one in texts)
+    other, silent = (parse_scene(one, here / "scene.toml") for one in texts)
     with pytest.raises(ValueError, match="atoms 0-3 is kept in the file alone"):
         resume_run("parts.h5md", 10, scene=other, **quiet)
-    (tmp_path / "ring.xyz").unlink()  # not needed any more
+    (here / "ring.xyz").unlink()  # not needed any more
     sim = resume_run("parts.h5md", 10, scene=silent, **quiet)  # says nothing: those of the file
     assert (sim.step, described(sim.constraints)) == (20, described(whole.constraints))
     apart = sim.positions - whole.positions, sim.velocities - whole.velocities

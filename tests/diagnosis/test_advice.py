@@ -176,8 +176,7 @@ FS, ARGON = md.units.fs, md.LennardJones(0.0103, 3.4, 8.5, "force-shifted")
 def hints_of(system, potentials, method=0.004, constraints=(), **options):
     """The warnings of a run of one step, by velocity Verlet if a time step is given."""
     method = md.VelocityVerlet(method) if isinstance(method, float) else method
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         simulation = md.Simulation(system, potentials, method, constraints, **options)
         simulation.run(1)
         simulation.run(1)  # what was told is told once

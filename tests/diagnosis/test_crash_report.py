@@ -128,16 +128,15 @@ def test_file_holds_the_last_good_state_and_loses_nothing(tmp_path, monkeypatch)
     assert (kept.step, kept.record.step.tolist()) == (simulation.step, list(range(0, kept.step + 1, 20)))
 
 
-def test_files_are_written_where_they_were_asked_for_and_replace_nothing(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_files_are_written_where_they_were_asked_for_and_replace_nothing(here):
     failing(chain())
     failing(chain(), crash_report=False, trajectory="a.h5md")
-    assert [path.name for path in tmp_path.iterdir()] == ["a.h5md"]
+    assert [path.name for path in here.iterdir()] == ["a.h5md"]
     for name in ("why.h5md", "why-2.h5md", "why-3.h5md"):
         assert failing(chain(), crash_report="why.h5md").file == Path(name)
     with pytest.raises(ValueError, match="is a trajectory of the run"):
         chain().run(10, trajectory="a.h5md", crash_report="a.h5md", overwrite=True)
-    error = failing(chain(), crash_report=tmp_path / "nowhere" / "a.h5md")  # that does not hide the failure
+    error = failing(chain(), crash_report=here / "nowhere" / "a.h5md")  # that does not hide the failure
     assert (error.file, "No crash report was written" in str(error)) == (None, True)
 
 
@@ -208,8 +207,7 @@ BATH = 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[equilibrati
 
 @pytest.mark.filterwarnings("ignore:timestep")
 @pytest.mark.parametrize("more", [pytest.param("", marks=pytest.mark.slow), BATH], ids=["run", "equilibration"])
-def test_scene_that_blows_up_is_replayed_from_its_file_alone_with_the_same_noise(more, tmp_path, monkeypatch, told):
-    monkeypatch.chdir(tmp_path)
+def test_scene_that_blows_up_is_replayed_from_its_file_alone_with_the_same_noise(more, told, here):
     Path("melt.toml").write_text(melt_scene(3, 4000, more).replace("timestep = 0.004", "timestep = 0.04"))
     assert "Crash report in melt.crash.h5md" in told("run", "melt.toml", "--quiet", code=3)
     Path("melt.toml").unlink()

@@ -91,8 +91,7 @@ def test_shadow_energy_sees_a_drift_that_the_energy_hides():
     assert abs(report.energy_drift.slope - put_in) > put_in
 
 
-def test_scene_records_the_shadow_energy_and_goes_on_with_it(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_scene_records_the_shadow_energy_and_goes_on_with_it(here):
     Path("melt.toml").write_text(melt_scene(3, 40, "[output]\nevery = 5\nshadow_energy = true\n"))
     assert cli.main(["run", "melt.toml", "--quiet"]) == 0
     assert cli.main(["resume", "melt.h5md", "--steps", "20"]) == 0

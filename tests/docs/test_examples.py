@@ -3,8 +3,6 @@
 import os
 import re
 import runpy
-import subprocess
-import sys
 from ast import literal_eval
 from inspect import signature
 from pathlib import Path
@@ -12,6 +10,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from processes import ended
 
 from minimd import LennardJones
 
@@ -36,9 +35,8 @@ def shortened(path):
 
 
 @pytest.fixture
-def run(tmp_path, monkeypatch, capsys):
+def run(here, capsys):
     """A function that runs the text of a script in an empty folder, and returns what it prints."""
-    monkeypatch.chdir(tmp_path)
 
     def running(text):
         Path("script.py").write_text(text, encoding="utf-8")
@@ -84,8 +82,8 @@ def test_own_laws_give_what_their_formulas_say(run):
 def test_the_scan_of_an_equation_of_state_runs_in_worker_processes(tmp_path):
     """Of two temperatures only."""
     (tmp_path / "scan.py").write_text(shortened(EXAMPLES / "equation_of_state.py").replace("0.70, 1.69", "0.85, 0.91"))
-    told = subprocess.run([sys.executable, "scan.py"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    assert re.findall(r"T\* (\S+): .* \(NIST: (\S+),", told) == [("0.85", "-5.5121"), ("0.90", "-5.4689")]
+    told = ended("scan.py", folder=tmp_path)
+    assert re.findall(r"T\* (\S+): .* \(NIST: (\S+),", told.stdout) == [("0.85", "-5.5121"), ("0.90", "-5.4689")]
 
 
 @pytest.mark.slow

@@ -5,8 +5,6 @@ import gc
 import importlib
 import pkgutil
 import re
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 from types import ModuleType
@@ -14,6 +12,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from argon_atoms import define
+from processes import ended
 from structure.test_structure_files import write_data, write_pdb, write_psf
 
 import minimd as md
@@ -122,8 +121,7 @@ def test_the_blow_up_on_its_page_lives_for_some_time_and_names_its_cause(here, c
 def test_the_script_of_the_page_on_ensembles_runs(here):
     (text,) = [one for one in blocks(DOCS / "ensembles.md") if one.startswith("import minimd as md\n")]
     Path("scan.py").write_text(text.replace("1000", "50").replace("500", "20"))
-    told = subprocess.run([sys.executable, "scan.py"], capture_output=True, text=True, check=True).stdout
-    assert "4 members in scan: 4 done" in told
+    assert "4 members in scan: 4 done" in ended("scan.py").stdout
 
 
 @pytest.mark.parametrize("page", [README, *PAGES], ids=name_of)

@@ -255,11 +255,10 @@ def test_what_cannot_be_at_constant_pressure_is_refused():
 
 
 @slow
-def test_a_scene_has_a_barostat_in_bar(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_scene_has_a_barostat_in_bar(here):
     bath = "pressure_bar = 50.0\ncompressibility_per_bar = 2e-4\nrelaxation_time_fs = 1500.0\nevery = 25\n"
     text = ARGON.read_text().replace("[6, 6, 6]", "[3, 3, 3]").replace("8.5", "7.0").replace("= 4000", "= 10")
-    (tmp_path / "npt.toml").write_text(f"{text}\n[barostat]\n{bath}")
+    (here / "npt.toml").write_text(f"{text}\n[barostat]\n{bath}")
     simulation = run_scene(load_scene("npt.toml"), steps=50, tell=lambda _: None, progress=False)
     assert simulation.barostat.pressure == pytest.approx(50.0 * md.units.BAR)
     resumed = md.Simulation.resume("argon.h5md")

@@ -36,10 +36,9 @@ def scan(*arguments):
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "melt.toml").write_text(SCENE)
-    return tmp_path
+def folder(here):
+    (here / "melt.toml").write_text(SCENE)
+    return here
 
 
 SETTINGS = {

@@ -107,29 +107,3 @@ def test_implicit_steps_come_to_rest(method):
     for timestep in (0.25, 1.0):
         end = run_steps(problem, method(timestep), [0.0, 2.0], round(50.0 / timestep), every=1000).y[-1]
         assert np.abs(problem.field(0.0, end)).max() < 1e-14
-
-
-D, W = 0.1, np.sqrt(0.99)  # damping, and the frequency of the damped oscillator
-RELATIVISTIC = Partitioned(lambda v: v / np.sqrt(1.0 + v * v), lambda q: -(q**3))  # H = √(1 + v²) + q⁴/4
-CLOSED_FORMS = {  # problem, start, and solution (q, v) at t
-    "driven oscillator": (SecondOrder(lambda t, q: -q + np.cos(2.0 * t)), ((1.0,), (0.0,)),
-        lambda t: [(4.0 * np.cos(t) - np.cos(2.0 * t)) / 3.0, (-4.0 * np.sin(t) + 2.0 * np.sin(2.0 * t)) / 3.0]),
-    "damped oscillator": (SecondOrder(lambda q, v: -q - 2.0 * D * v), ((1.0,), (-D,)),
-        lambda t: np.exp(-D * t) * np.array([np.cos(W * t), -D * np.cos(W * t) - W * np.sin(W * t)])),
-    "electric and magnetic field": (SecondOrder(lambda q, v: np.array([v[1] + 0.2, -v[0]])), ((0, 0), (0, 0)),
-        lambda t: [0.2 * (1.0 - np.cos(t)), 0.2 * (np.sin(t) - t), 0.2 * np.sin(t), 0.2 * (np.cos(t) - 1.0)]),
-    "relativistic oscillator": (RELATIVISTIC, ((1.0,), (0.8,)),
-        lambda t: small.reference(RELATIVISTIC, ((1.0,), (0.8,)), t)),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", CLOSED_FORMS)
-@pytest.mark.parametrize("method", [*EVERY_FEW, mi.McLachlanAtela4, mi.GaussLegendre2])
-def test_order_is_that_on_the_problem(method, name):
-    """McLachlan and Atela's last condition needs q′ = v and a force without v."""
-    problem, start, solution = CLOSED_FORMS[name]
-    order, exact = method.order_on(problem), solution(6.0)
-    assert order == (3 if method is mi.McLachlanAtela4 and name != "driven oscillator" else method.order)
-    n = {1: 400, 2: 100, 3: 60, 4: 30}[order]
-    one, two = (np.linalg.norm(run_steps(problem, method(6.0 / k), start, k).y[-1] - exact) for k in (n, 2 * n))
-    assert np.log2(one / two) == pytest.approx(order, abs=0.25)

@@ -280,17 +280,16 @@ def test_sums_of_another_convention_do_not_go_on(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_scene_has_observers(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_scene_has_observers(here):
     kinds = '[[observer]]\nkind = "radial-distribution"\nevery = 5\nr_max = 2.0\n[[observer]]\nkind = "viscosity"\n'
     text = melt_scene(3, 40, f"seed = 3\n{kinds}[output]\nevery = 20\n")
-    run_scene(parse_scene(text, tmp_path / "melt.toml"), steps=20, tell=print)
+    run_scene(parse_scene(text, here / "melt.toml"), steps=20, tell=print)
     resume_run("melt.h5md", tell=print)
     found = md.read_observers("melt.h5md")
     assert {name: one.n_looks for name, one in found.items()} == {"radial_distribution": 9, "viscosity": 9}
     for old, new, shown in (("r_max = 2.0", 'axis = "c"', "axis"), ('"viscosity"', '"viscous"', "viscous")):
         with pytest.raises(ValueError, match=f"{shown}.*radial-distribution|radial-distribution.*{shown}"):
-            parse_scene(text.replace(old, new), tmp_path / "melt.toml")
+            parse_scene(text.replace(old, new), here / "melt.toml")
 
 
 @dataclass(frozen=True, repr=False)

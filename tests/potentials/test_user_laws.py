@@ -2,16 +2,13 @@
 
 import copy
 import inspect
-import os
 import pickle
-import subprocess
-import sys
-from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
+from processes import ended
 from references import liquid
 from wrong_calls import assert_answered
 
@@ -68,9 +65,7 @@ print(energy(LAW), *(energy(LAW.replace(old, new)) for old, new, _ in CHANGES.va
 
 def answer(code):
     """The numbers that another process prints."""
-    command, where = [sys.executable, "-c", f"import minimd as md\n{code}"], str(Path(md.__file__).parents[1])
-    environment = {**os.environ, "PYTHONPATH": where}
-    process = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    process = ended("-c", f"import minimd as md\n{code}")
     assert process.returncode == 0, process.stderr
     return [float(word) for word in process.stdout.split()]
 

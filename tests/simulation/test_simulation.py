@@ -171,8 +171,7 @@ def test_what_was_probably_forgotten_is_told():
             made({}, law)
     with pytest.warns(UserWarning, match=r"FixedAtoms\(1 atoms\) is lost"):
         made({"constraints": [fixed]}, LJ, [held])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         made({"bonds": [[0, 1]]}, BONDED)
         for constraints in ([held, fixed], ()):
             made({"constraints": [fixed]}, LJ, constraints)

@@ -57,8 +57,7 @@ def test_warnings_are_passed_over_in_one_thread_alone():
             leave.wait(10.0)
             warnings.warn("nobody hears this", stacklevel=1)
 
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         with quiet():
             other = threading.Thread(target=elsewhere)
             other.start()

@@ -92,14 +92,13 @@ GROUP_LAWS = ANGLE_LAW + tables({"periodic-dihedral": DIHEDRAL, "harmonic-improp
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(here):
     """The melt in all formats."""
-    monkeypatch.chdir(tmp_path)
-    write_data(tmp_path / "melt.data")
-    write_pdb(tmp_path / "melt.pdb", with_bonds=True)
-    write_pdb(tmp_path / "plain.pdb", with_bonds=False)
-    write_psf(tmp_path / "melt.psf")
-    return tmp_path
+    write_data(here / "melt.data")
+    write_pdb(here / "melt.pdb", with_bonds=True)
+    write_pdb(here / "plain.pdb", with_bonds=False)
+    write_psf(here / "melt.psf")
+    return here
 
 
 def scene(folder, form, more=None, laws=""):
@@ -120,8 +119,7 @@ def test_melt_from_a_file_runs_with_its_groups_and_ends_as_fragments(folder, for
     """The end-to-end distance from the file that was written is that of the engine."""
     names = {"data": list(GROUPS), "psf": ["bonds", "angles"], "pdb": ["bonds"]}[form]
     laws = {"data": GROUP_LAWS, "psf": ANGLE_LAW, "pdb": ""}[form]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         sim = run_scene(scene(folder, form, laws=laws), tell=lambda _: None)
     heavy = np.arange(20) % LENGTH == 0
     np.testing.assert_array_equal(sim.system.masses, np.where(heavy, 2.0, 1.0) if form == "data" else np.ones(20))
@@ -186,8 +184,7 @@ def test_scenes_have_every_field_and_law():
 def test_bonds_that_are_not_used_are_told(folder, form):
     with pytest.warns(UserWarning, match=rf"melt.{form}' has 16 bonds.*, which are not used.*bonds = \"file\""):
         assert len(scene(folder, form, more="").system().bonds) == 0
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         assert len(scene(folder, form, more="bonds = []").system().bonds) == 0
         assert scene(folder, form, more="bonds = [[0, 1]]").system().bonds.tolist() == [[0, 1]]
 
@@ -296,8 +293,7 @@ WAYS_IN = [
 @pytest.mark.parametrize("way", WAYS_IN)
 def test_charges_are_not_dropped_in_silence(folder, way):
     """One warning for a structure, which shows the largest; none for charges that are zero."""
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         way(folder)
         md.System.from_ase(salt([0.0, 0.0]))
     assert ["0.8476" in str(one.message) for one in told if "charges" in str(one.message)] == [True]

@@ -171,8 +171,7 @@ def test_a_failed_run_shows_its_last_steps_and_marks_the_pair(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_page_and_names_it(tmp_path, monkeypatch, told):
-    monkeypatch.chdir(tmp_path)
+def test_the_command_writes_a_page_and_names_it(monkeypatch, told, here):
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)
     skewed_chains().run(20, every=10, trajectory="a.h5md")

@@ -8,27 +8,19 @@ import minimd.integrators as mi
 GRAVITY = 13.750371636040745654980191559621  # a pendulum of length 1 released from the horizontal then has the period 2
 
 # E. Hairer, C. Lubich, M. Roche (1989): test problems of index 2 and 3
-INDEX1 = (
-    mi.Hessenberg1(lambda t, y, z: cos(t) + y * y - sin(t) ** 2 + z * z - exp(-2 * t),
-                   lambda t, y, z: z * exp(y) - exp(sin(t) - t)),
-    lambda t: ([sin(t)], [exp(-t)]),
-)  # fmt: skip
-INDEX2 = (
-    mi.Hessenberg2(lambda y, z: [y[0] * y[1] ** 2 * z[0] ** 2, y[0] ** 2 * y[1] ** 2 - 3 * y[1] ** 2 * z[0]],
-                   lambda y: y[0] ** 2 * y[1] - 1),
-    lambda t: ([exp(t), exp(-2 * t)], [exp(2 * t)]),
-)  # fmt: skip
-INDEX3 = (
-    mi.Hessenberg3(lambda y, z: [2 * y[0] * y[1] * z[0] * z[1], -y[0] * y[1] * z[1] ** 2],
-                   lambda y, z, u: [(y[0] * y[1] + z[0] * z[1]) * u[0], -y[0] * y[1] ** 2 * z[1] ** 2 * u[0]],
-                   lambda y: y[0] * y[1] ** 2 - 1),
-    lambda t: ([exp(2 * t), exp(-t)], [exp(2 * t), exp(-t)], [exp(t)]),
-)  # fmt: skip
+INDEX1 = (mi.Hessenberg1(lambda t, y, z: cos(t) + y * y - sin(t) ** 2 + z * z - exp(-2 * t),
+                         lambda t, y, z: z * exp(y) - exp(sin(t) - t)),
+          lambda t: ([sin(t)], [exp(-t)]))  # fmt: skip
+INDEX2 = (mi.Hessenberg2(lambda y, z: [y[0] * y[1] ** 2 * z[0] ** 2, y[0] ** 2 * y[1] ** 2 - 3 * y[1] ** 2 * z[0]],
+                         lambda y: y[0] ** 2 * y[1] - 1),
+          lambda t: ([exp(t), exp(-2 * t)], [exp(2 * t)]))  # fmt: skip
+INDEX3 = (mi.Hessenberg3(lambda y, z: [2 * y[0] * y[1] * z[0] * z[1], -y[0] * y[1] * z[1] ** 2],
+                         lambda y, z, u: [(y[0] * y[1] + z[0] * z[1]) * u[0], -y[0] * y[1] ** 2 * z[1] ** 2 * u[0]],
+                         lambda y: y[0] * y[1] ** 2 - 1),
+          lambda t: ([exp(2 * t), exp(-t)], [exp(2 * t), exp(-t)], [exp(t)]))  # fmt: skip
 # the same solution as INDEX2, with z linear: Gauss methods whose z is off by order 1 bear no more
-INDEX2_LINEAR = (
-    mi.Hessenberg2(lambda y, z: [y[0] * y[1] * z[0], y[1] ** 2 * z[0] - 3 * y[1]], lambda y: y[0] ** 2 * y[1] - 1),
-    INDEX2[1],
-)
+INDEX2_LINEAR = (mi.Hessenberg2(lambda y, z: [y[0] * y[1] * z[0], y[1] ** 2 * z[0] - 3 * y[1]],
+                                lambda y: y[0] ** 2 * y[1] - 1), INDEX2[1])  # fmt: skip
 HORIZONTAL = (1.0, 0.0), (0.0, 0.0)
 
 

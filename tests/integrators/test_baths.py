@@ -14,8 +14,6 @@ from minimd.integrators.splitting.substeps import Thermalize
 
 LANGEVIN = md.LangevinBAOAB(0.01, temperature=1.3, friction=2.0, seed=5)
 BUSSI = md.StochasticVelocityRescaling(0.01, temperature=1.3, relaxation_time=0.5, seed=5)
-ONE_SLOW = pytest.mark.parametrize("method", [BUSSI, pytest.param(LANGEVIN, marks=pytest.mark.slow)])
-EVERY_BATH = pytest.mark.parametrize("method", [LANGEVIN, BUSSI], ids=list(THERMOSTATS))
 
 
 def state(velocities, masses):
@@ -139,7 +137,7 @@ def test_configurations_of_an_oscillator_are_exact_at_large_timesteps():
     assert (np.abs(squares.mean(axis=0) - (1.0 / omega**2, 1.0 - omega**2 / 4.0)) < 4.0 * error).all()  # statistics
 
 
-@EVERY_BATH
+@pytest.mark.parametrize("method", [LANGEVIN, BUSSI], ids=list(THERMOSTATS))
 def test_temperature_counts_the_degrees_of_freedom_that_the_bath_leaves(method):
     """Rescaling keeps the momentum, also of a liquid that flows, and Langevin does not promise it."""
     sim, keeps = simulation(method), method is BUSSI
@@ -155,7 +153,7 @@ def test_temperature_counts_the_degrees_of_freedom_that_the_bath_leaves(method):
     assert (np.abs(sim.velocities.mean(axis=0) - [3.0, 0.0, -1.0]).max() < 1e-12) == keeps  # rounding
 
 
-@ONE_SLOW
+@pytest.mark.parametrize("method", [BUSSI, pytest.param(LANGEVIN, marks=pytest.mark.slow)])
 def test_total_energy_minus_heat_is_conserved(method, tmp_path):
     """As without a bath, though the bath moves it by a hundred times more; and its file says the same."""
     sim = simulation(type(method)(**{**method.parameters, "timestep": 0.002}))

@@ -33,10 +33,10 @@ def with_a_leaf(tree):
     return [tuple(sorted(t)) for t in [(*tree, ()), *grown]]
 
 
-def size_and_density(tree):
+def counts(tree):
     """The number of nodes; and γ(t), the product of the sizes of all its subtrees."""
-    sizes, densities = zip((0, 1), *map(size_and_density, tree), strict=True)
-    return 1 + sum(sizes), (1 + sum(sizes)) * prod(densities)
+    sizes, densities = zip((1, 1), *map(counts, tree), strict=True)
+    return sum(sizes), sum(sizes) * prod(densities)
 
 
 def stage_weights(tableau, tree):
@@ -47,9 +47,7 @@ def stage_weights(tableau, tree):
 
 def worst_condition(tableau, order):
     """Largest |Σ_i w_i Φ_i(t) − 1/γ(t)| over the trees of an order."""
-    return max(
-        abs(tableau.weights @ stage_weights(tableau, t) - 1.0 / size_and_density(t)[1]) for t in rooted_trees(order)
-    )
+    return max(abs(tableau.weights @ stage_weights(tableau, t) - 1.0 / counts(t)[1]) for t in rooted_trees(order))
 
 
 @pytest.mark.parametrize("method", ORDERS)

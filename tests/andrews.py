@@ -1,7 +1,6 @@
 """Andrews' squeezing mechanism: seven rigid bodies, six constraints; angles q = (β, Θ, γ, Φ, δ, Ω, ε).
 
-E. Hairer, G. Wanner, Solving ODEs II (1996), VII.7, eq. 7.7-7.10; IVP Test Set, problem Andrews.
-"""
+E. Hairer, G. Wanner, Solving ODEs II (1996), VII.7, eq. 7.7-7.10; IVP Test Set, problem Andrews."""
 
 from math import cos, sin, sqrt
 

@@ -2,8 +2,7 @@
 
 Signals are not ignored, as behind nohup. BLAS has one thread, in the workers and in the processes that tests start:
 matrices here are small, and its threads would spend a third of the time waiting for each other on shared cores.
-What is imported without bytecode leaves it behind, for the next process.
-"""
+What is imported without bytecode leaves it behind, for the next process."""
 
 import os
 import signal

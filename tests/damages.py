@@ -73,9 +73,7 @@ def in_child(work):
 
 def killed_at(k, work):
     """Do work in a process that dies, as by kill -9, before its k-th change of a file: KILLED, or what work does.
-
-    Its children, which only read, live on.
-    """
+    Its children, which only read, live on."""
 
     def dying():
         n_changes, process = [0], os.getpid()

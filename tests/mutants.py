@@ -6,8 +6,7 @@
 
 A mutant is caught if a test fails. Each runs the tests that its heading names first, and then, if these pass, all
 others that are not slow. Mutants that change what kernels compute are compiled anew, which is most of the time: half a
-minute each. Exit code: 0 if 95 % were caught.
-"""
+minute each. Exit code: 0 if 95 % were caught."""
 
 import os
 import re

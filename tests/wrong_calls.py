@@ -18,9 +18,7 @@ def is_foreseen(error):
 
 def assert_answered(call, error, *shown):
     """The call raises just this error, from a `raise` in minimd, in one sentence that contains what must be shown.
-
-    shown : the name of the argument, and its value as the user would see it.
-    """
+    shown : the name of the argument, and its value as the user would see it."""
     with pytest.raises(error) as caught:
         call()
     message = str(caught.value)

@@ -22,7 +22,6 @@ CALLS = DirectCalls()
 
 class Counts(ByAddress, namedtuple("Counts", "phase done early last waits")):
     """done (phases, n) += 1 for each chunk; early (n,) += chunks begun before a phase had ended.
-
     last : (1,), whether the last chunk was made.  waits : reads that chunk 0 waits for it."""
 
 

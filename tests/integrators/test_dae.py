@@ -1,8 +1,7 @@
 """Differential-algebraic equations: orders at index 1, 2 and 3, consistent starts, published solutions, any unit;
 and derivatives by differences: their digits on functions of every kind, and what a solution says of them.
 
-E. Hairer, C. Lubich, M. Roche (1989), table 2.3; K. E. Brenan, S. L. Campbell, L. R. Petzold (1989), 3.2.
-"""
+E. Hairer, C. Lubich, M. Roche (1989), table 2.3; K. E. Brenan, S. L. Campbell, L. R. Petzold (1989), 3.2."""
 
 from math import exp, sqrt
 

@@ -1,7 +1,6 @@
 """LAWS × METHODS × SCENES: each law of a step is kept by the methods that claim it, and broken by all others.
 
-METHODS is where a method is registered; what it answers (order, symmetric, symplectic, explicit) is measured here.
-"""
+METHODS is where a method is registered; what it answers (order, symmetric, symplectic, explicit) is measured here."""
 
 from collections.abc import Callable
 from functools import cache

@@ -10,10 +10,7 @@ OMEGA = (K / MASS) ** 0.5
 
 
 def pulled(method, **more):
-    """One atom on a spring whose point leaves with a constant velocity.
-
-    x = vt − (v/ω) sin ωt, W = m v² (1 − cos ωt)
-    """
+    """One atom on a spring whose point leaves at constant velocity: x = vt − (v/ω) sin ωt, W = m v² (1 − cos ωt)."""
     return md.Simulation(md.System([[0.0, 0.0, 0.0]], masses=MASS), md.SteeredSpring(K, [0, 0, 0], V, **more), method)
 
 

@@ -93,10 +93,8 @@ def test_bonds_change_nothing_by_themselves_break_and_may_exclude_pairs_on_one_s
 
 
 def exact_angle(positions, k, theta0):
-    """Force on the first atom and energy of a harmonic angle δ or π − δ, δ < 0.01, with 40 digits.
-
-    By fractions, and by the series of arctan.
-    """
+    """Force on the first atom and energy of a harmonic angle δ or π − δ, δ < 0.01, with 40 digits: by fractions, and
+    by the series of arctan."""
     decimal = lambda fraction: Decimal(fraction.numerator) / Decimal(fraction.denominator)  # noqa: E731
     i, j, l = ([Fraction(c) for c in row] for row in positions.tolist())
     a, b = ([c - m for c, m in zip(end, j, strict=True)] for end in (i, l))

@@ -90,9 +90,7 @@ def test_a_force_that_is_not_minus_the_gradient_of_its_energy_is_refused():
 
 def test_right_forces_rough_energies_and_forces_that_declare_none_run():
     """In float32, with 100 ε for each atom, differences are rounding.
-
-    A force without energy, or said to be no gradient, is the user's.  The check leaves no trace in the run.
-    """
+    A force without energy, or said to be no gradient, is the user's.  The check leaves no trace in the run."""
     twice = WRONG["twice"]
     for term in (Tether(kind=np.float32), Tether(spoil=twice, is_checked=False), Tether(spoil=twice, u=0.0)):
         ran(term)

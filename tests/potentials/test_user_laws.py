@@ -167,11 +167,8 @@ STATES = [(LAW, True, "strength, table[1] = 4.0, 30.0"), (UNCLEAR, False, CHANGE
 
 @pytest.mark.parametrize(("source", "is_clear", "change"), STATES, ids=["clear", "unclear"])
 def test_a_law_stays_what_it_was_when_the_potential_was_made(source, is_clear, change):
-    """Compiled or not, with a digest or without.
-
-    Its shift is computed in Python at each bind, its forces by code that is compiled at the first evaluation; the cache
-    must not hold the code of a later state under the digest of an earlier one.
-    """
+    """Compiled or not, with a digest or without. Its shift is computed in Python at each bind, its forces by code that
+    is compiled at the first evaluation; the cache must not hold a later state under the digest of an earlier one."""
     names, pair = names_of(source), md.System([[0, 0, 0], [1, 0, 0]])
     potential = md.PairPotential(names["law"], (1.0,), 3.0)
     assert is_recognized(potential.law) == is_clear

@@ -1,7 +1,6 @@
 """Scenes that nobody asked for, and somebody will run: each conserves its energy within its bound.
 
-A scene yields simulations that have run, and the bound of its oscillation; what else holds of it, it asserts.
-"""
+A scene yields simulations that have run, and the bound of its oscillation; what else holds of it, it asserts."""
 
 from functools import partial
 from itertools import product
@@ -113,9 +112,7 @@ def dimer_below_its_limit(potential, x):
 
 def springs_below_their_limit(x):
     """The fastest mode of a chain has ω = 2 √(k/m) at most.
-
-    K + U (1 − (ωΔt)²/4) of an oscillator is a constant of velocity Verlet, to rounding times steps.
-    """
+    K + U (1 − (ωΔt)²/4) of an oscillator is a constant of velocity Verlet, to rounding times steps."""
     simulation = ran(stress.in_a_row(20, 0.1 * np.sin(np.arange(20))), STIFF, x / 40.0, 20_000)
     assert simulation.record.total_energy.max() < 3.0 * simulation.record.total_energy[0]
     yield simulation, 1.0

@@ -1,7 +1,6 @@
 """Units, lists, threads, order of atoms, images, places and cells: what must not change the physics.
 
-A scene yields what was found, what is expected, and by how much they may differ: rounding and its growth.
-"""
+A scene yields what was found, what is expected, and by how much they may differ: rounding and its growth."""
 
 from itertools import product
 from math import sqrt

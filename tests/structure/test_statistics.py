@@ -33,10 +33,8 @@ SLOW = [(0.0, 1), (0.5, 12), (0.5, 25), (0.5, 100), (0.8, 25), (0.95, 12), (0.95
 @pytest.mark.parametrize(("share", "times"), SLOW)
 def test_an_error_bar_knows_slow_correlations(n_blocks, share, times):
     """Of a ratio of sums, one of which has fast and slow parts, as D follows the temperature of a bath.
-
     times : slow correlation times in a run.  share : of the slow part in the variance of the mean.  Uncorrelated blocks
-    would give 0.4 to 0.8 of the error where it is 0.5 or more.
-    """
+    would give 0.4 to 0.8 of the error where it is 0.5 or more."""
     n_runs, n, rng = 600, 8 * n_blocks, np.random.default_rng(7)
     decay = np.exp(-times / n)
     slow = np.sqrt(share * (1.0 - decay) / (1.0 + decay)) * processes(n_runs, n, decay, rng)

@@ -208,8 +208,7 @@ def test_a_common_sticky_folder_may_lie_on_the_way_but_not_be_the_cache(tmp_path
     finally:
         os.umask(before)
     assert all(part.stat().st_mode & 0o777 == 0o700 for part in (folder, folder.parent, folder.parent.parent))
-    assert kernels.open_to_others(folder) is None
-    assert kernels.open_to_others(tmp_path) == tmp_path
+    assert (kernels.open_to_others(folder), kernels.open_to_others(tmp_path)) == (None, tmp_path)
     (tmp_path / "own").chmod(0o770)
     assert kernels.open_to_others(folder) == tmp_path / "own"
     stat = Path.stat

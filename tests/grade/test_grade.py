@@ -143,8 +143,7 @@ def test_parameters_of_a_force_are_what_they_say():
         return pairs(x, lambda r: 24 * eps * (2 * sigma**12 / r**13 - 1 / r**7))
 
     no_length = lambda x, k=2.0, r0=1.1: np.array([k * (x[1] - x[0]), k * (x[0] - x[1])])  # noqa: E731
-    assert md.grade(right).passed
-    assert md.grade(lambda x, eps=0.5, sigma=1.0: right(x, eps, sigma)).passed
+    assert md.grade(right).passed is md.grade(lambda x, eps=0.5, sigma=1.0: right(x, eps, sigma)).passed is True
     assert re.search("attractive term.*σ.6 is missing", md.grade(no_sigma).faults[0])
     assert "eps is without effect" in md.grade(lambda r, eps=2.0: 48 / r**13 - 24 / r**7).faults[0]
     assert "without rest length" in md.grade(no_length, positions=TWO).faults[0]

@@ -75,11 +75,10 @@ def test_thirteen_atoms_form_an_icosahedron_and_a_minimum_is_left_alone(seed):
 def test_a_dimer_finds_its_length_from_anywhere(distance, direction):
     found = md.minimize(md.System([[0.0, 0.0, 0.0], distance * np.array(direction)], masses=[1.0, 50.0]), LJ)
     arm = np.diff(found.system.positions, axis=0)[0]
-    assert found.converged
+    assert (found.converged, found.n_steps < 300) == (True, True)
     assert found.potential_energy == pytest.approx(-1.0, abs=1e-13)  # a force of 1e-6 leaves (1e-6)²/2u″
     assert np.linalg.norm(arm) == pytest.approx(2 ** (1 / 6), abs=1e-7)
     np.testing.assert_allclose(arm / np.linalg.norm(arm), direction, atol=1e-12)
-    assert found.n_steps < 300
 
 
 def test_velocities_turn_as_published():
@@ -128,8 +127,7 @@ def test_masses_do_not_matter_and_fixed_atoms_stay_where_they_are():
     system, fixed = random_liquid(200), np.arange(0, 200, 10)
     heavy = md.System(system.positions, cell=system.cell, masses=np.geomspace(1.0, 300.0, 200))
     found, other = (md.minimize(one, CUT, md.FixedAtoms(fixed)) for one in (system, heavy))
-    assert np.array_equal(found.system.positions, other.system.positions)
-    assert found.converged
+    assert (found.converged, np.array_equal(found.system.positions, other.system.positions)) == (True, True)
     assert np.array_equal(found.system.positions[fixed], system.positions[fixed])
     forces = md.evaluate(found.system, CUT).forces
     assert largest(forces[fixed]) > 1.0

@@ -16,8 +16,6 @@ from minimd_bench.peers import EngineSpeed, PeersOptions, run_peers
 
 N_ATOMS = 256  # four cells along each edge
 PEER_SECONDS, ASE_SECONDS = 0.015, 0.35  # a step of a fake peer on one thread; more than 5 s in all the steps of a turn
-OWN_SECONDS = {1: 0.003, 2: 0.0018}
-ONE_PEER = ["bench", "peers", "--cells", "4", "--threads", "1"]
 ONCE = PeersOptions(cells=(4,), threads=(1,), repeats=1)
 COMPILED = {"kob-andersen", "npt", "chain", "decane", "triangles"}  # scenes with kernels of their own
 
@@ -49,7 +47,7 @@ def fakes(monkeypatch):
     monkeypatch.setattr(turns, "available_cores", lambda: 2)
     monkeypatch.setattr(peers, "equilibrated", lambda scene: scene)
     monkeypatch.setattr(engines.Peer, "is_installed", True)
-    own = lambda _, threads: FakeEngine("minimd", threads, "double", OWN_SECONDS[threads])  # noqa: E731
+    own = lambda _, threads: FakeEngine("minimd", threads, "double", (0.003, 0.0018)[threads - 1])  # noqa: E731
     monkeypatch.setattr(peers, "Minimd", own)
     fast = engines.Peer("fast", lambda _, n, __: FakeEngine("fast", n, "single", PEER_SECONDS / n), threads="each")
     slow = engines.Peer("slow", lambda *_: FakeEngine("slow (serial)", 1, "double", ASE_SECONDS), most_atoms=N_ATOMS)
@@ -144,7 +142,7 @@ def test_peer_with_another_energy_is_refused_and_one_that_blows_up_is_no_disagre
         if blown:
             engine.run = lambda n_steps: raising(md.NonFiniteError("2 positions are not finite"))
         monkeypatch.setattr(peers, "PEERS", {"other": engines.Peer("other", lambda *_: engine)})
-        assert cli.main(ONE_PEER) == code
+        assert cli.main(["bench", "peers", "--cells", "4", "--threads", "1"]) == code
         out, err = capsys.readouterr()
         assert not out or code == cli.BLOWN_UP
         assert all(word in err.splitlines()[-1] for word in words)

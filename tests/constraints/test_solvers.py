@@ -15,11 +15,10 @@ from minimd.constraints import ConstraintSolver, DistanceConstraints
 from minimd.diagnosis.report import drift as linear_drift
 
 EPS = np.finfo(float).eps
-SOLVERS = ["auto", "newton", "shake"]
 SMALL = ["diatomics", "water", "ring", "rod"]
 
 
-def every(names=tuple(SCENES), solvers=SOLVERS):
+def every(names=tuple(SCENES), solvers=("auto", "newton", "shake")):
     return pytest.mark.parametrize(("name", "solver"), list(product(names, solvers)))
 
 

@@ -217,9 +217,6 @@ def test_scene_that_blows_up_is_replayed_from_its_file_alone_with_the_same_noise
     told("replay", "melt.h5md" if Path("melt.h5md").exists() else "other.h5md", code=2)  # no crash report
 
 
-TOO_LONG = 60.0 * units.fs  # of copper, whose limit is 41 fs
-
-
 def test_what_is_no_count_or_no_end_is_refused_and_no_steps_are_none(tmp_path):
     """What is refused leaves the last record and the state."""
     sim, file = SCENES["argon"]().simulation(), tmp_path / "a.h5md"
@@ -253,7 +250,7 @@ def nitrogen(timestep):
 def test_a_calculator_of_others_fails_at_its_step_for_its_cause():
     """ASE alone has 11.5 eV after the first step and 2.4e5 eV after the second."""
     atoms = copper()
-    start, run = atoms.get_total_energy(), VelocityVerlet(atoms, TOO_LONG)
+    start, run = atoms.get_total_energy(), VelocityVerlet(atoms, 60.0 * units.fs)  # the limit is 41 fs
     found = failing(run.run, 300).crash_report
     assert run.nsteps == found.last_good_step == found.step - 1 <= 2
     assert abs(atoms.get_total_energy() - start) < 5.0  # one kinetic energy

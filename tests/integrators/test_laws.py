@@ -52,11 +52,9 @@ NO_GRADIENTS = mi.Partitioned(  # q′ = g(v), v′ = f(q) has no divergence wha
     lambda v: np.array([np.sin(v[1] * v[2]) + v[0] ** 2, v[0] * v[2], np.cos(v[0] - v[1])]),
     lambda q: np.array([q[1] * q[2] - q[0], np.sin(q[0]) * q[1], np.exp(-q[1]) + 0.3 * q[2] ** 2]),
 )
-HALVES = mi.Partitioned(lambda v: across(B, v), lambda q: across(C, q))
 JOINT = mi.Partitioned(
     lambda q, v: np.sin(q @ v) * C * (B @ B) + across(B, v), lambda q, v: -np.sin(q @ v) * B * (B @ B) + across(C, q)
 )
-CENTRAL = mi.SecondOrder(lambda q: small.attraction(q - CENTRE))
 ROUND = mi.Partitioned(  # H = (1 + |d|²)|v|²/2 + |d|²/2, d = q − centre
     lambda q, v: (1.0 + (q - CENTRE) @ (q - CENTRE)) * v, lambda q, v: -(1.0 + v @ v) * (q - CENTRE)
 )
@@ -69,9 +67,9 @@ SCENES = {
     "driven": Scene(small.DRIVEN, small.TWISTED_START, 0.1),
     "swaying": Scene(small.SWAYING, small.TWISTED_START, 0.1),
     "no divergence": Scene(NO_GRADIENTS, ((0.3, 0.2, 0.5), (0.1, -0.4, 0.6)), 0.3),
-    "b·q, c·v": Scene(HALVES, IN_SPACE, 0.1, 0.0, 30, linear),
+    "b·q, c·v": Scene(mi.Partitioned(lambda v: across(B, v), lambda q: across(C, q)), IN_SPACE, 0.1, 0.0, 30, linear),
     "b·q + c·v": Scene(JOINT, IN_SPACE, 0.05, 0.0, 10, linear),
-    "central force": Scene(CENTRAL, OFF_CENTRE, 0.04, 0.0, 16, turning),
+    "central force": Scene(mi.SecondOrder(lambda q: small.attraction(q - CENTRE)), OFF_CENTRE, 0.04, 0.0, 16, turning),
     "round": Scene(ROUND, OFF_CENTRE, 0.08, 0.0, 12, turning),
     "scaling": Scene(SCALING, OFF_CENTRE, 0.08, 0.0, 12, lambda q, v: (q * v)[:, 0]),
     "oscillator": Scene(small.OSCILLATOR, ((1.0,), (0.0,)), 0.8, 0.0, 60, lambda q, v: (q**2 + v**2)[:, 0]),

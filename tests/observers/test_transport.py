@@ -116,10 +116,9 @@ def test_viscosity_and_diffusion_near_the_triple_point():
 
 
 DRIFT, SCALE, T = np.array([0.5, 0.0, -0.5]), "scale of the report", "temperature"
-BAROSTAT = md.StochasticCellRescaling(5.0, 0.1, 5.0, seed=4, every=5, temperature=1.0)
 MOTION = md.VelocityVerlet(0.004)
 RUNS = {  # method and options
-    "barostat": (MOTION, {"barostat": BAROSTAT}),
+    "barostat": (MOTION, {"barostat": md.StochasticCellRescaling(5.0, 0.1, 5.0, seed=4, every=5, temperature=1.0)}),
     "double": (MOTION, {}),
     "bath": (md.StochasticVelocityRescaling(0.004, 1.0, 1.0, seed=3), {}),
     "fixed-point": (MOTION, {"precision": "fixed-point"}),

@@ -14,7 +14,6 @@ import minimd as md
 from minimd.structure.checks import LARGEST, SMALLEST
 
 pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
-BELOW = [0.1, 0.5, 1.0, 1.5, 1.9, 1.99]  # Δt ω
 WALL = md.PairPotential(lambda r2: (r2**-24, 48.0 * r2**-25), (), 1.5, "force-shifted")  # r⁻⁴⁸, as steep as any
 
 
@@ -139,7 +138,7 @@ ZIGZAGS = (0.0, 1e-300, 1e-12, 1e-6, 1e-3, 0.1)
 CONSERVED = {scene: [()] for scene in (open_space, lines_collisions_and_masses, million_atoms)} | {
     rigid: [(100_000, stress.rigid_ring(), 1e-11), *((2000, stress.rigid_chain(z), np.inf) for z in ZIGZAGS)],
     dimer_below_its_limit: product((OPEN, SMOOTH), (0.1, 0.5, 1.0, 1.5, 1.9)),
-    springs_below_their_limit: [(x,) for x in BELOW],
+    springs_below_their_limit: [(x,) for x in (0.1, 0.5, 1.0, 1.5, 1.9, 1.99)],  # Δt ω
     stiff_bond_among_its_resonances: [(x,) for x in (0.1, 0.5, 0.9, 1.3, 1.41, 1.7, 1.8)],
 }
 CASES = [(scene, given) for scene, rows in CONSERVED.items() for given in rows]

@@ -11,10 +11,9 @@ import minimd as md
 from minimd.files.h5md_reader import read_file
 from minimd.mdanalysis import universe
 
-NAN = float("nan")
 TWO_KINDS = {"species": ["A", "B"] * 128}
 CHANGES = {
-    "NaN": (lambda sim: sim.positions.__setitem__(3, NAN), md.NonFiniteError, "positions of 1 atoms"),
+    "NaN": (lambda sim: sim.positions.__setitem__(3, np.nan), md.NonFiniteError, "positions of 1 atoms"),
     "a small cell": (lambda sim: setattr(sim.system, "cell", md.Cell.of(2.0)), md.NonFiniteError, "atoms .* apart"),
     "one spot": (lambda sim: sim.positions.__setitem__(0, sim.positions[1]), md.NonFiniteError, "atoms 0 and 1, 0 σ"),
     "a long step": (lambda sim: setattr(sim, "method", md.VelocityVerlet(0.5)), md.NonFiniteError, "timestep 0.5 τ"),

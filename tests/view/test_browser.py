@@ -13,7 +13,6 @@ import minimd as md
 pytestmark = pytest.mark.slow
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]  # WebGL without a graphics card
-FOCUS = "document.activeElement.id || document.activeElement.tagName"
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +64,7 @@ class Opened:
 
     def tab_to(self, name):
         for _ in range(60):
-            if self.page.evaluate(FOCUS) == name:
+            if self.page.evaluate("document.activeElement.id || document.activeElement.tagName") == name:
                 return
             self.page.keyboard.press("Tab")
             if self.page.evaluate("document.activeElement !== document.body"):

@@ -113,9 +113,8 @@ KEPT += [(projected, VelocityVerlet, 0.05, 500), *(pytest.param(projected, *row,
 
 @pytest.mark.parametrize(("wrapper", "method", "h", "n_steps"), KEPT)
 def test_the_energy_is_kept_to_rounding_and_does_not_drift(wrapper, method, h, n_steps):
-    methods, every = (method, wrapper(method, ENERGY)), max(1, n_steps // 1000)
-    plain, kept = (run_steps(KEPLER, one(h), KEPLER_START, n_steps, every=every) for one in methods)
-    assert np.abs(energy_errors(plain)).max() > 1e-8
+    kept = run_steps(KEPLER, wrapper(method, ENERGY)(h), KEPLER_START, n_steps, every=max(1, n_steps // 10_000))
+    assert np.abs(energy_errors(run_steps(KEPLER, method(h), KEPLER_START, 60))).max() > 1e-8
     noise = 10 if h == 0.002 else 1  # the steps of implicit Euler are noisier than g
     assert np.abs(energy_errors(kept)).max() < noise * ROUNDING
 

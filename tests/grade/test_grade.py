@@ -61,7 +61,7 @@ def test_a_right_step_passes_in_every_shape(row):
 @pytest.mark.slow
 def test_a_runge_kutta_method_passes_if_its_order_is_asked_for():
     right = md.grade(lambda x, v, force, m, dt: runge_kutta(x, v, force, m, dt), order=4)
-    assert (right.passed, right["energy"].passed, right["cost"].value) == (True, False, 4), str(right)
+    assert (right.passed, right["energy"].passed, right["cost"].value) == (True, None, 4), str(right)
     assert right["order"].value == pytest.approx(4.0, abs=0.1)
     assert any("not symplectic" in remark for remark in right.remarks)
     wrong = md.grade(lambda x, v, force, m, dt: runge_kutta(x, v, force, m, dt, third=1), order=4)

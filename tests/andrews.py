@@ -1,7 +1,6 @@
 """Andrews' squeezing mechanism: seven rigid bodies, six constraints; angles q = (β, Θ, γ, Φ, δ, Ω, ε).
 
-E. Hairer, G. Wanner, Solving ODEs II (1996), VII.7, eq. 7.7-7.10; IVP Test Set, problem Andrews.
-"""
+E. Hairer, G. Wanner, Solving ODEs II (1996), VII.7, eq. 7.7-7.10; IVP Test Set, problem Andrews."""
 
 from math import cos, sin, sqrt
 
@@ -10,14 +9,12 @@ from references import load
 
 DATA = load("dae/andrews.json")
 NUMBERS = dict(pair.split("=") for pair in DATA["parameters"].split())
-m1, m2, m3, m4, m5, m6, m7 = (float(NUMBERS[f"m{k}"]) for k in range(1, 8))
-i1, i2, i3, i4, i5, i6, i7 = (float(NUMBERS[f"I{k}"]) for k in range(1, 8))
-xa, ya, xb, yb, xc, yc = (float(NUMBERS[name]) for name in ("xa", "ya", "xb", "yb", "xc", "yc"))
-c0, l0, mom = (float(NUMBERS[name]) for name in ("c0", "l0", "mom"))
-d, da, e, ea, rr, ra, ss, sa, sb, sc, sd = (
-    float(NUMBERS[name]) for name in ["d", "da", "e", "ea", "rr", "ra", "ss", "sa", "sb", "sc", "sd"]
-)
-ta, tb, u, ua, ub, zf, zt, fa = (float(NUMBERS[name]) for name in ["ta", "tb", "u", "ua", "ub", "zf", "zt", "fa"])
+named = lambda names: (float(NUMBERS[name]) for name in names.split())  # noqa: E731
+m1, m2, m3, m4, m5, m6, m7 = named("m1 m2 m3 m4 m5 m6 m7")
+i1, i2, i3, i4, i5, i6, i7 = named("I1 I2 I3 I4 I5 I6 I7")
+xa, ya, xb, yb, xc, yc, c0, l0, mom = named("xa ya xb yb xc yc c0 l0 mom")
+d, da, e, ea, rr, ra, ss, sa, sb, sc, sd = named("d da e ea rr ra ss sa sb sc sd")
+ta, tb, u, ua, ub, zf, zt, fa = named("ta tb u ua ub zf zt fa")
 START = np.array(DATA["q0"], dtype=float), np.zeros(7)
 
 

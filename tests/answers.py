@@ -3,11 +3,9 @@
 import traceback
 import warnings
 from collections import Counter
-from pathlib import Path
 
-import minimd as md
+from wrong_calls import FAILED_RUNS, is_foreseen
 
-FAILED_RUNS = (md.NonFiniteError, md.ConstraintError)  # of which the cause is told, and in a second line what was seen
 SENTENCES = (ValueError, TypeError, FileNotFoundError, FileExistsError, PermissionError, *FAILED_RUNS)
 
 
@@ -19,11 +17,10 @@ def answer_of(call, is_senseless, has_several_problems=False):
             warnings.simplefilter("error", RuntimeWarning)  # arithmetic that was not foreseen
             call()
     except SENTENCES as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
         if str(error).count("\n") > isinstance(error, FAILED_RUNS) and not has_several_problems:
             return f"more than a sentence: {error}"
-        if "minimd" not in Path(place.filename).parts or not place.line.startswith("raise"):
-            return f"not foreseen: {type(error).__name__} at {place.filename}:{place.lineno}: {error}"
+        if not is_foreseen(error):
+            return f"not foreseen: {type(error).__name__}: {error}{traceback.format_tb(error.__traceback__)[-1]}"
         return type(error).__name__
     except Exception as error:
         return f"wrong exception: {type(error).__name__}: {error}"

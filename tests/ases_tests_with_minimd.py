@@ -2,8 +2,7 @@
 
     pytest -p ases_tests_with_minimd --pyargs ase.test.md.test_bussi
 
-MINIMD_CALCULATOR=1 puts minimd's Calculator in the place of EMT as well: Lennard-Jones with parameters of metals.
-"""
+MINIMD_CALCULATOR=1 puts minimd's Calculator in the place of EMT as well: Lennard-Jones with parameters of metals."""
 
 import importlib
 import os

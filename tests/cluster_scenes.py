@@ -73,9 +73,7 @@ def in_chains(positions, rng, **options):
 @st.composite
 def scenes(draw, sizes=SIZES, densities=(0.01, 0.3, 1.0)):
     """Gas to dense, with gaps and chains, in cells from just high enough to long and thin, skewed, left-handed.
-
-    In wider cells they are slabs, rods and droplets, about faces, edges and corners.
-    """
+    In wider cells they are slabs, rods and droplets, about faces, edges and corners."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     n, pbc = draw(st.sampled_from(sizes)), np.array(draw(st.sampled_from(PERIODICITIES)))
     edges = _edges(draw, n / draw(st.sampled_from(densities)), rng)
@@ -141,10 +139,8 @@ def summed(term, system, detail=TOTALS):
 
 def agree(term, other, system, tolerance=EQUAL):
     """Forces, energies and virials, as sums and for each atom, are the same, relative to the largest of them.
-
     Within a tolerance and the rounding of coordinates, which changes forces f ~ 48 r⁻¹³ by 13/r of themselves. Forces
-    have the same bits whether or not energies are wanted.
-    """
+    have the same bits whether or not energies are wanted."""
     pairs = [*zip(summed(term, system), summed(other, system), strict=True)]
     pairs += zip(evaluated(term, system, PER_ATOM), evaluated(other, system, PER_ATOM), strict=True)
     largest = max(1.0, np.abs(pairs[0][1]).max())

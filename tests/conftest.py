@@ -2,8 +2,7 @@
 
 Signals are not ignored, as behind nohup. BLAS has one thread, in the workers and in the processes that tests start:
 matrices here are small, and its threads would spend a third of the time waiting for each other on shared cores.
-What is imported without bytecode leaves it behind, for the next process.
-"""
+What is imported without bytecode leaves it behind, for the next process."""
 
 import os
 import signal
@@ -17,9 +16,30 @@ import pytest
 from hypothesis import settings
 from scenes import SCENES
 
+from minimd.commands import main as cli
+
 settings.register_profile("minimd", deadline=None, derandomize=True, max_examples=100)
 settings.load_profile("minimd")
 signal.signal(signal.SIGINT, signal.default_int_handler)  # minimd leaves ignored signals alone, and tests raise them
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 for _name, _scene in SCENES.items():
     globals()[_name] = pytest.fixture(_scene, name=_name)
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty folder, in which the test runs."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def told(capsys):
+    """A function that runs a command, which ends with a code, and returns what it prints; of an error, what it says."""
+
+    def telling(*arguments, code=0):
+        capsys.readouterr()
+        assert cli.main([*map(str, arguments)]) == code
+        return capsys.readouterr()[code > 1]
+
+    return telling

@@ -8,29 +8,19 @@ import minimd.integrators as mi
 GRAVITY = 13.750371636040745654980191559621  # a pendulum of length 1 released from the horizontal then has the period 2
 
 # E. Hairer, C. Lubich, M. Roche (1989): test problems of index 2 and 3
-# fmt: off
-INDEX1 = (
-    mi.Hessenberg1(lambda t, y, z: cos(t) + y * y - sin(t) ** 2 + z * z - exp(-2 * t),
-                   lambda t, y, z: z * exp(y) - exp(sin(t) - t)),
-    lambda t: ([sin(t)], [exp(-t)]),
-)
-INDEX2 = (
-    mi.Hessenberg2(lambda y, z: [y[0] * y[1] ** 2 * z[0] ** 2, y[0] ** 2 * y[1] ** 2 - 3 * y[1] ** 2 * z[0]],
-                   lambda y: y[0] ** 2 * y[1] - 1),
-    lambda t: ([exp(t), exp(-2 * t)], [exp(2 * t)]),
-)
-INDEX3 = (
-    mi.Hessenberg3(lambda y, z: [2 * y[0] * y[1] * z[0] * z[1], -y[0] * y[1] * z[1] ** 2],
-                   lambda y, z, u: [(y[0] * y[1] + z[0] * z[1]) * u[0], -y[0] * y[1] ** 2 * z[1] ** 2 * u[0]],
-                   lambda y: y[0] * y[1] ** 2 - 1),
-    lambda t: ([exp(2 * t), exp(-t)], [exp(2 * t), exp(-t)], [exp(t)]),
-)
-# fmt: on
+INDEX1 = (mi.Hessenberg1(lambda t, y, z: cos(t) + y * y - sin(t) ** 2 + z * z - exp(-2 * t),
+                         lambda t, y, z: z * exp(y) - exp(sin(t) - t)),
+          lambda t: ([sin(t)], [exp(-t)]))  # fmt: skip
+INDEX2 = (mi.Hessenberg2(lambda y, z: [y[0] * y[1] ** 2 * z[0] ** 2, y[0] ** 2 * y[1] ** 2 - 3 * y[1] ** 2 * z[0]],
+                         lambda y: y[0] ** 2 * y[1] - 1),
+          lambda t: ([exp(t), exp(-2 * t)], [exp(2 * t)]))  # fmt: skip
+INDEX3 = (mi.Hessenberg3(lambda y, z: [2 * y[0] * y[1] * z[0] * z[1], -y[0] * y[1] * z[1] ** 2],
+                         lambda y, z, u: [(y[0] * y[1] + z[0] * z[1]) * u[0], -y[0] * y[1] ** 2 * z[1] ** 2 * u[0]],
+                         lambda y: y[0] * y[1] ** 2 - 1),
+          lambda t: ([exp(2 * t), exp(-t)], [exp(2 * t), exp(-t)], [exp(t)]))  # fmt: skip
 # the same solution as INDEX2, with z linear: Gauss methods whose z is off by order 1 bear no more
-INDEX2_LINEAR = (
-    mi.Hessenberg2(lambda y, z: [y[0] * y[1] * z[0], y[1] ** 2 * z[0] - 3 * y[1]], lambda y: y[0] ** 2 * y[1] - 1),
-    INDEX2[1],
-)
+INDEX2_LINEAR = (mi.Hessenberg2(lambda y, z: [y[0] * y[1] * z[0], y[1] ** 2 * z[0] - 3 * y[1]],
+                                lambda y: y[0] ** 2 * y[1] - 1), INDEX2[1])  # fmt: skip
 HORIZONTAL = (1.0, 0.0), (0.0, 0.0)
 
 
@@ -48,18 +38,14 @@ def implicit_pendulum():
 
 def stabilized_pendulum():
     """Index 2: q′ = v − q μ, v′ = −q λ − g, 0 = g = G v (C. W. Gear, B. Leimkuhler, G. K. Gupta (1985))."""
-    return mi.Hessenberg2(
-        lambda y, z: [*y[2:] - y[:2] * z[1], *-y[:2] * z[0] - [0, GRAVITY]],
-        lambda y: [(y[:2] @ y[:2] - 1) / 2, y[:2] @ y[2:]],
-    )
+    f = lambda y, z: [*y[2:] - y[:2] * z[1], *-y[:2] * z[0] - [0, GRAVITY]]  # noqa: E731
+    return mi.Hessenberg2(f, lambda y: [(y[:2] @ y[:2] - 1) / 2, y[:2] @ y[2:]])
 
 
 def reduced_pendulum():
     """Index 1: the multiplier from the second derivative of the constraint."""
-    return mi.Hessenberg1(
-        lambda y, z: [y[2], y[3], -y[0] * z[0], -y[1] * z[0] - GRAVITY],
-        lambda y, z: y[2] ** 2 + y[3] ** 2 - z[0] * (y[0] ** 2 + y[1] ** 2) - GRAVITY * y[1],
-    )
+    g = lambda y, z: y[2] ** 2 + y[3] ** 2 - z[0] * (y[0] ** 2 + y[1] ** 2) - GRAVITY * y[1]  # noqa: E731
+    return mi.Hessenberg1(lambda y, z: [y[2], y[3], -y[0] * z[0], -y[1] * z[0] - GRAVITY], g)
 
 
 def path_of_x():
@@ -102,15 +88,13 @@ SWING_START = ([np.sin(1.0), -np.cos(1.0)], [0.0, 0.0])
 def double_pendulum(with_jacobian=True):
     """Masses 1 and 2 on rods of lengths 1 and ½; q = (x₁, y₁, x₂, y₂)."""
 
-    def lengths(q):
-        return [0.5 * (q[:2] @ q[:2] - 1.0), 0.5 * ((q[2:] - q[:2]) @ (q[2:] - q[:2]) - 0.25)]
-
     def jacobian(q):
         d = q[2:] - q[:2]
         return [[q[0], q[1], 0.0, 0.0], [-d[0], -d[1], d[0], d[1]]]
 
-    fall = np.array([0.0, -1.0, 0.0, -1.0])
-    return mi.Holonomic(lambda q: fall, lengths, jacobian if with_jacobian else None, masses=[1.0, 1.0, 2.0, 2.0])
+    fall, masses = np.array([0.0, -1.0, 0.0, -1.0]), [1.0, 1.0, 2.0, 2.0]
+    lengths = lambda q: [0.5 * (q[:2] @ q[:2] - 1.0), 0.5 * ((q[2:] - q[:2]) @ (q[2:] - q[:2]) - 0.25)]  # noqa: E731
+    return mi.Holonomic(lambda q: fall, lengths, jacobian if with_jacobian else None, masses=masses)
 
 
 def on_rods(a, b, u, w):

@@ -73,9 +73,7 @@ def in_child(work):
 
 def killed_at(k, work):
     """Do work in a process that dies, as by kill -9, before its k-th change of a file: KILLED, or what work does.
-
-    Its children, which only read, live on.
-    """
+    Its children, which only read, live on."""
 
     def dying():
         n_changes, process = [0], os.getpid()
@@ -283,14 +281,12 @@ IN_BYTES = {
     "a strange journal": lambda content, rng: content + rng.bytes(44) + MAGIC,
 }
 IN_NUMBERS = {
-    "change a number": change_number,
-    "change an attribute": change_attribute,
+    "change a number": change_number, "change an attribute": change_attribute,
     "remove": lambda h5, rng: h5.pop(_one_of(h5, rng, _objects)),
     "remove an attribute": lambda h5, rng: operator.delitem(*_attribute_of(h5, rng)),
     "rename": lambda h5, rng: h5.move(_one_of(h5, rng, _objects), "elsewhere"),
     "resize": resize,
     "resize all with their checksums": resize_all_with_their_checksums,
-    "damage both restarts": damage_both_restarts,
-    "damage a restart": damage_a_restart,
-}
+    "damage both restarts": damage_both_restarts, "damage a restart": damage_a_restart,
+}  # fmt: skip
 WAYS = [*IN_BYTES, *IN_NUMBERS, "flip a bit in a table", "replace a byte in a table", "change a number"]

@@ -1,4 +1,4 @@
-"""Short runs that write files, and what tests of files look at."""
+"""Short runs that write files, what tests of files look at, and records made by hand."""
 
 import contextlib
 import errno
@@ -14,14 +14,12 @@ from minimd.files.h5md_reader import read_file, verify_frames
 
 PER_PICOSECOND = 98.22694788464064  # of the time unit of ASE, as its documentation has it
 N_ATOMS = 27
-# fmt: off
 CELLS = {
     "cubic": (3.6, None), "slab": ([3.6, 3.6, 9.0], [True, True, False]), "open": (None, None),
     "triclinic": ([[3.6, 0, 0], [0.7, 3.6, 0], [-0.4, 0.9, 3.6]], None), "open with vectors": (9.0, False),
     "turned": ([[0, 3.6, 0.3], [0, 0, 3.6], [3.6, 0.2, 0]], None),
     "slab without height": ([3.6, 3.6, 0.0], [True, True, False]),
-}
-# fmt: on
+}  # fmt: skip
 
 
 def simulation(cell="cubic", units=md.units.LJ):
@@ -62,6 +60,15 @@ def lengths_and_angles(vectors):
     """Of a cell, in degrees, as MDAnalysis has them."""
     a, b, c = (v / np.linalg.norm(v) for v in vectors)
     return [*np.linalg.norm(vectors, axis=1), *np.degrees(np.arccos([b @ c, a @ c, a @ b]))]
+
+
+def record_of(total, n_atoms=10, **changes):
+    """A record of this total energy, of a kinetic energy of 1, and of no momentum."""
+    n = len(total)
+    flat, vectors = np.ones(n), np.zeros((n, 3))
+    series = dict.fromkeys(("kinetic_energy", "temperature", "absolute_momentum", "absolute_angular_momentum"), flat)
+    series |= {"total_energy": total, "potential_energy": total - 1.0, "momentum": vectors, "angular_momentum": vectors}
+    return md.Record.of(md.units.LJ, n_atoms, {"step": np.arange(n), "time": np.arange(float(n)), **series, **changes})
 
 
 def at_step(step, what):

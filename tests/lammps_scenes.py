@@ -126,11 +126,10 @@ def chains_at_rest():
 
 WCA = md.LennardJones(1.0, 1.0, 2.0 ** (1.0 / 6.0))
 AT_REST = {
-    "WCA crystal": lambda: crystal(0.8442, WCA),
-    "thin gas": lambda: crystal(0.008, LJ),
+    "WCA crystal": lambda: crystal(0.8442, WCA), "thin gas": lambda: crystal(0.008, LJ),
     "chains at rest": chains_at_rest,
     "soft spheres": lambda: crystal(0.8442, md.PairPotential(soft, (50.0,), 1.1, "truncated")),
-}
+}  # fmt: skip
 
 
 def with_a_tail():
@@ -182,22 +181,17 @@ SCENES = {
     **{one: lambda one=one: scene(fluid(), md.LennardJones(1.0, 1.0, CUTOFF, one)) for one in CUT},
     "Kob-Andersen mixture": lambda: scene(fluid(species=TWO_KINDS), KOB_ANDERSEN),
     "own law": lambda: scene(fluid(), md.PairPotential(buckingham, (3e5, 0.08, 2.0), CUTOFF, "force-shifted")),
-    "turned": in_cell(SKEWED @ ROTATION),
-    "left-handed": in_cell(LEFT_HANDED),
+    "turned": in_cell(SKEWED @ ROTATION), "left-handed": in_cell(LEFT_HANDED), "tail": with_a_tail,
     "skewed slab": in_cell(SKEWED @ ROTATION, pbc=[True, False, True]),
-    "wire": in_cell(SKEWED, pbc=[False, True, False]),
+    "wire": in_cell(SKEWED, pbc=[False, True, False]), "far away": lambda: scene(far_away()), **AT_REST,
     "small cell": lambda: scene(liquid(2), scaled(1.0, 1.0, 1.0)),
     "without cutoff": lambda: scene(scenes.droplet().system, scenes.OPEN),
     "fixed atoms": lambda: scene(fluid(masses=HEAVIER), LJ, md.FixedAtoms(np.arange(0, 108, 4))),
     "sheet": lambda: scene(md.System(PLANE, cell=np.diag([10.0, 10.0, 0.0]))),
-    "far away": lambda: scene(far_away()),
-    "tail": with_a_tail,
-    **AT_REST,
-}
+    "water": water, "chains": chains, "torsions": torsions, "two laws": two_laws, "stars": stars,
+}  # fmt: skip
 SUMMED = {  # charges with a sum over waves, of accuracy 1e-5
-    "salt": lambda: ions(4, 3.0, np.eye(3)),
-    "skewed salt": lambda: ions(4, 3.0, SKEWED @ ROTATION),
+    "salt": lambda: ions(4, 3.0, np.eye(3)), "skewed salt": lambda: ions(4, 3.0, SKEWED @ ROTATION),
     "charged water": charged_water,
-}
+}  # fmt: skip
 SCENES |= {**SUMMED, "ions": lambda: ions(3, 2.9)}
-SCENES |= {"water": water, "chains": chains, "torsions": torsions, "two laws": two_laws, "stars": stars}

@@ -3,8 +3,7 @@
     python tests/lowest_versions.py                 makes the environment, installs minimd in it, runs the fast suite
     python tests/lowest_versions.py FOLDER [...]    keeps the environment in a folder; what follows is for pytest
 
-To be run before a release. Exit code: that of pytest, or of pip.
-"""
+To be run before a release. Exit code: that of pytest, or of pip."""
 
 import os
 import re

@@ -8,12 +8,11 @@ import numpy as np
 from numba import njit
 
 import minimd as md
-from minimd.structure.lattice import crystal
 
 TEMPERATURES = {"temperature": [0.4, 0.5, 0.7]}
 STEPS = 60
 FILES = [f"0000-0999/{k:04d}.h5md" for k in range(3)]
-POSITIONS, EDGES = crystal("fcc", [2, 2, 2], 1.6)
+POSITIONS, EDGES = md.lattice.crystal("fcc", [2, 2, 2], 1.6)
 
 
 def liquid(member, fate=None, law=None, **options):

@@ -6,8 +6,7 @@
 
 A mutant is caught if a test fails. Each runs the tests that its heading names first, and then, if these pass, all
 others that are not slow. Mutants that change what kernels compute are compiled anew, which is most of the time: half a
-minute each. Exit code: 0 if 95 % were caught.
-"""
+minute each. Exit code: 0 if 95 % were caught."""
 
 import os
 import re
@@ -96,7 +95,6 @@ integrators/splitting/flows.py: forces/test_fixed_point
     momentum + times * select => momentum + 2.0 * times * select
 integrators/splitting/rows.py: integrators/test_splittings integrators/test_laws
     substeps = (Drift(0.5), Kick(1.0), Drift(0.5)) => substeps = (Drift(0.5), Kick(1.0), Drift(0.4))
-integrators/splitting/rows.py: integrators/test_splittings integrators/test_laws
     -1.17767998417887100695 => 1.17767998417887100695
     -0.0390563049223486 => -0.0390563049323486
     0.18453964097831570709 => 0.18453964197831570709
@@ -196,9 +194,7 @@ def listed() -> list[Mutant]:
 def main(chosen: list[str]) -> int:
     """Try the mutants that were chosen; see above."""
     mutants, missed = listed(), []
-    numbers = [
-        k for k in range(len(mutants)) if not chosen or any(_is_meant(one, k, mutants[k].file) for one in chosen)
-    ]
+    numbers = [k for k, one in enumerate(mutants) if any(_is_meant(word, k, one.file) for word in chosen or [""])]
     with tempfile.TemporaryDirectory() as cache:  # of kernels; what a mutant compiles anew is deleted behind it
         subprocess.run([sys.executable, "-c", "import minimd"], env=environment(ROOT, Path(cache)), check=True)
         for k in numbers:
@@ -226,10 +222,8 @@ def tried(mutant: Mutant, cache: Path) -> str:
         shutil.copytree(ROOT, copy, symlinks=True, ignore=ignored)
         source = copy / "minimd" / mutant.file
         text = source.read_text()
-        if text.count(mutant.old) != 1:
-            raise SystemExit(
-                f"a mutant must change one place; {mutant.old!r} stands {text.count(mutant.old)} times there"
-            )
+        if (n := text.count(mutant.old)) != 1:
+            raise SystemExit(f"a mutant must change one place; {mutant.old!r} stands {n} times there")
         source.write_text(text.replace(mutant.old, mutant.new))
         tests = [str(copy / "tests" / f"{name}.py") for name in mutant.first]
         caught_by = failed(copy, tests, cache) or failed(copy, ["tests"], cache)
@@ -246,9 +240,8 @@ def environment(root: Path, cache: Path) -> dict[str, str]:
 def failed(copy: Path, tests: list[str], cache: Path) -> str:
     """The first test that fails among some tests of a copy; empty if all pass."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "-p", "no:cacheprovider", "--tb=no", "-rfE"]
-    answer = subprocess.run(
-        [*command, *tests], cwd=copy, env=environment(copy, cache), capture_output=True, text=True, check=False
-    )
+    where = {"cwd": copy, "env": environment(copy, cache)}
+    answer = subprocess.run([*command, *tests], **where, capture_output=True, text=True, check=False)
     found = re.findall(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", answer.stdout, re.M)
     return "" if answer.returncode == 0 else found[0] if found else f"exit code {answer.returncode}"
 

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+from scipy.signal import lfilter
 
 import minimd as md
 
@@ -31,6 +32,12 @@ def brute_force_pairs(positions, cell, pbc, cutoff):
             if i != j or shift != (0, 0, 0):
                 found.add((int(i), int(j), *(int(s) for s in shift - home[j] + home[i])))
     return found
+
+
+def processes(n_series, length, decay, rng):
+    """(length, n_series) of unit variance and correlation decayⁿ."""
+    noise = np.sqrt(1.0 - decay**2) * rng.normal(size=(length + 8 * int(1.0 / (1.0 - decay)), n_series))
+    return lfilter([1.0], [1.0, -decay], noise, axis=0)[-length:]
 
 
 def liquid(n_cells=4, density=0.8442, temperature=1.44, seed=1, jitter=0.05):

@@ -4,9 +4,19 @@ from itertools import combinations
 
 import ase.io
 import numpy as np
+import scenes
 from ase import Atoms
 
 import minimd as md
+
+VERLET = md.VelocityVerlet(0.002)
+PAIRS = np.arange(64).reshape(-1, 2)  # of the dumbbells
+
+
+def dumbbells(constraints=None, method=VERLET):
+    """A simulation of those of scenes.py, by default with its lengths kept."""
+    scene = scenes.dumbbells()
+    return scene._replace(constraints=scene.constraints if constraints is None else constraints).simulation(method)
 
 
 def chain(n_atoms):

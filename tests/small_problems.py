@@ -21,9 +21,12 @@ def attraction(q):
     return -q / (q[0] * q[0] + q[1] * q[1]) ** 1.5
 
 
+def henon_heiles_energy(q, v):
+    return ((v * v).sum(axis=0) + (q * q).sum(axis=0)) / 2.0 + q[0] ** 2 * q[1] - q[1] ** 3 / 3.0
+
+
 @numba.njit(cache=True)
 def henon_heiles_force(q):
-    """H = (v² + q²)/2 + x²y − y³/3."""
     return np.array([-q[0] - 2.0 * q[0] * q[1], -q[1] - q[0] * q[0] + q[1] * q[1]])
 
 
@@ -43,8 +46,7 @@ def kepler_orbit(time, e=0.6):
 
 KEPLER = mi.SecondOrder(attraction)
 KEPLER_START = pericentre(0.6)  # H = −1/2
-HENON_HEILES = mi.SecondOrder(henon_heiles_force)
-HENON_HEILES_START = (0.0, 0.1), (0.5, 0.0)
+HENON_HEILES = mi.SecondOrder(henon_heiles_force), ((0.0, 0.1), (0.5, 0.0))
 OSCILLATOR = mi.SecondOrder(lambda q: -q)
 ONE = (1.0,), (0.0,)
 
@@ -108,19 +110,17 @@ def slope(error, timesteps):
 
 def kepler_slope(method, timesteps, problem=KEPLER):
     """Measured order at t = 2."""
-    ends = [mi.run_until(problem, method(h), KEPLER_START, 2.0).y[-1] for h in timesteps]
-    return np.polyfit(np.log(timesteps), np.log(np.linalg.norm(ends - kepler_orbit(2.0), axis=1)), 1)[0]
+    end = lambda h: mi.run_until(problem, method(h), KEPLER_START, 2.0).y[-1]  # noqa: E731
+    return slope(lambda h: np.linalg.norm(end(h) - kepler_orbit(2.0)), timesteps)
 
 
 def jacobian(problem, method, start, h, t0=0.0):
     """Φ′, the derivative of a step by the state, by differences of order six: truncation and rounding, some 1e-12."""
     y0, delta = problem.begin(start), 3e-3
     step, weights = method.on(problem), {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
-    differences = (
-        [w * (step(t0, y0 + k * delta * e, h) - step(t0, y0 - k * delta * e, h)) for k, w in weights.items()]
-        for e in np.eye(y0.size)
-    )
-    return np.column_stack([sum(column) / delta for column in differences])
+    unit = delta * np.eye(y0.size)
+    difference = lambda k, e: step(t0, y0 + k * e, h) - step(t0, y0 - k * e, h)  # noqa: E731
+    return np.column_stack([sum(w * difference(k, e) for k, w in weights.items()) / delta for e in unit])
 
 
 def symplecticity_defect(m):

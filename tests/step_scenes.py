@@ -6,7 +6,6 @@ import numpy as np
 from scenes import BONDED, LJ, SCENES
 
 import minimd as md
-from minimd.structure.lattice import crystal
 
 AMPLITUDE, GROWTH = 1e-7, 1e4  # of the first displacement [length]; how much larger it must become to be unstable
 N_STEPS, LOOK = 3000, 100
@@ -17,7 +16,7 @@ def diatomic():
 
 
 def fcc(masses=1.0, stretch=(1.0, 1.0, 1.0), fixed=False):
-    positions, edges = crystal("fcc", [3, 3, 3], 1.55)
+    positions, edges = md.lattice.crystal("fcc", [3, 3, 3], 1.55)
     layer = md.FixedAtoms(positions[:, 0] < 0.1) if fixed else ()
     return md.System(positions * stretch, cell=edges * stretch, masses=masses), LJ, layer
 
@@ -51,8 +50,7 @@ def is_stable(system, potentials, constraints, method, n_steps=N_STEPS):
     """Whether a displacement of 1e-7 stays small."""
     start = system.copy()
     start.positions += AMPLITUDE * np.random.default_rng(5).standard_normal(start.positions.shape)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that the step is too long, and that lengths are put right
+    with warnings.catch_warnings(action="ignore"):  # that the step is too long, and that lengths are put right
         simulation = md.Simulation(start, potentials, method, constraints)
         simulation.velocities[:] = 0.0
         for _ in range(n_steps // LOOK):

@@ -9,7 +9,6 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.forces.options import Options
 from minimd.potentials.term import TOTALS
-from minimd.structure.lattice import crystal
 
 SMOOTH = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
 OPEN = md.LennardJones(1.0, 1.0)
@@ -22,13 +21,9 @@ ROUNDING = 1e-12  # of sums over some thousand pairs, relative to the largest
 LAST_GOOD = r"The system holds the last good state, that of step \d+"
 
 
-def gauss(r2):
-    return np.exp(-r2), 2.0 * np.exp(-r2)
-
-
 def solid(n_cells=4, jitter=0.05, cell=True, seed=1, **more):
     """An fcc crystal a little out of order: 4 n³ atoms."""
-    positions, edges = crystal("fcc", [n_cells] * 3, 1.68)
+    positions, edges = md.lattice.crystal("fcc", [n_cells] * 3, 1.68)
     positions = positions + jitter * np.random.default_rng(seed).standard_normal(positions.shape)
     return md.System(positions, cell=edges if cell else None, **more)
 

@@ -36,11 +36,8 @@ def failed_melt(folder):
 
 
 class Parts(HTMLParser):
-    """A page taken apart.
-
-    attributes : (element, name, value) of all elements.  texts : of script and style elements, by id.
-    about : what the program knows beside the counts.  counts : (T, N, 3) uint16.  bonds : (B, 2).
-    """
+    """A page taken apart.  attributes : (element, name, value) of all elements.  texts : of script and style elements,
+    by id.  about : what the program knows beside the counts.  counts : (T, N, 3) uint16.  bonds : (B, 2)."""
 
     def __init__(self, page):
         super().__init__()

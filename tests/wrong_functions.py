@@ -193,12 +193,6 @@ def in_a_cube(x, box, cutoff, of_positions=False):
     inside = r2 < cutoff**2 if of_positions else (np.abs(d) < cutoff).all(axis=2)
     return (np.where(inside, 48 / r2**7 - 24 / r2**4, 0.0)[:, :, None] * d).sum(axis=1)
 
-def not_a_gradient(x):
-    return pairs(x, force_of_distance) + 0.3 * np.stack([-x[:, 1], x[:, 0], 0 * x[:, 2]], axis=1)
-
-def one_direction(x, box, cutoff):
-    return lennard_jones(x, None, cutoff, image=lambda d: d - box * (d > box / 2))[0]
-
 def whole(x, factor=1.0):
     f, u = lennard_jones(x, cutoff=1e3)
     return factor * f, u
@@ -217,11 +211,13 @@ WRONG_FORCES = {  # (function, options of md.grade, words)
     "jump of the energy": (lambda x: lennard_jones(x, shift=False), {}, "energy jumps at the cutoff"),
     "cutoff not applied": (lambda x: lennard_jones(x, cutoff=1e3), {"cutoff": 2.5}, "cutoff 2.5 is not applied"),
     "no minimum image": (lambda x: lennard_jones(x), {"cell": 8.0}, "minimum image is missing"),
-    "one direction": (one_direction, {}, "one direction"),
+    "one direction": (lambda x, box, cutoff: lennard_jones(x, None, cutoff, image=lambda d: d - box * (d > box / 2))[0],
+                      {}, "one direction"),
     "cutoff of components": (lambda x, box, cutoff: in_a_cube(x, box, cutoff), CUBE, "acts on the components"),
     "wrapped positions": (lambda x, box, cutoff: in_a_cube(x, box, cutoff, True), CUBE, "differences are not"),
     "with itself": (lambda x: on_each(x, force_of_distance, 0.0).sum(axis=1), {}, "meets itself"),
-    "no gradient": (not_a_gradient, {}, "not the gradient of any energy"),
+    "no gradient": (lambda x: pairs(x, force_of_distance) + 0.3 * np.stack([-x[:, 1], x[:, 0], 0 * x[:, 2]], axis=1),
+                    {}, "not the gradient of any energy"),
     "capped at 200": (capped(200.0), {}, ""),  "capped at 1000": (capped(1000.0), {}, ""),
     "a component missing": (lambda x: pairs(x, force_of_distance) * [1, 1, 0], {}, "component"),
     "factor 2 in one term": (lambda r: 24 / r**13 - 24 / r**7, {}, "48"),

@@ -16,8 +16,6 @@ from minimd_bench.peers import EngineSpeed, PeersOptions, run_peers
 
 N_ATOMS = 256  # four cells along each edge
 PEER_SECONDS, ASE_SECONDS = 0.015, 0.35  # a step of a fake peer on one thread; more than 5 s in all the steps of a turn
-OWN_SECONDS = {1: 0.003, 2: 0.0018}
-ONE_PEER = ["bench", "peers", "--cells", "4", "--threads", "1"]
 ONCE = PeersOptions(cells=(4,), threads=(1,), repeats=1)
 COMPILED = {"kob-andersen", "npt", "chain", "decane", "triangles"}  # scenes with kernels of their own
 
@@ -29,15 +27,9 @@ class FakeEngine:
     clock = 0.0
 
     def __init__(self, name, threads, precision, seconds, energies=(-1700.0, -1200.0)):
-        self.name, self.threads, self.precision = name, threads, precision
-        self._seconds, self._energies = seconds, energies
+        self.name, self.threads, self.precision, self._seconds = name, threads, precision, seconds
         self.positions, self.steps = np.zeros((N_ATOMS, 3)), []
-
-    def potential_energy(self):
-        return self._energies[0]
-
-    def total_energy(self):
-        return self._energies[1]
+        self.potential_energy, self.total_energy = (lambda energy=energy: energy for energy in energies)
 
     def run(self, n_steps):
         self.steps.append(n_steps)
@@ -55,7 +47,7 @@ def fakes(monkeypatch):
     monkeypatch.setattr(turns, "available_cores", lambda: 2)
     monkeypatch.setattr(peers, "equilibrated", lambda scene: scene)
     monkeypatch.setattr(engines.Peer, "is_installed", True)
-    own = lambda _, threads: FakeEngine("minimd", threads, "double", OWN_SECONDS[threads])  # noqa: E731
+    own = lambda _, threads: FakeEngine("minimd", threads, "double", (0.003, 0.0018)[threads - 1])  # noqa: E731
     monkeypatch.setattr(peers, "Minimd", own)
     fast = engines.Peer("fast", lambda _, n, __: FakeEngine("fast", n, "single", PEER_SECONDS / n), threads="each")
     slow = engines.Peer("slow", lambda *_: FakeEngine("slow (serial)", 1, "double", ASE_SECONDS), most_atoms=N_ATOMS)
@@ -75,13 +67,11 @@ def cells_of(table):
     return [[cell.strip() for cell in line.replace("**", "").strip("|").split("|")] for line in lines[2:]]
 
 
-# fmt: off
 RATIOS = [  # 256 atoms / seconds of a step; peers are beside minimd on as many threads, minimd beside itself on one
     ["minimd", "1", "double", "0.0853", "", "1"],    ["minimd", "2", "double", "0.142", "", "1.67"],
     ["fast", "1", "single", "0.0171", "5.00", ""],   ["fast", "2", "single", "0.0341", "4.17", ""],
     ["slow", "1", "double", "0.000731", "117", ""],
-]
-# fmt: on
+]  # fmt: skip
 
 
 def test_ratios_of_the_table(fakes):
@@ -91,10 +81,9 @@ def test_ratios_of_the_table(fakes):
 
 def test_several_scenes_are_in_one_table_beside_the_fastest_peer(fakes, tmp_path):
     outcome = run_peers(ONCE._replace(scenes=("melt", "chains")))
-    assert [[cell.split(" (")[0] for cell in row] for row in cells_of(markdown(outcome))[:2]] == [
-        ["melt", "256", "0.0853", "fast", "0.0171", "5.00"],
-        ["chains", "200", "0.0667", "fast", "0.0133", "5.00"],
-    ]
+    melt, chains = ([cell.split(" (")[0] for cell in row] for row in cells_of(markdown(outcome))[:2])
+    assert melt == ["melt", "256", "0.0853", "fast", "0.0171", "5.00"]
+    assert chains == ["chains", "200", "0.0667", "fast", "0.0133", "5.00"]
     write(outcome, tmp_path)
     assert (tmp_path / "bench_peers.png").stat().st_size > 10_000
 
@@ -120,19 +109,17 @@ def test_spread_is_the_median_of_ratios_over_turns_and_costs_are_by_atoms_and_by
     mixture = ingredients.IngredientCost("mixture", 512, 17000.0, np.array([0.010, 0.012]))
     own, other = cells_of(markdown(ingredients.IngredientCosts([melt, mixture], 2)))
     assert own == ["melt", "256", "2000 (2000 to 2000)", "1", "25.4", "1"]
-    assert other[3] == "2.75 (2.50 to 3.00)"
-    assert other[5] == "2.10 (1.91 to 2.29)"  # 6500/256 of the pairs in 17000/512
+    assert other[3::2] == ["2.75 (2.50 to 3.00)", "2.10 (1.91 to 2.29)"]  # 6500/256 of the pairs in 17000/512
 
 
 def test_json_holds_every_turn_and_where_it_was_measured(fakes):
     content = json.loads(as_json(run_peers(PeersOptions(cells=(4, 5), threads=(1,), repeats=3))))
-    assert set(content["versions"]) == {"minimd", "numba", "numpy", "fast", "slow"}
+    assert {*content["versions"]} == {"minimd", "numba", "numpy", "fast", "slow"}
     assert [size["n_atoms"] for size in content["sizes"]] == [256, 500]
     assert [row["engine"] for row in content["sizes"][1]["rows"]] == ["minimd", "fast"]  # the slow one if asked for
     own, fast, _ = content["sizes"][0]["rows"]
     assert own["atom_steps_per_second"]["turns"] == pytest.approx([256 / 0.003] * 3)
-    assert own["minimd_is_faster_by"] is None
-    assert fast["minimd_is_faster_by"]["median"] == pytest.approx(5.0)
+    assert (own["minimd_is_faster_by"], fast["minimd_is_faster_by"]["median"]) == (None, pytest.approx(5.0))
     outcome = run_peers(PeersOptions(cells=(5,), threads=(1,), peers=("slow",), repeats=1))
     assert [row.engine for row in outcome.sizes[0]] == ["minimd", "slow (serial)"]
 
@@ -155,7 +142,7 @@ def test_peer_with_another_energy_is_refused_and_one_that_blows_up_is_no_disagre
         if blown:
             engine.run = lambda n_steps: raising(md.NonFiniteError("2 positions are not finite"))
         monkeypatch.setattr(peers, "PEERS", {"other": engines.Peer("other", lambda *_: engine)})
-        assert cli.main(ONE_PEER) == code
+        assert cli.main(["bench", "peers", "--cells", "4", "--threads", "1"]) == code
         out, err = capsys.readouterr()
         assert not out or code == cli.BLOWN_UP
         assert all(word in err.splitlines()[-1] for word in words)
@@ -169,14 +156,11 @@ def test_peer_with_another_time_step_is_refused():
         turns.check_agreement([right, wrong], N_ATOMS)
 
 
-@pytest.mark.parametrize(
-    ("name", "scene"),
-    [
-        pytest.param(name, one, marks=[pytest.mark.slow] if one in COMPILED else [])
-        for name, p in engines.PEERS.items()
-        for one in p.scenes
-    ],
-)
+PAIRED = [(name, one) for name, peer in engines.PEERS.items() for one in peer.scenes]
+PAIRED = [pytest.param(*row, marks=[pytest.mark.slow] * (row[1] in COMPILED)) for row in PAIRED]
+
+
+@pytest.mark.parametrize(("name", "scene"), PAIRED)
 def test_peers_have_the_same_energies(name, scene):
     if not engines.PEERS[name].is_installed:
         pytest.skip(f"{name} is not installed")
@@ -186,13 +170,11 @@ def test_peers_have_the_same_energies(name, scene):
 
 
 def test_scenes_and_peers_are_those_that_the_command_names_and_begin_with_molecules_apart():
-    assert bench.SCENE_NAMES.split(", ") == [*scenes.SCENES]
-    assert bench.PEER_NAMES.split(", ") == [*engines.PEERS]
+    assert [", ".join(scenes.SCENES), ", ".join(engines.PEERS)] == [bench.SCENE_NAMES, bench.PEER_NAMES]
     assert set(engines.TUNED_SKINS) | set(engines.SKINS) <= set(scenes.SCENES)
     for name, build in scenes.SCENES.items():
         scene = build(7)
-        assert scene.name == name
-        assert len(scene.system) == pytest.approx(4 * 7**3, rel=0.2)
+        assert (scene.name, len(scene.system)) == (name, pytest.approx(4 * 7**3, rel=0.2))
         assert f"Δt* {scene.method.timestep:g}, " in scene.text
         assert scene.text.endswith(("NPT" if scene.barostat else "NVE", "Langevin"))
         i, j = md.neighbor_list("ij", scene.system, 0.85)
@@ -212,8 +194,7 @@ def test_command_prints_and_writes_the_table(short, capsys, tmp_path):
 @pytest.mark.slow
 def test_every_ingredient_runs_and_partners_are_apart(short):
     costs = ingredients.run_ingredients(4, 1).costs
-    assert len(costs) == 15
-    assert all(cost.seconds.min() > 0.0 for cost in costs)
+    assert [cost.seconds.min() > 0.0 for cost in costs] == [True] * 15
     scene = scenes.equilibrated(scenes.melt(4))
     pairs, length = ingredients.partners(scene.system)
     assert len(np.unique(pairs)) == pairs.size > 0.6 * len(scene.system)
@@ -236,9 +217,8 @@ def test_peers_that_are_missing_or_do_not_start_are_told(fakes, monkeypatch, cap
     advice = "pip install '.[peers]'"
     assert f"no comparison with fast: not installed; {advice}" in capsys.readouterr().err
     assert_answered(lambda: run_peers(ONCE._replace(peers=("fast",))), ValueError, "fast", advice)
-    monkeypatch.setattr(
-        peers, "PEERS", {"broken": engines.Peer("broken", lambda *_: raising(RuntimeError("libmpi.so:\n not found")))}
-    )
+    broken = engines.Peer("broken", lambda *_: raising(RuntimeError("libmpi.so:\n not found")))
+    monkeypatch.setattr(peers, "PEERS", {"broken": broken})
     assert_answered(lambda: run_peers(ONCE), ValueError, "broken", "libmpi.so: not found", "--peers")
 
 
@@ -252,15 +232,14 @@ def test_memory_is_that_of_arrays_and_lists():
 
 def test_scene_is_the_one_that_lammps_calls_melt():
     scene = scenes.melt(5)
-    assert 500 / scene.system.volume == pytest.approx(0.8442, rel=1e-12)
-    assert (scene.system.velocities**2).sum() / (3 * len(scene.system) - 3) == pytest.approx(1.44, rel=1e-12)
+    found = 500 / scene.system.volume, (scene.system.velocities**2).sum() / (3 * len(scene.system) - 3)
+    assert found == pytest.approx((0.8442, 1.44), rel=1e-12)
     assert engines.Minimd(scene).potential_energy() == pytest.approx(-6.7733681 * 500, rel=1e-7)
 
 
 def test_mixture_is_that_of_kob_and_andersen():
     scene = scenes.SCENES["kob-andersen"](5)
-    assert 500 / scene.system.volume == pytest.approx(1.2, rel=1e-12)
-    assert (scene.system.species == "B").sum() == 100
+    assert [500 / scene.system.volume, (scene.system.species == "B").sum()] == pytest.approx([1.2, 100], rel=1e-12)
     shift = 4.0 * (2.5**-12 - 2.5**-6)
     for pair, (epsilon, sigma) in {("A", "A"): (1.0, 1.0), ("A", "B"): (1.5, 0.8), ("B", "B"): (0.5, 0.88)}.items():
         energies = scene.law.pair_energy([sigma, 2.0 ** (1 / 6) * sigma, 2.5 * sigma], *pair)
@@ -291,10 +270,8 @@ def test_the_front_of_work_precision_is_what_nothing_beats():
     ours = [point("minimd", *one) for one in ((1.0, 1e-2), (2.0, 1e-3), (3.0, 2e-3), (0.5, np.inf))]
     case = work_precision.Case("case", "text", "τ", [*ours, point("peer", 6.0, 1e-3), point("peer", 3.0, 2e-2)])
     assert case.front("oscillation") == ours[:2]
-    assert case.advice("oscillation")[1:] == [
-        "for oscillation 1e-02 use verlet, Δt = 0.01 τ, minimd: 1 s",
-        "for oscillation 1e-03 use verlet, Δt = 0.01 τ, minimd: 2 s",
-    ]
+    told = "for oscillation 1e-0{} use verlet, Δt = 0.01 τ, minimd: {} s"
+    assert case.advice("oscillation")[1:] == [told.format(2, 1), told.format(3, 2)]
     assert case.beside() == ["peer: 3.00 times the time of minimd at equal oscillation (3.00 to 3.00)"]
 
 

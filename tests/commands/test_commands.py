@@ -2,10 +2,9 @@
 
 import json
 import os
+import re
 import shutil
 import signal
-import subprocess
-import sys
 import warnings
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import h5py
 import numba
 import numpy as np
 import pytest
+from processes import ended
 from scene_texts import SMOOTH
 from wrong_calls import assert_answered
 
@@ -44,10 +44,9 @@ assert not heavy, heavy
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "melt.toml").write_text(SCENE)
-    return tmp_path
+def folder(here):
+    (here / "melt.toml").write_text(SCENE)
+    return here
 
 
 @pytest.fixture(scope="module")
@@ -64,15 +63,13 @@ def run(*arguments):
 
 
 def test_version_and_help_are_told_without_loading_anything():
-    environment, told = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}, f"minimd {md.__version__}\n"
-    ended = subprocess.run([sys.executable, "-c", LIGHT], env=environment, capture_output=True, text=True, check=False)
-    assert (ended.returncode, ended.stderr) == (0, "")
-    assert ended.stdout.startswith(f"{told}usage: minimd [-h] [--version] command ...")
+    light = ended("-c", LIGHT)
+    assert (light.returncode, light.stderr) == (0, "")
+    assert light.stdout.startswith(f"minimd {md.__version__}\nusage: minimd [-h] [--version] command ...")
 
 
 def test_run_tells_what_it_does_and_what_to_do_next_unless_it_is_quiet(folder, capfd):
-    assert run("run", "melt.toml") == 0
-    assert tuple(capfd.readouterr()) == ("", "")
+    assert (run("run", "melt.toml"), *capfd.readouterr()) == (0, "", "")
     assert read_file("melt.h5md").n_frames == 5
     assert cli.main(["run", "melt.toml", "--overwrite"]) == 0
     out, err = capfd.readouterr()
@@ -99,15 +96,12 @@ def test_out_takes_the_picture_along_and_spares_pictures_that_were_not_named(fol
     assert not Path("melt.h5md").exists()
 
 
-def test_resumed_run_ends_with_the_scene_and_is_the_uninterrupted_one(folder, capsys):
+def test_resumed_run_ends_with_the_scene_and_is_the_uninterrupted_one(folder, told):
     Path("melt.toml").write_text(SCENE + 'trajectory = ["melt.h5md", "melt.xyz"]\n')
     assert run("run", "melt.toml", "--out", "whole.h5md") == 0
     assert run("run", "melt.toml", "--steps", 15) == 0
-    capsys.readouterr()
-    assert cli.main(["resume", "melt.h5md"]) == 0
-    assert "only melt.h5md is continued" in capsys.readouterr().out
-    assert cli.main(["resume", "melt.h5md"]) == 2
-    assert "it is at step 40, dynamics.steps = 40" in capsys.readouterr().err
+    assert "only melt.h5md is continued" in told("resume", "melt.h5md")
+    assert "it is at step 40, dynamics.steps = 40" in told("resume", "melt.h5md", code=2)
     whole, parts, start = read_file("whole.h5md"), read_file("melt.h5md"), load_scene("melt.toml").system()
     assert (parts.step, whole.step, parts.time) == (40, 40, pytest.approx(0.16))
     assert set(whole.record.step) <= set(parts.record.step)
@@ -117,7 +111,7 @@ def test_resumed_run_ends_with_the_scene_and_is_the_uninterrupted_one(folder, ca
     assert np.abs(parts.system.positions - start.positions).max() > 1e-3  # atoms moved
 
 
-def test_interrupted_run_says_how_to_go_on_or_that_nothing_was_written(folder, capsys, monkeypatch):
+def test_interrupted_run_says_how_to_go_on_or_that_nothing_was_written(folder, told, monkeypatch):
     write, rescale = H5MDWriter.write, md.Simulation.rescale_temperature
 
     def stopping(call, one, argument):
@@ -127,50 +121,45 @@ def test_interrupted_run_says_how_to_go_on_or_that_nothing_was_written(folder, c
 
     monkeypatch.setattr(md.Simulation, "rescale_temperature", lambda sim, to: stopping(rescale, sim, to))
     Path("warm.toml").write_text(SCENE.replace("[output]", "[equilibration]\nsteps = 40\n[output]"))
-    assert cli.main(["run", "warm.toml"]) == 130
-    assert "of the equilibration; nothing was written" in capsys.readouterr().err
+    assert "of the equilibration; nothing was written" in told("run", "warm.toml", code=130)
     assert not Path("warm.h5md").exists()
     monkeypatch.setattr(H5MDWriter, "write", lambda writer, frame: stopping(write, writer, frame))
-    assert cli.main(["run", "melt.toml"]) == 130
-    assert "resume with: minimd resume melt.h5md --steps 19" in capsys.readouterr().err
+    assert "resume with: minimd resume melt.h5md --steps 19" in told("run", "melt.toml", code=130)
     monkeypatch.undo()
     os.chdir(folder)
     assert run("resume", "melt.h5md", "--steps", 19) == 0
     assert read_file("melt.h5md").step == 40
 
 
-def test_resume_without_a_stored_scene_asks_for_one(folder, capsys):
+def test_resume_without_a_stored_scene_asks_for_one(folder, told):
     of = load_scene("melt.toml").simulation()
     md.Simulation(of.system, of.potentials, of.method).run(10, every=5, trajectory="bare.h5md")
-    assert cli.main(["resume", "bare.h5md", "--steps", "5"]) == 2
-    assert "minimd.Simulation.resume('bare.h5md', potentials)" in capsys.readouterr().err
+    assert "minimd.Simulation.resume('bare.h5md', potentials)" in told("resume", "bare.h5md", "--steps", 5, code=2)
     assert run("resume", "bare.h5md", "--steps", 10, "--scene", "melt.toml") == 0
     assert read_file("bare.h5md").step == 20
 
 
 @pytest.mark.slow
-def test_a_scene_given_to_resume_replaces_that_of_the_file(folder, capsys):
+def test_a_scene_given_to_resume_replaces_that_of_the_file(folder, told):
     Path("slow.toml").write_text(SCENE.replace("timestep = 0.004", "timestep = 0.002"))
     assert run("run", "melt.toml", "--steps", 4) == 0
-    assert cli.main(["resume", "melt.h5md", "--scene", "slow.toml", "--steps", "4"]) == 0
-    assert "dynamics.timestep: 0.004 before, 0.002 now" in capsys.readouterr().out
-    assert cli.main(["resume", "melt.h5md", "--steps", "4"]) == 0
-    assert "timestep 0.002 τ" in capsys.readouterr().out
+    another = told("resume", "melt.h5md", "--scene", "slow.toml", "--steps", 4)
+    assert "dynamics.timestep: 0.004 before, 0.002 now" in another
+    assert "timestep 0.002 τ" in told("resume", "melt.h5md", "--steps", 4)
     simulation = md.Simulation.resume("melt.h5md")
     simulation.method = md.VelocityVerlet(0.001)  # in a script, beside the scene in the file
     simulation.run(4, trajectory="melt.h5md", append=True)
-    assert cli.main(["resume", "melt.h5md", "--steps", "4"]) == 0
-    assert "the last steps were made with VelocityVerlet(timestep=0.001)" in capsys.readouterr().out
+    by_hand = told("resume", "melt.h5md", "--steps", 4)
+    assert "the last steps were made with VelocityVerlet(timestep=0.001)" in by_hand
     assert md.Simulation.resume("melt.h5md").method.timestep == 0.001
 
 
-def test_any_steps_are_made_again_and_their_energies_told(folder, capsys):
+def test_any_steps_are_made_again_and_their_energies_told(folder, told):
     Path("melt.toml").write_text(SCENE.replace("[output]", 'precision = "fixed-point"\n[output]'))
     assert run("run", "melt.toml", "--out", "melt.h5md") == 0
-    assert cli.main(["frames", "melt.h5md", "--at", "3", "10", "--out", "a.h5md"]) == 0
+    words = told("frames", "melt.h5md", "--at", 3, 10, "--out", "a.h5md")
     energies = read_file("a-3.h5md").record.total_energy[0], read_file("melt.h5md").record.total_energy[1]
-    told = capsys.readouterr().out
-    assert all(f"total energy {float(energy)!r} ε" in told for energy in energies)
+    assert all(f"total energy {float(energy)!r} ε" in words for energy in energies)
 
 
 READING = [["check"], ["frames", "--at", "1"], ["resume", "--steps", "5"], ["replay"]]
@@ -200,33 +189,28 @@ def test_texts_of_files_give_no_orders_to_the_terminal(reading, finished, folder
         assert_answered(lambda: md.System([[0.0, 0, 0]], species=[one]), ValueError, "printable", repr(one))
 
 
-def test_plot_draws_and_check_passes_on_a_sound_file_and_fails_on_another(finished, folder, capsys):
+def test_plot_draws_and_check_passes_on_a_sound_file_and_fails_on_another(finished, folder, told):
     shutil.copy(finished, "melt.h5md")
     Path("other.png").touch()
-    assert cli.main(["plot", "melt.h5md", "--out", "other.png"]) == 0
-    assert capsys.readouterr().out.splitlines() == ["drawing        other.png ...", "replaced       other.png"]
+    lines = ["drawing        other.png ...", "replaced       other.png"]
+    assert told("plot", "melt.h5md", "--out", "other.png").splitlines() == lines
     assert Path("other.png").read_bytes().startswith(PNG)
-    assert cli.main(["check", "melt.h5md"]) == 0
-    assert "passed" in capsys.readouterr().out
+    assert "passed" in told("check", "melt.h5md")
     with h5py.File("melt.h5md", "r+") as h5:
         h5["particles/trajectory/velocity/value"][2] *= 1.01
-    assert cli.main(["check", "melt.h5md"]) == 1
-    assert "FAILED" in capsys.readouterr().out
+    assert "FAILED" in told("check", "melt.h5md", code=1)
 
 
 def test_blow_up_ends_with_its_own_code_and_keeps_what_was_written(folder, capsys):
     hot = SCENE.replace("1.44", "50.0").replace("steps = 40", "steps = 4000")
     Path("melt.toml").write_text(hot.replace("timestep = 0.004", "timestep = 0.025"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(action="always"):
         assert cli.main(["run", "melt.toml"]) == 3
     err = capsys.readouterr().err
     note, cause, seen = [line for line in err.splitlines() if line.startswith("minimd: ") and "compiling" not in line]
     assert note.startswith("minimd: warning: timestep 0.025 τ is long for Lennard-Jones atoms")
-    assert cause.startswith("minimd: error: Likely cause:")
-    assert "timestep 0.025 τ too large" in cause
-    assert seen.startswith("minimd: error: At step")
-    assert "kept in melt.h5md" in seen
+    assert re.match("minimd: error: Likely cause:.*timestep 0.025 τ too large", cause)
+    assert re.match("minimd: error: At step.*kept in melt.h5md", seen)
     assert read_file("melt.h5md").n_frames > 0
 
 
@@ -244,13 +228,11 @@ class Leaking(md.VelocityVerlet):
 
 
 @pytest.mark.slow
-def test_doctor_finds_this_machine_in_order(capsys):
-    assert cli.main(["doctor"]) == 0
-    told = capsys.readouterr().out
-    assert "FAILED" not in told
-    assert told.count(" OK ") == len(doctor.TESTS) == 7
+def test_doctor_finds_this_machine_in_order(told):
+    found = told("doctor")
+    assert (found.count("FAILED"), found.count(" OK "), len(doctor.TESTS)) == (0, 7, 7)
     for words in (f"minimd         {md.__version__}", "numba ", "equal to the last bit", "million atom-steps/s on one"):
-        assert words in told
+        assert words in found
     doctor.same_bits()
     with pytest.raises(ValueError, match="not initialized"):  # as doctor says: minimd's threads are its own
         numba.threading_layer()
@@ -258,13 +240,10 @@ def test_doctor_finds_this_machine_in_order(capsys):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_doctor_outlives_a_test_that_crashes_and_goes_on(capsys, monkeypatch):
+def test_doctor_outlives_a_test_that_crashes_and_goes_on(told, monkeypatch):
     monkeypatch.setattr(doctor, "TESTS", {"crash": os.abort, "cache folder": doctor.cache})
-    assert cli.main(["doctor"]) == 1
-    crashed, cache, conclusion = capsys.readouterr().out.splitlines()[-3:]
-    assert crashed.startswith("crash          FAILED")
-    assert cache.startswith("cache folder   OK")
-    assert "NOT work" in conclusion
+    crashed, cache, conclusion = told("doctor", code=1).splitlines()[-3:]
+    assert (crashed[:21], cache[:17], "NOT work" in conclusion) == ("crash          FAILED", "cache folder   OK", True)
 
 
 def test_doctor_finds_damaged_compiled_code_and_loads_nothing_of_it(tmp_path, monkeypatch):

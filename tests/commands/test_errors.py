@@ -55,11 +55,10 @@ NO_NUMBERS += ["bench peers --cells 4,x", "bench peers --threads 0"]
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def folder(here):
     for name, content in FILES.items():
-        (tmp_path / name).write_text(content)
-    return tmp_path
+        (here / name).write_text(content)
+    return here
 
 
 def only_error(capsys, n_lines=1):

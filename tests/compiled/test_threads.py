@@ -1,8 +1,6 @@
 """A team makes each chunk of an operation once, whoever comes to help, and nobody can hold it up."""
 
 import os
-import subprocess
-import sys
 import threading
 import time
 from collections import namedtuple
@@ -10,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from processes import ended
 
 from minimd.compiled import threads
 from minimd.compiled.by_address import ByAddress
@@ -23,7 +22,6 @@ CALLS = DirectCalls()
 
 class Counts(ByAddress, namedtuple("Counts", "phase done early last waits")):
     """done (phases, n) += 1 for each chunk; early (n,) += chunks begun before a phase had ended.
-
     last : (1,), whether the last chunk was made.  waits : reads that chunk 0 waits for it."""
 
 
@@ -50,8 +48,7 @@ def program(team, n, n_phases=N_PHASES, waits=0):
 def counted(team, n, n_phases=N_PHASES):
     found, done, early = program(team, n, n_phases)
     found.run()
-    assert not early.any()
-    assert np.all(done == 1)
+    assert (np.all(done == 1), early.any()) == (True, False)
 
 
 class Walk(ByAddress, namedtuple("Walk", "place last most")):
@@ -90,10 +87,8 @@ def test_a_program_loops_and_stops_at_the_same_step_for_all_threads(n_threads):
         assert asked.pop() is None
         if last <= 50:
             given, place = asked.pop()
-            assert given == STOPPED
-            assert np.all(place == last)
-        assert asked == []
-        assert np.all(data.place == max(50, last + 1 if last <= 50 else 0))
+            assert (given, np.all(place == last)) == (STOPPED, True)
+        assert (asked, np.all(data.place == max(50, last + 1 if last <= 50 else 0))) == ([], True)
 
 
 @pytest.mark.parametrize("n_threads", [1, 2, 3, 8])
@@ -146,8 +141,7 @@ def test_a_helper_that_comes_after_its_program_finds_nothing_to_do(n):
         late, rows = Worker(team._counters, 1, 2), found._rows
         for task in range(1, int(team._counters[1]) + 1):
             run_operations(late, task, rows, np.zeros(1, dtype=np.int64))
-        assert np.all(done == 1)
-        assert not early.any()
+        assert (np.all(done == 1), early.any()) == (True, False)
 
 
 def test_an_interrupt_before_the_kernel_leaves_the_team_usable(monkeypatch):
@@ -224,6 +218,5 @@ print("parent", same, "child", os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_child_runs_its_own_teams_and_those_it_inherits():
-    where = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    answer = subprocess.run([sys.executable, "-c", FORKED], capture_output=True, text=True, env=where, check=False)
+    answer = ended("-c", FORKED)
     assert answer.stdout == "parent True child 0\n", answer.stderr

@@ -9,8 +9,8 @@ import pytest
 from ase.calculators.lj import LennardJones
 from ase.constraints import FixAtoms, FixBondLengths
 from references import melt_scene
-from rigid_scenes import RIGID_RING, SQUARE, chain, described, ring_in
-from scenes import BONDED, SCENES
+from rigid_scenes import PAIRS, RIGID_RING, SQUARE, VERLET, chain, described, dumbbells, ring_in
+from scenes import BONDED
 from wrong_calls import assert_answered
 
 import minimd as md
@@ -20,23 +20,16 @@ from minimd.files.h5md_reader import read_file
 from minimd.files.h5md_writer import H5MDWriter
 from minimd.scene import load_scene, parse_scene, resume_run, run_scene
 
-PAIRS = np.arange(64).reshape(-1, 2)  # of the dumbbells
-VERLET = md.VelocityVerlet(0.002)
-
 
 def both_kinds(**options):
     return [md.DistanceConstraints(PAIRS[1:], **options), md.FixedAtoms([0, 1])]
-
-
-def simulation(constraints, method=VERLET):
-    return SCENES["dumbbells"]()._replace(constraints=constraints).simulation(method)
 
 
 def test_constraints_read_back_are_those_that_were_kept_to_the_last_bit(tmp_path):
     """A file holds what there is and no more; a system carries its constraints to the next simulation."""
     kinds = [(), md.FixedAtoms([3]), *(both_kinds(tolerance=1e-11, solver=one) for one in ("auto", "newton", "shake"))]
     for k, constraints in enumerate(kinds):
-        sim, path = simulation(constraints), tmp_path / f"{k}.h5md"
+        sim, path = dumbbells(constraints), tmp_path / f"{k}.h5md"
         sim.run(5, every=5, trajectory=path)
         if k > 1:
             lengths, solver = sim.engine.constraint_set.bonds.lengths.tolist(), constraints[0].solver
@@ -49,18 +42,14 @@ def test_constraints_read_back_are_those_that_were_kept_to_the_last_bit(tmp_path
             assert ("minimd/constraints" in h5) == bool(sim.constraints)
 
 
-def test_a_resumed_run_is_the_uninterrupted_one_and_a_check_recomputes_its_lengths(tmp_path):
-    method = md.LangevinBAOAB(0.002, 1.0, 1.0, seed=4)
-    whole, path = simulation(both_kinds(), method), tmp_path / "a.h5md"
-    whole.run(43, every=5)
-    simulation(both_kinds(), method).run(23, every=5, trajectory=path)
+def test_a_check_recomputes_the_lengths_of_a_run_that_went_on(tmp_path):
+    first, path = dumbbells(both_kinds(), md.LangevinBAOAB(0.002, 1.0, 1.0, seed=4)), tmp_path / "a.h5md"
+    first.run(23, every=5, trajectory=path)
     sim = md.Simulation.resume(path, [BONDED])
     sim.run(20, every=5, trajectory=path, append=True)
     contents, good = read_file(path), check_file(path)
-    for positions in (sim.positions, contents.system.positions):
-        np.testing.assert_array_equal(positions, whole.positions)
-    np.testing.assert_array_equal(sim.velocities, whole.velocities)
-    assert sim.n_dof == whole.n_dof == 3 * 62 - 31
+    np.testing.assert_array_equal(contents.system.positions, sim.positions)
+    assert sim.n_dof == first.n_dof == 3 * 62 - 31
     assert contents.record.constraint_violation.max() < 1e-13
     assert [one.passed for one in good.comparisons if one.name == "lengths"] == [True]
     with h5py.File(path, "r+") as h5:
@@ -87,7 +76,7 @@ def test_other_constraints_are_refused_before_anything_is_written(tmp_path):
         sim.step, sim.time = contents.step, contents.time
         H5MDWriter.append_to(path, sim.engine).close()
 
-    simulation(both_kinds()).run(10, every=5, trajectory=path)
+    dumbbells(both_kinds()).run(10, every=5, trajectory=path)
     before = path.read_bytes()
     for lengths, atoms, words in OTHERS:
         with pytest.raises(ValueError, match=words):
@@ -116,7 +105,7 @@ def test_constraints_survive_the_way_to_ase_and_back():
 
 @pytest.mark.parametrize(("name", "tolerance"), [("a.traj", 1e-300), ("a.extxyz", 1e-12)])  # ASE would not converge
 def test_trajectories_of_ase_hold_frames_as_they_are_with_their_constraints(name, tolerance, tmp_path):
-    sim, looks = simulation(both_kinds(tolerance=tolerance)), []
+    sim, looks = dumbbells(both_kinds(tolerance=tolerance)), []
     see = lambda run: looks.append((run.positions.copy(), run.velocities.copy()))  # noqa: E731
     sim.run(20, every=10, trajectory=tmp_path / name, observers=[see])
     for frame, (positions, velocities) in zip(ase.io.read(tmp_path / name, ":"), looks, strict=True):
@@ -166,13 +155,9 @@ def test_the_scene_of_dumbbells_runs_as_its_comments_say():
 
 
 def test_constraints_of_the_structure_file_hold_unless_the_section_says_otherwise(tmp_path):
-    for section, has_fixed, has_lengths in [
-        ("", True, True),
-        ("[constraints]\nfixed = []\n", False, True),
-        ("[constraints]\npairs = []\n", True, False),
-    ]:
-        expected = [[1]] * has_fixed, [(*FILES_LENGTHS, 1e-10, "auto")] * has_lengths
-        assert constraints_of_scene(tmp_path, section, *FILES_OWN) == expected, section
+    for section, fixed, lengths in (("", True, True), ("fixed = []\n", False, True), ("pairs = []\n", True, False)):
+        section, expected = section and f"[constraints]\n{section}", [(*FILES_LENGTHS, 1e-10, "auto")] * lengths
+        assert constraints_of_scene(tmp_path, section, *FILES_OWN) == ([[1]] * fixed, expected), section
     path = ring_in(tmp_path, FixBondLengths([[0, 3]]))  # 1.5 Å apart, and 0.5 Å in the cell of the scene
     text = RIGID_RING.replace("ring.xyz", "ring.traj").replace(OF_BONDS, "")
     (constraint,) = parse_scene(text.replace("bonds = ", "cell_A = [0, 2, 0]\nbonds = "), path).system().constraints
@@ -182,43 +167,37 @@ def test_constraints_of_the_structure_file_hold_unless_the_section_says_otherwis
 
 
 @pytest.mark.slow
-def test_a_scene_makes_its_bonds_rigid_and_resumed_it_is_the_uninterrupted_one(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_scene_makes_its_bonds_rigid_and_resumed_it_is_the_uninterrupted_one(here):
     text = RIGID_RING.replace(OF_BONDS, OF_BONDS + "fixed = [2]\n")
-    scene, quiet = parse_scene(text, ring_in(tmp_path)), {"tell": lambda _: None}
+    scene, quiet = parse_scene(text, ring_in(here)), {"tell": lambda _: None}
     whole = run_scene(scene, progress=False, trajectory=Path("whole.h5md"), **quiet)
     assert described(whole.constraints) == ([[2]], [(BONDS, [1.5] * 4, 1e-12, "auto")])
     assert whole.n_dof == 12 - 3 - 4
     assert whole.record.constraint_violation.max() < 1e-14
     assert np.abs(whole.positions - SQUARE).max() > 1e-3
     run_scene(scene, progress=False, trajectory=Path("parts.h5md"), steps=10, **quiet)
-    other, silent = (
-        parse_scene(text.replace(OF_BONDS + "fixed = [2]\n", f"[constraints]\n{section}"), tmp_path / "scene.toml")
-        for section in ("pairs = [[0, 1]]\n", "")
-    )
+    texts = (text.replace('pairs = "bonds"\nfixed = [2]\n', section) for section in ("pairs = [[0, 1]]\n", ""))
+    other, silent = (parse_scene(one, here / "scene.toml") for one in texts)
     with pytest.raises(ValueError, match="atoms 0-3 is kept in the file alone"):
         resume_run("parts.h5md", 10, scene=other, **quiet)
-    (tmp_path / "ring.xyz").unlink()  # not needed any more
+    (here / "ring.xyz").unlink()  # not needed any more
     sim = resume_run("parts.h5md", 10, scene=silent, **quiet)  # says nothing: those of the file
-    assert sim.step == 20
-    assert described(sim.constraints) == described(whole.constraints)
-    assert np.abs(sim.positions - whole.positions).max() < 1e-13  # rounding
-    assert np.abs(sim.velocities - whole.velocities).max() < 1e-13  # rounding
+    assert (sim.step, described(sim.constraints)) == (20, described(whole.constraints))
+    apart = sim.positions - whole.positions, sim.velocities - whole.velocities
+    assert np.abs(apart).max() < 1e-13  # rounding
 
 
 WRONG = [  # [constraints] of a scene, what is shown
     ("pair = [[0, 1]]", "constraints has no key 'pair'", "did you mean 'pairs'?"),
-    ('pairs = "bond"', "constraints.pairs", '"bond"'),
-    ("pairs = [[0, 1, 2]]", "constraints.pairs[0]", "[0, 1, 2]"),
+    ('pairs = "bond"', "constraints.pairs", '"bond"'), ("pairs = [[0, 1, 2]]", "constraints.pairs[0]", "[0, 1, 2]"),
     ("pairs = [[0, 1], [1, 0]]", "constraints: pairs", "pairs[0] = [0, 1]"),
     ("pairs = [[0, 1], [1, 2]]\nlengths_A = [1.5]", "constraints", "lengths_A", "2 pairs"),
     ('pairs = "bonds"\nlengths_A = [1.5, 1.5]', "constraints: lengths", "(2,)"),
     ("pairs = [[0, 1], [1, 2]]\nlengths_A = [1.5, -1]", "constraints.lengths_A[1]", "= -1"),
-    ("fixed = [4]", "fixed atoms", "atom 4"),
-    ('pairs = [[0, 1]]\nsolver = "lincs"', "constraints.solver", '"lincs"'),
+    ("fixed = [4]", "fixed atoms", "atom 4"), ('pairs = [[0, 1]]\nsolver = "lincs"', "constraints.solver", '"lincs"'),
     ('solver = "shake"', "constraints", "tolerance and solver", "give pairs"),
     ("pairs = [[0, 1], [1, 2], [0, 2]]\nlengths_A = [1, 1, 3]", "constraint"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("section", "shown"), [(section, shown) for section, *shown in WRONG])

@@ -15,11 +15,10 @@ from minimd.constraints import ConstraintSolver, DistanceConstraints
 from minimd.diagnosis.report import drift as linear_drift
 
 EPS = np.finfo(float).eps
-SOLVERS = ["auto", "newton", "shake"]
 SMALL = ["diatomics", "water", "ring", "rod"]
 
 
-def every(names=tuple(SCENES), solvers=SOLVERS):
+def every(names=tuple(SCENES), solvers=("auto", "newton", "shake")):
     return pytest.mark.parametrize(("name", "solver"), list(product(names, solvers)))
 
 
@@ -69,8 +68,7 @@ def test_lengths_are_kept_to_rounding(name, solver):
 @every()
 def test_all_solvers_make_the_same_step(name, solver):
     here, swept = (Motion(name, one, tolerance=1e-13).step(5, 0.02) for one in (solver, "shake"))
-    assert np.abs(here.positions - swept.positions).max() < 1e-9
-    assert np.abs(here.velocities - swept.velocities).max() < 1e-9
+    assert np.abs([here.positions - swept.positions, here.velocities - swept.velocities]).max() < 1e-9
 
 
 @every([*SMALL, "cube", "triangle of three masses"])
@@ -87,11 +85,11 @@ def test_constraint_forces_conserve_momenta_and_do_no_work_and_a_reversed_motion
     assert np.abs(motion.step(100).positions - start).max() < 1e-9  # rounding, amplified
 
 
-OF_WATER, HEAVY_ENDS = [16.0, 1.0, 1.0], [1.0, 16.0, 16.0]
+OF_WATER = [16.0, 1.0, 1.0]
 CASES = [pytest.param(s, OF_WATER, marks=pytest.mark.slow) for s in ("newton", "shake")]
 
 
-@pytest.mark.parametrize(("solver", "masses"), [("auto", OF_WATER), ("auto", HEAVY_ENDS), *CASES])
+@pytest.mark.parametrize(("solver", "masses"), [("auto", OF_WATER), ("auto", [1.0, 16.0, 16.0]), *CASES])
 def test_rounding_of_lengths_over_a_short_step_is_no_momentum(solver, masses):
     """What a solver leaves of the lengths, divided by Δt, acts on both atoms: 16,000 steps leave rounding alone."""
     motion = Motion((*water(64), np.tile(masses, 64)), solver, tangent=False)
@@ -191,8 +189,7 @@ def test_random_connected_graphs_are_kept_to_rounding_or_refused(n_atoms, seed):
         return
     limit = 5.0 * motion.rounding()
     for _ in range(5):
-        motion.step(1, 1e-3)
-        assert motion.bonds.violation(motion.positions).max() <= limit
+        assert motion.step(1, 1e-3).bonds.violation(motion.positions).max() <= limit
         assert np.isfinite(motion.velocities).all()
 
 

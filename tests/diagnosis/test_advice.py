@@ -17,7 +17,6 @@ import minimd as md
 from minimd.compiled.kernels import compile_clock
 from minimd.integrators import SPLITTINGS, THERMOSTATS, SecondOrder, energy_oscillation, run_steps, stability_limit
 from minimd.integrators.splitting.substeps import repeated
-from minimd.structure.lattice import crystal
 
 OTHERS = md.integrators.PEFRL, md.integrators.Ruth3, md.integrators.KahanLi6, md.PositionVerlet
 QUICK = "diatomic", "chain", "ring", "rigid dumbbells", "squeezed, one layer fixed"
@@ -95,11 +94,8 @@ def test_frequencies_are_the_closed_forms(name):
 
 def reduced_frequency(system, law, pairs):
     """Of M^−1/2 (∇²U − Σ λ ∇²g) M^−1/2, the highest one on the null space of all ∇g, where g = ½ (r_ij² − d²)."""
-    n, x = 3 * len(system), system.positions.ravel().copy()
-
-    def forces(y):
-        return md.evaluate(md.System(y.reshape(-1, 3), bonds=system.bonds), law).forces.ravel()
-
+    n, x, bonds = 3 * len(system), system.positions.ravel().copy(), system.bonds
+    forces = lambda y: md.evaluate(md.System(y.reshape(-1, 3), bonds=bonds), law).forces.ravel()  # noqa: E731
     hessian = np.array([forces(x - 1e-6 * e) - forces(x + 1e-6 * e) for e in np.eye(n)]) / 2e-6
     curvatures = []
     for i, j in pairs:
@@ -132,8 +128,7 @@ def test_rigid_bonds_do_not_oscillate_and_of_others_the_stiffest_is_named():
     assert md.advise_timestep(system, stiff, ()).frequency > 1000.0
     bonds = md.HarmonicBond(np.where(np.arange(11) == 4, 5000.0, 100.0), 1.0)
     advice = md.advise_timestep(SCENES["chain"]().system, bonds, method=md.VelocityVerlet(0.01))
-    assert advice.bond == (4, 5)
-    assert set(advice.atoms) == {4, 5}
+    assert (advice.bond, set(advice.atoms)) == ((4, 5), {4, 5})
     assert sum(advice.shares) == pytest.approx(1.0, abs=0.02)
     assert "the bond of atoms 4 and 5" in str(advice)
 
@@ -152,7 +147,7 @@ def test_advice_leaves_the_system_alone_and_sees_far_atoms_and_refuses_what_has_
 
 def test_a_crystal_that_will_melt_is_given_the_step_of_collisions():
     """At T* 1.44 the step of the modes alone blows up; the hint of a run names the same step as the advice."""
-    positions, edges = crystal("fcc", [4, 4, 4], 1.68)
+    positions, edges = md.lattice.crystal("fcc", [4, 4, 4], 1.68)
     system, law = md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 2.5, truncation="force-shifted")
     cold = md.advise_timestep(system, law)
     assert cold.harmonic == pytest.approx(0.0285, rel=0.01)
@@ -181,8 +176,7 @@ FS, ARGON = md.units.fs, md.LennardJones(0.0103, 3.4, 8.5, "force-shifted")
 def hints_of(system, potentials, method=0.004, constraints=(), **options):
     """The warnings of a run of one step, by velocity Verlet if a time step is given."""
     method = md.VelocityVerlet(method) if isinstance(method, float) else method
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         simulation = md.Simulation(system, potentials, method, constraints, **options)
         simulation.run(1)
         simulation.run(1)  # what was told is told once
@@ -196,7 +190,7 @@ def like(system, **changes):
 
 
 def argon_crystal(law=ARGON, constant=5.4):
-    positions, edges = crystal("fcc", [4] * 3, constant)
+    positions, edges = md.lattice.crystal("fcc", [4] * 3, constant)
     return md.System(positions, cell=edges, masses=39.95, units=md.units.ASE), law
 
 
@@ -206,12 +200,11 @@ def with_depth(epsilon, sigma=3.4):
 
 STIFF, LIQUID = diatomic()[:2], liquid(3)  # 2/ω = 0.1789
 FLOWING = like(LIQUID, velocities=LIQUID.velocities + np.array([0.3, 0.0, 0.4]))
-SPARSE = md.System(crystal("fcc", (3, 3, 3), 5.4)[0], cell=16.2)
+SPARSE = md.System(md.lattice.crystal("fcc", (3, 3, 3), 5.4)[0], cell=16.2)
 RIGID, BATH = md.DistanceConstraints([[1, 0]]), md.LangevinBAOAB(0.004, 1.0, 1.0, seed=1)
 HINTS = {  # scene, and what is said
-    "a sound scene": (LIQUID, LJ, None),
+    "a sound scene": (LIQUID, LJ, None), "a step that is short enough": (LIQUID, LJ, 0.018, None),
     "lengths in another unit": (SPARSE, LJ, "no two atoms are within the cutoff, 1.8 σ: .*3.82 σ apart"),
-    "a step that is short enough": (LIQUID, LJ, 0.018, None),
     "a long step": (LIQUID, LJ, 0.022, "well up to .*; see advise_timestep"),
     "a step in seconds": (*argon_crystal(), 5e-15, r"check its unit, such as 5 \* md.units.fs"),
     "a center that moves": (FLOWING, LJ, "center of mass.*0.5 σ/τ"),
@@ -220,10 +213,9 @@ HINTS = {  # scene, and what is said
     "one that is thermal": (FLOWING, LJ, BATH, None),
     "a start off its lengths": (*STIFF, 0.01, md.DistanceConstraints([[0, 1]], 0.9), "was projected"),
     "a step too long for a bond": (*STIFF, 0.18, "timestep 0.18 τ .* the bond of atoms 0 and 1 .* 0.1789 τ"),
-    "one that is not": (*STIFF, 0.178, None),
-    "a rigid bond": (*STIFF, 0.18, RIGID, None),
+    "one that is not": (*STIFF, 0.178, None), "a rigid bond": (*STIFF, 0.18, RIGID, None),
     "a bond with one end fixed": (*STIFF, 0.18, md.FixedAtoms([0]), None),  # 2/ω = 0.4
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", HINTS)

@@ -20,7 +20,6 @@ from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.ase import Calculator, ForcesFromCalculator, VelocityVerlet
-from minimd.commands import main as cli
 from minimd.diagnosis.crash_report import examine
 from minimd.diagnosis.run_guard import BLOCK
 from minimd.files.crash_file import read_crash_report
@@ -63,25 +62,19 @@ def one_fast_atom():
     return simulation
 
 
-def hollow(r2, limit):
-    """√(r² − limit): no number inside."""
-    return (r2 - limit) ** 0.5, -1.0 / (r2 - limit) ** 0.5
-
-
-HOLLOW = md.PairPotential(hollow, (1.0,), 3.0, "truncated")
+# no number where r² is below the limit
+HOLLOW = md.PairPotential(lambda r2, a: ((r2 - a) ** 0.5, -1.0 / (r2 - a) ** 0.5), (1.0,), 3.0, "truncated")
 APPROACHING, FAST = [[1.0, 0, 0], [0.0, 0, 0]], [9e74, 0, 0]
 SPRING = md.HarmonicBond(1e-3, 1.0, pairs=[[0, 1]])
 CASES = [  # scene, kind of the cause, what is said
     (lambda: of_two(LJ, 0.55, 0.005), "overlap", "Likely cause: .*atoms 0 and 1.*\nAt step 0"),
     (lambda: melt(0.004), "overlap", "Likely cause: atoms 0 and 1 overlap at step 20"),
-    (chain, "bond", r"Δt·ω = \d\.\d+ \(stable to 2\)"),
-    (lambda: melt(0.04), "pair", "atoms"),
-    (one_fast_atom, "hot", "atom 7"),
-    (rigid_with_one_fixed, "constraint", "atoms"),
+    (chain, "bond", r"Δt·ω = \d\.\d+ \(stable to 2\)"), (lambda: melt(0.04), "pair", "atoms"),
+    (one_fast_atom, "hot", "atom 7"), (rigid_with_one_fixed, "constraint", "atoms"),
     (lambda: of_two(HOLLOW, 1.5, 0.01, APPROACHING), "law", "atoms 0 and 1"),
     # beyond all numbers in use: positions are still finite, but no System can hold them
     (lambda: of_two(SPRING, 1.0, 10.0, FAST), "pair", r"\nAt step 1: positions of 2 .* 1e\+75"),
-]
+]  # fmt: skip
 
 
 def push_together(run):
@@ -94,10 +87,9 @@ def test_the_cause_is_told(make, kind, words):
     """Also of an overlap that is made during the run, and of atoms that are flung beyond all numbers in use."""
     error = failing(make().run, 4000, observers=[push_together] if "step 20" in words else [], every=10)
     found = error.crash_report
-    assert found.kind == kind
+    assert (found.kind, error.file) == (kind, None)
     assert re.search(words, str(error))
     assert f"Likely cause: {found.cause}" in str(error)
-    assert error.file is None
 
 
 def test_contact_knows_force_and_curvature_of_the_pair():
@@ -130,26 +122,23 @@ def test_file_holds_the_last_good_state_and_loses_nothing(tmp_path, monkeypatch)
     assert f"minimd replay {error.file}" in str(error)
     contents, kept = read_file(error.file), read_file(tmp_path / "a.h5md")
     assert contents.step == simulation.step == error.crash_report.last_good_step
-    assert np.array_equal(contents.system.positions, simulation.positions)
-    assert np.array_equal(contents.system.velocities, simulation.velocities)
+    for name in ("positions", "velocities"):
+        assert np.array_equal(getattr(contents.system, name), getattr(simulation, name))
     assert contents.record.step.tolist() == [error.crash_report.first_step, simulation.step]
     assert 20 <= simulation.step - error.crash_report.first_step <= 120
-    assert kept.record.step.tolist() == list(range(0, kept.step + 1, 20))
-    assert kept.step == simulation.step
+    assert (kept.step, kept.record.step.tolist()) == (simulation.step, list(range(0, kept.step + 1, 20)))
 
 
-def test_files_are_written_where_they_were_asked_for_and_replace_nothing(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_files_are_written_where_they_were_asked_for_and_replace_nothing(here):
     failing(chain())
     failing(chain(), crash_report=False, trajectory="a.h5md")
-    assert [path.name for path in tmp_path.iterdir()] == ["a.h5md"]
+    assert [path.name for path in here.iterdir()] == ["a.h5md"]
     for name in ("why.h5md", "why-2.h5md", "why-3.h5md"):
         assert failing(chain(), crash_report="why.h5md").file == Path(name)
     with pytest.raises(ValueError, match="is a trajectory of the run"):
         chain().run(10, trajectory="a.h5md", crash_report="a.h5md", overwrite=True)
-    error = failing(chain(), crash_report=tmp_path / "nowhere" / "a.h5md")  # that does not hide the failure
-    assert "No crash report was written" in str(error)
-    assert error.file is None
+    error = failing(chain(), crash_report=here / "nowhere" / "a.h5md")  # that does not hide the failure
+    assert (error.file, "No crash report was written" in str(error)) == (None, True)
 
 
 @pytest.fixture(scope="module")
@@ -157,12 +146,10 @@ def crash_file(tmp_path_factory):
     return failing(chain(), crash_report=tmp_path_factory.mktemp("crash") / "a.h5md").file
 
 
-# fmt: off
 ALTERED = [  # findings: as a text, or values to be changed, of the pair in the last two
     "null", "[" * 100_000, {"closest": {}}, {"fault": None}, {"closest": [0, 12, 1.0]}, {"timestep": None},
     {"largest_force": 10**400}, {"pair": {"first": 99_999_999_999}}, {"pair": {"law": 3}},
-]
-# fmt: on
+]  # fmt: skip
 
 
 def test_altered_findings_are_refused(crash_file, tmp_path):
@@ -184,12 +171,10 @@ def test_altered_findings_are_refused(crash_file, tmp_path):
 
 LANGEVIN = {"method": md.LangevinBAOAB, "temperature": 1.44, "friction": 1.0, "seed": 2}
 FAILING = {  # positions last, too: energies that a method has not evaluated at its last positions are
-    "langevin": lambda: melt(BIG_STEP, **LANGEVIN),
-    "rigid and fixed": rigid_with_one_fixed,
-    "bonds": chain,
-    "positions last": lambda: melt(0.03, md.PositionVerlet),
+    "langevin": lambda: melt(BIG_STEP, **LANGEVIN), "rigid and fixed": rigid_with_one_fixed,
+    "bonds": chain, "positions last": lambda: melt(0.03, md.PositionVerlet),
     "ions": lambda: run_of(salt(), 40.0),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("make", FAILING.values(), ids=FAILING)
@@ -201,12 +186,10 @@ def test_findings_come_back_and_a_replay_fails_again_at_the_same_step_on_the_sam
     assert (past.findings, str(past.findings)) == (found, str(found))
     assert (past.run.method, past.run.parameters) == (simulation.method.name, simulation.method.parameters)
     assert past.run.system.charges.tolist() == simulation.system.charges.tolist()
-    assert len(past.run.system.constraints) == len(simulation.constraints)
-    assert seen.failed_at == found.step
+    assert (len(past.run.system.constraints), seen.failed_at) == (len(simulation.constraints), found.step)
     assert [row.step for row in seen.rows] == list(range(found.first_step, found.last_good_step + 1))
     assert seen.rows[-1].energy == pytest.approx(read_file(error.file).record.total_energy[-1], rel=1e-6)
-    assert seen.trajectory == tmp_path / "a.replay.h5md"
-    assert read_file(seen.trajectory).n_frames == len(seen.rows)
+    assert (seen.trajectory, read_file(seen.trajectory).n_frames) == (tmp_path / "a.replay.h5md", len(seen.rows))
     assert make is not chain or (tmp_path / "a.replay.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(FileExistsError, match="replace it"):
         md.replay(error.file, simulation.potentials)
@@ -214,8 +197,7 @@ def test_findings_come_back_and_a_replay_fails_again_at_the_same_step_on_the_sam
 
 def test_replay_says_when_it_does_not_fail_again_and_what_it_does_not_know(crash_file, tmp_path):
     seen = md.replay(crash_file, md.HarmonicBond(1.0, 1.0), trajectory=False, picture=False)
-    assert seen.failed_at is None
-    assert "did not fail again" in str(seen)
+    assert (seen.failed_at, "did not fail again" in str(seen)) == (None, True)
     simulation = chain()
     simulation.method = type("Mine", (md.VelocityVerlet,), {"name": "mine"})(0.15)
     mine = failing(simulation, crash_report=tmp_path / "a.h5md").file
@@ -228,20 +210,14 @@ BATH = 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[equilibrati
 
 @pytest.mark.filterwarnings("ignore:timestep")
 @pytest.mark.parametrize("more", [pytest.param("", marks=pytest.mark.slow), BATH], ids=["run", "equilibration"])
-def test_scene_that_blows_up_is_replayed_from_its_file_alone_with_the_same_noise(more, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_scene_that_blows_up_is_replayed_from_its_file_alone_with_the_same_noise(more, told, here):
     Path("melt.toml").write_text(melt_scene(3, 4000, more).replace("timestep = 0.004", "timestep = 0.04"))
-    assert cli.main(["run", "melt.toml", "--quiet"]) == 3
-    assert "Crash report in melt.crash.h5md" in capsys.readouterr().err
+    assert "Crash report in melt.crash.h5md" in told("run", "melt.toml", "--quiet", code=3)
     Path("melt.toml").unlink()
-    assert cli.main(["replay", "melt.crash.h5md", "--out", "other.h5md"]) == 0
-    assert "failed again" in capsys.readouterr().out
+    assert "failed again" in told("replay", "melt.crash.h5md", "--out", "other.h5md")
     assert (read_crash_report("melt.crash.h5md").noise_shift < 0) == bool(more)
     assert Path("other.h5md").exists()
-    assert cli.main(["replay", "melt.h5md" if Path("melt.h5md").exists() else "other.h5md"]) == 2  # no crash report
-
-
-TOO_LONG = 60.0 * units.fs  # of copper, whose limit is 41 fs
+    told("replay", "melt.h5md" if Path("melt.h5md").exists() else "other.h5md", code=2)  # no crash report
 
 
 def test_what_is_no_count_or_no_end_is_refused_and_no_steps_are_none(tmp_path):
@@ -256,8 +232,7 @@ def test_what_is_no_count_or_no_end_is_refused_and_no_steps_are_none(tmp_path):
     for both in ({}, {"n_steps": 5, "until_step": 5}):
         assert_answered(lambda both=both: sim.run(**both), ValueError, "n_steps", "until_step")
     assert sim.record is record
-    assert len(sim.run(np.int64(0))) == 1
-    assert sim.step == 0
+    assert (len(sim.run(np.int64(0))), sim.step) == (1, 0)
     assert np.array_equal(sim.positions, before)
 
 
@@ -278,13 +253,12 @@ def nitrogen(timestep):
 def test_a_calculator_of_others_fails_at_its_step_for_its_cause():
     """ASE alone has 11.5 eV after the first step and 2.4e5 eV after the second."""
     atoms = copper()
-    start, run = atoms.get_total_energy(), VelocityVerlet(atoms, TOO_LONG)
+    start, run = atoms.get_total_energy(), VelocityVerlet(atoms, 60.0 * units.fs)  # the limit is 41 fs
     found = failing(run.run, 300).crash_report
     assert run.nsteps == found.last_good_step == found.step - 1 <= 2
     assert abs(atoms.get_total_energy() - start) < 5.0  # one kinetic energy
-    assert found.kind == "step"
+    assert (found.kind, "as advise_timestep recommends" in found.advice) == ("step", True)
     assert f"timestep 60 fs too large: {run.method().name} is stable up to " in found.cause
-    assert "as advise_timestep recommends" in found.advice
     limit = md.advise_timestep(atoms, ForcesFromCalculator(EMT())).limit
     assert f"up to {md.units.ASE.shown(limit)[:2]}" in found.cause
 

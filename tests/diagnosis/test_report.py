@@ -5,11 +5,10 @@ import warnings
 
 import numpy as np
 import pytest
-from h5md_runs import simulation
-from references import liquid
+from h5md_runs import record_of, simulation
+from references import liquid, processes
 from salts import EDGE, LAWS, run_of, salt
 from scenes import LJ, SCENES
-from scipy.signal import lfilter
 
 import minimd as md
 from minimd.diagnosis.report import Drift, conservation_report, drift, drift_of_walk
@@ -37,12 +36,9 @@ def scaled(factor):
 
 
 def test_the_report_tells_conserved_from_not(conserved):
-    good, bad, slight = (
-        conserved.report(),
-        *(liquid_run(n, scaled(factor)).report() for n, factor in ((1000, 0.99), (2000, 1.0 + 1e-5))),
-    )
-    assert good.energy_is_conserved
-    assert good.momentum_is_conserved
+    good, runs = conserved.report(), ((1000, 0.99), (2000, 1.0 + 1e-5))
+    bad, slight = (liquid_run(n, scaled(factor)).report() for n, factor in runs)
+    assert good.energy_is_conserved is good.momentum_is_conserved is True
     assert bad.energy_is_conserved is slight.energy_is_conserved is False
     assert 1e-4 < slight.energy_drift.slope < 1e-2  # 1e-3 ε per atom per τ is a drift, however long the run
     wind = lambda run: np.add(run.velocities, [1e-6, 0.0, 0.0], out=run.velocities)  # noqa: E731
@@ -79,14 +75,6 @@ def test_nothing_is_conserved_where_something_is_not_finite(conserved, value, ba
         assert bath or judged(known | {"total_energy": energy})[1][0] is False
 
 
-def record_of(total, n_atoms=10, **changes):
-    n = len(total)
-    flat, vectors = np.ones(n), np.zeros((n, 3))
-    series = dict.fromkeys(("kinetic_energy", "temperature", "absolute_momentum", "absolute_angular_momentum"), flat)
-    series |= {"total_energy": total, "potential_energy": total - 1.0, "momentum": vectors, "angular_momentum": vectors}
-    return Record.of(md.units.LJ, n_atoms, {"step": np.arange(n), "time": np.arange(float(n)), **series, **changes})
-
-
 def test_atoms_at_rest_are_no_breach_of_momentum():
     tiny, still = np.full(5, 1e-28), {"momentum": 1e-14 * np.arange(15.0).reshape(5, 3)}
     still |= {"kinetic_energy": tiny, "temperature": tiny, "absolute_momentum": np.full(5, 1e-12)}
@@ -99,32 +87,21 @@ def test_atoms_at_rest_are_no_breach_of_momentum():
 
 def test_a_figure_says_how_sure_it_is():
     """± is a standard error; one frame has none; few are not judged; a run may be too short to tell."""
-    one, few, many = (
-        conservation_report(record_of(1.0 + 0.01 * np.random.default_rng(1).normal(size=n)), angular=False)
-        for n in (1, 3, 51)
-    )
+    records = (record_of(1.0 + 0.01 * np.random.default_rng(1).normal(size=n)) for n in (1, 3, 51))
+    one, few, many = (conservation_report(record, angular=False) for record in records)
     assert [one.energy_is_conserved, few.energy_is_conserved] == [None, None]
     assert ["±" in str(report).splitlines()[0] for report in (one, few, many)] == [False, False, True]
     for size, quiet in ((0.001, "stays within 0.002 of"), (0.1, "varies")):
         short = conservation_report(record_of(1.0 + size * np.sin(np.linspace(0.0, 5.0, 51))), angular=False)
-        assert short.energy_is_conserved is None
+        assert (short.energy_is_conserved, short.is_quiet) == (None, size == 0.001)
         assert re.search(f"energy {quiet}.* too short to tell whether it drifts", short.verdict)
-        assert short.is_quiet is (size == 0.001)
 
 
-def correlated(correlation, n, rng):
-    """A stationary series whose neighbors resemble each other by so much."""
-    return lfilter([1.0], [1.0, -correlation], rng.normal(size=n + 400))[400:]
-
-
-CORRELATIONS = (0.0, 51, 0.01), (0.8, 51, 0.03), (0.95, 501, 0.02)
-
-
-@pytest.mark.parametrize(("correlation", "n", "most"), CORRELATIONS)
+@pytest.mark.parametrize(("correlation", "n", "most"), [(0.0, 51, 0.01), (0.8, 51, 0.03), (0.95, 501, 0.02)])
 def test_few_correlated_series_seem_to_drift(correlation, n, most):
     """0.003 expected where the correlation is known; an error blind to it finds every third of 51 with 0.8 drifting."""
     rng, t = np.random.default_rng(3), np.arange(float(n))
-    found = [drift(t, correlated(correlation, n, rng)) for _ in range(N_SERIES)]
+    found = [drift(t, one) for one in processes(N_SERIES, n, correlation, rng).T]
     assert np.mean([one.is_significant for one in found]) <= most
     judged = np.array([one.slope / one.error for one in found if not one.is_too_short])
     assert 0.8 < np.sqrt(np.mean(judged**2)) < 1.6  # 1 expected
@@ -132,11 +109,9 @@ def test_few_correlated_series_seem_to_drift(correlation, n, most):
 
 def test_a_drift_that_is_there_is_found():
     rng, t = np.random.default_rng(3), np.arange(51.0)
-    assert all(drift(t, correlated(0.5, 51, rng) + 0.3 * t).is_significant for _ in range(20))
-    assert drift(t, np.exp(0.01 * t)).is_significant  # smooth, and no line
-    assert drift(t, 2.0 * t).is_significant
-    assert not drift(t, np.ones(51)).is_significant
-    assert not Drift(0.0, 0.0).is_significant
+    assert all(drift(t, one + 0.3 * t).is_significant for one in processes(20, 51, 0.5, rng).T)
+    found = drift(t, np.exp(0.01 * t)), drift(t, 2.0 * t), drift(t, np.ones(51)), Drift(0.0, 0.0)
+    assert [one.is_significant for one in found] == [True, True, False, False]  # the first is smooth, and no line
     for slope in (drift, drift_of_walk):
         assert slope(t, np.where(t == 20.0, np.nan, 1.0)).is_significant
 
@@ -165,11 +140,6 @@ def test_slow_changes_that_the_energy_hides_are_seen_in_the_kinetic_energy():
     assert sum(one.is_too_short for one in beside) >= sum(one.is_significant for one in alone)
 
 
-def jump(law, system=None):
-    (line,) = cutoff_lines(liquid(2) if system is None else system, [law])
-    return line
-
-
 JUMPS = [  # 4 (2.5⁻¹² − 2.5⁻⁶) ε = −0.0163 ε
     ("truncated", 0.0163169, 0.0389995, False), ("shifted", 0.0, 0.0389995, True),
     ("force-shifted", 0.0, 0.0, True), ("smooth", 0.0, 0.0, True),
@@ -178,6 +148,7 @@ JUMPS = [  # 4 (2.5⁻¹² − 2.5⁻⁶) ε = −0.0163 ε
 
 def test_jumps_at_the_cutoff_are_told_of_the_worst_pair_of_species_and_at_its_cutoff():
     """The wall of Weeks, Chandler and Andersen has none: shifted at 2^(1/6) σ, its force is zero to rounding."""
+    jump = lambda law, system=liquid(2): next(iter(cutoff_lines(system, [law])))  # noqa: E731, B008
     for truncation, energy, force, is_good in JUMPS:
         line = jump(md.LennardJones(1.0, 1.0, 2.5, truncation))
         assert f"energy {energy:.1e} ε, force {force:.1e} ε/σ at 2.5 σ" in line.summary
@@ -200,8 +171,8 @@ def test_report_tells_of_list_cutoff_constraints_and_angular_momentum():
     assert droplet.report().angular_momentum_is_conserved
     torque = lambda sim: np.add.at(sim.velocities, ([0, -1], 1), [1e-6, -1e-6])  # noqa: E731
     droplet.run(200, every=20, observers=[torque])
-    assert droplet.report().momentum_is_conserved
-    assert not droplet.report().angular_momentum_is_conserved
+    report = droplet.report()
+    assert (report.momentum_is_conserved, report.angular_momentum_is_conserved) == (True, False)
 
 
 def test_report_tells_of_the_sum_over_waves_and_a_net_charge_is_told_once():

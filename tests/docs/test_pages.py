@@ -5,8 +5,6 @@ import gc
 import importlib
 import pkgutil
 import re
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 from types import ModuleType
@@ -14,6 +12,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from argon_atoms import define
+from processes import ended
 from structure.test_structure_files import write_data, write_pdb, write_psf
 
 import minimd as md
@@ -31,7 +30,6 @@ from minimd.scene import load_scene
 REPOSITORY = Path(__file__).parents[2]
 DOCS, README = REPOSITORY / "docs", REPOSITORY / "README.md"
 PAGES = sorted(path for folder in (DOCS, DOCS / "reference") for path in folder.glob("*.md"))
-# fmt: off
 SHORTER = {
     **dict.fromkeys(["equilibrate(4000", "equilibrate(2000", "equilibrate(500"], "equilibrate(100"),
     "run(200_000, every=1000": "run(2000, every=1000", "until_step=400_000": "until_step=2500", "12_000": "300",
@@ -39,10 +37,19 @@ SHORTER = {
     "run(2000, every=20": "run(200, every=20", "run(500)": "run(100)", "run_back(500)": "run_back(100)",
     "[10, 10, 10]": "[5, 5, 5]", '"melt", 1000, processes=2': '"melt", 40, processes=1',
     ".repeat(6)": ".repeat(4)", "probe_reversibility(200)": "probe_reversibility(50)",
-}
-LONG = ("fixed-point.md", "lists.md", "timestep.md", "observers.md", "pressure.md", "forces.md", "own-laws.md",
-        "view.md", "grade.md", "small-systems.md")  # many kernels, or long runs
-# fmt: on
+}  # fmt: skip
+LONG = (
+    "fixed-point.md",
+    "lists.md",
+    "timestep.md",
+    "observers.md",
+    "pressure.md",
+    "forces.md",
+    "own-laws.md",
+    "view.md",
+    "grade.md",
+    "small-systems.md",
+)  # fmt: skip  many kernels, or long runs
 ELSEWHERE = ("formats.md", "ensembles.md", "fast-forces.md", "blow-up.md")  # by tests of their own below
 
 
@@ -114,8 +121,7 @@ def test_the_blow_up_on_its_page_lives_for_some_time_and_names_its_cause(here, c
 def test_the_script_of_the_page_on_ensembles_runs(here):
     (text,) = [one for one in blocks(DOCS / "ensembles.md") if one.startswith("import minimd as md\n")]
     Path("scan.py").write_text(text.replace("1000", "50").replace("500", "20"))
-    told = subprocess.run([sys.executable, "scan.py"], capture_output=True, text=True, check=True).stdout
-    assert "4 members in scan: 4 done" in told
+    assert "4 members in scan: 4 done" in ended("scan.py").stdout
 
 
 @pytest.mark.parametrize("page", [README, *PAGES], ids=name_of)

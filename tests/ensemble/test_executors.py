@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 import signal
-import subprocess
 import sys
 import threading
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -15,6 +14,7 @@ import members
 import numpy as np
 import pytest
 from members import assert_same, run
+from processes import ended
 
 import minimd as md
 from minimd.ensemble.running import EnsembleError
@@ -23,7 +23,6 @@ from minimd.forces.options import Options
 from minimd.structure.errors import Interrupted
 
 ONE = {"parameters": {"temperature": [0.5]}, "steps": 5}
-PATHS = os.pathsep.join(map(str, Path(__file__).parents[1:3]))
 
 
 @contextmanager
@@ -140,11 +139,6 @@ def test_ctrl_c_ends_members_in_threads_after_a_whole_step(tmp_path):
     assert all(0 <= md.Simulation.resume(file, law).step < n_steps for file in found["file"][:2])
 
 
-def started(folder, command, **environment):
-    environment = os.environ | environment | {"PYTHONPATH": PATHS}
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
-
-
 @pytest.mark.slow
 def test_nothing_heavy_is_loaded_and_a_script_without_a_main_is_told_so(tmp_path):
     """A worker imports the script, which would make workers again."""
@@ -153,9 +147,9 @@ def test_nothing_heavy_is_loaded_and_a_script_without_a_main_is_told_so(tmp_path
         "print({'h5py', 'pandas', 'dask', 'mpi4py', 'tqdm', 'pydantic'} & set(sys.modules))\n"
         "from members import liquid\nmd.ensemble(liquid, {'temperature': [0.5]}, 5, workers=1)\n"
     )
-    ended = started(tmp_path, [sys.executable, "script.py"])
-    assert (ended.returncode, ended.stdout.splitlines()[0]) == (1, "set()")
-    assert ended.stderr.rstrip().endswith("if __name__ == '__main__':")
+    script = ended("script.py", folder=tmp_path)
+    assert (script.returncode, script.stdout.splitlines()[0]) == (1, "set()")
+    assert script.stderr.rstrip().endswith("if __name__ == '__main__':")
 
 
 @pytest.mark.slow
@@ -168,7 +162,7 @@ def test_mpi_makes_the_same_bits(done, tmp_path):
         "import members\nfrom mpi4py.futures import MPIPoolExecutor\n"
         "if __name__ == '__main__':\n    with MPIPoolExecutor() as pool:\n        members.run('scan', executor=pool)\n"
     )
-    command = [mpiexec, "-n", "3", sys.executable, "-m", "mpi4py.futures", "script.py"]
-    ended = started(tmp_path, command, LD_LIBRARY_PATH=str(mpiexec.parents[1] / "lib"))
-    assert ended.returncode == 0, ended.stderr
+    command, libraries = ("-n", "3", sys.executable, "-m", "mpi4py.futures", "script.py"), mpiexec.parents[1] / "lib"
+    script = ended(mpiexec, *command, folder=tmp_path, LD_LIBRARY_PATH=str(libraries))
+    assert script.returncode == 0, script.stderr
     assert_same(tmp_path / "scan", done.folder)

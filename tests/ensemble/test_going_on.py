@@ -117,7 +117,6 @@ def another_ensemble(go, _folder, _patch):
     go(resume=False)
 
 
-# fmt: off
 EVENTS = {  # what happens, the function run, and what is left: members that go on in their files, +, or begin anew, *
     "fewer steps": (lambda go, *_: go(steps=35), PLAIN, "0+1+2+"),
     "fewer members": (lambda go, *_: go(parameters={"temperature": [0.4, 0.5]}), PLAIN, "2*"),
@@ -129,8 +128,7 @@ EVENTS = {  # what happens, the function run, and what is left: members that go 
     "Ctrl-C with a worker": (partial(interrupted, workers=1), PLAIN, "1+2*"),
     "a journal without room": (a_journal_without_room, BY_HAND, "12*"),
     "a full disk": (a_full_disk, BY_HAND, "0+1*2*"),    "another ensemble": (another_ensemble, PLAIN, ""),
-}
-# fmt: on
+}  # fmt: skip
 ALL = [pytest.param(name, marks=[pytest.mark.slow] * (name != "killed at 25")) for name in EVENTS]
 
 
@@ -190,13 +188,9 @@ def test_a_scan_that_is_killed_again_and_again_has_the_same_table(victims, tmp_p
     """kill -9 when files grow, and the next call at once."""
     (tmp_path / "script.py").write_text(SCRIPT)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, Path(__file__).parents[1:3]))}
-    rng = np.random.default_rng(1)
-
-    def begun(folder):
-        return subprocess.Popen([sys.executable, "script.py", folder], cwd=tmp_path, env=environment)
-
-    def size():
-        return sum(file.stat().st_size for file in tmp_path.glob("killed/*/*.h5md*"))
+    rng, place = np.random.default_rng(1), {"cwd": tmp_path, "env": environment}
+    begun = lambda folder: subprocess.Popen([sys.executable, "script.py", folder], **place)  # noqa: E731
+    size = lambda: sum(file.stat().st_size for file in tmp_path.glob("killed/*/*.h5md*"))  # noqa: E731
 
     def workers(process):
         """That spawn has started."""

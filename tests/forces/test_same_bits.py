@@ -9,7 +9,6 @@ from references import melt
 from scenes import LJ, SCENES, TWO_KINDS
 
 import minimd as md
-from minimd.integrators.methods import METHODS
 from minimd.neighbors.cluster_list import ClusterList
 
 SERIES = ("potential_energy", "total_energy", "temperature", "pressure", "momentum", "angular_momentum")
@@ -70,19 +69,14 @@ def assert_same_bits(one, other):
     assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
-def bath():
-    return md.LangevinBAOAB(0.004, 1.2, 2.0, seed=2**100 + 7)
-
-
+BATH = md.LangevinBAOAB(0.004, 1.2, 2.0, seed=2**100 + 7)
 FREE = md.VelocityVerlet(0.004)
 RESCALED = md.StochasticCellRescaling(3.0, 0.1, 0.2, seed=2, every=7, coupling="triclinic")  # few cells need no list
 ON_THE_ROAD = {  # a method, and options
-    "free": (lambda: FREE, {}),
-    "bath": (bath, {}),
-    "fixed-point": (lambda: FREE, {"precision": "fixed-point"}),
-    "strained": (bath, {"barostat": RESCALED}),
-    "two threads": (lambda: METHODS["position-verlet"](0.004), {"threads": 2, "is_open": True}),
-}
+    "free": (FREE, {}), "bath": (BATH, {}), "fixed-point": (FREE, {"precision": "fixed-point"}),
+    "strained": (BATH, {"barostat": RESCALED}),
+    "two threads": (md.integrators.METHODS["position-verlet"](0.004), {"threads": 2, "is_open": True}),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ON_THE_ROAD)
@@ -93,7 +87,7 @@ def test_scarce_memory_and_single_steps_change_no_bit(name, monkeypatch):
     monkeypatch.setattr(ClusterList, "_make_room", lambda self, *of: enlarged.append(self.n_builds) or make_room(self))
     for kind in ("block", "scarce", "single"):
         with atoms_per_domain(50 if "threads" in options else 800):
-            simulation = mixture(method(), **options)
+            simulation = mixture(method, **options)
             simulation.run(1, progress=False)
             if kind == "scarce":
                 found = clusters_of(simulation).list
@@ -130,9 +124,7 @@ def test_another_process_of_a_derived_bath_is_not_left_out():
 
 
 def test_replicas_in_threads_of_one_process_have_the_bits_of_single_runs():
-    def replica(seed):
-        return ended(mixture(bath() if seed % 2 else FREE, seed=seed), 100)
-
+    replica = lambda seed: ended(mixture(BATH if seed % 2 else FREE, seed=seed), 100)  # noqa: E731
     with ThreadPoolExecutor(3) as pool:
         together = list(pool.map(replica, range(4)))
     for seed, one in enumerate(together):

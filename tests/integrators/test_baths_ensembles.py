@@ -5,7 +5,6 @@ import pytest
 from scipy import stats
 
 import minimd as md
-from minimd.structure.lattice import constant_from_density, crystal
 
 pytestmark = pytest.mark.slow
 K_B, FS = md.units.ASE.k_B, md.units.fs
@@ -18,18 +17,15 @@ EVERY, SIGMAS = 25, 3.0
 CONVERSIONS = {"energy": 96.485, "length": 0.1, "volume": 1e-3, "temperature": 1.0, "pressure": 1.602e6}
 
 
-def argon(constant):
-    positions, edges = crystal("fcc", (3, 3, 3), constant)
-    return md.System(positions, masses=39.948, cell=edges, units=md.units.ASE)
-
-
 @pytest.fixture(scope="module", params=METHODS)
 def runs(request):
     """Two records of liquid argon, 1 ns each, and the degrees of freedom."""
     made, law = [], md.LennardJones(120 * K_B, 3.4, 8.0, "switched")
+    constant = md.lattice.constant_from_density("fcc", 1.374 * 0.6022140858549161, 39.948)
+    positions, edges = md.lattice.crystal("fcc", (3, 3, 3), constant)
+    argon = md.System(positions, masses=39.948, cell=edges, units=md.units.ASE)
     for seed, temperature in enumerate(TEMPERATURES, start=13):
-        liquid = argon(constant_from_density("fcc", 1.374 * 0.6022140858549161, 39.948))
-        simulation = md.Simulation(liquid, law, METHODS[request.param](temperature, seed), threads=1)
+        simulation = md.Simulation(argon, law, METHODS[request.param](temperature, seed), threads=1)
         simulation.set_temperature(2 * temperature, seed=seed)
         simulation.run(25_000, every=25_000)
         made.append(simulation.run(250_000, every=EVERY))
@@ -55,9 +51,8 @@ def test_kinetic_energies_are_those_of_the_canonical_ensemble(runs):
     """Mean and width of the gamma distribution, n_dof/2 and k_B T, within three standard errors."""
     judged, (records, n_dof) = pytest.importorskip("physical_validation").kinetic_energy.distribution, runs
     for record, temperature in zip(records, TEMPERATURES, strict=True):
-        right, wrong = (
-            judged(data_of(record, t, n_dof), verbosity=0, bootstrap_seed=1) for t in (temperature, 1.02 * temperature)
-        )
+        both = (data_of(record, t, n_dof) for t in (temperature, 1.02 * temperature))
+        right, wrong = (judged(data, verbosity=0, bootstrap_seed=1) for data in both)
         assert np.abs(right).max() < SIGMAS
         assert wrong[0] > SIGMAS  # it would see two percent
 
@@ -78,7 +73,6 @@ def test_kinetic_energies_are_gamma_distributed(runs):
     """Our own test, of frames far enough apart: Kolmogorov-Smirnov beside Γ(n_dof/2, k_B T)."""
     records, n_dof = runs
     for record, temperature in zip(records, TEMPERATURES, strict=True):
-        apart, thermal = record.kinetic_energy[::20], K_B * temperature
-        assert stats.kstest(apart, stats.gamma(0.5 * n_dof, scale=thermal).cdf).pvalue > 1e-3
-        wrong = stats.gamma(0.5 * n_dof, scale=1.03 * thermal)
-        assert stats.kstest(apart, wrong.cdf).pvalue < 1e-3  # it would see three percent
+        right, wrong = (stats.gamma(0.5 * n_dof, scale=factor * K_B * temperature).cdf for factor in (1.0, 1.03))
+        assert stats.kstest(record.kinetic_energy[::20], right).pvalue > 1e-3
+        assert stats.kstest(record.kinetic_energy[::20], wrong).pvalue < 1e-3  # it would see three percent

@@ -1,8 +1,7 @@
 """Differential-algebraic equations: orders at index 1, 2 and 3, consistent starts, published solutions, any unit;
 and derivatives by differences: their digits on functions of every kind, and what a solution says of them.
 
-E. Hairer, C. Lubich, M. Roche (1989), table 2.3; K. E. Brenan, S. L. Campbell, L. R. Petzold (1989), 3.2.
-"""
+E. Hairer, C. Lubich, M. Roche (1989), table 2.3; K. E. Brenan, S. L. Campbell, L. R. Petzold (1989), 3.2."""
 
 from math import exp, sqrt
 
@@ -16,11 +15,11 @@ from references import load
 from small_problems import GAUSS
 from wrong_calls import assert_answered
 
+import minimd as md
 import minimd.integrators as mi
 from minimd.integrators import RadauIIA3, StepControl, run_adaptive, run_steps
 from minimd.integrators.ode.functions import accurate_differences, error_of_differences, time_derivative
 from minimd.integrators.ode.runge_kutta import StageStep
-from minimd.structure.errors import ConvergenceError
 
 slow = pytest.mark.slow
 
@@ -29,24 +28,18 @@ def slow_but(quick, methods):
     return [method if method is quick else pytest.param(method, marks=slow) for method in methods]
 
 
-# fmt: off
-RADAU_ORDERS = [
-    (mi.ImplicitEuler, [(1, 1), (1, 1), (1, 1, 1)]),
-    (mi.RadauIIA2,     [(3, 3), (3, 2), (3, 2, 1)]),
-    (RadauIIA3,        [(5, 5), (5, 3), (5, 3, 2)]),
-]
+RADAU_ORDERS = {mi.ImplicitEuler: [(1, 1), (1, 1), (1, 1, 1)], mi.RadauIIA2: [(3, 3), (3, 2), (3, 2, 1)]}
+RADAU_ORDERS |= {RadauIIA3: [(5, 5), (5, 3), (5, 3, 2)]}
 GAUSS_ORDERS = [  # at index 1: z has s for even s, s + 1 for odd s, as R(∞) = (−1)ˢ; at index 2
-    (mi.GaussLegendre1, (2, 2), dae.INDEX2_LINEAR, (2, 0)),
-    (mi.GaussLegendre2, (4, 2), dae.INDEX2_LINEAR, (2, 0)),
-    (mi.GaussLegendre3, (6, 4), INDEX2,            (4, 2)),
-]
-# fmt: on
+    (mi.GaussLegendre1, (2, 2), dae.INDEX2_LINEAR, (2, 0)), (mi.GaussLegendre2, (4, 2), dae.INDEX2_LINEAR, (2, 0)),
+    (mi.GaussLegendre3, (6, 4), INDEX2, (4, 2)),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(("method", "orders"), RADAU_ORDERS)
-def test_radau_iia_has_order_2s_minus_1_where_the_index_lets_it(method, orders):
+@pytest.mark.parametrize("method", RADAU_ORDERS)
+def test_radau_iia_has_order_2s_minus_1_where_the_index_lets_it(method):
     """In y and q; s in z of index 2 and v; s − 1 in multipliers of index 3, but 1 with equal steps for s = 1."""
-    for problem, expected in zip((INDEX1, INDEX2, INDEX3), orders, strict=True):
+    for problem, expected in zip((INDEX1, INDEX2, INDEX3), RADAU_ORDERS[method], strict=True):
         assert dae.measured_orders(*problem, method) == pytest.approx(expected, abs=0.2)  # truncation
 
 
@@ -111,10 +104,8 @@ VIOLATED = [  # x(0) = 1 with 0 = x − t; positions off the circle, velocities 
     (dae.implicit_path_of_x(), [1.0, 0.0], ("equation 1 stays at 1.00e+00",)),
     (pendulum(), ((1.0, 0.1), (0.0, 0.0)), ("constraint 0 = g", "5.00e-03", "q would have to move by 5")),
     (pendulum(), ((1.0, 0.0), (0.3, 0.0)), ("hidden constraint", "3.00e-01", "v would have to move")),
-    *(
-        pytest.param(dae.implicit_pendulum(), [1.0, x, u, 0.0, 0.0], (words,), marks=slow)
-        for x, u, words in [(0.1, 0.0, "equation 4 stays at 5.00e-03"), (0.0, 0.3, "derivative of equation 4 stays")]
-    ),
+    pytest.param(dae.implicit_pendulum(), [1.0, 0.1, 0, 0, 0], ("equation 4 stays at 5.00e-03",), marks=slow),
+    pytest.param(dae.implicit_pendulum(), [1.0, 0, 0.3, 0, 0], ("derivative of equation 4 stays",), marks=slow),
 ]
 
 
@@ -133,9 +124,8 @@ def test_a_fully_implicit_pendulum_knows_its_slopes_its_index_and_its_path():
     assert y == pytest.approx([1.0, 0.0, 0.0, 2.0, 4.0], abs=1e-8)
     assert problem.field(0.0, y)[:4] == pytest.approx([0.0, 2.0, -4.0, -GRAVITY], abs=1e-8)
     assert (problem.index, *problem.levels) == (3, 0, 0, 1, 1, 2)
-    one, other = (
-        run_steps(p, RadauIIA3(0.01), start, 10).y for p, start in ((problem, y), (pendulum(), (y[:2], y[2:4])))
-    )
+    starts = (problem, y), (pendulum(), (y[:2], y[2:4]))
+    one, other = (run_steps(p, RadauIIA3(0.01), start, 10).y for p, start in starts)
     assert one[1:] == pytest.approx(other[1:], abs=1e-8)  # the tension is rounding/h²
 
 
@@ -156,7 +146,7 @@ def test_a_fully_implicit_path_is_that_of_the_structured_form():
 def test_equations_that_lose_their_solution_end_the_run_before():
     """y′ = 1 on the circle y² + z² = 1 ends at y = 1."""
     problem = mi.Hessenberg1(lambda: 1.0, lambda y, z: y * y + z * z - 1)
-    with pytest.raises(ConvergenceError, match=r"step \d+ from t = .* with timestep 0\.03") as told:
+    with pytest.raises(md.ConvergenceError, match=r"step \d+ from t = .* with timestep 0\.03") as told:
         run_steps(problem, RadauIIA3(0.03), ([0.0], [1.0]), 40)
     assert told.value.solution.t[-1] > 0.95
     stopped = run_adaptive(problem, RadauIIA3, ([0.0], [1.0]), 2.0, control=StepControl(min_step=1e-4))
@@ -210,9 +200,8 @@ def test_robertson_to_1e11():
     known = load("dae/robertson.json")
     control = StepControl(rtol=1e-9, atol=[1e-15, 1e-19, 1e-9])
     path = run_adaptive(dae.robertson(), RadauIIA3, ([1.0, 0.0], [0.0]), known["T"], control=control)
-    assert path.success
+    assert (path.success, len(path.t) < 500) == (True, True)
     assert path.y[-1] == pytest.approx(known["y"], rel=1e-6)  # truncation
-    assert len(path.t) < 500
 
 
 def test_andrews_mechanism_starts_as_published():
@@ -264,15 +253,13 @@ def test_a_variable_that_is_smaller_by_13_powers_of_ten_is_solved_for_as_well():
 
 
 def test_the_jacobian_of_the_problem_is_used():
-    given, found = (
-        run_steps(mi.FirstOrder(lambda y: [y[1], -sin(y[0])], jacobian), RadauIIA3(0.1), [1.0, 0.0], 50)
-        for jacobian in (lambda y: [[0.0, 1.0], [-cos(y[0]), 0.0]], None)
-    )
+    jacobians = (lambda y: [[0.0, 1.0], [-cos(y[0]), 0.0]]), None
+    problems = (mi.FirstOrder(lambda y: [y[1], -sin(y[0])], jacobian) for jacobian in jacobians)
+    given, found = (run_steps(problem, RadauIIA3(0.1), [1.0, 0.0], 50) for problem in problems)
     assert given.y == pytest.approx(found.y, abs=1e-14)
     assert given.nfev < found.nfev
 
 
-# fmt: off
 FUNCTIONS = {  # a function, a place, its derivative there
     "a length": (lambda q: 0.5 * (q @ q - 1.0), [0.6, -0.8], [0.6, -0.8]),
     "1/r": (lambda q: 1.0 / np.sqrt(q @ q), [0.3, 0.4, 0.0], [-2.4, -3.2, 0.0]),
@@ -290,8 +277,7 @@ FUNCTIONS = {  # a function, a place, its derivative there
     "conj": (lambda q: (q * np.conj(q)).sum(), [0.6, -0.8], [1.2, -1.6]),
     "a branch": (lambda q: q[0] if q[0] > 0.0 else -2.0 * q[0], [-0.3, 1.0], [-2.0, 0.0]),
     "cast to real": (lambda q: float(q[0]) ** 2 + np.asarray(q, dtype=float)[1], [0.3, 1.0], [0.6, 1.0]),
-}
-# fmt: on
+}  # fmt: skip
 
 
 def derivative(function, place):
@@ -305,10 +291,7 @@ def test_differences_have_twelve_digits(function, place, exact):
 
 def test_the_estimate_is_the_error_and_noise_is_not_taken_for_a_derivative():
     """Single precision, five digits for differences, is flat over narrow spacings: two formulas agree on zero."""
-
-    def single(q):
-        return np.array([float(np.float32(q[0]) * np.float32(q[1]))])
-
+    single = lambda q: np.array([float(np.float32(q[0]) * np.float32(q[1]))])  # noqa: E731
     place = np.array([1.3, 0.7])
     error = np.abs(accurate_differences(single, place) - place[::-1]).max() / 1.3
     assert 1e-7 < error < 1e-4

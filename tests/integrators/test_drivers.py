@@ -34,8 +34,7 @@ def test_run_steps_keeps_the_first_state_every_so_many_and_the_last():
     assert whole.success
     assert whole.t == pytest.approx(2.0 + 0.1 * np.arange(11), abs=1e-15)
     assert (np.hstack([whole.q, whole.v]) == whole.y).all()
-    assert (some.t == whole.t[[0, 4, 8, 10]]).all()
-    assert (some.y == whole.y[[0, 4, 8, 10]]).all()
+    assert (np.column_stack([some.t, some.y]) == np.column_stack([whole.t, whole.y])[[0, 4, 8, 10]]).all()
     assert run_steps(OSCILLATOR, VelocityVerlet(0.1), ONE, 10, every=99).t == pytest.approx([0.0, 1.0])
     whole, some = (run_until(OSCILLATOR, VelocityVerlet(0.1), ONE, 1.05, every=n) for n in (1, 4))
     assert some.t == pytest.approx([0.0, 0.4, 0.8, 1.05], abs=1e-15)
@@ -51,10 +50,9 @@ def test_run_until_ends_exactly_there(t0, t_end):
     h, t = np.copysign(0.1, t_end - t0), t_end - t0
     path = run_until(SecondOrder(lambda t, q: -q + t - t0), GaussLegendre2(h), ONE, t_end, t0=t0)
     steps = np.diff(path.t) / h
-    assert (path.t[0], path.t[-1]) == (t0, t_end)
+    assert (path.t[0], path.t[-1], len(steps)) == (t0, t_end, np.ceil(round(abs(t) / 0.1, 6)))
     assert steps[:-1] == pytest.approx(1.0, abs=1e-8)
     assert 1e-8 < steps[-1] < 1.0 + 1e-8
-    assert len(steps) == np.ceil(round(abs(t) / 0.1, 6))
     assert path.q[-1, 0] == pytest.approx(np.cos(t) - np.sin(t) + t, abs=1e-6)
 
 
@@ -88,8 +86,7 @@ def test_steps_of_adaptive_runs_stay_within_their_bounds_and_shorten_where_the_s
     free, bound = adaptive(rtol=1e-6), adaptive(rtol=1e-6, max_step=0.2, first_step=0.001)
     long = adaptive(rtol=1e-3, atol=1e-3, min_step=0.1)
     assert np.diff(free.t).max() > 3.0 * np.diff(free.t).min()
-    assert np.diff(bound.t).max() <= 0.2 + 1e-15
-    assert bound.t[1] == 0.001
+    assert (np.diff(bound.t).max() <= 0.2 + 1e-15, bound.t[1]) == (True, 0.001)
     assert np.diff(long.t)[:-1].min() >= 0.1 - 1e-15
 
 
@@ -102,21 +99,18 @@ def test_an_adaptive_run_ends_after_so_many_steps():
     n_tried = len(whole.t) - 1 + whole.n_rejected
     assert adaptive(VelocityVerlet, 1.0, OSCILLATOR, ONE, max_steps=n_tried).success
     some = adaptive(VelocityVerlet, 1.0, OSCILLATOR, ONE, max_steps=n_tried - 1)
-    assert not some.success
+    assert (some.success, len(some.t) + some.n_rejected) == (False, n_tried)
     assert f"after {n_tried - 1} steps" in some.message
-    assert len(some.t) + some.n_rejected == n_tried
 
 
 def test_a_step_that_may_not_be_shorter_ends_the_run_where_it_is():
     run = adaptive(VelocityVerlet, rtol=1e-8, min_step=0.01)
-    assert not run.success
     assert "min_step = 0.01" in run.message
-    assert run.t[-1] < 6.0
+    assert (run.success, run.t[-1] < 6.0) == (False, True)
     for method in (VelocityVerlet, RadauIIA3):  # y′ = y² from 1: infinite at t = 1
         run = adaptive(method, 2.0, SecondOrder(lambda q, v: v * v), ([0.0], [1.0]), rtol=1e-3, min_step=1e-4)
-        assert not run.success
         assert run.t[-1] == pytest.approx(1.0, abs=5e-3)
-        assert run.message.startswith(f"stopped at t = {run.t[-1]:g}")
+        assert (run.success, run.message.startswith(f"stopped at t = {run.t[-1]:g}")) == (False, True)
 
 
 def test_equations_without_a_solution_reject_the_step():
@@ -125,30 +119,26 @@ def test_equations_without_a_solution_reject_the_step():
     with pytest.raises(md.ConvergenceError):
         run_steps(stiff, VelocityVerlet(1.0), ([0.0], [1.0]), 1)
     run = adaptive(VelocityVerlet, 1.0, stiff, ([0.0], [1.0]), rtol=1e-4, first_step=1.0)
-    assert run.success
-    assert run.n_rejected > 0
+    assert (run.success, run.n_rejected > 0) == (True, True)
 
 
 def test_tolerances_may_differ_from_component_to_component():
     """A component without tolerance to speak of drives the steps, one with a large tolerance does not."""
     problem, start = SecondOrder(lambda q: -np.array([1.0, 100.0]) * q), ((1.0, 1.0), (0.0, 0.0))
-    loose, tight = (
-        adaptive(BlanesMoan4, 5.0, problem, start, rtol=0.0, atol=[1e-8, fast, 1e-8, fast]) for fast in (1e3, 1e-8)
-    )
+    tolerances = ([1e-8, fast, 1e-8, fast] for fast in (1e3, 1e-8))
+    loose, tight = (adaptive(BlanesMoan4, 5.0, problem, start, rtol=0.0, atol=atol) for atol in tolerances)
     assert len(tight.t) > 3 * len(loose.t)
     assert loose.q[-1, 0] == pytest.approx(np.cos(5.0), abs=1e-6)
     flat = adaptive(VelocityVerlet, 1.0, OSCILLATOR, ((1.0, 0.0), (0.3, 0.0)), rtol=1e-5, atol=0.0)  # one stays zero
-    assert flat.success
-    assert (flat.q[:, 1] == 0.0).all()
+    assert (flat.success, flat.q[:, 1].any()) == (True, False)
 
 
 def test_a_path_that_is_no_longer_finite_ends_the_run_with_what_was():
     falls = SecondOrder(lambda t, q: -q if t < 0.45 else np.nan * q)
     with pytest.raises(md.NonFiniteError, match=r"at t = 0.5; .* at t = 0.4; .*timestep \(0.1\)") as caught:
         run_steps(falls, VelocityVerlet(0.1), ONE, 20)
-    assert np.isfinite(caught.value.solution.y).all()
-    assert caught.value.solution.t[-1] == pytest.approx(0.4)
-    assert not caught.value.solution.success
+    found = caught.value.solution
+    assert (found.success, np.isfinite(found.y).all(), round(found.t[-1], 9)) == (False, True, 0.4)
     assert not adaptive(VelocityVerlet, 1.0, falls, ONE, rtol=1e-3).success
     with pytest.raises(md.NonFiniteError, match=r"step \d+") as caught:
         mi.run_reversible(falls, VelocityVerlet(0.01), ONE, 1.0, control=mi.DensityControl(lambda t, q, v: 0.0))
@@ -159,9 +149,8 @@ def test_a_path_that_is_no_longer_finite_ends_the_run_with_what_was():
 def test_energy_stays_bounded_with_reversible_steps_and_drifts_with_plain_step_control(n_periods):
     kept = reversible(0.002, n_periods * PERIOD)
     plain = adaptive(VelocityVerlet, n_periods * PERIOD, start=COMET, rtol=3e-6, atol=3e-6)
-    (early, late), (early_plain, late_plain) = (
-        [np.abs(half).max() for half in np.array_split(energy_errors(path), 2)] for path in (kept, plain)
-    )
+    halves = (np.array_split(np.abs(energy_errors(path)), 2) for path in (kept, plain))
+    (early, late), (early_plain, late_plain) = (map(np.max, pair) for pair in halves)
     assert plain.nfev > kept.nfev * (2 if n_periods > 100 else 1)
     assert late == pytest.approx(early, rel=1e-3)
     assert max(early, late) < 0.0075
@@ -175,8 +164,7 @@ def test_a_reversed_run_returns_to_the_start(method):
     end = there.q[-2], -there.v[-2]
     back = reversible(0.003, there.t[-2], method, start=end, density=there.density[-2], rate=falling)
     assert len(back.t) == len(there.t) - 1
-    assert np.abs(back.q[-1] - COMET[0]).max() < 1e-9  # rounding, amplified by the close encounters
-    assert np.abs(back.v[-1] + COMET[1]).max() < 1e-9
+    assert np.abs([back.q[-1] - COMET[0], back.v[-1] + COMET[1]]).max() < 1e-9  # rounding, amplified near the center
 
 
 def test_the_density_that_is_found_is_the_density_in_closed_form():
@@ -211,8 +199,7 @@ def test_reversible_steps_are_the_same_in_any_unit():
 def test_a_reversible_run_ends_after_so_many_steps():
     """And at its end, backwards in time too; every keeps the first and the last."""
     whole, some = (reversible(-0.002, -1.0, every=every) for every in (1, 7))
-    assert whole.t[-1] == some.t[-1] == -1.0
-    assert (some.y == [*whole.y[:-1:7], whole.y[-1]]).all()
+    assert (whole.t[-1], (some.y == [*whole.y[:-1:7], whole.y[-1]]).all()) == (-1.0, True)
     whole, some = reversible(0.002, 1.0), reversible(0.002, 1.0, max_steps=50, every=7)
     n_steps = len(whole.t) - 1
     ended = [reversible(0.002, 1.0, max_steps=n).success for n in (n_steps, n_steps - 1)]

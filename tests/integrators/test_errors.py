@@ -2,10 +2,9 @@
 
 import dae_problems as dae
 import numpy as np
-import pytest
 import small_problems as small
 from small_problems import ENERGY, KEPLER, KEPLER_START, ONE, OSCILLATOR, energy
-from wrong_calls import assert_answered
+from wrong_calls import answered
 
 import minimd as md
 import minimd.integrators as mi
@@ -139,15 +138,10 @@ ANSWERS = [  # of f
     (lambda q: 1j * q, ONE, T, "real numbers"),
     (lambda q: "a", ONE, T, "'a'"),
 ]
-TABLE = [
+test_a_wrong_call_is_answered_with_its_argument_and_its_value = answered(
     *((lambda call=c, x=x: call(x), e, name, shown) for c, e, name, *wrong in GROUPS for x, shown in wrong),
     *((lambda run=run, i=i: run(i), *row) for run in (kept, stabilized) for i, *row in MISFITS),
     *((lambda f=f, m=m, s=s: run_steps(mi.SecondOrder(f), m, s, 10), error, "f", shown)
         for m in (VERLET, GAUSS) for f, s, error, shown in ANSWERS),
-]
+)
 # fmt: on
-
-
-@pytest.mark.parametrize("row", range(len(TABLE)))
-def test_a_wrong_call_is_answered_with_its_argument_and_its_value(row):
-    assert_answered(*TABLE[row])

@@ -1,6 +1,6 @@
 """Runge-Kutta methods of collocation: order conditions on trees, stability functions, quadratic invariants."""
 
-from itertools import combinations_with_replacement
+from functools import cache
 from math import prod
 
 import numpy as np
@@ -16,39 +16,27 @@ ORDERS = dict(zip(GAUSS + RADAU, [2, 4, 6, 8, 1, 3, 5], strict=True))
 def random_flow(seed=3, n=5):
     """y′ = S(y) C y, S skew and linear in y, which keeps yᵀ C y = 1 and nothing else; C > 0."""
     rng = np.random.default_rng(seed)
-    skew = rng.normal(size=(n, n, n))
-    skew = skew - skew.transpose(1, 0, 2)
-    c = rng.normal(size=(n, n))
-    c = c @ c.T / n + np.eye(n)
-    start = rng.normal(size=n)
+    any_, root, start = rng.normal(size=(n, n, n)), rng.normal(size=(n, n)), rng.normal(size=n)
+    skew, c = any_ - any_.transpose(1, 0, 2), root @ root.T / n + np.eye(n)
     return lambda y: (0.3 * skew @ y + skew[:, :, 0]) @ (c @ y), c, start / np.sqrt(start @ c @ start)
 
 
+@cache
 def rooted_trees(order):
-    """All of an order, a tree being the sorted tuple of what hangs on its root."""
-    if order == 1:
-        return [()]
-    return sorted({tuple(sorted(t)) for sizes in partitions(order - 1) for t in forests(sizes)})
+    """All of an order, a tree being the sorted tuple of what hangs on its root: the smaller ones with one leaf more."""
+    return sorted({t for smaller in rooted_trees(order - 1) for t in with_a_leaf(smaller)}) if order > 1 else [()]
 
 
-def partitions(n, largest=99):
-    return [()] if n == 0 else [(k, *rest) for k in range(min(n, largest), 0, -1) for rest in partitions(n - k, k)]
+def with_a_leaf(tree):
+    """On its root, or anywhere on a branch."""
+    grown = [(*tree[:k], t, *tree[k + 1 :]) for k, branch in enumerate(tree) for t in with_a_leaf(branch)]
+    return [tuple(sorted(t)) for t in [(*tree, ()), *grown]]
 
 
-def forests(sizes):
-    if not sizes:
-        return [()]
-    equal = sizes.count(sizes[0])
-    return [a + b for a in combinations_with_replacement(rooted_trees(sizes[0]), equal) for b in forests(sizes[equal:])]
-
-
-def size(tree):
-    return 1 + sum(map(size, tree))
-
-
-def density(tree):
-    """γ(t): the product of the sizes of all its subtrees."""
-    return size(tree) * prod(map(density, tree))
+def counts(tree):
+    """The number of nodes; and γ(t), the product of the sizes of all its subtrees."""
+    sizes, densities = zip((1, 1), *map(counts, tree), strict=True)
+    return sum(sizes), sum(sizes) * prod(densities)
 
 
 def stage_weights(tableau, tree):
@@ -59,7 +47,7 @@ def stage_weights(tableau, tree):
 
 def worst_condition(tableau, order):
     """Largest |Σ_i w_i Φ_i(t) − 1/γ(t)| over the trees of an order."""
-    return max(abs(tableau.weights @ stage_weights(tableau, t) - 1.0 / density(t)) for t in rooted_trees(order))
+    return max(abs(tableau.weights @ stage_weights(tableau, t) - 1.0 / counts(t)[1]) for t in rooted_trees(order))
 
 
 @pytest.mark.parametrize("method", ORDERS)

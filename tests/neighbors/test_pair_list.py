@@ -10,7 +10,6 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.neighbors.pair_list import PairList
 from minimd.neighbors.queries import closest_pair
-from minimd.structure.cell import Cell
 
 NO_PAIRS = np.zeros((0, 2), dtype=np.int64)
 FLAT = 0.02  # determinant of the unit vectors below which a brute force would need too many images
@@ -30,7 +29,7 @@ def scenes(draw):
     cutoff = draw(st.floats(0.2, 2.5))
     heights = 1.0 / np.linalg.norm(np.linalg.inv(cell), axis=0)
     assume(np.prod(np.where(pbc, 2.0 * np.ceil(cutoff / heights) + 3.0, 1.0)) < 1500)
-    return positions, Cell.of(cell, pbc), cutoff
+    return positions, md.Cell.of(cell, pbc), cutoff
 
 
 def brute_force(positions, cell, cutoff):
@@ -84,12 +83,12 @@ def test_list_misses_no_pair_after_moves_of_half_the_skin_wraps_and_strains(scen
     pair_list.update(wrapped, cell)
     check(pair_list, cell, cutoff, wrapped)
     for share in (0.99, 0.5):  # the list follows the cell; the second strain may be too much for it
-        strained = Cell.of(share * cell.vectors, cell.pbc)
+        strained = md.Cell.of(share * cell.vectors, cell.pbc)
         moved = wrapped @ cell.inverse @ strained.lattice
         pair_list.follow(strained)
         pair_list.update(moved, strained)
         check(pair_list, strained, cutoff, moved)
-    smaller = Cell.of(0.6 * cell.vectors, cell.pbc)
+    smaller = md.Cell.of(0.6 * cell.vectors, cell.pbc)
     assert pair_list.update(0.6 * wrapped, smaller)
     check(pair_list, smaller, cutoff, 0.6 * wrapped)
 
@@ -97,9 +96,9 @@ def test_list_misses_no_pair_after_moves_of_half_the_skin_wraps_and_strains(scen
 def test_list_sees_a_cell_that_only_changes_its_periodicity_and_grows_and_shrinks_by_itself():
     positions, pair_list = np.array([[0.1, 0, 0], [2.9, 0, 0]]), PairList(2, 1.0, 0.1, NO_PAIRS)
     for pbc, n_pairs in ((True, 1), (False, 0), (True, 1)):
-        assert pair_list.update(positions, Cell.of(3.0, pbc))
+        assert pair_list.update(positions, md.Cell.of(3.0, pbc))
         assert len(pair_list.pairs.second) == n_pairs
-    rng, pair_list, cell = np.random.default_rng(2), PairList(60, 1.5, 0.1, NO_PAIRS), Cell.of(20.0)
+    rng, pair_list, cell = np.random.default_rng(2), PairList(60, 1.5, 0.1, NO_PAIRS), md.Cell.of(20.0)
     for spread in (20.0, 1.0, 20.0, 0.3):
         positions = rng.uniform(0, spread, (60, 3))
         pair_list.update(positions, cell)
@@ -109,9 +108,9 @@ def test_list_sees_a_cell_that_only_changes_its_periodicity_and_grows_and_shrink
 @pytest.mark.parametrize("cutoff", [1.0, np.inf])
 def test_a_position_that_is_no_number_is_seen_by_a_list_that_was_right(cutoff):
     positions, pair_list = np.eye(3), PairList(3, cutoff, 0.1, NO_PAIRS)
-    pair_list.update(positions, Cell.of(None))
+    pair_list.update(positions, md.Cell.of(None))
     positions[1, 2] = np.nan
-    assert_answered(lambda: pair_list.update(positions, Cell.of(None)), md.NonFiniteError, "1 atoms", "atom 1")
+    assert_answered(lambda: pair_list.update(positions, md.Cell.of(None)), md.NonFiniteError, "1 atoms", "atom 1")
 
 
 def test_a_million_cells_away_is_still_here_and_empty_space_costs_nothing():

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import h5py
 import numpy as np
 import pytest
-from references import melt_scene
-from scenes import LJ, argon
-from scipy.signal import lfilter
-from wrong_calls import assert_answered
+from references import melt_scene, processes
+from scenes import LJ, argon, chain
+from wrong_calls import answered, assert_answered
 
 import minimd as md
 from minimd import observers
@@ -120,12 +119,9 @@ def layers(run):
 
 TWINS = {  # expected attributes of the result
     DISPLACEMENT: lambda run: correlated(run, run.moved, lambda a, b: (b - a) ** 2),
-    VELOCITY: lambda run: correlated(run, run.thermal, lambda a, b: a * b),
-    "radial-distribution": pair_counts,
-    "viscosity": stresses,
-    "fluctuations": heat_capacity,
-    "profile": layers,
-}
+    VELOCITY: lambda run: correlated(run, run.thermal, lambda a, b: a * b), "radial-distribution": pair_counts,
+    "viscosity": stresses, "fluctuations": heat_capacity, "profile": layers,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", observers.KINDS)
@@ -215,9 +211,8 @@ def test_error_bars_of_fluctuations_hold_the_variance_also_of_short_runs(times):
     """Within two errors in 88 % of the runs or more, 0.85 to 1.3 of the scatter; a short run says what it misses."""
     tau, n_runs = 4, 100
     scene = ObservedRun("LJ", ["A"], [1], 1.0, 3, 1.0, 1.0)
-    decay, rng, found, told = np.exp(-1.0 / tau), np.random.default_rng(times), [], []
-    noise = np.sqrt(1.0 - decay**2) * rng.normal(size=((times + 10) * tau, n_runs))
-    for volume in lfilter([1.0], [1.0, -decay], noise, axis=0)[10 * tau :].T:
+    found, told = [], []
+    for volume in processes(n_runs, times * tau, np.exp(-1.0 / tau), np.random.default_rng(times)).T:
         looking = observers.Fluctuations()
         looking.scene, looking.reference, looking.sums = scene, [0.0, 0.0, 100.0], BlockedSums(13)
         for one in volume:
@@ -234,14 +229,13 @@ def test_error_bars_of_fluctuations_hold_the_variance_also_of_short_runs(times):
 
 def test_a_run_that_was_cut_goes_on_to_the_same_answers(tmp_path):
     """In one process, and through a file, to the last bit; the steps have the bits of a run without observers."""
-    (whole, cut, resumed), alone, sim = (several() for _ in range(3)), simulation(), simulation()
+    (whole, cut, resumed), file = (several() for _ in range(3)), tmp_path / "a.h5md"
+    alone, watched, in_parts, sim = (simulation() for _ in range(4))
     alone.run(230, every=50)
-    sim.run(230, every=50, observers=whole)
-    assert np.array_equal(sim.positions, alone.positions)
-    sim = simulation()
+    watched.run(230, every=50, observers=whole)
+    assert np.array_equal(watched.positions, alone.positions)
     for n_steps in (103, 127):
-        sim.run(n_steps, every=50, observers=cut)
-    file, sim = tmp_path / "a.h5md", simulation()
+        in_parts.run(n_steps, every=50, observers=cut)
     sim.run(103, every=50, trajectory=file, observers=several())
     again = md.Simulation.resume(file, sim.potentials)
     again.run(until_step=230, every=50, trajectory=file, append=True, observers=resumed)
@@ -262,8 +256,7 @@ def test_a_state_sets_what_its_kind_has_and_nothing_else(kind, run):
     words = json.loads(bytes(state["words"]))
     words["settled"] |= {"every": 7, "result": "not callable"}
     other.restore(state | {"words": np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)})
-    assert (other.every, other.made_with()) == (made.every, made.made_with())
-    assert callable(other.result)
+    assert (other.every, other.made_with(), callable(other.result)) == (made.every, made.made_with(), True)
 
 
 @pytest.mark.slow
@@ -277,8 +270,7 @@ def test_sums_of_another_convention_do_not_go_on(tmp_path, monkeypatch):
         sim.run(20, every=10, trajectory=file, observers=looking)
     found, resumed = md.read_observers(file), md.Simulation.resume(file, sim.potentials)
     assert {name: one.n_looks for name, one in found.items()} == {"mean_square_displacement": 0, "profile": 3}
-    assert check_file(file).comparisons
-    assert plot_file(file).exists()
+    assert all([check_file(file).comparisons, plot_file(file).exists()])
     go_on = lambda *many: resumed.run(10, every=10, trajectory=file, append=True, observers=many)  # noqa: E731
     assert_answered(lambda: go_on(*found.values()), ValueError, "mean_square_displacement", "convention 1", "not 2")
     with pytest.raises(ValueError, match="with the arguments"):
@@ -288,17 +280,16 @@ def test_sums_of_another_convention_do_not_go_on(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_scene_has_observers(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_scene_has_observers(here):
     kinds = '[[observer]]\nkind = "radial-distribution"\nevery = 5\nr_max = 2.0\n[[observer]]\nkind = "viscosity"\n'
     text = melt_scene(3, 40, f"seed = 3\n{kinds}[output]\nevery = 20\n")
-    run_scene(parse_scene(text, tmp_path / "melt.toml"), steps=20, tell=print)
+    run_scene(parse_scene(text, here / "melt.toml"), steps=20, tell=print)
     resume_run("melt.h5md", tell=print)
     found = md.read_observers("melt.h5md")
     assert {name: one.n_looks for name, one in found.items()} == {"radial_distribution": 9, "viscosity": 9}
     for old, new, shown in (("r_max = 2.0", 'axis = "c"', "axis"), ('"viscosity"', '"viscous"', "viscous")):
         with pytest.raises(ValueError, match=f"{shown}.*radial-distribution|radial-distribution.*{shown}"):
-            parse_scene(text.replace(old, new), tmp_path / "melt.toml")
+            parse_scene(text.replace(old, new), here / "melt.toml")
 
 
 @dataclass(frozen=True, repr=False)
@@ -347,8 +338,7 @@ def test_a_new_observer_is_one_class_and_its_series(tmp_path, monkeypatch):
     assert list(result.columns()) == ["speed", "share", "share_error"] == [*result.to_pandas()]
     assert result.shares.sum() == pytest.approx(1.0)
     (panel,) = result.plot().axes
-    assert (panel.get_xlabel(), panel.get_ylabel()) == ("speed  [σ/τ]", "share")
-    assert panel.get_title() == result.title
+    assert (panel.get_xlabel(), panel.get_ylabel(), panel.get_title()) == ("speed  [σ/τ]", "share", result.title)
     np.testing.assert_array_equal(panel.lines[0].get_xydata().T, (result.speeds, result.shares))
     with h5py.File(file) as h5:
         np.testing.assert_array_equal(h5["minimd/observers/speeds/share_error"], result.errors)
@@ -389,33 +379,22 @@ def with_another_time_step():
     seen_by(looking, sim=sim)
 
 
-def in_open_space(looking):
-    seen_by(looking, sim=md.Simulation(md.System(np.eye(3)), LJ, md.VelocityVerlet(0.001)))
-
-
-def of_a_file_that_asks_for_too_much(folder):
-    simulation().run(4, every=2, trajectory=folder / "a.h5md", observers=[observers.RadialDistribution(every=2)])
-    with h5py.File(folder / "a.h5md", "r+") as h5:
+def test_a_file_that_asks_for_too_much_is_refused(tmp_path):
+    simulation().run(4, every=2, trajectory=tmp_path / "a.h5md", observers=[observers.RadialDistribution(every=2)])
+    with h5py.File(tmp_path / "a.h5md", "r+") as h5:
         group = h5["minimd/observers/radial_distribution"]
         group.attrs["arguments"] = json.dumps(json.loads(group.attrs["arguments"]) | {"n_bins": 10**12})
-        observers_of(h5, read_restart(h5))
+        assert_answered(lambda: observers_of(h5, read_restart(h5)), ValueError, "radial_distribution", "memory")
 
 
-WRONG = [
-    (lambda _: seen_by(3), TypeError, "observers", "[3]"),
-    (lambda _: seen_by(observers.Profile(), observers.Profile()), ValueError, "observers", "'profile'"),
-    (lambda _: observers.Profile().result(), ValueError, "Profile(", "not looked"),
-    (lambda _: observers.RadialDistribution(every=0), ValueError, "every", "0"),
-    (lambda _: observers.Profile("d"), ValueError, "axis", "'d'"),
-    (lambda _: observers.Viscosity(name="a/b"), ValueError, "name", "'a/b'"),
-    (lambda _: seen_by(observers.Profile(extent=(0.0, 1.0))), ValueError, "extent", "axis c"),
-    (lambda _: in_open_space(observers.RadialDistribution()), ValueError, "periodic", "3 atoms"),
-    (lambda _: with_another_time_step(), ValueError, "time step"),
-    (of_a_file_that_asks_for_too_much, ValueError, "radial_distribution", "memory"),
-]
-
-
-@pytest.mark.parametrize("row", range(len(WRONG)))
-def test_what_cannot_be_observed_is_refused(row, tmp_path):
-    call, error, *shown = WRONG[row]
-    assert_answered(lambda: call(tmp_path), error, *shown)
+test_what_cannot_be_observed_is_refused = answered(
+    (lambda: seen_by(3), TypeError, "observers", "[3]"),
+    (lambda: seen_by(observers.Profile(), observers.Profile()), ValueError, "observers", "'profile'"),
+    (lambda: observers.Profile().result(), ValueError, "Profile(", "not looked"),
+    (lambda: observers.RadialDistribution(every=0), ValueError, "every", "0"),
+    (lambda: observers.Profile("d"), ValueError, "axis", "'d'"),
+    (lambda: observers.Viscosity(name="a/b"), ValueError, "name", "'a/b'"),
+    (lambda: seen_by(observers.Profile(extent=(0.0, 1.0))), ValueError, "extent", "axis c"),
+    (lambda: seen_by(observers.RadialDistribution(), sim=chain().simulation()), ValueError, "periodic", "12 atoms"),
+    (with_another_time_step, ValueError, "time step"),
+)

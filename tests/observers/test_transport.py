@@ -27,9 +27,7 @@ KINDS = {  # correlations of a known integral: share of C(0), time of the expone
 
 def sampled(integral, times, duration, n_samples, rng):
     """Running integrals as runs find them, (S, T), and their replicas, (S, K, T): the noise of five Gaussian processes.
-
-    At times longer than their correlations it is 2 η √(t / 5 duration), and grows as a random walk.
-    """
+    At times longer than their correlations it is 2 η √(t / 5 duration), and grows as a random walk."""
     steps = np.sqrt(np.diff(times, prepend=0.0) * BLOCKS / (COMPONENTS * duration))
     noise = np.cumsum(rng.normal(size=(n_samples, BLOCKS, len(times))) * steps, axis=-1)
     blocks = integral + 2.0 * integral[-1] * noise
@@ -38,10 +36,8 @@ def sampled(integral, times, duration, n_samples, rng):
 
 
 def check_honesty(integrals, replicas_of, times, truth, least=0.9):
-    """Bias below half a standard error, and `least` to 0.99 of all within two of their own.
-
-    The mean of (value - truth)/error is no measure of a bias: an integral too small by chance has a smaller error, too.
-    """
+    """Bias below half a standard error, and `least` to 0.99 of all within two of their own. The mean of
+    (value - truth)/error is no measure of a bias: an integral too small by chance has a smaller error, too."""
     found = [plateau(times, *one) for one in zip(integrals, replicas_of, strict=True)]
     assert np.mean([one.is_reached for one in found]) > 0.95
     values, errors = np.array([one[:2] for one in found]).T
@@ -108,9 +104,7 @@ def transport(seed):
 @pytest.mark.slow
 def test_viscosity_and_diffusion_near_the_triple_point():
     """The mean of eight runs is within two standard errors, and so is each run but one at most.
-
-    The published diffusion is that of 1372 atoms; both are brought to an infinite system.
-    """
+    The published diffusion is that of 1372 atoms; both are brought to an infinite system."""
     viscosities, errors, infinite, infinite_errors = np.array([transport(seed) for seed in (4, *range(11, 18))]).T
     deviations = np.abs(viscosities - VISCOSITY) / errors
     assert deviations.max() < 3.0
@@ -122,10 +116,9 @@ def test_viscosity_and_diffusion_near_the_triple_point():
 
 
 DRIFT, SCALE, T = np.array([0.5, 0.0, -0.5]), "scale of the report", "temperature"
-BAROSTAT = md.StochasticCellRescaling(5.0, 0.1, 5.0, seed=4, every=5, temperature=1.0)
 MOTION = md.VelocityVerlet(0.004)
 RUNS = {  # method and options
-    "barostat": (MOTION, {"barostat": BAROSTAT}),
+    "barostat": (MOTION, {"barostat": md.StochasticCellRescaling(5.0, 0.1, 5.0, seed=4, every=5, temperature=1.0)}),
     "double": (MOTION, {}),
     "bath": (md.StochasticVelocityRescaling(0.004, 1.0, 1.0, seed=3), {}),
     "fixed-point": (MOTION, {"precision": "fixed-point"}),

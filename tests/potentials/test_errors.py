@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from wrong_calls import assert_answered
+from wrong_calls import answered
 
 import minimd as md
 
@@ -86,13 +86,7 @@ LAWS = [
     (lambda: md.Forces(TWO, type("Nothing", (), {"bind": lambda self, system: None})()), TypeError, "bind", "add"),
     (lambda: md.evaluate(ONE_SPOT, md.LennardJones(1.0, 1.0, 2.0)), md.NonFiniteError, "atoms 1 and 3, 0 σ apart"),
 ]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("call", "error", "shown"), [(*row[:2], row[2:]) for row in BONDED + PAIRS + FIELDS + TABLES + LAWS]
-)
-def test_what_is_wrong_is_named_and_shown(call, error, shown):
-    assert_answered(call, error, *shown)
+test_what_is_wrong_is_named_and_shown = answered(*BONDED, *PAIRS, *FIELDS, *TABLES, *LAWS)
 
 
 def test_poles_and_fields_that_do_not_fit_the_cell_are_no_errors():

@@ -1,7 +1,5 @@
 """Fields that depend on time: springs that are moved, and the work that goes through them into the energy."""
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -12,10 +10,7 @@ OMEGA = (K / MASS) ** 0.5
 
 
 def pulled(method, **more):
-    """One atom on a spring whose point leaves with a constant velocity.
-
-    x = vt − (v/ω) sin ωt, W = m v² (1 − cos ωt)
-    """
+    """One atom on a spring whose point leaves at constant velocity: x = vt − (v/ω) sin ωt, W = m v² (1 − cos ωt)."""
     return md.Simulation(md.System([[0.0, 0.0, 0.0]], masses=MASS), md.SteeredSpring(K, [0, 0, 0], V, **more), method)
 
 
@@ -32,26 +27,6 @@ def test_methods_keep_their_order_in_time_dependent_fields(name):
         assert record.total_energy[-1] - record.work[-1] == pytest.approx(0.0, abs=2e-3)
     assert np.log2(errors[0] / errors[1]) == pytest.approx(method.order, abs=0.2)
     assert np.log2(apart[0] / apart[1]) == pytest.approx(method.order, abs=0.3)
-
-
-FURTHER = pytest.param(md.LangevinBAOAB(0.03, 0.5, 1.0, seed=2), marks=pytest.mark.slow)
-
-
-@pytest.mark.parametrize("method", [md.PositionVerlet(0.03), FURTHER])
-def test_work_and_time_survive_pauses_copies_and_files(method, tmp_path):
-    whole, parts = (pulled(method, start=0.2, end=1.1) for _ in range(2))
-    whole.run(60, every=20, progress=False)
-    parts.run(13, every=5, progress=False)
-    assert parts.potential_energy >= 0.0
-    parts = pickle.loads(pickle.dumps(parts))
-    file = tmp_path / "pulled.h5md"
-    parts.run(20, every=10, trajectory=file, progress=False)
-    resumed = md.Simulation.resume(file, md.SteeredSpring(K, [0, 0, 0], V, start=0.2, end=1.1))
-    resumed.run(until_step=60, every=9, trajectory=file, append=True, progress=False)
-    assert resumed.positions.tolist() == whole.positions.tolist()
-    assert resumed.velocities.tolist() == whole.velocities.tolist()
-    assert resumed.work == whole.work != 0.0
-    assert resumed.time == whole.time
 
 
 @pytest.mark.parametrize("method", [md.VelocityVerlet, md.PositionVerlet])

@@ -105,10 +105,8 @@ def test_bonds_change_nothing_by_themselves_break_and_may_exclude_pairs_on_one_s
 
 
 def exact_angle(positions, k, theta0):
-    """Force on the first atom and energy of a harmonic angle δ or π − δ, δ < 0.01, with 40 digits.
-
-    By fractions, and by the series of arctan.
-    """
+    """Force on the first atom and energy of a harmonic angle δ or π − δ, δ < 0.01, with 40 digits: by fractions, and
+    by the series of arctan."""
     decimal = lambda fraction: Decimal(fraction.numerator) / Decimal(fraction.denominator)  # noqa: E731
     i, j, l = ([Fraction(c) for c in row] for row in positions.tolist())
     a, b = ([c - m for c, m in zip(end, j, strict=True)] for end in (i, l))
@@ -201,12 +199,10 @@ def test_a_restraint_is_a_spring_to_the_nearest_image_of_its_point():
 def test_parameters_given_once_or_for_each_are_of_one_type_for_the_compiler():
     """Else each combination of arrays that can be written and that cannot is compiled anew."""
     chain, fours = md.System(np.eye(5, 3)), [[0, 1, 2, 3], [1, 2, 3, 4]]
-    for make in (
-        lambda k: md.PeriodicDihedral(k, 1, 0.0, fours),
-        lambda k: md.HarmonicAngle(k, 1.0, [four[:3] for four in fours]),
-        lambda k: md.HarmonicBond(k, 1.0, [four[:2] for four in fours]),
-        lambda k: md.Wall([0, 0, -1.0], [0, 0, 1], k, 1.0, atoms=[0, 1]),
-    ):
+    twos, threes = ([four[:n] for four in fours] for n in (2, 3))
+    bonded = (lambda k: md.HarmonicBond(k, 1.0, twos)), (lambda k: md.HarmonicAngle(k, 1.0, threes))
+    wall = lambda k: md.Wall([0, 0, -1.0], [0, 0, 1], k, 1.0, atoms=[0, 1])  # noqa: E731
+    for make in (*bonded, lambda k: md.PeriodicDihedral(k, 1, 0.0, fours), wall):
         terms = [vars(make(k).bind(chain)).values() for k in (2.0, [2.0, 3.0])]
         once, each = ([str(numba.typeof(one)) for one in term if isinstance(one, tuple)] for term in terms)
         assert once == each

@@ -74,14 +74,11 @@ FIELDS = {  # and where they may act: walls lie along the periodic directions
 }
 POTENTIALS = PAIRS | BONDED | {name: field for name, (field, _) in FIELDS.items()}
 CELLS = {
-    "open": {},
-    "cube": {"cell": 4.7},
-    "triclinic": {"cell": [[4.6, 0, 0], [1.5, 4.4, 0], [-1.0, 0.7, 5.0]]},
-    "left-handed": {"cell": [[0, 4.6, 0], [4.7, 0, 0], [0, 0, 4.8]]},
+    "open": {}, "cube": {"cell": 4.7}, "triclinic": {"cell": [[4.6, 0, 0], [1.5, 4.4, 0], [-1.0, 0.7, 5.0]]},
+    "left-handed": {"cell": [[0, 4.6, 0], [4.7, 0, 0], [0, 0, 4.8]]}, "small": {"cell": 3.6},
     "slab": {"cell": [4.7, 4.9, 9.0], "pbc": (True, True, False)},
-    "small": {"cell": 3.6},
     "tube": {"cell": [9.0, 9.0, 4.8], "pbc": (False, False, True)},
-}
+}  # fmt: skip
 INSIDE = [*CELLS][:-1]
 SLOW = {"soft core", "ryckaert-bellemans", "harmonic impropers", "wall 12-6", "cylinder"}  # the mechanism of another
 
@@ -91,10 +88,9 @@ def of(name):
 
 
 OF_PAIRS = [pytest.param(*row, marks=of(row[0])) for row in itertools.product(PAIRS, INSIDE)]
-INTERNAL = [*OF_PAIRS, *(pytest.param(*row, marks=of(row[0])) for row in itertools.product(BONDED, INSIDE))]
-INTERNAL = [
-    one for one in INTERNAL if one.values not in {("charges", "slab"), ("charged", "slab"), ("reaction field", "open")}
-]
+NOT_THERE = ("charges", "slab"), ("charged", "slab"), ("reaction field", "open")
+OF_OTHERS = [row for row in itertools.product(BONDED, INSIDE) if row not in NOT_THERE]
+INTERNAL = [*OF_PAIRS, *(pytest.param(*row, marks=of(row[0])) for row in OF_OTHERS)]
 EXTERNAL = [pytest.param(name, cell, marks=of(name)) for name, (_, cells) in FIELDS.items() for cell in cells]
 
 

@@ -21,8 +21,7 @@ def morse(r2, depth, alpha, r0):
 
 def lennard_jones_96(r2, epsilon, sigma):
     s3 = (sigma * sigma / r2) ** 1.5
-    scale = epsilon * s3 * s3
-    return 4.0 * scale * (s3 - 1.0), scale * (36.0 * s3 - 24.0) / r2
+    return 4.0 * epsilon * s3 * s3 * (s3 - 1.0), epsilon * s3 * s3 * (36.0 * s3 - 24.0) / r2
 
 
 def pairs(law, truncation="truncated", **more):

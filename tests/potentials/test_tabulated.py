@@ -29,9 +29,7 @@ def force_over_distance(potential, r):
 
 def test_energy_has_the_order_of_the_spline():
     """Half the spacing: an error 2⁶ times smaller in u, 2⁵ times in the force.
-
-    Away from the ends, where the error is larger and falls off from knot to knot.
-    """
+    Away from the ends, where the error is larger and falls off from knot to knot."""
     r, pair = np.linspace(1.3, 2.2, 400), (table(100), table(199))
     energies = [np.abs(one.pair_energy(r) - LJ.pair_energy(r)).max() for one in pair]
     forces = [np.abs(force_over_distance(one, r) - 24.0 * (2.0 * r**-14 - r**-8)).max() for one in pair]

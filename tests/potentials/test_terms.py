@@ -36,24 +36,26 @@ def test_a_term_needs_nothing_but_add(argon):
     assert md.Simulation(system, [LJ, Weight()], md.VelocityVerlet(0.001)).run(2, progress=False).n_atoms == len(system)
 
 
-class Tether:
-    """U = ½ k |r − r₀|² of each atom, which begins at r₀.  spoil : changes the force.  kind : of the numbers."""
+class Anchored:
+    """Atoms begin at their anchors.  declared : what is special of an instance."""
 
-    acts_from_outside = True
-
-    def __init__(self, spoil=None, kind=np.float64, u=1.0, **declared):
-        self.spoil, self.kind, self.u = spoil, kind, u
+    def __init__(self, **declared):
         self.__dict__.update(declared)
 
     def bind(self, system):
         self.anchors = system.positions.copy()
         return self
 
+
+class Tether(Anchored):
+    """U = ½ k |r − r₀|² of each atom, which begins at r₀.  spoil : changes the force.  kind : of the numbers."""
+
+    acts_from_outside, spoil, kind, u = True, lambda self, force: None, np.float64, 1.0
+
     def add(self, system, detail, forces, energies, virials):
         away = self.kind(system.positions - self.anchors)
         force = -20.0 * away
-        if self.spoil is not None:
-            self.spoil(force)
+        self.spoil(force)
         forces += force
         if detail:
             energies += self.u * (self.kind(10.0) * (away * away).sum(axis=1) - self.kind(100.0))
@@ -78,37 +80,29 @@ def assert_found_out(kind, run):
 
 def test_a_force_that_is_not_minus_the_gradient_of_its_energy_is_refused():
     for wrong in WRONG.values():
-        assert_found_out(Tether, lambda wrong=wrong: ran(Tether(wrong)))
+        assert_found_out(Tether, lambda wrong=wrong: ran(Tether(spoil=wrong)))
     for distance in (0.0, 1e-13):  # atoms at nearly one place do not spoil the comparison
         system = md.System([[5.0, 5.0, 5.0], [5.0, 5.0, 5.0 + distance]], cell=9.0)
         md.Simulation(system, Tether(), md.VelocityVerlet(0.001)).run(1)
-        wrong = md.Simulation(system, Tether(WRONG["twice"], u=1e-3), md.VelocityVerlet(0.001))
+        wrong = md.Simulation(system, Tether(spoil=WRONG["twice"], u=1e-3), md.VelocityVerlet(0.001))
         assert_found_out(Tether, lambda wrong=wrong: wrong.run(1))
 
 
 def test_right_forces_rough_energies_and_forces_that_declare_none_run():
     """In float32, with 100 ε for each atom, differences are rounding.
-
-    A force without energy, or said to be no gradient, is the user's.  The check leaves no trace in the run.
-    """
-    for term in (Tether(kind=np.float32), Tether(WRONG["twice"], is_checked=False), Tether(WRONG["twice"], u=0.0)):
+    A force without energy, or said to be no gradient, is the user's.  The check leaves no trace in the run."""
+    twice = WRONG["twice"]
+    for term in (Tether(kind=np.float32), Tether(spoil=twice, is_checked=False), Tether(spoil=twice, u=0.0)):
         ran(term)
     one, other = (ran(Tether(is_checked=is_checked), 20).potential_energy for is_checked in (True, False))
     assert np.array_equal(one, other)
 
 
-class Steep(md.Term):
+class Steep(Anchored, md.Term):
     """Σ exp(x/s), with a force twice too large; the first evaluations have no finite energy."""
 
     seen: ClassVar = []  # times, of copies too
-
-    def __init__(self, length, n_without=0, **declared):
-        self.length, self.n_without, self.n_calls = length, n_without, 0
-        self.__dict__.update(declared)
-
-    def bind(self, system):
-        self.anchors = system.positions.copy()
-        return self
+    n_calls = 0
 
     def add(self, system, detail, forces, energies, virials):
         self.seen.append(self.time)
@@ -123,7 +117,8 @@ def test_a_wrong_force_is_found_in_any_unit_among_energies_that_are_no_numbers_a
     """Nine evaluations leave the last of three slopes finite; the others count neither for nor against."""
     start = liquid(2)
     system = md.System(length * start.positions, cell=length * start.cell.vectors)
-    simulation = md.Simulation(system, Steep(length, without, depends_on_time=time > 0.0), md.VelocityVerlet(0.001))
+    steep = Steep(length=length, n_without=without, depends_on_time=time > 0.0)
+    simulation = md.Simulation(system, steep, md.VelocityVerlet(0.001))
     simulation.engine.time = time
     Steep.seen.clear()
     assert_found_out(Steep, lambda: simulation.run(1))

@@ -106,9 +106,7 @@ def test_slopes_of_108_atoms_are_the_orders(method, truncation, cutoff):
 @pytest.mark.parametrize(("method", "timestep"), [(KahanLi6, 0.005), (KahanLi8, 0.01)])
 def test_a_switch_with_two_derivatives_leaves_order_three(method, timestep):
     """Each atom that crosses the kink of u‴ is left with an error of Δt³, whatever the method: too much above order 3.
-
-    Geometric mean over four droplets of 32 atoms.
-    """
+    Geometric mean over four droplets of 32 atoms."""
     slopes = {}
     for truncation in ("switched", "smooth"):
         both = [(seed, dt) for seed in range(4) for dt in (timestep, timestep / 2)]

@@ -2,16 +2,13 @@
 
 import copy
 import inspect
-import os
 import pickle
-import subprocess
-import sys
-from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
+from processes import ended
 from references import liquid
 from wrong_calls import assert_answered
 
@@ -49,14 +46,12 @@ law = make(11.0)
 """
 UNCHANGED = 2.0 * 3.0 * 11.0 * 7.0  # u at r = 1
 CHANGES = {
-    "constant": ("u = a", "u = 13.0 * a", 13.0 * UNCHANGED),
-    "default": ("factor=1.0", "factor=17.0", 17.0 * UNCHANGED),
+    "constant": ("u = a", "u = 13.0 * a", 13.0 * UNCHANGED), "array": ("[1.0, 3.0]", "[1.0, 9.0]", 3.0 * UNCHANGED),
+    "default": ("factor=1.0", "factor=17.0", 17.0 * UNCHANGED), "cell": ("make(11.0)", "make(5.5)", 0.5 * UNCHANGED),
     "global": ("strength = 2.0", "strength = 4.0", 2.0 * UNCHANGED),
-    "array": ("[1.0, 3.0]", "[1.0, 9.0]", 3.0 * UNCHANGED),
-    "cell": ("make(11.0)", "make(5.5)", 0.5 * UNCHANGED),
     "helper of a helper": ("7.0 * x", "3.5 * x", 0.5 * UNCHANGED),
     "global without a digest": ("strength *", "place.x *", 2.5 * UNCHANGED),
-}
+}  # fmt: skip
 EVALUATE = f"""
 pair = md.System([[0, 0, 0], [1, 0, 0]])
 def energy(source):
@@ -70,13 +65,7 @@ print(energy(LAW), *(energy(LAW.replace(old, new)) for old, new, _ in CHANGES.va
 
 def answer(code):
     """The numbers that another process prints."""
-    process = subprocess.run(
-        [sys.executable, "-c", f"import minimd as md\n{code}"],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "PYTHONPATH": str(Path(md.__file__).parents[1])},
-    )
+    process = ended("-c", f"import minimd as md\n{code}")
     assert process.returncode == 0, process.stderr
     return [float(word) for word in process.stdout.split()]
 
@@ -97,13 +86,10 @@ def on_a_pair(md, law):
 
 def on_clusters_and_bonds(md, law):
     points = [[1.1 * i, 1.1 * j, 1.1 * k] for i in range(6) for j in range(6) for k in range(6)]
-    forces, two = (
-        md.Forces(md.System(points, cell=6.6), md.PairPotential(law, (1.0,), 2.0)),
-        md.BondPotential(law, (1.0,)),
-    )
+    forces = md.Forces(md.System(points, cell=6.6), md.PairPotential(law, (1.0,), 2.0))
     forces.compute()
     assert "cluster list" in forces.pair_search
-    bonded = md.evaluate(md.System([[0, 0, 0], [1, 0, 0]], bonds=[(0, 1)]), two)
+    bonded = md.evaluate(md.System([[0, 0, 0], [1, 0, 0]], bonds=[(0, 1)]), md.BondPotential(law, (1.0,)))
     return [forces.potential_energy, bonded.potential_energy]
 
 
@@ -154,14 +140,12 @@ def test_a_function_that_calls_itself_has_a_digest():
     assert snapshot.function(3.0, 2.0) == snapshot.python(3.0, 2.0) == 9.0
 
 
-# fmt: off
 UNSEEN = [  # objects of classes of the user's, attributes of modules, arrays that may change, calls of anything
     ("strength *", "place.x *"), ("strength = 2.0", "import sys; strength = sys"), ("strength = 2.0", ""),
     ("np.array([1.0, 3.0])", "[1.0, 3.0]"), ("np.array([1.0, 3.0])", "np.zeros(10**6)"),
     ("np.array([1.0, 3.0])", "np.zeros(8)[::2]"), ("        u =", "        import math\n        u ="),
     ("@numba.njit\ndef inner", "@numba.njit('f8(f8)')\ndef inner"), ("@numba.njit\ndef inner", "def inner"),
-]
-# fmt: on
+]  # fmt: skip
 
 
 def test_what_may_change_unseen_has_no_digest():
@@ -183,11 +167,8 @@ STATES = [(LAW, True, "strength, table[1] = 4.0, 30.0"), (UNCLEAR, False, CHANGE
 
 @pytest.mark.parametrize(("source", "is_clear", "change"), STATES, ids=["clear", "unclear"])
 def test_a_law_stays_what_it_was_when_the_potential_was_made(source, is_clear, change):
-    """Compiled or not, with a digest or without.
-
-    Its shift is computed in Python at each bind, its forces by code that is compiled at the first evaluation; the cache
-    must not hold the code of a later state under the digest of an earlier one.
-    """
+    """Compiled or not, with a digest or without. Its shift is computed in Python at each bind, its forces by code that
+    is compiled at the first evaluation; the cache must not hold a later state under the digest of an earlier one."""
     names, pair = names_of(source), md.System([[0, 0, 0], [1, 0, 0]])
     potential = md.PairPotential(names["law"], (1.0,), 3.0)
     assert is_recognized(potential.law) == is_clear
@@ -231,15 +212,10 @@ def test_a_law_without_a_digest_runs_on_the_cluster_list():
     np.testing.assert_allclose(unclear.forces, clear.forces, rtol=1e-12, atol=1e-8)  # rounding
 
 
-def quartic(r2, k, length):
-    stretch = np.sqrt(r2) - length
-    return k * stretch**4, -4.0 * k * stretch**3 / np.sqrt(r2)
-
-
 class QuarticBond(Bond):
     """A bond that is soft at rest, u(r) = k (r − length)⁴."""
 
-    law = user_law(quartic)
+    law = user_law(lambda r2, k, b: (k * (np.sqrt(r2) - b) ** 4, -4.0 * k * (np.sqrt(r2) - b) ** 3 / np.sqrt(r2)))
     k: ArrayLike = declared(each, "u = k (r − length)⁴", "energy", NOT_NEGATIVE)
     length: ArrayLike = declared(each, "at rest", "length", POSITIVE, default=1.0)
     pairs: ArrayLike | None = declared(groups, of=2, default=None)

@@ -356,8 +356,7 @@ def verdict(kind, folder, known, n_least):
 class Survey:
     """States of the disk of a run, and what becomes of each; those that are the same when repaired are judged once.
 
-    kind : of the run.  disk : its part of the disk.  made : the folder in which it was made.  scratch : folder.
-    """
+    kind : of the run.  disk : its part of the disk.  made : the folder in which it was made.  scratch : folder."""
 
     def __init__(self, kind, disk, made, scratch):
         self.kind, self._disk, self._scratch, self.seen, self._frames = kind, disk, scratch, {}, {}

@@ -27,7 +27,6 @@ STRANGE += [[], (), {}, set(), INF, -INF, -1.0, -1, 0, 0.0, 5e-324, 1e-300, 1e30
 STRANGE += [Fraction(3, 2), np.float32(2.5), np.float32(1e-40), np.float16(3), np.int8(-1), np.uint64(2)]
 STRANGE += [[True, 2.0, 3.0], np.array([None, 1.0]), np.array([]), np.zeros((0, 3)), np.zeros((2, 2, 2))]
 STRANGE += [np.full((3, 3), INF)]
-# fmt: off
 CHANGES = {  # of an array of good numbers
     "masked": lambda good: np.ma.masked_array(good, mask=np.ones_like(good, dtype=bool)),
     "complex": lambda good: good + 1j,        "texts": lambda good: good.astype(str),
@@ -38,14 +37,10 @@ CHANGES = {  # of an array of good numbers
     "single": lambda good: good.astype(np.float32), "list": lambda good: good.tolist(),
     "deeper": lambda good: good[None],        "longer": lambda good: np.repeat(good, 2, axis=0),
     "objects": lambda good: good.astype(object),
-}
-# fmt: on
+}  # fmt: skip
 
 
 # fmt: off
-def inverse_square(r2, a):
-    return a / r2, 2.0 * a / r2**2
-
 def system(**changed):
     return md.System(**{"positions": THREE, "cell": 10.0, "bonds": [[0, 1], [0, 2]], "species": list("ABA")} | changed)
 
@@ -59,9 +54,6 @@ def called(name):
 
 def energy_of(kind):
     return lambda **arguments: md.evaluate(system(), kind(**arguments)).potential_energy
-
-def energies_of(kind):
-    return lambda **arguments: kind(**arguments).pair_energy(1.0)
 
 def run_by(kind):
     return lambda **arguments: simulation(kind(**arguments))
@@ -86,6 +78,7 @@ SWITCHED = {"truncation": "switched", "switch_start": 2.0, "bonded_scale": (0.0,
 UNLIKE = {"mixing": "geometric", "pairs": {("A", "B"): (0.7, 1.0)}}
 SOLVED = {"tolerance": 1e-10, "solver": "auto"}
 SCENE = {"system": system(), "potentials": LJ}
+INVERSE_SQUARE = {"law": lambda r2, a: (a / r2, 2.0 * a / r2**2), "parameters": (1.0,), "cutoff": 2.5}
 BATH = {"timestep": 0.001, "temperature": 1.0, "seed": 3}
 DOORS = [  # a name, a call, and arguments with which it works
     ("System", system, {"positions": THREE, "masses": [1.0, 2.0, 3.0], "velocities": THREE, "cell": [9.0, 9.0, 9.0]}),
@@ -95,7 +88,7 @@ DOORS = [  # a name, a call, and arguments with which it works
     ("Cell", md.Cell, {"vectors": np.eye(3), "pbc": np.array([True, True, False])}),
     ("LennardJones", energy_of(md.LennardJones), {"epsilon": 1.0, "sigma": 1.0, "cutoff": 2.5} | SWITCHED),
     ("LennardJones", energy_of(md.LennardJones), {"epsilon": SPECIES, "cutoff": CUTOFFS} | UNLIKE),
-    ("PairPotential", energies_of(md.PairPotential), {"law": inverse_square, "parameters": (1.0,), "cutoff": 2.5}),
+    ("PairPotential", lambda **given: md.PairPotential(**given).pair_energy(1.0), INVERSE_SQUARE),
     ("pair_energy", LJ.pair_energy, {"r": [1.0, 2.0, 3.0]}),
     ("HarmonicBond", energy_of(md.HarmonicBond), {"k": [3.0, 1.0], "length": [1.0, 0.0], "pairs": [[0, 1], [1, 2]]}),
     ("HarmonicAngle", energy_of(md.HarmonicAngle), {"k": [3.0], "angle": [1.0], "triples": [[0, 1, 2]]}),

@@ -11,10 +11,9 @@ import minimd as md
 from minimd.files.h5md_reader import read_file
 from minimd.mdanalysis import universe
 
-NAN = float("nan")
 TWO_KINDS = {"species": ["A", "B"] * 128}
 CHANGES = {
-    "NaN": (lambda sim: sim.positions.__setitem__(3, NAN), md.NonFiniteError, "positions of 1 atoms"),
+    "NaN": (lambda sim: sim.positions.__setitem__(3, np.nan), md.NonFiniteError, "positions of 1 atoms"),
     "a small cell": (lambda sim: setattr(sim.system, "cell", md.Cell.of(2.0)), md.NonFiniteError, "atoms .* apart"),
     "one spot": (lambda sim: sim.positions.__setitem__(0, sim.positions[1]), md.NonFiniteError, "atoms 0 and 1, 0 σ"),
     "a long step": (lambda sim: setattr(sim, "method", md.VelocityVerlet(0.5)), md.NonFiniteError, "timestep 0.5 τ"),
@@ -31,8 +30,7 @@ def test_what_an_observer_breaks_is_named(name):
     simulation = made(solid(3), SMOOTH, 0.004, temperature=1.0)
     with pytest.raises(error, match=words):
         simulation.run(100, every=10, observers=[lambda sim: change(sim) if sim.step == 20 else None], progress=False)
-    assert simulation.step == 20
-    assert len(simulation.record) == 3
+    assert (simulation.step, len(simulation.record)) == (20, 3)
 
 
 def test_subnormal_and_negative_zero_numbers_are_numbers_but_masses_may_be_too_small_for_their_forces():
@@ -43,16 +41,13 @@ def test_subnormal_and_negative_zero_numbers_are_numbers_but_masses_may_be_too_s
 
 
 HOLED = md.PairPotential(lambda r2, a: (0.0 * r2, 0.0 * r2 / (abs(r2 - a) > 0.01)), (1.21,), 2.5, "truncated")
-ENDING = md.PairPotential(lambda r2, a: ((a - r2) ** 0.5, 0.0 * r2), (1.21,), 2.5, "truncated")
+FLYING = pair_at(2.0, velocities=[[1.0, 0, 0], [0, 0, 0]])
 
 
-@pytest.mark.parametrize("is_long", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_a_law_with_a_hole_stops_where_an_atom_falls_into_it(is_long):
-    flying = pair_at(2.0, velocities=[[1.0, 0, 0], [0, 0, 0]])
+@pytest.mark.parametrize("system", [FLYING, pytest.param(solid(3), marks=pytest.mark.slow)])
+def test_a_law_with_a_hole_stops_where_an_atom_falls_into_it(system):
     where = r"At step \d+: .*not finite.*\n?.*atoms"
-    cases = [(HOLED, solid(3), where), (ENDING, flying, "not finite")] if is_long else [(HOLED, flying, where)]
-    for law, system, words in cases:
-        assert_stops(partial(ran, system, law, 0.004, 400, temperature=1.0), md.NonFiniteError, words)
+    assert_stops(partial(ran, system, HOLED, 0.004, 400, temperature=1.0), md.NonFiniteError, where)
 
 
 def test_positions_set_as_a_whole_are_those_that_move():
@@ -94,17 +89,14 @@ def test_an_observer_that_heats_is_no_runaway():
     assert record.kinetic_energy.max() > 1e4 * abs(record.total_energy[0])
 
 
-def exploding():
-    """A dumbbell whose step is past its limit, in a cell: good for some frames."""
-    return made(md.System([[4, 4, 4], [5.1, 4, 4], [1, 1, 1]], bonds=[[0, 1]], cell=9.0), SPRING, 2.0005 / 2**0.5)
-
-
 FURTHER = [pytest.param(one, marks=pytest.mark.slow) for one in (".xtc", ".trr", ".extxyz", ".traj")]
 
 
 @pytest.mark.parametrize("suffix", [".h5md", ".dcd", *FURTHER])
 def test_files_of_a_run_that_blows_up_hold_the_last_good_frame(suffix, tmp_path):
-    simulation, every, file = exploding(), 10, tmp_path / f"a{suffix}"
+    """Of a dumbbell whose step is past its limit, in a cell: good for some frames."""
+    system = md.System([[4, 4, 4], [5.1, 4, 4], [1, 1, 1]], bonds=[[0, 1]], cell=9.0)
+    simulation, every, file = made(system, SPRING, 2.0005 / 2**0.5), 10, tmp_path / f"a{suffix}"
     assert_stops(lambda: simulation.run(2000, every=every, trajectory=file), md.NonFiniteError, LAST_GOOD)
     frames = frames_in(file, 3)
     assert len(frames) == len(simulation.record) == simulation.step // every + 1 > 2
@@ -116,6 +108,5 @@ def test_files_of_a_run_that_blows_up_hold_the_last_good_frame(suffix, tmp_path)
     assert np.abs(moved - np.rint(moved)).max() < 1e-2 + farthest  # float32 of what stands some cells away
     if suffix == ".h5md":
         contents = read_file(file)
-        assert len(universe(file).trajectory) == len(frames)
-        assert contents.step == simulation.step
+        assert (len(universe(file).trajectory), contents.step) == (len(frames), simulation.step)
         assert np.array_equal(contents.system.positions, simulation.positions)

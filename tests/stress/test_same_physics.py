@@ -1,7 +1,6 @@
 """Units, lists, threads, order of atoms, images, places and cells: what must not change the physics.
 
-A scene yields what was found, what is expected, and by how much they may differ: rounding and its growth.
-"""
+A scene yields what was found, what is expected, and by how much they may differ: rounding and its growth."""
 
 from itertools import product
 from math import sqrt
@@ -11,7 +10,6 @@ import pytest
 from stress_scenes import OPEN, ROUNDING, SMOOTH, forces_of, made, oscillation, ran, scaled, solid
 
 import minimd as md
-from minimd.structure.lattice import BASES, crystal
 
 pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
 POWERS = [(1e-30, 1, 1), (1e30, 1, 1), (1, 1e-30, 1), (1, 1e30, 1), (1, 1, 1e-30), (1, 1, 1e30), (1e-30, 1e30, 1e-30)]
@@ -54,12 +52,11 @@ def skins(cell):
 
 def of_places():
     """One bin holds everything; around the corner eight corners hold a piece each; atoms exactly on the faces."""
-    positions, _ = crystal("fcc", [4, 4, 4], 1.68)
+    positions, edges = md.lattice.crystal("fcc", [4, 4, 4], 1.68)
     systems = [md.System(positions - shift, cell=500.0) for shift in (0.0, 3.0)]
     one, other = (ran(system, SMOOTH, 0.004, 100) for system in systems)
     yield one.positions - 3.0, other.positions, 1e-11
     # On 0, on the edge, one ulp beside both, and negative zero.
-    positions, edges = crystal("fcc", [4, 4, 4], 1.68)
     expected = forces_of(md.System(positions, cell=edges), SMOOTH).potential_energy
     rng, edge = np.random.default_rng(2), edges[0]
     faces = [0.0, -0.0, edge, -edge, np.nextafter(0, -1), np.nextafter(edge, 9)]
@@ -120,7 +117,7 @@ def sites_of_a_crystal(lattice):
         edges = edges * [5, 3, 3]
     else:
         spacing, n_cells = {"sc": (1.1, 5), "bcc": (1.26, 5), "fcc": (1.56, 5), "diamond": (2.54, 3)}[lattice]
-        positions, edges = crystal(lattice, [n_cells] * 3, spacing)
+        positions, edges = md.lattice.crystal(lattice, [n_cells] * 3, spacing)
     system, n_steps = md.System(positions, cell=edges), 50 if lattice in ("sc", "bcc", "diamond") else 1000
     yield forces_of(system, SMOOTH).forces, 0.0, 1e-11
     yield ran(system, SMOOTH, 0.004, n_steps).positions, positions, 1e-10
@@ -128,7 +125,7 @@ def sites_of_a_crystal(lattice):
 
 FAR, OF_UNITS = (1e3, 1e6, 1e9), product([*POWERS, SI, (1e-60, 1, 1), (1e60, 1, 1)], (2, 4))
 SAME = {two_or_many: [()], of_places: [()], units: OF_UNITS, chains: POWERS[:4], skins: product((True, False))}
-SAME |= {far_away: product(FAR), sites_of_a_crystal: product([*BASES, "hcp"])}
+SAME |= {far_away: product(FAR), sites_of_a_crystal: product([*md.lattice.BASES, "hcp"])}
 
 
 @pytest.mark.parametrize(("scene", "given"), [(scene, given) for scene, rows in SAME.items() for given in rows])

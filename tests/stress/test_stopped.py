@@ -5,11 +5,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-
-# isort: off
-from stress_scenes import BOTTOM, FREQUENCY, LAST_GOOD, OPEN, SMOOTH, SPRING, STIFF, WEAK, assert_stops
-from stress_scenes import in_a_row, made, pair_at, ran, rigid_chain, rigid_ring, scaled, solid
-# isort: on
+import stress_scenes as stress
+from stress_scenes import FREQUENCY, LAST_GOOD, OPEN, SMOOTH, SPRING, STIFF, assert_stops, made, pair_at, ran, solid
 
 import minimd as md
 
@@ -38,7 +35,7 @@ def with_one_more(place, cell=True):
 def refused_scenes():
     """Name, call, what the sentence must show."""
     for size in (1e-160, 1e160, 1e300):
-        yield f"units {size}", partial(scaled, size, 1.0, 1.0, 2), "take other units"
+        yield f"units {size}", partial(stress.scaled, size, 1.0, 1.0, 2), "take other units"
     yield "an atom beyond float64", partial(md.System, [[0, 0, 0], [1e160, 0, 0]]), "take other units"
     for skin in (1e4, 1e300):
         yield f"skin {skin}", partial(ran, solid(), SMOOTH, 0.004, 10, skin=skin), "skin"
@@ -50,7 +47,11 @@ def refused_scenes():
     fixed = md.FixedAtoms(np.ones(32, dtype=bool))
     yield "all fixed", partial(ran, solid(2), SMOOTH, 0.004, 10, constraints=fixed), "no degree of freedom"
     fixed, one_spot = md.DistanceConstraints([[1, 2]]), md.System([[0, 0, 0], [1, 0, 0], [1, 0, 0]])
-    yield "rigid on one spot", partial(ran, one_spot, WEAK, 0.01, 10, constraints=fixed), "1 and 2 are at the same"
+    yield (
+        "rigid on one spot",
+        partial(ran, one_spot, stress.WEAK, 0.01, 10, constraints=fixed),
+        "1 and 2 are at the same",
+    )
 
 
 def scenes_that_meet():
@@ -78,13 +79,13 @@ def scenes_that_break():
     yield "collapse", solid(3), collapse, 0.004, ["atoms .* apart"], {}
     hot = [f"too hot, timestep 0.01 τ too large.*\n.*moves .* in one step.*atoms .* σ apart.* {LAST_GOOD}"]
     yield "hot and dense", solid(3), SMOOTH, 0.01, hot, {"temperature": 50.0}
-    fixed = md.System([[0, 0, 0], [0, 0, 0], [BOTTOM, 0, 0]])
+    fixed = md.System([[0, 0, 0], [0, 0, 0], [stress.BOTTOM, 0, 0]])
     yield "fixed overlap", fixed, OPEN, 0.004, ["atoms 0 and 1, 0 σ apart"], {"constraints": md.FixedAtoms([0, 1])}
     others = md.integrators
     for method in (md.PositionVerlet, md.Leapfrog, others.BlanesMoan4, others.PEFRL, others.Ruth3):
         yield method.__name__, DUMBBELL.copy(), SPRING, 4.0, [GONE], {"method": method(12.0 / FREQUENCY)}
     for x in (2.05, 2.5, 4.0):
-        beads = in_a_row(20, 0.1 * np.sin(np.arange(20)))
+        beads = stress.in_a_row(20, 0.1 * np.sin(np.arange(20)))
         yield f"beads {x}", beads, STIFF, x / 40.0, ["total energy has gone from", "too large"], {}
     for potential, speed in ((OPEN, 100.0), (SMOOTH, 100.0), (SMOOTH, 1000.0)):
         two = md.System([[0, 0, 0], [4.0, 0.1, 0]], velocities=[[speed, 0, 0], [-speed, 0, 0]])
@@ -116,9 +117,9 @@ def test_what_breaks_is_stopped_with_its_cause(row):
 
 @pytest.mark.parametrize("timestep", [0.1, 0.3, 1.0, 10.0, 1e6])
 def test_rigid_bonds_with_a_long_time_step_are_named(timestep):
-    for system, bonds in (rigid_ring(), rigid_chain(1e-3)):
+    for system, bonds in (stress.rigid_ring(), stress.rigid_chain(1e-3)):
         words = r"constraint \d+ \(atoms \d+-\d+\) cannot be kept", "reduce the timestep"
-        run = partial(ran, system, WEAK, timestep, 2000, temperature=1.0, constraints=bonds)
+        run = partial(ran, system, stress.WEAK, timestep, 2000, temperature=1.0, constraints=bonds)
         assert_stops(run, md.ConstraintError, *words)
 
 

@@ -37,8 +37,7 @@ def test_repr_is_the_call_with_all_that_is_no_default():
 
 
 class Odd(Displayed):
-    def __str__(self):
-        return "a <b>          words & more\n               of the same"
+    __str__ = lambda self: "a <b>          words & more\n               of the same"  # noqa: E731
 
 
 def test_a_system_tells_its_net_charge_and_takes_rounding_for_none():
@@ -52,8 +51,7 @@ def test_a_system_tells_its_net_charge_and_takes_rounding_for_none():
 
 def test_html_is_escaped():
     assert Odd().display_rows() == [("a <b>", "words & more"), ("", "of the same")]
-    assert "a &lt;b&gt;</th>" in Odd()._repr_html_()
-    assert "words &amp; more" in Odd()._repr_html_()
+    assert [words for words in ("a &lt;b&gt;</th>", "words &amp; more") if words not in Odd()._repr_html_()] == []
 
 
 def test_names_that_are_offered_are_public_ones_that_exist():
@@ -76,8 +74,7 @@ def test_warnings_are_passed_over_in_one_thread_alone():
             leave.wait(10.0)
             warnings.warn("nobody hears this", stacklevel=1)
 
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         with quiet():
             other = threading.Thread(target=elsewhere)
             other.start()

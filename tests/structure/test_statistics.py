@@ -2,17 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from references import processes
 
 from minimd.structure import statistics
 
 LOW, HIGH = 0.85, 1.3  # of an error bar beside what it should be; found in a short run, it itself scatters
-
-
-def processes(n_series, length, decay, rng):
-    """(length, n_series) of unit variance and correlation decayⁿ."""
-    noise = np.sqrt(1.0 - decay**2) * rng.normal(size=(length + 8 * int(1.0 / (1.0 - decay)), n_series))
-    return lfilter([1.0], [1.0, -decay], noise, axis=0)[-length:]
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.8, 0.95])
@@ -27,10 +21,8 @@ def test_the_error_of_a_mean_is_what_means_scatter_by(decay):
 
 
 def test_few_entries_and_constant_series():
-    assert np.isnan(statistics.mean_and_error([1.0, 2.0])[1])
-    assert np.isnan(statistics.mean_and_error([])[0])
-    assert statistics.mean_and_error([2.0] * 10) == (2.0, 0.0)
-    assert statistics.statistical_inefficiency([2.0] * 10) == 1.0
+    assert np.isnan([statistics.mean_and_error([1.0, 2.0])[1], statistics.mean_and_error([])[0]]).all()
+    assert (*statistics.mean_and_error([2.0] * 10), statistics.statistical_inefficiency([2.0] * 10)) == (2.0, 0.0, 1.0)
     assert (statistics.with_error(1.23456, 0.0123), statistics.with_error(2.0, 0.0)) == ("1.235 ± 0.012", "2")
 
 
@@ -41,10 +33,8 @@ SLOW = [(0.0, 1), (0.5, 12), (0.5, 25), (0.5, 100), (0.8, 25), (0.95, 12), (0.95
 @pytest.mark.parametrize(("share", "times"), SLOW)
 def test_an_error_bar_knows_slow_correlations(n_blocks, share, times):
     """Of a ratio of sums, one of which has fast and slow parts, as D follows the temperature of a bath.
-
     times : slow correlation times in a run.  share : of the slow part in the variance of the mean.  Uncorrelated blocks
-    would give 0.4 to 0.8 of the error where it is 0.5 or more.
-    """
+    would give 0.4 to 0.8 of the error where it is 0.5 or more."""
     n_runs, n, rng = 600, 8 * n_blocks, np.random.default_rng(7)
     decay = np.exp(-times / n)
     slow = np.sqrt(share * (1.0 - decay) / (1.0 + decay)) * processes(n_runs, n, decay, rng)

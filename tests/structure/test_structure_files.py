@@ -81,10 +81,9 @@ file = "{file}"
 
 def tables(laws):
     """[[potential]] tables of a scene, as TOML."""
-    given = {
-        name: "".join(f"{key} = {json.dumps(value)}\n" for key, value in law.items()) for name, law in laws.items()
-    }
-    return "".join(f'[[potential]]\ntype = "{name}"\n{lines}' for name, lines in given.items())
+    given = [{"type": name} | law for name, law in laws.items()]
+    lines = (["[[potential]]", *(f"{key} = {json.dumps(value)}" for key, value in law.items())] for law in given)
+    return "".join("\n".join(one) + "\n" for one in lines)
 
 
 DIHEDRAL, IMPROPER = {"k": 0.5, "n": 3}, {"k": 1.0, "angle_degree": 30.0}
@@ -95,14 +94,13 @@ GROUP_LAWS = ANGLE_LAW + tables({"periodic-dihedral": DIHEDRAL, "harmonic-improp
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(here):
     """The melt in all formats."""
-    monkeypatch.chdir(tmp_path)
-    write_data(tmp_path / "melt.data")
-    write_pdb(tmp_path / "melt.pdb", with_bonds=True)
-    write_pdb(tmp_path / "plain.pdb", with_bonds=False)
-    write_psf(tmp_path / "melt.psf")
-    return tmp_path
+    write_data(here / "melt.data")
+    write_pdb(here / "melt.pdb", with_bonds=True)
+    write_pdb(here / "plain.pdb", with_bonds=False)
+    write_psf(here / "melt.psf")
+    return here
 
 
 def scene(folder, form, more=None, laws=""):
@@ -123,8 +121,7 @@ def test_melt_from_a_file_runs_with_its_groups_and_ends_as_fragments(folder, for
     """The end-to-end distance from the file that was written is that of the engine."""
     names = {"data": list(GROUPS), "psf": ["bonds", "angles"], "pdb": ["bonds"]}[form]
     laws = {"data": GROUP_LAWS, "psf": ANGLE_LAW, "pdb": ""}[form]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         sim = run_scene(scene(folder, form, laws=laws), tell=lambda _: None)
     heavy = np.arange(20) % LENGTH == 0
     np.testing.assert_array_equal(sim.system.masses, np.where(heavy, 2.0, 1.0) if form == "data" else np.ones(20))
@@ -189,8 +186,7 @@ def test_scenes_have_every_field_and_law():
 def test_bonds_that_are_not_used_are_told(folder, form):
     with pytest.warns(UserWarning, match=rf"melt.{form}' has 16 bonds.*, which are not used.*bonds = \"file\""):
         assert len(scene(folder, form, more="").system().bonds) == 0
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         assert len(scene(folder, form, more="bonds = []").system().bonds) == 0
         assert scene(folder, form, more="bonds = [[0, 1]]").system().bonds.tolist() == [[0, 1]]
 
@@ -237,20 +233,16 @@ def test_bonds_of_atoms_that_were_cut_or_repeated_are_not_trusted(folder, change
 
 
 EMPTY = MDAnalysis.Universe.empty(3, trajectory=True)  # of no masses: they are one in reduced units
-WRONG = {
-    "no format": (lambda: system_from_file("melt.unknown"), ValueError, "format"),
-    "other atoms": (lambda: system_from_file("small.xyz", bonds="melt.psf"), ValueError, "melt.psf", "20", "7"),
-    "no universe": (lambda: md.System.from_mdanalysis("melt.pdb"), TypeError, "str"),
-    "no masses": (lambda: md.System.from_mdanalysis(EMPTY), ValueError, "masses"),
-}
 
 
 def test_what_cannot_be_a_structure_is_named(folder):
     (folder / "melt.unknown").write_text("LAMMPS\n")
     atoms = ase.io.read("plain.pdb")
     ase.io.write("small.xyz", atoms[:7])
-    for call, error, *shown in WRONG.values():
-        assert_answered(call, error, *shown)
+    assert_answered(lambda: system_from_file("melt.unknown"), ValueError, "format")
+    assert_answered(lambda: system_from_file("small.xyz", bonds="melt.psf"), ValueError, "melt.psf", "20", "7")
+    assert_answered(lambda: md.System.from_mdanalysis("melt.pdb"), TypeError, "str")
+    assert_answered(lambda: md.System.from_mdanalysis(EMPTY), ValueError, "masses")
     atoms.arrays["bonds"] = np.array(["25(1)", *["_"] * 19])
     assert_answered(lambda: md.System.from_ase(atoms), ValueError, "atom 0", "25(1)")
     assert md.System.from_mdanalysis(EMPTY, units=md.units.LJ).masses.tolist() == [1.0] * 3
@@ -270,8 +262,7 @@ def test_system_from_a_universe_is_the_one_that_wrote_it(tmp_path, units):
     for name in ("positions", "velocities"):
         np.testing.assert_allclose(getattr(new, name), getattr(old, name), rtol=2e-7)
     np.testing.assert_allclose(new.cell.vectors, old.cell.vectors, atol=1e-5)
-    assert new.cell.pbc.all()
-    assert new.units is units
+    assert (new.cell.pbc.all(), new.units is units) == (True, True)
     assert not md.System.from_mdanalysis(made, units=units, pbc=False, bonds=()).cell.pbc.any()
 
 
@@ -279,8 +270,7 @@ def test_group_of_atoms_keeps_the_bonds_within_it(folder):
     part = md.System.from_mdanalysis(MDAnalysis.Universe("melt.psf", "plain.pdb").select_atoms("resid 2 3")[::-1])
     np.testing.assert_allclose(part.positions, POSITIONS[5:15][::-1], atol=1e-6)
     same_groups(part.bonds, [[9 - i + 5, 9 - j + 5] for i, j in BONDS if 5 <= i < 15])
-    assert part.species.tolist() == ["CT"] * 10
-    assert len(part.angles) == 6
+    assert (part.species.tolist(), len(part.angles)) == (["CT"] * 10, 6)
 
 
 IONS = [0.5, -0.8476]

@@ -13,7 +13,6 @@ import minimd as md
 pytestmark = pytest.mark.slow
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]  # WebGL without a graphics card
-FOCUS = "document.activeElement.id || document.activeElement.tagName"
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +64,7 @@ class Opened:
 
     def tab_to(self, name):
         for _ in range(60):
-            if self.page.evaluate(FOCUS) == name:
+            if self.page.evaluate("document.activeElement.id || document.activeElement.tagName") == name:
                 return
             self.page.keyboard.press("Tab")
             if self.page.evaluate("document.activeElement !== document.body"):
@@ -99,10 +98,8 @@ def test_the_page_makes_no_request_and_no_error(browser, request, kind, scheme):
 
 def test_a_browser_without_webgl_is_told_and_shows_the_rest(browser, run_page):
     opened = Opened(browser, run_page, init="HTMLCanvasElement.prototype.getContext = () => null")
-    assert opened.page.is_visible("#scene-error")
-    assert not opened.page.is_visible("#shown")
-    assert opened.page.is_visible("#picture")
-    assert opened.errors == []
+    visible = [opened.page.is_visible(f"#{name}") for name in ("scene-error", "shown", "picture")]
+    assert (visible, opened.errors) == ([True, False, True], [])
 
 
 def test_frames_advance_when_played_and_the_atoms_move_and_are_where_the_file_has_them(browser, run_page):
@@ -112,9 +109,7 @@ def test_frames_advance_when_played_and_the_atoms_move_and_are_where_the_file_ha
     opened.wait("minimd.player.frame > 5")
     opened.page.click("#play")
     stopped = opened.frame()
-    assert first == 0
-    assert opened.pixels() != before
-    assert opened.frame() == stopped
+    assert (first, opened.pixels() == before, opened.frame()) == (0, False, stopped)
     assert f"frame {stopped + 1} of 31: step {20 * stopped}, t = " in opened.page.inner_text("#time")
     seen = np.array(list(opened.page.evaluate("Array.from(minimd.motion.positions(30))"))).reshape(-1, 3)
     differences = (seen - Parts(run_page.read_text(encoding="utf-8")).positions()[30]) @ cell.inverse

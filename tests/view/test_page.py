@@ -19,7 +19,6 @@ from view_pages import LEVELS, Parts, skewed_chains
 from wrong_calls import assert_answered
 
 import minimd as md
-from minimd.commands import main as cli
 from minimd.mdanalysis.universes import universe_of
 from minimd.structure.cell import nearest_vectors
 from minimd.view import View
@@ -61,9 +60,8 @@ def test_the_page_asks_nobody_and_texts_of_a_scene_are_shown_and_not_run(run):
         assert not asks_nobody(run.html.replace("</main>", f"{spoiled}</main>"))
     assert not asks_nobody(run.html.replace("default-src 'none'", "default-src *"))
     made = page(run.story._replace(title='<script>alert("1")</script>', report="</pre><img src=x>"))
-    assert "<script>alert" not in made
     assert html.escape('<script>alert("1")</script>') in made
-    assert "</pre><img" not in made
+    assert not re.search("<script>alert|</pre><img", made)
 
 
 @pytest.mark.parametrize("pbc", [(1, 1, 1), (1, 1, 0)], ids=["bulk", "slab"])
@@ -127,8 +125,7 @@ def test_frames_and_atoms_are_thinned_and_bonds_are_those_of_the_system_and_of_l
     assert (len(chosen_frames(301, 200)), chosen_frames(3, 200).tolist()) == (200, [0, 1, 2])
     assert chosen_frames(7, 3, latest=True).tolist() == [4, 5, 6]
     some = chosen_atoms(10 * ATOMS, (3, 77))
-    assert (len(some), len(chosen_atoms(ATOMS))) == (ATOMS + 2, ATOMS)
-    assert {3, 77} <= set(some.tolist())
+    assert (len(some), len(chosen_atoms(ATOMS)), {3, 77} <= {*some.tolist()}) == (ATOMS + 2, ATOMS, True)
     pairs = md.DistanceConstraints([[5, 4], [1, 2]], 1.0)
     system = md.System(np.arange(18.0).reshape(6, 3), bonds=[[0, 1], [2, 1]], constraints=[pairs])
     assert bonds_among(np.arange(6), system).tolist() == [[0, 1], [1, 2], [4, 5]]
@@ -159,8 +156,7 @@ def test_a_failed_run_shows_its_last_steps_and_marks_the_pair(tmp_path):
     error, found = caught.value, caught.value.crash_report
     made = md.view(error.file, potentials=simulation.potentials, frames=2).html
     parts, pair = Parts(made), (found.pair.first, found.pair.second)
-    assert tuple(parts.about["marked"]) == pair
-    assert parts.about["names"] == [str(atom) for atom in pair]
+    assert (tuple(parts.about["marked"]), parts.about["names"]) == (pair, [str(atom) for atom in pair])
     assert html.escape(found.cause) in made
     assert parts.about["steps"] == [found.last_good_step - 1, found.last_good_step]  # the last ones, of more
     assert found.first_step < parts.about["steps"][0]
@@ -174,16 +170,13 @@ def test_a_failed_run_shows_its_last_steps_and_marks_the_pair(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_page_and_names_it(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_the_command_writes_a_page_and_names_it(monkeypatch, told, here):
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)
     skewed_chains().run(20, every=10, trajectory="a.h5md")
-    assert cli.main(["view", "a.h5md", "--frames", "2", "--open"]) == 0
-    assert "a.html: 2 frames of 12 atoms" in capsys.readouterr().out
+    assert "a.html: 2 frames of 12 atoms" in told("view", "a.h5md", "--frames", 2, "--open")
     assert "2 of 3 frames are shown." in Path("a.html").read_text(encoding="utf-8")
     assert opened == [Path("a.html").resolve().as_uri()]
     Path("c.toml").write_text(melt_scene(4, 20))
     for arguments, shown in ((["b.h5md"], "'b.h5md'"), (["a.h5md", "--scene", "c.toml"], "did not fail")):
-        assert cli.main(["view", *arguments]) == 2
-        assert shown in capsys.readouterr().err
+        assert shown in told("view", *arguments, code=2)

@@ -58,7 +58,7 @@ WRONG_WATER = [
     ('"OPC3"', '"SPC"', "water.model", "'SPC/E'", '"SPC"'), ("density_g_cm3", "density", "mean 'density_g_cm3'?"),
     ("0.95", "-0.95", "water.density_g_cm3", "-0.95"), ("= 4.0", "= -4.0", "water.cutoff_A", "-4.0"),
     ("1e-4", "0.5", "water: accuracy", "0.5"), ("27", "1_000_000_000", "water.molecules", "1000000000"),
-    (WATER.splitlines()[1], "", "structure is missing"), (WATER.splitlines()[1], "water = 3", "water must be a table", "= 3"),
+    (WATER.splitlines()[1], "", "structure is missing"), (WATER.splitlines()[1], "water = 3", "must be a table", "= 3"),
     (WATER, 'units = "LJ"\nwater = {}\ndynamics = { timestep = 1.0, steps = 1 }', 'units = "LJ"', '"ASE"'),
 ]
 NO_TABLES = [  # what stands in the file of a table, None for no file, and what the sentence must contain

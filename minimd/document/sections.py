@@ -268,13 +268,13 @@ class TabulatedSection(Section):
         Raises ValueError for tables that do not fit."""
         tables = {name: table_of(name) for name in self.files}
         first = self.files[0]
-        if other := next((name for name, table in tables.items() if table.r != tables[first].r), None):
+        if others := [name for name, table in tables.items() if table.r != tables[first].r]:
             raise ValueError(
-                f"the tables of one potential must have the same r; those of {other!r} and {first!r} differ"
+                f"the tables of one potential must have the same r; those of {others[0]!r} and {first!r} differ"
             )
         by_pair: Any = {tuple(one.species): tables[one.file].u for one in self.pairs or ()}
-        others = self.model_dump(exclude={"type", "file", "pairs"})
-        return Tabulated(tables[first].r, by_pair or tables[first].u, **others)
+        options = self.model_dump(exclude={"type", "file", "pairs"})
+        return Tabulated(tables[first].r, by_pair or tables[first].u, **options)
 
 
 class DynamicsSection(Section):
@@ -446,7 +446,7 @@ class SceneSections(Section):
         given, temperature = self.model_fields_set, f"dynamics.{DynamicsSection.key('temperature', units)}"
         pairs, is_cold = self.constraints and self.constraints.pairs, self.dynamics.temperature is None
         named = {name for one in self.potential if isinstance(one, TabulatedSection) for name in one.files}
-        unused = next((name for name in self.tables if name not in named), None)
+        unused = ", tables.".join(repr(name) for name in self.tables if name not in named)
         faults = {
             "structure is missing; give it, or water in its place": not given & {"structure", "water"},
             "potential is missing; give it": not given & {"potential", "water"},
@@ -458,6 +458,6 @@ class SceneSections(Section):
             'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs': (
                 pairs == "bonds" and not self.structure.bonds
             ),
-            f"no tabulated potential uses tables.{unused!r}; give it as the file of one, or leave it out": unused,
+            f"no tabulated potential uses tables.{unused}; give it as the file of one, or leave it out": unused,
         }
         yield from (fault for fault, is_there in faults.items() if is_there)

@@ -65,6 +65,14 @@ MEANINGS = {
             "that names them, from which charges are taken, too, if the first has none"
         ),
     },
+    "water": {
+        "model": "its numbers are in the table of [water](water.md)",
+        "molecules": "an O and two H each, in this order",
+        "density": "from which the edge of the cubic cell follows",
+        "cutoff": "of Lennard-Jones and charges; 9 Å if not given, or 0.45 of the edge if that is less",
+        "accuracy": "of the forces of charges, as of the potential `coulomb`",
+        "seed": "of the orientations",
+    },
     "constraints": {
         "pairs": 'of atoms whose distance is held; `"bonds"` for those of the structure',
         "lengths": "one for all, or one for each pair; as they are at the start if not given",
@@ -190,6 +198,12 @@ NOTES = {
         "Either `file`, or `lattice` with `repeat` and `density` or `lattice_constant`, and `element` unless units "
         "are reduced."
     ),
+    "water": (
+        "Rigid water by the name of its model, instead of `[structure]`: atoms, charges, potentials and constraints, "
+        "as `md.water` makes them. Further potentials may be added. `[water]` alone is 512 molecules of SPC/E. They "
+        "stand on a lattice, turned at random: give a `[minimization]`, and an `[equilibration]` or a bath. "
+        "`units` is ASE; `[constraints]` has no `pairs` then."
+    ),
     "constraints": "Optional. What it does not name is taken from the structure file.",
     "potential, lennard-jones": (
         "Double brackets: a scene can have several potentials. Either `epsilon` and `sigma`, or `species`."
@@ -274,13 +288,14 @@ def what(name: str, kind: object, limits: list[object]) -> str:
     return {int: "whole number", float: "number", bool: "true or false", str: "text"}[kind] + (least or above)  # type: ignore[index]
 
 
-def default(info: typing.Any, section: type[Section]) -> str:
-    """The default of a key, in words."""
+def default(info: typing.Any, size: float) -> str:
+    """The default of a key, in words.  size : of the unit of the key, in that of the engine."""
     if info.is_required():
         return "required"
     if info.default is None or info.default is PydanticUndefined or isinstance(info.default, Section):
         return ""
-    return f"`{json.dumps(info.default)}`" if info.default != "" else "none"
+    shown = info.default / size if isinstance(info.default, float) else info.default
+    return f"`{json.dumps(shown)}`" if info.default != "" else "none"
 
 
 def rows(name: str, section: type[Section]) -> Iterator[str]:
@@ -289,10 +304,12 @@ def rows(name: str, section: type[Section]) -> Iterator[str]:
         if any(True for _ in classes_in(info.annotation)) and name == "":
             continue
         dimension = next((mark for mark in info.metadata if isinstance(mark, Dimension)), None)
-        keys, units, reduced = [field], "", ""
+        keys, units, reduced, size = [field], "", "", 1.0
         if dimension is not None:
             keys = [field + ending for ending in KEY_UNITS["ASE"][dimension]]
-            units, reduced = " or ".join(UNITS[ending] for ending in KEY_UNITS["ASE"][dimension]), REDUCED[dimension]
+            size = next(iter(KEY_UNITS["ASE"][dimension].values()))
+            units = " or ".join(UNITS[ending] for ending in KEY_UNITS["ASE"][dimension])
+            reduced = "" if name == "water" else REDUCED[dimension]
             if dimension == "angle":
                 reduced = f"`{field}_degree`, {reduced}"
         kind = what(field, info.annotation, list(info.metadata))
@@ -305,7 +322,7 @@ def rows(name: str, section: type[Section]) -> Iterator[str]:
             kind,
             units,
             reduced,
-            default(info, section),
+            default(info, size),
         ]
         yield f"| {' | '.join(cells)} |"
 

@@ -35,6 +35,14 @@ output = { every = 2 }
 potential = [{ type = "lennard-jones", epsilon = 1.0, sigma = 1.0, cutoff = 1.3 }, \
     { type = "coulomb", cutoff = 1.39, accuracy = 1e-4, method = "ewald" }]
 """
+WATER = """
+water = { model = "OPC3", molecules = 27, density_g_cm3 = 0.95, cutoff_A = 4.0, accuracy = 1e-4, seed = 3 }
+minimization = { max_steps = 3 }
+dynamics = { timestep_fs = 1.0, steps = 4, temperature_K = 300.0 }
+output = { every = 2, trajectory = "a.h5md" }
+potential = [{ type = "constant-force", force_eV_A = [0.01, 0.0, 0.0] }]
+observer = [{ kind = "mean-square-displacement", every = 1 }]
+"""
 
 
 def write_tables(scale=1.0):

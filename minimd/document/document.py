@@ -1,6 +1,5 @@
 """A scene file: its text, checked, and what it describes: atoms, potentials, method, bath, observers, files."""
 
-import itertools
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -48,23 +47,26 @@ class Document:
         Raises ValueError, OSError, with the name of the file, for a structure that cannot be read or is impossible,
         or for impossible constraints.
         """
-        with blamed_on(f"{self.path}: structure"):
-            system = self._from_lattice() if self.sections.structure.file is None else self._from_file()
-            system = changed(
-                system, **self.sections.structure.model_dump(include={"species", "charges"}, exclude_none=True)
-            )
+        structure, water = self.sections.structure, self.sections.water
+        with blamed_on(f"{self.path}: {'structure' if water is None else 'water'}"):
+            made = self._from_lattice if structure.file is None else self._from_file
+            system = made() if water is None else water.system()
+            system = changed(system, **structure.model_dump(include={"species", "charges"}, exclude_none=True))
         return self.constrained(system)
 
     def potentials(self) -> list[Any]:
-        """The potentials, in the order of the file.  Raises ValueError with the name of the file and the entry."""
-        return list(
+        """The potentials, those of water first, in the order of the file.
+        Raises ValueError with the name of the file and the entry."""
+        with blamed_on(f"{self.path}: water"):
+            first: list[Any] = [] if self.sections.water is None else self.sections.water.potentials()
+        return first + list(
             self._each(lambda one: one.potential(*([self._table] if isinstance(one, TabulatedSection) else [])))
         )
 
     def tables(self) -> dict[str, Numbers]:
         """The numbers of all tables of tabulated laws, by name.  Raises ValueError as potentials."""
-        files = self._each(lambda one: [(name, self._table(name)) for name in getattr(one, "files", ())])
-        return dict(itertools.chain.from_iterable(files))
+        each = self._each(lambda one: [(name, self._table(name)) for name in getattr(one, "files", ())])
+        return dict(table for tables in each for table in tables)
 
     def _each(self, made: Callable[[Any], Made]) -> Iterator[Made]:
         """What is made of each section of a potential; errors are blamed on the section."""
@@ -91,8 +93,7 @@ class Document:
         """New observers as described in the scene.  Raises ValueError, with the file, if two have the same name."""
         made = [section.observer() for section in self.sections.observer]  # type: ignore[attr-defined]
         if len({one.name for one in made}) < len(made):
-            remedy = "give each observer of the same kind another name"
-            raise ValueError(f"{self.path}: two observers have the same name; {remedy}")
+            raise ValueError(f"{self.path}: two observers have the same name; give each of the same kind another name")
         return made
 
     def trajectories(self, instead: Path | None = None) -> list[Path]:
@@ -116,8 +117,10 @@ class Document:
         if plot is False or (beside and not drawn):
             return None
         if not drawn:
-            given = f"output.trajectory = {list(map(str, trajectories))}"
-            raise ValueError(f"{self.path}: output.plot needs a trajectory that ends in .h5md; {given}")
+            raise ValueError(
+                f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = "
+                f"{list(map(str, trajectories))}"
+            )
         picture = Path(plot) if isinstance(plot, str) else drawn[0].with_suffix(".png")
         return drawn[0].with_suffix(picture.suffix) if beside else picture
 
@@ -181,9 +184,10 @@ def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[An
     for the messages.  Raises ValueError if there is no scene, or as stored."""
     if scene:
         return stored(Document, scene, file).potentials()
-    those, remedy = "; ".join(words), "or give the command a scene that has them with --scene"
-    remedy = f"pass those of the script, as in minimd.replay(file, [...]), {remedy}"
-    raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials, {those}; {remedy}")
+    remedy = "pass those of the script, as in minimd.replay(file, [...]), or give the command a scene with --scene"
+    raise ValueError(
+        f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; {remedy}"
+    )
 
 
 def parsed(kind: type[D], text: str, path: Path) -> D:

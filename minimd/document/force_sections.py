@@ -14,22 +14,12 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, FiniteFloat, NonNegativeInt, create_model
 
 from minimd import potentials
-from minimd.document.section import (
-    Atoms,
-    Dimension,
-    NotNegative,
-    PairOfAtoms,
-    Positive,
-    QuadrupleOfAtoms,
-    Section,
-    TripleOfAtoms,
-    Vector,
-)
+from minimd.document.section import Atoms, Dimension, NotNegative, PairOfAtoms, Positive, Section, Vector
 from minimd.potentials import declared as law
 from minimd.potentials.bonded import Bonded
 
 NUMBERS = {law.NOT_NEGATIVE: NotNegative, law.POSITIVE: Positive, law.WHOLE: NonNegativeInt, law.ANGLE: NotNegative}
-GROUPS: dict[int, Any] = {2: list[PairOfAtoms], 3: list[TripleOfAtoms], 4: list[QuadrupleOfAtoms]}
+GROUPS: dict[int, Any] = {n: list[Annotated[list[int], Field(min_length=n, max_length=n)]] for n in (2, 3, 4)}
 KINDS: dict[Any, Any] = dict.fromkeys((law.vector, law.vectors, law.weight, law.direction, law.factors), Vector) | {
     law.points: Annotated[list[Vector], Field(min_length=1)],
     law.coefficients: Annotated[list[FiniteFloat], Field(min_length=1, max_length=law.MOST_COEFFICIENTS)],

@@ -58,15 +58,14 @@ def _told(details: Any, reading: Reading) -> tuple[str, str]:
         *kinds, last = (repr(get_args(one.annotation)[0]) for one in types)
         return place, f"{place}.type is missing; give the kind of the potential: {', '.join(kinds)} or {last}"
     if kind == "union_tag_invalid":
-        allowed, given = details["ctx"]["expected_tags"], _shown(value["type"])
-        return place, f"{place}.type must be one of {allowed}; {place}.type = {given}"
+        allowed = f"must be one of {details['ctx']['expected_tags']}"
+        return place, f"{place}.type {allowed}; {place}.type = {_shown(value['type'])}"
     if kind == "model_type" and not isinstance(value, dict):
         section = next(one for one in sections_below(Section) if one.__name__ == details["ctx"]["class_name"])
         wanted = ", ".join(section.keys(reading.units))
         return place, f"{place} must be a table with the keys {wanted}; {place} = {_shown(value)}"
     if place == "potential" and isinstance(value, dict):
-        why = "with two brackets, because a scene can have several; it is [potential]"
-        return place, f"potential must be written [[potential]], {why}"
+        return place, "potential must be written [[potential]], because a scene can have several; it is [potential]"
     words = details["msg"]
     for theirs, ours in PLAIN.items():
         words = words.replace(theirs, ours)

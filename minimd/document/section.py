@@ -6,18 +6,9 @@ value is in the units of the engine.
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Self, cast
+from typing import Annotated, Any, Self
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    FiniteFloat,
-    NonNegativeInt,
-    ValidationInfo,
-    model_validator,
-)
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, model_validator
 
 from minimd.structure.checks import LARGEST
 from minimd.structure.units import BAR, BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3, PICOSECOND
@@ -51,8 +42,6 @@ NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 Vector = Annotated[list[FiniteFloat], Three]
 Atoms = list[NonNegativeInt]
 PairOfAtoms = Annotated[list[int], Field(min_length=2, max_length=2)]
-TripleOfAtoms = Annotated[list[int], Three]
-QuadrupleOfAtoms = Annotated[list[int], Field(min_length=4, max_length=4)]
 UNKNOWN = "?"  # put before a key that its section does not know
 
 
@@ -76,11 +65,6 @@ class Reading:
         """The keys that a table of the document may have; none if it is not a section."""
         section = self.sections.get(id(table))
         return section.keys(self.units) if section else {}
-
-
-def reading_of(info: ValidationInfo) -> Reading:
-    """The context of a validation."""
-    return cast(Reading, info.context)
 
 
 class Section(BaseModel):
@@ -108,21 +92,21 @@ class Section(BaseModel):
         yield from ()
 
     @model_validator(mode="after")
-    def _fits_together(self, info: ValidationInfo) -> Self:
-        for fault in self.faults(reading_of(info).units):
+    def _fits_together(self, info: Any) -> Self:
+        for fault in self.faults(info.context.units):
             raise ValueError(fault)
         return self
 
     @model_validator(mode="before")
     @classmethod
-    def _without_units(cls, table: Any, info: ValidationInfo) -> Any:
+    def _without_units(cls, table: Any, info: Any) -> Any:
         """The table with the names of fields as keys, and numbers in the units of the engine.
 
         A key that is unknown, or gives a quantity for the second time, gets a name that is not a field.
         """
         if not isinstance(table, dict):
             return table
-        reading = reading_of(info)
+        reading: Reading = info.context
         reading.sections[id(table)] = cls
         keys, fields = cls.keys(reading.units), {}
         for key, value in table.items():

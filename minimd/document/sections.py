@@ -17,16 +17,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, NonNegativeInt, Positiv
 from minimd.console.quiet import quiet
 from minimd.console.words import printable
 from minimd.document.force_sections import ForceSection
-from minimd.document.section import (
-    KEY_UNITS,
-    Dimension,
-    NotNegative,
-    PairOfAtoms,
-    Positive,
-    Section,
-    Three,
-    one_of,
-)
+from minimd.document.section import KEY_UNITS, Dimension, NotNegative, PairOfAtoms, Positive, Section, Three, one_of
 from minimd.forces.options import Precision
 from minimd.integrators import SPLITTINGS, THERMOSTATS, Splitting, StochasticCellRescaling
 from minimd.integrators.splitting.barostats import COUPLINGS
@@ -34,12 +25,15 @@ from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, M
 from minimd.observers import KINDS, Accumulator, arguments
 from minimd.potentials import LennardJones, Tabulated
 from minimd.potentials.pair import FEWEST, MIXING
+from minimd.potentials.term import OwnPotential
 from minimd.potentials.truncation import TRUNCATIONS
+from minimd.potentials.water import ModelName, water, water_potentials
 from minimd.structure.checks import checked_count
 from minimd.structure.constraints import Constraint, DistanceConstraints, FixedAtoms, SolverName
 from minimd.structure.lattice import BASES
+from minimd.structure.system import MOST_ATOMS, System, changed
+from minimd.structure.units import GRAM_PER_CM3
 
-COLUMNS = 2
 Column = Annotated[list[FiniteFloat], Field(min_length=FEWEST)]
 
 
@@ -71,9 +65,11 @@ def read_table(path: Path) -> Numbers:
         raise ValueError(f"table {str(path)!r} cannot be read: {error.strerror or error}") from None
     except ValueError as error:
         raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u: {error}") from None
-    if columns.shape[1:] != (COLUMNS,) or not len(columns):
-        found = f"it has {len(columns)} lines of {columns.shape[1]}"
-        raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u; {found}")
+    if columns.shape[1:] != (2,) or not len(columns):
+        raise ValueError(
+            f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} lines of "
+            f"{columns.shape[1]}"
+        )
     return Numbers(*columns.T.tolist())
 
 
@@ -94,9 +90,8 @@ METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
 class StructureSection(Section):
     """[structure]: a file that ASE or MDAnalysis reads, or a block of a cubic crystal.
 
-    format : name of the format, for a file whose suffix does not show it.  bonds : pairs of atoms;
-        "file" for the bonds, angles and dihedrals in
-    the file; or the name of another file that holds them.
+    format : name of the format, for a file whose suffix does not show it.  bonds : pairs of atoms; "file" for the
+        bonds, angles and dihedrals in the file; or the name of another file that holds them.
     """
 
     file: str | None = None
@@ -116,20 +111,38 @@ class StructureSection(Section):
         """See Section."""
         if (self.file is None) == (self.lattice is None):
             yield "must have either file or lattice"
-        forbidden = ("cell", "format") if self.file is None else ("element", "repeat", "density", "lattice_constant")
-        for name in forbidden:
-            if getattr(self, name) is not None:
-                yield f"cannot have {name} together with {'lattice' if self.file is None else 'file'}"
+        of_files, of_lattices = ("cell", "format"), ("element", "repeat", "density", "lattice_constant")
+        made, others = ("lattice", of_files) if self.file is None else ("file", of_lattices)
+        yield from (f"cannot have {name} together with {made}" for name in others if name in self.model_fields_set)
         if self.file is not None:
             return
         if isinstance(self.bonds, str):
             yield "cannot have bonds from a file together with lattice; list the pairs, or give the structure as a file"
-        for name in ("repeat", "element") if units == "ASE" else ("repeat",):
-            if getattr(self, name) is None:
-                yield f"must have {name} together with lattice"
+        needed = ("repeat", "element") if units == "ASE" else ("repeat",)
+        yield from (f"must have {name} together with lattice" for name in needed if name not in self.model_fields_set)
         if (self.density is None) == (self.lattice_constant is None):
-            either = f"{self.key('density', units)} or {self.key('lattice_constant', units)}"
-            yield f"must have either {either} together with lattice"
+            density, edge = self.key("density", units), self.key("lattice_constant", units)
+            yield f"must have either {density} or {edge} together with lattice"
+
+
+class WaterSection(Section):
+    """[water]: rigid water instead of [structure], with its potentials and constraints: see minimd.potentials.water."""
+
+    model: ModelName = "SPC/E"
+    molecules: Annotated[PositiveInt, Field(le=MOST_ATOMS // 3)] = 512
+    density: Annotated[Positive, Dimension("density")] = 0.997 * GRAM_PER_CM3
+    cutoff: Annotated[Positive | None, Dimension("length")] = None
+    accuracy: Positive = 1e-5
+    seed: NonNegativeInt = 0
+
+    def system(self) -> System:
+        """The molecules, held rigid.  Raises ValueError as water."""
+        system, _, rigid = water(self.model, self.molecules, self.density / GRAM_PER_CM3, seed=self.seed)
+        return changed(system, constraints=(rigid,))
+
+    def potentials(self) -> list[OwnPotential]:
+        """Its potentials, also of a run in a file, without making molecules.  Raises ValueError as water."""
+        return water_potentials(self.model, self.molecules, self.density / GRAM_PER_CM3, self.cutoff, self.accuracy)
 
 
 class ConstraintsSection(Section):
@@ -255,13 +268,13 @@ class TabulatedSection(Section):
         Raises ValueError for tables that do not fit."""
         tables = {name: table_of(name) for name in self.files}
         first = self.files[0]
-        for name, table in tables.items():
-            if table.r != tables[first].r:
-                differ = f"those of {name!r} and {first!r} differ"
-                raise ValueError(f"the tables of one potential must have the same r; {differ}")
+        if others := [name for name, table in tables.items() if table.r != tables[first].r]:
+            raise ValueError(
+                f"the tables of one potential must have the same r; those of {others[0]!r} and {first!r} differ"
+            )
         by_pair: Any = {tuple(one.species): tables[one.file].u for one in self.pairs or ()}
-        others = self.model_dump(exclude={"type", "file", "pairs"})
-        return Tabulated(tables[first].r, by_pair or tables[first].u, **others)
+        options = self.model_dump(exclude={"type", "file", "pairs"})
+        return Tabulated(tables[first].r, by_pair or tables[first].u, **options)
 
 
 class DynamicsSection(Section):
@@ -282,15 +295,18 @@ class DynamicsSection(Section):
         if self.method in THERMOSTATS and missing:
             yield f"must have {' and '.join(missing)} with method {self.method!r}"
         if self.method not in THERMOSTATS and self.relaxation_time is not None:
-            key, why = self.key("relaxation_time", units), "which has no relaxation time"
-            yield f"cannot have {key} with method {self.method!r}, {why}; {', '.join(THERMOSTATS)} have one"
+            yield (
+                f"cannot have {self.key('relaxation_time', units)} with method {self.method!r}, which has no "
+                f"relaxation time; {', '.join(THERMOSTATS)} have one"
+            )
 
     def integrator(self) -> Splitting:
         """The method with its time step; a thermostat with its bath."""
         if self.method not in THERMOSTATS:
             return SPLITTINGS[self.method](self.timestep)
-        bath = self.temperature, self.relaxation_time, self.seed
-        return THERMOSTATS[self.method].with_relaxation_time(self.timestep, *bath)
+        return THERMOSTATS[self.method].with_relaxation_time(
+            self.timestep, self.temperature, self.relaxation_time, self.seed
+        )
 
 
 class BarostatSection(Section):
@@ -309,10 +325,7 @@ class BarostatSection(Section):
 
 
 class MinimizationSection(Section):
-    """[minimization]: first of all, the atoms are moved to a nearby minimum of the potential energy.
-
-    The table may be empty.
-    """
+    """[minimization]: first of all, atoms move to a nearby minimum of the potential energy. The table may be empty."""
 
     force_tolerance: Annotated[Positive, Dimension("force")] = FORCE_TOLERANCE
     max_steps: NonNegativeInt = MAX_STEPS
@@ -416,9 +429,10 @@ class SceneSections(Section):
 
     title: Annotated[str, AfterValidator(printable)] = ""
     units: Literal["ASE", "LJ"] = "ASE"
-    structure: StructureSection
+    structure: StructureSection = StructureSection.model_construct()
+    water: WaterSection | None = None
     constraints: ConstraintsSection | None = None
-    potential: Annotated[list[PotentialSection], Field(min_length=1)]
+    potential: Annotated[list[PotentialSection], Field(min_length=1)] = Field([])
     dynamics: DynamicsSection
     barostat: BarostatSection | None = None
     minimization: MinimizationSection | None = None
@@ -429,13 +443,21 @@ class SceneSections(Section):
 
     def faults(self, units: str) -> Iterator[str]:
         """See Section."""
-        temperature = f"dynamics.{DynamicsSection.key('temperature', units)}"
-        if self.equilibration is not None and self.dynamics.temperature is None:
-            yield f"equilibration needs {temperature}, at which the first velocities are drawn"
-        if self.barostat is not None and self.dynamics.temperature is None:
-            yield f"barostat needs {temperature}, the temperature of its noise"
-        if self.constraints is not None and self.constraints.pairs == "bonds" and not self.structure.bonds:
-            yield 'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs'
+        given, temperature = self.model_fields_set, f"dynamics.{DynamicsSection.key('temperature', units)}"
+        pairs, is_cold = self.constraints and self.constraints.pairs, self.dynamics.temperature is None
         named = {name for one in self.potential if isinstance(one, TabulatedSection) for name in one.files}
-        for unused in (name for name in self.tables if name not in named):
-            yield f"no tabulated potential uses tables.{unused!r}; give it as the file of one, or leave it out"
+        unused = ", tables.".join(repr(name) for name in self.tables if name not in named)
+        faults = {
+            "structure is missing; give it, or water in its place": not given & {"structure", "water"},
+            "potential is missing; give it": not given & {"potential", "water"},
+            "structure and water both give all atoms; leave one of them out": given >= {"structure", "water"},
+            "constraints.pairs would replace those of water; leave them out": self.water and pairs is not None,
+            f'water needs units = "ASE"; units = "{units}"': self.water and units != "ASE",
+            f"equilibration needs {temperature}, at which first velocities are drawn": self.equilibration and is_cold,
+            f"barostat needs {temperature}, the temperature of its noise": self.barostat and is_cold,
+            'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs': (
+                pairs == "bonds" and not self.structure.bonds
+            ),
+            f"no tabulated potential uses tables.{unused}; give it as the file of one, or leave it out": unused,
+        }
+        yield from (fault for fault, is_there in faults.items() if is_there)

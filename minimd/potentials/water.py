@@ -68,9 +68,8 @@ def water(
 
     Raises ValueError for an unknown model, a number of molecules below one, a density or cutoff that is not positive.
     """
-    length, angle, charge, epsilon, sigma = MODELS[checked_choice("model", model, MODELS)]
-    n, density = checked_count("n", n), checked_number("density", density, "positive and finite")
-    edge = (n * sum(MASSES) / (density * GRAM_PER_CM3)) ** (1.0 / 3.0)
+    potentials, edge = water_potentials(model, n, density, cutoff, accuracy), edge_of(n, density)
+    length, angle, charge, _, _ = MODELS[model]
     # the lattice with the fewest empty places, from which some are left out evenly
     repeats = {name: ceil(round((n / len(BASES[name])) ** (1.0 / 3.0), 9)) for name in ("sc", "bcc", "fcc")}
     name = min(repeats, key=lambda one: len(BASES[one]) * repeats[one] ** 3)
@@ -89,11 +88,25 @@ def water(
         cell=edge,
         units=ASE,
     )
-    cutoff = min(CUTOFF, OF_BOX * edge) if cutoff is None else checked_number("cutoff", cutoff, "positive and finite")
-    parameters = {"O": (epsilon / KJ_PER_MOL_PER_EV, sigma), "H": (0.0, 1.0)}
-    excluded, start = (0.0, 0.0, 1.0), SWITCH_FROM * cutoff
-    options = {"switch_start": start, "bonded_scale": excluded, "tail_correction": True}
-    of_oxygen = LennardJones(parameters, None, cutoff, "switched", **options)  # type: ignore[arg-type]
     lengths = np.tile([length, length, 2.0 * length * sin(half)], n)
     rigid = DistanceConstraints((first + [[0, 1], [0, 2], [1, 2]]).reshape(-1, 2), lengths)
-    return system, [of_oxygen, Coulomb(cutoff, accuracy, bonded_scale=excluded)], rigid
+    return system, potentials, rigid
+
+
+def edge_of(n: int, density: float) -> float:
+    """Edge of the box [Å] of n molecules.  density : [g/cm³].  Raises ValueError if it or n is not positive."""
+    density = checked_number("density", density, "positive and finite")
+    return (checked_count("n", n) * sum(MASSES) / (density * GRAM_PER_CM3)) ** (1.0 / 3.0)
+
+
+def water_potentials(
+    model: ModelName, n: int, density: float, cutoff: float | None, accuracy: float
+) -> list[OwnPotential]:
+    """The potentials of water, without its molecules.  Arguments and errors are those of water."""
+    _, _, _, epsilon, sigma = MODELS[checked_choice("model", model, MODELS)]
+    most, excluded = min(CUTOFF, OF_BOX * edge_of(n, density)), (0.0, 0.0, 1.0)
+    cutoff = most if cutoff is None else checked_number("cutoff", cutoff, "positive and finite")
+    parameters = {"O": (epsilon / KJ_PER_MOL_PER_EV, sigma), "H": (0.0, 1.0)}
+    options = {"switch_start": SWITCH_FROM * cutoff, "bonded_scale": excluded, "tail_correction": True}
+    of_oxygen = LennardJones(parameters, None, cutoff, "switched", **options)  # type: ignore[arg-type]
+    return [of_oxygen, Coulomb(cutoff, accuracy, bonded_scale=excluded)]

@@ -24,7 +24,7 @@ from minimd.simulation.simulation import Simulation
 from minimd.structure.errors import ConstraintError, NonFiniteError, sentence
 
 Tell = Callable[[str], None]
-OF_THE_START = ("structure.", "minimization.", "equilibration.")
+OF_THE_START = ("structure.", "water.seed", "minimization.", "equilibration.")
 LONGEST_VALUE = 60  # characters of a value in a message
 CLOCK = 1.0  # s, the coarsest time stamps of a file system
 

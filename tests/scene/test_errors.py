@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from references import liquid, melt_scene
-from scene_texts import ARGON, MIXTURE, REDUCED, SALT, TABULATED, everything_of, scene_of, write_tables
+from scene_texts import ARGON, MIXTURE, REDUCED, SALT, TABULATED, WATER, everything_of, scene_of, write_tables
 from wrong_calls import assert_answered
 
 import minimd as md
@@ -51,6 +51,16 @@ WRONG_SALT = [
     ("1e-4", "0.5", "potential[1]: accuracy", "0.5"), ('"ewald"', '"pme"', "potential[1].method", "'reaction-field'"),
     ("cutoff = 1.39, ", "", "cutoff", "periodic cell"), ("cutoff = 1.39", "cutof = 1.39", "did you mean 'cutoff'?"),
 ]
+WRONG_WATER = [
+    ("\nwater", '\nstructure = { file = "a.xyz" }\nwater', "structure and water"), ("27", "0", "molecules", "= 0"),
+    ("\nwater", '\nconstraints = { pairs = "bonds" }\nwater', "constraints.pairs", "water"),
+    ("\nwater", "\nconstraints = { pairs = [] }\nwater", "constraints.pairs", "water"), ("27", "10e9", "10000000000.0"),
+    ('"OPC3"', '"SPC"', "water.model", "'SPC/E'", '"SPC"'), ("density_g_cm3", "density", "mean 'density_g_cm3'?"),
+    ("0.95", "-0.95", "water.density_g_cm3", "-0.95"), ("= 4.0", "= -4.0", "water.cutoff_A", "-4.0"),
+    ("1e-4", "0.5", "water: accuracy", "0.5"), ("27", "1_000_000_000", "water.molecules", "1000000000"),
+    (WATER.splitlines()[1], "", "structure is missing"), (WATER.splitlines()[1], "water = 3", "must be a table", "= 3"),
+    (WATER, 'units = "LJ"\nwater = {}\ndynamics = { timestep = 1.0, steps = 1 }', 'units = "LJ"', '"ASE"'),
+]
 NO_TABLES = [  # what stands in the file of a table, None for no file, and what the sentence must contain
     (None, "'lj.dat'", "does not exist"), ("".join(f"{k} nan\n" for k in range(6)), "u must be finite"),
     ("1 a\n", "'lj.dat'", "'a'"), ("1 2\n2 3\n", "r must be", "6"),
@@ -64,7 +74,8 @@ NO_TOML = [
     (f"[{'a . ' * 20_000}a]", DEEP),
 ]
 ROWS = [(REDUCED, *row) for row in WRONG] + [(ARGON.read_text(), *row) for row in WRONG_ARGON] + WRONG_TABLES
-ROWS += [(SALT, *row) for row in WRONG_SALT]
+ROWS += [(SALT, *row) for row in WRONG_SALT] + [(WATER, *row) for row in WRONG_WATER]
+ROWS += [(SALT, SALT[SALT.index("potential = ") :], "", "potential is missing")]
 # fmt: on
 
 

@@ -11,7 +11,7 @@ from time import process_time
 import numpy as np
 import pytest
 from answers import answer_of, assert_right
-from scene_texts import everything_of
+from scene_texts import WATER, everything_of
 
 STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 SECONDS, KILOBYTES = 2.0, 1_000_000  # for one scene, of processor time
@@ -59,7 +59,7 @@ potential = [{type = "tabulated", cutoff = 1.6, truncation = "switched", pairs =
     {species = ["A", "A"], file = "like"}, {species = ["A", "B"], file = "unlike"}, \
     {species = ["B", "B"], file = "like"}]}, {type = "coulomb", cutoff = 1.6, bonded_scale = [0.0, 0.0, 1.0]}]
 """
-SCENES = [tomllib.loads(text) for text in (MELT, ARGON, DUMBBELLS, TABLE)]
+SCENES = [tomllib.loads(text) for text in (MELT, ARGON, DUMBBELLS, TABLE, WATER)]
 SENSELESS = [math.nan, "", "no such thing", {}, {"a": 1}, [[[]]], [{"b": []}], -(2**63), "\0", "1.0", ["1", "2", "3"]]
 STRANGE = [True, False, 0, 1, -1, 3, 10**4, 2**62, 0.0, -0.0, 0.5, -2.5, 1e-300, 5e-324, 1e-9, 1e9, 1e300]
 STRANGE += [math.inf, -math.inf, [], [0, 0, 0], "auto", "Ar", "LJ"]

@@ -9,7 +9,7 @@ import pytest
 from ase import Atoms
 from ase.io import write
 from references import melt_scene
-from scene_texts import ARGON, MIXTURE, REDUCED, SALT, TABULATED, R, U, scene_of, write_tables
+from scene_texts import ARGON, MIXTURE, REDUCED, SALT, TABULATED, WATER, R, U, scene_of, write_tables
 
 import minimd as md
 from minimd.document.section import KEY_UNITS, Section, sections_below
@@ -140,6 +140,29 @@ def test_charges_of_a_scene_are_those_of_its_species_its_list_or_its_file(folder
     assert energy_of(by_file) == pytest.approx(energy_of(by_species), rel=1e-12)
     run_scene(scene_of(SALT, "ions.toml"))
     assert resume_run("ions.h5md", 4).system.charges.tolist() == system.charges.tolist()
+
+
+def test_water_of_a_scene_is_that_of_a_script_and_goes_on_from_its_file_alone(folder):
+    """To the last bit: atoms, potentials with those that are added, rigid bonds, and the run."""
+    scene, (system, potentials, rigid) = scene_of(WATER), md.water("OPC3", 27, 0.95, cutoff=4.0, accuracy=1e-4, seed=3)
+    simulation, added = scene.simulation(), md.ConstantForce([0.01, 0.0, 0.0])
+    script = md.Simulation(system, [*potentials, added], md.VelocityVerlet(md.units.fs), rigid)
+    assert list(map(repr, simulation.potentials)) == list(map(repr, script.potentials))
+    script.set_temperature(300.0, seed=1)
+    ours, theirs = (run.run(4, every=4) for run in (simulation, script))
+    assert np.array_equal(simulation.positions, script.positions)
+    assert np.array_equal(ours.total_energy, theirs.total_energy)
+    assert np.array_equal(simulation.system.charges, system.charges)
+    told = []
+    whole = run_scene(scene, steps=8, trajectory=folder / "whole.h5md", tell=told.append)
+    run_scene(scene, tell=told.append)
+    resumed = resume_run("a.h5md", 4, tell=told.append)
+    assert np.array_equal(resumed.positions, whole.positions)
+    assert np.array_equal(resumed.velocities, whole.velocities)
+    assert resumed.n_dof == whole.n_dof == 6 * 27
+    assert np.array_equal(read_file("a.h5md").record.total_energy, read_file("whole.h5md").record.total_energy)
+    assert not any("NOTE" in line for line in told)
+    assert load_scene(ARGON.with_name("water.toml")).simulation().n_dof == 747
 
 
 def test_every_registered_thermostat_is_built_from_its_own_parameters(monkeypatch):

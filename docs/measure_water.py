@@ -65,8 +65,13 @@ def lammps(file, cutoff, accuracy, lj_cutoff, *more):
     epsilon = MODEL.epsilon / 4.184 if more else 0.0
     lines = ["units real", "atom_style full", "special_bonds lj/coul 0 0 1", f"read_data {file}"]
     lines += [f"pair_style lj/cut/coul/long {lj_cutoff} {cutoff}", "pair_coeff * * 0 1"]
-    lines += [f"pair_coeff 1 1 {epsilon} {MODEL.sigma}", "bond_style zero", "bond_coeff 1", "angle_style zero"]
-    lines += ["angle_coeff 1", f"kspace_style pppm {accuracy}", "neighbor 1.0 bin"]
+    lines += [f"pair_coeff 1 1 {epsilon} {MODEL.sigma}", "bond_style harmonic", "angle_style harmonic"]
+    lines += [
+        f"bond_coeff 1 0 {MODEL.length}",
+        f"angle_coeff 1 0 {MODEL.angle}",
+        f"kspace_style pppm {accuracy}",
+        "neighbor 1.0 bin",
+    ]
     lines += ["neigh_modify delay 0 every 1 check yes", f"timestep {TIMESTEP}", "thermo 1000000", *more, "run 0"]
     made.commands_list(lines)
     return made

@@ -1,14 +1,12 @@
 """What ASE reads of the files of a run, and finds of minimd by the entry points in pyproject.toml."""
 
-import subprocess
-import sys
-
 import ase.io
 import numpy as np
 import pytest
 from argon_atoms import REPOSITORY, define, entry_points
 from ase.calculators.calculator import get_calculator_class
 from h5md_runs import simulation
+from processes import ended
 from references import liquid
 from scenes import LJ
 from wrong_calls import assert_answered
@@ -49,8 +47,7 @@ def test_ase_reads_the_frames_of_a_run(name, written, known):
         step, time, positions, velocities, forces = looked
         assert (atoms.info["step"], atoms.info["time"]) == (step, time)
         assert atoms.get_potential_energy() == energy
-        assert np.array_equal(atoms.cell.array, system.cell.vectors)
-        assert atoms.pbc.all()
+        assert system.cell.same_as(md.Cell.of(atoms.cell.array, atoms.pbc))
         assert atoms.get_chemical_symbols() == system.species.tolist()
         assert is_near(atoms.positions, positions, FILES[name] * (FILES[name] == TEXT))
         assert is_near(atoms.get_masses(), system.masses, FILES[name])
@@ -77,19 +74,14 @@ print(*[(p.name, p.implementation.__name__) for p in plugins if p.package == 'mi
 
 
 @pytest.mark.slow
-def test_ase_finds_format_and_calculator_by_the_entry_points(tmp_path, monkeypatch):
+def test_ase_finds_format_and_calculator_by_the_entry_points(tmp_path):
     """The format without loading minimd: everybody who imports ase.io would wait for it."""
     place = tmp_path / "site" / "minimd-0.dist-info"  # installed as far as entry points go
     place.mkdir(parents=True)
-    rows = (
-        (group, f"{name} = {target}") for group, points in entry_points().items() for name, target in points.items()
-    )
-    (place / "entry_points.txt").write_text("".join(f"[{group}]\n{row}\n" for group, row in rows))
+    rows = [f"[{group}]\n{name} = {target}\n" for group, of in entry_points().items() for name, target in of.items()]
+    (place / "entry_points.txt").write_text("".join(rows))
     (place / "METADATA").write_text("Metadata-Version: 2.1\nName: minimd\nVersion: 0\nSummary: installed\n")
-    for path in (place.parent, REPOSITORY):
-        monkeypatch.setenv("PYTHONPATH", str(path), prepend=":")
-    command = [sys.executable, "-W", "error::UserWarning", "-c", ANSWER]
-    made = subprocess.run(command, capture_output=True, text=True, check=False)
+    made = ended("-W", "error::UserWarning", "-c", ANSWER, PYTHONPATH=f"{REPOSITORY}:{place.parent}")
     assert made.returncode == 0, made.stderr
     assert made.stdout.splitlines() == ["True minimd-h5md False", "('minimd', 'Calculator')"]
     assert get_calculator_class("minimd") is minimd.ase.Calculator

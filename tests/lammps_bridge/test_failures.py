@@ -46,8 +46,7 @@ SALT = ions(4, 3.0, np.eye(3)).system
 
 
 def charged(charges, *how, **more):
-    system = md.System(SALT.positions, cell=SALT.cell, charges=charges)
-    return lambda: scene(system, md.Coulomb(5.0, *how, **more))
+    return lambda: scene(md.System(SALT.positions, cell=SALT.cell, charges=charges), md.Coulomb(5.0, *how, **more))
 
 
 OUTSIDE = [  # scene, what must be named
@@ -91,7 +90,6 @@ def found(path):
 
 
 def replaced(right, wrong):
-
     def changed(model):
         text = forces(model)
         assert right in text

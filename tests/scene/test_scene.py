@@ -56,12 +56,11 @@ ENDINGS = {  # of keys: SI / that of minimd, for each dimension
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(here):
     """A current folder with the files that scenes of this page name."""
-    monkeypatch.chdir(tmp_path)
     write_tables()
     Path("bent.xyz").write_text("3\n\nH 1.1 0 0\nO 0 0 0\nH 0 0.9 0\n")  # arms of 1.1 Å and 0.9 Å at a right angle
-    return tmp_path
+    return here
 
 
 def energy_of(scene):

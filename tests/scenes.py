@@ -140,6 +140,4 @@ def small_molecule():
 
 BUILDERS = [argon, melt, mixture, water, dumbbells, chain, ring, droplet, gas, slab, two_atoms, small_molecule]
 _built = cache(lambda build: build())  # once, and copied for each who asks
-SCENES = {
-    build.__name__: lambda build=build: _built(build)._replace(system=_built(build).system.copy()) for build in BUILDERS
-}
+SCENES = {one.__name__: lambda one=one: _built(one)._replace(system=_built(one).system.copy()) for one in BUILDERS}

@@ -92,8 +92,7 @@ def test_a_link_at_a_temporary_name_is_not_followed(name, tmp_path, monkeypatch)
 
     put_link()
     simulation().run(10, every=5, trajectory=path)
-    assert (path.is_file(), path.is_symlink()) == (True, False)
-    assert files_of(tmp_path) == sorted([name, "precious"])
+    assert (path.is_file(), path.is_symlink(), files_of(tmp_path)) == (True, False, sorted([name, "precious"]))
     path.unlink()
     made = Claim.__init__
     monkeypatch.setattr(Claim, "__init__", lambda *args, **options: (made(*args, **options), put_link())[0])
@@ -125,9 +124,8 @@ SMALL_FILES = {  # what writes them, given their name
     "a page": View("<html>", Path("a.h5md"), "").save,
     "a picture": lambda path: save(Figure(), path.with_suffix(".png")),
     "a table in place of another": lambda path: simulation().run(5, every=5).to_csv(path, overwrite=True),
-    "a description": lambda path: write_whole(path, "{}"),
-    "a crash report": blow_up,
-}
+    "a description": lambda path: write_whole(path, "{}"), "a crash report": blow_up,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", SMALL_FILES)

@@ -53,8 +53,7 @@ OUTSIDE = [  # scene, what must be named
     (with_potential(LJ, md.Gravity(1.0)), "dihedrals", "Gravity(acceleration="),
     (with_potential(LJ, md.HarmonicImproper(1.0, 0.0, [[0, 1, 2, 3]])), "dihedrals", "HarmonicImproper(k="),
     (with_potential(md.LennardJones(1.0, 1.0, 2.5, exclusions=[[0, 1]])), "without exclusions", "LennardJones("),
-    (with_potential(TABLE), "Lepton", "the law tabulated"),
-    (with_potential(*OTHER_BONDS), "bonded_scale", "[4, 5]"),
+    (with_potential(TABLE), "Lepton", "the law tabulated"), (with_potential(*OTHER_BONDS), "bonded_scale", "[4, 5]"),
     (charged(SALT.charges, method="reaction-field"), "dihedrals", "method='reaction-field'"),
     (charged(SALT.charges + 0.25), "charges", "net charge of the cell is 16 e"),
     (charged(SALT.charges, 1e-8), "accuracy", "at least 1e-07, and is 1e-08"),
@@ -62,7 +61,7 @@ OUTSIDE = [  # scene, what must be named
     (with_method(md.VelocityVerlet(-TIMESTEP)), "timestep", "-0.002"),
     (held(5, md.DistanceConstraints([[0, 1], [1, 2], [2, 3], [3, 4]])), "rigid molecule", "5 atoms and 4 lengths"),
     (held(2, md.FixedAtoms([0]), md.DistanceConstraints([[0, 1]])), "fixed atom", "[0, 1]"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("row", range(len(OUTSIDE)))

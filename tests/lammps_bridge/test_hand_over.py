@@ -76,8 +76,7 @@ def test_a_run_that_was_brought_back_passes_the_check_and_goes_on_also_without_m
     resumed.run(20, every=10, trajectory=done.trajectory, append=True, progress=False)
     theirs.run(20, progress=False)
     assert np.array_equal(resumed.positions, theirs.positions)
-    never = SimpleNamespace(stop_requested=False)
-    run(find_program().command("run.lmp", "run.log", 1), done.folder, "run.log", never)
+    run(find_program().command("run.lmp", "run.log", 1), done.folder, "run.log", SimpleNamespace(stop_requested=False))
     assert [step for step, _ in frames(done.folder / "frames.bin", 108)] == list(range(0, 201, 10))
 
 

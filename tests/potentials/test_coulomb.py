@@ -34,12 +34,10 @@ def test_crystals_have_their_madelung_energies(name, shear, accuracy):
 
 
 SCENES = {
-    "salt": lambda: salt(2),
-    "molten": lambda: salt(2, disorder=0.3),
-    "triclinic": lambda: salt(2, cell=TRICLINIC),
+    "salt": lambda: salt(2), "molten": lambda: salt(2, disorder=0.3), "triclinic": lambda: salt(2, cell=TRICLINIC),
     "slab of charge": lambda: salt(2, np.diag([1.0, 1.0, 3.0]), charges=lambda places: np.sign(places[:, 2] - 1.5)),
     "net charge": lambda: salt(2, charges=lambda places: 0.3 + (-1.0) ** places.sum(axis=1)),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -207,8 +205,7 @@ def test_water_keeps_its_energy():
 
 
 WRONG = [
-    (lambda: md.Coulomb(-1.0), "cutoff"),
-    (lambda: md.Coulomb(9.0, 1e-20), "accuracy", "1e-20", "1e-13"),
+    (lambda: md.Coulomb(-1.0), "cutoff"), (lambda: md.Coulomb(9.0, 1e-20), "accuracy", "1e-20", "1e-13"),
     (lambda: md.Coulomb(9.0, 0.5), "accuracy", "0.5"),
     (lambda: md.Coulomb(9.0, method="pme"), "method", "pme", "ewald"),
     (lambda: md.Coulomb(9.0, bonded_scale=(0, 1)), "bonded_scale"),
@@ -218,8 +215,7 @@ WRONG = [
     (lambda: md.evaluate(md.System(np.eye(3), cell=5.0, charges=[1, 1, -2]), md.Coulomb()), "cutoff"),
     (lambda: md.evaluate(md.System(np.eye(3), cell=5.0, pbc=(1, 1, 0), charges=[1, 1, -2]), md.Coulomb(2.0)),
      "periodic", "reaction-field"),
-    (lambda: md.water("TIP5P"), "TIP5P", "SPC/E"),
-    (lambda: md.water(n=0), "n"),
+    (lambda: md.water("TIP5P"), "TIP5P", "SPC/E"), (lambda: md.water(n=0), "n"),
 ]  # fmt: skip
 ON_ONE_SPOT = md.System(np.zeros((2, 3)), cell=5.0, charges=[1.0, -1.0])
 test_what_cannot_be_done_is_refused = answered(

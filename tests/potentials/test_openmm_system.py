@@ -44,8 +44,7 @@ def assert_same(found, energy, forces, tolerance=1e-6):
 def chains(method="NoCutoff", box=CUBE, charged=True, wells=True, switched=False, tail=False, dielectric=78.3):
     """Twelve chains of six atoms, all that is taken, each force in a group of its own: system, topology, positions.
 
-    Exceptions have arbitrary parameters; one is between two chains. In a periodic box atoms are wrapped into it.
-    """
+    Exceptions have arbitrary parameters; one is between two chains. In a periodic box atoms are wrapped into it."""
     rng, made, topology = np.random.default_rng(5), openmm.System(), app.Topology()
     made.setDefaultPeriodicBoxVectors(*box)
     bonds, angles = openmm.HarmonicBondForce(), openmm.HarmonicAngleForce()
@@ -95,17 +94,11 @@ def chains(method="NoCutoff", box=CUBE, charged=True, wells=True, switched=False
 
 
 SCENES = [
-    ("NoCutoff", CUBE, {}),
-    ("NoCutoff", CUBE, {"charged": False}),
-    ("NoCutoff", CUBE, {"wells": False}),
-    ("CutoffNonPeriodic", CUBE, {"switched": True}),
-    ("CutoffPeriodic", CUBE, {"wells": False, "dielectric": 4.0}),
-    ("CutoffPeriodic", TRICLINIC, {}),
-    ("CutoffPeriodic", TRICLINIC, {"charged": False, "switched": True}),
-    ("Ewald", CUBE, {"wells": False}),
-    ("Ewald", CUBE, {"switched": True}),
-    ("PME", TRICLINIC, {}),
-]
+    ("NoCutoff", CUBE, {}), ("NoCutoff", CUBE, {"charged": False}), ("NoCutoff", CUBE, {"wells": False}),
+    ("CutoffNonPeriodic", CUBE, {"switched": True}), ("CutoffPeriodic", CUBE, {"wells": False, "dielectric": 4.0}),
+    ("CutoffPeriodic", TRICLINIC, {}), ("CutoffPeriodic", TRICLINIC, {"charged": False, "switched": True}),
+    ("Ewald", CUBE, {"wells": False}), ("Ewald", CUBE, {"switched": True}), ("PME", TRICLINIC, {}),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("method", "box", "options"), SCENES)
@@ -129,16 +122,15 @@ def test_energies_and_forces_are_those_of_openmm(method, box, options):
 @pytest.mark.parametrize("switched", [False, True])
 def test_the_tail_is_that_of_openmm_up_to_its_mean_over_pairs(switched):
     """OpenMM counts pairs of one kind as n (n + 1)/2, of N (N + 1)/2 in all; minimd as n²/2 of N²/2."""
-    (made, topology, places), *others = (
-        chains("CutoffPeriodic", charged=False, switched=switched, tail=tail) for tail in (True, False)
-    )
+    given = {"method": "CutoffPeriodic", "charged": False, "switched": switched}
+    (made, topology, places), other = chains(tail=True, **given), chains(tail=False, **given)
     system, potentials, _ = md.from_openmm(made, topology, places)
-    (_, without, _), lj, n = md.from_openmm(*others[0]), potentials[4], len(system)
+    (_, without, _), lj, n = md.from_openmm(*other), potentials[4], len(system)
     tail = md.evaluate(system, lj).potential_energy - md.evaluate(system, without[4]).potential_energy
     counts, names = np.bincount(system.species_index), system.species_names
     own = sum(lj.tail(row, names, system.volume)[0] for row in np.diag(np.sqrt(counts)))
     assert tail == pytest.approx(lj.tail(counts, names, system.volume)[0], rel=1e-9)
-    openmms = reference(made, places)(4)[0] - reference(others[0][0], places)(4)[0]
+    openmms = reference(made, places)(4)[0] - reference(other[0], places)(4)[0]
     assert openmms == pytest.approx(n / (n + 1) * (tail + own), rel=1e-9)
 
 
@@ -155,8 +147,7 @@ def test_what_is_no_force_arrives_in_the_units_of_ase():
     assert system.cell.vectors == pytest.approx(10.0 * TRICLINIC)
     assert system.species[:7].tolist() == ["C1", "N", "C2", "O", "H1", "H2", "C1"]
     assert system.bonds.tolist() == [[6 * c + k, 6 * c + k + 1] for c in range(12) for k in range(5)]
-    assert system.constraints == constraints
-    assert constraints[0].pairs.tolist() == [[1, 0], [3, 4]]
+    assert (system.constraints, constraints[0].pairs.tolist()) == (constraints, [[1, 0], [3, 4]])
     assert constraints[0].lengths == pytest.approx([1.1, 1.2])
     assert not md.from_openmm(*chains())[0].cell.pbc.any()
     assert md.from_openmm(*chains())[2] == ()
@@ -239,6 +230,5 @@ REFUSED = [  # arguments, error, what must be named
     (lambda: (*chains()[:2], np.zeros((3, 3))), ValueError, "number of atoms", "72, 72 and 3"),
     (lambda: (app.Topology(), *chains()[1:]), TypeError, "openmm.System", "Topology"),
 ]
-test_what_minimd_does_not_have_is_refused_by_name = answered(
-    *((lambda make=make: md.from_openmm(*make()), *wanted) for make, *wanted in REFUSED)
-)
+CALLS = [(lambda make=make: md.from_openmm(*make()), *wanted) for make, *wanted in REFUSED]
+test_what_minimd_does_not_have_is_refused_by_name = answered(*CALLS)

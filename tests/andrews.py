@@ -41,27 +41,21 @@ def force(q, v):
     length = sqrt((xd - xc) ** 2 + (yd - yc) ** 2)
     pull = -c0 * (length - l0) / length
     return [
-        mom - m2 * da * rr * thp * (thp + 2 * bep) * sin(th),
-        m2 * da * rr * bep**2 * sin(th),
+        mom - m2 * da * rr * thp * (thp + 2 * bep) * sin(th), m2 * da * rr * bep**2 * sin(th),
         pull * (xd - xc) * (sc * cos(ga) - sd * sin(ga)) + pull * (yd - yc) * (sd * cos(ga) + sc * sin(ga)),
-        m4 * zt * (e - ea) * dep**2 * cos(ph),
-        -m4 * zt * (e - ea) * php * (php + 2 * dep) * cos(ph),
-        -m6 * u * (zf - fa) * epp**2 * cos(om),
-        m6 * u * (zf - fa) * omp * (omp + 2 * epp) * cos(om),
-    ]
+        m4 * zt * (e - ea) * dep**2 * cos(ph), -m4 * zt * (e - ea) * php * (php + 2 * dep) * cos(ph),
+        -m6 * u * (zf - fa) * epp**2 * cos(om), m6 * u * (zf - fa) * omp * (omp + 2 * epp) * cos(om),
+    ]  # fmt: skip
 
 
 def closures(q):
     be, th, ga, ph, de, om, ep = q.tolist()
     x, y = rr * cos(be) - d * cos(be + th), rr * sin(be) - d * sin(be + th)
     return [
-        x - ss * sin(ga) - xb,
-        y + ss * cos(ga) - yb,
-        x - e * sin(ph + de) - zt * cos(de) - xa,
-        y + e * cos(ph + de) - zt * sin(de) - ya,
-        x - zf * cos(om + ep) - u * sin(ep) - xa,
-        y - zf * sin(om + ep) + u * cos(ep) - ya,
-    ]
+        x - ss * sin(ga) - xb, y + ss * cos(ga) - yb,
+        x - e * sin(ph + de) - zt * cos(de) - xa, y + e * cos(ph + de) - zt * sin(de) - ya,
+        x - zf * cos(om + ep) - u * sin(ep) - xa, y - zf * sin(om + ep) + u * cos(ep) - ya,
+    ]  # fmt: skip
 
 
 def gradient(q):

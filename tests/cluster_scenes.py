@@ -39,14 +39,13 @@ MANY = [  # for the kernel all there is: parameters that are alike, those that a
     md.LennardJones(KINDS, cutoff=CUTOFF, truncation="switched", **SCALED),
 ]
 LAWS = {
-    "many": MANY,
-    "one species": ONE_SPECIES,
+    "many": MANY, "one species": ONE_SPECIES,
     "three species": [md.LennardJones(KINDS, cutoff=CUTOFF, truncation="switched")],
     "exclusions": [md.LennardJones(KINDS, cutoff=CUTOFF, truncation="force-shifted", **SCALED)],
     "cutoffs by pair": [md.LennardJones({"A": (1, 1), "B": (0.5, 0.9), "C": (1, 1)}, cutoff=CUTOFFS)],
     "shifted, exclusions": [md.LennardJones(KINDS, cutoff=CUTOFF, **SCALED)],
     "two laws": [md.LennardJones(1.0, 1.0, 1.6), *SOFT],
-}
+}  # fmt: skip
 
 
 def _edges(draw, volume, rng):

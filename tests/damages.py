@@ -265,8 +265,7 @@ def damage_a_restart(h5, rng):
 
 
 IN_BYTES = {
-    "flip a bit": partial(_flip, _anywhere),
-    "flip a bit in a table": partial(_flip, _in_a_table),
+    "flip a bit": partial(_flip, _anywhere), "flip a bit in a table": partial(_flip, _in_a_table),
     "flip a bit at the start": partial(_flip, lambda content, rng: int(rng.integers(2048))),
     "replace a byte in a table": partial(_replace, _in_a_table, 1, range(256)),
     "replace bytes in tables": partial(_replace, _in_a_table, 8, [0, 1, 128, 255, 77]),
@@ -276,16 +275,14 @@ IN_BYTES = {
     "copy a block": partial(_overwrite, lambda content, rng, n: content[: _anywhere(content, rng) + n][-n:]),
     "insert": partial(_overwrite, lambda content, rng, n: rng.bytes(2 * n)),
     "truncate": lambda content, rng: content[: _anywhere(content, rng)],
-    "append": lambda content, rng: content + rng.bytes(_length(rng)),
-    "an interrupted commit": interrupted_commit,
+    "append": lambda content, rng: content + rng.bytes(_length(rng)), "an interrupted commit": interrupted_commit,
     "a strange journal": lambda content, rng: content + rng.bytes(44) + MAGIC,
-}
+}  # fmt: skip
 IN_NUMBERS = {
     "change a number": change_number, "change an attribute": change_attribute,
     "remove": lambda h5, rng: h5.pop(_one_of(h5, rng, _objects)),
     "remove an attribute": lambda h5, rng: operator.delitem(*_attribute_of(h5, rng)),
-    "rename": lambda h5, rng: h5.move(_one_of(h5, rng, _objects), "elsewhere"),
-    "resize": resize,
+    "rename": lambda h5, rng: h5.move(_one_of(h5, rng, _objects), "elsewhere"), "resize": resize,
     "resize all with their checksums": resize_all_with_their_checksums,
     "damage both restarts": damage_both_restarts, "damage a restart": damage_a_restart,
 }  # fmt: skip

@@ -76,10 +76,6 @@ def at_step(step, what):
     return lambda sim: what() if sim.step == step else None
 
 
-def interrupt(*_):
-    raise KeyboardInterrupt
-
-
 def assert_same_file(path, other):
     """All that minimd reads from them, to the last bit."""
     for one in (path, other):

@@ -147,30 +147,17 @@ def ions(n, spacing, matrix=None, accuracy=1e-5):
     """n³ ions, displaced from a lattice of rock salt, in Å and eV; in a cell if there is a matrix."""
     sites, rng = np.array(list(np.ndindex(n, n, n))), np.random.default_rng(1)
     charges = 1.0 - 2.0 * (sites.sum(axis=1) % 2)
-    places = spacing * sites + rng.uniform(-0.5, 0.5, sites.shape)
-    given = {"charges": charges, "species": np.where(charges > 0.0, "Na", "Cl"), "masses": 30.0}
+    places, cell, cutoff = spacing * sites + rng.uniform(-0.5, 0.5, sites.shape), None, None
     if matrix is not None:
-        places, given["cell"] = places @ matrix, n * spacing * matrix
-    cutoff = None if matrix is None else 1.8 * spacing
+        places, cell, cutoff = places @ matrix, n * spacing * matrix, 1.8 * spacing
+    given = {"charges": charges, "species": np.where(charges > 0.0, "Na", "Cl"), "masses": 30.0, "cell": cell}
     laws = md.LennardJones({"Na": (0.0043, 2.35), "Cl": (0.0043, 4.4)}, cutoff=cutoff), md.Coulomb(cutoff, accuracy)
     return warm(md.System(places, units=md.units.ASE, **given), laws, (), md.VelocityVerlet(md.units.fs), 1200.0)
 
 
 def charged_water(accuracy=1e-5):
     """27 rigid molecules of SPC/E."""
-    half, turns = np.deg2rad(109.47 / 2), np.linalg.qr(np.random.default_rng(7).normal(size=(27, 3, 3)))[0]
-    shape = np.array([[0.0, 0.0, 0.0], [np.sin(half), np.cos(half), 0.0], [-np.sin(half), np.cos(half), 0.0]])
-    positions = (3.1 * np.array(list(np.ndindex(3, 3, 3)))[:, None] + shape @ turns).reshape(-1, 3)
-    pairs = np.concatenate([3 * k + np.array([[0, 1], [0, 2], [1, 2]]) for k in range(27)])
-    given = {"masses": [15.9994, 1.008, 1.008] * 27, "species": ["O", "H", "H"] * 27, "units": md.units.ASE}
-    bonds = pairs[np.arange(81) % 3 < 2]
-    system = md.System(positions, cell=9.3, bonds=bonds, charges=[-0.8476, 0.4238, 0.4238] * 27, **given)
-    scale = {"bonded_scale": (0.0, 0.0, 1.0)}
-    laws = [
-        md.LennardJones({"O": (0.00674, 3.166), "H": (0.0, 1.0)}, cutoff=4.5, **scale),
-        md.Coulomb(4.5, accuracy, **scale),
-    ]
-    rigid = md.DistanceConstraints(pairs, [1.0, 1.0, 2.0 * np.sin(half)] * 27)
+    system, laws, rigid = md.water("SPC/E", 27, cutoff=4.5, accuracy=accuracy)
     return warm(system, laws, rigid, md.VelocityVerlet(md.units.fs), 300.0)
 
 

@@ -45,7 +45,6 @@ potentials/laws.py: potentials/test_laws potentials/test_truncation potentials/t
     return u, -k / rest + select => return u, -0.5 * k / rest + select
 potentials/laws.py: potentials/test_laws potentials/test_fields potentials/test_formulas
     (1.2 * s9 - 3.0 * s3) => (1.2 * s9 - s3)
-potentials/laws.py: potentials/test_laws
     return parameters[0] * u, parameters[0] * f => return parameters[0] * u, f
 potentials/truncation.py: potentials/test_laws potentials/test_truncation potentials/test_reference_lammps
     f + parameters[1] / r => f - parameters[1] / r
@@ -115,25 +114,22 @@ integrators/splitting/substeps.py: integrators/test_splittings integrators/test_
 constraints/closed_forms.py: constraints/test_solvers constraints/test_references
     gamma = xb0 * yb1 - xb1 * yb0 => gamma = xb0 * yb1 + xb1 * yb0
     -share / (1.0 - 2.0 * share) * push => -2.0 * share / (1.0 - 2.0 * share) * push
-constraints/groups.py: constraints/test_solvers constraints/test_references
-    2.0 * share * height => share * height
-constraints/closed_forms.py: constraints/test_solvers constraints/test_references
     w * w * dot(s, s), w * dot(p, s) => w * dot(s, s), w * dot(p, s)
     (numbers(targets, (), block) - dot(r, minus(v, u))) => (numbers(targets, (), block) + dot(r, minus(v, u)))
+    kappa, q = alpha * wa - beta * wc => kappa, q = alpha * wa + beta * wc
 constraints/networks.py: constraints/test_solvers constraints/test_references
     i, j, total[k] / duration, s[k] => i, j, total[k], s[k]
     x[k] = 0.5 * (bonds.lengths2[k] => x[k] = 0.25 * (bonds.lengths2[k]
     scale = gap / (2.0 * (atoms => scale = gap / (1.0 * (atoms
-constraints/closed_forms.py: constraints/test_solvers constraints/test_references
-    kappa, q = alpha * wa - beta * wc => kappa, q = alpha * wa + beta * wc
+constraints/groups.py: constraints/test_solvers constraints/test_references
+    2.0 * share * height => share * height
 structure/observables.py: simulation/test_observables simulation/test_simulation
     return 0.5 * mass * (vx**2 => return mass * (vx**2
+    ly += masses[i] * (z * vx - x * vz) => ly += masses[i] * (x * vz - z * vx)
 structure/observables.py: constraints/test_runs integrators/test_baths
     (3 if leaves_out_center => (0 if leaves_out_center
 structure/observables.py: potentials/test_reference_lammps engine/test_barostat
     (2.0 * kinetic + float(np.trace(virial))) => (2.0 * kinetic - float(np.trace(virial)))
-structure/observables.py: simulation/test_observables
-    ly += masses[i] * (z * vx - x * vz) => ly += masses[i] * (x * vz - z * vx)
 engine/engine.py: forces/test_same_bits simulation/test_simulation simulation/test_observables
     return time + (step - first) * self._pace => return time + step * self.method.timestep
 engine/engine.py: engine/test_barostat

@@ -1,7 +1,6 @@
 """Twelve named scenes in reduced units, built once: `SCENES[name]()` and the fixture of that name are fresh copies.
 
-Scenes of one kind share their law and its truncation, so that the suite compiles few kernels.
-"""
+Scenes of one kind share their law and its truncation, so that the suite compiles few kernels."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -13,6 +12,7 @@ from references import fourmol, liquid
 
 import minimd as md
 from minimd.structure.lattice import crystal
+from minimd.structure.system import changed
 
 LJ = md.LennardJones(1.0, 1.0, 1.8, "force-shifted")  # one species; cell, open or smaller than the cutoff
 OPEN = md.LennardJones(1.0, 1.0)  # no cutoff
@@ -123,8 +123,7 @@ def gas():
 def slab():
     """108 atoms, periodic in x and y, open along z."""
     dense = liquid(3)
-    system = md.System(dense.positions, velocities=dense.velocities, cell=dense.cell.vectors, pbc=[True, True, False])
-    return Scene(system, [LJ])
+    return Scene(changed(dense, cell=md.Cell.of(dense.cell.vectors, [True, True, False])), [LJ])
 
 
 def two_atoms():
@@ -141,6 +140,4 @@ def small_molecule():
 
 BUILDERS = [argon, melt, mixture, water, dumbbells, chain, ring, droplet, gas, slab, two_atoms, small_molecule]
 _built = cache(lambda build: build())  # once, and copied for each who asks
-SCENES = {
-    build.__name__: lambda build=build: _built(build)._replace(system=_built(build).system.copy()) for build in BUILDERS
-}
+SCENES = {one.__name__: lambda one=one: _built(one)._replace(system=_built(one).system.copy()) for one in BUILDERS}

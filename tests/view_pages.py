@@ -41,7 +41,7 @@ class Parts(HTMLParser):
 
     def __init__(self, page):
         super().__init__()
-        self.attributes, self.texts, self.ids, self._open = [], {}, [], None
+        self.attributes, self.texts, self._open = [], {}, None
         self.feed(page)
         self.about = json.loads(self.texts["about"])
         self.counts = self.numbers("counts", "<u2").reshape(len(self.about["steps"]), -1, 3)
@@ -49,7 +49,6 @@ class Parts(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         self.attributes += [(tag, name, value) for name, value in attributes]
-        self.ids += [value for name, value in attributes if name == "id"]
         if tag in ("script", "style"):
             self._open = dict(attributes).get("id", f"{tag}{len(self.texts)}")
             self.texts[self._open] = ""

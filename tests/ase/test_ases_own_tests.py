@@ -4,16 +4,15 @@ Left out: test_langevin_asapcompat asks for arrays that ASE's own Langevin step 
 test_rng has a time step of 104 fs: the atoms fly apart, and minimd says so (see test_thermostats). Barostats stay
 ASE's: LangevinBAOAB NPT, NsT, NsH, seed (externalstress is refused by name), isotropic, masked, Berendsen, Melchionna.
 test_langevin_switching is of ASE's subclass of its own Langevin; test_thermostat_*, test_optimiz* and test_md_stepwise
-are of ASE's own classes and run along.
-"""
+are of ASE's own classes and run along."""
 
 import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from processes import PATHS
 
 MD = (
     *("irun_force_call_order", "md", "md_logger", "md_logger_interval", "md_stepwise", "bussi", "langevin_com"),
@@ -24,24 +23,15 @@ NOT_OURS = "mtk or barostat or npt_ or masked or isotropic or nptberendsen or me
 KEPT = f"not ({NOT_OURS}) or NVT or nvt or default"
 
 
-def run_ases_tests(modules, calculator, folder):
-    plugins = ["-p", "no:cacheprovider", "-p", "ases_tests_with_minimd", "-W", "ignore:the calculator is"]
-    command = [sys.executable, "-m", "pytest", "-q", *plugins]
-    tests = Path(__file__).parents[1]
-    paths = os.pathsep.join([str(tests), str(tests.parent), os.environ.get("PYTHONPATH", "")])
-    environment = os.environ | {"PYTHONPATH": paths, "MINIMD_CALCULATOR": calculator, "OMP_NUM_THREADS": "1"}
-    command += ["-k", KEPT, "--pyargs", *(f"ase.test.{module}" for module in modules)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder, env=environment).stdout
-
-
-def assert_all_passed(output, at_least):
-    found = re.search(r"^(\d+) passed(?!.*failed)", output.splitlines()[-1])
-    assert found, output[-3000:]
-    assert int(found[1]) >= at_least, output
-    assert "not minimd's: none" in output
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("calculator", ["", "1"], ids=["EMT", "ours"])
 def test_ases_own_tests_pass_with_our_classes(calculator, tmp_path):
-    assert_all_passed(run_ases_tests(MODULES, calculator, tmp_path), 33)  # 36 with asap3
+    plugins = ["-p", "no:cacheprovider", "-p", "ases_tests_with_minimd", "-W", "ignore:the calculator is"]
+    command = [sys.executable, "-m", "pytest", "-q", *plugins, "-k", KEPT]
+    command += ["--pyargs", *(f"ase.test.{module}" for module in MODULES)]
+    environment = os.environ | {"PYTHONPATH": PATHS, "MINIMD_CALCULATOR": calculator, "OMP_NUM_THREADS": "1"}
+    told = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment).stdout
+    found = re.search(r"^(\d+) passed(?!.*failed)", told.splitlines()[-1])
+    assert found, told[-3000:]
+    assert int(found[1]) >= 33, told  # 36 with asap3
+    assert "not minimd's: none" in told

@@ -13,7 +13,7 @@ from ase.build import bulk, molecule
 from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
 from ase.constraints import FixedPlane, Hookean
-from wrong_calls import assert_answered
+from wrong_calls import answered, assert_answered
 
 import minimd as md
 import minimd.ase as ours
@@ -180,21 +180,13 @@ WRONG = [
     (lambda: ours.VelocityVerlet(argon(1), TIMESTEP).step(), RuntimeError, "atoms.calc", "no calculator"),
     (lambda: ForcesFromCalculator(lennard_jones()), TypeError, "calculator", "LennardJones"),
     (lambda: md.Simulation(argon(1), "EMT", md.VelocityVerlet(TIMESTEP)), TypeError, "potentials", "'EMT'"),
-    (lambda: langevin(rng="seven"), TypeError, "rng", "'seven'"),
-    (lambda: langevin(rng=-1), TypeError, "rng", "-1"),
+    (lambda: langevin(rng="seven"), TypeError, "rng", "'seven'"), (lambda: langevin(rng=-1), TypeError, "rng", "-1"),
     (lambda: langevin(held()[:1], fixcm=True).run(1), ValueError, "fixcm", "3"),
     (lambda: langevin(fixcm=False, friction=-1.0).run(1), ValueError, "friction", "-1.0"),
     (lambda: ours.Bussi(held(), TIMESTEP, 300.0, -1.0, rng=2).run(1), ValueError, "taut", "-1.0"),
     (lambda: ours.LangevinBAOAB(held(), TIMESTEP, externalstress=-0.01), NotImplementedError, "externalstress"),
-]
-
-
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("row", range(len(WRONG)))
-def test_wrong_calls_are_answered(row):
-    call, error, *shown = WRONG[row]
-    with np.errstate(invalid="ignore"):
-        assert_answered(call, error, *shown)
+]  # fmt: skip
+test_wrong_calls_are_answered = pytest.mark.filterwarnings("ignore")(answered(*WRONG))
 
 
 def test_a_failed_call_leaves_nothing_behind():

@@ -1,14 +1,12 @@
 """What ASE reads of the files of a run, and finds of minimd by the entry points in pyproject.toml."""
 
-import subprocess
-import sys
-
 import ase.io
 import numpy as np
 import pytest
 from argon_atoms import REPOSITORY, define, entry_points
 from ase.calculators.calculator import get_calculator_class
 from h5md_runs import simulation
+from processes import ended
 from references import liquid
 from scenes import LJ
 from wrong_calls import assert_answered
@@ -16,6 +14,7 @@ from wrong_calls import assert_answered
 import minimd as md
 import minimd.ase
 from minimd.ase import system_from_file
+from minimd.structure.system import changed
 
 TEXT, EXACT = 0.51e-8, 1e-14  # of files with eight decimals; of numbers in binary
 FILES = {"a.traj": EXACT, "b.TRAJ": EXACT, "a.xyz": TEXT, "a.extxyz": TEXT, "a.h5md": EXACT}
@@ -47,10 +46,8 @@ def test_ase_reads_the_frames_of_a_run(name, written, known):
     assert len(frames) == len(seen) == 5
     for atoms, energy, looked in zip(frames, record.potential_energy, seen, strict=True):
         step, time, positions, velocities, forces = looked
-        assert (atoms.info["step"], atoms.info["time"]) == (step, time)
-        assert atoms.get_potential_energy() == energy
-        assert np.array_equal(atoms.cell.array, system.cell.vectors)
-        assert atoms.pbc.all()
+        assert (atoms.info["step"], atoms.info["time"], atoms.get_potential_energy()) == (step, time, energy)
+        assert system.cell.same_as(md.Cell.of(atoms.cell.array, atoms.pbc))
         assert atoms.get_chemical_symbols() == system.species.tolist()
         assert is_near(atoms.positions, positions, FILES[name] * (FILES[name] == TEXT))
         assert is_near(atoms.get_masses(), system.masses, FILES[name])
@@ -77,19 +74,14 @@ print(*[(p.name, p.implementation.__name__) for p in plugins if p.package == 'mi
 
 
 @pytest.mark.slow
-def test_ase_finds_format_and_calculator_by_the_entry_points(tmp_path, monkeypatch):
+def test_ase_finds_format_and_calculator_by_the_entry_points(tmp_path):
     """The format without loading minimd: everybody who imports ase.io would wait for it."""
     place = tmp_path / "site" / "minimd-0.dist-info"  # installed as far as entry points go
     place.mkdir(parents=True)
-    rows = (
-        (group, f"{name} = {target}") for group, points in entry_points().items() for name, target in points.items()
-    )
-    (place / "entry_points.txt").write_text("".join(f"[{group}]\n{row}\n" for group, row in rows))
+    rows = [f"[{group}]\n{name} = {target}\n" for group, of in entry_points().items() for name, target in of.items()]
+    (place / "entry_points.txt").write_text("".join(rows))
     (place / "METADATA").write_text("Metadata-Version: 2.1\nName: minimd\nVersion: 0\nSummary: installed\n")
-    for path in (place.parent, REPOSITORY):
-        monkeypatch.setenv("PYTHONPATH", str(path), prepend=":")
-    command = [sys.executable, "-W", "error::UserWarning", "-c", ANSWER]
-    made = subprocess.run(command, capture_output=True, text=True, check=False)
+    made = ended("-W", "error::UserWarning", "-c", ANSWER, PYTHONPATH=f"{REPOSITORY}:{place.parent}")
     assert made.returncode == 0, made.stderr
     assert made.stdout.splitlines() == ["True minimd-h5md False", "('minimd', 'Calculator')"]
     assert get_calculator_class("minimd") is minimd.ase.Calculator
@@ -112,9 +104,7 @@ def test_types_of_lammps_data_are_elements_only_with_their_masses_and_unknown_sy
 @pytest.mark.parametrize("suffix", ["h5md", "traj", "xyz"])
 def test_a_stress_that_was_asked_for_reaches_ase(tmp_path, suffix):
     """As ASE has it: without the kinetic part, which its include_ideal_gas adds."""
-    start = liquid(3)
-    options = {"velocities": start.velocities, "masses": 1.0, "cell": start.cell, "units": md.units.ASE}
-    system = md.System(start.positions, species=["Ar"] * len(start), **options)
+    system = changed(liquid(3), species=["Ar"] * 108, units=md.units.ASE)
     sim = md.Simulation(system, LJ, md.VelocityVerlet(0.002))
     sim.extra_observables = ("stress",)
     record = sim.run(20, every=10, trajectory=tmp_path / f"a.{suffix}")
@@ -128,8 +118,7 @@ def test_a_stress_that_was_asked_for_reaches_ase(tmp_path, suffix):
 @pytest.mark.parametrize("suffix", ["traj", "xyz", "h5md"])
 def test_files_of_reduced_runs_keep_species_masses_and_velocities(tmp_path, suffix):
     made, file, species = simulation(), tmp_path / f"run.{suffix}", ["1", "Ar", "2"] * 9
-    options = {"masses": made.system.masses, "velocities": made.velocities}
-    system = md.System(made.positions, cell=3.6, species=species, **options)
+    system = changed(made.system, species=species)
     sim = md.Simulation(system, made.potentials, made.method)
     sim.run(2, every=1, trajectory=file)
     read = system_from_file(file, units=md.units.LJ)

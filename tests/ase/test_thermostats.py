@@ -48,12 +48,11 @@ def temperatures(dynamics, n=400, apart=1):
 
 
 CANONICAL = [  # class, arguments, number of atoms, whether their center is held, samples, steps between them
-    ("Bussi", {}, N, False, 400, 1),
-    ("Langevin", {}, N, True, 400, 1),
+    ("Bussi", {}, N, False, 400, 1), ("Langevin", {}, N, True, 400, 1),
     *(pytest.param(name, {}, N, False, 400, 1, marks=pytest.mark.slow) for name in NOISY if name != "Bussi"),
     *(pytest.param(name, {}, N, True, 400, 1, marks=pytest.mark.slow) for name in ("LangevinBAOAB", "Andersen")),
     pytest.param("Andersen", {"andersen_prob": 0.3}, 4, True, 600, 4, marks=pytest.mark.slow),  # rare collisions
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "options", "n", "is_held", "samples", "apart"), CANONICAL)

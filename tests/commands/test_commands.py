@@ -98,8 +98,7 @@ def test_out_takes_the_picture_along_and_spares_pictures_that_were_not_named(fol
 
 def test_resumed_run_ends_with_the_scene_and_is_the_uninterrupted_one(folder, told):
     Path("melt.toml").write_text(SCENE + 'trajectory = ["melt.h5md", "melt.xyz"]\n')
-    assert run("run", "melt.toml", "--out", "whole.h5md") == 0
-    assert run("run", "melt.toml", "--steps", 15) == 0
+    assert (run("run", "melt.toml", "--out", "whole.h5md"), run("run", "melt.toml", "--steps", 15)) == (0, 0)
     assert "only melt.h5md is continued" in told("resume", "melt.h5md")
     assert "it is at step 40, dynamics.steps = 40" in told("resume", "melt.h5md", code=2)
     whole, parts, start = read_file("whole.h5md"), read_file("melt.h5md"), load_scene("melt.toml").system()
@@ -127,30 +126,27 @@ def test_interrupted_run_says_how_to_go_on_or_that_nothing_was_written(folder, t
     assert "resume with: minimd resume melt.h5md --steps 19" in told("run", "melt.toml", code=130)
     monkeypatch.undo()
     os.chdir(folder)
-    assert run("resume", "melt.h5md", "--steps", 19) == 0
-    assert read_file("melt.h5md").step == 40
+    assert (run("resume", "melt.h5md", "--steps", 19), read_file("melt.h5md").step) == (0, 40)
 
 
 def test_resume_without_a_stored_scene_asks_for_one(folder, told):
     of = load_scene("melt.toml").simulation()
     md.Simulation(of.system, of.potentials, of.method).run(10, every=5, trajectory="bare.h5md")
     assert "minimd.Simulation.resume('bare.h5md', potentials)" in told("resume", "bare.h5md", "--steps", 5, code=2)
-    assert run("resume", "bare.h5md", "--steps", 10, "--scene", "melt.toml") == 0
-    assert read_file("bare.h5md").step == 20
+    assert (run("resume", "bare.h5md", "--steps", 10, "--scene", "melt.toml"), read_file("bare.h5md").step) == (0, 20)
 
 
 @pytest.mark.slow
 def test_a_scene_given_to_resume_replaces_that_of_the_file(folder, told):
     Path("slow.toml").write_text(SCENE.replace("timestep = 0.004", "timestep = 0.002"))
     assert run("run", "melt.toml", "--steps", 4) == 0
-    another = told("resume", "melt.h5md", "--scene", "slow.toml", "--steps", 4)
-    assert "dynamics.timestep: 0.004 before, 0.002 now" in another
+    resumed = told("resume", "melt.h5md", "--scene", "slow.toml", "--steps", 4)
+    assert "dynamics.timestep: 0.004 before, 0.002 now" in resumed
     assert "timestep 0.002 τ" in told("resume", "melt.h5md", "--steps", 4)
     simulation = md.Simulation.resume("melt.h5md")
     simulation.method = md.VelocityVerlet(0.001)  # in a script, beside the scene in the file
     simulation.run(4, trajectory="melt.h5md", append=True)
-    by_hand = told("resume", "melt.h5md", "--steps", 4)
-    assert "the last steps were made with VelocityVerlet(timestep=0.001)" in by_hand
+    assert "the last steps were made with VelocityVerlet(timestep=0.001)" in told("resume", "melt.h5md", "--steps", 4)
     assert md.Simulation.resume("melt.h5md").method.timestep == 0.001
 
 
@@ -271,9 +267,8 @@ def test_doctor_notices_wrong_forces_bits_that_depend_on_threads_and_drifts(monk
         found.forces[:] *= 1.001
         return found
 
-    wrong = {"evaluate": wrongly, "Simulation": Careless, "VelocityVerlet": Leaking}
-    tests = (doctor.gradient, doctor.same_bits, doctor.conservation)
-    for (name, one), test in zip(wrong.items(), tests, strict=True):
+    wrong = {"evaluate": (wrongly, doctor.gradient), "Simulation": (Careless, doctor.same_bits)}
+    for name, (one, test) in (wrong | {"VelocityVerlet": (Leaking, doctor.conservation)}).items():
         with monkeypatch.context() as patch:
             patch.setattr(doctor.md, name, one)
             fine, sentence = test()

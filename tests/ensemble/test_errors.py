@@ -42,12 +42,11 @@ def test_a_function_that_returns_something_else_is_named(name, tmp_path):
 
 
 CHANGES = [  # of an ensemble of seed 5 and 35 steps
-    ({"seed": 6}, "seed = 5 there, 6 here"),
-    ({"steps": 20}, "steps = 35 there, 20 here"),
+    ({"seed": 6}, "seed = 5 there, 6 here"), ({"steps": 20}, "steps = 35 there, 20 here"),
     ({"build": members.own_law}, "build = members.liquid there, members.own_law here"),
     ({"prepare": None}, "prepare = members.melted there, None here"),
     ({"parameters": {"temperature": [0.4, 0.9]}}, "member 1", "'temperature': 0.5", "'temperature': 0.9"),
-]
+]  # fmt: skip
 
 
 def test_another_ensemble_in_the_folder_is_refused(tmp_path, done_by_hand):

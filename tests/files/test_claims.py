@@ -3,6 +3,7 @@
 import os
 import threading
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
@@ -91,8 +92,7 @@ def test_a_link_at_a_temporary_name_is_not_followed(name, tmp_path, monkeypatch)
 
     put_link()
     simulation().run(10, every=5, trajectory=path)
-    assert (path.is_file(), path.is_symlink()) == (True, False)
-    assert files_of(tmp_path) == sorted([name, "precious"])
+    assert (path.is_file(), path.is_symlink(), files_of(tmp_path)) == (True, False, sorted([name, "precious"]))
     path.unlink()
     made = Claim.__init__
     monkeypatch.setattr(Claim, "__init__", lambda *args, **options: (made(*args, **options), put_link())[0])
@@ -124,9 +124,8 @@ SMALL_FILES = {  # what writes them, given their name
     "a page": View("<html>", Path("a.h5md"), "").save,
     "a picture": lambda path: save(Figure(), path.with_suffix(".png")),
     "a table in place of another": lambda path: simulation().run(5, every=5).to_csv(path, overwrite=True),
-    "a description": lambda path: write_whole(path, "{}"),
-    "a crash report": blow_up,
-}
+    "a description": lambda path: write_whole(path, "{}"), "a crash report": blow_up,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", SMALL_FILES)
@@ -169,18 +168,13 @@ def test_a_resumed_file_is_claimed_too_and_so_is_a_crash_report(tmp_path):
 
 
 def test_of_two_threads_one_writes(tmp_path):
-    path, refused, both = tmp_path / "a.h5md", [], threading.Barrier(2)
+    path, both = tmp_path / "a.h5md", threading.Barrier(2)
 
-    def run():
-        sim = simulation()
+    def run(sim):
         both.wait()
-        try:
-            sim.run(40, every=1, trajectory=path)
-        except OSError as error:
-            refused.append(error)
+        sim.run(40, every=1, trajectory=path)
 
-    threads = [threading.Thread(target=run) for _ in range(2)]
-    for work in (threading.Thread.start, threading.Thread.join):
-        for one in threads:
-            work(one)
-    assert (len(refused), read_file(path).n_frames) == (1, 41), refused
+    with ThreadPoolExecutor(2) as pool:
+        raised = [one.exception() for one in [pool.submit(run, simulation()) for _ in range(2)]]
+    assert (sum(isinstance(one, OSError) for one in raised), raised.count(None)) == (1, 1), raised
+    assert read_file(path).n_frames == 41

@@ -164,8 +164,7 @@ def test_a_damaged_restart_is_set_aside_by_resume(sound, path):
     assert outcome("resume", path)[0] == PASSED
     with h5py.File(path) as h5:
         assert np.isnan(h5["minimd/restart_damaged_1/velocities"]).all()
-    assert outcome("check", path)[0] == PASSED
-    assert numbers(path, SERIES_ALONE) == sound.numbers("plain")["resume"]
+    assert (outcome("check", path)[0], numbers(path, SERIES_ALONE)) == (PASSED, sound.numbers("plain")["resume"])
 
 
 COMPOUND, ANY_LENGTH, TEXT = np.dtype([("a", "f8"), ("b", "i8")]), h5py.vlen_dtype(np.float64), h5py.string_dtype()
@@ -207,10 +206,8 @@ def linked_group(h5, name, _):
 
 
 HOSTILE = {  # a file leads elsewhere, or asks for what it does not hold: what is done, and the name of the culprit
-    "an external restart": (external, POSITIONS),
-    "external frames": (external, "particles/trajectory/velocity/value"),
-    "external species": (external, "minimd/species_index"),
-    "a virtual dataset": (virtual, "minimd/restart/velocities"),
+    "an external restart": (external, POSITIONS), "external frames": (external, "particles/trajectory/velocity/value"),
+    "external species": (external, "minimd/species_index"), "a virtual dataset": (virtual, "minimd/restart/velocities"),
     "an external link": (put(lambda h5, folder: h5py.ExternalLink(str(folder / "precious.h5"), "x")), "minimd/masses"),
     "an external link as a group": (linked_group, "observables"),
     "a link to a link": (put(lambda *_: h5py.SoftLink("/minimd/restart/../cell")), "minimd/cell"),
@@ -224,10 +221,8 @@ HOSTILE = {  # a file leads elsewhere, or asks for what it does not hold: what i
     "a filter": (made(data=np.zeros(10), chunks=(10,), compression="gzip"), "minimd/zipped"),
     "numbers that are not there": (made(shape=(10**12,), dtype="f8", chunks=(1,)), "minimd/zeros"),
     "a size that overflows": (made(shape=(2**40, 2**40), dtype="f8", chunks=(1, 1)), "minimd/zeros"),
-    "many half as large": (
-        lambda h5, name, _: [h5.create_dataset(f"{name}{k}", (h5.id.get_filesize() // 16,), "f8") for k in "012"],
-        "minimd/zeros",
-    ),
+    "many half as large": (lambda h5, name, _: [
+        h5.create_dataset(f"{name}{k}", (h5.id.get_filesize() // 16,), "f8") for k in "012"], "minimd/zeros"),
     "an attribute of another kind": (attribute("extra", np.zeros((), COMPOUND), COMPOUND), "minimd"),
     "an attribute of many texts": (attribute("more", ["a"] * 300, TEXT), "minimd"),
     "many attributes": (lambda h5, name, _: [h5[name].attrs.create(f"a{k}", k) for k in range(300)], "minimd"),
@@ -237,12 +232,9 @@ READERS = {
     "resume": lambda file: cli.main(["resume", file, "--steps", "5"]),
     "frames": lambda file: cli.main(["frames", file, "--at", "5"]),
     "append": lambda file: H5MDWriter.append_to(file, simulation().engine),
-    "frame by frame": lambda file: list(frames_of(file, [0], md.units.LJ)),
-    "universe": universe,
-    "ase": ase.io.read,
-    "structure": system_from_file,
-    "MDAnalysis": RunReader,
-}
+    "frame by frame": lambda file: list(frames_of(file, [0], md.units.LJ)), "universe": universe, "ase": ase.io.read,
+    "structure": system_from_file, "MDAnalysis": RunReader,
+}  # fmt: skip
 ONE_OF = {way: [list(READERS)[k % len(READERS)]] for k, way in enumerate(HOSTILE)}  # another reader for each way
 ALL_OF = {way: list(READERS) for way in HOSTILE}
 ROWS = [*ONE_OF.items(), *(pytest.param(*row, marks=pytest.mark.slow) for row in ALL_OF.items())]

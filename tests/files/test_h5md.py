@@ -35,13 +35,11 @@ def test_trajectory_read_back_by_mdanalysis_is_the_trajectory_written(run):
     frames = opened(run.path).trajectory
     assert len(frames) == len(run.seen) == 5
     for ts, (step, time, positions, velocities, forces) in zip(frames, run.seen, strict=True):
-        assert ts.data["step"] == step
-        assert ts.time == pytest.approx(time / per_ps, rel=1e-14)
+        assert (ts.data["step"], ts.time) == (step, pytest.approx(time / per_ps, rel=1e-14))
         np.testing.assert_array_equal(ts.positions, positions.astype(np.float32))
         np.testing.assert_allclose(ts.velocities, velocities * per_ps, rtol=1.2e-7)  # rounding to float32
         np.testing.assert_allclose(ts.forces, forces * energy, rtol=1.2e-7)
-        assert ts.velocities.any()
-        assert ts.forces.any()
+        assert (ts.velocities.any(), ts.forces.any()) == (True, True)
     cell, dimensions = run.sim.system.cell, frames.ts.dimensions
     assert read_file(run.path).system.cell.same_as(cell)
     if run.cell.startswith("open") or run.cell == "slab without height":
@@ -72,8 +70,7 @@ def test_restart_is_the_end_of_the_run_to_the_last_bit_and_series_share_one_step
         position = h5["particles/trajectory/position"]
         groups = [f"particles/trajectory/{name}" for name in ("velocity", "force", "box/edges")]
         for one in [h5[name] for name in ("observables/momentum", *groups) if name in h5]:
-            assert one["step"] == position["step"]
-            assert one["time"] == position["time"]
+            assert (one["step"], one["time"]) == (position["step"], position["time"])
         assert position["value"].dtype == np.float64
         assert h5["observables/total_energy/value"].attrs["unit"] == run.units.energy
 
@@ -94,15 +91,11 @@ def test_appended_run_continues_on_the_grid_of_the_first_one(tmp_path, n_steps):
 
 VERLET, BATH = md.VelocityVerlet(0.002), md.LangevinBAOAB(0.002, 1.0, 1.0, 3)
 OTHER_STEPS = {  # the file has the first method, the others take over one after another
-    VERLET: [
-        (md.VelocityVerlet(0.001), ["timestep=0.002", "timestep=0.001"]),
-        (md.PositionVerlet(0.001), ["velocity-verlet", "position-verlet"]),
-    ],
-    BATH: [
-        (md.LangevinBAOAB(0.002, 2.0, 1.0, 3), ["temperature=1", "temperature=2"]),
-        (md.LangevinBAOAB(0.002, 2.0, 1.0, 4), ["seed=3", "seed=4"]),
-    ],
-}
+    VERLET: [(md.VelocityVerlet(0.001), ["timestep=0.002", "timestep=0.001"]),
+             (md.PositionVerlet(0.001), ["velocity-verlet", "position-verlet"])],
+    BATH: [(md.LangevinBAOAB(0.002, 2.0, 1.0, 3), ["temperature=1", "temperature=2"]),
+           (md.LangevinBAOAB(0.002, 2.0, 1.0, 4), ["seed=3", "seed=4"])],
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("before", [VERLET, pytest.param(BATH, marks=pytest.mark.slow)])

@@ -27,8 +27,7 @@ def test_exception_in_a_run_leaves_valid_files_and_its_block_runs_go_on(tmp_path
     try:
         sim.run(100, every=5, trajectory=paths, observers=[at_step(25, lambda: 1 // 0)])
     except ZeroDivisionError:
-        assert sim.step == 25
-        assert [len(opened(path).trajectory) for path in paths] == [4, 4, 4]
+        assert (sim.step, [len(opened(path).trajectory) for path in paths]) == (25, [4, 4, 4])
         sim.run(15, every=10, trajectory=tmp_path / "b.h5md")
     assert [read_file(path).step for path in (paths[0], tmp_path / "b.h5md")] == [25, 40]
 
@@ -119,8 +118,7 @@ def test_full_disk_is_told_once_and_spoils_nothing(tmp_path, monkeypatch, way):
     writer.close()
     assert 5 < sim.step < 2000
     assert f"{sim.step} frames before it are valid" in str(failure.value)
-    assert read_file(path).record.step.tolist() == list(range(sim.step))
-    assert len(opened(path).trajectory) == sim.step
+    assert (read_file(path).record.step.tolist(), len(opened(path).trajectory)) == ([*range(sim.step)], sim.step)
     assert path.stat().st_size <= most
 
 

@@ -13,14 +13,14 @@ from scenes import BONDED, LJ, SCENES, Scene
 import minimd as md
 from minimd.integrators.methods import METHODS
 from minimd.integrators.splitting.splitting import Splitting
+from minimd.structure.system import changed
 
 NAMES = sorted(name for name, of in METHODS.items() if issubclass(of, Splitting))
 
 
 def springs():
     """Two lists: bonded pairs are scaled in one law and not in the other; fixed atoms; open along z."""
-    of, pairs = SCENES["slab"]().system, np.arange(108).reshape(-1, 2)
-    slab = md.System(of.positions, velocities=of.velocities, cell=of.cell.vectors, pbc=of.cell.pbc, bonds=pairs)
+    slab = changed(SCENES["slab"]().system, bonds=np.arange(108).reshape(-1, 2))
     return Scene(slab, [LJ, BONDED, md.HarmonicBond(20.0, 1.1)], [md.FixedAtoms([0, 7])])
 
 

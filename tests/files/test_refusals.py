@@ -25,14 +25,11 @@ def at_pressure(pressure):
 CONTINUED = [  # what has become of the simulation, and what is shown
     (lambda sim: object.__setattr__(sim.system, "masses", 7.0 * sim.system.masses), "masses"),
     (lambda sim: object.__setattr__(sim.system, "charges", sim.system.charges + 0.1), "charges"),
-    (bath, "without a thermostat", "langevin-baoab"),
-    (lambda sim: setattr(sim, "step", 0), "step 10", "step 0"),
+    (bath, "without a thermostat", "langevin-baoab"), (lambda sim: setattr(sim, "step", 0), "step 10", "step 0"),
     (lambda sim: setattr(sim, "extra_observables", ["stress"]), "extra_observables"),
-    (lambda sim: simulation("triclinic"), "the cell"),
-    (lambda sim: simulation("cubic", md.units.ASE), "units"),
-    (lambda sim: at_pressure(2.0), "no barostat", "pressure=2.0"),
-    (lambda sim: None, "without forces"),
-]
+    (lambda sim: simulation("triclinic"), "the cell"), (lambda sim: simulation("cubic", md.units.ASE), "units"),
+    (lambda sim: at_pressure(2.0), "no barostat", "pressure=2.0"), (lambda sim: None, "without forces"),
+]  # fmt: skip
 
 
 def test_a_run_of_something_else_cannot_be_appended(tmp_path):
@@ -101,5 +98,4 @@ def test_refused_or_failed_output_leaves_nothing_of_the_others(tmp_path, monkeyp
     monkeypatch.setattr("minimd.files.h5md_writer.H5MDWriter.__init__", fails)
     with pytest.raises(OSError, match="no more files"):
         simulation().run(5, trajectory=[tmp_path / "a.h5md", tmp_path / "c.xtc"])
-    assert closed == [None]
-    assert [path.name for path in tmp_path.iterdir()] == ["b.xyz"]
+    assert (closed, [path.name for path in tmp_path.iterdir()]) == ([None], ["b.xyz"])

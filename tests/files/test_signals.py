@@ -118,10 +118,9 @@ def test_a_script_that_is_terminated_says_at_which_step_and_what_is_kept(number,
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(here):
     """An empty current folder with the scene in it."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "melt.toml").write_text(SCENE)
+    (here / "melt.toml").write_text(SCENE)
 
 
 def command(*arguments, **environment):

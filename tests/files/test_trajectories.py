@@ -6,14 +6,11 @@ import shutil
 from collections import Counter
 from pathlib import Path
 
+import h5md_runs
 import MDAnalysis
 import numpy as np
 import pytest
-
-# isort: off
-from h5md_runs import PER_PICOSECOND, at_step, bring_to_disk_every, frames_in, lengths_and_angles, opened
-from h5md_runs import resumed, simulation
-# isort: on
+from h5md_runs import PER_PICOSECOND, at_step, bring_to_disk_every, frames_in, opened, resumed, simulation
 
 import minimd as md
 from minimd.files import turned_cell
@@ -42,7 +39,7 @@ def test_what_mdanalysis_reads_is_what_was_run(tmp_path, suffix, cell, units):
         if cell == "open":
             assert ts.dimensions is None or not ts.dimensions[:3].any()
             continue
-        np.testing.assert_allclose(ts.dimensions, lengths_and_angles(vectors), rtol=1e-5)
+        np.testing.assert_allclose(ts.dimensions, h5md_runs.lengths_and_angles(vectors), rtol=1e-5)
 
 
 def test_a_dcd_file_of_one_frame_is_whole_and_a_turned_cell_is_told_at_the_line_of_the_user(tmp_path):
@@ -98,11 +95,10 @@ def renewed(path):
 
 
 OF_ANOTHER_RUN = {
-    "a copy": lambda path, old: renewed(path),
-    "restart in a copy": lambda path, old: renewed(old),
+    "a copy": lambda path, old: renewed(path), "restart in a copy": lambda path, old: renewed(old),
     "rewritten": lambda path, old: path.write_bytes(path.read_bytes()[::-1]),
     "a link": lambda path, old: path.symlink_to(path.replace(path.with_name("b.xtc"))),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("change", ["a link", *(pytest.param(one, marks=pytest.mark.slow) for one in OF_ANOTHER_RUN)])

@@ -50,12 +50,11 @@ def test_laws_are_followed_through_decisions_and_functions_of_numpy():
 
 
 UNWRITABLE = {
-    "sinc": lambda r2, k: (k * np.sinc(r2), 0.0),
-    "gamma": lambda r2, k: (k * math.gamma(r2), 0.0),
+    "sinc": lambda r2, k: (k * np.sinc(r2), 0.0), "gamma": lambda r2, k: (k * math.gamma(r2), 0.0),
     "whole numbers": lambda r2, k: (k * [1.0, 2.0][int(r2)], 0.0),
     "more than 8 conditions": lambda r2, k: (next(x for x in range(20) if r2 < x) * k, 0.0),
     "inf": lambda r2, k: (k * math.inf * r2, 0.0),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("why", UNWRITABLE)

@@ -46,16 +46,14 @@ SALT = ions(4, 3.0, np.eye(3)).system
 
 
 def charged(charges, *how, **more):
-    system = md.System(SALT.positions, cell=SALT.cell, charges=charges)
-    return lambda: scene(system, md.Coulomb(5.0, *how, **more))
+    return lambda: scene(md.System(SALT.positions, cell=SALT.cell, charges=charges), md.Coulomb(5.0, *how, **more))
 
 
 OUTSIDE = [  # scene, what must be named
     (with_potential(LJ, md.Gravity(1.0)), "dihedrals", "Gravity(acceleration="),
     (with_potential(LJ, md.HarmonicImproper(1.0, 0.0, [[0, 1, 2, 3]])), "dihedrals", "HarmonicImproper(k="),
     (with_potential(md.LennardJones(1.0, 1.0, 2.5, exclusions=[[0, 1]])), "without exclusions", "LennardJones("),
-    (with_potential(TABLE), "Lepton", "the law tabulated"),
-    (with_potential(*OTHER_BONDS), "bonded_scale", "[4, 5]"),
+    (with_potential(TABLE), "Lepton", "the law tabulated"), (with_potential(*OTHER_BONDS), "bonded_scale", "[4, 5]"),
     (charged(SALT.charges, method="reaction-field"), "dihedrals", "method='reaction-field'"),
     (charged(SALT.charges + 0.25), "charges", "net charge of the cell is 16 e"),
     (charged(SALT.charges, 1e-8), "accuracy", "at least 1e-07, and is 1e-08"),
@@ -63,7 +61,7 @@ OUTSIDE = [  # scene, what must be named
     (with_method(md.VelocityVerlet(-TIMESTEP)), "timestep", "-0.002"),
     (held(5, md.DistanceConstraints([[0, 1], [1, 2], [2, 3], [3, 4]])), "rigid molecule", "5 atoms and 4 lengths"),
     (held(2, md.FixedAtoms([0]), md.DistanceConstraints([[0, 1]])), "fixed atom", "[0, 1]"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("row", range(len(OUTSIDE)))
@@ -91,7 +89,6 @@ def found(path):
 
 
 def replaced(right, wrong):
-
     def changed(model):
         text = forces(model)
         assert right in text

@@ -76,8 +76,7 @@ def test_a_run_that_was_brought_back_passes_the_check_and_goes_on_also_without_m
     resumed.run(20, every=10, trajectory=done.trajectory, append=True, progress=False)
     theirs.run(20, progress=False)
     assert np.array_equal(resumed.positions, theirs.positions)
-    never = SimpleNamespace(stop_requested=False)
-    run(find_program().command("run.lmp", "run.log", 1), done.folder, "run.log", never)
+    run(find_program().command("run.lmp", "run.log", 1), done.folder, "run.log", SimpleNamespace(stop_requested=False))
     assert [step for step, _ in frames(done.folder / "frames.bin", 108)] == list(range(0, 201, 10))
 
 
@@ -139,9 +138,8 @@ def test_images_that_cannot_be_known_are_noticed(tmp_path, monkeypatch):
     assert_answered(call, md.lammps.HandOverError, "images", "600 cells", "every = 5000")
 
 
-def test_the_command_hands_over_and_resume_goes_on(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "melt.toml").write_text(melt_scene(3, 100, "[output]\nevery = 10\n"))
+def test_the_command_hands_over_and_resume_goes_on(here, capsys):
+    (here / "melt.toml").write_text(melt_scene(3, 100, "[output]\nevery = 10\n"))
     assert cli.main(["lammps", "melt.toml", "--processes", "2"]) == 0
     assert "verified " in capsys.readouterr().out
     assert cli.main(["check", "melt-lammps/run.h5md"]) == 0
@@ -150,4 +148,4 @@ def test_the_command_hands_over_and_resume_goes_on(tmp_path, monkeypatch, capsys
     assert "--overwrite" in capsys.readouterr().err
     assert cli.main(["lammps", "melt.toml", "--overwrite", "--steps", "20", "--quiet"]) == 0
     assert md.Simulation.resume("melt-lammps/run.h5md").step == 20
-    assert [path.name for path in tmp_path.iterdir() if "before" in path.name] == []
+    assert [path.name for path in here.iterdir() if "before" in path.name] == []

@@ -151,9 +151,8 @@ def test_universe_in_memory_is_that_of_the_file(path, units):
         assert set(ours.data) == set(theirs.data)
         for name in theirs.data.keys() - {"dt"}:
             np.testing.assert_array_equal(ours.data[name], theirs.data[name])
-    np.testing.assert_array_equal(
-        [ts.data["total_energy"] for ts in kept.trajectory], [*record.total_energy, *second.total_energy[1:]]
-    )
+    energies = [*record.total_energy, *second.total_energy[1:]]
+    np.testing.assert_array_equal([ts.data["total_energy"] for ts in kept.trajectory], energies)
     assert kept.atoms.resids.tolist() == stored.atoms.resids.tolist()
     now, last = universe(sim).trajectory[0], stored.trajectory[-1]
     for name in ("positions", "velocities", "time"):
@@ -189,8 +188,7 @@ def test_radial_distribution_equals_counting_all_images(path, monkeypatch, dista
 def test_diffusion_of_a_random_walk_is_that_of_its_steps(path, units):
     rng, n_atoms, n_frames, step = np.random.default_rng(6), 500, 50, 0.3
     walk = np.cumsum(rng.normal(0.0, step, (n_frames, n_atoms, 3)), axis=0)
-    walking = universe(written(path, md.System(walk[0], masses=1.0, cell=9.0, units=units), walk))
-    found = diffusion_coefficient(walking)
+    found = diffusion_coefficient(universe(written(path, md.System(walk[0], masses=1.0, cell=9.0, units=units), walk)))
     frame_time = 0.5 / (PER_PICOSECOND if units is ASE else 1.0)
     expected = pytest.approx(step**2 / 2.0 / frame_time, rel=0.05)  # <x²> = step² a frame = 2 D t; four standard errors
     assert found.coefficient == expected

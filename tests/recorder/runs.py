@@ -9,8 +9,7 @@ strictly what POSIX promises: a name is safe when its folder was synced.
 
 T. S. Pillai et al., All File Systems Are Not Created Equal (OSDI 2014); https://www.sqlite.org/atomiccommit.html
 
-python tests/recorder/runs.py FOLDER    makes the runs in FOLDER, which has a folder with the scene of each, by its name
-"""
+python tests/recorder/runs.py FOLDER    makes the runs in FOLDER, which has a folder with the scene of each, by name"""
 
 import contextlib
 import hashlib

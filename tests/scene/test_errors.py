@@ -80,16 +80,14 @@ ROWS += [(SALT, SALT[SALT.index("potential = ") :], "", "potential is missing")]
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row[3]} {row[-1]}")
-def test_a_wrong_entry_is_answered_with_its_place_and_itself(row, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_wrong_entry_is_answered_with_its_place_and_itself(row, here):
     write_tables()
     text, old, new, *shown = row
     assert old in text
     assert_answered(lambda: everything_of(text.replace(old, new, 1)), ValueError, "scene.toml: ", *shown)
 
 
-def test_what_is_no_table_and_what_is_no_toml_is_told(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_what_is_no_table_and_what_is_no_toml_is_told(here):
     for content, *shown in NO_TABLES:
         if content is not None:
             Path("lj.dat").write_text(content)

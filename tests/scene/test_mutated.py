@@ -165,10 +165,10 @@ def answer_to(text, is_senseless, n_steps):
     return kind
 
 
-@pytest.mark.parametrize(
-    ("seed", "n_scenes", "n_steps"),
-    [(1, 200, 0), *(pytest.param(seed, 1000, 2, marks=pytest.mark.slow) for seed in range(11, 21))],
-)
+SEEDS = [(1, 200, 0), *(pytest.param(seed, 1000, 2, marks=pytest.mark.slow) for seed in range(11, 21))]
+
+
+@pytest.mark.parametrize(("seed", "n_scenes", "n_steps"), SEEDS)
 def test_every_scene_with_mistakes_is_answered_with_a_sentence_or_a_right_result(seed, n_scenes, n_steps):
     as_they_are = [answer_to(text_of(scene), False, n_steps) for scene in SCENES * 2]  # the first time, they compile
     assert as_they_are[len(SCENES) :] == ["result"] * len(SCENES)

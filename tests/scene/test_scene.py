@@ -56,12 +56,11 @@ ENDINGS = {  # of keys: SI / that of minimd, for each dimension
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(here):
     """A current folder with the files that scenes of this page name."""
-    monkeypatch.chdir(tmp_path)
     write_tables()
     Path("bent.xyz").write_text("3\n\nH 1.1 0 0\nO 0 0 0\nH 0 0.9 0\n")  # arms of 1.1 Å and 0.9 Å at a right angle
-    return tmp_path
+    return here
 
 
 def energy_of(scene):
@@ -108,8 +107,7 @@ def test_structure_file_is_read_beside_the_scene_with_its_velocities(tmp_path, m
     (tmp_path / "scene.toml").write_text(PAIR)
     monkeypatch.chdir("/")
     system = load_scene(tmp_path / "scene.toml").simulation().system
-    assert system.species.tolist() == ["Ar", "Kr"]
-    assert system.masses == pytest.approx([39.948, 83.798])
+    assert (system.species.tolist(), system.masses) == (["Ar", "Kr"], pytest.approx([39.948, 83.798]))
     assert system.velocities * system.masses[:, None] == pytest.approx(np.array(momenta))
     assert system.cell.pbc.all()
 
@@ -190,8 +188,7 @@ def test_unlike_pairs_follow_the_mixing_rule_unless_they_are_given(folder):
 def test_equilibration_reaches_its_temperature_and_does_not_count(tmp_path):
     text = REDUCED + "[equilibration]\nsteps = 200\ntemperature = 0.9\nrescale_every = 10\n"
     simulation = run_scene(scene_of(text), steps=0, trajectory=tmp_path / "a.h5md", tell=lambda line: None)
-    assert simulation.record.step.tolist() == [0]
-    assert simulation.record.temperature[0] == pytest.approx(0.9)
+    assert (simulation.record.step.tolist(), simulation.record.temperature[0]) == ([0], pytest.approx(0.9))
 
 
 def test_velocities_of_a_scene_are_drawn_behind_its_minimization(folder):
@@ -204,8 +201,7 @@ def test_velocities_of_a_scene_are_drawn_behind_its_minimization(folder):
 
 
 def test_run_writes_what_the_scene_says_and_tells_it(folder):
-    told = []
-    output = 'every = 5\nforces = true\ntrajectory = ["a.h5md", "b.extxyz"]'
+    told, output = [], 'every = 5\nforces = true\ntrajectory = ["a.h5md", "b.extxyz"]'
     run_scene(scene_of(REDUCED.replace("every = 5", output)), tell=told.append)
     contents = read_file("a.h5md")
     assert contents.record.step.tolist() == [0, 5, 10, 15, 20]

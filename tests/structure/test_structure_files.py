@@ -27,6 +27,7 @@ def along_chains(size):
 
 BONDS, ANGLES, DIHEDRALS, IMPROPERS = along_chains(2), along_chains(3), along_chains(4), [[4, 3, 2, 1]]
 GROUPS = {"bonds": BONDS, "angles": ANGLES, "dihedrals": DIHEDRALS, "impropers": IMPROPERS}
+IONS = [0.5, -0.8476]
 POSITIONS = np.array([[1.0 * i + 0.5, 1.5 * c + 0.25, 0.125 * (i % 2)] for c in range(N_CHAINS) for i in range(LENGTH)])
 
 
@@ -100,6 +101,7 @@ def folder(here):
     write_pdb(here / "melt.pdb", with_bonds=True)
     write_pdb(here / "plain.pdb", with_bonds=False)
     write_psf(here / "melt.psf")
+    write_psf(here / "ions.psf", IONS[1])
     return here
 
 
@@ -107,8 +109,7 @@ def scene(folder, form, more=None, laws=""):
     """A scene of a melt in a format, with the bonds that its files name if nothing else is said."""
     file = {"psf": "plain.pdb"}.get(form, f"melt.{form}")
     more = f'bonds = "{FORMATS[form]}"' if more is None else more
-    text = SCENE.format(file=file, more=more, laws=PAIR_LAWS + laws)
-    (folder / "melt.toml").write_text(text)
+    (folder / "melt.toml").write_text(SCENE.format(file=file, more=more, laws=PAIR_LAWS + laws))
     return load_scene(folder / "melt.toml")
 
 
@@ -154,8 +155,7 @@ def test_angles_and_constraints_of_a_file_are_those_named_by_hand(folder):
 
 
 FIELDS = {
-    "constant-force": {"force": [0.0, 0.0, -0.1], "atoms": [0]},
-    "gravity": {"acceleration": [0.0, 0.0, -0.2]},
+    "constant-force": {"force": [0.0, 0.0, -0.1], "atoms": [0]}, "gravity": {"acceleration": [0.0, 0.0, -0.2]},
     "restraint": {"k": 2.0, "points": [[1.0, 2.0, 3.0]], "atoms": [0]},
     "steered-spring": {"k": 3.0, "points": [[1.0, 2.0, 3.0]], "velocity": [0.1, 0.0, 0.0], "atoms": [3], "end": 5.0},
     "wall": {"point": [0.0, 0.0, -1.0], "normal": [0.0, 0.0, 1.0], "epsilon": 1.0, "sigma": 1.0, "cutoff": 2.5},
@@ -164,7 +164,7 @@ FIELDS = {
     "morse-bond": {"depth": 3.0, "a": 2.0, "length": 1.1, "pairs": [[0, 1]]},
     "opls-dihedral": {"k1": 1.0, "k2": 2.0, "k3": 3.0, "quadruples": [[0, 1, 2, 3]]},
     "ryckaert-bellemans": {"coefficients": [1.0, 2.0], "quadruples": [[0, 1, 2, 3]]},
-}
+}  # fmt: skip
 
 
 def test_scenes_have_every_field_and_law():
@@ -266,14 +266,16 @@ def test_system_from_a_universe_is_the_one_that_wrote_it(tmp_path, units):
     assert not md.System.from_mdanalysis(made, units=units, pbc=False, bonds=()).cell.pbc.any()
 
 
+def test_charges_of_a_structure_come_before_those_of_its_file_of_bonds(folder):
+    ase.io.write("own.traj", md.System(POSITIONS, charges=20 * [0.25]).to_ase())
+    assert system_from_file("own.traj", bonds="ions.psf").charges.tolist() == 20 * [0.25]
+
+
 def test_group_of_atoms_keeps_the_bonds_within_it(folder):
     part = md.System.from_mdanalysis(MDAnalysis.Universe("melt.psf", "plain.pdb").select_atoms("resid 2 3")[::-1])
     np.testing.assert_allclose(part.positions, POSITIONS[5:15][::-1], atol=1e-6)
     same_groups(part.bonds, [[9 - i + 5, 9 - j + 5] for i, j in BONDS if 5 <= i < 15])
     assert (part.species.tolist(), len(part.angles)) == (["CT"] * 10, 6)
-
-
-IONS = [0.5, -0.8476]
 
 
 def salt():
@@ -283,7 +285,8 @@ def salt():
 
 
 def from_lammps(folder, style):
-    """Data of LAMMPS, with a column of charges."""
+    """Data of LAMMPS, with a column of charges; and a file without any, to be read beside them."""
+    ase.io.write(folder / "salt.xyz", ase.Atoms("NaCl", salt().positions))
     molecule = "" if style == "charge" else "1 "
     lines = f"1 {molecule}1 0.5 1 1 1", f"2 {molecule}2 -0.8476 3.5 1 1"
     head = "salt\n\n2 atoms\n2 atom types\n0 8 xlo xhi\n0 8 ylo yhi\n0 8 zlo zhi\n\nMasses\n\n1 22.99\n2 35.45\n\n"
@@ -299,41 +302,22 @@ def from_mdanalysis(_folder):
     return md.System.from_mdanalysis(made)
 
 
-def beside(folder):
-    """Charges and bonds of a PSF beside a PDB, which has no charges; those of the structure itself come first."""
-    write_psf(folder / "melt.psf", -0.8476)
-    assert system_from_file(folder / "own.traj", bonds="melt.psf").charges.tolist() == 20 * [0.25]
-    return system_from_file("melt.pdb", bonds="melt.psf")
-
-
-def from_psf(folder):
-    write_psf(folder / "melt.psf", -0.8476)
-    return md.System.from_mdanalysis(MDAnalysis.Universe("melt.psf", "plain.pdb"))
-
-
 WAYS_IN = {
-    "a universe": from_mdanalysis,
-    "atoms": lambda folder: md.System.from_ase(salt()),
+    "a universe": from_mdanalysis, "atoms": lambda folder: md.System.from_ase(salt()),
     "a file of ASE": lambda folder: (ase.io.write("a.traj", salt()), system_from_file("a.traj"))[1],
     "LAMMPS data, full": lambda folder: system_from_file(from_lammps(folder, "full")),
     "LAMMPS data, charge": lambda folder: system_from_file(from_lammps(folder, "charge"), units=md.units.LJ),
-    "LAMMPS data beside": lambda folder: (
-        ase.io.write("a.xyz", ase.Atoms("NaCl", salt().positions)),
-        system_from_file("a.xyz", bonds=from_lammps(folder, "full").name),
-    )[1],
-    "a PSF beside": beside,
-    "a PSF": from_psf,
-}
+    "LAMMPS data beside": lambda folder: system_from_file("salt.xyz", bonds=from_lammps(folder, "full").name),
+    "a PSF beside": lambda _: system_from_file("melt.pdb", bonds="ions.psf"),
+    "a PSF": lambda _: md.System.from_mdanalysis(MDAnalysis.Universe("ions.psf", "plain.pdb")),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("way", WAYS_IN)
 def test_charges_come_with_a_structure_and_a_warning_tells_if_nothing_uses_them(folder, way):
     """One warning, which shows the largest; none where Coulomb or a calculator may use them, or all are zero."""
-    own = ase.Atoms(20 * "C", POSITIONS)
-    own.set_initial_charges(20 * [0.25])
-    ase.io.write("own.traj", own)
     system = WAYS_IN[way](folder)
-    assert system.charges.tolist() == (20 * [-0.8476] if "PSF" in way else IONS)
+    assert system.charges.tolist() == (20 * IONS[1:] if "PSF" in way else IONS)
     law, neutral = md.LennardJones(1e-3, 0.5, 2.6), changed(system, charges=None)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")

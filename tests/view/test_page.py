@@ -165,8 +165,8 @@ def test_a_failed_run_shows_its_last_steps_and_marks_the_pair(tmp_path):
     difference = (parts.counts[-1, pair[1]].astype(int) - parts.counts[-1, pair[0]]).astype(np.int16) / LEVELS
     assert np.linalg.norm(difference @ np.array(parts.about["lattice"])) == pytest.approx(found.pair.distance, abs=1e-3)
     assert asks_nobody(made)
-    alone = Parts(md.view(error.file).html)  # without its potentials: two states
-    assert alone.about["steps"] == [found.first_step, found.last_good_step]
+    two_states = [found.first_step, found.last_good_step]  # all there is without its potentials
+    assert Parts(md.view(error.file).html).about["steps"] == two_states
 
 
 @pytest.mark.slow

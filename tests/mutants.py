@@ -60,6 +60,16 @@ potentials/links.py: potentials/test_laws
     in_steps(lane(u, k) / n_sites, steps) => in_steps(lane(u, k), steps)
 potentials/links.py: potentials/test_laws potentials/test_truncation potentials/test_reference_lammps
     size * cosine - ab * sine, ab * cosine => size * cosine + ab * sine, ab * cosine
+forces/wave_sum.py: potentials/test_laws potentials/test_coulomb
+    rc - im, rs + ic, rc + im, ic - rs => rc - im, rs + ic, rc + im, ic + rs
+    fma(nc, a[3], fma(ns, a[0], pzi)) => fma(nc, a[3], fma(ns, -a[0], pzi))
+    u + g * kz * kz, g * ky => u + g * kz * ky, g * ky
+potentials/coulomb.py: potentials/test_laws potentials/test_coulomb
+    v + select(is_near, u, 0.0), g + select => v + u, g + select
+    select(is_near, polynomial(t, slopes), -inverse3) => select(is_near, polynomial(t, slopes), inverse3)
+potentials/prolates.py: potentials/test_coulomb
+    wave.series[2] - wave.at_end / 3.0 => wave.series[2] + wave.at_end / 3.0
+    0.5 * bend * kappa - shape => 0.5 * bend * kappa + shape
 neighbors/search.py: neighbors/test_pair_list forces/test_lists neighbors/test_cluster_list
     within[len(within) // 2 + 1 :] => within[len(within) // 2 + 2 :]
     first_atom, row = i + 1 if => first_atom, row = i if

@@ -36,8 +36,8 @@ structure = md.observers.RadialDistribution(every=50)
 motion, flow = md.observers.MeanSquareDisplacement(every=10), md.observers.Viscosity(every=2)
 sim.run(n_steps, every=1000, observers=[structure, motion, flow])
 print(flow.result())
-# hydrogens turn: a straight line begins where molecules have turned
-print(motion.result(window=(5.0 * ps, 20.0 * ps), viscosity=flow.result().viscosity))
+turned = n_steps * timestep / 24  # 5 ps: hydrogens turn, and the straight line begins when they have
+print(motion.result(window=(turned, 4 * turned), viscosity=flow.result().viscosity))
 structure.result().plot()
 print(sim.report())
 plt.show()

@@ -10,7 +10,7 @@ import numpy as np
 
 from minimd.console.display import Displayed
 from minimd.constraints.constraint_set import ConstraintSet
-from minimd.diagnosis.report import Report, conservation_report
+from minimd.diagnosis.report import Line, Report, conservation_report
 from minimd.diagnosis.run_report import pressure_lines
 from minimd.engine.record import SERIES, Record
 from minimd.files.h5md_reader import damage, damage_told, frames_of
@@ -62,8 +62,7 @@ class FileCheck(Displayed):
 
     @property
     def passed(self) -> bool:
-        """True if all comparisons agree, and energy and momentum are conserved; False also if there are too few frames
-        to judge.
+        """True if all comparisons agree, and energy and momentum are conserved; False with too few frames to judge.
 
         A run that is too short to show a drift of the energy passes if the energy varies little: see Report.is_quiet.
         """
@@ -84,8 +83,7 @@ class FileCheck(Displayed):
 
 
 def check_file(path: str | Path) -> FileCheck:
-    """Read a minimd file through MDAnalysis, compare stored observables with recomputed ones, and judge what should be
-    constant.
+    """Read a minimd file through MDAnalysis, compare observables with recomputed ones, judge what should be constant.
 
     Stored observables are float64. Velocities are read in float32; the tolerances allow for this.
     Raises as minimd.mdanalysis.universe.
@@ -96,11 +94,15 @@ def check_file(path: str | Path) -> FileCheck:
 
 
 def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
-    """The check of a file with an open universe.  damaged : its damaged frames or restarts, see
-    minimd.files.h5md_reader.damage."""
+    """The check of a file with an open universe.  damaged : its damaged frames or restarts, see h5md_reader.damage."""
     contents, system, is_free = made.contents, made.system, made.contents.conserves_momentum
     record, found = recomputed(made)
-    lines, angular = tuple(pressure_lines(record, contents.barostat, is_free)), is_free and not system.cell.is_periodic
+    lines, angular = [*pressure_lines(record, contents.barostat, is_free)], is_free and not system.cell.is_periodic
+    lines += [
+        Line("charges", one[9:], "its accuracy bounds the rms error of their forces over the rms force", True)
+        for one in contents.potentials
+        if one.startswith("Coulomb: ")
+    ]
     n_dof = ConstraintSet(system, system.constraints).degrees_of_freedom(is_free)
     report = conservation_report(record, angular, None, is_free, lines, n_dof, contents.too_long_a_step)
     frames = f"{contents.n_frames} frame{'s' * (contents.n_frames > 1)}, steps {record.step[0]} to {record.step[-1]}"
@@ -176,10 +178,10 @@ def comparisons(made: RunUniverse, record: Record, found: list[Array], damaged: 
 
 
 def liquid(run: str | Path | RunUniverse) -> list[str]:
-    """Lines about a periodic liquid: the first peak of g(r), and D if there are enough frames and the atoms have left
-    their places; empty if the cell is not periodic in all directions.
+    """Lines about a liquid that is periodic in all directions: the first peak of g(r), and D if there are enough frames
+    and the atoms have left their places.
 
-    They have left their places if they have moved by half the distance of neighbors within the window of the fit.
+    They have left them if they have moved by half the distance of neighbors within the window of the fit.
     run : a file, or its universe.  Raises as universe.
     """
     with universe_of(run) as made:
@@ -195,7 +197,6 @@ def liquid(run: str | Path | RunUniverse) -> list[str]:
             diffusion = diffusion_coefficient(made)
             moved = float(diffusion.displacements[diffusion.lags <= diffusion.window[1]][-1]) ** 0.5
             if moved > 0.5 * peak * system.units.to_angstrom:
-                is_slowed = contents.method == LangevinBAOAB.name
-                slowed = ", of Langevin dynamics, whose friction slows it" if is_slowed else ""
+                slowed = ", of Langevin dynamics, whose friction slows it" * (contents.method == LangevinBAOAB.name)
                 lines.append(f"diffusion      {diffusion}{slowed}")
     return lines

@@ -56,8 +56,7 @@ def drawn(made: RunUniverse) -> Figure:
 
 
 def _energy(panel: Axes, times: Array, record: Record) -> None:
-    """Change of the total energy per atom since the start, minus heat Q if there is a bath, with the line of its
-    drift."""
+    """Change of the total energy per atom since the start, minus heat Q of a bath, with the line of its drift."""
     change = draw_energy(panel, times, record)
     drifting = change.mean() + drift(times, change).slope * (times - times.mean())
     panel.plot(times, drifting, color=ACCENT, lw=1.0, ls="--", label="drift")

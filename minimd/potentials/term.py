@@ -214,7 +214,7 @@ class OwnPotential(Displayed):
         return {}
 
     def __repr__(self) -> str:
-        return call_of(self, self.arguments(), always=("cutoff", "truncation"))
+        return call_of(self, self.arguments(), always=("cutoff", "truncation", "accuracy"))
 
     def display_rows(self) -> Rows:
         """See Displayed."""

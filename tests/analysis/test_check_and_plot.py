@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 from h5md_runs import N_ATOMS, PER_PICOSECOND, simulation
+from salts import run_of, salt
 
 import minimd as md
 from minimd.analysis.check import check_file
@@ -116,3 +117,9 @@ def test_momentum_in_fixed_point_arithmetic_is_constant_in_files_of_all_units(un
     of, path = simulation("cubic", units), tmp_path / "a.h5md"
     md.Simulation(of.system, of.potentials, of.method, precision="fixed-point").run(20, every=5, trajectory=path)
     assert [one.passed for one in check_file(path).comparisons if one.name == "exact momentum"] == [True]
+
+
+def test_check_tells_the_accuracy_of_charges(tmp_path):
+    run_of(salt()).run(4, every=1, trajectory=tmp_path / "ions.h5md")
+    told = str(check_file(tmp_path / "ions.h5md"))
+    assert "charges        Coulomb(cutoff=2.7, accuracy=0.0001): its accuracy bounds the rms error" in told

@@ -98,6 +98,15 @@ def test_forces_in_a_strained_cell_are_those_of_new_lists(kind, coupling):
     assert simulation.potential_energy == pytest.approx(fresh.potential_energy, rel=1e-12)
 
 
+def test_a_contact_takes_one_evaluation_of_its_own():
+    """In the strained cell: energy and virial before the strain are those of the step."""
+    simulation = at_pressure("clusters")
+    simulation.make_steps(0)
+    before = simulation.engine.interactions.n_evaluations
+    simulation.engine.advance(20)
+    assert simulation.engine.interactions.n_evaluations - before == 20 + 4
+
+
 @pytest.mark.parametrize("coupling", ["isotropic", "z", "triclinic"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_the_barostat_gives_is_what_the_energy_gains(kind, coupling):

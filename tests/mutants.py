@@ -165,7 +165,7 @@ files/claim.py: files/test_h5md simulation/test_observables files/test_kills
     is_changed = bool(pieces) or => is_changed = bool(pieces) and
 observers/correlator.py: observers/test_observers
     past = (slot + p - j) % p => past = (slot + j) % p
-    counts[level, first:n_kept] += 1.0 => counts[level, :n_kept] += 1.0
+    counts[level, first:n_kept] += 1.0 => counts[level, first + 1 : n_kept] += 1.0
     (entries * RATIO**level) => ((entries + 1) * RATIO**level)
 observers/fluctuations.py: observers/test_observers
     0.5 * f * k_B / (1.0 - 2.0 * => 0.5 * f * k_B / (1.0 - 1.0 *

@@ -24,7 +24,8 @@ CALLS = [  # an object, and the call that makes it again, without what is a defa
     (md.LangevinBAOAB(0.005, 0.7, 2.0, seed=3), "LangevinBAOAB(timestep=0.005, temperature=0.7, friction=2, seed=3)"),
     (HELD, "HarmonicBond(k=3.0, length=[1.0, 1.1], pairs=[[0, 1], [1, 2]])"),
     (md.VelocityVerlet(md.units.fs), "VelocityVerlet(timestep=0.09822694788)"),
-    (md.Coulomb(8.5, 1e-6), "Coulomb(cutoff=8.5, accuracy=1e-06)"), (md.Coulomb(), "Coulomb(cutoff=None, accuracy=1e-05)"),
+    (md.Coulomb(8.5, 1e-6), "Coulomb(cutoff=8.5, accuracy=1e-06)"),
+    (md.Coulomb(), "Coulomb(cutoff=None, accuracy=1e-05)"),
     (md.Coulomb(9.0, method="reaction-field", bonded_scale=[0, 0.5, 1]), None),
     (md.LennardJones(SPECIES, None, CUTOFFS, "switched", pairs=UNLIKE, **MORE), None),
 ]  # fmt: skip

@@ -22,11 +22,11 @@ Array = NDArray[np.float64]
 Numbers = tuple[float, tuple[float, ...], tuple[float, ...]]
 
 NARROWEST, WIDEST = 2.0, 40.0  # bandwidths c
-# rms error of forces over rms force, in units of ψ₀(1)/ψ₀(0): 0.3 to 0.6 were measured in molten salts, 0.6 to 1.7 in
-# water, up to 8.4 in cold crystals, whose forces nearly cancel, 0.04 in a slab of charge, whose forces are large
+# rms error of forces over rms force, in units of ψ₀(1)/ψ₀(0): 0.3 to 0.7 were measured in molten salts, 0.5 to 1.5 in
+# water, up to 9 in cold crystals, whose forces nearly cancel, 0.04 in a slab of charge, whose forces are large
 SAFETY = 9.0
-DEGREES = (7, 10, 20, 28)  # of the polynomials in r²: one compiled form for each
-FITTED = 0.003  # error of a polynomial that is small enough, in units of the accuracy
+DEGREES = (8, 12, 20, 28)  # of the polynomials in r²: one compiled form for each
+FITTED = 0.0003  # error of a polynomial that is small enough, in units of the accuracy
 LEAST_ACCURATE, MOST_ACCURATE = 0.05, 1e-13  # what can be asked for
 
 

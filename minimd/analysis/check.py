@@ -98,11 +98,9 @@ def checked(made: RunUniverse, damaged: str = "") -> FileCheck:
     contents, system, is_free = made.contents, made.system, made.contents.conserves_momentum
     record, found = recomputed(made)
     lines, angular = [*pressure_lines(record, contents.barostat, is_free)], is_free and not system.cell.is_periodic
-    lines += [
-        Line("charges", one[9:], "its accuracy bounds the rms error of their forces over the rms force", True)
-        for one in contents.potentials
-        if one.startswith("Coulomb: ")
-    ]
+    bound = "its accuracy bounds the rms error of their forces over the rms force"
+    calls = (one.removeprefix("Coulomb: ") for one in contents.potentials if one.startswith("Coulomb: "))
+    lines += [Line("charges", call, bound, True) for call in calls]
     n_dof = ConstraintSet(system, system.constraints).degrees_of_freedom(is_free)
     report = conservation_report(record, angular, None, is_free, lines, n_dof, contents.too_long_a_step)
     frames = f"{contents.n_frames} frame{'s' * (contents.n_frames > 1)}, steps {record.step[0]} to {record.step[-1]}"

@@ -22,7 +22,7 @@ from minimd.forces.pair_laws import PairLaws, deepest
 from minimd.forces.pair_list_term import PairListTerm
 from minimd.forces.wave_sum import WaveSum
 from minimd.neighbors.verlet_list import Built, VerletList
-from minimd.potentials.coulomb import CoulombTerm, SpecialLaw
+from minimd.potentials.coulomb import SpecialLaw
 from minimd.potentials.laws import Scaled
 from minimd.potentials.links import FixedPairs, LinkedTerm, Slots
 from minimd.potentials.pair_loop import from_table
@@ -64,10 +64,9 @@ def plan(
         with_list = ClusterTerm if laws.fit_clusters(system, known, displacement) else PairListTerm
         terms.append(with_list(system, laws, known, displacement))
         terms.extend(special_terms(system, pair_laws, laws))
-    return [
-        *terms,
-        *(WaveSum(system, one.charges, one.split) for one in pair_laws if one.split and one.charges is not None),
-    ]
+    sums = ((one.charges, one.split) for one in pair_laws)
+    terms.extend(WaveSum(system, charges, split) for charges, split in sums if charges is not None and split)
+    return terms
 
 
 def special_terms(system: System, members: Sequence[PairLaw], laws: PairLaws) -> Iterator[Term]:
@@ -148,7 +147,7 @@ class Forces:
         told = [term.warning for term in self._bound if term.warning]
         if system.charges.any() and all(isinstance(one, OwnTerm) for one in self._bound):  # others may use them
             largest = f"the charges of the atoms, up to {np.abs(system.charges).max():.4g} e, are not used"
-            is_used = any(isinstance(one, CoulombTerm) for one in self._bound)
+            is_used = any(one.pair_law is not None and one.pair_law.charges is not None for one in self._bound)
             told += [] if is_used else [f"{largest}: add Coulomb(cutoff) to the potentials"]
         for words in told:
             warnings.warn(words, stacklevel=outside_minimd())

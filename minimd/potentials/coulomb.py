@@ -8,11 +8,11 @@ from math import inf, sqrt
 from typing import Literal
 
 import numpy as np
-from numba.extending import overload
 from numpy.typing import ArrayLike
 
 from minimd.compiled.kernels import scalar, type_of
 from minimd.compiled.simd import fma, select
+from minimd.compiled.simd.functions import polynomial
 from minimd.console.words import shown
 from minimd.potentials.declared import POSITIVE, Declared, choice, declared, factors, number, pairs
 from minimd.potentials.law import evaluate_law
@@ -24,23 +24,6 @@ from minimd.structure.system import System
 MethodName = Literal["ewald", "reaction-field"]
 METHODS = {"ewald": "pairs and waves", "reaction-field": "pairs only"}
 NO_REST: Numbers = (0.0, (0.0, 0.0), (0.0, 0.0))  # of a split whose L is zero
-
-
-def polynomial(t, c):
-    """Σ c[k] tᵏ of a number or a vector; unrolled by the compiler."""
-    total = 0.0
-    for one in c[::-1]:
-        total = total * t + one
-    return total
-
-
-@overload(polynomial)
-def _polynomial(t, c):
-    if len(c) == 2:
-        return lambda t, c: fma(t, c[1], c[0])
-    if len(c) > 5:  # four at once: the compiler, which calls itself, must not go too deep
-        return lambda t, c: fma(t, fma(t, fma(t, fma(t, polynomial(t, c[4:]), c[3]), c[2]), c[1]), c[0])
-    return lambda t, c: fma(t, polynomial(t, c[1:]), c[0])
 
 
 @scalar

@@ -16,7 +16,7 @@ from minimd.compiled.kernels import scalar, type_of
 from minimd.console.words import listed, near, shown
 from minimd.potentials.law import UserLaw, check_user_law, checked_law, evaluate_law, law_at
 from minimd.potentials.laws import LennardJonesLaw
-from minimd.potentials.term import OwnPotential, OwnTerm, PairLaw, checked_factors, no_bonds
+from minimd.potentials.term import OwnPotential, OwnTerm, PairLaw, no_bonds
 from minimd.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
 from minimd.structure.bond_graph import checked_pairs
 from minimd.structure.checks import checked_choice, checked_flag, checked_number, checked_numbers
@@ -104,7 +104,7 @@ class PairPotential(OwnPotential):
         self.mixing = mixing if callable(mixing) or mixing is None else MIXING[checked_choice("mixing", mixing, MIXING)]
         self.parameters, self.pairs = self._checked_parameters(parameters, pairs)
         self.switch_start = self._checked_switch_start(switch_start)
-        self.bonded_scale, self.exclusions = checked_factors(bonded_scale), checked_pairs("exclusions", exclusions)
+        self.bonded_scale, self.exclusions = _checked_factors(bonded_scale), checked_pairs("exclusions", exclusions)
         self.tail_correction = checked_flag("tail_correction", tail_correction)
         if tail_correction and (truncation not in ("truncated", *SWITCHES) or self.cutoff == inf):
             needed = f"a cutoff and truncation 'truncated', {listed(SWITCHES)}"
@@ -502,6 +502,15 @@ class Tabulated(PairPotential):
         if isinstance(self.parameters, dict) and (a, b) not in self.pairs:
             raise ValueError(f"Tabulated has no table for the pair {a!r}, {b!r}; it has {listed(self.u)}")
         return super()._parameters_of(a, b)
+
+
+def _checked_factors(bonded_scale: Any) -> tuple[float, ...]:
+    """Factors for pairs one, two and three bonds apart.  Raises ValueError for anything but three finite numbers."""
+    expected = "three finite factors, for pairs one, two and three bonds apart"
+    factors = checked_numbers("bonded_scale", bonded_scale, expected)
+    if factors.shape != (3,) or not np.isfinite(factors).all():
+        raise ValueError(f"bonded_scale must be {expected}; it is {shown(bonded_scale)}")
+    return tuple(factors.tolist())
 
 
 def _checked_distances(r: Any) -> NDArray[np.float64]:

@@ -22,7 +22,6 @@ from minimd.potentials.law import agree
 from minimd.potentials.prolates import Split
 from minimd.structure.bond_graph import checked_pairs
 from minimd.structure.cell import Images
-from minimd.structure.checks import checked_numbers
 from minimd.structure.system import System
 
 if TYPE_CHECKING:
@@ -42,7 +41,7 @@ class PairLaw(NamedTuple):
 
     name : of the potential, for messages.  law : law type, truncation included.  cutoff : the largest [length].
     table : (S, S, 1 + P) numbers of each pair of species, the squared cutoff first; S = 1 if all atoms are alike.
-    bonded_scale : factors for pairs one, two and three bonds apart; laws that leave out the same pairs share a list.
+    bonded_scale : factors for pairs one, two and three bonds apart; all laws share one list.
     charges : (N,) of atoms [√(energy · length)], whose product is then the first parameter of the law, and not in the
         table; None for laws without.
     split : how 1/r is split, if a sum over waves belongs to the law.
@@ -282,15 +281,6 @@ def _length_of(system: System) -> float:
     sizes = cell.heights[cell.pbc].min(initial=inf), np.ptp(positions, axis=0).max(), np.abs(positions).max(), 1.0
     spacing = next(size for size in sizes if 0.0 < size < inf) / len(system) ** (1.0 / 3.0)
     return float(np.clip(pair.distance if pair else spacing, CLOSE * spacing, spacing))
-
-
-def checked_factors(bonded_scale: Any) -> tuple[float, ...]:
-    """Factors for pairs one, two and three bonds apart.  Raises ValueError for anything but three finite numbers."""
-    expected = "three finite factors, for pairs one, two and three bonds apart"
-    factors = checked_numbers("bonded_scale", bonded_scale, expected)
-    if factors.shape != (3,) or not np.isfinite(factors).all():
-        raise ValueError(f"bonded_scale must be {expected}; it is {shown(bonded_scale)}")
-    return tuple(factors.tolist())
 
 
 def no_bonds(what: str, groups: str = "bonds") -> str:

@@ -16,10 +16,10 @@ ROAD, TESTS = "road of a step", "tests"
 # fmt: off
 ROWS = {  # lines, files, statements; what is not there is not weighed
     "minimd": (280, 3, 142),
-    "analysis": (298, 3, 169),
+    "analysis": (298, 3, 171),
     "ase": (810, 6, 427),
     "commands": (593, 4, 333),
-    "compiled": (2214, 14, 1243),
+    "compiled": (2223, 14, 1250),
     "console": (461, 7, 257),
     "constraints": (1317, 6, 791),
     "diagnosis": (2149, 10, 1316),
@@ -27,7 +27,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "engine": (1287, 6, 776),
     "ensemble": (1509, 7, 937),
     "files": (2549, 10, 1571),
-    "forces": (2003, 10, 1245),
+    "forces": (2002, 10, 1247),
     "grade": (2448, 11, 1465),
     "integrators": (4939, 26, 2507),
     "lammps": (1674, 8, 999),
@@ -35,13 +35,13 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "minimization": (362, 2, 209),
     "neighbors": (1981, 12, 1215),
     "observers": (1840, 10, 1098),
-    "potentials": (3560, 15, 1891),
+    "potentials": (3542, 15, 1879),
     "scene": (355, 3, 214),
     "simulation": (686, 5, 371),
     "structure": (2151, 15, 1176),
     "view": (376, 3, 209),
     "minimd_bench": (1918, 10, 1094),
-    "road of a step": (3854, 13),
+    "road of a step": (3853, 13),
     "tests": (20000,),
 }
 # fmt: on

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba.extending import overload
 
-from minimd.compiled.kernels import by_type, scalar
+from minimd.compiled.kernels import scalar
 from minimd.compiled.simd.arithmetic import bind_one, fma, select
 from minimd.compiled.simd.vector import MAGIC, Vector, as_floats, bits_of, broadcast, float_of
 
@@ -31,12 +31,21 @@ LEAST, MOST = float(np.finfo(np.float64).tiny), float(np.finfo(np.float64).max)
 MANTISSA, ONE, BIAS = (1 << 52) - 1, 1023 << 52, 1023
 
 
-@by_type
-def _polynomial(z, coefficients):
-    """Σ coefficients[k] zᵏ; unrolled by the compiler."""
-    if len(coefficients) == 1:
-        return lambda z, coefficients: broadcast(coefficients[0], z)
-    return lambda z, coefficients: fma(z, _polynomial(z, coefficients[1:]), coefficients[0])
+def polynomial(t, c):
+    """Σ c[k] tᵏ of a number or a vector; unrolled by the compiler."""
+    total = 0.0
+    for one in c[::-1]:
+        total = total * t + one
+    return total
+
+
+@overload(polynomial)
+def _polynomial(t, c):
+    if len(c) == 2:
+        return lambda t, c: fma(t, c[1], c[0])
+    if len(c) > 5:  # four at once: the compiler, which calls itself, must not go too deep
+        return lambda t, c: fma(t, fma(t, fma(t, fma(t, polynomial(t, c[4:]), c[3]), c[2]), c[1]), c[0])
+    return lambda t, c: fma(t, polynomial(t, c[1:]), c[0])
 
 
 @scalar
@@ -46,7 +55,7 @@ def _sine(x, shift):
     r = fma(k, -REST_OF_PI, fma(k, -HALF_PI, x))
     k, z = k + shift, r * r
     half, quarter = 0.5 * k, 0.25 * k
-    one = select(half == np.floor(half), fma(r * z, _polynomial(z, SINE), r), _polynomial(z, COSINE))
+    one = select(half == np.floor(half), fma(r * z, polynomial(z, SINE), r), polynomial(z, COSINE))
     return select(quarter - np.floor(quarter) < 0.5, one, -one)
 
 
@@ -72,7 +81,7 @@ def arctangent(y, x):
     start = select(is_wide, broadcast(0.5 * HALF_PI, x), select(is_middle, broadcast(0.25 * HALF_PI, x), 0.0))
     q = fma(run, -slope, rise) / fma(rise, slope, run)
     q = select(run == 0.0, rise, q)
-    angle = start + fma(q * (q * q), _polynomial(q * q, ARCTANGENT), q)
+    angle = start + fma(q * (q * q), polynomial(q * q, ARCTANGENT), q)
     angle = select(is_steep, HALF_PI - angle, angle)
     angle = select(x < 0.0, math.pi - angle, angle)
     return select(y < 0.0, -angle, angle)
@@ -84,7 +93,7 @@ def exponential(x):
     k = np.floor(x * (1.0 / LN_2) + 0.5)
     r = fma(k, -REST_OF_LN_2, fma(k, -LN_2, x))
     half = np.floor(0.5 * k)  # 2ᵏ may be out of range where eˣ is not
-    one = 1.0 + fma(r * r, _polynomial(r, EXPONENTIAL), r)
+    one = 1.0 + fma(r * r, polynomial(r, EXPONENTIAL), r)
     one = one * _power_of_two(half) * _power_of_two(k - half)
     return select(x > math.log(MOST), math.inf, select(x < math.log(LEAST), 0.0, one))
 
@@ -103,7 +112,7 @@ def logarithm(x):
     k, m = select(is_large, k + 1.0, k), select(is_large, 0.5 * m, m)
     s = (m - 1.0) / (m + 1.0)
     z = s * s
-    log = fma(k, LN_2, 2.0 * s + fma(s * z, _polynomial(z, LOGARITHM), k * REST_OF_LN_2))
+    log = fma(k, LN_2, 2.0 * s + fma(s * z, polynomial(z, LOGARITHM), k * REST_OF_LN_2))
     return select(x >= LEAST, select(x <= MOST, log, x), select(x >= 0.0, broadcast(-math.inf, x), math.nan))
 
 

@@ -182,6 +182,7 @@ def test_water_by_name_is_rigid_neutral_and_has_its_density(name):
     system, potentials, rigid = md.water(name, 40, density=1.1)
     assert system.charges.sum() == pytest.approx(0.0, abs=1e-12)
     assert system.masses.sum() / system.volume == pytest.approx(1.1 * 0.602214, rel=1e-6)
+    assert rigid.lengths[2] == pytest.approx({"SPC/E": 1.63298, "TIP3P": 1.5139, "OPC3": 1.59849}[name], abs=5e-5)
     arms = np.diff(system.positions[rigid.pairs], axis=1)[:, 0]
     assert np.linalg.norm(arms, axis=1) == pytest.approx(rigid.lengths, rel=1e-14)
     oxygen = system.positions[::3, None] - system.positions[::3]

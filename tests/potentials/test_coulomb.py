@@ -201,7 +201,7 @@ def test_water_keeps_its_energy():
     sim.set_temperature(298.0, seed=1)
     sim.run(100)
     record = sim.run(200, every=10)
-    assert np.ptp(record.total_energy) / len(system) < 3e-5
+    assert np.ptp(record.total_energy) / len(system) < 8e-6  # 4.9e-6; 1.5e-5 with forces of waves wrong by 2.5 %
     assert np.ptp(record.potential_energy) / len(system) > 1e-3  # work is done
 
 

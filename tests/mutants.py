@@ -64,6 +64,13 @@ forces/wave_sum.py: potentials/test_laws potentials/test_coulomb
     rc - im, rs + ic, rc + im, ic - rs => rc - im, rs + ic, rc + im, ic + rs
     fma(nc, a[3], fma(ns, a[0], pzi)) => fma(nc, a[3], fma(ns, -a[0], pzi))
     u + g * kz * kz, g * ky => u + g * kz * ky, g * ky
+forces/mesh_sum.py: potentials/test_laws potentials/test_coulomb
+    min(shape[4], last - start) => min(shape[4], last - start - 1)
+    fb = q2 * shape[0] * total(along_x * window), q2 * => fb = q2 * shape[0] * total(along_x * bend), q2 *
+    2.0 * bends[:, None] * k => bends[:, None] * k
+    mesh.shares[i] * rest => 0.5 * mesh.shares[i] * rest
+forces/mesh_window.py: potentials/test_coulomb
+    legendre.legval(y, wave.series) - wave.at_end => legendre.legval(y, wave.series)
 potentials/coulomb.py: potentials/test_laws potentials/test_coulomb
     v + select(is_near, u, 0.0), g + select => v + u, g + select
     select(is_near, polynomial(t, slopes), -inverse3) => select(is_near, polynomial(t, slopes), inverse3)

@@ -17,10 +17,10 @@ from minimd.compiled.kernels import DirectCalls, announce_compilation, called_ke
 from minimd.compiled.program import GO_ON, Operation, Program, in_python, n_chunks_of, operation
 from minimd.console.quiet import outside_minimd
 from minimd.forces.cluster_term import ClusterTerm
+from minimd.forces.mesh_sum import charge_sum
 from minimd.forces.options import FIXED_POINT, Options, pool_for
 from minimd.forces.pair_laws import PairLaws, deepest
 from minimd.forces.pair_list_term import PairListTerm
-from minimd.forces.wave_sum import WaveSum
 from minimd.neighbors.verlet_list import Built, VerletList
 from minimd.potentials.coulomb import SpecialLaw
 from minimd.potentials.laws import Scaled
@@ -64,8 +64,10 @@ def plan(
         with_list = ClusterTerm if laws.fit_clusters(system, known, displacement) else PairListTerm
         terms.append(with_list(system, laws, known, displacement))
         terms.extend(special_terms(system, pair_laws, laws))
-    sums = ((one.charges, one.split) for one in pair_laws)
-    terms.extend(WaveSum(system, charges, split) for charges, split in sums if charges is not None and split)
+    for one in pair_laws:
+        if one.split is not None and one.charges is not None:
+            how = one.method, options.precision == FIXED_POINT, pool_for(options, len(system)).n_threads
+            terms.append(charge_sum(system, one.charges, one.split, *how))
     return terms
 
 

@@ -265,24 +265,59 @@ def balance_impulses(waves, _chunk):
     return GO_ON
 
 
-class WaveSum(OwnTerm):
-    """The sum over waves of the charges of a system.  charges : (N,) [√(energy · length)].  split : of 1/r."""
+class ChargeSum(OwnTerm):
+    """A sum over the waves of the charges of a system.  charges : (N,) [√(energy · length)].  split : of 1/r."""
+
+    def __init__(self, system: System, charges: NDArray[np.float64], split: Split) -> None:
+        self._charges, self._split, self._calls = charges, split, DirectCalls()
+        self._n_chunks = min(n_chunks_of(len(charges)), MOST_SUMS)
+        self._energy = -0.5 * split.at_zero * charges**2  # of each charge with its own smooth part
+        self._net2 = float(charges.sum()) ** 2
+        self._inverse, self._totals = np.zeros((3, 3)), np.zeros((1, 7))
+        self._said = f"relative error of forces at most {split.bound:.1g}"
+
+    def _keep(self, system: System) -> None:
+        """Take the present cell."""
+        self._inverse[:] = system.cell.inverse
+        self._volume = float(abs(np.linalg.det(system.cell.lattice)))
+
+    def _of_atoms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Each atom's share of energy and virial, (N,) and (N, 6)."""
+        raise NotImplementedError
+
+    def collect(self, target: Target) -> None:
+        """See Term."""
+        if target.detail == FORCES:
+            return
+        # the uniform background fills what S leaves of a net charge
+        background = -0.5 * self._net2 / self._volume * self._split.moment
+        share = background / len(self._charges)
+        if target.detail == PER_ATOM:
+            energies, virials = self._of_atoms()
+            target.energies[:] += energies + self._energy + share
+            target.virials[:] += virials
+            target.virials[:, :3] += share
+        else:
+            target.energies[0] += self._totals[0, 0] + self._energy.sum() + background
+            target.virials[0] += self._totals[0, 1:]
+            target.virials[0, :3] += background
+
+
+class WaveSum(ChargeSum):
+    """The sum wave by wave."""
 
     fits_grid = True
 
     def __init__(self, system: System, charges: NDArray[np.float64], split: Split) -> None:
-        self._charges, self._split, self._lanes, self._calls = charges, split, lanes_for(), DirectCalls()
-        self._n_chunks = min(n_chunks_of(len(charges)), MOST_SUMS)
-        self._energy = -0.5 * split.at_zero * charges**2  # of each charge with its own smooth part
-        self._net2 = float(charges.sum()) ** 2
-        self._sizes, self._inverse = np.zeros(7, dtype=np.int64), np.zeros((3, 3))
+        super().__init__(system, charges, split)
+        self._sizes, self._lanes = np.zeros(7, dtype=np.int64), lanes_for()
         rows, weights, bends = self._waves(system)
         room = int(ROOM * len(weights)) + 8
         self._rows, self._weights, self._bends = np.zeros((room, 4), np.int64), np.zeros((room, 4)), np.zeros((room, 4))
         self._room = int(ROOM * self._places(rows)[-1]) + 8 * BLOCK + 3 * BLOCK
         self._tables = np.zeros((self._n_chunks, self._room))
         self._sums = np.zeros((self._n_chunks, room * SUMS * self._lanes.size))
-        self._amplitudes, self._totals = np.zeros((room, AMPLITUDES)), np.zeros((1, 7))
+        self._amplitudes = np.zeros((room, AMPLITUDES))
         self._rest = np.zeros((self._n_chunks, 3), dtype=np.int64)
         self._take(system, rows, weights, bends)
 
@@ -294,7 +329,7 @@ class WaveSum(OwnTerm):
     @property
     def summary(self) -> str:  # type: ignore[override]
         """The sum, for the report."""
-        return f"sum over {self.n_waves} waves (relative error of forces at most {self._split.bound:.1g})"
+        return f"sum over {self.n_waves} waves ({self._said})"
 
     def follow(self, system: System) -> bool:
         """See Term."""
@@ -314,23 +349,6 @@ class WaveSum(OwnTerm):
         yield operation(self._calls, push_atoms, waves, self._n_chunks)
         if target.steps:
             yield operation(self._calls, balance_impulses, waves)
-
-    def collect(self, target: Target) -> None:
-        """See Term."""
-        if target.detail == FORCES:
-            return
-        # the uniform background fills what S leaves of a net charge
-        background = -0.5 * self._net2 / self._volume * self._split.moment
-        share = background / len(self._charges)
-        if target.detail == PER_ATOM:
-            energies, virials = self._of_atoms()
-            target.energies[:] += energies + self._energy + share
-            target.virials[:] += virials
-            target.virials[:, :3] += share
-        else:
-            target.energies[0] += self._totals[0, 0] + self._energy.sum() + background
-            target.virials[0] += self._totals[0, 1:]
-            target.virials[0, :3] += background
 
     def _waves(self, system: System) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
         """rows, weights and bends for the present cell."""
@@ -355,7 +373,7 @@ class WaveSum(OwnTerm):
         rows = np.column_stack([cells[firsts, :2], np.cumsum(n_cells) - n_cells, n_cells])
         self._cells, counts, k2 = cells[kept], counts[kept], k2[kept]
         spectrum, bend = self._split.spectrum(np.where(counts, k2, 1.0))
-        volume = float(abs(np.linalg.det(lattice)))
+        volume = abs(np.linalg.det(lattice))
         return rows, np.where(counts, spectrum, 0.0) / volume, np.where(counts, bend, 0.0) / volume
 
     def _places(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -367,8 +385,8 @@ class WaveSum(OwnTerm):
         """Write waves to memory that stays in its place."""
         self._rows[: len(rows)], self._weights[: len(weights)], self._bends[: len(bends)] = rows, weights, bends
         self._sizes[:] = len(rows), len(weights), *self._places(rows)
-        self._inverse[:] = system.cell.inverse
-        self._volume, self._positions = float(system.volume or 1.0), system.positions
+        self._keep(system)
+        self._positions = system.positions
 
     def _of_atoms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Each atom's share of energy and virial: q Re(Σ w S* exp(i k·r)), and so on; (N,) and (N, 6)."""

@@ -21,8 +21,9 @@ from minimd.potentials.term import OwnTerm, PairLaw
 from minimd.structure.bond_graph import checked_pairs
 from minimd.structure.system import System
 
-MethodName = Literal["ewald", "reaction-field"]
-METHODS = {"ewald": "pairs and waves", "reaction-field": "pairs only"}
+MethodName = Literal["ewald", "waves", "mesh", "reaction-field", "shifted-force"]
+SUMS = {"ewald": "pairs and waves, by the quicker of two sums", "waves": "wave by wave", "mesh": "on a mesh"}
+METHODS = {**SUMS, "reaction-field": "pairs only", "shifted-force": "pairs only"}
 NO_REST: Numbers = (0.0, (0.0, 0.0), (0.0, 0.0))  # of a split whose L is zero
 
 
@@ -43,11 +44,23 @@ def coulomb(r2, split, parameters):
 
 
 @scalar
-def charged(r2, law, split, parameters):
-    """A law with a cutoff of its own, and that of coulomb: one pass over the pairs for both.
+def shifted_force(r2, cutoff, parameters):
+    """Coulomb's law less its tangent at the cutoff: u = q (1/r − 2/r_c + r/r_c²).
+
+    S. Toxvaerd, J. C. Dyre, J. Chem. Phys. 134, 081102 (2011).  parameters : (q, …), as of coulomb.
+    """
+    inverse2 = 1.0 / r2
+    inverse = sqrt(inverse2)
+    u = inverse + (r2 * inverse - 2.0 * cutoff) / (cutoff * cutoff)
+    return parameters[0] * u, parameters[0] * inverse * (inverse2 - 1.0 / (cutoff * cutoff))
+
+
+@scalar
+def charged(r2, law, charges, parameters):
+    """A law with a cutoff of its own, and one of charges: one pass over the pairs for both.
     parameters : (q, squared cutoff of the law, *parameters of the law)."""
     u, f = evaluate_law(law, r2, parameters[2:])
-    v, g = coulomb(r2, split, parameters)
+    v, g = evaluate_law(charges, r2, parameters)
     is_near = r2 < parameters[1]
     return v + select(is_near, u, 0.0), g + select(is_near, f, 0.0)
 
@@ -65,11 +78,15 @@ def special(r2, split, parameters):
     return q * (s * inverse - rest), q * (s * inverse3 + select(is_near, polynomial(t, slopes), -inverse3))
 
 
-CoulombLaw, SpecialLaw = (
-    type_of(formula)(namedtuple(name, "split", module=__name__))
-    for name, formula in (("CoulombLaw", coulomb), ("SpecialLaw", special))
+CoulombLaw, SpecialLaw, ShiftedForceLaw, ChargedLaw = (
+    type_of(formula)(namedtuple(name, fields, module=__name__))
+    for name, formula, fields in (
+        ("CoulombLaw", coulomb, "split"),
+        ("SpecialLaw", special, "split"),
+        ("ShiftedForceLaw", shifted_force, "cutoff"),
+        ("ChargedLaw", charged, "law charges"),
+    )
 )
-ChargedLaw = type_of(charged)(namedtuple("ChargedLaw", "law split"))
 
 
 class Coulomb(Declared):
@@ -78,8 +95,9 @@ class Coulomb(Declared):
     In a cell that is periodic in all directions 1/r is split: pairs within the cutoff, and a sum over waves for the
     smooth rest (Ewald's sum with prolate spheroidal wave functions instead of Gaussians: minimd.potentials.prolates).
     Without periodic directions all pairs count, whatever the cutoff. A net charge is balanced by a uniform background.
-    Method "reaction-field": pairs only, as in a uniform medium beyond the cutoff, an approximation of unknown error:
-    u = q (1/r + k r² − c), k = (ε − 1)/((2ε + 1) r_c³), c = 3ε/((2ε + 1) r_c).
+    Methods "waves" and "mesh" name the sum over waves, of which "ewald" takes the quicker one. Of pairs only, and of
+    unknown error: "reaction-field", as in a uniform medium beyond the cutoff, u = q (1/r + k r² − c),
+    k = (ε − 1)/((2ε + 1) r_c³), c = 3ε/((2ε + 1) r_c); "shifted-force", u = q (1/r − 2/r_c + r/r_c²).
     Refused at the start: a system without charges, or periodic in some directions only.
     """
 
@@ -90,7 +108,7 @@ class Coulomb(Declared):
         number, "bound of the rms error of forces, divided by the rms force", demand=POSITIVE, default=1e-5
     )
     method: MethodName = declared(
-        choice, '"reaction-field" is an approximation', of=METHODS, default="ewald", kw_only=True
+        choice, "of the sum; the last two are approximations", of=METHODS, default="ewald", kw_only=True
     )
     dielectric: float = declared(
         number, "ε of the reaction field, 1 or more; infinite: a conductor", of=inf, default=inf, kw_only=True
@@ -116,15 +134,13 @@ class Coulomb(Declared):
         if not system.charges.any():
             hint = "System(..., charges=q), atoms.set_initial_charges(q) of ASE, or in a scene file structure.charges"
             raise ValueError(f"Coulomb needs charges; those of the system are all zero: give them as {hint}")
-        pbc, is_sum = system.cell.pbc, self.method == "ewald"
+        pbc, is_sum = system.cell.pbc, self.method in SUMS
         if is_sum and pbc.any() and not pbc.all():
-            hint = 'make all of it periodic, with empty space around, or take method="reaction-field"'
+            hint = 'make all of it periodic, with empty space around, or take method="shifted-force"'
             raise ValueError(f"Coulomb needs a cell that is periodic in all directions or in none; pbc = {pbc}: {hint}")
         cutoff, is_split = self.cutoff or inf, is_sum and pbc.all()
         if cutoff == inf and (pbc.any() or not is_sum):
-            raise ValueError(
-                "cutoff of Coulomb must be given in a periodic cell and for the reaction field; it is None"
-            )
+            raise ValueError("cutoff of Coulomb must be given in a periodic cell and for pairs only; it is None")
         return CoulombTerm(self, system, cutoff, split_for(cutoff, self.accuracy) if is_split else None)
 
 
@@ -132,7 +148,7 @@ class CoulombTerm(OwnTerm):
     """Charges in a system: a law for the planner to run on a list of neighbors, and perhaps with a sum over waves."""
 
     def __init__(self, potential: Coulomb, system: System, cutoff: float, split: Split | None) -> None:
-        self.cutoff = self.shortest_length = inf if split is None and potential.method == "ewald" else cutoff
+        self.cutoff = self.shortest_length = inf if split is None and potential.method in SUMS else cutoff
         numbers = NO_REST if split is None else split.numbers
         if potential.method == "reaction-field":
             part = 1.0 / (2.0 + 1.0 / potential.dielectric)
@@ -142,13 +158,14 @@ class CoulombTerm(OwnTerm):
         if split is not None and (net := system.net_charge):
             self.warning = f"the net charge of the cell is {net:.6g} e: a uniform background balances it"
         name, table = type(potential).__name__, np.full((1, 1, 1), self.cutoff**2)
-        law, left_out = CoulombLaw(numbers), checked_pairs("exclusions", potential.exclusions, len(system))
+        law = ShiftedForceLaw(cutoff) if potential.method == "shifted-force" else CoulombLaw(numbers)
+        left_out = checked_pairs("exclusions", potential.exclusions, len(system))
         scale = tuple(potential.bonded_scale)
-        self.pair_law = PairLaw(name, law, table, self.cutoff, scale, charges, split, left_out)
+        self.pair_law = PairLaw(name, law, table, self.cutoff, scale, charges, split, potential.method, left_out)
 
 
 def with_charges(law: PairLaw, charges: PairLaw) -> PairLaw:
     """A law, and that of charges, which reaches as far or farther, as one law."""
     table = np.concatenate([np.full((*law.table.shape[:2], 1), charges.cutoff**2), law.table], axis=-1)
     name = f"{law.name}, {charges.name}"
-    return charges._replace(name=name, law=ChargedLaw(law.law, charges.law[0]), table=table)
+    return charges._replace(name=name, law=ChargedLaw(law.law, charges.law), table=table)

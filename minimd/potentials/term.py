@@ -44,7 +44,7 @@ class PairLaw(NamedTuple):
     bonded_scale : factors for pairs one, two and three bonds apart; all laws share one list.
     charges : (N,) of atoms [√(energy · length)], whose product is then the first parameter of the law, and not in the
         table; None for laws without.
-    split : how 1/r is split, if a sum over waves belongs to the law.
+    split : how 1/r is split, if a sum over waves belongs to the law.  method : of that sum, see Coulomb.
     exclusions : (P, 2) int, pairs on which it does not act, whatever bonded_scale says.
     """
 
@@ -55,6 +55,7 @@ class PairLaw(NamedTuple):
     bonded_scale: tuple[float, ...]
     charges: NDArray | None = None
     split: Split | None = None
+    method: str = ""
     exclusions: NDArray[np.int64] = checked_pairs("exclusions", None)
 
     @property

@@ -1,6 +1,7 @@
 """Coulomb's law: sums over all images against closed sums of crystals, a Gaussian Ewald sum, NIST; what is refused."""
 
 import json
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from minimd.forces.options import Options
 from minimd.forces.pair_laws import PairLaws
 from minimd.potentials.coulomb import ChargedLaw
 from minimd.potentials.prolates import error_of, prolate, split_for
-from minimd.potentials.term import TOTALS
+from minimd.potentials.term import PER_ATOM, TOTALS
 from minimd.structure.units import ASE, BOLTZMANN_EV_PER_K, COULOMB
 
 SHEAR = ((1, 0, 0), (1, 1, 0), (0, -1, 1))
@@ -28,9 +29,10 @@ NIST = json.loads((Path(__file__).parents[1] / "data" / "nist_spce" / "config1.j
 def test_crystals_have_their_madelung_energies(name, shear, accuracy):
     """Within the accuracy."""
     system, n, expected = crystal(name, shear=shear)
-    found = md.evaluate(system, md.Coulomb(1.3, accuracy))
-    assert found.potential_energy / n == pytest.approx(expected, rel=accuracy, abs=0.0)
-    assert np.abs(found.forces).max() < max(1e-13, accuracy)  # each ion is in a center of symmetry
+    for method in ("waves", "mesh")[: 1 + (accuracy > 1e-12)]:
+        found = md.evaluate(system, md.Coulomb(1.3, accuracy, method=method))
+        assert found.potential_energy / n == pytest.approx(expected, rel=accuracy, abs=0.0)
+        assert np.abs(found.forces).max() < max(1e-13, accuracy)  # each ion is in a center of symmetry
 
 
 SCENES = {
@@ -45,9 +47,9 @@ def test_the_accuracy_that_was_asked_for_is_reached(name):
     """Never above, and not much below: of the rms force, against a converged sum over Gaussians."""
     system = SCENES[name]()
     energy, forces = ewald(system.positions, system.charges, system.cell.vectors, 1.6, 5.5)
-    for accuracy in (1e-3, 1e-5, 1e-6, 1e-8, 1e-10):
+    for accuracy, method in product((1e-3, 1e-5, 1e-6, 1e-8, 1e-10), ("waves", "mesh")):
         with pytest.warns(UserWarning, match="net charge") if name == "net charge" else np.errstate():
-            found = md.evaluate(system, md.Coulomb(1.9, accuracy))
+            found = md.evaluate(system, md.Coulomb(1.9, accuracy, method=method))
         assert 0.01 < rms(found.forces - forces) / rms(forces) / accuracy < 1.0
         assert found.potential_energy == pytest.approx(energy, rel=accuracy)
 
@@ -107,14 +109,14 @@ def test_spce_of_nist_by_parts_and_against_a_converged_sum():
 def test_charges_and_another_law_are_one_pass_on_both_lists_and_any_number_of_threads(monkeypatch):
     """Also where the other law reaches farther, and then takes a pass of its own."""
     system = salt(4, disorder=0.15)
-    charges = md.Coulomb(2.2)
-    for cutoff, is_one in ((2.0, True), (2.4, False)):
+    for cutoff, is_one, method in ((2.0, True, "waves"), (2.4, False, "waves"), (2.0, True, "mesh")):
+        charges = md.Coulomb(2.2, method=method)
         lj = md.LennardJones({"Na": (0.1, 0.7), "Cl": (0.2, 0.9)}, cutoff=cutoff)
         alone = [md.evaluate(system, one) for one in (lj, charges)]
         one, other = (md.Forces(system, [lj, charges], Options(threads=threads)) for threads in (1, 2))
         for forces in (one, other):
             forces.compute(TOTALS)
-        assert [words for words in ("cluster list", "sum over") if words not in one.pair_search] == []
+        assert [words for words in ("cluster list", method) if words not in one.pair_search] == []
         assert isinstance(one.terms[0]._pair_laws.members[0].law, ChargedLaw) == is_one
         assert np.array_equal(one.forces, other.forces)
         assert one.potential_energy == other.potential_energy
@@ -128,7 +130,7 @@ def test_charges_and_another_law_are_one_pass_on_both_lists_and_any_number_of_th
             assert found.virial == pytest.approx(alone[0].virial + alone[1].virial, rel=1e-11, abs=1e-11)
 
 
-def test_an_open_scene_has_all_pairs_and_a_reaction_field_its_formula():
+def test_an_open_scene_has_all_pairs_and_laws_of_pairs_have_their_formulas():
     rng = np.random.default_rng(5)
     positions, charges = rng.random((40, 3)) * 6.0, rng.normal(size=40)
     distances = np.linalg.norm(positions[:, None] - positions, axis=-1)[np.triu_indices(40, 1)]
@@ -138,8 +140,10 @@ def test_an_open_scene_has_all_pairs_and_a_reaction_field_its_formula():
         assert md.evaluate(system, coulomb).potential_energy == pytest.approx((products / distances).sum(), rel=1e-13)
     near = distances < 2.0
     field = products * (1.0 / distances + distances**2 / 16.0 - 0.75)
-    found = md.evaluate(system, md.Coulomb(2.0, method="reaction-field"))
-    assert found.potential_energy == pytest.approx(field[near].sum(), rel=1e-13)
+    shifted = products * (1.0 / distances - 1.0 + 0.25 * distances)
+    for method, expected in (("reaction-field", field), ("shifted-force", shifted)):
+        found = md.evaluate(system, md.Coulomb(2.0, method=method))
+        assert found.potential_energy == pytest.approx(expected[near].sum(), rel=1e-13)
 
 
 def test_fixed_point_arithmetic_keeps_momentum_and_returns_with_charges():
@@ -160,9 +164,10 @@ def test_fixed_point_arithmetic_keeps_momentum_and_returns_with_charges():
     assert np.array_equal(sims[0].positions, start)
 
 
-def test_the_sum_follows_the_cell():
+@pytest.mark.parametrize("method", ["waves", "mesh"])
+def test_the_sum_follows_the_cell(method):
     """As the barostat strains it: the same as a new scene in that cell, as long as waves have room, and beyond."""
-    system, coulomb = salt(cell=TRICLINIC), md.Coulomb(1.9)
+    system, coulomb = salt(cell=TRICLINIC), md.Coulomb(1.9, 1e-10 if method == "mesh" else 1e-5, method=method)
     forces = md.Forces(system, coulomb)
     forces.compute(TOTALS)
     for stretch in (1.01, 1.05, 1.3, 0.8):
@@ -175,6 +180,26 @@ def test_the_sum_follows_the_cell():
         assert forces.potential_energy == pytest.approx(anew.potential_energy, rel=1e-12)
         assert forces.forces == pytest.approx(anew.forces, rel=1e-10, abs=1e-11)
         assert forces.virial == pytest.approx(anew.virial, rel=1e-10, abs=1e-10)
+        assert anew.forces.sum(axis=0) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_forces_of_a_coarse_mesh_are_the_gradient_of_its_energy_and_its_virial_that_of_the_cell():
+    """By differences; also shares of atoms add up. Forces lack their sum: the center of mass stays where it is."""
+    system, way = salt(cell=TRICLINIC), np.random.default_rng(3).normal(size=(216, 3))
+    forces, here = md.Forces(system, md.Coulomb(1.9, 1e-2, method="mesh")), system.positions.copy()
+    forces.compute(PER_ATOM)
+    slope, virial = -(forces.forces * (way - way.mean(axis=0))).sum(), np.trace(forces.virial)
+    assert forces.energies.sum() == pytest.approx(forces.potential_energy, rel=1e-13)
+    assert forces.virials.sum(axis=0)[:3].sum() == pytest.approx(virial, rel=1e-12)
+    energies = []
+    for step, stretch in ((-1e-5, 1.0), (1e-5, 1.0), (0.0, 1.0 - 1e-5), (0.0, 1.0 + 1e-5)):
+        system.positions[:] = stretch * (here + step * (way - way.mean(axis=0)))
+        system.cell = md.Cell.of(6.0 * stretch * np.array(TRICLINIC))
+        forces.follow()
+        forces.compute(TOTALS)
+        energies.append(forces.potential_energy)
+    assert (energies[1] - energies[0]) / 2e-5 == pytest.approx(slope, rel=1e-7)
+    assert (energies[2] - energies[3]) / 2e-5 == pytest.approx(virial, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", ["SPC/E", "TIP3P", "OPC3"])
@@ -215,7 +240,10 @@ WRONG = [
     (lambda: md.evaluate(md.System(np.eye(3), cell=5.0), md.Coulomb(2.0)), "charges", "zero"),
     (lambda: md.evaluate(md.System(np.eye(3), cell=5.0, charges=[1, 1, -2]), md.Coulomb()), "cutoff"),
     (lambda: md.evaluate(md.System(np.eye(3), cell=5.0, pbc=(1, 1, 0), charges=[1, 1, -2]), md.Coulomb(2.0)),
-     "periodic", "reaction-field"),
+     "periodic", "shifted-force"),
+    (lambda: md.evaluate(salt(1), md.Coulomb(0.9, 1e-13, method="mesh")), "waves", "1e-13"),
+    (lambda: md.Simulation(salt(1), md.Coulomb(0.9, method="mesh"), md.VelocityVerlet(0.1), precision="fixed-point"),
+     "fixed-point", "waves"),
     (lambda: md.water("TIP5P"), "TIP5P", "SPC/E"), (lambda: md.water(n=0), "n"),
 ]  # fmt: skip
 ON_ONE_SPOT = md.System(np.zeros((2, 3)), cell=5.0, charges=[1.0, -1.0])

@@ -251,7 +251,13 @@ class Lanes8(namedtuple("Lanes8", "")):
     size = 8
 
 
-Lanes = Lanes4 | Lanes8
+class Lanes16(namedtuple("Lanes16", "")):
+    """Vectors of sixteen numbers: of several registers."""
+
+    size = 16
+
+
+Lanes = Lanes4 | Lanes8 | Lanes16
 
 
 @by_type

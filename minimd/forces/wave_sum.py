@@ -395,12 +395,15 @@ class WaveSum(ChargeSum):
         weights, bends = self._weights[:n_all][used], self._bends[:n_all][used]
         k = 2.0 * pi * (self._cells[:, None] * SIGNS)[used] @ self._inverse.T
         blocks = np.array_split(np.arange(len(self._charges)), -(-len(self._charges) // BLOCK))
-        each = [np.exp(1j * self._positions[block] @ k.T) * self._charges[block, None] for block in blocks]
-        conjugate = np.conj(sum(one.sum(axis=0) for one in each))
+        conjugate = np.conj(sum(self._phases(block, k).sum(axis=0) for block in blocks))
         energies, virials = [], []
-        for one in each:
-            share = (one * conjugate).real
+        for block in blocks:
+            share = (self._phases(block, k) * conjugate).real
             energies.append(share @ weights)
             outer = k[:, [0, 1, 2, 1, 0, 0]] * k[:, [0, 1, 2, 2, 2, 1]] * (2.0 * bends)[:, None]
             virials.append(share @ (outer + weights[:, None] * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])))
         return np.concatenate(energies), np.concatenate(virials)
+
+    def _phases(self, atoms: NDArray[np.int64], k: NDArray[np.float64]) -> NDArray:
+        """q exp(i k·r) of some atoms, (atoms, waves)."""
+        return np.exp(1j * self._positions[atoms] @ k.T) * self._charges[atoms, None]

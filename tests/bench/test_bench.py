@@ -17,7 +17,7 @@ from minimd_bench.peers import EngineSpeed, PeersOptions, run_peers
 N_ATOMS = 256  # four cells along each edge
 PEER_SECONDS, ASE_SECONDS = 0.015, 0.35  # a step of a fake peer on one thread; more than 5 s in all the steps of a turn
 ONCE = PeersOptions(cells=(4,), threads=(1,), repeats=1)
-COMPILED = {"kob-andersen", "npt", "chain", "decane", "triangles"}  # scenes with kernels of their own
+COMPILED = {"kob-andersen", "npt", "chain", "decane", "triangles", "water-fine"}  # scenes with kernels of their own
 
 
 # fmt: off
@@ -49,7 +49,7 @@ def fakes(monkeypatch):
     monkeypatch.setattr(engines.Peer, "is_installed", True)
     own = lambda _, threads: FakeEngine("minimd", threads, "double", (0.003, 0.0018)[threads - 1])  # noqa: E731
     monkeypatch.setattr(peers, "Minimd", own)
-    fast = engines.Peer("fast", lambda _, n, __: FakeEngine("fast", n, "single", PEER_SECONDS / n), threads="each")
+    fast = engines.Peer("fast", lambda _, n: FakeEngine("fast", n, "single", PEER_SECONDS / n), threads="each")
     slow = engines.Peer("slow", lambda *_: FakeEngine("slow (serial)", 1, "double", ASE_SECONDS), most_atoms=N_ATOMS)
     monkeypatch.setattr(peers, "PEERS", {"fast": fast, "slow": slow})
 
@@ -153,7 +153,7 @@ def test_peer_with_another_time_step_is_refused():
     right = engines.Minimd(scenes.melt(4))
     wrong = engines.Minimd(scenes.melt(4)._replace(method=md.VelocityVerlet(0.00505)))
     with pytest.raises(md.lammps.HandOverError, match="potential energy per atom after 10 steps"):
-        turns.check_agreement([right, wrong], N_ATOMS)
+        turns.check_agreement([right, wrong], scenes.melt(4))
 
 
 PAIRED = [(name, one) for name, peer in engines.PEERS.items() for one in peer.scenes]
@@ -165,8 +165,8 @@ def test_peers_have_the_same_energies(name, scene):
     if not engines.PEERS[name].is_installed:
         pytest.skip(f"{name} is not installed")
     loaded = scenes.melt(4) if scene == "melt" else scenes.equilibrated(scenes.SCENES[scene](5))
-    both = [engines.Minimd(loaded), engines.PEERS[name].load(loaded, 1, loaded.method.timestep)]
-    turns.check_agreement(both, len(loaded.system), loaded.scatter)
+    both = [engines.Minimd(loaded), engines.PEERS[name].load(loaded, 1)]
+    turns.check_agreement(both, loaded)
 
 
 def test_scenes_and_peers_are_those_that_the_command_names_and_begin_with_molecules_apart():
@@ -174,11 +174,28 @@ def test_scenes_and_peers_are_those_that_the_command_names_and_begin_with_molecu
     assert set(engines.TUNED_SKINS) | set(engines.SKINS) <= set(scenes.SCENES)
     for name, build in scenes.SCENES.items():
         scene = build(7)
-        assert (scene.name, len(scene.system)) == (name, pytest.approx(4 * 7**3, rel=0.2))
-        assert f"Δt* {scene.method.timestep:g}, " in scene.text
+        assert (scene.name, len(scene.system)) == (name, pytest.approx(4 * 7**3, rel=0.25))
+        assert f"Δt* {scene.method.timestep:g}, " in scene.text or (name in scenes.WATER and "Δt 2 fs, " in scene.text)
         assert scene.text.endswith(("NPT" if scene.barostat else "NVE", "Langevin"))
         i, j = md.neighbor_list("ij", scene.system, 0.85)
         assert (np.abs(i - j) < 4).all()  # atoms of one molecule
+
+
+def test_water_is_run_by_each_engine_with_about_the_same_measured_error(short, capsys):
+    able = [name for name in ("lammps-shake", "openmm-pme") if engines.PEERS[name].is_installed] or ["none"]
+    options = ["--scenes", "water", "--cells", "6", "--repeats", "1", "--peers", ",".join(able)]
+    assert cli.main(["bench", "peers", *options]) == 0
+    rows = cells_of(capsys.readouterr().out)
+    assert [row[0].split()[0] for row in rows] == ["minimd,", "LAMMPS", "OpenMM"][: 1 + len({*able} - {"none"})]
+    for row in rows:
+        assert 0.3 < float(re.search("r_c [89] Å, error (.*)", row[0])[1]) / scenes.WATER["water"] <= 1.0
+
+
+def test_of_each_engine_the_fastest_cutoff_counts(fakes, monkeypatch):
+    made = [{k: FakeEngine(f"{'minimd' if k else 'peer'}, {s}", 1, "double", s) for k in (1, 0)} for s in (3, 2, 4)]
+    monkeypatch.setattr(peers, "_accurate", lambda asked, scene: [*made[:2], {1: made[2][1]}])
+    rows = run_peers(ONCE._replace(scenes=("water",), repeats=2)).sizes[0]
+    assert [row.engine for row in rows] == ["peer, 2", "minimd, 2"]
 
 
 def test_command_prints_and_writes_the_table(short, capsys, tmp_path):

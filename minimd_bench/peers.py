@@ -238,8 +238,10 @@ def _accurate(asked: Sequence[tuple[Load, int]], scene: BenchScene) -> list[dict
     accuracy with which its measured error is allowed, without those that do not reach it."""
     groups = []
     for cutoff in [one for one in WATER_CUTOFFS if 2.0 * one <= scene.edges.min()] or [scene.law.cutoff]:
-        exact = scene.cut(cutoff, EXACT)
-        forces, of_charges = (md.evaluate(scene.system, exact.potentials[k:]).forces for k in (0, 1))
+        exact = [md.Forces(scene.system, scene.cut(cutoff, EXACT).potentials[k:]) for k in (0, 1)]
+        for one in exact:
+            one.compute()
+        forces, of_charges = (one.forces for one in exact)
         groups.append(dict[int, Engine]())
         for k, (load, count) in enumerate(asked):
             for accuracy in scene.error * LADDER:

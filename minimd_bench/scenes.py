@@ -51,7 +51,7 @@ class BenchScene(NamedTuple):
     """A system with its potentials, and how its steps are made.
 
     text : a description in one line.  constraints : lengths held fixed.  method : with its time step and bath.
-    error : the largest of the forces of charges, of their rms; 0 without charges.
+    error : the largest of the forces of charges, of their rms; 0 without charges.  accuracy : asked for with charges.
     """
 
     name: str
@@ -63,6 +63,7 @@ class BenchScene(NamedTuple):
     method: md.integrators.Splitting = md.VelocityVerlet(TIMESTEP)
     barostat: md.StochasticCellRescaling | None = None
     error: float = 0.0
+    accuracy: float = 1e-3
 
     @property
     def edges(self) -> NDArray[np.float64]:
@@ -80,10 +81,10 @@ class BenchScene(NamedTuple):
         return SCATTER / sqrt(len(self.system)) if self.method.is_thermostat else 0.0
 
     def cut(self, cutoff: float, accuracy: float) -> "BenchScene":
-        """Water with both laws cut at a distance [Å], and charges, the last potential, summed to an accuracy."""
+        """Water with both laws cut at a distance [Å], and charges summed to an accuracy."""
         own: Any = self.law.parameters
         oxygens = md.LennardJones(own, None, cutoff, "truncated", bonded_scale=self.law.bonded_scale)
-        return self._replace(potentials=(oxygens, md.Coulomb(cutoff, accuracy)))
+        return self._replace(potentials=(oxygens, md.Coulomb(cutoff, accuracy)), accuracy=accuracy)
 
 
 class Plan(NamedTuple):

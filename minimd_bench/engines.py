@@ -92,7 +92,7 @@ class Engine:
     potential_energy: Callable[[], float]
     total_energy: Callable[[], float]
     run: Callable[[int], Any]
-    forces: NDArray[np.float64] | None = None
+    forces: Any = None
 
 
 class Minimd(Engine):

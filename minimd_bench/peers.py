@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-import minimd as md
 from minimd_bench import outcome
 from minimd_bench.engines import PEERS, Engine, Load, Minimd
 from minimd_bench.outcome import spread, summary, table, tell, threads_text
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
 NO_PEERS = ("none",)
 BESIDE_SCENES = ("lammps-checked", "lammps-tuned", "lammps-shake", "openmm-pme")  # whose lists miss no pair
-LADDER = 2.0 ** np.arange(4.0, -4.5, -0.5)  # accuracies that are tried, of the error that is allowed
+LADDER = 2.0 ** np.arange(5.0, -4.5, -0.5)  # accuracies that are tried, of the error that is allowed
 # in smaller scenes the memory of atoms is not measured: that of Python and of the kernels hides it
 FROM_ATOMS = 256_000
 
@@ -235,18 +234,16 @@ def _beside(
 
 def _accurate(asked: Sequence[tuple[Load, int]], scene: BenchScene) -> list[dict[int, Engine]]:
     """For each cutoff that the cell has room for, the engines that are asked for, by their places: each with the least
-    accuracy with which its measured error is allowed, without those that do not reach it."""
+    accuracy whose measured error is allowed, without those that do not reach it."""
     groups = []
     for cutoff in [one for one in WATER_CUTOFFS if 2.0 * one <= scene.edges.min()] or [scene.law.cutoff]:
-        exact = [md.Forces(scene.system, scene.cut(cutoff, EXACT).potentials[k:]) for k in (0, 1)]
-        for one in exact:
-            one.compute()
-        forces, of_charges = (one.forces for one in exact)
+        exact = scene.cut(cutoff, EXACT)
+        forces, of_charges = (Minimd(exact._replace(potentials=exact.potentials[k:])).forces for k in (0, 1))
         groups.append(dict[int, Engine]())
         for k, (load, count) in enumerate(asked):
             for accuracy in scene.error * LADDER:
                 engine = load(scene.cut(cutoff, accuracy), count)
-                error = np.linalg.norm(forces - np.array(engine.forces)) / np.linalg.norm(of_charges)
+                error = np.linalg.norm(forces - engine.forces) / np.linalg.norm(of_charges)
                 engine.name += f", r_c {cutoff:g} Å, error {error:.1e}"
                 if error <= scene.error:
                     groups[-1][k] = engine

@@ -40,7 +40,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "simulation": (686, 5, 371),
     "structure": (2151, 15, 1176),
     "view": (376, 3, 209),
-    "minimd_bench": (1981, 10, 1155),
+    "minimd_bench": (1981, 10, 1157),
     "road of a step": (3853, 13),
     "tests": (20000,),
 }

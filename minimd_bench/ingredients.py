@@ -105,9 +105,7 @@ def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, tuple[Benc
     return {
         "melt": (base, {}),
         "the melt once more": (base, {}),
-        "said to have no bonds, no constraints": (
-            _with(base, bonds=np.zeros((0, 2), dtype=int))._replace(constraints=()), {},
-        ),
+        "said to have no bonds or constraints": (_with(base, bonds=np.zeros((0, 2), int))._replace(constraints=()), {}),
         "+ energy and pressure every 10 steps": (base, often),
         "+ H5MD trajectory every 10 steps": (base, often | {"trajectory": folder / "run.h5md"}),
         "+ XTC trajectory every 10 steps": (base, often | {"trajectory": folder / "run.xtc"}),

@@ -2,26 +2,27 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from minimd_bench import outcome
-from minimd_bench.engines import PEERS, Engine, Minimd
+from minimd_bench.engines import PEERS, Engine, Load, Minimd
 from minimd_bench.outcome import spread, summary, table, tell, threads_text
 from minimd_bench.scaling import bytes_per_atom
-from minimd_bench.scenes import MELT, SCENES, BenchScene, equilibrated
+from minimd_bench.scenes import EXACT, MELT, SCENES, WATER_CUTOFFS, BenchScene, equilibrated
 from minimd_bench.turns import check_agreement, in_turns, thread_numbers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NO_PEERS = ("none",)
-BESIDE_SCENES = ("lammps-checked", "lammps-tuned", "lammps-shake")  # whose lists miss no pair
-FROM_ATOMS = (
-    256_000  # in smaller scenes the memory of atoms is not measured: that of Python and of the kernels hides it
-)
+BESIDE_SCENES = ("lammps-checked", "lammps-tuned", "lammps-shake", "openmm-pme")  # whose lists miss no pair
+LADDER = 2.0 ** np.arange(5.0, -4.5, -0.5)  # accuracies that are tried, of the error that is allowed
+# in smaller scenes the memory of atoms is not measured: that of Python and of the kernels hides it
+FROM_ATOMS = 256_000
 
 
 class EngineSpeed(NamedTuple):
@@ -41,7 +42,7 @@ class EngineSpeed(NamedTuple):
     @property
     def is_minimd(self) -> bool:
         """False for a peer."""
-        return self.engine == "minimd"
+        return self.engine.startswith("minimd")
 
 
 def ratios(rows: Sequence[EngineSpeed], row: EngineSpeed) -> tuple[outcome.Ratios, outcome.Ratios]:
@@ -192,10 +193,8 @@ def _checked(options: PeersOptions) -> tuple[int, ...]:
     for name in options.scenes:
         scene = SCENES[name](smallest)
         if scene.edges.min() < 2.0 * scene.law.cutoff:
-            raise ValueError(
-                f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {name!r}; give a larger "
-                "number"
-            )
+            told = f"--cells {smallest} makes a cell narrower than twice the cutoff in the scene {name!r}"
+            raise ValueError(f"{told}; give a larger number")
     for name in () if options.peers == NO_PEERS else options.peers:
         peer = PEERS[name]
         if not {*options.scenes} & {*peer.scenes}:
@@ -212,28 +211,51 @@ def _beside(
     scene = SCENES[name](n)
     if name != MELT:  # the melt is equilibrated while the engines warm up
         scene = equilibrated(scene)
-    engines: list[Engine] = [Minimd(scene, count) for count in dict.fromkeys((1, *threads))]
     n_atoms, counts = len(scene.system), {"one": (1,), "each": threads, "most": (max(threads),)}
+    asked: list[tuple[Load, int]] = [(Minimd, count) for count in dict.fromkeys((1, *threads))]
     for peer in peers:
         if name in PEERS[peer].scenes and (peer in options.peers or n_atoms <= PEERS[peer].most_atoms):
-            engines += [_load(peer, scene, count) for count in counts[PEERS[peer].threads]]
-    check_agreement(engines, n_atoms, scene.scatter)
+            asked += [(partial(_load, peer), count) for count in counts[PEERS[peer].threads]]
+    groups = _accurate(asked, scene) if scene.error else [dict(enumerate(load(scene, count) for load, count in asked))]
+    for group in groups:
+        check_agreement([*group.values()], scene)
     tell(f"{name}: the energies agree")
-    speeds = n_atoms * in_turns(engines, options.repeats, n_atoms)
-    rows = []
-    for engine, speed in zip(engines, speeds, strict=True):
-        row = EngineSpeed(engine.name, engine.threads, engine.precision, scene.name, n_atoms, speed)
+    tried, best = [one for group in groups for one in group.items()], dict[int, EngineSpeed]()
+    speeds = n_atoms * in_turns([engine for _, engine in tried], options.repeats, n_atoms)
+    for (k, engine), speed in zip(tried, speeds, strict=True):
+        if k not in best or np.median(speed) > np.median(best[k].speeds):
+            best[k] = EngineSpeed(engine.name, engine.threads, engine.precision, scene.name, n_atoms, speed)
+    for k, row in best.items():
         if row.is_minimd and 4 * n**3 >= FROM_ATOMS:
             tell(f"{n_atoms} atoms: memory of minimd, {threads_text(row.threads)}")
-            row = row._replace(bytes_per_atom=bytes_per_atom(name, n, row.threads))
-        rows.append(row)
-    return rows
+            best[k] = row._replace(bytes_per_atom=bytes_per_atom(name, n, row.threads))
+    return [best[k] for k in sorted(best)]
+
+
+def _accurate(asked: Sequence[tuple[Load, int]], scene: BenchScene) -> list[dict[int, Engine]]:
+    """For each cutoff that the cell has room for, the engines that are asked for, by their places: each with the least
+    accuracy whose measured error is allowed, without those that do not reach it."""
+    groups = []
+    for cutoff in [one for one in WATER_CUTOFFS if 2.0 * one <= scene.edges.min()] or [scene.law.cutoff]:
+        exact = scene.cut(cutoff, EXACT)
+        forces, of_charges = (Minimd(exact._replace(potentials=exact.potentials[k:])).forces for k in (0, 1))
+        groups.append(dict[int, Engine]())
+        for k, (load, count) in enumerate(asked):
+            for accuracy in scene.error * LADDER:
+                engine = load(scene.cut(cutoff, accuracy), count)
+                error = np.linalg.norm(forces - engine.forces) / np.linalg.norm(of_charges)
+                engine.name += f", r_c {cutoff:g} Å, error {error:.1e}"
+                if error <= scene.error:
+                    groups[-1][k] = engine
+                    break
+            tell(f"{scene.name}: {engine.name}{'' if k in groups[-1] else ': left out, no accuracy is enough'}")
+    return groups
 
 
 def _load(name: str, scene: BenchScene, threads: int) -> Engine:
     """A peer that has loaded the scene.  Raises ValueError for any failure of the peer."""
     try:
-        return PEERS[name].load(scene, threads, scene.method.timestep)
+        return PEERS[name].load(scene, threads)
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(

@@ -1,6 +1,6 @@
-"""The scenes of the benchmark, in reduced Lennard-Jones units: fluids, droplet and slab, chains, rigid molecules.
+"""The scenes of the benchmark: fluids, droplet and slab, chains, rigid molecules, in reduced units; water, in Å and eV.
 
-Each is a row of PLANS, and a function of a number n in SCENES: it has 4 n³ atoms, or nearly as many.
+Each is a function of a number n in SCENES: it has 4 n³ atoms, or nearly as many. All but water are rows of PLANS.
 """
 
 import warnings
@@ -42,11 +42,16 @@ TRIANGLE_ANGLE = np.radians(75.0)  # between its sides of 1 σ
 DECANE_DENSITY = 0.19  # molecules per σ³: 0.73 g/cm³
 CARBONS, METHYL_MASS, DECANE_BOND, DECANE_ANGLE = 10, 15.035 / 14.027, 1.54 / 3.95, np.radians(114.0)
 
+# largest errors of the forces of charges, of their rms, by scene; cutoffs [Å] that each engine tries
+WATER, WATER_CUTOFFS = {"water": 2.5e-4, "water-fine": 1e-5}, (8.0, 9.0, 10.0, 12.0)
+EXACT = 1e-9  # accuracy of the sum with which errors are found
+
 
 class BenchScene(NamedTuple):
     """A system with its potentials, and how its steps are made.
 
     text : a description in one line.  constraints : lengths held fixed.  method : with its time step and bath.
+    error : the largest of the forces of charges, of their rms; 0 without charges.  accuracy : asked for with charges.
     """
 
     name: str
@@ -57,6 +62,8 @@ class BenchScene(NamedTuple):
     constraints: tuple[md.DistanceConstraints, ...] = ()
     method: md.integrators.Splitting = md.VelocityVerlet(TIMESTEP)
     barostat: md.StochasticCellRescaling | None = None
+    error: float = 0.0
+    accuracy: float = 1e-3
 
     @property
     def edges(self) -> NDArray[np.float64]:
@@ -70,8 +77,14 @@ class BenchScene(NamedTuple):
 
     @property
     def scatter(self) -> float:
-        """How far apart energies of engines may be after few steps because their random numbers differ [ε per atom]."""
-        return SCATTER * self.temperature / sqrt(len(self.system)) if self.method.is_thermostat else 0.0
+        """How far apart energies of engines may be after few steps because random numbers differ [k_B T per atom]."""
+        return SCATTER / sqrt(len(self.system)) if self.method.is_thermostat else 0.0
+
+    def cut(self, cutoff: float, accuracy: float) -> "BenchScene":
+        """Water with both laws cut at a distance [Å], and charges summed to an accuracy."""
+        own: Any = self.law.parameters
+        oxygens = md.LennardJones(own, None, cutoff, "truncated", bonded_scale=self.law.bonded_scale)
+        return self._replace(potentials=(oxygens, md.Coulomb(cutoff, accuracy)), accuracy=accuracy)
 
 
 class Plan(NamedTuple):
@@ -274,7 +287,20 @@ def _planned(name: str, n: int) -> BenchScene:
     return BenchScene(name, plan.text, system, plan.potentials, plan.temperature, rigid, plan.method, plan.barostat)
 
 
+def _water(name: str, n: int) -> BenchScene:
+    """n³ molecules on the simple cubic lattice, turned at random."""
+    system, potentials, rigid = md.water("SPC/E", n**3)
+    text = (
+        f"Rigid SPC/E water: 298 K, measured errors of the forces of charges of at most {WATER[name]:g} of their rms, "
+        "both laws cut at the one of 8, 9, 10 and 12 Å with which an engine is fastest, Δt 2 fs, NVE"
+    )
+    step = md.VelocityVerlet(2.0 * md.units.fs)
+    scene = BenchScene(name, text, system, tuple(potentials), 298.0, (rigid,), step, error=WATER[name])
+    return scene.cut(scene.law.cutoff, scene.error)
+
+
 SCENES: dict[str, Callable[[int], BenchScene]] = {name: partial(_planned, name) for name in PLANS}
+SCENES |= {name: partial(_water, name) for name in WATER}
 melt = SCENES[MELT]
 
 

@@ -11,13 +11,14 @@ from minimd.compiled.machine import available_cores
 from minimd.structure.errors import HandOverError
 from minimd_bench.engines import Engine
 from minimd_bench.outcome import tell, threads_text
+from minimd_bench.scenes import BenchScene
 
 # allowed relative difference of energies at step 0: rounding of single precision; GROMACS sums 32 000 atoms to 2e-5
 SAME_START = 5e-5
 # so few that trajectories do not diverge, enough for the potential energy to change by half an ε per atom
 STEPS_COMPARED = 10
-# ε per atom, allowed difference after these steps, in single precision; a time step 1 % longer makes a larger one
-SAME_COURSE = 1e-3
+# k_B T per atom, allowed difference after these steps, in single precision; a time step 1 % longer makes a larger one
+SAME_COURSE = 7e-4
 WARM_UP, SECONDS_WARM_UP = 200, 5.0  # steps or seconds, whichever ends first: melts the lattice, fills caches
 # much longer than the resolution of the clock, much shorter than the minutes in which machines change their speed
 SECONDS_A_TURN = 0.5
@@ -25,13 +26,13 @@ SECONDS_A_TURN = 0.5
 STEPS_A_TURN, LONGEST_TURN = 40, 5.0
 
 
-def check_agreement(engines: Sequence[Engine], n_atoms: int, scatter: float = 0.0) -> None:
+def check_agreement(engines: Sequence[Engine], scene: BenchScene) -> None:
     """Check that all engines have loaded the same scene and make the same steps; for this they make some steps.
 
     The total energy alone does not show a wrong time step, because it is conserved. The potential energy of a melting
-    crystal does. scatter : further difference allowed after these steps, for engines with random numbers of their own
-    [ε per atom]. Raises HandOverError if an engine differs from the first.
+    crystal does.  Raises HandOverError if an engine differs from the first.
     """
+    n_atoms, heat = len(scene.system), scene.temperature * scene.system.units.k_B
 
     def compare(quantity: str, energies: Sequence[float], relative: float, absolute: float) -> None:
         for engine, energy in zip(engines, energies, strict=True):
@@ -42,7 +43,7 @@ def check_agreement(engines: Sequence[Engine], n_atoms: int, scatter: float = 0.
     compare("potential energy at step 0", [engine.potential_energy() for engine in engines], SAME_START, 0.0)
     for engine in engines:
         engine.run(STEPS_COMPARED)
-    when, allowed = f"per atom after {STEPS_COMPARED} steps", SAME_COURSE + scatter
+    when, allowed = f"per atom after {STEPS_COMPARED} steps", (SAME_COURSE + scene.scatter) * heat
     compare(f"potential energy {when}", [engine.potential_energy() / n_atoms for engine in engines], 0.0, allowed)
     compare(f"total energy {when}", [engine.total_energy() / n_atoms for engine in engines], 0.0, allowed)
 

@@ -198,7 +198,7 @@ def _dynamics(name: str, quick: bool, repeats: int) -> Case:
                 make = partial(engines.Minimd, own, 1, steps // OBSERVATIONS)
                 points.append(measured(own, steps, make, repeats, distance))
             else:
-                points.append(measured(own, steps, partial(peer.load, scene, 1, timestep), repeats, np.nan))
+                points.append(measured(own, steps, partial(peer.load, own, 1), repeats, np.nan))
     text = f"{scene.text}{'; ' if words else ''}{words}; {len(scene.system)} atoms, one thread, {DURATION:g} τ"
     return Case(name, text, "τ", points)
 

@@ -16,7 +16,7 @@ ROAD, TESTS = "road of a step", "tests"
 # fmt: off
 ROWS = {  # lines, files, statements; what is not there is not weighed
     "minimd": (280, 3, 142),
-    "analysis": (298, 3, 171),
+    "analysis": (296, 3, 171),
     "ase": (810, 6, 427),
     "commands": (593, 4, 333),
     "compiled": (2229, 14, 1252),
@@ -27,7 +27,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "engine": (1287, 6, 776),
     "ensemble": (1509, 7, 937),
     "files": (2549, 10, 1571),
-    "forces": (2465, 12, 1551),
+    "forces": (2468, 12, 1552),
     "grade": (2448, 11, 1465),
     "integrators": (4939, 26, 2507),
     "lammps": (1674, 8, 999),
@@ -40,9 +40,9 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "simulation": (686, 5, 371),
     "structure": (2151, 15, 1176),
     "view": (376, 3, 209),
-    "minimd_bench": (1918, 10, 1094),
+    "minimd_bench": (1981, 10, 1157),
     "road of a step": (3855, 13),
-    "tests": (20016,),
+    "tests": (20018,),
 }
 # fmt: on
 

@@ -128,8 +128,7 @@ class Declared(OwnPotential):
 
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
-        values = {name: getattr(self, name) for name in self.parameters_of()}
-        return {name: getattr(type(value), "python", value) for name, value in values.items()}
+        return {name: getattr(type(one := getattr(self, name)), "python", one) for name in self.parameters_of()}
 
     def columns(self, things: str, n: int) -> tuple[Array, ...]:
         """The numbers of the law for each of n things, as contiguous (n,) arrays.

@@ -321,19 +321,18 @@ class _Tried(NamedTuple):
 class OwnWall(OnAtoms):
     """Base class of walls.
 
-    around : Planar or Curved.  place() : normal, three numbers, and the position of the plane along it; or axis and
-    radius [length].  distances(system, positions) : (n,) of atoms from the wall, negative behind it [length].
+    around : Planar or Curved.  place(system, positions) : normal, three numbers, and place of the plane along it, or
+    axis and radius [length]; and the distances (n,) of atoms from the wall, negative behind it [length].
     """
 
     around: ClassVar[Any]
-    place: ClassVar[Callable[..., tuple[Any, float]]]
-    distances: ClassVar[Callable[..., Array]]
+    place: ClassVar[Callable[..., tuple[Any, float, Array]]]
 
     def bind(self, system: System) -> Term:
         """The term of this wall in a system.  Raises ValueError if atoms are missing or lie on the wall or behind it,
         or if the wall crosses a periodic direction."""
         acting, given = self.atoms_in(system), self.arguments()
-        distances = self.distances(system, system.positions[acting])
+        normal, place, distances = self.place(system, system.positions[acting])
         if (behind := np.flatnonzero(~(distances > 0.0))).size:
             atom, d = int(acting[behind[0]]), float(distances[behind[0]])
             others = f", and {behind.size - 1} more" if behind.size > 1 else ""
@@ -343,7 +342,6 @@ class OwnWall(OnAtoms):
         law, reach = WALL_LAWS[given["law"]], inf if given["cutoff"] is None else given["cutoff"]
         rows, of_each = np.unique(np.stack(own, axis=-1), axis=0, return_inverse=True)
         at_cutoff = np.array([0.0 if reach == inf else law_at(law, reach, tuple(row.tolist()))[0] for row in rows])
-        normal, place = self.place()
         numbers = (np.full(len(acting), one) for one in (*normal.tolist(), place, reach))
         columns = (*numbers, np.ascontiguousarray(at_cutoff[of_each.reshape(-1)]), *own)
         anchors = np.tile(given["point"], (len(acting), 1)) if self.around is Curved else NOWHERE
@@ -365,12 +363,7 @@ class Wall(OwnWall):
     law: WallLaw = declared(kind.choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
     atoms: ArrayLike | None = declared(kind.atoms, default=None)
 
-    def place(self) -> tuple[Any, float]:
-        """See OwnWall."""
-        normal = np.asarray(self.normal)
-        return normal, float((normal * self.point).sum())
-
-    def distances(self, system: System, positions: Array) -> Array:
+    def place(self, system: System, positions: Array) -> tuple[Any, float, Array]:
         """See OwnWall."""
         vectors, normal = system.cell.vectors[system.cell.pbc], np.asarray(self.normal)
         crossed = np.abs((vectors * normal).sum(axis=1)) > ALONG * np.linalg.norm(vectors, axis=1)
@@ -378,8 +371,7 @@ class Wall(OwnWall):
             name = "abc"[np.flatnonzero(system.cell.pbc)[np.argmax(crossed)]]
             hint = "set pbc to False there, or turn the wall"
             raise ValueError(f"a Wall must lie along all periodic directions; it crosses {name}: {hint}")
-        distances: Array = ((positions - np.asarray(self.point)) * normal).sum(axis=1)
-        return distances
+        return normal, float((normal * self.point).sum()), ((positions - np.asarray(self.point)) * normal).sum(axis=1)
 
 
 class RoundWall(OwnWall):
@@ -387,18 +379,13 @@ class RoundWall(OwnWall):
 
     around = Curved
 
-    def place(self) -> tuple[Any, float]:
+    def place(self, system: System, positions: Array) -> tuple[Any, float, Array]:
         """See OwnWall; without an axis, distances are those from the center."""
-        return getattr(self, "axis", np.zeros(3)), self.arguments()["radius"]
-
-    def distances(self, system: System, positions: Array) -> Array:
-        """See OwnWall."""
-        cell, (axis, radius) = system.cell, self.place()
-        away = positions - self.arguments()["point"]
+        cell, given, axis = system.cell, self.arguments(), getattr(self, "axis", np.zeros(3))
+        away = positions - given["point"]
         away = away - np.where(cell.pbc, np.rint(np.einsum("ij,jk->ik", away, cell.inverse)), 0.0) @ cell.lattice
         across = away - (away * axis).sum(axis=1)[:, None] * axis
-        distances: Array = radius - np.linalg.norm(across, axis=1)
-        return distances
+        return axis, given["radius"], given["radius"] - np.linalg.norm(across, axis=1)
 
 
 class CylinderWall(RoundWall):

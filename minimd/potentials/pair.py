@@ -118,8 +118,8 @@ class Nonbonded(Declared, metaclass=ABCMeta):
             if name not in known:
                 wanted = f"of known species, {listed(known)}; they name {name!r}{near(name, known)}"
                 raise ValueError(f"pairs of {type(self).__name__} must be {wanted}")
-        if self.tail_correction:
-            _volume(system)
+        if self.tail_correction and system.volume is None:
+            raise ValueError("tail_correction needs a density: a cell that is periodic in all three directions")
         return PairTerm(self, system)
 
     def table(self, species_names: Sequence[Label]) -> NDArray[np.float64]:
@@ -163,8 +163,7 @@ class Nonbonded(Declared, metaclass=ABCMeta):
     def _numbers(self, a: Any, b: Any) -> tuple[float, ...]:
         """The squared cutoff, and the numbers of the truncated law, of a pair of species."""
         if (cutoff := self._cutoffs.get((a, b), self._cutoffs.get(None))) is None:
-            pair = f"the pair of species {a!r}, {b!r}"
-            raise ValueError(f"cutoff has no entry for {pair}; it has {listed(self._cutoffs)}")
+            raise ValueError(f"cutoff has no entry for the species {a!r}, {b!r}; it has {listed(self._cutoffs)}")
         parameters = self._parameters_of(a, b)
         if not self._is_tried:
             check_user_law(self.plain_law, parameters, [x * (cutoff if isfinite(cutoff) else 1.0) for x in TRIED_AT])
@@ -294,17 +293,11 @@ class PairTerm(OwnTerm):
         return self._potential.tail(*self._species, volume=1.0)
 
     def tail(self, system: System) -> tuple[float, float]:
-        """See Term. Raises ValueError if the cell has no volume."""
-        if not self._potential.tail_correction:
+        """See Term."""
+        if not self._potential.tail_correction or system.volume is None:
             return 0.0, 0.0
-        volume, (energy, virial) = _volume(system), self._tail_times_volume
-        return energy / volume, virial / volume
-
-
-def _volume(system: System) -> float:
-    if system.volume is None:
-        raise ValueError("tail_correction needs a density: a cell that is periodic in all three directions")
-    return system.volume
+        energy, virial = self._tail_times_volume
+        return energy / system.volume, virial / system.volume
 
 
 def _checked_cutoffs(cutoff: Any) -> dict[Any, float]:
@@ -346,9 +339,8 @@ class LennardJones(Nonbonded):
     def as_law(self) -> tuple[Any, Any, Any]:
         """See Nonbonded."""
         if isinstance(self.epsilon, Mapping) == (self.sigma is not None):
-            raise ValueError(
-                "give LennardJones either epsilon and sigma, or one mapping from species to (epsilon, sigma)"
-            )
+            needed = "either epsilon and sigma, or one mapping from species to (epsilon, sigma)"
+            raise ValueError(f"give LennardJones {needed}")
         parameters = self.epsilon if isinstance(self.epsilon, Mapping) else (self.epsilon, self.sigma)
         return LennardJonesLaw(), parameters, self.pairs
 

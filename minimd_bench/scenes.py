@@ -71,9 +71,9 @@ class BenchScene(NamedTuple):
         return np.diag(self.system.cell.vectors)
 
     @property
-    def law(self) -> md.PairPotential:
+    def law(self) -> md.potentials.pair.Nonbonded:
         """The potential of its pairs."""
-        return next(one for one in self.potentials if isinstance(one, md.PairPotential))
+        return next(one for one in self.potentials if isinstance(one, md.potentials.pair.Nonbonded))
 
     @property
     def scatter(self) -> float:

@@ -118,7 +118,6 @@ def both_lists(system, potentials, skin=SKIN):
 
 def evaluated(term, system, detail=TOTALS):
     sums = np.zeros((len(system), 3)), np.zeros(len(system)), np.zeros((len(system), 6))
-    term.is_first = True
     target = Target(detail, *sums, np.zeros((0, 3)), Images.of(system.cell))
     term.list.ready(system.positions, system.cell)
     try:

@@ -19,7 +19,7 @@ from minimd.engine.engine import Engine, Snapshot
 from minimd.forces.contacts import Contact, contacts
 from minimd.integrators.splitting.order_conditions import accurate_step, stability_limit
 from minimd.neighbors.queries import ClosestPair, closest_pair
-from minimd.potentials.pair import PairPotential
+from minimd.potentials.pair import Nonbonded
 from minimd.structure.bond_graph import among
 from minimd.structure.checks import LARGEST
 from minimd.structure.constraints import DistanceConstraints
@@ -224,7 +224,7 @@ def short_step(evidence: Evidence) -> Verdict | None:
 def no_pair_in_reach(evidence: Evidence) -> Verdict | None:
     """No pair interacts, as when lengths of the potential and of the positions have different units."""
     interactions, unit = evidence.engine.interactions, evidence.units.length
-    cutoffs = [one.cutoff for one in interactions.potentials if isinstance(one, PairPotential) and one.cutoff < np.inf]
+    cutoffs = [one.cutoff for one in interactions.potentials if isinstance(one, Nonbonded) and one.cutoff < np.inf]
     if not cutoffs or interactions.potential_energy != 0.0 or evidence.engine.forces.any():
         return None
     if evidence.closest is None or evidence.closest.distance <= max(cutoffs):

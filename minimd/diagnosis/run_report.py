@@ -18,7 +18,7 @@ from minimd.engine.engine import Engine
 from minimd.engine.record import Record
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.potentials.law import law_at
-from minimd.potentials.pair import PairPotential
+from minimd.potentials.pair import Nonbonded
 from minimd.structure.observables import leaves_out_center, longest
 from minimd.structure.statistics import mean_and_error, with_error
 from minimd.structure.system import System
@@ -69,7 +69,7 @@ def cutoff_lines(system: System, potentials: Sequence[Any]) -> Iterator[Line]:
     """The jumps of energy and force at the cutoff of each pair potential, the worst of all pairs of species."""
     units = system.units
     for potential in potentials:
-        if not isinstance(potential, PairPotential) or not np.isfinite(potential.cutoff):
+        if not isinstance(potential, Nonbonded) or not np.isfinite(potential.cutoff):
             continue
         table = potential.table(system.species_names)
         rows = table.reshape(-1, table.shape[-1])

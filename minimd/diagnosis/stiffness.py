@@ -13,7 +13,7 @@ from minimd.forces.forces import Forces
 from minimd.neighbors.queries import closest_pair
 from minimd.potentials.bonded import HarmonicBond
 from minimd.potentials.laws import LennardJonesLaw
-from minimd.potentials.pair import PairPotential, curvature_at_minimum
+from minimd.potentials.pair import Nonbonded, curvature_at_minimum
 from minimd.structure.bond_graph import among
 from minimd.structure.cell import nearest_vectors
 from minimd.structure.observables import center, kinetic_energy, temperature, thermal_energy
@@ -138,7 +138,7 @@ class Stiffness:
     def _wells(self) -> Iterator[tuple[Array, Array]]:
         """ε and σ of each Lennard-Jones potential for pairs of species, (S, S) each."""
         for potential in self._potentials:
-            if isinstance(potential, PairPotential) and isinstance(potential.plain_law, LennardJonesLaw):
+            if isinstance(potential, Nonbonded) and isinstance(potential.plain_law, LennardJonesLaw):
                 table = potential.table(self.system.species_names)
                 yield table[..., -2], table[..., -1]
 

@@ -66,7 +66,7 @@ class OfForces(Section):
 MADE: dict[str, type[law.Declared]] = {  # by type
     re.sub("(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "-", name).lower(): made
     for name, made in vars(potentials).items()
-    if isinstance(made, type) and issubclass(made, law.Declared) and law.own_law not in made.kinds()
+    if isinstance(made, type) and issubclass(made, law.Declared) and not {law.own_law, law.given} & made.kinds()
 }
 ForceSection = functools.reduce(
     operator.or_,

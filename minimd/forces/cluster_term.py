@@ -39,7 +39,7 @@ from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, PairLaw, Target
 from minimd.structure.system import System
 
 
-class Evaluation(ByAddress, namedtuple("Evaluation", "arrays add prepare work forces steps is_first")):
+class Evaluation(ByAddress, namedtuple("Evaluation", "arrays add prepare work forces steps")):
     """What the operations work on.
 
     arrays : ClusterArrays.
@@ -47,7 +47,6 @@ class Evaluation(ByAddress, namedtuple("Evaluation", "arrays add prepare work fo
         compiled for each law, so that the kernels of this file are the same for all laws.
     work : address of their Work.
     forces : (N, 3) output [energy/length]; int64 impulses in fixed-point arithmetic, where steps : Steps, else ().
-    is_first : whether there is nothing to add to: forces = and not forces +=.
     """
 
 
@@ -88,7 +87,7 @@ def collect_domain(evaluation, domain):
 
 @scalar
 def _collect(domain, evaluation):
-    """forces (N, 3) = or += those on the atoms of a domain."""
+    """forces (N, 3) = those on the atoms of a domain."""
     arrays, forces, clusters = evaluation.arrays, evaluation.forces, evaluation.arrays.clusters
     n_lanes = count(clusters.lanes)
     for k in range(arrays.domain_start[domain], arrays.domain_start[domain + 1]):
@@ -96,12 +95,7 @@ def _collect(domain, evaluation):
         for k_lane in range(n_lanes):
             if k_lane < clusters.filled[k]:
                 i = np.uintp(clusters.atom[k * n_lanes + k_lane])
-                if evaluation.is_first:
-                    forces[i, 0], forces[i, 1], forces[i, 2] = lane(x, k_lane), lane(y, k_lane), lane(z, k_lane)
-                else:
-                    forces[i, 0] += lane(x, k_lane)
-                    forces[i, 1] += lane(y, k_lane)
-                    forces[i, 2] += lane(z, k_lane)
+                forces[i, 0], forces[i, 1], forces[i, 2] = lane(x, k_lane), lane(y, k_lane), lane(z, k_lane)
 
 
 NONE = np.zeros(0)
@@ -125,8 +119,7 @@ class ClusterTerm(ListTerm):
         self._add_forces, self._prepare_loop = (loop_for(one, *members) for one in (add_forces_of_laws, prepare_loop))
         self._calls = DirectCalls(), DirectCalls(), DirectCalls()  # by detail
         self._arranged_for = 0  # which arrays of the list
-        self._memory, self.is_first = Buffers(), False
-        self._made: dict[tuple[Any, ...], tuple[Evaluation, Work]] = {}
+        self._memory, self._made = Buffers(), dict[tuple[Any, ...], tuple[Evaluation, Work]]()
 
     def suits(self, system: System) -> bool:
         """See ListTerm: a cell without room for the list needs another one."""
@@ -152,7 +145,7 @@ class ClusterTerm(ListTerm):
                 steps = target.steps._replace(limit2=(MOST / self._pair_laws.cutoff) ** 2)
             add = calls.address(self._add_forces, 0, arrays, work, steps)
             prepare = calls.address(self._prepare_loop, arrays, work) if self._needs_preparation else 0
-            made = Evaluation(arrays, add, prepare, work.address, target.forces, steps, int(self.is_first))
+            made = Evaluation(arrays, add, prepare, work.address, target.forces, steps)
             self._made[key] = made, work
         return self._made[key][0]
 

@@ -15,9 +15,9 @@ from minimd.forces.options import Options
 from minimd.potentials.bonded import Bond
 from minimd.potentials.law import is_user_law, law_at, reads_table
 from minimd.potentials.laws import FENELaw, HarmonicLaw, LennardJonesLaw
-from minimd.potentials.pair import PairPotential, curvature_at_minimum
+from minimd.potentials.pair import Nonbonded, curvature_at_minimum
 from minimd.potentials.term import PER_ATOM
-from minimd.structure.bond_graph import pairs_by_bonds_apart
+from minimd.structure.bond_graph import checked_pairs, pairs_by_bonds_apart
 from minimd.structure.cell import nearest_vectors
 from minimd.structure.system import System
 
@@ -106,24 +106,24 @@ def contacts(
     found: list[Contact] = []
     known = sorted(set(atoms))
     for potential in potentials:
-        if isinstance(potential, (PairPotential, Bond)):
+        if isinstance(potential, (Nonbonded, Bond)):
             pairs = (
                 _near_pairs(potential, system, known)
-                if isinstance(potential, PairPotential)
+                if isinstance(potential, Nonbonded)
                 else _bonds(potential, system, known)
             )
             found += [_contact(potential, pair, float(inverse_masses[list(pair[:2])].sum())) for pair in pairs]
     return found
 
 
-def bonded_scales(potential: PairPotential, system: System) -> dict[frozenset[int], float]:
+def bonded_scales(potential: Nonbonded, system: System) -> dict[frozenset[int], float]:
     """The factor on the law for each pair of atoms up to three bonds apart, and for its exclusions."""
-    pairs_of = *pairs_by_bonds_apart(system.bonds), potential.exclusions
+    pairs_of = *pairs_by_bonds_apart(system.bonds), checked_pairs("exclusions", potential.exclusions)
     with_factors = zip(pairs_of, (*potential.bonded_scale, 0.0), strict=True)
     return {frozenset(pair): factor for pairs, factor in with_factors for pair in pairs.tolist()}
 
 
-def _near_pairs(potential: PairPotential, system: System, atoms: list[int]) -> Iterator[Pair]:
+def _near_pairs(potential: Nonbonded, system: System, atoms: list[int]) -> Iterator[Pair]:
     """Pairs of some atoms with their nearest neighbors within the cutoff, each once."""
     table, index, seen = potential.table(system.species_names), system.species_index, set()
     scales = bonded_scales(potential, system)
@@ -151,13 +151,13 @@ def _bonds(potential: Bond, system: System, atoms: list[int]) -> Iterator[Pair]:
         yield i, j, r, 1.0, tuple(own)
 
 
-def _contact(potential: PairPotential | Bond, pair: Pair, inverse_mass: float) -> Contact:
+def _contact(potential: Nonbonded | Bond, pair: Pair, inverse_mass: float) -> Contact:
     first, second, r, scale, numbers = pair
     u, f = law_at(potential.law, r, numbers)
     high, low = (-(1.0 + h) * law_at(potential.law, r * (1.0 + h), numbers)[1] for h in (STEP, -STEP))
     curvature = (high - low) / (2.0 * STEP) if r > 0.0 else nan  # u″ by a central difference of u′ = −f r
     length, rest = None, nan  # σ or r₀, and u″ at the minimum
-    if isinstance(potential, PairPotential) and isinstance(potential.plain_law, LennardJonesLaw):
+    if isinstance(potential, Nonbonded) and isinstance(potential.plain_law, LennardJonesLaw):
         epsilon, length = numbers[-2:]
         rest = curvature_at_minimum(epsilon, length)
     elif isinstance(potential.law, HarmonicLaw):

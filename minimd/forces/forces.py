@@ -173,10 +173,8 @@ class Forces:
         self._timed = [term for term in terms if term.depends_on_time]
         self._images.take(self.system.cell)
         linked = [term for term in terms if isinstance(term, LinkedTerm)]
-        of_pairs = [term for term in terms if term.list is not None]
+        of_pairs = sorted((term for term in terms if term.list is not None), key=lambda term: not term.assigns)
         others = [term for term in terms if term not in linked and term not in of_pairs]
-        for k, term in enumerate(of_pairs):
-            term.is_first = k == 0
         self._in_order = of_pairs, linked, others
         self._slots, n_chunks = Slots(linked), n_chunks_of(len(self.system))
         self._slot_forces = np.zeros(3 * self._slots.size, dtype=np.float64 if self.grid is None else np.int64)

@@ -22,10 +22,10 @@ from minimd.forces.evaluation import evaluate
 from minimd.lammps.box import Box
 from minimd.lammps.expression import energy_expression
 from minimd.lammps.verification import TOLERANCE
-from minimd.potentials import Coulomb, PairPotential
+from minimd.potentials import Coulomb
 from minimd.potentials.bonded import Bonded
 from minimd.potentials.laws import LennardJonesLaw
-from minimd.potentials.pair import UNSCALED
+from minimd.potentials.pair import UNSCALED, Nonbonded
 from minimd.potentials.truncation import ForceShifted, Shifted
 from minimd.structure.bond_graph import among
 from minimd.structure.cell import nearest_vectors
@@ -225,7 +225,7 @@ class Model:
         system = engine.system
         if (excluded := getattr(potential, "exclusions", None)) is not None and len(excluded):
             raise _outside(potential, KINDS)
-        if isinstance(potential, PairPotential):
+        if isinstance(potential, Nonbonded):
             self.pair_styles.append(self._pair_style(potential, system.species_names))
             self.smallest_cutoff = min(self.smallest_cutoff, potential.shortest_length)
         elif isinstance(potential, Coulomb) and potential.method == "ewald":
@@ -237,7 +237,7 @@ class Model:
         else:
             raise _outside(potential, KINDS)
 
-    def _pair_style(self, potential: PairPotential, species_names: tuple) -> PairStyle:
+    def _pair_style(self, potential: Nonbonded, species_names: tuple) -> PairStyle:
         """The style of a pair potential: Lennard-Jones of LAMMPS if there is one, else its law, written for Lepton."""
         table, species = potential.table(species_names), self.types.species
         table[:, :, 0] = np.where(table[:, :, 0] < np.inf, np.sqrt(table[:, :, 0]), self._farthest)
@@ -254,7 +254,7 @@ class Model:
             LJ_STYLES[type(potential.law)] if is_own else "lepton",
             float(table[:, :, 0].max()),
             is_own and isinstance(potential.law, Shifted),
-            potential.bonded_scale,
+            tuple(potential.bonded_scale),
             [(types, numbers(*row.tolist())) for types, row in rows],
         )
 

@@ -15,7 +15,7 @@ from minimd.forces.contacts import bonded_scales, why_not_finite
 from minimd.forces.forces import Forces
 from minimd.forces.options import Options
 from minimd.neighbors.queries import closest_pair, neighbor_list
-from minimd.potentials import PairPotential
+from minimd.potentials.pair import Nonbonded
 from minimd.potentials.term import PER_ATOM
 from minimd.structure.cell import Cell
 from minimd.structure.errors import HandOverError, NonFiniteError
@@ -77,7 +77,7 @@ def on_a_cutoff(engine: Engine) -> str:
     """A clause about a pair that interacts, on a cutoff at which energy or force jumps; empty if there is none."""
     system = engine.system
     for one in engine.interactions.potentials:
-        if isinstance(one, PairPotential) and one.truncation in ("truncated", "shifted") and one.cutoff < np.inf:
+        if isinstance(one, Nonbonded) and one.truncation in ("truncated", "shifted") and one.cutoff < np.inf:
             cutoffs = np.sqrt(one.table(system.species_names)[:, :, 0])
             species = system.species_index * one.depends_on_species
             first, second, distances = neighbor_list("ijd", system, float(cutoffs.max()) * (1.0 + TOLERANCE))

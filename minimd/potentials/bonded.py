@@ -8,23 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from minimd.potentials import declared as kind
 from minimd.potentials import laws
-from minimd.potentials.declared import (
-    ANGLE,
-    NOT_NEGATIVE,
-    POSITIVE,
-    SIGNED_ANGLE,
-    WHOLE,
-    Array,
-    Declared,
-    LammpsStyle,
-    coefficients,
-    declared,
-    each,
-    groups,
-    own_law,
-    own_parameters,
-)
+from minimd.potentials.declared import NOT_NEGATIVE, POSITIVE, Array, Declared, LammpsStyle, declared
 from minimd.potentials.law import on_vectors
 from minimd.potentials.links import Bend, FixedPairs, LinkedTerm, Torsion
 from minimd.potentials.term import NoTerm, Term, no_bonds
@@ -74,28 +60,28 @@ class Bond(Bonded):
 class BondPotential(Bond):
     """A law u(r) along bonds, whatever their length. Each bond runs to the nearest image of its partner."""
 
-    law: Callable | tuple = declared(own_law, "law(r2, *parameters), as for PairPotential")  # type: ignore[misc]
-    parameters: Sequence[ArrayLike] = declared(own_parameters, default=())
-    pairs: ArrayLike | None = declared(groups, of=2, default=None)
+    law: Callable | tuple = declared(kind.own_law, "law(r2, *parameters), as for PairPotential")  # type: ignore[misc]
+    parameters: Sequence[ArrayLike] = declared(kind.own_parameters, default=())
+    pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
 
 
 class HarmonicBond(Bond):
     """Harmonic bond u(r) = ½ k (r − r₀)²."""
 
     law, lammps = laws.HarmonicLaw(), LammpsStyle("harmonic", lambda k, length: (0.5 * k, length))
-    k: ArrayLike = declared(each, "u = k (r − length)²/2", "stiffness", NOT_NEGATIVE)
-    length: ArrayLike = declared(each, "at rest", "length", NOT_NEGATIVE)
-    pairs: ArrayLike | None = declared(groups, of=2, default=None)
+    k: ArrayLike = declared(kind.each, "u = k (r − length)²/2", "stiffness", NOT_NEGATIVE)
+    length: ArrayLike = declared(kind.each, "at rest", "length", NOT_NEGATIVE)
+    pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
 
 
 class MorseBond(Bond):
     """Morse bond u(r) = D (1 − exp[−a (r − r₀)])², which breaks when it is pulled; its stiffness at rest is 2 a² D."""
 
     law, lammps = laws.MorseLaw(), LammpsStyle("morse")
-    depth: ArrayLike = declared(each, "u = depth (1 − exp(−a (r − length)))²", "energy", NOT_NEGATIVE)
-    a: ArrayLike = declared(each, "inverse width", "inverse length", POSITIVE)
-    length: ArrayLike = declared(each, "at rest", "length", NOT_NEGATIVE)
-    pairs: ArrayLike | None = declared(groups, of=2, default=None)
+    depth: ArrayLike = declared(kind.each, "u = depth (1 − exp(−a (r − length)))²", "energy", NOT_NEGATIVE)
+    a: ArrayLike = declared(kind.each, "inverse width", "inverse length", POSITIVE)
+    length: ArrayLike = declared(kind.each, "at rest", "length", NOT_NEGATIVE)
+    pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
 
 
 class FENEBond(Bond):
@@ -107,11 +93,11 @@ class FENEBond(Bond):
     """
 
     law, lammps = laws.FENELaw(), LammpsStyle("fene")
-    k: ArrayLike = declared(each, STRETCH, "stiffness", NOT_NEGATIVE)
-    longest: ArrayLike = declared(each, "length that a bond cannot reach", "length", POSITIVE)
-    epsilon: ArrayLike = declared(each, REPULSION, "energy", NOT_NEGATIVE, default=1.0)
-    sigma: ArrayLike = declared(each, "of the repulsion", "length", POSITIVE, default=1.0)
-    pairs: ArrayLike | None = declared(groups, of=2, default=None)
+    k: ArrayLike = declared(kind.each, STRETCH, "stiffness", NOT_NEGATIVE)
+    longest: ArrayLike = declared(kind.each, "length that a bond cannot reach", "length", POSITIVE)
+    epsilon: ArrayLike = declared(kind.each, REPULSION, "energy", NOT_NEGATIVE, default=1.0)
+    sigma: ArrayLike = declared(kind.each, "of the repulsion", "length", POSITIVE, default=1.0)
+    pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
 
 
 class HarmonicAngle(Bonded):
@@ -121,9 +107,9 @@ class HarmonicAngle(Bonded):
     """
 
     acts_on, lammps = "angles", LammpsStyle("harmonic", lambda k, angle: (0.5 * k, np.degrees(angle)))
-    k: ArrayLike = declared(each, "u = k (θ − angle)²/2", "angular stiffness", NOT_NEGATIVE)
-    angle: ArrayLike = declared(each, "at rest", "angle", ANGLE)
-    triples: ArrayLike | None = declared(groups, "the middle one second", of=3, default=None)
+    k: ArrayLike = declared(kind.each, "u = k (θ − angle)²/2", "angular stiffness", NOT_NEGATIVE)
+    angle: ArrayLike = declared(kind.each, "at rest", "angle", kind.ANGLE)
+    triples: ArrayLike | None = declared(kind.groups, "the middle one second", of=3, default=None)
 
     def term(self, found: NDArray[np.int64], columns: tuple[Array, ...]) -> Term:
         """See Bonded."""
@@ -149,9 +135,9 @@ class DihedralPotential(Dihedral):
     runs to the nearest image of its partner.
     """
 
-    law: Callable | tuple = declared(own_law, "law(phi, *parameters)")  # type: ignore[misc]
-    parameters: Sequence[ArrayLike] = declared(own_parameters, default=())
-    quadruples: ArrayLike | None = declared(groups, of=4, default=None)
+    law: Callable | tuple = declared(kind.own_law, "law(phi, *parameters)")  # type: ignore[misc]
+    parameters: Sequence[ArrayLike] = declared(kind.own_parameters, default=())
+    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
 
 
 class PeriodicDihedral(Dihedral):
@@ -162,10 +148,10 @@ class PeriodicDihedral(Dihedral):
     """
 
     law, lammps = laws.PeriodicLaw(), LammpsStyle("fourier", lambda k, n, phase: (1, k, n, np.degrees(phase)))
-    k: ArrayLike = declared(each, "u = k (1 + cos(n φ − phase))", "energy")
-    n: ArrayLike = declared(each, "minima in a turn", "", WHOLE)
-    phase: ArrayLike = declared(each, "φ₀, see k", "angle", default=0.0)
-    quadruples: ArrayLike | None = declared(groups, of=4, default=None)
+    k: ArrayLike = declared(kind.each, "u = k (1 + cos(n φ − phase))", "energy")
+    n: ArrayLike = declared(kind.each, "minima in a turn", "", kind.WHOLE)
+    phase: ArrayLike = declared(kind.each, "φ₀, see k", "angle", default=0.0)
+    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
 
 
 class RyckaertBellemans(Dihedral):
@@ -176,8 +162,8 @@ class RyckaertBellemans(Dihedral):
 
     law = laws.RyckaertBellemansLaw()
     lammps = LammpsStyle("nharmonic", lambda *c: (len(c), *(-one if n % 2 else one for n, one in enumerate(c))))
-    coefficients: Sequence[ArrayLike] = declared(coefficients, "c₀ to c₅ of u = Σ cₙ cosⁿ(φ − 180°)", "energy")
-    quadruples: ArrayLike | None = declared(groups, of=4, default=None)
+    coefficients: Sequence[ArrayLike] = declared(kind.coefficients, "c₀ to c₅ of u = Σ cₙ cosⁿ(φ − 180°)", "energy")
+    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
 
     def numbers(self) -> dict[str, Array]:
         """See Declared."""
@@ -193,11 +179,11 @@ class OPLSDihedral(Dihedral):
     """
 
     law, lammps = RyckaertBellemans.law, RyckaertBellemans.lammps
-    k1: ArrayLike = declared(each, "u = k1 (1 + cos φ)/2 + …", "energy")
-    k2: ArrayLike = declared(each, "… + k2 (1 − cos 2φ)/2 + …", "energy")
-    k3: ArrayLike = declared(each, "… + k3 (1 + cos 3φ)/2 + …", "energy")
-    k4: ArrayLike = declared(each, "… + k4 (1 − cos 4φ)/2", "energy", default=0.0)
-    quadruples: ArrayLike | None = declared(groups, of=4, default=None)
+    k1: ArrayLike = declared(kind.each, "u = k1 (1 + cos φ)/2 + …", "energy")
+    k2: ArrayLike = declared(kind.each, "… + k2 (1 − cos 2φ)/2 + …", "energy")
+    k3: ArrayLike = declared(kind.each, "… + k3 (1 + cos 3φ)/2 + …", "energy")
+    k4: ArrayLike = declared(kind.each, "… + k4 (1 − cos 4φ)/2", "energy", default=0.0)
+    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -221,6 +207,6 @@ class HarmonicImproper(Dihedral):
     """
 
     acts_on, law = "impropers", laws.HarmonicTorsionLaw()
-    k: ArrayLike = declared(each, "u = k (φ − angle)²/2", "angular stiffness", NOT_NEGATIVE)
-    angle: ArrayLike = declared(each, "at rest, with its sign", "angle", SIGNED_ANGLE, default=0.0)
-    quadruples: ArrayLike | None = declared(groups, of=4, default=None)
+    k: ArrayLike = declared(kind.each, "u = k (φ − angle)²/2", "angular stiffness", NOT_NEGATIVE)
+    angle: ArrayLike = declared(kind.each, "at rest, with its sign", "angle", kind.SIGNED_ANGLE, default=0.0)
+    quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)

@@ -27,7 +27,7 @@ from minimd.console.words import shown
 from minimd.potentials.law import checked_law
 from minimd.potentials.term import OwnPotential
 from minimd.structure.bond_graph import checked_groups, checked_pairs
-from minimd.structure.checks import checked_choice, checked_indices, checked_number, checked_numbers
+from minimd.structure.checks import checked_choice, checked_flag, checked_indices, checked_number, checked_numbers
 
 Array = NDArray[np.float64]
 FINITE, NOT_NEGATIVE, POSITIVE, WHOLE = "finite", "finite and not negative", "positive and finite", "whole numbers"
@@ -89,11 +89,12 @@ def declared(
     *,
     of: Any = None,
     default: Any = MISSING,
-    kw_only: bool = False,
+    kw_only: Any = MISSING,
+    init: bool = True,
 ) -> Any:
     """A field of a Declared.  See Parameter."""
     parameter = Parameter(kind, words, dimension, demand, of)
-    return field(default=default, kw_only=kw_only, metadata={"parameter": parameter})
+    return field(default=default, kw_only=kw_only, init=init, metadata={"parameter": parameter})
 
 
 @dataclass_transform(field_specifiers=(declared,))
@@ -116,7 +117,9 @@ class Declared(OwnPotential):
     @classmethod
     def parameters_of(cls) -> dict[str, Parameter]:
         """What is declared of the arguments, by name."""
-        return {one.name: one.metadata["parameter"] for one in fields(cls)}  # type: ignore[arg-type]
+        own = (one for one in fields(cls) if one.init)  # type: ignore[arg-type]
+        taken = sorted(own, key=lambda one: bool(one.kw_only))
+        return {one.name: one.metadata["parameter"] for one in taken}
 
     @classmethod
     def kinds(cls) -> set[Kind]:
@@ -125,8 +128,7 @@ class Declared(OwnPotential):
 
     def arguments(self) -> dict[str, Any]:
         """See OwnPotential."""
-        values = {name: getattr(self, name) for name in self.parameters_of()}
-        return {name: getattr(type(value), "python", value) for name, value in values.items()}
+        return {name: getattr(type(one := getattr(self, name)), "python", one) for name in self.parameters_of()}
 
     def columns(self, things: str, n: int) -> tuple[Array, ...]:
         """The numbers of the law for each of n things, as contiguous (n,) arrays.
@@ -149,7 +151,7 @@ def checked_values(name: str, values: Any, words: str, fits: Callable[[tuple], b
     Raises ValueError for anything else."""
     array = checked_numbers(name, values, words)
     if not fits(array.shape):
-        raise ValueError(f"{name} must be {words}; its shape is {array.shape}")
+        raise ValueError(f"{name} must be {words}; its shape is {array.shape}, {name} = {shown(values)}")
     if not (np.isfinite(array) & DEMANDS[demand](array)).all():
         raise ValueError(f"{name} must be {demand}; {name} = {shown(array.tolist())}")
     return array
@@ -231,6 +233,8 @@ own_law = Kind("a user's function, or a law type", lambda _name, law, _asked: ch
 own_parameters = Kind("a tuple, each entry one number for all or one for each", _own_parameters)
 number = Kind("one number", _number)
 pairs = Kind("pairs of atoms", lambda name, given, _: None if given is None else checked_pairs(name, given))
+flag = Kind("True or False", lambda name, value, _: checked_flag(name, value))
+given = Kind("{of}", lambda _name, value, _: value)  # its class checks it
 choice = Kind("one of {of}", lambda name, value, asked: checked_choice(name, value, asked.of))
 atoms = Kind("indices of different atoms; all if not given", _atoms)
 groups = Kind("groups of {of} atoms; those of the system if not given", _groups)

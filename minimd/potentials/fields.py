@@ -18,28 +18,11 @@ from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import force_along, in_steps, is_too_large
 from minimd.compiled.kernels import DirectCalls, by_type, called_kernel
 from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, in_python, n_chunks_of, operation
-from minimd.potentials.declared import (
-    NOT_NEGATIVE,
-    POSITIVE,
-    Array,
-    Declared,
-    atoms,
-    choice,
-    declared,
-    direction,
-    each,
-    number,
-    own_law,
-    own_parameters,
-    points,
-    stiffness,
-    vector,
-    vectors,
-    weight,
-)
+from minimd.potentials import declared as kind
+from minimd.potentials.declared import NOT_NEGATIVE, POSITIVE, Array, Declared, declared
 from minimd.potentials.law import ACCURACY, STEP, agree, evaluate_law, law_at, loop_for
 from minimd.potentials.laws import ConstantLaw, Curved, LennardJones93Law, LennardJonesLaw, Planar, RestraintLaw
-from minimd.potentials.pair_loop import ByPair, parameters_of_pair
+from minimd.potentials.pair_loop import row_of
 from minimd.potentials.term import FORCES, PER_ATOM, TOTALS, OwnTerm, Target, Term
 from minimd.potentials.truncation import Shifted
 from minimd.structure.cell import minimum_image
@@ -57,12 +40,12 @@ OF_DISTANCE = "of the distance d: ε [2/15 (σ/d)⁹ − (σ/d)³], or 4ε [(σ/
 ALONG = 1e-9  # of a lattice vector: one that leaves the plane of a wall by less counts as parallel to it
 
 
-class Sites(ByAddress, namedtuple("Sites", "positions images atoms anchors law numbers time forces steps detail sums")):
+class Sites(ByAddress, namedtuple("Sites", "positions images atoms anchors law columns time forces steps detail sums")):
     """Where a field acts, and what on.
 
     positions : (N, 3) [length].  images : Images.  atoms : (n,) int, all different.
     anchors : (n, 3) points from which positions are counted, to the nearest image [length]; or (0, 3).
-    law : law type.  numbers : see parameters_of_pair, of each site.  time : (1,) t [time].  forces, steps, detail : see
+    law : law type.  columns : (n,) numbers for each parameter.  time : (1,) t [time].  forces, steps, detail : see
     Target.  sums : Σ u [energy] and Σ ∂u/∂t [energy/time], (chunks,) output, and energies (N,), to which PER_ATOM adds.
     """
 
@@ -77,7 +60,7 @@ def _rate(found):
 def add_field(sites, chunk):
     """Add the forces and energies of a field u(x, y, z, t).  OUT_OF_RANGE if a force is beyond the range of a grid.
     The virial is left out: fields act from outside."""
-    positions, images, atoms, anchors, law, numbers, time, forces, steps, detail, (totals, powers, energies) = sites
+    positions, images, atoms, anchors, law, columns, time, forces, steps, detail, (totals, powers, energies) = sites
     lattice, inverse, pbc, safe_distance2 = images
     n_chunks, total, power, is_out = totals.size, 0.0, 0.0, False
     for n in range(chunk * atoms.size // n_chunks, (chunk + 1) * atoms.size // n_chunks):
@@ -89,7 +72,7 @@ def add_field(sites, chunk):
             x += a * lattice[0, 0] + b * lattice[1, 0] + c * lattice[2, 0]
             y += a * lattice[0, 1] + b * lattice[1, 1] + c * lattice[2, 1]
             z += a * lattice[0, 2] + b * lattice[1, 2] + c * lattice[2, 2]
-        found = evaluate_law(law, x, (y, z, time[0]) + parameters_of_pair(numbers, n, i, i))
+        found = evaluate_law(law, x, (y, z, time[0]) + row_of(columns, n))
         forces[i, 0] += force_along(found[1], 1.0, steps)
         forces[i, 1] += force_along(found[2], 1.0, steps)
         forces[i, 2] += force_along(found[3], 1.0, steps)
@@ -119,7 +102,7 @@ class FieldTerm(OwnTerm):
         """See Term."""
         if self.prepare is not None:
             yield in_python(self.prepare)
-        acting = self._atoms, self.anchors, self._law, ByPair(self.columns), self._time, target.forces, target.steps
+        acting = self._atoms, self.anchors, self._law, self.columns, self._time, target.forces, target.steps
         sums = self._totals, self._powers, target.energies
         sites = Sites(system.positions, target.images, *acting, target.detail, sums)
         yield operation(self._calls, self._loop, sites, len(self._totals))
@@ -169,8 +152,8 @@ def rows_of(name: str, vectors: Any, n: int) -> Array:
 class ConstantForce(OnAtoms):
     """A constant force F on atoms, u = −F·r. r is never wrapped: u changes steadily as an atom is pulled along."""
 
-    force: ArrayLike = declared(vectors, "on each atom", "force")
-    atoms: ArrayLike | None = declared(atoms, default=None)
+    force: ArrayLike = declared(kind.vectors, "on each atom", "force")
+    atoms: ArrayLike | None = declared(kind.atoms, default=None)
 
     def bind(self, system: System) -> Term:
         """The term of this force in a system.  Raises ValueError if atoms, or their forces, are missing."""
@@ -181,8 +164,8 @@ class ConstantForce(OnAtoms):
 class Gravity(OnAtoms):
     """Weight, F = m g, u = −m g·r."""
 
-    acceleration: ArrayLike = declared(weight, "of free fall", "acceleration")
-    atoms: ArrayLike | None = declared(atoms, default=None)
+    acceleration: ArrayLike = declared(kind.weight, "of free fall", "acceleration")
+    atoms: ArrayLike | None = declared(kind.atoms, default=None)
 
     def bind(self, system: System) -> Term:
         """The term of the weight of a system.  Raises ValueError if atoms do not exist."""
@@ -207,9 +190,9 @@ class Restraint(Springs):
     k = 0 leaves a direction free.
     """
 
-    k: ArrayLike = declared(stiffness, "u = k (r − point)²/2", "stiffness", NOT_NEGATIVE)
-    points: ArrayLike = declared(points, "one for all atoms, or one for each", "length")
-    atoms: ArrayLike | None = declared(atoms, default=None)
+    k: ArrayLike = declared(kind.stiffness, "u = k (r − point)²/2", "stiffness", NOT_NEGATIVE)
+    points: ArrayLike = declared(kind.points, "one for all atoms, or one for each", "length")
+    atoms: ArrayLike | None = declared(kind.atoms, default=None)
 
 
 class SteeredSpring(Springs):
@@ -219,12 +202,12 @@ class SteeredSpring(Springs):
     start and end are by the clock of the simulation.
     """
 
-    k: ArrayLike = declared(stiffness, "u = k (r − point)²/2", "stiffness", NOT_NEGATIVE)
-    points: ArrayLike = declared(points, "at the start; one for all atoms, or one for each", "length")
-    velocity: ArrayLike = declared(vector, "of the points", "velocity")
-    atoms: ArrayLike | None = declared(atoms, default=None)
-    start: float = declared(number, "of the motion of the points", "time", default=0.0, kw_only=True)
-    end: float = declared(number, "of it; never if not given", "time", of=inf, default=inf, kw_only=True)
+    k: ArrayLike = declared(kind.stiffness, "u = k (r − point)²/2", "stiffness", NOT_NEGATIVE)
+    points: ArrayLike = declared(kind.points, "at the start; one for all atoms, or one for each", "length")
+    velocity: ArrayLike = declared(kind.vector, "of the points", "velocity")
+    atoms: ArrayLike | None = declared(kind.atoms, default=None)
+    start: float = declared(kind.number, "of the motion of the points", "time", default=0.0, kw_only=True)
+    end: float = declared(kind.number, "of it; never if not given", "time", of=inf, default=inf, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -266,9 +249,9 @@ class Field(OnAtoms):
     where ∂u/∂t is not returned.
     """
 
-    law: Callable = declared(own_law, "law(x, y, z, t, *parameters)")
-    parameters: Sequence[ArrayLike] = declared(own_parameters, default=())
-    atoms: ArrayLike | None = declared(atoms, default=None)
+    law: Callable = declared(kind.own_law, "law(x, y, z, t, *parameters)")
+    parameters: Sequence[ArrayLike] = declared(kind.own_parameters, default=())
+    atoms: ArrayLike | None = declared(kind.atoms, default=None)
 
     def bind(self, system: System) -> Term:
         """The term of this field in a system.  Raises ValueError, TypeError as the class says."""
@@ -338,19 +321,18 @@ class _Tried(NamedTuple):
 class OwnWall(OnAtoms):
     """Base class of walls.
 
-    around : Planar or Curved.  place() : normal, three numbers, and the position of the plane along it; or axis and
-    radius [length].  distances(system, positions) : (n,) of atoms from the wall, negative behind it [length].
+    around : Planar or Curved.  place(system, positions) : normal, three numbers, and place of the plane along it, or
+    axis and radius [length]; and the distances (n,) of atoms from the wall, negative behind it [length].
     """
 
     around: ClassVar[Any]
-    place: ClassVar[Callable[..., tuple[Any, float]]]
-    distances: ClassVar[Callable[..., Array]]
+    place: ClassVar[Callable[..., tuple[Any, float, Array]]]
 
     def bind(self, system: System) -> Term:
         """The term of this wall in a system.  Raises ValueError if atoms are missing or lie on the wall or behind it,
         or if the wall crosses a periodic direction."""
         acting, given = self.atoms_in(system), self.arguments()
-        distances = self.distances(system, system.positions[acting])
+        normal, place, distances = self.place(system, system.positions[acting])
         if (behind := np.flatnonzero(~(distances > 0.0))).size:
             atom, d = int(acting[behind[0]]), float(distances[behind[0]])
             others = f", and {behind.size - 1} more" if behind.size > 1 else ""
@@ -360,7 +342,6 @@ class OwnWall(OnAtoms):
         law, reach = WALL_LAWS[given["law"]], inf if given["cutoff"] is None else given["cutoff"]
         rows, of_each = np.unique(np.stack(own, axis=-1), axis=0, return_inverse=True)
         at_cutoff = np.array([0.0 if reach == inf else law_at(law, reach, tuple(row.tolist()))[0] for row in rows])
-        normal, place = self.place()
         numbers = (np.full(len(acting), one) for one in (*normal.tolist(), place, reach))
         columns = (*numbers, np.ascontiguousarray(at_cutoff[of_each.reshape(-1)]), *own)
         anchors = np.tile(given["point"], (len(acting), 1)) if self.around is Curved else NOWHERE
@@ -374,20 +355,15 @@ class Wall(OwnWall):
     """
 
     around = Planar
-    point: ArrayLike = declared(vector, "of the plane", "length")
-    normal: ArrayLike = declared(direction, "of the plane, towards the atoms, of any length")
-    epsilon: ArrayLike = declared(each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
-    sigma: ArrayLike = declared(each, "range of the wall", "length", POSITIVE, default=1.0)
-    cutoff: float | None = declared(number, REACH, "length", POSITIVE, default=None)
-    law: WallLaw = declared(choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
-    atoms: ArrayLike | None = declared(atoms, default=None)
+    point: ArrayLike = declared(kind.vector, "of the plane", "length")
+    normal: ArrayLike = declared(kind.direction, "of the plane, towards the atoms, of any length")
+    epsilon: ArrayLike = declared(kind.each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
+    sigma: ArrayLike = declared(kind.each, "range of the wall", "length", POSITIVE, default=1.0)
+    cutoff: float | None = declared(kind.number, REACH, "length", POSITIVE, default=None)
+    law: WallLaw = declared(kind.choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
+    atoms: ArrayLike | None = declared(kind.atoms, default=None)
 
-    def place(self) -> tuple[Any, float]:
-        """See OwnWall."""
-        normal = np.asarray(self.normal)
-        return normal, float((normal * self.point).sum())
-
-    def distances(self, system: System, positions: Array) -> Array:
+    def place(self, system: System, positions: Array) -> tuple[Any, float, Array]:
         """See OwnWall."""
         vectors, normal = system.cell.vectors[system.cell.pbc], np.asarray(self.normal)
         crossed = np.abs((vectors * normal).sum(axis=1)) > ALONG * np.linalg.norm(vectors, axis=1)
@@ -395,8 +371,7 @@ class Wall(OwnWall):
             name = "abc"[np.flatnonzero(system.cell.pbc)[np.argmax(crossed)]]
             hint = "set pbc to False there, or turn the wall"
             raise ValueError(f"a Wall must lie along all periodic directions; it crosses {name}: {hint}")
-        distances: Array = ((positions - np.asarray(self.point)) * normal).sum(axis=1)
-        return distances
+        return normal, float((normal * self.point).sum()), ((positions - np.asarray(self.point)) * normal).sum(axis=1)
 
 
 class RoundWall(OwnWall):
@@ -404,18 +379,13 @@ class RoundWall(OwnWall):
 
     around = Curved
 
-    def place(self) -> tuple[Any, float]:
+    def place(self, system: System, positions: Array) -> tuple[Any, float, Array]:
         """See OwnWall; without an axis, distances are those from the center."""
-        return getattr(self, "axis", np.zeros(3)), self.arguments()["radius"]
-
-    def distances(self, system: System, positions: Array) -> Array:
-        """See OwnWall."""
-        cell, (axis, radius) = system.cell, self.place()
-        away = positions - self.arguments()["point"]
+        cell, given, axis = system.cell, self.arguments(), getattr(self, "axis", np.zeros(3))
+        away = positions - given["point"]
         away = away - np.where(cell.pbc, np.rint(np.einsum("ij,jk->ik", away, cell.inverse)), 0.0) @ cell.lattice
         across = away - (away * axis).sum(axis=1)[:, None] * axis
-        distances: Array = radius - np.linalg.norm(across, axis=1)
-        return distances
+        return axis, given["radius"], given["radius"] - np.linalg.norm(across, axis=1)
 
 
 class CylinderWall(RoundWall):
@@ -424,23 +394,23 @@ class CylinderWall(RoundWall):
     Positions count relative to the nearest image of the point.
     """
 
-    point: ArrayLike = declared(vector, "on the axis", "length")
-    axis: ArrayLike = declared(direction, "direction, of any length")
-    radius: float = declared(number, "of the cylinder; atoms are inside", "length", POSITIVE)
-    epsilon: ArrayLike = declared(each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
-    sigma: ArrayLike = declared(each, "range of the wall", "length", POSITIVE, default=1.0)
-    cutoff: float | None = declared(number, REACH, "length", POSITIVE, default=None)
-    law: WallLaw = declared(choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
-    atoms: ArrayLike | None = declared(atoms, default=None)
+    point: ArrayLike = declared(kind.vector, "on the axis", "length")
+    axis: ArrayLike = declared(kind.direction, "direction, of any length")
+    radius: float = declared(kind.number, "of the cylinder; atoms are inside", "length", POSITIVE)
+    epsilon: ArrayLike = declared(kind.each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
+    sigma: ArrayLike = declared(kind.each, "range of the wall", "length", POSITIVE, default=1.0)
+    cutoff: float | None = declared(kind.number, REACH, "length", POSITIVE, default=None)
+    law: WallLaw = declared(kind.choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
+    atoms: ArrayLike | None = declared(kind.atoms, default=None)
 
 
 class SphereWall(RoundWall):
     """The wall of a sphere with atoms inside: u(d) of the distance d = R − |r − p| from it."""
 
-    point: ArrayLike = declared(vector, "the center", "length")
-    radius: float = declared(number, "of the sphere; atoms are inside", "length", POSITIVE)
-    epsilon: ArrayLike = declared(each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
-    sigma: ArrayLike = declared(each, "range of the wall", "length", POSITIVE, default=1.0)
-    cutoff: float | None = declared(number, REACH, "length", POSITIVE, default=None)
-    law: WallLaw = declared(choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
-    atoms: ArrayLike | None = declared(atoms, default=None)
+    point: ArrayLike = declared(kind.vector, "the center", "length")
+    radius: float = declared(kind.number, "of the sphere; atoms are inside", "length", POSITIVE)
+    epsilon: ArrayLike = declared(kind.each, "strength of the wall", "energy", NOT_NEGATIVE, default=1.0)
+    sigma: ArrayLike = declared(kind.each, "range of the wall", "length", POSITIVE, default=1.0)
+    cutoff: float | None = declared(kind.number, REACH, "length", POSITIVE, default=None)
+    law: WallLaw = declared(kind.choice, OF_DISTANCE, of=WALL_LAWS, default="9-3")
+    atoms: ArrayLike | None = declared(kind.atoms, default=None)

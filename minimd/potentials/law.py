@@ -230,7 +230,7 @@ def runs_on_vectors(law: tuple, n_parameters: int) -> bool:
     lanes = lanes_for()
     try:
         loop_for(sum_over_lanes, law)(law, np.ones(lanes.size), (1.0,) * n_parameters, lanes)
-    except NumbaError:
+    except (NumbaError, AttributeError):  # the latter for a constant, which is no vector
         return False
     return True
 

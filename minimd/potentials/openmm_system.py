@@ -6,21 +6,19 @@ Units are converted from OpenMM's nm, kJ/mol and e to minimd.units.ASE.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from math import inf, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from minimd.compiled.kernels import scalar
 from minimd.console.words import listed, shown
 from minimd.potentials.bonded import BondPotential, HarmonicAngle, HarmonicBond, PeriodicDihedral, RyckaertBellemans
-from minimd.potentials.coulomb import Coulomb
-from minimd.potentials.law import law_type
-from minimd.potentials.laws import lennard_jones
+from minimd.potentials.coulomb import NO_REST, ChargedLaw, Coulomb
+from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.pair import UNSCALED, LennardJones
 from minimd.potentials.prolates import LEAST_ACCURATE, MOST_ACCURATE
 from minimd.potentials.term import OwnPotential
+from minimd.structure.checks import LARGEST
 from minimd.structure.constraints import Constraint, DistanceConstraints
 from minimd.structure.system import System
 from minimd.structure.units import ASE, KJ_PER_MOL_PER_EV
@@ -39,23 +37,6 @@ BONDED: Mapping[str, tuple[str, int, Callable[..., OwnPotential]]] = {
     "RBTorsionForce": ("Torsion", 4, lambda at, *c: RyckaertBellemans([KJ * one for one in c], at)),
 }
 KNOWN = (*BONDED, "NonbondedForce", "CMMotionRemover")
-
-
-@scalar
-def exception(r2, charge_product, epsilon, sigma):
-    """Coulomb and Lennard-Jones law of a pair with numbers of its own.
-
-        u(r)     = q/r + 4ε [(σ/r)¹² − (σ/r)⁶]
-        −u′(r)/r = q/r³ + 24ε/r² [2(σ/r)¹² − (σ/r)⁶]
-
-    charge_product : q [energy · length].  epsilon, sigma : [energy], [length].
-    """
-    u, f = lennard_jones(r2, epsilon, sigma)
-    v = charge_product / sqrt(r2)
-    return u + v, f + v / r2
-
-
-ExceptionLaw = law_type("ExceptionLaw", exception)
 
 
 def from_openmm(
@@ -150,34 +131,22 @@ def _nonbonded(
     rows = _rows(force, "Exception", 5)
     pairs, (product, sigma, epsilon) = rows[:, :2].astype(int), rows[:, 2:].T
     if any(epsilon > 0.0 for epsilon, _ in kinds.values()):
-        is_switched = cutoff is not None and force.getUseSwitchingFunction()
-        lj = LennardJones(
-            kinds,
-            cutoff=cutoff,
-            truncation="switched" if is_switched else "truncated",
-            switch_start=NM * _plain(force.getSwitchingDistance()) if is_switched else None,
-            tail_correction=force.usesPeriodicBoundaryConditions() and force.getUseDispersionCorrection(),
-            exclusions=pairs,
-        )
-        potentials.append(lj)
+        has_tail = force.usesPeriodicBoundaryConditions() and force.getUseDispersionCorrection()
+        options: Any = {"tail_correction": has_tail, "exclusions": pairs, "truncation": "truncated"}
+        if cutoff is not None and force.getUseSwitchingFunction():
+            options |= {"truncation": "switched", "switch_start": NM * _plain(force.getSwitchingDistance())}
+        potentials.append(LennardJones(kinds, None, cutoff, **options))
     if charged:
         is_sum = method in (force.NoCutoff, force.Ewald, force.PME)
-        coulomb = Coulomb(
-            cutoff,
-            min(max(force.getEwaldErrorTolerance(), MOST_ACCURATE), LEAST_ACCURATE),
-            method="ewald" if is_sum else "reaction-field",
-            dielectric=inf if is_sum else force.getReactionFieldDielectric(),
-            bonded_scale=UNSCALED,
-            exclusions=pairs,
-        )
-        potentials.append(coulomb)
+        accuracy = min(max(force.getEwaldErrorTolerance(), MOST_ACCURATE), LEAST_ACCURATE)
+        options = {} if is_sum else {"method": "reaction-field", "dielectric": force.getReactionFieldDielectric()}
+        potentials.append(Coulomb(cutoff, accuracy, bonded_scale=UNSCALED, exclusions=pairs, **options))
     is_well = (epsilon > 0.0) & (sigma > 0.0)
-    acts, numbers = (
-        is_well | (product != 0.0),
-        (ASE.coulomb * product, KJ * epsilon * is_well, np.where(is_well, NM * sigma, 1.0)),
-    )
-    if acts.any():
-        potentials.append(BondPotential(ExceptionLaw(), [one[acts] for one in numbers], pairs[acts]))
+    sigma = np.where(is_well, NM * sigma, 1.0)
+    numbers = ASE.coulomb * product, np.full_like(product, LARGEST), KJ * epsilon * is_well, sigma
+    if (acts := is_well | (product != 0.0)).any():
+        law = ChargedLaw(LennardJonesLaw(), NO_REST)  # without a cutoff
+        potentials.append(BondPotential(law, [one[acts] for one in numbers], pairs[acts]))
     return potentials
 
 

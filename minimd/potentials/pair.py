@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABCMeta
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY
 from functools import cached_property, partial
-from inspect import signature
 from math import factorial, inf, isclose, isfinite, nan, pi, sqrt
 from typing import Any, Literal
 
@@ -14,12 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.compiled.kernels import scalar, type_of
 from minimd.console.words import listed, near, shown
-from minimd.potentials.law import UserLaw, check_user_law, checked_law, evaluate_law, law_at
+from minimd.potentials import declared as kind
+from minimd.potentials.declared import Declared, declared
+from minimd.potentials.law import UserLaw, check_user_law, evaluate_law, law_at
 from minimd.potentials.laws import LennardJonesLaw
-from minimd.potentials.term import OwnPotential, OwnTerm, PairLaw, no_bonds
+from minimd.potentials.term import OwnTerm, PairLaw, no_bonds
 from minimd.potentials.truncation import SWITCHES, TRUNCATIONS, TruncationName
 from minimd.structure.bond_graph import checked_pairs
-from minimd.structure.checks import checked_choice, checked_flag, checked_number, checked_numbers
+from minimd.structure.checks import checked_choice, checked_number, checked_numbers
 from minimd.structure.system import System
 
 SWITCH_FROM = 0.8  # default start of switching, in units of the cutoff
@@ -35,6 +38,8 @@ Label = str | int
 Parameters = tuple[float, ...]
 ByLabel = Mapping[Label, Parameters]
 ByPairOfLabels = Mapping[tuple[Label, Label], Parameters]
+Cutoff = float | Mapping[tuple[Label, Label], float]
+Rule = Callable[[Parameters, Parameters], Parameters]
 
 
 def lorentz_berthelot(first: Parameters, second: Parameters) -> Parameters:
@@ -50,66 +55,57 @@ def geometric(first: Parameters, second: Parameters) -> Parameters:
 
 MixingName = Literal["lorentz-berthelot", "geometric"]  # the keys of MIXING
 MIXING = {"lorentz-berthelot": lorentz_berthelot, "geometric": geometric}
+# what arguments are, and what they do
+FOR_PAIRS, R_C = "one number, or a mapping from pairs of species", "r_c; none only in scenes without periodicity"
+FOR_EACH = "one number for each r, or a mapping from pairs of species to them"
+WELLS = "one number, or a mapping from species to (ε, σ) and no sigma"
+A_RULE = "'lorentz-berthelot', 'geometric', or a function of two tuples of parameters"
+OF_PAIRS = "a mapping from pairs of species, in either order, to their parameters, beside one from species"
+OTHERS, SEE = "for pairs of species not in pairs", "see minimd.potentials.truncation"
+R_ON = "r_on of the switches; 0.8 r_c if not given"
+FACTORS = "factors for pairs one, two and three bonds apart; 0 excludes, 1 changes nothing"
+TAIL = "add energy and virial of what truncation leaves out, at uniform density (g = 1); for truncated and the switches"
+LEFT_OUT = "on which the law does not act, whatever bonded_scale says; their nearest images, too"
 
 
-class PairPotential(OwnPotential):
-    """A law u(r) between all pairs of atoms closer than a cutoff.
+class Nonbonded(Declared, metaclass=ABCMeta):
+    """Base class of laws u(r) between all pairs of atoms closer than a cutoff.
 
-    Parameters
-    ----------
-    law : function law(r2, *parameters) of the squared distance [length²] that returns u [energy] and −u′(r)/r
-        [energy/length²]; plain Python with numbers, or already compiled by numba.njit.
-    parameters : tuple of numbers for all atoms, or a mapping from species to such tuples.
-    cutoff : r_c [length], or a mapping from pairs of species to it; None for none, only in scenes without periodicity.
-    truncation : "shifted" (default), "truncated", "force-shifted", or a switch, "switched", "charmm" or "smooth" (for
-        methods of order above 2): see minimd.potentials.truncation.
-    mixing : name of a rule or a function of two parameter tuples, for pairs of species not in pairs.
-    pairs : mapping from pairs of species, in either order, to their parameters;
-        only together with a mapping from species.
-    switch_start : r_on [length] of the switches; 0.8 r_c if not given.
-    bonded_scale : factors for pairs one, two and three bonds apart; 0 excludes, 1 (default) changes nothing. In a cell
-        smaller than the cutoff they hold for the nearest image of the pair only.
-    tail_correction : add the energy and virial of the pairs that the truncation leaves out, at uniform density
-        (g = 1). For "truncated" and the switches.
-    exclusions : (P, 2) int, pairs of atoms on which the law does not act, whatever bonded_scale says; their nearest
-        images, too.
-
-    Raises
-    ------
-    ValueError : for a cutoff that is not positive, an unknown truncation or mixing rule, factors or parameters that are
-        not finite, pairs without a mapping from species, a switch that does not start inside the cutoff.
-    TypeError : for a law that is not a function.
+    as_law() : the law type, parameters of all atoms or by species, and those of pairs of species, not checked yet.
+    plain_law, law : law type, without and with the truncation.  cutoff : the largest [length], infinite without one.
     """
 
-    def __init__(
-        self,
-        law: Callable | tuple,
-        parameters: Parameters | ByLabel = (),
-        cutoff: float | Mapping[tuple[Label, Label], float] | None = None,
-        truncation: TruncationName = "shifted",
-        *,
-        mixing: MixingName | Callable[[Parameters, Parameters], Parameters] | None = None,
-        pairs: ByPairOfLabels | None = None,
-        switch_start: float | None = None,
-        bonded_scale: Sequence[float] = UNSCALED,
-        tail_correction: bool = False,
-        exclusions: ArrayLike | None = None,
-    ) -> None:
-        self.plain_law = checked_law(law)
+    _: KW_ONLY
+    mixing: MixingName | Rule | None = declared(kind.given, OTHERS, of=A_RULE, default=None)
+    pairs: ByPairOfLabels | None = declared(kind.given, of=OF_PAIRS, default=None)
+    switch_start: float | None = declared(kind.number, R_ON, "length", default=None)
+    bonded_scale: Sequence[float] = declared(kind.factors, FACTORS, default=UNSCALED)
+    tail_correction: bool = declared(kind.flag, TAIL, default=False)
+    exclusions: ArrayLike | None = declared(kind.pairs, LEFT_OUT, default=None)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        own: Any = self  # each class has a cutoff and a truncation, in their places among its arguments
+        self.plain_law, self.parameters, by_pair = own.as_law()
         self._is_tried = not isinstance(self.plain_law, UserLaw)
-        self._cutoffs = _checked_cutoffs(cutoff)
-        self.cutoff = max(self._cutoffs.values())
-        self.truncation = checked_choice("truncation", truncation, TRUNCATIONS)
-        self.law = TRUNCATIONS[truncation].around(self.plain_law)
-        self.mixing = mixing if callable(mixing) or mixing is None else MIXING[checked_choice("mixing", mixing, MIXING)]
-        self.parameters, self.pairs = self._checked_parameters(parameters, pairs)
-        self.switch_start = self._checked_switch_start(switch_start)
-        self.bonded_scale, self.exclusions = _checked_factors(bonded_scale), checked_pairs("exclusions", exclusions)
-        self.tail_correction = checked_flag("tail_correction", tail_correction)
-        if tail_correction and (truncation not in ("truncated", *SWITCHES) or self.cutoff == inf):
+        self.truncation: TruncationName = own.truncation
+        self._cutoff, self._cutoffs = own.cutoff, _checked_cutoffs(own.cutoff)
+        self.law: Any = TRUNCATIONS[self.truncation].around(self.plain_law)
+        self.cutoff: Any = max(self._cutoffs.values())
+        if not callable(self.mixing) and self.mixing is not None:
+            checked_choice("mixing", self.mixing, MIXING)
+        self.parameters, self._by_pair = self._checked_parameters(self.parameters, by_pair)
+        self.pairs = self.pairs if self._by_pair else None
+        self._check_switch_start()
+        if self.tail_correction and (self.truncation not in ("truncated", *SWITCHES) or self.cutoff == inf):
             needed = f"a cutoff and truncation 'truncated', {listed(SWITCHES)}"
-            given = f"cutoff = {self.cutoff}, truncation = {truncation!r}"
-            raise ValueError(f"tail_correction needs {needed}; there is no tail with {given}")
+            told = f"cutoff = {self.cutoff}, truncation = {self.truncation!r}"
+            raise ValueError(f"tail_correction needs {needed}; there is no tail with {told}")
+
+    def arguments(self) -> dict[str, Any]:
+        """See OwnPotential."""
+        as_given = {"law": type(self.plain_law).python, "cutoff": self._cutoff}
+        return {name: as_given.get(name, value) for name, value in super().arguments().items()}
 
     def bind(self, system: System) -> PairTerm:
         """The term of this potential in a system.  Raises ValueError as table; for a periodic cell without a cutoff,
@@ -118,12 +114,12 @@ class PairPotential(OwnPotential):
             raise ValueError(f"cutoff must be given in a periodic cell; that of {type(self).__name__} is None")
         own = self.parameters if isinstance(self.parameters, dict) else {}
         known = [*own, *(name for name in system.species_names if name not in own)]
-        for name in (name for pair in self.pairs if self.parameters for name in pair):
+        for name in (name for pair in self._by_pair if self.parameters for name in pair):
             if name not in known:
                 wanted = f"of known species, {listed(known)}; they name {name!r}{near(name, known)}"
                 raise ValueError(f"pairs of {type(self).__name__} must be {wanted}")
-        if self.tail_correction:
-            _volume(system)
+        if self.tail_correction and system.volume is None:
+            raise ValueError("tail_correction needs a density: a cell that is periodic in all three directions")
         return PairTerm(self, system)
 
     def table(self, species_names: Sequence[Label]) -> NDArray[np.float64]:
@@ -141,22 +137,6 @@ class PairPotential(OwnPotential):
     def depends_on_species(self) -> bool:
         """False if one tuple of parameters and one cutoff serve all pairs."""
         return isinstance(self.parameters, dict) or None not in self._cutoffs
-
-    def law_arguments(self) -> dict[str, Any]:
-        """The arguments that belong to the law, by name, for display."""
-        return {"law": type(self.plain_law).python, "parameters": self.parameters}
-
-    def arguments(self) -> dict[str, Any]:
-        """See OwnPotential."""
-        mixing = next((name for name, rule in MIXING.items() if rule is self.mixing), self.mixing)
-        number = None if self.cutoff == inf else self.cutoff
-        cutoff = number if None in self._cutoffs else _one_order(self._cutoffs)
-        told = {"cutoff": cutoff, "truncation": self.truncation, "mixing": mixing}
-        told |= {"pairs": _one_order(self.pairs) or None, "switch_start": self.switch_start}
-        told |= {"bonded_scale": self.bonded_scale, "tail_correction": self.tail_correction}
-        told |= {"exclusions": self.exclusions if len(self.exclusions) else None}
-        taken = signature(type(self)).parameters
-        return self.law_arguments() | {name: value for name, value in told.items() if name in taken}
 
     def pair_energy(self, r: ArrayLike, first: Label | None = None, second: Label | None = None) -> NDArray[np.float64]:
         """u [energy] of two atoms of given species at distances r > 0 [length], truncation included;
@@ -183,8 +163,7 @@ class PairPotential(OwnPotential):
     def _numbers(self, a: Any, b: Any) -> tuple[float, ...]:
         """The squared cutoff, and the numbers of the truncated law, of a pair of species."""
         if (cutoff := self._cutoffs.get((a, b), self._cutoffs.get(None))) is None:
-            pair = f"the pair of species {a!r}, {b!r}"
-            raise ValueError(f"cutoff has no entry for {pair}; it has {listed(self._cutoffs)}")
+            raise ValueError(f"cutoff has no entry for the species {a!r}, {b!r}; it has {listed(self._cutoffs)}")
         parameters = self._parameters_of(a, b)
         if not self._is_tried:
             check_user_law(self.plain_law, parameters, [x * (cutoff if isfinite(cutoff) else 1.0) for x in TRIED_AT])
@@ -199,8 +178,8 @@ class PairPotential(OwnPotential):
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
         if not isinstance(self.parameters, dict):
             return self.parameters
-        if (a, b) in self.pairs:
-            return self.pairs[a, b]
+        if (a, b) in self._by_pair:
+            return self._by_pair[a, b]
         own, lacking = self.parameters, f"{type(self).__name__} has no parameters for"
         for name in (a, b):
             if name not in own:
@@ -209,7 +188,8 @@ class PairPotential(OwnPotential):
             return own[a]
         if self.mixing is None:
             raise ValueError(f"{lacking} the pair {a!r}, {b!r}; give them in pairs, or a mixing rule")
-        mixed, reverse = (self._checked_numbers(self.mixing(own[x], own[y]), (x, y)) for x, y in ((a, b), (b, a)))
+        rule = MIXING[self.mixing] if isinstance(self.mixing, str) else self.mixing
+        mixed, reverse = (self._checked_numbers(rule(own[x], own[y]), (x, y)) for x, y in ((a, b), (b, a)))
         is_same = all(map(partial(isclose, rel_tol=MIXED), mixed, reverse))
         if not (len(mixed) == len(reverse) == len(own[a]) and is_same):
             wanted = f"all parameters, the same for {a!r}, {b!r} as for {b!r}, {a!r}"
@@ -265,27 +245,44 @@ class PairPotential(OwnPotential):
     def _switch_start_for(self, cutoff: float) -> float:
         return SWITCH_FROM * cutoff if self.switch_start is None else self.switch_start
 
-    def _checked_switch_start(self, start: float | None) -> float | None:
+    def _check_switch_start(self) -> None:
         if self.cutoff == inf and self.truncation not in ("truncated", "shifted"):
             raise ValueError(f"cutoff must be given for truncation {self.truncation!r}; it is None")
-        if start is None:
-            return None
+        if (start := self.switch_start) is None:
+            return
         if self.truncation not in SWITCHES:
             raise ValueError(f"switch_start is for truncation {listed(SWITCHES)}; truncation = {self.truncation!r}")
-        if not 0.0 < checked_number("switch_start", start) < self.shortest_length:
+        if not 0.0 < start < self.shortest_length:
             limits = f"0 and the cutoff {self.shortest_length}"
             raise ValueError(f"switch_start must lie between {limits}; switch_start = {start}")
-        return float(start)
+
+
+class PairPotential(Nonbonded):
+    """A law u(r) between all pairs of atoms closer than a cutoff.
+
+    law(r2, *parameters) of the squared distance [length²] returns u [energy] and −u′(r)/r [energy/length²]; it is plain
+    Python with numbers, or already compiled by numba.njit. A scene without periodicity needs no cutoff. In a cell
+    smaller than the cutoff, bonded_scale and exclusions hold for the nearest image of a pair only.
+    """
+
+    law: Callable | tuple = declared(kind.own_law, "law(r2, *parameters)")
+    parameters: Parameters | ByLabel = declared(kind.given, of="a tuple, or a mapping from species to them", default=())
+    cutoff: Cutoff | None = declared(kind.given, R_C, "length", of=FOR_PAIRS, default=None)
+    truncation: TruncationName = declared(kind.choice, SEE, of=TRUNCATIONS, default="shifted")
+
+    def as_law(self) -> tuple[Any, Any, Any]:
+        """See Nonbonded."""
+        return self.law, self.parameters, self.pairs
 
 
 class PairTerm(OwnTerm):
     """A pair potential in a system: a law for the planner to run on a list of neighbors, and its tail."""
 
-    def __init__(self, potential: PairPotential, system: System) -> None:
+    def __init__(self, potential: Nonbonded, system: System) -> None:
         table = potential.table(system.species_names)
         name, cutoff = type(potential).__name__, potential.cutoff
         left_out = checked_pairs("exclusions", potential.exclusions, len(system))
-        self.pair_law = PairLaw(name, potential.law, table, cutoff, potential.bonded_scale, exclusions=left_out)
+        self.pair_law = PairLaw(name, potential.law, table, cutoff, tuple(potential.bonded_scale), exclusions=left_out)
         self.cutoff, self.shortest_length, self._potential = cutoff, potential.shortest_length, potential
         self._species = np.bincount(system.species_index, minlength=len(system.species_names)), system.species_names
         if potential.bonded_scale != UNSCALED and not len(system.bonds):
@@ -296,17 +293,11 @@ class PairTerm(OwnTerm):
         return self._potential.tail(*self._species, volume=1.0)
 
     def tail(self, system: System) -> tuple[float, float]:
-        """See Term. Raises ValueError if the cell has no volume."""
-        if not self._potential.tail_correction:
+        """See Term."""
+        if not self._potential.tail_correction or system.volume is None:
             return 0.0, 0.0
-        volume, (energy, virial) = _volume(system), self._tail_times_volume
-        return energy / volume, virial / volume
-
-
-def _volume(system: System) -> float:
-    if system.volume is None:
-        raise ValueError("tail_correction needs a density: a cell that is periodic in all three directions")
-    return system.volume
+        energy, virial = self._tail_times_volume
+        return energy / system.volume, virial / system.volume
 
 
 def _checked_cutoffs(cutoff: Any) -> dict[Any, float]:
@@ -330,67 +321,36 @@ def _symmetric(name: str, by_pair: Any) -> dict:
     return {key: value for (a, b), value in by_pair.items() for key in ((a, b), (b, a))}
 
 
-def _one_order(by_pair: Mapping[tuple[Label, Label], Any]) -> dict[tuple[Label, Label], Any]:
-    """A symmetric mapping reduced to one entry for each pair of species, the one that came first."""
-    return {pair: value for k, (pair, value) in enumerate(by_pair.items()) if pair[::-1] not in [*by_pair][:k]}
-
-
 def curvature_at_minimum(epsilon: Any, sigma: Any) -> Any:
     """u″ of the Lennard-Jones law at its minimum, r = 2^(1/6) σ: 72 ε / (2^(1/3) σ²) [energy/length²]; or arrays."""
     return 72.0 * epsilon / (2.0 ** (1.0 / 3.0) * sigma * sigma)
 
 
-class LennardJones(PairPotential):
-    """Lennard-Jones 12-6 potential u(r) = 4ε [(σ/r)¹² − (σ/r)⁶].
+class LennardJones(Nonbonded):
+    """Lennard-Jones 12-6 potential u(r) = 4ε [(σ/r)¹² − (σ/r)⁶]."""
 
-    Parameters
-    ----------
-    epsilon : ε, depth of the well [energy]; or a mapping from species to (ε, σ), and no sigma.
-    sigma : σ, distance where u = 0 [length].
-    cutoff, truncation, pairs, switch_start, bonded_scale, tail_correction, exclusions : as for PairPotential.
-    mixing : "lorentz-berthelot" (default), "geometric", or a function of two (ε, σ), for unlike pairs not in pairs.
+    epsilon: float | Mapping[Label, tuple[float, float]] = declared(kind.given, "depth of the well", "energy", of=WELLS)
+    sigma: float | None = declared(kind.given, "where u = 0", "length", of="one number", default=None)
+    cutoff: Cutoff | None = declared(kind.given, R_C, "length", of=FOR_PAIRS, default=None)
+    truncation: TruncationName = declared(kind.choice, SEE, of=TRUNCATIONS, default="shifted")
+    _: KW_ONLY
+    mixing: MixingName | Rule | None = declared(kind.given, OTHERS, of=A_RULE, default="lorentz-berthelot")
 
-    Raises
-    ------
-    ValueError : if ε is negative or σ not positive, and as PairPotential does.
-    """
-
-    def __init__(
-        self,
-        epsilon: float | Mapping[Label, tuple[float, float]],
-        sigma: float | None = None,
-        cutoff: float | Mapping[tuple[Label, Label], float] | None = None,
-        truncation: TruncationName = "shifted",
-        *,
-        mixing: MixingName | Callable[[Parameters, Parameters], Parameters] | None = "lorentz-berthelot",
-        pairs: ByPairOfLabels | None = None,
-        switch_start: float | None = None,
-        bonded_scale: Sequence[float] = UNSCALED,
-        tail_correction: bool = False,
-        exclusions: ArrayLike | None = None,
-    ) -> None:
-        if isinstance(epsilon, Mapping) == (sigma is not None):
-            raise ValueError(
-                "give LennardJones either epsilon and sigma, or one mapping from species to (epsilon, sigma)"
-            )
-        parameters: Any = epsilon if isinstance(epsilon, Mapping) else (epsilon, sigma)
-        own = partial(super().__init__, LennardJonesLaw(), parameters, cutoff, truncation, mixing=mixing, pairs=pairs)
-        own = partial(own, switch_start=switch_start, bonded_scale=bonded_scale)
-        own(tail_correction=tail_correction, exclusions=exclusions)
-
-    def law_arguments(self) -> dict[str, Any]:
-        """See PairPotential."""
-        if isinstance(self.parameters, dict):
-            return {"epsilon": self.parameters}
-        return dict(zip(("epsilon", "sigma"), self.parameters, strict=True))
+    def as_law(self) -> tuple[Any, Any, Any]:
+        """See Nonbonded."""
+        if isinstance(self.epsilon, Mapping) == (self.sigma is not None):
+            needed = "either epsilon and sigma, or one mapping from species to (epsilon, sigma)"
+            raise ValueError(f"give LennardJones {needed}")
+        parameters = self.epsilon if isinstance(self.epsilon, Mapping) else (self.epsilon, self.sigma)
+        return LennardJonesLaw(), parameters, self.pairs
 
     @property
     def shortest_length(self) -> float:
-        """See PairPotential; without a cutoff the smallest σ [length]."""
-        if self.cutoff < inf:
-            return super().shortest_length
+        """See Nonbonded; without a cutoff the smallest σ [length]."""
+        if (shortest := super().shortest_length) < inf:
+            return shortest
         parameters = self.parameters.values() if isinstance(self.parameters, dict) else [self.parameters]
-        return min((sigma for _, sigma in (*parameters, *self.pairs.values())), default=inf)
+        return min((sigma for _, sigma in (*parameters, *self._by_pair.values())), default=inf)
 
     def _checked_numbers(self, numbers: Any, of: Any) -> Parameters:
         if not isinstance(numbers, Sequence | np.ndarray) or len(numbers) != 2:
@@ -446,7 +406,7 @@ def tabulated(r2, table, parameters):
 TabulatedLaw = type_of(tabulated)(namedtuple("TabulatedLaw", "table"))
 
 
-class Tabulated(PairPotential):
+class Tabulated(Nonbonded):
     """A pair potential from a table: the quintic spline through the points (rᵢ, uᵢ), and its exact derivative.
 
     The spline has four continuous derivatives and an error of order Δr⁶ in the energy, Δr⁵ in the force (not-a-knot
@@ -454,63 +414,36 @@ class Tabulated(PairPotential):
     force, divided by Δr: smooth a measured table. Closer than the first point nothing is known: u is NaN there, and a
     run ends with NonFiniteError. So begin the table well inside the repulsive wall. Tables use the pair list,
     one pair at a time; a law with a formula is several times faster.
-
-    Parameters
-    ----------
-    r : (n,) distances [length], not negative, increasing, at least six, equally spaced or not.
-    u : (n,) u(rᵢ) [energy]; or a mapping from pairs of species to such arrays, all at the same r.
-    cutoff : r_c [length], within the table; its end if not given. A mapping from pairs of species as for PairPotential.
-    truncation, switch_start, bonded_scale : as for PairPotential.
-
-    Raises
-    ------
-    ValueError : for tables that are not increasing in r, too short, not finite or of different lengths, and a cutoff
-        beyond the table; and as PairPotential.
     """
 
-    def __init__(
-        self,
-        r: ArrayLike,
-        u: ArrayLike | Mapping[tuple[Label, Label], ArrayLike],
-        cutoff: float | Mapping[tuple[Label, Label], float] | None = None,
-        truncation: TruncationName = "shifted",
-        *,
-        switch_start: float | None = None,
-        bonded_scale: Sequence[float] = UNSCALED,
-    ) -> None:
-        self.r = _checked_distances(r)
-        by_pair = u if isinstance(u, Mapping) else {None: u}
-        self.u = {pair: _checked_energies(values, self.r, pair) for pair, values in by_pair.items()}
-        if not self.u:
+    r: ArrayLike = declared(kind.given, "equally spaced or not", "length", of=f"{FEWEST} or more increasing distances")
+    u: ArrayLike | Mapping[tuple[Label, Label], ArrayLike] = declared(kind.given, "u(r)", "energy", of=FOR_EACH)
+    cutoff: Cutoff | None = declared(kind.given, "r_c; its end if not given", "length", of=FOR_PAIRS, default=None)
+    truncation: TruncationName = declared(kind.choice, SEE, of=TRUNCATIONS, default="shifted")
+    mixing: None = declared(kind.given, init=False, default=None)
+    pairs: None = declared(kind.given, init=False, default=None)
+    tail_correction: bool = declared(kind.flag, init=False, default=False)
+
+    def as_law(self) -> tuple[Any, Any, Any]:
+        """See Nonbonded."""
+        r, by_pair = _checked_distances(self.r), self.u if isinstance(self.u, Mapping) else {None: self.u}
+        energies: Any = {pair: _checked_energies(values, r, pair) for pair, values in by_pair.items()}
+        if not energies:
             raise ValueError("u must be energies, or a mapping with an entry for each pair of species; it is empty")
-        pairs: Any = {pair: (float(k),) for k, pair in enumerate(self.u) if pair is not None}
-        law, reach = TabulatedLaw(_table(self.r, [*self.u.values()])), float(self.r[-1]) if cutoff is None else cutoff
-        numbers: Any = {} if pairs else (0.0,)
-        own = partial(super().__init__, law, numbers, reach, truncation, pairs=pairs or None)
-        own(switch_start=switch_start, bonded_scale=bonded_scale)
-        if not self.r[0] < self.shortest_length <= self.cutoff <= self.r[-1]:
-            wrong = self.cutoff if self.cutoff > self.r[-1] else self.shortest_length
-            ends = f"which goes from r = {self.r[0]:g} to {self.r[-1]:g}"
+        self.r, self.u = r, energies if isinstance(self.u, Mapping) else energies[None]
+        self.cutoff = float(r[-1]) if self.cutoff is None else self.cutoff
+        shortest, longest = (limit(_checked_cutoffs(self.cutoff).values()) for limit in (min, max))
+        if not r[0] < shortest <= longest <= r[-1]:
+            wrong, ends = longest if longest > r[-1] else shortest, f"which goes from r = {r[0]:g} to {r[-1]:g}"
             hint = "give another cutoff, or a longer table"
             raise ValueError(f"cutoff must lie within the table, {ends}; cutoff = {wrong:g}: {hint}")
-
-    def law_arguments(self) -> dict[str, Any]:
-        """See PairPotential."""
-        return {"r": self.r, "u": self.u if self.pairs else self.u[None]}
+        pairs = {pair: (float(k),) for k, pair in enumerate(energies) if pair is not None}
+        return TabulatedLaw(_table(r, [*energies.values()])), {} if pairs else (0.0,), pairs
 
     def _parameters_of(self, a: Any, b: Any) -> Parameters:
-        if isinstance(self.parameters, dict) and (a, b) not in self.pairs:
+        if isinstance(self.u, Mapping) and (a, b) not in self._by_pair:
             raise ValueError(f"Tabulated has no table for the pair {a!r}, {b!r}; it has {listed(self.u)}")
         return super()._parameters_of(a, b)
-
-
-def _checked_factors(bonded_scale: Any) -> tuple[float, ...]:
-    """Factors for pairs one, two and three bonds apart.  Raises ValueError for anything but three finite numbers."""
-    expected = "three finite factors, for pairs one, two and three bonds apart"
-    factors = checked_numbers("bonded_scale", bonded_scale, expected)
-    if factors.shape != (3,) or not np.isfinite(factors).all():
-        raise ValueError(f"bonded_scale must be {expected}; it is {shown(bonded_scale)}")
-    return tuple(factors.tolist())
 
 
 def _checked_distances(r: Any) -> NDArray[np.float64]:
@@ -550,3 +483,7 @@ def _table(r: NDArray[np.float64], energies: Sequence[NDArray[np.float64]]) -> T
     splines, powers = [make_interp_spline(r, u, DEGREE) for u in energies], range(DEGREE, -1, -1)
     pieces = [[one.derivative(k)(r[:-1]) / factorial(k) if k else one(r[:-1]) for k in powers] for one in splines]
     return Table(r, np.ascontiguousarray(np.moveaxis(np.array(pieces), 1, -1)), (len(r) - 1) / float(r[-1] - r[0]))
+
+
+PairPotential.register(LennardJones)  # for isinstance: constructors differ, so that none can inherit another
+PairPotential.register(Tabulated)

@@ -3,7 +3,6 @@
 from collections import namedtuple
 
 import numpy as np
-from numba.extending import overload
 from numpy.typing import NDArray
 
 from minimd.compiled.by_address import ByAddress
@@ -24,38 +23,21 @@ class BySpecies(namedtuple("BySpecies", "columns species")):
     """columns : tuple of (S, S) arrays, one for each parameter.  species : (N,) int."""
 
 
-class ByPair(namedtuple("ByPair", "columns")):
-    """columns : tuple of (P,) arrays, one for each parameter."""
-
-
 class Charges(namedtuple("Charges", "of_atoms source")):
     """The product of charges, and what another source has.  of_atoms : (N,) [√(energy · length)]."""
 
 
-def parameters_of_pair(source, p, i, j):
-    """The parameters of pair p between atoms i and j: a tuple of numbers, the squared cutoff first."""
-    if isinstance(source, SameForAll):
-        return source.numbers
-    if isinstance(source, Charges):
-        numbers = parameters_of_pair(source.source, p, i, j)
-        return (numbers[0], source.of_atoms[i] * source.of_atoms[j], *numbers[1:])
-    if isinstance(source, BySpecies):
-        return tuple(column[source.species[i], source.species[j]] for column in source.columns)
-    return tuple(column[p] for column in source.columns)
-
-
-@overload(parameters_of_pair)
-def _parameters_of_pair(source, p, i, j):
+@by_type
+def parameters_of_pair(source, i, j):
+    """The parameters of a pair of atoms: a tuple of numbers, the squared cutoff first."""
     kind = source.instance_class
     if kind is SameForAll:
-        return lambda source, p, i, j: source.numbers
+        return lambda source, i, j: source.numbers
     if kind is Charges:
-        return lambda source, p, i, j: with_product(
-            parameters_of_pair(source.source, p, i, j), source.of_atoms[i] * source.of_atoms[j]
+        return lambda source, i, j: with_product(
+            parameters_of_pair(source.source, i, j), source.of_atoms[i] * source.of_atoms[j]
         )
-    if kind is BySpecies:
-        return lambda source, p, i, j: _row(source.columns, (source.species[i], source.species[j]))
-    return lambda source, p, i, j: _row(source.columns, p)
+    return lambda source, i, j: row_of(source.columns, (source.species[i], source.species[j]))
 
 
 @scalar
@@ -65,11 +47,11 @@ def with_product(numbers, product):
 
 
 @by_type
-def _row(columns, index):
+def row_of(columns, index):
     """(columns[0][index], columns[1][index], …), unrolled by the compiler."""
-    if len(columns) == 1:
-        return lambda columns, index: (columns[0][index],)
-    return lambda columns, index: (columns[0][index],) + _row(columns[1:], index)
+    if len(columns) == 0:
+        return lambda columns, index: ()
+    return lambda columns, index: (columns[0][index],) + row_of(columns[1:], index)
 
 
 def source_for(law: PairLaw, system: System, order: NDArray[np.int64]) -> SameForAll | BySpecies | Charges:
@@ -117,7 +99,7 @@ def add_pair_forces(work, _chunk):
                 t = np.uintp(pairs.image[p])
                 dx, dy, dz = dx + pairs.translations[t, 0], dy + pairs.translations[t, 1], dz + pairs.translations[t, 2]
             r2 = fma(dx, dx, fma(dy, dy, dz * dz))
-            numbers = parameters_of_pair(parameters, p, i, j)
+            numbers = parameters_of_pair(parameters, i, j)
             if r2 < numbers[0]:
                 u, f = evaluate_law(law, r2, numbers[1:])
                 gx, gy, gz = force_along(f, dx, steps), force_along(f, dy, steps), force_along(f, dz, steps)

@@ -123,7 +123,7 @@ class Term:
     is_checked : whether the first run compares its force with its energy, see check_force. False for a force that is no
         gradient, such as friction beside an energy. A term without any energy is not checked.
     fits_grid : whether it can add impulses, for precision="fixed-point".
-    assigns : whether its operations set all forces and do not add to them, if it is_first, as Forces tells it.
+    assigns : whether its operations set all forces and do not add to them: of one term only, which comes first.
     """
 
     pair_law: PairLaw | None = None
@@ -142,7 +142,6 @@ class Term:
     is_checked: bool = True
     fits_grid: bool = False
     assigns: bool = False
-    is_first: bool = False
 
     def add(self, system: System, detail: int, forces: NDArray, energies: NDArray, virials: NDArray) -> None:
         """Add to forces (N, 3), and unless detail is FORCES to energies (N,) and virials (N, 6), xx yy zz yz xz xy.

@@ -232,3 +232,8 @@ def test_a_law_is_declared_once_and_has_constructor_checks_words_and_forces():
     assert found.potential_energy == pytest.approx(2.0 * 0.3**4 + 3.0 * 0.1**4, rel=1e-12)  # rounding
     np.testing.assert_allclose(found.forces[2, 0], -4.0 * 3.0 * 0.1**3, rtol=1e-12)
     assert_answered(lambda: md.evaluate(system, QuarticBond([1.0, 2.0, 3.0])), ValueError, "k", "2", "(3,)")
+
+
+def test_a_law_may_have_no_parameters_and_a_constant_force_over_distance():
+    found = md.evaluate(md.System([[0, 0, 0], [1, 2, 2]]), md.BondPotential(lambda r2: (r2, -2.0), (), [[0, 1]]))
+    assert (found.potential_energy, found.forces[1].tolist()) == (9.0, [-2.0, -4.0, -4.0])

@@ -2,6 +2,7 @@
 
 import threading
 import warnings
+from inspect import signature
 from typing import get_args
 
 import numpy as np
@@ -47,6 +48,15 @@ def test_a_system_tells_its_net_charge_and_takes_rounding_for_none():
         told = dict(system.display_rows()).get("charges")
         assert told == (net if net is None else f"net charge {net:g} e, at most 0.7 e on an atom")
         assert system.net_charge == pytest.approx(net or 0.0, rel=1e-12, abs=0.0)
+
+
+def test_laws_of_pairs_tell_their_arguments_in_the_order_of_their_signature_and_are_pair_potentials():
+    table = md.Tabulated(np.arange(1.0, 9.0), np.arange(8.0), exclusions=[[0, 1]])
+    for one in (md.LennardJones(1.0, 1.0), table, md.PairPotential(lambda r2: (r2, -2.0))):
+        names = [*signature(type(one)).parameters]
+        told = [line.split(" : ")[0] for line in type(one).__doc__.splitlines() if " : " in line]
+        assert isinstance(one, md.PairPotential)
+        assert names == [*one.arguments()] == told[:-1]
 
 
 def test_html_is_escaped():

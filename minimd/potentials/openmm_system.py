@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from minimd.console.words import listed, shown
 from minimd.potentials.bonded import BondPotential, HarmonicAngle, HarmonicBond, PeriodicDihedral, RyckaertBellemans
-from minimd.potentials.coulomb import NO_REST, ChargedLaw, Coulomb
+from minimd.potentials.coulomb import NO_REST, ChargedLaw, Coulomb, CoulombLaw
 from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.pair import UNSCALED, LennardJones
 from minimd.potentials.prolates import LEAST_ACCURATE, MOST_ACCURATE
@@ -145,7 +145,7 @@ def _nonbonded(
     sigma = np.where(is_well, NM * sigma, 1.0)
     numbers = ASE.coulomb * product, np.full_like(product, LARGEST), KJ * epsilon * is_well, sigma
     if (acts := is_well | (product != 0.0)).any():
-        law = ChargedLaw(LennardJonesLaw(), NO_REST)  # without a cutoff
+        law = ChargedLaw(LennardJonesLaw(), CoulombLaw(NO_REST))  # without a cutoff
         potentials.append(BondPotential(law, [one[acts] for one in numbers], pairs[acts]))
     return potentials
 

@@ -49,12 +49,14 @@ class Finding:
     ----------
     name : of the law.  passed : True, False, or None if the reader has to judge.  words : what was measured.
     value : the measured number, dimensionless unless the words give a unit; NaN if there is none.
+    limit : the largest difference of value from 1 that passes, for laws of dynamics; else NaN.
     """
 
     name: str
     passed: bool | None
     words: str
     value: float = float("nan")
+    limit: float = float("nan")
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,11 @@ def grade(
     positions: ArrayLike | None = None,
     order: int = 2,
     kind: str | None = None,
+    **options: Any,
 ) -> Grade:
-    """Test your own step or force function: which laws it obeys, what is wrong with it, and by how much.
+    """Test your own step, force function or dynamics: which laws it obeys, what is wrong with it, and by how much.
 
+    A class of dynamics, as in ase.md, or a function make(atoms, timestep), is judged by the ensemble that it claims.
     A function with a time step and velocities among its parameters is graded as a step, any other as forces.
 
     A step is a function step(x, v, force, m, dt) -> x, v. Parameters are recognized by their names, in any order (see
@@ -40,6 +42,12 @@ def grade(
     Forces are a function forces(positions) -> F or (F, U), a law f(r) or law(r2) -> (u, f), or the force of a pair
     f(r_ij). These are measured: F = −∇U, sum of forces, exchange, rotation, translation, nearest images, powers of r,
     cutoff and continuity, and the difference from a potential of minimd.
+
+    Dynamics get atoms, timestep and options, as in md.grade(Langevin, temperature_K=300.0, friction=0.02), and must
+    have run(steps). With a temperature_K they claim NVT, with pressure_au, externalstress or pressure [eV/Å³] NPT,
+    else NVE; ensemble= says so otherwise. Options of grade: timestep (1 fs) in ASE's unit, runs (24) of steps= each,
+    seed. Scenes with exact answers are run; a right dynamics fails once in a thousand times. kind="dynamics" if the
+    name of the first parameter is not atoms.
 
     Parameters
     ----------
@@ -64,13 +72,19 @@ def grade(
     ValueError : if the function raises an error, or returns None or another shape, with the call and the error;
         for options out of range.
     """
-    kinds = ("step", *KINDS)
+    kinds = ("step", "dynamics", *KINDS)
     if kind is not None and kind not in kinds:
         raise ValueError(f"kind must be one of {', '.join(map(repr, kinds))}; got {shown(kind)}")
     if not callable(function):
         raise TypeError(
             f"grade takes a function, such as step(x, v, force, m, dt) or forces(positions); got {shown(function)}"
         )
+    if kind == "dynamics" or (kind is None and _is_dynamics(function)):
+        from minimd.grade.dynamics import grade_dynamics
+
+        return grade_dynamics(function, **options)
+    if options:
+        raise TypeError(f"options such as {', '.join(options)} are for dynamics; {shown(function)} takes no atoms")
     checked_count("order", order)
     if cutoff is not None:
         checked_number("cutoff", cutoff, "positive and finite")
@@ -87,3 +101,11 @@ def _is_step(function: Callable[..., Any]) -> bool:
         return False
     roles = {role_of(name) for name in names}
     return bool({"dt"} & roles) or ("v" in roles and len(names) > 2)
+
+
+def _is_dynamics(function: Callable[..., Any]) -> bool:
+    """Whether the first parameter is called atoms."""
+    try:
+        return next(iter(inspect.signature(function).parameters), "") == "atoms"
+    except (TypeError, ValueError):
+        return False

@@ -1,0 +1,205 @@
+"""Scenes with exact answers, as structures of ASE with calculators in numpy, and the runs of a dynamics in them.
+
+Each run starts from an exact sample of the ensemble: what keeps it keeps it from the first step on, so that many short
+runs are independent samples, and their spread is the error. kT, the time step and the pressure set all scales.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from ase import Atoms
+from ase.calculators.abc import GetPropertiesMixin
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Make = Callable[[Atoms, np.random.RandomState], Any]
+
+MASSES = np.repeat([2.0, 8.0, 30.0, 120.0], 2)  # amu, of the atoms of a ring
+STIFF = 0.06  # ω Δt of a bond of the ring, with the lighter of its atoms
+QUARTIC = 0.05  # of k²/kT: makes the motion chaotic
+STRETCH = 4.0  # length of the bonds of molecules, in units of their thermal motion
+MOLECULES, OF_MOLECULES = 6, 0.12  # and ω Δt
+
+
+class Springs(GetPropertiesMixin):
+    """A calculator: bonds with ½ k r² + ¼ q r⁴ of the displacement from their length.
+
+    first, second : (B,) int.  k, q : (B,).  lengths : (B, 3) of a crystal, whose bonds keep their direction, or (B,).
+    draw : of an exact sample, for samplers that test these laws.
+    """
+
+    implemented_properties = ("energy", "free_energy", "forces", "stress")
+    name = "springs"
+    parameters: dict[str, Any] = {}  # noqa: RUF012 - never changed
+    draw: Callable[[np.random.RandomState], Atoms]
+
+    def __init__(self, first: Any, second: Any, k: Array, q: Array, lengths: Array) -> None:
+        self.first, self.second, self.k, self.q, self.lengths = first, second, k, q, lengths
+        self.results: dict[str, Any] = {}
+
+    def get_property(self, name: str, atoms: Atoms | None = None, allow_calculation: bool = True) -> Any:
+        """See ASE."""
+        del allow_calculation
+        assert atoms is not None
+        d, e, r2 = self.bonds(atoms.positions)
+        if name not in ("forces", "stress"):
+            return float((0.5 * self.k * r2 + 0.25 * self.q * r2**2).sum())
+        pull = (self.k + self.q * r2)[:, None] * e
+        if name == "stress":
+            return (d.T @ pull).ravel()[[0, 4, 8, 5, 2, 1]] / atoms.get_volume()
+        forces = np.zeros_like(atoms.positions)
+        np.add.at(forces, self.first, pull)
+        np.add.at(forces, self.second, -pull)
+        return forces
+
+    def bonds(self, x: Array) -> tuple[Array, Array, Array]:
+        """Vectors of the bonds, their displacements from the length, (B, 3), and squares of these, of x (N, 3)."""
+        d = x[self.second] - x[self.first]
+        if self.lengths.ndim == 2:
+            e = d - self.lengths
+        else:
+            e = (1.0 - self.lengths / np.sqrt((d * d).sum(axis=1)))[:, None] * d
+        return d, e, (e * e).sum(axis=1)
+
+    def curvature(self, x: Array) -> Array:
+        """∇²U of each atom (N,), of a crystal."""
+        r2, found = self.bonds(x)[2], np.zeros(len(x))
+        for ends in (self.first, self.second):
+            np.add.at(found, ends, 3.0 * self.k + 5.0 * self.q * r2)
+        return found
+
+
+class Scene(NamedTuple):
+    """A structure, drawn anew for each run.
+
+    draw : of an exact sample.  springs : its calculator.  n_bodies : n of p(V) ∝ Vⁿ exp(−PV/kT).
+    error : of means, relative, by the time step of a splitting of second order: the largest (ωΔt)²/4.
+    """
+
+    name: str
+    draw: Callable[[np.random.RandomState], Atoms]
+    springs: Springs
+    n_bodies: int
+    error: float
+
+
+def momenta(rng: np.random.RandomState, masses: Array, kt: float, is_still: bool = False) -> Array:
+    """(N, 3) of a canonical ensemble, of one whose center of mass is at rest if is_still."""
+    p = rng.standard_normal((len(masses), 3)) * np.sqrt(kt * masses)[:, None]
+    return p - masses[:, None] * p.sum(axis=0) / masses.sum() if is_still else p
+
+
+def ring(kt: float, timestep: float, is_still: bool, scale: float = 1.0) -> Scene:
+    """Eight atoms of four masses on a ring of bonds that keep their directions, as in a crystal: nothing acts on them
+    from outside, and nothing turns.  scale : of ωΔt."""
+    n = len(MASSES)
+    first = np.arange(n)
+    second = (first + 1) % n
+    k = np.minimum(MASSES[first], MASSES[second]) * (scale * STIFF * np.tile([1.0, 1.5], n // 2) / timestep) ** 2
+    angles = 2.0 * np.pi * first / n
+    places = 50.0 + 10.0 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+    springs = Springs(first, second, k, QUARTIC * k**2 / kt, places[second] - places[first])
+    hessian = np.zeros((n, n))
+    for i, j, one in zip(first, second, k, strict=True):
+        hessian[[i, j, i, j], [i, j, j, i]] += one * np.array([1.0, 1.0, -1.0, -1.0])
+    values, modes = np.linalg.eigh(hessian)
+    spread = modes[:, 1:] * np.sqrt(kt / values[1:])  # without the translation
+
+    def draw(rng: np.random.RandomState) -> Atoms:
+        while True:  # of the quadratic part alone, and accepted by the energy of the rest
+            atoms = Atoms("H8", places + spread @ rng.standard_normal((n - 1, 3)), masses=MASSES)
+            if rng.random_sample() < np.exp(-(springs.q * springs.bonds(atoms.positions)[2] ** 2).sum() / (4.0 * kt)):
+                break
+        atoms.set_cell([100.0] * 3)
+        atoms.pbc, atoms.calc = True, springs
+        atoms.set_momenta(momenta(rng, MASSES, kt, is_still))
+        return atoms
+
+    springs.draw = draw
+    largest = np.linalg.eigvalsh(hessian / np.sqrt(np.outer(MASSES, MASSES)))[-1]
+    return Scene("ring" if scale == 1.0 else "coarse ring", draw, springs, n, float(0.25 * largest * timestep**2))
+
+
+def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
+    """Molecules of two atoms, which do not see each other, under pressure: p(V) ∝ Vⁿ exp(−PV/kT), n molecules."""
+    n, masses = MOLECULES, np.tile([4.0, 12.0], MOLECULES)
+    k = 3.0 * (OF_MOLECULES / timestep) ** 2
+    length = STRETCH * np.sqrt(kt / k)
+    springs = Springs(np.arange(0, 2 * n, 2), np.arange(1, 2 * n, 2), np.full(n, k), np.zeros(n), np.full(n, length))
+    r = np.linspace(0.05, 2.5, 4000) * length
+    weights = np.cumsum(r**2 * np.exp(-0.5 * k * (r - length) ** 2 / kt))
+
+    def draw(rng: np.random.RandomState) -> Atoms:
+        volume = rng.standard_gamma(n + (not is_still)) * kt / pressure
+        edge = float(volume ** (1.0 / 3.0))
+        ways = rng.standard_normal((n, 3))
+        apart = r[np.searchsorted(weights, rng.random_sample(n) * weights[-1])]
+        apart = apart[:, None] * ways / np.linalg.norm(ways, axis=1)[:, None]
+        x = np.repeat(edge * rng.random_sample((n, 3)), 2, axis=0)
+        x[0::2] -= 0.75 * apart
+        x[1::2] += 0.25 * apart
+        atoms = Atoms("H" * 2 * n, x, masses=masses, cell=[edge] * 3, pbc=True, calculator=springs)
+        atoms.set_momenta(momenta(rng, masses, kt, is_still))
+        return atoms
+
+    springs.draw = draw
+    return Scene("gas", draw, springs, n, 0.25 * OF_MOLECULES**2)
+
+
+class Frames(NamedTuple):
+    """What was seen of a run.
+
+    masses : (N,).  x, p, f : (F, N, 3).  volumes : (F,).  ends : (2, 2), energy and log of the volume, at the start and
+    at the end.
+    """
+
+    masses: Array
+    kt: float
+    x: Array
+    p: Array
+    f: Array
+    volumes: Array
+    ends: Array
+
+    @property
+    def kinetic(self) -> Array:
+        """p²/(m kT) of each frame and atom, (F, N)."""
+        return (self.p**2).sum(axis=2) / (self.masses * self.kt)
+
+
+def joined(runs: Sequence[Frames]) -> Frames:
+    """All frames of several runs."""
+    x, p, f, volumes = (np.concatenate([one[k] for one in runs]) for k in range(2, 6))  # type: ignore[arg-type]
+    return Frames(runs[0].masses, runs[0].kt, x, p, f, volumes, np.stack([one.ends for one in runs]))
+
+
+def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) -> Frames:
+    """One run, of which the second half is seen.  Raises FloatingPointError if numbers are not finite."""
+    atoms, dynamics = started(make, scene, seed)
+    seen, ends = list[Sequence[Any]](), [ends_of(atoms)]
+    for k in range(steps // every):
+        dynamics.run(every)
+        if 2 * k >= steps // every:
+            seen.append((atoms.positions.copy(), atoms.get_momenta(), atoms.get_forces(), atoms.get_volume()))
+    ends.append(ends_of(atoms))
+    if not np.isfinite(ends).all():
+        raise FloatingPointError(f"energy, volume: {ends[1][0]:.3g} eV, {atoms.get_volume():.3g} Å³")
+    x, p, f, volumes = (np.array(one) for one in zip(*seen, strict=True))
+    return Frames(atoms.get_masses(), kt, x, p, f, volumes, np.array(ends))
+
+
+def started(make: Make, scene: Scene, seed: int) -> tuple[Atoms, Any]:
+    """Atoms and their dynamics at the start of a run."""
+    np.random.seed(seed)  # for dynamics that are given no generator
+    rng = np.random.RandomState(seed)
+    atoms = scene.draw(rng)
+    return atoms, make(atoms, rng)
+
+
+def ends_of(atoms: Atoms) -> tuple[float, float]:
+    """Energy, and log of the volume."""
+    with np.errstate(all="ignore"):
+        return float(atoms.get_potential_energy() + atoms.get_kinetic_energy()), float(np.log(atoms.get_volume()))

@@ -4,7 +4,10 @@ A command of another package is a Command that an entry point of the group "mini
 """
 
 import argparse
+import ast
+import json
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -224,6 +227,25 @@ def archive(arguments: argparse.Namespace) -> None:
     print(md.archive(file, out, every, potentials_of(arguments), overwrite))
 
 
+def grade(arguments: argparse.Namespace) -> bool:
+    """Print the grade of a class of dynamics; True if it passed.  Raises ValueError for one that is not there."""
+    from minimd.grade.telling import as_dict, draw, named
+
+    result = md.grade(named(arguments.dynamics), kind="dynamics", **dict(arguments.options))
+    print(json.dumps(as_dict(result), indent=1) if arguments.json else result)
+    if arguments.out:
+        draw(result, arguments.out)
+    return result.passed
+
+
+def option(text: str) -> tuple[str, Any]:
+    """NAME=VALUE, for argparse: a number, a list or another literal of Python, else a text."""
+    name, _, value = text.partition("=")
+    with suppress(ValueError, SyntaxError):
+        return name, ast.literal_eval(value)
+    return name, value
+
+
 at_least_one = partial(whole_number, least=1)
 OVERWRITE, QUIET = flag("--overwrite", "replace files that exist"), flag("--quiet", "print only errors")
 STEPS = Argument("--steps", "number of steps, in place of that in the scene", whole_number, "N")
@@ -277,6 +299,14 @@ COMMANDS = (
     ), lammps),
     Command("check", "check a run for its conservation laws", "Check a run for its conservation laws.", (RUN_FILE,),
             check),
+    Command("grade", "test a class of dynamics",
+            "Test a class of dynamics, as those of ase.md, in scenes with exact answers: does it sample the ensemble "
+            "that it claims? Example: minimd grade ase.md.langevin:Langevin temperature_K=300 friction=0.2", (
+        Argument("dynamics", "module:class, or file.py:class", None, "MODULE:CLASS"),
+        Argument("options", "options of the class and of md.grade, in units of ASE", option, "NAME=VALUE",
+                 {"nargs": "*"}),
+        flag("--json", "print JSON"), written_to("PNG", "draw a picture"),
+    ), grade),
     Command("plot", "draw the energies, the temperature and the structure of a run",
             "Draw the energies, the temperature and the structure of a run.", (
         RUN_FILE, written_to("PNG", "file of the picture; named after the trajectory if not given"),

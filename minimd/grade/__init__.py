@@ -2,5 +2,6 @@
 
 from minimd.grade.findings import Finding, Grade
 from minimd.grade.grading import grade
+from minimd.grade.telling import laws_of
 
-__all__ = ["Finding", "Grade", "grade"]
+__all__ = ["Finding", "Grade", "grade", "laws_of"]

@@ -46,7 +46,7 @@ def grade_dynamics(
     **options: Any,
 ) -> Grade:
     """See grade."""
-    ensemble, asked = claimed(ensemble, temperature_K, pressure, options)
+    name, (ensemble, asked) = getattr(dynamics, "__name__", "dynamics"), claimed(ensemble, temperature_K, pressure, options)
     kt = units.kB * checked_number("temperature_K", temperature_K or 300.0, "positive and finite")
     options |= {"temperature_K": temperature_K} if temperature_K is not None else {}
     options |= {"pressure": pressure} if pressure is not None else {}
@@ -63,7 +63,7 @@ def grade_dynamics(
         is_still = keeps_momentum(make, scenes(True)[0], kt)
     except Exception as error:  # whatever a class raises
         said = f"{type(error).__name__}: {error}"
-        raise ValueError(f"{shown(dynamics)} could not make {OF_PATHS} steps with {options}; {said}") from error
+        raise ValueError(f"{name} could not make {OF_PATHS} steps with {options}; {said}") from error
     answers = [*of_paths(make, scenes(is_still)[0])]
     if ensemble == "NVE":
         halved = maker(dynamics, 0.5 * timestep, options)
@@ -76,7 +76,7 @@ def grade_dynamics(
     faults = tuple(fault for _, fault in answers if fault)
     momentum = "kept at zero" if is_still else "not conserved"
     remarks = (f"the total momentum is {momentum}: {'3N − 3' if is_still else '3N'} degrees of freedom move",)
-    told = f"{getattr(dynamics, '__name__', shown(dynamics))}({', '.join(options)}): {ensemble}, {ENSEMBLES[ensemble]}"
+    told = f"{name}({', '.join(options)}): {ensemble}, {ENSEMBLES[ensemble]}"
     return Grade(told, tuple(finding for finding, _ in answers), faults, remarks=remarks)
 
 
@@ -164,7 +164,7 @@ def of_energy(
     slopes = np.polyfit(np.linspace(0.0, 1.0, steps), whole.T, 1)[0] / whole.std()
     mean, error = slopes.mean(), slopes.std(ddof=1) / np.sqrt(len(slopes))
     limit = stats.t.isf(0.5 * RATE, len(slopes) - 1) * error
-    words = f"in {steps} steps {mean:+.2f} ± {error:.2f} of its oscillation"
+    words = f"in {steps} steps {mean:+.1g} ± {error:.1g} of its oscillation"
     fault = "" if abs(mean) < limit else f"the energy drifts: {words}"
     yield Finding(OF_ENERGY[1], not fault, words, mean), fault
     atoms, dynamics = started(make, scene, seed)

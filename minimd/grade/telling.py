@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import cache
+from importlib import import_module
 from pathlib import Path
+from runpy import run_path
 from typing import Any
 
 import numpy as np
@@ -39,6 +41,16 @@ def draw(one: Grade, file: Path) -> None:
     axes.set_xlabel("measured / right; gray: passes")
     axes.set_title(f"{one.function}\n{one.verdict if len(one.verdict) < 60 else 'faults were found'}", fontsize=9)
     figure.savefig(file, dpi=120)
+
+
+def named(place: str) -> Callable[..., Any]:
+    """What "module:name" or "file.py:name" names.  Raises ValueError if it is not there."""
+    module, _, name = place.partition(":")
+    try:
+        return (run_path(module) if module.endswith(".py") else vars(import_module(module)))[name]
+    except (ImportError, OSError, KeyError) as error:
+        wanted = "module:class, as ase.md.langevin:Langevin, or file.py:class"
+        raise ValueError(f"dynamics must be {wanted}; got {place!r} ({type(error).__name__}: {error})") from error
 
 
 def laws_of(dynamics: Callable[..., Any], **options: Any) -> list[Any]:

@@ -24,7 +24,7 @@ FLOORS = [name if name in TOP else f"minimd.{name}" for name in BEGIN_WITH]
 STRANGERS = {"minimd.integrators", "minimd.potentials"}  # never import each other
 BRIDGES = {  # folders and modules that may import ase or MDAnalysis when they are imported
     *("ase", "mdanalysis", "structure/ase_atoms.py", "structure/mdanalysis_atoms.py"),
-    *("files/structure_file.py", "files/turned_cell.py"),
+    *("files/structure_file.py", "files/turned_cell.py", "grade/dynamics.py", "grade/scenes.py"),
 }
 FOREIGN = {"minimd_bench.engines"}  # reaches for private names of OpenMM and LAMMPS
 HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "openmm", "minimd.lammps"}

@@ -1,0 +1,104 @@
+"""Judges the dynamics of ASE, minimd, OpenMM and LAMMPS, and writes the table of docs/dynamics.md.
+
+    python docs/measure_dynamics.py
+
+Engines that are not installed are left out. Every row is one call of md.grade, which the table repeats.
+"""
+
+import re
+import sys
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+
+import ase.md.andersen
+import ase.md.bussi
+import ase.md.langevin
+import ase.md.langevinbaoab
+import ase.md.nose_hoover_chain
+import ase.md.nptberendsen
+import ase.md.nvtberendsen
+import ase.md.verlet
+from ase.units import fs
+from engines import Lammps, Minimd, OpenMM
+
+import minimd as md
+
+PAGE, T, P, RATE = Path(__file__).parent / "dynamics.md", {"temperature_K": 300.0}, 0.002, 0.02 / fs
+LANGEVIN, SLOW = T | {"friction": RATE}, {"pdamp": 100 * fs}
+OF_ASE = (
+    (ase.md.verlet.VelocityVerlet, {}),
+    (ase.md.langevin.Langevin, LANGEVIN),
+    (ase.md.langevin.Langevin, LANGEVIN | {"fixcm": False}),
+    (ase.md.langevinbaoab.LangevinBAOAB, T | {"T_tau": 50 * fs}),
+    (ase.md.andersen.Andersen, T | {"andersen_prob": 0.02}),
+    (ase.md.bussi.Bussi, T | {"taut": 50 * fs}),
+    (ase.md.nose_hoover_chain.NoseHooverChainNVT, T | {"tdamp": 50 * fs}),
+    (ase.md.nvtberendsen.NVTBerendsen, T | {"taut": 50 * fs}),
+    (ase.md.langevinbaoab.LangevinBAOAB,
+     T | {"T_tau": 50 * fs, "P_tau": 100 * fs, "externalstress": -P, "hydrostatic": True}),
+    (ase.md.nose_hoover_chain.IsotropicMTKNPT, T | {"pressure_au": P, "tdamp": 50 * fs, "pdamp": 100 * fs}),
+    (ase.md.nptberendsen.NPTBerendsen,
+     T | {"pressure_au": P, "taut": 50 * fs, "taup": 100 * fs, "compressibility_au": 1.0 / P}),
+)  # fmt: skip
+OF_MINIMD = (
+    ("VelocityVerlet", {}, lambda h, _: md.VelocityVerlet(h)),
+    ("LangevinBAOAB", T, lambda h, seed: md.LangevinBAOAB(h, 300.0, RATE, seed=seed)),
+    ("StochasticVelocityRescaling", T, lambda h, seed: md.StochasticVelocityRescaling(h, 300.0, 50 * fs, seed=seed)),
+)
+OF_OPENMM = (
+    ("VerletIntegrator", {}),
+    ("LangevinIntegrator", LANGEVIN),
+    ("LangevinMiddleIntegrator", LANGEVIN),
+    ("NoseHooverIntegrator", LANGEVIN),
+)
+OF_LAMMPS = (
+    (["nve"], {}),
+    (["nve", "langevin 300 300 0.05 SEED"], T),
+    (["nve", "langevin 300 300 0.05 SEED zero yes"], T),
+    (["nve", "temp/csvr 300 300 0.05 SEED"], T),
+    (["nve", "temp/berendsen 300 300 0.05"], T),
+    (["nvt temp 300 300 0.05"], T),
+)
+
+
+def shown(value):
+    """A value of an option, times in fs."""
+    if isinstance(value, float) and value > fs:
+        return f"{value:g}" if value in T.values() else f"{value / fs:g} fs"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def rows():
+    """Name, options as text, and the call of each row."""
+    for made, options in OF_ASE:
+        said = ", ".join(f"{name}={shown(value)}" for name, value in options.items())
+        yield f"ase: `{made.__name__}`", said, partial(md.grade, made, **options)
+    for name, claims, method in OF_MINIMD:
+        yield f"minimd: `{name}`", "", partial(md.grade, Minimd, method=method, **claims)
+    for name, options in OF_OPENMM if find_spec("openmm") else ():
+        yield f"OpenMM: `{name}`", "", partial(md.grade, OpenMM, integrator=name, **options)
+    for fixes, claims in OF_LAMMPS if find_spec("lammps") else ():
+        yield f"LAMMPS: `fix {'`, `fix '.join(fixes)}`", "", partial(md.grade, Lammps, fixes=fixes, **claims)
+
+
+def main():
+    """Write the table."""
+    lines = ["| dynamics | options | claims | momentum | what was found |", "| --- | --- | --- | --- | --- |"]
+    for name, options, call in rows():
+        try:
+            grade = call()
+        except ValueError as error:
+            print(name, error, file=sys.stderr)
+            continue
+        claims, momentum = grade.function.rsplit(": ", 1)[1].split(",")[0], grade.remarks[0].split(": ")[0].split(" is ")[1]
+        faults = "; ".join(dict.fromkeys(re.sub("^(coarse )?(ring|gas): ", "", one) for one in grade.faults))
+        lines.append(f"| {name} | {options} | {claims} | {momentum} | {faults or 'all laws hold'} |")
+        print(lines[-1], flush=True)
+    text = PAGE.read_text(encoding="utf-8")
+    start, end = (text.index(mark) + len(mark) * (k == 0) for k, mark in enumerate(("<!-- table -->\n", "<!-- end -->")))
+    PAGE.write_text(text[:start] + "\n".join(lines) + "\n" + text[end:], encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

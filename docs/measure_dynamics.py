@@ -91,12 +91,17 @@ def main():
         except ValueError as error:
             print(name, error, file=sys.stderr)
             continue
-        claims, momentum = grade.function.rsplit(": ", 1)[1].split(",")[0], grade.remarks[0].split(": ")[0].split(" is ")[1]
+        claims, momentum = (
+            grade.function.rsplit(": ", 1)[1].split(",")[0],
+            grade.remarks[0].split(": ")[0].split(" is ")[1],
+        )
         faults = "; ".join(dict.fromkeys(re.sub("^(coarse )?(ring|gas): ", "", one) for one in grade.faults))
         lines.append(f"| {name} | {options} | {claims} | {momentum} | {faults or 'all laws hold'} |")
         print(lines[-1], flush=True)
     text = PAGE.read_text(encoding="utf-8")
-    start, end = (text.index(mark) + len(mark) * (k == 0) for k, mark in enumerate(("<!-- table -->\n", "<!-- end -->")))
+    start, end = (
+        text.index(mark) + len(mark) * (k == 0) for k, mark in enumerate(("<!-- table -->\n", "<!-- end -->"))
+    )
     PAGE.write_text(text[:start] + "\n".join(lines) + "\n" + text[end:], encoding="utf-8")
 
 

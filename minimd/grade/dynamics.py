@@ -46,7 +46,10 @@ def grade_dynamics(
     **options: Any,
 ) -> Grade:
     """See grade."""
-    name, (ensemble, asked) = getattr(dynamics, "__name__", "dynamics"), claimed(ensemble, temperature_K, pressure, options)
+    name, (ensemble, asked) = (
+        getattr(dynamics, "__name__", "dynamics"),
+        claimed(ensemble, temperature_K, pressure, options),
+    )
     kt = units.kB * checked_number("temperature_K", temperature_K or 300.0, "positive and finite")
     options |= {"temperature_K": temperature_K} if temperature_K is not None else {}
     options |= {"pressure": pressure} if pressure is not None else {}

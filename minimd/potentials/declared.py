@@ -234,7 +234,10 @@ own_parameters = Kind("a tuple, each entry one number for all or one for each", 
 number = Kind("one number", _number)
 pairs = Kind("pairs of atoms", lambda name, given, _: None if given is None else checked_pairs(name, given))
 flag = Kind("True or False", lambda name, value, _: checked_flag(name, value))
-given = Kind("{of}", lambda _name, value, _: value)  # its class checks it
+given = Kind(  # its class checks it
+    "{of}",
+    lambda _name, one, _: dict(one) if isinstance(one, Mapping) else one.item() if isinstance(one, np.generic) else one,
+)
 choice = Kind("one of {of}", lambda name, value, asked: checked_choice(name, value, asked.of))
 atoms = Kind("indices of different atoms; all if not given", _atoms)
 groups = Kind("groups of {of} atoms; those of the system if not given", _groups)

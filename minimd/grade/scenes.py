@@ -21,6 +21,7 @@ MASSES = np.repeat([2.0, 8.0, 30.0, 120.0], 2)  # amu, of the atoms of a ring
 STIFF = 0.06  # ω Δt of a bond of the ring, with the lighter of its atoms
 QUARTIC = 0.05  # of k²/kT: makes the motion chaotic
 STRETCH = 4.0  # length of the bonds of molecules, in units of their thermal motion
+SMALLEST = 1e-4  # volume of a run, over that at its start
 MOLECULES, OF_MOLECULES = 6, 0.12  # and ω Δt
 
 
@@ -179,9 +180,11 @@ def joined(runs: Sequence[Frames]) -> Frames:
 def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) -> Frames:
     """One run, of which the second half is seen.  Raises FloatingPointError if numbers are not finite."""
     atoms, dynamics = started(make, scene, seed)
-    seen, ends = list[Sequence[Any]](), [ends_of(atoms)]
+    seen, ends, start = list[Sequence[Any]](), [ends_of(atoms)], atoms.get_volume()
     for k in range(steps // every):
         dynamics.run(every)
+        if not SMALLEST < (volume := atoms.get_volume()) / start < 1.0 / SMALLEST:
+            raise FloatingPointError(f"a volume of {start:.3g} Å³ is {volume:.3g} Å³ after {(k + 1) * every} steps")
         if 2 * k >= steps // every:
             seen.append((atoms.positions.copy(), atoms.get_momenta(), atoms.get_forces(), atoms.get_volume()))
     ends.append(ends_of(atoms))

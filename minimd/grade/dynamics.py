@@ -28,7 +28,7 @@ PRESSURES = "pressure_au", "pressure", "externalstress"  # options that give it;
 STEPS, EVERY, OF_PATHS = {"NVE": 1000, "NVT": 4000, "NPT": 8000}, 5, 20  # of a run; between two frames
 COARSE = 4.0  # times the frequencies: for the error of a long time step
 LEAST_ORDER, SAME, KEPT = 1.7, 1e-7, 1e-6  # of the error of the energy; of paths, of momentum, relative
-ACTED = 0.2  # of the energy, or the volume, is new at the end of a run, at least
+ACTED, NEVER = 0.2, 1e-6  # of the energy, or the volume, is new at the end of a run, at least; if nothing acts
 
 SCENES = {"NVE": (), "NVT": ("ring", "coarse ring"), "NPT": ("gas",)}
 COLLAPSE = "; is the kinetic part 2K/3V in the pressure, and has the virial its sign?"
@@ -236,10 +236,12 @@ def of_scene(
     column, of = (1, "volume") if pressure else (0, "energy")
     ends = facts.seen.ends[:, :, column]
     acted = float(((ends[:, 1] - ends[:, 0]) ** 2).mean()) / max(2.0 * float(ends.var()), 1e-300)
-    words = f"{min(acted, 1.0):.0%} of the {of} is new after {steps} steps"
-    if acted < ACTED:
+    words, fault = f"{min(acted, 1.0):.0%} of the {of} is new after {steps} steps", ""
+    if acted < NEVER:
+        fault = f"{scene.name}: the {of} never changes: nothing acts on it"
+    elif acted < ACTED:
         words += ": too little to judge; take a shorter time of the bath, or more steps="
-    yield Finding(f"{scene.name}: the bath acts", True if acted >= ACTED else None, words, acted), ""
+    yield Finding(f"{scene.name}: the bath acts", False if fault else acted >= ACTED or None, words, acted), fault
     answers = [judged(law, frames, facts, rate) for law in LAWS[scene.name]]
     yield from sorted(answers, key=_rank)
 

@@ -204,7 +204,7 @@ CANONICAL = (
             f"the variance of the kinetic energy is {means[0]:.2f} times the canonical one"
             + ": velocities are scaled toward a temperature, and not drawn from its distribution" * bool(means[0] < 1.0)
         ),
-        0.15,
+        0.05,
     ),
     Law(
         "normal momenta",
@@ -249,10 +249,10 @@ UNDER_PRESSURE = (
             + (
                 "the volume is driven toward a pressure, and not drawn from its distribution"
                 if means[0] < 1.0
-                else "the motion of the volume is too hot: do momenta shrink as the volume grows, is its noise √(2 γ W kT)?"
+                else "its motion is too hot: do momenta shrink as the volume grows, is its noise √(2 γ W kT)?"
             )
         ),
-        0.1,
+        0.03,
     ),
 )
 LAWS: dict[str, tuple[Law, ...]] = {

@@ -82,6 +82,10 @@ def grade(
     if kind == "dynamics" or (kind is None and _is_dynamics(function)):
         from minimd.grade.dynamics import grade_dynamics
 
+        if any(one is not None for one in (potential, cell, cutoff, positions)):
+            raise TypeError(
+                "dynamics are judged in scenes of minimd: potential, cell, cutoff, positions are for forces"
+            )
         return grade_dynamics(function, **options)
     if options:
         raise TypeError(f"options such as {', '.join(options)} are for dynamics; {shown(function)} takes no atoms")

@@ -28,7 +28,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "ensemble": (1509, 7, 937),
     "files": (2549, 10, 1571),
     "forces": (2459, 12, 1545),
-    "grade": (3213, 15, 1902),
+    "grade": (3296, 15, 1942),
     "integrators": (4939, 26, 2507),
     "lammps": (1674, 8, 999),
     "mdanalysis": (445, 2, 266),
@@ -42,7 +42,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "view": (376, 3, 209),
     "minimd_bench": (1981, 10, 1157),
     "road of a step": (3846, 13),
-    "tests": (20052,),
+    "tests": (20165,),
 }
 # fmt: on
 

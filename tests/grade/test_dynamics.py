@@ -1,0 +1,113 @@
+"""Dynamics are judged: exact samplers pass, samplers that are a little wrong are told how; classes of ASE; refusals."""
+
+import json
+
+import numpy as np
+import pytest
+from ase.md.bussi import Bussi
+from ase.md.verlet import VelocityVerlet
+from wrong_calls import answered
+
+import minimd as md
+from minimd.commands.main import main
+from minimd.grade import laws_of
+from minimd.grade.telling import named
+
+NVT, NPT = {"temperature_K": 300.0, "runs": 16, "steps": 200}, {"pressure": 0.002}
+
+
+class Exact:
+    """Draws a new sample in place of each step."""
+
+    def __init__(self, atoms, timestep, rng, wrong=None, **claims):
+        self.atoms, self.rng, self.wrong, self.timestep = atoms, rng, wrong, timestep
+
+    def run(self, steps):
+        new = self.atoms.calc.draw(self.rng)
+        if self.wrong is not None:
+            self.wrong(self, new)
+        self.atoms.set_cell(new.cell)
+        self.atoms.positions[:], p = new.positions, new.get_momenta()
+        self.atoms.set_momenta(p)
+
+
+def hotter(factor):
+    return lambda own, new: new.set_momenta(new.get_momenta() * np.sqrt(factor(own)))
+
+
+def pushed(own, new):
+    kt = 300.0 * 8.617333e-5
+    new.set_momenta(new.get_momenta() + np.sqrt(kt) * own.rng.standard_normal(3))
+
+
+def cooled(own, new):
+    new.set_positions(0.5 * (new.positions + own.atoms.calc.draw(own.rng).positions))
+
+
+WRONG = {
+    "half": (hotter(lambda _: 0.5), {}, "weak by √2"),
+    "with the step": (hotter(lambda own: own.timestep * 5.0), {}, "as √Δt"),
+    "by mass": (hotter(lambda own: own.atoms.get_masses()[:, None] / 40.0), {}, "m^1.0"),
+    "3N": (hotter(lambda _: 24.0 / 21.0), {}, "24 degrees of freedom are counted where 21 move"),
+    "z": (hotter(lambda _: np.array([1.0, 1.0, 0.1])), {}, "along x, y, z"),
+    "same noise": (pushed, {}, "correlated"),
+    "positions": (cooled, {}, "positions"),
+    "volume": (lambda _, new: new.set_cell(new.cell * 0.9), NPT, "<V>"),
+    "frozen": (lambda own, new: new.set_cell(own.atoms.cell), NPT, "the volume never changes"),
+    "collapse": (lambda own, new: new.set_cell(new.cell * 1e-3), NPT, "kinetic part"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_sampler_is_told_its_fault(name):
+    wrong, options, words = WRONG[name]
+    grade = md.grade(Exact, wrong=wrong, **NVT, **options)
+    assert not grade.passed
+    assert any(words in fault for fault in grade.faults), str(grade)
+
+
+@pytest.mark.parametrize("options", [{}, NPT])
+def test_an_exact_sampler_passes(options):
+    grade = md.grade(Exact, **NVT, **options)
+    assert grade.passed, str(grade)
+    assert "3N − 3" in grade.remarks[0]
+
+
+def test_laws_are_tests_and_the_command_tells_them_as_json(capsys, tmp_path):
+    laws = laws_of(Exact, **NVT, wrong=hotter(lambda _: 2.0))
+    with pytest.raises(AssertionError, match="strong by √2"):
+        next(law for law in laws if repr(law) == "ring: temperature")()
+    assert next(law for law in laws if repr(law) == "ring: new noise")().passed
+    steps = ["steps=50", "temperature_K=300", "taut=5", "runs=8", "--json", f"--out={tmp_path / 'grade.png'}"]
+    main(["grade", "ase.md.bussi:Bussi", *steps])
+    found = json.loads(capsys.readouterr().out)
+    assert found["passed"] == md.grade(Bussi, temperature_K=300, taut=5, runs=8, steps=50).passed
+    assert (tmp_path / "grade.png").stat().st_size > 10_000
+
+
+def euler(atoms, timestep):
+    class Euler(VelocityVerlet):
+        def step(self):
+            p, f = self.atoms.get_momenta(), self.atoms.get_forces()
+            self.atoms.positions += self.dt * p / self.masses
+            self.atoms.set_momenta(p + self.dt * f)
+
+    return Euler(atoms, timestep)
+
+
+def test_steps_of_constant_energy_are_judged():
+    right, wrong = md.grade(VelocityVerlet, steps=200), md.grade(euler, steps=200)
+    assert right.passed, str(right)
+    assert right["order of the energy's error"].value == pytest.approx(2.0, abs=0.1)
+    assert {"energy is kept", "reversible"} <= {one.name for one in wrong if one.passed is False}
+
+
+test_what_cannot_be_judged_is_refused = answered(
+    (lambda: md.grade(Bussi, temperature_K=300.0), ValueError, "taut"),
+    (lambda: md.grade(Bussi, temperature_K=-1.0, taut=5.0), ValueError, "temperature_K", "-1"),
+    (lambda: md.grade(Bussi, "NPT", temperature_K=300.0), TypeError, "potential"),
+    (lambda: md.grade(VelocityVerlet, ensemble="NPT"), ValueError, "pressure"),
+    (lambda: md.grade(VelocityVerlet, ensemble="NPH"), ValueError, "ensemble", "NPH"),
+    (lambda: md.grade(lambda x, v, dt: (x, v), temperature_K=300.0), TypeError, "temperature_K", "dynamics"),
+    (lambda: named("ase.md.bussi:Busi"), ValueError, "Busi"),
+)

@@ -25,7 +25,7 @@ from minimd.structure.checks import checked_choice, checked_count, checked_numbe
 ENSEMBLES = {"NVE": "constant energy", "NVT": "constant temperature", "NPT": "constant temperature and pressure"}
 RATE = 1e-3  # of false alarms, of all laws together
 PRESSURES = "pressure_au", "pressure", "externalstress"  # options that give it; some take a stress, of the other sign
-STEPS, EVERY, OF_PATHS = {"NVE": 1000, "NVT": 4000, "NPT": 8000}, 5, 20  # of a run; between two frames
+STEPS, EVERY, OF_PATHS = {"NVE": 1000, "NVT": 4000, "NPT": 16000}, 5, 20  # of a run; between two frames
 COARSE = 4.0  # times the frequencies: for the error of a long time step
 LEAST_ORDER, SAME, KEPT = 1.7, 1e-7, 1e-6  # of the error of the energy; of paths, of momentum, relative
 ACTED, NEVER = 0.2, 1e-6  # of the energy, or the volume, is new at the end of a run, at least; if nothing acts

@@ -25,7 +25,7 @@ from engines import Lammps, Minimd, OpenMM
 import minimd as md
 
 PAGE, T, P, RATE = Path(__file__).parent / "dynamics.md", {"temperature_K": 300.0}, 0.002, 0.02 / fs
-LANGEVIN, SLOW = T | {"friction": RATE}, {"pdamp": 100 * fs}
+LANGEVIN = T | {"friction": RATE}
 OF_ASE = (
     (ase.md.verlet.VelocityVerlet, {}),
     (ase.md.langevin.Langevin, LANGEVIN),
@@ -62,17 +62,19 @@ OF_LAMMPS = (
 )
 
 
-def shown(value):
-    """A value of an option, times in fs."""
-    if isinstance(value, float) and value > fs:
-        return f"{value:g}" if value in T.values() else f"{value / fs:g} fs"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+def shown(name, value):
+    """An option, times in fs."""
+    if name in ("T_tau", "P_tau", "taut", "taup", "tdamp", "pdamp"):
+        return f"{name}={value / fs:.3g} fs"
+    if name == "friction":
+        return f"{name}={value * fs:.3g}/fs"
+    return f"{name}={value:.3g}" if isinstance(value, float) else f"{name}={value}"
 
 
 def rows():
     """Name, options as text, and the call of each row."""
     for made, options in OF_ASE:
-        said = ", ".join(f"{name}={shown(value)}" for name, value in options.items())
+        said = ", ".join(shown(name, value) for name, value in options.items())
         yield f"ase: `{made.__name__}`", said, partial(md.grade, made, **options)
     for name, claims, method in OF_MINIMD:
         yield f"minimd: `{name}`", "", partial(md.grade, Minimd, method=method, **claims)

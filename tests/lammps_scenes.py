@@ -5,7 +5,6 @@ from math import exp, sqrt
 import numpy as np
 import scenes
 from references import liquid
-from scenes import LJ
 
 import minimd as md
 
@@ -18,7 +17,7 @@ LEFT_HANDED = np.diag([1.0, 1.0, -1.0]) @ SKEWED
 TWO_KINDS = np.where(np.arange(108) % 5 == 0, "B", "A")  # four of five atoms A
 
 
-def scene(system, potentials=LJ, constraints=(), method=None, **options):
+def scene(system, potentials=scenes.LJ, constraints=(), method=None, **options):
     return md.Simulation(system, potentials, method or md.VelocityVerlet(TIMESTEP), constraints, **options)
 
 
@@ -126,7 +125,7 @@ def chains_at_rest():
 
 WCA = md.LennardJones(1.0, 1.0, 2.0 ** (1.0 / 6.0))
 AT_REST = {
-    "WCA crystal": lambda: crystal(0.8442, WCA), "thin gas": lambda: crystal(0.008, LJ),
+    "WCA crystal": lambda: crystal(0.8442, WCA), "thin gas": lambda: crystal(0.008, scenes.LJ),
     "chains at rest": chains_at_rest,
     "soft spheres": lambda: crystal(0.8442, md.PairPotential(soft, (50.0,), 1.1, "truncated")),
 }  # fmt: skip
@@ -173,7 +172,7 @@ SCENES = {
     "wire": in_cell(SKEWED, pbc=[False, True, False]), "far away": lambda: scene(far_away()), **AT_REST,
     "small cell": lambda: scene(liquid(2), scaled(1.0, 1.0, 1.0)),
     "without cutoff": lambda: scene(scenes.droplet().system, scenes.OPEN),
-    "fixed atoms": lambda: scene(fluid(masses=HEAVIER), LJ, md.FixedAtoms(np.arange(0, 108, 4))),
+    "fixed atoms": lambda: scene(fluid(masses=HEAVIER), scenes.LJ, md.FixedAtoms(np.arange(0, 108, 4))),
     "sheet": lambda: scene(md.System(PLANE, cell=np.diag([10.0, 10.0, 0.0]))),
     "water": water, "chains": chains, "torsions": torsions, "two laws": two_laws, "stars": stars,
 }  # fmt: skip

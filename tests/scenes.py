@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 import references
-from references import fourmol, liquid
 
 import minimd as md
 from minimd.structure.lattice import crystal
@@ -49,7 +48,7 @@ def warm(system, temperature, constraints=(), seed=1):
 
 def argon():
     """108 atoms of the liquid, out of order: the smallest scene with a cluster list."""
-    return Scene(liquid(3), [LJ], temperature=1.44)
+    return Scene(references.liquid(3), [LJ], temperature=1.44)
 
 
 def melt():
@@ -112,17 +111,17 @@ def ring():
 
 def droplet():
     """32 atoms that hold together in open space."""
-    return Scene(warm(md.System(liquid(2, jitter=0.02).positions), 0.2), [LJ])
+    return Scene(warm(md.System(references.liquid(2, jitter=0.02).positions), 0.2), [LJ])
 
 
 def gas():
     """256 atoms, thin, in a periodic cell."""
-    return Scene(liquid(4, density=0.25, temperature=2.0), [LJ])
+    return Scene(references.liquid(4, density=0.25, temperature=2.0), [LJ])
 
 
 def slab():
     """108 atoms, periodic in x and y, open along z."""
-    dense = liquid(3)
+    dense = references.liquid(3)
     return Scene(changed(dense, cell=md.Cell.of(dense.cell.vectors, [True, True, False])), [LJ])
 
 
@@ -134,7 +133,7 @@ def two_atoms():
 
 def small_molecule():
     """LAMMPS' 29-atom example `fourmol`, with its bonds, in its cell."""
-    system, _ = fourmol()
+    system, _ = references.fourmol()
     return Scene(warm(system.copy(), 0.5), [md.HarmonicBond(300.0, 1.2)], timestep=0.002)
 
 

@@ -12,6 +12,7 @@ from minimd.analysis.plot import plot_file
 from minimd.engine import record_picture
 
 LJ, ASE = md.units.LJ, md.units.ASE
+SLAB, OPEN = (pytest.param(ASE, cell, marks=pytest.mark.slow) for cell in ("slab", "open"))
 
 
 @pytest.fixture(scope="module")
@@ -19,9 +20,6 @@ def run_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("run") / "a.h5md"
     simulation().run(100, every=10, trajectory=path)
     return path
-
-
-SLAB, OPEN = (pytest.param(ASE, cell, marks=pytest.mark.slow) for cell in ("slab", "open"))
 
 
 @pytest.mark.parametrize(("units", "cell"), [(LJ, "cubic"), SLAB, OPEN])

@@ -16,6 +16,8 @@ from minimd.diagnosis.report import drift as linear_drift
 
 EPS = np.finfo(float).eps
 SMALL = ["diatomics", "water", "ring", "rod"]
+OF_WATER = [16.0, 1.0, 1.0]
+CASES = [pytest.param(s, OF_WATER, marks=pytest.mark.slow) for s in ("newton", "shake")]
 
 
 def every(names=tuple(SCENES), solvers=("auto", "newton", "shake")):
@@ -83,10 +85,6 @@ def test_constraint_forces_conserve_momenta_and_do_no_work_and_a_reversed_motion
     assert np.abs(motion.positions - start).max() > 0.1
     motion.velocities *= -1.0
     assert np.abs(motion.step(100).positions - start).max() < 1e-9  # rounding, amplified
-
-
-OF_WATER = [16.0, 1.0, 1.0]
-CASES = [pytest.param(s, OF_WATER, marks=pytest.mark.slow) for s in ("newton", "shake")]
 
 
 @pytest.mark.parametrize(("solver", "masses"), [("auto", OF_WATER), ("auto", [1.0, 16.0, 16.0]), *CASES])

@@ -28,6 +28,7 @@ from minimd.files.h5md_reader import read_file
 from minimd.forces.contacts import contacts
 
 BIG_STEP = 0.024  # at which a liquid lives for some hundred steps
+BATH = 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[equilibration]\nsteps = 2000\nrescale_every = 10\n'
 
 
 def failing(run, *arguments, **how):
@@ -203,9 +204,6 @@ def test_replay_says_when_it_does_not_fail_again_and_what_it_does_not_know(crash
     mine = failing(simulation, crash_report=tmp_path / "a.h5md").file
     assert_answered(lambda: md.replay(mine, simulation.potentials), ValueError, "'mine'")
     assert_answered(lambda: md.replay(crash_file), ValueError, "holds no scene")
-
-
-BATH = 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[equilibration]\nsteps = 2000\nrescale_every = 10\n'
 
 
 @pytest.mark.filterwarnings("ignore:timestep")

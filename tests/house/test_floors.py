@@ -28,6 +28,7 @@ BRIDGES = {  # folders and modules that may import ase or MDAnalysis when they a
 }
 FOREIGN = {"minimd_bench.engines"}  # reaches for private names of OpenMM and LAMMPS
 HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "openmm", "minimd.lammps"}
+FILES = re.compile(r"A step of a liquid is these (\d+) files, ([\d ]+) lines in all:\n\n```\n(.*?)```", re.S)
 
 
 def name_of(path):
@@ -137,9 +138,6 @@ assert not recorder.buffer, len(recorder.buffer)
 """
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stderr
-
-
-FILES = re.compile(r"A step of a liquid is these (\d+) files, ([\d ]+) lines in all:\n\n```\n(.*?)```", re.S)
 
 
 @pytest.fixture(scope="module")

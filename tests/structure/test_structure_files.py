@@ -19,6 +19,7 @@ from minimd.scene import load_scene, parse_scene, run_scene
 from minimd.structure.system import changed
 
 N_CHAINS, LENGTH, EDGE = 4, 5, 6.0
+EMPTY = MDAnalysis.Universe.empty(3, trajectory=True)  # of no masses: they are one in reduced units
 
 
 def along_chains(size):
@@ -230,9 +231,6 @@ def test_bonds_of_atoms_that_were_cut_or_repeated_are_not_trusted(folder, change
         md.System.from_ase(atoms)
     none = md.System.from_ase(atoms, bonds=())
     assert len(none.bonds) == len(none.angles) == 0
-
-
-EMPTY = MDAnalysis.Universe.empty(3, trajectory=True)  # of no masses: they are one in reduced units
 
 
 def test_what_cannot_be_a_structure_is_named(folder):

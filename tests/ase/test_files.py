@@ -26,12 +26,9 @@ TWO_ATOMS += "\nAtoms # atomic\n\n1 1 1.0 1.0 1.0\n2 2 4.0 1.0 1.0\n"
 def written(request, tmp_path_factory):
     units, has_forces = request.param
     folder, sim, seen = tmp_path_factory.mktemp("run"), simulation("triclinic", units), []
-
-    def look(s):
-        seen.append((s.step, s.time, s.positions.copy(), s.velocities.copy(), s.forces.copy()))
-
+    look = [lambda s: seen.append((s.step, s.time, s.positions.copy(), s.velocities.copy(), s.forces.copy()))]
     files = [folder / name for name in FILES]
-    record = sim.run(20, every=5, trajectory=files, store_forces=has_forces, observers=[look])
+    record = sim.run(20, every=5, trajectory=files, store_forces=has_forces, observers=look)
     return folder, sim.system, record, seen, has_forces
 
 

@@ -31,11 +31,8 @@ def conserved():
     return liquid_run(1000)
 
 
-def scaled(factor):
-    return lambda run: np.multiply(run.velocities, factor, out=run.velocities)
-
-
 def test_the_report_tells_conserved_from_not(conserved):
+    scaled = lambda factor: lambda run: np.multiply(run.velocities, factor, out=run.velocities)  # noqa: E731
     good, runs = conserved.report(), ((1000, 0.99), (2000, 1.0 + 1e-5))
     bad, slight = (liquid_run(n, scaled(factor)).report() for n, factor in runs)
     assert good.energy_is_conserved is good.momentum_is_conserved is True
@@ -176,8 +173,7 @@ def test_report_tells_of_list_cutoff_constraints_and_angular_momentum():
 
 
 def test_report_tells_of_the_sum_over_waves_and_a_net_charge_is_told_once():
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         sim = run_of(salt(net=0.4))
         sim.run(4, every=1)
         sim.system.cell = md.Cell.of(1.01 * EDGE)

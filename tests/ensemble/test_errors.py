@@ -48,16 +48,13 @@ CHANGES = [  # of an ensemble of seed 5 and 35 steps
 ]  # fmt: skip
 
 
-def test_another_ensemble_in_the_folder_is_refused(tmp_path, done_by_hand):
+def test_another_ensemble_in_the_folder_is_refused_and_another_call_at_the_same_time(tmp_path, done_by_hand):
     first = {"seed": 5, "steps": 35, "parameters": {"temperature": [0.4, 0.5]}}
     members.run(tmp_path, **first)
     for change, *shown in CHANGES:
         assert_answered(partial(members.run, tmp_path, **first | change), ValueError, "another ensemble", *shown)
     more = partial(members.run, done_by_hand.folder, run=members.in_own_file, steps=members.STEPS + 20)
     assert_answered(more, ValueError, "steps = 60 there, 80 here")  # that of a function run is not known to go on
-
-
-def test_two_calls_cannot_use_one_folder(tmp_path):
     with EnsembleFolder(tmp_path, writes=True):
         assert_answered(partial(members.run, tmp_path), OSError, "folder", str(tmp_path))
 

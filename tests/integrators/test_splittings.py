@@ -99,7 +99,8 @@ def test_the_exponent_slip_of_public_codes_is_caught():
             assert compose(*[VelocityVerlet] * (n + 1), weights=weights).order == order
 
 
-def test_coefficients_of_ruth_in_another_order_have_order_one():
+def test_coefficients_in_other_places_lose_their_order():
+    """Ruth's in another order have order one; of an optimal method kicks and drifts may not change places."""
     kicks, drifts = [Kick(c) for c in (7 / 24, 3 / 4, -1 / 24)], [Drift(c) for c in (2 / 3, -2 / 3, 1.0)]
     in_turn = (kicks, drifts), (drifts, kicks), (kicks[::-1], drifts[::-1])
     right, *wrong = (sum(zip(*both, strict=True), ()) for both in in_turn)
@@ -107,8 +108,6 @@ def test_coefficients_of_ruth_in_another_order_have_order_one():
     assert mi.separable_order(right) == mi.separable_order(right[::-1]) == 3
     assert [mi.separable_order(row) for row in wrong] == [1, 1]
 
-
-def test_an_optimal_method_loses_its_order_if_kicks_and_drifts_change_places():
     row = mi.McLachlanAtela4.substeps
     exchanged = tuple((Drift if isinstance(part, Kick) else Kick)(part.coefficient) for part in row)
     assert (mi.nystrom_order(row), mi.separable_order(row), mi.nystrom_order(exchanged)) == (4, 3, 3)
@@ -221,12 +220,9 @@ def test_verlet_is_the_composition_of_symplectic_euler_with_its_adjoint(inner, o
         assert y == pytest.approx(end, abs=1e-13)
 
 
-def test_leapfrog_is_velocity_verlet():
-    assert mi.Leapfrog.sequence() == VelocityVerlet.sequence()
-
-
 @pytest.mark.parametrize("recursion", [mi.stormer_two_step, mi.stormer_summed])
-def test_the_recursions_are_velocity_verlet(recursion):
+def test_leapfrog_and_the_recursions_are_velocity_verlet(recursion):
+    assert mi.Leapfrog.sequence() == VelocityVerlet.sequence()
     start = (0.7, 0.0), (0.0, 1.3)
     solution = recursion(attraction, *map(np.array, start), 0.01, 300)
     path = mi.run_steps(KEPLER, VelocityVerlet(0.01), start, 300)

@@ -24,15 +24,12 @@ LJ13 = -44.326801  # D. J. Wales, J. P. K. Doye, J. Phys. Chem. A 101, 5111 (199
 LARGE_FORCE = 1e-6  # the default tolerance
 
 
-def shaken(positions, width=0.1, seed=1):
-    return positions + np.random.default_rng(seed).normal(0.0, width, positions.shape)
-
-
 def icosahedron(edge=1.1, seed=1):
     """13 atoms near their places."""
     phi = 0.5 * (1.0 + np.sqrt(5.0))
     corners = [p for s in (1.0, -1.0) for t in (phi, -phi) for p in ([0.0, s, t], [s, t, 0.0], [t, 0.0, s])]
-    return md.System(shaken(np.array([[0.0, 0.0, 0.0], *corners]) * edge / np.sqrt(1.0 + phi**2), seed=seed))
+    places = np.array([[0.0, 0.0, 0.0], *corners]) * edge / np.sqrt(1.0 + phi**2)
+    return md.System(places + np.random.default_rng(seed).normal(0.0, 0.1, places.shape))
 
 
 def random_liquid(n_atoms, density=0.8442, seed=1):

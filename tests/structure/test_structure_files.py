@@ -317,8 +317,7 @@ def test_charges_come_with_a_structure_and_a_warning_tells_if_nothing_uses_them(
     system = WAYS_IN[way](folder)
     assert system.charges.tolist() == (20 * IONS[1:] if "PSF" in way else IONS)
     law, neutral = md.LennardJones(1e-3, 0.5, 2.6), changed(system, charges=None)
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         md.evaluate(system, [law, md.Coulomb(2.6)])
         md.evaluate(system, [law, ForcesFromCalculator(LennardJones(rc=2.6))])
         md.evaluate(neutral, law)

@@ -172,7 +172,7 @@ def langevin(atoms=None, rng=1, **options):
 
 
 PLANE, SPRING = FixedPlane(0, (0, 0, 1)), Hookean(0, 1, 5.0, 1.0)
-WRONG = [
+test_wrong_calls_are_answered = pytest.mark.filterwarnings("ignore")(answered(
     (lambda: md.System.from_ase([[0.0, 0.0, 0.0]]), TypeError, "ase.Atoms", "list"),
     (lambda: ours.system_from_atoms(held(PLANE)), ValueError, "atoms.constraints", "FixedPlane"),
     (lambda: ours.VelocityVerlet(held(SPRING), TIMESTEP).run(1), ValueError, "atoms.constraints", "Hookean"),
@@ -184,8 +184,7 @@ WRONG = [
     (lambda: langevin(fixcm=False, friction=-1.0).run(1), ValueError, "friction", "-1.0"),
     (lambda: ours.Bussi(held(), TIMESTEP, 300.0, -1.0, rng=2).run(1), ValueError, "taut", "-1.0"),
     (lambda: ours.LangevinBAOAB(held(), TIMESTEP, externalstress=-0.01), NotImplementedError, "externalstress"),
-]  # fmt: skip
-test_wrong_calls_are_answered = pytest.mark.filterwarnings("ignore")(answered(*WRONG))
+))  # fmt: skip
 
 
 def test_a_failed_call_leaves_nothing_behind():

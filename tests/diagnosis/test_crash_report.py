@@ -166,8 +166,7 @@ def test_altered_findings_are_refused(crash_file, tmp_path):
             del group["findings"]
             group["findings"] = text
             sign(h5)
-        with pytest.raises(OSError, match="is damaged"):
-            read_crash_report(file)
+        assert_answered(lambda: read_crash_report(file), OSError, "is damaged")
 
 
 LANGEVIN = {"method": md.LangevinBAOAB, "temperature": 1.44, "friction": 1.0, "seed": 2}
@@ -192,8 +191,7 @@ def test_findings_come_back_and_a_replay_fails_again_at_the_same_step_on_the_sam
     assert seen.rows[-1].energy == pytest.approx(read_file(error.file).record.total_energy[-1], rel=1e-6)
     assert (seen.trajectory, read_file(seen.trajectory).n_frames) == (tmp_path / "a.replay.h5md", len(seen.rows))
     assert make is not chain or (tmp_path / "a.replay.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(FileExistsError, match="replace it"):
-        md.replay(error.file, simulation.potentials)
+    assert_answered(lambda: md.replay(error.file, simulation.potentials), FileExistsError, "replace it")
 
 
 def test_replay_says_when_it_does_not_fail_again_and_what_it_does_not_know(crash_file, tmp_path):
@@ -222,8 +220,7 @@ def test_what_is_no_count_or_no_end_is_refused_and_no_steps_are_none(tmp_path):
     """What is refused leaves the last record and the state."""
     sim, file = SCENES["argon"]().simulation(), tmp_path / "a.h5md"
     record, before = sim.run(0, trajectory=file), sim.positions.copy()
-    with pytest.raises(FileExistsError):
-        sim.run(10, trajectory=file)
+    assert_answered(lambda: sim.run(10, trajectory=file), FileExistsError)
     for count in (True, 2.0, -1, "3"):
         assert_answered(lambda count=count: sim.run(count), ValueError, "n_steps", repr(count))
         assert_answered(lambda count=count: sim.run(until_step=count), ValueError, "until_step", repr(count))

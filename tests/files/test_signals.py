@@ -88,8 +88,7 @@ def test_a_second_ctrl_c_does_not_wait():
 
 
 def test_outside_the_main_thread_no_handler_is_touched():
-    def handlers():
-        return [signal.getsignal(one) for one in SIGNALS]
+    handlers = lambda: [signal.getsignal(one) for one in SIGNALS]  # noqa: E731
 
     def work():
         with stop_on_signals(Run()):

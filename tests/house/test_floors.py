@@ -160,11 +160,8 @@ def steady_steps():
     finally:
         sys.setprofile(None)
     assert sim.engine.interactions.n_builds == n_builds
-    named = [(chain, [name for _, name in chain]) for chain in chains]
-    steps = "steps.py", "advance"
-    return [
-        chain[names.index("run") :] for chain, names in named if steps in [(file.name, name) for file, name in chain]
-    ]
+    of_steps = [chain for chain in chains if ("steps.py", "advance") in [(file.name, name) for file, name in chain]]
+    return [chain[[name for _, name in chain].index("run") :] for chain in of_steps]
 
 
 def test_the_page_lists_the_files_of_a_step_and_counts_their_lines(steady_steps):

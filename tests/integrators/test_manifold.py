@@ -11,8 +11,6 @@ from minimd.integrators import Invariants, RadauIIA2, VelocityVerlet, projected,
 
 slow = pytest.mark.slow
 ANGLE_AT_3 = -0.94875159694619818661  # of θ″ = −sin θ from θ = 1 at rest; Jacobi's elliptic functions
-
-
 QUICK = [VelocityVerlet, mi.Ruth3, mi.Suzuki4, mi.Yoshida6]
 SOME = QUICK + [pytest.param(method, marks=slow) for method in SPLITTINGS if method not in QUICK]
 OF_INDEX_2 = (mi.ImplicitEuler, 0.002), (mi.RadauIIA3, 0.05)

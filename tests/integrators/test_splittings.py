@@ -23,8 +23,6 @@ ORDERS = {name: order for order, names in PAPERS.items() for name in names.split
 HIGHER = [method for method in SPLITTINGS if ORDERS[method.name] > 2]
 G = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
 TRIPLE_JUMP = [G, 1.0 - 2.0 * G, G]
-REFERENCE = load("geometric/henon_heiles.json")
-MASSES = np.array([1.0, 3.0, 0.2])
 
 
 def worst(residuals, row, order):
@@ -99,8 +97,7 @@ def test_the_exponent_slip_of_public_codes_is_caught():
             assert compose(*[VelocityVerlet] * (n + 1), weights=weights).order == order
 
 
-def test_coefficients_in_other_places_lose_their_order():
-    """Ruth's in another order have order one; of an optimal method kicks and drifts may not change places."""
+def test_coefficients_of_ruth_in_another_order_have_order_one():
     kicks, drifts = [Kick(c) for c in (7 / 24, 3 / 4, -1 / 24)], [Drift(c) for c in (2 / 3, -2 / 3, 1.0)]
     in_turn = (kicks, drifts), (drifts, kicks), (kicks[::-1], drifts[::-1])
     right, *wrong = (sum(zip(*both, strict=True), ()) for both in in_turn)
@@ -108,6 +105,8 @@ def test_coefficients_in_other_places_lose_their_order():
     assert mi.separable_order(right) == mi.separable_order(right[::-1]) == 3
     assert [mi.separable_order(row) for row in wrong] == [1, 1]
 
+
+def test_an_optimal_method_loses_its_order_if_kicks_and_drifts_change_places():
     row = mi.McLachlanAtela4.substeps
     exchanged = tuple((Drift if isinstance(part, Kick) else Kick)(part.coefficient) for part in row)
     assert (mi.nystrom_order(row), mi.separable_order(row), mi.nystrom_order(exchanged)) == (4, 3, 3)
@@ -139,6 +138,9 @@ def test_symplectic_euler_methods_are_adjoint_to_each_other_and_not_symmetric():
         assert mi.adjoint(method).order == method.order
 
 
+REFERENCE = load("geometric/henon_heiles.json")
+
+
 @pytest.mark.parametrize("name", REFERENCE["methods"])
 def test_slopes_and_errors_on_henon_heiles_are_those_of_the_reference(name):
     method = compose(*3 * [VelocityVerlet], weights=TRIPLE_JUMP) if name == "triple-jump" else mi.SPLITTINGS[name]
@@ -155,6 +157,9 @@ def springs(q):
     """Three bodies, each pulling each: translation and rotation invariant, not linear."""
     d = q[None] - q[:, None]
     return (d * (d**2).sum(axis=2, keepdims=True)).sum(axis=1)
+
+
+MASSES = np.array([1.0, 3.0, 0.2])
 
 
 def bodies():
@@ -220,9 +225,12 @@ def test_verlet_is_the_composition_of_symplectic_euler_with_its_adjoint(inner, o
         assert y == pytest.approx(end, abs=1e-13)
 
 
-@pytest.mark.parametrize("recursion", [mi.stormer_two_step, mi.stormer_summed])
-def test_leapfrog_and_the_recursions_are_velocity_verlet(recursion):
+def test_leapfrog_is_velocity_verlet():
     assert mi.Leapfrog.sequence() == VelocityVerlet.sequence()
+
+
+@pytest.mark.parametrize("recursion", [mi.stormer_two_step, mi.stormer_summed])
+def test_the_recursions_are_velocity_verlet(recursion):
     start = (0.7, 0.0), (0.0, 1.3)
     solution = recursion(attraction, *map(np.array, start), 0.01, 300)
     path = mi.run_steps(KEPLER, VelocityVerlet(0.01), start, 300)

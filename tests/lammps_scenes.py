@@ -15,6 +15,9 @@ ROTATION = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
 ROTATION *= np.sign(np.linalg.det(ROTATION))  # proper, about no axis of the cell
 LEFT_HANDED = np.diag([1.0, 1.0, -1.0]) @ SKEWED
 TWO_KINDS = np.where(np.arange(108) % 5 == 0, "B", "A")  # four of five atoms A
+KOB_ANDERSEN = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}  # cutoffs
+KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=KOB_ANDERSEN, pairs={("A", "B"): (1.5, 0.8)})
+CHAINS = np.arange(108).reshape(-1, 4)  # atoms of neighboring numbers, which are neighbors in a fresh crystal
 
 
 def scene(system, potentials=scenes.LJ, constraints=(), method=None, **options):
@@ -48,11 +51,6 @@ def morse(r2, depth, alpha, r0):
     r = np.sqrt(r2)
     x = np.exp(-alpha * (r - r0))
     return depth * (x * x - 2.0 * x), 2.0 * depth * alpha * (x * x - x) / r
-
-
-KOB_ANDERSEN = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}  # cutoffs
-KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=KOB_ANDERSEN, pairs={("A", "B"): (1.5, 0.8)})
-CHAINS = np.arange(108).reshape(-1, 4)  # atoms of neighboring numbers, which are neighbors in a fresh crystal
 
 
 def chain_system():

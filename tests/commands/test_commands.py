@@ -45,12 +45,6 @@ READING = [["check"], ["frames", "--at", "1"], ["resume", "--steps", "5"], ["rep
 DRAWING = pytest.param([["view"], ["plot"]], marks=pytest.mark.slow)
 
 
-@pytest.fixture
-def folder(here):
-    (here / "melt.toml").write_text(SCENE)
-    return here
-
-
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """The file of a run of the scene."""

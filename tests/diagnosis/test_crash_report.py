@@ -29,6 +29,10 @@ from minimd.forces.contacts import contacts
 
 BIG_STEP = 0.024  # at which a liquid lives for some hundred steps
 BATH = 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[equilibration]\nsteps = 2000\nrescale_every = 10\n'
+ALTERED = [  # findings: as a text, or values to be changed, of the pair in the last two
+    "null", "[" * 100_000, {"closest": {}}, {"fault": None}, {"closest": [0, 12, 1.0]}, {"timestep": None},
+    {"largest_force": 10**400}, {"pair": {"first": 99_999_999_999}}, {"pair": {"law": 3}},
+]  # fmt: skip
 
 
 def failing(run, *arguments, **how):
@@ -145,12 +149,6 @@ def test_files_are_written_where_they_were_asked_for_and_replace_nothing(here):
 @pytest.fixture(scope="module")
 def crash_file(tmp_path_factory):
     return failing(chain(), crash_report=tmp_path_factory.mktemp("crash") / "a.h5md").file
-
-
-ALTERED = [  # findings: as a text, or values to be changed, of the pair in the last two
-    "null", "[" * 100_000, {"closest": {}}, {"fault": None}, {"closest": [0, 12, 1.0]}, {"timestep": None},
-    {"largest_force": 10**400}, {"pair": {"first": 99_999_999_999}}, {"pair": {"law": 3}},
-]  # fmt: skip
 
 
 def test_altered_findings_are_refused(crash_file, tmp_path):

@@ -18,6 +18,10 @@ from minimd.mdanalysis import universe
 
 VERLET = md.VelocityVerlet(0.002)
 N_SERIES = 400
+JUMPS = [  # 4 (2.5⁻¹² − 2.5⁻⁶) ε = −0.0163 ε
+    ("truncated", 0.0163169, 0.0389995, False), ("shifted", 0.0, 0.0389995, True),
+    ("force-shifted", 0.0, 0.0, True), ("smooth", 0.0, 0.0, True),
+]  # fmt: skip
 
 
 def liquid_run(n_steps, *observers, method=VERLET):
@@ -135,12 +139,6 @@ def test_slow_changes_that_the_energy_hides_are_seen_in_the_kinetic_energy():
     assert not any(one.is_significant for one in beside)
     assert all(b.error >= a.error for a, b in zip(alone, beside, strict=True))
     assert sum(one.is_too_short for one in beside) >= sum(one.is_significant for one in alone)
-
-
-JUMPS = [  # 4 (2.5⁻¹² − 2.5⁻⁶) ε = −0.0163 ε
-    ("truncated", 0.0163169, 0.0389995, False), ("shifted", 0.0, 0.0389995, True),
-    ("force-shifted", 0.0, 0.0, True), ("smooth", 0.0, 0.0, True),
-]  # fmt: skip
 
 
 def test_jumps_at_the_cutoff_are_told_of_the_worst_pair_of_species_and_at_its_cutoff():

@@ -116,12 +116,6 @@ def test_a_script_that_is_terminated_says_at_which_step_and_what_is_kept(number,
         assert capsys.readouterr().err == ("" if silent else f"minimd: stopped after step {step} {told}{more}\n")
 
 
-@pytest.fixture
-def folder(here):
-    """An empty current folder with the scene in it."""
-    (here / "melt.toml").write_text(SCENE)
-
-
 def command(*arguments, **environment):
     """The command, at its first lines."""
     where = os.environ | {"PYTHONPATH": str(REPOSITORY)} | environment

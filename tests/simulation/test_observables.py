@@ -87,8 +87,7 @@ def test_energy_is_evaluated_only_where_somebody_looks(every, chain):
 
     simulation = chain._replace(laws=[*chain.laws, Noted()]).simulation
     simulation().run(2 * every, every=every)
-    assert len(asked) == 2 * every + 1
-    assert sum(detail > 0 for detail in asked) == 3
+    assert (len(asked), sum(detail > 0 for detail in asked)) == (2 * every + 1, 3)
     asked.clear()
     simulation().equilibrate(100, 1.0)
     assert sum(detail > 0 for detail in asked) == 1  # the look at the start

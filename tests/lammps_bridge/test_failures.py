@@ -12,7 +12,8 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from lammps_scenes import AT_REST, LJ, SCENES, TIMESTEP, fluid, ions, scene
+from lammps_scenes import AT_REST, SCENES, TIMESTEP, fluid, ions, scene
+from scenes import LJ
 from wrong_calls import assert_answered
 
 import minimd as md

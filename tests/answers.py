@@ -12,8 +12,7 @@ SENTENCES = (ValueError, TypeError, FileNotFoundError, FileExistsError, Permissi
 def answer_of(call, is_senseless, has_several_problems=False):
     """The name of the exception, or "result"; words that are no identifier say what is wrong with it."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             warnings.simplefilter("error", RuntimeWarning)  # arithmetic that was not foreseen
             call()
     except SENTENCES as error:

@@ -28,11 +28,7 @@ SCALED = {"bonded_scale": (0.0, 0.3, 0.8)}
 CUTOFFS = {(a, b): 1.5 + 0.1 * k for k, (a, b) in enumerate(["AA", "AB", "AC", "BB", "BC", "CC"])}
 
 
-def soft(r2, height):
-    return height * np.exp(-r2), 2.0 * height * np.exp(-r2)
-
-
-SOFT = [md.PairPotential(soft, (3.0,), CUTOFF)]
+SOFT = [md.PairPotential(lambda r2, height: (height * np.exp(-r2), 2.0 * height * np.exp(-r2)), (3.0,), CUTOFF)]
 ONE_SPECIES = [md.LennardJones(1.0, 1.0, CUTOFF, "force-shifted")]
 MANY = [  # for the kernel all there is: parameters that are alike, those that are not, two laws; and scaled pairs
     md.LennardJones(1.0, 1.0, 1.6, "force-shifted", **SCALED),
@@ -57,13 +53,6 @@ def _edges(draw, volume, rng):
     return np.roll(np.maximum(edges, thin), draw(st.integers(0, 2)))
 
 
-def _jittered(n, cell, edges, rng):
-    counts = np.ceil(edges / (edges.prod() / n) ** (1 / 3)).astype(int)
-    sites = np.array(list(np.ndindex(*counts)))
-    chosen = np.sort(rng.permutation(len(sites))[:n])
-    return ((sites[chosen] + 0.5 + 0.15 * rng.uniform(-1, 1, (n, 3))) / counts) @ cell
-
-
 def in_chains(positions, rng, **options):
     bonds = [[k, k + 1] for k in range(len(positions) - 1) if k % 5]
     return md.System(positions, species=rng.choice(["A", "B", "C"], len(positions)), bonds=bonds, **options)
@@ -80,7 +69,10 @@ def scenes(draw, sizes=SIZES, densities=(0.01, 0.3, 1.0)):
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0] if draw(st.booleans()) else np.eye(3)
     cell = tilts @ np.diag(edges) @ turn
     cell *= max(1.0, (JUST_HIGH_ENOUGH / Cell.of(cell, pbc).heights[pbc]).max(initial=0.0))
-    positions = _jittered(n, cell, edges, rng)
+    counts = np.ceil(edges / (edges.prod() / n) ** (1 / 3)).astype(int)
+    sites = np.array(list(np.ndindex(*counts)))
+    chosen = np.sort(rng.permutation(len(sites))[:n])
+    positions = ((sites[chosen] + 0.5 + 0.15 * rng.uniform(-1, 1, (n, 3))) / counts) @ cell
     positions -= rng.uniform(0, 1, 3) @ cell
     cell *= np.array(draw(st.tuples(*[st.sampled_from([1.0, 1.7, 4.0])] * 3)))[:, None]
     positions += (rng.integers(-2, 3, (n, 3)) * pbc) @ cell

@@ -34,6 +34,13 @@ def here(tmp_path, monkeypatch):
 
 
 @pytest.fixture
+def folder(here, request):
+    """That folder with the scene of the test's module, SCENE, as melt.toml in it."""
+    (here / "melt.toml").write_text(request.module.SCENE)
+    return here
+
+
+@pytest.fixture
 def told(capsys):
     """A function that runs a command, which ends with a code, and returns what it prints; of an error, what it says."""
 

@@ -6,7 +6,6 @@ from numpy import cos, exp, sin
 import minimd.integrators as mi
 
 GRAVITY = 13.750371636040745654980191559621  # a pendulum of length 1 released from the horizontal then has the period 2
-
 # E. Hairer, C. Lubich, M. Roche (1989): test problems of index 2 and 3
 INDEX1 = (mi.Hessenberg1(lambda t, y, z: cos(t) + y * y - sin(t) ** 2 + z * z - exp(-2 * t),
                          lambda t, y, z: z * exp(y) - exp(sin(t) - t)),
@@ -22,6 +21,7 @@ INDEX3 = (mi.Hessenberg3(lambda y, z: [2 * y[0] * y[1] * z[0] * z[1], -y[0] * y[
 INDEX2_LINEAR = (mi.Hessenberg2(lambda y, z: [y[0] * y[1] * z[0], y[1] ** 2 * z[0] - 3 * y[1]],
                                 lambda y: y[0] ** 2 * y[1] - 1), INDEX2[1])  # fmt: skip
 HORIZONTAL = (1.0, 0.0), (0.0, 0.0)
+SWING_START = ([np.sin(1.0), -np.cos(1.0)], [0.0, 0.0])
 
 
 def pendulum(length=1.0, time=1.0):
@@ -74,15 +74,9 @@ def measured_orders(problem, solution, method, n_steps=(16, 32), span=0.5):
     return np.log2(np.divide(*errors))
 
 
-# ---- on manifolds, for RATTLE: gravity 1 along −y
-
-
 def swing():
-    """A pendulum of length 1."""
+    """A pendulum of length 1, for RATTLE; gravity is 1 along −y, here and below."""
     return mi.Holonomic(lambda q: np.array([0.0, -1.0]), lambda q: [0.5 * (q @ q - 1.0)], lambda q: q[None, :])
-
-
-SWING_START = ([np.sin(1.0), -np.cos(1.0)], [0.0, 0.0])
 
 
 def double_pendulum(with_jacobian=True):

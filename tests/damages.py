@@ -33,6 +33,7 @@ RESTARTS = ("minimd/restart", "minimd/earlier_restart")
 CHANGES = ("pwrite", "fsync", "ftruncate", "replace", "link", "unlink", "open")  # of os, by which minimd changes files
 KILLED = f"died with status {int(signal.SIGKILL)}"
 SENTENCE, PASSED, FAILED, TRACEBACK, CRASH = "a sentence", "passed", "failed", "a traceback", "a crash"
+SIGNS = b"OHDR TREE HEAP SNOD GCOL \x89HDF value restart \x01\x00\x0c\x00 \x08\x00\x18\x00 \x03\x00".split(b" ")
 
 
 def make_file(folder, name):
@@ -154,9 +155,6 @@ def _anywhere(content, rng, length=1):
 
 def _length(rng):
     return int(2 ** rng.uniform(2, 12))
-
-
-SIGNS = b"OHDR TREE HEAP SNOD GCOL \x89HDF value restart \x01\x00\x0c\x00 \x08\x00\x18\x00 \x03\x00".split(b" ")
 
 
 def _in_a_table(content, rng):

@@ -5,7 +5,6 @@ from math import exp, sqrt
 import numpy as np
 import scenes
 from references import liquid
-from scenes import LJ
 
 import minimd as md
 
@@ -16,9 +15,12 @@ ROTATION = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
 ROTATION *= np.sign(np.linalg.det(ROTATION))  # proper, about no axis of the cell
 LEFT_HANDED = np.diag([1.0, 1.0, -1.0]) @ SKEWED
 TWO_KINDS = np.where(np.arange(108) % 5 == 0, "B", "A")  # four of five atoms A
+KOB_ANDERSEN = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}  # cutoffs
+KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=KOB_ANDERSEN, pairs={("A", "B"): (1.5, 0.8)})
+CHAINS = np.arange(108).reshape(-1, 4)  # atoms of neighboring numbers, which are neighbors in a fresh crystal
 
 
-def scene(system, potentials=LJ, constraints=(), method=None, **options):
+def scene(system, potentials=scenes.LJ, constraints=(), method=None, **options):
     return md.Simulation(system, potentials, method or md.VelocityVerlet(TIMESTEP), constraints, **options)
 
 
@@ -49,11 +51,6 @@ def morse(r2, depth, alpha, r0):
     r = np.sqrt(r2)
     x = np.exp(-alpha * (r - r0))
     return depth * (x * x - 2.0 * x), 2.0 * depth * alpha * (x * x - x) / r
-
-
-KOB_ANDERSEN = {("A", "A"): 2.5, ("A", "B"): 2.0, ("B", "B"): 2.2}  # cutoffs
-KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=KOB_ANDERSEN, pairs={("A", "B"): (1.5, 0.8)})
-CHAINS = np.arange(108).reshape(-1, 4)  # atoms of neighboring numbers, which are neighbors in a fresh crystal
 
 
 def chain_system():
@@ -126,7 +123,7 @@ def chains_at_rest():
 
 WCA = md.LennardJones(1.0, 1.0, 2.0 ** (1.0 / 6.0))
 AT_REST = {
-    "WCA crystal": lambda: crystal(0.8442, WCA), "thin gas": lambda: crystal(0.008, LJ),
+    "WCA crystal": lambda: crystal(0.8442, WCA), "thin gas": lambda: crystal(0.008, scenes.LJ),
     "chains at rest": chains_at_rest,
     "soft spheres": lambda: crystal(0.8442, md.PairPotential(soft, (50.0,), 1.1, "truncated")),
 }  # fmt: skip
@@ -173,7 +170,7 @@ SCENES = {
     "wire": in_cell(SKEWED, pbc=[False, True, False]), "far away": lambda: scene(far_away()), **AT_REST,
     "small cell": lambda: scene(liquid(2), scaled(1.0, 1.0, 1.0)),
     "without cutoff": lambda: scene(scenes.droplet().system, scenes.OPEN),
-    "fixed atoms": lambda: scene(fluid(masses=HEAVIER), LJ, md.FixedAtoms(np.arange(0, 108, 4))),
+    "fixed atoms": lambda: scene(fluid(masses=HEAVIER), scenes.LJ, md.FixedAtoms(np.arange(0, 108, 4))),
     "sheet": lambda: scene(md.System(PLANE, cell=np.diag([10.0, 10.0, 0.0]))),
     "water": water, "chains": chains, "torsions": torsions, "two laws": two_laws, "stars": stars,
 }  # fmt: skip

@@ -48,8 +48,13 @@ def liquid(n_cells=4, density=0.8442, temperature=1.44, seed=1, jitter=0.05):
     positions = a * (corners[:, None, :] + basis).reshape(-1, 3)
     rng = np.random.default_rng(seed)
     system = md.System(positions + jitter * rng.standard_normal(positions.shape), cell=a * n_cells)
-    simulation = md.Simulation(system, md.LennardJones(1.0, 1.0, 0.1), md.VelocityVerlet(0.001))
-    simulation.set_temperature(temperature, seed)
+    return warm(system, temperature, seed=seed)
+
+
+def warm(system, temperature, constraints=(), seed=1):
+    """The system with thermal velocities, its momentum zero."""
+    simulation = md.Simulation(system, md.LennardJones(1.0, 1.0, 0.1), md.VelocityVerlet(0.001), constraints, threads=1)
+    simulation.set_temperature(temperature, seed=seed)
     return simulation.system
 
 

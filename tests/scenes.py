@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 import references
-from references import fourmol, liquid
 
 import minimd as md
 from minimd.structure.lattice import crystal
@@ -40,16 +39,9 @@ class Scene(NamedTuple):
         return found.forces, found.potential_energy
 
 
-def warm(system, temperature, constraints=(), seed=1):
-    """The system with thermal velocities, its momentum zero."""
-    simulation = md.Simulation(system, md.LennardJones(1.0, 1.0, 0.1), md.VelocityVerlet(0.001), constraints, threads=1)
-    simulation.set_temperature(temperature, seed=seed)
-    return simulation.system
-
-
 def argon():
     """108 atoms of the liquid, out of order: the smallest scene with a cluster list."""
-    return Scene(liquid(3), [LJ], temperature=1.44)
+    return Scene(references.liquid(3), [LJ], temperature=1.44)
 
 
 def melt():
@@ -65,7 +57,7 @@ def mixture():
     species = rng.permutation(["A"] * 160 + ["B"] * 40)
     positions = positions @ np.linalg.inv(np.diag(edges)) @ cell + 0.04 * rng.standard_normal(positions.shape)
     system = md.System(positions, cell=cell, species=species, masses=np.where(species == "A", 1.0, 0.3))
-    return Scene(warm(system, 0.9), [TWO_KINDS], timestep=0.003)
+    return Scene(references.warm(system, 0.9), [TWO_KINDS], timestep=0.003)
 
 
 def water():
@@ -77,7 +69,7 @@ def water():
     positions = (centers[:, None] + shape @ turns).reshape(-1, 3)
     system = md.System(positions, cell=edges, masses=[16.0, 1.0, 1.0] * 32, bonds=pairs)
     rigid = [md.DistanceConstraints(pairs)]
-    return Scene(warm(system, 1.0, rigid), [BONDED], rigid, timestep=0.002)
+    return Scene(references.warm(system, 1.0, rigid), [BONDED], rigid, timestep=0.002)
 
 
 def dumbbells():
@@ -89,7 +81,7 @@ def dumbbells():
     ends = np.stack([centers - arms, centers + arms], axis=1).reshape(-1, 3)
     system = md.System(ends, cell=edges, masses=[1.0, 3.0] * 32, bonds=pairs)
     rigid = [md.DistanceConstraints(pairs)]
-    return Scene(warm(system, 1.0, rigid), [BONDED], rigid, timestep=0.002)
+    return Scene(references.warm(system, 1.0, rigid), [BONDED], rigid, timestep=0.002)
 
 
 def chain():
@@ -97,7 +89,7 @@ def chain():
     k = np.arange(12)
     bonds = np.column_stack([k[:-1], k[1:]])
     system = md.System(np.column_stack([k, 0.1 * (k % 2), 0 * k]), masses=1.0 + k % 3, bonds=bonds)
-    return Scene(warm(system, 0.5), [md.HarmonicBond(np.linspace(100.0, 300.0, 11), 1.0)], timestep=0.005)
+    return Scene(references.warm(system, 0.5), [md.HarmonicBond(np.linspace(100.0, 300.0, 11), 1.0)], timestep=0.005)
 
 
 def ring():
@@ -107,22 +99,22 @@ def ring():
     triples = np.column_stack([k, (k + 1) % 6, (k + 2) % 6])
     system = md.System(np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle]), bonds=pairs)
     laws = [md.HarmonicBond(80.0, 1.0), md.HarmonicAngle(60.0, 2.0 * np.pi / 3.0, triples)]
-    return Scene(warm(system, 0.3), laws, timestep=0.005)
+    return Scene(references.warm(system, 0.3), laws, timestep=0.005)
 
 
 def droplet():
     """32 atoms that hold together in open space."""
-    return Scene(warm(md.System(liquid(2, jitter=0.02).positions), 0.2), [LJ])
+    return Scene(references.warm(md.System(references.liquid(2, jitter=0.02).positions), 0.2), [LJ])
 
 
 def gas():
     """256 atoms, thin, in a periodic cell."""
-    return Scene(liquid(4, density=0.25, temperature=2.0), [LJ])
+    return Scene(references.liquid(4, density=0.25, temperature=2.0), [LJ])
 
 
 def slab():
     """108 atoms, periodic in x and y, open along z."""
-    dense = liquid(3)
+    dense = references.liquid(3)
     return Scene(changed(dense, cell=md.Cell.of(dense.cell.vectors, [True, True, False])), [LJ])
 
 
@@ -134,8 +126,8 @@ def two_atoms():
 
 def small_molecule():
     """LAMMPS' 29-atom example `fourmol`, with its bonds, in its cell."""
-    system, _ = fourmol()
-    return Scene(warm(system.copy(), 0.5), [md.HarmonicBond(300.0, 1.2)], timestep=0.002)
+    system, _ = references.fourmol()
+    return Scene(references.warm(system.copy(), 0.5), [md.HarmonicBond(300.0, 1.2)], timestep=0.002)
 
 
 BUILDERS = [argon, melt, mixture, water, dumbbells, chain, ring, droplet, gas, slab, two_atoms, small_molecule]

@@ -49,8 +49,6 @@ KEPLER_START = pericentre(0.6)  # H = −1/2
 HENON_HEILES = mi.SecondOrder(henon_heiles_force), ((0.0, 0.1), (0.5, 0.0))
 OSCILLATOR = mi.SecondOrder(lambda q: -q)
 ONE = (1.0,), (0.0,)
-
-
 # H = (1 + |q|²)(1 + |v|²)/2 + q₀v₁/2: each of q′ and v′ depends on both
 TWISTED = mi.Partitioned(
     lambda q, v: (1.0 + q @ q) * v + [0.0, 0.5 * q[0]], lambda q, v: -(1.0 + v @ v) * q - [0.5 * v[1], 0.0]

@@ -67,7 +67,6 @@ def made(system, potentials, timestep, constraints=None, method=md.VelocityVerle
 
 
 def ran(system, potentials, timestep, n_steps, every=100, **more):
-    """A simulation that has run."""
     simulation = made(system, potentials, timestep, **more)
     simulation.run(n_steps, every=every, progress=False)
     return simulation

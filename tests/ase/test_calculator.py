@@ -17,7 +17,6 @@ from wrong_calls import answered, assert_answered
 
 import minimd as md
 import minimd.ase as ours
-from minimd.ase import Calculator, ForcesFromCalculator, atoms_from_system, system_from_atoms
 
 
 def test_units_are_those_of_ase():
@@ -32,13 +31,13 @@ def test_units_are_those_of_ase():
 def test_labels_that_are_no_elements_come_back_and_another_one_gives_another_energy(species):
     places = np.outer([0.0, 1.1, 5.0], [1, 0, 0])
     system = md.System(places, species=species, velocities=np.eye(3), masses=[1.0, 2.0, 3.0])
-    atoms = atoms_from_system(system)
+    atoms = ours.atoms_from_system(system)
     assert atoms.get_chemical_symbols() == ["Ar" if one == "Ar" else "X" for one in species]
-    assert system_from_atoms(atoms).species.tolist() == species
+    assert ours.system_from_atoms(atoms).species.tolist() == species
     assert np.array_equal(atoms.positions, system.positions)  # reduced units: the numbers are kept
     assert same(atoms.get_momenta(), np.diag([1.0, 2.0, 3.0]), 0.0)
     a, b = species[:2]
-    atoms.calc = Calculator(md.LennardJones({a: (1.0, 1.0), b: (9.0, 1.0)}, cutoff=2.5))
+    atoms.calc = ours.Calculator(md.LennardJones({a: (1.0, 1.0), b: (9.0, 1.0)}, cutoff=2.5))
     before = atoms.get_potential_energy()
     atoms.arrays["species_labels"][:] = a
     assert atoms.get_potential_energy() == pytest.approx(before / 3.0, rel=1e-14)
@@ -49,10 +48,10 @@ CRYSTAL, MOLECULE = bulk("Cu", cubic=True) * 2, molecule("CH3CH2OH")
 AS_ASE = {  # atoms, how much they are shaken, pbc, a calculator, and another that says the same of `QUANTITIES[:n]`
     "liquid": (argon(), 0.0, True, lennard_jones(), ase_lennard_jones(), 5),
     "slab": (argon(2), 0.0, (True, False, True), lennard_jones(), ase_lennard_jones(), 5),
-    "slab by ASE": (argon(2), 0.0, (True, False, True), ForcesFromCalculator(ase_lennard_jones()), None, 4),
-    "cluster by ASE": (argon(2), 0.0, False, ForcesFromCalculator(ase_lennard_jones()), None, 4),
-    "crystal by EMT": (CRYSTAL, 0.1, True, ForcesFromCalculator(EMT()), EMT(), 4),
-    "molecule by EMT": (MOLECULE, 0.1, False, ForcesFromCalculator(EMT()), EMT(), 3),
+    "slab by ASE": (argon(2), 0.0, (True, False, True), ours.ForcesFromCalculator(ase_lennard_jones()), None, 4),
+    "cluster by ASE": (argon(2), 0.0, False, ours.ForcesFromCalculator(ase_lennard_jones()), None, 4),
+    "crystal by EMT": (CRYSTAL, 0.1, True, ours.ForcesFromCalculator(EMT()), EMT(), 4),
+    "molecule by EMT": (MOLECULE, 0.1, False, ours.ForcesFromCalculator(EMT()), EMT(), 3),
 }
 
 
@@ -61,8 +60,8 @@ def test_energies_forces_and_stress_are_those_of_ase(scene):
     atoms, shaken, pbc, potential, other, n = AS_ASE[scene]
     atoms.rattle(shaken, seed=1)
     atoms.pbc = pbc
-    mine = with_calculator(atoms, Calculator(potential))
-    reference = with_calculator(atoms, other or Calculator(lennard_jones()))
+    mine = with_calculator(atoms, ours.Calculator(potential))
+    reference = with_calculator(atoms, other or ours.Calculator(lennard_jones()))
     for name in QUANTITIES[:n]:
         assert same(mine.calc.get_property(name, mine), reference.calc.get_property(name, reference)), name
     assert mine.get_potential_energy(force_consistent=True) == mine.get_potential_energy()
@@ -95,13 +94,13 @@ CHANGES = {
 def test_results_are_right_after_every_kind_of_change(change):
     mixture = md.LennardJones({"Ar": (0.0103, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)
     charged = [mixture, md.Coulomb(CUTOFF, 1e-3)]
-    atoms = with_calculator(argon(), Calculator(charged if change == "charges" else mixture))
+    atoms = with_calculator(argon(), ours.Calculator(charged if change == "charges" else mixture))
     atoms.set_initial_charges([0.2, -0.2] * (len(atoms) // 2) if change == "charges" else None)
     atoms.set_masses(atoms.get_masses())  # given, so that another element has the same
     before = atoms.get_potential_energy()
     for redo in (CHANGES[change], lambda atoms: atoms.rattle(0.02, seed=10)):  # and once more with what was kept
         redo(atoms)
-        expected = md.evaluate(system_from_atoms(atoms), atoms.calc.potentials)
+        expected = md.evaluate(ours.system_from_atoms(atoms), atoms.calc.potentials)
         assert same(atoms.get_potential_energy(), expected.potential_energy)
         assert same(atoms.get_forces(), expected.forces)
         assert same(atoms.get_potential_energies(), expected.energies)
@@ -117,19 +116,19 @@ def test_bonded_scene_is_right_when_the_cell_shrinks_below_twice_the_cutoff():
     law = md.LennardJones(EPSILON, SIGMA, CUTOFF, "force-shifted", bonded_scale=(0, 0, 0.5))
     potentials = [law, md.HarmonicBond(1.0, 4.0)]
     atoms = Atoms("Ar4", np.arange(4)[:, None] * [3.8, 0.1, 0.2], cell=[40.0] * 3, pbc=True)
-    atoms.calc = Calculator(potentials, bonds, skin=2.0)
+    atoms.calc = ours.Calculator(potentials, bonds, skin=2.0)
     atoms.get_forces()
     atoms.set_cell([15.0, 40.0, 40.0])
     for move in (0.0, -0.3, 0.3):  # atoms 0 and 2 are 7.6 apart, or 7.4 through the boundary
         atoms.positions[2, 0] += move
-        expected = md.evaluate(system_from_atoms(atoms, bonds), potentials)
+        expected = md.evaluate(ours.system_from_atoms(atoms, bonds), potentials)
         assert same(atoms.get_forces(), expected.forces)
         assert same(atoms.get_stress()[:3].sum() * atoms.get_volume(), -np.trace(expected.virial))
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda thing: pickle.loads(pickle.dumps(thing))])
 def test_atoms_with_calculator_can_be_copied_and_pickled(duplicate):
-    atoms = with_calculator(argon(), Calculator(lennard_jones()))
+    atoms = with_calculator(argon(), ours.Calculator(lennard_jones()))
     expected = atoms.get_forces()
     other = duplicate(atoms)
     assert (atoms.calc.n_builds, other.calc.n_builds) == (1, 0)  # the list stays behind
@@ -148,10 +147,10 @@ class WithoutStress(LennardJones):
 
 
 def test_unknown_stress_is_no_number_and_said_so():
-    crystal, cluster = system_from_atoms(argon(2)), argon(2)
+    crystal, cluster = ours.system_from_atoms(argon(2)), argon(2)
     cluster.pbc = False
-    unknown = ForcesFromCalculator(WithoutStress(sigma=SIGMA, epsilon=EPSILON, rc=CUTOFF))
-    cluster = system_from_atoms(cluster)
+    unknown = ours.ForcesFromCalculator(WithoutStress(sigma=SIGMA, epsilon=EPSILON, rc=CUTOFF))
+    cluster = ours.system_from_atoms(cluster)
     with pytest.warns(UserWarning, match="WithoutStress"):
         periodic = md.evaluate(crystal, unknown)
     assert np.isnan(periodic.virial).all()
@@ -162,35 +161,34 @@ def test_unknown_stress_is_no_number_and_said_so():
 
 
 def held(*constraints):
-    atoms = with_calculator(argon(1), Calculator(lennard_jones()))
+    atoms = with_calculator(argon(1), ours.Calculator(lennard_jones()))
     atoms.set_constraint(constraints)
     return atoms
 
 
 def langevin(atoms=None, rng=1, **options):
-    calm = with_calculator(atoms or argon(1), Calculator(lennard_jones()))
+    calm = with_calculator(atoms or argon(1), ours.Calculator(lennard_jones()))
     return ours.Langevin(calm, TIMESTEP, **{"temperature_K": 90.0, "friction": 0.01, "rng": rng} | options)
 
 
 PLANE, SPRING = FixedPlane(0, (0, 0, 1)), Hookean(0, 1, 5.0, 1.0)
-WRONG = [
+test_wrong_calls_are_answered = pytest.mark.filterwarnings("ignore")(answered(
     (lambda: md.System.from_ase([[0.0, 0.0, 0.0]]), TypeError, "ase.Atoms", "list"),
-    (lambda: system_from_atoms(held(PLANE)), ValueError, "atoms.constraints", "FixedPlane"),
+    (lambda: ours.system_from_atoms(held(PLANE)), ValueError, "atoms.constraints", "FixedPlane"),
     (lambda: ours.VelocityVerlet(held(SPRING), TIMESTEP).run(1), ValueError, "atoms.constraints", "Hookean"),
     (lambda: ours.VelocityVerlet(argon(1), TIMESTEP).step(), RuntimeError, "atoms.calc", "no calculator"),
-    (lambda: ForcesFromCalculator(lennard_jones()), TypeError, "calculator", "LennardJones"),
+    (lambda: ours.ForcesFromCalculator(lennard_jones()), TypeError, "calculator", "LennardJones"),
     (lambda: md.Simulation(argon(1), "EMT", md.VelocityVerlet(TIMESTEP)), TypeError, "potentials", "'EMT'"),
     (lambda: langevin(rng="seven"), TypeError, "rng", "'seven'"), (lambda: langevin(rng=-1), TypeError, "rng", "-1"),
     (lambda: langevin(held()[:1], fixcm=True).run(1), ValueError, "fixcm", "3"),
     (lambda: langevin(fixcm=False, friction=-1.0).run(1), ValueError, "friction", "-1.0"),
     (lambda: ours.Bussi(held(), TIMESTEP, 300.0, -1.0, rng=2).run(1), ValueError, "taut", "-1.0"),
     (lambda: ours.LangevinBAOAB(held(), TIMESTEP, externalstress=-0.01), NotImplementedError, "externalstress"),
-]  # fmt: skip
-test_wrong_calls_are_answered = pytest.mark.filterwarnings("ignore")(answered(*WRONG))
+))  # fmt: skip
 
 
 def test_a_failed_call_leaves_nothing_behind():
-    atoms = with_calculator(argon(1), Calculator(md.LennardJones({"Ar": (EPSILON, SIGMA)}, cutoff=CUTOFF)))
+    atoms = with_calculator(argon(1), ours.Calculator(md.LennardJones({"Ar": (EPSILON, SIGMA)}, cutoff=CUTOFF)))
     before = atoms.get_potential_energy()
     atoms.numbers[0] = 36
     for _ in range(2):

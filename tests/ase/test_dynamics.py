@@ -15,7 +15,6 @@ from ase.calculators.emt import EMT
 from ase.calculators.idealgas import IdealGas
 from ase.calculators.lj import LennardJones
 from ase.constraints import FixAtoms, FixBondLengths, FixCom, FixedPlane, FixLinearTriatomic
-from ase.io import Trajectory
 from ase.md import MDLogger
 
 import minimd as md
@@ -101,7 +100,7 @@ def observed(cls, folder, drive):
         dynamics.attach(look, interval, name)
     stress = MDLogger(dynamics, atoms, str(folder / "stress.log"), header=True, stress=True, peratom=True, mode="w")
     dynamics.attach(stress, interval=15)
-    with Trajectory(folder / "own.traj", "w", atoms) as own:
+    with ase.io.Trajectory(folder / "own.traj", "w", atoms) as own:
         dynamics.attach(own.write, interval=20)
         answers = drive(dynamics)
     frames = [*ase.io.read(folder / "a.traj", ":"), *ase.io.read(folder / "own.traj", ":")]

@@ -13,24 +13,22 @@ from wrong_calls import assert_answered
 
 import minimd as md
 import minimd.ase
-from minimd.ase import system_from_file
 from minimd.structure.system import changed
 
 TEXT, EXACT = 0.51e-8, 1e-14  # of files with eight decimals; of numbers in binary
 FILES = {"a.traj": EXACT, "b.TRAJ": EXACT, "a.xyz": TEXT, "a.extxyz": TEXT, "a.h5md": EXACT}
 known = pytest.fixture(define, name="known")
+TWO_ATOMS = "of two types\n\n2 atoms\n2 atom types\n\n0 9 xlo xhi\n0 9 ylo yhi\n0 9 zlo zhi\n\nMasses\n\n1 {}\n2 {}\n"
+TWO_ATOMS += "\nAtoms # atomic\n\n1 1 1.0 1.0 1.0\n2 2 4.0 1.0 1.0\n"
 
 
 @pytest.fixture(scope="module", params=[(md.units.ASE, True), (md.units.ASE, False), (md.units.LJ, True)])
 def written(request, tmp_path_factory):
     units, has_forces = request.param
     folder, sim, seen = tmp_path_factory.mktemp("run"), simulation("triclinic", units), []
-
-    def look(s):
-        seen.append((s.step, s.time, s.positions.copy(), s.velocities.copy(), s.forces.copy()))
-
+    look = [lambda s: seen.append((s.step, s.time, s.positions.copy(), s.velocities.copy(), s.forces.copy()))]
     files = [folder / name for name in FILES]
-    record = sim.run(20, every=5, trajectory=files, store_forces=has_forces, observers=[look])
+    record = sim.run(20, every=5, trajectory=files, store_forces=has_forces, observers=look)
     return folder, sim.system, record, seen, has_forces
 
 
@@ -87,18 +85,14 @@ def test_ase_finds_format_and_calculator_by_the_entry_points(tmp_path):
     assert get_calculator_class("minimd") is minimd.ase.Calculator
 
 
-TWO_ATOMS = "of two types\n\n2 atoms\n2 atom types\n\n0 9 xlo xhi\n0 9 ylo yhi\n0 9 zlo zhi\n\nMasses\n\n1 {}\n2 {}\n"
-TWO_ATOMS += "\nAtoms # atomic\n\n1 1 1.0 1.0 1.0\n2 2 4.0 1.0 1.0\n"
-
-
 def test_types_of_lammps_data_are_elements_only_with_their_masses_and_unknown_symbols_are_told(tmp_path):
     known = {(12.0, 16.0): ["C", "O"], (15.9994, 1.008): ["O", "H"]}
     known |= {masses: ["1", "2"] for masses in [(14.027, 15.035), (14.0, 13.0), (100.0, 120.0)]}
     for masses, species in known.items():
         (tmp_path / "a.data").write_text(TWO_ATOMS.format(*masses))
-        assert system_from_file(tmp_path / "a.data").species.tolist() == species
+        assert minimd.ase.system_from_file(tmp_path / "a.data").species.tolist() == species
     (tmp_path / "ab.xyz").write_text("2\n\nA 0 0 0\nB 1 0 0\n")
-    assert_answered(lambda: system_from_file(tmp_path / "ab.xyz"), ValueError, "chemical symbol", "'A'")
+    assert_answered(lambda: minimd.ase.system_from_file(tmp_path / "ab.xyz"), ValueError, "chemical symbol", "'A'")
 
 
 @pytest.mark.parametrize("suffix", ["h5md", "traj", "xyz"])
@@ -121,11 +115,11 @@ def test_files_of_reduced_runs_keep_species_masses_and_velocities(tmp_path, suff
     system = changed(made.system, species=species)
     sim = md.Simulation(system, made.potentials, made.method)
     sim.run(2, every=1, trajectory=file)
-    read = system_from_file(file, units=md.units.LJ)
+    read = minimd.ase.system_from_file(file, units=md.units.LJ)
     assert read.units is md.units.LJ
     assert read.species.tolist() == species
     np.testing.assert_allclose(read.masses, system.masses, rtol=1e-7)
     np.testing.assert_allclose(read.velocities, sim.velocities, atol=2e-8)
     if suffix == "h5md":
-        assert system_from_file(file).units is md.units.LJ
-        assert_answered(lambda: system_from_file(file, units=md.units.ASE), ValueError, "units", "'LJ'")
+        assert minimd.ase.system_from_file(file).units is md.units.LJ
+        assert_answered(lambda: minimd.ase.system_from_file(file, units=md.units.ASE), ValueError, "units", "'LJ'")

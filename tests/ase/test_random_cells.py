@@ -17,13 +17,6 @@ RELATIVE = 1e-10
 PROPERTIES = ("energy", "free_energy", "energies", "forces", "stress", "stresses")
 
 
-def sheared(cell, rng, strength):
-    for _ in range(3):
-        i, j = rng.permutation(3)[:2]
-        cell[i] += rng.integers(-strength, strength + 1) * cell[j]
-    return cell
-
-
 def closest(atoms):
     for reach in (2.0, 4.0, 8.0):
         distances = ase.neighborlist.neighbor_list("d", atoms, reach)
@@ -41,7 +34,10 @@ def scenes(draw):
     cell = np.diag(counts) + 0.25 * rng.standard_normal((3, 3))
     places = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 3)
     positions = (places + rng.uniform(-0.2, 0.2, places.shape)) / counts @ cell
-    cell = sheared(cell, rng, draw(st.sampled_from([0, 1, 4])))
+    strength = draw(st.sampled_from([0, 1, 4]))
+    for _ in range(3):
+        i, j = rng.permutation(3)[:2]
+        cell[i] += rng.integers(-strength, strength + 1) * cell[j]
     if draw(st.booleans()):
         cell[rng.integers(3)] *= -1.0
     if draw(st.booleans()):

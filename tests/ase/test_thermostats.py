@@ -11,7 +11,6 @@ from ase.constraints import FixCom
 
 import minimd as md
 import minimd.ase as ours
-from minimd.ase import Calculator
 from minimd.ase.baths import Chain
 
 pytestmark = pytest.mark.filterwarnings("ignore:The implementation of `fixcm=True`")
@@ -29,7 +28,7 @@ def gas(n=N, held=False):
     rng = np.random.default_rng(5)
     positions = rng.uniform(0.0, 50.0, (n, 3))
     symbols = "Ar" * (n // 2) + "He" * (n - n // 2)
-    atoms = Atoms(symbols, positions, cell=[50.0] * 3, pbc=True, calculator=Calculator(NO_FORCES))
+    atoms = Atoms(symbols, positions, cell=[50.0] * 3, pbc=True, calculator=ours.Calculator(NO_FORCES))
     atoms.set_constraint(FixCom() if held else None)
     atoms.set_momenta(rng.normal(0.5, 1.0, (n, 3)))
     return atoms

@@ -41,12 +41,8 @@ for call in (lambda: main(["--version"]), lambda: runpy.run_module("minimd", Non
 heavy = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm"} & set(sys.modules)
 assert not heavy, heavy
 """
-
-
-@pytest.fixture
-def folder(here):
-    (here / "melt.toml").write_text(SCENE)
-    return here
+READING = [["check"], ["frames", "--at", "1"], ["resume", "--steps", "5"], ["replay"]]
+DRAWING = pytest.param([["view"], ["plot"]], marks=pytest.mark.slow)
 
 
 @pytest.fixture(scope="module")
@@ -156,10 +152,6 @@ def test_any_steps_are_made_again_and_their_energies_told(folder, told):
     words = told("frames", "melt.h5md", "--at", 3, 10, "--out", "a.h5md")
     energies = read_file("a-3.h5md").record.total_energy[0], read_file("melt.h5md").record.total_energy[1]
     assert all(f"total energy {float(energy)!r} ε" in words for energy in energies)
-
-
-READING = [["check"], ["frames", "--at", "1"], ["resume", "--steps", "5"], ["replay"]]
-DRAWING = pytest.param([["view"], ["plot"]], marks=pytest.mark.slow)
 
 
 @pytest.mark.parametrize("reading", [READING, DRAWING], ids=["reading", "drawing"])

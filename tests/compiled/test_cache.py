@@ -28,6 +28,7 @@ def twice(x): return x + x
 compiled = kernel(twice)
 print(compiled(2), type(compiled._cache).__name__)
 """
+Pair = namedtuple("Pair", "r s")
 
 
 def started(script, text, *arguments, **places):
@@ -82,9 +83,6 @@ def test_a_kernel_that_cannot_be_compiled_keeps_nobody_waiting(folder):
     (lock,) = folder.rglob("*.lock")
     with lock.open("r+") as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # it would raise
-
-
-Pair = namedtuple("Pair", "r s")
 
 
 def test_fields_in_another_order_are_another_type(folder, monkeypatch):

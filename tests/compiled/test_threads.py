@@ -14,7 +14,6 @@ from minimd.compiled import threads
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.kernels import DirectCalls, called_kernel
 from minimd.compiled.program import GO_ON, JUMP, Program, in_python, operation
-from minimd.compiled.threads import AT, MOST_CHUNKS, ThreadPool, Worker, run_operations, thread_pool
 
 N_PHASES, STOPPED = 4, 7
 CALLS = DirectCalls()
@@ -72,7 +71,7 @@ def is_there(walk, _chunk):
 @pytest.mark.parametrize("n_threads", [1, 2, pytest.param(4, marks=pytest.mark.slow), 8])
 def test_a_program_loops_and_stops_at_the_same_step_for_all_threads(n_threads):
     """More threads than cores: some are late by whole phases, the calling one too."""
-    team, rng, asked = thread_pool(n_threads), np.random.default_rng(2), []
+    team, rng, asked = threads.thread_pool(n_threads), np.random.default_rng(2), []
     for n, last in rng.integers(1, (20, 60), (1000, 2)):
         data = Walk(np.zeros(n, dtype=np.int64), int(last), 50)
 
@@ -93,8 +92,8 @@ def test_a_program_loops_and_stops_at_the_same_step_for_all_threads(n_threads):
 
 @pytest.mark.parametrize("n_threads", [1, 2, 3, 8])
 def test_each_chunk_is_made_once_in_each_phase(n_threads):
-    team = thread_pool(n_threads)
-    for n in (1, 2, 3, 7, 8, 9, 64, 1000, MOST_CHUNKS):
+    team = threads.thread_pool(n_threads)
+    for n in (1, 2, 3, 7, 8, 9, 64, 1000, threads.MOST_CHUNKS):
         for n_phases in (1, 3, 7):
             counted(team, n, n_phases)
     for n in np.random.default_rng(1).integers(1, 20, 1500):
@@ -110,9 +109,9 @@ def is_helped(team):
 
 def test_helpers_help_when_they_come_and_hold_nobody_up_before(monkeypatch):
     """Nor do those that died."""
-    awake, help_as_it_should = threading.Event(), ThreadPool._help
-    monkeypatch.setattr(ThreadPool, "_help", lambda *of: awake.wait() and help_as_it_should(*of))
-    team = ThreadPool(4)
+    awake, help_as_it_should = threading.Event(), threads.ThreadPool._help
+    monkeypatch.setattr(threads.ThreadPool, "_help", lambda *of: awake.wait() and help_as_it_should(*of))
+    team = threads.ThreadPool(4)
     for n in (1, 5, 100):
         counted(team, n)
     assert not is_helped(team)
@@ -121,16 +120,16 @@ def test_helpers_help_when_they_come_and_hold_nobody_up_before(monkeypatch):
     while not (helped := is_helped(team)) and time.monotonic() < until:
         pass
     assert helped
-    monkeypatch.setattr(ThreadPool, "_help", lambda self, thread, wake: None)
-    team = ThreadPool(3)
+    monkeypatch.setattr(threads.ThreadPool, "_help", lambda self, thread, wake: None)
+    team = threads.ThreadPool(3)
     for helper in team._helpers:
         helper.join()
     counted(team, 10)
 
 
-@pytest.mark.parametrize("n", [1, 4, MOST_CHUNKS])
+@pytest.mark.parametrize("n", [1, 4, threads.MOST_CHUNKS])
 def test_a_helper_that_comes_after_its_program_finds_nothing_to_do(n):
-    team = ThreadPool(2)
+    team = threads.ThreadPool(2)
     for helper, wake in zip(team._helpers, team._wake, strict=True):
         team._task = ()
         wake.release()
@@ -138,14 +137,14 @@ def test_a_helper_that_comes_after_its_program_finds_nothing_to_do(n):
     for _ in range(3):
         found, done, early = program(team, n)
         found.run()
-        late, rows = Worker(team._counters, 1, 2), found._rows
+        late, rows = threads.Worker(team._counters, 1, 2), found._rows
         for task in range(1, int(team._counters[1]) + 1):
-            run_operations(late, task, rows, np.zeros(1, dtype=np.int64))
+            threads.run_operations(late, task, rows, np.zeros(1, dtype=np.int64))
         assert (np.all(done == 1), early.any()) == (True, False)
 
 
 def test_an_interrupt_before_the_kernel_leaves_the_team_usable(monkeypatch):
-    team = ThreadPool(3)
+    team = threads.ThreadPool(3)
     counted(team, 9)
 
     def interrupted(worker, task, operations, course):
@@ -163,15 +162,15 @@ def test_an_interrupt_before_the_kernel_leaves_the_team_usable(monkeypatch):
 
 def test_threads_of_python_take_turns_with_one_team():
     """Its helpers are shared by all who ask for as many."""
-    team = thread_pool(2)
-    assert team is thread_pool(2)
+    team = threads.thread_pool(2)
+    assert team is threads.thread_pool(2)
     with ThreadPoolExecutor(3) as pool:
         list(pool.map(lambda n: [counted(team, n) for _ in range(300)], [3, 17, 64]))
 
 
 @pytest.mark.parametrize("n_threads", [1, 2])
 def test_counters_begin_anew_before_they_overflow(n_threads):
-    team = ThreadPool(n_threads)
+    team = threads.ThreadPool(n_threads)
     counted(team, 5)
     team._counters[threads.OPEN] = (threads.MOST_PHASES << threads.BITS | threads.MOST_OPERATIONS) << threads.BITS
     for n in (5, 3, 64):
@@ -187,12 +186,12 @@ def test_a_program_is_made_anew_when_its_memory_was_replaced():
         yield in_python(lambda: (seen.append(len(made)), version.__setitem__(0, 1)))
         yield in_python(lambda: seen.append(len(made)))
 
-    found = Program(make, lambda: version[0], thread_pool(1))
+    found = Program(make, lambda: version[0], threads.thread_pool(1))
     found.run()
     assert (made, seen) == ([0, 1], [1, 2])
     found.run(1)
     assert (made, seen) == ([0, 1], [1, 2, 2])
-    assert found._course[AT] == 2
+    assert found._course[threads.AT] == 2
 
 
 FORKED = """

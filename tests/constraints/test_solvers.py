@@ -16,6 +16,8 @@ from minimd.diagnosis.report import drift as linear_drift
 
 EPS = np.finfo(float).eps
 SMALL = ["diatomics", "water", "ring", "rod"]
+OF_WATER = [16.0, 1.0, 1.0]
+CASES = [pytest.param(s, OF_WATER, marks=pytest.mark.slow) for s in ("newton", "shake")]
 
 
 def every(names=tuple(SCENES), solvers=("auto", "newton", "shake")):
@@ -85,10 +87,6 @@ def test_constraint_forces_conserve_momenta_and_do_no_work_and_a_reversed_motion
     assert np.abs(motion.step(100).positions - start).max() < 1e-9  # rounding, amplified
 
 
-OF_WATER = [16.0, 1.0, 1.0]
-CASES = [pytest.param(s, OF_WATER, marks=pytest.mark.slow) for s in ("newton", "shake")]
-
-
 @pytest.mark.parametrize(("solver", "masses"), [("auto", OF_WATER), ("auto", [1.0, 16.0, 16.0]), *CASES])
 def test_rounding_of_lengths_over_a_short_step_is_no_momentum(solver, masses):
     """What a solver leaves of the lengths, divided by Δt, acts on both atoms: 16,000 steps leave rounding alone."""
@@ -120,9 +118,7 @@ def test_a_drift_satisfies_its_equations(name):
         np.add.at(displaced, first, -impulses / m[first])
         return displaced
 
-    def off(multipliers):
-        return (motion.of_bonds(moved(multipliers)) ** 2).sum(axis=1) - motion.bonds.lengths**2
-
+    off = lambda multipliers: (motion.of_bonds(moved(multipliers)) ** 2).sum(axis=1) - motion.bonds.lengths**2  # noqa: E731
     exact = moved(fsolve(off, np.zeros(len(old)), xtol=1e-12))
     assert np.abs(motion.positions - exact).max() < 1e-12
     assert np.abs(motion.velocities - (exact - start) / duration).max() < 1e-10

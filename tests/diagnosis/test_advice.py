@@ -24,6 +24,7 @@ STEPS = [
     pytest.param(name, one, marks=[pytest.mark.slow] * (name not in QUICK and one is not md.integrators.PEFRL))
     for name, one in [*((name, md.VelocityVerlet) for name in MINIMA), *(("fcc crystal", one) for one in OTHERS)]
 ]
+FS, ARGON = md.units.fs, md.LennardJones(0.0103, 3.4, 8.5, "force-shifted")
 
 
 @pytest.mark.parametrize(("name", "method"), STEPS)
@@ -168,9 +169,6 @@ def test_a_hydrogen_inside_its_oxygen_does_not_collide():
     collision = md.advise_timestep(system, alone, held).collision
     assert md.advise_timestep(system, inside, held).collision == pytest.approx(collision, rel=1e-12)
     assert md.advise_timestep(system, inside).collision < 0.1 * collision
-
-
-FS, ARGON = md.units.fs, md.LennardJones(0.0103, 3.4, 8.5, "force-shifted")
 
 
 def hints_of(system, potentials, method=0.004, constraints=(), **options):

@@ -28,6 +28,11 @@ from minimd.files.h5md_reader import read_file
 from minimd.forces.contacts import contacts
 
 BIG_STEP = 0.024  # at which a liquid lives for some hundred steps
+BATH = 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[equilibration]\nsteps = 2000\nrescale_every = 10\n'
+ALTERED = [  # findings: as a text, or values to be changed, of the pair in the last two
+    "null", "[" * 100_000, {"closest": {}}, {"fault": None}, {"closest": [0, 12, 1.0]}, {"timestep": None},
+    {"largest_force": 10**400}, {"pair": {"first": 99_999_999_999}}, {"pair": {"law": 3}},
+]  # fmt: skip
 
 
 def failing(run, *arguments, **how):
@@ -146,12 +151,6 @@ def crash_file(tmp_path_factory):
     return failing(chain(), crash_report=tmp_path_factory.mktemp("crash") / "a.h5md").file
 
 
-ALTERED = [  # findings: as a text, or values to be changed, of the pair in the last two
-    "null", "[" * 100_000, {"closest": {}}, {"fault": None}, {"closest": [0, 12, 1.0]}, {"timestep": None},
-    {"largest_force": 10**400}, {"pair": {"first": 99_999_999_999}}, {"pair": {"law": 3}},
-]  # fmt: skip
-
-
 def test_altered_findings_are_refused(crash_file, tmp_path):
     assert read_crash_report(crash_file).findings.pair is not None
     for change in ALTERED:
@@ -165,8 +164,7 @@ def test_altered_findings_are_refused(crash_file, tmp_path):
             del group["findings"]
             group["findings"] = text
             sign(h5)
-        with pytest.raises(OSError, match="is damaged"):
-            read_crash_report(file)
+        assert_answered(lambda: read_crash_report(file), OSError, "is damaged")
 
 
 LANGEVIN = {"method": md.LangevinBAOAB, "temperature": 1.44, "friction": 1.0, "seed": 2}
@@ -191,8 +189,7 @@ def test_findings_come_back_and_a_replay_fails_again_at_the_same_step_on_the_sam
     assert seen.rows[-1].energy == pytest.approx(read_file(error.file).record.total_energy[-1], rel=1e-6)
     assert (seen.trajectory, read_file(seen.trajectory).n_frames) == (tmp_path / "a.replay.h5md", len(seen.rows))
     assert make is not chain or (tmp_path / "a.replay.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(FileExistsError, match="replace it"):
-        md.replay(error.file, simulation.potentials)
+    assert_answered(lambda: md.replay(error.file, simulation.potentials), FileExistsError, "replace it")
 
 
 def test_replay_says_when_it_does_not_fail_again_and_what_it_does_not_know(crash_file, tmp_path):
@@ -203,9 +200,6 @@ def test_replay_says_when_it_does_not_fail_again_and_what_it_does_not_know(crash
     mine = failing(simulation, crash_report=tmp_path / "a.h5md").file
     assert_answered(lambda: md.replay(mine, simulation.potentials), ValueError, "'mine'")
     assert_answered(lambda: md.replay(crash_file), ValueError, "holds no scene")
-
-
-BATH = 'method = "langevin-baoab"\nrelaxation_time = 1.0\nseed = 3\n[equilibration]\nsteps = 2000\nrescale_every = 10\n'
 
 
 @pytest.mark.filterwarnings("ignore:timestep")
@@ -224,8 +218,7 @@ def test_what_is_no_count_or_no_end_is_refused_and_no_steps_are_none(tmp_path):
     """What is refused leaves the last record and the state."""
     sim, file = SCENES["argon"]().simulation(), tmp_path / "a.h5md"
     record, before = sim.run(0, trajectory=file), sim.positions.copy()
-    with pytest.raises(FileExistsError):
-        sim.run(10, trajectory=file)
+    assert_answered(lambda: sim.run(10, trajectory=file), FileExistsError)
     for count in (True, 2.0, -1, "3"):
         assert_answered(lambda count=count: sim.run(count), ValueError, "n_steps", repr(count))
         assert_answered(lambda count=count: sim.run(until_step=count), ValueError, "until_step", repr(count))

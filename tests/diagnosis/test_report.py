@@ -18,6 +18,10 @@ from minimd.mdanalysis import universe
 
 VERLET = md.VelocityVerlet(0.002)
 N_SERIES = 400
+JUMPS = [  # 4 (2.5⁻¹² − 2.5⁻⁶) ε = −0.0163 ε
+    ("truncated", 0.0163169, 0.0389995, False), ("shifted", 0.0, 0.0389995, True),
+    ("force-shifted", 0.0, 0.0, True), ("smooth", 0.0, 0.0, True),
+]  # fmt: skip
 
 
 def liquid_run(n_steps, *observers, method=VERLET):
@@ -31,11 +35,8 @@ def conserved():
     return liquid_run(1000)
 
 
-def scaled(factor):
-    return lambda run: np.multiply(run.velocities, factor, out=run.velocities)
-
-
 def test_the_report_tells_conserved_from_not(conserved):
+    scaled = lambda factor: lambda run: np.multiply(run.velocities, factor, out=run.velocities)  # noqa: E731
     good, runs = conserved.report(), ((1000, 0.99), (2000, 1.0 + 1e-5))
     bad, slight = (liquid_run(n, scaled(factor)).report() for n, factor in runs)
     assert good.energy_is_conserved is good.momentum_is_conserved is True
@@ -140,12 +141,6 @@ def test_slow_changes_that_the_energy_hides_are_seen_in_the_kinetic_energy():
     assert sum(one.is_too_short for one in beside) >= sum(one.is_significant for one in alone)
 
 
-JUMPS = [  # 4 (2.5⁻¹² − 2.5⁻⁶) ε = −0.0163 ε
-    ("truncated", 0.0163169, 0.0389995, False), ("shifted", 0.0, 0.0389995, True),
-    ("force-shifted", 0.0, 0.0, True), ("smooth", 0.0, 0.0, True),
-]  # fmt: skip
-
-
 def test_jumps_at_the_cutoff_are_told_of_the_worst_pair_of_species_and_at_its_cutoff():
     """The wall of Weeks, Chandler and Andersen has none: shifted at 2^(1/6) σ, its force is zero to rounding."""
     jump = lambda law, system=liquid(2): next(iter(cutoff_lines(system, [law])))  # noqa: E731, B008
@@ -176,8 +171,7 @@ def test_report_tells_of_list_cutoff_constraints_and_angular_momentum():
 
 
 def test_report_tells_of_the_sum_over_waves_and_a_net_charge_is_told_once():
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         sim = run_of(salt(net=0.4))
         sim.run(4, every=1)
         sim.system.cell = md.Cell.of(1.01 * EDGE)

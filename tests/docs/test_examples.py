@@ -22,6 +22,8 @@ SHORTER = LENGTHS | {"duration": 200, "end": 2.0, "t_end": 3.0}
 IN_FULL = ("own_law", "rigid_ring", "equation_of_state")  # by tests of their own
 QUICK = ("kepler", "rigid_nitrogen", "1_phase_plane")  # the gallery of the site runs the others, too
 pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
+SHORTENED = [path for path in [*SCRIPTS, LESSONS[0]] if path.stem not in IN_FULL]
+EACH = [pytest.param(one, marks=[pytest.mark.slow] * (one.stem not in QUICK), id=one.name) for one in SHORTENED]
 
 
 def shortened(path):
@@ -47,10 +49,6 @@ def run(here, capsys):
         return capsys.readouterr().out
 
     return running
-
-
-SHORTENED = [path for path in [*SCRIPTS, LESSONS[0]] if path.stem not in IN_FULL]
-EACH = [pytest.param(one, marks=[pytest.mark.slow] * (one.stem not in QUICK), id=one.name) for one in SHORTENED]
 
 
 @pytest.mark.parametrize("path", EACH)

@@ -66,9 +66,7 @@ def strains_of_an_ideal_gas(coupling, duration, n_strains, n=12, pressure=0.7, t
     return np.array(found).T / [[mean], [mean], [thermal]]
 
 
-@pytest.mark.parametrize(
-    "coupling", ["isotropic", "triclinic", *(pytest.param(one, marks=slow) for one in ("z", "xy"))]
-)
+@pytest.mark.parametrize("coupling", ["isotropic", "triclinic", *(pytest.param(c, marks=slow) for c in ("z", "xy"))])
 def test_strain_and_its_conserved_energy_obey_the_fluctuation_theorem(coupling):
     """⟨f(V′) e^(−ΔH/kT)⟩ = ⟨f(V)⟩: exactly, at any time step."""
     volume, larger, heat = strains_of_an_ideal_gas(coupling, 0.4, 4000)

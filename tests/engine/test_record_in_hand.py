@@ -29,8 +29,7 @@ def test_a_data_frame_has_the_steps_as_index_and_units_and_text_every_bit(record
     for name, column in columns.items():
         assert np.array_equal([float(row[name]) for row in rows], column), name
     assert_answered(lambda: record.to_csv(file), FileExistsError, "a.csv", "overwrite=True")
-    assert record.to_csv(file, overwrite=True) == file
-    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+    assert (record.to_csv(file, overwrite=True), [path.name for path in tmp_path.iterdir()]) == (file, ["a.csv"])
     pytest.importorskip("pandas")
     table = record.to_pandas()
     assert np.array_equal(table.index, record.step)

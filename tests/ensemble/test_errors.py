@@ -7,7 +7,6 @@ from types import ModuleType
 
 import members
 import pytest
-from members import run
 from wrong_calls import assert_answered
 
 from minimd.ensemble.folder import EnsembleFolder, name_of
@@ -32,13 +31,13 @@ WRONG = [  # options, error, what is named and shown
 @pytest.mark.parametrize("row", range(len(WRONG)))
 def test_wrong_arguments_are_named_and_shown(row, tmp_path):
     options, *answer = WRONG[row]
-    assert_answered(lambda: run(tmp_path, **options), *answer)
+    assert_answered(lambda: members.run(tmp_path, **options), *answer)
 
 
 @pytest.mark.parametrize("name", ["build", "run"])
 def test_a_function_that_returns_something_else_is_named(name, tmp_path):
     with pytest.raises(EnsembleError, match=rf"TypeError: {name} must return .* it returned 3"):
-        run(tmp_path, **{name: lambda *_: 3})
+        members.run(tmp_path, **{name: lambda *_: 3})
 
 
 CHANGES = [  # of an ensemble of seed 5 and 35 steps
@@ -49,18 +48,15 @@ CHANGES = [  # of an ensemble of seed 5 and 35 steps
 ]  # fmt: skip
 
 
-def test_another_ensemble_in_the_folder_is_refused(tmp_path, done_by_hand):
+def test_another_ensemble_in_the_folder_is_refused_and_another_call_at_the_same_time(tmp_path, done_by_hand):
     first = {"seed": 5, "steps": 35, "parameters": {"temperature": [0.4, 0.5]}}
-    run(tmp_path, **first)
+    members.run(tmp_path, **first)
     for change, *shown in CHANGES:
-        assert_answered(partial(run, tmp_path, **first | change), ValueError, "another ensemble", *shown)
-    more = partial(run, done_by_hand.folder, run=members.in_own_file, steps=members.STEPS + 20)
+        assert_answered(partial(members.run, tmp_path, **first | change), ValueError, "another ensemble", *shown)
+    more = partial(members.run, done_by_hand.folder, run=members.in_own_file, steps=members.STEPS + 20)
     assert_answered(more, ValueError, "steps = 60 there, 80 here")  # that of a function run is not known to go on
-
-
-def test_two_calls_cannot_use_one_folder(tmp_path):
     with EnsembleFolder(tmp_path, writes=True):
-        assert_answered(partial(run, tmp_path), OSError, "folder", str(tmp_path))
+        assert_answered(partial(members.run, tmp_path), OSError, "folder", str(tmp_path))
 
 
 def test_functions_of_a_session_are_not_sent_to_spawned_workers(tmp_path, monkeypatch):
@@ -74,7 +70,7 @@ def test_functions_of_a_session_are_not_sent_to_spawned_workers(tmp_path, monkey
     session = ModuleType("__main__")  # of a notebook or a prompt: it has no file
     session.build, build.__module__, build.__qualname__ = build, "__main__", "build"
     monkeypatch.setitem(sys.modules, "__main__", session)
-    assert_answered(partial(run, tmp_path, build=build, workers=1), TypeError, "build", "session")
+    assert_answered(partial(members.run, tmp_path, build=build, workers=1), TypeError, "build", "session")
 
 
 @pytest.mark.parametrize("text", ["a.b", "=1", "a=", "a=1:2:0", "a=1:2:x", "a=2:1:1", "a=1:2:1e-9", "a=1:inf:1"])

@@ -13,7 +13,6 @@ from pathlib import Path
 import members
 import numpy as np
 import pytest
-from members import assert_same, run
 from processes import ended
 
 import minimd as md
@@ -49,19 +48,19 @@ def executor(request):
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 def test_any_executor_makes_the_same_bits_and_an_error_costs_one_member(executor, done, tmp_path):
     with pytest.warns(UserWarning, match="1 of 3 members have failed"):
-        table = run(tmp_path, members.third_breaks_once, executor=executor)
+        table = members.run(tmp_path, members.third_breaks_once, executor=executor)
     assert table["status"].tolist() == ["done", "done", "failed"]
     assert table["message"][2] == "LookupError: no structure for 2"
     assert np.isnan(table["pressure_mean"]).tolist() == [False, False, True]
-    run(tmp_path)
-    assert_same(tmp_path, done.folder)
+    members.run(tmp_path)
+    members.assert_same(tmp_path, done.folder)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("executor", ["spawned"], indirect=True)
 def test_a_law_of_the_users_works_in_spawned_workers(executor, tmp_path):
-    here = run(tmp_path / "here", build=members.own_law, **ONE)
-    there = run(tmp_path / "there", build=members.own_law, executor=executor, **ONE)
+    here = members.run(tmp_path / "here", build=members.own_law, **ONE)
+    there = members.run(tmp_path / "there", build=members.own_law, executor=executor, **ONE)
     assert there["pressure_mean"][0] == here["pressure_mean"][0] != 0.0
 
 
@@ -77,16 +76,16 @@ def test_a_worker_that_is_killed_while_it_starts_is_replaced_unless_all_are(done
 
     monkeypatch.setattr(Worker, "__init__", start_and_kill)
     with pytest.raises(EnsembleError, match="SIGKILL"):
-        run(tmp_path, workers=1)
+        members.run(tmp_path, workers=1)
     left[0] = STARTS - 1
-    run(tmp_path, workers=1)
+    members.run(tmp_path, workers=1)
     assert left == [0]
-    assert_same(tmp_path, done.folder)
+    members.assert_same(tmp_path, done.folder)
 
 
 def test_if_all_fail_the_first_failure_is_raised_with_its_traceback(tmp_path):
     with pytest.raises(EnsembleError, match=r"member 0 .*LookupError: no structure for 0") as failure:
-        run(tmp_path, members.broken)
+        members.run(tmp_path, members.broken)
     assert "in broken" in failure.value.__notes__[0]
 
 
@@ -96,7 +95,7 @@ def test_members_that_blow_up_are_told_with_their_crash_files_and_warnings_name_
         parameters = {"temperature": [0.5, *[0.7] * n_failed]}
         told = rf"(?s){n_failed} of {n_failed + 1} members have failed:.member 1 .*NonFiniteError"
         with pytest.warns(UserWarning, match=told) as caught:
-            table = run(tmp_path, prepare=members.blows_up, parameters=parameters)
+            table = members.run(tmp_path, prepare=members.blows_up, parameters=parameters)
         assert table["status"].tolist() == ["done"] + ["failed"] * n_failed
         assert (tmp_path / "0000-0999/0001.crash.h5md").exists()
     assert [str(one.message).count("\nmember") for one in caught if "have failed" in str(one.message)] == [3]
@@ -106,10 +105,10 @@ def test_members_that_blow_up_are_told_with_their_crash_files_and_warnings_name_
 def test_a_worker_has_one_thread_unless_told_otherwise(monkeypatch, tmp_path):
     seen, before = [], Options.most_threads.fget
     monkeypatch.setattr(Options, "most_threads", property(lambda options: seen.append(before(options)) or 1))
-    run(tmp_path / "one", **ONE)
+    members.run(tmp_path / "one", **ONE)
     assert set(seen) == {1}
     seen.clear()
-    run(tmp_path / "two", build=partial(members.liquid, threads=2), **ONE)
+    members.run(tmp_path / "two", build=partial(members.liquid, threads=2), **ONE)
     assert set(seen) == {2}
 
 
@@ -165,4 +164,4 @@ def test_mpi_makes_the_same_bits(done, tmp_path):
     command, libraries = ("-n", "3", sys.executable, "-m", "mpi4py.futures", "script.py"), mpiexec.parents[1] / "lib"
     script = ended(mpiexec, *command, folder=tmp_path, LD_LIBRARY_PATH=str(libraries))
     assert script.returncode == 0, script.stderr
-    assert_same(tmp_path / "scan", done.folder)
+    members.assert_same(tmp_path / "scan", done.folder)

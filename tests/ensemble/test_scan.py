@@ -19,6 +19,10 @@ from minimd.scene import parse_scene
 
 DYNAMICS = 'method = "langevin-baoab"\nrelaxation_time = 1.0\n[output]\nevery = 5\n'
 SCENE = "# A comment.\n" + melt_scene(2, 40, DYNAMICS).replace("2.5", "1.6")
+SETTINGS = {
+    "80:120:5": [80, 85, 90, 95, 100, 105, 110, 115, 120], 'shifted,"smooth",true': ["shifted", "smooth", True],
+    "0.1:0.3:0.1": [0.1, 0.2, 0.3], "1:0.5:-0.25": [1.0, 0.75, 0.5], "1:2:3": [1], "1,2.5,1e-3": [1, 2.5, 0.001],
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -33,18 +37,6 @@ def in_time():
 
 def scan(*arguments):
     return cli.main(["scan", *map(str, arguments)])
-
-
-@pytest.fixture
-def folder(here):
-    (here / "melt.toml").write_text(SCENE)
-    return here
-
-
-SETTINGS = {
-    "80:120:5": [80, 85, 90, 95, 100, 105, 110, 115, 120], 'shifted,"smooth",true': ["shifted", "smooth", True],
-    "0.1:0.3:0.1": [0.1, 0.2, 0.3], "1:0.5:-0.25": [1.0, 0.75, 0.5], "1:2:3": [1], "1,2.5,1e-3": [1, 2.5, 0.001],
-}  # fmt: skip
 
 
 def test_settings_are_read_in_decimals_with_both_ends():

@@ -104,13 +104,11 @@ def test_the_status_says_at_which_step_each_member_is(tmp_path, monkeypatch):
         if member.index == 1:
             found[key] = told(tmp_path, words)
 
-    def prepared(simulation, member):
-        note(member, "prepared", "being prepared")
-
     def looked_at(simulation, member):
         look = lambda one: note(member, one.step, f"at step {one.step} of 60")  # noqa: E731
         return simulation.run(STEPS, every=20, observers=[look], progress=False)
 
+    prepared = lambda _simulation, member: note(member, "prepared", "being prepared")  # noqa: E731
     run(tmp_path, run=looked_at, prepare=prepared, parameters={"temperature": [0.5, 0.6]})
     assert "running        member 1: being prepared" in found["prepared"]
     assert [words for words in ("running        member 1: at step 40 of 60", "1 done") if words not in found[40]] == []

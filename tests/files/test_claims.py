@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from h5md_runs import at_step, bring_to_disk_every, resumed, simulation
 from matplotlib.figure import Figure
+from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.analysis.plot import save
@@ -54,10 +55,8 @@ def test_what_is_replaced_is_kept_until_the_first_frame_and_a_pipe_is_not_replac
         assert path.read_text() == "precious"
         path.unlink()
         os.mkfifo(path)
-        with pytest.raises(ValueError, match="regular file"):
-            simulation().run(1, trajectory=path, overwrite=True)
-    with pytest.raises(OSError, match="regular file"):
-        write_whole(path, "text")
+        assert_answered(lambda: simulation().run(1, trajectory=path, overwrite=True), ValueError, "regular file")
+    assert_answered(lambda: write_whole(path, "text"), OSError, "regular file")
     assert files_of(tmp_path) == sorted(FORMATS)
 
 
@@ -65,18 +64,15 @@ def test_links_to_a_file_are_that_file(tmp_path):
     link, file = tmp_path / "link.h5md", tmp_path / "elsewhere" / "a.h5md"
     file.parent.mkdir()
     link.symlink_to(file)
-    with pytest.raises(ValueError, match="are the same file"):
-        simulation().run(10, trajectory=[link, file])
+    assert_answered(lambda: simulation().run(10, trajectory=[link, file]), ValueError, "are the same file")
     file.touch()  # a link to nothing is refused, see below
     simulation().run(10, every=5, trajectory=link, overwrite=True)
     assert link.is_symlink()
     assert read_file(file).n_frames == 3
 
-    def second(_sim):
-        with pytest.raises(OSError, match="another run"):
-            simulation().run(1, trajectory=file, overwrite=True)
-
-    simulation().run(5, every=5, trajectory=link, overwrite=True, observers=[second])
+    again = lambda: simulation().run(1, trajectory=file, overwrite=True)  # noqa: E731
+    second = [lambda _sim: assert_answered(again, OSError, "another run")]
+    simulation().run(5, every=5, trajectory=link, overwrite=True, observers=second)
     assert read_file(link).n_frames == 2
 
 
@@ -96,8 +92,7 @@ def test_a_link_at_a_temporary_name_is_not_followed(name, tmp_path, monkeypatch)
     path.unlink()
     made = Claim.__init__
     monkeypatch.setattr(Claim, "__init__", lambda *args, **options: (made(*args, **options), put_link())[0])
-    with pytest.raises(OSError, match="was replaced"):
-        simulation().run(10, every=5, trajectory=path)
+    assert_answered(lambda: simulation().run(10, every=5, trajectory=path), OSError, "was replaced")
     assert precious.read_text() == "precious"
 
 
@@ -160,8 +155,7 @@ def test_a_resumed_file_is_claimed_too_and_so_is_a_crash_report(tmp_path):
     old.release()
     simulation().run(10, every=5, trajectory=path)
     sim, claim = resumed(path), Claim(path, is_new=False)
-    with pytest.raises(OSError, match="another run"):
-        sim.run(10, trajectory=path, append=True)
+    assert_answered(lambda: sim.run(10, trajectory=path, append=True), OSError, "another run")
     claim.release()
     sim.run(10, every=5, trajectory=path, append=True)
     np.testing.assert_array_equal(read_file(path).system.positions, sim.positions)

@@ -15,9 +15,7 @@ from h5md_runs import assert_same_file, at_step, bring_to_disk_every, limited, o
 
 from minimd.files import claim
 from minimd.files import h5md_writer as h5md
-from minimd.files.claim import Claim
 from minimd.files.h5md_reader import read_file
-from minimd.files.h5md_writer import H5MDWriter
 
 
 def test_exception_in_a_run_leaves_valid_files_and_its_block_runs_go_on(tmp_path):
@@ -89,7 +87,7 @@ def test_an_interrupt_inside_a_write_leaves_whole_frames_only(tmp_path, monkeypa
         return series_of(h5, column, like, n_frames)
 
     bring_to_disk_every(0.0, monkeypatch)
-    writer = H5MDWriter(Claim(path), sim.engine, False)
+    writer = h5md.H5MDWriter(claim.Claim(path), sim.engine, False)
     writer.write(sim.frame())
     sim.run(5)
     with mock.patch("minimd.files.h5md_writer.layout.series_of", interrupted), pytest.raises(KeyboardInterrupt):
@@ -104,7 +102,7 @@ def test_an_interrupt_inside_a_write_leaves_whole_frames_only(tmp_path, monkeypa
 def test_full_disk_is_told_once_and_spoils_nothing(tmp_path, monkeypatch, way):
     path, sim, most = tmp_path / "a.h5md", simulation(), 900_000
     bring_to_disk_every(0.0, monkeypatch)
-    writer = H5MDWriter(Claim(path), sim.engine, True)
+    writer = h5md.H5MDWriter(claim.Claim(path), sim.engine, True)
 
     def write_until_full():
         for sim.step in range(2000):

@@ -88,8 +88,7 @@ def test_a_second_ctrl_c_does_not_wait():
 
 
 def test_outside_the_main_thread_no_handler_is_touched():
-    def handlers():
-        return [signal.getsignal(one) for one in SIGNALS]
+    handlers = lambda: [signal.getsignal(one) for one in SIGNALS]  # noqa: E731
 
     def work():
         with stop_on_signals(Run()):
@@ -115,12 +114,6 @@ def test_a_script_that_is_terminated_says_at_which_step_and_what_is_kept(number,
         with ending_of(number, "step"), endings_are_told() if silent else nullcontext():
             simulation().run(100, every=10, **options)
         assert capsys.readouterr().err == ("" if silent else f"minimd: stopped after step {step} {told}{more}\n")
-
-
-@pytest.fixture
-def folder(here):
-    """An empty current folder with the scene in it."""
-    (here / "melt.toml").write_text(SCENE)
 
 
 def command(*arguments, **environment):

@@ -17,6 +17,7 @@ START = {  # as many domains as the cell is long, a team of eight
     "chains": lambda: (rod(6), BONDED), "melt": lambda: (melt(), [LJ]),
     "rod": lambda: (rod(6, 5), MANY),   "long chains": lambda: (rod(6, 5), BONDED),
 }  # fmt: skip
+LONG = [pytest.param(name, 1000, [2, 3, 4, 8], marks=pytest.mark.slow) for name in ("melt", "rod", "long chains")]
 
 
 def ran(scene, threads, n_steps):
@@ -30,9 +31,6 @@ def ran(scene, threads, n_steps):
 
 def clusters_of(simulation):
     return next(term for term in simulation.engine.interactions.terms if term.list is not None)
-
-
-LONG = [pytest.param(name, 1000, [2, 3, 4, 8], marks=pytest.mark.slow) for name in ("melt", "rod", "long chains")]
 
 
 @pytest.mark.parametrize(("scene", "n_steps", "teams"), [("chains", 100, [2, 8]), *LONG])

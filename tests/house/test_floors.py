@@ -28,6 +28,7 @@ BRIDGES = {  # folders and modules that may import ase or MDAnalysis when they a
 }
 FOREIGN = {"minimd_bench.engines"}  # reaches for private names of OpenMM and LAMMPS
 HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "openmm", "minimd.lammps"}
+FILES = re.compile(r"A step of a liquid is these (\d+) files, ([\d ]+) lines in all:\n\n```\n(.*?)```", re.S)
 
 
 def name_of(path):
@@ -139,9 +140,6 @@ assert not recorder.buffer, len(recorder.buffer)
     assert answer.returncode == 0, answer.stderr
 
 
-FILES = re.compile(r"A step of a liquid is these (\d+) files, ([\d ]+) lines in all:\n\n```\n(.*?)```", re.S)
-
-
 @pytest.fixture(scope="module")
 def steady_steps():
     """Chains of minimd's functions, from Simulation.run to the steps and below, without a list build."""
@@ -162,11 +160,8 @@ def steady_steps():
     finally:
         sys.setprofile(None)
     assert sim.engine.interactions.n_builds == n_builds
-    named = [(chain, [name for _, name in chain]) for chain in chains]
-    steps = "steps.py", "advance"
-    return [
-        chain[names.index("run") :] for chain, names in named if steps in [(file.name, name) for file, name in chain]
-    ]
+    of_steps = [chain for chain in chains if ("steps.py", "advance") in [(file.name, name) for file, name in chain]]
+    return [chain[[name for _, name in chain].index("run") :] for chain in of_steps]
 
 
 def test_the_page_lists_the_files_of_a_step_and_counts_their_lines(steady_steps):

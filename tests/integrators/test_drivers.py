@@ -13,6 +13,7 @@ from minimd.integrators import BlanesMoan4, GaussLegendre2, RadauIIA3, SecondOrd
 
 BACKWARDS = np.array([1.0, -1.0, -1.0, 1.0])  # the state at −t of an orbit from its pericentre, from that at t
 COMET = pericentre(0.9)
+TIMES = [(0, 1.05), (0, 1), (0.7, 0.8), (3, 4.05), (1e6, 1e6 + 1.05), (0, 0.03), (2, 0.95), (-1, -2.05), (0, 0.1 * 3)]
 
 
 def adaptive(method=BlanesMoan4, t_end=6.0, problem=KEPLER, start=KEPLER_START, t0=0.0, **control):
@@ -39,9 +40,6 @@ def test_run_steps_keeps_the_first_state_every_so_many_and_the_last():
     whole, some = (run_until(OSCILLATOR, VelocityVerlet(0.1), ONE, 1.05, every=n) for n in (1, 4))
     assert some.t == pytest.approx([0.0, 0.4, 0.8, 1.05], abs=1e-15)
     assert some.q[-1, 0] == whole.q[-1, 0]
-
-
-TIMES = [(0, 1.05), (0, 1), (0.7, 0.8), (3, 4.05), (1e6, 1e6 + 1.05), (0, 0.03), (2, 0.95), (-1, -2.05), (0, 0.1 * 3)]
 
 
 @pytest.mark.parametrize(("t0", "t_end"), TIMES)

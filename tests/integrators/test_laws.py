@@ -16,6 +16,9 @@ import minimd as md
 import minimd.integrators as mi
 
 EPS = np.finfo(float).eps
+HENON_HEILES = (*small.HENON_HEILES, lambda q, v: small.henon_heiles_energy(q.T, v.T))
+SYMPLECTIC = [method for method in small.ONE_STEP if method.is_symplectic and method not in small.GAUSS]
+LONGEST = [pytest.param(method, marks=pytest.mark.slow) for method in small.GAUSS]
 
 
 class Scene(NamedTuple):
@@ -205,18 +208,11 @@ def test_the_references_agree():
     assert small.reference(small.KEPLER, small.KEPLER_START, 7.5) == pytest.approx(small.kepler_orbit(7.5), abs=1e-11)
 
 
-HENON_HEILES = (*small.HENON_HEILES, lambda q, v: small.henon_heiles_energy(q.T, v.T))
-
-
 def largest_errors(method, h, time, problem, start, energy):
     """Of the energy, in the first and in the second half of a run."""
     path = mi.run_steps(problem, method(h), start, round(time / h))
     errors = np.abs(energy(path.q, path.v) - energy(path.q[:1], path.v[:1]))
     return errors[: len(errors) // 2].max(), errors[len(errors) // 2 :].max()
-
-
-SYMPLECTIC = [method for method in small.ONE_STEP if method.is_symplectic and method not in small.GAUSS]
-LONGEST = [pytest.param(method, marks=pytest.mark.slow) for method in small.GAUSS]
 
 
 @pytest.mark.parametrize("method", SYMPLECTIC + LONGEST)

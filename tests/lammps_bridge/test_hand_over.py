@@ -13,7 +13,6 @@ import minimd as md
 from minimd.analysis.check import check_file
 from minimd.commands import main as cli
 from minimd.lammps import handing_over, script
-from minimd.lammps.handing_over import frames
 from minimd.lammps.model import Model
 from minimd.lammps.program import find_program, run
 from minimd.potentials.term import PER_ATOM
@@ -24,13 +23,11 @@ AT_STEP_0 = 1e-12  # rounding, relative to the largest
 MOVED = 1e-10  # rounding that 20 steps have multiplied
 CHARGED = 3e-5  # three times the accuracy of charges, for errors of both; what they move in 20 fs is smaller
 QUICK = ("argon", "chains", "water", "skewed slab", "ions", *SUMMED)
+ALL = [pytest.param(name, n, 0, marks=pytest.mark.slow) for name in SCENES for n in (1, 2)]
 
 
 def handed_over(simulation, folder, steps=STEPS, **how):
     return md.lammps.hand_over(simulation, folder, steps, **({"every": 10, "progress": False, "tell": None} | how))
-
-
-ALL = [pytest.param(name, n, 0, marks=pytest.mark.slow) for name in SCENES for n in (1, 2)]
 
 
 @pytest.mark.parametrize(("name", "processes", "before"), [(name, 2, 3) for name in QUICK] + ALL)
@@ -77,7 +74,7 @@ def test_a_run_that_was_brought_back_passes_the_check_and_goes_on_also_without_m
     theirs.run(20, progress=False)
     assert np.array_equal(resumed.positions, theirs.positions)
     run(find_program().command("run.lmp", "run.log", 1), done.folder, "run.log", SimpleNamespace(stop_requested=False))
-    assert [step for step, _ in frames(done.folder / "frames.bin", 108)] == list(range(0, 201, 10))
+    assert [step for step, _ in handing_over.frames(done.folder / "frames.bin", 108)] == list(range(0, 201, 10))
 
 
 @pytest.mark.slow
@@ -131,7 +128,7 @@ def test_images_that_cannot_be_known_are_noticed(tmp_path, monkeypatch):
 
     def slowed(path, n_atoms):
         simulation.velocities[0] -= [0.0, 0.0, 90.0 * (path.name == script.LAST)]
-        return frames(path, n_atoms)
+        return handing_over.frames(path, n_atoms)
 
     monkeypatch.setattr(handing_over, "frames", slowed)
     call = lambda: handed_over(simulation, tmp_path / "run", 4000, every=5000)  # noqa: E731

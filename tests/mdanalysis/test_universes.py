@@ -22,6 +22,7 @@ LJ, ASE = md.units.LJ, md.units.ASE
 UNITS = pytest.mark.parametrize("units", [pytest.param(LJ, marks=pytest.mark.slow), ASE], ids=lambda one: one.name)
 TURNED = np.array([[0.3, 9.0, 0.5], [1.0, 3.5, 8.0], [8.5, -2.0, 1.0]])  # left-handed, along no axis
 SKEWED = np.array([[1, 0, 0], [2, 1, 0], [-3, 1, 1]])  # SKEWED @ cell spans the same lattice
+SITES = np.stack(np.meshgrid(*[np.arange(5.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
 
 
 @pytest.fixture
@@ -100,9 +101,6 @@ def test_uneven_frames_and_missing_cells_are_told_and_dt_of_one_frame_is_that_of
     assert_answered(lambda: sim.run(2, trajectory=path, append=True), OSError, "universe.trajectory.close()")
     made.trajectory.close()
     sim.run(2, trajectory=path, append=True)
-
-
-SITES = np.stack(np.meshgrid(*[np.arange(5.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
 
 
 def test_molecules_are_residues_and_labels_that_are_no_symbols_are_no_elements(path, tmp_path):

@@ -24,15 +24,12 @@ LJ13 = -44.326801  # D. J. Wales, J. P. K. Doye, J. Phys. Chem. A 101, 5111 (199
 LARGE_FORCE = 1e-6  # the default tolerance
 
 
-def shaken(positions, width=0.1, seed=1):
-    return positions + np.random.default_rng(seed).normal(0.0, width, positions.shape)
-
-
 def icosahedron(edge=1.1, seed=1):
     """13 atoms near their places."""
     phi = 0.5 * (1.0 + np.sqrt(5.0))
     corners = [p for s in (1.0, -1.0) for t in (phi, -phi) for p in ([0.0, s, t], [s, t, 0.0], [t, 0.0, s])]
-    return md.System(shaken(np.array([[0.0, 0.0, 0.0], *corners]) * edge / np.sqrt(1.0 + phi**2), seed=seed))
+    places = np.array([[0.0, 0.0, 0.0], *corners]) * edge / np.sqrt(1.0 + phi**2)
+    return md.System(places + np.random.default_rng(seed).normal(0.0, 0.1, places.shape))
 
 
 def random_liquid(n_atoms, density=0.8442, seed=1):
@@ -211,14 +208,10 @@ def test_chains_that_cross_come_to_rest_without_breaking(n_chains, n_beads, seed
     assert largest(nearest_vectors(found.system.positions, system.cell, system.bonds)) < 1.5
 
 
-def without_wall(r2):
-    """FENE as many write it: beyond R = 1.5 the energy is no number, but the force is one, and pushes."""
-    rest = 1.0 - r2 / 2.25
-    return -33.75 * np.log(rest), -30.0 / rest
-
-
 def test_a_step_to_where_only_the_energy_has_no_number_is_taken_back(monkeypatch):
     """minimd's own have no finite force where they have no energy: they need it at the beginning and at the end."""
+    # FENE as many write it: beyond R = 1.5 the energy is no number, but the force is one, and pushes
+    without_wall = lambda r2: (-33.75 * np.log(1.0 - r2 / 2.25), -30.0 / (1.0 - r2 / 2.25))  # noqa: E731
     bonds, asked, compute = (md.FENEBond(30.0, 1.5), md.BondPotential(without_wall)), [], md.Forces.compute
     found = md.minimize(bonded_pair(0.2), [LJ, bonds[1]], max_step_length=5.0)
     assert found.converged

@@ -11,7 +11,6 @@ from scenes import LJ, argon, chain
 from wrong_calls import answered, assert_answered
 
 import minimd as md
-from minimd import observers
 from minimd.analysis.check import check_file
 from minimd.analysis.plot import plot_file
 from minimd.files.h5md_digest import observers_of, read_restart
@@ -33,7 +32,7 @@ def simulation(**options):
 
 
 def several():
-    return [observers.KINDS[kind](every=every) for kind, every in EVERY.items()]
+    return [md.observers.KINDS[kind](every=every) for kind, every in EVERY.items()]
 
 
 class Run:
@@ -41,7 +40,7 @@ class Run:
 
     def __init__(self):
         self.sim, kept = simulation(), []
-        self.looking = {kind: of(every=2) for kind, of in observers.KINDS.items()}
+        self.looking = {kind: of(every=2) for kind, of in md.observers.KINDS.items()}
         keep = [lambda sim: kept.append([sim.positions.copy(), sim.velocities.copy()]), *self.looking.values()]
         self.record = self.sim.run(100, every=2, observers=keep)
         self.positions, self.velocities = np.array(kept).swapaxes(0, 1)
@@ -124,7 +123,7 @@ TWINS = {  # expected attributes of the result
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", observers.KINDS)
+@pytest.mark.parametrize("kind", md.observers.KINDS)
 def test_an_observer_has_the_result_of_its_slow_twin(kind, run):
     result = run.looking[kind].result()
     for name, expected in TWINS[kind](run).items():
@@ -135,7 +134,7 @@ def test_an_observer_has_the_result_of_its_slow_twin(kind, run):
 def test_radial_distribution_of_a_crystal_counts_all_images(cell):
     """Half the vectors from one atom to the other, and to the images of both, far beyond the cell."""
     system = md.System(np.array([[0.0, 0.0, 0.0], [2.0, 1.0, 1.0]]) @ cell, cell=np.diag([4.0, 2.0, 2.0]) @ cell)
-    looking = observers.RadialDistribution(r_max=5.0, n_bins=500, every=1)
+    looking = md.observers.RadialDistribution(r_max=5.0, n_bins=500, every=1)
     md.Simulation(system, NONE, md.VelocityVerlet(0.1)).run(0, observers=[looking])
     result = looking.result()
     counts = result.g * 4.0 / 3.0 * np.pi * np.diff(np.linspace(0.0, 5.0, 501) ** 3) / system.volume  # of one pair
@@ -155,7 +154,7 @@ def test_free_atoms_move_as_their_velocities_say(growth, drift):
     system = md.System(np.zeros((20, 3)), velocities=velocities + drift, cell=50.0)
     method = md.VelocityVerlet(0.01) if drift >= 0.0 else md.LangevinBAOAB(0.01, 1.0, 1.0, seed=1)
     sim = md.Simulation(system, NONE, method)
-    looking = observers.MeanSquareDisplacement(every=1)
+    looking = md.observers.MeanSquareDisplacement(every=1)
     looking.prepare(sim.engine)
     for step in range(200):
         looking.observe(sim.engine)
@@ -191,7 +190,7 @@ def test_fluctuations_at_constant_pressure_are_those_of_the_record():
     thermal, pressure = 0.9, 1.5
     bath = md.StochasticCellRescaling(pressure, 0.05, 0.5, seed=1, temperature=thermal, every=5)
     for method in (md.VelocityVerlet(0.004), md.StochasticVelocityRescaling(0.004, thermal, 0.1, 3)):
-        looking, sim = observers.Fluctuations(every=5), simulation(barostat=bath)
+        looking, sim = md.observers.Fluctuations(every=5), simulation(barostat=bath)
         sim.method = method
         record = sim.run(100, every=5, observers=[looking], progress=False)
         _, of_energy, of_volume = grown(looking)
@@ -213,7 +212,7 @@ def test_error_bars_of_fluctuations_hold_the_variance_also_of_short_runs(times):
     scene = ObservedRun("LJ", ["A"], [1], 1.0, 3, 1.0, 1.0)
     found, told = [], []
     for volume in processes(n_runs, times * tau, np.exp(-1.0 / tau), np.random.default_rng(times)).T:
-        looking = observers.Fluctuations()
+        looking = md.observers.Fluctuations()
         looking.scene, looking.reference, looking.sums = scene, [0.0, 0.0, 100.0], BlockedSums(13)
         for one in volume:
             looking.sums.total += np.concatenate([[1.0, 0.0, 0.0, one], np.outer([0, 0, one], [0, 0, one]).ravel()])
@@ -249,7 +248,7 @@ def test_a_run_that_was_cut_goes_on_to_the_same_answers(tmp_path):
         assert h5["minimd/observers/viscosity"].attrs["viscosity"] == whole[3].result().viscosity
 
 
-@pytest.mark.parametrize("kind", observers.KINDS)
+@pytest.mark.parametrize("kind", md.observers.KINDS)
 def test_a_state_sets_what_its_kind_has_and_nothing_else(kind, run):
     made = run.looking[kind]
     state, other = made.state(), type(made)(**made.made_with())
@@ -264,17 +263,16 @@ def test_sums_of_another_convention_do_not_go_on(tmp_path, monkeypatch):
     """Those of an older version, which gives no number: displacements were not relative to the center of mass."""
     file, sim, dumps = tmp_path / "a.h5md", simulation(), json.dumps
     with monkeypatch.context() as older:
-        older.setattr(observers.MeanSquareDisplacement, "convention", None, raising=False)
+        older.setattr(md.observers.MeanSquareDisplacement, "convention", None, raising=False)
         older.setattr(json, "dumps", lambda *made, **how: dumps(*made, **how).replace(', "convention": null', ""))
-        looking = [observers.MeanSquareDisplacement(every=2), observers.Profile(every=10)]
+        looking = [md.observers.MeanSquareDisplacement(every=2), md.observers.Profile(every=10)]
         sim.run(20, every=10, trajectory=file, observers=looking)
     found, resumed = md.read_observers(file), md.Simulation.resume(file, sim.potentials)
     assert {name: one.n_looks for name, one in found.items()} == {"mean_square_displacement": 0, "profile": 3}
     assert all([check_file(file).comparisons, plot_file(file).exists()])
     go_on = lambda *many: resumed.run(10, every=10, trajectory=file, append=True, observers=many)  # noqa: E731
     assert_answered(lambda: go_on(*found.values()), ValueError, "mean_square_displacement", "convention 1", "not 2")
-    with pytest.raises(ValueError, match="with the arguments"):
-        go_on(observers.Profile(every=7))
+    assert_answered(lambda: go_on(md.observers.Profile(every=7)), ValueError, "with the arguments")
     with pytest.warns(UserWarning, match="which this run does not go on with"):
         go_on()
 
@@ -329,7 +327,7 @@ class Speeds(Accumulator):
 
 
 def test_a_new_observer_is_one_class_and_its_series(tmp_path, monkeypatch):
-    monkeypatch.setitem(observers.KINDS, Speeds.kind, Speeds)
+    monkeypatch.setitem(md.observers.KINDS, Speeds.kind, Speeds)
     sim, looking, file = simulation(), Speeds(fastest=10.0), tmp_path / "a.h5md"
     sim.run(100, every=20, trajectory=file, observers=[looking])
     (kept,), result = md.read_observers(file).values(), looking.result()
@@ -348,7 +346,7 @@ def test_a_new_observer_is_one_class_and_its_series(tmp_path, monkeypatch):
 
 def test_looks_after_the_last_good_state_are_told(monkeypatch):
     """Nobody looks at a state that is known to have failed; earlier looks, of steps that were undone, are told of."""
-    sim, looking = simulation(), observers.MeanSquareDisplacement(every=2)
+    sim, looking = simulation(), md.observers.MeanSquareDisplacement(every=2)
     start, good = sim.engine.snapshot(), sim.guard.observe
 
     def observe():
@@ -373,14 +371,14 @@ def seen_by(*looking, sim=None):
 
 
 def with_another_time_step():
-    looking, sim = observers.Profile(every=1), simulation()
+    looking, sim = md.observers.Profile(every=1), simulation()
     seen_by(looking, sim=sim)
     sim.method = md.VelocityVerlet(0.002)
     seen_by(looking, sim=sim)
 
 
 def test_a_file_that_asks_for_too_much_is_refused(tmp_path):
-    simulation().run(4, every=2, trajectory=tmp_path / "a.h5md", observers=[observers.RadialDistribution(every=2)])
+    simulation().run(4, every=2, trajectory=tmp_path / "a.h5md", observers=[md.observers.RadialDistribution(every=2)])
     with h5py.File(tmp_path / "a.h5md", "r+") as h5:
         group = h5["minimd/observers/radial_distribution"]
         group.attrs["arguments"] = json.dumps(json.loads(group.attrs["arguments"]) | {"n_bins": 10**12})
@@ -389,12 +387,12 @@ def test_a_file_that_asks_for_too_much_is_refused(tmp_path):
 
 test_what_cannot_be_observed_is_refused = answered(
     (lambda: seen_by(3), TypeError, "observers", "[3]"),
-    (lambda: seen_by(observers.Profile(), observers.Profile()), ValueError, "observers", "'profile'"),
-    (lambda: observers.Profile().result(), ValueError, "Profile(", "not looked"),
-    (lambda: observers.RadialDistribution(every=0), ValueError, "every", "0"),
-    (lambda: observers.Profile("d"), ValueError, "axis", "'d'"),
-    (lambda: observers.Viscosity(name="a/b"), ValueError, "name", "'a/b'"),
-    (lambda: seen_by(observers.Profile(extent=(0.0, 1.0))), ValueError, "extent", "axis c"),
-    (lambda: seen_by(observers.RadialDistribution(), sim=chain().simulation()), ValueError, "periodic", "12 atoms"),
+    (lambda: seen_by(md.observers.Profile(), md.observers.Profile()), ValueError, "observers", "'profile'"),
+    (lambda: md.observers.Profile().result(), ValueError, "Profile(", "not looked"),
+    (lambda: md.observers.RadialDistribution(every=0), ValueError, "every", "0"),
+    (lambda: md.observers.Profile("d"), ValueError, "axis", "'d'"),
+    (lambda: md.observers.Viscosity(name="a/b"), ValueError, "name", "'a/b'"),
+    (lambda: seen_by(md.observers.Profile(extent=(0.0, 1.0))), ValueError, "extent", "axis c"),
+    (lambda: seen_by(md.observers.RadialDistribution(), sim=chain().simulation()), ValueError, "periodic", "12 atoms"),
     (with_another_time_step, ValueError, "time step"),
 )

@@ -22,7 +22,15 @@ def saddle(x, y, z, t, k):
     return k * x * y * (1.0 + t), -k * y * (1.0 + t), -k * x * (1.0 + t), 0.0, k * x * y
 
 
-BONDED = [
+def pole(r2, a):
+    return a / (r2 - 1.0), 2.0 * a / (r2 - 1.0) ** 2
+
+
+EXCLUDING = md.LennardJones(1.0, 1.0, exclusions=[[0, 2]])
+COULOMB = md.PairPotential(lambda r2, q: (q / r2**0.5, q / r2**1.5), (1.0,), 3.0, "truncated", tail_correction=True)
+ONE_SPOT = md.System([[0, 0, 0], [1, 1, 1], [2, 0, 0], [1, 1, 1]], cell=5.0)
+test_what_is_wrong_is_named_and_shown = answered(
+    # bonds
     (lambda: md.FENEBond(-1.0, 1.5), ValueError, "k must", "-1.0"),
     (lambda: md.PeriodicDihedral(1.0, 1.5), ValueError, "n must", "1.5"),
     (lambda: md.RyckaertBellemans([1.0] * 7), ValueError, "coefficients", "at most 6", "7"),
@@ -31,16 +39,13 @@ BONDED = [
     (lambda: md.PeriodicDihedral(1.0, 1, quadruples=[[0, 1, 2, 2]]), ValueError, "quadruples", "[0, 1, 2, 2]"),
     (lambda: md.evaluate(md.System([[0, 0, 0], [1.5, 0, 0]], bonds=[[0, 1]]), md.FENEBond(30.0, 1.5)),
      md.NonFiniteError, "FENEBond", "atoms 0 and 1, 1.5"),
-]  # fmt: skip
-EXCLUDING = md.LennardJones(1.0, 1.0, exclusions=[[0, 2]])
-PAIRS = [
+    # pairs
     (lambda: md.evaluate(TWO, EXCLUDING), ValueError, "exclusions", "[0, 2]"),
     (lambda: md.PairPotential(lambda r2: (r2, -2.0), exclusions=[[1, 1]]), ValueError, "exclusions", "[1, 1]"),
     (lambda: md.Coulomb(exclusions=[[0, 1], [1, 0]]), ValueError, "exclusions", "2 times"),
     (lambda: md.Coulomb(5.0, method="reaction-field", dielectric=0.5), ValueError, "dielectric", "0.5"),
     (lambda: md.Coulomb(5.0, method="reaction-field", dielectric="water"), ValueError, "dielectric", "water"),
-]
-FIELDS = [
+    # fields
     (lambda: md.evaluate(LINE, md.Wall([0, 0, 2.0], [0, 0, 1])), ValueError, "Wall", "atom 0"),
     (lambda: md.evaluate(TALL, WALL), ValueError, "Wall", "periodic", "crosses c"),
     (lambda: md.Wall([0, 0, 0], [0, 0, 0]), ValueError, "normal", "[0.0, 0.0, 0.0]"),
@@ -56,8 +61,7 @@ FIELDS = [
     (lambda: md.Simulation(TWO, md.Field(saddle, (1.0,)), md.VelocityVerlet(0.01), precision="fixed-point"),
      ValueError, "fixed-point"),
     (lambda: md.Simulation(TWO, steered(), md.VelocityVerlet(0.01)).probe_reversibility(10), ValueError, "time"),
-]  # fmt: skip
-TABLES = [
+    # tables
     (lambda: md.Tabulated(R[:5], R[:5]), ValueError, "r must", "(5,)"),
     (lambda: md.Tabulated(np.append(R, 2.5), np.append(R, 0.0)), ValueError, "r must increase", "r[10] = 2.5"),
     (lambda: md.Tabulated(np.append(R, np.nan), np.append(R, 0.0)), ValueError, "r must", "r[10] = nan"),
@@ -67,16 +71,7 @@ TABLES = [
     (lambda: md.evaluate(TWO, md.Tabulated(R, {("A", "B"): R})), ValueError, "Tabulated", "('A', 'B')"),
     (lambda: md.evaluate(md.System([[0.0, 0, 0], [0.75, 0, 0]]), md.Tabulated(R, R)),
      md.NonFiniteError, "Tabulated", "atoms 0 and 1, 0.75"),
-]  # fmt: skip
-
-
-def pole(r2, a):
-    return a / (r2 - 1.0), 2.0 * a / (r2 - 1.0) ** 2
-
-
-COULOMB = md.PairPotential(lambda r2, q: (q / r2**0.5, q / r2**1.5), (1.0,), 3.0, "truncated", tail_correction=True)
-ONE_SPOT = md.System([[0, 0, 0], [1, 1, 1], [2, 0, 0], [1, 1, 1]], cell=5.0)
-LAWS = [
+    # laws
     (lambda: md.evaluate(TWO, md.PairPotential(lambda r2, a: (a / r2, 2.0 * a / r2**1.5), (1.0,), 2.0)),
      ValueError, "at r = 1.86", "0.1671"),  # the force lacks an r
     (lambda: md.evaluate(TWO, md.PairPotential(pole, (), 2.0)), TypeError, "pole", "0 parameters"),
@@ -85,8 +80,7 @@ LAWS = [
     *((lambda law=law: md.BondPotential(law), TypeError, "law") for law in (len, dict, md.System, ())),
     (lambda: md.Forces(TWO, type("Nothing", (), {"bind": lambda self, system: None})()), TypeError, "bind", "add"),
     (lambda: md.evaluate(ONE_SPOT, md.LennardJones(1.0, 1.0, 2.0)), md.NonFiniteError, "atoms 1 and 3, 0 σ apart"),
-]  # fmt: skip
-test_what_is_wrong_is_named_and_shown = answered(*BONDED, *PAIRS, *FIELDS, *TABLES, *LAWS)
+)  # fmt: skip
 
 
 def test_poles_and_fields_that_do_not_fit_the_cell_are_no_errors():

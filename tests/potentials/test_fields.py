@@ -29,11 +29,6 @@ def test_methods_keep_their_order_in_time_dependent_fields(name):
     assert np.log2(apart[0] / apart[1]) == pytest.approx(method.order, abs=0.3)
 
 
-def test_a_field_may_have_no_parameters():
-    found = md.evaluate(md.System(np.diag([1.0, 2.0, 3.0])), md.Field(lambda x, y, z, t: (y * y, 0.0, -2.0 * y, 0.0)))
-    assert (found.potential_energy, found.forces[1].tolist()) == (4.0, [0.0, -4.0, 0.0])
-
-
 @pytest.mark.parametrize("method", [md.VelocityVerlet, md.PositionVerlet])
 def test_a_spring_moves_from_its_start_to_its_end_and_only_then(method):
     """A step that ends at the start does no work; the next one does, and the last ends at the end."""

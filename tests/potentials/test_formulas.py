@@ -13,6 +13,7 @@ from scenes import BONDED
 import minimd as md
 
 LJ = md.LennardJones(1.0, 1.0)
+WALLS = [("9-3", 0.4 ** (1 / 6), 10.0**0.5 / 3.0), pytest.param("12-6", 2.0 ** (1 / 6), 1, marks=pytest.mark.slow)]
 
 
 def two(distance, *more):
@@ -168,9 +169,6 @@ def test_dihedrals_follow_a_strained_cell():
     assert forces.terms == [term]
     assert forces.forces == pytest.approx(md.evaluate(system, law).forces, rel=1e-12)
     assert np.abs(forces.forces).max() > 0.1
-
-
-WALLS = [("9-3", 0.4 ** (1 / 6), 10.0**0.5 / 3.0), pytest.param("12-6", 2.0 ** (1 / 6), 1, marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize(("law", "d", "depth"), WALLS)

@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from lammps_scenes import morse
 from references import fourmol, load, melt
 
 import minimd as md
@@ -12,11 +13,6 @@ STRESS_ORDER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])  # xx yy zz xy xz yz
 RELATIVE = 1e-12
 FTM2V = 1.0 / 48.88821291**2  # acceleration [Å/fs²] of 1 kcal/mol/Å on 1 g/mol
 OF_IMPROPERS = 5e-11  # as LAMMPS' own test: it divides by sin φ, and φ is near 0
-
-
-def morse(r2, depth, alpha, r0):
-    r, x = np.sqrt(r2), np.exp(alpha * (r0 - np.sqrt(r2)))
-    return depth * (x * x - 2.0 * x), 2.0 * depth * alpha * (x * x - x) / r
 
 
 def lennard_jones_96(r2, epsilon, sigma):
@@ -50,8 +46,6 @@ def groups(name, law):
 
 HARMONIC_BONDS = groups("bonds", lambda _bonds, k, length: md.HarmonicBond(2.0 * k, length))
 HARMONIC_ANGLES = groups("angles", lambda atoms, k, angle: md.HarmonicAngle(2.0 * k, np.radians(angle), atoms))
-
-
 # the angles of impropers are all negative; LAMMPS' have no sign
 CASES = {
     "mol-pair-lj_cut": pairs(md.LennardJones, "shifted"),

@@ -15,6 +15,7 @@ LJ = md.LennardJones(1.0, 1.0, CUTOFF, "truncated")
 FULL = [0.0163, 0.0390, 0.113]  # |u|, |u′|, |u″| of the law at 2.5
 # errors above rounding, below 1e-2 ε
 TIMESTEPS = {VelocityVerlet: 0.004, Ruth3: 0.004, BlanesMoan4: 0.008, KahanLi6: 0.01, KahanLi8: 0.02}
+SMOOTHNESS = {"truncated": 0, "shifted": 1, "force-shifted": 2, "charmm": 2, "switched": 3, "smooth": 3}
 
 
 def derivatives(potential, r, h=1e-4):
@@ -30,9 +31,6 @@ def test_force_is_minus_the_derivative_of_the_truncated_law(truncation):
     for r in np.linspace(0.95, CUTOFF - 1e-3, 40).tolist():
         low, high = (law_at(potential.law, r + s, numbers)[0] for s in (-h, h))
         assert law_at(potential.law, r, numbers)[1] * r == pytest.approx((low - high) / (2 * h), rel=1e-7, abs=1e-8)
-
-
-SMOOTHNESS = {"truncated": 0, "shifted": 1, "force-shifted": 2, "charmm": 2, "switched": 3, "smooth": 3}
 
 
 @pytest.mark.parametrize(("truncation", "smoothness"), SMOOTHNESS.items())

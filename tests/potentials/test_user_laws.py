@@ -131,9 +131,7 @@ def test_the_digest_tells_what_changes_the_code_and_nothing_else():
     more = {"@numba.njit": "@numba.njit(fastmath=True)", "strength = 2.0": "strength = 2", "np.array([": "np.float32(["}
     others += [LAW.replace(old, new) for old, new in more.items()]
     assert len({law, *map(digest_of, others)}) == 1 + len(others)
-
-
-def test_a_function_that_calls_itself_has_a_digest():
+    # a function that calls itself
     source = "import numba\n@numba.njit\ndef law(r2, n):\n    return 1.0 if n < 1.0 else r2 * law(r2, n - 1.0)\n"
     snapshot = Snapshot(names_of(source)["law"])
     assert snapshot.digest == digest_of(source) != digest_of(source.replace("1.0 if", "2.0 if"))
@@ -148,8 +146,10 @@ UNSEEN = [  # objects of classes of the user's, attributes of modules, arrays th
 ]  # fmt: skip
 
 
-def test_what_may_change_unseen_has_no_digest():
+def test_what_may_change_unseen_has_no_digest_and_what_a_law_reads_must_be_there():
     assert [digest_of(LAW.replace(old, new)) for old, new in UNSEEN] == [""] * len(UNSEEN)
+    law = names_of(LAW.replace("strength = 2.0", ""))["law"]
+    assert_answered(lambda: md.PairPotential(law, (1.0,)).pair_energy(1.0), TypeError, "the law law", "'strength'")
 
 
 UNCLEAR = LAW  # with all kinds that take the digest from a law; its numbers are the same
@@ -181,11 +181,6 @@ def test_a_law_stays_what_it_was_when_the_potential_was_made(source, is_clear, c
         after = md.PairPotential(names["law"], (1.0,), 3.0)
         assert float(after.pair_energy(1.0)) == pytest.approx(20.0 * found[0], rel=1e-14)
         assert after.law != potential.law
-
-
-def test_what_a_law_reads_must_be_there():
-    law = names_of(LAW.replace("strength = 2.0", ""))["law"]
-    assert_answered(lambda: md.PairPotential(law, (1.0,)).pair_energy(1.0), TypeError, "the law law", "'strength'")
 
 
 def test_law_types_are_told_apart_and_copied():
@@ -234,6 +229,8 @@ def test_a_law_is_declared_once_and_has_constructor_checks_words_and_forces():
     assert_answered(lambda: md.evaluate(system, QuarticBond([1.0, 2.0, 3.0])), ValueError, "k", "2", "(3,)")
 
 
-def test_a_law_may_have_no_parameters_and_a_constant_force_over_distance():
+def test_a_law_and_a_field_may_have_no_parameters_and_a_law_a_constant_force_over_distance():
     found = md.evaluate(md.System([[0, 0, 0], [1, 2, 2]]), md.BondPotential(lambda r2: (r2, -2.0), (), [[0, 1]]))
     assert (found.potential_energy, found.forces[1].tolist()) == (9.0, [-2.0, -4.0, -4.0])
+    found = md.evaluate(md.System(np.diag([1.0, 2.0, 3.0])), md.Field(lambda x, y, z, t: (y * y, 0.0, -2.0 * y, 0.0)))
+    assert (found.potential_energy, found.forces[1].tolist()) == (4.0, [0.0, -4.0, 0.0])

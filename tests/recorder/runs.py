@@ -60,7 +60,6 @@ class Change(NamedTuple):
 
 @cache
 def recorder(folder):
-    """The compiled recorder."""
     compiler = shutil.which("cc")
     if not sys.platform.startswith("linux") or compiler is None:
         pytest.skip("the recorder needs Linux and a C compiler")

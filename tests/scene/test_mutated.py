@@ -67,6 +67,7 @@ FACTORS = [-1, 0, 2, 10, 1e-3, 1e3, 1e14, 1e-14]
 LARGE_IS_NO_MISTAKE = {"steps", "repeat", "max_steps", "rescale_every", "every"}
 MAY_BE_TEXT, MAY_BE_EMPTY = {"title", "plot", "trajectory", "species"}, {"constraints", "minimization", "output"}
 WAYS = ["misspelt", "gone", "twice", "sense", "value", "value", "value", "scaled", "scaled", "elsewhere"]
+SEEDS = [(1, 200, 0), *(pytest.param(seed, 1000, 2, marks=pytest.mark.slow) for seed in range(11, 21))]
 
 
 # fmt: off
@@ -163,9 +164,6 @@ def answer_to(text, is_senseless, n_steps):
     if grown > KILOBYTES or (seconds > SECONDS and not n_steps):  # with steps, it may compile
         return f"{seconds:.1f} s, {grown} kB more"
     return kind
-
-
-SEEDS = [(1, 200, 0), *(pytest.param(seed, 1000, 2, marks=pytest.mark.slow) for seed in range(11, 21))]
 
 
 @pytest.mark.parametrize(("seed", "n_scenes", "n_steps"), SEEDS)

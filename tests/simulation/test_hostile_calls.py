@@ -17,7 +17,6 @@ ITSELF: list = []
 ITSELF.append(ITSELF)
 NAN, INF = float("nan"), float("inf")
 LJ, VERLET = md.LennardJones(1.0, 1.0, 2.5), md.VelocityVerlet(0.001)
-
 # what no argument of any door may mean; the last is as large as it says, in eight bytes
 SENSELESS = [NAN, [NAN], 1 + 2j, np.array([1j, 2, 3]), 10**400, -(10**30), np.datetime64("2020-01-01"), b"x"]
 SENSELESS += [np.ma.masked, np.ma.array([1.0, 2.0, 3.0], mask=[0, 1, 0]), object(), [object()] * 3, {1: 2}, ITSELF]

@@ -15,6 +15,8 @@ from minimd.structure.checks import LARGEST, SMALLEST
 
 pytestmark = pytest.mark.slow  # pytest tests/stress -m "slow or not slow" runs them
 WALL = md.PairPotential(lambda r2: (r2**-24, 48.0 * r2**-25), (), 1.5, "force-shifted")  # r⁻⁴⁸, as steep as any
+BATHS = [*product([md.LangevinBAOAB], (1e-300, 1e-3, 1.0, 1e3, 1e10, LARGEST))]
+BATHS += product([md.StochasticVelocityRescaling], (SMALLEST, 1e-3, 1e3, LARGEST))
 
 
 def momentum_is_kept(simulation, bound=1e-12):
@@ -150,10 +152,6 @@ def test_energy_is_conserved(scene, given):
     for simulation, bound in scene(*given):
         assert is_finite(simulation)
         assert oscillation(simulation) < bound  # truncation
-
-
-BATHS = [*product([md.LangevinBAOAB], (1e-300, 1e-3, 1.0, 1e3, 1e10, LARGEST))]
-BATHS += product([md.StochasticVelocityRescaling], (SMALLEST, 1e-3, 1e3, LARGEST))
 
 
 @pytest.mark.parametrize("temperature", [0.0, 1e-30, 1.0])

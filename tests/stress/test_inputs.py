@@ -22,6 +22,9 @@ CHANGES = {
     "a number for a cell": (lambda sim: setattr(sim.system, "cell", 9.0), TypeError, "Cell"),
     "a run in a run": (lambda sim: sim.run(10), RuntimeError, "running"),
 }
+HOLED = md.PairPotential(lambda r2, a: (0.0 * r2, 0.0 * r2 / (abs(r2 - a) > 0.01)), (1.21,), 2.5, "truncated")
+FLYING = pair_at(2.0, velocities=[[1.0, 0, 0], [0, 0, 0]])
+FURTHER = [pytest.param(one, marks=pytest.mark.slow) for one in (".xtc", ".trr", ".extxyz", ".traj")]
 
 
 @pytest.mark.parametrize("name", CHANGES)
@@ -38,10 +41,6 @@ def test_subnormal_and_negative_zero_numbers_are_numbers_but_masses_may_be_too_s
     assert is_finite(ran(md.System(places, velocities=velocities), SMOOTH, 0.004, 100))
     system = md.System(places, masses=[1.0, 1e-70])
     assert_stops(lambda: ran(system, SMOOTH, 0.004, 100), md.NonFiniteError, "force on atom 1 would move it")
-
-
-HOLED = md.PairPotential(lambda r2, a: (0.0 * r2, 0.0 * r2 / (abs(r2 - a) > 0.01)), (1.21,), 2.5, "truncated")
-FLYING = pair_at(2.0, velocities=[[1.0, 0, 0], [0, 0, 0]])
 
 
 @pytest.mark.parametrize("system", [FLYING, pytest.param(solid(3), marks=pytest.mark.slow)])
@@ -87,9 +86,6 @@ def test_an_observer_that_heats_is_no_runaway():
 
     record = made(solid(3), SMOOTH, 1e-6).run(40, every=1, observers=[heat], progress=False)
     assert record.kinetic_energy.max() > 1e4 * abs(record.total_energy[0])
-
-
-FURTHER = [pytest.param(one, marks=pytest.mark.slow) for one in (".xtc", ".trr", ".extxyz", ".traj")]
 
 
 @pytest.mark.parametrize("suffix", [".h5md", ".dcd", *FURTHER])

@@ -47,11 +47,8 @@ def refused_scenes():
     fixed = md.FixedAtoms(np.ones(32, dtype=bool))
     yield "all fixed", partial(ran, solid(2), SMOOTH, 0.004, 10, constraints=fixed), "no degree of freedom"
     fixed, one_spot = md.DistanceConstraints([[1, 2]]), md.System([[0, 0, 0], [1, 0, 0], [1, 0, 0]])
-    yield (
-        "rigid on one spot",
-        partial(ran, one_spot, stress.WEAK, 0.01, 10, constraints=fixed),
-        "1 and 2 are at the same",
-    )
+    run = partial(ran, one_spot, stress.WEAK, 0.01, 10, constraints=fixed)
+    yield "rigid on one spot", run, "1 and 2 are at the same"
 
 
 def scenes_that_meet():

@@ -7,6 +7,7 @@ from references import processes
 from minimd.structure import statistics
 
 LOW, HIGH = 0.85, 1.3  # of an error bar beside what it should be; found in a short run, it itself scatters
+SLOW = [(0.0, 1), (0.5, 12), (0.5, 25), (0.5, 100), (0.8, 25), (0.95, 12), (0.95, 25), (0.95, 100)]
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.8, 0.95])
@@ -24,9 +25,6 @@ def test_few_entries_and_constant_series():
     assert np.isnan([statistics.mean_and_error([1.0, 2.0])[1], statistics.mean_and_error([])[0]]).all()
     assert (*statistics.mean_and_error([2.0] * 10), statistics.statistical_inefficiency([2.0] * 10)) == (2.0, 0.0, 1.0)
     assert (statistics.with_error(1.23456, 0.0123), statistics.with_error(2.0, 0.0)) == ("1.235 ± 0.012", "2")
-
-
-SLOW = [(0.0, 1), (0.5, 12), (0.5, 25), (0.5, 100), (0.8, 25), (0.95, 12), (0.95, 25), (0.95, 100)]
 
 
 @pytest.mark.parametrize("n_blocks", [16, 31])

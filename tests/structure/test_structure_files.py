@@ -19,6 +19,7 @@ from minimd.scene import load_scene, parse_scene, run_scene
 from minimd.structure.system import changed
 
 N_CHAINS, LENGTH, EDGE = 4, 5, 6.0
+EMPTY = MDAnalysis.Universe.empty(3, trajectory=True)  # of no masses: they are one in reduced units
 
 
 def along_chains(size):
@@ -232,9 +233,6 @@ def test_bonds_of_atoms_that_were_cut_or_repeated_are_not_trusted(folder, change
     assert len(none.bonds) == len(none.angles) == 0
 
 
-EMPTY = MDAnalysis.Universe.empty(3, trajectory=True)  # of no masses: they are one in reduced units
-
-
 def test_what_cannot_be_a_structure_is_named(folder):
     (folder / "melt.unknown").write_text("LAMMPS\n")
     atoms = ase.io.read("plain.pdb")
@@ -319,8 +317,7 @@ def test_charges_come_with_a_structure_and_a_warning_tells_if_nothing_uses_them(
     system = WAYS_IN[way](folder)
     assert system.charges.tolist() == (20 * IONS[1:] if "PSF" in way else IONS)
     law, neutral = md.LennardJones(1e-3, 0.5, 2.6), changed(system, charges=None)
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         md.evaluate(system, [law, md.Coulomb(2.6)])
         md.evaluate(system, [law, ForcesFromCalculator(LennardJones(rc=2.6))])
         md.evaluate(neutral, law)

@@ -28,6 +28,10 @@ PAGE = files("minimd.view") / "page"
 URL = re.compile(r"https?:|//\w", re.I)
 LINKS = ("src", "href", "action", "data", "srcset", "poster", "formaction", "srcdoc")
 CALLS = re.compile(r"\bfetch\(|XMLHttpRequest|WebSocket|sendBeacon|import\(|@import|url\(")
+PROGRAM = """
+const bonds = motion.bonds, start = new Float32Array(3 * bonds.length), end = new Float32Array(3 * bonds.length);
+motion.halves(7, motion.positions(7), start, end);
+console.log(JSON.stringify([motion.positions(7), start, end].map((array) => Array.from(array))));"""
 
 
 @pytest.fixture(scope="module")
@@ -94,12 +98,6 @@ def test_the_page_holds_these_counts_and_bonds_join_nearest_images(run):
     for frame, positions in zip(differences, stored_positions(run.file), strict=True):
         expected = nearest_vectors(positions, system.cell, system.bonds)
         assert np.abs(frame / LEVELS @ lattice - expected).max() <= 1.01 * np.abs(lattice).sum(axis=0).max() / LEVELS
-
-
-PROGRAM = """
-const bonds = motion.bonds, start = new Float32Array(3 * bonds.length), end = new Float32Array(3 * bonds.length);
-motion.halves(7, motion.positions(7), start, end);
-console.log(JSON.stringify([motion.positions(7), start, end].map((array) => Array.from(array))));"""
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node")

@@ -42,7 +42,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "view": (376, 3, 209),
     "minimd_bench": (1981, 10, 1157),
     "road of a step": (3846, 13),
-    "tests": (20165,),
+    "tests": (20000,),
 }
 # fmt: on
 

@@ -42,6 +42,7 @@ OF_FORCES: Names = (
     ("strength", r"^(q|charge|de)$"),
 )
 # fmt: on
+PHYSICAL = ("epsilon", "sigma", "stiffness", "strength")
 REST = r"^(r0|req|l0|d0|length|rest\w*|b0|x0)$"  # of a bond, if there is also a parameter for the stiffness
 SQUARED, DISTANCE = r"^(r2|rsq|rsq\w*|d2|dist2|rsquared|rr)$", r"^(r|d|dist\w*|rij|s)$"
 SEPARATION = r"^(rij|dr|d|dx|rvec|vec\w*|delta|disp\w*|sep\w*|r12)$"
@@ -271,7 +272,7 @@ def understood(function: Callable[..., Any]) -> StudentStep:
 class StudentForce:
     """A student's force function.
 
-    kind, dimensions : what it is called as; one of KINDS.  is_squared : whether the law takes r².  has_energy : whether
+    kind, dimensions : what it is called as; one of KINDS.  physical : values of ε, σ and others, by name.  is_squared : whether the law takes r².  has_energy : whether
     it also returns an energy.  roles : of the parameters other than the positions.  values : those that are given.
     """
 
@@ -301,6 +302,15 @@ class StudentForce:
                             "cell= and cutoff=")  # fmt: skip
         given = {name: role for name, role in self.roles.items() if name in extra or options.get(f"{role} given")}
         self.values, self.takes = {name: options.get(role, 1.0) for name, role in given.items()}, set(given.values())
+        values = {**self.defaults, **self.values}
+        has_stiffness = "stiffness" in self.roles.values()  # then a rest length is physical, too
+        self.physical = {
+            name: float(value)
+            for name, value in values.items()
+            if (self.roles[name] in PHYSICAL or (has_stiffness and re.search(REST, plain(name))))
+            and type(value) in (int, float, np.float64)
+            and value > 0.0
+        }
         may_be = (("law", f"{SQUARED}|{DISTANCE}"), ("pair", SEPARATION))
         guesses = ["pair"] if self.is_of_two else [one for one, names in may_be if re.search(names, first)]
         guesses = guesses if guesses and (self.is_squared or self.is_of_two) else [*guesses, "forces"]

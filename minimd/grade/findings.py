@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from math import isfinite, nan
+from math import isfinite, isnan, nan
 from typing import Any, NamedTuple
 
 from minimd.console.display import Displayed, Rows
@@ -33,27 +33,27 @@ class Finding:
 
 
 class Law(NamedTuple):
-    """One law.  measure : of what is judged; a number, or a number, how far it is off, and what else the words need; None
-    if the law does not apply.  bound : the law holds if the number is off by less.  words, cause : formats of a Finding.
-    otherwise : the verdict if the law does not hold; None if the reader has to judge."""
+    """One law.  measure : of what is judged; a number, or a number, how far it is off, and what else the words need.
+    bound : the law holds if the number is off by less; if that is NaN, the reader has to judge.  words, cause : formats
+    of a Finding.  needs : what must be there."""
 
     name: str
     measure: Callable[[Any], Any]
     bound: float
     words: str
     cause: str = ""
-    otherwise: bool | None = False
+    needs: str = ""
 
     def finding(self, answer: Any) -> Finding:
         """The finding from what was measured."""
         numbers = answer if isinstance(answer, tuple) else (answer, answer)
-        passed = bool(abs(numbers[1]) < self.bound) or self.otherwise
+        passed = None if isnan(numbers[1]) else bool(abs(numbers[1]) < self.bound)
         return Finding(self.name, passed, self.words.format(*numbers), float(numbers[0]), self.cause.format(*numbers))
 
 
 def judged(laws: Iterable[Law], one: Any) -> list[Finding]:
-    """The findings of all laws that apply."""
-    return [law.finding(answer) for law in laws if (answer := law.measure(one)) is not None]
+    """The findings of the laws of which all needs are in one.has."""
+    return [law.finding(law.measure(one)) for law in laws if one.has >= {*law.needs.split()}]
 
 
 def causes(findings: Iterable[Finding]) -> list[str]:

@@ -1,5 +1,5 @@
-"""The grade of a force function: whether forces are a gradient, pairwise, symmetric, periodic and cut off correctly, and
-equal to minimd's. What is seen for one pair of atoms is in pairs.py."""
+"""The grade of a force function: whether forces are a gradient, pairwise, symmetric, periodic, cut off correctly, and equal
+to minimd's. One table has the laws of many atoms, and those of the force of a pair, f > 0 for repulsion, at a distance."""
 
 from __future__ import annotations
 
@@ -11,64 +11,54 @@ from typing import Any
 import numpy as np
 
 from minimd.forces.evaluation import evaluate
-from minimd.grade.calling import KINDS, REST, SEPARATE, START, StudentForce, plain
-from minimd.grade.findings import Finding, Grade, Law, causes, coefficient, first_of, judged
-from minimd.grade.pairs import DELTA, FARTHEST, FINITE, SAME_FORCE, Pair, related
-from minimd.grade.pairs import LAWS as LAWS_OF_PAIRS
+from minimd.grade.calling import KINDS, REST, StudentForce, plain
+from minimd.grade.findings import Grade, Law, causes, coefficient, first_of, is_near, judged
+from minimd.grade.powers import Powers, compared, jumps, powers_of
 from minimd.grade.problems import Array, bisected, difference, multiple_of
 from minimd.potentials.bonded import Bond
 from minimd.structure.system import System
 
 BOX, CUTOFF = 12.0, 2.5  # σ: cell and cutoff for a function that takes them, if the user gives none
 SPACING, JITTER, TRIALS = 1.25, 0.12, 30  # of the atoms in the test [σ]; the best of some configurations is used
-ROUNDING, SAME, EQUAL = 1e-9, 1e-8, 1e-6  # relative differences below them: of sums; of moved atoms; of differences
-PROBE, LONGEST = 1.25, 40.0  # distance of two atoms across a boundary; largest distance at which a period is searched
-FACTOR = 1.15  # by which a parameter is increased
+ROUNDING, SAME, EQUAL, CAPPED = 1e-9, 1e-8, 1e-6, 1e-4  # relative differences: sums; moved atoms; slopes; of capped forces
+PROBE, LONGEST = 1.25, 40.0  # σ: of two atoms across a boundary; largest distance at which a period is searched
+CLOSEST, NEAREST, FARTHEST = 0.3, 0.77, 6.0  # σ: distances of the search for a cap, of ordinary forces, for an end
+POINTS, GRID, DELTA, FACTOR = 40, 500, 3e-4, 1.15  # of profiles; of jumps; of differences; of larger parameters
 SKEW = np.array([0.9, 0.5, -0.4])  # a vector of a pair that is parallel to no plane of the axes
 WHERE, ALONG = np.array([0.31, 0.47, 0.23]), {2: np.array([0.6, 0.8]), 3: np.array([0.6, 0.48, 0.64])}
 SHIFTS = np.array([[0.013, -0.007, 0.021], [0.002, 0.001, 0.003]])
+CURE = "use dx − L · round(dx/L)"
+LENNARD_JONES = "48 ε σ¹² r^−13 − 24 ε σ⁶ r^−7"
 
 
-class Atoms:
-    """A student's forces on many atoms and what is measured on them: see Law.measure."""
+class Forces:
+    """A student's forces, and what is measured on them: see Law.measure.
+
+    has : what laws may need: atoms (many), pairs, field or nofield, cell or free, energy or noenergy, known, cutoff.
+    """
 
     def __init__(
-        self, force: StudentForce, cell: Array | None, cutoff: float | None, given: Array | None, potential: Any
+        self, call: StudentForce, cell: Array | None, cutoff: float | None, given: Array | None, potential: Any
     ) -> None:
-        self.force, self.d, self.cutoff, self.potential = force, force.dimensions, cutoff, potential
-        self.cell, self.lengths = cell, None if cell is None else cell[: self.d]
-        self.along, self.units, self.start = ALONG[self.d], np.eye(self.d), WHERE[: self.d]
-        self.start = self.start if self.lengths is None else self.start * 0.3 * self.lengths / self.lengths.max()
-        self.x, self.faults = self.cluster() if given is None else given, list[str]()
-        self.takes_pairs, self.is_field = self.takes(2), self.takes(1) and bool(self.f(self.pair(PROBE)[:1]).any())
-        self.forces = self.f(self.x)
-        self.scale, self.is_finite = float(np.abs(self.forces).max()) or 1.0, bool(np.isfinite(self.forces).all())
-
-    def f(self, x: Array) -> Array:
-        """(N, 3) forces."""
-        return self.force(x)[0]
-
-    def u(self, x: Array) -> float:
-        """Energy."""
-        return float(np.asarray(self.force(x)[1]))
-
-    def off(self, x: Array, right: Array) -> float:
-        """The relative difference of the forces at x from those that are right."""
-        return float(np.abs(self.f(x) - right).max()) / self.scale
-
-    def pair(self, r: float, along: Array | None = None) -> Array:
-        """Two atoms at a distance, inside the cell."""
-        return np.array([self.start, self.start + r * (self.along if along is None else along)])
-
-    def of_a_pair(self, r: float) -> float:
-        """The force of a pair, > 0 for repulsion."""
-        forces = self.f(self.pair(r)) @ self.along
-        return float(max(-forces[0], forces[1], key=abs))
+        self.call, self.d, self.cell, self.cutoff, self.potential = call, call.dimensions, cell, cutoff, potential
+        self.lengths, self.along, self.units = None if cell is None else cell[: self.d], ALONG[self.d], np.eye(self.d)
+        self.start = WHERE[: self.d] * (1.0 if self.lengths is None else 0.3 * self.lengths / self.lengths.max())
+        self.is_over_r, self.is_cube, self.remarks, self.name = False, False, list[str](), ""
+        self.farthest = FARTHEST if cell is None else min(FARTHEST, 0.4995 * float(cell.min()))
+        self.has = {call.kind, "free" if cell is None else "cell", "energy" if call.has_energy else "noenergy"}
+        self.x = self.place(PROBE) if call.kind != "forces" else self.cluster() if given is None else given
+        self.forces = call(self.x)[0]
+        self.scale, is_many = float(np.abs(self.forces).max()) or 1.0, call.kind == "forces"
+        self.has |= {"field"} if is_many and self.takes(1) and call(self.place(PROBE)[:1])[0].any() else {"nofield"}
+        is_turned = not self.has >= {"forces", "free"} or self.rotation() < SAME
+        if "nofield" in self.has and (not is_many or self.takes(2)) and is_turned and np.isfinite(self.forces).all():
+            self.has |= {"pairs", "known" if potential is not None else "pairs"}
+            self.find_profile()
 
     def takes(self, n: int) -> bool:
         """Whether the function works for n atoms."""
         try:
-            return self.f(self.pair(PROBE)[:n]).shape == (n, self.d)
+            return self.call(self.place(PROBE)[:n])[0].shape == (n, self.d)
         except Exception:  # whatever a student's function raises
             return False
 
@@ -77,8 +67,8 @@ class Atoms:
         pair is near the cutoff, or half the cell along an axis, where forces may jump."""
         lengths, sides = self.lengths, [5 - self.d] * self.d
         if lengths is not None:
-            sides = list(np.clip((lengths / SPACING).astype(int), 1, 6 - self.d))
-        lattice = SPACING * np.array(list(product(*map(range, sides))), dtype=float)
+            sides = [*np.clip((lengths / SPACING).astype(int), 1, 6 - self.d)]
+        lattice = SPACING * np.array([*product(*map(range, sides))], dtype=float)
         first, second = np.triu_indices(len(lattice), 1)
 
         def margin(x: Array) -> float:
@@ -91,147 +81,241 @@ class Atoms:
         x = max((lattice + one.uniform(-JITTER, JITTER, lattice.shape) for one in randoms), key=margin)
         return x + 0.5 if lengths is None else np.mod(x - SPACING + 0.3, lengths)
 
-    def period(self) -> float | None:
-        """The edge along x of a cell inside the function: the distance after which the force of a pair repeats."""
+    def place(self, r: float, along: Array | None = None) -> Any:
+        """The argument of the function for two atoms at a distance."""
+        apart, start = r * (self.along if along is None else along), self.start
+        distance = r * r if self.call.is_squared else r
+        return {"law": distance, "pair": apart, "forces": np.array([start, start + apart])}[self.call.kind]
+
+    def both(self, r: float) -> tuple[float, float]:
+        """f and u of a pair."""
+        force, u = self.call(self.place(r))
+        along = force if self.call.kind == "law" else force @ self.along
+        f = max(-along[0], along[1], key=abs) if self.call.kind == "forces" else along
+        return float(f) * (r if self.is_over_r else 1.0), float(np.asarray(u))
+
+    def f(self, r: Any) -> Any:
+        """The force of a pair, at one distance or many."""
+        return np.array([self.both(float(one))[0] for one in r]) if np.ndim(r) else self.both(r)[0]
+
+    def u(self, r: Any) -> Any:
+        """The energy of a pair, at one distance or many."""
+        return np.array([self.both(float(one))[1] for one in r]) if np.ndim(r) else self.both(r)[1]
+
+    def slopes(self, r: Array) -> Array:
+        """−du/dr."""
+        return -np.asarray(difference(self.u, r, DELTA)) / DELTA
+
+    def find_profile(self) -> None:
+        """The force of a pair at ordinary distances, that of the potential, and the powers of r."""
+        end = min(self.farthest, 0.9 * (self.cutoff or CUTOFF), 2.2)
+        ended = [float(x) for x in np.linspace(1.0, end, 60) if self.f(float(x)) == 0.0]
+        self.r = np.linspace(NEAREST, 0.98 * ended[0] if ended else end, POINTS)
+        pairs = [np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]]) for r in self.r] if "known" in self.has else []
+        self.known = np.array([evaluated(pair, self.potential, None).forces[1, 0] for pair in pairs])
+        right = self.slopes(self.r) if "energy" in self.has else self.known
+        if self.call.kind == "law" and len(right) and compared(self.f(self.r), right, self.r, "")[1] == -1.0:
+            self.is_over_r = True
+            self.remarks.append("the law returns f = −u′(r)/r, as minimd's laws do: multiply it by the vector r_ij")
+        self.values = self.f(self.r)
+        self.powers = powers_of(self.values, self.r)
+
+    def period(self) -> float:
+        """The edge along x of a cell inside the function, the distance after which the force of a pair repeats; else 0."""
 
         def at(d: float) -> float:
-            return float(self.f(self.pair(d, self.units[0]))[1, 0])
+            return float(self.call(self.place(d, self.units[0]))[0][1, 0])
 
-        if not self.takes_pairs or self.lengths is not None or self.is_field or not (first := at(1.5)):
-            return None
+        if not self.has >= {"forces", "pairs", "free"} or not (first := at(1.5)):
+            return 0.0
         large = [d for d in np.arange(3.0, LONGEST, 0.25) if abs(at(float(d))) > 0.5 * abs(first)]
         guesses = np.arange(large[0] - 2.0, large[0] + 3.0, 0.005) if large else np.zeros(1)
         edge = float(np.round(min(guesses, key=lambda d: abs(at(d + 1.5) - first) + abs(at(d - 1.5) + first)), 3))
-        return edge if edge and abs(at(edge + 1.5) - first) < 0.05 * abs(first) else None
+        return edge if abs(at(edge + 1.5) - first) < 0.05 * abs(first) else 0.0
 
-    def cube(self, farthest: float) -> list[str]:
-        """The fault of a cutoff that acts on components: pairs interact in a cube."""
+    def off(self, x: Array, right: Array) -> float:
+        """The relative difference of the forces at x from those that are right."""
+        return float(np.abs(self.call(x)[0] - right).max()) / self.scale
 
-        def feels(r: float, along: Array = self.units[0]) -> bool:
-            return bool(self.f(self.pair(r, along)).any())
-
-        felt = [feels(float(r)) for r in np.arange(0.9, farthest, 0.05)]
-        if not felt[0] or felt[-1]:
-            return []
-        end = 0.9 + 0.05 * felt.index(False)
-        half, _ = bisected(lambda low, r, high: feels(r), end - 0.05, end, 30)
-        corner = half / float(self.along.max())
-        return first_of((feels(0.99 * corner, self.along) and not feels(1.01 * corner, self.along),
-                         "the cutoff acts on the components, not on the distance: pairs in a cube with half the edge "
-                         f"{half:.4g} interact. Compare dx² + dy² + dz² with the square of the cutoff"))  # fmt: skip
-
-    def reaction(self) -> float:
-        """The sum of all forces."""
-        off = float(np.abs(self.forces.sum(axis=0)).max()) / self.scale
-        if off > ROUNDING and self.takes_pairs:
-            one, two = self.f(self.pair(PROBE))
-            sizes, hint = np.linalg.norm([one, two], axis=1), "; or floor takes the place of round in the nearest image"
-            self.faults += first_of(
-                (sizes.min() < ROUNDING * sizes.max(), f"only one of the two atoms of a pair gets the force, number "
-                 f"{sizes.argmax()}: what is added to one must be subtracted from the other{hint * (self.cell is not None)}"),
-                (np.allclose(one, two, rtol=1e-9), "both atoms of a pair get the same force: the second one needs the "
-                                                   "opposite sign"),
-            )  # fmt: skip
-        return off
-
-    def gradient(self) -> tuple[float, float, str] | None:
-        """The forces beside −∇U."""
-        if not self.force.has_energy:
-            return None
-        slopes = -np.array([difference(self.u, self.x, e) for e in self.steps()]).reshape(self.x.shape) / DELTA
-        off = float(np.abs(self.forces - slopes).max()) / (float(np.abs(slopes).max()) or 1.0)
-        return off, off, "; ".join(related(multiple_of(self.forces, slopes, EQUAL), 0.0, "−∇U"))
-
-    def steps(self) -> Array:
-        """A short step of each coordinate."""
-        return np.eye(self.x.size).reshape(-1, *self.x.shape) * DELTA
-
-    def curl(self) -> float | None:
-        """Whether forces without an energy can be a gradient: ∂F_i/∂x_j = ∂F_j/∂x_i."""
-        some = [] if self.force.has_energy else self.steps()[:24]
-        matrix = np.array([np.ravel(difference(self.f, self.x, e))[: len(some)] for e in some])
-        return float(np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300)) if len(some) else None
+    def rotation(self) -> float:
+        """Turned atoms."""
+        turn = np.linalg.qr(np.random.default_rng(4).normal(size=(self.d, self.d)))[0]
+        return self.off(self.x @ turn, self.forces @ turn)
 
     def exchange(self) -> float:
         """Renumbered atoms."""
         order = np.random.default_rng(2).permutation(len(self.x))
         return self.off(self.x[order], self.forces[order])
 
-    def rotation(self) -> float | None:
-        """Turned atoms."""
-        turn = np.linalg.qr(np.random.default_rng(4).normal(size=(self.d, self.d)))[0]
-        return self.off(self.x @ turn, self.forces @ turn) if self.cell is None else None
+    def central(self) -> float:
+        """F × r_ij beside F r."""
+        vector = self.call(SKEW)[0]
+        return float(np.linalg.norm(np.cross(vector, SKEW)) / np.linalg.norm(vector))
 
-    def periodic(self) -> float | None:
-        """Atoms moved by whole cells."""
-        cells = np.random.default_rng(6).integers(-1, 2, self.x.shape)
-        return None if self.lengths is None else self.off(self.x + cells * self.lengths, self.forces)
+    def cube(self) -> tuple[float, float]:
+        """Half the edge of a cube in which pairs interact."""
 
-    def images(self) -> tuple[int, int, int] | None:
+        def feels(r: float, along: Array = self.units[0]) -> bool:
+            return bool(self.call(self.place(r, along))[0].any())
+
+        felt = [feels(float(r)) for r in np.arange(0.9, self.farthest, 0.05)]
+        if not felt[0] or felt[-1]:
+            return 0.0, 0.0
+        end = 0.9 + 0.05 * felt.index(False)
+        half, _ = bisected(lambda low, r, high: feels(r), end - 0.05, end, 30)
+        corner = half / float(self.along.max())
+        self.is_cube = feels(0.99 * corner, self.along) and not feels(1.01 * corner, self.along)
+        return half, float(self.is_cube)
+
+    def without_effect(self) -> tuple[int, int, str]:
+        """The physical parameters, such as ε and σ, that have no effect when they are increased."""
+        call, still, own = self.call, list[str](), self.forces
+        given = call.values
+        for name, value in call.physical.items() if np.isfinite(own).all() and own.any() else ():
+            call.values = {**given, name: FACTOR * value}
+            try:
+                still += [name] * int(np.array_equal(own, call(self.x)[0]))
+            except Exception:  # whatever a student's function raises
+                continue
+            finally:
+                call.values = given
+        hint = ", a bond without rest length: F = −k (r − r0) r_ij/r" * any(re.search(REST, plain(one)) for one in still)
+        return len(still), len(still), f"{', '.join(still)} is without effect: with a larger value the forces are the same{hint}"
+
+    def gradient(self) -> tuple[float, float, str]:
+        """The force of a pair beside −du/dr."""
+        c, k, fault = compared(self.values, self.slopes(self.r), self.r, "−du/dr of the energy")
+        return c, float(bool(fault)), fault
+
+    def of_powers(self) -> tuple[float, float, str, Powers | None]:
+        """The powers of r; those of Lennard-Jones are needed with the function's ε and σ, or without an energy."""
+        own, units = self.powers, {self.call.roles[name]: value for name, value in self.call.physical.items()}
+        epsilon, sigma, is_given = units.get("epsilon", 1.0), units.get("sigma", 1.0), {"epsilon", "sigma"} <= {*units}
+        n, c = (0, 0) if own is None else (*own.terms,), (0.0,) if own is None else (*own.terms.values(),)
+        if own is None or len(n) != 2 or abs(n[0] - 13) > 2 or abs(n[1] - 7) > 2:
+            return np.nan, 0.0, "", own
+        right = Powers({13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6})
+        fault, sigma6 = compared(self.values, right.at(self.r), self.r, LENNARD_JONES)[2], abs(c[0] / c[1]) / 2.0
+        if n == (13, 7):
+            self.name = f"Lennard-Jones with ε = {abs(c[1]) / 24.0 / sigma6:.6g}, σ = {sigma6 ** (1 / 6):.6g}"
+            is_own = c[0] > 0.0 > c[1] and not is_given and not any(is_near(abs(one), m) for one in c for m in (24.0, 48.0))
+            fault = "" if is_own and not is_near(sigma6, 1.0) else fault
+            for ratio, k, what in ((c[0] / right.terms[13], 12, "repulsive"), (c[1] / right.terms[7], 6, "attractive")):
+                powers = [f"σ^{m}" for m in range(1, k + 1) if sigma != 1.0 and is_near(ratio, sigma**-m)]
+                powers += ["ε"] * int(epsilon != 1.0 and is_near(ratio, 1.0 / epsilon))
+                fault += f"; in the {what} term {powers[0]} is missing" if fault and powers else ""
+        is_alone = is_given or not {"known", "energy"} & self.has
+        return np.nan, (0.0 if is_alone else np.nan) if not fault else float(is_alone) or np.nan, fault, own
+
+    def cap(self) -> tuple[float, float]:
+        """The largest of the close distances at which the force is not its law, a sum of powers or −du/dr, or constant."""
+        r, far = np.geomspace(CLOSEST, 1.0, POINTS), self.r > 1.0
+        f, powers = self.f(r), self.powers or powers_of(self.values[far], self.r[far])
+        right = powers.at(r) if powers else self.slopes(r) if "energy" in self.has else f
+        is_flat, rest = np.ptp(f[:4]) == 0.0 != np.ptp(f), np.abs(f / right - 1.0)
+        off = r[(rest > CAPPED) | ((f == f[0]) & is_flat)] if np.isfinite(rest).all() else r[:0]
+        return float(off.max(initial=0.0)), float(len(off))
+
+    def ending(self) -> tuple[float, float, float | None]:
+        """The largest force beyond the cutoff."""
+        beyond = 0.0
+        if self.cutoff is not None and self.cutoff < self.farthest and not self.is_cube:
+            beyond = float(np.abs(self.f(np.linspace(1.001 * self.cutoff, self.farthest, 20))).max())
+        return beyond, beyond, self.cutoff
+
+    def end(self) -> tuple[float, float, str]:
+        """Where the force ends, if it jumps to zero; whether it should end there."""
+        found = jumps(self.f, np.linspace(NEAREST, self.farthest, GRID))
+        end, cutoff = next((r for r, _, above in found if above == 0.0), np.inf), self.cutoff or np.inf
+        is_odd = self.cutoff is None and end < np.inf and is_near(2.0 * end**2, round(2.0 * end**2))
+        is_early = end < 0.999 * cutoff < np.inf or (is_odd and not is_near(100.0 * end, round(100.0 * end)))
+        words = "; ".join(f"jumps by {b - a:+.4g} at r = {r:.6g}" for r, a, b in found[:3]) or "continuous"
+        return end, float(is_early) or (np.nan if found else 0.0), words
+
+    def jump(self) -> tuple[float, float, float, float]:
+        """The first jump of the energy."""
+        r, below, above = (*jumps(self.u, np.linspace(NEAREST, self.farthest, GRID)), (0.0, 0.0, 0.0))[0]
+        is_meant = getattr(self.potential, "truncation", "") == "truncated"  # minimd's energy jumps, too
+        return above - below, np.nan if is_meant else above - below, r, below
+
+    def beside(self) -> tuple[float, float, str]:
+        """The force of a pair beside that of minimd."""
+        off = float(np.abs(self.values - self.known).max() / np.abs(self.known).max())
+        return off, off, compared(self.values, self.known, self.r, "minimd's force")[2]
+
+    def all_beside(self) -> tuple[float, float, str]:
+        """All forces and the energy beside those of minimd."""
+        answer = evaluated(np.pad(self.x, ((0, 0), (0, 3 - self.d))), self.potential, self.cell)
+        known, energy, right = answer.forces[:, : self.d], self.call(self.x)[1], float(answer.potential_energy)
+        off, c = float(np.abs(self.forces - known).max()) / (np.abs(known).max() or 1.0), multiple_of(self.forces, known, 1e-6)
+        is_energy = "energy" in self.has and not np.isclose(energy, right, rtol=1e-9)
+        told = f"the forces differ by {off:.1%} of the largest{f', they are {c:.6g} times as large' * bool(np.isfinite(c))}"
+        return off, max(off, float(is_energy)), told if off > ROUNDING else f"the energy is {energy:.8g} where {right:.8g} is needed"
+
+    def reaction(self) -> tuple[float, float, str]:
+        """The sum of all forces, and what is wrong with a pair."""
+        off, (one, two) = float(np.abs(self.forces.sum(axis=0)).max()) / self.scale, np.zeros((2, self.d))
+        if self.takes(2):
+            one, two = self.call(self.place(PROBE))[0]
+        sizes = np.linalg.norm([one, two], axis=1)
+        return off, off, first_of(
+            (sizes.min() < ROUNDING * sizes.max(), f": only one of the two atoms of a pair gets the force, number {sizes.argmax()}"
+             "; what is added to one must be subtracted from the other, or floor takes the place of round in the nearest image"),
+            (sizes.any() and np.allclose(one, two, rtol=1e-9), ": both atoms of a pair get the same force; the second one needs "
+                                                               "the opposite sign"), (True, ""))[0]  # fmt: skip
+
+    def all_slopes(self) -> tuple[float, float, str]:
+        """The forces of all atoms beside −∇U."""
+        steps = np.eye(self.x.size).reshape(-1, *self.x.shape) * DELTA
+        slopes = -np.array([difference(lambda x: float(self.call(x)[1]), self.x, e) for e in steps]) / DELTA
+        off, c = float(np.abs(self.forces.ravel() - slopes).max()), multiple_of(self.forces.ravel(), slopes, EQUAL)
+        return off, off / (float(np.abs(slopes).max()) or 1.0), f": they are {c:.6g} times it" if np.isfinite(c) else ""
+
+    def curl(self) -> float:
+        """Whether forces without an energy can be a gradient: ∂F_i/∂x_j = ∂F_j/∂x_i."""
+        some = (np.eye(self.x.size).reshape(-1, *self.x.shape) * DELTA)[:24]
+        matrix = np.array([np.ravel(difference(lambda x: self.call(x)[0], self.x, e))[: len(some)] for e in some])
+        return float(np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300))
+
+    def images(self) -> tuple[int, int, str]:
         """Nearest images across each face, in both directions."""
-        if self.lengths is None or not self.takes_pairs:
-            return None
-        bad = list[tuple[int, float]]()  # axes, and the part of the force that is there
+        bad, middle = list[tuple[int, float]](), 0.5 * self.lengths  # axes, and the part of the force that is there
         for axis, sign in product(range(self.d), (1, -1)):
-            unit, edge, middle = sign * self.units[axis], self.lengths[axis], 0.5 * self.lengths
+            unit, edge = sign * self.units[axis], self.lengths[axis]
             face = middle + (0.5 * edge - 0.2) * unit
-            inside, across = (self.f(np.array([a, a + b * unit])) for a, b in ((middle, PROBE), (face, PROBE - edge)))
+            inside, across = (self.call(np.array([a, a + b * unit]))[0] for a, b in ((middle, PROBE), (face, PROBE - edge)))
             if np.abs(across - inside).max() > SAME * np.abs(inside).max():
                 bad.append((axis, float(np.abs(across).max() / np.abs(inside).max())))
-        far = -0.5 * PROBE * self.units[0]  # across the origin, where wrapped positions are cut or interact
-        origin, center = (
-            float(np.abs(self.f(np.array([a + far, a - far]))).max())
-            for a in (0.0 * self.lengths + 0.1, 0.5 * self.lengths)
-        )
-        axes, is_all = sorted({axis for axis, _ in bad}), len(bad) == 2 * self.d
-        verb = f"minimum image {'is missing' if any(part < 0.2 for _, part in bad) else 'is wrong'}"
-        where, cure = "along " + ", ".join("xyz"[axis] for axis in axes), "use dx − L · round(dx/L)"
-        self.faults += first_of(
-            (origin > 0.0 and center < 0.2 * origin, "positions are wrapped into the cell, but differences are not: two atoms on "
-             f"both sides of a face of the wrapped cell do not interact; {cure} for the differences"),
-            (is_all, f"{verb}: atoms on both sides of a face of the cell do not interact as neighbors; {cure}"),
-            (bad and len(bad) == 2 * len(axes), f"{verb} {where}, but right for the other axes"),
-            (bad, f"{verb} in one direction {where}: only one of dx > L/2 and dx < −L/2 is treated"),
-        )  # fmt: skip
-        return len(bad), len(bad), 2 * self.d
+        far = 0.5 * PROBE * self.units[0]  # across the origin and the middle, where wrapped positions interact, or are cut
+        origin, center = (np.abs(self.call(np.array([a - far, a + far]))[0]).max() for a in (0.0 * middle + 0.1, middle))
+        axes, verb = sorted({axis for axis, _ in bad}), "missing" if any(part < 0.2 for _, part in bad) else "wrong"
+        where = "along " + ", ".join("xyz"[axis] for axis in axes)
+        return len(bad), len(bad) + float(center < 0.2 * origin), first_of(
+            (center < 0.2 * origin, f"positions are wrapped into the cell, but differences are not: {CURE} for the differences"),
+            (len(bad) == 2 * self.d, f"minimum image is {verb}: atoms on both sides of a face of the cell do not interact as "
+                                     f"neighbors; {CURE}"),
+            (len(bad) == 2 * len(axes), f"minimum image is {verb} {where}, but right for the other axes"),
+            (True, f"minimum image is {verb} in one direction {where}: only one of dx > L/2 and dx < −L/2 is treated"),
+        )[0]  # fmt: skip
 
-    def sum_of_pairs(self) -> tuple[float, float, str] | None:
+    def sum_of_pairs(self) -> tuple[float, float, str]:
         """The forces beside the sum, over pairs, of the forces on two atoms alone: other forces are a multiple of it,
         which is a fault, or many-body forces, which may be right."""
         n, forces, parts = len(self.x), self.forces, np.zeros((len(self.x), *self.x.shape))
-        for i, j in zip(*np.triu_indices(n, 1), strict=True) if self.takes_pairs else ():
-            parts[i, j], parts[j, i] = self.f(self.x[[i, j]])
+        for i, j in zip(*np.triu_indices(n, 1), strict=True):
+            parts[i, j], parts[j, i] = self.call(self.x[[i, j]])[0]
         pairs, before = parts.sum(axis=1), np.tri(n, k=-1)[:, :, None]
-        off, small = float(np.abs(pairs - forces).max()) / self.scale, SAME * self.scale
+        off, small, c = float(np.abs(pairs - forces).max()) / self.scale, SAME * self.scale, multiple_of(forces, pairs, SAME)
         halves = [np.abs(forces - (parts * half).sum(axis=1)).max() for half in (before, before.transpose(1, 0, 2))]
         single = (np.abs(forces[:, None] - parts).max(axis=2) + np.diag(np.full(n, np.inf))).min(axis=1).max()
-        c = multiple_of(forces, pairs, SAME)
-        self.faults += [] if off <= SAME or not self.takes_pairs else first_of(
-            (single < small, "each atom feels only one other atom: its force is overwritten (=) in the loop where it should be "
-                             "added (+=)"),
+        fault = first_of(
+            (off < SAME, ""), (single < small, "each atom feels only one other atom: its force is overwritten (=) in the loop "
+                                               "where it should be added (+=)"),
             (min(halves) < small, "each atom feels only the atoms with a higher number, or only those with a lower number"),
             (np.abs(forces[-1]).max() < 1e-4 * small, f"atom {n - 1}, the last, feels no force: check the bounds of the loop"),
-            (np.isfinite(c), f"the forces of {n} atoms are {coefficient(c)} times the sum of those of pairs: they are divided "
-                             "or multiplied by a number of atoms or pairs"),
-        )  # fmt: skip
-        return (off, off, "" if off <= SAME else ": many-body forces, or pairs left out") if self.takes_pairs else None
-
-    def beside(self) -> float | None:
-        """All forces and the energy beside those of minimd."""
-        if self.potential is None:
-            return None
-        answer, n = evaluated(np.pad(self.x, ((0, 0), (0, 3 - self.d))), self.potential, self.cell), len(self.x)
-        known, energy, right = answer.forces[:, : self.d], self.u(self.x), float(answer.potential_energy)
-        off, c = (
-            float(np.abs(self.forces - known).max()) / (float(np.abs(known).max()) or 1.0),
-            multiple_of(self.forces, known, 1e-6),
-        )
-        self.faults += [] if self.faults else first_of(
-            (off > SAME_FORCE, f"the forces of {n} atoms differ from minimd's by {off:.1%} of the largest, or by the factor {c:.6g}"),
-            (self.force.has_energy and not np.isclose(energy, right, rtol=1e-9), f"the energy of {n} atoms is {energy:.8g}, "
-             f"{energy / (right or np.nan):.4g} times minimd's, {right:.8g}"),
-        )  # fmt: skip
-        return off
+            (np.isfinite(c), f"the forces of {n} atoms are {c:.6g} times the sum of those of pairs: they are divided or "
+                             "multiplied by a number of atoms or pairs"), (True, ""))[0]  # fmt: skip
+        return off, off if fault or off < SAME else np.nan, fault
 
 
 def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
@@ -246,33 +330,52 @@ def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
     return evaluate(System(x, cell=lengths, bonds=[[0, 1]] if is_bond else None), potential)
 
 
-SELF = Law("finite", FINITE.measure, 0.5, FINITE.words, "forces are not finite: an atom meets itself (i = j, r = 0), or two "
-           "atoms coincide")  # fmt: skip
-LAWS_OF_A_FIELD = (
-    Law("external field", lambda b: (np.nan, 1.0) if b.is_field else None, 0.5, "a single atom feels a force", otherwise=None),
-    Law("all forces = −∇U", Atoms.gradient, EQUAL, "largest difference {0:.1e} of the largest force", "the forces are not −∇U "
-        "of the energy, by {0:.1%}. {2}"),
-    Law("a gradient", Atoms.curl, 1e-4, "∂F_i/∂x_j − ∂F_j/∂x_i is {0:.1e} of the largest element", "the forces are not the "
-        "gradient of any energy: ∂F_i/∂x_j and ∂F_j/∂x_i differ by {0:.1%}; no energy can be conserved"),
-    Law("exchange", Atoms.exchange, ROUNDING, "forces of renumbered atoms differ by {0:.1e}", "the forces depend on the "
-        "numbering of the atoms: the double loop leaves out pairs, or forces are overwritten (=) where they should be added"),
-    Law("all atoms as minimd's", Atoms.beside, SAME_FORCE, "largest difference {0:.1e} of the largest force"),
-)  # fmt: skip
-LAWS = (
-    Law("sum of forces", Atoms.reaction, ROUNDING, "|Σ F| is {0:.1e} of the largest force", "the sum of all forces is not zero"),
-    Law("sum over pairs", Atoms.sum_of_pairs, SAME, "F − Σ of single pairs is {0:.1e} of the largest force{2}", otherwise=None),
-    *LAWS_OF_A_FIELD,
+# fmt: off
+LAWS = (  # the most telling first
+    Law("finite", lambda s: float(np.count_nonzero(~np.isfinite([*s.forces.flat, *(s.values if "pairs" in s.has else ())]))),
+        0.5, "{0:g} forces are not finite", "forces are not finite: an atom meets itself (i = j, r = 0), or two coincide"),
+    Law("parameters", Forces.without_effect, 0.5, "{0} are without effect", "{2}"),
+    Law("central", Forces.central, 1e-9, "F × r_ij is {0:.1e} of F r", "the force of the pair does not point along r_ij: the "
+        "direction must be r_ij/r in all three components", "pair"),
+    Law("inside a sphere", Forces.cube, 0.5, "where pairs interact", "the cutoff acts on the components, not on the distance: "
+        "pairs in a cube with half the edge {0:.4g} interact. Compare dx² + dy² + dz² with its square", "forces pairs"),
+    Law("nearest image", Forces.images, 0.5, "pairs across {0} faces do not interact as inside", "{2}", "forces pairs cell"),
+    Law("rotation", Forces.rotation, SAME, "forces of turned atoms differ by {0:.1e}", "the forces do not turn with the atoms: "
+        "they differ by {0:.1%}. A component is missing, or r is not √(x² + y² + z²)", "forces nofield free"),
+    Law("a gradient", Forces.curl, 1e-4, "∂F_i/∂x_j − ∂F_j/∂x_i is {0:.1e} of the largest element", "the forces are not the "
+        "gradient of any energy: ∂F_i/∂x_j and ∂F_j/∂x_i differ by {0:.1%}; no energy can be conserved", "forces noenergy"),
+    Law("sum over pairs", Forces.sum_of_pairs, SAME, "F − Σ of single pairs is {0:.1e} of the largest force", "{2}",
+        "forces pairs"),
+    Law("sum of forces", Forces.reaction, ROUNDING, "|Σ F| is {0:.1e} of the largest force", "the sum of all forces is not "
+        "zero{2}", "forces nofield"),
+    Law("not capped", Forces.cap, 0.5, "the force is its law to r = 0.3", "the force is capped at close distances (r = {0:.3f} "
+        "and below): it is no longer the law, nor −du/dr of its energy", "pairs"),
+    Law("powers of r", Forces.of_powers, 0.5, "F = {3}", "{2}", "pairs"),
+    Law("force = −∇U", Forces.gradient, 0.5, "F is {0:.6g} times −du/dr", "{2}", "pairs energy"),
+    Law("as minimd's", Forces.beside, ROUNDING, "largest difference {0:.1e} of the largest force", "{2}", "pairs known"),
+    Law("cutoff", Forces.ending, 1e-300, "the largest force beyond it is {0:.2g}", "the cutoff {2} is not applied: the largest "
+        "force beyond it is {0:.3g}", "pairs"),
+    Law("force continuous", Forces.end, 0.5, "{2}", "the force ends at r = {0:.6g}, where it should not: is r² compared with "
+        "the cutoff, not with its square?", "pairs"),
+    Law("energy continuous", Forces.jump, 1e-300, "jumps by {0:+.4g}", "the energy jumps at the cutoff by {0:+.4g} (r = {2:.6g}"
+        "): each pair that crosses it changes the total energy; subtract u(r_c) = {3:.4g} from the energy of every pair",
+        "pairs energy"),
+)
+GENERAL = (  # told if no other law says why
+    Law("all forces = −∇U", Forces.all_slopes, EQUAL, "largest difference {0:.1e}", "the forces are not −∇U{2}", "forces energy"),
+    Law("exchange", Forces.exchange, ROUNDING, "forces of renumbered atoms differ by {0:.1e}", "the forces depend on the "
+        "numbering of the atoms: the double loop leaves out pairs, or forces are overwritten (=), not added (+=)", "forces"),
     # of two translations the smaller difference counts: the other one may take a pair across a jump
-    Law("translation", lambda b: min(b.off(b.x + shift[: b.d], b.forces) for shift in SHIFTS), SAME,
-        "forces of shifted atoms differ by {0:.1e}", "the forces depend on the place of the atoms"),
-    Law("rotation", Atoms.rotation, SAME, "forces of turned atoms differ by {0:.1e}", "the forces do not turn with the atoms: "
-        "they differ by {0:.1%}. A component is missing, or r is not √(x² + y² + z²)"),
-    Law("nearest image", Atoms.images, 0.5, "pairs across {0} of {2} faces do not interact as inside"),
-    Law("periodic", Atoms.periodic, SAME, "forces of atoms moved by whole cells differ by {0:.1e}", "forces on atoms outside "
-        "the cell differ: subtract L · round(dx/L), which is right for any distance"),
-)  # fmt: skip
-AT_HALF = Law("at half the cell", lambda rest: rest, 1e-300, "where the nearest image changes, the force is {0:.2g}; if it is "
-              "not zero, use a cutoff", otherwise=None)  # fmt: skip
+    Law("translation", lambda s: min(s.off(s.x + shift[: s.d], s.forces) for shift in SHIFTS), SAME,
+        "forces of shifted atoms differ by {0:.1e}", "the forces depend on the place of the atoms", "forces nofield"),
+    Law("periodic", lambda s: s.off(s.x + np.random.default_rng(6).integers(-1, 2, s.x.shape) * s.lengths, s.forces), SAME,
+        "forces of atoms moved by whole cells differ by {0:.1e}", f"forces on atoms outside the cell differ: {CURE}, which is "
+        "right for any distance", "forces nofield cell"),
+    Law("all atoms as minimd's", Forces.all_beside, ROUNDING, "largest difference {0:.1e} of the largest force", "{2}, minimd's",
+        "forces known"),
+    Law("external field", lambda s: np.nan, 0.5, "a single atom feels a force", "", "field"),
+)
+# fmt: on
 
 
 def grade_forces(
@@ -290,89 +393,22 @@ def grade_forces(
     edge = BOX if lengths is None else float(lengths[0]) if np.ptp(lengths) == 0.0 else lengths
     options = {"box": edge, "cutoff": cutoff or CUTOFF, "epsilon": units[0], "sigma": units[1], "n": 0}
     options |= {"box given": lengths is not None, "cutoff given": cutoff is not None}
-    force = StudentForce(function, options, kind, given)
-    lengths = np.full(3, BOX) if "box" in force.takes and lengths is None else lengths
+    call = StudentForce(function, options, kind, given)
+    lengths = np.full(3, BOX) if "box" in call.takes and lengths is None else lengths
+    cutoff = cutoff or CUTOFF if "cutoff" in call.takes else cutoff
     with np.errstate(all="ignore"):
-        return measured(force, lengths, cutoff or CUTOFF if "cutoff" in force.takes else cutoff, given, potential)
-
-
-def measured(
-    force: StudentForce, lengths: Array | None, cutoff: float | None, given: Array | None, potential: Any
-) -> Grade:
-    """The grade of forces that can be called."""
-    told = f"{force.name}({', '.join(force.names)}): {KINDS[force.kind]}{' and the energy' * force.has_energy}"
-    faults, remarks, findings, name, atoms, x = (
-        list[str](),
-        list[str](),
-        list[Finding](),
-        "",
-        None,
-        np.array(START * 1.2),
-    )
-    is_law, along, values = force.kind == "law", np.array([0.6, 0.0, 0.8]), values_of(force)
-
-    def at(r: float) -> tuple[float, float]:
-        f, u = force((r * r if force.is_squared else r) if is_law else r * along)
-        return float(f if is_law else f @ along), float(u)
-
-    f, u = (lambda r: at(r)[0]), (lambda r: at(r)[1])
-    if force.kind == "forces":
-        atoms = Atoms(force, lengths, cutoff, given, potential)
-        if edge := atoms.period():
-            remarks.append(
-                f"the forces are periodic along x with the period {edge:.6g}, taken as the edge of a cubic cell"
-            )
-            atoms = Atoms(force, lengths := np.full(3, edge), cutoff, given, potential)
-        f, u, x = atoms.of_a_pair, (lambda r: atoms.u(atoms.pair(r))), atoms.x
-        findings = judged((SELF, *(LAWS_OF_A_FIELD if atoms.is_field else LAWS)) if atoms.is_finite else (SELF,), atoms)
-    is_turned = all(one.passed is not False for one in findings if one.name in ("finite", "rotation"))
-    if atoms is None or (is_turned and atoms.takes_pairs and not atoms.is_field):
-        farthest = FARTHEST if lengths is None else min(FARTHEST, 0.4995 * float(lengths.min()))
-        known = lambda r: float(evaluated(np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]]), potential, None).forces[1, 0])  # noqa: E731
-        pair = Pair(f, u if force.has_energy else None, known if potential else None, farthest, cutoff, is_law)
-        own, faults = (
-            {force.roles[name]: value for name, value in values.items()},
-            atoms.cube(farthest) if atoms else [],
-        )
-        pair.name_with(own.get("epsilon", 1.0), own.get("sigma", 1.0), {"epsilon", "sigma"} <= {*own})
-        pair.is_cube, pair.may_jump, name = bool(faults), getattr(potential, "truncation", "") == "truncated", pair.name
-        if force.kind == "pair":
-            x, vector = SEPARATE, force(SKEW)[0]
-            pair.off_center = float(np.linalg.norm(np.cross(vector, SKEW)) / np.linalg.norm(vector))
-        of_pair = judged(LAWS_OF_PAIRS if pair.is_finite else (FINITE,), pair)
-        faults, findings, remarks = faults + causes(of_pair) + pair.faults, findings + of_pair, remarks + pair.remarks
-        if atoms and lengths is not None and cutoff is None:
-            findings.append(AT_HALF.finding(abs(f(0.4999 * float(lengths.min())))))
-    faults = without_effect(force, x, values) + faults + (atoms.faults if atoms else [])
-    faults = faults or causes(findings)
-    faults += ["the function changes the positions that it is given: work on a copy"] * force.changes_input
-    return Grade(told, (*findings,), tuple(dict.fromkeys(faults)), name, (*remarks,))
-
-
-def values_of(force: StudentForce) -> dict[str, float]:
-    """The values of the function's physical parameters, such as ε and σ, by name."""
-    values, roles = {**force.defaults, **force.values}, force.roles
-    physical = {name for name in values if roles[name] in ("epsilon", "sigma", "stiffness", "strength")
-                or ("stiffness" in roles.values() and re.search(REST, plain(name)))}  # fmt: skip
-    numbers = {name: value for name, value in values.items() if type(value) in (int, float, np.float64)}
-    return {name: float(value) for name, value in numbers.items() if name in physical and value > 0.0}
-
-
-def without_effect(force: StudentForce, x: Any, values: dict[str, float]) -> list[str]:
-    """Faults for physical parameters whose values have no effect on the forces."""
-    faults, given, own = list[str](), force.values, force(x)[0]
-    for name, value in values.items() if np.isfinite(own).all() and np.any(own) else ():
-        force.values = {**given, name: FACTOR * value}
-        try:
-            is_same = np.array_equal(own, force(x)[0])
-        except Exception:  # whatever a student's function raises
-            continue
-        finally:
-            force.values = given
-        hint = ", a bond without rest length: F = −k (r − r0) r_ij/r" * bool(re.search(REST, plain(name)))
-        faults += [f"the argument {name} is without effect: with {name} = {value:g} and {FACTOR * value:g} the forces are the "
-                   f"same{hint}"] * is_same  # fmt: skip
-    return faults
+        one = Forces(call, lengths, cutoff, given, potential)
+        if edge := one.period():
+            one = Forces(call, np.full(3, edge), cutoff, given, potential)
+            one.remarks.append(f"forces are periodic along x with the period {edge:.6g}, taken as the edge of a cubic cell")
+        telling, general = (judged(laws, one) for laws in (LAWS, GENERAL))
+        if one.cell is not None and cutoff is None and one.has >= {"forces", "pairs"}:
+            rest = abs(one.f(0.4999 * float(one.cell.min())))
+            one.remarks += first_of((rest, f"the force jumps by {rest:.2g} where the nearest image changes: use a cutoff"))
+    faults = causes(telling) or causes(general)
+    faults += ["the function changes the positions that it is given: work on a copy"] * call.changes_input
+    told = f"{call.name}({', '.join(call.names)}): {KINDS[call.kind]}{' and the energy' * call.has_energy}"
+    return Grade(told, (*telling, *general), tuple(faults), one.name, tuple(one.remarks))
 
 
 def edges(cell: float | Sequence[float] | None) -> Array | None:

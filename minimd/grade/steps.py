@@ -38,6 +38,9 @@ class Measured:
         line = [np.ravel(step(where, where.x * (1.0 + 1e-6 * k), where.v, 0.1)[0]) for k in range(12)]
         self.noise = float(np.abs(np.diff(line, n=3, axis=0)).max() / 8.0 / np.abs(where.x).max())
         self.fuzz = max(1.0, self.noise / NOISE)
+        self.has = {"atoms", "vectors"} if where.x.ndim == 2 else {"atoms"} if where.x.ndim else set[str]()
+        self.has = set() if where.stiffness else self.has  # springs to the origin conserve no momenta
+        self.has |= {"force"} if step.takes(*FORCES) else set()
 
     def run(self, h: float, n: int, x: Array | None = None, v: Array | None = None) -> tuple[Array, Array]:
         """x and v after n steps."""
@@ -93,10 +96,8 @@ class Measured:
         back = float(max(np.abs(x - self.where.x).max(), np.abs(v + self.where.v).max()))
         return back, back / self.fuzz / max(1.0, way), way
 
-    def momentum(self, of: Callable[[Array, Array], Array], least: int) -> tuple[float, float] | None:
-        """The relative change of Σ of(x, mv) in some steps; None for a problem that does not conserve it."""
-        if self.where.x.ndim < least or self.where.stiffness:
-            return None
+    def momentum(self, of: Callable[[Array, Array], Array]) -> tuple[float, float]:
+        """The relative change of Σ of(x, mv) in some steps."""
         before, after = (of(x, self.where.mass * v) for x, v in (self.where[:2], self.run(PACE, SOME)))
         off = float(np.abs((after - before).sum(axis=0)).max() / np.abs(before).sum())
         return off, off / self.fuzz
@@ -142,15 +143,13 @@ class Measured:
         words = f"v² {stiffness:+.6g} ω² x²{mixed}; stable up to ω dt = {limit:.2f}"
         return limit, 0.0 if limit else np.inf, f"at ω dt = {h:g} it conserves {words}"
 
-    def cost(self) -> tuple[float, float, str]:
+    def cost(self) -> tuple[int, float, str]:
         """The number of force evaluations in one step."""
-        if not self.step.takes(*FORCES):
-            return np.nan, np.inf, "not counted: the step computes its force itself"
         self.step.n_evaluations = 0
         self.run(PACE, 1)
         n = self.step.n_evaluations
         more = "; one is enough if the force at the end of a step is kept for the next step" if n == 2 else ""
-        return float(n), n - 1.0, f"{n} force evaluation{'s' * (n != 1)} per step{more}"
+        return n, 0.0 if n == 1 else np.nan, more
 
 
 def torque(x: Array, p: Array) -> Array:
@@ -168,12 +167,12 @@ LAWS = (
     Law("reversible", Measured.reversal, 1e-11, f"after {BACK} steps and as many back, the distance from the start is "
         "{0:.1e}; the way was {2:.2g}", "the step is not symmetric: kicks and drifts do not read the same forwards and "
         "backwards"),
-    Law("momentum", lambda s: s.momentum(lambda x, p: p, 1), 1e-11, f"changes by {{0:.1e}} of Σ|mv| in {SOME} steps",
-        "the total momentum changes: the forces of a step are not all computed at the same positions"),
-    Law("angular momentum", lambda s: s.momentum(torque, 2), 1e-11, f"changes by {{0:.1e}} of Σ|r × mv| in {SOME} steps"),
+    Law("momentum", lambda s: s.momentum(lambda x, p: p), 1e-11, f"changes by {{0:.1e}} of Σ|mv| in {SOME} steps",
+        "the total momentum changes: the forces of a step are not all computed at the same positions", "atoms"),
+    Law("angular momentum", lambda s: s.momentum(torque), 1e-11, f"changes by {{0:.1e}} of Σ|r × mv| in {SOME} steps", "", "vectors"),
     Law("energy", Measured.energy, 1.0, "{2}", "the energy drifts"),
     Law("oscillator", Measured.oscillator, 1.0, "{2}", "an oscillator is not kept for any time step"),
-    Law("cost", Measured.cost, 0.5, "{2}", otherwise=None),
+    Law("cost", Measured.cost, 0.5, "{0} force evaluations per step{2}", "", "force"),
 )  # fmt: skip
 REMARKS = (
     (lambda step: step.swapped, "the step returns v before x; the usual order is x, v"),

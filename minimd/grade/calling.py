@@ -1,10 +1,8 @@
 """How a student's step or force function is called: parameters are recognized by their names, results by their shapes.
 
-Parameters of steps with other names take the free places in step(x, v, force, m, dt), in this order. Coordinates are
-tried as (N, 3), (N, 2), (N,) and one number; masses as (N,), (N, 1) and one number; force(x) returns F, (F, U) or
-(U, F). The step is called in the first manner in which it returns without an error. What a force function is (forces
-of all atoms, a law of the distance, the force of a pair) follows from the name of its first parameter, and from what
-the function does with arrays: a law treats each element separately.
+Parameters of steps with other names take the free places in step(x, v, force, m, dt), in this order. The function is
+called in the first manner in which it returns without an error, and in the right shape. A law treats each element of its
+argument separately.
 """
 
 from __future__ import annotations
@@ -19,7 +17,6 @@ import numpy as np
 
 from minimd.grade.problems import SHAPES, Array, Problem, problem
 
-EMPTY = inspect.Parameter.empty
 PLACES = ("x", "v", "force", "m", "dt")
 Names = tuple[tuple[str, str], ...]  # role, and pattern of the name in lower case without underscores: the first counts
 # fmt: off
@@ -41,24 +38,21 @@ OF_FORCES: Names = (
     ("n", r"^(n|natoms|nparticles|num\w*)$"), ("stiffness", r"^(k|ks|kb|kbond|kspring)$"),
     ("strength", r"^(q|charge|de)$"),
 )
-# fmt: on
 PHYSICAL = ("epsilon", "sigma", "stiffness", "strength")
 REST = r"^(r0|req|l0|d0|length|rest\w*|b0|x0)$"  # of a bond, if there is also a parameter for the stiffness
 SQUARED, DISTANCE = r"^(r2|rsq|rsq\w*|d2|dist2|rsquared|rr)$", r"^(r|d|dist\w*|rij|s)$"
 SEPARATION = r"^(rij|dr|d|dx|rvec|vec\w*|delta|disp\w*|sep\w*|r12)$"
 ONE_OF_TWO = r"^(r|x|q|p|pos\w*|atom|vec)?(i|j|1|2|a|b)$"
-IS_FUNCTION = r"func|fn|compute|calc|get|eval|callable|law|field"
-IS_BEFORE = r"old|prev|last|before|minus|m1"
-FORCES = ("force", "acceleration", "gradient")
-ANSWERS = ("F", "(F, U)", "(U, F)")
+IS_FUNCTION, IS_BEFORE = r"func|fn|compute|calc|get|eval|callable|law|field", r"old|prev|last|before|minus|m1"
+FORCES, ANSWERS = ("force", "acceleration", "gradient"), ("F", "(F, U)", "(U, F)")
 VELOCITIES = ("v", "p", "half", "old")  # roles that take the place of velocities
-MASSES_NEED = {"(N,)": 1, "(N, 1)": 2, "one number": 0}  # dimensions of the array of positions
+MASSES = {"(N,)": 1, "(N, 1)": 2, "one number": 0}  # how they are given, and the least dimensions of positions
+TOLD = {(5, 3): "(N, 3)", (5, 2): "(N, 2)", (5,): "(N,)", (): "one number"}
 KINDS = {"forces": "forces on all atoms", "law": "a law of the distance", "pair": "the force of a pair"}
-FAR = 1e6  # edge of the box for a step that has such a parameter
-TINY = 1e-6  # time step of the first call, which shows whether x or v is returned first
-START = 1.1  # σ: the distance in trial calls
-SEPARATE = np.array([START, 0.2, 0.1])  # the vector of a pair in trial calls
+FAR, TINY = 1e6, 1e-6  # edge of the box for a step that has such a parameter; time step of the first call
+START, SEPARATE = 1.1, np.array([1.1, 0.2, 0.1])  # σ: the distance and the vector of a pair in trial calls
 TRIANGLE = np.array([[1.0, 1.0, 1.0], [2.1, 1.2, 1.1], [1.1, 2.3, 1.2]])  # three atoms in trial calls
+# fmt: on
 
 
 def plain(name: str) -> str:
@@ -71,45 +65,42 @@ def role_of(name: str, names: Names = OF_STEPS) -> str:
     return next((role for role, pattern in names if re.search(pattern, plain(name))), "")
 
 
-def parameters_of(function: Callable[..., Any], names: Names, example: str) -> dict[str, tuple[str, Any]]:
-    """Role and default of each parameter, by name; EMPTY if there is no default.
+class Called:
+    """A student's function.  roles, defaults : of its parameters, by name.
 
     Raises TypeError for what has no parameters, or for a method without its object.
     """
-    try:
-        parameters = [*inspect.signature(function).parameters.values()]
-    except (TypeError, ValueError):
-        raise TypeError(
-            f"{example.partition('(')[0]} must be a function, such as {example}; got {function!r}"
-        ) from None
-    if parameters and parameters[0].name == "self":
-        raise TypeError(f"{called(function)} is a method without its object (its first parameter is self): pass the "
-                        f"method of an object, as in md.grade(Simulation().{called(function)})")  # fmt: skip
-    starred = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-    return {one.name: (role_of(one.name, names), one.default) for one in parameters if one.kind not in starred}
 
-
-def called(function: Callable[..., Any]) -> str:
-    """The name of a function."""
-    return getattr(function, "__name__", "function")
+    def __init__(self, function: Callable[..., Any], names: Names, example: str) -> None:
+        self.function, self.name = function, getattr(function, "__name__", "function")
+        try:
+            parameters = inspect.signature(function).parameters
+        except (TypeError, ValueError):
+            raise TypeError(f"give a function, such as {example}; got {function!r}") from None
+        if [*parameters][:1] == ["self"]:
+            raise TypeError(f"{self.name} is a method without its object (its first parameter is self): pass the method "
+                            f"of an object, as in md.grade(Simulation().{self.name})")  # fmt: skip
+        starred = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+        kept = {name: one.default for name, one in parameters.items() if one.kind not in starred}
+        self.roles = {name: role_of(name, names) for name in kept}
+        self.defaults = {name: value for name, value in kept.items() if value is not inspect.Parameter.empty}
 
 
 def manners(function: Callable[..., Any]) -> Iterator[StudentStep]:
     """The manners in which a step may be called, the most likely first; optional parameters with unknown names are
     left out.  Raises TypeError for parameters that do not make a step."""
-    parameters = parameters_of(function, OF_STEPS, "step(x, v, force, m, dt)")
-    has_force = any(role in FORCES for role, _ in parameters.values())  # a step with its own force keeps its own mass
-    kept = {name: role for name, (role, default) in parameters.items()
-            if default is EMPTY or (role and (has_force or role != "m"))}  # fmt: skip
-    have = {"force" if role in FORCES else "v" if role in VELOCITIES else role for role in kept.values()}
+    one = Called(function, OF_STEPS, "step(x, v, force, m, dt)")
+    has_force = {*one.roles.values()} & {*FORCES}  # a step with its own force keeps its own mass
+    known = {name: role for name, role in one.roles.items()
+             if name not in one.defaults or (role and (has_force or role != "m"))}  # fmt: skip
+    have = {"force" if role in FORCES else "v" if role in VELOCITIES else role for role in known.values()}
     left = iter([place for place in PLACES if place not in have and not ("state" in have and place in ("x", "v"))])
-    names, roles = tuple(kept), [role or next(left, "") for role in kept.values()]
-    has_state = "state" in roles or ("x" in roles and set(VELOCITIES) & set(roles))
-    if "dt" not in roles or not has_state or "" in roles:
-        unknown = [name for name in names if not kept[name]]
-        nobody = f"; the meaning of {' and '.join(unknown)} cannot be seen from the name" if unknown else ""
+    names, roles = tuple(known), [role or next(left, "") for role in known.values()]
+    if "dt" not in roles or not ("state" in roles or ("x" in roles and {*VELOCITIES} & {*roles})) or "" in roles:
+        unknown = " and ".join(name for name in names if not known[name])
         raise TypeError("a step takes positions, velocities, a force function, masses and a time step, as step(x, v, "
-                        f"force, m, dt); the parameters of this one are ({', '.join(names)}){nobody}. Give them these "
+                        f"force, m, dt); the parameters of this one are ({', '.join(names)})"
+                        f"{f'; the meaning of {unknown} cannot be seen from the name' * bool(unknown)}. Give them these "
                         "names (m may be left out); also known are pos, vel, frc, forces, compute_forces, acc, mass, "
                         "h, timestep, p, x_old, v_half")  # fmt: skip
     forces = [k for k, role in enumerate(roles) if role in FORCES]
@@ -118,35 +109,33 @@ def manners(function: Callable[..., Any]) -> Iterator[StudentStep]:
     if len(forces) > 1:
         like = {k: (bool(re.search(IS_FUNCTION, names[k].lower())), not is_old[k], len(names[k])) for k in forces}
         choices = [[k for k in forces if k != max(forces, key=lambda k: like[k])]]
-    masses = ("(N,)", "(N, 1)", "one number") if "m" in roles else ("one number",)
-    for known, shape, mass, answers in product(choices, SHAPES, masses, ANSWERS if forces else ANSWERS[:1]):
-        when = {k: "before " if len(known) > 1 and is_old[k] else "known " for k in known}
-        if len(shape) >= MASSES_NEED[mass]:
-            told = tuple(when.get(k, "") + role for k, role in enumerate(roles))
-            yield StudentStep(function, told, names, shape, mass, answers)
+    masses = [*MASSES] if "m" in roles else ["one number"]
+    for arrays, shape, mass, answers in product(choices, SHAPES, masses, ANSWERS if forces else ANSWERS[:1]):
+        when = {k: "before " if len(arrays) > 1 and is_old[k] else "known " for k in arrays}
+        if len(shape) >= MASSES[mass]:
+            told = {name: when.get(k, "") + roles[k] for k, name in enumerate(names)}
+            yield StudentStep(function, told, shape, mass, answers)
 
 
 class StudentStep:
     """A student's step as a map of (x, v) to (x, v), called in one manner.
 
-    roles : of the parameters, in their order; "known force" is the force at x as an array, "before force" the one a
-    step earlier.  masses, answers : how masses are given, and what force(x) returns; see the module.  n_evaluations :
-    how often it called the force function.  third : the force that it returned last as its third result, or None.
-    swapped, in_place : whether it returns v first; whether it changes x or v in place.  rows_alike : whether it
-    returned a path whose rows are all the same.  stiffness : of the oscillator inside a step without a force function.
+    roles : of the parameters, by name; "known force" is the force at x as an array, "before force" the one a step
+    earlier.  masses, answers : how masses are given, and what force(x) returns.  n_evaluations : how often it called the
+    force function.  third : the force that it returned last as its third result, if any.  swapped, in_place : whether it
+    returns v first; whether it changes x or v in place.  rows_alike : whether it returned a path whose rows are all the
+    same.  stiffness : of the oscillator inside a step without a force function.
     """
 
-    def __init__(
-        self, function: Any, roles: tuple[str, ...], names: tuple[str, ...], shape: Any, masses: str, answers: str
-    ) -> None:
-        self.function, self.roles, self.names, self.shape = function, roles, names, shape
-        self.masses, self.answers, self.words = masses, answers, set(" ".join(roles).split())
-        self.n_evaluations, self.stiffness, self.third = 0, 0.0, np.array([])
-        self.swapped = self.in_place = self.rows_alike = False
-        shapes = {(5, 3): "(N, 3)", (5, 2): "(N, 2)", (5,): "(N,)", (): "one number"}
-        kinds = {"x": shapes[shape], "m": masses, **dict.fromkeys(FORCES, f"a function: {answers}")}
-        told = (f"{name}: {kinds[role]}" if role in kinds else name for name, role in zip(names, roles, strict=True))
-        self.told = f"{called(function)}({', '.join(told)})"
+    n_evaluations, stiffness, third = 0, 0.0, np.array([])
+    swapped = in_place = rows_alike = False
+
+    def __init__(self, function: Any, roles: dict[str, str], shape: Any, masses: str, answers: str) -> None:
+        self.function, self.names, self.shape, self.masses, self.answers = function, roles, shape, masses, answers
+        self.roles, self.words = [*roles.values()], {*" ".join(roles.values()).split()}
+        kinds = {"x": TOLD[shape], "m": masses, **dict.fromkeys(FORCES, f"a function: {answers}")}
+        told = (f"{name}: {kinds[role]}" if role in kinds else name for name, role in roles.items())
+        self.told = f"{getattr(function, '__name__', 'step')}({', '.join(told)})"
 
     def takes(self, *words: str) -> bool:
         """Whether one of these words is in the roles of the parameters."""
@@ -166,13 +155,12 @@ class StudentStep:
         before = x - h * v + 0.5 * h * h * where.force(x) / where.mass if self.takes("before") else x
         of_v = next((role for role in VELOCITIES if role in roles), "v")
         arrays: dict[str, Any] = {"x": x, "v": v, "p": where.mass * v, "half": half, "old": x - h * half}
-        for role in roles:
-            when, _, what = role.partition(" ")
-            arrays |= {role: where.scaled(what, before if when == "before" else x)} if what else {}
+        known = [(role, before if "before" in role else x) for role in roles if " " in role]
+        arrays |= {role: where.scaled(role.split()[1], place) for role, place in known}
         others: dict[str, Any] = {"dt": h, "time": 0.0, "box": FAR, "steps": 1, "state": [one(x), one(v)]}
         others |= {"m": np.array(m) if np.ndim(m) else float(m), **{role: self._force(role, where) for role in FORCES}}
         given = {role: one(arrays[role]) if role in arrays else others[role] for role in roles}
-        answer = self.function(**{name: given[role] for name, role in zip(self.names, roles, strict=True)})
+        answer = self.function(**{name: given[role] for name, role in self.names.items()})
         if "state" in roles:  # of a step that takes and returns both in one array or list
             new = self._parts(given["state"] if answer is None else answer, x.shape)
             return new[0], new[1]
@@ -212,20 +200,14 @@ class StudentStep:
         """The arrays in the result, x and v first; the last rows of a path."""
         if isinstance(answer, dict):
             answer = [answer[key] for key in sorted(answer, key=lambda key: {"x": 0, "v": 1}.get(role_of(key), 2))]
-        is_array = isinstance(answer, np.ndarray)
-        is_one = (is_array and answer.shape == shape) or not (is_array or isinstance(answer, (tuple, list)))
+        is_one = not isinstance(answer, (np.ndarray, tuple, list)) or (np.shape(answer) == shape and not self.takes("state"))
         parts = [np.array(part, dtype=float) for part in ((answer,) if is_one else answer)]
-        if len(parts) < 2 - self.takes("old"):
-            raise ValueError(f"the step must return x and v; it returned {type(answer).__name__}, one of them")
         if self.takes("steps"):
-            self.rows_alike = (
-                parts[0].shape[1:] == shape and len(parts[0]) > 1 and bool((parts[0] == parts[0][-1]).all())
-            )
+            self.rows_alike = parts[0].shape[1:] == shape and len(parts[0]) > 1 and not np.ptp(parts[0], axis=0).any()
             parts = [part[-1] if part.ndim and part.shape[1:] == shape else part for part in parts]
-        for name, part in zip(("x", "v"), parts, strict=False):
-            if part.shape != shape:
-                raise ValueError(f"the step must return {name} in the shape {shape} of its argument; it returned shape "
-                                 f"{part.shape}")  # fmt: skip
+        if len(parts) < 2 - self.takes("old") or {part.shape for part in parts[:2]} != {shape}:
+            raise ValueError(f"the step must return x and v, each in the shape {shape} of its argument; it returned shapes "
+                             f"{', '.join(str(part.shape) for part in parts)}")  # fmt: skip
         self.third = parts[2] if len(parts) > 2 and parts[2].shape == shape else np.array([])
         return parts
 
@@ -269,24 +251,20 @@ def understood(function: Callable[..., Any]) -> StudentStep:
                      f"{cause}") from cause  # fmt: skip
 
 
-class StudentForce:
+class StudentForce(Called):
     """A student's force function.
 
-    kind, dimensions : what it is called as; one of KINDS.  physical : values of ε, σ and others, by name.  is_squared : whether the law takes r².  has_energy : whether
-    it also returns an energy.  roles : of the parameters other than the positions.  values : those that are given.
+    kind, dimensions : what it is called as; one of KINDS.  is_squared : whether the law takes r².  has_energy : whether
+    it also returns an energy.  names : of the parameters without defaults.  values : what is given for those after the
+    positions.  takes : their roles.  physical : values of ε, σ and others, by name.
     """
 
-    has_energy = changes_input = False
+    kind, dimensions, has_energy, changes_input = "forces", 3, False, False
     energy_first: bool | None = None
-    kind, dimensions = "forces", 3
 
-    def __init__(
-        self, function: Callable[..., Any], options: dict[str, Any], kind: str | None, positions: Array | None
-    ) -> None:
-        self.function, self.name = function, called(function)
-        parameters = parameters_of(function, OF_FORCES, "forces(positions)")
-        self.defaults = {name: default for name, (_, default) in parameters.items() if default is not EMPTY}
-        self.names = [name for name in parameters if name not in self.defaults]
+    def __init__(self, function: Any, options: dict[str, Any], kind: str | None, positions: Array | None) -> None:
+        super().__init__(function, OF_FORCES, "forces(positions)")
+        self.names = [name for name in self.roles if name not in self.defaults]
         if not self.names:
             raise TypeError(f"{self.name} has no parameter for the positions; a force function is called as "
                             "forces(positions)")  # fmt: skip
@@ -295,57 +273,49 @@ class StudentForce:
         may_be_pair = len(self.names) > 1 and not self.is_squared and kind != "law"
         self.is_of_two = may_be_pair and all(re.search(ONE_OF_TWO, plain(name)) for name in self.names[:2])
         extra = self.names[1 + self.is_of_two :]
-        self.roles = {name: parameters[name][0] for name in (*extra, *self.defaults)}
         if kind != "law" and (unknown := [name for name in extra if self.roles[name] not in options]):
             raise TypeError(f"{self.name} takes ({', '.join(self.names)}), and the meaning of {unknown[0]} is not "
                             f"known; pass a function of positions only, such as lambda x: {self.name}(x, …), or pass "
                             "cell= and cutoff=")  # fmt: skip
-        given = {name: role for name, role in self.roles.items() if name in extra or options.get(f"{role} given")}
-        self.values, self.takes = {name: options.get(role, 1.0) for name, role in given.items()}, set(given.values())
-        values = {**self.defaults, **self.values}
+        given = [*extra, *(name for name in self.defaults if options.get(f"{self.roles[name]} given"))]
+        self.values = {name: options.get(self.roles[name], 1.0) for name in given}
+        self.takes, values = {self.roles[name] for name in given}, {**self.defaults, **self.values}
         has_stiffness = "stiffness" in self.roles.values()  # then a rest length is physical, too
-        self.physical = {
-            name: float(value)
-            for name, value in values.items()
-            if (self.roles[name] in PHYSICAL or (has_stiffness and re.search(REST, plain(name))))
-            and type(value) in (int, float, np.float64)
-            and value > 0.0
-        }
-        may_be = (("law", f"{SQUARED}|{DISTANCE}"), ("pair", SEPARATION))
-        guesses = ["pair"] if self.is_of_two else [one for one, names in may_be if re.search(names, first)]
-        guesses = guesses if guesses and (self.is_squared or self.is_of_two) else [*guesses, "forces"]
-        self._look([kind] if kind else guesses, positions)
+        self.physical = {name: float(value) for name, value in values.items() if isinstance(value, (int, float))
+                         and value > 0 and not isinstance(value, bool) and (self.roles[name] in PHYSICAL or (
+                             has_stiffness and re.search(REST, plain(name))))}  # fmt: skip
+        may_be = (("law", f"{SQUARED}|{DISTANCE}"), ("pair", SEPARATION), ("forces", "" if not self.is_squared else "^$"))
+        guesses = [one for one, names in may_be if re.search(names, first)]
+        self._look([kind] if kind else ["pair"] if self.is_of_two else guesses, positions)
 
     def _look(self, kinds: list[str], positions: Array | None) -> None:
-        """Find the kind, and the place of the energy in the result.  Raises ValueError for results of other shapes."""
-        tries = [(kind, 3) for kind in kinds] + [("forces", 2)] * (kinds[-1] == "forces" and positions is None)
-        failed = ValueError("")
-        for self.kind, self.dimensions in tries:
+        """Find the kind, and the place of the energy in the result.  Raises ValueError if the function cannot be called,
+        or for results of other shapes."""
+        wrong, is_free = list[str](), kinds[-1] == "forces" and positions is None
+        for self.kind, self.dimensions in [*((kind, 3) for kind in kinds), *[("forces", 2)] * is_free]:
             atoms = TRIANGLE[:, : self.dimensions] if positions is None else positions
             trial: Any = {"law": START**2 if self.is_squared else START, "pair": SEPARATE}.get(self.kind, atoms)
-            shape = np.shape(trial)
-            told = f"{self.name}({', '.join(self.names)}) with {self.names[0]} of shape {shape}"
             try:
-                answer = self.answer(trial)
-                is_other = self.kind == "law" and "pair" in kinds and self._is_vector()
+                wrong.append(self._misfit(self.answer(trial), np.shape(trial), "pair" in kinds))
             except Exception as error:  # whatever a student's function raises
-                words = (
-                    f"{told} raised {type(error).__name__}: {error}; if it needs another number of atoms, give their "
-                )
-                failed = failed if self.dimensions == 2 else ValueError(f"{words}positions=")
-                continue
-            is_pair = isinstance(answer, tuple) or (isinstance(answer, list) and shape == ())
-            shapes = [np.shape(part) for part in (answer[:2] if is_pair else [answer])]
-            if shape in shapes and set(shapes) <= {shape, ()} and answer is not None and not is_other:
-                self.has_energy = len(shapes) > 1 and () in shapes
-                self.energy_first = (shapes[0] != shape if shape else self._energy_is_first()) if is_pair else None
+                wrong.append(f"{np.shape(trial)} raised {type(error).__name__}: {error}")
+            if not wrong[-1]:
                 return
-            what = "None" if answer is None else f"shape {', '.join(map(str, shapes))}"
-            words = (
-                f"{told} returned {what}; forces must have the shape of the positions. If it is written for a fixed "
-            )
-            failed = failed if self.dimensions == 2 else ValueError(f"{words}number of atoms, give their positions=")
-        raise failed
+        raise ValueError(f"{self.name}({', '.join(self.names)}) with {self.names[0]} of shape {wrong[len(kinds) - 1]}. If it "
+                         "is written for a fixed number of atoms, give their positions=")  # fmt: skip
+
+    def _misfit(self, answer: Any, shape: tuple[int, ...], may_be_pair: bool) -> str:
+        """What is wrong with a result for an argument of a shape; "" if nothing is."""
+        has_parts = isinstance(answer, tuple) or (isinstance(answer, list) and shape == ())
+        shapes = [np.shape(part) for part in (answer[:2] if has_parts else [answer])]
+        if answer is None or shape not in shapes or not {*shapes} <= {shape, ()}:
+            returned = "None" if answer is None else f"shape {', '.join(map(str, shapes))}"
+            return f"{shape} returned {returned}; forces must have the shape of the positions"
+        if self.kind == "law" and may_be_pair and self._is_vector():
+            return "() is no law of the distance"
+        self.has_energy = len(shapes) > 1 and () in shapes
+        self.energy_first = (shapes[0] != shape if shape else self._energy_is_first()) if has_parts else None
+        return ""
 
     def _is_vector(self) -> bool:
         """Whether the result for r_ij is a vector, whose components do not each depend on one component only."""

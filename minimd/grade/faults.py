@@ -21,105 +21,91 @@ SINGLE, ROUNDING = 1e-8, 1e-9  # a step with more noise uses float32; smaller re
 SHORT, CHANGED = 1e-7, 1e-4  # a time step so short that nothing should change, and a change
 FASTER, FARTHER = 30.0, 1.375 * 2.0 ** np.arange(12)  # velocities and starts at which limits are searched
 SPACING, N_STEPS = 0.01, 8  # time steps for the extrapolation: SPACING · 1 … N_STEPS
-SMALL = (5e-8, 1e-6, 1e-5)  # coefficients below it are zero, by power of Δt
-UNEXPLAINED = 1e-4  # a term with a larger relative rest is not a combination of the known terms
+SMALL, UNEXPLAINED = (5e-8, 1e-6, 1e-5), 1e-4  # coefficients that are zero, by power of Δt; relative rest of a fit
 DIFFERENCE = 1e-3  # of x along v, for the derivative J v
 PARTS, POWERS = ("positions", "velocities"), ("", " dt", " dt²")
 # of x₁ − x and of v₁ − v, by power of Δt: the right term, its coefficient, and what it is
 RIGHT = (("", 0.0, ""), ("v", 1.0, "drift"), ("F/m", 0.5, "")), (("", 0.0, ""), ("F/m", 1.0, "kick"), ("Jv", 0.5, ""))
+# fmt: off
 MASSES = {  # terms in which the mass is wrong: those in which it is right, and what is wrong
     "F": ("F/m", "1/m is missing"), "F/m²": ("F/m", "it is divided by m twice"), "mJv": ("Jv", "1/m is missing"),
     "mF": ("F/m", "it is multiplied by m where it should be divided; in Python /2*m is not /(2*m)"),
-}  # fmt: skip
+}
 ODD = {  # causes of terms that do not belong there, by part, power and term; "F" stands for all with F
     (0, 0, "v"): "the drift lacks dt", (0, 0, "F"): "the force term lacks dt²", (1, 0, "F"): "the kick lacks dt",
-    (0, 0, "x"): "positions are scaled", (0, 1, "x"): "positions are scaled",
-    (1, 0, "v"): "the step contains a thermostat or a rescaling, or v is (x_new − x_old)/dt for (x_new − x_old)/(2 dt)",
+    (1, 0, "v"): "a thermostat, a rescaling, or (x_new − x_old)/dt where (x_new − x_old)/(2 dt) is needed",
     (0, 1, "F"): "the acceleration term needs dt², ½ dt² F/m", (1, 2, "F"): "a part of the kick has one dt too many",
-    (1, 1, "v"): "friction, a drive, or a thermostat hidden in the step", (1, 1, "x"): "this force is not the given one",
-}  # fmt: skip
+    (1, 1, "v"): "friction, a drive, or a thermostat hidden in the step", (1, 1, "x"): "a force that was not given",
+}
 WEIGHTS = {  # causes of kicks that add up to another weight
-    0.5: ": only half of the kick is made. One of the two half kicks is missing, or the velocity that is returned is that "
-         "at half a step",
+    0.5: ": only half of the kick is made; a half kick is missing, or the velocity returned is that at half a step",
     1.5: ": one half kick is that of a whole step",
     2.0: ": each half kick is that of a whole step, or a factor ½ is missing",
-}  # fmt: skip
-# fmt: off
-SECOND_ORDER = (  # coefficients of Δt² F/m in x, and of Δt² J v in v, times two
-    (0, 0, "explicit Euler: positions move with the old velocity and velocities with the old force; order 1, the "
-           "energy grows. Kick first, then let the positions move with the new velocity"),
-    (2, 0, "symplectic Euler, kick first (v += dt F/m, then x += dt v): order 1. Kick by half a step before the drift "
-           "and by half a step with the new force after it; or, if velocities are meant to be at half steps "
-           "(leapfrog), start the run with half a kick: v(dt/2)"),
-    (0, 2, "symplectic Euler, drift first (x += dt v, then v += dt F(new x)/m): order 1. The kick must be split into "
-           "two halves, one before and one after the drift"),
-    (1, 0, "the second half kick uses the old force F(x(t)): the force must be computed again after the positions have "
-           "moved; order 1"),
-    (1, 2, "your half step uses the new force twice: velocities are kicked by dt F(x(t+dt))/m, without the old force "
-           "F(x(t)). Keep a copy of the old force before it is computed again; order 1"),
-    (2, 1, "positions move by dt² F/m in place of ½ dt² F/m: the factor ½ is missing, or the first kick is that of a "
-           "whole step"),
-    (0, 1, "positions move with the old velocity, x += dt v(t): the term ½ dt² F/m is missing (the drift must use the "
-           "velocity at half a step)"),
-    (1, 0.5, "the second half kick uses the force at the middle of the drift, F(x + dt/2 v): it must be computed at "
-             "the new positions; order 1"),
-    (2, 2, "the new force and the new velocity are used where their means with the old ones are needed, as in an "
-           "implicit Euler step: order 1"),
+}
+TWICE = ": one half kick is multiplied by dt twice (a dv that already contains dt is multiplied by dt)"
+SECOND_ORDER = (  # coefficients of Δt² F/m in x, and of Δt² J v in v, times two; all of order 1
+    (0, 0, "explicit Euler: old velocity, old force; the energy grows. Kick first, then drift with the new velocity"),
+    (2, 0, "symplectic Euler, kick first: make half a kick before the drift and half a kick, with the new force, after it; if "
+           "velocities are meant to be at half steps (leapfrog), start the run with half a kick: v(dt/2)"),
+    (0, 2, "symplectic Euler, drift first: split the kick into two halves, one before and one after the drift"),
+    (1, 0, "the second half kick uses the old force F(x(t)): compute the force again after the positions have moved"),
+    (1, 2, "your half step uses the new force twice: keep a copy of the old force before it is computed again"),
+    (2, 1, "dt² F/m in place of ½ dt² F/m in the positions: the factor ½ is missing, or the first kick is a whole one"),
+    (0, 1, "positions move with the old velocity: ½ dt² F/m is missing, or the velocity at half a step"),
+    (1, 0.5, "the second half kick uses the force at the middle of the drift: compute it at the new positions"),
+    (2, 2, "the new force and the new velocity are used where their means with the old ones are needed (implicit Euler)"),
 )
 # fmt: on
 
 
 def hidden(step: StudentStep, where: Problem) -> list[str]:
     """The reason why the step is not a function of x and v, such as noise or memory; empty if it is one."""
-    first, state = np.array(step(where, where.x, where.v, 0.1)), np.random.get_state()
-    step.n_evaluations = 0
-    off = float(np.abs(np.array(step(where, where.x, where.v, 0.1)) - first).max())
-    is_deaf, ends = step.n_evaluations == 0 and bool({*FORCES} & {*step.roles}), []
+
+    def end() -> Array:
+        return np.array(step(where, where.x, where.v, 0.1))
+
+    first, state, step.n_evaluations = end(), np.random.get_state(), 0
+    off, is_deaf, ends = float(np.abs(end() - first).max()), step.n_evaluations == 0, list[Array]()
     for _ in range(2):
         np.random.seed(1)
-        ends.append(np.array(step(where, where.x, where.v, 0.1)))
+        ends.append(end())
     np.random.set_state(state)
     return first_of(
-        (is_deaf, "the step does not compute the force: it called the force function in its first call, or never, and "
-                  "keeps using that result"),
-        (off and np.array_equal(*ends), f"the step draws random numbers: two steps from the same state differ by {off:.1e}. "
-                                        "The step contains a thermostat"),
+        (is_deaf and {*FORCES} & {*step.roles}, "the step does not compute the force: it called the force function in its "
+                                                "first call, or never, and keeps using that result"),
+        (off and np.array_equal(ends[0], ends[1]), f"the step draws random numbers, as a thermostat does: two steps from the "
+                                                   f"same state differ by {off:.1e}"),
         (off, f"two steps from the same x and v differ by {off:.1e}: the step draws random numbers, or remembers "
               "earlier calls, such as a force that is kept outside. What a step needs must be among its arguments"),
     )  # fmt: skip
 
 
-def seen(step: StudentStep, noise: float, is_energy_kept: bool) -> list[str]:
-    """The faults that single steps show."""
-    return first_of(
+def faults_of(step: StudentStep, problems: list[Problem], noise: float, n_powers: int, is_energy_kept: bool) -> list[str]:
+    """The faults that single steps and the first powers of Δt show."""
+    faults = first_of(
         (is_energy_kept, "the energy is kept to rounding: velocities are rescaled in each step to keep it, which hides "
                          "the error of the step and is neither symplectic nor reversible"),
         (step.rows_alike, "all rows of the path are alike: the array is changed in place after it was appended. Append a "
                           "copy, as in xs.append(x.copy())"),
-        (noise > SINGLE, f"the step rounds to {noise:.0e} of the coordinates: it uses float32 somewhere; float64 rounds "
-                         "to 1e-16"),
+        (noise > SINGLE, f"the step rounds to {noise:.0e} of the coordinates, it uses float32 somewhere; float64: 1e-16"),
     )  # fmt: skip
-
-
-def old_force(step: StudentStep, where: Problem) -> list[str]:
-    """The fault of a force that is returned, for the next step, and is not that at the new positions."""
-    new, _ = step(where, where.x, where.v, 0.1)
+    faults, where = faults or explained(step, problems, n_powers) or limited(step, problems[0]), problems[0]
+    new, _ = step(where, where.x, where.v, 0.1)  # the force that is returned, for the next step, is that at x₁
     known = [role.split()[1] for role in step.roles if role.startswith("known")] if step.third.size else []
     off = max((float(np.abs(step.third / where.scaled(role, new) - 1.0).max()) for role in known[:1]), default=0.0)
-    return first_of((off > ROUNDING, f"the force that is returned is not the one at the new positions (off by {off:.1%}): the "
-                     "next step would begin with an old force"))  # fmt: skip
+    return faults + first_of((off > ROUNDING, "the force that is returned is not the one at the new positions (off by "
+                              f"{off:.1%}): the next step would begin with an old force"))  # fmt: skip
 
 
 def limited(step: StudentStep, where: Problem) -> list[str]:
     """The fault of positions that are wrapped, found by starts farther and farther away (the forces of the test have no
     cell), or of velocities that are limited."""
     new, fast = step(where, where.x, where.v, 0.02)[0], step(where, where.x, FASTER * where.v, SHORT)[1]
-    for far in (sign * distance for distance, sign in product(FARTHER, (-1.0, 1.0))):
+    for far in np.outer(FARTHER, (-1.0, 1.0)).flat if where.x.ndim and not where.stiffness else ():
         jump = np.abs(step(where, where.x + far, where.v, 0.02)[0] - far - new)
-        if jump.max() > 1e-6 and not where.stiffness and where.x.ndim:
+        if jump.max() > 1e-6:
             return [f"atoms that start {far:g} farther away are moved by {jump[jump > 1e-6].min():.6g} more: positions are "
-                    "wrapped into a box with this edge inside the step, or it depends on the place of the origin. Wrap "
-                    "positions that are written, not those that are integrated"]  # fmt: skip
+                    "wrapped into a box inside the step, or it depends on the origin. Wrap only what is written"]  # fmt: skip
     off, most = np.abs(fast - FASTER * where.v).max(), np.abs(fast).max()
     return first_of((off > CHANGED * FASTER, f"velocities above {most:.4g} are cut off: they are limited (clipped)"))
 
@@ -134,9 +120,9 @@ def series(step: StudentStep, where: Problem) -> Array:
 
 def terms(where: Problem) -> dict[str, Array]:
     """The terms of which the series may consist."""
-    force, m = where.force(where.x), where.mass
-    turning = difference(where.force, where.x, DIFFERENCE * where.v) / DIFFERENCE
-    one = {"v": where.v, "F/m": force / m, "F": force, "F/m²": force / m**2, "mF": force * m}
+    force, m, v = where.force(where.x), where.mass, where.v
+    turning = difference(where.force, where.x, DIFFERENCE * v) / DIFFERENCE
+    one = {"v": v, "F/m": force / m, "F": force, "F/m²": force / m**2, "mF": force * m}
     return one | {"x": where.x, "Jv": turning / m, "mJv": turning}
 
 
@@ -150,65 +136,48 @@ def fit(known: list[dict[str, Array]], names: list[str], target: list[Array]) ->
 
 def explained(step: StudentStep, problems: list[Problem], n_powers: int) -> list[str]:
     """The faults that the first powers of Δt show in several states at once, so that no two terms are alike."""
-    measured, known, found = [series(step, one) for one in problems], [terms(one) for one in problems], {}
+    measured, known = [series(step, one) for one in problems], [terms(one) for one in problems]
+    found, rests = dict[tuple[int, int], dict[str, float]](), dict[tuple[int, int], float]()
     for power, part in product(range(n_powers), range(2)):
-        names = [name for name in known[0] if (name not in MASSES or step.takes("m", "acceleration"))
+        names = [name for name in known[0] if (step.takes("m", "acceleration") or name not in MASSES)
                  and (power == 2 or "Jv" not in name)]  # fmt: skip
         if problems[0].stiffness:  # for a spring, x and F/m are proportional, and so are v and J v
             names = ["Jv" if part and power == 2 else "v", "F/m"]
-        weights, rest = fit(known, names, [one[power, part] for one in measured])
-        small = (
-            SMALL[power] * max(1.0, float(np.abs(weights).max())) ** 3
-        )  # the larger the terms, the larger their rounding
-        c = {name: float(one) for name, one in zip(names, weights, strict=True) if abs(one) > small}
-        found[part, power] = c if rest < UNEXPLAINED else {"": rest}
+        weights, rests[part, power] = fit(known, names, [one[power, part] for one in measured])
+        small = SMALL[power] * max(1.0, float(np.abs(weights).max())) ** 3  # large terms have more rounding
+        found[part, power] = {name: float(c) for name, c in zip(names, weights, strict=True) if abs(c) > small}
     for power in range(n_powers):
-        strange = [part for part in range(2) if "" in found[part, power]]
-        if strange:
-            return [
-                stranger(
-                    strange[0], power, found[strange[0], power][""], [one[power] for one in measured], problems, known
-                )
-            ]
+        for part in range(2):
+            if rests[part, power] > UNEXPLAINED:
+                return [stranger(part, power, rests[part, power], [one[power, part] for one in measured], known)]
         faults = [fault for part in range(2) for fault in wrong_terms(part, power, found)]
         if power == 2 and not faults:
             x, v = (2.0 * sum(found[part, 2].values()) for part in range(2))
-            faults = first_of(*((is_near(x, c) and is_near(v, d), words) for c, d, words in SECOND_ORDER)) or first_of(
+            faults = first_of(
+                *((is_near(x, c) and is_near(v, d), words) for c, d, words in SECOND_ORDER),
                 (not is_near(x, 1.0), f"positions contain {coefficient(x / 2)} dt² F/m where ½ dt² F/m is needed"),
-                (not is_near(v, 1.0), f"the new force enters the velocities with the weight {coefficient(v / 2)} where ½ "
-                                      "is needed"),
-            )  # fmt: skip
+                (not is_near(v, 1.0), f"the new force has the weight {coefficient(v / 2)} in the velocities, not ½"),
+            )
         if faults:
             return faults
     return []
 
 
-def stranger(
-    part: int, power: int, rest: float, changes: list[Array], problems: list[Problem], known: list[dict[str, Array]]
-) -> str:
+def stranger(part: int, power: int, rest: float, changes: list[Array], known: list[dict[str, Array]]) -> str:
     """The fault of a change that is no combination of the known terms."""
-    change, force, m = changes[0][part], known[0]["F"], problems[0].m
-    off = change - RIGHT[part][power][1] * known[0].get(RIGHT[part][power][0], 0.0)
-    bad = (np.abs(off) > 1e-4 * max(1.0, float(np.abs(off).max()))).reshape(len(off) if off.ndim else 1, -1)
+    off = changes[0] - RIGHT[part][power][1] * known[0].get(RIGHT[part][power][0], 0.0)
+    bad = (np.abs(off) > CHANGED * max(1.0, float(np.abs(off).max()))).reshape(len(off) if off.ndim else 1, -1)
     axes, atoms = np.flatnonzero(bad.any(axis=0)), np.flatnonzero(bad.any(axis=1))
-    ratio = (change * force).reshape(m.size, -1).sum(axis=1) / (force * force).reshape(m.size, -1).sum(axis=1)
-    alone = [fit([one], ["v", "F/m"], [each[part]]) for one, each in zip(known, changes, strict=True)]
-    place = " along " + " and ".join("xyz"[k] for k in axes) if len(axes) < bad.shape[1] else ""
-    place = (
-        f" of atom {', '.join(map(str, atoms))} of {len(bad)} (check the bounds of the loop)"
-        if len(atoms) < len(bad)
-        else place
-    )
+    place = f" along {' and '.join('xyz'[k] for k in axes)}" if len(axes) < bad.shape[1] else ""
+    if len(atoms) < len(bad):
+        place = f" of atom {', '.join(map(str, atoms))} of {len(bad)} (check the bounds of the loop)"
+    alone = [fit([one], ["v", "F/m"], [change]) for one, change in zip(known, changes, strict=True)]
     told = ", ".join(f"{c[0]:.3g}" for c, _ in alone[:3])
     return first_of(
         (part and off.ndim and max(one for _, one in alone) < UNEXPLAINED, f"velocities change by {told}, …{POWERS[power]} v in "
          "addition to the kick, by a factor that depends on the state: they are rescaled, the step contains a thermostat"),
-        (part and not power and off.ndim and np.ptp(off, axis=0).max() < 1e-5, "the mean motion is removed in each step: all "
-         "velocities change by the same vector. Do this only once, at the start"),
-        (part and power == 1 and np.ptp(ratio) < 1e-5 * np.abs(ratio).max(), f"all forces are divided by the same mass, "
-         f"{1.0 / ratio[0]:.6g}, instead of each by the mass of its atom"),
-        (True, f"{PARTS[part]}{place} do not change as Newton's equation says: {rest:.1%} of the term of order "
-               f"{POWERS[power] or ' 1'} is something else. They are set, limited, wrapped or rescaled, or another force acts"),
+        (True, f"{PARTS[part]}{place} do not change as Newton's equation says: {rest:.1%} of the term{POWERS[power]} is something "
+               "else. They are set, limited, wrapped or rescaled, their mean motion is removed, or another force or mass acts"),
     )[0]  # fmt: skip
 
 
@@ -218,27 +187,19 @@ def wrong_terms(part: int, power: int, found: dict[tuple[int, int], dict[str, fl
     for name, value in c.items():
         meant, mass = MASSES.get(name, (name, ""))
         change = f"{PARTS[part]} change by {coefficient(value)}{POWERS[power]} {name} in each step"
+        if power == 0 and name == "xv"[part]:
+            change = f"{PARTS[part]} are multiplied by {1.0 + value:.8g} in each step, even in the shortest one"
         if meant != term:
-            if power == 0 and name == "xv"[part]:
-                change = f"{PARTS[part]} are multiplied by {1.0 + value:.8g} in each step, even in the shortest one"
             why = ODD.get((part, power, "F" if "F" in name else name), "it belongs to no method")
             faults.append(f"{change}: {why}{', and ' * bool(mass)}{mass}")
             continue
         total += value
         if mass:
             faults.append(f"{'a part of ' * (term in c)}the {what or 'force term'} has a wrong mass: {mass}; {change}")
-    later = found.get((part, power + 1), {})
-    is_twice = what == "kick" and is_near(total, 0.5) and is_near(later.get("F/m", 0.0), 0.5)
-    why = (
-        ": one half kick is multiplied by dt twice (a dv that already contains dt is multiplied by dt)"
-        if is_twice
-        else ""
-    )
-    why = why or (WEIGHTS.get(round(total, 5), "") if what == "kick" else "")
-    faults += first_of(
-        (not what or is_near(total, right), ""),
-        (is_near(total, 0.0), f"the {what} is missing: {PARTS[part]} do not change by dt {term}" + ", but by dt²" * (term in later)),
+    later, why = found.get((part, power + 1), {}), WEIGHTS.get(round(total, 5), "") if what == "kick" else ""
+    why = TWICE if why and is_near(total, 0.5) and is_near(later.get("F/m", 0.0), 0.5) else why
+    return faults if not what or is_near(total, right) else faults + first_of(
+        (is_near(total, 0.0), f"the {what} is missing: {PARTS[part]} do not change by dt {term}{', but by dt²' * (term in later)}"),
         (total < 0.0, f"the {what} has the wrong sign: {PARTS[part]} change by {coefficient(total)} dt {term}"),
         (True, f"the {what} is multiplied by {coefficient(total)}: {PARTS[part]} change by {coefficient(total)} dt {term}{why}"),
     )  # fmt: skip
-    return [fault for fault in faults if fault]

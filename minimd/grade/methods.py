@@ -19,9 +19,8 @@ from minimd.grade.problems import Array, Problem
 from minimd.integrators.methods import SPLITTINGS
 from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, merged
 
-SAME = 1e-7  # smaller differences of weights are rounding
-CLOSE = 0.02  # weights that differ by less are meant to be the same
-MOST = 60  # evaluations of the force in one step
+SAME, CLOSE, MANY = 1e-7, 1e-3, 6  # of weights: equal, meant to be equal; substeps of a method that may be nearly another
+ROUNDING, MOST, STEP = 1e-9, 60, 0.1  # of v; evaluations of the force in one step; time step
 RUNGE_KUTTA = {  # rows of the matrix from the second one on, and the weights
     "RK2, midpoint": ([1 / 2], [0, 1]),
     "RK2, Heun": ([1], [1 / 2, 1 / 2]),
@@ -30,8 +29,6 @@ RUNGE_KUTTA = {  # rows of the matrix from the second one on, and the weights
     "RK4, the classical Runge-Kutta method": ([1 / 2], [0, 1 / 2], [0, 0, 1], [1 / 6, 1 / 3, 1 / 3, 1 / 6]),
     "RK4, the 3/8 rule": ([1 / 3], [-1 / 3, 1], [1, -1, 1], [1 / 8, 3 / 8, 3 / 8, 1 / 8]),
 }
-
-
 IN_TURN = ("atoms are moved one after another: the force on each is computed when those before it have moved already. "
            "Compute all forces first, then move all atoms")  # fmt: skip
 
@@ -44,19 +41,10 @@ class Numbers(NamedTuple):
     pushes: Array
     weights: Array
 
-    def is_same(self, other: Numbers) -> bool:
-        """Whether all numbers are the same."""
-        pairs = zip(self, other, strict=True)
-        return all(one.shape == two.shape and np.allclose(one, two, rtol=0.0, atol=SAME) for one, two in pairs)
-
-    def end(self, where: Problem, h: float) -> tuple[Array, Array]:
-        """x and v after a step with these numbers."""
-        a = np.zeros((len(self.weights), *where.x.shape))
-        for k, (c, row) in enumerate(zip(self.places, self.pushes, strict=True)):
-            x = where.x + h * c * where.v + h * h * np.tensordot(row, a, 1)
-            if k < len(a):
-                a[k] = where.force(x) / where.mass
-        return x, where.v + h * np.tensordot(self.weights, a, 1)
+    def is_same(self, matrix: Array, b: Array) -> bool:
+        """Whether these are the numbers of a Runge-Kutta method."""
+        right = np.append(matrix.sum(axis=1), 1.0), np.vstack([matrix @ matrix, b @ matrix]), b
+        return all(np.allclose(one, two, rtol=0.0, atol=SAME) for one, two in zip(self, right, strict=True))
 
     @property
     def substeps(self) -> Substeps:
@@ -67,7 +55,7 @@ class Numbers(NamedTuple):
         parts: list[Substep] = [Drift(float(c[0]))]
         for length, weight in zip(np.diff(c), b, strict=True):
             parts += [Kick(float(weight)), Drift(float(length))]
-        return tuple(one for one in merged(one for one in parts if abs(one.coefficient) > SAME))
+        return merged(one for one in parts if abs(one.coefficient) > SAME)
 
 
 class Recorded(Problem):
@@ -82,83 +70,69 @@ class Recorded(Problem):
         return super().force(self.x) if len(self.places) - 1 == self.only else np.zeros_like(self.x)
 
 
-def numbers_of(step: StudentStep, where: Problem, accuracy: float, h: float = 0.1) -> Numbers | str | None:
+def numbers_of(step: StudentStep, where: Problem) -> Numbers | str | None:
     """The numbers of a step; None if it is not made of such, or the fault of one that moves atoms one after another."""
-    a = where.force(where.x) / where.mass
+    a, drift = where.force(where.x) / where.mass, STEP * where.v
 
     def end_with(only: int) -> tuple[Array, Array]:
         one = Recorded(*where)
         one.places, one.only = [], only
-        x, v = step(one, where.x, where.v, h)
+        x, v = step(one, where.x, where.v, STEP)
         return np.array([*one.places, x]), v - where.v
 
     def along(change: Array, unit: Array) -> float:
         return float(np.sum(change * unit) / np.sum(unit * unit))
 
-    free, _ = end_with(-1)
-    parts = (free - where.x) / (h * where.v)
-    if (
-        where.x.ndim
-        and np.isin(np.round(parts, 6), (0.0, 1.0)).all()
-        and np.ptp(parts[:-1].reshape(len(parts) - 1, -1), axis=1).max(initial=0.0) > 0.5
-    ):
+    free, change = end_with(-1)
+    if len(free) == 1:
+        return None
+    n, moved = len(free) - 1, np.round((free - where.x) / drift, 6)
+    if where.x.ndim and np.isin(moved, (0.0, 1.0)).all() and np.ptp(moved[:-1].reshape(n, -1), axis=1).any():
         return IN_TURN
-    n = len(free) - 1
-    c, alpha, b = np.array([along(x - where.x, where.v) / h for x in free]), np.zeros((n + 1, n)), np.zeros(n)
-    for k in range(n if n <= MOST else 0):
+    pushes, weights = np.zeros((n + 1, n)), np.zeros(n)
+    for k in range(n):
         places, v = end_with(k)
-        if len(places) != n + 1:
+        if len(places) != n + 1 or np.abs(change).max() > ROUNDING or n > MOST:
             return None
-        alpha[:, k], b[k] = [along(one - two, a) / h**2 for one, two in zip(places, free, strict=True)], along(v, a) / h
-    found = Numbers(c, alpha, b)
-    ends = zip(found.end(where, h), step(where, where.x, where.v, h), strict=True)
-    return found if max(np.abs(one - two).max() for one, two in ends) < accuracy else None
+        pushes[:, k] = [along(one, a) / STEP**2 for one in places - free]
+        weights[k] = along(v, a) / STEP
+    return Numbers(np.array([along(x - where.x, drift) for x in free]), pushes, weights)
 
 
 def named(own: Numbers) -> tuple[str, str]:
     """The name of a method, or what it consists of; the fault of a step that is nearly a known method."""
-    parts, best, fewest = own.substeps, "", np.inf
+    parts, near = own.substeps, list[tuple[int, str]]()
+    kinds, mine = [type(one).__name__.lower() for one in parts], np.array([one.coefficient for one in parts])
     for name, method in SPLITTINGS.items():
-        if [type(one) for one in method.substeps] != [type(one) for one in parts]:
-            continue
-        rows = [(k, type(one).__name__.lower(), one.coefficient, two.coefficient)
-                for k, (one, two) in enumerate(zip(parts, method.substeps, strict=True), start=1)]  # fmt: skip
-        off = np.array([abs(mine - right) for *_, mine, right in rows])
-        wrong = np.count_nonzero(off > SAME)
-        if not wrong:
-            return name, ""
-        if wrong < fewest and len(rows) > 5 and (wrong <= len(rows) // 2 or off.max() < CLOSE):
-            fewest, told = wrong, [f"substep {k}, a {kind}, is {mine:.10g} where {right:.10g} is needed"
-                                   for k, kind, mine, right in rows if abs(mine - right) > SAME]  # fmt: skip
-            best = f"the step is nearly {name}, but {', '.join(told)}"
+        if [type(one) for one in method.substeps] == [type(one) for one in parts]:
+            right = np.array([one.coefficient for one in method.substeps])
+            wrong = np.flatnonzero(np.abs(mine - right) > SAME)
+            if not len(wrong):
+                return name, ""
+            told = [f"substep {k + 1}, a {kinds[k]}, is {mine[k]:.10g} where {right[k]:.10g} is needed" for k in wrong]
+            is_near = len(wrong) <= len(parts) // 2 or np.abs(mine - right).max() < CLOSE
+            near += [(len(wrong), f"the step is nearly {name}, but {', '.join(told)}")] * int(is_near and len(parts) >= MANY)
     if parts:
-        return ", ".join(f"{type(one).__name__.lower()} {coefficient(one.coefficient)}" for one in parts), best
-    for name, (*rows, weights) in RUNGE_KUTTA.items():
-        n, b = len(weights), np.array(weights)
+        weights = [f"{kind} {coefficient(one)}" for kind, one in zip(kinds, mine, strict=True)]
+        return ", ".join(weights), min(near, default=(0, ""))[1]
+    for name, (*rows, b) in RUNGE_KUTTA.items():
+        n, told = len(b), f"the step is nearly {name}, but its"
         if len(own.weights) != n:
             continue
         matrix = np.array([[*row, *[0.0] * (n - len(row))] for row in ([], *rows)])
-        if own.is_same(runge_kutta(matrix, b)):
+        if own.is_same(matrix, np.array(b)):
             return name, ""
-        if n > 2 and own.is_same(runge_kutta(matrix, own.weights)):
-            return (
-                "",
-                f"the step is nearly {name}, but its weights are {told_row(own.weights)} where {told_row(b)} are needed",
-            )
+        if n > 2 and own.is_same(matrix, own.weights):
+            return "", f"{told} weights are {told_row(own.weights)} where {told_row(b)} are needed"
         for j in range(1, n if n > 2 else 0):
             other = matrix.copy()
             other[j] += (own.pushes[-1] - b @ matrix) / b[j]
-            if own.is_same(runge_kutta(other, b)):
-                return "", (f"the step is nearly {name}, but its stage {j + 1} has the weights {told_row(other[j, :j])} of the stages before "
-                            f"it where {told_row(matrix[j, :j])} are needed")  # fmt: skip
+            if own.is_same(other, np.array(b)):
+                rows_told = f"{told_row(other[j, :j])} of the stages before it where {told_row(matrix[j, :j])} are needed"
+                return "", f"{told} stage {j + 1} has the weights {rows_told}"
     return "", ""
 
 
-def runge_kutta(matrix: Array, b: Array) -> Numbers:
-    """The numbers of a Runge-Kutta method."""
-    return Numbers(np.append(matrix.sum(axis=1), 1.0), np.vstack([matrix @ matrix, b @ matrix]), b)
-
-
-def told_row(numbers: Array) -> str:
+def told_row(numbers: Array | list[float]) -> str:
     """Weights in words."""
     return ", ".join(coefficient(float(one)) for one in numbers)

@@ -52,7 +52,7 @@ def compared(f: Array, g: Array, r: Array, other: str) -> tuple[float, float, st
     k, log_c = np.polyfit(logs, np.log(np.abs(ratio)), 1) if large.sum() > 4 else (0.0, np.nan)
     if np.isnan(log_c) or np.ptp(np.sign(ratio)) or np.abs(np.log(np.abs(ratio)) - k * logs - log_c).max() > SAME:
         own, right = powers_of(f, r), powers_of(g, r)
-        told = f": wrong exponent or coefficient in F = {own}, where {right} is needed" if own and right else ""
+        told = f": wrong exponent, coefficient or sign in F = {own} where {right} is needed" if own and right else ""
         return np.nan, np.nan, f"the force is not {other}{told or ', nor a multiple of it'}"
     c, k = float(np.sign(ratio[0]) * np.exp(log_c)), round(float(k), 4)
     faults = [

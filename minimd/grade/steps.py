@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from minimd.grade.calling import FORCES, StudentStep, understood
-from minimd.grade.faults import explained, hidden, limited, old_force, seen
+from minimd.grade.faults import faults_of, hidden
 from minimd.grade.findings import Finding, Grade, Law, causes, judged
 from minimd.grade.methods import Numbers, named, numbers_of
 from minimd.grade.problems import Array, Problem, difference
@@ -198,12 +198,11 @@ def grade_step(function: Callable[..., Any], order: int = 2) -> Grade:
         one = Measured(step, where, order)
         laws = {finding.name: finding for finding in judged(LAWS, one)}
         reached, is_right, is_symplectic = laws["order"].value, laws["order"].passed, laws["symplectic"].passed
-        numbers = None if step.takes("before") else numbers_of(step, where, max(1e-9, 10.0 * one.noise))
+        numbers = None if step.takes("before") else numbers_of(step, where)
         method, near = named(numbers) if isinstance(numbers, Numbers) else ("", numbers or "")
         is_low = is_symplectic and order == 1  # and asked for
-        faults = seen(step, one.noise, laws["energy"].value == 0.0) or [near] * bool(near)
-        faults = faults or explained(step, problems, 2 if reached > HIGH or is_low else 3) or limited(step, where)
-        faults += old_force(step, where)
+        n_powers = 2 if reached > HIGH or is_low else 3
+        faults = [near] * bool(near) or faults_of(step, problems, one.noise, n_powers, laws["energy"].value == 0.0)
         is_open = NO_MAP if step.takes("before") else set[str]()
         if is_symplectic and is_right and (reached > HIGH or is_low):  # as Ruth's method of order 3, which is right
             is_open = {"reversible"}

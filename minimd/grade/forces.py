@@ -38,19 +38,22 @@ class Forces:
     """
 
     def __init__(
-        self, call: StudentForce, cell: Array | None, cutoff: float | None, given: Array | None, potential: Any
+        self, call: StudentForce, cell: Array | None, cutoff: Any, given: Array | None, potential: Any
     ) -> None:
         self.call, self.d, self.cell, self.cutoff, self.potential = call, call.dimensions, cell, cutoff, potential
         self.lengths, self.along, self.units = None if cell is None else cell[: self.d], ALONG[self.d], np.eye(self.d)
         self.start = WHERE[: self.d] * (1.0 if self.lengths is None else 0.3 * self.lengths / self.lengths.max())
-        self.is_over_r, self.is_cube, self.remarks, self.name = False, False, list[str](), ""
+        self.is_over_r, self.remarks, self.name = False, list[str](), ""
         self.farthest = FARTHEST if cell is None else min(FARTHEST, 0.4995 * float(cell.min()))
         self.has = {call.kind, "free" if cell is None else "cell", "energy" if call.has_energy else "noenergy"}
+        self.has |= {"cutoff"} if cutoff and cutoff < self.farthest else set()
+        self.skew = call(SKEW)[0] if call.kind == "pair" else SKEW
         self.x = self.place(PROBE) if call.kind != "forces" else self.cluster() if given is None else given
         self.forces = call(self.x)[0]
         self.scale, is_many = float(np.abs(self.forces).max()) or 1.0, call.kind == "forces"
         self.has |= {"field"} if is_many and self.takes(1) and call(self.place(PROBE)[:1])[0].any() else {"nofield"}
-        is_turned = not self.has >= {"forces", "free"} or self.rotation() < SAME
+        self.turn = np.linalg.qr(np.random.default_rng(4).normal(size=(self.d, self.d)))[0]
+        is_turned = not self.has >= {"forces", "free"} or self.off(self.x @ self.turn, self.forces @ self.turn) < SAME
         if "nofield" in self.has and (not is_many or self.takes(2)) and is_turned and np.isfinite(self.forces).all():
             self.has |= {"pairs", "known" if potential is not None else "pairs"}
             self.find_profile()
@@ -137,36 +140,6 @@ class Forces:
         """The relative difference of the forces at x from those that are right."""
         return float(np.abs(self.call(x)[0] - right).max()) / self.scale
 
-    def rotation(self) -> float:
-        """Turned atoms."""
-        turn = np.linalg.qr(np.random.default_rng(4).normal(size=(self.d, self.d)))[0]
-        return self.off(self.x @ turn, self.forces @ turn)
-
-    def exchange(self) -> float:
-        """Renumbered atoms."""
-        order = np.random.default_rng(2).permutation(len(self.x))
-        return self.off(self.x[order], self.forces[order])
-
-    def central(self) -> float:
-        """F × r_ij beside F r."""
-        vector = self.call(SKEW)[0]
-        return float(np.linalg.norm(np.cross(vector, SKEW)) / np.linalg.norm(vector))
-
-    def cube(self) -> tuple[float, float]:
-        """Half the edge of a cube in which pairs interact."""
-
-        def feels(r: float, along: Array = self.units[0]) -> bool:
-            return bool(self.call(self.place(r, along))[0].any())
-
-        felt = [feels(float(r)) for r in np.arange(0.9, self.farthest, 0.05)]
-        if not felt[0] or felt[-1]:
-            return 0.0, 0.0
-        end = 0.9 + 0.05 * felt.index(False)
-        half, _ = bisected(lambda low, r, high: feels(r), end - 0.05, end, 30)
-        corner = half / float(self.along.max())
-        self.is_cube = feels(0.99 * corner, self.along) and not feels(1.01 * corner, self.along)
-        return half, float(self.is_cube)
-
     def without_effect(self) -> tuple[int, int, str]:
         """The physical parameters, such as ε and σ, that have no effect when they are increased."""
         call, still, own = self.call, list[str](), self.forces
@@ -189,23 +162,21 @@ class Forces:
 
     def of_powers(self) -> tuple[float, float, str, Powers | None]:
         """The powers of r; those of Lennard-Jones are needed with the function's ε and σ, or without an energy."""
-        own, units = self.powers, {self.call.roles[name]: value for name, value in self.call.physical.items()}
+        units = {self.call.roles[name]: value for name, value in self.call.physical.items()}
         epsilon, sigma, is_given = units.get("epsilon", 1.0), units.get("sigma", 1.0), {"epsilon", "sigma"} <= {*units}
-        n, c = (0, 0) if own is None else (*own.terms,), (0.0,) if own is None else (*own.terms.values(),)
-        if own is None or len(n) != 2 or abs(n[0] - 13) > 2 or abs(n[1] - 7) > 2:
-            return np.nan, 0.0, "", own
-        right = Powers({13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6})
-        fault, sigma6 = compared(self.values, right.at(self.r), self.r, LENNARD_JONES)[2], abs(c[0] / c[1]) / 2.0
-        if n == (13, 7):
-            self.name = f"Lennard-Jones with ε = {abs(c[1]) / 24.0 / sigma6:.6g}, σ = {sigma6 ** (1 / 6):.6g}"
-            is_own = c[0] > 0.0 > c[1] and not is_given and not any(is_near(abs(one), m) for one in c for m in (24.0, 48.0))
-            fault = "" if is_own and not is_near(sigma6, 1.0) else fault
-            for ratio, k, what in ((c[0] / right.terms[13], 12, "repulsive"), (c[1] / right.terms[7], 6, "attractive")):
-                powers = [f"σ^{m}" for m in range(1, k + 1) if sigma != 1.0 and is_near(ratio, sigma**-m)]
-                powers += ["ε"] * int(epsilon != 1.0 and is_near(ratio, 1.0 / epsilon))
-                fault += f"; in the {what} term {powers[0]} is missing" if fault and powers else ""
+        (n, c), fault = ([*self.powers.terms], [*self.powers.terms.values()]) if self.powers else ([], []), ""
         is_alone = is_given or not {"known", "energy"} & self.has
-        return np.nan, (0.0 if is_alone else np.nan) if not fault else float(is_alone) or np.nan, fault, own
+        if n == [1] and is_alone and self.call.kind != "law":
+            self.remarks.append("the force of a pair decreases as r^−1. If q²/r² is meant, a factor 1/r is missing: "
+                                "q² r_ij/r³, not q² r_ij/r²")  # fmt: skip
+            return np.nan, np.nan, "", self.powers
+        if len(n) == 2 and abs(n[0] - 13) <= 2 and abs(n[1] - 7) <= 2:
+            right, sigma6 = Powers({13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6}), abs(c[0] / c[1]) / 2.0
+            fault = compared(self.values, right.at(self.r), self.r, f"{LENNARD_JONES} with ε = {epsilon:g}, σ = {sigma:g}")[2]
+            self.name = f"Lennard-Jones with ε = {abs(c[1]) / 24.0 / sigma6:.6g}, σ = {sigma6 ** (1 / 6):.6g}"
+            is_odd = n != [13, 7] or c[0] < 0.0 or c[1] > 0.0 or any(is_near(abs(one), m) for one in c for m in (24.0, 48.0))
+            fault = fault if is_odd or is_given or is_near(sigma6, 1.0) else ""  # else it has other units
+        return np.nan, float(bool(fault)) if is_alone or not fault else np.nan, fault, self.powers
 
     def cap(self) -> tuple[float, float]:
         """The largest of the close distances at which the force is not its law, a sum of powers or −du/dr, or constant."""
@@ -216,11 +187,9 @@ class Forces:
         off = r[(rest > CAPPED) | ((f == f[0]) & is_flat)] if np.isfinite(rest).all() else r[:0]
         return float(off.max(initial=0.0)), float(len(off))
 
-    def ending(self) -> tuple[float, float, float | None]:
+    def ending(self) -> tuple[float, float, float]:
         """The largest force beyond the cutoff."""
-        beyond = 0.0
-        if self.cutoff is not None and self.cutoff < self.farthest and not self.is_cube:
-            beyond = float(np.abs(self.f(np.linspace(1.001 * self.cutoff, self.farthest, 20))).max())
+        beyond = float(np.abs(self.f(np.linspace(1.001 * self.cutoff, self.farthest, 20))).max())
         return beyond, beyond, self.cutoff
 
     def end(self) -> tuple[float, float, str]:
@@ -335,12 +304,10 @@ LAWS = (  # the most telling first
     Law("finite", lambda s: float(np.count_nonzero(~np.isfinite([*s.forces.flat, *(s.values if "pairs" in s.has else ())]))),
         0.5, "{0:g} forces are not finite", "forces are not finite: an atom meets itself (i = j, r = 0), or two coincide"),
     Law("parameters", Forces.without_effect, 0.5, "{0} are without effect", "{2}"),
-    Law("central", Forces.central, 1e-9, "F × r_ij is {0:.1e} of F r", "the force of the pair does not point along r_ij: the "
+    Law("central", lambda s: float(np.linalg.norm(np.cross(s.skew, SKEW)) / np.linalg.norm(s.skew)), 1e-9, "F × r_ij is {0:.1e} of F r", "the force of the pair does not point along r_ij: the "
         "direction must be r_ij/r in all three components", "pair"),
-    Law("inside a sphere", Forces.cube, 0.5, "where pairs interact", "the cutoff acts on the components, not on the distance: "
-        "pairs in a cube with half the edge {0:.4g} interact. Compare dx² + dy² + dz² with its square", "forces pairs"),
     Law("nearest image", Forces.images, 0.5, "pairs across {0} faces do not interact as inside", "{2}", "forces pairs cell"),
-    Law("rotation", Forces.rotation, SAME, "forces of turned atoms differ by {0:.1e}", "the forces do not turn with the atoms: "
+    Law("rotation", lambda s: s.off(s.x @ s.turn, s.forces @ s.turn), SAME, "forces of turned atoms differ by {0:.1e}", "the forces do not turn with the atoms: "
         "they differ by {0:.1%}. A component is missing, or r is not √(x² + y² + z²)", "forces nofield free"),
     Law("a gradient", Forces.curl, 1e-4, "∂F_i/∂x_j − ∂F_j/∂x_i is {0:.1e} of the largest element", "the forces are not the "
         "gradient of any energy: ∂F_i/∂x_j and ∂F_j/∂x_i differ by {0:.1%}; no energy can be conserved", "forces noenergy"),
@@ -353,8 +320,8 @@ LAWS = (  # the most telling first
     Law("powers of r", Forces.of_powers, 0.5, "F = {3}", "{2}", "pairs"),
     Law("force = −∇U", Forces.gradient, 0.5, "F is {0:.6g} times −du/dr", "{2}", "pairs energy"),
     Law("as minimd's", Forces.beside, ROUNDING, "largest difference {0:.1e} of the largest force", "{2}", "pairs known"),
-    Law("cutoff", Forces.ending, 1e-300, "the largest force beyond it is {0:.2g}", "the cutoff {2} is not applied: the largest "
-        "force beyond it is {0:.3g}", "pairs"),
+    Law("cutoff", Forces.ending, 1e-300, "the largest force beyond it is {0:.2g}", "the cutoff {2:g} is not applied, or acts on "
+        "the components, not on the distance: the largest force beyond it is {0:.3g}", "pairs cutoff"),
     Law("force continuous", Forces.end, 0.5, "{2}", "the force ends at r = {0:.6g}, where it should not: is r² compared with "
         "the cutoff, not with its square?", "pairs"),
     Law("energy continuous", Forces.jump, 1e-300, "jumps by {0:+.4g}", "the energy jumps at the cutoff by {0:+.4g} (r = {2:.6g}"
@@ -363,7 +330,7 @@ LAWS = (  # the most telling first
 )
 GENERAL = (  # told if no other law says why
     Law("all forces = −∇U", Forces.all_slopes, EQUAL, "largest difference {0:.1e}", "the forces are not −∇U{2}", "forces energy"),
-    Law("exchange", Forces.exchange, ROUNDING, "forces of renumbered atoms differ by {0:.1e}", "the forces depend on the "
+    Law("exchange", lambda s: s.off(s.x[::-1], s.forces[::-1]), ROUNDING, "forces of renumbered atoms differ by {0:.1e}", "the forces depend on the "
         "numbering of the atoms: the double loop leaves out pairs, or forces are overwritten (=), not added (+=)", "forces"),
     # of two translations the smaller difference counts: the other one may take a pair across a jump
     Law("translation", lambda s: min(s.off(s.x + shift[: s.d], s.forces) for shift in SHIFTS), SAME,

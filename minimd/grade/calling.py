@@ -1,8 +1,7 @@
 """How a student's step or force function is called: parameters are recognized by their names, results by their shapes.
 
 Parameters of steps with other names take the free places in step(x, v, force, m, dt), in this order. The function is
-called in the first manner in which it returns without an error, and in the right shape. A law treats each element of its
-argument separately.
+called in the first manner in which it returns without an error, and in the right shape.
 """
 
 from __future__ import annotations
@@ -78,8 +77,8 @@ class Called:
         except (TypeError, ValueError):
             raise TypeError(f"give a function, such as {example}; got {function!r}") from None
         if [*parameters][:1] == ["self"]:
-            raise TypeError(f"{self.name} is a method without its object (its first parameter is self): pass the method "
-                            f"of an object, as in md.grade(Simulation().{self.name})")  # fmt: skip
+            raise TypeError(f"{self.name} is a method without its object (its first parameter is self): pass that of an "
+                            f"object, as in md.grade(Simulation().{self.name})")  # fmt: skip
         starred = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
         kept = {name: one.default for name, one in parameters.items() if one.kind not in starred}
         self.roles = {name: role_of(name, names) for name in kept}
@@ -97,12 +96,11 @@ def manners(function: Callable[..., Any]) -> Iterator[StudentStep]:
     left = iter([place for place in PLACES if place not in have and not ("state" in have and place in ("x", "v"))])
     names, roles = tuple(known), [role or next(left, "") for role in known.values()]
     if "dt" not in roles or not ("state" in roles or ("x" in roles and {*VELOCITIES} & {*roles})) or "" in roles:
-        unknown = " and ".join(name for name in names if not known[name])
+        unknown = " and ".join(name for name in names if not known[name]) or "none"
         raise TypeError("a step takes positions, velocities, a force function, masses and a time step, as step(x, v, "
-                        f"force, m, dt); the parameters of this one are ({', '.join(names)})"
-                        f"{f'; the meaning of {unknown} cannot be seen from the name' * bool(unknown)}. Give them these "
-                        "names (m may be left out); also known are pos, vel, frc, forces, compute_forces, acc, mass, "
-                        "h, timestep, p, x_old, v_half")  # fmt: skip
+                        f"force, m, dt); the parameters of this one are ({', '.join(names)}); the meaning of {unknown} of "
+                        "them is not known. Give them these names, or pos, vel, frc, forces, compute_forces, acc, mass, "
+                        "h, timestep, p, x_old, v_half; m may be left out")  # fmt: skip
     forces = [k for k, role in enumerate(roles) if role in FORCES]
     is_old = [bool(re.search(IS_BEFORE, name.lower())) for name in names]
     choices = [[], forces] if forces else [[]]  # of the parameters that are arrays
@@ -121,10 +119,10 @@ class StudentStep:
     """A student's step as a map of (x, v) to (x, v), called in one manner.
 
     roles : of the parameters, by name; "known force" is the force at x as an array, "before force" the one a step
-    earlier.  masses, answers : how masses are given, and what force(x) returns.  n_evaluations : how often it called the
-    force function.  third : the force that it returned last as its third result, if any.  swapped, in_place : whether it
-    returns v first; whether it changes x or v in place.  rows_alike : whether it returned a path whose rows are all the
-    same.  stiffness : of the oscillator inside a step without a force function.
+    earlier.  masses, answers : how masses are given, and what force(x) returns.  n_evaluations : how often it called
+    the force function.  third : the force that it returned last as its third result, if any.  swapped, in_place :
+    whether it returns v first; whether it changes x or v in place.  rows_alike : whether it returned a path whose rows
+    are all the same.  stiffness : of the oscillator inside a step without a force function.
     """
 
     n_evaluations, stiffness, third = 0, 0.0, np.array([])
@@ -143,8 +141,7 @@ class StudentStep:
 
     def problem(self, seed: int, stiffness: float = 0.0) -> Problem:
         """A state in the shape of the step; masses are 1 if the step takes neither masses nor accelerations."""
-        same_mass = self.masses == "one number"
-        one = problem(self.shape, seed, same_mass, stiffness=stiffness or self.stiffness)
+        one = problem(self.shape, seed, self.masses == "one number", stiffness or self.stiffness)
         return one if self.takes("m", "acceleration") else one._replace(m=np.ones_like(one.m))
 
     def __call__(self, where: Problem, x: Array, v: Array, h: float) -> tuple[Array, Array]:
@@ -200,13 +197,15 @@ class StudentStep:
         """The arrays in the result, x and v first; the last rows of a path."""
         if isinstance(answer, dict):
             answer = [answer[key] for key in sorted(answer, key=lambda key: {"x": 0, "v": 1}.get(role_of(key), 2))]
-        is_one = not isinstance(answer, (np.ndarray, tuple, list)) or (np.shape(answer) == shape and not self.takes("state"))
+        is_one = not isinstance(answer, (np.ndarray, tuple, list)) or (
+            np.shape(answer) == shape and not self.takes("state")
+        )
         parts = [np.array(part, dtype=float) for part in ((answer,) if is_one else answer)]
         if self.takes("steps"):
             self.rows_alike = parts[0].shape[1:] == shape and len(parts[0]) > 1 and not np.ptp(parts[0], axis=0).any()
             parts = [part[-1] if part.ndim and part.shape[1:] == shape else part for part in parts]
         if len(parts) < 2 - self.takes("old") or {part.shape for part in parts[:2]} != {shape}:
-            raise ValueError(f"the step must return x and v, each in the shape {shape} of its argument; it returned shapes "
+            raise ValueError(f"the step must return x and v in the shape {shape} of its arguments; it returned shapes "
                              f"{', '.join(str(part.shape) for part in parts)}")  # fmt: skip
         self.third = parts[2] if len(parts) > 2 and parts[2].shape == shape else np.array([])
         return parts
@@ -247,15 +246,15 @@ def understood(function: Callable[..., Any]) -> StudentStep:
             step.find_own_force()
         return step
     told, cause = first or ("step()", TypeError("it cannot be called"))
-    raise ValueError(f"the step failed when it was called as {told}, and in every other manner: {type(cause).__name__}: "
-                     f"{cause}") from cause  # fmt: skip
+    raise ValueError(f"the step failed when it was called as {told}, and in every other manner: "
+                     f"{type(cause).__name__}: {cause}") from cause  # fmt: skip
 
 
 class StudentForce(Called):
     """A student's force function.
 
-    kind, dimensions : what it is called as; one of KINDS.  is_squared : whether the law takes r².  has_energy : whether
-    it also returns an energy.  names : of the parameters without defaults.  values : what is given for those after the
+    kind, dimensions : what it is called as; one of KINDS.  is_squared : whether the law takes r².  has_energy :
+    whether it also returns an energy.  names : of the parameters without defaults.  values : what is given for those after the
     positions.  takes : their roles.  physical : values of ε, σ and others, by name.
     """
 
@@ -284,13 +283,17 @@ class StudentForce(Called):
         self.physical = {name: float(value) for name, value in values.items() if isinstance(value, (int, float))
                          and value > 0 and not isinstance(value, bool) and (self.roles[name] in PHYSICAL or (
                              has_stiffness and re.search(REST, plain(name))))}  # fmt: skip
-        may_be = (("law", f"{SQUARED}|{DISTANCE}"), ("pair", SEPARATION), ("forces", "" if not self.is_squared else "^$"))
+        may_be = (
+            ("law", f"{SQUARED}|{DISTANCE}"),
+            ("pair", SEPARATION),
+            ("forces", "" if not self.is_squared else "^$"),
+        )
         guesses = [one for one, names in may_be if re.search(names, first)]
         self._look([kind] if kind else ["pair"] if self.is_of_two else guesses, positions)
 
     def _look(self, kinds: list[str], positions: Array | None) -> None:
-        """Find the kind, and the place of the energy in the result.  Raises ValueError if the function cannot be called,
-        or for results of other shapes."""
+        """Find the kind, and the place of the energy in the result.  Raises ValueError for functions that cannot be
+        called, and results of other shapes."""
         wrong, is_free = list[str](), kinds[-1] == "forces" and positions is None
         for self.kind, self.dimensions in [*((kind, 3) for kind in kinds), *[("forces", 2)] * is_free]:
             atoms = TRIANGLE[:, : self.dimensions] if positions is None else positions
@@ -301,8 +304,8 @@ class StudentForce(Called):
                 wrong.append(f"{np.shape(trial)} raised {type(error).__name__}: {error}")
             if not wrong[-1]:
                 return
-        raise ValueError(f"{self.name}({', '.join(self.names)}) with {self.names[0]} of shape {wrong[len(kinds) - 1]}. If it "
-                         "is written for a fixed number of atoms, give their positions=")  # fmt: skip
+        raise ValueError(f"{self.name}({', '.join(self.names)}) with {self.names[0]} of shape {wrong[len(kinds) - 1]}. "
+                         "If it is written for a fixed number of atoms, give their positions=")  # fmt: skip
 
     def _misfit(self, answer: Any, shape: tuple[int, ...], may_be_pair: bool) -> str:
         """What is wrong with a result for an argument of a shape; "" if nothing is."""

@@ -45,15 +45,15 @@ WEIGHTS = {  # causes of kicks that add up to another weight
 TWICE = ": one half kick is multiplied by dt twice (a dv that already contains dt is multiplied by dt)"
 SECOND_ORDER = (  # coefficients of Δt² F/m in x, and of Δt² J v in v, times two; all of order 1
     (0, 0, "explicit Euler: old velocity, old force; the energy grows. Kick first, then drift with the new velocity"),
-    (2, 0, "symplectic Euler, kick first: make half a kick before the drift and half a kick, with the new force, after it; if "
-           "velocities are meant to be at half steps (leapfrog), start the run with half a kick: v(dt/2)"),
+    (2, 0, "symplectic Euler, kick first: make half a kick before the drift and half a kick, with the new force, after "
+           "it; if velocities are meant to be at half steps (leapfrog), start the run with half a kick: v(dt/2)"),
     (0, 2, "symplectic Euler, drift first: split the kick into two halves, one before and one after the drift"),
     (1, 0, "the second half kick uses the old force F(x(t)): compute the force again after the positions have moved"),
     (1, 2, "your half step uses the new force twice: keep a copy of the old force before it is computed again"),
     (2, 1, "dt² F/m in place of ½ dt² F/m in the positions: the factor ½ is missing, or the first kick is a whole one"),
     (0, 1, "positions move with the old velocity: ½ dt² F/m is missing, or the velocity at half a step"),
     (1, 0.5, "the second half kick uses the force at the middle of the drift: compute it at the new positions"),
-    (2, 2, "the new force and the new velocity are used where their means with the old ones are needed (implicit Euler)"),
+    (2, 2, "the new force and the new velocity are used where means with the old ones are needed (implicit Euler)"),
 )
 # fmt: on
 
@@ -71,23 +71,25 @@ def hidden(step: StudentStep, where: Problem) -> list[str]:
         ends.append(end())
     np.random.set_state(state)
     return first_of(
-        (is_deaf and {*FORCES} & {*step.roles}, "the step does not compute the force: it called the force function in its "
-                                                "first call, or never, and keeps using that result"),
-        (off and np.array_equal(ends[0], ends[1]), f"the step draws random numbers, as a thermostat does: two steps from the "
-                                                   f"same state differ by {off:.1e}"),
+        (is_deaf and {*FORCES} & {*step.roles}, "the step does not compute the force: it called the force function never, "
+                                                "or in its first call, and keeps using that result"),
+        (off and np.array_equal(ends[0], ends[1]), "the step draws random numbers, as a thermostat does: two steps from "
+                                                   f"the same state differ by {off:.1e}"),
         (off, f"two steps from the same x and v differ by {off:.1e}: the step draws random numbers, or remembers "
               "earlier calls, such as a force that is kept outside. What a step needs must be among its arguments"),
     )  # fmt: skip
 
 
-def faults_of(step: StudentStep, problems: list[Problem], noise: float, n_powers: int, is_energy_kept: bool) -> list[str]:
+def faults_of(
+    step: StudentStep, problems: list[Problem], noise: float, n_powers: int, is_energy_kept: bool
+) -> list[str]:
     """The faults that single steps and the first powers of Δt show."""
     faults = first_of(
         (is_energy_kept, "the energy is kept to rounding: velocities are rescaled in each step to keep it, which hides "
                          "the error of the step and is neither symplectic nor reversible"),
-        (step.rows_alike, "all rows of the path are alike: the array is changed in place after it was appended. Append a "
-                          "copy, as in xs.append(x.copy())"),
-        (noise > SINGLE, f"the step rounds to {noise:.0e} of the coordinates, it uses float32 somewhere; float64: 1e-16"),
+        (step.rows_alike, "all rows of the path are alike: the array is changed in place after it was appended. Append "
+                          "a copy, as in xs.append(x.copy())"),
+        (noise > SINGLE, f"the step rounds to {noise:.0e} of the coordinates: it uses float32 somewhere"),
     )  # fmt: skip
     faults, where = faults or explained(step, problems, n_powers) or limited(step, problems[0]), problems[0]
     new, _ = step(where, where.x, where.v, 0.1)  # the force that is returned, for the next step, is that at x₁
@@ -104,8 +106,8 @@ def limited(step: StudentStep, where: Problem) -> list[str]:
     for far in np.outer(FARTHER, (-1.0, 1.0)).flat if where.x.ndim and not where.stiffness else ():
         jump = np.abs(step(where, where.x + far, where.v, 0.02)[0] - far - new)
         if jump.max() > 1e-6:
-            return [f"atoms that start {far:g} farther away are moved by {jump[jump > 1e-6].min():.6g} more: positions are "
-                    "wrapped into a box inside the step, or it depends on the origin. Wrap only what is written"]  # fmt: skip
+            return [f"atoms that start {far:g} farther away are moved by {jump[jump > 1e-6].min():.6g} more: positions "
+                    "are wrapped into a box in the step, or it depends on the origin. Wrap what is written"]  # fmt: skip
     off, most = np.abs(fast - FASTER * where.v).max(), np.abs(fast).max()
     return first_of((off > CHANGED * FASTER, f"velocities above {most:.4g} are cut off: they are limited (clipped)"))
 
@@ -174,10 +176,10 @@ def stranger(part: int, power: int, rest: float, changes: list[Array], known: li
     alone = [fit([one], ["v", "F/m"], [change]) for one, change in zip(known, changes, strict=True)]
     told = ", ".join(f"{c[0]:.3g}" for c, _ in alone[:3])
     return first_of(
-        (part and off.ndim and max(one for _, one in alone) < UNEXPLAINED, f"velocities change by {told}, …{POWERS[power]} v in "
-         "addition to the kick, by a factor that depends on the state: they are rescaled, the step contains a thermostat"),
-        (True, f"{PARTS[part]}{place} do not change as Newton's equation says: {rest:.1%} of the term{POWERS[power]} is something "
-               "else. They are set, limited, wrapped or rescaled, their mean motion is removed, or another force or mass acts"),
+        (part and off.ndim and max(one for _, one in alone) < UNEXPLAINED, f"velocities change by {told}, …{POWERS[power]} "
+         "v in addition to the kick, which depends on the state: they are rescaled, the step contains a thermostat"),
+        (True, f"{PARTS[part]}{place} do not change as Newton's equation says, {rest:.1%} of the term{POWERS[power]} is wrong: "
+               "they are set, limited, wrapped or rescaled, their mean motion is removed, or another force or mass acts"),
     )[0]  # fmt: skip
 
 
@@ -199,7 +201,7 @@ def wrong_terms(part: int, power: int, found: dict[tuple[int, int], dict[str, fl
     later, why = found.get((part, power + 1), {}), WEIGHTS.get(round(total, 5), "") if what == "kick" else ""
     why = TWICE if why and is_near(total, 0.5) and is_near(later.get("F/m", 0.0), 0.5) else why
     return faults if not what or is_near(total, right) else faults + first_of(
-        (is_near(total, 0.0), f"the {what} is missing: {PARTS[part]} do not change by dt {term}{', but by dt²' * (term in later)}"),
+        (is_near(total, 0.0), f"the {what} is missing: {PARTS[part]} change by 0 dt {term}{', but by dt²' * (term in later)}"),
         (total < 0.0, f"the {what} has the wrong sign: {PARTS[part]} change by {coefficient(total)} dt {term}"),
-        (True, f"the {what} is multiplied by {coefficient(total)}: {PARTS[part]} change by {coefficient(total)} dt {term}{why}"),
+        (True, f"the {what} is multiplied by {coefficient(total)}: {PARTS[part]} change by {total:.6g} dt {term}{why}"),
     )  # fmt: skip

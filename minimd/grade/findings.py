@@ -97,11 +97,10 @@ class Grade(Displayed):
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
-        if self.passed:
-            return "nothing wrong was found"
         failed, n = [finding.name for finding in self.findings if finding.passed is False], len(self.faults)
         kept = f"laws that do not hold: {', '.join(failed)}" if failed else "all laws that were tested hold"
-        return f"{n} fault{'s' * (n != 1)} found; {kept}" if n else kept
+        found = f"{n} fault{'s' * (n != 1)} found; {kept}" if n else kept
+        return "nothing wrong was found" if self.passed else found
 
     def display_rows(self) -> Rows:
         """See Displayed."""

@@ -1,5 +1,5 @@
-"""The grade of a force function: whether forces are a gradient, pairwise, symmetric, periodic, cut off correctly, and equal
-to minimd's. One table has the laws of many atoms, and those of the force of a pair, f > 0 for repulsion, at a distance."""
+"""The grade of a force function: whether forces are a gradient, pairwise, symmetric, periodic, cut off correctly, and
+equal to minimd's. The table of laws has those of many atoms and those of one pair, f > 0 for repulsion, at a distance."""
 
 from __future__ import annotations
 
@@ -12,15 +12,20 @@ import numpy as np
 
 from minimd.forces.evaluation import evaluate
 from minimd.grade.calling import KINDS, REST, StudentForce, plain
-from minimd.grade.findings import Grade, Law, causes, coefficient, first_of, is_near, judged
+from minimd.grade.findings import Grade, Law, causes, first_of, is_near, judged
 from minimd.grade.powers import Powers, compared, jumps, powers_of
-from minimd.grade.problems import Array, bisected, difference, multiple_of
+from minimd.grade.problems import Array, difference, multiple_of
 from minimd.potentials.bonded import Bond
 from minimd.structure.system import System
 
 BOX, CUTOFF = 12.0, 2.5  # σ: cell and cutoff for a function that takes them, if the user gives none
 SPACING, JITTER, TRIALS = 1.25, 0.12, 30  # of the atoms in the test [σ]; the best of some configurations is used
-ROUNDING, SAME, EQUAL, CAPPED = 1e-9, 1e-8, 1e-6, 1e-4  # relative differences: sums; moved atoms; slopes; of capped forces
+ROUNDING, SAME, EQUAL, CAPPED = (
+    1e-9,
+    1e-8,
+    1e-6,
+    1e-4,
+)  # relative differences: sums; moved atoms; slopes; of capped forces
 PROBE, LONGEST = 1.25, 40.0  # σ: of two atoms across a boundary; largest distance at which a period is searched
 CLOSEST, NEAREST, FARTHEST = 0.3, 0.77, 6.0  # σ: distances of the search for a cap, of ordinary forces, for an end
 POINTS, GRID, DELTA, FACTOR = 40, 500, 3e-4, 1.15  # of profiles; of jumps; of differences; of larger parameters
@@ -28,7 +33,6 @@ SKEW = np.array([0.9, 0.5, -0.4])  # a vector of a pair that is parallel to no p
 WHERE, ALONG = np.array([0.31, 0.47, 0.23]), {2: np.array([0.6, 0.8]), 3: np.array([0.6, 0.48, 0.64])}
 SHIFTS = np.array([[0.013, -0.007, 0.021], [0.002, 0.001, 0.003]])
 CURE = "use dx − L · round(dx/L)"
-LENNARD_JONES = "48 ε σ¹² r^−13 − 24 ε σ⁶ r^−7"
 
 
 class Forces:
@@ -43,6 +47,7 @@ class Forces:
         self.call, self.d, self.cell, self.cutoff, self.potential = call, call.dimensions, cell, cutoff, potential
         self.lengths, self.along, self.units = None if cell is None else cell[: self.d], ALONG[self.d], np.eye(self.d)
         self.start = WHERE[: self.d] * (1.0 if self.lengths is None else 0.3 * self.lengths / self.lengths.max())
+        self.values = np.zeros(0)
         self.is_over_r, self.remarks, self.name = False, list[str](), ""
         self.farthest = FARTHEST if cell is None else min(FARTHEST, 0.4995 * float(cell.min()))
         self.has = {call.kind, "free" if cell is None else "cell", "energy" if call.has_energy else "noenergy"}
@@ -152,12 +157,16 @@ class Forces:
                 continue
             finally:
                 call.values = given
-        hint = ", a bond without rest length: F = −k (r − r0) r_ij/r" * any(re.search(REST, plain(one)) for one in still)
-        return len(still), len(still), f"{', '.join(still)} is without effect: with a larger value the forces are the same{hint}"
+        hint = ", a bond without rest length: F = −k (r − r0) r_ij/r" if re.search(REST, plain(" ".join(still))) else ""
+        return (
+            len(still),
+            len(still),
+            f"{', '.join(still)} is without effect: forces are the same if it is larger{hint}",
+        )
 
     def gradient(self) -> tuple[float, float, str]:
         """The force of a pair beside −du/dr."""
-        c, k, fault = compared(self.values, self.slopes(self.r), self.r, "−du/dr of the energy")
+        c, _, fault = compared(self.values, self.slopes(self.r), self.r, "−du/dr of the energy")
         return c, float(bool(fault)), fault
 
     def of_powers(self) -> tuple[float, float, str, Powers | None]:
@@ -171,15 +180,16 @@ class Forces:
                                 "q² r_ij/r³, not q² r_ij/r²")  # fmt: skip
             return np.nan, np.nan, "", self.powers
         if len(n) == 2 and abs(n[0] - 13) <= 2 and abs(n[1] - 7) <= 2:
-            right, sigma6 = Powers({13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6}), abs(c[0] / c[1]) / 2.0
-            fault = compared(self.values, right.at(self.r), self.r, f"{LENNARD_JONES} with ε = {epsilon:g}, σ = {sigma:g}")[2]
-            self.name = f"Lennard-Jones with ε = {abs(c[1]) / 24.0 / sigma6:.6g}, σ = {sigma6 ** (1 / 6):.6g}"
-            is_odd = n != [13, 7] or c[0] < 0.0 or c[1] > 0.0 or any(is_near(abs(one), m) for one in c for m in (24.0, 48.0))
-            fault = fault if is_odd or is_given or is_near(sigma6, 1.0) else ""  # else it has other units
+            right, s6 = Powers({13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6}), abs(c[0] / c[1]) / 2.0
+            told = f"48 ε σ¹² r^−13 − 24 ε σ⁶ r^−7 with ε = {epsilon:g}, σ = {sigma:g}"
+            self.name = f"Lennard-Jones with ε = {abs(c[1]) / 24.0 / s6:.6g}, σ = {s6 ** (1 / 6):.6g}"
+            is_odd = n != [13, 7] or c[0] < 0.0 or c[1] > 0.0 or is_near(s6, 1.0) or is_given
+            if is_odd or any(is_near(abs(one), factor) for one in c for factor in (24.0, 48.0)):  # not of other units
+                fault = compared(self.values, right.at(self.r), self.r, told)[2]
         return np.nan, float(bool(fault)) if is_alone or not fault else np.nan, fault, self.powers
 
     def cap(self) -> tuple[float, float]:
-        """The largest of the close distances at which the force is not its law, a sum of powers or −du/dr, or constant."""
+        """The largest close distance at which the force is not its law, a sum of powers or −du/dr, or is constant."""
         r, far = np.geomspace(CLOSEST, 1.0, POINTS), self.r > 1.0
         f, powers = self.f(r), self.powers or powers_of(self.values[far], self.r[far])
         right = powers.at(r) if powers else self.slopes(r) if "energy" in self.has else f
@@ -216,10 +226,13 @@ class Forces:
         """All forces and the energy beside those of minimd."""
         answer = evaluated(np.pad(self.x, ((0, 0), (0, 3 - self.d))), self.potential, self.cell)
         known, energy, right = answer.forces[:, : self.d], self.call(self.x)[1], float(answer.potential_energy)
-        off, c = float(np.abs(self.forces - known).max()) / (np.abs(known).max() or 1.0), multiple_of(self.forces, known, 1e-6)
-        is_energy = "energy" in self.has and not np.isclose(energy, right, rtol=1e-9)
-        told = f"the forces differ by {off:.1%} of the largest{f', they are {c:.6g} times as large' * bool(np.isfinite(c))}"
-        return off, max(off, float(is_energy)), told if off > ROUNDING else f"the energy is {energy:.8g} where {right:.8g} is needed"
+        off, c = (
+            float(np.abs(self.forces - known).max() / (np.abs(known).max() or 1.0)),
+            multiple_of(self.forces, known, EQUAL),
+        )
+        is_wrong = "energy" in self.has and not np.isclose(energy, right, rtol=1e-9)
+        told = f"the forces differ by {off:.1%} of the largest{f': they are {c:.6g} times those' if np.isfinite(c) else ''}"
+        return off, off or float(is_wrong), told if off > ROUNDING else f"the energy is {energy:.8g}, not {right:.8g}"
 
     def reaction(self) -> tuple[float, float, str]:
         """The sum of all forces, and what is wrong with a pair."""
@@ -228,10 +241,10 @@ class Forces:
             one, two = self.call(self.place(PROBE))[0]
         sizes = np.linalg.norm([one, two], axis=1)
         return off, off, first_of(
-            (sizes.min() < ROUNDING * sizes.max(), f": only one of the two atoms of a pair gets the force, number {sizes.argmax()}"
-             "; what is added to one must be subtracted from the other, or floor takes the place of round in the nearest image"),
-            (sizes.any() and np.allclose(one, two, rtol=1e-9), ": both atoms of a pair get the same force; the second one needs "
-                                                               "the opposite sign"), (True, ""))[0]  # fmt: skip
+            (sizes.min() < ROUNDING * sizes.max(), f": only one of the two atoms of a pair gets the force, number "
+             f"{sizes.argmax()}; what is added to one must be subtracted from the other (or floor is used for round)"),
+            (sizes.any() and np.allclose(one, two, rtol=1e-9), ": both atoms of a pair get the same force; the second one "
+                                                               "needs the opposite sign"), (True, ""))[0]  # fmt: skip
 
     def all_slopes(self) -> tuple[float, float, str]:
         """The forces of all atoms beside −∇U."""
@@ -252,17 +265,17 @@ class Forces:
         for axis, sign in product(range(self.d), (1, -1)):
             unit, edge = sign * self.units[axis], self.lengths[axis]
             face = middle + (0.5 * edge - 0.2) * unit
-            inside, across = (self.call(np.array([a, a + b * unit]))[0] for a, b in ((middle, PROBE), (face, PROBE - edge)))
+            ends = (middle, middle + PROBE * unit), (face, face + (PROBE - edge) * unit)
+            inside, across = (self.call(np.array(pair))[0] for pair in ends)
             if np.abs(across - inside).max() > SAME * np.abs(inside).max():
                 bad.append((axis, float(np.abs(across).max() / np.abs(inside).max())))
-        far = 0.5 * PROBE * self.units[0]  # across the origin and the middle, where wrapped positions interact, or are cut
-        origin, center = (np.abs(self.call(np.array([a - far, a + far]))[0]).max() for a in (0.0 * middle + 0.1, middle))
+        pair = np.array([-0.5, 0.5])[:, None] * PROBE * self.units[0]  # wrapped positions interact across the origin
+        origin, center = (np.abs(self.call(place + pair)[0]).max() for place in (0.0 * middle + 0.1, middle))
         axes, verb = sorted({axis for axis, _ in bad}), "missing" if any(part < 0.2 for _, part in bad) else "wrong"
         where = "along " + ", ".join("xyz"[axis] for axis in axes)
         return len(bad), len(bad) + float(center < 0.2 * origin), first_of(
-            (center < 0.2 * origin, f"positions are wrapped into the cell, but differences are not: {CURE} for the differences"),
-            (len(bad) == 2 * self.d, f"minimum image is {verb}: atoms on both sides of a face of the cell do not interact as "
-                                     f"neighbors; {CURE}"),
+            (center < 0.2 * origin, f"positions are wrapped into the cell, but differences are not: {CURE}"),
+            (len(bad) == 2 * self.d, f"minimum image is {verb}: atoms on both sides of a face are no neighbors; {CURE}"),
             (len(bad) == 2 * len(axes), f"minimum image is {verb} {where}, but right for the other axes"),
             (True, f"minimum image is {verb} in one direction {where}: only one of dx > L/2 and dx < −L/2 is treated"),
         )[0]  # fmt: skip
@@ -273,17 +286,16 @@ class Forces:
         n, forces, parts = len(self.x), self.forces, np.zeros((len(self.x), *self.x.shape))
         for i, j in zip(*np.triu_indices(n, 1), strict=True):
             parts[i, j], parts[j, i] = self.call(self.x[[i, j]])[0]
-        pairs, before = parts.sum(axis=1), np.tri(n, k=-1)[:, :, None]
-        off, small, c = float(np.abs(pairs - forces).max()) / self.scale, SAME * self.scale, multiple_of(forces, pairs, SAME)
-        halves = [np.abs(forces - (parts * half).sum(axis=1)).max() for half in (before, before.transpose(1, 0, 2))]
+        pairs, small = parts.sum(axis=1), SAME * self.scale
+        off, c = float(np.abs(pairs - forces).max()) / self.scale, multiple_of(forces, pairs, SAME)
         single = (np.abs(forces[:, None] - parts).max(axis=2) + np.diag(np.full(n, np.inf))).min(axis=1).max()
         fault = first_of(
-            (off < SAME, ""), (single < small, "each atom feels only one other atom: its force is overwritten (=) in the loop "
-                                               "where it should be added (+=)"),
-            (min(halves) < small, "each atom feels only the atoms with a higher number, or only those with a lower number"),
-            (np.abs(forces[-1]).max() < 1e-4 * small, f"atom {n - 1}, the last, feels no force: check the bounds of the loop"),
+            (off < SAME, ""),
+            (single < small, "each atom feels only one other atom: its force is overwritten (=), not added (+=), in a loop"),
+            (np.abs(forces[-1]).max() < 1e-4 * small, f"atom {n - 1}, the last, feels no force: check bounds of the loop"),
             (np.isfinite(c), f"the forces of {n} atoms are {c:.6g} times the sum of those of pairs: they are divided or "
-                             "multiplied by a number of atoms or pairs"), (True, ""))[0]  # fmt: skip
+                             "multiplied by a number of atoms or pairs"),
+            (True, ""))[0]  # fmt: skip
         return off, off if fault or off < SAME else np.nan, fault
 
 
@@ -301,45 +313,39 @@ def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
 
 # fmt: off
 LAWS = (  # the most telling first
-    Law("finite", lambda s: float(np.count_nonzero(~np.isfinite([*s.forces.flat, *(s.values if "pairs" in s.has else ())]))),
-        0.5, "{0:g} forces are not finite", "forces are not finite: an atom meets itself (i = j, r = 0), or two coincide"),
+    Law("finite", lambda s: float(np.count_nonzero(~np.isfinite([*s.forces.flat, *s.values]))), 0.5, "{0:g} are not finite",
+        "forces are not finite: an atom meets itself (i = j, r = 0), or two atoms coincide"),
     Law("parameters", Forces.without_effect, 0.5, "{0} are without effect", "{2}"),
-    Law("central", lambda s: float(np.linalg.norm(np.cross(s.skew, SKEW)) / np.linalg.norm(s.skew)), 1e-9, "F × r_ij is {0:.1e} of F r", "the force of the pair does not point along r_ij: the "
-        "direction must be r_ij/r in all three components", "pair"),
-    Law("nearest image", Forces.images, 0.5, "pairs across {0} faces do not interact as inside", "{2}", "forces pairs cell"),
-    Law("rotation", lambda s: s.off(s.x @ s.turn, s.forces @ s.turn), SAME, "forces of turned atoms differ by {0:.1e}", "the forces do not turn with the atoms: "
-        "they differ by {0:.1%}. A component is missing, or r is not √(x² + y² + z²)", "forces nofield free"),
+    Law("central", lambda s: float(np.linalg.norm(np.cross(s.skew, SKEW)) / np.linalg.norm(s.skew)), 1e-9, "F × r_ij is "
+        "{0:.1e} of F r", "the force of the pair does not point along r_ij: the direction must be r_ij/r", "pair"),
+    Law("nearest image", Forces.images, 0.5, "{0} faces are no neighbors", "{2}", "forces pairs cell"),
+    Law("rotation", lambda s: s.off(s.x @ s.turn, s.forces @ s.turn), SAME, "turned forces differ by {0:.1e}", "the forces do "
+        "not turn with the atoms: a component is missing, or r is not √(x² + y² + z²)", "forces nofield free"),
     Law("a gradient", Forces.curl, 1e-4, "∂F_i/∂x_j − ∂F_j/∂x_i is {0:.1e} of the largest element", "the forces are not the "
         "gradient of any energy: ∂F_i/∂x_j and ∂F_j/∂x_i differ by {0:.1%}; no energy can be conserved", "forces noenergy"),
-    Law("sum over pairs", Forces.sum_of_pairs, SAME, "F − Σ of single pairs is {0:.1e} of the largest force", "{2}",
-        "forces pairs"),
-    Law("sum of forces", Forces.reaction, ROUNDING, "|Σ F| is {0:.1e} of the largest force", "the sum of all forces is not "
-        "zero{2}", "forces nofield"),
-    Law("not capped", Forces.cap, 0.5, "the force is its law to r = 0.3", "the force is capped at close distances (r = {0:.3f} "
-        "and below): it is no longer the law, nor −du/dr of its energy", "pairs"),
+    Law("sum over pairs", Forces.sum_of_pairs, SAME, "F − Σ of single pairs is {0:.1e} of F", "{2}", "forces pairs"),
+    Law("sum of forces", Forces.reaction, ROUNDING, "|Σ F| is {0:.1e} of F", "Σ F is not zero{2}", "forces nofield"),
+    Law("not capped", Forces.cap, 0.5, "the force is its law to r = 0.3", "the force is capped at close distances (r = "
+        "{0:.3f} and below): it is no longer the law, nor −du/dr of its energy", "pairs"),
     Law("powers of r", Forces.of_powers, 0.5, "F = {3}", "{2}", "pairs"),
     Law("force = −∇U", Forces.gradient, 0.5, "F is {0:.6g} times −du/dr", "{2}", "pairs energy"),
     Law("as minimd's", Forces.beside, ROUNDING, "largest difference {0:.1e} of the largest force", "{2}", "pairs known"),
-    Law("cutoff", Forces.ending, 1e-300, "the largest force beyond it is {0:.2g}", "the cutoff {2:g} is not applied, or acts on "
-        "the components, not on the distance: the largest force beyond it is {0:.3g}", "pairs cutoff"),
-    Law("force continuous", Forces.end, 0.5, "{2}", "the force ends at r = {0:.6g}, where it should not: is r² compared with "
-        "the cutoff, not with its square?", "pairs"),
-    Law("energy continuous", Forces.jump, 1e-300, "jumps by {0:+.4g}", "the energy jumps at the cutoff by {0:+.4g} (r = {2:.6g}"
-        "): each pair that crosses it changes the total energy; subtract u(r_c) = {3:.4g} from the energy of every pair",
-        "pairs energy"),
+    Law("cutoff", Forces.ending, 1e-300, "the largest force beyond it is {0:.2g}", "the cutoff {2:g} is not applied, or acts "
+        "on the components, not on the distance: the largest force beyond it is {0:.3g}", "pairs cutoff"),
+    Law("force continuous", Forces.end, 0.5, "{2}", "the force ends at r = {0:.6g}, where it should not: is r² compared "
+        "with the cutoff, not with its square?", "pairs"),
+    Law("energy continuous", Forces.jump, 1e-300, "jumps by {0:+.4g}", "the energy jumps at the cutoff by {0:+.4g} (r = "
+        "{2:.6g}), as often as a pair crosses it; subtract u(r_c) = {3:.4g} from the energy of every pair", "pairs energy"),
 )
-GENERAL = (  # told if no other law says why
-    Law("all forces = −∇U", Forces.all_slopes, EQUAL, "largest difference {0:.1e}", "the forces are not −∇U{2}", "forces energy"),
-    Law("exchange", lambda s: s.off(s.x[::-1], s.forces[::-1]), ROUNDING, "forces of renumbered atoms differ by {0:.1e}", "the forces depend on the "
-        "numbering of the atoms: the double loop leaves out pairs, or forces are overwritten (=), not added (+=)", "forces"),
-    # of two translations the smaller difference counts: the other one may take a pair across a jump
+GENERAL = (  # told if no other law says why; of two translations, one may take a pair across a jump
+    Law("all forces = −∇U", Forces.all_slopes, EQUAL, "off by {0:.1e}", "the forces are not −∇U{2}", "forces energy"),
+    Law("exchange", lambda s: s.off(s.x[::-1], s.forces[::-1]), ROUNDING, "renumbered forces differ by {0:.1e}", "the forces "
+        "depend on the numbering of the atoms: pairs are left out, or forces overwritten (=), not added (+=)", "forces"),
     Law("translation", lambda s: min(s.off(s.x + shift[: s.d], s.forces) for shift in SHIFTS), SAME,
-        "forces of shifted atoms differ by {0:.1e}", "the forces depend on the place of the atoms", "forces nofield"),
-    Law("periodic", lambda s: s.off(s.x + np.random.default_rng(6).integers(-1, 2, s.x.shape) * s.lengths, s.forces), SAME,
-        "forces of atoms moved by whole cells differ by {0:.1e}", f"forces on atoms outside the cell differ: {CURE}, which is "
-        "right for any distance", "forces nofield cell"),
-    Law("all atoms as minimd's", Forces.all_beside, ROUNDING, "largest difference {0:.1e} of the largest force", "{2}, minimd's",
-        "forces known"),
+        "shifted forces differ by {0:.1e}", "the forces depend on the place of the atoms", "forces nofield"),
+    Law("periodic", lambda s: s.off(s.x + np.sign(s.x - s.x.mean()) * s.lengths, s.forces), SAME, "forces in other cells "
+        "differ by {0:.1e}", f"forces on atoms outside the cell differ: {CURE}, for any distance", "forces nofield cell"),
+    Law("all atoms as minimd's", Forces.all_beside, ROUNDING, "off by {0:.1e}", "beside minimd's {2}", "forces known"),
     Law("external field", lambda s: np.nan, 0.5, "a single atom feels a force", "", "field"),
 )
 # fmt: on
@@ -367,11 +373,15 @@ def grade_forces(
         one = Forces(call, lengths, cutoff, given, potential)
         if edge := one.period():
             one = Forces(call, np.full(3, edge), cutoff, given, potential)
-            one.remarks.append(f"forces are periodic along x with the period {edge:.6g}, taken as the edge of a cubic cell")
+            one.remarks.append(
+                f"forces are periodic along x with the period {edge:.6g}, taken as the edge of a cubic cell"
+            )
         telling, general = (judged(laws, one) for laws in (LAWS, GENERAL))
         if one.cell is not None and cutoff is None and one.has >= {"forces", "pairs"}:
             rest = abs(one.f(0.4999 * float(one.cell.min())))
-            one.remarks += first_of((rest, f"the force jumps by {rest:.2g} where the nearest image changes: use a cutoff"))
+            one.remarks += first_of(
+                (rest, f"the force jumps by {rest:.2g} where the nearest image changes: use a cutoff")
+            )
     faults = causes(telling) or causes(general)
     faults += ["the function changes the positions that it is given: work on a copy"] * call.changes_input
     told = f"{call.name}({', '.join(call.names)}): {KINDS[call.kind]}{' and the energy' * call.has_energy}"

@@ -31,8 +31,8 @@ def grade(
 
     A step is a function step(x, v, force, m, dt) -> x, v. Parameters are recognized by their names, in any order, and m
     may be left out. It may return x and v, or change them in place; force is a function of positions. Forces are a
-    function forces(positions) -> F or (F, U), a law f(r) or law(r2) -> (u, f), or the force of a pair f(r_ij). A function
-    with a time step, or with velocities and more than one other parameter, is graded as a step, any other as forces.
+    function forces(positions) -> F or (F, U), a law f(r) or law(r2) -> (u, f), or the force of a pair f(r_ij). What has
+    a time step, or velocities and more than one other parameter, is graded as a step, any other function as forces.
 
     Parameters
     ----------

@@ -19,7 +19,11 @@ from minimd.grade.problems import Array, Problem
 from minimd.integrators.methods import SPLITTINGS
 from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, merged
 
-SAME, CLOSE, MANY = 1e-7, 1e-3, 6  # of weights: equal, meant to be equal; substeps of a method that may be nearly another
+SAME, CLOSE, MANY = (
+    1e-7,
+    1e-3,
+    6,
+)  # of weights: equal, meant to be equal; substeps of a method that may be nearly another
 ROUNDING, MOST, STEP = 1e-9, 60, 0.1  # of v; evaluations of the force in one step; time step
 RUNGE_KUTTA = {  # rows of the matrix from the second one on, and the weights
     "RK2, midpoint": ([1 / 2], [0, 1]),
@@ -111,7 +115,9 @@ def named(own: Numbers) -> tuple[str, str]:
                 return name, ""
             told = [f"substep {k + 1}, a {kinds[k]}, is {mine[k]:.10g} where {right[k]:.10g} is needed" for k in wrong]
             is_near = len(wrong) <= len(parts) // 2 or np.abs(mine - right).max() < CLOSE
-            near += [(len(wrong), f"the step is nearly {name}, but {', '.join(told)}")] * int(is_near and len(parts) >= MANY)
+            near += [(len(wrong), f"the step is nearly {name}, but {', '.join(told)}")] * int(
+                is_near and len(parts) >= MANY
+            )
     if parts:
         weights = [f"{kind} {coefficient(one)}" for kind, one in zip(kinds, mine, strict=True)]
         return ", ".join(weights), min(near, default=(0, ""))[1]
@@ -128,7 +134,9 @@ def named(own: Numbers) -> tuple[str, str]:
             other = matrix.copy()
             other[j] += (own.pushes[-1] - b @ matrix) / b[j]
             if own.is_same(other, np.array(b)):
-                rows_told = f"{told_row(other[j, :j])} of the stages before it where {told_row(matrix[j, :j])} are needed"
+                rows_told = (
+                    f"{told_row(other[j, :j])} of the stages before it where {told_row(matrix[j, :j])} are needed"
+                )
                 return "", f"{told} stage {j + 1} has the weights {rows_told}"
     return "", ""
 

@@ -17,7 +17,7 @@ TWICE, HALF = ": pairs are counted twice, or a factor ½ is missing", ": a facto
 
 
 class Powers(NamedTuple):
-    """A function that is exactly a constant and Σ c r^−n on a range of distances.  terms : c by n, the largest n first."""
+    """A function that is exactly a constant and Σ c r^−n on a range of distances.  terms : c by n, largest n first."""
 
     terms: dict[int, float]
     constant: float = 0.0
@@ -27,7 +27,8 @@ class Powers(NamedTuple):
         return np.asarray(self.constant + sum(c * r ** float(-n) for n, c in self.terms.items()))
 
     def __str__(self) -> str:
-        return " ".join(f"{'−' if c < 0.0 else '+'} {abs(c):.6g} r^−{n}" for n, c in self.terms.items()).removeprefix("+ ")
+        terms = [f"{'−' if c < 0.0 else '+'} {abs(c):.6g} r^−{n}" for n, c in self.terms.items()]
+        return " ".join(terms).removeprefix("+ ")
 
 
 def powers_of(values: Array, r: Array) -> Powers | None:
@@ -57,8 +58,7 @@ def compared(f: Array, g: Array, r: Array, other: str) -> tuple[float, float, st
     c, k = float(np.sign(ratio[0]) * np.exp(log_c)), round(float(k), 4)
     faults = [
         *first_of((c < 0.0, "the force has the wrong sign, so atoms that should repel each other attract each other")),
-        *first_of((k == 1.0, "the factor 1/r is missing: du/dr is multiplied by the vector r_ij, but du/dr / r, or the unit "
-                             "vector, is needed"),
+        *first_of((k == 1.0, "the factor 1/r is missing: du/dr is multiplied by the vector r_ij, not by the unit vector"),
                   (k, f"the force has {abs(k):g} power of r too {'many' if k > 0 else 'few'}: a factor 1/r too many?")),
         *first_of((is_near(abs(c), 1.0), ""), (is_near(abs(c), 2.0), f"the force is twice {other}{TWICE}"),
                   (is_near(abs(c), 0.5), f"the force is half of {other}{HALF}"),

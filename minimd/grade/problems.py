@@ -1,12 +1,5 @@
-"""The problem on which a student's step is tested: a few particles with smooth, anharmonic forces,
-in the dimensions of the step.
-
-    N particles     U = Σ_{i<j} ½ k r² + ¼ g r⁴          invariant under translation, rotation and exchange
-    one number      U = ½ k q² + ¼ g q⁴, k = 1, g = 0.3
-
-Units are reduced; frequencies are about 1, and all masses differ. Polynomials have neither cutoff nor singularity:
-errors that are measured come from the step.
-"""
+"""The problem on which a student's step is tested: a few particles with smooth, anharmonic forces in its dimensions,
+U = Σ_{i<j} ½ k r² + ¼ g r⁴, or one number, U = ½ q² + ¼ 0.3 q⁴. Frequencies are about 1, and all masses differ."""
 
 from __future__ import annotations
 
@@ -42,12 +35,13 @@ def multiple_of(f: Array, g: Array, within: float) -> float:
 
 
 class Problem(NamedTuple):
-    """Positions x and velocities v of the same shape, (N, d), (N,) or (), and masses of shape (N,) or ()."""
+    """Positions x and velocities v of the same shape, (N, d), (N,) or (), and masses of shape (N,) or (). stiffness : if it
+    is not zero, of springs to the origin, which replace all other forces."""
 
     x: Array
     v: Array
     m: Array
-    stiffness: float = 0.0  # if it is not zero: of springs to the origin, which replace all other forces
+    stiffness: float = 0.0
 
     def at(self, x: Array) -> tuple[Array, float]:
         """−∇U, in the shape of x, and U."""
@@ -66,16 +60,13 @@ class Problem(NamedTuple):
 
     def scaled(self, name: str, x: Array) -> Array:
         """−∇U as a "force", as an "acceleration", or with the other sign as a "gradient"."""
-        return np.asarray(self.force(x) * {"force": 1.0, "acceleration": 1.0 / self.mass, "gradient": -1.0}[name])
+        force = self.force(x)
+        return {"force": force, "acceleration": force / self.mass, "gradient": -force}[name]
 
     @property
     def mass(self) -> Array:
         """Masses in a shape that can be multiplied with x."""
         return self.m.reshape(self.m.shape + (1,) * (self.x.ndim - self.m.ndim))
-
-    def energy(self, x: Array, v: Array) -> tuple[float, float]:
-        """Kinetic and potential energy."""
-        return float(0.5 * np.sum(self.mass * v * v)), self.at(x)[1]
 
     def flow(self, time: float) -> tuple[Array, Array]:
         """The exact x and v after a time, to about 1e-13."""
@@ -92,9 +83,9 @@ class Problem(NamedTuple):
         return np.asarray(x), np.asarray(v)
 
 
-def problem(shape: tuple[int, ...], seed: int, same_mass: bool = False, **changes: Any) -> Problem:
+def problem(shape: tuple[int, ...], seed: int, same_mass: bool, stiffness: float) -> Problem:
     """A random state.  same_mass : the same mass for all particles; it depends on the seed."""
     random = np.random.default_rng(seed)
-    x, v = random.uniform(0.5, 2.5, shape), random.normal(0.0, 0.6, shape)
-    masses = MASSES[seed % 5] * np.ones(shape[:1]) if same_mass or not shape else np.roll(MASSES, seed)[: shape[0]]
-    return Problem(np.asarray(x), np.asarray(v), np.asarray(masses), **changes)
+    x, v, masses = random.uniform(0.5, 2.5, shape), random.normal(0.0, 0.6, shape), np.roll(MASSES, seed)[:1]
+    m = masses * np.ones(shape[:1]) if same_mass or not shape else np.roll(MASSES, seed)
+    return Problem(np.asarray(x), np.asarray(v), m if shape else m[0] * np.ones(()), stiffness)

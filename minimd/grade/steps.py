@@ -1,4 +1,4 @@
-"""The grade of a step: its order, its symmetries, the quantities that it conserves. All is measured on a few particles."""
+"""The grade of a step: its order, its symmetries, and what it conserves. All is measured on a few particles."""
 
 from __future__ import annotations
 
@@ -63,7 +63,10 @@ class Measured:
     @cached_property
     def jacobian(self) -> Array:
         """∂(x₁, p₁)/∂(x, p) at Δt = 0.1."""
-        start, mass = np.array(self.where[:2]), np.ones((2, 1)) * np.ravel(np.broadcast_to(self.where.mass, self.where.x.shape))
+        start, mass = (
+            np.array(self.where[:2]),
+            np.ones((2, 1)) * np.ravel(np.broadcast_to(self.where.mass, self.where.x.shape)),
+        )
         mass[0] = 1.0
 
         def end(y: Array) -> Array:
@@ -97,7 +100,7 @@ class Measured:
         (x, v), energies, times = self.where[:2], list[tuple[float, float]](), np.arange(LONG)
         while len(energies) < LONG:
             x, v = self.step(self.where, x, v, PACE)
-            energies.append(self.where.energy(x, v))
+            energies.append((float(0.5 * np.sum(self.where.mass * v * v)), self.where.at(x)[1]))
             if not abs(sum(energies[-1])) < TOO_LARGE:
                 return np.inf, np.inf, f"grows beyond {TOO_LARGE:g} in {len(energies)} steps of {PACE:g}"
         series, k = np.sum(energies, axis=1), float(np.mean(energies, axis=0)[0])
@@ -125,7 +128,8 @@ class Measured:
             return off, np.inf, f"at ω dt = 0.5 the energy changes by the factor {1.0 + off:.4g} in each step"
         skew, stiffness = (m[1, 1] - m[0, 0]) / m[0, 1], -m[1, 0] / m[0, 1]
         stable = next((k for k, h in enumerate(LENGTHS) if abs(np.trace(matrix(h))) > 2.0 + 1e-9), len(LENGTHS))
-        words = f"at ω dt = 0.5 it conserves v² {stiffness:+.6g} ω² x²{f' {skew:+.4g} ω x v' * int(abs(skew) > 1e-9)}"
+        mixed = f" {skew:+.4g} ω x v" if abs(skew) > 1e-9 else ""
+        words = f"at ω dt = 0.5 it conserves v² {stiffness:+.6g} ω² x²{mixed}"
         return 0.01 * stable, 0.0 if stable else np.inf, f"{words}; stable up to ω dt = {0.01 * stable:.2f}"
 
     def cost(self) -> tuple[int, float, str]:
@@ -149,20 +153,22 @@ LAWS = (
     Law("order", Measured.order, ORDER_OFF, "{2}", "the first terms are right, but the measured order is {0:.2f}"),
     Law("symplectic", lambda s: s.form, SYMPLECTIC, "largest element of JᵀΩJ − Ω: {0:.1e} at dt = 0.1",
         PHASE_SPACE),
-    Law("volume", lambda s: (float(np.linalg.det(s.jacobian)) - 1.0) / s.fuzz, 1e-8, "det J − 1 = {0:.1e} at dt = 0.1", PHASE_SPACE),
+    Law("volume", lambda s: (float(np.linalg.det(s.jacobian)) - 1.0) / s.fuzz, 1e-8, "det J − 1 = {0:.1e} at dt = 0.1",
+        PHASE_SPACE),
     Law("reversible", Measured.reversal, 1e-11, f"after {BACK} steps and as many back, the distance from the start is "
         "{0:.1e}; the way was {2:.2g}", "the step is not symmetric: kicks and drifts do not read the same forwards and "
         "backwards"),
     Law("momentum", lambda s: s.momentum(lambda x, p: p), 1e-11, f"changes by {{0:.1e}} of Σ|mv| in {SOME} steps",
         "the total momentum changes: the forces of a step are not all computed at the same positions", "atoms"),
-    Law("angular momentum", lambda s: s.momentum(torque), 1e-11, f"changes by {{0:.1e}} of Σ|r × mv| in {SOME} steps", "", "vectors"),
+    Law("angular momentum", lambda s: s.momentum(torque), 1e-11, f"changes by {{0:.1e}} of Σ|r × mv| in {SOME} steps", "",
+        "vectors"),
     Law("energy", Measured.energy, 1.0, "{2}", "the energy drifts"),
     Law("oscillator", Measured.oscillator, 1.0, "{2}", "an oscillator is not kept for any time step"),
     Law("cost", Measured.cost, 0.5, "{0} force evaluations per step{2}", "", "force"),
 )  # fmt: skip
 REMARKS = (
     (lambda step: step.swapped, "the step returns v before x; the usual order is x, v"),
-    (lambda step: step.in_place, "the step changes the arrays that it is given; copy them before if you need the old ones"),
+    (lambda step: step.in_place, "the step changes the arrays that it is given; copy them if you need the old ones"),
     (lambda step: step.masses == "(N, 1)", "masses must have shape (N, 1) in this step, not (N,)"),
     (lambda step: step.takes("half"), "velocities are at half steps: half a kick was made before and after"),
     (lambda step: step.takes("old"), "the step is a recursion of two positions; velocities are (x₁ − x₀)/dt + ½ dt F/m"),

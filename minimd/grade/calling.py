@@ -77,8 +77,8 @@ class Called:
         except (TypeError, ValueError):
             raise TypeError(f"give a function, such as {example}; got {function!r}") from None
         if [*parameters][:1] == ["self"]:
-            raise TypeError(f"{self.name} is a method without its object (its first parameter is self): pass that of an "
-                            f"object, as in md.grade(Simulation().{self.name})")  # fmt: skip
+            raise TypeError(f"{self.name} is a method without its object (its first parameter is self): pass that of "
+                            f"an object, as in md.grade(Simulation().{self.name})")  # fmt: skip
         starred = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
         kept = {name: one.default for name, one in parameters.items() if one.kind not in starred}
         self.roles = {name: role_of(name, names) for name in kept}
@@ -98,9 +98,9 @@ def manners(function: Callable[..., Any]) -> Iterator[StudentStep]:
     if "dt" not in roles or not ("state" in roles or ("x" in roles and {*VELOCITIES} & {*roles})) or "" in roles:
         unknown = " and ".join(name for name in names if not known[name]) or "none"
         raise TypeError("a step takes positions, velocities, a force function, masses and a time step, as step(x, v, "
-                        f"force, m, dt); the parameters of this one are ({', '.join(names)}); the meaning of {unknown} of "
-                        "them is not known. Give them these names, or pos, vel, frc, forces, compute_forces, acc, mass, "
-                        "h, timestep, p, x_old, v_half; m may be left out")  # fmt: skip
+                        f"force, m, dt); its parameters are ({', '.join(names)}), the meaning of {unknown} of them is not "
+                        "known. Give them these names, or pos, vel, frc, forces, compute_forces, acc, mass, h, "
+                        "timestep, p, x_old, v_half; m may be left out")  # fmt: skip
     forces = [k for k, role in enumerate(roles) if role in FORCES]
     is_old = [bool(re.search(IS_BEFORE, name.lower())) for name in names]
     choices = [[], forces] if forces else [[]]  # of the parameters that are arrays
@@ -147,7 +147,7 @@ class StudentStep:
     def __call__(self, where: Problem, x: Array, v: Array, h: float) -> tuple[Array, Array]:
         """One step.  Raises what the function raises, and ValueError for results that are not x and v."""
         roles, one = self.roles, float if x.ndim == 0 else np.array
-        m = {"(N,)": where.m, "(N, 1)": where.m.reshape(-1, 1), "one number": where.m.flat[0]}[self.masses]
+        m: Any = {"(N,)": where.m, "(N, 1)": where.m.reshape(-1, 1), "one number": where.m.flat[0]}[self.masses]
         half = v - 0.5 * h * where.force(x) / where.mass if self.takes("half", "old") else v
         before = x - h * v + 0.5 * h * h * where.force(x) / where.mass if self.takes("before") else x
         of_v = next((role for role in VELOCITIES if role in roles), "v")
@@ -254,8 +254,8 @@ class StudentForce(Called):
     """A student's force function.
 
     kind, dimensions : what it is called as; one of KINDS.  is_squared : whether the law takes r².  has_energy :
-    whether it also returns an energy.  names : of the parameters without defaults.  values : what is given for those after the
-    positions.  takes : their roles.  physical : values of ε, σ and others, by name.
+    whether it also returns an energy.  names : of the parameters without defaults.  values : what is given for those
+    after the positions.  takes : their roles.  physical : values of ε, σ and others, by name.
     """
 
     kind, dimensions, has_energy, changes_input = "forces", 3, False, False

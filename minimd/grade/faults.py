@@ -71,10 +71,10 @@ def hidden(step: StudentStep, where: Problem) -> list[str]:
         ends.append(end())
     np.random.set_state(state)
     return first_of(
-        (is_deaf and {*FORCES} & {*step.roles}, "the step does not compute the force: it called the force function never, "
-                                                "or in its first call, and keeps using that result"),
-        (off and np.array_equal(ends[0], ends[1]), "the step draws random numbers, as a thermostat does: two steps from "
-                                                   f"the same state differ by {off:.1e}"),
+        (is_deaf and {*FORCES} & {*step.roles}, "the step does not compute the force, or only in its first call, and "
+                                                "keeps using that result"),
+        (off and np.array_equal(ends[0], ends[1]), "the step draws random numbers, as a thermostat does: two steps "
+                                                   f"from one state differ by {off:.1e}"),
         (off, f"two steps from the same x and v differ by {off:.1e}: the step draws random numbers, or remembers "
               "earlier calls, such as a force that is kept outside. What a step needs must be among its arguments"),
     )  # fmt: skip
@@ -107,7 +107,7 @@ def limited(step: StudentStep, where: Problem) -> list[str]:
         jump = np.abs(step(where, where.x + far, where.v, 0.02)[0] - far - new)
         if jump.max() > 1e-6:
             return [f"atoms that start {far:g} farther away are moved by {jump[jump > 1e-6].min():.6g} more: positions "
-                    "are wrapped into a box in the step, or it depends on the origin. Wrap what is written"]  # fmt: skip
+                    "are wrapped into a box in the step, or it depends on the origin"]  # fmt: skip
     off, most = np.abs(fast - FASTER * where.v).max(), np.abs(fast).max()
     return first_of((off > CHANGED * FASTER, f"velocities above {most:.4g} are cut off: they are limited (clipped)"))
 
@@ -176,10 +176,10 @@ def stranger(part: int, power: int, rest: float, changes: list[Array], known: li
     alone = [fit([one], ["v", "F/m"], [change]) for one, change in zip(known, changes, strict=True)]
     told = ", ".join(f"{c[0]:.3g}" for c, _ in alone[:3])
     return first_of(
-        (part and off.ndim and max(one for _, one in alone) < UNEXPLAINED, f"velocities change by {told}, …{POWERS[power]} "
-         "v in addition to the kick, which depends on the state: they are rescaled, the step contains a thermostat"),
-        (True, f"{PARTS[part]}{place} do not change as Newton's equation says, {rest:.1%} of the term{POWERS[power]} is wrong: "
-               "they are set, limited, wrapped or rescaled, their mean motion is removed, or another force or mass acts"),
+        (part and off.ndim and max(one for _, one in alone) < UNEXPLAINED, f"velocities change by {told}, … "
+         f"v{POWERS[power]} in addition to the kick: they are rescaled, the step contains a thermostat"),
+        (True, f"{PARTS[part]}{place} do not change as Newton's equation says, by {rest:.1%} of the term{POWERS[power]}: "
+               "set, limited, wrapped, rescaled, the mean motion is removed, or another force or mass acts"),
     )[0]  # fmt: skip
 
 
@@ -201,7 +201,7 @@ def wrong_terms(part: int, power: int, found: dict[tuple[int, int], dict[str, fl
     later, why = found.get((part, power + 1), {}), WEIGHTS.get(round(total, 5), "") if what == "kick" else ""
     why = TWICE if why and is_near(total, 0.5) and is_near(later.get("F/m", 0.0), 0.5) else why
     return faults if not what or is_near(total, right) else faults + first_of(
-        (is_near(total, 0.0), f"the {what} is missing: {PARTS[part]} change by 0 dt {term}{', but by dt²' * (term in later)}"),
+        (is_near(total, 0.0), f"the {what} is missing: {PARTS[part]} lack dt {term}{', it has dt²' * (term in later)}"),
         (total < 0.0, f"the {what} has the wrong sign: {PARTS[part]} change by {coefficient(total)} dt {term}"),
         (True, f"the {what} is multiplied by {coefficient(total)}: {PARTS[part]} change by {total:.6g} dt {term}{why}"),
     )  # fmt: skip

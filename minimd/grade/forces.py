@@ -1,5 +1,5 @@
 """The grade of a force function: whether forces are a gradient, pairwise, symmetric, periodic, cut off correctly, and
-equal to minimd's. The table of laws has those of many atoms and those of one pair, f > 0 for repulsion, at a distance."""
+equal to minimd's. The laws are those of many atoms, and those of one pair at a distance, with f > 0 for repulsion."""
 
 from __future__ import annotations
 
@@ -45,7 +45,8 @@ class Forces:
         self, call: StudentForce, cell: Array | None, cutoff: Any, given: Array | None, potential: Any
     ) -> None:
         self.call, self.d, self.cell, self.cutoff, self.potential = call, call.dimensions, cell, cutoff, potential
-        self.lengths, self.along, self.units = None if cell is None else cell[: self.d], ALONG[self.d], np.eye(self.d)
+        self.lengths: Any = None if cell is None else cell[: self.d]
+        self.along, self.units = ALONG[self.d], np.eye(self.d)
         self.start = WHERE[: self.d] * (1.0 if self.lengths is None else 0.3 * self.lengths / self.lengths.max())
         self.values = np.zeros(0)
         self.is_over_r, self.remarks, self.name = False, list[str](), ""
@@ -71,7 +72,7 @@ class Forces:
             return False
 
     def cluster(self) -> Array:
-        """Atoms near the sites of a simple cubic lattice, no two closer than σ; in a cell, around one of its corners. No
+        """Atoms near the sites of a cubic lattice, no two closer than σ; in a cell, around one of its corners. No
         pair is near the cutoff, or half the cell along an axis, where forces may jump."""
         lengths, sides = self.lengths, [5 - self.d] * self.d
         if lengths is not None:
@@ -129,7 +130,7 @@ class Forces:
         self.powers = powers_of(self.values, self.r)
 
     def period(self) -> float:
-        """The edge along x of a cell inside the function, the distance after which the force of a pair repeats; else 0."""
+        """The edge of a cell inside the function, after which the force of a pair along x repeats; 0 if there is none."""
 
         def at(d: float) -> float:
             return float(self.call(self.place(d, self.units[0]))[0][1, 0])
@@ -164,9 +165,9 @@ class Forces:
             f"{', '.join(still)} is without effect: forces are the same if it is larger{hint}",
         )
 
-    def gradient(self) -> tuple[float, float, str]:
-        """The force of a pair beside −du/dr."""
-        c, _, fault = compared(self.values, self.slopes(self.r), self.r, "−du/dr of the energy")
+    def like(self, right: Array, other: str) -> tuple[float, float, str]:
+        """The force of a pair beside the one that it should be."""
+        c, _, fault = compared(self.values, right, self.r, other)
         return c, float(bool(fault)), fault
 
     def of_powers(self) -> tuple[float, float, str, Powers | None]:
@@ -217,11 +218,6 @@ class Forces:
         is_meant = getattr(self.potential, "truncation", "") == "truncated"  # minimd's energy jumps, too
         return above - below, np.nan if is_meant else above - below, r, below
 
-    def beside(self) -> tuple[float, float, str]:
-        """The force of a pair beside that of minimd."""
-        off = float(np.abs(self.values - self.known).max() / np.abs(self.known).max())
-        return off, off, compared(self.values, self.known, self.r, "minimd's force")[2]
-
     def all_beside(self) -> tuple[float, float, str]:
         """All forces and the energy beside those of minimd."""
         answer = evaluated(np.pad(self.x, ((0, 0), (0, 3 - self.d))), self.potential, self.cell)
@@ -231,8 +227,12 @@ class Forces:
             multiple_of(self.forces, known, EQUAL),
         )
         is_wrong = "energy" in self.has and not np.isclose(energy, right, rtol=1e-9)
-        told = f"the forces differ by {off:.1%} of the largest{f': they are {c:.6g} times those' if np.isfinite(c) else ''}"
-        return off, off or float(is_wrong), told if off > ROUNDING else f"the energy is {energy:.8g}, not {right:.8g}"
+        told = f"the forces differ by {off:.1%} of the largest{f', by the factor {c:.6g}' if np.isfinite(c) else ''}"
+        return (
+            float(off),
+            float(off) or float(is_wrong),
+            told if off > ROUNDING else f"the energy is {energy:.8g}, not {right:.8g}",
+        )
 
     def reaction(self) -> tuple[float, float, str]:
         """The sum of all forces, and what is wrong with a pair."""
@@ -243,8 +243,8 @@ class Forces:
         return off, off, first_of(
             (sizes.min() < ROUNDING * sizes.max(), f": only one of the two atoms of a pair gets the force, number "
              f"{sizes.argmax()}; what is added to one must be subtracted from the other (or floor is used for round)"),
-            (sizes.any() and np.allclose(one, two, rtol=1e-9), ": both atoms of a pair get the same force; the second one "
-                                                               "needs the opposite sign"), (True, ""))[0]  # fmt: skip
+            (sizes.any() and np.allclose(one, two), ": both atoms of a pair get the same force; the second needs the "
+                                                    "other sign"), (True, ""))[0]  # fmt: skip
 
     def all_slopes(self) -> tuple[float, float, str]:
         """The forces of all atoms beside −∇U."""
@@ -259,7 +259,7 @@ class Forces:
         matrix = np.array([np.ravel(difference(lambda x: self.call(x)[0], self.x, e))[: len(some)] for e in some])
         return float(np.abs(matrix - matrix.T).max() / max(np.abs(matrix).max(), 1e-300))
 
-    def images(self) -> tuple[int, int, str]:
+    def images(self) -> tuple[int, float, str]:
         """Nearest images across each face, in both directions."""
         bad, middle = list[tuple[int, float]](), 0.5 * self.lengths  # axes, and the part of the force that is there
         for axis, sign in product(range(self.d), (1, -1)):
@@ -275,7 +275,7 @@ class Forces:
         where = "along " + ", ".join("xyz"[axis] for axis in axes)
         return len(bad), len(bad) + float(center < 0.2 * origin), first_of(
             (center < 0.2 * origin, f"positions are wrapped into the cell, but differences are not: {CURE}"),
-            (len(bad) == 2 * self.d, f"minimum image is {verb}: atoms on both sides of a face are no neighbors; {CURE}"),
+            (len(bad) == 2 * self.d, f"minimum image is {verb}: atoms across a face are no neighbors; {CURE}"),
             (len(bad) == 2 * len(axes), f"minimum image is {verb} {where}, but right for the other axes"),
             (True, f"minimum image is {verb} in one direction {where}: only one of dx > L/2 and dx < −L/2 is treated"),
         )[0]  # fmt: skip
@@ -291,10 +291,10 @@ class Forces:
         single = (np.abs(forces[:, None] - parts).max(axis=2) + np.diag(np.full(n, np.inf))).min(axis=1).max()
         fault = first_of(
             (off < SAME, ""),
-            (single < small, "each atom feels only one other atom: its force is overwritten (=), not added (+=), in a loop"),
-            (np.abs(forces[-1]).max() < 1e-4 * small, f"atom {n - 1}, the last, feels no force: check bounds of the loop"),
-            (np.isfinite(c), f"the forces of {n} atoms are {c:.6g} times the sum of those of pairs: they are divided or "
-                             "multiplied by a number of atoms or pairs"),
+            (single < small, "each atom feels only one other atom: its force is overwritten (=), not added (+=)"),
+            (np.abs(forces[-1]).max() < 1e-4 * small, f"atom {n - 1}, the last, feels no force: check the bounds"),
+            (np.isfinite(c), f"the forces of {n} atoms are {c:.6g} times the sum of those of pairs: they are divided "
+                             "or multiplied by a number of atoms"),
             (True, ""))[0]  # fmt: skip
         return off, off if fault or off < SAME else np.nan, fault
 
@@ -313,38 +313,39 @@ def evaluated(x: Array, potential: Any, lengths: Array | None) -> Any:
 
 # fmt: off
 LAWS = (  # the most telling first
-    Law("finite", lambda s: float(np.count_nonzero(~np.isfinite([*s.forces.flat, *s.values]))), 0.5, "{0:g} are not finite",
+    Law("finite", lambda s: float(np.count_nonzero(~np.isfinite([*s.forces.flat, *s.values]))), 0.5, "{0:g} are not",
         "forces are not finite: an atom meets itself (i = j, r = 0), or two atoms coincide"),
     Law("parameters", Forces.without_effect, 0.5, "{0} are without effect", "{2}"),
-    Law("central", lambda s: float(np.linalg.norm(np.cross(s.skew, SKEW)) / np.linalg.norm(s.skew)), 1e-9, "F × r_ij is "
-        "{0:.1e} of F r", "the force of the pair does not point along r_ij: the direction must be r_ij/r", "pair"),
-    Law("nearest image", Forces.images, 0.5, "{0} faces are no neighbors", "{2}", "forces pairs cell"),
-    Law("rotation", lambda s: s.off(s.x @ s.turn, s.forces @ s.turn), SAME, "turned forces differ by {0:.1e}", "the forces do "
-        "not turn with the atoms: a component is missing, or r is not √(x² + y² + z²)", "forces nofield free"),
-    Law("a gradient", Forces.curl, 1e-4, "∂F_i/∂x_j − ∂F_j/∂x_i is {0:.1e} of the largest element", "the forces are not the "
-        "gradient of any energy: ∂F_i/∂x_j and ∂F_j/∂x_i differ by {0:.1%}; no energy can be conserved", "forces noenergy"),
+    Law("central", lambda s: float(np.linalg.norm(np.cross(s.skew, SKEW)) / np.linalg.norm(s.skew)), 1e-9,
+        "F × r_ij is {0:.1e} of F r", "the force of the pair does not point along r_ij, its direction", "pair"),
+    Law("nearest image", Forces.images, 0.5, "atoms across {0} faces are no neighbors", "{2}", "forces pairs cell"),
+    Law("rotation", lambda s: s.off(s.x @ s.turn, s.forces @ s.turn), SAME, "turned forces differ by {0:.1e}",
+        "forces do not turn with atoms: a component is missing, or r is no √(x² + y² + z²)", "forces nofield free"),
+    Law("a gradient", Forces.curl, 1e-4, "∂F_i/∂x_j − ∂F_j/∂x_i is {0:.1e} of the largest element", "the forces are "
+        "not the gradient of any energy, ∂F_i/∂x_j and ∂F_j/∂x_i differ: no energy can be conserved", "forces noenergy"),
     Law("sum over pairs", Forces.sum_of_pairs, SAME, "F − Σ of single pairs is {0:.1e} of F", "{2}", "forces pairs"),
     Law("sum of forces", Forces.reaction, ROUNDING, "|Σ F| is {0:.1e} of F", "Σ F is not zero{2}", "forces nofield"),
     Law("not capped", Forces.cap, 0.5, "the force is its law to r = 0.3", "the force is capped at close distances (r = "
         "{0:.3f} and below): it is no longer the law, nor −du/dr of its energy", "pairs"),
     Law("powers of r", Forces.of_powers, 0.5, "F = {3}", "{2}", "pairs"),
-    Law("force = −∇U", Forces.gradient, 0.5, "F is {0:.6g} times −du/dr", "{2}", "pairs energy"),
-    Law("as minimd's", Forces.beside, ROUNDING, "largest difference {0:.1e} of the largest force", "{2}", "pairs known"),
-    Law("cutoff", Forces.ending, 1e-300, "the largest force beyond it is {0:.2g}", "the cutoff {2:g} is not applied, or acts "
-        "on the components, not on the distance: the largest force beyond it is {0:.3g}", "pairs cutoff"),
-    Law("force continuous", Forces.end, 0.5, "{2}", "the force ends at r = {0:.6g}, where it should not: is r² compared "
-        "with the cutoff, not with its square?", "pairs"),
-    Law("energy continuous", Forces.jump, 1e-300, "jumps by {0:+.4g}", "the energy jumps at the cutoff by {0:+.4g} (r = "
-        "{2:.6g}), as often as a pair crosses it; subtract u(r_c) = {3:.4g} from the energy of every pair", "pairs energy"),
+    Law("force = −∇U", lambda s: s.like(s.slopes(s.r), "−du/dr of the energy"), 0.5, "F is {0:.6g} times −du/dr", "{2}",
+        "pairs energy"),
+    Law("as minimd's", lambda s: s.like(s.known, "minimd's force"), 0.5, "{0:.6g} times minimd's", "{2}", "pairs known"),
+    Law("cutoff", Forces.ending, 1e-300, "the largest force beyond it is {0:.2g}", "the cutoff {2:g} is not applied, "
+        "or acts on the components, not on the distance: the largest force beyond it is {0:.3g}", "pairs cutoff"),
+    Law("force continuous", Forces.end, 0.5, "{2}", "the force ends at r = {0:.6g}, where it should not: is r² "
+        "compared with the cutoff, not with its square?", "pairs"),
+    Law("energy continuous", Forces.jump, 1e-300, "jumps by {0:+.4g}", "the energy jumps at the cutoff by {0:+.4g} "
+        "(r = {2:.6g}) whenever a pair crosses it; subtract u(r_c) = {3:.4g} from that of every pair", "pairs energy"),
 )
 GENERAL = (  # told if no other law says why; of two translations, one may take a pair across a jump
     Law("all forces = −∇U", Forces.all_slopes, EQUAL, "off by {0:.1e}", "the forces are not −∇U{2}", "forces energy"),
-    Law("exchange", lambda s: s.off(s.x[::-1], s.forces[::-1]), ROUNDING, "renumbered forces differ by {0:.1e}", "the forces "
-        "depend on the numbering of the atoms: pairs are left out, or forces overwritten (=), not added (+=)", "forces"),
+    Law("exchange", lambda s: s.off(s.x[::-1], s.forces[::-1]), ROUNDING, "renumbered forces differ by {0:.1e}",
+        "forces depend on the numbering of atoms: pairs are left out, or forces overwritten (=), not added (+=)", "forces"),
     Law("translation", lambda s: min(s.off(s.x + shift[: s.d], s.forces) for shift in SHIFTS), SAME,
         "shifted forces differ by {0:.1e}", "the forces depend on the place of the atoms", "forces nofield"),
-    Law("periodic", lambda s: s.off(s.x + np.sign(s.x - s.x.mean()) * s.lengths, s.forces), SAME, "forces in other cells "
-        "differ by {0:.1e}", f"forces on atoms outside the cell differ: {CURE}, for any distance", "forces nofield cell"),
+    Law("periodic", lambda s: s.off(s.x + np.sign(s.x - s.x.mean()) * s.lengths, s.forces), SAME, "in other cells they "
+        "differ by {0:.1e}", f"forces on atoms outside the cell differ: {CURE}", "forces nofield cell"),
     Law("all atoms as minimd's", Forces.all_beside, ROUNDING, "off by {0:.1e}", "beside minimd's {2}", "forces known"),
     Law("external field", lambda s: np.nan, 0.5, "a single atom feels a force", "", "field"),
 )

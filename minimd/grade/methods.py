@@ -25,7 +25,7 @@ SAME, CLOSE, MANY = (
     6,
 )  # of weights: equal, meant to be equal; substeps of a method that may be nearly another
 ROUNDING, MOST, STEP = 1e-9, 60, 0.1  # of v; evaluations of the force in one step; time step
-RUNGE_KUTTA = {  # rows of the matrix from the second one on, and the weights
+RUNGE_KUTTA: dict[str, tuple[list[float], ...]] = {  # rows of the matrix from the second one on, and the weights
     "RK2, midpoint": ([1 / 2], [0, 1]),
     "RK2, Heun": ([1], [1 / 2, 1 / 2]),
     "RK2, Ralston": ([2 / 3], [1 / 4, 3 / 4]),
@@ -47,8 +47,10 @@ class Numbers(NamedTuple):
 
     def is_same(self, matrix: Array, b: Array) -> bool:
         """Whether these are the numbers of a Runge-Kutta method."""
+        if not len(self.weights) == len(b) == len(matrix):
+            return False
         right = np.append(matrix.sum(axis=1), 1.0), np.vstack([matrix @ matrix, b @ matrix]), b
-        return all(np.allclose(one, two, rtol=0.0, atol=SAME) for one, two in zip(self, right, strict=True))
+        return all(np.allclose(one, two, 0.0, SAME) for one, two in zip(self, right, strict=True))
 
     @property
     def substeps(self) -> Substeps:
@@ -114,33 +116,29 @@ def named(own: Numbers) -> tuple[str, str]:
             if not len(wrong):
                 return name, ""
             told = [f"substep {k + 1}, a {kinds[k]}, is {mine[k]:.10g} where {right[k]:.10g} is needed" for k in wrong]
-            is_near = len(wrong) <= len(parts) // 2 or np.abs(mine - right).max() < CLOSE
-            near += [(len(wrong), f"the step is nearly {name}, but {', '.join(told)}")] * int(
-                is_near and len(parts) >= MANY
-            )
+            if len(parts) >= MANY and (len(wrong) <= len(parts) // 2 or np.abs(mine - right).max() < CLOSE):
+                near.append((len(wrong), f"the step is nearly {name}, but {', '.join(told)}"))
     if parts:
         weights = [f"{kind} {coefficient(one)}" for kind, one in zip(kinds, mine, strict=True)]
         return ", ".join(weights), min(near, default=(0, ""))[1]
-    for name, (*rows, b) in RUNGE_KUTTA.items():
-        n, told = len(b), f"the step is nearly {name}, but its"
-        if len(own.weights) != n:
-            continue
+    for name, (*rows, last) in RUNGE_KUTTA.items():
+        n, b, words = len(last), np.array(last), f"the step is nearly {name}, but its"
         matrix = np.array([[*row, *[0.0] * (n - len(row))] for row in ([], *rows)])
-        if own.is_same(matrix, np.array(b)):
+        if own.is_same(matrix, b):
             return name, ""
         if n > 2 and own.is_same(matrix, own.weights):
-            return "", f"{told} weights are {told_row(own.weights)} where {told_row(b)} are needed"
-        for j in range(1, n if n > 2 else 0):
+            return "", f"{words} weights are {told_row(own.weights)} where {told_row(b)} are needed"
+        for j in range(1, n if 2 < n == len(own.weights) else 0):  # the stage that makes β = b A right
             other = matrix.copy()
             other[j] += (own.pushes[-1] - b @ matrix) / b[j]
-            if own.is_same(other, np.array(b)):
-                rows_told = (
-                    f"{told_row(other[j, :j])} of the stages before it where {told_row(matrix[j, :j])} are needed"
+            if own.is_same(other, b):
+                return (
+                    "",
+                    f"{words} stage {j + 1} has the weights {told_row(other[j, :j])}, not {told_row(matrix[j, :j])}",
                 )
-                return "", f"{told} stage {j + 1} has the weights {rows_told}"
     return "", ""
 
 
-def told_row(numbers: Array | list[float]) -> str:
+def told_row(numbers: Array) -> str:
     """Weights in words."""
     return ", ".join(coefficient(float(one)) for one in numbers)

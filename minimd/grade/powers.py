@@ -58,7 +58,7 @@ def compared(f: Array, g: Array, r: Array, other: str) -> tuple[float, float, st
     c, k = float(np.sign(ratio[0]) * np.exp(log_c)), round(float(k), 4)
     faults = [
         *first_of((c < 0.0, "the force has the wrong sign, so atoms that should repel each other attract each other")),
-        *first_of((k == 1.0, "the factor 1/r is missing: du/dr is multiplied by the vector r_ij, not by the unit vector"),
+        *first_of((k == 1.0, "the factor 1/r is missing: du/dr is multiplied by r_ij, not by the unit vector"),
                   (k, f"the force has {abs(k):g} power of r too {'many' if k > 0 else 'few'}: a factor 1/r too many?")),
         *first_of((is_near(abs(c), 1.0), ""), (is_near(abs(c), 2.0), f"the force is twice {other}{TWICE}"),
                   (is_near(abs(c), 0.5), f"the force is half of {other}{HALF}"),

@@ -35,7 +35,7 @@ def multiple_of(f: Array, g: Array, within: float) -> float:
 
 
 class Problem(NamedTuple):
-    """Positions x and velocities v of the same shape, (N, d), (N,) or (), and masses of shape (N,) or (). stiffness : if it
+    """Positions x and velocities v of one shape, (N, d), (N,) or (), and masses of shape (N,) or ().  stiffness : if it
     is not zero, of springs to the origin, which replace all other forces."""
 
     x: Array

@@ -160,8 +160,8 @@ LAWS = (
         "backwards"),
     Law("momentum", lambda s: s.momentum(lambda x, p: p), 1e-11, f"changes by {{0:.1e}} of Σ|mv| in {SOME} steps",
         "the total momentum changes: the forces of a step are not all computed at the same positions", "atoms"),
-    Law("angular momentum", lambda s: s.momentum(torque), 1e-11, f"changes by {{0:.1e}} of Σ|r × mv| in {SOME} steps", "",
-        "vectors"),
+    Law("angular momentum", lambda s: s.momentum(torque), 1e-11, f"changes by {{0:.1e}} of Σ|r × mv| in {SOME} steps",
+        "the total angular momentum changes", "vectors"),
     Law("energy", Measured.energy, 1.0, "{2}", "the energy drifts"),
     Law("oscillator", Measured.oscillator, 1.0, "{2}", "an oscillator is not kept for any time step"),
     Law("cost", Measured.cost, 0.5, "{0} force evaluations per step{2}", "", "force"),
@@ -171,7 +171,7 @@ REMARKS = (
     (lambda step: step.in_place, "the step changes the arrays that it is given; copy them if you need the old ones"),
     (lambda step: step.masses == "(N, 1)", "masses must have shape (N, 1) in this step, not (N,)"),
     (lambda step: step.takes("half"), "velocities are at half steps: half a kick was made before and after"),
-    (lambda step: step.takes("old"), "the step is a recursion of two positions; velocities are (x₁ − x₀)/dt + ½ dt F/m"),
+    (lambda step: step.takes("old"), "a recursion of two positions; velocities are (x₁ − x₀)/dt + ½ dt F/m"),
     (lambda step: step.takes("before"), "a step that takes the force of the previous step is not a map of x and v, and "
                                         "is not judged as one"),
 )  # fmt: skip

@@ -98,8 +98,8 @@ def manners(function: Callable[..., Any]) -> Iterator[StudentStep]:
     if "dt" not in roles or not ("state" in roles or ("x" in roles and {*VELOCITIES} & {*roles})) or "" in roles:
         unknown = " and ".join(name for name in names if not known[name]) or "none"
         raise TypeError("a step takes positions, velocities, a force function, masses and a time step, as step(x, v, "
-                        f"force, m, dt); its parameters are ({', '.join(names)}), the meaning of {unknown} of them is not "
-                        "known. Give them these names, or pos, vel, frc, forces, compute_forces, acc, mass, h, "
+                        f"force, m, dt); its parameters are ({', '.join(names)}), the meaning of {unknown} is unknown. "
+                        "Give them these names, or pos, vel, frc, forces, compute_forces, acc, mass, h, "
                         "timestep, p, x_old, v_half; m may be left out")  # fmt: skip
     forces = [k for k, role in enumerate(roles) if role in FORCES]
     is_old = [bool(re.search(IS_BEFORE, name.lower())) for name in names]

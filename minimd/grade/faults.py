@@ -178,7 +178,7 @@ def stranger(part: int, power: int, rest: float, changes: list[Array], known: li
     return first_of(
         (part and off.ndim and max(one for _, one in alone) < UNEXPLAINED, f"velocities change by {told}, … "
          f"v{POWERS[power]} in addition to the kick: they are rescaled, the step contains a thermostat"),
-        (True, f"{PARTS[part]}{place} do not change as Newton's equation says, by {rest:.1%} of the term{POWERS[power]}: "
+        (True, f"{PARTS[part]}{place} do not change as Newton's equation says, by {rest:.1%} of a term{POWERS[power]}: "
                "set, limited, wrapped, rescaled, the mean motion is removed, or another force or mass acts"),
     )[0]  # fmt: skip
 

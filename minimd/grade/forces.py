@@ -52,6 +52,7 @@ class Forces:
         self.is_over_r, self.remarks, self.name = False, list[str](), ""
         self.farthest = FARTHEST if cell is None else min(FARTHEST, 0.4995 * float(cell.min()))
         self.has = {call.kind, "free" if cell is None else "cell", "energy" if call.has_energy else "noenergy"}
+        self.has |= {"known"} if potential is not None else set()
         self.has |= {"cutoff"} if cutoff and cutoff < self.farthest else set()
         self.skew = call(SKEW)[0] if call.kind == "pair" else SKEW
         self.x = self.place(PROBE) if call.kind != "forces" else self.cluster() if given is None else given
@@ -61,7 +62,7 @@ class Forces:
         self.turn = np.linalg.qr(np.random.default_rng(4).normal(size=(self.d, self.d)))[0]
         is_turned = not self.has >= {"forces", "free"} or self.off(self.x @ self.turn, self.forces @ self.turn) < SAME
         if "nofield" in self.has and (not is_many or self.takes(2)) and is_turned and np.isfinite(self.forces).all():
-            self.has |= {"pairs", "known" if potential is not None else "pairs"}
+            self.has.add("pairs")
             self.find_profile()
 
     def takes(self, n: int) -> bool:
@@ -130,7 +131,7 @@ class Forces:
         self.powers = powers_of(self.values, self.r)
 
     def period(self) -> float:
-        """The edge of a cell inside the function, after which the force of a pair along x repeats; 0 if there is none."""
+        """The edge of a cell inside the function, after which the force of a pair repeats; 0 if there is none."""
 
         def at(d: float) -> float:
             return float(self.call(self.place(d, self.units[0]))[0][1, 0])
@@ -322,7 +323,7 @@ LAWS = (  # the most telling first
     Law("rotation", lambda s: s.off(s.x @ s.turn, s.forces @ s.turn), SAME, "turned forces differ by {0:.1e}",
         "forces do not turn with atoms: a component is missing, or r is no √(x² + y² + z²)", "forces nofield free"),
     Law("a gradient", Forces.curl, 1e-4, "∂F_i/∂x_j − ∂F_j/∂x_i is {0:.1e} of the largest element", "the forces are "
-        "not the gradient of any energy, ∂F_i/∂x_j and ∂F_j/∂x_i differ: no energy can be conserved", "forces noenergy"),
+        "not the gradient of any energy, ∂F_i/∂x_j and ∂F_j/∂x_i differ: no energy is conserved", "forces noenergy"),
     Law("sum over pairs", Forces.sum_of_pairs, SAME, "F − Σ of single pairs is {0:.1e} of F", "{2}", "forces pairs"),
     Law("sum of forces", Forces.reaction, ROUNDING, "|Σ F| is {0:.1e} of F", "Σ F is not zero{2}", "forces nofield"),
     Law("not capped", Forces.cap, 0.5, "the force is its law to r = 0.3", "the force is capped at close distances (r = "
@@ -330,7 +331,7 @@ LAWS = (  # the most telling first
     Law("powers of r", Forces.of_powers, 0.5, "F = {3}", "{2}", "pairs"),
     Law("force = −∇U", lambda s: s.like(s.slopes(s.r), "−du/dr of the energy"), 0.5, "F is {0:.6g} times −du/dr", "{2}",
         "pairs energy"),
-    Law("as minimd's", lambda s: s.like(s.known, "minimd's force"), 0.5, "{0:.6g} times minimd's", "{2}", "pairs known"),
+    Law("as minimd's", lambda s: s.like(s.known, "minimd's force"), 0.5, "{0:.6g} times it", "{2}", "pairs known"),
     Law("cutoff", Forces.ending, 1e-300, "the largest force beyond it is {0:.2g}", "the cutoff {2:g} is not applied, "
         "or acts on the components, not on the distance: the largest force beyond it is {0:.3g}", "pairs cutoff"),
     Law("force continuous", Forces.end, 0.5, "{2}", "the force ends at r = {0:.6g}, where it should not: is r² "
@@ -341,7 +342,7 @@ LAWS = (  # the most telling first
 GENERAL = (  # told if no other law says why; of two translations, one may take a pair across a jump
     Law("all forces = −∇U", Forces.all_slopes, EQUAL, "off by {0:.1e}", "the forces are not −∇U{2}", "forces energy"),
     Law("exchange", lambda s: s.off(s.x[::-1], s.forces[::-1]), ROUNDING, "renumbered forces differ by {0:.1e}",
-        "forces depend on the numbering of atoms: pairs are left out, or forces overwritten (=), not added (+=)", "forces"),
+        "forces depend on the numbering of atoms: pairs are left out, or forces overwritten (=)", "forces"),
     Law("translation", lambda s: min(s.off(s.x + shift[: s.d], s.forces) for shift in SHIFTS), SAME,
         "shifted forces differ by {0:.1e}", "the forces depend on the place of the atoms", "forces nofield"),
     Law("periodic", lambda s: s.off(s.x + np.sign(s.x - s.x.mean()) * s.lengths, s.forces), SAME, "in other cells they "
@@ -367,7 +368,8 @@ def grade_forces(
     edge = BOX if lengths is None else float(lengths[0]) if np.ptp(lengths) == 0.0 else lengths
     options = {"box": edge, "cutoff": cutoff or CUTOFF, "epsilon": units[0], "sigma": units[1], "n": 0}
     options |= {"box given": lengths is not None, "cutoff given": cutoff is not None}
-    call = StudentForce(function, options, kind, given)
+    with np.errstate(all="ignore"):
+        call = StudentForce(function, options, kind, given)
     lengths = np.full(3, BOX) if "box" in call.takes and lengths is None else lengths
     cutoff = cutoff or CUTOFF if "cutoff" in call.takes else cutoff
     with np.errstate(all="ignore"):

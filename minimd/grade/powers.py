@@ -34,7 +34,7 @@ class Powers(NamedTuple):
 def powers_of(values: Array, r: Array) -> Powers | None:
     """One or two inverse powers of r, with a constant if needed; None if no such sum fits."""
     scale = np.abs(values)
-    weights = 1.0 / np.maximum(scale, max(1e-3 * scale.max(), 1e-300))
+    weights = 1.0 / np.maximum(scale, max(1e-3 * scale.max(initial=0.0), 1e-300))
     for constant, count in product((0, 1), (1, 2)) if scale.any() and np.isfinite(values).all() else ():
         for n in combinations(EXPONENTS, count):
             matrix = np.array([r ** float(-k) for k in n] + [np.ones_like(r)] * constant).T * weights[:, None]

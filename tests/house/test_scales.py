@@ -28,7 +28,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "ensemble": (1509, 7, 937),
     "files": (2549, 10, 1571),
     "forces": (2465, 12, 1551),
-    "grade": (2448, 11, 1465),
+    "grade": (1703, 10, 998),
     "integrators": (4939, 26, 2507),
     "lammps": (1674, 8, 999),
     "mdanalysis": (445, 2, 266),
@@ -42,7 +42,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "view": (376, 3, 209),
     "minimd_bench": (1918, 10, 1094),
     "road of a step": (3855, 13),
-    "tests": (20016,),
+    "tests": (20053,),
 }
 # fmt: on
 

@@ -197,10 +197,8 @@ class StudentStep:
         """The arrays in the result, x and v first; the last rows of a path."""
         if isinstance(answer, dict):
             answer = [answer[key] for key in sorted(answer, key=lambda key: {"x": 0, "v": 1}.get(role_of(key), 2))]
-        is_one = not isinstance(answer, (np.ndarray, tuple, list)) or (
-            np.shape(answer) == shape and not self.takes("state")
-        )
-        parts = [np.array(part, dtype=float) for part in ((answer,) if is_one else answer)]
+        is_many = isinstance(answer, (np.ndarray, tuple, list)) and (self.takes("state") or np.shape(answer) != shape)
+        parts = [np.array(part, dtype=float) for part in (answer if is_many else [answer])]
         if self.takes("steps"):
             self.rows_alike = parts[0].shape[1:] == shape and len(parts[0]) > 1 and not np.ptp(parts[0], axis=0).any()
             parts = [part[-1] if part.ndim and part.shape[1:] == shape else part for part in parts]
@@ -283,13 +281,11 @@ class StudentForce(Called):
         self.physical = {name: float(value) for name, value in values.items() if isinstance(value, (int, float))
                          and value > 0 and not isinstance(value, bool) and (self.roles[name] in PHYSICAL or (
                              has_stiffness and re.search(REST, plain(name))))}  # fmt: skip
-        may_be = (
-            ("law", f"{SQUARED}|{DISTANCE}"),
-            ("pair", SEPARATION),
-            ("forces", "" if not self.is_squared else "^$"),
-        )
-        guesses = [one for one, names in may_be if re.search(names, first)]
-        self._look([kind] if kind else ["pair"] if self.is_of_two else guesses, positions)
+        guesses = [
+            one for one, names in (("law", DISTANCE), ("pair", SEPARATION), ("forces", "")) if re.search(names, first)
+        ]
+        guesses = ["law"] if self.is_squared else ["pair"] if self.is_of_two else guesses
+        self._look([kind] if kind else guesses, positions)
 
     def _look(self, kinds: list[str], positions: Array | None) -> None:
         """Find the kind, and the place of the energy in the result.  Raises ValueError for functions that cannot be

@@ -16,16 +16,12 @@ from minimd.grade.findings import Grade, Law, causes, first_of, is_near, judged
 from minimd.grade.powers import Powers, compared, jumps, powers_of
 from minimd.grade.problems import Array, difference, multiple_of
 from minimd.potentials.bonded import Bond
+from minimd.structure.checks import checked_sizes
 from minimd.structure.system import System
 
 BOX, CUTOFF = 12.0, 2.5  # σ: cell and cutoff for a function that takes them, if the user gives none
 SPACING, JITTER, TRIALS = 1.25, 0.12, 30  # of the atoms in the test [σ]; the best of some configurations is used
-ROUNDING, SAME, EQUAL, CAPPED = (
-    1e-9,
-    1e-8,
-    1e-6,
-    1e-4,
-)  # relative differences: sums; moved atoms; slopes; of capped forces
+ROUNDING, SAME, EQUAL, CAPPED = 1e-9, 1e-8, 1e-6, 1e-4  # relative differences: sums; moved atoms; slopes; capped forces
 PROBE, LONGEST = 1.25, 40.0  # σ: of two atoms across a boundary; largest distance at which a period is searched
 CLOSEST, NEAREST, FARTHEST = 0.3, 0.77, 6.0  # σ: distances of the search for a cap, of ordinary forces, for an end
 POINTS, GRID, DELTA, FACTOR = 40, 500, 3e-4, 1.15  # of profiles; of jumps; of differences; of larger parameters
@@ -41,13 +37,12 @@ class Forces:
     has : what laws may need: atoms (many), pairs, field or nofield, cell or free, energy or noenergy, known, cutoff.
     """
 
-    def __init__(
-        self, call: StudentForce, cell: Array | None, cutoff: Any, given: Array | None, potential: Any
-    ) -> None:
+    def __init__(self, call: StudentForce, cell: Array | None, cutoff: Any, given: Any, potential: Any) -> None:
         self.call, self.d, self.cell, self.cutoff, self.potential = call, call.dimensions, cell, cutoff, potential
         self.lengths: Any = None if cell is None else cell[: self.d]
         self.along, self.units = ALONG[self.d], np.eye(self.d)
         self.start = WHERE[: self.d] * (1.0 if self.lengths is None else 0.3 * self.lengths / self.lengths.max())
+        self.f, self.u = (np.vectorize(lambda r, k=k: self.both(float(r))[k], [float]) for k in range(2))
         self.values = np.zeros(0)
         self.is_over_r, self.remarks, self.name = False, list[str](), ""
         self.farthest = FARTHEST if cell is None else min(FARTHEST, 0.4995 * float(cell.min()))
@@ -104,14 +99,6 @@ class Forces:
         f = max(-along[0], along[1], key=abs) if self.call.kind == "forces" else along
         return float(f) * (r if self.is_over_r else 1.0), float(np.asarray(u))
 
-    def f(self, r: Any) -> Any:
-        """The force of a pair, at one distance or many."""
-        return np.array([self.both(float(one))[0] for one in r]) if np.ndim(r) else self.both(r)[0]
-
-    def u(self, r: Any) -> Any:
-        """The energy of a pair, at one distance or many."""
-        return np.array([self.both(float(one))[1] for one in r]) if np.ndim(r) else self.both(r)[1]
-
     def slopes(self, r: Array) -> Array:
         """−du/dr."""
         return -np.asarray(difference(self.u, r, DELTA)) / DELTA
@@ -119,7 +106,7 @@ class Forces:
     def find_profile(self) -> None:
         """The force of a pair at ordinary distances, that of the potential, and the powers of r."""
         end = min(self.farthest, 0.9 * (self.cutoff or CUTOFF), 2.2)
-        ended = [float(x) for x in np.linspace(1.0, end, 60) if self.f(float(x)) == 0.0]
+        ended = [x for x in np.linspace(1.0, end, 60) if self.f(x) == 0.0]
         self.r = np.linspace(NEAREST, 0.98 * ended[0] if ended else end, POINTS)
         pairs = [np.array([[0.0, 0.0, 0.0], [r, 0.0, 0.0]]) for r in self.r] if "known" in self.has else []
         self.known = np.array([evaluated(pair, self.potential, None).forces[1, 0] for pair in pairs])
@@ -160,11 +147,8 @@ class Forces:
             finally:
                 call.values = given
         hint = ", a bond without rest length: F = −k (r − r0) r_ij/r" if re.search(REST, plain(" ".join(still))) else ""
-        return (
-            len(still),
-            len(still),
-            f"{', '.join(still)} is without effect: forces are the same if it is larger{hint}",
-        )
+        told = f"{', '.join(still)} is without effect: forces are the same if it is larger{hint}"
+        return len(still), len(still), told
 
     def like(self, right: Array, other: str) -> tuple[float, float, str]:
         """The force of a pair beside the one that it should be."""
@@ -175,19 +159,20 @@ class Forces:
         """The powers of r; those of Lennard-Jones are needed with the function's ε and σ, or without an energy."""
         units = {self.call.roles[name]: value for name, value in self.call.physical.items()}
         epsilon, sigma, is_given = units.get("epsilon", 1.0), units.get("sigma", 1.0), {"epsilon", "sigma"} <= {*units}
-        (n, c), fault = ([*self.powers.terms], [*self.powers.terms.values()]) if self.powers else ([], []), ""
+        own, fault = self.powers or Powers({}), ""
+        n, c = [*own.terms], [*own.terms.values()]
         is_alone = is_given or not {"known", "energy"} & self.has
         if n == [1] and is_alone and self.call.kind != "law":
             self.remarks.append("the force of a pair decreases as r^−1. If q²/r² is meant, a factor 1/r is missing: "
                                 "q² r_ij/r³, not q² r_ij/r²")  # fmt: skip
             return np.nan, np.nan, "", self.powers
         if len(n) == 2 and abs(n[0] - 13) <= 2 and abs(n[1] - 7) <= 2:
-            right, s6 = Powers({13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6}), abs(c[0] / c[1]) / 2.0
+            right, s6 = {13: 48.0 * epsilon * sigma**12, 7: -24.0 * epsilon * sigma**6}, abs(c[0] / c[1]) / 2.0
             told = f"48 ε σ¹² r^−13 − 24 ε σ⁶ r^−7 with ε = {epsilon:g}, σ = {sigma:g}"
             self.name = f"Lennard-Jones with ε = {abs(c[1]) / 24.0 / s6:.6g}, σ = {s6 ** (1 / 6):.6g}"
             is_odd = n != [13, 7] or c[0] < 0.0 or c[1] > 0.0 or is_near(s6, 1.0) or is_given
             if is_odd or any(is_near(abs(one), factor) for one in c for factor in (24.0, 48.0)):  # not of other units
-                fault = compared(self.values, right.at(self.r), self.r, told)[2]
+                fault = compared(self.values, Powers(right, own.constant).at(self.r), self.r, told)[2]
         return np.nan, float(bool(fault)) if is_alone or not fault else np.nan, fault, self.powers
 
     def cap(self) -> tuple[float, float]:
@@ -223,16 +208,13 @@ class Forces:
         """All forces and the energy beside those of minimd."""
         answer = evaluated(np.pad(self.x, ((0, 0), (0, 3 - self.d))), self.potential, self.cell)
         known, energy, right = answer.forces[:, : self.d], self.call(self.x)[1], float(answer.potential_energy)
-        off, c = (
-            float(np.abs(self.forces - known).max() / (np.abs(known).max() or 1.0)),
-            multiple_of(self.forces, known, EQUAL),
-        )
-        is_wrong = "energy" in self.has and not np.isclose(energy, right, rtol=1e-9)
-        told = f"the forces differ by {off:.1%} of the largest{f', by the factor {c:.6g}' if np.isfinite(c) else ''}"
+        off = float(np.abs(self.forces - known).max() / (np.abs(known).max() or 1.0))
+        if "energy" in self.has and off < ROUNDING and not np.isclose(energy, right, rtol=1e-9):
+            return off, 1.0, f"the energy is {energy:.8g}, not {right:.8g}"
         return (
-            float(off),
-            float(off) or float(is_wrong),
-            told if off > ROUNDING else f"the energy is {energy:.8g}, not {right:.8g}",
+            off,
+            off,
+            f"forces differ by {off:.1%} of the largest, or a factor ({multiple_of(self.forces, known, EQUAL):.6g})",
         )
 
     def reaction(self) -> tuple[float, float, str]:
@@ -336,7 +318,7 @@ LAWS = (  # the most telling first
         "or acts on the components, not on the distance: the largest force beyond it is {0:.3g}", "pairs cutoff"),
     Law("force continuous", Forces.end, 0.5, "{2}", "the force ends at r = {0:.6g}, where it should not: is r² "
         "compared with the cutoff, not with its square?", "pairs"),
-    Law("energy continuous", Forces.jump, 1e-300, "jumps by {0:+.4g}", "the energy jumps at the cutoff by {0:+.4g} "
+    Law("energy continuous", Forces.jump, 1e-300, "first jump: {0:+.4g}", "the energy jumps at the cutoff by {0:+.4g} "
         "(r = {2:.6g}) whenever a pair crosses it; subtract u(r_c) = {3:.4g} from that of every pair", "pairs energy"),
 )
 GENERAL = (  # told if no other law says why; of two translations, one may take a pair across a jump
@@ -358,7 +340,8 @@ def grade_forces(
     cutoff: float | None = None, positions: Any = None, kind: str | None = None,
 ) -> Grade:  # fmt: skip
     """See grade."""
-    lengths, given = edges(cell), None if positions is None else np.array(positions, dtype=float)
+    lengths = None if cell is None else checked_sizes("cell", cell, 3, "edge")
+    given = None if positions is None else np.array(positions, dtype=float)
     if given is not None and (given.ndim != 2 or given.shape[1] != 3 or not np.isfinite(given).all()):
         raise ValueError(f"positions must be (N, 3) finite numbers; got shape {given.shape}")
     if cutoff is None and potential is not None and np.isfinite(getattr(potential, "cutoff", np.inf) or np.inf):
@@ -389,13 +372,3 @@ def grade_forces(
     faults += ["the function changes the positions that it is given: work on a copy"] * call.changes_input
     told = f"{call.name}({', '.join(call.names)}): {KINDS[call.kind]}{' and the energy' * call.has_energy}"
     return Grade(told, (*telling, *general), tuple(faults), one.name, tuple(one.remarks))
-
-
-def edges(cell: float | Sequence[float] | None) -> Array | None:
-    """The edges (3,) of a rectangular cell.  Raises ValueError for any other cell."""
-    array = np.array(1.0 if cell is None else cell, dtype=float)
-    if array.shape == (3, 3) and not np.any(array - np.diag(np.diagonal(array))):
-        array = np.diagonal(array).copy()
-    if array.shape not in ((), (3,)) or not (np.isfinite(array).all() and (array > 0.0).all()):
-        raise ValueError(f"cell must be the edge of a cube, or three edges, positive and finite; got {cell!r}")
-    return None if cell is None else np.broadcast_to(array, (3,)).copy()

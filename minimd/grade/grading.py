@@ -14,7 +14,7 @@ from minimd.grade.calling import KINDS, role_of
 from minimd.grade.findings import Grade
 from minimd.grade.forces import grade_forces
 from minimd.grade.steps import grade_step
-from minimd.structure.checks import checked_count, checked_number
+from minimd.structure.checks import checked_choice, checked_count, checked_number
 
 
 def grade(
@@ -55,9 +55,8 @@ def grade(
     ValueError : if the function raises an error, or returns None or another shape, with the call and the error;
         for options out of range.
     """
-    kinds = ("step", *KINDS)
-    if kind is not None and kind not in kinds:
-        raise ValueError(f"kind must be one of {', '.join(map(repr, kinds))}; got {shown(kind)}")
+    if kind is not None:
+        checked_choice("kind", kind, ("step", *KINDS))
     if not callable(function):
         raise TypeError(
             f"grade takes a function, such as step(x, v, force, m, dt) or forces(positions); got {shown(function)}"

@@ -19,11 +19,7 @@ from minimd.grade.problems import Array, Problem
 from minimd.integrators.methods import SPLITTINGS
 from minimd.integrators.splitting.substeps import Drift, Kick, Substep, Substeps, merged
 
-SAME, CLOSE, MANY = (
-    1e-7,
-    1e-3,
-    6,
-)  # of weights: equal, meant to be equal; substeps of a method that may be nearly another
+SAME, CLOSE, MANY = 1e-7, 1e-3, 6  # of weights: equal, meant to be; substeps of a method that may be nearly another
 ROUNDING, MOST, STEP = 1e-9, 60, 0.1  # of v; evaluations of the force in one step; time step
 RUNGE_KUTTA: dict[str, tuple[list[float], ...]] = {  # rows of the matrix from the second one on, and the weights
     "RK2, midpoint": ([1 / 2], [0, 1]),
@@ -132,10 +128,8 @@ def named(own: Numbers) -> tuple[str, str]:
             other = matrix.copy()
             other[j] += (own.pushes[-1] - b @ matrix) / b[j]
             if own.is_same(other, b):
-                return (
-                    "",
-                    f"{words} stage {j + 1} has the weights {told_row(other[j, :j])}, not {told_row(matrix[j, :j])}",
-                )
+                own_row, row = told_row(other[j, :j]), told_row(matrix[j, :j])
+                return "", f"{words} stage {j + 1} has the weights {own_row} where {row} are needed"
     return "", ""
 
 

@@ -54,6 +54,7 @@ class Forces:
         self.forces = call(self.x)[0]
         self.scale, is_many = float(np.abs(self.forces).max()) or 1.0, call.kind == "forces"
         self.has |= {"field"} if is_many and self.takes(1) and call(self.place(PROBE)[:1])[0].any() else {"nofield"}
+        self.order = np.random.default_rng(2).permutation(len(self.x)) if is_many else 0
         self.turn = np.linalg.qr(np.random.default_rng(4).normal(size=(self.d, self.d)))[0]
         is_turned = not self.has >= {"forces", "free"} or self.off(self.x @ self.turn, self.forces @ self.turn) < SAME
         if "nofield" in self.has and (not is_many or self.takes(2)) and is_turned and np.isfinite(self.forces).all():
@@ -171,7 +172,7 @@ class Forces:
             told = f"48 ε σ¹² r^−13 − 24 ε σ⁶ r^−7 with ε = {epsilon:g}, σ = {sigma:g}"
             self.name = f"Lennard-Jones with ε = {abs(c[1]) / 24.0 / s6:.6g}, σ = {s6 ** (1 / 6):.6g}"
             is_odd = n != [13, 7] or c[0] < 0.0 or c[1] > 0.0 or is_near(s6, 1.0) or is_given
-            if is_odd or any(is_near(abs(one), factor) for one in c for factor in (24.0, 48.0)):  # not of other units
+            if is_odd or is_near(c[0], 48.0) or is_near(c[1], -24.0):  # else it has its own ε and σ
                 fault = compared(self.values, Powers(right, own.constant).at(self.r), self.r, told)[2]
         return np.nan, float(bool(fault)) if is_alone or not fault else np.nan, fault, self.powers
 
@@ -211,11 +212,8 @@ class Forces:
         off = float(np.abs(self.forces - known).max() / (np.abs(known).max() or 1.0))
         if "energy" in self.has and off < ROUNDING and not np.isclose(energy, right, rtol=1e-9):
             return off, 1.0, f"the energy is {energy:.8g}, not {right:.8g}"
-        return (
-            off,
-            off,
-            f"forces differ by {off:.1%} of the largest, or a factor ({multiple_of(self.forces, known, EQUAL):.6g})",
-        )
+        c = multiple_of(self.forces, known, EQUAL)
+        return off, off, f"the forces differ by {off:.1%} of the largest (or by a factor: {c:.6g})"
 
     def reaction(self) -> tuple[float, float, str]:
         """The sum of all forces, and what is wrong with a pair."""
@@ -323,7 +321,7 @@ LAWS = (  # the most telling first
 )
 GENERAL = (  # told if no other law says why; of two translations, one may take a pair across a jump
     Law("all forces = −∇U", Forces.all_slopes, EQUAL, "off by {0:.1e}", "the forces are not −∇U{2}", "forces energy"),
-    Law("exchange", lambda s: s.off(s.x[::-1], s.forces[::-1]), ROUNDING, "renumbered forces differ by {0:.1e}",
+    Law("exchange", lambda s: s.off(s.x[s.order], s.forces[s.order]), ROUNDING, "renumbered forces differ by {0:.1e}",
         "forces depend on the numbering of atoms: pairs are left out, or forces overwritten (=)", "forces"),
     Law("translation", lambda s: min(s.off(s.x + shift[: s.d], s.forces) for shift in SHIFTS), SAME,
         "shifted forces differ by {0:.1e}", "the forces depend on the place of the atoms", "forces nofield"),

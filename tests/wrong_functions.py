@@ -151,7 +151,7 @@ WRONG_STEPS = {  # those named first are graded always, the others in slow tests
     "explicit Euler": (explicit_euler, "old velocity"), "drift first": (composed(0.0, 1.0, 1.0), "drift first"),
     "old force twice": (kicked(is_old=True), "uses the old force"),
     "no mass": (kicked(divided=(False, False)), "kick has a wrong"), "half drift": (kicked(drift=0.5), "by 1/2"),
-    "whole kicks": (kicked(1.0, 1.0, 1.0), "multiplied by 2"),
+    "whole kicks": (kicked(1.0, 1.0, 1.0), "by 2"), "factor of 5e-6": (kicked(drift=1.000005), "by 1.000005"),
     "no second kick": (composed(0.5, 1.0), "only half of the kick"),
     "no half in positions": (with_push(lambda dt: dt**2), "factor ½ is missing"),
     "dt in place of its square": (with_push(lambda dt: 0.5 * dt), "needs dt²"),

@@ -307,7 +307,7 @@ class StudentForce(Called):
         """What is wrong with a result for an argument of a shape; "" if nothing is."""
         has_parts = isinstance(answer, tuple) or (isinstance(answer, list) and shape == ())
         shapes = [np.shape(part) for part in (answer[:2] if has_parts else [answer])]
-        if answer is None or shape not in shapes or not {*shapes} <= {shape, ()}:
+        if answer is None or shape not in shapes or not {*shapes} <= {shape, ()} or len(shapes) <= has_parts:
             returned = "None" if answer is None else f"shape {', '.join(map(str, shapes))}"
             return f"{shape} returned {returned}; forces must have the shape of the positions"
         if self.kind == "law" and may_be_pair and self._is_vector():
@@ -342,7 +342,7 @@ class StudentForce(Called):
         if self.energy_first is None:
             return np.asarray(answer, dtype=float), np.nan
         u, f = (answer[0], answer[1]) if self.energy_first else (answer[1], answer[0])
-        return np.asarray(f, dtype=float), np.asarray(u, dtype=float)
+        return np.asarray(f, dtype=float), np.asarray(u if self.has_energy else np.nan, dtype=float)
 
     def _energy_is_first(self) -> bool:
         """Whether the first of two numbers of a law is the energy: the other one is its slope times a power of r."""

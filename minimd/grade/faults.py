@@ -194,5 +194,5 @@ def wrong_terms(part: int, power: int, found: dict[tuple[int, int], dict[str, fl
     return faults if not what or is_near(total, right) else faults + first_of(
         (is_near(total, 0.0), f"the {what} is missing: {PARTS[part]} lack dt {term}{', it has dt²' * (term in later)}"),
         (total < 0.0, f"the {what} has the wrong sign: {PARTS[part]} change by {coefficient(total)} dt {term}"),
-        (True, f"the {what} is multiplied by {coefficient(total)}: {PARTS[part]} change by {total:.6g} dt {term}{why}"),
+        (True, f"the {what} is multiplied by {coefficient(total)}: {PARTS[part]} change by {total:.7g} dt {term}{why}"),
     )  # fmt: skip

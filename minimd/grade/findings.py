@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from minimd.console.display import Displayed, Rows
 
 TICKS = {True: "✓", False: "✗", None: "?"}
-EXACT, DENOMINATOR = 1e-5, 24  # coefficients that differ by less are equal; the largest denominator in their fractions
+EXACT, DENOMINATOR = 2e-6, 24  # coefficients that differ by less are equal; the largest denominator in their fractions
 
 
 @dataclass(frozen=True)
@@ -113,9 +113,9 @@ class Grade(Displayed):
 
 
 def coefficient(value: float) -> str:
-    """A number as a simple fraction, such as 1/2, if it equals one; else with six digits."""
+    """A number as a simple fraction, such as 1/2, if it equals one; else with seven digits."""
     near = Fraction(value if isfinite(value) else 0).limit_denominator(DENOMINATOR)
-    return str(near) if is_near(value, float(near)) else f"{value:.6g}"
+    return str(near) if is_near(value, float(near)) else f"{value:.7g}"
 
 
 def is_near(value: float, other: float) -> bool:

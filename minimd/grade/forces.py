@@ -298,7 +298,7 @@ LAWS = (  # the most telling first
         "forces are not finite: an atom meets itself (i = j, r = 0), or two atoms coincide"),
     Law("parameters", Forces.without_effect, 0.5, "{0} are without effect", "{2}"),
     Law("central", lambda s: float(np.linalg.norm(np.cross(s.skew, SKEW)) / np.linalg.norm(s.skew)), 1e-9,
-        "F × r_ij is {0:.1e} of F r", "the force of the pair does not point along r_ij, its direction", "pair"),
+        "F × r_ij is {0:.1e} of F r", "the force of the pair does not point along r_ij", "pair"),
     Law("nearest image", Forces.images, 0.5, "atoms across {0} faces are no neighbors", "{2}", "forces pairs cell"),
     Law("rotation", lambda s: s.off(s.x @ s.turn, s.forces @ s.turn), SAME, "turned forces differ by {0:.1e}",
         "forces do not turn with atoms: a component is missing, or r is no √(x² + y² + z²)", "forces nofield free"),

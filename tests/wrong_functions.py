@@ -23,17 +23,22 @@ def then(change):
     """Velocity Verlet, and a change afterwards."""
     return lambda x, v, force, m, dt: change(*velocity_verlet(x, v, force, m, dt), m, dt)
 
-def composed(*weights):
-    """Kicks and drifts in turns, the first of them a kick."""
-    def step(x, v, force, m, dt):
+def composed(*weights, manner=0):
+    """Kicks and drifts in turns, the first of them a kick, written in one of four manners."""
+    def step(x, v, a, dt):
         for k, weight in enumerate(weights):
             if k % 2:
                 x = x + weight * dt * v
             else:
-                v = v + weight * dt * force(x) / m[:, None]
+                v = v + weight * dt * a(x)
         return x, v
 
-    return step
+    def momenta(q, p, grad_u, m, h):
+        q, v = step(q, p / m[:, None], lambda q: -grad_u(q) / m[:, None], h)
+        return q, m[:, None] * v
+
+    return (lambda x, v, force, m, dt: step(x, v, lambda x: force(x) / m[:, None], dt), step, momenta,
+            lambda vel, pos, masses, forces, h: step(pos, vel, lambda x: forces(x) / masses, h)[::-1])[manner]
 
 def explicit_euler(x, v, force, m, dt):
     return x + v * dt, v + dt * force(x) / m[:, None]

@@ -33,18 +33,20 @@ def test_figures_of_a_grade_are_those_of_theory():
     assert found == (False, True, None)
 
 
-FOREST_RUTH = composed(W / 2, W, (1 - W) / 2, 1 - 2 * W, (1 - W) / 2, W, W / 2)
 RIGHT = {step.__name__: (step, 2, 2) for step in written.RIGHT_STEPS}  # step, order asked for, order that is reached
-RIGHT |= {
-    "yoshida": (written.yoshida, 2, 4),
-    "yoshida, 4": (written.yoshida, 4, 4),
-    "beeman": (written.beeman, 2, None),
+RIGHT |= {"yoshida": (written.yoshida, 2, 4), "yoshida, 4": (written.yoshida, 4, 4), "nystrom": (written.nystrom, 4, 4)}
+RIGHT |= {"beeman": (written.beeman, 2, None), "Euler": (composed(1.0, 1.0), 1, 1)}
+COMPOSITIONS = {
+    "forest, ruth": ((W / 2, W, (1 - W) / 2, 1 - 2 * W, (1 - W) / 2, W, W / 2), 4),
+    "forest, ruth, drifts first": ((0, W / 2, W, (1 - W) / 2, 1 - 2 * W, (1 - W) / 2, W, W / 2), 4),
+    "ruth": ((7 / 24, 2 / 3, 3 / 4, -2 / 3, -1 / 24, 1.0), 3),
+    "halves": ((1 / 4, 1 / 2, 1 / 2, 1 / 2, 1 / 4), 2),
+    "drifts first": ((0, 1 / 2, 1, 1 / 2), 2),
 }
-RIGHT |= {"forest, ruth": (FOREST_RUTH, 4, 4), "forest, ruth, 2": (FOREST_RUTH, 2, 4)}
-RIGHT |= {"ruth": (composed(7 / 24, 2 / 3, 3 / 4, -2 / 3, -1 / 24, 1.0), 3, 3), "Euler": (composed(1.0, 1.0), 1, 1)}
-RIGHT |= {"halves": (composed(1 / 4, 1 / 2, 1 / 2, 1 / 2, 1 / 4), 2, None), "nystrom": (written.nystrom, 4, 4)}
-RIGHT |= {"drifts first": (composed(0, 1 / 4, 1 / 2, 1 / 2, 1 / 2, 1 / 4), 2, None)}
-FAST = (velocity_verlet.__name__, "ruth", "forest, ruth")
+for name, (weights, order) in COMPOSITIONS.items():
+    for manner in range(4):
+        RIGHT[f"{name}, {manner}"] = composed(*weights, manner=manner), order, order if order != 2 else None
+FAST = (velocity_verlet.__name__, "ruth, 0", "forest, ruth, 1")
 
 
 @pytest.mark.parametrize("row", [slow_unless(name in FAST, row, name) for name, row in RIGHT.items()])

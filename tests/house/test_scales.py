@@ -42,7 +42,7 @@ ROWS = {  # lines, files, statements; what is not there is not weighed
     "view": (376, 3, 209),
     "minimd_bench": (1918, 10, 1094),
     "road of a step": (3855, 13),
-    "tests": (20053,),
+    "tests": (20060,),
 }
 # fmt: on
 

@@ -23,17 +23,22 @@ def then(change):
     """Velocity Verlet, and a change afterwards."""
     return lambda x, v, force, m, dt: change(*velocity_verlet(x, v, force, m, dt), m, dt)
 
-def composed(*weights):
-    """Kicks and drifts in turns, the first of them a kick."""
-    def step(x, v, force, m, dt):
+def composed(*weights, manner=0):
+    """Kicks and drifts in turns, the first of them a kick, written in one of four manners."""
+    def step(x, v, a, dt):
         for k, weight in enumerate(weights):
             if k % 2:
                 x = x + weight * dt * v
             else:
-                v = v + weight * dt * force(x) / m[:, None]
+                v = v + weight * dt * a(x)
         return x, v
 
-    return step
+    def momenta(q, p, grad_u, m, h):
+        q, v = step(q, p / m[:, None], lambda q: -grad_u(q) / m[:, None], h)
+        return q, m[:, None] * v
+
+    return (lambda x, v, force, m, dt: step(x, v, lambda x: force(x) / m[:, None], dt), step, momenta,
+            lambda vel, pos, masses, forces, h: step(pos, vel, lambda x: forces(x) / masses, h)[::-1])[manner]
 
 def explicit_euler(x, v, force, m, dt):
     return x + v * dt, v + dt * force(x) / m[:, None]
@@ -68,7 +73,29 @@ def one_particle(x, v, f, m, dt):
     x = x + dt * v
     return math.fsum([x]), v + dt / 2 * f(x) / m
 
-RIGHT_STEPS = [velocity_verlet, in_place, with_accelerations, in_momenta, handing_on, stormer, one_particle]
+def in_half_steps(x, v_half, acceleration, m, dt):
+    v_half = v_half + dt * acceleration(x)
+    return x + dt * v_half, v_half
+
+def yoshida(q, v, acceleration, dt):
+    for w in (W, 1.0 - 2.0 * W, W):
+        v = v + 0.5 * w * dt * acceleration(q)
+        q = q + w * dt * v
+        v = v + 0.5 * w * dt * acceleration(q)
+    return q, v
+
+def nystrom(x, v, a, dt):
+    k1 = a(x)
+    k2 = a(x + dt / 2 * v + dt**2 / 8 * k1)
+    k3 = a(x + dt * v + dt**2 / 2 * k2)
+    return x + dt * v + dt**2 / 6 * (k1 + 2 * k2), v + dt / 6 * (k1 + 4 * k2 + k3)
+
+def beeman(x, v, a, a_old, dt, acc):
+    x1 = x + v * dt + (4 * a - a_old) * dt**2 / 6
+    return x1, v + (2 * acc(x1) + 5 * a - a_old) * dt / 6
+
+RIGHT_STEPS = [velocity_verlet, in_half_steps, in_place, with_accelerations, in_momenta, handing_on, stormer,
+               one_particle]
 
 # wrong steps
 def aliased(r, v, force, m, dt):
@@ -121,15 +148,15 @@ def rescaled(x, v, m, dt):
 
 WRONG_STEPS = {  # those named first are graded always, the others in slow tests
     "kick first": (composed(1.0, 1.0), "kick first"), "aliased": (aliased, "uses the new force twice"),
-    "no mass in one half": (kicked(divided=(True, False)), "1/m is missing in a part"), "stale": (stale, "old force"),
+    "no mass in one half": (kicked(divided=(True, False)), "a part of the kick has a"), "stale": (stale, "old force"),
     "hidden noise": (then(lambda x, v, m, dt: (x, v + 0.01 * np.random.normal(size=v.shape))), "random numbers"),
-    "last atom forgotten": (last_atom_forgotten, "atom 4, the last, is not moved"),
+    "last atom forgotten": (last_atom_forgotten, "atom 4 of 5"),
     "atom after atom": (atom_after_atom, "one after another"),
     "factor close to one": (then(lambda x, v, m, dt: (x, 0.99999 * v)), "multiplied by 0.99999 "),
     "explicit Euler": (explicit_euler, "old velocity"), "drift first": (composed(0.0, 1.0, 1.0), "drift first"),
     "old force twice": (kicked(is_old=True), "uses the old force"),
-    "no mass": (kicked(divided=(False, False)), "lacks 1/m"), "half drift": (kicked(drift=0.5), "multiplied by ½"),
-    "whole kicks": (kicked(1.0, 1.0, 1.0), "2 times too large"),
+    "no mass": (kicked(divided=(False, False)), "kick has a wrong"), "half drift": (kicked(drift=0.5), "by 1/2"),
+    "whole kicks": (kicked(1.0, 1.0, 1.0), "by 2"), "factor of 5e-6": (kicked(drift=1.000005), "by 1.000005"),
     "no second kick": (composed(0.5, 1.0), "only half of the kick"),
     "no half in positions": (with_push(lambda dt: dt**2), "factor ½ is missing"),
     "dt in place of its square": (with_push(lambda dt: 0.5 * dt), "needs dt²"),
@@ -178,8 +205,16 @@ def law_of_minimd(r2, epsilon, sigma):
     s6 = (sigma**2 / r2) ** 3
     return 4 * epsilon * s6 * (s6 - 1), 24 * epsilon * s6 * (2 * s6 - 1) / r2
 
-RIGHT_FORCES = [lambda x, box=None, cutoff=2.5: lennard_jones(x, box, cutoff), force_of_distance, law_of_minimd,
-                lambda x: pairs(x, force_of_distance), lambda x: -3.0 * (len(x) * x - x.sum(axis=0))]
+def repulsion(r):  # of Weeks, Chandler and Andersen
+    is_near = r < 2 ** (1 / 6)
+    return np.where(is_near, 4 / r**12 - 4 / r**6 + 1, 0.0), np.where(is_near, force_of_distance(r), 0.0)
+
+RIGHT_FORCES = [(lambda x, box=None, cutoff=2.5: lennard_jones(x, box, cutoff), {}), (force_of_distance, {}),
+                (law_of_minimd, {}), (repulsion, {}), (lambda x: pairs(x, force_of_distance), {}),
+                (lambda x: -3.0 * (len(x) * x - x.sum(axis=0)), {}), (lambda x: (-2.0 * x, float(np.sum(x * x))), {}),
+                (lambda pos, box, cutoff: lennard_jones(pos, box, cutoff)[::-1], {"cell": 8.0, "cutoff": 2.5}),
+                (lambda ri, rj: (48 / (r := np.linalg.norm(ri - rj)) ** 14 - 24 / r**8) * (ri - rj), {}),
+                (lambda distance, strength: strength / distance**2, {"kind": "law"})]
 
 def overwritten(x):
     n = len(x)
@@ -218,7 +253,10 @@ WRONG_FORCES = {  # (function, options of md.grade, words)
     "with itself": (lambda x: on_each(x, force_of_distance, 0.0).sum(axis=1), {}, "meets itself"),
     "no gradient": (lambda x: pairs(x, force_of_distance) + 0.3 * np.stack([-x[:, 1], x[:, 0], 0 * x[:, 2]], axis=1),
                     {}, "not the gradient of any energy"),
-    "capped at 200": (capped(200.0), {}, ""),  "capped at 1000": (capped(1000.0), {}, ""),
+    "capped at 200": (capped(200.0), {}, "capped"),  "capped at 1000": (capped(1000.0), {}, "capped"),
+    "capped pairs": (lambda x: pairs(x, lambda r: np.minimum(force_of_distance(r), 1e4)), {}, "capped"),
+    "capped distances": (lambda x: pairs(x, lambda r: force_of_distance(np.maximum(r, 0.9))), {}, "capped"),
+    "clipped components": (lambda x: np.clip(pairs(x, force_of_distance), -100, 100), {}, "capped"),
     "a component missing": (lambda x: pairs(x, force_of_distance) * [1, 1, 0], {}, "component"),
     "factor 2 in one term": (lambda r: 24 / r**13 - 24 / r**7, {}, "48"),
     "exponent": (lambda r: 48 / r**13 - 24 / r**6, {}, "exponent"),
@@ -226,4 +264,10 @@ WRONG_FORCES = {  # (function, options of md.grade, words)
     "law with du/dr": (lambda r2: (4 * (r2**-6 - r2**-3), 24 * (2 * r2**-6 - r2**-3)), {}, "1/r is missing"),
     "twice": (lambda x: pairs(x, lambda r: 2 * force_of_distance(r)), {}, "twice"),
     "exponent beside the energy": (lambda r: (48 / r**13 - 24 / r**8, 4 / r**12 - 4 / r**6), {}, "24 r^−7"),
+    "divided by their number": (lambda x: pairs(x, force_of_distance) / len(x), {}, "divided"),
+    "r² beside the cutoff": (lambda x: pairs(x, lambda r: force_of_distance(r) * (r * r < 2.5)), {"cutoff": 2.5}, "r²"),
+    "no central force": (lambda rij: force_of_distance(np.linalg.norm(rij)) * rij[::-1], {}, "along r_ij"),
+    "last atom": (lambda x: np.append(pairs(x[:-1], force_of_distance), 0 * x[:1], 0) if len(x) > 2
+                  else pairs(x, force_of_distance), {}, "last"),
+    "same sign": (lambda r: 48 / r**13 + 24 / r**7, {}, "sign"),
 }

@@ -1,18 +1,7 @@
 """How a student's step or force function is called: parameters are recognized by their names, results by their shapes.
 
-Steps   x, r, q, pos, positions …           positions                  v, vel …           velocities;  p: momenta
-        force, forces, f, compute_forces    a function of positions    acceleration, a    the same over the masses
-        m, mass, masses                     masses                     dt, h, timestep    time step
-        x_old, x_prev …                     positions a step ago       v_half …           velocities half a step ago
-        state, y                            [x, v] in one              n_steps            1: the last row of a path
-Forces  force(positions, box, cutoff)       (N, 3) -> (N, 3), or with the energy: (F, U), (U, F); box, cutoff if needed
-        force(r), law(r2)                   a law of the distance: numbers -> numbers, or (u, f)
-        force(rij), force(ri, rj)           the force of a pair: (3,) -> (3,)
-
-Parameters with other names take the free places in step(x, v, force, m, dt), in this order. Coordinates of steps are
-tried as (N, 3), (N, 2), (N,) and one number; masses as (N,), (N, 1) and one number; force(x) returns F, (F, U) or
-(U, F). The step is called in the first manner in which it returns without an error. The kind of forces follows from
-the names of the parameters, and from what the function does with arrays: a law treats each element separately.
+Parameters of steps with other names take the free places in step(x, v, force, m, dt), in this order. The function is
+called in the first manner in which it returns without an error, and in the right shape.
 """
 
 from __future__ import annotations
@@ -20,9 +9,8 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -49,25 +37,21 @@ OF_FORCES: Names = (
     ("n", r"^(n|natoms|nparticles|num\w*)$"), ("stiffness", r"^(k|ks|kb|kbond|kspring)$"),
     ("strength", r"^(q|charge|de)$"),
 )
-# fmt: on
+PHYSICAL = ("epsilon", "sigma", "stiffness", "strength")
 REST = r"^(r0|req|l0|d0|length|rest\w*|b0|x0)$"  # of a bond, if there is also a parameter for the stiffness
-SQUARED = r"^(r2|rsq|rsq\w*|d2|dist2|rsquared|rr)$"
-DISTANCE = r"^(r|d|dist\w*|rij|s)$"
+SQUARED, DISTANCE = r"^(r2|rsq|rsq\w*|d2|dist2|rsquared|rr)$", r"^(r|d|dist\w*|rij|s)$"
 SEPARATION = r"^(rij|dr|d|dx|rvec|vec\w*|delta|disp\w*|sep\w*|r12)$"
 ONE_OF_TWO = r"^(r|x|q|p|pos\w*|atom|vec)?(i|j|1|2|a|b)$"
-IS_FUNCTION = r"func|fn|compute|calc|get|eval|callable|law|field"
-IS_BEFORE = r"old|prev|last|before|minus|m1"
-KNOWN = "pos, vel, frc, forces, compute_forces, acc, mass, h, timestep, p, x_old, v_half"
-FORCES = ("force", "acceleration", "gradient")
-ANSWERS = ("F", "(F, U)", "(U, F)")
+IS_FUNCTION, IS_BEFORE = r"func|fn|compute|calc|get|eval|callable|law|field", r"old|prev|last|before|minus|m1"
+FORCES, ANSWERS = ("force", "acceleration", "gradient"), ("F", "(F, U)", "(U, F)")
 VELOCITIES = ("v", "p", "half", "old")  # roles that take the place of velocities
-MASSES_NEED = {"(N,)": 1, "(N, 1)": 2, "one number": 0}  # dimensions of the array of positions
+MASSES = {"(N,)": 1, "(N, 1)": 2, "one number": 0}  # how they are given, and the least dimensions of positions
+TOLD = {(5, 3): "(N, 3)", (5, 2): "(N, 2)", (5,): "(N,)", (): "one number"}
 KINDS = {"forces": "forces on all atoms", "law": "a law of the distance", "pair": "the force of a pair"}
-FAR = 1e6  # edge of the box for a step that has such a parameter
-TINY = 1e-6  # time step of the first call, which shows whether x or v is returned first
-START = 1.1  # σ: the distance in trial calls
-SEPARATE = np.array([START, 0.2, 0.1])  # the vector of a pair in trial calls
+FAR, TINY = 1e6, 1e-6  # edge of the box for a step that has such a parameter; time step of the first call
+START, SEPARATE = 1.1, np.array([1.1, 0.2, 0.1])  # σ: the distance and the vector of a pair in trial calls
 TRIANGLE = np.array([[1.0, 1.0, 1.0], [2.1, 1.2, 1.1], [1.1, 2.3, 1.2]])  # three atoms in trial calls
+# fmt: on
 
 
 def plain(name: str) -> str:
@@ -80,100 +64,149 @@ def role_of(name: str, names: Names = OF_STEPS) -> str:
     return next((role for role, pattern in names if re.search(pattern, plain(name))), "")
 
 
-def parameters_of(function: Callable[..., Any], example: str, name: str) -> list[inspect.Parameter]:
-    """The parameters of a function.  Raises TypeError if there are none, or for a method without its object."""
-    try:
-        parameters = list(inspect.signature(function).parameters.values())
-    except (TypeError, ValueError):
-        kind = example.partition("(")[0]
-        raise TypeError(f"{kind} must be a function, such as {example}; got {function!r}") from None
-    if parameters and parameters[0].name == "self":
-        raise TypeError(f"{name} is a method without its object (its first parameter is self): pass the method of an "
-                        f"object, as in md.grade(Simulation().{name})")  # fmt: skip
-    return [one for one in parameters if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)]
+class Called:
+    """A student's function.  roles, defaults : of its parameters, by name.
 
-
-class Manner(NamedTuple):
-    """roles : of the parameters, in their order; "known force" is the force at x as an array, "before force" the one a
-    step earlier.  masses, answers : how masses are given, and what force(x) returns; see the module."""
-
-    roles: tuple[str, ...]
-    names: tuple[str, ...]
-    shape: tuple[int, ...]
-    masses: str
-    answers: str
-
-    def told(self, name: str) -> str:
-        """The call as text."""
-        shapes = {(5, 3): "(N, 3)", (5, 2): "(N, 2)", (5,): "(N,)", (): "one number"}
-        kinds = {"x": shapes[self.shape], "m": self.masses, **dict.fromkeys(FORCES, f"a function: {self.answers}")}
-        pairs = zip(self.names, self.roles, strict=True)
-        return f"{name}({', '.join(f'{one}: {kinds[role]}' if role in kinds else one for one, role in pairs)})"
-
-
-def roles_of(function: Callable[..., Any]) -> tuple[list[str], list[str]]:
-    """Names and roles of the parameters of a step; optional parameters with unknown names are left out.
-
-    Raises TypeError for anything that is not a function, and for parameters that do not make a step.
+    Raises TypeError for what has no parameters, or for a method without its object.
     """
-    parameters = parameters_of(function, "step(x, v, force, m, dt)", "step")
-    pairs = [(one.name, role_of(one.name)) for one in parameters if one.default is one.empty or role_of(one.name)]
-    if not any(role in FORCES for _, role in pairs):  # a step with its own force keeps its own mass
-        kept = {one.name for one in parameters if one.default is not one.empty}
-        pairs = [(name, role) for name, role in pairs if role != "m" or name not in kept]
-    names, roles = [name for name, _ in pairs], [role for _, role in pairs]
-    have = {"force" if role in FORCES else "v" if role in VELOCITIES else role for role in roles}
-    left = iter([place for place in PLACES if place not in have and not ("state" in roles and place in ("x", "v"))])
-    roles = [role or next(left, "") for role in roles]
-    has_state = "state" in roles or ("x" in roles and set(VELOCITIES) & set(roles))
-    if "dt" not in roles or not has_state or "" in roles:
-        unknown = [name for name in names if not role_of(name)]
-        nobody = f"; the meaning of {' and '.join(unknown)} cannot be seen from the name" if unknown else ""
+
+    def __init__(self, function: Callable[..., Any], names: Names, example: str) -> None:
+        self.function, self.name = function, getattr(function, "__name__", "function")
+        try:
+            parameters = inspect.signature(function).parameters
+        except (TypeError, ValueError):
+            raise TypeError(f"give a function, such as {example}; got {function!r}") from None
+        if [*parameters][:1] == ["self"]:
+            raise TypeError(f"{self.name} is a method without its object (its first parameter is self): pass that of "
+                            f"an object, as in md.grade(Simulation().{self.name})")  # fmt: skip
+        starred = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+        kept = {name: one.default for name, one in parameters.items() if one.kind not in starred}
+        self.roles = {name: role_of(name, names) for name in kept}
+        self.defaults = {name: value for name, value in kept.items() if value is not inspect.Parameter.empty}
+
+
+def manners(function: Callable[..., Any]) -> Iterator[StudentStep]:
+    """The manners in which a step may be called, the most likely first; optional parameters with unknown names are
+    left out.  Raises TypeError for parameters that do not make a step."""
+    one = Called(function, OF_STEPS, "step(x, v, force, m, dt)")
+    has_force = {*one.roles.values()} & {*FORCES}  # a step with its own force keeps its own mass
+    known = {name: role for name, role in one.roles.items()
+             if name not in one.defaults or (role and (has_force or role != "m"))}  # fmt: skip
+    have = {"force" if role in FORCES else "v" if role in VELOCITIES else role for role in known.values()}
+    left = iter([place for place in PLACES if place not in have and not ("state" in have and place in ("x", "v"))])
+    names, roles = tuple(known), [role or next(left, "") for role in known.values()]
+    if "dt" not in roles or not ("state" in roles or ("x" in roles and {*VELOCITIES} & {*roles})) or "" in roles:
+        unknown = " and ".join(name for name in names if not known[name]) or "none"
         raise TypeError("a step takes positions, velocities, a force function, masses and a time step, as step(x, v, "
-                        f"force, m, dt); the parameters of this one are ({', '.join(names)}){nobody}. Give them these "
-                        f"names (m may be left out); also known are {KNOWN}")  # fmt: skip
-    return names, roles
-
-
-def manners(function: Callable[..., Any]) -> Iterator[Manner]:
-    """The manners in which a step may be called, the most likely first."""
-    names, roles = roles_of(function)
+                        f"force, m, dt); its parameters are ({', '.join(names)}), the meaning of {unknown} is unknown. "
+                        "Give them these names, or pos, vel, frc, forces, compute_forces, acc, mass, h, "
+                        "timestep, p, x_old, v_half; m may be left out")  # fmt: skip
     forces = [k for k, role in enumerate(roles) if role in FORCES]
+    is_old = [bool(re.search(IS_BEFORE, name.lower())) for name in names]
     choices = [[], forces] if forces else [[]]  # of the parameters that are arrays
     if len(forces) > 1:
-        functions = [k for k in forces if re.search(IS_FUNCTION, names[k].lower())]
-        first = functions[0] if functions else max(forces, key=lambda k: len(names[k]))
-        choices = [[k for k in forces if k != first]]
-    masses = ("(N,)", "(N, 1)", "one number") if "m" in roles else ("one number",)
-    for known, shape, mass, answers in product(choices, SHAPES, masses, ANSWERS if forces else ANSWERS[:1]):
-        if len(shape) < MASSES_NEED[mass]:
-            continue
-        before = [k for k in known if len(known) > 1 and re.search(IS_BEFORE, names[k].lower())]
-        words = ["before " if k in before else "known " if k in known else "" for k in range(len(roles))]
-        told = tuple(word + role for word, role in zip(words, roles, strict=True))
-        yield Manner(told, tuple(names), shape, mass, answers)
+        like = {k: (bool(re.search(IS_FUNCTION, names[k].lower())), not is_old[k], len(names[k])) for k in forces}
+        choices = [[k for k in forces if k != max(forces, key=lambda k: like[k])]]
+    masses = [*MASSES] if "m" in roles else ["one number"]
+    for arrays, shape, mass, answers in product(choices, SHAPES, masses, ANSWERS if forces else ANSWERS[:1]):
+        when = {k: "before " if len(arrays) > 1 and is_old[k] else "known " for k in arrays}
+        if len(shape) >= MASSES[mass]:
+            told = {name: when.get(k, "") + roles[k] for k, name in enumerate(names)}
+            yield StudentStep(function, told, shape, mass, answers)
 
 
 class StudentStep:
-    """A student's step as a map of (x, v) to (x, v).
+    """A student's step as a map of (x, v) to (x, v), called in one manner.
 
-    n_evaluations : how often it called the force function.  third : the force that it returned last as its third
-    result, or None.  swapped, in_place, is_procedure : whether it returns v first; whether it changes x or v in place;
-    whether it changes both.  path : positions and velocities of all steps, from a function that returns a path.
-    stiffness : of the oscillator inside a step that takes no force function.
+    roles : of the parameters, by name; "known force" is the force at x as an array, "before force" the one a step
+    earlier.  masses, answers : how masses are given, and what force(x) returns.  n_evaluations : how often it called
+    the force function.  third : the force that it returned last as its third result, if any.  swapped, in_place :
+    whether it returns v first; whether it changes x or v in place.  rows_alike : whether it returned a path whose rows
+    are all the same.  stiffness : of the oscillator inside a step without a force function.
     """
 
-    def __init__(self, function: Callable[..., Any], manner: Manner) -> None:
-        self.function, self.manner, self.words = function, manner, set(" ".join(manner.roles).split())
-        self.n_evaluations, self.n_steps, self.stiffness = 0, 1, 0.0
-        self.path: list[Array] = []
-        self.third: Array | None = None
-        self.swapped = self.in_place = self.is_procedure = False
-        self.is_given_forces, self.is_scaled = self.takes(*FORCES), self.takes("m", "acceleration")  # by masses
+    n_evaluations, stiffness, third = 0, 0.0, np.array([])
+    swapped = in_place = rows_alike = False
+
+    def __init__(self, function: Any, roles: dict[str, str], shape: Any, masses: str, answers: str) -> None:
+        self.function, self.names, self.shape, self.masses, self.answers = function, roles, shape, masses, answers
+        self.roles, self.words = [*roles.values()], {*" ".join(roles.values()).split()}
+        kinds = {"x": TOLD[shape], "m": masses, **dict.fromkeys(FORCES, f"a function: {answers}")}
+        told = (f"{name}: {kinds[role]}" if role in kinds else name for name, role in roles.items())
+        self.told = f"{getattr(function, '__name__', 'step')}({', '.join(told)})"
 
     def takes(self, *words: str) -> bool:
         """Whether one of these words is in the roles of the parameters."""
         return not self.words.isdisjoint(words)
+
+    def problem(self, seed: int, stiffness: float = 0.0) -> Problem:
+        """A state in the shape of the step; masses are 1 if the step takes neither masses nor accelerations."""
+        one = problem(self.shape, seed, self.masses == "one number", stiffness or self.stiffness)
+        return one if self.takes("m", "acceleration") else one._replace(m=np.ones_like(one.m))
+
+    def __call__(self, where: Problem, x: Array, v: Array, h: float) -> tuple[Array, Array]:
+        """One step.  Raises what the function raises, and ValueError for results that are not x and v."""
+        roles, one = self.roles, float if x.ndim == 0 else np.array
+        m: Any = {"(N,)": where.m, "(N, 1)": where.m.reshape(-1, 1), "one number": where.m.flat[0]}[self.masses]
+        half = v - 0.5 * h * where.force(x) / where.mass if self.takes("half", "old") else v
+        before = x - h * v + 0.5 * h * h * where.force(x) / where.mass if self.takes("before") else x
+        of_v = next((role for role in VELOCITIES if role in roles), "v")
+        arrays: dict[str, Any] = {"x": x, "v": v, "p": where.mass * v, "half": half, "old": x - h * half}
+        known = [(role, before if "before" in role else x) for role in roles if " " in role]
+        arrays |= {role: where.scaled(role.split()[1], place) for role, place in known}
+        others: dict[str, Any] = {"dt": h, "time": 0.0, "box": FAR, "steps": 1, "state": [one(x), one(v)]}
+        others |= {"m": np.array(m) if np.ndim(m) else float(m), **{role: self._force(role, where) for role in FORCES}}
+        given = {role: one(arrays[role]) if role in arrays else others[role] for role in roles}
+        answer = self.function(**{name: given[role] for name, role in self.names.items()})
+        if "state" in roles:  # of a step that takes and returns both in one array or list
+            new = self._parts(given["state"] if answer is None else answer, x.shape)
+            return new[0], new[1]
+        own = given["x"], given[of_v]
+        changed = [not np.array_equal(mine, arrays[role]) for mine, role in zip(own, ("x", of_v), strict=True)]
+        self.in_place |= any(changed)
+        if answer is None and not self.in_place:
+            raise ValueError("the step returns None and does not change x and v; it must return x, v")
+        if answer is None or (all(changed) and not isinstance(answer, (tuple, list, dict))):
+            answer = (*own, *([] if answer is None else [answer]))  # changed in place; the result may be the force
+        new = self._parts(answer, x.shape)
+        if "old" in roles:  # v as returned, else the velocity at the half step plus half a kick
+            returned = next((part for part in new[1:3] if not np.array_equal(part, x)), x)
+            if np.abs(returned - v).max() < np.abs(returned - x).max():
+                return new[0], returned
+            new = [new[0], (new[0] - x) / h]
+        new_x, new_v = (new[1], new[0]) if self.swapped else (new[0], new[1])
+        push = 0.5 * h * where.force(new_x) / where.mass if of_v in ("half", "old") else 0.0
+        return new_x, (new_v / where.mass if of_v == "p" else new_v + push)
+
+    def _force(self, role: str, where: Problem) -> Callable[..., Any]:
+        def force(x: Any, *_: Any) -> Any:
+            self.n_evaluations += 1
+            x = np.array(x, dtype=float)
+            if x.size != where.x.size:
+                raise TypeError(f"the step calls its force with numbers of shape {x.shape}, but positions have shape "
+                                f"{where.x.shape}; f(y, t) of a whole state, as for SciPy, cannot be graded: write "
+                                "step(x, v, force, m, dt)")  # fmt: skip
+            scaled = where.scaled(role, x)
+            answer: Any = float(scaled) if x.ndim == 0 else scaled
+            energy = where.at(x)[1] if self.answers != "F" else 0.0
+            return {"F": answer, "(F, U)": (answer, energy), "(U, F)": (energy, answer)}[self.answers]
+
+        return force
+
+    def _parts(self, answer: Any, shape: tuple[int, ...]) -> list[Array]:
+        """The arrays in the result, x and v first; the last rows of a path."""
+        if isinstance(answer, dict):
+            answer = [answer[key] for key in sorted(answer, key=lambda key: {"x": 0, "v": 1}.get(role_of(key), 2))]
+        is_many = isinstance(answer, (np.ndarray, tuple, list)) and (self.takes("state") or np.shape(answer) != shape)
+        parts = [np.array(part, dtype=float) for part in (answer if is_many else [answer])]
+        if self.takes("steps"):
+            self.rows_alike = parts[0].shape[1:] == shape and len(parts[0]) > 1 and not np.ptp(parts[0], axis=0).any()
+            parts = [part[-1] if part.ndim and part.shape[1:] == shape else part for part in parts]
+        if len(parts) < 2 - self.takes("old") or {part.shape for part in parts[:2]} != {shape}:
+            raise ValueError(f"the step must return x and v in the shape {shape} of its arguments; it returned shapes "
+                             f"{', '.join(str(part.shape) for part in parts)}")  # fmt: skip
+        self.third = parts[2] if len(parts) > 2 and parts[2].shape == shape else np.array([])
+        return parts
 
     def find_own_force(self) -> None:
         """Find the spring inside a step that takes no force function.  Raises TypeError if its force is not −k x."""
@@ -186,93 +219,6 @@ class StudentStep:
                             "the force function an argument, as step(x, v, force, m, dt)")  # fmt: skip
         self.stiffness = round(k, 5)
 
-    def problem(self, seed: int, stiffness: float = 0.0) -> Problem:
-        """A state in the shape of the step; masses are 1 if the step takes neither masses nor accelerations."""
-        same_mass = self.manner.masses == "one number"
-        one = problem(self.manner.shape, seed, same_mass, stiffness=stiffness or self.stiffness)
-        return one if self.is_scaled else one._replace(m=np.ones_like(one.m))
-
-    def __call__(self, where: Problem, x: Array, v: Array, h: float) -> tuple[Array, Array]:
-        """One step.  Raises what the function raises, and ValueError for results that are not x and v."""
-        roles, single = self.manner.roles, x.ndim == 0
-        copy: Callable[[Any], Any] = float if single else np.array
-        m = np.array(where.m if self.manner.masses == "(N,)" else where.m.reshape(-1, 1))
-        half = v - 0.5 * h * where.force(x) / where.mass if self.takes("half", "old") else v
-        before = x - h * v + 0.5 * h * h * where.force(x) / where.mass if self.takes("before") else x
-        arrays: dict[str, Any] = {"x": x, "v": v, "p": where.mass * v, "half": half, "old": x - h * half}
-        words = [role.split() for role in roles if " " in role]
-        arrays |= {f"{when} {one}": where.scaled(one, before if when == "before" else x) for when, one in words}
-        others: dict[str, Any] = {"dt": h, "time": 0.0, "box": FAR, "steps": self.n_steps, "state": [copy(x), copy(v)]}
-        others |= {"m": float(m[0, 0]) if self.manner.masses == "one number" else m}
-        others |= {role: self._force(role, where) for role in FORCES}
-        given = [copy(arrays[role]) if role in arrays else others[role] for role in roles]
-        answer = self.function(**dict(zip(self.manner.names, given, strict=True)))
-        if "state" in roles:
-            new = self._parts(given[roles.index("state")] if answer is None else answer, x.shape)
-            return new[0], new[1]  # of a step that takes and returns both in one array or list
-        of_v = next(role for role in VELOCITIES if role in roles)
-        own = [given[roles.index(role)] for role in ("x", of_v)]
-        changed = [
-            not (single or np.array_equal(one, arrays[role])) for one, role in zip(own, ("x", of_v), strict=True)
-        ]
-        self.in_place |= any(changed)
-        self.is_procedure |= all(changed)
-        if answer is None and not self.in_place:
-            raise ValueError("the step returns None and does not change x and v; it must return x, v")
-        # changed in place; the result may be the force
-        if answer is None or (self.is_procedure and not isinstance(answer, (tuple, list, dict))):
-            answer = (*own, *([] if answer is None else [answer]))
-        new = self._parts(answer, x.shape)
-        if "old" in roles:  # v as returned, else the velocity at the half step plus half a kick
-            returned = next((part for part in new[1:3] if not np.array_equal(part, x)), x)
-            if np.abs(returned - v).max() < np.abs(returned - x).max():
-                return new[0], returned
-            new = [new[0], (new[0] - x) / h]
-        new_x, new_v = (new[1], new[0]) if self.swapped else (new[0], new[1])
-        if of_v == "p":
-            return new_x, new_v / where.mass
-        if of_v == "half" or "old" in roles:
-            new_v = new_v + 0.5 * h * where.force(new_x) / where.mass
-        return new_x, new_v
-
-    def _force(self, role: str, where: Problem) -> Callable[..., Any]:
-        def force(x: Any, *_: Any) -> Any:
-            self.n_evaluations += 1
-            x = np.array(x, dtype=float)
-            if x.size != where.x.size:
-                raise TypeError(f"the step calls its force with numbers of shape {x.shape}, but positions have shape "
-                                f"{where.x.shape}; f(y, t) of a whole state, as for SciPy, cannot be graded: write "
-                                "step(x, v, force, m, dt)")  # fmt: skip
-            scaled = where.scaled(role, x)
-            answer: Any = float(scaled) if x.ndim == 0 else scaled
-            energy = where.potential(x) if self.manner.answers != "F" else 0.0
-            return {"F": answer, "(F, U)": (answer, energy), "(U, F)": (energy, answer)}[self.manner.answers]
-
-        return force
-
-    def _parts(self, answer: Any, shape: tuple[int, ...]) -> list[Array]:
-        """The arrays in the result, x and v first; the last rows of a path."""
-        least = 2 - self.takes("old")
-        if isinstance(answer, dict):
-            answer = [answer[key] for key in sorted(answer, key=lambda key: {"x": 0, "v": 1}.get(role_of(key), 2))]
-        is_array = isinstance(answer, np.ndarray)
-        if (is_array and answer.shape == shape) or not (is_array or isinstance(answer, (tuple, list))):
-            if least == 2:
-                raise ValueError(f"the step must return x and v; it returned {type(answer).__name__}")
-            answer = (answer,)
-        parts = [np.array(part, dtype=float) for part in answer]
-        if self.takes("steps"):
-            self.path = [part for part in parts if part.ndim and part.shape[1:] == shape]
-            parts = [part[-1] if part.ndim and part.shape[1:] == shape else part for part in parts]
-        for name, part in zip(("x", "v"), parts, strict=False):
-            if part.shape != shape:
-                raise ValueError(f"the step must return {name} in the shape {shape} of its argument; it returned shape "
-                                 f"{part.shape}")  # fmt: skip
-        if len(parts) < least:
-            raise ValueError(f"the step must return x and v; it returned only {len(parts)} of them")
-        self.third = parts[2] if len(parts) > 2 and parts[2].shape == shape else None
-        return parts
-
 
 def understood(function: Callable[..., Any]) -> StudentStep:
     """The step, called in the first manner that works.
@@ -280,46 +226,42 @@ def understood(function: Callable[..., Any]) -> StudentStep:
     Raises TypeError for other arguments, and ValueError for a step that fails in every manner, with the first error
     and its call.
     """
-    first: tuple[Manner, Exception] | None = None
-    for manner in manners(function):
-        step = StudentStep(function, manner)
+    first: tuple[str, Exception] | None = None
+    for step in manners(function):
         where = step.problem(0)
         try:
             with np.errstate(all="ignore"):
                 x, v = step(where, where.x, where.v, TINY)
         except Exception as error:  # whatever a student's function raises
-            first = first or (manner, error)
+            first = first or (step.told, error)
             continue
         if not (np.isfinite(x).all() and np.isfinite(v).all()):
             raise ValueError(f"the step returned numbers that are not finite after one step of {TINY:g}, called as "
-                             f"{manner.told('step')}")  # fmt: skip
+                             f"{step.told}")  # fmt: skip
         as_told, swapped = (np.abs(a - where.x).max() + np.abs(b - where.v).max() for a, b in ((x, v), (v, x)))
-        step.swapped = bool(swapped < 0.01 * as_told) and not {"old", "p"} & set(manner.roles)
-        if not step.is_given_forces:
+        step.swapped = bool(swapped < 0.01 * as_told) and not step.takes("old", "p")
+        if not step.takes(*FORCES):
             step.find_own_force()
         return step
-    if first is None:
-        raise TypeError("the step cannot be called")
-    manner, cause = first
-    raise ValueError(f"the step failed when it was called as {manner.told(getattr(function, '__name__', 'step'))}, and "
-                     f"in every other manner: {type(cause).__name__}: {cause}") from cause  # fmt: skip
+    told, cause = first or ("step()", TypeError("it cannot be called"))
+    raise ValueError(f"the step failed when it was called as {told}, and in every other manner: "
+                     f"{type(cause).__name__}: {cause}") from cause  # fmt: skip
 
 
-class StudentForce:
-    """A student's force function, called in the manner that works.
+class StudentForce(Called):
+    """A student's force function.
 
-    kind : one of KINDS.  is_squared : whether the law takes r².  has_energy : whether it also returns an energy.
-    roles : of the parameters other than the positions.  values : those that are given to it.  takes : their roles.
+    kind, dimensions : what it is called as; one of KINDS.  is_squared : whether the law takes r².  has_energy :
+    whether it also returns an energy.  names : of the parameters without defaults.  values : what is given for those
+    after the positions.  takes : their roles.  physical : values of ε, σ and others, by name.
     """
 
-    def __init__(
-        self, function: Callable[..., Any], options: dict[str, Any], kind: str | None, positions: Array | None
-    ) -> None:
-        self.function, self.name = function, getattr(function, "__name__", "force")
-        parameters = parameters_of(function, "forces(positions)", self.name)
-        self.defaults = {one.name: one.default for one in parameters if one.default is not one.empty}
-        positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-        self.names = [one.name for one in parameters if one.kind in positional and one.name not in self.defaults]
+    kind, dimensions, has_energy, changes_input = "forces", 3, False, False
+    energy_first: bool | None = None
+
+    def __init__(self, function: Any, options: dict[str, Any], kind: str | None, positions: Array | None) -> None:
+        super().__init__(function, OF_FORCES, "forces(positions)")
+        self.names = [name for name in self.roles if name not in self.defaults]
         if not self.names:
             raise TypeError(f"{self.name} has no parameter for the positions; a force function is called as "
                             "forces(positions)")  # fmt: skip
@@ -327,110 +269,89 @@ class StudentForce:
         self.is_squared = bool(re.search(SQUARED, first))
         may_be_pair = len(self.names) > 1 and not self.is_squared and kind != "law"
         self.is_of_two = may_be_pair and all(re.search(ONE_OF_TWO, plain(name)) for name in self.names[:2])
-        self.extra = self.names[1 + self.is_of_two :]
-        self.roles = {name: role_of(name, OF_FORCES) for name in (*self.extra, *self.defaults)}
-        if unknown := [name for name in self.extra if self.roles[name] not in options]:
+        extra = self.names[1 + self.is_of_two :]
+        if kind != "law" and (unknown := [name for name in extra if self.roles[name] not in options]):
             raise TypeError(f"{self.name} takes ({', '.join(self.names)}), and the meaning of {unknown[0]} is not "
                             f"known; pass a function of positions only, such as lambda x: {self.name}(x, …), or pass "
                             "cell= and cutoff=")  # fmt: skip
-        given = {name: role for name, role in self.roles.items() if name in self.extra or options.get(f"{role} given")}
-        self.values, self.takes = {name: options[role] for name, role in given.items()}, set(given.values())
-        self.energy_first: bool | None = None
-        self.has_energy = self.changes_input = False
-        self.dimensions = 3
-        self.kind = kind or self._kind(first, positions)
-        try:
-            self._look(positions)
-        except ValueError:  # in three dimensions; then in two
-            if self.kind != "forces" or positions is not None:
-                raise
-            self.dimensions = 2
-            with suppress(ValueError):
-                self._look(None)
+        given = [*extra, *(name for name in self.defaults if options.get(f"{self.roles[name]} given"))]
+        self.values = {name: options.get(self.roles[name], 1.0) for name in given}
+        self.takes, values = {self.roles[name] for name in given}, {**self.defaults, **self.values}
+        has_stiffness = "stiffness" in self.roles.values()  # then a rest length is physical, too
+        self.physical = {name: float(value) for name, value in values.items() if isinstance(value, (int, float))
+                         and value > 0 and not isinstance(value, bool) and (self.roles[name] in PHYSICAL or (
+                             has_stiffness and re.search(REST, plain(name))))}  # fmt: skip
+        guesses = [
+            one for one, names in (("law", DISTANCE), ("pair", SEPARATION), ("forces", "")) if re.search(names, first)
+        ]
+        guesses = ["law"] if self.is_squared else ["pair"] if self.is_of_two else guesses
+        self._look([kind] if kind else guesses, positions)
+
+    def _look(self, kinds: list[str], positions: Array | None) -> None:
+        """Find the kind, and the place of the energy in the result.  Raises ValueError for functions that cannot be
+        called, and results of other shapes."""
+        wrong, is_free = list[str](), kinds[-1] == "forces" and positions is None
+        for self.kind, self.dimensions in [*((kind, 3) for kind in kinds), *[("forces", 2)] * is_free]:
+            atoms = TRIANGLE[:, : self.dimensions] if positions is None else positions
+            trial: Any = {"law": START**2 if self.is_squared else START, "pair": SEPARATE}.get(self.kind, atoms)
+            try:
+                wrong.append(self._misfit(self.answer(trial), np.shape(trial), "pair" in kinds))
+            except Exception as error:  # whatever a student's function raises
+                wrong.append(f"{np.shape(trial)} raised {type(error).__name__}: {error}")
+            if not wrong[-1]:
                 return
-            raise
+        raise ValueError(f"{self.name}({', '.join(self.names)}) with {self.names[0]} of shape {wrong[len(kinds) - 1]}. "
+                         "If it is written for a fixed number of atoms, give their positions=")  # fmt: skip
+
+    def _misfit(self, answer: Any, shape: tuple[int, ...], may_be_pair: bool) -> str:
+        """What is wrong with a result for an argument of a shape; "" if nothing is."""
+        has_parts = isinstance(answer, tuple) or (isinstance(answer, list) and shape == ())
+        shapes = [np.shape(part) for part in (answer[:2] if has_parts else [answer])]
+        if answer is None or shape not in shapes or not {*shapes} <= {shape, ()} or len(shapes) <= has_parts:
+            returned = "None" if answer is None else f"shape {', '.join(map(str, shapes))}"
+            return f"{shape} returned {returned}; forces must have the shape of the positions"
+        if self.kind == "law" and may_be_pair and self._is_vector():
+            return "() is no law of the distance"
+        self.has_energy = len(shapes) > 1 and () in shapes
+        self.energy_first = (shapes[0] != shape if shape else self._energy_is_first()) if has_parts else None
+        return ""
+
+    def _is_vector(self) -> bool:
+        """Whether the result for r_ij is a vector, whose components do not each depend on one component only."""
+        try:
+            answers = [self.answer(x) for x in (START, SEPARATE)]
+        except Exception:  # whatever a student's function raises
+            return False
+        numbers, vectors = (one if isinstance(one, tuple) else (one,) for one in answers)
+        return any(np.shape(one) == (3,) and one[0] not in numbers for one in vectors)
 
     def answer(self, x: Any) -> Any:
         """What the function returns.  x : in the shape of the kind: (N, 3), a distance, or a vector."""
         first = np.array(x, dtype=float)
-        extra = [len(first) if self.roles[name] == "n" else self.values[name] for name in self.extra]
-        named = {name: value for name, value in self.values.items() if name not in self.extra}
-        args: list[Any] = [first if first.ndim else float(first), *([np.zeros(3)] if self.is_of_two else [])]
+        values = {name: len(first) if self.roles[name] == "n" else value for name, value in self.values.items()}
+        values |= {self.names[1]: np.zeros(3)} if self.is_of_two else {}
+        args = [first if first.ndim else float(first), *(values.pop(name) for name in self.names[1:])]
         with np.errstate(all="ignore"):
-            answer = self.function(*args, *extra, **named)
+            answer = self.function(*args, **values)
         self.changes_input |= not np.array_equal(first, np.array(x, dtype=float))
         return answer
 
     def __call__(self, x: Any) -> tuple[Array, float | Array]:
         """F and U (NaN if there is none)."""
         answer = self.answer(x)
-        if isinstance(answer, (tuple, list)) and len(answer) >= 2 and self.energy_first is not None:
-            u, f = (answer[0], answer[1]) if self.energy_first else (answer[1], answer[0])
-            return np.asarray(f, dtype=float), np.asarray(u, dtype=float)
-        return np.asarray(answer, dtype=float), np.nan
-
-    def _kind(self, name: str, positions: Array | None) -> str:
-        if self.is_squared or self.is_of_two:
-            return "law" if self.is_squared else "pair"
-        trial = np.random.default_rng(3).uniform(0.9, 1.3, (4, 3)) if positions is None else positions
-        if re.search(DISTANCE, name) and self._is_of_each(trial):
-            return "law"
-        return "pair" if re.search(SEPARATION, name) and self._shape_at(SEPARATE) == (3,) else "forces"
-
-    def _shape_at(self, x: Any) -> tuple[int, ...] | None:
-        try:
-            return self(x)[0].shape
-        except Exception:  # whatever a student's function raises
-            return None
-
-    def _is_of_each(self, x: Array) -> bool:
-        """Whether an element of the result depends on one element of the argument only."""
-        other = x.copy()
-        other[0, 0] += 0.05
-        try:
-            answers = [self.answer(x), self.answer(other)]
-            first, second = (np.asarray(one[-1] if isinstance(one, tuple) else one, dtype=float) for one in answers)
-        except Exception:  # it is not a function of positions, or needs a single number
-            return self._shape_at(START) in ((), (2,))
-        is_one = first.shape == second.shape == x.shape and np.count_nonzero(np.abs(first - second) > 1e-12) <= 1
-        return bool(is_one and np.isfinite(first).all())
-
-    def _look(self, positions: Array | None) -> None:
-        """Find the place of the energy in the result.  Raises ValueError for results of other shapes."""
-        atoms = TRIANGLE[:, : self.dimensions] if positions is None else positions
-        trial: Any = {"law": START**2 if self.is_squared else START, "pair": SEPARATE}.get(self.kind, atoms)
-        shape = np.shape(trial)
-        given = f"of shape {shape}" if shape else "a number"
-        called = f"{self.name}({', '.join(self.names)}) with {self.names[0]} {given}"
-        needed = f"forces must have the shape of the positions, {shape}"
-        try:
-            answer = self.answer(trial)
-        except Exception as error:
-            raise ValueError(f"{called} raised {type(error).__name__}: {error}; if it needs another number of atoms, "
-                             "give their positions=") from error  # fmt: skip
-        if answer is None:
-            raise ValueError(f"{called} returned None; it must return the forces, or forces and energy")
-        if isinstance(answer, tuple) or (isinstance(answer, list) and shape == ()):
-            shapes = [np.asarray(part).shape for part in answer[:2]]
-            if shape and shape not in shapes:
-                raise ValueError(f"{called} returned parts of shapes {shapes}; {needed}")
-            self.has_energy = len(answer) > 1 and () in shapes if shape else len(answer) > 1
-            self.energy_first = shapes[0] != shape if shape else True
-        elif np.shape(answer) != shape:
-            raise ValueError(f"{called} returned shape {np.shape(answer)}; {needed}. If it is written for a fixed "
-                             "number of atoms, give their positions=")  # fmt: skip
-        if self.kind == "law" and isinstance(answer, (tuple, list)):
-            self.energy_first = self._energy_is_first()
+        if self.energy_first is None:
+            return np.asarray(answer, dtype=float), np.nan
+        u, f = (answer[0], answer[1]) if self.energy_first else (answer[1], answer[0])
+        return np.asarray(f, dtype=float), np.asarray(u if self.has_energy else np.nan, dtype=float)
 
     def _energy_is_first(self) -> bool:
-        """Whether the first of two numbers is the energy: the slope of the energy is proportional to the other one."""
-        grid, h = np.linspace(0.95, 1.6, 12), 1e-4
-        at = np.array([[self(r**2 if self.is_squared else r) for r in grid + e] for e in (-h, 0.0, h)], dtype=float)
-        slopes = (at[2] - at[0]) / (2.0 * h)
+        """Whether the first of two numbers of a law is the energy: the other one is its slope times a power of r."""
+        r, h = np.linspace(0.95, 1.6, 12), 1e-4
+        at = np.array([[self.answer(x**2 if self.is_squared else x)[:2] for x in r + e] for e in (-h, 0.0, h)], float)
 
-        def off(ratio: Array) -> float:
-            logs = np.log(np.abs(ratio[np.isfinite(ratio) & (ratio != 0.0)]))
+        def off(u: int) -> float:
+            logs = np.log(np.abs(at[1, :, 1 - u] / (at[2, :, u] - at[0, :, u])))
+            logs = logs[np.isfinite(logs)]
             return float(np.median(np.abs(logs - np.median(logs)))) if logs.size else np.inf
 
-        # the columns are force and energy, if the energy is the first of the two numbers
-        return off(at[1, :, 0] / slopes[:, 1]) <= off(at[1, :, 1] / slopes[:, 0])
+        return off(0) <= off(1)

@@ -261,4 +261,6 @@ def judged(law: Law, frames: list[Frames], facts: Facts, rate: float) -> tuple[F
     passed = bool(abs(means[worst] - 1.0) < limits[worst])
     words = f"{law.words}: {means[worst]:.3f} ± {errors[worst]:.3f} (finds {limits[worst]:.1%})"
     fault = "" if passed else f"{facts.scene.name}: {law.cause(means, facts)}"
-    return Finding(f"{facts.scene.name}: {law.name}", passed, words, float(means[worst]), float(limits[worst])), fault
+    return Finding(
+        f"{facts.scene.name}: {law.name}", passed, words, float(means[worst]), limit=float(limits[worst])
+    ), fault

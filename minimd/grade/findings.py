@@ -2,43 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-from enum import Enum
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from fractions import Fraction
-from math import isfinite
+from math import isfinite, isnan, nan
+from typing import Any, NamedTuple
 
 from minimd.console.display import Displayed, Rows
 
 TICKS = {True: "✓", False: "✗", None: "?"}
-EXACT = 1e-5  # coefficients that differ by less are taken as equal
-DENOMINATOR = 24  # the largest in fractions for coefficients
-
-
-class Kind(Enum):
-    """Kinds of faults that do not count beside others."""
-
-    OF_UNITS = "a Lennard-Jones force with other numbers than those for ε = σ = 1"
-    BESIDE_MINIMD = "a difference from minimd's force"
-    JUMP = "a jump of the energy at the cutoff"
-    CUTOFF = "a cutoff that is not applied"
-
-
-class Fault(str):
-    """A fault in words, of a kind."""
-
-    kind: Kind
-
-    def __new__(cls, kind: Kind, words: str) -> Fault:
-        """A text."""
-        made = super().__new__(cls, words)
-        made.kind = kind
-        return made
-
-
-def without(faults: Iterable[str], kind: Kind) -> list[str]:
-    """The faults that are not of a kind."""
-    return [fault for fault in faults if getattr(fault, "kind", None) != kind]
+EXACT, DENOMINATOR = 2e-6, 24  # coefficients that differ by less are equal; the largest denominator in their fractions
 
 
 @dataclass(frozen=True)
@@ -50,13 +23,44 @@ class Finding:
     name : of the law.  passed : True, False, or None if the reader has to judge.  words : what was measured.
     value : the measured number, dimensionless unless the words give a unit; NaN if there is none.
     limit : the largest difference of value from 1 that passes, for laws of dynamics; else NaN.
+    cause : what is wrong in general if the law does not hold.
     """
 
     name: str
     passed: bool | None
     words: str
-    value: float = float("nan")
-    limit: float = float("nan")
+    value: float = nan
+    cause: str = ""
+    limit: float = nan
+
+
+class Law(NamedTuple):
+    """One law.  measure : of what is judged; a number, or a number, how far it is off, and what else the words need.
+    bound : the law holds if the number is off by less; if that is NaN, the reader has to judge.  words, cause : formats
+    of a Finding.  needs : what must be there."""
+
+    name: str
+    measure: Callable[[Any], Any]
+    bound: float
+    words: str
+    cause: str = ""
+    needs: str = ""
+
+    def finding(self, answer: Any) -> Finding:
+        """The finding from what was measured."""
+        numbers = answer if isinstance(answer, tuple) else (answer, answer)
+        passed = None if isnan(numbers[1]) else bool(abs(numbers[1]) < self.bound)
+        return Finding(self.name, passed, self.words.format(*numbers), float(numbers[0]), self.cause.format(*numbers))
+
+
+def judged(laws: Iterable[Law], one: Any) -> list[Finding]:
+    """The findings of the laws of which all needs are in one.has."""
+    return [law.finding(law.measure(one)) for law in laws if one.has >= {*law.needs.split()}]
+
+
+def causes(findings: Iterable[Finding]) -> list[str]:
+    """The causes of laws that do not hold."""
+    return [one.cause for one in findings if one.passed is False and one.cause]
 
 
 @dataclass(frozen=True)
@@ -74,7 +78,7 @@ class Grade(Displayed):
     findings: tuple[Finding, ...] = ()
     faults: tuple[str, ...] = ()
     method: str = ""
-    remarks: tuple[str, ...] = field(default=())
+    remarks: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -87,22 +91,18 @@ class Grade(Displayed):
 
     def __getitem__(self, name: str) -> Finding:
         """The finding of a law, such as grade["order"].  Raises KeyError with the names that exist."""
-        for finding in self.findings:
-            if finding.name == name:
-                return finding
-        raise KeyError(
-            f"no law {name!r} was tested; those that were: {', '.join(finding.name for finding in self.findings)}"
-        )
+        by_name = {finding.name: finding for finding in self.findings}
+        if name not in by_name:
+            raise KeyError(f"no law {name!r} was tested; those that were: {', '.join(by_name)}")
+        return by_name[name]
 
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
-        if self.passed:
-            return "nothing wrong was found"
-        failed = [finding.name for finding in self.findings if finding.passed is False]
-        n = len(self.faults)
+        failed, n = [finding.name for finding in self.findings if finding.passed is False], len(self.faults)
         kept = f"laws that do not hold: {', '.join(failed)}" if failed else "all laws that were tested hold"
-        return f"{n} fault{'s' * (n != 1)} found; {kept}" if n else kept
+        found = f"{n} fault{'s' * (n != 1)} found; {kept}" if n else kept
+        return "nothing wrong was found" if self.passed else found
 
     def display_rows(self) -> Rows:
         """See Displayed."""
@@ -115,9 +115,9 @@ class Grade(Displayed):
 
 
 def coefficient(value: float) -> str:
-    """A number as a simple fraction, such as 1/2, if it equals one; else with four digits."""
+    """A number as a simple fraction, such as 1/2, if it equals one; else with seven digits."""
     near = Fraction(value if isfinite(value) else 0).limit_denominator(DENOMINATOR)
-    return str(near) if abs(value - near) < EXACT * max(1.0, abs(value)) else f"{value:.4g}"
+    return str(near) if is_near(value, float(near)) else f"{value:.7g}"
 
 
 def is_near(value: float, other: float) -> bool:
@@ -125,16 +125,6 @@ def is_near(value: float, other: float) -> bool:
     return abs(value - other) < EXACT * max(1.0, abs(other))
 
 
-def all_of(*rows: tuple[object, str]) -> list[str]:
-    """The sentences whose conditions hold."""
-    return [sentence for condition, sentence in rows if condition]
-
-
 def first_of(*rows: tuple[object, str]) -> list[str]:
     """The first sentence whose condition holds; none if no condition does."""
-    return all_of(*rows)[:1]
-
-
-def first_of_each(*groups: Iterable[tuple[object, str]]) -> list[str]:
-    """The first sentence of each group whose condition holds."""
-    return [sentence for group in groups for sentence in first_of(*group)]
+    return [sentence for condition, sentence in rows if condition][:1]

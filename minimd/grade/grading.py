@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from inspect import signature
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -13,7 +14,7 @@ from minimd.grade.calling import KINDS, role_of
 from minimd.grade.findings import Grade
 from minimd.grade.forces import grade_forces
 from minimd.grade.steps import grade_step
-from minimd.structure.checks import checked_count, checked_number
+from minimd.structure.checks import checked_choice, checked_count, checked_number
 
 
 def grade(
@@ -30,18 +31,10 @@ def grade(
     """Test your own step, force function or dynamics: which laws it obeys, what is wrong with it, and by how much.
 
     A class of dynamics, as in ase.md, or a function make(atoms, timestep), is judged by the ensemble that it claims.
-    A function with a time step and velocities among its parameters is graded as a step, any other as forces.
-
-    A step is a function step(x, v, force, m, dt) -> x, v. Parameters are recognized by their names, in any order (see
-    below), and m may be left out. It may return x and v, or change them in place. It is called with coordinates of
-    shape (N, 3), (N, 2), (N,) or one number, the first that works; force is a function of positions. These are
-    measured: order, reversibility, symplectic form, volume, momenta, drift and oscillation of the energy, and the
-    constant of a harmonic oscillator. The first terms of its expansion in dt, and a table of known methods,
-    show what is wrong.
-
-    Forces are a function forces(positions) -> F or (F, U), a law f(r) or law(r2) -> (u, f), or the force of a pair
-    f(r_ij). These are measured: F = −∇U, sum of forces, exchange, rotation, translation, nearest images, powers of r,
-    cutoff and continuity, and the difference from a potential of minimd.
+    A step is a function step(x, v, force, m, dt) -> x, v. Parameters are recognized by their names, in any order, and m
+    may be left out. It may return x and v, or change them in place; force is a function of positions. Forces are a
+    function forces(positions) -> F or (F, U), a law f(r) or law(r2) -> (u, f), or the force of a pair f(r_ij). What has
+    a time step, or velocities and more than one other parameter, is graded as a step, any other function as forces.
 
     Dynamics get atoms, timestep and options, as in md.grade(Langevin, temperature_K=300.0, friction=0.02), and must
     have run(steps). With a temperature_K they claim NVT, with pressure_au, externalstress or pressure [eV/Å³] NPT,
@@ -51,15 +44,13 @@ def grade(
 
     Parameters
     ----------
-    function : the step or the force function; names of parameters: x r q pos positions, v vel velocities, force forces
-        f compute_forces, acceleration a (force over mass), m mass masses, dt h timestep, p momenta; x_old x_prev for a
-        recursion of two positions; v_half for velocities half a step earlier.
+    function : the step or the force function.
     potential : a potential of minimd with which forces are compared, such as LennardJones(1.0, 1.0, 2.5).
-    cell : edge of the cubic cell, or three edges, if forces are periodic [length].  cutoff :
-        distance beyond which forces are zero [length].
+    cell : edge of the cubic cell, or three edges, if forces are periodic [length].
+    cutoff : distance beyond which forces are zero [length].
     positions : (N, 3), for a force function that is written for these atoms only [length].
-    order : expected order of a step.  kind : "step", "forces", "law" or "pair",
-        if the names of the parameters do not show it.
+    order : expected order of a step.
+    kind : "step", "forces", "law" or "pair", if the names of the parameters do not show it.
 
     Returns
     -------
@@ -72,14 +63,16 @@ def grade(
     ValueError : if the function raises an error, or returns None or another shape, with the call and the error;
         for options out of range.
     """
-    kinds = ("step", "dynamics", *KINDS)
-    if kind is not None and kind not in kinds:
-        raise ValueError(f"kind must be one of {', '.join(map(repr, kinds))}; got {shown(kind)}")
+    if kind is not None:
+        checked_choice("kind", kind, ("step", "dynamics", *KINDS))
     if not callable(function):
         raise TypeError(
             f"grade takes a function, such as step(x, v, force, m, dt) or forces(positions); got {shown(function)}"
         )
-    if kind == "dynamics" or (kind is None and _is_dynamics(function)):
+    names = list[str]()
+    with suppress(TypeError, ValueError):  # of what has no parameters
+        names = [*signature(function).parameters]
+    if kind == "dynamics" or (kind is None and names[:1] == ["atoms"]):
         from minimd.grade.dynamics import grade_dynamics
 
         if any(one is not None for one in (potential, cell, cutoff, positions)):
@@ -92,24 +85,7 @@ def grade(
     checked_count("order", order)
     if cutoff is not None:
         checked_number("cutoff", cutoff, "positive and finite")
-    if kind == "step" or (kind is None and _is_step(function)):
+    roles = {role_of(name) for name in names}
+    if kind == "step" or (kind is None and ("dt" in roles or ("v" in roles and len(names) > 2))):
         return grade_step(function, order)
     return grade_forces(function, potential, cell, cutoff, positions, kind)
-
-
-def _is_step(function: Callable[..., Any]) -> bool:
-    """Whether a time step is among the parameters, or velocities with at least two other parameters."""
-    try:
-        names = list(inspect.signature(function).parameters)
-    except (TypeError, ValueError):
-        return False
-    roles = {role_of(name) for name in names}
-    return bool({"dt"} & roles) or ("v" in roles and len(names) > 2)
-
-
-def _is_dynamics(function: Callable[..., Any]) -> bool:
-    """Whether the first parameter is called atoms."""
-    try:
-        return next(iter(inspect.signature(function).parameters), "") == "atoms"
-    except (TypeError, ValueError):
-        return False

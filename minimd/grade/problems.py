@@ -1,13 +1,5 @@
-"""The problem on which a student's step is tested: a few particles with smooth, anharmonic forces,
-in the dimensions of the step.
-
-    N particles     U = Σ_{i<j} ½ k r² + ¼ g r⁴          invariant under translation, rotation and exchange
-    one number      U = ½ k q² + ¼ g q⁴, k = 1, g = 0.3
-
-Units are reduced; frequencies are about 1, and all masses differ. Polynomials have neither cutoff nor singularity:
-errors that are measured come from the step. The formula is the same in all dimensions,
-also for coordinates of shape (N,).
-"""
+"""The problem on which a student's step is tested: a few particles with smooth, anharmonic forces in its dimensions,
+U = Σ_{i<j} ½ k r² + ¼ g r⁴, or one number, U = ½ q² + ¼ 0.3 q⁴. Frequencies are about 1, and all masses differ."""
 
 from __future__ import annotations
 
@@ -43,65 +35,57 @@ def multiple_of(f: Array, g: Array, within: float) -> float:
 
 
 class Problem(NamedTuple):
-    """Positions x and velocities v of the same shape, (N, d), (N,) or (), and masses of shape (N,) or ()."""
+    """Positions x and velocities v of one shape, (N, d), (N,) or (), and masses of shape (N,) or ().  stiffness : if it
+    is not zero, of springs to the origin, which replace all other forces."""
 
     x: Array
     v: Array
     m: Array
-    stiffness: float = 0.0  # if it is not zero: of springs to the origin, which replace all other forces
+    stiffness: float = 0.0
 
-    def force(self, x: Array) -> Array:
-        """−∇U, in the shape of x."""
-        if self.stiffness:
-            return -self.stiffness * np.asarray(x, dtype=float)
-        if self.x.ndim == 0:
-            return np.asarray(-x * (1.0 + 0.3 * x * x))
+    def at(self, x: Array) -> tuple[Array, float]:
+        """−∇U, in the shape of x, and U."""
+        if self.stiffness or self.x.ndim == 0:
+            k, g = (self.stiffness, 0.0) if self.stiffness else (1.0, 0.3)
+            return np.asarray(-x * (k + g * x * x)), float(np.sum(0.5 * k * x * x + 0.25 * g * x**4))
         points = x.reshape(len(x), -1)
         apart = points[:, None] - points
         r2 = (apart * apart).sum(axis=2, keepdims=True)
-        return np.asarray(-((STIFFNESS + QUARTIC * r2) * apart).sum(axis=1)).reshape(x.shape)
+        energy = float((0.5 * STIFFNESS * r2 + 0.25 * QUARTIC * r2 * r2).sum() / 2.0)
+        return np.asarray(-((STIFFNESS + QUARTIC * r2) * apart).sum(axis=1)).reshape(x.shape), energy
+
+    def force(self, x: Array) -> Array:
+        """−∇U, in the shape of x."""
+        return self.at(x)[0]
 
     def scaled(self, name: str, x: Array) -> Array:
         """−∇U as a "force", as an "acceleration", or with the other sign as a "gradient"."""
         force = self.force(x)
         return {"force": force, "acceleration": force / self.mass, "gradient": -force}[name]
 
-    def potential(self, x: Array) -> float:
-        """The potential energy U."""
-        if self.stiffness:
-            return float(0.5 * self.stiffness * np.sum(x * x))
-        if self.x.ndim == 0:
-            return float(0.5 * x * x + 0.075 * x**4)
-        points = x.reshape(len(x), -1)
-        r2 = ((points[:, None] - points) ** 2).sum(axis=2)
-        return float((0.5 * STIFFNESS * r2 + 0.25 * QUARTIC * r2 * r2).sum() / 2.0)
-
     @property
     def mass(self) -> Array:
         """Masses in a shape that can be multiplied with x."""
         return self.m.reshape(self.m.shape + (1,) * (self.x.ndim - self.m.ndim))
 
-    def energy(self, x: Array, v: Array) -> float:
-        """Kinetic plus potential energy."""
-        return float(0.5 * np.sum(self.mass * v * v)) + self.potential(x)
-
     def flow(self, time: float) -> tuple[Array, Array]:
         """The exact x and v after a time, to about 1e-13."""
         from scipy.integrate import solve_ivp
 
-        n, shape = self.x.size, self.x.shape
+        start = np.array([self.x, self.v])
 
         def slope(_: float, y: Array) -> Array:
-            return np.concatenate([y[n:], np.ravel(self.force(y[:n].reshape(shape)) / self.mass)])
+            x, v = y.reshape(start.shape)
+            return np.ravel([v, self.force(x) / self.mass])
 
-        start = np.concatenate([np.ravel(self.x), np.ravel(self.v)])
-        end = solve_ivp(slope, (0.0, time), start, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
-        return end[:n].reshape(shape), end[n:].reshape(shape)
+        end = solve_ivp(slope, (0.0, time), np.ravel(start), method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+        x, v = end.reshape(start.shape)
+        return np.asarray(x), np.asarray(v)
 
 
-def problem(shape: tuple[int, ...], seed: int, same_mass: bool = False, **changes: Any) -> Problem:
+def problem(shape: tuple[int, ...], seed: int, same_mass: bool, stiffness: float) -> Problem:
     """A random state.  same_mass : the same mass for all particles; it depends on the seed."""
     random = np.random.default_rng(seed)
-    x, v = random.uniform(0.5, 2.5, shape), random.normal(0.0, 0.6, shape)
-    masses = MASSES[seed % 5] * np.ones(shape[:1]) if same_mass or not shape else np.roll(MASSES, seed)[: shape[0]]
-    return Problem(np.asarray(x), np.asarray(v), np.asarray(masses), **changes)
+    x, v, masses = random.uniform(0.5, 2.5, shape), random.normal(0.0, 0.6, shape), np.roll(MASSES, seed)[:1]
+    m = masses * np.ones(shape[:1]) if same_mass or not shape else np.roll(MASSES, seed)
+    return Problem(np.asarray(x), np.asarray(v), m if shape else m[0] * np.ones(()), stiffness)

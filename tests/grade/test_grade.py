@@ -1,7 +1,5 @@
 """md.grade: right steps and forces pass, wrong ones are told what is wrong with them, what does not fit is refused."""
 
-import re
-
 import numpy as np
 import pytest
 import wrong_functions as written
@@ -32,21 +30,23 @@ def test_figures_of_a_grade_are_those_of_theory():
     assert euler["order"].value == pytest.approx(1.0, abs=0.1)
     symplectic = md.grade(composed(1.0, 1.0), order=1)
     found = euler["volume"].passed, symplectic["symplectic"].passed, symplectic["reversible"].passed
-    assert found == (False, True, False)
-
-
-def yoshida(q, v, acceleration, dt):
-    for w in (W, 1.0 - 2.0 * W, W):
-        v = v + 0.5 * w * dt * acceleration(q)
-        q = q + w * dt * v
-        v = v + 0.5 * w * dt * acceleration(q)
-    return q, v
+    assert found == (False, True, None)
 
 
 RIGHT = {step.__name__: (step, 2, 2) for step in written.RIGHT_STEPS}  # step, order asked for, order that is reached
-RIGHT |= {"yoshida": (yoshida, 2, 4), "ruth": (composed(7 / 24, 2 / 3, 3 / 4, -2 / 3, -1 / 24, 1.0), 3, 3)}
-RIGHT |= {"forest, ruth": (composed(W / 2, W, (1 - W) / 2, 1 - 2 * W, (1 - W) / 2, W, W / 2), 4, 4)}
-FAST = (velocity_verlet.__name__, "ruth", "forest, ruth")
+RIGHT |= {"yoshida": (written.yoshida, 2, 4), "yoshida, 4": (written.yoshida, 4, 4), "nystrom": (written.nystrom, 4, 4)}
+RIGHT |= {"beeman": (written.beeman, 2, None), "Euler": (composed(1.0, 1.0), 1, 1)}
+COMPOSITIONS = {
+    "forest, ruth": ((W / 2, W, (1 - W) / 2, 1 - 2 * W, (1 - W) / 2, W, W / 2), 4),
+    "forest, ruth, drifts first": ((0, W / 2, W, (1 - W) / 2, 1 - 2 * W, (1 - W) / 2, W, W / 2), 4),
+    "ruth": ((7 / 24, 2 / 3, 3 / 4, -2 / 3, -1 / 24, 1.0), 3),
+    "halves": ((1 / 4, 1 / 2, 1 / 2, 1 / 2, 1 / 4), 2),
+    "drifts first": ((0, 1 / 2, 1, 1 / 2), 2),
+}
+for name, (weights, order) in COMPOSITIONS.items():
+    for manner in range(4):
+        RIGHT[f"{name}, {manner}"] = composed(*weights, manner=manner), order, order if order != 2 else None
+FAST = (velocity_verlet.__name__, "ruth, 0", "forest, ruth, 1")
 
 
 @pytest.mark.parametrize("row", [slow_unless(name in FAST, row, name) for name, row in RIGHT.items()])
@@ -54,7 +54,7 @@ def test_a_right_step_passes_in_every_shape(row):
     step, order, reached = row
     grade = md.grade(step, order=order)
     assert grade.passed, str(grade)
-    assert grade["order"].value == pytest.approx(reached, abs=0.1)  # truncation
+    assert grade["order"].value == pytest.approx(reached or 2, abs=0.1)  # truncation
     assert reached != 2 or grade["oscillator"].value == pytest.approx(2.0, abs=0.01)  # the limit ωΔt = 2
 
 
@@ -65,7 +65,7 @@ def test_a_runge_kutta_method_passes_if_its_order_is_asked_for():
     assert right["order"].value == pytest.approx(4.0, abs=0.1)
     assert any("not symplectic" in remark for remark in right.remarks)
     wrong = md.grade(lambda x, v, force, m, dt: runge_kutta(x, v, force, m, dt, third=1), order=4)
-    assert any("wrong third stage" in fault for fault in wrong.faults), str(wrong)
+    assert any("stage 3 has the weights" in fault for fault in wrong.faults), str(wrong)
 
 
 # fmt: off
@@ -115,9 +115,9 @@ def test_a_bond_of_minimd_is_between_the_two_atoms():
 
 
 def test_right_forces_pass():
-    for grade in map(md.grade, written.RIGHT_FORCES):
-        assert not grade.faults, str(grade)
-        assert all(finding.passed is not False for finding in grade.findings)
+    for force, options in written.RIGHT_FORCES:
+        grade = md.grade(force, **options)
+        assert grade.passed, str(grade)
 
 
 @pytest.mark.parametrize("name", [slow_unless(name not in SLOWEST, name, name) for name in written.WRONG_FORCES])
@@ -125,12 +125,12 @@ def test_wrong_forces_are_told_their_fault(name):
     force, options, words = written.WRONG_FORCES[name]
     grade = md.grade(force, **options)
     assert not grade.passed
-    assert any(words in fault for fault in grade.faults) or not words, str(grade)
+    assert any(words in fault for fault in grade.faults), str(grade)
 
 
 def test_atoms_beyond_the_cutoff_have_neither_forces_nor_energy():
     far, law = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]]), md.LennardJones(1.0, 1.0, 2.5)
-    grade = md.grade(lambda x: (0.0 * x, 1.0), law, positions=far)
+    grade = md.grade(lambda x: (0.0 * x, 0.0), law, positions=far)
     found = [grade[one].passed for one in ("all atoms as minimd's", "all forces = −∇U", "as minimd's")]
     assert found == [True, True, False]
 
@@ -144,7 +144,7 @@ def test_parameters_of_a_force_are_what_they_say():
 
     no_length = lambda x, k=2.0, r0=1.1: np.array([k * (x[1] - x[0]), k * (x[0] - x[1])])  # noqa: E731
     assert md.grade(right).passed is md.grade(lambda x, eps=0.5, sigma=1.0: right(x, eps, sigma)).passed is True
-    assert re.search("attractive term.*σ.6 is missing", md.grade(no_sigma).faults[0])
+    assert "16.8 r^−7 where" in md.grade(no_sigma).faults[0]  # 24 ε, without σ⁶
     assert "eps is without effect" in md.grade(lambda r, eps=2.0: 48 / r**13 - 24 / r**7).faults[0]
     assert "without rest length" in md.grade(no_length, positions=TWO).faults[0]
     grade = md.grade(lambda x: pairs(x, lambda r: 1 / r))  # the field of a line of charges, or 1/r is forgotten

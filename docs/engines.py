@@ -41,7 +41,7 @@ class OpenMM:
         system.addForce(force)
         bath = () if temperature_K is None else (temperature_K, PS * friction)
         self.stepper = getattr(mm, integrator)(*bath, timestep / PS)
-        if bath:
+        if hasattr(self.stepper, "setRandomNumberSeed"):
             self.stepper.setRandomNumberSeed(int(rng.randint(1, 2**31 - 1)))
         self.context = mm.Context(system, self.stepper, mm.Platform.getPlatformByName("Reference"))
         self.context.setPositions(0.1 * atoms.positions)

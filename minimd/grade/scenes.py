@@ -186,7 +186,8 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
         if not SMALLEST < (volume := atoms.get_volume()) / start < 1.0 / SMALLEST:
             raise FloatingPointError(f"a volume of {start:.3g} Å³ is {volume:.3g} Å³ after {(k + 1) * every} steps")
         if 2 * k >= steps // every:
-            seen.append((atoms.positions.copy(), atoms.get_momenta(), atoms.get_forces(), atoms.get_volume()))
+            forces = atoms.get_forces(apply_constraint=False)
+            seen.append((atoms.positions.copy(), atoms.get_momenta(), forces, atoms.get_volume()))
     ends.append(ends_of(atoms))
     if not np.isfinite(ends).all():
         raise FloatingPointError(f"energy, volume: {ends[1][0]:.3g} eV, {atoms.get_volume():.3g} Å³")

@@ -13,6 +13,7 @@ import minimd as md
 from minimd.analysis.check import check_file
 from minimd.commands import main as cli
 from minimd.lammps import handing_over, script
+from minimd.lammps.handing_over import frames
 from minimd.lammps.model import Model
 from minimd.lammps.program import find_program, run
 from minimd.potentials.term import PER_ATOM
@@ -74,7 +75,7 @@ def test_a_run_that_was_brought_back_passes_the_check_and_goes_on_also_without_m
     theirs.run(20, progress=False)
     assert np.array_equal(resumed.positions, theirs.positions)
     run(find_program().command("run.lmp", "run.log", 1), done.folder, "run.log", SimpleNamespace(stop_requested=False))
-    assert [step for step, _ in handing_over.frames(done.folder / "frames.bin", 108)] == list(range(0, 201, 10))
+    assert [step for step, _ in frames(done.folder / "frames.bin", 108)] == list(range(0, 201, 10))
 
 
 @pytest.mark.slow
@@ -128,7 +129,7 @@ def test_images_that_cannot_be_known_are_noticed(tmp_path, monkeypatch):
 
     def slowed(path, n_atoms):
         simulation.velocities[0] -= [0.0, 0.0, 90.0 * (path.name == script.LAST)]
-        return handing_over.frames(path, n_atoms)
+        return frames(path, n_atoms)
 
     monkeypatch.setattr(handing_over, "frames", slowed)
     call = lambda: handed_over(simulation, tmp_path / "run", 4000, every=5000)  # noqa: E731

@@ -65,7 +65,8 @@ STRANGE = [True, False, 0, 1, -1, 3, 10**4, 2**62, 0.0, -0.0, 0.5, -2.5, 1e-300,
 STRANGE += [math.inf, -math.inf, [], [0, 0, 0], "auto", "Ar", "LJ"]
 FACTORS = [-1, 0, 2, 10, 1e-3, 1e3, 1e14, 1e-14]
 LARGE_IS_NO_MISTAKE = {"steps", "repeat", "max_steps", "rescale_every", "every"}
-MAY_BE_TEXT, MAY_BE_EMPTY = {"title", "plot", "trajectory", "species"}, {"constraints", "minimization", "output"}
+MAY_BE_TEXT = {"title", "plot", "trajectory", "species"}
+MAY_BE_EMPTY = {"constraints", "minimization", "output", "water"}
 WAYS = ["misspelt", "gone", "twice", "sense", "value", "value", "value", "scaled", "scaled", "elsewhere"]
 SEEDS = [(1, 200, 0), *(pytest.param(seed, 1000, 2, marks=pytest.mark.slow) for seed in range(11, 21))]
 

@@ -303,8 +303,8 @@ COMMANDS = (
             "Test a class of dynamics, as those of ase.md, in scenes with exact answers: does it sample the ensemble "
             "that it claims? Example: minimd grade ase.md.langevin:Langevin temperature_K=300 friction=0.2", (
         Argument("dynamics", "module:class, or file.py:class", None, "MODULE:CLASS"),
-        Argument("options", "options of the class and of md.grade, in units of ASE", option, "NAME=VALUE",
-                 {"nargs": "*"}),
+        Argument("options", "of the class, in units of ASE, and of md.grade: ensemble, timestep, runs, steps, seed",
+                 option, "NAME=VALUE", {"nargs": "*"}),
         flag("--json", "print JSON"), written_to("PNG", "draw a picture"),
     ), grade),
     Command("plot", "draw the energies, the temperature and the structure of a run",

@@ -80,9 +80,14 @@ def grade_dynamics(
     if heat := failed.get("ring: temperature"):
         faults += of_half_a_step(halved, scenes(is_still)[0], is_still, kt, heat, (n_runs // 3, n_steps, seed))
     momentum = "kept at zero" if is_still else "not conserved"
-    remarks = (f"the total momentum is {momentum}: {'3N − 3' if is_still else '3N'} degrees of freedom move",)
+    remarks = [f"the total momentum is {momentum}: {'3N − 3' if is_still else '3N'} degrees of freedom move"]
+    if seen := [100.0 * one.limit for one, _ in answers if one.name.endswith((": temperature", ": mean volume"))]:
+        what = "temperature or mean volume" if asked else "temperature"
+        remarks += [f"a {what} wrong by {max(seen):.0f} % would have been seen: more runs= or steps= see less"]
+    if not temperature_K and "temperature_K" in inspect.signature(dynamics).parameters:
+        remarks += [f"judged as {ensemble}, since no temperature_K is given"]
     told = f"{name}({', '.join(options)}): {ensemble}, {ENSEMBLES[ensemble]}"
-    return Grade(told, tuple(finding for finding, _ in answers), tuple(faults), remarks=remarks)
+    return Grade(told, tuple(finding for finding, _ in answers), tuple(faults), remarks=tuple(remarks))
 
 
 def follows(name: str, failed: dict[str, float]) -> bool:
@@ -233,6 +238,9 @@ def of_scene(
             yield Finding(f"{scene.name} runs", False, fault), fault
             return
     facts = Facts(scene, kt, is_still, pressure, joined(frames))
+    if not pressure and np.ptp(facts.seen.volumes) > 0.0:
+        fault = "the volume changes: give pressure= to have it judged as NPT"
+        yield Finding(f"{scene.name}: constant volume", False, "it is not"), fault
     column, of = (1, "volume") if pressure else (0, "energy")
     ends = facts.seen.ends[:, :, column]
     acted = float(((ends[:, 1] - ends[:, 0]) ** 2).mean()) / max(2.0 * float(ends.var()), 1e-300)

@@ -102,8 +102,8 @@ def pressure_said(means: Array, facts: Facts) -> str:
     table = {
         facts.excess - 1.0: "one power of V too little: N where N + 1 is right",
         facts.excess + 1.0: "one power of V too much: N + 2 where N + 1 is right",
-        0.0: "the volume is driven until the mean pressure is P: a term kT/V is missing in its equation of motion "
-        "(that of Martyna, Tobias and Klein has 2K/N_f), or N stands where N + 1 is right",
+        0.0: "the volume is driven until the mean pressure is P: kT/V is missing beside P_int − P (a factor "
+        "1 + 3/N_f of the kinetic energy in Martyna, Tobias, Klein); in a move of ln V, N stands for N + 1, N particles",
     }
     near = min(table, key=lambda one: abs(found - one))
     cause = f": {table[near]}" if abs(found - near) < 0.3 else ""
@@ -239,7 +239,7 @@ UNDER_PRESSURE = (
         lambda seen, facts: float(seen.volumes.mean()) * facts.pressure / (facts.kt * facts.n_volume),
         volume_said,
     ),
-    Law("balance of pressures", "1 + (P<V> − <P_int V> − its value)/P<V>", of_pressure, pressure_said),
+    Law("balance of pressures", "1 + the error of P<V> − <P_int V>, over P<V>", of_pressure, pressure_said),
     Law(
         "fluctuation of the volume",
         "the variance of ln V over that of the ensemble",

@@ -50,7 +50,8 @@ def named(place: str) -> Callable[..., Any]:
         return (run_path(module) if module.endswith(".py") else vars(import_module(module)))[name]
     except (ImportError, OSError, KeyError) as error:
         wanted = "module:class, as ase.md.langevin:Langevin, or file.py:class"
-        raise ValueError(f"dynamics must be {wanted}; got {place!r} ({type(error).__name__}: {error})") from error
+        said = f"there is no {name!r} in it" if isinstance(error, KeyError) else error
+        raise ValueError(f"dynamics must be {wanted}; got {place!r}: {said}") from error
 
 
 def laws_of(dynamics: Callable[..., Any], **options: Any) -> list[Any]:

@@ -34,6 +34,7 @@ SHORTER = {
     **dict.fromkeys(["equilibrate(4000", "equilibrate(2000", "equilibrate(500"], "equilibrate(100"),
     "run(200_000, every=1000": "run(2000, every=1000", "until_step=400_000": "until_step=2500", "12_000": "300",
     **dict.fromkeys(["run(10_000, every=50", "run(4000, every=20", "run(2000, every=10"], "run(200, every=10"),
+    "T_tau=50 * fs)": "T_tau=50 * fs, runs=8, steps=50)", "taut=50 * fs)": "taut=50 * fs, runs=8, steps=50)",
     "run(2000, every=20": "run(200, every=20", "run(500)": "run(100)", "run_back(500)": "run_back(100)",
     "[10, 10, 10]": "[5, 5, 5]", '"melt", 1000, processes=2': '"melt", 40, processes=1',
     ".repeat(6)": ".repeat(4)", "probe_reversibility(200)": "probe_reversibility(50)",

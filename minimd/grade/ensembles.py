@@ -103,7 +103,7 @@ def pressure_said(means: Array, facts: Facts) -> str:
         facts.excess - 1.0: "one power of V too little: N where N + 1 is right",
         facts.excess + 1.0: "one power of V too much: N + 2 where N + 1 is right",
         0.0: "the volume is driven until the mean pressure is P: kT/V is missing beside P_int − P (a factor "
-        "1 + 3/N_f of the kinetic energy in Martyna, Tobias, Klein); in a move of ln V, N stands for N + 1, N particles",
+        "1 + 3/N_f of the kinetic energy in Martyna, Tobias, Klein); in a move of ln V, N is for N + 1, N particles",
     }
     near = min(table, key=lambda one: abs(found - one))
     cause = f": {table[near]}" if abs(found - near) < 0.3 else ""

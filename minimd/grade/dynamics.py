@@ -83,7 +83,7 @@ def grade_dynamics(
     remarks = [f"the total momentum is {momentum}: {'3N − 3' if is_still else '3N'} degrees of freedom move"]
     if seen := [100.0 * one.limit for one, _ in answers if one.name.endswith((": temperature", ": mean volume"))]:
         what = "temperature or mean volume" if asked else "temperature"
-        remarks += [f"a {what} wrong by {max(seen):.0f} % would have been seen: more runs= or steps= see less"]
+        remarks += [f"a {what} wrong by {max(seen):.0f} % would have been seen; more runs= or steps= show smaller ones"]
     if not temperature_K and "temperature_K" in inspect.signature(dynamics).parameters:
         remarks += [f"judged as {ensemble}, since no temperature_K is given"]
     told = f"{name}({', '.join(options)}): {ensemble}, {ENSEMBLES[ensemble]}"

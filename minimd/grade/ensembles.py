@@ -218,7 +218,7 @@ CANONICAL = (
         "1 + correlation of momenta of different atoms",
         of_pairs,
         lambda means, _: (
-            f"momenta of different atoms are correlated, by {means[0] - 1.0:+.2f}, as if by the same noise"
+            f"momenta of different atoms are correlated, by {means[0] - 1.0:+.2f}: each atom needs noise of its own"
         ),
         0.05,
     ),

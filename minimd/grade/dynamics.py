@@ -17,7 +17,7 @@ from scipy import stats
 from tqdm import tqdm
 
 from minimd.console.words import shown
-from minimd.grade.ensembles import LAWS, Facts, Law
+from minimd.grade.ensembles import LAWS, EnsembleLaw, Facts
 from minimd.grade.findings import Finding, Grade
 from minimd.grade.scenes import Array, Frames, Make, Scene, ends_of, gas, joined, ring, run, started
 from minimd.structure.checks import checked_choice, checked_count, checked_number
@@ -260,7 +260,7 @@ def _rank(answer: tuple[Finding, str]) -> tuple[int, float]:
     return {"new noise": 0, "temperature of positions": 2}.get(law, 1), -abs(finding.value - 1.0) / finding.limit
 
 
-def judged(law: Law, frames: list[Frames], facts: Facts, rate: float) -> tuple[Finding, str]:
+def judged(law: EnsembleLaw, frames: list[Frames], facts: Facts, rate: float) -> tuple[Finding, str]:
     """A law, by the mean over the runs and its error."""
     values = np.array([np.atleast_1d(law.measure(one, facts)) for one in frames])
     means, errors = values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(len(values))

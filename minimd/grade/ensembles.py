@@ -39,7 +39,7 @@ class Facts:
         self.log_volume = float(np.log(self.seen.volumes).mean())
 
 
-class Law(NamedTuple):
+class EnsembleLaw(NamedTuple):
     """One law of an ensemble.
 
     measure : of a run, a number or one of each group; 1 if the law holds.  words : what is measured.
@@ -169,7 +169,7 @@ def of_volume(seen: Frames, facts: Facts) -> float:
     return float(((np.log(seen.volumes) - facts.log_volume) ** 2).mean() / polygamma(1, facts.n_volume))
 
 
-BY_DIRECTION = Law(
+BY_DIRECTION = EnsembleLaw(
     "temperature by direction",
     "that along x, y or z, over that of all",
     of_directions,
@@ -178,14 +178,14 @@ BY_DIRECTION = Law(
         "do all three get noise and friction?"
     ),
 )
-TEMPERATURE = Law(
+TEMPERATURE = EnsembleLaw(
     "temperature",
     "kinetic energy over its share of kT",
     lambda seen, facts: float(seen.kinetic.sum(axis=1).mean()) / facts.n_free,
     temperature_said,
 )
-BY_MASS = Law("temperature by mass", "that of atoms of a mass, over that of all", of_masses, masses_said)
-OF_POSITIONS = Law(
+BY_MASS = EnsembleLaw("temperature by mass", "that of atoms of a mass, over that of all", of_masses, masses_said)
+OF_POSITIONS = EnsembleLaw(
     "temperature of positions",
     "<|∇U|²>/(kT <∇²U>) of atoms",
     of_positions,
@@ -196,7 +196,7 @@ CANONICAL = (
     BY_DIRECTION,
     TEMPERATURE,
     OF_POSITIONS,
-    Law(
+    EnsembleLaw(
         "fluctuation of the kinetic energy",
         "its variance over that of the canonical ensemble",
         of_kinetic,
@@ -206,14 +206,14 @@ CANONICAL = (
         ),
         0.05,
     ),
-    Law(
+    EnsembleLaw(
         "normal momenta",
         "<u⁴>/3<u²>² of momenta",
         of_shape,
         lambda means, _: f"momenta are not normally distributed: <u⁴>/3<u²>² is {means[0]:.3f}",
         0.03,
     ),
-    Law(
+    EnsembleLaw(
         "independent momenta",
         "1 + correlation of momenta of different atoms",
         of_pairs,
@@ -222,7 +222,7 @@ CANONICAL = (
         ),
         0.05,
     ),
-    Law(
+    EnsembleLaw(
         "new noise",
         "1 + correlation of a change of the total momentum with the next",
         of_noise,
@@ -233,14 +233,14 @@ CANONICAL = (
 UNDER_PRESSURE = (
     BY_MASS,
     TEMPERATURE,
-    Law(
+    EnsembleLaw(
         "mean volume",
         "P<V>/kT over its value",
         lambda seen, facts: float(seen.volumes.mean()) * facts.pressure / (facts.kt * facts.n_volume),
         volume_said,
     ),
-    Law("balance of pressures", "1 + the error of P<V> − <P_int V>, over P<V>", of_pressure, pressure_said),
-    Law(
+    EnsembleLaw("balance of pressures", "1 + the error of P<V> − <P_int V>, over P<V>", of_pressure, pressure_said),
+    EnsembleLaw(
         "fluctuation of the volume",
         "the variance of ln V over that of the ensemble",
         of_volume,
@@ -255,7 +255,7 @@ UNDER_PRESSURE = (
         0.03,
     ),
 )
-LAWS: dict[str, tuple[Law, ...]] = {
+LAWS: dict[str, tuple[EnsembleLaw, ...]] = {
     "ring": CANONICAL,
     "coarse ring": (TEMPERATURE, OF_POSITIONS),
     "gas": UNDER_PRESSURE,

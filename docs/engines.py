@@ -23,7 +23,8 @@ class Minimd:
 
 
 class OpenMM:
-    """OpenMM.  integrator : a class of OpenMM that takes temperature, friction and time step, or the last only."""
+    """OpenMM.  integrator : the name of a class that takes temperature, friction and time step, or the last only.
+    For the ring of md.grade: bonds that keep their directions."""
 
     def __init__(self, atoms, timestep, integrator, temperature_K=None, friction=None, rng=np.random):
         import openmm as mm

@@ -1,12 +1,13 @@
 """The smooth part of Coulomb's law on a mesh: the waves of wave_sum.py, by Fourier transforms of charges on its points.
 
-    Q(m) = Σ qⱼ φ(m − xⱼ),  S(k) = Q̂(k)/φ̂(k),  V(m) = Σ_k L̂(k)/(V φ̂(k)²) Q̂(k) exp(−i k·m),  U = ½ Σ_m Q(m) V(m),
-    F_i = −qᵢ Σ_m V(m) ∇φ(m − xᵢ)
+    Q(m) = Σ qⱼ φ(m − xⱼ),  S(k) = Q̂(k)/φ̂(k),  v(m) = Σ_k L̂(k)/(V φ̂(k)²) Q̂(k) exp(−i k·m),
+    U = ½ Σ_m Q(m) v(m) − ½ L(0) Σ qᵢ²,   F_i = −qᵢ Σ_m v(m) ∂φ(m − xᵢ)/∂rᵢ
 
-x are positions in units of the spacing of points, φ is a product of three windows: see mesh_window.py. Forces are the
-gradient of this energy, less their sum, of which each atom bears a share by its mass: that is the motion under U
-where the center of mass is held in its place. Charges are put on the planes of the mesh by chunks that own them,
-in the order of atoms on each: the same bits for any number of threads. Those of the transforms depend on scipy's build.
+V is the volume, x are positions in units of the spacing of points, φ is a product of three windows: see mesh_window.py.
+Forces are minus the gradient of this energy, less their sum, of which each atom bears a share by its mass: that is the
+motion under U where the center of mass is held in its place. Charges are put on the planes of the mesh by chunks that
+own them, in the order of atoms on each: the same bits for any number of threads. Those of the transforms depend on the
+builds of numpy and scipy.
 
 T. Darden, D. York, L. Pedersen, J. Chem. Phys. 98, 10089 (1993); U. Essmann et al., ibid. 103, 8577 (1995).
 """
@@ -24,7 +25,7 @@ from minimd.compiled.program import GO_ON, Operation, in_python, operation
 from minimd.compiled.simd import broadcast, fma, load, store, total, zeros
 from minimd.compiled.simd.vector import Lanes8, Lanes16, count
 from minimd.forces.mesh_window import Window, windows
-from minimd.forces.wave_sum import ChargeSum, WaveSum
+from minimd.forces.wave_sum import MOST_CELLS, ChargeSum, WaveSum
 from minimd.potentials.prolates import Split
 from minimd.potentials.term import FORCES, Target
 from minimd.structure.system import System
@@ -34,6 +35,7 @@ MOST_CHUNKS = 16  # of planes
 PER_ATOM, PER_ROW, PER_POINT, PER_SUM = 30.0, 2.0, 7.0, 40_000.0
 PER_WAVE = 0.18  # of an atom, in a sum wave by wave
 ROOM = 1.02  # for a cell that becomes larger
+MOST_POINTS = 2**27  # of a mesh: some gigabytes
 IN_A_BLOCK = 256  # atoms, in numpy
 ALONE = 50_000  # points that are transformed by one thread
 VOIGT = np.array([0, 1, 2, 1, 0, 0]), np.array([0, 1, 2, 2, 2, 1])
@@ -202,7 +204,14 @@ def charge_sum(
     Raises ValueError for a mesh in fixed-point arithmetic, or for an accuracy that no mesh reaches; and as WaveSum.
     """
     n_waves = split.largest_wave**3 * abs(np.linalg.det(system.cell.lattice)) / (12.0 * pi**2)
-    wave_by_wave = 0.0 if is_fixed or method == "waves" else PER_WAVE * len(system) * n_waves
+    too_many = n_waves > MOST_CELLS and method == "ewald"  # a mesh will do
+    wave_by_wave = (
+        np.inf
+        if too_many and not is_fixed
+        else 0.0
+        if is_fixed or method == "waves"
+        else PER_WAVE * len(system) * n_waves
+    )
     times = {
         window: PER_SUM
         + PER_POINT * float(np.prod(shape_for(system, window)))
@@ -210,6 +219,11 @@ def charge_sum(
         for window in (windows(split) if method == "mesh" or wave_by_wave > PER_SUM else [])
     }
     best = min(times, key=times.__getitem__, default=None)
+    if best is not None and np.prod(shape_for(system, best)) > MOST_POINTS:
+        needs = (
+            f"needs a mesh of {' x '.join(map(str, shape_for(system, best)))} points, at most {MOST_POINTS} are allowed"
+        )
+        raise ValueError(f"cutoff of Coulomb must be larger; {split.cutoff:.3g} {needs}")
     if method == "mesh" and (best is None or is_fixed):
         limit = "in fixed-point arithmetic" if is_fixed else f"at an accuracy of {split.bound:.1g}"
         raise ValueError(f'method of Coulomb must be "waves" or "ewald" {limit}; method = "mesh"')

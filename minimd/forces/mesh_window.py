@@ -7,9 +7,9 @@ not, in the ratio ρ = φ̂(f ± 1)/φ̂(f). In a mixture of charges q at random
 
     q⁴ n Σ ∫ L̂² ρ² (k² + |k ± 2π/h|²) d³k/(2π)³ + 3/2 q⁴ (2π/h Σ ∫ L̂ ρ d³k/(2π)³)²
 
-with n atoms in a volume; the sums are over the three directions and both signs. The second part is the force on an atom
-of its own image. The waves that are left out give q⁴ n ∫ L̂² k² d³k/(2π)³, k > c/r_c. The spacing follows from
-the ratio of the two, before the run.
+with n atoms in a volume. The first sum is over the three directions and both signs, the second, of the force on an
+atom by its own image, over the signs; 3/2 is three directions and a mean sin². The waves that are left out give
+q⁴ n ∫ L̂² k² d³k/(2π)³, k > c/r_c. The spacing follows from the ratio of the two, before the run.
 
 R. W. Hockney, J. W. Eastwood, Computer Simulation Using Particles (1981), ch. 8; for ψ₀ as in prolates.py.
 """

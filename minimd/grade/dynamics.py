@@ -25,13 +25,17 @@ from minimd.structure.checks import checked_choice, checked_count, checked_numbe
 ENSEMBLES = {"NVE": "constant energy", "NVT": "constant temperature", "NPT": "constant temperature and pressure"}
 RATE = 1e-3  # of false alarms, of all laws together
 PRESSURES = "pressure_au", "pressure", "externalstress"  # options that give it; some take a stress, of the other sign
-STEPS, EVERY, OF_PATHS = {"NVE": 1000, "NVT": 4000, "NPT": 16000}, 5, 20  # of a run; between two frames
+STEPS, EVERY, OF_PATHS = (
+    {"NVE": 1000, "NVT": 4000, "NPT": 16000},
+    5,
+    20,
+)  # of a run; between two frames; in a comparison of paths
 COARSE = 4.0  # times the frequencies: for the error of a long time step
 LEAST_ORDER, SAME, KEPT = 1.7, 1e-7, 1e-6  # of the error of the energy; of paths, of momentum, relative
 ACTED, NEVER = 0.2, 1e-6  # of the energy, or the volume, is new at the end of a run, at least; if nothing acts
 
 SCENES = {"NVE": (), "NVT": ("ring", "coarse ring"), "NPT": ("gas",)}
-COLLAPSE = "; is the kinetic part 2K/3V in the pressure, and has the virial its sign?"
+COLLAPSE = "; is the pressure positive, the kinetic part 2K/3V in it, and has the virial its sign?"
 OF_ENERGY = "total momentum", "order of the energy's error", "energy is kept", "reversible"
 
 
@@ -49,10 +53,15 @@ def grade_dynamics(
     """See grade."""
     name = getattr(dynamics, "__name__", "dynamics")
     ensemble, asked = claimed(ensemble, temperature_K, pressure, options)
-    kt = units.kB * checked_number("temperature_K", temperature_K or 300.0, "positive and finite")
+    heat = checked_number("temperature_K", 300.0 if temperature_K is None else temperature_K, "positive and finite")
+    kt = units.kB * heat
     options |= {"temperature_K": temperature_K} if temperature_K is not None else {}
     options |= {"pressure": pressure} if pressure is not None else {}
-    n_steps, n_runs = checked_count("steps", steps or STEPS[ensemble]), checked_count("runs", runs)
+    n_steps, n_runs = (
+        checked_count("steps", STEPS[ensemble] if steps is None else steps, 8 * EVERY),
+        checked_count("runs", runs, 6),
+    )
+    checked_count("seed", seed, 0)
     checked_number("timestep", timestep, "positive and finite")
 
     def scenes(is_still: bool) -> list[Scene]:
@@ -60,13 +69,13 @@ def grade_dynamics(
             return [gas(kt, timestep, checked_number("pressure", asked, "positive and finite"), is_still)]
         return [ring(kt, timestep, is_still), ring(kt, timestep, is_still, COARSE)][: 1 + (ensemble == "NVT")]
 
-    make = maker(dynamics, timestep, options)
+    make, still = maker(dynamics, timestep, options), scenes(True)[0]
     try:
-        is_still = keeps_momentum(make, scenes(True)[0], kt)
+        is_still = keeps_momentum(make, still, kt)
+        answers = [*of_paths(make, scenes(is_still)[0])]
     except Exception as error:  # whatever a class raises
         said = f"{type(error).__name__}: {error}"
         raise ValueError(f"{name} could not make {OF_PATHS} steps with {options}; {said}") from error
-    answers = [*of_paths(make, scenes(is_still)[0])]
     halved = maker(dynamics, 0.5 * timestep, options)
     if ensemble == "NVE":
         answers += of_energy(make, halved, scenes(is_still)[0], n_steps, is_still, seed)
@@ -77,15 +86,15 @@ def grade_dynamics(
             answers += of_scene(make, scene, is_still, kt, asked or 0.0, (n_runs, n_steps, seed), rate)
     failed = {finding.name: finding.value for finding, _ in answers if finding.passed is False}
     faults = [fault for finding, fault in answers if fault and not follows(finding.name, failed)]
-    if heat := failed.get("ring: temperature"):
-        faults += of_half_a_step(halved, scenes(is_still)[0], is_still, kt, heat, (n_runs // 3, n_steps, seed))
+    if hot := failed.get("ring: temperature"):
+        faults += of_half_a_step(halved, scenes(is_still)[0], is_still, kt, hot, (n_runs // 3, n_steps, seed))
     momentum = "kept at zero" if is_still else "not conserved"
     remarks = [f"the total momentum is {momentum}: {'3N − 3' if is_still else '3N'} degrees of freedom move"]
     if seen := [100.0 * one.limit for one, _ in answers if one.name.endswith((": temperature", ": mean volume"))]:
         what = "temperature or mean volume" if asked else "temperature"
         remarks += [f"a {what} wrong by {max(seen):.0f} % would have been seen; more runs= or steps= show smaller ones"]
-    if not temperature_K and "temperature_K" in inspect.signature(dynamics).parameters:
-        remarks += [f"judged as {ensemble}, since no temperature_K is given"]
+    if temperature_K is None and "temperature_K" in inspect.signature(dynamics).parameters:
+        remarks += [f"judged as {ensemble}{' at 300 K' * (ensemble != 'NVE')}, since no temperature_K is given"]
     told = f"{name}({', '.join(options)}): {ensemble}, {ENSEMBLES[ensemble]}"
     return Grade(told, tuple(finding for finding, _ in answers), tuple(faults), remarks=tuple(remarks))
 
@@ -129,6 +138,7 @@ def names_of(options: dict[str, Any]) -> list[str]:
     ensemble, _ = claimed(**named, options=options)
     names = ["repeatable", "restart"]
     for scene in SCENES[ensemble]:
+        names += [f"{scene}: constant volume"] * (ensemble == "NVT")
         names += [f"{scene}: the bath acts", *(f"{scene}: {law.name}" for law in LAWS[scene])]
     return names + ([*OF_ENERGY] if ensemble == "NVE" else [])
 
@@ -152,7 +162,10 @@ def maker(dynamics: Any, timestep: float, options: dict[str, Any]) -> Make:
 def keeps_momentum(make: Make, scene: Scene, kt: float) -> bool:
     """Whether a scene at rest stays at rest."""
     atoms, dynamics = started(make, scene, 0)
+    n = len(atoms)
     dynamics.run(OF_PATHS)
+    if len(atoms) != n:
+        raise ValueError(f"{n} atoms have become {len(atoms)}")
     p = atoms.get_momenta()
     return bool(np.abs(p.sum(axis=0)).max() < KEPT * np.sqrt(kt * atoms.get_masses().sum()))
 
@@ -238,9 +251,10 @@ def of_scene(
             yield Finding(f"{scene.name} runs", False, fault), fault
             return
     facts = Facts(scene, kt, is_still, pressure, joined(frames))
-    if not pressure and np.ptp(facts.seen.volumes) > 0.0:
-        fault = "the volume changes: give pressure= to have it judged as NPT"
-        yield Finding(f"{scene.name}: constant volume", False, "it is not"), fault
+    if not pressure:
+        changes = bool(np.ptp(facts.seen.volumes) > 0.0)
+        fault = "the volume changes: give pressure= to have it judged as NPT" * changes
+        yield Finding(f"{scene.name}: constant volume", not changes, "it is not" if changes else "it is"), fault
     column, of = (1, "volume") if pressure else (0, "energy")
     ends = facts.seen.ends[:, :, column]
     acted = float(((ends[:, 1] - ends[:, 0]) ** 2).mean()) / max(2.0 * float(ends.var()), 1e-300)

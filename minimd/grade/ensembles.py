@@ -30,8 +30,11 @@ class Facts:
         self.shares = 1.0 - self.is_still * self.masses / self.masses.sum()  # <p²/m>/kT of a component
         self.n = 3 * len(self.masses)
         self.n_free = self.n - 3 * self.is_still
-        # a body at rest whose momenta change with the volume; other than by moves of a Monte Carlo method
-        n, has_moves = self.scene.n_bodies, bool((np.diff(self.seen.volumes) == 0.0).any())
+        # a body at rest whose momenta change with the volume; other than by moves of a Monte Carlo method, some of
+        # which are rejected: those of a barostat that acts every few steps are at regular distances
+        moved = np.diff(self.seen.volumes.reshape(len(self.seen.ends), -1), axis=1) != 0.0
+        gaps = np.concatenate([np.diff(np.flatnonzero(row)) for row in moved])
+        n, has_moves = self.scene.n_bodies, bool(gaps.size and np.ptp(gaps) > 1)
         self.n_volume = n + 1 - (self.is_still and not has_moves)  # P<V>/kT
         self.excess = self.n_volume - (n - self.is_still)  # (P<V> − <P_int V>)/kT
         self.heat = float(self.seen.kinetic.sum(axis=1).mean()) / self.n_free
@@ -165,7 +168,7 @@ def of_pressure(seen: Frames, facts: Facts) -> float:
 
 
 def of_volume(seen: Frames, facts: Facts) -> float:
-    """The variance of ln V over that of p(V) ∝ Vⁿ exp(−PV/kT), ψ′(n + 1)."""
+    """The variance of ln V over that of p(V) ∝ Vⁿ exp(−PV/kT), ψ′ of P<V>/kT."""
     return float(((np.log(seen.volumes) - facts.log_volume) ** 2).mean() / polygamma(1, facts.n_volume))
 
 

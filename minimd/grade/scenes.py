@@ -189,6 +189,8 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
             forces = atoms.get_forces(apply_constraint=False)
             seen.append((atoms.positions.copy(), atoms.get_momenta(), forces, atoms.get_volume()))
     ends.append(ends_of(atoms))
+    if np.ptp(edges := atoms.cell.lengths()) > 1e-6 * edges[0] or np.ptp(atoms.cell.angles()) > 1e-4:
+        raise FloatingPointError("the shape of the cell changes; only its volume may")
     if not np.isfinite(ends).all():
         raise FloatingPointError(f"energy, volume: {ends[1][0]:.3g} eV, {atoms.get_volume():.3g} Å³")
     x, p, f, volumes = (np.array(one) for one in zip(*seen, strict=True))

@@ -30,7 +30,8 @@ def draw(one: Grade, file: Path) -> None:
     """A picture of a grade of dynamics: each measured number, and what would pass."""
     from matplotlib.figure import Figure
 
-    rows = [row for row in one.findings if np.isfinite(row.limit)][::-1]
+    if not (rows := [row for row in one.findings if np.isfinite(row.limit)][::-1]):
+        raise ValueError(f"a picture needs laws with a limit, of NVT or NPT; {one.function} has none")
     figure = Figure(figsize=(7.0, 1.2 + 0.32 * len(rows)), layout="constrained")
     axes = figure.subplots()
     for k, row in enumerate(rows):
@@ -48,7 +49,7 @@ def named(place: str) -> Callable[..., Any]:
     module, _, name = place.partition(":")
     try:
         return (run_path(module) if module.endswith(".py") else vars(import_module(module)))[name]
-    except (ImportError, OSError, KeyError) as error:
+    except (ImportError, OSError, KeyError, SyntaxError, TypeError, ValueError) as error:
         wanted = "module:class, as ase.md.langevin:Langevin, or file.py:class"
         said = f"there is no {name!r} in it" if isinstance(error, KeyError) else error
         raise ValueError(f"dynamics must be {wanted}; got {place!r}: {said}") from error

@@ -25,12 +25,12 @@ from minimd.compiled.program import GO_ON, Operation, in_python, operation
 from minimd.compiled.simd import broadcast, fma, load, store, total, zeros
 from minimd.compiled.simd.vector import Lanes8, Lanes16, count
 from minimd.forces.mesh_window import Window, windows
-from minimd.forces.wave_sum import MOST_CELLS, ChargeSum, WaveSum
+from minimd.forces.wave_sum import MOST_CELLS, ChargeSum, WaveSum, virials_of
 from minimd.potentials.prolates import Split
 from minimd.potentials.term import FORCES, Target
 from minimd.structure.system import System
 
-MOST_CHUNKS = 16  # of planes
+MOST_SLABS = 16  # of planes
 # measured [ns]: of an atom, for each row that it sees, and for a vector of eight points; of a point of the mesh; of all
 PER_ATOM, PER_ROW, PER_POINT, PER_SUM = 30.0, 2.0, 7.0, 40_000.0
 PER_WAVE = 0.18  # of an atom, in a sum wave by wave
@@ -38,7 +38,6 @@ ROOM = 1.02  # for a cell that becomes larger
 MOST_POINTS = 2**27  # of a mesh: some gigabytes
 IN_A_BLOCK = 256  # atoms, in numpy
 ALONE = 50_000  # points that are transformed by one thread
-VOIGT = np.array([0, 1, 2, 1, 0, 0]), np.array([0, 1, 2, 2, 2, 1])
 
 
 class Mesh(
@@ -127,7 +126,7 @@ def put_charges(mesh, chunk):
 @scalar
 def plane_chunks(shape):
     """Chunks of planes, each at least as many as an atom sees, or one."""
-    return max(1, min(MOST_CHUNKS, shape[0] // shape[4]))
+    return max(1, min(MOST_SLABS, shape[0] // shape[4]))
 
 
 @scalar
@@ -347,6 +346,5 @@ class MeshSum(ChargeSum):
         weights, bends = (one / (self._volume * self._seen2[self._used]) for one in self._split.spectrum(k2))
         self._weights = np.zeros(self._waves.shape[:3])
         self._weights[self._used] = weights
-        self._virials = 2.0 * bends[:, None] * k[:, VOIGT[0]] * k[:, VOIGT[1]]
-        self._virials[:, :3] += weights[:, None]
+        self._virials = virials_of(k, weights, bends)
         self._twice = np.where(self._used[2] > 0, 2.0, 1.0)  # k and −k

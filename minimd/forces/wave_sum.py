@@ -24,7 +24,7 @@ from minimd.compiled.program import GO_ON, Operation, n_chunks_of, operation
 from minimd.compiled.simd import broadcast, fma, load, store, total, zeros
 from minimd.compiled.simd.vector import count, lanes_for
 from minimd.potentials.prolates import Split
-from minimd.potentials.term import FORCES, PER_ATOM, OwnTerm, Target
+from minimd.potentials.term import FORCES, PER_ATOM, VOIGT, OwnTerm, Target
 from minimd.structure.system import System
 
 BLOCK = 128  # atoms whose tables are made at once
@@ -265,6 +265,13 @@ def balance_impulses(waves, _chunk):
     return GO_ON
 
 
+def virials_of(k: NDArray[np.float64], weights: NDArray[np.float64], bends: NDArray[np.float64]) -> NDArray[np.float64]:
+    """W/|S|² = w 1 + 2 (dw/dk²) k ⊗ k of waves k (M, 3), as xx yy zz yz xz xy, (M, 6)."""
+    virials = 2.0 * bends[:, None] * k[:, VOIGT[0]] * k[:, VOIGT[1]]
+    virials[:, :3] += weights[:, None]
+    return virials
+
+
 class ChargeSum(OwnTerm):
     """A sum over the waves of the charges of a system.  charges : (N,) [√(energy · length)].  split : of 1/r."""
 
@@ -400,8 +407,7 @@ class WaveSum(ChargeSum):
         for block in blocks:
             share = (self._phases(block, k) * conjugate).real
             energies.append(share @ weights)
-            outer = k[:, [0, 1, 2, 1, 0, 0]] * k[:, [0, 1, 2, 2, 2, 1]] * (2.0 * bends)[:, None]
-            virials.append(share @ (outer + weights[:, None] * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])))
+            virials.append(share @ virials_of(k, weights, bends))
         return np.concatenate(energies), np.concatenate(virials)
 
     def _phases(self, atoms: NDArray[np.int64], k: NDArray[np.float64]) -> NDArray:

@@ -25,16 +25,13 @@ from minimd.structure.checks import checked_choice, checked_count, checked_numbe
 ENSEMBLES = {"NVE": "constant energy", "NVT": "constant temperature", "NPT": "constant temperature and pressure"}
 RATE = 1e-3  # of false alarms, of all laws together
 PRESSURES = "pressure_au", "pressure", "externalstress"  # options that give it; some take a stress, of the other sign
-STEPS, EVERY, OF_PATHS = (
-    {"NVE": 1000, "NVT": 4000, "NPT": 16000},
-    5,
-    20,
-)  # of a run; between two frames; in a comparison of paths
+STEPS = {"NVE": 1000, "NVT": 4000, "NPT": 16000}  # of a run
+EVERY, OF_PATHS = 5, 20  # steps between two frames; in a comparison of paths
 COARSE = 4.0  # times the frequencies: for the error of a long time step
 LEAST_ORDER, SAME, KEPT = 1.7, 1e-7, 1e-6  # of the error of the energy; of paths, of momentum, relative
 ACTED, NEVER = 0.2, 1e-6  # of the energy, or the volume, is new at the end of a run, at least; if nothing acts
 
-SCENES = {"NVE": (), "NVT": ("ring", "coarse ring"), "NPT": ("gas",)}
+SCENES = {"NVE": ("ring",), "NVT": ("ring", "coarse ring"), "NPT": ("gas",)}
 COLLAPSE = "; is the pressure positive, the kinetic part 2K/3V in it, and has the virial its sign?"
 OF_ENERGY = "total momentum", "order of the energy's error", "energy is kept", "reversible"
 
@@ -57,17 +54,20 @@ def grade_dynamics(
     kt = units.kB * heat
     options |= {"temperature_K": temperature_K} if temperature_K is not None else {}
     options |= {"pressure": pressure} if pressure is not None else {}
-    n_steps, n_runs = (
-        checked_count("steps", STEPS[ensemble] if steps is None else steps, 8 * EVERY),
-        checked_count("runs", runs, 6),
-    )
+    n_steps = checked_count("steps", STEPS[ensemble] if steps is None else steps, 8 * EVERY)
+    n_runs = checked_count("runs", runs, 6)
     checked_count("seed", seed, 0)
     checked_number("timestep", timestep, "positive and finite")
 
+    given = 0.0 if ensemble != "NPT" else checked_number("pressure", asked, "positive and finite")
+
     def scenes(is_still: bool) -> list[Scene]:
-        if ensemble == "NPT":
-            return [gas(kt, timestep, checked_number("pressure", asked, "positive and finite"), is_still)]
-        return [ring(kt, timestep, is_still), ring(kt, timestep, is_still, COARSE)][: 1 + (ensemble == "NVT")]
+        made = {
+            "ring": lambda: ring(kt, timestep, is_still),
+            "coarse ring": lambda: ring(kt, timestep, is_still, COARSE),
+            "gas": lambda: gas(kt, timestep, given, is_still),
+        }
+        return [made[one]() for one in SCENES[ensemble]]
 
     make, still = maker(dynamics, timestep, options), scenes(True)[0]
     try:
@@ -83,7 +83,7 @@ def grade_dynamics(
         used = scenes(is_still)
         rate = RATE / sum(len(LAWS[scene.name]) for scene in used)
         for scene in used:
-            answers += of_scene(make, scene, is_still, kt, asked or 0.0, (n_runs, n_steps, seed), rate)
+            answers += of_scene(make, scene, is_still, kt, given, (n_runs, n_steps, seed), rate)
     failed = {finding.name: finding.value for finding, _ in answers if finding.passed is False}
     faults = [fault for finding, fault in answers if fault and not follows(finding.name, failed)]
     if hot := failed.get("ring: temperature"):
@@ -91,7 +91,7 @@ def grade_dynamics(
     momentum = "kept at zero" if is_still else "not conserved"
     remarks = [f"the total momentum is {momentum}: {'3N − 3' if is_still else '3N'} degrees of freedom move"]
     if seen := [100.0 * one.limit for one, _ in answers if one.name.endswith((": temperature", ": mean volume"))]:
-        what = "temperature or mean volume" if asked else "temperature"
+        what = "temperature or mean volume" if given else "temperature"
         remarks += [f"a {what} wrong by {max(seen):.0f} % would have been seen; more runs= or steps= show smaller ones"]
     if temperature_K is None and "temperature_K" in inspect.signature(dynamics).parameters:
         remarks += [f"judged as {ensemble}{' at 300 K' * (ensemble != 'NVE')}, since no temperature_K is given"]
@@ -137,10 +137,12 @@ def names_of(options: dict[str, Any]) -> list[str]:
     named = {name: options.get(name) for name in ("ensemble", "temperature_K", "pressure")}
     ensemble, _ = claimed(**named, options=options)
     names = ["repeatable", "restart"]
+    if ensemble == "NVE":
+        return [*names, *OF_ENERGY]
     for scene in SCENES[ensemble]:
         names += [f"{scene}: constant volume"] * (ensemble == "NVT")
         names += [f"{scene}: the bath acts", *(f"{scene}: {law.name}" for law in LAWS[scene])]
-    return names + ([*OF_ENERGY] if ensemble == "NVE" else [])
+    return names
 
 
 def maker(dynamics: Any, timestep: float, options: dict[str, Any]) -> Make:

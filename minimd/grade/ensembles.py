@@ -85,7 +85,7 @@ def masses_said(means: Array, facts: Facts) -> str:
     masses = np.unique(facts.masses)
     power = float(np.polyfit(np.log(masses), np.log(np.maximum(means, 1e-9)), 1)[0])
     each = ", ".join(f"{mean:.2f} ({mass:g} amu)" for mean, mass in zip(means, masses, strict=True))
-    said = f"atoms of different masses have different temperatures, in units of the one asked for: {each}"
+    said = f"atoms of different masses have different temperatures, over that of all: {each}"
     noise = "the noise of a momentum goes with √m, that of a velocity with 1/√m"
     return f"{said}; it goes as m^{power:.1f}: {noise}" if abs(power) > 0.3 else said
 

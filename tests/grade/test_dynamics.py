@@ -44,6 +44,7 @@ WRONG = {
     "3N": (hotter(lambda _: 24.0 / 21.0), {}, "24 degrees of freedom are counted where 21 move"),
     "z": (hotter(lambda _: np.array([1.0, 1.0, 0.1])), {}, "along x, y, z"),
     "same noise": (pushed, {}, "correlated"),
+    "changes": (lambda own, new: new.set_cell(new.cell * own.rng.uniform(0.9, 1.0)), {}, "give pressure="),
     "positions": (
         lambda own, new: new.set_positions(0.5 * (new.positions + own.atoms.calc.draw(own.rng).positions)),
         {}, "positions"),

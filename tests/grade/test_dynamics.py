@@ -72,7 +72,7 @@ def test_laws_are_tests_and_the_command_tells_them_as_json(capsys, tmp_path):
     laws = laws_of(Exact, **NVT, wrong=hotter(lambda _: 2.0))
     with pytest.raises(AssertionError, match="strong by √2"):
         next(law for law in laws if repr(law) == "ring: temperature")()
-    assert next(law for law in laws if repr(law) == "ring: new noise")().passed
+    assert next(law for law in laws if repr(law) == "ring: temperature by mass")().passed
     options = ["steps=50", "temperature_K=300", "taut=5", "runs=8", "--json", f"--out={tmp_path / 'grade.png'}"]
     main(["grade", "ase.md.bussi:Bussi", *options])
     found = json.loads(capsys.readouterr().out)["passed"]

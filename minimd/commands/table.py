@@ -303,7 +303,7 @@ COMMANDS = (
             "Test a class of dynamics, as those of ase.md, in scenes with exact answers: does it sample the ensemble "
             "that it claims? Example: minimd grade ase.md.langevin:Langevin temperature_K=300 friction=0.2", (
         Argument("dynamics", "module:class, or file.py:class", None, "MODULE:CLASS"),
-        Argument("options", "of the class, in units of ASE, and of md.grade: ensemble, timestep, runs, steps, seed",
+        Argument("options", "of the class, in units of ASE, and of md.grade: ensemble, runs, constraints, …",
                  option, "NAME=VALUE", {"nargs": "*"}),
         flag("--json", "print JSON"), written_to("PNG", "draw a picture"),
     ), grade),

@@ -3,69 +3,64 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
+from scipy import stats
 from scipy.special import polygamma
 
-from minimd.grade.scenes import Array, Frames, Scene
+from minimd.grade.findings import Law, Measured, nearest
+from minimd.grade.scenes import Array, Frames, Scene, joined
+
+ACTED, NEVER = 0.2, 1e-6  # of the energy, or the volume, is new at the end of a run, at least; if nothing acts
 
 
-@dataclass
-class Facts:
-    """What is known when a law is judged.
+class Seen:
+    """What was seen of a scene.  has : features of the scene.  rate : of false alarms, of each law.  is_still : whether
+    the total momentum is kept at zero.  all : frames of all runs.  pressure : [eV/Å³]."""
 
-    is_still : whether the total momentum is kept at zero.  seen : all frames of all runs.  pressure : [eV/Å³].
-    """
-
-    scene: Scene
-    kt: float
-    is_still: bool
-    pressure: float
-    seen: Frames
-
-    def __post_init__(self) -> None:
-        self.masses = self.seen.masses
-        self.shares = 1.0 - self.is_still * self.masses / self.masses.sum()  # <p²/m>/kT of a component
-        self.n = 3 * len(self.masses)
-        self.n_free = self.n - 3 * self.is_still
+    def __init__(self, scene: Scene, runs: list[Frames], is_still: bool, pressure: float, rate: float) -> None:
+        self.scene, self.runs, self.is_still, self.pressure, self.rate = scene, runs, is_still, pressure, rate
+        self.has, self.all, self.kt = {*scene.has.split()}, joined(runs), runs[0].kt
+        self.masses, self.n = self.all.masses, 3 * len(self.all.masses)
+        self.shares = 1.0 - is_still * self.masses / self.masses.sum() - scene.rigid  # <p²/m>/kT of a component
+        self.n_free = round(3.0 * float(self.shares.sum()))
         # a body at rest whose momenta change with the volume; other than by moves of a Monte Carlo method, some of
         # which are rejected: those of a barostat that acts every few steps are at regular distances
-        moved = np.diff(self.seen.volumes.reshape(len(self.seen.ends), -1), axis=1) != 0.0
+        moved = np.diff(self.all.volumes.reshape(len(runs), -1), axis=1) != 0.0
         gaps = np.concatenate([np.diff(np.flatnonzero(row)) for row in moved])
-        n, has_moves = self.scene.n_bodies, bool(gaps.size and np.ptp(gaps) > 1)
-        self.n_volume = n + 1 - (self.is_still and not has_moves)  # P<V>/kT
-        self.excess = self.n_volume - (n - self.is_still)  # (P<V> − <P_int V>)/kT
-        self.heat = float(self.seen.kinetic.sum(axis=1).mean()) / self.n_free
-        self.runs_p2 = (self.seen.p**2).mean(axis=(0, 2))
-        self.log_volume = float(np.log(self.seen.volumes).mean())
+        n, has_moves = scene.n_bodies, bool(gaps.size and np.ptp(gaps) > 1)
+        self.n_volume = n + 1 - (is_still and not has_moves)  # P<V>/kT
+        self.excess = self.n_volume - (n - is_still)  # (P<V> − <P_int V>)/kT
+        self.heat = float(self.all.kinetic.sum(axis=1).mean()) / self.n_free
+        self.runs_p2 = (self.all.p**2).mean(axis=(0, 2))
+        self.log_volume = float(np.log(self.all.volumes).mean())
+
+    def over_runs(self, measure: Measure, said: Said, spare: float) -> Measured:
+        """The mean of a measure over the runs, and how far it is off beside its error; of several, the worst."""
+        values = np.array([np.atleast_1d(measure(one, self)) for one in self.runs])
+        means, errors = values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(len(values))
+        quantile = stats.t.isf(0.5 * self.rate / len(means), len(values) - 1)
+        limits = quantile * errors + spare + self.scene.error
+        k = int(np.argmax(np.abs(means - 1.0) / limits))
+        mean, error, limit = float(means[k]), float(errors[k]), float(limits[k])
+        return Measured(mean, (mean - 1.0) / limit, said(means, self), error, limit)
+
+    def acted(self) -> Measured:
+        """How much of the energy, or of the volume, is new at the end of a run."""
+        ends = self.all.ends[:, :, int("volume" in self.has)]
+        found = float(((ends[:, 1] - ends[:, 0]) ** 2).mean()) / max(2.0 * float(ends.var()), 1e-300)
+        few = ": too little to judge; take a shorter time of the bath, or more steps=" * bool(found < ACTED)
+        return Measured(min(found, 1.0), 1.0 if found < NEVER else np.nan if few else 0.0, few)
 
 
-class EnsembleLaw(NamedTuple):
-    """One law of an ensemble.
-
-    measure : of a run, a number or one of each group; 1 if the law holds.  words : what is measured.
-    cause : what other numbers (G,) mean, in a sentence.
-    spare : what is allowed beside the error, since the distribution of the measure is skew.
-    """
-
-    name: str
-    words: str
-    measure: Callable[[Frames, Facts], float | Array]
-    cause: Callable[[Array, Facts], str]
-    spare: float = 0.0
+Measure: TypeAlias = Callable[[Frames, Seen], Any]
+Said: TypeAlias = Callable[[Array, Seen], str]
 
 
-def nearest(found: float, table: dict[float, str], within: float) -> str:
-    """: and the meaning of the number in a table that is nearest, if it is near."""
-    best = min(table, key=lambda one: abs(np.log(max(found, 1e-9) / one)))
-    return f": {table[best]}" if abs(found / best - 1.0) < within else ""
-
-
-def temperature_said(means: Array, facts: Facts) -> str:
+def temperature_said(means: Array, seen: Seen) -> str:
     """What a wrong temperature means."""
-    n, free, ratio = facts.n, facts.n_free, float(means[0])
+    free, ratio = seen.n_free, float(means[0])
     table = {
         0.25: "the noise is half as strong as the friction demands: √(2 γ kT m Δt) for a momentum",
         0.5: "the noise is too weak by √2, or the friction acts twice for each noise",
@@ -73,193 +68,159 @@ def temperature_said(means: Array, facts: Facts) -> str:
         4.0: "the noise is twice as strong as the friction demands",
         (free - 3.0) / free: f"{free - 3} degrees of freedom are counted where {free} move: three are subtracted twice",
     }
-    at_rest = ", since the total momentum is kept at zero" if facts.is_still else ""
-    counted = n if facts.is_still else n - 3
+    n_rigid = round(3.0 * float(seen.scene.rigid.sum()))
+    if n_rigid:
+        table[1.0 + n_rigid / free] = (
+            f"{free + n_rigid} degrees of freedom are counted where {free} move: bonds are rigid"
+        )
+    at_rest = ", since the total momentum is kept at zero" if seen.is_still else ""
+    counted = free + 3 * (1 if seen.is_still else -1)
     table[counted / free] = f"{counted} degrees of freedom are counted where {free} move{at_rest}"
-    said = f"the temperature is {ratio:.3f} times what was asked for"
-    return said + nearest(ratio, table, 0.04)
+    return f"the temperature is {ratio:.3f} times what was asked for" + nearest(ratio, table, 0.04)
 
 
-def masses_said(means: Array, facts: Facts) -> str:
+def masses_said(means: Array, seen: Seen) -> str:
     """What a temperature that depends on the mass means."""
-    masses = np.unique(facts.masses)
+    masses = np.unique(seen.masses)
     power = float(np.polyfit(np.log(masses), np.log(np.maximum(means, 1e-9)), 1)[0])
     each = ", ".join(f"{mean:.2f} ({mass:g} amu)" for mean, mass in zip(means, masses, strict=True))
-    said = f"atoms of different masses have different temperatures, over that of all: {each}"
-    noise = "the noise of a momentum goes with √m, that of a velocity with 1/√m"
-    return f"{said}; it goes as m^{power:.1f}: {noise}" if abs(power) > 0.3 else said
+    noise = f"; it goes as m^{power:.1f}: the noise of a momentum goes with √m, that of a velocity with 1/√m"
+    return f"atoms of different masses have different temperatures, over that of all: {each}" + noise * (
+        abs(power) > 0.3
+    )
 
 
-def volume_said(means: Array, facts: Facts) -> str:
+def volume_said(means: Array, seen: Seen) -> str:
     """What a wrong mean volume means."""
-    n, found = facts.scene.n_bodies, float(means[0]) * facts.n_volume
+    n, found = seen.scene.n_bodies, float(means[0]) * seen.n_volume
     table = {float(k): f"p(V) goes as V^{k - 1} exp(−PV/kT)" for k in (n - 1, n, n + 1)}
     table |= {2.0 * k: "it is that of free atoms: is the virial in the pressure?" for k in (n, n + 0.5)}
     table |= {3.0 * k: "the kinetic energy counts twice in the pressure" for k in (n, n + 1 / 3)}
-    return f"P<V>/kT of {n} molecules is {found:.2f}, not {facts.n_volume}" + nearest(found, table, 0.07)
+    return f"P<V>/kT of {n} molecules is {found:.2f}, not {seen.n_volume}" + nearest(found, table, 0.07)
 
 
-def pressure_said(means: Array, facts: Facts) -> str:
+def pressure_said(means: Array, seen: Seen) -> str:
     """What a wrong balance of the pressures means."""
-    found = (float(means[0]) - 1.0) * facts.n_volume + facts.excess
+    found = (float(means[0]) - 1.0) * seen.n_volume + seen.excess
     table = {
-        facts.excess - 1.0: "one power of V too little: N where N + 1 is right",
-        facts.excess + 1.0: "one power of V too much: N + 2 where N + 1 is right",
+        seen.excess - 1.0: "one power of V too little: N where N + 1 is right",
+        seen.excess + 1.0: "one power of V too much: N + 2 where N + 1 is right",
         0.0: "the volume is driven until the mean pressure is P: kT/V is missing beside P_int − P (a factor "
         "1 + 3/N_f of the kinetic energy in Martyna, Tobias, Klein); in a move of ln V, N is for N + 1, N particles",
     }
     near = min(table, key=lambda one: abs(found - one))
-    cause = f": {table[near]}" if abs(found - near) < 0.3 else ""
-    return f"P<V> − <P_int V> is {found:.2f} kT, not {facts.excess} kT{cause}"
+    return f"P<V> − <P_int V> is {found:.2f} kT, not {seen.excess} kT" + f": {table[near]}" * (abs(found - near) < 0.3)
 
 
-def of_masses(seen: Frames, facts: Facts) -> Array:
+def spread_said(means: Array, seen: Seen) -> str:
+    """What a wrong fluctuation of the volume means."""
+    why = "the volume is driven toward a pressure, and not drawn from its distribution"
+    if means[0] > 1.0:
+        why = "its motion is too hot: do momenta shrink as the volume grows, is its noise √(2 γ W kT)?"
+    return f"the variance of ln V is {means[0]:.2f} times that of the ensemble: {why}"
+
+
+def kinetic_said(means: Array, seen: Seen) -> str:
+    """What a wrong fluctuation of the kinetic energy means."""
+    why = ": velocities are scaled toward a temperature, and not drawn from its distribution" * bool(means[0] < 1.0)
+    return f"the variance of the kinetic energy is {means[0]:.2f} times the canonical one{why}"
+
+
+def of_masses(run: Frames, seen: Seen) -> Array:
     """Kinetic temperatures of atoms of each mass, over that of all."""
-    each = seen.kinetic.mean(axis=0) / (3.0 * facts.shares * facts.heat)
-    return np.array([each[facts.masses == one].mean() for one in np.unique(facts.masses)])
+    each = run.kinetic.mean(axis=0) / (3.0 * seen.shares * seen.heat)
+    return np.array([each[seen.masses == one].mean() for one in np.unique(seen.masses)])
 
 
-def of_directions(seen: Frames, facts: Facts) -> Array:
+def of_directions(run: Frames, seen: Seen) -> Array:
     """Kinetic temperatures along x, y and z, over that of all."""
-    energies = (seen.p**2 / (facts.kt * facts.masses)[:, None]).mean(axis=0).sum(axis=0)
-    return energies * 3.0 / (facts.heat * facts.n_free)
+    energies = (run.p**2 / (seen.kt * seen.masses)[:, None]).mean(axis=0).sum(axis=0)
+    return energies * 3.0 / (seen.heat * seen.n_free)
 
 
-def of_positions(seen: Frames, facts: Facts) -> Array:
+def of_positions(run: Frames, seen: Seen) -> Array:
     """<|∇U|²>/(kT <∇²U>) of each atom."""
-    curvature = np.mean([facts.scene.springs.curvature(x) for x in seen.x[::4]], axis=0)
-    return (seen.f**2).sum(axis=2).mean(axis=0) / (curvature * facts.kt)
+    curvature = np.mean([seen.scene.calculator.curvature(x) for x in run.x[::4]], axis=0)
+    return (run.f**2).sum(axis=2).mean(axis=0) / (curvature * seen.kt)
 
 
-def of_pairs(seen: Frames, facts: Facts) -> float:
+def of_pairs(run: Frames, seen: Seen) -> float:
     """1 + the correlation of momenta of different atoms, less that of a body at rest."""
-    u, root = seen.p / np.sqrt(facts.heat * facts.kt * facts.masses)[:, None], np.sqrt(facts.masses)
+    u, root = run.p / np.sqrt(seen.heat * seen.kt * seen.masses)[:, None], np.sqrt(seen.masses)
     pairs = (u.sum(axis=1) ** 2).sum(axis=1).mean() - (u**2).sum(axis=(1, 2)).mean()
-    at_rest = -3.0 * facts.is_still * (root.sum() ** 2 - facts.masses.sum()) / facts.masses.sum()
-    return 1.0 + float(pairs - at_rest) / facts.n
+    at_rest = -3.0 * seen.is_still * (root.sum() ** 2 - seen.masses.sum()) / seen.masses.sum()
+    return 1.0 + float(pairs - at_rest) / seen.n
 
 
-def of_noise(seen: Frames, facts: Facts) -> float:
+def of_noise(run: Frames, seen: Seen) -> float:
     """1 + the correlation of one change of the total momentum with the next."""
-    jumps = np.diff(seen.p.sum(axis=1), axis=0)
+    jumps = np.diff(run.p.sum(axis=1), axis=0)
     size = float((jumps**2).sum())
-    if facts.is_still:
+    if seen.is_still:
         return 1.0
-    return 1.0 + (float((jumps[1:] * jumps[:-1]).sum()) / size if size > 1e-20 * facts.kt * facts.masses.sum() else 1.0)
+    return 1.0 + (float((jumps[1:] * jumps[:-1]).sum()) / size if size > 1e-20 * seen.kt * seen.masses.sum() else 1.0)
 
 
-def of_shape(seen: Frames, facts: Facts) -> float:
-    """<u⁴>/3<u²>² of the momenta."""
-    return float((seen.p**4 / (3.0 * facts.runs_p2**2)[:, None]).mean())
-
-
-def of_kinetic(seen: Frames, facts: Facts) -> float:
+def of_kinetic(run: Frames, seen: Seen) -> float:
     """The variance of the kinetic energy over that at its mean."""
-    each, mean = seen.kinetic.sum(axis=1), facts.heat * facts.n_free
-    return float(((each - mean) ** 2).mean()) * facts.n_free / (2.0 * mean**2)
+    each, mean = run.kinetic.sum(axis=1), seen.heat * seen.n_free
+    return float(((each - mean) ** 2).mean()) * seen.n_free / (2.0 * mean**2)
 
 
-def of_pressure(seen: Frames, facts: Facts) -> float:
+def of_pressure(run: Frames, seen: Seen) -> float:
     """1 + P<V> − <P_int V> less its value, in units of P<V>;  P_int V = (2 K + Σ r·F)/3."""
-    d, e, _ = zip(*(facts.scene.springs.bonds(x) for x in seen.x), strict=True)
-    virial = -np.einsum("fbd,fbd,b->f", d, e, facts.scene.springs.k)
-    inner = (seen.kinetic.sum(axis=1) + virial / facts.kt) / 3.0
-    return 1.0 + float((seen.volumes * facts.pressure / facts.kt - inner).mean() - facts.excess) / facts.n_volume
+    d, e, _ = zip(*(seen.scene.calculator.bonds(x) for x in run.x), strict=True)
+    virial = -np.einsum("fbd,fbd,b->f", d, e, seen.scene.calculator.k)
+    inner = (run.kinetic.sum(axis=1) + virial / seen.kt) / 3.0
+    return 1.0 + float((run.volumes * seen.pressure / seen.kt - inner).mean() - seen.excess) / seen.n_volume
 
 
-def of_volume(seen: Frames, facts: Facts) -> float:
-    """The variance of ln V over that of p(V) ∝ Vⁿ exp(−PV/kT), ψ′ of P<V>/kT."""
-    return float(((np.log(seen.volumes) - facts.log_volume) ** 2).mean() / polygamma(1, facts.n_volume))
+def row(name: str, words: str, measure: Measure, said: Said, needs: str, spare: float = 0.0) -> Law:
+    """A law of an ensemble.
+
+    words : what is measured.  measure : of a run, a number or one of each group; 1 if the law holds.  said : what other
+    numbers (G,) mean.  spare : what is allowed beside the error, since the distribution of the measure is skew.
+    """
+    told = f"{words}: {{0:.3f}} ± {{3:.3f}} (finds {{4:.1%}})"
+    return Law(name, lambda seen: seen.over_runs(measure, said, spare), 1.0, told, "{2}", needs)
 
 
-BY_DIRECTION = EnsembleLaw(
-    "temperature by direction",
-    "that along x, y or z, over that of all",
-    of_directions,
-    lambda means, _: (
-        f"motion along x, y, z has {', '.join(f'{mean:.2f}' for mean in means)} times the mean temperature: "
-        "do all three get noise and friction?"
-    ),
+# fmt: off
+LAWS = (  # of what a scene has
+    Law("constant volume", lambda seen: float(np.ptp(seen.all.volumes) > 0.0), 0.5, "changed in {0:g} of 1",
+        "the volume changes: give pressure= to have it judged as NPT", "fixed"),
+    Law("the bath acts", Seen.acted, 0.5, "{0:.0%} of the energy is new at the end of a run{2}",
+        "the energy never changes: nothing acts on it", "fixed"),
+    Law("the barostat acts", Seen.acted, 0.5, "{0:.0%} of the volume is new at the end of a run{2}",
+        "the volume never changes: nothing acts on it", "volume"),
+    row("temperature by mass", "that of atoms of a mass, over that of all", of_masses, masses_said, "masses"),
+    row("temperature by direction", "that along x, y or z, over that of all", of_directions,
+        lambda means, _: f"motion along x, y, z has {', '.join(f'{mean:.2f}' for mean in means)} times the mean "
+        "temperature: do all three get noise and friction?", "ring"),
+    row("temperature", "kinetic energy over its share of kT",
+        lambda run, seen: float(run.kinetic.sum(axis=1).mean()) / seen.n_free, temperature_said, ""),
+    row("temperature of positions", "<|∇U|²>/(kT <∇²U>) of atoms", of_positions, lambda means, _:
+        f"positions of atoms have {means.min():.3f} to {means.max():.3f} times the temperature asked for", "places"),
+    row("fluctuation of the kinetic energy", "its variance over that of the canonical ensemble", of_kinetic,
+        kinetic_said, "spread", 0.05),
+    row("normal momenta", "<u⁴>/3<u²>² of momenta",
+        lambda run, seen: float((run.p**4 / (3.0 * seen.runs_p2**2)[:, None]).mean()),
+        lambda means, _: f"momenta are not normally distributed: <u⁴>/3<u²>² is {means[0]:.3f}", "ring", 0.03),
+    row("independent momenta", "1 + correlation of momenta of different atoms", of_pairs, lambda means, _: "momenta of "
+        f"different atoms are correlated, by {means[0] - 1.0:+.2f}: each atom needs noise of its own", "ring", 0.05),
+    row("new noise", "1 + correlation of a change of the total momentum with the next", of_noise, lambda *_: "the "
+        "noise of one step is that of the step before: is the generator seeded anew in each step?", "ring", 0.3),
+    row("mean volume", "P<V>/kT over its value",
+        lambda run, seen: float(run.volumes.mean()) * seen.pressure / (seen.kt * seen.n_volume), volume_said, "volume"),
+    row("balance of pressures", "1 + the error of P<V> − <P_int V>, over P<V>", of_pressure, pressure_said, "volume"),
+    row("fluctuation of the volume", "the variance of ln V over that of the ensemble", lambda run, seen:
+        float(((np.log(run.volumes) - seen.log_volume) ** 2).mean() / polygamma(1, seen.n_volume)), spread_said,
+        "volume", 0.03),
+    Law("rigid bonds", lambda seen: seen.scene.calculator.softness(seen.all), 1e-6, "lengths, and velocities along "
+        "bonds, are off by {0:.1e}", "rigid bonds change their lengths, by {0:.1e}", "rigid"),
+    row("energy of the liquid", "over that of NIST", lambda run, seen: float(run.u.mean()) / seen.scene.wanted,
+        lambda means, _: f"the energy of the liquid is {means[0]:.4f} times that of NIST", "liquid", 0.01),
+    row("density of the liquid", "V over that of NIST", lambda run, seen: float(run.volumes.mean()) / seen.scene.wanted,
+        lambda means, _: f"the volume of the liquid is {means[0]:.4f} times that of NIST", "pressed", 0.01),
 )
-TEMPERATURE = EnsembleLaw(
-    "temperature",
-    "kinetic energy over its share of kT",
-    lambda seen, facts: float(seen.kinetic.sum(axis=1).mean()) / facts.n_free,
-    temperature_said,
-)
-BY_MASS = EnsembleLaw("temperature by mass", "that of atoms of a mass, over that of all", of_masses, masses_said)
-OF_POSITIONS = EnsembleLaw(
-    "temperature of positions",
-    "<|∇U|²>/(kT <∇²U>) of atoms",
-    of_positions,
-    lambda means, _: f"positions of atoms have {means.min():.3f} to {means.max():.3f} times the temperature asked for",
-)
-CANONICAL = (
-    BY_MASS,
-    BY_DIRECTION,
-    TEMPERATURE,
-    OF_POSITIONS,
-    EnsembleLaw(
-        "fluctuation of the kinetic energy",
-        "its variance over that of the canonical ensemble",
-        of_kinetic,
-        lambda means, _: (
-            f"the variance of the kinetic energy is {means[0]:.2f} times the canonical one"
-            + ": velocities are scaled toward a temperature, and not drawn from its distribution" * bool(means[0] < 1.0)
-        ),
-        0.05,
-    ),
-    EnsembleLaw(
-        "normal momenta",
-        "<u⁴>/3<u²>² of momenta",
-        of_shape,
-        lambda means, _: f"momenta are not normally distributed: <u⁴>/3<u²>² is {means[0]:.3f}",
-        0.03,
-    ),
-    EnsembleLaw(
-        "independent momenta",
-        "1 + correlation of momenta of different atoms",
-        of_pairs,
-        lambda means, _: (
-            f"momenta of different atoms are correlated, by {means[0] - 1.0:+.2f}: each atom needs noise of its own"
-        ),
-        0.05,
-    ),
-    EnsembleLaw(
-        "new noise",
-        "1 + correlation of a change of the total momentum with the next",
-        of_noise,
-        lambda *_: "the noise of one step is that of the step before: is the generator seeded anew in each step?",
-        0.3,
-    ),
-)
-UNDER_PRESSURE = (
-    BY_MASS,
-    TEMPERATURE,
-    EnsembleLaw(
-        "mean volume",
-        "P<V>/kT over its value",
-        lambda seen, facts: float(seen.volumes.mean()) * facts.pressure / (facts.kt * facts.n_volume),
-        volume_said,
-    ),
-    EnsembleLaw("balance of pressures", "1 + the error of P<V> − <P_int V>, over P<V>", of_pressure, pressure_said),
-    EnsembleLaw(
-        "fluctuation of the volume",
-        "the variance of ln V over that of the ensemble",
-        of_volume,
-        lambda means, _: (
-            f"the variance of ln V is {means[0]:.2f} times that of the ensemble: "
-            + (
-                "the volume is driven toward a pressure, and not drawn from its distribution"
-                if means[0] < 1.0
-                else "its motion is too hot: do momenta shrink as the volume grows, is its noise √(2 γ W kT)?"
-            )
-        ),
-        0.03,
-    ),
-)
-LAWS: dict[str, tuple[EnsembleLaw, ...]] = {
-    "ring": CANONICAL,
-    "coarse ring": (TEMPERATURE, OF_POSITIONS),
-    "gas": UNDER_PRESSURE,
-}
+# fmt: on

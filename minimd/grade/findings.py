@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from math import isfinite, isnan, nan
+from math import isfinite, isnan, log, nan
 from typing import Any, NamedTuple
 
 from minimd.console.display import Displayed, Rows
@@ -34,6 +34,17 @@ class Finding:
     limit: float = nan
 
 
+class Measured(NamedTuple):
+    """A number, how far it is off, what is wrong; its statistical error, and the largest difference from 1 that
+    passes."""
+
+    value: float
+    off: float
+    said: str = ""
+    error: float = nan
+    limit: float = nan
+
+
 class Law(NamedTuple):
     """One law.  measure : of what is judged; a number, or a number, how far it is off, and what else the words need.
     bound : the law holds if the number is off by less; if that is NaN, the reader has to judge.  words, cause : formats
@@ -50,7 +61,9 @@ class Law(NamedTuple):
         """The finding from what was measured."""
         numbers = answer if isinstance(answer, tuple) else (answer, answer)
         passed = None if isnan(numbers[1]) else bool(abs(numbers[1]) < self.bound)
-        return Finding(self.name, passed, self.words.format(*numbers), float(numbers[0]), self.cause.format(*numbers))
+        words, cause = self.words.format(*numbers), self.cause.format(*numbers)
+        limit = numbers.limit if isinstance(numbers, Measured) else nan
+        return Finding(self.name, passed, words, float(numbers[0]), cause, limit)
 
 
 def judged(laws: Iterable[Law], one: Any) -> list[Finding]:
@@ -128,3 +141,9 @@ def is_near(value: float, other: float) -> bool:
 def first_of(*rows: tuple[object, str]) -> list[str]:
     """The first sentence whose condition holds; none if no condition does."""
     return [sentence for condition, sentence in rows if condition][:1]
+
+
+def nearest(found: float, table: dict[float, str], within: float) -> str:
+    """: and the meaning of the number in a table that is nearest, if it is near."""
+    best = min(table, key=lambda one: abs(log(max(found, 1e-9) / one)))
+    return f": {table[best]}" if abs(found / best - 1.0) < within else ""

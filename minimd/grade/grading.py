@@ -38,9 +38,10 @@ def grade(
 
     Dynamics get atoms, timestep and options, as in md.grade(Langevin, temperature_K=300.0, friction=0.02), and must
     have run(steps). With a temperature_K they claim NVT, with pressure_au, externalstress or pressure [eV/Å³] NPT,
-    else NVE; ensemble= says so otherwise. Options of grade: timestep (1 fs) in ASE's unit, runs (24) of steps= each,
-    seed. Scenes with exact answers are run; a right dynamics fails once in a thousand times. kind="dynamics" if the
-    name of the first parameter is not atoms.
+    else NVE; ensemble= says so otherwise. Options of grade: timestep (1 fs) in ASE's unit, runs (24 or 40) of steps=
+    each, seed; constraints=True judges rigid bonds, too, liquids=True two states of NIST (slow). Scenes with exact
+    answers are run; a right dynamics fails once in a thousand times. kind="dynamics" if the name of the first parameter
+    is not atoms.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ def grade(
             raise TypeError(
                 "dynamics are judged in scenes of minimd: potential, cell, cutoff, positions are for forces"
             )
-        return grade_dynamics(function, **options)
+        return grade_dynamics(function, options)
     if options:
         raise TypeError(f"options such as {', '.join(options)} are for dynamics; {shown(function)} takes no atoms")
     checked_count("order", order)

@@ -1,17 +1,22 @@
 """Scenes with exact answers, as structures of ASE with calculators in numpy, and the runs of a dynamics in them.
 
 Each run starts from an exact sample of the ensemble: what keeps it keeps it from the first step on, so that many short
-runs are independent samples, and their spread is the error. kT, the time step and the pressure set all scales.
+runs are independent samples, and their spread is the error. kT, the time step and the pressure set all scales. Liquids,
+whose answers are those of NIST, start from a crystal.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from ase import Atoms
+from ase.build import bulk
 from ase.calculators.abc import GetPropertiesMixin
+from ase.calculators.lj import LennardJones
+from ase.constraints import FixBondLengths
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -22,7 +27,10 @@ STIFF = 0.06  # ω Δt of a bond of the ring, with the lighter of its atoms
 QUARTIC = 0.05  # of k²/kT: makes the motion chaotic
 STRETCH = 4.0  # length of the bonds of molecules, in units of their thermal motion
 SMALLEST = 1e-4  # volume of a run, over that at its start
-MOLECULES, OF_MOLECULES = 6, 0.12  # and ω Δt
+MOLECULES, OF_MOLECULES, RIGID = 6, 0.12, 4  # of the gas, and ω Δt; of the chain
+COARSE = 4.0  # times the frequencies of the ring: for the error of a long time step
+STATES = (0.85, 0.82, -5.7947, 0.55355), (0.9, 0.776, -5.4689, 0.24056)  # T, ρ, U/N, P of liquids, of NIST [ε, σ]
+CUTOFF, PACE, SIDE = 2.5, 0.004, 3  # of the liquids [σ], their time step [σ √(m/ε)], cells of their crystal
 
 
 class Springs(GetPropertiesMixin):
@@ -73,18 +81,35 @@ class Springs(GetPropertiesMixin):
         return found
 
 
+class Rigid(Springs):
+    """Springs between rigid bonds of one length, of atoms 0 and 1, 2 and 3, …"""
+
+    length = 1.0
+
+    def softness(self, seen: Frames) -> float:
+        """How far lengths are off, or velocities along bonds beside thermal ones."""
+        (d, v), kt = (one[:, 1::2] - one[:, ::2] for one in (seen.x, seen.p / seen.masses[:, None])), seen.kt
+        along = (d * v).sum(axis=2) / self.length * np.sqrt(seen.masses[:2].mean() / kt)
+        return float(max(np.abs(np.linalg.norm(d, axis=2) / self.length - 1.0).max(), np.abs(along).max()))
+
+
 class Scene(NamedTuple):
     """A structure, drawn anew for each run.
 
-    draw : of an exact sample.  springs : its calculator.  n_bodies : n of p(V) ∝ Vⁿ exp(−PV/kT).
+    draw : of an exact sample.  has : its features, as ensembles.LAWS need them.
     error : of means, relative, by the time step of a splitting of second order: the largest (ωΔt)²/4.
+    n_bodies : n of p(V) ∝ Vⁿ exp(−PV/kT).  rigid : the part of <p²/m>/kT that rigid bonds take, of each atom.
+    wanted : of a liquid, its energy [eV] or volume [Å³].
     """
 
     name: str
     draw: Callable[[np.random.RandomState], Atoms]
-    springs: Springs
-    n_bodies: int
+    calculator: Any
+    has: str
     error: float
+    n_bodies: int = 0
+    rigid: Array = np.zeros(1)
+    wanted: float = 0.0
 
 
 def momenta(rng: np.random.RandomState, masses: Array, kt: float, is_still: bool = False) -> Array:
@@ -93,7 +118,7 @@ def momenta(rng: np.random.RandomState, masses: Array, kt: float, is_still: bool
     return p - masses[:, None] * p.sum(axis=0) / masses.sum() if is_still else p
 
 
-def ring(kt: float, timestep: float, is_still: bool, scale: float = 1.0) -> Scene:
+def ring(kt: float, timestep: float, _: float, is_still: bool, scale: float = 1.0) -> Scene:
     """Eight atoms of four masses on a ring of bonds that keep their directions, as in a crystal: nothing acts on them
     from outside, and nothing turns.  scale : of ωΔt."""
     n = len(MASSES)
@@ -121,7 +146,62 @@ def ring(kt: float, timestep: float, is_still: bool, scale: float = 1.0) -> Scen
 
     springs.draw = draw
     largest = np.linalg.eigvalsh(hessian / np.sqrt(np.outer(MASSES, MASSES)))[-1]
-    return Scene("ring" if scale == 1.0 else "coarse ring", draw, springs, n, float(0.25 * largest * timestep**2))
+    name, has = ("ring", "ring masses spread") if scale == 1.0 else ("coarse ring", "coarse")
+    return Scene(name, draw, springs, f"{has} places fixed", float(0.25 * largest * timestep**2))
+
+
+def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
+    """Rigid molecules of two atoms, in a chain of bonds as those of the ring."""
+    n, masses = RIGID, np.tile([4.0, 12.0], RIGID)
+    k, first = 3.0 * (OF_MOLECULES / timestep) ** 2, np.arange(1, 2 * n - 1, 2)
+    length, apart = np.sqrt(kt / k), np.array([[5.0, 0.0, 0.0]])
+    springs = Rigid(first, first + 1, np.full(n - 1, k), np.zeros(n - 1), np.repeat(apart, n - 1, axis=0))
+    springs.length = float(length)
+
+    def draw(rng: np.random.RandomState) -> Atoms:
+        ways = rng.standard_normal((n, 3))
+        ways /= np.linalg.norm(ways, axis=1)[:, None]
+        x = np.zeros((2 * n, 3))
+        x[0::2] = np.cumsum(np.vstack([apart, apart + length * (rng.standard_normal((n - 1, 3)) + ways[:-1])]), axis=0)
+        x[1::2] = x[0::2] + length * ways
+        atoms = Atoms("H" * 2 * n, x + 30.0, masses=masses, cell=[100.0] * 3, pbc=True, calculator=springs)
+        p = momenta(rng, masses, kt, is_still)
+        along = 3.0 * ((p[1::2] / 12.0 - p[0::2] / 4.0) * ways).sum(axis=1)[:, None] * ways  # of the reduced mass
+        p[0::2] += along
+        p[1::2] -= along
+        atoms.set_momenta(p)
+        atoms.set_constraint(FixBondLengths(np.arange(2 * n).reshape(n, 2)))
+        return atoms
+
+    springs.draw = draw
+    return Scene("chain", draw, springs, "masses spread rigid fixed", 0.25 * OF_MOLECULES**2,
+                 rigid=np.tile([0.75, 0.25], n) / 3.0)  # fmt: skip
+
+
+def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: int = 0) -> Scene:
+    """A Lennard-Jones liquid of 108 atoms, which starts from a crystal: its energy, or, under pressure, its density."""
+    heat, density, energy, p = STATES[state]
+    tail = (
+        8.0 / 3.0 * np.pi * density * np.array([CUTOFF**-9.0 / 3.0 - CUTOFF**-3.0, CUTOFF**-9.0 / 1.5 - CUTOFF**-3.0])
+    )
+    at_cutoff = 4.0 * (CUTOFF**-12.0 - CUTOFF**-6.0)  # by which ASE's energies of pairs are shifted
+    n, epsilon = 4 * SIDE**3, kt / heat
+    own = energy - tail[0] - 2.0 / 3.0 * np.pi * density * CUTOFF**3 * at_cutoff
+    sigma = ((p - 2.0 * density * tail[1]) * epsilon / pressure) ** (1.0 / 3.0) if pressure else 3.0
+    calculator = LennardJones(sigma=sigma, epsilon=epsilon, rc=CUTOFF * sigma)
+    masses = np.full(n, epsilon * (timestep / PACE / sigma) ** 2)
+
+    def draw(rng: np.random.RandomState) -> Atoms:
+        atoms = bulk("Ar", "fcc", a=sigma * (4.0 / density) ** (1.0 / 3.0), cubic=True) * (SIDE, SIDE, SIDE)
+        atoms.set_masses(masses)
+        atoms.calc = calculator
+        atoms.set_momenta(momenta(rng, masses, 2.0 * kt, is_still))  # the crystal melts
+        return atoms
+
+    wanted = n * sigma**3 / density if pressure else n * epsilon * own
+    return Scene(
+        f"liquid {state + 1}", draw, calculator, "pressed" if pressure else "liquid fixed", 0.01, wanted=wanted
+    )
 
 
 def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
@@ -147,14 +227,24 @@ def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:
         return atoms
 
     springs.draw = draw
-    return Scene("gas", draw, springs, n, 0.25 * OF_MOLECULES**2)
+    return Scene("gas", draw, springs, "masses volume", 0.25 * OF_MOLECULES**2, n)
+
+
+SCENES: dict[str, Callable[..., Scene]] = {
+    "ring": ring,
+    "coarse ring": partial(ring, scale=COARSE),
+    "chain": chain,
+    "gas": gas,
+    "liquid 1": liquid,
+    "liquid 2": partial(liquid, state=1),
+}
 
 
 class Frames(NamedTuple):
     """What was seen of a run.
 
-    masses : (N,).  x, p, f : (F, N, 3).  volumes : (F,).  ends : (2, 2), energy and log of the volume, at the start and
-    at the end.
+    masses : (N,).  x, p, f : (F, N, 3).  volumes, u : (F,), u potential energies.  ends : (2, 2), energy and log of the
+    volume, at the start and at the end.
     """
 
     masses: Array
@@ -163,6 +253,7 @@ class Frames(NamedTuple):
     p: Array
     f: Array
     volumes: Array
+    u: Array
     ends: Array
 
     @property
@@ -173,8 +264,8 @@ class Frames(NamedTuple):
 
 def joined(runs: Sequence[Frames]) -> Frames:
     """All frames of several runs."""
-    x, p, f, volumes = (np.concatenate([one[k] for one in runs]) for k in range(2, 6))  # type: ignore[arg-type]
-    return Frames(runs[0].masses, runs[0].kt, x, p, f, volumes, np.stack([one.ends for one in runs]))
+    x, p, f, volumes, u = (np.concatenate([one[k] for one in runs]) for k in range(2, 7))  # type: ignore[arg-type]
+    return Frames(runs[0].masses, runs[0].kt, x, p, f, volumes, u, np.stack([one.ends for one in runs]))
 
 
 def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) -> Frames:
@@ -187,14 +278,15 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
             raise FloatingPointError(f"a volume of {start:.3g} Å³ is {volume:.3g} Å³ after {(k + 1) * every} steps")
         if 2 * k >= steps // every:
             forces = atoms.get_forces(apply_constraint=False)
-            seen.append((atoms.positions.copy(), atoms.get_momenta(), forces, atoms.get_volume()))
+            u = atoms.get_potential_energy() if "liquid" in scene.name else 0.0
+            seen.append((atoms.positions.copy(), atoms.get_momenta(), forces, atoms.get_volume(), u))
     ends.append(ends_of(atoms))
     if np.ptp(edges := atoms.cell.lengths()) > 1e-6 * edges[0] or np.ptp(atoms.cell.angles()) > 1e-4:
-        raise FloatingPointError("the shape of the cell changes; only its volume may")
+        raise FloatingPointError("the shape of the cell changes; a gas resists no shear: only the volume may change")
     if not np.isfinite(ends).all():
         raise FloatingPointError(f"energy, volume: {ends[1][0]:.3g} eV, {atoms.get_volume():.3g} Å³")
-    x, p, f, volumes = (np.array(one) for one in zip(*seen, strict=True))
-    return Frames(atoms.get_masses(), kt, x, p, f, volumes, np.array(ends))
+    x, p, f, volumes, u = (np.array(one) for one in zip(*seen, strict=True))
+    return Frames(atoms.get_masses(), kt, x, p, f, volumes, u, np.array(ends))
 
 
 def started(make: Make, scene: Scene, seed: int) -> tuple[Atoms, Any]:

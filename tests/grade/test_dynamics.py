@@ -5,7 +5,10 @@ import json
 import numpy as np
 import pytest
 from ase.md.bussi import Bussi
+from ase.md.langevinbaoab import LangevinBAOAB
+from ase.md.nose_hoover_chain import NoseHooverChainNVT
 from ase.md.verlet import VelocityVerlet
+from ase.units import fs
 from wrong_calls import answered
 
 import minimd as md
@@ -14,6 +17,7 @@ from minimd.grade import laws_of
 from minimd.grade.telling import named
 
 NVT, NPT = {"temperature_K": 300.0, "runs": 16, "steps": 200}, {"pressure": 0.002}
+RIGID = {"constraints": True}
 
 
 class Exact:
@@ -26,11 +30,11 @@ class Exact:
         self.wrong(self, new := self.atoms.calc.draw(self.rng))
         self.atoms.set_cell(new.cell)
         self.atoms.positions[:] = new.positions
-        self.atoms.set_momenta(new.get_momenta())
+        self.atoms.set_momenta(new.get_momenta(), apply_constraint=False)
 
 
 def hotter(factor):
-    return lambda own, new: new.set_momenta(new.get_momenta() * np.sqrt(factor(own)))
+    return lambda own, new: new.set_momenta(new.get_momenta() * np.sqrt(factor(own)), apply_constraint=False)
 
 
 def pushed(own, new):
@@ -48,6 +52,9 @@ WRONG = {
     "positions": (
         lambda own, new: new.set_positions(0.5 * (new.positions + own.atoms.calc.draw(own.rng).positions)),
         {}, "positions"),
+    "3N, rigid": (hotter(lambda own: 21.0 / 17.0 if own.atoms.constraints else 1.0), RIGID | {"steps": 800},
+                  "21 degrees of freedom are counted where 17 move: bonds are rigid"),
+    "soft": (lambda own, new: new.set_positions(1.001 * new.positions, apply_constraint=False), RIGID, "rigid bonds"),
     "volume": (lambda _, new: new.set_cell(new.cell * 0.9), NPT, "<V>"),
     "frozen": (lambda own, new: new.set_cell(own.atoms.cell), NPT, "volume never changes"),
     "collapse": (lambda own, new: new.set_cell(new.cell * 1e-3), NPT, "kinetic part"),
@@ -56,12 +63,12 @@ WRONG = {
 
 @pytest.mark.parametrize(("wrong", "options", "words"), WRONG.values(), ids=WRONG)
 def test_a_wrong_sampler_is_told_its_fault(wrong, options, words):
-    grade = md.grade(Exact, wrong=wrong, **NVT, **options)
+    grade = md.grade(Exact, wrong=wrong, **NVT | options)
     assert not grade.passed
     assert any(words in fault for fault in grade.faults), str(grade)
 
 
-@pytest.mark.parametrize("options", [{}, NPT])
+@pytest.mark.parametrize("options", [{}, NPT, RIGID])
 def test_an_exact_sampler_passes(options):
     grade = md.grade(Exact, **NVT, **options)
     assert grade.passed, str(grade)
@@ -92,9 +99,25 @@ def euler(atoms, timestep):
 
 def test_steps_of_constant_energy_are_judged():
     right, wrong = md.grade(VelocityVerlet, steps=200), md.grade(euler, steps=200)
+    twice = md.grade(lambda atoms, timestep: VelocityVerlet(atoms, 2.0 * timestep), steps=200)
+    assert twice["center of mass"].value == pytest.approx(2.0)
+    assert [one.name for one in twice if one.passed is False] == ["center of mass"]
     assert right.passed
     assert right["order of the energy's error"].value == pytest.approx(2.0, abs=0.1)
     assert {"energy is kept", "reversible"} <= {one.name for one in wrong if one.passed is False}
+
+
+def test_a_conserved_energy_is_judged_where_one_is_offered():
+    name = "order of the conserved energy's error"
+    assert md.grade(NoseHooverChainNVT, **NVT, tdamp=50 * fs)[name].value == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.slow
+def test_a_liquid_has_the_energy_of_nist():
+    grade = md.grade(LangevinBAOAB, temperature_K=300.0, T_tau=100 * fs, runs=8, liquids=True)
+    names = [f"liquid {k}: energy of the liquid" for k in (1, 2)]
+    assert [grade[name].value for name in names] == pytest.approx([1.0, 1.0], abs=0.02)
+    assert grade.passed, str(grade)
 
 
 test_what_cannot_be_judged_is_refused = answered(
@@ -102,6 +125,7 @@ test_what_cannot_be_judged_is_refused = answered(
     (lambda: md.grade(Bussi, temperature_K=-1.0, taut=5.0), ValueError, "temperature_K", "-1"),
     (lambda: md.grade(Bussi, "NPT", temperature_K=300.0), TypeError, "potential"),
     (lambda: md.grade(VelocityVerlet, ensemble="NPT"), ValueError, "pressure"),
+    (lambda: md.grade(Exact, **NVT, **NPT, **RIGID), ValueError, "constraints"),
     (lambda: md.grade(VelocityVerlet, ensemble="NPH"), ValueError, "ensemble", "NPH"),
     (lambda: md.grade(lambda x, v, dt: (x, v), temperature_K=300.0), TypeError, "temperature_K", "dynamics"),
     (lambda: named("ase.md.bussi:Busi"), ValueError, "Busi"),

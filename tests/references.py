@@ -74,21 +74,11 @@ def fourmol(masses=None):
     return md.System(table["x"], cell=cell, bonds=bonds, **given), table
 
 
+def scene_text(name):
+    return (DATA / "scenes" / f"{name}.toml").read_text(encoding="utf-8")
+
+
 def melt_scene(n_cells, steps, more=""):
     """The text of a scene file: a small Lennard-Jones melt, and lines to add to its [dynamics] and behind."""
-    return f"""
-units = "LJ"
-[structure]
-lattice = "fcc"
-repeat = [{n_cells}, {n_cells}, {n_cells}]
-density = 0.8442
-[[potential]]
-type = "lennard-jones"
-epsilon = 1.0
-sigma = 1.0
-cutoff = 2.5
-[dynamics]
-timestep = 0.004
-temperature = 1.44
-steps = {steps}
-{more}"""
+    text = scene_text("melt").replace("[4, 4, 4]", str([n_cells] * 3))
+    return text.replace("steps = 20", f"steps = {steps}") + more

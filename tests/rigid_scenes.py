@@ -6,6 +6,7 @@ import ase.io
 import numpy as np
 import scenes
 from ase import Atoms
+from references import scene_text
 
 import minimd as md
 
@@ -80,16 +81,7 @@ def described(constraints):
 
 
 SQUARE = np.array([[0.0, 0, 0], [1.5, 0, 0], [1.5, 1.5, 0], [0, 1.5, 0]])
-RIGID_RING = """
-potential = [{ type = "harmonic-angle", k_eV_rad2 = 3.0, angle_degree = 80.0, triples = [[0, 1, 2], [2, 3, 0]] }]
-dynamics = { timestep_fs = 1.0, temperature_K = 300.0, steps = 20 }
-output = { every = 10 }
-[structure]
-file = "ring.xyz"
-bonds = [[0, 1], [1, 2], [2, 3], [3, 0]]
-[constraints]
-pairs = "bonds"
-"""
+RIGID_RING = scene_text("ring")
 
 
 def ring_in(folder, *constraints):

@@ -11,55 +11,13 @@ from time import process_time
 import numpy as np
 import pytest
 from answers import answer_of, assert_right
-from scene_texts import WATER, everything_of
+from references import scene_text
+from scene_texts import everything_of
 
 STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 SECONDS, KILOBYTES = 2.0, 1_000_000  # for one scene, of processor time
-MELT = """
-units = "LJ"
-structure = {lattice = "fcc", repeat = [3, 3, 3], density = 0.8}
-potential = [{type = "lennard-jones", epsilon = 1.0, sigma = 1.0, cutoff = 2.5, truncation = "shifted"}]
-minimization = {max_steps = 2, force_tolerance = 0.1}
-equilibration = {steps = 2, rescale_every = 1}
-output = {every = 5, trajectory = ["a.h5md", "a.xtc"], plot = "a.png", forces = true, stress = true}
-dynamics = {method = "langevin-baoab", timestep = 0.004, steps = 20, temperature = 1.44, relaxation_time = 2.0, \
-            seed = 3, precision = "double"}
-"""
-ARGON = """
-title = "argon and krypton"
-structure = {lattice = "fcc", element = "Ar", repeat = [2, 2, 3], density_g_cm3 = 1.3}
-constraints = {fixed = [0, 3]}
-dynamics = {timestep_fs = 5.0, steps = 20, temperature_K = 90.0, seed = 3, threads = 1}
-output = {plot = true}
-potential = [{type = "lennard-jones", \
-    species = {Ar = {epsilon_K = 120.0, sigma_A = 3.4}, Kr = {epsilon_K = 164.0, sigma_A = 3.83}}, \
-    pairs = [{species = ["Ar", "Kr"], epsilon_K = 130.0, sigma_A = 3.6}], mixing = "geometric", cutoff_A = 8.5, \
-    truncation = "switched", switch_start_A = 7.0}]
-"""
-DUMBBELLS = f"""
-units = "LJ"
-constraints = {{pairs = "bonds", lengths = 1.2, tolerance = 1e-10, solver = "shake"}}
-dynamics = {{timestep = 0.004, steps = 20, temperature = 1.5}}
-potential = [
-    {{type = "lennard-jones", epsilon = 1.0, sigma = 1.0, cutoff = 2.1, bonded_scale = [0.0, 1.0, 1.0]}},
-    {{type = "harmonic-bond", k = 30.0, length = 1.3, pairs = [[0, 2], [1, 3]]}},
-    {{type = "harmonic-angle", k = 10.0, angle_degree = 120.0, triples = [[0, 1, 2]]}},
-]
-structure = {{lattice = "bcc", repeat = [2, 2, 2], lattice_constant = 1.385640646055102, \
-    bonds = {[[k, k + 1] for k in range(0, 16, 2)]}, pbc = [true, true, false], species = {8 * ["A", "B"]}}}
-"""
-TABLE = """
-units = "LJ"
-structure = {lattice = "sc", repeat = [2, 2, 2], density = 0.2, species = ["A", "B", "A", "B", "A", "B", "A", "B"], \
-    charges = {A = 0.1, B = -0.1}}
-dynamics = {timestep = 0.002, steps = 20, temperature = 0.5}
-tables.like = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [9.0, 6.0, 3.0, 1.5, 0.7, 0.0]}
-tables.unlike = {r = [0.3, 0.6, 0.9, 1.2, 1.4, 1.7], u = [0, 0, 0, 1, 0, 0]}
-potential = [{type = "tabulated", cutoff = 1.6, truncation = "switched", pairs = [ \
-    {species = ["A", "A"], file = "like"}, {species = ["A", "B"], file = "unlike"}, \
-    {species = ["B", "B"], file = "like"}]}, {type = "coulomb", cutoff = 1.6, bonded_scale = [0.0, 0.0, 1.0]}]
-"""
-SCENES = [tomllib.loads(text) for text in (MELT, ARGON, DUMBBELLS, TABLE, WATER)]
+SCENES = ("mutated_melt", "mutated_argon", "mutated_dumbbells", "mutated_table", "water")
+SCENES = [tomllib.loads(scene_text(name)) for name in SCENES]
 SENSELESS = [math.nan, "", "no such thing", {}, {"a": 1}, [[[]]], [{"b": []}], -(2**63), "\0", "1.0", ["1", "2", "3"]]
 STRANGE = [True, False, 0, 1, -1, 3, 10**4, 2**62, 0.0, -0.0, 0.5, -2.5, 1e-300, 5e-324, 1e-9, 1e9, 1e300]
 STRANGE += [math.inf, -math.inf, [], [0, 0, 0], "auto", "Ar", "LJ"]

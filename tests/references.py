@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ DATA = Path(__file__).parent / "data"
 
 
 def load(name):
-    return json.loads((DATA / name).read_text())
+    text = (DATA / name).read_text(encoding="utf-8")
+    return tomllib.loads(text) if name.endswith(".toml") else json.loads(text)
 
 
 def brute_force_pairs(positions, cell, pbc, cutoff):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from ase.calculators.lj import LennardJones
 from ase.constraints import FixAtoms, FixBondLengths
-from references import melt_scene
+from references import load, melt_scene
 from rigid_scenes import PAIRS, RIGID_RING, SQUARE, VERLET, chain, described, dumbbells, ring_in
 from scenes import BONDED
 from wrong_calls import assert_answered
@@ -187,17 +187,7 @@ def test_a_scene_makes_its_bonds_rigid_and_resumed_it_is_the_uninterrupted_one(h
     assert np.abs(apart).max() < 1e-13  # rounding
 
 
-WRONG = [  # [constraints] of a scene, what is shown
-    ("pair = [[0, 1]]", "constraints has no key 'pair'", "did you mean 'pairs'?"),
-    ('pairs = "bond"', "constraints.pairs", '"bond"'), ("pairs = [[0, 1, 2]]", "constraints.pairs[0]", "[0, 1, 2]"),
-    ("pairs = [[0, 1], [1, 0]]", "constraints: pairs", "pairs[0] = [0, 1]"),
-    ("pairs = [[0, 1], [1, 2]]\nlengths_A = [1.5]", "constraints", "lengths_A", "2 pairs"),
-    ('pairs = "bonds"\nlengths_A = [1.5, 1.5]', "constraints: lengths", "(2,)"),
-    ("pairs = [[0, 1], [1, 2]]\nlengths_A = [1.5, -1]", "constraints.lengths_A[1]", "= -1"),
-    ("fixed = [4]", "fixed atoms", "atom 4"), ('pairs = [[0, 1]]\nsolver = "lincs"', "constraints.solver", '"lincs"'),
-    ('solver = "shake"', "constraints", "tolerance and solver", "give pairs"),
-    ("pairs = [[0, 1], [1, 2], [0, 2]]\nlengths_A = [1, 1, 3]", "constraint"),
-]  # fmt: skip
+WRONG = load("wrong_scenes.toml")["ring"]
 
 
 @pytest.mark.parametrize(("section", "shown"), [(section, shown) for section, *shown in WRONG])

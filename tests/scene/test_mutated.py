@@ -4,20 +4,19 @@ import copy
 import json
 import math
 import re
-import tomllib
 from pathlib import Path
 from time import process_time
 
 import numpy as np
 import pytest
 from answers import answer_of, assert_right
-from references import scene_text
+from references import load
 from scene_texts import everything_of
 
 STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 SECONDS, KILOBYTES = 2.0, 1_000_000  # for one scene, of processor time
 SCENES = ("mutated_melt", "mutated_argon", "mutated_dumbbells", "mutated_table", "water")
-SCENES = [tomllib.loads(scene_text(name)) for name in SCENES]
+SCENES = [load(f"scenes/{name}.toml") for name in SCENES]
 SENSELESS = [math.nan, "", "no such thing", {}, {"a": 1}, [[[]]], [{"b": []}], -(2**63), "\0", "1.0", ["1", "2", "3"]]
 STRANGE = [True, False, 0, 1, -1, 3, 10**4, 2**62, 0.0, -0.0, 0.5, -2.5, 1e-300, 5e-324, 1e-9, 1e9, 1e300]
 STRANGE += [math.inf, -math.inf, [], [0, 0, 0], "auto", "Ar", "LJ"]

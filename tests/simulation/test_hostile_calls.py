@@ -5,8 +5,8 @@ from time import perf_counter
 
 import numpy as np
 import pytest
-from answers import answer_of, assert_right
 from scene_texts import REDUCED, everything_of
+from wrong_calls import answer_of, assert_right
 
 import minimd as md
 from minimd.console.words import shown

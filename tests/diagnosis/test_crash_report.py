@@ -13,8 +13,8 @@ from ase import units
 from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
 from ase.md.velocitydistribution import thermalize_momenta
+from charged_scenes import ions, run_of
 from references import melt_scene
-from salts import run_of, salt
 from scenes import LJ, SCENES
 from wrong_calls import assert_answered
 
@@ -171,7 +171,7 @@ LANGEVIN = {"method": md.LangevinBAOAB, "temperature": 1.44, "friction": 1.0, "s
 FAILING = {  # positions last, too: energies that a method has not evaluated at its last positions are
     "langevin": lambda: melt(BIG_STEP, **LANGEVIN), "rigid and fixed": rigid_with_one_fixed,
     "bonds": chain, "positions last": lambda: melt(0.03, md.PositionVerlet),
-    "ions": lambda: run_of(salt(), 40.0),
+    "ions": lambda: run_of(ions(), 40.0),
 }  # fmt: skip
 
 

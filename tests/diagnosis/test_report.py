@@ -5,9 +5,9 @@ import warnings
 
 import numpy as np
 import pytest
+from charged_scenes import EDGE, LAWS, ions, run_of
 from h5md_runs import record_of, simulation
 from references import liquid, processes
-from salts import EDGE, LAWS, run_of, salt
 from scenes import LJ, SCENES
 
 import minimd as md
@@ -172,7 +172,7 @@ def test_report_tells_of_list_cutoff_constraints_and_angular_momentum():
 
 def test_report_tells_of_the_sum_over_waves_and_a_net_charge_is_told_once():
     with warnings.catch_warnings(record=True, action="always") as told:
-        sim = run_of(salt(net=0.4))
+        sim = run_of(ions(net=0.4))
         sim.run(4, every=1)
         sim.system.cell = md.Cell.of(1.01 * EDGE)
         sim.run(4, every=1)

@@ -6,8 +6,8 @@ from collections import namedtuple
 import h5py
 import numpy as np
 import pytest
+from charged_scenes import LAWS, ions, run_of
 from h5md_runs import CELLS, PER_PICOSECOND, lengths_and_angles, opened, resumed, simulation
-from salts import LAWS, run_of, salt
 
 import minimd as md
 from minimd.engine.record import SERIES
@@ -141,7 +141,7 @@ def test_a_title_a_scene_and_integer_species_are_kept(tmp_path):
 
 
 def test_charges_are_where_h5md_has_them_and_a_run_of_ions_goes_on_with_the_same_bits(tmp_path):
-    path, whole, sim = tmp_path / "a.h5md", run_of(salt()), run_of(salt())
+    path, whole, sim = tmp_path / "a.h5md", run_of(ions()), run_of(ions())
     record = whole.run(20, every=5)
     sim.run(10, every=5, trajectory=path)
     again = md.Simulation.resume(path, LAWS)
@@ -150,7 +150,7 @@ def test_charges_are_where_h5md_has_them_and_a_run_of_ions_goes_on_with_the_same
     np.testing.assert_array_equal(read_file(path).record.total_energy, record.total_energy)
     with h5py.File(path) as h5:
         stored = h5["particles/trajectory/charge"]
-        np.testing.assert_array_equal(stored, salt().charges, strict=True)
+        np.testing.assert_array_equal(stored, ions().charges, strict=True)
         assert stored.attrs["unit"] == "e"
     simulation().run(0, trajectory=tmp_path / "b.h5md")
     with h5py.File(tmp_path / "b.h5md") as h5:

@@ -1,4 +1,4 @@
-"""What becomes of a run and of its file when it is killed at any of its writes or stopped anywhere: the same last bit."""
+"""What becomes of a run and its file when it is killed at any of its writes or stopped anywhere: the same last bit."""
 
 import os
 import random

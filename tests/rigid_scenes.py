@@ -12,6 +12,8 @@ import minimd as md
 
 VERLET = md.VelocityVerlet(0.002)
 PAIRS = np.arange(64).reshape(-1, 2)  # of the dumbbells
+SQUARE = np.array([[0.0, 0, 0], [1.5, 0, 0], [1.5, 1.5, 0], [0, 1.5, 0]])
+RIGID_RING = scene_text("ring")
 
 
 def dumbbells(constraints=None, method=VERLET):
@@ -78,10 +80,6 @@ def described(constraints):
     fixed = [one.atoms.tolist() for one in constraints if isinstance(one, md.FixedAtoms)]
     kept = [one for one in constraints if isinstance(one, md.DistanceConstraints)]
     return fixed, [(one.pairs.tolist(), one.lengths.tolist(), one.tolerance, one.solver) for one in kept]
-
-
-SQUARE = np.array([[0.0, 0, 0], [1.5, 0, 0], [1.5, 1.5, 0], [0, 1.5, 0]])
-RIGID_RING = scene_text("ring")
 
 
 def ring_in(folder, *constraints):

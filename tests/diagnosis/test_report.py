@@ -52,7 +52,6 @@ def test_the_report_tells_conserved_from_not(conserved):
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("bath", [False, True], ids=["alone", "bath"])
 def test_nothing_is_conserved_where_something_is_not_finite(conserved, value, bath):
-    """In any observable, in any frame."""
     record = conserved.record
     known = {name: np.array(getattr(record, name))[:31] for name in ("step", "time", *SERIES) if name in record}
     known |= {"shadow_energy": known["total_energy"], "constraint_violation": np.zeros(31)}

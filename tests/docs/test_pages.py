@@ -181,7 +181,6 @@ def run_melt(system, n_steps):
 
 @pytest.mark.slow
 def test_scripts_of_the_page_on_formats_run(melt, capsys):
-    """In one process, on the file of a run of the melt."""
     define()
     run_melt(system_from_file("melt.pdb"), 20)
     names, scripts = {}, blocks(DOCS / "formats.md")

@@ -19,6 +19,13 @@ KJ_PER_MOL = 96.48533288249877  # of eV, as ASE's documentation has it
 LJ, ASE = md.units.LJ, md.units.ASE
 RUNS = [*((cell, LJ) for cell in CELLS), ("cubic", ASE), ("triclinic", ASE), ("open", ASE)]
 Run = namedtuple("Run", "cell units path sim record seen")  # seen: step, time, r, v and F at each frame
+VERLET, BATH = md.VelocityVerlet(0.002), md.LangevinBAOAB(0.002, 1.0, 1.0, 3)
+OTHER_STEPS = {  # the file has the first method, the others take over one after another
+    VERLET: [(md.VelocityVerlet(0.001), ["timestep=0.002", "timestep=0.001"]),
+             (md.PositionVerlet(0.001), ["velocity-verlet", "position-verlet"])],
+    BATH: [(md.LangevinBAOAB(0.002, 2.0, 1.0, 3), ["temperature=1", "temperature=2"]),
+           (md.LangevinBAOAB(0.002, 2.0, 1.0, 4), ["seed=3", "seed=4"])],
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module", params=RUNS, ids=lambda row: f"{row[0]}-{row[1].name}")
@@ -87,15 +94,6 @@ def test_appended_run_continues_on_the_grid_of_the_first_one(tmp_path, n_steps):
     np.testing.assert_array_equal(contents.record.total_energy[-3:], record.total_energy[-3:])
     frames = opened(path).trajectory
     assert (len(frames), len(frames[-1].forces)) == (9, 27)
-
-
-VERLET, BATH = md.VelocityVerlet(0.002), md.LangevinBAOAB(0.002, 1.0, 1.0, 3)
-OTHER_STEPS = {  # the file has the first method, the others take over one after another
-    VERLET: [(md.VelocityVerlet(0.001), ["timestep=0.002", "timestep=0.001"]),
-             (md.PositionVerlet(0.001), ["velocity-verlet", "position-verlet"])],
-    BATH: [(md.LangevinBAOAB(0.002, 2.0, 1.0, 3), ["temperature=1", "temperature=2"]),
-           (md.LangevinBAOAB(0.002, 2.0, 1.0, 4), ["seed=3", "seed=4"])],
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("before", [VERLET, pytest.param(BATH, marks=pytest.mark.slow)])

@@ -106,7 +106,6 @@ def test_a_run_goes_on_to_the_same_bits_whatever_is_on_the_disk(kind, tmp_path):
 
 
 def test_exception_in_a_run_leaves_valid_files_and_its_block_runs_go_on(tmp_path):
-    """Also after single steps."""
     paths, sim = [tmp_path / f"a.{suffix}" for suffix in ("h5md", "xtc", "ncdf")], simulation()
     sim.make_steps(10)
     try:

@@ -24,6 +24,16 @@ METHODS = {
 TEMPERATURES = (94.4, 100.0)  # K; the potential energies of 108 atoms overlap well
 EVERY, SIGMAS = 25, 3.0
 CONVERSIONS = {"energy": 96.485, "length": 0.1, "volume": 1e-3, "temperature": 1.0, "pressure": 1.602e6}
+test_bad_baths_are_answered = answered(
+    (lambda: md.LangevinBAOAB(-0.01, 1.0, 1.0, 1), ValueError, "timestep", "-0.01"),
+    (lambda: md.LangevinBAOAB(0.01, -1.0, 1.0, 1), ValueError, "temperature", "-1.0"),
+    (lambda: md.LangevinBAOAB(0.01, 1.0, np.nan, 1), ValueError, "friction", "nan"),
+    (lambda: md.LangevinBAOAB(0.01, 1.0, 1.0, 2**128), ValueError, "seed", "340"),
+    (lambda: md.StochasticVelocityRescaling(0.01, 1.0, 0.0, 1), ValueError, "relaxation_time", "0.0"),
+    (lambda: md.LangevinBAOAB.on(md.integrators.SecondOrder(lambda q: -q)), TypeError, "langevin-baoab"),
+    (lambda: compose(md.LangevinBAOAB), TypeError, "has a bath"),
+    (lambda: adjoint(md.StochasticVelocityRescaling), TypeError, "has a bath"),
+)
 
 
 def state(velocities, masses):
@@ -199,18 +209,6 @@ def test_each_equilibration_has_noise_of_its_own_and_the_same_in_each_repetition
         ends.append(sim.velocities)
     assert seen == 2 * [-5, -4, -3, -2, -1, -8, -7, -6, 0, 1, 2, 3, -10, -9]
     assert (ends[0] == ends[1]).all()
-
-
-test_bad_baths_are_answered = answered(
-    (lambda: md.LangevinBAOAB(-0.01, 1.0, 1.0, 1), ValueError, "timestep", "-0.01"),
-    (lambda: md.LangevinBAOAB(0.01, -1.0, 1.0, 1), ValueError, "temperature", "-1.0"),
-    (lambda: md.LangevinBAOAB(0.01, 1.0, np.nan, 1), ValueError, "friction", "nan"),
-    (lambda: md.LangevinBAOAB(0.01, 1.0, 1.0, 2**128), ValueError, "seed", "340"),
-    (lambda: md.StochasticVelocityRescaling(0.01, 1.0, 0.0, 1), ValueError, "relaxation_time", "0.0"),
-    (lambda: md.LangevinBAOAB.on(md.integrators.SecondOrder(lambda q: -q)), TypeError, "langevin-baoab"),
-    (lambda: compose(md.LangevinBAOAB), TypeError, "has a bath"),
-    (lambda: adjoint(md.StochasticVelocityRescaling), TypeError, "has a bath"),
-)
 
 
 @pytest.fixture(scope="module", params=METHODS)

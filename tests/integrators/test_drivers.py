@@ -14,6 +14,16 @@ from minimd.integrators import BlanesMoan4, GaussLegendre2, RadauIIA3, SecondOrd
 BACKWARDS = np.array([1.0, -1.0, -1.0, 1.0])  # the state at −t of an orbit from its pericentre, from that at t
 COMET = pericentre(0.9)
 TIMES = [(0, 1.05), (0, 1), (0.7, 0.8), (3, 4.05), (1e6, 1e6 + 1.05), (0, 0.03), (2, 0.95), (-1, -2.05), (0, 0.1 * 3)]
+BUFFER = np.zeros((2, 3))
+FORCES = {
+    "default argument": lambda q, stiffness=1.0: -stiffness * q,
+    "all three under other names": lambda time, x, velocity: -x,
+    "partial": functools.partial(lambda stiffness, q: -stiffness * q, 1.0), "object": np.poly1d([-1.0, 0.0]),
+    "numpy": np.negative, "numba": numba.njit(lambda q: -q), "numba, elementwise": numba.vectorize(lambda x: -x),
+    "list": lambda q: [[-x for x in row] for row in q],
+    "buffer used again": lambda q: np.negative(q, out=BUFFER if q.shape == BUFFER.shape else None),
+    "transposed memory": lambda q: np.asfortranarray(-q), "long double": lambda q: (-q).astype(np.longdouble),
+}  # fmt: skip
 
 
 def adaptive(method=BlanesMoan4, t_end=6.0, problem=KEPLER, start=KEPLER_START, t0=0.0, **control):
@@ -112,7 +122,6 @@ def test_a_step_that_may_not_be_shorter_ends_the_run_where_it_is():
 
 
 def test_equations_without_a_solution_reject_the_step():
-    """Too long for Newton's method at first; shorter ones are fine."""
     stiff = SecondOrder(lambda q, v: -q - np.exp(5.0 * v), solver=mi.Newton(max_iterations=6))
     with pytest.raises(md.ConvergenceError):
         run_steps(stiff, VelocityVerlet(1.0), ([0.0], [1.0]), 1)
@@ -157,7 +166,6 @@ def test_energy_stays_bounded_with_reversible_steps_and_drifts_with_plain_step_c
 
 @pytest.mark.parametrize("method", [VelocityVerlet, md.PositionVerlet, BlanesMoan4, GaussLegendre2])
 def test_a_reversed_run_returns_to_the_start(method):
-    """One period there, from the last whole step back."""
     there = reversible(0.003, PERIOD, method, rate=falling)
     end = there.q[-2], -there.v[-2]
     back = reversible(0.003, there.t[-2], method, start=end, density=there.density[-2], rate=falling)
@@ -204,18 +212,6 @@ def test_a_reversible_run_ends_after_so_many_steps():
     assert [whole.success, *ended, some.success] == [True, True, False, False]
     assert some.message.startswith(f"stopped at t = {whole.t[50]:g} after 50 steps")
     assert (some.y[-1] == whole.y[50]).all()
-
-
-BUFFER = np.zeros((2, 3))
-FORCES = {
-    "default argument": lambda q, stiffness=1.0: -stiffness * q,
-    "all three under other names": lambda time, x, velocity: -x,
-    "partial": functools.partial(lambda stiffness, q: -stiffness * q, 1.0), "object": np.poly1d([-1.0, 0.0]),
-    "numpy": np.negative, "numba": numba.njit(lambda q: -q), "numba, elementwise": numba.vectorize(lambda x: -x),
-    "list": lambda q: [[-x for x in row] for row in q],
-    "buffer used again": lambda q: np.negative(q, out=BUFFER if q.shape == BUFFER.shape else None),
-    "transposed memory": lambda q: np.asfortranarray(-q), "long double": lambda q: (-q).astype(np.longdouble),
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("force", FORCES.values(), ids=FORCES)

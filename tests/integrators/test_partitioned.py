@@ -85,8 +85,6 @@ def test_fixed_points_are_found_to_rounding_however_slowly(damping):
 
 @pytest.mark.parametrize("method", [*EVERY_FEW[:2], *small.GAUSS, *small.RADAU, mi.BDF3])
 def test_units_change_nothing(method):
-    """Lengths and velocities in other units: the same path in those units."""
-
     def path(scale):
         problem = mi.Partitioned(lambda q, v: v * (1.0 + (q / scale) ** 2), lambda q, v: -q * (1.0 + (v / scale) ** 2))
         return mi.run_steps(problem, method(0.05), ([0.5 * scale], [0.3 * scale]), 20).y / scale

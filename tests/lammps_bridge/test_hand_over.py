@@ -79,7 +79,6 @@ def test_scenes_without_energy_at_the_start_run_to_the_end(name, tmp_path):
 
 
 def test_a_run_that_was_brought_back_passes_the_check_and_goes_on_also_without_minimd(tmp_path):
-    """A cluster needs the folder only."""
     theirs = SCENES["shifted"]()
     done = handed_over(theirs, tmp_path / "run", 200, store_forces=True)
     assert check_file(done.trajectory).passed

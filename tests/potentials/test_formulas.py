@@ -14,6 +14,12 @@ import minimd as md
 
 LJ = md.LennardJones(1.0, 1.0)
 WALLS = [("9-3", 0.4 ** (1 / 6), 10.0**0.5 / 3.0), pytest.param("12-6", 2.0 ** (1 / 6), 1, marks=pytest.mark.slow)]
+RULES = [
+    ({"mixing": "lorentz-berthelot"}, 2.0, 1.5),
+    ({"mixing": "geometric"}, 2.0, 2.0**0.5),
+    ({"mixing": lambda a, b: (min(a[0], b[0]), max(a[1], b[1]))}, 1.0, 2.0),
+    ({"pairs": {("B", "A"): (3.0, 1.0)}}, 3.0, 1.0),
+]
 
 
 def two(distance, *more):
@@ -44,14 +50,6 @@ def test_a_spring_of_length_zero_pulls_with_k_times_the_distance_down_to_none():
     assert frequency == pytest.approx(6.0**0.5, rel=1e-6)  # √(k/μ), truncation of the difference
     record = md.Simulation(two(0.0), springs[0], md.VelocityVerlet(0.01)).run(10, progress=False)
     assert record.total_energy.tolist() == [0.0]
-
-
-RULES = [
-    ({"mixing": "lorentz-berthelot"}, 2.0, 1.5),
-    ({"mixing": "geometric"}, 2.0, 2.0**0.5),
-    ({"mixing": lambda a, b: (min(a[0], b[0]), max(a[1], b[1]))}, 1.0, 2.0),
-    ({"pairs": {("B", "A"): (3.0, 1.0)}}, 3.0, 1.0),
-]
 
 
 @pytest.mark.parametrize(("rule", "epsilon", "sigma"), RULES)

@@ -24,7 +24,6 @@ U_MASS, EV, K_B, ANGSTROM = 1.66053906660e-27, 1.602176634e-19, 1.380649e-23, 1e
 TIME_UNIT = ANGSTROM * np.sqrt(U_MASS / EV)  # s
 CODATA = {"rel": 1e-6, "abs": 0.0}  # what two editions differ by; approx would take every number of SI size for zero
 MOLECULE, PAIR = scene_text("molecule"), scene_text("pair")
-# fmt: off
 ENDINGS = {  # of keys: SI / that of minimd, for each dimension
     "length":       (ANGSTROM, {"_A": ANGSTROM}),                    "time": (TIME_UNIT, {"_fs": 1e-15}),
     "temperature":  (1.0, {"_K": 1.0}),                              "energy": (EV, {"_eV": EV, "_K": K_B}),
@@ -35,8 +34,7 @@ ENDINGS = {  # of keys: SI / that of minimd, for each dimension
     "acceleration": (ANGSTROM / TIME_UNIT**2, {"_A_ps2": ANGSTROM / 1e-24}),
     "pressure":     (EV / ANGSTROM**3, {"_bar": 1e5, "_GPa": 1e9}),
     "compressibility": (ANGSTROM**3 / EV, {"_per_bar": 1e-5, "_per_GPa": 1e-9}),
-}
-# fmt: on
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -105,7 +103,6 @@ def test_bonds_and_angles_have_the_energy_of_their_formula_in_the_cell_of_the_sc
 
 
 def test_charges_of_a_scene_are_those_of_its_species_its_list_or_its_file(folder):
-    """And they are in its run, which goes on from the file alone."""
     by_species, signs = scene_of(SALT), [1, -1, -1, 1, -1, 1, 1, -1]
     system = by_species.system()
     assert system.charges.tolist() == [0.7 * sign for sign in signs]
@@ -218,7 +215,6 @@ def test_a_run_goes_on_from_its_file_alone_with_its_table_and_its_stress(folder)
 
 
 def test_scenes_that_differ_in_what_matters_are_told_apart(folder):
-    """In numbers, and in the contents of a table; not in remarks."""
     slow = REDUCED.replace("sigma = 1.0", "sigma = 0.9").replace("0.004", "0.002").replace("steps = 20", "steps = 9")
     told = ["dynamics.steps: 20 before, 9 now", "dynamics.timestep: 0.004 before, 0.002 now"]
     told += ["potential[0].sigma: 1.0 before, 0.9 now"]

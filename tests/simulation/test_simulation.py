@@ -60,7 +60,6 @@ def test_set_temperature_is_exact_seeded_normal_and_without_momentum():
 
 
 def test_rescaling_keeps_a_drift_unless_the_center_is_thermal(argon):
-    """And equilibrating starts the clock again."""
     drift, sim = [0.5, 0.0, -1.0], argon.simulation()
     sim.velocities[:] += drift
     sim.equilibrate(20, 1.3)

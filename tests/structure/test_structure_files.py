@@ -92,14 +92,10 @@ def test_angles_and_constraints_of_a_file_are_those_named_by_hand(folder):
 
 
 def test_scenes_have_every_field_and_law():
-    start = '[structure]\nlattice = "sc"\nrepeat = [2, 2, 2]\npbc = false\n'
-    reduced = f'units = "LJ"\n{start}lattice_constant = 1.3\n%s[dynamics]\ntimestep = 0.001\nsteps = 2\n'
-    in_ase = f'{start}element = "Ar"\nlattice_constant_A = 1.3\n%s[dynamics]\ntimestep_fs = 0.001\nsteps = 2\n'
-    made = parse_scene(reduced % scene_text("fields"), "scene.toml").potentials()
+    made, wrong = parse_scene(scene_text("fields"), "scene.toml").potentials(), scene_text("gravity")
     kinds = [md.ConstantForce, md.Gravity, md.Restraint, md.SteeredSpring, md.Wall, md.CylinderWall, md.SphereWall]
     assert [type(one) for one in made] == [*kinds, md.MorseBond, md.OPLSDihedral, md.RyckaertBellemans]
     assert repr(made[3]) == "SteeredSpring(k=3.0, points=[1.0, 2.0, 3.0], velocity=[0.1, 0.0, 0.0], atoms=[3], end=5)"
-    wrong = in_ase % '[[potential]]\ntype = "gravity"\nacceleration = [0.0, 0.0, -2.0]\n'
     words = "potential[0]", "'acceleration'", "'acceleration_A_ps2'"
     assert_answered(lambda: parse_scene(wrong, "scene.toml"), ValueError, *words)
     [fall] = parse_scene(wrong.replace("acceleration", "acceleration_A_ps2"), "scene.toml").potentials()
@@ -116,7 +112,6 @@ def test_bonds_that_are_not_used_are_told(folder, form):
 
 
 def test_lammps_data_keeps_its_types_velocities_and_bonds(folder):
-    """Also without a suffix, and through Atoms of ASE with bonds in their arrays."""
     read = system_from_file("melt.data", units=md.units.LJ)
     np.testing.assert_allclose(read.positions, POSITIONS, atol=1e-12)
     np.testing.assert_allclose(read.velocities[:, 0], 0.5 * np.arange(20), rtol=1e-14)
@@ -171,7 +166,6 @@ def test_what_cannot_be_a_structure_is_named(folder):
 
 @pytest.mark.parametrize("units", [md.units.LJ, md.units.ASE], ids=lambda units: units.name)
 def test_system_from_a_universe_is_the_one_that_wrote_it(tmp_path, units):
-    """To float32; the cell by lengths and angles."""
     given = {"masses": np.arange(1.0, 21.0), "species": ["A", "B"] * 10, "bonds": BONDS, "angles": ANGLES}
     cell = [[6.0, 0.0, 0.0], [1.0, 7.0, 0.0], [0.5, -1.0, 8.0]]
     old = md.System(POSITIONS, velocities=0.01 * POSITIONS, cell=cell, units=units, **given)

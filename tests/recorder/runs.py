@@ -51,11 +51,9 @@ RUN, RESUME = ["run", SCENE, "--quiet"], ["resume", FILE, "--quiet"]
 SEEN = ("radial-distribution", "mean-square-displacement", "viscosity", "fluctuations")
 OBSERVERS = "".join(f'[[observer]]\nkind = "{kind}"\nevery = 2\n' for kind in SEEN)
 BATH, EVERY = 'method = "langevin-baoab"\nrelaxation_time = 1.0\n', "[output]\nevery = 3\n"
-PRESSURE = """[barostat]
-pressure = 1.0\ncompressibility = 0.1\nrelaxation_time = 0.1\nevery = 3\ncoupling = "triclinic"
-"""
+PRESSURE = 'pressure = 1.0\ncompressibility = 0.1\nrelaxation_time = 0.1\nevery = 3\ncoupling = "triclinic"\n'
 KINDS = {  # what is added to a melt of 108 atoms
-    "nve": EVERY, "triclinic": BATH + PRESSURE + EVERY, "observers": OBSERVERS + EVERY,
+    "nve": EVERY, "triclinic": f"{BATH}[barostat]\n{PRESSURE}{EVERY}", "observers": OBSERVERS + EVERY,
     "rigid": "[constraints]\npairs = [[0, 1], [2, 3]]\n" + EVERY,
     "fixed-point": 'precision = "fixed-point"\n' + EVERY, "forces": BATH + EVERY + "forces = true\n",
     "formats": OBSERVERS + EVERY + 'trajectory = ["run.xtc", "run.h5md", "run.extxyz", "run.traj", "run.dcd"]\n',

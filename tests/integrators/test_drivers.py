@@ -1,4 +1,4 @@
-"""Drivers: fixed steps, steps up to a time, chosen by their error, reversible ones; what problems and steps may take."""
+"""Drivers: fixed steps, steps up to a time, chosen by their error, reversible ones; what problems and steps take."""
 
 import functools
 

@@ -1,4 +1,4 @@
-"""Scenes with charges: crystals, a salt, water; and a converged Ewald sum of Gaussians, written without minimd."""
+"""Scenes with charges: crystals, a salt, a few ions; and a converged Ewald sum of Gaussians, written without minimd."""
 
 import numpy as np
 from scipy.special import erfc
@@ -13,6 +13,9 @@ CRYSTALS = {
     "ZnS": ([FCC, FCC + 0.25], (1, -1), 4, -3.78292610408578),
     "CaF2": ([FCC, FCC + 0.25, FCC + 0.75], (2, -1, -1), 4, -11.6365752270767),
 }
+EDGE = 5.64  # Å, of the cube of eight ions
+CUTOFF = 2.7
+LAWS = [md.LennardJones(0.1, 2.3, CUTOFF, "force-shifted"), md.Coulomb(CUTOFF, 1e-4)]
 
 
 def crystal(name, repeat=3, shear=((1, 0, 0), (0, 1, 0), (0, 0, 1))):
@@ -67,3 +70,18 @@ def ewald(positions, charges, lattice, alpha, reach=6.3):
 
 def rms(forces):
     return np.sqrt((forces**2).sum(axis=1).mean())
+
+
+def ions(net=0.0, **given):
+    """Eight ions, not quite in their places, of ±0.7 e and a share of the net charge."""
+    of = salt(1, disorder=0.035, seed=7)
+    given = {"cell": EDGE, "charges": 0.7 * of.charges + net / 8.0, "species": of.species} | given
+    masses = np.where(of.charges > 0.0, 22.99, 35.45)
+    return md.System(0.5 * EDGE * of.positions, units=md.units.ASE, masses=masses, **given)
+
+
+def run_of(system, femtoseconds=1.0):
+    """A simulation of ions at 300 K."""
+    made = md.Simulation(system, LAWS, md.VelocityVerlet(femtoseconds * md.units.fs))
+    made.set_temperature(300.0, seed=2)
+    return made

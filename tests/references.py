@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ DATA = Path(__file__).parent / "data"
 
 
 def load(name):
-    return json.loads((DATA / name).read_text())
+    text = (DATA / name).read_text(encoding="utf-8")
+    return tomllib.loads(text) if name.endswith(".toml") else json.loads(text)
 
 
 def brute_force_pairs(positions, cell, pbc, cutoff):
@@ -74,21 +76,11 @@ def fourmol(masses=None):
     return md.System(table["x"], cell=cell, bonds=bonds, **given), table
 
 
+def scene_text(name):
+    return (DATA / "scenes" / f"{name}.toml").read_text(encoding="utf-8")
+
+
 def melt_scene(n_cells, steps, more=""):
     """The text of a scene file: a small Lennard-Jones melt, and lines to add to its [dynamics] and behind."""
-    return f"""
-units = "LJ"
-[structure]
-lattice = "fcc"
-repeat = [{n_cells}, {n_cells}, {n_cells}]
-density = 0.8442
-[[potential]]
-type = "lennard-jones"
-epsilon = 1.0
-sigma = 1.0
-cutoff = 2.5
-[dynamics]
-timestep = 0.004
-temperature = 1.44
-steps = {steps}
-{more}"""
+    text = scene_text("melt").replace("[4, 4, 4]", str([n_cells] * 3))
+    return text.replace("steps = 20", f"steps = {steps}") + more

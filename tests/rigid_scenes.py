@@ -6,11 +6,14 @@ import ase.io
 import numpy as np
 import scenes
 from ase import Atoms
+from references import scene_text
 
 import minimd as md
 
 VERLET = md.VelocityVerlet(0.002)
 PAIRS = np.arange(64).reshape(-1, 2)  # of the dumbbells
+SQUARE = np.array([[0.0, 0, 0], [1.5, 0, 0], [1.5, 1.5, 0], [0, 1.5, 0]])
+RIGID_RING = scene_text("ring")
 
 
 def dumbbells(constraints=None, method=VERLET):
@@ -77,19 +80,6 @@ def described(constraints):
     fixed = [one.atoms.tolist() for one in constraints if isinstance(one, md.FixedAtoms)]
     kept = [one for one in constraints if isinstance(one, md.DistanceConstraints)]
     return fixed, [(one.pairs.tolist(), one.lengths.tolist(), one.tolerance, one.solver) for one in kept]
-
-
-SQUARE = np.array([[0.0, 0, 0], [1.5, 0, 0], [1.5, 1.5, 0], [0, 1.5, 0]])
-RIGID_RING = """
-potential = [{ type = "harmonic-angle", k_eV_rad2 = 3.0, angle_degree = 80.0, triples = [[0, 1, 2], [2, 3, 0]] }]
-dynamics = { timestep_fs = 1.0, temperature_K = 300.0, steps = 20 }
-output = { every = 10 }
-[structure]
-file = "ring.xyz"
-bonds = [[0, 1], [1, 2], [2, 3], [3, 0]]
-[constraints]
-pairs = "bonds"
-"""
 
 
 def ring_in(folder, *constraints):

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from references import melt_scene
+from references import melt_scene, scene_text
 
 from minimd.scene import parse_scene
 
@@ -15,34 +15,7 @@ U = 4.0 * (R**-12 - R**-6)
 TABULATED = melt_scene(3, 4, '[output]\nevery = 2\nstress = true\ntrajectory = "a.h5md"\n')
 LAW = 'type = "lennard-jones"\nepsilon = 1.0\nsigma = 1.0\ncutoff = 2.5\n'
 TABULATED = TABULATED.replace(LAW, 'type = "tabulated"\nfile = "lj.dat"\ncutoff = 2.4\n')
-MIXTURE = """
-structure = { file = "pair.xyz" }
-dynamics = { timestep_fs = 1.0, steps = 0 }
-potential = [{ type = "tabulated", truncation = "truncated", pairs = [{ species = ["Ar", "Ar"], file = "like" }, \
-    { species = ["Kr", "Ar"], file = "unlike" }, { species = ["Kr", "Kr"], file = "like" }] }]
-[tables]
-like = { r_A = [2.0, 3.0, 4.0, 5.0, 6.0, 7.0], u_K = [600.0, 500.0, 400.0, 300.0, 200.0, 100.0] }
-[tables.unlike]
-r_A = [2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
-u_eV = [6.0, 5.0, 4.0, 3.0, 2.0, 1.0]
-"""
-SALT = """
-units = "LJ"
-structure = { lattice = "sc", repeat = [2, 2, 2], lattice_constant = 1.4, charges = { A = 0.7, B = -0.7 }, \
-    species = ["A", "B", "B", "A", "B", "A", "A", "B"] }
-dynamics = { timestep = 0.001, steps = 4, temperature = 0.5 }
-output = { every = 2 }
-potential = [{ type = "lennard-jones", epsilon = 1.0, sigma = 1.0, cutoff = 1.3 }, \
-    { type = "coulomb", cutoff = 1.39, accuracy = 1e-4, method = "ewald" }]
-"""
-WATER = """
-water = { model = "OPC3", molecules = 27, density_g_cm3 = 0.95, cutoff_A = 4.0, accuracy = 1e-4, seed = 3 }
-minimization = { max_steps = 3 }
-dynamics = { timestep_fs = 1.0, steps = 4, temperature_K = 300.0 }
-output = { every = 2, trajectory = "a.h5md" }
-potential = [{ type = "constant-force", force_eV_A = [0.01, 0.0, 0.0] }]
-observer = [{ kind = "mean-square-displacement", every = 1 }]
-"""
+MIXTURE, SALT, WATER = map(scene_text, ("mixture", "salt", "water"))
 
 
 def write_tables(scale=1.0):

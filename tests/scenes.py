@@ -26,22 +26,16 @@ class Scene(NamedTuple):
     laws: Sequence
     constraints: Sequence = ()
     timestep: float = 0.004
-    temperature: float | None = None
 
     def simulation(self, method=None, **options):
         """A Simulation, by velocity Verlet unless a method is given."""
         method = method or md.VelocityVerlet(self.timestep)
         return md.Simulation(self.system, self.laws, method, self.constraints, **options)
 
-    def forces(self):
-        """(forces, potential energy) of the scene as it stands."""
-        found = md.evaluate(self.system, self.laws)
-        return found.forces, found.potential_energy
-
 
 def argon():
     """108 atoms of the liquid, out of order: the smallest scene with a cluster list."""
-    return Scene(references.liquid(3), [LJ], temperature=1.44)
+    return Scene(references.liquid(3), [LJ])
 
 
 def melt():

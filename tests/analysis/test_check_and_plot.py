@@ -3,8 +3,8 @@
 import h5py
 import numpy as np
 import pytest
+from charged_scenes import ions, run_of
 from h5md_runs import N_ATOMS, PER_PICOSECOND, simulation
-from salts import run_of, salt
 
 import minimd as md
 from minimd.analysis.check import check_file
@@ -108,7 +108,7 @@ def test_check_knows_a_bond_longer_than_half_the_cell_and_the_accuracy_of_charge
     with pytest.warns(UserWarning, match="velocities along bonds"):
         simulation.run(20, every=5, trajectory=tmp_path / "a.h5md")
     assert [one.passed for one in check_file(tmp_path / "a.h5md").comparisons if one.name == "lengths"] == [True]
-    run_of(salt()).run(4, every=1, trajectory=tmp_path / "ions.h5md")
+    run_of(ions()).run(4, every=1, trajectory=tmp_path / "ions.h5md")
     told = str(check_file(tmp_path / "ions.h5md"))
     assert "charges        Coulomb(cutoff=2.7, accuracy=0.0001): its accuracy bounds the rms error" in told
 

@@ -1,9 +1,10 @@
-"""minimd and ASE say the same: units, atoms in and out, energies, forces and stress, after every kind of change."""
+"""minimd and ASE say the same: units, atoms in and out, energies, forces, stress; in random cells, after any change."""
 
 import copy
 import pickle
 import warnings
 
+import ase.neighborlist
 import ase.units
 import numpy as np
 import pytest
@@ -13,10 +14,42 @@ from ase.build import bulk, molecule
 from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
 from ase.constraints import FixedPlane, Hookean
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from wrong_calls import answered, assert_answered
 
 import minimd as md
 import minimd.ase as ours
+
+QUANTITIES = ("energy", "energies", "forces", "stress", "stresses")
+CRYSTAL, MOLECULE = bulk("Cu", cubic=True) * 2, molecule("CH3CH2OH")
+AS_ASE = {  # atoms, how much they are shaken, pbc, a calculator, and another that says the same of `QUANTITIES[:n]`
+    "liquid": (argon(), 0.0, True, lennard_jones(), ase_lennard_jones(), 5),
+    "slab": (argon(2), 0.0, (True, False, True), lennard_jones(), ase_lennard_jones(), 5),
+    "slab by ASE": (argon(2), 0.0, (True, False, True), ours.ForcesFromCalculator(ase_lennard_jones()), None, 4),
+    "cluster by ASE": (argon(2), 0.0, False, ours.ForcesFromCalculator(ase_lennard_jones()), None, 4),
+    "crystal by EMT": (CRYSTAL, 0.1, True, ours.ForcesFromCalculator(EMT()), EMT(), 4),
+    "molecule by EMT": (MOLECULE, 0.1, False, ours.ForcesFromCalculator(EMT()), EMT(), 3),
+}
+# rounding: positions up to 30 cells away (1e-14 of the cell), times the slope of the law, of some hundred pairs
+RELATIVE = 1e-10
+PROPERTIES = ("energy", "free_energy", "energies", "forces", "stress", "stresses")
+OTHERS = md.LennardJones({"Ar": (0.02, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)
+CHANGES = {
+    "positions": lambda atoms: atoms.rattle(0.05, seed=9),
+    "one position, far": lambda atoms: atoms.positions.__setitem__(3, atoms.positions[3] - 4 * atoms.cell[1]),
+    "cell": lambda atoms: atoms.set_cell(atoms.cell.array * [[0.9], [1.0], [1.0]], scale_atoms=True),
+    "cell, atoms left behind": lambda atoms: atoms.set_cell(atoms.cell.array * 0.97),
+    "cell, smaller than the cutoff": lambda atoms: (atoms.__delitem__(slice(4, None)), atoms.set_cell(np.eye(3) * 5.6)),
+    "pbc": lambda atoms: atoms.set_pbc((True, False, True)), "no pbc": lambda atoms: atoms.set_pbc(False),
+    "pbc and back": lambda atoms: (atoms.set_pbc(False), atoms.get_forces(), atoms.set_pbc(True)),
+    "numbers": lambda atoms: atoms.numbers.__setitem__(slice(0, 50), 36),
+    "masses": lambda atoms: atoms.set_masses([2.0] * len(atoms)),
+    "fewer atoms": lambda atoms: atoms.__delitem__(slice(0, 20)),
+    "more atoms": lambda atoms: atoms.extend(Atoms("Kr", [[1.4, 1.4, 1.4]])),
+    "potentials": lambda atoms: setattr(atoms.calc, "potentials", OTHERS),
+    "charges": lambda atoms: atoms.set_initial_charges(0.3 * np.cos(np.arange(len(atoms)))),
+}  # fmt: skip
 
 
 def test_units_are_those_of_ase():
@@ -43,18 +76,6 @@ def test_labels_that_are_no_elements_come_back_and_another_one_gives_another_ene
     assert atoms.get_potential_energy() == pytest.approx(before / 3.0, rel=1e-14)
 
 
-QUANTITIES = ("energy", "energies", "forces", "stress", "stresses")
-CRYSTAL, MOLECULE = bulk("Cu", cubic=True) * 2, molecule("CH3CH2OH")
-AS_ASE = {  # atoms, how much they are shaken, pbc, a calculator, and another that says the same of `QUANTITIES[:n]`
-    "liquid": (argon(), 0.0, True, lennard_jones(), ase_lennard_jones(), 5),
-    "slab": (argon(2), 0.0, (True, False, True), lennard_jones(), ase_lennard_jones(), 5),
-    "slab by ASE": (argon(2), 0.0, (True, False, True), ours.ForcesFromCalculator(ase_lennard_jones()), None, 4),
-    "cluster by ASE": (argon(2), 0.0, False, ours.ForcesFromCalculator(ase_lennard_jones()), None, 4),
-    "crystal by EMT": (CRYSTAL, 0.1, True, ours.ForcesFromCalculator(EMT()), EMT(), 4),
-    "molecule by EMT": (MOLECULE, 0.1, False, ours.ForcesFromCalculator(EMT()), EMT(), 3),
-}
-
-
 @pytest.mark.parametrize("scene", AS_ASE)
 def test_energies_forces_and_stress_are_those_of_ase(scene):
     atoms, shaken, pbc, potential, other, n = AS_ASE[scene]
@@ -68,26 +89,6 @@ def test_energies_forces_and_stress_are_those_of_ase(scene):
     if n == 5 and pbc is True:
         pressure = md.Simulation(mine, potential, md.VelocityVerlet(TIMESTEP)).frame().observables["pressure"]
         assert pressure == pytest.approx(-mine.get_stress(include_ideal_gas=True)[:3].mean(), rel=1e-12)
-
-
-OTHERS = md.LennardJones({"Ar": (0.02, 3.405), "Kr": (0.014, 3.65)}, cutoff=CUTOFF)
-# fmt: off
-CHANGES = {
-    "positions": lambda atoms: atoms.rattle(0.05, seed=9),
-    "one position, far": lambda atoms: atoms.positions.__setitem__(3, atoms.positions[3] - 4 * atoms.cell[1]),
-    "cell": lambda atoms: atoms.set_cell(atoms.cell.array * [[0.9], [1.0], [1.0]], scale_atoms=True),
-    "cell, atoms left behind": lambda atoms: atoms.set_cell(atoms.cell.array * 0.97),
-    "cell, smaller than the cutoff": lambda atoms: (atoms.__delitem__(slice(4, None)), atoms.set_cell(np.eye(3) * 5.6)),
-    "pbc": lambda atoms: atoms.set_pbc((True, False, True)), "no pbc": lambda atoms: atoms.set_pbc(False),
-    "pbc and back": lambda atoms: (atoms.set_pbc(False), atoms.get_forces(), atoms.set_pbc(True)),
-    "numbers": lambda atoms: atoms.numbers.__setitem__(slice(0, 50), 36),
-    "masses": lambda atoms: atoms.set_masses([2.0] * len(atoms)),
-    "fewer atoms": lambda atoms: atoms.__delitem__(slice(0, 20)),
-    "more atoms": lambda atoms: atoms.extend(Atoms("Kr", [[1.4, 1.4, 1.4]])),
-    "potentials": lambda atoms: setattr(atoms.calc, "potentials", OTHERS),
-    "charges": lambda atoms: atoms.set_initial_charges(0.3 * np.cos(np.arange(len(atoms)))),
-}
-# fmt: on
 
 
 @pytest.mark.parametrize("change", CHANGES)
@@ -198,3 +199,73 @@ def test_a_failed_call_leaves_nothing_behind():
     assert_answered(atoms.get_forces, md.NonFiniteError, "atoms 1 and 2")
     atoms.positions[2] = there
     assert atoms.get_potential_energy() == pytest.approx(before, rel=1e-14)
+
+
+def closest(atoms):
+    for reach in (2.0, 4.0, 8.0):
+        distances = ase.neighborlist.neighbor_list("d", atoms, reach)
+        if distances.size:
+            return distances.min()
+    return np.inf
+
+
+@st.composite
+def scenes(draw):
+    """Atoms on a distorted lattice, scaled so that the closest pair is 0.9 to 1.2 σ apart: no overlap, for any cell."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    pbc = np.array(draw(st.tuples(st.booleans(), st.booleans(), st.booleans())))
+    counts = np.array(draw(st.tuples(st.integers(1, 2), st.integers(1, 2), st.integers(1, 3))))
+    cell = np.diag(counts) + 0.25 * rng.standard_normal((3, 3))
+    places = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 3)
+    positions = (places + rng.uniform(-0.2, 0.2, places.shape)) / counts @ cell
+    strength = draw(st.sampled_from([0, 1, 4]))
+    for _ in range(3):
+        i, j = rng.permutation(3)[:2]
+        cell[i] += rng.integers(-strength, strength + 1) * cell[j]
+    if draw(st.booleans()):
+        cell[rng.integers(3)] *= -1.0
+    if draw(st.booleans()):
+        cell[~pbc] = 0.0
+    atoms = Atoms(f"Ar{len(places)}", positions, cell=cell, pbc=pbc)
+    distance = closest(atoms)
+    scale = SIGMA * draw(st.floats(0.9, 1.2)) / distance if np.isfinite(distance) else SIGMA
+    atoms.set_cell(cell * scale, scale_atoms=False)
+    n = draw(st.sampled_from([0, 1, 30]))
+    away = rng.integers(-n, n + 1, (len(places), 3)) * pbc + rng.uniform(-n, n, 3) * ~pbc
+    atoms.positions = positions * scale + away @ (cell * scale)
+    return atoms
+
+
+def scales(atoms, cutoff):
+    """What each property is a sum of, with all its terms positive: the scale of its rounding."""
+    i, d = ase.neighborlist.neighbor_list("id", atoms, cutoff)
+    s6 = (SIGMA / d) ** 6
+    energies = np.bincount(i, 4.0 * EPSILON * (s6 + s6**2), len(atoms))
+    forces = np.bincount(i, 24.0 * EPSILON * (s6 + 2.0 * s6**2) / d, len(atoms))
+    virials = np.bincount(i, 24.0 * EPSILON * (s6 + 2.0 * s6**2), len(atoms))
+    stress = virials.sum() / (atoms.get_volume() if atoms.cell.rank == 3 else np.inf)
+    sums = energies.sum(), energies.sum(), energies.max(), forces.max(), stress, stress
+    return dict(zip(PROPERTIES, sums, strict=True))
+
+
+def assert_law_of_ase(atoms, cutoff, truncation, start, **options):
+    reference = LennardJones(sigma=SIGMA, epsilon=EPSILON, rc=cutoff, ro=start, **options)
+    calculator = ours.Calculator(md.LennardJones(EPSILON, SIGMA, cutoff, truncation, switch_start=start))
+    reference.calculate(atoms)
+    calculator.calculate(atoms, PROPERTIES)
+    assert set(calculator.results) == set(reference.results)  # no stress where ASE has none
+    size = scales(atoms, cutoff)
+    for name, expected in reference.results.items():
+        assert np.abs(calculator.results[name] - expected).max() <= RELATIVE * size[name], name
+
+
+@pytest.mark.parametrize("n", [15, pytest.param(220, marks=pytest.mark.slow)])
+def test_laws_are_those_of_ase(n):
+    @settings(max_examples=n)
+    @given(scenes(), st.floats(1.31, 3.0), st.floats(0.4, 0.95))
+    def same_as_ase(atoms, cutoff, start):
+        cutoff *= SIGMA
+        assert_law_of_ase(atoms, cutoff, "shifted", None)
+        assert_law_of_ase(atoms, cutoff, "charmm", start * cutoff, smooth=True)
+
+    same_as_ase()

@@ -20,6 +20,12 @@ FILES = {"a.traj": EXACT, "b.TRAJ": EXACT, "a.xyz": TEXT, "a.extxyz": TEXT, "a.h
 known = pytest.fixture(define, name="known")
 TWO_ATOMS = "of two types\n\n2 atoms\n2 atom types\n\n0 9 xlo xhi\n0 9 ylo yhi\n0 9 zlo zhi\n\nMasses\n\n1 {}\n2 {}\n"
 TWO_ATOMS += "\nAtoms # atomic\n\n1 1 1.0 1.0 1.0\n2 2 4.0 1.0 1.0\n"
+ANSWER = """
+import sys, ase.io.formats as f
+print('minimd-h5md' in f.ioformats, f.filetype('run.h5md', read=False), 'minimd' in sys.modules)
+from ase._4.plugins import plugins
+print(*[(p.name, p.implementation.__name__) for p in plugins if p.package == 'minimd'])
+"""
 
 
 @pytest.fixture(scope="module", params=[(md.units.ASE, True), (md.units.ASE, False), (md.units.LJ, True)])
@@ -61,14 +67,6 @@ def test_any_frames_of_an_h5md_file_are_read_and_atoms_are_bonded(written, known
     frames = ase.io.read(folder / "a.h5md", index="1::2")
     assert [atoms.info["step"] for atoms in frames] == [5, 15]
     assert np.array_equal(md.System.from_ase(frames[0]).bonds, system.bonds)
-
-
-ANSWER = """
-import sys, ase.io.formats as f
-print('minimd-h5md' in f.ioformats, f.filetype('run.h5md', read=False), 'minimd' in sys.modules)
-from ase._4.plugins import plugins
-print(*[(p.name, p.implementation.__name__) for p in plugins if p.package == 'minimd'])
-"""
 
 
 @pytest.mark.slow

@@ -22,6 +22,19 @@ NOISY = {
     "Andersen": {"temperature_K": KELVIN, "andersen_prob": 0.9, "fixcm": False},
     "Bussi": {"temperature_K": KELVIN, "taut": 1.0 / FAST},
 }
+CANONICAL = [  # class, arguments, number of atoms, whether their center is held, samples, steps between them
+    ("Bussi", {}, N, False, 400, 1), ("Langevin", {}, N, True, 400, 1),
+    *(pytest.param(name, {}, N, False, 400, 1, marks=pytest.mark.slow) for name in NOISY if name != "Bussi"),
+    *(pytest.param(name, {}, N, True, 400, 1, marks=pytest.mark.slow) for name in ("LangevinBAOAB", "Andersen")),
+    pytest.param("Andersen", {"andersen_prob": 0.3}, 4, True, 600, 4, marks=pytest.mark.slow),  # rare collisions
+]  # fmt: skip
+DRIVES = (
+    lambda dynamics: dynamics.run(6),
+    lambda dynamics: list(dynamics.irun(6)),
+    lambda dynamics: [dynamics.step() for _ in range(6)],
+    lambda dynamics: [dynamics.run(2), dynamics.atoms.set_pbc([1, 1, 0]), dynamics.run(3), dynamics.run(1)],
+    lambda dynamics: [dynamics.step(), dynamics.step(), dynamics.atoms.set_pbc([1, 1, 0]), dynamics.run(4)],
+)
 
 
 def gas(n=N, held=False):
@@ -44,14 +57,6 @@ def temperatures(dynamics, n=400, apart=1):
     dynamics.attach(lambda: seen.append(dynamics.atoms.get_temperature()), apart)
     dynamics.run(n * apart)
     return np.array(seen[-n:])
-
-
-CANONICAL = [  # class, arguments, number of atoms, whether their center is held, samples, steps between them
-    ("Bussi", {}, N, False, 400, 1), ("Langevin", {}, N, True, 400, 1),
-    *(pytest.param(name, {}, N, False, 400, 1, marks=pytest.mark.slow) for name in NOISY if name != "Bussi"),
-    *(pytest.param(name, {}, N, True, 400, 1, marks=pytest.mark.slow) for name in ("LangevinBAOAB", "Andersen")),
-    pytest.param("Andersen", {"andersen_prob": 0.3}, 4, True, 600, 4, marks=pytest.mark.slow),  # rare collisions
-]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "options", "n", "is_held", "samples", "apart"), CANONICAL)
@@ -91,15 +96,6 @@ def end_of(name, rng, drive=lambda dynamics: dynamics.run(6)):
     atoms = gas(6)
     drive(made(name, atoms, rng))
     return atoms.get_momenta()
-
-
-DRIVES = (
-    lambda dynamics: dynamics.run(6),
-    lambda dynamics: list(dynamics.irun(6)),
-    lambda dynamics: [dynamics.step() for _ in range(6)],
-    lambda dynamics: [dynamics.run(2), dynamics.atoms.set_pbc([1, 1, 0]), dynamics.run(3), dynamics.run(1)],
-    lambda dynamics: [dynamics.step(), dynamics.step(), dynamics.atoms.set_pbc([1, 1, 0]), dynamics.run(4)],
-)
 
 
 @pytest.mark.parametrize("name", NOISY)

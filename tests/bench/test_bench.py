@@ -18,6 +18,13 @@ N_ATOMS = 256  # four cells along each edge
 PEER_SECONDS, ASE_SECONDS = 0.015, 0.35  # a step of a fake peer on one thread; more than 5 s in all the steps of a turn
 ONCE = PeersOptions(cells=(4,), threads=(1,), repeats=1)
 COMPILED = {"kob-andersen", "npt", "chain", "decane", "triangles", "water-fine"}  # scenes with kernels of their own
+RATIOS = [  # 256 atoms / seconds of a step; peers are beside minimd on as many threads, minimd beside itself on one
+    ["minimd", "1", "double", "0.0853", "", "1"],    ["minimd", "2", "double", "0.142", "", "1.67"],
+    ["fast", "1", "single", "0.0171", "5.00", ""],   ["fast", "2", "single", "0.0341", "4.17", ""],
+    ["slow", "1", "double", "0.000731", "117", ""],
+]  # fmt: skip
+PAIRED = [(name, one) for name, peer in engines.PEERS.items() for one in peer.scenes]
+PAIRED = [pytest.param(*row, marks=[pytest.mark.slow] * (row[1] in COMPILED)) for row in PAIRED]
 
 
 # fmt: off
@@ -65,13 +72,6 @@ def cells_of(table):
     """Rows of the first table, as lists of texts, without stars."""
     lines = [line for line in table.splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in line.replace("**", "").strip("|").split("|")] for line in lines[2:]]
-
-
-RATIOS = [  # 256 atoms / seconds of a step; peers are beside minimd on as many threads, minimd beside itself on one
-    ["minimd", "1", "double", "0.0853", "", "1"],    ["minimd", "2", "double", "0.142", "", "1.67"],
-    ["fast", "1", "single", "0.0171", "5.00", ""],   ["fast", "2", "single", "0.0341", "4.17", ""],
-    ["slow", "1", "double", "0.000731", "117", ""],
-]  # fmt: skip
 
 
 def test_ratios_of_the_table(fakes):
@@ -158,10 +158,6 @@ def test_peer_with_another_time_step_is_refused():
     right, wrong = (scenes.melt(4)._replace(method=md.VelocityVerlet(timestep)) for timestep in (0.005, 0.00505))
     with pytest.raises(md.lammps.HandOverError, match="potential energy per atom after 10 steps"):
         turns.check_agreement([engines.Minimd(right), engines.Minimd(wrong)], right)
-
-
-PAIRED = [(name, one) for name, peer in engines.PEERS.items() for one in peer.scenes]
-PAIRED = [pytest.param(*row, marks=[pytest.mark.slow] * (row[1] in COMPILED)) for row in PAIRED]
 
 
 @pytest.mark.parametrize(("name", "scene"), PAIRED)
@@ -286,7 +282,6 @@ def test_a_run_that_fails_has_no_finite_error_not_even_the_distance_of_a_shorter
 
 @pytest.mark.slow
 def test_work_precision_of_minimd_falls_with_the_order_of_the_method(monkeypatch):
-    """Errors of velocity Verlet with a few atoms, and of its paths, fall with the square of the time step."""
     settings = {"CELLS_QUICK": 4, "COSTS_QUICK": (100, 200, 400), "QUICK_METHODS": ("velocity-verlet",)}
     for name, value in {**settings, "PEER_NAMES": ()}.items():
         monkeypatch.setattr(work_precision, name, value)

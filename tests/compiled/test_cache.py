@@ -29,6 +29,34 @@ compiled = kernel(twice)
 print(compiled(2), type(compiled._cache).__name__)
 """
 Pair = namedtuple("Pair", "r s")
+IMPORTS = ["compiled.kernels import (\n    cache_folder,\n    scalar,\n)", "numbers import HALF"]
+IMPORTS += ["shapes import (\n    Pair,\n)", "structure import units"]
+SOURCES = {
+    "compiled/kernels.py": "b = 1\n", "law.py": "".join(f"from minimd.{one}\n" for one in IMPORTS),
+    "numbers.py": "from minimd.thirds import THIRD\nHALF = 1.5 * THIRD\n", "thirds.py": "THIRD = 1 / 3\n",
+    "shapes.py": "Pair = None\n", "structure/__init__.py": "", "structure/units.py": "MASS = 1.0\n",
+    "choices.py": "from numba.extending import overload\n", "grade.py": "from minimd.law import law\n",
+}  # fmt: skip
+DAMAGED = """
+import glob, os, sys
+from minimd.compiled.kernels import kernel
+def thrice(x): return 3.0 * x
+def called():
+    again = kernel(thrice)
+    assert again(2.0) == 6.0
+    return sum(again.stats.cache_misses.values())
+assert (called(), called()) == (1, 0)
+for ending in ("nbc", "nbi"):
+    def found():
+        (place,) = glob.glob(os.environ["NUMBA_CACHE_DIR"] + "/**/*thrice*." + ending, recursive=True)
+        return place
+    size = os.path.getsize(found())
+    for k, bit in [(-1, 0), *((k, bit) for k in range(0, size - 2, size // int(sys.argv[1])) for bit in (0, 1, 128))]:
+        code = bytearray(open(found(), "rb").read())
+        code[k] ^= bit
+        open(found(), "wb").write(code if bit else code[:k])  # a flipped bit, or the beginning of the file
+        assert (called(), called()) == (1, 0), (ending, k, bit)
+"""
 
 
 def started(script, text, *arguments, **places):
@@ -93,28 +121,6 @@ def test_fields_in_another_order_are_another_type(folder, monkeypatch):
             assert (compiled(Pair(r=1.0, s=2.0)), sum(compiled.stats.cache_misses.values())) == (1.0, n_misses)
 
 
-DAMAGED = """
-import glob, os, sys
-from minimd.compiled.kernels import kernel
-def thrice(x): return 3.0 * x
-def called():
-    again = kernel(thrice)
-    assert again(2.0) == 6.0
-    return sum(again.stats.cache_misses.values())
-assert (called(), called()) == (1, 0)
-for ending in ("nbc", "nbi"):
-    def found():
-        (place,) = glob.glob(os.environ["NUMBA_CACHE_DIR"] + "/**/*thrice*." + ending, recursive=True)
-        return place
-    size = os.path.getsize(found())
-    for k, bit in [(-1, 0), *((k, bit) for k in range(0, size - 2, size // int(sys.argv[1])) for bit in (0, 1, 128))]:
-        code = bytearray(open(found(), "rb").read())
-        code[k] ^= bit
-        open(found(), "wb").write(code if bit else code[:k])  # a flipped bit, or the beginning of the file
-        assert (called(), called()) == (1, 0), (ending, k, bit)
-"""
-
-
 @pytest.mark.parametrize("n_flipped", [1, pytest.param(20, marks=pytest.mark.slow)])
 def test_damaged_compiled_code_is_compiled_anew_and_said_once(n_flipped, tmp_path):
     """Machine code in which a bit is flipped would end the process."""
@@ -150,16 +156,6 @@ def test_a_process_killed_between_two_files_leaves_no_code_of_another_signature(
     assert files.load("floats") == ("code for floats" if n_replaced == 2 else None)
     files.save("integers", "new code for integers")
     assert files.load("integers") == "new code for integers"
-
-
-IMPORTS = ["compiled.kernels import (\n    cache_folder,\n    scalar,\n)", "numbers import HALF"]
-IMPORTS += ["shapes import (\n    Pair,\n)", "structure import units"]
-SOURCES = {
-    "compiled/kernels.py": "b = 1\n", "law.py": "".join(f"from minimd.{one}\n" for one in IMPORTS),
-    "numbers.py": "from minimd.thirds import THIRD\nHALF = 1.5 * THIRD\n", "thirds.py": "THIRD = 1 / 3\n",
-    "shapes.py": "Pair = None\n", "structure/__init__.py": "", "structure/units.py": "MASS = 1.0\n",
-    "choices.py": "from numba.extending import overload\n", "grade.py": "from minimd.law import law\n",
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", SOURCES)

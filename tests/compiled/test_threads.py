@@ -17,6 +17,24 @@ from minimd.compiled.program import GO_ON, JUMP, Program, in_python, operation
 
 N_PHASES, STOPPED = 4, 7
 CALLS = DirectCalls()
+FORKED = """
+import os, sys, warnings
+import numpy as np
+from references import liquid
+from scenes import LJ, Scene
+warnings.simplefilter("ignore")
+simulation = lambda: Scene(liquid(8), [LJ]).simulation(threads=2)
+before = simulation()
+before.run(20)
+assert before.engine.interactions.pool.n_threads == 2
+child = os.fork()
+fresh = simulation()
+for run in (fresh, fresh, before):
+    run.run(20)
+same = np.array_equal(before.positions, fresh.positions)
+child or os._exit(not same)
+print("parent", same, "child", os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
 
 
 class Counts(ByAddress, namedtuple("Counts", "phase done early last waits")):
@@ -108,7 +126,6 @@ def is_helped(team):
 
 
 def test_helpers_help_when_they_come_and_hold_nobody_up_before(monkeypatch):
-    """Nor do those that died."""
     awake, help_as_it_should = threading.Event(), threads.ThreadPool._help
     monkeypatch.setattr(threads.ThreadPool, "_help", lambda *of: awake.wait() and help_as_it_should(*of))
     team = threads.ThreadPool(4)
@@ -161,7 +178,6 @@ def test_an_interrupt_before_the_kernel_leaves_the_team_usable(monkeypatch):
 
 
 def test_threads_of_python_take_turns_with_one_team():
-    """Its helpers are shared by all who ask for as many."""
     team = threads.thread_pool(2)
     assert team is threads.thread_pool(2)
     with ThreadPoolExecutor(3) as pool:
@@ -192,26 +208,6 @@ def test_a_program_is_made_anew_when_its_memory_was_replaced():
     found.run(1)
     assert (made, seen) == ([0, 1], [1, 2, 2])
     assert found._course[threads.AT] == 2
-
-
-FORKED = """
-import os, sys, warnings
-import numpy as np
-from references import liquid
-from scenes import LJ, Scene
-warnings.simplefilter("ignore")
-simulation = lambda: Scene(liquid(8), [LJ]).simulation(threads=2)
-before = simulation()
-before.run(20)
-assert before.engine.interactions.pool.n_threads == 2
-child = os.fork()
-fresh = simulation()
-for run in (fresh, fresh, before):
-    run.run(20)
-same = np.array_equal(before.positions, fresh.positions)
-child or os._exit(not same)
-print("parent", same, "child", os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-"""
 
 
 @pytest.mark.slow

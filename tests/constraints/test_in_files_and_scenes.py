@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from ase.calculators.lj import LennardJones
 from ase.constraints import FixAtoms, FixBondLengths
-from references import melt_scene
+from references import load, melt_scene
 from rigid_scenes import PAIRS, RIGID_RING, SQUARE, VERLET, chain, described, dumbbells, ring_in
 from scenes import BONDED
 from wrong_calls import assert_answered
@@ -19,6 +19,19 @@ from minimd.ase import ForcesFromCalculator
 from minimd.files.h5md_reader import read_file
 from minimd.files.h5md_writer import H5MDWriter
 from minimd.scene import load_scene, parse_scene, resume_run, run_scene
+
+OTHERS = [  # lengths, fixed atoms, and what is said of the difference
+    ({}, [0, 1, 5], "atom 5 is fixed in the simulation"),
+    ({"pairs": PAIRS[1:-1]}, [0, 1], "atoms 62-63 is kept in the file"),
+    ({"pairs": [*PAIRS[1:], (3, 4)]}, [0, 1], "atoms 3-4 is kept in the simulation"),
+    ({"tolerance": 1e-9}, [0, 1], "1e-12 in the file and 1e-09"),
+    ({"solver": "shake"}, [0, 1], "'auto' in the file and 'shake'"),
+]
+BONDS = [[0, 1], [1, 2], [2, 3], [3, 0]]
+OF_BONDS = '[constraints]\npairs = "bonds"\n'
+FILES_OWN = FixAtoms([1]), FixBondLengths([[0, 2], [2, 3]], tolerance=1e-10)
+FILES_LENGTHS = [[0, 2], [2, 3]], [np.sqrt(4.5), 1.5]
+WRONG = load("wrong_scenes.toml")["ring"]
 
 
 def both_kinds(**options):
@@ -55,15 +68,6 @@ def test_a_check_recomputes_the_lengths_of_a_run_that_went_on(tmp_path):
     with h5py.File(path, "r+") as h5:
         h5["particles/trajectory/position/value"][7, 9, 0] += 1e-5
     assert [one.name for one in check_file(path).comparisons if not one.passed] == ["lengths", "checksums"]
-
-
-OTHERS = [  # lengths, fixed atoms, and what is said of the difference
-    ({}, [0, 1, 5], "atom 5 is fixed in the simulation"),
-    ({"pairs": PAIRS[1:-1]}, [0, 1], "atoms 62-63 is kept in the file"),
-    ({"pairs": [*PAIRS[1:], (3, 4)]}, [0, 1], "atoms 3-4 is kept in the simulation"),
-    ({"tolerance": 1e-9}, [0, 1], "1e-12 in the file and 1e-09"),
-    ({"solver": "shake"}, [0, 1], "'auto' in the file and 'shake'"),
-]
 
 
 def test_other_constraints_are_refused_before_anything_is_written(tmp_path):
@@ -123,12 +127,6 @@ def test_a_foreign_calculator_is_asked_for_forces_without_constraints():
     assert np.abs(forces.sum(axis=0)).max() < 1e-12 < 1.0 < np.abs(forces[0]).max()  # rounding
 
 
-BONDS = [[0, 1], [1, 2], [2, 3], [3, 0]]
-OF_BONDS = '[constraints]\npairs = "bonds"\n'
-FILES_OWN = FixAtoms([1]), FixBondLengths([[0, 2], [2, 3]], tolerance=1e-10)
-FILES_LENGTHS = [[0, 2], [2, 3]], [np.sqrt(4.5), 1.5]
-
-
 def constraints_of_scene(folder, section, *constraints, suffix=".traj"):
     text = RIGID_RING.replace("ring.xyz", "ring" + suffix).replace(OF_BONDS, section)
     return described(parse_scene(text, ring_in(folder, *constraints)).system().constraints)
@@ -185,19 +183,6 @@ def test_a_scene_makes_its_bonds_rigid_and_resumed_it_is_the_uninterrupted_one(h
     assert (sim.step, described(sim.constraints)) == (20, described(whole.constraints))
     apart = sim.positions - whole.positions, sim.velocities - whole.velocities
     assert np.abs(apart).max() < 1e-13  # rounding
-
-
-WRONG = [  # [constraints] of a scene, what is shown
-    ("pair = [[0, 1]]", "constraints has no key 'pair'", "did you mean 'pairs'?"),
-    ('pairs = "bond"', "constraints.pairs", '"bond"'), ("pairs = [[0, 1, 2]]", "constraints.pairs[0]", "[0, 1, 2]"),
-    ("pairs = [[0, 1], [1, 0]]", "constraints: pairs", "pairs[0] = [0, 1]"),
-    ("pairs = [[0, 1], [1, 2]]\nlengths_A = [1.5]", "constraints", "lengths_A", "2 pairs"),
-    ('pairs = "bonds"\nlengths_A = [1.5, 1.5]', "constraints: lengths", "(2,)"),
-    ("pairs = [[0, 1], [1, 2]]\nlengths_A = [1.5, -1]", "constraints.lengths_A[1]", "= -1"),
-    ("fixed = [4]", "fixed atoms", "atom 4"), ('pairs = [[0, 1]]\nsolver = "lincs"', "constraints.solver", '"lincs"'),
-    ('solver = "shake"', "constraints", "tolerance and solver", "give pairs"),
-    ("pairs = [[0, 1], [1, 2], [0, 2]]\nlengths_A = [1, 1, 3]", "constraint"),
-]  # fmt: skip
 
 
 @pytest.mark.parametrize(("section", "shown"), [(section, shown) for section, *shown in WRONG])

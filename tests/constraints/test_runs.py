@@ -12,6 +12,13 @@ from minimd.integrators import SPLITTINGS, Bath, State, Surroundings
 from minimd.structure.statistics import mean_and_error
 
 SPARSE = md.LennardJones(1e-30, 0.01, 0.5, "force-shifted")
+# rigid molecules in a Langevin bath. B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 20160138 (2016)
+TRIANGLE, SIDES = np.array([[0.0, 0.0, 0.0], [0.816, 0.577, 0.0], [-0.816, 0.577, 0.0]]), [[0, 1], [0, 2], [1, 2]]
+MOLECULES = {
+    "dumbbell": (np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), [1.0, 3.0], [[0, 1]], 0.1),
+    "water": (TRIANGLE, [16.0, 1.0, 1.0], SIDES, 0.05),
+    "triangle": (TRIANGLE, [1.0, 1.0, 1.0], SIDES, 0.1),
+}
 
 
 def kept(sim):
@@ -78,7 +85,6 @@ def test_frames_and_reports_know_constraints_before_the_first_run_and_where_the_
 
 
 def test_lengths_that_are_violated_at_the_start_are_put_right_with_a_warning():
-    """Also those of a bond across the boundary of a new cell."""
     sim, system = dumbbells(md.DistanceConstraints(PAIRS, 0.48)), md.System([[0.2] * 3, [9.2, 0.2, 0.2]])
     with pytest.warns(UserWarning, match="relative errors were"):
         sim.run(1)
@@ -146,15 +152,6 @@ def test_bonds_longer_than_half_the_cell_turn_as_they_are(length, skew):
     free, plain, wrapped = sims
     assert np.abs(plain.positions - free.positions).max() < 1e-10  # rounding
     assert np.abs(wrapped.velocities - free.velocities).max() < 1e-10
-
-
-# the temperature in a Langevin bath. B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 20160138 (2016)
-TRIANGLE, SIDES = np.array([[0.0, 0.0, 0.0], [0.816, 0.577, 0.0], [-0.816, 0.577, 0.0]]), [[0, 1], [0, 2], [1, 2]]
-MOLECULES = {
-    "dumbbell": (np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), [1.0, 3.0], [[0, 1]], 0.1),
-    "water": (TRIANGLE, [16.0, 1.0, 1.0], SIDES, 0.05),
-    "triangle": (TRIANGLE, [1.0, 1.0, 1.0], SIDES, 0.1),
-}
 
 
 @pytest.mark.slow

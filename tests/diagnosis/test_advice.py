@@ -25,6 +25,23 @@ STEPS = [
     for name, one in [*((name, md.VelocityVerlet) for name in MINIMA), *(("fcc crystal", one) for one in OTHERS)]
 ]
 FS, ARGON = md.units.fs, md.LennardJones(0.0103, 3.4, 8.5, "force-shifted")
+K = np.arange(40)
+ROW = md.System(np.column_stack([K, 0 * K, 0 * K]), masses=2.0, bonds=np.column_stack([K[:-1], K[1:]]))
+DIMER = md.System([[0.0, 0.0, 0.0], [2 ** (1 / 6), 0.0, 0.0]], masses=[1.0, 3.0])
+ALL_PAIRS = [[0, 1], [1, 2], [0, 2]]
+TRIANGLE = md.System(np.array([[0.0, 0, 0], [0.9, 0, 0], [0.45, 0.78, 0]]))
+# length 1, a spring of rest length ½ to an anchor at distance 2: its tension stiffens, ω² = 1.5 k (1 + 1/2)/m
+PULLED = md.System([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.0, 0.0]], masses=[1.0, 2.0, 1.0])
+HELD = [md.DistanceConstraints([[0, 1]]), md.FixedAtoms([0, 2])]
+KNOWN = {  # scene and frequency; what cannot oscillate, however hard its atoms push each other, has none
+    "row of beads": (ROW, md.HarmonicBond(50.0, 1.0), (), 2.0 * np.sqrt(50.0 / 2.0) * np.cos(np.pi / 80.0)),
+    "dimer": (DIMER, OPEN, (), np.sqrt(4.0 * (156 * 2 ** (-14 / 6) - 42 * 2 ** (-8 / 6)) * 4.0 / 3.0)),  # √(u″(r₀)/μ)
+    "pulled pendulum": (PULLED, md.HarmonicBond(40.0, 0.5, pairs=[[1, 2]]), HELD, np.sqrt(60.0 * 1.5 / 2.0)),
+    "rigid triangle": (TRIANGLE, OPEN, md.DistanceConstraints(ALL_PAIRS), 0.0),
+    "rigid rod": (md.System(np.outer([0.0, 0.4, 1.0], [1.0, 0, 0])), OPEN, md.DistanceConstraints(ALL_PAIRS), 0.0),
+    "two free atoms": (md.System(np.outer(np.arange(2), [5.0, 0.0, 0.0])), LJ, (), 0.0),
+    "64 free atoms": (md.System(np.outer(np.arange(64), [5.0, 0.0, 0.0])), LJ, (), 0.0),
+}
 
 
 @pytest.mark.parametrize(("name", "method"), STEPS)
@@ -60,25 +77,6 @@ def test_limits_and_recommendations_that_are_known():
     swing = energy_oscillation(md.VelocityVerlet.sequence(), h)
     assert [swing, h**2 / (8.0 - h**2)] == pytest.approx([1.0 / 80.0] * 2, rel=1e-9)
     assert euler.recommended * euler.frequency / 2.0 == pytest.approx(1.0 / 80.0, rel=1e-6)  # symplectic Euler: h/2
-
-
-K = np.arange(40)
-ROW = md.System(np.column_stack([K, 0 * K, 0 * K]), masses=2.0, bonds=np.column_stack([K[:-1], K[1:]]))
-DIMER = md.System([[0.0, 0.0, 0.0], [2 ** (1 / 6), 0.0, 0.0]], masses=[1.0, 3.0])
-ALL_PAIRS = [[0, 1], [1, 2], [0, 2]]
-TRIANGLE = md.System(np.array([[0.0, 0, 0], [0.9, 0, 0], [0.45, 0.78, 0]]))
-# length 1, a spring of rest length ½ to an anchor at distance 2: its tension stiffens, ω² = 1.5 k (1 + 1/2)/m
-PULLED = md.System([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.0, 0.0]], masses=[1.0, 2.0, 1.0])
-HELD = [md.DistanceConstraints([[0, 1]]), md.FixedAtoms([0, 2])]
-KNOWN = {  # scene and frequency; what cannot oscillate, however hard its atoms push each other, has none
-    "row of beads": (ROW, md.HarmonicBond(50.0, 1.0), (), 2.0 * np.sqrt(50.0 / 2.0) * np.cos(np.pi / 80.0)),
-    "dimer": (DIMER, OPEN, (), np.sqrt(4.0 * (156 * 2 ** (-14 / 6) - 42 * 2 ** (-8 / 6)) * 4.0 / 3.0)),  # √(u″(r₀)/μ)
-    "pulled pendulum": (PULLED, md.HarmonicBond(40.0, 0.5, pairs=[[1, 2]]), HELD, np.sqrt(60.0 * 1.5 / 2.0)),
-    "rigid triangle": (TRIANGLE, OPEN, md.DistanceConstraints(ALL_PAIRS), 0.0),
-    "rigid rod": (md.System(np.outer([0.0, 0.4, 1.0], [1.0, 0, 0])), OPEN, md.DistanceConstraints(ALL_PAIRS), 0.0),
-    "two free atoms": (md.System(np.outer(np.arange(2), [5.0, 0.0, 0.0])), LJ, (), 0.0),
-    "64 free atoms": (md.System(np.outer(np.arange(64), [5.0, 0.0, 0.0])), LJ, (), 0.0),
-}
 
 
 @pytest.mark.parametrize("name", KNOWN)

@@ -13,8 +13,8 @@ from ase import units
 from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
 from ase.md.velocitydistribution import thermalize_momenta
+from charged_scenes import ions, run_of
 from references import melt_scene
-from salts import run_of, salt
 from scenes import LJ, SCENES
 from wrong_calls import assert_answered
 
@@ -171,7 +171,7 @@ LANGEVIN = {"method": md.LangevinBAOAB, "temperature": 1.44, "friction": 1.0, "s
 FAILING = {  # positions last, too: energies that a method has not evaluated at its last positions are
     "langevin": lambda: melt(BIG_STEP, **LANGEVIN), "rigid and fixed": rigid_with_one_fixed,
     "bonds": chain, "positions last": lambda: melt(0.03, md.PositionVerlet),
-    "ions": lambda: run_of(salt(), 40.0),
+    "ions": lambda: run_of(ions(), 40.0),
 }  # fmt: skip
 
 
@@ -215,7 +215,6 @@ def test_scene_that_blows_up_is_replayed_from_its_file_alone_with_the_same_noise
 
 
 def test_what_is_no_count_or_no_end_is_refused_and_no_steps_are_none(tmp_path):
-    """What is refused leaves the last record and the state."""
     sim, file = SCENES["argon"]().simulation(), tmp_path / "a.h5md"
     record, before = sim.run(0, trajectory=file), sim.positions.copy()
     assert_answered(lambda: sim.run(10, trajectory=file), FileExistsError)
@@ -277,7 +276,6 @@ def test_what_others_do_between_two_steps_is_no_runaway():
 
 @pytest.mark.filterwarnings("ignore:timestep")
 def test_a_bond_beyond_its_limit_fails_at_once_with_the_advice_of_advise_timestep(tmp_path):
-    """Run by a Simulation, in an equilibration, and as dynamics of ASE."""
     warm, simulation, law = nitrogen(8.0), nitrogen(8.0), md.HarmonicBond(100.0, 1.1, pairs=[[0, 1]])
     warm.set_temperature(300, seed=1)
     assert failing(warm.equilibrate, 300, 300.0, every=50).crash_report.step == warm.step + 1 < 5

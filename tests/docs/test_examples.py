@@ -24,6 +24,16 @@ QUICK = ("kepler", "rigid_nitrogen", "1_phase_plane")  # the gallery of the site
 pytestmark = pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
 SHORTENED = [path for path in [*SCRIPTS, LESSONS[0]] if path.stem not in IN_FULL]
 EACH = [pytest.param(one, marks=[pytest.mark.slow] * (one.stem not in QUICK), id=one.name) for one in SHORTENED]
+TITLES = {  # last line of a cell: the title of its table, and a word in it
+    "system": ("System", "108: 108 X"), "system.cell": ("Cell", "volume"), "lj": ("LennardJones", "switch_start"),
+    "sim": ("Simulation", "VelocityVerlet(timestep=0.003)"), "sim.report()": ("Report", "verdict"),
+    "sim.method": ("VelocityVerlet", "order 2, symmetric, symplectic"), "table": ("Tabulated", "truncation"),
+    "md.advise_timestep(system, lj)": ("StepAdvice", "recommended"),
+    "record": ("Record", "21 entries of 108 atoms, step 0 to 200"),
+    "sim.probe_reversibility(10)": ("Reversibility", "reversible to rounding"),
+    "md.evaluate(sim.system, lj)": ("Evaluation", "virial"),
+    "sim.minimize(max_steps=50)": ("Minimization", "largest force"),
+}  # fmt: skip
 
 
 def shortened(path):
@@ -78,7 +88,6 @@ def test_own_laws_give_what_their_formulas_say(run):
 
 @pytest.mark.slow
 def test_the_scan_of_an_equation_of_state_runs_in_worker_processes(tmp_path):
-    """Of two temperatures only."""
     (tmp_path / "scan.py").write_text(shortened(EXAMPLES / "equation_of_state.py").replace("0.70, 1.69", "0.85, 0.91"))
     told = ended("scan.py", folder=tmp_path)
     assert re.findall(r"T\* (\S+): .* \(NIST: (\S+),", told.stdout) == [("0.85", "-5.5121"), ("0.90", "-5.4689")]
@@ -96,18 +105,6 @@ def test_lesson_in_full_finds_the_known_values(path, run):
         first, second = map(float, re.search(r"D = (\S+) by Green and Kubo, (\S+) by", told).groups())
         assert first == pytest.approx(second, rel=0.1)
         assert float(re.search(r"η = (\S+)", told)[1]) == pytest.approx(3.25, rel=0.25)
-
-
-TITLES = {  # last line of a cell: the title of its table, and a word in it
-    "system": ("System", "108: 108 X"), "system.cell": ("Cell", "volume"), "lj": ("LennardJones", "switch_start"),
-    "sim": ("Simulation", "VelocityVerlet(timestep=0.003)"), "sim.report()": ("Report", "verdict"),
-    "sim.method": ("VelocityVerlet", "order 2, symmetric, symplectic"), "table": ("Tabulated", "truncation"),
-    "md.advise_timestep(system, lj)": ("StepAdvice", "recommended"),
-    "record": ("Record", "21 entries of 108 atoms, step 0 to 200"),
-    "sim.probe_reversibility(10)": ("Reversibility", "reversible to rounding"),
-    "md.evaluate(sim.system, lj)": ("Evaluation", "virial"),
-    "sim.minimize(max_steps=50)": ("Minimization", "largest force"),
-}  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ import gc
 import importlib
 import pkgutil
 import re
+import shutil
 import tomllib
 from pathlib import Path
 from types import ModuleType
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from argon_atoms import define
 from processes import ended
-from structure.test_structure_files import write_data, write_pdb, write_psf
+from references import DATA
 
 import minimd as md
 from minimd.ase import system_from_file
@@ -170,10 +171,7 @@ def test_pages_quote_the_loop_and_numbers_of_atoms_as_they_stand_and_readme_and_
 @pytest.fixture
 def melt(here):
     """Four chains of five beads as LAMMPS data, PDB with CONECT and PSF."""
-    write_data(here / "melt.data")
-    write_pdb(here / "melt.pdb", True)
-    write_psf(here / "melt.psf")
-    return here
+    return shutil.copytree(DATA / "chains", here, dirs_exist_ok=True)
 
 
 def run_melt(system, n_steps):
@@ -183,7 +181,6 @@ def run_melt(system, n_steps):
 
 @pytest.mark.slow
 def test_scripts_of_the_page_on_formats_run(melt, capsys):
-    """In one process, on the file of a run of the melt."""
     define()
     run_melt(system_from_file("melt.pdb"), 20)
     names, scripts = {}, blocks(DOCS / "formats.md")

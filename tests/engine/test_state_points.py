@@ -37,7 +37,6 @@ def test_energy_and_pressure_are_those_of_nist(row):
 
 
 def test_density_and_its_fluctuations_at_constant_pressure_are_those_of_lammps():
-    """Mean density and compressibility of a liquid, within three standard errors of both."""
     theirs = load("lammps_npt/force_shifted.json")
     law = md.LennardJones(1.0, 1.0, theirs["cutoff"], "force-shifted")
     bath = {"relaxation_time": 1.5, "seed": 7, "every": 10}

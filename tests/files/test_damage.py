@@ -98,7 +98,6 @@ def counted(judgements):
 
 
 def test_damaged_files_end_in_a_sentence_or_a_right_result(sound):
-    """Every sixth way once, with one command."""
     seeds = range(1, len(WAYS), 6)
     counts = counted(one for k in seeds for one in sound.judged("plain", k, [["check", "resume"][k // 6 % 2]]))
     assert counts[SENTENCE] >= len(seeds) // 3

@@ -6,8 +6,8 @@ from collections import namedtuple
 import h5py
 import numpy as np
 import pytest
+from charged_scenes import LAWS, ions, run_of
 from h5md_runs import CELLS, PER_PICOSECOND, lengths_and_angles, opened, resumed, simulation
-from salts import LAWS, run_of, salt
 
 import minimd as md
 from minimd.engine.record import SERIES
@@ -19,6 +19,13 @@ KJ_PER_MOL = 96.48533288249877  # of eV, as ASE's documentation has it
 LJ, ASE = md.units.LJ, md.units.ASE
 RUNS = [*((cell, LJ) for cell in CELLS), ("cubic", ASE), ("triclinic", ASE), ("open", ASE)]
 Run = namedtuple("Run", "cell units path sim record seen")  # seen: step, time, r, v and F at each frame
+VERLET, BATH = md.VelocityVerlet(0.002), md.LangevinBAOAB(0.002, 1.0, 1.0, 3)
+OTHER_STEPS = {  # the file has the first method, the others take over one after another
+    VERLET: [(md.VelocityVerlet(0.001), ["timestep=0.002", "timestep=0.001"]),
+             (md.PositionVerlet(0.001), ["velocity-verlet", "position-verlet"])],
+    BATH: [(md.LangevinBAOAB(0.002, 2.0, 1.0, 3), ["temperature=1", "temperature=2"]),
+           (md.LangevinBAOAB(0.002, 2.0, 1.0, 4), ["seed=3", "seed=4"])],
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module", params=RUNS, ids=lambda row: f"{row[0]}-{row[1].name}")
@@ -89,15 +96,6 @@ def test_appended_run_continues_on_the_grid_of_the_first_one(tmp_path, n_steps):
     assert (len(frames), len(frames[-1].forces)) == (9, 27)
 
 
-VERLET, BATH = md.VelocityVerlet(0.002), md.LangevinBAOAB(0.002, 1.0, 1.0, 3)
-OTHER_STEPS = {  # the file has the first method, the others take over one after another
-    VERLET: [(md.VelocityVerlet(0.001), ["timestep=0.002", "timestep=0.001"]),
-             (md.PositionVerlet(0.001), ["velocity-verlet", "position-verlet"])],
-    BATH: [(md.LangevinBAOAB(0.002, 2.0, 1.0, 3), ["temperature=1", "temperature=2"]),
-           (md.LangevinBAOAB(0.002, 2.0, 1.0, 4), ["seed=3", "seed=4"])],
-}  # fmt: skip
-
-
 @pytest.mark.parametrize("before", [VERLET, pytest.param(BATH, marks=pytest.mark.slow)])
 def test_a_run_that_goes_on_with_other_steps_says_so(before, tmp_path):
     sim, path = simulation(), tmp_path / "a.h5md"
@@ -141,7 +139,7 @@ def test_a_title_a_scene_and_integer_species_are_kept(tmp_path):
 
 
 def test_charges_are_where_h5md_has_them_and_a_run_of_ions_goes_on_with_the_same_bits(tmp_path):
-    path, whole, sim = tmp_path / "a.h5md", run_of(salt()), run_of(salt())
+    path, whole, sim = tmp_path / "a.h5md", run_of(ions()), run_of(ions())
     record = whole.run(20, every=5)
     sim.run(10, every=5, trajectory=path)
     again = md.Simulation.resume(path, LAWS)
@@ -150,7 +148,7 @@ def test_charges_are_where_h5md_has_them_and_a_run_of_ions_goes_on_with_the_same
     np.testing.assert_array_equal(read_file(path).record.total_energy, record.total_energy)
     with h5py.File(path) as h5:
         stored = h5["particles/trajectory/charge"]
-        np.testing.assert_array_equal(stored, salt().charges, strict=True)
+        np.testing.assert_array_equal(stored, ions().charges, strict=True)
         assert stored.attrs["unit"] == "e"
     simulation().run(0, trajectory=tmp_path / "b.h5md")
     with h5py.File(tmp_path / "b.h5md") as h5:

@@ -21,6 +21,9 @@ from minimd.structure.cell import nearest_vectors
 TORSIONS = [md.PeriodicDihedral(1.0, 3, 0.4, np.arange(0, 104, 8)[:, None] + np.arange(4))]
 FIELDS = [md.Gravity(0.5), md.Wall([0.0, 0.0, -3.0], [0.0, 0.0, 1.0])]
 SLOW = [pytest.param(False, more, marks=pytest.mark.slow) for more in (TORSIONS, FIELDS)]
+OTHERS = [("as it is", {"threads": 2}), ("as it is", {"threads": 3, "skin": 0.1}), ("as it is", {"skin": 0.6})]
+OTHERS += [(name, {}) for name in ("on the pair list", "renumbered", "wrapped", "translated")]
+ARGON = md.LennardJones(0.0104, 3.4, 5.0, truncation="force-shifted")
 
 
 def plain(method=None, **options):
@@ -98,10 +101,6 @@ def other_order(name):
     return system, order, shift
 
 
-OTHERS = [("as it is", {"threads": 2}), ("as it is", {"threads": 3, "skin": 0.1}), ("as it is", {"skin": 0.6})]
-OTHERS += [(name, {}) for name in ("on the pair list", "renumbered", "wrapped", "translated")]
-
-
 @pytest.mark.parametrize(("name", "options"), OTHERS)
 def test_threads_and_skins_change_no_bit(name, options, reference, monkeypatch):
     """Nor do another list, another order of the atoms, and lattice vectors: of the state, energies, pressures."""
@@ -149,9 +148,6 @@ def test_a_scene_goes_on_after_a_force_beyond_its_range():
     other = plain()
     other.make_steps(5)
     assert np.array_equal(simulation.positions, other.positions)
-
-
-ARGON = md.LennardJones(0.0104, 3.4, 5.0, truncation="force-shifted")
 
 
 @pytest.mark.slow
@@ -246,8 +242,7 @@ def test_a_momentum_or_a_force_that_leaves_its_range_stops_the_run():
     """Before anything wraps round: the state is the last good one."""
     hot = plain(grid=md.Grid(2.0**-42, 2.0**-47, 2.0**-36))  # momenta up to 8
     hot.velocities[:] *= 2.0
-    with pytest.raises(md.RangeError, match=r"At step \d+: the momentum of atom \d+ is"):
-        hot.make_steps(20_000)
+    assert_answered(lambda: hot.make_steps(20_000), md.RangeError, "At step ", ": the momentum of atom ")
     assert np.abs(hot.velocities * hot.system.masses[:, None]).max() <= 8.0
 
 

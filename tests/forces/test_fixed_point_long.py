@@ -51,7 +51,6 @@ def test_the_energy_oscillates_as_in_float64(timestep):
 
 
 def test_the_energy_does_not_drift():
-    """250 000 steps with a smooth law."""
     law = md.LennardJones(1.0, 1.0, cutoff=2.5, truncation="switched")
     simulation = md.Simulation(melt(5).system, law, md.VelocityVerlet(0.004), precision="fixed-point")
     simulation.run(250_000, every=50)

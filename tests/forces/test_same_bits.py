@@ -18,6 +18,14 @@ START = {  # as many domains as the cell is long, a team of eight
     "rod": lambda: (rod(6, 5), MANY),   "long chains": lambda: (rod(6, 5), BONDED),
 }  # fmt: skip
 LONG = [pytest.param(name, 1000, [2, 3, 4, 8], marks=pytest.mark.slow) for name in ("melt", "rod", "long chains")]
+BATH = md.LangevinBAOAB(0.004, 1.2, 2.0, seed=2**100 + 7)
+FREE = md.VelocityVerlet(0.004)
+RESCALED = md.StochasticCellRescaling(3.0, 0.1, 0.2, seed=2, every=7, coupling="triclinic")  # few cells need no list
+ON_THE_ROAD = {  # a method, and options
+    "free": (FREE, {}), "bath": (BATH, {}), "fixed-point": (FREE, {"precision": "fixed-point"}),
+    "strained": (BATH, {"barostat": RESCALED}),
+    "two threads": (md.integrators.METHODS["position-verlet"](0.004), {"threads": 2, "is_open": True}),
+}  # fmt: skip
 
 
 def ran(scene, threads, n_steps):
@@ -65,16 +73,6 @@ def ended(simulation, n_steps=100):
 
 def assert_same_bits(one, other):
     assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
-
-
-BATH = md.LangevinBAOAB(0.004, 1.2, 2.0, seed=2**100 + 7)
-FREE = md.VelocityVerlet(0.004)
-RESCALED = md.StochasticCellRescaling(3.0, 0.1, 0.2, seed=2, every=7, coupling="triclinic")  # few cells need no list
-ON_THE_ROAD = {  # a method, and options
-    "free": (FREE, {}), "bath": (BATH, {}), "fixed-point": (FREE, {"precision": "fixed-point"}),
-    "strained": (BATH, {"barostat": RESCALED}),
-    "two threads": (md.integrators.METHODS["position-verlet"](0.004), {"threads": 2, "is_open": True}),
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ON_THE_ROAD)

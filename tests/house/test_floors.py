@@ -29,13 +29,8 @@ BRIDGES = {  # folders and modules that may import ase or MDAnalysis when they a
 FOREIGN = {"minimd_bench.engines"}  # reaches for private names of OpenMM and LAMMPS
 HEAVY = {"ase", "MDAnalysis", "matplotlib", "h5py", "pydantic", "tqdm", "pandas", "IPython", "openmm", "minimd.lammps"}
 FILES = re.compile(r"A step of a liquid is these (\d+) files, ([\d ]+) lines in all:\n\n```\n(.*?)```", re.S)
-
-
-def name_of(path):
-    return ".".join(path.relative_to(REPOSITORY).with_suffix("").parts).removesuffix(".__init__")
-
-
-MODULES = {name_of(path): path for name in TOP for path in (REPOSITORY / name).rglob("*.py")}
+MODULES = {path.relative_to(REPOSITORY): path for name in TOP for path in (REPOSITORY / name).rglob("*.py")}
+MODULES = {".".join(place.with_suffix("").parts).removesuffix(".__init__"): path for place, path in MODULES.items()}
 
 
 @cache

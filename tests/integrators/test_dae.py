@@ -21,18 +21,52 @@ from minimd.integrators.ode.functions import accurate_differences, error_of_diff
 from minimd.integrators.ode.runge_kutta import StageStep
 
 slow = pytest.mark.slow
-
-
-def slow_but(quick, methods):
-    return [method if method is quick else pytest.param(method, marks=slow) for method in methods]
-
-
 RADAU_ORDERS = {mi.ImplicitEuler: [(1, 1), (1, 1), (1, 1, 1)], mi.RadauIIA2: [(3, 3), (3, 2), (3, 2, 1)]}
 RADAU_ORDERS |= {RadauIIA3: [(5, 5), (5, 3), (5, 3, 2)]}
 GAUSS_ORDERS = [  # at index 1: z has s for even s, s + 1 for odd s, as R(∞) = (−1)ˢ; at index 2
     (mi.GaussLegendre1, (2, 2), dae.INDEX2_LINEAR, (2, 0)), (mi.GaussLegendre2, (4, 2), dae.INDEX2_LINEAR, (2, 0)),
     (mi.GaussLegendre3, (6, 4), dae.INDEX2, (4, 2)),
 ]  # fmt: skip
+VIOLATED = [  # x(0) = 1 with 0 = x − t; positions off the circle, velocities along the rod
+    (dae.path_of_x(), ([1.0],), ("constraint 0 = g", "1.00e+00", "y would have to move by 1")),
+    (dae.implicit_path_of_x(), [1.0, 0.0], ("equation 1 stays at 1.00e+00",)),
+    (dae.pendulum(), ((1.0, 0.1), (0.0, 0.0)), ("constraint 0 = g", "5.00e-03", "q would have to move by 5")),
+    (dae.pendulum(), ((1.0, 0.0), (0.3, 0.0)), ("hidden constraint", "3.00e-01", "v would have to move")),
+    pytest.param(dae.implicit_pendulum(), [1.0, 0.1, 0, 0, 0], ("equation 4 stays at 5.00e-03",), marks=slow),
+    pytest.param(dae.implicit_pendulum(), [1.0, 0, 0.3, 0, 0], ("derivative of equation 4 stays",), marks=slow),
+]
+RELEASED = ([1.0, 0.0, 0.0, 0.0], [0.0])
+RETURNS = [  # problem, start, method, steps of a period, variables that are accurate, periods
+    (dae.reduced_pendulum(), RELEASED, mi.GaussLegendre3, 200, 4, 1),
+    pytest.param(dae.reduced_pendulum(), RELEASED, RadauIIA3, 300, 4, 1, marks=slow),
+    pytest.param(dae.stabilized_pendulum(), RELEASED[:1], RadauIIA3, 300, 4, 1, marks=slow),
+    pytest.param(dae.stabilized_pendulum(), RELEASED[:1], mi.GaussLegendre3, 400, 4, 1, marks=slow),
+    (dae.pendulum(), dae.HORIZONTAL, RadauIIA3, 300, 2, 1),  # velocities are of order 3: with 2000 steps
+    pytest.param(dae.pendulum(), dae.HORIZONTAL, RadauIIA3, 2000, 4, 15, marks=slow),
+    pytest.param(dae.pendulum(), dae.HORIZONTAL, mi.BDF5, 1200, 4, 1, marks=slow),
+]
+FUNCTIONS = {  # a function, a place, its derivative there
+    "a length": (lambda q: 0.5 * (q @ q - 1.0), [0.6, -0.8], [0.6, -0.8]),
+    "1/r": (lambda q: 1.0 / np.sqrt(q @ q), [0.3, 0.4, 0.0], [-2.4, -3.2, 0.0]),
+    "r⁻¹²": (lambda q: (q @ q) ** -6, [3.0, 4.0, 0.0], [-36.0 / 5.0**14, -48.0 / 5.0**14, 0.0]),
+    "an angle of zero": (lambda q: [sin(q[0]) + q[1] ** 2], [0.0, 1.3], [1.0, 2.6]),
+    "10 km beside an angle": (lambda q: q[0] * 1e-4 - np.cos(q[1]), [1e4, 0.1], [1e-4, sin(0.1)]),
+    "a length of 1 Å in meters": (lambda q: 0.5 * (q @ q - 1e-20), [1e-10, 0.0], [1e-10, 0.0]),
+    "steep": (lambda q: np.exp(30.0 * q[0]) + q[1], [0.2, 1.0], [30.0 * exp(6.0), 1.0]),
+    "near the end of its domain":
+        (lambda q: [sqrt(1.0 - q[0] ** 2) + q[1]], [0.995, 1.0], [-0.995 / sqrt(1.0 - 0.995**2), 1.0]),
+    # not analytic
+    "abs": (lambda q: abs(q[0]) + q[1], [-0.5, 0.3], [-1.0, 1.0]),
+    "abs beside its kink": (lambda q: abs(q[0] - 0.501) + q[1], [0.5, 0.3], [-1.0, 1.0]),
+    "norm": (lambda q: np.linalg.norm(q), [0.6, -0.8], [0.6, -0.8]),
+    "conj": (lambda q: (q * np.conj(q)).sum(), [0.6, -0.8], [1.2, -1.6]),
+    "a branch": (lambda q: q[0] if q[0] > 0.0 else -2.0 * q[0], [-0.3, 1.0], [-2.0, 0.0]),
+    "cast to real": (lambda q: float(q[0]) ** 2 + np.asarray(q, dtype=float)[1], [0.3, 1.0], [0.6, 1.0]),
+}  # fmt: skip
+
+
+def slow_but(quick, methods):
+    return [method if method is quick else pytest.param(method, marks=slow) for method in methods]
 
 
 @pytest.mark.parametrize("method", RADAU_ORDERS)
@@ -95,16 +129,6 @@ def test_a_support_that_moves_is_seen_in_the_hidden_constraint():
     y = problem.begin((along, omega * across + 0.5 * along), t)
     assert y[4] == pytest.approx(-2 * omega * 0.5, abs=1e-8)  # the Coriolis force, 2 ω r′
     assert_answered(lambda: problem.begin((along, 0.5 * along), t), ValueError, "hidden constraint", "G v + g_t")
-
-
-VIOLATED = [  # x(0) = 1 with 0 = x − t; positions off the circle, velocities along the rod
-    (dae.path_of_x(), ([1.0],), ("constraint 0 = g", "1.00e+00", "y would have to move by 1")),
-    (dae.implicit_path_of_x(), [1.0, 0.0], ("equation 1 stays at 1.00e+00",)),
-    (dae.pendulum(), ((1.0, 0.1), (0.0, 0.0)), ("constraint 0 = g", "5.00e-03", "q would have to move by 5")),
-    (dae.pendulum(), ((1.0, 0.0), (0.3, 0.0)), ("hidden constraint", "3.00e-01", "v would have to move")),
-    pytest.param(dae.implicit_pendulum(), [1.0, 0.1, 0, 0, 0], ("equation 4 stays at 5.00e-03",), marks=slow),
-    pytest.param(dae.implicit_pendulum(), [1.0, 0, 0.3, 0, 0], ("derivative of equation 4 stays",), marks=slow),
-]
 
 
 @pytest.mark.parametrize(("problem", "wrong", "said"), VIOLATED)
@@ -170,18 +194,6 @@ def test_index_of_a_pencil_is_that_of_its_largest_nilpotent_block(blocks):
         rng = np.random.default_rng(1)
         for _ in range(10):
             assert mi.pencil_index(*weierstrass(blocks, n_regular, rng)) == max(blocks, default=0)
-
-
-RELEASED = ([1.0, 0.0, 0.0, 0.0], [0.0])
-RETURNS = [  # problem, start, method, steps of a period, variables that are accurate, periods
-    (dae.reduced_pendulum(), RELEASED, mi.GaussLegendre3, 200, 4, 1),
-    pytest.param(dae.reduced_pendulum(), RELEASED, RadauIIA3, 300, 4, 1, marks=slow),
-    pytest.param(dae.stabilized_pendulum(), RELEASED[:1], RadauIIA3, 300, 4, 1, marks=slow),
-    pytest.param(dae.stabilized_pendulum(), RELEASED[:1], mi.GaussLegendre3, 400, 4, 1, marks=slow),
-    (dae.pendulum(), dae.HORIZONTAL, RadauIIA3, 300, 2, 1),  # velocities are of order 3: with 2000 steps
-    pytest.param(dae.pendulum(), dae.HORIZONTAL, RadauIIA3, 2000, 4, 15, marks=slow),
-    pytest.param(dae.pendulum(), dae.HORIZONTAL, mi.BDF5, 1200, 4, 1, marks=slow),
-]
 
 
 @pytest.mark.parametrize(("problem", "start", "method", "n_steps", "n_kept", "n_periods"), RETURNS)
@@ -256,26 +268,6 @@ def test_the_jacobian_of_the_problem_is_used():
     given, found = (run_steps(problem, RadauIIA3(0.1), [1.0, 0.0], 50) for problem in problems)
     assert given.y == pytest.approx(found.y, abs=1e-14)
     assert given.nfev < found.nfev
-
-
-FUNCTIONS = {  # a function, a place, its derivative there
-    "a length": (lambda q: 0.5 * (q @ q - 1.0), [0.6, -0.8], [0.6, -0.8]),
-    "1/r": (lambda q: 1.0 / np.sqrt(q @ q), [0.3, 0.4, 0.0], [-2.4, -3.2, 0.0]),
-    "r⁻¹²": (lambda q: (q @ q) ** -6, [3.0, 4.0, 0.0], [-36.0 / 5.0**14, -48.0 / 5.0**14, 0.0]),
-    "an angle of zero": (lambda q: [sin(q[0]) + q[1] ** 2], [0.0, 1.3], [1.0, 2.6]),
-    "10 km beside an angle": (lambda q: q[0] * 1e-4 - np.cos(q[1]), [1e4, 0.1], [1e-4, sin(0.1)]),
-    "a length of 1 Å in meters": (lambda q: 0.5 * (q @ q - 1e-20), [1e-10, 0.0], [1e-10, 0.0]),
-    "steep": (lambda q: np.exp(30.0 * q[0]) + q[1], [0.2, 1.0], [30.0 * exp(6.0), 1.0]),
-    "near the end of its domain":
-        (lambda q: [sqrt(1.0 - q[0] ** 2) + q[1]], [0.995, 1.0], [-0.995 / sqrt(1.0 - 0.995**2), 1.0]),
-    # not analytic
-    "abs": (lambda q: abs(q[0]) + q[1], [-0.5, 0.3], [-1.0, 1.0]),
-    "abs beside its kink": (lambda q: abs(q[0] - 0.501) + q[1], [0.5, 0.3], [-1.0, 1.0]),
-    "norm": (lambda q: np.linalg.norm(q), [0.6, -0.8], [0.6, -0.8]),
-    "conj": (lambda q: (q * np.conj(q)).sum(), [0.6, -0.8], [1.2, -1.6]),
-    "a branch": (lambda q: q[0] if q[0] > 0.0 else -2.0 * q[0], [-0.3, 1.0], [-2.0, 0.0]),
-    "cast to real": (lambda q: float(q[0]) ** 2 + np.asarray(q, dtype=float)[1], [0.3, 1.0], [0.6, 1.0]),
-}  # fmt: skip
 
 
 def derivative(function, place):

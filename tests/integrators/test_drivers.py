@@ -1,10 +1,11 @@
-"""Drivers: fixed steps, steps up to a time, steps chosen by their error, reversible ones; what they may be given."""
+"""Drivers: fixed steps, steps up to a time, chosen by their error, reversible ones; what problems and steps take."""
 
 import functools
 
 import numba
 import numpy as np
 import pytest
+import small_problems as small
 from small_problems import KEPLER, KEPLER_START, ONE, OSCILLATOR, PERIOD, energy_errors, kepler_orbit, pericentre
 
 import minimd as md
@@ -14,6 +15,20 @@ from minimd.integrators import BlanesMoan4, GaussLegendre2, RadauIIA3, SecondOrd
 BACKWARDS = np.array([1.0, -1.0, -1.0, 1.0])  # the state at −t of an orbit from its pericentre, from that at t
 COMET = pericentre(0.9)
 TIMES = [(0, 1.05), (0, 1), (0.7, 0.8), (3, 4.05), (1e6, 1e6 + 1.05), (0, 0.03), (2, 0.95), (-1, -2.05), (0, 0.1 * 3)]
+BUFFER = np.zeros((2, 3))
+FORCES = {
+    "default argument": lambda q, stiffness=1.0: -stiffness * q,
+    "all three under other names": lambda time, x, velocity: -x,
+    "partial": functools.partial(lambda stiffness, q: -stiffness * q, 1.0), "object": np.poly1d([-1.0, 0.0]),
+    "numpy": np.negative, "numba": numba.njit(lambda q: -q), "numba, elementwise": numba.vectorize(lambda x: -x),
+    "list": lambda q: [[-x for x in row] for row in q],
+    "buffer used again": lambda q: np.negative(q, out=BUFFER if q.shape == BUFFER.shape else None),
+    "transposed memory": lambda q: np.asfortranarray(-q), "long double": lambda q: (-q).astype(np.longdouble),
+}  # fmt: skip
+PUSHED = (1.0,), (0.5,)
+EVERY_FEW = [mi.VelocityVerlet, mi.SE1, mi.SE2, mi.BlanesMoan4]
+SOME = [mi.GaussLegendre2, mi.RadauIIA2]
+OTHERS = [pytest.param(method, marks=pytest.mark.slow) for method in small.GAUSS + small.RADAU if method not in SOME]
 
 
 def adaptive(method=BlanesMoan4, t_end=6.0, problem=KEPLER, start=KEPLER_START, t0=0.0, **control):
@@ -112,7 +127,6 @@ def test_a_step_that_may_not_be_shorter_ends_the_run_where_it_is():
 
 
 def test_equations_without_a_solution_reject_the_step():
-    """Too long for Newton's method at first; shorter ones are fine."""
     stiff = SecondOrder(lambda q, v: -q - np.exp(5.0 * v), solver=mi.Newton(max_iterations=6))
     with pytest.raises(md.ConvergenceError):
         run_steps(stiff, VelocityVerlet(1.0), ([0.0], [1.0]), 1)
@@ -157,7 +171,6 @@ def test_energy_stays_bounded_with_reversible_steps_and_drifts_with_plain_step_c
 
 @pytest.mark.parametrize("method", [VelocityVerlet, md.PositionVerlet, BlanesMoan4, GaussLegendre2])
 def test_a_reversed_run_returns_to_the_start(method):
-    """One period there, from the last whole step back."""
     there = reversible(0.003, PERIOD, method, rate=falling)
     end = there.q[-2], -there.v[-2]
     back = reversible(0.003, there.t[-2], method, start=end, density=there.density[-2], rate=falling)
@@ -206,18 +219,6 @@ def test_a_reversible_run_ends_after_so_many_steps():
     assert (some.y[-1] == whole.y[50]).all()
 
 
-BUFFER = np.zeros((2, 3))
-FORCES = {
-    "default argument": lambda q, stiffness=1.0: -stiffness * q,
-    "all three under other names": lambda time, x, velocity: -x,
-    "partial": functools.partial(lambda stiffness, q: -stiffness * q, 1.0), "object": np.poly1d([-1.0, 0.0]),
-    "numpy": np.negative, "numba": numba.njit(lambda q: -q), "numba, elementwise": numba.vectorize(lambda x: -x),
-    "list": lambda q: [[-x for x in row] for row in q],
-    "buffer used again": lambda q: np.negative(q, out=BUFFER if q.shape == BUFFER.shape else None),
-    "transposed memory": lambda q: np.asfortranarray(-q), "long double": lambda q: (-q).astype(np.longdouble),
-}  # fmt: skip
-
-
 @pytest.mark.parametrize("force", FORCES.values(), ids=FORCES)
 def test_any_function_is_a_force(force):
     start = np.arange(6).reshape(2, 3), np.ones((2, 3), dtype=int)
@@ -244,3 +245,94 @@ def test_functions_are_not_called_outside_the_time_of_the_run():
     fallen = mi.run_adaptive(mi.FirstOrder(lambda t, y: -y / t), GaussLegendre2, [1.0], 2.0, t0=1.0)
     assert run_until(SecondOrder(lambda t, q: -2.0 / t**2 * q), GaussLegendre2(0.1), ONE, 2.0, t0=1.0).t[-1] == 2.0
     assert (grown.y[-1, 0], fallen.y[-1, 0]) == pytest.approx((np.log(2.0), 0.5), abs=1e-5)
+
+
+class Unsolvable(mi.Newton):
+    """A solver that is not to be asked."""
+
+    iteration = lambda self: self  # noqa: E731
+
+    def solve(self, *_arguments, **_more):
+        raise AssertionError("solved")
+
+
+def drift_in_wind(t, v):
+    return v + np.sin(t)
+
+
+def spring_in_time(t, q):
+    return -q * (1.0 + 0.3 * np.cos(t))
+
+
+def solves(problem, method):
+    """Whether a step solves an equation."""
+    try:
+        mi.run_steps(problem, method(0.1), PUSHED, 5)
+    except AssertionError as asked:
+        return str(asked) == "solved"
+    return False
+
+
+@pytest.mark.parametrize("method", small.DETERMINISTIC)
+def test_explicit_methods_solve_nothing_where_g_does_not_take_q_and_f_does_not_take_v(method):
+    wind = mi.Partitioned(drift_in_wind, spring_in_time, solver=Unsolvable())
+    for problem in (wind, mi.SecondOrder(spring_in_time, solver=Unsolvable())):
+        assert solves(problem, method) == (not method.is_explicit)
+
+
+def test_symplectic_euler_is_explicit_in_the_half_that_comes_last():
+    """SE2 takes f at the old velocity, SE1 takes g at the old position; their adjoints must solve."""
+    resisted = mi.SecondOrder(lambda q, v: -q - 0.1 * v * np.abs(v), solver=Unsolvable())
+    curved = mi.Partitioned(lambda q, v: v * (1.0 + q * q), lambda q: -q, solver=Unsolvable())
+    assert [solves(resisted, method) for method in (mi.SE2, mi.SE1, mi.VelocityVerlet)] == [False, True, True]
+    assert [solves(curved, method) for method in (mi.SE1, mi.SE2, mi.VelocityVerlet)] == [False, True, True]
+
+
+@pytest.mark.parametrize("method", small.ONE_STEP)
+def test_functions_that_take_more_than_they_need_give_the_same_path(method):
+    """The equation of a step that is explicit after all is solved by its first guess."""
+    wind = mi.Partitioned(drift_in_wind, spring_in_time)
+    in_full = mi.Partitioned(lambda t, q, v: drift_in_wind(t, v), lambda t, q, v: spring_in_time(t, q))
+    swinging = mi.Partitioned(lambda t, q, v: v, lambda t, q, v: -np.sin(q))
+    for short, full in ((wind, in_full), (mi.SecondOrder(lambda q: -np.sin(q)), swinging)):
+        one, other = (mi.run_steps(problem, method(0.1), PUSHED, 20, t0=0.2).y for problem in (short, full))
+        assert one == pytest.approx(other, abs=1e-13)  # rounding
+
+
+@pytest.mark.parametrize("method", [*EVERY_FEW[:2], mi.GaussLegendre3])
+def test_jacobians_given_or_found_and_fixed_points_lead_to_the_same_path(method):
+    path = mi.run_steps(small.DRIVEN, method(0.1), small.TWISTED_START, 15).y
+    g_q = lambda q, v: 2.0 * np.outer(v, q) + np.array([[0.0, 0.0], [0.5, 0.0]])  # noqa: E731
+    f_v = lambda q, v: -2.0 * np.outer(q, v) - np.array([[0.0, 0.5], [0.0, 0.0]])  # noqa: E731
+    wrong = lambda q, v: np.zeros((2, 2))  # noqa: E731  no harm but more iterations
+    for more in ({"g_q": g_q, "f_v": f_v}, {"g_q": wrong, "f_v": wrong}, {"solver": mi.FixedPoint()}):
+        problem = mi.Partitioned(small.driven_g, small.driven_f, **more)
+        assert mi.run_steps(problem, method(0.1), small.TWISTED_START, 15).y == pytest.approx(path, abs=1e-13)
+
+
+@pytest.mark.parametrize("damping", [0.5, 7.0, 15.0])
+def test_fixed_points_are_found_to_rounding_however_slowly(damping):
+    """Corrections that shrink by h damping/2 = 3/4 per iteration only are not taken for rounding before they are."""
+    problems = (mi.SecondOrder(lambda q, v: -q - damping * v, solver=one) for one in (mi.Newton(), mi.FixedPoint(1000)))
+    newton, fixed = (mi.run_steps(problem, mi.VelocityVerlet(0.1), PUSHED, 30).y for problem in problems)
+    assert fixed == pytest.approx(newton, abs=1e-14)
+
+
+@pytest.mark.parametrize("method", [*EVERY_FEW[:2], *small.GAUSS, *small.RADAU, mi.BDF3])
+def test_units_change_nothing(method):
+    def path(scale):
+        problem = mi.Partitioned(lambda q, v: v * (1.0 + (q / scale) ** 2), lambda q, v: -q * (1.0 + (v / scale) ** 2))
+        return mi.run_steps(problem, method(0.05), ([0.5 * scale], [0.3 * scale]), 20).y / scale
+
+    unit = path(1.0)
+    for scale in (1e-20, 1e20):
+        assert path(scale) == pytest.approx(unit, abs=1e-12)
+
+
+@pytest.mark.parametrize("method", SOME + OTHERS)
+def test_implicit_steps_come_to_rest(method):
+    """At rest the slopes are rounding of the state, which is nothing to solve any further."""
+    problem = mi.FirstOrder(lambda y: np.array([y[1] - y[0] ** 3 + 0.3, 1.0 - y[1] + 0.1 * np.sin(y[0])]))
+    for timestep in (0.25, 1.0):
+        end = mi.run_steps(problem, method(timestep), [0.0, 2.0], round(50.0 / timestep), every=1000).y[-1]
+        assert np.abs(problem.field(0.0, end)).max() < 1e-14

@@ -19,6 +19,41 @@ EPS = np.finfo(float).eps
 HENON_HEILES = (*small.HENON_HEILES, lambda q, v: small.henon_heiles_energy(q.T, v.T))
 SYMPLECTIC = [method for method in small.ONE_STEP if method.is_symplectic and method not in small.GAUSS]
 LONGEST = [pytest.param(method, marks=pytest.mark.slow) for method in small.GAUSS]
+B, C = np.array([1.0, -2.0, 0.5]), np.array([0.3, 1.0, 1.0])
+CENTRE = np.array([0.3, -0.2])
+ORBIT = (0.7, 0.1), (-0.1, 1.2)
+IN_SPACE = (0.2, 0.5, -0.3), (0.4, 0.1, 0.6)
+OFF_CENTRE = (1.0, 0.1), (0.1, 0.9)
+OMEGA, BY_POSITION = 2.0, lambda e, x, v, h: e - (OMEGA**2 * h * x / 2.0) ** 2
+SHADOWS = {  # what a method conserves of the oscillator, in place of e = v² + ω²x²
+    md.VelocityVerlet: BY_POSITION, md.Leapfrog: BY_POSITION,
+    md.PositionVerlet: lambda e, x, v, h: e - (OMEGA * h * v / 2.0) ** 2,
+    mi.SE1: lambda e, x, v, h: e - h * OMEGA**2 * x * v, mi.SE2: lambda e, x, v, h: e + h * OMEGA**2 * x * v,
+}  # fmt: skip
+D, W = 0.1, np.sqrt(0.99)  # damping, and the frequency of the damped oscillator
+RELATIVISTIC = mi.Partitioned(lambda v: v / np.sqrt(1.0 + v * v), lambda q: -(q**3))  # H = √(1 + v²) + q⁴/4
+CLOSED_FORMS = {  # problem, start, and solution (q, v) at t
+    "driven oscillator": (mi.SecondOrder(lambda t, q: -q + np.cos(2.0 * t)), ((1.0,), (0.0,)),
+        lambda t: [(4.0 * np.cos(t) - np.cos(2.0 * t)) / 3.0, (-4.0 * np.sin(t) + 2.0 * np.sin(2.0 * t)) / 3.0]),
+    "damped oscillator": (mi.SecondOrder(lambda q, v: -q - 2.0 * D * v), ((1.0,), (-D,)),
+        lambda t: np.exp(-D * t) * np.array([np.cos(W * t), -D * np.cos(W * t) - W * np.sin(W * t)])),
+    "electric and magnetic field": (mi.SecondOrder(lambda q, v: np.array([v[1] + 0.2, -v[0]])), ((0, 0), (0, 0)),
+        lambda t: [0.2 * (1.0 - np.cos(t)), 0.2 * (np.sin(t) - t), 0.2 * np.sin(t), 0.2 * (np.cos(t) - 1.0)]),
+    "relativistic oscillator": (RELATIVISTIC, ((1.0,), (0.8,)),
+        lambda t: small.reference(RELATIVISTIC, ((1.0,), (0.8,)), t)),
+}  # fmt: skip
+STEPS = {1: 100, 2: 50, 3: 200, 4: 60, 5: 40, 6: 30, 8: 16}  # by order: errors small, above rounding
+OF_CLOSED_FORMS = {1: 400, 2: 100, 3: 60, 4: 30}
+DRIVEN_END = small.reference(small.DRIVEN, small.TWISTED_START, 1.5, t0=0.3)
+COURSES = {
+    "kepler": (small.KEPLER, small.KEPLER_START, 0.0, 2.0, small.kepler_orbit(2.0)),
+    "driven": (small.DRIVEN, small.TWISTED_START, 0.3, 1.5, DRIVEN_END),
+}
+QUICK = md.VelocityVerlet, mi.SE1, mi.BlanesMoan4, *small.GAUSS, mi.ImplicitEuler, mi.BDF1, mi.BDF2, mi.BDF3
+COURSES |= {name: (problem, start, 0.0, 6.0, end(6.0)) for name, (problem, start, end) in CLOSED_FORMS.items()}
+FEW = [md.VelocityVerlet, mi.SE1, mi.SE2, mi.BlanesMoan4, mi.McLachlanAtela4, mi.GaussLegendre2]
+RUNS = [("kepler", m) for m in small.ONE_STEP] + [(name, m) for name in CLOSED_FORMS for m in FEW]
+RUNS += [pytest.param("driven", m, marks=[pytest.mark.slow] * (m not in QUICK)) for m in small.DETERMINISTIC]
 
 
 class Scene(NamedTuple):
@@ -28,13 +63,6 @@ class Scene(NamedTuple):
     t0: float = 0.3
     n_steps: int = 1
     invariant: Callable | None = None  # of arrays (n, …) of q and v
-
-
-B, C = np.array([1.0, -2.0, 0.5]), np.array([0.3, 1.0, 1.0])
-CENTRE = np.array([0.3, -0.2])
-ORBIT = (0.7, 0.1), (-0.1, 1.2)
-IN_SPACE = (0.2, 0.5, -0.3), (0.4, 0.1, 0.6)
-OFF_CENTRE = (1.0, 0.1), (0.1, 0.9)
 
 
 def across(direction, x):
@@ -160,32 +188,6 @@ def test_a_law_is_kept_by_the_methods_that_claim_it_and_by_no_other(law, scene, 
     assert defect < law.kept if law.claimed(method) else defect > law.broken
 
 
-D, W = 0.1, np.sqrt(0.99)  # damping, and the frequency of the damped oscillator
-RELATIVISTIC = mi.Partitioned(lambda v: v / np.sqrt(1.0 + v * v), lambda q: -(q**3))  # H = √(1 + v²) + q⁴/4
-CLOSED_FORMS = {  # problem, start, and solution (q, v) at t
-    "driven oscillator": (mi.SecondOrder(lambda t, q: -q + np.cos(2.0 * t)), ((1.0,), (0.0,)),
-        lambda t: [(4.0 * np.cos(t) - np.cos(2.0 * t)) / 3.0, (-4.0 * np.sin(t) + 2.0 * np.sin(2.0 * t)) / 3.0]),
-    "damped oscillator": (mi.SecondOrder(lambda q, v: -q - 2.0 * D * v), ((1.0,), (-D,)),
-        lambda t: np.exp(-D * t) * np.array([np.cos(W * t), -D * np.cos(W * t) - W * np.sin(W * t)])),
-    "electric and magnetic field": (mi.SecondOrder(lambda q, v: np.array([v[1] + 0.2, -v[0]])), ((0, 0), (0, 0)),
-        lambda t: [0.2 * (1.0 - np.cos(t)), 0.2 * (np.sin(t) - t), 0.2 * np.sin(t), 0.2 * (np.cos(t) - 1.0)]),
-    "relativistic oscillator": (RELATIVISTIC, ((1.0,), (0.8,)),
-        lambda t: small.reference(RELATIVISTIC, ((1.0,), (0.8,)), t)),
-}  # fmt: skip
-STEPS = {1: 100, 2: 50, 3: 200, 4: 60, 5: 40, 6: 30, 8: 16}  # by order: errors small, above rounding
-OF_CLOSED_FORMS = {1: 400, 2: 100, 3: 60, 4: 30}
-DRIVEN_END = small.reference(small.DRIVEN, small.TWISTED_START, 1.5, t0=0.3)
-COURSES = {
-    "kepler": (small.KEPLER, small.KEPLER_START, 0.0, 2.0, small.kepler_orbit(2.0)),
-    "driven": (small.DRIVEN, small.TWISTED_START, 0.3, 1.5, DRIVEN_END),
-}
-QUICK = md.VelocityVerlet, mi.SE1, mi.BlanesMoan4, *small.GAUSS, mi.ImplicitEuler, mi.BDF1, mi.BDF2, mi.BDF3
-COURSES |= {name: (problem, start, 0.0, 6.0, end(6.0)) for name, (problem, start, end) in CLOSED_FORMS.items()}
-FEW = [md.VelocityVerlet, mi.SE1, mi.SE2, mi.BlanesMoan4, mi.McLachlanAtela4, mi.GaussLegendre2]
-RUNS = [("kepler", m) for m in small.ONE_STEP] + [(name, m) for name in CLOSED_FORMS for m in FEW]
-RUNS += [pytest.param("driven", m, marks=[pytest.mark.slow] * (m not in QUICK)) for m in small.DETERMINISTIC]
-
-
 @pytest.mark.parametrize(("name", "method"), RUNS)
 def test_measured_order_is_the_answered_order(method, name):
     """Methods made for q″ = f(q) alone answer a lower one elsewhere. Near a pericentre errors of BDFs change sign."""
@@ -237,14 +239,6 @@ def test_the_energy_of_a_method_that_is_not_symplectic_drifts(method):
     """Radau IIA damps; those of order 1 bring all motion to an end."""
     first, second = largest_errors(method, *((0.1, 10.0) if method.order == 1 else (0.5, 100.0)), *HENON_HEILES)
     assert second > 1.2 * first
-
-
-OMEGA, BY_POSITION = 2.0, lambda e, x, v, h: e - (OMEGA**2 * h * x / 2.0) ** 2
-SHADOWS = {  # what a method conserves of the oscillator, in place of e = v² + ω²x²
-    md.VelocityVerlet: BY_POSITION, md.Leapfrog: BY_POSITION,
-    md.PositionVerlet: lambda e, x, v, h: e - (OMEGA * h * v / 2.0) ** 2,
-    mi.SE1: lambda e, x, v, h: e - h * OMEGA**2 * x * v, mi.SE2: lambda e, x, v, h: e + h * OMEGA**2 * x * v,
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("method", SHADOWS)

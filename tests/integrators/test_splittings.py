@@ -23,6 +23,8 @@ ORDERS = {name: order for order, names in PAPERS.items() for name in names.split
 HIGHER = [method for method in SPLITTINGS if ORDERS[method.name] > 2]
 G = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
 TRIPLE_JUMP = [G, 1.0 - 2.0 * G, G]
+REFERENCE = load("geometric/henon_heiles.json")
+MASSES = np.array([1.0, 3.0, 0.2])
 
 
 def worst(residuals, row, order):
@@ -138,9 +140,6 @@ def test_symplectic_euler_methods_are_adjoint_to_each_other_and_not_symmetric():
         assert mi.adjoint(method).order == method.order
 
 
-REFERENCE = load("geometric/henon_heiles.json")
-
-
 @pytest.mark.parametrize("name", REFERENCE["methods"])
 def test_slopes_and_errors_on_henon_heiles_are_those_of_the_reference(name):
     method = compose(*3 * [VelocityVerlet], weights=TRIPLE_JUMP) if name == "triple-jump" else mi.SPLITTINGS[name]
@@ -157,9 +156,6 @@ def springs(q):
     """Three bodies, each pulling each: translation and rotation invariant, not linear."""
     d = q[None] - q[:, None]
     return (d * (d**2).sum(axis=2, keepdims=True)).sum(axis=1)
-
-
-MASSES = np.array([1.0, 3.0, 0.2])
 
 
 def bodies():

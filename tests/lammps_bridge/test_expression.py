@@ -14,6 +14,13 @@ from minimd.lammps.model import Model
 from minimd.lammps.script import write_atoms
 from minimd.potentials.law import checked_law
 
+UNWRITABLE = {
+    "sinc": lambda r2, k: (k * np.sinc(r2), 0.0), "gamma": lambda r2, k: (k * math.gamma(r2), 0.0),
+    "whole numbers": lambda r2, k: (k * [1.0, 2.0][int(r2)], 0.0),
+    "more than 8 conditions": lambda r2, k: (next(x for x in range(20) if r2 < x) * k, 0.0),
+    "inf": lambda r2, k: (k * math.inf * r2, 0.0),
+}  # fmt: skip
+
 
 def evaluated(text, r):
     whole, *named = text.replace("^", "**").split(";")
@@ -47,14 +54,6 @@ def test_laws_are_followed_through_decisions_and_functions_of_numpy():
     text = energy_expression(checked_law(law), (0.3,))
     for r in (0.4, 0.7, 1.1, 1.4, 1.9, 2.5):
         assert evaluated(text, r) == pytest.approx(float(law(r * r, 0.3)[0]), rel=1e-14)
-
-
-UNWRITABLE = {
-    "sinc": lambda r2, k: (k * np.sinc(r2), 0.0), "gamma": lambda r2, k: (k * math.gamma(r2), 0.0),
-    "whole numbers": lambda r2, k: (k * [1.0, 2.0][int(r2)], 0.0),
-    "more than 8 conditions": lambda r2, k: (next(x for x in range(20) if r2 < x) * k, 0.0),
-    "inf": lambda r2, k: (k * math.inf * r2, 0.0),
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("why", UNWRITABLE)

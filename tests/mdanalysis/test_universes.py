@@ -6,8 +6,8 @@ import warnings
 import h5py
 import numpy as np
 import pytest
+from charged_scenes import ions, run_of
 from h5md_runs import PER_PICOSECOND, opened, simulation
-from salts import run_of, salt
 from wrong_calls import assert_answered
 
 import minimd as md
@@ -125,7 +125,7 @@ def test_molecules_are_residues_and_labels_that_are_no_symbols_are_no_elements(p
 
 
 def test_charges_are_in_every_universe_and_come_back(path):
-    sim, frames = run_of(salt(net=0.4)), Frames()
+    sim, frames = run_of(ions(net=0.4)), Frames()
     sim.run(2, every=1, trajectory=path, observers=[frames])
     for made in (universe(path), universe(frames), universe(sim)):
         np.testing.assert_array_equal(md.System.from_mdanalysis(made).charges, sim.system.charges, strict=True)

@@ -52,7 +52,6 @@ def run_of(system, potentials):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_thirteen_atoms_form_an_icosahedron_and_a_minimum_is_left_alone(seed):
-    """Energies and forces are those of the system returned, and of the start."""
     start = icosahedron(seed=seed)
     found = md.minimize(start, LJ)
     there, before = md.evaluate(found.system, LJ), md.evaluate(start, LJ)
@@ -110,7 +109,6 @@ def test_a_liquid_thrown_together_comes_to_rest_and_then_runs():
 
 
 def test_a_constant_force_is_followed_until_the_steps_are_used_up():
-    """It has no curvature and no minimum."""
     pair = md.System([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
     found = md.minimize(pair, md.ConstantForce([0.0, 0.0, -1.0]), max_steps=200)
     assert (found.converged, found.n_steps, np.ptp(found.system.positions[:, 2])) == (False, 200, 0.0)

@@ -21,25 +21,43 @@ from minimd.structure.units import ASE, BOLTZMANN_EV_PER_K, COULOMB
 SHEAR = ((1, 0, 0), (1, 1, 0), (0, -1, 1))
 TRICLINIC = ((1.0, 0.0, 0.0), (0.4, 1.1, 0.0), (-0.3, 0.2, 1.0))
 NIST = json.loads((Path(__file__).parents[1] / "data" / "nist_spce" / "config1.json").read_text())
+SCENES = {
+    "salt": lambda: salt(2), "molten": lambda: salt(2, disorder=0.3), "triclinic": lambda: salt(2, cell=TRICLINIC),
+    "slab of charge": lambda: salt(2, np.diag([1.0, 1.0, 3.0]), charges=lambda places: np.sign(places[:, 2] - 1.5)),
+    "net charge": lambda: salt(2, charges=lambda places: 0.3 + (-1.0) ** places.sum(axis=1)),
+}  # fmt: skip
+WRONG = [
+    (lambda: md.Coulomb(-1.0), "cutoff"), (lambda: md.Coulomb(9.0, 1e-20), "accuracy", "1e-20", "1e-13"),
+    (lambda: md.Coulomb(9.0, 0.5), "accuracy", "0.5"),
+    (lambda: md.Coulomb(9.0, method="pme"), "method", "pme", "ewald"),
+    (lambda: md.Coulomb(9.0, bonded_scale=(0, 1)), "bonded_scale"),
+    (lambda: md.System(np.zeros((2, 3)), charges=[1.0]), "charges", "2"),
+    (lambda: md.System(np.eye(3), charges=[1.0, np.nan, 0.0]), "charges", "nan"),
+    (lambda: md.evaluate(md.System(np.eye(3), cell=5.0), md.Coulomb(2.0)), "charges", "zero"),
+    (lambda: md.evaluate(md.System(np.eye(3), cell=5.0, charges=[1, 1, -2]), md.Coulomb()), "cutoff"),
+    (lambda: md.evaluate(md.System(np.eye(3), cell=5.0, pbc=(1, 1, 0), charges=[1, 1, -2]), md.Coulomb(2.0)),
+     "periodic", "shifted-force"),
+    (lambda: md.evaluate(salt(1), md.Coulomb(0.9, 1e-13, method="mesh")), "waves", "1e-13"),
+    (lambda: md.Simulation(salt(1), md.Coulomb(0.9, method="mesh"), md.VelocityVerlet(0.1), precision="fixed-point"),
+     "fixed-point", "waves"),
+    (lambda: md.water("TIP5P"), "TIP5P", "SPC/E"), (lambda: md.water(n=0), "n"),
+]  # fmt: skip
+ON_ONE_SPOT = md.System(np.zeros((2, 3)), cell=5.0, charges=[1.0, -1.0])
+test_what_cannot_be_done_is_refused = answered(
+    *((call, ValueError, *words) for call, *words in WRONG),
+    (lambda: md.evaluate(ON_ONE_SPOT, md.Coulomb(2.0)), md.NonFiniteError, "atom"),
+)
 
 
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-8, 1e-13])
 @pytest.mark.parametrize("shear", [np.eye(3, dtype=int), SHEAR], ids=["cube", "sheared"])
 @pytest.mark.parametrize("name", CRYSTALS)
 def test_crystals_have_their_madelung_energies(name, shear, accuracy):
-    """Within the accuracy."""
     system, n, expected = crystal(name, shear=shear)
     for method in ("waves", "mesh")[: 1 + (accuracy > 1e-12)]:
         found = md.evaluate(system, md.Coulomb(1.3, accuracy, method=method))
         assert found.potential_energy / n == pytest.approx(expected, rel=accuracy, abs=0.0)
         assert np.abs(found.forces).max() < max(1e-13, accuracy)  # each ion is in a center of symmetry
-
-
-SCENES = {
-    "salt": lambda: salt(2), "molten": lambda: salt(2, disorder=0.3), "triclinic": lambda: salt(2, cell=TRICLINIC),
-    "slab of charge": lambda: salt(2, np.diag([1.0, 1.0, 3.0]), charges=lambda places: np.sign(places[:, 2] - 1.5)),
-    "net charge": lambda: salt(2, charges=lambda places: 0.3 + (-1.0) ** places.sum(axis=1)),
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -228,29 +246,6 @@ def test_water_keeps_its_energy():
     record = sim.run(200, every=10)
     assert np.ptp(record.total_energy) / len(system) < 8e-6  # 4.9e-6; 1.5e-5 with forces of waves wrong by 2.5 %
     assert np.ptp(record.potential_energy) / len(system) > 1e-3  # work is done
-
-
-WRONG = [
-    (lambda: md.Coulomb(-1.0), "cutoff"), (lambda: md.Coulomb(9.0, 1e-20), "accuracy", "1e-20", "1e-13"),
-    (lambda: md.Coulomb(9.0, 0.5), "accuracy", "0.5"),
-    (lambda: md.Coulomb(9.0, method="pme"), "method", "pme", "ewald"),
-    (lambda: md.Coulomb(9.0, bonded_scale=(0, 1)), "bonded_scale"),
-    (lambda: md.System(np.zeros((2, 3)), charges=[1.0]), "charges", "2"),
-    (lambda: md.System(np.eye(3), charges=[1.0, np.nan, 0.0]), "charges", "nan"),
-    (lambda: md.evaluate(md.System(np.eye(3), cell=5.0), md.Coulomb(2.0)), "charges", "zero"),
-    (lambda: md.evaluate(md.System(np.eye(3), cell=5.0, charges=[1, 1, -2]), md.Coulomb()), "cutoff"),
-    (lambda: md.evaluate(md.System(np.eye(3), cell=5.0, pbc=(1, 1, 0), charges=[1, 1, -2]), md.Coulomb(2.0)),
-     "periodic", "shifted-force"),
-    (lambda: md.evaluate(salt(1), md.Coulomb(0.9, 1e-13, method="mesh")), "waves", "1e-13"),
-    (lambda: md.Simulation(salt(1), md.Coulomb(0.9, method="mesh"), md.VelocityVerlet(0.1), precision="fixed-point"),
-     "fixed-point", "waves"),
-    (lambda: md.water("TIP5P"), "TIP5P", "SPC/E"), (lambda: md.water(n=0), "n"),
-]  # fmt: skip
-ON_ONE_SPOT = md.System(np.zeros((2, 3)), cell=5.0, charges=[1.0, -1.0])
-test_what_cannot_be_done_is_refused = answered(
-    *((call, ValueError, *words) for call, *words in WRONG),
-    (lambda: md.evaluate(ON_ONE_SPOT, md.Coulomb(2.0)), md.NonFiniteError, "atom"),
-)
 
 
 def test_excluded_pairs_across_a_boundary_and_charges_that_cannot_change():

@@ -120,7 +120,6 @@ def scene(name, cell):
 
 @pytest.mark.parametrize(("name", "cell"), INTERNAL + EXTERNAL)
 def test_force_is_minus_the_gradient(name, cell):
-    """Along some directions in the space of all coordinates."""
     (system, potential, found), h = scene(name, cell), 2e-6
     assert np.abs(found.forces).max() > 0.1
     for along in np.random.default_rng(1).normal(size=(4, 10, 3)):
@@ -131,7 +130,6 @@ def test_force_is_minus_the_gradient(name, cell):
 
 @pytest.mark.parametrize(("name", "cell"), INTERNAL + EXTERNAL)
 def test_energy_and_virial_are_those_of_the_atoms(name, cell):
-    """Also where only their totals are asked for."""
     system, potential, found = scene(name, cell)
     totals, of_atoms = (md.Forces(system, potential) for _ in range(2))
     totals.compute(TOTALS)

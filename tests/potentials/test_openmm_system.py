@@ -18,6 +18,15 @@ ELEMENTS = ("C", "N", "C", "O", "H", "H")
 N_CHAINS, N = 12, len(ELEMENTS)
 OTHERS = ("NonbondedForce", "CMMotionRemover")
 TOLERANCE = {"Ewald": 1e-9, "PME": 3e-8}  # which makes the forces of OpenMM's PME right to 4e-7
+SCENES = [
+    ("NoCutoff", CUBE, {}), ("NoCutoff", CUBE, {"charged": False}), ("NoCutoff", CUBE, {"wells": False}),
+    ("CutoffNonPeriodic", CUBE, {"switched": True}), ("CutoffPeriodic", CUBE, {"wells": False, "dielectric": 4.0}),
+    ("CutoffPeriodic", TRICLINIC, {}), ("CutoffPeriodic", TRICLINIC, {"charged": False, "switched": True}),
+    ("Ewald", CUBE, {"wells": False}), ("Ewald", CUBE, {"switched": True}), ("PME", TRICLINIC, {}),
+]  # fmt: skip
+DATA = Path(__file__).parents[1] / "data"
+PROTEIN = Path(app.__file__).parent / "data" / "test.pdb"  # villin in water
+DIPEPTIDE, GAFF = DATA / "alanine_dipeptide.pdb", DATA / "gaff_b2" / "b2.prmtop"
 
 
 def reference(made, places):
@@ -96,14 +105,6 @@ def chains(method="NoCutoff", box=CUBE, charged=True, wells=True, switched=False
     return made, topology, where - np.floor(where @ np.linalg.inv(box)) @ box if is_periodic else where
 
 
-SCENES = [
-    ("NoCutoff", CUBE, {}), ("NoCutoff", CUBE, {"charged": False}), ("NoCutoff", CUBE, {"wells": False}),
-    ("CutoffNonPeriodic", CUBE, {"switched": True}), ("CutoffPeriodic", CUBE, {"wells": False, "dielectric": 4.0}),
-    ("CutoffPeriodic", TRICLINIC, {}), ("CutoffPeriodic", TRICLINIC, {"charged": False, "switched": True}),
-    ("Ewald", CUBE, {"wells": False}), ("Ewald", CUBE, {"switched": True}), ("PME", TRICLINIC, {}),
-]  # fmt: skip
-
-
 def nonbonded(made):
     return next(one for one in made.getForces() if isinstance(one, openmm.NonbondedForce))
 
@@ -121,7 +122,6 @@ def assert_agrees(made, topology, places):
 
 @pytest.mark.parametrize(("method", "box", "options"), SCENES)
 def test_energies_and_forces_are_those_of_openmm(method, box, options):
-    """Molecules lie across the boundaries of a box."""
     made, topology, places = chains(method, box, **options)
     system, potentials = assert_agrees(made, topology, places)
     if METHODS[method] > 1:
@@ -164,11 +164,6 @@ def test_what_is_no_force_arrives_in_the_units_of_ase():
     assert constraints[0].lengths == pytest.approx([1.1, 1.2])
     assert not md.from_openmm(*chains())[0].cell.pbc.any()
     assert md.from_openmm(*chains())[2] == ()
-
-
-DATA = Path(__file__).parents[1] / "data"
-PROTEIN = Path(app.__file__).parent / "data" / "test.pdb"  # villin in water
-DIPEPTIDE, GAFF = DATA / "alanine_dipeptide.pdb", DATA / "gaff_b2" / "b2.prmtop"
 
 
 def read(file, **options):

@@ -10,6 +10,14 @@ from wrong_calls import assert_answered
 
 import minimd as md
 
+WRONG = {
+    "twice": lambda force: force.__imul__(2.0),
+    "the sign": lambda force: force.__imul__(-1.0),
+    "one atom left out": lambda force: force[17].fill(0.0),
+    "one component in a hundred off": lambda force: force[:, 1].__imul__(1.01),
+    "forgotten": lambda force: force.fill(0.0),
+}
+
 
 class Weight:
     """A potential of the user's whose term has nothing but add."""
@@ -63,15 +71,6 @@ class Tether(Anchored):
 
 def ran(term, n_steps=2):
     return md.Simulation(liquid(3), [LJ, term], md.VelocityVerlet(0.001)).run(n_steps, every=1, progress=False)
-
-
-WRONG = {
-    "twice": lambda force: force.__imul__(2.0),
-    "the sign": lambda force: force.__imul__(-1.0),
-    "one atom left out": lambda force: force[17].fill(0.0),
-    "one component in a hundred off": lambda force: force[:, 1].__imul__(1.01),
-    "forgotten": lambda force: force.fill(0.0),
-}
 
 
 def assert_found_out(kind, run):

@@ -61,6 +61,12 @@ def energy(source):
 LAW, CHANGES = {LAW!r}, {CHANGES!r}
 print(energy(LAW), *(energy(LAW.replace(old, new)) for old, new, _ in CHANGES.values()))
 """
+UNSEEN = [  # objects of classes of the user's, attributes of modules, arrays that may change, calls of anything
+    ("strength *", "place.x *"), ("strength = 2.0", "import sys; strength = sys"), ("strength = 2.0", ""),
+    ("np.array([1.0, 3.0])", "[1.0, 3.0]"), ("np.array([1.0, 3.0])", "np.zeros(10**6)"),
+    ("np.array([1.0, 3.0])", "np.zeros(8)[::2]"), ("        u =", "        import math\n        u ="),
+    ("@numba.njit\ndef inner", "@numba.njit('f8(f8)')\ndef inner"), ("@numba.njit\ndef inner", "def inner"),
+]  # fmt: skip
 
 
 def answer(code):
@@ -136,14 +142,6 @@ def test_the_digest_tells_what_changes_the_code_and_nothing_else():
     snapshot = Snapshot(names_of(source)["law"])
     assert snapshot.digest == digest_of(source) != digest_of(source.replace("1.0 if", "2.0 if"))
     assert snapshot.function(3.0, 2.0) == snapshot.python(3.0, 2.0) == 9.0
-
-
-UNSEEN = [  # objects of classes of the user's, attributes of modules, arrays that may change, calls of anything
-    ("strength *", "place.x *"), ("strength = 2.0", "import sys; strength = sys"), ("strength = 2.0", ""),
-    ("np.array([1.0, 3.0])", "[1.0, 3.0]"), ("np.array([1.0, 3.0])", "np.zeros(10**6)"),
-    ("np.array([1.0, 3.0])", "np.zeros(8)[::2]"), ("        u =", "        import math\n        u ="),
-    ("@numba.njit\ndef inner", "@numba.njit('f8(f8)')\ndef inner"), ("@numba.njit\ndef inner", "def inner"),
-]  # fmt: skip
 
 
 def test_what_may_change_unseen_has_no_digest_and_what_a_law_reads_must_be_there():

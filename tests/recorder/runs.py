@@ -45,6 +45,25 @@ from minimd.simulation import simulation
 HEAD = struct.Struct("<iiiiqqqq")  # what, process, parent, descriptor, offset, value, bytes of the path, of the data
 OPEN, WRITE, TRUNCATE, FSYNC, RENAME, LINK, UNLINK, MKDIR, CLOSE, DUP = range(1, 11)
 NAMES = ("ext4", "strict")
+STEPS = 13
+FILE, SCENE, CRASH = "run.h5md", "run.toml", "run.crash.h5md"
+RUN, RESUME = ["run", SCENE, "--quiet"], ["resume", FILE, "--quiet"]
+SEEN = ("radial-distribution", "mean-square-displacement", "viscosity", "fluctuations")
+OBSERVERS = "".join(f'[[observer]]\nkind = "{kind}"\nevery = 2\n' for kind in SEEN)
+BATH, EVERY = 'method = "langevin-baoab"\nrelaxation_time = 1.0\n', "[output]\nevery = 3\n"
+PRESSURE = 'pressure = 1.0\ncompressibility = 0.1\nrelaxation_time = 0.1\nevery = 3\ncoupling = "triclinic"\n'
+KINDS = {  # what is added to a melt of 108 atoms
+    "nve": EVERY, "triclinic": f"{BATH}[barostat]\n{PRESSURE}{EVERY}", "observers": OBSERVERS + EVERY,
+    "rigid": "[constraints]\npairs = [[0, 1], [2, 3]]\n" + EVERY,
+    "fixed-point": 'precision = "fixed-point"\n' + EVERY, "forces": BATH + EVERY + "forces = true\n",
+    "formats": OBSERVERS + EVERY + 'trajectory = ["run.xtc", "run.h5md", "run.extxyz", "run.traj", "run.dcd"]\n',
+    "appended": EVERY, "crash": EVERY,
+}  # fmt: skip
+RESUMES = ("resumed when killed", "resumed when finished")
+COMMANDS = {"appended": [[*RUN, "--steps", "6"], RESUME], RESUMES[0]: [RESUME], RESUMES[1]: [[*RESUME, "--steps", "6"]]}
+EARLIER = ("minimd/earlier_restart", "minimd/blocks")  # other in runs of other parts
+MODELS = ("kill", "torn", *NAMES)
+Reference = namedtuple("Reference", "folder steps numbers frames")  # what an uninterrupted run has left
 
 
 class Change(NamedTuple):
@@ -226,29 +245,6 @@ def _name(names, change):
     names.pop(change.old or change.name, None)
     if change.what == "name":
         names[change.name] = change.file
-
-
-STEPS = 13
-FILE, SCENE, CRASH = "run.h5md", "run.toml", "run.crash.h5md"
-RUN, RESUME = ["run", SCENE, "--quiet"], ["resume", FILE, "--quiet"]
-SEEN = ("radial-distribution", "mean-square-displacement", "viscosity", "fluctuations")
-OBSERVERS = "".join(f'[[observer]]\nkind = "{kind}"\nevery = 2\n' for kind in SEEN)
-BATH, EVERY = 'method = "langevin-baoab"\nrelaxation_time = 1.0\n', "[output]\nevery = 3\n"
-PRESSURE = """[barostat]
-pressure = 1.0\ncompressibility = 0.1\nrelaxation_time = 0.1\nevery = 3\ncoupling = "triclinic"
-"""
-KINDS = {  # what is added to a melt of 108 atoms
-    "nve": EVERY, "triclinic": BATH + PRESSURE + EVERY, "observers": OBSERVERS + EVERY,
-    "rigid": "[constraints]\npairs = [[0, 1], [2, 3]]\n" + EVERY,
-    "fixed-point": 'precision = "fixed-point"\n' + EVERY, "forces": BATH + EVERY + "forces = true\n",
-    "formats": OBSERVERS + EVERY + 'trajectory = ["run.xtc", "run.h5md", "run.extxyz", "run.traj", "run.dcd"]\n',
-    "appended": EVERY, "crash": EVERY,
-}  # fmt: skip
-RESUMES = ("resumed when killed", "resumed when finished")
-COMMANDS = {"appended": [[*RUN, "--steps", "6"], RESUME], RESUMES[0]: [RESUME], RESUMES[1]: [[*RESUME, "--steps", "6"]]}
-EARLIER = ("minimd/earlier_restart", "minimd/blocks")  # other in runs of other parts
-MODELS = ("kill", "torn", *NAMES)
-Reference = namedtuple("Reference", "folder steps numbers frames")  # what an uninterrupted run has left
 
 
 def text_of(kind):

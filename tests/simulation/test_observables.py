@@ -13,7 +13,6 @@ from minimd.files.h5md_reader import damage, read_file
 
 
 def test_the_present_state_is_measured_whatever_has_changed(argon):
-    """After a run, at another place, with other velocities and in another cell."""
     sim = argon.simulation()
     sim.run(5, every=5, progress=False)
 

@@ -1,6 +1,7 @@
-"""A whole simulation: what it conserves, how it follows changes, how it stops, and what it leaves when it fails."""
+"""A whole simulation: what it conserves, in long runs too, how it follows changes, how it stops, and what it leaves."""
 
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,12 @@ from scipy import stats
 from wrong_calls import assert_answered
 
 import minimd as md
+from minimd.commands import main as cli
+from minimd.diagnosis.report import conservation_report
+from minimd.mdanalysis import diffusion_coefficient, radial_distribution
+
+SMOOTH = md.LennardJones(1.0, 1.0, 2.5, "force-shifted")
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def springs():
@@ -53,7 +60,6 @@ def test_set_temperature_is_exact_seeded_normal_and_without_momentum():
 
 
 def test_rescaling_keeps_a_drift_unless_the_center_is_thermal(argon):
-    """And equilibrating starts the clock again."""
     drift, sim = [0.5, 0.0, -1.0], argon.simulation()
     sim.velocities[:] += drift
     sim.equilibrate(20, 1.3)
@@ -175,3 +181,28 @@ def test_what_was_probably_forgotten_is_told():
         made({"bonds": [[0, 1]]}, BONDED)
         for constraints in ([held, fixed], ()):
             made({"constraints": [fixed]}, LJ, constraints)
+
+
+@pytest.mark.slow
+def test_argon_is_rahmans(tmp_path):
+    """D = 2.43e-5 cm²/s, first peak of g(r) at 3.7 Å, both by MDAnalysis from the file."""
+    file = tmp_path / "argon.h5md"
+    assert cli.main(["run", str(EXAMPLES / "argon.toml"), "--out", str(file), "--quiet"]) == 0
+    g = radial_distribution(file)
+    peak, diffusion = g.r[np.argmax(g.g)], diffusion_coefficient(file)
+    print(f"peak of g(r) {peak:.3f} Å, {diffusion}")
+    assert peak == pytest.approx(3.7, abs=0.1)
+    assert diffusion.cm2_per_s == pytest.approx(2.43e-5, abs=0.25e-5)
+    assert cli.main(["check", str(file)]) == 0
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_steps_conserve_energy_and_momentum():
+    melt = md.Simulation(SCENES["melt"]().system, SMOOTH, md.VelocityVerlet(0.004))
+    melt.equilibrate(1500, 1.44)
+    melt.run(500)
+    simulation = md.Simulation(melt.system, SMOOTH, md.VelocityVerlet(0.002))
+    report = conservation_report(simulation.run(100_000, every=50), angular=False)
+    print(report)
+    assert abs(report.energy_drift.slope) < max(report.energy_drift.error, 1e-6)
+    assert report.momentum_change < 1e-14

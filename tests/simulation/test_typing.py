@@ -45,7 +45,6 @@ MISTAKES = {  # lines, and what mypy says of each
 
 @pytest.mark.slow
 def test_a_script_of_a_user_is_clean_to_mypy_strict_and_mistakes_are_found(tmp_path):
-    """15 s, most of it for minimd."""
     pytest.importorskip("mypy")
     (tmp_path / "script.py").write_text(SCRIPT + "\n".join(MISTAKES))
     command = [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(tmp_path), "script.py"]

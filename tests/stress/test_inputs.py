@@ -78,8 +78,6 @@ def test_cutoffs_may_be_ten_times_apart_and_species_without_interaction_fly_thro
 
 
 def test_an_observer_that_heats_is_no_runaway():
-    """Energies that grow ten thousand times because somebody makes them grow."""
-
     def heat(sim):
         if sim.step in (10, 20, 30):
             sim.velocities[:] = np.random.default_rng(sim.step).standard_normal(sim.velocities.shape) * 10.0 * sim.step

@@ -15,6 +15,13 @@ from minimd.structure.cell import Cell, minimum_image_translations
 NEIGHBORS = {"sc": (6, 1), "bcc": (8, 0.75**0.5), "fcc": (12, 0.5**0.5), "diamond": (4, 3**0.5 / 4)}
 SIDE = [[20.0, 0.0, 0.0], [0.0, 20.0, 0.0], [20.0, 20.0, 0.0]]
 SLAB = "pbc=(True, True, False)"
+test_messages_about_cells_name_pbc_where_it_is_the_cure = answered(
+    (lambda: md.System(np.eye(3), cell=[20, 20, None]), ValueError, "None", SLAB),
+    (lambda: md.System(np.eye(3), cell=[20, 20]), ValueError, "(2,)", SLAB),
+    (lambda: md.System(np.eye(3), cell=SIDE), ValueError, "linearly independent", SLAB),
+    (lambda: md.System(np.eye(3), cell=[20, 20, 0], pbc=True), ValueError, "cell[2]", SLAB),
+    (lambda: md.System(np.eye(3), cell=[3, 3, -1]), ValueError, "negative", "-1"),
+)
 
 
 @st.composite
@@ -67,15 +74,6 @@ def test_volume_is_that_of_the_user_s_vectors_and_numbers_have_their_units():
     argon = md.System(np.eye(3), masses=40.0, cell=4.0, units=md.units.ASE)  # 120 u in 64 Å³
     assert [words for words in ("volume         64 Å³\n", "3.11351 g/cm³") if words not in str(argon)] == []
     assert md.units.ASE.shown(12345600.0 * md.units.fs) == "12345.6 ps"
-
-
-test_messages_about_cells_name_pbc_where_it_is_the_cure = answered(
-    (lambda: md.System(np.eye(3), cell=[20, 20, None]), ValueError, "None", SLAB),
-    (lambda: md.System(np.eye(3), cell=[20, 20]), ValueError, "(2,)", SLAB),
-    (lambda: md.System(np.eye(3), cell=SIDE), ValueError, "linearly independent", SLAB),
-    (lambda: md.System(np.eye(3), cell=[20, 20, 0], pbc=True), ValueError, "cell[2]", SLAB),
-    (lambda: md.System(np.eye(3), cell=[3, 3, -1]), ValueError, "negative", "-1"),
-)
 
 
 @pytest.mark.parametrize("lattice", md.lattice.BASES)

@@ -1,6 +1,6 @@
 """Molecules from files of others: groups that ASE or MDAnalysis finds are those of the run, or their loss is told."""
 
-import json
+import shutil
 import warnings
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import MDAnalysis
 import numpy as np
 import pytest
 from ase.calculators.lj import LennardJones
+from references import DATA, scene_text
 from wrong_calls import assert_answered
 
 import minimd as md
@@ -18,7 +19,7 @@ from minimd.mdanalysis import universe
 from minimd.scene import load_scene, parse_scene, run_scene
 from minimd.structure.system import changed
 
-N_CHAINS, LENGTH, EDGE = 4, 5, 6.0
+N_CHAINS, LENGTH = 4, 5
 EMPTY = MDAnalysis.Universe.empty(3, trajectory=True)  # of no masses: they are one in reduced units
 
 
@@ -30,87 +31,22 @@ BONDS, ANGLES, DIHEDRALS, IMPROPERS = along_chains(2), along_chains(3), along_ch
 GROUPS = {"bonds": BONDS, "angles": ANGLES, "dihedrals": DIHEDRALS, "impropers": IMPROPERS}
 IONS = [0.5, -0.8476]
 POSITIONS = np.array([[1.0 * i + 0.5, 1.5 * c + 0.25, 0.125 * (i % 2)] for c in range(N_CHAINS) for i in range(LENGTH)])
-
-
-def write_data(path):
-    """A melt as LAMMPS writes it, with image flags; atoms and ids in another order than the lines."""
-    lines = ["melt", "", "20 atoms", "2 atom types"]
-    lines += [f"{len(rows)} {name}\n1 {name[:-1]} types" for name, rows in GROUPS.items()]
-    lines += [f"0 {EDGE} {x}lo {x}hi" for x in "xyz"] + ["\nMasses\n\n1 1.0\n2 2.0\n\nAtoms # molecular\n"]
-    for i in reversed(range(20)):
-        (x, y, z), image = POSITIONS[i], int(POSITIONS[i, 0] > 4.0)
-        lines.append(f"{i + 1} {i // LENGTH + 1} {1 + (i % LENGTH == 0)} {x - EDGE * image} {y} {z} {image} 0 0")
-    lines += ["\nVelocities\n", *(f"{i + 1} {0.5 * i} 0 0" for i in range(20))]
-    for name, rows in GROUPS.items():
-        lines += [f"\n{name.capitalize()}\n"]
-        lines += [f"{k} 1 {' '.join(str(atom + 1) for atom in row)}" for k, row in enumerate(rows, start=1)]
-    path.write_text("\n".join(lines) + "\n")
-
-
-def write_pdb(path, with_bonds):
-    """Carbon beads; each bond of a CONECT record stands there twice, as in most files."""
-    lines = [f"CRYST1{EDGE:9.3f}{EDGE:9.3f}{EDGE:9.3f}  90.00  90.00  90.00 P 1           1"]
-    for i, (x, y, z) in enumerate(POSITIONS):
-        place = f"{i + 1:5d}  C   BEA A{i // LENGTH + 1:4d}    {x:8.3f}{y:8.3f}{z:8.3f}"
-        lines.append(f"ATOM  {place}  1.00  0.00           C  ")
-    if with_bonds:
-        lines += [f"CONECT{a + 1:5d}{b + 1:5d}" for i, j in BONDS for a, b in ((i, j), (j, i))]
-    path.write_text("\n".join([*lines, "END"]) + "\n")
-
-
-def write_psf(path, charge=0.0):
-    """As CHARMM and NAMD have it: eight columns of bonds, nine of angles."""
-    lines = ["PSF", "", "       1 !NTITLE", " REMARKS melt", "", f"{20:8d} !NATOM"]
-    numbers = f"{charge:10.6f}  {12.011:12.4f}           0"
-    lines += [f"{i + 1:8d} MELT {i // LENGTH + 1:<4d} BEA  C    CT   {numbers}" for i in range(20)]
-    for name, groups, per_line in (("NBOND: bonds", BONDS, 4), ("NTHETA: angles", ANGLES, 3)):
-        lines += ["", f"{len(groups):8d} !{name}"]
-        rows = [groups[k : k + per_line] for k in range(0, len(groups), per_line)]
-        lines += ["".join(f"{i + 1:8d}" for group in row for i in group) for row in rows]
-    path.write_text("\n".join([*lines, ""]) + "\n")
-
-
 FORMATS = {"data": "file", "pdb": "file", "psf": "melt.psf"}  # what is read, and what structure.bonds says
-SCENE = """
-units = "LJ"
-dynamics = {{ timestep = 0.002, steps = 20, temperature = 0.5 }}
-output = {{ every = 5 }}
-[structure]
-file = "{file}"
-{more}
-{laws}"""
-
-
-def tables(laws):
-    """[[potential]] tables of a scene, as TOML."""
-    given = [{"type": name} | law for name, law in laws.items()]
-    lines = (["[[potential]]", *(f"{key} = {json.dumps(value)}" for key, value in law.items())] for law in given)
-    return "".join("\n".join(one) + "\n" for one in lines)
-
-
-DIHEDRAL, IMPROPER = {"k": 0.5, "n": 3}, {"k": 1.0, "angle_degree": 30.0}
-LJ = {"epsilon": 1.0, "sigma": 1.0, "cutoff": 1.8, "bonded_scale": [0.0, 1.0, 1.0]}
-PAIR_LAWS = tables({"lennard-jones": LJ, "harmonic-bond": {"k": 50.0, "length": 1.0}})
-ANGLE_LAW = tables({"harmonic-angle": {"k": 5.0, "angle_degree": 150.0}})
-GROUP_LAWS = ANGLE_LAW + tables({"periodic-dihedral": DIHEDRAL, "harmonic-improper": IMPROPER})
+SCENE, GROUP_LAWS = scene_text("chains"), scene_text("laws_of_chains")
+ANGLE_LAW = GROUP_LAWS[: GROUP_LAWS.index("[[potential]]", 1)]
 
 
 @pytest.fixture
 def folder(here):
-    """The melt in all formats."""
-    write_data(here / "melt.data")
-    write_pdb(here / "melt.pdb", with_bonds=True)
-    write_pdb(here / "plain.pdb", with_bonds=False)
-    write_psf(here / "melt.psf")
-    write_psf(here / "ions.psf", IONS[1])
-    return here
+    """The melt in all formats, and ions."""
+    return shutil.copytree(DATA / "chains", here, dirs_exist_ok=True)
 
 
 def scene(folder, form, more=None, laws=""):
     """A scene of a melt in a format, with the bonds that its files name if nothing else is said."""
     file = {"psf": "plain.pdb"}.get(form, f"melt.{form}")
     more = f'bonds = "{FORMATS[form]}"' if more is None else more
-    (folder / "melt.toml").write_text(SCENE.format(file=file, more=more, laws=PAIR_LAWS + laws))
+    (folder / "melt.toml").write_text(SCENE.replace('file = "melt.data"', f'file = "{file}"\n{more}') + laws)
     return load_scene(folder / "melt.toml")
 
 
@@ -155,28 +91,11 @@ def test_angles_and_constraints_of_a_file_are_those_named_by_hand(folder):
     same_groups(kept[0].pairs, BONDS)
 
 
-FIELDS = {
-    "constant-force": {"force": [0.0, 0.0, -0.1], "atoms": [0]}, "gravity": {"acceleration": [0.0, 0.0, -0.2]},
-    "restraint": {"k": 2.0, "points": [[1.0, 2.0, 3.0]], "atoms": [0]},
-    "steered-spring": {"k": 3.0, "points": [[1.0, 2.0, 3.0]], "velocity": [0.1, 0.0, 0.0], "atoms": [3], "end": 5.0},
-    "wall": {"point": [0.0, 0.0, -1.0], "normal": [0.0, 0.0, 1.0], "epsilon": 1.0, "sigma": 1.0, "cutoff": 2.5},
-    "cylinder-wall": {"point": [2.0, 2.0, 0.0], "axis": [0.0, 0.0, 1.0], "radius": 9.0, "epsilon": 1.0, "sigma": 1.0},
-    "sphere-wall": {"point": [2.0, 2.0, 2.0], "radius": 9.0, "epsilon": 1.0, "sigma": 1.0, "law": "12-6"},
-    "morse-bond": {"depth": 3.0, "a": 2.0, "length": 1.1, "pairs": [[0, 1]]},
-    "opls-dihedral": {"k1": 1.0, "k2": 2.0, "k3": 3.0, "quadruples": [[0, 1, 2, 3]]},
-    "ryckaert-bellemans": {"coefficients": [1.0, 2.0], "quadruples": [[0, 1, 2, 3]]},
-}  # fmt: skip
-
-
 def test_scenes_have_every_field_and_law():
-    start = '[structure]\nlattice = "sc"\nrepeat = [2, 2, 2]\npbc = false\n'
-    reduced = f'units = "LJ"\n{start}lattice_constant = 1.3\n%s[dynamics]\ntimestep = 0.001\nsteps = 2\n'
-    in_ase = f'{start}element = "Ar"\nlattice_constant_A = 1.3\n%s[dynamics]\ntimestep_fs = 0.001\nsteps = 2\n'
-    made = parse_scene(reduced % tables(FIELDS), "scene.toml").potentials()
+    made, wrong = parse_scene(scene_text("fields"), "scene.toml").potentials(), scene_text("gravity")
     kinds = [md.ConstantForce, md.Gravity, md.Restraint, md.SteeredSpring, md.Wall, md.CylinderWall, md.SphereWall]
     assert [type(one) for one in made] == [*kinds, md.MorseBond, md.OPLSDihedral, md.RyckaertBellemans]
     assert repr(made[3]) == "SteeredSpring(k=3.0, points=[1.0, 2.0, 3.0], velocity=[0.1, 0.0, 0.0], atoms=[3], end=5)"
-    wrong = in_ase % tables({"gravity": {"acceleration": [0.0, 0.0, -2.0]}})
     words = "potential[0]", "'acceleration'", "'acceleration_A_ps2'"
     assert_answered(lambda: parse_scene(wrong, "scene.toml"), ValueError, *words)
     [fall] = parse_scene(wrong.replace("acceleration", "acceleration_A_ps2"), "scene.toml").potentials()
@@ -193,7 +112,6 @@ def test_bonds_that_are_not_used_are_told(folder, form):
 
 
 def test_lammps_data_keeps_its_types_velocities_and_bonds(folder):
-    """Also without a suffix, and through Atoms of ASE with bonds in their arrays."""
     read = system_from_file("melt.data", units=md.units.LJ)
     np.testing.assert_allclose(read.positions, POSITIONS, atol=1e-12)
     np.testing.assert_allclose(read.velocities[:, 0], 0.5 * np.arange(20), rtol=1e-14)
@@ -248,7 +166,6 @@ def test_what_cannot_be_a_structure_is_named(folder):
 
 @pytest.mark.parametrize("units", [md.units.LJ, md.units.ASE], ids=lambda units: units.name)
 def test_system_from_a_universe_is_the_one_that_wrote_it(tmp_path, units):
-    """To float32; the cell by lengths and angles."""
     given = {"masses": np.arange(1.0, 21.0), "species": ["A", "B"] * 10, "bonds": BONDS, "angles": ANGLES}
     cell = [[6.0, 0.0, 0.0], [1.0, 7.0, 0.0], [0.5, -1.0, 8.0]]
     old = md.System(POSITIONS, velocities=0.01 * POSITIONS, cell=cell, units=units, **given)
@@ -282,17 +199,7 @@ def salt():
     return atoms
 
 
-def from_lammps(folder, style):
-    """Data of LAMMPS, with a column of charges; and a file without any, to be read beside them."""
-    ase.io.write(folder / "salt.xyz", ase.Atoms("NaCl", salt().positions))
-    molecule = "" if style == "charge" else "1 "
-    lines = f"1 {molecule}1 0.5 1 1 1", f"2 {molecule}2 -0.8476 3.5 1 1"
-    head = "salt\n\n2 atoms\n2 atom types\n0 8 xlo xhi\n0 8 ylo yhi\n0 8 zlo zhi\n\nMasses\n\n1 22.99\n2 35.45\n\n"
-    (folder / "salt.data").write_text(f"{head}Atoms # {style}\n\n" + "\n".join(lines) + "\n")
-    return folder / "salt.data"
-
-
-def from_mdanalysis(_folder):
+def from_mdanalysis():
     made = MDAnalysis.Universe.empty(2, trajectory=True)
     made.add_TopologyAttr("masses", [23.0, 35.45])
     made.add_TopologyAttr("charges", IONS)
@@ -301,20 +208,20 @@ def from_mdanalysis(_folder):
 
 
 WAYS_IN = {
-    "a universe": from_mdanalysis, "atoms": lambda folder: md.System.from_ase(salt()),
-    "a file of ASE": lambda folder: (ase.io.write("a.traj", salt()), system_from_file("a.traj"))[1],
-    "LAMMPS data, full": lambda folder: system_from_file(from_lammps(folder, "full")),
-    "LAMMPS data, charge": lambda folder: system_from_file(from_lammps(folder, "charge"), units=md.units.LJ),
-    "LAMMPS data beside": lambda folder: system_from_file("salt.xyz", bonds=from_lammps(folder, "full").name),
-    "a PSF beside": lambda _: system_from_file("melt.pdb", bonds="ions.psf"),
-    "a PSF": lambda _: md.System.from_mdanalysis(MDAnalysis.Universe("ions.psf", "plain.pdb")),
+    "a universe": from_mdanalysis, "atoms": lambda: md.System.from_ase(salt()),
+    "a file of ASE": lambda: (ase.io.write("a.traj", salt()), system_from_file("a.traj"))[1],
+    "LAMMPS data, full": lambda: system_from_file("salt-full.data"),
+    "LAMMPS data, charge": lambda: system_from_file("salt-charge.data", units=md.units.LJ),
+    "LAMMPS data beside": lambda: system_from_file("salt.xyz", bonds="salt-full.data"),
+    "a PSF beside": lambda: system_from_file("melt.pdb", bonds="ions.psf"),
+    "a PSF": lambda: md.System.from_mdanalysis(MDAnalysis.Universe("ions.psf", "plain.pdb")),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("way", WAYS_IN)
 def test_charges_come_with_a_structure_and_a_warning_tells_if_nothing_uses_them(folder, way):
     """One warning, which shows the largest; none where Coulomb or a calculator may use them, or all are zero."""
-    system = WAYS_IN[way](folder)
+    system = WAYS_IN[way]()
     assert system.charges.tolist() == (20 * IONS[1:] if "PSF" in way else IONS)
     law, neutral = md.LennardJones(1e-3, 0.5, 2.6), changed(system, charges=None)
     with warnings.catch_warnings(record=True, action="always") as told:

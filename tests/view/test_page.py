@@ -1,11 +1,14 @@
-"""A page of a run asks nobody for anything, is small, and holds the atoms of the file where they are."""
+"""A page of a run asks nobody for anything, is small, has the atoms where the file has them, and works in a browser."""
 
+import base64
 import html
+import io
 import json
 import re
 import shutil
 import subprocess
 from functools import partial
+from html.parser import HTMLParser
 from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,17 +16,19 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
+from PIL import Image
 from references import melt_scene
 from scenes import LJ
-from view_pages import LEVELS, Parts, skewed_chains
 from wrong_calls import assert_answered
 
 import minimd as md
+from minimd.commands import main as cli
 from minimd.mdanalysis.universes import universe_of
 from minimd.structure.cell import nearest_vectors
 from minimd.view import View
 from minimd.view.page import ATOMS, bonds_among, chosen_atoms, chosen_frames, motion_of, page, run_story
 
+LEVELS = 65536
 PAGE = files("minimd.view") / "page"
 URL = re.compile(r"https?:|//\w", re.I)
 LINKS = ("src", "href", "action", "data", "srcset", "poster", "formaction", "srcdoc")
@@ -32,6 +37,57 @@ PROGRAM = """
 const bonds = motion.bonds, start = new Float32Array(3 * bonds.length), end = new Float32Array(3 * bonds.length);
 motion.halves(7, motion.positions(7), start, end);
 console.log(JSON.stringify([motion.positions(7), start, end].map((array) => Array.from(array))));"""
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]  # WebGL without a graphics card
+
+
+def skewed_chains(timestep=0.004, pbc=(True, True, True)):
+    """Two chains of two species in a cell whose vectors are far from reduced; bonds reach over its faces."""
+    k = np.arange(6)
+    strand = np.column_stack([4.0 + 0.98 * k, 0.2 * (k % 2), 0.0 * k])
+    bonds = np.column_stack([k[:-1], k[1:]])
+    positions, bonds = np.concatenate([strand, strand + np.array([0.0, 3.0, 3.0])]), np.concatenate([bonds, bonds + 6])
+    cell = [[7.5, 0, 0], [16.0, 6.5, 0], [1.0, 2.0, 7.0]]
+    system = md.System(positions, cell=cell, pbc=pbc, species=["A", "B"] * 6, bonds=bonds)
+    lj = md.LennardJones(1.0, 1.0, 2.5, "force-shifted", bonded_scale=(0, 1, 1))
+    simulation = md.Simulation(system, [lj, md.HarmonicBond(1000.0, 1.0)], md.VelocityVerlet(timestep))
+    simulation.set_temperature(0.8, seed=2)
+    return simulation
+
+
+class Parts(HTMLParser):
+    """A page taken apart.  attributes : (element, name, value) of all elements.  texts : of script and style elements,
+    by id.  about : what the program knows beside the counts.  counts : (T, N, 3) uint16.  bonds : (B, 2)."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.attributes, self.texts, self._open = [], {}, None
+        self.feed(page)
+        self.about = json.loads(self.texts["about"])
+        self.counts = self.numbers("counts", "<u2").reshape(len(self.about["steps"]), -1, 3)
+        self.bonds = self.numbers("bond-pairs", "<u4").astype(int).reshape(-1, 2)
+
+    def handle_starttag(self, tag, attributes):
+        self.attributes += [(tag, name, value) for name, value in attributes]
+        if tag in ("script", "style"):
+            self._open = dict(attributes).get("id", f"{tag}{len(self.texts)}")
+            self.texts[self._open] = ""
+
+    def handle_data(self, data):
+        if self._open:
+            self.texts[self._open] += data
+
+    def handle_endtag(self, tag):
+        if tag in ("script", "style"):
+            self._open = None
+
+    def numbers(self, name, kind):
+        return np.frombuffer(base64.b64decode(self.texts[name]), dtype=kind)
+
+    def positions(self):
+        """(T, N, 3), along the reduced lattice."""
+        low, width, lattice = (np.array(self.about[name]) for name in ("low", "width", "lattice"))
+        return (low[:, None] + width[:, None] * self.counts / LEVELS) @ lattice
 
 
 @pytest.fixture(scope="module")
@@ -178,3 +234,152 @@ def test_the_command_writes_a_page_and_names_it(monkeypatch, told, here):
     Path("c.toml").write_text(melt_scene(4, 20))
     for arguments, shown in ((["b.h5md"], "'b.h5md'"), (["a.h5md", "--scene", "c.toml"], "did not fail")):
         assert shown in told("view", *arguments, code=2)
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as driver:
+        try:
+            started = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        except playwright.Error as error:
+            pytest.skip(f"no browser: {error}")
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def browser(chromium):
+    yield lambda **how: chromium.new_context(**how).new_page()
+    for window in chromium.contexts:
+        window.close()
+
+
+class Opened:
+    """A page in the browser.  requests : addresses that were asked for.  errors : of the console and the program."""
+
+    def __init__(self, browser, file, scheme="light", init=""):
+        self.page = browser(viewport={"width": 500, "height": 500}, color_scheme=scheme)
+        self.requests, self.errors = [], []
+        self.page.add_init_script(init or "0")
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.on("console", lambda message: self.errors.append(message.text) if message.type == "error" else None)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.goto(file.as_uri())
+        self.wait("globalThis.minimd && (minimd.scene || !document.getElementById('scene-error').hidden)")
+
+    def wait(self, condition):
+        """Until it holds; the policy of the page forbids playwright's own way, which is eval."""
+        for _ in range(300):
+            if self.page.evaluate(condition):
+                return
+            self.page.wait_for_timeout(50)
+        pytest.fail(f"{condition} does not come true")
+
+    def frame(self):
+        return self.page.evaluate("minimd.player.frame")
+
+    def pixels(self):
+        self.page.wait_for_timeout(600)
+        return self.page.locator("#scene").screenshot()
+
+    def tab_to(self, name):
+        for _ in range(60):
+            if self.page.evaluate("document.activeElement.id || document.activeElement.tagName") == name:
+                return
+            self.page.keyboard.press("Tab")
+            if self.page.evaluate("document.activeElement !== document.body"):
+                assert self.page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+        pytest.fail(f"Tab does not reach {name}")
+
+
+@pytest.fixture
+def run_page(run):
+    return md.view(run.file).save()
+
+
+@pytest.fixture(scope="module")
+def failed_page(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("failed")
+    text = melt_scene(3, 4000, f'[output]\ntrajectory = "{folder}/melt.h5md"\nevery = 100\n')
+    (folder / "melt.toml").write_text(text.replace("timestep = 0.004", "timestep = 0.06"))
+    assert cli.main(["run", f"{folder}/melt.toml", "--quiet"]) == 3
+    return md.view(folder / "melt.crash.h5md").save()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("kind", ["run_page", "failed_page"])
+def test_the_page_makes_no_request_and_no_error(browser, request, kind, scheme):
+    file = request.getfixturevalue(kind)
+    opened = Opened(browser, file, scheme)
+    opened.page.click("#play")
+    opened.page.wait_for_timeout(1000)
+    assert (opened.requests, opened.errors) == ([file.as_uri()], [])
+    background = opened.page.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert (background == "rgb(255, 255, 255)") == (scheme == "light")
+
+
+@pytest.mark.slow
+def test_a_browser_without_webgl_is_told_and_shows_the_rest(browser, run_page):
+    opened = Opened(browser, run_page, init="HTMLCanvasElement.prototype.getContext = () => null")
+    visible = [opened.page.is_visible(f"#{name}") for name in ("scene-error", "shown", "picture")]
+    assert (visible, opened.errors) == ([True, False, True], [])
+
+
+@pytest.mark.slow
+def test_frames_advance_when_played_and_the_atoms_move_and_are_where_the_file_has_them(browser, run_page):
+    opened, cell = Opened(browser, run_page), skewed_chains().system.cell
+    before, first = opened.pixels(), opened.frame()
+    opened.page.click("#play")
+    opened.wait("minimd.player.frame > 5")
+    opened.page.click("#play")
+    stopped = opened.frame()
+    assert (first, opened.pixels() == before, opened.frame()) == (0, False, stopped)
+    assert f"frame {stopped + 1} of 31: step {20 * stopped}, t = " in opened.page.inner_text("#time")
+    seen = np.array(list(opened.page.evaluate("Array.from(minimd.motion.positions(30))"))).reshape(-1, 3)
+    differences = (seen - Parts(run_page.read_text(encoding="utf-8")).positions()[30]) @ cell.inverse
+    assert np.abs(differences - np.rint(differences)).max() < 1e-5
+
+
+@pytest.mark.slow
+def test_the_keyboard_works_every_control(browser, run_page):
+    opened = Opened(browser, run_page)
+
+    def press(name, key):
+        opened.tab_to(name)
+        opened.page.keyboard.press(key)
+
+    keys = "forward Enter 1, forward Space 2, back Enter 1, last Enter 30, first Space 0, frame ArrowRight 1"
+    for name, key, frame in map(str.split, keys.split(", ")):
+        press(name, key)
+        assert opened.frame() == int(frame), name
+    of_scene = [("scene", key) for key in ("ArrowLeft", "ArrowUp", "+", "Home")]
+    for name, key in [("cell", " "), ("bonds", " "), ("size", "ArrowRight"), *of_scene]:
+        before = opened.pixels()
+        press(name, key)
+        assert opened.pixels() != before, (name, key)
+    press("larger", "Enter")
+    assert opened.page.inner_text("#zoom") == "125 %"
+    press("speed", "ArrowDown")
+    press("repeat", " ")
+    for name in ("last", "back", "play"):
+        press(name, "Enter")
+    opened.wait("!minimd.player.isPlaying")
+    assert opened.frame() == 30
+
+
+@pytest.mark.slow
+def test_the_pair_is_marked_in_the_middle_of_the_scene(browser, failed_page):
+    opened = Opened(browser, failed_page)
+    assert opened.frame() == opened.page.evaluate("minimd.motion.nFrames") - 1
+    before = opened.pixels()
+    opened.tab_to("others")
+    opened.page.keyboard.press(" ")
+    alone = opened.pixels()
+    assert alone != before
+    image = np.asarray(Image.open(io.BytesIO(alone)).convert("RGB")).astype(int)
+    pink = (image[..., 0] > image[..., 1] + 80) & (image[..., 2] > image[..., 1] + 20)
+    middle = np.argwhere(pink).mean(axis=0) / pink.shape
+    assert pink.sum() > 500
+    np.testing.assert_allclose(middle, 0.5, atol=0.1)

@@ -12,6 +12,7 @@ from scipy.special import polygamma
 from minimd.grade.findings import Law, Measured, nearest
 from minimd.grade.scenes import Array, Frames, Scene, joined
 
+LEAST = 0.2  # mean of a measure, for its error
 ACTED, NEVER = 0.2, 1e-6  # of the energy, or the volume, is new at the end of a run, at least; if nothing acts
 
 
@@ -37,11 +38,12 @@ class Seen:
         self.log_volume = float(np.log(self.all.volumes).mean())
 
     def over_runs(self, measure: Measure, said: Said, spare: float) -> Measured:
-        """The mean of a measure over the runs, and how far it is off beside its error; of several, the worst."""
+        """The mean of a measure over the runs, and how far it is off beside its error; of several, the worst. The
+        spread of runs goes with the mean: where the mean is small by chance, the spread is too small."""
         values = np.array([np.atleast_1d(measure(one, self)) for one in self.runs])
         means, errors = values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(len(values))
         quantile = stats.t.isf(0.5 * self.rate / len(means), len(values) - 1)
-        limits = quantile * errors + spare + self.scene.error
+        limits = quantile * errors / np.clip(means, LEAST, 1.0) + spare + self.scene.error
         k = int(np.argmax(np.abs(means - 1.0) / limits))
         mean, error, limit = float(means[k]), float(errors[k]), float(limits[k])
         return Measured(mean, (mean - 1.0) / limit, said(means, self), error, limit)

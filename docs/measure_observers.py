@@ -3,6 +3,8 @@
 python docs/measure_observers.py [N_ROUNDS]
 """
 
+import socket
+import subprocess
 import sys
 from time import process_time
 
@@ -11,7 +13,29 @@ import numpy as np
 import minimd as md
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
 
+READER = """
+import socket, sys, time
+while True:
+    try:
+        reader = socket.create_connection(("localhost", int(sys.argv[1])))
+        break
+    except ConnectionRefusedError:
+        time.sleep(0.01)
+reader.sendall(bytes([0, 0, 0, 3, 0, 0, 0, 0]))  # go
+while reader.recv(2**20):
+    pass
+"""
 N_STEPS, EDGE = 1000, 10  # steps of a turn; unit cells along an edge: 4000 atoms
+
+
+def read_stream():
+    """A stream that a process of its own reads."""
+    with socket.create_server(("localhost", 0)) as free:
+        port = free.getsockname()[1]
+    subprocess.Popen([sys.executable, "-c", READER, str(port)])
+    return [md.observers.Stream(port, wait=True)]
+
+
 TURNS = {
     "nothing": list,
     "MeanSquareDisplacement(every=10)": lambda: [md.observers.MeanSquareDisplacement()],
@@ -20,6 +44,8 @@ TURNS = {
     "Fluctuations(every=20)": lambda: [md.observers.Fluctuations()],
     "RadialDistribution(r_max=4, every=100)": lambda: [md.observers.RadialDistribution(r_max=4.0)],
     "Profile(every=50)": lambda: [md.observers.Profile()],
+    "Stream(every=10), nobody reads": lambda: [md.observers.Stream(port=0)],
+    "Stream(every=10), read": read_stream,
 }
 
 

@@ -1,10 +1,12 @@
-"""Analysis during a run: observers that keep sums instead of frames, and give results with error bars."""
+"""Analysis during a run: observers that keep sums instead of frames, and give results with error bars; and a stream
+of frames to other programs."""
 
 from minimd.observers.accumulator import Accumulator, Result
 from minimd.observers.fluctuations import Fluctuations
 from minimd.observers.motion import MeanSquareDisplacement, VelocityAutocorrelation, finite_size_correction
 from minimd.observers.profile import Profile
 from minimd.observers.radial_distribution import RadialDistribution
+from minimd.observers.stream import Stream
 from minimd.observers.viscosity import Viscosity
 
 KINDS: dict[str, type[Accumulator]] = {
@@ -19,6 +21,7 @@ __all__ = [
     "Profile",
     "RadialDistribution",
     "Result",
+    "Stream",
     "VelocityAutocorrelation",
     "Viscosity",
     "finite_size_correction",

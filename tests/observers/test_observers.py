@@ -22,7 +22,8 @@ from minimd.structure.checks import checked_count
 
 DISPLACEMENT, VELOCITY = "mean-square-displacement", "velocity-autocorrelation"
 NONE = md.LennardJones(1e-12, 1e-3, 0.1, "force-shifted")  # next to no forces
-EVERY = {"radial-distribution": 10, DISPLACEMENT: 2, VELOCITY: 2, "viscosity": 5, "fluctuations": 5, "profile": 10}
+EVERY = {"radial-distribution": 10, DISPLACEMENT: 2, VELOCITY: 2, "viscosity": 5, "fluctuations": 5, "profile": 10,
+         "structure-factor": 10, "self-scattering": 2}  # fmt: skip
 
 
 def simulation(**options):
@@ -116,10 +117,32 @@ def layers(run):
     return {"densities": counts / len(z) / (volume / 100), "temperature": temperatures}
 
 
+def scattered(run):
+    """|Σ exp(i q r)|² / N, in shells of whole wave vectors."""
+    looking = run.looking["structure-factor"]
+    waves, q_max = 2.0 * np.pi * np.array(looking.waves) / run.edges, looking.result().q[-1] * 1.01
+    lengths, width = np.linalg.norm(waves, axis=1), 3.0 * 1.15 * 2.0 * np.pi * 0.8442 ** (1.0 / 3.0) / 80
+    assert len(np.unique(np.round(waves, 9), axis=0)) == len(waves) > 200
+    assert lengths.min() == pytest.approx(2.0 * np.pi / run.edges[0])
+    assert lengths.max() < q_max
+    squares = np.abs(np.exp(1j * run.positions @ waves.T).sum(axis=1)) ** 2 / len(run.species)
+    shells = [np.floor(lengths / width) == k for k in np.unique(np.floor(lengths / width))]
+    return {"q": [lengths[one].mean() for one in shells], "s": [squares[:, one].mean() for one in shells]}
+
+
+def scattered_by_each(run):
+    q = np.array(run.looking["self-scattering"].q_vectors)
+    whole = q * run.edges / (2.0 * np.pi)
+    np.testing.assert_allclose(whole, np.rint(whole), atol=1e-12)
+    found = correlated(run, run.moved, lambda a, b: np.cos((b - a) @ q.T) / len(q))
+    return {"times": found["times"], "means": found["means"][:3], "q": np.linalg.norm(q, axis=1).mean()}
+
+
 TWINS = {  # expected attributes of the result
     DISPLACEMENT: lambda run: correlated(run, run.moved, lambda a, b: (b - a) ** 2),
     VELOCITY: lambda run: correlated(run, run.thermal, lambda a, b: a * b), "radial-distribution": pair_counts,
     "viscosity": stresses, "fluctuations": heat_capacity, "profile": layers,
+    "structure-factor": scattered, "self-scattering": scattered_by_each,
 }  # fmt: skip
 
 

@@ -9,11 +9,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields
 from inspect import cleandoc
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.compiled.kernels import compile_clock
 from minimd.console.display import Displayed, Rows, call_of
 from minimd.console.quiet import outside_minimd
 from minimd.console.words import shown
@@ -423,11 +425,14 @@ class Attached:
         """Whether an observer that looks at this step needs energy and virial."""
         return any(one.needs_energy and step % one.every == 0 for one in self._with_steps)
 
-    def look(self) -> None:
-        """Let the observers that are due look at the present state."""
+    def look(self) -> float:
+        """Let the observers that are due look at the present state; return the seconds that this took, without
+        compilation."""
+        began = perf_counter() - compile_clock.seconds
         for one in self._with_steps:
             if self._engine.step % one.every == 0:
                 one.observe(self._engine)
+        return perf_counter() - compile_clock.seconds - began if self._with_steps else 0.0
 
     @contextmanager
     def broken_off(self) -> Iterator[None]:

@@ -1,6 +1,7 @@
 """What atoms scatter: the static structure factor S(q), and the self-intermediate scattering function F_s(q, t).
 
-Wave vectors are those of the periodic cell, q = 2π k · (a⁻¹)ᵀ with whole numbers k: only for these does S(q) exist.
+Wave vectors are those of the periodic cell, q = 2π k · (a⁻¹)ᵀ with whole numbers k and lattice vectors a: only for
+these does S(q) exist.
 """
 
 from __future__ import annotations
@@ -51,14 +52,14 @@ def waves_near(lengths: Array, cell: Cell, n_directions: int) -> NDArray[np.int6
     z = np.broadcast_to((np.arange(n_directions) + 0.5) / n_directions, (len(lengths), n_directions))
     flat, turn = np.sqrt(1.0 - z * z), GOLDEN * np.arange(z.size).reshape(z.shape)
     wanted = lengths[:, None, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=2)
-    waves = np.rint(wanted @ cell.lattice.T / (2.0 * pi)).astype(np.int64).reshape(-1, 3)
+    waves = np.rint(wanted @ cell.vectors.T / (2.0 * pi)).astype(np.int64).reshape(-1, 3)
     leading = np.sign(waves @ [4 * np.abs(waves).max() ** 2 + 4, 2 * np.abs(waves).max() + 1, 1])
     return np.unique((waves * leading[:, None])[leading != 0], axis=0)
 
 
-def lengths_of(waves: NDArray[np.int64], cell: Cell) -> Array:
-    """(M,) |q| [1/length]."""
-    return np.asarray(np.linalg.norm(2.0 * pi * waves @ cell.inverse.T, axis=1))
+def vectors_of(waves: NDArray[np.int64], cell: Cell) -> Array:
+    """(M, 3) q = 2π k · (a⁻¹)ᵀ [1/length]; a is cell.vectors, which remain those of the run if the cell changes."""
+    return np.asarray(2.0 * pi * waves @ np.linalg.inv(cell.vectors).T)
 
 
 @partial(kernel, fastmath={"reassoc", "nsz", "contract"})  # sums over atoms in any order
@@ -114,7 +115,7 @@ class StructureFactor(Accumulator):
         peak, cell = peak_of(engine.system, "S(q)"), engine.system.cell
         q_max = self.q_max or FAR * peak
         waves = waves_near((np.arange(self.n_bins) + 0.5) * q_max / self.n_bins, cell, self.n_waves)
-        shells = (lengths_of(waves, cell) / q_max * self.n_bins).astype(np.int64)
+        shells = (np.linalg.norm(vectors_of(waves, cell), axis=1) / q_max * self.n_bins).astype(np.int64)
         if not (inside := shells < self.n_bins).any():
             raise ValueError(f"no wave vector of this cell is shorter than q_max = {q_max:.6g}; raise q_max")
         self.waves, self.shells = waves[inside].tolist(), np.unique(shells[inside], return_inverse=True)[1].tolist()
@@ -126,11 +127,14 @@ class StructureFactor(Accumulator):
 
     def _look(self, engine: Engine) -> None:
         cell, n_atoms, highest = engine.system.cell, len(engine.positions), int(np.abs(self._waves).max())
-        tables, turns = np.empty((3, highest + 1, 2, n_atoms)), 2.0 * pi * (engine.positions @ cell.inverse).T
+        tables, turns = (
+            np.empty((3, highest + 1, 2, n_atoms)),
+            vectors_of(np.eye(3, dtype=np.int64), cell) @ engine.positions.T,
+        )
         for k in range(2):
             tables[:, k, 0], tables[:, k, 1] = np.cos(k * turns), np.sin(k * turns)
         find_densities(tables, self._waves, self._squares)
-        found = lengths_of(self._waves, cell), self._squares / n_atoms
+        found = np.linalg.norm(vectors_of(self._waves, cell), axis=1), self._squares / n_atoms
         self.sums.total[0] += 1.0
         self.sums.total[1:] += np.concatenate([np.bincount(self.shells, one) / self._of_shell for one in found])
 
@@ -192,12 +196,12 @@ class SelfScattering(MeanSquareDisplacement):
     def _begin(self, engine: Engine) -> None:
         super()._begin(engine)
         peak, cell = peak_of(engine.system, "F_s(q, t)"), engine.system.cell
-        q = self.q or peak
-        waves = waves_near(np.array([q]), cell, MANY)
+        waves = waves_near(np.array([q := self.q or peak]), cell, MANY)
         if not len(waves):
             raise ValueError(f"no wave vector of this cell is as short as q = {q:.6g}; raise q")
-        nearest = waves[np.argsort(np.abs(lengths_of(waves, cell) - q), kind="stable")[:N_WAVES]]
-        self.q_vectors = (2.0 * pi * nearest @ cell.inverse.T).tolist()
+        found = vectors_of(waves, cell)
+        nearest = np.argsort(np.abs(np.linalg.norm(found, axis=1) - q), kind="stable")[:N_WAVES]
+        self.q_vectors = found[nearest].tolist()
 
     def _entry(self, moved: Array) -> Array:
         phases = np.array(self.q_vectors) @ moved.T

@@ -243,7 +243,7 @@ class Simulation(Closed, Displayed):
                     tell(engine.step - start)
                     if guard.is_hot() or at == end < next_look:
                         guard.observe()  # before others look at what may have failed
-                    attached.look()
+                    guard.observing += attached.look()
                     if at == next_look:
                         self._observe(writers, attached.functions)
                     if monotonic() > checkpoint_due:

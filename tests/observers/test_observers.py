@@ -191,6 +191,35 @@ def test_free_atoms_move_as_their_velocities_say(growth, drift):
     np.testing.assert_allclose(result.msd, mean * result.times**2, rtol=1e-9, atol=1e-15)
 
 
+def test_an_ideal_gas_scatters_as_theory_says():
+    """S(q) = 1, and F_s = ⟨cos q·v t⟩ at every lag, which is exp(−q² k_B T t²/2m) but for the number of atoms."""
+    n_atoms, thermal, mass, rng = 1000, 1.5, 2.0, np.random.default_rng(3)
+    velocities = rng.normal(0.0, np.sqrt(thermal / mass), (n_atoms, 3))
+    velocities -= velocities.mean(axis=0)
+    cell = 10.0 * np.array([[1.0, 0.0, 0.0], [0.3, 1.0, 0.0], [0.0, -0.4, 1.1]])
+    system = md.System(rng.random((n_atoms, 3)) @ cell, velocities=velocities, masses=mass, cell=cell)
+    sim = md.Simulation(system, NONE, md.VelocityVerlet(0.02))
+    whole, each = md.observers.StructureFactor(q_max=12.0, every=25), md.observers.SelfScattering(q=2.0, every=1)
+    whole.prepare(sim.engine)
+    each.prepare(sim.engine)
+    for step in range(1500):
+        each.observe(sim.engine)
+        if step % 25 == 0:
+            whole.observe(sim.engine)
+        sim.engine.count(1)
+        sim.positions[:] += 0.02 * velocities
+    result, q = each.result(), np.array(each.q_vectors)
+    exact = [np.cos(velocities @ q.T * time).mean() for time in result.times]
+    np.testing.assert_allclose(result.means[0], exact, rtol=1e-9, atol=1e-11)
+    assert result.q == pytest.approx(2.0, rel=0.05)
+    gaussian = np.exp(-0.5 * result.q**2 * thermal / mass * result.times**2)
+    np.testing.assert_allclose(result.means[0], gaussian, atol=4.0 * np.sqrt(0.5 / n_atoms))  # statistics
+    assert result.relaxation_time == pytest.approx(np.sqrt(2.0 * mass / thermal) / result.q, rel=0.05)
+    structure = whole.result()
+    assert structure.s.mean() == pytest.approx(1.0, abs=4.0 / np.sqrt(60 * len(whole.waves)))  # statistics
+    assert np.abs((structure.s - 1.0) / structure.error).mean() < 1.5  # of a normal distribution 0.8
+
+
 def test_lags_beyond_half_of_the_run_have_no_error_bar(run):
     """Few blocks contain them; what these tell of each other is far less than the error."""
     for kind, name in (("viscosity", "autocorrelation"), ("viscosity", "integral"), (DISPLACEMENT, "msd")):
@@ -354,6 +383,7 @@ def test_a_new_observer_is_one_class_and_its_series(tmp_path, monkeypatch):
     sim, looking, file = simulation(), Speeds(fastest=10.0), tmp_path / "a.h5md"
     sim.run(100, every=20, trajectory=file, observers=[looking])
     (kept,), result = md.read_observers(file).values(), looking.result()
+    assert "observers      took" in str(sim.report())
     assert repr(kept) == repr(looking) == "Speeds(fastest=10, every=2)"
     assert str(kept) == str(result) == "speeds         " + repr(result)[len("SpeedsResult(") : -1]
     assert list(result.columns()) == ["speed", "share", "share_error"] == [*result.to_pandas()]
@@ -418,4 +448,7 @@ test_what_cannot_be_observed_is_refused = answered(
     (lambda: seen_by(md.observers.Profile(extent=(0.0, 1.0))), ValueError, "extent", "axis c"),
     (lambda: seen_by(md.observers.RadialDistribution(), sim=chain().simulation()), ValueError, "periodic", "12 atoms"),
     (with_another_time_step, ValueError, "time step"),
+    (lambda: seen_by(md.observers.StructureFactor(), sim=chain().simulation()), ValueError, "periodic", "12 atoms"),
+    (lambda: seen_by(md.observers.StructureFactor(q_max=0.1)), ValueError, "q_max", "0.1"),
+    (lambda: seen_by(md.observers.SelfScattering(q=0.1)), ValueError, "q", "0.1"),
 )

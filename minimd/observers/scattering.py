@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import partial
 from math import e, pi
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +24,6 @@ from minimd.structure.cell import Cell
 from minimd.structure.checks import checked_count
 from minimd.structure.statistics import with_error
 from minimd.structure.system import System
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 PEAK = 1.15 * 2.0 * pi  # q (V/N)^(1/3) of the main peak of a simple liquid
@@ -225,12 +221,8 @@ class SelfScattering(MeanSquareDisplacement):
 
 def fall_time(times: Array, values: Array) -> float:
     """Where a function, (T,), of times, (T,), falls below 1/e, on a straight line between two times; NaN if nowhere."""
-    below = np.flatnonzero(values < 1.0 / e)
-    if not len(below) or below[0] == 0:
-        return np.nan
-    k = below[0]
-    part = (values[k - 1] - 1.0 / e) / (values[k - 1] - values[k])
-    return float(times[k - 1] + part * (times[k] - times[k - 1]))
+    k = int(np.argmax(values < 1.0 / e))  # 0 if nowhere: there it is 1
+    return float(np.interp(1.0 / e, values[[k, k - 1]], times[[k, k - 1]])) if k else np.nan
 
 
 @dataclass(frozen=True, repr=False)
@@ -262,14 +254,5 @@ class SelfScatteringResult(Result):
         units = self.units
         time, error = (one * units.to_picosecond for one in (self.relaxation_time, self.relaxation_time_error))
         fell = f"to 1/e in {with_error(time, error)} {units.shown_time}" if np.isfinite(time) else "NOT to 1/e"
-        return [
-            (
-                "F_s(q, t)",
-                f"at q = {self.q:.4g} /{units.length}: falls {fell}, lags up to {units.shown(self.times[-1])}",
-            )
-        ]
-
-    def draw(self, panel: Axes) -> None:
-        """See Result."""
-        super().draw(panel)
-        panel.set(xscale="log", ylim=(None, 1.0))
+        last = f"lags up to {units.shown(self.times[-1])}"
+        return [("F_s(q, t)", f"at q = {self.q:.4g} /{units.length}: falls {fell}; {last}")]

@@ -200,8 +200,14 @@ def test_an_ideal_gas_scatters_as_theory_says():
     system = md.System(rng.random((n_atoms, 3)) @ cell, velocities=velocities, masses=mass, cell=cell)
     sim = md.Simulation(system, NONE, md.VelocityVerlet(0.02))
     whole, each = md.observers.StructureFactor(q_max=12.0, every=25), md.observers.SelfScattering(q=2.0, every=1)
-    whole.prepare(sim.engine)
-    each.prepare(sim.engine)
+    once = md.observers.StructureFactor(q_max=2.0, n_bins=1, n_waves=40, every=1)
+    for one in (whole, each, once):
+        one.prepare(sim.engine)
+    once.observe(sim.engine)
+    waves = 2.0 * np.pi * np.array(once.waves) @ np.linalg.inv(cell).T
+    squares = np.abs(np.exp(1j * sim.positions @ waves.T).sum(axis=0)) ** 2 / n_atoms
+    assert once.result().s == pytest.approx([squares.mean()], rel=1e-9)  # rounding
+    assert once.result().q == pytest.approx([np.linalg.norm(waves, axis=1).mean()])
     for step in range(1500):
         each.observe(sim.engine)
         if step % 25 == 0:
@@ -212,6 +218,7 @@ def test_an_ideal_gas_scatters_as_theory_says():
     exact = [np.cos(velocities @ q.T * time).mean() for time in result.times]
     np.testing.assert_allclose(result.means[0], exact, rtol=1e-9, atol=1e-11)
     assert result.q == pytest.approx(2.0, rel=0.05)
+    np.testing.assert_allclose(q @ cell.T / (2.0 * np.pi), np.rint(q @ cell.T / (2.0 * np.pi)), atol=1e-12)
     gaussian = np.exp(-0.5 * result.q**2 * thermal / mass * result.times**2)
     np.testing.assert_allclose(result.means[0], gaussian, atol=4.0 * np.sqrt(0.5 / n_atoms))  # statistics
     assert result.relaxation_time == pytest.approx(np.sqrt(2.0 * mass / thermal) / result.q, rel=0.05)

@@ -178,7 +178,14 @@ observers/fluctuations.py: observers/test_observers
     0.5 * f * k_B / (1.0 - 2.0 * => 0.5 * f * k_B / (1.0 - 1.0 *
 observers/radial_distribution.py: observers/test_observers
     (n[b] - (a == b)) / (1.0 + (a == b)) => (n[b]) / (1.0 + (a == b))
-    t[0], positions[i, 1] - t[1], positions[i, 2] - t[2] => t[0], positions[i, 1] - t[1], positions[i, 2] + t[2]
+    positions[c, j] + t[c] => positions[c, j] + t[0]
+    first = i + 1 - bin_start => first = i + 2 - bin_start
+observers/scattering.py: observers/test_observers
+    cx * cy - sx * sy => cx * cy + sx * sy
+    np.linalg.inv(cell.vectors).T => np.linalg.inv(cell.vectors)
+observers/stream.py: observers/test_stream
+    length / time) => length * time)
+    engine.step % self._rate => engine.step % self.every
 """  # file in minimd/: tests that are run first; below it old => new
 
 

@@ -3,6 +3,8 @@
 python docs/measure_observers.py [N_ROUNDS]
 """
 
+import socket
+import subprocess
 import sys
 from time import process_time
 
@@ -11,15 +13,42 @@ import numpy as np
 import minimd as md
 from minimd.observers.correlator import MultipleTau, Product, SquaredDifference
 
+READER = """
+import socket, sys, time
+while True:
+    try:
+        reader = socket.create_connection(("localhost", int(sys.argv[1])))
+        break
+    except ConnectionRefusedError:
+        time.sleep(0.01)
+reader.sendall(bytes([0, 0, 0, 3, 0, 0, 0, 0]))  # go
+while reader.recv(2**20):
+    pass
+"""
 N_STEPS, EDGE = 1000, 10  # steps of a turn; unit cells along an edge: 4000 atoms
+
+
+def read_stream():
+    """A stream that a process of its own reads."""
+    with socket.create_server(("localhost", 0)) as free:
+        port = free.getsockname()[1]
+    subprocess.Popen([sys.executable, "-c", READER, str(port)])
+    return [md.observers.Stream(port, wait=True)]
+
+
 TURNS = {
     "nothing": list,
     "MeanSquareDisplacement(every=10)": lambda: [md.observers.MeanSquareDisplacement()],
     "VelocityAutocorrelation(every=10)": lambda: [md.observers.VelocityAutocorrelation()],
     "Viscosity(every=5)": lambda: [md.observers.Viscosity()],
     "Fluctuations(every=20)": lambda: [md.observers.Fluctuations()],
-    "RadialDistribution(r_max=4, every=100)": lambda: [md.observers.RadialDistribution(r_max=4.0)],
+    "RadialDistribution(every=100), r_max 4.2": lambda: [md.observers.RadialDistribution()],
+    "RadialDistribution(r_max=8.4), half the cell": lambda: [md.observers.RadialDistribution(r_max=8.4)],
+    "StructureFactor(every=200)": lambda: [md.observers.StructureFactor()],
+    "SelfScattering(every=20)": lambda: [md.observers.SelfScattering()],
     "Profile(every=50)": lambda: [md.observers.Profile()],
+    "Stream(every=10), nobody reads": lambda: [md.observers.Stream(port=0)],
+    "Stream(every=10), read": read_stream,
 }
 
 
@@ -57,14 +86,14 @@ def main(n_rounds):
             simulation.run(N_STEPS, every=N_STEPS, observers=looking, progress=False)
             times[name].append((process_time() - began) / N_STEPS)
     plain = np.median(times["nothing"])
-    print(f"{'observers of 4000 atoms':<42} µs a step    of a step without")
+    print(f"{'observers of 4000 atoms':<44} µs a step    of a step without")
     for name, taken in times.items():
         extra = np.median(np.array(taken) - np.array(times["nothing"]))
-        print(f"{name:<42} {np.median(taken) * 1e6:9.1f}    {100.0 * extra / plain:+6.1f} %")
+        print(f"{name:<44} {np.median(taken) * 1e6:9.1f}    {100.0 * extra / plain:+6.1f} %")
     for name, law in (("squared differences", SquaredDifference()), ("products", Product())):
         look = np.median([correlator_alone(law) for _ in range(n_rounds)])
         share = f"{100.0 * look / 10 / plain:.1f} % of a step with a look every 10 steps"
-        print(f"correlator alone, {name:<20} {look * 1e6:7.1f} µs a look, {share}")
+        print(f"correlator alone, {name:<22} {look * 1e6:7.1f} µs a look, {share}")
 
 
 if __name__ == "__main__":

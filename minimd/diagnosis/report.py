@@ -152,6 +152,7 @@ class Cost:
     its constraints and the work it did not need.
 
     peak_memory : bytes that the process has held at most so far, or None if that is unknown.
+    observing : seconds that observers of minimd.observers took besides those of the steps.
     """
 
     n_steps: int
@@ -162,13 +163,16 @@ class Cost:
     skipped: list[str]
     constraints: str = ""
     peak_memory: int | None = None
+    observing: float = 0.0
 
     def rows(self) -> Rows:
         """Rows of a report."""
         speed = f"{self.n_steps / self.seconds:.4g} steps/s" if self.seconds > 0.0 else "no steps"
         work = f"{self.n_evaluations} force evaluations, {self.pair_search}, built {self.list_builds} times"
         held = f"{(self.peak_memory or 0) / 1e6:.4g} MB at most so far, of the whole process"
-        rows = [("speed", f"{speed}; {work}"), ("constraints", self.constraints)]
+        share = f"took {100.0 * self.observing / (self.seconds + self.observing or 1.0):.2g} % of the time"
+        rows = [("speed", f"{speed}; {work}"), ("observers", share if self.observing > 0.0 else "")]
+        rows.append(("constraints", self.constraints))
         rows += [("memory", held if self.peak_memory is not None else ""), ("not needed", ", ".join(self.skipped))]
         return [row for row in rows if row[1]]
 

@@ -33,12 +33,12 @@ LEAST_REPLAY = 20  # steps from the snapshot with which a replay begins to the f
 class RunGuard:
     """Makes the steps of an engine, and finds out what went wrong when one fails.
 
-    seconds, n_steps : of the present run, without compilation.
+    seconds, n_steps : of the present run, without compilation.  observing : seconds of its observers.
     failed_from : Snapshot from which the last failure can be replayed.
     """
 
     def __init__(self, engine: Engine) -> None:
-        self.engine, self.seconds, self.n_steps = engine, 0.0, 0
+        self.engine, self.seconds, self.observing, self.n_steps = engine, 0.0, 0.0, 0
         self.failed_from: Snapshot | None = None
         self._first_volume = engine.system.volume
         self._checked_timestep = 0.0  # none yet
@@ -59,7 +59,7 @@ class RunGuard:
 
     def begin_run(self) -> None:
         """Count from zero: steps, seconds, evaluations, list builds, iterations of constraints."""
-        self.seconds, self.n_steps = 0.0, 0
+        self.seconds, self.observing, self.n_steps = 0.0, 0.0, 0
         self._first, self._growth = self._judged_by
         self.engine.interactions.reset_counts()
         if self.engine.constraint_set.bonds is not None:

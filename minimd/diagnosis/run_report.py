@@ -39,7 +39,7 @@ def report_of(guard: RunGuard, record: Record, reversibility: Reversibility | No
     interactions, bonds, is_free = engine.interactions, engine.constraint_set.bonds, engine.conserves_momentum
     solvers = f"{bonds.summary}; at most {bonds.iterations} iterations in a drift" if bonds else ""
     made, what = (interactions.n_builds, interactions.n_evaluations), (interactions.pair_search, interactions.skipped())
-    cost = Cost(guard.n_steps, guard.seconds, *made, *what, solvers, peak_memory())
+    cost = Cost(guard.n_steps, guard.seconds, *made, *what, solvers, peak_memory(), guard.observing)
     angular, lines = is_free and not engine.system.cell.is_periodic, static_checks(engine, reversibility)
     lines += pressure_lines(record, engine.barostat, is_free)
     return conservation_report(record, angular, cost, is_free, lines, engine.n_dof, too_long_a_step(engine) or "")

@@ -1,16 +1,18 @@
-"""Analysis during a run: observers that keep sums instead of frames, and give results with error bars."""
+"""Analysis during a run: observers that keep sums instead of frames, and give results with error bars; and a stream
+of frames to other programs."""
 
 from minimd.observers.accumulator import Accumulator, Result
 from minimd.observers.fluctuations import Fluctuations
 from minimd.observers.motion import MeanSquareDisplacement, VelocityAutocorrelation, finite_size_correction
 from minimd.observers.profile import Profile
 from minimd.observers.radial_distribution import RadialDistribution
+from minimd.observers.scattering import SelfScattering, StructureFactor
+from minimd.observers.stream import Stream
 from minimd.observers.viscosity import Viscosity
 
-KINDS: dict[str, type[Accumulator]] = {
-    one.kind: one
-    for one in (RadialDistribution, MeanSquareDisplacement, VelocityAutocorrelation, Viscosity, Fluctuations, Profile)
-}
+OF_STRUCTURE = RadialDistribution, StructureFactor, Profile
+OF_MOTION = MeanSquareDisplacement, VelocityAutocorrelation, SelfScattering, Viscosity, Fluctuations
+KINDS: dict[str, type[Accumulator]] = {one.kind: one for one in (*OF_STRUCTURE, *OF_MOTION)}
 __all__ = [
     "KINDS",
     "Accumulator",
@@ -19,6 +21,9 @@ __all__ = [
     "Profile",
     "RadialDistribution",
     "Result",
+    "SelfScattering",
+    "Stream",
+    "StructureFactor",
     "VelocityAutocorrelation",
     "Viscosity",
     "finite_size_correction",

@@ -9,16 +9,19 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields
 from inspect import cleandoc
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray
 
+from minimd.compiled.kernels import compile_clock
 from minimd.console.display import Displayed, Rows, call_of
 from minimd.console.quiet import outside_minimd
 from minimd.console.words import shown
 from minimd.engine.engine import Engine
 from minimd.observers.arguments import Argument, argument, label, steps
+from minimd.observers.stream import Stream
 from minimd.structure.errors import ConstraintError, NonFiniteError
 from minimd.structure.statistics import MOST_BLOCKS, replicas, spread
 from minimd.structure.units import SYSTEMS, UnitSystem
@@ -381,10 +384,13 @@ class Accumulator(ABC, Displayed):
             part.restore(state)
 
 
+WithSteps = Accumulator | Stream  # observers with steps of their own
+
+
 class Attached:
     """The observers of a run on one engine, each with its own steps.
 
-    observers : as passed to a run.  functions : the plain functions among them.  accumulators : the others.
+    observers : as passed to a run.  functions : the plain functions among them.  accumulators : those with results.
 
     Raises TypeError for anything but a list of observers, ValueError if two have the same name.
     """
@@ -394,7 +400,8 @@ class Attached:
             kinds = "a list of functions of a simulation, and of observers such as md.observers.RadialDistribution()"
             raise TypeError(f"observers must be {kinds}; observers = {shown(observers)}")
         self.accumulators: Sequence[Accumulator] = [one for one in observers if isinstance(one, Accumulator)]
-        self.functions: Sequence[Callable] = [one for one in observers if not isinstance(one, Accumulator)]
+        self.functions: Sequence[Callable] = [one for one in observers if not isinstance(one, WithSteps)]
+        self._with_steps: Sequence[WithSteps] = [one for one in observers if isinstance(one, WithSteps)]
         names = [one.name for one in self.accumulators]
         if twice := {name for name in names if names.count(name) > 1}:
             several = f"{min(twice)!r} is the name of several: pass another name= to one of them"
@@ -406,27 +413,31 @@ class Attached:
 
     def begin(self) -> None:
         """Look at the first state.  Raises ValueError if something cannot be observed."""
-        for one in self.accumulators:
+        for one in self._with_steps:
             one.prepare(self._engine)
         self.look()
 
     def steps_to_next(self) -> int | float:
         """The number of steps to the next look of any of them; infinite without observers."""
-        return min((one.every - self._engine.step % one.every for one in self.accumulators), default=float("inf"))
+        return min((one.every - self._engine.step % one.every for one in self._with_steps), default=float("inf"))
 
     def need_energy(self, step: int) -> bool:
         """Whether an observer that looks at this step needs energy and virial."""
-        return any(one.needs_energy and step % one.every == 0 for one in self.accumulators)
+        return any(one.needs_energy and step % one.every == 0 for one in self._with_steps)
 
-    def look(self) -> None:
-        """Let the observers that are due look at the present state."""
-        for one in self.accumulators:
+    def look(self) -> float:
+        """Let the observers that are due look at the present state; return the seconds that this took, without
+        compilation."""
+        began = perf_counter() - compile_clock.seconds
+        for one in self._with_steps:
             if self._engine.step % one.every == 0:
                 one.observe(self._engine)
+        return perf_counter() - compile_clock.seconds - began if self._with_steps else 0.0
 
     @contextmanager
     def broken_off(self) -> Iterator[None]:
-        """Context of a run: if it fails, a warning names the observers that have looked after its last good step."""
+        """Context of a run: if it fails, a warning names the observers that have looked after its last good step.
+        At the end streams are closed."""
         try:
             yield
         except (NonFiniteError, ConstraintError):
@@ -436,9 +447,13 @@ class Attached:
                     failed = f"step {step}, the last good one of a run that failed; its result includes these looks"
                     warnings.warn(f"{one!r} has looked {n_later} times after {failed}", stacklevel=outside_minimd())
             raise
+        finally:
+            for stream in self._with_steps:
+                if isinstance(stream, Stream):
+                    stream.end()
 
 
 def _is_observer(one: Any) -> bool:
     """Whether an object can observe a run; a class of observers cannot, but its objects can."""
-    is_class = isinstance(one, type) and issubclass(one, Accumulator)
-    return isinstance(one, Accumulator) or (callable(one) and not is_class)
+    is_class = isinstance(one, type) and issubclass(one, WithSteps)
+    return isinstance(one, WithSteps) or (callable(one) and not is_class)

@@ -87,6 +87,11 @@ class _OfAtoms(TimeCorrelation):
     is_cubic: bool = field(init=False, default=False)
     numbers: list[int] = field(init=False, default_factory=lambda: [1])  # of chosen atoms of each species
 
+    @property
+    def n_components(self) -> int:
+        """C, of what is correlated."""
+        return 3
+
     def _begin(self, engine: Engine) -> None:
         system = engine.system
         some = np.arange(0, len(system), ceil(len(system) / self.most_atoms))
@@ -98,24 +103,30 @@ class _OfAtoms(TimeCorrelation):
         starts = np.concatenate([[0], np.cumsum(self.numbers)])
         self._order = np.array(self.chosen)
         self._takes_all = np.array_equal(self._order, np.arange(scene.n_atoms))
-        self._correlate_by(MultipleTau(type(self).law, starts, 3, POINTS, self.n_levels, averages=False))
+        correlator = MultipleTau(type(self).law, starts, self.n_components, POINTS, self.n_levels, averages=False)
+        self._correlate_by(correlator)
 
     def _look(self, engine: Engine) -> None:
         look = Look(engine)
         vectors, of_center = self._vectors(look)
-        self._add(look, ((vectors if self._takes_all else np.take(vectors, self._order, axis=0)) - of_center).T)
+        chosen = vectors if self._takes_all else np.take(vectors, self._order, axis=0)
+        self._add(look, self._entry(chosen - of_center))
+
+    def _entry(self, vectors: Array) -> Array:
+        """What is correlated of vectors, (n, 3): (C, n)."""
+        return vectors.T
 
     @abstractmethod
     def _vectors(self, look: Look) -> tuple[Array, Array]:
         """The vectors of all atoms, (N, 3), and what to subtract from them, (3,)."""
 
     def _means(self, seen: NDArray[np.bool_]) -> Callable[[Array], Array]:
-        """The function of the sums that gives means over all atoms, over those of each species, and along x, y, z,
-        (1 + S + 3, T)."""
+        """The function of the sums that gives means over all atoms, over those of each species, and of each
+        component, (1 + S + C, T)."""
         numbers = np.maximum(1, np.array(self.numbers))
 
         def law(sums: Array) -> Array:
-            found = self._correlator.correlations(sums[HEAD:])[1][seen]  # (T, S, 3)
+            found = self._correlator.correlations(sums[HEAD:])[1][seen]  # (T, S, C)
             along = found.sum(axis=1).T / numbers.sum()
             return np.concatenate([along.sum(axis=0, keepdims=True), (found.sum(axis=2) / numbers).T, along])
 

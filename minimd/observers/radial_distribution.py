@@ -22,36 +22,54 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 FRAMES, HEAD = 0, 1  # places in the sums: number of frames, then V times the numbers of pairs
-R_MAX = "largest distance; half the smallest height of the cell at the start if not given"
+SPREAD = 8  # columns for pairs that are too far away: one of them would wait for itself at each of these pairs
+SPACINGS = 4.0  # in r_max if not given: four shells of neighbors
+R_MAX = "largest distance; if not given 4 (V/N)^(1/3), but at most half the smallest height of the cell at the start"
 
 
 @kernel
 def count_pairs(positions, species, bins, pair_of_species, width, r_max, counts):
     """counts[p, k] += number of pairs of kind p = pair_of_species[a, b] with k · width ≤ r < (k + 1) · width, with all
-    images within r_max.
+    images within r_max. The last SPREAD columns count pairs farther away, of those that were looked at.
 
-    positions : (N, 3) [length], in the order of the bins and inside the cell.  bins : see neighbors.search.
+    positions : (3, N) [length], in the order of the bins and inside the cell.  bins : see neighbors.search.
     species : (N,) int, in the same order.
     """
-    size, bin_start, translations, n_bins = bins.counts, bins.bin_start, bins.translations, counts.shape[1]
-    ranges = np.empty((bins.forward.shape[0] + 1, 3), dtype=np.int64)
+    size, bin_start, n_bins = bins.counts, bins.bin_start, counts.shape[1] - SPREAD
+    per_width, ranges, room = 1.0 / width, np.empty((bins.forward.shape[0] + 1, 3), dtype=np.int64), 0
+    near, kind_of, places = np.empty((3, room)), np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int32)
     for bin_x in range(size[0]):
         for bin_y in range(size[1]):
             for bin_z in range(size[2]):
                 own = (bin_x * size[1] + bin_y) * size[2] + bin_z
                 if bin_start[own] == bin_start[own + 1]:
                     continue
-                n_ranges = atoms_in_reach(bin_x, bin_y, bin_z, bins, ranges)
+                n_ranges, n = atoms_in_reach(bin_x, bin_y, bin_z, bins, ranges), 0
+                for k in range(n_ranges):
+                    n += ranges[k, 1] - ranges[k, 0]
+                if n > room:
+                    room = 2 * n
+                    near, kind_of = np.empty((3, room)), np.empty(room, dtype=np.int64)
+                    places = np.empty(room, dtype=np.int32)
+                n = 0
+                for k in range(n_ranges):  # side by side, for vectors; those of the bin itself come first
+                    t = bins.translations[ranges[k, 2]]
+                    for j in range(ranges[k, 0], ranges[k, 1]):
+                        for c in range(3):
+                            near[c, n] = positions[c, j] + t[c]
+                        kind_of[n] = species[j]
+                        n += 1
                 for i in range(bin_start[own], bin_start[own + 1]):
-                    kinds = pair_of_species[species[i]]
-                    for k in range(n_ranges):
-                        t = translations[ranges[k, 2]]
-                        x, y, z = positions[i, 0] - t[0], positions[i, 1] - t[1], positions[i, 2] - t[2]
-                        for j in range(i + 1 if k == 0 else ranges[k, 0], ranges[k, 1]):
-                            dx, dy, dz = positions[j, 0] - x, positions[j, 1] - y, positions[j, 2] - z
-                            r2 = dx * dx + dy * dy + dz * dz
-                            if r2 < r_max * r_max:
-                                counts[kinds[species[j]], min(n_bins - 1, int(np.sqrt(r2) / width))] += 1
+                    x, y, z, kinds = positions[0, i], positions[1, i], positions[2, i], pair_of_species[species[i]]
+                    first = i + 1 - bin_start[own]
+                    xs, ys, zs, to = near[0, first:n], near[1, first:n], near[2, first:n], places[first:n]
+                    for k in range(to.size):
+                        dx, dy, dz = xs[k] - x, ys[k] - y, zs[k] - z
+                        part = np.sqrt(dx * dx + dy * dy + dz * dz) * per_width
+                        to[k] = np.int32(part if part < n_bins else n_bins + k % SPREAD)
+                    of = kind_of[first:n]
+                    for k in range(to.size):
+                        counts[kinds[of[k]], to[k]] += 1
 
 
 class RadialDistribution(Accumulator):
@@ -71,14 +89,15 @@ class RadialDistribution(Accumulator):
     n_bins: int = argument(checked_count, "number of bins", 200)
     every: int = steps(100)
     name: str = label()
-    reach: float = field(init=False, default=0.0)  # r_max, or half the smallest height of the cell
+    reach: float = field(init=False, default=0.0)  # r_max
 
     def _begin(self, engine: Engine) -> None:
         system = engine.system
         if system.volume is None or len(system) < 2:
             needs = "at least two atoms, and a cell that is periodic in all directions"
             raise ValueError(f"g(r) needs {needs}; this run has {system!r}")
-        self.reach = self.r_max or float(system.cell.heights.min() / 2.0)
+        spacing = (system.volume / len(system)) ** (1.0 / 3.0)
+        self.reach = self.r_max or min(SPACINGS * spacing, float(system.cell.heights.min()) / 2.0)
 
     def _laid_out(self, scene: ObservedRun) -> None:
         n = len(scene.numbers)
@@ -86,20 +105,20 @@ class RadialDistribution(Accumulator):
         self._kinds = np.zeros((n, n), dtype=np.int64)
         for p, (a, b) in enumerate(self._pairs):
             self._kinds[a, b] = self._kinds[b, a] = p
-        self._counts = np.zeros((len(self._pairs), self.n_bins), dtype=np.int64)
-        self.sums = BlockedSums(HEAD + self._counts.size)
+        self._counts = np.zeros((len(self._pairs), self.n_bins + SPREAD), dtype=np.int64)
+        self.sums = BlockedSums(HEAD + len(self._pairs) * self.n_bins)
 
     def _look(self, engine: Engine) -> None:
         system, cell = engine.system, engine.system.cell
         grid = make_grid(cell, system.positions, self.reach)
         order, offsets, bin_start = sort_into_bins(system.positions, cell.lattice, cell.inverse, cell.pbc, grid)
-        local, bins = system.positions[order] + offsets, bins_of(cell, grid, bin_start)
+        local, bins = np.ascontiguousarray((system.positions[order] + offsets).T), bins_of(cell, grid, bin_start)
         self._counts[:] = 0
         count_pairs(
             local, system.species_index[order], bins, self._kinds, self.reach / self.n_bins, self.reach, self._counts
         )
         self.sums.total[FRAMES] += 1.0
-        self.sums.total[HEAD:] += float(system.volume or 0.0) * self._counts.ravel()
+        self.sums.total[HEAD:] += float(system.volume or 0.0) * self._counts[:, :-SPREAD].ravel()
 
     def result(self) -> RadialDistributionResult:
         """g(r) so far, with standard errors.  Raises ValueError before the first look."""

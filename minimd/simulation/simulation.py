@@ -28,7 +28,7 @@ from minimd.forces.options import Options, Precision
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
 from minimd.integrators.splitting.splitting import Splitting
 from minimd.minimization.minimization import FORCE_TOLERANCE, MAX_STEP_LENGTH, MAX_STEPS, Minimization, minimized
-from minimd.observers.accumulator import Accumulator, Attached
+from minimd.observers.accumulator import Attached, WithSteps
 from minimd.simulation.engine_attribute import Closed, EngineAttribute, Measured
 from minimd.simulation.resuming import last_step, resumed
 from minimd.structure.checks import checked_count, checked_flag, checked_number
@@ -38,7 +38,7 @@ from minimd.structure.observables import Array, maxwell_boltzmann, rescaled
 from minimd.structure.system import AnySystem, System
 
 SECONDS_BETWEEN_CHECKPOINTS = 5.0  # for any value of every: no more is lost when the process is killed
-Observer = Callable[["Simulation"], None] | Accumulator
+Observer = Callable[["Simulation"], None] | WithSteps
 
 
 class Simulation(Closed, Displayed):
@@ -243,7 +243,7 @@ class Simulation(Closed, Displayed):
                     tell(engine.step - start)
                     if guard.is_hot() or at == end < next_look:
                         guard.observe()  # before others look at what may have failed
-                    attached.look()
+                    guard.observing += attached.look()
                     if at == next_look:
                         self._observe(writers, attached.functions)
                     if monotonic() > checkpoint_due:

@@ -22,7 +22,8 @@ from minimd.structure.checks import checked_count
 
 DISPLACEMENT, VELOCITY = "mean-square-displacement", "velocity-autocorrelation"
 NONE = md.LennardJones(1e-12, 1e-3, 0.1, "force-shifted")  # next to no forces
-EVERY = {"radial-distribution": 10, DISPLACEMENT: 2, VELOCITY: 2, "viscosity": 5, "fluctuations": 5, "profile": 10}
+EVERY = {"radial-distribution": 10, DISPLACEMENT: 2, VELOCITY: 2, "viscosity": 5, "fluctuations": 5, "profile": 10,
+         "structure-factor": 10, "self-scattering": 2}  # fmt: skip
 
 
 def simulation(**options):
@@ -116,10 +117,32 @@ def layers(run):
     return {"densities": counts / len(z) / (volume / 100), "temperature": temperatures}
 
 
+def scattered(run):
+    """|Σ exp(i q r)|² / N, in shells of whole wave vectors."""
+    looking = run.looking["structure-factor"]
+    waves, q_max = 2.0 * np.pi * np.array(looking.waves) / run.edges, looking.result().q[-1] * 1.01
+    lengths, width = np.linalg.norm(waves, axis=1), 3.0 * 1.15 * 2.0 * np.pi * 0.8442 ** (1.0 / 3.0) / 80
+    assert len(np.unique(np.round(waves, 9), axis=0)) == len(waves) > 200
+    assert lengths.min() == pytest.approx(2.0 * np.pi / run.edges[0])
+    assert lengths.max() < q_max
+    squares = np.abs(np.exp(1j * run.positions @ waves.T).sum(axis=1)) ** 2 / len(run.species)
+    shells = [np.floor(lengths / width) == k for k in np.unique(np.floor(lengths / width))]
+    return {"q": [lengths[one].mean() for one in shells], "s": [squares[:, one].mean() for one in shells]}
+
+
+def scattered_by_each(run):
+    q = np.array(run.looking["self-scattering"].q_vectors)
+    whole = q * run.edges / (2.0 * np.pi)
+    np.testing.assert_allclose(whole, np.rint(whole), atol=1e-12)
+    found = correlated(run, run.moved, lambda a, b: np.cos((b - a) @ q.T) / len(q))
+    return {"times": found["times"], "means": found["means"][:3], "q": np.linalg.norm(q, axis=1).mean()}
+
+
 TWINS = {  # expected attributes of the result
     DISPLACEMENT: lambda run: correlated(run, run.moved, lambda a, b: (b - a) ** 2),
     VELOCITY: lambda run: correlated(run, run.thermal, lambda a, b: a * b), "radial-distribution": pair_counts,
     "viscosity": stresses, "fluctuations": heat_capacity, "profile": layers,
+    "structure-factor": scattered, "self-scattering": scattered_by_each,
 }  # fmt: skip
 
 
@@ -166,6 +189,42 @@ def test_free_atoms_move_as_their_velocities_say(growth, drift):
     result, mean = looking.result(), ((velocities + min(drift, 0.0)) ** 2).sum(axis=1).mean()
     assert len(result.times) > 40
     np.testing.assert_allclose(result.msd, mean * result.times**2, rtol=1e-9, atol=1e-15)
+
+
+def test_an_ideal_gas_scatters_as_theory_says():
+    """S(q) = 1, and F_s = ⟨cos q·v t⟩ at every lag, which is exp(−q² k_B T t²/2m) but for the number of atoms."""
+    n_atoms, thermal, mass, rng = 1000, 1.5, 2.0, np.random.default_rng(3)
+    velocities = rng.normal(0.0, np.sqrt(thermal / mass), (n_atoms, 3))
+    velocities -= velocities.mean(axis=0)
+    cell = 10.0 * np.array([[1.0, 0.0, 0.0], [0.3, 1.0, 0.0], [0.0, -0.4, 1.1]])
+    system = md.System(rng.random((n_atoms, 3)) @ cell, velocities=velocities, masses=mass, cell=cell)
+    sim = md.Simulation(system, NONE, md.VelocityVerlet(0.02))
+    whole, each = md.observers.StructureFactor(q_max=12.0, every=25), md.observers.SelfScattering(q=2.0, every=1)
+    once = md.observers.StructureFactor(q_max=2.0, n_bins=1, n_waves=40, every=1)
+    for one in (whole, each, once):
+        one.prepare(sim.engine)
+    once.observe(sim.engine)
+    waves = 2.0 * np.pi * np.array(once.waves) @ np.linalg.inv(cell).T
+    squares = np.abs(np.exp(1j * sim.positions @ waves.T).sum(axis=0)) ** 2 / n_atoms
+    assert once.result().s == pytest.approx([squares.mean()], rel=1e-9)  # rounding
+    assert once.result().q == pytest.approx([np.linalg.norm(waves, axis=1).mean()])
+    for step in range(1500):
+        each.observe(sim.engine)
+        if step % 25 == 0:
+            whole.observe(sim.engine)
+        sim.engine.count(1)
+        sim.positions[:] += 0.02 * velocities
+    result, q = each.result(), np.array(each.q_vectors)
+    exact = [np.cos(velocities @ q.T * time).mean() for time in result.times]
+    np.testing.assert_allclose(result.means[0], exact, rtol=1e-9, atol=1e-11)
+    assert result.q == pytest.approx(2.0, rel=0.05)
+    np.testing.assert_allclose(q @ cell.T / (2.0 * np.pi), np.rint(q @ cell.T / (2.0 * np.pi)), atol=1e-12)
+    gaussian = np.exp(-0.5 * result.q**2 * thermal / mass * result.times**2)
+    np.testing.assert_allclose(result.means[0], gaussian, atol=4.0 * np.sqrt(0.5 / n_atoms))  # statistics
+    assert result.relaxation_time == pytest.approx(np.sqrt(2.0 * mass / thermal) / result.q, rel=0.05)
+    structure = whole.result()
+    assert structure.s.mean() == pytest.approx(1.0, abs=4.0 / np.sqrt(60 * len(whole.waves)))  # statistics
+    assert np.abs((structure.s - 1.0) / structure.error).mean() < 1.5  # of a normal distribution 0.8
 
 
 def test_lags_beyond_half_of_the_run_have_no_error_bar(run):
@@ -331,6 +390,7 @@ def test_a_new_observer_is_one_class_and_its_series(tmp_path, monkeypatch):
     sim, looking, file = simulation(), Speeds(fastest=10.0), tmp_path / "a.h5md"
     sim.run(100, every=20, trajectory=file, observers=[looking])
     (kept,), result = md.read_observers(file).values(), looking.result()
+    assert "observers      took" in str(sim.report())
     assert repr(kept) == repr(looking) == "Speeds(fastest=10, every=2)"
     assert str(kept) == str(result) == "speeds         " + repr(result)[len("SpeedsResult(") : -1]
     assert list(result.columns()) == ["speed", "share", "share_error"] == [*result.to_pandas()]
@@ -395,4 +455,7 @@ test_what_cannot_be_observed_is_refused = answered(
     (lambda: seen_by(md.observers.Profile(extent=(0.0, 1.0))), ValueError, "extent", "axis c"),
     (lambda: seen_by(md.observers.RadialDistribution(), sim=chain().simulation()), ValueError, "periodic", "12 atoms"),
     (with_another_time_step, ValueError, "time step"),
+    (lambda: seen_by(md.observers.StructureFactor(), sim=chain().simulation()), ValueError, "periodic", "12 atoms"),
+    (lambda: seen_by(md.observers.StructureFactor(q_max=0.1)), ValueError, "q_max", "0.1"),
+    (lambda: seen_by(md.observers.SelfScattering(q=0.1)), ValueError, "q", "0.1"),
 )

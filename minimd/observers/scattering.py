@@ -1,0 +1,258 @@
+"""What atoms scatter: the static structure factor S(q), and the self-intermediate scattering function F_s(q, t).
+
+Wave vectors are those of the periodic cell, q = 2π k · (a⁻¹)ᵀ with whole numbers k and lattice vectors a: only for
+these does S(q) exist.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from math import e, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from minimd.compiled.kernels import kernel
+from minimd.console.display import Rows
+from minimd.engine.engine import Engine
+from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
+from minimd.observers.arguments import argument, label, positive, steps
+from minimd.observers.correlator import Product
+from minimd.observers.motion import MOST_ATOMS, MeanSquareDisplacement
+from minimd.structure.cell import Cell
+from minimd.structure.checks import checked_count
+from minimd.structure.statistics import with_error
+from minimd.structure.system import System
+
+Array = NDArray[np.float64]
+PEAK = 1.15 * 2.0 * pi  # q (V/N)^(1/3) of the main peak of a simple liquid
+FAR = 3.0  # in q of the peak, the largest q if not given
+GOLDEN = pi * (3.0 - 5.0**0.5)  # angle between two directions that follow each other
+N_WAVES, MANY = 3, 60  # wave vectors for F_s, the nearest of those in so many directions
+Q_MAX = "largest q; three times that of the main peak of a simple liquid if not given"
+Q_SELF = "length of the wave vectors; that of the main peak of a simple liquid, 1.15 · 2π (N/V)^(1/3), if not given"
+PER_SHELL = "largest number of wave vectors in a shell of q"
+
+
+def peak_of(system: System, what: str) -> float:
+    """q of the main peak of a simple liquid of this density [1/length].  Raises ValueError without a volume."""
+    if system.volume is None:
+        raise ValueError(f"{what} needs a cell that is periodic in all directions; this run has {system!r}")
+    return float(PEAK * (len(system) / system.volume) ** (1.0 / 3.0))
+
+
+def waves_near(lengths: Array, cell: Cell, n_directions: int) -> NDArray[np.int64]:
+    """(M, 3) whole numbers k of the wave vectors of the cell that are nearest to those of given lengths [1/length] in
+    directions spread evenly over a hemisphere; not 0, and only one of k and −k."""
+    z = np.broadcast_to((np.arange(n_directions) + 0.5) / n_directions, (len(lengths), n_directions))
+    flat, turn = np.sqrt(1.0 - z * z), GOLDEN * np.arange(z.size).reshape(z.shape)
+    wanted = lengths[:, None, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=2)
+    waves = np.rint(wanted @ cell.vectors.T / (2.0 * pi)).astype(np.int64).reshape(-1, 3)
+    leading = np.sign(waves @ [4 * np.abs(waves).max() ** 2 + 4, 2 * np.abs(waves).max() + 1, 1])
+    return np.unique((waves * leading[:, None])[leading != 0], axis=0)
+
+
+def vectors_of(waves: NDArray[np.int64], cell: Cell) -> Array:
+    """(M, 3) q = 2π k · (a⁻¹)ᵀ [1/length]; a is cell.vectors, which remain those of the run if the cell changes."""
+    return np.asarray(2.0 * pi * waves @ np.linalg.inv(cell.vectors).T)
+
+
+@partial(kernel, fastmath={"reassoc", "nsz", "contract"})  # sums over atoms in any order
+def find_densities(tables, waves, squares):
+    """squares[w] = |Σ_j exp(i q_w · r_j)|².
+
+    tables : (3, K + 1, 2, N), cos and sin of 2π k s for whole numbers k and fractional coordinates s; those of k = 0
+        and 1 are given, the others are found here.
+    waves : (M, 3) int.  squares : (M,).
+    """
+    for d in range(3):
+        once = tables[d, 1]
+        for k in range(2, tables.shape[1]):
+            before, to = tables[d, k - 1], tables[d, k]
+            for i in range(tables.shape[3]):
+                to[0, i] = before[0, i] * once[0, i] - before[1, i] * once[1, i]
+                to[1, i] = before[1, i] * once[0, i] + before[0, i] * once[1, i]
+    for w in range(waves.shape[0]):
+        kx, ky, kz = waves[w, 0], waves[w, 1], waves[w, 2]
+        x, y, z = tables[0, abs(kx)], tables[1, abs(ky)], tables[2, abs(kz)]
+        sign_x, sign_y, sign_z = np.sign(kx), np.sign(ky), np.sign(kz)
+        real, imaginary = 0.0, 0.0
+        for i in range(tables.shape[3]):
+            cx, sx, cy, sy, cz, sz = x[0, i], sign_x * x[1, i], y[0, i], sign_y * y[1, i], z[0, i], sign_z * z[1, i]
+            c, s = cx * cy - sx * sy, cx * sy + sx * cy
+            real += c * cz - s * sz
+            imaginary += c * sz + s * cz
+        squares[w] = real * real + imaginary * imaginary
+
+
+class StructureFactor(Accumulator):
+    """S(q) of all atoms, whatever their species, in shells of wave vectors of the cell.
+
+        S(q) = ⟨|Σ_j exp(i q · r_j)|²⟩ / N
+
+    Each shell has the mean over up to n_waves wave vectors, which are spread over all directions; shells without a
+    wave vector of the cell, as at small q, are left out. If the cell changes, so do the wave vectors, not the shells;
+    q is the mean over the run.
+
+    Raises ValueError for arguments out of range; when a run begins, for a cell that is not periodic in all directions.
+    """
+
+    kind = "structure-factor"
+    q_max: float | None = argument(positive, Q_MAX, None, "inverse length")
+    n_bins: int = argument(checked_count, "number of bins", 80)
+    n_waves: int = argument(checked_count, PER_SHELL, 6)
+    every: int = steps(200)
+    name: str = label()
+    waves: list[list[int]] = field(init=False, default_factory=list)
+    shells: list[int] = field(init=False, default_factory=list)  # of each wave vector
+
+    def _begin(self, engine: Engine) -> None:
+        peak, cell = peak_of(engine.system, "S(q)"), engine.system.cell
+        q_max = self.q_max or FAR * peak
+        waves = waves_near((np.arange(self.n_bins) + 0.5) * q_max / self.n_bins, cell, self.n_waves)
+        shells = (np.linalg.norm(vectors_of(waves, cell), axis=1) / q_max * self.n_bins).astype(np.int64)
+        if not (inside := shells < self.n_bins).any():
+            raise ValueError(f"no wave vector of this cell is shorter than q_max = {q_max:.6g}; raise q_max")
+        self.waves, self.shells = waves[inside].tolist(), np.unique(shells[inside], return_inverse=True)[1].tolist()
+
+    def _laid_out(self, scene: ObservedRun) -> None:
+        self._waves, self._of_shell = np.array(self.waves), np.bincount(self.shells)
+        self._squares = np.zeros(len(self._waves))
+        self.sums = BlockedSums(1 + 2 * len(self._of_shell))  # number of looks, then q and S of each shell
+
+    def _look(self, engine: Engine) -> None:
+        cell, n_atoms, highest = engine.system.cell, len(engine.positions), int(np.abs(self._waves).max())
+        tables, turns = (
+            np.empty((3, highest + 1, 2, n_atoms)),
+            vectors_of(np.eye(3, dtype=np.int64), cell) @ engine.positions.T,
+        )
+        for k in range(2):
+            tables[:, k, 0], tables[:, k, 1] = np.cos(k * turns), np.sin(k * turns)
+        find_densities(tables, self._waves, self._squares)
+        found = np.linalg.norm(vectors_of(self._waves, cell), axis=1), self._squares / n_atoms
+        self.sums.total[0] += 1.0
+        self.sums.total[1:] += np.concatenate([np.bincount(self.shells, one) / self._of_shell for one in found])
+
+    def result(self) -> StructureFactorResult:
+        """S(q) so far, with standard errors.  Raises ValueError before the first look."""
+        scene = self.answered()
+        (q, s), (_, error) = (one.reshape(2, -1) for one in self.sums.estimate(lambda sums: sums[1:] / sums[0]))
+        return StructureFactorResult(scene, q, s, error, self.n_looks)
+
+
+@dataclass(frozen=True, repr=False)
+class StructureFactorResult(Result):
+    """S(q).
+
+    q : (B,) mean length of the wave vectors of each shell [1/length].  s, error : (B,) S(q), and its standard error.
+    n_frames : number of looks.
+    """
+
+    q: Array
+    s: Array
+    error: Array
+    n_frames: int
+    title = "structure factor"
+
+    def series(self) -> list[Series]:
+        """See Result."""
+        return [Series("q", f"1/{self.units.length}", self.q), Series("s", "", self.s, self.error)]
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        k = int(np.argmax(self.s))
+        highest = f"highest at {self.q[k]:.4g} /{self.units.length}, {with_error(self.s[k], self.error[k])}"
+        return [("S(q)", f"{len(self.q)} shells up to {self.q[-1]:.4g}, {self.n_frames} looks; {highest}")]
+
+
+class SelfScattering(MeanSquareDisplacement):
+    """F_s(q, t) = ⟨cos q · (r(t₀ + t) − r(t₀))⟩, the self-intermediate scattering function, and the time in which it
+    falls to 1/e.
+
+    It is the mean over all atoms, and over up to 3 wave vectors of the cell at the start, whose lengths are nearest to
+    q; by the multiple-tau correlator of MeanSquareDisplacement, and with its displacements: relative to the center of
+    mass, and beside the motion of the cell.
+
+    Raises ValueError for arguments out of range; when a run begins, for a cell that is not periodic in all directions.
+    """
+
+    kind = "self-scattering"
+    law = Product()
+    every: int = steps(20)
+    most_atoms: int = argument(checked_count, MOST_ATOMS, 1000)
+    q: float | None = argument(positive, Q_SELF, None, "inverse length")
+    q_vectors: list[list[float]] = field(init=False, default_factory=list)
+
+    @property
+    def n_components(self) -> int:
+        """Cosine and sine for each wave vector."""
+        return 2 * len(self.q_vectors)
+
+    def _begin(self, engine: Engine) -> None:
+        super()._begin(engine)
+        peak, cell = peak_of(engine.system, "F_s(q, t)"), engine.system.cell
+        waves = waves_near(np.array([q := self.q or peak]), cell, MANY)
+        if not len(waves):
+            raise ValueError(f"no wave vector of this cell is as short as q = {q:.6g}; raise q")
+        found = vectors_of(waves, cell)
+        nearest = np.argsort(np.abs(np.linalg.norm(found, axis=1) - q), kind="stable")[:N_WAVES]
+        self.q_vectors = found[nearest].tolist()
+
+    def _entry(self, moved: Array) -> Array:
+        phases = np.array(self.q_vectors) @ moved.T
+        return np.concatenate([np.cos(phases), np.sin(phases)])
+
+    def result(self) -> SelfScatteringResult:  # type: ignore[override]
+        """F_s so far, and the time in which it falls to 1/e, with standard errors.  Raises ValueError before the first
+        look."""
+        scene = self.answered()
+        seen, times, longest = self._seen()
+        means, n_rows = self._means(seen), 1 + len(scene.species)
+
+        def law(sums: Array) -> Array:
+            return np.asarray(means(sums)[:n_rows] / len(self.q_vectors))
+
+        values, errors = self._estimate(times, longest, law)
+        time, its_error = self.sums.estimate(lambda sums: fall_time(times, law(sums)[0]))
+        q = float(np.linalg.norm(self.q_vectors, axis=1).mean())
+        return SelfScatteringResult(scene, q, times, values, errors, float(time), float(its_error))
+
+
+def fall_time(times: Array, values: Array) -> float:
+    """Where a function, (T,), of times, (T,), falls below 1/e, on a straight line between two times; NaN if nowhere."""
+    k = int(np.argmax(values < 1.0 / e))  # 0 if nowhere: there it is 1
+    return float(np.interp(1.0 / e, values[[k, k - 1]], times[[k, k - 1]])) if k else np.nan
+
+
+@dataclass(frozen=True, repr=False)
+class SelfScatteringResult(Result):
+    """F_s(q, t).
+
+    q : mean length of the wave vectors [1/length].  times : (T,) lags [time].
+    means, errors : (1 + S, T), of all atoms, and of those of each species.
+    relaxation_time, relaxation_time_error : where F_s of all atoms falls to 1/e [time]; NaN if it does not.
+    """
+
+    q: float
+    times: Array
+    means: Array
+    errors: Array
+    relaxation_time: float
+    relaxation_time_error: float
+    title = "self-intermediate scattering"
+    coefficients = ("q", "relaxation_time", "relaxation_time_error")
+
+    def series(self) -> list[Series]:
+        """See Result: of all atoms, and of each species if there are several."""
+        names = ["", *(f"_{one}" for one in self.scene.species)][: None if len(self.scene.species) > 1 else 1]
+        rows = zip(names, self.means, self.errors, strict=False)
+        return [Series("time", self.units.time, self.times), *(Series(f"f_s{name}", "", *row) for name, *row in rows)]
+
+    def display_rows(self) -> Rows:
+        """See Displayed."""
+        units = self.units
+        time, error = (one * units.to_picosecond for one in (self.relaxation_time, self.relaxation_time_error))
+        fell = f"to 1/e in {with_error(time, error)} {units.shown_time}" if np.isfinite(time) else "NOT to 1/e"
+        last = f"lags up to {units.shown(self.times[-1])}"
+        return [("F_s(q, t)", f"at q = {self.q:.4g} /{units.length}: falls {fell}; {last}")]

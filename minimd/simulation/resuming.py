@@ -30,6 +30,7 @@ def resumed(kind: Any, file: str | Path, potentials: Potentials, threads: int | 
     simulation = kind(contents.system, potentials, contents.integrator(), threads=threads, **options)
     simulation.extra_observables = extras_in(contents.record)
     simulation.engine.notes.update(title=contents.title, scene=contents.scene)
+    simulation.system.cell = contents.system.cell  # not rounded to another grid than that of the run
     simulation.engine.go_on_from(contents.restart)
     if other := other_potentials(contents.potentials, simulation.potentials):
         those = f"those of the last steps in {str(file)!r}: {other}"

@@ -114,7 +114,7 @@ class Past(Displayed):
             potentials than those of the run.
         """
         n = self.cost(step)
-        simulation, frame = copy.deepcopy(self._last), int(np.searchsorted(self.steps, step - n))
+        simulation, frame = copy.copy(self._last), int(np.searchsorted(self.steps, step - n))
         if frame < self.contents.n_frames:
             go_to(simulation, self.file, self.contents, frame)
         make = simulation.run_back if n < 0 else simulation.make_steps
@@ -137,8 +137,7 @@ class Past(Displayed):
         bath: for other noise give other.method another seed.  Raises as at.
         """
         simulation = self.at(step, progress=progress)
-        notes = simulation.engine.notes
-        notes["title"] = f"{notes['title'] or 'a run'}, branched from step {step} of {self.file.name}"
+        simulation.engine.notes["title"] += f", branched from step {step} of {self.file.name}"
         return simulation
 
     def observe(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from ase import units
 from ase.build import bulk
-from fixed_point_scenes import ANGLE, BOND, GRID, LAW, bits, mixture, simulated, total_momentum
+from fixed_point_scenes import ANGLE, BOND, GRID, LAW, bits, mixture, plain, simulated, total_momentum
 from wrong_calls import answered, assert_answered
 
 import minimd as md
@@ -20,10 +20,6 @@ from minimd.structure.cell import nearest_vectors
 TORSIONS = [md.PeriodicDihedral(1.0, 3, 0.4, np.arange(0, 104, 8)[:, None] + np.arange(4))]
 FIELDS = [md.Gravity(0.5), md.Wall([0.0, 0.0, -3.0], [0.0, 0.0, 1.0])]
 SLOW = [pytest.param(False, more, marks=pytest.mark.slow) for more in (TORSIONS, FIELDS)]
-
-
-def plain(method=None, **options):
-    return simulated(mixture(with_bonds=False), method, **options)
 
 
 def there_and_back(simulation, n_steps=120, is_closed=True):

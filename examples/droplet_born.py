@@ -39,8 +39,7 @@ sim.run(n_steps, every=n_steps // 20, trajectory="vapor.h5md", overwrite=True)
 
 past, seen = md.Past("vapor.h5md", lj), []
 sizes = [cluster(past.at(step)).sum() for step in past.steps]
-after = past.steps[1:][bisect_left(sizes[1:-1], droplet)]
-steps = range(after - n_steps // 20, after + 1, 1000)
+steps = range(*past.steps[(k := bisect_left(sizes[1:-1], droplet)) : k + 2], 1000)
 born = steps[bisect_left(steps[:-1], 0.5, key=lambda step: (futures(step)[:, -1] > droplet).mean())]
 look = [lambda now: seen.append((now.step / 1000, cluster(now).sum()))]
 past.observe(look, max(born - before, 0), born)  # at every step

@@ -28,8 +28,7 @@ def test_any_step_is_made_again_from_a_file_and_from_its_archive(method, tmp_pat
     run.make_steps(3)
     run.run(until_step=70, every=1, trajectory=file, observers=[lambda now: states.update({now.step: whole(now)})])
     archive, past = md.archive(file, small, 20, LAW), md.Past(small, LAW)
-    assert archive.n_frames == (68, 4)  # of steps 3, 20, 40 and 60
-    assert archive.n_bytes[1] < archive.n_bytes[0]
+    assert (archive.n_frames, archive.n_bytes[1] < archive.n_bytes[0]) == ((68, 4), True)  # of steps 3, 20, 40 and 60
     assert method or "momentum       exactly constant" in str(check_file(file))
     assert (past.worst, past.cost(37)) == ((19, 17) if method else (10, -3))
     assert f"at most {past.worst} steps" in str(past)
@@ -58,8 +57,7 @@ def test_a_branch_is_the_run_until_it_is_changed_and_has_a_file_of_its_own(tmp_p
     assert file.read_bytes() == before
 
 
-def test_atoms_that_have_spread_are_resumed_and_copied_in_the_same_cell(tmp_path):
-    """Although a scene of their size would begin with a coarser grid."""
+def test_atoms_that_have_spread_beyond_the_first_grid_are_resumed_and_copied_in_the_same_cell(tmp_path):
     run, file = plain(grid=None), tmp_path / "run.h5md"
     run.make_steps(0)
     run.positions[:] += np.array([9, -8, 5]) @ run.system.cell.vectors
@@ -73,7 +71,6 @@ CALLS = [
     (lambda past: past("run").observe([], 10, 41), ValueError, "step", "41"),
     (lambda past: past("run", md.LennardJones(1.0, 0.9, 1.8)).at(20), ValueError, "potentials", "step 20"),
     (lambda past: past("run").observe([turned_at(15)], 0, 40, every=5), ValueError, "observers", "step 20"),
-    (lambda past: past("turned").observe([], 0, 40, every=10), ValueError, "step 40"),
     (lambda past: past("double"), ValueError, "precision", "'double'"),
     (lambda past: past("slower"), ValueError, "time steps", "0.004", "0.002"),
     (lambda past: past("damaged"), OSError, "damaged", "frames"),
@@ -82,9 +79,7 @@ CALLS = [
 
 @pytest.mark.filterwarnings("ignore:the potentials are not", "ignore:the run in")
 def test_what_is_not_the_past_is_refused(here):
-    """Runs in float64, with two time steps, changed in between, damaged; other potentials; observers that change it."""
     (run := plain()).run(40, every=20, trajectory="run.h5md")
-    plain().run(40, every=20, trajectory="turned.h5md", observers=[turned_at(20)])
     plain(precision="double", grid=None).run(2, every=1, trajectory="double.h5md")
     (slower := plain()).run(2, every=1, trajectory="slower.h5md")
     slower.method = md.VelocityVerlet(0.002)

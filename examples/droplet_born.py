@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 import minimd as md
 
-n_atoms, edge, bond, n_steps, n_futures, duration, before, droplet = 150, 22.0, 1.5, 500_000, 8, 20_000, 4_000, 30
+n_atoms, edge, bond, n_steps, n_futures, duration, before, droplet = 150, 22.0, 1.5, 500_000, 8, 20_000, 3_000, 30
 noise = [md.LangevinBAOAB(0.01, temperature=0.5, friction=0.1, seed=4 + k) for k in range(n_futures + 1)]
 
 
@@ -31,7 +31,7 @@ def futures(step):  # the sizes of the largest cluster from a step on, with othe
     return np.reshape(sizes, (n_futures, -1))
 
 
-positions = np.random.default_rng(0).permutation(md.lattice.crystal("fcc", (4, 4, 4), edge / 4)[0])[:n_atoms]
+positions = np.random.default_rng(0).permutation(md.lattice.crystal("fcc", (8, 8, 8), edge / 8)[0])[:n_atoms]
 lj = md.LennardJones(epsilon=1.0, sigma=1.0, cutoff=2.5, truncation="force-shifted")
 sim = md.Simulation(md.System(positions, cell=[edge] * 3), lj, noise[0], precision="fixed-point")
 sim.set_temperature(0.5, seed=4)
@@ -39,7 +39,7 @@ sim.run(n_steps, every=n_steps // 20, trajectory="vapor.h5md", overwrite=True)
 
 past, seen = md.Past("vapor.h5md", lj), []
 sizes = [cluster(past.at(step)).sum() for step in past.steps]
-steps = range(*past.steps[(k := bisect_left(sizes[1:-1], droplet)) : k + 2], 1000)
+steps = range(*past.steps[(k := bisect_left(sizes[1:-1], droplet)) : k + 2], 100)
 born = steps[bisect_left(steps[:-1], 0.5, key=lambda step: (futures(step)[:, -1] > droplet).mean())]
 look = [lambda now: seen.append((now.step / 1000, cluster(now).sum()))]
 past.observe(look, max(born - before, 0), born)  # at every step

@@ -54,6 +54,7 @@ from minimd.potentials import (
 from minimd.potentials.term import Potential, Term
 from minimd.replay import replay
 from minimd.simulation.archiving import archive
+from minimd.simulation.past import Past
 from minimd.simulation.simulation import Simulation
 from minimd.structure import lattice, units
 from minimd.structure.cell import Cell
@@ -69,8 +70,8 @@ __all__ = [
     "DihedralPotential", "DistanceConstraints", "EnsembleTable", "Evaluation", "FENEBond", "Field", "FixedAtoms",
     "Forces", "Grade", "Gravity", "Grid", "HarmonicAngle", "HarmonicBond", "HarmonicImproper", "LangevinBAOAB",
     "Leapfrog", "LennardJones", "Member", "Minimization", "MorseBond", "NonFiniteError", "OPLSDihedral",
-    "PairPotential", "PeriodicDihedral", "PositionVerlet", "Potential", "RangeError", "Record", "Report", "Restraint",
-    "Reversibility", "RyckaertBellemans", "Simulation", "SphereWall", "SteeredSpring", "StepAdvice",
+    "PairPotential", "Past", "PeriodicDihedral", "PositionVerlet", "Potential", "RangeError", "Record", "Report",
+    "Restraint", "Reversibility", "RyckaertBellemans", "Simulation", "SphereWall", "SteeredSpring", "StepAdvice",
     "StochasticCellRescaling", "StochasticVelocityRescaling", "System", "Tabulated", "Term", "VelocityVerlet", "Wall",
     "advise_timestep", "archive", "ensemble", "evaluate", "from_openmm", "grade", "integrators", "lammps", "lattice",
     "minimize", "neighbor_list", "observers", "read_observers", "replay", "shadow_energy", "units", "view", "water",

@@ -35,6 +35,10 @@ def simulated(system, method=None, potentials=None, **options):
     return md.Simulation(system, potentials or [LAW, *bonded], method or md.VelocityVerlet(0.004), **options)
 
 
+def plain(method=None, **options):
+    return simulated(mixture(with_bonds=False), method, **options)
+
+
 def bits(simulation):
     return simulation.positions.tobytes(), simulation.velocities.tobytes()
 

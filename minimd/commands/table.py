@@ -208,13 +208,14 @@ def view(arguments: argparse.Namespace) -> None:
 
 
 def frames(arguments: argparse.Namespace) -> None:
-    """Write a file for each step.  Raises as Simulation.resume."""
-    potentials, file = potentials_of(arguments), arguments.file
+    """Write a file for each step.  Raises as minimd.Past."""
+    file, progress = arguments.file, False if arguments.quiet else None
+    past = md.Past(file, potentials_of(arguments))
     for step in arguments.at:
         out = arguments.out or file.with_name(f"{file.stem}-{step}.h5md")
         if arguments.out and len(arguments.at) > 1:
             out = out.with_name(f"{out.stem}-{step}{out.suffix}")
-        simulation = md.Simulation.resume(file, potentials, step=step)
+        simulation = past.at(step, progress=progress)
         record, units = simulation.run(0, trajectory=out, overwrite=arguments.overwrite), simulation.system.units
         energy = f"total energy {float(record.total_energy[0])!r} {units.energy}"
         print(f"step {step:<9} t = {units.shown(simulation.time)}, {energy}: written to {out}")
@@ -321,7 +322,7 @@ COMMANDS = (
         flag("--open", "show the page in the browser"),
     ), view),
     Command("frames", "make any step of a run again",
-            "Make steps of a run with precision='fixed-point' again, from the frame before them.", (
+            "Make steps of a run with precision='fixed-point' again, from the nearest frames.", (
         RUN_FILE, SCENE, OVERWRITE, QUIET,
         Argument("--at", "steps to make again", whole_number, "STEP", {"nargs": "+", "required": True}),
         written_to("FILE", "file to write; for several steps, the step is added to the name"),

@@ -79,14 +79,13 @@ def make_steps_back(guard: RunGuard, n_steps: int) -> None:
         raise ValueError(f"steps of {engine.method.name} cannot be retraced, because {take}")
     with guard.uncounted(), stop_on_signals(engine.surroundings):
         guard.check_start()
-        step, time = engine.step, engine.time
+        step = engine.step
         turn(engine)
         try:
             guard.make_steps(n_steps)
         finally:
-            made = engine.step - step
             turn(engine)
-            engine.step, engine.time = step - made, time - made * engine.method.timestep
+            engine.count(-2 * (engine.step - step))
             engine.leave()
 
 

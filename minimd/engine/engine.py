@@ -505,6 +505,7 @@ def _copied(
     """The engine that __reduce__ has described. Its warnings have been given."""
     with quiet():
         engine = Engine(*scene)
+    engine.system.cell = scene[0].cell  # the first grid of a scene that has spread is coarser than that of the run
     engine.go_on_from(checkpoint)
     if not is_as_left:  # its state was changed, and its next run will begin anew
         engine.moved()

@@ -6,16 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from minimd.console.display import Displayed
-from minimd.engine.observation import observe
 from minimd.files.trajectory import open_trajectories
-from minimd.simulation.resuming import Potentials, check_is_fixed, go_to
-from minimd.simulation.simulation import Simulation
+from minimd.simulation.past import Past, go_to
+from minimd.simulation.resuming import Potentials
 from minimd.structure.checks import checked_count
-
-REMEDY = "give the potentials of the run"
 
 
 @dataclass(frozen=True)
@@ -41,35 +36,23 @@ def archive(
     to the last bit.
 
     As a test, the forces of each kept frame are evaluated again, and the steps from the first to the second kept frame
-    are made again: energies and positions must be those in the file.
+    are made again: energies must be those in the file, to the last bit.
 
     every : the first frame is kept, and those whose step is a multiple of it.  potentials : see Simulation.resume.
 
-    Raises ValueError for a run with another precision, or if energies or positions differ.
+    Raises ValueError as Past, and if energies differ.
     OSError as open_trajectories.
     """
-    from minimd.files.h5md_reader import frames_of, read_file
-
-    every, simulation, contents = checked_count("every", every), Simulation.resume(file, potentials), read_file(file)
-    check_is_fixed(file, contents)
-    steps, energies, engine = contents.record.step, contents.record.total_energy, simulation.engine
+    every, past = checked_count("every", every), Past(file, potentials)
+    contents, steps = past.contents, past.contents.record.step
     kept = [k for k, step in enumerate(steps) if k == 0 or step % every == 0]
     if len(kept) > 1:
-        again = Simulation.resume(file, potentials, step=int(steps[kept[0]]))
-        again.make_steps(int(steps[kept[1]] - steps[kept[0]]))
-        [second] = frames_of(file, [kept[1]], again.system.units)
-        if not np.array_equal(again.positions, second.positions):
-            what = f"step {steps[kept[1]]} of {str(file)!r} is not the same, to the last bit, when it is made again"
-            raise ValueError(f"{what}: {REMEDY}")
+        past.observe((), steps[kept[0]], steps[kept[1]], every)
+    simulation = past.at(steps[kept[0]])
     made: dict[str, Any] = {"every": every, "n_steps": int(steps[kept[-1]] - steps[kept[0]]), "overwrite": overwrite}
-    with open_trajectories(out, engine, store_forces=False, **made) as [writer]:
+    with open_trajectories(out, simulation.engine, store_forces=False, **made) as [writer]:
         for k in kept:
-            go_to(simulation, file, contents, k)
-            frame = observe(engine)
-            if frame.observables["total_energy"] != energies[k]:
-                what = f"the energy of step {steps[k]} of {str(file)!r} is different when it is computed again"
-                raise ValueError(f"{what}: {REMEDY}")
-            writer.write(frame)
-        engine.go_on_from(contents.restart)
+            writer.write(go_to(simulation, file, contents, k))
+        simulation.engine.go_on_from(contents.restart)
     sizes = Path(file).stat().st_size, Path(out).stat().st_size
     return Archive(Path(out), every, (len(steps), len(kept)), sizes)

@@ -147,7 +147,6 @@ class Simulation(Closed, Displayed):
         potentials: Potential | Sequence[Potential] | None = None,
         *,
         threads: int | None = None,
-        step: int | None = None,
     ) -> Self:
         """The simulation at the restart of an H5MD file.
 
@@ -159,15 +158,13 @@ class Simulation(Closed, Displayed):
         Parameters
         ----------
         potentials : those of the run; if not given, those of the scene that is stored in the file.  threads : as above.
-        step : of a run in fixed-point arithmetic, any step from the first frame on;
-            it is made again from the frame before it.
 
         Raises
         ------
         FileNotFoundError, OSError, ValueError : for a file that does not exist, is damaged or not of minimd, or has no
-            scene if no potentials are given; for a step that is not in the file, or of a run in float64.
+            scene if no potentials are given.
         """
-        found: Self = resumed(cls, file, potentials, threads, step)
+        found: Self = resumed(cls, file, potentials, threads)
         return found
 
     def run(

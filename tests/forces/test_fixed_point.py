@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from ase import units
 from ase.build import bulk
-from fixed_point_scenes import ANGLE, BOND, GRID, KINDS, LAW, bits, mixture, simulated, total_momentum
+from fixed_point_scenes import ANGLE, BOND, GRID, LAW, bits, mixture, plain, simulated, total_momentum
 from wrong_calls import answered, assert_answered
 
 import minimd as md
 import minimd.ase
-from minimd.analysis.check import check_file
 from minimd.forces.pair_laws import PairLaws
 from minimd.integrators.methods import SPLITTINGS
 from minimd.potentials.term import OwnTerm
@@ -24,10 +23,6 @@ SLOW = [pytest.param(False, more, marks=pytest.mark.slow) for more in (TORSIONS,
 OTHERS = [("as it is", {"threads": 2}), ("as it is", {"threads": 3, "skin": 0.1}), ("as it is", {"skin": 0.6})]
 OTHERS += [(name, {}) for name in ("on the pair list", "renumbered", "wrapped", "translated")]
 ARGON = md.LennardJones(0.0104, 3.4, 5.0, truncation="force-shifted")
-
-
-def plain(method=None, **options):
-    return simulated(mixture(with_bonds=False), method, **options)
 
 
 def there_and_back(simulation, n_steps=120, is_closed=True):
@@ -117,26 +112,6 @@ def test_threads_and_skins_change_no_bit(name, options, reference, monkeypatch):
     assert np.array_equal(found.momentum, np.repeat(found.momentum[:1], len(found), axis=0))
 
 
-def test_any_step_is_made_again_from_a_file_and_from_its_archive(tmp_path):
-    file, small, run, other = tmp_path / "run.h5md", tmp_path / "small.h5md", plain(), plain()
-    run.make_steps(3)
-    run.run(67, every=1, trajectory=file)
-    other.make_steps(47)
-    assert bits(md.Simulation.resume(file, LAW, step=47)) == bits(other)
-    made = md.archive(file, small, 40, LAW)
-    assert made.n_frames == (68, 2)  # of steps 3 and 40
-    assert made.n_bytes[1] < made.n_bytes[0]
-    check = str(check_file(file))
-    assert "exact momentum change of Σ p, in whole steps of the grid: 0, tolerance 0: ok" in check
-    assert "momentum       exactly constant" in check
-    assert bits(md.Simulation.resume(small, LAW, step=47)) == bits(other)
-    assert bits(md.Simulation.resume(small, LAW)) == bits(run)
-    assert_answered(lambda: md.Simulation.resume(small, LAW, step=71), ValueError, "step", "71")
-    wrong = md.LennardJones(KINDS | {"B": (0.6, 0.9)}, cutoff=1.8, truncation="switched")
-    assert_answered(lambda: md.archive(file, tmp_path / "other.h5md", 50, wrong), ValueError, "potentials")
-    assert not (tmp_path / "other.h5md").exists()
-
-
 def test_a_scene_goes_on_after_a_force_beyond_its_range():
     simulation = plain()
     simulation.run(2)
@@ -159,7 +134,7 @@ def test_any_step_of_a_run_in_units_of_ase_is_made_again_and_ases_dynamics_make_
     other = pickle.loads(pickle.dumps(run))
     run.run(60, every=20, trajectory=file)
     other.make_steps(47)
-    assert bits(md.Simulation.resume(file, ARGON, step=47)) == bits(other)
+    assert bits(md.Past(file, ARGON).at(47)) == bits(other)
     assert md.archive(file, tmp_path / "small.h5md", 40, ARGON).n_frames == (4, 2)
     atoms.set_momenta(np.random.default_rng(4).normal(size=(32, 3)))
     atoms.calc = minimd.ase.Calculator(ARGON, precision="fixed-point", threads=1)
@@ -192,7 +167,7 @@ def test_rigid_bonds_keep_momentum_to_the_last_bit(tmp_path):
     record = simulation.run(200, every=50, trajectory=file)
     assert total_momentum(simulation) == total
     assert record.constraint_violation.max() < 1e-9
-    assert_answered(lambda: md.Simulation.resume(file, [LAW], step=60), ValueError, "rigid bonds")
+    assert_answered(lambda: md.Past(file, [LAW]), ValueError, "rigid bonds")
     assert_answered(lambda: simulation.run_back(10), ValueError, "constraints")
 
 

@@ -337,7 +337,7 @@ def draw_scale(rescaling, _chunk):
     squares = sum_of_squares(stream, n_dof - 1) + one * one
     square = max(kept + share * squares + 2.0 * one * sqrt(kept * share), 0.0)
     motion[3] = -sqrt(square) if share > 0.0 and one < -sqrt(kept / share) else sqrt(square)
-    rescaling.heat[0] += kinetic * (square - 1.0)
+    rescaling.heat[0] += in_steps(kinetic * (square - 1.0), rescaling.steps)
     return GO_ON
 
 

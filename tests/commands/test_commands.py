@@ -74,6 +74,17 @@ def test_run_tells_what_it_does_and_what_to_do_next_unless_it_is_quiet(folder, c
     assert err.count("running: step") == 4  # no terminal, so lines
 
 
+def test_the_first_command_runs_where_calls_of_linux_and_letters_are_missing(folder):
+    text = (Path(__file__).parents[2] / "examples" / "argon.toml").read_text(encoding="utf-8")
+    Path("argon.toml").write_text(text.replace("steps = 4000", "steps = 400"), encoding="utf-8")
+    elsewhere = str(Path(__file__).parents[1] / "elsewhere.py")
+    for command in (["run", "argon.toml", "--steps", "200"], ["check", "argon.h5md"]):
+        done = ended(elsewhere, *command, folder=folder, PYTHONIOENCODING="ascii")
+        assert done.returncode == 0, done.stderr
+    assert Path("argon.png").read_bytes().startswith(PNG)
+    assert not Path("argon.h5md.begun").exists()
+
+
 @pytest.mark.slow
 def test_out_takes_the_picture_along_and_spares_pictures_that_were_not_named(folder, capsys):
     Path("melt.toml").write_text(SCENE + 'plot = "melt.png"\n')

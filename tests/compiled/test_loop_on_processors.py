@@ -5,6 +5,7 @@ from functools import cache
 
 import llvmlite.binding as llvm
 import numba
+import numpy as np
 import pytest
 from cluster_scenes import agree, pair_laws
 from processes import ended
@@ -14,6 +15,7 @@ from wrong_calls import assert_answered
 import minimd as md
 from minimd.compiled.machine import restrict_features
 from minimd.compiled.simd import vector as lanes
+from minimd.compiled.threads import OTHERWISE, Worker, no_counts, run_operations
 from minimd.forces.cluster_loop import add_cluster_forces
 from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
@@ -28,6 +30,12 @@ PROCESSORS = {  # triple, name, lanes, division in full-width registers
     "Haswell": (X86, "haswell", lanes.Lanes4, r"vdivpd\s.*%ymm"),
     "Neoverse": (ARM, "neoverse-n1", lanes.Lanes4, r"fdiv\s+v\d+\.2d"),
     "AVX-512": (X86, "icelake-server", lanes.Lanes8, r"vdivpd\s.*%zmm"),  # compiles the loop once more
+}
+PLAIN = {  # triple, name, division of two numbers at a time, exchange of a counter
+    "x86-64 without AVX": (X86, "x86-64", r"\sdivpd\s.*%xmm", r"lock\s+cmpxchgq"),
+    "Windows without AVX": ("x86_64-pc-windows-msvc", "x86-64", r"\sdivpd\s.*%xmm", r"lock\s+cmpxchgq"),
+    "64-bit ARM": (ARM, "generic", r"fdiv\s+v\d+\.2d", r"stlxr"),
+    "Mac": ("arm64-apple-macosx", "apple-m1", r"fdiv(\.2d)?\s+v\d", r"\scasal?\s"),
 }
 DIVISION = r"v?fdiv\s+v|vdivpd"
 LANE_BY_LANE = r"vpinsr|vpextr|vinsertps|vpermilp|vunpck|mov\s+v\d+\.d\[|\bins\s"
@@ -71,6 +79,15 @@ def code(kind):
     return loop.inspect_llvm(loop.signatures[-1])
 
 
+@cache
+def code_of_programs():
+    """The kernel that shares out operations among threads: scalars, and counters that threads exchange."""
+    loop = numba.njit(error_model="numpy", nogil=True)(run_operations.py_func)
+    numbers = np.zeros((1, OTHERWISE + 1), dtype=np.int64), np.zeros(1, dtype=np.int64)
+    loop.compile(tuple(map(numba.typeof, (Worker(no_counts(), 0, 2), 0, *numbers))))
+    return loop.inspect_llvm(loop.signatures[-1])
+
+
 def translated(ir, triple, name):
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
@@ -104,3 +121,12 @@ def test_the_loop_runs_on_full_vectors_in_registers(name):
     of_frame = [] if re.search(INTO_FRAME, text, re.MULTILINE) else re.findall(OF_FRAME, text)
     assert not re.findall(STACK, text) + of_frame
     assert len(loop) / n_divisions < 60
+
+
+@pytest.mark.parametrize("place", PLAIN)
+def test_kernels_compile_for_processors_and_systems_that_are_not_here(place):
+    triple, processor, division, exchange = PLAIN[place]
+    for ir, instruction in ((code(lanes.Lanes4), division), (code_of_programs(), exchange)):
+        assembly = translated(ir, triple, processor)
+        assert re.search(instruction, assembly)
+        assert not re.search(r"%[yz]mm", assembly)

@@ -3,9 +3,10 @@
     python release/try_release.py                 every Python from 3.11 to 3.13 that is found
     python release/try_release.py PYTHON ...      these Pythons, by their paths
 
-Of the last commit: sdist, then wheel from sdist, in `dist/`. For each Python, in an environment of its own: the first
-command of the README, with the wheel in place of the source tree, and `pip check`; then each extra alone, and `pip
-check`. The last lines are a table; the exit code is 1 if a row of it failed."""
+Of the last commit: sdist, then wheel from sdist, in `dist/`; the version is that of `CITATION.cff`, `CHANGELOG.md` and
+`recipe.yaml`. For each Python, in environments of their own: the first command of the README, with the wheel in place of
+the source tree, and `pip check`; then each extra alone, and `pip check`. The last lines are a table; the exit code is 1
+if a row of it failed."""
 
 import os
 import re
@@ -19,7 +20,7 @@ from pathlib import Path
 from time import monotonic
 
 ROOT = Path(__file__).parents[1]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 VERSIONS = "3.11", "3.12", "3.13"
 BIN = "Scripts" if os.name == "nt" else "bin"
 
@@ -35,6 +36,18 @@ def found_pythons() -> dict[str, str]:
                 found[version] = str(place)
                 break
     return found
+
+
+def disagreements(version: str) -> list[str]:
+    """Files that state another version, or in the recipe other dependencies, than the package."""
+    recipe = (ROOT / "release" / "recipe.yaml").read_text(encoding="utf-8")
+    stated = {"CITATION.cff": f"\nversion: {version}\n", "CHANGELOG.md": f"\n## {version} ("}
+    found = [name for name, words in stated.items() if words not in (ROOT / name).read_text(encoding="utf-8")]
+    needed = [
+        one.lower().replace("matplotlib", "matplotlib-base").replace(">=", " >=") for one in PROJECT["dependencies"]
+    ]
+    wanted = [f'version: "{version}"', *(f"    - {one}\n" for one in needed)]
+    return found + [f"release/recipe.yaml, {words.strip()}" for words in wanted if words not in recipe]
 
 
 def build(python: str, folder: Path) -> tuple[Path, Path]:
@@ -65,11 +78,13 @@ def main(pythons: dict[str, str]) -> int:
     """Build, try with each Python, print the table; 1 if a row failed."""
     missing = [version for version in VERSIONS if version not in pythons]
     print(f"Pythons: {', '.join(pythons)}" + (f"; not found: {', '.join(missing)}" if missing else ""), flush=True)
-    first = re.search(r"^python3 -m venv .*pip install \. && .*$", (ROOT / "README.md").read_text(), re.M)[0]
+    first = re.search(
+        r"^python3 -m venv .*pip install \. && .*$", (ROOT / "README.md").read_text(encoding="utf-8"), re.M
+    )[0]
     with tempfile.TemporaryDirectory() as temporary:
         sdist, wheel = build(next(iter(pythons.values())), Path(temporary))
         print(f"built {sdist.name} (sha256 {sha256(sdist.read_bytes()).hexdigest()}) and {wheel.name}", flush=True)
-        rows = []
+        rows = [f"| | {where} | FAILED | |" for where in disagreements(wheel.name.split("-")[1])]
         for version, python in pythons.items():
             start, check = f"{python} -m venv .venv", f".venv/{BIN}/pip check"
             install = first.replace("python3 -m venv .venv", start).replace(" . ", f" {wheel} ")

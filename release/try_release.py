@@ -4,8 +4,8 @@
     python release/try_release.py PYTHON ...      these Pythons, by their paths
 
 Of the last commit: sdist, then wheel from sdist, in `dist/`; the version is that of `CITATION.cff`, `CHANGELOG.md` and
-`recipe.yaml`. For each Python, in environments of their own: the first command of the README, with the wheel in place of
-the source tree, and `pip check`; then each extra alone, and `pip check`. The last lines are a table; the exit code is 1
+`recipe.yaml`. For each Python, in environments of their own: the first command of the README, with the wheel in place
+of the source tree, and `pip check`; then each extra alone, and `pip check`. The last lines are a table; the exit code is 1
 if a row of it failed."""
 
 import os
@@ -76,8 +76,8 @@ def tried(command: str, folder: Path) -> tuple[str, str]:
 
 def main(pythons: dict[str, str]) -> int:
     """Build, try with each Python, print the table; 1 if a row failed."""
-    missing = [version for version in VERSIONS if version not in pythons]
-    print(f"Pythons: {', '.join(pythons)}" + (f"; not found: {', '.join(missing)}" if missing else ""), flush=True)
+    missing = [version for version in VERSIONS if not any(version in python for python in pythons)]
+    print(f"Pythons: {', '.join(pythons)}; not tried: {', '.join(missing) or 'none'}", flush=True)
     first = re.search(
         r"^python3 -m venv .*pip install \. && .*$", (ROOT / "README.md").read_text(encoding="utf-8"), re.M
     )[0]

@@ -5,7 +5,7 @@ ASE's units are Å, eV, u and Å √(u/eV); minimd.units.ASE are the same, so no
 units crosses with its numbers unchanged. Only this package imports ase.
 """
 
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from ase.calculators.calculator import external_calculators
 
@@ -38,10 +38,13 @@ __all__ = [
     "system_from_file",
 ]
 
+if not TYPE_CHECKING:  # for a type checker the module would have any name
 
-def __getattr__(name: str) -> NoReturn:
-    """Raise ImportError for a class, such as a dynamics of ASE that is not here; AttributeError for anything else."""
-    if name[:1].isupper():
-        own = f"minimd.ase has the dynamics {', '.join(one.__name__ for one in DYNAMICS)}, but no {name}"
-        raise ImportError(f"{own}; a class of ASE works with minimd.ase.Calculator, at ASE's speed: see docs/ase.md")
-    raise AttributeError(f"module 'minimd.ase' has no attribute {name!r}")
+    def __getattr__(name: str) -> NoReturn:
+        """Raise ImportError for a class, such as a dynamics of ASE that is not here; AttributeError for the rest."""
+        if name[:1].isupper():
+            own = f"minimd.ase has the dynamics {', '.join(one.__name__ for one in DYNAMICS)}, but no {name}"
+            raise ImportError(
+                f"{own}; a class of ASE works with minimd.ase.Calculator, at ASE's speed: see docs/ase.md"
+            )
+        raise AttributeError(f"module 'minimd.ase' has no attribute {name!r}")

@@ -5,8 +5,8 @@
 
 Of the last commit: sdist, then wheel from sdist, in `dist/`; the version is that of `CITATION.cff`, `CHANGELOG.md` and
 `recipe.yaml`. For each Python, in environments of their own: the first command of the README, with the wheel in place
-of the source tree, and `pip check`; then each extra alone, and `pip check`. The last lines are a table; the exit code is 1
-if a row of it failed."""
+of the source tree, and each extra alone; after each `pip check`. The last lines are a table; the exit code is 1 if a
+row of it failed."""
 
 import os
 import re

@@ -20,7 +20,7 @@ def is_open(path):
 def unless(refused, error, call):
     def checked(path, *more, **options):
         if refused(path):
-            raise error(1, "not here", path)
+            raise error(2, "not here", path)
         return call(path, *more, **options)
 
     return checked

@@ -12,6 +12,7 @@ see minimd.console.signals.
 import _signal  # loaded at once, unlike the module signal
 import os
 import sys
+from io import TextIOWrapper
 
 WRONG_OUTPUT, BY_SIGNAL = 2, 128  # exit codes; to the second the number of the signal is added
 
@@ -32,6 +33,9 @@ def main() -> None:
     for number in (_signal.SIGTERM, getattr(_signal, "SIGHUP", _signal.SIGTERM)):  # Windows has no SIGHUP
         if _signal.getsignal(number) == _signal.SIG_DFL:  # not on import, which workers do: their runs end by SIGTERM
             _signal.signal(number, end_at_once)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # else the shell has closed it
+            stream.reconfigure(errors="backslashreplace")  # not every code page of Windows has σ and −
     from minimd.commands.main import main as run_command
     from minimd.console.signals import DEFAULT_HANDLERS
 

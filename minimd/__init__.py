@@ -5,7 +5,7 @@ from pathlib import Path
 from types import ModuleType
 
 from minimd import integrators, observers
-from minimd.compiled.machine import version
+from minimd.console import __version__ as __version__
 from minimd.diagnosis.report import Report
 from minimd.diagnosis.reversibility import Reversibility
 from minimd.diagnosis.shadow_energy import shadow_energy
@@ -64,7 +64,6 @@ from minimd.structure.grid import Grid
 from minimd.structure.system import System
 from minimd.view import view
 
-__version__ = version("minimd")
 __all__ = [
     "BondPotential", "Cell", "ConstantForce", "ConstraintError", "ConvergenceError", "Coulomb", "CylinderWall",
     "DihedralPotential", "DistanceConstraints", "EnsembleTable", "Evaluation", "FENEBond", "Field", "FixedAtoms",

@@ -374,7 +374,7 @@ class Peer(NamedTuple):
     package : the Python package or program that must be installed.  load : makes the engine.
     threads : whether it takes part with "one" thread, with "each" number that is asked for, or with the "most" only.
     most_atoms : in larger scenes it takes part only if it is asked for.  scenes : names of the scenes that it can run.
-    installer : the command or program that installs the package.
+    installer : the command or program that installs the package; {} stands for its name.
     """
 
     package: str
@@ -382,7 +382,7 @@ class Peer(NamedTuple):
     threads: Literal["one", "each", "most"] = "one"
     most_atoms: float = np.inf
     scenes: tuple[str, ...] = ("melt", "chains", "dumbbells")
-    installer: str = "pip install '.[peers]'"
+    installer: str = "pip install 'minimd-engine[{}]'"
 
     @property
     def is_installed(self) -> bool:

@@ -172,10 +172,9 @@ def run_peers(options: PeersOptions) -> Peers:
     threads, texts = _checked(options), {name: SCENES[name](min(options.cells)).text for name in options.scenes}
     able = [name for name, peer in PEERS.items() if {*options.scenes} & {*peer.scenes}]
     able = [] if options.peers == NO_PEERS else able
-    missing = {PEERS[name].package: PEERS[name].installer for name in able if not PEERS[name].is_installed}
-    for installer in dict.fromkeys(() if options.peers else missing.values()):
-        packages = [package for package, its in missing.items() if its == installer]
-        tell(f"no comparison with {', '.join(packages)}: not installed; {installer} installs this")
+    missing = {peer.package: peer for name in able if not (peer := PEERS[name]).is_installed}
+    for package, peer in {} if options.peers else missing.items():
+        tell(f"no comparison with {package}: not installed; {peer.installer.format(package)} installs it")
     peers = [name for name in (options.peers or able) if able and PEERS[name].package not in missing]
     sizes = [_beside(scene, n, options, threads, peers) for scene in options.scenes for n in options.cells]
     return Peers(texts, options.repeats, tuple(dict.fromkeys(PEERS[name].package for name in peers)), sizes)
@@ -201,7 +200,7 @@ def _checked(options: PeersOptions) -> tuple[int, ...]:
             wrong = f"cannot run the scene {options.scenes[0]!r}; it runs {', '.join(peer.scenes)}"
             raise ValueError(f"--peers {name} {wrong}")
         if not peer.is_installed:
-            raise ValueError(f"{peer.package} is not installed; {peer.installer} installs it")
+            raise ValueError(f"{peer.package} is not installed; {peer.installer.format(peer.package)} installs it")
     return threads
 
 

@@ -5,6 +5,8 @@ ASE's units are Å, eV, u and Å √(u/eV); minimd.units.ASE are the same, so no
 units crosses with its numbers unchanged. Only this package imports ase.
 """
 
+from typing import TYPE_CHECKING, NoReturn
+
 from ase.calculators.calculator import external_calculators
 
 from minimd.ase.calculator import Calculator
@@ -16,6 +18,7 @@ from minimd.structure.ase_atoms import atoms_from_system
 from minimd.structure.system import System
 
 system_from_atoms = System.from_ase
+DYNAMICS = (VelocityVerlet, Langevin, LangevinBAOAB, Bussi, NoseHooverChainNVT, Andersen, NVTBerendsen)
 external_calculators.setdefault("minimd", Calculator)  # for ase.calculators.calculator.get_calculator_class("minimd")
 
 __all__ = [
@@ -34,3 +37,14 @@ __all__ = [
     "system_from_atoms",
     "system_from_file",
 ]
+
+if not TYPE_CHECKING:  # for a type checker the module would have any name
+
+    def __getattr__(name: str) -> NoReturn:
+        """Raise ImportError for a class, such as a dynamics of ASE that is not here; AttributeError for the rest."""
+        if name[:1].isupper():
+            own = f"minimd.ase has the dynamics {', '.join(one.__name__ for one in DYNAMICS)}, but no {name}"
+            raise ImportError(
+                f"{own}; a class of ASE works with minimd.ase.Calculator, at ASE's speed: see docs/ase.md"
+            )
+        raise AttributeError(f"module 'minimd.ase' has no attribute {name!r}")

@@ -64,7 +64,7 @@ class Langevin(MinimdSteps, Noisy, langevin.Langevin):
     """ase.md.langevin.Langevin with the steps of BAOAB, see minimd.LangevinBAOAB: the same distribution.
 
     temperature_K and friction may be arrays with one value for each atom, (N, 1). With fixcm the bath does not act on
-    the center of mass, and the temperature of all other motions is raised by n/(n − 3), n =
+    the center of mass. The temperature of all other motions is then n/(n − 3) times temperature_K, with n =
     atoms.get_number_of_degrees_of_freedom(), so that the mean of atoms.get_temperature() is temperature_K, as in ASE. A
     constraint FixCom, which ASE recommends instead, is kept exactly. If atoms are held by FixAtoms, the center of mass
     is not free, and fixcm has no effect.

@@ -2,9 +2,11 @@
 
 import os
 import platform
+import re
 import tempfile
 from collections import namedtuple
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from timeit import repeat, timeit
 from typing import Any
@@ -13,7 +15,7 @@ import llvmlite.binding
 import numpy as np
 
 import minimd as md
-from minimd.commands.table import Command
+from minimd.commands.table import Command, flag
 from minimd.compiled import kernels as compiling
 from minimd.compiled.by_address import ByAddress
 from minimd.compiled.code_cache import is_damaged
@@ -33,6 +35,8 @@ DRIFT_ALLOWED = 1e-4  # ε per atom over the test, at Δt = 0.002 τ: the fluctu
 MOMENTUM_ALLOWED = 1e-12  # of Σ|mv|: rounding in 1000 steps
 STEPS_COMPARED, STEPS_HANDED_OVER = 200, 20  # the first are enough for new lists
 STEPS_TIMED, TURNS, TASKS_TIMED = 200, 3, 1000  # a turn takes half a second on a slow machine
+
+KERNEL_FILE = re.compile(r"\.nb[ic](\.[0-9a-f]{32})?$|\.lock$")  # also one that a killed process has left half written
 
 Finding = tuple[bool, str]  # whether the test passed, and a sentence
 
@@ -81,6 +85,22 @@ def cache() -> Finding:
         file.unlink(missing_ok=True)
     words = f"; damaged files, removed and compiled anew at their next use: {len(damaged)}" if damaged else ""
     return True, f"{folder}{words}"
+
+
+def clear_cache() -> None:
+    """Remove the compiled kernels of this and of all other versions of minimd, and no other files; links are left."""
+    if (own := compiling.cache_folder()) is None:
+        return print("cache folder   there is none")
+    folders = [one for one in own.parent.glob("minimd-*") if re.fullmatch(r"minimd-[0-9a-f]{16}", one.name)]
+    inner = [part for one in folders if not one.is_symlink() for part in one.iterdir() if not part.is_symlink()]
+    files = [file for part in inner if part.is_dir() for file in part.iterdir() if KERNEL_FILE.search(file.name)]
+    size = sum(file.lstat().st_size for file in files)
+    for file in files:
+        file.unlink(missing_ok=True)
+    for folder in (*inner, *folders):
+        with suppress(OSError):  # it holds something else, or is a link
+            folder.rmdir()
+    print(f"cache folder   {own.parent}: {len(files)} files of compiled code removed, {size / 1e6:.1f} MB")
 
 
 def known_energy() -> Finding:
@@ -197,4 +217,5 @@ TESTS = {"cache folder": cache, "known energy": known_energy, "forces": gradient
          "threads": same_bits, "LAMMPS": lammps, "speed": speed}  # fmt: skip
 COMMAND = Command("doctor", "describe this machine and test minimd on it",
                   "Describe this machine, and test minimd on it: forces, conservation laws, equal bits on all threads, "
-                  "speed.", run=lambda _: examine())  # fmt: skip
+                  "speed.", (flag("--clear-cache", "only remove compiled kernels, those of other versions too"),),
+                  lambda given: clear_cache() if given.clear_cache else examine())  # fmt: skip

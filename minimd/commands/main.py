@@ -11,7 +11,7 @@ from typing import Any
 
 from minimd.commands import doctor
 from minimd.commands.table import COMMANDS, add
-from minimd.compiled.machine import version
+from minimd.console import __version__
 from minimd.console.signals import Terminated, endings_are_told
 from minimd.console.words import printable
 from minimd.ensemble.running import EnsembleError
@@ -37,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="minimd", description="Molecular dynamics from scene files.", epilog="Begin with: minimd doctor"
     )
-    parser.add_argument("--version", action="version", version=f"minimd {version('minimd')}")
+    parser.add_argument("--version", action="version", version=f"minimd {__version__}")
     commands = parser.add_subparsers(metavar="command", title="commands")
     for one in (*COMMANDS, *(other.load() for other in entry_points(group="minimd.commands")), doctor.COMMAND):
         add(commands, one)

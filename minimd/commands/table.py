@@ -44,12 +44,15 @@ def flag(name: str, text: str) -> Argument:
     return Argument(name, text, more={"action": "store_true"})
 
 
+QUIET = flag("--quiet", "print only errors")  # of all commands
+
+
 def add(parsers: Any, command: Command) -> None:
     """Add a command to the subparsers of argparse."""
     words = {"help": command.help, "description": command.description, "epilog": command.epilog}
     parser: argparse.ArgumentParser = parsers.add_parser(command.name, **words)
     parser.set_defaults(command=command.run)
-    for one in command.arguments:
+    for one in command.arguments if command.below else (*command.arguments, QUIET):
         kind = {"type": one.kind, "metavar": one.metavar}
         given: dict[str, Any] = {name: value for name, value in kind.items() if value is not None}
         parser.add_argument(one.name, help=one.help, **given, **one.more)
@@ -90,6 +93,16 @@ def refuse(what: str, place: Path, run: Path, metavar: str) -> NoReturn:
     resume = f", or go on with the run: minimd resume {run}" if can_go_on else ""
     advice = f"replace it with --overwrite, write elsewhere with --out {metavar}{resume}"
     raise FileExistsError(f"{what} {str(place)!r} exists; {advice}")
+
+
+def drawing(file: Path) -> str:
+    """Tell that a picture or a page is being drawn; returns the word for the end.  Raises OSError, ValueError for a
+    place where it cannot be written."""
+    from minimd.files.trajectory import checked_output
+
+    checked_output(file, overwrite=True, suffixes=(file.suffix.lower(),))
+    print(f"drawing        {file} ...", flush=True)
+    return "replaced" if file.exists() else "written"
 
 
 def tell_next(files: Iterable[Path]) -> None:
@@ -182,22 +195,23 @@ def check(arguments: argparse.Namespace) -> bool:
 
 
 def plot(arguments: argparse.Namespace) -> None:
-    """Draw the picture and print its name.  Raises as verify_frames and plot_file."""
+    """Draw the picture and print its name.  Raises as verify_frames, drawing and plot_file."""
     from minimd.analysis.plot import plot_file
     from minimd.files.h5md_reader import verify_frames
 
     verify_frames(arguments.file)
     picture = arguments.out or arguments.file.with_suffix(".png")
-    word = "replaced" if picture.exists() else "written"
-    print(f"drawing        {picture} ...", flush=True)
+    word = drawing(picture)
     print(f"{word:<14} {plot_file(arguments.file, picture)}")
 
 
 def view(arguments: argparse.Namespace) -> None:
-    """Write the page and print its name.  Raises as minimd.view."""
+    """Write the page and print its name.  Raises as verify_frames, drawing and minimd.view."""
+    from minimd.files.h5md_reader import verify_frames
+
+    verify_frames(arguments.file)
     potentials, page = potentials_of(arguments), arguments.out or arguments.file.with_suffix(".html")
-    word = "replaced" if page.exists() else "written"
-    print(f"drawing        {page} ...", flush=True)
+    word = drawing(page)
     seen = md.view(arguments.file, frames=arguments.frames, potentials=potentials)
     seen.save(page)
     print(f"{word:<14} {page}: {seen.summary}, {page.stat().st_size / 1e6:.1f} MB")
@@ -248,7 +262,7 @@ def option(text: str) -> tuple[str, Any]:
 
 
 at_least_one = partial(whole_number, least=1)
-OVERWRITE, QUIET = flag("--overwrite", "replace files that exist"), flag("--quiet", "print only errors")
+OVERWRITE = flag("--overwrite", "replace files that exist")
 STEPS = Argument("--steps", "number of steps, in place of that in the scene", whole_number, "N")
 SCENE_FILE = Argument("scene", "scene file (TOML)", Path)
 RUN_FILE = Argument("file", "trajectory (.h5md)", Path)
@@ -257,7 +271,7 @@ SCENE = Argument(
 )
 COMMANDS = (
     Command("run", "run a scene file", "Build a scene, run it, and write its files.", (
-        SCENE_FILE, OVERWRITE, QUIET, STEPS,
+        SCENE_FILE, OVERWRITE, STEPS,
         written_to("FILE", "one trajectory file, in place of those in the scene; the picture is written beside it"),
     ), run),
     Command("scan", "run a scene with many values of its keys",
@@ -277,10 +291,10 @@ COMMANDS = (
         written_to("FOLDER", "folder for all files (default: scan)", default=Path("scan")),
         Argument("--plot", "quantity in the picture (default: pressure)", None, "NAME"),
         Argument("--status", "show the state of the scan in a folder, and run nothing", Path, "FOLDER"),
-        OVERWRITE, QUIET,
+        OVERWRITE,
     ), scan),
     Command("resume", "go on with a run", "Continue the run in an H5MD file and append to it.", (
-        RUN_FILE._replace(help="trajectory (.h5md) of a run from a scene file"), QUIET,
+        RUN_FILE._replace(help="trajectory (.h5md) of a run from a scene file"),
         SCENE._replace(help="use this scene, from now on, in place of the one stored in the run: potentials, method, "
                        "time step, bath, output; structure, minimization and equilibration, which concern only the "
                        "start, are not used"),
@@ -288,12 +302,12 @@ COMMANDS = (
     ), resume),
     Command("replay", "make the last steps of a failed run again",
             "Make the last steps of a failed run again, one by one.", (
-        RUN_FILE._replace(help="file (.crash.h5md) that the run left"), SCENE, OVERWRITE, QUIET,
+        RUN_FILE._replace(help="file (.crash.h5md) that the run left"), SCENE, OVERWRITE,
         written_to("FILE", "trajectory of the steps (.h5md); the picture is written beside it"),
     ), replay),
     Command("lammps", "let LAMMPS run a scene file",
             "Build a scene, let LAMMPS run it under MPI, and bring the result back as a file of minimd.", (
-        SCENE_FILE, OVERWRITE, QUIET,
+        SCENE_FILE, OVERWRITE,
         Argument("--processes", "number of MPI processes, 1 if not given", at_least_one, "P", {"default": 1}),
         STEPS._replace(kind=at_least_one),
         written_to("FOLDER", "folder for all files; named after the scene if not given"),
@@ -323,7 +337,7 @@ COMMANDS = (
     ), view),
     Command("frames", "make any step of a run again",
             "Make steps of a run with precision='fixed-point' again, from the nearest frames.", (
-        RUN_FILE, SCENE, OVERWRITE, QUIET,
+        RUN_FILE, SCENE, OVERWRITE,
         Argument("--at", "steps to make again", whole_number, "STEP", {"nargs": "+", "required": True}),
         written_to("FILE", "file to write; for several steps, the step is added to the name"),
     ), frames),

@@ -9,11 +9,13 @@ import os
 import stat
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import IO
 
 try:
     import fcntl
 except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
+HAS_LOCKS = fcntl is not None  # where it has not, a file that is open cannot be renamed or removed
 
 IN_USE = (
     "another run is writing it, or a program has it open; if a universe in this process reads it, close that "
@@ -34,7 +36,7 @@ def new_file(path: Path) -> int:
     """A descriptor of a new and empty regular file, locked. A link in its place is removed, and so is a file that a
     killed run has left.  Raises OSError as locked, and if another run is faster."""
     with suppress(FileNotFoundError), ExitStack() as left:
-        if not path.is_symlink():
+        if HAS_LOCKS and not path.is_symlink():
             left.callback(os.close, locked(path))
         path.unlink()  # while it is locked, so that nobody else takes it for left
     try:
@@ -57,8 +59,10 @@ def write_whole(file: Path, content: str | bytes, overwrite: bool = True) -> Non
                 whole.write(content.encode() if isinstance(content, str) else content)
                 whole.flush()
                 os.fsync(whole.fileno())
+                _let_go(whole)
                 os.replace(part, file)
             except BaseException:
+                _let_go(whole)
                 part.unlink(missing_ok=True)
                 raise
     except FileExistsError:
@@ -76,9 +80,15 @@ def regular(path: str | Path, flags: int) -> int:
     return os.open(path, flags | NO_LINK, 0o666)
 
 
+def _let_go(file: IO[bytes]) -> None:
+    """Close a file that shall be renamed or removed, unless its lock is still needed."""
+    if not HAS_LOCKS:
+        file.close()
+
+
 def _locked(descriptor: int, path: Path) -> int:
     try:
-        if fcntl is not None:
+        if HAS_LOCKS:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if not os.path.samestat(os.fstat(descriptor), os.lstat(path)):
             raise BlockingIOError
@@ -97,9 +107,9 @@ def is_locked(path: Path) -> bool:
     cannot be opened."""
     descriptor = os.open(path, os.O_RDONLY | NO_LINK)
     try:
-        if fcntl is not None:
+        if HAS_LOCKS:
             fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        return fcntl is None
+        return not HAS_LOCKS
     except OSError:
         return True
     finally:

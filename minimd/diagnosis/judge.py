@@ -494,8 +494,10 @@ def hints(engine: Engine) -> Iterator[str]:
 def too_long_a_step(engine: Engine) -> str | None:
     """A clause if the time step is longer than a harmonic bond allows, or far longer than suits Lennard-Jones atoms;
     of ε if that is in another unit. None if neither."""
-    found = next((one for kind, one in verdicts(Evidence(engine), BEFORE) if kind == "long step"), None)
-    return found and (found.cause if found.advice == CHECK_STEP else str(found))
+    evidence = Evidence(engine)
+    found = next((one for kind, one in verdicts(evidence, BEFORE) if kind == "long step"), None)
+    is_told = found and (found.advice == CHECK_STEP or found == strange_depth(evidence))  # the hint has said the rest
+    return found and (found.cause if is_told else str(found))
 
 
 def fault_of(engine: Engine, *when: str) -> str | None:

@@ -350,8 +350,8 @@ class Report(Displayed):
         name = f"total energy minus {taken}" if taken else "total energy"
         if self.energy_is_conserved is None:
             share = self.energy_range / self.kinetic_energy if self.is_quiet else 0.0
-            within = f"stays within {share:.1g} of the kinetic energy" if self.is_quiet else "varies"
-            short = "the run is too short to tell whether it drifts: fluctuations last nearly as long"
+            within = f"varies by {100.0 * share:.1g} % of the kinetic energy" if self.is_quiet else "varies"
+            short = "the run is too short to tell whether it drifts: its fluctuations last nearly as long as the run"
             return f"the {name} {within}; {short}"
         if self.energy_is_conserved:
             but = f"does not drift, BUT {self.too_long_a_step}"

@@ -278,8 +278,8 @@ class RunGuard:
             report = examine(engine, Failure(fault, step, getattr(reason, "atoms", None), at, *at_all))
             why = "" if isinstance(reason, RangeError) else f"Likely cause: {report.cause}; {report.advice}\n"
         pair = closest_pair(engine.system)
-        near = f"; the closest pair before it is {pair.told(engine.system.units.length)}" if pair else ""
-        held = f"The system holds the last good state, that of step {engine.step}"
+        near = f"; in the last good state the closest pair is {pair.told(engine.system.units.length)}" if pair else ""
+        held = f"The system holds this state, that of step {engine.step}"
         error = kind(f"{why}At step {step}: {fault}{near}. {held}")
         error.crash_report = report
         return error

@@ -22,7 +22,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from minimd.compiled.machine import version
+from minimd.console import __version__
 from minimd.console.whole_file import locked, regular, write_whole
 from minimd.console.words import shown
 from minimd.ensemble.member import DONE, FAILED, NOTE, STOPPED, Row, Value, checked_parameters, file_of
@@ -119,7 +119,7 @@ class EnsembleFolder:
             self.rows = {}
             os.ftruncate(self._lock, 0)
         columns = {name: [one[name] for one in asked.parameters] for name in asked.parameters[0]}
-        told = {"parameters": columns, "members": len(asked.parameters), "minimd": version("minimd")}
+        told = {"parameters": columns, "members": len(asked.parameters), "minimd": __version__}
         write_whole(self.path / DESCRIPTION, json.dumps(asked._asdict() | told, indent=1))
         self.asked = asked
         return asked

@@ -2,7 +2,8 @@
 
 A claim holds a lock, so that no other run writes the file, neither in another process nor in this one, under any name
 or link. A new file is written under a temporary name, and gets the name that was asked for when its first frame is on
-the disk: a file that it replaces is kept until then, and a run that does not get the claim changes nothing.
+the disk: a file that it replaces is kept until then, and a run that does not get the claim changes nothing. On Windows,
+which has no such locks and renames no open file, a new file has its name from the beginning.
 
 HDF5 updates its tables in place, one after the other; a process that dies in between leaves a file that cannot be
 opened. Into a JournaledFile it writes in memory, and a commit, on the disk as a whole or not at all, writes
@@ -29,7 +30,7 @@ import zlib
 from contextlib import suppress
 from pathlib import Path
 
-from minimd.console.whole_file import locked, new_file
+from minimd.console.whole_file import HAS_LOCKS, locked, new_file
 
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 MAGIC = b"minimd journal 2\n"
@@ -58,11 +59,11 @@ class Claim:
             raise OSError(errno.ENOENT, "it is a link to a file that does not exist; remove it, or choose another name")
         if is_new and is_there and not overwrite:
             raise FileExistsError(errno.EEXIST, "it exists; choose another name, or pass overwrite=True")
-        if is_new:
+        if is_new and HAS_LOCKS:
             self.place = self.path.with_name(f"{self.path.name}.begun")
         self.descriptor = new_file(self.place) if is_new else locked(self.place)
         try:
-            if is_new and self.path.exists():
+            if is_new and HAS_LOCKS and self.path.exists():
                 self._replaced = locked(self.path)
         except OSError:
             self.release()
@@ -76,7 +77,7 @@ class Claim:
         try:
             if self._replaced >= 0:
                 os.replace(self.place, self.path)
-            else:
+            elif HAS_LOCKS:
                 os.link(self.place, self.path)  # unlike a rename, it fails if the name is taken
                 self.place.unlink()
         except FileExistsError:
@@ -111,7 +112,10 @@ class Claim:
 
     def release(self) -> None:
         """Release the lock. A new file that has not got its name is removed."""
-        if self.is_new and self.descriptor >= 0:
+        has_no_frame = self.is_new and self.descriptor >= 0
+        if not HAS_LOCKS:
+            self._unlock("descriptor")
+        if has_no_frame:
             with suppress(OSError):
                 self.place.unlink()
         self._unlock("descriptor")

@@ -27,7 +27,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.compiled.machine import EPS, version
+from minimd.compiled.machine import EPS
+from minimd.console import __version__
 from minimd.console.display import as_text
 from minimd.console.words import printable
 from minimd.constraints.solver import ROUNDINGS
@@ -122,7 +123,7 @@ def describe(h5: h5py.File, engine: Engine) -> None:
     system = engine.system
     h5.create_group("h5md").attrs["version"] = np.array([1, 1])
     h5.create_group("h5md/author").attrs["name"] = "N/A"
-    h5.create_group("h5md/creator").attrs.update({"name": "minimd", "version": version("minimd")})
+    h5.create_group("h5md/creator").attrs.update({"name": "minimd", "version": __version__})
     particles, names = h5.create_group(TRAJECTORY), system.species_names
     boundary = ["periodic" if has_edges(system.cell) else "none"] * 3
     particles.create_group("box").attrs.update({"dimension": 3, "boundary": boundary})
@@ -140,7 +141,7 @@ def describe(h5: h5py.File, engine: Engine) -> None:
             h5[f"connectivity/{name}"].attrs["particles_group"] = particles.ref
             group[name] = h5[f"connectivity/{name}"]
     title = engine.notes["title"] or f"{len(system)} atoms of {', '.join(map(str, names))}"
-    group.attrs.update({"version": version("minimd"), "units": system.units.name, "pbc": system.cell.pbc})
+    group.attrs.update({"version": __version__, "units": system.units.name, "pbc": system.cell.pbc})
     group.attrs.update({"title": title, "scene": engine.notes["scene"]})
     group["species_names"] = np.array(names, dtype=h5py.string_dtype() if isinstance(names[0], str) else np.int64)
     group["cell"], group["species_index"] = system.cell.vectors, system.species_index
@@ -219,9 +220,10 @@ def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:
 
 def other_method(name: str, parameters: Mapping[str, Any], precision: str, engine: Engine) -> str:
     """The method, bath and precision of the last steps in a file beside those with which its run goes on, in words;
-    empty if they are the same."""
+    empty if they are the same, or if only the temperature of the bath is another: who anneals means it."""
     ours = engine.method.name, json.loads(json.dumps(engine.method.parameters)), engine.interactions.options.precision
-    if ours == (name, parameters, precision):
+    annealed = {key: ours[1].get(key) if key == "temperature" else value for key, value in parameters.items()}
+    if ours == (name, annealed, precision):
         return ""
     before, now = (
         f"{one}({', '.join(f'{key}={as_text(value)}' for key, value in given.items())})"

@@ -3,6 +3,7 @@
 from types import ModuleType
 from typing import Any
 
+from minimd.console.display import Displayed, Rows
 from minimd.integrators.method import Method
 from minimd.integrators.ode import bdf, runge_kutta
 from minimd.integrators.splitting import rows, thermostats
@@ -10,17 +11,21 @@ from minimd.integrators.splitting import rows, thermostats
 __all__ = ["METHODS", "SPLITTINGS", "THERMOSTATS"]
 
 
-class MethodTable(dict[str, type[Method]]):
-    """Methods by name; printing it shows the properties of each."""
+class MethodTable(Displayed, dict[str, type[Method]]):
+    """Methods by name, displayed as a table of their properties."""
 
-    def __str__(self) -> str:
+    def display_rows(self) -> Rows:
+        """See Displayed."""
         rows: list[tuple[str, ...]] = [("name", "order", "stages", "symmetric", "symplectic", "explicit", "source")]
         for method in self.values():
             answers = (method.is_symmetric, method.is_symplectic, method.is_explicit)
             known = ("yes" if answer else "no" for answer in answers)
             rows.append((method.name, str(method.order), str(method.stages), *known, method.source))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+        return [(row[0], "  ".join(map(str.ljust, row[1:], widths[1:])).rstrip()) for row in rows]
+
+    def __repr__(self) -> str:
+        return str(self)
 
 
 def _methods_of(*modules: ModuleType) -> dict[str, Any]:

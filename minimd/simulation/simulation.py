@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from minimd.console.display import Displayed, Rows
 from minimd.console.progress import progress_of
@@ -22,7 +22,7 @@ from minimd.engine.engine import Engine, Snapshot
 from minimd.engine.observation import check_extras, observe
 from minimd.engine.record import Frame, Record
 from minimd.files.crash_file import crash_file_left, crash_file_place
-from minimd.files.trajectory import Writer, first_h5md, open_trajectories
+from minimd.files.trajectory import Writer, first_h5md, named_files, open_trajectories
 from minimd.forces.forces import Potential
 from minimd.forces.options import Options, Precision
 from minimd.integrators.splitting.barostats import StochasticCellRescaling
@@ -176,7 +176,7 @@ class Simulation(Closed, Displayed):
         trajectory: str | Path | Sequence[str | Path] = (),
         store_forces: bool = False,
         overwrite: bool = False,
-        append: bool = False,
+        append: bool | Literal["auto"] = False,
         observers: Sequence[Observer] = (),
         progress: bool | None = None,
         crash_report: str | Path | bool = True,
@@ -192,10 +192,9 @@ class Simulation(Closed, Displayed):
         trajectory : one file or several; the suffix gives the format, see minimd.files.trajectory.
         store_forces : write forces into formats that can hold them.
         overwrite : replace files that exist.  append : continue the trajectory,
-            an H5MD file whose restart is the state of this simulation.
+            an H5MD file whose restart is the state of this simulation; "auto" does so if it exists, else begins it.
         observers : functions called with this simulation at each observation; and those of minimd.observers, which have
-            their own steps and give results at the end. An H5MD file keeps them, and a run that continues it goes on
-            with them.
+            their own steps and give results at the end. An H5MD file keeps them for a run that continues it.
         progress : show a progress bar; if not given, on a terminal and in a notebook.
         crash_report : where to leave a file if the run blows up: beside the first trajectory if there is one (True), at
             a path, or nowhere (False). It holds the last good state and what minimd.replay needs;
@@ -211,6 +210,7 @@ class Simulation(Closed, Displayed):
         """
         engine, guard = self.engine, self.guard
         every, end = checked_count("every", every), last_step(engine.step, n_steps, until_step)
+        append = append if append != "auto" else any(map(Path.exists, named_files("trajectory", trajectory)))
         files = {"store_forces": store_forces, "overwrite": overwrite, "append": append}
         files = {name: checked_flag(name, flag) for name, flag in files.items()}
         attached = Attached(observers, engine)

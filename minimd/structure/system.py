@@ -123,6 +123,11 @@ class System(Displayed):
     def __len__(self) -> int:
         return len(self.positions)
 
+    @property
+    def n_atoms(self) -> int:
+        """N, as len(system)."""
+        return len(self)
+
     def __repr__(self) -> str:
         names, where = ", ".join(map(str, self.species_names)), f"periodic {self.cell.pbc.tolist()}"
         joined = ", ".join(f"{len(one)} {name}" for name, one in self.groups().items() if name == "bonds" or len(one))

@@ -27,7 +27,7 @@ from scipy.spatial import cKDTree
 
 from minimd.analysis.check import checked
 from minimd.analysis.plot import drawn, rendered
-from minimd.compiled.machine import version
+from minimd.console import __version__
 from minimd.console.display import Rows
 from minimd.files.crash_file import read_crash_report
 from minimd.files.h5md_reader import H5MDContents, read_file
@@ -235,7 +235,7 @@ def page(story: Story) -> str:
         "notes": " ".join(map(html.escape, story.notes)),
         "parameters": "".join(f'<tr><th scope="row">{name}</th><td>{words}</td></tr>' for name, words in cells),
         "species_list": "".join(f"<li>{shown} {html.escape(str(name))} ({n})</li>" for shown, name, n in legend),
-        "version": html.escape(version("minimd")),
+        "version": html.escape(__version__),
     }
     words = {name: html.escape(getattr(story, name)) for name in ("title", "heading", "alternative", "report")}
     return Template(_text("page.html")).substitute(known, **words)

@@ -214,7 +214,7 @@ def test_scaling_runs(short, monkeypatch, tmp_path):
 def test_peers_that_are_missing_or_do_not_start_are_told(fakes, monkeypatch, capsys):
     monkeypatch.setattr(engines.Peer, "is_installed", property(lambda peer: peer.package != "fast"))
     assert [row.engine for row in run_peers(ONCE).sizes[0]] == ["minimd", "slow (serial)"]
-    advice = "pip install '.[peers]'"
+    advice = "pip install 'minimd-engine[fast]'"
     assert f"no comparison with fast: not installed; {advice}" in capsys.readouterr().err
     assert_answered(lambda: run_peers(ONCE._replace(peers=("fast",))), ValueError, "fast", advice)
     broken = engines.Peer("broken", lambda *_: raising(RuntimeError("libmpi.so:\n not found")))

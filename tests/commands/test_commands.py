@@ -74,6 +74,16 @@ def test_run_tells_what_it_does_and_what_to_do_next_unless_it_is_quiet(folder, c
     assert err.count("running: step") == 4  # no terminal, so lines
 
 
+def test_the_first_command_runs_where_calls_of_linux_and_letters_are_missing(folder):
+    tests = Path(__file__).parents[1]
+    text = (tests.parent / "examples" / "argon.toml").read_text(encoding="utf-8")
+    Path("argon.toml").write_text(text.replace("steps = 4000", "steps = 400"), encoding="utf-8")
+    for command in (["run", "argon.toml", "--steps", "200"], ["check", "argon.h5md"], ["view", "argon.h5md"]):
+        done = ended(f"{tests}/elsewhere.py", *command, folder=folder, PYTHONIOENCODING="ascii")
+        assert done.returncode == 0, done.stderr
+    assert sorted(file.suffix for file in folder.glob("argon*")) == [".h5md", ".html", ".png", ".toml"]
+
+
 @pytest.mark.slow
 def test_out_takes_the_picture_along_and_spares_pictures_that_were_not_named(folder, capsys):
     Path("melt.toml").write_text(SCENE + 'plot = "melt.png"\n')
@@ -249,6 +259,20 @@ def test_doctor_finds_damaged_compiled_code_and_loads_nothing_of_it(tmp_path, mo
     fine, sentence = doctor.cache()
     assert (fine, sentence[-3:]) == (True, ": 1")
     assert (files.load("floats"), files.load("integers")) == (None, "code for integers")
+
+
+def test_doctor_empties_the_cache_and_leaves_what_is_not_the_caches(tmp_path, monkeypatch, told):
+    own, older, strange = tmp_path / f"minimd-{16 * '0'}", tmp_path / f"minimd-{16 * 'a'}", tmp_path / "minimd-x"
+    monkeypatch.setattr(compiling, "cache_folder", lambda: own)
+    (tmp_path / f"minimd-{16 * 'f'}").symlink_to(strange)
+    kept = {tmp_path / "a.nbi", own / "a.txt", own / "forces" / "a.txt", strange / "forces" / "a.nbc"}
+    removed = {own / "forces" / "a.nbc", own / "forces" / "a.lock", older / "forces" / f"a.nbi.{32 * '0'}"}
+    for file in kept | removed:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(b"code")
+    assert "3 files" in told("doctor", "--clear-cache")
+    assert {file for file in kept | removed if file.exists()} == kept
+    assert not older.exists()
 
 
 def test_doctor_notices_wrong_forces_bits_that_depend_on_threads_and_drifts(monkeypatch):

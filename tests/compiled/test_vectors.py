@@ -18,6 +18,7 @@ from minimd.compiled.kernels import kernel, scalar
 from minimd.compiled.machine import restrict_features
 from minimd.compiled.simd import bits_from_mask, broadcast, fma, lane, load, select, store, total, with_lane
 from minimd.compiled.simd.vector import Lanes4, Lanes8, count, register_bits
+from minimd.compiled.threads import OTHERWISE, Worker, no_counts, run_operations
 from minimd.forces.cluster_loop import add_cluster_forces
 from minimd.forces.cluster_term import ClusterTerm
 from minimd.forces.options import Options
@@ -40,6 +41,11 @@ PROCESSORS = {  # triple, name, lanes, division in full-width registers
     "Neoverse": (ARM, "neoverse-n1", Lanes4, r"fdiv\s+v\d+\.2d"),
     "AVX-512": (X86, "icelake-server", Lanes8, r"vdivpd\s.*%zmm"),  # compiles the loop once more
 }
+BASIC = r"\sdivpd\s.*%xmm", r"lock\s+cmpxchgq"
+PLAIN = {  # triple, name, division of two numbers at a time, exchange of a counter
+    "x86-64 without AVX": (X86, "x86-64", *BASIC), "Windows": ("x86_64-pc-windows-msvc", "x86-64", *BASIC),
+    "ARM": (ARM, "generic", r"fdiv\s+v\d+\.2d", "stlxr"), "Mac": ("arm64-apple-macos", "apple-m1", r"fdiv\.2d", "casa"),
+}  # fmt: skip
 DIVISION = r"v?fdiv\s+v|vdivpd"
 LANE_BY_LANE = r"vpinsr|vpextr|vinsertps|vpermilp|vunpck|mov\s+v\d+\.d\[|\bins\s"
 SCALAR = r"v(?:add|sub|mul|div)s[sd]\s|f(?:add|sub|mul|div)\s+d\d"
@@ -201,6 +207,15 @@ def code(kind):
     return loop.inspect_llvm(loop.signatures[-1])
 
 
+@cache
+def code_of_programs():
+    """The kernel that shares out operations among threads: scalars, and counters that threads exchange."""
+    loop = numba.njit(error_model="numpy", nogil=True)(run_operations.py_func)
+    numbers = np.zeros((1, OTHERWISE + 1), dtype=np.int64), np.zeros(1, dtype=np.int64)
+    loop.compile(tuple(map(numba.typeof, (Worker(no_counts(), 0, 2), 0, *numbers))))
+    return loop.inspect_llvm(loop.signatures[-1])
+
+
 def translated(ir, triple, name):
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
@@ -234,3 +249,12 @@ def test_the_loop_runs_on_full_vectors_in_registers(name):
     of_frame = [] if re.search(INTO_FRAME, text, re.MULTILINE) else re.findall(OF_FRAME, text)
     assert not re.findall(STACK, text) + of_frame
     assert len(loop) / n_divisions < 60
+
+
+@pytest.mark.parametrize("place", PLAIN)
+def test_kernels_compile_for_processors_and_systems_that_are_not_here(place):
+    triple, processor, division, exchange = PLAIN[place]
+    for ir, instruction in ((code(Lanes4), division), (code_of_programs(), exchange)):
+        assembly = translated(ir, triple, processor)
+        assert re.search(instruction, assembly)
+        assert not re.search(r"%[yz]mm", assembly)

@@ -101,7 +101,7 @@ def test_a_figure_says_how_sure_it_is():
     one, few, many = (conservation_report(record, angular=False) for record in records)
     assert [one.energy_is_conserved, few.energy_is_conserved] == [None, None]
     assert ["±" in str(report).splitlines()[0] for report in (one, few, many)] == [False, False, True]
-    for size, quiet in ((0.001, "stays within 0.002 of"), (0.1, "varies")):
+    for size, quiet in ((0.001, "varies by 0.2 % of"), (0.1, "varies")):
         short = conservation_report(record_of(1.0 + size * np.sin(np.linspace(0.0, 5.0, 51))), angular=False)
         assert (short.energy_is_conserved, short.is_quiet) == (None, size == 0.001)
         assert re.search(f"energy {quiet}.* too short to tell whether it drifts", short.verdict)

@@ -1,5 +1,5 @@
-"""Spawned worker processes, each of which can die without ending the others;
-and an executor that uses this process only.
+"""Spawned worker processes, each of which can die without ending the others; an executor that uses this process only;
+and the executors that `minimd scan` knows by name.
 
 concurrent.futures.ProcessPoolExecutor gives up all members when one of its processes is killed. Here each process has
 its own pipe and thread; if a process dies, its member fails, and the next member gets a new process.
@@ -10,14 +10,16 @@ import os
 import pickle
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
+from minimd.compiled.machine import available_cores
 from minimd.console.signals import endings_are_told
 from minimd.files.claim import end_with
 
+EXECUTORS = ("processes", "threads", "dask", "mpi")
 READY = b"ready"
 STARTS = 3  # attempts to start a worker process; if all of them are killed, the next would be, too
 
@@ -169,3 +171,45 @@ class ThisProcess(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
+
+
+@contextmanager
+def named_executor(name: str, workers: int | None) -> Iterator[dict[str, Any] | None]:
+    """The arguments `executor` and `workers` of ensemble for one of the EXECUTORS; None in a process of MPI that works
+    for another.
+
+    workers : their number, one for each core if None. The scheduler of dask is that of DASK_SCHEDULER_ADDRESS, or one
+    of this machine alone; processes of MPI are those of mpiexec, of which the first gives out the work.
+    Raises ValueError if a package is missing, or workers have no use.
+    """
+    n_workers = available_cores() if workers is None else workers
+    try:
+        with ExitStack() as closing:
+            options: dict[str, Any] | None = {"workers": workers}
+            if name == "threads":
+                options = {"executor": closing.enter_context(ThreadPoolExecutor(max(1, n_workers)))}
+            elif name == "dask":
+                from dask import config
+                from distributed import Client
+
+                address = config.get("scheduler-address", None)
+                if address and workers is not None:
+                    raise ValueError(
+                        f"--workers {workers} has no use: the workers are those of the scheduler {address}"
+                    )
+                here = {"n_workers": n_workers, "threads_per_worker": 1, "dashboard_address": None}
+                options = {"executor": closing.enter_context(Client(**({} if address else here)))}
+            elif name == "mpi":
+                from mpi4py.futures import MPICommExecutor
+                from mpi4py.MPI import COMM_WORLD
+
+                if COMM_WORLD.size == 1 or workers is not None:
+                    words = "begin the command by mpiexec -n P, with P at least 2: one process gives out the work"
+                    raise ValueError(f"--executor mpi takes its workers from MPI, which has {COMM_WORLD.size}; {words}")
+                pool = closing.enter_context(MPICommExecutor())
+                options = {"executor": pool} if pool is not None else None
+            yield options
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            f"--executor {name} needs {error.name}, which is missing: pip install 'minimd[cluster]'"
+        ) from error

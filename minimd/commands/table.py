@@ -142,7 +142,8 @@ def scan(arguments: argparse.Namespace) -> bool:
     if table.done.any() and arguments.members is None:
         picture = save_picture(table, arguments.plot)
         print(f"written        {table.folder / 'table.csv'}, {table.folder / 'table.json'}, {picture}")
-    return not any(table["status"] == "failed")
+    made = arguments.members or range(len(table))
+    return not any(table["status"][made.start : made.stop] == "failed")
 
 
 def slice_of_members(text: str) -> range:

@@ -25,7 +25,7 @@ from minimd.console.words import shown
 from minimd.ensemble.folder import ENTROPIES, FUNCTIONS, Asked, EnsembleFolder, name_of, source_of
 from minimd.ensemble.member import DONE, FAILED, Job, Member, Plan, Row, checked_parameters, work_through
 from minimd.ensemble.table import EnsembleTable, written_table
-from minimd.ensemble.workers import SpawnedProcesses, ThisProcess, WorkerNeverBegan
+from minimd.ensemble.workers import SpawnedProcesses, ThisProcess, WorkerNeverBegan, WorkerStopped
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag
 from minimd.structure.errors import Interrupted, sentence
@@ -220,11 +220,14 @@ def _rows_of(batch: list[Job], future: Future) -> list[Row]:
     try:
         rows: list[Row] = future.result()
         return rows
-    except (WorkerNeverBegan, BrokenExecutor, pickle.PicklingError) as error:
-        advice = ANOTHER if isinstance(error, BrokenExecutor) else OUTSIDE
-        words = f"{batch[0][0]} could not be run, and neither can the others: {sentence(error)}. {advice}"
+    except (WorkerNeverBegan, BrokenExecutor, CancelledError, pickle.PicklingError) as error:
+        told = (
+            "its executor gave it up" if isinstance(error, CancelledError) else sentence(error)
+        )  # or its scheduler died
+        advice = OUTSIDE if isinstance(error, WorkerNeverBegan | pickle.PicklingError) else ANOTHER
+        words = f"{batch[0][0]} could not be run, and neither can the others: {told}. {advice}"
         raise EnsembleError(words) from None
-    except (CancelledError, SystemExit):
+    except (WorkerStopped, SystemExit):
         raise KeyboardInterrupt from None
     except Exception as error:  # of a worker that died, or any error of an executor
         failed = {"status": FAILED, "message": f"{type(error).__name__}: {sentence(error)}", "died": True}

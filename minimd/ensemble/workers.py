@@ -11,7 +11,7 @@ import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
@@ -26,6 +26,10 @@ STARTS = 3  # attempts to start a worker process; if all of them are killed, the
 
 class WorkerDied(RuntimeError):  # noqa: N818  # the name says what happened
     """The process that ran a member has died.  The message says how."""
+
+
+class WorkerStopped(Exception):  # noqa: N818
+    """A process was told to end."""
 
 
 class WorkerNeverBegan(RuntimeError):  # noqa: N818
@@ -59,19 +63,19 @@ class SpawnedProcesses(Executor):
         worker = getattr(self._own, "worker", None) or self._ready_worker()
         try:
             if self._is_stopped:
-                raise CancelledError
+                raise WorkerStopped
             return worker.do(job)
-        except (WorkerDied, CancelledError):
+        except (WorkerDied, WorkerStopped):
             self._own.worker = None
             self._workers.remove(worker)
             if self._is_stopped:
-                raise CancelledError from None
+                raise WorkerStopped from None
             raise
 
     def _ready_worker(self) -> "Worker":
         """A new worker of this thread; if it is killed while it starts, another one.
 
-        Raises WorkerNeverBegan, CancelledError.
+        Raises WorkerNeverBegan, WorkerStopped.
         """
         for _ in range(STARTS):
             worker = Worker()
@@ -81,7 +85,7 @@ class SpawnedProcesses(Executor):
                 return worker
             self._workers.remove(worker)
             if self._is_stopped:
-                raise CancelledError
+                raise WorkerStopped
             if (worker.process.exitcode or 0) >= 0:  # an error, which another process would meet, too
                 break
         raise WorkerNeverBegan(worker.ending())
@@ -106,7 +110,7 @@ class Worker:
 
     def do(self, job: bytes) -> Any:
         """The result of a pickled job.  Raises what the job raises, WorkerDied if the process dies,
-        CancelledError if it was told to end."""
+        WorkerStopped if it was told to end."""
         try:
             self._pipe.send_bytes(job)
             result, error = pickle.loads(self._pipe.recv_bytes())
@@ -151,7 +155,7 @@ def _answer(job: bytes) -> bytes:
         function, args, kwargs = pickle.loads(job)
         answer = function(*args, **kwargs), None
     except (KeyboardInterrupt, SystemExit):
-        answer = None, CancelledError()
+        answer = None, WorkerStopped()
     except Exception as error:
         answer = None, error
     try:

@@ -185,9 +185,7 @@ class H5MDWriter:
         marks = self._bring_others(self.claim) if is_restart else []
         with self._telling(f"take the frame of step {step}"), uninterrupted():
             for column in self._columns if entries else ():  # repeated after an error, this gives the same file
-                series = layout.series_of(self._h5, column, entries[column.path][0], self._n_expected)
-                series.resize(n_frames, axis=0)
-                series[first:] = entries[column.path]
+                layout.extend(self._h5, column, first, entries[column.path], self._n_expected)
             if entries:
                 digest.add_block(self._h5, n_frames, entries)
             if entries and first == 0:

@@ -81,18 +81,18 @@ def test_frames_are_flushed_once_a_second_and_files_of_killed_runs_are_valid(tmp
 
 
 def test_an_interrupt_inside_a_write_leaves_whole_frames_only(tmp_path, monkeypatch):
-    path, sim, series_of = tmp_path / "a.h5md", simulation(), h5md.layout.series_of
+    path, sim, extend = tmp_path / "a.h5md", simulation(), h5md.layout.extend
 
-    def interrupted(h5, column, like, n_frames):
+    def interrupted(h5, column, *entries):
         if column.path.endswith("velocity/value"):
             raise KeyboardInterrupt
-        return series_of(h5, column, like, n_frames)
+        return extend(h5, column, *entries)
 
     bring_to_disk_every(0.0, monkeypatch)
     writer = h5md.H5MDWriter(claim.Claim(path), sim.engine, False)
     writer.write(sim.frame())
     sim.run(5)
-    with mock.patch("minimd.files.h5md_writer.layout.series_of", interrupted), pytest.raises(KeyboardInterrupt):
+    with mock.patch("minimd.files.h5md_writer.layout.extend", interrupted), pytest.raises(KeyboardInterrupt):
         writer.write(sim.frame())
     shutil.copy(path, tmp_path / "copy.h5md")
     assert read_file(tmp_path / "copy.h5md").record.step.tolist() == [0]

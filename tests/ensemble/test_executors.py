@@ -5,7 +5,8 @@ import os
 import signal
 import sys
 import threading
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from collections import Counter
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -149,6 +150,58 @@ def test_nothing_heavy_is_loaded_and_a_script_without_a_main_is_told_so(tmp_path
     script = ended("script.py", folder=tmp_path)
     assert (script.returncode, script.stdout.splitlines()[0]) == (1, "set()")
     assert script.stderr.rstrip().endswith("if __name__ == '__main__':")
+
+
+ERRORS = {"a disk": OSError("busy"), "a bug": ValueError("wrong"), "physics": md.NonFiniteError("blown up")}
+
+
+@pytest.mark.parametrize(("error", "tries"), [("a disk", 3), ("a bug", 1), ("physics", 1)])
+def test_only_what_may_pass_is_tried_again(error, tries, done, tmp_path):
+    made = Counter()
+
+    def fails_twice(simulation, member):
+        made[member.index] += 1
+        if member.index == 1 and made[1] < 3:
+            raise ERRORS[error]
+
+    if tries == 3:
+        members.run(tmp_path, fails_twice, retries=2)
+        members.assert_same(tmp_path, done.folder)
+    else:
+        with pytest.warns(UserWarning, match="1 of 3 members have failed"):
+            members.run(tmp_path, fails_twice, retries=2)
+    assert made == {0: 1, 1: tries, 2: 1}
+
+
+class Remote(ThisProcess):
+    """Whoever runs member 70 dies; after 90 calls, all is given up."""
+
+    def __init__(self):
+        self.batches = []
+
+    def submit(self, function, plan, jobs, number):
+        self.batches.append([member.index for member, _ in jobs])
+        future = Future()
+        if len(self.batches) > 90:
+            future.cancel()
+        elif 70 in self.batches[-1]:
+            future.set_exception(RuntimeError("the worker died"))
+        else:
+            return super().submit(function, plan, jobs, number)
+        future.set_running_or_notify_cancel() if future.cancelled() else None
+        return future
+
+
+def test_short_members_go_in_batches_and_of_one_that_dies_the_others_are_made(tmp_path):
+    remote, options = Remote(), {"run": lambda *_: {"x": 1.0}, "prepare": None, "steps": 0}
+    with pytest.warns(UserWarning, match=r"1 of 200 members have failed:\nmember 70 .*RuntimeError: the worker died"):
+        table = members.run(tmp_path, parameters={"temperature": [0.5] * 200}, executor=remote, **options)
+    assert int(table.done.sum()) == 199
+    assert [70] in remote.batches
+    assert len(remote.batches) < 90
+    remote.batches *= 90
+    with pytest.raises(EnsembleError, match=r"member 70 .*could not be run.*Make the same call again"):
+        members.run(tmp_path, parameters={"temperature": [0.5] * 200}, executor=remote, **options)
 
 
 @pytest.mark.slow

@@ -146,6 +146,21 @@ def test_the_next_call_makes_what_is_left_with_the_same_bits(event, done, done_b
     assert sorted(path.name for path in (tmp_path / "0000-0999").iterdir()) == [Path(name).name for name in FILES]
 
 
+def test_slices_that_run_at_the_same_time_make_the_same_table_whoever_is_last(done, tmp_path):
+    inner = []
+
+    def another(_simulation, member):
+        if member.index == 1:
+            inner.append(run(tmp_path, members=range(1)))
+
+    run(tmp_path, another, members=range(1, 3))
+    assert inner[0]["status"].tolist() == ["done", "missing", "missing"]
+    assert_same(tmp_path, done.folder)
+    run(tmp_path, another)  # all is done
+    assert len(inner) == 1
+    assert_same(tmp_path, done.folder)
+
+
 @pytest.mark.slow
 def test_a_run_by_hand_in_the_file_of_the_member_is_that_without_it(done, done_by_hand, tmp_path):
     """A function that writes the file itself begins anew."""

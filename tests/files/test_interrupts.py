@@ -80,6 +80,16 @@ def test_frames_are_flushed_once_a_second_and_files_of_killed_runs_are_valid(tmp
     assert found == [0, 0, 0, 4, 4, 4, 7]
 
 
+def test_a_short_run_writes_its_file_in_one_commit(tmp_path):
+    """Before it there is no file; fsync is called for the file and for its folder."""
+    seen = []
+    with mock.patch("os.fsync", wraps=os.fsync) as fsync:
+        simulation().run(
+            10, every=5, trajectory=tmp_path / "a.h5md", observers=[lambda _: seen.extend(tmp_path.glob("*.h5md"))]
+        )
+    assert (fsync.call_count, seen, read_file(tmp_path / "a.h5md").n_frames) == (2, [], 3)
+
+
 def test_an_interrupt_inside_a_write_leaves_whole_frames_only(tmp_path, monkeypatch):
     path, sim, extend = tmp_path / "a.h5md", simulation(), h5md.layout.extend
 

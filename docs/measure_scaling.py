@@ -10,6 +10,7 @@ Models are computed from the measured numbers.
 
 import json
 import os
+import re
 import resource
 import sys
 import tempfile
@@ -230,7 +231,7 @@ def main(arguments: list[str]) -> None:
     from minimd_bench.outcome import machine
 
     facts = Path("/proc/cpuinfo").read_text()
-    kind = ("Zen 5, " if "cpu family\t: 26" in facts else "") + ("AVX-512" if "avx512f" in facts else "AVX2")
+    kind = ("Zen 5, " if re.search(r"cpu family\s*: 26", facts) else "") + ("AVX-512" if "avx512f" in facts else "AVX2")
     parts, texts = {"machine": lambda: iter([f"{kind}: {machine()['text']}."])} | PARTS, dict[str, str]()
     for name in [one for one in arguments if one != "--write"] or parts:
         texts[name] = "\n".join(parts[name]())

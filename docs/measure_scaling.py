@@ -166,7 +166,7 @@ def one_table(n: int) -> None:
         with EnsembleFolder(folder, writes=True) as opened:
             with timed("begin"):
                 asked = Asked(
-                    0, 10, 5, checked_parameters([{"temperature": k // 4 / n} for k in range(n)]), "b", "", "", {}
+                    0, 10, 5, checked_parameters([{"temperature": k // 4 / n} for k in range(n)]), "b", "", ""
                 )
                 asked = opened.begin(asked, True)
             with timed("lines"):

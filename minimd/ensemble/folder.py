@@ -40,6 +40,7 @@ from minimd.structure.checks import COUNTS, checked_count
 DESCRIPTION, SHARED = "ensemble.json", "ensemble.lock"
 JOURNAL = re.compile(r"members(?:\.(\d{1,9})-(\d{1,9}))?\.jsonl")
 EVERYTHING = range(10**9)  # the members of a journal without numbers
+CODE = ", code "  # between the name of a function and the hash of its code
 FUNCTIONS = ("build", "prepare", "run")
 SECONDS_BETWEEN_TRIES = 0.01  # of a lock that others hold for a moment
 BYTES_AT_ONCE = 2**20  # of the journal, read in one piece
@@ -66,7 +67,7 @@ KINDS["ended"] = lambda value: type(value) is float
 
 class Asked(NamedTuple):
     """What was asked for.  seed : entropy of all random numbers.  parameters : of each member.  build, prepare, run :
-    names of functions.  sources : by these three words, hashes of their code, see source_of."""
+    names of functions, with hashes of their code, see name_of."""
 
     seed: int
     steps: int
@@ -75,7 +76,6 @@ class Asked(NamedTuple):
     build: str
     prepare: str
     run: str
-    sources: dict[str, str]
 
     def is_done(self, row: Row | None) -> bool:
         """Whether a member is done: it has made all steps, or with a function run, that function has returned."""
@@ -130,18 +130,16 @@ class EnsembleFolder:
         except OSError as error:
             advice = "choose another folder"
             if isinstance(error, BlockingIOError):
-                which = "an ensemble" if self.members is None else "a call with some of these members, or with all,"
-                advice = f"{which} is running there: wait for its end, or {advice}"
+                advice = f"an ensemble with these members is running there: wait for its end, or {advice}"
             words = f"folder {str(self.path)!r} cannot be used"
             raise OSError(f"{words}: {error.strerror or 'it is in use'}; {advice}") from None
 
     def read(self) -> None:
         """Read the description, and all journals."""
-        self.asked, self.rows = self._read_description(), dict[int, Row]()
-        for file, _ in self._journals() if self.asked is not None else ():
-            for index, row in {row["index"]: row for row in self._lines(file)}.items():
-                if index not in self.rows or row.get("ended", 0.0) >= self.rows[index].get("ended", 0.0):
-                    self.rows[index] = row
+        self.asked = self._read_description()
+        files = [file for file, _ in self._journals()] if self.asked is not None else []
+        last = [row for file in files for row in {row["index"]: row for row in self._lines(file)}.values()]
+        self.rows: dict[int, Row] = {row["index"]: row for row in sorted(last, key=lambda row: row.get("ended", 0.0))}
 
     def begin(self, asked: Asked, resume: bool, any_seed: bool = False) -> Asked:
         """Write the description of what is asked for now, and return it; the parameters of further members from earlier
@@ -163,9 +161,7 @@ class EnsembleFolder:
                     )
                 asked = asked._replace(parameters=asked.parameters + before[len(asked.parameters) :])
             else:
-                for file in map(
-                    self.file, range(len(before))
-                ):  # a member must not go on from a run of another ensemble
+                for file in map(self.file, range(len(before))):  # no member may go on from a run of another ensemble
                     for one in (file, crash_file_place(True, file), file.with_suffix(STOPPED), file.with_suffix(NOTE)):
                         if one is not None:
                             one.unlink(missing_ok=True)
@@ -234,18 +230,17 @@ class EnsembleFolder:
         try:
             with open(file, encoding="utf-8", opener=regular) as description:
                 told = json.load(description)
-            rows, sources = checked_parameters(told["parameters"] or told["members"]), told.get("sources", {})
+            rows = checked_parameters(told["parameters"] or told["members"])
             if told["members"] != len(rows):
                 raise ValueError(f"members = {shown(told['members'])}, but each parameter has {len(rows)} values")
-            names = told["build"], told["prepare"], told["run"]
-            for name in (*names, *map(sources.get, sources)):
-                if not isinstance(name, str):
-                    raise ValueError(f"names and sources of functions must be texts; one is {shown(name)}")
+            for name in FUNCTIONS:
+                if not isinstance(told[name], str):
+                    raise ValueError(f"{name} must be a text; {name} = {shown(told[name])}")
             seed, steps = checked_count("seed", told["seed"], 0, ENTROPIES), checked_count("steps", told["steps"], 0)
-            return Asked(seed, steps, checked_count("every", told["every"]), rows, *names, sources)
+            return Asked(seed, steps, checked_count("every", told["every"]), rows, *(told[name] for name in FUNCTIONS))
         except FileNotFoundError:
             return None
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             words = f"({type(error).__name__}: {error}); choose another folder, or remove it"
             raise ValueError(f"{file} is not a description of an ensemble {words}") from None
 
@@ -274,12 +269,10 @@ def _difference(before: Asked, asked: Asked) -> str | None:
     for name in ("seed", "every", *FUNCTIONS, "steps"):
         there, here = getattr(before, name), getattr(asked, name)
         may_grow = name == "steps" and not asked.run and here > there
+        if name in FUNCTIONS and not (CODE in there and CODE in here):  # the code of one of them is not known
+            there, here = there.partition(CODE)[0], here.partition(CODE)[0]
         if there != here and not may_grow:
             return f"{name} = {None if there == '' else there} there, {None if here == '' else here} here"
-    for name in before.sources.keys() & asked.sources.keys():
-        if before.sources[name] != asked.sources[name]:
-            advice = f"if the members that are done stay as they are, remove the sources from {DESCRIPTION} to go on"
-            return f"{name} = {getattr(asked, name)} has other code, or other numbers in its partial ({advice})"
     for index, (one, other) in enumerate(zip(before.parameters, asked.parameters, strict=False)):
         if one != other:
             return f"member {index} has the parameters {shown(one)} there, {shown(other)} here"
@@ -311,31 +304,27 @@ def _is_sound(row: Any) -> bool:
 
 
 def name_of(function: Callable | None) -> str:
-    """A function as module and name; empty for None. A script is the module as which others would import it."""
+    """A function as module and name; empty for None. A script is the module as which others would import it.
+
+    If its code is known, and it is none of minimd, a hash follows: of the code without comments, and of numbers and
+    texts that functools.partial gives to it. Functions that it calls are not looked at.
+    """
     if function is None:
         return ""
-    while isinstance(function, functools.partial):
-        function = function.func
-    named: Any = function if hasattr(function, "__qualname__") else type(function)
-    script = getattr(sys.modules["__main__"], "__file__", None)
-    module = Path(script).stem if named.__module__ == "__main__" and script else named.__module__
-    return f"{module}.{named.__qualname__}"
-
-
-def source_of(function: Callable | None) -> str:
-    """A hash of the code of a function, without comments, and of numbers and texts that functools.partial gives to it;
-    empty if there is no code, and for functions of minimd. Functions that it calls are not looked at."""
     given: list[Any] = []
     while isinstance(function, functools.partial):
         pairs = [*enumerate(function.args), *sorted(function.keywords.items())]
         given += [(name, value) for name, value in pairs if isinstance(value, Value)]
         function = function.func
     named: Any = function if hasattr(function, "__qualname__") else type(function)
+    script = getattr(sys.modules["__main__"], "__file__", None)
+    module = Path(script).stem if named.__module__ == "__main__" and script else named.__module__
+    name = f"{module}.{named.__qualname__}"
     try:
         code = textwrap.dedent(inspect.getsource(named))
     except (OSError, TypeError):
-        return ""
+        return name
     with suppress(SyntaxError):  # of a lambda in the middle of a line
         code = ast.unparse(ast.parse(code))
-    words = f"{code}{given or ''}".encode()
-    return "" if named.__module__.startswith("minimd.") else hashlib.sha256(words).hexdigest()
+    digest = hashlib.sha256(f"{code}{given or ''}".encode()).hexdigest()[:16]
+    return name if name.startswith("minimd.") else f"{name}{CODE}{digest}"

@@ -22,7 +22,7 @@ from minimd.console.progress import progress_of
 from minimd.console.quiet import outside_minimd
 from minimd.console.signals import Terminated, endings_are_told, raising_on_signals, stop_runs_of_threads, tell_ending
 from minimd.console.words import shown
-from minimd.ensemble.folder import ENTROPIES, FUNCTIONS, Asked, EnsembleFolder, name_of, source_of
+from minimd.ensemble.folder import ENTROPIES, Asked, EnsembleFolder, name_of
 from minimd.ensemble.member import DONE, FAILED, Job, Member, Plan, Row, checked_parameters, work_through
 from minimd.ensemble.table import EnsembleTable, written_table
 from minimd.ensemble.workers import SpawnedProcesses, ThisProcess, WorkerNeverBegan, WorkerStopped
@@ -114,11 +114,9 @@ def ensemble(
     resume, seed = checked_flag("resume", resume), None if seed is None else checked_count("seed", seed, 0, ENTROPIES)
     plan, retries = Plan(build, prepare, run, every, uuid4().hex), checked_count("retries", retries, 0)
     n_workers, chosen_members = _check_executor(executor, workers, plan), _checked_members(members, len(rows), resume)
-    functions = dict(zip(FUNCTIONS, (build, prepare, run), strict=True))
-    sources = {name: source for name, function in functions.items() if (source := source_of(function))}
     with EnsembleFolder(place, writes=True, members=members) as opened:
         names, drawn = (name_of(build), name_of(prepare), name_of(run)), randbits(128) if seed is None else seed
-        asked = opened.begin(Asked(drawn, steps, every, rows, *names, sources), resume, any_seed=seed is None)
+        asked = opened.begin(Asked(drawn, steps, every, rows, *names), resume, any_seed=seed is None)
         todo = [index for index in chosen_members if not asked.is_done(opened.rows.get(index))]
         jobs = (
             (Member(k, rows[k], asked.seed, steps, opened.file(k)), opened.rows.get(k, {}).get("is_blown_up", False))
@@ -221,9 +219,8 @@ def _rows_of(batch: list[Job], future: Future) -> list[Row]:
         rows: list[Row] = future.result()
         return rows
     except (WorkerNeverBegan, BrokenExecutor, CancelledError, pickle.PicklingError) as error:
-        told = (
-            "its executor gave it up" if isinstance(error, CancelledError) else sentence(error)
-        )  # or its scheduler died
+        given_up = "its executor gave it up, as dask does if its scheduler is gone"
+        told = given_up if isinstance(error, CancelledError) else sentence(error)
         advice = OUTSIDE if isinstance(error, WorkerNeverBegan | pickle.PicklingError) else ANOTHER
         words = f"{batch[0][0]} could not be run, and neither can the others: {told}. {advice}"
         raise EnsembleError(words) from None
@@ -284,13 +281,12 @@ def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) 
 
 
 def _checked_members(members: range | None, n_members: int, resume: bool) -> range:
-    """The indices of members that this call makes.  Raises TypeError, ValueError."""
+    """The indices of members that this call makes.  Raises ValueError."""
     if members is None:
         return range(n_members)
-    if not isinstance(members, range):
-        raise TypeError(f"members must be a range of indices, such as range(0, 50); members = {shown(members)}")
-    if members.step != 1 or not 0 <= members.start < min(members.stop, n_members):
-        raise ValueError(f"members must be a range of consecutive indices of the {n_members} members; it is {members}")
+    if not isinstance(members, range) or members.step != 1 or not 0 <= members.start < min(members.stop, n_members):
+        words = f"members must be some of the {n_members} members, such as range(0, 50)"
+        raise ValueError(f"{words}; members = {shown(members)}")
     if not resume:
         raise ValueError(f"resume = False replaces what all calls have made: leave out members, which is {members}")
     return range(members.start, min(members.stop, n_members))

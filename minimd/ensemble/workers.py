@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
-from typing import Any
+from typing import Any, cast
 
 from minimd.compiled.machine import available_cores
 from minimd.console.signals import endings_are_told
@@ -182,37 +182,31 @@ def named_executor(name: str, workers: int | None) -> Iterator[dict[str, Any] | 
     """The arguments `executor` and `workers` of ensemble for one of the EXECUTORS; None in a process of MPI that works
     for another.
 
-    workers : their number, one for each core if None. The scheduler of dask is that of DASK_SCHEDULER_ADDRESS, or one
-    of this machine alone; processes of MPI are those of mpiexec, of which the first gives out the work.
-    Raises ValueError if a package is missing, or workers have no use.
+    workers : number of processes or threads of this machine, one for each core if None.
+    Raises ValueError if a package is missing, or there is no other process of MPI.
     """
-    n_workers = available_cores() if workers is None else workers
+    n_workers, executor = available_cores() if workers is None else workers, cast(Any, None)
     try:
         with ExitStack() as closing:
-            options: dict[str, Any] | None = {"workers": workers}
             if name == "threads":
-                options = {"executor": closing.enter_context(ThreadPoolExecutor(max(1, n_workers)))}
+                executor = closing.enter_context(ThreadPoolExecutor(max(1, n_workers)))
             elif name == "dask":
                 from dask import config
                 from distributed import Client
 
-                address = config.get("scheduler-address", None)
-                if address and workers is not None:
-                    raise ValueError(
-                        f"--workers {workers} has no use: the workers are those of the scheduler {address}"
-                    )
-                here = {"n_workers": n_workers, "threads_per_worker": 1, "dashboard_address": None}
-                options = {"executor": closing.enter_context(Client(**({} if address else here)))}
+                is_there = config.get("scheduler-address", None)  # also from the environment
+                here = {} if is_there else {"n_workers": n_workers, "threads_per_worker": 1, "dashboard_address": None}
+                executor = closing.enter_context(Client(**here))
             elif name == "mpi":
                 from mpi4py.futures import MPICommExecutor
                 from mpi4py.MPI import COMM_WORLD
 
-                if COMM_WORLD.size == 1 or workers is not None:
-                    words = "begin the command by mpiexec -n P, with P at least 2: one process gives out the work"
-                    raise ValueError(f"--executor mpi takes its workers from MPI, which has {COMM_WORLD.size}; {words}")
-                pool = closing.enter_context(MPICommExecutor())
-                options = {"executor": pool} if pool is not None else None
-            yield options
+                if (size := COMM_WORLD.size) == 1:
+                    words = "begin the command by mpiexec -n P: the first process gives out the work"
+                    raise ValueError(f"--executor mpi needs at least 2 processes of MPI; there is {size}: {words}")
+                executor = closing.enter_context(MPICommExecutor())
+            options = {"workers": workers} if name == "processes" else {"executor": executor}
+            yield None if name != "processes" and executor is None else options
     except ModuleNotFoundError as error:
         raise ValueError(
             f"--executor {name} needs {error.name}, which is missing: pip install 'minimd[cluster]'"

@@ -167,7 +167,7 @@ def phases() -> Iterator[str]:
     rows = []
     for phase in PHASES:
         times = [f"{1e6 * growth(program, phase):.1f}" for program in ("minimd", "lammps")]
-        rows.append([phase, *times, f"{growth('own', phase):.0f}", f"{growth('others', phase):.0f}"])
+        rows.append([phase, *times, *(f"{max(0, growth(name, phase)):.0f}" for name in ("own", "others"))])
     return table_of(["phase", "µs per atom in minimd", "in LAMMPS", "bytes per atom in minimd", "in LAMMPS"], rows)
 
 

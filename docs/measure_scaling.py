@@ -95,7 +95,7 @@ def members() -> Iterator[str]:
         ["a member of one step, two frames: scene, file, averages, line", f"{1e3 * each:.0f} ms"],
         ["its calls of fsync", f"{syncs(10 + SHORT_MEMBERS) - syncs(10):.0f} for {SHORT_MEMBERS} members"],
         ["a worker: start of Python, imports, kernels loaded", f"{spawned - each:.1f} s"],
-        ["the caller, for a member on dask that does nothing", f"{1e3 * on_dask() / ON_DASK:.2f} ms"],
+        [f"the caller, for each of {ON_DASK:,} members on dask that do nothing", f"{1e3 * on_dask() / ON_DASK:.2f} ms"],
     ]
     yield from table_of(["", "processor time"], rows)
     few, frames = turns[0][0]["bytes"], one_ensemble(2, 2000, 0, every=10)["bytes"]

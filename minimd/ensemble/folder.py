@@ -165,7 +165,7 @@ class EnsembleFolder:
                     for one in (file, crash_file_place(True, file), file.with_suffix(STOPPED), file.with_suffix(NOTE)):
                         if one is not None:
                             one.unlink(missing_ok=True)
-                for file, _ in self._journals():
+                for file, _ in () if resume else self._journals():  # a new folder may have those of other slices
                     if file != self._journal:
                         file.unlink()
                 self.rows = {}

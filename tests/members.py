@@ -83,13 +83,6 @@ def blows_up(simulation, member):
 blows_up.__qualname__, blows_up.__wrapped__ = melted.__qualname__, melted  # of the same name and code
 
 
-def other_code(simulation, member):
-    """In the place of `melted`."""
-
-
-other_code.__qualname__ = melted.__qualname__
-
-
 def second_is_slow(simulation, member):
     """Each block of steps of member 1 takes 0.2 s."""
     advance = simulation.engine.advance

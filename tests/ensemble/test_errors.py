@@ -48,14 +48,17 @@ def test_a_function_that_returns_something_else_is_named(name, tmp_path):
 CHANGES = [  # of an ensemble of seed 5 and 35 steps
     ({"seed": 6}, "seed = 5 there, 6 here"), ({"steps": 20}, "steps = 35 there, 20 here"),
     ({"build": members.own_law}, "build = members.liquid, code ", " there, members.own_law, code "),
-    ({"prepare": members.other_code}, "prepare = members.melted, code "),
+    ({"prepare": members.broken}, "prepare = members.melted, code "),
     ({"build": partial(members.liquid, threads=1)}, "build = members.liquid, code "),
     ({"prepare": None}, "prepare = members.melted there, None here"),
     ({"parameters": {"temperature": [0.4, 0.9]}}, "member 1", "'temperature': 0.5", "'temperature': 0.9"),
 ]  # fmt: skip
 
 
-def test_another_ensemble_in_the_folder_is_refused_and_another_call_at_the_same_time(tmp_path, done_by_hand):
+def test_another_ensemble_in_the_folder_is_refused_and_another_call_at_the_same_time(
+    tmp_path, done_by_hand, monkeypatch
+):
+    monkeypatch.setattr(members.broken, "__qualname__", "melted")
     first = {"seed": 5, "steps": 35, "parameters": {"temperature": [0.4, 0.5]}}
     members.run(tmp_path, **first)
     for change, *shown in CHANGES:
@@ -69,7 +72,7 @@ def test_another_ensemble_in_the_folder_is_refused_and_another_call_at_the_same_
             assert_answered(partial(members.run, tmp_path, members=part), OSError, "folder", str(tmp_path), "running")
     description = json.loads((tmp_path / "ensemble.json").read_text())
     (tmp_path / "ensemble.json").write_text(json.dumps(description | {"prepare": "members.melted"}))
-    assert members.run(tmp_path, prepare=members.other_code, **first).done.all()
+    assert members.run(tmp_path, prepare=members.broken, **first).done.all()
 
 
 def test_functions_of_a_session_are_not_sent_to_spawned_workers(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -11,10 +12,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from statistics import median
 
 SMALL, LARGE = 32, 40  # cells of four atoms in each direction: 131 072 and 256 000 atoms
 HAND_OVERS = ((SMALL, 1), (LARGE, 1), (LARGE, 2))  # cells, processes
-STEPS, EVERY = 100, 50  # of a hand-over
+STEPS, EVERY, TURNS = 100, 50, 3  # of a hand-over; how often it is made: numbers are medians
 BYTES_OF_A_FRAME = 48  # for each atom: position and velocity
 PHASES = ("writing", "verifying", "running", "reading back")
 SECONDS_BETWEEN_SAMPLES = 0.02
@@ -117,15 +119,12 @@ def one_hand_over(cells: int, processes: int) -> None:
             done = handing_over.hand_over(
                 simulation, folder, STEPS, processes=processes, every=EVERY, progress=False, tell=None
             )
-        loop = next(
-            float(line.split()[3])
-            for line in (folder / "run.log").read_text().splitlines()
-            if line.startswith("Loop time of")
-        )
+        log = (folder / "run.log").read_text()
+        loop, busy = (float(re.search(words, log)[1]) for words in (r"Loop time of (\S+)", r"(\S+)% CPU use"))
         told = {
             "n": len(simulation.system),
             "frames": len(done.record),
-            "loop": loop,
+            "loop": loop * busy / 100 * processes,  # processor time of all processes
             "minimd": minimd,
             "lammps": lammps,
         }
@@ -139,30 +138,28 @@ def in_a_process(*arguments: object) -> dict:
 
 
 @cache
-def hand_over(cells: int, processes: int) -> dict:
-    """What one hand-over takes."""
-    return in_a_process("--hand-over", cells, processes)
+def hand_overs() -> dict[tuple[int, int], list[dict]]:
+    """What hand-overs take, in turns."""
+    turns = [{kind: in_a_process("--hand-over", *kind) for kind in HAND_OVERS} for _ in range(TURNS)]
+    return {kind: [turn[kind] for turn in turns] for kind in HAND_OVERS}
 
 
 def steps() -> Iterator[str]:
     """Weak and strong scaling."""
-    found = {kind: hand_over(*kind) for kind in HAND_OVERS}
-    speed = {kind: told["n"] * STEPS / told["loop"] / 1e6 for kind, told in found.items()}
-    yield from table_of(
-        ["atoms", "processes", "seconds for 100 steps", "million atom-steps per second"],
-        [[f"{told['n']:,}", kind[1], f"{told['loop']:.1f}", f"{speed[kind]:.2f}"] for kind, told in found.items()],
-    )
-    one, two = found[LARGE, 1]["loop"], found[LARGE, 2]["loop"]
-    yield ""
-    yield f"Strong scaling, {found[LARGE, 1]['n']:,} atoms: {one / two:.2f} times faster on two processes."
-    gain = speed[LARGE, 2] / speed[SMALL, 1]
-    yield f"Weak scaling, about {found[SMALL, 1]['n']:,} atoms for each: {gain:.2f} times the atom-steps per second."
+    rows = []
+    for kind, told in hand_overs().items():
+        n, loops = told[0]["n"], [one["loop"] for one in told]
+        speed = n * STEPS / median(loops) / 1e6
+        spread = f"{median(loops):.1f} ({min(loops):.1f} to {max(loops):.1f})"
+        rows.append([f"{n:,}", kind[1], spread, f"{speed:.2f}"])
+    titles = ["atoms", "processes", "processor seconds for 100 steps", "million atom-steps per processor second"]
+    return table_of(titles, rows)
 
 
 def growth(name: str, phase: str) -> float:
-    """Growth of seconds or bytes per atom, between the small and the large scene on one process."""
-    small, large = hand_over(SMALL, 1), hand_over(LARGE, 1)
-    return (large[name].get(phase, 0) - small[name].get(phase, 0)) / (large["n"] - small["n"])
+    """Growth of seconds or bytes per atom, between the small and the large scene on one process.  phase : or file."""
+    pairs = zip(hand_overs()[SMALL, 1], hand_overs()[LARGE, 1], strict=True)
+    return median((b[name].get(phase, 0) - a[name].get(phase, 0)) / (b["n"] - a["n"]) for a, b in pairs)
 
 
 def phases() -> Iterator[str]:
@@ -170,14 +167,13 @@ def phases() -> Iterator[str]:
     rows = []
     for phase in PHASES:
         times = [f"{1e6 * growth(program, phase):.1f}" for program in ("minimd", "lammps")]
-        rows.append([phase, *times, f"{growth('own', phase):.0f}", f"{growth('others', phase):.0f}"])
+        rows.append([phase, *times, *(f"{max(0, growth(name, phase)):.0f}" for name in ("own", "others"))])
     return table_of(["phase", "µs per atom in minimd", "in LAMMPS", "bytes per atom in minimd", "in LAMMPS"], rows)
 
 
 def file_bytes(name: str) -> float:
     """Growth of a file per atom [B]."""
-    small, large = hand_over(SMALL, 1), hand_over(LARGE, 1)
-    return (large["sizes"][name] - small["sizes"][name]) / (large["n"] - small["n"])
+    return growth("sizes", name)
 
 
 def files() -> Iterator[str]:

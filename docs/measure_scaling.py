@@ -1,4 +1,5 @@
-"""Measures what docs/scaling.md says: hand-overs to LAMMPS, ensembles, tables. Five minutes on two idle cores.
+"""Measures what docs/scaling.md says: hand-overs to LAMMPS, ensembles, tables. All times are processor times,
+which other work on the machine hardly changes, and medians. A quarter of an hour.
 
     python docs/measure_scaling.py                      # all tables, as Markdown
     python docs/measure_scaling.py steps phases files   # these
@@ -8,20 +9,24 @@ Models are computed from the measured numbers.
 """
 
 import json
+import os
+import re
 import resource
 import sys
 import tempfile
 import time
+import types
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 from measure_hand_overs import files, in_a_process, large_model, one_hand_over, phases, steps, table_of
 
 PAGE = Path(__file__).parent / "scaling.md"
-MEMBERS, MEMBER_STEPS, TURNS = 24, 20_000, 3
-SHORT_MEMBERS = 50
+MEMBERS, MEMBER_STEPS, EVERY, TURNS = 8, 20_000, 50, 3
+SHORT_MEMBERS, ON_DASK = 50, 20_000
 ROWS = (1_000, 10_000, 100_000)
 OBSERVABLES = 14
 Numbers = dict[str, float]
@@ -54,7 +59,7 @@ def measured() -> Iterator[Numbers]:
         told[name] = now.ru_utime + now.ru_stime - before.ru_utime - before.ru_stime
 
 
-def one_ensemble(n: int, n_steps: int, workers: int, every: int = 100) -> Numbers:
+def one_ensemble(n: int, n_steps: int, workers: int, every: int = EVERY) -> Numbers:
     """Times of an ensemble, and seconds that its members took, in all."""
     import minimd as md
 
@@ -68,56 +73,67 @@ def one_ensemble(n: int, n_steps: int, workers: int, every: int = 100) -> Number
 
 
 def ensembles() -> Iterator[str]:
-    """Members per hour on one worker and on two."""
+    """Processor time on one worker and on two, in turns."""
     one_ensemble(1, 100, 0)  # kernels
-    turns = [(one_ensemble(MEMBERS, MEMBER_STEPS, 1), one_ensemble(MEMBERS, MEMBER_STEPS, 2)) for _ in range(TURNS)]
+    turns = [[one_ensemble(MEMBERS, MEMBER_STEPS, workers) for workers in (1, 2)] for _ in range(TURNS)]
     rows = []
     for k in (0, 1):
-        wall = np.median([turn[k]["wall"] for turn in turns])
-        busy = np.median([turn[k]["members"] / ((k + 1) * turn[k]["wall"]) for turn in turns])
-        processor = np.median([(turn[k]["own"] + turn[k]["children"]) / MEMBERS for turn in turns])
-        rows.append([k + 1, f"{wall:.1f}", f"{3600 * MEMBERS / wall:.0f}", f"{100 * busy:.0f} %", f"{processor:.2f}"])
-    titles = [
-        "workers",
-        f"seconds for {MEMBERS} members",
-        "members per hour",
-        "of the workers' time in members",
-        "processor seconds per member",
-    ]
-    yield from table_of(titles, rows)
-    ratios = np.array([one["wall"] / two["wall"] for one, two in turns])
-    work = np.array([two["children"] / one["children"] for one, two in turns])
-    yield ""
-    gain = f"{np.median(ratios):.2f} ({ratios.min():.2f} to {ratios.max():.2f})"
-    yield f"Two workers beside one, in {TURNS} turns: {gain} times the members per hour,"
-    yield f"for {np.median(work):.2f} times the processor time."
+        each = [(turn[k]["own"] + turn[k]["children"]) / MEMBERS for turn in turns]
+        rows.append([k + 1, f"{np.median(each):.2f} ({min(each):.2f} to {max(each):.2f})"])
+    steps, frames = f"{MEMBER_STEPS:,}".replace(",", " "), MEMBER_STEPS // EVERY + 1
+    titles = ["workers", f"processor seconds per member ({MEMBERS} of 256 atoms, {steps} steps, {frames} frames)"]
+    return table_of(titles, rows)
 
 
 def members() -> Iterator[str]:
     """What a member takes besides its steps."""
     one_ensemble(1, 100, 0)
-    few, many = one_ensemble(10, 1, 0, every=1), one_ensemble(10 + SHORT_MEMBERS, 1, 0, every=1)
-    each = {name: (many[name] - few[name]) / SHORT_MEMBERS for name in ("wall", "own")}
-    idle, spawned = one_ensemble(1, 1, 0, every=1), one_ensemble(1, 1, 1, every=1)
-    yield from table_of(
-        ["", "processor time", "wall time"],
-        [
-            [
-                "a member of one step: scene, kernels, file, averages, line",
-                f"{1e3 * each['own']:.0f} ms",
-                f"{1e3 * each['wall']:.0f} ms",
-            ],
-            [
-                "a worker: start of Python, imports, kernels loaded",
-                f"{spawned['children'] + spawned['own'] - each['own']:.1f} s",
-                f"{spawned['wall'] - idle['wall']:.1f} s",
-            ],
-        ],
-    )
-    frames = one_ensemble(2, 2000, 0, every=10)["bytes"] - few["bytes"]
+    turns = [(one_ensemble(10, 1, 0, 1), one_ensemble(10 + SHORT_MEMBERS, 1, 0, 1)) for _ in range(TURNS)]
+    each = np.median([(many["own"] - few["own"]) / SHORT_MEMBERS for few, many in turns])
+    spawned = np.median([sum(one_ensemble(1, 1, 1, 1)[name] for name in ("own", "children")) for _ in range(TURNS)])
+    rows = [
+        ["a member of one step, two frames: scene, file, averages, line", f"{1e3 * each:.0f} ms"],
+        ["its calls of fsync", f"{syncs(10 + SHORT_MEMBERS) - syncs(10):.0f} for {SHORT_MEMBERS} members"],
+        ["a worker: start of Python, imports, kernels loaded", f"{spawned - each:.1f} s"],
+        [f"the caller, for each of {ON_DASK:,} members on dask that do nothing", f"{1e3 * on_dask() / ON_DASK:.2f} ms"],
+    ]
+    yield from table_of(["", "processor time"], rows)
+    few, frames = turns[0][0]["bytes"], one_ensemble(2, 2000, 0, every=10)["bytes"]
+    first, other = f"{few / 1e3:.0f} kB", f"{(frames - few) / 199 / 1e3:.1f} kB"
     yield ""
-    first, other = f"{few['bytes'] / 1e3:.0f} kB", f"{frames / 199 / 1e3:.1f} kB"
     yield f"The file of a member of 256 atoms: {first} with 2 frames, and {other} for each other one."
+
+
+def syncs(n: int) -> int:
+    """Calls of fsync by an ensemble of n members in this process."""
+    with mock.patch("os.fsync", wraps=os.fsync) as fsync:
+        one_ensemble(n, 1, 0, 1)
+    return fsync.call_count
+
+
+def kept(_member, scenes=[]):  # noqa: B006 - one for each worker
+    """The same simulation for all members."""
+    if not scenes:
+        scenes.append(liquid(types.SimpleNamespace(seed=0)))
+    return scenes[0]
+
+
+def nothing(_simulation, member):
+    """The run of a member that does nothing."""
+    return {"index": float(member.index)}
+
+
+def on_dask() -> float:
+    """Processor time of the caller for members on dask that do nothing [s]."""
+    import measure_scaling as here  # by a name that workers can import
+    from distributed import Client
+
+    import minimd as md
+
+    client = Client(n_workers=2, threads_per_worker=1, dashboard_address=None)
+    with client, tempfile.TemporaryDirectory() as folder, measured() as told:
+        md.ensemble(here.kept, ON_DASK, 0, run=here.nothing, executor=client, folder=folder, progress=False)
+    return told["own"]
 
 
 def one_table(n: int) -> None:
@@ -214,7 +230,9 @@ def main(arguments: list[str]) -> None:
         return
     from minimd_bench.outcome import machine
 
-    parts, texts = {"machine": lambda: iter([f"{machine()['text']}."])} | PARTS, dict[str, str]()
+    facts = Path("/proc/cpuinfo").read_text()
+    kind = ("Zen 5, " if re.search(r"cpu family\s*: 26", facts) else "") + ("AVX-512" if "avx512f" in facts else "AVX2")
+    parts, texts = {"machine": lambda: iter([f"{kind}: {machine()['text']}."])} | PARTS, dict[str, str]()
     for name in [one for one in arguments if one != "--write"] or parts:
         texts[name] = "\n".join(parts[name]())
         print(f"\n## {name}\n\n{texts[name]}", flush=True)

@@ -105,7 +105,7 @@ def bring_to_disk_every(seconds, monkeypatch):
 
 
 def fill_the_disk(monkeypatch, after):
-    """After so many calls of fsync, three for the first frame and two for each other flush, the disk is full."""
+    """After so many calls of fsync, two for each flush, the disk is full."""
     left, fsync = iter(range(after)), os.fsync
 
     def syncing(descriptor):

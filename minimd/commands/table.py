@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 import minimd as md
+from minimd.ensemble.workers import EXECUTORS
 from minimd.view.viewing import FRAMES
 
 
@@ -132,22 +133,36 @@ def scan(arguments: argparse.Namespace) -> bool:
     scan_scene."""
     from minimd.ensemble.scan import parsed_setting, scan_scene
     from minimd.ensemble.table import save_picture, status, told_averages
+    from minimd.ensemble.workers import named_executor
 
     if arguments.status is not None:
         table, lines = status(arguments.status)
     elif arguments.scene is None:
         raise ValueError("minimd scan needs a scene file, or --status FOLDER to show the state of a scan")
     else:
-        options: dict[str, Any] = {name: getattr(arguments, name) for name in ("replicas", "steps", "workers", "seed")}
+        names = ("replicas", "steps", "seed", "members", "retries")
+        options: dict[str, Any] = {name: getattr(arguments, name) for name in names}
         options |= {"folder": arguments.out, "resume": not arguments.overwrite, "progress": not arguments.quiet}
-        table = scan_scene(arguments.scene, [parsed_setting(text) for text in arguments.settings], **options)
+        with named_executor(arguments.executor, arguments.workers) as workers:
+            if workers is None:
+                return True
+            settings = [parsed_setting(text) for text in arguments.settings]
+            table = scan_scene(arguments.scene, settings, **options, **workers)
         lines = [str(table)]
     print("\n".join(lines))
     if table.done.any():
         print("\n".join(told_averages(table)))
+    if table.done.any() and arguments.members is None:
         picture = save_picture(table, arguments.plot)
         print(f"written        {table.folder / 'table.csv'}, {table.folder / 'table.json'}, {picture}")
-    return not any(table["status"] == "failed")
+    made = arguments.members or range(len(table))
+    return not any(table["status"][made.start : made.stop] == "failed")
+
+
+def slice_of_members(text: str) -> range:
+    """FROM:TO, for argparse."""
+    first, _, end = text.partition(":")
+    return range(whole_number(first), whole_number(end))
 
 
 def resume(arguments: argparse.Namespace) -> None:
@@ -285,8 +300,15 @@ COMMANDS = (
         Argument("--replicas", "number of runs for each set of values, with different random numbers", at_least_one,
                  "N", {"default": 1}),
         STEPS,
-        Argument("--workers", "number of processes, one for each core if not given; 0 for this process only",
+        Argument("--executor", "who makes the runs: processes of this machine (if not given), threads of this process; "
+                 "dask, from the scheduler in DASK_SCHEDULER_ADDRESS, or on this machine; mpi, the processes of the "
+                 "mpiexec that begins the command", more={"choices": EXECUTORS, "default": EXECUTORS[0]}),
+        Argument("--workers", "number of processes or threads, one for each core if not given; 0 for this process only",
                  whole_number, "N"),
+        Argument("--members", "make only these runs, from FROM to TO - 1; other commands may make others in the same "
+                 "folder at the same time", slice_of_members, "FROM:TO"),
+        Argument("--retries", "how often a run is tried again if its worker died, or after an error of files or memory",
+                 whole_number, "N", {"default": 0}),
         Argument("--seed", "seed of all random numbers (default: 0)", whole_number, "N", {"default": 0}),
         written_to("FOLDER", "folder for all files (default: scan)", default=Path("scan")),
         Argument("--plot", "quantity in the picture (default: pressure)", None, "NAME"),

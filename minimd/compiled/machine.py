@@ -3,6 +3,7 @@
 MINIMD_VECTORS leaves out the processor's features of newer vectors, to compare or test.
 """
 
+import functools
 import os
 import platform
 from collections.abc import Iterator
@@ -41,6 +42,7 @@ def threads_by_default(n_threads: int) -> Iterator[None]:
         _threads.reset(before)
 
 
+@functools.cache
 def version(package: str) -> str:
     """Installed version of a package, or MISSING."""
     try:

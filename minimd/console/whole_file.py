@@ -102,15 +102,15 @@ def _locked(descriptor: int, path: Path) -> int:
     return descriptor
 
 
-def is_locked(path: Path) -> bool:
-    """Whether a process holds the lock of a file; True also where this cannot be found out.  Raises OSError if the file
-    cannot be opened."""
+def is_locked(path: Path, otherwise: bool = True) -> bool:
+    """Whether a process holds the lock of a file.  otherwise : the answer where this cannot be found out.  Raises
+    OSError if the file cannot be opened."""
     descriptor = os.open(path, os.O_RDONLY | NO_LINK)
     try:
         if HAS_LOCKS:
             fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        return not HAS_LOCKS
-    except OSError:
-        return True
+        return otherwise and not HAS_LOCKS
+    except OSError as error:
+        return otherwise or error.errno not in UNLOCKABLE
     finally:
         os.close(descriptor)

@@ -3,33 +3,46 @@ for each member.
 
 ensemble.json          seed, steps, every, functions, and the parameters of all members
 members.jsonl          a line for each member that has ended, in that order; a later line replaces an earlier one
+members.0-50.jsonl     the same, of calls that make only the members 0 to 49
 0000-0999/0012.h5md    the run of member 12
 table.csv, table.json  the table, written when a call ends
+ensemble.lock          locked for a moment by a call that reads or writes what all calls share
 
 A line is appended when a member ends: 10⁵ members need 10⁵ lines, and a process that is killed loses at most the line
-that it is writing.
+that it is writing. A call locks its own journal, which holds its slice of the members: calls with other slices may run
+at the same time. If several journals have a line for a member, the one that was written last is valid.
 """
 
 from __future__ import annotations
 
+import ast
 import functools
+import hashlib
+import inspect
 import json
 import os
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from time import sleep, time
 from typing import Any, NamedTuple
 
 from minimd.console import __version__
-from minimd.console.whole_file import locked, regular, write_whole
+from minimd.console.whole_file import is_locked, locked, regular, write_whole
 from minimd.console.words import shown
 from minimd.ensemble.member import DONE, FAILED, NOTE, STOPPED, Row, Value, checked_parameters, file_of
 from minimd.files.crash_file import crash_file_place
 from minimd.structure.checks import COUNTS, checked_count
 
-DESCRIPTION, JOURNAL = "ensemble.json", "members.jsonl"
+DESCRIPTION, SHARED = "ensemble.json", "ensemble.lock"
+JOURNAL = re.compile(r"members(?:\.(\d{1,9})-(\d{1,9}))?\.jsonl")
+EVERYTHING = range(10**9)  # the members of a journal without numbers
+CODE = ", code "  # between the name of a function and the hash of its code
+FUNCTIONS = ("build", "prepare", "run")
+SECONDS_BETWEEN_TRIES = 0.01  # of a lock that others hold for a moment
 BYTES_AT_ONCE = 2**20  # of the journal, read in one piece
 ENTROPIES = 2**128  # seeds are below it
 FOLDER = re.compile(r"\d{4,}-\d{4,}")  # of members
@@ -49,11 +62,12 @@ def _are_numbers(value: Any) -> bool:
 KINDS: dict[str, Callable[[Any], bool]] = dict.fromkeys(("index", "n_steps", "n_atoms"), _is_count)
 KINDS |= dict.fromkeys(("means", "errors"), _are_numbers) | dict.fromkeys(("parameters", "seconds"), lambda _: True)
 KINDS["is_blown_up"] = lambda value: type(value) is bool
+KINDS["ended"] = lambda value: type(value) is float
 
 
 class Asked(NamedTuple):
     """What was asked for.  seed : entropy of all random numbers.  parameters : of each member.  build, prepare, run :
-    names of functions."""
+    names of functions, with hashes of their code, see name_of."""
 
     seed: int
     steps: int
@@ -68,73 +82,111 @@ class Asked(NamedTuple):
         return row is not None and row["status"] == DONE and (self.run != "" or row["n_steps"] >= self.steps)
 
 
-class EnsembleFolder:
-    """The folder of an ensemble; if it is opened for writing, it is locked until it is closed.
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Wait until no other call reads or writes what all calls in a folder share."""
+    while True:
+        try:
+            descriptor = locked(folder / SHARED, create=True)
+            break
+        except BlockingIOError:
+            sleep(SECONDS_BETWEEN_TRIES)
+    try:
+        yield
+    finally:
+        os.close(descriptor)
 
-    path : of the folder.  asked : what the last call asked for, None in a new folder.  rows : of members that have
-    ended, by index.
+
+class EnsembleFolder:
+    """The folder of an ensemble; if it is opened for writing, the journal of its members is locked until it is closed.
+
+    path : of the folder.  members : those that are made, None for all.  asked : what the last call asked for, None in
+    a new folder.  rows : of members that have ended, by index.
     """
 
-    def __init__(self, path: Path, *, writes: bool) -> None:
-        self.path, self._lock = path, -1
-        if writes:
-            path.mkdir(parents=True, exist_ok=True)
-            try:
-                self._lock = locked(path / JOURNAL, create=True)
-            except OSError as error:
-                advice = "choose another folder"
-                if isinstance(error, BlockingIOError):
-                    advice = f"an ensemble is running there: wait for its end, or {advice}"
-                raise OSError(f"folder {str(path)!r} cannot be used: {error.strerror}; {advice}") from None
+    def __init__(self, path: Path, *, writes: bool, members: range | None = None) -> None:
+        self.path, self.members, self._lock = path, members, -1
+        self._journal = path / ("members.jsonl" if members is None else f"members.{members.start}-{members.stop}.jsonl")
         try:
-            self.asked, self.rows = self._read_description(), dict[int, Row]()
-            if self.asked is not None:
-                self.rows = {row["index"]: row for row in self._lines()}
+            if writes:
+                self._claim()
+            self.read()
             if self.asked is not None or writes:
                 self._folders()
         except BaseException:
             self.close()
             raise
 
-    def begin(self, asked: Asked, resume: bool) -> Asked:
+    def _claim(self) -> None:
+        """Lock the journal.  Raises OSError if that is impossible, or another call makes some of the members."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        try:
+            self._lock = locked(self._journal, create=True)
+            for file, theirs in self._journals():
+                ours = theirs if self.members is None else self.members
+                overlap = max(ours.start, theirs.start) < min(ours.stop, theirs.stop)
+                if file != self._journal and overlap and is_locked(file, otherwise=False):
+                    raise BlockingIOError
+        except OSError as error:
+            advice = "choose another folder"
+            if isinstance(error, BlockingIOError):
+                advice = f"an ensemble with these members is running there: wait for its end, or {advice}"
+            words = f"folder {str(self.path)!r} cannot be used"
+            raise OSError(f"{words}: {error.strerror or 'it is in use'}; {advice}") from None
+
+    def read(self) -> None:
+        """Read the description, and all journals."""
+        self.asked = self._read_description()
+        files = [file for file, _ in self._journals()] if self.asked is not None else []
+        last = [row for file in files for row in {row["index"]: row for row in self._lines(file)}.values()]
+        self.rows: dict[int, Row] = {row["index"]: row for row in sorted(last, key=lambda row: row.get("ended", 0.0))}
+
+    def begin(self, asked: Asked, resume: bool, any_seed: bool = False) -> Asked:
         """Write the description of what is asked for now, and return it; the parameters of further members from earlier
         calls are appended.
 
-        resume : True to go on with the members in the folder, False to remove them.
+        resume : True to go on with the members in the folder, False to remove them.  any_seed : if there is a seed in
+        the folder, it is taken.
         Raises ValueError if the folder holds another ensemble.
         """
-        before = [] if self.asked is None else self.asked.parameters
-        if resume and self.asked is not None:
-            if (difference := _difference(self.asked, asked)) is not None:
-                raise ValueError(
-                    f"folder {str(self.path)!r} holds another ensemble: {difference}; choose another folder, or "
-                    "replace what is there with resume=False"
-                )
-            asked = asked._replace(parameters=asked.parameters + before[len(asked.parameters) :])
-        else:
-            for file in map(self.file, range(len(before))):  # a member must not go on from a run of another ensemble
-                for one in (file, crash_file_place(True, file), file.with_suffix(STOPPED), file.with_suffix(NOTE)):
-                    if one is not None:
-                        one.unlink(missing_ok=True)
-            self.rows = {}
-            os.ftruncate(self._lock, 0)
-        columns = {name: [one[name] for one in asked.parameters] for name in asked.parameters[0]}
-        told = {"parameters": columns, "members": len(asked.parameters), "minimd": __version__}
-        write_whole(self.path / DESCRIPTION, json.dumps(asked._asdict() | told, indent=1))
+        with alone(self.path):
+            self.asked = self._read_description()
+            before = [] if self.asked is None else self.asked.parameters
+            if resume and self.asked is not None:
+                asked = asked._replace(seed=self.asked.seed) if any_seed else asked
+                if (difference := _difference(self.asked, asked)) is not None:
+                    raise ValueError(
+                        f"folder {str(self.path)!r} holds another ensemble: {difference}; choose another folder, or "
+                        "replace what is there with resume=False"
+                    )
+                asked = asked._replace(parameters=asked.parameters + before[len(asked.parameters) :])
+            else:
+                for file in map(self.file, range(len(before))):  # no member may go on from a run of another ensemble
+                    for one in (file, crash_file_place(True, file), file.with_suffix(STOPPED), file.with_suffix(NOTE)):
+                        if one is not None:
+                            one.unlink(missing_ok=True)
+                for file, _ in () if resume else self._journals():  # a new folder may have those of other slices
+                    if file != self._journal:
+                        file.unlink()
+                self.rows = {}
+                os.ftruncate(self._lock, 0)
+            columns = {name: [one[name] for one in asked.parameters] for name in asked.parameters[0]}
+            told = {"parameters": columns, "members": len(asked.parameters), "minimd": __version__}
+            write_whole(self.path / DESCRIPTION, json.dumps(asked._asdict() | told, indent=1))
         self.asked = asked
         return asked
 
     def take(self, row: Row) -> None:
         """Append the row of a member that has ended.  Raises OSError if it cannot be written, such as on a full
         disk."""
-        self.rows[row["index"]] = row
+        self.rows[row["index"]] = row = row | {"ended": time()}
         try:
             os.lseek(self._lock, 0, os.SEEK_END)
             text = memoryview(f"{json.dumps(row)}\n".encode())
             while text:
                 text = text[os.write(self._lock, text) :]
         except OSError as error:
-            where = f"{self.path / JOURNAL} cannot store the results of member {row['index']}"
+            where = f"{self._journal} cannot store the results of member {row['index']}"
             raise OSError(f"{where}: {error.strerror}") from None
 
     def file(self, index: int) -> Path:
@@ -158,6 +210,12 @@ class EnsembleFolder:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _journals(self) -> list[tuple[Path, range]]:
+        """The journals, and the members that each may hold."""
+        found = [match for place in os.scandir(self.path) if (match := JOURNAL.fullmatch(place.name))]
+        ranges = [range(int(one[1]), int(one[2])) if one[1] else EVERYTHING for one in found]
+        return sorted(zip([self.path / one[0] for one in found], ranges, strict=True), key=str)
+
     def _folders(self) -> list[os.DirEntry[str]]:
         """The folders of members.  Raises OSError if one of them is a link: what it leads to may belong to others."""
         found = [place for place in os.scandir(self.path) if FOLDER.fullmatch(place.name)]
@@ -172,26 +230,26 @@ class EnsembleFolder:
         try:
             with open(file, encoding="utf-8", opener=regular) as description:
                 told = json.load(description)
-            rows, names = checked_parameters(told["parameters"] or told["members"]), ("build", "prepare", "run")
+            rows = checked_parameters(told["parameters"] or told["members"])
             if told["members"] != len(rows):
                 raise ValueError(f"members = {shown(told['members'])}, but each parameter has {len(rows)} values")
-            for name in names:
+            for name in FUNCTIONS:
                 if not isinstance(told[name], str):
                     raise ValueError(f"{name} must be a text; {name} = {shown(told[name])}")
             seed, steps = checked_count("seed", told["seed"], 0, ENTROPIES), checked_count("steps", told["steps"], 0)
-            return Asked(seed, steps, checked_count("every", told["every"]), rows, *(told[name] for name in names))
+            return Asked(seed, steps, checked_count("every", told["every"]), rows, *(told[name] for name in FUNCTIONS))
         except FileNotFoundError:
             return None
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             words = f"({type(error).__name__}: {error}); choose another folder, or remove it"
             raise ValueError(f"{file} is not a description of an ensemble {words}") from None
 
-    def _lines(self) -> Iterator[Row]:
-        """Rows of the journal.
+    def _lines(self, file: Path) -> Iterator[Row]:
+        """Rows of a journal.
 
-        An incomplete last line comes from a process that was killed; it is removed if the folder is open for writing.
+        An incomplete last line comes from a process that was killed; it is removed if the journal is locked here.
         """
-        file, whole = self.path / JOURNAL, 0
+        whole = 0
         with open(file, "rb", opener=regular) as lines:
             while some := lines.readlines(BYTES_AT_ONCE):
                 complete = [line for line in some if line.endswith(b"\n")]
@@ -201,16 +259,18 @@ class EnsembleFolder:
                         raise ValueError(f"{file} is not a journal of members: {words}")
                     yield row
                 whole += sum(map(len, complete))
-        if self._lock >= 0:
+        if self._lock >= 0 and file == self._journal:
             os.ftruncate(self._lock, whole)
 
 
 def _difference(before: Asked, asked: Asked) -> str | None:
     """In what an ensemble differs from the one before, in words; None if it is the same. It may have more members and,
     without a function run, more steps."""
-    for name in ("seed", "every", "build", "prepare", "run", "steps"):
+    for name in ("seed", "every", *FUNCTIONS, "steps"):
         there, here = getattr(before, name), getattr(asked, name)
         may_grow = name == "steps" and not asked.run and here > there
+        if name in FUNCTIONS and not (CODE in there and CODE in here):  # the code of one of them is not known
+            there, here = there.partition(CODE)[0], here.partition(CODE)[0]
         if there != here and not may_grow:
             return f"{name} = {None if there == '' else there} there, {None if here == '' else here} here"
     for index, (one, other) in enumerate(zip(before.parameters, asked.parameters, strict=False)):
@@ -244,12 +304,27 @@ def _is_sound(row: Any) -> bool:
 
 
 def name_of(function: Callable | None) -> str:
-    """A function as module and name; empty for None. A script is the module as which others would import it."""
+    """A function as module and name; empty for None. A script is the module as which others would import it.
+
+    If its code is known, and it is none of minimd, a hash follows: of the code without comments, and of numbers and
+    texts that functools.partial gives to it. Functions that it calls are not looked at.
+    """
     if function is None:
         return ""
+    given: list[Any] = []
     while isinstance(function, functools.partial):
+        pairs = [*enumerate(function.args), *sorted(function.keywords.items())]
+        given += [(name, value) for name, value in pairs if isinstance(value, Value)]
         function = function.func
     named: Any = function if hasattr(function, "__qualname__") else type(function)
     script = getattr(sys.modules["__main__"], "__file__", None)
     module = Path(script).stem if named.__module__ == "__main__" and script else named.__module__
-    return f"{module}.{named.__qualname__}"
+    name = f"{module}.{named.__qualname__}"
+    try:
+        code = textwrap.dedent(inspect.getsource(named))
+    except (OSError, TypeError):
+        return name
+    with suppress(SyntaxError):  # of a lambda in the middle of a line
+        code = ast.unparse(ast.parse(code))
+    digest = hashlib.sha256(f"{code}{given or ''}".encode()).hexdigest()[:16]
+    return name if name.startswith("minimd.") else f"{name}{CODE}{digest}"

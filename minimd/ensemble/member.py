@@ -33,6 +33,7 @@ from minimd.structure.statistics import mean_and_error
 
 Value = bool | int | float | str
 Row = dict[str, Any]
+Job = tuple["Member", bool]  # what work needs beside the plan
 DONE, FAILED, BEGUN, MISSING = STATES = "done", "failed", "begun", "missing"  # the status of a member
 OWN_COLUMNS = ("index", "status", "n_steps", "n_atoms", "n_members", "file", "message")  # of tables
 OWN_ENDINGS = ("_mean", "_error")
@@ -172,8 +173,7 @@ def _from_columns(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done for every member; see ensemble.  call : unique name of this call; without it dask would return
-    results of an earlier call."""
+    """What is done for every member; see ensemble.  call : unique name of this call of ensemble."""
 
     build: Callable[[Member], Simulation]
     prepare: Callable[[Simulation, Member], Any] | None
@@ -229,6 +229,7 @@ def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
     Its simulation has one thread, unless build says otherwise.
 
     begins_anew : do not go on from its file, because a run that has blown up would go another way from there.
+    A transient error may be gone in another attempt: one of files, connections or memory, but none of physics.
     Raises KeyboardInterrupt, SystemExit if it is stopped.
     """
     started, row = perf_counter(), {"index": member.index, "parameters": dict(member.parameters)}
@@ -240,7 +241,14 @@ def work(plan: Plan, member: Member, begins_anew: bool) -> Row:
         row |= {"status": FAILED, "message": message, "traceback": traceback.format_exc()}
         row["crash_file"] = "" if file is None else str(file)
         row["is_blown_up"] = isinstance(error, NonFiniteError | ConstraintError)
+        row["is_transient"] = isinstance(error, OSError | MemoryError)
     return row | {"seconds": perf_counter() - started}
+
+
+def work_through(plan: Plan, jobs: list[Job], _number: int) -> list[Row]:
+    """Do several jobs, one after the other.  _number : of this call, unique; dask would return the results of an equal
+    call."""
+    return [work(plan, *job) for job in jobs]
 
 
 def _made(plan: Plan, member: Member, begins_anew: bool, now: list[Any]) -> Row:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import pickle
 import sys
 import warnings
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
+from itertools import count, islice
 from pathlib import Path
 from queue import SimpleQueue
 from secrets import randbits
@@ -22,18 +23,21 @@ from minimd.console.quiet import outside_minimd
 from minimd.console.signals import Terminated, endings_are_told, raising_on_signals, stop_runs_of_threads, tell_ending
 from minimd.console.words import shown
 from minimd.ensemble.folder import ENTROPIES, Asked, EnsembleFolder, name_of
-from minimd.ensemble.member import FAILED, Member, Plan, Row, checked_parameters, work
+from minimd.ensemble.member import DONE, FAILED, Job, Member, Plan, Row, checked_parameters, work_through
 from minimd.ensemble.table import EnsembleTable, written_table
-from minimd.ensemble.workers import SpawnedProcesses, ThisProcess, WorkerNeverBegan
+from minimd.ensemble.workers import SpawnedProcesses, ThisProcess, WorkerNeverBegan, WorkerStopped
 from minimd.simulation.simulation import Simulation
 from minimd.structure.checks import checked_count, checked_flag
 from minimd.structure.errors import Interrupted, sentence
 
-MOST_WAITING = 4096  # members submitted at a time to an executor that the caller brings
+MOST_WAITING = 4096  # batches submitted at a time to an executor that the caller brings
+# members are submitted in batches that take about so long, with at most so many members; their times are those of the
+# last members that have ended
+SECONDS_OF_A_BATCH, MOST_IN_A_BATCH, RECENT = 1.0, 100, 64
 TOLD = 3  # failures that a warning names
 BELOW = "put the call below: if __name__ == '__main__':"
 OUTSIDE = f"If the script calls md.ensemble outside of functions, {BELOW}"
-ANOTHER = "Call md.ensemble again to go on, with a new executor or none: some give up when one of their processes dies"
+ANOTHER = "Make the same call again to go on, with a new executor: some give up when one of their processes dies"
 # seconds between requests to stop, repeated because a member that is between two runs does not notice one
 BETWEEN_REQUESTS = 0.02
 
@@ -58,6 +62,8 @@ def ensemble(
     seed: int | None = 0,
     folder: str | Path = "scan",
     resume: bool = True,
+    members: range | None = None,
+    retries: int = 0,
     progress: bool | None = None,
 ) -> EnsembleTable:
     """Make many runs, each with parameters, random numbers and a file of its own; return a table of their averages.
@@ -86,6 +92,10 @@ def ensemble(
     seed : entropy of the SeedSequence from which each member gets a child; None for that of the folder, or a random one
         in a new folder.
     folder : for all files; see minimd.ensemble.folder.  resume : False to replace what is in the folder.
+    members : make only these, such as range(0, 50): other calls, also on other machines, may make others in the same
+        folder at the same time. The table has the members of all calls.
+    retries : how often a member is tried again in this call if its worker has died, or after an error of files,
+        connections or memory. One that has blown up is not.
     progress : whether to show a bar that counts members, as for Simulation.run.
 
     A simulation has one thread, unless build says otherwise.
@@ -94,39 +104,40 @@ def ensemble(
     ------
     TypeError, ValueError : for wrong arguments, functions that cannot be sent to a process, a folder with another
         ensemble.
-    EnsembleError, a RuntimeError : if all members fail or cannot be run; if only some fail, a warning and the table say
-        why.
+    EnsembleError, a RuntimeError : if all members fail, or the executor cannot run them, or not any more; if only some
+        fail, a warning and the table say why.
     KeyboardInterrupt : after Ctrl-C; finished members are kept, and the next call goes on.
     OSError : if the folder cannot be written.
     """
     rows, place = checked_parameters(parameters), Path(folder)
     steps, every = checked_count("steps", steps, 0), checked_count("every", every)
     resume, seed = checked_flag("resume", resume), None if seed is None else checked_count("seed", seed, 0, ENTROPIES)
-    plan = Plan(build, prepare, run, every, uuid4().hex)
-    n_workers = _check_executor(executor, workers, plan)
-    with EnsembleFolder(place, writes=True) as opened:
-        if seed is None:
-            seed = opened.asked.seed if resume and opened.asked is not None else randbits(128)
-        asked = opened.begin(Asked(seed, steps, every, rows, name_of(build), name_of(prepare), name_of(run)), resume)
-        todo = [index for index in range(len(rows)) if not asked.is_done(opened.rows.get(index))]
+    plan, retries = Plan(build, prepare, run, every, uuid4().hex), checked_count("retries", retries, 0)
+    n_workers, chosen_members = _check_executor(executor, workers, plan), _checked_members(members, len(rows), resume)
+    with EnsembleFolder(place, writes=True, members=members) as opened:
+        names, drawn = (name_of(build), name_of(prepare), name_of(run)), randbits(128) if seed is None else seed
+        asked = opened.begin(Asked(drawn, steps, every, rows, *names), resume, any_seed=seed is None)
+        todo = [index for index in chosen_members if not asked.is_done(opened.rows.get(index))]
         jobs = (
-            (Member(k, rows[k], seed, steps, opened.file(k)), opened.rows.get(k, {}).get("is_blown_up", False))
+            (Member(k, rows[k], asked.seed, steps, opened.file(k)), opened.rows.get(k, {}).get("is_blown_up", False))
             for k in todo
         )
         try:
             with (
                 endings_are_told(),
                 raising_on_signals(),
-                _executor(executor, n_workers) as (chosen, most_waiting),
-                progress_of(len(rows), "ensemble", progress, "member") as tell,
+                _executor(executor, n_workers) as (chosen, most_waiting, seconds),
+                progress_of(len(chosen_members), "ensemble", progress, "member") as tell,
             ):
-                tell(len(rows) - len(todo))
-                for n_made, row in enumerate(_rows(chosen, plan, jobs, most_waiting), start=1):
+                tell(n_done := len(chosen_members) - len(todo))
+                for n_made, row in enumerate(_rows(chosen, plan, _Jobs(jobs, retries, seconds), most_waiting), n_done):
                     opened.take(row)
-                    tell(len(rows) - len(todo) + n_made)
+                    tell(n_made + 1)
         except (KeyboardInterrupt, Terminated) as stopped:
             table = written_table(opened, asked, len(rows))
-            told = f"{int(table.done.sum())} of {len(rows)} members are done and kept in {place}; the same call goes on"
+            told = (
+                f"{int(table.done.sum())} of {len(table)} members are done and kept in {place}; the same call goes on"
+            )
             if isinstance(stopped, Terminated):
                 stopped.words, stopped.kept = f"{stopped.words}; {told}", ()
                 tell_ending(stopped)
@@ -136,70 +147,106 @@ def ensemble(
             written_table(opened, asked, len(rows))
             raise
         table = written_table(opened, asked, len(rows))
-    _tell_failures(table, opened.rows)
+    _tell_failures(table, opened.rows, chosen_members)
     return table
 
 
-def _rows(executor: Executor, plan: Plan, jobs: Iterator[tuple[Member, bool]], most_waiting: int) -> Iterator[Row]:
+class _Jobs:
+    """Jobs that are to be done, in batches: those of short members together.
+
+    seconds : that a batch should take, 0 for batches of one.  retries : see ensemble.
+    """
+
+    def __init__(self, jobs: Iterator[Job], retries: int, seconds: float) -> None:
+        self._jobs, self._retries, self._seconds, self._size = jobs, retries, seconds, 1
+        self._again, self._tries, self._recent = deque[Job](), Counter[int](), deque[float](maxlen=RECENT)
+
+    def batch(self) -> list[Job]:
+        """The next jobs; what is done again is done alone."""
+        return [self._again.popleft()] if self._again else list(islice(self._jobs, self._size))
+
+    def take(self, batch: list[Job], future: Future) -> Iterator[Row]:
+        """The rows of a batch that has ended, without those of members that are tried again.  Raises EnsembleError if
+        members cannot be run, and KeyboardInterrupt."""
+        for job, row in zip(batch, _rows_of(batch, future), strict=True):
+            if row["status"] == DONE:
+                self._recent.append(row["seconds"])
+            died, is_transient = row.pop("died", False), row.pop("is_transient", False)
+            if died and len(batch) > 1:  # one of them may have killed the worker
+                self._again.append(job)
+            elif (died or is_transient) and self._tries[row["index"]] < self._retries:
+                self._tries[row["index"]] += 1
+                self._again.append(job)
+            else:
+                yield row
+        if self._recent:
+            most = min(2 * self._size, MOST_IN_A_BATCH)
+            self._size = int(min(most, max(1.0, self._seconds / max(1e-9, *self._recent))))
+
+
+def _rows(executor: Executor, plan: Plan, jobs: _Jobs, most_waiting: int) -> Iterator[Row]:
     """Rows of members, in the order in which they end. If the caller stops early, no further member begins."""
     ended: SimpleQueue[Future] = SimpleQueue()
-    members: dict[Future, Member] = {}
+    waiting: dict[Future, list[Job]] = {}
+    numbers = count()
     try:
         while True:
-            while len(members) < most_waiting and (job := next(jobs, None)) is not None:
+            # what has ended is looked at first: it says how large the next batch should be
+            while len(waiting) < most_waiting and (not waiting or ended.empty()) and (batch := jobs.batch()):
                 try:
-                    future = executor.submit(work, plan, *job)
+                    future = executor.submit(work_through, plan, batch, next(numbers))
                 except Exception as error:  # such as that of an executor which has lost a process
                     while not ended.empty():
-                        yield _row_of(ended.get(), members)
-                    words = f"{job[0]} could not be given to the executor: {type(error).__name__}: {sentence(error)}"
-                    raise EnsembleError(f"{words}. {ANOTHER}") from error
-                members[future] = job[0]
+                        yield from jobs.take(waiting.pop(future := ended.get()), future)
+                    words = f"{batch[0][0]} could not be given to the executor: {type(error).__name__}"
+                    raise EnsembleError(f"{words}: {sentence(error)}. {ANOTHER}") from error
+                waiting[future] = batch
                 future.add_done_callback(ended.put)
-            if not members:
+            if not waiting:
                 return
-            yield _row_of(ended.get(), members)
+            yield from jobs.take(waiting.pop(future := ended.get()), future)
     finally:
-        for future in members:
+        for future in waiting:
             future.cancel()
-        while isinstance(executor, ThreadPoolExecutor) and not all(future.done() for future in members):
+        while isinstance(executor, ThreadPoolExecutor) and not all(future.done() for future in waiting):
             stop_runs_of_threads()
             sleep(BETWEEN_REQUESTS)
 
 
-def _row_of(future: Future, members: dict[Future, Member]) -> Row:
-    """The row of a member that has ended, also if its worker died.  Raises EnsembleError if members cannot be run, and
-    KeyboardInterrupt."""
-    member = members.pop(future)
+def _rows_of(batch: list[Job], future: Future) -> list[Row]:
+    """The rows of a batch that has ended, also if its worker died.  Raises as _Jobs.take."""
     try:
-        row: Row = future.result()
-        return row
-    except (WorkerNeverBegan, BrokenProcessPool, pickle.PicklingError) as error:
-        advice = ANOTHER if isinstance(error, BrokenProcessPool) else OUTSIDE
-        words = f"{member} could not be run, and neither can the others: {sentence(error)}. {advice}"
+        rows: list[Row] = future.result()
+        return rows
+    except (WorkerNeverBegan, BrokenExecutor, CancelledError, pickle.PicklingError) as error:
+        given_up = "its executor gave it up, as dask does if its scheduler is gone"
+        told = given_up if isinstance(error, CancelledError) else sentence(error)
+        advice = OUTSIDE if isinstance(error, WorkerNeverBegan | pickle.PicklingError) else ANOTHER
+        words = f"{batch[0][0]} could not be run, and neither can the others: {told}. {advice}"
         raise EnsembleError(words) from None
-    except (CancelledError, SystemExit):
+    except (WorkerStopped, SystemExit):
         raise KeyboardInterrupt from None
     except Exception as error:  # of a worker that died, or any error of an executor
-        message = f"{type(error).__name__}: {sentence(error)}"
-        row = {"index": member.index, "parameters": dict(member.parameters), "status": FAILED, "message": message}
-        return row | {"traceback": "", "crash_file": "", "seconds": 0.0}
+        failed = {"status": FAILED, "message": f"{type(error).__name__}: {sentence(error)}", "died": True}
+        failed |= {"traceback": "", "crash_file": "", "seconds": 0.0}
+        return [{"index": one.index, "parameters": dict(one.parameters), **failed} for one, _ in batch]
 
 
 @contextmanager
-def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Executor, int]]:
-    """The executor, and how many members it may have at a time.
+def _executor(executor: Executor | None, n_workers: int) -> Iterator[tuple[Executor, int, float]]:
+    """The executor, how many batches it may have at a time, and how long one should take [s].
 
     An executor made here is shut down at the end, at once after an error.
     """
     if executor is not None:
-        yield executor.get_executor() if hasattr(executor, "get_executor") else executor, MOST_WAITING
+        seconds = 0.0 if isinstance(executor, ThreadPoolExecutor) else SECONDS_OF_A_BATCH
+        yield executor.get_executor() if hasattr(executor, "get_executor") else executor, MOST_WAITING, seconds
     elif n_workers == 0:
-        yield ThisProcess(), 1
+        yield ThisProcess(), 1, 0.0
     else:
         own = SpawnedProcesses(n_workers)
         try:
-            yield own, 2 * n_workers
+            yield own, 2 * n_workers, 0.0
         except BaseException:
             own.stop()
             raise
@@ -233,6 +280,18 @@ def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) 
     return n_workers
 
 
+def _checked_members(members: range | None, n_members: int, resume: bool) -> range:
+    """The indices of members that this call makes.  Raises ValueError."""
+    if members is None:
+        return range(n_members)
+    if not isinstance(members, range) or members.step != 1 or not 0 <= members.start < min(members.stop, n_members):
+        words = f"members must be some of the {n_members} members, such as range(0, 50)"
+        raise ValueError(f"{words}; members = {shown(members)}")
+    if not resume:
+        raise ValueError(f"resume = False replaces what all calls have made: leave out members, which is {members}")
+    return range(members.start, min(members.stop, n_members))
+
+
 def _check_can_be_sent(name: str, function: Callable | None) -> None:
     """Raise TypeError unless other processes can find the function."""
     main = sys.modules.get("__main__")  # a notebook, a prompt or a script
@@ -251,12 +310,12 @@ def _check_can_be_sent(name: str, function: Callable | None) -> None:
     )
 
 
-def _tell_failures(table: EnsembleTable, rows: dict[int, Row]) -> None:
-    """Warn of members that have failed.  Raises EnsembleError if all have failed."""
-    sentences, of = list(table.failures()), f"{len(table)} members have failed"
-    if sentences and len(sentences) == len(table):
+def _tell_failures(table: EnsembleTable, rows: dict[int, Row], made: range) -> None:
+    """Warn of members that have failed, of those that were to be made.  Raises EnsembleError if all have failed."""
+    sentences, of = list(table.failures(made)), f"{len(made)} members have failed"
+    if sentences and len(sentences) == len(made):
         failure = EnsembleError(f"all {of}; the first failure was:\n{sentences[0]}")
-        failure.add_note(next(row["traceback"] for row in rows.values() if row["status"] == FAILED))
+        failure.add_note(next(rows[index]["traceback"] for index in made if rows[index]["status"] == FAILED))
         raise failure
     if sentences:
         told, n_more = [f"{len(sentences)} of {of}:", *sentences[:TOLD]], len(sentences) - TOLD

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from itertools import product
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from minimd.console.whole_file import regular, write_whole
+from minimd.ensemble.folder import alone
 from minimd.ensemble.member import Member, Value
 from minimd.ensemble.running import ensemble
 from minimd.ensemble.table import EnsembleTable
@@ -133,10 +135,13 @@ def scan_scene(
     *,
     replicas: int = 1,
     steps: int | None = None,
+    executor: Executor | None = None,
     workers: int | None = None,
     seed: int = 0,
     folder: str | Path = "scan",
     resume: bool = True,
+    members: range | None = None,
+    retries: int = 0,
     progress: bool | None = None,
     tell: Tell = print,
 ) -> EnsembleTable:
@@ -167,13 +172,14 @@ def scan_scene(
         parse_scene(changed_text(Path(path), scene.text, row.items()), Path(path))
     build(Member(0, grid[0], seed, n_steps, place))  # checks the structure and the potentials, too
     kept = place / SCENE
-    if resume and kept.exists() and _text(kept) != scene.text:
-        raise ValueError(
-            f"folder {str(place)!r} holds a scan of another scene, {kept}; choose another folder with --out, or "
-            "replace it with --overwrite"
-        )
     place.mkdir(parents=True, exist_ok=True)
-    write_whole(kept, scene.text)
+    with alone(place):
+        if resume and kept.exists() and _text(kept) != scene.text:
+            raise ValueError(
+                f"folder {str(place)!r} holds a scan of another scene, {kept}; choose another folder with --out, or "
+                "replace it with --overwrite"
+            )
+        write_whole(kept, scene.text)
     replicas = checked_count("replicas", replicas)
     tell(f"scene          {path}" + (f": {scene.sections.title}" if scene.sections.title else ""))
     if scene.sections.observer:
@@ -186,9 +192,12 @@ def scan_scene(
     )
     options: dict[str, Any] = {
         "every": scene.sections.output.every,
+        "executor": executor,
         "workers": workers,
         "seed": seed,
         "resume": resume,
+        "members": members,
+        "retries": retries,
         "progress": progress,
     }
     parameters: Any = grid * replicas if settings else replicas

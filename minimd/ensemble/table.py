@@ -17,7 +17,7 @@ from minimd.console.display import Displayed, Rows
 from minimd.console.whole_file import write_whole
 from minimd.console.words import listed, near
 from minimd.engine.record import SERIES
-from minimd.ensemble.folder import DESCRIPTION, Asked, EnsembleFolder
+from minimd.ensemble.folder import DESCRIPTION, Asked, EnsembleFolder, alone
 from minimd.ensemble.member import BEGUN, DONE, FAILED, MISSING, NOTE, STATES, file_of, read_note
 from minimd.structure.errors import sentence
 from minimd.structure.statistics import with_error
@@ -130,9 +130,11 @@ class EnsembleTable(Displayed):
         told = {"parameters": self.parameters, "units": units, "columns": whole}
         write_whole(self.folder / "table.json", json.dumps(told))
 
-    def failures(self) -> Iterator[str]:
-        """A sentence for each member that has failed."""
-        for row in self.array[self["status"] == FAILED]:
+    def failures(self, members: range | None = None) -> Iterator[str]:
+        """A sentence for each member that has failed.  members : consecutive indices of those that are told, None for
+        all."""
+        rows = self.array if members is None else self.array[members.start : members.stop]
+        for row in rows[rows["status"] == FAILED]:
             told = ", ".join(f"{name} = {row[name]}" for name in self.parameters)
             yield f"member {row['index']}{f' ({told})' if told else ''}: {row['message']}"
 
@@ -193,9 +195,14 @@ def table_of(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTa
 
 
 def written_table(folder: EnsembleFolder, asked: Asked, n_members: int) -> EnsembleTable:
-    """The same, written into the folder.  Raises OSError."""
-    table = table_of(folder, asked, n_members)
-    table.write()
+    """The same, written into the folder; it has all members if other calls may run there.  Raises OSError."""
+    with alone(folder.path):
+        if folder.members is not None:
+            folder.read()
+            asked = folder.asked or asked
+            n_members = len(asked.parameters)
+        table = table_of(folder, asked, n_members)
+        table.write()
     return table
 
 

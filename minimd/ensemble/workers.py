@@ -1,5 +1,5 @@
-"""Spawned worker processes, each of which can die without ending the others;
-and an executor that uses this process only.
+"""Spawned worker processes, each of which can die without ending the others; an executor that uses this process only;
+and the executors that `minimd scan` knows by name.
 
 concurrent.futures.ProcessPoolExecutor gives up all members when one of its processes is killed. Here each process has
 its own pipe and thread; if a process dies, its member fails, and the next member gets a new process.
@@ -10,20 +10,26 @@ import os
 import pickle
 import signal
 import threading
-from collections.abc import Callable
-from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
-from contextlib import suppress
-from typing import Any
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, suppress
+from typing import Any, cast
 
+from minimd.compiled.machine import available_cores
 from minimd.console.signals import endings_are_told
 from minimd.files.claim import end_with
 
+EXECUTORS = ("processes", "threads", "dask", "mpi")
 READY = b"ready"
 STARTS = 3  # attempts to start a worker process; if all of them are killed, the next would be, too
 
 
 class WorkerDied(RuntimeError):  # noqa: N818  # the name says what happened
     """The process that ran a member has died.  The message says how."""
+
+
+class WorkerStopped(Exception):  # noqa: N818
+    """A process was told to end."""
 
 
 class WorkerNeverBegan(RuntimeError):  # noqa: N818
@@ -57,19 +63,19 @@ class SpawnedProcesses(Executor):
         worker = getattr(self._own, "worker", None) or self._ready_worker()
         try:
             if self._is_stopped:
-                raise CancelledError
+                raise WorkerStopped
             return worker.do(job)
-        except (WorkerDied, CancelledError):
+        except (WorkerDied, WorkerStopped):
             self._own.worker = None
             self._workers.remove(worker)
             if self._is_stopped:
-                raise CancelledError from None
+                raise WorkerStopped from None
             raise
 
     def _ready_worker(self) -> "Worker":
         """A new worker of this thread; if it is killed while it starts, another one.
 
-        Raises WorkerNeverBegan, CancelledError.
+        Raises WorkerNeverBegan, WorkerStopped.
         """
         for _ in range(STARTS):
             worker = Worker()
@@ -79,7 +85,7 @@ class SpawnedProcesses(Executor):
                 return worker
             self._workers.remove(worker)
             if self._is_stopped:
-                raise CancelledError
+                raise WorkerStopped
             if (worker.process.exitcode or 0) >= 0:  # an error, which another process would meet, too
                 break
         raise WorkerNeverBegan(worker.ending())
@@ -104,7 +110,7 @@ class Worker:
 
     def do(self, job: bytes) -> Any:
         """The result of a pickled job.  Raises what the job raises, WorkerDied if the process dies,
-        CancelledError if it was told to end."""
+        WorkerStopped if it was told to end."""
         try:
             self._pipe.send_bytes(job)
             result, error = pickle.loads(self._pipe.recv_bytes())
@@ -149,7 +155,7 @@ def _answer(job: bytes) -> bytes:
         function, args, kwargs = pickle.loads(job)
         answer = function(*args, **kwargs), None
     except (KeyboardInterrupt, SystemExit):
-        answer = None, CancelledError()
+        answer = None, WorkerStopped()
     except Exception as error:
         answer = None, error
     try:
@@ -169,3 +175,39 @@ class ThisProcess(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
+
+
+@contextmanager
+def named_executor(name: str, workers: int | None) -> Iterator[dict[str, Any] | None]:
+    """The arguments `executor` and `workers` of ensemble for one of the EXECUTORS; None in a process of MPI that works
+    for another.
+
+    workers : number of processes or threads of this machine, one for each core if None.
+    Raises ValueError if a package is missing, or there is no other process of MPI.
+    """
+    n_workers, executor = available_cores() if workers is None else workers, cast(Any, None)
+    try:
+        with ExitStack() as closing:
+            if name == "threads":
+                executor = closing.enter_context(ThreadPoolExecutor(max(1, n_workers)))
+            elif name == "dask":
+                from dask import config
+                from distributed import Client
+
+                is_there = config.get("scheduler-address", None)  # also from the environment
+                here = {} if is_there else {"n_workers": n_workers, "threads_per_worker": 1, "dashboard_address": None}
+                executor = closing.enter_context(Client(**here))
+            elif name == "mpi":
+                from mpi4py.futures import MPICommExecutor
+                from mpi4py.MPI import COMM_WORLD
+
+                if (size := COMM_WORLD.size) == 1:
+                    words = "begin the command by mpiexec -n P: the first process gives out the work"
+                    raise ValueError(f"--executor mpi needs at least 2 processes of MPI; there is {size}: {words}")
+                executor = closing.enter_context(MPICommExecutor())
+            options = {"workers": workers} if name == "processes" else {"executor": executor}
+            yield None if name != "processes" and executor is None else options
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            f"--executor {name} needs {error.name}, which is missing: pip install 'minimd[cluster]'"
+        ) from error

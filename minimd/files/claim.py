@@ -69,11 +69,13 @@ class Claim:
             self.release()
             raise
 
-    def appear(self) -> None:
-        """Give a new file its name, unless it has it already.  Raises FileExistsError if another file has taken it."""
+    def appear(self, is_on_disk: bool = False) -> None:
+        """Give a new file its name, unless it has it already.  is_on_disk : after fsync, which then is not repeated.
+        Raises FileExistsError if another file has taken it."""
         if not self.is_new:
             return
-        os.fsync(self.descriptor)
+        if not is_on_disk:
+            os.fsync(self.descriptor)
         try:
             if self._replaced >= 0:
                 os.replace(self.place, self.path)
@@ -216,7 +218,7 @@ class JournaledFile(io.RawIOBase):
                 raise
         if is_changed:
             _apply(descriptor, self.size, pieces)
-        self._claim.appear()
+        self._claim.appear(is_on_disk=True)
         self._committed, self._n_tail, self._pieces = self.size, 0, []
 
 

@@ -304,16 +304,16 @@ def check_description(h5: h5py.File) -> None:
 
 def _digest_of_description(h5: h5py.File) -> int:
     """CRC-32 of names, attributes and contents of everything that does not change, in order."""
-    items: dict[str, h5py.HLObject | None] = {}  # None for a second name of an item that is visited under another
+    names: dict[str, bool] = {}  # False for a second name of an item that is visited under another
     for group in FIXED:
-        items[group] = h5[group]
-        h5[group].visit_links(lambda name, group=group: items.update({f"{group}/{name}": None}))
-        # visititems stops if the function returns anything but None
-        h5[group].visititems(lambda name, item, group=group: items.update({f"{group}/{name}": item}))
+        names[group] = True  # a visit stops if the function returns anything but None
+        h5[group].visit_links(lambda name, group=group: names.update({f"{group}/{name}": False}))
+        h5[group].visit(lambda name, group=group: names.update({f"{group}/{name}": True}))
     digest = 0
-    for name, item in sorted(items.items()):
+    for name, is_first in sorted(names.items()):
         if name == BLOCKS or name.startswith((RESTART, EARLIER, SPARE)):
             continue
+        item = h5[name] if is_first else None
         words, attributes = [name.encode()], {} if item is None else item.attrs
         for key in sorted(set(attributes) - {DIGEST, "particles_group"}):
             words.append(repr((key, np.asarray(attributes[key]).tolist())).encode())

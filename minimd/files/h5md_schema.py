@@ -104,18 +104,22 @@ def chunk_rows(entry: np.ndarray, n_frames: int | None = None) -> int:
     return int(np.clip(CHUNK_BYTES // entry.nbytes, 1, min(CHUNK_ROWS, expected)))
 
 
-def series_of(h5: h5py.File, column: Column, like: np.ndarray, n_frames: int | None = None) -> h5py.Dataset:
-    """The series of a column; if it does not exist, an empty one for entries like this one.  Series of H5MD share one
-    step and one time.  n_frames : as for chunk_rows."""
+def extend(h5: h5py.File, column: Column, first: int, entries: np.ndarray, n_frames: int | None = None) -> None:
+    """Write entries into the series of a column, from the index `first` on; what was behind it is replaced.  Series of
+    H5MD share one step and one time.  n_frames : as for chunk_rows."""
     if column.path in h5:
-        return h5[column.path]
-    growing = {"maxshape": (None, *like.shape), "chunks": (chunk_rows(like, n_frames), *like.shape)}
-    series = h5.create_dataset(column.path, (0, *like.shape), like.dtype, **growing)
+        h5[column.path].resize(first + len(entries), axis=0)
+        h5[column.path][first:] = entries
+        return
+    shape = entries.shape[1:]
+    growing = {"maxshape": (None, *shape), "chunks": (chunk_rows(entries[0], n_frames), *shape)}
+    series = h5.create_dataset(column.path, data=entries, **growing)
     if column.unit:
         series.attrs["unit"] = column.unit
-    if column.path.endswith("/value") and "step" not in series.parent:
-        series.parent["step"], series.parent["time"] = h5[STEPS], h5[TIMES]
-    return series
+    group, _, name = column.path.rpartition("/")
+    if name == "value" and not STEPS.startswith(group):
+        for other in (STEPS, TIMES):
+            h5.id.links.create_hard(f"{group}/{other.rpartition('/')[2]}".encode(), h5.id, other.encode())
 
 
 def describe(h5: h5py.File, engine: Engine) -> None:

@@ -67,7 +67,8 @@ class H5MDWriter:
         # of frames that wait to be written, by path: it is reused, because new memory would take longer than copying
         self._room: dict[str, np.ndarray] = {}
         self._n_frames, self._n_waiting = 0, 0  # in the file, and in memory
-        self._last_step, self._next_flush = -1, -np.inf  # step of the frame taken last; time of the next flush [s]
+        self._last_step = -1  # step of the frame taken last
+        self._next_flush = monotonic() + SECONDS_BETWEEN_FLUSHES  # [s]
         self._disk = JournaledFile(claim)
         self._h5 = admitted(h5py.File(self._disk, "w" if claim.is_new else "r+"), claim.name)
         try:
@@ -167,18 +168,24 @@ class H5MDWriter:
 
     def checkpoint(self) -> None:
         """Write all frames, and the present state of the engine as the restart, to the disk.  Raises as write."""
+        started = monotonic()
+        if self._h5 and self._n_frames + self._n_waiting:
+            with self._taking():
+                self._h5.flush()
+        now = monotonic()
+        self._next_flush = now + max(SECONDS_BETWEEN_FLUSHES, MOST_OFTEN * (now - started))
+
+    @contextmanager
+    def _taking(self) -> Iterator[None]:
+        """Give the frames that wait, and the restart, to HDF5; at the end of this context, commit them."""
         first, n_frames = self._n_frames, self._n_frames + self._n_waiting
-        if not self._h5 or n_frames == 0:
-            return
         entries = {path: room[: self._n_waiting] for path, room in self._room.items()} if n_frames > first else {}
-        started, step = monotonic(), entries[layout.STEPS][0] if entries else self._engine.step
+        step = entries[layout.STEPS][0] if entries else self._engine.step
         is_restart = self._engine.is_whole or first == 0
         marks = self._bring_others(self.claim) if is_restart else []
         with self._telling(f"take the frame of step {step}"), uninterrupted():
             for column in self._columns if entries else ():  # repeated after an error, this gives the same file
-                series = layout.series_of(self._h5, column, entries[column.path][0], self._n_expected)
-                series.resize(n_frames, axis=0)
-                series[first:] = entries[column.path]
+                layout.extend(self._h5, column, first, entries[column.path], self._n_expected)
             if entries:
                 digest.add_block(self._h5, n_frames, entries)
             if entries and first == 0:
@@ -188,11 +195,9 @@ class H5MDWriter:
             if is_restart:
                 beside = {f"{BESIDE}{k}": np.frombuffer(mark, np.uint8) for k, mark in enumerate(marks)}
                 digest.write_restart(self._h5, self._engine.checkpoint(), n_frames, self._observers, beside)
-            self._h5.flush()
+            yield
             self._disk.commit()
             self._n_frames, self._n_waiting = n_frames, 0
-        now = monotonic()
-        self._next_flush = now + max(SECONDS_BETWEEN_FLUSHES, MOST_OFTEN * (now - started))
 
     def close(self) -> None:
         """Write the remaining frames, the restart of the present state and results of observers; close the file.
@@ -204,18 +209,15 @@ class H5MDWriter:
         try:
             others(self.claim)
         finally:
-            try:
-                self.checkpoint()
-                if self._n_frames and self._observers:
-                    with self._telling("take the answers of the observers"), uninterrupted():
+            if self._n_frames + self._n_waiting == 0:
+                self._give_up()
+            else:
+                with self._taking():  # a short run has this commit alone
+                    if self._observers:
                         digest.write_answers(self._h5, self._observers)
                         digest.sign(self._h5)
-                        self._h5.flush()
-                        self._disk.commit()
-            finally:
-                if self._h5:
-                    with self._telling("be closed"), uninterrupted():
-                        self._shut()
+                    self._h5.close()
+                self.claim.release()
 
     def _describe_method(self) -> None:
         """Describe the method again: it may have been replaced."""
@@ -237,15 +239,6 @@ class H5MDWriter:
     def _give_up(self) -> None:
         self._h5.close()
         self.claim.release()
-
-    def _shut(self) -> None:
-        """Close the file, for which HDF5 writes its tables, and commit them."""
-        try:
-            self._h5.close()
-            if self._n_frames:
-                self._disk.commit()
-        finally:
-            self.claim.release()
 
 
 @contextmanager

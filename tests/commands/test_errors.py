@@ -100,7 +100,7 @@ def test_what_cannot_be_written_is_told_before_anything_is_computed(folder, caps
 
 
 def test_full_disk_is_told_with_what_is_kept(folder, capsys, monkeypatch):
-    fill_the_disk(monkeypatch, after=5)
+    fill_the_disk(monkeypatch, after=4)
     assert cli.main(["run", "good.toml"]) == 2
     assert re.search("No space left on device.*kept in good.h5md", only_error(capsys))
     assert read_file("good.h5md").record.step.tolist() == [0, 5]

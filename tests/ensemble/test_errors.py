@@ -1,5 +1,6 @@
 """Wrong calls of md.ensemble and of minimd scan, each answered with one sentence."""
 
+import json
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -25,6 +26,10 @@ WRONG = [  # options, error, what is named and shown
     ({"workers": 2, "executor": ThreadPoolExecutor(1)}, ValueError, "workers", "2"),
     ({"executor": "dask"}, TypeError, "executor", "'dask'"),
     ({"workers": 2, "build": lambda member: None}, TypeError, "build", "lambda"),
+    ({"members": 3}, ValueError, "members", "3"), ({"members": range(3, 5)}, ValueError, "members", "range(3, 5)"),
+    ({"members": range(0, 3, 2)}, ValueError, "members", "range(0, 3, 2)"),
+    ({"members": range(2), "resume": False}, ValueError, "resume", "range(0, 2)"),
+    ({"retries": -1}, ValueError, "retries", "-1"),
 ]  # fmt: skip
 
 
@@ -42,13 +47,18 @@ def test_a_function_that_returns_something_else_is_named(name, tmp_path):
 
 CHANGES = [  # of an ensemble of seed 5 and 35 steps
     ({"seed": 6}, "seed = 5 there, 6 here"), ({"steps": 20}, "steps = 35 there, 20 here"),
-    ({"build": members.own_law}, "build = members.liquid there, members.own_law here"),
+    ({"build": members.own_law}, "build = members.liquid, code ", " there, members.own_law, code "),
+    ({"prepare": members.broken}, "prepare = members.melted, code "),
+    ({"build": partial(members.liquid, threads=1)}, "build = members.liquid, code "),
     ({"prepare": None}, "prepare = members.melted there, None here"),
     ({"parameters": {"temperature": [0.4, 0.9]}}, "member 1", "'temperature': 0.5", "'temperature': 0.9"),
 ]  # fmt: skip
 
 
-def test_another_ensemble_in_the_folder_is_refused_and_another_call_at_the_same_time(tmp_path, done_by_hand):
+def test_another_ensemble_in_the_folder_is_refused_and_another_call_at_the_same_time(
+    tmp_path, done_by_hand, monkeypatch
+):
+    monkeypatch.setattr(members.broken, "__qualname__", "melted")
     first = {"seed": 5, "steps": 35, "parameters": {"temperature": [0.4, 0.5]}}
     members.run(tmp_path, **first)
     for change, *shown in CHANGES:
@@ -57,6 +67,12 @@ def test_another_ensemble_in_the_folder_is_refused_and_another_call_at_the_same_
     assert_answered(more, ValueError, "steps = 60 there, 80 here")  # that of a function run is not known to go on
     with EnsembleFolder(tmp_path, writes=True):
         assert_answered(partial(members.run, tmp_path), OSError, "folder", str(tmp_path))
+    with EnsembleFolder(tmp_path, writes=True, members=range(1, 3)):
+        for part in (None, range(2), range(1, 3)):
+            assert_answered(partial(members.run, tmp_path, members=part), OSError, "folder", str(tmp_path), "running")
+    description = json.loads((tmp_path / "ensemble.json").read_text())
+    (tmp_path / "ensemble.json").write_text(json.dumps(description | {"prepare": "members.melted"}))
+    assert members.run(tmp_path, prepare=members.broken, **first).done.all()
 
 
 def test_functions_of_a_session_are_not_sent_to_spawned_workers(tmp_path, monkeypatch):
@@ -66,7 +82,8 @@ def test_functions_of_a_session_are_not_sent_to_spawned_workers(tmp_path, monkey
 
     monkeypatch.setattr(sys.modules["__main__"], "__file__", "/somewhere/script.py", raising=False)
     monkeypatch.setattr(members.liquid, "__module__", "__main__")
-    assert name_of(partial(partial(members.liquid, law=1.0))) == name_of(members.liquid) == "script.liquid"
+    assert name_of(partial(partial(members.liquid, law=None))) == name_of(members.liquid)
+    assert name_of(members.liquid).startswith("script.liquid, code ")
     session = ModuleType("__main__")  # of a notebook or a prompt: it has no file
     session.build, build.__module__, build.__qualname__ = build, "__main__", "build"
     monkeypatch.setitem(sys.modules, "__main__", session)

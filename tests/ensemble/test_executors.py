@@ -5,8 +5,8 @@ import os
 import signal
 import sys
 import threading
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 
@@ -149,6 +149,51 @@ def test_nothing_heavy_is_loaded_and_a_script_without_a_main_is_told_so(tmp_path
     script = ended("script.py", folder=tmp_path)
     assert (script.returncode, script.stdout.splitlines()[0]) == (1, "set()")
     assert script.stderr.rstrip().endswith("if __name__ == '__main__':")
+
+
+DISK, BUG, BLOWN_UP = OSError("busy"), ValueError("wrong"), md.NonFiniteError("blown up")
+
+
+@pytest.mark.parametrize(("error", "retries", "tries"), [(DISK, 2, 3), (DISK, 1, 2), (BUG, 2, 1), (BLOWN_UP, 2, 1)])
+def test_only_what_may_pass_is_tried_again(error, retries, tries, tmp_path):
+    made = []
+
+    def fails_twice(simulation, member):
+        made.append(member.index)
+        if member.index == 1 and made.count(1) < 3:
+            raise error
+
+    with nullcontext() if tries == 3 else pytest.warns(UserWarning, match="1 of 3 members have failed"):
+        assert int(members.run(tmp_path, fails_twice, retries=retries).done.sum()) == 2 + (tries == 3)
+    assert sorted(made) == [0, *[1] * tries, 2]
+
+
+class Remote(ThisProcess):
+    """Whoever runs member 70 dies; after 90 calls, all are given up."""
+
+    def __init__(self):
+        self.batches = []
+
+    def submit(self, function, plan, jobs, number):
+        self.batches.append([member.index for member, _ in jobs])
+        future = Future()
+        if len(self.batches) > 90:
+            future.cancel()
+        elif 70 in self.batches[-1]:
+            future.set_exception(RuntimeError("the worker died"))
+        return future if future.done() else super().submit(function, plan, jobs, number)
+
+
+def test_short_members_go_in_batches_and_of_one_that_dies_the_others_are_made(tmp_path):
+    remote, options = Remote(), {"run": lambda *_: {"x": 1.0}, "prepare": None, "steps": 0, "folder": tmp_path}
+    made = partial(members.run, parameters={"temperature": [0.5] * 200}, executor=remote, **options)
+    with pytest.warns(UserWarning, match=r"1 of 200 members have failed:\nmember 70 .*RuntimeError: the worker died"):
+        assert int(made().done.sum()) == 199
+    assert [70] in remote.batches
+    assert len(remote.batches) < 90
+    remote.batches *= 90
+    with pytest.raises(EnsembleError, match=r"member 70 .*could not be run.*Make the same call again"):
+        made()
 
 
 @pytest.mark.slow

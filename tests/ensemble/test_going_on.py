@@ -20,6 +20,7 @@ from h5md_runs import bring_to_disk_every, fill_the_disk
 from members import FILES, STEPS, assert_same, run
 
 import minimd as md
+from minimd.ensemble.folder import EnsembleFolder
 from minimd.ensemble.running import EnsembleError
 from minimd.files.h5md_reader import read_file
 from minimd.structure.errors import Interrupted
@@ -144,6 +145,24 @@ def test_the_next_call_makes_what_is_left_with_the_same_bits(event, done, done_b
     assert left in (None, "".join(made))
     assert_same(tmp_path, (done_by_hand if function else done).folder)
     assert sorted(path.name for path in (tmp_path / "0000-0999").iterdir()) == [Path(name).name for name in FILES]
+
+
+def test_slices_that_run_at_the_same_time_make_the_same_table_whoever_is_last(done, tmp_path):
+    inner = []
+
+    def another(_simulation, member):
+        if member.index == 1:
+            inner.append(run(tmp_path, members=range(1)))
+
+    with EnsembleFolder(tmp_path / "new", writes=True, members=range(1, 3)):  # by a call that has not begun yet
+        run(tmp_path / "new", members=range(1))
+    assert (tmp_path / "new" / "members.1-3.jsonl").exists()
+    run(tmp_path, another, members=range(1, 3))
+    assert inner[0]["status"].tolist() == ["done", "missing", "missing"]
+    assert_same(tmp_path, done.folder)
+    run(tmp_path, another)  # all is done
+    assert len(inner) == 1
+    assert_same(tmp_path, done.folder)
 
 
 @pytest.mark.slow

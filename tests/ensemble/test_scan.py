@@ -139,6 +139,16 @@ def test_altered_files_of_a_scan_are_refused_by_name(copied, told):
         Path(name).write_text(before)
 
 
+@pytest.mark.parametrize("executor", ["threads", pytest.param("dask", marks=pytest.mark.slow)])
+def test_executors_by_name_and_slices_make_the_same_table(executor, folder, told):
+    command = ["scan", "melt.toml", "--set", "dynamics.temperature=0.5:0.7:0.1"]
+    told(*command, "--workers", 0)
+    for part in ("2:9", "0:2"):
+        told(*command, "--executor", executor, "--workers", 2, "--members", part, "--retries", 1, "--out", "slices")
+    assert Path("slices/table.csv").read_bytes() == Path("scan/table.csv").read_bytes()
+    assert Path("slices/members.2-9.jsonl").exists()
+
+
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
 @pytest.mark.parametrize("name", [DESCRIPTION, JOURNAL, "scan/scene.toml"])
 def test_pipes_and_folders_are_no_files_of_a_scan(name, make, copied, capsys, in_time):

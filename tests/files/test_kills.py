@@ -153,30 +153,42 @@ def test_frames_are_flushed_once_a_second_and_files_of_killed_runs_are_valid(tmp
     monkeypatch.setattr(h5md, "monotonic", lambda: now[0])
 
     def look(_sim):
+        now[0] += 0.4
+        if not path.exists():
+            return found.append(0)
         copy = Path(shutil.copy(path, tmp_path / f"{len(found)}.h5md"))
         contents = read_file(copy)
         assert contents.n_frames == len(opened(copy).trajectory)
         assert contents.step == contents.record.step[-1] == 5 * (contents.n_frames - 1)
-        found.append(contents.n_frames)
-        now[0] += 0.4
+        return found.append(contents.n_frames)
 
     simulation().run(30, every=5, trajectory=path, observers=[look])
-    assert found == [1, 1, 1, 4, 4, 4, 7]
+    assert found == [0, 0, 0, 4, 4, 4, 7]
+
+
+def test_a_short_run_writes_its_file_in_one_commit(tmp_path):
+    """Before it there is no file; fsync is called for the file and for its folder."""
+    seen = []
+    with mock.patch("os.fsync", wraps=os.fsync) as fsync:
+        simulation().run(
+            10, every=5, trajectory=tmp_path / "a.h5md", observers=[lambda _: seen.extend(tmp_path.glob("*.h5md"))]
+        )
+    assert (fsync.call_count, seen, read_file(tmp_path / "a.h5md").n_frames) == (2, [], 3)
 
 
 def test_an_interrupt_inside_a_write_leaves_whole_frames_only(tmp_path, monkeypatch):
-    path, sim, series_of = tmp_path / "a.h5md", simulation(), h5md.layout.series_of
+    path, sim, extend = tmp_path / "a.h5md", simulation(), h5md.layout.extend
 
-    def interrupted(h5, column, like, n_frames):
+    def interrupted(h5, column, *entries):
         if column.path.endswith("velocity/value"):
             raise KeyboardInterrupt
-        return series_of(h5, column, like, n_frames)
+        return extend(h5, column, *entries)
 
     bring_to_disk_every(0.0, monkeypatch)
     writer = h5md.H5MDWriter(claim.Claim(path), sim.engine, False)
     writer.write(sim.frame())
     sim.run(5)
-    with mock.patch("minimd.files.h5md_writer.layout.series_of", interrupted), pytest.raises(KeyboardInterrupt):
+    with mock.patch("minimd.files.h5md_writer.layout.extend", interrupted), pytest.raises(KeyboardInterrupt):
         writer.write(sim.frame())
     shutil.copy(path, tmp_path / "copy.h5md")
     assert read_file(tmp_path / "copy.h5md").record.step.tolist() == [0]
@@ -230,7 +242,8 @@ def killed_in_a_commit(tmp_path_factory):
         raise KeyboardInterrupt
 
     simulation().run(10, every=5, trajectory=path)
-    with mock.patch("minimd.files.claim._apply", half), pytest.raises(KeyboardInterrupt):
+    at_once = mock.patch("minimd.files.h5md_writer.SECONDS_BETWEEN_FLUSHES", 0.0)
+    with at_once, mock.patch("minimd.files.claim._apply", half), pytest.raises(KeyboardInterrupt):
         resumed(path).run(10, every=5, trajectory=path, append=True)
     return path.read_bytes()
 

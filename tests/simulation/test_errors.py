@@ -153,7 +153,7 @@ def test_existing_output_is_kept_and_a_full_disk_ends_a_run_with_a_sentence_and_
     file.write_text("precious")
     assert_answered(lambda: simulate(trajectory=file), FileExistsError, "a.h5md", "overwrite=True")
     assert file.read_text() == "precious"
-    fill_the_disk(monkeypatch, after=5)
+    fill_the_disk(monkeypatch, after=4)
     with pytest.raises(OSError, match=r"b\.h5md.* step 2: No space left on device; the 2 frames [^\n]*$"):
         simulate(every=1, trajectory=new)
     assert read_file(new).record.step.tolist() == [0, 1]

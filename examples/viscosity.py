@@ -30,6 +30,7 @@ observers = [stress, displacement, velocity, structure, md.observers.Fluctuation
 liquid.run(n_steps, every=1000, observers=observers)
 
 eta = stress.result()
+eta.plot().savefig("viscosity.png")
 print(f"{eta}   (published: 3.258, 3.24 ± 0.04)")
 print(f"{velocity.result()}   (of 500 atoms)")
 print(f"{displacement.result(viscosity=eta.viscosity)}   (published, for many: 0.0353)")

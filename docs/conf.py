@@ -46,7 +46,7 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_copyright = False
 html_show_sourcelink = False
-html_search_scorer = "_ext/scorer.js"
+html_search_scorer = str(DOCS / "_ext" / "scorer.js")
 html_show_search_summary = False  # it would fetch the pages that were found, which a browser forbids to files
 mathjax_path = "mathjax/tex-svg-full.js"
 

@@ -56,5 +56,5 @@ potential, total = record.potential_energy, record.total_energy
 print(f"potential energy  {potential[0]:.1f} -> {potential[-1]:.1f} ε: the atoms fall onto the floor")
 print(f"total energy      varies by {np.ptp(total) / np.ptp(potential):.1e} of that   (expected: below 1e-3, ∝ Δt²)")
 plt.plot(record.time, np.transpose([potential, record.kinetic_energy, total]), label=["potential", "kinetic", "total"])
-plt.legend(title="energies / ε against time / τ", loc=(0.55, 0.27))
+plt.legend(title="energies / ε against time / τ", loc=(0.3, 0.27))
 plt.savefig("own_force.png", dpi=150)

@@ -43,7 +43,7 @@ time = 0.002 * np.arange(1, 601)
 panel.plot(time, 1e3 * swings[:600], lw=4, color="0.8", label="run")
 panel.plot(time, 1.2 * np.cos(width * sqrt(2 * depth / 0.5) * time), "C3--", label="cos ωt, ω = a √(2D/μ)")
 panel.set(xlabel="time / τ", ylabel="r − mean / 10⁻³ σ")
-panel.legend(loc="upper right")
+figure.legend(loc="outside upper center", ncols=2)
 figure.savefig("own_law.png", dpi=150)
 print(f"Morse bond     ω = {frequency:.3f}/τ   (small oscillations: {width * sqrt(2 * depth / 0.5):.3f}/τ)")
 

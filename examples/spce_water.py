@@ -36,5 +36,7 @@ sim.run(n_steps, every=1000, observers=[structure, motion, flow])
 print(flow.result())
 turned = n_steps * timestep / 24  # 5 ps: hydrogens turn, and the straight line begins when they have
 print(motion.result(window=(turned, 4 * turned), viscosity=flow.result().viscosity))
-structure.result().plot().savefig("spce_water.png")
+picture = structure.result().plot()
+picture.axes[0].set(xlim=(1.7, None), ylim=(0.0, 3.5))  # beyond the distances within a molecule
+picture.savefig("spce_water.png")
 print(sim.report())

@@ -1,4 +1,4 @@
-"""The Lennard-Jones liquid near its triple point: how viscous is it, and how fast do its atoms diffuse?
+"""How viscous is the Lennard-Jones liquid near its triple point, and how fast do its atoms diffuse?
 
 Reduced units. Observers keep sums during the run; no frame is written. Published values:
 viscosity 3.258, diffusion coefficient 0.0325 for 1372 atoms, or 0.0353 for an infinite system: K. Meier, A. Laesecke,

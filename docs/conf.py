@@ -1,5 +1,6 @@
 """The site: sphinx-build -W docs site.  Nothing is fetched while it is built; its pages make no request to any host."""
 
+import re
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,6 +11,7 @@ DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS / "_ext"))
 
 import gallery  # noqa: E402
+import pages  # noqa: E402
 import plain_docstrings  # noqa: E402
 
 MATHJAX = Path(find_spec("sphinx-mathjax-offline").origin).parent / "static" / "mathjax"
@@ -24,7 +26,11 @@ smartquotes = False  # what is quoted may be code
 nitpicky = False
 suppress_warnings = ["config.cache"]
 
-myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist", "substitution"]
+README = (DOCS.parent / "README.md").read_text(encoding="utf-8")
+ROWS = {"melt": "minimd, million", "lammps": "times the speed of LAMMPS", "openmm": "... of OpenMM's CPU"}
+# of 4000 atoms, the second number of the row of README's table
+myst_substitutions = {name: re.search(rf"\| {row}[^|]*\|[^|]*\| ([\d.]+) ", README)[1] for name, row in ROWS.items()}
 myst_heading_anchors = 4
 
 autodoc_typehints = "none"
@@ -40,6 +46,7 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_copyright = False
 html_show_sourcelink = False
+html_search_scorer = str(DOCS / "_ext" / "scorer.js")
 html_show_search_summary = False  # it would fetch the pages that were found, which a browser forbids to files
 mathjax_path = "mathjax/tex-svg-full.js"
 
@@ -55,8 +62,8 @@ sphinx_gallery_conf = {
     "examples_dirs": [gallery.prepare(folder, DOCS / "_build" / name, EXAMPLES) for name, folder in FOLDERS.items()],
     "gallery_dirs": list(FOLDERS),
     "filename_pattern": r"\.py$",
-    "within_subsection_order": "FileNameSortKey",
-    "default_thumb_file": str(DOCS / "clusters.png"),  # of examples that print and draw nothing
+    "within_subsection_order": "gallery.by_theme",
+    "image_scrapers": ("matplotlib", "gallery.saved_pictures"),
     "reset_modules": ("matplotlib", "gallery.large_fonts"),
     "abort_on_example_error": True,
     "show_signature": False,
@@ -78,5 +85,7 @@ def copy_mathjax(app, error):
 def setup(app):
     """Connect the functions that Sphinx calls."""
     app.connect("source-read", gallery.escape_bars)
+    app.connect("source-read", gallery.divide)
+    app.connect("source-read", pages.prepare)
     app.connect("autodoc-process-docstring", plain_docstrings.process)
     app.connect("build-finished", copy_mathjax)

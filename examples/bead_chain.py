@@ -3,6 +3,7 @@
 Reduced units. Bonded beads feel only the spring: pairs one bond apart are excluded from the Lennard-Jones repulsion.
 """
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 import minimd as md
@@ -41,3 +42,12 @@ width = energy.std() / len(system)
 print(f"total energy   {energy[0]:.3f} to {energy[-1]:.3f} ε; ± {width:.1e} ε per bead   (expected: below 1e-3)")
 print(f"spring energy  {spring_energy:.3f} ε per bond   (equipartition: about k_B T/2 = {0.5 * now:.3f})")
 print(simulation.report())
+
+figure, panel = plt.subplots(figsize=(6, 4), layout="constrained")
+x = np.linspace(-4.0, 4.0, 200) * np.sqrt(now / stiffness)
+gauss = np.exp(-stiffness * x**2 / (2.0 * now)) * np.sqrt(stiffness / (2.0 * np.pi * now))
+panel.hist(np.ravel(stretches), x[::5], density=True, color="0.8", label="springs of the run")
+panel.plot(x, gauss, "C3", label="Boltzmann, spring alone")
+panel.set(xlabel="stretch / σ", ylabel="probability density / σ⁻¹", ylim=(0.0, 1.5 * gauss.max()))
+panel.legend(frameon=False)
+figure.savefig("bead_chain.png", dpi=150)

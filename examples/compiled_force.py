@@ -55,4 +55,6 @@ potentials = [md.LennardJones(1.0, 1.0, 2.5, "force-shifted"), Pull(np.arange(0,
 for precision in ("double", "fixed-point"):
     sim = md.Simulation(md.System(positions, cell=edges), potentials, md.VelocityVerlet(0.002), precision=precision)
     sim.set_temperature(1.0, seed=1)
-    print(f"{precision}: the energy oscillates by {np.ptp(sim.run(500).total_energy) / 2048:.1e} ε per atom (exact: 0)")
+    record = sim.run(500, every=10)
+    print(f"{precision}: the energy oscillates by {np.ptp(record.total_energy) / 2048:.1e} ε per atom (exact: 0)")
+record.plot().savefig("compiled_force.png")

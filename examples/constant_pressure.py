@@ -5,6 +5,8 @@ density 0.776 has the pressure 0.24056. A parabola through this point and those 
 10.2 there: κ = 1/(ρ dp/dρ) = 0.126.
 """
 
+import matplotlib.pyplot as plt
+
 import minimd as md
 
 n_cells, temperature, pressure = 5, 0.90, 0.24056
@@ -28,3 +30,11 @@ for name, (value, error), known in [
     print(f"{name} = {value:.4f} ± {error:.4f}   (NIST: {known})")
 print(found)
 print(liquid.report())
+
+figure, panel = plt.subplots(figsize=(6, 4), layout="constrained")
+panel.plot(record.time, record.n_atoms / record.volume, lw=0.5, color="0.6", label="run")
+panel.axhline(density[0], color="C0", label=f"mean {density[0]:.4f} ± {density[1]:.4f}")
+panel.axhline(0.776, color="C3", ls="--", label="NIST 0.776")
+panel.set(xlabel="time / τ", ylabel="density / σ⁻³")
+figure.legend(loc="outside upper center", ncols=3, fontsize="small")
+figure.savefig("constant_pressure.png", dpi=150)

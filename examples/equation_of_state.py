@@ -3,6 +3,7 @@
 At ρ* = 0.776 NIST has results for 500 atoms: https://mmlapps.nist.gov/srs/LJ_PURE/mc.htm. With 256, and forces that
 do not feel the jump at the cutoff, p is 0.014 lower (docs/ensembles.md). Run it again to go on: it keeps 240 MB."""
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 import minimd as md
@@ -37,3 +38,12 @@ if __name__ == "__main__":  # worker processes import this file
         energy, error = row["potential_energy_mean"] / row["n_atoms"], row["potential_energy_error"] / row["n_atoms"]
         pressure = f"{row['pressure_mean']:.3f} ± {row['pressure_error']:.3f}"
         print(f"T* {row['temperature']:.2f}: U* {energy:.4f} ± {error:.4f}, p* {pressure}{known}")
+
+    figure, panels = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
+    for k, (panel, name, scale) in enumerate(zip(panels, ("potential_energy", "pressure"), (256, 1), strict=True)):
+        values, errors = table[f"{name}_mean"] / scale, table[f"{name}_error"] / scale
+        panel.errorbar(temperatures, values, errors, fmt=".-", label="20 runs of 256 atoms")
+        panel.plot(list(nist), [known[k] for known in nist.values()], "D", color="C3", mfc="none", ms=9, label="NIST")
+        panel.set(xlabel="T*", ylabel=("U* / N", "p*")[k])
+        panel.legend(frameon=False)
+    figure.savefig("equation_of_state.png", dpi=150)

@@ -1,4 +1,4 @@
-"""Three points, two of them sliding on the lines y = ±l, joined to the middle one by rods, pulled along the lines.
+"""A mechanism: three points, two of them on the lines y = ±l, joined to the middle one by rods, and pulled along.
 
 Nothing is eliminated: six coordinates obey four constraints, and their multipliers are the forces of rods and lines.
 The kinetic energy must equal the work of the pulls; and as long as the positions of the rods are functions of the

@@ -8,6 +8,7 @@ A law takes r² and its parameters and returns u and f = −u′(r)/r; minimd co
 
 from math import exp, sqrt
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 import minimd as md
@@ -37,6 +38,13 @@ simulation.run(5000, every=1, observers=[lambda run: distances.append(run.positi
 swings = np.array(distances) - np.mean(distances)
 crossings = np.flatnonzero((swings[:-1] < 0) & (swings[1:] >= 0))
 frequency = 2.0 * np.pi * (len(crossings) - 1) / (0.002 * (crossings[-1] - crossings[0]))
+figure, panel = plt.subplots(figsize=(6, 4), layout="constrained")
+time = 0.002 * np.arange(1, 601)
+panel.plot(time, 1e3 * swings[:600], lw=4, color="0.8", label="run")
+panel.plot(time, 1.2 * np.cos(width * sqrt(2 * depth / 0.5) * time), "C3--", label="cos ωt, ω = a √(2D/μ)")
+panel.set(xlabel="time / τ", ylabel="r − mean / 10⁻³ σ")
+figure.legend(loc="outside upper center", ncols=2)
+figure.savefig("own_law.png", dpi=150)
 print(f"Morse bond     ω = {frequency:.3f}/τ   (small oscillations: {width * sqrt(2 * depth / 0.5):.3f}/τ)")
 
 # A hundred atoms with Lennard-Jones and Yukawa together: is the force still minus the gradient of the energy?

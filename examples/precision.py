@@ -3,6 +3,7 @@
 Reduced units. The reference is the same sum over pairs in extended precision, if the machine has it.
 """
 
+import matplotlib.pyplot as plt
 import numpy as np
 from ase.build import bulk
 
@@ -31,6 +32,7 @@ reference = np.zeros_like(exact)
 np.add.at(reference, i, -((force(r) - force(np.longdouble(cutoff))) / r)[:, None] * separation)
 largest = np.linalg.norm(reference, axis=1).max()
 
+figure, panel = plt.subplots(figsize=(6, 4), layout="constrained")
 for precision in ("double", "fixed-point"):
     run = md.Simulation(melt.system, law, md.VelocityVerlet(timestep), precision=precision)
     run.run(0)
@@ -42,3 +44,7 @@ for precision in ("double", "fixed-point"):
     print(f"    error of the forces   rms {rms:.1e}, largest {errors.max():.1e}, of the largest force")
     print(f"    drift of the energy   {slope}   (expected: zero within its error)")
     print(f"    change of momentum    {change:.1e} of the sum of |mv|   (expected: some 1e-16; zero in fixed-point)")
+    panel.hist(np.log10(errors), bins=60, alpha=0.6, label=precision)
+panel.set(xlabel="log₁₀ of the error of a force, over the largest force", ylabel="atoms")
+panel.legend(frameon=False)
+figure.savefig("precision.png", dpi=150)

@@ -4,8 +4,6 @@ The literature has a density of 0.998 g/cm³, the first peak of g(r) at 2.75 Å,
 the size of the cell, and η = 0.729 ± 0.07 mPa s (S. Tazi et al., J. Phys.: Condens. Matter 24, 284117 (2012)).
 """
 
-import matplotlib.pyplot as plt
-
 import minimd as md
 
 n_molecules, temperature, timestep = 216, 298.0, 2.0 * md.units.fs
@@ -38,6 +36,7 @@ sim.run(n_steps, every=1000, observers=[structure, motion, flow])
 print(flow.result())
 turned = n_steps * timestep / 24  # 5 ps: hydrogens turn, and the straight line begins when they have
 print(motion.result(window=(turned, 4 * turned), viscosity=flow.result().viscosity))
-structure.result().plot()
+picture = structure.result().plot()
+picture.axes[0].set(xlim=(1.7, None), ylim=(0.0, 3.5))  # beyond the distances within a molecule
+picture.savefig("spce_water.png")
 print(sim.report())
-plt.show()

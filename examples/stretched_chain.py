@@ -10,6 +10,7 @@ a row, k_eff = 1/(3/k + 1/κ), ΔF = k_eff L²/2.
 C. Jarzynski, Phys. Rev. Lett. 78, 2690 (1997); O. Mazonka, C. Jarzynski, arXiv:cond-mat/9912121 (1999). Reduced units.
 """
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 import minimd as md
@@ -39,6 +40,7 @@ def works(duration, seed):
 
 
 print(f"exact ΔF = {exact:.3f} ε   (expected: ⟨W⟩ above it, the others equal where W varies by little more than k_B T)")
+figure, panel = plt.subplots(figsize=(6, 4), layout="constrained")
 for duration in (2.0, 10.0, 50.0):
     done, record = works(duration, seed=1)
     average, spread = done.mean(), done.std(ddof=1) / n_chains**0.5
@@ -46,8 +48,10 @@ for duration in (2.0, 10.0, 50.0):
     cumulant = average - done.var(ddof=1) / (2.0 * temperature)
     drift = np.ptp(record.conserved_energy) / n_chains
     off = abs(record.work[-1] / done.sum() - 1.0)
-    print(
-        f"τ = {duration:4.0f}: ⟨W⟩ = {average:.3f} ± {spread:.3f}, Jarzynski {jarzynski:.3f}, Gaussian {cumulant:.3f};",
-        end=" ",
-    )
-    print(f"recorded work is their sum to {off:.0e}; E − Q − W varies by {drift:.3f} ε a chain")
+    print(f"τ = {duration:.0f}: ⟨W⟩ = {average:.3f} ± {spread:.3f}, Jarzynski {jarzynski:.3f}, Gaussian {cumulant:.3f}")
+    print(f"    recorded work is their sum to {off:.0e}; E − Q − W varies by {drift:.3f} ε a chain")
+    panel.hist(done, bins=25, density=True, alpha=0.5, label=f"τ = {duration:.0f}")
+panel.axvline(exact, color="k", ls="--", label="ΔF, exact")
+panel.set(xlabel="work on one chain / ε", ylabel="probability density / ε⁻¹")
+panel.legend(frameon=False)
+figure.savefig("stretched_chain.png", dpi=150)

@@ -1,4 +1,4 @@
-"""The Lennard-Jones liquid near its triple point: how viscous is it, and how fast do its atoms diffuse?
+"""How viscous is the Lennard-Jones liquid near its triple point, and how fast do its atoms diffuse?
 
 Reduced units. Observers keep sums during the run; no frame is written. Published values:
 viscosity 3.258, diffusion coefficient 0.0325 for 1372 atoms, or 0.0353 for an infinite system: K. Meier, A. Laesecke,
@@ -30,6 +30,7 @@ observers = [stress, displacement, velocity, structure, md.observers.Fluctuation
 liquid.run(n_steps, every=1000, observers=observers)
 
 eta = stress.result()
+eta.plot().savefig("viscosity.png")
 print(f"{eta}   (published: 3.258, 3.24 ± 0.04)")
 print(f"{velocity.result()}   (of 500 atoms)")
 print(f"{displacement.result(viscosity=eta.viscosity)}   (published, for many: 0.0353)")

@@ -1,11 +1,40 @@
 """What the gallery shows: copies of the examples with a title, so that a build writes nothing beside the originals."""
 
 import re
+import shutil
 from pathlib import Path
 
 from plain_docstrings import as_rst
+from sphinx_gallery.scrapers import figure_rst
 
 FONT_SIZE = 14  # of pictures that are shown at three fifths of their size
+# In this order; an example that is not named here comes last.
+THEMES = {
+    "Liquids": "liquid_argon constant_pressure equation_of_state viscosity live mixture spce_water",
+    "Heat baths and ensembles": "thermostats ensemble_checks stretched_chain",
+    "Molecules and rigid bonds": "rigid_nitrogen timestep_gain bead_chain rigid_chain rigid_ring",
+    "Laws and forces of your own": "own_law own_force compiled_force compiled_drag",
+    "To the last bit, and how smooth": "to_the_last_bit droplet_born precision smooth_cutoff",
+    "Planets and stars": "kepler kepler_reversed adaptive_kepler outer_solar_system three_body henon_heiles "
+    "work_precision",
+    "Mechanisms": "pendulum stiff_spring mechanism coupled_wells",
+}
+ORDER = " ".join(THEMES.values()).split()
+CARD = """.. raw:: html
+
+    <div class="sphx-glr-thumbcontainer\""""
+DIVISION = """.. raw:: html
+
+    </div>
+
+{title}
+{line}
+
+.. raw:: html
+
+    <div class="sphx-glr-thumbnails">
+
+"""
 # Worker processes import the script that made them, which Sphinx runs under another name.
 WORKERS = """
 # sphinx_gallery_start_ignore
@@ -38,6 +67,8 @@ def prepare(source: Path, target: Path, header: str) -> str:
     header : the text above the scripts, unless the folder has one in README.rst.
     """
     target.mkdir(parents=True, exist_ok=True)
+    for path in target.glob("*.png"):
+        path.unlink()  # see saved_pictures
     texts = {
         path.name: with_title(path.read_text(encoding="utf-8"), target / path.name)
         for path in sorted(source.glob("*.py"))
@@ -62,6 +93,35 @@ def escape_bars(_app: object, name: str, source: list[str]) -> None:
         source[0] = "\n".join(
             re.sub(r"(?<!\\)\|", r"\|", line) if is_prose else line for line, is_prose in zip(lines, prose, strict=True)
         )
+
+
+def by_theme(name: str) -> tuple[int, str]:
+    """For within_subsection_order of sphinx-gallery: the place of a script."""
+    return ORDER.index(Path(name).stem) if Path(name).stem in ORDER else len(ORDER), name
+
+
+def divide(_app: object, name: str, source: list[str]) -> None:
+    """For Sphinx' event source-read: a heading above the cards of each theme."""
+    if name == "gallery/index":
+        head, *cards = source[0].split(CARD)
+        last, parts = "", [head]
+        for card in cards:
+            script = re.search(r"sphx_glr_(\w+)_thumb", card)[1]
+            title = next((one for one, names in THEMES.items() if script in names.split()), "More")
+            parts.append((DIVISION.format(title=title, line="-" * len(title)) if title != last else "") + CARD + card)
+            last = title
+        source[0] = "".join(parts)
+
+
+def saved_pictures(_block: tuple, names: dict, conf: dict) -> str:
+    """An image scraper of sphinx-gallery: what a script has saved, if it has drawn nothing with pyplot."""
+    drawn, moved = len(names["image_path_iterator"]), []
+    for path in sorted(Path(names["src_file"]).parent.glob("*.png")):
+        if drawn:
+            path.unlink()
+        else:
+            moved.append(shutil.move(path, next(names["image_path_iterator"])))
+    return figure_rst(moved, conf["src_dir"])
 
 
 def large_fonts(_conf: object, _script: str) -> None:

@@ -51,7 +51,7 @@ def _block(block: str) -> Iterator[str]:
     elif all(line.startswith("  ") for line in lines) or (
         not ENTRY.match(lines[0]) and any(ALIGNED.search(line) for line in lines)
     ):
-        yield from ("::", "", *(f"    {line}" for line in lines), "")
+        yield from (".. code-block:: text", "", *(f"    {line}" for line in lines), "")
     elif ENTRY.match(lines[0]):
         yield from (*entries(lines), "")
     elif re.match(r"[-*] |\d+\. ", lines[0]):

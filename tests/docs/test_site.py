@@ -15,6 +15,7 @@ import pytest
 
 pytestmark = pytest.mark.slow
 REPOSITORY = Path(__file__).parents[2]
+SEARCHED = {"restart": "files", "bond": "bonds", "law": "own-laws", "charg": "water", "gpu": "limits"}  # by stems
 NEEDED = ("sphinx", "myst_parser", "sphinx_gallery", "furo", "sphinx-mathjax-offline")
 
 
@@ -24,8 +25,9 @@ def site(tmp_path_factory):
     if missing := [name for name in NEEDED if importlib.util.find_spec(name) is None]:
         pytest.skip(f"{missing[0]} is not installed: pip install '.[docs]'")
     folder, ignored = tmp_path_factory.mktemp("site"), shutil.ignore_patterns("_build", "gallery", "__pycache__")
-    shutil.copy(REPOSITORY / "CHANGELOG.md", folder)
-    for name in ("docs", "examples", "course"):
+    for name in ("CHANGELOG.md", "README.md"):
+        shutil.copy(REPOSITORY / name, folder)
+    for name in ("docs", "examples", "course", "tests"):
         shutil.copytree(REPOSITORY / name, folder / name, ignore=ignored, ignore_dangling_symlinks=True)
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-D", "plot_gallery=0", "docs", "site"]
     built = subprocess.run(command, cwd=folder, capture_output=True, text=True)
@@ -57,6 +59,6 @@ def test_links_inside_lead_somewhere_and_nothing_is_fetched_from_outside(site):
 def test_the_search_finds_the_pages_of_a_word(site):
     text = (site / "searchindex.js").read_text(encoding="utf-8")
     index = json.loads(text[text.index("{") : text.rindex("}") + 1])
-    for word, page in (("restart", "files"), ("bond", "bonds"), ("law", "own-laws")):  # stems of words
+    for word, page in SEARCHED.items():
         found = [index[table].get(word, []) for table in ("terms", "titleterms")]  # one number, or several
         assert page in [index["docnames"][number] for numbers in found for number in np.atleast_1d(numbers)]

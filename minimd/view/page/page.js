@@ -221,6 +221,7 @@ function connectPictures() {
   const set = (value) => {
     zoom = Math.max(0.5, Math.min(8, value));
     $("picture").style.width = `${100 * zoom}%`;
+    $("pictures").style.maxHeight = zoom > 1 ? "90vh" : "none";
     $("zoom").textContent = `${Math.round(100 * zoom)} %`;
   };
   $("smaller").onclick = () => set(zoom / 1.25);

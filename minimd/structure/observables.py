@@ -136,8 +136,8 @@ def angular_momentum(positions, velocities, masses):
     """L = Σ m r × v about the origin [mass length²/time], (3,); constant only if nothing is periodic."""
     lx = ly = lz = 0.0
     for i in range(masses.size):
-        x, y, z = positions[i]
-        vx, vy, vz = velocities[i]
+        x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
+        vx, vy, vz = velocities[i, 0], velocities[i, 1], velocities[i, 2]
         lx += masses[i] * (y * vz - z * vy)
         ly += masses[i] * (z * vx - x * vz)
         lz += masses[i] * (x * vy - y * vx)

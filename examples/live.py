@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from threading import Thread
 from time import sleep
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 import minimd as md
@@ -52,3 +53,7 @@ else:
     strays = np.ptp(energies) / len(positions)
     print(f"{len(energies)} frames: total energy varies by {strays:.1e} kJ/mol an atom   (expected: below 2e-3)")
     print(f"sum of momenta: {share:.0e} of what they are   (expected: below 1e-6, the rounding of float32)")
+    plt.plot(energies / len(positions), ".-")
+    plt.xlabel("frame")
+    plt.ylabel("total energy per atom [kJ/mol]")
+    plt.savefig("live.png", dpi=120)

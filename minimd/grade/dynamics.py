@@ -20,7 +20,7 @@ from tqdm import tqdm
 from minimd.console.words import shown
 from minimd.grade import ensembles
 from minimd.grade.findings import Finding, Grade, Law, Measured, causes, judged
-from minimd.grade.scenes import SCENES, Array, Frames, Make, ends_of, run, started
+from minimd.grade.scenes import SCENES, SOFT, Array, Frames, Make, ends_of, run, started
 from minimd.structure.checks import checked_choice, checked_count, checked_number
 
 ENSEMBLES = {"NVE": "constant energy", "NVT": "constant temperature", "NPT": "constant temperature and pressure"}
@@ -51,6 +51,11 @@ class Claims(NamedTuple):
         """A scene with these claims."""
         return SCENES[name](self.kt, self.timestep, self.pressure, is_still)
 
+    def has(self, dynamics: Any) -> set[str]:
+        """What laws of paths may need."""
+        offers, is_rigid = hasattr(dynamics, "get_conserved_energy"), self.scenes[0] == "chain"
+        return {self.ensemble, *["conserved"] * offers, *["rigid"] * is_rigid}
+
     def laws(self) -> list[tuple[str, list[str]]]:
         """The names of the laws of each scene."""
         have = {name: {*self.scene(name, True).has.split()} for name in self.scenes * (self.ensemble != "NVE")}
@@ -77,7 +82,7 @@ class Motion:
         self.change = float(np.abs(atoms.get_momenta().sum(axis=0)).max() / self.heat)
         self.is_still = self.change < KEPT  # whether a scene at rest stays at rest
         self.scene = claims.scene(claims.scenes[0], self.is_still and claims.ensemble != "NVE")
-        self.has = {claims.ensemble} | ({"conserved"} if hasattr(dynamics, "get_conserved_energy") else set())
+        self.has = claims.has(dynamics)
 
     def path(self, *parts: int) -> Array:
         """Positions after some steps, of which each part is made by a new object."""
@@ -121,8 +126,10 @@ class Motion:
                 found[k] = energy()
             return found
 
-        n, seed = min(self.claims.steps, STEPS["NVE"]), self.claims.seed
-        bar = tqdm(range(seed, seed + RUNS["NVE"]), desc="energy", leave=False, disable=None)
+        n, runs, seed = self.claims.steps, self.claims.runs, self.claims.seed
+        if self.claims.ensemble != "NVE":
+            n, runs = min(n, STEPS["NVE"]), min(runs, RUNS["NVE"])
+        bar = tqdm(range(seed, seed + runs), desc="energy", leave=False, disable=None)
         pairs = [(one(self.make, k, n), one(self.halved, k, 2 * n)) for k in bar]
         return [np.array(energies) for energies in zip(*pairs, strict=True)]
 
@@ -145,6 +152,11 @@ class Motion:
         else:
             said = "the force is not minus the gradient of the energy (is it capped?), or x and p do not have one mass"
         return Measured(order, 0.0 if order > LEAST_ORDER else 1.0, said)
+
+    def softness(self) -> float:
+        """How far rigid bonds are off."""
+        seen = run(self.make, self.scene, self.claims.seed, 2 * OF_PATHS, 1, self.claims.kt)
+        return float(self.scene.calculator.softness(seen))
 
     def reversal(self) -> tuple[float, float]:
         """The distance from the start after steps forwards and as many back, over the size of the scene."""
@@ -171,6 +183,7 @@ LAWS = (  # of paths
         "the energy drifts: in {3} steps {0:+.1g} ± {2:.1g} of its spread", "NVE"),
     Law("reversible", Motion.reversal, SAME, "100 steps and back: {0:.1e}",
         "a path does not lead back: with turned momenta 100 steps end {0:.1e} beside the start", "NVE"),
+    Law("rigid bonds", Motion.softness, SOFT, ensembles.BONDS, ensembles.BONDS_FAULT, "NVE rigid"),
     Law("order of the conserved energy's error", Motion.order, 0.5, "Δt^{0:.2f}", ORDER, "NVT conserved"),
     Law("order of the conserved energy's error", Motion.order, 0.5, "Δt^{0:.2f}", ORDER, "NPT conserved"),
 )
@@ -187,8 +200,7 @@ def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
         with np.errstate(all="ignore"):
             findings = judged(LAWS, motion)
     except Exception as error:  # whatever a class raises
-        said = f"{type(error).__name__}: {error}"
-        raise ValueError(f"{name} could not make {OF_PATHS} steps with {options}; {said}") from error
+        raise ValueError(f"{name} failed with {options}: {type(error).__name__}: {error}") from error
     is_still, laws = motion.is_still, claims.laws()
     rate = RATE / max(1, sum(len(names) for _, names in laws))
     findings += [one for scene, _ in laws for one in of_scene(make, claims, scene, is_still, rate)]
@@ -233,12 +245,13 @@ def claimed(options: dict[str, Any]) -> Claims:
     ensemble = checked_choice("ensemble", taken["ensemble"] or found, ENSEMBLES)
     if ensemble == "NPT" and asked is None:
         raise ValueError("pressure must be given for NPT [eV/Å³], as pressure= or as an option of the class; got none")
-    if has_bonds and ensemble == "NPT":
-        raise ValueError("constraints are judged for NVE and NVT; got a pressure")
+    if (has_bonds and ensemble == "NPT") or (has_liquids and ensemble == "NVE"):
+        raise ValueError(f"constraints are judged for NVE and NVT, liquids for NVT and NPT; got {ensemble}")
+    given = options.get("temperature_K")
     scenes = ("chain",) * has_bonds if ensemble == "NVE" else USED[ensemble] + ("chain",) * has_bonds
     return Claims(
         ensemble,
-        units.kB * checked_number("temperature_K", options.get("temperature_K") or 300.0, "positive and finite"),
+        units.kB * checked_number("temperature_K", 300.0 if given is None else given, "positive and finite"),
         0.0 if ensemble != "NPT" else checked_number("pressure", asked, "positive and finite"),
         checked_number("timestep", units.fs if taken["timestep"] is None else taken["timestep"], "positive and finite"),
         checked_count("runs", RUNS[ensemble] if taken["runs"] is None else taken["runs"], 6),
@@ -248,10 +261,10 @@ def claimed(options: dict[str, Any]) -> Claims:
     )
 
 
-def names_of(options: dict[str, Any]) -> list[str]:
-    """The names of the laws that are judged with these options."""
+def names_of(dynamics: Any, options: dict[str, Any]) -> list[str]:
+    """The names of the laws by which a class is judged with these options."""
     claims = claimed({**options})
-    own = [law.name for law in LAWS if {*law.needs.split()} <= {claims.ensemble}]
+    own = [law.name for law in LAWS if {*law.needs.split()} <= claims.has(dynamics)]
     return own + [f"{scene}: {law}" for scene, laws in claims.laws() for law in laws]
 
 

@@ -10,7 +10,7 @@ from scipy import stats
 from scipy.special import polygamma
 
 from minimd.grade.findings import Law, Measured, nearest
-from minimd.grade.scenes import Array, Frames, Scene, joined
+from minimd.grade.scenes import SOFT, Array, Frames, Scene, joined
 
 LEAST = 0.2  # mean of a measure, for its error
 ACTED, NEVER = 0.2, 1e-6  # of the energy, or the volume, is new at the end of a run, at least; if nothing acts
@@ -187,6 +187,8 @@ def row(name: str, words: str, measure: Measure, said: Said, needs: str, spare: 
     return Law(name, lambda seen: seen.over_runs(measure, said, spare), 1.0, told, "{2}", needs)
 
 
+BONDS = "lengths, and velocities along bonds, are off by {0:.1e}"
+BONDS_FAULT = "rigid bonds change their lengths, by {0:.1e}"
 # fmt: off
 LAWS = (  # of what a scene has
     Law("constant volume", lambda seen: float(np.ptp(seen.all.volumes) > 0.0), 0.5, "changed in {0:g} of 1",
@@ -218,11 +220,10 @@ LAWS = (  # of what a scene has
     row("fluctuation of the volume", "the variance of ln V over that of the ensemble", lambda run, seen:
         float(((np.log(run.volumes) - seen.log_volume) ** 2).mean() / polygamma(1, seen.n_volume)), spread_said,
         "volume", 0.03),
-    Law("rigid bonds", lambda seen: seen.scene.calculator.softness(seen.all), 1e-6, "lengths, and velocities along "
-        "bonds, are off by {0:.1e}", "rigid bonds change their lengths, by {0:.1e}", "rigid"),
+    Law("rigid bonds", lambda seen: seen.scene.calculator.softness(seen.all), SOFT, BONDS, BONDS_FAULT, "rigid"),
     row("energy of the liquid", "over that of NIST", lambda run, seen: float(run.u.mean()) / seen.scene.wanted,
-        lambda means, _: f"the energy of the liquid is {means[0]:.4f} times that of NIST", "liquid", 0.01),
+        lambda means, _: f"the energy of the liquid is {means[0]:.4f} times that of NIST", "liquid"),
     row("density of the liquid", "V over that of NIST", lambda run, seen: float(run.volumes.mean()) / seen.scene.wanted,
-        lambda means, _: f"the volume of the liquid is {means[0]:.4f} times that of NIST", "pressed", 0.01),
+        lambda means, _: f"the volume of the liquid is {means[0]:.4f} times that of NIST", "pressed"),
 )
 # fmt: on

@@ -26,6 +26,7 @@ MASSES = np.repeat([2.0, 8.0, 30.0, 120.0], 2)  # amu, of the atoms of a ring
 STIFF = 0.06  # ω Δt of a bond of the ring, with the lighter of its atoms
 QUARTIC = 0.05  # of k²/kT: makes the motion chaotic
 STRETCH = 4.0  # length of the bonds of molecules, in units of their thermal motion
+SOFT = 1e-6  # a rigid bond that is off by more is none
 SMALLEST = 1e-4  # volume of a run, over that at its start
 MOLECULES, OF_MOLECULES, RIGID = 6, 0.12, 4  # of the gas, and ω Δt; of the chain
 COARSE = 4.0  # times the frequencies of the ring: for the error of a long time step

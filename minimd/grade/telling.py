@@ -67,7 +67,7 @@ def laws_of(dynamics: Callable[..., Any], **options: Any) -> list[Any]:
     from minimd.grade.dynamics import names_of
 
     graded = cache(lambda: grade(dynamics, kind="dynamics", **options))
-    return [LawOf(name, graded) for name in names_of(options)]
+    return [LawOf(name, graded) for name in names_of(dynamics, options)]
 
 
 class LawOf:

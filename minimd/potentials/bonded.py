@@ -11,14 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 from minimd.potentials import declared as kind
 from minimd.potentials import laws
 from minimd.potentials.declared import NOT_NEGATIVE, POSITIVE, Array, Declared, LammpsStyle, declared
-from minimd.potentials.law import on_vectors
+from minimd.potentials.law import check_law_of_angles, check_user_law, checked_law, on_vectors
 from minimd.potentials.links import Bend, FixedPairs, LinkedTerm, Torsion
 from minimd.potentials.term import NoTerm, Term, no_bonds
 from minimd.structure.bond_graph import GROUPS, checked_groups, checked_pairs
+from minimd.structure.cell import nearest_vectors
 from minimd.structure.system import System
 
 STRETCH = "u = −k longest² ln(1 − (r/longest)²)/2, and the repulsion"
 REPULSION = "of the repulsion, Lennard-Jones cut at its minimum; 0 for none"
+TRIED_AT = (0.9, 0.97, 1.06)  # of the length of the first bond: where a user's law of bonds is tried
 ARGUMENTS = {2: "pairs", 3: "triples", 4: "quadruples"}
 
 
@@ -42,9 +44,13 @@ class Bonded(Declared):
         found = self.groups_in(system)
         columns = self.columns(self.acts_on, len(found))
         if len(found):
+            self.check_law(system, found[0], tuple(float(column[0]) for column in columns))
             return self.term(found, columns)
         is_told = getattr(self, ARGUMENTS[GROUPS[self.acts_on]]) is None
         return NoTerm(no_bonds(repr(self), self.acts_on) if is_told else "")
+
+    def check_law(self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]) -> None:
+        """Compare a user's law with its slope, for the first group.  Raises ValueError if it is wrong."""
 
 
 class Bond(Bonded):
@@ -63,6 +69,11 @@ class BondPotential(Bond):
     law: Callable | tuple = declared(kind.own_law, "law(r2, *parameters), as for PairPotential")  # type: ignore[misc]
     parameters: Sequence[ArrayLike] = declared(kind.own_parameters, default=())
     pairs: ArrayLike | None = declared(kind.groups, of=2, default=None)
+
+    def check_law(self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]) -> None:
+        """See Bonded."""
+        r = float(np.linalg.norm(nearest_vectors(system.positions, system.cell, group[None])))
+        check_user_law(checked_law(self.law), numbers, [x * r for x in TRIED_AT] if r > 0.0 else ())
 
 
 class HarmonicBond(Bond):
@@ -138,6 +149,10 @@ class DihedralPotential(Dihedral):
     law: Callable | tuple = declared(kind.own_law, "law(phi, *parameters)")  # type: ignore[misc]
     parameters: Sequence[ArrayLike] = declared(kind.own_parameters, default=())
     quadruples: ArrayLike | None = declared(kind.groups, of=4, default=None)
+
+    def check_law(self, system: System, group: NDArray[np.int64], numbers: tuple[float, ...]) -> None:
+        """See Bonded."""
+        check_law_of_angles(checked_law(self.law), numbers)
 
 
 class PeriodicDihedral(Dihedral):

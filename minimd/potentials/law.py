@@ -32,6 +32,7 @@ from minimd.compiled.snapshot import Snapshot
 from minimd.console.words import shown
 
 STEP = 1e-5  # of a central difference, relative to the distance
+ANGLES = (-2.1, -0.7, 1.1, 2.6)  # rad, where laws of dihedrals are tried
 ACCURACY, BESIDE_U = 1e-4, 1e-9  # of that difference: relative to itself, and to u
 CLASS_NAME = "UserLaw_{}"  # a digest, or a random number
 
@@ -159,33 +160,46 @@ def loop_for(loop: Any, *laws: tuple) -> Any:
 def law_at(law: tuple, r: float, parameters: tuple[float, ...]) -> tuple[float, float]:
     """u(r) [energy] and −u′(r)/r [energy/length²] of a law at a distance r [length]; NaN where the law gives no real
     number. Raises TypeError if a user's law does not take these parameters or does not return two numbers."""
+    return _tried(law, r * r, parameters, "r²", "-u'(r)/r")
+
+
+def _tried(law: tuple, x: float, parameters: tuple[float, ...], taken: str, force: str) -> tuple[float, float]:
     name = type(law).python.__name__ if isinstance(law, UserLaw) else type(law).__name__
     try:
-        u, f = evaluate_law(law, r * r, parameters)
+        u, f = evaluate_law(law, x, parameters)
         return (nan, nan) if isinstance(u, complex) or isinstance(f, complex) else (float(u), float(f))
     except (ArithmeticError, ValueError) as error:
         if "unpack" in str(error):
-            raise TypeError(f"the law {name} must return two numbers, u and -u'(r)/r: {error}") from None
+            raise TypeError(f"the law {name} must return two numbers, u and {force}: {error}") from None
         return nan, nan
     except (TypeError, NameError, AttributeError, LookupError) as error:
-        wanted = f"take r² and {len(parameters)} parameters and return u and -u'(r)/r"
+        wanted = f"take {taken} and {len(parameters)} parameters and return u and {force}"
         raise TypeError(f"the law {name} must {wanted}: {error}") from None
 
 
 def check_user_law(law: tuple, parameters: tuple[float, ...], distances: Iterable[float]) -> None:
     """Try a user's law at some distances [length]: does it return u and −u′(r)/r? Raises TypeError as law_at;
     ValueError if, at more than half of the distances, the second number is not −u′(r)/r by central differences."""
-    tried, wrong = 0, []
-    for r in distances:
-        u, f = law_at(law, r, parameters)
-        low, high = (law_at(law, r * (1.0 + h), parameters)[0] for h in (-STEP, STEP))
-        slope = (low - high) / (2.0 * STEP * r * r)
+    _compare(lambda r: law_at(law, r, parameters), lambda r: -1.0 / r, distances, ("r", "-u'(r)/r"))
+
+
+def check_law_of_angles(law: tuple, parameters: tuple[float, ...]) -> None:
+    """The same for a law of dihedral angles, which returns u and u′(φ)."""
+    at = lambda phi: _tried(law, phi, parameters, "phi", "u'(phi)")  # noqa: E731
+    _compare(at, lambda phi: 1.0, ANGLES, ("phi", "u'(phi)"))
+
+
+def _compare(at: Callable, factor: Callable, places: Iterable[float], words: tuple[str, str]) -> None:
+    tried, wrong, (symbol, force) = 0, list[str](), words
+    for x in places:
+        (u, f), (low, high) = at(x), (at(x * (1.0 + h))[0] for h in (-STEP, STEP))
+        slope = factor(x) * (high - low) / (2.0 * STEP * x)
         if isfinite(u) and isfinite(f) and isfinite(slope):
             tried += 1
-            if not agree(f, slope, u / r**2):
-                wrong.append(f"at r = {r:.4g} it returns {f:.6g} where -u'(r)/r is {slope:.6g}")
+            if not agree(f, slope, factor(x) * u / x):
+                wrong.append(f"at {symbol} = {x:.4g} it returns {f:.6g} where {force} is {slope:.6g}")
     if 2 * len(wrong) > tried:
-        raise ValueError(f"the law must return u and -u'(r)/r; {wrong[-1]}")
+        raise ValueError(f"the law must return u and {force}; {wrong[-1]}")
 
 
 def agree(said: float, slope: float, u: float, rough: float = 0.0) -> bool:

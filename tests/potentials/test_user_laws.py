@@ -2,6 +2,7 @@
 
 import copy
 import inspect
+import math
 import pickle
 
 import numba
@@ -232,3 +233,15 @@ def test_a_law_and_a_field_may_have_no_parameters_and_a_law_a_constant_force_ove
     assert (found.potential_energy, found.forces[1].tolist()) == (9.0, [-2.0, -4.0, -4.0])
     found = md.evaluate(md.System(np.diag([1.0, 2.0, 3.0])), md.Field(lambda x, y, z, t: (y * y, 0.0, -2.0 * y, 0.0)))
     assert (found.potential_energy, found.forces[1].tolist()) == (4.0, [0.0, -4.0, 0.0])
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.001])
+def test_laws_of_bonds_and_dihedrals_are_compared_with_their_slopes(factor):
+    system = md.System([[0, 0, 0], [1.2, 0, 0], [1.9, 1, 0], [3, 1.2, 0.4]])
+    bond = md.BondPotential(lambda r2: (r2 * r2, -4.0 * factor * r2), (), [[0, 1]])
+    torsion = md.DihedralPotential(lambda phi: (math.cos(phi), -factor * math.sin(phi)), (), [[0, 1, 2, 3]])
+    for potential, words in ((bond, "-u'(r)/r"), (torsion, "u'(phi)")):
+        if factor == 1.0:
+            assert np.abs(md.evaluate(system, potential).forces).max() > 0.1
+        else:
+            assert_answered(lambda one=potential: md.evaluate(system, one), ValueError, words)

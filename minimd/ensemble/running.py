@@ -289,7 +289,7 @@ def checked_members(members: range | None, n_members: int, resume: bool) -> rang
         raise ValueError(f"{words}; members = {shown(members)}")
     if not resume:
         raise ValueError(
-            f"resume = False (--overwrite) replaces what all calls made: leave out members, which is {members}"
+            f"resume = False (--overwrite) replaces what all calls have made: leave out members, {members}"
         )
     return range(members.start, min(members.stop, n_members))
 

@@ -288,9 +288,7 @@ def checked_members(members: range | None, n_members: int, resume: bool) -> rang
         words = f"members must be some of the {n_members} members, such as range(0, 50)"
         raise ValueError(f"{words}; members = {shown(members)}")
     if not resume:
-        raise ValueError(
-            f"resume = False (--overwrite) replaces what all calls have made: leave out members, {members}"
-        )
+        raise ValueError(f"resume = False (--overwrite) replaces what all calls made: leave out members = {members}")
     return range(members.start, min(members.stop, n_members))
 
 

@@ -154,7 +154,8 @@ def scan(arguments: argparse.Namespace) -> bool:
         print("\n".join(told_averages(table)))
     if table.done.any() and arguments.members is None:
         picture = save_picture(table, arguments.plot)
-        print(f"written        {table.folder / 'table.csv'}, {table.folder / 'table.json'}, {picture}")
+        tables = [] if arguments.status is not None else [table.folder / "table.csv", table.folder / "table.json"]
+        print(f"written        {', '.join(map(str, [*tables, picture]))}")
     made = arguments.members or range(len(table))
     return not any(table["status"][made.start : made.stop] == "failed")
 
@@ -303,8 +304,8 @@ COMMANDS = (
         Argument("--executor", "who makes the runs: processes of this machine (if not given), threads of this process; "
                  "dask, from the scheduler in DASK_SCHEDULER_ADDRESS, or on this machine; mpi, the processes of the "
                  "mpiexec that begins the command", more={"choices": EXECUTORS, "default": EXECUTORS[0]}),
-        Argument("--workers", "number of processes or threads, one for each core if not given; 0 for this process only",
-                 whole_number, "N"),
+        Argument("--workers", "number of processes or threads of this machine, one for each core if not given; 0 for "
+                 "this process only, but dask has at least one worker", whole_number, "N"),
         Argument("--members", "make only these runs, from FROM to TO - 1; other commands may make others in the same "
                  "folder at the same time", slice_of_members, "FROM:TO"),
         Argument("--retries", "how often a run is tried again if its worker died, or after an error of files or memory",

@@ -307,7 +307,8 @@ def name_of(function: Callable | None) -> str:
     """A function as module and name; empty for None. A script is the module as which others would import it.
 
     If its code is known, and it is none of minimd, a hash follows: of the code without comments, and of numbers and
-    texts that functools.partial gives to it. Functions that it calls are not looked at.
+    texts that functools.partial gives to it. Functions that it calls are not looked at. The code of a lambda is that of
+    all lambdas that begin on its line.
     """
     if function is None:
         return ""
@@ -321,10 +322,13 @@ def name_of(function: Callable | None) -> str:
     module = Path(script).stem if named.__module__ == "__main__" and script else named.__module__
     name = f"{module}.{named.__qualname__}"
     try:
-        code = textwrap.dedent(inspect.getsource(named))
-    except (OSError, TypeError):
+        if name.endswith("<lambda>"):  # inspect.getsource would give its whole statement, or a part of one
+            nodes, line = ast.walk(ast.parse("".join(inspect.findsource(named)[0]))), named.__code__.co_firstlineno
+            lambdas = [one for one in nodes if isinstance(one, ast.Lambda) and one.lineno == line]
+            code = "\n".join(map(ast.unparse, lambdas))
+        else:
+            code = ast.unparse(ast.parse(textwrap.dedent(inspect.getsource(named))))
+    except (OSError, TypeError, SyntaxError):
         return name
-    with suppress(SyntaxError):  # of a lambda in the middle of a line
-        code = ast.unparse(ast.parse(code))
     digest = hashlib.sha256(f"{code}{given or ''}".encode()).hexdigest()[:16]
     return name if name.startswith("minimd.") else f"{name}{CODE}{digest}"

@@ -113,7 +113,7 @@ def ensemble(
     steps, every = checked_count("steps", steps, 0), checked_count("every", every)
     resume, seed = checked_flag("resume", resume), None if seed is None else checked_count("seed", seed, 0, ENTROPIES)
     plan, retries = Plan(build, prepare, run, every, uuid4().hex), checked_count("retries", retries, 0)
-    n_workers, chosen_members = _check_executor(executor, workers, plan), _checked_members(members, len(rows), resume)
+    n_workers, chosen_members = _check_executor(executor, workers, plan), checked_members(members, len(rows), resume)
     with EnsembleFolder(place, writes=True, members=members) as opened:
         names, drawn = (name_of(build), name_of(prepare), name_of(run)), randbits(128) if seed is None else seed
         asked = opened.begin(Asked(drawn, steps, every, rows, *names), resume, any_seed=seed is None)
@@ -280,7 +280,7 @@ def _check_executor(executor: Executor | None, workers: int | None, plan: Plan) 
     return n_workers
 
 
-def _checked_members(members: range | None, n_members: int, resume: bool) -> range:
+def checked_members(members: range | None, n_members: int, resume: bool) -> range:
     """The indices of members that this call makes.  Raises ValueError."""
     if members is None:
         return range(n_members)
@@ -288,7 +288,7 @@ def _checked_members(members: range | None, n_members: int, resume: bool) -> ran
         words = f"members must be some of the {n_members} members, such as range(0, 50)"
         raise ValueError(f"{words}; members = {shown(members)}")
     if not resume:
-        raise ValueError(f"resume = False replaces what all calls have made: leave out members, which is {members}")
+        raise ValueError(f"resume = False (--overwrite) replaces what all calls made: leave out members = {members}")
     return range(members.start, min(members.stop, n_members))
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from minimd.console.whole_file import regular, write_whole
-from minimd.ensemble.folder import alone
+from minimd.ensemble.folder import EnsembleFolder, alone
 from minimd.ensemble.member import Member, Value
-from minimd.ensemble.running import ensemble
+from minimd.ensemble.running import checked_members, ensemble
 from minimd.ensemble.table import EnsembleTable
 from minimd.files.crash_file import crash_file_place
 from minimd.scene.running import equilibrate, minimize
@@ -171,16 +171,18 @@ def scan_scene(
     for row in grid[:MOST_TRIED]:
         parse_scene(changed_text(Path(path), scene.text, row.items()), Path(path))
     build(Member(0, grid[0], seed, n_steps, place))  # checks the structure and the potentials, too
-    kept = place / SCENE
+    replicas, kept = checked_count("replicas", replicas), place / SCENE
+    checked_members(members, len(grid) * replicas, resume)
     place.mkdir(parents=True, exist_ok=True)
     with alone(place):
-        if resume and kept.exists() and _text(kept) != scene.text:
+        if not (resume and kept.exists()):
+            EnsembleFolder(place, writes=True, members=members).close()  # refuses one that is in use, before the change
+            write_whole(kept, scene.text)
+        elif _text(kept) != scene.text:
             raise ValueError(
                 f"folder {str(place)!r} holds a scan of another scene, {kept}; choose another folder with --out, or "
                 "replace it with --overwrite"
             )
-        write_whole(kept, scene.text)
-    replicas = checked_count("replicas", replicas)
     tell(f"scene          {path}" + (f": {scene.sections.title}" if scene.sections.title else ""))
     if scene.sections.observer:
         tell("NOTE           the observers of the scene are not used: they need a single run, and a scan has many")

@@ -183,31 +183,35 @@ def named_executor(name: str, workers: int | None) -> Iterator[dict[str, Any] | 
     for another.
 
     workers : number of processes or threads of this machine, one for each core if None.
-    Raises ValueError if a package is missing, or there is no other process of MPI.
+    Raises ValueError if a package is missing, there is no other process of MPI, or workers is given where others
+    choose it.
     """
-    n_workers, executor = available_cores() if workers is None else workers, cast(Any, None)
     try:
-        with ExitStack() as closing:
-            if name == "threads":
-                executor = closing.enter_context(ThreadPoolExecutor(max(1, n_workers)))
-            elif name == "dask":
-                from dask import config
-                from distributed import Client
-
-                is_there = config.get("scheduler-address", None)  # also from the environment
-                here = {} if is_there else {"n_workers": n_workers, "threads_per_worker": 1, "dashboard_address": None}
-                executor = closing.enter_context(Client(**here))
-            elif name == "mpi":
-                from mpi4py.futures import MPICommExecutor
-                from mpi4py.MPI import COMM_WORLD
-
-                if (size := COMM_WORLD.size) == 1:
-                    words = "begin the command by mpiexec -n P: the first process gives out the work"
-                    raise ValueError(f"--executor mpi needs at least 2 processes of MPI; there is {size}: {words}")
-                executor = closing.enter_context(MPICommExecutor())
-            options = {"workers": workers} if name == "processes" else {"executor": executor}
-            yield None if name != "processes" and executor is None else options
+        if name == "dask":
+            from dask import config
+            from distributed import Client
+        elif name == "mpi":
+            from mpi4py.futures import MPICommExecutor
+            from mpi4py.MPI import COMM_WORLD
     except ModuleNotFoundError as error:
-        raise ValueError(
-            f"--executor {name} needs {error.name}, which is missing: pip install 'minimd[cluster]'"
-        ) from error
+        advice = "pip install 'minimd-engine[cluster]'"
+        raise ValueError(f"--executor {name} needs {error.name}, which is missing: {advice}") from error
+    # the address may come from the environment
+    is_there = name == "mpi" or (name == "dask" and config.get("scheduler-address", None))
+    if is_there and workers is not None:
+        whose = "mpiexec" if name == "mpi" else "the scheduler"
+        raise ValueError(f"--executor {name} uses all processes of {whose}: leave out --workers, which is {workers}")
+    n_workers, executor = max(1, available_cores() if workers is None else workers), cast(Any, None)
+    with ExitStack() as closing:
+        if name == "threads":
+            executor = closing.enter_context(ThreadPoolExecutor(n_workers))
+        elif name == "dask":
+            here = {} if is_there else {"n_workers": n_workers, "threads_per_worker": 1, "dashboard_address": None}
+            executor = closing.enter_context(Client(**here))
+        elif name == "mpi":
+            if (size := COMM_WORLD.size) == 1:
+                words = "begin the command by mpiexec -n P: the first process gives out the work"
+                raise ValueError(f"--executor mpi needs at least 2 processes of MPI; there is {size}: {words}")
+            executor = closing.enter_context(MPICommExecutor())
+        options = {"workers": workers} if name == "processes" else {"executor": executor}
+        yield None if name != "processes" and executor is None else options

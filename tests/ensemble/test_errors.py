@@ -1,6 +1,7 @@
 """Wrong calls of md.ensemble and of minimd scan, each answered with one sentence."""
 
 import json
+import runpy
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -88,6 +89,14 @@ def test_functions_of_a_session_are_not_sent_to_spawned_workers(tmp_path, monkey
     session.build, build.__module__, build.__qualname__ = build, "__main__", "build"
     monkeypatch.setitem(sys.modules, "__main__", session)
     assert_answered(partial(members.run, tmp_path, build=build, workers=1), TypeError, "build", "session")
+
+
+def test_a_lambda_is_known_by_its_own_code(tmp_path):
+    names = []
+    for file, line in {"a": "lambda m: m, 4)", "b": "lambda m: m, 8)", "c": "lambda m: 2 * m, 8)"}.items():
+        (tmp_path / file).write_text(f"pair = (\n{line}\n")
+        names.append(name_of(runpy.run_path(tmp_path / file)["pair"][0]))
+    assert names[0] == names[1] != names[2]
 
 
 @pytest.mark.parametrize("text", ["a.b", "=1", "a=", "a=1:2:0", "a=1:2:x", "a=2:1:1", "a=1:2:1e-9", "a=1:inf:1"])

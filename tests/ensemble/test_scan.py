@@ -5,15 +5,19 @@ import os
 import re
 import shutil
 import signal
+import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from references import melt_scene
 
 from minimd.commands import main as cli
+from minimd.ensemble.folder import EnsembleFolder
 from minimd.ensemble.scan import changed_text, parsed_setting
+from minimd.ensemble.workers import named_executor
 from minimd.files.h5md_reader import read_file
 from minimd.scene import parse_scene
 
@@ -74,6 +78,24 @@ def test_what_cannot_run_is_refused_before_anything_is_computed(folder, told):
     assert not Path("scan").exists()
 
 
+def test_a_refused_call_leaves_the_scan_as_it_was(copied, told):
+    Path("other.toml").write_text(SCENE.replace("1.6", "1.7"))
+    before = Path("scan/scene.toml").read_text()
+    assert "--overwrite" in told("scan", "other.toml", "--overwrite", "--members", "0:1", code=2)
+    with EnsembleFolder(Path("scan"), writes=True):
+        assert "running" in told("scan", "other.toml", "--overwrite", code=2)
+    assert Path("scan/scene.toml").read_text() == before
+
+
+def test_executors_say_what_is_missing_and_whose_processes_they_use(folder, told, monkeypatch):
+    monkeypatch.setitem(sys.modules, "dask", SimpleNamespace(config={"scheduler-address": "tcp://there:1"}))
+    for client, shown in ((None, "'minimd-engine[cluster]'"), (SimpleNamespace(Client=None), "--workers, which is 0")):
+        monkeypatch.setitem(sys.modules, "distributed", client)
+        assert shown in told("scan", "melt.toml", "--executor", "dask", "--workers", 0, code=2)
+    with pytest.raises(ModuleNotFoundError), named_executor("threads", 0):
+        raise ModuleNotFoundError("of the scan itself")
+
+
 def test_a_scan_runs_what_was_set_and_tells_averages(folder, told):
     command = ["melt.toml", "--set", "dynamics.temperature=0.5:0.6:0.1", "--workers", 0, "--replicas"]
     found = told("scan", *command, 1)
@@ -92,7 +114,8 @@ def test_a_scan_runs_what_was_set_and_tells_averages(folder, told):
     assert Path("scan/members.jsonl").read_text().startswith(before)
     assert Path("scan/temperature.png").exists()
     assert "'pressure'" in told("scan", *command, 2, "--plot", "presure", code=2)
-    assert re.search("(?s)4 members in scan: 4 done.*dynamics.temperature", told("scan", "--status", "scan"))
+    ends = "(?s)4 members in scan: 4 done.*dynamics.temperature.*written +scan/pressure.png$"
+    assert re.search(ends, told("scan", "--status", "scan"))
 
 
 def test_members_that_fail_are_told_and_the_code_is_one(folder, capsys):
@@ -143,8 +166,10 @@ def test_altered_files_of_a_scan_are_refused_by_name(copied, told):
 def test_executors_by_name_and_slices_make_the_same_table(executor, folder, told):
     command = ["scan", "melt.toml", "--set", "dynamics.temperature=0.5:0.7:0.1"]
     told(*command, "--workers", 0)
-    for part in ("2:9", "0:2"):
-        told(*command, "--executor", executor, "--workers", 2, "--members", part, "--retries", 1, "--out", "slices")
+    for part, workers in (("2:9", 2), ("0:2", 0)):
+        told(
+            *command, "--executor", executor, "--workers", workers, "--members", part, "--retries", 1, "--out", "slices"
+        )
     assert Path("slices/table.csv").read_bytes() == Path("scan/table.csv").read_bytes()
     assert Path("slices/members.2-9.jsonl").exists()
 

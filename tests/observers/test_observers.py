@@ -197,7 +197,7 @@ def test_of_molecules_atoms_of_each_species_are_chosen():
     few, before = [kind(every=1, most_atoms=36) for kind in kinds], sim.positions.copy()
     sim.run(1, observers=few)
     moved = sim.positions - before
-    squares = ((moved - np.average(moved, axis=0, weights=sim.masses))[few[0].chosen] ** 2).sum(axis=1)
+    squares = ((moved - np.average(moved, axis=0, weights=sim.system.masses))[few[0].chosen] ** 2).sum(axis=1)
     expected = squares.mean(), squares[:24].mean(), squares[24:].mean()
     np.testing.assert_allclose(few[0].result().means[:3, 1], expected, rtol=1e-9)  # rounding
     np.testing.assert_allclose(few[1].result().means[:, 0], 1.0)

@@ -131,8 +131,7 @@ def test_readers_pause_a_run_choose_its_frames_leave_vanish_and_end_it(tmp_path)
     assert md.Simulation.resume(run.path, run.sim.potentials).step == run.sim.step > seen[-1]
 
 
-def test_a_reader_that_ends_the_run_and_leaves_at_once_is_heard(monkeypatch):
-    """It does both while a frame is made, which then cannot be sent."""
+def test_a_reader_that_ends_the_run_and_leaves_while_a_frame_is_made_is_heard(monkeypatch):
     sim, stream = simulation("triclinic", ASE), md.observers.Stream(port=0)
     stream.prepare(sim.engine)
     reader = socket.create_connection(("localhost", int(stream.address.rpartition(":")[2])))

@@ -45,7 +45,7 @@ else:
     run = Thread(target=simulation.run, args=[n_steps], kwargs={"observers": [stream], "progress": False})
     reader = universe(simulation)
     run.start()
-    while stream.address.endswith(":0"):  # until it is open
+    while run.is_alive() and stream.address.endswith(":0"):  # until it is open
         sleep(0.01)
     reader.load_new(stream.address)
     energies, share = watch(reader.trajectory, reader.atoms.masses)

@@ -323,6 +323,9 @@ class Accumulator(ABC, Displayed):
             self.last_step = -1
         return n_later
 
+    def end(self) -> None:
+        """A run has ended."""
+
     def answered(self) -> ObservedRun:
         """The scene, which a result needs.  Raises ValueError before the first look."""
         if self.scene is None or not self.n_looks:
@@ -448,9 +451,8 @@ class Attached:
                     warnings.warn(f"{one!r} has looked {n_later} times after {failed}", stacklevel=outside_minimd())
             raise
         finally:
-            for stream in self._with_steps:
-                if isinstance(stream, Stream):
-                    stream.end()
+            for looking in self._with_steps:
+                looking.end()
 
 
 def _is_observer(one: Any) -> bool:

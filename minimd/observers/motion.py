@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 POINTS = 16  # entries on each level of the correlator
-MOST_ATOMS = "largest number of atoms, chosen evenly; time and memory are proportional to it"
+MOST_ATOMS = "largest number of atoms, and up to one more of each species, chosen evenly; time and memory grow with it"
 XI = 2.837297  # ξ of a cubic cell
 CUBIC = 1e-9  # largest relative deviation of the squares and products of lattice vectors from those of a cube
 DECADE = 10.0  # the window of a fit ends at this multiple of its start
@@ -93,11 +93,11 @@ class _OfAtoms(TimeCorrelation):
         return 3
 
     def _begin(self, engine: Engine) -> None:
-        system = engine.system
-        some = np.arange(0, len(system), ceil(len(system) / self.most_atoms))
-        self.chosen = some[np.argsort(system.species_index[some], kind="stable")].tolist()
+        system, index = engine.system, engine.system.species_index
+        stride = ceil(len(system) / self.most_atoms)  # not over all atoms: it could keep step with molecules
+        chosen = [np.flatnonzero(index == k)[::stride] for k in range(len(system.species_names))]
+        self.chosen, self.numbers = np.concatenate(chosen).tolist(), [len(one) for one in chosen]
         self.is_cubic = is_cubic(system.cell)
-        self.numbers = np.bincount(system.species_index[some], minlength=len(system.species_names)).tolist()
 
     def _laid_out(self, scene: ObservedRun) -> None:
         starts = np.concatenate([[0], np.cumsum(self.numbers)])
@@ -127,7 +127,7 @@ class _OfAtoms(TimeCorrelation):
 
         def law(sums: Array) -> Array:
             found = self._correlator.correlations(sums[HEAD:])[1][seen]  # (T, S, C)
-            along = found.sum(axis=1).T / numbers.sum()
+            along = found.sum(axis=1).T / sum(self.numbers)
             return np.concatenate([along.sum(axis=0, keepdims=True), (found.sum(axis=2) / numbers).T, along])
 
         return law

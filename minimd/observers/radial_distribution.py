@@ -28,9 +28,9 @@ R_MAX = "largest distance; if not given 4 (V/N)^(1/3), but at most half the smal
 
 
 @kernel
-def count_pairs(positions, species, bins, pair_of_species, width, r_max, counts):
+def count_pairs(positions, species, bins, pair_of_species, width, counts):
     """counts[p, k] += number of pairs of kind p = pair_of_species[a, b] with k · width ≤ r < (k + 1) · width, with all
-    images within r_max. The last SPREAD columns count pairs farther away, of those that were looked at.
+    images. The last SPREAD columns count pairs farther away, of those that were looked at.
 
     positions : (3, N) [length], in the order of the bins and inside the cell.  bins : see neighbors.search.
     species : (N,) int, in the same order.
@@ -114,9 +114,7 @@ class RadialDistribution(Accumulator):
         order, offsets, bin_start = sort_into_bins(system.positions, cell.lattice, cell.inverse, cell.pbc, grid)
         local, bins = np.ascontiguousarray((system.positions[order] + offsets).T), bins_of(cell, grid, bin_start)
         self._counts[:] = 0
-        count_pairs(
-            local, system.species_index[order], bins, self._kinds, self.reach / self.n_bins, self.reach, self._counts
-        )
+        count_pairs(local, system.species_index[order], bins, self._kinds, self.reach / self.n_bins, self._counts)
         self.sums.total[FRAMES] += 1.0
         self.sums.total[HEAD:] += float(system.volume or 0.0) * self._counts[:, :-SPREAD].ravel()
 

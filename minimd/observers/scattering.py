@@ -32,7 +32,8 @@ GOLDEN = pi * (3.0 - 5.0**0.5)  # angle between two directions that follow each 
 N_WAVES, MANY = 3, 60  # wave vectors for F_s, the nearest of those in so many directions
 Q_MAX = "largest q; three times that of the main peak of a simple liquid if not given"
 Q_SELF = "length of the wave vectors; that of the main peak of a simple liquid, 1.15 · 2π (N/V)^(1/3), if not given"
-PER_SHELL = "largest number of wave vectors in a shell of q"
+PER_SHELL = "number of directions in which wave vectors are sought for each shell of q"
+PIECE = 4096  # atoms whose densities are computed together
 
 
 def peak_of(system: System, what: str) -> float:
@@ -59,12 +60,12 @@ def vectors_of(waves: NDArray[np.int64], cell: Cell) -> Array:
 
 
 @partial(kernel, fastmath={"reassoc", "nsz", "contract"})  # sums over atoms in any order
-def find_densities(tables, waves, squares):
-    """squares[w] = |Σ_j exp(i q_w · r_j)|².
+def add_densities(tables, waves, densities):
+    """densities[w] += Σ_j exp(i q_w · r_j), real and imaginary part.
 
     tables : (3, K + 1, 2, N), cos and sin of 2π k s for whole numbers k and fractional coordinates s; those of k = 0
         and 1 are given, the others are found here.
-    waves : (M, 3) int.  squares : (M,).
+    waves : (M, 3) int.  densities : (M, 2).
     """
     for d in range(3):
         once = tables[d, 1]
@@ -83,7 +84,8 @@ def find_densities(tables, waves, squares):
             c, s = cx * cy - sx * sy, cx * sy + sx * cy
             real += c * cz - s * sz
             imaginary += c * sz + s * cz
-        squares[w] = real * real + imaginary * imaginary
+        densities[w, 0] += real
+        densities[w, 1] += imaginary
 
 
 class StructureFactor(Accumulator):
@@ -91,9 +93,9 @@ class StructureFactor(Accumulator):
 
         S(q) = ⟨|Σ_j exp(i q · r_j)|²⟩ / N
 
-    Each shell has the mean over up to n_waves wave vectors, which are spread over all directions; shells without a
-    wave vector of the cell, as at small q, are left out. If the cell changes, so do the wave vectors, not the shells;
-    q is the mean over the run.
+    Each shell has the mean over some n_waves wave vectors: those of the cell that are nearest to n_waves directions,
+    spread evenly. Shells without a wave vector of the cell, as at small q, are left out. If the cell changes, so do the
+    wave vectors, not the shells; q is the mean over the run.
 
     Raises ValueError for arguments out of range; when a run begins, for a cell that is not periodic in all directions.
     """
@@ -118,19 +120,19 @@ class StructureFactor(Accumulator):
 
     def _laid_out(self, scene: ObservedRun) -> None:
         self._waves, self._of_shell = np.array(self.waves), np.bincount(self.shells)
-        self._squares = np.zeros(len(self._waves))
         self.sums = BlockedSums(1 + 2 * len(self._of_shell))  # number of looks, then q and S of each shell
 
     def _look(self, engine: Engine) -> None:
         cell, n_atoms, highest = engine.system.cell, len(engine.positions), int(np.abs(self._waves).max())
-        tables, turns = (
-            np.empty((3, highest + 1, 2, n_atoms)),
-            vectors_of(np.eye(3, dtype=np.int64), cell) @ engine.positions.T,
-        )
-        for k in range(2):
-            tables[:, k, 0], tables[:, k, 1] = np.cos(k * turns), np.sin(k * turns)
-        find_densities(tables, self._waves, self._squares)
-        found = np.linalg.norm(vectors_of(self._waves, cell), axis=1), self._squares / n_atoms
+        densities, once = np.zeros((len(self._waves), 2)), vectors_of(np.eye(3, dtype=np.int64), cell)
+        for start in range(0, n_atoms, PIECE):
+            turns = once @ engine.positions[start : start + PIECE].T
+            tables = np.empty((3, highest + 1, 2, turns.shape[1]))
+            for k in range(2):
+                tables[:, k, 0], tables[:, k, 1] = np.cos(k * turns), np.sin(k * turns)
+            add_densities(tables, self._waves, densities)
+        squares = (densities**2).sum(axis=1)
+        found = np.linalg.norm(vectors_of(self._waves, cell), axis=1), squares / n_atoms
         self.sums.total[0] += 1.0
         self.sums.total[1:] += np.concatenate([np.bincount(self.shells, one) / self._of_shell for one in found])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import struct
+import sys
 import warnings
 from contextlib import suppress
 from math import gcd
@@ -94,6 +95,8 @@ class Stream:
         self._greeting = struct.pack("!i", HANDSHAKE) + struct.pack("=i", VERSION)
         self._greeting += HEADER.pack(SESSION, len(contents)) + contents
         self._frame, self._waits = empty_frame(len(engine.positions), self._has_box), self.wait
+        if self.wait:
+            print(f"minimd: the run waits for a reader at {self.address}", file=sys.stderr, flush=True)
         self._attend(engine)
 
     def observe(self, engine: Engine) -> None:
@@ -115,6 +118,7 @@ class Stream:
                     self._part_with_reader(f"has taken nothing for {PATIENCE:.0f} s")
                 sleep(NAP)
             except OSError:
+                self._hear(engine)  # its last message
                 self._part_with_reader()
 
     def end(self) -> None:
@@ -146,6 +150,7 @@ class Stream:
             if self._reader is None and self._listener is not None:
                 self._reader, _ = self._listener.accept()
                 self._reader.setblocking(False)
+                self._reader.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)  # its machine may vanish
                 self._reader.sendall(self._greeting)
                 self._go_until = monotonic() + SECONDS_TO_GO
             if self._reader is None or not (heard := self._reader.recv(READ)):

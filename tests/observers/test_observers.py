@@ -191,8 +191,21 @@ def test_free_atoms_move_as_their_velocities_say(growth, drift):
     np.testing.assert_allclose(result.msd, mean * result.times**2, rtol=1e-9, atol=1e-15)
 
 
-def test_an_ideal_gas_scatters_as_theory_says():
+def test_of_molecules_atoms_of_each_species_are_chosen():
+    """Of B, A, A, B, … each third is B: a stride of 3 over all atoms would choose no A."""
+    kinds, sim = (md.observers.MeanSquareDisplacement, md.observers.SelfScattering), simulation()
+    few, before = [kind(every=1, most_atoms=36) for kind in kinds], sim.positions.copy()
+    sim.run(1, observers=few)
+    moved = sim.positions - before
+    squares = ((moved - np.average(moved, axis=0, weights=sim.system.masses))[few[0].chosen] ** 2).sum(axis=1)
+    expected = squares.mean(), squares[:24].mean(), squares[24:].mean()
+    np.testing.assert_allclose(few[0].result().means[:3, 1], expected, rtol=1e-9)  # rounding
+    np.testing.assert_allclose(few[1].result().means[:, 0], 1.0)
+
+
+def test_an_ideal_gas_scatters_as_theory_says(monkeypatch):
     """S(q) = 1, and F_s = ⟨cos q·v t⟩ at every lag, which is exp(−q² k_B T t²/2m) but for the number of atoms."""
+    monkeypatch.setattr("minimd.observers.scattering.PIECE", 300)
     n_atoms, thermal, mass, rng = 1000, 1.5, 2.0, np.random.default_rng(3)
     velocities = rng.normal(0.0, np.sqrt(thermal / mass), (n_atoms, 3))
     velocities -= velocities.mean(axis=0)

@@ -88,10 +88,11 @@ def assert_are_in_file(path, frames):
         np.testing.assert_array_equal(vectors, (ts.positions, ts.velocities, ts.forces))
 
 
-def test_a_socket_reads_what_the_file_has(tmp_path):
+def test_a_socket_reads_what_the_file_has(tmp_path, capsys):
     with Running(tmp_path / "a.h5md") as run:
-        reader = run.reader(GO, 0)
+        address, reader = run.stream.address, run.reader(GO, 0)
         frames = [*iter(lambda: frame_from(reader), None)]
+    assert f"waits for a reader at {address}\n" in capsys.readouterr().err
     assert [frame[0] for frame in frames] == [0, 10, 20, 30, 40]
     assert_are_in_file(run.path, frames)
 
@@ -128,6 +129,17 @@ def test_readers_pause_a_run_choose_its_frames_leave_vanish_and_end_it(tmp_path)
         run.reader(GO, 0, KILL, 0).recv(1)
     assert isinstance(run.error, KeyboardInterrupt)
     assert md.Simulation.resume(run.path, run.sim.potentials).step == run.sim.step > seen[-1]
+
+
+def test_a_reader_that_ends_the_run_and_leaves_while_a_frame_is_made_is_heard(monkeypatch):
+    sim, stream = simulation("triclinic", ASE), md.observers.Stream(port=0)
+    stream.prepare(sim.engine)
+    reader = socket.create_connection(("localhost", int(stream.address.rpartition(":")[2])))
+    reader.sendall(struct.pack("!ii", GO, 0))
+    monkeypatch.setattr(sim.engine, "evaluate", lambda: (reader.sendall(struct.pack("!ii", KILL, 0)), reader.close()))
+    with pytest.warns(UserWarning, match="has ended the run"):
+        stream.observe(sim.engine)
+    stream.end()
 
 
 def test_hostile_readers_are_disconnected_and_hurt_nobody(tmp_path, recwarn):

@@ -21,7 +21,7 @@ from minimd.console.words import shown
 from minimd.grade import ensembles
 from minimd.grade.findings import Finding, Grade, Law, Measured, causes, judged
 from minimd.grade.scenes import SCENES, Array, Frames, Make, ends_of, run, started
-from minimd.structure.checks import checked_choice, checked_count, checked_number
+from minimd.structure.checks import checked_choice, checked_count, checked_flag, checked_number
 
 ENSEMBLES = {"NVE": "constant energy", "NVT": "constant temperature", "NPT": "constant temperature and pressure"}
 RATE = 1e-3  # of false alarms, of all laws together
@@ -77,7 +77,8 @@ class Motion:
         self.change = float(np.abs(atoms.get_momenta().sum(axis=0)).max() / self.heat)
         self.is_still = self.change < KEPT  # whether a scene at rest stays at rest
         self.scene = claims.scene(claims.scenes[0], self.is_still and claims.ensemble != "NVE")
-        self.has = {claims.ensemble} | ({"conserved"} if hasattr(dynamics, "get_conserved_energy") else set())
+        self.has = {claims.ensemble, *self.scene.has.split()}
+        self.has |= {"conserved"} if hasattr(dynamics, "get_conserved_energy") else set()
 
     def path(self, *parts: int) -> Array:
         """Positions after some steps, of which each part is made by a new object."""
@@ -171,6 +172,9 @@ LAWS = (  # of paths
         "the energy drifts: in {3} steps {0:+.1g} ± {2:.1g} of its spread", "NVE"),
     Law("reversible", Motion.reversal, SAME, "100 steps and back: {0:.1e}",
         "a path does not lead back: with turned momenta 100 steps end {0:.1e} beside the start", "NVE"),
+    Law("rigid bonds", lambda s: s.scene.calculator.softness(run(s.make, s.scene, 0, 8 * EVERY, EVERY, s.claims.kt)),
+        1e-6, "lengths, and velocities along bonds, are off by {0:.1e}", "rigid bonds change their lengths, by {0:.1e}",
+        "NVE rigid"),
     Law("order of the conserved energy's error", Motion.order, 0.5, "Δt^{0:.2f}", ORDER, "NVT conserved"),
     Law("order of the conserved energy's error", Motion.order, 0.5, "Δt^{0:.2f}", ORDER, "NPT conserved"),
 )
@@ -187,7 +191,7 @@ def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
         with np.errstate(all="ignore"):
             findings = judged(LAWS, motion)
     except Exception as error:  # whatever a class raises
-        said = f"{type(error).__name__}: {error}"
+        said = f"{type(error).__name__}: {error}" + "; does it keep rigid bonds?" * ("chain" in claims.scenes)
         raise ValueError(f"{name} could not make {OF_PATHS} steps with {options}; {said}") from error
     is_still, laws = motion.is_still, claims.laws()
     rate = RATE / max(1, sum(len(names) for _, names in laws))
@@ -226,24 +230,28 @@ def of_half_a_step(halved: Make, claims: Claims, is_still: bool, heat: float) ->
 def claimed(options: dict[str, Any]) -> Claims:
     """What the options claim; those that are not for the dynamics are taken out."""
     taken = {name: options.pop(name, None) for name in ("ensemble", "timestep", "runs", "steps", "seed")}
-    has_bonds, has_liquids = options.pop("constraints", False), options.pop("liquids", False)
-    stated = [float(np.ravel(options[name])[0]) for name in PRESSURES if options.get(name) is not None]
+    has_bonds, has_liquids = (checked_flag(name, options.pop(name, False)) for name in ("constraints", "liquids"))
+    named = [(name, options[name]) for name in PRESSURES if options.get(name) is not None]
+    stated = [checked_number(name, [*np.ravel(value).tolist(), value][0]) for name, value in named]
     asked = abs(stated[0]) if stated else None
+    temperature = 300.0 if options.get("temperature_K") is None else options["temperature_K"]
     found = "NVE" if options.get("temperature_K") is None else "NVT" if asked is None else "NPT"
     ensemble = checked_choice("ensemble", taken["ensemble"] or found, ENSEMBLES)
     if ensemble == "NPT" and asked is None:
         raise ValueError("pressure must be given for NPT [eV/Å³], as pressure= or as an option of the class; got none")
     if has_bonds and ensemble == "NPT":
         raise ValueError("constraints are judged for NVE and NVT; got a pressure")
+    if has_liquids and ensemble == "NVE":
+        raise ValueError("liquids are judged for NVT; got NVE: give temperature_K=")
     scenes = ("chain",) * has_bonds if ensemble == "NVE" else USED[ensemble] + ("chain",) * has_bonds
     return Claims(
         ensemble,
-        units.kB * checked_number("temperature_K", options.get("temperature_K") or 300.0, "positive and finite"),
+        units.kB * checked_number("temperature_K", temperature, "positive and finite"),
         0.0 if ensemble != "NPT" else checked_number("pressure", asked, "positive and finite"),
         checked_number("timestep", units.fs if taken["timestep"] is None else taken["timestep"], "positive and finite"),
         checked_count("runs", RUNS[ensemble] if taken["runs"] is None else taken["runs"], 6),
         checked_count("steps", STEPS[ensemble] if taken["steps"] is None else taken["steps"], 8 * EVERY),
-        checked_count("seed", taken["seed"] or 0, 0),
+        checked_count("seed", taken["seed"] or 0, 0, 2**31),  # runs count from it, and NumPy takes 32 bits
         (scenes or USED[ensemble]) + ("liquid 1", "liquid 2") * has_liquids,
     )
 
@@ -251,7 +259,8 @@ def claimed(options: dict[str, Any]) -> Claims:
 def names_of(options: dict[str, Any]) -> list[str]:
     """The names of the laws that are judged with these options."""
     claims = claimed({**options})
-    own = [law.name for law in LAWS if {*law.needs.split()} <= {claims.ensemble}]
+    has = claims.scene(claims.scenes[0], True).has
+    own = [law.name for law in LAWS if {*law.needs.split()} <= {claims.ensemble, *has.split()}]
     return own + [f"{scene}: {law}" for scene, laws in claims.laws() for law in laws]
 
 

@@ -450,7 +450,7 @@ class Attached:
         finally:
             for stream in self._with_steps:
                 if isinstance(stream, Stream):
-                    stream.end()
+                    stream.end(self._engine)
 
 
 def _is_observer(one: Any) -> bool:

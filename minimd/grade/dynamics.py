@@ -242,7 +242,7 @@ def claimed(options: dict[str, Any]) -> Claims:
     if has_bonds and ensemble == "NPT":
         raise ValueError("constraints are judged for NVE and NVT; got a pressure")
     if has_liquids and ensemble == "NVE":
-        raise ValueError("liquids are judged for NVT; got NVE: give temperature_K=")
+        raise ValueError("liquids are judged for NVT and NPT; got NVE: give temperature_K=")
     scenes = ("chain",) * has_bonds if ensemble == "NVE" else USED[ensemble] + ("chain",) * has_bonds
     return Claims(
         ensemble,

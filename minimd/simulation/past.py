@@ -41,8 +41,9 @@ class Past(Displayed):
     are made forwards only, with the noise of the run. So a step costs at most the steps between two frames, half of
     them if there is a way back: with n frames, 1/n or 1/2n of the run. print(past) tells it.
 
-    The way from frame to frame is that of the run if nobody has acted on it in between: an observer that changed the
-    state, another method for some of the steps. observe compares energies with those of all frames that it looks at.
+    The way from frame to frame is that of the run if no observer has changed its state in between: observe compares
+    energies with those of all frames that it looks at. Of a run continued with another method, bath or state, only the
+    steps since then can be made again.
 
     Parameters
     ----------

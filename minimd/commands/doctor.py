@@ -92,8 +92,9 @@ def clear_cache() -> None:
     if (own := compiling.cache_folder()) is None:
         return print("cache folder   there is none")
     folders = [one for one in own.parent.glob("minimd-*") if re.fullmatch(r"minimd-[0-9a-f]{16}", one.name)]
-    inner = [part for one in folders if not one.is_symlink() for part in one.iterdir() if not part.is_symlink()]
-    files = [file for part in inner if part.is_dir() for file in part.iterdir() if KERNEL_FILE.search(file.name)]
+    real = [one for one in folders if one.is_dir() and not one.is_symlink()]
+    inner = [part for one in real for part in one.iterdir() if part.is_dir() and not part.is_symlink()]
+    files = [file for part in inner for file in part.iterdir() if KERNEL_FILE.search(file.name) and not file.is_dir()]
     size = sum(file.lstat().st_size for file in files)
     for file in files:
         file.unlink(missing_ok=True)

@@ -300,7 +300,8 @@ def _is_sound(row: Any) -> bool:
     """Whether a line of the journal is a row: all that is read of it later is there, and of the right type."""
     if not isinstance(row, dict) or row.get("status") not in list(NEEDED) or not row.keys() >= NEEDED[row["status"]]:
         return False
-    return all(KINDS[name](value) if name in KINDS else type(value) is str for name, value in row.items())
+    are_right = all(KINDS[name](value) if name in KINDS else type(value) is str for name, value in row.items())
+    return are_right and list(row.get("means", ())) == list(row.get("errors", ()))
 
 
 def name_of(function: Callable | None) -> str:

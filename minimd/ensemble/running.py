@@ -114,7 +114,7 @@ def ensemble(
     resume, seed = checked_flag("resume", resume), None if seed is None else checked_count("seed", seed, 0, ENTROPIES)
     plan, retries = Plan(build, prepare, run, every, uuid4().hex), checked_count("retries", retries, 0)
     n_workers, chosen_members = _check_executor(executor, workers, plan), checked_members(members, len(rows), resume)
-    with EnsembleFolder(place, writes=True, members=members) as opened:
+    with EnsembleFolder(place, writes=True, members=members and chosen_members) as opened:
         names, drawn = (name_of(build), name_of(prepare), name_of(run)), randbits(128) if seed is None else seed
         asked = opened.begin(Asked(drawn, steps, every, rows, *names), resume, any_seed=seed is None)
         todo = [index for index in chosen_members if not asked.is_done(opened.rows.get(index))]

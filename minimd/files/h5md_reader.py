@@ -25,7 +25,7 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5t
 
 from minimd.console.display import Displayed, Rows
 from minimd.console.quiet import quiet
-from minimd.console.words import printable
+from minimd.console.words import printable, shown
 from minimd.engine.engine import Checkpoint, scene_in_words
 from minimd.engine.record import SERIES, Frame, Record
 from minimd.files import h5md_digest as digest
@@ -175,6 +175,8 @@ def looked_at(path: str | Path, look: Callable[[], Found]) -> Found:
     Raises OSError if the child crashes, or takes more time or memory than reading could take."""
     if not hasattr(os, "fork"):
         return look()
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(f"a file must be given by its name, such as 'run.h5md'; got {shown(path)}")
     parent, (listening, telling) = os.getpid(), os.pipe()
     try:
         with quiet():  # Python warns of forks with threads; h5py holds its lock in a fork
@@ -246,6 +248,7 @@ class H5MDContents(Displayed):
     method : its name in integrators.METHODS.  parameters : arguments with which it can be made again.
     barostat : StochasticCellRescaling, or None.  precision, skin : of the options.  potentials : in words.
     too_long_a_step : the warning of a Report that the time step is too long, or empty.
+    since : the first step from which on method, bath and state are those of one run; 0 for all of them.
     reservoir_energy : [energy], given by a thermostat up to the restart; 0 without one.
     conserves_momentum : whether the run did.
     n_frames : int.  has_forces : whether frames hold forces.  title, scene : texts, empty if none were stored.
@@ -276,6 +279,7 @@ class H5MDContents(Displayed):
     lacks_results: bool
     barostat: StochasticCellRescaling | None = None
     too_long_a_step: str = ""
+    since: int = 0
 
     def __repr__(self) -> str:
         return f"H5MDContents({self.n_frames} frames of {len(self.system)} atoms, {self.method}, step {self.step})"
@@ -331,6 +335,7 @@ def contents_of(h5: h5py.File, path: str | Path) -> H5MDContents:
             step=state.step,
             time=state.time,
             timestep=float(at["timestep"]),
+            since=int(at.get("since", 0)),
             reservoir_energy=state.reservoir_energy,
             n_frames=n_frames,
             has_forces=f"{TRAJECTORY}/force" in h5,

@@ -161,7 +161,10 @@ def describe(h5: h5py.File, engine: Engine) -> None:
 
 def describe_method(group: h5py.Group, engine: Engine) -> None:
     """Write method and time step of the frames that come next, and the options with which they are computed."""
-    group.attrs.update({name: told(engine) for name, (told, _) in METHOD.items()})
+    now = {name: told(engine) for name, (told, _) in METHOD.items()}
+    if any(group.attrs.get(name, now[name]) != now[name] for name in DECISIVE):
+        group.attrs["since"] = max(engine.step, group.attrs.get("since", 0))
+    group.attrs.update(now)
     group.attrs.update({name: value for name, value in engine.method.parameters.items() if isinstance(value, float)})
 
 
@@ -210,6 +213,7 @@ METHOD: dict[str, tuple[Callable[[Engine], Any], Callable[[Any], Any]]] = {  # a
         lambda stored: StochasticCellRescaling(**json.loads(stored)) if stored else None,
     ),
 }
+DECISIVE = "method", "parameters", "barostat"  # for the bits of steps
 
 
 def other_potentials(stored: Sequence[str], potentials: Sequence[Any]) -> str:

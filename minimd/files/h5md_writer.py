@@ -142,6 +142,9 @@ class H5MDWriter:
             if scene := self._engine.notes["scene"]:  # the scene with which the run goes on
                 title = self._engine.notes["title"] or contents.title
                 h5["minimd"].attrs.update({"scene": scene, "title": title})
+            both = (self._engine, restart.checkpoint.state)
+            if any(not np.array_equal(*(getattr(one, name) for one in both)) for name in ("positions", "velocities")):
+                h5["minimd"].attrs["since"] = self._engine.step + 1  # the frame of this step is another state
             self._describe_method()
 
     def write(self, frame: Frame) -> None:

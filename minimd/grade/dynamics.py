@@ -21,7 +21,7 @@ from minimd.console.words import shown
 from minimd.grade import ensembles
 from minimd.grade.findings import Finding, Grade, Law, Measured, causes, judged
 from minimd.grade.scenes import SCENES, SOFT, Array, Frames, Make, ends_of, run, started
-from minimd.structure.checks import checked_choice, checked_count, checked_number
+from minimd.structure.checks import checked_choice, checked_count, checked_flag, checked_number
 
 ENSEMBLES = {"NVE": "constant energy", "NVT": "constant temperature", "NPT": "constant temperature and pressure"}
 RATE = 1e-3  # of false alarms, of all laws together
@@ -200,7 +200,8 @@ def grade_dynamics(dynamics: Any, options: dict[str, Any]) -> Grade:
         with np.errstate(all="ignore"):
             findings = judged(LAWS, motion)
     except Exception as error:  # whatever a class raises
-        raise ValueError(f"{name} failed with {options}: {type(error).__name__}: {error}") from error
+        hint = "; does it keep rigid bonds?" * ("chain" in claims.scenes)
+        raise ValueError(f"{name} failed with {options}: {type(error).__name__}: {error}{hint}") from error
     is_still, laws = motion.is_still, claims.laws()
     rate = RATE / max(1, sum(len(names) for _, names in laws))
     findings += [one for scene, _ in laws for one in of_scene(make, claims, scene, is_still, rate)]
@@ -238,25 +239,26 @@ def of_half_a_step(halved: Make, claims: Claims, is_still: bool, heat: float) ->
 def claimed(options: dict[str, Any]) -> Claims:
     """What the options claim; those that are not for the dynamics are taken out."""
     taken = {name: options.pop(name, None) for name in ("ensemble", "timestep", "runs", "steps", "seed")}
-    has_bonds, has_liquids = options.pop("constraints", False), options.pop("liquids", False)
-    stated = [float(np.ravel(options[name])[0]) for name in PRESSURES if options.get(name) is not None]
+    has_bonds, has_liquids = (checked_flag(name, options.pop(name, False)) for name in ("constraints", "liquids"))
+    named = [(name, options[name]) for name in PRESSURES if options.get(name) is not None]
+    stated = [checked_number(name, [*np.ravel(value).tolist(), value][0]) for name, value in named]
     asked = abs(stated[0]) if stated else None
+    temperature = 300.0 if options.get("temperature_K") is None else options["temperature_K"]
     found = "NVE" if options.get("temperature_K") is None else "NVT" if asked is None else "NPT"
     ensemble = checked_choice("ensemble", taken["ensemble"] or found, ENSEMBLES)
     if ensemble == "NPT" and asked is None:
         raise ValueError("pressure must be given for NPT [eV/Å³], as pressure= or as an option of the class; got none")
     if (has_bonds and ensemble == "NPT") or (has_liquids and ensemble == "NVE"):
         raise ValueError(f"constraints are judged for NVE and NVT, liquids for NVT and NPT; got {ensemble}")
-    given = options.get("temperature_K")
     scenes = ("chain",) * has_bonds if ensemble == "NVE" else USED[ensemble] + ("chain",) * has_bonds
     return Claims(
         ensemble,
-        units.kB * checked_number("temperature_K", 300.0 if given is None else given, "positive and finite"),
+        units.kB * checked_number("temperature_K", temperature, "positive and finite"),
         0.0 if ensemble != "NPT" else checked_number("pressure", asked, "positive and finite"),
         checked_number("timestep", units.fs if taken["timestep"] is None else taken["timestep"], "positive and finite"),
         checked_count("runs", RUNS[ensemble] if taken["runs"] is None else taken["runs"], 6),
         checked_count("steps", STEPS[ensemble] if taken["steps"] is None else taken["steps"], 8 * EVERY),
-        checked_count("seed", taken["seed"] or 0, 0),
+        checked_count("seed", taken["seed"] or 0, 0, 2**31),  # runs count from it, and NumPy takes 32 bits
         (scenes or USED[ensemble]) + ("liquid 1", "liquid 2") * has_liquids,
     )
 

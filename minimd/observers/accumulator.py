@@ -323,8 +323,8 @@ class Accumulator(ABC, Displayed):
             self.last_step = -1
         return n_later
 
-    def end(self) -> None:
-        """A run has ended."""
+    def end(self, engine: Engine) -> None:
+        """The run of an engine has ended."""
 
     def answered(self) -> ObservedRun:
         """The scene, which a result needs.  Raises ValueError before the first look."""
@@ -452,7 +452,7 @@ class Attached:
             raise
         finally:
             for looking in self._with_steps:
-                looking.end()
+                looking.end(self._engine)
 
 
 def _is_observer(one: Any) -> bool:

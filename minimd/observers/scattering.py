@@ -29,11 +29,11 @@ Array = NDArray[np.float64]
 PEAK = 1.15 * 2.0 * pi  # q (V/N)^(1/3) of the main peak of a simple liquid
 FAR = 3.0  # in q of the peak, the largest q if not given
 GOLDEN = pi * (3.0 - 5.0**0.5)  # angle between two directions that follow each other
+MOST_PERIODS, MOST_WAVES, TABLE = 10_000, 100_000, 2**18  # in the cell; in all shells; cosines of k for atoms
 N_WAVES, MANY = 3, 60  # wave vectors for F_s, the nearest of those in so many directions
 Q_MAX = "largest q; three times that of the main peak of a simple liquid if not given"
 Q_SELF = "length of the wave vectors; that of the main peak of a simple liquid, 1.15 · 2π (N/V)^(1/3), if not given"
 PER_SHELL = "number of directions in which wave vectors are sought for each shell of q"
-PIECE = 4096  # atoms whose densities are computed together
 
 
 def peak_of(system: System, what: str) -> float:
@@ -45,11 +45,14 @@ def peak_of(system: System, what: str) -> float:
 
 def waves_near(lengths: Array, cell: Cell, n_directions: int) -> NDArray[np.int64]:
     """(M, 3) whole numbers k of the wave vectors of the cell that are nearest to those of given lengths [1/length] in
-    directions spread evenly over a hemisphere; not 0, and only one of k and −k."""
+    directions spread evenly over a hemisphere; not 0, and only one of k and −k.  Raises ValueError for large ones."""
     z = np.broadcast_to((np.arange(n_directions) + 0.5) / n_directions, (len(lengths), n_directions))
     flat, turn = np.sqrt(1.0 - z * z), GOLDEN * np.arange(z.size).reshape(z.shape)
     wanted = lengths[:, None, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=2)
-    waves = np.rint(wanted @ cell.vectors.T / (2.0 * pi)).astype(np.int64).reshape(-1, 3)
+    exact = wanted @ cell.vectors.T / (2.0 * pi)
+    if np.abs(exact).max() > MOST_PERIODS:
+        raise ValueError(f"q = {lengths.max():.6g} has more than {MOST_PERIODS} periods in this cell; lower it")
+    waves = np.rint(exact).astype(np.int64).reshape(-1, 3)
     leading = np.sign(waves @ [4 * np.abs(waves).max() ** 2 + 4, 2 * np.abs(waves).max() + 1, 1])
     return np.unique((waves * leading[:, None])[leading != 0], axis=0)
 
@@ -60,12 +63,12 @@ def vectors_of(waves: NDArray[np.int64], cell: Cell) -> Array:
 
 
 @partial(kernel, fastmath={"reassoc", "nsz", "contract"})  # sums over atoms in any order
-def add_densities(tables, waves, densities):
-    """densities[w] += Σ_j exp(i q_w · r_j), real and imaginary part.
+def add_densities(tables, waves, sums):
+    """sums[:, w] += Σ_j exp(i q_w · r_j), real and imaginary part.
 
     tables : (3, K + 1, 2, N), cos and sin of 2π k s for whole numbers k and fractional coordinates s; those of k = 0
         and 1 are given, the others are found here.
-    waves : (M, 3) int.  densities : (M, 2).
+    waves : (M, 3) int.  sums : (2, M).
     """
     for d in range(3):
         once = tables[d, 1]
@@ -84,8 +87,8 @@ def add_densities(tables, waves, densities):
             c, s = cx * cy - sx * sy, cx * sy + sx * cy
             real += c * cz - s * sz
             imaginary += c * sz + s * cz
-        densities[w, 0] += real
-        densities[w, 1] += imaginary
+        sums[0, w] += real
+        sums[1, w] += imaginary
 
 
 class StructureFactor(Accumulator):
@@ -112,6 +115,8 @@ class StructureFactor(Accumulator):
     def _begin(self, engine: Engine) -> None:
         peak, cell = peak_of(engine.system, "S(q)"), engine.system.cell
         q_max = self.q_max or FAR * peak
+        if (n := self.n_bins * self.n_waves) > MOST_WAVES:
+            raise ValueError(f"n_bins n_waves must be at most {MOST_WAVES}; {self.n_bins} · {self.n_waves} = {n}")
         waves = waves_near((np.arange(self.n_bins) + 0.5) * q_max / self.n_bins, cell, self.n_waves)
         shells = (np.linalg.norm(vectors_of(waves, cell), axis=1) / q_max * self.n_bins).astype(np.int64)
         if not (inside := shells < self.n_bins).any():
@@ -124,15 +129,13 @@ class StructureFactor(Accumulator):
 
     def _look(self, engine: Engine) -> None:
         cell, n_atoms, highest = engine.system.cell, len(engine.positions), int(np.abs(self._waves).max())
-        densities, once = np.zeros((len(self._waves), 2)), vectors_of(np.eye(3, dtype=np.int64), cell)
-        for start in range(0, n_atoms, PIECE):
-            turns = once @ engine.positions[start : start + PIECE].T
-            tables = np.empty((3, highest + 1, 2, turns.shape[1]))
+        sums = np.zeros((2, len(self._waves)))
+        for some in np.array_split(engine.positions, -(-n_atoms * (highest + 1) // TABLE)):
+            tables, turns = np.empty((3, highest + 1, 2, len(some))), vectors_of(np.eye(3, dtype=int), cell) @ some.T
             for k in range(2):
                 tables[:, k, 0], tables[:, k, 1] = np.cos(k * turns), np.sin(k * turns)
-            add_densities(tables, self._waves, densities)
-        squares = (densities**2).sum(axis=1)
-        found = np.linalg.norm(vectors_of(self._waves, cell), axis=1), squares / n_atoms
+            add_densities(tables, self._waves, sums)
+        found = np.linalg.norm(vectors_of(self._waves, cell), axis=1), (sums**2).sum(axis=0) / n_atoms
         self.sums.total[0] += 1.0
         self.sums.total[1:] += np.concatenate([np.bincount(self.shells, one) / self._of_shell for one in found])
 

@@ -58,11 +58,12 @@ class Stream:
     """
 
     def __init__(self, port: int = 8888, every: int = 10, host: str = "localhost", wait: bool = False) -> None:
-        if not isinstance(host, str):
+        if not isinstance(host, str) or not host:
             raise ValueError(f"host must be a name or an address, such as 'localhost'; host = {shown(host)}")
         self.port, self.host = checked_count("port", port, 0, PORTS), host
         self.wait, self._given = checked_flag("wait", wait), checked_count("every", every)
         self._listener: socket.socket | None = None
+        self._engine: Engine | None = None
         self._reader: socket.socket | None = None
         self._heard = b""
         self._part_with_reader()
@@ -81,12 +82,15 @@ class Stream:
         return self._has_gone
 
     def prepare(self, engine: Engine) -> None:
-        """Listen, and wait for a reader if asked to.  Raises OSError if the port cannot be opened."""
+        """Listen, and wait for a reader if asked to.  Raises OSError without a port, ValueError in a second run."""
+        if self._engine is not None:
+            raise ValueError(f"{self!r} is in another run, or twice in this one: give each run a Stream of its own")
         try:
             self._listener = socket.create_server((self.host, self.port), backlog=1)
-        except OSError as error:
-            where, advice = f"port {self.port} of {self.host!r}", "pass another port=, or 0 for any that is free"
-            raise OSError(f"{where} cannot be opened: {error.strerror or error}; {advice}") from error
+        except (OSError, TypeError) as error:  # a name that is too long is a TypeError
+            where, advice = f"port {self.port} of {shown(self.host)}", "pass host=, or port=, 0 for any that is free"
+            raise OSError(f"{where} cannot be opened: {getattr(error, 'strerror', '') or error}; {advice}") from error
+        self._engine = engine
         self._listener.setblocking(False)
         cell = engine.system.cell
         self._has_box = bool(cell.pbc.any() and np.linalg.det(cell.vectors) != 0.0)
@@ -121,8 +125,11 @@ class Stream:
                 self._hear(engine)  # its last message
                 self._part_with_reader()
 
-    def end(self) -> None:
-        """The run has ended: let the reader take what was sent, and close the port."""
+    def end(self, engine: Engine) -> None:
+        """The run of an engine has ended: let the reader take what was sent, and close the port."""
+        if self._engine is not engine:  # another run has this stream
+            return
+        self._engine = None
         if self._listener is not None:
             self._listener.close()
             self._listener = None

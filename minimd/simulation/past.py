@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 SAME_PACE = 1e-6  # relative: times in a file are rounded
 TELLS = 100  # of a progress bar
+BEFORE = " that can be made again, those before with another method, bath or state, of which it keeps only frames"
 
 
 class Past(Displayed):
@@ -40,8 +41,9 @@ class Past(Displayed):
     are made forwards only, with the noise of the run. So a step costs at most the steps between two frames, half of
     them if there is a way back: with n frames, 1/n or 1/2n of the run. print(past) tells it.
 
-    The way from frame to frame is that of the run if nobody has acted on it in between: an observer that changed the
-    state, another method for some of the steps. observe compares energies with those of all frames that it looks at.
+    The way from frame to frame is that of the run if no observer has changed its state in between: observe compares
+    energies with those of all frames that it looks at. Of a run continued with another method, bath or state, only the
+    steps since then can be made again.
 
     Parameters
     ----------
@@ -70,7 +72,9 @@ class Past(Displayed):
         if (others := paces[~np.isclose(paces, last, rtol=SAME_PACE, atol=0.0)]).size:
             several = f"the run in {str(file)!r} has several time steps, {others[0]:g} and {last:g}"
             raise ValueError(f"{several}: the file keeps only the last, others cannot be made again")
-        self.steps = np.unique(np.append(record.step, max(end, record.step[-1])))
+        known = np.unique(np.append(record.step, max(end, record.step[-1])))
+        self.steps = known[known >= min(self.contents.since, known[-1])]
+        self._n_bytes = self.file.stat().st_size
         self.goes_back = self._last.method.is_symmetric
         gap = int(np.diff(self.steps).max(initial=1))
         self.worst = gap // 2 if self.goes_back else gap - 1
@@ -82,7 +86,7 @@ class Past(Displayed):
     def display_rows(self) -> Rows:
         """See Displayed."""
         first, last, n_frames = self.steps[0], self.steps[-1], self.contents.n_frames
-        size, share = self.file.stat().st_size / 1e6, self.worst / max(1, last - first)
+        size, share = self._n_bytes / 1e6, self.worst / max(1, last - first)
         ways = f"from the nearest frame, forwards{' or backwards' if self.goes_back else ''}"
         return [
             ("past", f"{self.file}: {n_frames} frames, {size:.3g} MB"),
@@ -98,7 +102,7 @@ class Past(Displayed):
         """
         step, first, last = checked_count("step", step, 0), self.steps[0], self.steps[-1]
         if not first <= step <= last:
-            has = f"file {str(self.file)!r} has the steps {first} to {last}"
+            has = f"file {str(self.file)!r} has the steps {first} to {last}{BEFORE * (self.contents.since > 0)}"
             raise ValueError(f"{has}; step must be one of them, but step = {step}")
         ways = step - self.steps
         return int(ways[np.argmin(np.where((ways >= 0) | self.goes_back, np.abs(ways), COUNTS - 1))])
@@ -114,7 +118,7 @@ class Past(Displayed):
             potentials than those of the run.
         """
         n = self.cost(step)
-        simulation, frame = copy.copy(self._last), int(np.searchsorted(self.steps, step - n))
+        simulation, frame = copy.copy(self._last), int(np.searchsorted(self.contents.record.step, step - n))
         if frame < self.contents.n_frames:
             go_to(simulation, self.file, self.contents, frame)
         make = simulation.run_back if n < 0 else simulation.make_steps
@@ -153,7 +157,7 @@ class Past(Displayed):
         ValueError : for steps outside the run; if energies are not those in the file, as after an observer that changes
             the state: for that, take a branch.
         """
-        self.cost(stop)
+        self.cost(checked_count("stop", stop, checked_count("start", start, 0)))
         simulation, those = self.at(start, progress=progress), self.contents.record
         record = simulation.run(
             until_step=stop, every=every, observers=observers, progress=progress, crash_report=False

@@ -265,6 +265,8 @@ def test_doctor_empties_the_cache_and_leaves_what_is_not_the_caches(tmp_path, mo
     own, older, strange = tmp_path / f"minimd-{16 * '0'}", tmp_path / f"minimd-{16 * 'a'}", tmp_path / "minimd-x"
     monkeypatch.setattr(compiling, "cache_folder", lambda: own)
     (tmp_path / f"minimd-{16 * 'f'}").symlink_to(strange)
+    (tmp_path / f"minimd-{16 * 'e'}").write_bytes(b"no folder")
+    (own / "forces" / "folder.nbi").mkdir(parents=True)
     kept = {tmp_path / "a.nbi", own / "a.txt", own / "forces" / "a.txt", strange / "forces" / "a.nbc"}
     removed = {own / "forces" / "a.nbc", own / "forces" / "a.lock", older / "forces" / f"a.nbi.{32 * '0'}"}
     for file in kept | removed:

@@ -68,6 +68,7 @@ def test_another_ensemble_in_the_folder_is_refused_and_another_call_at_the_same_
     assert_answered(more, ValueError, "steps = 60 there, 80 here")  # that of a function run is not known to go on
     with EnsembleFolder(tmp_path, writes=True):
         assert_answered(partial(members.run, tmp_path), OSError, "folder", str(tmp_path))
+    assert members.run(tmp_path, **first, members=range(10**12)).done.all()
     with EnsembleFolder(tmp_path, writes=True, members=range(1, 3)):
         for part in (None, range(2), range(1, 3)):
             assert_answered(partial(members.run, tmp_path, members=part), OSError, "folder", str(tmp_path), "running")

@@ -97,7 +97,15 @@ def euler(atoms, timestep):
     return Euler(atoms, timestep)
 
 
+class Unbound(VelocityVerlet):
+    def __init__(self, atoms, *more):
+        super().__init__(atoms, *more)
+        atoms.set_constraint()
+
+
 def test_steps_of_constant_energy_are_judged():
+    for one in (VelocityVerlet, Unbound):
+        assert md.grade(one, **RIGID, steps=40)["rigid bonds"].passed is (one is VelocityVerlet)
     right, wrong = md.grade(VelocityVerlet, steps=200), md.grade(euler, steps=200)
     twice = md.grade(lambda atoms, timestep: VelocityVerlet(atoms, 2.0 * timestep), steps=200)
     assert twice["center of mass"].value == pytest.approx(2.0)
@@ -127,6 +135,10 @@ test_what_cannot_be_judged_is_refused = answered(
     (lambda: md.grade(VelocityVerlet, ensemble="NPT"), ValueError, "pressure"),
     (lambda: md.grade(Exact, **NVT, **NPT, **RIGID), ValueError, "constraints"),
     (lambda: md.grade(VelocityVerlet, ensemble="NPH"), ValueError, "ensemble", "NPH"),
+    (lambda: md.grade(VelocityVerlet, constraints="yes"), ValueError, "constraints", "'yes'"),
+    (lambda: md.grade(VelocityVerlet, liquids=True), ValueError, "liquids", "NVE"),
+    (lambda: md.grade(Bussi, temperature_K=0.0, taut=5.0, runs=6, steps=40), ValueError, "temperature_K", "0.0"),
+    (lambda: md.grade(Bussi, pressure=[]), ValueError, "pressure", "[]"),
     (lambda: md.grade(lambda x, v, dt: (x, v), temperature_K=300.0), TypeError, "temperature_K", "dynamics"),
     (lambda: named("ase.md.bussi:Busi"), ValueError, "Busi"),
 )

@@ -470,5 +470,8 @@ test_what_cannot_be_observed_is_refused = answered(
     (with_another_time_step, ValueError, "time step"),
     (lambda: seen_by(md.observers.StructureFactor(), sim=chain().simulation()), ValueError, "periodic", "12 atoms"),
     (lambda: seen_by(md.observers.StructureFactor(q_max=0.1)), ValueError, "q_max", "0.1"),
+    (lambda: seen_by(md.observers.StructureFactor(q_max=2e20)), ValueError, "q = ", "e+20", "10000"),
+    (lambda: seen_by(md.observers.SelfScattering(q=1e18)), ValueError, "q = 1e+18", "10000"),
+    (lambda: seen_by(md.observers.StructureFactor(n_bins=10**9)), ValueError, "n_bins", "1000000000"),
     (lambda: seen_by(md.observers.SelfScattering(q=0.1)), ValueError, "q", "0.1"),
 )

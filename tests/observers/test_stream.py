@@ -165,10 +165,16 @@ def test_a_run_without_a_reader_does_not_wait_and_is_resumed_to_the_same_bits(tm
     np.testing.assert_array_equal(again.positions, plain.positions)
 
 
-def test_wrong_streams_are_refused():
+def test_wrong_streams_are_refused(tmp_path):
     with socket.create_server(("localhost", 0)) as taken:
         looking = md.observers.Stream(port := taken.getsockname()[1])
         assert_answered(lambda: simulation().run(1, observers=[looking]), OSError, str(port), "port=")
+    nowhere, one = md.observers.Stream(0, host="\0"), md.observers.Stream(0)
+    assert_answered(lambda: simulation().run(1, observers=[nowhere]), OSError, "host=", r"\x00")
+    with Running(tmp_path / "run.h5md") as run:
+        assert_answered(lambda: simulation().run(1, observers=[run.stream]), ValueError, "Stream(port=0", "another run")
+        run.reader(GO, 0, WAIT, 0).close()  # it still listens
+    assert_answered(lambda: simulation().run(1, observers=[one, one]), ValueError, "Stream(port=0)", "twice")
     assert_answered(lambda: simulation().run(1, observers=[md.observers.Stream]), TypeError, "observers", "Stream")
-    for name, value in {"port": 70000, "every": 0, "host": 5, "wait": "no"}.items():
+    for name, value in [("port", 70000), ("every", 0), ("host", 5), ("host", ""), ("wait", "no")]:
         assert_answered(lambda: md.observers.Stream(**{name: value}), ValueError, name, str(value))

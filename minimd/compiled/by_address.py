@@ -126,13 +126,10 @@ def _array(context, builder, kind, address, place):
     shape, strides = ([_word(builder, word, address, place + at + k) for k in range(n)] for at in (1, 1 + n))
     if n == 1 and kind.layout == "C":
         strides = [itemsize]
-    parts = {
-        "nitems": functools.reduce(builder.mul, shape),
-        "itemsize": itemsize,
-        "data": _word(builder, element.as_pointer(), address, place),
-        "shape": cgutils.pack_array(builder, shape, word),
-        "strides": cgutils.pack_array(builder, strides, word),
-    }
+    parts = {"nitems": functools.reduce(builder.mul, shape), "itemsize": itemsize,
+             "data": _word(builder, element.as_pointer(), address, place),
+             "shape": cgutils.pack_array(builder, shape, word),
+             "strides": cgutils.pack_array(builder, strides, word)}  # fmt: skip
     array = ir.Constant(model.get_value_type(), None)  # no owner
     for name, part in parts.items():
         array = model.set(builder, array, part, name)

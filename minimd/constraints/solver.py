@@ -59,15 +59,8 @@ class ConstraintSolver:
     ValueError : for atoms that do not exist, a pair of two fixed atoms, a length of zero, or dependent constraints.
     """
 
-    def __init__(
-        self,
-        constraints: DistanceConstraints,
-        positions: Floats,
-        inverse_masses: Floats,
-        offsets: Floats | None = None,
-        threads: int = 1,
-        tolerance: float | None = None,
-    ) -> None:
+    def __init__(self, constraints: DistanceConstraints, positions: Floats, inverse_masses: Floats,
+                 offsets: Floats | None = None, threads: int = 1, tolerance: float | None = None) -> None:  # fmt: skip
         self.pairs, self.inverse_masses, self._calls = constraints.pairs, inverse_masses, DirectCalls()
         self.offsets = np.zeros((len(self.pairs), 3)) if offsets is None else offsets
         check_atoms(self.pairs, len(positions))

@@ -368,15 +368,9 @@ def _differ(ends: tuple[float, float], share: float) -> bool:
 
 
 @np.errstate(all="ignore")  # the report says what is not finite
-def conservation_report(
-    record: Record,
-    angular: bool,
-    cost: Cost | None = None,
-    linear: bool = True,
-    lines: Sequence[Line] = (),
-    n_dof: int | None = None,
-    too_long_a_step: str = "",
-) -> Report:
+def conservation_report(record: Record, angular: bool, cost: Cost | None = None, linear: bool = True,
+                        lines: Sequence[Line] = (), n_dof: int | None = None,
+                        too_long_a_step: str = "") -> Report:  # fmt: skip
     """The report of a record.
 
     linear, angular : whether momentum is constant (see Engine.conserves_momentum), and angular momentum, too (then

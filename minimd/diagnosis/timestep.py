@@ -87,13 +87,10 @@ class StepAdvice(Displayed):
             if self.bond is not None:
                 motion = f"the bond of atoms {self.bond[0]} and {self.bond[1]}: {shares} of the kinetic energy"
             blow_up = "longer steps blow up, and at a temperature shorter ones may"
-            rows = [
-                ("stiffest mode", f"ω = {omega:.4g} / {units.shown_time}, period {shown(self.period)}"),
-                ("", motion),
-                ("limit", f"{shown(self.limit)} for {self.method}: {blow_up}"),
-                ("recommended", f"{recommended}{self.period / self.recommended:.3g} steps a period"),
-                ("decided by", "the stiffest mode"),
-            ]
+            rows = [("stiffest mode", f"ω = {omega:.4g} / {units.shown_time}, period {shown(self.period)}"),
+                    ("", motion), ("limit", f"{shown(self.limit)} for {self.method}: {blow_up}"),
+                    ("recommended", f"{recommended}{self.period / self.recommended:.3g} steps a period"),
+                    ("decided by", "the stiffest mode")]  # fmt: skip
             if self.collision < self.harmonic:
                 heat = f"{self.temperature:.3g} {units.temperature}" if self.temperature else "rest"
                 hotter = f"or at that of the velocities if they are hotter (given: {heat})"
@@ -103,12 +100,9 @@ class StepAdvice(Displayed):
         return rows if self.timestep is None else [*rows, ("given", f"{shown(self.timestep)}{of_limit}")]
 
 
-def advise_timestep(
-    system: AnySystem,
-    potentials: Potential | Sequence[Potential],
-    constraints: Constraint | Sequence[Constraint] | None = None,
-    method: Splitting | type[Splitting] = VelocityVerlet,
-) -> StepAdvice:
+def advise_timestep(system: AnySystem, potentials: Potential | Sequence[Potential],
+                    constraints: Constraint | Sequence[Constraint] | None = None,
+                    method: Splitting | type[Splitting] = VelocityVerlet) -> StepAdvice:  # fmt: skip
     """How long a time step may be: by the highest frequency of the weighted Hessian M^−1/2 H M^−1/2 of this state.
 
         limit = h_max/ω, h_max = 2 for velocity Verlet; recommended = h/ω with (E_max − E_min)/(E_max + E_min) = 1/80
@@ -182,20 +176,11 @@ def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | t
     near = pairs[np.isin(pairs, np.argsort(-shares)[:SHOWN_ATOMS]).all(axis=1)]
     parts = np.einsum("bij,ij->b", curvature.stretching(near), mode) ** 2
     bond = tuple(near[np.argmax(parts)].tolist()) if parts.max(initial=0.0) > HALF else None
-    return StepAdvice(
-        frequency=frequency,
-        period=2.0 * pi / frequency if frequency else inf,
-        limit=stability_limit(row) / frequency if frequency else inf,
-        harmonic=harmonic,
-        collision=collision,
-        recommended=min(harmonic, collision),
-        temperature=velocity_temperature(system),
-        method=method.name,
-        timestep=method.timestep if isinstance(method, Splitting) else None,
-        atoms=tuple(atoms),
-        shares=tuple(float(shares[i]) for i in atoms),
-        n_moving=float(1.0 / (shares**2).sum()) if shares.any() else nan,
-        bond=bond,
-        n_evaluations=forces.n_evaluations,
-        units=system.units,
-    )
+    return StepAdvice(frequency=frequency, period=2.0 * pi / frequency if frequency else inf,
+                      limit=stability_limit(row) / frequency if frequency else inf, harmonic=harmonic,
+                      collision=collision, recommended=min(harmonic, collision),
+                      temperature=velocity_temperature(system), method=method.name,
+                      timestep=method.timestep if isinstance(method, Splitting) else None, atoms=tuple(atoms),
+                      shares=tuple(float(shares[i]) for i in atoms),
+                      n_moving=float(1.0 / (shares**2).sum()) if shares.any() else nan, bond=bond,
+                      n_evaluations=forces.n_evaluations, units=system.units)  # fmt: skip

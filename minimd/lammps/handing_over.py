@@ -113,13 +113,10 @@ class HandOver(Displayed):
     def display_rows(self) -> Rows:
         """See Displayed."""
         most = f"potential energies differ by at most {self.energy_difference:.1e} of Σ|e_i| or N k_B T"
-        return [
-            ("LAMMPS", f"{self.version}, on {_named(self.processes)}"),
-            ("verified", f"{self.verification}"),
-            ("frames", f"{len(self.record)}; {most}"),
-            ("time", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in self.seconds.items())),
-            ("written", str(self.trajectory)),
-        ]
+        return [("LAMMPS", f"{self.version}, on {_named(self.processes)}"), ("verified", f"{self.verification}"),
+                ("frames", f"{len(self.record)}; {most}"),
+                ("time", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in self.seconds.items())),
+                ("written", str(self.trajectory))]  # fmt: skip
 
 
 def not_carried_over(simulation: Simulation) -> list[str]:
@@ -145,18 +142,9 @@ def not_carried_over(simulation: Simulation) -> list[str]:
     return [sentence for sentence, applies in rows.items() if applies]
 
 
-def hand_over(
-    simulation: Simulation,
-    folder: str | Path,
-    steps: int,
-    *,
-    processes: int = 1,
-    every: int = 100,
-    store_forces: bool = False,
-    overwrite: bool = False,
-    progress: bool | None = None,
-    tell: Tell | None = print,
-) -> HandOver:
+def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, processes: int = 1, every: int = 100,
+              store_forces: bool = False, overwrite: bool = False, progress: bool | None = None,
+              tell: Tell | None = print) -> HandOver:  # fmt: skip
     """Let LAMMPS make the next steps of a simulation, which is then in the state in which LAMMPS ended, and can go on.
 
     The scene is written for LAMMPS from the same laws. LAMMPS evaluates it at step 0; energy, force and virial of each
@@ -212,15 +200,8 @@ def hand_over(
         return done
 
 
-def check_hand_over(
-    simulation: Simulation,
-    folder: str | Path,
-    steps: int,
-    *,
-    processes: int = 1,
-    every: int = 100,
-    overwrite: bool = False,
-) -> None:
+def check_hand_over(simulation: Simulation, folder: str | Path, steps: int, *, processes: int = 1, every: int = 100,
+                    overwrite: bool = False) -> None:  # fmt: skip
     """Raise the errors that hand_over raises before it starts: a scene LAMMPS cannot run, no LAMMPS, the folder."""
     Model(_checked(simulation, Path(folder), steps, processes, every, overwrite).engine)
 

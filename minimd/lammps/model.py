@@ -250,13 +250,9 @@ class Model:
 
         pairs = combinations_with_replacement(range(len(species)), 2) if len(table) > 1 else ()
         rows = [(f"{i + 1} {j + 1}", table[species[i], species[j]]) for i, j in pairs] or [("* *", table[0, 0])]
-        return PairStyle(
-            LJ_STYLES[type(potential.law)] if is_own else "lepton",
-            float(table[:, :, 0].max()),
-            is_own and isinstance(potential.law, Shifted),
-            tuple(potential.bonded_scale),
-            [(types, numbers(*row.tolist())) for types, row in rows],
-        )
+        return PairStyle(LJ_STYLES[type(potential.law)] if is_own else "lepton", float(table[:, :, 0].max()),
+                         is_own and isinstance(potential.law, Shifted), tuple(potential.bonded_scale),
+                         [(types, numbers(*row.tolist())) for types, row in rows])  # fmt: skip
 
     def _charged(self, potential: Coulomb, engine: Engine) -> PairStyle:
         """The style of charges, and in a periodic cell their sum over waves.

@@ -45,18 +45,11 @@ def system_arguments(atoms: Atoms, bonds: Given = None, constraints: bool = True
     velocities, masses = atoms.get_velocities(), atoms.get_masses()
     if constraints and fixes_center(atoms):
         velocities -= momentum(velocities, masses) / masses.sum()
-    return {
-        "positions": atoms.positions,
-        "masses": masses,
-        "charges": atoms.get_initial_charges(),
-        "velocities": velocities,
-        "cell": cell_of(atoms),
-        "species": _labels(atoms),
-        **(found.groups if found is not None else {"bonds": bonds}),
-        **{name: given for name, given in others.items() if given is not None},
-        "units": ASE,
-        "constraints": constraints_of(atoms) if constraints else (),
-    }
+    return {"positions": atoms.positions, "masses": masses, "charges": atoms.get_initial_charges(),
+            "velocities": velocities, "cell": cell_of(atoms), "species": _labels(atoms),
+            **(found.groups if found is not None else {"bonds": bonds}),
+            **{name: given for name, given in others.items() if given is not None}, "units": ASE,
+            "constraints": constraints_of(atoms) if constraints else ()}  # fmt: skip
 
 
 def atoms_from_system(system: Any) -> Atoms:

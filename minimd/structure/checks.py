@@ -15,12 +15,9 @@ SMALLEST, LARGEST = 1e-75, 1e75  # of positive quantities: their fourth powers a
 MOST_ATOMS = 2**27  # 3 GB of positions
 MOST_NUMBERS = 3 * MOST_ATOMS  # in an array
 COUNTS = 2**63  # whole numbers in arrays and files are below it
-DEMANDS = {
-    "finite": lambda number: abs(number) < inf,
-    "finite and not zero": lambda number: 0.0 < abs(number) < inf,
-    "finite and not negative": lambda number: 0.0 <= number < inf,
-    "positive and finite": lambda number: 0.0 < number < inf,
-}
+DEMANDS = {"finite": lambda number: abs(number) < inf, "finite and not zero": lambda number: 0.0 < abs(number) < inf,
+           "finite and not negative": lambda number: 0.0 <= number < inf,
+           "positive and finite": lambda number: 0.0 < number < inf}  # fmt: skip
 KINDS = {"b": "bools", "i": "whole numbers", "f": "fractions", "c": "complex"}  # by the letters of NumPy
 PLAIN = {bool: "b", int: "i", float: "f"}
 

@@ -40,13 +40,8 @@ class DistanceConstraints:
         tolerance that is not between 0 and 1; an unknown solver.
     """
 
-    def __init__(
-        self,
-        pairs: ArrayLike,
-        lengths: ArrayLike | None = None,
-        tolerance: float = TOLERANCE,
-        solver: SolverName = "auto",
-    ) -> None:
+    def __init__(self, pairs: ArrayLike, lengths: ArrayLike | None = None, tolerance: float = TOLERANCE,
+                 solver: SolverName = "auto") -> None:  # fmt: skip
         self.pairs = checked_pairs("pairs", pairs)
         if not len(self.pairs):
             raise ValueError("pairs of DistanceConstraints must name at least one pair; there is none")

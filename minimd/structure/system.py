@@ -61,23 +61,13 @@ class System(Displayed):
         no lattice vector. TypeError : for units or constraints of another kind.
     """
 
-    def __init__(
-        self,
-        positions: ArrayLike,
-        *,
-        masses: ArrayLike | None = None,
-        velocities: ArrayLike | None = None,
-        cell: ArrayLike | Cell | None = None,
-        pbc: ArrayLike | None = None,
-        species: Sequence[str] | Sequence[int] | NDArray | None = None,
-        bonds: ArrayLike | None = None,
-        angles: ArrayLike | None = None,
-        dihedrals: ArrayLike | None = None,
-        impropers: ArrayLike | None = None,
-        units: UnitSystem = unit_systems.LJ,
-        constraints: Sequence[Constraint] = (),
-        charges: ArrayLike | Mapping[Any, float] | None = None,
-    ) -> None:
+    def __init__(self, positions: ArrayLike, *, masses: ArrayLike | None = None, velocities: ArrayLike | None = None,
+                 cell: ArrayLike | Cell | None = None, pbc: ArrayLike | None = None,
+                 species: Sequence[str] | Sequence[int] | NDArray | None = None, bonds: ArrayLike | None = None,
+                 angles: ArrayLike | None = None, dihedrals: ArrayLike | None = None,
+                 impropers: ArrayLike | None = None, units: UnitSystem = unit_systems.LJ,
+                 constraints: Sequence[Constraint] = (),
+                 charges: ArrayLike | Mapping[Any, float] | None = None) -> None:  # fmt: skip
         if not isinstance(units, UnitSystem):
             raise TypeError(f"units must be minimd.units.LJ or minimd.units.ASE; units = {shown(units)}")
         if not isinstance(constraints, list | tuple) or not all(isinstance(one, Constraint) for one in constraints):
@@ -178,14 +168,8 @@ class System(Displayed):
         return changed(self)
 
     @classmethod
-    def from_ase(
-        cls,
-        atoms: ase.Atoms,
-        bonds: ArrayLike | None = None,
-        angles: ArrayLike | None = None,
-        dihedrals: ArrayLike | None = None,
-        impropers: ArrayLike | None = None,
-    ) -> System:
+    def from_ase(cls, atoms: ase.Atoms, bonds: ArrayLike | None = None, angles: ArrayLike | None = None,
+                 dihedrals: ArrayLike | None = None, impropers: ArrayLike | None = None) -> System:  # fmt: skip
         """A system in ASE's units from an ase.Atoms: see minimd.structure.ase_atoms.system_arguments.
 
         bonds, angles, dihedrals, impropers : as for System. If bonds is not given, those that ASE read from a file:
@@ -198,17 +182,10 @@ class System(Displayed):
         return cls(**system_arguments(atoms, bonds, angles=angles, dihedrals=dihedrals, impropers=impropers))
 
     @classmethod
-    def from_mdanalysis(
-        cls,
-        universe: MDAnalysis.Universe | MDAnalysis.AtomGroup,
-        *,
-        units: UnitSystem = unit_systems.ASE,
-        bonds: ArrayLike | None = None,
-        angles: ArrayLike | None = None,
-        dihedrals: ArrayLike | None = None,
-        impropers: ArrayLike | None = None,
-        pbc: ArrayLike | None = None,
-    ) -> System:
+    def from_mdanalysis(cls, universe: MDAnalysis.Universe | MDAnalysis.AtomGroup, *,
+                        units: UnitSystem = unit_systems.ASE, bonds: ArrayLike | None = None,
+                        angles: ArrayLike | None = None, dihedrals: ArrayLike | None = None,
+                        impropers: ArrayLike | None = None, pbc: ArrayLike | None = None) -> System:  # fmt: skip
         """A system from the present frame of an MDAnalysis universe, or of a group of its atoms: all that System takes,
         except constraints. MDAnalysis holds positions, velocities and cell in float32, the cell as lengths and angles.
         Species are its types.

@@ -69,25 +69,10 @@ class UnitSystem:
 
 
 LJ = UnitSystem()
-ASE = UnitSystem(
-    name="ASE",
-    k_B=BOLTZMANN_EV_PER_K,
-    coulomb=COULOMB,
-    to_angstrom=1.0,
-    to_picosecond=1.0 / PICOSECOND,
-    to_kj_per_mol=KJ_PER_MOL_PER_EV,
-    length="Å",
-    time="Å √(u/eV)",
-    shown_time="ps",
-    small_time="fs",
-    shown_small_time=1000.0,
-    energy="eV",
-    temperature="K",
-    pressure="eV/Å³",
-    momentum="√(u eV)",
-    angular_momentum="Å √(u eV)",
-    volume="Å³",
-)
+ASE = UnitSystem(name="ASE", k_B=BOLTZMANN_EV_PER_K, coulomb=COULOMB, to_angstrom=1.0, to_picosecond=1.0 / PICOSECOND,
+                 to_kj_per_mol=KJ_PER_MOL_PER_EV, length="Å", time="Å √(u/eV)", shown_time="ps", small_time="fs",
+                 shown_small_time=1000.0, energy="eV", temperature="K", pressure="eV/Å³", momentum="√(u eV)",
+                 angular_momentum="Å √(u eV)", volume="Å³")  # fmt: skip
 
 fs = FEMTOSECOND
 ps = PICOSECOND

@@ -257,14 +257,8 @@ class Mechanical(Hessenberg):
     index, names, functions, regular = 3, ("q", "v", "λ"), (("q′", 2), ("force", 2), ("g", 1)), "G M⁻¹ Gᵀ"
     chain = ("g", "dg/dt = G v + g_t", "d²g/dt²")
 
-    def __init__(
-        self,
-        mass: ArrayLike | Function,
-        force: Function,
-        g: Function,
-        gradient: Function | None = None,
-        solver: Newton = Newton(),
-    ) -> None:
+    def __init__(self, mass: ArrayLike | Function, force: Function, g: Function, gradient: Function | None = None,
+                 solver: Newton = Newton()) -> None:  # fmt: skip
         super().__init__(solver, lambda v: v, force, g)
         self._force = self._functions[1]
         self._gradient = gradient if gradient is None else taking(gradient, "t q", "gradient")

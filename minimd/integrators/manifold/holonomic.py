@@ -52,14 +52,8 @@ class Holonomic(SecondOrder):
 
     drifts_on_lines = False
 
-    def __init__(
-        self,
-        f: Function,
-        g: Function,
-        jacobian: Function | None = None,
-        masses: ArrayLike = 1.0,
-        solver: Newton = Newton(),
-    ) -> None:
+    def __init__(self, f: Function, g: Function, jacobian: Function | None = None, masses: ArrayLike = 1.0,
+                 solver: Newton = Newton()) -> None:  # fmt: skip
         super().__init__(f, solver=solver)
         if "v" in self.f.takes:
             raise ValueError("a constrained step needs forces that do not depend on v; f takes v")

@@ -149,11 +149,8 @@ class CorrectedPartitioned(Corrected, Partitioned):
         def of(q: Array, v: Array) -> Array:
             return correction(np.concatenate([q.reshape(-1), v.reshape(-1)]))
 
-        super().__init__(
-            lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size],
-            lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :],
-            solver=problem.solver,
-        )
+        super().__init__(lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size],
+                         lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :], solver=problem.solver)  # fmt: skip
         self.keep(problem, correction, begun)
 
 
@@ -254,18 +251,12 @@ def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: type
         raise TypeError(f"method must be a method without a time step, such as RadauIIA3; got {shown(method)}")
     check_invariants(invariants)
     name = f"{verb}({method.name})"
-    members = {
-        "__doc__": f"{name}.",
-        "name": name,
-        "source": f"{verb}, Hairer, Lubich, Wanner (2006), IV.4, V.4: {method.source}",
-        "order": method.order,
-        "order_on": method.order_on,
-        "stages": method.stages,
-        "on": staticmethod(lambda problem: step(problem, method, invariants)),
-        "is_symmetric": step.is_symmetric and method.is_symmetric,
-        "is_symplectic": False,
-        "is_explicit": False,
-    }
+    members = {"__doc__": f"{name}.", "name": name,
+               "source": f"{verb}, Hairer, Lubich, Wanner (2006), IV.4, V.4: {method.source}", "order": method.order,
+               "order_on": method.order_on, "stages": method.stages,
+               "on": staticmethod(lambda problem: step(problem, method, invariants)),
+               "is_symmetric": step.is_symmetric and method.is_symmetric, "is_symplectic": False,
+               "is_explicit": False}  # fmt: skip
     return type(f"{verb}({method.__name__})", (Method,), members)
 
 
@@ -348,11 +339,8 @@ class IndexTwo(Hessenberg2):
     """y′ = f(t, y) − G(y)ᵀ z, 0 = g(y) − g₀. A state holds y and z; z is zero on exact solutions."""
 
     def __init__(self, problem: Problem, invariants: Invariants) -> None:
-        super().__init__(
-            lambda t, y, z: problem.field(t, y) - self._manifold.jacobian(y).T @ z,
-            lambda y: self._manifold.defect(y),
-            problem.solver,
-        )
+        super().__init__(lambda t, y, z: problem.field(t, y) - self._manifold.jacobian(y).T @ z,
+                         lambda y: self._manifold.defect(y), problem.solver)  # fmt: skip
         self._problem, self._invariants = problem, invariants
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:

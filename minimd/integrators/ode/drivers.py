@@ -315,14 +315,8 @@ class StepControl:
         return float(np.linalg.norm(ratio)) / np.sqrt(size.size)
 
 
-def run_adaptive(
-    problem: Problem,
-    method: type[Method],
-    start: Any,
-    t_end: float,
-    t0: float = 0.0,
-    control: StepControl = StepControl(),
-) -> Solution:
+def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: float, t0: float = 0.0,
+                 control: StepControl = StepControl()) -> Solution:  # fmt: skip
     """Adaptive steps to t_end, with errors estimated by step doubling. solution.n_rejected counts the rejected ones.
 
     Parameters
@@ -407,15 +401,8 @@ class DensityControl:
         checked_count("max_steps", self.max_steps)
 
 
-def run_reversible(
-    problem: Partitioned,
-    method: Method,
-    start: Start,
-    t_end: float,
-    t0: float = 0.0,
-    control: DensityControl = DensityControl(),
-    every: int = 1,
-) -> ReversibleSolution:
+def run_reversible(problem: Partitioned, method: Method, start: Start, t_end: float, t0: float = 0.0,
+                   control: DensityControl = DensityControl(), every: int = 1) -> ReversibleSolution:  # fmt: skip
     """Steps of length timestep/ρ up to t_end, the last one shortened to end there.
 
     Parameters

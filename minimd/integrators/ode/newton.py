@@ -116,16 +116,8 @@ class Iteration:
     def __init__(self, solver: Newton) -> None:
         self.solver = solver
 
-    def solve(
-        self,
-        residual: Map,
-        x: Array,
-        jacobian: Map | None = None,
-        key: Any = None,
-        scale: Sizes = 0.0,
-        floor: Sizes | None = None,
-        nothing: float = 0.0,
-    ) -> Array:
+    def solve(self, residual: Map, x: Array, jacobian: Map | None = None, key: Any = None, scale: Sizes = 0.0,
+              floor: Sizes | None = None, nothing: float = 0.0) -> Array:  # fmt: skip
         """x with residual(x) = 0, to rounding, from a first guess.  Raises ConvergenceError with the largest residual.
 
         jacobian : ∂residual/∂x, a function of x.  key : what J depends on beside x, such as the time step; J is renewed

@@ -104,14 +104,8 @@ class Partitioned(Problem):
 
     drifts_on_lines = False  # q′ = v, and nothing holds q
 
-    def __init__(
-        self,
-        g: Function,
-        f: Function,
-        g_q: Function | None = None,
-        f_v: Function | None = None,
-        solver: Newton = Newton(),
-    ) -> None:
+    def __init__(self, g: Function, f: Function, g_q: Function | None = None, f_v: Function | None = None,
+                 solver: Newton = Newton()) -> None:  # fmt: skip
         self.g, self.f = Field(g, "v", "g"), Field(f, "q", "f")
         self.g_q = g_q if g_q is None else Field(g_q, "t q v", "g_q")
         self.f_v = f_v if f_v is None else Field(f_v, "t q v", "f_v")

@@ -186,10 +186,8 @@ def _motion(scene: BenchScene) -> list[str]:
 
 def openmm(scene: BenchScene, threads: int) -> Engine:
     """OpenMM's CPU platform, with nm, u and kJ/mol as σ, m and ε.
-
     OpenMM gives each step to a thread pool, even if the pool has one thread. Such a thread is bound here to the core of
-    the caller, where it wakes up sooner: for 500 atoms steps are 1.7 times as fast.
-    """
+    the caller, where it wakes up sooner: for 500 atoms steps are 1.7 times as fast."""
     import openmm
 
     own, system, timestep = scene.system, openmm.System(), scene.method.timestep

@@ -162,9 +162,7 @@ def bars(ratios: Mapping[str, NDArray[np.float64]], label: str) -> "Figure":
 
 def draw(panel: "Axes", curves: Mapping[str, tuple[Sequence[float], NDArray[np.float64], bool]]) -> dict[str, End]:
     """Draw medians of all rounds and their ranges, six curves at most; returns the ends of the curves.
-
-    curves : by name: x (P,), y (P, R), and whether it is minimd's.
-    """
+    curves : by name: x (P,), y (P, R), and whether it is minimd's."""
     ends = {}
     for k, (name, (x, y, is_own)) in enumerate(curves.items()):
         middle, color = np.median(y, axis=1), f"C{k}"
@@ -178,9 +176,7 @@ def draw(panel: "Axes", curves: Mapping[str, tuple[Sequence[float], NDArray[np.f
 def name_curves(panel: "Axes", ends: Mapping[str, End]) -> None:
     """Write the name of each curve to the right of the panel, in its color, at the height of its end or as near as
     other names allow; a thin line connects each name with the end of its curve.
-
-    All curves must have been drawn, also those of panels that share an axis.
-    """
+    All curves must have been drawn, also those of panels that share an axis."""
     to_panel = panel.transData + panel.transAxes.inverted()
     panel.get_ylim()  # fixes limits that matplotlib chooses
     gap = BETWEEN_NAMES / (0.8 * panel.bbox.height / panel.figure.dpi)

@@ -27,9 +27,7 @@ FROM_ATOMS = 256_000
 
 class EngineSpeed(NamedTuple):
     """The speed of one engine with one scene.
-
-    speeds : (R,) atom-steps per second in each turn.  bytes_per_atom : None if not measured.
-    """
+    speeds : (R,) atom-steps per second in each turn.  bytes_per_atom : None if not measured."""
 
     engine: str
     threads: int
@@ -166,9 +164,7 @@ def _content(rows: Sequence[EngineSpeed], row: EngineSpeed) -> dict[str, Any]:
 
 def run_peers(options: PeersOptions) -> Peers:
     """Measure one scene and one size after the other; progress is printed to standard error.
-
-    Raises ValueError for options that do not fit, or if a peer does not start.  HandOverError as check_agreement.
-    """
+    Raises ValueError for options that do not fit, or if a peer does not start.  HandOverError as check_agreement."""
     threads, texts = _checked(options), {name: SCENES[name](min(options.cells)).text for name in options.scenes}
     able = [name for name, peer in PEERS.items() if {*options.scenes} & {*peer.scenes}]
     able = [] if options.peers == NO_PEERS else able

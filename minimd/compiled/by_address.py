@@ -20,10 +20,8 @@ WORD = 8  # bytes of a number, an address or a size
 
 class ByAddress:
     """Base of a named tuple, to be named before it: class Rows(ByAddress, namedtuple("Rows", "start stops")).
-
     Its fields are arrays, float, int, tuples of these, and other such named tuples. Kernels read them as those of any
-    named tuple, but do not make one. They take for granted that no field changes; the elements of arrays may.
-    """
+    named tuple, but do not make one. They take for granted that no field changes; the elements of arrays may."""
 
     @functools.cached_property
     def words(self) -> np.ndarray[Any, np.dtype[np.int64]]:

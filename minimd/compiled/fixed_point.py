@@ -60,11 +60,9 @@ def as_float(whole):
 
 class Steps(namedtuple("Steps", "per_force length momentum energy limit2")):
     """The steps of a grid for a kernel.
-
     per_force : (P,) impulses of P kicks, in steps of momentum, per unit of force: duration / momentum [length/energy].
     length, momentum, energy : the steps [length], [mass length/time], [energy].
-    limit2 : square of what the forces on an atom may be, divided by its distances, in these impulses [1/length²].
-    """
+    limit2 : square of what the forces on an atom may be, divided by its distances, in these impulses [1/length²]."""
 
 
 def is_fixed(steps: types.Type) -> bool:

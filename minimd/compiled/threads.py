@@ -186,10 +186,8 @@ def _finish(counters, word, operations, course):
 @scalar
 def _open(counters, phase, operations, course, at, answer):
     """Open a phase: that of an operation, or the end of the program.
-
     The word of a phase holds its number, that of its operation and that of its chunks, so that threads read all three
-    at once: a chunk can be taken only as long as the phase is open, since only then some have not been taken in it.
-    """
+    at once: a chunk can be taken only as long as the phase is open, since only then some have not been taken in it."""
     n = 0
     if at < operations.shape[0] and answer == GO_ON:
         n = operations[at, CHUNKS]

@@ -367,10 +367,8 @@ def drift_triangles(block, atoms, triangles, duration):
 @scalar
 def project_triangles(block, atoms, triangles, targets, multipliers):
     """Vectors of triangles, given a component along each side: r · (x_j − x_i) = target.
-
     A λ = targets − r · x, with A_kl = ±(r_k · r_l)/m of the shared atom, by the inverse of A; projected twice,
-    to remove the rounding of the first projection.
-    """
+    to remove the rounding of the first projection."""
     positions, vectors, inverse_masses, _ = atoms
     abc, offsets, _, sides = triangles
     ab, ac = arms(corners(positions, abc, block), offsets, block)

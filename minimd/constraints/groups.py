@@ -65,9 +65,7 @@ class Components(NamedTuple):
 
 class Graph(NamedTuple):
     """Constraints sorted by component and, within one, for a narrow band.
-
-    order : (K,) number, in the order of the user, of the k-th constraint.  first, second : (K,) its atoms.
-    """
+    order : (K,) number, in the order of the user, of the k-th constraint.  first, second : (K,) its atoms."""
 
     order: Ints
     first: Ints
@@ -77,10 +75,8 @@ class Graph(NamedTuple):
 
 class Bodies(NamedTuple):
     """Bodies of atoms that constraints connect.
-
     label : (N,) the body of each atom; an atom without constraints is a body.  last : (B,) the last atom of each body.
-    is_free : (B,) whether none of its atoms is held fixed, so that constraints do not change its momentum.
-    """
+    is_free : (B,) whether none of its atoms is held fixed, so that constraints do not change its momentum."""
 
     label: Ints
     last: Ints
@@ -149,10 +145,8 @@ class Solving(
     ByAddress, namedtuple("Solving", "solver positions vectors inverse_masses lanes n answers most arguments")
 ):
     """A solver on the n components of a group, in as many chunks as there are answers.
-
     positions, vectors, inverse_masses, lanes : of Atoms.  arguments : of the solver.
-    answers : (chunks,) output, see vectors.  most : (chunks,) the largest so far.
-    """
+    answers : (chunks,) output, see vectors.  most : (chunks,) the largest so far."""
 
 
 @filling_kernel
@@ -174,10 +168,8 @@ def _solved(solver, first, last, atoms, arguments):
 
 class Networks:
     """Components of any shape.  every : the ConstraintSolver.  order : (K,) which of its constraints are here.
-
     Other shapes have other solvers: drifter, projector are their markers, known are their arguments after the atoms;
-    n_each is the number of constraints of one molecule, if the solver counts molecules.
-    """
+    n_each is the number of constraints of one molecule, if the solver counts molecules."""
 
     shape, n_each = "networks", 1
     drifter: tuple = DriftComponents()

@@ -106,9 +106,7 @@ class ConstraintSolver:
 
     def drifts(self, positions: Floats, velocities: Floats, duration: float) -> Iterator[Operation]:
         """positions += duration · velocities, (N, 3) both, projected along the old gradients; velocities fit then.
-
-        Raises ConstraintError if a length cannot be kept; positions and velocities are then undefined.
-        """
+        Raises ConstraintError if a length cannot be kept; positions and velocities are then undefined."""
         if self.free_atoms.size:
             n_chunks = n_chunks_of(self.free_atoms.size)
             free = Free(positions, velocities, self.free_atoms, float(duration), n_chunks)

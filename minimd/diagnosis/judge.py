@@ -62,11 +62,9 @@ HALVE = "halve the timestep until the energy is conserved"
 
 class Failure(NamedTuple):
     """How a run failed.  fault : in words.  step : in which.  constraint : atoms of one that could not be kept.
-
     at : (N, 3), positions at that moment, or None.  start : the earlier state that is known.
     is_first : whether no step led to it.  first_volume : when the simulation was made [length³], or None.
-    is_of_barostat : whether the barostat has refused to go on.
-    """
+    is_of_barostat : whether the barostat has refused to go on."""
 
     fault: str
     step: int
@@ -99,9 +97,7 @@ class Rule(NamedTuple):
 
 class Evidence:
     """What is known about a scene, and about its failure if it has failed; computed when it is first asked for.
-
-    engine : in its present state, after a failure the last good one, with energies of single atoms (PER_ATOM).
-    """
+    engine : in its present state, after a failure the last good one, with energies of single atoms (PER_ATOM)."""
 
     def __init__(self, engine: Engine, failure: Failure | None = None) -> None:
         self.engine, self.system, self.units = engine, engine.system, engine.system.units

@@ -40,10 +40,8 @@ KEPT = {True: "conserved", False: "NOT CONSERVED"}
 @dataclass(frozen=True)
 class Line:
     """The result of one check.
-
     name : at most 14 letters.  summary : with figures.  verdict : in words.  is_good : whether it is as it should be.
-    misses_pressure : whether it says that the mean pressure is not that of the barostat.
-    """
+    misses_pressure : whether it says that the mean pressure is not that of the barostat."""
 
     name: str
     summary: str
@@ -150,9 +148,7 @@ def drift_of_walk(time: Array, series: Array, blocks: int = BLOCKS_OF_WALK) -> D
 class Cost:
     """What a run cost: steps, seconds, list builds, force evaluations; and in words its lists,
     its constraints and the work it did not need.
-
-    peak_memory : bytes that the process has held at most so far, or None if that is unknown.
-    """
+    peak_memory : bytes that the process has held at most so far, or None if that is unknown."""
 
     n_steps: int
     seconds: float

@@ -64,10 +64,8 @@ class Stiffness:
     @cached_property
     def bond(self) -> StiffBond | None:
         """The harmonic bond with the highest frequency of its own, ω² = k/μ; None if there is none that can stretch.
-
         With other bonds, and if nothing is compressed, the stiffest mode is faster still: ω² is a lower bound for its
-        square.
-        """
+        square."""
         found: list[StiffBond] = []
         for potential in self._potentials:
             if isinstance(potential, HarmonicBond):

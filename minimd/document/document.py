@@ -27,10 +27,8 @@ DEEP_KEY = re.compile(r"(?:[\w\"'-]+\s*\.\s*){64}")  # of tables in tables, for 
 @dataclass(frozen=True)
 class Document:
     """A checked scene file.
-
     path : the file; paths of structure files are relative to its folder.  text : of the file.
-    sections : its content, checked, in the units of the engine.
-    """
+    sections : its content, checked, in the units of the engine."""
 
     path: Path
     text: str
@@ -43,10 +41,8 @@ class Document:
 
     def system(self) -> System:
         """The atoms at the start, with their constraints.
-
         Raises ValueError, OSError, with the name of the file, for a structure that cannot be read or is impossible,
-        or for impossible constraints.
-        """
+        or for impossible constraints."""
         structure, water = self.sections.structure, self.sections.water
         with blamed_on(f"{self.path}: {'structure' if water is None else 'water'}"):
             made = self._from_lattice if structure.file is None else self._from_file
@@ -109,10 +105,8 @@ class Document:
 
     def plot_name(self, trajectories: list[Path], *, beside: bool = False) -> Path | None:
         """The picture that the scene asks for; None if it asks for none.
-
         beside : the trajectories replace those of the scene; then it is named after the first .h5md, None without one.
-        Raises ValueError if no trajectory ends in .h5md, from which a picture is drawn, unless beside.
-        """
+        Raises ValueError if no trajectory ends in .h5md, from which a picture is drawn, unless beside."""
         plot, drawn = self.sections.output.plot, h5md_files(trajectories)
         if plot is False or (beside and not drawn):
             return None
@@ -165,9 +159,7 @@ def h5md_files(files: Iterable[Path]) -> list[Path]:
 
 def stored(kind: type[D], text: str, file: Path) -> D:
     """The scene in the file of a run, which others may have made: no other file is read for it.
-
-    Raises ValueError as parsed, and if it names a table that is not in it.
-    """
+    Raises ValueError as parsed, and if it names a table that is not in it."""
     document = parsed(kind, text, file)
     for index, section in enumerate(document.sections.potential):
         for name in section.files if isinstance(section, TabulatedSection) else ():

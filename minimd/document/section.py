@@ -101,9 +101,7 @@ class Section(BaseModel):
     @classmethod
     def _without_units(cls, table: Any, info: Any) -> Any:
         """The table with the names of fields as keys, and numbers in the units of the engine.
-
-        A key that is unknown, or gives a quantity for the second time, gets a name that is not a field.
-        """
+        A key that is unknown, or gives a quantity for the second time, gets a name that is not a field."""
         if not isinstance(table, dict):
             return table
         reading: Reading = info.context

@@ -147,9 +147,7 @@ class WaterSection(Section):
 
 class ConstraintsSection(Section):
     """[constraints]: lengths and atoms that are held fixed.
-
-    Constraints that it does not mention are those of the structure file.
-    """
+    Constraints that it does not mention are those of the structure file."""
 
     pairs: list[PairOfAtoms] | Literal["bonds"] | None = None
     lengths: Annotated[Positive | list[Positive] | None, Dimension("length")] = None
@@ -401,9 +399,7 @@ def _plot_name(value: bool | str) -> bool | str:
 
 class OutputSection(Section):
     """[output]: files in the current folder; if no name is given, the trajectory is named after the scene.
-
-    shadow_energy, stress : whether to record these observables too.
-    """
+    shadow_energy, stress : whether to record these observables too."""
 
     trajectory: str | list[str] | None = None
     every: PositiveInt = 100

@@ -54,9 +54,7 @@ class Undecided(Exception):  # noqa: N818 - not an error: it is always caught in
 
 class Symbol:
     """An unknown number: an operation, and its arguments, which are symbols and numbers.
-
-    decisions : truth values for the conditions in this call of a law, in their order.
-    """
+    decisions : truth values for the conditions in this call of a law, in their order."""
 
     def __init__(self, operation: str, arguments: tuple[Any, ...], decisions: Iterator[bool]) -> None:
         self.operation, self.arguments, self.decisions = operation, arguments, decisions
@@ -131,10 +129,8 @@ def applied(name: str, *inputs: Any) -> Any:
 
 def energy_expression(law: tuple, parameters: tuple[float, ...]) -> str:
     """u(r) [energy] of a law as an expression for Lepton, with the variable r [length].
-
     law : law type, with its truncation.  parameters : its numbers.
-    Raises UnwritableError for a law that Lepton cannot express.
-    """
+    Raises UnwritableError for a law that Lepton cannot express."""
     try:
         if reads_table(law):
             raise UnwritableError("it looks up a table")

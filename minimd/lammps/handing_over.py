@@ -43,10 +43,8 @@ MAGIC = b"DUMPCUSTOM"
 
 def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """For each frame, its step and all columns but the first, (N, C); the first must be the id, which orders the rows.
-
     A file that does not exist has no frame; one that is cut off or lacks atoms ends the iteration.  Raises ValueError
-    for a file that is not such a dump.
-    """
+    for a file that is not such a dump."""
     with suppress(EOFError, FileNotFoundError), path.open("rb") as file:
         while file.peek(1):  # type: ignore[attr-defined]
             yield _frame(file, n_atoms)
@@ -335,11 +333,9 @@ def _brought_back(
     job: Job, model: Model, log: Log, scale: float, store_forces: bool, is_whole: bool
 ) -> tuple[Record, float, int]:
     """Write the frames, observed by minimd, into the H5MD file; the simulation is then in the last state.
-
     Returns the record of the frames, the energy difference (see HandOver), and the number of frames that are missing.
     is_whole : whether LAMMPS has reached its end. If not, the frames that exist are kept if there is one after the
-    first.
-    """
+    first."""
     engine, n_atoms, notes = job.engine, len(job.engine.system), job.engine.notes
     record, end = Record(engine.system.units, n_atoms, job.folder / TRAJECTORY), job.first_step + job.steps
     found = (one for one in frames(job.folder / script.FRAMES, n_atoms) if one[0] > job.first_step)

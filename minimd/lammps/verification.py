@@ -96,9 +96,7 @@ def on_a_cutoff(engine: Engine) -> str:
 class Evaluated(NamedTuple):
     """For each atom: energies (N,) [energy], forces (N, 3) [energy/length], virials (N, 6) [energy],
     as xx yy zz yz xz xy.
-
-    length : the largest cutoff [length], or 1.  n_idle : number of potentials without any energy.
-    """
+    length : the largest cutoff [length], or 1.  n_idle : number of potentials without any energy."""
 
     energies: Array
     forces: Array

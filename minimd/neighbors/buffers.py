@@ -23,10 +23,8 @@ def with_room(n: float) -> int:
 
 class Buffers:
     """Arrays by name, each as large as it ever was; their contents are what was left in them.
-
     Processors take a load for one of what was just stored if the two addresses agree in the lower twelve bits, and
-    wait. So an array from which a loop loads and one to which it stores should begin at different places in a page.
-    """
+    wait. So an array from which a loop loads and one to which it stores should begin at different places in a page."""
 
     def __init__(self) -> None:
         self._all: dict[str, NDArray[Any]] = {}
@@ -47,9 +45,7 @@ class Buffers:
 
     def overlaid(self, name: str, *uses: Fields, spare: float = SPARE) -> list[list[NDArray[Any]]]:
         """For each of several uses of one piece of memory, one at a time, the arrays, one after the other.
-
-        Uses that begin with the same fields share these.
-        """
+        Uses that begin with the same fields share these."""
         piece = self.array(
             name, np.uint8, max(sum(_padded(*field) for field in fields) for fields in uses), spare=spare
         )

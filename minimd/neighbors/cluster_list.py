@@ -255,9 +255,7 @@ class ClusterList(VerletList):
 
     def _share_memory(self) -> None:
         """Arrays of clusters and ghosts, and the entries of rows. What only the search needs shares memory with idle.
-
-        Atoms are sorted where the entries are written afterwards.
-        """
+        Atoms are sorted where the entries are written afterwards."""
         memory, spare, (n_ghosts, n_in_windows, _) = self._memory, self._spare, self._room
         n_lanes, n_block = self.lanes.size, self.lanes.size * DIMENSIONS
         n_columns = int(self._columns.counts[0] * self._columns.counts[1])  # each may have a cluster that is not full

@@ -31,9 +31,7 @@ class ClusterArrays(ByAddress, namedtuple("ClusterArrays", "clusters domain_star
 @scalar
 def place(k, arrays, at):
     """Positions of the atoms of cluster k, vectors x, y, z [length], to all its ghosts.
-
-    Indices are unsigned: none counts from the end.
-    """
+    Indices are unsigned: none counts from the end."""
     ghosts, memory, lanes = arrays.ghosts, arrays.memory, arrays.clusters.lanes
     n_lanes = np.uintp(count(lanes))
     block = np.uintp(DIMENSIONS) * n_lanes
@@ -50,9 +48,7 @@ def place(k, arrays, at):
 @scalar
 def clear(domain, arrays):
     """Set the forces on all ghosts in the window of a domain to 0; in fixed-point arithmetic to first_sum.
-
-    The thread that adds to them calls it, and so has them in its cache.
-    """
+    The thread that adds to them calls it, and so has them in its cache."""
     lanes, forces, domains = arrays.clusters.lanes, arrays.memory.forces, arrays.domains
     first = domains.place[domain]
     for block in range(first, first + domains.window[domain + 1] - domains.window[domain]):

@@ -135,9 +135,7 @@ def _gap(boxes, j, stride, low, high):
 @scalar
 def _prune(k, n, domain, layout, rows, room, work):
     """Write the rows of the atoms of cluster k: k itself, then those of the n candidates that are within reach.
-
-    room : first and last of the entries that are left.  Returns the end of the entries.
-    """
+    room : first and last of the entries that are left.  Returns the end of the entries."""
     n_lanes, filled, (n_entries, last) = count(layout.clusters.lanes), layout.clusters.filled[k], room
     most = n_lanes * (n + 1) + AT_A_TIME
     if n_entries + most >= last:  # no room: an upper bound tells how much is missing

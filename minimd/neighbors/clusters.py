@@ -101,10 +101,8 @@ def offsets_of(start, clusters):
 
 def region_of(cell: Cell, positions: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
     """Where atoms are: (7,) origin and extent of Columns; and how many atoms a cell as dense everywhere would have.
-
     On both sides there is room for half the reach. A periodic direction is crossed and covered as a whole, unless there
-    is a gap in it that leaves a reach between the two ends of the region.
-    """
+    is a gap in it that leaves a reach between the two ends of the region."""
     origin, extent, margin = np.zeros(3), np.ones(3), WIDER * reach / cell.heights
     for k, s in enumerate(np.einsum("ij,jk->ki", positions, cell.inverse)):  # not @: see observables
         s = np.sort(s - np.floor(s) if cell.pbc[k] else s)
@@ -137,10 +135,8 @@ def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: N
 @kernel
 def columns_fit(positions, columns):
     """Whether atoms at positions (N, 3) are where columns are; else pairs are missed, or the search is slow.
-
     In each direction that is not crossed, they fill the region up to a reach at most on either side; where it is
-    periodic, its ends are a reach apart through the gap.
-    """
+    periodic, its ends are a reach apart through the gap."""
     for d in range(DIMENSIONS):
         if columns.is_crossed[d]:
             continue

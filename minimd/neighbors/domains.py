@@ -83,9 +83,7 @@ class GhostClusters(
 
 class Layout(ByAddress, namedtuple("Layout", "columns clusters domains ghosts coordinates shifts")):
     """The clusters of a scene and where their ghosts stand.  coordinates : flat, a block for each ghost [length].
-
-    shifts : (IMAGES, 3) lattice vector of each image [length].
-    """
+    shifts : (IMAGES, 3) lattice vector of each image [length]."""
 
 
 def make_domains(columns: Columns, n_atoms: int) -> Domains:
@@ -118,9 +116,7 @@ def make_ghosts(
 @scalar
 def cut_into_domains(clusters, columns, domains, goes_along):
     """Fill Domains: which columns and clusters each has, and which ghosts it sees.
-
-    goes_along : whether one thread goes from domain to domain: forces then take the place of those no longer needed.
-    """
+    goes_along : whether one thread goes from domain to domain: forces then take the place of those no longer needed."""
     counts, reach, column_start = columns.counts, columns.reach, clusters.column_start
     n_domains, n_clusters = domains.column.size - 1, column_start[counts[0] * counts[1]]
     x = 0
@@ -194,9 +190,7 @@ def _seen(run_x, run_y, image_z, clusters, columns):
 @scalar
 def fill_ghosts(domain, layout):
     """Write the ghosts of the columns of a domain, of the last one also those behind the last column.
-
-    In its window is_used is then true for the domain's own clusters only; find_rows sets it for the others.
-    """
+    In its window is_used is then true for the domain's own clusters only; find_rows sets it for the others."""
     columns, clusters, domains, ghosts, coordinates, shifts = layout
     stride, unit = ghosts.boxes.size // SIDES, columns.distance
     lanes, n_lanes = clusters.lanes, count(clusters.lanes)

@@ -23,10 +23,8 @@ NEVER = -1.0  # no squared distance is so small
 
 class Pairs(namedtuple("Pairs", "start second image translations")):
     """Pairs (i, j), grouped by their first atom: pairs start[i] to start[i+1] belong to atom i.
-
     start : (N+1,) int.  second : (P,) int, the atoms j.  image : (P,) int, row of translations to add to r_j − r_i.
-    translations : (T, 3) [length]; with no rows, no pair is shifted and image is not read.
-    """
+    translations : (T, 3) [length]; with no rows, no pair is shifted and image is not read."""
 
 
 class Reach(ByAddress, namedtuple("Reach", "positions reference limit2")):

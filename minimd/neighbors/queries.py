@@ -72,10 +72,8 @@ class ClosestPair(NamedTuple):
 
 def closest_pair(system: System) -> ClosestPair | None:
     """The two closest atoms; None for a single atom in an open cell or where no distance is finite.
-
     First the closest pair within one cell, in N log N however uneven the atoms; then a closer one through an image,
-    near the faces of the cell.
-    """
+    near the faces of the cell."""
     known, cell = np.flatnonzero((np.abs(system.positions) <= LARGEST).all(axis=1)), system.cell
     if known.size == 0 or (known.size == 1 and not cell.is_periodic):
         return None

@@ -185,9 +185,7 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
 @kernel
 def atoms_in_reach(bin_x, bin_y, bin_z, bins, ranges):
     """Ranges of atoms in the bins ahead of one bin, as rows (first, last, image) of ranges; returns how many.
-
-    The first row is the bin itself and what follows it without a gap. Neighboring bins of one image are one range.
-    """
+    The first row is the bin itself and what follows it without a gap. Neighboring bins of one image are one range."""
     bin_start, counts, forward, crossed, pbc = bins.bin_start, bins.counts, bins.forward, bins.crossed, bins.pbc
     rows_y, rows_z = 2 * crossed[1] + 1, 2 * crossed[2] + 1
     own = (bin_x * counts[1] + bin_y) * counts[2] + bin_z

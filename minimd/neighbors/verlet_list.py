@@ -41,11 +41,9 @@ def best_skin(cutoff: float, density: float, displacement: float, n_atoms: int, 
 
 class Built(NamedTuple):
     """What determines the order of a list, and so the rounding of its sums.
-
     skin : [length].  positions : (N, 3) when it was built [length], a copy; None if there is no list that can be used.
     cell : Cell in which it was built, if that has been strained since.
-    region : (7,) of its columns, see region_of in clusters; None if it has none.
-    """
+    region : (7,) of its columns, see region_of in clusters; None if it has none."""
 
     skin: float
     positions: NDArray[np.float64] | None
@@ -93,9 +91,7 @@ class VerletList(ABC):
     @abstractmethod
     def update(self, positions: NDArray[np.float64], cell: Cell) -> bool:
         """Build the list anew if it may miss a pair; True if it was built.
-
-        Raises NonFiniteError if a position is not finite.
-        """
+        Raises NonFiniteError if a position is not finite."""
 
     @abstractmethod
     def _built_at(self) -> NDArray[np.float64]:

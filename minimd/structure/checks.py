@@ -33,10 +33,8 @@ def checked_count(name: str, value: Any, least: int = 1, limit: int = COUNTS) ->
 
 def checked_number(name: str, value: Any, demand: str = "finite") -> float:
     """The value as a float.  demand : one of DEMANDS.
-
     Raises ValueError for anything that is not a real number, such as a text or a bool, for what the demand excludes,
-    and for numbers whose powers could overflow: above LARGEST or, for positive quantities, below SMALLEST.
-    """
+    and for numbers whose powers could overflow: above LARGEST or, for positive quantities, below SMALLEST."""
     try:
         number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan
     except OverflowError:

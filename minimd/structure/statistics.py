@@ -100,10 +100,8 @@ def _forms(weighted: Weighted, n: int) -> list[tuple[float, float, Array]]:
 
 def independent(rest: Array) -> float:
     """How many of n correlated numbers are independent: n (1 − ρ)/(1 + ρ), with the correlation ρ of neighbors.
-
     rest : (n,), their distances from a straight line, whose fit makes ρ too small by (2 + 4ρ)/n; this is corrected.
-    M. G. Kendall, Biometrika 41, 403 (1954), on the bias.
-    """
+    M. G. Kendall, Biometrika 41, 403 (1954), on the bias."""
     square, n = float(rest @ rest), len(rest)
     alike = float(rest[1:] @ rest[:-1]) / square if square > 0.0 else 0.0
     alike = min(max(0.0, alike + (2.0 + 4.0 * alike) / n), 1.0 - 1.0 / n)

@@ -60,10 +60,8 @@ class Hessenberg(DifferentialAlgebraic):
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, its algebraic variables solved for.
-
         start : the parts, such as (q, v); algebraic variables may be left out; if given they are a first guess.
-        Raises ValueError for a start that violates a constraint, given or hidden; corrected gives one that does not.
-        """
+        Raises ValueError for a start that violates a constraint, given or hidden; corrected gives one that does not."""
         return self._consistent(start, t0, KEPT, REFUSED)
 
     def corrected(self, start: Any, t0: float = 0.0) -> Array:

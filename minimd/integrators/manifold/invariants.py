@@ -100,9 +100,7 @@ class Manifold:
 
     def frame(self, y: Array) -> tuple[Array, Array]:
         """Gᵀ = Q R: (n, m) orthonormal directions Q that span the gradients, and upper triangular (m, m) R.
-
-        Raises ConvergenceError where the gradients of the invariants are not independent.
-        """
+        Raises ConvergenceError where the gradients of the invariants are not independent."""
         gradients = self.jacobian(y).T
         q, r = np.linalg.qr(gradients)
         sines = np.abs(np.diagonal(r)) / np.maximum(np.linalg.norm(gradients, axis=0), np.finfo(float).tiny)
@@ -164,9 +162,7 @@ class CorrectedFirstOrder(Corrected, FirstOrder):
 
 def corrected(problem: Problem, correction: Map, begun: Begun) -> CorrectedPartitioned | CorrectedFirstOrder:
     """A problem of the same kind with a term added to y′; one with q and v is then Partitioned, and its steps implicit.
-
-    Raises TypeError for problems of other kinds.
-    """
+    Raises TypeError for problems of other kinds."""
     if isinstance(problem, Partitioned):
         return CorrectedPartitioned(problem, correction, begun)
     if isinstance(problem, FirstOrder):
@@ -345,9 +341,7 @@ class IndexTwo(Hessenberg2):
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start of the problem itself, (q, v) or y, as a state.
-
-        Raises ValueError if it is not on the manifold of given values, or if the gradients are not independent.
-        """
+        Raises ValueError if it is not on the manifold of given values, or if the gradients are not independent."""
         y = self._problem.begin(start)
         self._manifold = self._invariants.through(y, self._problem.shape)
         return super().begin((y,), t0)
@@ -374,11 +368,9 @@ def index_two(problem: Problem, invariants: Invariants) -> IndexTwo:
 
 def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Array:
     """arrive(z) with g(arrive(z)) = g₀, to rounding: Newton's method from z = 0, the matrix updated as by Broyden.
-
     arrive : (n,) state as a function of (m,) numbers z.  slope : answers with a guess of ∂g(arrive(z))/∂z, (m, m).
     Raises ConvergenceError with the largest error of an invariant.
-    C. G. Broyden, Math. Comput. 19, 577 (1965), eq. 4.2.
-    """
+    C. G. Broyden, Math. Comput. 19, 577 (1965), eq. 4.2."""
     z = np.zeros(manifold.value.size)
     y = best = arrive(z)
     # rounding errors of the invariants are EPS times |g₀|, or Σ |G y|, whose terms may cancel in g

@@ -117,10 +117,8 @@ class ReversibleSolution(Solution):
 
 class Path:
     """The states that are kept of a run: every so many, and the last one.
-
     counts : what has counted evaluations, in nfev.  stopped : why a run ended early; empty if it did not.
-    densities : ρ at the times of reversible steps.
-    """
+    densities : ρ at the times of reversible steps."""
 
     def __init__(self, problem: Problem, start: Any, t0: float, every: int = 1) -> None:
         if not hasattr(problem, "begin"):
@@ -137,9 +135,7 @@ class Path:
 
     def through(self, states: States, timestep: float | None = None) -> Any:
         """The solution with these states, each the next one.
-
-        Raises ConvergenceError or NonFiniteError if a step cannot be made; error.solution is the path before.
-        """
+        Raises ConvergenceError or NonFiniteError if a step cannot be made; error.solution is the path before."""
         kept_times, kept_states, every, n = self.times, self.states, self._every, 0
         try:
             for t, y in states:
@@ -513,9 +509,7 @@ def _stormer(
     f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int, advance: Callable[..., None]
 ) -> Solution:
     """The path without the position after the end, which is needed for the last velocity only.
-
-    advance : finds q_{n+1} and the increments from q_{n−1}, q_n and Δt² f(q_n).
-    """
+    advance : finds q_{n+1} and the increments from q_{n−1}, q_n and Δt² f(q_n)."""
     q0, v0 = np.asarray(q0, dtype=float), np.asarray(v0, dtype=float)
     checked_number("timestep", timestep, "finite and not zero")
     checked_count("n_steps", n_steps)

@@ -35,10 +35,8 @@ def arguments(
 ) -> tuple[str, ...]:
     """Which of the named arguments a function takes: by their names and in their order, else by their number, if it
     takes all of them or the usual ones.
-
     names, usual : separated by blanks.  unknown : what a function takes that cannot be asked, if not the usual.
-    Raises TypeError for anything else; label is its name in the message, wanted what it should be.
-    """
+    Raises TypeError for anything else; label is its name in the message, wanted what it should be."""
     every = tuple(names.split())
     most = every if usual is None else tuple(usual.split())
     if not callable(function):
@@ -97,9 +95,7 @@ class Field:
 
 def checked_values(answer: Any, shape: tuple[int, ...] | None, name: str) -> Array:
     """A fresh flat array of an answer of this shape; a single number may come without brackets.
-
-    Raises TypeError for anything but real numbers, ValueError for an answer of another shape, if one is given.
-    """
+    Raises TypeError for anything but real numbers, ValueError for an answer of another shape, if one is given."""
     values = np.array(answer)
     if values.dtype.kind not in "fiub":
         raise TypeError(f"{name} must answer with real numbers; got {shown(answer)}")
@@ -159,10 +155,8 @@ def _differences(function: Map, x: Array, steps: Array, at_x: Array | None = Non
 def accurate_differences(function: Map, x: Array, narrowed: float = 1.0) -> Array:
     """∂function/∂x, one column per variable, to some 1e-13, at worst 1e-12 of the terms of the function:
     six evaluations of it for a variable.
-
     Spacings are up to 1/256 of a variable, and are narrowed while the formulas of order 6 and 4 differ, or the function
-    has no value there.  narrowed : factor of all spacings.  The result is NaN where no spacing gives one.
-    """
+    has no value there.  narrowed : factor of all spacings.  The result is NaN where no spacing gives one."""
     here, sizes = function(x), np.maximum(np.abs(x), LEAST_WIDE * (np.abs(x).max() or 1.0))
     units = narrowed * np.exp2(np.floor(np.log2(sizes)))
 
@@ -205,9 +199,7 @@ def time_derivative(path: Path, order: int, unit: float) -> Array:
 
 def _derivative(path: Path, here: Array, order: int, spacings: list[float], enough: float = 0.0) -> Array:
     """A derivative at 0, each element from the spacing with its least estimated error: |order 6 − order 4| + rounding.
-
-    here : path(0).  spacings : widest first.  enough : relative error with which an element is settled.
-    """
+    here : path(0).  spacings : widest first.  enough : relative error with which an element is settled."""
     best, least, largest = np.full(here.shape, np.nan), np.full(here.shape, np.inf), np.zeros(here.shape)
     for spacing in spacings:
         try:

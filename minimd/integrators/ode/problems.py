@@ -221,11 +221,9 @@ class DifferentialAlgebraic(Problem):
 
     def error_weights(self, h: float) -> Array:
         """(n,) min(1, |h|)^level: the factors of the errors of variables in an error norm.
-
         An error ε of the equations appears as ε/h in variables of index 2 and as ε/h² in those of index 3. These act on
         the solution with the inverse factors. The unit of time should be one in which the solution varies.
-        E. Hairer, G. Wanner, Solving ODEs II (1996), VII.4 and the code RADAU5.
-        """
+        E. Hairer, G. Wanner, Solving ODEs II (1996), VII.4 and the code RADAU5."""
         return min(1.0, abs(h)) ** self.levels
 
 

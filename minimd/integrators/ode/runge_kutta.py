@@ -190,9 +190,7 @@ class StageEquations:
 
     def slopes(self, times: Array, base: Array, weights: Array, guess: Array, h: float) -> Array:
         """(s, n) K with F(t_i, b_i + Σ_j weights_ij K_j, K_i) = 0.  Raises ConvergenceError with the largest residual.
-
-        times : (s,).  base : (n,) b, the same for all stages.  weights : (s, s) h β.  guess : (s, n).  h : [time].
-        """
+        times : (s,).  base : (n,) b, the same for all stages.  weights : (s, s) h β.  guess : (s, n).  h : [time]."""
 
         def residual(unknowns: Array) -> Array:
             k = unknowns.reshape(guess.shape)
@@ -229,11 +227,9 @@ class StageEquations:
 
     def _sizes(self, base: Array, guess: Array, h: float) -> tuple[Array | float, Array | float, float]:
         """scale, floor and nothing of Iteration.solve.
-
         Explicit problems: the slopes are compared with the state over h once they no longer shrink, because at rest
         slopes vanish and the state does not. Differential-algebraic ones: each variable has its own size; corrections
-        of algebraic variables that no longer shrink are rounding if the others are solved for.
-        """
+        of algebraic variables that no longer shrink are rounding if the others are solved for."""
         problem = self._problem
         if not isinstance(problem, DifferentialAlgebraic):
             largest = float(np.abs(base).max())

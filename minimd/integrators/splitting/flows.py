@@ -74,9 +74,7 @@ class Moving(
 @called_kernel
 def move_atoms(moving, chunk):
     """Kicks and drifts of the atoms of a chunk, all of them in one pass over memory.
-
-    OUT_OF_RANGE if a momentum or a position leaves its range, in fixed-point arithmetic.
-    """
+    OUT_OF_RANGE if a momentum or a position leaves its range, in fixed-point arithmetic."""
     n, n_chunks, is_out = moving.inverse_masses.size, moving.n_chunks, False
     first, last = np.uintp(chunk * n // n_chunks), np.uintp((chunk + 1) * n // n_chunks)
     for k in range(moving.flows.shape[0]):

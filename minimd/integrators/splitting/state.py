@@ -75,10 +75,8 @@ class State:
 @dataclass
 class GridState(State):
     """A state in fixed-point arithmetic.
-
     impulses : (N, 3) int64 in steps of momentum: forces times the unit of time.
-    grid : Grid.  bodies : groups of atoms that constraints tie together, or None.
-    """
+    grid : Grid.  bodies : groups of atoms that constraints tie together, or None."""
 
     impulses: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
     grid: Grid = Grid(1.0, 1.0, 1.0)  # noqa: RUF009 - frozen

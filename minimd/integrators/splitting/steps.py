@@ -35,11 +35,9 @@ DIGITS_OF_PHASE = 12  # so that coefficients that add up to one are one
 
 class Moment(NamedTuple):
     """A moment of a program.
-
     counts : see Counting.  begun : how many steps have begun before the present one: counts[MADE] + begun.
     phase : time since the beginning of that step, in time steps; only drifts advance it.
-    contact : number of contacts with a bath in that step before.
-    """
+    contact : number of contacts with a bath in that step before."""
 
     counts: NDArray[np.int64]
     begun: int = 0
@@ -161,10 +159,8 @@ class Steps:
 
     def advance(self, n_steps: int, with_energy: bool = False, first: int = 0) -> int:
         """Make n_steps steps, or fewer (at least one) if a stop is requested; return how many were made.
-
         with_energy : evaluate the energy with the last forces, if they are those of the last positions.
-        first : number of the first of them.
-        """
+        first : number of the first of them."""
         if n_steps <= 0:
             return 0
         state, last, unit = self._state, self._last, self._first_unit

@@ -82,26 +82,20 @@ class Implicit(DifferentialAlgebraic):
         """The y′ nearest to that of the start with F = 0, in least squares."""
         return nearest_root(lambda slope: self.residual(t, y, slope), self._slope)
 
-    def _begun(self, start: Any, t: float) -> tuple[Array, Array]:
-        """y and y′ of the start; y′ is zero if it is not given."""
+    def _consistent(self, start: Any, t: float, least: float) -> Array:
+        """y, after solving F = 0 and its derivatives up to the index minus one.
+
+        least : mobility of variables whose derivative occurs in F.
+        """
         is_pair = isinstance(start, tuple) and len(start) == 2 and np.ndim(start[0]) == 1
         y, slope = (np.array(part, float) for part in (start if is_pair else (start, np.zeros(np.shape(start)))))
         is_finite = np.isfinite(y).all() and np.isfinite(slope).all()
         if y.ndim != 1 or y.size == 0 or y.shape != slope.shape or not is_finite:
             needed = "y, or (y, y′), one-dimensional arrays of the same length with finite elements"
             raise ValueError(f"the start must be {needed}; got {shown(start)}")
-        n_equations = self.residual(t, y, slope).size
-        if n_equations != y.size:
+        if (n_equations := self.residual(t, y, slope).size) != y.size:
             raise ValueError(f"there must be as many equations as variables; F has {n_equations}, y has {y.size}")
         self._slope = slope
-        return y, slope
-
-    def _consistent(self, start: Any, t: float, least: float) -> Array:
-        """y, after solving F = 0 and its derivatives up to the index minus one.
-
-        least : mobility of variables whose derivative occurs in F.
-        """
-        y, slope = self._begun(start, t)
         derivatives = np.abs(self.slope_jacobian(t, y, slope))
         mobility = np.where(derivatives.max(axis=0) <= ABSENT * derivatives.max(), 1.0, least)
         size = float(np.abs(y).max())

@@ -94,18 +94,18 @@ class Solution(Displayed):
     @property
     def q(self) -> Array:
         """(n + 1, …) positions."""
-        return self._half(0)
+        return self._halves[:, 0]
 
     @property
     def v(self) -> Array:
         """(n + 1, …) velocities."""
-        return self._half(1)
+        return self._halves[:, 1]
 
-    def _half(self, k: int) -> Array:
+    @property
+    def _halves(self) -> Array:
         if self.shape is None:
             raise AttributeError("this problem has no q and v; its states are in y")
-        n = self.y.shape[1] // 2
-        return self.y[:, k * n : (k + 1) * n].reshape(-1, *self.shape)
+        return self.y.reshape(-1, 2, *self.shape)
 
 
 @dataclass
@@ -145,8 +145,7 @@ class Path:
                 kept_states.append(y)
                 n += 1
         except (ConvergenceError, NonFiniteError) as reason:
-            told = "" if timestep is None else f" with timestep {timestep:g}"
-            advice = "" if timestep is None else "; reduce the timestep"
+            told, advice = ("", "") if timestep is None else (f" with timestep {timestep:g}", "; reduce the timestep")
             self.stopped = f"step {n + 1} from t = {kept_times[-1]:g}{told}: {reason}{advice}"
             raise failed(type(reason), self.solution()) from None
         return self.solution()

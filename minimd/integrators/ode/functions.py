@@ -45,11 +45,8 @@ def arguments(
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):  # written in C, such as numpy.sin
         return (unknown,) if unknown else most
-    taken = tuple(
-        f"*{p.name}" if p.kind is p.VAR_POSITIONAL else p.name
-        for p in parameters
-        if p.default is p.empty and p.kind is not p.VAR_KEYWORD
-    )
+    bare = (one for one in parameters if one.default is one.empty and one.kind is not one.VAR_KEYWORD)
+    taken = tuple(f"*{one.name}" if one.kind is one.VAR_POSITIONAL else one.name for one in bare)
     if taken == tuple(name for name in every if name in taken):
         return taken
     places = every if len(taken) == len(every) else most

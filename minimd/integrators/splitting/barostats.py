@@ -12,12 +12,12 @@ import numpy as np
 
 from minimd.console.display import Displayed, Rows, as_text
 from minimd.integrators.method import Array
+from minimd.integrators.splitting.thermostats import philox
 from minimd.structure.checks import checked_choice, checked_count, checked_number
+from minimd.structure.observables import SEEDS
 
 __all__ = ["StochasticCellRescaling"]
 
-SEEDS = 2**128  # keys of numpy's Philox
-STEPS = 2**64  # numbers of steps are taken modulo this
 AXES = "xyz"
 COUPLINGS = ("isotropic", "triclinic", "x", "y", "z", "xy", "xz", "yz", "xyz")
 OWN_STREAM = 1  # of random numbers; the stream of thermostats is 0
@@ -123,8 +123,7 @@ class StochasticCellRescaling(Displayed):
 
     def strain(self, state: ThermodynamicState, duration: float, number: int) -> Array:
         """ε, (3, 3).  duration : h [time].  number : of the step; it selects the noise."""
-        counter = np.array([0, OWN_STREAM, 0, number % STEPS], dtype=np.uint64)
-        white = np.random.Generator(np.random.Philox(key=self.seed, counter=counter)).standard_normal((3, 3))
+        white = philox(self.seed, 0, number, OWN_STREAM).standard_normal((3, 3))
         if self.coupling == "isotropic":
             spread = sqrt(0.5 * state.thermal * self.compressibility * duration / self.relaxation_time)
             larger = 1.0 + (self._drift_of_root(state, duration) + spread * white[0, 0]) / sqrt(state.volume)  # λ′/λ

@@ -58,9 +58,8 @@ def drifted_on_grid(position, momentum, inverse_mass, unit, times, steps):
     return position + times * (fma(momentum, steps.momentum * unit * inverse_mass, rounder) - rounder)
 
 
-class Moving(
-    ByAddress, namedtuple("Moving", "positions velocities forces inverse_masses flows steps n_chunks are_alike")
-):
+class Moving(ByAddress, namedtuple("Moving", "positions velocities forces inverse_masses flows steps n_chunks "
+                                   "are_alike")):  # fmt: skip
     """What kicks and drifts work on.
 
     positions, velocities, forces : (3 N,) flat [length], [length/time], [energy/length].

@@ -124,6 +124,19 @@ class GridState(State):
         return momentum(self.velocities, self.masses, self.grid.momentum)
 
 
+class Place:
+    """A number that is an element of an array, which kernels read.  array : its name.  kind : of the number."""
+
+    def __init__(self, array: str, index: int, kind: type) -> None:
+        self._array, self._index, self._kind = array, index, kind
+
+    def __get__(self, instance: Any, _owner: type) -> Any:
+        return self if instance is None else self._kind(getattr(instance, self._array)[self._index])
+
+    def __set__(self, instance: Any, value: float) -> None:
+        getattr(instance, self._array)[self._index] = value
+
+
 class Bath:
     """What a thermostat needs to know about its system, and the energy it has given to the system.
 
@@ -134,36 +147,11 @@ class Bath:
     heat, thermal : (1,) energy, and (2,) int, n_dof and conserves_momentum, for kernels.
     """
 
+    n_dof, conserves_momentum, energy = Place("thermal", 0, int), Place("thermal", 1, bool), Place("heat", 0, float)
+
     def __init__(self, k_B: float = 1.0, n_dof: int = 0, conserves_momentum: bool = False, step: int = 0) -> None:
         self.k_B, self.step, self.contact = k_B, step, 0
         self.heat, self.thermal = np.zeros(1), np.array([n_dof, conserves_momentum], dtype=np.int64)
-
-    @property
-    def n_dof(self) -> int:
-        """See the class."""
-        return int(self.thermal[0])
-
-    @n_dof.setter
-    def n_dof(self, n_dof: int) -> None:
-        self.thermal[0] = n_dof
-
-    @property
-    def conserves_momentum(self) -> bool:
-        """See the class."""
-        return bool(self.thermal[1])
-
-    @conserves_momentum.setter
-    def conserves_momentum(self, conserves_momentum: bool) -> None:
-        self.thermal[1] = conserves_momentum
-
-    @property
-    def energy(self) -> float:
-        """See the class."""
-        return float(self.heat[0])
-
-    @energy.setter
-    def energy(self, energy: float) -> None:
-        self.heat[0] = energy
 
 
 @dataclass

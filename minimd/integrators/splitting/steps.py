@@ -147,8 +147,9 @@ class Steps:
 
     def __init__(self, method: Row, state: State, around: Surroundings, forces: Evaluation) -> None:
         if not all(part.flags.carray for part in (state.positions, state.velocities, state.pushes)):
-            needed = "contiguous arrays that can be written"
-            raise ValueError(f"positions, velocities and forces of a State must be {needed}")
+            raise ValueError(
+                "positions, velocities and forces of a State must be contiguous arrays that can be written"
+            )
         self._method, self._state, self._around, self._forces = method, state, around, forces
         self.counts, self._calls = np.zeros(5, dtype=np.int64), DirectCalls()
         self._counting, self._row = Counting(self.counts), merged(method.substeps)
@@ -211,15 +212,13 @@ class Steps:
         """See _operations."""
         key = needs_forces, with_energy
         if key not in self._programs:
-            make = lambda: self._operations(*key)  # noqa: E731
-            self._programs[key] = Program(make, self._forces.version, self._forces.pool())
+            self._programs[key] = Program(partial(self._operations, *key), self._forces.version, self._forces.pool())
         return self._programs[key]
 
     def _operations(self, needs_forces: bool, with_energy: bool) -> Iterator[Operation]:
         """Head, loop, and the rest of the last step.  needs_forces : whether the first kick needs new forces.
         with_energy : whether the last forces come with the energy."""
-        start, rest, head = Moment(self.counts), self._rest, self._head
-        in_rest = Moment(self.counts, -1)
+        start, in_rest, rest, head = Moment(self.counts), Moment(self.counts, -1), self._rest, self._head
         for one in head:
             in_rest = in_rest.after(one)
         first = next((k for k, one in enumerate(head) if isinstance(one, Kick)), 0)
@@ -244,34 +243,30 @@ class Steps:
 
     def _made_of(self, events: Events, moment: Moment) -> Iterator[Operation]:
         """The operations of events, from a moment on; kicks and drifts in a row are one of them."""
+        state, around, forces, timestep = self._state, self._around, self._forces, self._method.timestep
         flows: list[tuple[float, float, float]] = []
         for one in events:
-            if isinstance(one, Kick) or (isinstance(one, Drift) and self._around.constraints is None):
-                unit = unit_of(self._row, one) * self._method.timestep
-                flows.append((KICK if isinstance(one, Kick) else DRIFT, one.coefficient * self._method.timestep, unit))
+            if isinstance(one, Kick) or (isinstance(one, Drift) and around.constraints is None):
+                unit = unit_of(self._row, one) * timestep
+                flows.append((KICK if isinstance(one, Kick) else DRIFT, one.coefficient * timestep, unit))
             elif flows and not isinstance(one, Beginning):
                 yield self._passed(flows)
                 flows = []
-            yield from self._made_of_one(one, moment)
+            if isinstance(one, Force):
+                yield from forces.operations(one.with_energy, one.unit * timestep, moment)
+                if forces.power is not None:
+                    yield in_python(self._note_power)
+            elif isinstance(one, Kick) and forces.power is not None:
+                yield in_python(partial(self._work, one.coefficient * timestep))
+            elif isinstance(one, Drift) and around.constraints is not None:
+                yield from drifted_with_constraints(state, around, one.coefficient * timestep)
+            elif isinstance(one, Projection):
+                yield from projected(state, around)
+            elif isinstance(one, Thermalize):
+                yield from self._method.contact(state, one.coefficient * timestep, around, moment)
             moment = moment.after(one)
         if flows:
             yield self._passed(flows)
-
-    def _made_of_one(self, one: Event, moment: Moment) -> Iterator[Operation]:
-        """The operations of an event that is no part of a pass."""
-        state, around, forces = self._state, self._around, self._forces
-        if isinstance(one, Force):
-            yield from forces.operations(one.with_energy, one.unit * self._method.timestep, moment)
-            if forces.power is not None:
-                yield in_python(self._note_power)
-        elif isinstance(one, Kick) and forces.power is not None:
-            yield in_python(partial(self._work, one.coefficient * self._method.timestep))
-        elif isinstance(one, Drift) and around.constraints is not None:
-            yield from drifted_with_constraints(state, around, one.coefficient * self._method.timestep)
-        elif isinstance(one, Projection):
-            yield from projected(state, around)
-        elif isinstance(one, Thermalize):
-            yield from self._method.contact(state, one.coefficient * self._method.timestep, around, moment)
 
     def _passed(self, flows: list[tuple[float, float, float]]) -> Operation:
         """Kicks and drifts in one pass over memory."""

@@ -54,10 +54,8 @@ class IngredientCosts:
             times = spread(1e6 * cost.seconds), spread(ratio)
             cells.append([cost.name, str(cost.n_atoms), *times, f"{pairs:.1f}", by_pair])
         numbers = ("atoms", "µs per step", "ratio to the melt", "pairs per atom", "ratio per pair")
-        head = (
-            f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); only "
-            "pairs in range are counted."
-        )
+        head = (f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); only "
+                "pairs in range are counted.")  # fmt: skip
         return [head, "", *table({"scene": str} | dict.fromkeys(numbers, float), cells)]
 
     def content(self) -> dict[str, Any]:

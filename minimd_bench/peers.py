@@ -254,6 +254,5 @@ def _load(name: str, scene: BenchScene, threads: int) -> Engine:
         return PEERS[name].load(scene, threads)
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(
-            f"{name} is installed but does not start: {reason}; to leave it out, name the others with --peers"
-        ) from error
+        raise ValueError(f"{name} is installed but does not start: {reason}; to leave it out, name the others with "
+                         "--peers") from error  # fmt: skip

@@ -141,9 +141,8 @@ def _beads(density: float, n: int) -> md.System:
     width = round(cbrt(4 * n**3))  # lattice sites along an edge
     n_beads = width**3 // BEADS * BEADS
     if n_beads == 0:
-        raise ValueError(
-            f"a scene of chains needs at least {BEADS} sites, for one chain of {BEADS} beads; it has {width**3}"
-        )
+        raise ValueError(f"a scene of chains needs at least {BEADS} sites, for one chain of {BEADS} beads; it has "
+                         f"{width**3}")  # fmt: skip
     edge, first = cbrt(n_beads / density), np.arange(n_beads - 1)
     first = first[(first + 1) % BEADS != 0]
     # a winding path: each site is the nearest neighbor of the one before

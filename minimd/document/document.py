@@ -111,10 +111,8 @@ class Document:
         if plot is False or (beside and not drawn):
             return None
         if not drawn:
-            raise ValueError(
-                f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = "
-                f"{list(map(str, trajectories))}"
-            )
+            raise ValueError(f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = "
+                             f"{list(map(str, trajectories))}")  # fmt: skip
         picture = Path(plot) if isinstance(plot, str) else drawn[0].with_suffix(".png")
         return drawn[0].with_suffix(picture.suffix) if beside else picture
 
@@ -164,10 +162,8 @@ def stored(kind: type[D], text: str, file: Path) -> D:
     for index, section in enumerate(document.sections.potential):
         for name in section.files if isinstance(section, TabulatedSection) else ():
             if name not in document.sections.tables:
-                raise ValueError(
-                    f"{file}: potential[{index}] of the stored scene must have its table in the scene; it names "
-                    f"{name!r}"
-                )
+                raise ValueError(f"{file}: potential[{index}] of the stored scene must have its table in the scene; it "
+                                 f"names {name!r}")  # fmt: skip
     return document
 
 
@@ -177,9 +173,8 @@ def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[An
     if scene:
         return stored(Document, scene, file).potentials()
     remedy = "pass those of the script, as in minimd.replay(file, [...]), or give the command a scene with --scene"
-    raise ValueError(
-        f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; {remedy}"
-    )
+    raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; "
+                     f"{remedy}")  # fmt: skip
 
 
 def parsed(kind: type[D], text: str, path: Path) -> D:

@@ -66,10 +66,8 @@ def read_table(path: Path) -> Numbers:
     except ValueError as error:
         raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u: {error}") from None
     if columns.shape[1:] != (2,) or not len(columns):
-        raise ValueError(
-            f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} lines of "
-            f"{columns.shape[1]}"
-        )
+        raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} "
+                         f"lines of {columns.shape[1]}")  # fmt: skip
     return Numbers(*columns.T.tolist())
 
 
@@ -267,9 +265,8 @@ class TabulatedSection(Section):
         tables = {name: table_of(name) for name in self.files}
         first = self.files[0]
         if others := [name for name, table in tables.items() if table.r != tables[first].r]:
-            raise ValueError(
-                f"the tables of one potential must have the same r; those of {others[0]!r} and {first!r} differ"
-            )
+            raise ValueError(f"the tables of one potential must have the same r; those of {others[0]!r} and {first!r} "
+                             "differ")  # fmt: skip
         by_pair: Any = {tuple(one.species): tables[one.file].u for one in self.pairs or ()}
         options = self.model_dump(exclude={"type", "file", "pairs"})
         return Tabulated(tables[first].r, by_pair or tables[first].u, **options)
@@ -293,10 +290,8 @@ class DynamicsSection(Section):
         if self.method in THERMOSTATS and missing:
             yield f"must have {' and '.join(missing)} with method {self.method!r}"
         if self.method not in THERMOSTATS and self.relaxation_time is not None:
-            yield (
-                f"cannot have {self.key('relaxation_time', units)} with method {self.method!r}, which has no "
-                f"relaxation time; {', '.join(THERMOSTATS)} have one"
-            )
+            yield (f"cannot have {self.key('relaxation_time', units)} with method {self.method!r}, which has no "
+                   f"relaxation time; {', '.join(THERMOSTATS)} have one")  # fmt: skip
 
     def integrator(self) -> Splitting:
         """The method with its time step; a thermostat with its bath."""

@@ -245,10 +245,8 @@ def _checked(simulation: Simulation, folder: Path, steps: int, processes: int, e
     """The hand-over.  Raises ValueError for a scene or numbers that LAMMPS cannot run; FileNotFoundError,
     FileExistsError or OSError if LAMMPS is not found, or the files cannot be written there."""
     if simulation.barostat is not None:
-        raise ValueError(
-            "a run with a barostat cannot be handed over to LAMMPS, which has other barostats than minimd; run it with "
-            "minimd"
-        )
+        raise ValueError("a run with a barostat cannot be handed over to LAMMPS, which has other barostats than "
+                         "minimd; run it with minimd")  # fmt: skip
     steps, every = checked_count("steps", steps, limit=MOST_STEPS), checked_count("every", every)
     processes = checked_count("processes", processes)
     check_extras(simulation.engine)
@@ -257,9 +255,8 @@ def _checked(simulation: Simulation, folder: Path, steps: int, processes: int, e
     job.command(script.RUN)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         if not overwrite:
-            raise FileExistsError(
-                f"folder {str(folder)!r} exists and is not empty; choose another name, or pass overwrite=True"
-            )
+            raise FileExistsError(f"folder {str(folder)!r} exists and is not empty; choose another name, or pass "
+                                  "overwrite=True")  # fmt: skip
         own = {TRAJECTORY, OUTPUT, *script.FILES}
         if not folder.is_dir() or (others := sorted({file.name for file in folder.iterdir()} - own)):
             held = f"holds more than a hand-over, such as {others[0]!r}" if folder.is_dir() else "is a file"
@@ -270,10 +267,9 @@ def _checked(simulation: Simulation, folder: Path, steps: int, processes: int, e
     n_atoms, n_frames = len(simulation.system), 2 + steps // every
     needed = n_atoms * (BYTES_PER_ATOM + BYTES_PER_FRAME * n_frames)
     if needed > (free := shutil.disk_usage(parent).free):
-        raise OSError(
-            f"the hand-over needs {needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the disk has "
-            f"{free / 1e9:.2g} GB left; free some space, or write frames less often (every = {every})"
-        )
+        raise OSError(f"the hand-over needs {needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the "
+                      f"disk has {free / 1e9:.2g} GB left; free some space, or write frames less often (every = "
+                      f"{every})")  # fmt: skip
     return job
 
 
@@ -380,16 +376,13 @@ def _stand(job: Job, box: Box, step: int, columns: NDArray[np.float64]) -> None:
     """Put the engine in the state of LAMMPS at a step."""
     engine, timestep, velocities = job.engine, job.engine.method.timestep, box.back(columns[:, 3:])
     if not np.isfinite(columns).all():
-        raise HandOverError(
-            f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step ({timestep:g})"
-        )
+        raise HandOverError(f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step "
+                            f"({timestep:g})")  # fmt: skip
     half = 0.5 * (step - engine.step) * timestep
     if (most := np.abs(box.crossed(half * (velocities - engine.velocities))).max()) > IMAGES / 2:
-        raise HandOverError(
-            f"the images of atoms at step {step} are unknown: the change of their velocities since step {engine.step} "
-            f"amounts to {most:.3g} cells, and LAMMPS counts {IMAGES // 2}; bring frames back more often (every = "
-            f"{job.every})"
-        )
+        raise HandOverError(f"the images of atoms at step {step} are unknown: the change of their velocities since "
+                            f"step {engine.step} amounts to {most:.3g} cells, and LAMMPS counts {IMAGES // 2}; bring "
+                            f"frames back more often (every = {job.every})")  # fmt: skip
     expected = engine.positions + half * (velocities + engine.velocities)
     engine.positions[:] = box.positions_back(columns[:, :3], expected)
     engine.velocities[:] = velocities
@@ -406,11 +399,9 @@ def _judge(job: Job, failure: str, log: Log, allowed: float, record: Record, dif
     if n_missing and not words:
         words = f"LAMMPS has made all steps, but {n_missing} frames are not on the disk; is the disk full?"
     elif not (words or difference <= allowed):
-        words = (
-            f"potential energies of a frame differ by {difference:.1e} of Σ|e_i| or N k_B T, allowed is "
-            f"{allowed:g}; its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the time "
-            "step"
-        )
+        words = (f"potential energies of a frame differ by {difference:.1e} of Σ|e_i| or N k_B T, allowed is "
+                 f"{allowed:g}; its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the "
+                 "time step")  # fmt: skip
     if words and job.keeps_frames:
         kept = f"{len(record)} frames up to step {job.engine.step} are kept in {job.folder / TRAJECTORY}"
         words = f"{kept}; {words}" if job.stop_requested else f"{words}; {kept}"  # the name of the signal follows

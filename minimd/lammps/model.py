@@ -73,10 +73,8 @@ def _opened(pairs: Indices, lengths: Array, triangles: Indices) -> tuple[Indices
     equal = np.argmin(differences, axis=1)  # the first of two equal sides; the second follows it, cyclically
     rows = np.arange(len(triangles))
     if (differences[rows, equal] > EQUAL).any():
-        raise ValueError(
-            f"{CAN}; that of atom {pairs[triangles[np.argmax(differences[rows, equal] > EQUAL), 0], 0]} has none: run "
-            "it with minimd instead"
-        )
+        raise ValueError(f"{CAN}; that of atom {pairs[triangles[np.argmax(differences[rows, equal] > EQUAL), 0], 0]} "
+                         "has none: run it with minimd instead")  # fmt: skip
     first, second, third = (triangles[rows, (equal + k) % 3] for k in range(3))
     if (lengths[third] > (1.0 - FLAT) * (lengths[first] + lengths[second])).any():
         raise ValueError(f"{CAN}, but not three atoms in a line: run this scene with minimd")
@@ -123,10 +121,8 @@ class AtomTypes(NamedTuple):
         keys = np.column_stack([system.species_index, system.masses, fixed])
         rows, of_atom = np.unique(keys, axis=0, return_inverse=True)
         if len(rows) > MOST_TYPES:
-            raise ValueError(
-                f"LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs {len(rows)}, "
-                f"allowed are {MOST_TYPES}"
-            )
+            raise ValueError("LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs "
+                             f"{len(rows)}, allowed are {MOST_TYPES}")  # fmt: skip
         return cls(
             of_atom.reshape(-1), rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
         )
@@ -273,10 +269,8 @@ class Model:
         """Add bonds and angles without force, for fix shake."""
         if is_fixed[constraints.pairs].any():
             pair = constraints.pairs[np.argmax(is_fixed[constraints.pairs].any(axis=1))].tolist()
-            raise ValueError(
-                f"LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms {pair}: run this "
-                "scene with minimd"
-            )
+            raise ValueError("LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms "
+                             f"{pair}: run this scene with minimd")  # fmt: skip
         bonds, lengths, angles, openings = rigid_groups(constraints, len(is_fixed))
         forceless: Callable[[list[float]], Style] = lambda row: ("harmonic", words(0.0, *row))  # noqa: E731
         self.rigid_bonds = self.bonds.add(bonds, lengths[:, None], forceless)
@@ -287,10 +281,8 @@ class Model:
         known = self.bonds.atoms
         if len(known) and not among(known, bonds).all():
             pair = known[np.argmin(among(known, bonds))].tolist()
-            raise ValueError(
-                "minimd counts bonded_scale along the bonds of the system, LAMMPS also along held lengths and others; "
-                f"atoms {pair} are not bonded"
-            )
+            raise ValueError("minimd counts bonded_scale along the bonds of the system, LAMMPS also along held "
+                             f"lengths and others; atoms {pair} are not bonded")  # fmt: skip
         missing = bonds[~among(bonds, known)] if len(known) else bonds
         self.bonds.add(missing, np.zeros((len(missing), 1)), lambda _: ("harmonic", "0 1"))
 
@@ -333,6 +325,5 @@ def _coefficients(potential: Bonded, row: list[float]) -> Style:
 
 
 def _outside(potential: Any, known: str) -> ValueError:
-    return ValueError(
-        f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd"
-    )
+    return ValueError(f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with "
+                      "minimd")  # fmt: skip

@@ -43,9 +43,8 @@ class Program:
     def command(self, script: str, log: str, processes: int) -> list[str]:
         """The command that runs a script.  Raises FileNotFoundError without mpiexec for several processes."""
         if processes > 1 and self.mpiexec is None:
-            raise FileNotFoundError(
-                f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, or use processes=1"
-            )
+            raise FileNotFoundError(f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, "
+                                    "or use processes=1")  # fmt: skip
         start = [str(self.mpiexec), "-n", str(processes)] if processes > 1 else []
         return [*start, str(self.lmp), "-in", script, "-log", log, "-screen", "none", "-nocite"]
 

@@ -37,10 +37,8 @@ def check_method(engine: Engine) -> None:
     method = engine.method
     if type(method) not in METHODS:
         known = ", ".join(one.name for one in METHODS)
-        raise ValueError(
-            f"LAMMPS can make the steps of {known}; the method is {method.name}: choose another one, or run this scene "
-            "with minimd"
-        )
+        raise ValueError(f"LAMMPS can make the steps of {known}; the method is {method.name}: choose another one, or "
+                         "run this scene with minimd")  # fmt: skip
     if method.timestep < 0.0:
         raise ValueError(f"the time step must be positive for LAMMPS; timestep = {method.timestep!r}")
 

@@ -58,10 +58,8 @@ class Verification:
     def __str__(self) -> str:
         if self.scale == 0.0:
             return "nothing was compared: no term has an energy at step 0, nor when all distances are made smaller"
-        return (
-            f"step 0 agrees within {self.energy:.1e} in the energy, {self.energies:.1e} in those of atoms, "
-            f"{self.forces:.1e} in forces, {self.virials:.1e} in virials"
-        )
+        return (f"step 0 agrees within {self.energy:.1e} in the energy, {self.energies:.1e} in those of atoms, "
+                f"{self.forces:.1e} in forces, {self.virials:.1e} in virials")  # fmt: skip
 
     def check(self, engine: Engine, tolerance: float) -> None:
         """Raise HandOverError if LAMMPS and minimd differ by more than a tolerance."""
@@ -85,11 +83,9 @@ def on_a_cutoff(engine: Engine) -> str:
             scales = bonded_scales(one, system)
             for k in np.flatnonzero(np.abs(distances - at) <= TOLERANCE * at).tolist():
                 if scales.get(frozenset((int(first[k]), int(second[k]))), 1.0) != 0.0:
-                    return (
-                        f"; atoms {first[k]} and {second[k]} are {distances[k]:.10g} apart, on the cutoff of "
-                        f"{type(one).__name__}, where rounding decides whether they interact: change the cutoff, or "
-                        "take truncation='force-shifted'"
-                    )
+                    return (f"; atoms {first[k]} and {second[k]} are {distances[k]:.10g} apart, on the cutoff of "
+                            f"{type(one).__name__}, where rounding decides whether they interact: change the cutoff, "
+                            "or take truncation='force-shifted'")  # fmt: skip
     return ""
 
 
@@ -135,9 +131,8 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
     """
     system, before = engine.system, evaluated(engine, engine.system)
     if not (np.isfinite(before.energies).all() and np.isfinite(before.forces).all()):
-        raise NonFiniteError(
-            f"forces or energies are not finite: {why_not_finite(system, engine.interactions.potentials)}"
-        )
+        raise NonFiniteError("forces or energies are not finite: "
+                             f"{why_not_finite(system, engine.interactions.potentials)}")  # fmt: skip
     positions = system.cell.wrapped(system.positions) + np.random.default_rng(0).uniform(
         -SHAKEN * skin, SHAKEN * skin, system.positions.shape
     )

@@ -147,9 +147,8 @@ class Steps:
 
     def __init__(self, method: Row, state: State, around: Surroundings, forces: Evaluation) -> None:
         if not all(part.flags.carray for part in (state.positions, state.velocities, state.pushes)):
-            raise ValueError(
-                "positions, velocities and forces of a State must be contiguous arrays that can be written"
-            )
+            raise ValueError("positions, velocities and forces of a State must be contiguous arrays that can be "
+                             "written")  # fmt: skip
         self._method, self._state, self._around, self._forces = method, state, around, forces
         self.counts, self._calls = np.zeros(5, dtype=np.int64), DirectCalls()
         self._counting, self._row = Counting(self.counts), merged(method.substeps)

@@ -3,8 +3,6 @@
 A rule looks at the evidence and gives a verdict, or None. Of the rules of one kind only the first that speaks counts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from math import sqrt
@@ -92,7 +90,7 @@ class Rule(NamedTuple):
 
     when: str
     kind: str
-    speaks: Callable[[Evidence], Verdict | None]
+    speaks: Callable[["Evidence"], Verdict | None]
 
 
 class Evidence:

@@ -1,7 +1,5 @@
 """The conservation report: what should have stayed constant, and whether it did."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Advice on the time step: the stiffest mode of a state and collisions of its atoms, and what they allow."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nan, pi

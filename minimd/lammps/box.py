@@ -1,7 +1,5 @@
 """The cell in LAMMPS, a along x and b in the xy plane: positions are turned and wrapped for it, and back afterwards."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -6,8 +6,6 @@ conditions on the distance is called for each combination of their outcomes.
 P. Eastman et al., PLoS Comput. Biol. 13, e1005659 (2017), for Lepton, the parser of OpenMM.
 """
 
-from __future__ import annotations
-
 import builtins
 import math
 import operator
@@ -59,7 +57,7 @@ class Symbol:
     def __init__(self, operation: str, arguments: tuple[Any, ...], decisions: Iterator[bool]) -> None:
         self.operation, self.arguments, self.decisions = operation, arguments, decisions
 
-    def of(self, operation: str, *arguments: Any) -> Symbol:
+    def of(self, operation: str, *arguments: Any) -> "Symbol":
         """An operation or a function of Lepton with these arguments. √(r²) is r."""
         for one in arguments:
             if not isinstance(one, Symbol | int | float | np.number | np.bool_):

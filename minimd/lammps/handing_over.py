@@ -3,8 +3,6 @@
 Frames are read from LAMMPS' binary dumps of all atoms (dump custom, suffix .bin; format 2 of 2020).
 """
 
-from __future__ import annotations
-
 import shutil
 import struct
 from collections.abc import Callable, Iterator

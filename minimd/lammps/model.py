@@ -4,8 +4,6 @@ Errors tell all that LAMMPS does not have. fix shake holds one to three bonds of
 equal sides, such as water.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache, partial
 from itertools import combinations_with_replacement
@@ -112,7 +110,7 @@ class AtomTypes(NamedTuple):
     is_fixed: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, engine: Engine) -> AtomTypes:
+    def of(cls, engine: Engine) -> "AtomTypes":
         """The types of atoms of an engine.  Raises ValueError for more than MOST_TYPES."""
         system, fixed = engine.system, np.zeros(len(engine.system), dtype=bool)
         for one in engine.constraints:

@@ -1,7 +1,5 @@
 """LAMMPS and mpiexec: finding and checking them, and a run of LAMMPS as a child process."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -119,7 +117,7 @@ def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
 
 def run(
     command: list[str], folder: Path, log: str, stop: Stoppable, tell: Callable[[int], object] = lambda step: None
-) -> Log:
+) -> "Log":
     """Run LAMMPS to its end, or until a stop is requested; returns its log.  tell : called with the step,
     as the log grows.
     Raises HandOverError, with the first error that LAMMPS printed, if it fails."""
@@ -138,7 +136,7 @@ def run(
     return reading
 
 
-def _failure(code: int, log: Log, output: str) -> str:
+def _failure(code: int, log: "Log", output: str) -> str:
     """Why a run ended, in words."""
     lines = [line for line in (*log.lines_of_errors, *output.splitlines()) if "ERROR" in line]
     where = f"after step {next(reversed(log.rows))}" if log.rows else "before its first step"

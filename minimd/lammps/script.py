@@ -1,7 +1,5 @@
 """The files that LAMMPS reads: atoms, forces, the verification at step 0, the run."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The verification at step 0: energies, forces, virials of atoms in LAMMPS and minimd, of the scene and a copy."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple

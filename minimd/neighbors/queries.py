@@ -1,7 +1,5 @@
 """Queries about neighbors: the list in ASE's form, the closest pair."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

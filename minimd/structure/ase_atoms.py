@@ -1,7 +1,5 @@
 """ASE's atoms as systems, and systems as ASE's atoms, with their constraints."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

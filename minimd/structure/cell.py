@@ -1,7 +1,5 @@
 """The simulation cell: any three lattice vectors, each direction periodic or open, and periodic images."""
 
-from __future__ import annotations
-
 from collections import namedtuple
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -72,7 +70,7 @@ class Cell(Displayed):
                 value.setflags(write=False)
 
     @classmethod
-    def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> Cell:
+    def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> "Cell":
         """A cell from one length, three lengths or a (3, 3) array of rows; by default pbc is True where one is given.
 
         Raises ValueError if the shape is wrong, a number is masked, complex or not finite, pbc is neither one bool nor
@@ -83,14 +81,14 @@ class Cell(Displayed):
         return cls(matrix, given if pbc is None else _as_flags(pbc))
 
     @classmethod
-    def of_reduction(cls, vectors: Array, reduction: NDArray[np.int64]) -> Cell:
+    def of_reduction(cls, vectors: Array, reduction: NDArray[np.int64]) -> "Cell":
         """A cell periodic in all directions whose reduced lattice is known: reduction @ vectors."""
         cell = object.__new__(cls)
         cell.__dict__.update(vectors=np.array(vectors), pbc=np.ones(3, dtype=bool))
         cell._complete(reduction @ cell.vectors, np.array(reduction))
         return cell
 
-    def strained(self, vectors: Array) -> Cell:
+    def strained(self, vectors: Array) -> "Cell":
         """The cell after a small change of its vectors, all periodic; the reduction stays the same while it is one."""
         cell = Cell.of_reduction(vectors, self.reduction)
         length2, combined = (cell.lattice**2).sum(axis=1), ((COMBINED @ cell.lattice) ** 2).sum(axis=1)
@@ -132,11 +130,11 @@ class Cell(Displayed):
         cells = np.floor(positions @ np.linalg.inv(full))
         return positions - np.where(self.pbc, cells, 0.0) @ full
 
-    def follow(self, cell: Cell, translations: Array) -> None:
+    def follow(self, cell: "Cell", translations: Array) -> None:
         """Lattice vectors, (n, 3) or in blocks (n, 3, m), become the same multiples of those of a cell, in place."""
         follow_lattice(translations, self.vectors, cell.vectors)
 
-    def same_as(self, other: Cell) -> bool:
+    def same_as(self, other: "Cell") -> bool:
         """True if vectors and periodicity are equal to the last bit."""
         return self is other or (np.array_equal(self.vectors, other.vectors) and np.array_equal(self.pbc, other.pbc))
 

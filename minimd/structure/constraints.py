@@ -1,7 +1,5 @@
 """Constraints of a scene: fixed distances and fixed atoms. The solvers that keep them are in minimd.constraints."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The grid of fixed-point dynamics: the steps of which positions, momenta and energies are whole multiples."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import frexp, isfinite, ldexp, log2
 
@@ -62,7 +60,7 @@ class Grid(Displayed):
         return [(f"step of {name}", f"2^{log2(step):.0f}") for name, step in vars(self).items()]
 
     @classmethod
-    def of_scene(cls, system: System, timestep: float, depth: float) -> Grid:
+    def of_scene(cls, system: System, timestep: float, depth: float) -> "Grid":
         """Steps that leave room for the motion of this scene, and round as little as they can. timestep : [time].
         depth : of the deepest well of a pair [energy]."""
         cell = system.cell
@@ -82,7 +80,7 @@ class Grid(Displayed):
         is_near = largest_component(system.positions) <= 0.5 * FARTHEST * self.length
         return is_near and largest_component(momenta) <= 0.5 * MOST * self.momentum
 
-    def widened(self, other: Grid) -> Grid:
+    def widened(self, other: "Grid") -> "Grid":
         """The larger steps of two grids."""
         return Grid(max(self.length, other.length), max(self.momentum, other.momentum), max(self.energy, other.energy))
 

@@ -1,7 +1,5 @@
 """Means of correlated series, and their uncertainty. Every error bar of minimd is computed here."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from math import floor, isfinite, log10

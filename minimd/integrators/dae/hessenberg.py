@@ -9,8 +9,6 @@ The state holds its parts one after the other. A start that violates one of thes
 reason. E. Hairer, G. Wanner, Solving ODEs II (1996), VI.1, VII.1.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, ClassVar
 

@@ -7,8 +7,6 @@ variables whose derivative does not occur in F. The index is that of the pencil 
 S. L. Campbell, SIAM J. Sci. Stat. Comput. 6, 334 (1985); E. Hairer, G. Wanner, Solving ODEs II (1996), VII.1, VII.2.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

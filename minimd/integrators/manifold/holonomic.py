@@ -9,8 +9,6 @@ Symmetric sequences stay symmetric. Compositions of velocity Verlet, such as Yos
 have order 2 at most, because a constrained drift is not an exact flow: two of them in a row differ from a single one.
 """
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -16,8 +16,6 @@ manifold. U. M. Ascher, H. Chin, S. Reich, Numer. Math. 67, 131 (1994); U. M. As
 for Ordinary Differential Equations and Differential-Algebraic Equations (1998), 9.2.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -61,7 +59,7 @@ class Invariants:
         self.jacobian = jacobian if jacobian is None else _of_state(jacobian, "jacobian")
         self.value = value if value is None else np.array(value, dtype=float).reshape(-1)
 
-    def through(self, y: Array, shape: Shape = None) -> Manifold:
+    def through(self, y: Array, shape: Shape = None) -> "Manifold":
         """The manifold g = value, or g = g(y) if no value was given.
 
         y : (n,) state.  shape : of q and v, None for problems without them.
@@ -242,7 +240,7 @@ def with_multipliers(method: type[Method], invariants: Invariants) -> type[Metho
     return _wrapped(method, invariants, "multipliers", MultiplierStep)
 
 
-def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: type[ManifoldStep]) -> type[Method]:
+def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: "type[ManifoldStep]") -> type[Method]:
     if not (isinstance(method, type) and issubclass(method, Method)):
         raise TypeError(f"method must be a method without a time step, such as RadauIIA3; got {shown(method)}")
     check_invariants(invariants)

@@ -29,8 +29,6 @@ The summed form adds Δt² f to the small increments first, and its errors grow 
 Methods in ODEs (1962), 6.4; E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), III.10).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import repeat

@@ -24,8 +24,6 @@ Numerical Solution of Differential-Algebraic Systems by Runge-Kutta Methods (198
 II (1996), VI and VII.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -48,6 +46,8 @@ from minimd.integrators.splitting.order_conditions import nystrom_order, separab
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substep, Substeps
 
 __all__ = ["FirstOrder", "Partitioned", "SecondOrder"]
+
+Place = Callable[[Array], tuple[float, Array, Array]]
 
 
 class FirstOrder(Problem):
@@ -312,9 +312,6 @@ class EulerStep:
             lambda x: np.eye(x.size) - duration * self._value(jacobian, *place(x)).reshape(x.size, x.size)
         )
         return iteration.solve(lambda x: x - moved(x), guess, slope, duration, np.abs(x0).max())
-
-
-Place = Callable[[Array], tuple[float, Array, Array]]
 
 
 def euler_factors(substeps: Substeps) -> list[tuple[type[Substep], float]]:

@@ -10,8 +10,6 @@ E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic
 E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar

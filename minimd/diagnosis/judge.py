@@ -442,31 +442,20 @@ def long_step(evidence: Evidence) -> Verdict | None:
 
 
 BEFORE, DURING, START, AFTER = "before", "during", "start", "after"
+# fmt: off
 RULES = (
-    Rule(BEFORE, "long step", strange_depth),
-    Rule(BEFORE, "long step", longer_than_a_bond),
-    Rule(BEFORE, "long step", longer_than_collisions),
-    Rule(BEFORE, "short step", short_step),
-    Rule(BEFORE, "reach", no_pair_in_reach),
-    Rule(BEFORE, "barostat", slow_barostat),
-    Rule(BEFORE, "pressure", crushing_pressure),
-    Rule(BEFORE, "center", moving_center),
-    Rule(START, "start", thrown_at_start),
-    Rule(DURING, "number", not_numbers),
-    Rule(DURING, "neighbors", past_neighbors),
-    Rule(AFTER, "law", law_without_number),
-    Rule(AFTER, "overlap", overlap_at_start),
-    Rule(AFTER, "overlap", one_place),
-    Rule(AFTER, "barostat", barostat),
-    Rule(AFTER, "constraint", broken_constraint),
-    Rule(AFTER, "bond", unstable_bond),
-    Rule(AFTER, "law", bottomless_law),
-    Rule(AFTER, "hot", too_hot),
-    Rule(AFTER, "pair", collision_in_a_step),
-    Rule(AFTER, "step", unstable_mode),
-    Rule(AFTER, "law", unknown_forces),
-    Rule(AFTER, "pair", long_step),
+    Rule(BEFORE, "long step", strange_depth), Rule(BEFORE, "long step", longer_than_a_bond),
+    Rule(BEFORE, "long step", longer_than_collisions), Rule(BEFORE, "short step", short_step),
+    Rule(BEFORE, "reach", no_pair_in_reach), Rule(BEFORE, "barostat", slow_barostat),
+    Rule(BEFORE, "pressure", crushing_pressure), Rule(BEFORE, "center", moving_center),
+    Rule(START, "start", thrown_at_start), Rule(DURING, "number", not_numbers),
+    Rule(DURING, "neighbors", past_neighbors), Rule(AFTER, "law", law_without_number),
+    Rule(AFTER, "overlap", overlap_at_start), Rule(AFTER, "overlap", one_place), Rule(AFTER, "barostat", barostat),
+    Rule(AFTER, "constraint", broken_constraint), Rule(AFTER, "bond", unstable_bond),
+    Rule(AFTER, "law", bottomless_law), Rule(AFTER, "hot", too_hot), Rule(AFTER, "pair", collision_in_a_step),
+    Rule(AFTER, "step", unstable_mode), Rule(AFTER, "law", unknown_forces), Rule(AFTER, "pair", long_step),
 )
+# fmt: on
 
 
 def verdicts(evidence: Evidence, *when: str) -> Iterator[tuple[str, Verdict]]:

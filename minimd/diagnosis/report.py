@@ -137,9 +137,8 @@ def drift_of_walk(time: Array, series: Array, blocks: int = BLOCKS_OF_WALK) -> D
         return drift(time, series, blocks)
     t, y = block_means(time, blocks), block_means(series, blocks)
     steps, rate = np.diff(y), (blocks - 1.0) / np.ptp(t)
-    return Drift(
-        float(steps.mean() * rate), float(statistics.standard_error(steps, statistics.wandering)) * rate, blocks / 2.0
-    )
+    error = float(statistics.standard_error(steps, statistics.wandering)) * rate
+    return Drift(float(steps.mean() * rate), error, blocks / 2.0)
 
 
 @dataclass(frozen=True)
@@ -312,8 +311,7 @@ class Report(Displayed):
             said = "kept" if self.constraint_violation < LENGTHS_KEPT else "NOT KEPT"
             rows.append(("lengths", f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}"))
         rows += [(line.name, f"{line.summary}: {line.verdict}") for line in self.lines]
-        deviation = f"on average, standard deviation {self.temperature_deviation:.2g} {heat}"
-        spread = "of one frame" if only else deviation
+        spread = "of one frame" if only else f"on average, standard deviation {self.temperature_deviation:.2g} {heat}"
         rows.append(("temperature", f"{with_error(self.mean_temperature, self.temperature_error)} {heat} {spread}"))
         return [*rows, *(self.cost.rows() if self.cost is not None else ()), ("verdict", self.verdict)]
 
@@ -383,33 +381,23 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         series = (record.shadow_energy - work) / n
         shadow = drift(time, series, beside=record.kinetic_energy)
     volume = record.volume if "volume" in record else np.zeros(1)
+    # fmt: off
     return Report(
-        energy_drift=slope,
-        energy_oscillation=_oscillation(time, energy, slope),
+        energy_drift=slope, energy_oscillation=_oscillation(time, energy, slope),
         momentum_change=_largest_change(record.momentum, record.absolute_momentum, linear),
         angular_momentum_change=_largest_change(record.angular_momentum, record.absolute_angular_momentum, angular),
-        mean_temperature=float(heat.mean()),
-        temperature_deviation=float(heat.std()),
-        duration=float(np.ptp(time)),
-        kinetic_energy=float(thermal.mean()) / n,
-        n_frames=len(time),
-        n_steps=int(record.step[-1] - record.step[0]),
-        units=(units.energy, units.shown_time, units.temperature),
-        has_bath=has_bath,
-        has_work="work" in record,
+        mean_temperature=float(heat.mean()), temperature_deviation=float(heat.std()), duration=float(np.ptp(time)),
+        kinetic_energy=float(thermal.mean()) / n, n_frames=len(time), n_steps=int(record.step[-1] - record.step[0]),
+        units=(units.energy, units.shown_time, units.temperature), has_bath=has_bath, has_work="work" in record,
         constraint_violation=float(record.constraint_violation.max()) if "constraint_violation" in record else None,
-        cost=cost,
-        shadow_drift=shadow,
-        shadow_oscillation=0.0 if shadow is None else _oscillation(time, series, shadow),
-        lines=tuple(lines),
+        cost=cost, shadow_drift=shadow,
+        shadow_oscillation=0.0 if shadow is None else _oscillation(time, series, shadow), lines=tuple(lines),
         energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * (potential / n).max())),
-        temperatures=_ends(heat),
-        volumes=_ends(volume),
-        not_finite=_not_finite(record),
+        temperatures=_ends(heat), volumes=_ends(volume), not_finite=_not_finite(record),
         temperature_error=mean_and_error(heat)[1],
-        is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * potential.max()),
-        too_long_a_step=too_long_a_step,
+        is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * potential.max()), too_long_a_step=too_long_a_step,
     )
+    # fmt: on
 
 
 def _not_finite(record: Record) -> str:

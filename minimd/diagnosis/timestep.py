@@ -71,14 +71,11 @@ class StepAdvice(Displayed):
         units, shown, none = self.units, self.units.shown, "none: nothing oscillates in this state"
         if self.frequency == 0.0 and self.recommended == inf:
             return [("stiffest mode", f"{none}, so it sets no limit to the time step")]
-        recommended, of_limit = f"{shown(self.recommended)}: ", ""
-        by_heat = "collisions of Lennard-Jones atoms"
+        recommended, of_limit, by_heat = f"{shown(self.recommended)}: ", "", "collisions of Lennard-Jones atoms"
         rows = [("stiffest mode", none), ("recommended", f"{recommended}set by {by_heat}")]
         if self.frequency:
-            omega, of_limit = (
-                self.frequency / units.to_picosecond,
-                f": {abs(self.timestep or 0) / self.limit:.3g} of the limit",
-            )
+            omega = self.frequency / units.to_picosecond
+            of_limit = f": {abs(self.timestep or 0) / self.limit:.3g} of the limit"
             each = zip(self.atoms, self.shares, strict=True)
             shares = ", ".join(f"{atom} ({100.0 * share:.0f} %)" for atom, share in each)
             motion = f"{f'mostly of atoms {shares}, ' if shares else ''}spread over some {self.n_moving:.3g} atoms"
@@ -157,9 +154,8 @@ def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | t
     if curvature.is_finite:
         square, mode = curvature.stiffest(curvature.guess(stiffness.bond))
     if not np.isfinite(square):
-        raise NonFiniteError(
-            f"the forces around this state are not finite: {why_not_finite(system, forces.potentials)}"
-        )
+        why = why_not_finite(system, forces.potentials)
+        raise NonFiniteError(f"the forces around this state are not finite: {why}")
     if not square > curvature.rounding:
         square, mode = 0.0, np.zeros_like(mode)
     frequency, row, shares = square**0.5, method.sequence(), np.einsum("ij,ij->i", mode, mode)
@@ -168,9 +164,8 @@ def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | t
     step, colliding = accurate_step(row, OSCILLATION), stiffness.collisions() if collides else 0.0
     harmonic, collision = (step / one if one else inf for one in (frequency, colliding))
     # the bond whose stretching by itself makes up more than half of the mode
-    pairs = np.concatenate(
-        [system.bonds, *(one.groups_in(system) for one in forces.potentials if isinstance(one, Bond))]
-    )
+    joined = (one.groups_in(system) for one in forces.potentials if isinstance(one, Bond))
+    pairs = np.concatenate([system.bonds, *joined])
     near = pairs[np.isin(pairs, np.argsort(-shares)[:SHOWN_ATOMS]).all(axis=1)]
     parts = np.einsum("bij,ij->b", curvature.stretching(near), mode) ** 2
     bond = tuple(near[np.argmax(parts)].tolist()) if parts.max(initial=0.0) > HALF else None

@@ -22,25 +22,9 @@ from minimd.compiled.kernels import DirectCalls, by_type, filling_kernel
 from minimd.compiled.program import CANNOT_KEEP, GO_ON, Operation, operation
 from minimd.compiled.simd.vector import lanes_for
 from minimd.compiled.threads import MOST_CHUNKS
-from minimd.constraints.closed_forms import (
-    Atoms,
-    Bonds,
-    DriftLinear,
-    DriftPairs,
-    DriftTriangles,
-    Molecules,
-    ProjectLinear,
-    ProjectPairs,
-    ProjectTriangles,
-)
-from minimd.constraints.networks import (
-    DriftComponents,
-    Memory,
-    ProjectComponents,
-    SweepDrift,
-    SweepVelocities,
-    dependent_constraint,
-)
+from minimd.constraints import closed_forms, networks
+from minimd.constraints.closed_forms import Atoms, Bonds, Molecules
+from minimd.constraints.networks import Memory, dependent_constraint
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -141,9 +125,8 @@ CONSTRAINTS_IN_A_CHUNK = 500  # least number: about ten microseconds of work, mo
 ALIKE = 1e-12  # relative: masses and squared lengths that differ by less are equal
 
 
-class Solving(
-    ByAddress, namedtuple("Solving", "solver positions vectors inverse_masses lanes n answers most arguments")
-):
+class Solving(ByAddress, namedtuple("Solving", "solver positions vectors inverse_masses lanes n answers most "
+                                    "arguments")):  # fmt: skip
     """A solver on the n components of a group, in as many chunks as there are answers.
     positions, vectors, inverse_masses, lanes : of Atoms.  arguments : of the solver.
     answers : (chunks,) output, see vectors.  most : (chunks,) the largest so far."""
@@ -172,8 +155,8 @@ class Networks:
     n_each is the number of constraints of one molecule, if the solver counts molecules."""
 
     shape, n_each = "networks", 1
-    drifter: tuple = DriftComponents()
-    projector: tuple = ProjectComponents()
+    drifter: tuple = networks.DriftComponents()
+    projector: tuple = networks.ProjectComponents()
 
     def __init__(self, every: Any, graph: Graph, positions: Floats) -> None:
         self.order, self.graph, self.masses = graph.order, graph, every.inverse_masses
@@ -198,10 +181,8 @@ class Networks:
 
     def offsets(self) -> list[Floats]:
         """All arrays (…, 3) of lattice translations that its solvers read."""
-        return [
-            self.bonds.offsets,
-            *(array for one in self.known if isinstance(one, Molecules) for array in one.offsets),
-        ]
+        of_molecules = (array for one in self.known if isinstance(one, Molecules) for array in one.offsets)
+        return [self.bonds.offsets, *of_molecules]
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> Operation:
         """Drift of the atoms of the group."""
@@ -224,7 +205,7 @@ class Networks:
 class Pairs(Networks):
     """Bonds that share no atom."""
 
-    shape, drifter, projector = "bonds of their own", DriftPairs(), ProjectPairs()
+    shape, drifter, projector = "bonds of their own", closed_forms.DriftPairs(), closed_forms.ProjectPairs()
 
     def _known(self, positions: Floats) -> tuple:
         return super()._known(positions)[1:2]
@@ -233,18 +214,18 @@ class Pairs(Networks):
 class Sweeps(Networks):
     """Components of any shape, by SHAKE, and by RATTLE if all targets are zero."""
 
-    shape, drifter = "networks, by sweeps", SweepDrift()
+    shape, drifter = "networks, by sweeps", networks.SweepDrift()
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
         """See Networks."""
-        solver = ProjectComponents() if targets.any() else SweepVelocities()
+        solver = networks.ProjectComponents() if targets.any() else networks.SweepVelocities()
         return self._solve(solver, positions, vectors, (*self.known, targets, self.multipliers))
 
 
 class Triangles(Networks):
     """Triangles with two equal sides whose outer atoms have equal masses: water."""
 
-    shape, drifter, projector, n_each = "triangles", DriftTriangles(), ProjectTriangles(), 3
+    shape, drifter, projector, n_each = "triangles", closed_forms.DriftTriangles(), closed_forms.ProjectTriangles(), 3
 
     def _known(self, positions: Floats) -> tuple:
         super()._known(positions)
@@ -261,7 +242,7 @@ class LinearTriatomics(Networks):
     """Three atoms in a line: the distance of the outer ones is kept, and the place of the middle one between them.
     Their constraints depend on each other, and their solver takes this into account."""
 
-    shape, drifter, projector, n_each = "linear molecules", DriftLinear(), ProjectLinear(), 3
+    shape, drifter, projector, n_each = "linear molecules", closed_forms.DriftLinear(), closed_forms.ProjectLinear(), 3
 
     def _known(self, positions: Floats) -> tuple:
         self.n_constraints = 4 * self.n_components
@@ -279,11 +260,8 @@ def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
     Raises ValueError for a triangle with a side longer than the others together."""
     graph, masses = graph_of(every.pairs, every.inverse_masses, np.arange(len(every.pairs))), every.inverse_masses
     kinds = np.full(graph.order.size, Sweeps if solver == "shake" else Networks, dtype=object)
-    starts, sizes, lengths2 = (
-        graph.components.starts[:-1],
-        np.diff(graph.components.starts),
-        every.lengths[graph.order] ** 2,
-    )
+    starts, sizes = graph.components.starts[:-1], np.diff(graph.components.starts)
+    lengths2 = every.lengths[graph.order] ** 2
     if solver == "auto":
         kinds[starts[sizes == 1]] = Pairs
     starts = starts[sizes == 3]

@@ -66,9 +66,8 @@ class ConstraintSolver:
         check_atoms(self.pairs, len(positions))
         stuck = np.flatnonzero((inverse_masses[self.pairs] == 0.0).all(axis=1))
         if stuck.size:
-            i, j = self.pairs[stuck[0]]
-            why = "connects two atoms that are held fixed; leave it out"
-            raise ValueError(f"constraint {stuck[0]} (atoms {i}-{j}) {why}")
+            i, j = self.pairs[k := int(stuck[0])]
+            raise ValueError(f"constraint {k} (atoms {i}-{j}) connects two atoms that are held fixed; leave it out")
         lengths = np.linalg.norm(self.bonds(positions), axis=1) if constraints.lengths is None else constraints.lengths
         if not (lengths > 0.0).all():
             i, j = self.pairs[k := int(np.argmin(lengths > 0.0))]

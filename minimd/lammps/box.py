@@ -70,9 +70,7 @@ class Box:
 
     def lines(self) -> list[str]:
         """The lines of a data file about the box."""
-        lines = [
-            f"{low:.17g} {high:.17g} {axis}lo {axis}hi"
-            for low, high, axis in zip(self.low, self.high, "xyz", strict=True)
-        ]
+        bounds = zip(self.low, self.high, "xyz", strict=True)
+        lines = [f"{low:.17g} {high:.17g} {axis}lo {axis}hi" for low, high, axis in bounds]
         tilts = self.edges[[1, 2, 2], [0, 0, 1]]
         return lines + ([f"{' '.join(f'{tilt:.17g}' for tilt in tilts)} xy xz yz"] if tilts.any() else [])

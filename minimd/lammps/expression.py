@@ -26,19 +26,17 @@ SAME = "sqrt exp log sin cos tan asin acos atan sinh cosh tanh erf erfc floor ce
 FUNCTIONS = {name: name for name in SAME.split()}  # names in math and numpy: in Lepton
 FUNCTIONS |= {"arcsin": "asin", "arccos": "acos", "arctan": "atan", "fabs": "abs", "absolute": "abs"}
 FUNCTIONS |= {"maximum": "max", "minimum": "min", "where": "select"}
+# fmt: off
 COMPUTED: dict[str, Callable[..., Any]] = {  # names in math and numpy: by operators and other functions
-    **dict.fromkeys(("divide", "true_divide"), operator.truediv),
-    **dict.fromkeys(("power", "float_power", "pow"), operator.pow),
-    "square": lambda x: x * x,
-    "reciprocal": lambda x: 1.0 / x,
-    "expm1": lambda x: x.of("exp", x) - 1.0,
-    "log1p": lambda x: x.of("log", 1.0 + x),
-    "log10": lambda x: x.of("log", x) / math.log(10.0),
-    "log2": lambda x: x.of("log", x) / math.log(2.0),
-    "cbrt": lambda x: x ** (1.0 / 3.0),
+    "add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "negative": operator.neg,
+    "divide": operator.truediv, "true_divide": operator.truediv,
+    "power": operator.pow, "float_power": operator.pow, "pow": operator.pow,
+    "less": operator.lt, "greater": operator.gt, "less_equal": operator.le, "greater_equal": operator.ge,
+    "square": lambda x: x * x, "reciprocal": lambda x: 1.0 / x, "cbrt": lambda x: x ** (1.0 / 3.0),
+    "expm1": lambda x: x.of("exp", x) - 1.0, "log1p": lambda x: x.of("log", 1.0 + x),
+    "log10": lambda x: x.of("log", x) / math.log(10.0), "log2": lambda x: x.of("log", x) / math.log(2.0),
 }
-COMPUTED |= {"add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "negative": operator.neg}
-COMPUTED |= {"less": operator.lt, "greater": operator.gt, "less_equal": operator.le, "greater_equal": operator.ge}
+# fmt: on
 LEAVES = {"r": "r", "r2": "(r*r)"}  # symbols without arguments, as they are written
 
 
@@ -93,24 +91,17 @@ class Symbol:
         return applied(function.__name__, *inputs)
 
 
-def _sides(sign: str) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """An operator with the symbol a on its left, and on its right."""
-    return lambda a, b: a.of(sign, a, b), lambda a, b: a.of(sign, b, a)
-
-
+# fmt: off
 OPERATORS: dict[str, Callable[..., Any]] = {  # of Python, by their names in operator; a is a symbol
-    "neg": lambda a: 0.0 - a,
-    "pos": lambda a: a,
-    "abs": lambda a: a.of("abs", a),
-    "lt": lambda a, b: 1.0 - (a >= b),
-    "gt": lambda a, b: 1.0 - (a <= b),
-    "le": lambda a, b: a.of("step", b - a),
-    "ge": lambda a, b: a.of("step", a - b),
+    "neg": lambda a: 0.0 - a, "pos": lambda a: a, "abs": lambda a: a.of("abs", a),
+    "lt": lambda a, b: 1.0 - (a >= b), "gt": lambda a, b: 1.0 - (a <= b), "ne": lambda a, b: 1.0 - (a == b),
+    "le": lambda a, b: a.of("step", b - a), "ge": lambda a, b: a.of("step", a - b),
     "eq": lambda a, b: a.of("delta", a - b),
-    "ne": lambda a, b: 1.0 - (a == b),
 }
+# fmt: on
 for _name, _sign in {"add": "+", "sub": "-", "mul": "*", "truediv": "/", "pow": "^"}.items():
-    OPERATORS[_name], OPERATORS[f"r{_name}"] = _sides(_sign)
+    OPERATORS[_name] = lambda a, b, sign=_sign: a.of(sign, a, b)
+    OPERATORS[f"r{_name}"] = lambda a, b, sign=_sign: a.of(sign, b, a)
 for _name, _operation in OPERATORS.items():
     setattr(Symbol, f"__{_name}__", _operation)
 
@@ -223,7 +214,9 @@ def written(expression: Any) -> str:
 
     def text(one: Any) -> str:
         if not isinstance(one, Symbol):
-            return _number(one)
+            if not math.isfinite(number := float(one)):
+                raise UnwritableError(f"it contains the number {number}")
+            return repr(number) if number >= 0.0 else f"(0-{-number!r})"
         if id(one) not in texts:
             arguments, operation = [text(argument) for argument in one.arguments], one.operation
             whole = f"({operation.join(arguments)})" if operation in "+-*/^" else f"{operation}({','.join(arguments)})"
@@ -235,10 +228,3 @@ def written(expression: Any) -> str:
 
     count(expression)
     return ";".join([text(expression), *reversed(named)])
-
-
-def _number(value: Any) -> str:
-    """A number with all its digits.  Raises UnwritableError for one that is not finite."""
-    if not math.isfinite(number := float(value)):
-        raise UnwritableError(f"it contains the number {number}")
-    return repr(number) if number >= 0.0 else f"(0-{-number!r})"

@@ -315,10 +315,8 @@ def _verified(job: Job, model: Model) -> Verification:
             f"without MPI, or for another mpiexec than {job.program.mpiexec}: {INSTALL}"
         )
     places = zip(script.STEP_0.values(), (model.box, box), strict=True)
-    theirs = (
-        script.per_atom(columns, place) for name, place in places for _, columns in frames(job.folder / name, len(copy))
-    )
-    verification = compare(ours, theirs)
+    written = ((columns, box) for name, box in places for _, columns in frames(job.folder / name, len(copy)))
+    verification = compare(ours, (script.per_atom(*one) for one in written))
     verification.check(job.engine, model.tolerance)
     return verification
 

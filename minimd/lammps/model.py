@@ -121,9 +121,8 @@ class AtomTypes(NamedTuple):
         if len(rows) > MOST_TYPES:
             raise ValueError("LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs "
                              f"{len(rows)}, allowed are {MOST_TYPES}")  # fmt: skip
-        return cls(
-            of_atom.reshape(-1), rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
-        )
+        species, masses, is_fixed = rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
+        return cls(of_atom.reshape(-1), species, masses, is_fixed)
 
 
 class Groups:
@@ -302,9 +301,8 @@ class Model:
             label = f"{style.name}{place} " if several else ""
             lines += [f"pair_coeff {types} {label}{numbers}" for types, numbers in style.coefficients]
             lines += [f"pair_modify {f'pair {label}' if several else ''}shift yes"] if style.shift else []
-            lines += [f"pair_modify pair {label}special lj/coul {words(*style.scale)}"] * (
-                style.scale != self.special_bonds()
-            )
+            if style.scale != self.special_bonds():
+                lines.append(f"pair_modify pair {label}special lj/coul {words(*style.scale)}")
         return lines + self.kspace + linked
 
 

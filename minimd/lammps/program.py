@@ -50,10 +50,8 @@ class Program:
 def environment() -> dict[str, str]:
     """The environment of the child: with the libraries of mpich, which are installed with Python,
     and one thread for each process."""
-    return os.environ | {
-        "LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(LIBRARIES), os.environ.get("LD_LIBRARY_PATH")])),
-        "OMP_NUM_THREADS": "1",
-    }
+    libraries = os.pathsep.join(filter(None, [str(LIBRARIES), os.environ.get("LD_LIBRARY_PATH")]))
+    return os.environ | {"LD_LIBRARY_PATH": libraries, "OMP_NUM_THREADS": "1"}
 
 
 def find_program() -> Program:
@@ -66,24 +64,19 @@ def find_program() -> Program:
     found = found or next((Path(place) for name in NAMES if (place := shutil.which(name))), None)
     if found is None:
         raise FileNotFoundError(f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path")
-    mpiexec = (folders and shutil.which("mpiexec", path=folders)) or shutil.which("mpiexec")
-    return Program(found, Path(mpiexec) if mpiexec else None, _version(found))
-
-
-def _version(lmp: Path) -> str:
     try:
-        told = subprocess.run(
-            [str(lmp), "-h"], capture_output=True, text=True, env=environment(), timeout=SECONDS_TO_TRY, check=False
-        )
+        streams: dict[str, Any] = {"capture_output": True, "text": True, "env": environment(), "check": False}
+        told = subprocess.run([str(found), "-h"], timeout=SECONDS_TO_TRY, **streams)
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise HandOverError(f"LAMMPS does not start ({lmp}): {error}; {INSTALL}") from None
+        raise HandOverError(f"LAMMPS does not start ({found}): {error}; {INSTALL}") from None
     named = re.search(r"Simulator - (.+)", told.stdout)
     if named is None:
         reason = (told.stderr or told.stdout).strip().splitlines()[-1:] or [f"exit code {told.returncode}"]
-        raise HandOverError(f"LAMMPS does not start ({lmp}): {reason[0]}; {INSTALL}")
+        raise HandOverError(f"LAMMPS does not start ({found}): {reason[0]}; {INSTALL}")
     if lacking := [style for style in NEEDED if style not in told.stdout.split()]:
-        raise HandOverError(f"LAMMPS {named[1]} ({lmp}) was built without {', '.join(lacking)}; {INSTALL}")
-    return named[1].strip()
+        raise HandOverError(f"LAMMPS {named[1]} ({found}) was built without {', '.join(lacking)}; {INSTALL}")
+    mpiexec = (folders and shutil.which("mpiexec", path=folders)) or shutil.which("mpiexec")
+    return Program(found, Path(mpiexec) if mpiexec else None, named[1].strip())
 
 
 @contextmanager

@@ -73,10 +73,8 @@ def _rows(row: str, *columns: NDArray[Any]) -> Iterator[str]:
     """Lines of a table, in pieces: a number, from 1 on, and the entries of the columns."""
     n = len(columns[0])
     for first in range(0, n, ATOMS_AT_ONCE):
-        part = [
-            one[first : first + ATOMS_AT_ONCE].reshape(-1, one.shape[1] if one.ndim > 1 else 1).T.tolist()
-            for one in columns
-        ]
+        ones = (one[first : first + ATOMS_AT_ONCE] for one in columns)
+        part = [np.atleast_2d(one.T).tolist() for one in ones]
         numbers = range(first + 1, first + 1 + len(part[0][0]))
         yield "".join([row % line for line in zip(numbers, *(axis for one in part for axis in one), strict=True)])
 

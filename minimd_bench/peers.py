@@ -57,8 +57,7 @@ class PeersOptions(NamedTuple):
     """Options of run_peers.
 
     threads : if empty, one thread and all cores.  peers : names in PEERS; if empty, all that are installed; "none" for
-        no peer.
-    """
+        no peer."""
 
     scenes: tuple[str, ...] = (MELT,)
     cells: tuple[int, ...] = (5, 10, 20)

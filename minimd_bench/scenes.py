@@ -324,8 +324,7 @@ def pairs_in_range(scene: BenchScene, positions: NDArray[np.float64]) -> int:
     excludes them. Pairs two and three bonds apart are counted.
 
     positions : (N, 3) [σ], of the atoms of the scene at any time. The cell must be wider than twice the cutoff,
-        or open.
-    """
+        or open."""
     box = scene.edges if scene.system.cell.is_periodic else None
     places = positions if box is None else wrapped(positions, box)
     names = scene.system.species_names

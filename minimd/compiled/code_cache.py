@@ -23,8 +23,7 @@ class CodeFiles(IndexDataCacheFile):
     names the code of another signature. Here each file has a unique name, which the index gets after it was written.
 
     Numba executes what it finds. Here each file begins with a checksum of the rest. A file that does not agree with
-    it, such as after a power failure, is removed, and its kernel compiled anew; standard error says so once.
-    """
+    it, such as after a power failure, is removed, and its kernel compiled anew; standard error says so once."""
 
     is_told: ClassVar[bool] = False
 

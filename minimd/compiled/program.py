@@ -25,8 +25,7 @@ class Operation(NamedTuple):
     python : what Python does at an operation of its own, called without arguments; or, called with an answer above 0,
         about that answer.
     again : the operation to go on with after the latter, counted from this one.
-    is_kept : whether its maker keeps the data, as long as the version of the program stays the same; else it does.
-    """
+    is_kept : whether its maker keeps the data, as long as the version of the program stays the same; else it does."""
 
     code: int
     data: ByAddress | None

@@ -130,8 +130,7 @@ def run_operations(worker, task, operations, course):
 
     operations : (n, 5) int64; of each its code (an address), its data (an address), the number of its chunks (0 where
         Python is wanted), and the operations to go on with if it answers GO_ON or JUMP.
-    The chunks of an operation answer GO_ON; those that do not must all give the same answer.
-    """
+    The chunks of an operation answer GO_ON; those that do not must all give the same answer."""
     counters = worker.counters
     if worker.n_threads == 1:
         return _run_alone(operations, course)

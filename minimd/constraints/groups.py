@@ -36,8 +36,7 @@ class Components(NamedTuple):
     starts : (C + 1,) indices at which the constraints of each component begin.
     atoms, atom_starts : atoms of the components, one after the other, and where each component begins among them.
     begins : (K + 1,) where row k of the lower envelope begins in memory.  lowest : (K,) its first column.
-    coupling : c_kl for l = lowest[k] … k, row after row; zero where two constraints share no atom.
-    """
+    coupling : c_kl for l = lowest[k] … k, row after row; zero where two constraints share no atom."""
 
     starts: Ints
     atoms: Ints

@@ -19,8 +19,7 @@ class CrashReport:
     first_step : from which it can be replayed.  kind : of Rule.  pair, cause, advice : as Verdict.
     closest : two atoms and their distance [length], or None.
     pushed, largest_force : the atom on which the largest force acts, and its size [energy/length].
-    fastest, displacement : the fastest atom, and its way in a step [length].  timestep : [time].  units : name.
-    """
+    fastest, displacement : the fastest atom, and its way in a step [length].  timestep : [time].  units : name."""
 
     fault: str
     step: int

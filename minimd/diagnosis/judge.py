@@ -496,8 +496,7 @@ def runaway(
 
     first : observables of an earlier frame.  since : when that was, for the sentence.
     E is the total energy minus the reservoir energy and work, R the energy [energy] that the rounding of positions can
-    make in a step.
-    """
+    make in a step."""
     system, kinetic, potential = engine.system, engine.kinetic_energy, engine.interactions.potential_energy
     with np.errstate(over="ignore"):  # infinite for time steps that nobody needs
         pace = np.spacing(largest_component(system.positions)) / engine.method.timestep

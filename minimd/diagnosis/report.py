@@ -57,8 +57,7 @@ class Drift:
 
     With fewer than four blocks, the error is infinite and the slope is that between the ends.
     n_independent : how many independent averages would leave this error.  is_unsure :
-        whether they are too few to rule a drift out.
-    """
+        whether they are too few to rule a drift out."""
 
     slope: float
     error: float
@@ -98,8 +97,7 @@ def drift(time: Array, series: Array, blocks: int = BLOCKS, beside: Array | None
         the state, whose slow changes show in the kinetic energy, while in the total energy faster ones hide them.
 
     H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989), on blocks; M. G. Kendall, Biometrika 41, 403 (1954),
-    on the bias of ρ.
-    """
+    on the bias of ρ."""
     blocks = min(blocks, len(series))
     if not np.isfinite([time, series]).all():
         return Drift(np.nan, np.nan)
@@ -130,8 +128,7 @@ def drift_of_walk(time: Array, series: Array, blocks: int = BLOCKS_OF_WALK) -> D
     Total energy minus reservoir energy is such a series. A method conserves a shadow Hamiltonian, which differs from
     the energy, and each contact with the bath changes the difference at random. The slope is that between the means of
     the first and of the last block. Its error is that of the mean change from block to block,
-    which is known as well as that of half as many independent changes.
-    """
+    which is known as well as that of half as many independent changes."""
     blocks = min(blocks, len(series))
     if blocks <= FEW or np.ptp(time) == 0.0 or not np.isfinite([time, series]).all():
         return drift(time, series, blocks)
@@ -224,8 +221,7 @@ class Report(Displayed):
         None if the run is too short to tell.
 
         An energy that varies by more than half the kinetic energy is not conserved, whatever its drift: one bad step is
-        no drift. Nothing is conserved if an observable is not finite.
-        """
+        no drift. Nothing is conserved if an observable is not finite."""
         if self.not_finite:
             return False
         if not self.has_bath and self.energy_range > LARGEST_RANGE * self.kinetic_energy:
@@ -369,8 +365,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         nothing is periodic).  lines, cost, too_long_a_step : see Report.
     n_dof : degrees of freedom of the run; if not given, the kinetic energy includes a motion of the center of mass.
     With a thermostat or barostat, total energy minus reservoir energy is judged; with forces that depend on time, the
-    total energy and the shadow energy minus their work.
-    """
+    total energy and the shadow energy minus their work."""
     units, has_bath, n, heat = record.units, "conserved_energy" in record, record.n_atoms, record.temperature
     thermal = record.kinetic_energy if n_dof is None else 0.5 * n_dof * units.k_B * heat
     time, work = record.time * units.to_picosecond, record.work if "work" in record else 0.0

@@ -45,8 +45,7 @@ def shadow_energy(simulation: HasEngine) -> float:
 
     It costs three evaluations of the forces; the state stays as it is.
 
-    Raises ValueError for a method other than velocity Verlet, leapfrog and position Verlet, a bath, and rigid bonds.
-    """
+    Raises ValueError for a method other than velocity Verlet, leapfrog and position Verlet, a bath, and rigid bonds."""
     engine = simulation.engine
     check_has_shadow(engine)
     engine.moved()

@@ -96,8 +96,7 @@ class Stiffness:
             ω² = u″(r_min)/μ · max(5², 15 + 12.2 T*^(7/6)),   T* = k_B T/ε of the velocities
 
         This is the largest ω of all pairs of species. An atom bonded to a heavier one moves with it, and does not
-        count.  at_rest : whether the velocities are left out.
-        """
+        count.  at_rest : whether the velocities are left out."""
         system, bonds = self.system, np.concatenate([self.system.bonds, self._held])
         masses = system.masses
         lighter = bonds[np.arange(len(bonds)), np.argmin(masses[bonds], axis=1)]
@@ -160,8 +159,7 @@ class Curvature:
     of stiffness −λ. Vectors w are mass-weighted displacements, w = M^1/2 u; D w is the change of M^−1/2 times the
     forces, with the opposite sign, from central differences. Positions of the system are changed and put back.
 
-    is_finite : whether the forces of the state are finite.  displacement : of the atom that is moved most [length].
-    """
+    is_finite : whether the forces of the state are finite.  displacement : of the atom that is moved most [length]."""
 
     def __init__(self, forces: Forces, constraint_set: ConstraintSet) -> None:
         self._forces, self._constraint_set, self._system = forces, constraint_set, forces.system

@@ -89,8 +89,7 @@ class StructureSection(Section):
     """[structure]: a file that ASE or MDAnalysis reads, or a block of a cubic crystal.
 
     format : name of the format, for a file whose suffix does not show it.  bonds : pairs of atoms; "file" for the
-        bonds, angles and dihedrals in the file; or the name of another file that holds them.
-    """
+        bonds, angles and dihedrals in the file; or the name of another file that holds them."""
 
     file: str | None = None
     lattice: Annotated[str, one_of(BASES)] | None = None
@@ -166,8 +165,7 @@ class ConstraintsSection(Section):
 
         bonds : of the structure.  known : constraints of the file; they hold where the section says nothing,
             lengths only if the pairs are the same.
-        Raises ValueError for impossible constraints.
-        """
+        Raises ValueError for impossible constraints."""
         fixed: list[Constraint] = [one for one in known if isinstance(one, FixedAtoms)]
         if self.fixed is not None:
             fixed = [FixedAtoms(self.fixed)] if self.fixed else []
@@ -238,8 +236,7 @@ class TabulatedSection(Section):
     """[[potential]] of type "tabulated": one table for all atoms, or one for each pair of species, all at the same r.
 
     file : two columns, r and u in the units of the scene, with a path relative to the scene file;
-        or a name in [tables].
-    """
+        or a name in [tables]."""
 
     type: Literal["tabulated"]
     file: str | None = None

@@ -94,8 +94,7 @@ class HandOver(Displayed):
         frames.  verification : of step 0.
     energy_difference : largest difference, in all frames, of the potential energies of LAMMPS and minimd, as a fraction
         of the largest of Verification.scale, the potential energy of the frame and its N k_B T.
-    seconds : of each phase.  version : of LAMMPS.  processes : their number.
-    """
+    seconds : of each phase.  version : of LAMMPS.  processes : their number."""
 
     folder: Path
     trajectory: Path

@@ -101,8 +101,7 @@ class AtomTypes(NamedTuple):
     """One type for each combination of species, mass, and whether an atom is held fixed.
 
     of_atom : (N,) type of each atom, from 0 on.  species : (T,) index of the species of a type.  masses : (T,) [mass].
-        is_fixed : (T,) bool.
-    """
+        is_fixed : (T,) bool."""
 
     of_atom: Indices
     species: Indices

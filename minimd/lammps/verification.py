@@ -38,8 +38,7 @@ class Verification:
         to the largest one; forces and virials to the larger of both, one being the other at the largest cutoff; where
         they vanish or cancel, as in a crystal or a dilute gas, to what follows from energies or the copy.
     atom : the atom whose force differs most.  scale : of energies [energy]: Σ|e_i|, or PART of that of the copy if it
-        is larger.
-    """
+        is larger."""
 
     energy: float
     energies: float
@@ -125,8 +124,7 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
     achieves this, the copy is the first one with the smallest number of terms without energy.
     If energies are not finite in any size, it is the scene itself.
     shortest : the smallest cutoff [length].  skin : [length].
-        Raises NonFiniteError if energies or forces of the scene are not finite.
-    """
+        Raises NonFiniteError if energies or forces of the scene are not finite."""
     system, before = engine.system, evaluated(engine, engine.system)
     if not (np.isfinite(before.energies).all() and np.isfinite(before.forces).all()):
         raise NonFiniteError("forces or energies are not finite: "

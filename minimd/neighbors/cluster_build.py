@@ -32,8 +32,7 @@ class Building(
     entry_start : (K + 1,) int, first entry of each domain.
     needed : (K,) int, output, entries that each domain needs, which may be more than there is room for.
     excluded : partners of each atom, see find_pairs; if there are any, slot_of : (N,) int, output, slot of each atom.
-    images : Images.
-    """
+    images : Images."""
 
 
 @called_kernel

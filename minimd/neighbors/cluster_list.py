@@ -39,8 +39,7 @@ class ClusterList(VerletList):
     clusters, domains, ghosts, rows, memory : see there.
     arrays : what the loop needs of them. They have room for more, and are the same arrays until it is used up.
     version : how often they were replaced.  building : what operations need.
-    idle : flat, a block for each cluster, memory that is free between two builds.
-    """
+    idle : flat, a block for each cluster, memory that is free between two builds."""
 
     clusters: Clusters
     ghosts: GhostClusters

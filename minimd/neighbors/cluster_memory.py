@@ -20,8 +20,7 @@ class Memory(ByAddress, namedtuple("Memory", "coordinates shifts forces first_su
     first_sum : (W,) int64, what sums of forces begin with in fixed-point arithmetic, filled by the loop; else empty.
     far : flat, n numbers for each set of lanes, the bits of its number: 0 for those in it, ∞ for others [length²].
     is_out : (K,) int, not zero where a force of a domain has left its range; empty but in fixed-point arithmetic.
-    layers : (K,) int, how many layers of the rows the atoms of each domain need.
-    """
+    layers : (K,) int, how many layers of the rows the atoms of each domain need."""
 
 
 class ClusterArrays(ByAddress, namedtuple("ClusterArrays", "clusters domain_start domains ghosts rows memory")):

@@ -48,8 +48,7 @@ class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 l
     limits2_at_build : the same as long as the cell has not been strained since.
     layers : (3,) int: how many layers are IN_USE, 0 if there is no list; the number of BUILDS so far; and, for the loop
         over clusters, for which of them, see prepare_loop, it is prepared.
-    After the last entry there is memory for AHEAD more: some read ahead. The loop reads one: it must name a ghost.
-    """
+    After the last entry there is memory for AHEAD more: some read ahead. The loop reads one: it must name a ghost."""
 
 
 class Work(namedtuple("Work", "ahead candidates entries near")):
@@ -57,8 +56,7 @@ class Work(namedtuple("Work", "ahead candidates entries near")):
 
     ahead : (runs, 2) int, first and last ghost of each run ahead.  candidates, entries : (M,) ghosts, their entries.
     near : flat int64, for each WORD candidates, each layer and each lane of the cluster a number: bit b is set if
-        candidate b stands in that layer of the row of the atom in that lane.
-    """
+        candidate b stands in that layer of the row of the atom in that lane."""
 
 
 @inlined

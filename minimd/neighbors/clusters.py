@@ -47,8 +47,7 @@ class Columns(
     pbc, lattice, inverse : of the Cell.  along : (3,) distance as a fraction of its heights.
     is_crossed : (3,) bool, whether atoms may meet those beyond the faces across a lattice vector.
     origin, extent : (3,) fractional coordinates of that part; 0 and 1 where is_crossed. In periodic directions
-        atoms are in the cell that begins at the origin.
-    """
+        atoms are in the cell that begins at the origin."""
 
     def move_to(self, to: "Columns") -> bool:
         """Whether there are as many columns in another cell, or elsewhere; then they move there, in the same arrays."""
@@ -73,8 +72,7 @@ class Clusters(
     column_start : (columns + 1,) int, first cluster of each column; the last number is C.
     bottom, top : (C,) lowest and highest fractional coordinate along the third lattice vector.
     boxes : (C, 6) smallest x y z and largest x y z of the atoms of each cluster [length].
-    bottom, top and boxes are needed for a build only; afterwards their memory has other uses.
-    """
+    bottom, top and boxes are needed for a build only; afterwards their memory has other uses."""
 
 
 class Wrapping(namedtuple("Wrapping", "inverse periodic lattice origin")):
@@ -83,8 +81,7 @@ class Wrapping(namedtuple("Wrapping", "inverse periodic lattice origin")):
     These are computed, not kept: memory is slower.
 
     inverse : (3, 3) of the cell in which clusters were made [1/length], and periodic : (3,) 1.0 where it was, else 0.0.
-    lattice : (3, 3) of the cell as it is now [length].  origin : (3,) of Columns.
-    """
+    lattice : (3, 3) of the cell as it is now [length].  origin : (3,) of Columns."""
 
 
 @scalar

@@ -58,8 +58,7 @@ class Domains(ByAddress, namedtuple("Domains", "column cluster first window plac
     place : (K,) int, the block of forces of its first ghost.
     numbers : (3,) int, LATE: how many of the domains, the first ones, wait until all forces are computed; all of them,
         unless one thread goes from domain to domain.  BLOCKS: how many blocks of forces there are.  GHOSTS: M.
-    ghost : (runs + 1,) int, the first ghost of each run; the last number is M.
-    """
+    ghost : (runs + 1,) int, the first ghost of each run; the last number is M."""
 
 
 class GhostClusters(
@@ -77,8 +76,7 @@ class GhostClusters(
         then for each ghost whether it is used in any of them.
     of : (U,) int, ghosts used in some window, by cluster, those of cluster k from start[k].  start : (C + 1,) int.
     parts : (P,) int, the blocks of the forces on them, likewise, from part_start[k].  part_start : (C + 1,) int.
-    bottom, top, boxes, lanes and is_used are needed for a build only; afterwards their memory has other uses.
-    """
+    bottom, top, boxes, lanes and is_used are needed for a build only; afterwards their memory has other uses."""
 
 
 class Layout(ByAddress, namedtuple("Layout", "columns clusters domains ghosts coordinates shifts")):

@@ -43,8 +43,7 @@ class PairList(VerletList):
     cutoff, skin : see VerletList; an infinite cutoff lists all pairs, in open scenes.
     excluded : (P, 2) int, pairs whose nearest image is left out.
     pairs : Pairs, counting in the order of the list.  order : (N,) int, user's index of each atom in that order.
-    offsets : (N, 3), lattice vectors to add to positions[order].  n_builds : how often it was built.
-    """
+    offsets : (N, 3), lattice vectors to add to positions[order].  n_builds : how often it was built."""
 
     _second = _image = np.empty(0, dtype=np.uint32)
 

@@ -26,8 +26,7 @@ def best_skin(cutoff: float, density: float, displacement: float, n_atoms: int, 
     c̄ is the mean of ρ (r_c + s l/L)³ over the layers l = 1 … L of a list, taken into use one after the other.
 
     cutoff : r_c [length].  density : ρ [1/length³].  displacement : d, of the fastest atom in a step.  layers : L.
-    The costs were measured on the Lennard-Jones liquid with cluster lists; the minimum is flat.
-    """
+    The costs were measured on the Lennard-Jones liquid with cluster lists; the minimum is flat."""
     if not displacement > 0.0:
         return DEFAULT_SKIN * cutoff
     skins = SKINS * cutoff
@@ -62,8 +61,7 @@ class VerletList(ABC):
     holds until an atom has moved, beside the strain, by more than (s R − r_c)/2.
 
     cutoff : [length].  skin : [length], ≥ 0.  n_builds : how often it was built.  version : of the memory it lies in.
-    limit2 : square of the distance that an atom may move before the list is outdated [length²].
-    """
+    limit2 : square of the distance that an atom may move before the list is outdated [length²]."""
 
     def __init__(self, cutoff: float, skin: float) -> None:
         self.cutoff, self.skin, self.n_builds, self.version = cutoff, skin, 0, 0

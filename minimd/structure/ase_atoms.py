@@ -35,8 +35,7 @@ def system_arguments(atoms: Atoms, bonds: Given = None, constraints: bool = True
     constraints : True to take those of the atoms; False if the caller handles them.
 
     Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, and as
-    joined_in.
-    """
+    joined_in."""
     if not isinstance(atoms, Atoms):
         raise TypeError(f"a minimd System or an ase.Atoms is expected; got {type(atoms).__name__}")
     found = joined_in(atoms) if bonds is None else None
@@ -58,8 +57,7 @@ def atoms_from_system(system: Any) -> Atoms:
     labels are kept in the array "species_labels", where system_arguments finds them again. Numbers are not converted:
     for a system in reduced units they are not in Å and eV. Bonds, angles, dihedrals and impropers become arrays with
     these names, as ASE's reader of LAMMPS data makes them. The array "id" shows system_arguments that no atoms were cut
-    out or sorted; it gives the groups back in the order of their first atoms.
-    """
+    out or sorted; it gives the groups back in the order of their first atoms."""
     symbols = [label if label in atomic_numbers else "X" for label in system.species.tolist()]
     masses, cell = system.masses, system.cell
     momenta = system.velocities * masses[:, None]

@@ -74,8 +74,7 @@ class Cell(Displayed):
         """A cell from one length, three lengths or a (3, 3) array of rows; by default pbc is True where one is given.
 
         Raises ValueError if the shape is wrong, a number is masked, complex or not finite, pbc is neither one bool nor
-        three, a periodic direction has no vector, or the periodic vectors are linearly dependent.
-        """
+        three, a periodic direction has no vector, or the periodic vectors are linearly dependent."""
         matrix = _as_matrix(vectors)
         given = np.any(matrix != 0.0, axis=1)
         return cls(matrix, given if pbc is None else _as_flags(pbc))
@@ -196,8 +195,7 @@ def minimum_image_translations(positions, first, second, lattice, inverse, pbc, 
 
     positions : (N, 3) [length].  first, second : (P,) int.
     translations : (P, 3) [length], lattice vectors, such as zeros or the previous ones;
-        kept where they are still certainly right.
-    """
+        kept where they are still certainly right."""
     for p in range(np.uintp(first.size)):  # unsigned: no check for indices that count from the end
         i, j = np.uintp(first[p]), np.uintp(second[p])
         dx = positions[j, 0] - positions[i, 0]

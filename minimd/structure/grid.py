@@ -39,8 +39,7 @@ class Grid(Displayed):
     Positions r and velocities v = p/m are float64; on a grid they stand for whole numbers of steps: r/length is exact,
     and rounding m v/momentum gives the whole number from which v was made.
 
-    Raises ValueError for a step that is not a positive power of two.
-    """
+    Raises ValueError for a step that is not a positive power of two."""
 
     length: float
     momentum: float

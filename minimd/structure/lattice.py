@@ -27,8 +27,7 @@ def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tup
     lattice_constant : edge of the unit cell [length].
 
     Raises ValueError for an unknown lattice, a repeat that is not three positive whole numbers, too many atoms,
-    or an edge that is not positive.
-    """
+    or an edge that is not positive."""
     basis = BASES[checked_choice("lattice", lattice, BASES)]
     counts = checked_indices("repeat", repeat, "three numbers of unit cells")
     if counts.shape != (3,) or counts.min() < 1:

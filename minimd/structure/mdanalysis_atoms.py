@@ -19,8 +19,7 @@ def universe_arguments(
 
     groups : bonds, angles, dihedrals and impropers by these names; None for those of the universe.
 
-    Raises TypeError for anything else.  ValueError for atoms without masses, where the units have no default.
-    """
+    Raises TypeError for anything else.  ValueError for atoms without masses, where the units have no default."""
     if not isinstance(universe, Universe | AtomGroup):
         raise TypeError(f"an MDAnalysis Universe or AtomGroup is expected; got {type(universe).__name__}")
     atoms = universe.atoms

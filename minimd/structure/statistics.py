@@ -47,8 +47,7 @@ def standard_error(parts: Array, weighted: Weighted | None = None) -> Array:
     weighted : other covariances and their weights, see correlated and wandering.
 
     H. D. Patterson, R. Thompson, Biometrika 58, 545 (1971), on L; J. A. Hoeting, D. Madigan, A. E. Raftery, C. T.
-    Volinsky, Statist. Sci. 14, 382 (1999), on averages over models.
-    """
+    Volinsky, Statist. Sci. 14, 382 (1999), on averages over models."""
     n = len(parts)
     if n < FEW:
         return np.full(parts.shape[1:], np.nan)
@@ -124,8 +123,7 @@ def replicas(estimate: Callable[[Array], Any], total: Array, parts: Array) -> Ar
 
     estimate : function of sums (n,), linear or not; returns a number or an array.  total : (n,).  parts : (K, n),
         of blocks of equal length.
-    This is the jackknife: B. Efron, C. Stein, Ann. Statist. 9, 586 (1981).
-    """
+    This is the jackknife: B. Efron, C. Stein, Ann. Statist. 9, 586 (1981)."""
     return np.array([estimate(total - part) for part in parts], dtype=np.float64)
 
 

@@ -175,8 +175,7 @@ class System(Displayed):
         bonds, angles, dihedrals, impropers : as for System. If bonds is not given, those that ASE read from a file:
             atoms.arrays["bonds"] and so on; bonds=() for none of them.
         FixCom sets the total momentum to zero and is then forgotten. To have a Simulation refuse to move the center of
-        mass, give it the atoms themselves.
-        """
+        mass, give it the atoms themselves."""
         from minimd.structure.ase_atoms import system_arguments
 
         return cls(**system_arguments(atoms, bonds, angles=angles, dihedrals=dihedrals, impropers=impropers))
@@ -289,8 +288,7 @@ def local_density(positions: NDArray[np.float64], cell: Cell, width: float) -> f
         ρ = Σ n (n − 1) / (N V_b)   over bins of volume V_b with n atoms: −1, because no atom is its own neighbor
 
     positions : (N, 3) [length].  width : of a bin, or somewhat less than that of it [length].
-    Open directions count as far as there are atoms, or with the width if that is more.
-    """
+    Open directions count as far as there are atoms, or with the width if that is more."""
     s = np.einsum("ij,jk->ik", positions, cell.inverse)  # not @: see observables
     s -= np.where(cell.pbc, np.floor(s), s.min(axis=0))
     extent = np.where(cell.pbc, 1.0, np.maximum(width / cell.heights, s.max(axis=0)))

@@ -29,8 +29,7 @@ class UnitSystem:
     shown_time : name of the unit of time · to_picosecond, as it is shown.  small_time : the same for time steps, of
         which shown_small_time make one.
     length, volume, time, energy, temperature, pressure, momentum, angular_momentum : names of the units, for files,
-        plots and reports.
-    """
+        plots and reports."""
 
     name: str = "LJ"
     k_B: float = 1.0

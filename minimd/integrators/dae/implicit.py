@@ -61,8 +61,7 @@ class Implicit(DifferentialAlgebraic):
         """The start as a state, with variables whose derivative does not occur in F solved for; field(t0, y) is its y′.
 
         Raises ValueError if F, or a time derivative of it, cannot be zero there; if the index is above 3, or solutions
-        are not unique.
-        """
+        are not unique."""
         return self._consistent(start, t0, 0.0)
 
     def corrected(self, start: Any, t0: float = 0.0) -> Array:
@@ -83,8 +82,7 @@ class Implicit(DifferentialAlgebraic):
     def _consistent(self, start: Any, t: float, least: float) -> Array:
         """y, after solving F = 0 and its derivatives up to the index minus one.
 
-        least : mobility of variables whose derivative occurs in F.
-        """
+        least : mobility of variables whose derivative occurs in F."""
         is_pair = isinstance(start, tuple) and len(start) == 2 and np.ndim(start[0]) == 1
         y, slope = (np.array(part, float) for part in (start if is_pair else (start, np.zeros(np.shape(start)))))
         is_finite = np.isfinite(y).all() and np.isfinite(slope).all()

@@ -63,8 +63,7 @@ class Invariants:
         """The manifold g = value, or g = g(y) if no value was given.
 
         y : (n,) state.  shape : of q and v, None for problems without them.
-        Raises ValueError if the numbers of values, derivatives and unknowns do not fit, or values are not finite.
-        """
+        Raises ValueError if the numbers of values, derivatives and unknowns do not fit, or values are not finite."""
         return Manifold(self, y, shape)
 
 
@@ -224,8 +223,7 @@ def projected(method: type[Method], invariants: Invariants) -> type[Method]:
 def symmetrically_projected(method: type[Method], invariants: Invariants) -> type[Method]:
     """The method, with moves of the same size off the manifold before each step and back to it: symmetric, if it is.
 
-    Parameters, Raises : as for projected.
-    """
+    Parameters, Raises : as for projected."""
     return _wrapped(method, invariants, "symmetrically-projected", SymmetricProjection)
 
 
@@ -235,8 +233,7 @@ def with_multipliers(method: type[Method], invariants: Invariants) -> type[Metho
     Symmetric, if the method is. Problems with q and v become Partitioned, and steps implicit.
 
     Parameters, Raises : as for projected. TypeError from a run for other problems than SecondOrder, Partitioned,
-        FirstOrder.
-    """
+        FirstOrder."""
     return _wrapped(method, invariants, "multipliers", MultiplierStep)
 
 

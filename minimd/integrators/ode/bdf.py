@@ -25,8 +25,7 @@ class BDF(Method):
 
     With k ≥ 2 it is not a one-step method: run_steps and run_until can use it, run_adaptive cannot.
 
-    n_past : number k of past states, and order; at most 5, because BDF6 is A(α)-stable only up to α = 18°.
-    """
+    n_past : number k of past states, and order; at most 5, because BDF6 is A(α)-stable only up to α = 18°."""
 
     n_past: ClassVar[int]
     source = ("C. F. Curtiss, J. O. Hirschfelder, Proc. Natl. Acad. Sci. 38, 235 (1952); C. W. Gear, IEEE Trans. "

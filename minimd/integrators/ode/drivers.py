@@ -68,8 +68,7 @@ class Solution(Displayed):
     t : (n + 1,) times.  y : (n + 1, size) states.  q, v : (n + 1, …) positions and velocities, of problems with them.
     nfev : evaluations of the right-hand side (of f, for problems with q and v).  n_rejected : steps tried in vain.
     success, message : whether the end was reached, and if not, why; if so, what limits the accuracy beside the method
-        and rounding.
-    """
+        and rounding."""
 
     t: Array
     y: Array
@@ -190,8 +189,7 @@ def run_steps(problem: Problem, method: Method, start: Any, n_steps: int, t0: fl
 def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: float = 0.0, every: int = 1) -> Solution:
     """Steps of the method's time step up to t_end, the last one shortened to end there.
 
-    Parameters, Raises : as run_steps; t_end must lie on the side of t0 to which the time step leads.
-    """
+    Parameters, Raises : as run_steps; t_end must lie on the side of t0 to which the time step leads."""
     check_method(method)
     h = method.timestep
     n_steps = (checked_number("t_end", t_end) - checked_number("t0", t0)) / h
@@ -492,8 +490,7 @@ def stormer_two_step(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: fl
 def stormer_summed(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> Solution:
     """The recursion for the increments d_n = q_{n+1} − q_n: the same path with far less round-off over many steps.
 
-    Parameters, Raises : as stormer_two_step.
-    """
+    Parameters, Raises : as stormer_two_step."""
 
     def advance(q: Array, increments: Array, n: int, push: Array) -> None:
         increments[n] = increments[n - 1] + push

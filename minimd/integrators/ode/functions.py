@@ -77,8 +77,7 @@ def taking(function: Function, names: str, label: str) -> Function:
 class Field:
     """A function of t, q and v, or of some of them, called with all three; its answers are fresh flat arrays.
 
-    usual : the arguments of a function whose own names cannot be known or are others.
-    """
+    usual : the arguments of a function whose own names cannot be known or are others."""
 
     def __init__(self, function: Function, usual: str, name: str) -> None:
         self.name = name

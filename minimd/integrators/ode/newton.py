@@ -124,8 +124,7 @@ class Iteration:
             when it changes.
         scale : least sizes of the unknowns for relative errors, one number or an array; the equations are scaled by an
             array too.  floor : the same for corrections that no longer shrink; scale if not given.
-        nothing : corrections up to this size end the iteration, whatever the unknowns.
-        """
+        nothing : corrections up to this size end the iteration, whatever the unknowns."""
         before, last, slow = np.inf, np.inf, self.solver.slow
         for _ in range(self.solver.max_iterations):
             r = residual(x)
@@ -166,8 +165,7 @@ def nearest_root(
 
     step : of central differences, relative to x; WIDE for functions that are numerical derivatives themselves.
     dependent : ratio of singular values below which equations count as dependent.
-    size : of the largest variable, where x may be smaller by chance.
-    """
+    size : of the largest variable, where x may be smaller by chance."""
     best, least, size = x, np.inf, max(size, np.abs(x).max())
     for _ in range(MAX_ITERATIONS):
         c = function(x)

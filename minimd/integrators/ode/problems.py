@@ -73,8 +73,7 @@ class FirstOrder(Problem):
         """The start as a state of length n.
 
         Raises ValueError if it is not an array of one dimension, or a value is not finite; from f, if its answers have
-        another shape.
-        """
+        another shape."""
         y = np.array(start, dtype=float)
         if y.ndim != 1 or y.size == 0:
             needed = "a one-dimensional array with at least one element"
@@ -125,8 +124,7 @@ class Partitioned(Problem):
         """(q, v) as one state of length 2n.
 
         Raises ValueError if q and v do not have the same shape, or a value is not finite; from g and f, if their
-        answers have another shape.
-        """
+        answers have another shape."""
         if not isinstance(start, (tuple, list, np.ndarray)) or len(start) != 2:
             raise ValueError(f"the start must be a pair, (q, v); got {shown(start)}")
         q, v = (np.array(part, dtype=float) for part in start)

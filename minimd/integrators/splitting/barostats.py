@@ -28,8 +28,7 @@ class ThermodynamicState:
     """What a barostat needs to know about a state.
 
     pressure : P, (3, 3) [energy/length³], kinetic part included.  volume : V [length³].  energy : E = K + U [energy].
-        thermal : k_B T [energy].
-    """
+        thermal : k_B T [energy]."""
 
     pressure: Array
     volume: float
@@ -138,8 +137,7 @@ class StochasticCellRescaling(Displayed):
         """ΔH [energy] of one strain, as above.
 
         It is k_B T ln of the ratio of two probabilities: of the strain and of its reverse,
-        each times that of the state it starts from.
-        """
+        each times that of the state it starts from."""
         work = after.energy - before.energy + self.pressure * (after.volume - before.volume)
         entropy = before.thermal * log(after.volume / before.volume)
         rate = self.relaxation_time / (self.compressibility * duration)

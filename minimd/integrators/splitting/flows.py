@@ -66,8 +66,7 @@ class Moving(ByAddress, namedtuple("Moving", "positions velocities forces invers
     inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.  are_alike : whether all are the same.
     flows : (F, 3), one after the other: KICK or DRIFT, its duration, and, on a grid, the unit [time] of which the
         duration is a whole multiple: the change over one unit is rounded.
-    steps : Steps in fixed-point arithmetic, where forces are int64 impulses over the unit; else ().
-    """
+    steps : Steps in fixed-point arithmetic, where forces are int64 impulses over the unit; else ()."""
 
 
 @called_kernel

@@ -61,8 +61,7 @@ def separable_residuals(substeps: Substeps, order: int) -> list[float]:
     The step is exp(c₁X₁) exp(c₂X₂) …, where each X is T or V. The exact flow is exp(T + V), in which every word of n
     letters T, V has the coefficient 1/n!. Both series are group-like, and such series agree if they agree on the Lyndon
     words, the words that come before all their rotations. For n = 1, …, 8 there are 2, 1, 2, 3, 6, 9, 18, 30 of them,
-    as many as there are independent conditions (C. Reutenauer, Free Lie Algebras (1993), chapter 6).
-    """
+    as many as there are independent conditions (C. Reutenauer, Free Lie Algebras (1993), chapter 6)."""
     return [word_coefficient(substeps, word) - 1.0 / factorial(order) for word in lyndon_words(order)]
 
 
@@ -101,8 +100,7 @@ def nystrom_residuals(substeps: Substeps, order: int) -> list[float]:
     As a Runge-Kutta-Nyström method the sequence has, for kick i, the weight bᵢ, the abscissa cᵢ = Σ drifts before it
     and aᵢⱼ = bⱼ (cᵢ − cⱼ), j before i. A tree is a force f with branches: velocities, Φᵢ = cᵢ, and forces integrated
     twice, Φᵢ = Σⱼ aᵢⱼ Φⱼ. These are the conditions for velocities. Those for positions, with weights bᵢ (1 − cᵢ),
-    follow from them if Σ drifts = 1. The trees: E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), II.14.
-    """
+    follow from them if Σ drifts = 1. The trees: E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), II.14."""
     b, c, a = nystrom_tableau(substeps)
     one, branches = np.ones_like(c), [Branch(1, c, 1.0)]
     for power in range(1, order + 1):
@@ -156,8 +154,7 @@ def stability_limit(substeps: Substeps) -> float:
     """The stability limit of h = ωΔt: |tr M(h)| ≤ 2 for all h up to it; 2 for velocity Verlet, 0 if no step is stable.
 
     tr M is a polynomial in x = h². It is evaluated once between each two neighboring roots of tr M = ±2, so that no
-    window of instability is too narrow to be found. A root at which tr M only touches ±2 is no limit.
-    """
+    window of instability is too narrow to be found. A root at which tr M only touches ±2 is no limit."""
     trace = trace_polynomial(substeps)
     roots = np.concatenate([(trace - 2.0).roots(), (trace + 2.0).roots()])
     edges = np.unique(roots[(abs(roots.imag) <= REAL * abs(roots)) & (roots.real > REAL)].real)
@@ -186,8 +183,7 @@ def energy_oscillation(substeps: Substeps, h: float) -> float:
 
     A stable step M = (a b; c d) conserves the quadratic form −c q² + (a − d) q v + b v². States lie on an ellipse; on
     its axes the energy (q² + v²)/2 is largest and smallest. Velocity Verlet has h²/(8 − h²):
-    1/80 at 20 steps per period.  h : ωΔt.
-    """
+    1/80 at 20 steps per period.  h : ωΔt."""
     (a, b), (c, d) = propagation(substeps, h)
     if abs(a + d) >= 2.0:
         return float("inf")

@@ -25,8 +25,7 @@ class State:
     positions, velocities, forces : (N, 3) [length], [length/time], [energy/length].
     inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
     forces_are_current : whether forces belong to positions; whoever moves positions sets it to False.
-    unit : in fixed-point arithmetic, the time over which impulses are (or will be) computed [time].
-    """
+    unit : in fixed-point arithmetic, the time over which impulses are (or will be) computed [time]."""
 
     positions: Array
     velocities: Array
@@ -144,8 +143,7 @@ class Bath:
     conserves_momentum : of all atoms; then the motion of the center of mass is not a thermal degree of freedom.
     step, contact : the number of the step, and of the contact within it; both select the noise.
     energy : given to the system since the start, the reservoir energy [energy].
-    heat, thermal : (1,) energy, and (2,) int, n_dof and conserves_momentum, for kernels.
-    """
+    heat, thermal : (1,) energy, and (2,) int, n_dof and conserves_momentum, for kernels."""
 
     n_dof, conserves_momentum, energy = Place("thermal", 0, int), Place("thermal", 1, bool), Place("heat", 0, float)
 
@@ -162,8 +160,7 @@ class Surroundings:
     stop_requested : set it to True to end a run of steps after the present one.
     power : ∂U/∂t with the forces of the next kick [energy/time].
     work : its integral, Σ duration · power over all kicks [energy]. Time is treated as a coordinate with momentum
-        −work, and this larger system is split: total energy minus work is conserved as well as an energy is.
-    """
+        −work, and this larger system is split: total energy minus work is conserved as well as an energy is."""
 
     constraints: ConstraintSolver | None = None
     bath: Bath | None = None

@@ -80,8 +80,7 @@ class Evaluation(NamedTuple):
     version : of the memory that they work on.  pool : the threads.
     running : context for the run of a program with such operations.
     power : ∂U/∂t of the last evaluation [energy/time], if forces depend on time.
-    taken : called after a run, with whether the last evaluation had the energy, and its unit [time].
-    """
+    taken : called after a run, with whether the last evaluation had the energy, and its unit [time]."""
 
     operations: Callable[[bool, float, Moment], Iterable[Operation]]
     version: Callable[[], Any] = lambda: 0

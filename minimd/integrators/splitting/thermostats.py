@@ -154,8 +154,7 @@ class LangevinBAOAB(Thermostat):
     def touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
         """The Ornstein-Uhlenbeck process over a duration, between two projections onto the constraints.
 
-        The noise of an atom depends on seed, step, contact and the number of the atom.
-        """
+        The noise of an atom depends on seed, step, contact and the number of the atom."""
         bath, n_chunks, is_held = bath_of(around), n_chunks_of(len(state.velocities)), around.constraints is not None
         kept = exp(-self.friction * duration)
         spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
@@ -177,8 +176,7 @@ class Touch(ByAddress, namedtuple("Touch", "velocities inverse_masses masses kep
     velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
     kept, spread : e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy].  noise : Noise.
     parts : (chunks,) output, heat of each chunk [energy].  heat : (1,), to which it is added.
-    is_held : whether constraints follow, before the kinetic energy afterwards is known.  steps : of a grid, or ().
-    """
+    is_held : whether constraints follow, before the kinetic energy afterwards is known.  steps : of a grid, or ()."""
 
 
 @filling_kernel
@@ -296,8 +294,7 @@ class Rescaling(ByAddress, namedtuple("Rescaling", "velocities inverse_masses ma
     velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
     kept : e^(−Δt/τ).  thermal_energy : k_B T [energy].  mass : of all atoms.  thermal : of Bath.  noise : Noise.
     parts : (chunks, 4) output, momentum and kinetic energy of each chunk.
-    motion : (4,) output, V, and √(K′/K) with its sign.  heat : (1,), to which the heat is added.  steps : of a grid.
-    """
+    motion : (4,) output, V, and √(K′/K) with its sign.  heat : (1,), to which the heat is added.  steps : of a grid."""
 
 
 @called_kernel

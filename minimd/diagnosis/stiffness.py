@@ -16,11 +16,9 @@ from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.pair import Nonbonded, curvature_at_minimum
 from minimd.structure.bond_graph import among
 from minimd.structure.cell import nearest_vectors
-from minimd.structure.observables import center, kinetic_energy, temperature, thermal_energy
+from minimd.structure.observables import Array, center, kinetic_energy, temperature, thermal_energy
 from minimd.structure.system import System
 from minimd.structure.units import ASE, BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_EV
-
-Array = NDArray[np.float64]
 
 DISPLACEMENT = 1e-6  # of the closest pair: central differences are then right to 1e-9, and few pairs cross their cutoff
 ROUNDINGS = 1e-9  # of the largest coordinate: the smallest displacement, with six digits left after rounding

@@ -55,9 +55,8 @@ class Document:
         Raises ValueError with the name of the file and the entry."""
         with blamed_on(f"{self.path}: water"):
             first: list[Any] = [] if self.sections.water is None else self.sections.water.potentials()
-        return first + list(
-            self._each(lambda one: one.potential(*([self._table] if isinstance(one, TabulatedSection) else [])))
-        )
+        each = self._each(lambda one: one.potential(*[self._table] * isinstance(one, TabulatedSection)))
+        return [*first, *each]
 
     def tables(self) -> dict[str, Numbers]:
         """The numbers of all tables of tabulated laws, by name.  Raises ValueError as potentials."""

@@ -4,15 +4,11 @@ from collections.abc import Callable
 from inspect import signature
 from typing import Any, ClassVar, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from minimd.console.display import Displayed, Rows, as_text, call_of
 from minimd.structure.checks import checked_number
+from minimd.structure.vectors import Array
 
 __all__ = ["Method"]
-
-Array = NDArray[np.float64]
 
 
 class Problem(Protocol):

@@ -1,14 +1,11 @@
 """The cell in LAMMPS, a along x and b in the xy plane: positions are turned and wrapped for it, and back afterwards."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.structure.system import System
-from minimd.structure.vectors import handedness, upright
+from minimd.structure.vectors import Array, handedness, upright
 
 IMAGES = 1024  # LAMMPS counts images with ten bits
-
-Array = NDArray[np.float64]
 
 
 class Box:

@@ -25,18 +25,14 @@ from minimd.potentials.bonded import Bonded
 from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.pair import UNSCALED, Nonbonded
 from minimd.potentials.truncation import ForceShifted, Shifted
-from minimd.structure.bond_graph import among
-from minimd.structure.cell import nearest_vectors
+from minimd.structure.bond_graph import Indices, among
+from minimd.structure.cell import Array, nearest_vectors
 from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 
 EQUAL = 1e-12  # largest relative difference of sides of a triangle that count as equal
 FLAT = 1e-6  # a triangle is a line if 1 − third side / sum of the two others is below this
 MOST_BONDS = 3  # of a middle atom
 CAN = "fix shake of LAMMPS holds one to three bonds of a middle atom, or triangles with two equal sides"
-
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 def rigid_groups(constraints: DistanceConstraints, n_atoms: int) -> tuple[Indices, Array, Indices, Array]:

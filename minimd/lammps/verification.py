@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.console.quiet import quiet
 from minimd.engine.engine import Engine
@@ -17,7 +16,7 @@ from minimd.potentials.pair import Nonbonded
 from minimd.potentials.term import PER_ATOM
 from minimd.structure.cell import Cell
 from minimd.structure.errors import HandOverError, NonFiniteError
-from minimd.structure.observables import longest
+from minimd.structure.observables import Array, longest
 from minimd.structure.system import System
 
 TOLERANCE = 1e-10  # of the largest; a scene that differs by more is not handed over
@@ -26,8 +25,6 @@ SMALLER = 0.95  # the size of a copy, relative to the one before
 SHAKEN = 0.05  # of the skin: displacements of atoms in the copies, in each direction at most
 NEAREST = 0.3  # of the smallest cutoff: after the first copy, none is made whose closest pair is nearer
 PART = 0.01  # of the energies, forces and virials of the copy: the scale of those that vanish or cancel in the scene
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,8 @@ from minimd.neighbors.search import counting_sort
 from minimd.neighbors.verlet_list import count_not_finite
 
 
-class Building(
-    ByAddress,
-    namedtuple(
-        "Building",
-        "positions arrays binned layout n_blocks n_chunks goes_along entry_start needed excluded slot_of images",
-    ),
-):
+class Building(ByAddress, namedtuple("Building", "positions arrays binned layout n_blocks n_chunks goes_along "
+                                     "entry_start needed excluded slot_of images")):  # fmt: skip
     """What the operations work on.
 
     positions : (N, 3) [length].  Outputs: arrays : ClusterArrays, binned : Binned, and layout : Layout but its columns.
@@ -112,12 +107,10 @@ def find_domains(building, _chunk):
     fill_shifts(columns, shifts)
     for layer in range(LAYERS):
         rows.limits2[layer] = rows.limits2_at_build[layer]
-    has_room = (
-        domains.numbers[GHOSTS] <= ghosts.owner.size
-        and domains.window[domains.window.size - 1] <= ghosts.parts.size
-        and domains.numbers[BLOCKS] <= building.n_blocks
-        and building.entry_start.size == domains.column.size
-    )
+    has_room = (domains.numbers[GHOSTS] <= ghosts.owner.size
+                and domains.window[domains.window.size - 1] <= ghosts.parts.size
+                and domains.numbers[BLOCKS] <= building.n_blocks
+                and building.entry_start.size == domains.column.size)  # fmt: skip
     return GO_ON if has_room else NEEDS_ROOM
 
 

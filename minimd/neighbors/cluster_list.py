@@ -88,7 +88,7 @@ class ClusterList(VerletList):
     def ready(self, positions: NDArray[np.float64], cell: Cell) -> None:
         """See VerletList: memory; without a list of this cell, the operations build one."""
         of = (self._cell, None if self._columns_of is None else self._columns_of[0])
-        if not all(one is cell or (one is not None and cell.same_as(one)) for one in of):
+        if not all(one is not None and cell.same_as(one) for one in of):
             self._take(positions, cell)
         elif positions is not self._positions:
             self._positions = positions
@@ -259,9 +259,8 @@ class ClusterList(VerletList):
         n_lanes, n_block = self.lanes.size, self.lanes.size * DIMENSIONS
         n_columns = int(self._columns.counts[0] * self._columns.counts[1])  # each may have a cluster that is not full
         n_clusters = (self._n_atoms + n_columns * (n_lanes - 1)) // n_lanes
-        own, heights, boxes = (
-            (np.float64, shape) for shape in ((n_clusters * n_block,), (n_clusters,), (n_clusters, 6))
-        )
+        shapes = (n_clusters * n_block,), (n_clusters,), (n_clusters, 6)
+        own, heights, boxes = ((np.float64, shape) for shape in shapes)
         search = heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows)
         found, (self.idle,) = memory.overlaid("scratch", search, (own,), spare=spare)
         bottom, top, boxes_now, *for_search = found

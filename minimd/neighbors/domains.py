@@ -61,9 +61,8 @@ class Domains(ByAddress, namedtuple("Domains", "column cluster first window plac
     ghost : (runs + 1,) int, the first ghost of each run; the last number is M."""
 
 
-class GhostClusters(
-    ByAddress, namedtuple("GhostClusters", "owner image bottom top boxes lanes home is_used of start parts part_start")
-):
+class GhostClusters(ByAddress, namedtuple("GhostClusters", "owner image bottom top boxes lanes home is_used of start "
+                                          "parts part_start")):  # fmt: skip
     """M ghosts of C clusters, and W of them in windows. Arrays have room for more.
 
     owner : (M,) int, the cluster.  image : (M,) int, code of its image (a, b, c): 9 (a + 1) + 3 (b + 1) + c + 1.

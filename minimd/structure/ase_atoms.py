@@ -84,10 +84,8 @@ def _labels(atoms: Atoms) -> Any:
     names, symbols, tags = atoms.info.get(NAMES), atoms.get_chemical_symbols(), atoms.get_tags().tolist()
     if LABELS in atoms.arrays or names is None:
         return atoms.arrays.get(LABELS, symbols)
-    return [
-        names[tag] if symbol == "X" and 0 <= tag < len(names) else symbol
-        for symbol, tag in zip(symbols, tags, strict=True)
-    ]
+    each = zip(symbols, tags, strict=True)
+    return [names[tag] if symbol == "X" and 0 <= tag < len(names) else symbol for symbol, tag in each]
 
 
 def cell_of(atoms: Atoms) -> Cell:

@@ -14,9 +14,7 @@ from minimd.compiled.machine import EPS
 from minimd.console.display import Displayed, Rows, as_text
 from minimd.console.words import shown
 from minimd.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers
-from minimd.structure.vectors import follow_lattice
-
-Array = NDArray[np.float64]
+from minimd.structure.vectors import Array, follow_lattice
 
 MOST_IMAGES = 2**16  # images among which one length is searched for: 40 cells in each of three directions
 FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
@@ -101,11 +99,10 @@ class Cell(Displayed):
         """See Displayed."""
         if not (self.is_periodic or self.vectors.any()):
             return [("cell", "none")]
-        words = [as_text(tuple(row)) for row in self.vectors.tolist()]
-        rows = [
-            (name, row if repeats else f"{row}, open")
-            for name, row, repeats in zip(("cell a", "b", "c"), words, self.pbc, strict=True)
-        ]
+        words = (
+            as_text(tuple(row)) + ", open" * (not pbc) for row, pbc in zip(self.vectors.tolist(), self.pbc, strict=True)
+        )
+        rows = [*zip(("cell a", "b", "c"), words, strict=True)]
         return rows if self.volume is None else [*rows, ("volume", f"{self.volume:.10g}")]
 
     @property

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 from math import frexp, isfinite, ldexp, log2
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.compiled.fixed_point import FARTHEST, MOST, Steps
 from minimd.console.display import Displayed, Rows
 from minimd.console.words import shown
 from minimd.structure.cell import Cell
 from minimd.structure.errors import RangeError
-from minimd.structure.observables import largest_component
+from minimd.structure.observables import Array, largest_component
 from minimd.structure.system import System
 
 TRAVEL, FAR_TRAVEL = 64.0, 4096.0  # times the size of the scene: how far atoms can go; in scenes with an open direction
@@ -24,8 +24,6 @@ TOO_LARGE = (
 )
 NO_SIGN = 0.0  # added to turn −0 into 0
 SLOW = 1e-3  # of the scene in a step, if nothing shows how fast atoms are
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, repr=False)

@@ -4,20 +4,16 @@ from collections.abc import Sequence
 from math import cbrt, prod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.console.words import shown
 from minimd.structure.checks import MOST_ATOMS, checked_choice, checked_indices, checked_number
+from minimd.structure.vectors import Array
 
 __all__ = ["BASES", "constant_from_density", "crystal"]
-Array = NDArray[np.float64]
 _FCC = ((0.0, 0.0, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5), (0.5, 0.5, 0.0))
-BASES = {  # atoms of the cubic unit cell, in units of its edge
-    "sc": ((0.0, 0.0, 0.0),),
-    "bcc": ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5)),
-    "fcc": _FCC,
-    "diamond": _FCC + tuple((x + 0.25, y + 0.25, z + 0.25) for x, y, z in _FCC),
-}
+# atoms of the cubic unit cell, in units of its edge
+BASES = {"sc": _FCC[:1], "bcc": (*_FCC[:1], (0.5, 0.5, 0.5)), "fcc": _FCC}
+BASES["diamond"] = _FCC + tuple((x + 0.25, y + 0.25, z + 0.25) for x, y, z in _FCC)
 
 
 def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tuple[Array, Array]:

@@ -8,13 +8,12 @@ velocities, positions : (N, 3).  masses : (N,).
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.compiled.fixed_point import on_grid
 from minimd.compiled.kernels import kernel, scalar
 from minimd.structure.checks import checked_count, checked_number
+from minimd.structure.vectors import Array
 
-Array = NDArray[np.float64]
 AT_REST = 1e-12  # of the kinetic energy: if less than this is relative to the center of mass, it is only rounding
 
 
@@ -154,11 +153,9 @@ def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array
 def _absolute_moments(positions, velocities, masses, center):
     total = 0.0
     for i in range(masses.size):
-        arm2 = (
-            (positions[i, 0] - center[0]) ** 2 + (positions[i, 1] - center[1]) ** 2 + (positions[i, 2] - center[2]) ** 2
-        )
+        x, y, z = positions[i, 0] - center[0], positions[i, 1] - center[1], positions[i, 2] - center[2]
         speed2 = velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2
-        total += masses[i] * sqrt(arm2 * speed2)
+        total += masses[i] * sqrt((x**2 + y**2 + z**2) * speed2)
     return total
 
 

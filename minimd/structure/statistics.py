@@ -6,9 +6,9 @@ from math import floor, isfinite, log10
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from minimd.structure.vectors import Array
+
 Weighted = Callable[[int], list[tuple[float, Array]]]
 FEW = 4  # entries or blocks: from fewer, no error can be estimated
 MOST_BLOCKS = 32  # at this number, blocks are joined in pairs: a long run always has 16 to 31

@@ -131,10 +131,9 @@ class System(Displayed):
     def display_rows(self) -> Rows:
         """See Displayed."""
         units, rows = self.units, [("atoms", f"{len(self)}: {self.composition}")]
-        rows += [
-            (name, f"{words} {units.volume}" if name == "volume" else words.replace(")", f") {units.length}"))
-            for name, words in self.cell.display_rows()
-        ]
+        for name, words in self.cell.display_rows():
+            told = f"{words} {units.volume}" if name == "volume" else words.replace(")", f") {units.length}")
+            rows.append((name, told))
         if self.volume is not None:
             density, is_ase = self.masses.sum() / self.volume, units is unit_systems.ASE
             in_grams = f"{density / unit_systems.GRAM_PER_CM3:.6g} g/cm³"

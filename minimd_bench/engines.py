@@ -79,7 +79,6 @@ ARGON = 18  # asap3 needs a chemical element; the masses are those of the scene
 @dataclass
 class Engine:
     """An engine that has loaded a scene.
-
     threads : their number.  precision : "double", "mixed" or "single".  potential_energy, total_energy : U and U + K
         [ε] of the present state.
     run : makes a number of steps; returns the seconds that they took, a float, if the engine has its own clock.
@@ -351,7 +350,6 @@ Load = Callable[[BenchScene, int], Engine]  # a scene, and a number of threads
 
 class Peer(NamedTuple):
     """An engine with which minimd is compared.
-
     package : the Python package or program that must be installed.  load : makes the engine.
     threads : whether it takes part with "one" thread, with "each" number that is asked for, or with the "most" only.
     most_atoms : in larger scenes it takes part only if it is asked for.  scenes : names of the scenes that it can run.

@@ -55,7 +55,6 @@ def ratios(rows: Sequence[EngineSpeed], row: EngineSpeed) -> tuple[outcome.Ratio
 
 class PeersOptions(NamedTuple):
     """Options of run_peers.
-
     threads : if empty, one thread and all cores.  peers : names in PEERS; if empty, all that are installed; "none" for
         no peer."""
 

@@ -49,7 +49,6 @@ EXACT = 1e-9  # accuracy of the sum with which errors are found
 
 class BenchScene(NamedTuple):
     """A system with its potentials, and how its steps are made.
-
     text : a description in one line.  constraints : lengths held fixed.  method : with its time step and bath.
     error : the largest of the forces of charges, of their rms; 0 without charges.  accuracy : asked for with charges.
     """
@@ -322,7 +321,6 @@ def wrapped(positions: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArr
 def pairs_in_range(scene: BenchScene, positions: NDArray[np.float64]) -> int:
     """Number of pairs of atoms within their cutoff on which the pair potential acts: without bonded pairs if it
     excludes them. Pairs two and three bonds apart are counted.
-
     positions : (N, 3) [σ], of the atoms of the scene at any time. The cell must be wider than twice the cutoff,
         or open."""
     box = scene.edges if scene.system.cell.is_periodic else None

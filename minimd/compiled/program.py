@@ -18,7 +18,6 @@ IN_A_CHUNK = 512  # atoms, or terms, of which each takes as long: some microseco
 
 class Operation(NamedTuple):
     """An operation of a program.
-
     code : address of a kernel (data, chunk) → answer, see operation; 0 where Python is wanted.  data : its data.
     n_chunks : that it is cut into.
     then, otherwise : the operations to go on with if it answers GO_ON or JUMP, counted from this one.

@@ -127,7 +127,6 @@ def run_operations(worker, task, operations, course):
     """Run operations, from course[AT] on, until one of them answers with a number above 0, or there is none left.
 
     Returns that answer, or 0; course[AT] is then the operation that gave it, or the number of all operations.
-
     operations : (n, 5) int64; of each its code (an address), its data (an address), the number of its chunks (0 where
         Python is wanted), and the operations to go on with if it answers GO_ON or JUMP.
     The chunks of an operation answer GO_ON; those that do not must all give the same answer."""

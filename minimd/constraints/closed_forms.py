@@ -309,7 +309,6 @@ def project_linear(block, atoms, molecules, targets, multipliers):
 @scalar
 def impulses(b0, c0, drifted, r_a, r_b, r_c):
     """λ_ab, λ_ac, λ_bc of triangles [dimensionless], and a number that is negative, or none, where they do not exist.
-
     b0, c0 : separations a to b and a to c before the drift.  drifted : a₁, b₁, c₁.  r_a, r_b, r_c : see above.
         All [length]."""
     a1, b1, c1 = drifted

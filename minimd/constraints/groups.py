@@ -32,7 +32,6 @@ Floats = NDArray[np.float64]
 
 class Components(NamedTuple):
     """The components of a graph, and the envelope of their matrices.
-
     starts : (C + 1,) indices at which the constraints of each component begin.
     atoms, atom_starts : atoms of the components, one after the other, and where each component begins among them.
     begins : (K + 1,) where row k of the lower envelope begins in memory.  lowest : (K,) its first column.

@@ -14,7 +14,6 @@ from minimd.structure.units import LJ, SYSTEMS
 @dataclass(frozen=True)
 class CrashReport:
     """The findings about a failed run. str() puts them into lines.
-
     fault : what went wrong.  step : in which step.  last_good_step : of the state described.
     first_step : from which it can be replayed.  kind : of Rule.  pair, cause, advice : as Verdict.
     closest : two atoms and their distance [length], or None.

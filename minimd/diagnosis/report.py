@@ -360,7 +360,6 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
                         lines: Sequence[Line] = (), n_dof: int | None = None,
                         too_long_a_step: str = "") -> Report:  # fmt: skip
     """The report of a record.
-
     linear, angular : whether momentum is constant (see Engine.conserves_momentum), and angular momentum, too (then
         nothing is periodic).  lines, cost, too_long_a_step : see Report.
     n_dof : degrees of freedom of the run; if not given, the kinetic energy includes a motion of the center of mass.

@@ -156,7 +156,6 @@ class RunGuard:
 
     def _replay(self, before: Snapshot, n_steps: int, otherwise: str) -> NoReturn:
         """Repeat failed steps one by one, up to the last good state; raise the error of the next step.
-
         otherwise : the fault if none fails."""
         engine = self.engine
         engine.restore(before)
@@ -251,7 +250,6 @@ class RunGuard:
 
     def _failure(self, fault: str, step: int, at: Array | None = None) -> NonFiniteError | ConstraintError:
         """The error for a run that failed in a step, with its crash report; the engine is in the last good state.
-
         at : (N, 3), of the failure."""
         engine, reason = self.engine, self._reason
         engine.is_whole = True  # a good state, worth keeping, although runs from it may be rounded differently

@@ -156,7 +156,6 @@ class Curvature:
     g = ½ (r² − d²) of each constraint, and λ its multiplier at rest: the curvature of the constraints acts like springs
     of stiffness −λ. Vectors w are mass-weighted displacements, w = M^1/2 u; D w is the change of M^−1/2 times the
     forces, with the opposite sign, from central differences. Positions of the system are changed and put back.
-
     is_finite : whether the forces of the state are finite.  displacement : of the atom that is moved most [length]."""
 
     def __init__(self, forces: Forces, constraint_set: ConstraintSet) -> None:

@@ -134,7 +134,6 @@ def advise_timestep(system: AnySystem, potentials: Potential | Sequence[Potentia
 
 def advice_at(engine: Engine, seconds: float) -> StepAdvice | None:
     """advise_timestep for the present state of an engine, which is left as it is; None if that would take longer.
-
     seconds : it may take at most.  Raises NonFiniteError as advise_timestep, and whatever a potential raises."""
     system = engine.system.copy()
     forces = Forces(system, engine.interactions.potentials, engine.interactions.options)

@@ -87,7 +87,6 @@ METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
 
 class StructureSection(Section):
     """[structure]: a file that ASE or MDAnalysis reads, or a block of a cubic crystal.
-
     format : name of the format, for a file whose suffix does not show it.  bonds : pairs of atoms; "file" for the
         bonds, angles and dihedrals in the file; or the name of another file that holds them."""
 
@@ -162,7 +161,6 @@ class ConstraintsSection(Section):
 
     def constraints(self, bonds: list[list[int]], known: Sequence[Constraint]) -> tuple[Constraint, ...]:
         """The constraints of a system whose file, of structure or run, may hold some already.
-
         bonds : of the structure.  known : constraints of the file; they hold where the section says nothing,
             lengths only if the pairs are the same.
         Raises ValueError for impossible constraints."""
@@ -234,7 +232,6 @@ class PairTableSection(Section):
 
 class TabulatedSection(Section):
     """[[potential]] of type "tabulated": one table for all atoms, or one for each pair of species, all at the same r.
-
     file : two columns, r and u in the units of the scene, with a path relative to the scene file;
         or a name in [tables]."""
 

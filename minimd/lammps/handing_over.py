@@ -89,7 +89,6 @@ Tell = Callable[[str], object]
 @dataclass(frozen=True)
 class HandOver(Displayed):
     """The result of a hand-over.
-
     folder : of all files.  trajectory : the H5MD file, from which Simulation.resume goes on.  record : Record of its
         frames.  verification : of step 0.
     energy_difference : largest difference, in all frames, of the potential energies of LAMMPS and minimd, as a fraction

@@ -95,7 +95,6 @@ LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smo
 
 class AtomTypes(NamedTuple):
     """One type for each combination of species, mass, and whether an atom is held fixed.
-
     of_atom : (N,) type of each atom, from 0 on.  species : (T,) index of the species of a type.  masses : (T,) [mass].
         is_fixed : (T,) bool."""
 
@@ -122,7 +121,6 @@ class AtomTypes(NamedTuple):
 
 class Groups:
     """Bonds, angles or dihedrals, with their types.
-
     size : atoms in a group.  coefficients : style and numbers of types.  atoms : (G, size).  types : (G,), from 0 on.
     """
 
@@ -154,7 +152,6 @@ class Groups:
 
 class PairStyle(NamedTuple):
     """name : of the style.  cutoff : the largest [length].  shift : whether LAMMPS subtracts u(r_c).
-
     scale : bonded_scale.  coefficients : for each pair of types, the types as LAMMPS writes them, and the parameters.
     """
 

@@ -30,7 +30,6 @@ PART = 0.01  # of the energies, forces and virials of the copy: the scale of tho
 @dataclass(frozen=True)
 class Verification:
     """The largest differences at step 0, each relative to the largest of its kind; the worse of scene and copy.
-
     energy : of the whole scene, relative to Σ|e_i| of the atoms.  energies, forces, virials : of single atoms, relative
         to the largest one; forces and virials to the larger of both, one being the other at the largest cutoff; where
         they vanish or cancel, as in a crystal or a dilute gas, to what follows from energies or the copy.

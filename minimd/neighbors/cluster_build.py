@@ -21,7 +21,6 @@ from minimd.neighbors.verlet_list import count_not_finite
 class Building(ByAddress, namedtuple("Building", "positions arrays binned layout n_blocks n_chunks goes_along "
                                      "entry_start needed excluded slot_of images")):  # fmt: skip
     """What the operations work on.
-
     positions : (N, 3) [length].  Outputs: arrays : ClusterArrays, binned : Binned, and layout : Layout but its columns.
     n_blocks : of forces, as there is room.  n_chunks : of columns.  goes_along : see cut_into_domains.
     entry_start : (K + 1,) int, first entry of each domain.

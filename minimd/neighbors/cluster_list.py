@@ -32,7 +32,6 @@ class ClusterList(VerletList):
     rest. So rows are short at first. What is left out then would add zeros: forces have the same bits either way.
 
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
-
     cutoff, skin : see VerletList.  excluded : (P, 2) int, pairs whose nearest image is left out.
     is_fixed : whether forces are summed as whole numbers.  pool : the threads that build it.
     n_domains : number of chunks of an operation.  lanes : of its vectors.

@@ -14,7 +14,6 @@ from minimd.neighbors.clusters import DIMENSIONS, offsets_of
 
 class Memory(ByAddress, namedtuple("Memory", "coordinates shifts forces first_sum far is_out layers")):
     """What the loop reads and writes.
-
     coordinates, forces : flat, a block for each ghost, and for each ghost in a window.
     shifts : (IMAGES, 3), translations of images [length].
     first_sum : (W,) int64, what sums of forces begin with in fixed-point arithmetic, filled by the loop; else empty.

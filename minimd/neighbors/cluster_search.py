@@ -40,7 +40,6 @@ ROUNDED_UP = 1.0 + 1e-6  # the squared reach, in units of itself, by the roundin
 
 class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 limits2_at_build layers")):
     """Clusters near each atom, in layers: entries[start[s] : stops[l, s]] have an atom within reach l of the one in s.
-
     start : (slots,) int.  stops : (LAYERS, slots) int.
     entries : (E,) uint32, the number of a ghost in the window of the domain, and above its 24 bits one for each lane.
     reaches2 : (LAYERS,) squared, from the shortest to the longest [length²].
@@ -53,7 +52,6 @@ class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 l
 
 class Work(namedtuple("Work", "ahead candidates entries near")):
     """Memory for the search of one cluster. Ghosts are numbered as in GhostClusters, but for those in entries.
-
     ahead : (runs, 2) int, first and last ghost of each run ahead.  candidates, entries : (M,) ghosts, their entries.
     near : flat int64, for each WORD candidates, each layer and each lane of the cluster a number: bit b is set if
         candidate b stands in that layer of the row of the atom in that lane."""

@@ -41,7 +41,6 @@ class Columns(
     went on: so no pair is missed, as long as none can meet across a face that is not crossed, see columns_fit.
 
     What changes as the cell is strained, from along on, is in arrays.
-
     counts : (3,) int, columns along the first two lattice vectors, and bins along the third, for sorting.
     distance : within which pairs are searched [length].  reach : (2,) int, the same in columns on each side.
     pbc, lattice, inverse : of the Cell.  along : (3,) distance as a fraction of its heights.
@@ -64,7 +63,6 @@ class Clusters(
     """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n.
 
     Arrays of C elements have room for more.
-
     lanes : Lanes, n as a type.  atom : (n C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
     positions : flat, a block of 3 n numbers for each cluster: of its atoms when it was made,
         strained since as the cell was [length].
@@ -79,7 +77,6 @@ class Wrapping(namedtuple("Wrapping", "inverse periodic lattice origin")):
     """How atoms are brought into the cell: by as many lattice vectors as for their origins.
 
     These are computed, not kept: memory is slower.
-
     inverse : (3, 3) of the cell in which clusters were made [1/length], and periodic : (3,) 1.0 where it was, else 0.0.
     lattice : (3, 3) of the cell as it is now [length].  origin : (3,) of Columns."""
 

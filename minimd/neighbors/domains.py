@@ -53,7 +53,6 @@ ATOMS_PER_DOMAIN = 800  # at least, on average: with fewer, handing out the work
 
 class Domains(ByAddress, namedtuple("Domains", "column cluster first window place numbers ghost")):
     """column, cluster : (K + 1,) int, first column of each domain along the first lattice vector, and first cluster.
-
     first : (K,) int, the first ghost that it sees.  window : (K + 1,) int, how many all domains before it see together.
     place : (K,) int, the block of forces of its first ghost.
     numbers : (3,) int, LATE: how many of the domains, the first ones, wait until all forces are computed; all of them,
@@ -64,7 +63,6 @@ class Domains(ByAddress, namedtuple("Domains", "column cluster first window plac
 class GhostClusters(ByAddress, namedtuple("GhostClusters", "owner image bottom top boxes lanes home is_used of start "
                                           "parts part_start")):  # fmt: skip
     """M ghosts of C clusters, and W of them in windows. Arrays have room for more.
-
     owner : (M,) int, the cluster.  image : (M,) int, code of its image (a, b, c): 9 (a + 1) + 3 (b + 1) + c + 1.
     bottom, top : (M,) fractional coordinates along the third lattice vector.
     boxes : flat float32, for each of the SIDES a row of at least M + BOXES numbers, in units of Columns.distance:

@@ -39,7 +39,6 @@ def is_in_reach(reach, _chunk):
 
 class PairList(VerletList):
     """All pairs within cutoff + skin, in any cell, all images of them; built in linear time.
-
     cutoff, skin : see VerletList; an infinite cutoff lists all pairs, in open scenes.
     excluded : (P, 2) int, pairs whose nearest image is left out.
     pairs : Pairs, counting in the order of the list.  order : (N,) int, user's index of each atom in that order.

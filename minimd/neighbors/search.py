@@ -39,7 +39,6 @@ def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
 
 class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
     """The arrays of a counting sort of N atoms into B bins.
-
     order, bins : (N,) int, atoms in the order of their bins, and the bin of each atom.
     bin_start : (B + 1,) int, first atom of each bin.  place : (B + 1,) int, scratch.
     cells : (N, 3) numbers of lattice vectors that bring each atom into the cell; (0, 3) where nobody asks for them.
@@ -106,7 +105,6 @@ def sort_into_bins(positions, lattice, inverse, pbc, grid):
 
 class Bins(namedtuple("Bins", "bin_start counts forward crossed translations pbc lattice inverse safe_distance2")):
     """Where the search looks for the neighbors of the atoms of a bin, and through which images.
-
     bin_start, counts : see Binned, Grid.
     forward : (K, 3) int, offsets of one half of the bins within reach, (0, 0, 0) left out: every pair is met once.
     crossed : (3,) int, how many cells a search can cross in each direction.
@@ -135,7 +133,6 @@ def _steps(most: NDArray[np.int64]) -> NDArray[np.int64]:
 @kernel
 def find_pairs(positions, order, bins, reach2, partners, pairs):
     """Write all pairs within the reach and return how many there are, which may be more than there is room for.
-
     positions : (N, 3), in the order of the bins and inside the cell [length].  order : (N,) the user's index of each.
     bins : Bins.  reach2 : squared reach [length²].
     partners : see verlet_list; the nearest image of a pair of partners, numbered as by the user, is left out.

@@ -29,11 +29,9 @@ def system_arguments(atoms: Atoms, bonds: Given = None, constraints: bool = True
     """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and
     constraints. Charges are the initial charges. Species are the chemical symbols, or labels that atoms_from_system or
     label_by_tags stored in them.
-
     bonds, others : bonds, angles, dihedrals and impropers, as for System; without bonds,
         what the arrays of the atoms name: see joined_in.
     constraints : True to take those of the atoms; False if the caller handles them.
-
     Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, and as
     joined_in."""
     if not isinstance(atoms, Atoms):

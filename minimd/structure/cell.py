@@ -70,7 +70,6 @@ class Cell(Displayed):
     @classmethod
     def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> "Cell":
         """A cell from one length, three lengths or a (3, 3) array of rows; by default pbc is True where one is given.
-
         Raises ValueError if the shape is wrong, a number is masked, complex or not finite, pbc is neither one bool nor
         three, a periodic direction has no vector, or the periodic vectors are linearly dependent."""
         matrix = _as_matrix(vectors)
@@ -189,7 +188,6 @@ def _length2(dx, dy, dz, a, b, c, lattice):
 def minimum_image_translations(positions, first, second, lattice, inverse, pbc, safe_distance2, translations):
     """translations[p] = the lattice vector that makes r_j − r_i + translation shortest, for fixed pairs (i, j)
     = (first, second)[p].
-
     positions : (N, 3) [length].  first, second : (P,) int.
     translations : (P, 3) [length], lattice vectors, such as zeros or the previous ones;
         kept where they are still certainly right."""

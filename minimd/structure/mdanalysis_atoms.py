@@ -16,9 +16,7 @@ def universe_arguments(
     universe: Universe | AtomGroup, units: UnitSystem, groups: Mapping[str, ArrayLike | None], pbc: ArrayLike | None
 ) -> dict[str, Any]:
     """Arguments for System from a universe or a group of its atoms, as System.from_mdanalysis describes them.
-
     groups : bonds, angles, dihedrals and impropers by these names; None for those of the universe.
-
     Raises TypeError for anything else.  ValueError for atoms without masses, where the units have no default."""
     if not isinstance(universe, Universe | AtomGroup):
         raise TypeError(f"an MDAnalysis Universe or AtomGroup is expected; got {type(universe).__name__}")

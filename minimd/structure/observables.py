@@ -167,7 +167,6 @@ def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int 
 
     Each component has variance k_B T/m before the mean motion is removed and the rest rescaled.
     masses : (N,).  target : T ≥ 0 [temperature].  seed : of numpy's PCG64; None for a new draw each time.
-
     Raises ValueError if the target is negative or not finite, or the seed is not a whole number."""
     target = checked_number("temperature", target, "finite and not negative")
     generator = np.random.default_rng(None if seed is None else checked_count("seed", seed, 0, SEEDS))

@@ -43,7 +43,6 @@ def standard_error(parts: Array, weighted: Weighted | None = None) -> Array:
     The sums are over covariances C that few numbers can just tell from each other: w = 0, and those of TIMES and
     SHARES. Correlations that last longer than a sixth of a run are seen in part only: the error is too small then.
     0 for equal numbers, NaN for fewer than 4.
-
     weighted : other covariances and their weights, see correlated and wandering.
 
     H. D. Patterson, R. Thompson, Biometrika 58, 545 (1971), on L; J. A. Hoeting, D. Madigan, A. E. Raftery, C. T.
@@ -120,7 +119,6 @@ def block_means(series: Array, blocks: int) -> Array:
 
 def replicas(estimate: Callable[[Array], Any], total: Array, parts: Array) -> Array:
     """Estimates from the sums over a run without one of its blocks, (K, ...), for each of K blocks; see spread.
-
     estimate : function of sums (n,), linear or not; returns a number or an array.  total : (n,).  parts : (K, n),
         of blocks of equal length.
     This is the jackknife: B. Efron, C. Stein, Ann. Statist. 9, 586 (1981)."""

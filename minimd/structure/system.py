@@ -170,7 +170,6 @@ class System(Displayed):
     def from_ase(cls, atoms: ase.Atoms, bonds: ArrayLike | None = None, angles: ArrayLike | None = None,
                  dihedrals: ArrayLike | None = None, impropers: ArrayLike | None = None) -> System:  # fmt: skip
         """A system in ASE's units from an ase.Atoms: see minimd.structure.ase_atoms.system_arguments.
-
         bonds, angles, dihedrals, impropers : as for System. If bonds is not given, those that ASE read from a file:
             atoms.arrays["bonds"] and so on; bonds=() for none of them.
         FixCom sets the total momentum to zero and is then forgotten. To have a Simulation refuse to move the center of

@@ -21,7 +21,6 @@ DEGREE = math.pi / 180.0  # rad
 @dataclass(frozen=True)
 class UnitSystem:
     """A consistent set of units, and the factors that convert its numbers to Å, ps and kJ/mol; default: reduced units.
-
     name : "ASE" or "LJ".
     k_B : Boltzmann constant [energy/temperature].  coulomb : k_e = 1/(4π ε₀) [energy · length/e²].
     to_angstrom, to_picosecond, to_kj_per_mol : factors for files that must have these units. Reduced numbers are

@@ -59,7 +59,6 @@ class Implicit(DifferentialAlgebraic):
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, with variables whose derivative does not occur in F solved for; field(t0, y) is its y′.
-
         Raises ValueError if F, or a time derivative of it, cannot be zero there; if the index is above 3, or solutions
         are not unique."""
         return self._consistent(start, t0, 0.0)
@@ -81,7 +80,6 @@ class Implicit(DifferentialAlgebraic):
 
     def _consistent(self, start: Any, t: float, least: float) -> Array:
         """y, after solving F = 0 and its derivatives up to the index minus one.
-
         least : mobility of variables whose derivative occurs in F."""
         is_pair = isinstance(start, tuple) and len(start) == 2 and np.ndim(start[0]) == 1
         y, slope = (np.array(part, float) for part in (start if is_pair else (start, np.zeros(np.shape(start)))))
@@ -119,7 +117,6 @@ class Implicit(DifferentialAlgebraic):
         self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float, size: float
     ) -> tuple[Array, Array]:
         """y and y′ with F = 0 and dᵏF/dtᵏ = 0 for k below the number of derivatives in the jet (y′, y″, …).
-
         mobility : (n,) how easily variables move, 0 for fixed ones.  unit : of time.  size : of the largest variable.
         """
         order, scales = len(jet), unit ** np.arange(1, len(jet) + 1)

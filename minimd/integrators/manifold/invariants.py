@@ -61,7 +61,6 @@ class Invariants:
 
     def through(self, y: Array, shape: Shape = None) -> "Manifold":
         """The manifold g = value, or g = g(y) if no value was given.
-
         y : (n,) state.  shape : of q and v, None for problems without them.
         Raises ValueError if the numbers of values, derivatives and unknowns do not fit, or values are not finite."""
         return Manifold(self, y, shape)

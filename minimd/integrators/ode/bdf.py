@@ -24,7 +24,6 @@ class BDF(Method):
     """A backward differentiation formula.
 
     With k ≥ 2 it is not a one-step method: run_steps and run_until can use it, run_adaptive cannot.
-
     n_past : number k of past states, and order; at most 5, because BDF6 is A(α)-stable only up to α = 18°."""
 
     n_past: ClassVar[int]

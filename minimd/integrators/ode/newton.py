@@ -119,7 +119,6 @@ class Iteration:
     def solve(self, residual: Map, x: Array, jacobian: Map | None = None, key: Any = None, scale: Sizes = 0.0,
               floor: Sizes | None = None, nothing: float = 0.0) -> Array:  # fmt: skip
         """x with residual(x) = 0, to rounding, from a first guess.  Raises ConvergenceError with the largest residual.
-
         jacobian : ∂residual/∂x, a function of x.  key : what J depends on beside x, such as the time step; J is renewed
             when it changes.
         scale : least sizes of the unknowns for relative errors, one number or an array; the equations are scaled by an
@@ -162,7 +161,6 @@ def nearest_root(
 ) -> Array:
     """A root of the function near the guess, by Gauss-Newton: each correction is the smallest that solves the
     linearized equations.
-
     step : of central differences, relative to x; WIDE for functions that are numerical derivatives themselves.
     dependent : ratio of singular values below which equations count as dependent.
     size : of the largest variable, where x may be smaller by chance."""

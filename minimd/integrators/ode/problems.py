@@ -71,7 +71,6 @@ class FirstOrder(Problem):
 
     def begin(self, start: ArrayLike, t0: float = 0.0) -> Array:
         """The start as a state of length n.
-
         Raises ValueError if it is not an array of one dimension, or a value is not finite; from f, if its answers have
         another shape."""
         y = np.array(start, dtype=float)
@@ -122,7 +121,6 @@ class Partitioned(Problem):
 
     def begin(self, start: tuple[ArrayLike, ArrayLike], t0: float = 0.0) -> Array:
         """(q, v) as one state of length 2n.
-
         Raises ValueError if q and v do not have the same shape, or a value is not finite; from g and f, if their
         answers have another shape."""
         if not isinstance(start, (tuple, list, np.ndarray)) or len(start) != 2:

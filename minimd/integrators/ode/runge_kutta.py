@@ -148,7 +148,6 @@ class RungeKutta(Method):
     @classmethod
     def on(cls, problem: Problem) -> Step:
         """The step on any problem; those of index 3 need a method whose last stage is the next state.
-
         Raises TypeError for Gauss-Legendre methods on problems of index 3,
         where errors of the multipliers do not shrink with the time step."""
         if isinstance(problem, DifferentialAlgebraic) and problem.index > 2 and not cls.tableau.is_stiffly_accurate:

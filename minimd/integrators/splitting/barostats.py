@@ -26,7 +26,6 @@ OWN_STREAM = 1  # of random numbers; the stream of thermostats is 0
 @dataclass(frozen=True)
 class ThermodynamicState:
     """What a barostat needs to know about a state.
-
     pressure : P, (3, 3) [energy/length³], kinetic part included.  volume : V [length³].  energy : E = K + U [energy].
         thermal : k_B T [energy]."""
 

@@ -61,7 +61,6 @@ def drifted_on_grid(position, momentum, inverse_mass, unit, times, steps):
 class Moving(ByAddress, namedtuple("Moving", "positions velocities forces inverse_masses flows steps n_chunks "
                                    "are_alike")):  # fmt: skip
     """What kicks and drifts work on.
-
     positions, velocities, forces : (3 N,) flat [length], [length/time], [energy/length].
     inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.  are_alike : whether all are the same.
     flows : (F, 3), one after the other: KICK or DRIFT, its duration, and, on a grid, the unit [time] of which the

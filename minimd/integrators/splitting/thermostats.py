@@ -53,9 +53,7 @@ def step_of(noise):
 
 class Thermostat(Splitting):
     """A splitting with a bath.
-
     timestep : Δt [time], positive.  temperature : of the bath, ≥ 0.  seed : int ≥ 0, of the noise, below 2¹²⁸.
-
     Raises ValueError for a time step that is not positive, a temperature or a rate below zero, or a seed out of range.
     """
 
@@ -172,7 +170,6 @@ class LangevinBAOAB(Thermostat):
 class Touch(ByAddress, namedtuple("Touch", "velocities inverse_masses masses kept spread noise parts heat is_held "
                                   "steps")):  # fmt: skip
     """The contact of atoms with a bath, see LangevinBAOAB.
-
     velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
     kept, spread : e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy].  noise : Noise.
     parts : (chunks,) output, heat of each chunk [energy].  heat : (1,), to which it is added.
@@ -290,7 +287,6 @@ class StochasticVelocityRescaling(Thermostat):
 class Rescaling(ByAddress, namedtuple("Rescaling", "velocities inverse_masses masses kept thermal_energy mass "
                                       "thermal noise parts motion heat steps")):  # fmt: skip
     """The contact of all atoms with a bath, see StochasticVelocityRescaling.
-
     velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
     kept : e^(−Δt/τ).  thermal_energy : k_B T [energy].  mass : of all atoms.  thermal : of Bath.  noise : Noise.
     parts : (chunks, 4) output, momentum and kinetic energy of each chunk.

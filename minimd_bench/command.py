@@ -93,18 +93,14 @@ COMMAND = Command("bench", ABOUT, f"{ABOUT[0].upper()}{ABOUT[1:]}.", below=(
         Argument("--threads", THREADS, counts, "T,...", {"default": ()}),
         Argument("--peers", f"{PEER_NAMES}, or none (default: all that are installed)", words, "NAME,...",
                  {"default": ()}),
-        description=PEERS_TEXT,
-    ),
+        description=PEERS_TEXT),
     benchmark(
         "work-precision", "run time against error: every method and time step",
-        Argument("scenes", PRECISE, None, "SCENE", {"nargs": "*"}),
-    ),
+        Argument("scenes", PRECISE, None, "SCENE", {"nargs": "*"})),
     benchmark(
         "scene", INGREDIENTS,
-        Argument("--cells", "size: 4 N³ atoms (default: 10)", at_least_one, "N", {"default": 10}),
-    ),
+        Argument("--cells", "size: 4 N³ atoms (default: 10)", at_least_one, "N", {"default": 10})),
     benchmark(
         "scaling", "time and memory against the number of atoms and threads",
-        Argument("--threads", "default: 1 and all cores", counts, "T,...", {"default": ()}),
-    ),
+        Argument("--threads", "default: 1 and all cores", counts, "T,...", {"default": ()})),
 ))  # fmt: skip

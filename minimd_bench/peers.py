@@ -78,11 +78,9 @@ class Peers:
 
     def lines(self) -> list[str]:
         """See Outcome."""
-        lines = [
-            "Speeds in 10⁶ atom-steps per second of whole runs, with lists and without compilation: median of "
-            f"{self.repeats} rounds (least to most).",
-            "In each round all engines run once, in one process; ratios are computed within a round.",
-        ]
+        lines = ["Speeds in 10⁶ atom-steps per second of whole runs, with lists and without compilation: median of "
+                 f"{self.repeats} rounds (least to most).",
+                 "In each round all engines run once, in one process; ratios are computed within a round."]  # fmt: skip
         if len(self.texts) > 1:
             titles = {"scene": str, "atoms": float, "minimd": float, "fastest peer, one thread": str}
             cells = []
@@ -177,10 +175,8 @@ def run_peers(options: PeersOptions) -> Peers:
 
 def _checked(options: PeersOptions) -> tuple[int, ...]:
     """The numbers of threads.  Raises ValueError unless the options fit together, and fit this machine."""
-    for name, value, allowed in (
-        ("scene", options.scenes, SCENES),
-        ("peers", options.peers, (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS),
-    ):
+    peers = (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS
+    for name, value, allowed in (("scene", options.scenes, SCENES), ("peers", options.peers, peers)):
         if unknown := [word for word in value if word not in allowed]:
             raise ValueError(f"--{name} must be one of {', '.join(allowed)}; it is {unknown[0]!r}")
     threads, smallest = thread_numbers(options.threads), min(options.cells)

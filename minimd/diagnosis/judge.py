@@ -442,7 +442,6 @@ def long_step(evidence: Evidence) -> Verdict | None:
 
 
 BEFORE, DURING, START, AFTER = "before", "during", "start", "after"
-# fmt: off
 RULES = (
     Rule(BEFORE, "long step", strange_depth), Rule(BEFORE, "long step", longer_than_a_bond),
     Rule(BEFORE, "long step", longer_than_collisions), Rule(BEFORE, "short step", short_step),
@@ -454,8 +453,7 @@ RULES = (
     Rule(AFTER, "constraint", broken_constraint), Rule(AFTER, "bond", unstable_bond),
     Rule(AFTER, "law", bottomless_law), Rule(AFTER, "hot", too_hot), Rule(AFTER, "pair", collision_in_a_step),
     Rule(AFTER, "step", unstable_mode), Rule(AFTER, "law", unknown_forces), Rule(AFTER, "pair", long_step),
-)
-# fmt: on
+)  # fmt: skip
 
 
 def verdicts(evidence: Evidence, *when: str) -> Iterator[tuple[str, Verdict]]:

@@ -375,7 +375,6 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         series = (record.shadow_energy - work) / n
         shadow = drift(time, series, beside=record.kinetic_energy)
     volume = record.volume if "volume" in record else np.zeros(1)
-    # fmt: off
     return Report(
         energy_drift=slope, energy_oscillation=_oscillation(time, energy, slope),
         momentum_change=_largest_change(record.momentum, record.absolute_momentum, linear),
@@ -390,8 +389,7 @@ def conservation_report(record: Record, angular: bool, cost: Cost | None = None,
         temperatures=_ends(heat), volumes=_ends(volume), not_finite=_not_finite(record),
         temperature_error=mean_and_error(heat)[1],
         is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * potential.max()), too_long_a_step=too_long_a_step,
-    )
-    # fmt: on
+    )  # fmt: skip
 
 
 def _not_finite(record: Record) -> str:

@@ -68,8 +68,8 @@ MADE: dict[str, type[law.Declared]] = {  # by type
 
 def section_of(kind: str, made: type[law.Declared]) -> Any:
     """The section with this type for a class."""
-    keys: dict[str, Any] = {one.name: key(one, made) for one in fields(made)}  # type: ignore[arg-type]
-    keys |= {"__base__": OfForces, "__module__": __name__, "type": (Literal[kind], ...)}
+    keys: dict[str, Any] = {"__base__": OfForces, "__module__": __name__, "type": (Literal[kind], ...)}
+    keys |= {one.name: key(one, made) for one in fields(made)}  # type: ignore[arg-type]
     return create_model(f"{made.__name__}Section", **keys)
 
 

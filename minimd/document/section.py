@@ -14,7 +14,6 @@ from minimd.structure.checks import LARGEST
 from minimd.structure.units import BAR, BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3, PICOSECOND
 
 # unit system: dimension: ending of the key: size of that unit in units of the engine
-# fmt: off
 KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {"ASE": {
     "length": {"_A": 1.0}, "time": {"_fs": FEMTOSECOND}, "temperature": {"_K": 1.0},
     "energy": {"_K": BOLTZMANN_EV_PER_K, "_eV": 1.0}, "force": {"_eV_A": 1.0}, "density": {"_g_cm3": GRAM_PER_CM3},
@@ -22,8 +21,7 @@ KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {"ASE": {
     "stiffness": {"_eV_A2": 1.0}, "angle": {"_degree": DEGREE}, "angular stiffness": {"_eV_rad2": 1.0},
     "inverse length": {"_per_A": 1.0}, "velocity": {"_A_ps": 1.0 / PICOSECOND},
     "acceleration": {"_A_ps2": 1.0 / PICOSECOND**2},
-}}
-# fmt: on
+}}  # fmt: skip
 KEY_UNITS["LJ"] = {dimension: {"": 1.0} for dimension in KEY_UNITS["ASE"]} | {"angle": {"_degree": DEGREE}}
 # key: its field, and the factor by which its numbers are multiplied, None if it is not a quantity
 Keys = dict[str, tuple[str, float | None]]

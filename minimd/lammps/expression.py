@@ -26,7 +26,6 @@ SAME = "sqrt exp log sin cos tan asin acos atan sinh cosh tanh erf erfc floor ce
 FUNCTIONS = {name: name for name in SAME.split()}  # names in math and numpy: in Lepton
 FUNCTIONS |= {"arcsin": "asin", "arccos": "acos", "arctan": "atan", "fabs": "abs", "absolute": "abs"}
 FUNCTIONS |= {"maximum": "max", "minimum": "min", "where": "select"}
-# fmt: off
 COMPUTED: dict[str, Callable[..., Any]] = {  # names in math and numpy: by operators and other functions
     "add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "negative": operator.neg,
     "divide": operator.truediv, "true_divide": operator.truediv,
@@ -35,8 +34,7 @@ COMPUTED: dict[str, Callable[..., Any]] = {  # names in math and numpy: by opera
     "square": lambda x: x * x, "reciprocal": lambda x: 1.0 / x, "cbrt": lambda x: x ** (1.0 / 3.0),
     "expm1": lambda x: x.of("exp", x) - 1.0, "log1p": lambda x: x.of("log", 1.0 + x),
     "log10": lambda x: x.of("log", x) / math.log(10.0), "log2": lambda x: x.of("log", x) / math.log(2.0),
-}
-# fmt: on
+}  # fmt: skip
 LEAVES = {"r": "r", "r2": "(r*r)"}  # symbols without arguments, as they are written
 
 
@@ -91,14 +89,12 @@ class Symbol:
         return applied(function.__name__, *inputs)
 
 
-# fmt: off
 OPERATORS: dict[str, Callable[..., Any]] = {  # of Python, by their names in operator; a is a symbol
     "neg": lambda a: 0.0 - a, "pos": lambda a: a, "abs": lambda a: a.of("abs", a),
     "lt": lambda a, b: 1.0 - (a >= b), "gt": lambda a, b: 1.0 - (a <= b), "ne": lambda a, b: 1.0 - (a == b),
     "le": lambda a, b: a.of("step", b - a), "ge": lambda a, b: a.of("step", a - b),
     "eq": lambda a, b: a.of("delta", a - b),
-}
-# fmt: on
+}  # fmt: skip
 for _name, _sign in {"add": "+", "sub": "-", "mul": "*", "truediv": "/", "pow": "^"}.items():
     OPERATORS[_name] = lambda a, b, sign=_sign: a.of(sign, a, b)
     OPERATORS[f"r{_name}"] = lambda a, b, sign=_sign: a.of(sign, b, a)

@@ -121,11 +121,8 @@ class Snapshot:
         defaults, keywords = function.__defaults__ or (), function.__kwdefaults__ or {}
         values, keyword_values = self._data(tuple(defaults)), self._data(tuple(keywords.values()))
         self._note(tuple(keywords))
-        first, second = (
-            unread(function, one or None, dict(zip(keywords, each, strict=True)) or None)
-            for one, each in zip(values, keyword_values, strict=True)
-        )
-        return first, second
+        named = [dict(zip(keywords, each, strict=True)) or None for each in keyword_values]
+        return unread(function, values[0] or None, named[0]), unread(function, values[1] or None, named[1])
 
     def _fill(self, function: FunctionType, first: FunctionType, second: FunctionType) -> None:
         """Give the shells copies of the globals and closure cells that the function reads."""

@@ -109,9 +109,8 @@ def drift(time: Array, series: Array, blocks: int = BLOCKS, beside: Array | None
     own = least = independent(rest)
     if beside is not None:
         least = min(own, independent(_line(t, block_means(beside, blocks))[1]))
-    one, safe = (
-        Drift(slope, float(np.sqrt(rest @ rest / blocks / max(1.0, n - 2.0) / t.var())), n) for n in (own, least)
-    )
+    variance = rest @ rest / blocks
+    one, safe = (Drift(slope, float(np.sqrt(variance / max(1.0, n - 2.0) / t.var())), n) for n in (own, least))
     return replace(safe, is_unsure=own < INDEPENDENT or one.is_significant)
 
 

@@ -308,10 +308,9 @@ def _verified(job: Job, model: Model) -> Verification:
     if job.stop_requested:
         raise KeyboardInterrupt("stopped before the run of LAMMPS")
     if log.processes != job.processes:
-        raise HandOverError(
-            f"LAMMPS runs on {log.processes} process instead of {job.processes}; {job.program.lmp} was probably built "
-            f"without MPI, or for another mpiexec than {job.program.mpiexec}: {INSTALL}"
-        )
+        raise HandOverError(f"LAMMPS runs on {log.processes} process instead of {job.processes}; {job.program.lmp} was "
+                            f"probably built without MPI, or for another mpiexec than {job.program.mpiexec}: "
+                            f"{INSTALL}")  # fmt: skip
     places = zip(script.STEP_0.values(), (model.box, box), strict=True)
     written = ((columns, box) for name, box in places for _, columns in frames(job.folder / name, len(copy)))
     verification = compare(ours, (script.per_atom(*one) for one in written))

@@ -124,15 +124,10 @@ def run(
             if stop.stop_requested:
                 return reading
         reading.read_on()
-        if child.returncode != 0:
-            raise HandOverError(_failure(child.returncode, reading, (folder / OUTPUT).read_text(errors="replace")))
-    return reading
-
-
-def _failure(code: int, log: "Log", output: str) -> str:
-    """Why a run ended, in words."""
-    lines = [line for line in (*log.lines_of_errors, *output.splitlines()) if "ERROR" in line]
-    where = f"after step {next(reversed(log.rows))}" if log.rows else "before its first step"
+    if (code := child.returncode) == 0:
+        return reading
+    output, rows = (folder / OUTPUT).read_text(errors="replace"), reading.rows
+    lines = [line for line in (*reading.lines_of_errors, *output.splitlines()) if "ERROR" in line]
     if lines:
         words = lines[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process")
         reason = re.sub(r" \(src.*\)$", "", words)
@@ -142,7 +137,8 @@ def _failure(code: int, log: "Log", output: str) -> str:
         reason = f"killed by {signal.Signals(-code).name}"
     else:
         reason = f"exit code {code}; {' '.join(output.split())[-200:]}".rstrip("; ")
-    return f"LAMMPS ended {where}: {reason}"
+    where = f"after step {next(reversed(rows))}" if rows else "before its first step"
+    raise HandOverError(f"LAMMPS ended {where}: {reason}")
 
 
 class Log:

@@ -57,10 +57,12 @@ class Verification:
     def check(self, engine: Engine, tolerance: float) -> None:
         """Raise HandOverError if LAMMPS and minimd differ by more than a tolerance."""
         if not self.worst <= tolerance:
+            by = (
+                f"energies of atoms by {self.energies:.1e}, forces by {self.forces:.1e} (atom {self.atom}), virials by "
+            )
+            by += f"{self.virials:.1e} of the largest, allowed is {tolerance:g}"
             raise HandOverError(
-                f"LAMMPS and minimd differ at step 0: energies of atoms by {self.energies:.1e}, forces by "
-                f"{self.forces:.1e} (atom {self.atom}), virials by {self.virials:.1e} of the largest, allowed is "
-                f"{tolerance:g}; the run was not started{on_a_cutoff(engine)}"
+                f"LAMMPS and minimd differ at step 0: {by}; the run was not started{on_a_cutoff(engine)}"
             )
 
 

@@ -77,9 +77,9 @@ class ClusterList(VerletList):
         build += [(cluster_build.list_rows, n, make_room), (cluster_build.finish_list, 1, None)]
         if self._excluded is not None:
             build += [(cluster_build.number_slots, n, None), (cluster_build.exclude_pairs, n, None)]
-        own, after = {"is_kept": True}, 1 + len(build)
+        own, after, refuse = {"is_kept": True}, 1 + len(build), lambda _answer: raise_not_finite(self._positions)
         yield operation(self._calls, cluster_build.place_atoms, self.building, n, **own)
-        yield operation(self._calls, cluster_build.is_valid, self.building, otherwise=after, python=self._refuse, **own)
+        yield operation(self._calls, cluster_build.is_valid, self.building, otherwise=after, python=refuse, **own)
         for k, (kernel, n_chunks, remedy) in enumerate(build, start=2):
             then, again = 1 if k < after else -k, 3 - k  # in the end to place_atoms; after a remedy to sort_atoms
             yield operation(self._calls, kernel, self.building, n_chunks, then=then, python=remedy, again=again, **own)
@@ -154,9 +154,6 @@ class ClusterList(VerletList):
         self._n_counted = int(self._layers[BUILDS])  # the caller counts
         self._positions = before
         self._arrange_building()
-
-    def _refuse(self, _answer: int) -> None:
-        raise_not_finite(self._positions)
 
     def _built_at(self) -> NDArray[np.float64]:
         clusters, n_lanes, n = self.clusters, self.lanes.size, self.n_clusters

@@ -98,11 +98,9 @@ def same_labels(one: Atoms, other: Atoms) -> bool:
 
 def same_scene(one: Atoms, other: Atoms) -> bool:
     """True if only positions, momenta and cell can differ."""
-    fixed = (
-        [atoms.numbers, atoms.get_masses(), atoms.get_initial_charges(), atoms.pbc]
-        + [atoms.arrays.get(name, ()) for name in (LABELS, *GROUPS)]
-        for atoms in (one, other)
-    )
+    fixed = [[atoms.numbers, atoms.get_masses(), atoms.get_initial_charges(), atoms.pbc] for atoms in (one, other)]
+    for arrays, atoms in zip(fixed, (one, other), strict=True):
+        arrays += [atoms.arrays.get(name, ()) for name in (LABELS, *GROUPS)]
     return all(map(np.array_equal, *fixed)) and one.calc is other.calc
 
 

@@ -1,6 +1,6 @@
 """Constraints of a scene: fixed distances and fixed atoms. The solvers that keep them are in minimd.constraints."""
 
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +18,6 @@ from minimd.structure.checks import (
 )
 
 SolverName = Literal["auto", "newton", "shake"]
-SOLVERS = ("auto", "newton", "shake")
 TOLERANCE = 1e-12  # of |r² − d²|/d², if none is given
 
 
@@ -48,7 +47,10 @@ class DistanceConstraints:
             given = checked_numbers("lengths", lengths, "one number, or one for each pair")
             given = given.reshape(()) if given.shape == (1,) else given
             self.lengths = checked_sizes("lengths", given, len(self.pairs), "pair")
-        self.tolerance, self.solver = checked_number("tolerance", tolerance), checked_choice("solver", solver, SOLVERS)
+        self.tolerance, self.solver = (
+            checked_number("tolerance", tolerance),
+            checked_choice("solver", solver, get_args(SolverName)),
+        )
         if not 0.0 < self.tolerance < 1.0:
             raise ValueError(f"tolerance, of |r² − d²|/d², must lie between 0 and 1; tolerance = {tolerance!r}")
 

@@ -50,10 +50,8 @@ class Hessenberg(DifferentialAlgebraic):
 
     def __init__(self, solver: Newton, *functions: Function) -> None:
         super().__init__(solver)
-        self._functions = [
-            taking(function, " ".join(("t", *self.names[:n])), name)
-            for function, (name, n) in zip(functions, self.functions, strict=True)
-        ]
+        asked = [(name, " ".join(("t", *self.names[:n]))) for name, n in self.functions]
+        self._functions = [taking(one, names, name) for one, (name, names) in zip(functions, asked, strict=True)]
         self.f, self.g = self._functions[0], self._functions[-1]
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:

@@ -50,9 +50,8 @@ def arguments(
     if taken == tuple(name for name in every if name in taken):
         return taken
     places = every if len(taken) == len(every) else most
-    if len(taken) == len(places) and all(
-        given == place or given not in every for given, place in zip(taken, places, strict=True)
-    ):
+    pairs = zip(taken, places, strict=False)
+    if len(taken) == len(places) and all(given == place or given not in every for given, place in pairs):
         return places
     alone = "" if most == every else f"{', '.join(most)}, or "
     needed = f"{alone}some of {', '.join(every)}, in this order and under these names"

@@ -5,7 +5,7 @@ reversible. The energy it gives to the system is counted like the heat of a ther
 total energy minus reservoir energy changes only by errors of the time step.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from math import inf, log, sqrt
 
 import numpy as np
@@ -116,8 +116,7 @@ class StochasticCellRescaling(Displayed):
     @property
     def parameters(self) -> dict[str, float | int | str | None]:
         """The constructor arguments that recreate this barostat, by name."""
-        names = ("pressure", "compressibility", "relaxation_time", "seed", "temperature", "coupling", "every")
-        return {name: getattr(self, name) for name in names}
+        return {one.name: getattr(self, one.name) for one in fields(self) if one.init}
 
     def strain(self, state: ThermodynamicState, duration: float, number: int) -> Array:
         """ε, (3, 3).  duration : h [time].  number : of the step; it selects the noise."""

@@ -21,16 +21,10 @@ from minimd.potentials.pair import Nonbonded
 from minimd.structure.bond_graph import among
 from minimd.structure.checks import LARGEST
 from minimd.structure.constraints import DistanceConstraints
-from minimd.structure.observables import (
-    Array,
-    absolute_momentum,
-    kinetic_energy,
-    largest_component,
-    longest,
-    temperature,
-)
+from minimd.structure.observables import absolute_momentum, kinetic_energy, largest_component, longest, temperature
 from minimd.structure.system import System, changed
 from minimd.structure.units import ASE, BAR
+from minimd.structure.vectors import Array
 
 # before
 QUICK = 0.1  # of the relaxation time of a barostat, between two strains: fluctuations are then wrong by up to a tenth

@@ -189,7 +189,11 @@ class Curvature:
             return np.zeros_like(vector)
         step = self.displacement / longest
         change = self._forces_at(steps, -step) - self._forces_at(steps, step)
-        product = change * (0.5 * longest / self.displacement) + self._constraint_springs(steps)
+        product = change * (0.5 * longest / self.displacement)
+        for pairs, multipliers in self._springs:  # λ r_ij is the force on j: a step u changes it by λ (u_j − u_i)
+            pull = multipliers[:, None] * (steps[pairs[:, 1]] - steps[pairs[:, 0]])
+            np.add.at(product, pairs[:, 1], -pull)
+            np.add.at(product, pairs[:, 0], pull)
         accelerations = self._constraint_set.inverse_masses[:, None] * product
         self._constraint_set.project(accelerations, self._start)
         return np.divide(accelerations, self._root, out=np.zeros_like(accelerations), where=self._root > 0.0).ravel()
@@ -228,12 +232,3 @@ class Curvature:
             return self._forces.compute().copy()
         finally:
             self._system.positions[:] = self._start
-
-    def _constraint_springs(self, steps: Array) -> Array:
-        """−Σ λ ∇²g u, (N, 3): λ r_ij is the force on j, so that a step u changes it by λ (u_j − u_i)."""
-        forces = np.zeros_like(steps)
-        for pairs, multipliers in self._springs:
-            pull = multipliers[:, None] * (steps[pairs[:, 1]] - steps[pairs[:, 0]])
-            np.add.at(forces, pairs[:, 1], -pull)
-            np.add.at(forces, pairs[:, 0], pull)
-        return forces

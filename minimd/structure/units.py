@@ -72,8 +72,7 @@ ASE = UnitSystem(name="ASE", k_B=BOLTZMANN_EV_PER_K, coulomb=COULOMB, to_angstro
                  shown_small_time=1000.0, energy="eV", temperature="K", pressure="eV/Å³", momentum="√(u eV)",
                  angular_momentum="Å √(u eV)", volume="Å³")  # fmt: skip
 
-fs = FEMTOSECOND
-ps = PICOSECOND
+fs, ps = FEMTOSECOND, PICOSECOND
 SYSTEMS = {"ASE": ASE, "LJ": LJ}
 
 

@@ -33,14 +33,7 @@ from numpy.typing import ArrayLike
 from minimd.compiled.kernels import kernel
 from minimd.console.words import shown
 from minimd.integrators.method import Array, Problem, Step
-from minimd.integrators.ode.functions import (
-    Field,
-    Function,
-    check_finite,
-    checked_values,
-    forward_differences,
-    reading,
-)
+from minimd.integrators.ode.functions import Field, Function, check_finite, checked_values, forward_differences, reading
 from minimd.integrators.ode.newton import FixedPoint, Iteration, Newton, checked_solver
 from minimd.integrators.splitting.order_conditions import nystrom_order, separable_order
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substep, Substeps

@@ -96,9 +96,8 @@ class Minimd(Engine):
     """minimd as a user calls it.  every : steps between observations; if not given, only start and end of a run are
     observed.  trajectory : file to write, replaced by each run."""
 
-    def __init__(
-        self, scene: BenchScene, threads: int = 1, every: int | None = None, trajectory: Path | None = None
-    ) -> None:
+    def __init__(self, scene: BenchScene, threads: int = 1, every: int | None = None,
+                 trajectory: Path | None = None) -> None:  # fmt: skip
         given = scene.system, scene.potentials, scene.method, scene.constraints
         self.simulation = simulation = md.Simulation(*given, threads=threads, barostat=scene.barostat)
         simulation.frame()  # evaluates the forces

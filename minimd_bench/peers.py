@@ -195,9 +195,8 @@ def _checked(options: PeersOptions) -> tuple[int, ...]:
     return threads
 
 
-def _beside(
-    name: str, n: int, options: PeersOptions, threads: Sequence[int], peers: Sequence[str]
-) -> list[EngineSpeed]:
+def _beside(name: str, n: int, options: PeersOptions, threads: Sequence[int],
+            peers: Sequence[str]) -> list[EngineSpeed]:  # fmt: skip
     scene = SCENES[name](n)
     if name != MELT:  # the melt is equilibrated while the engines warm up
         scene = equilibrated(scene)

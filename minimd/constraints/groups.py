@@ -291,9 +291,8 @@ def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: F
     return answer
 
 
-def _corners(
-    graph: Graph, base: Ints, offsets: Floats
-) -> tuple[tuple[Ints, ...], tuple[Floats, ...], tuple[Ints, ...]]:
+def _corners(graph: Graph, base: Ints,
+             offsets: Floats) -> tuple[tuple[Ints, ...], tuple[Floats, ...], tuple[Ints, ...]]:  # fmt: skip
     """Of each triangle: atoms apex, b, c with b-c the base; offsets of b and c from the apex, (T, 3) each; the two
     other constraints."""
     starts = graph.components.starts[:-1]

@@ -479,9 +479,8 @@ def fault_of(engine: Engine, *when: str) -> str | None:
     return next((verdict.cause for _, verdict in verdicts(Evidence(engine), DURING, *when)), None)
 
 
-def runaway(
-    engine: Engine, first: Mapping[str, float], growth: float = RUNAWAY, since: str = "the run began"
-) -> str | None:
+def runaway(engine: Engine, first: Mapping[str, float], growth: float = RUNAWAY,
+            since: str = "the run began") -> str | None:  # fmt: skip
     """That energies have grown without bound, as they do beyond the stability limit of a method; None if they have not.
 
         K + |U| > growth (K₀ + |U₀| + R)   and   |E − E₀| > (K + |U|) / 2,   R = Σ m (ulp(r)/Δt)²

@@ -318,9 +318,8 @@ def _verified(job: Job, model: Model) -> Verification:
     return verification
 
 
-def _brought_back(
-    job: Job, model: Model, log: Log, scale: float, store_forces: bool, is_whole: bool
-) -> tuple[Record, float, int]:
+def _brought_back(job: Job, model: Model, log: Log, scale: float, store_forces: bool,
+                  is_whole: bool) -> tuple[Record, float, int]:  # fmt: skip
     """Write the frames, observed by minimd, into the H5MD file; the simulation is then in the last state.
     Returns the record of the frames, the energy difference (see HandOver), and the number of frames that are missing.
     is_whole : whether LAMMPS has reached its end. If not, the frames that exist are kept if there is one after the

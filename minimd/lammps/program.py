@@ -108,9 +108,8 @@ def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
             guard.communicate()  # the shell kills processes that mpiexec has left, and itself
 
 
-def run(
-    command: list[str], folder: Path, log: str, stop: Stoppable, tell: Callable[[int], object] = lambda step: None
-) -> "Log":
+def run(command: list[str], folder: Path, log: str, stop: Stoppable,
+        tell: Callable[[int], object] = lambda step: None) -> "Log":  # fmt: skip
     """Run LAMMPS to its end, or until a stop is requested; returns its log.  tell : called with the step,
     as the log grows.
     Raises HandOverError, with the first error that LAMMPS printed, if it fails."""

@@ -127,9 +127,8 @@ write_dump all custom {LAST} id xu yu zu vx vy vz
 """
 
 
-def held(
-    model: Model, fix: str = "shake", tolerance: float = SHAKE_TOLERANCE, most: int = SHAKE_ITERATIONS
-) -> list[str]:
+def held(model: Model, fix: str = "shake", tolerance: float = SHAKE_TOLERANCE,
+         most: int = SHAKE_ITERATIONS) -> list[str]:  # fmt: skip
     """Rigid bonds, after all other fixes.
     Fix rattle is not the default: that of LAMMPS 22 Jul 2025 moves molecules of three atoms on the border of two
     processes wrongly, and dumps velocities with a component along the bonds. The positions of SHAKE are those of

@@ -48,9 +48,8 @@ class ClusterList(VerletList):
     _bins: Binned
     _entries: NDArray[np.uint32]
 
-    def __init__(
-        self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_fixed: bool, pool: ThreadPool
-    ) -> None:
+    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_fixed: bool,
+                 pool: ThreadPool) -> None:  # fmt: skip
         super().__init__(cutoff, skin)
         self._excluded = partners(excluded, n_atoms) if len(excluded) else None
         self._slot_of = np.zeros(n_atoms if len(excluded) else 0, dtype=np.int64)

@@ -145,9 +145,8 @@ def columns_fit(positions, columns):
     return True
 
 
-def make_clusters(
-    n_clusters: int, columns: Columns, lanes: Lanes, for_build: Sequence[NDArray], memory: Buffers, spare: float
-) -> Clusters:
+def make_clusters(n_clusters: int, columns: Columns, lanes: Lanes, for_build: Sequence[NDArray], memory: Buffers,
+                  spare: float) -> Clusters:  # fmt: skip
     """Arrays with room for so many.  for_build : bottom, top, boxes.  spare : see Buffers.array."""
     n_slots, array = n_clusters * lanes.size, partial(memory.array, spare=spare)
     column_start = array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1)

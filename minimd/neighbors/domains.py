@@ -96,9 +96,8 @@ def ghosts_for_search(n_ghosts: int, n_in_windows: int) -> Fields:
     return heights, heights, boxes, (np.uint8, (n_ghosts,)), (np.bool_, (n_in_windows + n_ghosts,))
 
 
-def make_ghosts(
-    n_clusters: int, n_ghosts: int, n_in_windows: int, for_search: Sequence[NDArray], memory: Buffers
-) -> GhostClusters:
+def make_ghosts(n_clusters: int, n_ghosts: int, n_in_windows: int, for_search: Sequence[NDArray],
+                memory: Buffers) -> GhostClusters:  # fmt: skip
     """Arrays with room for so many, for fill_ghosts and sort_ghosts.  for_search : those of ghosts_for_search."""
     room = functools.partial(memory.array, spare=1.0)
     (owner, of), image = (room(name, np.int32, n_ghosts) for name in ("owner", "of")), room("image", np.uint8, n_ghosts)

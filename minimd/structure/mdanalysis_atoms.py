@@ -12,9 +12,8 @@ from minimd.structure.bond_graph import GROUPS
 from minimd.structure.units import LJ, UnitSystem
 
 
-def universe_arguments(
-    universe: Universe | AtomGroup, units: UnitSystem, groups: Mapping[str, ArrayLike | None], pbc: ArrayLike | None
-) -> dict[str, Any]:
+def universe_arguments(universe: Universe | AtomGroup, units: UnitSystem, groups: Mapping[str, ArrayLike | None],
+                       pbc: ArrayLike | None) -> dict[str, Any]:  # fmt: skip
     """Arguments for System from a universe or a group of its atoms, as System.from_mdanalysis describes them.
     groups : bonds, angles, dihedrals and impropers by these names; None for those of the universe.
     Raises TypeError for anything else.  ValueError for atoms without masses, where the units have no default."""

@@ -49,9 +49,8 @@ class Implicit(DifferentialAlgebraic):
     The start is y, or (y, y′) with a guess of y′. Variables whose derivative does not occur in F are guesses as well.
     """
 
-    def __init__(
-        self, F: Function, F_y: Function | None = None, F_slope: Function | None = None, solver: Newton = Newton()
-    ) -> None:
+    def __init__(self, F: Function, F_y: Function | None = None, F_slope: Function | None = None,
+                 solver: Newton = Newton()) -> None:  # fmt: skip
         super().__init__(solver)
         self._F, self._slope = taking(F, "t y slope", "F"), np.zeros(0)
         self.given_state_jacobian = None if F_y is None else taking(F_y, "t y slope", "F_y")
@@ -113,9 +112,8 @@ class Implicit(DifferentialAlgebraic):
         of_slope = central_differences(lambda x: self.residual(t, y, x), slope)
         return of_slope, central_differences(lambda x: self.residual(t, x, slope), y)
 
-    def _solved(
-        self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float, size: float
-    ) -> tuple[Array, Array]:
+    def _solved(self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float,
+                size: float) -> tuple[Array, Array]:  # fmt: skip
         """y and y′ with F = 0 and dᵏF/dtᵏ = 0 for k below the number of derivatives in the jet (y′, y″, …).
         mobility : (n,) how easily variables move, 0 for fixed ones.  unit : of time.  size : of the largest variable.
         """

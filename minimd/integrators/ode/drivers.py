@@ -499,9 +499,8 @@ def stormer_summed(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: floa
     return _stormer(f, q0, v0, timestep, n_steps, advance)
 
 
-def _stormer(
-    f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int, advance: Callable[..., None]
-) -> Solution:
+def _stormer(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int,
+             advance: Callable[..., None]) -> Solution:  # fmt: skip
     """The path without the position after the end, which is needed for the last velocity only.
     advance : finds q_{n+1} and the increments from q_{n−1}, q_n and Δt² f(q_n)."""
     q0, v0 = np.asarray(q0, dtype=float), np.asarray(v0, dtype=float)

@@ -30,9 +30,8 @@ Map = Callable[[Array], Array]
 Path = Callable[[float], Array]
 
 
-def arguments(
-    function: Function, names: str, label: str, usual: str | None, wanted: str, unknown: str
-) -> tuple[str, ...]:
+def arguments(function: Function, names: str, label: str, usual: str | None, wanted: str,
+              unknown: str) -> tuple[str, ...]:  # fmt: skip
     """Which of the named arguments a function takes: by their names and in their order, else by their number, if it
     takes all of them or the usual ones.
     names, usual : separated by blanks.  unknown : what a function takes that cannot be asked, if not the usual.
@@ -58,9 +57,8 @@ def arguments(
     raise TypeError(f"{label} must take {needed}; it takes ({', '.join(taken)})")
 
 
-def reading(
-    function: Function, names: str, label: str, usual: str | None = None, wanted: str = "a function", unknown: str = ""
-) -> tuple[tuple[str, ...], Function]:
+def reading(function: Function, names: str, label: str, usual: str | None = None, wanted: str = "a function",
+            unknown: str = "") -> tuple[tuple[str, ...], Function]:  # fmt: skip
     """Which of the named arguments a function takes, and the function as one of all of them.  See arguments."""
     taken = arguments(function, names, label, usual, wanted, unknown)
     # written out, as a named tuple does it: a call through *values takes longer than many a force

@@ -156,9 +156,8 @@ def _relative_size(dx: Array, x: Array, scale: Sizes) -> float:
     return float(np.max(np.abs(dx) / np.maximum(floor, np.finfo(float).tiny)))
 
 
-def nearest_root(
-    function: Map, x: Array, step: float = CENTRAL, dependent: float = DEPENDENT, size: float = 0.0
-) -> Array:
+def nearest_root(function: Map, x: Array, step: float = CENTRAL, dependent: float = DEPENDENT,
+                 size: float = 0.0) -> Array:  # fmt: skip
     """A root of the function near the guess, by Gauss-Newton: each correction is the smallest that solves the
     linearized equations.
     step : of central differences, relative to x; WIDE for functions that are numerical derivatives themselves.

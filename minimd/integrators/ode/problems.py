@@ -285,9 +285,8 @@ class EulerStep:
         self.nfev, shape = self.nfev + (field is self._problem.f), self._problem.shape
         return field(t, q.reshape(shape), v.reshape(shape))
 
-    def _solved(
-        self, field: Field, jacobian: Field | None, x0: Array, place: Place, duration: float, iteration: Iteration
-    ) -> Array:
+    def _solved(self, field: Field, jacobian: Field | None, x0: Array, place: Place, duration: float,
+                iteration: Iteration) -> Array:  # fmt: skip
         """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one is constant.  place : (t, q, v)
         with this x."""
 

@@ -129,9 +129,8 @@ class StochasticCellRescaling(Displayed):
         spread = sqrt(2.0 * state.thermal * self.compressibility * duration / slowness)
         return self._drift_of_strain(state, duration) + spread * self.mask * 0.5 * (white + white.T)
 
-    def change_of_conserved(
-        self, before: ThermodynamicState, after: ThermodynamicState, strain: Array, duration: float
-    ) -> float:
+    def change_of_conserved(self, before: ThermodynamicState, after: ThermodynamicState, strain: Array,
+                            duration: float) -> float:  # fmt: skip
         """ΔH [energy] of one strain, as above.
 
         It is k_B T ln of the ratio of two probabilities: of the strain and of its reverse,

@@ -26,6 +26,19 @@ LOOKS = 50  # least number of lines with energies in the log of a run
 # xx yy zz yz xz xy
 PER_ATOM = "c_energies fx fy fz c_stresses[1] c_stresses[2] c_stresses[3] c_stresses[6] c_stresses[5] c_stresses[4]"
 
+# the runs of 0 steps: energy, force and virial of each atom, in the scene and in its copy
+VERIFICATION = f"""variable atoms index {ATOMS} {COPY}
+include {FORCES}
+compute energies all pe/atom
+compute stresses all stress/atom NULL virial
+dump step0 all custom 1 ${{atoms}}.bin id {PER_ATOM}
+thermo_style custom step pe
+thermo_modify norm no format float %.17g
+run 0
+clear
+next atoms
+jump SELF
+"""
 BATHS: dict[type, str] = {LangevinBAOAB: "fix langevin", StochasticVelocityRescaling: "fix temp/csvr"}
 METHODS: tuple[type[Splitting], ...] = (VelocityVerlet, Leapfrog, *BATHS)  # Leapfrog: same observed states
 
@@ -45,7 +58,7 @@ def write(folder: Path, engine: Engine, model: Model, n_steps: int, every: int) 
     """All files that a hand-over begins with."""
     write_atoms(folder / ATOMS, model, model.box, engine.velocities)
     write_whole(folder / FORCES, forces_script(model))
-    write_whole(folder / VERIFY, verify_script())
+    write_whole(folder / VERIFY, VERIFICATION)
     write_whole(folder / RUN, run_script(engine, model, n_steps, every))
 
 
@@ -87,22 +100,6 @@ def forces_script(model: Model) -> str:
     lines += [f"special_bonds lj/coul {words(*model.special_bonds())}", f"comm_modify cutoff {model.reach:.17g}"]
     lines += ["read_data ${atoms}", *model.commands(), f"neighbor {model.skin:.17g} {model.search}"]
     return "\n".join([*lines, "neigh_modify every 1 delay 0 check yes", ""])
-
-
-def verify_script() -> str:
-    """The runs of 0 steps: energy, force and virial of each atom, in the scene and in its copy."""
-    return f"""variable atoms index {ATOMS} {COPY}
-include {FORCES}
-compute energies all pe/atom
-compute stresses all stress/atom NULL virial
-dump step0 all custom 1 ${{atoms}}.bin id {PER_ATOM}
-thermo_style custom step pe
-thermo_modify norm no format float %.17g
-run 0
-clear
-next atoms
-jump SELF
-"""
 
 
 def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:

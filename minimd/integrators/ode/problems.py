@@ -262,8 +262,14 @@ class EulerStep:
     """Symplectic Euler methods in turn; each implicit equation is solved to rounding, from its explicit guess."""
 
     def __init__(self, problem: Partitioned, substeps: Substeps) -> None:
-        self.nfev, self._problem = 0, problem
-        self._factors = [(kind, weight, problem.solver.iteration()) for kind, weight in euler_factors(substeps)]
+        self.nfev, self._problem, self._factors = 0, problem, list[tuple[type[Substep], float, Iteration]]()
+        rest = 0.0
+        for substep in substeps:  # kick-first and drift-first in turn, each with the rest of its neighbor
+            rest = substep.coefficient - rest
+            if abs(rest) > COEFFICIENT_ROUNDING * len(substeps):
+                self._factors.append((type(substep), rest, problem.solver.iteration()))
+        if abs(rest) > COEFFICIENT_ROUNDING * len(substeps):
+            raise TypeError("a sequence whose kicks and drifts do not add up to the same time has no implicit form")
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
@@ -300,14 +306,3 @@ class EulerStep:
             lambda x: np.eye(x.size) - duration * self._value(jacobian, *place(x)).reshape(x.size, x.size)
         )
         return iteration.solve(lambda x: x - moved(x), guess, slope, duration, np.abs(x0).max())
-
-
-def euler_factors(substeps: Substeps) -> list[tuple[type[Substep], float]]:
-    """The sequence as symplectic Euler methods in turn, kick-first and drift-first, with their weights."""
-    factors, rest = [], 0.0
-    for substep in substeps:
-        rest = substep.coefficient - rest
-        factors.append((type(substep), rest))
-    if abs(rest) > COEFFICIENT_ROUNDING * len(substeps):
-        raise TypeError("a sequence whose kicks and drifts do not add up to the same time has no implicit form")
-    return [(kind, weight) for kind, weight in factors[:-1] if abs(weight) > COEFFICIENT_ROUNDING * len(substeps)]

@@ -257,7 +257,10 @@ class Steps:
             elif isinstance(one, Kick) and forces.power is not None:
                 yield in_python(partial(self._work, one.coefficient * timestep))
             elif isinstance(one, Drift) and around.constraints is not None:
-                yield from drifted_with_constraints(state, around, one.coefficient * timestep)
+                if isinstance(state, GridState):
+                    yield in_python(partial(around.drift, state, one.coefficient * timestep))
+                else:
+                    yield from around.constraints.drifts(state.positions, state.velocities, one.coefficient * timestep)
             elif isinstance(one, Projection):
                 yield from projected(state, around)
             elif isinstance(one, Thermalize):
@@ -284,14 +287,6 @@ class Steps:
 
     def _work(self, duration: float) -> None:
         self._around.work += duration * self._around.power
-
-
-def drifted_with_constraints(state: State, around: Surroundings, duration: float) -> Iterator[Operation]:
-    """A drift that keeps constrained lengths."""
-    if isinstance(state, GridState):
-        yield in_python(partial(around.drift, state, duration))
-    elif around.constraints is not None:
-        yield from around.constraints.drifts(state.positions, state.velocities, duration)
 
 
 def projected(state: State, around: Surroundings) -> Iterator[Operation]:

@@ -53,8 +53,11 @@ class Snapshot:
         self._note(sys.version, numba.__version__, np.__version__)
         self.function: Any
         self.python: FunctionType
-        copy_it = self._plain if isinstance(function, FunctionType) else self._compiled
-        self.function, self.python = copy_it(function)
+        if isinstance(function, FunctionType):
+            self.function, self.python = self._shells(function)
+            self._fill(function, self.function, self.python)
+        else:
+            self.function, self.python = self._compiled(function)
         self.digest = self._hash.hexdigest()[:32] if self._is_clear else ""
 
     def _note(self, *words: Any) -> None:
@@ -108,11 +111,6 @@ class Snapshot:
         self._copies[id(function)] = compiled, second
         self._fill(plain, first, second)
         return compiled, second
-
-    def _plain(self, function: FunctionType) -> tuple[FunctionType, FunctionType]:
-        first, second = self._shells(function)
-        self._fill(function, first, second)
-        return first, second
 
     def _shells(self, function: FunctionType) -> tuple[FunctionType, FunctionType]:
         """Two copies of a function that read nothing yet."""

@@ -90,8 +90,7 @@ def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
     component = connected_components(graph, directed=False)[1]
     k, sides = np.repeat(np.arange(len(pairs)), 2), bodies.reshape(-1)
     incidence = coo_array((np.tile([-1.0, 1.0], len(pairs)), (k, sides)), shape=(len(pairs), n + pairs.size)).tocsr()
-    weights = np.concatenate([inverse_masses, np.zeros(pairs.size)])
-    coupled = (incidence * weights) @ incidence.T
+    coupled = (incidence * np.concatenate([inverse_masses, np.zeros(pairs.size)])) @ incidence.T
     band_order = reverse_cuthill_mckee(coupled.tocsr(), symmetric_mode=True).astype(np.int64)
     label = component[bodies[band_order, 0]]
     order = band_order[np.argsort(label, kind="stable")]

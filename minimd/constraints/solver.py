@@ -145,8 +145,7 @@ class ConstraintSolver:
         found = []
         for group in self.groups:
             turning = velocities[self.pairs[group.order, 1]] - velocities[self.pairs[group.order, 0]]
-            targets = -np.einsum("ij,ij->i", turning, turning)
-            project = group.project(positions, accelerations, targets)
+            project = group.project(positions, accelerations, -np.einsum("ij,ij->i", turning, turning))
             self._run([self._kept(project, group, positions, accelerations, 0.0)])
             found.append((group.order, group.multipliers.copy()))
         return found

@@ -55,8 +55,7 @@ class Document:
         Raises ValueError with the name of the file and the entry."""
         with blamed_on(f"{self.path}: water"):
             first: list[Any] = [] if self.sections.water is None else self.sections.water.potentials()
-        each = self._each(lambda one: one.potential(*[self._table] * isinstance(one, TabulatedSection)))
-        return [*first, *each]
+        return [*first, *self._each(lambda one: one.potential(*[self._table] * isinstance(one, TabulatedSection)))]
 
     def tables(self) -> dict[str, Numbers]:
         """The numbers of all tables of tabulated laws, by name.  Raises ValueError as potentials."""

@@ -47,9 +47,8 @@ class Box:
         return vectors @ self.turn.T
 
     def positions_back(self, unwrapped: Array, expected: Array) -> Array:
-        """Unwrapped positions of LAMMPS (N, 3) [length], turned back and in the images of minimd.
-        LAMMPS loses multiples of IMAGES cells; those are taken that come closest to the expected positions, (N, 3)
-        [length]."""
+        """Unwrapped positions of LAMMPS (N, 3) [length], turned back and in the images of minimd. LAMMPS loses
+        multiples of IMAGES cells; those are taken that come closest to the expected positions, (N, 3) [length]."""
         positions = self.back(unwrapped) + self._shifts
         return positions + IMAGES * np.rint(self.crossed(expected - positions) / IMAGES) @ self._cell.lattice
 

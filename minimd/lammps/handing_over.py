@@ -83,8 +83,6 @@ BYTES_PER_ATOM, BYTES_PER_FRAME = 490, 130  # of the input and of step 0; of a f
 DISAGREEMENT = 1e-8  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
 MOST_STEPS = 2**31  # one run of LAMMPS makes fewer
 
-Tell = Callable[[str], object]
-
 
 @dataclass(frozen=True)
 class HandOver(Displayed):
@@ -138,7 +136,7 @@ def not_carried_over(simulation: Simulation) -> list[str]:
 
 def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, processes: int = 1, every: int = 100,
               store_forces: bool = False, overwrite: bool = False, progress: bool | None = None,
-              tell: Tell | None = print) -> HandOver:  # fmt: skip
+              tell: Callable[[str], object] | None = print) -> HandOver:  # fmt: skip
     """Let LAMMPS make the next steps of a simulation, which is then in the state in which LAMMPS ended, and can go on.
 
     The scene is written for LAMMPS from the same laws. LAMMPS evaluates it at step 0; energy, force and virial of each

@@ -81,10 +81,9 @@ def find_program() -> Program:
 
 @contextmanager
 def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
-    """A child process that prints to the file OUTPUT; it and its processes are ended when the context is left,
-    or when this process dies.
-    They are in a process group led by a shell, which waits for the end of its input and then kills the group. Only this
-    process can end that input: by closing the pipe, or by dying, even by kill -9."""
+    """A child process that prints to the file OUTPUT; it and its processes are ended when the context is left, or when
+    this process dies. They are in a process group led by a shell, which waits for the end of its input and then kills
+    the group. Only this process can end that input: by closing the pipe, or by dying, even by kill -9."""
     (folder / OUTPUT).unlink(missing_ok=True)  # of the run before
     with (folder / OUTPUT).open("x") as output:
         silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}

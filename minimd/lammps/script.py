@@ -84,8 +84,7 @@ def write_atoms(path: Path, model: Model, box: Box, velocities: NDArray[np.float
 
 def _rows(row: str, *columns: NDArray[Any]) -> Iterator[str]:
     """Lines of a table, in pieces: a number, from 1 on, and the entries of the columns."""
-    n = len(columns[0])
-    for first in range(0, n, ATOMS_AT_ONCE):
+    for first in range(0, len(columns[0]), ATOMS_AT_ONCE):
         ones = (one[first : first + ATOMS_AT_ONCE] for one in columns)
         part = [np.atleast_2d(one.T).tolist() for one in ones]
         numbers = range(first + 1, first + 1 + len(part[0][0]))
@@ -126,10 +125,9 @@ write_dump all custom {LAST} id xu yu zu vx vy vz
 
 def held(model: Model, fix: str = "shake", tolerance: float = SHAKE_TOLERANCE,
          most: int = SHAKE_ITERATIONS) -> list[str]:  # fmt: skip
-    """Rigid bonds, after all other fixes.
-    Fix rattle is not the default: that of LAMMPS 22 Jul 2025 moves molecules of three atoms on the border of two
-    processes wrongly, and dumps velocities with a component along the bonds. The positions of SHAKE are those of
-    RATTLE, and so are its velocities after a projection, see handing_over."""
+    """Rigid bonds, after all other fixes. Fix rattle is not the default: that of LAMMPS 22 Jul 2025 moves molecules of
+    three atoms on the border of two processes wrongly, and dumps velocities with a component along the bonds. The
+    positions of SHAKE are those of RATTLE, and so are its velocities after a projection, see handing_over."""
     kinds = {"b": model.rigid_bonds, "a": model.rigid_angles}
     types = [word for key, ones in kinds.items() if ones for word in (key, *(str(k + 1) for k in ones))]
     return [f"fix rigid all {fix} {tolerance} {most} 0 {' '.join(types)}"] if types else []

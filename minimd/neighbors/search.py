@@ -126,8 +126,7 @@ def bins_of(cell: Cell, grid: Grid, bin_start: NDArray[np.int64]) -> Bins:
 
 def _steps(most: NDArray[np.int64]) -> NDArray[np.int64]:
     """(K, 3) int: all triples from −most to most, the last number running fastest."""
-    axes = [np.arange(-n, n + 1) for n in most]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.stack(np.meshgrid(*(np.arange(-n, n + 1) for n in most), indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 @kernel

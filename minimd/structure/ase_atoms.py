@@ -66,7 +66,14 @@ def atoms_from_system(system: Any) -> Atoms:
         atoms.set_array(LABELS, system.species)
     if named := texts(system.groups(), len(atoms)):
         atoms.arrays.update(named, id=np.arange(1, len(atoms) + 1))
-    atoms.set_constraint(ases_constraints_of(system))
+    kept: list[FixConstraint] = []
+    for constraint in system.constraints:
+        if isinstance(constraint, FixedAtoms):
+            kept.append(FixAtoms(indices=constraint.atoms))
+        else:  # for ASE's solver
+            lengths = lengths_of(system.positions, system.cell, constraint).copy()
+            kept.append(FixBondLengths(constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths))
+    atoms.set_constraint(kept)
     return atoms
 
 
@@ -149,18 +156,6 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
         pairs, values = (np.concatenate(part) for part in zip(*lengths, strict=True))
         answer.append(DistanceConstraints(pairs, values, min(tolerances, default=TOLERANCE)))
     return tuple(answer)
-
-
-def ases_constraints_of(system: Any) -> list[FixConstraint]:
-    """The constraints of a system for an ase.Atoms: FixAtoms, and FixBondLengths with the lengths, for ASE's solver."""
-    answer: list[FixConstraint] = []
-    for constraint in system.constraints:
-        if isinstance(constraint, FixedAtoms):
-            answer.append(FixAtoms(indices=constraint.atoms))
-        else:
-            lengths = lengths_of(system.positions, system.cell, constraint).copy()
-            answer.append(FixBondLengths(constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths))
-    return answer
 
 
 def fixes_center(atoms: Atoms) -> bool:

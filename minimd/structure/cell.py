@@ -73,8 +73,7 @@ class Cell(Displayed):
         Raises ValueError if the shape is wrong, a number is masked, complex or not finite, pbc is neither one bool nor
         three, a periodic direction has no vector, or the periodic vectors are linearly dependent."""
         matrix = _as_matrix(vectors)
-        given = np.any(matrix != 0.0, axis=1)
-        return cls(matrix, given if pbc is None else _as_flags(pbc))
+        return cls(matrix, np.any(matrix != 0.0, axis=1) if pbc is None else _as_flags(pbc))
 
     @classmethod
     def of_reduction(cls, vectors: Array, reduction: NDArray[np.int64]) -> "Cell":
@@ -153,10 +152,9 @@ class Images(ByAddress, namedtuple("Images", "lattice inverse pbc safe_distance2
 
 @scalar
 def minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2):
-    """Integers (a, b, c) for which d + (a, b, c) · lattice is shortest.
-    A vector shorter than half the smallest height is its own minimum image. Otherwise the fractional coordinates are
-    rounded. A result as short as that is right; a longer one is compared with its 26 neighbors,
-    which suffices in a reduced lattice."""
+    """Integers (a, b, c) for which d + (a, b, c) · lattice is shortest. A vector shorter than half the smallest height
+    is its own minimum image. Otherwise the fractional coordinates are rounded. A result as short as that is right; a
+    longer one is compared with its 26 neighbors, which suffices in a reduced lattice."""
     if dx * dx + dy * dy + dz * dz <= safe_distance2:
         return 0.0, 0.0, 0.0
     a = -np.rint(dx * inverse[0, 0] + dy * inverse[1, 0] + dz * inverse[2, 0]) if pbc[0] else 0.0

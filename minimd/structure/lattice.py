@@ -34,8 +34,7 @@ def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tup
         given = f"repeat = {shown(repeat)} makes {n_atoms:.1e} of them"
         raise ValueError(f"repeat must make at most {MOST_ATOMS} atoms; {given}")
     corners = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    positions = (corners + np.array(basis)).reshape(-1, 3) * lattice_constant
-    return positions, counts.astype(np.float64) * lattice_constant
+    return (corners + np.array(basis)).reshape(-1, 3) * lattice_constant, counts.astype(np.float64) * lattice_constant
 
 
 def constant_from_density(lattice: str, density: float, mass: float = 1.0) -> float:

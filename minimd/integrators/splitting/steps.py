@@ -223,8 +223,7 @@ class Steps:
         new = (Force(unit_of(self._row, head[first])),) if needs_forces else ()  # type: ignore[arg-type]
         again = list(self._made_of((*rest, Beginning(), *head), in_rest))
         is_slow = any(one.code == 0 for one in again)  # there may be much time in a call of Python
-        breath = 1 if is_slow else max(1, ATOM_STEPS // max(1, len(self._state.positions)))
-        self.counts[UNTIL_BREATH:] = breath
+        self.counts[UNTIL_BREATH:] = 1 if is_slow else max(1, ATOM_STEPS // max(1, len(self._state.positions)))
         yield from self._made_of((*head[:first], *new, *head[first:]), start)
         yield operation(self._calls, count_step, self._counting, otherwise=1 + len(again), python=self._breathe)
         yield from again[:-1]

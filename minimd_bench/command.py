@@ -85,8 +85,7 @@ THREADS = "numbers of threads, for engines that can use several (default: 1 and 
 INGREDIENTS = "the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing"
 ABOUT = "measure the speed of minimd: compared with other engines, and run time against error"
 COMMAND = Command("bench", ABOUT, f"{ABOUT[0].upper()}{ABOUT[1:]}.", below=(
-    benchmark(
-        "peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3",
+    benchmark("peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3",
         Argument("--scene", f"{SCENE_NAMES} (default: melt)", more={"default": "melt"}),
         Argument("--scenes", SEVERAL, None, "NAME", {"nargs": "*"}),
         Argument("--cells", "sizes: 4 N³ atoms, or about as many; water: 3 N³ (default: 5,10,20,40)", counts, "N,..."),
@@ -94,13 +93,10 @@ COMMAND = Command("bench", ABOUT, f"{ABOUT[0].upper()}{ABOUT[1:]}.", below=(
         Argument("--peers", f"{PEER_NAMES}, or none (default: all that are installed)", words, "NAME,...",
                  {"default": ()}),
         description=PEERS_TEXT),
-    benchmark(
-        "work-precision", "run time against error: every method and time step",
+    benchmark("work-precision", "run time against error: every method and time step",
         Argument("scenes", PRECISE, None, "SCENE", {"nargs": "*"})),
-    benchmark(
-        "scene", INGREDIENTS,
+    benchmark("scene", INGREDIENTS,
         Argument("--cells", "size: 4 N³ atoms (default: 10)", at_least_one, "N", {"default": 10})),
-    benchmark(
-        "scaling", "time and memory against the number of atoms and threads",
+    benchmark("scaling", "time and memory against the number of atoms and threads",
         Argument("--threads", "default: 1 and all cores", counts, "T,...", {"default": ()})),
 ))  # fmt: skip

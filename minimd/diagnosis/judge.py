@@ -446,8 +446,7 @@ RULES = (
     Rule(AFTER, "overlap", overlap_at_start), Rule(AFTER, "overlap", one_place), Rule(AFTER, "barostat", barostat),
     Rule(AFTER, "constraint", broken_constraint), Rule(AFTER, "bond", unstable_bond),
     Rule(AFTER, "law", bottomless_law), Rule(AFTER, "hot", too_hot), Rule(AFTER, "pair", collision_in_a_step),
-    Rule(AFTER, "step", unstable_mode), Rule(AFTER, "law", unknown_forces), Rule(AFTER, "pair", long_step),
-)  # fmt: skip
+    Rule(AFTER, "step", unstable_mode), Rule(AFTER, "law", unknown_forces), Rule(AFTER, "pair", long_step))  # fmt: skip
 
 
 def verdicts(evidence: Evidence, *when: str) -> Iterator[tuple[str, Verdict]]:

@@ -105,7 +105,9 @@ class Hessenberg(DifferentialAlgebraic):
             def violation(x: Array) -> Array:
                 return self.constraint(k, t, *parts[:i], x, *parts[i + 1 :])
 
-            own = self._size_of_algebraic(t, parts) if k == last else _size(parts[i], parts)
+            sizes = [float(np.abs(part).max()) for part in parts]
+            own = sizes[i] if sizes[i] > KEPT * max(sizes) else max(sizes)  # else it is only rounding
+            own = self._size_of_algebraic(t, parts) if k == last else own
             if not are_independent(violation, parts[i], step, own):
                 what = f"the constraints 0 = {chained} do not determine {self.names[i]}"
                 when = f"at the start, t = {t:g}, or the index is higher than {self.index}"
@@ -220,12 +222,6 @@ class Hessenberg3(Hessenberg):
         rate, z_rate = self.f(t, y, z), self.k(t, *parts)
         unit = min(unit_of_time(y, rate), unit_of_time(z, z_rate))
         return time_derivative(lambda e: self.f(t + e, y + e * rate, z + e * z_rate), 1, unit)
-
-
-def _size(part: Array, parts: list[Array]) -> float:
-    """Size of a part, or the largest size of all parts where it is only rounding."""
-    own, all_parts = float(np.abs(part).max()), max(float(np.abs(other).max()) for other in parts)
-    return own if own > KEPT * all_parts else all_parts
 
 
 class Mechanical(Hessenberg):

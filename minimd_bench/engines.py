@@ -33,8 +33,8 @@ SHAKE_TOLERANCE, SHAKE_ITERATIONS = 1e-12, 100  # of LAMMPS
 # σ, of LAMMPS' benchmark, where it is not that of the melt; Å for water
 SKINS = {"chain": 0.4} | dict.fromkeys(WATER, 1.0)
 # σ, the fastest of several, for 4000 atoms on a Zen 4
-TUNED_SKINS = {"wca": 0.6, "gas": 1.5, "chain": 0.8, "decane": 0.1}
-TUNED_SKINS |= dict.fromkeys(("kob-andersen", "droplet", "chains", "triangles"), 0.2)
+TUNED_SKINS = {"wca": 0.6, "gas": 1.5, "chain": 0.8, "decane": 0.1,
+               **dict.fromkeys(("kob-andersen", "droplet", "chains", "triangles"), 0.2)}  # fmt: skip
 # atoms: with more, GROMACS' sums in float32 differ from those of other engines by more than the comparison allows
 SUMMED_WELL = 32_000
 # kJ/mol/ps, the drift that GROMACS allows from its list; with the default, 0.005, it drifts a thousand times more than
@@ -102,10 +102,10 @@ class Minimd(Engine):
         self.simulation = simulation = md.Simulation(*given, threads=threads, barostat=scene.barostat)
         simulation.frame()  # evaluates the forces
         options: dict[str, Any] = {"trajectory": trajectory or (), "overwrite": True, "progress": False}
-        energy: Callable[[str], float] = lambda name: float(simulation.frame().observables[name])  # noqa: E731
-        run: Callable[[int], Any] = lambda n: simulation.run(n, every=every or n, **options)  # noqa: E731
-        energies = partial(energy, "potential_energy"), partial(energy, "total_energy")
-        super().__init__("minimd", threads, "double", *energies, run, simulation.forces.copy())
+        super().__init__("minimd", threads, "double", lambda: float(simulation.frame().observables["potential_energy"]),
+                         lambda: float(simulation.frame().observables["total_energy"]),
+                         lambda n_steps: simulation.run(n_steps, every=every or n_steps, **options),
+                         simulation.forces.copy())  # fmt: skip
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -155,9 +155,8 @@ def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool =
         return float(program.get_thermo(quantity)) * program.get_natoms()
 
     # goes on from the last run, with its list
-    run: Callable[[int], Any] = lambda n_steps: program.command(f"run {n_steps} pre no post no")  # noqa: E731
-    energies = partial(thermo, "pe"), partial(thermo, "etotal")
-    return Engine(", ".join(filter(None, words)), threads, "double", *energies, run, forces)
+    return Engine(", ".join(filter(None, words)), threads, "double", partial(thermo, "pe"), partial(thermo, "etotal"),
+                  lambda n_steps: program.command(f"run {n_steps} pre no post no"), forces)  # fmt: skip
 
 
 def _motion(scene: BenchScene) -> list[str]:
@@ -291,8 +290,8 @@ def gromacs(scene: BenchScene, threads: int) -> Engine:
     def call(command: str, *arguments: str, given: str = "") -> None:
         """Raises RuntimeError with the last words that gmx printed, if it fails."""
         words = ["gmx", "-quiet", command, *arguments]
-        how: dict[str, Any] = {"capture_output": True, "text": True, "env": environment, "check": False}
-        answer = subprocess.run(words, cwd=folder.name, input=given, **how)
+        answer = subprocess.run(words, cwd=folder.name, input=given, capture_output=True, text=True, env=environment,
+                                check=False)  # fmt: skip
         if answer.returncode:
             raise RuntimeError(f"gmx {command} failed: {' '.join(answer.stderr.split()[-40:])}")
 
@@ -323,8 +322,8 @@ def gromacs(scene: BenchScene, threads: int) -> Engine:
     # velocities half a step earlier, as needed by leapfrog; nine decimals instead of three
     velocities = scene.system.velocities - 0.5 * timestep * md.evaluate(scene.system, scene.potentials).forces
     wrapped = scene.system.positions - np.floor(scene.system.positions / edges) * edges
-    row, each = "%5dA    %5s%5d" + 3 * "%14.9f" + 3 * "%14.10f", zip(wrapped, velocities, strict=True)
-    lines = [row % (k % 100000, "A", k % 100000, *r, *v) for k, (r, v) in enumerate(each, start=1)]
+    lines = [("%5dA    %5s%5d" + 3 * "%14.9f" + 3 * "%14.10f") % (k % 100000, "A", k % 100000, *r, *v)
+             for k, (r, v) in enumerate(zip(wrapped, velocities, strict=True), start=1)]  # fmt: skip
     structure = ["melt", str(len(lines)), *lines, " ".join(f"{edge:.12f}" for edge in edges), ""]
     (place / "run.mdp").write_text(GROMACS_PARAMETERS.format(timestep=timestep), encoding="utf-8")
     (place / "run.top").write_text(GROMACS_TOPOLOGY.format(n_atoms=len(lines)), encoding="utf-8")

@@ -183,8 +183,8 @@ def name_curves(panel: "Axes", ends: Mapping[str, End]) -> None:
     places = {name: to_panel.transform((end.x, end.y)) for name, end in ends.items()}
     height = -1.0
     # If ends have about the same height, the one farthest to the right comes first, so that no line crosses a curve.
-    order = {name: (round(y / gap), -round(x, 2), y) for name, (x, y) in places.items()}
-    for name in sorted(ends, key=lambda name: order[name]):
+    for name in sorted(ends, key=lambda name: (round(places[name][1] / gap), -round(places[name][0], 2),
+                                               places[name][1])):  # fmt: skip
         height, color = max(places[name][1], height + gap), ends[name].color
         line = {"arrowstyle": "-", "lw": 0.6, "color": color, "alpha": 0.6}
         style: dict[str, Any] = {"textcoords": "axes fraction", "va": "center", "color": color, "arrowprops": line}

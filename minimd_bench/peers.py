@@ -175,8 +175,9 @@ def run_peers(options: PeersOptions) -> Peers:
 
 def _checked(options: PeersOptions) -> tuple[int, ...]:
     """The numbers of threads.  Raises ValueError unless the options fit together, and fit this machine."""
-    peers = (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS
-    for name, value, allowed in (("scene", options.scenes, SCENES), ("peers", options.peers, peers)):
+    for name, value, allowed in (
+            ("scene", options.scenes, SCENES),
+            ("peers", options.peers, (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS)):  # fmt: skip
         if unknown := [word for word in value if word not in allowed]:
             raise ValueError(f"--{name} must be one of {', '.join(allowed)}; it is {unknown[0]!r}")
     threads, smallest = thread_numbers(options.threads), min(options.cells)

@@ -60,8 +60,8 @@ class Scaling:
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
-        times = ({str(t): summary(x) for t, x in size.seconds.items()} for size in self.sizes)
-        sizes = [{"n_atoms": size.n_atoms, "seconds_per_step": x} for size, x in zip(self.sizes, times, strict=True)]
+        sizes = [{"n_atoms": n_atoms, "seconds_per_step": {str(t): summary(x) for t, x in seconds.items()}}
+                 for n_atoms, seconds in self.sizes]  # fmt: skip
         memory = {"bytes_per_atom": self.memory, "memory_atoms": self.memory_atoms}
         return {"repeats": self.repeats, "sizes": sizes, **memory}
 

@@ -203,8 +203,8 @@ def _lj(cutoff: float = CUTOFF, truncation: md.potentials.truncation.TruncationN
 AT_MELT = "fcc at ρ* 0.8442, T* 1.44, r_c {} σ, {}, Δt* 0.005, NVE"
 UNBONDED = (0.0, 1.0, 1.0)
 THERMOSTAT, BAROSTAT = md.StochasticVelocityRescaling, md.StochasticCellRescaling
-CUTOFFS: Any = {("A", "A"): CUTOFF, ("A", "B"): CUTOFF * 0.8, ("B", "B"): CUTOFF * 0.88}
-KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, cutoff=CUTOFFS, pairs={("A", "B"): (1.5, 0.8)})
+KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, pairs={("A", "B"): (1.5, 0.8)}, cutoff={
+    ("A", "A"): CUTOFF, ("A", "B"): CUTOFF * 0.8, ("B", "B"): CUTOFF * 0.88})  # fmt: skip
 DECANE = (
     md.LennardJones({"CH3": (98 / 46, 3.75 / 3.95), "CH2": (1.0, 1.0)}, cutoff=CUTOFF, bonded_scale=(0.0, 0.0, 0.0)),
     md.HarmonicBond(9e4, DECANE_BOND),  # TraPPE itself holds its bonds fixed

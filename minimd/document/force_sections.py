@@ -64,13 +64,7 @@ MADE: dict[str, type[law.Declared]] = {  # by type
     for name, made in vars(potentials).items()
     if isinstance(made, type) and issubclass(made, law.Declared) and not {law.own_law, law.given} & made.kinds()
 }
-
-
-def section_of(kind: str, made: type[law.Declared]) -> Any:
-    """The section with this type for a class."""
-    keys: dict[str, Any] = {"__base__": OfForces, "__module__": __name__, "type": (Literal[kind], ...)}
-    keys |= {one.name: key(one, made) for one in fields(made)}  # type: ignore[arg-type]
-    return create_model(f"{made.__name__}Section", **keys)
-
-
-ForceSection = functools.reduce(operator.or_, (section_of(kind, made) for kind, made in MADE.items()))
+ForceSection = functools.reduce(operator.or_, (
+    create_model(f"{made.__name__}Section", __base__=OfForces, __module__=__name__,  # type: ignore[call-overload]
+                 type=(Literal[kind], ...), **{one.name: key(one, made) for one in fields(made)})  # type: ignore[arg-type]
+    for kind, made in MADE.items()))  # fmt: skip

@@ -291,8 +291,8 @@ class DynamicsSection(Section):
         """The method with its time step; a thermostat with its bath."""
         if self.method not in THERMOSTATS:
             return SPLITTINGS[self.method](self.timestep)
-        given = self.timestep, self.temperature, self.relaxation_time, self.seed
-        return THERMOSTATS[self.method].with_relaxation_time(*given)
+        return THERMOSTATS[self.method].with_relaxation_time(self.timestep, self.temperature, self.relaxation_time,
+                                                             self.seed)  # fmt: skip
 
 
 class BarostatSection(Section):
@@ -366,10 +366,11 @@ def _argument(name: str) -> tuple[Any, None]:
 
 
 KIND_OF_OBSERVER = Field(description="what is measured during the run, see [observers](observers.md)")
-AROUND: dict[str, Any] = {"__base__": OfObservers, "__module__": __name__, "__doc__": OfObservers.__doc__}
-TAKEN = {one: _argument(one) for one in ("every", "name", *chain(*(made.declared for made in KINDS.values())))}
-KIND: Any = Annotated[str, one_of(KINDS), KIND_OF_OBSERVER], ...
-ObserverSection = create_model("ObserverSection", **AROUND, kind=KIND, **TAKEN)  # type: ignore[call-overload]
+ObserverSection = create_model(  # type: ignore[call-overload]
+    "ObserverSection", __base__=OfObservers, __module__=__name__, __doc__=OfObservers.__doc__,
+    kind=(Annotated[str, one_of(KINDS), KIND_OF_OBSERVER], ...),
+    **{one: _argument(one) for one in ("every", "name", *chain(*(made.declared for made in KINDS.values())))},
+)  # fmt: skip
 
 
 def _plot_name(value: bool | str) -> bool | str:
@@ -424,7 +425,6 @@ class SceneSections(Section):
         pairs, is_cold = self.constraints and self.constraints.pairs, self.dynamics.temperature is None
         named = {name for one in self.potential if isinstance(one, TabulatedSection) for name in one.files}
         unused = ", tables.".join(repr(name) for name in self.tables if name not in named)
-        is_unbonded = pairs == "bonds" and not self.structure.bonds
         faults = {
             "structure is missing; give it, or water in its place": not given & {"structure", "water"},
             "potential is missing; give it": not given & {"potential", "water"},
@@ -433,7 +433,8 @@ class SceneSections(Section):
             f'water needs units = "ASE"; units = "{units}"': self.water and units != "ASE",
             f"equilibration needs {temperature}, at which first velocities are drawn": self.equilibration and is_cold,
             f"barostat needs {temperature}, the temperature of its noise": self.barostat and is_cold,
-            'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs': is_unbonded,
+            'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs': pairs == "bonds"
+            and not self.structure.bonds,
             f"no tabulated potential uses tables.{unused}; give it as the file of one, or leave it out": unused,
-        }
+        }  # fmt: skip
         yield from (fault for fault, is_there in faults.items() if is_there)

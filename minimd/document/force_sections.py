@@ -65,6 +65,7 @@ MADE: dict[str, type[law.Declared]] = {  # by type
     if isinstance(made, type) and issubclass(made, law.Declared) and not {law.own_law, law.given} & made.kinds()
 }
 ForceSection = functools.reduce(operator.or_, (
-    create_model(f"{made.__name__}Section", __base__=OfForces, __module__=__name__,  # type: ignore[call-overload]
-                 type=(Literal[kind], ...), **{one.name: key(one, made) for one in fields(made)})  # type: ignore[arg-type]
+    create_model(  # type: ignore[call-overload]
+        f"{made.__name__}Section", __base__=OfForces, __module__=__name__, type=(Literal[kind], ...),
+        **{one.name: key(one, made) for one in fields(made)})  # type: ignore[arg-type]
     for kind, made in MADE.items()))  # fmt: skip

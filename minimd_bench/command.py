@@ -21,11 +21,8 @@ def benchmark(name: str, text: str, *arguments: Argument, description: str = "")
     """One benchmark, with the options that all benchmarks have."""
     rounds = f"rounds; every engine runs once in each (default: {REPEATS}, quick {REPEATS_QUICK})"
     files = f"bench_{name.replace('-', '_')}.md, .json and .png"
-    shared = (
-        QUICK,
-        Argument("--repeats", rounds, at_least_one, "R"),
-        written_to("FOLDER", f"write {files} into this folder; older files are replaced"),
-    )
+    shared = (QUICK, Argument("--repeats", rounds, at_least_one, "R"),
+              written_to("FOLDER", f"write {files} into this folder; older files are replaced"))  # fmt: skip
     told = description or f"{text[0].upper()}{text[1:]}."
     run = partial(bench, name)
     return Command(name, text, told, (*shared, *arguments), run, epilog="Let no other program run meanwhile.")
@@ -88,26 +85,18 @@ THREADS = "numbers of threads, for engines that can use several (default: 1 and 
 INGREDIENTS = "the cost of each ingredient of a scene, and a test that an absent ingredient costs nothing"
 ABOUT = "measure the speed of minimd: compared with other engines, and run time against error"
 COMMAND = Command("bench", ABOUT, f"{ABOUT[0].upper()}{ABOUT[1:]}.", below=(
-    benchmark(
-        "peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3",
+    benchmark("peers", "the same scene in minimd, LAMMPS, OpenMM, ASE and asap3",
         Argument("--scene", f"{SCENE_NAMES} (default: melt)", more={"default": "melt"}),
         Argument("--scenes", SEVERAL, None, "NAME", {"nargs": "*"}),
         Argument("--cells", "sizes: 4 N³ atoms, or about as many; water: 3 N³ (default: 5,10,20,40)", counts, "N,..."),
         Argument("--threads", THREADS, counts, "T,...", {"default": ()}),
         Argument("--peers", f"{PEER_NAMES}, or none (default: all that are installed)", words, "NAME,...",
                  {"default": ()}),
-        description=PEERS_TEXT,
-    ),
-    benchmark(
-        "work-precision", "run time against error: every method and time step",
-        Argument("scenes", PRECISE, None, "SCENE", {"nargs": "*"}),
-    ),
-    benchmark(
-        "scene", INGREDIENTS,
-        Argument("--cells", "size: 4 N³ atoms (default: 10)", at_least_one, "N", {"default": 10}),
-    ),
-    benchmark(
-        "scaling", "time and memory against the number of atoms and threads",
-        Argument("--threads", "default: 1 and all cores", counts, "T,...", {"default": ()}),
-    ),
+        description=PEERS_TEXT),
+    benchmark("work-precision", "run time against error: every method and time step",
+        Argument("scenes", PRECISE, None, "SCENE", {"nargs": "*"})),
+    benchmark("scene", INGREDIENTS,
+        Argument("--cells", "size: 4 N³ atoms (default: 10)", at_least_one, "N", {"default": 10})),
+    benchmark("scaling", "time and memory against the number of atoms and threads",
+        Argument("--threads", "default: 1 and all cores", counts, "T,...", {"default": ()})),
 ))  # fmt: skip

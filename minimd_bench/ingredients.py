@@ -54,19 +54,15 @@ class IngredientCosts:
             times = spread(1e6 * cost.seconds), spread(ratio)
             cells.append([cost.name, str(cost.n_atoms), *times, f"{pairs:.1f}", by_pair])
         numbers = ("atoms", "µs per step", "ratio to the melt", "pairs per atom", "ratio per pair")
-        head = (
-            f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); only "
-            "pairs in range are counted."
-        )
+        head = (f"One thread, double precision, velocity Verlet; median of {self.repeats} rounds (least to most); only "
+                "pairs in range are counted.")  # fmt: skip
         return [head, "", *table({"scene": str} | dict.fromkeys(numbers, float), cells)]
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
         rows = [cost._asdict() for cost in self.costs]
-        return {
-            "repeats": self.repeats,
-            "rows": [one | {"seconds_per_step": summary(one.pop("seconds"))} for one in rows],
-        }
+        return {"repeats": self.repeats,
+                "rows": [one | {"seconds_per_step": summary(one.pop("seconds"))} for one in rows]}  # fmt: skip
 
     def figure(self) -> "Figure":
         """A figure of the times relative to that of the melt."""
@@ -93,9 +89,8 @@ def run_ingredients(n: int, repeats: int) -> IngredientCosts:
 def _ingredients(base: BenchScene, n: int, folder: Path) -> dict[str, tuple[BenchScene, dict[str, Any]]]:
     """Scenes and the options of their engines, by name."""
     bonds, length = partners(base.system)
-    plain, excluding = (
-        md.LennardJones(1.0, 1.0, scenes.CUTOFF, "truncated", bonded_scale=(scale, 1.0, 1.0)) for scale in (1.0, 0.0)
-    )
+    plain, excluding = (md.LennardJones(1.0, 1.0, scenes.CUTOFF, "truncated", bonded_scale=(scale, 1.0, 1.0))
+                        for scale in (1.0, 0.0))  # fmt: skip
     spring, rigid = md.HarmonicBond(400.0, length), md.DistanceConstraints(bonds)
     bonded = _with(base, bonds=bonds)
     labels = np.where(np.arange(len(base.system)) % 2 == 0, "A", "B")

@@ -162,9 +162,7 @@ def bars(ratios: Mapping[str, NDArray[np.float64]], label: str) -> "Figure":
 
 def draw(panel: "Axes", curves: Mapping[str, tuple[Sequence[float], NDArray[np.float64], bool]]) -> dict[str, End]:
     """Draw medians of all rounds and their ranges, six curves at most; returns the ends of the curves.
-
-    curves : by name: x (P,), y (P, R), and whether it is minimd's.
-    """
+    curves : by name: x (P,), y (P, R), and whether it is minimd's."""
     ends = {}
     for k, (name, (x, y, is_own)) in enumerate(curves.items()):
         middle, color = np.median(y, axis=1), f"C{k}"
@@ -178,18 +176,15 @@ def draw(panel: "Axes", curves: Mapping[str, tuple[Sequence[float], NDArray[np.f
 def name_curves(panel: "Axes", ends: Mapping[str, End]) -> None:
     """Write the name of each curve to the right of the panel, in its color, at the height of its end or as near as
     other names allow; a thin line connects each name with the end of its curve.
-
-    All curves must have been drawn, also those of panels that share an axis.
-    """
+    All curves must have been drawn, also those of panels that share an axis."""
     to_panel = panel.transData + panel.transAxes.inverted()
     panel.get_ylim()  # fixes limits that matplotlib chooses
     gap = BETWEEN_NAMES / (0.8 * panel.bbox.height / panel.figure.dpi)
     places = {name: to_panel.transform((end.x, end.y)) for name, end in ends.items()}
     height = -1.0
     # If ends have about the same height, the one farthest to the right comes first, so that no line crosses a curve.
-    for name in sorted(
-        ends, key=lambda name: (round(places[name][1] / gap), -round(places[name][0], 2), places[name][1])
-    ):
+    for name in sorted(ends, key=lambda name: (round(places[name][1] / gap), -round(places[name][0], 2),
+                                               places[name][1])):  # fmt: skip
         height, color = max(places[name][1], height + gap), ends[name].color
         line = {"arrowstyle": "-", "lw": 0.6, "color": color, "alpha": 0.6}
         style: dict[str, Any] = {"textcoords": "axes fraction", "va": "center", "color": color, "arrowprops": line}

@@ -27,9 +27,7 @@ FROM_ATOMS = 256_000
 
 class EngineSpeed(NamedTuple):
     """The speed of one engine with one scene.
-
-    speeds : (R,) atom-steps per second in each turn.  bytes_per_atom : None if not measured.
-    """
+    speeds : (R,) atom-steps per second in each turn.  bytes_per_atom : None if not measured."""
 
     engine: str
     threads: int
@@ -57,10 +55,8 @@ def ratios(rows: Sequence[EngineSpeed], row: EngineSpeed) -> tuple[outcome.Ratio
 
 class PeersOptions(NamedTuple):
     """Options of run_peers.
-
     threads : if empty, one thread and all cores.  peers : names in PEERS; if empty, all that are installed; "none" for
-        no peer.
-    """
+        no peer."""
 
     scenes: tuple[str, ...] = (MELT,)
     cells: tuple[int, ...] = (5, 10, 20)
@@ -82,11 +78,9 @@ class Peers:
 
     def lines(self) -> list[str]:
         """See Outcome."""
-        lines = [
-            "Speeds in 10⁶ atom-steps per second of whole runs, with lists and without compilation: median of "
-            f"{self.repeats} rounds (least to most).",
-            "In each round all engines run once, in one process; ratios are computed within a round.",
-        ]
+        lines = ["Speeds in 10⁶ atom-steps per second of whole runs, with lists and without compilation: median of "
+                 f"{self.repeats} rounds (least to most).",
+                 "In each round all engines run once, in one process; ratios are computed within a round."]  # fmt: skip
         if len(self.texts) > 1:
             titles = {"scene": str, "atoms": float, "minimd": float, "fastest peer, one thread": str}
             cells = []
@@ -166,9 +160,7 @@ def _content(rows: Sequence[EngineSpeed], row: EngineSpeed) -> dict[str, Any]:
 
 def run_peers(options: PeersOptions) -> Peers:
     """Measure one scene and one size after the other; progress is printed to standard error.
-
-    Raises ValueError for options that do not fit, or if a peer does not start.  HandOverError as check_agreement.
-    """
+    Raises ValueError for options that do not fit, or if a peer does not start.  HandOverError as check_agreement."""
     threads, texts = _checked(options), {name: SCENES[name](min(options.cells)).text for name in options.scenes}
     able = [name for name, peer in PEERS.items() if {*options.scenes} & {*peer.scenes}]
     able = [] if options.peers == NO_PEERS else able
@@ -183,9 +175,8 @@ def run_peers(options: PeersOptions) -> Peers:
 def _checked(options: PeersOptions) -> tuple[int, ...]:
     """The numbers of threads.  Raises ValueError unless the options fit together, and fit this machine."""
     for name, value, allowed in (
-        ("scene", options.scenes, SCENES),
-        ("peers", options.peers, (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS),
-    ):
+            ("scene", options.scenes, SCENES),
+            ("peers", options.peers, (*PEERS, *NO_PEERS) if len(options.peers) == 1 else PEERS)):  # fmt: skip
         if unknown := [word for word in value if word not in allowed]:
             raise ValueError(f"--{name} must be one of {', '.join(allowed)}; it is {unknown[0]!r}")
     threads, smallest = thread_numbers(options.threads), min(options.cells)
@@ -204,9 +195,8 @@ def _checked(options: PeersOptions) -> tuple[int, ...]:
     return threads
 
 
-def _beside(
-    name: str, n: int, options: PeersOptions, threads: Sequence[int], peers: Sequence[str]
-) -> list[EngineSpeed]:
+def _beside(name: str, n: int, options: PeersOptions, threads: Sequence[int],
+            peers: Sequence[str]) -> list[EngineSpeed]:  # fmt: skip
     scene = SCENES[name](n)
     if name != MELT:  # the melt is equilibrated while the engines warm up
         scene = equilibrated(scene)
@@ -257,6 +247,5 @@ def _load(name: str, scene: BenchScene, threads: int) -> Engine:
         return PEERS[name].load(scene, threads)
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(
-            f"{name} is installed but does not start: {reason}; to leave it out, name the others with --peers"
-        ) from error
+        raise ValueError(f"{name} is installed but does not start: {reason}; to leave it out, name the others with "
+                         "--peers") from error  # fmt: skip

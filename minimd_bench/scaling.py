@@ -60,10 +60,8 @@ class Scaling:
 
     def content(self) -> dict[str, Any]:
         """See Outcome."""
-        sizes = [
-            {"n_atoms": n_atoms, "seconds_per_step": {str(t): summary(x) for t, x in seconds.items()}}
-            for n_atoms, seconds in self.sizes
-        ]
+        sizes = [{"n_atoms": n_atoms, "seconds_per_step": {str(t): summary(x) for t, x in seconds.items()}}
+                 for n_atoms, seconds in self.sizes]  # fmt: skip
         memory = {"bytes_per_atom": self.memory, "memory_atoms": self.memory_atoms}
         return {"repeats": self.repeats, "sizes": sizes, **memory}
 
@@ -71,10 +69,8 @@ class Scaling:
         """Time of a step per atom against the number of atoms."""
         figure = new_figure(4.0)
         axes, n = figure.subplots(), [size.n_atoms for size in self.sizes]
-        times = {
-            t: np.array([1e9 * size.seconds[t] / size.n_atoms for size in self.sizes]) for t in self.sizes[0].seconds
-        }
-        ends = draw(axes, {threads_text(t): (n, y, True) for t, y in times.items()})
+        times: Any = lambda t: np.array([1e9 * size.seconds[t] / size.n_atoms for size in self.sizes])  # noqa: E731
+        ends = draw(axes, {threads_text(t): (n, times(t), True) for t in self.sizes[0].seconds})
         labels = {"xlabel": "atoms", "ylabel": "ns per atom and step", "title": "Lennard-Jones melt"}
         axes.set(xscale="log", ylim=(0.0, None), **labels)
         name_curves(axes, ends)

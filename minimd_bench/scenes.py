@@ -49,7 +49,6 @@ EXACT = 1e-9  # accuracy of the sum with which errors are found
 
 class BenchScene(NamedTuple):
     """A system with its potentials, and how its steps are made.
-
     text : a description in one line.  constraints : lengths held fixed.  method : with its time step and bath.
     error : the largest of the forces of charges, of their rms; 0 without charges.  accuracy : asked for with charges.
     """
@@ -141,9 +140,8 @@ def _beads(density: float, n: int) -> md.System:
     width = round(cbrt(4 * n**3))  # lattice sites along an edge
     n_beads = width**3 // BEADS * BEADS
     if n_beads == 0:
-        raise ValueError(
-            f"a scene of chains needs at least {BEADS} sites, for one chain of {BEADS} beads; it has {width**3}"
-        )
+        raise ValueError(f"a scene of chains needs at least {BEADS} sites, for one chain of {BEADS} beads; it has "
+                         f"{width**3}")  # fmt: skip
     edge, first = cbrt(n_beads / density), np.arange(n_beads - 1)
     first = first[(first + 1) % BEADS != 0]
     # a winding path: each site is the nearest neighbor of the one before
@@ -205,11 +203,8 @@ def _lj(cutoff: float = CUTOFF, truncation: md.potentials.truncation.TruncationN
 AT_MELT = "fcc at ρ* 0.8442, T* 1.44, r_c {} σ, {}, Δt* 0.005, NVE"
 UNBONDED = (0.0, 1.0, 1.0)
 THERMOSTAT, BAROSTAT = md.StochasticVelocityRescaling, md.StochasticCellRescaling
-KOB_ANDERSEN = md.LennardJones(
-    {"A": (1.0, 1.0), "B": (0.5, 0.88)},
-    cutoff={("A", "A"): CUTOFF, ("A", "B"): CUTOFF * 0.8, ("B", "B"): CUTOFF * 0.88},
-    pairs={("A", "B"): (1.5, 0.8)},
-)
+KOB_ANDERSEN = md.LennardJones({"A": (1.0, 1.0), "B": (0.5, 0.88)}, pairs={("A", "B"): (1.5, 0.8)}, cutoff={
+    ("A", "A"): CUTOFF, ("A", "B"): CUTOFF * 0.8, ("B", "B"): CUTOFF * 0.88})  # fmt: skip
 DECANE = (
     md.LennardJones({"CH3": (98 / 46, 3.75 / 3.95), "CH2": (1.0, 1.0)}, cutoff=CUTOFF, bonded_scale=(0.0, 0.0, 0.0)),
     md.HarmonicBond(9e4, DECANE_BOND),  # TraPPE itself holds its bonds fixed
@@ -220,61 +215,51 @@ PLANS = {
     # LAMMPS' benchmark
     MELT: Plan(
         f"Lennard-Jones melt: {AT_MELT.format(2.5, 'truncated')}",
-        partial(_fluid, MELT_DENSITY), (_lj(CUTOFF, "truncated"),),
-    ),
+        partial(_fluid, MELT_DENSITY), (_lj(CUTOFF, "truncated"),)),
     "cutoff-4": Plan(f"Long cutoff: {AT_MELT.format(4, 'shifted')}", partial(_fluid, MELT_DENSITY), (_lj(4.0),)),
     "wca": Plan(f"WCA fluid: {AT_MELT.format(1.12, 'shifted')}", partial(_fluid, MELT_DENSITY), (_lj(WCA_CUTOFF),)),
     # W. Kob, H. C. Andersen, Phys. Rev. E 51, 4626 (1995)
     "kob-andersen": Plan(
         "Kob-Andersen mixture: 80 % A and 20 % B, ρ* 1.2, T* 1.0, r_c 2.5 σ of each pair, shifted, Δt* 0.005, NVE",
-        _mixture, (KOB_ANDERSEN,), 1.0,
-    ),
+        _mixture, (KOB_ANDERSEN,), 1.0),
     "gas": Plan("Gas: fcc at ρ* 0.01, T* 1.44, r_c 2.5 σ, shifted, Δt* 0.005, NVE", partial(_fluid, 0.01), (_lj(),)),
     "droplet": Plan(
         "Droplet in vacuum: T* 0.75, in a cell of 4 times its diameter, r_c 2.5 σ, shifted, Δt* 0.005, NVE",
-        _droplet, (_lj(),), LIQUID_TEMPERATURE,
-    ),
+        _droplet, (_lj(),), LIQUID_TEMPERATURE),
     "slab": Plan(
         "Slab between vacuum: T* 0.75, in a cell of 4 times its thickness, r_c 2.5 σ, shifted, Δt* 0.005, NVE",
-        _slab, (_lj(),), LIQUID_TEMPERATURE,
-    ),
+        _slab, (_lj(),), LIQUID_TEMPERATURE),
     # pressure and compressibility are about those of the melt itself
     "npt": Plan(
         "Lennard-Jones melt at constant pressure: T* 1.44, P* 5, r_c 2.5 σ, truncated, Δt* 0.005, NPT",
         partial(_fluid, MELT_DENSITY), (_lj(CUTOFF, "truncated"),),
-        method=THERMOSTAT(TIMESTEP, MELT_TEMPERATURE, 0.5, SEED), barostat=BAROSTAT(5.0, 0.03, 5.0, SEED),
-    ),
+        method=THERMOSTAT(TIMESTEP, MELT_TEMPERATURE, 0.5, SEED), barostat=BAROSTAT(5.0, 0.03, 5.0, SEED)),
     # after the bead-spring model of K. Kremer, G. S. Grest, J. Chem. Phys. 92, 5057 (1990)
     "chains": Plan(
         "Chains of 100 beads: harmonic bonds (k* 400, length 1 σ), bonded neighbors excluded, ρ* 0.85, T* 1.0, r_c "
         "2.5 σ, shifted, Δt* 0.005, NVE",
-        partial(_beads, 0.85), (_lj(scale=UNBONDED), md.HarmonicBond(BOND_CONSTANT, BOND_LENGTH)), 1.0,
-    ),
+        partial(_beads, 0.85), (_lj(scale=UNBONDED), md.HarmonicBond(BOND_CONSTANT, BOND_LENGTH)), 1.0),
     # that model itself
     "chain": Plan(
         "LAMMPS' benchmark chain: 100 beads, FENE bonds (k* 30, R 1.5 σ), WCA, bonded neighbors excluded, ρ* 0.8442, "
         "T* 1.0, friction 0.1/τ, Δt* 0.012, Langevin",
         partial(_beads, MELT_DENSITY), (_lj(WCA_CUTOFF, scale=UNBONDED), md.FENEBond(30.0, 1.5)), 1.0,
-        md.LangevinBAOAB(CHAIN_TIMESTEP, 1.0, FRICTION, SEED),
-    ),
+        md.LangevinBAOAB(CHAIN_TIMESTEP, 1.0, FRICTION, SEED)),
     # TraPPE, at 300 K and with a time step of 1 fs: M. G. Martin, J. I. Siepmann, J. Phys. Chem. B 102, 2569 (1998)
     "decane": Plan(
         "Decane of united atoms: TraPPE with harmonic bonds (k* 90 000), angles and torsions, 0.19 molecules per σ³, "
         "T* 6.5, r_c 2.5 σ, shifted, Δt* 0.0004, NVE",
-        _decane, DECANE, 6.5, md.VelocityVerlet(0.0004),
-    ),
+        _decane, DECANE, 6.5, md.VelocityVerlet(0.0004)),
     "dumbbells": Plan(
         "Rigid dumbbells: two atoms 0.6 σ apart, 0.4 molecules per σ³, T* 1.5, r_c 2.5 σ, truncated, Δt* 0.005, NVE",
         _dumbbells, (_lj(CUTOFF, "truncated", UNBONDED),), 1.5,
-        rigid=lambda system: md.DistanceConstraints(system.bonds, DUMBBELL_LENGTH),
-    ),
+        rigid=lambda system: md.DistanceConstraints(system.bonds, DUMBBELL_LENGTH)),
     # ortho-terphenyl: L. J. Lewis, G. Wahnström, Phys. Rev. E 50, 3865 (1994)
     "triangles": Plan(
         "Rigid triangles, as water without charges: three alike sites, sides of 1 σ at 75°, 0.3187 molecules per σ³, "
         "T* 1.0, r_c 2.5 σ, shifted, friction 0.1/τ, Δt* 0.005, Langevin",
         _triangles, (_lj(scale=(0.0, 0.0, 1.0)),), 1.0,
-        md.LangevinBAOAB(TIMESTEP, 1.0, FRICTION, SEED), rigid=_rigid_triangles,
-    ),
+        md.LangevinBAOAB(TIMESTEP, 1.0, FRICTION, SEED), rigid=_rigid_triangles),
 }  # fmt: skip
 
 
@@ -290,10 +275,9 @@ def _planned(name: str, n: int) -> BenchScene:
 def _water(name: str, n: int) -> BenchScene:
     """n³ molecules on the simple cubic lattice, turned at random."""
     system, potentials, rigid = md.water("SPC/E", n**3)
-    text = (
-        f"Rigid SPC/E water: 298 K, measured errors of the forces of charges of at most {WATER[name]:g} of their rms, "
-        "both laws cut at the one of 8, 9, 10 and 12 Å with which an engine is fastest, Δt 2 fs, NVE"
-    )
+    text = (f"Rigid SPC/E water: 298 K, measured errors of the forces of charges of at most {WATER[name]:g} of "
+            "their rms, both laws cut at the one of 8, 9, 10 and 12 Å with which an engine is fastest, Δt 2 fs, "
+            "NVE")  # fmt: skip
     step = md.VelocityVerlet(2.0 * md.units.fs)
     scene = BenchScene(name, text, system, tuple(potentials), 298.0, (rigid,), step, error=WATER[name])
     return scene.cut(scene.law.cutoff, scene.error)
@@ -323,10 +307,8 @@ def wrapped(positions: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArr
 def pairs_in_range(scene: BenchScene, positions: NDArray[np.float64]) -> int:
     """Number of pairs of atoms within their cutoff on which the pair potential acts: without bonded pairs if it
     excludes them. Pairs two and three bonds apart are counted.
-
     positions : (N, 3) [σ], of the atoms of the scene at any time. The cell must be wider than twice the cutoff,
-        or open.
-    """
+        or open."""
     box = scene.edges if scene.system.cell.is_periodic else None
     places = positions if box is None else wrapped(positions, box)
     names = scene.system.species_names

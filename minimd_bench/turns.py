@@ -28,10 +28,8 @@ STEPS_A_TURN, LONGEST_TURN = 40, 5.0
 
 def check_agreement(engines: Sequence[Engine], scene: BenchScene) -> None:
     """Check that all engines have loaded the same scene and make the same steps; for this they make some steps.
-
     The total energy alone does not show a wrong time step, because it is conserved. The potential energy of a melting
-    crystal does.  Raises HandOverError if an engine differs from the first.
-    """
+    crystal does.  Raises HandOverError if an engine differs from the first."""
     n_atoms, heat = len(scene.system), scene.temperature * scene.system.units.k_B
 
     def compare(quantity: str, energies: Sequence[float], relative: float, absolute: float) -> None:
@@ -69,10 +67,8 @@ def warm_up(engines: Sequence[Engine], n_atoms: int) -> list[int]:
 
 def take_turns(engines: Sequence[Engine], n_steps: Sequence[int], repeats: int, n_atoms: int) -> NDArray[np.float64]:
     """Steps per second of each engine in each turn, (E, repeats).
-
     The engines take turns because the speed of a machine drifts: so the drift affects all of them.  n_steps : (E,),
-    of a turn.
-    """
+    of a turn."""
     speeds = np.empty((len(engines), repeats))
     for turn in range(repeats):
         speeds[:, turn] = [n / timed(engine.run, n)[1] for engine, n in zip(engines, n_steps, strict=True)]

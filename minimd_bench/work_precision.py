@@ -160,10 +160,8 @@ def _number(value: float) -> str:
 
 def _finite(point: Point) -> dict[str, Any]:
     """The fields of a point, with None for numbers that JSON does not have."""
-    return {
-        key: None if isinstance(value, float) and not np.isfinite(value) else value
-        for key, value in point._asdict().items()
-    }
+    return {key: None if isinstance(value, float) and not np.isfinite(value) else value
+            for key, value in point._asdict().items()}  # fmt: skip
 
 
 def run_work_precision(names: Sequence[str], quick: bool, repeats: int) -> WorkPrecision:
@@ -284,7 +282,6 @@ def _kepler(_name: str, quick: bool, repeats: int) -> Case:
 # how argon is cut
 ARGONS: dict[str, tuple[Any, str]] = {
     "argon": ("shifted", "cut at 2.5 σ and shifted, as in the peers"),
-    "argon-smooth": ("smooth", "cut at 2.5 σ by a switch with seven derivatives"),
-}
+    "argon-smooth": ("smooth", "cut at 2.5 σ by a switch with seven derivatives")}  # fmt: skip
 QUICK_CASES = ("argon", "chains", "kepler")
 CASES = dict.fromkeys((*ARGONS, "chains", "dumbbells"), _dynamics) | {"kepler": _kepler}

@@ -5,6 +5,8 @@ from collections.abc import Iterator
 
 SECTION = re.compile(r"^(Parameters|Attributes|Returns|Raises|Yields|Notes)\n-+\n", re.M)
 ENTRY = re.compile(r"^(?P<names>\*{0,2}[A-Za-z_][\w.]*(?:, \*{0,2}[A-Za-z_][\w.]*)*) : ")
+NAMES = ENTRY.pattern[1:].replace("?P<names>", "?:")
+BEFORE_ENTRIES = re.compile(rf"^(?!{NAMES}|[-\s])(.+\n)(?={NAMES})", re.M)  # a line of prose
 BETWEEN_ENTRIES = re.compile(r"(?<=[.;])  +(?=[A-Za-z_][\w.]*(?:, [A-Za-z_][\w.]*)* : )")
 ALIGNED = re.compile(r"\S {3,}\S")  # columns: a formula and its name
 INITIAL = re.compile(
@@ -63,7 +65,8 @@ def _block(block: str) -> Iterator[str]:
 
 def as_rst(text: str) -> list[str]:
     """The lines of a docstring as reStructuredText."""
-    return [line for block in BETWEEN_SECTIONS.split(text.strip("\n")) for line in _block(block)]
+    blocks = BETWEEN_SECTIONS.split(BEFORE_ENTRIES.sub(r"\1\n", text.strip("\n")))
+    return [line for block in blocks for line in _block(block)]
 
 
 def process(_app: object, _what: str, _name: str, _obj: object, _options: object, lines: list[str]) -> None:

@@ -20,10 +20,8 @@ WORD = 8  # bytes of a number, an address or a size
 
 class ByAddress:
     """Base of a named tuple, to be named before it: class Rows(ByAddress, namedtuple("Rows", "start stops")).
-
     Its fields are arrays, float, int, tuples of these, and other such named tuples. Kernels read them as those of any
-    named tuple, but do not make one. They take for granted that no field changes; the elements of arrays may.
-    """
+    named tuple, but do not make one. They take for granted that no field changes; the elements of arrays may."""
 
     @functools.cached_property
     def words(self) -> np.ndarray[Any, np.dtype[np.int64]]:
@@ -126,13 +124,10 @@ def _array(context, builder, kind, address, place):
     shape, strides = ([_word(builder, word, address, place + at + k) for k in range(n)] for at in (1, 1 + n))
     if n == 1 and kind.layout == "C":
         strides = [itemsize]
-    parts = {
-        "nitems": functools.reduce(builder.mul, shape),
-        "itemsize": itemsize,
-        "data": _word(builder, element.as_pointer(), address, place),
-        "shape": cgutils.pack_array(builder, shape, word),
-        "strides": cgutils.pack_array(builder, strides, word),
-    }
+    parts = {"nitems": functools.reduce(builder.mul, shape), "itemsize": itemsize,
+             "data": _word(builder, element.as_pointer(), address, place),
+             "shape": cgutils.pack_array(builder, shape, word),
+             "strides": cgutils.pack_array(builder, strides, word)}  # fmt: skip
     array = ir.Constant(model.get_value_type(), None)  # no owner
     for name, part in parts.items():
         array = model.set(builder, array, part, name)

@@ -23,8 +23,7 @@ class CodeFiles(IndexDataCacheFile):
     names the code of another signature. Here each file has a unique name, which the index gets after it was written.
 
     Numba executes what it finds. Here each file begins with a checksum of the rest. A file that does not agree with
-    it, such as after a power failure, is removed, and its kernel compiled anew; standard error says so once.
-    """
+    it, such as after a power failure, is removed, and its kernel compiled anew; standard error says so once."""
 
     is_told: ClassVar[bool] = False
 
@@ -103,11 +102,22 @@ class KernelCache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Called by Numba before a compilation: the compiled code; None if this process must compile it."""
         found = super().load_overload(sig, target_context)
-        if found is None and self._lock < 0:
-            self._wait_for_others()
-            found = super().load_overload(sig, target_context)
-            if found is not None:
+        if found is not None or self._lock >= 0:
+            return found
+        with suppress(OSError, ImportError):  # take the lock of this kernel, where the file system has locks
+            import fcntl  # Windows has no such locks
+
+            file = os.path.join(self._cache_path, f"{self._impl.filename_base}.lock")
+            self._lock = os.open(file, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+            try:
+                fcntl.flock(self._lock, fcntl.LOCK_EX)
+                self.compiling[self._function] = self
+            except BaseException:
                 self.let_others_go_on()
+                raise
+        found = super().load_overload(sig, target_context)
+        if found is not None:
+            self.let_others_go_on()
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -128,20 +138,6 @@ class KernelCache(FunctionCache):
     def _index_key(self, sig: Any, codegen: Any) -> tuple:
         """With the names of fields: Numba takes no notice if fields of the same type change places in a named tuple."""
         return (*super()._index_key(sig, codegen), _fields_of(getattr(sig, "args", sig)))
-
-    def _wait_for_others(self) -> None:
-        """Take the lock of this kernel, where the file system has locks."""
-        with suppress(OSError, ImportError):
-            import fcntl  # Windows has no such locks
-
-            file = os.path.join(self._cache_path, f"{self._impl.filename_base}.lock")
-            self._lock = os.open(file, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
-            try:
-                fcntl.flock(self._lock, fcntl.LOCK_EX)
-                self.compiling[self._function] = self
-            except BaseException:
-                self.let_others_go_on()
-                raise
 
 
 def _fields_of(kinds: Any) -> tuple:

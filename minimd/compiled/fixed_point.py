@@ -16,7 +16,7 @@ import numpy as np
 from numba import types
 from numba.extending import overload
 
-from minimd.compiled.kernels import by_type
+from minimd.compiled.kernels import by_type, scalar
 from minimd.compiled.simd import bits_from_mask, fma
 from minimd.compiled.simd.vector import MAGIC, Vector, as_floats, bits_of
 
@@ -42,14 +42,10 @@ def _whole_product(a, b):
     return lambda a, b: biased_product(a, b) - BIAS
 
 
+@scalar
 def on_grid(x, step):
     """x rounded to a multiple of step, a power of 2; for |x| < 2⁵¹ steps, numbers or vectors; x itself if step = 0."""
     return (x + MAGIC * step) - MAGIC * step
-
-
-@overload(on_grid)
-def _on_grid(x, step):
-    return lambda x, step: (x + MAGIC * step) - MAGIC * step
 
 
 @by_type
@@ -60,11 +56,9 @@ def as_float(whole):
 
 class Steps(namedtuple("Steps", "per_force length momentum energy limit2")):
     """The steps of a grid for a kernel.
-
     per_force : (P,) impulses of P kicks, in steps of momentum, per unit of force: duration / momentum [length/energy].
     length, momentum, energy : the steps [length], [mass length/time], [energy].
-    limit2 : square of what the forces on an atom may be, divided by its distances, in these impulses [1/length²].
-    """
+    limit2 : square of what the forces on an atom may be, divided by its distances, in these impulses [1/length²]."""
 
 
 def is_fixed(steps: types.Type) -> bool:

@@ -77,10 +77,8 @@ WAIT_BEFORE_TELLING = 1.0  # seconds of compiling before the user is told
 @functools.cache
 def cache_folder() -> Path | None:
     """The folder for compiled code, one per state of the kernels' sources; None, where each process compiles anew.
-
     It lies in the first of $NUMBA_CACHE_DIR, the user's cache folder and the temporary folder that can be written, and
-    that nobody else can change: what is in it will be executed. Warns of one that others can change.
-    """
+    that nobody else can change: what is in it will be executed. Warns of one that others can change."""
     name = f"minimd-{_source_hash()}"
     for base in _cache_bases():
         folder = Path(os.path.realpath(base / name))
@@ -107,9 +105,7 @@ def open_to_others(folder: Path) -> Path | None:
 
     Whoever can write to a folder can exchange the folders in it, unless it is sticky, as /tmp is: then only their
     owners can. Folders that do not exist yet belong to nobody. Windows keeps the folders of users apart by other means.
-
-    None if there is no such folder.  Raises OSError if the permissions cannot be read.
-    """
+    None if there is no such folder.  Raises OSError if the permissions cannot be read."""
     if not hasattr(os, "getuid"):
         return None
     folder = Path(os.path.realpath(folder))
@@ -202,9 +198,7 @@ def by_type(choose: Callable) -> Callable:
 
 def type_of(formula: Callable, python: Callable | None = None) -> Callable[[type], type]:
     """Decorator of a NamedTuple class that stands for a compiled function, which kernels, and the cache, choose by it.
-
-    python : the same function for Python; if not given, the one that was compiled.
-    """
+    python : the same function for Python; if not given, the one that was compiled."""
 
     def tie(named: type) -> type:
         named.formula = formula  # type: ignore[attr-defined]
@@ -317,9 +311,7 @@ def _source_hash() -> str:
 def _kernel_sources(package: Path) -> dict[str, bytes]:
     """The sources on which machine code depends, by module: files with compiled functions, and those from which they
     import constants or types, which may depend on those of a third file, and so on.
-
-    Imports inside functions do not count: kernels cannot import.
-    """
+    Imports inside functions do not count: kernels cannot import."""
     names = {file: ".".join(file.relative_to(package.parent).with_suffix("").parts) for file in package.rglob("*.py")}
     texts = {name.removesuffix(".__init__"): file.read_bytes() for file, name in names.items()}
     needed = set[str]()

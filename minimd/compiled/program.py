@@ -18,15 +18,13 @@ IN_A_CHUNK = 512  # atoms, or terms, of which each takes as long: some microseco
 
 class Operation(NamedTuple):
     """An operation of a program.
-
     code : address of a kernel (data, chunk) → answer, see operation; 0 where Python is wanted.  data : its data.
     n_chunks : that it is cut into.
     then, otherwise : the operations to go on with if it answers GO_ON or JUMP, counted from this one.
     python : what Python does at an operation of its own, called without arguments; or, called with an answer above 0,
         about that answer.
     again : the operation to go on with after the latter, counted from this one.
-    is_kept : whether its maker keeps the data, as long as the version of the program stays the same; else it does.
-    """
+    is_kept : whether its maker keeps the data, as long as the version of the program stays the same; else it does."""
 
     code: int
     data: ByAddress | None

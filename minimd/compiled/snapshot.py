@@ -53,8 +53,11 @@ class Snapshot:
         self._note(sys.version, numba.__version__, np.__version__)
         self.function: Any
         self.python: FunctionType
-        copy_it = self._plain if isinstance(function, FunctionType) else self._compiled
-        self.function, self.python = copy_it(function)
+        if isinstance(function, FunctionType):
+            self.function, self.python = self._shells(function)
+            self._fill(function, self.function, self.python)
+        else:
+            self.function, self.python = self._compiled(function)
         self.digest = self._hash.hexdigest()[:32] if self._is_clear else ""
 
     def _note(self, *words: Any) -> None:
@@ -109,11 +112,6 @@ class Snapshot:
         self._fill(plain, first, second)
         return compiled, second
 
-    def _plain(self, function: FunctionType) -> tuple[FunctionType, FunctionType]:
-        first, second = self._shells(function)
-        self._fill(function, first, second)
-        return first, second
-
     def _shells(self, function: FunctionType) -> tuple[FunctionType, FunctionType]:
         """Two copies of a function that read nothing yet."""
         self._note("function", function.__name__)
@@ -121,11 +119,8 @@ class Snapshot:
         defaults, keywords = function.__defaults__ or (), function.__kwdefaults__ or {}
         values, keyword_values = self._data(tuple(defaults)), self._data(tuple(keywords.values()))
         self._note(tuple(keywords))
-        first, second = (
-            unread(function, one or None, dict(zip(keywords, each, strict=True)) or None)
-            for one, each in zip(values, keyword_values, strict=True)
-        )
-        return first, second
+        named = [dict(zip(keywords, each, strict=True)) or None for each in keyword_values]
+        return unread(function, values[0] or None, named[0]), unread(function, values[1] or None, named[1])
 
     def _fill(self, function: FunctionType, first: FunctionType, second: FunctionType) -> None:
         """Give the shells copies of the globals and closure cells that the function reads."""

@@ -127,11 +127,9 @@ def run_operations(worker, task, operations, course):
     """Run operations, from course[AT] on, until one of them answers with a number above 0, or there is none left.
 
     Returns that answer, or 0; course[AT] is then the operation that gave it, or the number of all operations.
-
     operations : (n, 5) int64; of each its code (an address), its data (an address), the number of its chunks (0 where
         Python is wanted), and the operations to go on with if it answers GO_ON or JUMP.
-    The chunks of an operation answer GO_ON; those that do not must all give the same answer.
-    """
+    The chunks of an operation answer GO_ON; those that do not must all give the same answer."""
     counters = worker.counters
     if worker.n_threads == 1:
         return _run_alone(operations, course)
@@ -186,10 +184,8 @@ def _finish(counters, word, operations, course):
 @scalar
 def _open(counters, phase, operations, course, at, answer):
     """Open a phase: that of an operation, or the end of the program.
-
     The word of a phase holds its number, that of its operation and that of its chunks, so that threads read all three
-    at once: a chunk can be taken only as long as the phase is open, since only then some have not been taken in it.
-    """
+    at once: a chunk can be taken only as long as the phase is open, since only then some have not been taken in it."""
     n = 0
     if at < operations.shape[0] and answer == GO_ON:
         n = operations[at, CHUNKS]

@@ -309,10 +309,8 @@ def project_linear(block, atoms, molecules, targets, multipliers):
 @scalar
 def impulses(b0, c0, drifted, r_a, r_b, r_c):
     """λ_ab, λ_ac, λ_bc of triangles [dimensionless], and a number that is negative, or none, where they do not exist.
-
     b0, c0 : separations a to b and a to c before the drift.  drifted : a₁, b₁, c₁.  r_a, r_b, r_c : see above.
-        All [length].
-    """
+        All [length]."""
     a1, b1, c1 = drifted
     z = unit(cross(b0, c0))
     x = unit(cross(a1, z))
@@ -367,10 +365,8 @@ def drift_triangles(block, atoms, triangles, duration):
 @scalar
 def project_triangles(block, atoms, triangles, targets, multipliers):
     """Vectors of triangles, given a component along each side: r · (x_j − x_i) = target.
-
     A λ = targets − r · x, with A_kl = ±(r_k · r_l)/m of the shared atom, by the inverse of A; projected twice,
-    to remove the rounding of the first projection.
-    """
+    to remove the rounding of the first projection."""
     positions, vectors, inverse_masses, _ = atoms
     abc, offsets, _, sides = triangles
     ab, ac = arms(corners(positions, abc, block), offsets, block)

@@ -39,8 +39,7 @@ class ConstraintSet:
                 raise TypeError(f"constraints must be DistanceConstraints or FixedAtoms; got {shown(constraint)}")
         distances = [constraint for constraint in given if isinstance(constraint, DistanceConstraints)]
         if len(distances) > 1:
-            why = "those that share atoms are solved together"
-            raise ValueError(f"all pairs must be given in one DistanceConstraints: {why}")
+            raise ValueError("give all pairs in one DistanceConstraints: those that share atoms are solved together")
         self._threads, self._cell = threads, system.cell  # the cell for which the images of bonds were found
         self.n_fixed = int((self.inverse_masses == 0.0).sum())
         self.kept: tuple[Any, ...] = (FixedAtoms(self.inverse_masses == 0.0),) if self.n_fixed else ()

@@ -22,25 +22,9 @@ from minimd.compiled.kernels import DirectCalls, by_type, filling_kernel
 from minimd.compiled.program import CANNOT_KEEP, GO_ON, Operation, operation
 from minimd.compiled.simd.vector import lanes_for
 from minimd.compiled.threads import MOST_CHUNKS
-from minimd.constraints.closed_forms import (
-    Atoms,
-    Bonds,
-    DriftLinear,
-    DriftPairs,
-    DriftTriangles,
-    Molecules,
-    ProjectLinear,
-    ProjectPairs,
-    ProjectTriangles,
-)
-from minimd.constraints.networks import (
-    DriftComponents,
-    Memory,
-    ProjectComponents,
-    SweepDrift,
-    SweepVelocities,
-    dependent_constraint,
-)
+from minimd.constraints import closed_forms, networks
+from minimd.constraints.closed_forms import Atoms, Bonds, Molecules
+from minimd.constraints.networks import Memory, dependent_constraint
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -48,12 +32,10 @@ Floats = NDArray[np.float64]
 
 class Components(NamedTuple):
     """The components of a graph, and the envelope of their matrices.
-
     starts : (C + 1,) indices at which the constraints of each component begin.
     atoms, atom_starts : atoms of the components, one after the other, and where each component begins among them.
     begins : (K + 1,) where row k of the lower envelope begins in memory.  lowest : (K,) its first column.
-    coupling : c_kl for l = lowest[k] … k, row after row; zero where two constraints share no atom.
-    """
+    coupling : c_kl for l = lowest[k] … k, row after row; zero where two constraints share no atom."""
 
     starts: Ints
     atoms: Ints
@@ -65,9 +47,7 @@ class Components(NamedTuple):
 
 class Graph(NamedTuple):
     """Constraints sorted by component and, within one, for a narrow band.
-
-    order : (K,) number, in the order of the user, of the k-th constraint.  first, second : (K,) its atoms.
-    """
+    order : (K,) number, in the order of the user, of the k-th constraint.  first, second : (K,) its atoms."""
 
     order: Ints
     first: Ints
@@ -77,10 +57,8 @@ class Graph(NamedTuple):
 
 class Bodies(NamedTuple):
     """Bodies of atoms that constraints connect.
-
     label : (N,) the body of each atom; an atom without constraints is a body.  last : (B,) the last atom of each body.
-    is_free : (B,) whether none of its atoms is held fixed, so that constraints do not change its momentum.
-    """
+    is_free : (B,) whether none of its atoms is held fixed, so that constraints do not change its momentum."""
 
     label: Ints
     last: Ints
@@ -112,8 +90,7 @@ def graph_of(pairs: Ints, inverse_masses: Floats, ids: Ints) -> Graph:
     component = connected_components(graph, directed=False)[1]
     k, sides = np.repeat(np.arange(len(pairs)), 2), bodies.reshape(-1)
     incidence = coo_array((np.tile([-1.0, 1.0], len(pairs)), (k, sides)), shape=(len(pairs), n + pairs.size)).tocsr()
-    weights = np.concatenate([inverse_masses, np.zeros(pairs.size)])
-    coupled = (incidence * weights) @ incidence.T
+    coupled = (incidence * np.concatenate([inverse_masses, np.zeros(pairs.size)])) @ incidence.T
     band_order = reverse_cuthill_mckee(coupled.tocsr(), symmetric_mode=True).astype(np.int64)
     label = component[bodies[band_order, 0]]
     order = band_order[np.argsort(label, kind="stable")]
@@ -145,14 +122,11 @@ CONSTRAINTS_IN_A_CHUNK = 500  # least number: about ten microseconds of work, mo
 ALIKE = 1e-12  # relative: masses and squared lengths that differ by less are equal
 
 
-class Solving(
-    ByAddress, namedtuple("Solving", "solver positions vectors inverse_masses lanes n answers most arguments")
-):
+class Solving(ByAddress, namedtuple("Solving", "solver positions vectors inverse_masses lanes n answers most "
+                                    "arguments")):  # fmt: skip
     """A solver on the n components of a group, in as many chunks as there are answers.
-
     positions, vectors, inverse_masses, lanes : of Atoms.  arguments : of the solver.
-    answers : (chunks,) output, see vectors.  most : (chunks,) the largest so far.
-    """
+    answers : (chunks,) output, see vectors.  most : (chunks,) the largest so far."""
 
 
 @filling_kernel
@@ -174,14 +148,12 @@ def _solved(solver, first, last, atoms, arguments):
 
 class Networks:
     """Components of any shape.  every : the ConstraintSolver.  order : (K,) which of its constraints are here.
-
     Other shapes have other solvers: drifter, projector are their markers, known are their arguments after the atoms;
-    n_each is the number of constraints of one molecule, if the solver counts molecules.
-    """
+    n_each is the number of constraints of one molecule, if the solver counts molecules."""
 
     shape, n_each = "networks", 1
-    drifter: tuple = DriftComponents()
-    projector: tuple = ProjectComponents()
+    drifter: tuple = networks.DriftComponents()
+    projector: tuple = networks.ProjectComponents()
 
     def __init__(self, every: Any, graph: Graph, positions: Floats) -> None:
         self.order, self.graph, self.masses = graph.order, graph, every.inverse_masses
@@ -206,10 +178,8 @@ class Networks:
 
     def offsets(self) -> list[Floats]:
         """All arrays (…, 3) of lattice translations that its solvers read."""
-        return [
-            self.bonds.offsets,
-            *(array for one in self.known if isinstance(one, Molecules) for array in one.offsets),
-        ]
+        of_molecules = (array for one in self.known if isinstance(one, Molecules) for array in one.offsets)
+        return [self.bonds.offsets, *of_molecules]
 
     def drift(self, positions: Floats, velocities: Floats, duration: float) -> Operation:
         """Drift of the atoms of the group."""
@@ -232,7 +202,7 @@ class Networks:
 class Pairs(Networks):
     """Bonds that share no atom."""
 
-    shape, drifter, projector = "bonds of their own", DriftPairs(), ProjectPairs()
+    shape, drifter, projector = "bonds of their own", closed_forms.DriftPairs(), closed_forms.ProjectPairs()
 
     def _known(self, positions: Floats) -> tuple:
         return super()._known(positions)[1:2]
@@ -241,18 +211,18 @@ class Pairs(Networks):
 class Sweeps(Networks):
     """Components of any shape, by SHAKE, and by RATTLE if all targets are zero."""
 
-    shape, drifter = "networks, by sweeps", SweepDrift()
+    shape, drifter = "networks, by sweeps", networks.SweepDrift()
 
     def project(self, positions: Floats, vectors: Floats, targets: Floats) -> Operation:
         """See Networks."""
-        solver = ProjectComponents() if targets.any() else SweepVelocities()
+        solver = networks.ProjectComponents() if targets.any() else networks.SweepVelocities()
         return self._solve(solver, positions, vectors, (*self.known, targets, self.multipliers))
 
 
 class Triangles(Networks):
     """Triangles with two equal sides whose outer atoms have equal masses: water."""
 
-    shape, drifter, projector, n_each = "triangles", DriftTriangles(), ProjectTriangles(), 3
+    shape, drifter, projector, n_each = "triangles", closed_forms.DriftTriangles(), closed_forms.ProjectTriangles(), 3
 
     def _known(self, positions: Floats) -> tuple:
         super()._known(positions)
@@ -269,7 +239,7 @@ class LinearTriatomics(Networks):
     """Three atoms in a line: the distance of the outer ones is kept, and the place of the middle one between them.
     Their constraints depend on each other, and their solver takes this into account."""
 
-    shape, drifter, projector, n_each = "linear molecules", DriftLinear(), ProjectLinear(), 3
+    shape, drifter, projector, n_each = "linear molecules", closed_forms.DriftLinear(), closed_forms.ProjectLinear(), 3
 
     def _known(self, positions: Floats) -> tuple:
         self.n_constraints = 4 * self.n_components
@@ -287,11 +257,8 @@ def groups_of(every: Any, positions: Floats, solver: str) -> list[Any]:
     Raises ValueError for a triangle with a side longer than the others together."""
     graph, masses = graph_of(every.pairs, every.inverse_masses, np.arange(len(every.pairs))), every.inverse_masses
     kinds = np.full(graph.order.size, Sweeps if solver == "shake" else Networks, dtype=object)
-    starts, sizes, lengths2 = (
-        graph.components.starts[:-1],
-        np.diff(graph.components.starts),
-        every.lengths[graph.order] ** 2,
-    )
+    starts, sizes = graph.components.starts[:-1], np.diff(graph.components.starts)
+    lengths2 = every.lengths[graph.order] ** 2
     if solver == "auto":
         kinds[starts[sizes == 1]] = Pairs
     starts = starts[sizes == 3]
@@ -323,9 +290,8 @@ def _equal_sides(graph: Graph, starts: Ints, lengths2: Floats, inverse_masses: F
     return answer
 
 
-def _corners(
-    graph: Graph, base: Ints, offsets: Floats
-) -> tuple[tuple[Ints, ...], tuple[Floats, ...], tuple[Ints, ...]]:
+def _corners(graph: Graph, base: Ints,
+             offsets: Floats) -> tuple[tuple[Ints, ...], tuple[Floats, ...], tuple[Ints, ...]]:  # fmt: skip
     """Of each triangle: atoms apex, b, c with b-c the base; offsets of b and c from the apex, (T, 3) each; the two
     other constraints."""
     starts = graph.components.starts[:-1]

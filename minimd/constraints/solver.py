@@ -59,23 +59,15 @@ class ConstraintSolver:
     ValueError : for atoms that do not exist, a pair of two fixed atoms, a length of zero, or dependent constraints.
     """
 
-    def __init__(
-        self,
-        constraints: DistanceConstraints,
-        positions: Floats,
-        inverse_masses: Floats,
-        offsets: Floats | None = None,
-        threads: int = 1,
-        tolerance: float | None = None,
-    ) -> None:
+    def __init__(self, constraints: DistanceConstraints, positions: Floats, inverse_masses: Floats,
+                 offsets: Floats | None = None, threads: int = 1, tolerance: float | None = None) -> None:  # fmt: skip
         self.pairs, self.inverse_masses, self._calls = constraints.pairs, inverse_masses, DirectCalls()
         self.offsets = np.zeros((len(self.pairs), 3)) if offsets is None else offsets
         check_atoms(self.pairs, len(positions))
         stuck = np.flatnonzero((inverse_masses[self.pairs] == 0.0).all(axis=1))
         if stuck.size:
-            i, j = self.pairs[stuck[0]]
-            why = "connects two atoms that are held fixed; leave it out"
-            raise ValueError(f"constraint {stuck[0]} (atoms {i}-{j}) {why}")
+            i, j = self.pairs[k := int(stuck[0])]
+            raise ValueError(f"constraint {k} (atoms {i}-{j}) connects two atoms that are held fixed; leave it out")
         lengths = np.linalg.norm(self.bonds(positions), axis=1) if constraints.lengths is None else constraints.lengths
         if not (lengths > 0.0).all():
             i, j = self.pairs[k := int(np.argmin(lengths > 0.0))]
@@ -113,9 +105,7 @@ class ConstraintSolver:
 
     def drifts(self, positions: Floats, velocities: Floats, duration: float) -> Iterator[Operation]:
         """positions += duration · velocities, (N, 3) both, projected along the old gradients; velocities fit then.
-
-        Raises ConstraintError if a length cannot be kept; positions and velocities are then undefined.
-        """
+        Raises ConstraintError if a length cannot be kept; positions and velocities are then undefined."""
         if self.free_atoms.size:
             n_chunks = n_chunks_of(self.free_atoms.size)
             free = Free(positions, velocities, self.free_atoms, float(duration), n_chunks)
@@ -155,8 +145,7 @@ class ConstraintSolver:
         found = []
         for group in self.groups:
             turning = velocities[self.pairs[group.order, 1]] - velocities[self.pairs[group.order, 0]]
-            targets = -np.einsum("ij,ij->i", turning, turning)
-            project = group.project(positions, accelerations, targets)
+            project = group.project(positions, accelerations, -np.einsum("ij,ij->i", turning, turning))
             self._run([self._kept(project, group, positions, accelerations, 0.0)])
             found.append((group.order, group.multipliers.copy()))
         return found

@@ -3,8 +3,6 @@
 A rule looks at the evidence and gives a verdict, or None. Of the rules of one kind only the first that speaks counts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from math import sqrt
@@ -23,16 +21,10 @@ from minimd.potentials.pair import Nonbonded
 from minimd.structure.bond_graph import among
 from minimd.structure.checks import LARGEST
 from minimd.structure.constraints import DistanceConstraints
-from minimd.structure.observables import (
-    Array,
-    absolute_momentum,
-    kinetic_energy,
-    largest_component,
-    longest,
-    temperature,
-)
+from minimd.structure.observables import absolute_momentum, kinetic_energy, largest_component, longest, temperature
 from minimd.structure.system import System, changed
 from minimd.structure.units import ASE, BAR
+from minimd.structure.vectors import Array
 
 # before
 QUICK = 0.1  # of the relaxation time of a barostat, between two strains: fluctuations are then wrong by up to a tenth
@@ -62,11 +54,9 @@ HALVE = "halve the timestep until the energy is conserved"
 
 class Failure(NamedTuple):
     """How a run failed.  fault : in words.  step : in which.  constraint : atoms of one that could not be kept.
-
     at : (N, 3), positions at that moment, or None.  start : the earlier state that is known.
     is_first : whether no step led to it.  first_volume : when the simulation was made [length³], or None.
-    is_of_barostat : whether the barostat has refused to go on.
-    """
+    is_of_barostat : whether the barostat has refused to go on."""
 
     fault: str
     step: int
@@ -94,14 +84,12 @@ class Rule(NamedTuple):
 
     when: str
     kind: str
-    speaks: Callable[[Evidence], Verdict | None]
+    speaks: Callable[["Evidence"], Verdict | None]
 
 
 class Evidence:
     """What is known about a scene, and about its failure if it has failed; computed when it is first asked for.
-
-    engine : in its present state, after a failure the last good one, with energies of single atoms (PER_ATOM).
-    """
+    engine : in its present state, after a failure the last good one, with energies of single atoms (PER_ATOM)."""
 
     def __init__(self, engine: Engine, failure: Failure | None = None) -> None:
         self.engine, self.system, self.units = engine, engine.system, engine.system.units
@@ -449,30 +437,16 @@ def long_step(evidence: Evidence) -> Verdict | None:
 
 BEFORE, DURING, START, AFTER = "before", "during", "start", "after"
 RULES = (
-    Rule(BEFORE, "long step", strange_depth),
-    Rule(BEFORE, "long step", longer_than_a_bond),
-    Rule(BEFORE, "long step", longer_than_collisions),
-    Rule(BEFORE, "short step", short_step),
-    Rule(BEFORE, "reach", no_pair_in_reach),
-    Rule(BEFORE, "barostat", slow_barostat),
-    Rule(BEFORE, "pressure", crushing_pressure),
-    Rule(BEFORE, "center", moving_center),
-    Rule(START, "start", thrown_at_start),
-    Rule(DURING, "number", not_numbers),
-    Rule(DURING, "neighbors", past_neighbors),
-    Rule(AFTER, "law", law_without_number),
-    Rule(AFTER, "overlap", overlap_at_start),
-    Rule(AFTER, "overlap", one_place),
-    Rule(AFTER, "barostat", barostat),
-    Rule(AFTER, "constraint", broken_constraint),
-    Rule(AFTER, "bond", unstable_bond),
-    Rule(AFTER, "law", bottomless_law),
-    Rule(AFTER, "hot", too_hot),
-    Rule(AFTER, "pair", collision_in_a_step),
-    Rule(AFTER, "step", unstable_mode),
-    Rule(AFTER, "law", unknown_forces),
-    Rule(AFTER, "pair", long_step),
-)
+    Rule(BEFORE, "long step", strange_depth), Rule(BEFORE, "long step", longer_than_a_bond),
+    Rule(BEFORE, "long step", longer_than_collisions), Rule(BEFORE, "short step", short_step),
+    Rule(BEFORE, "reach", no_pair_in_reach), Rule(BEFORE, "barostat", slow_barostat),
+    Rule(BEFORE, "pressure", crushing_pressure), Rule(BEFORE, "center", moving_center),
+    Rule(START, "start", thrown_at_start), Rule(DURING, "number", not_numbers),
+    Rule(DURING, "neighbors", past_neighbors), Rule(AFTER, "law", law_without_number),
+    Rule(AFTER, "overlap", overlap_at_start), Rule(AFTER, "overlap", one_place), Rule(AFTER, "barostat", barostat),
+    Rule(AFTER, "constraint", broken_constraint), Rule(AFTER, "bond", unstable_bond),
+    Rule(AFTER, "law", bottomless_law), Rule(AFTER, "hot", too_hot), Rule(AFTER, "pair", collision_in_a_step),
+    Rule(AFTER, "step", unstable_mode), Rule(AFTER, "law", unknown_forces), Rule(AFTER, "pair", long_step))  # fmt: skip
 
 
 def verdicts(evidence: Evidence, *when: str) -> Iterator[tuple[str, Verdict]]:
@@ -506,17 +480,15 @@ def fault_of(engine: Engine, *when: str) -> str | None:
     return next((verdict.cause for _, verdict in verdicts(Evidence(engine), DURING, *when)), None)
 
 
-def runaway(
-    engine: Engine, first: Mapping[str, float], growth: float = RUNAWAY, since: str = "the run began"
-) -> str | None:
+def runaway(engine: Engine, first: Mapping[str, float], growth: float = RUNAWAY,
+            since: str = "the run began") -> str | None:  # fmt: skip
     """That energies have grown without bound, as they do beyond the stability limit of a method; None if they have not.
 
         K + |U| > growth (K₀ + |U₀| + R)   and   |E − E₀| > (K + |U|) / 2,   R = Σ m (ulp(r)/Δt)²
 
     first : observables of an earlier frame.  since : when that was, for the sentence.
     E is the total energy minus the reservoir energy and work, R the energy [energy] that the rounding of positions can
-    make in a step.
-    """
+    make in a step."""
     system, kinetic, potential = engine.system, engine.kinetic_energy, engine.interactions.potential_energy
     with np.errstate(over="ignore"):  # infinite for time steps that nobody needs
         pace = np.spacing(largest_component(system.positions)) / engine.method.timestep

@@ -1,7 +1,5 @@
 """The conservation report: what should have stayed constant, and whether it did."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -40,10 +38,8 @@ KEPT = {True: "conserved", False: "NOT CONSERVED"}
 @dataclass(frozen=True)
 class Line:
     """The result of one check.
-
     name : at most 14 letters.  summary : with figures.  verdict : in words.  is_good : whether it is as it should be.
-    misses_pressure : whether it says that the mean pressure is not that of the barostat.
-    """
+    misses_pressure : whether it says that the mean pressure is not that of the barostat."""
 
     name: str
     summary: str
@@ -61,8 +57,7 @@ class Drift:
 
     With fewer than four blocks, the error is infinite and the slope is that between the ends.
     n_independent : how many independent averages would leave this error.  is_unsure :
-        whether they are too few to rule a drift out.
-    """
+        whether they are too few to rule a drift out."""
 
     slope: float
     error: float
@@ -102,8 +97,7 @@ def drift(time: Array, series: Array, blocks: int = BLOCKS, beside: Array | None
         the state, whose slow changes show in the kinetic energy, while in the total energy faster ones hide them.
 
     H. Flyvbjerg, H. G. Petersen, J. Chem. Phys. 91, 461 (1989), on blocks; M. G. Kendall, Biometrika 41, 403 (1954),
-    on the bias of ρ.
-    """
+    on the bias of ρ."""
     blocks = min(blocks, len(series))
     if not np.isfinite([time, series]).all():
         return Drift(np.nan, np.nan)
@@ -115,9 +109,8 @@ def drift(time: Array, series: Array, blocks: int = BLOCKS, beside: Array | None
     own = least = independent(rest)
     if beside is not None:
         least = min(own, independent(_line(t, block_means(beside, blocks))[1]))
-    one, safe = (
-        Drift(slope, float(np.sqrt(rest @ rest / blocks / max(1.0, n - 2.0) / t.var())), n) for n in (own, least)
-    )
+    variance = rest @ rest / blocks
+    one, safe = (Drift(slope, float(np.sqrt(variance / max(1.0, n - 2.0) / t.var())), n) for n in (own, least))
     return replace(safe, is_unsure=own < INDEPENDENT or one.is_significant)
 
 
@@ -134,26 +127,22 @@ def drift_of_walk(time: Array, series: Array, blocks: int = BLOCKS_OF_WALK) -> D
     Total energy minus reservoir energy is such a series. A method conserves a shadow Hamiltonian, which differs from
     the energy, and each contact with the bath changes the difference at random. The slope is that between the means of
     the first and of the last block. Its error is that of the mean change from block to block,
-    which is known as well as that of half as many independent changes.
-    """
+    which is known as well as that of half as many independent changes."""
     blocks = min(blocks, len(series))
     if blocks <= FEW or np.ptp(time) == 0.0 or not np.isfinite([time, series]).all():
         return drift(time, series, blocks)
     t, y = block_means(time, blocks), block_means(series, blocks)
     steps, rate = np.diff(y), (blocks - 1.0) / np.ptp(t)
-    return Drift(
-        float(steps.mean() * rate), float(statistics.standard_error(steps, statistics.wandering)) * rate, blocks / 2.0
-    )
+    error = float(statistics.standard_error(steps, statistics.wandering)) * rate
+    return Drift(float(steps.mean() * rate), error, blocks / 2.0)
 
 
 @dataclass(frozen=True)
 class Cost:
     """What a run cost: steps, seconds, list builds, force evaluations; and in words its lists,
     its constraints and the work it did not need.
-
     peak_memory : bytes that the process has held at most so far, or None if that is unknown.
-    observing : seconds that observers of minimd.observers took besides those of the steps.
-    """
+    observing : seconds that observers of minimd.observers took besides those of the steps."""
 
     n_steps: int
     seconds: float
@@ -235,8 +224,7 @@ class Report(Displayed):
         None if the run is too short to tell.
 
         An energy that varies by more than half the kinetic energy is not conserved, whatever its drift: one bad step is
-        no drift. Nothing is conserved if an observable is not finite.
-        """
+        no drift. Nothing is conserved if an observable is not finite."""
         if self.not_finite:
             return False
         if not self.has_bath and self.energy_range > LARGEST_RANGE * self.kinetic_energy:
@@ -322,8 +310,7 @@ class Report(Displayed):
             said = "kept" if self.constraint_violation < LENGTHS_KEPT else "NOT KEPT"
             rows.append(("lengths", f"kept to {self.constraint_violation:.1e} (|r² − d²|/d²): {said}"))
         rows += [(line.name, f"{line.summary}: {line.verdict}") for line in self.lines]
-        deviation = f"on average, standard deviation {self.temperature_deviation:.2g} {heat}"
-        spread = "of one frame" if only else deviation
+        spread = "of one frame" if only else f"on average, standard deviation {self.temperature_deviation:.2g} {heat}"
         rows.append(("temperature", f"{with_error(self.mean_temperature, self.temperature_error)} {heat} {spread}"))
         return [*rows, *(self.cost.rows() if self.cost is not None else ()), ("verdict", self.verdict)]
 
@@ -372,23 +359,15 @@ def _differ(ends: tuple[float, float], share: float) -> bool:
 
 
 @np.errstate(all="ignore")  # the report says what is not finite
-def conservation_report(
-    record: Record,
-    angular: bool,
-    cost: Cost | None = None,
-    linear: bool = True,
-    lines: Sequence[Line] = (),
-    n_dof: int | None = None,
-    too_long_a_step: str = "",
-) -> Report:
+def conservation_report(record: Record, angular: bool, cost: Cost | None = None, linear: bool = True,
+                        lines: Sequence[Line] = (), n_dof: int | None = None,
+                        too_long_a_step: str = "") -> Report:  # fmt: skip
     """The report of a record.
-
     linear, angular : whether momentum is constant (see Engine.conserves_momentum), and angular momentum, too (then
         nothing is periodic).  lines, cost, too_long_a_step : see Report.
     n_dof : degrees of freedom of the run; if not given, the kinetic energy includes a motion of the center of mass.
     With a thermostat or barostat, total energy minus reservoir energy is judged; with forces that depend on time, the
-    total energy and the shadow energy minus their work.
-    """
+    total energy and the shadow energy minus their work."""
     units, has_bath, n, heat = record.units, "conserved_energy" in record, record.n_atoms, record.temperature
     thermal = record.kinetic_energy if n_dof is None else 0.5 * n_dof * units.k_B * heat
     time, work = record.time * units.to_picosecond, record.work if "work" in record else 0.0
@@ -400,32 +379,20 @@ def conservation_report(
         shadow = drift(time, series, beside=record.kinetic_energy)
     volume = record.volume if "volume" in record else np.zeros(1)
     return Report(
-        energy_drift=slope,
-        energy_oscillation=_oscillation(time, energy, slope),
+        energy_drift=slope, energy_oscillation=_oscillation(time, energy, slope),
         momentum_change=_largest_change(record.momentum, record.absolute_momentum, linear),
         angular_momentum_change=_largest_change(record.angular_momentum, record.absolute_angular_momentum, angular),
-        mean_temperature=float(heat.mean()),
-        temperature_deviation=float(heat.std()),
-        duration=float(np.ptp(time)),
-        kinetic_energy=float(thermal.mean()) / n,
-        n_frames=len(time),
-        n_steps=int(record.step[-1] - record.step[0]),
-        units=(units.energy, units.shown_time, units.temperature),
-        has_bath=has_bath,
-        has_work="work" in record,
+        mean_temperature=float(heat.mean()), temperature_deviation=float(heat.std()), duration=float(np.ptp(time)),
+        kinetic_energy=float(thermal.mean()) / n, n_frames=len(time), n_steps=int(record.step[-1] - record.step[0]),
+        units=(units.energy, units.shown_time, units.temperature), has_bath=has_bath, has_work="work" in record,
         constraint_violation=float(record.constraint_violation.max()) if "constraint_violation" in record else None,
-        cost=cost,
-        shadow_drift=shadow,
-        shadow_oscillation=0.0 if shadow is None else _oscillation(time, series, shadow),
-        lines=tuple(lines),
+        cost=cost, shadow_drift=shadow,
+        shadow_oscillation=0.0 if shadow is None else _oscillation(time, series, shadow), lines=tuple(lines),
         energy_range=max(0.0, float(np.ptp(energy) - RANGE_OF_ROUNDING * (potential / n).max())),
-        temperatures=_ends(heat),
-        volumes=_ends(volume),
-        not_finite=_not_finite(record),
+        temperatures=_ends(heat), volumes=_ends(volume), not_finite=_not_finite(record),
         temperature_error=mean_and_error(heat)[1],
-        is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * potential.max()),
-        too_long_a_step=too_long_a_step,
-    )
+        is_at_rest=bool(record.kinetic_energy.max() <= AT_REST * potential.max()), too_long_a_step=too_long_a_step,
+    )  # fmt: skip
 
 
 def _not_finite(record: Record) -> str:

@@ -65,9 +65,7 @@ class Reversibility(Displayed):
 
 def make_steps_back(guard: RunGuard, n_steps: int) -> None:
     """See Simulation.run_back. At the end, step, time and velocities are those of the run that is retraced.
-
-    Raises ValueError for an engine whose steps cannot be retraced to the last bit.
-    """
+    Raises ValueError for an engine whose steps cannot be retraced to the last bit."""
     engine, precision = guard.engine, guard.engine.interactions.options.precision
     if engine.interactions.grid is None:
         raise ValueError(f"only precision='fixed-point' retraces its steps; precision is {precision!r}")

@@ -32,10 +32,8 @@ LEAST_REPLAY = 20  # steps from the snapshot with which a replay begins to the f
 
 class RunGuard:
     """Makes the steps of an engine, and finds out what went wrong when one fails.
-
     seconds, n_steps : of the present run, without compilation.  observing : seconds of its observers.
-    failed_from : Snapshot from which the last failure can be replayed.
-    """
+    failed_from : Snapshot from which the last failure can be replayed."""
 
     def __init__(self, engine: Engine) -> None:
         self.engine, self.seconds, self.observing, self.n_steps = engine, 0.0, 0.0, 0
@@ -86,10 +84,8 @@ class RunGuard:
 
     def check_start(self, is_same_run: bool = False) -> None:
         """Take the state as it is now; one not changed since the last step continues as if there had been no pause.
-
         is_same_run : energies and snapshots of earlier steps remain valid, if the energy is still the same.
-        Raises NonFiniteError if the first step would throw atoms across the scene, and as Forces.check_resolution.
-        """
+        Raises NonFiniteError if the first step would throw atoms across the scene, and as Forces.check_resolution."""
         engine = self.engine
         self._reason = self._before = None
         if not is_same_run:
@@ -128,11 +124,9 @@ class RunGuard:
 
     def advance(self, n_steps: int, with_energy: bool) -> None:
         """Make up to n_steps steps, fewer after Ctrl-C; if they fail, go back and find out which step failed and why.
-
         with_energy : evaluate the energy with the last forces.
         Raises NonFiniteError, ConstraintError if a step fails; the engine is then in the last good state.
-        KeyboardInterrupt after Ctrl-C. ValueError if the scene no longer fits the list it needs.
-        """
+        KeyboardInterrupt after Ctrl-C. ValueError if the scene no longer fits the list it needs."""
         engine = self.engine
         kept = max(1, min(MOST_SNAPSHOTS, ROOM // len(engine.positions)))
         is_due = kept == 1 or not self._snapshots or engine.step - self._snapshots[-1].step >= SNAPSHOTS_APART
@@ -162,7 +156,6 @@ class RunGuard:
 
     def _replay(self, before: Snapshot, n_steps: int, otherwise: str) -> NoReturn:
         """Repeat failed steps one by one, up to the last good state; raise the error of the next step.
-
         otherwise : the fault if none fails."""
         engine = self.engine
         engine.restore(before)
@@ -257,7 +250,6 @@ class RunGuard:
 
     def _failure(self, fault: str, step: int, at: Array | None = None) -> NonFiniteError | ConstraintError:
         """The error for a run that failed in a step, with its crash report; the engine is in the last good state.
-
         at : (N, 3), of the failure."""
         engine, reason = self.engine, self._reason
         engine.is_whole = True  # a good state, worth keeping, although runs from it may be rounded differently

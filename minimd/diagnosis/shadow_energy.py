@@ -45,8 +45,7 @@ def shadow_energy(simulation: HasEngine) -> float:
 
     It costs three evaluations of the forces; the state stays as it is.
 
-    Raises ValueError for a method other than velocity Verlet, leapfrog and position Verlet, a bath, and rigid bonds.
-    """
+    Raises ValueError for a method other than velocity Verlet, leapfrog and position Verlet, a bath, and rigid bonds."""
     engine = simulation.engine
     check_has_shadow(engine)
     engine.moved()
@@ -56,10 +55,8 @@ def shadow_energy(simulation: HasEngine) -> float:
 
 def correction(engine: Engine) -> float:
     """H̃ − H [energy], with the forces current.
-
     v·(∇²U) v [energy/time²] is the difference of dU/ds = ∂U/∂t − F·v at s = 0, d and 2d, right to d². Its times are not
-    before the present one, at which a spring may begin to move.
-    """
+    before the present one, at which a spring may begin to move."""
     of_motion, of_forces = COEFFICIENTS[engine.method.sequence()]
     squares = float(np.einsum("ij,ij,i->", engine.forces, engine.forces, engine.constraint_set.inverse_masses))
     duration, change, of_power = NUDGE * engine.method.timestep, -3.0 * engine.forces, -3.0 * engine.surroundings.power

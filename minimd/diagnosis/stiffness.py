@@ -16,11 +16,9 @@ from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.pair import Nonbonded, curvature_at_minimum
 from minimd.structure.bond_graph import among
 from minimd.structure.cell import nearest_vectors
-from minimd.structure.observables import center, kinetic_energy, temperature, thermal_energy
+from minimd.structure.observables import Array, center, kinetic_energy, temperature, thermal_energy
 from minimd.structure.system import System
 from minimd.structure.units import ASE, BOLTZMANN_EV_PER_K, KJ_PER_MOL_PER_EV
-
-Array = NDArray[np.float64]
 
 DISPLACEMENT = 1e-6  # of the closest pair: central differences are then right to 1e-9, and few pairs cross their cutoff
 ROUNDINGS = 1e-9  # of the largest coordinate: the smallest displacement, with six digits left after rounding
@@ -64,10 +62,8 @@ class Stiffness:
     @cached_property
     def bond(self) -> StiffBond | None:
         """The harmonic bond with the highest frequency of its own, ω² = k/μ; None if there is none that can stretch.
-
         With other bonds, and if nothing is compressed, the stiffest mode is faster still: ω² is a lower bound for its
-        square.
-        """
+        square."""
         found: list[StiffBond] = []
         for potential in self._potentials:
             if isinstance(potential, HarmonicBond):
@@ -98,8 +94,7 @@ class Stiffness:
             ω² = u″(r_min)/μ · max(5², 15 + 12.2 T*^(7/6)),   T* = k_B T/ε of the velocities
 
         This is the largest ω of all pairs of species. An atom bonded to a heavier one moves with it, and does not
-        count.  at_rest : whether the velocities are left out.
-        """
+        count.  at_rest : whether the velocities are left out."""
         system, bonds = self.system, np.concatenate([self.system.bonds, self._held])
         masses = system.masses
         lighter = bonds[np.arange(len(bonds)), np.argmin(masses[bonds], axis=1)]
@@ -127,9 +122,8 @@ class Stiffness:
             strange = epsilon * ((epsilon > DEEPEST) | ((epsilon > DEEP) & (sigma > WIDE)))
             if (worst := float(strange.max())) > 0.0:
                 fits = [one for one in READINGS if SHALLOW <= worst * one[1] <= LIKELY]
-                told = [
-                    f"in {unit} it would be {worst * size:.3g} eV, epsilon={worst:.6g} {x}" for unit, size, x in fits
-                ]
+                would_be = "in {} it would be {:.3g} eV, epsilon={:.6g} {}"
+                told = [would_be.format(unit, worst * size, worst, x) for unit, size, x in fits]
                 usual = "noble gases 0.001 to 0.02 eV, metals up to 1 eV"
                 cause = f"epsilon = {worst:.6g} eV is far deeper than the well of any such atom ({usual})"
                 return cause, "; ".join(told) or "check its unit"
@@ -161,9 +155,7 @@ class Curvature:
     g = ½ (r² − d²) of each constraint, and λ its multiplier at rest: the curvature of the constraints acts like springs
     of stiffness −λ. Vectors w are mass-weighted displacements, w = M^1/2 u; D w is the change of M^−1/2 times the
     forces, with the opposite sign, from central differences. Positions of the system are changed and put back.
-
-    is_finite : whether the forces of the state are finite.  displacement : of the atom that is moved most [length].
-    """
+    is_finite : whether the forces of the state are finite.  displacement : of the atom that is moved most [length]."""
 
     def __init__(self, forces: Forces, constraint_set: ConstraintSet) -> None:
         self._forces, self._constraint_set, self._system = forces, constraint_set, forces.system
@@ -197,7 +189,11 @@ class Curvature:
             return np.zeros_like(vector)
         step = self.displacement / longest
         change = self._forces_at(steps, -step) - self._forces_at(steps, step)
-        product = change * (0.5 * longest / self.displacement) + self._constraint_springs(steps)
+        product = change * (0.5 * longest / self.displacement)
+        for pairs, multipliers in self._springs:  # λ r_ij is the force on j: a step u changes it by λ (u_j − u_i)
+            pull = multipliers[:, None] * (steps[pairs[:, 1]] - steps[pairs[:, 0]])
+            np.add.at(product, pairs[:, 1], -pull)
+            np.add.at(product, pairs[:, 0], pull)
         accelerations = self._constraint_set.inverse_masses[:, None] * product
         self._constraint_set.project(accelerations, self._start)
         return np.divide(accelerations, self._root, out=np.zeros_like(accelerations), where=self._root > 0.0).ravel()
@@ -236,12 +232,3 @@ class Curvature:
             return self._forces.compute().copy()
         finally:
             self._system.positions[:] = self._start
-
-    def _constraint_springs(self, steps: Array) -> Array:
-        """−Σ λ ∇²g u, (N, 3): λ r_ij is the force on j, so that a step u changes it by λ (u_j − u_i)."""
-        forces = np.zeros_like(steps)
-        for pairs, multipliers in self._springs:
-            pull = multipliers[:, None] * (steps[pairs[:, 1]] - steps[pairs[:, 0]])
-            np.add.at(forces, pairs[:, 1], -pull)
-            np.add.at(forces, pairs[:, 0], pull)
-        return forces

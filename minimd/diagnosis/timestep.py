@@ -1,7 +1,5 @@
 """Advice on the time step: the stiffest mode of a state and collisions of its atoms, and what they allow."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nan, pi
@@ -73,27 +71,21 @@ class StepAdvice(Displayed):
         units, shown, none = self.units, self.units.shown, "none: nothing oscillates in this state"
         if self.frequency == 0.0 and self.recommended == inf:
             return [("stiffest mode", f"{none}, so it sets no limit to the time step")]
-        recommended, of_limit = f"{shown(self.recommended)}: ", ""
-        by_heat = "collisions of Lennard-Jones atoms"
+        recommended, of_limit, by_heat = f"{shown(self.recommended)}: ", "", "collisions of Lennard-Jones atoms"
         rows = [("stiffest mode", none), ("recommended", f"{recommended}set by {by_heat}")]
         if self.frequency:
-            omega, of_limit = (
-                self.frequency / units.to_picosecond,
-                f": {abs(self.timestep or 0) / self.limit:.3g} of the limit",
-            )
+            omega = self.frequency / units.to_picosecond
+            of_limit = f": {abs(self.timestep or 0) / self.limit:.3g} of the limit"
             each = zip(self.atoms, self.shares, strict=True)
             shares = ", ".join(f"{atom} ({100.0 * share:.0f} %)" for atom, share in each)
             motion = f"{f'mostly of atoms {shares}, ' if shares else ''}spread over some {self.n_moving:.3g} atoms"
             if self.bond is not None:
                 motion = f"the bond of atoms {self.bond[0]} and {self.bond[1]}: {shares} of the kinetic energy"
             blow_up = "longer steps blow up, and at a temperature shorter ones may"
-            rows = [
-                ("stiffest mode", f"ω = {omega:.4g} / {units.shown_time}, period {shown(self.period)}"),
-                ("", motion),
-                ("limit", f"{shown(self.limit)} for {self.method}: {blow_up}"),
-                ("recommended", f"{recommended}{self.period / self.recommended:.3g} steps a period"),
-                ("decided by", "the stiffest mode"),
-            ]
+            rows = [("stiffest mode", f"ω = {omega:.4g} / {units.shown_time}, period {shown(self.period)}"),
+                    ("", motion), ("limit", f"{shown(self.limit)} for {self.method}: {blow_up}"),
+                    ("recommended", f"{recommended}{self.period / self.recommended:.3g} steps a period"),
+                    ("decided by", "the stiffest mode")]  # fmt: skip
             if self.collision < self.harmonic:
                 heat = f"{self.temperature:.3g} {units.temperature}" if self.temperature else "rest"
                 hotter = f"or at that of the velocities if they are hotter (given: {heat})"
@@ -103,12 +95,9 @@ class StepAdvice(Displayed):
         return rows if self.timestep is None else [*rows, ("given", f"{shown(self.timestep)}{of_limit}")]
 
 
-def advise_timestep(
-    system: AnySystem,
-    potentials: Potential | Sequence[Potential],
-    constraints: Constraint | Sequence[Constraint] | None = None,
-    method: Splitting | type[Splitting] = VelocityVerlet,
-) -> StepAdvice:
+def advise_timestep(system: AnySystem, potentials: Potential | Sequence[Potential],
+                    constraints: Constraint | Sequence[Constraint] | None = None,
+                    method: Splitting | type[Splitting] = VelocityVerlet) -> StepAdvice:  # fmt: skip
     """How long a time step may be: by the highest frequency of the weighted Hessian M^−1/2 H M^−1/2 of this state.
 
         limit = h_max/ω, h_max = 2 for velocity Verlet; recommended = h/ω with (E_max − E_min)/(E_max + E_min) = 1/80
@@ -145,7 +134,6 @@ def advise_timestep(
 
 def advice_at(engine: Engine, seconds: float) -> StepAdvice | None:
     """advise_timestep for the present state of an engine, which is left as it is; None if that would take longer.
-
     seconds : it may take at most.  Raises NonFiniteError as advise_timestep, and whatever a potential raises."""
     system = engine.system.copy()
     forces = Forces(system, engine.interactions.potentials, engine.interactions.options)
@@ -165,9 +153,8 @@ def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | t
     if curvature.is_finite:
         square, mode = curvature.stiffest(curvature.guess(stiffness.bond))
     if not np.isfinite(square):
-        raise NonFiniteError(
-            f"the forces around this state are not finite: {why_not_finite(system, forces.potentials)}"
-        )
+        why = why_not_finite(system, forces.potentials)
+        raise NonFiniteError(f"the forces around this state are not finite: {why}")
     if not square > curvature.rounding:
         square, mode = 0.0, np.zeros_like(mode)
     frequency, row, shares = square**0.5, method.sequence(), np.einsum("ij,ij->i", mode, mode)
@@ -176,26 +163,16 @@ def _advice(forces: Forces, constraint_set: ConstraintSet, method: Splitting | t
     step, colliding = accurate_step(row, OSCILLATION), stiffness.collisions() if collides else 0.0
     harmonic, collision = (step / one if one else inf for one in (frequency, colliding))
     # the bond whose stretching by itself makes up more than half of the mode
-    pairs = np.concatenate(
-        [system.bonds, *(one.groups_in(system) for one in forces.potentials if isinstance(one, Bond))]
-    )
+    joined = (one.groups_in(system) for one in forces.potentials if isinstance(one, Bond))
+    pairs = np.concatenate([system.bonds, *joined])
     near = pairs[np.isin(pairs, np.argsort(-shares)[:SHOWN_ATOMS]).all(axis=1)]
     parts = np.einsum("bij,ij->b", curvature.stretching(near), mode) ** 2
     bond = tuple(near[np.argmax(parts)].tolist()) if parts.max(initial=0.0) > HALF else None
-    return StepAdvice(
-        frequency=frequency,
-        period=2.0 * pi / frequency if frequency else inf,
-        limit=stability_limit(row) / frequency if frequency else inf,
-        harmonic=harmonic,
-        collision=collision,
-        recommended=min(harmonic, collision),
-        temperature=velocity_temperature(system),
-        method=method.name,
-        timestep=method.timestep if isinstance(method, Splitting) else None,
-        atoms=tuple(atoms),
-        shares=tuple(float(shares[i]) for i in atoms),
-        n_moving=float(1.0 / (shares**2).sum()) if shares.any() else nan,
-        bond=bond,
-        n_evaluations=forces.n_evaluations,
-        units=system.units,
-    )
+    return StepAdvice(frequency=frequency, period=2.0 * pi / frequency if frequency else inf,
+                      limit=stability_limit(row) / frequency if frequency else inf, harmonic=harmonic,
+                      collision=collision, recommended=min(harmonic, collision),
+                      temperature=velocity_temperature(system), method=method.name,
+                      timestep=method.timestep if isinstance(method, Splitting) else None, atoms=tuple(atoms),
+                      shares=tuple(float(shares[i]) for i in atoms),
+                      n_moving=float(1.0 / (shares**2).sum()) if shares.any() else nan, bond=bond,
+                      n_evaluations=forces.n_evaluations, units=system.units)  # fmt: skip

@@ -27,10 +27,8 @@ DEEP_KEY = re.compile(r"(?:[\w\"'-]+\s*\.\s*){64}")  # of tables in tables, for 
 @dataclass(frozen=True)
 class Document:
     """A checked scene file.
-
     path : the file; paths of structure files are relative to its folder.  text : of the file.
-    sections : its content, checked, in the units of the engine.
-    """
+    sections : its content, checked, in the units of the engine."""
 
     path: Path
     text: str
@@ -43,10 +41,8 @@ class Document:
 
     def system(self) -> System:
         """The atoms at the start, with their constraints.
-
         Raises ValueError, OSError, with the name of the file, for a structure that cannot be read or is impossible,
-        or for impossible constraints.
-        """
+        or for impossible constraints."""
         structure, water = self.sections.structure, self.sections.water
         with blamed_on(f"{self.path}: {'structure' if water is None else 'water'}"):
             made = self._from_lattice if structure.file is None else self._from_file
@@ -59,9 +55,7 @@ class Document:
         Raises ValueError with the name of the file and the entry."""
         with blamed_on(f"{self.path}: water"):
             first: list[Any] = [] if self.sections.water is None else self.sections.water.potentials()
-        return first + list(
-            self._each(lambda one: one.potential(*([self._table] if isinstance(one, TabulatedSection) else [])))
-        )
+        return [*first, *self._each(lambda one: one.potential(*[self._table] * isinstance(one, TabulatedSection)))]
 
     def tables(self) -> dict[str, Numbers]:
         """The numbers of all tables of tabulated laws, by name.  Raises ValueError as potentials."""
@@ -109,18 +103,14 @@ class Document:
 
     def plot_name(self, trajectories: list[Path], *, beside: bool = False) -> Path | None:
         """The picture that the scene asks for; None if it asks for none.
-
         beside : the trajectories replace those of the scene; then it is named after the first .h5md, None without one.
-        Raises ValueError if no trajectory ends in .h5md, from which a picture is drawn, unless beside.
-        """
+        Raises ValueError if no trajectory ends in .h5md, from which a picture is drawn, unless beside."""
         plot, drawn = self.sections.output.plot, h5md_files(trajectories)
         if plot is False or (beside and not drawn):
             return None
         if not drawn:
-            raise ValueError(
-                f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = "
-                f"{list(map(str, trajectories))}"
-            )
+            raise ValueError(f"{self.path}: output.plot needs a trajectory that ends in .h5md; output.trajectory = "
+                             f"{list(map(str, trajectories))}")  # fmt: skip
         picture = Path(plot) if isinstance(plot, str) else drawn[0].with_suffix(".png")
         return drawn[0].with_suffix(picture.suffix) if beside else picture
 
@@ -165,17 +155,13 @@ def h5md_files(files: Iterable[Path]) -> list[Path]:
 
 def stored(kind: type[D], text: str, file: Path) -> D:
     """The scene in the file of a run, which others may have made: no other file is read for it.
-
-    Raises ValueError as parsed, and if it names a table that is not in it.
-    """
+    Raises ValueError as parsed, and if it names a table that is not in it."""
     document = parsed(kind, text, file)
     for index, section in enumerate(document.sections.potential):
         for name in section.files if isinstance(section, TabulatedSection) else ():
             if name not in document.sections.tables:
-                raise ValueError(
-                    f"{file}: potential[{index}] of the stored scene must have its table in the scene; it names "
-                    f"{name!r}"
-                )
+                raise ValueError(f"{file}: potential[{index}] of the stored scene must have its table in the scene; it "
+                                 f"names {name!r}")  # fmt: skip
     return document
 
 
@@ -185,9 +171,8 @@ def potentials_of_scene(scene: str, words: Sequence[str], file: Path) -> list[An
     if scene:
         return stored(Document, scene, file).potentials()
     remedy = "pass those of the script, as in minimd.replay(file, [...]), or give the command a scene with --scene"
-    raise ValueError(
-        f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; {remedy}"
-    )
+    raise ValueError(f"file {str(file)!r} holds no scene from which to rebuild its potentials, {'; '.join(words)}; "
+                     f"{remedy}")  # fmt: skip
 
 
 def parsed(kind: type[D], text: str, path: Path) -> D:

@@ -53,11 +53,7 @@ class OfForces(Section):
 
     def potential(self) -> Any:
         """The potential that the section describes."""
-        given = {
-            name: value
-            for name in type(self).model_fields
-            if name != "type" and (value := getattr(self, name)) is not None
-        }
+        given = {name: value for name, value in self if name != "type" and value is not None}
         if len(given.get("points", ())) == 1:  # for all atoms
             given["points"] = given["points"][0]
         return MADE[self.type](**given)  # type: ignore[attr-defined]
@@ -68,16 +64,8 @@ MADE: dict[str, type[law.Declared]] = {  # by type
     for name, made in vars(potentials).items()
     if isinstance(made, type) and issubclass(made, law.Declared) and not {law.own_law, law.given} & made.kinds()
 }
-ForceSection = functools.reduce(
-    operator.or_,
-    (
-        create_model(  # type: ignore[call-overload]
-            f"{made.__name__}Section",
-            __base__=OfForces,
-            __module__=__name__,
-            type=(Literal[kind], ...),
-            **{one.name: key(one, made) for one in fields(made)},  # type: ignore[arg-type]
-        )
-        for kind, made in MADE.items()
-    ),
-)
+ForceSection = functools.reduce(operator.or_, (
+    create_model(  # type: ignore[call-overload]
+        f"{made.__name__}Section", __base__=OfForces, __module__=__name__, type=(Literal[kind], ...),
+        **{one.name: key(one, made) for one in fields(made)})  # type: ignore[arg-type]
+    for kind, made in MADE.items()))  # fmt: skip

@@ -9,17 +9,11 @@ from pydantic import ValidationError
 from minimd.document.section import UNKNOWN, Keys, Reading, Section, sections_below
 
 PLAIN = {  # words of pydantic: words of minimd
-    "Input should be": "must be",
-    "a valid integer": "a whole number",
-    "a valid ": "a ",
-    "dictionary or instance of": "table like",
-    "dictionary or object to extract fields from": "table",
-    "dictionary": "table",
-    "List should have": "must have",
-    "item after validation": "entry",
-    "items after validation": "entries",
-    "Value error, ": "",
-}
+    "Input should be": "must be", "a valid integer": "a whole number", "a valid ": "a ",
+    "dictionary or instance of": "table like", "dictionary or object to extract fields from": "table",
+    "dictionary": "table", "List should have": "must have", "item after validation": "entry",
+    "items after validation": "entries", "Value error, ": "",
+}  # fmt: skip
 EDGES = "give all three edges, 0 along a direction that does not repeat, as of a slab"
 THREE = {  # lists of the wrong length: what to write
     ("structure", "cell"): f": {EDGES}: [20, 20, 0] with pbc = [true, true, false]",

@@ -14,24 +14,14 @@ from minimd.structure.checks import LARGEST
 from minimd.structure.units import BAR, BOLTZMANN_EV_PER_K, DEGREE, FEMTOSECOND, GRAM_PER_CM3, PICOSECOND
 
 # unit system: dimension: ending of the key: size of that unit in units of the engine
-KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {
-    "ASE": {
-        "length": {"_A": 1.0},
-        "time": {"_fs": FEMTOSECOND},
-        "temperature": {"_K": 1.0},
-        "energy": {"_K": BOLTZMANN_EV_PER_K, "_eV": 1.0},
-        "force": {"_eV_A": 1.0},
-        "density": {"_g_cm3": GRAM_PER_CM3},
-        "pressure": {"_bar": BAR, "_GPa": 1e4 * BAR},
-        "compressibility": {"_per_bar": 1.0 / BAR, "_per_GPa": 1e-4 / BAR},
-        "stiffness": {"_eV_A2": 1.0},
-        "angle": {"_degree": DEGREE},
-        "angular stiffness": {"_eV_rad2": 1.0},
-        "inverse length": {"_per_A": 1.0},
-        "velocity": {"_A_ps": 1.0 / PICOSECOND},
-        "acceleration": {"_A_ps2": 1.0 / PICOSECOND**2},
-    },
-}
+KEY_UNITS: dict[str, dict[str, dict[str, float]]] = {"ASE": {
+    "length": {"_A": 1.0}, "time": {"_fs": FEMTOSECOND}, "temperature": {"_K": 1.0},
+    "energy": {"_K": BOLTZMANN_EV_PER_K, "_eV": 1.0}, "force": {"_eV_A": 1.0}, "density": {"_g_cm3": GRAM_PER_CM3},
+    "pressure": {"_bar": BAR, "_GPa": 1e4 * BAR}, "compressibility": {"_per_bar": 1.0 / BAR, "_per_GPa": 1e-4 / BAR},
+    "stiffness": {"_eV_A2": 1.0}, "angle": {"_degree": DEGREE}, "angular stiffness": {"_eV_rad2": 1.0},
+    "inverse length": {"_per_A": 1.0}, "velocity": {"_A_ps": 1.0 / PICOSECOND},
+    "acceleration": {"_A_ps2": 1.0 / PICOSECOND**2},
+}}  # fmt: skip
 KEY_UNITS["LJ"] = {dimension: {"": 1.0} for dimension in KEY_UNITS["ASE"]} | {"angle": {"_degree": DEGREE}}
 # key: its field, and the factor by which its numbers are multiplied, None if it is not a quantity
 Keys = dict[str, tuple[str, float | None]]
@@ -101,9 +91,7 @@ class Section(BaseModel):
     @classmethod
     def _without_units(cls, table: Any, info: Any) -> Any:
         """The table with the names of fields as keys, and numbers in the units of the engine.
-
-        A key that is unknown, or gives a quantity for the second time, gets a name that is not a field.
-        """
+        A key that is unknown, or gives a quantity for the second time, gets a name that is not a field."""
         if not isinstance(table, dict):
             return table
         reading: Reading = info.context

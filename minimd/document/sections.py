@@ -66,10 +66,8 @@ def read_table(path: Path) -> Numbers:
     except ValueError as error:
         raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u: {error}") from None
     if columns.shape[1:] != (2,) or not len(columns):
-        raise ValueError(
-            f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} lines of "
-            f"{columns.shape[1]}"
-        )
+        raise ValueError(f"table {str(path)!r} must hold two numbers on each line, r and u; it has {len(columns)} "
+                         f"lines of {columns.shape[1]}")  # fmt: skip
     return Numbers(*columns.T.tolist())
 
 
@@ -89,10 +87,8 @@ METHODS: Mapping[str, type[Splitting]] = ChainMap(THERMOSTATS, SPLITTINGS)
 
 class StructureSection(Section):
     """[structure]: a file that ASE or MDAnalysis reads, or a block of a cubic crystal.
-
     format : name of the format, for a file whose suffix does not show it.  bonds : pairs of atoms; "file" for the
-        bonds, angles and dihedrals in the file; or the name of another file that holds them.
-    """
+        bonds, angles and dihedrals in the file; or the name of another file that holds them."""
 
     file: str | None = None
     lattice: Annotated[str, one_of(BASES)] | None = None
@@ -147,9 +143,7 @@ class WaterSection(Section):
 
 class ConstraintsSection(Section):
     """[constraints]: lengths and atoms that are held fixed.
-
-    Constraints that it does not mention are those of the structure file.
-    """
+    Constraints that it does not mention are those of the structure file."""
 
     pairs: list[PairOfAtoms] | Literal["bonds"] | None = None
     lengths: Annotated[Positive | list[Positive] | None, Dimension("length")] = None
@@ -167,11 +161,9 @@ class ConstraintsSection(Section):
 
     def constraints(self, bonds: list[list[int]], known: Sequence[Constraint]) -> tuple[Constraint, ...]:
         """The constraints of a system whose file, of structure or run, may hold some already.
-
         bonds : of the structure.  known : constraints of the file; they hold where the section says nothing,
             lengths only if the pairs are the same.
-        Raises ValueError for impossible constraints.
-        """
+        Raises ValueError for impossible constraints."""
         fixed: list[Constraint] = [one for one in known if isinstance(one, FixedAtoms)]
         if self.fixed is not None:
             fixed = [FixedAtoms(self.fixed)] if self.fixed else []
@@ -240,10 +232,8 @@ class PairTableSection(Section):
 
 class TabulatedSection(Section):
     """[[potential]] of type "tabulated": one table for all atoms, or one for each pair of species, all at the same r.
-
     file : two columns, r and u in the units of the scene, with a path relative to the scene file;
-        or a name in [tables].
-    """
+        or a name in [tables]."""
 
     type: Literal["tabulated"]
     file: str | None = None
@@ -269,9 +259,8 @@ class TabulatedSection(Section):
         tables = {name: table_of(name) for name in self.files}
         first = self.files[0]
         if others := [name for name, table in tables.items() if table.r != tables[first].r]:
-            raise ValueError(
-                f"the tables of one potential must have the same r; those of {others[0]!r} and {first!r} differ"
-            )
+            raise ValueError(f"the tables of one potential must have the same r; those of {others[0]!r} and {first!r} "
+                             "differ")  # fmt: skip
         by_pair: Any = {tuple(one.species): tables[one.file].u for one in self.pairs or ()}
         options = self.model_dump(exclude={"type", "file", "pairs"})
         return Tabulated(tables[first].r, by_pair or tables[first].u, **options)
@@ -295,18 +284,15 @@ class DynamicsSection(Section):
         if self.method in THERMOSTATS and missing:
             yield f"must have {' and '.join(missing)} with method {self.method!r}"
         if self.method not in THERMOSTATS and self.relaxation_time is not None:
-            yield (
-                f"cannot have {self.key('relaxation_time', units)} with method {self.method!r}, which has no "
-                f"relaxation time; {', '.join(THERMOSTATS)} have one"
-            )
+            yield (f"cannot have {self.key('relaxation_time', units)} with method {self.method!r}, which has no "
+                   f"relaxation time; {', '.join(THERMOSTATS)} have one")  # fmt: skip
 
     def integrator(self) -> Splitting:
         """The method with its time step; a thermostat with its bath."""
         if self.method not in THERMOSTATS:
             return SPLITTINGS[self.method](self.timestep)
-        return THERMOSTATS[self.method].with_relaxation_time(
-            self.timestep, self.temperature, self.relaxation_time, self.seed
-        )
+        return THERMOSTATS[self.method].with_relaxation_time(self.timestep, self.temperature, self.relaxation_time,
+                                                             self.seed)  # fmt: skip
 
 
 class BarostatSection(Section):
@@ -363,13 +349,10 @@ class OfObservers(Section):
 
 
 ARGUMENTS: dict[Any, Any] = {  # of observers, by what they must be
-    checked_count: PositiveInt,
-    arguments.levels: PositiveInt,
-    arguments.positive: Positive,
-    arguments.identifier: str,
+    checked_count: PositiveInt, arguments.levels: PositiveInt, arguments.positive: Positive, arguments.identifier: str,
     arguments.axis_name: Annotated[str, one_of(arguments.AXES)],
     arguments.interval: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)],
-}
+}  # fmt: skip
 
 
 def _argument(name: str) -> tuple[Any, None]:
@@ -384,13 +367,10 @@ def _argument(name: str) -> tuple[Any, None]:
 
 KIND_OF_OBSERVER = Field(description="what is measured during the run, see [observers](observers.md)")
 ObserverSection = create_model(  # type: ignore[call-overload]
-    "ObserverSection",
-    __base__=OfObservers,
-    __module__=__name__,
-    __doc__=OfObservers.__doc__,
+    "ObserverSection", __base__=OfObservers, __module__=__name__, __doc__=OfObservers.__doc__,
     kind=(Annotated[str, one_of(KINDS), KIND_OF_OBSERVER], ...),
     **{one: _argument(one) for one in ("every", "name", *chain(*(made.declared for made in KINDS.values())))},
-)
+)  # fmt: skip
 
 
 def _plot_name(value: bool | str) -> bool | str:
@@ -401,9 +381,7 @@ def _plot_name(value: bool | str) -> bool | str:
 
 class OutputSection(Section):
     """[output]: files in the current folder; if no name is given, the trajectory is named after the scene.
-
-    shadow_energy, stress : whether to record these observables too.
-    """
+    shadow_energy, stress : whether to record these observables too."""
 
     trajectory: str | list[str] | None = None
     every: PositiveInt = 100
@@ -455,9 +433,8 @@ class SceneSections(Section):
             f'water needs units = "ASE"; units = "{units}"': self.water and units != "ASE",
             f"equilibration needs {temperature}, at which first velocities are drawn": self.equilibration and is_cold,
             f"barostat needs {temperature}, the temperature of its noise": self.barostat and is_cold,
-            'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs': (
-                pairs == "bonds" and not self.structure.bonds
-            ),
+            'constraints.pairs = "bonds" needs structure.bonds; give them there, or list the pairs': pairs == "bonds"
+            and not self.structure.bonds,
             f"no tabulated potential uses tables.{unused}; give it as the file of one, or leave it out": unused,
-        }
+        }  # fmt: skip
         yield from (fault for fault, is_there in faults.items() if is_there)

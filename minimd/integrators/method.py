@@ -4,23 +4,17 @@ from collections.abc import Callable
 from inspect import signature
 from typing import Any, ClassVar, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from minimd.console.display import Displayed, Rows, as_text, call_of
 from minimd.structure.checks import checked_number
+from minimd.structure.vectors import Array
 
 __all__ = ["Method"]
-
-Array = NDArray[np.float64]
 
 
 class Problem(Protocol):
     """y′ = f(t, y) or F(t, y, y′) = 0, with initial values. States are one-dimensional arrays.
-
     solver : Newton() or FixedPoint(), for implicit steps.  shape : of q and of v, None for problems without them.
-    remark : what limits the accuracy of solutions beyond method and rounding, if anything does; known after begin.
-    """
+    remark : what limits the accuracy of solutions beyond method and rounding, if anything does; known after begin."""
 
     solver: Any
     shape: Any
@@ -39,9 +33,7 @@ class Problem(Protocol):
 
 class Step(Protocol):
     """One step of a method on a problem: y(t) → y(t+h). It never changes y, and counts its evaluations in nfev.
-
-    A step may remember what it knows about the state it returned last, its force say, and know it as the same array.
-    """
+    A step may remember what it knows about the state it returned last, its force say, and know it as the same array."""
 
     @property
     def nfev(self) -> int:

@@ -1,16 +1,11 @@
 """The cell in LAMMPS, a along x and b in the xy plane: positions are turned and wrapped for it, and back afterwards."""
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.structure.system import System
-from minimd.structure.vectors import handedness, upright
+from minimd.structure.vectors import Array, handedness, upright
 
 IMAGES = 1024  # LAMMPS counts images with ten bits
-
-Array = NDArray[np.float64]
 
 
 class Box:
@@ -52,11 +47,8 @@ class Box:
         return vectors @ self.turn.T
 
     def positions_back(self, unwrapped: Array, expected: Array) -> Array:
-        """Unwrapped positions of LAMMPS (N, 3) [length], turned back and in the images of minimd.
-
-        LAMMPS loses multiples of IMAGES cells; those are taken that come closest to the expected positions, (N, 3)
-        [length].
-        """
+        """Unwrapped positions of LAMMPS (N, 3) [length], turned back and in the images of minimd. LAMMPS loses
+        multiples of IMAGES cells; those are taken that come closest to the expected positions, (N, 3) [length]."""
         positions = self.back(unwrapped) + self._shifts
         return positions + IMAGES * np.rint(self.crossed(expected - positions) / IMAGES) @ self._cell.lattice
 
@@ -74,9 +66,7 @@ class Box:
 
     def lines(self) -> list[str]:
         """The lines of a data file about the box."""
-        lines = [
-            f"{low:.17g} {high:.17g} {axis}lo {axis}hi"
-            for low, high, axis in zip(self.low, self.high, "xyz", strict=True)
-        ]
+        bounds = zip(self.low, self.high, "xyz", strict=True)
+        lines = [f"{low:.17g} {high:.17g} {axis}lo {axis}hi" for low, high, axis in bounds]
         tilts = self.edges[[1, 2, 2], [0, 0, 1]]
         return lines + ([f"{' '.join(f'{tilt:.17g}' for tilt in tilts)} xy xz yz"] if tilts.any() else [])

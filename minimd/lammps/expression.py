@@ -6,8 +6,6 @@ conditions on the distance is called for each combination of their outcomes.
 P. Eastman et al., PLoS Comput. Biol. 13, e1005659 (2017), for Lepton, the parser of OpenMM.
 """
 
-from __future__ import annotations
-
 import builtins
 import math
 import operator
@@ -29,18 +27,14 @@ FUNCTIONS = {name: name for name in SAME.split()}  # names in math and numpy: in
 FUNCTIONS |= {"arcsin": "asin", "arccos": "acos", "arctan": "atan", "fabs": "abs", "absolute": "abs"}
 FUNCTIONS |= {"maximum": "max", "minimum": "min", "where": "select"}
 COMPUTED: dict[str, Callable[..., Any]] = {  # names in math and numpy: by operators and other functions
-    **dict.fromkeys(("divide", "true_divide"), operator.truediv),
-    **dict.fromkeys(("power", "float_power", "pow"), operator.pow),
-    "square": lambda x: x * x,
-    "reciprocal": lambda x: 1.0 / x,
-    "expm1": lambda x: x.of("exp", x) - 1.0,
-    "log1p": lambda x: x.of("log", 1.0 + x),
-    "log10": lambda x: x.of("log", x) / math.log(10.0),
-    "log2": lambda x: x.of("log", x) / math.log(2.0),
-    "cbrt": lambda x: x ** (1.0 / 3.0),
-}
-COMPUTED |= {"add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "negative": operator.neg}
-COMPUTED |= {"less": operator.lt, "greater": operator.gt, "less_equal": operator.le, "greater_equal": operator.ge}
+    "add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "negative": operator.neg,
+    "divide": operator.truediv, "true_divide": operator.truediv,
+    "power": operator.pow, "float_power": operator.pow, "pow": operator.pow,
+    "less": operator.lt, "greater": operator.gt, "less_equal": operator.le, "greater_equal": operator.ge,
+    "square": lambda x: x * x, "reciprocal": lambda x: 1.0 / x, "cbrt": lambda x: x ** (1.0 / 3.0),
+    "expm1": lambda x: x.of("exp", x) - 1.0, "log1p": lambda x: x.of("log", 1.0 + x),
+    "log10": lambda x: x.of("log", x) / math.log(10.0), "log2": lambda x: x.of("log", x) / math.log(2.0),
+}  # fmt: skip
 LEAVES = {"r": "r", "r2": "(r*r)"}  # symbols without arguments, as they are written
 
 
@@ -54,14 +48,12 @@ class Undecided(Exception):  # noqa: N818 - not an error: it is always caught in
 
 class Symbol:
     """An unknown number: an operation, and its arguments, which are symbols and numbers.
-
-    decisions : truth values for the conditions in this call of a law, in their order.
-    """
+    decisions : truth values for the conditions in this call of a law, in their order."""
 
     def __init__(self, operation: str, arguments: tuple[Any, ...], decisions: Iterator[bool]) -> None:
         self.operation, self.arguments, self.decisions = operation, arguments, decisions
 
-    def of(self, operation: str, *arguments: Any) -> Symbol:
+    def of(self, operation: str, *arguments: Any) -> "Symbol":
         """An operation or a function of Lepton with these arguments. √(r²) is r."""
         for one in arguments:
             if not isinstance(one, Symbol | int | float | np.number | np.bool_):
@@ -97,24 +89,15 @@ class Symbol:
         return applied(function.__name__, *inputs)
 
 
-def _sides(sign: str) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """An operator with the symbol a on its left, and on its right."""
-    return lambda a, b: a.of(sign, a, b), lambda a, b: a.of(sign, b, a)
-
-
 OPERATORS: dict[str, Callable[..., Any]] = {  # of Python, by their names in operator; a is a symbol
-    "neg": lambda a: 0.0 - a,
-    "pos": lambda a: a,
-    "abs": lambda a: a.of("abs", a),
-    "lt": lambda a, b: 1.0 - (a >= b),
-    "gt": lambda a, b: 1.0 - (a <= b),
-    "le": lambda a, b: a.of("step", b - a),
-    "ge": lambda a, b: a.of("step", a - b),
+    "neg": lambda a: 0.0 - a, "pos": lambda a: a, "abs": lambda a: a.of("abs", a),
+    "lt": lambda a, b: 1.0 - (a >= b), "gt": lambda a, b: 1.0 - (a <= b), "ne": lambda a, b: 1.0 - (a == b),
+    "le": lambda a, b: a.of("step", b - a), "ge": lambda a, b: a.of("step", a - b),
     "eq": lambda a, b: a.of("delta", a - b),
-    "ne": lambda a, b: 1.0 - (a == b),
-}
+}  # fmt: skip
 for _name, _sign in {"add": "+", "sub": "-", "mul": "*", "truediv": "/", "pow": "^"}.items():
-    OPERATORS[_name], OPERATORS[f"r{_name}"] = _sides(_sign)
+    OPERATORS[_name] = lambda a, b, sign=_sign: a.of(sign, a, b)
+    OPERATORS[f"r{_name}"] = lambda a, b, sign=_sign: a.of(sign, b, a)
 for _name, _operation in OPERATORS.items():
     setattr(Symbol, f"__{_name}__", _operation)
 
@@ -131,10 +114,8 @@ def applied(name: str, *inputs: Any) -> Any:
 
 def energy_expression(law: tuple, parameters: tuple[float, ...]) -> str:
     """u(r) [energy] of a law as an expression for Lepton, with the variable r [length].
-
     law : law type, with its truncation.  parameters : its numbers.
-    Raises UnwritableError for a law that Lepton cannot express.
-    """
+    Raises UnwritableError for a law that Lepton cannot express."""
     try:
         if reads_table(law):
             raise UnwritableError("it looks up a table")
@@ -229,7 +210,9 @@ def written(expression: Any) -> str:
 
     def text(one: Any) -> str:
         if not isinstance(one, Symbol):
-            return _number(one)
+            if not math.isfinite(number := float(one)):
+                raise UnwritableError(f"it contains the number {number}")
+            return repr(number) if number >= 0.0 else f"(0-{-number!r})"
         if id(one) not in texts:
             arguments, operation = [text(argument) for argument in one.arguments], one.operation
             whole = f"({operation.join(arguments)})" if operation in "+-*/^" else f"{operation}({','.join(arguments)})"
@@ -241,10 +224,3 @@ def written(expression: Any) -> str:
 
     count(expression)
     return ";".join([text(expression), *reversed(named)])
-
-
-def _number(value: Any) -> str:
-    """A number with all its digits.  Raises UnwritableError for one that is not finite."""
-    if not math.isfinite(number := float(value)):
-        raise UnwritableError(f"it contains the number {number}")
-    return repr(number) if number >= 0.0 else f"(0-{-number!r})"

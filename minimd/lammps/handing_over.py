@@ -3,8 +3,6 @@
 Frames are read from LAMMPS' binary dumps of all atoms (dump custom, suffix .bin; format 2 of 2020).
 """
 
-from __future__ import annotations
-
 import shutil
 import struct
 from collections.abc import Callable, Iterator
@@ -43,10 +41,8 @@ MAGIC = b"DUMPCUSTOM"
 
 def frames(path: Path, n_atoms: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """For each frame, its step and all columns but the first, (N, C); the first must be the id, which orders the rows.
-
     A file that does not exist has no frame; one that is cut off or lacks atoms ends the iteration.  Raises ValueError
-    for a file that is not such a dump.
-    """
+    for a file that is not such a dump."""
     with suppress(EOFError, FileNotFoundError), path.open("rb") as file:
         while file.peek(1):  # type: ignore[attr-defined]
             yield _frame(file, n_atoms)
@@ -87,19 +83,15 @@ BYTES_PER_ATOM, BYTES_PER_FRAME = 490, 130  # of the input and of step 0; of a f
 DISAGREEMENT = 1e-8  # of Σ|e_i|, allowed between the energies of LAMMPS and minimd in a frame: more than rounding
 MOST_STEPS = 2**31  # one run of LAMMPS makes fewer
 
-Tell = Callable[[str], object]
-
 
 @dataclass(frozen=True)
 class HandOver(Displayed):
     """The result of a hand-over.
-
     folder : of all files.  trajectory : the H5MD file, from which Simulation.resume goes on.  record : Record of its
         frames.  verification : of step 0.
     energy_difference : largest difference, in all frames, of the potential energies of LAMMPS and minimd, as a fraction
         of the largest of Verification.scale, the potential energy of the frame and its N k_B T.
-    seconds : of each phase.  version : of LAMMPS.  processes : their number.
-    """
+    seconds : of each phase.  version : of LAMMPS.  processes : their number."""
 
     folder: Path
     trajectory: Path
@@ -113,13 +105,10 @@ class HandOver(Displayed):
     def display_rows(self) -> Rows:
         """See Displayed."""
         most = f"potential energies differ by at most {self.energy_difference:.1e} of Σ|e_i| or N k_B T"
-        return [
-            ("LAMMPS", f"{self.version}, on {_named(self.processes)}"),
-            ("verified", f"{self.verification}"),
-            ("frames", f"{len(self.record)}; {most}"),
-            ("time", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in self.seconds.items())),
-            ("written", str(self.trajectory)),
-        ]
+        return [("LAMMPS", f"{self.version}, on {_named(self.processes)}"), ("verified", f"{self.verification}"),
+                ("frames", f"{len(self.record)}; {most}"),
+                ("time", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in self.seconds.items())),
+                ("written", str(self.trajectory))]  # fmt: skip
 
 
 def not_carried_over(simulation: Simulation) -> list[str]:
@@ -145,18 +134,9 @@ def not_carried_over(simulation: Simulation) -> list[str]:
     return [sentence for sentence, applies in rows.items() if applies]
 
 
-def hand_over(
-    simulation: Simulation,
-    folder: str | Path,
-    steps: int,
-    *,
-    processes: int = 1,
-    every: int = 100,
-    store_forces: bool = False,
-    overwrite: bool = False,
-    progress: bool | None = None,
-    tell: Tell | None = print,
-) -> HandOver:
+def hand_over(simulation: Simulation, folder: str | Path, steps: int, *, processes: int = 1, every: int = 100,
+              store_forces: bool = False, overwrite: bool = False, progress: bool | None = None,
+              tell: Callable[[str], object] | None = print) -> HandOver:  # fmt: skip
     """Let LAMMPS make the next steps of a simulation, which is then in the state in which LAMMPS ended, and can go on.
 
     The scene is written for LAMMPS from the same laws. LAMMPS evaluates it at step 0; energy, force and virial of each
@@ -212,15 +192,8 @@ def hand_over(
         return done
 
 
-def check_hand_over(
-    simulation: Simulation,
-    folder: str | Path,
-    steps: int,
-    *,
-    processes: int = 1,
-    every: int = 100,
-    overwrite: bool = False,
-) -> None:
+def check_hand_over(simulation: Simulation, folder: str | Path, steps: int, *, processes: int = 1, every: int = 100,
+                    overwrite: bool = False) -> None:  # fmt: skip
     """Raise the errors that hand_over raises before it starts: a scene LAMMPS cannot run, no LAMMPS, the folder."""
     Model(_checked(simulation, Path(folder), steps, processes, every, overwrite).engine)
 
@@ -266,10 +239,8 @@ def _checked(simulation: Simulation, folder: Path, steps: int, processes: int, e
     """The hand-over.  Raises ValueError for a scene or numbers that LAMMPS cannot run; FileNotFoundError,
     FileExistsError or OSError if LAMMPS is not found, or the files cannot be written there."""
     if simulation.barostat is not None:
-        raise ValueError(
-            "a run with a barostat cannot be handed over to LAMMPS, which has other barostats than minimd; run it with "
-            "minimd"
-        )
+        raise ValueError("a run with a barostat cannot be handed over to LAMMPS, which has other barostats than "
+                         "minimd; run it with minimd")  # fmt: skip
     steps, every = checked_count("steps", steps, limit=MOST_STEPS), checked_count("every", every)
     processes = checked_count("processes", processes)
     check_extras(simulation.engine)
@@ -278,9 +249,8 @@ def _checked(simulation: Simulation, folder: Path, steps: int, processes: int, e
     job.command(script.RUN)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         if not overwrite:
-            raise FileExistsError(
-                f"folder {str(folder)!r} exists and is not empty; choose another name, or pass overwrite=True"
-            )
+            raise FileExistsError(f"folder {str(folder)!r} exists and is not empty; choose another name, or pass "
+                                  "overwrite=True")  # fmt: skip
         own = {TRAJECTORY, OUTPUT, *script.FILES}
         if not folder.is_dir() or (others := sorted({file.name for file in folder.iterdir()} - own)):
             held = f"holds more than a hand-over, such as {others[0]!r}" if folder.is_dir() else "is a file"
@@ -291,10 +261,9 @@ def _checked(simulation: Simulation, folder: Path, steps: int, processes: int, e
     n_atoms, n_frames = len(simulation.system), 2 + steps // every
     needed = n_atoms * (BYTES_PER_ATOM + BYTES_PER_FRAME * n_frames)
     if needed > (free := shutil.disk_usage(parent).free):
-        raise OSError(
-            f"the hand-over needs {needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the disk has "
-            f"{free / 1e9:.2g} GB left; free some space, or write frames less often (every = {every})"
-        )
+        raise OSError(f"the hand-over needs {needed / 1e9:.2g} GB for {n_frames} frames of {n_atoms} atoms, and the "
+                      f"disk has {free / 1e9:.2g} GB left; free some space, or write frames less often (every = "
+                      f"{every})")  # fmt: skip
     return job
 
 
@@ -337,28 +306,22 @@ def _verified(job: Job, model: Model) -> Verification:
     if job.stop_requested:
         raise KeyboardInterrupt("stopped before the run of LAMMPS")
     if log.processes != job.processes:
-        raise HandOverError(
-            f"LAMMPS runs on {log.processes} process instead of {job.processes}; {job.program.lmp} was probably built "
-            f"without MPI, or for another mpiexec than {job.program.mpiexec}: {INSTALL}"
-        )
+        raise HandOverError(f"LAMMPS runs on {log.processes} process instead of {job.processes}; {job.program.lmp} was "
+                            f"probably built without MPI, or for another mpiexec than {job.program.mpiexec}: "
+                            f"{INSTALL}")  # fmt: skip
     places = zip(script.STEP_0.values(), (model.box, box), strict=True)
-    theirs = (
-        script.per_atom(columns, place) for name, place in places for _, columns in frames(job.folder / name, len(copy))
-    )
-    verification = compare(ours, theirs)
+    written = ((columns, box) for name, box in places for _, columns in frames(job.folder / name, len(copy)))
+    verification = compare(ours, (script.per_atom(*one) for one in written))
     verification.check(job.engine, model.tolerance)
     return verification
 
 
-def _brought_back(
-    job: Job, model: Model, log: Log, scale: float, store_forces: bool, is_whole: bool
-) -> tuple[Record, float, int]:
+def _brought_back(job: Job, model: Model, log: Log, scale: float, store_forces: bool,
+                  is_whole: bool) -> tuple[Record, float, int]:  # fmt: skip
     """Write the frames, observed by minimd, into the H5MD file; the simulation is then in the last state.
-
     Returns the record of the frames, the energy difference (see HandOver), and the number of frames that are missing.
     is_whole : whether LAMMPS has reached its end. If not, the frames that exist are kept if there is one after the
-    first.
-    """
+    first."""
     engine, n_atoms, notes = job.engine, len(job.engine.system), job.engine.notes
     record, end = Record(engine.system.units, n_atoms, job.folder / TRAJECTORY), job.first_step + job.steps
     found = (one for one in frames(job.folder / script.FRAMES, n_atoms) if one[0] > job.first_step)
@@ -403,16 +366,13 @@ def _stand(job: Job, box: Box, step: int, columns: NDArray[np.float64]) -> None:
     """Put the engine in the state of LAMMPS at a step."""
     engine, timestep, velocities = job.engine, job.engine.method.timestep, box.back(columns[:, 3:])
     if not np.isfinite(columns).all():
-        raise HandOverError(
-            f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step ({timestep:g})"
-        )
+        raise HandOverError(f"positions or velocities in LAMMPS are not finite at step {step}; reduce the time step "
+                            f"({timestep:g})")  # fmt: skip
     half = 0.5 * (step - engine.step) * timestep
     if (most := np.abs(box.crossed(half * (velocities - engine.velocities))).max()) > IMAGES / 2:
-        raise HandOverError(
-            f"the images of atoms at step {step} are unknown: the change of their velocities since step {engine.step} "
-            f"amounts to {most:.3g} cells, and LAMMPS counts {IMAGES // 2}; bring frames back more often (every = "
-            f"{job.every})"
-        )
+        raise HandOverError(f"the images of atoms at step {step} are unknown: the change of their velocities since "
+                            f"step {engine.step} amounts to {most:.3g} cells, and LAMMPS counts {IMAGES // 2}; bring "
+                            f"frames back more often (every = {job.every})")  # fmt: skip
     expected = engine.positions + half * (velocities + engine.velocities)
     engine.positions[:] = box.positions_back(columns[:, :3], expected)
     engine.velocities[:] = velocities
@@ -429,11 +389,9 @@ def _judge(job: Job, failure: str, log: Log, allowed: float, record: Record, dif
     if n_missing and not words:
         words = f"LAMMPS has made all steps, but {n_missing} frames are not on the disk; is the disk full?"
     elif not (words or difference <= allowed):
-        words = (
-            f"potential energies of a frame differ by {difference:.1e} of Σ|e_i| or N k_B T, allowed is "
-            f"{allowed:g}; its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the time "
-            "step"
-        )
+        words = (f"potential energies of a frame differ by {difference:.1e} of Σ|e_i| or N k_B T, allowed is "
+                 f"{allowed:g}; its lists may have missed pairs ({log.dangerous_builds} dangerous builds): reduce the "
+                 "time step")  # fmt: skip
     if words and job.keeps_frames:
         kept = f"{len(record)} frames up to step {job.engine.step} are kept in {job.folder / TRAJECTORY}"
         words = f"{kept}; {words}" if job.stop_requested else f"{words}; {kept}"  # the name of the signal follows

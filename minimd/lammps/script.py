@@ -1,7 +1,5 @@
 """The files that LAMMPS reads: atoms, forces, the verification at step 0, the run."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -28,6 +26,19 @@ LOOKS = 50  # least number of lines with energies in the log of a run
 # xx yy zz yz xz xy
 PER_ATOM = "c_energies fx fy fz c_stresses[1] c_stresses[2] c_stresses[3] c_stresses[6] c_stresses[5] c_stresses[4]"
 
+# the runs of 0 steps: energy, force and virial of each atom, in the scene and in its copy
+VERIFICATION = f"""variable atoms index {ATOMS} {COPY}
+include {FORCES}
+compute energies all pe/atom
+compute stresses all stress/atom NULL virial
+dump step0 all custom 1 ${{atoms}}.bin id {PER_ATOM}
+thermo_style custom step pe
+thermo_modify norm no format float %.17g
+run 0
+clear
+next atoms
+jump SELF
+"""
 BATHS: dict[type, str] = {LangevinBAOAB: "fix langevin", StochasticVelocityRescaling: "fix temp/csvr"}
 METHODS: tuple[type[Splitting], ...] = (VelocityVerlet, Leapfrog, *BATHS)  # Leapfrog: same observed states
 
@@ -37,10 +48,8 @@ def check_method(engine: Engine) -> None:
     method = engine.method
     if type(method) not in METHODS:
         known = ", ".join(one.name for one in METHODS)
-        raise ValueError(
-            f"LAMMPS can make the steps of {known}; the method is {method.name}: choose another one, or run this scene "
-            "with minimd"
-        )
+        raise ValueError(f"LAMMPS can make the steps of {known}; the method is {method.name}: choose another one, or "
+                         "run this scene with minimd")  # fmt: skip
     if method.timestep < 0.0:
         raise ValueError(f"the time step must be positive for LAMMPS; timestep = {method.timestep!r}")
 
@@ -49,7 +58,7 @@ def write(folder: Path, engine: Engine, model: Model, n_steps: int, every: int) 
     """All files that a hand-over begins with."""
     write_atoms(folder / ATOMS, model, model.box, engine.velocities)
     write_whole(folder / FORCES, forces_script(model))
-    write_whole(folder / VERIFY, verify_script())
+    write_whole(folder / VERIFY, VERIFICATION)
     write_whole(folder / RUN, run_script(engine, model, n_steps, every))
 
 
@@ -75,12 +84,9 @@ def write_atoms(path: Path, model: Model, box: Box, velocities: NDArray[np.float
 
 def _rows(row: str, *columns: NDArray[Any]) -> Iterator[str]:
     """Lines of a table, in pieces: a number, from 1 on, and the entries of the columns."""
-    n = len(columns[0])
-    for first in range(0, n, ATOMS_AT_ONCE):
-        part = [
-            one[first : first + ATOMS_AT_ONCE].reshape(-1, one.shape[1] if one.ndim > 1 else 1).T.tolist()
-            for one in columns
-        ]
+    for first in range(0, len(columns[0]), ATOMS_AT_ONCE):
+        ones = (one[first : first + ATOMS_AT_ONCE] for one in columns)
+        part = [np.atleast_2d(one.T).tolist() for one in ones]
         numbers = range(first + 1, first + 1 + len(part[0][0]))
         yield "".join([row % line for line in zip(numbers, *(axis for one in part for axis in one), strict=True)])
 
@@ -93,22 +99,6 @@ def forces_script(model: Model) -> str:
     lines += [f"special_bonds lj/coul {words(*model.special_bonds())}", f"comm_modify cutoff {model.reach:.17g}"]
     lines += ["read_data ${atoms}", *model.commands(), f"neighbor {model.skin:.17g} {model.search}"]
     return "\n".join([*lines, "neigh_modify every 1 delay 0 check yes", ""])
-
-
-def verify_script() -> str:
-    """The runs of 0 steps: energy, force and virial of each atom, in the scene and in its copy."""
-    return f"""variable atoms index {ATOMS} {COPY}
-include {FORCES}
-compute energies all pe/atom
-compute stresses all stress/atom NULL virial
-dump step0 all custom 1 ${{atoms}}.bin id {PER_ATOM}
-thermo_style custom step pe
-thermo_modify norm no format float %.17g
-run 0
-clear
-next atoms
-jump SELF
-"""
 
 
 def run_script(engine: Engine, model: Model, n_steps: int, every: int) -> str:
@@ -133,15 +123,11 @@ write_dump all custom {LAST} id xu yu zu vx vy vz
 """
 
 
-def held(
-    model: Model, fix: str = "shake", tolerance: float = SHAKE_TOLERANCE, most: int = SHAKE_ITERATIONS
-) -> list[str]:
-    """Rigid bonds, after all other fixes.
-
-    Fix rattle is not the default: that of LAMMPS 22 Jul 2025 moves molecules of three atoms on the border of two
-    processes wrongly, and dumps velocities with a component along the bonds. The positions of SHAKE are those of
-    RATTLE, and so are its velocities after a projection, see handing_over.
-    """
+def held(model: Model, fix: str = "shake", tolerance: float = SHAKE_TOLERANCE,
+         most: int = SHAKE_ITERATIONS) -> list[str]:  # fmt: skip
+    """Rigid bonds, after all other fixes. Fix rattle is not the default: that of LAMMPS 22 Jul 2025 moves molecules of
+    three atoms on the border of two processes wrongly, and dumps velocities with a component along the bonds. The
+    positions of SHAKE are those of RATTLE, and so are its velocities after a projection, see handing_over."""
     kinds = {"b": model.rigid_bonds, "a": model.rigid_angles}
     types = [word for key, ones in kinds.items() if ones for word in (key, *(str(k + 1) for k in ones))]
     return [f"fix rigid all {fix} {tolerance} {most} 0 {' '.join(types)}"] if types else []

@@ -1,13 +1,10 @@
 """The verification at step 0: energies, forces, virials of atoms in LAMMPS and minimd, of the scene and a copy."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.console.quiet import quiet
 from minimd.engine.engine import Engine
@@ -19,7 +16,7 @@ from minimd.potentials.pair import Nonbonded
 from minimd.potentials.term import PER_ATOM
 from minimd.structure.cell import Cell
 from minimd.structure.errors import HandOverError, NonFiniteError
-from minimd.structure.observables import longest
+from minimd.structure.observables import Array, longest
 from minimd.structure.system import System
 
 TOLERANCE = 1e-10  # of the largest; a scene that differs by more is not handed over
@@ -29,19 +26,15 @@ SHAKEN = 0.05  # of the skin: displacements of atoms in the copies, in each dire
 NEAREST = 0.3  # of the smallest cutoff: after the first copy, none is made whose closest pair is nearer
 PART = 0.01  # of the energies, forces and virials of the copy: the scale of those that vanish or cancel in the scene
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Verification:
     """The largest differences at step 0, each relative to the largest of its kind; the worse of scene and copy.
-
     energy : of the whole scene, relative to Σ|e_i| of the atoms.  energies, forces, virials : of single atoms, relative
         to the largest one; forces and virials to the larger of both, one being the other at the largest cutoff; where
         they vanish or cancel, as in a crystal or a dilute gas, to what follows from energies or the copy.
     atom : the atom whose force differs most.  scale : of energies [energy]: Σ|e_i|, or PART of that of the copy if it
-        is larger.
-    """
+        is larger."""
 
     energy: float
     energies: float
@@ -58,18 +51,18 @@ class Verification:
     def __str__(self) -> str:
         if self.scale == 0.0:
             return "nothing was compared: no term has an energy at step 0, nor when all distances are made smaller"
-        return (
-            f"step 0 agrees within {self.energy:.1e} in the energy, {self.energies:.1e} in those of atoms, "
-            f"{self.forces:.1e} in forces, {self.virials:.1e} in virials"
-        )
+        return (f"step 0 agrees within {self.energy:.1e} in the energy, {self.energies:.1e} in those of atoms, "
+                f"{self.forces:.1e} in forces, {self.virials:.1e} in virials")  # fmt: skip
 
     def check(self, engine: Engine, tolerance: float) -> None:
         """Raise HandOverError if LAMMPS and minimd differ by more than a tolerance."""
         if not self.worst <= tolerance:
+            by = (
+                f"energies of atoms by {self.energies:.1e}, forces by {self.forces:.1e} (atom {self.atom}), virials by "
+            )
+            by += f"{self.virials:.1e} of the largest, allowed is {tolerance:g}"
             raise HandOverError(
-                f"LAMMPS and minimd differ at step 0: energies of atoms by {self.energies:.1e}, forces by "
-                f"{self.forces:.1e} (atom {self.atom}), virials by {self.virials:.1e} of the largest, allowed is "
-                f"{tolerance:g}; the run was not started{on_a_cutoff(engine)}"
+                f"LAMMPS and minimd differ at step 0: {by}; the run was not started{on_a_cutoff(engine)}"
             )
 
 
@@ -85,20 +78,16 @@ def on_a_cutoff(engine: Engine) -> str:
             scales = bonded_scales(one, system)
             for k in np.flatnonzero(np.abs(distances - at) <= TOLERANCE * at).tolist():
                 if scales.get(frozenset((int(first[k]), int(second[k]))), 1.0) != 0.0:
-                    return (
-                        f"; atoms {first[k]} and {second[k]} are {distances[k]:.10g} apart, on the cutoff of "
-                        f"{type(one).__name__}, where rounding decides whether they interact: change the cutoff, or "
-                        "take truncation='force-shifted'"
-                    )
+                    return (f"; atoms {first[k]} and {second[k]} are {distances[k]:.10g} apart, on the cutoff of "
+                            f"{type(one).__name__}, where rounding decides whether they interact: change the cutoff, "
+                            "or take truncation='force-shifted'")  # fmt: skip
     return ""
 
 
 class Evaluated(NamedTuple):
     """For each atom: energies (N,) [energy], forces (N, 3) [energy/length], virials (N, 6) [energy],
     as xx yy zz yz xz xy.
-
-    length : the largest cutoff [length], or 1.  n_idle : number of potentials without any energy.
-    """
+    length : the largest cutoff [length], or 1.  n_idle : number of potentials without any energy."""
 
     energies: Array
     forces: Array
@@ -133,16 +122,13 @@ def in_both(engine: Engine, shortest: float, skin: float) -> tuple[System, tuple
     achieves this, the copy is the first one with the smallest number of terms without energy.
     If energies are not finite in any size, it is the scene itself.
     shortest : the smallest cutoff [length].  skin : [length].
-        Raises NonFiniteError if energies or forces of the scene are not finite.
-    """
+        Raises NonFiniteError if energies or forces of the scene are not finite."""
     system, before = engine.system, evaluated(engine, engine.system)
     if not (np.isfinite(before.energies).all() and np.isfinite(before.forces).all()):
-        raise NonFiniteError(
-            f"forces or energies are not finite: {why_not_finite(system, engine.interactions.potentials)}"
-        )
-    positions = system.cell.wrapped(system.positions) + np.random.default_rng(0).uniform(
-        -SHAKEN * skin, SHAKEN * skin, system.positions.shape
-    )
+        raise NonFiniteError("forces or energies are not finite: "
+                             f"{why_not_finite(system, engine.interactions.potentials)}")  # fmt: skip
+    shaken = np.random.default_rng(0).uniform(-SHAKEN * skin, SHAKEN * skin, system.positions.shape)
+    positions = system.cell.wrapped(system.positions) + shaken
     here, size, least, fewest, chosen = before, 1.0, 0.0, np.inf, (system, before)
     while size * SMALLER >= least and fewest > 0:
         size *= SMALLER

@@ -23,17 +23,14 @@ def with_room(n: float) -> int:
 
 class Buffers:
     """Arrays by name, each as large as it ever was; their contents are what was left in them.
-
     Processors take a load for one of what was just stored if the two addresses agree in the lower twelve bits, and
-    wait. So an array from which a loop loads and one to which it stores should begin at different places in a page.
-    """
+    wait. So an array from which a loop loads and one to which it stores should begin at different places in a page."""
 
     def __init__(self) -> None:
         self._all: dict[str, NDArray[Any]] = {}
 
     def array(self, name: str, dtype: type, n: int, *more: int, in_page: int = 0, spare: float = SPARE) -> NDArray[Any]:
         """An array of shape (n, *more); the next one of the same name takes its place.
-
         in_page : where in a page it begins, a multiple of 64.  spare : memory in units of what was asked for, at first.
         """
         if name not in self._all or n > len(self._all[name]):
@@ -47,13 +44,14 @@ class Buffers:
 
     def overlaid(self, name: str, *uses: Fields, spare: float = SPARE) -> list[list[NDArray[Any]]]:
         """For each of several uses of one piece of memory, one at a time, the arrays, one after the other.
-
-        Uses that begin with the same fields share these.
-        """
-        piece = self.array(
-            name, np.uint8, max(sum(_padded(*field) for field in fields) for fields in uses), spare=spare
-        )
-        return [_cut(piece, fields) for fields in uses]
+        Uses that begin with the same fields share these."""
+        most = max(sum(_padded(*field) for field in fields) for fields in uses)
+        piece, found = self.array(name, np.uint8, most, spare=spare), list[list[NDArray[Any]]]()
+        for fields in uses:
+            starts = accumulate((_padded(*field) for field in fields), initial=0)
+            each = [(start, start + _bytes(*field), *field) for start, field in zip(starts, fields, strict=False)]
+            found.append([piece[start:end].view(dtype).reshape(shape) for start, end, dtype, shape in each])
+        return found
 
 
 def _bytes(dtype: type, shape: tuple[int, ...]) -> int:
@@ -62,9 +60,3 @@ def _bytes(dtype: type, shape: tuple[int, ...]) -> int:
 
 def _padded(dtype: type, shape: tuple[int, ...]) -> int:
     return -(-_bytes(dtype, shape) // CACHE_LINE) * CACHE_LINE
-
-
-def _cut(piece: NDArray[np.uint8], fields: Fields) -> list[NDArray[Any]]:
-    starts = accumulate((_padded(*field) for field in fields), initial=0)
-    uses = [(start, start + _bytes(*field), *field) for start, field in zip(starts, fields, strict=False)]
-    return [piece[start:end].view(dtype).reshape(shape) for start, end, dtype, shape in uses]

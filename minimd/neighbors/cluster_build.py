@@ -18,22 +18,15 @@ from minimd.neighbors.search import counting_sort
 from minimd.neighbors.verlet_list import count_not_finite
 
 
-class Building(
-    ByAddress,
-    namedtuple(
-        "Building",
-        "positions arrays binned layout n_blocks n_chunks goes_along entry_start needed excluded slot_of images",
-    ),
-):
+class Building(ByAddress, namedtuple("Building", "positions arrays binned layout n_blocks n_chunks goes_along "
+                                     "entry_start needed excluded slot_of images")):  # fmt: skip
     """What the operations work on.
-
     positions : (N, 3) [length].  Outputs: arrays : ClusterArrays, binned : Binned, and layout : Layout but its columns.
     n_blocks : of forces, as there is room.  n_chunks : of columns.  goes_along : see cut_into_domains.
     entry_start : (K + 1,) int, first entry of each domain.
     needed : (K,) int, output, entries that each domain needs, which may be more than there is room for.
     excluded : partners of each atom, see find_pairs; if there are any, slot_of : (N,) int, output, slot of each atom.
-    images : Images.
-    """
+    images : Images."""
 
 
 @called_kernel
@@ -113,12 +106,10 @@ def find_domains(building, _chunk):
     fill_shifts(columns, shifts)
     for layer in range(LAYERS):
         rows.limits2[layer] = rows.limits2_at_build[layer]
-    has_room = (
-        domains.numbers[GHOSTS] <= ghosts.owner.size
-        and domains.window[domains.window.size - 1] <= ghosts.parts.size
-        and domains.numbers[BLOCKS] <= building.n_blocks
-        and building.entry_start.size == domains.column.size
-    )
+    has_room = (domains.numbers[GHOSTS] <= ghosts.owner.size
+                and domains.window[domains.window.size - 1] <= ghosts.parts.size
+                and domains.numbers[BLOCKS] <= building.n_blocks
+                and building.entry_start.size == domains.column.size)  # fmt: skip
     return GO_ON if has_room else NEEDS_ROOM
 
 

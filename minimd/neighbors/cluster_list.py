@@ -32,15 +32,13 @@ class ClusterList(VerletList):
     rest. So rows are short at first. What is left out then would add zeros: forces have the same bits either way.
 
     It needs a cell whose periodic heights are at least cutoff + skin, and a finite cutoff.
-
     cutoff, skin : see VerletList.  excluded : (P, 2) int, pairs whose nearest image is left out.
     is_fixed : whether forces are summed as whole numbers.  pool : the threads that build it.
     n_domains : number of chunks of an operation.  lanes : of its vectors.
     clusters, domains, ghosts, rows, memory : see there.
     arrays : what the loop needs of them. They have room for more, and are the same arrays until it is used up.
     version : how often they were replaced.  building : what operations need.
-    idle : flat, a block for each cluster, memory that is free between two builds.
-    """
+    idle : flat, a block for each cluster, memory that is free between two builds."""
 
     clusters: Clusters
     ghosts: GhostClusters
@@ -50,9 +48,8 @@ class ClusterList(VerletList):
     _bins: Binned
     _entries: NDArray[np.uint32]
 
-    def __init__(
-        self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_fixed: bool, pool: ThreadPool
-    ) -> None:
+    def __init__(self, n_atoms: int, cutoff: float, skin: float, excluded: NDArray[np.int64], is_fixed: bool,
+                 pool: ThreadPool) -> None:  # fmt: skip
         super().__init__(cutoff, skin)
         self._excluded = partners(excluded, n_atoms) if len(excluded) else None
         self._slot_of = np.zeros(n_atoms if len(excluded) else 0, dtype=np.int64)
@@ -79,9 +76,9 @@ class ClusterList(VerletList):
         build += [(cluster_build.list_rows, n, make_room), (cluster_build.finish_list, 1, None)]
         if self._excluded is not None:
             build += [(cluster_build.number_slots, n, None), (cluster_build.exclude_pairs, n, None)]
-        own, after = {"is_kept": True}, 1 + len(build)
+        own, after, refuse = {"is_kept": True}, 1 + len(build), lambda _answer: raise_not_finite(self._positions)
         yield operation(self._calls, cluster_build.place_atoms, self.building, n, **own)
-        yield operation(self._calls, cluster_build.is_valid, self.building, otherwise=after, python=self._refuse, **own)
+        yield operation(self._calls, cluster_build.is_valid, self.building, otherwise=after, python=refuse, **own)
         for k, (kernel, n_chunks, remedy) in enumerate(build, start=2):
             then, again = 1 if k < after else -k, 3 - k  # in the end to place_atoms; after a remedy to sort_atoms
             yield operation(self._calls, kernel, self.building, n_chunks, then=then, python=remedy, again=again, **own)
@@ -157,9 +154,6 @@ class ClusterList(VerletList):
         self._positions = before
         self._arrange_building()
 
-    def _refuse(self, _answer: int) -> None:
-        raise_not_finite(self._positions)
-
     def _built_at(self) -> NDArray[np.float64]:
         clusters, n_lanes, n = self.clusters, self.lanes.size, self.n_clusters
         positions, real = np.empty((self._n_atoms, DIMENSIONS)), np.arange(n_lanes) < clusters.filled[:n, None]
@@ -222,16 +216,31 @@ class ClusterList(VerletList):
         del self._entries, self._bins, self.rows, self.arrays, self.building  # they hold the old memory
 
     def _arrange(self) -> None:
-        """All arrays, with the room that there is now."""
-        self._share_memory()
-        start = self._memory.array("row start", np.int32, len(self.clusters.atom), spare=self._spare)
-        stops = self._memory.array("row stops", np.int32, LAYERS * len(start), spare=self._spare).reshape(LAYERS, -1)
+        """All arrays, with the room that there is now. What only the search needs shares memory with idle. Atoms are
+        sorted where the entries are written afterwards."""
+        memory, spare, (n_ghosts, n_in_windows, n_forces) = self._memory, self._spare, self._room
+        n_lanes, n_block = self.lanes.size, self.lanes.size * DIMENSIONS
+        n_columns = int(self._columns.counts[0] * self._columns.counts[1])  # each may have a cluster that is not full
+        n_clusters = (self._n_atoms + n_columns * (n_lanes - 1)) // n_lanes
+        shapes = (n_clusters * n_block,), (n_clusters,), (n_clusters, 6)
+        own, heights, boxes = ((np.float64, shape) for shape in shapes)
+        search = heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows)
+        found, (self.idle,) = memory.overlaid("scratch", search, (own,), spare=spare)
+        bottom, top, boxes_now, *for_search = found
+        self._coordinates = memory.array("coordinates", np.float64, n_ghosts * n_block, spare=1.0)
+        n_entries = max(int(self._entry_start[-1]), n_clusters * n_lanes * ENTRIES_GUESSED) + AHEAD
+        sort, entries = bins_for_sort(self._n_atoms, self._columns.counts), ((np.uint32, (n_entries,)),)
+        bins, (self._entries,) = memory.overlaid("entries", sort, entries, spare=1.0)
+        self._bins = Binned(*bins)
+        self.clusters = make_clusters(n_clusters, self._columns, self.lanes, (bottom, top, boxes_now), memory, spare)
+        self.ghosts = make_ghosts(n_clusters, n_ghosts, n_in_windows, for_search, memory)
+        start = memory.array("row start", np.int32, len(self.clusters.atom), spare=spare)
+        stops = memory.array("row stops", np.int32, LAYERS * len(start), spare=spare).reshape(LAYERS, -1)
         reaches2, limits2 = (self.cutoff + self._widths) ** 2, (0.5 * self._widths) ** 2
         self.rows = Rows(start, stops, self._entries, reaches2, np.zeros(LAYERS), limits2, self._layers)
         number = np.int64 if self._is_fixed else np.float64
-        n_forces = self._room[2] * self.lanes.size * DIMENSIONS
-        forces = self._memory.array("forces", number, n_forces, in_page=HALF_A_PAGE, spare=1.0)
-        first_sum = self._memory.array("first sum", np.int64, self._room[1] if self._is_fixed else 0)
+        forces = memory.array("forces", number, n_forces * n_block, in_page=HALF_A_PAGE, spare=1.0)
+        first_sum = memory.array("first sum", np.int64, n_in_windows if self._is_fixed else 0)
         is_out, needed = (np.zeros(n, dtype=np.int64) for n in (self.n_domains * self._is_fixed, self.n_domains))
         self.memory = Memory(self._coordinates, self._shifts, forces, first_sum, self._far, is_out, needed)
         self._arrange_building()
@@ -252,26 +261,3 @@ class ClusterList(VerletList):
     def _spare(self) -> float:
         """Room to spare where there is enough for atoms however they stand: for columns that go along with them."""
         return 1.0 if self._columns.is_crossed.all() else SPARE
-
-    def _share_memory(self) -> None:
-        """Arrays of clusters and ghosts, and the entries of rows. What only the search needs shares memory with idle.
-
-        Atoms are sorted where the entries are written afterwards.
-        """
-        memory, spare, (n_ghosts, n_in_windows, _) = self._memory, self._spare, self._room
-        n_lanes, n_block = self.lanes.size, self.lanes.size * DIMENSIONS
-        n_columns = int(self._columns.counts[0] * self._columns.counts[1])  # each may have a cluster that is not full
-        n_clusters = (self._n_atoms + n_columns * (n_lanes - 1)) // n_lanes
-        own, heights, boxes = (
-            (np.float64, shape) for shape in ((n_clusters * n_block,), (n_clusters,), (n_clusters, 6))
-        )
-        search = heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows)
-        found, (self.idle,) = memory.overlaid("scratch", search, (own,), spare=spare)
-        bottom, top, boxes_now, *for_search = found
-        self._coordinates = memory.array("coordinates", np.float64, n_ghosts * n_block, spare=1.0)
-        n_entries = max(int(self._entry_start[-1]), n_clusters * n_lanes * ENTRIES_GUESSED) + AHEAD
-        sort, entries = bins_for_sort(self._n_atoms, self._columns.counts), ((np.uint32, (n_entries,)),)
-        bins, (self._entries,) = memory.overlaid("entries", sort, entries, spare=1.0)
-        self._bins = Binned(*bins)
-        self.clusters = make_clusters(n_clusters, self._columns, self.lanes, (bottom, top, boxes_now), memory, spare)
-        self.ghosts = make_ghosts(n_clusters, n_ghosts, n_in_windows, for_search, memory)

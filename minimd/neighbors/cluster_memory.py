@@ -14,14 +14,12 @@ from minimd.neighbors.clusters import DIMENSIONS, offsets_of
 
 class Memory(ByAddress, namedtuple("Memory", "coordinates shifts forces first_sum far is_out layers")):
     """What the loop reads and writes.
-
     coordinates, forces : flat, a block for each ghost, and for each ghost in a window.
     shifts : (IMAGES, 3), translations of images [length].
     first_sum : (W,) int64, what sums of forces begin with in fixed-point arithmetic, filled by the loop; else empty.
     far : flat, n numbers for each set of lanes, the bits of its number: 0 for those in it, ∞ for others [length²].
     is_out : (K,) int, not zero where a force of a domain has left its range; empty but in fixed-point arithmetic.
-    layers : (K,) int, how many layers of the rows the atoms of each domain need.
-    """
+    layers : (K,) int, how many layers of the rows the atoms of each domain need."""
 
 
 class ClusterArrays(ByAddress, namedtuple("ClusterArrays", "clusters domain_start domains ghosts rows memory")):
@@ -31,9 +29,7 @@ class ClusterArrays(ByAddress, namedtuple("ClusterArrays", "clusters domain_star
 @scalar
 def place(k, arrays, at):
     """Positions of the atoms of cluster k, vectors x, y, z [length], to all its ghosts.
-
-    Indices are unsigned: none counts from the end.
-    """
+    Indices are unsigned: none counts from the end."""
     ghosts, memory, lanes = arrays.ghosts, arrays.memory, arrays.clusters.lanes
     n_lanes = np.uintp(count(lanes))
     block = np.uintp(DIMENSIONS) * n_lanes
@@ -50,9 +46,7 @@ def place(k, arrays, at):
 @scalar
 def clear(domain, arrays):
     """Set the forces on all ghosts in the window of a domain to 0; in fixed-point arithmetic to first_sum.
-
-    The thread that adds to them calls it, and so has them in its cache.
-    """
+    The thread that adds to them calls it, and so has them in its cache."""
     lanes, forces, domains = arrays.clusters.lanes, arrays.memory.forces, arrays.domains
     first = domains.place[domain]
     for block in range(first, first + domains.window[domain + 1] - domains.window[domain]):

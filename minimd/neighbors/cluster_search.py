@@ -40,7 +40,6 @@ ROUNDED_UP = 1.0 + 1e-6  # the squared reach, in units of itself, by the roundin
 
 class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 limits2_at_build layers")):
     """Clusters near each atom, in layers: entries[start[s] : stops[l, s]] have an atom within reach l of the one in s.
-
     start : (slots,) int.  stops : (LAYERS, slots) int.
     entries : (E,) uint32, the number of a ghost in the window of the domain, and above its 24 bits one for each lane.
     reaches2 : (LAYERS,) squared, from the shortest to the longest [length²].
@@ -48,17 +47,14 @@ class Rows(ByAddress, namedtuple("Rows", "start stops entries reaches2 limits2 l
     limits2_at_build : the same as long as the cell has not been strained since.
     layers : (3,) int: how many layers are IN_USE, 0 if there is no list; the number of BUILDS so far; and, for the loop
         over clusters, for which of them, see prepare_loop, it is prepared.
-    After the last entry there is memory for AHEAD more: some read ahead. The loop reads one: it must name a ghost.
-    """
+    After the last entry there is memory for AHEAD more: some read ahead. The loop reads one: it must name a ghost."""
 
 
 class Work(namedtuple("Work", "ahead candidates entries near")):
     """Memory for the search of one cluster. Ghosts are numbered as in GhostClusters, but for those in entries.
-
     ahead : (runs, 2) int, first and last ghost of each run ahead.  candidates, entries : (M,) ghosts, their entries.
     near : flat int64, for each WORD candidates, each layer and each lane of the cluster a number: bit b is set if
-        candidate b stands in that layer of the row of the atom in that lane.
-    """
+        candidate b stands in that layer of the row of the atom in that lane."""
 
 
 @inlined
@@ -135,9 +131,7 @@ def _gap(boxes, j, stride, low, high):
 @scalar
 def _prune(k, n, domain, layout, rows, room, work):
     """Write the rows of the atoms of cluster k: k itself, then those of the n candidates that are within reach.
-
-    room : first and last of the entries that are left.  Returns the end of the entries.
-    """
+    room : first and last of the entries that are left.  Returns the end of the entries."""
     n_lanes, filled, (n_entries, last) = count(layout.clusters.lanes), layout.clusters.filled[k], room
     most = n_lanes * (n + 1) + AT_A_TIME
     if n_entries + most >= last:  # no room: an upper bound tells how much is missing

@@ -41,14 +41,12 @@ class Columns(
     went on: so no pair is missed, as long as none can meet across a face that is not crossed, see columns_fit.
 
     What changes as the cell is strained, from along on, is in arrays.
-
     counts : (3,) int, columns along the first two lattice vectors, and bins along the third, for sorting.
     distance : within which pairs are searched [length].  reach : (2,) int, the same in columns on each side.
     pbc, lattice, inverse : of the Cell.  along : (3,) distance as a fraction of its heights.
     is_crossed : (3,) bool, whether atoms may meet those beyond the faces across a lattice vector.
     origin, extent : (3,) fractional coordinates of that part; 0 and 1 where is_crossed. In periodic directions
-        atoms are in the cell that begins at the origin.
-    """
+        atoms are in the cell that begins at the origin."""
 
     def move_to(self, to: "Columns") -> bool:
         """Whether there are as many columns in another cell, or elsewhere; then they move there, in the same arrays."""
@@ -65,7 +63,6 @@ class Clusters(
     """Atoms sorted into C clusters of n lanes; slot s is lane s % n of cluster s // n.
 
     Arrays of C elements have room for more.
-
     lanes : Lanes, n as a type.  atom : (n C,) int, the user's index.  filled : (C,) int, lanes that are not padding.
     positions : flat, a block of 3 n numbers for each cluster: of its atoms when it was made,
         strained since as the cell was [length].
@@ -73,18 +70,15 @@ class Clusters(
     column_start : (columns + 1,) int, first cluster of each column; the last number is C.
     bottom, top : (C,) lowest and highest fractional coordinate along the third lattice vector.
     boxes : (C, 6) smallest x y z and largest x y z of the atoms of each cluster [length].
-    bottom, top and boxes are needed for a build only; afterwards their memory has other uses.
-    """
+    bottom, top and boxes are needed for a build only; afterwards their memory has other uses."""
 
 
 class Wrapping(namedtuple("Wrapping", "inverse periodic lattice origin")):
     """How atoms are brought into the cell: by as many lattice vectors as for their origins.
 
     These are computed, not kept: memory is slower.
-
     inverse : (3, 3) of the cell in which clusters were made [1/length], and periodic : (3,) 1.0 where it was, else 0.0.
-    lattice : (3, 3) of the cell as it is now [length].  origin : (3,) of Columns.
-    """
+    lattice : (3, 3) of the cell as it is now [length].  origin : (3,) of Columns."""
 
 
 @scalar
@@ -101,10 +95,8 @@ def offsets_of(start, clusters):
 
 def region_of(cell: Cell, positions: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
     """Where atoms are: (7,) origin and extent of Columns; and how many atoms a cell as dense everywhere would have.
-
     On both sides there is room for half the reach. A periodic direction is crossed and covered as a whole, unless there
-    is a gap in it that leaves a reach between the two ends of the region.
-    """
+    is a gap in it that leaves a reach between the two ends of the region."""
     origin, extent, margin = np.zeros(3), np.ones(3), WIDER * reach / cell.heights
     for k, s in enumerate(np.einsum("ij,jk->ki", positions, cell.inverse)):  # not @: see observables
         s = np.sort(s - np.floor(s) if cell.pbc[k] else s)
@@ -137,10 +129,8 @@ def make_columns(cell: Cell, n_atoms: int, reach: float, lanes: Lanes, region: N
 @kernel
 def columns_fit(positions, columns):
     """Whether atoms at positions (N, 3) are where columns are; else pairs are missed, or the search is slow.
-
     In each direction that is not crossed, they fill the region up to a reach at most on either side; where it is
-    periodic, its ends are a reach apart through the gap.
-    """
+    periodic, its ends are a reach apart through the gap."""
     for d in range(DIMENSIONS):
         if columns.is_crossed[d]:
             continue
@@ -155,9 +145,8 @@ def columns_fit(positions, columns):
     return True
 
 
-def make_clusters(
-    n_clusters: int, columns: Columns, lanes: Lanes, for_build: Sequence[NDArray], memory: Buffers, spare: float
-) -> Clusters:
+def make_clusters(n_clusters: int, columns: Columns, lanes: Lanes, for_build: Sequence[NDArray], memory: Buffers,
+                  spare: float) -> Clusters:  # fmt: skip
     """Arrays with room for so many.  for_build : bottom, top, boxes.  spare : see Buffers.array."""
     n_slots, array = n_clusters * lanes.size, partial(memory.array, spare=spare)
     column_start = array("column_start", np.int64, int(columns.counts[0] * columns.counts[1]) + 1)

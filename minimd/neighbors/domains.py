@@ -53,20 +53,16 @@ ATOMS_PER_DOMAIN = 800  # at least, on average: with fewer, handing out the work
 
 class Domains(ByAddress, namedtuple("Domains", "column cluster first window place numbers ghost")):
     """column, cluster : (K + 1,) int, first column of each domain along the first lattice vector, and first cluster.
-
     first : (K,) int, the first ghost that it sees.  window : (K + 1,) int, how many all domains before it see together.
     place : (K,) int, the block of forces of its first ghost.
     numbers : (3,) int, LATE: how many of the domains, the first ones, wait until all forces are computed; all of them,
         unless one thread goes from domain to domain.  BLOCKS: how many blocks of forces there are.  GHOSTS: M.
-    ghost : (runs + 1,) int, the first ghost of each run; the last number is M.
-    """
+    ghost : (runs + 1,) int, the first ghost of each run; the last number is M."""
 
 
-class GhostClusters(
-    ByAddress, namedtuple("GhostClusters", "owner image bottom top boxes lanes home is_used of start parts part_start")
-):
+class GhostClusters(ByAddress, namedtuple("GhostClusters", "owner image bottom top boxes lanes home is_used of start "
+                                          "parts part_start")):  # fmt: skip
     """M ghosts of C clusters, and W of them in windows. Arrays have room for more.
-
     owner : (M,) int, the cluster.  image : (M,) int, code of its image (a, b, c): 9 (a + 1) + 3 (b + 1) + c + 1.
     bottom, top : (M,) fractional coordinates along the third lattice vector.
     boxes : flat float32, for each of the SIDES a row of at least M + BOXES numbers, in units of Columns.distance:
@@ -77,15 +73,12 @@ class GhostClusters(
         then for each ghost whether it is used in any of them.
     of : (U,) int, ghosts used in some window, by cluster, those of cluster k from start[k].  start : (C + 1,) int.
     parts : (P,) int, the blocks of the forces on them, likewise, from part_start[k].  part_start : (C + 1,) int.
-    bottom, top, boxes, lanes and is_used are needed for a build only; afterwards their memory has other uses.
-    """
+    bottom, top, boxes, lanes and is_used are needed for a build only; afterwards their memory has other uses."""
 
 
 class Layout(ByAddress, namedtuple("Layout", "columns clusters domains ghosts coordinates shifts")):
     """The clusters of a scene and where their ghosts stand.  coordinates : flat, a block for each ghost [length].
-
-    shifts : (IMAGES, 3) lattice vector of each image [length].
-    """
+    shifts : (IMAGES, 3) lattice vector of each image [length]."""
 
 
 def make_domains(columns: Columns, n_atoms: int) -> Domains:
@@ -103,9 +96,8 @@ def ghosts_for_search(n_ghosts: int, n_in_windows: int) -> Fields:
     return heights, heights, boxes, (np.uint8, (n_ghosts,)), (np.bool_, (n_in_windows + n_ghosts,))
 
 
-def make_ghosts(
-    n_clusters: int, n_ghosts: int, n_in_windows: int, for_search: Sequence[NDArray], memory: Buffers
-) -> GhostClusters:
+def make_ghosts(n_clusters: int, n_ghosts: int, n_in_windows: int, for_search: Sequence[NDArray],
+                memory: Buffers) -> GhostClusters:  # fmt: skip
     """Arrays with room for so many, for fill_ghosts and sort_ghosts.  for_search : those of ghosts_for_search."""
     room = functools.partial(memory.array, spare=1.0)
     (owner, of), image = (room(name, np.int32, n_ghosts) for name in ("owner", "of")), room("image", np.uint8, n_ghosts)
@@ -118,9 +110,7 @@ def make_ghosts(
 @scalar
 def cut_into_domains(clusters, columns, domains, goes_along):
     """Fill Domains: which columns and clusters each has, and which ghosts it sees.
-
-    goes_along : whether one thread goes from domain to domain: forces then take the place of those no longer needed.
-    """
+    goes_along : whether one thread goes from domain to domain: forces then take the place of those no longer needed."""
     counts, reach, column_start = columns.counts, columns.reach, clusters.column_start
     n_domains, n_clusters = domains.column.size - 1, column_start[counts[0] * counts[1]]
     x = 0
@@ -194,9 +184,7 @@ def _seen(run_x, run_y, image_z, clusters, columns):
 @scalar
 def fill_ghosts(domain, layout):
     """Write the ghosts of the columns of a domain, of the last one also those behind the last column.
-
-    In its window is_used is then true for the domain's own clusters only; find_rows sets it for the others.
-    """
+    In its window is_used is then true for the domain's own clusters only; find_rows sets it for the others."""
     columns, clusters, domains, ghosts, coordinates, shifts = layout
     stride, unit = ghosts.boxes.size // SIDES, columns.distance
     lanes, n_lanes = clusters.lanes, count(clusters.lanes)

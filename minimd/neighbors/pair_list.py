@@ -23,10 +23,8 @@ NEVER = -1.0  # no squared distance is so small
 
 class Pairs(namedtuple("Pairs", "start second image translations")):
     """Pairs (i, j), grouped by their first atom: pairs start[i] to start[i+1] belong to atom i.
-
     start : (N+1,) int.  second : (P,) int, the atoms j.  image : (P,) int, row of translations to add to r_j − r_i.
-    translations : (T, 3) [length]; with no rows, no pair is shifted and image is not read.
-    """
+    translations : (T, 3) [length]; with no rows, no pair is shifted and image is not read."""
 
 
 class Reach(ByAddress, namedtuple("Reach", "positions reference limit2")):
@@ -41,12 +39,10 @@ def is_in_reach(reach, _chunk):
 
 class PairList(VerletList):
     """All pairs within cutoff + skin, in any cell, all images of them; built in linear time.
-
     cutoff, skin : see VerletList; an infinite cutoff lists all pairs, in open scenes.
     excluded : (P, 2) int, pairs whose nearest image is left out.
     pairs : Pairs, counting in the order of the list.  order : (N,) int, user's index of each atom in that order.
-    offsets : (N, 3), lattice vectors to add to positions[order].  n_builds : how often it was built.
-    """
+    offsets : (N, 3), lattice vectors to add to positions[order].  n_builds : how often it was built."""
 
     _second = _image = np.empty(0, dtype=np.uint32)
 

@@ -1,7 +1,5 @@
 """Queries about neighbors: the list in ASE's form, the closest pair."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -72,36 +70,29 @@ class ClosestPair(NamedTuple):
 
 def closest_pair(system: System) -> ClosestPair | None:
     """The two closest atoms; None for a single atom in an open cell or where no distance is finite.
-
     First the closest pair within one cell, in N log N however uneven the atoms; then a closer one through an image,
-    near the faces of the cell.
-    """
+    near the faces of the cell."""
     known, cell = np.flatnonzero((np.abs(system.positions) <= LARGEST).all(axis=1)), system.cell
     if known.size == 0 or (known.size == 1 and not cell.is_periodic):
         return None
     fractional = np.einsum("ij,jk->ik", system.positions[known], cell.inverse)
     fractional = np.where(cell.pbc, fractional - np.floor(fractional), fractional)
     here = fractional @ cell.lattice
-    best = _closest_of(here)
+    best = ClosestPair(0, 0, np.inf)
+    if known.size > 1:
+        from scipy.spatial import KDTree
+
+        distances, partners = KDTree(here).query(here, k=2)
+        i = int(np.argmin(distances[:, 1]))
+        j = int(partners[i, 0] if partners[i, 0] != i else partners[i, 1])
+        best = ClosestPair(min(i, j), max(i, j), float(distances[i, 1]))
     own = float(np.linalg.norm(cell.lattice[cell.pbc], axis=1).min(initial=np.inf))  # an atom and its own image
     reach = BEYOND * min(best.distance, own)
     from_faces = (np.minimum(fractional, 1.0 - fractional) * cell.heights)[:, cell.pbc]
     near = np.flatnonzero((from_faces <= reach).any(axis=1))
     if near.size and reach > 0.0:
-        i, j, d = neighbor_list("ijd", System(here[near], cell=cell), reach)
+        first, second, d = neighbor_list("ijd", System(here[near], cell=cell), reach)
         if d.min(initial=np.inf) < best.distance:
             p = int(np.argmin(d))
-            best = ClosestPair(int(near[i[p]]), int(near[j[p]]), float(d[p]))
+            best = ClosestPair(int(near[first[p]]), int(near[second[p]]), float(d[p]))
     return ClosestPair(int(known[best.first]), int(known[best.second]), best.distance)
-
-
-def _closest_of(positions: NDArray[np.float64]) -> ClosestPair:
-    """The closest pair without images; its distance is infinite for one atom."""
-    if len(positions) == 1:
-        return ClosestPair(0, 0, np.inf)
-    from scipy.spatial import KDTree
-
-    distances, partners = KDTree(positions).query(positions, k=2)
-    i = int(np.argmin(distances[:, 1]))
-    j = int(partners[i, 0] if partners[i, 0] != i else partners[i, 1])
-    return ClosestPair(min(i, j), max(i, j), float(distances[i, 1]))

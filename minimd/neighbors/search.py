@@ -20,8 +20,7 @@ WIDER = 1.0 + 1e-9  # bins are this much wider than the reach, so that rounding 
 class Grid(namedtuple("Grid", "counts reach origin extent")):
     """counts : (3,) int, bins along each lattice vector.  reach : (3,) int, bins to search on each side.
 
-    origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions.
-    """
+    origin, extent : (3,) fractional coordinates covered; 0 and 1 in periodic directions."""
 
 
 def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
@@ -40,12 +39,10 @@ def make_grid(cell: Cell, positions: NDArray[np.float64], reach: float) -> Grid:
 
 class Binned(namedtuple("Binned", "order bins bin_start place cells height")):
     """The arrays of a counting sort of N atoms into B bins.
-
     order, bins : (N,) int, atoms in the order of their bins, and the bin of each atom.
     bin_start : (B + 1,) int, first atom of each bin.  place : (B + 1,) int, scratch.
     cells : (N, 3) numbers of lattice vectors that bring each atom into the cell; (0, 3) where nobody asks for them.
-    height : (N,) fractional coordinate along the third lattice vector, in the cell.
-    """
+    height : (N,) fractional coordinate along the third lattice vector, in the cell."""
 
 
 def bins_for_sort(n_atoms: int, counts: NDArray[np.int64]) -> Fields:
@@ -108,14 +105,12 @@ def sort_into_bins(positions, lattice, inverse, pbc, grid):
 
 class Bins(namedtuple("Bins", "bin_start counts forward crossed translations pbc lattice inverse safe_distance2")):
     """Where the search looks for the neighbors of the atoms of a bin, and through which images.
-
     bin_start, counts : see Binned, Grid.
     forward : (K, 3) int, offsets of one half of the bins within reach, (0, 0, 0) left out: every pair is met once.
     crossed : (3,) int, how many cells a search can cross in each direction.
     translations : (T, 3) of all images [length]; no rows if nothing is periodic.
         Image (a, b, c) has row ((a + n_x)(2 n_y + 1) + b + n_y)(2 n_z + 1) + c + n_z, with n = crossed.
-    pbc, lattice, inverse, safe_distance2 : of the Cell.
-    """
+    pbc, lattice, inverse, safe_distance2 : of the Cell."""
 
 
 def bins_of(cell: Cell, grid: Grid, bin_start: NDArray[np.int64]) -> Bins:
@@ -131,19 +126,16 @@ def bins_of(cell: Cell, grid: Grid, bin_start: NDArray[np.int64]) -> Bins:
 
 def _steps(most: NDArray[np.int64]) -> NDArray[np.int64]:
     """(K, 3) int: all triples from −most to most, the last number running fastest."""
-    axes = [np.arange(-n, n + 1) for n in most]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.stack(np.meshgrid(*(np.arange(-n, n + 1) for n in most), indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 @kernel
 def find_pairs(positions, order, bins, reach2, partners, pairs):
     """Write all pairs within the reach and return how many there are, which may be more than there is room for.
-
     positions : (N, 3), in the order of the bins and inside the cell [length].  order : (N,) the user's index of each.
     bins : Bins.  reach2 : squared reach [length²].
     partners : see verlet_list; the nearest image of a pair of partners, numbered as by the user, is left out.
-    pairs : output, see Pairs; its atoms count in the order of the bins.
-    """
+    pairs : output, see Pairs; its atoms count in the order of the bins."""
     n_pairs, room = 0, pairs.second.size
     counts, bin_start, crossed, translations = bins.counts, bins.bin_start, bins.crossed, bins.translations
     shifted = translations.shape[0] > 0
@@ -185,9 +177,7 @@ def find_pairs(positions, order, bins, reach2, partners, pairs):
 @kernel
 def atoms_in_reach(bin_x, bin_y, bin_z, bins, ranges):
     """Ranges of atoms in the bins ahead of one bin, as rows (first, last, image) of ranges; returns how many.
-
-    The first row is the bin itself and what follows it without a gap. Neighboring bins of one image are one range.
-    """
+    The first row is the bin itself and what follows it without a gap. Neighboring bins of one image are one range."""
     bin_start, counts, forward, crossed, pbc = bins.bin_start, bins.counts, bins.forward, bins.crossed, bins.pbc
     rows_y, rows_z = 2 * crossed[1] + 1, 2 * crossed[2] + 1
     own = (bin_x * counts[1] + bin_y) * counts[2] + bin_z

@@ -1,7 +1,5 @@
 """ASE's atoms as systems, and systems as ASE's atoms, with their constraints."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -31,32 +29,22 @@ def system_arguments(atoms: Atoms, bonds: Given = None, constraints: bool = True
     """Arguments for System, in ASE's units, from an ase.Atoms: positions, velocities, masses, cell, periodicity and
     constraints. Charges are the initial charges. Species are the chemical symbols, or labels that atoms_from_system or
     label_by_tags stored in them.
-
     bonds, others : bonds, angles, dihedrals and impropers, as for System; without bonds,
         what the arrays of the atoms name: see joined_in.
     constraints : True to take those of the atoms; False if the caller handles them.
-
     Raises TypeError for anything but an ase.Atoms.  ValueError for constraints that minimd does not know, and as
-    joined_in.
-    """
+    joined_in."""
     if not isinstance(atoms, Atoms):
         raise TypeError(f"a minimd System or an ase.Atoms is expected; got {type(atoms).__name__}")
     found = joined_in(atoms) if bonds is None else None
     velocities, masses = atoms.get_velocities(), atoms.get_masses()
     if constraints and fixes_center(atoms):
         velocities -= momentum(velocities, masses) / masses.sum()
-    return {
-        "positions": atoms.positions,
-        "masses": masses,
-        "charges": atoms.get_initial_charges(),
-        "velocities": velocities,
-        "cell": cell_of(atoms),
-        "species": _labels(atoms),
-        **(found.groups if found is not None else {"bonds": bonds}),
-        **{name: given for name, given in others.items() if given is not None},
-        "units": ASE,
-        "constraints": constraints_of(atoms) if constraints else (),
-    }
+    return {"positions": atoms.positions, "masses": masses, "charges": atoms.get_initial_charges(),
+            "velocities": velocities, "cell": cell_of(atoms), "species": _labels(atoms),
+            **(found.groups if found is not None else {"bonds": bonds}),
+            **{name: given for name, given in others.items() if given is not None}, "units": ASE,
+            "constraints": constraints_of(atoms) if constraints else ()}  # fmt: skip
 
 
 def atoms_from_system(system: Any) -> Atoms:
@@ -67,8 +55,7 @@ def atoms_from_system(system: Any) -> Atoms:
     labels are kept in the array "species_labels", where system_arguments finds them again. Numbers are not converted:
     for a system in reduced units they are not in Å and eV. Bonds, angles, dihedrals and impropers become arrays with
     these names, as ASE's reader of LAMMPS data makes them. The array "id" shows system_arguments that no atoms were cut
-    out or sorted; it gives the groups back in the order of their first atoms.
-    """
+    out or sorted; it gives the groups back in the order of their first atoms."""
     symbols = [label if label in atomic_numbers else "X" for label in system.species.tolist()]
     masses, cell = system.masses, system.cell
     momenta = system.velocities * masses[:, None]
@@ -79,7 +66,14 @@ def atoms_from_system(system: Any) -> Atoms:
         atoms.set_array(LABELS, system.species)
     if named := texts(system.groups(), len(atoms)):
         atoms.arrays.update(named, id=np.arange(1, len(atoms) + 1))
-    atoms.set_constraint(ases_constraints_of(system))
+    kept: list[FixConstraint] = []
+    for constraint in system.constraints:
+        if isinstance(constraint, FixedAtoms):
+            kept.append(FixAtoms(indices=constraint.atoms))
+        else:  # for ASE's solver
+            lengths = lengths_of(system.positions, system.cell, constraint).copy()
+            kept.append(FixBondLengths(constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths))
+    atoms.set_constraint(kept)
     return atoms
 
 
@@ -95,10 +89,8 @@ def _labels(atoms: Atoms) -> Any:
     names, symbols, tags = atoms.info.get(NAMES), atoms.get_chemical_symbols(), atoms.get_tags().tolist()
     if LABELS in atoms.arrays or names is None:
         return atoms.arrays.get(LABELS, symbols)
-    return [
-        names[tag] if symbol == "X" and 0 <= tag < len(names) else symbol
-        for symbol, tag in zip(symbols, tags, strict=True)
-    ]
+    each = zip(symbols, tags, strict=True)
+    return [names[tag] if symbol == "X" and 0 <= tag < len(names) else symbol for symbol, tag in each]
 
 
 def cell_of(atoms: Atoms) -> Cell:
@@ -113,11 +105,9 @@ def same_labels(one: Atoms, other: Atoms) -> bool:
 
 def same_scene(one: Atoms, other: Atoms) -> bool:
     """True if only positions, momenta and cell can differ."""
-    fixed = (
-        [atoms.numbers, atoms.get_masses(), atoms.get_initial_charges(), atoms.pbc]
-        + [atoms.arrays.get(name, ()) for name in (LABELS, *GROUPS)]
-        for atoms in (one, other)
-    )
+    fixed = [[atoms.numbers, atoms.get_masses(), atoms.get_initial_charges(), atoms.pbc] for atoms in (one, other)]
+    for arrays, atoms in zip(fixed, (one, other), strict=True):
+        arrays += [atoms.arrays.get(name, ()) for name in (LABELS, *GROUPS)]
     return all(map(np.array_equal, *fixed)) and one.calc is other.calc
 
 
@@ -166,18 +156,6 @@ def constraints_of(atoms: Atoms) -> tuple[Constraint, ...]:
         pairs, values = (np.concatenate(part) for part in zip(*lengths, strict=True))
         answer.append(DistanceConstraints(pairs, values, min(tolerances, default=TOLERANCE)))
     return tuple(answer)
-
-
-def ases_constraints_of(system: Any) -> list[FixConstraint]:
-    """The constraints of a system for an ase.Atoms: FixAtoms, and FixBondLengths with the lengths, for ASE's solver."""
-    answer: list[FixConstraint] = []
-    for constraint in system.constraints:
-        if isinstance(constraint, FixedAtoms):
-            answer.append(FixAtoms(indices=constraint.atoms))
-        else:
-            lengths = lengths_of(system.positions, system.cell, constraint).copy()
-            answer.append(FixBondLengths(constraint.pairs.copy(), tolerance=constraint.tolerance, bondlengths=lengths))
-    return answer
 
 
 def fixes_center(atoms: Atoms) -> bool:

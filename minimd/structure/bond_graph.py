@@ -106,10 +106,8 @@ def joined_in(atoms: Any) -> Joined:
         return Joined({name: np.zeros((0, size), np.int64) for name, size in GROUPS.items()})
     ids = atoms.arrays.get("id")
     if ids is not None and not np.array_equal(ids, np.arange(1, len(atoms) + 1)):
-        raise ValueError(
-            "the bonds of these atoms cannot be trusted: their array 'id' does not count from 1 to N, so atoms may "
-            f"have been cut out, repeated or sorted since they were read; {INSTEAD}"
-        )
+        why = "their array 'id' does not count from 1 to N, so atoms may have been cut out, repeated or sorted"
+        raise ValueError(f"the bonds of these atoms cannot be trusted: {why} since they were read; {INSTEAD}")
     found: dict[str, Indices] = {}
     n_types: dict[str, int] = {}
     for name, size in GROUPS.items():

@@ -1,7 +1,5 @@
 """The simulation cell: any three lattice vectors, each direction periodic or open, and periodic images."""
 
-from __future__ import annotations
-
 from collections import namedtuple
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,9 +14,7 @@ from minimd.compiled.machine import EPS
 from minimd.console.display import Displayed, Rows, as_text
 from minimd.console.words import shown
 from minimd.structure.checks import LARGEST, SMALLEST, checked_array, checked_numbers
-from minimd.structure.vectors import follow_lattice
-
-Array = NDArray[np.float64]
+from minimd.structure.vectors import Array, follow_lattice
 
 MOST_IMAGES = 2**16  # images among which one length is searched for: 40 cells in each of three directions
 FLAT = 1e-9  # smallest singular value of the unit lattice vectors below which they count as linearly dependent
@@ -72,25 +68,22 @@ class Cell(Displayed):
                 value.setflags(write=False)
 
     @classmethod
-    def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> Cell:
+    def of(cls, vectors: ArrayLike | None, pbc: ArrayLike | None = None) -> "Cell":
         """A cell from one length, three lengths or a (3, 3) array of rows; by default pbc is True where one is given.
-
         Raises ValueError if the shape is wrong, a number is masked, complex or not finite, pbc is neither one bool nor
-        three, a periodic direction has no vector, or the periodic vectors are linearly dependent.
-        """
+        three, a periodic direction has no vector, or the periodic vectors are linearly dependent."""
         matrix = _as_matrix(vectors)
-        given = np.any(matrix != 0.0, axis=1)
-        return cls(matrix, given if pbc is None else _as_flags(pbc))
+        return cls(matrix, np.any(matrix != 0.0, axis=1) if pbc is None else _as_flags(pbc))
 
     @classmethod
-    def of_reduction(cls, vectors: Array, reduction: NDArray[np.int64]) -> Cell:
+    def of_reduction(cls, vectors: Array, reduction: NDArray[np.int64]) -> "Cell":
         """A cell periodic in all directions whose reduced lattice is known: reduction @ vectors."""
         cell = object.__new__(cls)
         cell.__dict__.update(vectors=np.array(vectors), pbc=np.ones(3, dtype=bool))
         cell._complete(reduction @ cell.vectors, np.array(reduction))
         return cell
 
-    def strained(self, vectors: Array) -> Cell:
+    def strained(self, vectors: Array) -> "Cell":
         """The cell after a small change of its vectors, all periodic; the reduction stays the same while it is one."""
         cell = Cell.of_reduction(vectors, self.reduction)
         length2, combined = (cell.lattice**2).sum(axis=1), ((COMBINED @ cell.lattice) ** 2).sum(axis=1)
@@ -104,11 +97,10 @@ class Cell(Displayed):
         """See Displayed."""
         if not (self.is_periodic or self.vectors.any()):
             return [("cell", "none")]
-        words = [as_text(tuple(row)) for row in self.vectors.tolist()]
-        rows = [
-            (name, row if repeats else f"{row}, open")
-            for name, row, repeats in zip(("cell a", "b", "c"), words, self.pbc, strict=True)
-        ]
+        words = (
+            as_text(tuple(row)) + ", open" * (not pbc) for row, pbc in zip(self.vectors.tolist(), self.pbc, strict=True)
+        )
+        rows = [*zip(("cell a", "b", "c"), words, strict=True)]
         return rows if self.volume is None else [*rows, ("volume", f"{self.volume:.10g}")]
 
     @property
@@ -132,11 +124,11 @@ class Cell(Displayed):
         cells = np.floor(positions @ np.linalg.inv(full))
         return positions - np.where(self.pbc, cells, 0.0) @ full
 
-    def follow(self, cell: Cell, translations: Array) -> None:
+    def follow(self, cell: "Cell", translations: Array) -> None:
         """Lattice vectors, (n, 3) or in blocks (n, 3, m), become the same multiples of those of a cell, in place."""
         follow_lattice(translations, self.vectors, cell.vectors)
 
-    def same_as(self, other: Cell) -> bool:
+    def same_as(self, other: "Cell") -> bool:
         """True if vectors and periodicity are equal to the last bit."""
         return self is other or (np.array_equal(self.vectors, other.vectors) and np.array_equal(self.pbc, other.pbc))
 
@@ -160,12 +152,9 @@ class Images(ByAddress, namedtuple("Images", "lattice inverse pbc safe_distance2
 
 @scalar
 def minimum_image(dx, dy, dz, lattice, inverse, pbc, safe_distance2):
-    """Integers (a, b, c) for which d + (a, b, c) · lattice is shortest.
-
-    A vector shorter than half the smallest height is its own minimum image. Otherwise the fractional coordinates are
-    rounded. A result as short as that is right; a longer one is compared with its 26 neighbors,
-    which suffices in a reduced lattice.
-    """
+    """Integers (a, b, c) for which d + (a, b, c) · lattice is shortest. A vector shorter than half the smallest height
+    is its own minimum image. Otherwise the fractional coordinates are rounded. A result as short as that is right; a
+    longer one is compared with its 26 neighbors, which suffices in a reduced lattice."""
     if dx * dx + dy * dy + dz * dz <= safe_distance2:
         return 0.0, 0.0, 0.0
     a = -np.rint(dx * inverse[0, 0] + dy * inverse[1, 0] + dz * inverse[2, 0]) if pbc[0] else 0.0
@@ -197,11 +186,9 @@ def _length2(dx, dy, dz, a, b, c, lattice):
 def minimum_image_translations(positions, first, second, lattice, inverse, pbc, safe_distance2, translations):
     """translations[p] = the lattice vector that makes r_j − r_i + translation shortest, for fixed pairs (i, j)
     = (first, second)[p].
-
     positions : (N, 3) [length].  first, second : (P,) int.
     translations : (P, 3) [length], lattice vectors, such as zeros or the previous ones;
-        kept where they are still certainly right.
-    """
+        kept where they are still certainly right."""
     for p in range(np.uintp(first.size)):  # unsigned: no check for indices that count from the end
         i, j = np.uintp(first[p]), np.uintp(second[p])
         dx = positions[j, 0] - positions[i, 0]

@@ -15,12 +15,9 @@ SMALLEST, LARGEST = 1e-75, 1e75  # of positive quantities: their fourth powers a
 MOST_ATOMS = 2**27  # 3 GB of positions
 MOST_NUMBERS = 3 * MOST_ATOMS  # in an array
 COUNTS = 2**63  # whole numbers in arrays and files are below it
-DEMANDS = {
-    "finite": lambda number: abs(number) < inf,
-    "finite and not zero": lambda number: 0.0 < abs(number) < inf,
-    "finite and not negative": lambda number: 0.0 <= number < inf,
-    "positive and finite": lambda number: 0.0 < number < inf,
-}
+DEMANDS = {"finite": lambda number: abs(number) < inf, "finite and not zero": lambda number: 0.0 < abs(number) < inf,
+           "finite and not negative": lambda number: 0.0 <= number < inf,
+           "positive and finite": lambda number: 0.0 < number < inf}  # fmt: skip
 KINDS = {"b": "bools", "i": "whole numbers", "f": "fractions", "c": "complex"}  # by the letters of NumPy
 PLAIN = {bool: "b", int: "i", float: "f"}
 
@@ -36,10 +33,8 @@ def checked_count(name: str, value: Any, least: int = 1, limit: int = COUNTS) ->
 
 def checked_number(name: str, value: Any, demand: str = "finite") -> float:
     """The value as a float.  demand : one of DEMANDS.
-
     Raises ValueError for anything that is not a real number, such as a text or a bool, for what the demand excludes,
-    and for numbers whose powers could overflow: above LARGEST or, for positive quantities, below SMALLEST.
-    """
+    and for numbers whose powers could overflow: above LARGEST or, for positive quantities, below SMALLEST."""
     try:
         number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan
     except OverflowError:

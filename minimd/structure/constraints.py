@@ -1,8 +1,6 @@
 """Constraints of a scene: fixed distances and fixed atoms. The solvers that keep them are in minimd.constraints."""
 
-from __future__ import annotations
-
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +18,6 @@ from minimd.structure.checks import (
 )
 
 SolverName = Literal["auto", "newton", "shake"]
-SOLVERS = ("auto", "newton", "shake")
 TOLERANCE = 1e-12  # of |r² − d²|/d², if none is given
 
 
@@ -40,13 +37,8 @@ class DistanceConstraints:
         tolerance that is not between 0 and 1; an unknown solver.
     """
 
-    def __init__(
-        self,
-        pairs: ArrayLike,
-        lengths: ArrayLike | None = None,
-        tolerance: float = TOLERANCE,
-        solver: SolverName = "auto",
-    ) -> None:
+    def __init__(self, pairs: ArrayLike, lengths: ArrayLike | None = None, tolerance: float = TOLERANCE,
+                 solver: SolverName = "auto") -> None:  # fmt: skip
         self.pairs = checked_pairs("pairs", pairs)
         if not len(self.pairs):
             raise ValueError("pairs of DistanceConstraints must name at least one pair; there is none")
@@ -55,7 +47,10 @@ class DistanceConstraints:
             given = checked_numbers("lengths", lengths, "one number, or one for each pair")
             given = given.reshape(()) if given.shape == (1,) else given
             self.lengths = checked_sizes("lengths", given, len(self.pairs), "pair")
-        self.tolerance, self.solver = checked_number("tolerance", tolerance), checked_choice("solver", solver, SOLVERS)
+        self.tolerance, self.solver = (
+            checked_number("tolerance", tolerance),
+            checked_choice("solver", solver, get_args(SolverName)),
+        )
         if not 0.0 < self.tolerance < 1.0:
             raise ValueError(f"tolerance, of |r² − d²|/d², must lie between 0 and 1; tolerance = {tolerance!r}")
 

@@ -9,8 +9,7 @@ class NonFiniteError(ArithmeticError):
     """A position, velocity, force or energy is no longer a finite number.
 
     solution : of a small system, up to the failure.  crash_report : CrashReport of a simulation.  file :
-        to which it was written, or None.
-    """
+        to which it was written, or None."""
 
     solution: Any = None
     crash_report: Any = None

@@ -1,19 +1,17 @@
 """The grid of fixed-point dynamics: the steps of which positions, momenta and energies are whole multiples."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import frexp, isfinite, ldexp, log2
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from minimd.compiled.fixed_point import FARTHEST, MOST, Steps
 from minimd.console.display import Displayed, Rows
 from minimd.console.words import shown
 from minimd.structure.cell import Cell
 from minimd.structure.errors import RangeError
-from minimd.structure.observables import largest_component
+from minimd.structure.observables import Array, largest_component
 from minimd.structure.system import System
 
 TRAVEL, FAR_TRAVEL = 64.0, 4096.0  # times the size of the scene: how far atoms can go; in scenes with an open direction
@@ -27,8 +25,6 @@ TOO_LARGE = (
 NO_SIGN = 0.0  # added to turn −0 into 0
 SLOW = 1e-3  # of the scene in a step, if nothing shows how fast atoms are
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, repr=False)
 class Grid(Displayed):
@@ -41,8 +37,7 @@ class Grid(Displayed):
     Positions r and velocities v = p/m are float64; on a grid they stand for whole numbers of steps: r/length is exact,
     and rounding m v/momentum gives the whole number from which v was made.
 
-    Raises ValueError for a step that is not a positive power of two.
-    """
+    Raises ValueError for a step that is not a positive power of two."""
 
     length: float
     momentum: float
@@ -62,7 +57,7 @@ class Grid(Displayed):
         return [(f"step of {name}", f"2^{log2(step):.0f}") for name, step in vars(self).items()]
 
     @classmethod
-    def of_scene(cls, system: System, timestep: float, depth: float) -> Grid:
+    def of_scene(cls, system: System, timestep: float, depth: float) -> "Grid":
         """Steps that leave room for the motion of this scene, and round as little as they can. timestep : [time].
         depth : of the deepest well of a pair [energy]."""
         cell = system.cell
@@ -82,7 +77,7 @@ class Grid(Displayed):
         is_near = largest_component(system.positions) <= 0.5 * FARTHEST * self.length
         return is_near and largest_component(momenta) <= 0.5 * MOST * self.momentum
 
-    def widened(self, other: Grid) -> Grid:
+    def widened(self, other: "Grid") -> "Grid":
         """The larger steps of two grids."""
         return Grid(max(self.length, other.length), max(self.momentum, other.momentum), max(self.energy, other.energy))
 

@@ -4,20 +4,16 @@ from collections.abc import Sequence
 from math import cbrt, prod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.console.words import shown
 from minimd.structure.checks import MOST_ATOMS, checked_choice, checked_indices, checked_number
+from minimd.structure.vectors import Array
 
 __all__ = ["BASES", "constant_from_density", "crystal"]
-Array = NDArray[np.float64]
 _FCC = ((0.0, 0.0, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5), (0.5, 0.5, 0.0))
-BASES = {  # atoms of the cubic unit cell, in units of its edge
-    "sc": ((0.0, 0.0, 0.0),),
-    "bcc": ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5)),
-    "fcc": _FCC,
-    "diamond": _FCC + tuple((x + 0.25, y + 0.25, z + 0.25) for x, y, z in _FCC),
-}
+# atoms of the cubic unit cell, in units of its edge
+BASES = {"sc": _FCC[:1], "bcc": (*_FCC[:1], (0.5, 0.5, 0.5)), "fcc": _FCC}
+BASES["diamond"] = _FCC + tuple((x + 0.25, y + 0.25, z + 0.25) for x, y, z in _FCC)
 
 
 def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tuple[Array, Array]:
@@ -27,8 +23,7 @@ def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tup
     lattice_constant : edge of the unit cell [length].
 
     Raises ValueError for an unknown lattice, a repeat that is not three positive whole numbers, too many atoms,
-    or an edge that is not positive.
-    """
+    or an edge that is not positive."""
     basis = BASES[checked_choice("lattice", lattice, BASES)]
     counts = checked_indices("repeat", repeat, "three numbers of unit cells")
     if counts.shape != (3,) or counts.min() < 1:
@@ -39,8 +34,7 @@ def crystal(lattice: str, repeat: Sequence[int], lattice_constant: float) -> tup
         given = f"repeat = {shown(repeat)} makes {n_atoms:.1e} of them"
         raise ValueError(f"repeat must make at most {MOST_ATOMS} atoms; {given}")
     corners = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    positions = (corners + np.array(basis)).reshape(-1, 3) * lattice_constant
-    return positions, counts.astype(np.float64) * lattice_constant
+    return (corners + np.array(basis)).reshape(-1, 3) * lattice_constant, counts.astype(np.float64) * lattice_constant
 
 
 def constant_from_density(lattice: str, density: float, mass: float = 1.0) -> float:

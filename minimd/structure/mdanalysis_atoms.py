@@ -12,31 +12,23 @@ from minimd.structure.bond_graph import GROUPS
 from minimd.structure.units import LJ, UnitSystem
 
 
-def universe_arguments(
-    universe: Universe | AtomGroup, units: UnitSystem, groups: Mapping[str, ArrayLike | None], pbc: ArrayLike | None
-) -> dict[str, Any]:
+def universe_arguments(universe: Universe | AtomGroup, units: UnitSystem, groups: Mapping[str, ArrayLike | None],
+                       pbc: ArrayLike | None) -> dict[str, Any]:  # fmt: skip
     """Arguments for System from a universe or a group of its atoms, as System.from_mdanalysis describes them.
-
     groups : bonds, angles, dihedrals and impropers by these names; None for those of the universe.
-
-    Raises TypeError for anything else.  ValueError for atoms without masses, where the units have no default.
-    """
+    Raises TypeError for anything else.  ValueError for atoms without masses, where the units have no default."""
     if not isinstance(universe, Universe | AtomGroup):
         raise TypeError(f"an MDAnalysis Universe or AtomGroup is expected; got {type(universe).__name__}")
     atoms = universe.atoms
     ts, to_length, to_speed = atoms.universe.trajectory.ts, units.to_angstrom, units.to_picosecond / units.to_angstrom
     is_periodic = ts.dimensions is not None and bool(np.all(ts.dimensions[:3] > 0.0))
-    return {
-        "positions": atoms.positions.astype(np.float64) / to_length,
-        "masses": _masses(atoms, units),
-        "charges": charges_of(atoms),
-        "velocities": atoms.velocities.astype(np.float64) * to_speed if ts.has_velocities else None,
-        "cell": triclinic_vectors(ts.dimensions, dtype=np.float64) / to_length if is_periodic else None,
-        "pbc": pbc,
-        "species": _species(atoms),
-        **{name: _within(atoms, name, GROUPS[name]) if given is None else given for name, given in groups.items()},
-        "units": units,
-    }
+    return {"positions": atoms.positions.astype(np.float64) / to_length, "masses": _masses(atoms, units),
+            "charges": charges_of(atoms),
+            "velocities": atoms.velocities.astype(np.float64) * to_speed if ts.has_velocities else None,
+            "cell": triclinic_vectors(ts.dimensions, dtype=np.float64) / to_length if is_periodic else None, "pbc": pbc,
+            "species": _species(atoms),
+            **{name: _within(atoms, name, GROUPS[name]) if given is None else given for name, given in groups.items()},
+            "units": units}  # fmt: skip
 
 
 def _masses(atoms: AtomGroup, units: UnitSystem) -> NDArray[np.float64] | None:

@@ -8,13 +8,12 @@ velocities, positions : (N, 3).  masses : (N,).
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from minimd.compiled.fixed_point import on_grid
 from minimd.compiled.kernels import kernel, scalar
 from minimd.structure.checks import checked_count, checked_number
+from minimd.structure.vectors import Array
 
-Array = NDArray[np.float64]
 AT_REST = 1e-12  # of the kinetic energy: if less than this is relative to the center of mass, it is only rounding
 
 
@@ -154,11 +153,9 @@ def absolute_angular_momentum(positions: Array, velocities: Array, masses: Array
 def _absolute_moments(positions, velocities, masses, center):
     total = 0.0
     for i in range(masses.size):
-        arm2 = (
-            (positions[i, 0] - center[0]) ** 2 + (positions[i, 1] - center[1]) ** 2 + (positions[i, 2] - center[2]) ** 2
-        )
+        x, y, z = positions[i, 0] - center[0], positions[i, 1] - center[1], positions[i, 2] - center[2]
         speed2 = velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2
-        total += masses[i] * sqrt(arm2 * speed2)
+        total += masses[i] * sqrt((x**2 + y**2 + z**2) * speed2)
     return total
 
 
@@ -170,9 +167,7 @@ def maxwell_boltzmann(masses: Array, target: float, k_B: float = 1.0, seed: int 
 
     Each component has variance k_B T/m before the mean motion is removed and the rest rescaled.
     masses : (N,).  target : T ≥ 0 [temperature].  seed : of numpy's PCG64; None for a new draw each time.
-
-    Raises ValueError if the target is negative or not finite, or the seed is not a whole number.
-    """
+    Raises ValueError if the target is negative or not finite, or the seed is not a whole number."""
     target = checked_number("temperature", target, "finite and not negative")
     generator = np.random.default_rng(None if seed is None else checked_count("seed", seed, 0, SEEDS))
     velocities = generator.standard_normal((len(masses), 3)) * np.sqrt(k_B * target / masses)[:, None]

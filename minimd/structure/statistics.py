@@ -1,16 +1,14 @@
 """Means of correlated series, and their uncertainty. Every error bar of minimd is computed here."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from math import floor, isfinite, log10
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from minimd.structure.vectors import Array
+
 Weighted = Callable[[int], list[tuple[float, Array]]]
 FEW = 4  # entries or blocks: from fewer, no error can be estimated
 MOST_BLOCKS = 32  # at this number, blocks are joined in pairs: a long run always has 16 to 31
@@ -45,12 +43,10 @@ def standard_error(parts: Array, weighted: Weighted | None = None) -> Array:
     The sums are over covariances C that few numbers can just tell from each other: w = 0, and those of TIMES and
     SHARES. Correlations that last longer than a sixth of a run are seen in part only: the error is too small then.
     0 for equal numbers, NaN for fewer than 4.
-
     weighted : other covariances and their weights, see correlated and wandering.
 
     H. D. Patterson, R. Thompson, Biometrika 58, 545 (1971), on L; J. A. Hoeting, D. Madigan, A. E. Raftery, C. T.
-    Volinsky, Statist. Sci. 14, 382 (1999), on averages over models.
-    """
+    Volinsky, Statist. Sci. 14, 382 (1999), on averages over models."""
     n = len(parts)
     if n < FEW:
         return np.full(parts.shape[1:], np.nan)
@@ -100,10 +96,8 @@ def _forms(weighted: Weighted, n: int) -> list[tuple[float, float, Array]]:
 
 def independent(rest: Array) -> float:
     """How many of n correlated numbers are independent: n (1 − ρ)/(1 + ρ), with the correlation ρ of neighbors.
-
     rest : (n,), their distances from a straight line, whose fit makes ρ too small by (2 + 4ρ)/n; this is corrected.
-    M. G. Kendall, Biometrika 41, 403 (1954), on the bias.
-    """
+    M. G. Kendall, Biometrika 41, 403 (1954), on the bias."""
     square, n = float(rest @ rest), len(rest)
     alike = float(rest[1:] @ rest[:-1]) / square if square > 0.0 else 0.0
     alike = min(max(0.0, alike + (2.0 + 4.0 * alike) / n), 1.0 - 1.0 / n)
@@ -125,11 +119,9 @@ def block_means(series: Array, blocks: int) -> Array:
 
 def replicas(estimate: Callable[[Array], Any], total: Array, parts: Array) -> Array:
     """Estimates from the sums over a run without one of its blocks, (K, ...), for each of K blocks; see spread.
-
     estimate : function of sums (n,), linear or not; returns a number or an array.  total : (n,).  parts : (K, n),
         of blocks of equal length.
-    This is the jackknife: B. Efron, C. Stein, Ann. Statist. 9, 586 (1981).
-    """
+    This is the jackknife: B. Efron, C. Stein, Ann. Statist. 9, 586 (1981)."""
     return np.array([estimate(total - part) for part in parts], dtype=np.float64)
 
 

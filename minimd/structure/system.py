@@ -61,23 +61,13 @@ class System(Displayed):
         no lattice vector. TypeError : for units or constraints of another kind.
     """
 
-    def __init__(
-        self,
-        positions: ArrayLike,
-        *,
-        masses: ArrayLike | None = None,
-        velocities: ArrayLike | None = None,
-        cell: ArrayLike | Cell | None = None,
-        pbc: ArrayLike | None = None,
-        species: Sequence[str] | Sequence[int] | NDArray | None = None,
-        bonds: ArrayLike | None = None,
-        angles: ArrayLike | None = None,
-        dihedrals: ArrayLike | None = None,
-        impropers: ArrayLike | None = None,
-        units: UnitSystem = unit_systems.LJ,
-        constraints: Sequence[Constraint] = (),
-        charges: ArrayLike | Mapping[Any, float] | None = None,
-    ) -> None:
+    def __init__(self, positions: ArrayLike, *, masses: ArrayLike | None = None, velocities: ArrayLike | None = None,
+                 cell: ArrayLike | Cell | None = None, pbc: ArrayLike | None = None,
+                 species: Sequence[str] | Sequence[int] | NDArray | None = None, bonds: ArrayLike | None = None,
+                 angles: ArrayLike | None = None, dihedrals: ArrayLike | None = None,
+                 impropers: ArrayLike | None = None, units: UnitSystem = unit_systems.LJ,
+                 constraints: Sequence[Constraint] = (),
+                 charges: ArrayLike | Mapping[Any, float] | None = None) -> None:  # fmt: skip
         if not isinstance(units, UnitSystem):
             raise TypeError(f"units must be minimd.units.LJ or minimd.units.ASE; units = {shown(units)}")
         if not isinstance(constraints, list | tuple) or not all(isinstance(one, Constraint) for one in constraints):
@@ -146,10 +136,9 @@ class System(Displayed):
     def display_rows(self) -> Rows:
         """See Displayed."""
         units, rows = self.units, [("atoms", f"{len(self)}: {self.composition}")]
-        rows += [
-            (name, f"{words} {units.volume}" if name == "volume" else words.replace(")", f") {units.length}"))
-            for name, words in self.cell.display_rows()
-        ]
+        for name, words in self.cell.display_rows():
+            told = f"{words} {units.volume}" if name == "volume" else words.replace(")", f") {units.length}")
+            rows.append((name, told))
         if self.volume is not None:
             density, is_ase = self.masses.sum() / self.volume, units is unit_systems.ASE
             in_grams = f"{density / unit_systems.GRAM_PER_CM3:.6g} g/cm³"
@@ -183,37 +172,22 @@ class System(Displayed):
         return changed(self)
 
     @classmethod
-    def from_ase(
-        cls,
-        atoms: ase.Atoms,
-        bonds: ArrayLike | None = None,
-        angles: ArrayLike | None = None,
-        dihedrals: ArrayLike | None = None,
-        impropers: ArrayLike | None = None,
-    ) -> System:
+    def from_ase(cls, atoms: ase.Atoms, bonds: ArrayLike | None = None, angles: ArrayLike | None = None,
+                 dihedrals: ArrayLike | None = None, impropers: ArrayLike | None = None) -> System:  # fmt: skip
         """A system in ASE's units from an ase.Atoms: see minimd.structure.ase_atoms.system_arguments.
-
         bonds, angles, dihedrals, impropers : as for System. If bonds is not given, those that ASE read from a file:
             atoms.arrays["bonds"] and so on; bonds=() for none of them.
         FixCom sets the total momentum to zero and is then forgotten. To have a Simulation refuse to move the center of
-        mass, give it the atoms themselves.
-        """
+        mass, give it the atoms themselves."""
         from minimd.structure.ase_atoms import system_arguments
 
         return cls(**system_arguments(atoms, bonds, angles=angles, dihedrals=dihedrals, impropers=impropers))
 
     @classmethod
-    def from_mdanalysis(
-        cls,
-        universe: MDAnalysis.Universe | MDAnalysis.AtomGroup,
-        *,
-        units: UnitSystem = unit_systems.ASE,
-        bonds: ArrayLike | None = None,
-        angles: ArrayLike | None = None,
-        dihedrals: ArrayLike | None = None,
-        impropers: ArrayLike | None = None,
-        pbc: ArrayLike | None = None,
-    ) -> System:
+    def from_mdanalysis(cls, universe: MDAnalysis.Universe | MDAnalysis.AtomGroup, *,
+                        units: UnitSystem = unit_systems.ASE, bonds: ArrayLike | None = None,
+                        angles: ArrayLike | None = None, dihedrals: ArrayLike | None = None,
+                        impropers: ArrayLike | None = None, pbc: ArrayLike | None = None) -> System:  # fmt: skip
         """A system from the present frame of an MDAnalysis universe, or of a group of its atoms: all that System takes,
         except constraints. MDAnalysis holds positions, velocities and cell in float32, the cell as lengths and angles.
         Species are its types.
@@ -317,8 +291,7 @@ def local_density(positions: NDArray[np.float64], cell: Cell, width: float) -> f
         ρ = Σ n (n − 1) / (N V_b)   over bins of volume V_b with n atoms: −1, because no atom is its own neighbor
 
     positions : (N, 3) [length].  width : of a bin, or somewhat less than that of it [length].
-    Open directions count as far as there are atoms, or with the width if that is more.
-    """
+    Open directions count as far as there are atoms, or with the width if that is more."""
     s = np.einsum("ij,jk->ik", positions, cell.inverse)  # not @: see observables
     s -= np.where(cell.pbc, np.floor(s), s.min(axis=0))
     extent = np.where(cell.pbc, 1.0, np.maximum(width / cell.heights, s.max(axis=0)))

@@ -21,7 +21,6 @@ DEGREE = math.pi / 180.0  # rad
 @dataclass(frozen=True)
 class UnitSystem:
     """A consistent set of units, and the factors that convert its numbers to Å, ps and kJ/mol; default: reduced units.
-
     name : "ASE" or "LJ".
     k_B : Boltzmann constant [energy/temperature].  coulomb : k_e = 1/(4π ε₀) [energy · length/e²].
     to_angstrom, to_picosecond, to_kj_per_mol : factors for files that must have these units. Reduced numbers are
@@ -29,8 +28,7 @@ class UnitSystem:
     shown_time : name of the unit of time · to_picosecond, as it is shown.  small_time : the same for time steps, of
         which shown_small_time make one.
     length, volume, time, energy, temperature, pressure, momentum, angular_momentum : names of the units, for files,
-        plots and reports.
-    """
+        plots and reports."""
 
     name: str = "LJ"
     k_B: float = 1.0
@@ -69,28 +67,12 @@ class UnitSystem:
 
 
 LJ = UnitSystem()
-ASE = UnitSystem(
-    name="ASE",
-    k_B=BOLTZMANN_EV_PER_K,
-    coulomb=COULOMB,
-    to_angstrom=1.0,
-    to_picosecond=1.0 / PICOSECOND,
-    to_kj_per_mol=KJ_PER_MOL_PER_EV,
-    length="Å",
-    time="Å √(u/eV)",
-    shown_time="ps",
-    small_time="fs",
-    shown_small_time=1000.0,
-    energy="eV",
-    temperature="K",
-    pressure="eV/Å³",
-    momentum="√(u eV)",
-    angular_momentum="Å √(u eV)",
-    volume="Å³",
-)
+ASE = UnitSystem(name="ASE", k_B=BOLTZMANN_EV_PER_K, coulomb=COULOMB, to_angstrom=1.0, to_picosecond=1.0 / PICOSECOND,
+                 to_kj_per_mol=KJ_PER_MOL_PER_EV, length="Å", time="Å √(u/eV)", shown_time="ps", small_time="fs",
+                 shown_small_time=1000.0, energy="eV", temperature="K", pressure="eV/Å³", momentum="√(u eV)",
+                 angular_momentum="Å √(u eV)", volume="Å³")  # fmt: skip
 
-fs = FEMTOSECOND
-ps = PICOSECOND
+fs, ps = FEMTOSECOND, PICOSECOND
 SYSTEMS = {"ASE": ASE, "LJ": LJ}
 
 

@@ -108,10 +108,8 @@ def follow_blocks(translations, inverse, vectors):
 
 def upright(vectors: Array) -> tuple[Array, Array]:
     """A rotation (3, 3), and the vectors after it, vectors @ rotation: a lower triangle with a positive diagonal.
-
     vectors : (3, 3) [length], rows, independent. They must be right-handed; of a left-handed cell pass −vectors,
-        which span the same lattice.
-    """
+        which span the same lattice."""
     if np.array_equal(vectors, np.tril(vectors)) and (np.diag(vectors) > 0.0).all():
         return np.eye(3), np.array(vectors)
     q, upper = np.linalg.qr(vectors.T)

@@ -77,11 +77,9 @@ def _select(mask, a, b):
         return lambda mask, a, b: _choose(mask, broadcast(a, b), b)
     if isinstance(a, Vector):
         return lambda mask, a, b: a if mask else broadcast(b, a)
-    return (
-        (lambda mask, a, b: broadcast(a, b) if mask else b)
-        if isinstance(b, Vector)
-        else lambda mask, a, b: a if mask else b
-    )
+    if isinstance(b, Vector):
+        return lambda mask, a, b: broadcast(a, b) if mask else b
+    return lambda mask, a, b: a if mask else b
 
 
 def _bind(function, operation) -> None:

@@ -233,10 +233,8 @@ def loaded_columns(columns, start, lanes):
 
 BITS = 64  # of a number
 REGISTERS = {"zmm": 512, "ymm": 256}  # names in assembly of registers with more than 128 bits
-PROBE = (
-    "define <8 x double> @sum(<8 x double> %a, <8 x double> %b) {\n  %c = fadd <8 x double> %a, %b\n  ret <8 x "
-    "double> %c\n}"
-)
+PROBE = ("define <8 x double> @sum(<8 x double> %a, <8 x double> %b) "
+         "{\n  %c = fadd <8 x double> %a, %b\n  ret <8 x double> %c\n}")  # fmt: skip
 
 
 class Lanes4(namedtuple("Lanes4", "")):

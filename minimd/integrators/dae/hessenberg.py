@@ -9,8 +9,6 @@ The state holds its parts one after the other. A start that violates one of thes
 reason. E. Hairer, G. Wanner, Solving ODEs II (1996), VI.1, VII.1.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, ClassVar
 
@@ -52,18 +50,14 @@ class Hessenberg(DifferentialAlgebraic):
 
     def __init__(self, solver: Newton, *functions: Function) -> None:
         super().__init__(solver)
-        self._functions = [
-            taking(function, " ".join(("t", *self.names[:n])), name)
-            for function, (name, n) in zip(functions, self.functions, strict=True)
-        ]
+        asked = [(name, " ".join(("t", *self.names[:n]))) for name, n in self.functions]
+        self._functions = [taking(one, names, name) for one, (name, names) in zip(functions, asked, strict=True)]
         self.f, self.g = self._functions[0], self._functions[-1]
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, its algebraic variables solved for.
-
         start : the parts, such as (q, v); algebraic variables may be left out; if given they are a first guess.
-        Raises ValueError for a start that violates a constraint, given or hidden; corrected gives one that does not.
-        """
+        Raises ValueError for a start that violates a constraint, given or hidden; corrected gives one that does not."""
         return self._consistent(start, t0, KEPT, REFUSED)
 
     def corrected(self, start: Any, t0: float = 0.0) -> Array:
@@ -111,7 +105,9 @@ class Hessenberg(DifferentialAlgebraic):
             def violation(x: Array) -> Array:
                 return self.constraint(k, t, *parts[:i], x, *parts[i + 1 :])
 
-            own = self._size_of_algebraic(t, parts) if k == last else _size(parts[i], parts)
+            sizes = [float(np.abs(part).max()) for part in parts]
+            own = sizes[i] if sizes[i] > KEPT * max(sizes) else max(sizes)  # else it is only rounding
+            own = self._size_of_algebraic(t, parts) if k == last else own
             if not are_independent(violation, parts[i], step, own):
                 what = f"the constraints 0 = {chained} do not determine {self.names[i]}"
                 when = f"at the start, t = {t:g}, or the index is higher than {self.index}"
@@ -228,12 +224,6 @@ class Hessenberg3(Hessenberg):
         return time_derivative(lambda e: self.f(t + e, y + e * rate, z + e * z_rate), 1, unit)
 
 
-def _size(part: Array, parts: list[Array]) -> float:
-    """Size of a part, or the largest size of all parts where it is only rounding."""
-    own, all_parts = float(np.abs(part).max()), max(float(np.abs(other).max()) for other in parts)
-    return own if own > KEPT * all_parts else all_parts
-
-
 class Mechanical(Hessenberg):
     """Constrained mechanics, for methods that solve its equations together: index 3.
 
@@ -257,14 +247,8 @@ class Mechanical(Hessenberg):
     index, names, functions, regular = 3, ("q", "v", "λ"), (("q′", 2), ("force", 2), ("g", 1)), "G M⁻¹ Gᵀ"
     chain = ("g", "dg/dt = G v + g_t", "d²g/dt²")
 
-    def __init__(
-        self,
-        mass: ArrayLike | Function,
-        force: Function,
-        g: Function,
-        gradient: Function | None = None,
-        solver: Newton = Newton(),
-    ) -> None:
+    def __init__(self, mass: ArrayLike | Function, force: Function, g: Function, gradient: Function | None = None,
+                 solver: Newton = Newton()) -> None:  # fmt: skip
         super().__init__(solver, lambda v: v, force, g)
         self._force = self._functions[1]
         self._gradient = gradient if gradient is None else taking(gradient, "t q", "gradient")

@@ -7,8 +7,6 @@ variables whose derivative does not occur in F. The index is that of the pencil 
 S. L. Campbell, SIAM J. Sci. Stat. Comput. 6, 334 (1985); E. Hairer, G. Wanner, Solving ODEs II (1996), VII.1, VII.2.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -51,9 +49,8 @@ class Implicit(DifferentialAlgebraic):
     The start is y, or (y, y′) with a guess of y′. Variables whose derivative does not occur in F are guesses as well.
     """
 
-    def __init__(
-        self, F: Function, F_y: Function | None = None, F_slope: Function | None = None, solver: Newton = Newton()
-    ) -> None:
+    def __init__(self, F: Function, F_y: Function | None = None, F_slope: Function | None = None,
+                 solver: Newton = Newton()) -> None:  # fmt: skip
         super().__init__(solver)
         self._F, self._slope = taking(F, "t y slope", "F"), np.zeros(0)
         self.given_state_jacobian = None if F_y is None else taking(F_y, "t y slope", "F_y")
@@ -61,10 +58,8 @@ class Implicit(DifferentialAlgebraic):
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start as a state, with variables whose derivative does not occur in F solved for; field(t0, y) is its y′.
-
         Raises ValueError if F, or a time derivative of it, cannot be zero there; if the index is above 3, or solutions
-        are not unique.
-        """
+        are not unique."""
         return self._consistent(start, t0, 0.0)
 
     def corrected(self, start: Any, t0: float = 0.0) -> Array:
@@ -82,26 +77,18 @@ class Implicit(DifferentialAlgebraic):
         """The y′ nearest to that of the start with F = 0, in least squares."""
         return nearest_root(lambda slope: self.residual(t, y, slope), self._slope)
 
-    def _begun(self, start: Any, t: float) -> tuple[Array, Array]:
-        """y and y′ of the start; y′ is zero if it is not given."""
+    def _consistent(self, start: Any, t: float, least: float) -> Array:
+        """y, after solving F = 0 and its derivatives up to the index minus one.
+        least : mobility of variables whose derivative occurs in F."""
         is_pair = isinstance(start, tuple) and len(start) == 2 and np.ndim(start[0]) == 1
         y, slope = (np.array(part, float) for part in (start if is_pair else (start, np.zeros(np.shape(start)))))
         is_finite = np.isfinite(y).all() and np.isfinite(slope).all()
         if y.ndim != 1 or y.size == 0 or y.shape != slope.shape or not is_finite:
             needed = "y, or (y, y′), one-dimensional arrays of the same length with finite elements"
             raise ValueError(f"the start must be {needed}; got {shown(start)}")
-        n_equations = self.residual(t, y, slope).size
-        if n_equations != y.size:
+        if (n_equations := self.residual(t, y, slope).size) != y.size:
             raise ValueError(f"there must be as many equations as variables; F has {n_equations}, y has {y.size}")
         self._slope = slope
-        return y, slope
-
-    def _consistent(self, start: Any, t: float, least: float) -> Array:
-        """y, after solving F = 0 and its derivatives up to the index minus one.
-
-        least : mobility of variables whose derivative occurs in F.
-        """
-        y, slope = self._begun(start, t)
         derivatives = np.abs(self.slope_jacobian(t, y, slope))
         mobility = np.where(derivatives.max(axis=0) <= ABSENT * derivatives.max(), 1.0, least)
         size = float(np.abs(y).max())
@@ -125,11 +112,9 @@ class Implicit(DifferentialAlgebraic):
         of_slope = central_differences(lambda x: self.residual(t, y, x), slope)
         return of_slope, central_differences(lambda x: self.residual(t, x, slope), y)
 
-    def _solved(
-        self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float, size: float
-    ) -> tuple[Array, Array]:
+    def _solved(self, t: float, y: Array, jet: list[Array], mobility: Array, unit: float,
+                size: float) -> tuple[Array, Array]:  # fmt: skip
         """y and y′ with F = 0 and dᵏF/dtᵏ = 0 for k below the number of derivatives in the jet (y′, y″, …).
-
         mobility : (n,) how easily variables move, 0 for fixed ones.  unit : of time.  size : of the largest variable.
         """
         order, scales = len(jet), unit ** np.arange(1, len(jet) + 1)

@@ -9,10 +9,7 @@ Symmetric sequences stay symmetric. Compositions of velocity Verlet, such as Yos
 have order 2 at most, because a constrained drift is not an exact flow: two of them in a row differ from a single one.
 """
 
-from __future__ import annotations
-
 import warnings
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,11 +20,12 @@ from minimd.integrators.ode.functions import Function, derivative, remark_on_dif
 from minimd.integrators.ode.newton import Iteration, Newton
 from minimd.integrators.ode.problems import SecondOrder
 from minimd.integrators.splitting.order_conditions import nystrom_order
-from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substeps
+from minimd.integrators.splitting.substeps import Drift, Kick, Substeps, are_alike, repeated
 from minimd.structure.errors import ConvergenceError
 
 __all__ = ["Holonomic"]
 
+VERLET = (Kick(0.5), Drift(1.0), Kick(0.5))
 KEPT = 1e-12  # relative corrections of a start that are made without a warning
 DEPENDENT = 1e-10  # ratio of singular values of G M^(−1/2) below which constraints count as dependent
 
@@ -52,14 +50,8 @@ class Holonomic(SecondOrder):
 
     drifts_on_lines = False
 
-    def __init__(
-        self,
-        f: Function,
-        g: Function,
-        jacobian: Function | None = None,
-        masses: ArrayLike = 1.0,
-        solver: Newton = Newton(),
-    ) -> None:
+    def __init__(self, f: Function, g: Function, jacobian: Function | None = None, masses: ArrayLike = 1.0,
+                 solver: Newton = Newton()) -> None:  # fmt: skip
         super().__init__(f, solver=solver)
         if "v" in self.f.takes:
             raise ValueError("a constrained step needs forces that do not depend on v; f takes v")
@@ -72,7 +64,7 @@ class Holonomic(SecondOrder):
     def gradient(self, q: Array) -> Array:
         """G(q), (m, n)."""
         given = self._jacobian
-        return derivative(self.violation, None if given is None else lambda x: given(x.reshape(self.shape)), q)
+        return derivative(self.violation, given and (lambda x: given(x.reshape(self.shape))), q)
 
     def directions(self, gradient: Array) -> Array:
         """M⁻¹ Gᵀ, (n, m), of a gradient G."""
@@ -110,7 +102,8 @@ class Holonomic(SecondOrder):
     def sequence_order(self, substeps: Substeps) -> int:
         """Compositions of velocity Verlet keep their order, as each of their steps is a RATTLE step; others have 2 at
         most."""
-        return nystrom_order(substeps) if is_made_of_verlet(substeps) else min(nystrom_order(substeps), 2)
+        verlet = repeated(VERLET, [one.coefficient for one in substeps if isinstance(one, Drift)])
+        return nystrom_order(substeps) if are_alike(substeps, verlet) else min(nystrom_order(substeps), 2)
 
     def multipliers(self, t: float, q: ArrayLike, v: ArrayLike) -> Array:
         """λ of the constraint force −Gᵀ λ, (m,): G(q) q″ + (d/dt G) v = 0."""
@@ -119,17 +112,6 @@ class Holonomic(SecondOrder):
         turning = time_derivative(lambda e: self.gradient(q + e * v) @ v, 1, unit)
         force = self.f(t, q.reshape(self.shape), v.reshape(self.shape))
         return np.asarray(np.linalg.solve(gradient @ self.directions(gradient), gradient @ force + turning))
-
-
-def is_made_of_verlet(substeps: Substeps) -> bool:
-    """Whether these are steps of velocity Verlet: kick w₁/2, drift w₁, kick (w₁ + w₂)/2, drift w₂, …"""
-    kicks, drifts = substeps[::2], (0.0, *(substep.coefficient for substep in substeps[1::2]), 0.0)
-    if not isinstance(substeps[0], Kick) or len(kicks) != len(drifts) - 1:
-        return False
-    return all(
-        abs(kick.coefficient - (one + other) / 2.0) < COEFFICIENT_ROUNDING
-        for kick, (one, other) in zip(kicks, pairwise(drifts), strict=True)
-    )
 
 
 def projected(problem: Holonomic, q0: Array, q: Array, iteration: Iteration | None = None) -> Array:

@@ -16,8 +16,6 @@ manifold. U. M. Ascher, H. Chin, S. Reich, Numer. Math. 67, 131 (1994); U. M. As
 for Ordinary Differential Equations and Differential-Algebraic Equations (1998), 9.2.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -61,12 +59,10 @@ class Invariants:
         self.jacobian = jacobian if jacobian is None else _of_state(jacobian, "jacobian")
         self.value = value if value is None else np.array(value, dtype=float).reshape(-1)
 
-    def through(self, y: Array, shape: Shape = None) -> Manifold:
+    def through(self, y: Array, shape: Shape = None) -> "Manifold":
         """The manifold g = value, or g = g(y) if no value was given.
-
         y : (n,) state.  shape : of q and v, None for problems without them.
-        Raises ValueError if the numbers of values, derivatives and unknowns do not fit, or values are not finite.
-        """
+        Raises ValueError if the numbers of values, derivatives and unknowns do not fit, or values are not finite."""
         return Manifold(self, y, shape)
 
 
@@ -100,9 +96,7 @@ class Manifold:
 
     def frame(self, y: Array) -> tuple[Array, Array]:
         """Gᵀ = Q R: (n, m) orthonormal directions Q that span the gradients, and upper triangular (m, m) R.
-
-        Raises ConvergenceError where the gradients of the invariants are not independent.
-        """
+        Raises ConvergenceError where the gradients of the invariants are not independent."""
         gradients = self.jacobian(y).T
         q, r = np.linalg.qr(gradients)
         sines = np.abs(np.diagonal(r)) / np.maximum(np.linalg.norm(gradients, axis=0), np.finfo(float).tiny)
@@ -149,11 +143,8 @@ class CorrectedPartitioned(Corrected, Partitioned):
         def of(q: Array, v: Array) -> Array:
             return correction(np.concatenate([q.reshape(-1), v.reshape(-1)]))
 
-        super().__init__(
-            lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size],
-            lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :],
-            solver=problem.solver,
-        )
+        super().__init__(lambda t, q, v: problem.g(t, q, v) + of(q, v)[: q.size],
+                         lambda t, q, v: problem.f(t, q, v) + of(q, v)[q.size :], solver=problem.solver)  # fmt: skip
         self.keep(problem, correction, begun)
 
 
@@ -167,9 +158,7 @@ class CorrectedFirstOrder(Corrected, FirstOrder):
 
 def corrected(problem: Problem, correction: Map, begun: Begun) -> CorrectedPartitioned | CorrectedFirstOrder:
     """A problem of the same kind with a term added to y′; one with q and v is then Partitioned, and its steps implicit.
-
-    Raises TypeError for problems of other kinds.
-    """
+    Raises TypeError for problems of other kinds."""
     if isinstance(problem, Partitioned):
         return CorrectedPartitioned(problem, correction, begun)
     if isinstance(problem, FirstOrder):
@@ -233,8 +222,7 @@ def projected(method: type[Method], invariants: Invariants) -> type[Method]:
 def symmetrically_projected(method: type[Method], invariants: Invariants) -> type[Method]:
     """The method, with moves of the same size off the manifold before each step and back to it: symmetric, if it is.
 
-    Parameters, Raises : as for projected.
-    """
+    Parameters, Raises : as for projected."""
     return _wrapped(method, invariants, "symmetrically-projected", SymmetricProjection)
 
 
@@ -244,28 +232,21 @@ def with_multipliers(method: type[Method], invariants: Invariants) -> type[Metho
     Symmetric, if the method is. Problems with q and v become Partitioned, and steps implicit.
 
     Parameters, Raises : as for projected. TypeError from a run for other problems than SecondOrder, Partitioned,
-        FirstOrder.
-    """
+        FirstOrder."""
     return _wrapped(method, invariants, "multipliers", MultiplierStep)
 
 
-def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: type[ManifoldStep]) -> type[Method]:
+def _wrapped(method: type[Method], invariants: Invariants, verb: str, step: "type[ManifoldStep]") -> type[Method]:
     if not (isinstance(method, type) and issubclass(method, Method)):
         raise TypeError(f"method must be a method without a time step, such as RadauIIA3; got {shown(method)}")
     check_invariants(invariants)
     name = f"{verb}({method.name})"
-    members = {
-        "__doc__": f"{name}.",
-        "name": name,
-        "source": f"{verb}, Hairer, Lubich, Wanner (2006), IV.4, V.4: {method.source}",
-        "order": method.order,
-        "order_on": method.order_on,
-        "stages": method.stages,
-        "on": staticmethod(lambda problem: step(problem, method, invariants)),
-        "is_symmetric": step.is_symmetric and method.is_symmetric,
-        "is_symplectic": False,
-        "is_explicit": False,
-    }
+    members = {"__doc__": f"{name}.", "name": name,
+               "source": f"{verb}, Hairer, Lubich, Wanner (2006), IV.4, V.4: {method.source}", "order": method.order,
+               "order_on": method.order_on, "stages": method.stages,
+               "on": staticmethod(lambda problem: step(problem, method, invariants)),
+               "is_symmetric": step.is_symmetric and method.is_symmetric, "is_symplectic": False,
+               "is_explicit": False}  # fmt: skip
     return type(f"{verb}({method.__name__})", (Method,), members)
 
 
@@ -348,18 +329,13 @@ class IndexTwo(Hessenberg2):
     """y′ = f(t, y) − G(y)ᵀ z, 0 = g(y) − g₀. A state holds y and z; z is zero on exact solutions."""
 
     def __init__(self, problem: Problem, invariants: Invariants) -> None:
-        super().__init__(
-            lambda t, y, z: problem.field(t, y) - self._manifold.jacobian(y).T @ z,
-            lambda y: self._manifold.defect(y),
-            problem.solver,
-        )
+        super().__init__(lambda t, y, z: problem.field(t, y) - self._manifold.jacobian(y).T @ z,
+                         lambda y: self._manifold.defect(y), problem.solver)  # fmt: skip
         self._problem, self._invariants = problem, invariants
 
     def begin(self, start: Any, t0: float = 0.0) -> Array:
         """The start of the problem itself, (q, v) or y, as a state.
-
-        Raises ValueError if it is not on the manifold of given values, or if the gradients are not independent.
-        """
+        Raises ValueError if it is not on the manifold of given values, or if the gradients are not independent."""
         y = self._problem.begin(start)
         self._manifold = self._invariants.through(y, self._problem.shape)
         return super().begin((y,), t0)
@@ -386,11 +362,9 @@ def index_two(problem: Problem, invariants: Invariants) -> IndexTwo:
 
 def arrival(manifold: Manifold, arrive: Map, slope: Callable[[], Array]) -> Array:
     """arrive(z) with g(arrive(z)) = g₀, to rounding: Newton's method from z = 0, the matrix updated as by Broyden.
-
     arrive : (n,) state as a function of (m,) numbers z.  slope : answers with a guess of ∂g(arrive(z))/∂z, (m, m).
     Raises ConvergenceError with the largest error of an invariant.
-    C. G. Broyden, Math. Comput. 19, 577 (1965), eq. 4.2.
-    """
+    C. G. Broyden, Math. Comput. 19, 577 (1965), eq. 4.2."""
     z = np.zeros(manifold.value.size)
     y = best = arrive(z)
     # rounding errors of the invariants are EPS times |g₀|, or Σ |G y|, whose terms may cancel in g

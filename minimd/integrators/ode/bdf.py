@@ -24,9 +24,7 @@ class BDF(Method):
     """A backward differentiation formula.
 
     With k ≥ 2 it is not a one-step method: run_steps and run_until can use it, run_adaptive cannot.
-
-    n_past : number k of past states, and order; at most 5, because BDF6 is A(α)-stable only up to α = 18°.
-    """
+    n_past : number k of past states, and order; at most 5, because BDF6 is A(α)-stable only up to α = 18°."""
 
     n_past: ClassVar[int]
     source = ("C. F. Curtiss, J. O. Hirschfelder, Proc. Natl. Acad. Sci. 38, 235 (1952); C. W. Gear, IEEE Trans. "
@@ -65,18 +63,18 @@ class BDFStep:
             wanted = "as step doubling, reversible steps and projections want"
             advice = "use run_steps or run_until, or a one-step method such as RadauIIA3"
             raise TypeError(f"bdf-{self._k} {why}, {wanted}; {advice}")
-        y_new = self._start(t, y, h) if len(self._states) < self._k else self._formula(t, h)
+        if len(self._states) < self._k:
+            y_new = self._start(t, y, h)
+        else:
+            alpha = slope_weights(np.append(0.0, -np.cumsum([h, *self._steps])) / h)
+            base = -(alpha[1:] @ np.array(self._states)) / alpha[0]
+            weights = np.array([[h / alpha[0]]])
+            guess = self._problem.field(t, y) if self._slope is None else self._slope
+            self._slope = self._equations.slopes(np.array([t + h]), base, weights, guess.reshape(1, -1), h)
+            y_new = base + weights[0, 0] * self._slope[0]
         self._states.appendleft(y_new)
         self._steps.appendleft(h)
         return y_new
-
-    def _formula(self, t: float, h: float) -> Array:
-        alpha = slope_weights(np.append(0.0, -np.cumsum([h, *self._steps])) / h)
-        base = -(alpha[1:] @ np.array(self._states)) / alpha[0]
-        weights = np.array([[h / alpha[0]]])
-        guess = self._problem.field(t, self._states[0]) if self._slope is None else self._slope
-        self._slope = self._equations.slopes(np.array([t + h]), base, weights, guess.reshape(1, -1), h)
-        return np.asarray(base + weights[0, 0] * self._slope[0])
 
 
 def slope_weights(nodes: Array) -> Array:

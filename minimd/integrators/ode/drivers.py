@@ -29,8 +29,6 @@ The summed form adds Δt² f to the small increments first, and its errors grow 
 Methods in ODEs (1962), 6.4; E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), III.10).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import repeat
@@ -70,8 +68,7 @@ class Solution(Displayed):
     t : (n + 1,) times.  y : (n + 1, size) states.  q, v : (n + 1, …) positions and velocities, of problems with them.
     nfev : evaluations of the right-hand side (of f, for problems with q and v).  n_rejected : steps tried in vain.
     success, message : whether the end was reached, and if not, why; if so, what limits the accuracy beside the method
-        and rounding.
-    """
+        and rounding."""
 
     t: Array
     y: Array
@@ -94,18 +91,18 @@ class Solution(Displayed):
     @property
     def q(self) -> Array:
         """(n + 1, …) positions."""
-        return self._half(0)
+        return self._halves[:, 0]
 
     @property
     def v(self) -> Array:
         """(n + 1, …) velocities."""
-        return self._half(1)
+        return self._halves[:, 1]
 
-    def _half(self, k: int) -> Array:
+    @property
+    def _halves(self) -> Array:
         if self.shape is None:
             raise AttributeError("this problem has no q and v; its states are in y")
-        n = self.y.shape[1] // 2
-        return self.y[:, k * n : (k + 1) * n].reshape(-1, *self.shape)
+        return self.y.reshape(-1, 2, *self.shape)
 
 
 @dataclass
@@ -117,10 +114,8 @@ class ReversibleSolution(Solution):
 
 class Path:
     """The states that are kept of a run: every so many, and the last one.
-
     counts : what has counted evaluations, in nfev.  stopped : why a run ended early; empty if it did not.
-    densities : ρ at the times of reversible steps.
-    """
+    densities : ρ at the times of reversible steps."""
 
     def __init__(self, problem: Problem, start: Any, t0: float, every: int = 1) -> None:
         if not hasattr(problem, "begin"):
@@ -137,9 +132,7 @@ class Path:
 
     def through(self, states: States, timestep: float | None = None) -> Any:
         """The solution with these states, each the next one.
-
-        Raises ConvergenceError or NonFiniteError if a step cannot be made; error.solution is the path before.
-        """
+        Raises ConvergenceError or NonFiniteError if a step cannot be made; error.solution is the path before."""
         kept_times, kept_states, every, n = self.times, self.states, self._every, 0
         try:
             for t, y in states:
@@ -149,8 +142,7 @@ class Path:
                 kept_states.append(y)
                 n += 1
         except (ConvergenceError, NonFiniteError) as reason:
-            told = "" if timestep is None else f" with timestep {timestep:g}"
-            advice = "" if timestep is None else "; reduce the timestep"
+            told, advice = ("", "") if timestep is None else (f" with timestep {timestep:g}", "; reduce the timestep")
             self.stopped = f"step {n + 1} from t = {kept_times[-1]:g}{told}: {reason}{advice}"
             raise failed(type(reason), self.solution()) from None
         return self.solution()
@@ -197,8 +189,7 @@ def run_steps(problem: Problem, method: Method, start: Any, n_steps: int, t0: fl
 def run_until(problem: Problem, method: Method, start: Any, t_end: float, t0: float = 0.0, every: int = 1) -> Solution:
     """Steps of the method's time step up to t_end, the last one shortened to end there.
 
-    Parameters, Raises : as run_steps; t_end must lie on the side of t0 to which the time step leads.
-    """
+    Parameters, Raises : as run_steps; t_end must lie on the side of t0 to which the time step leads."""
     check_method(method)
     h = method.timestep
     n_steps = (checked_number("t_end", t_end) - checked_number("t0", t0)) / h
@@ -315,14 +306,8 @@ class StepControl:
         return float(np.linalg.norm(ratio)) / np.sqrt(size.size)
 
 
-def run_adaptive(
-    problem: Problem,
-    method: type[Method],
-    start: Any,
-    t_end: float,
-    t0: float = 0.0,
-    control: StepControl = StepControl(),
-) -> Solution:
+def run_adaptive(problem: Problem, method: type[Method], start: Any, t_end: float, t0: float = 0.0,
+                 control: StepControl = StepControl()) -> Solution:  # fmt: skip
     """Adaptive steps to t_end, with errors estimated by step doubling. solution.n_rejected counts the rejected ones.
 
     Parameters
@@ -407,15 +392,8 @@ class DensityControl:
         checked_count("max_steps", self.max_steps)
 
 
-def run_reversible(
-    problem: Partitioned,
-    method: Method,
-    start: Start,
-    t_end: float,
-    t0: float = 0.0,
-    control: DensityControl = DensityControl(),
-    every: int = 1,
-) -> ReversibleSolution:
+def run_reversible(problem: Partitioned, method: Method, start: Start, t_end: float, t0: float = 0.0,
+                   control: DensityControl = DensityControl(), every: int = 1) -> ReversibleSolution:  # fmt: skip
     """Steps of length timestep/ρ up to t_end, the last one shortened to end there.
 
     Parameters
@@ -512,8 +490,7 @@ def stormer_two_step(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: fl
 def stormer_summed(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int) -> Solution:
     """The recursion for the increments d_n = q_{n+1} − q_n: the same path with far less round-off over many steps.
 
-    Parameters, Raises : as stormer_two_step.
-    """
+    Parameters, Raises : as stormer_two_step."""
 
     def advance(q: Array, increments: Array, n: int, push: Array) -> None:
         increments[n] = increments[n - 1] + push
@@ -522,13 +499,10 @@ def stormer_summed(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: floa
     return _stormer(f, q0, v0, timestep, n_steps, advance)
 
 
-def _stormer(
-    f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int, advance: Callable[..., None]
-) -> Solution:
+def _stormer(f: Acceleration, q0: ArrayLike, v0: ArrayLike, timestep: float, n_steps: int,
+             advance: Callable[..., None]) -> Solution:  # fmt: skip
     """The path without the position after the end, which is needed for the last velocity only.
-
-    advance : finds q_{n+1} and the increments from q_{n−1}, q_n and Δt² f(q_n).
-    """
+    advance : finds q_{n+1} and the increments from q_{n−1}, q_n and Δt² f(q_n)."""
     q0, v0 = np.asarray(q0, dtype=float), np.asarray(v0, dtype=float)
     checked_number("timestep", timestep, "finite and not zero")
     checked_count("n_steps", n_steps)

@@ -30,15 +30,12 @@ Map = Callable[[Array], Array]
 Path = Callable[[float], Array]
 
 
-def arguments(
-    function: Function, names: str, label: str, usual: str | None, wanted: str, unknown: str
-) -> tuple[str, ...]:
+def arguments(function: Function, names: str, label: str, usual: str | None, wanted: str,
+              unknown: str) -> tuple[str, ...]:  # fmt: skip
     """Which of the named arguments a function takes: by their names and in their order, else by their number, if it
     takes all of them or the usual ones.
-
     names, usual : separated by blanks.  unknown : what a function takes that cannot be asked, if not the usual.
-    Raises TypeError for anything else; label is its name in the message, wanted what it should be.
-    """
+    Raises TypeError for anything else; label is its name in the message, wanted what it should be."""
     every = tuple(names.split())
     most = every if usual is None else tuple(usual.split())
     if not callable(function):
@@ -47,26 +44,21 @@ def arguments(
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):  # written in C, such as numpy.sin
         return (unknown,) if unknown else most
-    taken = tuple(
-        f"*{p.name}" if p.kind is p.VAR_POSITIONAL else p.name
-        for p in parameters
-        if p.default is p.empty and p.kind is not p.VAR_KEYWORD
-    )
+    bare = (one for one in parameters if one.default is one.empty and one.kind is not one.VAR_KEYWORD)
+    taken = tuple(f"*{one.name}" if one.kind is one.VAR_POSITIONAL else one.name for one in bare)
     if taken == tuple(name for name in every if name in taken):
         return taken
     places = every if len(taken) == len(every) else most
-    if len(taken) == len(places) and all(
-        given == place or given not in every for given, place in zip(taken, places, strict=True)
-    ):
+    pairs = zip(taken, places, strict=False)
+    if len(taken) == len(places) and all(given == place or given not in every for given, place in pairs):
         return places
     alone = "" if most == every else f"{', '.join(most)}, or "
     needed = f"{alone}some of {', '.join(every)}, in this order and under these names"
     raise TypeError(f"{label} must take {needed}; it takes ({', '.join(taken)})")
 
 
-def reading(
-    function: Function, names: str, label: str, usual: str | None = None, wanted: str = "a function", unknown: str = ""
-) -> tuple[tuple[str, ...], Function]:
+def reading(function: Function, names: str, label: str, usual: str | None = None, wanted: str = "a function",
+            unknown: str = "") -> tuple[tuple[str, ...], Function]:  # fmt: skip
     """Which of the named arguments a function takes, and the function as one of all of them.  See arguments."""
     taken = arguments(function, names, label, usual, wanted, unknown)
     # written out, as a named tuple does it: a call through *values takes longer than many a force
@@ -82,8 +74,7 @@ def taking(function: Function, names: str, label: str) -> Function:
 class Field:
     """A function of t, q and v, or of some of them, called with all three; its answers are fresh flat arrays.
 
-    usual : the arguments of a function whose own names cannot be known or are others.
-    """
+    usual : the arguments of a function whose own names cannot be known or are others."""
 
     def __init__(self, function: Function, usual: str, name: str) -> None:
         self.name = name
@@ -97,9 +88,7 @@ class Field:
 
 def checked_values(answer: Any, shape: tuple[int, ...] | None, name: str) -> Array:
     """A fresh flat array of an answer of this shape; a single number may come without brackets.
-
-    Raises TypeError for anything but real numbers, ValueError for an answer of another shape, if one is given.
-    """
+    Raises TypeError for anything but real numbers, ValueError for an answer of another shape, if one is given."""
     values = np.array(answer)
     if values.dtype.kind not in "fiub":
         raise TypeError(f"{name} must answer with real numbers; got {shown(answer)}")
@@ -159,10 +148,8 @@ def _differences(function: Map, x: Array, steps: Array, at_x: Array | None = Non
 def accurate_differences(function: Map, x: Array, narrowed: float = 1.0) -> Array:
     """∂function/∂x, one column per variable, to some 1e-13, at worst 1e-12 of the terms of the function:
     six evaluations of it for a variable.
-
     Spacings are up to 1/256 of a variable, and are narrowed while the formulas of order 6 and 4 differ, or the function
-    has no value there.  narrowed : factor of all spacings.  The result is NaN where no spacing gives one.
-    """
+    has no value there.  narrowed : factor of all spacings.  The result is NaN where no spacing gives one."""
     here, sizes = function(x), np.maximum(np.abs(x), LEAST_WIDE * (np.abs(x).max() or 1.0))
     units = narrowed * np.exp2(np.floor(np.log2(sizes)))
 
@@ -205,9 +192,7 @@ def time_derivative(path: Path, order: int, unit: float) -> Array:
 
 def _derivative(path: Path, here: Array, order: int, spacings: list[float], enough: float = 0.0) -> Array:
     """A derivative at 0, each element from the spacing with its least estimated error: |order 6 − order 4| + rounding.
-
-    here : path(0).  spacings : widest first.  enough : relative error with which an element is settled.
-    """
+    here : path(0).  spacings : widest first.  enough : relative error with which an element is settled."""
     best, least, largest = np.full(here.shape, np.nan), np.full(here.shape, np.inf), np.zeros(here.shape)
     for spacing in spacings:
         try:

@@ -116,24 +116,14 @@ class Iteration:
     def __init__(self, solver: Newton) -> None:
         self.solver = solver
 
-    def solve(
-        self,
-        residual: Map,
-        x: Array,
-        jacobian: Map | None = None,
-        key: Any = None,
-        scale: Sizes = 0.0,
-        floor: Sizes | None = None,
-        nothing: float = 0.0,
-    ) -> Array:
+    def solve(self, residual: Map, x: Array, jacobian: Map | None = None, key: Any = None, scale: Sizes = 0.0,
+              floor: Sizes | None = None, nothing: float = 0.0) -> Array:  # fmt: skip
         """x with residual(x) = 0, to rounding, from a first guess.  Raises ConvergenceError with the largest residual.
-
         jacobian : ∂residual/∂x, a function of x.  key : what J depends on beside x, such as the time step; J is renewed
             when it changes.
         scale : least sizes of the unknowns for relative errors, one number or an array; the equations are scaled by an
             array too.  floor : the same for corrections that no longer shrink; scale if not given.
-        nothing : corrections up to this size end the iteration, whatever the unknowns.
-        """
+        nothing : corrections up to this size end the iteration, whatever the unknowns."""
         before, last, slow = np.inf, np.inf, self.solver.slow
         for _ in range(self.solver.max_iterations):
             r = residual(x)
@@ -166,16 +156,13 @@ def _relative_size(dx: Array, x: Array, scale: Sizes) -> float:
     return float(np.max(np.abs(dx) / np.maximum(floor, np.finfo(float).tiny)))
 
 
-def nearest_root(
-    function: Map, x: Array, step: float = CENTRAL, dependent: float = DEPENDENT, size: float = 0.0
-) -> Array:
+def nearest_root(function: Map, x: Array, step: float = CENTRAL, dependent: float = DEPENDENT,
+                 size: float = 0.0) -> Array:  # fmt: skip
     """A root of the function near the guess, by Gauss-Newton: each correction is the smallest that solves the
     linearized equations.
-
     step : of central differences, relative to x; WIDE for functions that are numerical derivatives themselves.
     dependent : ratio of singular values below which equations count as dependent.
-    size : of the largest variable, where x may be smaller by chance.
-    """
+    size : of the largest variable, where x may be smaller by chance."""
     best, least, size = x, np.inf, max(size, np.abs(x).max())
     for _ in range(MAX_ITERATIONS):
         c = function(x)

@@ -24,8 +24,6 @@ Numerical Solution of Differential-Algebraic Systems by Runge-Kutta Methods (198
 II (1996), VI and VII.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -35,19 +33,14 @@ from numpy.typing import ArrayLike
 from minimd.compiled.kernels import kernel
 from minimd.console.words import shown
 from minimd.integrators.method import Array, Problem, Step
-from minimd.integrators.ode.functions import (
-    Field,
-    Function,
-    check_finite,
-    checked_values,
-    forward_differences,
-    reading,
-)
+from minimd.integrators.ode.functions import Field, Function, check_finite, checked_values, forward_differences, reading
 from minimd.integrators.ode.newton import FixedPoint, Iteration, Newton, checked_solver
 from minimd.integrators.splitting.order_conditions import nystrom_order, separable_order
 from minimd.integrators.splitting.substeps import COEFFICIENT_ROUNDING, Kick, Substep, Substeps
 
 __all__ = ["FirstOrder", "Partitioned", "SecondOrder"]
+
+Place = Callable[[Array], tuple[float, Array, Array]]
 
 
 class FirstOrder(Problem):
@@ -71,10 +64,8 @@ class FirstOrder(Problem):
 
     def begin(self, start: ArrayLike, t0: float = 0.0) -> Array:
         """The start as a state of length n.
-
         Raises ValueError if it is not an array of one dimension, or a value is not finite; from f, if its answers have
-        another shape.
-        """
+        another shape."""
         y = np.array(start, dtype=float)
         if y.ndim != 1 or y.size == 0:
             needed = "a one-dimensional array with at least one element"
@@ -104,14 +95,8 @@ class Partitioned(Problem):
 
     drifts_on_lines = False  # q′ = v, and nothing holds q
 
-    def __init__(
-        self,
-        g: Function,
-        f: Function,
-        g_q: Function | None = None,
-        f_v: Function | None = None,
-        solver: Newton = Newton(),
-    ) -> None:
+    def __init__(self, g: Function, f: Function, g_q: Function | None = None, f_v: Function | None = None,
+                 solver: Newton = Newton()) -> None:  # fmt: skip
         self.g, self.f = Field(g, "v", "g"), Field(f, "q", "f")
         self.g_q = g_q if g_q is None else Field(g_q, "t q v", "g_q")
         self.f_v = f_v if f_v is None else Field(f_v, "t q v", "f_v")
@@ -129,10 +114,8 @@ class Partitioned(Problem):
 
     def begin(self, start: tuple[ArrayLike, ArrayLike], t0: float = 0.0) -> Array:
         """(q, v) as one state of length 2n.
-
         Raises ValueError if q and v do not have the same shape, or a value is not finite; from g and f, if their
-        answers have another shape.
-        """
+        answers have another shape."""
         if not isinstance(start, (tuple, list, np.ndarray)) or len(start) != 2:
             raise ValueError(f"the start must be a pair, (q, v); got {shown(start)}")
         q, v = (np.array(part, dtype=float) for part in start)
@@ -227,11 +210,9 @@ class DifferentialAlgebraic(Problem):
 
     def error_weights(self, h: float) -> Array:
         """(n,) min(1, |h|)^level: the factors of the errors of variables in an error norm.
-
         An error ε of the equations appears as ε/h in variables of index 2 and as ε/h² in those of index 3. These act on
         the solution with the inverse factors. The unit of time should be one in which the solution varies.
-        E. Hairer, G. Wanner, Solving ODEs II (1996), VII.4 and the code RADAU5.
-        """
+        E. Hairer, G. Wanner, Solving ODEs II (1996), VII.4 and the code RADAU5."""
         return min(1.0, abs(h)) ** self.levels
 
 
@@ -281,8 +262,14 @@ class EulerStep:
     """Symplectic Euler methods in turn; each implicit equation is solved to rounding, from its explicit guess."""
 
     def __init__(self, problem: Partitioned, substeps: Substeps) -> None:
-        self.nfev, self._problem = 0, problem
-        self._factors = [(kind, weight, problem.solver.iteration()) for kind, weight in euler_factors(substeps)]
+        self.nfev, self._problem, self._factors = 0, problem, list[tuple[type[Substep], float, Iteration]]()
+        rest = 0.0
+        for substep in substeps:  # kick-first and drift-first in turn, each with the rest of its neighbor
+            rest = substep.coefficient - rest
+            if abs(rest) > COEFFICIENT_ROUNDING * len(substeps):
+                self._factors.append((type(substep), rest, problem.solver.iteration()))
+        if abs(rest) > COEFFICIENT_ROUNDING * len(substeps):
+            raise TypeError("a sequence whose kicks and drifts do not add up to the same time has no implicit form")
 
     def __call__(self, t: float, y: Array, h: float) -> Array:
         """y(t+h)."""
@@ -304,9 +291,8 @@ class EulerStep:
         self.nfev, shape = self.nfev + (field is self._problem.f), self._problem.shape
         return field(t, q.reshape(shape), v.reshape(shape))
 
-    def _solved(
-        self, field: Field, jacobian: Field | None, x0: Array, place: Place, duration: float, iteration: Iteration
-    ) -> Array:
+    def _solved(self, field: Field, jacobian: Field | None, x0: Array, place: Place, duration: float,
+                iteration: Iteration) -> Array:  # fmt: skip
         """x₁ = x₀ + h·field(x₁), where x is the unknown, q or v, and the other one is constant.  place : (t, q, v)
         with this x."""
 
@@ -320,17 +306,3 @@ class EulerStep:
             lambda x: np.eye(x.size) - duration * self._value(jacobian, *place(x)).reshape(x.size, x.size)
         )
         return iteration.solve(lambda x: x - moved(x), guess, slope, duration, np.abs(x0).max())
-
-
-Place = Callable[[Array], tuple[float, Array, Array]]
-
-
-def euler_factors(substeps: Substeps) -> list[tuple[type[Substep], float]]:
-    """The sequence as symplectic Euler methods in turn, kick-first and drift-first, with their weights."""
-    factors, rest = [], 0.0
-    for substep in substeps:
-        rest = substep.coefficient - rest
-        factors.append((type(substep), rest))
-    if abs(rest) > COEFFICIENT_ROUNDING * len(substeps):
-        raise TypeError("a sequence whose kicks and drifts do not add up to the same time has no implicit form")
-    return [(kind, weight) for kind, weight in factors[:-1] if abs(weight) > COEFFICIENT_ROUNDING * len(substeps)]

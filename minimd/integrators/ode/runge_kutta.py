@@ -10,8 +10,6 @@ E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic
 E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -40,8 +38,7 @@ VANISHING = 1e-30  # smallest size of a variable relative to the largest one, so
 class Tableau:
     """Coefficients of a Runge-Kutta method with s stages.
 
-    beta : (s, s).  weights, nodes : (s,).  All dimensionless; Σ_j β_ij = c_i.
-    """
+    beta : (s, s).  weights, nodes : (s,).  All dimensionless; Σ_j β_ij = c_i."""
 
     beta: Array
     weights: Array
@@ -51,8 +48,7 @@ class Tableau:
     def symplecticity_defect(self) -> Array:
         """M_ij = w_i β_ij + w_j β_ji − w_i w_j, zero for symplectic methods; they keep every quadratic invariant.
 
-        J. M. Sanz-Serna, BIT 28, 877 (1988); F. M. Lasagni (1988); Y. B. Suris (1989).
-        """
+        J. M. Sanz-Serna, BIT 28, 877 (1988); F. M. Lasagni (1988); Y. B. Suris (1989)."""
         product = self.weights[:, None] * self.beta
         return product + product.T - np.outer(self.weights, self.weights)
 
@@ -87,8 +83,7 @@ class Tableau:
         """Largest p whose simplifying assumptions B(p), C(η), D(ζ) with p ≤ η + ζ + 1 and p ≤ 2η + 2 hold (Butcher
         1964): a lower bound of the order.
 
-        B(p): Σ w_i c_iᵏ⁻¹ = 1/k;  C(η): Σ_j β_ij c_jᵏ⁻¹ = c_iᵏ/k;  D(ζ): Σ_i w_i c_iᵏ⁻¹ β_ij = w_j (1 − c_jᵏ)/k.
-        """
+        B(p): Σ w_i c_iᵏ⁻¹ = 1/k;  C(η): Σ_j β_ij c_jᵏ⁻¹ = c_iᵏ/k;  D(ζ): Σ_i w_i c_iᵏ⁻¹ β_ij = w_j (1 − c_jᵏ)/k."""
         w, c, k = self.weights, self.nodes, np.arange(1, HIGHEST_ORDER + 1)
         powers = c[:, None] ** (k - 1)
         b, eta = _first_failure(w @ powers - 1.0 / k), self.stage_order
@@ -111,8 +106,7 @@ def collocation(nodes: ArrayLike) -> Tableau:
 def gauss(n_stages: int) -> Tableau:
     """Gauss-Legendre nodes, the zeros of P_s(2c − 1): order 2s, symplectic and symmetric.
 
-    J. C. Butcher, Math. Comput. 18, 50 (1964).
-    """
+    J. C. Butcher, Math. Comput. 18, 50 (1964)."""
     if n_stages == 2:
         r = np.sqrt(3.0) / 6.0
         beta = np.array([[0.25, 0.25 - r], [0.25 + r, 0.25]])
@@ -126,8 +120,7 @@ def gauss(n_stages: int) -> Tableau:
 def radau_iia(n_stages: int) -> Tableau:
     """Radau nodes with c_s = 1, the zeros of P_s(2c − 1) − P_{s−1}(2c − 1): order 2s − 1, stiffly accurate.
 
-    B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5.
-    """
+    B. L. Ehle (1969); E. Hairer, G. Wanner, Solving ODEs II (1996), IV.5."""
     inner = (Legendre.basis(n_stages) - Legendre.basis(n_stages - 1)).roots()
     return collocation([*(1.0 + np.sort(np.real(inner))[:-1]) / 2.0, 1.0])
 
@@ -155,10 +148,8 @@ class RungeKutta(Method):
     @classmethod
     def on(cls, problem: Problem) -> Step:
         """The step on any problem; those of index 3 need a method whose last stage is the next state.
-
         Raises TypeError for Gauss-Legendre methods on problems of index 3,
-        where errors of the multipliers do not shrink with the time step.
-        """
+        where errors of the multipliers do not shrink with the time step."""
         if isinstance(problem, DifferentialAlgebraic) and problem.index > 2 and not cls.tableau.is_stiffly_accurate:
             why = f"does not converge on problems of index {problem.index}, whose multipliers stay wrong however short"
             advice = "take RadauIIA3 or BDF3, or a Holonomic problem with a splitting"
@@ -181,8 +172,7 @@ class StageEquations:
 
     F is the residual of the problem. Slopes are found to the rounding of h K, which they add to the state, in each
     variable separately. In variables of index 2 and 3 rounding is amplified by 1/h and 1/h² (E. Hairer, G. Wanner,
-    Solving ODEs II (1996), VII.4).  nfev : number of evaluations of the right-hand side.
-    """
+    Solving ODEs II (1996), VII.4).  nfev : number of evaluations of the right-hand side."""
 
     def __init__(self, problem: Problem) -> None:
         self.nfev = 0
@@ -190,9 +180,7 @@ class StageEquations:
 
     def slopes(self, times: Array, base: Array, weights: Array, guess: Array, h: float) -> Array:
         """(s, n) K with F(t_i, b_i + Σ_j weights_ij K_j, K_i) = 0.  Raises ConvergenceError with the largest residual.
-
-        times : (s,).  base : (n,) b, the same for all stages.  weights : (s, s) h β.  guess : (s, n).  h : [time].
-        """
+        times : (s,).  base : (n,) b, the same for all stages.  weights : (s, s) h β.  guess : (s, n).  h : [time]."""
 
         def residual(unknowns: Array) -> Array:
             k = unknowns.reshape(guess.shape)
@@ -229,11 +217,9 @@ class StageEquations:
 
     def _sizes(self, base: Array, guess: Array, h: float) -> tuple[Array | float, Array | float, float]:
         """scale, floor and nothing of Iteration.solve.
-
         Explicit problems: the slopes are compared with the state over h once they no longer shrink, because at rest
         slopes vanish and the state does not. Differential-algebraic ones: each variable has its own size; corrections
-        of algebraic variables that no longer shrink are rounding if the others are solved for.
-        """
+        of algebraic variables that no longer shrink are rounding if the others are solved for."""
         problem = self._problem
         if not isinstance(problem, DifferentialAlgebraic):
             largest = float(np.abs(base).max())

@@ -5,19 +5,19 @@ reversible. The energy it gives to the system is counted like the heat of a ther
 total energy minus reservoir energy changes only by errors of the time step.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from math import inf, log, sqrt
 
 import numpy as np
 
 from minimd.console.display import Displayed, Rows, as_text
 from minimd.integrators.method import Array
+from minimd.integrators.splitting.thermostats import philox
 from minimd.structure.checks import checked_choice, checked_count, checked_number
+from minimd.structure.observables import SEEDS
 
 __all__ = ["StochasticCellRescaling"]
 
-SEEDS = 2**128  # keys of numpy's Philox
-STEPS = 2**64  # numbers of steps are taken modulo this
 AXES = "xyz"
 COUPLINGS = ("isotropic", "triclinic", "x", "y", "z", "xy", "xz", "yz", "xyz")
 OWN_STREAM = 1  # of random numbers; the stream of thermostats is 0
@@ -26,10 +26,8 @@ OWN_STREAM = 1  # of random numbers; the stream of thermostats is 0
 @dataclass(frozen=True)
 class ThermodynamicState:
     """What a barostat needs to know about a state.
-
     pressure : P, (3, 3) [energy/length³], kinetic part included.  volume : V [length³].  energy : E = K + U [energy].
-        thermal : k_B T [energy].
-    """
+        thermal : k_B T [energy]."""
 
     pressure: Array
     volume: float
@@ -118,13 +116,11 @@ class StochasticCellRescaling(Displayed):
     @property
     def parameters(self) -> dict[str, float | int | str | None]:
         """The constructor arguments that recreate this barostat, by name."""
-        names = ("pressure", "compressibility", "relaxation_time", "seed", "temperature", "coupling", "every")
-        return {name: getattr(self, name) for name in names}
+        return {one.name: getattr(self, one.name) for one in fields(self) if one.init}
 
     def strain(self, state: ThermodynamicState, duration: float, number: int) -> Array:
         """ε, (3, 3).  duration : h [time].  number : of the step; it selects the noise."""
-        counter = np.array([0, OWN_STREAM, 0, number % STEPS], dtype=np.uint64)
-        white = np.random.Generator(np.random.Philox(key=self.seed, counter=counter)).standard_normal((3, 3))
+        white = philox(self.seed, 0, number, OWN_STREAM).standard_normal((3, 3))
         if self.coupling == "isotropic":
             spread = sqrt(0.5 * state.thermal * self.compressibility * duration / self.relaxation_time)
             larger = 1.0 + (self._drift_of_root(state, duration) + spread * white[0, 0]) / sqrt(state.volume)  # λ′/λ
@@ -133,14 +129,12 @@ class StochasticCellRescaling(Displayed):
         spread = sqrt(2.0 * state.thermal * self.compressibility * duration / slowness)
         return self._drift_of_strain(state, duration) + spread * self.mask * 0.5 * (white + white.T)
 
-    def change_of_conserved(
-        self, before: ThermodynamicState, after: ThermodynamicState, strain: Array, duration: float
-    ) -> float:
+    def change_of_conserved(self, before: ThermodynamicState, after: ThermodynamicState, strain: Array,
+                            duration: float) -> float:  # fmt: skip
         """ΔH [energy] of one strain, as above.
 
         It is k_B T ln of the ratio of two probabilities: of the strain and of its reverse,
-        each times that of the state it starts from.
-        """
+        each times that of the state it starts from."""
         work = after.energy - before.energy + self.pressure * (after.volume - before.volume)
         entropy = before.thermal * log(after.volume / before.volume)
         rate = self.relaxation_time / (self.compressibility * duration)

@@ -58,25 +58,20 @@ def drifted_on_grid(position, momentum, inverse_mass, unit, times, steps):
     return position + times * (fma(momentum, steps.momentum * unit * inverse_mass, rounder) - rounder)
 
 
-class Moving(
-    ByAddress, namedtuple("Moving", "positions velocities forces inverse_masses flows steps n_chunks are_alike")
-):
+class Moving(ByAddress, namedtuple("Moving", "positions velocities forces inverse_masses flows steps n_chunks "
+                                   "are_alike")):  # fmt: skip
     """What kicks and drifts work on.
-
     positions, velocities, forces : (3 N,) flat [length], [length/time], [energy/length].
     inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.  are_alike : whether all are the same.
     flows : (F, 3), one after the other: KICK or DRIFT, its duration, and, on a grid, the unit [time] of which the
         duration is a whole multiple: the change over one unit is rounded.
-    steps : Steps in fixed-point arithmetic, where forces are int64 impulses over the unit; else ().
-    """
+    steps : Steps in fixed-point arithmetic, where forces are int64 impulses over the unit; else ()."""
 
 
 @called_kernel
 def move_atoms(moving, chunk):
     """Kicks and drifts of the atoms of a chunk, all of them in one pass over memory.
-
-    OUT_OF_RANGE if a momentum or a position leaves its range, in fixed-point arithmetic.
-    """
+    OUT_OF_RANGE if a momentum or a position leaves its range, in fixed-point arithmetic."""
     n, n_chunks, is_out = moving.inverse_masses.size, moving.n_chunks, False
     first, last = np.uintp(chunk * n // n_chunks), np.uintp((chunk + 1) * n // n_chunks)
     for k in range(moving.flows.shape[0]):

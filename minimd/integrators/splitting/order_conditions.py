@@ -61,8 +61,7 @@ def separable_residuals(substeps: Substeps, order: int) -> list[float]:
     The step is exp(c₁X₁) exp(c₂X₂) …, where each X is T or V. The exact flow is exp(T + V), in which every word of n
     letters T, V has the coefficient 1/n!. Both series are group-like, and such series agree if they agree on the Lyndon
     words, the words that come before all their rotations. For n = 1, …, 8 there are 2, 1, 2, 3, 6, 9, 18, 30 of them,
-    as many as there are independent conditions (C. Reutenauer, Free Lie Algebras (1993), chapter 6).
-    """
+    as many as there are independent conditions (C. Reutenauer, Free Lie Algebras (1993), chapter 6)."""
     return [word_coefficient(substeps, word) - 1.0 / factorial(order) for word in lyndon_words(order)]
 
 
@@ -101,9 +100,11 @@ def nystrom_residuals(substeps: Substeps, order: int) -> list[float]:
     As a Runge-Kutta-Nyström method the sequence has, for kick i, the weight bᵢ, the abscissa cᵢ = Σ drifts before it
     and aᵢⱼ = bⱼ (cᵢ − cⱼ), j before i. A tree is a force f with branches: velocities, Φᵢ = cᵢ, and forces integrated
     twice, Φᵢ = Σⱼ aᵢⱼ Φⱼ. These are the conditions for velocities. Those for positions, with weights bᵢ (1 − cᵢ),
-    follow from them if Σ drifts = 1. The trees: E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), II.14.
-    """
-    b, c, a = nystrom_tableau(substeps)
+    follow from them if Σ drifts = 1. The trees: E. Hairer, S. P. Nørsett, G. Wanner, Solving ODEs I (1993), II.14."""
+    kicks = [k for k, substep in enumerate(substeps) if isinstance(substep, Kick)]
+    b = np.array([substeps[k].coefficient for k in kicks])
+    c = np.array([drifts_sum(substeps[:k]) for k in kicks])
+    a = np.tril(b * (c[:, None] - c), -1)
     one, branches = np.ones_like(c), [Branch(1, c, 1.0)]
     for power in range(1, order + 1):
         found = bunches(branches, power - 1)
@@ -111,14 +112,6 @@ def nystrom_residuals(substeps: Substeps, order: int) -> list[float]:
         branches += [Branch(power + 1, a @ values, kappa / (power * (power + 1))) for values, kappa in trees]
     residuals = [float(b @ values - kappa / order) for values, kappa in trees]
     return residuals if order > 1 else [*residuals, drifts_sum(substeps) - 1.0]
-
-
-def nystrom_tableau(substeps: Substeps) -> tuple[Array, Array, Array]:
-    """Weights b (s,), abscissae c (s,) and matrix a (s, s) of a sequence with s kicks."""
-    kicks = [k for k, substep in enumerate(substeps) if isinstance(substep, Kick)]
-    b = np.array([substeps[k].coefficient for k in kicks])
-    c = np.array([drifts_sum(substeps[:k]) for k in kicks])
-    return b, c, np.tril(b * (c[:, None] - c), -1)
 
 
 def drifts_sum(substeps: Substeps) -> float:
@@ -155,10 +148,17 @@ def propagation(substeps: Substeps, h: float) -> Array:
 def stability_limit(substeps: Substeps) -> float:
     """The stability limit of h = ωΔt: |tr M(h)| ≤ 2 for all h up to it; 2 for velocity Verlet, 0 if no step is stable.
 
-    tr M is a polynomial in x = h². It is evaluated once between each two neighboring roots of tr M = ±2, so that no
-    window of instability is too narrow to be found. A root at which tr M only touches ±2 is no limit.
-    """
-    trace = trace_polynomial(substeps)
+    tr M is a polynomial in x = h², from M = (a hb; −hc d), where a, b, c and d are polynomials in x. It is evaluated
+    once between each two neighboring roots of tr M = ±2, so that no window of instability is too narrow to be found. A
+    root at which tr M only touches ±2 is no limit."""
+    (a, b), (c, d) = (Polynomial([1.0]), Polynomial([0.0])), (Polynomial([0.0]), Polynomial([1.0]))
+    x = Polynomial([0.0, 1.0])
+    for substep in mechanical(substeps):
+        if isinstance(substep, Kick):
+            c, d = c + substep.coefficient * a, d - substep.coefficient * x * b
+        else:
+            a, b = a - substep.coefficient * x * c, b + substep.coefficient * d
+    trace = a + d
     roots = np.concatenate([(trace - 2.0).roots(), (trace + 2.0).roots()])
     edges = np.unique(roots[(abs(roots.imag) <= REAL * abs(roots)) & (roots.real > REAL)].real)
     start = 0.0
@@ -169,25 +169,12 @@ def stability_limit(substeps: Substeps) -> float:
     return float(np.sqrt(start))
 
 
-def trace_polynomial(substeps: Substeps) -> Polynomial:
-    """tr M as a polynomial in x = h², from M = (a hb; −hc d), where a, b, c and d are polynomials in x."""
-    (a, b), (c, d) = (Polynomial([1.0]), Polynomial([0.0])), (Polynomial([0.0]), Polynomial([1.0]))
-    x = Polynomial([0.0, 1.0])
-    for substep in mechanical(substeps):
-        if isinstance(substep, Kick):
-            c, d = c + substep.coefficient * a, d - substep.coefficient * x * b
-        else:
-            a, b = a - substep.coefficient * x * c, b + substep.coefficient * d
-    return a + d
-
-
 def energy_oscillation(substeps: Substeps, h: float) -> float:
     """Relative amplitude of the energy of an oscillator: (E_max − E_min)/(E_max + E_min); infinite if unstable.
 
     A stable step M = (a b; c d) conserves the quadratic form −c q² + (a − d) q v + b v². States lie on an ellipse; on
     its axes the energy (q² + v²)/2 is largest and smallest. Velocity Verlet has h²/(8 − h²):
-    1/80 at 20 steps per period.  h : ωΔt.
-    """
+    1/80 at 20 steps per period.  h : ωΔt."""
     (a, b), (c, d) = propagation(substeps, h)
     if abs(a + d) >= 2.0:
         return float("inf")

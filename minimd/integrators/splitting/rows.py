@@ -36,8 +36,7 @@ class VelocityVerlet(Splitting):
     v(t+Δt/2) = v(t) + Δt/2 F(t)/m              kick
     r(t+Δt)   = r(t) + Δt v(t+Δt/2)             drift
     F(t+Δt)   = −∇U(r(t+Δt))
-    v(t+Δt)   = v(t+Δt/2) + Δt/2 F(t+Δt)/m      kick
-    """
+    v(t+Δt)   = v(t+Δt/2) + Δt/2 F(t+Δt)/m      kick"""
 
     name = "velocity-verlet"
     substeps = (Kick(0.5), Drift(1.0), Kick(0.5))
@@ -49,8 +48,7 @@ class PositionVerlet(Splitting):
 
     r(t+Δt/2) = r(t) + Δt/2 v(t)                drift
     v(t+Δt)   = v(t) + Δt F(t+Δt/2)/m           kick
-    r(t+Δt)   = r(t+Δt/2) + Δt/2 v(t+Δt)        drift
-    """
+    r(t+Δt)   = r(t+Δt/2) + Δt/2 v(t+Δt)        drift"""
 
     name = "position-verlet"
     substeps = (Drift(0.5), Kick(1.0), Drift(0.5))
@@ -64,8 +62,7 @@ class Leapfrog(Splitting):
         r(t+Δt)   = r(t) + Δt v(t+Δt/2)             drift
 
     The kick is made as two halves, so that velocities, energies and files show v(t) together with r(t), at any step:
-    to the last bit this is velocity Verlet.
-    """
+    to the last bit this is velocity Verlet."""
 
     name = "leapfrog"
     substeps = (Kick(0.5), Drift(1.0), Kick(0.5))
@@ -76,8 +73,7 @@ class SE1(Splitting):
     """Symplectic Euler, kick first: order 1, not symmetric; its adjoint is SE2.
 
     v(t+Δt) = v(t) + Δt F(t)/m                  kick
-    r(t+Δt) = r(t) + Δt v(t+Δt)                 drift
-    """
+    r(t+Δt) = r(t) + Δt v(t+Δt)                 drift"""
 
     name = "symplectic-euler-1"
     substeps = (Kick(1.0), Drift(1.0))
@@ -88,8 +84,7 @@ class SE2(Splitting):
     """Symplectic Euler, drift first: order 1, not symmetric; its adjoint is SE1.
 
     r(t+Δt) = r(t) + Δt v(t)                    drift
-    v(t+Δt) = v(t) + Δt F(t+Δt)/m               kick
-    """
+    v(t+Δt) = v(t) + Δt F(t+Δt)/m               kick"""
 
     name = "symplectic-euler-2"
     substeps = (Drift(1.0), Kick(1.0))
@@ -164,8 +159,7 @@ def _method(name: str, substeps: Substeps, source: str) -> type[Splitting]:
 class Ruth3(Splitting):
     """Ruth's method of order 3, the first with an order above 2: three kicks, not symmetric.
 
-    kicks 7/24, 3/4, −1/24, each followed by its drift 2/3, −2/3, 1.
-    """
+    kicks 7/24, 3/4, −1/24, each followed by its drift 2/3, −2/3, 1."""
 
     name = "ruth-3"
     substeps = (Kick(7 / 24), Drift(2 / 3), Kick(3 / 4), Drift(-2 / 3), Kick(-1 / 24), Drift(1.0))
@@ -176,8 +170,7 @@ class CandyRozmus4(Splitting):
     """Candy-Rozmus = Forest-Ruth = Yoshida's triple jump over position Verlet: order 4, three kicks.
 
     drifts a₁ = a₄ = (2 + ∛2 + 1/∛2)/6,  a₂ = a₃ = (1 − ∛2 − 1/∛2)/6
-    kicks  b₁ = b₃ = 1/(2 − ∛2) = 2a₁,   b₂ = 1/(1 − ∛4) = −∛2 b₁
-    """
+    kicks  b₁ = b₃ = 1/(2 − ∛2) = 2a₁,   b₂ = 1/(1 − ∛4) = −∛2 b₁"""
 
     name = "candy-rozmus-4"
     _a1, _a2 = (2.0 + CBRT2 + 1.0 / CBRT2) / 6.0, (1.0 - CBRT2 - 1.0 / CBRT2) / 6.0
@@ -189,8 +182,7 @@ class CandyRozmus4(Splitting):
 class Suzuki4(Splitting):
     """Suzuki's fractal of five velocity Verlet steps: order 4, five kicks, smaller errors than with three.
 
-    γ₁ = γ₂ = γ₄ = γ₅ = 1/(4 − ∛4),  γ₃ = 1 − 4γ₁ = −∛4 γ₁
-    """
+    γ₁ = γ₂ = γ₄ = γ₅ = 1/(4 − ∛4),  γ₃ = 1 − 4γ₁ = −∛4 γ₁"""
 
     name = "suzuki-4"
     _g1, _g3 = 1.0 / (4.0 - CBRT4), -CBRT4 / (4.0 - CBRT4)
@@ -201,8 +193,7 @@ class Suzuki4(Splitting):
 class McLachlanAtela4(Splitting):
     """McLachlan and Atela's optimal method of order 4 for quadratic kinetic energy: four kicks, not symmetric.
 
-    For other T(p) it has only order 3: it relies on a kinetic energy p²/2m, as it is here.
-    """
+    For other T(p) it has only order 3: it relies on a kinetic energy p²/2m, as it is here."""
 
     name = "mclachlan-atela-4"
     _b1, _b2, _b3, _b4 = 0.1344961992774310892, -0.2248198030794208058, 0.7563200005156682911, 0.3340036032863214255
@@ -214,8 +205,7 @@ class McLachlanAtela4(Splitting):
 class PEFRL(Splitting):
     """The position extended Forest-Ruth-like method: order 4, four kicks, its free parameters chosen for a small error.
 
-    drifts ξ, χ, 1 − 2(χ + ξ), χ, ξ;  kicks (1 − 2λ)/2, λ, λ, (1 − 2λ)/2
-    """
+    drifts ξ, χ, 1 − 2(χ + ξ), χ, ξ;  kicks (1 − 2λ)/2, λ, λ, (1 − 2λ)/2"""
 
     name = "pefrl"
     _xi, _lambda, _chi = 0.1786178958448091, -0.2123418310626054, -0.06626458266981849
@@ -228,8 +218,7 @@ class BlanesMoan4(Splitting):
     """Blanes and Moan's Nyström method SRKN₆ᵇ: order 4, six kicks,
     the smallest error per force evaluation of order 4 here.
 
-    Its free parameters are chosen so that the error terms of order 5 left for quadratic kinetic energy are small.
-    """
+    Its free parameters are chosen so that the error terms of order 5 left for quadratic kinetic energy are small."""
 
     name = "blanes-moan-rkn-4"
     _a1, _a2 = 0.245298957184271, 0.604872665711080

@@ -76,14 +76,8 @@ class Splitting(Method):
         """See Method."""
         return problem.sequence_order(cls.sequence()) if hasattr(problem, "sequence_order") else cls.order
 
-    def advance(
-        self,
-        state: State,
-        compute_forces: Callable[[State, bool], None],
-        n_steps: int,
-        with_energy: bool = True,
-        surroundings: Surroundings | None = None,
-    ) -> int:
+    def advance(self, state: State, compute_forces: Callable[[State, bool], None], n_steps: int,
+                with_energy: bool = True, surroundings: Surroundings | None = None) -> int:  # fmt: skip
         """Make n_steps steps, or fewer (at least one) if surroundings.stop_requested becomes true;
         return how many were made.
 

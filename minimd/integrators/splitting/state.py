@@ -25,8 +25,7 @@ class State:
     positions, velocities, forces : (N, 3) [length], [length/time], [energy/length].
     inverse_masses : (N,) [1/mass], zero for atoms that are held fixed.
     forces_are_current : whether forces belong to positions; whoever moves positions sets it to False.
-    unit : in fixed-point arithmetic, the time over which impulses are (or will be) computed [time].
-    """
+    unit : in fixed-point arithmetic, the time over which impulses are (or will be) computed [time]."""
 
     positions: Array
     velocities: Array
@@ -75,10 +74,8 @@ class State:
 @dataclass
 class GridState(State):
     """A state in fixed-point arithmetic.
-
     impulses : (N, 3) int64 in steps of momentum: forces times the unit of time.
-    grid : Grid.  bodies : groups of atoms that constraints tie together, or None.
-    """
+    grid : Grid.  bodies : groups of atoms that constraints tie together, or None."""
 
     impulses: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
     grid: Grid = Grid(1.0, 1.0, 1.0)  # noqa: RUF009 - frozen
@@ -126,6 +123,19 @@ class GridState(State):
         return momentum(self.velocities, self.masses, self.grid.momentum)
 
 
+class Place:
+    """A number that is an element of an array, which kernels read.  array : its name.  kind : of the number."""
+
+    def __init__(self, array: str, index: int, kind: type) -> None:
+        self._array, self._index, self._kind = array, index, kind
+
+    def __get__(self, instance: Any, _owner: type) -> Any:
+        return self if instance is None else self._kind(getattr(instance, self._array)[self._index])
+
+    def __set__(self, instance: Any, value: float) -> None:
+        getattr(instance, self._array)[self._index] = value
+
+
 class Bath:
     """What a thermostat needs to know about its system, and the energy it has given to the system.
 
@@ -133,39 +143,13 @@ class Bath:
     conserves_momentum : of all atoms; then the motion of the center of mass is not a thermal degree of freedom.
     step, contact : the number of the step, and of the contact within it; both select the noise.
     energy : given to the system since the start, the reservoir energy [energy].
-    heat, thermal : (1,) energy, and (2,) int, n_dof and conserves_momentum, for kernels.
-    """
+    heat, thermal : (1,) energy, and (2,) int, n_dof and conserves_momentum, for kernels."""
+
+    n_dof, conserves_momentum, energy = Place("thermal", 0, int), Place("thermal", 1, bool), Place("heat", 0, float)
 
     def __init__(self, k_B: float = 1.0, n_dof: int = 0, conserves_momentum: bool = False, step: int = 0) -> None:
         self.k_B, self.step, self.contact = k_B, step, 0
         self.heat, self.thermal = np.zeros(1), np.array([n_dof, conserves_momentum], dtype=np.int64)
-
-    @property
-    def n_dof(self) -> int:
-        """See the class."""
-        return int(self.thermal[0])
-
-    @n_dof.setter
-    def n_dof(self, n_dof: int) -> None:
-        self.thermal[0] = n_dof
-
-    @property
-    def conserves_momentum(self) -> bool:
-        """See the class."""
-        return bool(self.thermal[1])
-
-    @conserves_momentum.setter
-    def conserves_momentum(self, conserves_momentum: bool) -> None:
-        self.thermal[1] = conserves_momentum
-
-    @property
-    def energy(self) -> float:
-        """See the class."""
-        return float(self.heat[0])
-
-    @energy.setter
-    def energy(self, energy: float) -> None:
-        self.heat[0] = energy
 
 
 @dataclass
@@ -176,8 +160,7 @@ class Surroundings:
     stop_requested : set it to True to end a run of steps after the present one.
     power : ∂U/∂t with the forces of the next kick [energy/time].
     work : its integral, Σ duration · power over all kicks [energy]. Time is treated as a coordinate with momentum
-        −work, and this larger system is split: total energy minus work is conserved as well as an energy is.
-    """
+        −work, and this larger system is split: total energy minus work is conserved as well as an energy is."""
 
     constraints: ConstraintSolver | None = None
     bath: Bath | None = None

@@ -35,11 +35,9 @@ DIGITS_OF_PHASE = 12  # so that coefficients that add up to one are one
 
 class Moment(NamedTuple):
     """A moment of a program.
-
     counts : see Counting.  begun : how many steps have begun before the present one: counts[MADE] + begun.
     phase : time since the beginning of that step, in time steps; only drifts advance it.
-    contact : number of contacts with a bath in that step before.
-    """
+    contact : number of contacts with a bath in that step before."""
 
     counts: NDArray[np.int64]
     begun: int = 0
@@ -82,8 +80,7 @@ class Evaluation(NamedTuple):
     version : of the memory that they work on.  pool : the threads.
     running : context for the run of a program with such operations.
     power : ∂U/∂t of the last evaluation [energy/time], if forces depend on time.
-    taken : called after a run, with whether the last evaluation had the energy, and its unit [time].
-    """
+    taken : called after a run, with whether the last evaluation had the energy, and its unit [time]."""
 
     operations: Callable[[bool, float, Moment], Iterable[Operation]]
     version: Callable[[], Any] = lambda: 0
@@ -149,8 +146,8 @@ class Steps:
 
     def __init__(self, method: Row, state: State, around: Surroundings, forces: Evaluation) -> None:
         if not all(part.flags.carray for part in (state.positions, state.velocities, state.pushes)):
-            needed = "contiguous arrays that can be written"
-            raise ValueError(f"positions, velocities and forces of a State must be {needed}")
+            raise ValueError("positions, velocities and forces of a State must be contiguous arrays that can be "
+                             "written")  # fmt: skip
         self._method, self._state, self._around, self._forces = method, state, around, forces
         self.counts, self._calls = np.zeros(5, dtype=np.int64), DirectCalls()
         self._counting, self._row = Counting(self.counts), merged(method.substeps)
@@ -161,10 +158,8 @@ class Steps:
 
     def advance(self, n_steps: int, with_energy: bool = False, first: int = 0) -> int:
         """Make n_steps steps, or fewer (at least one) if a stop is requested; return how many were made.
-
         with_energy : evaluate the energy with the last forces, if they are those of the last positions.
-        first : number of the first of them.
-        """
+        first : number of the first of them."""
         if n_steps <= 0:
             return 0
         state, last, unit = self._state, self._last, self._first_unit
@@ -215,23 +210,20 @@ class Steps:
         """See _operations."""
         key = needs_forces, with_energy
         if key not in self._programs:
-            make = lambda: self._operations(*key)  # noqa: E731
-            self._programs[key] = Program(make, self._forces.version, self._forces.pool())
+            self._programs[key] = Program(partial(self._operations, *key), self._forces.version, self._forces.pool())
         return self._programs[key]
 
     def _operations(self, needs_forces: bool, with_energy: bool) -> Iterator[Operation]:
         """Head, loop, and the rest of the last step.  needs_forces : whether the first kick needs new forces.
         with_energy : whether the last forces come with the energy."""
-        start, rest, head = Moment(self.counts), self._rest, self._head
-        in_rest = Moment(self.counts, -1)
+        start, in_rest, rest, head = Moment(self.counts), Moment(self.counts, -1), self._rest, self._head
         for one in head:
             in_rest = in_rest.after(one)
         first = next((k for k, one in enumerate(head) if isinstance(one, Kick)), 0)
         new = (Force(unit_of(self._row, head[first])),) if needs_forces else ()  # type: ignore[arg-type]
         again = list(self._made_of((*rest, Beginning(), *head), in_rest))
         is_slow = any(one.code == 0 for one in again)  # there may be much time in a call of Python
-        breath = 1 if is_slow else max(1, ATOM_STEPS // max(1, len(self._state.positions)))
-        self.counts[UNTIL_BREATH:] = breath
+        self.counts[UNTIL_BREATH:] = 1 if is_slow else max(1, ATOM_STEPS // max(1, len(self._state.positions)))
         yield from self._made_of((*head[:first], *new, *head[first:]), start)
         yield operation(self._calls, count_step, self._counting, otherwise=1 + len(again), python=self._breathe)
         yield from again[:-1]
@@ -248,34 +240,33 @@ class Steps:
 
     def _made_of(self, events: Events, moment: Moment) -> Iterator[Operation]:
         """The operations of events, from a moment on; kicks and drifts in a row are one of them."""
+        state, around, forces, timestep = self._state, self._around, self._forces, self._method.timestep
         flows: list[tuple[float, float, float]] = []
         for one in events:
-            if isinstance(one, Kick) or (isinstance(one, Drift) and self._around.constraints is None):
-                unit = unit_of(self._row, one) * self._method.timestep
-                flows.append((KICK if isinstance(one, Kick) else DRIFT, one.coefficient * self._method.timestep, unit))
+            if isinstance(one, Kick) or (isinstance(one, Drift) and around.constraints is None):
+                unit = unit_of(self._row, one) * timestep
+                flows.append((KICK if isinstance(one, Kick) else DRIFT, one.coefficient * timestep, unit))
             elif flows and not isinstance(one, Beginning):
                 yield self._passed(flows)
                 flows = []
-            yield from self._made_of_one(one, moment)
+            if isinstance(one, Force):
+                yield from forces.operations(one.with_energy, one.unit * timestep, moment)
+                if forces.power is not None:
+                    yield in_python(self._note_power)
+            elif isinstance(one, Kick) and forces.power is not None:
+                yield in_python(partial(self._work, one.coefficient * timestep))
+            elif isinstance(one, Drift) and around.constraints is not None:
+                if isinstance(state, GridState):
+                    yield in_python(partial(around.drift, state, one.coefficient * timestep))
+                else:
+                    yield from around.constraints.drifts(state.positions, state.velocities, one.coefficient * timestep)
+            elif isinstance(one, Projection):
+                yield from projected(state, around)
+            elif isinstance(one, Thermalize):
+                yield from self._method.contact(state, one.coefficient * timestep, around, moment)
             moment = moment.after(one)
         if flows:
             yield self._passed(flows)
-
-    def _made_of_one(self, one: Event, moment: Moment) -> Iterator[Operation]:
-        """The operations of an event that is no part of a pass."""
-        state, around, forces = self._state, self._around, self._forces
-        if isinstance(one, Force):
-            yield from forces.operations(one.with_energy, one.unit * self._method.timestep, moment)
-            if forces.power is not None:
-                yield in_python(self._note_power)
-        elif isinstance(one, Kick) and forces.power is not None:
-            yield in_python(partial(self._work, one.coefficient * self._method.timestep))
-        elif isinstance(one, Drift) and around.constraints is not None:
-            yield from drifted_with_constraints(state, around, one.coefficient * self._method.timestep)
-        elif isinstance(one, Projection):
-            yield from projected(state, around)
-        elif isinstance(one, Thermalize):
-            yield from self._method.contact(state, one.coefficient * self._method.timestep, around, moment)
 
     def _passed(self, flows: list[tuple[float, float, float]]) -> Operation:
         """Kicks and drifts in one pass over memory."""
@@ -295,14 +286,6 @@ class Steps:
 
     def _work(self, duration: float) -> None:
         self._around.work += duration * self._around.power
-
-
-def drifted_with_constraints(state: State, around: Surroundings, duration: float) -> Iterator[Operation]:
-    """A drift that keeps constrained lengths."""
-    if isinstance(state, GridState):
-        yield in_python(partial(around.drift, state, duration))
-    elif around.constraints is not None:
-        yield from around.constraints.drifts(state.positions, state.velocities, duration)
 
 
 def projected(state: State, around: Surroundings) -> Iterator[Operation]:

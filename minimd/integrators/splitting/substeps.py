@@ -77,10 +77,15 @@ def palindrome(half: Sequence[float]) -> tuple[float, ...]:
     return (*half, *half[-2::-1])
 
 
+def are_alike(one: Substeps, other: Substeps) -> bool:
+    """Whether two sequences are equal, to rounding."""
+    return len(one) == len(other) and all(
+        type(a) is type(b)
+        and isclose(a.coefficient, b.coefficient, rel_tol=COEFFICIENT_ROUNDING, abs_tol=COEFFICIENT_ROUNDING)
+        for a, b in zip(one, other, strict=True)
+    )
+
+
 def is_palindrome(substeps: Substeps) -> bool:
     """Whether a sequence equals its reverse, to rounding: then Φ* = Φ, and the method is symmetric."""
-    return all(
-        type(one) is type(other)
-        and isclose(one.coefficient, other.coefficient, rel_tol=COEFFICIENT_ROUNDING, abs_tol=COEFFICIENT_ROUNDING)
-        for one, other in zip(substeps, mirrored(substeps), strict=True)
-    )
+    return are_alike(substeps, mirrored(substeps))

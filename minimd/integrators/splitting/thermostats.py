@@ -27,13 +27,18 @@ from minimd.integrators.splitting.state import Bath, State, Surroundings
 from minimd.integrators.splitting.steps import FIRST, MADE, Moment, projected
 from minimd.integrators.splitting.substeps import Drift, Kick, Thermalize
 from minimd.structure.checks import checked_count, checked_number
-from minimd.structure.observables import AT_REST, kinetic_energy_of
+from minimd.structure.observables import AT_REST, SEEDS, kinetic_energy_of
 
 __all__ = ["LangevinBAOAB", "StochasticVelocityRescaling"]
 
-SEEDS = 2**128  # keys of numpy's Philox
 STEPS = 2**64  # numbers of steps are taken modulo this; those of an equilibration, before step 0, are negative
 CALLS = {False: DirectCalls(), True: DirectCalls()}  # by whether there is a grid
+
+
+def philox(seed: int, contact: int, step: int, stream: int = 0) -> np.random.Generator:
+    """The generator of random numbers for a contact with a bath in a step."""
+    counter = np.array([0, stream, contact, step % STEPS], dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(key=seed, counter=counter))
 
 
 class Noise(ByAddress, namedtuple("Noise", "key counts begun contact")):
@@ -48,9 +53,7 @@ def step_of(noise):
 
 class Thermostat(Splitting):
     """A splitting with a bath.
-
     timestep : Δt [time], positive.  temperature : of the bath, ≥ 0.  seed : int ≥ 0, of the noise, below 2¹²⁸.
-
     Raises ValueError for a time step that is not positive, a temperature or a rate below zero, or a seed out of range.
     """
 
@@ -71,8 +74,8 @@ class Thermostat(Splitting):
     def with_relaxation_time(cls, timestep: float, temperature: float, relaxation_time: float, seed: int) -> Self:
         """The thermostat with this relaxation time, τ > 0 [time]; scene files know no other parameter.
         Other arguments : see Thermostat."""
-        why = "because it has no with_relaxation_time"
-        raise NotImplementedError(f"{cls.name} cannot be used in a scene, {why}; run it from a script")
+        why = f"{cls.name} cannot be used in a scene, because it has no with_relaxation_time"
+        raise NotImplementedError(f"{why}; run it from a script")
 
     @classmethod
     def on(cls, problem: Problem) -> Step:
@@ -104,9 +107,8 @@ class Thermostat(Splitting):
 
     def noise(self, bath: Bath) -> np.random.Generator:
         """The generator of random numbers for one contact with the bath: for this step and its place within it."""
-        counter = np.array([0, 0, bath.contact, bath.step % STEPS], dtype=np.uint64)
         bath.contact += 1
-        return np.random.Generator(np.random.Philox(key=self.seed, counter=counter))
+        return philox(self.seed, bath.contact - 1, bath.step)
 
 
 class LangevinBAOAB(Thermostat):
@@ -150,8 +152,7 @@ class LangevinBAOAB(Thermostat):
     def touch(self, state: State, duration: float, around: Surroundings, moment: Moment) -> Iterator[Operation]:
         """The Ornstein-Uhlenbeck process over a duration, between two projections onto the constraints.
 
-        The noise of an atom depends on seed, step, contact and the number of the atom.
-        """
+        The noise of an atom depends on seed, step, contact and the number of the atom."""
         bath, n_chunks, is_held = bath_of(around), n_chunks_of(len(state.velocities)), around.constraints is not None
         kept = exp(-self.friction * duration)
         spread = sqrt(bath.k_B * self.temperature * -np.expm1(-2.0 * self.friction * duration))
@@ -166,16 +167,13 @@ class LangevinBAOAB(Thermostat):
         yield operation(calls, count_heat, touch)
 
 
-class Touch(
-    ByAddress, namedtuple("Touch", "velocities inverse_masses masses kept spread noise parts heat is_held steps")
-):
+class Touch(ByAddress, namedtuple("Touch", "velocities inverse_masses masses kept spread noise parts heat is_held "
+                                  "steps")):  # fmt: skip
     """The contact of atoms with a bath, see LangevinBAOAB.
-
     velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
     kept, spread : e^(−γΔt), and √(k_B T (1 − e^(−2γΔt))) [√energy].  noise : Noise.
     parts : (chunks,) output, heat of each chunk [energy].  heat : (1,), to which it is added.
-    is_held : whether constraints follow, before the kinetic energy afterwards is known.  steps : of a grid, or ().
-    """
+    is_held : whether constraints follow, before the kinetic energy afterwards is known.  steps : of a grid, or ()."""
 
 
 @filling_kernel
@@ -219,8 +217,7 @@ def count_heat(touch, _chunk):
 @scalar
 def kinetic_energy_at(velocities, masses, i, steps):
     """½ m v² of atom i [energy]; on a grid rounded to it."""
-    energy = kinetic_energy_of(masses[i], velocities[i, 0], velocities[i, 1], velocities[i, 2])
-    return in_steps(energy, steps)
+    return in_steps(kinetic_energy_of(masses[i], velocities[i, 0], velocities[i, 1], velocities[i, 2]), steps)
 
 
 @by_type
@@ -287,19 +284,13 @@ class StochasticVelocityRescaling(Thermostat):
         yield operation(calls, rescale_atoms, rescaling, n_chunks)
 
 
-class Rescaling(
-    ByAddress,
-    namedtuple(
-        "Rescaling", "velocities inverse_masses masses kept thermal_energy mass thermal noise parts motion heat steps"
-    ),
-):
+class Rescaling(ByAddress, namedtuple("Rescaling", "velocities inverse_masses masses kept thermal_energy mass "
+                                      "thermal noise parts motion heat steps")):  # fmt: skip
     """The contact of all atoms with a bath, see StochasticVelocityRescaling.
-
     velocities : (N, 3).  inverse_masses, masses : (N,), zero for atoms that are held fixed.
     kept : e^(−Δt/τ).  thermal_energy : k_B T [energy].  mass : of all atoms.  thermal : of Bath.  noise : Noise.
     parts : (chunks, 4) output, momentum and kinetic energy of each chunk.
-    motion : (4,) output, V, and √(K′/K) with its sign.  heat : (1,), to which the heat is added.  steps : of a grid.
-    """
+    motion : (4,) output, V, and √(K′/K) with its sign.  heat : (1,), to which the heat is added.  steps : of a grid."""
 
 
 @called_kernel

@@ -145,6 +145,8 @@ class Motion:
         """The order of the error of the energy."""
         whole, half = self.energies
         order = float(np.log2(whole.std(axis=1).mean() / half.std(axis=1).mean()))
+        if not np.isfinite(order):
+            return Measured(0.0, 1.0, "the energy grows without bound")
         if not order > LEAST_ORDER and not abs(self.drift()[1]) < 1.0:
             said = "with a drift, a force at other positions than those reached, or friction"
         elif order > 0.5:

@@ -212,15 +212,18 @@ class H5MDWriter:
         try:
             others(self.claim)
         finally:
-            if self._n_frames + self._n_waiting == 0:
-                self._give_up()
-            else:
-                with self._taking():  # a short run has this commit alone
-                    if self._observers:
-                        digest.write_answers(self._h5, self._observers)
-                        digest.sign(self._h5)
-                    self._h5.close()
-                self.claim.release()
+            try:
+                if self._observers:
+                    self.checkpoint()  # an answer that fails costs no frame
+                if self._h5 and self._n_frames + self._n_waiting:
+                    with self._taking():  # a short run without observers has this commit alone
+                        if self._observers:
+                            digest.write_answers(self._h5, self._observers)
+                            digest.sign(self._h5)
+                        self._h5.close()
+            finally:
+                if self.claim.descriptor >= 0:
+                    self._give_up()
 
     def _describe_method(self) -> None:
         """Describe the method again: it may have been replaced."""

@@ -294,3 +294,16 @@ def test_a_journal_that_nobody_wrote_changes_nothing(tmp_path):
         content = path.read_bytes()
         assert read_file(path).n_frames == 3
         assert path.read_bytes() == content, lie
+
+
+def test_an_answer_that_fails_costs_no_frame_and_leaves_no_lock(tmp_path):
+    class Failing(md.observers.MeanSquareDisplacement):
+        def result(self):
+            raise ValueError("no answer")
+
+    sim, path = simulation(), tmp_path / "a.h5md"
+    with pytest.raises(ValueError, match="no answer"):
+        sim.run(20, every=10, trajectory=path, observers=[Failing()])
+    assert (read_file(path).n_frames, sorted(tmp_path.iterdir())) == (3, [path])
+    with pytest.warns(UserWarning, match="does not go on with"):
+        sim.run(10, every=10, trajectory=path, append=True)

@@ -2,7 +2,7 @@
 
 Runs are independent and begin with an exact sample, so that their spread is the error of a mean. A law fails if the
 mean is off by more than the error times a quantile of Student's t, chosen so that all laws together fail a right
-dynamics in one of a thousand cases, and the error that any second-order splitting makes, (ωΔt)²/4.
+dynamics in one of a thousand cases, and the error that a right splitting may make, (ωΔt)²/2.
 """
 
 from __future__ import annotations

@@ -271,7 +271,7 @@ class RunGuard:
             why = "" if isinstance(reason, RangeError) else f"Likely cause: {report.cause}; {report.advice}\n"
         pair = closest_pair(engine.system)
         near = f"; in the last good state the closest pair is {pair.told(engine.system.units.length)}" if pair else ""
-        held = f"The system holds this state, that of step {engine.step}"
+        held = f"The system holds the last good state, that of step {engine.step}"
         error = kind(f"{why}At step {step}: {fault}{near}. {held}")
         error.crash_report = report
         return error

@@ -299,7 +299,7 @@ def sign(h5: h5py.File) -> None:
 def check_description(h5: h5py.File) -> None:
     """Raise ValueError unless the description is the one that was signed."""
     if h5["minimd"].attrs.get(DIGEST) != _digest_of_description(h5):
-        raise ValueError("its description is not the one that was written")
+        raise ValueError("what it says about the scene does not match its checksum: it was damaged or changed")
 
 
 def _digest_of_description(h5: h5py.File) -> int:

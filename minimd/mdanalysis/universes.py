@@ -433,7 +433,7 @@ def diffusion_coefficient(
     if viscosity is not None:
         if not is_cubic(cell) or not hasattr(made, "contents"):
             needs = "the correction of Yeh and Hummer needs the file of a run in a cubic cell"
-            raise ValueError(f"{needs} that is periodic in all directions; leave viscosity out")
+            raise ValueError(f"{needs} that is periodic in all directions; without one, do not pass viscosity")
         thermal_energy = units.k_B * float(made.contents.record.temperature.mean())
         added = finite_size_correction(thermal_energy, viscosity, float(np.linalg.norm(cell.vectors[0])))
         infinite = coefficient + added * units.to_angstrom**2 / units.to_picosecond

@@ -347,7 +347,7 @@ class DisplacementResult(MotionResult):
         ends, infinite = (float(times[0]), float(times[-1])), np.nan
         if viscosity is not None:
             if not self.is_cubic:
-                needs = "needs a cubic cell that is periodic in all directions; leave viscosity out"
+                needs = "needs a cubic cell that is periodic in all directions; without one, do not pass viscosity"
                 raise ValueError(f"the correction of Yeh and Hummer {needs}")
             thermal_energy, edge = self.units.k_B * self.temperature, self.volume ** (1.0 / 3.0)
             infinite = found + finite_size_correction(thermal_energy, viscosity, edge)

@@ -336,8 +336,9 @@ class OwnWall(OnAtoms):
         if (behind := np.flatnonzero(~(distances > 0.0))).size:
             atom, d = int(acting[behind[0]]), float(distances[behind[0]])
             others = f", and {behind.size - 1} more" if behind.size > 1 else ""
-            where = f"atom {atom} lies {-d:.3g} {system.units.length} behind it{others}"
-            raise ValueError(f"atoms must be in front of a {type(self).__name__}; {where}: move it, or the wall")
+            where = f"atom {atom} lies {-d:.3g} {system.units.length} behind the wall{others}"
+            wanted = f"atoms must be on that side of a {type(self).__name__} to which its normal points"
+            raise ValueError(f"{wanted}; {where}: move the atom or the wall")
         own = self.columns("atoms", len(acting))
         law, reach = WALL_LAWS[given["law"]], inf if given["cutoff"] is None else given["cutoff"]
         rows, of_each = np.unique(np.stack(own, axis=-1), axis=0, return_inverse=True)

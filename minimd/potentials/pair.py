@@ -192,8 +192,8 @@ class Nonbonded(Declared, metaclass=ABCMeta):
         mixed, reverse = (self._checked_numbers(rule(own[x], own[y]), (x, y)) for x, y in ((a, b), (b, a)))
         is_same = all(map(partial(isclose, rel_tol=MIXED), mixed, reverse))
         if not (len(mixed) == len(reverse) == len(own[a]) and is_same):
-            wanted = f"all parameters, the same for {a!r}, {b!r} as for {b!r}, {a!r}"
-            raise ValueError(f"mixing must give {wanted}; it gives {mixed} and {reverse}")
+            wanted = f"all parameters, the same for ({a!r}, {b!r}) as for ({b!r}, {a!r})"
+            raise ValueError(f"mixing must give {wanted}; it gives {mixed} for the first and {reverse} for the second")
         return mixed
 
     def _checked_parameters(self, given: Any, pairs: Any) -> tuple[Parameters | dict[Label, Parameters], dict]:

@@ -73,7 +73,7 @@ def several(h5):
 VALUES = "observables/{}/value"
 SPOILED = {  # what is done to a file, what fails, and what is said
     "v, E and a step": (several, {"kinetic energy", "Σ|mv|", "total energy", "steps"}, "FAILED"),
-    "momentum of one frame": (push, {"momentum", "checksums"}, "frames 1 to 10"),  # of one block, with one sum
+    "momentum of one frame": (push, {"momentum", "checksums"}, "frames 0 to 10"),  # of one block, with one sum
     "NaN": (lambda h5: h5[VALUES.format("kinetic_energy")].__setitem__(3, np.nan), {"kinetic energy"}, "FAILED"),
     "drift": (drift, {"checksums"}, "DRIFTS"),
 }

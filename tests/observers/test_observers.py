@@ -205,7 +205,7 @@ def test_of_molecules_atoms_of_each_species_are_chosen():
 
 def test_an_ideal_gas_scatters_as_theory_says(monkeypatch):
     """S(q) = 1, and F_s = ⟨cos q·v t⟩ at every lag, which is exp(−q² k_B T t²/2m) but for the number of atoms."""
-    monkeypatch.setattr("minimd.observers.scattering.PIECE", 300)
+    monkeypatch.setattr("minimd.observers.scattering.TABLE", 3000)
     n_atoms, thermal, mass, rng = 1000, 1.5, 2.0, np.random.default_rng(3)
     velocities = rng.normal(0.0, np.sqrt(thermal / mass), (n_atoms, 3))
     velocities -= velocities.mean(axis=0)

@@ -139,7 +139,7 @@ def test_a_reader_that_ends_the_run_and_leaves_while_a_frame_is_made_is_heard(mo
     monkeypatch.setattr(sim.engine, "evaluate", lambda: (reader.sendall(struct.pack("!ii", KILL, 0)), reader.close()))
     with pytest.warns(UserWarning, match="has ended the run"):
         stream.observe(sim.engine)
-    stream.end()
+    stream.end(sim.engine)
 
 
 def test_hostile_readers_are_disconnected_and_hurt_nobody(tmp_path, recwarn):

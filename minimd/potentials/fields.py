@@ -336,7 +336,8 @@ class OwnWall(OnAtoms):
         if (behind := np.flatnonzero(~(distances > 0.0))).size:
             atom, d = int(acting[behind[0]]), float(distances[behind[0]])
             others = f", and {behind.size - 1} more" if behind.size > 1 else ""
-            where = f"atom {atom} lies {-d:.3g} {system.units.length} behind the wall{others}"
+            how = f"{-d:.3g} {system.units.length} behind" if d < 0.0 else "on"
+            where = f"atom {atom} lies {how} the wall{others}"
             wanted = f"atoms must be on that side of a {type(self).__name__} to which its normal points"
             raise ValueError(f"{wanted}; {where}: move the atom or the wall")
         own = self.columns("atoms", len(acting))

@@ -279,7 +279,7 @@ def run(make: Make, scene: Scene, seed: int, steps: int, every: int, kt: float) 
             raise FloatingPointError(f"a volume of {start:.3g} Å³ is {volume:.3g} Å³ after {(k + 1) * every} steps")
         if 2 * k >= steps // every:
             forces = atoms.get_forces(apply_constraint=False)
-            u = atoms.get_potential_energy() if "liquid" in scene.name else 0.0
+            u = atoms.get_potential_energy() if scene.wanted else 0.0
             seen.append((atoms.positions.copy(), atoms.get_momenta(), forces, atoms.get_volume(), u))
     ends.append(ends_of(atoms))
     if np.ptp(edges := atoms.cell.lengths()) > 1e-6 * edges[0] or np.ptp(atoms.cell.angles()) > 1e-4:

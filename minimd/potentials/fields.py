@@ -338,7 +338,8 @@ class OwnWall(OnAtoms):
             others = f", and {behind.size - 1} more" if behind.size > 1 else ""
             how = f"{-d:.3g} {system.units.length} behind" if d < 0.0 else "on"
             where = f"atom {atom} lies {how} the wall{others}"
-            wanted = f"atoms must be on that side of a {type(self).__name__} to which its normal points"
+            side = "inside" if self.around is Curved else "in front of"
+            wanted = f"atoms must be {side} a {type(self).__name__}"
             raise ValueError(f"{wanted}; {where}: move the atom or the wall")
         own = self.columns("atoms", len(acting))
         law, reach = WALL_LAWS[given["law"]], inf if given["cutoff"] is None else given["cutoff"]

@@ -292,7 +292,7 @@ def of_scene(make: Make, claims: Claims, name: str, is_still: bool, rate: float)
     """The findings of a scene: those without a number to judge, then the largest deviations; positions follow momenta,
     and noise that repeats explains the rest.  rate : of false alarms, of each law."""
     scene, frames = claims.scene(name, is_still), list[Frames]()
-    steps = claims.steps // 4 if scene.rigid.any() else claims.steps  # constraints of ASE are slow
+    steps = claims.steps // scene.slowness
     for n in (claims.runs, AGAIN * claims.runs):
         for k in tqdm(range(len(frames), n), desc=name, leave=False, disable=None):
             try:

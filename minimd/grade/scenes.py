@@ -2,7 +2,7 @@
 
 Each run starts from an exact sample of the ensemble: what keeps it keeps it from the first step on, so that many short
 runs are independent samples, and their spread is the error. kT, the time step and the pressure set all scales. Liquids,
-whose answers are those of NIST, start from a crystal.
+whose answers are those of NIST, start from a crystal that has melted.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from ase.build import bulk
 from ase.calculators.abc import GetPropertiesMixin
 from ase.calculators.lj import LennardJones
 from ase.constraints import FixBondLengths
+from ase.md.verlet import VelocityVerlet
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -32,6 +33,7 @@ MOLECULES, OF_MOLECULES, RIGID = 6, 0.12, 4  # of the gas, and ω Δt; of the ch
 COARSE = 4.0  # times the frequencies of the ring: for the error of a long time step
 STATES = (0.85, 0.82, -5.7947, 0.55355), (0.9, 0.776, -5.4689, 0.24056)  # T, ρ, U/N, P of liquids, of NIST [ε, σ]
 CUTOFF, PACE, SIDE = 2.5, 0.004, 3  # of the liquids [σ], their time step [σ √(m/ε)], cells of their crystal
+MELTING = 1500  # steps in which that becomes a liquid
 
 
 class Springs(GetPropertiesMixin):
@@ -100,7 +102,7 @@ class Scene(NamedTuple):
     draw : of an exact sample.  has : its features, as ensembles.LAWS need them.
     error : of means, relative, by the time step: the largest (ωΔt)²/2, if momenta are drawn at half a step.
     n_bodies : n of p(V) ∝ Vⁿ exp(−PV/kT).  rigid : the part of <p²/m>/kT that rigid bonds take, of each atom.
-    wanted : of a liquid, its energy [eV] or volume [Å³].
+    wanted : of a liquid, its energy [eV] or volume [Å³].  slowness : its runs have so many times fewer steps.
     """
 
     name: str
@@ -111,6 +113,7 @@ class Scene(NamedTuple):
     n_bodies: int = 0
     rigid: Array = np.zeros(1)
     wanted: float = 0.0
+    slowness: int = 1
 
 
 def momenta(rng: np.random.RandomState, masses: Array, kt: float, is_still: bool = False) -> Array:
@@ -176,7 +179,7 @@ def chain(kt: float, timestep: float, _: float, is_still: bool) -> Scene:
 
     springs.draw = draw
     return Scene("chain", draw, springs, "masses spread rigid fixed", 0.5 * OF_MOLECULES**2,
-                 rigid=np.tile([0.75, 0.25], n) / 3.0)  # fmt: skip
+                 rigid=np.tile([0.75, 0.25], n) / 3.0, slowness=4)  # fmt: skip
 
 
 def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: int = 0) -> Scene:
@@ -196,13 +199,14 @@ def liquid(kt: float, timestep: float, pressure: float, is_still: bool, state: i
         atoms = bulk("Ar", "fcc", a=sigma * (4.0 / density) ** (1.0 / 3.0), cubic=True) * (SIDE, SIDE, SIDE)
         atoms.set_masses(masses)
         atoms.calc = calculator
-        atoms.set_momenta(momenta(rng, masses, 2.0 * kt, is_still))  # the crystal melts
+        atoms.set_momenta(momenta(rng, masses, 2.0 * kt))
+        VelocityVerlet(atoms, timestep).run(MELTING)  # at this volume; under pressure it would stay a crystal
+        atoms.set_momenta(momenta(rng, masses, kt, is_still))
         return atoms
 
     wanted = n * sigma**3 / density if pressure else n * epsilon * own
-    return Scene(
-        f"liquid {state + 1}", draw, calculator, "pressed" if pressure else "liquid fixed", 0.01, wanted=wanted
-    )
+    name, has, slowness = f"liquid {state + 1}", "pressed" if pressure else "liquid fixed", 4 if pressure else 1
+    return Scene(name, draw, calculator, has, 0.01, wanted=wanted, slowness=slowness)
 
 
 def gas(kt: float, timestep: float, pressure: float, is_still: bool) -> Scene:

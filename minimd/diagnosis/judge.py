@@ -97,6 +97,11 @@ class Evidence:
         self.timestep, self.shown = abs(engine.method.timestep), self.units.shown
 
     @cached_property
+    def fastest(self) -> tuple[int, float]:
+        """The fastest atom and its speed; see longest."""
+        return longest(self.system.velocities)
+
+    @cached_property
     def limit(self) -> float:
         """The largest stable Δt·ω of the method."""
         return stability_limit(self.engine.method.sequence())
@@ -256,8 +261,12 @@ def moving_center(evidence: Evidence) -> Verdict | None:
 
 def not_numbers(evidence: Evidence) -> Verdict | None:
     """Positions or velocities that are not finite."""
-    for name, array in (("positions", evidence.system.positions), ("velocities", evidence.system.velocities)):
-        if not longest(array)[1] <= LARGEST:
+    system = evidence.system
+    for name, array, (_, length) in (
+        ("positions", system.positions, longest(system.positions)),
+        ("velocities", system.velocities, evidence.fastest),
+    ):
+        if not length <= LARGEST:
             bad = np.flatnonzero(~(np.abs(array) <= LARGEST).all(axis=1))
             if bad.size:
                 which = f"(atom {bad[0]}{' ...' if bad.size > 1 else ''})"
@@ -267,7 +276,7 @@ def not_numbers(evidence: Evidence) -> Verdict | None:
 
 def past_neighbors(evidence: Evidence) -> Verdict | None:
     """An atom that moves farther than the largest cutoff in one step has passed its neighbors unseen."""
-    atom, speed = longest(evidence.system.velocities)
+    atom, speed = evidence.fastest
     distance, cutoff = speed * evidence.timestep, evidence.engine.interactions.largest_cutoff
     if not distance > cutoff:
         return None

@@ -14,7 +14,7 @@ from minimd.compiled.by_address import ByAddress
 from minimd.compiled.fixed_point import BIAS, biased_product, in_steps, is_fixed, on_grid
 from minimd.compiled.kernels import by_type, called_kernel, scalar
 from minimd.compiled.simd import bits_from_mask, broadcast, fma, load, select, store, total, zeros
-from minimd.compiled.simd.vector import count, loaded_columns
+from minimd.compiled.simd.vector import count, loaded, loaded_columns
 from minimd.neighbors.cluster_search import GHOST_BITS, LANES_FROM
 from minimd.neighbors.clusters import DIMENSIONS
 from minimd.neighbors.domains import GHOSTS
@@ -22,8 +22,8 @@ from minimd.potentials.law import evaluate_law
 from minimd.potentials.pair_loop import SameForAll, with_product
 from minimd.potentials.term import PER_ATOM
 
-VIRIAL = 6  # components
-LANE_SUMS = 1 + VIRIAL  # accumulators of a lane with PER_ATOM: energy and virial
+SUMS = 7  # accumulators: an energy, and a virial as xx yy zz yz xz xy
+APART = 2  # rows of accumulators from domain to domain: so no two threads write to the same line of the cache
 
 
 class ByLane(ByAddress, namedtuple("ByLane", "columns species slots table of_atoms")):
@@ -57,17 +57,19 @@ def parameters_of_lanes(source, slot, cluster, lanes):
     )
 
 
-class Sums(ByAddress, namedtuple("Sums", "forces energies virials lane_sums detail")):
+class Sums(ByAddress, namedtuple("Sums", "forces of_rows of_lanes detail")):
     """The accumulators of the loop.
 
     forces : flat, a block for each ghost in a window, see Domains.place, of the type of the pair arithmetic
         [energy/length]; in fixed-point arithmetic int64 impulses.
-    energies : (slots,) and virials : (slots, 6), xx yy zz yz xz xy, of the atoms of the rows with PER_ATOM, else (C,)
-        and (C, 6) of their clusters.
-    lane_sums : flat, LANE_SUMS · n numbers for each ghost of each window: energies and virials of the lanes;
-        empty unless PER_ATOM.
+    of_rows : (n, SUMS) [energy], with PER_ATOM of the atom of each row, (slots, SUMS), else of each domain, APART.
+    of_lanes : flat, SUMS · n numbers for each ghost of each window, of the lanes; empty unless PER_ATOM.
     detail : TOTALS or PER_ATOM, see term.
     """
+
+
+class TotalSums(Sums):
+    """Accumulators for TOTALS: a type of its own, for which the virial is not summed pair by pair, see add_virial."""
 
 
 class ForceSums(Sums):
@@ -76,9 +78,17 @@ class ForceSums(Sums):
 
 @by_type
 def with_energy(sums):
-    """Whether energies and virials are wanted, as a constant for the compiler."""
+    """Whether energies are wanted, as a constant for the compiler."""
     answer = sums.instance_class is not ForceSums
     return lambda sums: answer
+
+
+@by_type
+def by_pair(sums, steps):
+    """Whether the virial is the sum of those of all pairs, as a constant: each rounded in fixed-point arithmetic, so
+    that the sum is the same for any list."""
+    answer = sums.instance_class is Sums or (sums.instance_class is TotalSums and is_fixed(steps))
+    return lambda sums, steps: answer
 
 
 @by_type
@@ -103,6 +113,39 @@ def add_forces_of_laws(domain, arrays, work, steps):
     """add_cluster_forces for each law of a Work; its energies and virials begin with zero."""
     _start_energies(domain, arrays, work.sums)
     _add_forces_of(domain, arrays, work.laws, work.sums, steps)
+    add_virial(domain, arrays, work.sums, steps)
+
+
+@by_type
+def add_virial(domain, arrays, sums, steps):
+    """The virial of a domain, from the forces on all ghosts in its window, whose sum is zero:
+
+        W = Σ_pairs f r_ij ⊗ r_ij = Σ_ghosts F ⊗ (r − r₀)
+
+    r₀, any point near by, keeps rounding errors small.
+    """
+    if sums.instance_class is not TotalSums or is_fixed(steps):
+        return lambda domain, arrays, sums, steps: None
+
+    def add(domain, arrays, sums, steps):
+        domains, memory, lanes = arrays.domains, arrays.memory, arrays.clusters.lanes
+        n_lanes, start = count(lanes), arrays.domain_start[domain]
+        if start == arrays.domain_start[domain + 1]:
+            return
+        block, first, place = DIMENSIONS * n_lanes, domains.first[domain], domains.place[domain]
+        at = arrays.ghosts.home[start] * block
+        x0, y0, z0 = memory.coordinates[at], memory.coordinates[at + n_lanes], memory.coordinates[at + 2 * n_lanes]
+        xx = yy = zz = yz = xz = xy = zeros(lanes)
+        for k in range(domains.window[domain + 1] - domains.window[domain]):
+            x, y, z = loaded(memory.coordinates, (first + k) * block, lanes)
+            fx, fy, fz = loaded(sums.forces, (place + k) * block, lanes)
+            x, y, z = x - x0, y - y0, z - z0
+            xx, yy, zz = fma(fx, x, xx), fma(fy, y, yy), fma(fz, z, zz)
+            yz, xz, xy = fma(fy, z, yz), fma(fx, z, xz), fma(fx, y, xy)
+        for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
+            sums.of_rows[APART * domain, 1 + c] += total(w)
+
+    return add
 
 
 @by_type
@@ -112,16 +155,12 @@ def _start_energies(domain, arrays, sums):
         return lambda domain, arrays, sums: None
 
     def start(domain, arrays, sums):
-        n_lanes, domains = count(arrays.clusters.lanes), arrays.domains
-        n = n_lanes if sums.detail == PER_ATOM else 1
-        for k in range(arrays.domain_start[domain] * n, arrays.domain_start[domain + 1] * n):
-            sums.energies[k] = 0.0
-            for c in range(VIRIAL):
-                sums.virials[k, c] = 0.0
-        if sums.detail == PER_ATOM:
-            per_ghost = LANE_SUMS * n_lanes
-            for k in range(domains.window[domain] * per_ghost, domains.window[domain + 1] * per_ghost):
-                sums.lane_sums[k] = 0.0
+        if sums.detail != PER_ATOM:
+            sums.of_rows[APART * domain] = 0.0
+            return
+        n_lanes, window = count(arrays.clusters.lanes), arrays.domains.window
+        sums.of_rows[arrays.domain_start[domain] * n_lanes : arrays.domain_start[domain + 1] * n_lanes] = 0.0
+        sums.of_lanes[window[domain] * SUMS * n_lanes : window[domain + 1] * SUMS * n_lanes] = 0.0
 
     return start
 
@@ -146,7 +185,7 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
         r_ij = r_j − r_i,   f = −u′(r)/r,   F_j += f r_ij,   F_i −= Σ f r_ij,   W += f r_ij ⊗ r_ij
 
     arrays : ClusterArrays.  law : law type.  parameters : SameForAll or ByLane.
-    sums : with TOTALS each pair is added to the cluster of its atom i, with PER_ATOM half of it to each atom.
+    sums : with TOTALS each pair is added to the domain, with PER_ATOM half of it to each atom.
     steps : () or, in fixed-point arithmetic, Steps.
     Indices in the inner loop are unsigned: the compiler need not check for those that count from the end.
     """
@@ -186,15 +225,17 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
             fx, fy, fz = plus_product(g, dx, fx), plus_product(g, dy, fy), plus_product(g, dz, fz)
             push(forces, ghost, g, (dx, dy, dz))
             if with_energy(sums):
-                gx, gy, gz, u = f * dx, f * dy, f * dz, in_steps(select(near, u, 0.0), steps)
+                u = in_steps(select(near, u, 0.0), steps)
                 energy = energy + u
+            if by_pair(sums, steps):
+                gx, gy, gz = f * dx, f * dy, f * dz
                 xx, xy = plus_virial(gx, dx, xx, steps), plus_virial(gx, dy, xy, steps)
                 yy, yz = plus_virial(gy, dy, yy, steps), plus_virial(gy, dz, yz, steps)
                 zz, xz = plus_virial(gz, dz, zz, steps), plus_virial(gx, dz, xz, steps)
                 if sums.detail == PER_ATOM:
                     for c, w in enumerate((u, gx * dx, gy * dy, gz * dz, gy * dz, gx * dz, gx * dy)):
-                        at_c = ((window + np.intp(ghost)) * LANE_SUMS + c) * n_lanes
-                        store(sums.lane_sums, at_c, load(sums.lane_sums, at_c, lanes) + 0.5 * in_steps(w, steps))
+                        at_c = ((window + np.intp(ghost)) * SUMS + c) * n_lanes
+                        store(sums.of_lanes, at_c, load(sums.of_lanes, at_c, lanes) + 0.5 * in_steps(w, steps))
         n_entries = stops[slot] - rows.start[slot]
         forces[place] -= without_bias(total(fx), n_entries, lanes)
         forces[place + n_lanes] -= without_bias(total(fy), n_entries, lanes)
@@ -202,10 +243,11 @@ def add_cluster_forces(domain, arrays, law, parameters, sums, steps):
         if lanes_beyond(size2, limit2):
             memory.is_out[domain] = 1
         if with_energy(sums) and (sums.detail == PER_ATOM or lane == n_lanes - 1):
-            k = slot if sums.detail == PER_ATOM else slot // n_lanes
-            sums.energies[k] += own_share * total(energy)
-            for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
-                sums.virials[k, c] += own_share * total(w)
+            k = slot if sums.detail == PER_ATOM else APART * domain
+            sums.of_rows[k, 0] += own_share * total(energy)
+            if by_pair(sums, steps):
+                for c, w in enumerate((xx, yy, zz, yz, xz, xy)):
+                    sums.of_rows[k, 1 + c] += own_share * total(w)
             energy = xx = yy = zz = yz = xz = xy = zero
 
 

@@ -17,11 +17,13 @@ from minimd.compiled.program import GO_ON, OUT_OF_RANGE, Operation, operation
 from minimd.compiled.simd import lane
 from minimd.compiled.simd.vector import BITS, count
 from minimd.forces.cluster_loop import (
-    LANE_SUMS,
+    APART,
+    SUMS,
     ByLane,
     ChargesByLane,
     ForceSums,
     Sums,
+    TotalSums,
     Work,
     add_forces_of_laws,
     prepare_loop,
@@ -154,10 +156,10 @@ class ClusterTerm(ListTerm):
         if target.detail == FORCES:
             return
         _, work = self._made[_key(target)]
-        n = self.list.n_clusters
         if target.detail == TOTALS:
-            target.energies[0] += work.sums.energies[:n].sum()
-            target.virials[0] += work.sums.virials[:n].sum(axis=0)
+            energy, *virial = work.sums.of_rows[::APART].sum(axis=0)
+            target.energies[0] += energy
+            target.virials[0] += virial
         else:
             self._add_each(work.sums, target.energies, target.virials)
             del self._made[_key(target)]  # large
@@ -174,25 +176,24 @@ class ClusterTerm(ListTerm):
         self._made.clear()
 
     def _work_of(self, detail: int) -> Work:
-        """Work with accumulators: none; of each cluster, in idle memory; or of each slot and each lane of a ghost."""
-        forces, n_lanes, c = self.list.memory.forces, self.list.lanes.size, len(self.list.clusters.filled)
+        """Work with accumulators: none; of each domain; or of each slot and each lane of a ghost."""
+        forces, n_lanes = self.list.memory.forces, self.list.lanes.size
         if detail == FORCES:
-            return Work(self._laws, ForceSums(forces, NONE, np.zeros((0, 6)), NONE, FORCES))
+            return Work(self._laws, ForceSums(forces, np.zeros((0, SUMS)), NONE, FORCES))
         if detail == TOTALS:
-            energies, virials = self.list.idle[:c], self.list.idle[c : 7 * c].reshape(c, 6)
-            return Work(self._laws, Sums(forces, energies, virials, NONE, TOTALS))
-        n_ghosts = len(self.list.ghosts.parts)
-        sums = np.zeros(c * n_lanes), np.zeros((c * n_lanes, 6)), np.zeros(n_ghosts * n_lanes * LANE_SUMS)
-        return Work(self._laws, Sums(forces, *sums, PER_ATOM))
+            return Work(self._laws, TotalSums(forces, np.zeros((APART * self.list.n_domains, SUMS)), NONE, TOTALS))
+        of_lanes = np.zeros(len(self.list.ghosts.parts) * n_lanes * SUMS)
+        return Work(self._laws, Sums(forces, np.zeros((len(self.list.clusters.atom), SUMS)), of_lanes, PER_ATOM))
 
     def _add_each(self, sums: Sums, energies: NDArray, virials: NDArray) -> None:
         """Add the sums of slots and lanes to the energies (N,) and virials (N, 6) of their atoms."""
         clusters, n_lanes, n = self.list.clusters, self.list.lanes.size, self.list.n_clusters
         atom, real = clusters.atom[: n * n_lanes], (np.arange(n_lanes) < clusters.filled[:n, None]).ravel()
-        energies[atom[real]] += sums.energies[: n * n_lanes][real]
-        virials[atom[real]] += sums.virials[: n * n_lanes][real]
+        of_rows = sums.of_rows[: n * n_lanes][real]
+        energies[atom[real]] += of_rows[:, 0]
+        virials[atom[real]] += of_rows[:, 1:]
         first, window, owner = self.list.domains.first, self.list.domains.window, self.list.ghosts.owner
-        of_lanes = sums.lane_sums.reshape(-1, LANE_SUMS, n_lanes)[: int(window[-1])]
+        of_lanes = sums.of_lanes.reshape(-1, SUMS, n_lanes)[: int(window[-1])]
         owners = np.concatenate([owner[a : a + size] for a, size in zip(first, np.diff(window), strict=True)])
         atoms = atom.reshape(-1, n_lanes)[owners]
         np.add.at(energies, atoms, of_lanes[:, 0])

@@ -37,8 +37,7 @@ class ClusterList(VerletList):
     n_domains : number of chunks of an operation.  lanes : of its vectors.
     clusters, domains, ghosts, rows, memory : see there.
     arrays : what the loop needs of them. They have room for more, and are the same arrays until it is used up.
-    version : how often they were replaced.  building : what operations need.
-    idle : flat, a block for each cluster, memory that is free between two builds."""
+    version : how often they were replaced.  building : what operations need."""
 
     clusters: Clusters
     ghosts: GhostClusters
@@ -216,17 +215,14 @@ class ClusterList(VerletList):
         del self._entries, self._bins, self.rows, self.arrays, self.building  # they hold the old memory
 
     def _arrange(self) -> None:
-        """All arrays, with the room that there is now. What only the search needs shares memory with idle. Atoms are
-        sorted where the entries are written afterwards."""
+        """All arrays, with the room that there is now. Atoms are sorted where the entries are written afterwards."""
         memory, spare, (n_ghosts, n_in_windows, n_forces) = self._memory, self._spare, self._room
         n_lanes, n_block = self.lanes.size, self.lanes.size * DIMENSIONS
         n_columns = int(self._columns.counts[0] * self._columns.counts[1])  # each may have a cluster that is not full
         n_clusters = (self._n_atoms + n_columns * (n_lanes - 1)) // n_lanes
-        shapes = (n_clusters * n_block,), (n_clusters,), (n_clusters, 6)
-        own, heights, boxes = ((np.float64, shape) for shape in shapes)
+        heights, boxes = ((np.float64, shape) for shape in ((n_clusters,), (n_clusters, 6)))
         search = heights, heights, boxes, *ghosts_for_search(n_ghosts, n_in_windows)
-        found, (self.idle,) = memory.overlaid("scratch", search, (own,), spare=spare)
-        bottom, top, boxes_now, *for_search = found
+        ((bottom, top, boxes_now, *for_search),) = memory.overlaid("scratch", search, spare=spare)
         self._coordinates = memory.array("coordinates", np.float64, n_ghosts * n_block, spare=1.0)
         n_entries = max(int(self._entry_start[-1]), n_clusters * n_lanes * ENTRIES_GUESSED) + AHEAD
         sort, entries = bins_for_sort(self._n_atoms, self._columns.counts), ((np.uint32, (n_entries,)),)

@@ -70,7 +70,7 @@ class Clusters(
     column_start : (columns + 1,) int, first cluster of each column; the last number is C.
     bottom, top : (C,) lowest and highest fractional coordinate along the third lattice vector.
     boxes : (C, 6) smallest x y z and largest x y z of the atoms of each cluster [length].
-    bottom, top and boxes are needed for a build only; afterwards their memory has other uses."""
+    bottom, top and boxes are needed for a build only."""
 
 
 class Wrapping(namedtuple("Wrapping", "inverse periodic lattice origin")):

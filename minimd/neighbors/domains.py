@@ -73,7 +73,7 @@ class GhostClusters(ByAddress, namedtuple("GhostClusters", "owner image bottom t
         then for each ghost whether it is used in any of them.
     of : (U,) int, ghosts used in some window, by cluster, those of cluster k from start[k].  start : (C + 1,) int.
     parts : (P,) int, the blocks of the forces on them, likewise, from part_start[k].  part_start : (C + 1,) int.
-    bottom, top, boxes, lanes and is_used are needed for a build only; afterwards their memory has other uses."""
+    bottom, top, boxes, lanes and is_used are needed for a build only."""
 
 
 class Layout(ByAddress, namedtuple("Layout", "columns clusters domains ghosts coordinates shifts")):

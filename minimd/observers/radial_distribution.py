@@ -2,74 +2,71 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from math import ceil
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from minimd.compiled.kernels import kernel
+from minimd.compiled.by_address import ByAddress
+from minimd.compiled.kernels import DirectCalls, called_kernel
+from minimd.compiled.program import GO_ON, Program, operation
+from minimd.compiled.simd import load, store
+from minimd.compiled.simd.vector import count
+from minimd.compiled.threads import ThreadPool
 from minimd.console.display import Rows
 from minimd.engine.engine import Engine
-from minimd.neighbors.search import atoms_in_reach, bins_of, make_grid, sort_into_bins
+from minimd.forces.cluster_loop import separations
+from minimd.neighbors.cluster_list import ClusterList
+from minimd.neighbors.cluster_search import GHOST_BITS, LAYERS
+from minimd.neighbors.clusters import DIMENSIONS
 from minimd.observers.accumulator import Accumulator, BlockedSums, ObservedRun, Result, Series
 from minimd.observers.arguments import argument, label, positive, steps
+from minimd.structure.cell import Cell
 from minimd.structure.checks import checked_count
 from minimd.structure.statistics import with_error
+from minimd.structure.system import System
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 FRAMES, HEAD = 0, 1  # places in the sums: number of frames, then V times the numbers of pairs
-SPREAD = 8  # columns for pairs that are too far away: one of them would wait for itself at each of these pairs
+NO_PAIRS = np.zeros((0, 2), dtype=np.int64)
 SPACINGS = 4.0  # in r_max if not given: four shells of neighbors
 R_MAX = "largest distance; if not given 4 (V/N)^(1/3), but at most half the smallest height of the cell at the start"
 
 
-@kernel
-def count_pairs(positions, species, bins, pair_of_species, width, counts):
-    """counts[p, k] += number of pairs of kind p = pair_of_species[a, b] with k · width ≤ r < (k + 1) · width, with all
-    images. The last SPREAD columns count pairs farther away, of those that were looked at.
+class Counting(ByAddress, namedtuple("Counting", "arrays species kinds per_width beyond places counts")):
+    """arrays : ClusterArrays of a list whose cutoff is r_max.  species : (slots,) int, of the atoms in clusters.
+    kinds : (S, S) int, the number of each pair of species.  per_width : 1/Δr [1/length].
+    beyond : (n,) columns, one for each lane, of pairs farther away: a single one would wait for itself at each of them.
+    places : (K, n) scratch of each domain.  counts : (K, P, columns) int, its numbers of pairs by kind and bin."""
 
-    positions : (3, N) [length], in the order of the bins and inside the cell.  bins : see neighbors.search.
-    species : (N,) int, in the same order.
-    """
-    size, bin_start, n_bins = bins.counts, bins.bin_start, counts.shape[1] - SPREAD
-    per_width, ranges, room = 1.0 / width, np.empty((bins.forward.shape[0] + 1, 3), dtype=np.int64), 0
-    near, kind_of, places = np.empty((3, room)), np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int32)
-    for bin_x in range(size[0]):
-        for bin_y in range(size[1]):
-            for bin_z in range(size[2]):
-                own = (bin_x * size[1] + bin_y) * size[2] + bin_z
-                if bin_start[own] == bin_start[own + 1]:
-                    continue
-                n_ranges, n = atoms_in_reach(bin_x, bin_y, bin_z, bins, ranges), 0
-                for k in range(n_ranges):
-                    n += ranges[k, 1] - ranges[k, 0]
-                if n > room:
-                    room = 2 * n
-                    near, kind_of = np.empty((3, room)), np.empty(room, dtype=np.int64)
-                    places = np.empty(room, dtype=np.int32)
-                n = 0
-                for k in range(n_ranges):  # side by side, for vectors; those of the bin itself come first
-                    t = bins.translations[ranges[k, 2]]
-                    for j in range(ranges[k, 0], ranges[k, 1]):
-                        for c in range(3):
-                            near[c, n] = positions[c, j] + t[c]
-                        kind_of[n] = species[j]
-                        n += 1
-                for i in range(bin_start[own], bin_start[own + 1]):
-                    x, y, z, kinds = positions[0, i], positions[1, i], positions[2, i], pair_of_species[species[i]]
-                    first = i + 1 - bin_start[own]
-                    xs, ys, zs, to = near[0, first:n], near[1, first:n], near[2, first:n], places[first:n]
-                    for k in range(to.size):
-                        dx, dy, dz = xs[k] - x, ys[k] - y, zs[k] - z
-                        part = np.sqrt(dx * dx + dy * dy + dz * dz) * per_width
-                        to[k] = np.int32(part if part < n_bins else n_bins + k % SPREAD)
-                    of = kind_of[first:n]
-                    for k in range(to.size):
-                        counts[kinds[of[k]], to[k]] += 1
+
+@called_kernel
+def count_pairs(counting, domain):
+    """counts[domain, p, k] += number of pairs of kind p, with all images, with k Δr ≤ r < (k + 1) Δr, of the atoms of
+    a domain with those of their rows."""
+    arrays, species, kinds, per_width, beyond, _, _ = counting
+    clusters, ghosts, rows, memory = arrays.clusters, arrays.ghosts, arrays.rows, arrays.memory
+    lanes, counts, places = clusters.lanes, counting.counts[domain], counting.places[domain]
+    first, n_lanes, columns = arrays.domains.first[domain], count(lanes), load(beyond, 0, lanes)
+    coordinates = memory.coordinates[first * DIMENSIONS * n_lanes :]
+    for slot in range(arrays.domain_start[domain] * n_lanes, arrays.domain_start[domain + 1] * n_lanes):
+        place = (ghosts.home[slot // n_lanes] - first) * DIMENSIONS * n_lanes + slot % n_lanes
+        at = coordinates[place], coordinates[place + n_lanes], coordinates[place + 2 * n_lanes]
+        kinds_of_pairs = kinds[species[slot]]
+        for entry in range(np.uintp(rows.start[slot]), np.uintp(rows.stops[LAYERS - 1, slot])):
+            now = rows.entries[entry]
+            _, _, _, r2 = separations(coordinates, memory.far, now, at, lanes)
+            store(places, 0, min(np.sqrt(r2) * per_width, columns))
+            other = np.uintp(ghosts.owner[first + np.intp(now & GHOST_BITS)]) * np.uintp(n_lanes)
+            for lane in range(np.uintp(n_lanes)):
+                counts[np.uintp(kinds_of_pairs[np.uintp(species[other + lane])]), np.uintp(places[lane])] += 1
+    return GO_ON
 
 
 class RadialDistribution(Accumulator):
@@ -91,6 +88,10 @@ class RadialDistribution(Accumulator):
     name: str = label()
     reach: float = field(init=False, default=0.0)  # r_max
 
+    def __getstate__(self) -> dict[str, Any]:
+        """For pickle and copy: a copy makes a list of its own."""
+        return {**vars(self), "_made": None}
+
     def _begin(self, engine: Engine) -> None:
         system = engine.system
         if system.volume is None or len(system) < 2:
@@ -105,18 +106,34 @@ class RadialDistribution(Accumulator):
         self._kinds = np.zeros((n, n), dtype=np.int64)
         for p, (a, b) in enumerate(self._pairs):
             self._kinds[a, b] = self._kinds[b, a] = p
-        self._counts = np.zeros((len(self._pairs), self.n_bins + SPREAD), dtype=np.int64)
+        self._made: tuple[int, ClusterList, DirectCalls] | None = None  # for a number of atoms
         self.sums = BlockedSums(HEAD + len(self._pairs) * self.n_bins)
 
     def _look(self, engine: Engine) -> None:
-        system, cell = engine.system, engine.system.cell
-        grid = make_grid(cell, system.positions, self.reach)
-        order, offsets, bin_start = sort_into_bins(system.positions, cell.lattice, cell.inverse, cell.pbc, grid)
-        local, bins = np.ascontiguousarray((system.positions[order] + offsets).T), bins_of(cell, grid, bin_start)
-        self._counts[:] = 0
-        count_pairs(local, system.species_index[order], bins, self._kinds, self.reach / self.n_bins, self._counts)
+        counts = self._counts(engine.system, engine.interactions.pool)
         self.sums.total[FRAMES] += 1.0
-        self.sums.total[HEAD:] += float(system.volume or 0.0) * self._counts[:, :-SPREAD].ravel()
+        self.sums.total[HEAD:] += float(engine.system.volume or 0.0) * counts[:, : self.n_bins].ravel()
+
+    def _counts(self, system: System, pool: ThreadPool) -> NDArray[np.int64]:
+        """(P, columns) numbers of pairs, from a list of clusters; a cell too small for one is repeated."""
+        positions, species, cell = system.positions, system.species_index, system.cell
+        if (n := ceil(self.reach / cell.heights.min())) > 1:
+            steps = np.stack(np.meshgrid(*[np.arange(n)] * 3), axis=-1).reshape(-1, 1, 3)
+            positions, species = (steps @ cell.lattice + positions).reshape(-1, 3), np.tile(species, n**3)
+            cell = Cell.of(n * cell.lattice)
+        if self._made is None or self._made[0] != len(positions):
+            made = ClusterList(len(positions), self.reach, 0.0, NO_PAIRS, False, pool)
+            self._made = len(positions), made, DirectCalls()
+        _, found, calls = self._made
+        found.update(positions, cell)
+        lanes = np.arange(found.lanes.size)
+        counts = np.zeros((found.n_domains, len(self._pairs), self.n_bins + lanes.size), dtype=np.int64)
+        beyond, places = self.n_bins + lanes.astype(np.float64), np.zeros((len(counts), lanes.size))
+        of_slots = species[found.clusters.atom[: found.n_clusters * lanes.size]]
+        counting = Counting(found.arrays, of_slots, self._kinds, self.n_bins / self.reach, beyond, places, counts)
+        count_all = operation(calls, count_pairs, counting, len(counts))
+        Program(lambda: [count_all], lambda: 0, pool).run()
+        return counts.sum(axis=0) // n**3
 
     def result(self) -> RadialDistributionResult:
         """g(r) so far, with standard errors.  Raises ValueError before the first look."""

@@ -1,6 +1,8 @@
 """Observers of a run have the answers of slow twins of theirs; a run that was cut goes on to the same answers."""
 
+import copy
 import json
+import pickle
 from dataclasses import dataclass
 
 import h5py
@@ -151,6 +153,12 @@ def test_an_observer_has_the_result_of_its_slow_twin(kind, run):
     result = run.looking[kind].result()
     for name, expected in TWINS[kind](run).items():
         np.testing.assert_allclose(getattr(result, name), expected, rtol=1e-9, atol=1e-12, err_msg=name)  # rounding
+
+
+@pytest.mark.parametrize("kind", TWINS)
+def test_a_copy_of_an_observer_has_its_result(kind, run):
+    copies = copy.deepcopy(run.looking[kind]), pickle.loads(pickle.dumps(run.looking[kind]))
+    assert {str(one.result()) for one in copies} == {str(run.looking[kind].result())}
 
 
 @pytest.mark.parametrize("cell", [np.eye(3), np.array([[1.0, 0, 0], [1, 1, 0], [0, -1, 1]])], ids=["cubic", "skewed"])

@@ -113,14 +113,13 @@ def replay(
         _output(one, Path(file), end, overwrite) for one, end in ((trajectory, "h5md"), (picture, "png"))
     )
     acting = potentials_of_scene(run.scene, run.potentials, Path(file)) if potentials is None else potentials
-    simulation = Simulation(
-        run.system, acting, run.integrator(), precision=run.precision, skin=run.skin, barostat=run.barostat
-    )
+    options: dict[str, Any] = {"precision": run.precision, "skin": run.skin, "grid": run.restart.grid}
+    simulation = Simulation(run.system, acting, run.integrator(), barostat=run.barostat, **options)
     simulation.restore(past.start)
     simulation.engine.noise_shift = past.noise_shift
     simulation.guard.judge_by(*past.judgment)
     rows: list[ReplayedStep] = []
-    options: dict[str, Any] = {
+    options = {
         "trajectory": () if frames is None else frames, "observers": [lambda now: rows.append(ReplayedStep.of(now))],
         "store_forces": True, "overwrite": True, "progress": False, "crash_report": False,
     }  # fmt: skip

@@ -56,6 +56,14 @@ def rigid_with_one_fixed():
     return scene._replace(constraints=[*scene.constraints, md.FixedAtoms([2])]).simulation(md.VelocityVerlet(0.08))
 
 
+def heated_on_a_grid():
+    """Its grid is not the one that would be chosen for its last state."""
+    simulation = SCENES["argon"]().simulation(md.VelocityVerlet(0.004), precision="fixed-point")
+    simulation.velocities[:] *= 4.0
+    simulation.method = md.VelocityVerlet(0.02)
+    return simulation
+
+
 def of_two(law, second, timestep, velocities=0.0):
     system = md.System([[0.0, 0, 0], [second, 0, 0]], velocities=np.full((2, 3), velocities))
     return md.Simulation(system, law, md.VelocityVerlet(timestep))
@@ -171,7 +179,7 @@ LANGEVIN = {"method": md.LangevinBAOAB, "temperature": 1.44, "friction": 1.0, "s
 FAILING = {  # positions last, too: energies that a method has not evaluated at its last positions are
     "langevin": lambda: melt(BIG_STEP, **LANGEVIN), "rigid and fixed": rigid_with_one_fixed,
     "bonds": chain, "positions last": lambda: melt(0.03, md.PositionVerlet),
-    "ions": lambda: run_of(ions(), 40.0),
+    "ions": lambda: run_of(ions(), 40.0), "on a grid": heated_on_a_grid,
 }  # fmt: skip
 
 
@@ -187,7 +195,9 @@ def test_findings_come_back_and_a_replay_fails_again_at_the_same_step_on_the_sam
     assert (len(past.run.system.constraints), seen.failed_at) == (len(simulation.constraints), found.step)
     assert [row.step for row in seen.rows] == list(range(found.first_step, found.last_good_step + 1))
     assert seen.rows[-1].energy == pytest.approx(read_file(error.file).record.total_energy[-1], rel=1e-6)
-    assert (seen.trajectory, read_file(seen.trajectory).n_frames) == (tmp_path / "a.replay.h5md", len(seen.rows))
+    replayed = read_file(seen.trajectory)
+    assert (seen.trajectory, replayed.n_frames) == (tmp_path / "a.replay.h5md", len(seen.rows))
+    assert replayed.restart.grid == past.run.restart.grid
     assert make is not chain or (tmp_path / "a.replay.png").read_bytes().startswith(b"\x89PNG")
     assert_answered(lambda: md.replay(error.file, simulation.potentials), FileExistsError, "replace it")
 

@@ -15,6 +15,7 @@ PLAIN = {  # words of pydantic: words of minimd
     "items after validation": "entries", "Value error, ": "",
 }  # fmt: skip
 EDGES = "give all three edges, 0 along a direction that does not repeat, as of a slab"
+OF_MASSES = "masses are those of the element or of the structure file, 1 in LJ units, and always positive; "
 THREE = {  # lists of the wrong length: what to write
     ("structure", "cell"): f": {EDGES}: [20, 20, 0] with pbc = [true, true, false]",
     ("structure", "pbc"): ": give one for all directions, or three, as of a slab: [true, true, false]",
@@ -75,8 +76,10 @@ def _about_key(loc: tuple, reading: Reading) -> str:
     key = loc[-1].removeprefix(UNKNOWN)
     if key in keys:
         return f"{place} has {key!r} and the same quantity in another unit; give only one of them"
-    near, known = _near(loc, reading)[0], f"Keys in {reading.units} units: {', '.join(keys)}"
-    hint = f"did you mean {near!r}? " if near else ""
+    all_keys = [(name, reading.keys(one)) for name, one in reading.document.items() if not place]
+    inside = [f"{name}.{one}" for name, has in all_keys for one in has if key in (one, has[one][0])]
+    near, known = " or ".join(inside) or _near(loc, reading)[0], f"Keys in {reading.units} units: {', '.join(keys)}"
+    hint = OF_MASSES if key.startswith("mass") else f"did you mean {near!r}? " if near else ""
     return f"{place or 'a scene'} has no key {key!r} (= {_shown(table[key])}); {hint}{known}"
 
 

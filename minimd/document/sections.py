@@ -133,7 +133,8 @@ class WaterSection(Section):
 
     def system(self) -> System:
         """The molecules, held rigid.  Raises ValueError as water."""
-        system, _, rigid = water(self.model, self.molecules, self.density / GRAM_PER_CM3, seed=self.seed)
+        given = self.model, self.molecules, self.density / GRAM_PER_CM3
+        system, _, rigid = water(*given, cutoff=self.cutoff, seed=self.seed)
         return changed(system, constraints=(rigid,))
 
     def potentials(self) -> list[OwnPotential]:

@@ -101,7 +101,7 @@ class CellRescaling:
             why = "which has no temperature, needs temperature=... for its noise"
             raise ValueError(f"a barostat with {method.name}, {why}")
         if own is not None and theirs is not None and own != theirs:
-            they = f"they have {own} and {theirs}: leave out that of the barostat"
+            they = f"they have {own} and {theirs}: leave out the temperature of the barostat"
             raise ValueError(f"barostat and thermostat must have the same temperature; {they}")
         found: Any = theirs if own is None else own
         return float(found)
@@ -124,7 +124,7 @@ class CellRescaling:
         if not largest <= LARGEST_STRAIN:
             target = f"{self.barostat.pressure:.3g} {self._system.units.pressure}"
             why = f"pressure {np.trace(before.pressure) / 3.0:.3g}, target {target}"
-            cure = "equilibrate first, take a longer relaxation_time, or look at the unit of the pressure"
+            cure = "equilibrate first, take a longer relaxation_time, or check the unit of the pressure"
             raise RangeError(f"the barostat would strain the cell by {largest:.1e} at once ({why}): {cure}")
         if self.barostat.pressure <= 0.0 and before.volume > EVAPORATED * self._first_volume:
             raise RangeError(self._growth(before))
